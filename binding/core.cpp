@@ -1,0 +1,193 @@
+// Python's view of the deployable observer. Arrays in, arrays out, the GIL released; a batch runs
+// one record a thread at a time. All checks of shapes and values happen in Python.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/pair.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "fluxobs.h"
+
+namespace nb = nanobind;
+
+namespace {
+
+using Matrix = nb::ndarray<const double, nb::shape<FO_N, FO_N>, nb::c_contig, nb::device::cpu>;
+using Vector = nb::ndarray<const double, nb::shape<FO_N>, nb::c_contig, nb::device::cpu>;
+using States = nb::ndarray<const std::uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Signals = nb::ndarray<const double, nb::shape<-1, -1, FO_N>, nb::c_contig, nb::device::cpu>;
+
+enum Column {
+    FLUX = 0,
+    PSI_F = FO_N,
+    THETA_E,
+    THETA_E_TRACKED,
+    SPEED_E,
+    DRIFT,
+    THETA_E_STD = DRIFT + FO_N,
+    INNOVATION,
+    NOISE_SHARE,
+    COLUMNS
+};
+
+void copy(fo_real (&target)[FO_N][FO_N], const Matrix &source) {
+    for (std::size_t i = 0; i < FO_N; i++)
+        for (std::size_t j = 0; j < FO_N; j++) target[i][j] = static_cast<fo_real>(source(i, j));
+}
+
+void copy(fo_real (&target)[FO_N], const Vector &source) {
+    for (std::size_t i = 0; i < FO_N; i++) target[i] = static_cast<fo_real>(source(i));
+}
+
+template <class T>
+nb::ndarray<nb::numpy, T> owned(std::unique_ptr<T[]> data, std::initializer_list<std::size_t> shape) {
+    nb::capsule owner(data.get(), [](void *p) noexcept { delete[] static_cast<T *>(p); });
+    return nb::ndarray<nb::numpy, T>(data.release(), shape, owner);
+}
+
+class Core {
+public:
+    Core(const Matrix &Q1, const Matrix &Q2, const Matrix &Q3, const Vector &E, const Vector &C,
+         const Matrix &R, const Matrix &B, double L_position, double sample_time, double memory,
+         double flux_base, double constraint_base, double constraint_noise, double current_noise,
+         double current_limit, double drift_prior, double tracker_bandwidth) {
+        fo_config c;
+        copy(c.Q1, Q1);
+        copy(c.Q2, Q2);
+        copy(c.Q3, Q3);
+        copy(c.E, E);
+        copy(c.C, C);
+        copy(c.R, R);
+        copy(c.B, B);
+        c.L_position = static_cast<fo_real>(L_position);
+        c.sample_time = static_cast<fo_real>(sample_time);
+        c.memory = static_cast<fo_real>(memory);
+        c.flux_base = static_cast<fo_real>(flux_base);
+        c.constraint_base = static_cast<fo_real>(constraint_base);
+        c.constraint_noise = static_cast<fo_real>(constraint_noise);
+        c.current_noise = static_cast<fo_real>(current_noise);
+        c.current_limit = static_cast<fo_real>(current_limit);
+        c.drift_prior = static_cast<fo_real>(drift_prior);
+        c.tracker_bandwidth = static_cast<fo_real>(tracker_bandwidth);
+        switch (fo_init(&observer_, &c)) {
+            case FO_OK: return;
+            case FO_ERROR_SAMPLE_TIME:
+                throw std::invalid_argument("sample_time must be positive, memory at least ten samples");
+            case FO_ERROR_BASE:
+                throw std::invalid_argument("bases, noises, limits and priors must be positive");
+            default: throw std::invalid_argument("every parameter must be finite");
+        }
+    }
+
+    nb::ndarray<nb::numpy, std::uint8_t> reset(std::size_t lanes) const {
+        auto raw = std::make_unique<std::uint8_t[]>(lanes * sizeof(fo_state));
+        fo_state state;
+        std::memset(&state, 0, sizeof state);
+        fo_reset(&observer_, &state);
+        for (std::size_t i = 0; i < lanes; i++)
+            std::memcpy(raw.get() + i * sizeof state, &state, sizeof state);
+        return owned(std::move(raw), {lanes, sizeof state});
+    }
+
+    // (lanes, bytes), (lanes, rows, 2) twice -> states, columns (COLUMNS, lanes, rows), valid
+    nb::tuple run(const States &states, const Signals &source, const Signals &current,
+                  bool volt_seconds, unsigned threads) const {
+        const std::size_t lanes = current.shape(0), rows = current.shape(1), plane = lanes * rows;
+        if (states.shape(0) != lanes || states.shape(1) != sizeof(fo_state) ||
+            source.shape(0) != lanes || source.shape(1) != rows)
+            throw std::invalid_argument("states, voltage and current do not match");
+        std::unique_ptr<std::uint8_t[]> next(new std::uint8_t[lanes * sizeof(fo_state)]);
+        std::unique_ptr<double[]> columns(new double[COLUMNS * plane]);
+        std::unique_ptr<bool[]> valid(new bool[plane]);
+        {
+            nb::gil_scoped_release release;
+            std::atomic<std::size_t> todo{0};
+            auto work = [&] {
+                for (std::size_t lane; (lane = todo.fetch_add(1)) < lanes;) {
+                    fo_state state;
+                    std::memcpy(&state, states.data() + lane * sizeof state, sizeof state);
+                    run_lane(state, source.data() + lane * rows * FO_N,
+                             current.data() + lane * rows * FO_N, rows, volt_seconds,
+                             columns.get() + lane * rows, plane, valid.get() + lane * rows);
+                    std::memcpy(next.get() + lane * sizeof state, &state, sizeof state);
+                }
+            };
+            std::vector<std::thread> pool;
+            for (std::size_t i = 1; i < std::min<std::size_t>(threads, lanes); i++)
+                pool.emplace_back(work);
+            work();
+            for (auto &thread : pool) thread.join();
+        }
+        return nb::make_tuple(owned(std::move(next), {lanes, sizeof(fo_state)}),
+                              owned(std::move(columns), {COLUMNS, lanes, rows}),
+                              owned(std::move(valid), {lanes, rows}));
+    }
+
+    // (bad_voltages, bad_currents, absurd, restarts) of one lane
+    static nb::tuple counters(const States &states, std::size_t lane) {
+        fo_state state;
+        if (states.shape(1) != sizeof state || lane >= states.shape(0))
+            throw std::invalid_argument("no such state");
+        std::memcpy(&state, states.data() + lane * sizeof state, sizeof state);
+        return nb::make_tuple(state.bad_voltages, state.bad_currents, state.absurd, state.restarts);
+    }
+
+private:
+    void run_lane(fo_state &state, const double *source, const double *current, std::size_t rows,
+                  bool volt_seconds, double *columns, std::size_t plane, bool *valid) const {
+        for (std::size_t k = 0; k < rows; k++) {
+            fo_real u[FO_N], i[FO_N];
+            fo_estimate e;
+            for (int n = 0; n < FO_N; n++) {
+                u[n] = static_cast<fo_real>(source[FO_N * k + n]);
+                i[n] = static_cast<fo_real>(current[FO_N * k + n]);
+            }
+            if (volt_seconds)
+                fo_step_volt_seconds(&observer_, &state, u, i, &e);
+            else
+                fo_step(&observer_, &state, u, i, &e);
+            double *row = columns + k;
+            for (int n = 0; n < FO_N; n++) {
+                row[(FLUX + n) * plane] = e.flux[n];
+                row[(DRIFT + n) * plane] = e.drift[n];
+            }
+            row[PSI_F * plane] = e.psi_f;
+            row[THETA_E * plane] = e.theta_e;
+            row[THETA_E_TRACKED * plane] = e.theta_e_tracked;
+            row[SPEED_E * plane] = e.speed_e;
+            row[THETA_E_STD * plane] = e.theta_e_std;
+            row[INNOVATION * plane] = e.innovation;
+            row[NOISE_SHARE * plane] = e.noise_share;
+            valid[k] = e.valid != 0;
+        }
+    }
+
+    fo_observer observer_;
+};
+
+}  // namespace
+
+NB_MODULE(FLUXOBS_MODULE, m) {
+    nb::class_<Core>(m, "Core")
+        .def(nb::init<const Matrix &, const Matrix &, const Matrix &, const Vector &, const Vector &,
+                      const Matrix &, const Matrix &, double, double, double, double, double, double,
+                      double, double, double, double>(),
+             nb::kw_only(), nb::arg("Q1"), nb::arg("Q2"), nb::arg("Q3"), nb::arg("E"), nb::arg("C"),
+             nb::arg("R"), nb::arg("B"), nb::arg("L_position"), nb::arg("sample_time"),
+             nb::arg("memory"), nb::arg("flux_base"), nb::arg("constraint_base"),
+             nb::arg("constraint_noise"), nb::arg("current_noise"), nb::arg("current_limit"),
+             nb::arg("drift_prior"), nb::arg("tracker_bandwidth"))
+        .def("reset", &Core::reset)
+        .def("run", &Core::run)
+        .def_static("counters", &Core::counters);
+    m.attr("state_bytes") = sizeof(fo_state);
+}

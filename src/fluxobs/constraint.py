@@ -1,0 +1,132 @@
+"""The quadratic relation between flux linkage and current that holds whatever the position is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def _frozen(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    array = np.array(value, dtype=float)
+    if array.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, got {array.tolist()}")
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class QuadraticConstraint:
+    """One relation ``0 = λᵀQ1 λ + λᵀQ2 i + iᵀQ3 i + Eᵀλ + Cᵀi + d``.
+
+    Assumption 1 of the paper, with the linear term ``Eᵀλ`` that magnet-biased
+    coils need. Only the symmetric parts of Q1 and Q3 enter, so they are symmetrised on input.
+
+    Parameters
+    ----------
+    Q1, Q2, Q3 : (n, n) array_like
+        Units such that all terms agree; for the machines here Q1 = I, Q2 in H, Q3 in H².
+    E, C : (n,) array_like, optional
+        Default 0.
+    d : float, optional
+        Default 0. Observers never need it: it is absorbed in the immersion's state s.
+
+    Raises
+    ------
+    ValueError
+        A shape does not fit or an entry is not finite.
+
+    References
+    ----------
+    A. Pyrkin, A. Vedyakov, R. Ortega, A. Bobtsov, "A Robust Adaptive Flux Observer for a Class of
+    Electromechanical Systems", Assumption 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> constraint = QuadraticConstraint(np.eye(2), -2e-3 * np.eye(2), 1e-6 * np.eye(2), d=-0.01)
+    >>> float(constraint.residual([0.101, 0.0], [1.0, 0.0]).round(12))
+    0.0
+    """
+
+    Q1: Array
+    Q2: Array
+    Q3: Array
+    E: Array = field(default=None)  # type: ignore[assignment]  # set below
+    C: Array = field(default=None)  # type: ignore[assignment]
+    d: float = 0.0
+
+    def __post_init__(self) -> None:
+        n = len(np.atleast_1d(self.Q1))
+        for name in ("Q1", "Q2", "Q3"):
+            matrix = _frozen(name, getattr(self, name), (n, n))
+            if name != "Q2":
+                matrix = _frozen(name, (matrix + matrix.T) / 2, (n, n))
+            object.__setattr__(self, name, matrix)
+        for name in ("E", "C"):
+            value = getattr(self, name)
+            object.__setattr__(
+                self, name, _frozen(name, np.zeros(n) if value is None else value, (n,))
+            )
+        object.__setattr__(self, "d", float(_frozen("d", self.d, ())))
+
+    @property
+    def n(self) -> int:
+        """Number of electrical ports."""
+        return len(self.E)
+
+    def residual(self, flux: ArrayLike, current: ArrayLike) -> Array:
+        """w(λ, i); zero on the machine.
+
+        Parameters
+        ----------
+        flux, current : (..., n) array_like
+            Flux linkage [Wb] and current [A].
+
+        Returns
+        -------
+        (...) ndarray
+        """
+        x, i = np.asarray(flux, float), np.asarray(current, float)
+        return np.asarray(
+            np.einsum("...i,ij,...j", x, self.Q1, x)
+            + np.einsum("...i,ij,...j", x, self.Q2, i)
+            + np.einsum("...i,ij,...j", i, self.Q3, i)
+            + x @ self.E
+            + i @ self.C
+            + self.d
+        )
+
+    def hessian(self) -> Array:
+        """Second derivative in (λ, i), shape (2n, 2n): ``[[2 Q1, Q2], [Q2ᵀ, 2 Q3]]``."""
+        return np.block([[2 * self.Q1, self.Q2], [self.Q2.T, 2 * self.Q3]])
+
+    def invisible_offsets(self) -> Array:
+        """Constant offsets of (λ, i) that the relation cannot tell from none.
+
+        The null space of the Hessian: where it is empty, flux and current bias can both be found,
+        given excitation; for a surface PMSM it is spanned by (L s, s), so that they cannot, while
+        λ - L i, hence the position, is unaffected. See docs/theory.md, section 3.
+
+        Returns
+        -------
+        (2n, k) ndarray
+            One offset a column, orthonormal after scaling flux and current by their bases.
+        """
+        hessian = self.hessian()
+        # Flux and current have different units: balance the blocks before judging ranks.
+        norm1, norm3 = np.abs(self.Q1).max(), np.abs(self.Q3).max()
+        if norm1 > 0 and norm3 > 0:
+            ratio = np.sqrt(norm3 / norm1)  # flux per current
+        else:
+            ratio = 1.0
+        scale = np.r_[np.full(self.n, ratio), np.ones(self.n)]
+        balanced = scale[:, None] * hessian * scale
+        _, singular, vt = np.linalg.svd(balanced)
+        rank = int((singular > 1e-9 * max(singular[0], 1e-300)).sum())
+        return np.asarray(scale[:, None] * vt[rank:].T)

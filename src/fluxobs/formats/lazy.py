@@ -1,0 +1,28 @@
+"""Batches out of a Polars lazy frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import polars as pl
+
+from .table import Columns
+
+
+def frames(
+    lazy: pl.LazyFrame, names: Sequence[str], first: int, last: int, size: int
+) -> Iterator[pl.DataFrame]:
+    """Rows first … last - 1 in order, about `size` rows a frame."""
+    selected = lazy.select(list(dict.fromkeys(names))).slice(first, last - first)
+    if last - first <= size:
+        yield selected.collect()
+    else:
+        yield from selected.collect_batches(chunk_size=size, maintain_order=True)
+
+
+def as_columns(frame: pl.DataFrame) -> Columns:
+    """Float columns, null as NaN."""
+    return {
+        name: frame[name].cast(pl.Float64).fill_null(np.nan).to_numpy() for name in frame.columns
+    }

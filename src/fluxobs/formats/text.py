@@ -1,0 +1,157 @@
+"""Delimited text: CSV and its relatives, any delimiter, decimal point or comma."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import polars as pl
+
+from ..errors import RecordError
+from .lazy import as_columns, frames
+from .table import BATCH, Columns
+
+#: What stands in a cell that holds no value.
+MISSING = ("", "nan", "na", "n/a", "null", "none", "-")
+_DECIMAL_COMMA = re.compile(r"^\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*$")
+_DELIMITERS = ("\t", ";", "|", ",", " ")  # most telling first
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a text file is laid out."""
+
+    delimiter: str
+    decimal_comma: bool
+    header_line: int  # counted from 0; comments (#) and blank lines may stand above it
+    names: tuple[str, ...]
+
+
+def _split(line: str, delimiter: str) -> list[str]:
+    return [cell.strip().strip('"').strip() for cell in line.rstrip("\r\n").split(delimiter)]
+
+
+def sniff(path: Path) -> Dialect:
+    """Dialect from the first lines.
+
+    Raises
+    ------
+    RecordError
+        Empty file, no header, or repeated column names.
+    """
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        lines = list(islice(file, 200))
+    content = [
+        (number, line)
+        for number, line in enumerate(lines)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not content:
+        raise RecordError(f"{path}: the file is empty; a header line and rows of numbers belong in it")
+    header_line, header = content[0]
+    delimiter = next((d for d in _DELIMITERS if d in header.strip()), ",")
+    names = _split(header, delimiter)
+    cells = [cell for _, line in content[1:50] for cell in _split(line, delimiter)]
+    if all(_is_number(name) for name in names if name):
+        raise RecordError(
+            f"{path}, line {header_line + 1}: expected a header with column names, found numbers: "
+            f"{header.strip()[:60]!r}. Add a line of names above"
+        )
+    repeated = {name for name in names if names.count(name) > 1}
+    if repeated:
+        raise RecordError(
+            f"{path}, line {header_line + 1}: the column {sorted(repeated)[0]!r} stands twice; "
+            f"column names must differ"
+        )
+    comma = delimiter != "," and any(_DECIMAL_COMMA.match(cell) for cell in cells)
+    return Dialect(delimiter, comma, header_line, tuple(names))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+class TextTable:
+    """Columns of a delimited text file."""
+
+    random_access = False
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self.dialect = sniff(path)
+        except OSError as error:
+            raise RecordError(f"{path}: cannot be read: {error.strerror}") from None
+        self.columns = list(self.dialect.names)
+        try:
+            # Counting lines needs no parsing of cells.
+            self.rows = int(self._scan(pl.String).select(pl.len()).collect().item())
+        except pl.exceptions.NoDataError:
+            self.rows = 0
+        except pl.exceptions.PolarsError as error:
+            raise self._ragged(error) from None
+
+    def _scan(self, dtype: type[pl.DataType]) -> pl.LazyFrame:
+        return pl.scan_csv(
+            self.path,
+            separator=self.dialect.delimiter,
+            has_header=False,
+            skip_lines=self.dialect.header_line + 1,
+            schema=dict.fromkeys(self.columns, dtype),
+            decimal_comma=self.dialect.decimal_comma,
+            ignore_errors=True,
+            encoding="utf8-lossy",
+            glob=False,
+        )
+
+    def batches(
+        self, names: Sequence[str], first: int, last: int, size: int = BATCH
+    ) -> Iterator[Columns]:
+        row = first
+        try:
+            for frame in frames(self._scan(pl.Float64), names, first, last, size):
+                for name in frame.columns:
+                    if frame[name].null_count():
+                        self._refuse_text(name, row, row + frame.height)
+                yield as_columns(frame)
+                row += frame.height
+        except pl.exceptions.PolarsError as error:
+            raise self._ragged(error) from None
+
+    def place(self, row: int) -> str:
+        return f"line {self.dialect.header_line + row + 2}"
+
+    def _refuse_text(self, name: str, first: int, last: int) -> None:
+        """A cell that did not parse is either empty or a mistake."""
+        cells = self._scan(pl.String).select(name).slice(first, last - first).collect()[name]
+        for offset, text in enumerate(cells):
+            if text is None or text.strip().lower() in MISSING:
+                continue
+            number = text.strip().replace(",", ".") if self.dialect.decimal_comma else text.strip()
+            try:
+                float(number)
+            except ValueError:
+                raise RecordError(
+                    f"{self.path}, {self.place(first + offset)}, column {name!r}: {text!r} is not "
+                    f"a number. Correct it, or leave the cell empty if the value is missing"
+                ) from None
+
+    def _ragged(self, error: Exception) -> RecordError:
+        """Finds the first line with too many cells, to say more than the parser does."""
+        width = len(self.columns)
+        with self.path.open(encoding="utf-8", errors="replace") as file:
+            for number, line in enumerate(file):
+                if number > self.dialect.header_line:
+                    cells = len(_split(line, self.dialect.delimiter))
+                    if cells > width:
+                        return RecordError(
+                            f"{self.path}, line {number + 1}: {cells} cells, the header has {width}"
+                        )
+        return RecordError(f"{self.path}: cannot be read: {error}")

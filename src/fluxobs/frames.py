@@ -1,0 +1,83 @@
+"""Reference frames: from what a drive logs to αβ, amplitude-invariant.
+
+Vectors are (rows, 2) arrays; angles electrical, in radians.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+Frame = Literal["alphabeta", "abc", "line", "duty", "dq"]
+FRAMES: tuple[Frame, ...] = get_args(Frame)
+
+#: Channels of a frame: voltages, and currents; "?" marks what may be missing.
+VOLTAGES: dict[Frame, tuple[str, ...]] = {
+    "alphabeta": ("u_alpha", "u_beta"),
+    "abc": ("u_a", "u_b", "u_c"),
+    "line": ("u_ab", "u_bc"),
+    "duty": ("d_a", "d_b", "d_c", "udc"),
+    "dq": ("u_d", "u_q"),
+}
+PHASE_CURRENTS = ("i_a", "i_b", "i_c")
+CURRENTS: dict[Frame, tuple[str, ...]] = {
+    "alphabeta": ("i_alpha", "i_beta"),
+    "abc": PHASE_CURRENTS,
+    "line": PHASE_CURRENTS,
+    "duty": PHASE_CURRENTS,
+    "dq": ("i_d", "i_q"),
+}
+
+
+def clarke(a: Array, b: Array, c: Array) -> Array:
+    """Amplitude-invariant Clarke transform; what the phases have in common drops out."""
+    return np.stack([(2 * a - b - c) / 3, (b - c) / np.sqrt(3)], axis=-1)
+
+
+def clarke_two_phases(values: dict[str, Array]) -> Array:
+    """The same from any two (or all) phases whose sum is zero."""
+    missing = [name for name in PHASE_CURRENTS if name not in values]
+    if missing:
+        (name,) = missing
+        values = values | {name: -sum(values.values())}  # type: ignore[dict-item]
+    return clarke(*(values[name] for name in PHASE_CURRENTS))
+
+
+def rotate(vector: Array, angle: Array) -> Array:
+    """Turn (rows, 2) vectors by angles: from a rotor frame at `angle` to αβ."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y = vector[:, 0], vector[:, 1]
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+
+
+def wrap(angle: Array) -> Array:
+    """Angle in (-π, π]."""
+    return np.asarray(np.pi - np.mod(np.pi - angle, 2 * np.pi))
+
+
+def native_voltage(frame: Frame, channels: dict[str, Array]) -> Array:
+    """Voltage vector a row: αβ, except in dq, where it has yet to be rotated."""
+    u = [channels[name] for name in VOLTAGES[frame]]
+    match frame:
+        case "alphabeta" | "dq":
+            return np.stack(u, axis=-1)
+        case "abc":
+            return clarke(*u)
+        case "line":
+            return np.stack([(2 * u[0] + u[1]) / 3, u[1] / np.sqrt(3)], axis=-1)
+        case "duty":
+            return clarke(*u[:3]) * u[3][:, None]
+
+
+def alphabeta_current(frame: Frame, channels: dict[str, Array]) -> Array:
+    """Current vector αβ a row."""
+    i = {name: channels[name] for name in CURRENTS[frame] if name in channels}
+    if frame == "alphabeta":
+        return np.stack(list(i.values()), axis=-1)
+    if frame == "dq":
+        return rotate(np.stack(list(i.values()), axis=-1), channels["theta_e"])
+    return clarke_two_phases(i)

@@ -1,0 +1,115 @@
+"""What the columns of a log mean: frame, channels, scale, offset, timing."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from .errors import RecordError
+from .frames import CURRENTS, FRAMES, PHASE_CURRENTS, VOLTAGES, Frame
+from .validation import complaints, nearest
+
+#: Every channel a log may have.
+CHANNELS = tuple(
+    dict.fromkeys(
+        ["t"]
+        + [name for frame in FRAMES for name in VOLTAGES[frame] + CURRENTS[frame]]
+        + ["theta_e", "theta_mech"]
+    )
+)
+TRUTHS = ("theta_e", "theta_mech")
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class Layout(BaseModel):
+    """How to read a log.
+
+    A channel's value is ``scale · column + offset``. A channel that is not named in `columns` is
+    read from the column of its own name.
+
+    Parameters
+    ----------
+    frame : str
+        "alphabeta", "abc" (amplitude-invariant Clarke; two phase currents suffice), "line"
+        (line-to-line voltages u_ab, u_bc), "duty" (duty cycles 0…1 and udc), "dq" (with theta_e,
+        the angle used for the rotation).
+    sample_time : float, optional
+        [s]; needed where there is no column t.
+    lag : float
+        Which interval a voltage row acts over, in samples: 0 from that row to the next, -1 one
+        sample later, +1 one earlier; fractions allowed.
+    udc : float, optional
+        DC-link voltage [V] where it is no column (frame "duty").
+    columns : dict
+        Channel → column name.
+    scale, offset : dict
+        Channel → number.
+    truth : dict
+        {"theta_e": column} (electrical) or {"theta_mech": column} (mechanical), to be scored against.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    frame: Frame = "alphabeta"
+    sample_time: Positive | None = None
+    lag: Number = 0.0
+    udc: Positive | None = None
+    columns: dict[str, str] = {}
+    scale: dict[str, Number] = {}
+    offset: dict[str, Number] = {}
+    truth: dict[str, str] = {}
+
+    @model_validator(mode="after")
+    def _known_channels(self) -> Self:
+        for field in ("columns", "scale", "offset"):
+            for channel in getattr(self, field):
+                if channel not in CHANNELS:
+                    raise ValueError(f"{field}: unknown channel {channel!r}{nearest(channel, CHANNELS)}")
+        for channel in self.truth:
+            if channel not in TRUTHS:
+                raise ValueError(f"truth must be theta_e or theta_mech, got {channel!r}")
+        if len(self.truth) > 1:
+            raise ValueError("truth: give theta_e or theta_mech, not both")
+        return self
+
+    def required(self, available: list[str]) -> dict[str, str]:
+        """Channel → column of all that the frame needs and the file has."""
+        channels = list(VOLTAGES[self.frame])
+        if self.frame == "duty" and self.udc is not None:
+            channels.remove("udc")
+        currents = list(CURRENTS[self.frame])
+        if tuple(currents) == PHASE_CURRENTS:
+            present = [name for name in currents if self.columns.get(name, name) in available]
+            currents = present if len(present) >= 2 else currents[:2]
+        if self.frame == "dq":
+            channels.append("theta_e")
+        if "t" in self.columns or "t" in available:
+            channels.insert(0, "t")
+        return {name: self.columns.get(name, name) for name in channels + currents}
+
+
+def layout_from(fields: dict[str, Any], source: str) -> Layout:
+    """Layout from a mapping; RecordError names `source` and what is wrong."""
+    try:
+        return Layout(**fields)
+    except ValidationError as error:
+        what = complaints(error, Layout.model_fields, "a record")
+        raise RecordError(f"{source}: {what}") from None
+
+
+def read_layout(path: str | Path) -> dict[str, Any]:
+    """Fields of a record TOML, checked; a mapping so that the command line can override them."""
+    path = Path(path)
+    try:
+        fields = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise RecordError(f"{path}: not TOML: {error}") from None
+    layout_from(fields, str(path))
+    return fields

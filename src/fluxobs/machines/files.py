@@ -1,0 +1,94 @@
+"""Machines from TOML files and by the names of the shipped examples."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from ..errors import MachineError
+from ..validation import complaints, nearest
+from .base import Machine
+from .interior_pmsm import InteriorPMSM
+from .surface_pmsm import SurfacePMSM
+from .synchronous_reluctance import SynchronousReluctance
+
+KINDS: dict[str, type[Machine]] = {
+    kind.kind: kind for kind in (SurfacePMSM, InteriorPMSM, SynchronousReluctance)
+}
+
+
+def machine_from(fields: Mapping[str, Any], source: str = "machine") -> Machine:
+    """Machine from a flat mapping with ``kind`` and its parameters.
+
+    Raises
+    ------
+    MachineError
+        Names what is missing, unknown (with the nearest known name) or impossible, and `source`.
+    """
+    parameters = dict(fields)
+    kind = parameters.pop("kind", None)
+    if kind is None:
+        raise MachineError(f'{source}: kind is missing: one of {", ".join(KINDS)}')
+    if kind not in KINDS:
+        raise MachineError(f"{source}: unknown kind {kind!r}{nearest(str(kind), KINDS)}")
+    try:
+        return KINDS[kind](**parameters)
+    except ValidationError as error:
+        what = complaints(error, KINDS[kind].model_fields, f"a {kind}")
+        raise MachineError(f"{source}: {what}") from None
+
+
+def read_machine(path: str | Path) -> Machine:
+    """Machine from a TOML file, or one of the shipped examples by its name.
+
+    Raises
+    ------
+    MachineError
+        No such file or example, no TOML, or wrong parameters.
+    """
+    path = Path(path)
+    if not path.exists() and not path.suffix and path.name in example_names():
+        return example(path.name)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise MachineError(
+            f"{path}: no such machine file; `fluxobs machines` lists the shipped ones"
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise MachineError(f"{path}: cannot be read: {error}") from None
+    try:
+        fields = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise MachineError(f"{path}: not TOML: {error}") from None
+    return machine_from(fields, source=str(path))
+
+
+def _examples() -> Any:
+    return resources.files(__package__) / "examples"
+
+
+def example_names() -> list[str]:
+    """Names of the shipped machines."""
+    return sorted(entry.name[:-5] for entry in _examples().iterdir() if entry.name.endswith(".toml"))
+
+
+def example(name: str) -> Machine:
+    """Shipped machine by name.
+
+    >>> example("servo-400w").kind
+    'surface-pmsm'
+    """
+    if name not in example_names():
+        raise MachineError(f"no shipped machine {name!r}{nearest(name, example_names())}")
+    return machine_from(tomllib.loads(example_text(name)), source=name)
+
+
+def example_text(name: str) -> str:
+    """TOML of a shipped machine, comments included."""
+    return str((_examples() / f"{name}.toml").read_text(encoding="utf-8"))

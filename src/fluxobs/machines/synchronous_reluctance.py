@@ -1,0 +1,57 @@
+"""Synchronous reluctance machine."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+from pydantic import model_validator
+
+from ..constraint import QuadraticConstraint
+from .base import Machine, Positive
+
+
+class SynchronousReluctance(Machine):
+    """Synchronous reluctance machine, ``(λ - L_q i)ᵀ(λ - L_d i) = 0``.
+
+    The position vector ``λ - L_q i = (L_d - L_q) i_d e(θ_e)`` lies along d, up to half a turn
+    (it points backwards if i_d < 0), and vanishes with i_d: the position is then flagged unknown.
+
+    Parameters
+    ----------
+    R_s, n_p, rated_current
+        See :class:`Machine`.
+    L_d, L_q : float
+        Inductances along and across the axis of high permeance [H], L_d > L_q > 0.
+    """
+
+    kind = "synchronous-reluctance"
+    half_turn_ambiguous = True
+
+    L_d: Positive
+    L_q: Positive
+
+    @model_validator(mode="after")
+    def _salient(self) -> Self:
+        if not self.L_d > self.L_q:
+            raise ValueError(
+                f"L_d must be larger than L_q (d is the axis of high permeance), "
+                f"got L_d = {self.L_d:g} H, L_q = {self.L_q:g} H"
+            )
+        return self
+
+    @property
+    def constraint(self) -> QuadraticConstraint:
+        one = np.eye(2)
+        return QuadraticConstraint(one, -(self.L_d + self.L_q) * one, self.L_d * self.L_q * one)
+
+    @property
+    def position_inductance(self) -> float:
+        return self.L_q
+
+    def flux_base(self, psi_f: float | None, rated_current: float) -> float | None:
+        return 0.5 * self.L_d * rated_current  # d current is around half of a rated vector
+
+    def constraint_noise(self, flux_base: float, rated_current: float, noise: float) -> float:
+        # |∂w/∂i| = (L_d - L_q) |(L_d i_d, L_q i_q)| at the scale of the flux.
+        return (self.L_d - self.L_q) * flux_base * noise

@@ -1,0 +1,424 @@
+"""The production observer: square-root information least squares on the exact immersion.
+
+The numbers come from firmware/fluxobs.c, the same source that runs in a drive.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _core, _core_single
+from ..constraint import QuadraticConstraint
+from ..machines import Machine
+from ..records import Record
+from .base import Estimate
+
+#: Default memory [s]. One value served every record tried, 75 to 5000 rad/s electrical: much
+#: shorter, and slow machines turn too little within it; much longer, and what is taken as constant
+#: (drift, inverter error, magnet flux) changes within it.
+MEMORY = 0.03
+#: Bandwidth of the tracker times the memory: follows changes three times as fast as the memory.
+TRACKER = 10.0
+#: No real machine keeps its relation better than to this share of its flux squared (saturation,
+#: slots, inverter). It belongs to the assumed noise, where it balances prior against data; the
+#: reported standard deviations take their level from the innovations.
+MODEL_ERROR = 0.003
+#: Default noise of a current component, as a share of the rated current.
+CURRENT_NOISE = 0.002
+#: A current is no measurement beyond this many rated currents, ...
+CURRENT_LIMIT = 20.0
+#: ... provided that its own flux, L i, is then beyond this many flux bases.
+CURRENT_FLUX_LIMIT = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class LeastSquaresState:
+    """Everything the observer remembers; plain bytes of the C state, one row a lane."""
+
+    raw: NDArray[np.uint8]
+    batch: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        self.raw.setflags(write=False)
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, LeastSquaresState)
+            and self.batch == other.batch
+            and np.array_equal(self.raw, other.raw)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+@dataclass(frozen=True)
+class SampleCounts:
+    """What was wrong with the samples so far, and how often the information was restarted."""
+
+    bad_voltages: int
+    bad_currents: int
+    absurd: int
+    restarts: int
+
+
+@dataclass(frozen=True, eq=False)
+class LeastSquaresObserver:
+    """Flux, position, speed and drift by exponentially forgetting least squares.
+
+    Use :meth:`for_machine` unless you know better; the fields are what it chooses.
+
+    Parameters
+    ----------
+    constraint : QuadraticConstraint
+        Two ports.
+    R, B : (2, 2) array_like
+        Of ``λ̇ = -R i + B u`` [Ω], [-].
+    position_inductance : float
+        L of the position vector λ - L i [H].
+    sample_time : float
+        [s], > 0.
+    memory : float
+        Exponential memory [s], at least ten samples.
+    flux_base : float
+        Size of the flux [Wb], to within a factor of a few.
+    constraint_noise : float
+        Std of the constraint's residual in its own unit (Wb² for Q1 = I).
+    current_noise : float
+        Std of a current component [A].
+    current_limit : float
+        A longer current vector is taken for garbage [A].
+    drift_prior : float
+        Largest plausible drift [V]. Start-up is quicker the tighter it is; one that proves too
+        tight is widened.
+    tracker_bandwidth : float
+        [rad/s].
+    precision : {"double", "single"}
+        Single computes what a microcontroller does.
+
+    Raises
+    ------
+    ValueError
+        A value is not positive or not finite, or the memory is shorter than ten samples.
+
+    References
+    ----------
+    docs/theory.md, sections 4 to 6; firmware/fluxobs.c.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fluxobs.machines import example
+    >>> observer = LeastSquaresObserver.for_machine(example("servo-400w"), sample_time=1e-4)
+    >>> state, estimate = observer.step(observer.init(), voltage=[0.0, 0.0], current=[0.1, 0.0])
+    >>> bool(estimate.valid)
+    False
+    """
+
+    constraint: QuadraticConstraint
+    R: NDArray[np.float64]
+    B: NDArray[np.float64]
+    position_inductance: float
+    sample_time: float
+    memory: float
+    flux_base: float
+    constraint_noise: float
+    current_noise: float
+    current_limit: float
+    drift_prior: float
+    tracker_bandwidth: float
+    precision: Literal["double", "single"] = "double"
+    _core: Any = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.constraint.n != 2:
+            raise ValueError(f"the compiled observer has two ports, got {self.constraint.n}")
+        if self.precision not in ("double", "single"):
+            raise ValueError(f'precision must be "double" or "single", got {self.precision!r}')
+        for name in ("R", "B"):
+            matrix = np.array(getattr(self, name), dtype=float)
+            if matrix.shape != (2, 2):
+                raise ValueError(f"{name} must have shape (2, 2), got {matrix.shape}")
+            matrix.setflags(write=False)
+            object.__setattr__(self, name, matrix)
+        for name in (
+            "sample_time",
+            "memory",
+            "flux_base",
+            "constraint_noise",
+            "current_noise",
+            "current_limit",
+            "drift_prior",
+            "tracker_bandwidth",
+        ):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be positive and finite, got {value}")
+        if self.memory < 10 * self.sample_time:
+            raise ValueError(
+                f"memory must be at least ten samples, {10 * self.sample_time:g} s here, "
+                f"got {self.memory:g} s"
+            )
+        object.__setattr__(self, "_core", self._make_core())
+
+    def _make_core(self) -> Any:
+        module = _core if self.precision == "double" else _core_single
+        c = self.constraint
+        size = np.abs(c.Q1).max()
+        return module.Core(
+            Q1=c.Q1,
+            Q2=np.ascontiguousarray(c.Q2),
+            Q3=c.Q3,
+            E=c.E,
+            C=c.C,
+            R=self.R,
+            B=self.B,
+            L_position=self.position_inductance,
+            sample_time=self.sample_time,
+            memory=self.memory,
+            flux_base=self.flux_base,
+            # Without λᵀQ1λ the mixed term sets the size; any positive number serves.
+            constraint_base=float(size) * self.flux_base**2 if size > 0 else self.constraint_noise,
+            constraint_noise=self.constraint_noise,
+            current_noise=self.current_noise,
+            current_limit=self.current_limit,
+            drift_prior=self.drift_prior,
+            tracker_bandwidth=self.tracker_bandwidth,
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {key: value for key, value in self.__dict__.items() if key != "_core"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        object.__setattr__(self, "_core", self._make_core())
+
+    @classmethod
+    def for_machine(
+        cls,
+        machine: Machine,
+        *,
+        sample_time: float,
+        memory: float = MEMORY,
+        psi_f: float | None = None,
+        rated_current: float | None = None,
+        current_noise: float | None = None,
+        drift_prior: float | None = None,
+        precision: Literal["double", "single"] = "double",
+    ) -> Self:
+        """Observer with everything chosen from the machine.
+
+        Parameters
+        ----------
+        machine : Machine
+        sample_time : float
+            [s].
+        memory : float
+            [s]; the one tuning number. The default served every record tried.
+        psi_f, rated_current : float, optional
+            Override the machine's; scales only, a factor of two does no harm [Wb], [A peak].
+        current_noise : float, optional
+            Std of a current component [A]; default 0.2 % of the rated current.
+        drift_prior : float, optional
+            Largest plausible drift [V]; default the larger of 3 % of the rated resistive drop and
+            what would turn the flux by 0.1 rad within the memory.
+        precision : {"double", "single"}
+
+        Raises
+        ------
+        ValueError
+            Names the argument that neither the machine nor the call gives.
+        """
+        psi_f = psi_f if psi_f is not None else getattr(machine, "psi_f", None)
+        rated = rated_current if rated_current is not None else machine.rated_current
+        if rated is None:
+            raise ValueError(
+                f"rated_current is missing: give it in the machine ({machine.kind}) or to "
+                f"for_machine(…, rated_current=…) [A peak]; a rough value serves"
+            )
+        flux_base = machine.flux_base(psi_f, rated)
+        if flux_base is None:
+            raise ValueError(
+                f"psi_f is missing: give it in the machine ({machine.kind}) or to "
+                f"for_machine(…, psi_f=…) [Wb]; a rough value serves"
+            )
+        noise = current_noise if current_noise is not None else CURRENT_NOISE * rated
+        if drift_prior is None:
+            drift_prior = max(0.03 * machine.R_s * rated, 0.1 * flux_base / memory)
+        return cls(
+            constraint=machine.constraint,
+            R=machine.R,
+            B=machine.B,
+            position_inductance=machine.position_inductance,
+            sample_time=sample_time,
+            memory=memory,
+            flux_base=flux_base,
+            constraint_noise=float(
+                np.hypot(
+                    machine.constraint_noise(flux_base, rated, noise), MODEL_ERROR * flux_base**2
+                )
+            ),
+            current_noise=noise,
+            current_limit=max(
+                CURRENT_LIMIT * rated, CURRENT_FLUX_LIMIT * flux_base / machine.position_inductance
+            ),
+            drift_prior=drift_prior,
+            tracker_bandwidth=TRACKER / memory,
+            precision=precision,
+        )
+
+    def init(self, batch: tuple[int, ...] = ()) -> LeastSquaresState:
+        """State of which nothing is known, for one record or a batch of that shape."""
+        return LeastSquaresState(self._core.reset(int(np.prod(batch, dtype=int))), tuple(batch))
+
+    def step(
+        self,
+        state: LeastSquaresState,
+        voltage: ArrayLike | None = None,
+        current: ArrayLike | None = None,
+        *,
+        volt_seconds: ArrayLike | None = None,
+    ) -> tuple[LeastSquaresState, Estimate]:
+        """One sample.
+
+        Parameters
+        ----------
+        state : LeastSquaresState
+            Not changed.
+        voltage : (*batch, 2) array_like
+            Mean voltage over the interval ending now [V]; NaN where missing.
+        current : (*batch, 2) array_like
+            Current sampled now [A]; NaN where missing.
+        volt_seconds : (*batch, 2) array_like, instead of voltage
+            ∫ (-R i_m + B u_m) dt over the interval ending now [Wb], where known exactly.
+
+        Returns
+        -------
+        state : LeastSquaresState
+        estimate : Estimate
+            Leading shape `batch`.
+        """
+        source = _source(voltage, volt_seconds)
+        if current is None:
+            raise TypeError("current is missing")
+        expected = (*state.batch, 2)
+        source, i = np.asarray(source, float), np.asarray(current, float)
+        if source.shape != expected or i.shape != expected:
+            raise ValueError(
+                f"voltage and current must have shape {expected}, got {source.shape} and {i.shape}"
+            )
+        return self._advance(
+            state, source[..., None, :], i[..., None, :], volt_seconds is not None, 1, squeeze=True
+        )
+
+    def run(
+        self,
+        voltage: Record | ArrayLike | None = None,
+        current: ArrayLike | None = None,
+        *,
+        volt_seconds: ArrayLike | None = None,
+        threads: int | None = None,
+    ) -> Estimate:
+        """A whole record, or a batch of arrays, from zero knowledge; releases the GIL.
+
+        Same numbers, bit for bit, as the step loop. To go on from a state, see :meth:`resume`.
+
+        Parameters
+        ----------
+        voltage : Record or (*batch, rows, 2) array_like
+            A record, whose lag decides which voltage belongs to which interval; or, with
+            `current`, an array whose row k is the mean over the interval that ends at row k [V].
+        current : (*batch, rows, 2) array_like
+            [A].
+        volt_seconds : (*batch, rows, 2) array_like, instead of voltage
+            [Wb].
+        threads : int, optional
+            For a batch; default one a processor.
+
+        Returns
+        -------
+        Estimate
+            Leading shape ``(*batch, rows)``.
+        """
+        if isinstance(voltage, Record):
+            record = voltage
+            if not np.isclose(record.sample_time, self.sample_time, rtol=1e-3):
+                raise ValueError(
+                    f"the record's sample time, {record.sample_time:g} s, is not the observer's, "
+                    f"{self.sample_time:g} s"
+                )
+            voltage, current = record.interval_voltage(), record.current
+        if current is None:
+            raise TypeError("give a record, or current with voltage or volt_seconds")
+        state = self.init(np.shape(current)[:-2])
+        return self.resume(state, voltage, current, volt_seconds=volt_seconds, threads=threads)[1]
+
+    def resume(
+        self,
+        state: LeastSquaresState,
+        voltage: ArrayLike | None = None,
+        current: ArrayLike | None = None,
+        *,
+        volt_seconds: ArrayLike | None = None,
+        threads: int | None = None,
+    ) -> tuple[LeastSquaresState, Estimate]:
+        """Like :meth:`run` on arrays, from `state`; returns the state after the last row too."""
+        source = np.ascontiguousarray(_source(voltage, volt_seconds), dtype=float)
+        i = np.ascontiguousarray(current, dtype=float)
+        if i.ndim < 2 or i.shape[-1] != 2 or source.shape != i.shape or i.shape[:-2] != state.batch:
+            raise ValueError(
+                f"voltage and current must have shape {(*state.batch, 'rows', 2)}, "
+                f"got {source.shape} and {i.shape}"
+            )
+        return self._advance(state, source, i, volt_seconds is not None, threads or _processors())
+
+    def counts(self, state: LeastSquaresState, lane: int = 0) -> SampleCounts:
+        """Bad samples and restarts that `state` (one lane of it) has seen."""
+        return SampleCounts(*self._core.counters(state.raw, lane))
+
+    def _advance(
+        self,
+        state: LeastSquaresState,
+        source: NDArray[np.float64],
+        current: NDArray[np.float64],
+        volt_seconds: bool,
+        threads: int,
+        squeeze: bool = False,
+    ) -> tuple[LeastSquaresState, Estimate]:
+        rows = current.shape[-2]
+        lanes = state.raw.shape[0]
+        raw, columns, valid = self._core.run(
+            state.raw,
+            source.reshape(lanes, rows, 2),
+            current.reshape(lanes, rows, 2),
+            volt_seconds,
+            threads,
+        )
+        shape = state.batch if squeeze else (*state.batch, rows)
+        columns = columns.reshape(len(columns), *shape)
+        return LeastSquaresState(raw, state.batch), Estimate(
+            flux=np.moveaxis(columns[0:2], 0, -1),
+            psi_f=columns[2],
+            theta_e=columns[3],
+            theta_e_tracked=columns[4],
+            speed_e=columns[5],
+            drift=np.moveaxis(columns[6:8], 0, -1),
+            theta_e_std=columns[8],
+            valid=valid.reshape(shape),
+            innovation=columns[9],
+            noise_share=columns[10],
+        )
+
+
+def _source(voltage: ArrayLike | None, volt_seconds: ArrayLike | None) -> ArrayLike:
+    if (voltage is None) == (volt_seconds is None):
+        raise TypeError("give either voltage or volt_seconds")
+    return voltage if voltage is not None else volt_seconds  # type: ignore[return-value]
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,146 @@
+"""First pass over a log: the sizes that the machine file does not tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import RecordError
+from .logs import Aligned, Log
+from .machines import Machine
+from .observers import LeastSquaresObserver
+
+Array = NDArray[np.float64]
+
+#: At most this much of a log is looked at, evenly spread.
+EXCERPTS, EXCERPT_ROWS = 64, 16384
+#: Rows over which one noise level is taken; the median over these is not moved by transients.
+NOISE_ROWS = 256
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Sizes of the signals; all need to be right within a factor of a few only.
+
+    Attributes
+    ----------
+    current : float
+        95th percentile of |i| [A].
+    voltage : float
+        95th percentile of |u| [V].
+    current_noise : float
+        Standard deviation of one current component, from third differences [A].
+    """
+
+    current: float
+    voltage: float
+    current_noise: float
+
+
+def excerpts(log: Log) -> Iterator[Aligned]:
+    """Evenly spread pieces of a log; all of it if it is short."""
+    if len(log) <= EXCERPTS * EXCERPT_ROWS:
+        yield from log.aligned()
+        return
+    spacing = len(log) // EXCERPTS
+    starts = [log.first + n * spacing for n in range(EXCERPTS)]
+    if log.table.random_access:
+        for start in starts:
+            yield from log.aligned(start, start + EXCERPT_ROWS)
+        return
+    row = log.first
+    for part in log.aligned():
+        for start in starts:
+            low, high = max(start - row, 0), min(start + EXCERPT_ROWS - row, len(part.t))
+            if low < high:
+                truth = None if part.theta_e is None else part.theta_e[low:high]
+                yield Aligned(part.t[low:high], part.current[low:high], part.voltage[low:high], truth)
+        row += len(part.t)
+
+
+def current_noise(current: Array) -> float:
+    """Std of one component of white noise on a smooth signal, (rows, 2) [A].
+
+    Third differences remove anything smooth and have 20 times the noise's variance.
+    """
+    third = np.diff(current, 3, axis=0)
+    rows = max(1, min(NOISE_ROWS, len(third)))
+    blocks = third[: len(third) // rows * rows].reshape(-1, rows, 2)
+    level = np.mean(blocks**2, axis=(1, 2))
+    level = level[np.isfinite(level)]
+    return float(np.sqrt(np.median(level) / 20)) if len(level) else 0.0
+
+
+def measure_scales(log: Log) -> Scales:
+    """Scales of a log.
+
+    Raises
+    ------
+    RecordError
+        No finite current or voltage in it, or the current is zero throughout.
+    """
+    currents, voltages, noise = [], [], []
+    for part in excerpts(log):
+        currents.append(np.hypot(*part.current.T))
+        voltages.append(np.hypot(*part.voltage.T))
+        noise.append(current_noise(part.current))
+    i, u = np.concatenate(currents), np.concatenate(voltages)
+    i, u = i[np.isfinite(i)], u[np.isfinite(u)]
+    for what, values in (("current", i), ("voltage", u)):
+        if len(values) == 0:
+            raise RecordError(f"{log.table.path}: no row has a {what}; are the columns right?")
+    if not i.any():
+        raise RecordError(
+            f"{log.table.path}: the current is zero in every row: nothing can be learnt from it"
+        )
+    return Scales(
+        float(np.percentile(i, 95)) or float(i.max()),
+        float(np.percentile(u, 95)),
+        float(np.median(noise)),
+    )
+
+
+def observer_for(
+    log: Log, machine: Machine, scales: Scales, memory: float, psi_f: float | None = None
+) -> LeastSquaresObserver:
+    """Observer for a log: what the machine does not tell comes from `scales`."""
+    rated = machine.rated_current or scales.current
+    noise = max(scales.current_noise, 1e-4 * rated)
+    chosen = LeastSquaresObserver.for_machine(
+        machine,
+        sample_time=log.sample_time,
+        memory=memory,
+        psi_f=psi_f,
+        rated_current=rated,
+        current_noise=noise,
+    )
+    if chosen.drift_prior >= 0.01 * scales.voltage:
+        return chosen
+    return LeastSquaresObserver.for_machine(
+        machine,
+        sample_time=log.sample_time,
+        memory=memory,
+        psi_f=psi_f,
+        rated_current=rated,
+        current_noise=noise,
+        drift_prior=0.01 * scales.voltage,  # an offset of a hundredth of the voltage is ordinary
+    )
+
+
+def guess_psi_f(log: Log, machine: Machine, scales: Scales, memory: float) -> float:
+    """Magnet flux [Wb] for a machine file without one: what the observer itself returns.
+
+    A wrong scale does not move the estimates, so a coarse ladder of guesses is enough.
+    """
+    longest = max(excerpts(log), key=lambda part: len(part.t))
+    base = machine.position_inductance * (machine.rated_current or scales.current)
+    best, most = base, 0
+    for guess in base * np.array([0.5, 2.0, 8.0, 32.0]):
+        observer = observer_for(log, machine, scales, memory, float(guess))
+        found = observer.run(longest.voltage, longest.current)
+        if (count := int(found.valid.sum())) > most:
+            best, most = float(np.median(found.psi_f[found.valid])), count
+    return best

@@ -1,0 +1,37 @@
+"""Pydantic's complaints in words that name the field, what was given and what would do."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+from pydantic import ValidationError
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Hint at the known name that is meant, or at all of them."""
+    known = list(known)
+    close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
+    return f"; did you mean {close[0]!r}?" if close else f"; known: {', '.join(known)}"
+
+
+def complaints(error: ValidationError, fields: Iterable[str], what: str) -> str:
+    """One sentence part a problem. `what` needs the fields, "a surface-pmsm" for instance."""
+    fields = list(fields)
+    out = []
+    for problem in error.errors():
+        name = ".".join(str(part) for part in problem["loc"])
+        given = problem.get("input")
+        match problem["type"]:
+            case "missing":
+                out.append(f"{name} is missing: {what} needs it")
+            case "extra_forbidden":
+                out.append(f"unknown field {name!r}{nearest(name, fields)}")
+            case "greater_than":
+                out.append(f"{name} must be positive, got {given}")
+            case "value_error":
+                out.append(problem["msg"].removeprefix("Value error, "))
+            case _:
+                message = problem["msg"][0].lower() + problem["msg"][1:]
+                out.append(f"{name}: {message}, got {given!r}")
+    return "; ".join(out)
