@@ -28,6 +28,8 @@ static const fo_real SHARE_LIMIT = (fo_real)0.1;
 static const fo_real SWEEP = PI;
 /* Position std above which a trusted position is not called valid: 5 degrees. */
 static const fo_real STD_LIMIT = PI / (fo_real)36;
+/* The same for what a voltage error as large as the drift's prior can do: 15 degrees. */
+static const fo_real VOLTAGE_LIMIT = PI / (fo_real)12;
 /* Std of an angle of which nothing is known: uniform over a turn, pi / sqrt(3). */
 static const fo_real STD_UNKNOWN = (fo_real)1.8137993642342178;
 /* The largest flux change in one sample that is no error, in flux bases. */
@@ -444,6 +446,16 @@ static void widen_prior(fo_state *s, fo_real excess)
     }
 }
 
+/* Does a voltage error of the plausible size turn the flux by little? It adds up until the rotor
+ * has turned by a radian or the memory is over; innovations show it only then. */
+static int voltage_error_small(const fo_observer *o, const fo_state *s, fo_real square)
+{
+    const fo_real speed = s->speed < ZERO ? -s->speed : s->speed;
+    const fo_real turned = speed * o->sample_time / o->h; /* within the memory */
+    const fo_real error = ONE / (o->prior[DRIFT] * (turned > ONE ? turned : ONE));
+    return error * error < VOLTAGE_LIMIT * VOLTAGE_LIMIT * square;
+}
+
 /* Carries the last trusted flux on by integration; returns the variance of its angle. Once
  * nothing is known of the angle any more, the flux stays where it is. */
 static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N],
@@ -538,7 +550,7 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     e->theta_e_std = lost ? STD_UNKNOWN : fo_sqrt(variance);
     e->innovation = s->innovation;
     e->noise_share = a.noise_share;
-    e->valid = trusted && e->theta_e_std < STD_LIMIT;
+    e->valid = trusted && e->theta_e_std < STD_LIMIT && voltage_error_small(o, s, square);
 
     if (trusted && excess > ONE && turned > SETTLED) {
         widen_prior(s, excess);

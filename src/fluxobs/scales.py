@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import RecordError
+from .frames import wrap
 from .logs import Aligned, Log
 from .machines import Machine
 from .observers import LeastSquaresObserver
@@ -33,11 +34,15 @@ class Scales:
         95th percentile of |u| [V].
     current_noise : float
         Standard deviation of one current component, from third differences [A].
+    current_speed : float
+        95th percentile of the speed at which the current vector turns [rad/s]; all noise where
+        there is little current.
     """
 
     current: float
     voltage: float
     current_noise: float
+    current_speed: float
 
 
 def excerpts(log: Log) -> Iterator[Aligned]:
@@ -82,8 +87,9 @@ def measure_scales(log: Log) -> Scales:
     RecordError
         No finite current or voltage in it, or the current is zero throughout.
     """
-    currents, voltages, noise = [], [], []
+    currents, voltages, noise, turning = [], [], [], []
     for part in excerpts(log):
+        turning.append(np.abs(wrap(np.diff(np.arctan2(part.current[:, 1], part.current[:, 0])))))
         currents.append(np.hypot(*part.current.T))
         voltages.append(np.hypot(*part.voltage.T))
         noise.append(current_noise(part.current))
@@ -100,6 +106,7 @@ def measure_scales(log: Log) -> Scales:
         float(np.percentile(i, 95)) or float(i.max()),
         float(np.percentile(u, 95)),
         float(np.median(noise)),
+        float(np.nanpercentile(np.concatenate(turning), 95)) / log.sample_time,
     )
 
 

@@ -1,0 +1,282 @@
+"""Command line. Heavy modules are imported where they are used: start-up time counts."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import textwrap
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .errors import FluxobsError, RecordError
+
+if TYPE_CHECKING:
+    from .estimate import Result
+    from .logs import Log
+    from .machines import Machine
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Magnetic flux, rotor position, speed and sensor drift from a drive's currents and "
+    "voltages, both biased.",
+)
+
+#: Options that may be followed by several NAME=VALUE.
+PAIRS = ("--column", "--scale", "--offset", "--truth")
+
+Pairs = list[str] | None
+
+
+@app.command()
+def estimate(
+    log: Annotated[Path, typer.Argument(help="CSV (any delimiter), Parquet or npz; a column a channel.")],
+    machine: Annotated[
+        Path, typer.Option(help="TOML with kind, R_s, … in SI; or a name from `fluxobs machines`.")
+    ],
+    out: Annotated[Path, typer.Option(help="Where the estimates go, .parquet or .csv.")],
+    record: Annotated[
+        Path | None, typer.Option(help="TOML with frame, lag, columns, …; options override it.")
+    ] = None,
+    frame: Annotated[
+        str | None,
+        typer.Option(
+            help="alphabeta (u_alpha u_beta i_alpha i_beta), abc (u_a … i_c; two currents suffice), "
+            "line (u_ab u_bc), duty (d_a d_b d_c udc), dq (u_d u_q i_d i_q theta_e). "
+            "Default alphabeta."
+        ),
+    ] = None,
+    sample_time: Annotated[
+        float | None, typer.Option(help="Seconds; needed where there is no column t.")
+    ] = None,
+    lag: Annotated[
+        float | None,
+        typer.Option(
+            help="Samples. 0 (default): a row's voltage acts from that row to the next; -1: one "
+            "sample later (usual computation delay); +1: one earlier; fractions allowed."
+        ),
+    ] = None,
+    column: Annotated[
+        Pairs, typer.Option(help="CHANNEL=COLUMN; udc=540 sets a constant DC-link voltage.")
+    ] = None,
+    scale: Annotated[Pairs, typer.Option(help="CHANNEL=NUMBER: scale · column + offset.")] = None,
+    offset: Annotated[Pairs, typer.Option(help="CHANNEL=NUMBER: scale · column + offset.")] = None,
+    start: Annotated[float | None, typer.Option("--from", help="Seconds; only rows from this time on.")] = None,
+    stop: Annotated[float | None, typer.Option("--to", help="Seconds; only rows to this time.")] = None,
+    truth: Annotated[
+        Pairs, typer.Option(help="theta_e=COLUMN or theta_mech=COLUMN: a true angle to score by.")
+    ] = None,
+    report: Annotated[Path | None, typer.Option(help="Picture: .png, .pdf or .svg.")] = None,
+    memory: Annotated[
+        float | None,
+        typer.Option(help="Seconds; memory of the least squares. The default, 0.03, serves most drives."),
+    ] = None,
+) -> None:
+    """Estimate flux, position, speed and drift of a recorded log.
+
+    Writes a row a sample, in SI units and electrical radians: t, flux_alpha, flux_beta, psi_f,
+    theta_e (straight from the flux), theta_e_tracked, speed_e, drift_alpha, drift_beta,
+    theta_e_std, valid; and theta_e_error where a truth is given. Prints a summary.
+    """
+    from .layout import layout_from, read_layout
+    from .machines import read_machine
+
+    given = read_machine(machine)
+    fields: dict[str, Any] = read_layout(record) if record else {}
+    for name, value in (("frame", frame), ("sample_time", sample_time), ("lag", lag)):
+        if value is not None:
+            fields[name] = value
+    for name, pairs in (("columns", column), ("truth", truth)):
+        fields[name] = fields.get(name, {}) | _pairs(name, pairs)
+    for name, pairs in (("scale", scale), ("offset", offset)):
+        fields[name] = fields.get(name, {}) | _numbers(name, pairs)
+    if truth:
+        fields["truth"] = _pairs("truth", truth)
+
+    from .formats import open_table
+    from .logs import open_log
+
+    table = open_table(log)
+    constant = fields["columns"].get("udc", "")
+    if constant not in table.columns and _is_number(constant):
+        del fields["columns"]["udc"]
+        fields["udc"] = float(constant)
+    opened = open_log(table, layout_from(fields, "options"), given.n_p, start, stop)
+    _run(opened, given, out, report, memory)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the results; made if missing.")] = Path(
+        "fluxobs-demo"
+    ),
+) -> None:
+    """Run the main job on a log that comes with the package."""
+    from importlib import resources
+
+    from .demo import MACHINE, log_file
+    from .formats import open_table
+    from .layout import Layout
+    from .logs import open_log
+    from .machines import example
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FluxobsError(f"{out}: cannot be made: {error.strerror}") from None
+    machine = example(MACHINE)
+    with resources.as_file(log_file()) as path:
+        log = open_log(open_table(path), Layout(truth={"theta_e": "theta_e"}), machine.n_p)
+        _run(log, machine, out / "estimates.parquet", out / "report.png", None)
+
+
+@app.command()
+def machines() -> None:
+    """List the machines that come with the package; any name serves as --machine."""
+    from .machines import example, example_names, example_text
+
+    for name in example_names():
+        machine = example(name)
+        title = example_text(name).splitlines()[0].removeprefix("# ")
+        values = ", ".join(
+            f"{key} = {value:g}" for key, value in machine.model_dump().items() if value is not None
+        )
+        typer.echo(f"{name}\n    {machine.kind}: {values}\n    {title}")
+    typer.echo("\nSI units; R and L per phase (star), psi_f and rated_current peak values.")
+
+
+def _run(log: Log, machine: Machine, out: Path, report: Path | None, memory: float | None) -> None:
+    from .estimate import estimate as run
+    from .observers.least_squares import MEMORY
+
+    if memory is not None and not memory >= 10 * log.sample_time:
+        raise FluxobsError(
+            f"--memory {memory:g} s is too short: at least ten samples, {10 * log.sample_time:g} s"
+        )
+    if report is not None:
+        from .plots import check_path
+
+        check_path(report)
+    with _Progress(len(log)) as progress:
+        result = run(log, machine, out, memory if memory is not None else MEMORY, progress)
+    _print_summary(result)
+    written = [str(out)]
+    if report is not None:
+        from .plots import report as draw
+
+        draw(result, report)
+        written.append(str(report))
+    typer.echo(f"Written: {', '.join(written)}")
+
+
+def _print_summary(result: Result) -> None:
+    from .summary import summarise
+
+    summary = summarise(result)
+    _echo(summary.paragraph)
+    for warning in summary.warnings:
+        _echo(f"Warning: {warning}")
+
+
+def _echo(text: str) -> None:
+    """Wrapped for a terminal, in one line for a pipe."""
+    if sys.stdout.isatty():
+        text = textwrap.fill(text, min(shutil.get_terminal_size().columns, 100))
+    typer.echo(text)
+
+
+class _Progress:
+    """A bar on standard error, once a run has taken a second."""
+
+    def __init__(self, total: int) -> None:
+        self.total, self.started, self.bar = total, time.monotonic(), None
+
+    def __enter__(self) -> _Progress:
+        return self
+
+    def __call__(self, rows: int) -> None:
+        if self.bar is None and time.monotonic() - self.started > 1 and rows < self.total:
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
+
+            self.bar: Any = Progress(
+                BarColumn(),
+                TaskProgressColumn(),
+                TimeRemainingColumn(),
+                console=Console(stderr=True),
+                transient=True,
+            )
+            self.bar.start()
+            self.task = self.bar.add_task("", total=self.total)
+        if self.bar is not None:
+            self.bar.update(self.task, completed=rows)
+
+    def __exit__(self, *_: object) -> None:
+        if self.bar is not None:
+            self.bar.stop()
+
+
+def _pairs(option: str, pairs: Pairs) -> dict[str, str]:
+    out = {}
+    for pair in pairs or []:
+        name, equals, value = pair.partition("=")
+        if not (name and equals and value):
+            raise RecordError(f"--{option.removesuffix('s')}: expected NAME=VALUE, got {pair!r}")
+        out[name.strip()] = value.strip()
+    return out
+
+
+def _numbers(option: str, pairs: Pairs) -> dict[str, float]:
+    out = {}
+    for name, value in _pairs(option, pairs).items():
+        if not _is_number(value):
+            raise RecordError(f"--{option} {name}={value}: {value!r} is not a number")
+        out[name] = float(value)
+    return out
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _spread(arguments: Iterable[str]) -> list[str]:
+    """``--column a=b c=d`` means the same as ``--column a=b --column c=d``."""
+    out: list[str] = []
+    option = None
+    for argument in arguments:
+        if argument.startswith("--"):
+            option = argument if argument in PAIRS else None
+            taken = 0
+        elif option is not None and "=" in argument:
+            if taken:
+                out.append(option)
+            taken += 1
+        else:
+            option = None
+        out.append(argument)
+    return out
+
+
+def main() -> None:
+    """Entry point; unusable input ends with a message and exit code 2."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+    try:
+        app(args=_spread(sys.argv[1:]), prog_name="fluxobs")
+    except FluxobsError as error:
+        typer.echo(f"Error: {error}", err=True)
+        raise SystemExit(2) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,180 @@
+"""The main job: a log in; flux, position, speed, drift and their standard deviations out."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+from polars.io.plugins import register_io_source
+
+from .errors import FluxobsError
+from .frames import wrap
+from .logs import Aligned, Log
+from .machines import Machine
+from .observers import Estimate, LeastSquaresObserver, SampleCounts
+from .observers.least_squares import MEMORY
+from .scales import Scales, guess_psi_f, measure_scales, observer_for
+from .tally import Tally
+
+Array = NDArray[np.float64]
+
+_COLUMNS = (
+    "t",
+    "flux_alpha",
+    "flux_beta",
+    "psi_f",
+    "theta_e",
+    "theta_e_tracked",
+    "speed_e",
+    "drift_alpha",
+    "drift_beta",
+    "theta_e_std",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """All that a summary or a picture needs; the rows themselves are in the file."""
+
+    log: Log
+    machine: Machine
+    observer: LeastSquaresObserver
+    scales: Scales
+    tally: Tally
+    counts: SampleCounts
+
+
+def position_error(machine: Machine, estimated: Array, true: Array) -> Array:
+    """Estimated minus true angle, wrapped; modulo half a turn where the machine is."""
+    if machine.half_turn_ambiguous:
+        return np.asarray(wrap(2 * (estimated - true)) / 2)
+    return wrap(estimated - true)
+
+
+def prepare(log: Log, machine: Machine, memory: float = MEMORY) -> tuple[LeastSquaresObserver, Scales]:
+    """First pass over the log, and the observer chosen from machine and log."""
+    scales = measure_scales(log)
+    psi_f = getattr(machine, "psi_f", None)
+    if psi_f is None and machine.flux_base(None, 1.0) is None:
+        psi_f = guess_psi_f(log, machine, scales, memory)
+    try:
+        return observer_for(log, machine, scales, memory, psi_f), scales
+    except ValueError as error:
+        raise FluxobsError(str(error)) from None
+
+
+def estimate(
+    log: Log,
+    machine: Machine,
+    out: str | Path,
+    memory: float = MEMORY,
+    progress: Callable[[int], Any] = lambda rows: None,
+) -> Result:
+    """Runs the observer over a log and writes a row a sample.
+
+    Streams: neither log nor estimates need fit into memory, and the numbers do not depend on how
+    they are cut. `out` appears only when complete.
+
+    Parameters
+    ----------
+    log : Log
+    machine : Machine
+    out : path
+        Ends in .parquet or .csv.
+    memory : float
+        Of the least squares [s].
+    progress : callable
+        Called with the number of rows done so far.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    FluxobsError
+        Unusable input, or an `out` that cannot be written.
+    """
+    out = Path(out)
+    if out.suffix not in (".parquet", ".csv"):
+        raise FluxobsError(f"{out}: --out must end in .parquet or .csv")
+    if not out.parent.is_dir():
+        raise FluxobsError(f"{out}: the folder {out.parent} does not exist")
+    observer, scales = prepare(log, machine, memory)
+    tally = Tally(len(log))
+    state = observer.init()
+    failure: FluxobsError | None = None
+
+    def rows() -> Iterator[pl.DataFrame]:
+        nonlocal state, failure
+        try:
+            for part in log.aligned():
+                state, estimated = observer.resume(state, part.voltage, part.current)
+                error = (
+                    None
+                    if part.theta_e is None
+                    else position_error(machine, estimated.theta_e, part.theta_e)
+                )
+                tally.add(part, estimated, error)
+                progress(tally.rows)
+                yield _frame(part, estimated, error)
+        except FluxobsError as problem:  # Polars would wrap it: kept aside, raised below
+            failure = problem
+
+    schema: dict[str, pl.DataType | type[pl.DataType]] = dict.fromkeys(_COLUMNS, pl.Float64)
+    schema["valid"] = pl.Boolean
+    if log.truth is not None:
+        schema["theta_e_error"] = pl.Float64
+    try:
+        handle, name = tempfile.mkstemp(suffix=".part", prefix=f".{out.name}.", dir=out.parent)
+    except OSError as error:
+        raise FluxobsError(f"{out}: cannot be written: {error.strerror}") from None
+    os.close(handle)
+    part_file = Path(name)
+    try:
+        lazy = register_io_source(lambda columns, predicate, n, size: rows(), schema=schema)
+        if out.suffix == ".csv":
+            lazy.sink_csv(part_file)
+        else:
+            lazy.sink_parquet(part_file, compression="lz4", statistics=False)
+        if failure is not None:
+            raise failure
+        part_file.chmod(0o666 & ~_umask())
+        part_file.replace(out)
+    except OSError as error:
+        raise FluxobsError(f"{out}: cannot be written: {error.strerror}") from None
+    finally:
+        part_file.unlink(missing_ok=True)
+    return Result(log, machine, observer, scales, tally, observer.counts(state))
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _frame(rows: Aligned, estimate: Estimate, error: Array | None) -> pl.DataFrame:
+    columns: dict[str, NDArray[Any]] = {
+        "t": rows.t,
+        "flux_alpha": estimate.flux[:, 0],
+        "flux_beta": estimate.flux[:, 1],
+        "psi_f": estimate.psi_f,
+        "theta_e": estimate.theta_e,
+        "theta_e_tracked": estimate.theta_e_tracked,
+        "speed_e": estimate.speed_e,
+        "drift_alpha": estimate.drift[:, 0],
+        "drift_beta": estimate.drift[:, 1],
+        "theta_e_std": estimate.theta_e_std,
+        "valid": estimate.valid,
+    }
+    if error is not None:
+        columns["theta_e_error"] = error
+    return pl.DataFrame(columns)

@@ -1,0 +1,176 @@
+"""What a run found, in one readable paragraph, and what should make its reader wary."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .estimate import Result
+from .records import lag_in_words
+from .suspects import RESIDUAL_LIMIT, largest_suspect
+
+#: Samples an electrical period below which a warning is due.
+SAMPLES_PER_PERIOD = 8
+#: Ratio of found to given magnet flux outside which the given one looks wrong.
+PSI_RANGE = (0.75, 1.33)
+#: Share of valid rows below which, in a log that moves, something does not fit.
+VALID_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One paragraph, and one sentence a warning."""
+
+    paragraph: str
+    warnings: list[str]
+
+
+def summarise(result: Result) -> Summary:
+    """Summary of a run."""
+    return Summary(_paragraph(result), _warnings(result))
+
+
+def _degrees(radians: float) -> str:
+    return f"{np.degrees(radians):.2f}°"
+
+
+def _si(value: float, unit: str) -> str:
+    """Three digits and an SI prefix."""
+    for factor, prefix in ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n")):
+        if abs(value) >= factor:
+            return f"{value / factor:.3g} {prefix}{unit}"
+    return f"0 {unit}" if value == 0 else f"{value:.2g} {unit}"
+
+
+def _paragraph(result: Result) -> str:
+    tally, machine, log = result.tally, result.machine, result.log
+    duration = tally.rows * log.sample_time
+    head = (
+        f"{tally.rows} samples, {duration:.4g} s at {1 / log.sample_time:.6g} Hz; "
+        f"{lag_in_words(log.layout.lag)}."
+    )
+    if tally.first_valid is None:
+        return f"{head} The position was never known."
+    share = tally.valid / tally.rows
+    drift = tally.drift / tally.valid
+    size = float(np.hypot(*drift))
+    flux = "Magnet flux" if hasattr(machine, "psi_f") else "Active flux (L_d - L_q) i_d"
+    if hasattr(machine, "L_q") and hasattr(machine, "psi_f"):
+        flux = "Active flux psi_f + (L_d - L_q) i_d"
+    sentences = [
+        head,
+        f"The position is valid on {share:.1%} of the rows, first "
+        f"{_si(tally.first_valid - tally.start, 's')} after the start.",
+        f"The flux integral would drift by ({drift[0]:+.4g}, {drift[1]:+.4g}) V in αβ: as much as "
+        f"a voltage offset of {_si(size, 'V')}, or a current offset of "
+        f"{_si(size / machine.R_s, 'A')} through R_s.",
+        f"{flux}: {_si(tally.psi / tally.valid, 'Wb')}.",
+    ]
+    if tally.scored:
+        mean = tally.error / tally.scored
+        rms = np.sqrt(tally.error_squared / tally.scored)
+        sentences.append(
+            f"Against the true angle, on valid rows: position error {_degrees(rms)} rms, "
+            f"{_degrees(tally.error_max)} at most, mean {_degrees(mean)}."
+        )
+    return " ".join(sentences)
+
+
+def _warnings(result: Result) -> list[str]:
+    return [
+        *_sample_warnings(result),
+        *_rate_warnings(result),
+        *_validity_warnings(result),
+        *_flux_warnings(result),
+        *_residual_warnings(result),
+    ]
+
+
+def _sample_warnings(result: Result) -> list[str]:
+    counts, out = result.counts, []
+    bad = [
+        f"{number} {what}"
+        for number, what in (
+            (counts.bad_currents, "without a current (predicted over)"),
+            (counts.bad_voltages, "without a voltage (the last one held)"),
+            (counts.absurd, "with an impossible value"),
+        )
+        if number
+    ]
+    if bad:
+        restarts = f"; the observer restarted {counts.restarts} times" if counts.restarts else ""
+        out.append(f"Rows {', '.join(bad)}{restarts}.")
+    return out
+
+
+def _rate_warnings(result: Result) -> list[str]:
+    tally, h = result.tally, result.log.sample_time
+    series = tally.thin.columns()
+    speed = np.abs(series["speed_e"][series["valid"] > 0])
+    if len(speed) == 0:
+        # Without a position, the current vector's own rotation must do.
+        speed = np.array([result.scales.current_speed])
+    fastest = float(np.percentile(speed, 99))
+    if fastest <= 0 or 2 * np.pi / (fastest * h) >= SAMPLES_PER_PERIOD:
+        return []
+    needed = SAMPLES_PER_PERIOD * fastest / (2 * np.pi)
+    return [
+        f"Only {2 * np.pi / (fastest * h):.1f} samples an electrical period at "
+        f"{fastest:.4g} rad/s: at least {SAMPLES_PER_PERIOD} are needed, a sample rate of "
+        f"{np.ceil(needed):.0f} Hz or more."
+    ]
+
+
+def _validity_warnings(result: Result) -> list[str]:
+    tally = result.tally
+    if tally.valid >= VALID_SHARE * tally.rows:
+        return []
+    still = result.scales.voltage < 2 * result.machine.R_s * result.scales.current
+    reason = (
+        "the voltage is hardly more than the resistive drop: at standstill, or nearly, the flux "
+        "cannot be seen"
+        if still
+        else "check R_s and the inductances, the voltage columns and their scale, --frame and --lag"
+    )
+    return [f"The position is valid on {tally.valid / tally.rows:.1%} of the rows only: {reason}."]
+
+
+def _flux_warnings(result: Result) -> list[str]:
+    given = getattr(result.machine, "psi_f", None)
+    if given is None or not result.tally.valid:
+        return []
+    found = result.tally.psi / result.tally.valid
+    if PSI_RANGE[0] < found / given < PSI_RANGE[1]:
+        return []
+    return [
+        f"psi_f = {given:g} Wb in the machine file looks wrong: the record says "
+        f"{_si(found, 'Wb')}. The estimates do not depend on it."
+    ]
+
+
+def _residual_warnings(result: Result) -> list[str]:
+    tally, machine = result.tally, result.machine
+    magnets = hasattr(machine, "psi_f")  # else λ - L i says little of the flux
+    flux = tally.psi / tally.valid if tally.valid and magnets else result.observer.flux_base
+    residual = np.inf
+    if tally.valid:
+        rms = np.sqrt(tally.innovation / tally.valid)
+        residual = float(rms * result.observer.constraint_noise / flux**2)
+    rated = machine.rated_current or result.scales.current
+    noise = machine.constraint_noise(flux, rated, result.scales.current_noise) / flux**2
+    if residual < max(RESIDUAL_LIMIT, 3 * noise):
+        return []
+    suspect = largest_suspect(result.log, machine, result.scales, result.observer.flux_base)
+    size = "" if np.isinf(residual) else f", {residual:.1%} of the flux squared"
+    if suspect is None:
+        if np.isinf(residual):
+            return []
+        return [
+            f"The residual of the machine's constraint is more than noise explains{size}; no "
+            f"single error that is tried by default accounts for it."
+        ]
+    return [
+        f"The residual of the machine's constraint is more than noise explains{size}. Largest "
+        f"suspect: {suspect.name}; {suspect.advice} ({suspect.remaining:.0%} of the residual left)."
+    ]

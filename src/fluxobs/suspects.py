@@ -1,0 +1,114 @@
+"""When the constraint's residual says that something is wrong: what would explain it best."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .frames import clarke
+from .logs import Aligned, Log
+from .machines import Machine
+from .scales import Scales, excerpts, observer_for
+
+Array = NDArray[np.float64]
+
+#: A residual below this share of the flux squared, or below three times what noise explains, is no
+#: cause for doubt.
+RESIDUAL_LIMIT = 0.01
+#: A suspect must bring the residual down to this share of itself.
+IMPROVEMENT = 0.75
+#: Trials run with a long memory: a short one follows, and so hides, what is wrong.
+MEMORY, ROWS = 0.2, 20_000
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """What fits better than what was given."""
+
+    name: str
+    advice: str
+    remaining: float  # share of the residual that is left with it
+
+
+def inverter_direction(current: Array, threshold: float) -> Array:
+    """Sum of the phase axes weighted by the smoothed signs of the phase currents, (rows, 2).
+
+    Dead time and device drops take their voltage along it: V_d of them cost ``V_d · direction``.
+    `threshold` [A] is the current at which a sign counts three quarters.
+    """
+    alpha, beta = current.T
+    half, root = alpha / 2, np.sqrt(3) / 2 * beta
+    return clarke(*(np.tanh(phase / threshold) for phase in (alpha, root - half, -root - half)))
+
+
+def _lively(log: Log) -> Aligned:
+    """The piece of the log with the largest voltage, cut to a bounded length."""
+
+    def size(part: Aligned) -> float:
+        return float(np.nanmean(np.abs(part.voltage))) if np.isfinite(part.voltage).any() else 0.0
+
+    part = max(excerpts(log), key=size)
+    middle = max(0, (len(part.t) - ROWS) // 2)
+    cut = slice(middle, middle + ROWS)
+    return Aligned(part.t[cut], part.current[cut], part.voltage[cut], None)
+
+
+def _trials(
+    machine: Machine, scales: Scales, u: Array, i: Array, lag: float
+) -> Iterator[tuple[str, str, Machine, Array, Array]]:
+    """Name, advice, and machine, voltage and current with one thing changed."""
+    inductances = [name for name in ("L_s", "L_d", "L_q") if name in type(machine).model_fields]
+    what = " and ".join(inductances)
+    for factor in (0.5, 0.75, 1.33, 2.0):
+        changed = machine.model_copy(update={"R_s": machine.R_s * factor})
+        yield "R_s", f"R_s = {changed.R_s:.3g} Ω fits better than {machine.R_s:g} Ω", changed, u, i
+        scaled = {name: getattr(machine, name) * factor for name in inductances}
+        changed = machine.model_copy(update=scaled)
+        yield what, f"{what} × {factor:g} fits better than the machine file", changed, u, i
+    direction = inverter_direction(i, 0.02 * scales.current)
+    for share in (0.01, 0.02, 0.05, 0.1, 0.2):
+        drop = share * scales.voltage
+        yield (
+            "the inverter",
+            f"dead time and device drops of about {drop:.2g} V a phase fit better than none",
+            machine,
+            u - drop * direction,
+            i,
+        )
+    gap = np.full((1, 2), np.nan)
+    yield "the lag", f"--lag {lag + 1:g} fits better than {lag:g}", machine, np.r_[u[1:], gap], i
+    yield "the lag", f"--lag {lag - 1:g} fits better than {lag:g}", machine, np.r_[gap, u[:-1]], i
+    yield "the sign of the current", "the opposite sign fits better", machine, u, -i
+    yield "the phase order", "two phases of the current exchanged fit better", machine, u, i * [1, -1]
+
+
+def largest_suspect(
+    log: Log, machine: Machine, scales: Scales, psi_f: float | None
+) -> Suspect | None:
+    """Tries the usual errors on a piece of the log; the one that explains most, if one does.
+
+    `psi_f` is a scale for machines whose file has none.
+    """
+    part = _lively(log)
+    duration = len(part.t) * log.sample_time
+    memory = max(min(MEMORY, duration / 4), 10 * log.sample_time)
+
+    def residual(changed: Machine, voltage: Array, current: Array) -> float:
+        observer = observer_for(log, changed, scales, memory, psi_f)
+        innovation = observer.run(voltage, current).innovation[len(current) // 3 :]
+        return float(np.sqrt(np.mean(innovation**2))) * observer.constraint_noise
+
+    base = residual(machine, part.voltage, part.current)
+    if not (np.isfinite(base) and base > 0):
+        return None
+    suspects = [
+        Suspect(name, advice, residual(changed, voltage, current) / base)
+        for name, advice, changed, voltage, current in _trials(
+            machine, scales, part.voltage, part.current, log.layout.lag
+        )
+    ]
+    best = min(suspects, key=lambda suspect: suspect.remaining)
+    return best if best.remaining < IMPROVEMENT else None
