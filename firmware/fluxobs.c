@@ -36,6 +36,8 @@ static const fo_real STD_UNKNOWN = (fo_real)1.8137993642342178;
 static const fo_real FLUX_STEP_LIMIT = (fo_real)10;
 /* Largest lag-one correlation of the innovations that is believed. */
 static const fo_real CORRELATION_LIMIT = (fo_real)0.98;
+/* A prior row is re-injected every so many samples: rotations are what a sample costs. */
+enum { REINJECT_EVERY = 2, REINJECT_PERIOD = REINJECT_EVERY * FO_NX };
 /* Rotation after which a drift beyond its prior std says that the prior was too tight, ... */
 static const fo_real SETTLED = (fo_real)3 * PI;
 /* ... and what the past then still counts, over the square of that excess. */
@@ -135,13 +137,13 @@ fo_error fo_init(fo_observer *o, const fo_config *c)
         o->prior[FLUX + i] = ONE;
         o->prior[DRIFT + i] = ONE / drift_prior;
     }
-    /* Each row returns every FO_NX samples: what forgetting took meanwhile, 1 - rho^FO_NX. */
-    fo_real forgotten = ONE;
-    for (int i = 0; i < FO_NX; i++) {
-        forgotten *= o->rho;
+    /* Each row brings back what forgetting takes until its next turn, 1 - rho^period. */
+    fo_real left = ONE;
+    for (int i = 0; i < REINJECT_PERIOD; i++) {
+        left *= o->rho;
     }
     for (int i = 0; i < FO_NX; i++) {
-        o->reinject[i] = fo_sqrt(ONE - forgotten) * o->prior[i];
+        o->reinject[i] = fo_sqrt(ONE - left) * o->prior[i];
     }
     o->flux_base = psi;
     o->drift_base = drift_base;
@@ -226,29 +228,47 @@ static void predict(const fo_observer *o, fo_state *s, const fo_real v[FO_N])
     }
     const fo_real input = dot(q, v) / TWO + dot(o->E, v);
 
-    for (int i = 0; i <= KAPPA; i++) {
-        fo_real *row = &s->R[AT(i, 0)];
-        const fo_real r_s = i == S ? row[S] : ZERO;
-        const fo_real kappa = row[KAPPA];
-        const fo_real kappa_new = kappa - h * r_s;
+    { /* the row of s reaches every column */
+        fo_real *row = s->R;
+        const fo_real r_s = row[S], kappa = row[KAPPA], kappa_new = kappa - h * r_s;
+        fo_real shift = r_s * input;
         row[CC] = g * (row[CC] - h * (kappa + kappa_new));
         for (int j = 0; j < FO_N; j++) {
-            const fo_real r_flux = i <= FLUX + j ? row[FLUX + j] : ZERO;
-            row[DRIFT + j] = g * (row[DRIFT + j] - h * r_flux - q[j] * kappa_new);
+            const fo_real flux = row[FLUX + j], flux_new = flux - q[j] * r_s;
+            row[DRIFT + j] = g * (row[DRIFT + j] - h * flux - q[j] * kappa_new);
+            shift += flux_new * v[j];
+            row[FLUX + j] = g * flux_new;
         }
         row[KAPPA] = g * kappa_new;
-        fo_real shift = r_s * input;
+        row[S] = g * r_s;
+        s->z[S] = g * (s->z[S] + shift);
+    }
+    for (int i = 0; i < FO_N; i++) { /* the rows of the flux, and ... */
+        fo_real *row = &s->R[AT(FLUX + i, 0)];
+        const fo_real kappa = row[KAPPA];
+        fo_real shift = ZERO;
+        row[CC] = g * (row[CC] - TWO * h * kappa);
+        for (int j = 0; j < i; j++) {
+            row[DRIFT + j] = g * (row[DRIFT + j] - q[j] * kappa);
+        }
+        for (int j = i; j < FO_N; j++) {
+            const fo_real flux = row[FLUX + j];
+            row[DRIFT + j] = g * (row[DRIFT + j] - h * flux - q[j] * kappa);
+            shift += flux * v[j];
+            row[FLUX + j] = g * flux;
+        }
+        row[KAPPA] = g * kappa;
+        s->z[FLUX + i] = g * (s->z[FLUX + i] + shift);
+    }
+    { /* ... of kappa have nothing left of their diagonals; what is below is only forgotten */
+        fo_real *row = &s->R[AT(KAPPA, 0)];
+        const fo_real kappa = row[KAPPA];
+        row[CC] = g * (row[CC] - TWO * h * kappa);
         for (int j = 0; j < FO_N; j++) {
-            if (i <= FLUX + j) {
-                const fo_real r_flux = row[FLUX + j] - q[j] * r_s;
-                shift += r_flux * v[j];
-                row[FLUX + j] = g * r_flux;
-            }
+            row[DRIFT + j] = g * (row[DRIFT + j] - q[j] * kappa);
         }
-        if (i == S) {
-            row[S] = g * r_s;
-        }
-        s->z[i] = g * (s->z[i] + shift);
+        row[KAPPA] = g * kappa;
+        s->z[KAPPA] *= g;
     }
     for (int i = AT(DRIFT, DRIFT); i < FO_TRIANGLE; i++) {
         s->R[i] *= g;
@@ -481,12 +501,14 @@ static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N]
 /* One prior row in turn, aimed at the estimate: bounds the standard deviations, moves nothing. */
 static void reinject_prior(const fo_observer *o, fo_state *s, const fo_real x[FO_NX])
 {
-    const int j = (int)s->turn;
-    const fo_real weight = o->reinject[j] / prior_scale(s, j);
-    fo_real row[FO_NX] = {0};
-    row[j] = weight;
-    (void)rotate_in(s, row, weight * x[j], j);
-    s->turn = (s->turn + 1U) % (uint32_t)FO_NX;
+    const int j = (int)s->turn / REINJECT_EVERY;
+    if ((int)s->turn % REINJECT_EVERY == 0) {
+        const fo_real weight = o->reinject[j] / prior_scale(s, j);
+        fo_real row[FO_NX] = {0};
+        row[j] = weight;
+        (void)rotate_in(s, row, weight * x[j], j);
+    }
+    s->turn = (s->turn + 1U) % (uint32_t)REINJECT_PERIOD;
 }
 
 /* Decides which flux is reported: the least squares' own while it is trusted or nothing better

@@ -68,7 +68,7 @@ typedef struct {
     fo_real h;                     /* sample time / memory                            */
     fo_real rho, root_rho;         /* forgetting a sample                             */
     fo_real prior[FO_NX];          /* 1 / prior std, per-unit                         */
-    fo_real reinject[FO_NX];       /* prior rows as re-injected, one a sample         */
+    fo_real reinject[FO_NX];       /* prior rows as re-injected, in turn              */
     fo_real noise_information;     /* per sample, what current noise alone pretends   */
     fo_real flux_base, drift_base; /* [Wb], [V]                                       */
     fo_real current_limit;         /* [A]                                             */
@@ -95,7 +95,7 @@ typedef struct {
     fo_real angle, speed, acceleration;  /* tracker [rad, rad/s, rad/s^2]                        */
     uint32_t have_current, have_voltage; /* seen since the last restart                          */
     uint32_t trusted, have_carried;      /* the least squares is now; was once                   */
-    uint32_t turn;                       /* prior row to re-inject next                          */
+    uint32_t turn;                       /* which prior row is re-injected next                  */
     uint32_t consecutive_bad;
     uint32_t bad_voltages, bad_currents, absurd, restarts; /* counted since fo_reset             */
 } fo_state;

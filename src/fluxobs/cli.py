@@ -35,7 +35,9 @@ Pairs = list[str] | None
 
 @app.command()
 def estimate(
-    log: Annotated[Path, typer.Argument(help="CSV (any delimiter), Parquet or npz; a column a channel.")],
+    log: Annotated[
+        Path, typer.Argument(help="CSV (any delimiter), Parquet or npz; a column a channel.")
+    ],
     machine: Annotated[
         Path, typer.Option(help="TOML with kind, R_s, … in SI; or a name from `fluxobs machines`.")
     ],
@@ -46,7 +48,7 @@ def estimate(
     frame: Annotated[
         str | None,
         typer.Option(
-            help="alphabeta (u_alpha u_beta i_alpha i_beta), abc (u_a … i_c; two currents suffice), "
+            help="alphabeta (u_alpha u_beta i_alpha i_beta), abc (u_a … i_c; or two currents), "
             "line (u_ab u_bc), duty (d_a d_b d_c udc), dq (u_d u_q i_d i_q theta_e). "
             "Default alphabeta."
         ),
@@ -66,15 +68,21 @@ def estimate(
     ] = None,
     scale: Annotated[Pairs, typer.Option(help="CHANNEL=NUMBER: scale · column + offset.")] = None,
     offset: Annotated[Pairs, typer.Option(help="CHANNEL=NUMBER: scale · column + offset.")] = None,
-    start: Annotated[float | None, typer.Option("--from", help="Seconds; only rows from this time on.")] = None,
-    stop: Annotated[float | None, typer.Option("--to", help="Seconds; only rows to this time.")] = None,
+    start: Annotated[
+        float | None, typer.Option("--from", help="Seconds; only rows from this time on.")
+    ] = None,
+    stop: Annotated[
+        float | None, typer.Option("--to", help="Seconds; only rows to this time.")
+    ] = None,
     truth: Annotated[
         Pairs, typer.Option(help="theta_e=COLUMN or theta_mech=COLUMN: a true angle to score by.")
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Picture: .png, .pdf or .svg.")] = None,
     memory: Annotated[
         float | None,
-        typer.Option(help="Seconds; memory of the least squares. The default, 0.03, serves most drives."),
+        typer.Option(
+            help="Seconds; memory of the least squares. The default, 0.03, serves most drives."
+        ),
     ] = None,
 ) -> None:
     """Estimate flux, position, speed and drift of a recorded log.
@@ -194,7 +202,8 @@ class _Progress:
     """A bar on standard error, once a run has taken a second."""
 
     def __init__(self, total: int) -> None:
-        self.total, self.started, self.bar = total, time.monotonic(), None
+        self.total, self.started = total, time.monotonic()
+        self.bar: Any = None
 
     def __enter__(self) -> _Progress:
         return self
@@ -204,7 +213,7 @@ class _Progress:
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
 
-            self.bar: Any = Progress(
+            self.bar = Progress(
                 BarColumn(),
                 TaskProgressColumn(),
                 TimeRemainingColumn(),

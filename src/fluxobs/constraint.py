@@ -57,8 +57,8 @@ class QuadraticConstraint:
     Q1: Array
     Q2: Array
     Q3: Array
-    E: Array = field(default=None)  # type: ignore[assignment]  # set below
-    C: Array = field(default=None)  # type: ignore[assignment]
+    E: Array = field(default_factory=lambda: np.empty(0))  # empty: zeros
+    C: Array = field(default_factory=lambda: np.empty(0))
     d: float = 0.0
 
     def __post_init__(self) -> None:
@@ -71,7 +71,7 @@ class QuadraticConstraint:
         for name in ("E", "C"):
             value = getattr(self, name)
             object.__setattr__(
-                self, name, _frozen(name, np.zeros(n) if value is None else value, (n,))
+                self, name, _frozen(name, np.zeros(n) if np.size(value) == 0 else value, (n,))
             )
         object.__setattr__(self, "d", float(_frozen("d", self.d, ())))
 
@@ -121,10 +121,7 @@ class QuadraticConstraint:
         hessian = self.hessian()
         # Flux and current have different units: balance the blocks before judging ranks.
         norm1, norm3 = np.abs(self.Q1).max(), np.abs(self.Q3).max()
-        if norm1 > 0 and norm3 > 0:
-            ratio = np.sqrt(norm3 / norm1)  # flux per current
-        else:
-            ratio = 1.0
+        ratio = np.sqrt(norm3 / norm1) if norm1 > 0 and norm3 > 0 else 1.0  # flux per current
         scale = np.r_[np.full(self.n, ratio), np.ones(self.n)]
         balanced = scale[:, None] * hessian * scale
         _, singular, vt = np.linalg.svd(balanced)

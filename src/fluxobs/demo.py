@@ -14,6 +14,7 @@ from __future__ import annotations
 import sys
 from importlib import resources
 from importlib.resources.abc import Traversable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,7 @@ SEED = 20261121
 def _smooth(t: Array, *knots: tuple[float, float]) -> Array:
     """Through the knots (time, value) with level ends and half cosines between."""
     out = np.full_like(t, knots[0][1])
-    for (t0, y0), (t1, y1) in zip(knots[:-1], knots[1:], strict=True):
+    for (t0, y0), (t1, y1) in pairwise(knots):
         share = np.clip((t - t0) / (t1 - t0), 0.0, 1.0)
         out += (y1 - y0) * (1 - np.cos(np.pi * share)) / 2
     return out
@@ -52,7 +53,7 @@ def generate() -> dict[str, Array]:
     assert machine.psi_f is not None
     rows, inner = round(DURATION / SAMPLE_TIME), 16
     h = SAMPLE_TIME / inner
-    t = np.arange(rows * inner + 1) * h
+    t = np.asarray(np.arange(rows * inner + 1) * h)
     speed = _smooth(t, (0.0, 350.0), (0.3, 350.0), (0.6, 900.0), (1.0, 900.0), (1.5, -500.0))
     angle = 0.8 + np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * h)])
     i_q = _smooth(t, (0.3, 1.0), (0.4, 6.0), (0.6, 2.0), (0.8, 2.0), (0.81, 9.0), (1.0, 9.0))

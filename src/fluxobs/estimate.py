@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,7 +59,9 @@ def position_error(machine: Machine, estimated: Array, true: Array) -> Array:
     return wrap(estimated - true)
 
 
-def prepare(log: Log, machine: Machine, memory: float = MEMORY) -> tuple[LeastSquaresObserver, Scales]:
+def prepare(
+    log: Log, machine: Machine, memory: float = MEMORY
+) -> tuple[LeastSquaresObserver, Scales]:
     """First pass over the log, and the observer chosen from machine and log."""
     scales = measure_scales(log)
     psi_f = getattr(machine, "psi_f", None)
@@ -115,7 +118,7 @@ def estimate(
     def rows() -> Iterator[pl.DataFrame]:
         nonlocal state, failure
         try:
-            for part in log.aligned():
+            for part in _ahead(log.aligned()):
                 state, estimated = observer.resume(state, part.voltage, part.current)
                 error = (
                     None
@@ -143,7 +146,7 @@ def estimate(
         if out.suffix == ".csv":
             lazy.sink_csv(part_file)
         else:
-            lazy.sink_parquet(part_file, compression="lz4", statistics=False)
+            lazy.sink_parquet(part_file, compression="zstd", compression_level=1, statistics=False)
         if failure is not None:
             raise failure
         part_file.chmod(0o666 & ~_umask())
@@ -153,6 +156,15 @@ def estimate(
     finally:
         part_file.unlink(missing_ok=True)
     return Result(log, machine, observer, scales, tally, observer.counts(state))
+
+
+def _ahead(parts: Iterator[Aligned]) -> Iterator[Aligned]:
+    """The same parts, the next one being read while the present one is worked on."""
+    with ThreadPoolExecutor(max_workers=1) as reader:
+        coming = reader.submit(next, parts, None)
+        while (part := coming.result()) is not None:
+            coming = reader.submit(next, parts, None)
+            yield part
 
 
 def _umask() -> int:

@@ -43,7 +43,7 @@ def clarke_two_phases(values: dict[str, Array]) -> Array:
     missing = [name for name in PHASE_CURRENTS if name not in values]
     if missing:
         (name,) = missing
-        values = values | {name: -sum(values.values())}  # type: ignore[dict-item]
+        values = values | {name: -np.sum(list(values.values()), axis=0)}
     return clarke(*(values[name] for name in PHASE_CURRENTS))
 
 

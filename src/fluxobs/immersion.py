@@ -1,7 +1,7 @@
 """The exact linear system in which the observer runs: readable reference of the C core.
 
 State ``x = (s, λ, κ, θ, c)`` of length 2n + 3 with ``s = λᵀQ1λ + Eᵀλ + d``,
-``κ = θᵀ(2 Q1 λ + E)`` and ``c = θᵀQ1θ``, where θ is the drift: ``λ̇ = y_m + θ``. With the volt-seconds
+``κ = θᵀ(2 Q1 λ + E)`` and ``c = θᵀQ1θ``, θ being the drift: ``λ̇ = y_m + θ``. With volt-seconds
 ``v = ∫ y_m dt`` over one sample the transition below is exact at any sampling rate; nothing is
 discretised. Derivation: docs/theory.md, section 4.
 """

@@ -50,7 +50,7 @@ class Layout(BaseModel):
     scale, offset : dict
         Channel → number.
     truth : dict
-        {"theta_e": column} (electrical) or {"theta_mech": column} (mechanical), to be scored against.
+        {"theta_e": column} (electrical) or {"theta_mech": column} (mechanical), to score by.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -69,7 +69,9 @@ class Layout(BaseModel):
         for field in ("columns", "scale", "offset"):
             for channel in getattr(self, field):
                 if channel not in CHANNELS:
-                    raise ValueError(f"{field}: unknown channel {channel!r}{nearest(channel, CHANNELS)}")
+                    raise ValueError(
+                        f"{field}: unknown channel {channel!r}{nearest(channel, CHANNELS)}"
+                    )
         for channel in self.truth:
             if channel not in TRUTHS:
                 raise ValueError(f"truth must be theta_e or theta_mech, got {channel!r}")

@@ -22,7 +22,7 @@ MINIMUM_ROWS = 20
 #: Largest deviation of a time step from the sample time, as a share of it.
 TIME_TOLERANCE = 0.1
 #: The same where the user gave the sample time: t may be rounded, but no sample missing.
-TIME_TOLERANCE_GIVEN = 0.5
+TIME_TOLERANCE_GIVEN = 0.9
 _HEAD = 65536
 
 
@@ -110,7 +110,7 @@ class Log:
     def _time(self, channels: Columns, row: int, count: int) -> Array:
         if "t" in channels:
             return channels["t"]
-        return np.arange(row, row + count) * self.sample_time
+        return np.asarray(np.arange(row, row + count) * self.sample_time)
 
     def aligned(
         self, first: int | None = None, last: int | None = None, size: int = BATCH
@@ -233,16 +233,18 @@ def open_log(
             raise missing_column(table, column, channel)
     if table.rows < MINIMUM_ROWS:
         raise RecordError(
-            f"{table.path}: {table.rows} rows of data are too few; at least {MINIMUM_ROWS} are needed"
+            f"{table.path}: {table.rows} rows of data are too few; at least "
+            f"{MINIMUM_ROWS} are needed"
         )
     t0, sample_time = 0.0, layout.sample_time
     if "t" in names:
-        t0, measured = _measured_time(table, layout, names["t"])
+        t0, typical, mean, rows = _measured_time(table, layout, names["t"])
         if sample_time is None:
-            sample_time = measured
-        elif abs(measured / sample_time - 1) > 1e-3:
+            sample_time = typical
+        # A gap moves the mean, rounding the typical step: either may confirm what was given.
+        elif min(abs(typical / sample_time - 1), abs(mean / sample_time - 1)) > max(1e-3, 1 / rows):
             raise RecordError(
-                f"{table.path}: t advances by {measured:.6g} s a row, but --sample-time is "
+                f"{table.path}: t advances by {mean:.6g} s a row, but --sample-time is "
                 f"{sample_time:.6g} s. Correct one of them (is t in seconds? --scale t=1e-3 for ms)"
             )
     if sample_time is None:
@@ -265,8 +267,8 @@ def open_log(
     return Log(table, layout, names, n_p, sample_time, t0, first, last)
 
 
-def _measured_time(table: Table, layout: Layout, column: str) -> tuple[float, float]:
-    """First time and mean step, from the head of the table."""
+def _measured_time(table: Table, layout: Layout, column: str) -> tuple[float, float, float, int]:
+    """First time, typical and mean step, from so many rows at the head of the table."""
     t = read_rows(table, [column], 0, min(table.rows, _HEAD))[column]
     t = t * layout.scale.get("t", 1.0) + layout.offset.get("t", 0.0)
     if not np.isfinite(t[[0, -1]]).all() or t[-1] <= t[0]:
@@ -275,8 +277,8 @@ def _measured_time(table: Table, layout: Layout, column: str) -> tuple[float, fl
             f"{table.path}, {table.place(at)}: t is missing, stands still or runs backwards. Cut "
             f"the log there, or give --sample-time and no column t"
         )
-    # The median is not moved by a gap, the mean not by rounding: take the mean of ordinary steps.
     step = np.diff(t)
-    median = float(np.median(step))
-    ordinary = step[np.abs(step - median) < 0.6 * abs(median)] if median > 0 else step
-    return float(t[0]), float(f"{ordinary.mean():.9g}")
+    median = float(np.nanmedian(step))
+    ordinary = step[np.abs(step - median) <= 0.6 * abs(median)]
+    mean = float(t[-1] - t[0]) / (len(t) - 1)
+    return float(t[0]), float(f"{ordinary.mean():.9g}"), mean, len(t)

@@ -37,7 +37,7 @@ def report(result: Result, path: str | Path) -> None:
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    style = {
+    style: Any = {
         "font.size": 9,
         "axes.spines.top": False,
         "axes.spines.right": False,
@@ -139,7 +139,8 @@ def _few_periods(detail: dict[str, Array], periods: float = 8.0) -> dict[str, Ar
     """From some way before the first valid row until it has turned a few times."""
     at = int(np.argmax(detail["valid"] > 0))
     turned = np.abs(np.unwrap(detail["theta_e"][at:]) - detail["theta_e"][at])
-    stop = at + int(np.argmax(turned > periods * 2 * np.pi)) if turned.max() > periods * 6.28 else None
+    far = turned > periods * 2 * np.pi
+    stop = at + int(np.argmax(far)) if far.any() else None
     start = 0 if stop is None else max(0, at - (stop - at))
     return {name: values[start:stop] for name, values in detail.items()}
 

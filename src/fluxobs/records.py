@@ -1,4 +1,4 @@
-"""Measured data: a record in memory, and the alignment of voltages with the intervals they act over."""
+"""Measured data in memory, and which interval each voltage acts over."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ from .errors import RecordError
 Array = NDArray[np.float64]
 
 
-def interval_rows(
-    rows: Array, lag: float, first: int, last: int, start: int = 0
-) -> Array:
+def interval_rows(rows: Array, lag: float, first: int, last: int, start: int = 0) -> Array:
     """Voltage over the intervals that end at rows first … last - 1.
 
     The interval [t_{k-1}, t_k] is read at row ``k - 1 + lag``, linearly between rows where that is
@@ -108,10 +106,10 @@ class Record:
     @property
     def t(self) -> Array:
         """Time of the rows [s], from 0."""
-        return np.arange(len(self)) * self.sample_time
+        return np.asarray(np.arange(len(self)) * self.sample_time)
 
     def interval_voltage(self) -> Array:
-        """Mean voltage over the interval that ends at each row, (rows, 2) [V]; NaN where unknown."""
+        """Mean voltage over the interval ending at each row, (rows, 2) [V]; NaN where unknown."""
         return interval_rows(self.voltage, self.voltage_lag, 0, len(self))
 
 

@@ -46,24 +46,34 @@ class Scales:
 
 
 def excerpts(log: Log) -> Iterator[Aligned]:
-    """Evenly spread pieces of a log; all of it if it is short."""
+    """Evenly spread pieces of a log, the same however it is read; all of it if it is short."""
     if len(log) <= EXCERPTS * EXCERPT_ROWS:
-        yield from log.aligned()
+        yield _joined(list(log.aligned()))
         return
     spacing = len(log) // EXCERPTS
     starts = [log.first + n * spacing for n in range(EXCERPTS)]
     if log.table.random_access:
         for start in starts:
-            yield from log.aligned(start, start + EXCERPT_ROWS)
+            yield _joined(list(log.aligned(start, start + EXCERPT_ROWS)))
         return
-    row = log.first
+    row, pieces = log.first, []
     for part in log.aligned():
         for start in starts:
             low, high = max(start - row, 0), min(start + EXCERPT_ROWS - row, len(part.t))
             if low < high:
-                truth = None if part.theta_e is None else part.theta_e[low:high]
-                yield Aligned(part.t[low:high], part.current[low:high], part.voltage[low:high], truth)
+                t, current, voltage = (column[low:high] for column in part[:3])
+                pieces.append(Aligned(t, current, voltage, None))
+                if row + high == start + EXCERPT_ROWS:
+                    yield _joined(pieces)
+                    pieces = []
         row += len(part.t)
+
+
+def _joined(parts: list[Aligned]) -> Aligned:
+    """One piece of several; the true angle is not needed here."""
+    columns = zip(*(part[:3] for part in parts), strict=True)
+    t, current, voltage = (np.concatenate(column) for column in columns)
+    return Aligned(t, current, voltage, None)
 
 
 def current_noise(current: Array) -> float:

@@ -60,12 +60,12 @@ def _trials(
     machine: Machine, scales: Scales, u: Array, i: Array, lag: float
 ) -> Iterator[tuple[str, str, Machine, Array, Array]]:
     """Name, advice, and machine, voltage and current with one thing changed."""
-    inductances = [name for name in ("L_s", "L_d", "L_q") if name in type(machine).model_fields]
+    inductances = [n for n in ("L_s", "L_d", "L_q") if n in type(machine).model_fields]
     what = " and ".join(inductances)
     for factor in (0.5, 0.75, 1.33, 2.0):
         changed = machine.model_copy(update={"R_s": machine.R_s * factor})
         yield "R_s", f"R_s = {changed.R_s:.3g} Ω fits better than {machine.R_s:g} Ω", changed, u, i
-        scaled = {name: getattr(machine, name) * factor for name in inductances}
+        scaled: dict[str, float] = {n: getattr(machine, n) * factor for n in inductances}
         changed = machine.model_copy(update=scaled)
         yield what, f"{what} × {factor:g} fits better than the machine file", changed, u, i
     direction = inverter_direction(i, 0.02 * scales.current)
@@ -82,7 +82,8 @@ def _trials(
     yield "the lag", f"--lag {lag + 1:g} fits better than {lag:g}", machine, np.r_[u[1:], gap], i
     yield "the lag", f"--lag {lag - 1:g} fits better than {lag:g}", machine, np.r_[gap, u[:-1]], i
     yield "the sign of the current", "the opposite sign fits better", machine, u, -i
-    yield "the phase order", "two phases of the current exchanged fit better", machine, u, i * [1, -1]
+    mirrored = i * np.array([1, -1])
+    yield "the phase order", "two phases of the current exchanged fit better", machine, u, mirrored
 
 
 def largest_suspect(

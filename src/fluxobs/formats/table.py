@@ -15,8 +15,8 @@ from ..errors import RecordError
 Array = NDArray[np.float64]
 Columns = dict[str, Array]
 
-#: Rows a batch by default: a few tens of MB for everything that is done with them.
-BATCH = 200_000
+#: Rows a batch by default: small enough that memory is reused rather than mapped anew.
+BATCH = 50_000
 
 
 class Table(Protocol):

@@ -17,6 +17,8 @@ from .table import BATCH, Columns
 #: What stands in a cell that holds no value.
 MISSING = ("", "nan", "na", "n/a", "null", "none", "-")
 _DECIMAL_COMMA = re.compile(r"^\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*$")
+#: Takes a cell more than the header has; such lines are refused.
+_SURPLUS = "cells beyond the header"
 _DELIMITERS = ("\t", ";", "|", ",", " ")  # most telling first
 
 
@@ -50,7 +52,9 @@ def sniff(path: Path) -> Dialect:
         if line.strip() and not line.lstrip().startswith("#")
     ]
     if not content:
-        raise RecordError(f"{path}: the file is empty; a header line and rows of numbers belong in it")
+        raise RecordError(
+            f"{path}: the file is empty; a header line and rows of numbers belong in it"
+        )
     header_line, header = content[0]
     delimiter = next((d for d in _DELIMITERS if d in header.strip()), ",")
     names = _split(header, delimiter)
@@ -104,10 +108,11 @@ class TextTable:
             separator=self.dialect.delimiter,
             has_header=False,
             skip_lines=self.dialect.header_line + 1,
-            schema=dict.fromkeys(self.columns, dtype),
+            schema=dict.fromkeys(self.columns, dtype) | {_SURPLUS: pl.String},
             decimal_comma=self.dialect.decimal_comma,
             ignore_errors=True,
             encoding="utf8-lossy",
+            missing_columns="insert",
             glob=False,
         )
 
@@ -116,7 +121,11 @@ class TextTable:
     ) -> Iterator[Columns]:
         row = first
         try:
-            for frame in frames(self._scan(pl.Float64), names, first, last, size):
+            columns = [*names, _SURPLUS]
+            for batch in frames(self._scan(pl.Float64), columns, first, last, size):
+                if batch[_SURPLUS].null_count() < batch.height:
+                    raise self._ragged("lines of different length")
+                frame = batch.drop(_SURPLUS)
                 for name in frame.columns:
                     if frame[name].null_count():
                         self._refuse_text(name, row, row + frame.height)
@@ -143,7 +152,7 @@ class TextTable:
                     f"a number. Correct it, or leave the cell empty if the value is missing"
                 ) from None
 
-    def _ragged(self, error: Exception) -> RecordError:
+    def _ragged(self, error: object) -> RecordError:
         """Finds the first line with too many cells, to say more than the parser does."""
         width = len(self.columns)
         with self.path.open(encoding="utf-8", errors="replace") as file:

@@ -33,7 +33,7 @@ def machine_from(fields: Mapping[str, Any], source: str = "machine") -> Machine:
     parameters = dict(fields)
     kind = parameters.pop("kind", None)
     if kind is None:
-        raise MachineError(f'{source}: kind is missing: one of {", ".join(KINDS)}')
+        raise MachineError(f"{source}: kind is missing: one of {', '.join(KINDS)}")
     if kind not in KINDS:
         raise MachineError(f"{source}: unknown kind {kind!r}{nearest(str(kind), KINDS)}")
     try:
@@ -75,7 +75,9 @@ def _examples() -> Any:
 
 def example_names() -> list[str]:
     """Names of the shipped machines."""
-    return sorted(entry.name[:-5] for entry in _examples().iterdir() if entry.name.endswith(".toml"))
+    return sorted(
+        entry.name[:-5] for entry in _examples().iterdir() if entry.name.endswith(".toml")
+    )
 
 
 def example(name: str) -> Machine:

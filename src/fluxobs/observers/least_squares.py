@@ -12,7 +12,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import _core, _core_single
+from .. import _core, _core_single  # type: ignore[attr-defined]  # compiled
 from ..constraint import QuadraticConstraint
 from ..machines import Machine
 from ..records import Record
@@ -149,8 +149,8 @@ class LeastSquaresObserver:
             "sample_time",
             "memory",
             "flux_base",
-            "constraint_noise",
             "current_noise",
+            "constraint_noise",
             "current_limit",
             "drift_prior",
             "tracker_bandwidth",

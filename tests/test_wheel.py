@@ -1,0 +1,50 @@
+"""An installed wheel works outside the source tree and carries the firmware sources."""
+
+import subprocess
+import sys
+import venv
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_firmware_sources_are_package_data():
+    folder = resources.files("fluxobs") / "firmware"
+    for name in ("fluxobs.h", "fluxobs.c"):
+        assert (folder / name).read_bytes() == (ROOT / "firmware" / name).read_bytes()
+
+
+@pytest.mark.slow
+def test_wheel_in_a_fresh_environment(tmp_path):
+    """Builds the wheel, installs it without its dependencies, borrows those of this environment."""
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel", "--no-deps"]
+    subprocess.run(
+        [*pip, "-q", "-w", tmp_path, ROOT], check=True, cwd=tmp_path, capture_output=True
+    )
+    (wheel,) = tmp_path.glob("fluxobs-*.whl")
+    venv.create(tmp_path / "env", with_pip=True)
+    python = tmp_path / "env" / "bin" / "python"
+    subprocess.run(
+        [python, "-m", "pip", "install", "-q", "--no-deps", wheel], check=True, cwd=tmp_path
+    )
+    here = subprocess.run(
+        [sys.executable, "-c", "import polars, sysconfig; print(sysconfig.get_path('purelib'))"],
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout.strip()
+    site = next((tmp_path / "env").glob("lib/python*/site-packages"))
+    (site / "borrowed.pth").write_text(here + "\n")
+    script = (
+        "import fluxobs, fluxobs._core as core, pathlib, importlib.resources as r\n"
+        f"assert pathlib.Path(core.__file__).is_relative_to({str(tmp_path)!r}), core.__file__\n"
+        "assert (r.files('fluxobs') / 'firmware' / 'fluxobs.c').is_file()\n"
+        "from fluxobs.cli import main\n"
+        "import sys; sys.argv = ['fluxobs', 'demo', '--out', 'results']; main()\n"
+    )
+    done = subprocess.run([python, "-c", script], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "results" / "report.png").exists()
