@@ -132,13 +132,14 @@ public:
                               owned(std::move(valid), {lanes, rows}));
     }
 
-    // (bad_voltages, bad_currents, absurd, restarts) of one lane
+    // (bad_voltages, bad_currents, absurd, outliers, restarts) of one lane
     static nb::tuple counters(const States &states, std::size_t lane) {
         fo_state state;
         if (states.shape(1) != sizeof state || lane >= states.shape(0))
             throw std::invalid_argument("no such state");
         std::memcpy(&state, states.data() + lane * sizeof state, sizeof state);
-        return nb::make_tuple(state.bad_voltages, state.bad_currents, state.absurd, state.restarts);
+        return nb::make_tuple(state.bad_voltages, state.bad_currents, state.absurd,
+                              state.outliers, state.restarts);
     }
 
 private:

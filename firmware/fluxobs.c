@@ -32,8 +32,11 @@ static const fo_real STD_LIMIT = PI / (fo_real)36;
 static const fo_real VOLTAGE_LIMIT = PI / (fo_real)12;
 /* Std of an angle of which nothing is known: uniform over a turn, pi / sqrt(3). */
 static const fo_real STD_UNKNOWN = (fo_real)1.8137993642342178;
-/* The largest flux change in one sample that is no error, in flux bases. */
-static const fo_real FLUX_STEP_LIMIT = (fo_real)10;
+/* The largest flux change in one sample that is no error, in flux bases: twice what eight samples
+ * a period ask for, with a magnet flux twice as large as its base. */
+static const fo_real FLUX_STEP_LIMIT = (fo_real)4;
+/* A measurement further than this off what is known, in constraint bases, is not taken. */
+static const fo_real OUTLIER_LIMIT = (fo_real)1;
 /* Largest lag-one correlation of the innovations that is believed. */
 static const fo_real CORRELATION_LIMIT = (fo_real)0.98;
 /* A prior row is re-injected every so many samples: rotations are what a sample costs. */
@@ -182,19 +185,19 @@ static fo_real prior_scale(const fo_state *s, int i)
 static void restart_at(const fo_observer *o, fo_state *s, const fo_real x[FO_NX])
 {
     for (int i = 0; i < FO_TRIANGLE; i++) {
-        s->R[i] = ZERO;
+        s->info.R[i] = ZERO;
     }
     for (int i = 0; i < FO_NX; i++) {
-        s->R[AT(i, i)] = o->prior[i] / prior_scale(s, i);
-        s->z[i] = s->R[AT(i, i)] * x[i];
+        s->info.R[AT(i, i)] = o->prior[i] / prior_scale(s, i);
+        s->info.z[i] = s->info.R[AT(i, i)] * x[i];
     }
     s->innovation = ZERO;
     s->weight = ONE / o->h;
     s->power = s->weight;
     s->lag_one = ZERO;
-    s->noise[0] = ZERO;
-    s->noise[1] = ZERO;
-    s->noise[2] = ZERO;
+    s->info.noise[0] = ZERO;
+    s->info.noise[1] = ZERO;
+    s->info.noise[2] = ZERO;
     s->swept = ZERO;
     s->trusted = 0;
     s->turn = 0;
@@ -229,7 +232,7 @@ static void predict(const fo_observer *o, fo_state *s, const fo_real v[FO_N])
     const fo_real input = dot(q, v) / TWO + dot(o->E, v);
 
     { /* the row of s reaches every column */
-        fo_real *row = s->R;
+        fo_real *row = s->info.R;
         const fo_real r_s = row[S], kappa = row[KAPPA], kappa_new = kappa - h * r_s;
         fo_real shift = r_s * input;
         row[CC] = g * (row[CC] - h * (kappa + kappa_new));
@@ -241,10 +244,10 @@ static void predict(const fo_observer *o, fo_state *s, const fo_real v[FO_N])
         }
         row[KAPPA] = g * kappa_new;
         row[S] = g * r_s;
-        s->z[S] = g * (s->z[S] + shift);
+        s->info.z[S] = g * (s->info.z[S] + shift);
     }
     for (int i = 0; i < FO_N; i++) { /* the rows of the flux, and ... */
-        fo_real *row = &s->R[AT(FLUX + i, 0)];
+        fo_real *row = &s->info.R[AT(FLUX + i, 0)];
         const fo_real kappa = row[KAPPA];
         fo_real shift = ZERO;
         row[CC] = g * (row[CC] - TWO * h * kappa);
@@ -258,29 +261,29 @@ static void predict(const fo_observer *o, fo_state *s, const fo_real v[FO_N])
             row[FLUX + j] = g * flux;
         }
         row[KAPPA] = g * kappa;
-        s->z[FLUX + i] = g * (s->z[FLUX + i] + shift);
+        s->info.z[FLUX + i] = g * (s->info.z[FLUX + i] + shift);
     }
     { /* ... of kappa have nothing left of their diagonals; what is below is only forgotten */
-        fo_real *row = &s->R[AT(KAPPA, 0)];
+        fo_real *row = &s->info.R[AT(KAPPA, 0)];
         const fo_real kappa = row[KAPPA];
         row[CC] = g * (row[CC] - TWO * h * kappa);
         for (int j = 0; j < FO_N; j++) {
             row[DRIFT + j] = g * (row[DRIFT + j] - q[j] * kappa);
         }
         row[KAPPA] = g * kappa;
-        s->z[KAPPA] *= g;
+        s->info.z[KAPPA] *= g;
     }
     for (int i = AT(DRIFT, DRIFT); i < FO_TRIANGLE; i++) {
-        s->R[i] *= g;
+        s->info.R[i] *= g;
     }
     for (int i = DRIFT; i < FO_NX; i++) {
-        s->z[i] *= g;
+        s->info.z[i] *= g;
     }
     /* What noise alone pretends to know is carried and forgotten in the same way; it lives on
      * (flux, drift), in each component alike. */
-    s->noise[2] = o->rho * (s->noise[2] - TWO * h * s->noise[1] + h * h * s->noise[0]);
-    s->noise[1] = o->rho * (s->noise[1] - h * s->noise[0]);
-    s->noise[0] = o->rho * s->noise[0];
+    s->info.noise[2] = o->rho * (s->info.noise[2] - TWO * h * s->info.noise[1] + h * h * s->info.noise[0]);
+    s->info.noise[1] = o->rho * (s->info.noise[1] - h * s->info.noise[0]);
+    s->info.noise[0] = o->rho * s->info.noise[0];
 }
 
 /* Rotates the row (zero left of `first`) into R x = z; returns the normalised innovation. */
@@ -290,7 +293,7 @@ static fo_real rotate_in(fo_state *s, fo_real row[FO_NX], fo_real rhs, int first
         if (row[i] == ZERO) {
             continue;
         }
-        fo_real *r = &s->R[AT(i, 0)];
+        fo_real *r = &s->info.R[AT(i, 0)];
         const fo_real square = r[i] * r[i] + row[i] * row[i];
         const fo_real norm = fo_sqrt(square);
         const fo_real inverse = norm * (ONE / square); /* the division need not wait for the root */
@@ -301,15 +304,16 @@ static fo_real rotate_in(fo_state *s, fo_real row[FO_NX], fo_real rhs, int first
             r[j] = cosine * old + sine * row[j];
             row[j] = cosine * row[j] - sine * old;
         }
-        const fo_real old = s->z[i];
-        s->z[i] = cosine * old + sine * rhs;
+        const fo_real old = s->info.z[i];
+        s->info.z[i] = cosine * old + sine * rhs;
         rhs = cosine * rhs - sine * old;
     }
     return rhs;
 }
 
-/* 0 = s + (Q2 i)'flux + i'Q3 i + C'i, divided by its noise. */
-static void measure(const fo_observer *o, fo_state *s, const fo_real current[FO_N])
+/* 0 = s + (Q2 i)'flux + i'Q3 i + C'i, divided by its noise. Returns 0 where that is far from what
+ * all samples before say; the information is then spoilt. */
+static int measure(const fo_observer *o, fo_state *s, const fo_real current[FO_N])
 {
     fo_real row[FO_NX] = {0};
     fo_real rhs = -dot(o->row_C, current);
@@ -319,18 +323,22 @@ static void measure(const fo_observer *o, fo_state *s, const fo_real current[FO_
         rhs -= current[i] * dot(o->row_Q3[i], current);
     }
     const fo_real e = rotate_in(s, row, rhs, S);
+    if (!(e * e < OUTLIER_LIMIT * OUTLIER_LIMIT * o->row_s * o->row_s)) {
+        return 0;
+    }
     s->power = o->rho * s->power + e * e;
     s->lag_one = o->rho * s->lag_one + e * s->innovation;
     s->weight = o->rho * s->weight + ONE;
     s->innovation = e;
-    s->noise[0] += o->noise_information;
+    s->info.noise[0] += o->noise_information;
+    return 1;
 }
 
 static void solve(const fo_state *s, const fo_real inverse[FO_NX], fo_real x[FO_NX])
 {
     for (int i = FO_NX - 1; i >= 0; i--) {
-        const fo_real *row = &s->R[AT(i, 0)];
-        fo_real sum = s->z[i];
+        const fo_real *row = &s->info.R[AT(i, 0)];
+        fo_real sum = s->info.z[i];
         for (int j = i + 1; j < FO_NX; j++) {
             sum -= row[j] * x[j];
         }
@@ -347,7 +355,7 @@ static void whiten(const fo_state *s, const fo_real inverse[FO_NX], int k, fo_re
     }
     rest[k] = ONE;
     for (int i = k; i < FO_NX; i++) {
-        const fo_real *row = &s->R[AT(i, 0)];
+        const fo_real *row = &s->info.R[AT(i, 0)];
         y[i] = rest[i] * inverse[i];
         for (int j = i + 1; j < FO_NX; j++) {
             rest[j] -= row[j] * y[i];
@@ -391,7 +399,7 @@ static void read_solution(const fo_state *s, solution *a)
 {
     fo_real y[FO_N][FO_NX];
     for (int i = 0; i < FO_NX; i++) {
-        a->inverse[i] = ONE / s->R[AT(i, i)];
+        a->inverse[i] = ONE / s->info.R[AT(i, i)];
     }
     solve(s, a->inverse, a->x);
     fo_real trace = ZERO;
@@ -408,9 +416,9 @@ static void read_solution(const fo_state *s, solution *a)
         trace += a->P[i][i];
     }
     /* Information that noise pretends to have on the flux when the drift is unknown. */
-    fo_real pretended = s->noise[0];
-    if (s->noise[2] > ZERO) {
-        pretended -= s->noise[1] * s->noise[1] / s->noise[2];
+    fo_real pretended = s->info.noise[0];
+    if (s->info.noise[2] > ZERO) {
+        pretended -= s->info.noise[1] * s->info.noise[1] / s->info.noise[2];
     }
     a->noise_share = pretended * trace;
 
@@ -456,13 +464,13 @@ static void widen_prior(fo_state *s, fo_real excess)
     const fo_real keep = DISTRUST / excess, root = fo_sqrt(keep);
     s->prior_scale *= TWO * fo_sqrt(excess);
     for (int i = 0; i < FO_TRIANGLE; i++) {
-        s->R[i] *= root;
+        s->info.R[i] *= root;
     }
     for (int i = 0; i < FO_NX; i++) {
-        s->z[i] *= root;
+        s->info.z[i] *= root;
     }
     for (int i = 0; i < 3; i++) {
-        s->noise[i] *= keep;
+        s->info.noise[i] *= keep;
     }
 }
 
@@ -601,6 +609,18 @@ static fo_real mean_current_24(const fo_state *s, int i)
            (fo_real)5 * s->current[2][i] + s->current[3][i];
 }
 
+/* Per-unit volt-seconds of the last interval; the resistive drop is still to be taken off unless
+ * the source's are `complete`. */
+static void volt_seconds(const fo_observer *o, const fo_state *s, int complete, fo_real v[FO_N])
+{
+    for (int i = 0; i < FO_N; i++) {
+        v[i] = s->source[i];
+        for (int j = 0; j < FO_N && !complete; j++) {
+            v[i] -= o->hR[i][j] * mean_current_24(s, j);
+        }
+    }
+}
+
 /* One sample; `source` in per-unit volt-seconds, complete or still without the resistive drop. */
 static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N], int complete,
                     const fo_real current[FO_N], fo_estimate *e)
@@ -613,16 +633,13 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
         (source_finite && !(dot(source, source) <= FLUX_STEP_LIMIT * FLUX_STEP_LIMIT));
     const int current_good = current_finite && !absurd;
     const int source_missing = !source_finite && s->have_voltage; /* none yet is no fault */
+    int bad = !current_finite || source_missing, contradicted = 0;
 
     s->bad_currents += current_finite ? 0U : 1U;
     s->bad_voltages += source_missing ? 1U : 0U;
-    s->consecutive_bad = !current_finite || source_missing ? s->consecutive_bad + 1U : 0U;
+    s->absurd += absurd ? 1U : 0U;
 
-    if (absurd || s->consecutive_bad > FO_MAX_CONSECUTIVE_BAD) {
-        s->absurd += absurd ? 1U : 0U;
-        s->restarts += absurd || s->consecutive_bad == FO_MAX_CONSECUTIVE_BAD + 1U ? 1U : 0U;
-        restart(o, s);
-    } else if (current_good || s->have_current) {
+    if (!absurd && (current_good || s->have_current)) {
         const int first = !s->have_current;
         push_current(s, current_good ? current : s->current[0]);
         s->have_current = 1;
@@ -632,23 +649,33 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
                 s->source[i] = source[i];
             }
         }
+        const fo_information before = s->info;
         if (s->have_voltage) {
-            for (int i = 0; i < FO_N; i++) {
-                v[i] = s->source[i];
-                for (int j = 0; j < FO_N && !complete; j++) {
-                    v[i] -= o->hR[i][j] * mean_current_24(s, j);
-                }
-            }
+            volt_seconds(o, s, complete, v);
             predict(o, s, v);
         } else {
             static const fo_real nothing[FO_NX] = {0};
             restart_at(o, s, nothing); /* the past cannot be connected to this sample */
         }
-        if (current_good) {
-            measure(o, s, current);
+        contradicted = current_good && !measure(o, s, current);
+        if (contradicted) { /* go over it as if it were missing */
+            s->outliers++;
+            bad = 1;
+            s->info = before;
+            for (int i = 0; i < FO_N; i++) {
+                s->current[0][i] = s->current[1][i];
+            }
+            volt_seconds(o, s, complete, v);
+            predict(o, s, v);
         }
     }
+    s->consecutive_bad = bad ? s->consecutive_bad + 1U : 0U;
+    if (absurd || s->consecutive_bad > FO_MAX_CONSECUTIVE_BAD) {
+        s->restarts += absurd || s->consecutive_bad == FO_MAX_CONSECUTIVE_BAD + 1U ? 1U : 0U;
+        restart(o, s);
+    }
     read_out(o, s, v, e);
+    e->valid = e->valid && !contradicted;
 }
 
 void fo_step(const fo_observer *o, fo_state *s, const fo_real voltage[FO_N],

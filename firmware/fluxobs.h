@@ -78,15 +78,20 @@ typedef struct {
     fo_real track[3];              /* gains of the tracker                            */
 } fo_observer;
 
+/* R x = z with R upper triangular, x = (s, flux, kappa, drift, c) per-unit. */
+typedef struct {
+    fo_real R[FO_TRIANGLE];
+    fo_real z[FO_NX];
+    fo_real noise[3];              /* what noise alone pretends: (flux, flux-drift, drift) */
+} fo_information;
+
 /* Everything that changes. Plain data: copy it, store it, restore it. Per-unit unless said. */
 typedef struct {
-    fo_real R[FO_TRIANGLE];              /* R x = z, x = (s, flux, kappa, drift, c)              */
-    fo_real z[FO_NX];
+    fo_information info;
     fo_real current[FO_HISTORY][FO_N];   /* newest first [A]                                     */
     fo_real source[FO_N];                /* last good volt-seconds                               */
     fo_real innovation;                  /* last, normalised                                     */
     fo_real power, lag_one, weight;      /* sums over the innovations, forgetting                */
-    fo_real noise[3];                    /* information pretended by noise: (flux, flux-drift, drift) */
     fo_real prior_scale;                 /* the drift's prior has proved too tight by this       */
     fo_real theta, swept;                /* of the least squares; turned since it is known [rad] */
     fo_real flux[FO_N], drift[FO_N];     /* last trusted, carried on while nothing is known      */
@@ -97,7 +102,8 @@ typedef struct {
     uint32_t trusted, have_carried;      /* the least squares is now; was once                   */
     uint32_t turn;                       /* which prior row is re-injected next                  */
     uint32_t consecutive_bad;
-    uint32_t bad_voltages, bad_currents, absurd, restarts; /* counted since fo_reset             */
+    uint32_t bad_voltages, bad_currents, absurd, outliers, restarts; /* counted since fo_reset   */
+    uint32_t reserved;                   /* keeps the size a multiple of eight                   */
 } fo_state;
 
 typedef struct {

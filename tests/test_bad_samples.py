@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fluxobs import LeastSquaresObserver
+from fluxobs.observers import SampleCounts
 from records import SERVO, rotating, wrapped_degrees
 
 H, ROWS, BAD = 1e-4, 3000, 1500
@@ -30,7 +31,7 @@ def error(estimate):
 def test_all_is_well_without():
     estimate, counts = run()
     assert estimate.valid[500:].all()
-    assert (counts.bad_voltages, counts.bad_currents, counts.absurd, counts.restarts) == (0,) * 4
+    assert counts == SampleCounts(0, 0, 0, 0, 0)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -80,6 +81,22 @@ def test_absurd_value_restarts(which, value):
     assert not estimate.valid[BAD : BAD + 50].any()
     assert estimate.valid[-500:].all()
     assert error(estimate)[estimate.valid].max() < 15
+
+
+def test_a_spike_in_the_current_is_passed_over():
+    estimate, counts = run(current=[((BAD, 0), 80.0)])
+    assert counts == SampleCounts(0, 0, 0, outliers=1, restarts=0)
+    assert error(estimate)[BAD + 1 :].max() < 2
+    assert not estimate.valid[BAD]
+    assert estimate.valid[BAD + 10 :].all()
+
+
+def test_a_spike_in_the_voltage_restarts_once_the_currents_contradict():
+    estimate, counts = run(voltage=[((BAD, 0), 300.0)])  # a jump by 2.4 times the magnet flux
+    assert counts.outliers == 4
+    assert counts.restarts == 1
+    assert error(estimate)[estimate.valid].max() < 15
+    assert estimate.valid[BAD + 500 :].all()
 
 
 def test_nothing_but_missing_values():

@@ -95,6 +95,7 @@ def _sample_warnings(result: Result) -> list[str]:
             (counts.bad_currents, "without a current (predicted over)"),
             (counts.bad_voltages, "without a voltage (the last one held)"),
             (counts.absurd, "with an impossible value"),
+            (counts.outliers, "that contradict the others (passed over)"),
         )
         if number
     ]

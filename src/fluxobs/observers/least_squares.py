@@ -58,11 +58,24 @@ class LeastSquaresState:
 
 @dataclass(frozen=True)
 class SampleCounts:
-    """What was wrong with the samples so far, and how often the information was restarted."""
+    """What was wrong with the samples so far, and how often the information was restarted.
+
+    Attributes
+    ----------
+    bad_voltages, bad_currents : int
+        Not finite.
+    absurd : int
+        No such machine can have such a value.
+    outliers : int
+        Currents that contradict all samples before; not used.
+    restarts : int
+        After an absurd value, or more than three bad samples in a row.
+    """
 
     bad_voltages: int
     bad_currents: int
     absurd: int
+    outliers: int
     restarts: int
 
 

@@ -1,0 +1,57 @@
+# make demo   the main job on a log shipped with the package: summary, estimates, picture
+# make test   all tests
+# make check  lint, types, and the C sources under every warning and the sanitizers
+# make bench  the benchmarks, each with its number and the machine
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+SOURCES := CMakeLists.txt pyproject.toml binding/core.cpp firmware/fluxobs.h firmware/fluxobs.c
+
+.PHONY: demo test check lint warnings sanitize bench clean
+
+demo: $(READY)
+	$(BIN)/fluxobs demo --out fluxobs-demo
+
+test: $(READY)
+	$(BIN)/python -m pytest
+
+$(READY): $(SOURCES)
+	@$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Python 3.11 or newer is needed"'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
+	$(BIN)/python -m pip install --quiet --group dev --editable .
+	@touch $(READY)
+
+check: lint warnings sanitize
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+STRICT := -std=c99 -O2 -ffp-contract=off -Wall -Wextra -Wconversion -Wshadow -Wdouble-promotion \
+          -Werror -pedantic
+COMPILERS ?= gcc clang
+
+warnings:
+	@for cc in $(COMPILERS); do for precision in "" -DFO_SINGLE; do \
+	    echo "$$cc $(STRICT) $$precision"; \
+	    $$cc $(STRICT) $$precision -c firmware/fluxobs.c -o /dev/null || exit 1; \
+	done; done
+
+sanitize:
+	@for precision in "" -DFO_SINGLE; do \
+	    gcc $(STRICT) -g -fsanitize=address,undefined -fno-sanitize-recover=all $$precision \
+	        -Ifirmware tests/firmware/stress.c firmware/fluxobs.c -lm -o build-stress \
+	    && ./build-stress; status=$$?; rm -f build-stress; [ $$status -eq 0 ] || exit 1; \
+	done
+
+bench: $(READY)
+	@for script in accuracy measured speed startup hour; do \
+	    $(BIN)/python benchmarks/$$script.py || exit 1; \
+	done
+
+clean:
+	rm -rf $(VENV) build fluxobs-demo
