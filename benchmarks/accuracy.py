@@ -48,7 +48,7 @@ def quadrature() -> None:
 
 
 def noise_floor() -> None:
-    heading("White current noise, from two electrical periods on (target 1.3 L sigma / psi)")
+    heading("White current noise, two electrical periods on (target 1.3 L sigma / psi)")
     for name, machine in magnet_machines().items():
         h, noise = 1e-4, 0.005 * machine.rated_current
         for omega in (200.0, 600.0, 2000.0):
@@ -66,8 +66,8 @@ def noise_floor() -> None:
             rms, floor = np.sqrt(np.mean(squares)), np.degrees(machine.L_s * noise / machine.psi_f)
             walk = machine.R_s * np.sqrt(h * observer.memory) / machine.L_s
             print(
-                f"    {name:12s} {omega:5.0f} rad/s  {rms:.3f} degrees, {rms / floor:.2f} times the "
-                f"floor; noise through R in one memory {walk:.2f} times that through L"
+                f"    {name:12s} {omega:5.0f} rad/s  {rms:.3f} degrees, {rms / floor:.2f} × the "
+                f"floor; through R {walk:.2f} times as much as through L"
             )
 
 

@@ -37,6 +37,9 @@ static const fo_real STD_UNKNOWN = (fo_real)1.8137993642342178;
 static const fo_real FLUX_STEP_LIMIT = (fo_real)4;
 /* A measurement further than this off what is known, in constraint bases, is not taken. */
 static const fo_real OUTLIER_LIMIT = (fo_real)1;
+/* So is one in which the position vector x moves by more than twice its last step and this share
+ * of itself: a spike of the current can leave |x| as it is. */
+static const fo_real STEP_LIMIT = (fo_real)0.15;
 /* Largest lag-one correlation of the innovations that is believed. */
 static const fo_real CORRELATION_LIMIT = (fo_real)0.98;
 /* A prior row is re-injected every so many samples: rotations are what a sample costs. */
@@ -573,7 +576,8 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
         e->flux[i] = flux[i] * o->flux_base;
         e->drift[i] = drift[i] * o->drift_base;
     }
-    e->psi_f = fo_sqrt(square) * o->flux_base;
+    s->length = fo_sqrt(square);
+    e->psi_f = s->length * o->flux_base;
     e->theta_e = theta;
     e->theta_e_tracked = s->angle;
     e->speed_e = s->speed;
@@ -621,6 +625,16 @@ static void volt_seconds(const fo_observer *o, const fo_state *s, int complete, 
     }
 }
 
+/* Step of the position vector over the last interval, without the drift. */
+static fo_real position_step(const fo_observer *o, const fo_state *s, const fo_real v[FO_N])
+{
+    fo_real step[FO_N];
+    for (int i = 0; i < FO_N; i++) {
+        step[i] = v[i] - o->L_position * (s->current[0][i] - s->current[1][i]);
+    }
+    return fo_sqrt(dot(step, step));
+}
+
 /* One sample; `source` in per-unit volt-seconds, complete or still without the resistive drop. */
 static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N], int complete,
                     const fo_real current[FO_N], fo_estimate *e)
@@ -636,7 +650,7 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
     int bad = !current_finite || source_missing, contradicted = 0;
 
     s->bad_currents += current_finite ? 0U : 1U;
-    s->bad_voltages += source_missing ? 1U : 0U;
+    s->bad_voltages += source_missing || (!source_finite && s->restarts > 0U) ? 1U : 0U;
     s->absurd += absurd ? 1U : 0U;
 
     if (!absurd && (current_good || s->have_current)) {
@@ -657,7 +671,9 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
             static const fo_real nothing[FO_NX] = {0};
             restart_at(o, s, nothing); /* the past cannot be connected to this sample */
         }
-        contradicted = current_good && !measure(o, s, current);
+        const fo_real step = position_step(o, s, v);
+        contradicted = current_good && s->trusted && step > TWO * s->step + STEP_LIMIT * s->length;
+        contradicted = contradicted || (current_good && !measure(o, s, current));
         if (contradicted) { /* go over it as if it were missing */
             s->outliers++;
             bad = 1;
@@ -667,6 +683,8 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
             }
             volt_seconds(o, s, complete, v);
             predict(o, s, v);
+        } else {
+            s->step = step;
         }
     }
     s->consecutive_bad = bad ? s->consecutive_bad + 1U : 0U;

@@ -90,6 +90,7 @@ typedef struct {
     fo_information info;
     fo_real current[FO_HISTORY][FO_N];   /* newest first [A]                                     */
     fo_real source[FO_N];                /* last good volt-seconds                               */
+    fo_real step, length;                /* of the position vector: last step, |flux - L i|      */
     fo_real innovation;                  /* last, normalised                                     */
     fo_real power, lag_one, weight;      /* sums over the innovations, forgetting                */
     fo_real prior_scale;                 /* the drift's prior has proved too tight by this       */

@@ -91,6 +91,16 @@ def test_a_spike_in_the_current_is_passed_over():
     assert estimate.valid[BAD + 10 :].all()
 
 
+@pytest.mark.parametrize("size", [8.0, 20.0, 41.7, 100.0, -41.7])
+def test_spikes_of_any_size_and_direction_do_not_mislead(size):
+    """One that turns λ - L i right round leaves its length as it was."""
+    rows = np.arange(500, ROWS, 97)
+    estimate, _ = run(current=[((row, k % 2), size) for k, row in enumerate(rows)])
+    assert error(estimate)[estimate.valid].max() < 15
+    assert np.abs(wrapped_degrees(estimate.theta_e_tracked - SAMPLES.theta))[600:].max() < 15
+    assert estimate.valid[600:].mean() > 0.95
+
+
 def test_a_spike_in_the_voltage_restarts_once_the_currents_contradict():
     estimate, counts = run(voltage=[((BAD, 0), 300.0)])  # a jump by 2.4 times the magnet flux
     assert counts.outliers == 4

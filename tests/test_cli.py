@@ -1,7 +1,9 @@
 """The command line by exit code, output and files."""
 
+import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import polars as pl
@@ -162,8 +164,58 @@ def test_missing_values_are_counted(folder):
     )
     log.with_columns(gaps.alias("i_beta")).write_csv(folder / "log.csv")
     done = estimate(folder)
-    assert "2 without a current" in done.stdout
+    assert "without a current (predicted over): 2" in done.stdout
     assert pl.read_parquet(folder / "out.parquet")["theta_e"].is_finite().all()
+
+
+def test_a_long_gap_is_counted_in_full(folder):
+    log = pl.read_csv(folder / "log.csv")
+    gap = pl.int_range(pl.len()).is_between(1000, 1499)
+    log = log.with_columns(pl.when(gap).then(None).otherwise(pl.col("u_beta")).alias("u_beta"))
+    log.write_csv(folder / "log.csv")
+    assert "without a voltage (the last one held): 500; the observer" in estimate(folder).stdout
+
+
+def test_truth_in_degrees_is_noticed(folder):
+    log = pl.read_csv(folder / "log.csv").with_columns(pl.col("angle") * 180 / np.pi)
+    log.write_csv(folder / "log.csv")
+    assert "in radians" in estimate(folder, "--truth", "theta_mech=angle").stdout
+    scaled = estimate(folder, "--truth", "theta_mech=angle", "--scale", "theta_mech=0.0174532925")
+    assert "Warning" not in scaled.stdout
+
+
+def test_a_rounded_time_column_is_passed_over(folder):
+    log = pl.read_csv(folder / "log.csv").with_columns(pl.col("t").round(3))
+    log.write_csv(folder / "log.csv")
+    done = estimate(folder)
+    assert done.returncode == 2
+    assert "--sample-time and --column t=-" in done.stderr
+    done = estimate(folder, "--sample-time", "1e-4", "--column", "t=-")
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_short_log_is_called_short(folder):
+    done = estimate(folder, "--to", "0.003")
+    assert "too short to settle" in done.stdout
+    assert "suspect" not in done.stdout
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_interrupted_leaves_nothing(folder, name):
+    log = pl.read_parquet(folder / "log.parquet")
+    many = pl.concat([log] * 2000).with_columns(t=pl.int_range(pl.len()) * H)
+    many.write_parquet(folder / "log.parquet")
+    before = sorted(folder.iterdir())
+    command = [sys.executable, "-m", "fluxobs.cli", "estimate", "log.parquet"]
+    command += ["--machine", "motor.toml", "--out", "out.parquet"]
+    with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE) as running:
+        deadline = time.monotonic() + 20
+        while sorted(folder.iterdir()) == before and time.monotonic() < deadline:
+            time.sleep(0.02)
+        time.sleep(0.5)
+        running.send_signal(getattr(signal, name))
+        assert running.wait(20) != 0
+    assert sorted(folder.iterdir()) == before
 
 
 def test_exchanged_phases_are_suspected(folder):
@@ -189,6 +241,12 @@ def test_exchanged_phases_are_suspected(folder):
         (["--report", "report.gif"], "must end in .png, .pdf, .svg"),
         (["--report", "nowhere/report.png"], "the folder nowhere does not exist"),
         (["--record", "none.toml"], "none.toml: cannot be read"),
+        (["--from", "nan"], "--from must be a number of seconds, got nan"),
+        (["--to", "inf"], "--to must be a number of seconds, got inf"),
+        (["--scale", "t=1000"], "Is t in ms?"),
+        (["--scale", "i_alpha=0", "i_beta=0"], "the current is zero in every row"),
+        (["--scale", "u_alpha=0", "u_beta=0"], "the voltage is zero in every row"),
+        (["--column", "udc=540"], 'udc belongs to frame "duty"'),
         (["--truth", "angle=angle"], "truth must be theta_e or theta_mech"),
         (["--frame", "abc"], "no column 'u_a'"),
     ],
@@ -208,6 +266,9 @@ def test_bad_options_end_with_2_and_leave_nothing(folder, arguments, message):
         ("none.csv", "out.parquet", "motor.toml", "none.csv: no such file"),
         ("log.csv", "out.xlsx", "motor.toml", "must end in .parquet or .csv"),
         ("log.csv", "nowhere/out.csv", "motor.toml", "the folder nowhere does not exist"),
+        ("log.csv", "log.csv", "motor.toml", "--out is the log itself"),
+        ("log.csv", "motor.toml", "motor.toml", "--out is one of the inputs"),
+        (".", "out.csv", "motor.toml", "this is a folder"),
         ("log.csv", "out.csv", "none.toml", "none.toml: no such machine file"),
     ],
 )

@@ -88,6 +88,20 @@ def test_integers_comments_and_quotes(tmp_path):
     assert i[10, 0] == 3
 
 
+def test_quoted_delimiter_in_the_header(tmp_path):
+    path = csv(tmp_path / "log.csv", PLAIN)
+    path.write_text(path.read_text().replace("u_alpha", '"u, alpha"', 1))
+    check(read(path, columns={"u_alpha": "u, alpha"}))
+
+
+def test_decimal_comma_that_comes_late(tmp_path):
+    columns = {name: np.concatenate([np.zeros(300), values]) for name, values in PLAIN.items()}
+    columns["t"] = np.arange(500)
+    path = csv(tmp_path / "log.csv", columns, ";", comma=True)
+    _, _, i, _, _ = read(path, scale={"t": 1e-3})
+    np.testing.assert_allclose(i[300:], I, atol=1e-9)
+
+
 def test_byte_order_mark_and_crlf(tmp_path):
     path = csv(tmp_path / "log.csv", PLAIN)
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
@@ -263,6 +277,7 @@ def replace_cell(line, column, text):
         (replace_cell(42, 3, "off"), "line 42, column 'i_alpha': 'off' is not a number"),
         (replace_cell(199, 1, "1.2.3"), "line 199, column 'u_alpha': '1.2.3' is not a number"),
         (replace_cell(30, 3, "1,2,3"), "line 30: 8 cells, the header has 6"),
+        (lambda s: s.replace(s.splitlines()[34], "0.033,1,2"), "line 35: 3 cells, the header has"),
         (replace_cell(50, 0, "0.01"), "line 50: time runs backwards"),
         (replace_cell(60, 0, ""), "line 60: t is missing"),
         (replace_cell(70, 0, "0.0685"), "line 70: samples are not uniform: a step of 0.0015 s"),
@@ -311,7 +326,7 @@ def test_sample_time(tmp_path):
 def test_rounded_time_needs_a_sample_time(tmp_path):
     columns = PLAIN | {"t": np.round(K * 1.3e-3, 3)}
     path = csv(tmp_path / "log.csv", columns)
-    with pytest.raises(RecordError, match="if t is only rounded, give --sample-time"):
+    with pytest.raises(RecordError, match="only rounded, --sample-time and --column"):
         read(path)
     check(read(path, sample_time=1.3e-3))
 

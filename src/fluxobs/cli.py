@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import signal
 import sys
 import textwrap
 import time
@@ -49,7 +50,8 @@ def estimate(
         str | None,
         typer.Option(
             help="alphabeta (u_alpha u_beta i_alpha i_beta), abc (u_a … i_c; or two currents), "
-            "line (u_ab u_bc), duty (d_a d_b d_c udc), dq (u_d u_q i_d i_q theta_e). "
+            "line (u_ab u_bc), duty (d_a d_b d_c udc), dq (u_d u_q i_d i_q theta_e; a voltage is "
+            "turned by the angle in the middle of the interval it acts over). "
             "Default alphabeta."
         ),
     ] = None,
@@ -64,7 +66,11 @@ def estimate(
         ),
     ] = None,
     column: Annotated[
-        Pairs, typer.Option(help="CHANNEL=COLUMN; udc=540 sets a constant DC-link voltage.")
+        Pairs,
+        typer.Option(
+            help="CHANNEL=COLUMN; udc=540 sets a constant DC-link voltage, t=- passes over a "
+            "column t."
+        ),
     ] = None,
     scale: Annotated[Pairs, typer.Option(help="CHANNEL=NUMBER: scale · column + offset.")] = None,
     offset: Annotated[Pairs, typer.Option(help="CHANNEL=NUMBER: scale · column + offset.")] = None,
@@ -75,7 +81,7 @@ def estimate(
         float | None, typer.Option("--to", help="Seconds; only rows to this time.")
     ] = None,
     truth: Annotated[
-        Pairs, typer.Option(help="theta_e=COLUMN or theta_mech=COLUMN: a true angle to score by.")
+        Pairs, typer.Option(help="theta_e=COLUMN or theta_mech=COLUMN: a true angle in radians.")
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Picture: .png, .pdf or .svg.")] = None,
     memory: Annotated[
@@ -111,9 +117,14 @@ def estimate(
 
     table = open_table(log)
     constant = fields["columns"].get("udc", "")
-    if constant not in table.columns and _is_number(constant):
+    if constant in table.columns:
+        fields.pop("udc", None)
+    elif _is_number(constant):
         del fields["columns"]["udc"]
         fields["udc"] = float(constant)
+    for source in (machine, record):
+        if source is not None and source.exists() and out.exists() and out.samefile(source):
+            raise FluxobsError(f"{out}: --out is one of the inputs; give another name")
     opened = open_log(table, layout_from(fields, "options"), given.n_p, start, stop)
     _run(opened, given, out, report, memory)
 
@@ -173,13 +184,12 @@ def _run(log: Log, machine: Machine, out: Path, report: Path | None, memory: flo
     with _Progress(len(log)) as progress:
         result = run(log, machine, out, memory if memory is not None else MEMORY, progress)
     _print_summary(result)
-    written = [str(out)]
+    typer.echo(f"Written: {out}")
     if report is not None:
         from .plots import report as draw
 
         draw(result, report)
-        written.append(str(report))
-    typer.echo(f"Written: {', '.join(written)}")
+        typer.echo(f"Written: {report}")
 
 
 def _print_summary(result: Result) -> None:
@@ -263,8 +273,9 @@ def _spread(arguments: Iterable[str]) -> list[str]:
     option = None
     for argument in arguments:
         if argument.startswith("--"):
-            option = argument if argument in PAIRS else None
-            taken = 0
+            name, joined, _ = argument.partition("=")
+            option = name if name in PAIRS else None
+            taken = 1 if joined else 0
         elif option is not None and "=" in argument:
             if taken:
                 out.append(option)
@@ -280,6 +291,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
         app(args=_spread(sys.argv[1:]), prog_name="fluxobs")
     except FluxobsError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -63,11 +64,16 @@ def prepare(
     log: Log, machine: Machine, memory: float = MEMORY
 ) -> tuple[LeastSquaresObserver, Scales]:
     """First pass over the log, and the observer chosen from machine and log."""
+    if memory < 10 * log.sample_time:
+        raise FluxobsError(
+            f"{log.table.path}: a row every {log.sample_time:.6g} s is too slow for a memory of "
+            f"{memory:g} s, which takes ten rows at least. Is t in ms? --scale t=1e-3"
+        )
     scales = measure_scales(log)
     psi_f = getattr(machine, "psi_f", None)
-    if psi_f is None and machine.flux_base(None, 1.0) is None:
-        psi_f = guess_psi_f(log, machine, scales, memory)
     try:
+        if psi_f is None and machine.flux_base(None, 1.0) is None:
+            psi_f = guess_psi_f(log, machine, scales, memory)
         return observer_for(log, machine, scales, memory, psi_f), scales
     except ValueError as error:
         raise FluxobsError(str(error)) from None
@@ -110,10 +116,13 @@ def estimate(
         raise FluxobsError(f"{out}: --out must end in .parquet or .csv")
     if not out.parent.is_dir():
         raise FluxobsError(f"{out}: the folder {out.parent} does not exist")
+    if out.exists() and out.samefile(log.table.path):
+        raise FluxobsError(f"{out}: --out is the log itself; give another name")
     observer, scales = prepare(log, machine, memory)
     tally = Tally(len(log))
     state = observer.init()
     failure: FluxobsError | None = None
+    stop = threading.Event()
 
     def rows() -> Iterator[pl.DataFrame]:
         nonlocal state, failure
@@ -128,6 +137,8 @@ def estimate(
                 tally.add(part, estimated, error)
                 progress(tally.rows)
                 yield _frame(part, estimated, error)
+                if stop.is_set():
+                    return
         except FluxobsError as problem:  # Polars would wrap it: kept aside, raised below
             failure = problem
 
@@ -143,19 +154,37 @@ def estimate(
     part_file = Path(name)
     try:
         lazy = register_io_source(lambda columns, predicate, n, size: rows(), schema=schema)
-        if out.suffix == ".csv":
-            lazy.sink_csv(part_file)
-        else:
-            lazy.sink_parquet(part_file, compression="zstd", compression_level=1, statistics=False)
+        _sink(lazy, part_file, out.suffix, stop)
         if failure is not None:
             raise failure
         part_file.chmod(0o666 & ~_umask())
         part_file.replace(out)
-    except OSError as error:
-        raise FluxobsError(f"{out}: cannot be written: {error.strerror}") from None
+    except (OSError, pl.exceptions.PolarsError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise FluxobsError(f"{out}: cannot be written: {reason}") from None
     finally:
         part_file.unlink(missing_ok=True)
     return Result(log, machine, observer, scales, tally, observer.counts(state))
+
+
+def _sink(lazy: pl.LazyFrame, path: Path, suffix: str, stop: threading.Event) -> None:
+    """Writes in another thread, so that an interrupt reaches this one and ends the writing."""
+    with ThreadPoolExecutor(max_workers=1) as writer:
+        if suffix == ".csv":
+            job = writer.submit(lazy.sink_csv, path)
+        else:
+            job = writer.submit(
+                lazy.sink_parquet,
+                path,
+                compression="zstd",
+                compression_level=1,
+                statistics=False,
+            )
+        try:
+            job.result()
+        except BaseException:
+            stop.set()
+            raise
 
 
 def _ahead(parts: Iterator[Aligned]) -> Iterator[Aligned]:

@@ -21,6 +21,8 @@ CHANNELS = tuple(
     )
 )
 TRUTHS = ("theta_e", "theta_mech")
+#: Column name that says: pass over what there is (for t).
+NO_COLUMN = "-"
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -30,7 +32,7 @@ class Layout(BaseModel):
     """How to read a log.
 
     A channel's value is ``scale · column + offset``. A channel that is not named in `columns` is
-    read from the column of its own name.
+    read from the column of its own name. `columns` t = "-" passes over a column t.
 
     Parameters
     ----------
@@ -53,7 +55,7 @@ class Layout(BaseModel):
         {"theta_e": column} (electrical) or {"theta_mech": column} (mechanical), to score by.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     frame: Frame = "alphabeta"
     sample_time: Positive | None = None
@@ -75,6 +77,8 @@ class Layout(BaseModel):
         for channel in self.truth:
             if channel not in TRUTHS:
                 raise ValueError(f"truth must be theta_e or theta_mech, got {channel!r}")
+        if self.udc is not None and self.frame != "duty":
+            raise ValueError(f'udc belongs to frame "duty", not to "{self.frame}"')
         if len(self.truth) > 1:
             raise ValueError("truth: give theta_e or theta_mech, not both")
         return self
@@ -90,7 +94,7 @@ class Layout(BaseModel):
             currents = present if len(present) >= 2 else currents[:2]
         if self.frame == "dq":
             channels.append("theta_e")
-        if "t" in self.columns or "t" in available:
+        if self.columns.get("t", "t") != NO_COLUMN and ("t" in self.columns or "t" in available):
             channels.insert(0, "t")
         return {name: self.columns.get(name, name) for name in channels + currents}
 

@@ -98,7 +98,8 @@ class Log:
     def _channels(self, part: Columns) -> Columns:
         channels = {name: self._scaled(name, part[column]) for name, column in self.names.items()}
         if self.layout.frame == "duty" and self.layout.udc is not None:
-            channels["udc"] = np.full(len(next(iter(channels.values()))), self.layout.udc)
+            link = np.full(len(next(iter(channels.values()))), self.layout.udc)
+            channels["udc"] = self._scaled("udc", link)
         return channels
 
     def _true_angle(self, part: Columns) -> Array | None:
@@ -163,16 +164,16 @@ class Log:
         if not known.all():
             at = row + 1 + int(np.argmin(known))
             raise RecordError(
-                f"{self.table.path}, {self.table.place(at)}: t is missing. Leave the column out "
-                f"and give --sample-time if the samples are uniform"
+                f"{self.table.path}, {self.table.place(at)}: t is missing. If the samples "
+                f"are uniform, --sample-time and --column t=- pass over t"
             )
         step = np.where(np.isnan(step), self.sample_time, step)
         if (step <= 0).any():
             at = int(np.argmax(step <= 0))
             raise RecordError(
                 f"{self.table.path}, {self.table.place(row + 1 + at)}: time runs backwards or "
-                f"stands still, {t[at]:.9g} s then {t[at + 1]:.9g} s. Cut the log there, or give "
-                f"--sample-time and no column t"
+                f"stands still, {t[at]:.9g} s then {t[at + 1]:.9g} s. Cut the log there; if the "
+                f"samples are uniform, --sample-time and --column t=- pass over t"
             )
         given = self.layout.sample_time is not None
         tolerance = TIME_TOLERANCE_GIVEN if given else TIME_TOLERANCE
@@ -182,8 +183,8 @@ class Log:
             raise RecordError(
                 f"{self.table.path}, {self.table.place(row + 1 + at)}: samples are not uniform: a "
                 f"step of {step[at]:.6g} s where {self.sample_time:.6g} s is expected (the worst "
-                f"place; {tolerance:.0%} is tolerated). Fill gaps with empty cells; if t is only "
-                f"rounded, give --sample-time too"
+                f"place; {tolerance:.0%} is tolerated). Fill gaps with empty rows; if t is "
+                f"only rounded, --sample-time and --column t=- pass over it"
             )
 
     def to_record(self) -> Record:
@@ -253,6 +254,9 @@ def open_log(
             f"--column t=COLUMN"
         )
     first, last = 0, table.rows
+    for option, value in (("--from", start), ("--to", stop)):
+        if value is not None and not np.isfinite(value):
+            raise RecordError(f"{option} must be a number of seconds, got {value}")
     if start is not None:
         first = max(0, int(np.ceil((start - t0) / sample_time - 1e-6)))
     if stop is not None:
@@ -271,11 +275,11 @@ def _measured_time(table: Table, layout: Layout, column: str) -> tuple[float, fl
     """First time, typical and mean step, from so many rows at the head of the table."""
     t = read_rows(table, [column], 0, min(table.rows, _HEAD))[column]
     t = t * layout.scale.get("t", 1.0) + layout.offset.get("t", 0.0)
-    if not np.isfinite(t[[0, -1]]).all() or t[-1] <= t[0]:
+    if not np.isfinite(t[[0, -1]]).all() or t[-1] <= t[0] or not np.nanmedian(np.diff(t)) > 0:
         at = int(np.argmax(~np.isfinite(t) | np.r_[False, np.diff(t) <= 0]))
         raise RecordError(
             f"{table.path}, {table.place(at)}: t is missing, stands still or runs backwards. Cut "
-            f"the log there, or give --sample-time and no column t"
+            f"the log there, or pass over t with --sample-time and --column t=-"
         )
     step = np.diff(t)
     median = float(np.nanmedian(step))

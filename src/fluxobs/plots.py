@@ -44,7 +44,8 @@ def report(result: Result, path: str | Path) -> None:
         "axes.titlesize": 9,
         "axes.titleweight": "bold",
         "axes.titlelocation": "left",
-        "legend.frameon": False,
+        "legend.framealpha": 0.85,
+        "legend.edgecolor": "none",
         "lines.linewidth": 1.0,
     }
     with plt.rc_context(style):
@@ -69,7 +70,8 @@ def report(result: Result, path: str | Path) -> None:
         axes["drift"].set_xlabel("t [s]        grey: position not known")
         figure.suptitle(
             f"{result.log.table.path.name}  ·  {result.machine.kind}  ·  position valid on "
-            f"{result.tally.valid / result.tally.rows:.1%} of {result.tally.rows} rows",
+            f"{result.tally.valid / result.tally.rows:.1%} of {result.tally.rows} rows"
+            f"{_numbers(result)}",
             fontsize=10,
         )
         temporary = path.with_name(f".{path.name}.part{path.suffix}")
@@ -84,10 +86,25 @@ def report(result: Result, path: str | Path) -> None:
             plt.close(figure)
 
 
+def _numbers(result: Result) -> str:
+    """Second line of the title."""
+    tally = result.tally
+    if not tally.valid:
+        return "\nthe position was never known: see the summary"
+    psi = 1e3 * tally.psi / tally.valid
+    text = f"\nlag {result.log.layout.lag:g}  ·  |λ - L i| = {psi:.3g} mWb"
+    if tally.scored:
+        rms = np.degrees(np.sqrt(tally.error_squared / tally.scored))
+        text += f"  ·  position error {rms:.2f}° rms on valid rows"
+    return text
+
+
 def check_path(path: Path) -> None:
     """Refuses early what could not be written at the end."""
     if path.suffix.lower() not in FORMATS:
         raise FluxobsError(f"{path}: --report must end in {', '.join(FORMATS)}")
+    if path.is_dir():
+        raise FluxobsError(f"{path}: this is a folder")
     if not path.parent.is_dir():
         raise FluxobsError(f"{path}: the folder {path.parent} does not exist")
 
@@ -131,6 +148,7 @@ def _position(axes: Axes, detail: dict[str, Array]) -> None:
     axes.set_ylim(-190, 190)
     axes.set_yticks([-180, -90, 0, 90, 180])
     axes.set_xlim(t[0], t[-1])
+    axes.set_xlabel("t [s]")
     _shade_unknown(axes, detail)
     axes.legend(loc="upper right", ncols=2)
 

@@ -81,10 +81,12 @@ def current_noise(current: Array) -> float:
 
     Third differences remove anything smooth and have 20 times the noise's variance.
     """
-    third = np.diff(current, 3, axis=0)
+    with np.errstate(over="ignore", invalid="ignore"):  # garbage is no reason to stop
+        third = np.diff(current, 3, axis=0)
     rows = max(1, min(NOISE_ROWS, len(third)))
     blocks = third[: len(third) // rows * rows].reshape(-1, rows, 2)
-    level = np.mean(blocks**2, axis=(1, 2))
+    with np.errstate(over="ignore", invalid="ignore"):
+        level = np.mean(blocks**2, axis=(1, 2))
     level = level[np.isfinite(level)]
     return float(np.sqrt(np.median(level) / 20)) if len(level) else 0.0
 
@@ -108,10 +110,12 @@ def measure_scales(log: Log) -> Scales:
     for what, values in (("current", i), ("voltage", u)):
         if len(values) == 0:
             raise RecordError(f"{log.table.path}: no row has a {what}; are the columns right?")
-    if not i.any():
-        raise RecordError(
-            f"{log.table.path}: the current is zero in every row: nothing can be learnt from it"
-        )
+    for what, values in (("current", i), ("voltage", u)):
+        if not values.any():
+            raise RecordError(
+                f"{log.table.path}: the {what} is zero in every row: nothing can be learnt "
+                f"from it; are column and scale right?"
+            )
     return Scales(
         float(np.percentile(i, 95)) or float(i.max()),
         float(np.percentile(u, 95)),

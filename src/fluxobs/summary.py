@@ -16,6 +16,10 @@ SAMPLES_PER_PERIOD = 8
 PSI_RANGE = (0.75, 1.33)
 #: Share of valid rows below which, in a log that moves, something does not fit.
 VALID_SHARE = 0.5
+#: Memories that a log must last for its summary to be worth anything.
+MEMORIES = 3
+#: Rms position error [rad] beyond which the truth itself is in doubt.
+TRUTH_LIMIT = 0.5
 
 
 @dataclass(frozen=True)
@@ -71,15 +75,24 @@ def _paragraph(result: Result) -> str:
         mean = tally.error / tally.scored
         rms = np.sqrt(tally.error_squared / tally.scored)
         sentences.append(
-            f"Against the true angle, on valid rows: position error {_degrees(rms)} rms, "
+            f"Against the true angle, on {tally.scored} valid rows: position error "
+            f"{_degrees(rms)} rms, "
             f"{_degrees(tally.error_max)} at most, mean {_degrees(mean)}."
         )
     return " ".join(sentences)
 
 
 def _warnings(result: Result) -> list[str]:
+    duration = result.tally.rows * result.log.sample_time
+    if duration < MEMORIES * result.observer.memory:
+        return [
+            *_sample_warnings(result),
+            f"The log lasts {_si(duration, 's')}, too short to settle: at least {MEMORIES} "
+            f"memories of {_si(result.observer.memory, 's')} are needed.",
+        ]
     return [
         *_sample_warnings(result),
+        *_truth_warnings(result),
         *_rate_warnings(result),
         *_validity_warnings(result),
         *_flux_warnings(result),
@@ -90,7 +103,7 @@ def _warnings(result: Result) -> list[str]:
 def _sample_warnings(result: Result) -> list[str]:
     counts, out = result.counts, []
     bad = [
-        f"{number} {what}"
+        f"{what}: {number}"
         for number, what in (
             (counts.bad_currents, "without a current (predicted over)"),
             (counts.bad_voltages, "without a voltage (the last one held)"),
@@ -100,8 +113,24 @@ def _sample_warnings(result: Result) -> list[str]:
         if number
     ]
     if bad:
-        restarts = f"; the observer restarted {counts.restarts} times" if counts.restarts else ""
-        out.append(f"Rows {', '.join(bad)}{restarts}.")
+        restarts = f"; the observer started anew {counts.restarts} ×" if counts.restarts else ""
+        out.append(f"Number of rows {', '.join(bad)}{restarts}.")
+    return out
+
+
+def _truth_warnings(result: Result) -> list[str]:
+    tally = result.tally
+    out: list[str] = []
+    if result.log.truth is None or not tally.valid:
+        return out
+    if tally.scored < 0.99 * tally.valid:
+        out.append(f"The true angle is known on {tally.scored} of {tally.valid} valid rows only.")
+    if tally.scored and np.sqrt(tally.error_squared / tally.scored) > TRUTH_LIMIT:
+        out.append(
+            "The true angle is far off everywhere: is it in radians (--scale theta_mech=0.0174533 "
+            "for degrees), electrical or mechanical, n_p right, counted in the direction of a-b-c, "
+            "zero where d lies along α?"
+        )
     return out
 
 

@@ -19,7 +19,9 @@ def open_table(path: str | Path) -> Table:
         The file is missing, unreadable or empty.
     """
     path = Path(path)
-    if not path.is_file():
+    if path.is_dir():
+        raise RecordError(f"{path}: this is a folder, not a log")
+    if not path.exists():
         raise RecordError(f"{path}: no such file")
     # A format's library is loaded only where it is needed: start-up time counts.
     match path.suffix.lower():

@@ -22,7 +22,7 @@ class NpzTable:
         try:
             with np.load(path, allow_pickle=False) as archive:
                 arrays = {name: archive[name] for name in archive.files}
-        except (OSError, ValueError, zipfile.BadZipFile) as error:
+        except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
             raise RecordError(f"{path}: not a readable .npz file: {error}") from None
         self._arrays = {
             name: array.astype(float)

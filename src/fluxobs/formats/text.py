@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -33,7 +34,21 @@ class Dialect:
 
 
 def _split(line: str, delimiter: str) -> list[str]:
-    return [cell.strip().strip('"').strip() for cell in line.rstrip("\r\n").split(delimiter)]
+    """Cells of a line; quotes protect a delimiter."""
+    cells = next(csv.reader([line.rstrip("\r\n")], delimiter=delimiter), [])
+    return [cell.strip() for cell in cells]
+
+
+def _probe(path: Path, lines: int = 200, places: int = 8) -> list[str]:
+    """First lines of a file, and a few whole ones from further down."""
+    with path.open("rb") as file:
+        found = list(islice(file, lines))
+        size = file.seek(0, 2)
+        for n in range(1, places):
+            file.seek(size * n // places)
+            file.readline()
+            found += list(islice(file, 20))
+    return [line.decode("utf-8-sig", errors="replace") for line in found]
 
 
 def sniff(path: Path) -> Dialect:
@@ -44,8 +59,9 @@ def sniff(path: Path) -> Dialect:
     RecordError
         Empty file, no header, or repeated column names.
     """
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        lines = list(islice(file, 200))
+    lines = _probe(path)
+    if any("\x00" in line for line in lines[:5]):
+        raise RecordError(f"{path}: this is no text in UTF-8; save it as CSV, Parquet or npz")
     content = [
         (number, line)
         for number, line in enumerate(lines)
@@ -58,7 +74,7 @@ def sniff(path: Path) -> Dialect:
     header_line, header = content[0]
     delimiter = next((d for d in _DELIMITERS if d in header.strip()), ",")
     names = _split(header, delimiter)
-    cells = [cell for _, line in content[1:50] for cell in _split(line, delimiter)]
+    cells = [cell for _, line in content[1:] for cell in _split(line, delimiter)]
     if all(_is_number(name) for name in names if name):
         raise RecordError(
             f"{path}, line {header_line + 1}: expected a header with column names, found numbers: "
@@ -94,6 +110,7 @@ class TextTable:
         except OSError as error:
             raise RecordError(f"{path}: cannot be read: {error.strerror}") from None
         self.columns = list(self.dialect.names)
+        self._checked_length = False
         try:
             # Counting lines needs no parsing of cells.
             self.rows = int(self._scan(pl.String).select(pl.len()).collect().item())
@@ -141,6 +158,9 @@ class TextTable:
         """A cell that did not parse is either empty or a mistake."""
         cells = self._scan(pl.String).select(name).slice(first, last - first).collect()[name]
         for offset, text in enumerate(cells):
+            if text is None and not self._checked_length:
+                self._checked_length = True
+                self._refuse_short(first + offset)
             if text is None or text.strip().lower() in MISSING:
                 continue
             number = text.strip().replace(",", ".") if self.dialect.decimal_comma else text.strip()
@@ -151,6 +171,18 @@ class TextTable:
                     f"{self.path}, {self.place(first + offset)}, column {name!r}: {text!r} is not "
                     f"a number. Correct it, or leave the cell empty if the value is missing"
                 ) from None
+
+    def _refuse_short(self, row: int) -> None:
+        """A cell that is missing may be empty, or its line too short."""
+        number = self.dialect.header_line + 1 + row
+        with self.path.open(encoding="utf-8", errors="replace") as file:
+            line = next(islice(file, number, None), "")
+        cells, width = len(_split(line, self.dialect.delimiter)), len(self.columns)
+        if cells < width:
+            raise RecordError(
+                f"{self.path}, {self.place(row)}: {cells} cells, the header has {width}. Complete "
+                f"the line or take it out"
+            )
 
     def _ragged(self, error: object) -> RecordError:
         """Finds the first line with too many cells, to say more than the parser does."""

@@ -29,7 +29,7 @@ class Machine(BaseModel):
         Peak phase current [A], > 0; sets the scale of what is plausible, needs no precision.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     kind: ClassVar[str]
     #: The relation cannot tell the position from the one half a turn away.

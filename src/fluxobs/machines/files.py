@@ -34,7 +34,7 @@ def machine_from(fields: Mapping[str, Any], source: str = "machine") -> Machine:
     kind = parameters.pop("kind", None)
     if kind is None:
         raise MachineError(f"{source}: kind is missing: one of {', '.join(KINDS)}")
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         raise MachineError(f"{source}: unknown kind {kind!r}{nearest(str(kind), KINDS)}")
     try:
         return KINDS[kind](**parameters)
@@ -58,10 +58,13 @@ def read_machine(path: str | Path) -> Machine:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise MachineError(
-            f"{path}: no such machine file; `fluxobs machines` lists the shipped ones"
+            f"{path}: no such machine file, nor a shipped machine"
+            f"{nearest(path.name, example_names())}"
         ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise MachineError(f"{path}: cannot be read: {error}") from None
+    except OSError as error:
+        raise MachineError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise MachineError(f"{path}: not TOML: {error}") from None
     try:
         fields = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
