@@ -44,8 +44,7 @@ def report(result: Result, path: str | Path) -> None:
         "axes.titlesize": 9,
         "axes.titleweight": "bold",
         "axes.titlelocation": "left",
-        "legend.framealpha": 0.85,
-        "legend.edgecolor": "none",
+        "legend.frameon": False,
         "lines.linewidth": 1.0,
     }
     with plt.rc_context(style):
@@ -109,6 +108,11 @@ def check_path(path: Path) -> None:
         raise FluxobsError(f"{path}: the folder {path.parent} does not exist")
 
 
+def _legend(axes: Axes, **options: Any) -> None:
+    """Above the axes at the right, where no data can be."""
+    axes.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, ncols=2, **options)
+
+
 def _where_valid(series: dict[str, Array], name: str) -> Array:
     return np.where(series["valid"] > 0, series[name], np.nan)
 
@@ -122,16 +126,16 @@ def _locus(axes: Axes, whole: dict[str, Array]) -> None:
         ".",
         color=BLUE,
         markersize=1.5,
-        label="flux linkage λ",
+        label="λ",
     )
     x = scale * whole["psi_f"] * np.cos(whole["theta_e"])
     y = scale * whole["psi_f"] * np.sin(whole["theta_e"])
-    axes.plot(x[known], y[known], ".", color=ORANGE, markersize=1.5, label="λ - L i (along d)")
+    axes.plot(x[known], y[known], ".", color=ORANGE, markersize=1.5, label="λ - L i, along d")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_title("Flux locus")
     axes.set_xlabel(f"α [{unit}]")
     axes.set_ylabel(f"β [{unit}]")
-    axes.legend(loc="upper right", markerscale=5)
+    _legend(axes, markerscale=5)
 
 
 def _position(axes: Axes, detail: dict[str, Array]) -> None:
@@ -150,7 +154,7 @@ def _position(axes: Axes, detail: dict[str, Array]) -> None:
     axes.set_xlim(t[0], t[-1])
     axes.set_xlabel("t [s]")
     _shade_unknown(axes, detail)
-    axes.legend(loc="upper right", ncols=2)
+    _legend(axes)
 
 
 def _few_periods(detail: dict[str, Array], periods: float = 8.0) -> dict[str, Array]:
@@ -183,7 +187,7 @@ def _error(axes: Axes, whole: dict[str, Array]) -> None:
     axes.set_ylim(-1.4 * limit, 1.4 * limit)
     axes.set_title("Position error" if "theta_e_error" in whole else "Uncertainty of the position")
     axes.set_ylabel("[°]")
-    axes.legend(loc="upper right", ncols=2)
+    _legend(axes)
 
 
 def _speed(axes: Axes, whole: dict[str, Array]) -> None:
@@ -199,7 +203,7 @@ def _drift(axes: Axes, whole: dict[str, Array]) -> None:
     axes.axhline(0, color=GREY, linewidth=0.5)
     axes.set_title("Drift: R δ_i - δ_u, what the sensors' offsets add to the flux per second")
     axes.set_ylabel("[mV]")
-    axes.legend(loc="upper right", ncols=2)
+    _legend(axes)
 
 
 def _shade_unknown(axes: Axes, series: dict[str, Array]) -> None:
