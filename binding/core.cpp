@@ -59,7 +59,7 @@ public:
     Core(const Matrix &Q1, const Matrix &Q2, const Matrix &Q3, const Vector &E, const Vector &C,
          const Matrix &R, const Matrix &B, double L_position, double sample_time, double memory,
          double flux_base, double constraint_base, double constraint_noise, double current_noise,
-         double current_limit, double drift_prior, double tracker_bandwidth) {
+         double current_limit, double drift_prior, double length_min, double tracker_bandwidth) {
         fo_config c;
         copy(c.Q1, Q1);
         copy(c.Q2, Q2);
@@ -77,6 +77,7 @@ public:
         c.current_noise = static_cast<fo_real>(current_noise);
         c.current_limit = static_cast<fo_real>(current_limit);
         c.drift_prior = static_cast<fo_real>(drift_prior);
+        c.length_min = static_cast<fo_real>(length_min);
         c.tracker_bandwidth = static_cast<fo_real>(tracker_bandwidth);
         switch (fo_init(&observer_, &c)) {
             case FO_OK: return;
@@ -181,12 +182,12 @@ NB_MODULE(FLUXOBS_MODULE, m) {
     nb::class_<Core>(m, "Core")
         .def(nb::init<const Matrix &, const Matrix &, const Matrix &, const Vector &, const Vector &,
                       const Matrix &, const Matrix &, double, double, double, double, double, double,
-                      double, double, double, double>(),
+                      double, double, double, double, double>(),
              nb::kw_only(), nb::arg("Q1"), nb::arg("Q2"), nb::arg("Q3"), nb::arg("E"), nb::arg("C"),
              nb::arg("R"), nb::arg("B"), nb::arg("L_position"), nb::arg("sample_time"),
              nb::arg("memory"), nb::arg("flux_base"), nb::arg("constraint_base"),
              nb::arg("constraint_noise"), nb::arg("current_noise"), nb::arg("current_limit"),
-             nb::arg("drift_prior"), nb::arg("tracker_bandwidth"))
+             nb::arg("drift_prior"), nb::arg("length_min"), nb::arg("tracker_bandwidth"))
         .def("reset", &Core::reset)
         .def("run", &Core::run)
         .def_static("counters", &Core::counters);

@@ -28,8 +28,8 @@ static const fo_real SHARE_LIMIT = (fo_real)0.1;
 static const fo_real SWEEP = PI;
 /* Position std above which a trusted position is not called valid: 5 degrees. */
 static const fo_real STD_LIMIT = PI / (fo_real)36;
-/* The same for what a voltage error as large as the drift's prior can do: 15 degrees. */
-static const fo_real VOLTAGE_LIMIT = PI / (fo_real)12;
+/* The same for what a voltage error as large as the drift's prior can do: 8 degrees. */
+static const fo_real VOLTAGE_LIMIT = PI / (fo_real)22.5;
 /* Std of an angle of which nothing is known: uniform over a turn, pi / sqrt(3). */
 static const fo_real STD_UNKNOWN = (fo_real)1.8137993642342178;
 /* The largest flux change in one sample that is no error, in flux bases: twice what eight samples
@@ -37,9 +37,10 @@ static const fo_real STD_UNKNOWN = (fo_real)1.8137993642342178;
 static const fo_real FLUX_STEP_LIMIT = (fo_real)4;
 /* A measurement further than this off what is known, in constraint bases, is not taken. */
 static const fo_real OUTLIER_LIMIT = (fo_real)1;
-/* So is one in which the position vector x moves by more than twice its last step and this share
- * of itself: a spike of the current can leave |x| as it is. */
+/* So is one in which the position vector x moves by more than twice its last step, this share of
+ * itself and six stds of noise: a spike of the current can leave |x| as it is. */
 static const fo_real STEP_LIMIT = (fo_real)0.15;
+static const fo_real STEP_NOISE = (fo_real)6;
 /* Largest lag-one correlation of the innovations that is believed. */
 static const fo_real CORRELATION_LIMIT = (fo_real)0.98;
 /* A prior row is re-injected every so many samples: rotations are what a sample costs. */
@@ -86,7 +87,7 @@ static int config_finite(const fo_config *c)
 {
     fo_real sum = c->L_position + c->sample_time + c->memory + c->flux_base + c->constraint_base +
                   c->constraint_noise + c->current_noise + c->current_limit + c->drift_prior +
-                  c->tracker_bandwidth;
+                  c->tracker_bandwidth + c->length_min;
     for (int i = 0; i < FO_N; i++) {
         for (int j = 0; j < FO_N; j++) {
             sum += c->Q1[i][j] + c->Q2[i][j] + c->Q3[i][j] + c->R[i][j] + c->B[i][j];
@@ -154,6 +155,8 @@ fo_error fo_init(fo_observer *o, const fo_config *c)
     o->flux_base = psi;
     o->drift_base = drift_base;
     o->current_limit = c->current_limit;
+    o->over_noise = ONE / (c->current_noise * c->current_noise);
+    o->length_min = c->length_min / psi;
     o->L_position = c->L_position / psi;
     /* Noise of the current in x: directly through L, and through R as a random walk of the flux
      * that is followed with about a quarter of the memory. */
@@ -212,6 +215,7 @@ static void restart(const fo_observer *o, fo_state *s)
     restart_at(o, s, nothing);
     s->have_current = 0;
     s->have_voltage = 0;
+    s->exposed = ZERO;
     s->variance = STD_UNKNOWN * STD_UNKNOWN; /* what is carried is lost */
 }
 
@@ -314,6 +318,26 @@ static fo_real rotate_in(fo_state *s, fo_real row[FO_NX], fo_real rhs, int first
     return rhs;
 }
 
+/* Noise variance of a current component from the last four samples: third differences remove what
+ * is smooth and have 20 times the variance. */
+static fo_real third_difference(const fo_state *s)
+{
+    fo_real sum = ZERO;
+    for (int i = 0; i < FO_N; i++) {
+        const fo_real d = s->current[0][i] - s->current[3][i] +
+                          (fo_real)3 * (s->current[2][i] - s->current[1][i]);
+        sum += d * d;
+    }
+    return sum / (fo_real)(20 * FO_N);
+}
+
+/* Variance of the current's noise over the assumed one, where it is larger. */
+static fo_real roughness(const fo_observer *o, const fo_state *s)
+{
+    const fo_real ratio = s->rough * o->over_noise;
+    return ratio > ONE ? ratio : ONE;
+}
+
 /* 0 = s + (Q2 i)'flux + i'Q3 i + C'i, divided by its noise. Returns 0 where that is far from what
  * all samples before say; the information is then spoilt. */
 static int measure(const fo_observer *o, fo_state *s, const fo_real current[FO_N])
@@ -333,7 +357,8 @@ static int measure(const fo_observer *o, fo_state *s, const fo_real current[FO_N
     s->lag_one = o->rho * s->lag_one + e * s->innovation;
     s->weight = o->rho * s->weight + ONE;
     s->innovation = e;
-    s->info.noise[0] += o->noise_information;
+    s->info.noise[0] += o->noise_information * roughness(o, s);
+    s->rough += o->h * (third_difference(s) - s->rough);
     return 1;
 }
 
@@ -453,12 +478,12 @@ static void position(const fo_observer *o, const fo_state *s, const fo_real *flu
 }
 
 /* Variance of the angle of p: covariance across p, and the noise of the current in it. */
-static fo_real angle_variance(const fo_observer *o, const solution *a, const fo_real *p,
-                              fo_real square)
+static fo_real angle_variance(const fo_observer *o, const fo_state *s, const solution *a,
+                              const fo_real *p, fo_real square)
 {
     const fo_real across = p[1] * p[1] * a->P[0][0] - TWO * p[0] * p[1] * a->P[0][1] +
                            p[0] * p[0] * a->P[1][1];
-    return (a->inflation * across / square + o->position_noise) / square;
+    return (a->inflation * across / square + o->position_noise * roughness(o, s)) / square;
 }
 
 /* A prior that is wrong is forgotten slowly: widen it, and let what it did count for little. */
@@ -478,13 +503,16 @@ static void widen_prior(fo_state *s, fo_real excess)
 }
 
 /* Does a voltage error of the plausible size turn the flux by little? It adds up until the rotor
- * has turned by a radian or the memory is over; innovations show it only then. */
-static int voltage_error_small(const fo_observer *o, const fo_state *s, fo_real square)
+ * has turned by about a radian; a slow turn of the flux leaves no trace in the innovations. */
+static int voltage_error_small(const fo_observer *o, fo_state *s)
 {
     const fo_real speed = s->speed < ZERO ? -s->speed : s->speed;
-    const fo_real turned = speed * o->sample_time / o->h; /* within the memory */
-    const fo_real error = ONE / (o->prior[DRIFT] * (turned > ONE ? turned : ONE));
-    return error * error < VOLTAGE_LIMIT * VOLTAGE_LIMIT * square;
+    const fo_real turned = speed * o->sample_time;
+    s->exposed += o->h - s->exposed * (turned < ONE ? turned : ONE);
+    if (!s->trusted) {
+        s->exposed = ZERO; /* trust comes with half a turn */
+    }
+    return s->exposed < VOLTAGE_LIMIT * o->prior[DRIFT] * s->length;
 }
 
 /* Carries the last trusted flux on by integration; returns the variance of its angle. Once
@@ -533,7 +561,7 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     position(o, s, flux, p);
     fo_real square = dot(p, p), theta = fo_atan2(p[1], p[0]);
 
-    const int known = a.noise_share < SHARE_LIMIT && square > ZERO;
+    const int known = a.noise_share < SHARE_LIMIT && square > o->length_min * o->length_min;
     s->swept = known ? s->swept + wrap(theta - s->theta) : ZERO;
     s->theta = theta;
     const fo_real turned = s->swept < ZERO ? -s->swept : s->swept;
@@ -547,7 +575,7 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
 
     fo_real variance = STD_UNKNOWN * STD_UNKNOWN;
     if (trusted) {
-        variance = angle_variance(o, &a, p, square);
+        variance = angle_variance(o, s, &a, p, square);
         s->variance = variance;
         s->carried = ZERO;
         s->have_carried = 1;
@@ -565,6 +593,7 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
             theta = fo_atan2(p[1], p[0]);
         }
     }
+    s->length = fo_sqrt(square);
     const int lost = !(variance < STD_UNKNOWN * STD_UNKNOWN);
     if (lost && !known) {
         stop_tracker(s, theta);
@@ -576,7 +605,6 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
         e->flux[i] = flux[i] * o->flux_base;
         e->drift[i] = drift[i] * o->drift_base;
     }
-    s->length = fo_sqrt(square);
     e->psi_f = s->length * o->flux_base;
     e->theta_e = theta;
     e->theta_e_tracked = s->angle;
@@ -584,7 +612,8 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     e->theta_e_std = lost ? STD_UNKNOWN : fo_sqrt(variance);
     e->innovation = s->innovation;
     e->noise_share = a.noise_share;
-    e->valid = trusted && e->theta_e_std < STD_LIMIT && voltage_error_small(o, s, square);
+    const int steady = voltage_error_small(o, s);
+    e->valid = trusted && e->theta_e_std < STD_LIMIT && steady;
 
     if (trusted && excess > ONE && turned > SETTLED) {
         widen_prior(s, excess);
@@ -672,7 +701,9 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
             restart_at(o, s, nothing); /* the past cannot be connected to this sample */
         }
         const fo_real step = position_step(o, s, v);
-        contradicted = current_good && s->trusted && step > TWO * s->step + STEP_LIMIT * s->length;
+        contradicted = current_good && s->trusted &&
+                       step > TWO * s->step + STEP_LIMIT * s->length +
+                                  STEP_NOISE * fo_sqrt(o->position_noise * roughness(o, s));
         contradicted = contradicted || (current_good && !measure(o, s, current));
         if (contradicted) { /* go over it as if it were missing */
             s->outliers++;

@@ -52,6 +52,7 @@ typedef struct {
     fo_real current_noise;         /* std of one current component [A]                         */
     fo_real current_limit;         /* |i| above this is no measurement [A]                     */
     fo_real drift_prior;           /* std of the drift before anything is known [V]            */
+    fo_real length_min;            /* |flux - L_position i| below this is no position [Wb]     */
     fo_real tracker_bandwidth;     /* of the angle and speed tracker [rad/s]                   */
 } fo_config;
 
@@ -72,6 +73,8 @@ typedef struct {
     fo_real noise_information;     /* per sample, what current noise alone pretends   */
     fo_real flux_base, drift_base; /* [Wb], [V]                                       */
     fo_real current_limit;         /* [A]                                             */
+    fo_real over_noise;            /* 1 / assumed variance of the current [1/A^2]     */
+    fo_real length_min;            /* per-unit                                        */
     fo_real L_position;            /* per-unit per ampere                             */
     fo_real position_noise;        /* variance in x from the current's noise          */
     fo_real sample_time;           /* [s]                                             */
@@ -91,6 +94,8 @@ typedef struct {
     fo_real current[FO_HISTORY][FO_N];   /* newest first [A]                                     */
     fo_real source[FO_N];                /* last good volt-seconds                               */
     fo_real step, length;                /* of the position vector: last step, |flux - L i|      */
+    fo_real rough;                       /* variance of a current component by its roughness [A^2] */
+    fo_real exposed;                     /* to voltage errors: time within the last radian [memories] */
     fo_real innovation;                  /* last, normalised                                     */
     fo_real power, lag_one, weight;      /* sums over the innovations, forgetting                */
     fo_real prior_scale;                 /* the drift's prior has proved too tight by this       */

@@ -48,7 +48,8 @@ int main(void)
     c.current_noise = (fo_real)0.02;
     c.current_limit = (fo_real)240;
     c.drift_prior = (fo_real)0.13;
-    c.tracker_bandwidth = (fo_real)333;
+    c.length_min = (fo_real)(0.25 * psi);
+    c.tracker_bandwidth = (fo_real)667;
 
     fo_observer observer;
     fo_state state;

@@ -34,6 +34,8 @@ class Machine(BaseModel):
     kind: ClassVar[str]
     #: The relation cannot tell the position from the one half a turn away.
     half_turn_ambiguous: ClassVar[bool] = False
+    #: Share of the flux base below which a position vector is none.
+    shortest: ClassVar[float] = 0.25
 
     R_s: Positive
     n_p: PolePairs

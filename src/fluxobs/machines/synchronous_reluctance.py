@@ -27,6 +27,7 @@ class SynchronousReluctance(Machine):
 
     kind = "synchronous-reluctance"
     half_turn_ambiguous = True
+    shortest = 0.05  # it is as long as i_d allows
 
     L_d: Positive
     L_q: Positive

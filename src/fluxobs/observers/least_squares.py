@@ -22,8 +22,8 @@ from .base import Estimate
 #: shorter, and slow machines turn too little within it; much longer, and what is taken as constant
 #: (drift, inverter error, magnet flux) changes within it.
 MEMORY = 0.03
-#: Bandwidth of the tracker times the memory: follows changes three times as fast as the memory.
-TRACKER = 10.0
+#: Bandwidth of the tracker times the memory: follows load steps that the memory only averages.
+TRACKER = 20.0
 #: No real machine keeps its relation better than to this share of its flux squared (saturation,
 #: slots, inverter). It belongs to the assumed noise, where it balances prior against data; the
 #: reported standard deviations take their level from the innovations.
@@ -108,6 +108,8 @@ class LeastSquaresObserver:
     drift_prior : float
         Largest plausible drift [V]. Start-up is quicker the tighter it is; one that proves too
         tight is widened.
+    length_min : float
+        A position vector shorter than this is no position [Wb].
     tracker_bandwidth : float
         [rad/s].
     precision : {"double", "single"}
@@ -143,6 +145,7 @@ class LeastSquaresObserver:
     current_noise: float
     current_limit: float
     drift_prior: float
+    length_min: float
     tracker_bandwidth: float
     precision: Literal["double", "single"] = "double"
     _core: Any = field(init=False, repr=False, compare=False)
@@ -166,6 +169,7 @@ class LeastSquaresObserver:
             "constraint_noise",
             "current_limit",
             "drift_prior",
+            "length_min",
             "tracker_bandwidth",
         ):
             value = getattr(self, name)
@@ -200,6 +204,7 @@ class LeastSquaresObserver:
             current_noise=self.current_noise,
             current_limit=self.current_limit,
             drift_prior=self.drift_prior,
+            length_min=self.length_min,
             tracker_bandwidth=self.tracker_bandwidth,
         )
 
@@ -280,6 +285,7 @@ class LeastSquaresObserver:
                 CURRENT_LIMIT * rated, CURRENT_FLUX_LIMIT * flux_base / machine.position_inductance
             ),
             drift_prior=drift_prior,
+            length_min=machine.shortest * flux_base,
             tracker_bandwidth=TRACKER / memory,
             precision=precision,
         )
