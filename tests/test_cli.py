@@ -35,7 +35,6 @@ def fluxobs(*arguments, folder):
         text=True,
         cwd=folder,
         encoding="utf-8",
-        env=None,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,17 +138,8 @@ def observer_for(
         rated_current=rated,
         current_noise=noise,
     )
-    if chosen.drift_prior >= 0.01 * scales.voltage:
-        return chosen
-    return LeastSquaresObserver.for_machine(
-        machine,
-        sample_time=log.sample_time,
-        memory=memory,
-        psi_f=psi_f,
-        rated_current=rated,
-        current_noise=noise,
-        drift_prior=0.01 * scales.voltage,  # an offset of a hundredth of the voltage is ordinary
-    )
+    # An offset of a hundredth of the voltage is ordinary.
+    return replace(chosen, drift_prior=max(chosen.drift_prior, 0.01 * scales.voltage))
 
 
 def guess_psi_f(log: Log, machine: Machine, scales: Scales, memory: float) -> float:
