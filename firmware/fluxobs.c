@@ -26,8 +26,8 @@ enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
 static const fo_real SHARE_LIMIT = (fo_real)0.1;
 /* Rotation since the flux is known before the position is trusted: half a turn. */
 static const fo_real SWEEP = PI;
-/* Position std above which a trusted position is not called valid: 5 degrees. */
-static const fo_real STD_LIMIT = PI / (fo_real)36;
+/* Position std above which a trusted position is not called valid: 3 degrees, five to 15. */
+static const fo_real STD_LIMIT = PI / (fo_real)60;
 /* The same for what a voltage error as large as the drift's prior can do: 8 degrees. */
 static const fo_real VOLTAGE_LIMIT = PI / (fo_real)22.5;
 /* Std of an angle of which nothing is known: uniform over a turn, pi / sqrt(3). */

@@ -185,7 +185,7 @@ def _residual_warnings(result: Result) -> list[str]:
     flux = tally.psi / tally.valid if tally.valid and magnets else result.observer.flux_base
     residual = np.inf
     if tally.valid:
-        rms = np.sqrt(tally.innovation / tally.valid)
+        rms = np.sqrt(tally.innovation / tally.settled)
         residual = float(rms * result.observer.constraint_noise / flux**2)
     rated = machine.rated_current or result.scales.current
     noise = machine.constraint_noise(flux, rated, result.scales.current_noise) / flux**2

@@ -57,7 +57,8 @@ class Tally:
     first_valid_row: int | None = None
     drift: Array = field(default_factory=lambda: np.zeros(2))
     psi: float = 0.0
-    innovation: float = 0.0
+    settled: int = 0  # rows since the first valid one
+    innovation: float = 0.0  # sum of squares over these
     scored: int = 0
     error: float = 0.0
     error_squared: float = 0.0
@@ -83,7 +84,11 @@ class Tally:
         self.valid += int(valid.sum())
         self.drift = self.drift + estimate.drift[valid].sum(axis=0)
         self.psi += float(estimate.psi_f[valid].sum())
-        self.innovation += float((estimate.innovation[valid] ** 2).sum())
+        if self.first_valid_row is not None:
+            # From then on all rows: those that are not valid are so because of their residual.
+            since = max(0, self.first_valid_row - self.rows)
+            self.settled += count - since
+            self.innovation += float((estimate.innovation[since:] ** 2).sum())
         if error is not None:
             known = error[valid & np.isfinite(error)]
             self.scored += len(known)
