@@ -32,6 +32,7 @@ static const fo_real STD_LIMIT = PI / (fo_real)60;
 static const fo_real VOLTAGE_LIMIT = PI / (fo_real)22.5;
 /* Std of an angle of which nothing is known: uniform over a turn, pi / sqrt(3). */
 static const fo_real STD_UNKNOWN = (fo_real)1.8137993642342178;
+static const fo_real VARIANCE_UNKNOWN = PI * PI / (fo_real)3;
 /* The largest flux change in one sample that is no error, in flux bases: twice what eight samples
  * a period ask for, with a magnet flux twice as large as its base. */
 static const fo_real FLUX_STEP_LIMIT = (fo_real)4;
@@ -187,15 +188,15 @@ static fo_real prior_scale(const fo_state *s, int i)
     return i < KAPPA ? ONE : i < CC ? s->prior_scale : s->prior_scale * s->prior_scale;
 }
 
-/* Only the prior is left, centred at x; the innovations start at their assumed level. */
-static void restart_at(const fo_observer *o, fo_state *s, const fo_real x[FO_NX])
+/* Only the prior is left; the innovations start at their assumed level. */
+static void empty_information(const fo_observer *o, fo_state *s)
 {
     for (int i = 0; i < FO_TRIANGLE; i++) {
         s->info.R[i] = ZERO;
     }
     for (int i = 0; i < FO_NX; i++) {
         s->info.R[AT(i, i)] = o->prior[i] / prior_scale(s, i);
-        s->info.z[i] = s->info.R[AT(i, i)] * x[i];
+        s->info.z[i] = ZERO;
     }
     s->innovation = ZERO;
     s->weight = ONE / o->h;
@@ -211,12 +212,11 @@ static void restart_at(const fo_observer *o, fo_state *s, const fo_real x[FO_NX]
 
 static void restart(const fo_observer *o, fo_state *s)
 {
-    static const fo_real nothing[FO_NX] = {0};
-    restart_at(o, s, nothing);
+    empty_information(o, s);
     s->have_current = 0;
     s->have_voltage = 0;
     s->exposed = ZERO;
-    s->variance = STD_UNKNOWN * STD_UNKNOWN; /* what is carried is lost */
+    s->variance = VARIANCE_UNKNOWN; /* what is carried is lost */
 }
 
 void fo_reset(const fo_observer *o, fo_state *s)
@@ -520,7 +520,6 @@ static int voltage_error_small(const fo_observer *o, fo_state *s)
 static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N],
                         const solution *a)
 {
-    const fo_real unknown = STD_UNKNOWN * STD_UNKNOWN;
     if (s->carried == ZERO) {
         fo_real p[FO_N];
         position(o, s, s->flux, p);
@@ -528,8 +527,8 @@ static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N]
     }
     s->carried += o->h;
     const fo_real variance = s->variance + s->growth * s->carried * s->carried;
-    if (!(variance < unknown)) {
-        return unknown;
+    if (!(variance < VARIANCE_UNKNOWN)) {
+        return VARIANCE_UNKNOWN;
     }
     for (int i = 0; i < FO_N; i++) {
         s->flux[i] += v[i] + o->h * s->drift[i];
@@ -573,7 +572,7 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     const fo_real excess = dot(drift, drift) / (drift_prior * drift_prior);
     a.inflation *= excess > ONE ? excess : ONE;
 
-    fo_real variance = STD_UNKNOWN * STD_UNKNOWN;
+    fo_real variance = VARIANCE_UNKNOWN;
     if (trusted) {
         variance = angle_variance(o, s, &a, p, square);
         s->variance = variance;
@@ -585,7 +584,7 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
         }
     } else if (s->have_carried) {
         variance = carry_on(o, s, v, &a);
-        if (!known || variance < STD_UNKNOWN * STD_UNKNOWN) {
+        if (!known || variance < VARIANCE_UNKNOWN) {
             flux = s->flux;
             drift = s->drift;
             position(o, s, flux, p);
@@ -594,7 +593,7 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
         }
     }
     s->length = fo_sqrt(square);
-    const int lost = !(variance < STD_UNKNOWN * STD_UNKNOWN);
+    const int lost = !(variance < VARIANCE_UNKNOWN);
     if (lost && !known) {
         stop_tracker(s, theta);
     } else {
@@ -697,8 +696,7 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
             volt_seconds(o, s, complete, v);
             predict(o, s, v);
         } else {
-            static const fo_real nothing[FO_NX] = {0};
-            restart_at(o, s, nothing); /* the past cannot be connected to this sample */
+            empty_information(o, s); /* the past cannot be connected to this sample */
         }
         const fo_real step = position_step(o, s, v);
         contradicted = current_good && s->trusted &&

@@ -105,8 +105,7 @@ def estimate(
     for name, value in (("frame", frame), ("sample_time", sample_time), ("lag", lag)):
         if value is not None:
             fields[name] = value
-    for name, pairs in (("columns", column), ("truth", truth)):
-        fields[name] = fields.get(name, {}) | _pairs(name, pairs)
+    fields["columns"] = fields.get("columns", {}) | _pairs("column", column)
     for name, pairs in (("scale", scale), ("offset", offset)):
         fields[name] = fields.get(name, {}) | _numbers(name, pairs)
     if truth:
@@ -245,7 +244,7 @@ def _pairs(option: str, pairs: Pairs) -> dict[str, str]:
     for pair in pairs or []:
         name, equals, value = pair.partition("=")
         if not (name and equals and value):
-            raise RecordError(f"--{option.removesuffix('s')}: expected NAME=VALUE, got {pair!r}")
+            raise RecordError(f"--{option}: expected NAME=VALUE, got {pair!r}")
         out[name.strip()] = value.strip()
     return out
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from .errors import RecordError
 from .frames import CURRENTS, FRAMES, PHASE_CURRENTS, VOLTAGES, Frame
-from .validation import complaints, nearest
+from .validation import Number, Positive, complaints, nearest
 
 #: Every channel a log may have.
 CHANNELS = tuple(
@@ -23,9 +23,6 @@ CHANNELS = tuple(
 TRUTHS = ("theta_e", "theta_mech")
 #: Column name that says: pass over what there is (for t).
 NO_COLUMN = "-"
-
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class Layout(BaseModel):

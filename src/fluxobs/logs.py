@@ -228,10 +228,10 @@ def open_log(
     """
     available = table.columns
     names = layout.required(available)
-    wanted = [*names.items(), *layout.truth.items()]
-    for channel, column in wanted:
-        if column not in available:
-            raise missing_column(table, column, channel)
+    for option, wanted in (("--column", names), ("--truth", layout.truth)):
+        for channel, column in wanted.items():
+            if column not in available:
+                raise missing_column(table, column, channel, option)
     if table.rows < MINIMUM_ROWS:
         raise RecordError(
             f"{table.path}: {table.rows} rows of data are too few; at least "

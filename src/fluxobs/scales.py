@@ -97,7 +97,7 @@ def measure_scales(log: Log) -> Scales:
     Raises
     ------
     RecordError
-        No finite current or voltage in it, or the current is zero throughout.
+        No finite current or voltage in it, or one of them is zero throughout.
     """
     currents, voltages, noise, turning = [], [], [], []
     for part in excerpts(log):
@@ -110,7 +110,6 @@ def measure_scales(log: Log) -> Scales:
     for what, values in (("current", i), ("voltage", u)):
         if len(values) == 0:
             raise RecordError(f"{log.table.path}: no row has a {what}; are the columns right?")
-    for what, values in (("current", i), ("voltage", u)):
         if not values.any():
             raise RecordError(
                 f"{log.table.path}: the {what} is zero in every row: nothing can be learnt "

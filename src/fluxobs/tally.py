@@ -75,6 +75,10 @@ class Tally:
             at = int(np.argmax(valid))
             self.first_valid, self.first_valid_row = float(rows.t[at]), self.rows + at
         if self.first_valid_row is not None:
+            # From then on all rows: those that are not valid are so because of their residual.
+            since = max(0, self.first_valid_row - self.rows)
+            self.settled += count - since
+            self.innovation += float((estimate.innovation[since:] ** 2).sum())
             low = max(0, self.first_valid_row - DETAIL_ROWS // 3 - self.rows)
             high = self.first_valid_row + 2 * DETAIL_ROWS // 3 - self.rows
             if high > 0:
@@ -84,11 +88,6 @@ class Tally:
         self.valid += int(valid.sum())
         self.drift = self.drift + estimate.drift[valid].sum(axis=0)
         self.psi += float(estimate.psi_f[valid].sum())
-        if self.first_valid_row is not None:
-            # From then on all rows: those that are not valid are so because of their residual.
-            since = max(0, self.first_valid_row - self.rows)
-            self.settled += count - since
-            self.innovation += float((estimate.innovation[since:] ** 2).sum())
         if error is not None:
             known = error[valid & np.isfinite(error)]
             self.scored += len(known)

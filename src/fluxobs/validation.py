@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Annotated
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
@@ -16,7 +20,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def complaints(error: ValidationError, fields: Iterable[str], what: str) -> str:
-    """One sentence part a problem. `what` needs the fields, "a surface-pmsm" for instance."""
+    """One sentence part a problem. `what` needs the fields, "kind surface-pmsm" say."""
     fields = list(fields)
     out = []
     for problem in error.errors():

@@ -47,11 +47,11 @@ def read_rows(table: Table, names: Sequence[str], first: int, last: int) -> Colu
     return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 
-def missing_column(table: Table, name: str, channel: str) -> RecordError:
+def missing_column(table: Table, name: str, channel: str, option: str) -> RecordError:
     """The error for a column that is not there: says which are, nearest first."""
     near = difflib.get_close_matches(name, table.columns, n=3, cutoff=0.4)
     hint = f"nearest: {', '.join(near)}" if near else f"it has: {', '.join(table.columns)}"
     return RecordError(
         f"{table.path}: no column {name!r} for the channel {channel}; {hint}. "
-        f"Name it with --column {channel}=COLUMN"
+        f"Name it with {option} {channel}=COLUMN"
     )

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..constraint import QuadraticConstraint
+from ..validation import Positive
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 PolePairs = Annotated[int, Field(ge=1)]
 
 

@@ -39,7 +39,7 @@ def machine_from(fields: Mapping[str, Any], source: str = "machine") -> Machine:
     try:
         return KINDS[kind](**parameters)
     except ValidationError as error:
-        what = complaints(error, KINDS[kind].model_fields, f"a {kind}")
+        what = complaints(error, KINDS[kind].model_fields, f"kind {kind}")
         raise MachineError(f"{source}: {what}") from None
 
 

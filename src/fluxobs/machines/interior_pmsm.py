@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .base import Positive
+from ..validation import Positive
 from .surface_pmsm import MagnetMachine
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..constraint import QuadraticConstraint
-from .base import Machine, Positive
+from ..validation import Positive
+from .base import Machine
 
 
 class MagnetMachine(Machine):

@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import model_validator
 
 from ..constraint import QuadraticConstraint
-from .base import Machine, Positive
+from ..validation import Positive
+from .base import Machine
 
 
 class SynchronousReluctance(Machine):
