@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fluxobs import LeastSquaresObserver
-from fluxobs.immersion import known_input, output_row, transition
+from fluxobs.immersion import Immersion
 from records import CURRENTS, MACHINES, rotating
 
 X = np.longdouble
@@ -41,7 +41,7 @@ def solve(A, b):
 
 def dense(observer, volt_seconds, current):
     """Estimates (flux, drift) at every row."""
-    c, h = observer.constraint, X(observer.sample_time)
+    immersion, h = Immersion(observer.constraint), X(observer.sample_time)
     psi, theta = X(observer.flux_base), X(observer.drift_prior)
     prior = 1 / np.array([psi**2, psi, psi, 2 * psi * theta, theta, theta, theta**2], dtype=X)
     rho = 1 - h / X(observer.memory)
@@ -51,10 +51,10 @@ def dense(observer, volt_seconds, current):
     for k, i in enumerate(current.astype(X)):
         if k > 0:
             v = volt_seconds[k].astype(X)
-            inverse = transition(c, -h, -v)
+            inverse = immersion.transition(-h, -v)
             rows = np.sqrt(rho) * rows @ inverse
-            values = np.sqrt(rho) * values + rows @ known_input(c, v)
-        row, value = output_row(c, i)
+            values = np.sqrt(rho) * values + rows @ immersion.known_input(v)
+        row, value = immersion.output_rows(i)
         sigma = X(observer.constraint_noise)
         rows = np.vstack([rows, row / sigma])
         values = np.append(values, value / sigma)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -107,23 +108,56 @@ class QuadraticConstraint:
         return np.block([[2 * self.Q1, self.Q2], [self.Q2.T, 2 * self.Q3]])
 
     def invisible_offsets(self) -> Array:
-        """Constant offsets of (λ, i) that the relation cannot tell from none.
+        """Constant offsets of (λ, i) that the relation cannot tell from none, (2n, k).
 
-        The null space of the Hessian: where it is empty, flux and current bias can both be found,
-        given excitation; for a surface PMSM it is spanned by (L s, s), so that they cannot, while
-        λ - L i, hence the position, is unaffected. See docs/theory.md, section 3.
-
-        Returns
-        -------
-        (2n, k) ndarray
-            One offset a column, orthonormal after scaling flux and current by their bases.
+        See the function :func:`invisible_offsets`, which takes several relations.
         """
-        hessian = self.hessian()
-        # Flux and current have different units: balance the blocks before judging ranks.
-        norm1, norm3 = np.abs(self.Q1).max(), np.abs(self.Q3).max()
-        ratio = np.sqrt(norm3 / norm1) if norm1 > 0 and norm3 > 0 else 1.0  # flux per current
-        scale = np.r_[np.full(self.n, ratio), np.ones(self.n)]
-        balanced = scale[:, None] * hessian * scale
-        _, singular, vt = np.linalg.svd(balanced)
-        rank = int((singular > 1e-9 * max(singular[0], 1e-300)).sum())
-        return np.asarray(scale[:, None] * vt[rank:].T)
+        return invisible_offsets([self])
+
+
+def invisible_offsets(
+    relations: Sequence[QuadraticConstraint],
+    unknowns: Iterable[str] = ("drift", "current-bias"),
+    R: ArrayLike | None = None,
+) -> Array:
+    """Constant offsets of (λ, i) that no record can tell from none.
+
+    The null space of the relations' stacked Hessians, restricted to what may be offset: with
+    unknown drift alone the current has none; with unknown current bias alone R s = 0, or else the
+    offset would drift. Where it is empty all unknowns can be found, given excitation. For a surface
+    PMSM with both unknowns it is spanned by (L s, s), while λ - L i, hence the position, is
+    unaffected. docs/theory.md, section 3.
+
+    Parameters
+    ----------
+    relations : sequence of QuadraticConstraint
+    unknowns : iterable of {"drift", "current-bias"}
+    R : (n, n) array_like
+        Resistance [Ω]; needed for the current bias alone.
+
+    Returns
+    -------
+    (2n, k) ndarray
+        One offset (r, s) a column, in Wb and A, orthonormal after scaling by typical sizes.
+    """
+    n, wanted = relations[0].n, set(unknowns)
+    rows = [relation.hessian() for relation in relations]
+    # Flux and current have different units: balance the blocks before judging ranks.
+    flux = max(np.abs(relation.Q1).max() for relation in relations)
+    mixed = max(np.abs(relation.Q2).max() for relation in relations)
+    current = max(np.abs(relation.Q3).max() for relation in relations)
+    if flux > 0 and (mixed > 0 or current > 0):
+        ratio = mixed / flux if mixed > 0 else float(np.sqrt(current / flux))
+    else:
+        ratio = current / mixed if mixed > 0 and current > 0 else 1.0
+    scale = np.r_[np.full(n, ratio), np.ones(n)]
+    rows = [scale[:, None] * row * scale for row in rows]
+    if "current-bias" not in wanted:
+        rows.append(np.hstack([np.zeros((n, n)), np.eye(n)]))
+    elif "drift" not in wanted:
+        matrix = np.asarray(R, float)
+        rows.append(np.hstack([np.zeros((n, n)), matrix / np.abs(matrix).max()]))
+    stacked = np.vstack([row / max(np.abs(row).max(), 1e-300) for row in rows])
+    _, singular, vt = np.linalg.svd(stacked)
+    rank = int((singular > 1e-9 * max(singular[0], 1e-300)).sum())
+    return np.asarray(scale[:, None] * vt[rank:].T)

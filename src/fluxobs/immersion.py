@@ -1,74 +1,203 @@
-"""The exact linear system in which the observer runs: readable reference of the C core.
+"""The exact linear system in which the observers run: any number of ports and relations.
 
-State ``x = (s, λ, κ, θ, c)`` of length 2n + 3 with ``s = λᵀQ1λ + Eᵀλ + d``,
-``κ = θᵀ(2 Q1 λ + E)`` and ``c = θᵀQ1θ``, θ being the drift: ``λ̇ = y_m + θ``. With volt-seconds
-``v = ∫ y_m dt`` over one sample the transition below is exact at any sampling rate; nothing is
-discretised. Derivation: docs/theory.md, section 4.
+State ``x = (s_1 … s_r, λ, κ_1 … κ_r, θ, c_1 … c_r, δ)`` with one ``(s, κ, c)`` a relation and ::
+
+    s = λᵀQ1λ + Eᵀλ + d - λᵀQ2δ + δᵀQ3δ - Cᵀδ    κ = θᵀ(2 Q1 λ - Q2 δ + E)    c = θᵀQ1θ
+
+θ is the drift, ``λ̇ = y_m + θ``; δ the current bias where it is unknown, else left out; where it is
+the only unknown, ``θ = R δ`` and θ is left out. With volt-seconds ``v = ∫ y_m dt`` over one sample
+the transition is exact at any sampling rate: nothing is discretised. Derivation: docs/theory.md,
+section 4. The C core is the case of one relation with two ports and unknown drift.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Literal, get_args
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .constraint import QuadraticConstraint
+from .constraint import QuadraticConstraint, invisible_offsets
 
 Array = NDArray[np.floating]
 
-
-def _slices(n: int) -> tuple[slice, slice, slice, slice, slice]:
-    """Where s, λ, κ, θ and c stand."""
-    s, flux, kappa = slice(0, 1), slice(1, n + 1), slice(n + 1, n + 2)
-    return s, flux, kappa, slice(n + 2, 2 * n + 2), slice(2 * n + 2, 2 * n + 3)
+Unknown = Literal["drift", "current-bias"]
+UNKNOWNS: tuple[Unknown, ...] = get_args(Unknown)
 
 
-def lift(constraint: QuadraticConstraint, flux: ArrayLike, drift: ArrayLike) -> Array:
-    """State of the immersion that belongs to flux [Wb] and drift [V], each (n,)."""
-    x, theta = np.asarray(flux), np.asarray(drift)
-    s = x @ constraint.Q1 @ x + constraint.E @ x + constraint.d
-    kappa = theta @ (2 * constraint.Q1 @ x + constraint.E)
-    return np.concatenate([[s], x, [kappa], theta, [theta @ constraint.Q1 @ theta]])
-
-
-def transition(constraint: QuadraticConstraint, h: float, volt_seconds: ArrayLike) -> Array:
-    """F(h, v) of ``x₊ = F x + input``, unit upper triangular; ``F(h, v)⁻¹ = F(-h, -v)``.
+@dataclass(frozen=True, eq=False)
+class Immersion:
+    """Linear time-varying system that contains flux, drift and current bias.
 
     Parameters
     ----------
-    h : float
-        Sample time [s].
-    volt_seconds : (n,) array_like
-        ∫ (-R i_m + B u_m) dt over the sample [Wb].
+    relations : QuadraticConstraint, or a tuple of several
+        All with the same number n of ports.
+    unknowns : tuple of {"drift", "current-bias"}
+        What is constant and not known.
+    R : (n, n) array_like, optional
+        Resistance [Ω]; needed where the current bias is the only unknown.
 
-    Returns
-    -------
-    (2n + 3, 2n + 3) ndarray
+    Raises
+    ------
+    ValueError
+        Relations of different size, no or unknown unknowns, or R missing.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> pmsm = QuadraticConstraint(np.eye(2), -2e-3 * np.eye(2), 1e-6 * np.eye(2))
+    >>> Immersion(pmsm).size, Immersion(pmsm, ("drift", "current-bias")).size
+    (7, 9)
     """
-    v = np.asarray(volt_seconds)
-    s, flux, kappa, drift, c = _slices(constraint.n)
-    q = 2 * constraint.Q1 @ v
-    F = np.eye(2 * constraint.n + 3, dtype=np.result_type(v, float))
-    F[s, flux], F[s, kappa], F[s, drift], F[s, c] = q, h, h * q, h * h
-    F[flux, drift] = h * np.eye(constraint.n)
-    F[kappa, drift], F[kappa, c] = q, 2 * h
-    return F
 
+    relations: tuple[QuadraticConstraint, ...]
+    unknowns: tuple[Unknown, ...] = ("drift",)
+    R: Array | None = None
+    #: Where s, flux, kappa, drift, c and current_bias stand in the state.
+    slices: dict[str, slice] = field(init=False, repr=False)
+    size: int = field(init=False, repr=False)
+    _stack: dict[str, Array] = field(init=False, repr=False)
 
-def known_input(constraint: QuadraticConstraint, volt_seconds: ArrayLike) -> Array:
-    """What v adds to the state: ``(vᵀQ1v + Eᵀv, v, 0, 0, 0)``."""
-    v = np.asarray(volt_seconds)
-    s, flux, *_ = _slices(constraint.n)
-    out = np.zeros(2 * constraint.n + 3, dtype=np.result_type(v, float))
-    out[s] = v @ constraint.Q1 @ v + constraint.E @ v
-    out[flux] = v
-    return out
+    def __post_init__(self) -> None:
+        given = self.relations
+        chosen = (given,) if isinstance(given, QuadraticConstraint) else tuple(given)
+        if not chosen or len({relation.n for relation in chosen}) != 1:
+            raise ValueError("relations: at least one is needed, all with as many ports")
+        wanted = set(self.unknowns)
+        if not wanted or wanted - set(UNKNOWNS):
+            raise ValueError(
+                f"unknowns must be some of {', '.join(UNKNOWNS)}, got {', '.join(sorted(wanted))}"
+            )
+        if wanted == {"current-bias"} and self.R is None:
+            raise ValueError("R is missing: with a current bias alone the drift is R times it")
+        set_field = partial(object.__setattr__, self)
+        set_field("relations", chosen)
+        set_field("unknowns", tuple(name for name in UNKNOWNS if name in wanted))
+        set_field("R", None if self.R is None else np.asarray(self.R, float))
+        stack = {
+            name: np.stack([getattr(relation, name) for relation in chosen])
+            for name in ("Q1", "Q2", "Q3", "E", "C")
+        }
+        set_field("_stack", stack)
+        n, r = chosen[0].n, len(chosen)
+        drift = n if "drift" in wanted else 0
+        bias = n if "current-bias" in wanted else 0
+        at, slices = 0, {}
+        for name, length in zip(
+            ("s", "flux", "kappa", "drift", "c", "current_bias"), (r, n, r, drift, r, bias), strict=True
+        ):
+            slices[name] = slice(at, at + length)
+            at += length
+        set_field("slices", slices)
+        set_field("size", at)
 
+    @property
+    def n(self) -> int:
+        """Number of electrical ports."""
+        return self.relations[0].n
 
-def output_row(constraint: QuadraticConstraint, current: ArrayLike) -> tuple[Array, float]:
-    """Row H and value y of the measurement ``y = H x``: the constraint at the measured current."""
-    i = np.asarray(current)
-    s, flux, *_ = _slices(constraint.n)
-    row = np.zeros(2 * constraint.n + 3, dtype=np.result_type(i, float))
-    row[s] = 1.0
-    row[flux] = constraint.Q2 @ i
-    return row, -(i @ constraint.Q3 @ i + constraint.C @ i)
+    def lift(
+        self, flux: ArrayLike, drift: ArrayLike | None = None, current_bias: ArrayLike | None = None
+    ) -> Array:
+        """State that belongs to flux [Wb], drift [V] and current bias [A], each (n,).
+
+        Where the current bias is the only unknown the drift is R times it and must not be given.
+        """
+        x = np.asarray(flux)
+        zero = np.zeros(self.n, dtype=x.dtype)
+        delta = zero if current_bias is None else np.asarray(current_bias)
+        if self.unknowns == ("current-bias",):
+            if drift is not None or self.R is None:
+                raise ValueError("the drift is R times the current bias here; do not give it")
+            theta = self.R @ delta
+        else:
+            theta = zero if drift is None else np.asarray(drift)
+        parts: dict[str, list[Array]] = {"s": [], "kappa": [], "c": []}
+        for relation in self.relations:
+            Q1, Q2, Q3, E, C = (getattr(relation, name) for name in ("Q1", "Q2", "Q3", "E", "C"))
+            free = x @ Q1 @ x + E @ x + relation.d
+            parts["s"].append(free - x @ Q2 @ delta + delta @ Q3 @ delta - C @ delta)
+            parts["kappa"].append(theta @ (2 * Q1 @ x - Q2 @ delta + E))
+            parts["c"].append(theta @ Q1 @ theta)
+        out = np.zeros(self.size, dtype=np.result_type(x, theta, delta, float))
+        out[self.slices["flux"]] = x
+        for name, values in parts.items():
+            out[self.slices[name]] = values
+        if "drift" in self.unknowns:
+            out[self.slices["drift"]] = theta
+        if "current-bias" in self.unknowns:
+            out[self.slices["current_bias"]] = delta
+        return out
+
+    def transition(self, h: float, volt_seconds: ArrayLike) -> Array:
+        """F(h, v) of ``x₊ = F x + input``; ``F(h, v)⁻¹ = F(-h, -v)``, unit triangular but for δ.
+
+        Parameters
+        ----------
+        h : float
+            Sample time [s].
+        volt_seconds : (n,) array_like
+            ∫ (-R i_m + B u_m) dt over the sample [Wb].
+
+        Returns
+        -------
+        (size, size) ndarray
+        """
+        v = np.asarray(volt_seconds)
+        at, Q1, Q2 = self.slices, self._stack["Q1"], self._stack["Q2"]
+        q = 2 * Q1 @ v  # (r, n): row k is (2 Q1_k v)ᵀ
+        one = np.eye(len(self.relations))
+        F = np.eye(self.size, dtype=np.result_type(v, float))
+        F[at["s"], at["flux"]], F[at["s"], at["kappa"]], F[at["s"], at["c"]] = q, h * one, h * h * one
+        F[at["kappa"], at["c"]] = 2 * h * one
+        if "drift" in self.unknowns:
+            F[at["flux"], at["drift"]] = h * np.eye(self.n)
+            F[at["s"], at["drift"]], F[at["kappa"], at["drift"]] = h * q, q
+            if "current-bias" in self.unknowns:
+                F[at["s"], at["current_bias"]] = -v @ Q2
+        else:
+            assert self.R is not None
+            F[at["flux"], at["current_bias"]] = h * self.R
+            F[at["s"], at["current_bias"]] = h * q @ self.R - v @ Q2
+            F[at["kappa"], at["current_bias"]] = q @ self.R
+        return F
+
+    def known_input(self, volt_seconds: ArrayLike) -> Array:
+        """What v adds to the state: ``(vᵀQ1v + Eᵀv, v, 0, 0, 0, 0)``."""
+        v = np.asarray(volt_seconds)
+        out = np.zeros(self.size, dtype=np.result_type(v, float))
+        out[self.slices["s"]] = self._stack["Q1"] @ v @ v + self._stack["E"] @ v
+        out[self.slices["flux"]] = v
+        return out
+
+    def output_rows(self, current: ArrayLike) -> tuple[Array, Array]:
+        """Rows H, (r, size), and values y, (r,), of ``y = H x``: the relations at i_m."""
+        i = np.asarray(current)
+        rows = np.zeros((len(self.relations), self.size), dtype=np.result_type(i, float))
+        rows[:, self.slices["s"]] = np.eye(len(self.relations))
+        rows[:, self.slices["flux"]] = self._stack["Q2"] @ i
+        Q3i = self._stack["Q3"] @ i
+        if "current-bias" in self.unknowns:
+            rows[:, self.slices["current_bias"]] = -2 * Q3i
+        return rows, -(Q3i @ i + self._stack["C"] @ i)
+
+    def row_gain(self) -> Array:
+        """∂H/∂i_m, shape (r, size, n): how noise of the current enters the rows."""
+        gain = np.zeros((len(self.relations), self.size, self.n))
+        gain[:, self.slices["flux"]] = self._stack["Q2"]
+        if "current-bias" in self.unknowns:
+            gain[:, self.slices["current_bias"]] = -2 * self._stack["Q3"]
+        return gain
+
+    def invisible(self) -> Array:
+        """Constant offsets (r, s) of flux [Wb] and current [A] that no record can tell from none.
+
+        Returns
+        -------
+        (2n, k) ndarray
+            See :func:`fluxobs.constraint.invisible_offsets`.
+        """
+        return invisible_offsets(self.relations, self.unknowns, self.R)
