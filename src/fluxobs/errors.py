@@ -11,3 +11,7 @@ class MachineError(FluxobsError):
 
 class RecordError(FluxobsError):
     """A record, or the description of its channels, is unusable."""
+
+
+class ModelError(FluxobsError):
+    """A design model (energies, gains, relation, trajectory) is unusable."""

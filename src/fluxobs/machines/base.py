@@ -15,6 +15,45 @@ PolePairs = Annotated[int, Field(ge=1)]
 
 
 class Machine(BaseModel):
+    """An electromechanical machine with a quadratic relation between flux and current.
+
+    Parameters
+    ----------
+    rated_current : float, optional
+        Peak current of a port [A], > 0; sets the scale of what is plausible, needs no precision.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    kind: ClassVar[str]
+
+    rated_current: Positive | None = None
+
+    @property
+    def R(self) -> NDArray[np.float64]:
+        """Resistance matrix of ``λ̇ = -R i + B u`` [Ω], (2, 2)."""
+        raise NotImplementedError
+
+    @property
+    def B(self) -> NDArray[np.float64]:
+        """Input matrix, (2, 2)."""
+        raise NotImplementedError
+
+    @property
+    def constraint(self) -> QuadraticConstraint:
+        """The relation between flux and current. Its d is 0 where it is not known: not needed."""
+        raise NotImplementedError
+
+    def flux_base(self, psi_f: float | None, rated_current: float) -> float | None:
+        """Size of the flux [Wb] from what is known; None if a magnet flux is needed."""
+        raise NotImplementedError
+
+    def constraint_noise(self, flux_base: float, rated_current: float, noise: float) -> float:
+        """Std of the constraint's residual caused by that std of each current component [A]."""
+        raise NotImplementedError
+
+
+class RotatingMachine(Machine):
     """A three-phase machine in αβ: per-phase (star) values, amplitude-invariant vectors.
 
     Current is positive into the machine; phases a-b-c follow each other at positive speed.
@@ -29,9 +68,6 @@ class Machine(BaseModel):
         Peak phase current [A], > 0; sets the scale of what is plausible, needs no precision.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
-
-    kind: ClassVar[str]
     #: The relation cannot tell the position from the one half a turn away.
     half_turn_ambiguous: ClassVar[bool] = False
     #: Share of the flux base below which a position vector is none.
@@ -39,32 +75,16 @@ class Machine(BaseModel):
 
     R_s: Positive
     n_p: PolePairs
-    rated_current: Positive | None = None
 
     @property
     def R(self) -> NDArray[np.float64]:
-        """Resistance matrix of ``λ̇ = -R i + B u`` [Ω], (2, 2)."""
         return self.R_s * np.eye(2)
 
     @property
     def B(self) -> NDArray[np.float64]:
-        """Input matrix, (2, 2)."""
         return np.eye(2)
-
-    @property
-    def constraint(self) -> QuadraticConstraint:
-        """The relation between flux and current. Its d is 0 where it is not known: not needed."""
-        raise NotImplementedError
 
     @property
     def position_inductance(self) -> float:
         """L of the position vector ``λ - L i`` [H], which points along the rotor's d axis."""
-        raise NotImplementedError
-
-    def flux_base(self, psi_f: float | None, rated_current: float) -> float | None:
-        """Size of the flux [Wb] from what is known; None if a magnet flux is needed."""
-        raise NotImplementedError
-
-    def constraint_noise(self, flux_base: float, rated_current: float, noise: float) -> float:
-        """Std of the constraint's residual caused by that std of each current component [A]."""
         raise NotImplementedError

@@ -14,11 +14,12 @@ from ..errors import MachineError
 from ..validation import complaints, nearest
 from .base import Machine
 from .interior_pmsm import InteriorPMSM
+from .maglev import MagLev2DOF
 from .surface_pmsm import SurfacePMSM
 from .synchronous_reluctance import SynchronousReluctance
 
 KINDS: dict[str, type[Machine]] = {
-    kind.kind: kind for kind in (SurfacePMSM, InteriorPMSM, SynchronousReluctance)
+    kind.kind: kind for kind in (SurfacePMSM, InteriorPMSM, SynchronousReluctance, MagLev2DOF)
 }
 
 

@@ -17,7 +17,7 @@ class InteriorPMSM(MagnetMachine):
     Parameters
     ----------
     R_s, n_p, rated_current
-        See :class:`Machine`.
+        See :class:`RotatingMachine`.
     L_d, L_q : float
         Inductances along and across the magnet axis [H], > 0.
     psi_f : float, optional

@@ -6,10 +6,10 @@ import numpy as np
 
 from ..constraint import QuadraticConstraint
 from ..validation import Positive
-from .base import Machine
+from .base import RotatingMachine
 
 
-class MagnetMachine(Machine):
+class MagnetMachine(RotatingMachine):
     """A machine whose position vector λ - L i has the constant length of the magnet flux.
 
     The relation is ``|λ - L i|² = ψ²``: Q1 = I, Q2 = -2L I, Q3 = L² I, d = -ψ².
@@ -35,7 +35,7 @@ class SurfacePMSM(MagnetMachine):
     Parameters
     ----------
     R_s, n_p, rated_current
-        See :class:`Machine`.
+        See :class:`RotatingMachine`.
     L_s : float
         Phase inductance (synchronous, per phase in star) [H], > 0.
     psi_f : float, optional

@@ -9,10 +9,10 @@ from pydantic import model_validator
 
 from ..constraint import QuadraticConstraint
 from ..validation import Positive
-from .base import Machine
+from .base import RotatingMachine
 
 
-class SynchronousReluctance(Machine):
+class SynchronousReluctance(RotatingMachine):
     """Synchronous reluctance machine, ``(λ - L_q i)ᵀ(λ - L_d i) = 0``.
 
     The position vector ``λ - L_q i = (L_d - L_q) i_d e(θ_e)`` lies along d, up to half a turn
@@ -21,7 +21,7 @@ class SynchronousReluctance(Machine):
     Parameters
     ----------
     R_s, n_p, rated_current
-        See :class:`Machine`.
+        See :class:`RotatingMachine`.
     L_d, L_q : float
         Inductances along and across the axis of high permeance [H], L_d > L_q > 0.
     """

@@ -1,0 +1,32 @@
+"""The design desk: machines as energies, the paper's observers, analysis, simulation.
+
+Needs the extra "design" (JAX, equinox, diffrax). Importing it switches JAX to float64; single
+precision is refused. Nothing outside this folder loads JAX.
+"""
+
+from importlib.util import find_spec
+
+from ..errors import FluxobsError
+
+_missing = [name for name in ("jax", "equinox", "diffrax") if find_spec(name) is None]
+if _missing:
+    raise FluxobsError(
+        f"{', '.join(_missing)} not installed: this needs the extra, pip install 'fluxobs[design]'"
+    )
+
+from . import precision  # noqa: E402, F401  # before anything else: float64
+from .system import (  # noqa: E402
+    ElectromechanicalSystem,
+    Power,
+    State,
+    inertia,
+    linear_magnetics,
+)
+
+__all__ = [
+    "ElectromechanicalSystem",
+    "Power",
+    "State",
+    "inertia",
+    "linear_magnetics",
+]

@@ -1,0 +1,75 @@
+"""Blondel-Park transformability: does a rotation take the position out of the energy?
+
+The paper asks how it relates to Assumption 1. A machine has it if for each coordinate q_k a
+constant skew U_k makes ``H_E(λ, q) = H_0(e^{-U q} λ) + V(q)``; for linear magnetics that is
+``L′(q) = U L(q) - L(q) U`` and ``μ′(q) = U μ(q)``. Differentiated, for any energy::
+
+    ∂i/∂q_k + (∂i/∂λ) U_k λ - U_k i = 0        for all (λ, q)
+
+which is linear in U_k. Neither property implies the other: see the table in docs/constraints.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from .system import ElectromechanicalSystem
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class BlondelPark:
+    """Result of the check.
+
+    Attributes
+    ----------
+    transformable : bool
+        A constant skew U exists for every coordinate.
+    U : (n_M, n_E, n_E) ndarray
+        The best skew matrices [1/rad or 1/m].
+    residual : (n_M,) ndarray
+        Rms of the identity over that of ``∂i/∂q_k``; zero (1e-15) or not (0.1 … 1).
+    """
+
+    transformable: bool
+    U: Array
+    residual: Array
+
+
+def blondel_park(
+    system: ElectromechanicalSystem, samples: int = 300, tolerance: float = 1e-8, seed: int = 0
+) -> BlondelPark:
+    """Linear least squares for U over random states."""
+    n, m = system.n_E, system.n_M
+    rng = np.random.default_rng(seed)
+    flux, position = system.random_states(rng, samples)
+    i = np.asarray(jax.vmap(system.current)(flux, position))
+    by_flux = np.asarray(jax.vmap(jax.jacfwd(system.current, 0))(flux, position))
+    by_position = np.asarray(jax.vmap(jax.jacfwd(system.current, 1))(flux, position))
+    # Balance ports of different size; a skew U stays skew only under a common scale, so weigh rows.
+    weight = 1 / np.sqrt(np.mean(by_position**2, axis=(0, 2)) + 1e-300)
+    pairs = [(a, b) for a in range(n) for b in range(a + 1, n)]
+    columns = []
+    for a, b in pairs:
+        U = np.zeros((n, n))
+        U[a, b], U[b, a] = 1.0, -1.0
+        moved = np.einsum("kij,kj->ki", by_flux, np.asarray(flux) @ U.T) - i @ U.T
+        columns.append((weight * moved).ravel())
+    A = np.array(columns).T if pairs else np.zeros((samples * n, 0))
+    out, residual = np.zeros((m, n, n)), np.zeros(m)
+    for k in range(m):
+        right = -(weight * by_position[:, :, k]).ravel()
+        size = np.sqrt(np.mean(right**2))
+        if size == 0:
+            continue
+        solution = np.linalg.lstsq(A, right, rcond=None)[0] if pairs else np.zeros(0)
+        rest = right - (A @ solution if pairs else 0)
+        residual[k] = np.sqrt(np.mean(rest**2)) / size
+        for (a, b), value in zip(pairs, solution, strict=True):
+            out[k, a, b], out[k, b, a] = value, -value
+    return BlondelPark(bool((residual < tolerance).all()), out, residual)

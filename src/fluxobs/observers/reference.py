@@ -1,0 +1,377 @@
+"""Readable least squares on the immersion: any number of ports and relations, current bias too.
+
+The same recursion as firmware/fluxobs.c, which is its special case of one relation, two ports and
+unknown drift, written for reading: one QR factorisation a sample, no shortcuts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..immersion import Immersion
+
+Array = NDArray[np.float64]
+
+#: Share of the flux information that may be current noise pretending.
+NOISE_SHARE_LIMIT = 0.1
+#: A flux is known when its standard deviation is below this share of the flux vector's length.
+KNOWN = 0.1
+#: ∫ i dt over a sample from the last currents, newest first: cubic where there are four.
+QUADRATURE = {
+    1: (1.0,),
+    2: (1 / 2, 1 / 2),
+    3: (5 / 12, 8 / 12, -1 / 12),
+    4: (9 / 24, 19 / 24, -5 / 24, 1 / 24),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class ImmersionEstimate:
+    """What the least squares says, for one sample (leading shape ``()``) or a record ``(rows,)``.
+
+    Attributes
+    ----------
+    flux, flux_std : (..., n) ndarray
+        [Wb].
+    drift, drift_std : (..., n) ndarray
+        R δ_i - B δ_u [V].
+    current_bias, current_bias_std : (..., n) ndarray
+        [A]; zero where the bias is no unknown.
+    noise_share : (..., n) ndarray
+        Share of each flux component's information that current noise alone would pretend.
+    valid : (...) ndarray of bool
+        The flux is known: noise share below 0.1 and standard deviation below a tenth of |flux|.
+    innovation : (..., r) ndarray
+        Residual of each relation over its assumed noise, before the sample was used.
+    """
+
+    flux: Array
+    flux_std: Array
+    drift: Array
+    drift_std: Array
+    current_bias: Array
+    current_bias_std: Array
+    noise_share: Array
+    valid: NDArray[np.bool_]
+    innovation: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ImmersionState:
+    """All that is remembered: information ``R x = z``, what noise put there, and a few samples."""
+
+    R: Array
+    z: Array
+    noise: Array  # information that current noise alone would have produced
+    currents: tuple[Array, ...]  # the last ones, newest first, at most four
+    voltage: Array
+    power: float = 1.0  # of the innovations
+    correlation: float = 0.0  # of successive ones
+    last_innovation: Array | None = None
+    samples: int = 0
+    bad: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class ImmersionObserver:
+    """Exponentially forgetting least squares for flux, drift and current bias.
+
+    Parameters
+    ----------
+    immersion : Immersion
+        Relations and unknowns.
+    R : (n, n) array_like
+        Of ``λ̇ = -R i + B u`` [Ω].
+    B : (n, m) array_like
+    sample_time : float
+        [s], > 0.
+    memory : float
+        [s], at least ten samples.
+    flux_base : (n,) array_like
+        Size of the flux [Wb], within a factor of a few.
+    constraint_noise : (r,) array_like
+        Std of each relation's residual, in its own unit.
+    drift_prior : (n,) array_like
+        Largest plausible drift [V].
+    current_bias_prior : (n,) array_like
+        Largest plausible current bias [A]; used where it is an unknown.
+    current_noise : float
+        Std of a current component [A]. Only `noise_share` uses it.
+
+    Raises
+    ------
+    ValueError
+        A number is not positive, or an unknown cannot be told from others by these relations.
+
+    References
+    ----------
+    docs/theory.md, sections 4 to 6. G. J. Bierman, *Factorization Methods for Discrete Sequential
+    Estimation*, Academic Press, 1977.
+    """
+
+    immersion: Immersion
+    R: Array
+    B: Array
+    sample_time: float
+    memory: float
+    flux_base: Array
+    constraint_noise: Array
+    drift_prior: Array
+    current_bias_prior: Array = field(default_factory=lambda: np.empty(0))
+    current_noise: float = 0.0
+    _prior: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        n, r = self.immersion.n, len(self.immersion.relations)
+        invisible = self.immersion.invisible()
+        if invisible.shape[1]:
+            raise ValueError(
+                f"{' and '.join(self.immersion.unknowns)} cannot be found together: "
+                f"{describe_invisible(invisible)}"
+            )
+        shapes = {"flux_base": n, "constraint_noise": r, "drift_prior": n}
+        if "current-bias" in self.immersion.unknowns:
+            shapes["current_bias_prior"] = n
+        for name, length in shapes.items():
+            value = np.array(np.broadcast_to(getattr(self, name), (length,)), dtype=float)
+            if not (np.isfinite(value) & (value > 0)).all():
+                raise ValueError(f"{name} must be positive and finite, got {value}")
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        for name in ("R", "B"):
+            matrix = np.array(getattr(self, name), dtype=float)
+            if matrix.ndim != 2 or len(matrix) != n:
+                raise ValueError(f"{name} must have {n} rows, got shape {matrix.shape}")
+            object.__setattr__(self, name, matrix)
+        if not (np.isfinite(self.sample_time) and self.sample_time > 0):
+            raise ValueError(f"sample_time must be positive and finite, got {self.sample_time}")
+        if not self.memory >= 10 * self.sample_time:
+            raise ValueError(
+                f"memory must be at least ten samples, {10 * self.sample_time:g} s here, "
+                f"got {self.memory:g} s"
+            )
+        object.__setattr__(self, "_prior", self._prior_std())
+
+    def _prior_std(self) -> Array:
+        """Standard deviation of every state before anything is known."""
+        flux, drift, unknowns = self.flux_base, self.drift_prior, self.immersion.unknowns
+        bias = self.current_bias_prior if "current-bias" in unknowns else np.zeros_like(flux)
+        if unknowns == ("current-bias",):
+            drift = np.abs(self.R) @ bias
+        out = np.ones(self.immersion.size)
+        at = self.immersion.slices
+        for k, relation in enumerate(self.immersion.relations):
+            Q1, Q2, E = np.abs(relation.Q1), np.abs(relation.Q2), np.abs(relation.E)
+            size = flux @ Q1 @ flux + E @ flux + flux @ Q2 @ bias + abs(relation.d)
+            # A state that is zero by definition (Q1 = 0, say) is pinned, not left free.
+            least = 1e-9 * max(size, self.constraint_noise[k])
+            out[at["s"]][k] = max(size, self.constraint_noise[k])
+            out[at["kappa"]][k] = max(drift @ (2 * Q1 @ flux + E + Q2 @ bias), least)
+            out[at["c"]][k] = max(drift @ Q1 @ drift, least)
+        out[at["flux"]] = flux
+        if "drift" in unknowns:
+            out[at["drift"]] = drift
+        if "current-bias" in unknowns:
+            out[at["current_bias"]] = bias
+        return out
+
+    def init(self, batch: tuple[int, ...] = ()) -> ImmersionState:
+        """State of which nothing is known; one record at a time."""
+        if batch:
+            raise ValueError("this observer takes one record at a time")
+        size = self.immersion.size
+        return ImmersionState(
+            np.diag(1 / self._prior), np.zeros(size), np.zeros((size, size)), (), np.zeros(0)
+        )
+
+    def step(
+        self,
+        state: ImmersionState,
+        voltage: ArrayLike | None = None,
+        current: ArrayLike | None = None,
+        *,
+        volt_seconds: ArrayLike | None = None,
+    ) -> tuple[ImmersionState, ImmersionEstimate]:
+        """One sample; arguments as for :meth:`LeastSquaresObserver.step`, ``(m,)`` and ``(n,)``.
+
+        A missing (NaN) current is predicted over, a missing voltage held.
+        """
+        if current is None or (voltage is None) == (volt_seconds is None):
+            raise TypeError("give current, and either voltage or volt_seconds")
+        h, immersion = self.sample_time, self.immersion
+        i = np.asarray(current, float)
+        known = bool(np.isfinite(i).all())
+        if not known:
+            i = state.currents[0] if state.currents else np.zeros(immersion.n)
+        u = state.voltage if voltage is None else np.asarray(voltage, float)
+        bad = not known
+        if not np.isfinite(u).all():
+            u, bad = state.voltage, bad or state.samples > 0
+        if u.size == 0:
+            u = np.zeros(self.B.shape[1])
+        currents = (i, *state.currents)[:4]
+        R, z, noise = state.R, state.z, state.noise
+        if state.samples > 0:
+            if volt_seconds is not None:
+                v = np.asarray(volt_seconds, float)
+                if not np.isfinite(v).all():
+                    raise ValueError("volt_seconds must be finite")
+            else:
+                weights = QUADRATURE[len(currents)]
+                mean = sum(w * past for w, past in zip(weights, currents, strict=True))
+                v = h * (self.B @ u - self.R @ mean)
+            rho = 1 - h / self.memory
+            back = immersion.transition(-h, -v)
+            R = R @ back
+            z = np.sqrt(rho) * (z + R @ immersion.known_input(v))
+            R = np.sqrt(rho) * R
+            noise = rho * back.T @ noise @ back
+        state = replace(state, R=R, z=z, noise=noise)
+        if known:
+            state = self._measure(state, i)
+        state = replace(
+            state,
+            currents=currents,
+            voltage=u,
+            samples=state.samples + 1,
+            bad=state.bad + bad,
+        )
+        return self._read_out(state)
+
+    def _measure(self, state: ImmersionState, current: Array) -> ImmersionState:
+        """Takes the relations at the current in, and one row of the prior back."""
+        immersion, sigma = self.immersion, self.constraint_noise
+        rows, values = immersion.output_rows(current)
+        rows, values = rows / sigma[:, None], values / sigma
+        x = np.linalg.solve(state.R, state.z)
+        innovation = values - rows @ x
+        R, z = _absorb(state.R, state.z, rows, values)
+        # Against wind-up: what forgetting takes from the prior is given back, in turn, at the
+        # estimate, which it does not move.
+        j = state.samples % immersion.size
+        rho = 1 - self.sample_time / self.memory
+        weight = np.sqrt(1 - rho**immersion.size) / self._prior[j]
+        x = np.linalg.solve(R, z)
+        row = np.zeros((1, immersion.size))
+        row[0, j] = weight
+        R, z = _absorb(R, z, row, weight * x[[j]])
+        gain = immersion.row_gain() * (self.current_noise / sigma[:, None, None])
+        noise = state.noise + np.einsum("rij,rkj->ik", gain, gain)
+        share = 1 - rho
+        last = state.last_innovation
+        product = 0.0 if last is None else float(np.mean(innovation * last))
+        return replace(
+            state,
+            R=R,
+            z=z,
+            noise=noise,
+            power=(1 - share) * state.power + share * float(np.mean(innovation**2)),
+            correlation=(1 - share) * state.correlation + share * product,
+            last_innovation=innovation,
+        )
+
+    def _read_out(self, state: ImmersionState) -> tuple[ImmersionState, ImmersionEstimate]:
+        immersion, at = self.immersion, self.immersion.slices
+        inverse = np.linalg.inv(state.R)
+        x = inverse @ state.z
+        covariance = inverse @ inverse.T
+        # Innovations of real records are coloured: their power and correlation scale the variance.
+        r1 = float(np.clip(state.correlation / max(state.power, 1e-300), 0.0, 0.99))
+        variance = np.diag(covariance) * state.power * (1 + r1) / (1 - r1)
+        std = np.sqrt(variance)
+        # Share of the marginal information of each flux component that noise has put there.
+        columns = covariance[:, at["flux"]]
+        share = np.einsum("ij,ik,kj->j", columns, state.noise, columns) / np.diag(
+            covariance[at["flux"], at["flux"]]
+        )
+        n = immersion.n
+        flux, flux_std = x[at["flux"]], std[at["flux"]]
+        bias = x[at["current_bias"]] if "current-bias" in immersion.unknowns else np.zeros(n)
+        bias_std = std[at["current_bias"]] if "current-bias" in immersion.unknowns else np.zeros(n)
+        if "drift" in immersion.unknowns:
+            drift, drift_std = x[at["drift"]], std[at["drift"]]
+        else:
+            drift, drift_std = self.R @ bias, np.sqrt(np.square(self.R) @ np.square(bias_std))
+        known = bool(
+            (share < NOISE_SHARE_LIMIT).all()
+            and (flux_std < KNOWN * np.hypot.reduce(flux)).all()
+            and np.isfinite(x).all()
+        )
+        innovation = state.last_innovation
+        return state, ImmersionEstimate(
+            flux,
+            flux_std,
+            drift,
+            drift_std,
+            bias,
+            bias_std,
+            share,
+            np.asarray(known),
+            np.zeros(len(immersion.relations)) if innovation is None else innovation,
+        )
+
+    def run(
+        self,
+        voltage: Any = None,
+        current: ArrayLike | None = None,
+        *,
+        volt_seconds: ArrayLike | None = None,
+    ) -> ImmersionEstimate:
+        """A whole record, ``(rows, m)`` and ``(rows, n)``, from zero knowledge; as the step loop.
+
+        Row k's voltage (or volt-seconds) belongs to the interval that ends at row k.
+        """
+        return self.resume(self.init(), voltage, current, volt_seconds=volt_seconds)[1]
+
+    def resume(
+        self,
+        state: ImmersionState,
+        voltage: ArrayLike | None = None,
+        current: ArrayLike | None = None,
+        *,
+        volt_seconds: ArrayLike | None = None,
+    ) -> tuple[ImmersionState, ImmersionEstimate]:
+        """Like :meth:`run`, from `state`; returns the state after the last row too."""
+        if current is None or (voltage is None) == (volt_seconds is None):
+            raise TypeError("give current, and either voltage or volt_seconds")
+        key = "voltage" if volt_seconds is None else "volt_seconds"
+        source = np.asarray(voltage if volt_seconds is None else volt_seconds, float)
+        currents = np.asarray(current, float)
+        if currents.ndim != 2 or source.shape[:1] != currents.shape[:1] or source.ndim != 2:
+            raise ValueError(
+                f"voltage and current must have as many rows, got {source.shape} and "
+                f"{currents.shape}"
+            )
+        found = []
+        for given, i in zip(source, currents, strict=True):
+            state, estimate = self.step(state, current=i, **{key: given})
+            found.append(estimate)
+        names = ImmersionEstimate.__dataclass_fields__
+        return state, ImmersionEstimate(
+            **{name: np.array([getattr(row, name) for row in found]) for name in names}
+        )
+
+
+def _absorb(R: Array, z: Array, rows: Array, values: Array) -> tuple[Array, Array]:
+    """Triangle that has taken weighted rows in."""
+    n = len(R)
+    stacked = np.vstack([np.column_stack([R, z]), np.column_stack([rows, values])])
+    # LAPACK's rows may come out negative; a sign of a row means nothing.
+    triangle = np.linalg.qr(stacked, mode="r")
+    return triangle[:n, :n], triangle[:n, n]
+
+
+def describe_invisible(directions: Array) -> str:
+    """In words: what offset of flux and current no record can tell from none."""
+    n = len(directions) // 2
+    out = []
+    for column in directions.T:
+        column = column / np.abs(column[n:]).max() if np.abs(column[n:]).max() > 0 else column
+        flux = ", ".join(f"{value:.3g}" for value in column[:n] + 0.0)
+        current = ", ".join(f"{value:.3g}" for value in column[n:] + 0.0)
+        out.append(f"an offset of ({flux}) Wb in the flux with ({current}) A in the current")
+    return " and ".join(out) + " leaves every relation as it is"
