@@ -1,0 +1,22 @@
+"""Excitation, identifiability, error bounds and stability along a trajectory."""
+
+from .bounds import bound_on_record, decay_rate, robust_bound
+from .excitation import Excitation, excitation, persistency
+from .identifiability import compare, invisible_from_constraint, observability_gramian
+from .stability import GainStudy, floquet_multipliers, lyapunov_exponents, over_gain
+
+__all__ = [
+    "Excitation",
+    "GainStudy",
+    "bound_on_record",
+    "compare",
+    "decay_rate",
+    "excitation",
+    "floquet_multipliers",
+    "invisible_from_constraint",
+    "lyapunov_exponents",
+    "observability_gramian",
+    "over_gain",
+    "persistency",
+    "robust_bound",
+]

@@ -1,0 +1,89 @@
+"""Proposition 1's bound, corrected (docs/errata.md, 7)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..observers.base import positive_definite
+from ..regression import Parametrisation, Regressors
+from .excitation import excitation
+
+Array = NDArray[np.float64]
+
+
+def decay_rate(Gamma: ArrayLike, window: float, alpha: float, Phi_max: float) -> float:
+    """η [1/s] of the paper, from (pe1): ``∫ over T of Φ Φᵀ ≥ α I`` and |Φ| ≤ Phi_max."""
+    values = np.linalg.eigvalsh(np.atleast_2d(np.asarray(Gamma, float)))
+    least, most = values[0], values[-1]
+    share = least * alpha / (1 + most**2 * window**2 * Phi_max**4)
+    return float(-np.log1p(-share) / (2 * window))
+
+
+def robust_bound(
+    Gamma: ArrayLike,
+    window: float,
+    alpha: float,
+    Phi_max: float,
+    initial_error: float,
+    disturbance: float,
+    t: ArrayLike,
+) -> Array:
+    """``|λ̃(t)| ≤ √κ e^{ηT} (e^{-ηt} |λ̃(0)| + (1 - e^{-ηt}) ‖b‖/η)``, κ = λ_max/λ_min of Γ.
+
+    Parameters
+    ----------
+    Gamma : (n, n) array_like
+    window, alpha, Phi_max : float
+        T [s] and α of (pe1), bound of |Φ_λ|.
+    initial_error, disturbance : float
+        |λ̃(0)| [Wb], ‖b‖ [V].
+    t : (rows,) array_like
+        [s].
+
+    Returns
+    -------
+    (rows,) ndarray
+        Infinite where nothing is excited (α = 0).
+    """
+    values = np.linalg.eigvalsh(np.atleast_2d(np.asarray(Gamma, float)))
+    eta = decay_rate(Gamma, window, alpha, Phi_max)
+    t = np.asarray(t, float)
+    if eta <= 0:
+        return np.full(t.shape, np.inf)
+    front = np.sqrt(values[-1] / values[0]) * np.exp(eta * window)
+    fade = np.exp(-eta * t)
+    return np.asarray(front * (fade * initial_error + (1 - fade) * disturbance / eta))
+
+
+def disturbance(
+    rows: Regressors, constants: Parametrisation, Gamma: Any, drift: Any, current_bias: Any
+) -> Array:
+    """``b = -(θ - Γ Φ_λ Φ_θᵀ θ_all)`` along a record, (rows, n) [V]; the paper prints +."""
+    matrix = np.asarray(positive_definite("Gamma", Gamma, constants.n))
+    theta = np.asarray(constants.constants(drift, current_bias))
+    Phi_theta = np.asarray(jax.vmap(constants.regressor)(rows))
+    pushed = np.asarray(rows.Phi_flux) @ matrix.T * (Phi_theta @ theta)[:, None]
+    return np.asarray(pushed - theta[: constants.n])
+
+
+def bound_on_record(
+    rows: Regressors,
+    constants: Parametrisation,
+    Gamma: Any,
+    h: float,
+    window: float,
+    initial_error: float,
+    drift: Any,
+    current_bias: Any,
+) -> Array:
+    """The bound with every constant measured on a record, (rows,) [Wb]."""
+    found = excitation(np.asarray(rows.Phi_flux), h, window)
+    size = np.linalg.norm(np.asarray(rows.Phi_flux), axis=1).max()
+    b = np.linalg.norm(disturbance(rows, constants, Gamma, drift, current_bias), axis=1).max()
+    matrix = np.asarray(positive_definite("Gamma", Gamma, constants.n))
+    t = h * np.arange(len(rows.y))
+    return robust_bound(matrix, window, found.alpha, float(size), initial_error, float(b), t)

@@ -1,0 +1,150 @@
+"""What can be told apart: from the constraint's Hessian beforehand, from a record afterwards."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import subspace_angles
+
+from ...constraint import QuadraticConstraint
+from ...errors import ModelError
+from ..regression import Parametrisation, Regressors
+
+Array = NDArray[np.float64]
+
+
+def observability_gramian(
+    rows: Regressors,
+    constants: Parametrisation,
+    h: float,
+    window: float,
+    scale: ArrayLike | None = None,
+) -> Array:
+    """``∫ F(s,t)ᵀ Ψ Ψᵀ F(s,t) ds`` over the last window of a record, t its end.
+
+    The pair is (λ' = θ, y = Ψᵀ(λ, θ, …)): the flux moves with the drift, which makes more visible
+    than the plain excitation of Ψ does. At constant speed a PMSM's Ψ has rank 3 of 5 while this
+    Gramian is regular.
+
+    Parameters
+    ----------
+    rows : Regressors
+        Leading axis time.
+    constants : Parametrisation
+    h, window : float
+        [s].
+    scale : (n + n_θ,) array_like, optional
+        Size of each unknown.
+
+    Returns
+    -------
+    (N, N) ndarray
+    """
+    count = round(window / h)
+    if not 1 <= count <= len(rows.y):
+        raise ModelError(f"a window of {window:g} s does not fit {len(rows.y)} rows of {h:g} s")
+    psi = np.column_stack([rows.Phi_flux, jax.vmap(constants.regressor)(rows)])[-count:]
+    n = constants.n
+    age = h * np.arange(count - 1, -1, -1)
+    # Row s in terms of the state at t: λ(s) = λ(t) - (t - s) θ.
+    psi = psi.copy()
+    psi[:, n : 2 * n] -= age[:, None] * psi[:, :n]
+    if scale is not None:
+        psi = psi * np.asarray(scale, float)
+    return np.asarray(h * psi.T @ psi)
+
+
+def invisible_from_gramian(gramian: ArrayLike, tolerance: float = 1e-10) -> Array:
+    """Directions that a record did not see: eigenvectors below a share of the largest, (N, k)."""
+    values, vectors = np.linalg.eigh(np.asarray(gramian, float))
+    return np.asarray(vectors[:, values < tolerance * values[-1]])
+
+
+def invisible_from_constraint(constraint: QuadraticConstraint, constants: Parametrisation) -> Array:
+    """Directions in (λ, constants) that no record sees, (N, k).
+
+    For current bias as an unknown they are the null space of the Hessian, (r, s) read as offsets
+    of flux and bias. The printed parametrisation adds (s, 0, -2 Q1 s, -Q2ᵀ s) where it has the
+    y_b block: its constants are more than the biases can make (erratum 5).
+    """
+    n, size = constants.n, constants.n + len(constants)
+    hidden = constraint.invisible_offsets()
+    columns = []
+    if constants.kind == "structured":
+        for column in hidden.T:
+            direction = np.zeros(size)
+            # An offset s of i_m - δ is one of -s in δ.
+            direction[:n], direction[2 * n : 3 * n] = column[:n], -column[n:]
+            columns.append(direction)
+    elif constants.kind == "printed":
+        for s in np.eye(n) if constants.with_b else []:
+            direction = np.zeros(size)
+            direction[:n] = s
+            direction[2 * n : 3 * n] = -2 * constraint.Q1 @ s
+            direction[3 * n : 4 * n] = -constraint.Q2.T @ s
+            columns.append(direction)
+        if not constants.with_b:
+            for column in hidden.T:
+                direction = np.zeros(size)
+                direction[:n], direction[2 * n : 3 * n] = column[:n], constraint.Q2 @ column[n:]
+                columns.append(direction)
+    elif np.linalg.matrix_rank(constraint.hessian()[:, :n]) < n:
+        _, singular, vt = np.linalg.svd(constraint.hessian()[:, :n])
+        for row in vt[singular < 1e-9 * singular[0]]:
+            columns.append(np.r_[row, np.zeros(size - n)])
+    return np.array(columns).T if columns else np.empty((size, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Invisible directions as predicted and as found.
+
+    Attributes
+    ----------
+    predicted, found : (N, k) ndarray
+    angle : float
+        Largest principal angle between the two [rad]; NaN where their dimensions differ.
+    """
+
+    predicted: Array
+    found: Array
+    angle: float
+
+    @property
+    def agree(self) -> bool:
+        """The record saw all that the constraint allows to be seen."""
+        return self.predicted.shape == self.found.shape and not self.angle > 1e-3
+
+
+def compare(
+    constraint: QuadraticConstraint,
+    rows: Regressors,
+    constants: Parametrisation,
+    h: float,
+    window: float,
+    scale: ArrayLike,
+    tolerance: float = 1e-10,
+) -> Comparison:
+    """Prediction from the constraint against the observability Gramian of a record."""
+    sizes = np.asarray(scale, float)
+    found = invisible_from_gramian(
+        observability_gramian(rows, constants, h, window, sizes), tolerance
+    )
+    predicted = invisible_from_constraint(constraint, constants) / sizes[:, None]
+    if predicted.shape != found.shape:
+        angle = float("nan")
+    elif found.shape[1] == 0:
+        angle = 0.0
+    else:
+        angle = float(np.max(subspace_angles(predicted, found)))
+    return Comparison(predicted, found, angle)
+
+
+def rank(gramian: ArrayLike, tolerance: float = 1e-10) -> int:
+    """Number of directions seen."""
+    values = np.linalg.eigvalsh(jnp.asarray(gramian))
+    return int((values > tolerance * values[-1]).sum())

@@ -1,0 +1,133 @@
+"""Is an adaptive law stable along this trajectory? The number that Remark 7 leaves to the reader.
+
+The error of Proposition 2 obeys ``χ' = (G_a - Γ Ψ Ψᵀ) χ``. Along a periodic trajectory its Floquet
+multipliers decide, along any other its Lyapunov exponents.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import ModelError
+from ..observers.base import positive_definite
+from ..regression import Parametrisation, Regressors
+
+Array = NDArray[np.float64]
+
+
+class GainStudy(NamedTuple):
+    """Growth of the error over the gain.
+
+    Attributes
+    ----------
+    gains : (k,) ndarray
+    growth : (k,) ndarray
+        Largest |Floquet multiplier| over the record (periodic), else largest Lyapunov exponent
+        [1/s].
+    stable : (k,) ndarray of bool
+    """
+
+    gains: Array
+    growth: Array
+    stable: NDArray[np.bool_]
+
+
+def proposition_2(
+    rows: Regressors, constants: Parametrisation, Gamma: Any = 1.0
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Ψ (rows, N), Γ (N, N) and G_a (N, N) of the printed adaptive observer along a record."""
+    psi = jnp.column_stack([rows.Phi_flux, jax.vmap(constants.regressor)(rows)])
+    n, size = constants.n, psi.shape[1]
+    G_a = jnp.zeros((size, size)).at[:n, n : 2 * n].set(jnp.eye(n))
+    return psi, positive_definite("Gamma", Gamma, size), G_a
+
+
+@jax.jit
+def _steps(psi: jax.Array, Gamma: jax.Array, G_a: jax.Array, h: jax.Array) -> jax.Array:
+    """Transition of every step, (rows - 1, N, N): exponential of the step's mean generator."""
+    rate = jnp.einsum("ki,kj->kij", psi, psi)
+    mean = G_a - Gamma @ ((rate[:-1] + rate[1:]) / 2)
+    return jax.scipy.linalg.expm(mean * h)
+
+
+def floquet_multipliers(steps: jax.Array) -> Array:
+    """Eigenvalues of the product of all steps, the record being one period; largest first.
+
+    Parameters
+    ----------
+    steps : (rows, N, N) array
+        Transition matrices in order of time.
+    """
+
+    def body(product: jax.Array, step: jax.Array) -> tuple[jax.Array, None]:
+        return step @ product, None
+
+    monodromy, _ = jax.lax.scan(body, jnp.eye(steps.shape[1]), steps)
+    values = np.linalg.eigvals(np.asarray(monodromy))
+    return np.asarray(values[np.argsort(-np.abs(values))])
+
+
+def lyapunov_exponents(steps: jax.Array, h: float) -> Array:
+    """Mean exponential growth rates [1/s] over a record, by QR; largest first."""
+
+    def body(q: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array]:
+        q, r = jnp.linalg.qr(step @ q)
+        diagonal = jnp.abs(jnp.diag(r))
+        return q, jnp.log(jnp.where(diagonal > 0, diagonal, jnp.finfo(float).tiny))
+
+    _, logs = jax.lax.scan(body, jnp.eye(steps.shape[1]), steps)
+    return np.sort(np.asarray(logs.sum(axis=0)))[::-1] / (len(steps) * h)
+
+
+def over_gain(
+    rows: Regressors,
+    constants: Parametrisation,
+    h: float,
+    gains: Sequence[float],
+    Gamma: Any = 1.0,
+    periodic: bool = True,
+) -> GainStudy:
+    """Stability of Proposition 2 along a record, over gains γ Γ.
+
+    Parameters
+    ----------
+    rows : Regressors
+        Leading axis time, h apart, fine enough for the trajectory; if `periodic`, exactly one
+        period, the first row repeated at the end.
+    constants : Parametrisation
+    h : float
+        [s].
+    gains : sequence of float
+        γ.
+    Gamma : number, vector or matrix
+        Shape of the gain.
+    periodic : bool
+        Floquet multipliers (True) or Lyapunov exponents.
+
+    Raises
+    ------
+    ModelError
+        The record is said to be periodic and its ends differ.
+    """
+    psi, matrix, G_a = proposition_2(rows, constants, Gamma)
+    if periodic:
+        gap = float(jnp.abs(psi[0] - psi[-1]).max() / jnp.abs(psi).max())
+        if gap > 1e-3:
+            raise ModelError(
+                f"not periodic: the regressor's ends differ by {gap:.2g} of its peak; give one "
+                f"period in steady state, or periodic=False"
+            )
+    growth = []
+    for gain in gains:
+        steps = _steps(psi, gain * matrix, G_a, jnp.asarray(h))
+        growth.append(
+            np.abs(floquet_multipliers(steps)[0]) if periodic else lyapunov_exponents(steps, h)[0]
+        )
+    values = np.array(growth)
+    return GainStudy(np.asarray(gains, float), values, values < (1.0 if periodic else 0.0))

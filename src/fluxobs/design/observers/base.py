@@ -1,0 +1,86 @@
+"""What every observer on the regression shares: two forms, continuous and sampled, and a runner.
+
+``derivative(state, y_m, row)`` is the law as published, for an ODE solver. ``step(state, h,
+volt_seconds, row)`` is for samples: it moves the state by the known volt-seconds, then takes the
+row by the exact solution of the gradient flow for a constant regressor, which is stable at any
+gain, however stiff the law.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...errors import ModelError
+from ..precision import real
+from ..regression import Regressors
+
+
+class FluxObserver(Protocol):
+    """Frozen parameters, explicit state."""
+
+    def init(self) -> Any: ...
+
+    def derivative(self, state: Any, y_m: jax.Array, row: Regressors) -> Any: ...
+
+    def step(self, state: Any, h: float, volt_seconds: jax.Array, row: Regressors) -> Any: ...
+
+    def estimate(self, state: Any) -> tuple[jax.Array, jax.Array]:
+        """Flux (n,) and estimated constants (n_θ,); n_θ may be zero."""
+        ...
+
+
+def positive_definite(name: str, value: Any, size: int) -> jax.Array:
+    """Gain matrix of that size from a number, a vector (its diagonal) or a matrix.
+
+    Raises
+    ------
+    ModelError
+        Not symmetric positive definite: names the least eigenvalue.
+    """
+    gain = real(name, value)
+    matrix = gain * jnp.eye(size) if gain.ndim < 2 else gain
+    if matrix.shape != (size, size):
+        raise ModelError(f"{name} must be a number, ({size},) or ({size}, {size}), got {gain.shape}")
+    if isinstance(matrix, jax.core.Tracer):
+        return matrix
+    plain = np.asarray(matrix)
+    if not np.allclose(plain, plain.T, rtol=1e-12, atol=0):
+        raise ModelError(f"{name} must be symmetric, got {plain.tolist()}")
+    least = np.linalg.eigvalsh(plain).min()
+    if not least > 0:
+        raise ModelError(f"{name} must be positive definite, got least eigenvalue {least:g}")
+    return matrix
+
+
+def flow_gain(q: jax.Array, h: float) -> jax.Array:
+    """``(1 - e^{-qh})/q``: what a gradient flow of rate q does within h; h where q is zero."""
+    safe = jnp.where(q > 0, q, 1.0)
+    return jnp.where(q > 0, -jnp.expm1(-safe * h) / safe, h)
+
+
+@eqx.filter_jit
+def run(
+    observer: FluxObserver, h: float, volt_seconds: jax.Array, rows: Regressors, skip: Any = 0
+) -> tuple[jax.Array, jax.Array]:
+    """Flux (rows, n) and constants (rows, n_θ) over a record, from `observer.init()`.
+
+    Row k's volt-seconds belong to the interval that ends at row k. The regression of the first
+    `skip` rows (its filters' transient) is not used.
+    """
+    count = len(rows.y)
+
+    def body(state: Any, sample: Any) -> tuple[Any, Any]:
+        k, v, row = sample
+        use = jnp.where(k >= skip, 1.0, 0.0)
+        row = Regressors(*(use * part for part in row))
+        state = observer.step(state, h, jnp.where(k > 0, v, 0.0), row)
+        return state, observer.estimate(state)
+
+    samples = (jnp.arange(count), volt_seconds, rows)
+    _, found = jax.lax.scan(body, observer.init(), samples)
+    return found  # type: ignore[no-any-return]

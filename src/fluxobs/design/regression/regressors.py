@@ -1,0 +1,123 @@
+"""The linear regression of Lemma 1, and the ways to parametrise its unknown constants."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NamedTuple, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...constraint import QuadraticConstraint
+from ...errors import ModelError
+from ..precision import real
+
+
+class Regressors(NamedTuple):
+    """``y = Φ_fluxᵀλ + Φ_driftᵀθ + Φ_aᵀθ_a + Φ_bᵀθ_b + φ_c θᵀQ1θ`` with θ_a = -Q2 δ_i,
+    θ_b = -2 Q3 δ_i; leading axis time in a record.
+    """
+
+    y: jax.Array  # ()
+    Phi_flux: jax.Array  # (n,)
+    Phi_drift: jax.Array  # (n,)
+    Phi_a: jax.Array  # (n,)
+    Phi_b: jax.Array  # (n,)
+    phi_c: jax.Array  # ()
+
+
+Kind = Literal["printed", "structured", "voltage-bias"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+
+class Parametrisation(eqx.Module):
+    """Which constants are estimated beside the flux, and with which regressors.
+
+    Every one begins with the drift θ.
+
+    Parameters
+    ----------
+    constraint : QuadraticConstraint
+    kind : {"printed", "structured", "voltage-bias"}
+        The paper's (θ, θ_a, θ_b, 2/ν θᵀQ1θ), without its entry 1 of y_b, whose regressor vanishes;
+        (θ, δ_i, θᵀQ1θ), where θ_a and θ_b are known functions of one current bias;
+        (θ, θᵀQ1θ), exact where the currents have no bias.
+    corner : float
+        ν of the filters [rad/s]; scales the last constant as in the paper.
+
+    Notes
+    -----
+    With a regular Q1 the printed one is never persistently exciting unless Q3 = 0: up to decaying
+    terms ``Φ_flux = 2 Q1 Φ_a + Q2 Φ_b`` (erratum 5).
+    """
+
+    Q1: jax.Array
+    Q2: jax.Array
+    Q3: jax.Array
+    corner: float
+    kind: Kind = eqx.field(static=True)
+    with_b: bool = eqx.field(static=True)
+    with_c: bool = eqx.field(static=True)
+
+    def __init__(self, constraint: QuadraticConstraint, kind: Kind, corner: float) -> None:
+        if kind not in KINDS:
+            raise ModelError(f"parametrisation must be one of {', '.join(KINDS)}, got {kind!r}")
+        self.Q1, self.Q2 = jnp.asarray(constraint.Q1), jnp.asarray(constraint.Q2)
+        self.Q3 = jnp.asarray(constraint.Q3)
+        self.corner = corner
+        self.kind = kind
+        # A block whose coefficients are zero whatever the bias is carries nothing.
+        self.with_b = bool(np.any(constraint.Q3 != 0))
+        self.with_c = bool(np.any(constraint.Q1 != 0))
+
+    @property
+    def n(self) -> int:
+        return len(self.Q1)
+
+    def regressor(self, row: Regressors) -> jax.Array:
+        """Φ_θ of one row, (n_θ,)."""
+        parts = [row.Phi_drift]
+        if self.kind == "printed":
+            parts.append(row.Phi_a)
+            if self.with_b:
+                parts.append(row.Phi_b)
+        elif self.kind == "structured":
+            parts.append(-(self.Q2.T @ row.Phi_a + 2 * self.Q3 @ row.Phi_b))
+        if self.with_c:
+            parts.append(row.phi_c[None] * self.corner / 2)
+        return jnp.concatenate(parts)
+
+    def constants(self, drift: Any, current_bias: Any) -> jax.Array:
+        """The true constants that belong to drift [V] and current bias [A], (n_θ,)."""
+        theta = real("drift", drift, (self.n,))
+        delta = real("current_bias", current_bias, (self.n,))
+        parts = [theta]
+        if self.kind == "printed":
+            parts.append(-self.Q2 @ delta)
+            if self.with_b:
+                parts.append(-2 * self.Q3 @ delta)
+        elif self.kind == "structured":
+            parts.append(delta)
+        if self.with_c:
+            parts.append((2 / self.corner * theta @ self.Q1 @ theta)[None])
+        return jnp.concatenate(parts)
+
+    def __len__(self) -> int:
+        return len(self.constants(np.zeros(self.n), np.zeros(self.n)))
+
+
+def residual(
+    rows: Regressors, constraint: QuadraticConstraint, flux: Any, drift: Any, current_bias: Any
+) -> jax.Array:
+    """y minus what the true flux, drift and current bias explain; leading axes as in `rows`."""
+    Q1, Q2, Q3 = (jnp.asarray(getattr(constraint, name)) for name in ("Q1", "Q2", "Q3"))
+    theta, delta = jnp.asarray(drift), jnp.asarray(current_bias)
+    explained = (
+        jnp.einsum("...i,...i", rows.Phi_flux, jnp.asarray(flux))
+        + rows.Phi_drift @ theta
+        - rows.Phi_a @ (Q2 @ delta)
+        - 2 * rows.Phi_b @ (Q3 @ delta)
+        + rows.phi_c * (theta @ Q1 @ theta)
+    )
+    return rows.y - explained
