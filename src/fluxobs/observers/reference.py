@@ -20,13 +20,14 @@ Array = NDArray[np.float64]
 NOISE_SHARE_LIMIT = 0.1
 #: A flux is known when its standard deviation is below this share of the flux vector's length.
 KNOWN = 0.1
-#: ∫ i dt over a sample from the last currents, newest first: cubic where there are four.
-QUADRATURE = {
-    1: (1.0,),
-    2: (1 / 2, 1 / 2),
-    3: (5 / 12, 8 / 12, -1 / 12),
-    4: (9 / 24, 19 / 24, -5 / 24, 1 / 24),
-}
+#: A sample whose innovation is so many times its standard deviation contradicts all before, ...
+CONTRADICTION = 10.0
+#: ... is passed over, and if so many follow each other what was constant has jumped: start anew.
+CONTRADICTIONS = 4
+#: A row of the prior is given back every so many samples.
+EVERY = 2
+#: Mean current of the last interval from the last four, newest first: the cubic through them.
+QUADRATURE = np.array([9.0, 19.0, -5.0, 1.0]) / 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +68,15 @@ class ImmersionState:
     R: Array
     z: Array
     noise: Array  # information that current noise alone would have produced
-    currents: tuple[Array, ...]  # the last ones, newest first, at most four
+    currents: Array  # the last four, newest first
     voltage: Array
     power: float = 1.0  # of the innovations
     correlation: float = 0.0  # of successive ones
     last_innovation: Array | None = None
     samples: int = 0
     bad: int = 0
+    contradictions: int = 0  # in a row
+    restarts: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,12 +169,18 @@ class ImmersionObserver:
         at = self.immersion.slices
         for k, relation in enumerate(self.immersion.relations):
             Q1, Q2, E = np.abs(relation.Q1), np.abs(relation.Q2), np.abs(relation.E)
-            size = flux @ Q1 @ flux + E @ flux + flux @ Q2 @ bias + abs(relation.d)
+            size = max(
+                np.max(flux[:, None] * Q1 * flux),
+                np.max(E * flux),
+                np.max(flux[:, None] * Q2 * bias),
+                abs(relation.d),
+            )
+            slope = np.maximum(2 * Q1 * flux, Q2 * bias).max(axis=1)
             # A state that is zero by definition (Q1 = 0, say) is pinned, not left free.
             least = 1e-9 * max(size, self.constraint_noise[k])
             out[at["s"]][k] = max(size, self.constraint_noise[k])
-            out[at["kappa"]][k] = max(drift @ (2 * Q1 @ flux + E + Q2 @ bias), least)
-            out[at["c"]][k] = max(drift @ Q1 @ drift, least)
+            out[at["kappa"]][k] = max(np.max(drift * np.maximum(slope, E)), least)
+            out[at["c"]][k] = max(np.max(drift[:, None] * Q1 * drift), least)
         out[at["flux"]] = flux
         if "drift" in unknowns:
             out[at["drift"]] = drift
@@ -185,7 +194,11 @@ class ImmersionObserver:
             raise ValueError("this observer takes one record at a time")
         size = self.immersion.size
         return ImmersionState(
-            np.diag(1 / self._prior), np.zeros(size), np.zeros((size, size)), (), np.zeros(0)
+            np.diag(1 / self._prior),
+            np.zeros(size),
+            np.zeros((size, size)),
+            np.zeros((4, self.immersion.n)),
+            np.zeros(0),
         )
 
     def step(
@@ -198,7 +211,8 @@ class ImmersionObserver:
     ) -> tuple[ImmersionState, ImmersionEstimate]:
         """One sample; arguments as for :meth:`LeastSquaresObserver.step`, ``(m,)`` and ``(n,)``.
 
-        A missing (NaN) current is predicted over, a missing voltage held.
+        A missing (NaN) current is predicted over, a missing voltage held; a current that contradicts
+        all before is passed over, and four of these in a row start the estimate anew.
         """
         if current is None or (voltage is None) == (volt_seconds is None):
             raise TypeError("give current, and either voltage or volt_seconds")
@@ -206,14 +220,15 @@ class ImmersionObserver:
         i = np.asarray(current, float)
         known = bool(np.isfinite(i).all())
         if not known:
-            i = state.currents[0] if state.currents else np.zeros(immersion.n)
+            i = state.currents[0] if state.samples else np.zeros(immersion.n)
         u = state.voltage if voltage is None else np.asarray(voltage, float)
         bad = not known
         if not np.isfinite(u).all():
             u, bad = state.voltage, bad or state.samples > 0
         if u.size == 0:
             u = np.zeros(self.B.shape[1])
-        currents = (i, *state.currents)[:4]
+        # Before the first sample the current is taken to have been what it is.
+        currents = np.vstack([i, state.currents[:-1] if state.samples else np.tile(i, (3, 1))])
         R, z, noise = state.R, state.z, state.noise
         if state.samples > 0:
             if volt_seconds is not None:
@@ -221,9 +236,7 @@ class ImmersionObserver:
                 if not np.isfinite(v).all():
                     raise ValueError("volt_seconds must be finite")
             else:
-                weights = QUADRATURE[len(currents)]
-                mean = sum(w * past for w, past in zip(weights, currents, strict=True))
-                v = h * (self.B @ u - self.R @ mean)
+                v = h * (self.B @ u - self.R @ (QUADRATURE @ currents))
             rho = 1 - h / self.memory
             back = immersion.transition(-h, -v)
             R = R @ back
@@ -247,32 +260,47 @@ class ImmersionObserver:
         immersion, sigma = self.immersion, self.constraint_noise
         rows, values = immersion.output_rows(current)
         rows, values = rows / sigma[:, None], values / sigma
-        x = np.linalg.solve(state.R, state.z)
-        innovation = values - rows @ x
+        inverse = np.linalg.inv(state.R)
+        innovation = values - rows @ (inverse @ state.z)
+        expected = 1 + np.square(rows @ inverse).sum(axis=1)
+        limit = CONTRADICTION**2 * expected * max(state.power, 1.0)
+        rho = 1 - self.sample_time / self.memory
+        if (innovation**2 > limit).any():
+            if state.contradictions + 1 < CONTRADICTIONS:
+                return replace(
+                    state, contradictions=state.contradictions + 1, last_innovation=innovation
+                )
+            fresh = self.init()
+            state = replace(
+                state,
+                R=fresh.R,
+                z=fresh.z,
+                noise=fresh.noise,
+                restarts=state.restarts + 1,
+                # So that noise beyond what is assumed cannot restart for ever.
+                power=4 * max(state.power, 1.0),
+            )
+        else:
+            last = state.last_innovation
+            product = 0.0 if last is None else float(np.mean(innovation * last))
+            state = replace(
+                state,
+                power=rho * state.power + (1 - rho) * float(np.mean(innovation**2)),
+                correlation=rho * state.correlation + (1 - rho) * product,
+            )
+        state = replace(state, last_innovation=innovation)
         R, z = _absorb(state.R, state.z, rows, values)
         # Against wind-up: what forgetting takes from the prior is given back, in turn, at the
         # estimate, which it does not move.
-        j = state.samples % immersion.size
-        rho = 1 - self.sample_time / self.memory
-        weight = np.sqrt(1 - rho**immersion.size) / self._prior[j]
-        x = np.linalg.solve(R, z)
-        row = np.zeros((1, immersion.size))
-        row[0, j] = weight
-        R, z = _absorb(R, z, row, weight * x[[j]])
+        if state.samples % EVERY == 0:
+            j = state.samples // EVERY % immersion.size
+            weight = np.sqrt(1 - rho ** (EVERY * immersion.size)) / self._prior[j]
+            row = np.zeros((1, immersion.size))
+            row[0, j] = weight
+            R, z = _absorb(R, z, row, weight * np.linalg.solve(R, z)[[j]])
         gain = immersion.row_gain() * (self.current_noise / sigma[:, None, None])
         noise = state.noise + np.einsum("rij,rkj->ik", gain, gain)
-        share = 1 - rho
-        last = state.last_innovation
-        product = 0.0 if last is None else float(np.mean(innovation * last))
-        return replace(
-            state,
-            R=R,
-            z=z,
-            noise=noise,
-            power=(1 - share) * state.power + share * float(np.mean(innovation**2)),
-            correlation=(1 - share) * state.correlation + share * product,
-            last_innovation=innovation,
-        )
+        return replace(state, R=R, z=z, noise=noise, contradictions=0)
 
     def _read_out(self, state: ImmersionState) -> tuple[ImmersionState, ImmersionEstimate]:
         immersion, at = self.immersion, self.immersion.slices

@@ -1,0 +1,207 @@
+"""Section V-B of the paper: two opposed coils under IDA-PBC, with biased measurements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from ..constraint import QuadraticConstraint
+from ..design.control import IdaPbc
+from ..design.machines import maglev_2dof
+from ..design.regression import FilteredRegression, Regressors
+from ..design.regression.filtered import filter_record
+from ..design.simulate import Trajectory, simulate, volt_seconds
+from ..design.system import ElectromechanicalSystem, State
+from ..machines import MagLev2DOF, example
+from ..sensing import Steps
+
+Array = NDArray[np.float64]
+
+#: The paper's values.
+CORNER = 50.0
+R_A = 1e-2
+JUMP, DURATION = 50.0, 100.0
+CURRENT_BIAS = ((-0.003, 0.0025), (0.001, 0.0008))
+VOLTAGE_BIAS = ((0.0, 0.0), (0.002, 0.0002))
+ROBUST_GAIN = 1e4
+ADAPTIVE_GAIN = (1e20, 1e20, 1e20, 1e20, 2e13, 2e13, 20.0)
+
+
+class Position(eqx.Module):
+    """q_d(t) of the paper [m]."""
+
+    scale: float = 1.0
+
+    def __call__(self, t: jax.Array) -> jax.Array:
+        return self.scale * 1e-5 * (6 * jnp.sin(10 * t) + 4 * jnp.sin(20 * t) + 6 * jnp.sin(15 * t))
+
+
+class BiasFlux(eqx.Module):
+    """``mean (1 + depth sin(speed t))`` [Wb]: what both coils carry in common."""
+
+    mean: jax.Array
+    depth: jax.Array
+    speed: jax.Array
+
+    def __call__(self, t: jax.Array) -> jax.Array:
+        return self.mean * (1 + self.depth * jnp.sin(self.speed * t))
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Controller settings and references.
+
+    Attributes
+    ----------
+    name, title : str
+    alpha, G : float
+        Of the controller; β = -α.
+    bias_current : float
+        Current that the reference flux φ* corresponds to in the middle of the gap [A].
+    depth : float
+        Modulation of the reference flux, at 7 rad/s.
+    initial_flux : float
+        Of both cores [Wb]; NaN: the reference.
+    """
+
+    name: str
+    title: str
+    alpha: float
+    G: float
+    bias_current: float
+    depth: float
+    initial_flux: float
+
+
+SCENARIOS = {
+    scenario.name: scenario
+    for scenario in (
+        Scenario("S1", "the paper's: no bias flux, α = 10", 10.0, 1e4, 0.0, 0.0, 1e-5),
+        Scenario("S2", "the same with 0.5 A of bias flux", 10.0, 1e4, 0.5, 0.0, 1e-5),
+        Scenario("S3", "sensible gains, 0.5 A of bias flux", 0.01, 5e3, 0.5, 0.0, np.nan),
+        Scenario("S5", "the same, bias flux modulated ±30 %", 0.01, 5e3, 0.5, 0.3, np.nan),
+    )
+}
+
+
+class _Control(eqx.Module):
+    """The controller in the system's own coordinates: linkages c φ, momentum p/D."""
+
+    law: IdaPbc
+    c: jax.Array
+    D: float
+
+    def __call__(self, t: jax.Array, state: State) -> jax.Array:
+        return self.law(t, state.flux / self.c, state.position[0], self.D * state.momentum[0])
+
+
+@dataclass(frozen=True, eq=False)
+class LevitationRecord:
+    """What the sensors say, and what is true; rows h apart, core fluxes.
+
+    Attributes
+    ----------
+    drift, current_bias : (rows, 2) ndarray
+        True values that hold over the interval ending at each row, and at it.
+    current : (rows, 2) ndarray
+        Measured: with bias [A].
+    volt_seconds : (rows, 2) ndarray
+        ∫ (-R i_m + u_m)/N dt over the interval ending at each row, exact [Wb].
+    """
+
+    scenario: Scenario
+    machine: MagLev2DOF
+    trajectory: Trajectory
+    t: Array
+    flux: Array
+    true_current: Array
+    current: Array
+    drift: Array
+    current_bias: Array
+    volt_seconds: Array
+
+    @property
+    def h(self) -> float:
+        return self.trajectory.h
+
+    @property
+    def constraint(self) -> QuadraticConstraint:
+        return self.machine.constraint
+
+
+@cache
+def _benchmark() -> tuple[MagLev2DOF, ElectromechanicalSystem]:
+    """One system for all scenarios, so that its dynamics are compiled once."""
+    machine = example("maglev-knospe")
+    assert isinstance(machine, MagLev2DOF)
+    return machine, maglev_2dof(machine)
+
+
+def record(scenario: Scenario, h: float = 2e-3, quick: bool = False) -> LevitationRecord:
+    """Simulates a scenario; quick: 30 s with the biases jumping at 15 s."""
+    duration, jump = (30.0, 15.0) if quick else (DURATION, JUMP)
+    machine, system = _benchmark()
+    c = np.array([machine.c_1, machine.c_2])
+    phi = machine.k_2 * scenario.bias_current / machine.g
+    reference = BiasFlux(jnp.asarray(phi), jnp.asarray(scenario.depth), jnp.asarray(7.0))
+    law = IdaPbc(
+        machine,
+        jnp.asarray(scenario.alpha),
+        jnp.asarray(-scenario.alpha),
+        jnp.asarray(R_A),
+        jnp.asarray(scenario.G),
+        reference,
+        Position(),
+    )
+    start = phi if np.isnan(scenario.initial_flux) else scenario.initial_flux
+    typical = machine.k_2 * 0.5 / machine.g
+    trajectory = simulate(
+        system,
+        _Control(law, jnp.asarray(c), machine.D),
+        np.arange(round(duration / h) + 1) * h,
+        State(jnp.asarray(c * start), jnp.zeros(1), jnp.zeros(1)),
+        scale=State(jnp.asarray(c * typical), jnp.full(1, 1e-4), jnp.full(1, 0.1)),
+        position_limit=(-machine.g, machine.g),
+        rtol=1e-7,
+    )
+    t = trajectory.t
+    current_bias = Steps(CURRENT_BIAS, [jump]).at(t - h / 2)
+    voltage_bias = Steps(VOLTAGE_BIAS, [jump]).at(t - h / 2)
+    drift = current_bias @ machine.R.T - voltage_bias @ machine.B.T
+    flux = trajectory.flux / c
+    return LevitationRecord(
+        scenario,
+        machine,
+        trajectory,
+        t,
+        flux,
+        trajectory.current,
+        trajectory.current + current_bias,
+        drift,
+        current_bias,
+        volt_seconds(flux, h, drift),
+    )
+
+
+def filtered(given: LevitationRecord) -> tuple[Regressors, Regressors]:
+    """The continuous regression at every row: corrected, and with Φ_λ as printed."""
+    c = np.array([given.machine.c_1, given.machine.c_2])
+    _, rate, current = given.trajectory.middle()
+    known = given.trajectory.flux_rate / c
+    # Signals at the beginning, middle and end of each interval, with that interval's bias.
+    drift, bias = given.drift[1:, None], given.current_bias[1:, None]
+    y_m = np.stack([known[:-1], rate / c, known[1:]], axis=1) - drift
+    i_m = np.stack([given.true_current[:-1], current, given.true_current[1:]], axis=1) + bias
+    out = []
+    for form in ("corrected", "printed"):
+        regression = FilteredRegression(given.constraint, CORNER, form)  # type: ignore[arg-type]
+        if not out:
+            filters = filter_record(regression, given.h, jnp.asarray(y_m), jnp.asarray(i_m))
+        out.append(jax.vmap(regression.read_out)(filters, jnp.asarray(given.current)))
+    return out[0], out[1]
