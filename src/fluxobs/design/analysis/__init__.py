@@ -4,10 +4,14 @@ from .bounds import bound_on_record, decay_rate, robust_bound
 from .excitation import Excitation, excitation, persistency
 from .identifiability import compare, invisible_from_constraint, observability_gramian
 from .stability import GainStudy, floquet_multipliers, lyapunov_exponents, over_gain
+from .tuning import balanced_basis, balanced_gain, balanced_repaired
 
 __all__ = [
     "Excitation",
     "GainStudy",
+    "balanced_basis",
+    "balanced_gain",
+    "balanced_repaired",
     "bound_on_record",
     "compare",
     "decay_rate",

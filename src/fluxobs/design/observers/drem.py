@@ -36,13 +36,12 @@ class DremObserver(eqx.Module):
     Parameters
     ----------
     gamma : float
-        Gain [1/s] on the per-unit Δ.
+        Gain [1/s]; the rate of convergence is γ Δ².
     memory : float
         T of the extension [s].
-    scale : (n + n_θ,) array_like
-        Size of each unknown.
-    size_y : float
-        Size of y, so that Δ is per-unit.
+    basis : (N,) or (N, N) array_like
+        Unknowns are estimated as ``x = basis x_pu``: sizes, or a matrix that balances them, since
+        Δ is a product of N eigenvalues (:func:`fluxobs.design.analysis.balanced_basis`).
     constants : Parametrisation
     finite : float
         1 - w from which the finite-time formula is used, in (0, 1].
@@ -56,8 +55,7 @@ class DremObserver(eqx.Module):
 
     gamma: float
     memory: float
-    scale: jax.Array
-    size_y: float
+    basis: jax.Array
     constants: Parametrisation
     finite: float
 
@@ -65,42 +63,44 @@ class DremObserver(eqx.Module):
         self,
         gamma: float,
         memory: float,
-        scale: Any,
-        size_y: float,
+        basis: Any,
         constants: Parametrisation,
         finite: float = 0.1,
     ) -> None:
         size = constants.n + len(constants)
-        self.scale = real("scale", scale, (size,))
-        for name, value in (("gamma", gamma), ("memory", memory), ("size_y", size_y)):
+        given = real("basis", basis)
+        self.basis = jnp.diag(given) if given.ndim == 1 else given
+        if self.basis.shape != (size, size):
+            raise ModelError(f"basis must be ({size},) or ({size}, {size}), got {given.shape}")
+        for name, value in (("gamma", gamma), ("memory", memory)):
             if not value > 0:
                 raise ModelError(f"{name} must be positive, got {value}")
         if not 0 < finite <= 1:
             raise ModelError(f"finite must lie in (0, 1], got {finite}")
-        self.gamma, self.memory, self.size_y = float(gamma), float(memory), float(size_y)
+        self.gamma, self.memory = float(gamma), float(memory)
         self.constants, self.finite = constants, float(finite)
 
     def init(self) -> DremState:
-        size = len(self.scale)
+        size = len(self.basis)
         zero = jnp.zeros(size)
         return DremState(jnp.zeros((size, size)), zero, zero, zero, jnp.ones(()))
 
     def step(
         self, state: DremState, h: float, volt_seconds: jax.Array, row: Regressors
     ) -> DremState:
-        n, size = self.constants.n, len(self.scale)
-        scale = self.scale
-        drift = jnp.zeros((size, size)).at[:n, n : 2 * n].set(h * jnp.eye(n))
-        drift = drift / scale[:, None] * scale  # per-unit: x_pu = x/scale
+        n, size = self.constants.n, len(self.basis)
+        # Per-unit: x = basis x_pu.
+        plain = jnp.zeros((size, size)).at[:n, n : 2 * n].set(h * jnp.eye(n))
+        drift = jnp.linalg.solve(self.basis, plain @ self.basis)
+        moved = jnp.linalg.solve(self.basis, jnp.zeros(size).at[:n].set(volt_seconds))
         back = jnp.eye(size) - drift
-        moved = jnp.zeros(size).at[:n].set(volt_seconds / scale[:n])
         fade = jnp.exp(-h / self.memory)
         M = fade * back.T @ state.M @ back
         m = fade * back.T @ state.m + M @ moved
-        psi = jnp.concatenate([row.Phi_flux, self.constants.regressor(row)]) * scale / self.size_y
+        psi = jnp.concatenate([row.Phi_flux, self.constants.regressor(row)]) @ self.basis
         weight = h / self.memory
         M = M + weight * jnp.outer(psi, psi)
-        m = m + weight * psi * row.y / self.size_y
+        m = m + weight * psi * row.y
         # Cramer's rule: Y_j is the determinant of M with m in column j.
         delta = jnp.linalg.det(M)
         Y = jax.vmap(lambda j: jnp.linalg.det(M.at[:, j].set(m)))(jnp.arange(size))
@@ -116,5 +116,5 @@ class DremObserver(eqx.Module):
         x = jnp.where(
             done >= self.finite, (state.x - state.left * state.open_loop) / safe, state.x
         )
-        x = x * self.scale
+        x = self.basis @ x
         return x[: self.constants.n], x[self.constants.n :]

@@ -1,0 +1,68 @@
+"""Gains from a record: in coordinates where the regressor excites all directions alike.
+
+A gradient observer converges as slowly as its least excited direction; a gain that is the inverse
+of the regressor's mean square makes all equally fast. The record it is taken from need not have a
+bias: only the excitation counts.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..observers.base import flow_gain
+from ..observers.gradient import RepairedAdaptiveObserver
+from ..regression import Parametrisation, Regressors
+
+Array = NDArray[np.float64]
+
+
+def balanced_gain(regressor: ArrayLike, rate: float) -> Array:
+    """``rate · (mean Φ Φᵀ)⁻¹``: every direction converges at about `rate` [1/s]."""
+    phi = np.asarray(regressor, float)
+    size = np.sqrt(np.mean(phi**2, axis=0))
+    inverse = np.linalg.inv((phi / size).T @ (phi / size) / len(phi)) / np.outer(size, size)
+    return np.asarray(rate * (inverse + inverse.T) / 2)
+
+
+def balanced_basis(gramian: ArrayLike, window: float) -> Array:
+    """Basis in which ``gramian/window`` is the identity: for DREM, whose Δ is then about 1."""
+    W = np.asarray(gramian, float) / window
+    size = 1 / np.sqrt(np.diag(W))
+    triangle = np.linalg.cholesky(size[:, None] * W * size)
+    return np.asarray(size[:, None] * np.linalg.inv(triangle).T)
+
+
+@eqx.filter_jit
+def _omega(Gamma: jax.Array, rows: Regressors, constants: Parametrisation, h: float) -> jax.Array:
+    n, count = constants.n, len(constants)
+
+    def body(U: jax.Array, row: Regressors) -> tuple[jax.Array, jax.Array]:
+        U = U + h * jnp.eye(n, count)
+        omega = U.T @ row.Phi_flux + constants.regressor(row)
+        direction = Gamma @ row.Phi_flux
+        gain = flow_gain(row.Phi_flux @ direction, h)
+        return U - gain * jnp.outer(direction, omega), omega
+
+    _, omega = jax.lax.scan(body, jnp.zeros((n, count)), rows)
+    return omega
+
+
+def balanced_repaired(
+    rows: Regressors,
+    constants: Parametrisation,
+    h: float,
+    flux_rate: float,
+    constants_rate: float,
+    skip: int,
+) -> RepairedAdaptiveObserver:
+    """Repaired adaptive observer with balanced Γ and G; the first `skip` rows are transient."""
+    Gamma: Any = balanced_gain(np.asarray(rows.Phi_flux)[skip:], flux_rate)
+    omega = _omega(jnp.asarray(Gamma), rows, constants, h)
+    G = balanced_gain(np.asarray(omega)[skip:], constants_rate)
+    return RepairedAdaptiveObserver(Gamma, G, constants)

@@ -1,0 +1,143 @@
+"""PMSM cases, which the paper leaves out: a servo motor, and the counter-example of erratum 6."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from ..constraint import QuadraticConstraint
+from ..design.regression import FilteredRegression, Regressors
+from ..design.regression.filtered import filter_record
+from ..design.simulate import volt_seconds
+from ..machines import SurfacePMSM, example
+from ..sensing import Steps
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class MotorRecord:
+    """A closed-form trajectory of a surface PMSM with biased measurements; rows h apart.
+
+    Fields as in :class:`fluxobs.paper.levitation.LevitationRecord`; `rows` is the continuous
+    regression at the samples.
+    """
+
+    machine: SurfacePMSM
+    h: float
+    t: Array
+    theta_e: Array
+    flux: Array
+    current: Array
+    drift: Array
+    current_bias: Array
+    volt_seconds: Array
+    rows: Regressors
+
+    @property
+    def constraint(self) -> QuadraticConstraint:
+        return self.machine.constraint
+
+
+def motor_record(
+    machine: SurfacePMSM,
+    angle: Callable[[jax.Array], jax.Array],
+    i_q: Callable[[jax.Array], jax.Array],
+    t: Array,
+    corner: float,
+    current_bias: Steps,
+    voltage_bias: Steps,
+) -> MotorRecord:
+    """Record of a motor whose electrical angle and torque current are given functions of time."""
+    h = float(t[1] - t[0])
+    L, psi = machine.L_s, machine.psi_f or 0.0
+
+    def flux_at(time: jax.Array) -> jax.Array:
+        return L * current_at(time) + psi * jnp.array([jnp.cos(angle(time)), jnp.sin(angle(time))])
+
+    def current_at(time: jax.Array) -> jax.Array:
+        return i_q(time) * jnp.array([-jnp.sin(angle(time)), jnp.cos(angle(time))])
+
+    # Beginning, middle and end of every interval.
+    fine = jnp.asarray(t[:-1, None] + h * np.array([0.0, 0.5, 1.0]))
+
+    def signals(time: jax.Array) -> tuple[jax.Array, jax.Array]:
+        _, rate = jax.jvp(flux_at, (time,), (jnp.ones_like(time),))
+        return rate, current_at(time)
+
+    rate, current = jax.jit(jax.vmap(jax.vmap(signals)))(fine)
+    delta = current_bias.at(t - h / 2)
+    drift = delta @ machine.R.T - voltage_bias.at(t - h / 2) @ machine.B.T
+    flux = np.asarray(jax.jit(jax.vmap(flux_at))(jnp.asarray(t)))
+    measured = np.asarray(jax.jit(jax.vmap(current_at))(jnp.asarray(t))) + delta
+    regression = FilteredRegression(machine.constraint, corner)
+    filters = filter_record(
+        regression, h, rate - drift[1:, None], current + delta[1:, None]
+    )
+    return MotorRecord(
+        machine,
+        h,
+        t,
+        np.asarray(jax.vmap(angle)(jnp.asarray(t))),
+        flux,
+        measured,
+        drift,
+        delta,
+        volt_seconds(flux, h, drift),
+        jax.vmap(regression.read_out)(filters, jnp.asarray(measured)),
+    )
+
+
+#: Of the filters for the servo motor [rad/s].
+SERVO_CORNER = 200.0
+
+
+def servo(quick: bool = False) -> MotorRecord:
+    """400 W servo motor, speed and load varying, offsets of both sensors that jump half way."""
+    machine = example("servo-400w")
+    assert isinstance(machine, SurfacePMSM)
+    duration = 2.0 if quick else 4.0
+    t = np.arange(round(duration / 1e-4) + 1) * 1e-4
+    return motor_record(
+        machine,
+        lambda time: 300 * time + 12 * jnp.sin(8 * time),
+        lambda time: 5 + 4 * jnp.sin(20 * time),
+        t,
+        SERVO_CORNER,
+        Steps([[0.15, -0.1], [-0.1, 0.2]], [duration / 2]),
+        Steps([[0.0, 0.05], [0.1, 0.0]], [duration / 2]),
+    )
+
+
+def counter_example(samples: int = 16000) -> MotorRecord:
+    """Erratum 6 in per-unit: Ψ is persistently exciting, Proposition 2 unstable at every gain.
+
+    θ_e = t + 0.8 sin t, L = 0.4, i_dq = (0, 0.5), ψ = 1, ν = 1, no bias. The record begins in
+    periodic steady state of the filters and lasts one period, 2π.
+    """
+    machine = SurfacePMSM(R_s=0.05, L_s=0.4, n_p=1, psi_f=1.0)
+    periods = 8
+    t = np.linspace(0, periods * 2 * np.pi, periods * samples + 1)
+    whole = motor_record(
+        machine,
+        lambda time: time + 0.8 * jnp.sin(time),
+        lambda time: 0.5 + 0 * time,
+        t,
+        1.0,
+        Steps([[0.0, 0.0]]),
+        Steps([[0.0, 0.0]]),
+    )
+    last = slice(-samples - 1, None)
+    return MotorRecord(
+        machine,
+        whole.h,
+        *(getattr(whole, name)[last] for name in ("t", "theta_e", "flux", "current", "drift")),
+        whole.current_bias[last],
+        whole.volt_seconds[last],
+        Regressors(*(part[last] for part in whole.rows)),
+    )
