@@ -87,7 +87,9 @@ class Immersion:
         bias = n if "current-bias" in wanted else 0
         at, slices = 0, {}
         for name, length in zip(
-            ("s", "flux", "kappa", "drift", "c", "current_bias"), (r, n, r, drift, r, bias), strict=True
+            ("s", "flux", "kappa", "drift", "c", "current_bias"),
+            (r, n, r, drift, r, bias),
+            strict=True,
         ):
             slices[name] = slice(at, at + length)
             at += length
@@ -151,7 +153,11 @@ class Immersion:
         q = 2 * Q1 @ v  # (r, n): row k is (2 Q1_k v)ᵀ
         one = np.eye(len(self.relations))
         F = np.eye(self.size, dtype=np.result_type(v, float))
-        F[at["s"], at["flux"]], F[at["s"], at["kappa"]], F[at["s"], at["c"]] = q, h * one, h * h * one
+        F[at["s"], at["flux"]], F[at["s"], at["kappa"]], F[at["s"], at["c"]] = (
+            q,
+            h * one,
+            h * h * one,
+        )
         F[at["kappa"], at["c"]] = 2 * h * one
         if "drift" in self.unknowns:
             F[at["flux"], at["drift"]] = h * np.eye(self.n)
@@ -191,6 +197,13 @@ class Immersion:
         if "current-bias" in self.unknowns:
             gain[:, self.slices["current_bias"]] = -2 * self._stack["Q3"]
         return gain
+
+    def transition_gain(self) -> Array:
+        """∂F(-h, -v)/∂v as h → 0, shape (n, size, size): how noise of v enters the past's rows."""
+        zero = np.zeros(self.n)
+        return np.stack(
+            [self.transition(0.0, -unit) - self.transition(0.0, zero) for unit in np.eye(self.n)]
+        )
 
     def invisible(self) -> Array:
         """Constant offsets (r, s) of flux [Wb] and current [A] that no record can tell from none.

@@ -15,11 +15,22 @@ from .estimate import Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
 BLUE, ORANGE, GREY = "#1f5fa8", "#d9762b", "#8a8a8a"
 FORMATS = (".png", ".pdf", ".svg")
+STYLE: Any = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 9,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "legend.frameon": False,
+    "lines.linewidth": 1.0,
+}
 
 
 def report(result: Result, path: str | Path) -> None:
@@ -37,17 +48,7 @@ def report(result: Result, path: str | Path) -> None:
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    style: Any = {
-        "font.size": 9,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.titlesize": 9,
-        "axes.titleweight": "bold",
-        "axes.titlelocation": "left",
-        "legend.frameon": False,
-        "lines.linewidth": 1.0,
-    }
-    with plt.rc_context(style):
+    with plt.rc_context(STYLE):
         figure = plt.figure(figsize=(11, 8.5), layout="constrained")
         axes = figure.subplot_mosaic(
             [["locus", "position"], ["locus", "error"], ["speed", "speed"], ["drift", "drift"]],
@@ -73,16 +74,25 @@ def report(result: Result, path: str | Path) -> None:
             f"{_numbers(result)}",
             fontsize=10,
         )
-        temporary = path.with_name(f".{path.name}.part{path.suffix}")
-        try:
-            figure.savefig(temporary, dpi=130)
-            os.replace(temporary, path)
-        except OSError as error:
-            raise FluxobsError(f"{path}: cannot be written: {error.strerror}") from None
-        finally:
-            with contextlib.suppress(OSError):
-                temporary.unlink()
-            plt.close(figure)
+        write(figure, path)
+        plt.close(figure)
+
+
+def write(figure: Figure, path: Path) -> None:
+    """Saves a figure: complete or not at all, the same bytes on every run."""
+    import matplotlib as mpl
+
+    temporary = path.with_name(f".{path.name}.part{path.suffix}")
+    stamp: dict[str, Any] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    try:
+        with mpl.rc_context({"svg.hashsalt": "fluxobs"}):
+            figure.savefig(temporary, dpi=130, metadata=stamp[path.suffix.lower()])
+        os.replace(temporary, path)
+    except OSError as error:
+        raise FluxobsError(f"{path}: cannot be written: {error.strerror}") from None
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
 
 
 def _numbers(result: Result) -> str:

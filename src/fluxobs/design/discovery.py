@@ -235,9 +235,7 @@ def discover_constraint(
             if polynomial.degree_in_flux == 0:
                 continue
             terms = polynomial.terms(held_out[:, :n], held_out[:, n:])
-            residual = max(
-                residual, float((np.abs(terms.sum(-1)) / np.abs(terms).sum(-1)).max())
-            )
+            residual = max(residual, float((np.abs(terms.sum(-1)) / np.abs(terms).sum(-1)).max()))
             coefficients = polynomial.coefficients / np.prod(scale**polynomial.exponents, axis=1)
             polynomial = Polynomial(polynomial.exponents, coefficients / coefficients[0])
             if polynomial.degree == 2:

@@ -156,10 +156,18 @@ def simulate(
             f"stable, and its time scale near the sample time?"
         )
     flux, position, momentum = saved
-    rate, current, velocity, voltage = _signals(system, control, jnp.asarray(times), State(*saved), force)
+    rate, current, velocity, voltage = _signals(
+        system, control, jnp.asarray(times), State(*saved), force
+    )
     return Trajectory(
-        system, times, flux, *(np.asarray(x) for x in (rate, current)), position,
-        np.asarray(velocity), momentum, np.asarray(voltage),
+        system,
+        times,
+        flux,
+        *(np.asarray(x) for x in (rate, current)),
+        position,
+        np.asarray(velocity),
+        momentum,
+        np.asarray(voltage),
     )
 
 

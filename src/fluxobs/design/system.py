@@ -176,9 +176,7 @@ class ElectromechanicalSystem(eqx.Module):
         """Number of mechanical ports."""
         return len(self.R_M)
 
-    def random_states(
-        self, rng: np.random.Generator, count: int
-    ) -> tuple[jax.Array, jax.Array]:
+    def random_states(self, rng: np.random.Generator, count: int) -> tuple[jax.Array, jax.Array]:
         """Flux (count, n_E) and position (count, n_M), uniform in their ranges."""
         return (
             jnp.asarray(rng.uniform(*np.asarray(self.flux_range), (count, self.n_E))),
@@ -207,9 +205,7 @@ class ElectromechanicalSystem(eqx.Module):
         """Time derivative of the state under source voltages (m,) and load forces (n_M,)."""
         flux, position, momentum = state
         velocity = self.velocity(position, momentum)
-        force = self.force(flux, position) - jax.grad(self.mechanical_energy, 0)(
-            position, momentum
-        )
+        force = self.force(flux, position) - jax.grad(self.mechanical_energy, 0)(position, momentum)
         if load is not None:
             force = force + load
         return State(
@@ -236,9 +232,7 @@ def _damping(name: str, value: Any) -> jax.Array:
         raise ModelError(f"{name} must be square, or a vector, got shape {matrix.shape}")
     least = float(jnp.linalg.eigvalsh((matrix + matrix.T) / 2).min())
     if least < -1e-12 * float(jnp.abs(matrix).max()):
-        raise ModelError(
-            f"{name} must be positive semi-definite, got least eigenvalue {least:g}"
-        )
+        raise ModelError(f"{name} must be positive semi-definite, got least eigenvalue {least:g}")
     return matrix
 
 

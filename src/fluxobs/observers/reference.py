@@ -102,8 +102,9 @@ class ImmersionObserver:
         Largest plausible drift [V].
     current_bias_prior : (n,) array_like
         Largest plausible current bias [A]; used where it is an unknown.
-    current_noise : float
-        Std of a current component [A]. Only `noise_share` uses it.
+    current_noise, voltage_noise : float
+        Std of a current component [A] and of the mean voltage over a sample [V]. Only
+        `noise_share` uses them.
 
     Raises
     ------
@@ -126,7 +127,10 @@ class ImmersionObserver:
     drift_prior: Array
     current_bias_prior: Array = field(default_factory=lambda: np.empty(0))
     current_noise: float = 0.0
+    voltage_noise: float = 0.0
     _prior: Array = field(init=False, repr=False)
+    _volt_seconds_noise: Array = field(init=False, repr=False)
+    _row_noise: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         n, r = self.immersion.n, len(self.immersion.relations)
@@ -158,6 +162,11 @@ class ImmersionObserver:
                 f"got {self.memory:g} s"
             )
         object.__setattr__(self, "_prior", self._prior_std())
+        h, gain = self.sample_time, self.immersion.transition_gain()
+        noise = h * np.hstack([self.voltage_noise * self.B, self.current_noise * self.R])
+        # One direction of v's noise each: ∂F⁻¹ along it.
+        object.__setattr__(self, "_volt_seconds_noise", np.tensordot(noise.T, gain, axes=1))
+        object.__setattr__(self, "_row_noise", self.current_noise * self.immersion.row_gain())
 
     def _prior_std(self) -> Array:
         """Standard deviation of every state before anything is known."""
@@ -242,7 +251,7 @@ class ImmersionObserver:
             R = R @ back
             z = np.sqrt(rho) * (z + R @ immersion.known_input(v))
             R = np.sqrt(rho) * R
-            noise = rho * back.T @ noise @ back
+            noise = rho * back.T @ noise @ back + self._pretended(R)
         state = replace(state, R=R, z=z, noise=noise)
         if known:
             state = self._measure(state, i)
@@ -298,9 +307,14 @@ class ImmersionObserver:
             row = np.zeros((1, immersion.size))
             row[0, j] = weight
             R, z = _absorb(R, z, row, weight * np.linalg.solve(R, z)[[j]])
-        gain = immersion.row_gain() * (self.current_noise / sigma[:, None, None])
+        gain = self._row_noise / sigma[:, None, None]
         noise = state.noise + np.einsum("rij,rkj->ik", gain, gain)
         return replace(state, R=R, z=z, noise=noise, contradictions=0)
+
+    def _pretended(self, R: Array) -> Array:
+        """Information that noise of the last volt-seconds has given to all rows of the past."""
+        moved = R @ self._volt_seconds_noise
+        return np.asarray((moved.transpose(0, 2, 1) @ moved).sum(axis=0))
 
     def _read_out(self, state: ImmersionState) -> tuple[ImmersionState, ImmersionEstimate]:
         immersion, at = self.immersion, self.immersion.slices

@@ -107,6 +107,8 @@ class LevitationRecord:
 
     Attributes
     ----------
+    jump : float
+        When the biases change [s].
     drift, current_bias : (rows, 2) ndarray
         True values that hold over the interval ending at each row, and at it.
     current : (rows, 2) ndarray
@@ -118,6 +120,7 @@ class LevitationRecord:
     scenario: Scenario
     machine: MagLev2DOF
     trajectory: Trajectory
+    jump: float
     t: Array
     flux: Array
     true_current: Array
@@ -143,7 +146,7 @@ def _benchmark() -> tuple[MagLev2DOF, ElectromechanicalSystem]:
     return machine, maglev_2dof(machine)
 
 
-def record(scenario: Scenario, h: float = 2e-3, quick: bool = False) -> LevitationRecord:
+def record(scenario: Scenario, h: float = 1e-3, quick: bool = False) -> LevitationRecord:
     """Simulates a scenario; quick: 30 s with the biases jumping at 15 s."""
     duration, jump = (30.0, 15.0) if quick else (DURATION, JUMP)
     machine, system = _benchmark()
@@ -170,15 +173,27 @@ def record(scenario: Scenario, h: float = 2e-3, quick: bool = False) -> Levitati
         position_limit=(-machine.g, machine.g),
         rtol=1e-7,
     )
-    t = trajectory.t
-    current_bias = Steps(CURRENT_BIAS, [jump]).at(t - h / 2)
-    voltage_bias = Steps(VOLTAGE_BIAS, [jump]).at(t - h / 2)
+    return measured(scenario, machine, trajectory, jump)
+
+
+def measured(
+    scenario: Scenario,
+    machine: MagLev2DOF,
+    trajectory: Trajectory,
+    jump: float,
+    factor: float = 1.0,
+) -> LevitationRecord:
+    """What the sensors make of a trajectory, with the paper's biases times a factor."""
+    t, h = trajectory.t, trajectory.h
+    current_bias = factor * Steps(CURRENT_BIAS, [jump]).at(t - h / 2)
+    voltage_bias = factor * Steps(VOLTAGE_BIAS, [jump]).at(t - h / 2)
     drift = current_bias @ machine.R.T - voltage_bias @ machine.B.T
-    flux = trajectory.flux / c
+    flux = trajectory.flux / np.array([machine.c_1, machine.c_2])
     return LevitationRecord(
         scenario,
         machine,
         trajectory,
+        jump,
         t,
         flux,
         trajectory.current,

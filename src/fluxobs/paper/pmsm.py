@@ -76,9 +76,7 @@ def motor_record(
     flux = np.asarray(jax.jit(jax.vmap(flux_at))(jnp.asarray(t)))
     measured = np.asarray(jax.jit(jax.vmap(current_at))(jnp.asarray(t))) + delta
     regression = FilteredRegression(machine.constraint, corner)
-    filters = filter_record(
-        regression, h, rate - drift[1:, None], current + delta[1:, None]
-    )
+    filters = filter_record(regression, h, rate - drift[1:, None], current + delta[1:, None])
     return MotorRecord(
         machine,
         h,

@@ -9,7 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from ..design.analysis import balanced_basis, balanced_gain, balanced_repaired, observability_gramian
+from ..design.analysis import (
+    balanced_basis,
+    balanced_gain,
+    balanced_repaired,
+    observability_gramian,
+)
 from ..design.observers import (
     PEBO,
     AdaptiveObserver,
@@ -35,7 +40,7 @@ RUN_IN = 15.0
 FLUX_RATE, CONSTANTS_RATE = 8.0, 2.0
 #: Least squares on the levitation: sample time and memory [s]. The volt-seconds of a longer
 #: interval are as exact as those of a shorter one.
-LS_SAMPLE_TIME, LS_MEMORY = 5e-3, 0.1
+LS_SAMPLE_TIME, LS_MEMORY = 1e-2, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +94,7 @@ class LevitationRun:
     least_squares: ImmersionEstimate
 
 
-def _sizes(given: LevitationRecord) -> tuple[float, Array]:
+def sizes(given: LevitationRecord) -> tuple[float, Array]:
     """Size of the flux, and of (λ, θ, δ_i, 2/ν θᵀQ1θ)."""
     flux = float(np.linalg.norm(given.flux, axis=1).max())
     drift, bias = np.abs(given.drift).max(), np.abs(given.current_bias).max()
@@ -100,7 +105,7 @@ def _sizes(given: LevitationRecord) -> tuple[float, Array]:
 def _course(
     given: LevitationRecord, found: tuple[jax.Array, jax.Array], constants: Parametrisation | None
 ) -> Course:
-    flux, size = np.asarray(found[0]), _sizes(given)[0]
+    flux, size = np.asarray(found[0]), sizes(given)[0]
     error = np.linalg.norm(flux - given.flux, axis=1) / size
     if constants is None:
         return Course(given.t, error)
@@ -124,13 +129,15 @@ def levitation_run(given: LevitationRecord, all_observers: bool = True) -> Levit
     skip = round(RUN_IN / CORNER / h)
     printed = Parametrisation(given.constraint, "printed", CORNER)
     structured = Parametrisation(given.constraint, "structured", CORNER)
-    jump = int(np.argmax(np.any(given.drift != given.drift[0], axis=1)))
+    jump = int(np.searchsorted(given.t, given.jump))
     # Gains come from the excitation before the jump; a design run would do as well.
     nominal = Regressors(*(part[skip:jump] for part in rows))
     Gamma = balanced_gain(np.asarray(nominal.Phi_flux), FLUX_RATE)
 
     def course(
-        observer: FluxObserver, constants: Parametrisation | None = None, regression: Regressors = rows
+        observer: FluxObserver,
+        constants: Parametrisation | None = None,
+        regression: Regressors = rows,
     ) -> Course:
         return _course(given, run(observer, h, v, regression, skip), constants)
 
@@ -146,16 +153,14 @@ def levitation_run(given: LevitationRecord, all_observers: bool = True) -> Levit
             AdaptiveObserver(10 * np.array(ADAPTIVE_GAIN), printed), printed
         ),
         "adaptive, repaired": course(
-            balanced_repaired(
-                nominal, structured, h, FLUX_RATE, CONSTANTS_RATE, round(2.0 / h)
-            ),
+            balanced_repaired(nominal, structured, h, FLUX_RATE, CONSTANTS_RATE, round(2.0 / h)),
             structured,
         ),
         "voltage model": course(VoltageModel(2)),
         "PEBO, least squares": course(PEBO(2, "least-squares", Gamma)),
     }
     if all_observers:
-        size = _sizes(given)[1]
+        size = sizes(given)[1]
         weight = float(np.sqrt(np.mean(np.square(nominal.Phi_flux)))) * size[0]
         courses["Riccati, memory 1 s"] = course(
             RiccatiObserver(1.0, size, 1e-6 * weight, structured), structured
@@ -163,9 +168,7 @@ def levitation_run(given: LevitationRecord, all_observers: bool = True) -> Levit
         window = 3.0
         gramian = observability_gramian(nominal, structured, h, window, size)
         basis = size[:, None] * balanced_basis(gramian, window)
-        courses["DREM, finite time"] = course(
-            DremObserver(1.0, 1.0, basis, structured), structured
-        )
+        courses["DREM, finite time"] = course(DremObserver(1.0, 1.0, basis, structured), structured)
     estimate = least_squares(given)
     courses["least squares"] = _least_squares_course(given, estimate)
     return LevitationRun(given, rows, courses, estimate)
@@ -200,7 +203,7 @@ def least_squares(given: LevitationRecord) -> ImmersionEstimate:
 
 def _least_squares_course(given: LevitationRecord, estimate: ImmersionEstimate) -> Course:
     rows, _ = thinned(given, LS_SAMPLE_TIME)
-    error = np.linalg.norm(estimate.flux - given.flux[rows], axis=1) / _sizes(given)[0]
+    error = np.linalg.norm(estimate.flux - given.flux[rows], axis=1) / sizes(given)[0]
     share = [
         np.linalg.norm(found - true[rows], axis=1) / np.linalg.norm(true, axis=1).max()
         for found, true in (

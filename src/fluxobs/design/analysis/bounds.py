@@ -79,11 +79,15 @@ def bound_on_record(
     initial_error: float,
     drift: Any,
     current_bias: Any,
+    t: ArrayLike | None = None,
 ) -> Array:
-    """The bound with every constant measured on a record, (rows,) [Wb]."""
+    """The bound with every constant measured on a record, at its rows or at times t [Wb].
+
+    ``t = inf`` gives its steady state.
+    """
     found = excitation(np.asarray(rows.Phi_flux), h, window)
     size = np.linalg.norm(np.asarray(rows.Phi_flux), axis=1).max()
     b = np.linalg.norm(disturbance(rows, constants, Gamma, drift, current_bias), axis=1).max()
     matrix = np.asarray(positive_definite("Gamma", Gamma, constants.n))
-    t = h * np.arange(len(rows.y))
-    return robust_bound(matrix, window, found.alpha, float(size), initial_error, float(b), t)
+    times = h * np.arange(len(rows.y)) if t is None else t
+    return robust_bound(matrix, window, found.alpha, float(size), initial_error, float(b), times)

@@ -50,10 +50,18 @@ def proposition_2(
 
 @jax.jit
 def _steps(psi: jax.Array, Gamma: jax.Array, G_a: jax.Array, h: jax.Array) -> jax.Array:
-    """Transition of every step, (rows - 1, N, N): exponential of the step's mean generator."""
-    rate = jnp.einsum("ki,kj->kij", psi, psi)
-    mean = G_a - Gamma @ ((rate[:-1] + rate[1:]) / 2)
-    return jax.scipy.linalg.expm(mean * h)
+    """Transition of every step, (rows - 1, N, N): exponential of the generator in its middle.
+
+    One regressor a step: the mean of two products would contract a second direction, which at high
+    gain makes an unstable law look stable. In coordinates in which Γ is the identity, whatever the units of the constants are: neither
+    multipliers nor exponents depend on them.
+    """
+    root = jnp.linalg.cholesky(Gamma)
+    balanced = psi @ root
+    moved = jax.scipy.linalg.solve_triangular(root, G_a @ root, lower=True)
+    middle = (balanced[:-1] + balanced[1:]) / 2
+    generator = moved - jnp.einsum("ki,kj->kij", middle, middle)
+    return jax.scipy.linalg.expm(generator * h, max_squarings=48)
 
 
 def floquet_multipliers(steps: jax.Array) -> Array:
@@ -126,6 +134,8 @@ def over_gain(
     growth = []
     for gain in gains:
         steps = _steps(psi, gain * matrix, G_a, jnp.asarray(h))
+        if not bool(jnp.isfinite(steps).all()):
+            raise ModelError(f"gain {gain:g}: the transition of a step of {h:g} s is not finite")
         growth.append(
             np.abs(floquet_multipliers(steps)[0]) if periodic else lyapunov_exponents(steps, h)[0]
         )

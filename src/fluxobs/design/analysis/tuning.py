@@ -22,11 +22,17 @@ from ..regression import Parametrisation, Regressors
 Array = NDArray[np.float64]
 
 
+#: Directions excited less than this share of the strongest are not amplified further.
+LEAST = 1e-10
+
+
 def balanced_gain(regressor: ArrayLike, rate: float) -> Array:
     """``rate · (mean Φ Φᵀ)⁻¹``: every direction converges at about `rate` [1/s]."""
     phi = np.asarray(regressor, float)
     size = np.sqrt(np.mean(phi**2, axis=0))
-    inverse = np.linalg.inv((phi / size).T @ (phi / size) / len(phi)) / np.outer(size, size)
+    values, vectors = np.linalg.eigh((phi / size).T @ (phi / size) / len(phi))
+    values = np.maximum(values, LEAST * values[-1])
+    inverse = vectors / values @ vectors.T / np.outer(size, size)
     return np.asarray(rate * (inverse + inverse.T) / 2)
 
 

@@ -75,9 +75,7 @@ def maglev_leakage(
     )
 
 
-def maglev_biased(
-    k: float = 1e-5, g: float = 1e-3, magnet: float = 0.8
-) -> ElectromechanicalSystem:
+def maglev_biased(k: float = 1e-5, g: float = 1e-3, magnet: float = 0.8) -> ElectromechanicalSystem:
     """Opposed coils with magnets in their cores, worth `magnet` ampere: needs the linear term E."""
     return _coils(
         lambda q: jnp.array([k / (g - q[0]), k / (g + q[0])]),

@@ -45,15 +45,22 @@ def positive_definite(name: str, value: Any, size: int) -> jax.Array:
     gain = real(name, value)
     matrix = gain * jnp.eye(size) if gain.ndim < 2 else gain
     if matrix.shape != (size, size):
-        raise ModelError(f"{name} must be a number, ({size},) or ({size}, {size}), got {gain.shape}")
+        raise ModelError(
+            f"{name} must be a number, ({size},) or ({size}, {size}), got {gain.shape}"
+        )
     if isinstance(matrix, jax.core.Tracer):
         return matrix
     plain = np.asarray(matrix)
     if not np.allclose(plain, plain.T, rtol=1e-12, atol=0):
         raise ModelError(f"{name} must be symmetric, got {plain.tolist()}")
-    least = np.linalg.eigvalsh(plain).min()
-    if not least > 0:
-        raise ModelError(f"{name} must be positive definite, got least eigenvalue {least:g}")
+    # Judged per-unit: the units of flux and constants differ by twenty powers of ten.
+    size = np.sqrt(np.abs(np.diag(plain)))
+    least = np.linalg.eigvalsh(plain / np.outer(size, size)).min() if size.all() else 0.0
+    if not (least > 0 and (np.diag(plain) > 0).all()):
+        raise ModelError(
+            f"{name} must be positive definite, got least eigenvalue {least:g} "
+            "after scaling its diagonal to one"
+        )
     return matrix
 
 

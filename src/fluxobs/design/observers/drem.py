@@ -113,8 +113,6 @@ class DremObserver(eqx.Module):
     def estimate(self, state: DremState) -> tuple[jax.Array, jax.Array]:
         done = 1 - state.left
         safe = jnp.where(done >= self.finite, done, 1.0)
-        x = jnp.where(
-            done >= self.finite, (state.x - state.left * state.open_loop) / safe, state.x
-        )
+        x = jnp.where(done >= self.finite, (state.x - state.left * state.open_loop) / safe, state.x)
         x = self.basis @ x
         return x[: self.constants.n], x[self.constants.n :]

@@ -39,9 +39,7 @@ class RiccatiObserver(eqx.Module):
     noise: float
     constants: Parametrisation
 
-    def __init__(
-        self, memory: float, scale: Any, noise: float, constants: Parametrisation
-    ) -> None:
+    def __init__(self, memory: float, scale: Any, noise: float, constants: Parametrisation) -> None:
         size = constants.n + len(constants)
         self.scale = real("scale", scale, (size,))
         for name, value in (("memory", memory), ("noise", noise)):

@@ -136,9 +136,7 @@ def filter_record(
         k2 = regression.derivative(add(xi, k1, h / 2), y[1], i[1])
         k3 = regression.derivative(add(xi, k2, h / 2), y[1], i[1])
         k4 = regression.derivative(add(xi, k3, h), y[2], i[2])
-        total = Filters(
-            *(a + 2 * b + 2 * c + d for a, b, c, d in zip(k1, k2, k3, k4, strict=True))
-        )
+        total = Filters(*(a + 2 * b + 2 * c + d for a, b, c, d in zip(k1, k2, k3, k4, strict=True)))
         xi = add(xi, total, h / 6)
         return xi, xi
 
