@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 jax.config.update("jax_enable_x64", True)
 
@@ -23,9 +24,14 @@ def real(name: str, value: Any, shape: tuple[int, ...] | None = None) -> jax.Arr
         )
     if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
         raise RuntimeError("jax_enable_x64 was switched off; the design layer needs it")
-    array = jnp.asarray(value, dtype=jnp.float64)
+    if isinstance(value, jax.core.Tracer):
+        array = value.astype(jnp.float64)
+    else:
+        # NumPy does the checks: every new operation on a JAX array costs a compilation.
+        plain = np.asarray(value, dtype=np.float64)
+        if not np.isfinite(plain).all():
+            raise ValueError(f"{name} must be finite, got {plain.tolist()}")
+        array = jnp.asarray(plain)
     if shape is not None and array.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
-    if not isinstance(array, jax.core.Tracer) and not bool(jnp.isfinite(array).all()):
-        raise ValueError(f"{name} must be finite, got {array.tolist()}")
     return array

@@ -56,7 +56,7 @@ def linear_magnetics(
 def inertia(mass: Any) -> Energy:
     """H_M of constant inertia, ``½ pᵀ M⁻¹ p``; a number, or one for each coordinate."""
     masses = real("mass", mass)
-    if not bool((masses > 0).all()):
+    if not (np.asarray(masses) > 0).all():
         raise ModelError(f"inertia must be positive, got {masses.tolist()}")
 
     def mechanical_energy(position: jax.Array, momentum: jax.Array) -> jax.Array:
@@ -123,7 +123,7 @@ class ElectromechanicalSystem(eqx.Module):
         self.magnetic_energy = magnetic_energy
         self.mechanical_energy = mechanical_energy
         self.R, self.R_M = _damping("R", R), _damping("R_M", R_M)
-        self.B = jnp.eye(self.n_E) if B is None else real("B", B)
+        self.B = jnp.asarray(np.eye(self.n_E)) if B is None else real("B", B)
         if self.B.ndim != 2 or len(self.B) != self.n_E:
             raise ModelError(f"{name}: B must have {self.n_E} rows, got shape {self.B.shape}")
         if np.linalg.matrix_rank(np.asarray(self.B)) < self.B.shape[1]:
@@ -153,7 +153,7 @@ class ElectromechanicalSystem(eqx.Module):
                 raise ModelError(
                     f"{self.name}: {what} must return one number, got shape {jnp.shape(value)}"
                 )
-            both = jax.vmap(jax.value_and_grad(energy, argnums=(0, 1)))(one, other)
+            both = jax.jit(jax.vmap(jax.value_and_grad(energy, argnums=(0, 1))))(one, other)
             finite = np.isfinite(both[0])
             for gradient in both[1]:
                 finite = finite & np.isfinite(gradient).all(axis=1)
@@ -225,20 +225,19 @@ class ElectromechanicalSystem(eqx.Module):
 
 
 def _damping(name: str, value: Any) -> jax.Array:
-    matrix = real(name, value)
+    matrix = np.asarray(real(name, value))
     if matrix.ndim == 1:
-        matrix = jnp.diag(matrix)
+        matrix = np.diag(matrix)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
         raise ModelError(f"{name} must be square, or a vector, got shape {matrix.shape}")
-    least = float(jnp.linalg.eigvalsh((matrix + matrix.T) / 2).min())
-    if least < -1e-12 * float(jnp.abs(matrix).max()):
+    least = np.linalg.eigvalsh((matrix + matrix.T) / 2).min()
+    if least < -1e-12 * np.abs(matrix).max():
         raise ModelError(f"{name} must be positive semi-definite, got least eigenvalue {least:g}")
-    return matrix
+    return jnp.asarray(matrix)
 
 
 def _range(name: str, value: tuple[Any, Any], ports: int) -> jax.Array:
-    low, high = value
-    bounds = jnp.stack([jnp.broadcast_to(real(name, bound), (ports,)) for bound in (low, high)])
-    if not bool((bounds[0] < bounds[1]).all()):
+    bounds = np.stack([np.broadcast_to(real(name, bound), (ports,)) for bound in value])
+    if not (bounds[0] < bounds[1]).all():
         raise ModelError(f"{name}: low must be below high, got {bounds.tolist()}")
-    return bounds
+    return jnp.asarray(bounds)

@@ -10,8 +10,8 @@ from .synchronous_reluctance import SynchronousReluctance
 __all__ = [
     "KINDS",
     "InteriorPMSM",
-    "MagLev2DOF",
     "Machine",
+    "MagLev2DOF",
     "RotatingMachine",
     "SurfacePMSM",
     "SynchronousReluctance",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..constraint import QuadraticConstraint
 from ..design.regression import FilteredRegression, Regressors
-from ..design.regression.filtered import filter_record
+from ..design.regression.filtered import filter_record, read_out_record
 from ..design.simulate import volt_seconds
 from ..machines import SurfacePMSM, example
 from ..sensing import Steps
@@ -63,31 +63,33 @@ def motor_record(
     def current_at(time: jax.Array) -> jax.Array:
         return i_q(time) * jnp.array([-jnp.sin(angle(time)), jnp.cos(angle(time))])
 
+    def signals(time: jax.Array) -> tuple[jax.Array, ...]:
+        flux, rate = jax.jvp(flux_at, (time,), (jnp.ones_like(time),))
+        return flux, rate, current_at(time), angle(time)
+
     # Beginning, middle and end of every interval.
     fine = jnp.asarray(t[:-1, None] + h * np.array([0.0, 0.5, 1.0]))
+    flux, rate, current, theta_e = jax.jit(jax.vmap(jax.vmap(signals)))(fine)
 
-    def signals(time: jax.Array) -> tuple[jax.Array, jax.Array]:
-        _, rate = jax.jvp(flux_at, (time,), (jnp.ones_like(time),))
-        return rate, current_at(time)
+    def at_samples(fine: jax.Array) -> Array:
+        return np.concatenate([np.asarray(fine[:, 0]), np.asarray(fine[-1:, 2])])
 
-    rate, current = jax.jit(jax.vmap(jax.vmap(signals)))(fine)
     delta = current_bias.at(t - h / 2)
     drift = delta @ machine.R.T - voltage_bias.at(t - h / 2) @ machine.B.T
-    flux = np.asarray(jax.jit(jax.vmap(flux_at))(jnp.asarray(t)))
-    measured = np.asarray(jax.jit(jax.vmap(current_at))(jnp.asarray(t))) + delta
+    measured = at_samples(current) + delta
     regression = FilteredRegression(machine.constraint, corner)
     filters = filter_record(regression, h, rate - drift[1:, None], current + delta[1:, None])
     return MotorRecord(
         machine,
         h,
         t,
-        np.asarray(jax.vmap(angle)(jnp.asarray(t))),
-        flux,
+        at_samples(theta_e),
+        at_samples(flux),
         measured,
         drift,
         delta,
-        volt_seconds(flux, h, drift),
-        jax.vmap(regression.read_out)(filters, jnp.asarray(measured)),
+        volt_seconds(at_samples(flux), h, drift),
+        read_out_record(regression, filters, jnp.asarray(measured)),
     )
 
 

@@ -109,9 +109,11 @@ def _course(
     error = np.linalg.norm(flux - given.flux, axis=1) / size
     if constants is None:
         return Course(given.t, error)
-    true = np.asarray(
-        jax.vmap(constants.constants)(jnp.asarray(given.drift), jnp.asarray(given.current_bias))
+    # Two values each: before the jump and after it.
+    before, after = (
+        np.asarray(constants.constants(given.drift[k], given.current_bias[k])) for k in (0, -1)
     )
+    true = np.where((given.t > given.jump)[:, None], after, before)
     # θ and the block that the current bias makes, each relative; the last constant says no more.
     parts = [slice(0, 2), slice(2, 4)]
     share = [
@@ -228,7 +230,7 @@ def motor_courses(given: MotorRecord) -> dict[str, Course]:
     half = len(given.t) // 2
     nominal = Regressors(*(part[skip:half] for part in rows))
     Gamma = balanced_gain(np.asarray(nominal.Phi_flux), 100.0)
-    psi_ = np.column_stack([nominal.Phi_flux, jax.vmap(constants.regressor)(nominal)])
+    psi_ = np.column_stack([nominal.Phi_flux, constants.record(nominal)])
 
     def course(flux: object) -> Course:
         error = np.linalg.norm(np.asarray(flux) - L * given.current - true, axis=1) / psi

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -65,7 +64,7 @@ def disturbance(
     """``b = -(θ - Γ Φ_λ Φ_θᵀ θ_all)`` along a record, (rows, n) [V]; the paper prints +."""
     matrix = np.asarray(positive_definite("Gamma", Gamma, constants.n))
     theta = np.asarray(constants.constants(drift, current_bias))
-    Phi_theta = np.asarray(jax.vmap(constants.regressor)(rows))
+    Phi_theta = np.asarray(constants.record(rows))
     pushed = np.asarray(rows.Phi_flux) @ matrix.T * (Phi_theta @ theta)[:, None]
     return np.asarray(pushed - theta[: constants.n])
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,7 +46,7 @@ def observability_gramian(
     count = round(window / h)
     if not 1 <= count <= len(rows.y):
         raise ModelError(f"a window of {window:g} s does not fit {len(rows.y)} rows of {h:g} s")
-    psi = np.column_stack([rows.Phi_flux, jax.vmap(constants.regressor)(rows)])[-count:]
+    psi = np.column_stack([rows.Phi_flux, constants.record(rows)])[-count:]
     n = constants.n
     age = h * np.arange(count - 1, -1, -1)
     # Row s in terms of the state at t: λ(s) = λ(t) - (t - s) θ.

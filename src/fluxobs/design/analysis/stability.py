@@ -7,6 +7,7 @@ multipliers decide, along any other its Lyapunov exponents.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -30,11 +31,15 @@ class GainStudy(NamedTuple):
     growth : (k,) ndarray
         Largest |Floquet multiplier| over the record (periodic), else largest Lyapunov exponent
         [1/s].
+    resolution : (k,) ndarray
+        How much `growth` changes when every second row is left out: where that is much, the record
+        is too coarse for the gain. NaN for an odd number of steps.
     stable : (k,) ndarray of bool
     """
 
     gains: Array
     growth: Array
+    resolution: Array
     stable: NDArray[np.bool_]
 
 
@@ -42,19 +47,18 @@ def proposition_2(
     rows: Regressors, constants: Parametrisation, Gamma: Any = 1.0
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Ψ (rows, N), Γ (N, N) and G_a (N, N) of the printed adaptive observer along a record."""
-    psi = jnp.column_stack([rows.Phi_flux, jax.vmap(constants.regressor)(rows)])
+    psi = jnp.column_stack([rows.Phi_flux, constants.record(rows)])
     n, size = constants.n, psi.shape[1]
     G_a = jnp.zeros((size, size)).at[:n, n : 2 * n].set(jnp.eye(n))
     return psi, positive_definite("Gamma", Gamma, size), G_a
 
 
-@jax.jit
 def _steps(psi: jax.Array, Gamma: jax.Array, G_a: jax.Array, h: jax.Array) -> jax.Array:
     """Transition of every step, (rows - 1, N, N): exponential of the generator in its middle.
 
     One regressor a step: the mean of two products would contract a second direction, which at high
-    gain makes an unstable law look stable. In coordinates in which Γ is the identity, whatever the units of the constants are: neither
-    multipliers nor exponents depend on them.
+    gain makes an unstable law look stable. In coordinates in which Γ is the identity, whatever the
+    units of the constants are: neither multipliers nor exponents depend on them.
     """
     root = jnp.linalg.cholesky(Gamma)
     balanced = psi @ root
@@ -62,6 +66,27 @@ def _steps(psi: jax.Array, Gamma: jax.Array, G_a: jax.Array, h: jax.Array) -> ja
     middle = (balanced[:-1] + balanced[1:]) / 2
     generator = moved - jnp.einsum("ki,kj->kij", middle, middle)
     return jax.scipy.linalg.expm(generator * h, max_squarings=48)
+
+
+def _product(steps: jax.Array) -> jax.Array:
+    """All steps in order of time."""
+
+    def body(product: jax.Array, step: jax.Array) -> tuple[jax.Array, None]:
+        return step @ product, None
+
+    return jax.lax.scan(body, jnp.eye(steps.shape[1]), steps)[0]
+
+
+def _logarithms(steps: jax.Array) -> jax.Array:
+    """Growth of an orthonormal frame over all steps."""
+
+    def body(q: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array]:
+        q, r = jnp.linalg.qr(step @ q)
+        diagonal = jnp.abs(jnp.diag(r))
+        # A direction contracted to nothing; NaN stays NaN.
+        return q, jnp.log(jnp.where(diagonal == 0, jnp.finfo(float).tiny, diagonal))
+
+    return jax.lax.scan(body, jnp.eye(steps.shape[1]), steps)[1].sum(axis=0)
 
 
 def floquet_multipliers(steps: jax.Array) -> Array:
@@ -72,25 +97,23 @@ def floquet_multipliers(steps: jax.Array) -> Array:
     steps : (rows, N, N) array
         Transition matrices in order of time.
     """
-
-    def body(product: jax.Array, step: jax.Array) -> tuple[jax.Array, None]:
-        return step @ product, None
-
-    monodromy, _ = jax.lax.scan(body, jnp.eye(steps.shape[1]), steps)
-    values = np.linalg.eigvals(np.asarray(monodromy))
+    values = np.linalg.eigvals(np.asarray(_product(jnp.asarray(steps))))
     return np.asarray(values[np.argsort(-np.abs(values))])
 
 
 def lyapunov_exponents(steps: jax.Array, h: float) -> Array:
-    """Mean exponential growth rates [1/s] over a record, by QR; largest first."""
+    """Mean exponential growth rates [1/s] over a record of steps h apart, by QR; largest first."""
+    return np.sort(np.asarray(_logarithms(jnp.asarray(steps))))[::-1] / (len(steps) * h)
 
-    def body(q: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array]:
-        q, r = jnp.linalg.qr(step @ q)
-        diagonal = jnp.abs(jnp.diag(r))
-        return q, jnp.log(jnp.where(diagonal > 0, diagonal, jnp.finfo(float).tiny))
 
-    _, logs = jax.lax.scan(body, jnp.eye(steps.shape[1]), steps)
-    return np.sort(np.asarray(logs.sum(axis=0)))[::-1] / (len(steps) * h)
+@partial(jax.jit, static_argnames="periodic")
+def _growth(
+    psi: jax.Array, Gammas: jax.Array, G_a: jax.Array, h: jax.Array, periodic: bool
+) -> jax.Array:
+    """Monodromy, or logarithms of growth, for each gain."""
+    return jax.lax.map(
+        lambda Gamma: (_product if periodic else _logarithms)(_steps(psi, Gamma, G_a, h)), Gammas
+    )
 
 
 def over_gain(
@@ -131,13 +154,21 @@ def over_gain(
                 f"not periodic: the regressor's ends differ by {gap:.2g} of its peak; give one "
                 f"period in steady state, or periodic=False"
             )
-    growth = []
-    for gain in gains:
-        steps = _steps(psi, gain * matrix, G_a, jnp.asarray(h))
-        if not bool(jnp.isfinite(steps).all()):
-            raise ModelError(f"gain {gain:g}: the transition of a step of {h:g} s is not finite")
-        growth.append(
-            np.abs(floquet_multipliers(steps)[0]) if periodic else lyapunov_exponents(steps, h)[0]
-        )
-    values = np.array(growth)
-    return GainStudy(np.asarray(gains, float), values, values < (1.0 if periodic else 0.0))
+    Gammas = jnp.asarray(gains)[:, None, None] * matrix
+    growth = np.full((2, len(gains)), np.nan)
+    for coarse in (0, 1):
+        stride = 1 + coarse
+        if (len(psi) - 1) % stride == 0:
+            found = np.asarray(_growth(psi[::stride], Gammas, G_a, stride * h, periodic))
+            if not np.isfinite(found).all():
+                raise ModelError(f"gains {list(gains)}: the transition over {h:g} s is not finite")
+            if periodic:
+                growth[coarse] = np.abs(np.linalg.eigvals(found)).max(axis=1)
+            else:
+                growth[coarse] = found.max(axis=1) / ((len(psi) - 1) * h)
+    return GainStudy(
+        np.asarray(gains, float),
+        growth[0],
+        np.abs(growth[1] - growth[0]),
+        growth[0] < (1.0 if periodic else 0.0),
+    )

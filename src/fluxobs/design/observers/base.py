@@ -42,26 +42,24 @@ def positive_definite(name: str, value: Any, size: int) -> jax.Array:
     ModelError
         Not symmetric positive definite: names the least eigenvalue.
     """
-    gain = real(name, value)
-    matrix = gain * jnp.eye(size) if gain.ndim < 2 else gain
-    if matrix.shape != (size, size):
+    plain = np.asarray(real(name, value))
+    if plain.ndim < 2:
+        plain = plain * np.eye(size)
+    if plain.shape != (size, size):
         raise ModelError(
-            f"{name} must be a number, ({size},) or ({size}, {size}), got {gain.shape}"
+            f"{name} must be a number, ({size},) or ({size}, {size}), got {plain.shape}"
         )
-    if isinstance(matrix, jax.core.Tracer):
-        return matrix
-    plain = np.asarray(matrix)
     if not np.allclose(plain, plain.T, rtol=1e-12, atol=0):
         raise ModelError(f"{name} must be symmetric, got {plain.tolist()}")
     # Judged per-unit: the units of flux and constants differ by twenty powers of ten.
-    size = np.sqrt(np.abs(np.diag(plain)))
-    least = np.linalg.eigvalsh(plain / np.outer(size, size)).min() if size.all() else 0.0
+    scale = np.sqrt(np.abs(np.diag(plain)))
+    least = np.linalg.eigvalsh(plain / np.outer(scale, scale)).min() if scale.all() else 0.0
     if not (least > 0 and (np.diag(plain) > 0).all()):
         raise ModelError(
             f"{name} must be positive definite, got least eigenvalue {least:g} "
             "after scaling its diagonal to one"
         )
-    return matrix
+    return jnp.asarray(plain)
 
 
 def flow_gain(q: jax.Array, h: float) -> jax.Array:

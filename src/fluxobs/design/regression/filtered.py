@@ -145,3 +145,11 @@ def filter_record(
     return Filters(
         *(jnp.concatenate([first[None], later]) for first, later in zip(start, rest, strict=True))
     )
+
+
+@eqx.filter_jit
+def read_out_record(
+    regression: FilteredRegression, filters: Filters, current: jax.Array
+) -> Regressors:
+    """The regression at every sample, from filters and measured currents (rows, n)."""
+    return jax.vmap(regression.read_out)(filters, current)

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from ...constraint import QuadraticConstraint
 from ...errors import ModelError
@@ -88,23 +89,30 @@ class Parametrisation(eqx.Module):
             parts.append(row.phi_c[None] * self.corner / 2)
         return jnp.concatenate(parts)
 
-    def constants(self, drift: Any, current_bias: Any) -> jax.Array:
+    def constants(self, drift: Any, current_bias: Any) -> NDArray[np.float64]:
         """The true constants that belong to drift [V] and current bias [A], (n_θ,)."""
-        theta = real("drift", drift, (self.n,))
-        delta = real("current_bias", current_bias, (self.n,))
+        theta = np.asarray(real("drift", drift, (self.n,)))
+        delta = np.asarray(real("current_bias", current_bias, (self.n,)))
+        Q1, Q2, Q3 = (np.asarray(matrix) for matrix in (self.Q1, self.Q2, self.Q3))
         parts = [theta]
         if self.kind == "printed":
-            parts.append(-self.Q2 @ delta)
+            parts.append(-Q2 @ delta)
             if self.with_b:
-                parts.append(-2 * self.Q3 @ delta)
+                parts.append(-2 * Q3 @ delta)
         elif self.kind == "structured":
             parts.append(delta)
         if self.with_c:
-            parts.append((2 / self.corner * theta @ self.Q1 @ theta)[None])
-        return jnp.concatenate(parts)
+            parts.append(np.array([2 / self.corner * theta @ Q1 @ theta]))
+        return np.concatenate(parts)
+
+    @eqx.filter_jit
+    def record(self, rows: Regressors) -> jax.Array:
+        """Φ_θ of all rows, (rows, n_θ)."""
+        return jax.vmap(self.regressor)(rows)
 
     def __len__(self) -> int:
-        return len(self.constants(np.zeros(self.n), np.zeros(self.n)))
+        vectors = {"printed": 2 + self.with_b, "structured": 2, "voltage-bias": 1}[self.kind]
+        return vectors * self.n + self.with_c
 
 
 def residual(

@@ -1,0 +1,216 @@
+"""The figures of the reproduction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..plots import BLUE, GREY, ORANGE, STYLE, write
+from .counter_example import CounterExample
+from .scenario import ScenarioResult
+from .section_v import Course
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+GREEN, RED, VIOLET = "#3a8f4d", "#b4332e", "#7b5aa6"
+#: Points drawn of a course.
+POINTS = 1000
+FLOOR = 1e-13
+
+COLOURS = {
+    "robust, printed gain": GREY,
+    "robust, balanced gain, printed Φ": RED,
+    "robust, balanced gain": ORANGE,
+    "adaptive, printed gain": ORANGE,
+    "adaptive, printed gain and Φ": RED,
+    "adaptive, ten times the gain": GREY,
+    "adaptive, printed law": RED,
+    "adaptive, repaired": GREEN,
+    "voltage model": GREY,
+    "PEBO, least squares": RED,
+    "Riccati, memory 1 s": VIOLET,
+    "DREM, finite time": ORANGE,
+    "least squares": BLUE,
+}
+
+
+def _new(columns: int, rows: int = 1) -> tuple[Figure, Any]:
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(
+        rows,
+        columns,
+        figsize=(5.2 * columns if columns > 1 else 8, 3.4 * rows + 0.4),
+        layout="constrained",
+        squeeze=False,
+    )
+    return figure, axes
+
+
+def _courses(
+    axes: Axes,
+    courses: dict[str, Course],
+    names: Sequence[str],
+    jump: float,
+    constants: bool = False,
+) -> None:
+    for name in names:
+        if (course := courses.get(name)) is None:
+            continue
+        values = course.constants if constants else course.flux
+        if values is None:
+            continue
+        step = max(1, len(course.t) // POINTS)
+        with np.errstate(invalid="ignore"):
+            shown = np.clip(values[::step], FLOOR, 1e3)
+        axes.semilogy(course.t[::step], shown, color=COLOURS[name], label=name)
+    axes.axvline(jump, color=GREY, linewidth=0.6, linestyle=":")
+    axes.set_xlim(0, course.t[-1])
+    axes.set_xlabel("t [s]    dotted: the biases jump")
+
+
+def _legend(axes: Axes) -> None:
+    axes.figure.legend(  # type: ignore[union-attr]
+        *axes.get_legend_handles_labels(), loc="outside lower center", ncols=3
+    )
+
+
+def _pair(
+    runs: Sequence[ScenarioResult], names: Sequence[str], what: str, constants: bool = False
+) -> Figure:
+    figure, axes = _new(len(runs))
+    for panel, one in zip(axes[0], runs, strict=True):
+        _courses(panel, one.courses, names, one.jump, constants)
+        panel.set_title(f"{one.scenario.name}: {one.scenario.title}")
+        panel.set_ylim((1e-10, 1e4) if constants else (FLOOR, 1e3))
+    axes[0, 0].set_ylabel(what)
+    _legend(axes[0, 0])
+    return figure
+
+
+def draw_scenarios(out: Path, runs: Sequence[ScenarioResult], formats: Sequence[str]) -> None:
+    """Figures of the levitation, a panel a scenario; the last one for the baselines."""
+    flux = "|λ̂ - λ| over largest |λ|"
+    _write(
+        out,
+        {
+            "robust": lambda: _pair(runs, ROBUST, flux),
+            "adaptive_flux": lambda: _pair(runs, ADAPTIVE, flux),
+            "adaptive_parameters": lambda: _pair(
+                runs, ADAPTIVE, "error of (θ, δ_i), relative", constants=True
+            ),
+            "baselines": lambda: _baselines(runs[-1]),
+            "trajectories": lambda: _trajectories(runs),
+        },
+        formats,
+    )
+
+
+def draw_motors(
+    out: Path, motor: dict[str, Course], counter: CounterExample, formats: Sequence[str]
+) -> None:
+    """Figures of the PMSM cases."""
+    figures = {"pmsm": lambda: _motor(motor), "counter_example": lambda: _counter(counter)}
+    _write(out, figures, formats)
+
+
+def _write(out: Path, figures: dict[str, Callable[[], Figure]], formats: Sequence[str]) -> None:
+    """Every figure in every format."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    with plt.rc_context(STYLE):
+        for name, make in figures.items():
+            figure = make()
+            for ending in formats:
+                write(figure, out / f"{name}{ending}")
+            plt.close(figure)
+
+
+ROBUST = (
+    "robust, printed gain",
+    "robust, balanced gain, printed Φ",
+    "robust, balanced gain",
+    "least squares",
+)
+ADAPTIVE = (
+    "adaptive, printed gain and Φ",
+    "adaptive, printed gain",
+    "adaptive, ten times the gain",
+    "adaptive, repaired",
+    "least squares",
+)
+
+
+def _baselines(one: ScenarioResult) -> Figure:
+    figure, axes = _new(1)
+    names = [
+        "voltage model",
+        "PEBO, least squares",
+        "Riccati, memory 1 s",
+        "DREM, finite time",
+        "least squares",
+    ]
+    _courses(axes[0, 0], one.courses, names, one.jump)
+    axes[0, 0].set_ylim(FLOOR, 1e3)
+    axes[0, 0].set_title(f"{one.scenario.name}: what the paper argues against, and beyond it")
+    axes[0, 0].set_ylabel("|λ̂ - λ| over largest |λ|")
+    _legend(axes[0, 0])
+    return figure
+
+
+def _trajectories(runs: Sequence[ScenarioResult]) -> Figure:
+    figure, axes = _new(len(runs), 2)
+    for column, one in enumerate(runs):
+        above, below = axes[0, column], axes[1, column]
+        above.plot(one.t, 1e6 * one.position, color=BLUE, label="q")
+        above.plot(one.t, 1e6 * one.reference, color=ORANGE, label="q_d")
+        above.set_title(f"{one.scenario.name}: {one.scenario.title}")
+        below.plot(one.t, 1e6 * one.flux[:, 0], color=BLUE, label="φ_1")
+        below.plot(one.t, 1e6 * one.flux[:, 1], color=ORANGE, label="φ_2")
+        below.set_xlabel("t [s]")
+        below.set_ylim(bottom=0)
+        for panel in (above, below):
+            panel.legend(loc="upper right", ncols=2)
+    axes[0, 0].set_ylabel("position [µm]")
+    axes[1, 0].set_ylabel("core flux [µWb]")
+    return figure
+
+
+def _motor(courses: dict[str, Course]) -> Figure:
+    figure, axes = _new(1)
+    t = next(iter(courses.values())).t
+    _courses(axes[0, 0], courses, list(courses), float(t[-1] / 2))
+    axes[0, 0].set_ylim(1e-16, 1e3)
+    axes[0, 0].set_title("PMSM, offsets of voltage and current sensors")
+    axes[0, 0].set_ylabel("error of λ - L i over ψ")
+    _legend(axes[0, 0])
+    return figure
+
+
+def _counter(counter: CounterExample) -> Figure:
+    figure, axes = _new(2)
+    left, right = axes[0]
+    left.loglog(counter.study.gains, counter.study.growth, "o-", color=RED)
+    left.axhline(1.0, color=GREY, linewidth=0.8)
+    left.set_title("Proposition 2 as printed: unstable at every gain")
+    left.set_xlabel("γ_a")
+    left.set_ylabel("largest |Floquet multiplier|")
+    left.set_ylim(0.5, 20)
+    for name, errors in counter.errors.items():
+        colour = {"printed, γ_a = 1": RED, "repaired, Γ = G = 1": GREEN}.get(name, ORANGE)
+        right.semilogy(
+            np.arange(len(errors)), np.clip(errors, FLOOR, 1e6), color=colour, label=name
+        )
+    right.set_title("the same trajectory, from zero")
+    right.set_xlabel("periods")
+    right.set_ylabel("|λ̂ - λ|")
+    right.legend()
+    return figure

@@ -1,0 +1,92 @@
+"""Section V of the paper with one command: figures, numbers, report."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from ..errors import FluxobsError
+from . import counter_example
+from .counter_example import CounterExample
+from .figures import draw_motors, draw_scenarios
+from .pmsm import servo
+from .report import markdown, numbers
+from .scenario import MAIN, ScenarioResult, run_scenario
+from .section_v import Course, motor_courses
+
+#: Shown in the figures: the paper's scenario, and the well-posed one.
+SHOWN = ("S1", MAIN)
+
+
+def _motors(quick: bool) -> tuple[dict[str, Course], CounterExample]:
+    return motor_courses(servo(quick)), counter_example.study()
+
+
+def reproduce(
+    out: str | Path,
+    quick: bool = False,
+    say: Callable[[str], Any] = lambda text: None,
+    processes: int = 2,
+) -> dict[str, Any]:
+    """Runs everything and writes ``report.md``, ``numbers.json`` and the figures to a folder.
+
+    Parameters
+    ----------
+    out : path
+        Made if missing; files of the same names are replaced.
+    quick : bool
+        Scenario S5 alone, 30 s with the jump at 15 s; no exponents, no noise, PNG only.
+    say : callable
+        Told what has been done.
+    processes : int
+        1: all in this one; the numbers are the same.
+
+    Returns
+    -------
+    dict
+        What is in ``numbers.json``.
+
+    Raises
+    ------
+    FluxobsError
+        The folder cannot be made or written.
+    """
+    out = Path(out)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FluxobsError(f"{out}: cannot be made: {error.strerror}") from None
+    names = (MAIN,) if quick else ("S1", "S2", "S3", MAIN)
+    done: dict[str, ScenarioResult] = {}
+    if processes == 1:
+        for name in names:
+            done[name] = run_scenario(name, quick)
+            say(f"{name}: {done[name].scenario.title}")
+        motor, counter = _motors(quick)
+    else:
+        # A process compiles for itself; this one takes a share of the work too.
+        with ProcessPoolExecutor(processes - 1, mp_context=get_context("spawn")) as pool:
+            side = pool.submit(_motors, quick)
+            away = {name: pool.submit(run_scenario, name, quick) for name in names[:2] if not quick}
+            for name in [name for name in names if name not in away]:
+                done[name] = run_scenario(name, quick)
+                say(f"{name}: {done[name].scenario.title}")
+            for name, job in away.items():
+                done[name] = job.result()
+                say(f"{name}: {done[name].scenario.title}")
+            motor, counter = side.result()
+    runs = [done[name] for name in names]
+    formats = (".png",) if quick else (".png", ".svg")
+    draw_scenarios(out, [one for one in runs if one.scenario.name in SHOWN], formats)
+    draw_motors(out, motor, counter, formats)
+    found = numbers(runs, motor, counter)
+    try:
+        (out / "numbers.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        (out / "report.md").write_text(markdown(found), encoding="utf-8")
+    except OSError as error:
+        raise FluxobsError(f"{out}: cannot be written: {error.strerror}") from None
+    return found

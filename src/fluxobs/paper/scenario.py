@@ -1,0 +1,85 @@
+"""All that is computed on one scenario, in a form that crosses process borders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .levitation import SCENARIOS, Scenario, record
+from .section_v import Course, levitation_run
+from .studies import Excited, Noisy, Robust, excited, growth, mechanics, noisy, robust
+
+Array = NDArray[np.float64]
+
+#: Gains of Proposition 2, times the printed matrix.
+FACTORS = (0.01, 1.0, 10.0)
+#: Unknowns under noise, by scenario.
+NOISE: dict[str, tuple[tuple[str, ...], ...]] = {
+    "S3": (("drift",),),
+    "S5": (("drift",),),
+}
+#: Scenario on which the claims are judged, and the robust observer's error is studied.
+MAIN = "S5"
+
+
+@dataclass(frozen=True, eq=False)
+class ScenarioResult:
+    """Courses of all observers, the trajectory for a picture, and the studies.
+
+    Attributes
+    ----------
+    jump : float
+        When the biases change [s].
+    courses : dict
+        Observer → course.
+    t, position, reference, flux : ndarray
+        A fifth of the record, thinned.
+    tracking : float
+        Rms of position minus reference [m].
+    exponents : dict
+        Factor of the gain → (Lyapunov exponent, uncertainty) [1/s]; empty in a quick run.
+    mechanics : (float, float)
+        Rms errors of position [m] and velocity [m/s] from the flux.
+    noise : dict
+        Unknowns → how the least squares did.
+    """
+
+    scenario: Scenario
+    jump: float
+    courses: dict[str, Course]
+    t: Array
+    position: Array
+    reference: Array
+    flux: Array
+    tracking: float
+    excited: Excited
+    exponents: dict[str, tuple[float, float]]
+    mechanics: tuple[float, float]
+    robust: Robust | None
+    noise: dict[str, Noisy]
+
+
+def run_scenario(name: str, quick: bool = False) -> ScenarioResult:
+    """Simulates, observes and studies one scenario."""
+    given = record(SCENARIOS[name], quick=quick)
+    one = levitation_run(given, all_observers=name == MAIN and not quick)
+    part = slice(0, len(given.t) // 5, 5)
+    wanted = () if quick else NOISE.get(name, ())
+    error = given.trajectory.position[:, 0] - given.reference
+    return ScenarioResult(
+        given.scenario,
+        given.jump,
+        one.courses,
+        given.t[part],
+        given.trajectory.position[part, 0],
+        given.reference[part],
+        given.flux[part],
+        float(np.sqrt(np.mean(error**2))),
+        excited(one),
+        {} if quick else growth(one, FACTORS),
+        mechanics(one),
+        robust(one) if name == MAIN else None,
+        {" and ".join(unknowns): noisy(given, unknowns, 10.0, 0.5) for unknowns in wanted},
+    )
