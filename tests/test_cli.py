@@ -246,7 +246,7 @@ def test_exchanged_phases_are_suspected(folder):
         (["--scale", "i_alpha=0", "i_beta=0"], "the current is zero in every row"),
         (["--scale", "u_alpha=0", "u_beta=0"], "the voltage is zero in every row"),
         (["--column", "udc=540"], 'udc belongs to frame "duty"'),
-        (["--truth", "angle=angle"], "truth must be theta_e or theta_mech"),
+        (["--truth", "angle=angle"], "truth must be one of theta_e, theta_mech, position"),
         (["--frame", "abc"], "no column 'u_a'"),
     ],
 )

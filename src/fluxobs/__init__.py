@@ -3,9 +3,17 @@
 from importlib.metadata import version
 
 from .constraint import QuadraticConstraint
-from .errors import FluxobsError, MachineError, RecordError
-from .machines import InteriorPMSM, Machine, SurfacePMSM, SynchronousReluctance, read_machine
-from .observers import Estimate, LeastSquaresObserver
+from .errors import FluxobsError, MachineError, ModelError, RecordError
+from .immersion import Immersion
+from .machines import (
+    InteriorPMSM,
+    Machine,
+    MagLev2DOF,
+    SurfacePMSM,
+    SynchronousReluctance,
+    read_machine,
+)
+from .observers import Estimate, ImmersionObserver, LeastSquaresObserver
 from .records import Record
 
 __version__ = version("fluxobs")
@@ -13,10 +21,14 @@ __version__ = version("fluxobs")
 __all__ = [
     "Estimate",
     "FluxobsError",
+    "Immersion",
+    "ImmersionObserver",
     "InteriorPMSM",
     "LeastSquaresObserver",
     "Machine",
     "MachineError",
+    "MagLev2DOF",
+    "ModelError",
     "QuadraticConstraint",
     "Record",
     "RecordError",

@@ -18,8 +18,9 @@ from .errors import FluxobsError, RecordError
 
 if TYPE_CHECKING:
     from .estimate import Result
+    from .immersion import Unknown
     from .logs import Log
-    from .machines import Machine
+    from .machines import Machine, RotatingMachine
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -52,8 +53,8 @@ def estimate(
         typer.Option(
             help="alphabeta (u_alpha u_beta i_alpha i_beta), abc (u_a … i_c; or two currents), "
             "line (u_ab u_bc), duty (d_a d_b d_c udc), dq (u_d u_q i_d i_q theta_e; a voltage is "
-            "turned by the angle in the middle of the interval it acts over). "
-            "Default alphabeta."
+            "turned by the angle in the middle of the interval it acts over), ports (u_1 u_2 "
+            "i_1 i_2: maglev-2dof). Default alphabeta, or ports."
         ),
     ] = None,
     sample_time: Annotated[
@@ -82,24 +83,39 @@ def estimate(
         float | None, typer.Option("--to", help="Seconds; only rows to this time.")
     ] = None,
     truth: Annotated[
-        Pairs, typer.Option(help="theta_e=COLUMN or theta_mech=COLUMN: a true angle in radians.")
+        Pairs,
+        typer.Option(
+            help="theta_e=COLUMN or theta_mech=COLUMN: a true angle in radians; position=COLUMN: "
+            "of a levitated body, in metres."
+        ),
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Picture: .png, .pdf or .svg.")] = None,
     memory: Annotated[
         float | None,
         typer.Option(
-            help="Seconds; memory of the least squares. The default, 0.03, serves most drives."
+            help="Seconds; memory of the least squares. The default, 0.03 (maglev-2dof: 0.15), "
+            "serves most machines."
         ),
     ] = None,
+    unknowns: Annotated[
+        str,
+        typer.Option(
+            help="drift (default), current-bias, or drift,current-bias: what is constant and not "
+            "known. A current bias takes the slower, general least squares, 0.2 ms a row."
+        ),
+    ] = "drift",
 ) -> None:
     """Estimate flux, position, speed and drift of a recorded log.
 
     Writes a row a sample, in SI units and electrical radians: t, flux_alpha, flux_beta, psi_f,
     theta_e (straight from the flux), theta_e_tracked, speed_e, drift_alpha, drift_beta,
-    theta_e_std, valid; and theta_e_error where a truth is given. Prints a summary.
+    theta_e_std, valid; and theta_e_error where a truth is given. Prints a summary. For a
+    maglev-2dof, and with a current bias: flux, position or theta_e, drift, current_bias with their
+    standard deviations, noise_share, valid.
     """
     from .layout import layout_from, read_layout
-    from .machines import read_machine
+    from .machines import RotatingMachine, read_machine
+    from .reference_estimate import read_unknowns
 
     given = read_machine(machine)
     fields: dict[str, Any] = read_layout(record) if record else {}
@@ -111,6 +127,12 @@ def estimate(
         fields[name] = fields.get(name, {}) | _numbers(name, pairs)
     if truth:
         fields["truth"] = _pairs("truth", truth)
+    wanted = read_unknowns(unknowns)
+    fields.setdefault("frame", given.frame)
+    if (fields["frame"] == "ports") != (given.frame == "ports"):
+        raise FluxobsError(
+            f"frame {fields['frame']!r} does not fit kind {given.kind}; leave it at {given.frame!r}"
+        )
 
     from .formats import open_table
     from .logs import open_log
@@ -125,8 +147,12 @@ def estimate(
     for source in (machine, record):
         if source is not None and source.exists() and out.exists() and out.samefile(source):
             raise FluxobsError(f"{out}: --out is one of the inputs; give another name")
-    opened = open_log(table, layout_from(fields, "options"), given.n_p, start, stop)
-    _run(opened, given, out, report, memory)
+    pole_pairs = getattr(given, "n_p", 1)
+    opened = open_log(table, layout_from(fields, "options"), pole_pairs, start, stop)
+    if isinstance(given, RotatingMachine) and wanted == ("drift",):
+        _run(opened, given, out, report, memory)
+    else:
+        _run_reference(opened, given, wanted, out, report, memory)
 
 
 @app.command()
@@ -142,13 +168,14 @@ def demo(
     from .formats import open_table
     from .layout import Layout
     from .logs import open_log
-    from .machines import example
+    from .machines import RotatingMachine, example
 
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FluxobsError(f"{out}: cannot be made: {error.strerror}") from None
     machine = example(MACHINE)
+    assert isinstance(machine, RotatingMachine)
     with resources.as_file(log_file()) as path:
         log = open_log(open_table(path), Layout(truth={"theta_e": "theta_e"}), machine.n_p)
         _run(log, machine, out / "estimates.parquet", out / "report.png", None)
@@ -184,16 +211,15 @@ def machines() -> None:
         machine = example(name)
         title = example_text(name).splitlines()[0].removeprefix("# ")
         values = ", ".join(
-            f"{key} = {value:g}" for key, value in machine.model_dump().items() if value is not None
+            f"{key} = {value:g}"
+            for key, value in machine.model_dump(by_alias=True).items()
+            if value is not None
         )
         typer.echo(f"{name}\n    {machine.kind}: {values}\n    {title}")
     typer.echo("\nSI units; R and L per phase (star), psi_f and rated_current peak values.")
 
 
-def _run(log: Log, machine: Machine, out: Path, report: Path | None, memory: float | None) -> None:
-    from .estimate import estimate as run
-    from .observers.least_squares import MEMORY
-
+def _check(log: Log, report: Path | None, memory: float | None) -> None:
     if memory is not None and not memory >= 10 * log.sample_time:
         raise FluxobsError(
             f"--memory {memory:g} s is too short: at least ten samples, {10 * log.sample_time:g} s"
@@ -202,6 +228,38 @@ def _run(log: Log, machine: Machine, out: Path, report: Path | None, memory: flo
         from .plots import check_path
 
         check_path(report)
+
+
+def _run_reference(
+    log: Log,
+    machine: Machine,
+    unknowns: tuple[Unknown, ...],
+    out: Path,
+    report: Path | None,
+    memory: float | None,
+) -> None:
+    from . import reference_estimate
+
+    _check(log, report, memory)
+    with _Progress(len(log)) as progress:
+        result = reference_estimate.estimate(log, machine, unknowns, out, memory, progress)
+    paragraph, warnings = reference_estimate.summarise(result)
+    _echo(paragraph)
+    for warning in warnings:
+        _echo(f"Warning: {warning}")
+    typer.echo(f"Written: {out}")
+    if report is not None:
+        reference_estimate.report(result, report)
+        typer.echo(f"Written: {report}")
+
+
+def _run(
+    log: Log, machine: RotatingMachine, out: Path, report: Path | None, memory: float | None
+) -> None:
+    from .estimate import estimate as run
+    from .observers.least_squares import MEMORY
+
+    _check(log, report, memory)
     with _Progress(len(log)) as progress:
         result = run(log, machine, out, memory if memory is not None else MEMORY, progress)
     _print_summary(result)

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
-import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,16 +10,16 @@ from typing import Any
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
-from polars.io.plugins import register_io_source
 
 from .errors import FluxobsError
 from .frames import wrap
 from .logs import Aligned, Log
-from .machines import Machine
+from .machines import RotatingMachine
 from .observers import Estimate, LeastSquaresObserver, SampleCounts
 from .observers.least_squares import MEMORY
 from .scales import Scales, guess_psi_f, measure_scales, observer_for
 from .tally import Tally
+from .writing import Schema, ahead, check_out, write_rows
 
 Array = NDArray[np.float64]
 
@@ -46,14 +42,14 @@ class Result:
     """All that a summary or a picture needs; the rows themselves are in the file."""
 
     log: Log
-    machine: Machine
+    machine: RotatingMachine
     observer: LeastSquaresObserver
     scales: Scales
     tally: Tally
     counts: SampleCounts
 
 
-def position_error(machine: Machine, estimated: Array, true: Array) -> Array:
+def position_error(machine: RotatingMachine, estimated: Array, true: Array) -> Array:
     """Estimated minus true angle, wrapped; modulo half a turn where the machine is."""
     if machine.half_turn_ambiguous:
         return np.asarray(wrap(2 * (estimated - true)) / 2)
@@ -61,7 +57,7 @@ def position_error(machine: Machine, estimated: Array, true: Array) -> Array:
 
 
 def prepare(
-    log: Log, machine: Machine, memory: float = MEMORY
+    log: Log, machine: RotatingMachine, memory: float = MEMORY
 ) -> tuple[LeastSquaresObserver, Scales]:
     """First pass over the log, and the observer chosen from machine and log."""
     if memory < 10 * log.sample_time:
@@ -81,7 +77,7 @@ def prepare(
 
 def estimate(
     log: Log,
-    machine: Machine,
+    machine: RotatingMachine,
     out: str | Path,
     memory: float = MEMORY,
     progress: Callable[[int], Any] = lambda rows: None,
@@ -111,95 +107,30 @@ def estimate(
     FluxobsError
         Unusable input, or an `out` that cannot be written.
     """
-    out = Path(out)
-    if out.suffix not in (".parquet", ".csv"):
-        raise FluxobsError(f"{out}: --out must end in .parquet or .csv")
-    if not out.parent.is_dir():
-        raise FluxobsError(f"{out}: the folder {out.parent} does not exist")
-    if out.exists() and out.samefile(log.table.path):
-        raise FluxobsError(f"{out}: --out is the log itself; give another name")
+    out = check_out(out, log.table.path)
     observer, scales = prepare(log, machine, memory)
     tally = Tally(len(log))
     state = observer.init()
-    failure: FluxobsError | None = None
-    stop = threading.Event()
 
     def rows() -> Iterator[pl.DataFrame]:
-        nonlocal state, failure
-        try:
-            for part in _ahead(log.aligned()):
-                state, estimated = observer.resume(state, part.voltage, part.current)
-                error = (
-                    None
-                    if part.theta_e is None
-                    else position_error(machine, estimated.theta_e, part.theta_e)
-                )
-                tally.add(part, estimated, error)
-                progress(tally.rows)
-                yield _frame(part, estimated, error)
-                if stop.is_set():
-                    return
-        except FluxobsError as problem:  # Polars would wrap it: kept aside, raised below
-            failure = problem
+        nonlocal state
+        for part in ahead(log.aligned()):
+            state, estimated = observer.resume(state, part.voltage, part.current)
+            error = (
+                None
+                if part.truth is None
+                else position_error(machine, estimated.theta_e, part.truth)
+            )
+            tally.add(part, estimated, error)
+            progress(tally.rows)
+            yield _frame(part, estimated, error)
 
-    schema: dict[str, pl.DataType | type[pl.DataType]] = dict.fromkeys(_COLUMNS, pl.Float64)
+    schema: Schema = dict.fromkeys(_COLUMNS, pl.Float64)
     schema["valid"] = pl.Boolean
     if log.truth is not None:
         schema["theta_e_error"] = pl.Float64
-    try:
-        handle, name = tempfile.mkstemp(suffix=".part", prefix=f".{out.name}.", dir=out.parent)
-    except OSError as error:
-        raise FluxobsError(f"{out}: cannot be written: {error.strerror}") from None
-    os.close(handle)
-    part_file = Path(name)
-    try:
-        lazy = register_io_source(lambda columns, predicate, n, size: rows(), schema=schema)
-        _sink(lazy, part_file, out.suffix, stop)
-        if failure is not None:
-            raise failure
-        part_file.chmod(0o666 & ~_umask())
-        part_file.replace(out)
-    except (OSError, pl.exceptions.PolarsError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise FluxobsError(f"{out}: cannot be written: {reason}") from None
-    finally:
-        part_file.unlink(missing_ok=True)
+    write_rows(out, schema, rows())
     return Result(log, machine, observer, scales, tally, observer.counts(state))
-
-
-def _sink(lazy: pl.LazyFrame, path: Path, suffix: str, stop: threading.Event) -> None:
-    """Writes in another thread, so that an interrupt reaches this one and ends the writing."""
-    with ThreadPoolExecutor(max_workers=1) as writer:
-        if suffix == ".csv":
-            job = writer.submit(lazy.sink_csv, path)
-        else:
-            job = writer.submit(
-                lazy.sink_parquet,
-                path,
-                compression="zstd",
-                compression_level=1,
-                statistics=False,
-            )
-        try:
-            job.result()
-        except BaseException:
-            stop.set()
-            raise
-
-
-def _ahead(parts: Iterator[Aligned]) -> Iterator[Aligned]:
-    """The same parts, the next one being read while the present one is worked on."""
-    with ThreadPoolExecutor(max_workers=1) as reader:
-        coming = reader.submit(next, parts, None)
-        while (part := coming.result()) is not None:
-            coming = reader.submit(next, parts, None)
-            yield part
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def _frame(rows: Aligned, estimate: Estimate, error: Array | None) -> pl.DataFrame:

@@ -1,4 +1,4 @@
-"""Reference frames: from what a drive logs to αβ, amplitude-invariant.
+"""Reference frames: from what a drive logs to αβ, amplitude-invariant; or coils as they are.
 
 Vectors are (rows, 2) arrays; angles electrical, in radians.
 """
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-Frame = Literal["alphabeta", "abc", "line", "duty", "dq"]
+Frame = Literal["alphabeta", "abc", "line", "duty", "dq", "ports"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 
 #: Channels of a frame: voltages, and currents; "?" marks what may be missing.
@@ -22,6 +22,7 @@ VOLTAGES: dict[Frame, tuple[str, ...]] = {
     "line": ("u_ab", "u_bc"),
     "duty": ("d_a", "d_b", "d_c", "udc"),
     "dq": ("u_d", "u_q"),
+    "ports": ("u_1", "u_2"),
 }
 PHASE_CURRENTS = ("i_a", "i_b", "i_c")
 CURRENTS: dict[Frame, tuple[str, ...]] = {
@@ -30,6 +31,7 @@ CURRENTS: dict[Frame, tuple[str, ...]] = {
     "line": PHASE_CURRENTS,
     "duty": PHASE_CURRENTS,
     "dq": ("i_d", "i_q"),
+    "ports": ("i_1", "i_2"),
 }
 
 
@@ -63,7 +65,7 @@ def native_voltage(frame: Frame, channels: dict[str, Array]) -> Array:
     """Voltage vector a row: αβ, except in dq, where it has yet to be rotated."""
     u = [channels[name] for name in VOLTAGES[frame]]
     match frame:
-        case "alphabeta" | "dq":
+        case "alphabeta" | "dq" | "ports":
             return np.stack(u, axis=-1)
         case "abc":
             return clarke(*u)
@@ -76,7 +78,7 @@ def native_voltage(frame: Frame, channels: dict[str, Array]) -> Array:
 def alphabeta_current(frame: Frame, channels: dict[str, Array]) -> Array:
     """Current vector αβ a row."""
     i = {name: channels[name] for name in CURRENTS[frame] if name in channels}
-    if frame == "alphabeta":
+    if frame in ("alphabeta", "ports"):
         return np.stack(list(i.values()), axis=-1)
     if frame == "dq":
         return rotate(np.stack(list(i.values()), axis=-1), channels["theta_e"])

@@ -17,10 +17,10 @@ CHANNELS = tuple(
     dict.fromkeys(
         ["t"]
         + [name for frame in FRAMES for name in VOLTAGES[frame] + CURRENTS[frame]]
-        + ["theta_e", "theta_mech"]
+        + ["theta_e", "theta_mech", "position"]
     )
 )
-TRUTHS = ("theta_e", "theta_mech")
+TRUTHS = ("theta_e", "theta_mech", "position")
 #: Column name that says: pass over what there is (for t).
 NO_COLUMN = "-"
 
@@ -36,7 +36,7 @@ class Layout(BaseModel):
     frame : str
         "alphabeta", "abc" (amplitude-invariant Clarke; two phase currents suffice), "line"
         (line-to-line voltages u_ab, u_bc), "duty" (duty cycles 0…1 and udc), "dq" (with theta_e,
-        the angle used for the rotation).
+        the angle used for the rotation), "ports" (u_1 u_2 i_1 i_2, coils as they are).
     sample_time : float, optional
         [s]; needed where there is no column t.
     lag : float
@@ -49,7 +49,8 @@ class Layout(BaseModel):
     scale, offset : dict
         Channel → number.
     truth : dict
-        {"theta_e": column} (electrical) or {"theta_mech": column} (mechanical), to score by.
+        {"theta_e": column} (electrical) or {"theta_mech": column} (mechanical), or {"position":
+        column} [m] of a levitated body, to score by.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -73,11 +74,11 @@ class Layout(BaseModel):
                     )
         for channel in self.truth:
             if channel not in TRUTHS:
-                raise ValueError(f"truth must be theta_e or theta_mech, got {channel!r}")
+                raise ValueError(f"truth must be one of {', '.join(TRUTHS)}, got {channel!r}")
         if self.udc is not None and self.frame != "duty":
             raise ValueError(f'udc belongs to frame "duty", not to "{self.frame}"')
         if len(self.truth) > 1:
-            raise ValueError("truth: give theta_e or theta_mech, not both")
+            raise ValueError("truth: give one channel only")
         return self
 
     def required(self, available: list[str]) -> dict[str, str]:

@@ -27,15 +27,17 @@ _HEAD = 65536
 
 
 class Aligned(NamedTuple):
-    """Rows of a log: time [s], current now, mean voltage over the interval ending now, truth."""
+    """Rows of a log: time [s], current now, mean voltage over the interval ending now, and the true
+    electrical angle [rad] or position [m].
+    """
 
     t: Array
     current: Array
     voltage: Array
-    theta_e: Array | None
+    truth: Array | None
 
 
-# Time, current, angle in the middle of the interval ending now (frame dq), true angle.
+# Time, current, angle in the middle of the interval ending now (frame dq), truth.
 _Piece = tuple[Array, Array, Array | None, Array | None]
 
 
@@ -102,10 +104,12 @@ class Log:
             channels["udc"] = self._scaled("udc", link)
         return channels
 
-    def _true_angle(self, part: Columns) -> Array | None:
+    def _truth(self, part: Columns) -> Array | None:
         for channel, column in self.layout.truth.items():
-            angle = self._scaled(channel, part[column])
-            return wrap(angle * self.n_p if channel == "theta_mech" else angle)
+            value = self._scaled(channel, part[column])
+            if channel == "position":
+                return value
+            return wrap(value * self.n_p if channel == "theta_mech" else value)
         return None
 
     def _time(self, channels: Columns, row: int, count: int) -> Array:
@@ -145,7 +149,7 @@ class Log:
             source = np.concatenate([source, native_voltage(self.layout.frame, channels)])
             row += count
             current = alphabeta_current(self.layout.frame, channels)
-            waiting = _join(waiting, (t, current, middle, self._true_angle(part)))
+            waiting = _join(waiting, (t, current, middle, self._truth(part)))
             # Row k needs the voltage row at or above k - 1 + lag.
             ready = min(row, row - int(np.ceil(lag - 1)))
             if ready > emitted:
@@ -198,8 +202,8 @@ class Log:
             np.concatenate([part.current for part in parts]),
             0.0,
             None
-            if parts[0].theta_e is None
-            else np.concatenate([part.theta_e for part in parts if part.theta_e is not None]),
+            if parts[0].truth is None
+            else np.concatenate([part.truth for part in parts if part.truth is not None]),
         )
 
 

@@ -35,8 +35,8 @@ class Series:
             "drift_beta": estimate.drift[keep, 1],
             "valid": estimate.valid[keep].astype(float),
         }
-        if error is not None and rows.theta_e is not None:
-            part |= {"theta_e_error": error[keep], "truth": rows.theta_e[keep]}
+        if error is not None and rows.truth is not None:
+            part |= {"theta_e_error": error[keep], "truth": rows.truth[keep]}
         self.parts.append({name: values.copy() for name, values in part.items()})
 
     def columns(self) -> dict[str, Array]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..constraint import QuadraticConstraint
+from ..frames import Frame
 from ..validation import Positive
 
 PolePairs = Annotated[int, Field(ge=1)]
@@ -26,6 +27,10 @@ class Machine(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     kind: ClassVar[str]
+    #: Reference frame of its logs where none is given.
+    frame: ClassVar[Frame] = "alphabeta"
+    #: Memory of the least squares that serves most of this kind [s].
+    memory: ClassVar[float] = 0.03
 
     rated_current: Positive | None = None
 

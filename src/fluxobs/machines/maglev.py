@@ -43,6 +43,8 @@ class MagLev2DOF(Machine):
     """
 
     kind = "maglev-2dof"
+    frame = "ports"
+    memory = 0.15  # mechanics are slower than a rotor
 
     k_1: Positive
     k_2: Positive

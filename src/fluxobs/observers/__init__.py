@@ -2,5 +2,15 @@
 
 from .base import Estimate, Observer
 from .least_squares import LeastSquaresObserver, LeastSquaresState, SampleCounts
+from .reference import ImmersionEstimate, ImmersionObserver, ImmersionState
 
-__all__ = ["Estimate", "LeastSquaresObserver", "LeastSquaresState", "Observer", "SampleCounts"]
+__all__ = [
+    "Estimate",
+    "ImmersionEstimate",
+    "ImmersionObserver",
+    "ImmersionState",
+    "LeastSquaresObserver",
+    "LeastSquaresState",
+    "Observer",
+    "SampleCounts",
+]

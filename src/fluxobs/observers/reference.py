@@ -220,8 +220,8 @@ class ImmersionObserver:
     ) -> tuple[ImmersionState, ImmersionEstimate]:
         """One sample; arguments as for :meth:`LeastSquaresObserver.step`, ``(m,)`` and ``(n,)``.
 
-        A missing (NaN) current is predicted over, a missing voltage held; a current that contradicts
-        all before is passed over, and four of these in a row start the estimate anew.
+        A missing (NaN) current is predicted over, a missing voltage held; a current that
+        contradicts all before is passed over, and four of these in a row start the estimate anew.
         """
         if current is None or (voltage is None) == (volt_seconds is None):
             raise TypeError("give current, and either voltage or volt_seconds")
@@ -323,7 +323,10 @@ class ImmersionObserver:
         covariance = inverse @ inverse.T
         # Innovations of real records are coloured: their power and correlation scale the variance.
         r1 = float(np.clip(state.correlation / max(state.power, 1e-300), 0.0, 0.99))
-        variance = np.diag(covariance) * state.power * (1 + r1) / (1 - r1)
+        level = state.power * (1 + r1) / (1 - r1)
+        # What the prior holds is as uncertain as the prior says, however small the innovations.
+        held = np.square(covariance / self._prior).sum(axis=1)
+        variance = level * np.diag(covariance) + max(1 - level, 0.0) * held
         std = np.sqrt(variance)
         # Share of the marginal information of each flux component that noise has put there.
         columns = covariance[:, at["flux"]]

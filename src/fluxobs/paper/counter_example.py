@@ -1,4 +1,4 @@
-"""Erratum 6: a persistently exciting trajectory on which Proposition 2 is unstable at every gain."""
+"""Erratum 6: persistently excited, and Proposition 2 is unstable at every gain."""
 
 from __future__ import annotations
 

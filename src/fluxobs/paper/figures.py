@@ -32,8 +32,8 @@ COLOURS = {
     "adaptive, printed law": RED,
     "adaptive, repaired": GREEN,
     "voltage model": GREY,
-    "PEBO, least squares": RED,
-    "Riccati, memory 1 s": VIOLET,
+    "PEBO, least squares": VIOLET,
+    "Riccati, memory 1 s": RED,
     "DREM, finite time": ORANGE,
     "least squares": BLUE,
 }
@@ -67,7 +67,7 @@ def _courses(
             continue
         step = max(1, len(course.t) // POINTS)
         with np.errstate(invalid="ignore"):
-            shown = np.clip(values[::step], FLOOR, 1e3)
+            shown = np.maximum(values[::step], FLOOR)
         axes.semilogy(course.t[::step], shown, color=COLOURS[name], label=name)
     axes.axvline(jump, color=GREY, linewidth=0.6, linestyle=":")
     axes.set_xlim(0, course.t[-1])
@@ -87,7 +87,7 @@ def _pair(
     for panel, one in zip(axes[0], runs, strict=True):
         _courses(panel, one.courses, names, one.jump, constants)
         panel.set_title(f"{one.scenario.name}: {one.scenario.title}")
-        panel.set_ylim((1e-10, 1e4) if constants else (FLOOR, 1e3))
+        panel.set_ylim((1e-10, 1e6) if constants else (FLOOR, 1e3))
     axes[0, 0].set_ylabel(what)
     _legend(axes[0, 0])
     return figure
@@ -178,7 +178,7 @@ def _trajectories(runs: Sequence[ScenarioResult]) -> Figure:
         below.set_xlabel("t [s]")
         below.set_ylim(bottom=0)
         for panel in (above, below):
-            panel.legend(loc="upper right", ncols=2)
+            panel.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2)
     axes[0, 0].set_ylabel("position [µm]")
     axes[1, 0].set_ylabel("core flux [µWb]")
     return figure
@@ -188,7 +188,7 @@ def _motor(courses: dict[str, Course]) -> Figure:
     figure, axes = _new(1)
     t = next(iter(courses.values())).t
     _courses(axes[0, 0], courses, list(courses), float(t[-1] / 2))
-    axes[0, 0].set_ylim(1e-16, 1e3)
+    axes[0, 0].set_ylim(FLOOR, 1e3)
     axes[0, 0].set_title("PMSM, offsets of voltage and current sensors")
     axes[0, 0].set_ylabel("error of λ - L i over ψ")
     _legend(axes[0, 0])
@@ -206,10 +206,9 @@ def _counter(counter: CounterExample) -> Figure:
     left.set_ylim(0.5, 20)
     for name, errors in counter.errors.items():
         colour = {"printed, γ_a = 1": RED, "repaired, Γ = G = 1": GREEN}.get(name, ORANGE)
-        right.semilogy(
-            np.arange(len(errors)), np.clip(errors, FLOOR, 1e6), color=colour, label=name
-        )
+        right.semilogy(np.arange(len(errors)), np.maximum(errors, FLOOR), color=colour, label=name)
     right.set_title("the same trajectory, from zero")
+    right.set_ylim(1e-9, 1e6)
     right.set_xlabel("periods")
     right.set_ylabel("|λ̂ - λ|")
     right.legend()

@@ -82,10 +82,10 @@ class Scenario:
 SCENARIOS = {
     scenario.name: scenario
     for scenario in (
-        Scenario("S1", "the paper's: no bias flux, α = 10", 10.0, 1e4, 0.0, 0.0, 1e-5),
-        Scenario("S2", "the same with 0.5 A of bias flux", 10.0, 1e4, 0.5, 0.0, 1e-5),
-        Scenario("S3", "sensible gains, 0.5 A of bias flux", 0.01, 5e3, 0.5, 0.0, np.nan),
-        Scenario("S5", "the same, bias flux modulated ±30 %", 0.01, 5e3, 0.5, 0.3, np.nan),
+        Scenario("S1", "the paper's, α = 10, no bias flux", 10.0, 1e4, 0.0, 0.0, 1e-5),
+        Scenario("S2", "α = 10, 0.5 A of bias flux", 10.0, 1e4, 0.5, 0.0, 1e-5),
+        Scenario("S3", "α = 0.01, 0.5 A of bias flux", 0.01, 5e3, 0.5, 0.0, np.nan),
+        Scenario("S5", "α = 0.01, bias flux modulated ±30 %", 0.01, 5e3, 0.5, 0.3, np.nan),
     )
 }
 

@@ -35,7 +35,7 @@ class ScenarioResult:
     courses : dict
         Observer → course.
     t, position, reference, flux : ndarray
-        A fifth of the record, thinned.
+        The first 5 s, thinned.
     tracking : float
         Rms of position minus reference [m].
     exponents : dict
@@ -65,7 +65,7 @@ def run_scenario(name: str, quick: bool = False) -> ScenarioResult:
     """Simulates, observes and studies one scenario."""
     given = record(SCENARIOS[name], quick=quick)
     one = levitation_run(given, all_observers=name == MAIN and not quick)
-    part = slice(0, len(given.t) // 5, 5)
+    part = slice(0, round(5.0 / given.h), 5)
     wanted = () if quick else NOISE.get(name, ())
     error = given.trajectory.position[:, 0] - given.reference
     return ScenarioResult(
