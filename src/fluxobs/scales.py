@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .errors import RecordError
 from .frames import wrap
 from .logs import Aligned, Log
-from .machines import Machine
+from .machines import RotatingMachine
 from .observers import LeastSquaresObserver
 
 Array = NDArray[np.float64]
@@ -124,7 +124,7 @@ def measure_scales(log: Log) -> Scales:
 
 
 def observer_for(
-    log: Log, machine: Machine, scales: Scales, memory: float, psi_f: float | None = None
+    log: Log, machine: RotatingMachine, scales: Scales, memory: float, psi_f: float | None = None
 ) -> LeastSquaresObserver:
     """Observer for a log: what the machine does not tell comes from `scales`."""
     rated = machine.rated_current or scales.current
@@ -141,7 +141,7 @@ def observer_for(
     return replace(chosen, drift_prior=max(chosen.drift_prior, 0.01 * scales.voltage))
 
 
-def guess_psi_f(log: Log, machine: Machine, scales: Scales, memory: float) -> float:
+def guess_psi_f(log: Log, machine: RotatingMachine, scales: Scales, memory: float) -> float:
     """Magnet flux [Wb] for a machine file without one: what the observer itself returns.
 
     A wrong scale does not move the estimates, so a coarse ladder of guesses is enough.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .frames import clarke
 from .logs import Aligned, Log
-from .machines import Machine
+from .machines import RotatingMachine
 from .scales import Scales, excerpts, observer_for
 
 Array = NDArray[np.float64]
@@ -57,8 +57,8 @@ def _lively(log: Log) -> Aligned:
 
 
 def _trials(
-    machine: Machine, scales: Scales, u: Array, i: Array, lag: float
-) -> Iterator[tuple[str, str, Machine, Array, Array]]:
+    machine: RotatingMachine, scales: Scales, u: Array, i: Array, lag: float
+) -> Iterator[tuple[str, str, RotatingMachine, Array, Array]]:
     """Name, advice, and machine, voltage and current with one thing changed."""
     inductances = [n for n in ("L_s", "L_d", "L_q") if n in type(machine).model_fields]
     what = " and ".join(inductances)
@@ -87,7 +87,7 @@ def _trials(
 
 
 def largest_suspect(
-    log: Log, machine: Machine, scales: Scales, psi_f: float | None
+    log: Log, machine: RotatingMachine, scales: Scales, psi_f: float | None
 ) -> Suspect | None:
     """Tries the usual errors on a piece of the log; the one that explains most, if one does.
 
@@ -97,7 +97,7 @@ def largest_suspect(
     duration = len(part.t) * log.sample_time
     memory = max(min(MEMORY, duration / 4), 10 * log.sample_time)
 
-    def residual(changed: Machine, voltage: Array, current: Array) -> float:
+    def residual(changed: RotatingMachine, voltage: Array, current: Array) -> float:
         observer = observer_for(log, changed, scales, memory, psi_f)
         innovation = observer.run(voltage, current).innovation[len(current) // 3 :]
         return float(np.sqrt(np.mean(innovation**2))) * observer.constraint_noise

@@ -15,6 +15,9 @@ if _missing:
     )
 
 from . import precision  # noqa: E402, F401  # before anything else: float64
+from .blondel_park import BlondelPark, blondel_park  # noqa: E402
+from .discovery import Discovery, check_constraint, discover_constraint  # noqa: E402
+from .simulate import Trajectory, simulate  # noqa: E402
 from .system import (  # noqa: E402
     ElectromechanicalSystem,
     Power,
@@ -24,9 +27,16 @@ from .system import (  # noqa: E402
 )
 
 __all__ = [
+    "BlondelPark",
+    "Discovery",
     "ElectromechanicalSystem",
     "Power",
     "State",
+    "Trajectory",
+    "blondel_park",
+    "check_constraint",
+    "discover_constraint",
     "inertia",
     "linear_magnetics",
+    "simulate",
 ]

@@ -144,10 +144,10 @@ def simulate(
     solution = _solve(
         system, control, jnp.asarray(times), start, sizes, force, limit, stiff, rtol, max_steps
     )
-    saved = jax.tree.map(np.asarray, solution.ys)
-    finite = np.isfinite(solution.ts)
+    saved: State = jax.tree.map(np.asarray, solution.ys)
+    finite = np.isfinite(np.asarray(solution.ts))
     for part in saved:
-        finite &= np.isfinite(part).all(axis=1)
+        finite &= np.isfinite(np.asarray(part)).all(axis=1)
     if not finite.all():
         at = max(int(np.argmin(finite)) - 1, 0)
         place = (
@@ -164,20 +164,10 @@ def simulate(
             f"{system.name}: the solver gave up {place} ({solution.result}). Is the closed loop "
             f"stable, and its time scale near the sample time?"
         )
-    flux, position, momentum = saved
-    rate, current, velocity, voltage = _signals(
-        system, control, jnp.asarray(times), State(*saved), force
-    )
-    return Trajectory(
-        system,
-        times,
-        flux,
-        *(np.asarray(x) for x in (rate, current)),
-        position,
-        np.asarray(velocity),
-        momentum,
-        np.asarray(voltage),
-    )
+    signals = _signals(system, control, jnp.asarray(times), saved, force)
+    rate, current, velocity, voltage = (np.asarray(signal) for signal in signals)
+    flux, position, momentum = (np.asarray(part) for part in saved)
+    return Trajectory(system, times, flux, rate, current, position, velocity, momentum, voltage)
 
 
 @eqx.filter_jit
@@ -196,7 +186,7 @@ def _solve(
     def unscaled(state: State) -> State:
         return State(*(part * size for part, size in zip(state, sizes, strict=True)))
 
-    def field(t: jax.Array, scaled: State, _: Any) -> State:
+    def field(t: Any, scaled: State, _: Any) -> State:
         state = unscaled(scaled)
         rate = system.derivative(state, control(t, state), load)
         return State(*(part / size for part, size in zip(rate, sizes, strict=True)))
@@ -222,7 +212,10 @@ def _solve(
         event=event,
         throw=False,
     )
-    return eqx.tree_at(lambda s: s.ys, solution, jax.vmap(unscaled)(solution.ys))
+    rescaled: diffrax.Solution = eqx.tree_at(
+        lambda s: s.ys, solution, jax.vmap(unscaled)(solution.ys)
+    )
+    return rescaled
 
 
 @eqx.filter_jit

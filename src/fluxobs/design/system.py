@@ -48,7 +48,7 @@ def linear_magnetics(
 
     def magnetic_energy(flux: jax.Array, position: jax.Array) -> jax.Array:
         rest = flux if magnet_flux is None else flux - magnet_flux(position)
-        return rest @ jnp.linalg.solve(inductance(position), rest) / 2
+        return jnp.asarray(rest @ jnp.linalg.solve(inductance(position), rest) / 2)
 
     return magnetic_energy
 
@@ -178,22 +178,23 @@ class ElectromechanicalSystem(eqx.Module):
 
     def random_states(self, rng: np.random.Generator, count: int) -> tuple[jax.Array, jax.Array]:
         """Flux (count, n_E) and position (count, n_M), uniform in their ranges."""
-        return (
-            jnp.asarray(rng.uniform(*np.asarray(self.flux_range), (count, self.n_E))),
-            jnp.asarray(rng.uniform(*np.asarray(self.position_range), (count, self.n_M))),
-        )
+        out = []
+        for bounds in (self.flux_range, self.position_range):
+            low, high = np.asarray(bounds)
+            out.append(jnp.asarray(low + (high - low) * rng.uniform(size=(count, len(low)))))
+        return out[0], out[1]
 
     def current(self, flux: jax.Array, position: jax.Array) -> jax.Array:
         """``i = ∇_λ H_E`` [A], (n_E,)."""
-        return jax.grad(self.magnetic_energy, 0)(flux, position)
+        return jnp.asarray(jax.grad(self.magnetic_energy, 0)(flux, position))
 
     def force(self, flux: jax.Array, position: jax.Array) -> jax.Array:
         """Force or torque of electrical origin, ``-∇_q H_E``, (n_M,)."""
-        return -jax.grad(self.magnetic_energy, 1)(flux, position)
+        return jnp.asarray(-jax.grad(self.magnetic_energy, 1)(flux, position))
 
     def velocity(self, position: jax.Array, momentum: jax.Array) -> jax.Array:
         """``q̇ = ∇_p H_M``, (n_M,)."""
-        return jax.grad(self.mechanical_energy, 1)(position, momentum)
+        return jnp.asarray(jax.grad(self.mechanical_energy, 1)(position, momentum))
 
     def energy(self, state: State) -> jax.Array:
         """``H_E + H_M`` [J]."""

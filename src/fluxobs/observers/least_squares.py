@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _core, _core_single  # type: ignore[attr-defined]  # compiled
 from ..constraint import QuadraticConstraint
-from ..machines import Machine
+from ..machines import RotatingMachine
 from ..records import Record
 from .base import Estimate
 
@@ -218,7 +218,7 @@ class LeastSquaresObserver:
     @classmethod
     def for_machine(
         cls,
-        machine: Machine,
+        machine: RotatingMachine,
         *,
         sample_time: float,
         memory: float = MEMORY,
@@ -232,7 +232,7 @@ class LeastSquaresObserver:
 
         Parameters
         ----------
-        machine : Machine
+        machine : RotatingMachine
         sample_time : float
             [s].
         memory : float

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 #: Share of the flux information that may be current noise pretending.
 NOISE_SHARE_LIMIT = 0.1
 #: A flux is known when its standard deviation is below this share of the flux vector's length.
-KNOWN = 0.1
+KNOWN = 0.05
 #: A sample whose innovation is so many times its standard deviation contradicts all before, ...
 CONTRADICTION = 10.0
 #: ... is passed over, and if so many follow each other what was constant has jumped: start anew.
@@ -45,7 +45,8 @@ class ImmersionEstimate:
     noise_share : (..., n) ndarray
         Share of each flux component's information that current noise alone would pretend.
     valid : (...) ndarray of bool
-        The flux is known: noise share below 0.1 and standard deviation below a tenth of |flux|.
+        The flux is known: noise share below 0.1 and standard deviation below a twentieth of
+        |flux|, both for at least one memory.
     innovation : (..., r) ndarray
         Residual of each relation over its assumed noise, before the sample was used.
     """
@@ -76,6 +77,7 @@ class ImmersionState:
     samples: int = 0
     bad: int = 0
     contradictions: int = 0  # in a row
+    known: int = 0  # samples in a row
     restarts: int = 0
 
 
@@ -346,6 +348,7 @@ class ImmersionObserver:
             and (flux_std < KNOWN * np.hypot.reduce(flux)).all()
             and np.isfinite(x).all()
         )
+        state = replace(state, known=state.known + 1 if known else 0)
         innovation = state.last_innovation
         return state, ImmersionEstimate(
             flux,
@@ -355,7 +358,7 @@ class ImmersionObserver:
             bias,
             bias_std,
             share,
-            np.asarray(known),
+            np.asarray(state.known * self.sample_time >= self.memory),
             np.zeros(len(immersion.relations)) if innovation is None else innovation,
         )
 
@@ -406,11 +409,11 @@ def _absorb(R: Array, z: Array, rows: Array, values: Array) -> tuple[Array, Arra
     n = len(R)
     stacked = np.vstack([np.column_stack([R, z]), np.column_stack([rows, values])])
     # LAPACK's rows may come out negative; a sign of a row means nothing.
-    triangle = np.linalg.qr(stacked, mode="r")
+    triangle: Any = np.linalg.qr(stacked, mode="r")
     return triangle[:n, :n], triangle[:n, n]
 
 
-def describe_invisible(directions: Array) -> str:
+def describe_invisible(directions: NDArray[np.floating]) -> str:
     """In words: what offset of flux and current no record can tell from none."""
     n = len(directions) // 2
     out = []

@@ -60,8 +60,9 @@ def _courses(
     constants: bool = False,
 ) -> None:
     for name in names:
-        if (course := courses.get(name)) is None:
+        if name not in courses:
             continue
+        course = courses[name]
         values = course.constants if constants else course.flux
         if values is None:
             continue
@@ -70,14 +71,12 @@ def _courses(
             shown = np.maximum(values[::step], FLOOR)
         axes.semilogy(course.t[::step], shown, color=COLOURS[name], label=name)
     axes.axvline(jump, color=GREY, linewidth=0.6, linestyle=":")
-    axes.set_xlim(0, course.t[-1])
+    axes.set_xlim(0, courses["voltage model"].t[-1])
     axes.set_xlabel("t [s]    dotted: the biases jump")
 
 
 def _legend(axes: Axes) -> None:
-    axes.figure.legend(  # type: ignore[union-attr]
-        *axes.get_legend_handles_labels(), loc="outside lower center", ncols=3
-    )
+    axes.figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
 
 
 def _pair(
@@ -186,7 +185,7 @@ def _trajectories(runs: Sequence[ScenarioResult]) -> Figure:
 
 def _motor(courses: dict[str, Course]) -> Figure:
     figure, axes = _new(1)
-    t = next(iter(courses.values())).t
+    t = courses["voltage model"].t
     _courses(axes[0, 0], courses, list(courses), float(t[-1] / 2))
     axes[0, 0].set_ylim(FLOOR, 1e3)
     axes[0, 0].set_title("PMSM, offsets of voltage and current sensors")

@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 CORNER = 50.0
 R_A = 1e-2
 JUMP, DURATION = 50.0, 100.0
-CURRENT_BIAS = ((-0.003, 0.0025), (0.001, 0.0008))
-VOLTAGE_BIAS = ((0.0, 0.0), (0.002, 0.0002))
+CURRENT_BIAS = np.array([[-0.003, 0.0025], [0.001, 0.0008]])
+VOLTAGE_BIAS = np.array([[0.0, 0.0], [0.002, 0.0002]])
 ROBUST_GAIN = 1e4
 ADAPTIVE_GAIN = (1e20, 1e20, 1e20, 1e20, 2e13, 2e13, 20.0)
 
@@ -191,8 +191,8 @@ def measured(
 ) -> LevitationRecord:
     """What the sensors make of a trajectory, with the paper's biases times a factor."""
     t, h = trajectory.t, trajectory.h
-    current_bias = factor * Steps(CURRENT_BIAS, [jump]).at(t - h / 2)
-    voltage_bias = factor * Steps(VOLTAGE_BIAS, [jump]).at(t - h / 2)
+    current_bias = factor * Steps(CURRENT_BIAS, np.array([jump])).at(t - h / 2)
+    voltage_bias = factor * Steps(VOLTAGE_BIAS, np.array([jump])).at(t - h / 2)
     drift = current_bias @ machine.R.T - voltage_bias @ machine.B.T
     flux = trajectory.flux / np.array([machine.c_1, machine.c_2])
     return LevitationRecord(
@@ -221,7 +221,7 @@ def filtered(given: LevitationRecord) -> tuple[Regressors, Regressors]:
     i_m = np.stack([given.true_current[:-1], current, given.true_current[1:]], axis=1) + bias
     regression = FilteredRegression(given.constraint, CORNER)
     filters = filter_record(regression, given.h, jnp.asarray(y_m), jnp.asarray(i_m))
-    current = jnp.asarray(given.current)
+    measured_current = jnp.asarray(given.current)
     printed = FilteredRegression(given.constraint, CORNER, "printed")
-    corrected = read_out_record(regression, filters, current)
-    return corrected, read_out_record(printed, filters, current)
+    corrected = read_out_record(regression, filters, measured_current)
+    return corrected, read_out_record(printed, filters, measured_current)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -102,15 +102,16 @@ def servo(quick: bool = False) -> MotorRecord:
     machine = example("servo-400w")
     assert isinstance(machine, SurfacePMSM)
     duration = 2.0 if quick else 4.0
-    t = np.arange(round(duration / 1e-4) + 1) * 1e-4
+    t: Array = np.arange(round(duration / 1e-4) + 1) * 1e-4
+    half = np.array([duration / 2])
     return motor_record(
         machine,
         lambda time: 300 * time + 12 * jnp.sin(8 * time),
         lambda time: 5 + 4 * jnp.sin(20 * time),
         t,
         SERVO_CORNER,
-        Steps([[0.15, -0.1], [-0.1, 0.2]], [duration / 2]),
-        Steps([[0.0, 0.05], [0.1, 0.0]], [duration / 2]),
+        Steps(np.array([[0.15, -0.1], [-0.1, 0.2]]), half),
+        Steps(np.array([[0.0, 0.05], [0.1, 0.0]]), half),
     )
 
 
@@ -122,22 +123,23 @@ def counter_example(samples: int = 16000) -> MotorRecord:
     """
     machine = SurfacePMSM(R_s=0.05, L_s=0.4, n_p=1, psi_f=1.0)
     periods = 8
-    t = np.linspace(0, periods * 2 * np.pi, periods * samples + 1)
+    t: Array = np.arange(periods * samples + 1) * (2 * np.pi / samples)
     whole = motor_record(
         machine,
         lambda time: time + 0.8 * jnp.sin(time),
         lambda time: 0.5 + 0 * time,
         t,
         1.0,
-        Steps([[0.0, 0.0]]),
-        Steps([[0.0, 0.0]]),
+        Steps(np.zeros((1, 2))),
+        Steps(np.zeros((1, 2))),
     )
     last = slice(-samples - 1, None)
-    return MotorRecord(
-        machine,
-        whole.h,
-        *(getattr(whole, name)[last] for name in ("t", "theta_e", "flux", "current", "drift")),
-        whole.current_bias[last],
-        whole.volt_seconds[last],
-        Regressors(*(part[last] for part in whole.rows)),
+    return replace(
+        whole,
+        **{
+            name: getattr(whole, name)[last]
+            for name in ("t", "theta_e", "flux", "current", "drift", "current_bias")
+        },
+        volt_seconds=whole.volt_seconds[last],
+        rows=Regressors(*(part[last] for part in whole.rows)),
     )

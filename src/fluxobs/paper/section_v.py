@@ -176,7 +176,7 @@ def levitation_run(given: LevitationRecord, all_observers: bool = True) -> Levit
     return LevitationRun(given, rows, courses, estimate)
 
 
-def thinned(given: LevitationRecord, sample_time: float) -> tuple[Array, Array]:
+def thinned(given: LevitationRecord, sample_time: float) -> tuple[NDArray[np.int_], Array]:
     """Row numbers, and volt-seconds between them: sums, so nothing is lost."""
     step = round(sample_time / given.h)
     rows = np.arange(0, len(given.t), step)

@@ -161,8 +161,8 @@ def noisy(
     """1 mA and 10 mV of white noise at 1 kHz, converters of 0.5 mA and 5 mV."""
     rows = slice(0, round(duration / given.h) + 1)
     t, machine, h = given.t[rows], given.machine, given.h
-    current_sensor = Sensor(Steps([[0.0, 0.0]]), noise=1e-3, quantum=5e-4)
-    voltage_sensor = Sensor(Steps([[0.0, 0.0]]), noise=1e-2, quantum=5e-3)
+    current_sensor = Sensor(Steps(np.zeros((1, 2))), noise=1e-3, quantum=5e-4)
+    voltage_sensor = Sensor(Steps(np.zeros((1, 2))), noise=1e-2, quantum=5e-3)
     current = current_sensor.measure(t, given.current[rows], seed=1)
     voltage = given.trajectory.voltage[rows]
     wrong_i = current - given.current[rows]

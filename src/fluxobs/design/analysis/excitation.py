@@ -72,7 +72,8 @@ def excitation(
     phi = np.asarray(signal, float)
     values = np.linalg.eigvalsh(gram(phi if scale is None else phi * scale, h, window))
     # Rounding may leave a tiny negative one.
-    return Excitation(window, np.maximum(values[:, 0], 0.0), values[:, -1])
+    least, most = np.asarray(values[:, 0], float), np.asarray(values[:, -1], float)
+    return Excitation(window, np.maximum(least, 0.0), most)
 
 
 def persistency(

@@ -65,7 +65,7 @@ def _steps(psi: jax.Array, Gamma: jax.Array, G_a: jax.Array, h: jax.Array) -> ja
     moved = jax.scipy.linalg.solve_triangular(root, G_a @ root, lower=True)
     middle = (balanced[:-1] + balanced[1:]) / 2
     generator = moved - jnp.einsum("ki,kj->kij", middle, middle)
-    return jax.scipy.linalg.expm(generator * h, max_squarings=48)
+    return jnp.asarray(jax.scipy.linalg.expm(generator * h, max_squarings=48))
 
 
 def _product(steps: jax.Array) -> jax.Array:
@@ -74,7 +74,7 @@ def _product(steps: jax.Array) -> jax.Array:
     def body(product: jax.Array, step: jax.Array) -> tuple[jax.Array, None]:
         return step @ product, None
 
-    return jax.lax.scan(body, jnp.eye(steps.shape[1]), steps)[0]
+    return jnp.asarray(jax.lax.scan(body, jnp.eye(steps.shape[1]), steps)[0])
 
 
 def _logarithms(steps: jax.Array) -> jax.Array:
@@ -84,7 +84,7 @@ def _logarithms(steps: jax.Array) -> jax.Array:
         q, r = jnp.linalg.qr(step @ q)
         diagonal = jnp.abs(jnp.diag(r))
         # A direction contracted to nothing; NaN stays NaN.
-        return q, jnp.log(jnp.where(diagonal == 0, jnp.finfo(float).tiny, diagonal))
+        return q, jnp.log(jnp.where(diagonal == 0, np.finfo(float).tiny, diagonal))
 
     return jax.lax.scan(body, jnp.eye(steps.shape[1]), steps)[1].sum(axis=0)
 
@@ -111,9 +111,8 @@ def _growth(
     psi: jax.Array, Gammas: jax.Array, G_a: jax.Array, h: jax.Array, periodic: bool
 ) -> jax.Array:
     """Monodromy, or logarithms of growth, for each gain."""
-    return jax.lax.map(
-        lambda Gamma: (_product if periodic else _logarithms)(_steps(psi, Gamma, G_a, h)), Gammas
-    )
+    grow = _product if periodic else _logarithms
+    return jnp.asarray(jax.lax.map(lambda Gamma: grow(_steps(psi, Gamma, G_a, h)), Gammas))
 
 
 def over_gain(

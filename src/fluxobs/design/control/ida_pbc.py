@@ -37,10 +37,10 @@ class IdaPbc(eqx.Module):
     """
 
     machine: MagLev2DOF = eqx.field(static=True)
-    alpha: float
-    beta: float
-    R_a: float
-    G: float
+    alpha: Any
+    beta: Any
+    R_a: Any
+    G: Any
     flux_reference: Callable[[Any], Any]
     position_reference: Callable[[Any], Any]
 
@@ -61,7 +61,7 @@ class IdaPbc(eqx.Module):
         """z̃₂ of the paper; its third term is ``D (Θ - Θ*) = q - q*``."""
         phi_1, phi_2, q = self._references(t)
         D = self.machine.D
-        return (
+        return jnp.asarray(
             D / (2 * self.alpha) * (flux[0] - phi_1)
             + D / (2 * self.beta) * (flux[1] - phi_2)
             + (position - q)
@@ -98,7 +98,7 @@ class IdaPbc(eqx.Module):
         _, phi_2, _ = self._references(t)
         star = m.c_2 * phi_2**2 / (2 * m.k_2)
         z = self.z_2(t, flux, position, momentum)
-        return (
+        return jnp.asarray(
             m.D / self.alpha * (m.c_1 * flux[0] ** 3 / (6 * m.k_1) - star * flux[0])
             - m.D / self.beta * (m.c_2 * flux[1] ** 3 / (6 * m.k_2) - star * flux[1])
             + self.G * z**2 / 2

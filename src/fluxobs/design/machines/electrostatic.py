@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ...constraint import QuadraticConstraint
 from ..system import ElectromechanicalSystem, inertia
@@ -60,5 +61,5 @@ def differential_actuator(
 def differential_relation(g: float = 2e-6, area: float = 4e-8) -> QuadraticConstraint:
     """``2 g Q₁Q₂ - ε A (v₁Q₂ + v₂Q₁) = 0``."""
     k = EPSILON_0 * area
-    swap = jnp.array([[0.0, 1.0], [1.0, 0.0]])
-    return QuadraticConstraint(g * swap, -k * swap, jnp.zeros((2, 2)))
+    swap = np.array([[0.0, 1.0], [1.0, 0.0]])
+    return QuadraticConstraint(g * swap, -k * swap, np.zeros((2, 2)))

@@ -1,6 +1,6 @@
 """Observers on the paper's regression: as printed, repaired, and those it argues against."""
 
-from .base import FluxObserver, flow_gain, run
+from .base import ContinuousObserver, FluxObserver, flow_gain, run
 from .drem import DremObserver
 from .gradient import AdaptiveObserver, RepairedAdaptiveObserver, RobustObserver
 from .open_loop import PEBO, VoltageModel
@@ -9,6 +9,7 @@ from .riccati import RiccatiObserver
 __all__ = [
     "PEBO",
     "AdaptiveObserver",
+    "ContinuousObserver",
     "DremObserver",
     "FluxObserver",
     "RepairedAdaptiveObserver",

@@ -25,13 +25,17 @@ class FluxObserver(Protocol):
 
     def init(self) -> Any: ...
 
-    def derivative(self, state: Any, y_m: jax.Array, row: Regressors) -> Any: ...
-
     def step(self, state: Any, h: float, volt_seconds: jax.Array, row: Regressors) -> Any: ...
 
     def estimate(self, state: Any) -> tuple[jax.Array, jax.Array]:
         """Flux (n,) and estimated constants (n_θ,); n_θ may be zero."""
         ...
+
+
+class ContinuousObserver(FluxObserver, Protocol):
+    """One that is published as a differential equation."""
+
+    def derivative(self, state: Any, y_m: jax.Array, row: Regressors) -> Any: ...
 
 
 def positive_definite(name: str, value: Any, size: int) -> jax.Array:

@@ -55,8 +55,8 @@ class SampledRegression(eqx.Module):
     Q3: jax.Array
     E: jax.Array
     C: jax.Array
-    corner: float
-    sample_time: float
+    corner: jax.Array
+    sample_time: jax.Array
 
     def __init__(self, constraint: QuadraticConstraint, corner: float, sample_time: float) -> None:
         for name, value in (("corner", corner), ("sample_time", sample_time)):
@@ -64,7 +64,8 @@ class SampledRegression(eqx.Module):
                 raise ModelError(f"{name} must be positive, got {value}")
         for name in ("Q1", "Q2", "Q3", "E", "C"):
             setattr(self, name, jnp.asarray(getattr(constraint, name)))
-        self.corner, self.sample_time = float(corner), float(sample_time)
+        # Arrays, so that another value does not compile anew.
+        self.corner, self.sample_time = jnp.asarray(corner), jnp.asarray(sample_time)
 
     def init(self) -> Moments:
         """No past."""
