@@ -1,4 +1,4 @@
-"""Lemma 1, corrected: residuals in continuous time and on samples, and the printed forms failing."""
+"""Lemma 1, corrected: residuals in continuous time and on samples; the printed forms fail."""
 
 from pathlib import Path
 

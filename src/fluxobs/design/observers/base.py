@@ -47,12 +47,12 @@ def positive_definite(name: str, value: Any, size: int) -> jax.Array:
         Not symmetric positive definite: names the least eigenvalue.
     """
     plain = np.asarray(real(name, value))
-    if plain.ndim < 2:
-        plain = plain * np.eye(size)
-    if plain.shape != (size, size):
+    if plain.shape not in ((), (size,), (size, size)):
         raise ModelError(
             f"{name} must be a number, ({size},) or ({size}, {size}), got {plain.shape}"
         )
+    if plain.ndim < 2:
+        plain = plain * np.eye(size)
     if not np.allclose(plain, plain.T, rtol=1e-12, atol=0):
         raise ModelError(f"{name} must be symmetric, got {plain.tolist()}")
     # Judged per-unit: the units of flux and constants differ by twenty powers of ten.
