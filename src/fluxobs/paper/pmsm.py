@@ -102,7 +102,7 @@ def servo(quick: bool = False) -> MotorRecord:
     machine = example("servo-400w")
     assert isinstance(machine, SurfacePMSM)
     duration = 2.0 if quick else 4.0
-    t: Array = np.arange(round(duration / 1e-4) + 1) * 1e-4
+    t = np.array(np.arange(round(duration / 1e-4) + 1) * 1e-4, dtype=np.float64)
     half = np.array([duration / 2])
     return motor_record(
         machine,
@@ -123,7 +123,7 @@ def counter_example(samples: int = 16000) -> MotorRecord:
     """
     machine = SurfacePMSM(R_s=0.05, L_s=0.4, n_p=1, psi_f=1.0)
     periods = 8
-    t: Array = np.arange(periods * samples + 1) * (2 * np.pi / samples)
+    t = np.array(np.arange(periods * samples + 1) * (2 * np.pi / samples), dtype=np.float64)
     whole = motor_record(
         machine,
         lambda time: time + 0.8 * jnp.sin(time),
