@@ -42,7 +42,8 @@ def maglev_2dof(machine: MagLev2DOF) -> ElectromechanicalSystem:
     """Opposed coils on a lever: the paper's Section V-B in canonical port-Hamiltonian form.
 
     Its flux is the linkage ``λ = c φ`` with the force constants c, so that ``-∇_q H_E`` is the
-    force of Knospe's benchmark; momentum is p/D. ``λ̇ = -(c/N) R i + (c/N) u``: docs/theory.md, section 11.
+    force of Knospe's benchmark; momentum is p/D. ``λ̇ = -(c/N) R i + (c/N) u``.
+    docs/theory.md, section 11.
     """
     c, k = jnp.array([machine.c_1, machine.c_2]), jnp.array([machine.k_1, machine.k_2])
     g, sign = machine.g, jnp.array([-1.0, 1.0])

@@ -122,7 +122,8 @@ class RepairedAdaptiveObserver(eqx.Module):
     References
     ----------
     Q. Zhang, "Adaptive observer for multiple-input-multiple-output (MIMO) linear time-varying
-    systems", IEEE Trans. Automatic Control 47 (2002), doi:10.1109/9.989154. docs/theory.md, section 10.
+    systems", IEEE Trans. Automatic Control 47 (2002), doi:10.1109/9.989154.
+    docs/theory.md, section 10.
     """
 
     Gamma: jax.Array
