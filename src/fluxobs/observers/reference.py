@@ -188,10 +188,11 @@ class ImmersionObserver:
             )
             slope = np.maximum(2 * Q1 * flux, Q2 * bias).max(axis=1)
             # A state that is zero by definition (Q1 = 0, say) is pinned, not left free.
-            least = 1e-9 * max(size, self.constraint_noise[k])
+            rate = float(np.max(drift / flux))
+            least = 1e-9 * rate * max(size, self.constraint_noise[k])
             out[at["s"]][k] = max(size, self.constraint_noise[k])
             out[at["kappa"]][k] = max(np.max(drift * np.maximum(slope, E)), least)
-            out[at["c"]][k] = max(np.max(drift[:, None] * Q1 * drift), least)
+            out[at["c"]][k] = max(np.max(drift[:, None] * Q1 * drift), rate * least)
         out[at["flux"]] = flux
         if "drift" in unknowns:
             out[at["drift"]] = drift
