@@ -54,4 +54,4 @@ bench: $(READY)
 	done
 
 clean:
-	rm -rf $(VENV) build fluxobs-demo
+	rm -rf $(VENV) build fluxobs-demo fluxobs-paper

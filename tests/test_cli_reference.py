@@ -85,8 +85,9 @@ def test_current_bias_of_a_levitation(folder):
         folder=folder,
     )
     assert done.returncode == 0, done.stderr
-    assert "Current bias:" in done.stdout
-    assert "±" in done.stdout
+    # 8 µm of current bias against a gap of 330: this log cannot tell, and it says so.
+    assert "Current bias: not seen." in done.stdout
+    assert "--unknowns drift ignores it" in done.stdout
     names = pl.read_csv(folder / "bias.csv").columns
     assert {"current_bias_1", "current_bias_2", "current_bias_1_std"} <= set(names)
 
@@ -98,7 +99,7 @@ def test_current_bias_of_a_reluctance_machine(folder):
         folder=folder,
     )
     assert done.returncode == 0, done.stderr
-    found = pl.read_parquet(folder / "out.parquet").filter("valid")
+    found = pl.read_parquet(folder / "out.parquet")
     assert {"theta_e", "theta_e_std", "current_bias_alpha", "theta_e_error"} <= set(found.columns)
     assert np.abs(found["theta_e_error"][-500:]).max() < np.radians(3)
 
@@ -119,6 +120,7 @@ def test_current_bias_of_a_reluctance_machine(folder):
             "kind maglev-2dof has position",
         ),
         (["maglev.csv", "--machine", "maglev-knospe", "--memory", "0.01"], "--memory 0.01 s is"),
+        (["synrm.parquet", "--machine", "synrm-6kw7", "--truth", "position=t"], "has theta_e or"),
     ],
 )
 def test_bad_options_end_with_2_and_leave_nothing(folder, arguments, message):

@@ -2,13 +2,22 @@
 
 from pathlib import Path
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from fluxobs import ModelError, QuadraticConstraint, SurfacePMSM, SynchronousReluctance
 from fluxobs.constraint import invisible_offsets
-from fluxobs.design import blondel_park, check_constraint, discover_constraint
+from fluxobs.design import (
+    ElectromechanicalSystem,
+    blondel_park,
+    check_constraint,
+    discover_constraint,
+    inertia,
+    linear_magnetics,
+)
 from fluxobs.design.discovery import relative_residual
 from fluxobs.design.machines import (
     LIBRARY,
@@ -168,11 +177,84 @@ def test_check_names_residual_and_place():
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [({"degree": 5}, "degree must be 2, 3 or 4"), ({"ports": (0, 7)}, "ports must be some of")],
+    [
+        ({"degree": 5}, "degree must be 2, 3 or 4"),
+        ({"ports": (0, 7)}, "ports must be some of"),
+        ({"ports": (0, 0)}, "each once"),
+    ],
 )
 def test_bad_arguments(arguments, message):
     with pytest.raises(ModelError, match=message):
         discover_constraint(surface_pmsm(), **arguments)
+
+
+def not_everywhere(flux, position):
+    """A PMSM whose energy is no number beyond 2.5 rad."""
+    axis = jnp.array([jnp.cos(position[0]), jnp.sin(position[0])])
+    hole = jnp.sqrt(2.5 - position[0])
+    return jnp.sum((flux - 0.5 * axis) ** 2) * hole / hole
+
+
+def test_currents_that_are_no_numbers_pass_nothing():
+    with pytest.raises(ModelError, match="magnetic_energy or its gradient is not finite"):
+        ElectromechanicalSystem(not_everywhere, inertia(1.0), R=[1.0, 1.0], R_M=[0.0])
+    narrow = ElectromechanicalSystem(
+        not_everywhere, inertia(1.0), R=[1.0, 1.0], R_M=[0.0], position_range=(-1.0, 1.0)
+    )
+    wide = eqx.tree_at(lambda system: system.position_range, narrow, jnp.array([[-4.0], [4.0]]))
+    nothing = QuadraticConstraint(np.eye(2), np.zeros((2, 2)), np.zeros((2, 2)))
+    for call in (lambda: check_constraint(wide, nothing), lambda: discover_constraint(wide)):
+        with pytest.raises(ModelError, match="the current is not finite at flux"):
+            call()
+
+
+def test_a_badly_scaled_system_is_refused_rather_than_misread():
+    system = ElectromechanicalSystem(
+        linear_magnetics(
+            lambda q: 1e-3 * jnp.eye(2),
+            lambda q: 0.05 * jnp.array([jnp.cos(q[0]), jnp.sin(q[0])]),
+        ),
+        inertia(1.0),
+        R=[1.0, 1.0],
+        R_M=[0.0],
+        flux_range=(-1000.0, 1000.0),
+    )
+    with pytest.raises(ModelError, match="too badly scaled"):
+        discover_constraint(system)
+
+
+def test_a_port_without_current_and_one_that_position_does_not_touch():
+    """Their affine relations go first; the rest is found, and is still transformable."""
+
+    def magnetic_energy(flux, position):
+        axis = jnp.array([jnp.cos(position[0]), jnp.sin(position[0])])
+        return jnp.sum((flux[:2] - axis) ** 2) / 2 + 30 * flux[2] ** 2
+
+    system = ElectromechanicalSystem(magnetic_energy, inertia(1.0), R=[1.0] * 4, R_M=[0.0])
+    found = discover_constraint(system)
+    assert len(found.relations) == 1
+    assert len(found.affine) == 2
+    assert blondel_park(system).transformable
+
+
+def test_pairs_of_very_different_size_are_judged_alike():
+    """Two opposed pairs, the second a millionth of the first: nothing is invisible."""
+    swap = np.array([[0.0, 1.0], [1.0, 0.0]])
+    blocks = [(1e-3 * swap, -1e-5 * k * swap) for k in (1.0, 1e-6)]
+    relations = []
+    for k, (Q1, Q2) in enumerate(blocks):
+        big1, big2 = np.zeros((4, 4)), np.zeros((4, 4))
+        part = slice(2 * k, 2 * k + 2)
+        big1[part, part], big2[part, part] = Q1, Q2
+        relations.append(QuadraticConstraint(big1, big2, np.zeros((4, 4))))
+    assert invisible_offsets(relations).shape == (8, 0)
+
+
+def test_a_machine_is_no_system():
+    with pytest.raises(ModelError, match="a system of energies is needed, got SurfacePMSM"):
+        discover_constraint(example("servo-400w"))
+    with pytest.raises(ModelError, match="no relation to check"):
+        check_constraint(surface_pmsm(), ())
 
 
 def test_stacked_relations_see_more():

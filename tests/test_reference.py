@@ -253,6 +253,111 @@ def test_missing_samples_are_bridged():
     assert error[200:].max() < 1e-5 * given.flux.max()
 
 
+def motor(current, **options):
+    """The servo at 500 rad/s with 0.2 % noise, read by its own settings."""
+    machine = MACHINES["servo-400w"]
+    samples = rotating(machine, 1e-4, 500.0, 6000, 6j, noise=0.024)
+    observer = ImmersionObserver(
+        Immersion(machine.constraint),
+        machine.R,
+        machine.B,
+        1e-4,
+        0.03,
+        machine.psi_f,
+        2 * machine.L_s * machine.psi_f * 0.024,
+        0.2,
+    )
+    measured = samples.current.copy()
+    current(measured)
+    state, found = observer.resume(observer.init(), samples.voltage, measured)
+    error = np.linalg.norm(found.flux - samples.flux, axis=1) / machine.psi_f
+    return state, found, error
+
+
+@pytest.mark.parametrize("rows", [1, 50, 600])
+def test_nothing_is_valid_while_samples_are_missing(rows):
+    def gap(current):
+        current[3000 : 3000 + rows] = np.nan
+
+    state, found, error = motor(gap)
+    assert state.bad == rows
+    assert not found.valid[3000 : 3000 + rows].any()
+    assert error[found.valid].max() < 0.1
+    assert found.valid[4500:].all()
+    assert np.isfinite(found.flux_std).all()
+
+
+@pytest.mark.parametrize("size", [10.0, 1e3, 1e6])
+def test_a_spike_is_passed_over(size):
+    def spike(current):
+        current[3000, 0] += size
+
+    state, found, error = motor(spike)
+    assert state.restarts == 0
+    assert error[found.valid].max() < 0.1
+    assert error[3001:].max() < 0.1
+    assert found.valid[3400:].all()
+
+
+def test_long_gaps_leave_numbers():
+    observer = maglev_observer(record(SCENARIOS["S5"], quick=True), 1e-2)
+    current = np.full((5000, 2), np.nan)
+    current[0] = 0.5
+    _, found = observer.resume(observer.init(), np.zeros((5000, 2)), current)
+    assert np.isfinite(found.flux_std).all()
+    assert not found.valid.any()
+
+
+def test_a_current_bias_that_noise_makes_up_is_not_claimed():
+    """S5 with 1 mA and 10 mV: it cannot be told, and takes the flux with it."""
+    given = record(SCENARIOS["S5"], quick=True)
+    machine, rng = given.machine, np.random.default_rng(0)
+    rows = slice(0, 8001, 4)
+    v = np.diff(np.cumsum(given.volt_seconds, axis=0)[rows], axis=0, prepend=np.zeros((1, 2)))
+    v[1:] += 4e-3 * 5e-3 / machine.N * rng.standard_normal((len(v) - 1, 2))
+    current = given.current[rows] + 1e-3 * rng.standard_normal((len(v), 2))
+    observer = ImmersionObserver(
+        Immersion(machine.constraint, ("drift", "current-bias")),
+        machine.R,
+        machine.B,
+        4e-3,
+        0.5,
+        3.3e-5,
+        3e-3 * machine.g * 3.3e-5**2,
+        5e-5,
+        0.02,
+        voltage_noise=5e-3,
+    )
+    found = observer.run(current=current, volt_seconds=v)
+    error = np.linalg.norm(found.flux - given.flux[rows], axis=1) / given.flux.max()
+    assert error.max() > 0.2
+    assert not found.valid.any()
+
+
+def test_a_small_port_is_judged_by_its_own_size():
+    """Two opposed pairs, the second at rest with a hundredth of the flux: not claimed."""
+    k, g, h, rows = 1e-5, 1e-3, 1e-3, 2000
+    t = np.arange(rows)[:, None] * h
+    size = np.array([1.0, 1.0, 0.01, 0.01])
+    flux = 5e-3 * size * (1 + np.array([0.3, 0.3, 0, 0]) * np.sin(np.array([20, 31, 1, 1]) * t))
+    gaps = g + 3e-4 * np.array([-1, 1, 0, 0]) * np.sin(17 * t)
+    current = flux * gaps / k
+    relations = []
+    for first in (0, 2):
+        Q1, Q2 = np.zeros((4, 4)), np.zeros((4, 4))
+        Q1[first, first + 1] = Q1[first + 1, first] = g
+        Q2[first, first + 1] = Q2[first + 1, first] = -k
+        relations.append(QuadraticConstraint(Q1, Q2, np.zeros((4, 4))))
+    base = 5e-3 * size
+    sigma = np.array([1e-4 * g * base[0] ** 2, 1e-4 * g * base[2] ** 2])
+    observer = ImmersionObserver(
+        Immersion(tuple(relations)), np.eye(4), np.eye(4), h, 0.2, base, sigma, 0.01 * base
+    )
+    found = observer.run(current=current, volt_seconds=np.diff(flux, axis=0, prepend=flux[:1]))
+    wrong = (np.abs(found.flux - flux) > 0.3 * base).any(axis=1)
+    assert not (wrong & found.valid).any()
+
+
 def test_noise_that_pretends_is_seen():
     """S3 excites one direction hardly at all: half of it is wrong, and nothing is claimed."""
     found = noisy(record(SCENARIOS["S3"], quick=True), ("drift",), 4.0, 0.15)

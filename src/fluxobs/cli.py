@@ -101,7 +101,8 @@ def estimate(
         str,
         typer.Option(
             help="drift (default), current-bias, or drift,current-bias: what is constant and not "
-            "known. A current bias takes the slower, general least squares, 0.2 ms a row."
+            "known. A current bias takes the slower, general least squares, 0.25 ms a row; alone "
+            "it assumes that the voltage has no offset."
         ),
     ] = "drift",
 ) -> None:
@@ -115,7 +116,7 @@ def estimate(
     """
     from .layout import layout_from, read_layout
     from .machines import RotatingMachine, read_machine
-    from .reference_estimate import read_unknowns
+    from .reference_estimate import check_truth, read_unknowns
 
     given = read_machine(machine)
     fields: dict[str, Any] = read_layout(record) if record else {}
@@ -149,6 +150,7 @@ def estimate(
             raise FluxobsError(f"{out}: --out is one of the inputs; give another name")
     pole_pairs = getattr(given, "n_p", 1)
     opened = open_log(table, layout_from(fields, "options"), pole_pairs, start, stop)
+    check_truth(opened, given)
     if isinstance(given, RotatingMachine) and wanted == ("drift",):
         _run(opened, given, out, report, memory)
     else:
@@ -192,7 +194,8 @@ def reproduce(
 ) -> None:
     """Reproduce Section V of the paper, as printed, corrected and beyond.
 
-    Writes report.md, numbers.json and figures (PNG and SVG). Needs the extra "design" (JAX).
+    Writes report.md, numbers.json and figures (PNG, and SVG unless --quick). Needs the extra
+    "design" (JAX).
     """
     # Most of the time is compilation; must be said before JAX is loaded.
     os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")

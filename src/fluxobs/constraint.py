@@ -141,23 +141,22 @@ def invisible_offsets(
         One offset (r, s) a column, in Wb and A, orthonormal after scaling by typical sizes.
     """
     n, wanted = relations[0].n, set(unknowns)
-    rows = [relation.hessian() for relation in relations]
-    # Flux and current have different units: balance the blocks before judging ranks.
-    flux = max(np.abs(relation.Q1).max() for relation in relations)
-    mixed = max(np.abs(relation.Q2).max() for relation in relations)
-    current = max(np.abs(relation.Q3).max() for relation in relations)
-    if flux > 0 and (mixed > 0 or current > 0):
-        ratio = mixed / flux if mixed > 0 else float(np.sqrt(current / flux))
-    else:
-        ratio = current / mixed if mixed > 0 and current > 0 else 1.0
-    scale = np.r_[np.full(n, ratio), np.ones(n)]
-    rows = [scale[:, None] * row * scale for row in rows]
+    hessians = np.stack([relation.hessian() for relation in relations])
+    # Ports, flux and current differ in size: balance rows and columns before judging ranks.
+    scale = np.ones(2 * n)
+    for _ in range(20):
+        largest = np.abs(scale[:, None] * hessians * scale).max(axis=(0, 1))
+        scale = scale / np.sqrt(np.where(largest > 0, largest, 1.0))
+    rows = [scale[:, None] * hessian * scale for hessian in hessians]
+    zero = np.zeros((n, n))
     if "current-bias" not in wanted:
-        rows.append(np.hstack([np.zeros((n, n)), np.eye(n)]))
+        rows.append(np.hstack([zero, np.eye(n)]))
     elif "drift" not in wanted:
-        matrix = np.asarray(R, float)
-        rows.append(np.hstack([np.zeros((n, n)), matrix / np.abs(matrix).max()]))
-    stacked = np.vstack([row / max(np.abs(row).max(), 1e-300) for row in rows])
-    _, singular, vt = np.linalg.svd(stacked)
+        if R is None:
+            raise ValueError("R is missing: with a current bias alone the drift is R times it")
+        rows.append(np.hstack([zero, np.asarray(R, float) * scale[n:]]))
+    stacked = np.vstack(rows)
+    sizes = np.abs(stacked).max(axis=1, keepdims=True)
+    _, singular, vt = np.linalg.svd(stacked / np.where(sizes > 0, sizes, 1.0))
     rank = int((singular > 1e-9 * max(singular[0], 1e-300)).sum())
     return np.asarray(scale[:, None] * vt[rank:].T)

@@ -1,7 +1,7 @@
 """A log through the readable least squares: levitated bodies, and machines with current bias.
 
 The C core knows two ports, one relation and drift; everything else comes here, slower (about
-0.2 ms a row) but with the same guarantees: nothing half-written, the log streams.
+0.2 ms a row); nothing is half-written and the log streams.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 VOLTAGE_OFFSET = 0.01
 #: ... and a current bias of this share of the rated current.
 CURRENT_OFFSET = 0.02
+#: A position is none beyond this standard deviation: 3°, or this share of the gap.
+SPREAD = 0.05
 #: A standard deviation above this share of the prior: not seen.
 SEEN = 0.25
 #: Rows kept for the picture.
@@ -135,6 +137,7 @@ def observer_for(
         drift_prior=np.full(2, drift),
         current_bias_prior=np.full(2, bias),
         current_noise=noise,
+        voltage_noise=scales.voltage_noise if isinstance(machine, MagLev2DOF) else 0.0,
     )
 
 
@@ -167,7 +170,7 @@ def estimate(
     """
     out = check_out(out, log.table.path)
     check_unknowns(machine, unknowns)
-    _check_truth(log, machine)
+    check_truth(log, machine)
     memory = machine.memory if memory is None else memory
     if memory < 10 * log.sample_time:
         raise FluxobsError(
@@ -196,7 +199,8 @@ def estimate(
     return ReferenceResult(log, machine, observer, scales, kept, state.bad, state.restarts)
 
 
-def _check_truth(log: Log, machine: Machine) -> None:
+def check_truth(log: Log, machine: Machine) -> None:
+    """FluxobsError where the machine has no such position to be scored by."""
     for channel in log.layout.truth:
         if (channel == "position") != isinstance(machine, MagLev2DOF):
             right = "position" if isinstance(machine, MagLev2DOF) else "theta_e or theta_mech"
@@ -229,11 +233,13 @@ def _frame(
         with np.errstate(divide="ignore", invalid="ignore"):
             spread = np.linalg.norm(found.flux * gaps * found.flux_std, axis=-1) / length**2
         error = None if rows.truth is None else where - rows.truth
+        least = 0.0
     elif isinstance(machine, RotatingMachine):
         x = found.flux - machine.position_inductance * current
         where, length = np.arctan2(x[:, 1], x[:, 0]), np.hypot(*x.T)
         with np.errstate(divide="ignore", invalid="ignore"):
             spread = np.linalg.norm(found.flux_std, axis=-1) / np.sqrt(2) / length
+        least = machine.shortest * float(observer.flux_base[0])
         turns = 2 if machine.half_turn_ambiguous else 1
         error = None if rows.truth is None else wrap(turns * (where - rows.truth)) / turns
     else:
@@ -242,7 +248,8 @@ def _frame(
     columns += [*found.drift.T]
     if "current-bias" in observer.immersion.unknowns:
         columns += [*found.current_bias.T, *found.current_bias_std.T]
-    valid = found.valid & np.isfinite(where)
+    gap = machine.g if isinstance(machine, MagLev2DOF) else 1.0
+    valid = found.valid & np.isfinite(where) & (spread < SPREAD * gap) & (length > least)
     columns += [found.noise_share.max(axis=1), valid]
     if error is not None:
         columns.append(error)
@@ -299,21 +306,33 @@ def summarise(result: ReferenceResult) -> tuple[str, list[str]]:
     if kept.valid < 0.5 * kept.rows:
         warnings.append(
             f"The flux is known on {kept.valid / kept.rows:.1%} of the rows only: little "
-            f"excitation for the noise. A longer --memory sees weaker excitation."
+            f"excitation for the noise. "
+            + (
+                "--unknowns drift asks for less."
+                if "current-bias" in result.observer.immersion.unknowns
+                else "A longer --memory may see weaker excitation."
+            )
         )
     drift, bias = kept.drift / kept.valid, kept.current_bias / kept.valid
+    offset = -np.linalg.solve(machine.B, drift)
     first = (kept.first_valid or 0.0) - kept.start
     sentences = [
         head,
         f"The flux is known on {kept.valid / kept.rows:.1%} of the rows, first {first:.3g} s "
-        f"after the start. It would drift by ({drift[0]:+.4g}, {drift[1]:+.4g}) V.",
+        f"after the start. The flux integral would drift by ({drift[0]:+.4g}, {drift[1]:+.4g}) V, "
+        f"as much as voltage offsets of ({offset[0]:+.3g}, {offset[1]:+.3g}) V.",
     ]
     if "current-bias" in result.observer.immersion.unknowns:
         std = kept.current_bias_std / kept.valid
+        seen = (std < SEEN * result.observer.current_bias_prior).all()
+        assumed = result.observer.immersion.unknowns == ("current-bias",)
         sentences.append(
-            f"Current bias: {bias[0]:+.4g} ± {std[0]:.2g} and {bias[1]:+.4g} ± {std[1]:.2g} A (σ)."
+            f"Current bias: {bias[0]:+.4g} ± {std[0]:.2g} and {bias[1]:+.4g} ± {std[1]:.2g} A (σ)"
+            f"{', if the voltage has no offset' if assumed else ''}."
+            if seen
+            else "Current bias: not seen."
         )
-        if (std > SEEN * result.observer.current_bias_prior).any():
+        if not seen:
             warnings.append(
                 "The current bias was hardly seen by this log, and what is taken for it disturbs "
                 "the rest: --unknowns drift ignores it, which costs little."
@@ -362,7 +381,7 @@ def report(result: ReferenceResult, path: Path) -> None:
         axes[0].set_title(f"Flux [{'mWb' if rotating else 'µWb'}], band ±2σ")
         position = np.where(valid, scale * whole[where].to_numpy(), np.nan)
         axes[1].plot(t, position, color=BLUE)
-        axes[1].set_title(f"{where} [{unit}]")
+        axes[1].set_title(f"{'Electrical angle' if rotating else 'Position'} [{unit}]")
         pair(axes[2], "drift")
         axes[2].set_title("Drift [V]")
         if last:
@@ -370,7 +389,9 @@ def report(result: ReferenceResult, path: Path) -> None:
             axes[3].set_title("Current bias [A], band ±2σ")
         else:
             axes[3].semilogy(t, np.maximum(whole["noise_share"].to_numpy(), 1e-12), color=GREY)
-            axes[3].set_title("Share of the flux information that is noise; known below 0.1")
+            axes[3].set_title(
+                "Share of flux information that is noise; to be known: below 0.1, and σ below 5 %"
+            )
         axes[3].set_xlabel("t [s]")
         axes[3].set_xlim(t[0], t[-1])
         figure.suptitle(

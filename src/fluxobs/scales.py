@@ -32,8 +32,9 @@ class Scales:
         95th percentile of |i| [A].
     voltage : float
         95th percentile of |u| [V].
-    current_noise : float
-        Standard deviation of one current component, from third differences [A].
+    current_noise, voltage_noise : float
+        Standard deviation of one component, from third differences [A], [V]. Of a commanded
+        voltage it is what the controller does, not an error.
     current_speed : float
         95th percentile of the speed at which the current vector turns [rad/s]; all noise where
         there is little current.
@@ -42,6 +43,7 @@ class Scales:
     current: float
     voltage: float
     current_noise: float
+    voltage_noise: float
     current_speed: float
 
 
@@ -76,13 +78,13 @@ def _joined(parts: list[Aligned]) -> Aligned:
     return Aligned(t, current, voltage, None)
 
 
-def current_noise(current: Array) -> float:
-    """Std of one component of white noise on a smooth signal, (rows, 2) [A].
+def white_noise(signal: Array) -> float:
+    """Std of one component of white noise on a smooth signal, (rows, 2).
 
     Third differences remove anything smooth and have 20 times the noise's variance.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # garbage is no reason to stop
-        third = np.diff(current, 3, axis=0)
+        third = np.diff(signal, 3, axis=0)
     rows = max(1, min(NOISE_ROWS, len(third)))
     blocks = third[: len(third) // rows * rows].reshape(-1, rows, 2)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -99,12 +101,13 @@ def measure_scales(log: Log) -> Scales:
     RecordError
         No finite current or voltage in it, or one of them is zero throughout.
     """
-    currents, voltages, noise, turning = [], [], [], []
+    currents, voltages, noise, voltage_noise, turning = [], [], [], [], []
     for part in excerpts(log):
         turning.append(np.abs(wrap(np.diff(np.arctan2(part.current[:, 1], part.current[:, 0])))))
         currents.append(np.hypot(*part.current.T))
         voltages.append(np.hypot(*part.voltage.T))
-        noise.append(current_noise(part.current))
+        noise.append(white_noise(part.current))
+        voltage_noise.append(white_noise(part.voltage))
     i, u = np.concatenate(currents), np.concatenate(voltages)
     i, u = i[np.isfinite(i)], u[np.isfinite(u)]
     for what, values in (("current", i), ("voltage", u)):
@@ -119,6 +122,7 @@ def measure_scales(log: Log) -> Scales:
         float(np.percentile(i, 95)) or float(i.max()),
         float(np.percentile(u, 95)),
         float(np.median(noise)),
+        float(np.median(voltage_noise)),
         float(np.nanpercentile(np.concatenate(turning), 95)) / log.sample_time,
     )
 

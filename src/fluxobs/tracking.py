@@ -50,7 +50,7 @@ class LevitationTracker:
         phi = np.asarray(flux, float)
         measured, _ = m.position(phi, np.asarray(current, float))
         force = m.c_1 * phi[:, 0] ** 2 / (2 * m.k_1) - m.c_2 * phi[:, 1] ** 2 / (2 * m.k_2)
-        acceleration = m.D**2 / m.J * force
+        acceleration = np.nan_to_num(m.D**2 / m.J * force)  # none where the flux is missing
         # Double pole at e^{-h bandwidth} for a double integrator.
         pole = np.exp(-h * self.bandwidth)
         gain, gain_velocity = 1 - pole**2, (1 - pole) ** 2 / h

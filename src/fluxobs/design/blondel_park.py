@@ -51,8 +51,10 @@ def blondel_park(
     i = np.asarray(jax.vmap(system.current)(flux, position))
     by_flux = np.asarray(jax.vmap(jax.jacfwd(system.current, 0))(flux, position))
     by_position = np.asarray(jax.vmap(jax.jacfwd(system.current, 1))(flux, position))
-    # Balance ports of different size; a skew U stays skew only under a common scale, so weigh rows.
-    weight = 1 / np.sqrt(np.mean(by_position**2, axis=(0, 2)) + 1e-300)
+    # Balance ports of different size by their currents, not by what position does to them: that
+    # may be nothing. A skew U stays skew only under a common scale, so rows are weighed.
+    size = np.sqrt(np.mean(i**2, axis=0))
+    weight = 1 / np.maximum(size, max(1e-9 * size.max(), 1e-300))
     pairs = [(a, b) for a in range(n) for b in range(a + 1, n)]
     columns = []
     for a, b in pairs:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
-from typing import Any
 
 import jax
 import numpy as np
@@ -21,6 +20,8 @@ Array = NDArray[np.float64]
 GAP = 1e6
 #: ... to below this share of the largest.
 FLOOR = 1e-9
+#: Relative residual on other states beyond which nothing has been found.
+HELD_OUT = 1e-9
 #: Coefficients below this share of a relation's largest are rounding.
 ROUNDING = 1e-8
 
@@ -84,8 +85,8 @@ class Discovery:
         Relations of degree 3 or 4 that do not follow from the quadratic ones; only if asked for.
     margin : float
         Factor by which the singular values fall at the edge of the null space: how sure. At least
-        1e6 where relations were found; around 1e12 is usual. Without relations, the largest factor
-        between neighbours, which was not enough.
+        1e6 where there is one; around 1e12 is usual. Without, the largest factor between
+        neighbours, which was not enough.
     smallest : float
         Smallest singular value over the largest: without relations, the distance from having one.
     residual : float
@@ -151,7 +152,9 @@ def check_constraint(
         A relation does not hold: its residual, and where.
     """
     relations = [constraint] if isinstance(constraint, QuadraticConstraint) else list(constraint)
-    _, flux, current, position = _sample(system, samples, seed)
+    if not relations:
+        raise ModelError("no relation to check")
+    flux, current, position = _sample(system, samples, seed)
     worst = 0.0
     for number, relation in enumerate(relations):
         if relation.n != system.n_E:
@@ -161,7 +164,7 @@ def check_constraint(
         residual = relative_residual(relation, flux, current)
         at = int(np.argmax(residual))
         worst = max(worst, float(residual[at]))
-        if not worst <= tolerance:
+        if not residual[at] <= tolerance:
             which = f"relation {number + 1}" if len(relations) > 1 else "the relation"
             raise ModelError(
                 f"{system.name}: {which} does not hold: residual {residual[at]:.3g} of its terms "
@@ -203,14 +206,21 @@ def discover_constraint(
     """
     if degree not in (2, 3, 4):
         raise ModelError(f"degree must be 2, 3 or 4, got {degree}")
+    if not isinstance(system, ElectromechanicalSystem):
+        raise ModelError(
+            f"a system of energies is needed, got {type(system).__name__}; see "
+            f"fluxobs.design.machines"
+        )
     measured = list(range(system.n_E)) if ports is None else list(ports)
-    if not measured or not set(measured) <= set(range(system.n_E)):
-        raise ModelError(f"ports must be some of 0 … {system.n_E - 1}, got {measured}")
+    every = set(range(system.n_E))
+    if not measured or len(set(measured)) < len(measured) or not set(measured) <= every:
+        raise ModelError(f"ports must be some of 0 … {system.n_E - 1}, each once, got {measured}")
     n = len(measured)
     size = 40 * sum(1 for _ in combinations_with_replacement(range(2 * n + 1), degree))
-    _, flux, current, _ = _sample(system, size + 500, seed)
+    flux, current, _ = _sample(system, size + 500, seed)
     x = np.concatenate([flux[:, measured], current[:, measured]], axis=1)
     scale = np.sqrt(np.mean(x**2, axis=0))
+    scale = np.where(scale > 0, scale, 1.0)  # a port without current: i = 0 is affine
     x, held_out = x[:size] / scale, x[size:] / scale
 
     kept, affine = _without_affine(x, scale)
@@ -242,7 +252,13 @@ def discover_constraint(
                 quadratic.append(_constraint(polynomial))
             else:
                 higher.append(polynomial)
-    invisible = invisible_offsets(quadratic) if quadratic else np.empty((2 * n, 0))
+    if residual > HELD_OUT:
+        raise ModelError(
+            f"{system.name}: a relation fits the states it was found on and fails on others, by "
+            f"{residual:.1g} of its terms: too badly scaled. Give flux_range and position_range "
+            f"of the size in which the machine lives"
+        )
+    invisible = invisible_offsets(quadratic) if quadratic else np.eye(2 * n)
     return Discovery(
         system.name,
         tuple(quadratic),
@@ -255,13 +271,17 @@ def discover_constraint(
     )
 
 
-def _sample(
-    system: ElectromechanicalSystem, count: int, seed: int
-) -> tuple[Any, Array, Array, Array]:
-    rng = np.random.default_rng(seed)
-    flux, position = system.random_states(rng, count)
-    current = jax.jit(jax.vmap(system.current))(flux, position)
-    return rng, np.asarray(flux), np.asarray(current), np.asarray(position)
+def _sample(system: ElectromechanicalSystem, count: int, seed: int) -> tuple[Array, Array, Array]:
+    flux, position = system.random_states(np.random.default_rng(seed), count)
+    current = np.asarray(jax.jit(jax.vmap(system.current))(flux, position))
+    finite = np.isfinite(current).all(axis=1)
+    if not finite.all():
+        at = int(np.argmin(finite))
+        raise ModelError(
+            f"{system.name}: the current is not finite at flux {np.asarray(flux[at]).tolist()}, "
+            f"position {np.asarray(position[at]).tolist()}; see flux_range and position_range"
+        )
+    return np.asarray(flux), current, np.asarray(position)
 
 
 def _exponents(variables: int, kept: Sequence[int], degree: int) -> NDArray[np.int_]:
@@ -292,6 +312,7 @@ def _no_flux(exponents: NDArray[np.int_]) -> NDArray[np.bool_]:
 def _null_space(columns: Array) -> tuple[Array, float, float]:
     """Null vectors as columns, the fall of the singular values at their edge, the smallest."""
     norms = np.sqrt(np.mean(columns**2, axis=0))
+    norms = np.where(norms > 0, norms, 1.0)
     _, singular, vt = np.linalg.svd(columns / norms, full_matrices=False)
     relative = singular / singular[0]
     # Below rounding one zero is as good as another.
@@ -347,7 +368,6 @@ def _beyond(
     if not found or not null.shape[1]:
         return null
     index = {tuple(row): k for k, row in enumerate(exponents)}
-    variables = exponents.shape[1]
     products = []
     for lower, vectors in found:
         room = degree - int(lower.sum(axis=1).max())
@@ -359,7 +379,6 @@ def _beyond(
                     if value != 0:
                         product[index[tuple(row + factor)]] += value
                 products.append(product)
-    assert variables
     basis, singular, _ = np.linalg.svd(np.array(products).T, full_matrices=False)
     basis = basis[:, singular > ROUNDING * singular[0]]
     q, _ = np.linalg.qr(null)

@@ -130,13 +130,18 @@ def simulate(
     times = np.asarray(t, float)
     if times.ndim != 1 or len(times) < 2 or np.ptp(np.diff(times)) > 1e-6 * (times[1] - times[0]):
         raise ModelError("t must be uniform and have at least two rows")
+    initial = State(*initial)
     start = State(
         real("initial.flux", initial.flux, (system.n_E,)),
         real("initial.position", initial.position, (system.n_M,)),
         real("initial.momentum", initial.momentum, (system.n_M,)),
     )
     if scale is None:
-        sizes = State(system.flux_range[1], system.position_range[1], jnp.ones(system.n_M))
+        reach = [
+            jnp.asarray(np.abs(np.asarray(bounds)).max(axis=0))
+            for bounds in (system.flux_range, system.position_range)
+        ]
+        sizes = State(reach[0], reach[1], jnp.ones(system.n_M))
     else:
         sizes = State(*(real("scale", part) for part in scale))
     force = None if load is None else real("load", load, (system.n_M,))

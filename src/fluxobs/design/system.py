@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ModelError
-from .precision import real
+from .precision import double, real
 
 Energy = Callable[[jax.Array, jax.Array], jax.Array]
 
@@ -136,7 +136,7 @@ class ElectromechanicalSystem(eqx.Module):
     def _probe(self) -> None:
         """Energies must be finite scalars where the machine lives."""
         rng = np.random.default_rng(0)
-        flux, position = self.random_states(rng, 16)
+        flux, position = self.random_states(rng, 500)
         momentum = jnp.asarray(rng.standard_normal(position.shape))
         for what, energy, one, other in (
             ("magnetic_energy", self.magnetic_energy, flux, position),
@@ -144,16 +144,17 @@ class ElectromechanicalSystem(eqx.Module):
         ):
             try:
                 value = energy(one[0], other[0])
+                shape = jnp.shape(value)
+                if shape == ():
+                    both = jax.jit(jax.vmap(jax.value_and_grad(energy, argnums=(0, 1))))(one, other)
             except (TypeError, ValueError, IndexError) as error:
                 raise ModelError(
                     f"{self.name}: {what} fails at shapes {one[0].shape} and {other[0].shape}: "
-                    f"{error}"
+                    f"{str(error).splitlines()[0]} (write it with jax.numpy, without float() "
+                    f"and if on its arguments)"
                 ) from error
-            if jnp.shape(value) != ():
-                raise ModelError(
-                    f"{self.name}: {what} must return one number, got shape {jnp.shape(value)}"
-                )
-            both = jax.jit(jax.vmap(jax.value_and_grad(energy, argnums=(0, 1))))(one, other)
+            if shape != ():
+                raise ModelError(f"{self.name}: {what} must return one number, got shape {shape}")
             finite = np.isfinite(both[0])
             for gradient in both[1]:
                 finite = finite & np.isfinite(gradient).all(axis=1)
@@ -186,10 +187,12 @@ class ElectromechanicalSystem(eqx.Module):
 
     def current(self, flux: jax.Array, position: jax.Array) -> jax.Array:
         """``i = ∇_λ H_E`` [A], (n_E,)."""
+        flux, position = double("flux", flux), double("position", position)
         return jnp.asarray(jax.grad(self.magnetic_energy, 0)(flux, position))
 
     def force(self, flux: jax.Array, position: jax.Array) -> jax.Array:
         """Force or torque of electrical origin, ``-∇_q H_E``, (n_M,)."""
+        flux, position = double("flux", flux), double("position", position)
         return jnp.asarray(-jax.grad(self.magnetic_energy, 1)(flux, position))
 
     def velocity(self, position: jax.Array, momentum: jax.Array) -> jax.Array:
@@ -231,14 +234,19 @@ def _damping(name: str, value: Any) -> jax.Array:
         matrix = np.diag(matrix)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
         raise ModelError(f"{name} must be square, or a vector, got shape {matrix.shape}")
-    least = np.linalg.eigvalsh((matrix + matrix.T) / 2).min()
-    if least < -1e-12 * np.abs(matrix).max():
+    least = np.linalg.eigvalsh((matrix + matrix.T) / 2).min(initial=0.0)
+    if least < -1e-12 * np.abs(matrix).max(initial=0.0):
         raise ModelError(f"{name} must be positive semi-definite, got least eigenvalue {least:g}")
     return jnp.asarray(matrix)
 
 
 def _range(name: str, value: tuple[Any, Any], ports: int) -> jax.Array:
-    bounds = np.stack([np.broadcast_to(real(name, bound), (ports,)) for bound in value])
+    if len(value) != 2:
+        raise ModelError(f"{name} must be (low, high), got {len(value)} bounds")
+    given = [np.asarray(real(name, bound)) for bound in value]
+    if any(bound.shape not in ((), (ports,)) for bound in given):
+        raise ModelError(f"{name}: each bound must be a number or {ports} numbers")
+    bounds = np.stack([np.broadcast_to(bound, (ports,)) for bound in given])
     if not (bounds[0] < bounds[1]).all():
         raise ModelError(f"{name}: low must be below high, got {bounds.tolist()}")
     return jnp.asarray(bounds)

@@ -40,7 +40,8 @@ def machine_from(fields: Mapping[str, Any], source: str = "machine") -> Machine:
     try:
         return KINDS[kind](**parameters)
     except ValidationError as error:
-        what = complaints(error, KINDS[kind].model_fields, f"kind {kind}")
+        names = [field.alias or name for name, field in KINDS[kind].model_fields.items()]
+        what = complaints(error, names, f"kind {kind}")
         raise MachineError(f"{source}: {what}") from None
 
 

@@ -24,6 +24,8 @@ KNOWN = 0.05
 CONTRADICTION = 10.0
 #: ... is passed over, and if so many follow each other what was constant has jumped: start anew.
 CONTRADICTIONS = 4
+#: After so many missing samples in a row nothing is known any more.
+MISSING = 4
 #: A row of the prior is given back every so many samples.
 EVERY = 2
 #: Mean current of the last interval from the last four, newest first: the cubic through them.
@@ -46,7 +48,7 @@ class ImmersionEstimate:
         Share of each flux component's information that current noise alone would pretend.
     valid : (...) ndarray of bool
         The flux is known: noise share below 0.1 and standard deviation below a twentieth of
-        |flux|, both for at least one memory.
+        the flux, per-unit; both for at least one memory, with no sample missing.
     innovation : (..., r) ndarray
         Residual of each relation over its assumed noise, before the sample was used.
     """
@@ -76,6 +78,7 @@ class ImmersionState:
     last_innovation: Array | None = None
     samples: int = 0
     bad: int = 0
+    missing: int = 0  # in a row
     contradictions: int = 0  # in a row
     known: int = 0  # samples in a row
     restarts: int = 0
@@ -104,9 +107,11 @@ class ImmersionObserver:
         Largest plausible drift [V].
     current_bias_prior : (n,) array_like
         Largest plausible current bias [A]; used where it is an unknown.
-    current_noise, voltage_noise : float
-        Std of a current component [A] and of the mean voltage over a sample [V]. Only
-        `noise_share` uses them.
+    current_noise : float, optional
+        Std of a current component [A]; default what makes `constraint_noise`. `noise_share`, and
+        so `valid`, rests on it.
+    voltage_noise : float
+        The same of the mean voltage over a sample [V]; default 0, a command.
 
     Raises
     ------
@@ -128,7 +133,7 @@ class ImmersionObserver:
     constraint_noise: Array
     drift_prior: Array
     current_bias_prior: Array = field(default_factory=lambda: np.empty(0))
-    current_noise: float = 0.0
+    current_noise: float | None = None
     voltage_noise: float = 0.0
     _prior: Array = field(init=False, repr=False)
     _volt_seconds_noise: Array = field(init=False, repr=False)
@@ -153,8 +158,10 @@ class ImmersionObserver:
             object.__setattr__(self, name, value)
         for name in ("R", "B"):
             matrix = np.array(getattr(self, name), dtype=float)
-            if matrix.ndim != 2 or len(matrix) != n:
+            if matrix.ndim != 2 or len(matrix) != n or (name == "R" and matrix.shape != (n, n)):
                 raise ValueError(f"{name} must have {n} rows, got shape {matrix.shape}")
+            if not np.isfinite(matrix).all():
+                raise ValueError(f"{name} must be finite, got {matrix.tolist()}")
             object.__setattr__(self, name, matrix)
         if not (np.isfinite(self.sample_time) and self.sample_time > 0):
             raise ValueError(f"sample_time must be positive and finite, got {self.sample_time}")
@@ -163,12 +170,26 @@ class ImmersionObserver:
                 f"memory must be at least ten samples, {10 * self.sample_time:g} s here, "
                 f"got {self.memory:g} s"
             )
+        if self.immersion.R is not None and not np.array_equal(self.immersion.R, self.R):
+            raise ValueError("R differs from that of the immersion")
+        noise = self.current_noise
+        if noise is None:
+            slopes = [
+                np.linalg.norm(self.flux_base @ relation.Q2)
+                for relation in self.immersion.relations
+            ]
+            shares = [s / k for s, k in zip(self.constraint_noise, slopes, strict=True) if k > 0]
+            noise = float(min(shares, default=0.0))
+            object.__setattr__(self, "current_noise", noise)
+        for name in ("current_noise", "voltage_noise"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
+                raise ValueError(f"{name} must be a number >= 0, got {getattr(self, name)}")
         object.__setattr__(self, "_prior", self._prior_std())
         h, gain = self.sample_time, self.immersion.transition_gain()
-        noise = h * np.hstack([self.voltage_noise * self.B, self.current_noise * self.R])
+        pushes = h * np.hstack([self.voltage_noise * self.B, noise * self.R])
         # One direction of v's noise each: ∂F⁻¹ along it.
-        object.__setattr__(self, "_volt_seconds_noise", np.tensordot(noise.T, gain, axes=1))
-        object.__setattr__(self, "_row_noise", self.current_noise * self.immersion.row_gain())
+        object.__setattr__(self, "_volt_seconds_noise", np.tensordot(pushes.T, gain, axes=1))
+        object.__setattr__(self, "_row_noise", noise * self.immersion.row_gain())
 
     def _prior_std(self) -> Array:
         """Standard deviation of every state before anything is known."""
@@ -223,52 +244,74 @@ class ImmersionObserver:
     ) -> tuple[ImmersionState, ImmersionEstimate]:
         """One sample; arguments as for :meth:`LeastSquaresObserver.step`, ``(m,)`` and ``(n,)``.
 
-        A missing (NaN) current is predicted over, a missing voltage held; a current that
-        contradicts all before is passed over, and four of these in a row start the estimate anew.
+        A missing (NaN) current or voltage is held, and so is a current that contradicts all
+        before; nothing is valid for a memory after it. Four in a row empty the information.
         """
         if current is None or (voltage is None) == (volt_seconds is None):
             raise TypeError("give current, and either voltage or volt_seconds")
-        h, immersion = self.sample_time, self.immersion
         i = np.asarray(current, float)
-        known = bool(np.isfinite(i).all())
-        if not known:
-            i = state.currents[0] if state.samples else np.zeros(immersion.n)
         u = state.voltage if voltage is None else np.asarray(voltage, float)
-        bad = not known
+        v = None if volt_seconds is None else np.asarray(volt_seconds, float)
+        if v is not None and not np.isfinite(v).all():
+            raise ValueError("volt_seconds must be finite; a missing sample has no current")
+        known = bool(np.isfinite(i).all())
+        # A first voltage belongs to an interval before the record: none is no fault.
+        bad = not known or (not np.isfinite(u).all() and state.samples > 0)
+        held = state.currents[0] if state.samples else np.zeros(self.immersion.n)
         if not np.isfinite(u).all():
-            u, bad = state.voltage, bad or state.samples > 0
+            u = state.voltage
         if u.size == 0:
             u = np.zeros(self.B.shape[1])
-        # Before the first sample the current is taken to have been what it is.
-        currents = np.vstack([i, state.currents[:-1] if state.samples else np.tile(i, (3, 1))])
-        R, z, noise = state.R, state.z, state.noise
-        if state.samples > 0:
-            if volt_seconds is not None:
-                v = np.asarray(volt_seconds, float)
-                if not np.isfinite(v).all():
-                    raise ValueError("volt_seconds must be finite")
-            else:
-                v = h * (self.B @ u - self.R @ (QUADRATURE @ currents))
-            rho = 1 - h / self.memory
-            back = immersion.transition(-h, -v)
-            R = R @ back
-            z = np.sqrt(rho) * (z + R @ immersion.known_input(v))
-            R = np.sqrt(rho) * R
-            noise = rho * back.T @ noise @ back + self._pretended(R)
-        state = replace(state, R=R, z=z, noise=noise)
+        missing = state.missing + 1 if bad else 0
+        after = self._move(state, i if known else held, u, v)
         if known:
-            state = self._measure(state, i)
-        state = replace(
-            state,
-            currents=currents,
+            measured = self._measure(after, i)
+            if measured is None:  # contradicts all before: as if it were missing
+                after = self._move(state, held, u, v)
+                after = replace(after, contradictions=state.contradictions + 1, known=0)
+            else:
+                after = measured
+        if missing >= MISSING:
+            after = self._emptied(after)
+        after = replace(
+            after,
             voltage=u,
             samples=state.samples + 1,
             bad=state.bad + bad,
+            missing=missing,
+            known=0 if bad else after.known,
         )
-        return self._read_out(state)
+        return self._read_out(after)
 
-    def _measure(self, state: ImmersionState, current: Array) -> ImmersionState:
-        """Takes the relations at the current in, and one row of the prior back."""
+    def _move(
+        self, state: ImmersionState, current: Array, voltage: Array, v: Array | None
+    ) -> ImmersionState:
+        """Time update to a sample with that current."""
+        h, immersion = self.sample_time, self.immersion
+        if state.samples == 0:
+            # Before the first sample the current is taken to have been what it is.
+            return replace(state, currents=np.tile(current, (4, 1)))
+        currents = np.vstack([current, state.currents[:-1]])
+        if v is None:
+            v = h * (self.B @ voltage - self.R @ (QUADRATURE @ currents))
+        rho = 1 - h / self.memory
+        back = immersion.transition(-h, -v)
+        R = state.R @ back
+        z = np.sqrt(rho) * (state.z + R @ immersion.known_input(v))
+        R = np.sqrt(rho) * R
+        noise = rho * back.T @ state.noise @ back + self._pretended(R)
+        return replace(state, R=R, z=z, noise=noise, currents=currents)
+
+    def _emptied(self, state: ImmersionState) -> ImmersionState:
+        """The same without information."""
+        fresh = self.init()
+        return replace(state, R=fresh.R, z=fresh.z, noise=fresh.noise, contradictions=0)
+
+    def _measure(self, state: ImmersionState, current: Array) -> ImmersionState | None:
+        """Takes the relations at the current in, and one row of the prior back.
+
+        None if the current contradicts all before, and not often enough to start anew.
+        """
         immersion, sigma = self.immersion, self.constraint_noise
         rows, values = immersion.output_rows(current)
         rows, values = rows / sigma[:, None], values / sigma
@@ -279,15 +322,11 @@ class ImmersionObserver:
         rho = 1 - self.sample_time / self.memory
         if (innovation**2 > limit).any():
             if state.contradictions + 1 < CONTRADICTIONS:
-                return replace(
-                    state, contradictions=state.contradictions + 1, last_innovation=innovation
-                )
-            fresh = self.init()
+                return None
             state = replace(
-                state,
-                R=fresh.R,
-                z=fresh.z,
-                noise=fresh.noise,
+                self._emptied(state),
+                # The currents held meanwhile were no measurements.
+                currents=np.tile(current, (4, 1)),
                 restarts=state.restarts + 1,
                 # So that noise beyond what is assumed cannot restart for ever.
                 power=4 * max(state.power, 1.0),
@@ -331,11 +370,10 @@ class ImmersionObserver:
         held = np.square(covariance / self._prior).sum(axis=1)
         variance = level * np.diag(covariance) + max(1 - level, 0.0) * held
         std = np.sqrt(variance)
-        # Share of the marginal information of each flux component that noise has put there.
-        columns = covariance[:, at["flux"]]
-        share = np.einsum("ij,ik,kj->j", columns, state.noise, columns) / np.diag(
-            covariance[at["flux"], at["flux"]]
-        )
+        # Share of each state's marginal information that noise has put there.
+        spread = np.einsum("ij,ik,kj->j", covariance, state.noise, covariance)
+        all_shares = spread / np.diag(covariance)
+        share = all_shares[at["flux"]]
         n = immersion.n
         flux, flux_std = x[at["flux"]], std[at["flux"]]
         bias = x[at["current_bias"]] if "current-bias" in immersion.unknowns else np.zeros(n)
@@ -344,12 +382,18 @@ class ImmersionObserver:
             drift, drift_std = x[at["drift"]], std[at["drift"]]
         else:
             drift, drift_std = self.R @ bias, np.sqrt(np.square(self.R) @ np.square(bias_std))
+        # Each port by its own size: a large one says nothing of a small one.
+        length = np.linalg.norm(flux / self.flux_base) / np.sqrt(n)
         known = bool(
             (share < NOISE_SHARE_LIMIT).all()
-            and (flux_std < KNOWN * np.hypot.reduce(flux)).all()
+            and (flux_std < KNOWN * length * self.flux_base).all()
+            and state.contradictions == 0
+            # A current bias that noise makes up takes the flux with it.
+            and (all_shares[at["current_bias"]] < NOISE_SHARE_LIMIT).all()
+            and (np.abs(x[at["current_bias"]]) < 3 * self._prior[at["current_bias"]]).all()
             and np.isfinite(x).all()
         )
-        state = replace(state, known=state.known + 1 if known else 0)
+        state = replace(state, known=state.known + 1 if known and state.missing == 0 else 0)
         innovation = state.last_innovation
         return state, ImmersionEstimate(
             flux,
@@ -399,6 +443,8 @@ class ImmersionObserver:
         for given, i in zip(source, currents, strict=True):
             state, estimate = self.step(state, current=i, **{key: given})
             found.append(estimate)
+        if not found:
+            raise ValueError("the record has no rows")
         names = ImmersionEstimate.__dataclass_fields__
         return state, ImmersionEstimate(
             **{name: np.array([getattr(row, name) for row in found]) for name in names}

@@ -80,9 +80,14 @@ def _legend(axes: Axes) -> None:
 
 
 def _pair(
-    runs: Sequence[ScenarioResult], names: Sequence[str], what: str, constants: bool = False
+    runs: Sequence[ScenarioResult],
+    title: str,
+    names: Sequence[str],
+    what: str,
+    constants: bool = False,
 ) -> Figure:
     figure, axes = _new(len(runs))
+    figure.suptitle(title, fontsize=10)
     for panel, one in zip(axes[0], runs, strict=True):
         _courses(panel, one.courses, names, one.jump, constants)
         panel.set_title(f"{one.scenario.name}: {one.scenario.title}")
@@ -98,10 +103,16 @@ def draw_scenarios(out: Path, runs: Sequence[ScenarioResult], formats: Sequence[
     _write(
         out,
         {
-            "robust": lambda: _pair(runs, ROBUST, flux),
-            "adaptive_flux": lambda: _pair(runs, ADAPTIVE, flux),
+            "robust": lambda: _pair(runs, "Proposition 1", ROBUST, flux),
+            "adaptive_flux": lambda: _pair(
+                runs, "Proposition 2 and its repair: flux", ADAPTIVE, flux
+            ),
             "adaptive_parameters": lambda: _pair(
-                runs, ADAPTIVE, "error of (θ, δ_i), relative", constants=True
+                runs,
+                "Proposition 2 and its repair: constants",
+                ADAPTIVE,
+                "errors of θ and δ_i over their sizes",
+                constants=True,
             ),
             "baselines": lambda: _baselines(runs[-1]),
             "trajectories": lambda: _trajectories(runs),

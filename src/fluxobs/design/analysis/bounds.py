@@ -51,7 +51,7 @@ def robust_bound(
     values = np.linalg.eigvalsh(np.atleast_2d(np.asarray(Gamma, float)))
     eta = decay_rate(Gamma, window, alpha, Phi_max)
     t = np.asarray(t, float)
-    if eta <= 0:
+    if not eta > 0:
         return np.full(t.shape, np.inf)
     front = np.sqrt(values[-1] / values[0]) * np.exp(eta * window)
     fade = np.exp(-eta * t)
@@ -89,4 +89,6 @@ def bound_on_record(
     b = np.linalg.norm(disturbance(rows, constants, Gamma, drift, current_bias), axis=1).max()
     matrix = np.asarray(positive_definite("Gamma", Gamma, constants.n))
     times = h * np.arange(len(rows.y)) if t is None else t
-    return robust_bound(matrix, window, found.alpha, float(size), initial_error, float(b), times)
+    return robust_bound(
+        matrix, found.window, found.alpha, float(size), initial_error, float(b), times
+    )

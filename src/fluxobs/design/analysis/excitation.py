@@ -48,10 +48,23 @@ def gram(signal: ArrayLike, h: float, window: float) -> Array:
         raise ModelError(
             f"a window of {window:g} s does not fit: the record has {len(phi)} rows of {h:g} s"
         )
+    if not np.isfinite(phi).all():
+        raise ModelError(
+            f"the regressor is not finite at row {int(np.argwhere(~np.isfinite(phi))[0][0])}"
+        )
     product = np.einsum("ki,kj->kij", phi, phi)
-    area = np.cumsum((product[:-1] + product[1:]) / 2 * h, axis=0)
-    area = np.concatenate([np.zeros_like(area[:1]), area])
-    return np.asarray(area[length:] - area[:-length])
+    area = (product[:-1] + product[1:]) / 2 * h
+    # Sums over blocks of the window's length, from their ends: no difference of large sums.
+    count = len(area) - length + 1
+    blocks = -(-len(area) // length)
+    padded = np.zeros((blocks * length, *area.shape[1:]))
+    padded[: len(area)] = area
+    padded = padded.reshape(blocks, length, *area.shape[1:])
+    head = np.cumsum(padded, axis=1).reshape(-1, *area.shape[1:])
+    tail = np.cumsum(padded[:, ::-1], axis=1)[:, ::-1].reshape(-1, *area.shape[1:])
+    start = np.arange(count)
+    whole = start % length == 0
+    return np.asarray(np.where(whole[:, None, None], 0.0, head[start + length - 1]) + tail[start])
 
 
 def excitation(
@@ -73,7 +86,8 @@ def excitation(
     values = np.linalg.eigvalsh(gram(phi if scale is None else phi * scale, h, window))
     # Rounding may leave a tiny negative one.
     least, most = np.asarray(values[:, 0], float), np.asarray(values[:, -1], float)
-    return Excitation(window, np.maximum(least, 0.0), most)
+    # The window that was integrated: a whole number of steps.
+    return Excitation(round(window / h) * h, np.maximum(least, 0.0), most)
 
 
 def persistency(

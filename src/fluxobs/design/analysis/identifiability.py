@@ -60,7 +60,7 @@ def observability_gramian(
 def invisible_from_gramian(gramian: ArrayLike, tolerance: float = 1e-10) -> Array:
     """Directions that a record did not see: eigenvectors below a share of the largest, (N, k)."""
     values, vectors = np.linalg.eigh(np.asarray(gramian, float))
-    return np.asarray(vectors[:, values < tolerance * values[-1]])
+    return np.asarray(vectors[:, values <= tolerance * values[-1]])
 
 
 def invisible_from_constraint(constraint: QuadraticConstraint, constants: Parametrisation) -> Array:
@@ -87,9 +87,11 @@ def invisible_from_constraint(constraint: QuadraticConstraint, constants: Parame
             direction[3 * n : 4 * n] = -constraint.Q2.T @ s
             columns.append(direction)
         if not constants.with_b:
-            for column in hidden.T:
+            # The same identity with Q3 = 0: what Q2ᵀ does not see.
+            _, singular, vt = np.linalg.svd(constraint.Q2.T)
+            for s in vt[singular <= 1e-9 * max(singular[0], 1e-300)]:
                 direction = np.zeros(size)
-                direction[:n], direction[2 * n : 3 * n] = column[:n], constraint.Q2 @ column[n:]
+                direction[:n], direction[2 * n : 3 * n] = s, -2 * constraint.Q1 @ s
                 columns.append(direction)
     elif np.linalg.matrix_rank(constraint.hessian()[:, :n]) < n:
         _, singular, vt = np.linalg.svd(constraint.hessian()[:, :n])

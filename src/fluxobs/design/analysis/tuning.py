@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...errors import ModelError
 from ..observers.base import flow_gain
 from ..observers.gradient import RepairedAdaptiveObserver
 from ..regression import Parametrisation, Regressors
@@ -30,6 +31,8 @@ def balanced_gain(regressor: ArrayLike, rate: float) -> Array:
     """``rate · (mean Φ Φᵀ)⁻¹``: every direction converges at about `rate` [1/s]."""
     phi = np.asarray(regressor, float)
     size = np.sqrt(np.mean(phi**2, axis=0))
+    if not (size > 0).all():
+        raise ModelError(f"column {int(np.argmin(size))} of the regressor is never excited")
     values, vectors = np.linalg.eigh((phi / size).T @ (phi / size) / len(phi))
     values = np.maximum(values, LEAST * values[-1])
     inverse = vectors / values @ vectors.T / np.outer(size, size)
