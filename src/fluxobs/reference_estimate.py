@@ -1,7 +1,7 @@
 """A log through the readable least squares: levitated bodies, and machines with current bias.
 
 The C core knows two ports, one relation and drift; everything else comes here, slower (about
-0.2 ms a row); nothing is half-written and the log streams.
+0.25 ms a row); nothing is half-written and the log streams.
 """
 
 from __future__ import annotations
