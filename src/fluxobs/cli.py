@@ -17,7 +17,6 @@ import typer
 from .errors import FluxobsError, RecordError
 
 if TYPE_CHECKING:
-    from .estimate import Result
     from .immersion import Unknown
     from .logs import Log
     from .machines import Machine, RotatingMachine
@@ -194,8 +193,9 @@ def reproduce(
 ) -> None:
     """Reproduce Section V of the paper, as printed, corrected and beyond.
 
-    Writes report.md, numbers.json and figures (PNG, and SVG unless --quick). Needs the extra
-    "design" (JAX).
+    Writes report.md, numbers.json and figures (PNG, and SVG unless --quick).
+
+    Needs the extra "design" (JAX).
     """
     # Most of the time is compilation; must be said before JAX is loaded.
     os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
@@ -246,10 +246,7 @@ def _run_reference(
     _check(log, report, memory)
     with _Progress(len(log)) as progress:
         result = reference_estimate.estimate(log, machine, unknowns, out, memory, progress)
-    paragraph, warnings = reference_estimate.summarise(result)
-    _echo(paragraph)
-    for warning in warnings:
-        _echo(f"Warning: {warning}")
+    _print_summary(*reference_estimate.summarise(result))
     typer.echo(f"Written: {out}")
     if report is not None:
         reference_estimate.report(result, report)
@@ -261,11 +258,13 @@ def _run(
 ) -> None:
     from .estimate import estimate as run
     from .observers.least_squares import MEMORY
+    from .summary import summarise
 
     _check(log, report, memory)
     with _Progress(len(log)) as progress:
         result = run(log, machine, out, memory if memory is not None else MEMORY, progress)
-    _print_summary(result)
+    summary = summarise(result)
+    _print_summary(summary.paragraph, summary.warnings)
     typer.echo(f"Written: {out}")
     if report is not None:
         from .plots import report as draw
@@ -274,12 +273,9 @@ def _run(
         typer.echo(f"Written: {report}")
 
 
-def _print_summary(result: Result) -> None:
-    from .summary import summarise
-
-    summary = summarise(result)
-    _echo(summary.paragraph)
-    for warning in summary.warnings:
+def _print_summary(paragraph: str, warnings: list[str]) -> None:
+    _echo(paragraph)
+    for warning in warnings:
         _echo(f"Warning: {warning}")
 
 

@@ -135,7 +135,7 @@ class Immersion:
         return out
 
     def transition(self, h: float, volt_seconds: ArrayLike) -> Array:
-        """F(h, v) of ``x₊ = F x + input``; ``F(h, v)⁻¹ = F(-h, -v)``, unit triangular but for δ.
+        """F(h, v) of ``x₊ = F x + input``; unit upper triangular; ``F(h, v)⁻¹ = F(-h, -v)``.
 
         Parameters
         ----------

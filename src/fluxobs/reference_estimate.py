@@ -16,22 +16,20 @@ import polars as pl
 from numpy.typing import NDArray
 
 from .errors import FluxobsError
-from .frames import wrap
+from .estimate import position_error
 from .immersion import UNKNOWNS, Immersion, Unknown
 from .logs import Aligned, Log
 from .machines import Machine, MagLev2DOF, RotatingMachine
 from .observers.least_squares import MODEL_ERROR
 from .observers.reference import ImmersionEstimate, ImmersionObserver, describe_invisible
 from .records import lag_in_words
-from .scales import Scales, measure_scales
+from .scales import LEAST_NOISE, VOLTAGE_OFFSET, Scales, measure_scales
 from .validation import nearest
 from .writing import Schema, ahead, check_out, write_rows
 
 Array = NDArray[np.float64]
 
-#: A drift as from an offset of this share of the voltage is ordinary, ...
-VOLTAGE_OFFSET = 0.01
-#: ... and a current bias of this share of the rated current.
+#: A current bias of this share of the rated current is ordinary.
 CURRENT_OFFSET = 0.02
 #: A position is none beyond this standard deviation: 3°, or this share of the gap.
 SPREAD = 0.05
@@ -119,7 +117,7 @@ def observer_for(
     base = machine.flux_base(getattr(machine, "psi_f", None), rated)
     if base is None:
         raise FluxobsError(f"psi_f is missing in the machine ({machine.kind}); a rough value does")
-    noise = max(scales.current_noise, 1e-4 * rated)
+    noise = max(scales.current_noise, LEAST_NOISE * rated)
     drift = VOLTAGE_OFFSET * scales.voltage * np.abs(machine.B).max()
     size = np.abs(machine.constraint.Q1).max() * base**2
     residual = float(np.hypot(machine.constraint_noise(base, rated, noise), MODEL_ERROR * size))
@@ -240,8 +238,7 @@ def _frame(
         with np.errstate(divide="ignore", invalid="ignore"):
             spread = np.linalg.norm(found.flux_std, axis=-1) / np.sqrt(2) / length
         least = machine.shortest * float(observer.flux_base[0])
-        turns = 2 if machine.half_turn_ambiguous else 1
-        error = None if rows.truth is None else wrap(turns * (where - rows.truth)) / turns
+        error = None if rows.truth is None else position_error(machine, where, rows.truth)
     else:
         raise FluxobsError(f"kind {machine.kind} has no read-out of its position")
     columns: list[NDArray[Any]] = [rows.t, *found.flux.T, *found.flux_std.T, where, spread]
@@ -289,9 +286,7 @@ def summarise(result: ReferenceResult) -> tuple[str, list[str]]:
     )
     warnings = []
     if result.bad:
-        warnings.append(
-            f"{result.bad} rows without a current (predicted over) or a voltage (held)."
-        )
+        warnings.append(f"{result.bad} rows without a current or a voltage (the last one held).")
     if result.restarts:
         warnings.append(
             f"Started anew {result.restarts} ×: samples contradicted all before. Something that "

@@ -18,6 +18,10 @@ Array = NDArray[np.float64]
 
 #: At most this much of a log is looked at, evenly spread.
 EXCERPTS, EXCERPT_ROWS = 64, 16384
+#: A drift as from an offset of this share of the voltage is ordinary.
+VOLTAGE_OFFSET = 0.01
+#: No sensor is better than this share of the rated current.
+LEAST_NOISE = 1e-4
 #: Rows over which one noise level is taken; the median over these is not moved by transients.
 NOISE_ROWS = 256
 
@@ -132,7 +136,7 @@ def observer_for(
 ) -> LeastSquaresObserver:
     """Observer for a log: what the machine does not tell comes from `scales`."""
     rated = machine.rated_current or scales.current
-    noise = max(scales.current_noise, 1e-4 * rated)
+    noise = max(scales.current_noise, LEAST_NOISE * rated)
     chosen = LeastSquaresObserver.for_machine(
         machine,
         sample_time=log.sample_time,
@@ -141,8 +145,7 @@ def observer_for(
         rated_current=rated,
         current_noise=noise,
     )
-    # An offset of a hundredth of the voltage is ordinary.
-    return replace(chosen, drift_prior=max(chosen.drift_prior, 0.01 * scales.voltage))
+    return replace(chosen, drift_prior=max(chosen.drift_prior, VOLTAGE_OFFSET * scales.voltage))
 
 
 def guess_psi_f(log: Log, machine: RotatingMachine, scales: Scales, memory: float) -> float:

@@ -21,7 +21,7 @@ from .base import Estimate
 #: Default memory [s]. One value served every record tried, 75 to 5000 rad/s electrical: much
 #: shorter, and slow machines turn too little within it; much longer, and what is taken as constant
 #: (drift, inverter error, magnet flux) changes within it.
-MEMORY = 0.03
+MEMORY = RotatingMachine.memory
 #: Bandwidth of the tracker times the memory: follows load steps that the memory only averages.
 TRACKER = 20.0
 #: No real machine keeps its relation better than to this share of its flux squared (saturation,

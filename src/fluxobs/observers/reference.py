@@ -1,7 +1,7 @@
 """Readable least squares on the immersion: any number of ports and relations, current bias too.
 
 The same recursion as firmware/fluxobs.c, which is its special case of one relation, two ports and
-unknown drift, written for reading: one QR factorisation a sample, no shortcuts.
+unknown drift, written for reading; what is valid is judged more simply.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from ..immersion import Immersion
 
 Array = NDArray[np.float64]
 
-#: Share of the flux information that may be current noise pretending.
+#: Share of the flux information that may be noise pretending.
 NOISE_SHARE_LIMIT = 0.1
-#: A flux is known when its standard deviation is below this share of the flux vector's length.
+#: A flux is known when its standard deviation is below this share of the flux, per-unit.
 KNOWN = 0.05
 #: A sample whose innovation is so many times its standard deviation contradicts all before, ...
 CONTRADICTION = 10.0
@@ -45,7 +45,7 @@ class ImmersionEstimate:
     current_bias, current_bias_std : (..., n) ndarray
         [A]; zero where the bias is no unknown.
     noise_share : (..., n) ndarray
-        Share of each flux component's information that current noise alone would pretend.
+        Share of each flux component's information that noise alone would pretend.
     valid : (...) ndarray of bool
         The flux is known: noise share below 0.1 and standard deviation below a twentieth of
         the flux, per-unit; both for at least one memory, with no sample missing.
@@ -70,7 +70,7 @@ class ImmersionState:
 
     R: Array
     z: Array
-    noise: Array  # information that current noise alone would have produced
+    noise: Array  # information that noise alone would have produced
     currents: Array  # the last four, newest first
     voltage: Array
     power: float = 1.0  # of the innovations

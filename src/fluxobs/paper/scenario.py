@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 FACTORS = (0.01, 1.0, 10.0)
 #: Unknowns under noise, by scenario.
 NOISE: dict[str, tuple[tuple[str, ...], ...]] = {
-    "S3": (("drift",),),
-    "S5": (("drift",),),
+    "S3": (("drift",), ("drift", "current-bias")),
+    "S5": (("drift",), ("drift", "current-bias")),
 }
 #: Scenario on which the claims are judged, and the robust observer's error is studied.
 MAIN = "S5"

@@ -230,7 +230,7 @@ def motor_courses(given: MotorRecord) -> dict[str, Course]:
     half = len(given.t) // 2
     nominal = Regressors(*(part[skip:half] for part in rows))
     Gamma = balanced_gain(np.asarray(nominal.Phi_flux), 100.0)
-    psi_ = np.column_stack([nominal.Phi_flux, constants.record(nominal)])
+    regressor = np.asarray(constants.psi_record(nominal))
 
     def course(flux: object) -> Course:
         error = np.linalg.norm(np.asarray(flux) - L * given.current - true, axis=1) / psi
@@ -244,7 +244,7 @@ def motor_courses(given: MotorRecord) -> dict[str, Course]:
         "voltage model": of(VoltageModel(2)),
         "PEBO, least squares": of(PEBO(2, "least-squares", Gamma)),
         "robust, balanced gain": of(RobustObserver(Gamma, 2)),
-        "adaptive, printed law": of(AdaptiveObserver(balanced_gain(psi_, 100.0), constants)),
+        "adaptive, printed law": of(AdaptiveObserver(balanced_gain(regressor, 100.0), constants)),
         "adaptive, repaired": of(
             balanced_repaired(nominal, constants, h, 100.0, 30.0, round(0.2 / h))
         ),

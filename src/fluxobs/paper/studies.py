@@ -60,7 +60,7 @@ def excited(given: LevitationRun) -> Excited:
     rows, _, _ = _nominal(given)
     h, size = given.given.h, sizes(given.given)[1]
     constants = Parametrisation(given.given.constraint, "structured", CORNER)
-    psi = np.column_stack([rows.Phi_flux, constants.record(rows)])
+    psi = np.asarray(constants.psi_record(rows))
     thin = slice(None, None, 5)
     flux = excitation(np.asarray(rows.Phi_flux)[thin], 5 * h, WINDOW)
     # Scale each column to unit rms: what is left is how alike they are.

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import subspace_angles
 
-from ...constraint import QuadraticConstraint
+from ...constraint import QuadraticConstraint, invisible_offsets
 from ...errors import ModelError
 from ..regression import Parametrisation, Regressors
 
@@ -46,11 +45,10 @@ def observability_gramian(
     count = round(window / h)
     if not 1 <= count <= len(rows.y):
         raise ModelError(f"a window of {window:g} s does not fit {len(rows.y)} rows of {h:g} s")
-    psi = np.column_stack([rows.Phi_flux, constants.record(rows)])[-count:]
+    psi = np.array(constants.psi_record(rows))[-count:]
     n = constants.n
     age = h * np.arange(count - 1, -1, -1)
     # Row s in terms of the state at t: λ(s) = λ(t) - (t - s) θ.
-    psi = psi.copy()
     psi[:, n : 2 * n] -= age[:, None] * psi[:, :n]
     if scale is not None:
         psi = psi * np.asarray(scale, float)
@@ -71,10 +69,9 @@ def invisible_from_constraint(constraint: QuadraticConstraint, constants: Parame
     y_b block: its constants are more than the biases can make (erratum 5).
     """
     n, size = constants.n, constants.n + len(constants)
-    hidden = constraint.invisible_offsets()
     columns = []
     if constants.kind == "structured":
-        for column in hidden.T:
+        for column in constraint.invisible_offsets().T:
             direction = np.zeros(size)
             # An offset s of i_m - δ is one of -s in δ.
             direction[:n], direction[2 * n : 3 * n] = column[:n], -column[n:]
@@ -93,10 +90,9 @@ def invisible_from_constraint(constraint: QuadraticConstraint, constants: Parame
                 direction = np.zeros(size)
                 direction[:n], direction[2 * n : 3 * n] = s, -2 * constraint.Q1 @ s
                 columns.append(direction)
-    elif np.linalg.matrix_rank(constraint.hessian()[:, :n]) < n:
-        _, singular, vt = np.linalg.svd(constraint.hessian()[:, :n])
-        for row in vt[singular < 1e-9 * singular[0]]:
-            columns.append(np.r_[row, np.zeros(size - n)])
+    else:
+        for column in invisible_offsets([constraint], ("drift",)).T:
+            columns.append(np.r_[column[:n], np.zeros(size - n)])
     return np.array(columns).T if columns else np.empty((size, 0))
 
 
@@ -147,5 +143,5 @@ def compare(
 
 def rank(gramian: ArrayLike, tolerance: float = 1e-10) -> int:
     """Number of directions seen."""
-    values = np.linalg.eigvalsh(jnp.asarray(gramian))
+    values = np.linalg.eigvalsh(np.asarray(gramian, float))
     return int((values > tolerance * values[-1]).sum())

@@ -47,7 +47,7 @@ def proposition_2(
     rows: Regressors, constants: Parametrisation, Gamma: Any = 1.0
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Ψ (rows, N), Γ (N, N) and G_a (N, N) of the printed adaptive observer along a record."""
-    psi = jnp.column_stack([rows.Phi_flux, constants.record(rows)])
+    psi = constants.psi_record(rows)
     n, size = constants.n, psi.shape[1]
     G_a = jnp.zeros((size, size)).at[:n, n : 2 * n].set(jnp.eye(n))
     return psi, positive_definite("Gamma", Gamma, size), G_a

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...errors import ModelError
-from ..observers.base import flow_gain
-from ..observers.gradient import RepairedAdaptiveObserver
+from ..observers.gradient import RepairedAdaptiveObserver, sensitivity_step
 from ..regression import Parametrisation, Regressors
 
 Array = NDArray[np.float64]
@@ -49,16 +48,12 @@ def balanced_basis(gramian: ArrayLike, window: float) -> Array:
 
 @eqx.filter_jit
 def _omega(Gamma: jax.Array, rows: Regressors, constants: Parametrisation, h: float) -> jax.Array:
-    n, count = constants.n, len(constants)
-
     def body(U: jax.Array, row: Regressors) -> tuple[jax.Array, jax.Array]:
-        U = U + h * jnp.eye(n, count)
-        omega = U.T @ row.Phi_flux + constants.regressor(row)
-        direction = Gamma @ row.Phi_flux
-        gain = flow_gain(row.Phi_flux @ direction, h)
-        return U - gain * jnp.outer(direction, omega), omega
+        Phi_theta = constants.regressor(row)
+        U, omega, _ = sensitivity_step(Gamma, U, h, row.Phi_flux, Phi_theta)
+        return U, omega
 
-    _, omega = jax.lax.scan(body, jnp.zeros((n, count)), rows)
+    _, omega = jax.lax.scan(body, jnp.zeros((constants.n, len(constants))), rows)
     return omega
 
 

@@ -97,7 +97,7 @@ class DremObserver(eqx.Module):
         fade = jnp.exp(-h / self.memory)
         M = fade * back.T @ state.M @ back
         m = fade * back.T @ state.m + M @ moved
-        psi = jnp.concatenate([row.Phi_flux, self.constants.regressor(row)]) @ self.basis
+        psi = self.constants.psi(row) @ self.basis
         weight = h / self.memory
         M = M + weight * jnp.outer(psi, psi)
         m = m + weight * psi * row.y

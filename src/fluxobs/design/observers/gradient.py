@@ -72,18 +72,15 @@ class AdaptiveObserver(eqx.Module):
     def init(self) -> jax.Array:
         return jnp.zeros(len(self.Gamma))
 
-    def _psi(self, row: Regressors) -> jax.Array:
-        return jnp.concatenate([row.Phi_flux, self.constants.regressor(row)])
-
     def derivative(self, state: jax.Array, y_m: jax.Array, row: Regressors) -> jax.Array:
-        n, psi = self.constants.n, self._psi(row)
+        n, psi = self.constants.n, self.constants.psi(row)
         known = jnp.zeros_like(state).at[:n].set(y_m + state[n : 2 * n])
         return known + self.Gamma @ psi * (row.y - psi @ state)
 
     def step(
         self, state: jax.Array, h: float, volt_seconds: jax.Array, row: Regressors
     ) -> jax.Array:
-        n, psi = self.constants.n, self._psi(row)
+        n, psi = self.constants.n, self.constants.psi(row)
         state = state.at[:n].add(volt_seconds + h * state[n : 2 * n])
         direction = self.Gamma @ psi
         gain = flow_gain(psi @ direction, h)
@@ -91,6 +88,20 @@ class AdaptiveObserver(eqx.Module):
 
     def estimate(self, state: jax.Array) -> tuple[jax.Array, jax.Array]:
         return state[: self.constants.n], state[self.constants.n :]
+
+
+def sensitivity_step(
+    Gamma: jax.Array, U: jax.Array, h: float, Phi: jax.Array, Phi_theta: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """U after a sample, Ω at it, and the gain K of the flux, of :class:`RepairedAdaptiveObserver`.
+
+    None of them depends on what is estimated, nor on the gain of the constants.
+    """
+    U = U + h * jnp.eye(U.shape[0], U.shape[1])
+    omega = U.T @ Phi + Phi_theta
+    direction = Gamma @ Phi
+    K = flow_gain(Phi @ direction, h) * direction
+    return U - jnp.outer(K, omega), omega, K
 
 
 class RepairedState(NamedTuple):
@@ -154,12 +165,8 @@ class RepairedAdaptiveObserver(eqx.Module):
     ) -> RepairedState:
         n, Phi, Phi_theta = self.constants.n, row.Phi_flux, self.constants.regressor(row)
         flux = state.flux + volt_seconds + h * state.constants[:n]
-        U = state.U + h * jnp.eye(n, len(self.constants))
         e = row.y - Phi @ flux - Phi_theta @ state.constants
-        omega = U.T @ Phi + Phi_theta
-        direction = self.Gamma @ Phi
-        K = flow_gain(Phi @ direction, h) * direction
-        U = U - jnp.outer(K, omega)
+        U, omega, K = sensitivity_step(self.Gamma, state.U, h, Phi, Phi_theta)
         direction = self.G @ omega
         change = flow_gain(omega @ direction, h) * direction * e
         # The same K moves the flux and U, so that η keeps its own dynamics exactly.

@@ -61,7 +61,7 @@ class RiccatiObserver(eqx.Module):
         R = state.R @ back
         z = state.z + R[:, :n] @ volt_seconds
         fade = jnp.exp(-h / (2 * self.memory))
-        psi = jnp.concatenate([row.Phi_flux, self.constants.regressor(row)])
+        psi = self.constants.psi(row)
         weight = jnp.sqrt(h) / self.noise
         stacked = jnp.vstack(
             [

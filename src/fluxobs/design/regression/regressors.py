@@ -110,6 +110,15 @@ class Parametrisation(eqx.Module):
         """Φ_θ of all rows, (rows, n_θ)."""
         return jax.vmap(self.regressor)(rows)
 
+    def psi(self, row: Regressors) -> jax.Array:
+        """Ψ = (Φ_λ, Φ_θ) of one row, (n + n_θ,)."""
+        return jnp.concatenate([row.Phi_flux, self.regressor(row)])
+
+    @eqx.filter_jit
+    def psi_record(self, rows: Regressors) -> jax.Array:
+        """Ψ of all rows, (rows, n + n_θ)."""
+        return jax.vmap(self.psi)(rows)
+
     def __len__(self) -> int:
         vectors = {"printed": 2 + self.with_b, "structured": 2, "voltage-bias": 1}[self.kind]
         return vectors * self.n + self.with_c
