@@ -1,0 +1,32 @@
+"""Closed-loop drives: motor, inverter, sensors, control, and the observer in the loop."""
+
+from .control import Control
+from .inverter import Inverter
+from .motor import Mechanics, Motor, Plant
+from .profile import Profile
+from .sensorless import Sensorless
+from .sensors import Sensors
+from .simulate import Course, Drive, Event, Run, Trace, simulate, simulate_batch
+from .vectors import rms, rpm, to_rms, to_rpm
+
+__all__ = [
+    "Control",
+    "Course",
+    "Drive",
+    "Event",
+    "Inverter",
+    "Mechanics",
+    "Motor",
+    "Plant",
+    "Profile",
+    "Run",
+    "Sensorless",
+    "Sensors",
+    "Trace",
+    "rms",
+    "rpm",
+    "simulate",
+    "simulate_batch",
+    "to_rms",
+    "to_rpm",
+]

@@ -1,0 +1,227 @@
+"""Speed and current control in rotor coordinates (FOC)."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...errors import ModelError
+from ..precision import real
+from .motor import Motor
+from .vectors import ROOT3, limit
+
+Array = jax.Array
+
+
+class ControlState(NamedTuple):
+    """Integrators of speed [N m] and current [V, rotor coordinates]; weakening current [A]."""
+
+    torque: Array
+    voltage: Array
+    weakening: Array
+
+
+class Commands(NamedTuple):
+    """What the controller wants, and where it met a limit."""
+
+    voltage: Array  # rotor coordinates, realisable [V]
+    current: Array  # rotor coordinates [A]
+    torque: Array  # [N m]
+    voltage_limited: Array
+    current_limited: Array
+
+
+class Control(eqx.Module):
+    """PI speed control, maximum torque per ampere, PI current control with anti-windup.
+
+    The current controller is the internal-model one of L. Harnefors and H.-P. Nee, "Model-based
+    current control of AC machines using the internal model control method", IEEE Trans. Industry
+    Applications 34 (1998), doi:10.1109/28.658735: gains α L, an active resistance α L - R, and
+    back calculation from the realisable voltage. The speed controller is a PI of bandwidth
+    α_s with double pole, with back calculation from the realisable torque.
+
+    Use :meth:`of` unless you know better.
+
+    Parameters
+    ----------
+    motor : Motor
+        What the controller believes.
+    inertia : float
+        [kg m²].
+    sample_time : float
+        [s].
+    current_bandwidth, speed_bandwidth : float
+        [rad/s].
+    current_limit : float
+        Peak [A].
+    i_d_min : float
+        Least i_d, for reluctance machines: keeps their flux visible [A].
+    weakening : float
+        Gain of the field weakening [A/(V s)]; 0 switches it off.
+    voltage_use : float
+        Share of the linear range, udc/√3, that is used.
+    """
+
+    motor: Motor
+    inertia: Array
+    sample_time: Array
+    current_bandwidth: Array
+    speed_bandwidth: Array
+    current_limit: Array
+    i_d_min: Array
+    weakening: Array
+    voltage_use: Array
+
+    @classmethod
+    def of(
+        cls,
+        motor: Motor,
+        inertia: Any,
+        sample_time: Any,
+        current_limit: Any,
+        current_bandwidth: Any = None,
+        speed_bandwidth: Any = None,
+        i_d_min: Any = None,
+        weakening: Any = 0.0,
+        voltage_use: Any = 0.98,
+    ) -> Self:
+        """With what is left out chosen: current bandwidth a 16th of the sampling frequency in
+        rad/s, or 2π 200 rad/s if that is less; speed a tenth of it, 2π 8 rad/s at most; a
+        reluctance machine's i_d at least 0.3 of the limit."""
+        h = float(sample_time)
+        fast = min(2 * np.pi * 200, 2 * np.pi / h / 16)
+        current_bandwidth = fast if current_bandwidth is None else current_bandwidth
+        slow = min(2 * np.pi * 8, float(current_bandwidth) / 10)
+        if i_d_min is None:
+            i_d_min = 0.3 * current_limit if float(motor.psi_f) == 0 else 0.0
+        values = {
+            "inertia": inertia,
+            "sample_time": sample_time,
+            "current_bandwidth": current_bandwidth,
+            "speed_bandwidth": slow if speed_bandwidth is None else speed_bandwidth,
+            "current_limit": current_limit,
+            "i_d_min": i_d_min,
+            "weakening": weakening,
+            "voltage_use": voltage_use,
+        }
+        return cls(motor, **{name: real(name, value) for name, value in values.items()})
+
+    def init(self) -> ControlState:
+        zero = jnp.zeros(())
+        return ControlState(zero, jax.lax.complex(zero, zero), zero)
+
+    def most_torque(self) -> Array:
+        """Torque at the current limit, without field weakening [N m]."""
+        i_d = self._per_ampere(self.current_limit)
+        i_d = jnp.maximum(i_d, self.i_d_min)
+        return self.motor.torque_dq(i_d, jnp.sqrt(self.current_limit**2 - i_d**2))
+
+    def _per_ampere(self, size: Array) -> Array:
+        """i_d of the largest torque for a current of that size."""
+        k, psi = self.motor.L_d - self.motor.L_q, self.motor.psi_f
+        root = jnp.sqrt(psi**2 + 8 * (k * size) ** 2)
+        return 2 * k * size**2 / jnp.maximum(psi + root, 1e-300)
+
+    def current_for(self, torque: Array, weakening: Array) -> Array:
+        """Current reference for a torque: a few rounds of i_d and i_q, then field weakening."""
+        k, psi = self.motor.L_d - self.motor.L_q, self.motor.psi_f
+        most = self.current_limit
+        i_q = torque / (1.5 * self.motor.n_p * (psi + jnp.abs(k) * self.i_d_min + 1e-300))
+        i_q = jnp.clip(i_q, -most, most)
+        i_d = jnp.zeros(())
+        for _ in range(4):
+            # Along the optimum: i_q² = i_d² + (ψ/k) i_d, so i_d from i_q by the same quadratic.
+            root = jnp.sqrt(psi**2 + 4 * (k * i_q) ** 2)
+            i_d = 2 * k * i_q**2 / jnp.maximum(psi + root, 1e-300)
+            i_d = jnp.maximum(i_d, self.i_d_min)
+            active = psi + k * i_d
+            i_q = (i_q + torque / (1.5 * self.motor.n_p * active)) / 2
+        i_q = torque / (1.5 * self.motor.n_p * (psi + k * i_d))
+        i_d = jnp.clip(i_d - weakening, -most, most)
+        reach = jnp.sqrt(jnp.maximum(most**2 - i_d**2, 0.0))
+        return jax.lax.complex(i_d, jnp.clip(i_q, -reach, reach))
+
+    def speed_step(
+        self, state: ControlState, reference: Array, speed: Array
+    ) -> tuple[ControlState, Array, Array]:
+        """Torque for a speed error, and whether the current limit cut it [rad/s → N m]."""
+        a, J, h = self.speed_bandwidth, self.inertia, self.sample_time
+        error = reference - speed
+        wanted = 2 * a * J * error + state.torque
+        most = self.most_torque()
+        torque = jnp.clip(wanted, -most, most)
+        # Back calculation: the integrator sees the error that would have just met the limit.
+        real_error = error + (torque - wanted) / (2 * a * J)
+        return (
+            state._replace(torque=state.torque + h * a * a * J * real_error),
+            torque,
+            jnp.abs(wanted) > most,
+        )
+
+    def current_step(
+        self,
+        state: ControlState,
+        reference: Array,
+        current: Array,
+        speed_e: Array,
+        dc_link: Array,
+    ) -> tuple[ControlState, Array, Array]:
+        """Realisable voltage for a current error, all in rotor coordinates, and whether cut."""
+        m, a, h = self.motor, self.current_bandwidth, self.sample_time
+        error = reference - current
+        # Cross terms, and active damping through the resistance a L - R.
+        flux = jax.lax.complex(m.L_d * current.real + m.psi_f, m.L_q * current.imag)
+        turning = jax.lax.complex(-speed_e * flux.imag, speed_e * flux.real)
+        damping = jax.lax.complex(
+            (a * m.L_d - m.R_s) * current.real, (a * m.L_q - m.R_s) * current.imag
+        )
+        proportional = jax.lax.complex(a * m.L_d * error.real, a * m.L_q * error.imag)
+        wanted = proportional + state.voltage + turning - damping
+        most = self.voltage_use * dc_link / ROOT3
+        voltage = limit(wanted, most)
+        left = voltage - wanted
+        gained = jax.lax.complex(
+            a * a * m.L_d * error.real + a * left.real, a * a * m.L_q * error.imag + a * left.imag
+        )
+        size = jnp.sqrt(wanted.real**2 + wanted.imag**2)
+        # Field weakening: less flux while the voltage is near its limit, back when it is not.
+        weakening = state.weakening + h * self.weakening * (size - 0.95 * most)
+        weakening = jnp.clip(weakening, 0.0, 0.8 * self.current_limit)
+        return (
+            state._replace(voltage=state.voltage + h * gained, weakening=weakening),
+            voltage,
+            size > most,
+        )
+
+    def check(self) -> None:
+        """Raises ModelError if the current loop with one sample of delay is unstable.
+
+        Judged with the motor's own parameters at standstill, each axis alone, both exact between
+        samples.
+        """
+        h, a = float(self.sample_time), float(self.current_bandwidth)
+        for axis, L in (("d", float(self.motor.L_d)), ("q", float(self.motor.L_q))):
+            radius = np.abs(np.linalg.eigvals(self.current_loop(L))).max()
+            if not radius < 1:
+                raise ModelError(
+                    f"current_bandwidth = {a:.4g} rad/s is unstable at sample_time = {h:g} s: "
+                    f"poles up to {radius:.3g} on the {axis} axis. Stay below {0.5 / h:.4g} rad/s"
+                )
+        speed = float(self.speed_bandwidth)
+        if not 0 < speed < a:
+            raise ModelError(
+                f"speed_bandwidth = {speed:.4g} rad/s must be positive and below the current's, "
+                f"{a:.4g} rad/s; a tenth of it is usual"
+            )
+
+    def current_loop(self, L: float) -> np.ndarray:
+        """Transition matrix (3, 3) of (current, pending voltage, integrator) on one axis at
+        standstill, reference zero: the plant exact under a held voltage, one sample of delay."""
+        h, a, R = float(self.sample_time), float(self.current_bandwidth), float(self.motor.R_s)
+        decay = np.exp(-R * h / L)
+        proportional = -(a * L + a * L - R)
+        return np.array([[decay, (1 - decay) / R, 0], [proportional, 0, 1], [-h * a * a * L, 0, 1]])

@@ -1,0 +1,88 @@
+"""Two-level inverter: what becomes of a commanded voltage."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ...errors import ModelError
+from ..precision import real
+from .vectors import from_phases, phases
+
+Array = jax.Array
+
+
+class Inverter(eqx.Module):
+    """Averaged over a switching period, or switching by comparison with a carrier.
+
+    A sample is a switching period, its pulses centred in it: currents are sampled where their
+    ripple is zero. Dead time delays every turn-on by `dead_time`, so that a leg loses (wins) that
+    much of its pulse while its current flows out (in); the devices drop `drop` + `R_on` |i|
+    against the current.
+
+    Parameters
+    ----------
+    dead_time : float
+        [s], >= 0.
+    drop, R_on : float
+        Of switch or diode [V], [Ω], >= 0.
+    smoothing : float
+        Current over which the averaged inverter's sign is smoothed (the ripple's size) [A], > 0.
+    switching : int
+        Parts of a sample in which the switching inverter's voltage is integrated; 0: averaged.
+    """
+
+    dead_time: Array
+    drop: Array
+    R_on: Array
+    smoothing: Array
+    switching: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        dead_time: Any = 0.0,
+        drop: Any = 0.0,
+        R_on: Any = 0.0,
+        smoothing: Any = 0.1,
+        switching: int = 0,
+    ) -> None:
+        for name, value in (("dead_time", dead_time), ("drop", drop), ("R_on", R_on)):
+            array = real(name, value)
+            if not isinstance(array, jax.core.Tracer) and (array < 0).any():
+                raise ModelError(f"{name} must not be negative, got {float(array.min())}")
+            setattr(self, name, array)
+        self.smoothing = real("smoothing", smoothing)
+        self.switching = switching
+
+    def duties(self, voltage: Array, dc_link: Array) -> Array:
+        """Duty cycles (3,) in [0, 1] for a voltage vector: the zero sequence is centred."""
+        share = phases(voltage) / dc_link
+        centre = (jnp.max(share) + jnp.min(share)) / 2
+        return jnp.clip(0.5 + share - centre, 0.0, 1.0)
+
+    def averaged(self, duties: Array, dc_link: Array, current: Array, period: Array) -> Array:
+        """Mean voltage over the period [V]."""
+        i = phases(current)
+        lost = self.dead_time / period * dc_link + self.drop
+        legs = duties * dc_link - lost * jnp.tanh(i / self.smoothing) - self.R_on * i
+        return from_phases(legs)
+
+    def switched(
+        self, duties: Array, dc_link: Array, current: Array, period: Array, part: Array
+    ) -> Array:
+        """Mean voltage over one of the `switching` parts of the period [V], exact in the edges."""
+        i = phases(current)
+        outwards = i > 0
+        # Turn-on is late: of the upper switch if the current flows out, else of the lower one.
+        on = (1 - duties) / 2 + jnp.where(outwards, self.dead_time / period, 0.0)
+        off = (1 + duties) / 2 + jnp.where(outwards, 0.0, self.dead_time / period)
+        # A leg that stays on one side has no edges.
+        on = jnp.where(duties >= 1, 0.0, on)
+        off = jnp.where(duties >= 1, 1.0, jnp.where(duties <= 0, on, off))
+        start, stop = part / self.switching, (part + 1) / self.switching
+        high = jnp.clip(jnp.minimum(off, stop) - jnp.maximum(on, start), 0.0, None) * self.switching
+        legs = high * dc_link - self.drop * jnp.sign(i) - self.R_on * i
+        return from_phases(legs)

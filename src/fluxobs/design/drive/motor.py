@@ -1,0 +1,198 @@
+"""The plant: magnet, reluctance or both, in stator coordinates, with its mechanics.
+
+``λ̇ = u - R i``, ``i = e(θ)((λ_d - ψ)/L_d + j λ_q/L_q)``, torque ``1.5 n_p Im(λ* i)``: constant
+inductances. Flux and the rotor's direction are integrated, so that no sine is needed and the
+voltage, which an inverter holds in stator coordinates, needs no rotation.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ...errors import ModelError
+from ...machines import InteriorPMSM, RotatingMachine, SurfacePMSM, SynchronousReluctance
+from ..precision import real
+from .vectors import turn
+
+Array = jax.Array
+
+
+class Motor(eqx.Module):
+    """Electrical parameters: R_s [Ω], L_d, L_q [H], psi_f [Wb], n_p."""
+
+    R_s: Array
+    L_d: Array
+    L_q: Array
+    psi_f: Array
+    n_p: Array
+
+    def __init__(self, R_s: Any, L_d: Any, L_q: Any, psi_f: Any, n_p: Any) -> None:
+        self.R_s, self.L_d, self.L_q = real("R_s", R_s), real("L_d", L_d), real("L_q", L_q)
+        self.psi_f, self.n_p = real("psi_f", psi_f), real("n_p", n_p)
+
+    @classmethod
+    def of(cls, machine: RotatingMachine) -> Motor:
+        """From a machine file; a magnet machine needs its psi_f here."""
+        match machine:
+            case SynchronousReluctance():
+                return cls(machine.R_s, machine.L_d, machine.L_q, 0.0, machine.n_p)
+            case SurfacePMSM() | InteriorPMSM() if machine.psi_f is None:
+                raise ModelError(f"psi_f is missing in the {machine.kind}: simulation needs it")
+            case SurfacePMSM():
+                return cls(machine.R_s, machine.L_s, machine.L_s, machine.psi_f, machine.n_p)
+            case InteriorPMSM():
+                return cls(machine.R_s, machine.L_d, machine.L_q, machine.psi_f, machine.n_p)
+            case _:
+                raise ModelError(f"no drive can be simulated with a {machine.kind}")
+
+    def flux(self, current: Array, direction: Array) -> Array:
+        """Flux linkage at a current; `direction` is exp(jθ_e)."""
+        i = current * jnp.conj(direction)
+        return direction * jax.lax.complex(self.L_d * i.real + self.psi_f, self.L_q * i.imag)
+
+    def current(self, flux: Array, direction: Array) -> Array:
+        """Current at a flux linkage."""
+        x = flux * jnp.conj(direction)
+        return direction * jax.lax.complex((x.real - self.psi_f) / self.L_d, x.imag / self.L_q)
+
+    def torque(self, flux: Array, current: Array) -> Array:
+        """[N m]."""
+        return 1.5 * self.n_p * (jnp.conj(flux) * current).imag
+
+    def torque_dq(self, i_d: Array, i_q: Array) -> Array:
+        """The same from currents in rotor coordinates."""
+        return 1.5 * self.n_p * (self.psi_f + (self.L_d - self.L_q) * i_d) * i_q
+
+    def field_energy(self, current: Array, direction: Array) -> Array:
+        """Energy that the currents have stored in the field [J]."""
+        i = current * jnp.conj(direction)
+        return 0.75 * (self.L_d * i.real**2 + self.L_q * i.imag**2)
+
+
+class Mechanics(eqx.Module):
+    """Rotor, load machine, and what is between them.
+
+    Parameters
+    ----------
+    J : float
+        Inertia of the rotor, and of all else if `stiffness` is None [kg m²], > 0.
+    viscous : float
+        [N m s].
+    coulomb : float
+        Dry friction [N m], smoothed around standstill over `smoothing` [rad/s].
+    fan : float
+        Load that grows with the square of the speed [N m s²].
+    J_load, stiffness, damping : float, optional
+        A second inertia behind an elastic coupling [kg m², N m, N m s]; loads act on it.
+    """
+
+    J: Array
+    viscous: Array
+    coulomb: Array
+    fan: Array
+    smoothing: Array
+    J_load: Array
+    stiffness: Array
+    damping: Array
+    elastic: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        J: Any,
+        viscous: Any = 0.0,
+        coulomb: Any = 0.0,
+        fan: Any = 0.0,
+        smoothing: Any = 1.0,
+        J_load: Any = None,
+        stiffness: Any = None,
+        damping: Any = 0.0,
+    ) -> None:
+        self.J = real("J", J)
+        if not isinstance(self.J, jax.core.Tracer) and not (self.J > 0).all():
+            raise ModelError(f"J must be positive, got {float(self.J.min())} kg m²")
+        self.viscous, self.coulomb = real("viscous", viscous), real("coulomb", coulomb)
+        self.fan, self.smoothing = real("fan", fan), real("smoothing", smoothing)
+        if (J_load is None) != (stiffness is None):
+            raise ModelError("an elastic coupling needs both J_load and stiffness")
+        self.elastic = stiffness is not None
+        self.J_load = real("J_load", 1.0 if J_load is None else J_load)
+        self.stiffness = real("stiffness", 0.0 if stiffness is None else stiffness)
+        self.damping = real("damping", damping)
+
+    def resisting(self, speed: Array) -> Array:
+        """What friction and fan take at a speed [N m]."""
+        dry = self.coulomb * jnp.tanh(speed / self.smoothing)
+        return self.viscous * speed + dry + self.fan * speed * jnp.abs(speed)
+
+
+class PlantState(NamedTuple):
+    """Flux linkage [Wb], rotor direction exp(jθ_e), mechanical speed [rad/s]; behind a coupling
+    the load's speed and the twist [rad]."""
+
+    flux: Array
+    direction: Array
+    speed: Array
+    load_speed: Array
+    twist: Array
+
+
+class Plant(eqx.Module):
+    """Motor and mechanics as one differential equation."""
+
+    motor: Motor
+    mechanics: Mechanics
+
+    def standstill(self, theta_e: Any = 0.0, speed: Any = 0.0) -> PlantState:
+        """No current; at an angle, turning at a speed [rad/s]."""
+        direction = turn(real("theta_e", theta_e))
+        speed = real("speed", speed)
+        return PlantState(self.motor.psi_f * direction, direction, speed, speed, jnp.zeros(()))
+
+    def current(self, state: PlantState) -> Array:
+        return self.motor.current(state.flux, state.direction)
+
+    def rate(self, state: PlantState, voltage: Array, load: Array) -> PlantState:
+        """Time derivative under a voltage [V] and a load torque [N m]."""
+        motor, m = self.motor, self.mechanics
+        i = self.current(state)
+        torque = motor.torque(state.flux, i)
+        turning = jax.lax.complex(jnp.zeros(()), motor.n_p * state.speed)
+        if m.elastic:
+            shaft = m.stiffness * state.twist + m.damping * (state.speed - state.load_speed)
+            accelerating = (torque - shaft) / m.J
+            load_rate = (shaft - load - m.resisting(state.load_speed)) / m.J_load
+            twisting = state.speed - state.load_speed
+        else:
+            accelerating = (torque - load - m.resisting(state.speed)) / m.J
+            load_rate, twisting = accelerating, jnp.zeros(())
+        return PlantState(
+            voltage - motor.R_s * i,
+            turning * state.direction,
+            accelerating,
+            load_rate,
+            twisting,
+        )
+
+    def advance(
+        self, state: PlantState, voltage: Array, load: Array, duration: Array, steps: int
+    ) -> PlantState:
+        """Runge-Kutta of fourth order in equal steps, voltage and load held."""
+        h = duration / steps
+        for _ in range(steps):
+            k1 = self.rate(state, voltage, load)
+            k2 = self.rate(_along(state, k1, h / 2), voltage, load)
+            k3 = self.rate(_along(state, k2, h / 2), voltage, load)
+            k4 = self.rate(_along(state, k3, h), voltage, load)
+            rates = zip(k1, k2, k3, k4, strict=True)
+            mean = PlantState(*((a + 2 * b + 2 * c + d) / 6 for a, b, c, d in rates))
+            state = _along(state, mean, h)
+        size = jnp.sqrt(state.direction.real**2 + state.direction.imag**2)
+        return state._replace(direction=state.direction / size)
+
+
+def _along(state: PlantState, rate: PlantState, h: Array) -> PlantState:
+    return PlantState(*(x + h * r for x, r in zip(state, rate, strict=True)))

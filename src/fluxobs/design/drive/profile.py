@@ -1,0 +1,63 @@
+"""Piecewise-linear courses in time: references, loads, biases, the DC link."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...errors import ModelError
+from ..precision import real
+
+
+class Profile(eqx.Module):
+    """Straight lines through knots; level before the first and after the last.
+
+    Two knots at the same time make a jump.
+
+    Parameters
+    ----------
+    times : (k,) array_like
+        Not decreasing [s].
+    values : (k,) or (k, 2) array_like
+        In SI.
+
+    Examples
+    --------
+    >>> ramp = Profile([0.0, 1.0], [0.0, 100.0])
+    >>> float(ramp.at(jnp.asarray(0.25)))
+    25.0
+    """
+
+    times: jax.Array
+    values: jax.Array
+
+    def __init__(self, times: Any, values: Any) -> None:
+        self.times, self.values = real("times", times), real("values", values)
+        if self.times.ndim != 1 or len(self.times) == 0 or len(self.values) != len(self.times):
+            raise ModelError(
+                f"a profile needs as many values as times, got {self.values.shape} and "
+                f"{self.times.shape}"
+            )
+        if not isinstance(self.times, jax.core.Tracer):
+            back = np.flatnonzero(np.diff(np.asarray(self.times)) < 0)
+            if len(back):
+                raise ModelError(
+                    f"times must not decrease, got {self.times[back[0]]:g} s before "
+                    f"{self.times[back[0] + 1]:g} s"
+                )
+
+    @classmethod
+    def of(cls, value: Any) -> Profile:
+        """A profile as it is; a number or a vector as a constant."""
+        return value if isinstance(value, Profile) else cls([0.0], real("value", value)[None])
+
+    def at(self, t: jax.Array) -> jax.Array:
+        """Values at times t (...), shape (...) or (..., 2)."""
+        if self.values.ndim == 1:
+            return jnp.interp(t, self.times, self.values)
+        columns = [jnp.interp(t, self.times, column) for column in self.values.T]
+        return jnp.stack(columns, axis=-1)

@@ -1,0 +1,69 @@
+"""What the drive measures: three phase currents and the DC link."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..precision import real
+from .profile import Profile
+from .vectors import from_phases, phases
+
+Array = jax.Array
+
+
+class Sensors(eqx.Module):
+    """Gain errors and limits belong to the phases; offset and noise are given in αβ.
+
+    Parameters
+    ----------
+    offset : Profile, or (2,) array_like
+        In time: constant, drifting or jumping [A].
+    noise : float
+        Standard deviation of an αβ component [A].
+    gain : (3,) array_like
+        Of the phases; 1 is right.
+    quantum : float
+        Step of the converter [A]; 0 for none.
+    range : float
+        The converter's limits are ± this [A].
+    jitter : float
+        Standard deviation of the sampling instant [s].
+    dc_link_gain : float
+        Measured over true DC-link voltage.
+    """
+
+    offset: Profile
+    noise: Array
+    gain: Array
+    quantum: Array
+    range: Array
+    jitter: Array
+    dc_link_gain: Array
+
+    def __init__(
+        self,
+        offset: Any = (0.0, 0.0),
+        noise: Any = 0.0,
+        gain: Any = (1.0, 1.0, 1.0),
+        quantum: Any = 0.0,
+        range: Any = 1e9,
+        jitter: Any = 0.0,
+        dc_link_gain: Any = 1.0,
+    ) -> None:
+        self.offset = Profile.of(offset)
+        self.noise, self.gain = real("noise", noise), real("gain", gain, (3,))
+        self.quantum, self.range = real("quantum", quantum), real("range", range)
+        self.jitter, self.dc_link_gain = real("jitter", jitter), real("dc_link_gain", dc_link_gain)
+
+    def measure(
+        self, current: Array, slope: Array, offset: Array, noise: Array, late: Array
+    ) -> Array:
+        """Measured current vector; `slope` is di/dt, noise and late are standard normal."""
+        seen = current + self.jitter * late * slope + offset + self.noise * noise
+        abc = jnp.clip(self.gain * phases(seen), -self.range, self.range)
+        step = jnp.where(self.quantum > 0, self.quantum, 1.0)
+        return from_phases(jnp.where(self.quantum > 0, step * jnp.round(abc / step), abc))

@@ -1,0 +1,527 @@
+"""The production least squares in JAX: readable, differentiable, batched, usable inside a loop.
+
+The twin of firmware/fluxobs.c, function by function, in double precision; equal to it to rounding
+over whole records. It exists so that a closed loop can be simulated with the observer in it, and
+many at once. docs/theory.md, sections 4 to 6, says why each step is as it is.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...observers import Estimate, LeastSquaresObserver
+
+SHARE_LIMIT = 0.1
+SWEEP = np.pi
+STD_LIMIT = np.pi / 60
+VOLTAGE_LIMIT = np.pi / 22.5
+VARIANCE_UNKNOWN = np.pi**2 / 3
+STD_UNKNOWN = np.sqrt(VARIANCE_UNKNOWN)
+FLUX_STEP_LIMIT = 4.0
+OUTLIER_LIMIT = 1.0
+STEP_LIMIT, STEP_NOISE = 0.15, 6.0
+CORRELATION_LIMIT = 0.98
+REINJECT_EVERY = 2
+SETTLED = 3 * np.pi
+DISTRUST = 0.01
+MAX_CONSECUTIVE_BAD = 3
+SIZE = 7
+PERIOD = REINJECT_EVERY * SIZE
+#: Columns of the information triangle: s, flux, kappa, drift, c, and what they solve for.
+S, FLUX, KAPPA, DRIFT, CC, Z = 0, slice(1, 3), 3, slice(4, 6), 6, 7
+PRIOR_POWER = np.array([0, 0, 0, 1, 1, 1, 2])
+
+Array = jax.Array
+
+
+class LeastSquaresState(NamedTuple):
+    """Everything that changes; per-unit (flux base, memory) unless said."""
+
+    triangle: Array  # (7, 8): R | z of R x = z, x = (s, flux, kappa, drift, c)
+    noise: Array  # (3,) information that noise alone pretends: flux, flux-drift, drift
+    currents: Array  # (4, 2) newest first [A]
+    source: Array  # (2,) last good volt-seconds
+    step: Array  # of the position vector, over the last interval
+    length: Array  # |flux - L i|
+    rough: Array  # variance of a current component by its roughness [A²]
+    exposed: Array  # to voltage errors: time within the last radian
+    innovation: Array
+    power: Array
+    lag_one: Array
+    weight: Array
+    prior_scale: Array  # the drift's prior has proved too tight by this
+    theta: Array  # of the least squares [rad]
+    swept: Array  # turned since it is known [rad]
+    flux: Array  # (2,) last trusted
+    drift: Array  # (2,) last trusted
+    variance: Array  # of the carried position at its start [rad²]
+    growth: Array
+    carried: Array  # for how long
+    angle: Array  # tracker [rad], [rad/s], [rad/s²]
+    speed: Array
+    acceleration: Array
+    have_current: Array
+    have_voltage: Array
+    trusted: Array
+    have_carried: Array
+    turn: Array
+    consecutive_bad: Array
+    restarts: Array
+    outliers: Array
+
+
+class Reading(NamedTuple):
+    """What a sample says; fields as of :class:`fluxobs.observers.Estimate`."""
+
+    flux: Array
+    psi_f: Array
+    theta_e: Array
+    theta_e_tracked: Array
+    speed_e: Array
+    drift: Array
+    theta_e_std: Array
+    valid: Array
+    innovation: Array
+    noise_share: Array
+
+
+class Solution(NamedTuple):
+    """What R says of the unknowns, and what of it is only noise."""
+
+    x: Array  # (7,)
+    P: Array  # (3,) covariance of the flux: αα, αβ, ββ
+    drift_variance: Array
+    inflation: Array
+    noise_share: Array
+
+
+class SquareRootLeastSquares(eqx.Module):
+    """Square-root information least squares on the immersion, one sample at a time.
+
+    Make it with :meth:`of`. Every field is an array: a batch of observers for a batch of machines
+    is the same object with stacked leaves.
+
+    Examples
+    --------
+    >>> from fluxobs import LeastSquaresObserver
+    >>> from fluxobs.machines import example
+    >>> compiled = LeastSquaresObserver.for_machine(example("servo-400w"), sample_time=1e-4)
+    >>> observer = SquareRootLeastSquares.of(compiled)
+    >>> state, reading = observer.step(observer.init(), jnp.zeros(2), jnp.array([0.1, 0.0]))
+    >>> bool(reading.valid)
+    False
+    """
+
+    Q1x2: Array  # (2, 2) 2 Q1, per-unit
+    E: Array  # (2,) per-unit
+    row_Q2: Array  # (2, 2) whitened [1/A]
+    row_Q3: Array  # (2, 2) [1/A²]
+    row_C: Array  # (2,) [1/A]
+    row_s: Array
+    hR: Array  # (2, 2) current times 24 to volt-seconds
+    hB: Array  # (2, 2)
+    h: Array  # sample time over memory
+    prior: Array  # (7,) 1 / std
+    reinject: Array  # (7,)
+    noise_information: Array
+    flux_base: Array
+    drift_base: Array
+    current_limit: Array
+    over_noise: Array
+    length_min: Array
+    L_position: Array
+    position_noise: Array
+    sample_time: Array
+    track: Array  # (3,)
+
+    @classmethod
+    def of(cls, observer: LeastSquaresObserver) -> Self:
+        """The twin of a compiled observer (fo_init)."""
+        c, psi = observer.constraint, observer.flux_base
+        size = float(np.abs(c.Q1).max())
+        base = size * psi**2 if size > 0 else observer.constraint_noise
+        sigma, noise = observer.constraint_noise, observer.current_noise
+        h, memory = observer.sample_time, observer.memory
+        drift_base = psi / memory
+        drift_prior = observer.drift_prior / drift_base
+        prior = 1 / np.array([1, 1, 1, 2 * drift_prior, drift_prior, drift_prior, drift_prior**2])
+        row_Q2 = c.Q2 * psi / sigma
+        walk = (np.trace(observer.R) / 2) ** 2 * h * memory / 4
+        x = observer.tracker_bandwidth * h
+        pole = 1 / (1 + x + x * x / 2)
+        gap = 1 - pole
+        track = [1 - pole**3, 1.5 * gap**2 * (1 + pole) / h, gap**3 / h**2]
+        values = {
+            "Q1x2": 2 * c.Q1 * psi**2 / base,
+            "E": c.E * psi / base,
+            "row_Q2": row_Q2,
+            "row_Q3": c.Q3 / sigma,
+            "row_C": c.C / sigma,
+            "row_s": base / sigma,
+            "hR": h * observer.R / (24 * psi),
+            "hB": h * observer.B / psi,
+            "h": h / memory,
+            "prior": prior,
+            "reinject": np.sqrt(1 - (1 - h / memory) ** PERIOD) * prior,
+            "noise_information": np.sum(row_Q2**2) / 2 * noise**2,
+            "flux_base": psi,
+            "drift_base": drift_base,
+            "current_limit": observer.current_limit,
+            "over_noise": 1 / noise**2,
+            "length_min": observer.length_min / psi,
+            "L_position": observer.position_inductance / psi,
+            "position_noise": (observer.position_inductance**2 + walk) * noise**2 / psi**2,
+            "sample_time": h,
+            "track": track,
+        }
+        return cls(**{name: jnp.asarray(value, float) for name, value in values.items()})
+
+    def init(self) -> LeastSquaresState:
+        """Nothing known."""
+        zero, pair, no = jnp.zeros(()), jnp.zeros(2), jnp.zeros((), bool)
+        names = LeastSquaresState._fields
+        blank: dict[str, Any] = dict.fromkeys(names, zero)
+        blank |= dict.fromkeys(("source", "flux", "drift"), pair)
+        blank |= dict.fromkeys(("have_current", "have_voltage", "trusted", "have_carried"), no)
+        count = jnp.zeros((), jnp.int32)
+        blank |= dict.fromkeys(("turn", "consecutive_bad", "restarts", "outliers"), count)
+        blank |= {
+            "triangle": jnp.zeros((SIZE, SIZE + 1)),
+            "noise": jnp.zeros(3),
+            "currents": jnp.zeros((4, 2)),
+            "prior_scale": jnp.ones(()),
+        }
+        return self._restarted(LeastSquaresState(**blank))
+
+    def step(
+        self, state: LeastSquaresState, voltage: Array, current: Array
+    ) -> tuple[LeastSquaresState, Reading]:
+        """One sample: mean voltage over the interval ending now [V], the current now [A]."""
+        return self._advance(state, self.hB @ voltage, current, complete=False)
+
+    def step_volt_seconds(
+        self, state: LeastSquaresState, volt_seconds: Array, current: Array
+    ) -> tuple[LeastSquaresState, Reading]:
+        """The same with the interval's volt-seconds, ∫(-R i + B u) dt [Wb], known exactly."""
+        return self._advance(state, volt_seconds / self.flux_base, current, complete=True)
+
+    # ---- square-root information filter --------------------------------------------------
+
+    @property
+    def _rho(self) -> Array:
+        return 1 - self.h
+
+    def _empty(self, s: LeastSquaresState) -> LeastSquaresState:
+        """Only the prior is left; the innovations start at their assumed level."""
+        zero = jnp.zeros(())
+        triangle = jnp.diag(self.prior / s.prior_scale**PRIOR_POWER)
+        return s._replace(
+            triangle=jnp.pad(triangle, ((0, 0), (0, 1))),
+            noise=jnp.zeros(3),
+            innovation=zero,
+            weight=1 / self.h,
+            power=1 / self.h,
+            lag_one=zero,
+            swept=zero,
+            trusted=jnp.zeros((), bool),
+            turn=jnp.zeros((), jnp.int32),
+        )
+
+    def _restarted(self, s: LeastSquaresState) -> LeastSquaresState:
+        no = jnp.zeros((), bool)
+        return self._empty(s)._replace(
+            have_current=no,
+            have_voltage=no,
+            exposed=jnp.zeros(()),
+            variance=jnp.asarray(VARIANCE_UNKNOWN),
+        )
+
+    def _predict(self, s: LeastSquaresState, v: Array) -> LeastSquaresState:
+        """R ← √ρ R F⁻¹, z ← √ρ (z + R F⁻¹ d): columns of F(h, v)⁻¹ = F(-h, -v)."""
+        h, T = self.h, s.triangle
+        q = self.Q1x2 @ v
+        free, kappa = T[:, S], T[:, KAPPA]
+        flux = T[:, FLUX] - free[:, None] * q
+        kappa_new = kappa - h * free
+        drift = T[:, DRIFT] - h * T[:, FLUX] - kappa_new[:, None] * q
+        c = T[:, CC] - h * (kappa + kappa_new)
+        z = T[:, Z] + free * (q @ v / 2 + self.E @ v) + flux @ v
+        columns = [free[:, None], flux, kappa_new[:, None], drift, c[:, None], z[:, None]]
+        n0, n1, n2 = s.noise
+        noise = [n0, n1 - h * n0, n2 - 2 * h * n1 + h * h * n0]
+        return s._replace(
+            triangle=jnp.sqrt(self._rho) * jnp.concatenate(columns, axis=1),
+            noise=self._rho * jnp.stack(noise),
+        )
+
+    def _roughness(self, s: LeastSquaresState) -> Array:
+        return jnp.maximum(s.rough * self.over_noise, 1.0)
+
+    def _measure(self, s: LeastSquaresState, current: Array) -> tuple[LeastSquaresState, Array]:
+        """0 = s + (Q2 i)ᵀflux + iᵀQ3 i + Cᵀi; and whether that is near what was known."""
+        rhs = -(self.row_C @ current + current @ self.row_Q3 @ current)
+        row = [self.row_s[None], self.row_Q2 @ current, jnp.zeros(4), rhs[None]]
+        triangle, e = absorb(s.triangle, jnp.concatenate(row))
+        near = e * e < (OUTLIER_LIMIT * self.row_s) ** 2
+        c = s.currents
+        third = c[0] - c[3] + 3 * (c[2] - c[1])
+        measured = s._replace(
+            triangle=triangle,
+            power=self._rho * s.power + e * e,
+            lag_one=self._rho * s.lag_one + e * s.innovation,
+            weight=self._rho * s.weight + 1,
+            innovation=e,
+            noise=s.noise + self.noise_information * self._roughness(s) * np.array([1.0, 0, 0]),
+            rough=s.rough + self.h * (third @ third / 40 - s.rough),
+        )
+        return measured, near
+
+    # ---- read-out ------------------------------------------------------------------------
+
+    def _solution(self, s: LeastSquaresState) -> Solution:
+        T = s.triangle
+        inverse = invert(T[:, :SIZE])
+        x = inverse @ T[:, Z]
+        flux, drift = inverse[FLUX], inverse[DRIFT]
+        P = flux @ flux.T
+        n0, n1, n2 = s.noise
+        pretended = n0 - jnp.where(n2 > 0, n1**2 / jnp.where(n2 > 0, n2, 1.0), 0.0)
+        r1 = jnp.clip(s.lag_one / s.power, 0.0, CORRELATION_LIMIT)
+        r1 = jnp.where(s.power > 0, r1, 0.0)
+        return Solution(
+            x,
+            jnp.stack([P[0, 0], P[0, 1], P[1, 1]]),
+            jnp.sum(drift**2) / 2,
+            s.power / s.weight * (1 + r1) / (1 - r1),
+            pretended * (P[0, 0] + P[1, 1]),
+        )
+
+    def _read_out(self, s: LeastSquaresState, v: Array) -> tuple[LeastSquaresState, Reading]:
+        """The least squares' own flux while it is trusted, else the last trusted carried on."""
+        a = self._solution(s)
+        flux, drift = a.x[FLUX], a.x[DRIFT]
+        current = s.currents[0]
+        p = flux - self.L_position * current
+        square = p @ p
+        theta = jnp.arctan2(p[1], p[0])
+        known = (a.noise_share < SHARE_LIMIT) & (square > self.length_min**2)
+        swept = jnp.where(known, s.swept + wrap(theta - s.theta), 0.0)
+        turned = jnp.abs(swept)
+        trusted = known & (s.trusted | (turned > SWEEP))
+        drift_prior = s.prior_scale / self.prior[4]
+        excess = drift @ drift / drift_prior**2
+        inflation = a.inflation * jnp.maximum(excess, 1.0)
+
+        # Trusted: the covariance across p, and the noise of the current in it.
+        floor = self.position_noise * self._roughness(s)
+        across = p[1] ** 2 * a.P[0] - 2 * p[0] * p[1] * a.P[1] + p[0] ** 2 * a.P[2]
+        own_variance = (inflation * across / square + floor) / square
+        # Not trusted: the last trusted flux goes on by integration.
+        start = s.flux - self.L_position * current
+        begins = s.carried == 0
+        growth = jnp.where(begins, inflation * a.drift_variance / (start @ start), s.growth)
+        carried = s.carried + self.h
+        carried_variance = s.variance + growth * carried**2
+        lost = ~(carried_variance < VARIANCE_UNKNOWN)
+        carried_flux = jnp.where(lost, s.flux, s.flux + v + self.h * s.drift)
+        carries = ~trusted & s.have_carried
+        variance = jnp.where(
+            trusted,
+            own_variance,
+            jnp.where(carries & ~lost, carried_variance, VARIANCE_UNKNOWN),
+        )
+        shows_carried = carries & (~known | ~lost)
+        out_flux = jnp.where(shows_carried, carried_flux, flux)
+        out_drift = jnp.where(shows_carried, s.drift, drift)
+        p = out_flux - self.L_position * current
+        square = p @ p
+        length = jnp.sqrt(square)
+        out_theta = jnp.arctan2(p[1], p[0])
+        unknown = ~(variance < VARIANCE_UNKNOWN)
+        tracker = self._track(s, out_theta, unknown & ~known)
+        std = jnp.where(unknown, STD_UNKNOWN, jnp.sqrt(variance))
+
+        # A voltage error adds up until the rotor has turned by about a radian.
+        step = jnp.minimum(jnp.abs(tracker[1]) * self.sample_time, 1.0)
+        exposed = jnp.where(trusted, s.exposed + self.h - s.exposed * step, 0.0)
+        steady = exposed < VOLTAGE_LIMIT * self.prior[4] * length
+
+        widen = trusted & (excess > 1) & (turned > SETTLED)
+        reinjected, turn = self._reinjected(s, a.x)
+        keep = DISTRUST / jnp.where(widen, excess, 1.0)
+        after = s._replace(
+            triangle=jnp.where(widen, jnp.sqrt(keep) * s.triangle, reinjected),
+            noise=jnp.where(widen, keep * s.noise, s.noise),
+            prior_scale=jnp.where(widen, 2 * jnp.sqrt(excess), 1.0) * s.prior_scale,
+            turn=jnp.where(widen, s.turn, turn),
+            length=length,
+            exposed=exposed,
+            theta=theta,
+            swept=swept,
+            flux=jnp.where(trusted, flux, jnp.where(carries, carried_flux, s.flux)),
+            drift=jnp.where(trusted, drift, s.drift),
+            variance=jnp.where(trusted, own_variance, s.variance),
+            growth=jnp.where(carries, growth, s.growth),
+            carried=jnp.where(trusted, 0.0, jnp.where(carries, carried, s.carried)),
+            trusted=trusted,
+            have_carried=s.have_carried | trusted,
+            angle=tracker[0],
+            speed=tracker[1],
+            acceleration=tracker[2],
+        )
+        return after, Reading(
+            out_flux * self.flux_base,
+            length * self.flux_base,
+            out_theta,
+            tracker[0],
+            tracker[1],
+            out_drift * self.drift_base,
+            std,
+            trusted & (std < STD_LIMIT) & steady,
+            s.innovation,
+            a.noise_share,
+        )
+
+    def _track(self, s: LeastSquaresState, theta: Array, stop: Array) -> tuple[Array, ...]:
+        """Fading-memory filter of second order; stopped at theta where nothing is known."""
+        h = self.sample_time
+        step = h * (s.speed + h * s.acceleration / 2)
+        stop = stop | ~(jnp.abs(step) <= np.pi)
+        error = wrap(theta - wrap(s.angle + step))
+        angle = wrap(s.angle + step + self.track[0] * error)
+        speed = s.speed + h * s.acceleration + self.track[1] * error
+        acceleration = s.acceleration + self.track[2] * error
+        return (
+            jnp.where(stop, theta, angle),
+            jnp.where(stop, 0.0, speed),
+            jnp.where(stop, 0.0, acceleration),
+        )
+
+    def _reinjected(self, s: LeastSquaresState, x: Array) -> tuple[Array, Array]:
+        """One prior row in turn, aimed at the estimate: bounds the deviations, moves nothing."""
+        due = s.turn % REINJECT_EVERY == 0
+        scale = s.prior_scale**PRIOR_POWER
+        chosen = jnp.arange(SIZE) == s.turn // REINJECT_EVERY
+        row = jnp.where(chosen & due, self.reinject / scale, 0.0)
+        triangle, _ = absorb(s.triangle, jnp.append(row, row @ x))
+        return triangle, (s.turn + 1) % PERIOD
+
+    # ---- samples -------------------------------------------------------------------------
+
+    def _volt_seconds(self, currents: Array, source: Array, complete: bool) -> Array:
+        """Per-unit volt-seconds; the mean current from the cubic through four samples."""
+        if complete:
+            return source
+        mean = 9 * currents[0] + 19 * currents[1] - 5 * currents[2] + currents[3]
+        return source - self.hR @ mean
+
+    def _advance(
+        self, state: LeastSquaresState, source: Array, current: Array, complete: bool
+    ) -> tuple[LeastSquaresState, Reading]:
+        s = state
+        source_finite = jnp.isfinite(source).all()
+        current_finite = jnp.isfinite(current).all()
+        source = jnp.where(source_finite, source, 0.0)
+        current = jnp.where(current_finite, current, 0.0)
+        absurd = ~(current @ current <= self.current_limit**2) | ~(
+            source @ source <= FLUX_STEP_LIMIT**2
+        )
+        good = current_finite & ~absurd
+        missing = ~current_finite | (~source_finite & s.have_voltage)
+        takes = ~absurd & (good | s.have_current)
+
+        # The sample comes in; before the first one the current is taken to have been what it is.
+        newest = jnp.where(good, current, s.currents[0])
+        shifted = jnp.concatenate([newest[None], s.currents[:3]])
+        currents = jnp.where(s.have_current, shifted, jnp.stack([newest] * 4))
+        new_source = takes & source_finite & s.have_current
+        s = s._replace(
+            currents=jnp.where(takes, currents, s.currents),
+            source=jnp.where(new_source, source, s.source),
+            have_voltage=s.have_voltage | new_source,
+            have_current=s.have_current | takes,
+        )
+        v = self._volt_seconds(s.currents, s.source, complete)
+        connected = s.have_voltage
+        v = jnp.where(connected, v, 0.0)
+        moved = select(connected, self._predict(s, v), self._empty(s))
+        step = jnp.linalg.norm(v - self.L_position * (s.currents[0] - s.currents[1]))
+        jump = STEP_NOISE * jnp.sqrt(self.position_noise * self._roughness(s))
+        jumped = moved.trusted & (step > 2 * s.step + STEP_LIMIT * s.length + jump)
+        measured, near = self._measure(moved, current)
+        contradicted = takes & good & (jumped | ~near)
+
+        # A sample that contradicts all before is passed over as if it were missing.
+        held = s.currents.at[0].set(s.currents[1])
+        v_held = self._volt_seconds(held, s.source, complete)
+        over = self._predict(
+            moved._replace(triangle=s.triangle, noise=s.noise, currents=held), v_held
+        )
+        taken = select(good, measured, moved)._replace(step=step)
+        after = select(contradicted, over, taken)
+        v = jnp.where(takes, jnp.where(contradicted, v_held, v), 0.0)
+        s = select(takes, after, s)
+        s = s._replace(outliers=s.outliers + contradicted)
+
+        consecutive = jnp.where(missing | contradicted, s.consecutive_bad + 1, 0)
+        restart = absurd | (consecutive > MAX_CONSECUTIVE_BAD)
+        counts = absurd | (consecutive == MAX_CONSECUTIVE_BAD + 1)
+        s = s._replace(consecutive_bad=consecutive, restarts=s.restarts + (restart & counts))
+        s = select(restart, self._restarted(s), s)
+        s, reading = self._read_out(s, v)
+        return s, reading._replace(valid=reading.valid & ~contradicted)
+
+    def run(self, voltage: Any, current: Any) -> Estimate:
+        """A whole record from zero knowledge, (rows, 2) each; as :meth:`LeastSquaresObserver.run`
+        on arrays: row k's voltage is the mean over the interval that ends at row k."""
+        found = _run(self, jnp.asarray(voltage, float), jnp.asarray(current, float))
+        return Estimate(**{name: np.asarray(value) for name, value in found._asdict().items()})
+
+
+@eqx.filter_jit
+def _run(observer: SquareRootLeastSquares, voltage: Array, current: Array) -> Reading:
+    def body(state: LeastSquaresState, row: tuple[Array, Array]) -> Any:
+        return observer.step(state, *row)
+
+    return jax.lax.scan(body, observer.init(), (voltage, current))[1]  # type: ignore[no-any-return]
+
+
+def select(condition: Array, yes: LeastSquaresState, no: LeastSquaresState) -> LeastSquaresState:
+    """One of two states."""
+    chosen: LeastSquaresState = jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
+    return chosen
+
+
+def absorb(triangle: Array, row: Array) -> tuple[Array, Array]:
+    """Rotates a row into R x = z (Givens); returns the triangle and what is left of its z."""
+    rows = []
+    for i in range(SIZE):
+        old = triangle[i]
+        square = old[i] ** 2 + row[i] ** 2
+        norm = jnp.sqrt(square)
+        inverse = norm / square
+        cosine, sine = old[i] * inverse, row[i] * inverse
+        rows.append(jnp.where(jnp.arange(SIZE + 1) == i, norm, cosine * old + sine * row))
+        row = cosine * row - sine * old
+    return jnp.stack(rows), row[Z]
+
+
+def invert(R: Array) -> Array:
+    """Inverse of an upper triangle."""
+    diagonal = 1 / jnp.diagonal(R)
+    rows: list[Array] = [jnp.zeros(SIZE)] * SIZE
+    for i in reversed(range(SIZE)):
+        rest = sum((R[i, j] * rows[j] for j in range(i + 1, SIZE)), jnp.zeros(SIZE))
+        unit = jnp.arange(SIZE) == i
+        rows[i] = (unit - rest) * diagonal[i]
+    return jnp.stack(rows)
+
+
+def wrap(angle: Array) -> Array:
+    """Into (-π, π]."""
+    return angle - 2 * np.pi * jnp.ceil((angle - np.pi) / (2 * np.pi))
