@@ -34,60 +34,70 @@ PAIRS = ("--column", "--scale", "--offset", "--truth")
 
 Pairs = list[str] | None
 
+#: How a log is laid out: options of every command that reads one.
+MachineOption = Annotated[
+    Path, typer.Option(help="TOML with kind, R_s, … in SI; or a name from `fluxobs machines`.")
+]
+RecordOption = Annotated[
+    Path | None, typer.Option(help="TOML with frame, lag, columns, …; options override it.")
+]
+FrameOption = Annotated[
+    str | None,
+    typer.Option(
+        help="alphabeta (u_alpha u_beta i_alpha i_beta), abc (u_a … i_c; or two currents), "
+        "line (u_ab u_bc), duty (d_a d_b d_c udc), dq (u_d u_q i_d i_q theta_e; a voltage is "
+        "turned by the angle in the middle of the interval it acts over), ports (u_1 u_2 "
+        "i_1 i_2: maglev-2dof). Default alphabeta, or ports."
+    ),
+]
+SampleTimeOption = Annotated[
+    float | None, typer.Option(help="Seconds; needed where there is no column t.")
+]
+LagOption = Annotated[
+    float | None,
+    typer.Option(
+        help="Samples. 0 (default): a row's voltage acts from that row to the next; -1: one "
+        "sample later (usual computation delay); +1: one earlier; fractions allowed."
+    ),
+]
+ColumnOption = Annotated[
+    Pairs,
+    typer.Option(
+        help="CHANNEL=COLUMN; udc=540 sets a constant DC-link voltage, t=- passes over a column t."
+    ),
+]
+ScaleOption = Annotated[Pairs, typer.Option(help="CHANNEL=NUMBER: scale · column + offset.")]
+OffsetOption = Annotated[Pairs, typer.Option(help="CHANNEL=NUMBER: scale · column + offset.")]
+FromOption = Annotated[
+    float | None, typer.Option("--from", help="Seconds; only rows from this time on.")
+]
+ToOption = Annotated[float | None, typer.Option("--to", help="Seconds; only rows to this time.")]
+TruthOption = Annotated[
+    Pairs,
+    typer.Option(
+        help="theta_e=COLUMN or theta_mech=COLUMN: a true angle in radians; position=COLUMN: "
+        "of a levitated body, in metres."
+    ),
+]
+
 
 @app.command()
 def estimate(
     log: Annotated[
         Path, typer.Argument(help="CSV (any delimiter), Parquet or npz; a column a channel.")
     ],
-    machine: Annotated[
-        Path, typer.Option(help="TOML with kind, R_s, … in SI; or a name from `fluxobs machines`.")
-    ],
+    machine: MachineOption,
     out: Annotated[Path, typer.Option(help="Where the estimates go, .parquet or .csv.")],
-    record: Annotated[
-        Path | None, typer.Option(help="TOML with frame, lag, columns, …; options override it.")
-    ] = None,
-    frame: Annotated[
-        str | None,
-        typer.Option(
-            help="alphabeta (u_alpha u_beta i_alpha i_beta), abc (u_a … i_c; or two currents), "
-            "line (u_ab u_bc), duty (d_a d_b d_c udc), dq (u_d u_q i_d i_q theta_e; a voltage is "
-            "turned by the angle in the middle of the interval it acts over), ports (u_1 u_2 "
-            "i_1 i_2: maglev-2dof). Default alphabeta, or ports."
-        ),
-    ] = None,
-    sample_time: Annotated[
-        float | None, typer.Option(help="Seconds; needed where there is no column t.")
-    ] = None,
-    lag: Annotated[
-        float | None,
-        typer.Option(
-            help="Samples. 0 (default): a row's voltage acts from that row to the next; -1: one "
-            "sample later (usual computation delay); +1: one earlier; fractions allowed."
-        ),
-    ] = None,
-    column: Annotated[
-        Pairs,
-        typer.Option(
-            help="CHANNEL=COLUMN; udc=540 sets a constant DC-link voltage, t=- passes over a "
-            "column t."
-        ),
-    ] = None,
-    scale: Annotated[Pairs, typer.Option(help="CHANNEL=NUMBER: scale · column + offset.")] = None,
-    offset: Annotated[Pairs, typer.Option(help="CHANNEL=NUMBER: scale · column + offset.")] = None,
-    start: Annotated[
-        float | None, typer.Option("--from", help="Seconds; only rows from this time on.")
-    ] = None,
-    stop: Annotated[
-        float | None, typer.Option("--to", help="Seconds; only rows to this time.")
-    ] = None,
-    truth: Annotated[
-        Pairs,
-        typer.Option(
-            help="theta_e=COLUMN or theta_mech=COLUMN: a true angle in radians; position=COLUMN: "
-            "of a levitated body, in metres."
-        ),
-    ] = None,
+    record: RecordOption = None,
+    frame: FrameOption = None,
+    sample_time: SampleTimeOption = None,
+    lag: LagOption = None,
+    column: ColumnOption = None,
+    scale: ScaleOption = None,
+    offset: OffsetOption = None,
+    start: FromOption = None,
+    stop: ToOption = None,
+    truth: TruthOption = None,
     report: Annotated[Path | None, typer.Option(help="Picture: .png, .pdf or .svg.")] = None,
     memory: Annotated[
         float | None,
@@ -113,42 +123,17 @@ def estimate(
     maglev-2dof, and with a current bias: flux, position or theta_e, drift, current_bias with their
     standard deviations, noise_share, valid.
     """
-    from .layout import layout_from, read_layout
     from .machines import RotatingMachine, read_machine
     from .reference_estimate import check_truth, read_unknowns
 
-    given = read_machine(machine)
-    fields: dict[str, Any] = read_layout(record) if record else {}
-    for name, value in (("frame", frame), ("sample_time", sample_time), ("lag", lag)):
-        if value is not None:
-            fields[name] = value
-    fields["columns"] = fields.get("columns", {}) | _pairs("column", column)
-    for name, pairs in (("scale", scale), ("offset", offset)):
-        fields[name] = fields.get(name, {}) | _numbers(name, pairs)
-    if truth:
-        fields["truth"] = _pairs("truth", truth)
     wanted = read_unknowns(unknowns)
-    fields.setdefault("frame", given.frame)
-    if (fields["frame"] == "ports") != (given.frame == "ports"):
-        raise FluxobsError(
-            f"frame {fields['frame']!r} does not fit kind {given.kind}; leave it at {given.frame!r}"
-        )
-
-    from .formats import open_table
-    from .logs import open_log
-
-    table = open_table(log)
-    constant = fields["columns"].get("udc", "")
-    if constant in table.columns:
-        fields.pop("udc", None)
-    elif _is_number(constant):
-        del fields["columns"]["udc"]
-        fields["udc"] = float(constant)
+    given = read_machine(machine)
     for source in (machine, record):
         if source is not None and source.exists() and out.exists() and out.samefile(source):
             raise FluxobsError(f"{out}: --out is one of the inputs; give another name")
-    pole_pairs = getattr(given, "n_p", 1)
-    opened = open_log(table, layout_from(fields, "options"), pole_pairs, start, stop)
+    opened = _open(
+        log, given, record, frame, sample_time, lag, column, scale, offset, start, stop, truth
+    )
     check_truth(opened, given)
     if isinstance(given, RotatingMachine) and wanted == ("drift",):
         _run(opened, given, out, report, memory)
@@ -206,6 +191,108 @@ def reproduce(
 
 
 @app.command()
+def compare(
+    records: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="LOG|SCENARIO …",
+            help="Logs with a true angle (--truth), or scenarios by name; `list` lists them, "
+            "`all` takes all.",
+        ),
+    ],
+    machine: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML or a name from `fluxobs machines`. Scenarios run on the shipped machines "
+            "that turn; default pmsm-2kw2."
+        ),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for scores and pictures; made if missing.")] = (
+        Path("fluxobs-compare")
+    ),
+    seed: Annotated[int, typer.Option(help="Of a scenario's sensor noise.")] = 0,
+    settle: Annotated[
+        float, typer.Option(help="Seconds of a log that are not scored, while observers settle.")
+    ] = 0.2,
+    record: RecordOption = None,
+    frame: FrameOption = None,
+    sample_time: SampleTimeOption = None,
+    lag: LagOption = None,
+    column: ColumnOption = None,
+    scale: ScaleOption = None,
+    offset: OffsetOption = None,
+    start: FromOption = None,
+    stop: ToOption = None,
+    truth: TruthOption = None,
+) -> None:
+    """Run a log or a scenario through every known observer, and score them.
+
+    Each observer runs with the gains that its authors recommend, and with the best of a grid for
+    this very record. Writes scores.csv and a picture a record, and summary.png for several. Needs
+    the extra "design" (JAX).
+    """
+    from .comparison.scenarios import SCENARIOS
+    from .machines import RotatingMachine, read_machine
+
+    if records == ["list"]:
+        width = max(len(name) for name in SCENARIOS)
+        for scenario in SCENARIOS.values():
+            typer.echo(f"{scenario.name:{width}}  {scenario.about}")
+        return
+    names = [n for r in records for n in (SCENARIOS if r == "all" else [r])]
+    logs = [name for name in names if name not in SCENARIOS]
+    for name in logs:
+        if not Path(name).exists():
+            raise FluxobsError(
+                f"{name!r} is neither a file nor a scenario; `fluxobs compare list` lists these"
+            )
+    if logs and machine is None:
+        raise FluxobsError(f"--machine is needed for a log ({logs[0]})")
+    from .comparison import report
+    from .comparison.compare import compare_log, compare_scenario
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FluxobsError(f"{out}: cannot be made: {error.strerror}") from None
+    comparisons = []
+    for name in names:
+        if name in SCENARIOS:
+            drive = str(machine) if machine is not None else "pmsm-2kw2"
+            found = compare_scenario(SCENARIOS[name], drive, seed)
+        else:
+            assert machine is not None
+            given = read_machine(machine)
+            if not isinstance(given, RotatingMachine):
+                raise FluxobsError(f"{given.kind}: only machines that turn can be compared on")
+            opened = _open(
+                Path(name),
+                given,
+                record,
+                frame,
+                sample_time,
+                lag,
+                column,
+                scale,
+                offset,
+                start,
+                stop,
+                truth,
+            )
+            found = compare_log(opened, given, settle)
+        comparisons.append(found)
+        _print_table(report.table(found))
+        _echo(report.verdict(found))
+        picture = out / f"{Path(found.title).stem}.png"
+        report.draw(found, picture)
+        report.write_csv(comparisons, out / "scores.csv")
+    if len(comparisons) > 1:
+        report.draw_summary(comparisons, out / "summary.png")
+    pictures = "a picture a record" + (", summary.png" if len(comparisons) > 1 else "")
+    typer.echo(f"Written: {out / 'scores.csv'}, {pictures}")
+
+
+@app.command()
 def machines() -> None:
     """List the machines that come with the package; any name serves as --machine."""
     from .machines import example, example_names, example_text
@@ -220,6 +307,51 @@ def machines() -> None:
         )
         typer.echo(f"{name}\n    {machine.kind}: {values}\n    {title}")
     typer.echo("\nSI units; R and L per phase (star), psi_f and rated_current peak values.")
+
+
+def _open(
+    log: Path,
+    machine: Machine,
+    record: Path | None,
+    frame: str | None,
+    sample_time: float | None,
+    lag: float | None,
+    column: Pairs,
+    scale: Pairs,
+    offset: Pairs,
+    start: float | None,
+    stop: float | None,
+    truth: Pairs,
+) -> Log:
+    """The log as its options, and the record file under them, say."""
+    from .formats import open_table
+    from .layout import layout_from, read_layout
+    from .logs import open_log
+
+    fields: dict[str, Any] = read_layout(record) if record else {}
+    for name, value in (("frame", frame), ("sample_time", sample_time), ("lag", lag)):
+        if value is not None:
+            fields[name] = value
+    fields["columns"] = fields.get("columns", {}) | _pairs("column", column)
+    for name, pairs in (("scale", scale), ("offset", offset)):
+        fields[name] = fields.get(name, {}) | _numbers(name, pairs)
+    if truth:
+        fields["truth"] = _pairs("truth", truth)
+    fields.setdefault("frame", machine.frame)
+    if (fields["frame"] == "ports") != (machine.frame == "ports"):
+        raise FluxobsError(
+            f"frame {fields['frame']!r} does not fit kind {machine.kind}; "
+            f"leave it at {machine.frame!r}"
+        )
+    table = open_table(log)
+    constant = fields["columns"].get("udc", "")
+    if constant in table.columns:
+        fields.pop("udc", None)
+    elif _is_number(constant):
+        del fields["columns"]["udc"]
+        fields["udc"] = float(constant)
+    layout = layout_from(fields, "options")
+    return open_log(table, layout, getattr(machine, "n_p", 1), start, stop)
 
 
 def _check(log: Log, report: Path | None, memory: float | None) -> None:
@@ -284,6 +416,13 @@ def _echo(text: str) -> None:
     if sys.stdout.isatty():
         text = textwrap.fill(text, min(shutil.get_terminal_size().columns, 100))
     typer.echo(text)
+
+
+def _print_table(table: Any) -> None:
+    from rich.console import Console
+
+    width = None if sys.stdout.isatty() else 140
+    Console(width=width).print(table)
 
 
 class _Progress:

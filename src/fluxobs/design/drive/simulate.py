@@ -511,7 +511,8 @@ def _finish(trace: Trace, h: float) -> Run:
         at = max(int(np.argmin(finite)) - 1, 0)
         raise ModelError(
             f"the simulation has no number after t = {t[at]:.6g} s, at "
-            f"{trace.speed[at]:.4g} rad/s: are the gains stable, and the time constants not far below the sample time?"
+            f"{trace.speed[at]:.4g} rad/s: are the gains stable, and the time constants "
+            f"not far below the sample time?"
         )
     events = []
     for what, where in (

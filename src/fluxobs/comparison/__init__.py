@@ -1,0 +1,1 @@
+"""Observers side by side: scenarios, the observers that people use, scores and their bound."""

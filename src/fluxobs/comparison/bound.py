@@ -1,0 +1,67 @@
+"""The least position error that any unbiased observer can have on a record (Cramér–Rao).
+
+Per sample the current is measured with noise σ, and the position is free: nothing is assumed of
+the rotor's motion. What remains is one radial equation a sample, ``|λ - L i| = length``, known up
+to L σ; across it the noise of the present current is the only knowledge of the present angle.
+Unknown are flux, drift and magnet flux, all constant but for what the voltage moves; noise of the
+current also enters the flux through R. Derivation: docs/theory.md, section 13.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def position_bound(
+    theta_e: Array,
+    length: Array,
+    sample_time: float,
+    inductance: float,
+    resistance: float,
+    noise: float,
+    drift_prior: float,
+) -> Array:
+    """Standard deviation of the position at each sample [rad], (rows,).
+
+    Parameters
+    ----------
+    theta_e : (rows,) ndarray
+        True angle [rad].
+    length : (rows,) ndarray
+        True length of the position vector λ - L i [Wb].
+    sample_time : float
+        [s].
+    inductance, resistance : float
+        L of the position vector [H], R [Ω].
+    noise : float
+        Std of a current component [A], > 0.
+    drift_prior : float
+        Std of the drift before anything is known [V].
+
+    Returns
+    -------
+    (rows,) ndarray
+        At most that of a uniform angle, π/√3.
+    """
+    h, r = sample_time, (inductance * noise) ** 2
+    psi = float(np.median(np.abs(length)))
+    P = np.diag([psi**2, psi**2, drift_prior**2, drift_prior**2, psi**2])
+    F = np.eye(5)
+    F[0, 2] = F[1, 3] = h
+    Q = np.zeros((5, 5))
+    Q[0, 0] = Q[1, 1] = (h * resistance * noise) ** 2
+    out = np.empty(len(theta_e))
+    for k, (angle, size) in enumerate(zip(theta_e, length, strict=True)):
+        if k:
+            P = F @ P @ F.T + Q
+        c, s = np.cos(angle), np.sin(angle)
+        g = np.array([c, s, 0.0, 0.0, -1.0])
+        Pg = P @ g
+        P = P - np.outer(Pg, Pg) / (g @ Pg + r)
+        P = (P + P.T) / 2
+        across = s * s * P[0, 0] - 2 * s * c * P[0, 1] + c * c * P[1, 1]
+        out[k] = np.sqrt((across + r) / size**2)
+    return np.asarray(np.minimum(out, np.pi / np.sqrt(3)))

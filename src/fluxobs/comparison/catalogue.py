@@ -1,0 +1,267 @@
+"""Every observer of the comparison: with the gains its authors recommend, and a grid to tune in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..design.analysis import balanced_basis
+from ..design.baselines import (
+    ClampedIntegrator,
+    ExtendedEmf,
+    FilteredVoltageModel,
+    KalmanFilter,
+    LengthGradient,
+    OnRegression,
+    SlidingMode,
+    SpeedAdaptiveObserver,
+)
+from ..design.drive import Motor
+from ..design.observers import PEBO, DremObserver
+from ..design.observers.least_squares import SquareRootLeastSquares
+from ..design.regression import Parametrisation, SampledRegression
+from ..machines import RotatingMachine
+from ..observers import LeastSquaresObserver
+from ..observers.least_squares import MEMORY, TRACKER
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What observers are built from: the machine as believed, and sizes of the record's signals.
+
+    Attributes
+    ----------
+    machine : RotatingMachine
+    sample_time : float
+        [s].
+    speed_e : float
+        Rated, electrical [rad/s].
+    current, voltage : float
+        Rated, peak [A], [V].
+    noise : float
+        Std of a current component [A].
+    drift_prior : float or None
+        Largest plausible drift [V].
+    mean_voltage, current_rows : (rows, 2) ndarray
+        The record: gains of the regression's observers are balanced on it.
+    """
+
+    machine: RotatingMachine
+    sample_time: float
+    speed_e: float
+    current: float
+    voltage: float
+    noise: float
+    drift_prior: float | None
+    mean_voltage: Array
+    current_rows: Array
+
+    @property
+    def motor(self) -> Motor:
+        return Motor.of(self.machine)
+
+
+Gains = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One observer: how to build it from gains, which are recommended, which are tried."""
+
+    name: str
+    build: Callable[[Setting, Gains], Any]
+    recommended: Callable[[Setting], Gains]
+    grid: Callable[[Setting], dict[str, list[float]]]
+    least_squares: bool = False
+
+    def candidates(self, setting: Setting) -> Iterator[Gains]:
+        """The recommended gains first, then the grid."""
+        yield self.recommended(setting)
+        grid = self.grid(setting)
+        for values in product(*grid.values()):
+            yield dict(zip(grid, values, strict=True))
+
+
+PLL = 2 * np.pi * 40
+
+
+def _least_squares(s: Setting, g: Gains) -> SquareRootLeastSquares:
+    compiled = LeastSquaresObserver.for_machine(
+        s.machine,
+        sample_time=s.sample_time,
+        memory=g["memory"],
+        rated_current=s.current,
+        current_noise=s.noise,
+    )
+    if s.drift_prior is not None:
+        compiled = replace(compiled, drift_prior=max(compiled.drift_prior, s.drift_prior))
+    if "tracker" in g:
+        compiled = replace(compiled, tracker_bandwidth=g["tracker"])
+    return SquareRootLeastSquares.of(compiled)
+
+
+def _memories(s: Setting) -> list[float]:
+    return [m for m in (0.01, 0.03, 0.1, 0.3, 1.0) if m >= 10 * s.sample_time]
+
+
+def _regression_rows(s: Setting, corner: float) -> tuple[Any, Parametrisation]:
+    constraint = s.machine.constraint
+    i, R = s.current_rows, s.machine.R_s
+    before = np.concatenate([i[:1], i[:-1]])
+    v = s.sample_time * (np.nan_to_num(s.mean_voltage) - R * (i + before) / 2)
+    rows, _ = SampledRegression(constraint, corner, s.sample_time).run(v, i)
+    return rows, Parametrisation(constraint, "voltage-bias", corner)
+
+
+def _pebo(s: Setting, g: Gains) -> OnRegression:
+    rows, _ = _regression_rows(s, g["corner"])
+    phi = np.asarray(rows.Phi_flux)[len(rows.y) // 4 :]
+    Gamma = g["rate"] / np.mean(phi**2)
+    inner = PEBO(2, "gradient", float(Gamma))
+    return OnRegression(s.motor, s.sample_time, s.machine.constraint, inner, g["corner"], PLL)
+
+
+def _drem(s: Setting, g: Gains) -> OnRegression:
+    rows, constants = _regression_rows(s, g["corner"])
+    cut = len(rows.y) // 4
+    psi = np.asarray(constants.psi_record(rows))[cut:]
+    basis = balanced_basis(psi.T @ psi / len(psi), 1.0)
+    inner = DremObserver(g["rate"], g["memory"], basis, constants)
+    return OnRegression(s.motor, s.sample_time, s.machine.constraint, inner, g["corner"], PLL)
+
+
+def _kalman(s: Setting, g: Gains, with_drift: bool) -> KalmanFilter:
+    return KalmanFilter(
+        s.motor,
+        s.sample_time,
+        g["voltage_noise"],
+        g["acceleration"],
+        max(s.noise, 1e-3 * s.current),
+        s.speed_e,
+        g.get("drift_walk", 0.0),
+        s.drift_prior or 0.01 * s.voltage,
+        with_drift,
+    )
+
+
+def _entries() -> list[Entry]:
+    def of(kind: Any, **fixed: Any) -> Callable[[Setting, Gains], Any]:
+        return lambda s, g: kind(s.motor, s.sample_time, **g, **fixed)
+
+    cutoffs = (0.01, 0.03, 0.1, 0.3)
+    return [
+        Entry(
+            "least squares",
+            _least_squares,
+            lambda s: {"memory": MEMORY},
+            lambda s: {"memory": _memories(s), "tracker": [200.0, TRACKER / MEMORY, 2000.0]},
+            least_squares=True,
+        ),
+        Entry(
+            "voltage model, low-pass",
+            of(FilteredVoltageModel, order=1),
+            lambda s: {"cutoff": 0.05 * s.speed_e, "bandwidth": PLL},
+            lambda s: {"cutoff": [c * s.speed_e for c in cutoffs], "bandwidth": [PLL / 4, PLL]},
+        ),
+        Entry(
+            "voltage model, high-pass",
+            of(FilteredVoltageModel, order=2),
+            lambda s: {"cutoff": 0.05 * s.speed_e, "bandwidth": PLL},
+            lambda s: {"cutoff": [c * s.speed_e for c in cutoffs], "bandwidth": [PLL / 4, PLL]},
+        ),
+        Entry(
+            "gradient (Ortega, Lee)",
+            of(LengthGradient, bandwidth=2 * PLL),
+            lambda s: {"gain": 1000.0},
+            lambda s: {"gain": [3.0, 10.0, 30.0, 100.0, 300.0, 3000.0]},
+        ),
+        Entry(
+            "gradient, adapting",
+            of(LengthGradient, bandwidth=2 * PLL),
+            lambda s: {"gain": 1000.0, "adaptation": 10.0},
+            lambda s: {"gain": [30.0, 100.0, 300.0, 1000.0], "adaptation": [1.0, 10.0, 100.0]},
+        ),
+        Entry(
+            "clamped integrator (MXLEMMING)",
+            of(ClampedIntegrator, bandwidth=2 * PLL),
+            lambda s: {"level": 1.0},
+            lambda s: {"level": [0.8, 0.9, 1.1, 1.2]},
+        ),
+        Entry(
+            "speed-adaptive (Hinkkanen)",
+            of(SpeedAdaptiveObserver),
+            lambda s: {"damping": 0.2, "bandwidth": PLL},
+            lambda s: {"damping": [0.05, 0.2, 0.6], "bandwidth": [PLL / 4, PLL, 2 * PLL, 4 * PLL]},
+        ),
+        Entry(
+            "sliding mode",
+            of(SlidingMode),
+            lambda s: {"switching": 1.5 * s.voltage, "cutoff": s.speed_e, "bandwidth": PLL},
+            lambda s: {
+                "switching": [1.5 * s.voltage],
+                "cutoff": [0.3 * s.speed_e, s.speed_e, 3 * s.speed_e],
+                "bandwidth": [PLL / 4, PLL / 2, PLL, 2 * PLL],
+            },
+        ),
+        Entry(
+            "extended EMF with PLL",
+            of(ExtendedEmf),
+            lambda s: {"cutoff": s.speed_e, "bandwidth": PLL},
+            lambda s: {
+                "cutoff": [0.3 * s.speed_e, s.speed_e, 3 * s.speed_e],
+                "bandwidth": [PLL / 4, PLL / 2, PLL, 2 * PLL],
+            },
+        ),
+        Entry(
+            "extended Kalman filter",
+            lambda s, g: _kalman(s, g, False),
+            lambda s: {"voltage_noise": 0.01 * s.voltage, "acceleration": 30.0 * s.speed_e**0.5},
+            lambda s: {
+                "voltage_noise": [x * s.voltage for x in (1e-3, 1e-2, 1e-1)],
+                "acceleration": [x * s.speed_e**0.5 for x in (3.0, 30.0, 300.0, 3000.0)],
+            },
+        ),
+        Entry(
+            "extended Kalman filter with drift",
+            lambda s, g: _kalman(s, g, True),
+            lambda s: {
+                "voltage_noise": 0.001 * s.voltage,
+                "acceleration": 30.0 * s.speed_e**0.5,
+                "drift_walk": 1e-3 * s.voltage,
+            },
+            lambda s: {
+                "voltage_noise": [x * s.voltage for x in (1e-4, 1e-3)],
+                "acceleration": [x * s.speed_e**0.5 for x in (3.0, 30.0, 300.0)],
+                "drift_walk": [1e-4 * s.voltage, 1e-2 * s.voltage],
+            },
+        ),
+        Entry(
+            "PEBO (gradient)",
+            _pebo,
+            lambda s: {"corner": 0.5 * s.speed_e, "rate": 30.0},
+            lambda s: {
+                "corner": [0.1 * s.speed_e, 0.5 * s.speed_e],
+                "rate": [3.0, 30.0, 300.0],
+            },
+        ),
+        Entry(
+            "DREM",
+            _drem,
+            lambda s: {"corner": 0.5 * s.speed_e, "rate": 100.0, "memory": 0.1},
+            lambda s: {
+                "corner": [0.1 * s.speed_e, 0.5 * s.speed_e],
+                "rate": [10.0, 1000.0],
+                "memory": [0.1, 0.5],
+            },
+        ),
+    ]
+
+
+CATALOGUE = _entries()

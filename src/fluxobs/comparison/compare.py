@@ -1,0 +1,302 @@
+"""One record through every observer: recommended gains, and the best of a grid for this record."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from ..design.drive.simulate import stack
+from ..design.drive.vectors import vector
+from ..design.observers.least_squares import SquareRootLeastSquares
+from ..errors import FluxobsError, RecordError
+from ..logs import Log
+from ..machines import RotatingMachine
+from ..scales import LEAST_NOISE, VOLTAGE_OFFSET, white_noise
+from .bound import position_bound
+from .catalogue import CATALOGUE, Entry, Gains, Setting
+from .scenarios import Rating, Scenario, believed_machine, run_scenario
+from .scoring import Score, Truth, position_error, score
+
+Array = NDArray[np.float64]
+
+#: Every observer runs with so many sets of gains at once, so that their times compare.
+LANES = 16
+#: What the name of the least squares' tracked angle ends with.
+TRACKED = ", tracked"
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """One observer on one record.
+
+    Attributes
+    ----------
+    recommended, tuned : Score
+        With the gains of the literature, and with the best of the grid by rms position error.
+    recommended_gains, gains : dict
+        Those of the literature, the tuned ones.
+    error : (rows,) ndarray
+        Position error with the tuned gains [rad].
+    time : float
+        Seconds a sample, in a batch of 16, compiled.
+    """
+
+    name: str
+    recommended: Score
+    tuned: Score
+    recommended_gains: Gains
+    gains: Gains
+    error: Array
+    time: float
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A record and what every observer made of it.
+
+    Attributes
+    ----------
+    bound : float or None
+        Rms of the Cramér–Rao bound over the scored rows [rad]; None without current noise or
+        without a true flux.
+    limit : str
+        What else bounds the least squares on this record, in words.
+    """
+
+    title: str
+    about: str
+    setting: Setting
+    truth: Truth
+    bound: float | None
+    results: tuple[Result, ...]
+    limit: str = ""
+
+    @property
+    def psi(self) -> float:
+        """Size of the machine's flux [Wb]."""
+        return self.setting.voltage / self.setting.speed_e
+
+    def result(self, name: str) -> Result:
+        return next(result for result in self.results if result.name == name)
+
+    @property
+    def best(self) -> Result:
+        """Smallest tuned rms position error."""
+        return min(self.results, key=lambda result: result.tuned.rms)
+
+
+class _Found(NamedTuple):
+    theta_e: jax.Array
+    tracked: jax.Array
+    speed_e: jax.Array
+    flux: jax.Array
+
+
+def _lane(observer: Any, voltage: jax.Array, current: jax.Array) -> _Found:
+    def body(state: Any, row: tuple[jax.Array, jax.Array]) -> tuple[Any, _Found]:
+        state, out = observer.step(state, *row)
+        if isinstance(observer, SquareRootLeastSquares):
+            return state, _Found(out.theta_e, out.theta_e_tracked, out.speed_e, vector(out.flux))
+        return state, _Found(out.theta_e, out.theta_e, out.speed_e, out.flux)
+
+    return jax.lax.scan(body, observer.init(), (voltage, current))[1]
+
+
+@eqx.filter_jit
+def _lanes(observers: Any, voltage: jax.Array, current: jax.Array) -> _Found:
+    return jax.vmap(_lane, in_axes=(0, None, None))(observers, voltage, current)
+
+
+def _compiled(observers: Any, voltage: jax.Array, current: jax.Array) -> Any:
+    lanes: Any = _lanes
+    return lanes.lower(observers, voltage, current).compile()
+
+
+def _held(rows: Array) -> Array:
+    """Missing samples as the last good ones; zero before the first."""
+    good = np.isfinite(rows).all(axis=1)
+    last = np.maximum.accumulate(np.where(good, np.arange(len(rows)), -1))
+    return np.where(last[:, None] >= 0, rows[last], 0.0)
+
+
+def setting_for(
+    sample_time: float, voltage: Array, current: Array, machine: RotatingMachine, speed_e: float
+) -> Setting:
+    """Sizes that observers are built from, as the main job takes them from a log."""
+    i = current[np.isfinite(current).all(axis=1)]
+    u = voltage[np.isfinite(voltage).all(axis=1)]
+    rated = machine.rated_current or float(np.percentile(np.hypot(*i.T), 95))
+    psi = getattr(machine, "psi_f", None) or machine.flux_base(None, rated)
+    if psi is None:
+        raise FluxobsError(
+            f"psi_f is missing in the {machine.kind}: most observers rest on the magnet flux"
+        )
+    return Setting(
+        machine,
+        sample_time,
+        speed_e,
+        rated,
+        speed_e * psi,
+        max(white_noise(current), LEAST_NOISE * rated),
+        VOLTAGE_OFFSET * float(np.percentile(np.hypot(*u.T), 95)),
+        _held(voltage),
+        _held(current),
+    )
+
+
+def compare(
+    title: str,
+    about: str,
+    voltage: Array,
+    current: Array,
+    setting: Setting,
+    truth: Truth,
+    bound: float | None = None,
+    limit: str = "",
+    entries: Sequence[Entry] = CATALOGUE,
+    progress: Callable[[str], Any] = lambda name: None,
+) -> Comparison:
+    """Runs and scores all observers on a record.
+
+    `voltage` and `current` are (rows, 2); row k's voltage is the mean over the interval that ends
+    at row k, NaN where missing.
+    """
+    raw = jnp.asarray(voltage), jnp.asarray(current)
+    held = jnp.asarray(setting.mean_voltage), jnp.asarray(setting.current_rows)
+
+    def prepare(entry: Entry) -> tuple[Entry, list[Gains], Any, Any, Any]:
+        gains = list(entry.candidates(setting))
+        built = [entry.build(setting, gain) for gain in gains]
+        observers = stack(built + built[:1] * (LANES - len(built)))
+        signals = raw if entry.least_squares else held
+        return entry, gains, observers, signals, _compiled(observers, *signals)
+
+    results: list[Result] = []
+    with ThreadPoolExecutor(2) as pool:
+        for entry, gains, observers, signals, compiled in list(pool.map(prepare, entries)):
+            progress(entry.name)
+            started = time.perf_counter()
+            found = jax.tree.map(np.asarray, compiled(observers, *signals))
+            seconds = (time.perf_counter() - started) / LANES / len(current)
+            results.append(_best(entry.name, gains, found, found.theta_e, truth, seconds))
+            if entry.least_squares:
+                name = entry.name + TRACKED
+                results.append(_best(name, gains, found, found.tracked, truth, seconds))
+    return Comparison(title, about, setting, truth, bound, tuple(results), limit)
+
+
+def _best(
+    name: str, gains: list[Gains], found: _Found, theta_e: Any, truth: Truth, seconds: float
+) -> Result:
+    scores = [
+        score(theta_e[k], np.asarray(found.speed_e)[k], np.asarray(found.flux)[k], truth)
+        for k in range(len(gains))
+    ]
+    k = int(np.argmin([s.rms for s in scores]))
+    error = position_error(theta_e[k], truth)
+    return Result(name, scores[0], scores[k], gains[0], gains[k], error, seconds)
+
+
+def compare_scenario(
+    scenario: Scenario,
+    machine_name: str,
+    seed: int = 0,
+    entries: Sequence[Entry] = CATALOGUE,
+    progress: Callable[[str], Any] = lambda name: None,
+) -> Comparison:
+    """Makes a scenario's record and compares on it."""
+    run, machine, rated = run_scenario(scenario, machine_name, seed)
+    record = run.record()
+    believed = believed_machine(machine, scenario.believed)
+    voltage, current = record.interval_voltage(), record.current
+    setting = setting_for(record.sample_time, voltage, current, believed, rated.speed_e)
+    truth = Truth(
+        run.t,
+        np.asarray(run.trace.theta_e),
+        machine.n_p * np.asarray(run.trace.speed),
+        np.asarray(run.trace.flux),
+        scenario.score_from,
+        machine.half_turn_ambiguous,
+    )
+    least = _bound(scenario, machine, rated, setting, run.trace) if scenario.noise else None
+    about = scenario.about + "".join(f"; {event}" for event in run.events)
+    return compare(
+        scenario.name,
+        about,
+        voltage,
+        current,
+        setting,
+        truth,
+        least,
+        scenario.limit,
+        entries,
+        progress,
+    )
+
+
+def compare_log(
+    log: Log,
+    machine: RotatingMachine,
+    settle: float,
+    entries: Sequence[Entry] = CATALOGUE,
+    progress: Callable[[str], Any] = lambda name: None,
+) -> Comparison:
+    """Compares on a measured log; all of it must fit into memory.
+
+    Raises
+    ------
+    RecordError
+        The log has no true angle, or ends before `settle`.
+    """
+    path = log.table.path
+    parts = list(log.aligned())
+    if log.truth is None or any(part.truth is None for part in parts):
+        raise RecordError(
+            f"{path}: observers can only be scored against a true angle: "
+            f"--truth theta_mech=COLUMN or theta_e=COLUMN"
+        )
+    t, current, voltage, true = (
+        np.concatenate([np.asarray(part[k]) for part in parts]) for k in range(4)
+    )
+    h = log.sample_time
+    if t[-1] - t[0] <= settle:
+        raise RecordError(f"{path}: {t[-1] - t[0]:.4g} s, none left after --settle {settle:g} s")
+    # The encoder's speed, averaged over a hundredth of a second.
+    window = max(1, round(0.01 / h))
+    angle = np.unwrap(np.where(np.isfinite(true), true, 0.0))
+    speed = np.abs(angle[window:] - angle[:-window]) / (window * h)
+    setting = setting_for(h, voltage, current, machine, float(np.percentile(speed, 95)))
+    truth = Truth(t - t[0], true, None, None, settle, machine.half_turn_ambiguous)
+    about = f"{len(t)} rows, {h:g} s each; lag {log.layout.lag:g}"
+    return compare(
+        path.name, about, voltage, current, setting, truth, entries=entries, progress=progress
+    )
+
+
+def _bound(
+    scenario: Scenario, machine: RotatingMachine, rated: Rating, setting: Setting, trace: Any
+) -> float:
+    """Rms of the bound over the scored rows, with the true parameters."""
+    L = machine.position_inductance
+    x = np.asarray(trace.flux) - L * np.asarray(trace.current)
+    assert machine.rated_current is not None
+    sigma = position_bound(
+        np.angle(x),
+        np.abs(x),
+        setting.sample_time,
+        L,
+        machine.R_s,
+        scenario.noise * machine.rated_current,
+        0.1 * setting.voltage,
+    )
+    scored = np.arange(len(sigma)) * setting.sample_time >= scenario.score_from
+    return float(np.sqrt(np.mean(sigma[scored] ** 2)))

@@ -1,0 +1,254 @@
+"""A comparison as table, sentence, CSV and picture."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import FluxobsError
+from ..plots import BLUE, GREY, ORANGE, STYLE, write
+from .compare import Comparison, Result
+from .scoring import Score
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from rich.table import Table
+
+LEAST_SQUARES = "least squares"
+#: "As good as the best" is within this factor.
+NEAR = 1.1
+
+
+def ours(comparison: Comparison) -> Result:
+    """The better of the least squares' two angles, raw and tracked."""
+    both = [r for r in comparison.results if r.name.startswith(LEAST_SQUARES)]
+    return min(both, key=lambda result: result.tuned.rms)
+
+
+def verdict(comparison: Comparison) -> str:
+    """How the least squares stands, against the best and against the bound, and why."""
+    mine, best = ours(comparison), comparison.best
+    rms = np.degrees(mine.tuned.rms)
+    text = f"The least squares has {_degrees(rms)} rms"
+    if comparison.bound is not None:
+        raw = comparison.result(LEAST_SQUARES).tuned.rms
+        text += (
+            f"; untracked {raw / comparison.bound:.2f} times the Cramér-Rao bound, "
+            f"{_degrees(np.degrees(comparison.bound))}, of an angle of which nothing is assumed"
+        )
+    if mine.tuned.rms <= NEAR * best.tuned.rms:
+        if best is mine:
+            others = [r for r in comparison.results if not r.name.startswith(LEAST_SQUARES)]
+            if others:
+                next_best = min(others, key=lambda r: r.tuned.rms)
+                text += f": the best, before {next_best.name}, {_rms(next_best.tuned)}"
+        else:
+            text += f", within 10 % of the best, {best.name}, {_rms(best.tuned)}"
+        return text + "."
+    text += f". Better is {best.name}, {_rms(best.tuned)}"
+    return text + (f": {comparison.limit}." if comparison.limit else ".")
+
+
+def _rms(score: Score) -> str:
+    return _degrees(np.degrees(score.rms))
+
+
+def _degrees(value: float) -> str:
+    return f"{value:.3f}°" if value < 1 else f"{value:.2f}°"
+
+
+def table(comparison: Comparison) -> Table:
+    """For a terminal, best first."""
+    from rich import box
+    from rich.table import Table
+
+    out = Table(title=comparison.title, caption=comparison.about, box=box.SIMPLE, expand=False)
+    out.add_column("observer", no_wrap=True)
+    for name in (
+        "rms as\nrecommended",
+        "rms\ntuned",
+        "largest",
+        "speed\n[rad/s]",
+        "flux\n[% ψ]",
+        "below 10°\nafter [ms]",
+        "lost\n[%]",
+        "ns a\nsample",
+    ):
+        out.add_column(name, justify="right")
+    for result in sorted(comparison.results, key=lambda r: r.tuned.rms):
+        tuned = result.tuned
+        style = "bold" if result.name.startswith(LEAST_SQUARES) else None
+        out.add_row(
+            result.name,
+            _rms(result.recommended),
+            _rms(tuned),
+            _degrees(float(np.degrees(tuned.worst))),
+            "" if tuned.speed is None else f"{tuned.speed:.2f}",
+            "" if tuned.flux is None else f"{100 * tuned.flux / comparison.psi:.2f}",
+            "never" if np.isnan(tuned.settled) else f"{1e3 * tuned.settled:.0f}",
+            f"{100 * tuned.lost:.1f}" if tuned.lost else "",
+            f"{1e9 * result.time:.0f}",
+            style=style,
+        )
+    return out
+
+
+COLUMNS = (
+    "record",
+    "observer",
+    "gains",
+    "settings",
+    "rms_deg",
+    "largest_deg",
+    "speed_rms_rad_s",
+    "flux_rms_Wb",
+    "below_10_deg_after_s",
+    "lost_share",
+    "bound_rms_deg",
+    "ns_a_sample",
+)
+
+
+def write_csv(comparisons: Sequence[Comparison], path: Path) -> None:
+    """All scores, two rows an observer: recommended and tuned gains."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(COLUMNS)
+    for c in comparisons:
+        for result in c.results:
+            for which, score, gains in (
+                ("recommended", result.recommended, result.recommended_gains),
+                ("tuned", result.tuned, result.gains),
+            ):
+                rows.writerow(
+                    [
+                        c.title,
+                        result.name,
+                        which,
+                        " ".join(f"{key}={value:.4g}" for key, value in gains.items()),
+                        f"{np.degrees(score.rms):.5g}",
+                        f"{np.degrees(score.worst):.5g}",
+                        "" if score.speed is None else f"{score.speed:.5g}",
+                        "" if score.flux is None else f"{score.flux:.5g}",
+                        "" if np.isnan(score.settled) else f"{score.settled:.5g}",
+                        f"{score.lost:.5g}",
+                        "" if c.bound is None else f"{np.degrees(c.bound):.5g}",
+                        f"{1e9 * result.time:.0f}",
+                    ]
+                )
+    try:
+        path.write_text(text.getvalue(), encoding="utf-8")
+    except OSError as error:
+        raise FluxobsError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def draw(comparison: Comparison, path: Path) -> None:
+    """Bars of the rms errors, and the errors of the least squares and the next best in time."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    results = sorted(comparison.results, key=lambda r: -r.tuned.rms)
+    with plt.rc_context(STYLE):
+        figure = plt.figure(figsize=(11, 5), layout="constrained")
+        bars, course = figure.subplots(1, 2, width_ratios=[1, 1.2])
+        _bars(bars, results, comparison.bound)
+        _course(course, comparison)
+        figure.suptitle(f"{comparison.title}  ·  {comparison.setting.machine.kind}", fontsize=10)
+        write(figure, path)
+        plt.close(figure)
+
+
+def _bars(axes: Axes, results: Sequence[Result], bound: float | None) -> None:
+    at = np.arange(len(results))
+    tuned = np.degrees([r.tuned.rms for r in results])
+    recommended = np.degrees([r.recommended.rms for r in results])
+    colors = [BLUE if r.name.startswith(LEAST_SQUARES) else GREY for r in results]
+    least = min(tuned.min(), 0.05) / 2
+    axes.barh(at, tuned - least, left=least, color=colors, height=0.6, label="gains tuned here")
+    axes.plot(recommended, at, "|", color=ORANGE, markersize=11, markeredgewidth=2)
+    axes.plot([], [], "|", color=ORANGE, markersize=9, markeredgewidth=2, label="as recommended")
+    if bound is not None:
+        axes.axvline(np.degrees(bound), color="black", linewidth=0.8, linestyle=":")
+        axes.plot([], [], ":", color="black", linewidth=0.8, label="bound for a raw angle")
+    for k, value in enumerate(tuned):
+        axes.text(value, k, f" {value:.2g}", va="center", fontsize=7)
+    axes.set_xscale("log")
+    axes.set_xlim(left=least)
+    axes.set_yticks(at, [r.name for r in results], fontsize=8)
+    axes.set_xlabel("position error, rms [°]")
+    axes.legend(fontsize=7, loc="lower right")
+
+
+def _course(axes: Axes, comparison: Comparison) -> None:
+    t = comparison.truth.t
+    mine = ours(comparison)
+    others = [r for r in comparison.results if not r.name.startswith(LEAST_SQUARES)]
+    shown = [*sorted(others, key=lambda r: r.tuned.rms)[:3][::-1], mine]
+    colors = ["#9ecae1", ORANGE, "#7b9e5b", BLUE]
+    step = max(1, len(t) // 4000)
+    for result, color in zip(shown, colors[-len(shown) :], strict=True):
+        axes.plot(t[::step], np.degrees(result.error)[::step], color=color, label=result.name)
+    reach = max(r.tuned.worst for r in shown)
+    axes.set_ylim(-1.2 * np.degrees(reach), 1.2 * np.degrees(reach))
+    axes.axvspan(t[0], comparison.truth.score_from, color="0.9", linewidth=0)
+    axes.set_xlim(t[0], t[-1])
+    axes.set_xlabel("t [s]        grey: not scored")
+    axes.set_ylabel("position error [°]")
+    axes.legend(fontsize=7, loc="lower right", bbox_to_anchor=(1, 1), ncols=2)
+
+
+def draw_summary(comparisons: Sequence[Comparison], path: Path) -> None:
+    """Observers against records, tuned rms errors as colours and numbers."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+    from matplotlib.colors import LogNorm
+
+    names = [r.name for r in comparisons[0].results]
+    values = np.array([[np.degrees(c.result(n).tuned.rms) for c in comparisons] for n in names])
+    with plt.rc_context(STYLE):
+        width = max(7.0, 3.2 + 0.42 * len(comparisons))
+        figure, axes = plt.subplots(figsize=(width, 4.6), layout="constrained")
+        norm: Any = LogNorm(0.03, 60)
+        picture = axes.imshow(values, norm=norm, cmap="YlOrBr", aspect="auto")
+        best = values.min(axis=0)
+        for row, line in enumerate(values):
+            for column, value in enumerate(line):
+                near = value <= NEAR * best[column]
+                axes.text(
+                    column,
+                    row,
+                    f"{value:.2f}" if value < 10 else f"{value:.0f}",
+                    ha="center",
+                    va="center",
+                    fontsize=6.5,
+                    fontweight="bold" if near else "normal",
+                    color="white" if value > 12 else "black",
+                )
+        axes.set_yticks(range(len(names)), names, fontsize=8)
+        axes.set_xticks(
+            range(len(comparisons)),
+            [c.title for c in comparisons],
+            rotation=40,
+            ha="right",
+            rotation_mode="anchor",
+            fontsize=8,
+        )
+        axes.tick_params(length=0)
+        for spine in axes.spines.values():
+            spine.set_visible(False)
+        figure.colorbar(picture, ax=axes, label="position error, rms [°]", pad=0.01)
+        axes.set_title(
+            f"{comparisons[0].setting.machine.kind}, gains tuned for every record; bold: best or "
+            "within 10 % of it",
+        )
+        write(figure, path)
+        plt.close(figure)

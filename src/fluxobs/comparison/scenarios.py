@@ -1,0 +1,335 @@
+"""The scenarios that come with the package: a drive with an encoder makes the record, and every
+observer then works on the same samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ..design.drive import (
+    Control,
+    Course,
+    Drive,
+    Inverter,
+    Mechanics,
+    Motor,
+    Plant,
+    Profile,
+    Run,
+    Sensors,
+    simulate,
+)
+from ..errors import ModelError
+from ..machines import RotatingMachine, example
+
+#: Current noise of every scenario but the ideal one, as a share of the rated current.
+NOISE = 1 / 300
+
+
+@dataclass(frozen=True)
+class Rating:
+    """What a machine file does not say of a drive.
+
+    Attributes
+    ----------
+    speed_e : float
+        Rated, electrical [rad/s].
+    torque : float
+        Rated [N m].
+    J : float
+        Inertia [kg m²].
+    dc_link : float
+        [V].
+    sample_time : float
+        [s].
+    """
+
+    speed_e: float
+    torque: float
+    J: float
+    dc_link: float
+    sample_time: float
+
+
+#: Of the shipped machines. The 2.2 kW one is that of docs/benchmarks.md.
+RATINGS = {
+    "pmsm-2kw2": Rating(2 * np.pi * 75, 14.0, 0.015, 540.0, 1.25e-4),
+    "ipm-2kw2": Rating(2 * np.pi * 75, 14.0, 0.015, 540.0, 1.25e-4),
+    "synrm-6kw7": Rating(2 * np.pi * 106, 20.0, 0.015, 540.0, 1.25e-4),
+    "servo-400w": Rating(2 * np.pi * 200, 0.8, 6e-5, 48.0, 1e-4),
+    "drone-900kv": Rating(2 * np.pi * 350, 0.25, 4e-5, 24.0, 5e-5),
+}
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A record to be made.
+
+    Attributes
+    ----------
+    name, about : str
+    speed, load : tuple of (time [s], share of the rated one)
+    duration, score_from : float
+        [s].
+    current_offset, voltage_offset : tuple of (time, α share, β share)
+        Of rated current, and of the rated voltage ω ψ.
+    noise : float
+        Share of the rated current.
+    believed : dict
+        Factors on what the observers believe: R, L, psi.
+    theta_e : float
+        Of the rotor at the start [rad].
+    limit : str
+        What bounds the least squares here, other than noise.
+    other : dict
+        dead_time [s], drop [share of dc_link], dc_link (profile of shares), gain, range (share of
+        rated current).
+    """
+
+    name: str
+    about: str
+    speed: tuple[tuple[float, float], ...] = (
+        (0.0, 0.0),
+        (0.3, 0.5),
+        (0.8, 0.5),
+        (1.2, 1.0),
+        (1.7, 1.0),
+        (2.3, -0.3),
+    )
+    load: tuple[tuple[float, float], ...] = ((0.6, 0.0), (0.6, 1.0))
+    duration: float = 3.0
+    score_from: float = 0.5
+    current_offset: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),)
+    voltage_offset: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),)
+    noise: float = NOISE
+    believed: dict[str, float] = field(default_factory=dict)
+    theta_e: float = 1.0
+    limit: str = ""
+    other: dict[str, Any] = field(default_factory=dict)
+
+
+RESISTANCE = (
+    "a wrong R turns with the rotor: it leaves a residual only while load or speed change, and is "
+    "then taken for a drift; at low speed it is (R - R') i/(ω ψ) in the angle"
+)
+INDUCTANCE = "a wrong L turns x = λ - L i by (L - L') i_q/ψ at once: no observer can see it"
+
+
+def _set() -> dict[str, Scenario]:
+    out = [Scenario("ideal", "no bias, no noise, all parameters right", noise=0.0)]
+
+    def add(name: str, about: str, **given: Any) -> None:
+        out.append(Scenario(name, about, **given))
+
+    add("noise", "current noise of 1/300 of rated, as in all that follow")
+    for sign, word in ((1, "plus"), (-1, "minus")):
+        add(
+            f"current-bias-{word}",
+            f"current offset of {5 * sign:+d} % of rated",
+            current_offset=((0.0, 0.05 * 0.6 * sign, 0.05 * 0.8 * sign),),
+        )
+    for sign, word in ((1, "plus"), (-1, "minus")):
+        add(
+            f"voltage-bias-{word}",
+            f"voltage offset of {2 * sign:+d} % of rated",
+            voltage_offset=((0.0, 0.02 * 0.8 * sign, -0.02 * 0.6 * sign),),
+        )
+    add(
+        "both-biases",
+        "offsets of 0.036 of rated current and 0.0086 of rated voltage",
+        current_offset=((0.0, 0.036 * 0.6, 0.036 * 0.8),),
+        voltage_offset=((0.0, 0.0086, 0.0),),
+    )
+    add(
+        "bias-drifts",
+        "current offset from 0 to 5 % of rated within 2 s",
+        current_offset=((0.5, 0.0, 0.0), (2.5, 0.03, 0.04)),
+        limit="a drift that moves is averaged over the memory",
+    )
+    add(
+        "bias-jumps",
+        "current offset of 2 % and voltage offset of 0.5 % change sign at 2.6 s",
+        current_offset=((0.0, 0.02, 0.0), (2.6, 0.02, 0.0), (2.6, -0.02, 0.0)),
+        voltage_offset=((0.0, 0.0, 0.005), (2.6, 0.0, 0.005), (2.6, 0.0, -0.005)),
+        limit="what was learnt before a jump counts until it is forgotten",
+    )
+    for name, factors, limit in (
+        ("R", (0.5, 0.8, 1.2, 1.5), RESISTANCE),
+        ("L", (0.8, 1.2), INDUCTANCE),
+        ("psi", (0.8, 1.2), ""),
+    ):
+        for factor in factors:
+            add(
+                f"{name}-{round(100 * factor)}",
+                f"the observers take {name} at {factor:g} of its value",
+                believed={name: factor},
+                limit=limit,
+            )
+    add(
+        "dead-time",
+        "dead time of 1/60 of a sample and device drops of 0.2 % of the DC link, not compensated",
+        load=((0.6, 0.0), (0.6, 0.6)),
+        other={"dead_time": 1 / 60, "drop": 0.002},
+        limit="the inverter's error turns with the current; near zero speed it is larger than "
+        "the EMF",
+    )
+    add(
+        "low-speed-10",
+        "10 % of rated speed, load step, reversal",
+        speed=((0.0, 0.0), (0.2, 0.1), (1.8, 0.1), (2.2, -0.1)),
+        load=((1.2, 0.0), (1.2, 1.0)),
+        limit="the drift is free, so that only what turns tells; a filter that takes it as zero "
+        "and knows psi has more to go by",
+    )
+    add(
+        "low-speed-1",
+        "1 % of rated speed, load step, no bias",
+        speed=((0.0, 0.0), (0.2, 0.01)),
+        load=((5.0, 0.0), (5.0, 1.0)),
+        limit="a memory of 1 s is 0.75 turns here; a filter that takes the drift as zero has "
+        "more to go by",
+        duration=9.0,
+        score_from=3.0,
+    )
+    add(
+        "load-step",
+        "full load on and off at half speed",
+        speed=((0.0, 0.0), (0.3, 0.5)),
+        load=((0.8, 0.0), (0.8, 1.0), (1.6, 1.0), (1.6, 0.0), (2.2, 0.0), (2.2, -1.0)),
+    )
+    add(
+        "reversal",
+        "twice through zero between half speeds under half load",
+        speed=((0.0, 0.0), (0.3, 0.5), (0.8, 0.5), (1.3, -0.5), (1.8, -0.5), (2.3, 0.5)),
+        load=((0.4, 0.0), (0.4, 0.5)),
+    )
+    add(
+        "unknown-start",
+        "from standstill with the rotor 2.8 rad from where the observers start; scored from 0.1 s",
+        speed=((0.0, 0.0), (0.05, 0.0), (0.25, 0.5)),
+        load=((0.6, 0.0), (0.6, 1.0)),
+        theta_e=2.8,
+        limit="nothing is assumed of flux and drift: the first half turn is needed to tell them "
+        "apart",
+        duration=1.5,
+        score_from=0.1,
+    )
+    add(
+        "dc-link-sag",
+        "DC link at 60 % for 0.3 s at full speed and half load; measured",
+        load=((0.6, 0.0), (0.6, 0.5)),
+        other={"dc_link": ((1.3, 1.0), (1.31, 0.6), (1.6, 0.6), (1.61, 1.0))},
+    )
+    add(
+        "gain-mismatch",
+        "current sensors of the phases at 1.02, 0.98 and 1",
+        other={"gain": (1.02, 0.98, 1.0)},
+        limit="unequal gains make L i an ellipse: twice the frequency, taken for a drift in part",
+    )
+    add(
+        "sensor-saturation",
+        "current sensors end at the rated current while the load needs 1.1 times as much at "
+        "acceleration",
+        other={"range": 1.0},
+        limit="a current that is cut off is wrong by what is missing, times L",
+    )
+    return {scenario.name: scenario for scenario in out}
+
+
+SCENARIOS = _set()
+
+
+def scenario(name: str) -> Scenario:
+    """One of the set.
+
+    Raises
+    ------
+    ModelError
+        No such scenario: names all.
+    """
+    if name not in SCENARIOS:
+        raise ModelError(f"no scenario {name!r}; there are {', '.join(SCENARIOS)}")
+    return SCENARIOS[name]
+
+
+def rating(name: str) -> Rating:
+    """Of a shipped machine.
+
+    Raises
+    ------
+    ModelError
+        A machine without one: names those with.
+    """
+    if name not in RATINGS:
+        raise ModelError(f"no drive is defined for {name!r}: scenarios run on {', '.join(RATINGS)}")
+    return RATINGS[name]
+
+
+def drive_for(machine: RotatingMachine, rated: Rating, **sensors: Any) -> Drive:
+    """Drive with an encoder for a machine: no bias, no noise, an ideal inverter."""
+    motor = Motor.of(machine)
+    most = 1.5 * float(machine.rated_current or 0.0)
+    if most == 0:
+        raise ModelError(f"rated_current is missing in the {machine.kind}: simulation needs it")
+    control = Control.of(motor, rated.J, rated.sample_time, most)
+    return Drive(Plant(motor, Mechanics(rated.J)), Inverter(), Sensors(**sensors), control)
+
+
+def believed_machine(machine: RotatingMachine, factors: dict[str, float]) -> RotatingMachine:
+    """The machine as the observers take it."""
+    fields = {
+        "R": ("R_s",),
+        "L": ("L_s", "L_d", "L_q"),
+        "psi": ("psi_f",),
+    }
+    changed = {}
+    for key, factor in factors.items():
+        for name in fields[key]:
+            if getattr(machine, name, None) is not None:
+                changed[name] = getattr(machine, name) * factor
+    return machine.model_copy(update=changed)
+
+
+def run_scenario(
+    chosen: Scenario, machine_name: str, seed: int = 0
+) -> tuple[Run, RotatingMachine, Rating]:
+    """Simulated record of a scenario on a shipped machine."""
+    rated = rating(machine_name)
+    machine = example(machine_name)
+    assert isinstance(machine, RotatingMachine)
+    assert machine.rated_current is not None
+    n_p, I_n = machine.n_p, machine.rated_current
+    # Rated voltage by the flux that the machine has at its rating.
+    psi = getattr(machine, "psi_f", None) or machine.flux_base(None, I_n)
+    assert psi is not None
+    U_n = rated.speed_e * psi
+    other = chosen.other
+
+    def offsets(knots: tuple[tuple[float, float, float], ...], size: float) -> Profile:
+        return Profile([t for t, _, _ in knots], [(size * a, size * b) for _, a, b in knots])
+
+    drive = drive_for(
+        machine,
+        rated,
+        offset=offsets(chosen.current_offset, I_n),
+        noise=chosen.noise * I_n,
+        gain=other.get("gain", (1.0, 1.0, 1.0)),
+        range=other["range"] * I_n if "range" in other else 1e9,
+    )
+    inverter = Inverter(
+        dead_time=other.get("dead_time", 0.0) * rated.sample_time,
+        drop=other.get("drop", 0.0) * rated.dc_link,
+        smoothing=0.02 * I_n,
+    )
+    drive = replace(drive, inverter=inverter)
+    link = other.get("dc_link", ((0.0, 1.0),))
+    course = Course(
+        Profile([t for t, _ in chosen.speed], [x * rated.speed_e / n_p for _, x in chosen.speed]),
+        Profile([t for t, _ in link], [x * rated.dc_link for _, x in link]),
+        Profile([t for t, _ in chosen.load], [x * rated.torque for _, x in chosen.load]),
+        offsets(chosen.voltage_offset, U_n),
+        chosen.theta_e,
+    )
+    return simulate(drive, course, chosen.duration, seed), machine, rated

@@ -1,0 +1,82 @@
+"""How wrong an observer was, in the words of a drive engineer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..frames import wrap
+
+Array = NDArray[np.float64]
+
+#: Settled is an error below this for that long; lost one above a sixth of a turn.
+SETTLED, HELD, LOST = np.radians(10.0), 0.05, np.radians(60.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What is known better than by any observer; flux and speed where there are any."""
+
+    t: Array
+    theta_e: Array
+    speed_e: Array | None
+    flux: NDArray[np.complex128] | None
+    score_from: float
+    half_turn: bool = False
+
+
+@dataclass(frozen=True)
+class Score:
+    """Of one observer on one record.
+
+    Attributes
+    ----------
+    rms, worst : float
+        Position error from `score_from` on [rad].
+    speed : float or None
+        Rms speed error, electrical [rad/s].
+    flux : float or None
+        Rms flux error [Wb].
+    settled : float
+        First time from which the error stays below 10° for 50 ms [s]; nan if never.
+    lost : float
+        Share of the scored rows with an error above 60°.
+    """
+
+    rms: float
+    worst: float
+    speed: float | None
+    flux: float | None
+    settled: float
+    lost: float
+
+
+def position_error(estimated: Array, truth: Truth) -> Array:
+    """Wrapped; modulo half a turn where the machine cannot tell. What is no number counts as a
+    half turn."""
+    difference = np.where(np.isfinite(estimated), estimated - truth.theta_e, np.pi)
+    return wrap(2 * difference) / 2 if truth.half_turn else wrap(difference)
+
+
+def score(theta_e: Array, speed_e: Array, flux: NDArray[np.complex128], truth: Truth) -> Score:
+    """Scores of estimates, one row a sample."""
+    error = np.abs(position_error(theta_e, truth))
+    scored = truth.t >= truth.score_from
+    held = max(1, round(HELD / (truth.t[1] - truth.t[0])))
+    good = np.concatenate([[0], np.cumsum(error < SETTLED)])
+    whole = good[held:] - good[:-held] == held
+    settled = float(truth.t[np.argmax(whole)]) if whole.any() else float("nan")
+
+    def rms(difference: NDArray[np.complex128] | Array) -> float:
+        return float(np.sqrt(np.mean(np.abs(difference[scored]) ** 2)))
+
+    return Score(
+        float(np.sqrt(np.mean(error[scored] ** 2))),
+        float(error[scored].max()),
+        None if truth.speed_e is None else rms(speed_e - truth.speed_e),
+        None if truth.flux is None else rms(flux - truth.flux),
+        settled,
+        float(np.mean(error[scored] > LOST)),
+    )

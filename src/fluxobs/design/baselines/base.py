@@ -1,0 +1,135 @@
+"""What the observers that people use share: protocol, machine model, phase-locked loop, runner."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..drive.motor import Motor
+from ..drive.vectors import vector
+from ..observers.least_squares import wrap
+from ..precision import real
+
+Array = jax.Array
+
+
+class Guess(NamedTuple):
+    """What such an observer says of a sample: position [rad], speed [rad/s, electrical], flux
+    linkage (complex, αβ) [Wb]."""
+
+    theta_e: Array
+    speed_e: Array
+    flux: Array
+
+
+class BaselineState(NamedTuple):
+    """Last current, whether there was one, and the observer's own state."""
+
+    current: Array
+    started: Array
+    own: Any
+
+
+class Baseline(eqx.Module):
+    """One published observer.
+
+    Subclasses give `start` and `advance`. Integrals of the voltage are exact: the voltage is the
+    mean over the interval that ends now, the resistive drop the mean of the two currents. In that
+    all are treated better than by forward Euler, the usual way.
+
+    Parameters
+    ----------
+    motor : Motor
+        What the observer believes of the machine.
+    sample_time : float
+        [s].
+    """
+
+    motor: Motor
+    sample_time: Array
+
+    def start(self) -> Any:
+        """Own state at the start: rotor at θ_e = 0, at rest."""
+        raise NotImplementedError
+
+    def advance(
+        self, own: Any, voltage: Array, volt_seconds: Array, current: Array, before: Array
+    ) -> tuple[Any, Guess]:
+        """One sample, complex vectors: `volt_seconds` ∫(u - R i) dt, `before` the last current."""
+        raise NotImplementedError
+
+    def init(self) -> BaselineState:
+        zero = jnp.zeros(())
+        return BaselineState(jax.lax.complex(zero, zero), jnp.zeros((), bool), self.start())
+
+    def step(
+        self, state: BaselineState, voltage: Array, current: Array
+    ) -> tuple[BaselineState, Guess]:
+        """Mean voltage over the interval ending now [V], current now [A], (2,) each."""
+        u, i = vector(voltage), vector(current)
+        before = jnp.where(state.started, state.current, i)
+        u = jnp.where(state.started, u, self.motor.R_s * i)
+        volt_seconds = self.sample_time * (u - self.motor.R_s * (i + before) / 2)
+        own, guess = self.advance(state.own, u, volt_seconds, i, before)
+        return BaselineState(i, jnp.ones((), bool), own), guess
+
+    # ---- what several need ---------------------------------------------------------------
+
+    def active(self, flux: Array, current: Array) -> Array:
+        """Active flux ``x = λ - L_q i``: along the rotor's d axis."""
+        return flux - self.motor.L_q * current
+
+    def length(self, current: Array, direction: Array) -> Array:
+        """Its length, ``ψ + (L_d - L_q) i_d``, with d along `direction`; never below a little."""
+        i_d = (current * jnp.conj(direction)).real
+        length = self.motor.psi_f + (self.motor.L_d - self.motor.L_q) * i_d
+        return jnp.maximum(length, 1e-3 * self.size())
+
+    def size(self) -> Array:
+        """A flux of the machine's size, also where it has no magnet [Wb]."""
+        return self.motor.psi_f + jnp.where(self.motor.psi_f > 0, 0.0, self.motor.L_d)
+
+
+class PllState(NamedTuple):
+    theta: Array
+    speed: Array
+
+
+def pll(state: PllState, theta: Array, bandwidth: Array, h: Array, weight: Any = 1.0) -> PllState:
+    """Phase-locked loop with a double pole at `bandwidth`, on an angle.
+
+    L. Harnefors, H.-P. Nee, "A general algorithm for speed and position estimation of AC motors",
+    IEEE Trans. Industrial Electronics 47 (2000), doi:10.1109/41.824128.
+    """
+    pole = jnp.exp(-bandwidth * h)
+    ahead = state.theta + h * state.speed
+    error = weight * wrap(theta - ahead)
+    return PllState(wrap(ahead + (1 - pole**2) * error), state.speed + (1 - pole) ** 2 / h * error)
+
+
+def pll_start() -> PllState:
+    return PllState(jnp.zeros(()), jnp.zeros(()))
+
+
+def angle(z: Array) -> Array:
+    return jnp.arctan2(z.imag, z.real)
+
+
+def number(value: Any) -> Array:
+    """A gain as a leaf."""
+    return real("gain", value)
+
+
+@eqx.filter_jit
+def run(observer: Any, voltage: Array, current: Array) -> Guess:
+    """A record, (rows, 2) each; row k's voltage is the mean over the interval that ends there."""
+
+    def body(state: Any, row: tuple[Array, Array]) -> tuple[Any, Guess]:
+        after, guess = observer.step(state, *row)
+        return after, guess
+
+    found: Guess = jax.lax.scan(body, observer.init(), (voltage, current))[1]
+    return found

@@ -1,0 +1,81 @@
+"""Observers on the regression of the paper (PEBO, DREM), made sample by sample."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ...constraint import QuadraticConstraint
+from ..drive.vectors import pair, vector
+from ..regression import SampledRegression
+from ..regression.sampled import Moments
+from .base import Array, Baseline, Guess, PllState, angle, number, pll, pll_start
+
+
+class RegressionState(NamedTuple):
+    moments: Moments
+    observer: Any
+    k: Array
+    pll: PllState
+
+
+class OnRegression(Baseline):
+    """An observer of :mod:`fluxobs.design.observers` on the exact sampled regression of the
+    machine's relation.
+
+    The regression's start-up, `settle` over its corner, is not used.
+
+    Parameters
+    ----------
+    constraint : QuadraticConstraint
+        Of the machine.
+    observer : FluxObserver
+        PEBO, DREM, …
+    corner : float
+        ν of the regression's filters [rad/s].
+    bandwidth : float
+        Of the phase-locked loop for the speed [rad/s].
+    """
+
+    regression: SampledRegression
+    observer: Any
+    bandwidth: Array
+
+    def __init__(
+        self,
+        motor: Any,
+        sample_time: Any,
+        constraint: QuadraticConstraint,
+        observer: Any,
+        corner: float,
+        bandwidth: Any,
+    ) -> None:
+        self.motor, self.sample_time = motor, number(sample_time)
+        self.regression = SampledRegression(constraint, corner, float(sample_time))
+        self.observer, self.bandwidth = observer, number(bandwidth)
+
+    def start(self) -> RegressionState:
+        return RegressionState(
+            self.regression.init(), self.observer.init(), jnp.zeros(()), pll_start()
+        )
+
+    def advance(
+        self,
+        own: RegressionState,
+        voltage: Array,
+        volt_seconds: Array,
+        current: Array,
+        before: Array,
+    ) -> tuple[RegressionState, Guess]:
+        h = self.sample_time
+        v = pair(volt_seconds)
+        moments, row, _ = self.regression.step(own.moments, v, pair(current))
+        use = jnp.where(own.k * h * self.regression.corner > 15.0, 1.0, 0.0)
+        row = jax.tree.map(lambda part: use * part, row)
+        observer = self.observer.step(own.observer, h, v, row)
+        flux = vector(self.observer.estimate(observer)[0])
+        theta = angle(self.active(flux, current))
+        loop = pll(own.pll, theta, self.bandwidth, h)
+        return RegressionState(moments, observer, own.k + 1, loop), Guess(theta, loop.speed, flux)
