@@ -97,7 +97,7 @@ class Control(eqx.Module):
         current_bandwidth = fast if current_bandwidth is None else current_bandwidth
         slow = min(2 * np.pi * 8, float(current_bandwidth) / 10)
         if i_d_min is None:
-            i_d_min = 0.3 * current_limit if float(motor.psi_f) == 0 else 0.0
+            i_d_min = (0.3 if float(motor.psi_f) == 0 else -1.0) * current_limit
         values = {
             "inertia": inertia,
             "sample_time": sample_time,
@@ -130,8 +130,10 @@ class Control(eqx.Module):
         """Current reference for a torque: a few rounds of i_d and i_q, then field weakening."""
         k, psi = self.motor.L_d - self.motor.L_q, self.motor.psi_f
         most = self.current_limit
-        i_q = torque / (1.5 * self.motor.n_p * (psi + jnp.abs(k) * self.i_d_min + 1e-300))
-        i_q = jnp.clip(i_q, -most, most)
+        # Exact for a surface and for a reluctance machine; a start for what lies between.
+        wanted = torque / (1.5 * self.motor.n_p)
+        root = jnp.sqrt(psi**2 + 4 * jnp.abs(k * wanted))
+        i_q = 2 * wanted / jnp.maximum(psi + root, 1e-300)
         i_d = jnp.zeros(())
         for _ in range(4):
             # Along the optimum: i_q² = i_d² + (ψ/k) i_d, so i_d from i_q by the same quadratic.
@@ -139,8 +141,8 @@ class Control(eqx.Module):
             i_d = 2 * k * i_q**2 / jnp.maximum(psi + root, 1e-300)
             i_d = jnp.maximum(i_d, self.i_d_min)
             active = psi + k * i_d
-            i_q = (i_q + torque / (1.5 * self.motor.n_p * active)) / 2
-        i_q = torque / (1.5 * self.motor.n_p * (psi + k * i_d))
+            i_q = (i_q + wanted / jnp.where(active > 0, active, 1.0)) / 2
+        i_q = wanted / jnp.maximum(psi + k * i_d, 1e-300)
         i_d = jnp.clip(i_d - weakening, -most, most)
         reach = jnp.sqrt(jnp.maximum(most**2 - i_d**2, 0.0))
         return jax.lax.complex(i_d, jnp.clip(i_q, -reach, reach))

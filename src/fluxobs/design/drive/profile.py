@@ -57,7 +57,11 @@ class Profile(eqx.Module):
 
     def at(self, t: jax.Array) -> jax.Array:
         """Values at times t (...), shape (...) or (..., 2)."""
-        if self.values.ndim == 1:
-            return jnp.interp(t, self.times, self.values)
-        columns = [jnp.interp(t, self.times, column) for column in self.values.T]
-        return jnp.stack(columns, axis=-1)
+        after = jnp.searchsorted(self.times, t, side="right")
+        low = jnp.maximum(after - 1, 0)
+        high = jnp.minimum(after, len(self.times) - 1)
+        span = self.times[high] - self.times[low]
+        share = jnp.where(span > 0, (t - self.times[low]) / jnp.where(span > 0, span, 1.0), 0.0)
+        if self.values.ndim == 2:
+            share = share[..., None]
+        return self.values[low] + share * (self.values[high] - self.values[low])

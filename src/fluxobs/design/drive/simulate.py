@@ -276,8 +276,10 @@ def stack(items: Sequence[Any]) -> Any:
         return isinstance(node, Profile)
 
     flat = [jax.tree.leaves(item, is_leaf=is_profile) for item in items]
-    if len({len(leaves) for leaves in flat}) != 1:
-        raise ModelError("a batch needs drives with the same parts (observer, sensorless, …)")
+    if len({jax.tree.structure(item, is_leaf=is_profile) for item in items}) != 1:
+        raise ModelError(
+            "a batch needs drives with the same parts: observer, sensorless, elastic coupling, …"
+        )
     for leaves in flat:
         for k, leaf in enumerate(leaves):
             if is_profile(leaf):
