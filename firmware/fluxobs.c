@@ -515,23 +515,35 @@ static int voltage_error_small(const fo_observer *o, fo_state *s)
     return s->exposed < VOLTAGE_LIMIT * o->prior[DRIFT] * s->length;
 }
 
-/* Carries the last trusted flux on by integration; returns the variance of its angle. Once
- * nothing is known of the angle any more, the flux stays where it is. */
+/* Carries the last trusted flux on by integration; returns the variance of its angle. What is
+ * wrong with the drift shows in the length of the position vector, which should stay, and is taken
+ * to be as large across it as along it. Once nothing is known of the angle any more, the flux stays
+ * where it is. */
 static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N],
                         const solution *a)
 {
+    fo_real p[FO_N], flux[FO_N];
     if (s->carried == ZERO) {
-        fo_real p[FO_N];
         position(o, s, s->flux, p);
-        s->growth = a->inflation * drift_variance(s, a) / dot(p, p);
+        const fo_real square = dot(p, p);
+        s->growth = a->inflation * drift_variance(s, a) / square;
+        s->carried_length = fo_sqrt(square);
+        s->carried_off = ZERO;
     }
     s->carried += o->h;
-    const fo_real variance = s->variance + s->growth * s->carried * s->carried;
+    for (int i = 0; i < FO_N; i++) {
+        flux[i] = s->flux[i] + v[i] + o->h * s->drift[i];
+    }
+    position(o, s, flux, p);
+    const fo_real off = fo_sqrt(dot(p, p)) / s->carried_length - ONE;
+    s->carried_off = off * off > s->carried_off ? off * off : s->carried_off;
+    const fo_real variance =
+        s->variance + s->growth * s->carried * s->carried + s->carried_off;
     if (!(variance < VARIANCE_UNKNOWN)) {
         return VARIANCE_UNKNOWN;
     }
     for (int i = 0; i < FO_N; i++) {
-        s->flux[i] += v[i] + o->h * s->drift[i];
+        s->flux[i] = flux[i];
     }
     return variance;
 }

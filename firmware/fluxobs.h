@@ -103,6 +103,7 @@ typedef struct {
     fo_real flux[FO_N], drift[FO_N];     /* last trusted, carried on while nothing is known      */
     fo_real variance, growth;            /* of the carried position: start, and a memory squared [rad^2] */
     fo_real carried;                     /* for how long [memories]                              */
+    fo_real carried_length, carried_off; /* of the position vector: at its start, largest change */
     fo_real angle, speed, acceleration;  /* tracker [rad, rad/s, rad/s^2]                        */
     uint32_t have_current, have_voltage; /* seen since the last restart                          */
     uint32_t trusted, have_carried;      /* the least squares is now; was once                   */

@@ -132,7 +132,11 @@ def _drem(s: Setting, g: Gains) -> OnRegression:
     rows, constants = _regression_rows(s, g["corner"])
     cut = len(rows.y) // 4
     psi = np.asarray(constants.psi_record(rows))[cut:]
-    basis = balanced_basis(psi.T @ psi / len(psi), 1.0)
+    gramian = psi.T @ psi / len(psi)
+    # What the record does not excite (constant speed) stays at its size instead of exploding.
+    size = np.sqrt(np.diag(gramian))
+    gramian += 1e-6 * np.diag(np.where(size > 0, size, size.max()) ** 2)
+    basis = balanced_basis(gramian, 1.0)
     inner = DremObserver(g["rate"], g["memory"], basis, constants)
     return OnRegression(s.motor, s.sample_time, s.machine.constraint, inner, g["corner"], PLL)
 

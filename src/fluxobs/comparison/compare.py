@@ -23,7 +23,7 @@ from ..machines import RotatingMachine
 from ..scales import LEAST_NOISE, VOLTAGE_OFFSET, white_noise
 from .bound import position_bound
 from .catalogue import CATALOGUE, Entry, Gains, Setting
-from .scenarios import Rating, Scenario, believed_machine, run_scenario
+from .scenarios import Scenario, believed_machine, run_scenario
 from .scoring import Score, Truth, position_error, score
 
 Array = NDArray[np.float64]
@@ -227,7 +227,7 @@ def compare_scenario(
         scenario.score_from,
         machine.half_turn_ambiguous,
     )
-    least = _bound(scenario, machine, rated, setting, run.trace) if scenario.noise else None
+    least = _bound(scenario, machine, setting, run.trace) if scenario.noise else None
     about = scenario.about + "".join(f"; {event}" for event in run.events)
     return compare(
         scenario.name,
@@ -282,9 +282,7 @@ def compare_log(
     )
 
 
-def _bound(
-    scenario: Scenario, machine: RotatingMachine, rated: Rating, setting: Setting, trace: Any
-) -> float:
+def _bound(scenario: Scenario, machine: RotatingMachine, setting: Setting, trace: Any) -> float:
     """Rms of the bound over the scored rows, with the true parameters."""
     L = machine.position_inductance
     x = np.asarray(trace.flux) - L * np.asarray(trace.current)

@@ -6,61 +6,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
-from ..design.drive import (
-    Control,
-    Course,
-    Drive,
-    Inverter,
-    Mechanics,
-    Motor,
-    Plant,
-    Profile,
-    Run,
-    Sensors,
-    simulate,
-)
+from ..design.drive import Course, Inverter, Profile, Rating, Run, encoder_drive, rating, simulate
 from ..errors import ModelError
 from ..machines import RotatingMachine, example
 
 #: Current noise of every scenario but the ideal one, as a share of the rated current.
 NOISE = 1 / 300
-
-
-@dataclass(frozen=True)
-class Rating:
-    """What a machine file does not say of a drive.
-
-    Attributes
-    ----------
-    speed_e : float
-        Rated, electrical [rad/s].
-    torque : float
-        Rated [N m].
-    J : float
-        Inertia [kg m²].
-    dc_link : float
-        [V].
-    sample_time : float
-        [s].
-    """
-
-    speed_e: float
-    torque: float
-    J: float
-    dc_link: float
-    sample_time: float
-
-
-#: Of the shipped machines. The 2.2 kW one is that of docs/benchmarks.md.
-RATINGS = {
-    "pmsm-2kw2": Rating(2 * np.pi * 75, 14.0, 0.015, 540.0, 1.25e-4),
-    "ipm-2kw2": Rating(2 * np.pi * 75, 14.0, 0.015, 540.0, 1.25e-4),
-    "synrm-6kw7": Rating(2 * np.pi * 106, 20.0, 0.015, 540.0, 1.25e-4),
-    "servo-400w": Rating(2 * np.pi * 200, 0.8, 6e-5, 48.0, 1e-4),
-    "drone-900kv": Rating(2 * np.pi * 350, 0.25, 4e-5, 24.0, 5e-5),
-}
 
 
 @dataclass(frozen=True)
@@ -254,29 +205,6 @@ def scenario(name: str) -> Scenario:
     return SCENARIOS[name]
 
 
-def rating(name: str) -> Rating:
-    """Of a shipped machine.
-
-    Raises
-    ------
-    ModelError
-        A machine without one: names those with.
-    """
-    if name not in RATINGS:
-        raise ModelError(f"no drive is defined for {name!r}: scenarios run on {', '.join(RATINGS)}")
-    return RATINGS[name]
-
-
-def drive_for(machine: RotatingMachine, rated: Rating, **sensors: Any) -> Drive:
-    """Drive with an encoder for a machine: no bias, no noise, an ideal inverter."""
-    motor = Motor.of(machine)
-    most = 1.5 * float(machine.rated_current or 0.0)
-    if most == 0:
-        raise ModelError(f"rated_current is missing in the {machine.kind}: simulation needs it")
-    control = Control.of(motor, rated.J, rated.sample_time, most)
-    return Drive(Plant(motor, Mechanics(rated.J)), Inverter(), Sensors(**sensors), control)
-
-
 def believed_machine(machine: RotatingMachine, factors: dict[str, float]) -> RotatingMachine:
     """The machine as the observers take it."""
     fields = {
@@ -310,7 +238,7 @@ def run_scenario(
     def offsets(knots: tuple[tuple[float, float, float], ...], size: float) -> Profile:
         return Profile([t for t, _, _ in knots], [(size * a, size * b) for _, a, b in knots])
 
-    drive = drive_for(
+    drive = encoder_drive(
         machine,
         rated,
         offset=offsets(chosen.current_offset, I_n),

@@ -1,6 +1,7 @@
 """Closed-loop drives: motor, inverter, sensors, control, and the observer in the loop."""
 
 from .control import Control
+from .examples import RATINGS, Rating, encoder_drive, rating, sensorless_drive
 from .inverter import Inverter
 from .motor import Mechanics, Motor, Plant
 from .profile import Profile
@@ -10,6 +11,7 @@ from .simulate import Course, Drive, Event, Run, Trace, simulate, simulate_batch
 from .vectors import rms, rpm, to_rms, to_rpm
 
 __all__ = [
+    "RATINGS",
     "Control",
     "Course",
     "Drive",
@@ -19,12 +21,16 @@ __all__ = [
     "Motor",
     "Plant",
     "Profile",
+    "Rating",
     "Run",
     "Sensorless",
     "Sensors",
     "Trace",
+    "encoder_drive",
+    "rating",
     "rms",
     "rpm",
+    "sensorless_drive",
     "simulate",
     "simulate_batch",
     "to_rms",

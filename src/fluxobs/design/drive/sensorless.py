@@ -98,7 +98,8 @@ class Sensorless(eqx.Module):
     def init(self) -> SensorlessState:
         zero = jnp.zeros(())
         one = jax.lax.complex(jnp.ones(()), zero)
-        return SensorlessState(jnp.asarray(STARTING), one, zero, zero, zero, zero * one)
+        # The current comes in as gently as at a hand-over.
+        return SensorlessState(jnp.asarray(STARTING), one, zero, zero, zero, -self.current * one)
 
     def step(
         self,

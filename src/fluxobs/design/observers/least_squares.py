@@ -62,6 +62,8 @@ class LeastSquaresState(NamedTuple):
     variance: Array  # of the carried position at its start [rad²]
     growth: Array
     carried: Array  # for how long
+    carried_length: Array  # of the position vector when it began
+    carried_off: Array  # largest square of its relative change since
     angle: Array  # tracker [rad], [rad/s], [rad/s²]
     speed: Array
     acceleration: Array
@@ -325,10 +327,16 @@ class SquareRootLeastSquares(eqx.Module):
         start = s.flux - self.L_position * current
         begins = s.carried == 0
         growth = jnp.where(begins, inflation * a.drift_variance / (start @ start), s.growth)
+        carried_length = jnp.where(begins, jnp.sqrt(start @ start), s.carried_length)
         carried = s.carried + self.h
-        carried_variance = s.variance + growth * carried**2
+        carried_flux = s.flux + v + self.h * s.drift
+        # What is wrong with the drift shows in the length, which should stay.
+        now = carried_flux - self.L_position * current
+        off = jnp.sqrt(now @ now) / jnp.where(carried_length > 0, carried_length, 1.0) - 1
+        off = jnp.maximum(off**2, jnp.where(begins, 0.0, s.carried_off))
+        carried_variance = s.variance + growth * carried**2 + off
         lost = ~(carried_variance < VARIANCE_UNKNOWN)
-        carried_flux = jnp.where(lost, s.flux, s.flux + v + self.h * s.drift)
+        carried_flux = jnp.where(lost, s.flux, carried_flux)
         carries = ~trusted & s.have_carried
         variance = jnp.where(
             trusted,
@@ -368,6 +376,8 @@ class SquareRootLeastSquares(eqx.Module):
             variance=jnp.where(trusted, own_variance, s.variance),
             growth=jnp.where(carries, growth, s.growth),
             carried=jnp.where(trusted, 0.0, jnp.where(carries, carried, s.carried)),
+            carried_length=jnp.where(carries, carried_length, s.carried_length),
+            carried_off=jnp.where(carries, off, s.carried_off),
             trusted=trusted,
             have_carried=s.have_carried | trusted,
             angle=tracker[0],

@@ -1,0 +1,146 @@
+"""Drives around the shipped machines, with an encoder or without."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ...errors import ModelError
+from ...machines import RotatingMachine
+from ...observers import LeastSquaresObserver
+from ...observers.least_squares import MEMORY, TRACKER
+from ..observers.least_squares import SquareRootLeastSquares
+from .control import Control
+from .inverter import Inverter
+from .motor import Mechanics, Motor, Plant
+from .sensorless import Sensorless
+from .sensors import Sensors
+from .simulate import Drive
+
+
+@dataclass(frozen=True)
+class Rating:
+    """What a machine file does not say of a drive.
+
+    Attributes
+    ----------
+    speed_e : float
+        Rated, electrical [rad/s].
+    torque : float
+        Rated [N m].
+    J : float
+        Inertia [kg m²].
+    dc_link : float
+        [V].
+    sample_time : float
+        [s].
+    """
+
+    speed_e: float
+    torque: float
+    J: float
+    dc_link: float
+    sample_time: float
+
+
+#: Of the shipped machines.
+RATINGS = {
+    "pmsm-2kw2": Rating(2 * np.pi * 75, 14.0, 0.015, 540.0, 1.25e-4),
+    "ipm-2kw2": Rating(2 * np.pi * 75, 14.0, 0.015, 540.0, 1.25e-4),
+    "synrm-6kw7": Rating(2 * np.pi * 106, 20.0, 0.015, 540.0, 1.25e-4),
+    "servo-400w": Rating(2 * np.pi * 200, 0.8, 6e-5, 48.0, 1e-4),
+    "drone-900kv": Rating(2 * np.pi * 350, 0.25, 4e-5, 24.0, 5e-5),
+}
+
+
+def rating(name: str) -> Rating:
+    """Of a shipped machine.
+
+    Raises
+    ------
+    ModelError
+        A machine without one: names those with.
+    """
+    if name not in RATINGS:
+        raise ModelError(f"no drive is defined for {name!r}; there is one for {', '.join(RATINGS)}")
+    return RATINGS[name]
+
+
+def _rated_current(machine: RotatingMachine) -> float:
+    if machine.rated_current is None:
+        raise ModelError(f"rated_current is missing in the {machine.kind}: simulation needs it")
+    return machine.rated_current
+
+
+def _weakening(current: float, rated: Rating) -> float:
+    """The whole current within 20 ms at a voltage that is the DC link too high [A/(V s)]."""
+    return current / (0.02 * rated.dc_link)
+
+
+def encoder_drive(machine: RotatingMachine, rated: Rating, **sensors: Any) -> Drive:
+    """Drive with an encoder, an ideal inverter and half again the rated current.
+
+    `sensors` are arguments of :class:`Sensors`.
+    """
+    motor, most = Motor.of(machine), 1.5 * _rated_current(machine)
+    control = Control.of(motor, rated.J, rated.sample_time, most, weakening=_weakening(most, rated))
+    return Drive(Plant(motor, Mechanics(rated.J)), Inverter(), Sensors(**sensors), control)
+
+
+def sensorless_drive(
+    machine: RotatingMachine,
+    rated: Rating,
+    memory: float = MEMORY,
+    believed: RotatingMachine | None = None,
+    current_noise: float | None = None,
+    drift_prior: float | None = None,
+    speed_bandwidth: float | None = None,
+    **sensors: Any,
+) -> Drive:
+    """The same with the least squares in the loop instead of the encoder.
+
+    Parameters
+    ----------
+    memory : float
+        [s]; about the time of half a turn at the slowest speed to be held.
+    believed : RotatingMachine, optional
+        What observer and controller take the machine for.
+    current_noise, drift_prior : float, optional
+        Of the observer, see :meth:`LeastSquaresObserver.for_machine`.
+    speed_bandwidth : float, optional
+        Of the speed controller [rad/s]; default three quarters over the memory, 2π 8 at most. A
+        wrong R turns the angle for a memory after each change of the torque, and a speed
+        controller that answers within that time can oscillate with it. With the right R a faster
+        one does no harm.
+    """
+    drive = encoder_drive(machine, rated, **sensors)
+    taken = machine if believed is None else believed
+    compiled = LeastSquaresObserver.for_machine(
+        taken,
+        sample_time=rated.sample_time,
+        memory=memory,
+        current_noise=current_noise,
+        drift_prior=drift_prior,
+    )
+    # The speed controller needs a speed that is no slower than with the usual memory.
+    bandwidth = min(TRACKER / MEMORY, 0.5 / rated.sample_time)
+    compiled = replace(compiled, tracker_bandwidth=bandwidth)
+    if speed_bandwidth is None:
+        speed_bandwidth = min(2 * np.pi * 8, 0.75 / memory)
+    most = 1.5 * _rated_current(machine)
+    control = Control.of(
+        Motor.of(taken),
+        rated.J,
+        rated.sample_time,
+        most,
+        speed_bandwidth=speed_bandwidth,
+        weakening=_weakening(most, rated),
+    )
+    return replace(
+        drive,
+        control=control,
+        observer=SquareRootLeastSquares.of(compiled),
+        sensorless=Sensorless.for_drive(_rated_current(machine), rated.speed_e),
+    )
