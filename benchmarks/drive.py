@@ -68,10 +68,8 @@ def main() -> None:
     least, median = best(
         lambda: simulate_batch(drives, courses, DURATION, range(LANES), keep), times=5
     )
-    print(
-        f"    median {1e6 * median / LANES / ROWS:.2f} us, best {1e6 * least / LANES / ROWS:.2f} us "
-        f"({median:.2f} s for {LANES} s)"
-    )
+    each = 1e6 / LANES / ROWS
+    print(f"    median {each * median:.2f} us, best {each * least:.2f} us ({median:.2f} s in all)")
 
 
 if __name__ == "__main__":

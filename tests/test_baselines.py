@@ -123,7 +123,7 @@ def test_missing_first_voltage_is_no_fault():
     u[0] = np.nan
     for kind in (
         ClampedIntegrator(Motor.of(machine), H, 1.0, 500.0),
-        SpeedAdaptiveObserver(Motor.of(machine), H, 0.2, 250.0),
+        SpeedAdaptiveObserver(Motor.of(machine), H, 1.0, 250.0),
     ):
         found = run(kind, jnp.asarray(u), jnp.asarray(data.current))
         assert np.isfinite(np.asarray(found.theta_e)).all()

@@ -63,5 +63,5 @@ def position_bound(
         P = P - np.outer(Pg, Pg) / (g @ Pg + r)
         P = (P + P.T) / 2
         across = s * s * P[0, 0] - 2 * s * c * P[0, 1] + c * c * P[1, 1]
-        out[k] = np.sqrt((across + r) / size**2)
+        out[k] = np.sqrt(across + r) / max(abs(size), 1e-9 * psi)
     return np.asarray(np.minimum(out, np.pi / np.sqrt(3)))

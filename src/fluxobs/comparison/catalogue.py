@@ -201,8 +201,11 @@ def _entries() -> list[Entry]:
         Entry(
             "speed-adaptive (Hinkkanen)",
             of(SpeedAdaptiveObserver),
-            lambda s: {"damping": 0.2, "bandwidth": PLL},
-            lambda s: {"damping": [0.05, 0.2, 0.6], "bandwidth": [PLL / 4, PLL, 2 * PLL, 4 * PLL]},
+            lambda s: {"gain": 1.0, "bandwidth": PLL},
+            lambda s: {
+                "gain": [0.03, 0.1, 0.3, 1.0],
+                "bandwidth": [PLL / 4, PLL, 2 * PLL, 4 * PLL],
+            },
         ),
         Entry(
             "sliding mode",
@@ -228,7 +231,7 @@ def _entries() -> list[Entry]:
             lambda s, g: _kalman(s, g, False),
             lambda s: {"voltage_noise": 0.01 * s.voltage, "acceleration": 30.0 * s.speed_e**0.5},
             lambda s: {
-                "voltage_noise": [x * s.voltage for x in (1e-3, 1e-2, 1e-1)],
+                "voltage_noise": [x * s.voltage for x in (1e-3, 1e-2, 1e-1, 1.0)],
                 "acceleration": [x * s.speed_e**0.5 for x in (3.0, 30.0, 300.0, 3000.0)],
             },
         ),
@@ -241,7 +244,7 @@ def _entries() -> list[Entry]:
                 "drift_walk": 1e-3 * s.voltage,
             },
             lambda s: {
-                "voltage_noise": [x * s.voltage for x in (1e-4, 1e-3)],
+                "voltage_noise": [x * s.voltage for x in (1e-4, 1e-3, 1e-1)],
                 "acceleration": [x * s.speed_e**0.5 for x in (3.0, 30.0, 300.0)],
                 "drift_walk": [1e-4 * s.voltage, 1e-2 * s.voltage],
             },

@@ -29,7 +29,7 @@ from .scoring import Score, Truth, position_error, score
 Array = NDArray[np.float64]
 
 #: Every observer runs with so many sets of gains at once, so that their times compare.
-LANES = 16
+LANES = 24
 #: What the name of the least squares' tracked angle ends with.
 TRACKED = ", tracked"
 
@@ -47,7 +47,7 @@ class Result:
     error : (rows,) ndarray
         Position error with the tuned gains [rad].
     time : float
-        Seconds a sample, in a batch of 16, compiled.
+        Seconds a sample, in a batch of 24, compiled.
     """
 
     name: str
@@ -99,14 +99,17 @@ class _Found(NamedTuple):
     tracked: jax.Array
     speed_e: jax.Array
     flux: jax.Array
+    valid: jax.Array
 
 
 def _lane(observer: Any, voltage: jax.Array, current: jax.Array) -> _Found:
     def body(state: Any, row: tuple[jax.Array, jax.Array]) -> tuple[Any, _Found]:
         state, out = observer.step(state, *row)
         if isinstance(observer, SquareRootLeastSquares):
-            return state, _Found(out.theta_e, out.theta_e_tracked, out.speed_e, vector(out.flux))
-        return state, _Found(out.theta_e, out.theta_e, out.speed_e, out.flux)
+            angles = out.theta_e, out.theta_e_tracked
+            return state, _Found(*angles, out.speed_e, vector(out.flux), out.valid)
+        # The others never say that they do not know.
+        return state, _Found(out.theta_e, out.theta_e, out.speed_e, out.flux, jnp.ones((), bool))
 
     return jax.lax.scan(body, observer.init(), (voltage, current))[1]
 
@@ -198,7 +201,13 @@ def _best(
     name: str, gains: list[Gains], found: _Found, theta_e: Any, truth: Truth, seconds: float
 ) -> Result:
     scores = [
-        score(theta_e[k], np.asarray(found.speed_e)[k], np.asarray(found.flux)[k], truth)
+        score(
+            theta_e[k],
+            np.asarray(found.speed_e)[k],
+            np.asarray(found.flux)[k],
+            truth,
+            np.asarray(found.valid)[k],
+        )
         for k in range(len(gains))
     ]
     k = int(np.argmin([s.rms for s in scores]))

@@ -41,17 +41,26 @@ def verdict(comparison: Comparison) -> str:
             f"; untracked {raw / comparison.bound:.2f} times the Cramér-Rao bound, "
             f"{_degrees(np.degrees(comparison.bound))}, of an angle of which nothing is assumed"
         )
+    text += _claims(comparison.result(LEAST_SQUARES).recommended)
     if mine.tuned.rms <= NEAR * best.tuned.rms:
         if best is mine:
             others = [r for r in comparison.results if not r.name.startswith(LEAST_SQUARES)]
             if others:
                 next_best = min(others, key=lambda r: r.tuned.rms)
-                text += f": the best, before {next_best.name}, {_rms(next_best.tuned)}"
+                text += f" It is the best, before {next_best.name}, {_rms(next_best.tuned)}."
         else:
-            text += f", within 10 % of the best, {best.name}, {_rms(best.tuned)}"
-        return text + "."
-    text += f". Better is {best.name}, {_rms(best.tuned)}"
+            text += f" It is within 10 % of the best, {best.name}, {_rms(best.tuned)}."
+        return text
+    text += f" Better is {best.name}, {_rms(best.tuned)}"
     return text + (f": {comparison.limit}." if comparison.limit else ".")
+
+
+def _claims(default: Score) -> str:
+    """What the observer itself says, with the default memory."""
+    text = f". With its default memory it calls {default.claimed:.0%} of the scored rows valid"
+    if default.claimed:
+        text += f" and is at most {_degrees(np.degrees(default.worst_claimed))} off on these"
+    return text + "."
 
 
 def _rms(score: Score) -> str:

@@ -43,6 +43,10 @@ class Score:
         First time from which the error stays below 10° for 50 ms [s]; nan if never.
     lost : float
         Share of the scored rows with an error above 60°.
+    claimed : float
+        Share of the scored rows that the observer calls valid.
+    worst_claimed : float
+        Largest position error on these [rad].
     """
 
     rms: float
@@ -51,6 +55,8 @@ class Score:
     flux: float | None
     settled: float
     lost: float
+    claimed: float = 1.0
+    worst_claimed: float = 0.0
 
 
 def position_error(estimated: Array, truth: Truth) -> Array:
@@ -60,10 +66,17 @@ def position_error(estimated: Array, truth: Truth) -> Array:
     return wrap(2 * difference) / 2 if truth.half_turn else wrap(difference)
 
 
-def score(theta_e: Array, speed_e: Array, flux: NDArray[np.complex128], truth: Truth) -> Score:
-    """Scores of estimates, one row a sample."""
+def score(
+    theta_e: Array,
+    speed_e: Array,
+    flux: NDArray[np.complex128],
+    truth: Truth,
+    valid: NDArray[np.bool_] | None = None,
+) -> Score:
+    """Scores of estimates, one row a sample; `valid` where an observer tells."""
     error = np.abs(position_error(theta_e, truth))
     scored = truth.t >= truth.score_from
+    claimed = np.ones(len(error), bool) if valid is None else valid
     held = max(1, round(HELD / (truth.t[1] - truth.t[0])))
     good = np.concatenate([[0], np.cumsum(error < SETTLED)])
     whole = good[held:] - good[:-held] == held
@@ -79,4 +92,6 @@ def score(theta_e: Array, speed_e: Array, flux: NDArray[np.complex128], truth: T
         None if truth.flux is None else rms(flux - truth.flux),
         settled,
         float(np.mean(error[scored] > LOST)),
+        float(np.mean(claimed[scored])),
+        float(error[scored & claimed].max(initial=0.0)),
     )

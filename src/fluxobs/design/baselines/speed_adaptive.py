@@ -24,15 +24,15 @@ class SpeedAdaptiveObserver(Baseline):
     In estimated rotor coordinates, with ``e = L_d i_d + j L_q i_q + ψ - λ̂`` and the auxiliary flux
     ``ψ_a = ψ + (L_d - L_q) i*``::
 
-        λ̂' = y + b (e + (ψ_a/ψ_a*) e*)      b = R (1/L_d + 1/L_q)/2 + ζ |ω̂|
-        ω̂' = α² ε,   θ̂' = ω̂ + 2 α ε         ε = -Im(e/ψ_a)
+        λ̂' = y + b ψ_a Re(e/ψ_a)             b = k (R (1/L_d + 1/L_q)/2 + 0.2 |ω̂|)
+        ω̂' = α² ε,   θ̂' = ω̂ + 2 α ε          ε = -Im(e/ψ_a)
 
     Parameters
     ----------
-    damping : float
-        ζ; 0.2 in the paper's experiments.
+    gain : float
+        k; 1 is the paper's choice.
     bandwidth : float
-        α [rad/s]; 2π 40 in the paper's experiments.
+        α [rad/s]; 2π 40 is usual.
 
     References
     ----------
@@ -41,12 +41,12 @@ class SpeedAdaptiveObserver(Baseline):
     54 (2018), doi:10.1109/TIA.2018.2858753.
     """
 
-    damping: Array
+    gain: Array
     bandwidth: Array
 
-    def __init__(self, motor: Any, sample_time: Any, damping: Any, bandwidth: Any) -> None:
+    def __init__(self, motor: Any, sample_time: Any, gain: Any, bandwidth: Any) -> None:
         self.motor, self.sample_time = motor, number(sample_time)
-        self.damping, self.bandwidth = number(damping), number(bandwidth)
+        self.gain, self.bandwidth = number(gain), number(bandwidth)
 
     def start(self) -> SpeedAdaptiveState:
         zero = jnp.zeros(())
@@ -69,10 +69,10 @@ class SpeedAdaptiveObserver(Baseline):
         auxiliary = jax.lax.complex(m.psi_f + k * i.real, -k * i.imag)
         square = jnp.maximum(auxiliary.real**2 + auxiliary.imag**2, (1e-3 * self.size()) ** 2)
         share = e * jnp.conj(auxiliary) / square  # e/ψ_a
-        b = m.R_s * (1 / m.L_d + 1 / m.L_q) / 2 + self.damping * jnp.abs(own.speed)
-        # e + (ψ_a/ψ_a*) e* = 2 ψ_a Re(e/ψ_a): only the part along ψ_a, by its exact decay.
-        gain = -jnp.expm1(-2 * b * h)
-        flux = flux + gain * share.real * auxiliary * jnp.conj(back)
+        b = m.R_s * (1 / m.L_d + 1 / m.L_q) / 2 + 0.2 * jnp.abs(own.speed)
+        # Only the part along ψ_a, by its exact decay.
+        decay = -jnp.expm1(-self.gain * b * h)
+        flux = flux + decay * share.real * auxiliary * jnp.conj(back)
         pole = jnp.exp(-self.bandwidth * h)
         epsilon = jnp.clip(-share.imag, -1.0, 1.0)
         speed = own.speed + (1 - pole) ** 2 / h * epsilon

@@ -241,20 +241,21 @@ def simulate_batch(
     """
     if not len(drives) == len(courses) == len(seeds) or not drives:
         raise ModelError("a batch needs as many drives as courses and seeds, at least one")
-    noise = _noise(seeds, _rows(drives[0], duration))
+    rows = _rows(drives[0], duration)
     pairs = {(id(d), id(c)): (d, c) for d, c in zip(drives, courses, strict=True)}
     for drive, course in pairs.values():
         check(drive, course)
     steps = max(substeps(drive, course) for drive, course in pairs.values())
     batch = stack(list(zip(drives, courses, strict=True)))
-    lanes = len(noise)
+    lanes = len(drives)
     wanted = min(threads or len(os.sched_getaffinity(0)), lanes)
     edges = np.linspace(0, lanes, wanted + 1).astype(int)
 
     def part(k: int) -> Any:
         cut = slice(edges[k], edges[k + 1])
         mine = jax.tree.map(lambda x: x[cut], batch)
-        return jax.tree.map(np.asarray, _simulate_many(mine, noise[cut], steps, delay, keep))
+        noise = _noise(list(seeds)[cut], rows)
+        return jax.tree.map(np.asarray, _simulate_many(mine, noise, steps, delay, keep))
 
     with ThreadPoolExecutor(wanted) as pool:
         parts = list(pool.map(part, range(wanted)))

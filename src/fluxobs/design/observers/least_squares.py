@@ -507,29 +507,36 @@ def select(condition: Array, yes: LeastSquaresState, no: LeastSquaresState) -> L
     return chosen
 
 
+def _barrier(array: Array) -> Array:
+    """The same array, which XLA computes once and not anew for every element after it."""
+    barrier: Any = jax.lax.optimization_barrier
+    kept: Array = barrier(array)
+    return kept
+
+
 def absorb(triangle: Array, row: Array) -> tuple[Array, Array]:
     """Rotates a row into R x = z (Givens); returns the triangle and what is left of its z."""
     rows = []
     for i in range(SIZE):
         old = triangle[i]
         square = old[i] ** 2 + row[i] ** 2
-        norm = jnp.sqrt(square)
-        inverse = norm / square
+        inverse = jnp.sqrt(square) / square
         cosine, sine = old[i] * inverse, row[i] * inverse
-        rows.append(jnp.where(jnp.arange(SIZE + 1) == i, norm, cosine * old + sine * row))
-        row = cosine * row - sine * old
+        rotated = _barrier(jnp.stack([cosine * old + sine * row, cosine * row - sine * old]))
+        rows.append(rotated[0])
+        row = rotated[1]
     return jnp.stack(rows), row[Z]
 
 
 def invert(R: Array) -> Array:
     """Inverse of an upper triangle."""
     diagonal = 1 / jnp.diagonal(R)
-    rows: list[Array] = [jnp.zeros(SIZE)] * SIZE
+    left, rows = jnp.eye(SIZE), []
     for i in reversed(range(SIZE)):
-        rest = sum((R[i, j] * rows[j] for j in range(i + 1, SIZE)), jnp.zeros(SIZE))
-        unit = jnp.arange(SIZE) == i
-        rows[i] = (unit - rest) * diagonal[i]
-    return jnp.stack(rows)
+        row = left[i] * diagonal[i]
+        rows.append(row)
+        left = _barrier(left - R[:, i, None] * row)
+    return jnp.stack(rows[::-1])
 
 
 def wrap(angle: Array) -> Array:
