@@ -99,6 +99,24 @@ def speeds() -> None:
             )
 
 
+def resistance_in_the_loop() -> None:
+    heading("R + 20 %, half speed, half load: speed bandwidth times memory, last half second")
+    rated, machine = rating(MACHINE), example(MACHINE)
+    wrong = believed_machine(machine, {"R": 1.2})
+    for memory, bandwidth in ((0.1, 50.0), (0.1, 7.5), (0.03, 25.0)):
+        drive = sensorless_drive(
+            machine, rated, memory, believed=wrong, noise=0.02, speed_bandwidth=bandwidth
+        )
+        speed, load = ((0, 0), (0.2, 0), (1.0, 0.5)), ((1.0, 0), (1.1, 0.5))
+        run = simulate(drive, course(rated, machine, speed, load, theta_e=2.0), 2.5)
+        late = run.t > 2.0
+        i_q = (run.trace.current * np.exp(-1j * run.trace.theta_e)).imag
+        print(
+            f"    {bandwidth * memory:4.2f}: rms {np.sqrt(np.mean(errors(run)[late] ** 2)):.2f} "
+            f"degrees, i_q swings by {i_q[late].std():.2f} A rms"
+        )
+
+
 def jumps() -> None:
     heading(
         "Biases that jump during operation, under full load (2.2 V and 0.22 A, changed in sign)"
@@ -192,6 +210,7 @@ def machines() -> None:
 if __name__ == "__main__":
     table_of_theory()
     speeds()
+    resistance_in_the_loop()
     jumps()
     starts()
     machines()

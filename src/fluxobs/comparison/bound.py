@@ -4,7 +4,7 @@ Per sample the current is measured with noise σ, and the position is free: noth
 the rotor's motion. What remains is one radial equation a sample, ``|λ - L i| = length``, known up
 to L σ; across it the noise of the present current is the only knowledge of the present angle.
 Unknown are flux, drift and magnet flux, all constant but for what the voltage moves; noise of the
-current also enters the flux through R. Derivation: docs/theory.md, section 13.
+current also enters the flux through R. Derivation: docs/theory.md, section 12.
 """
 
 from __future__ import annotations
