@@ -186,13 +186,13 @@ def _bars(axes: Axes, results: Sequence[Result], bound: float | None) -> None:
     if bound is not None:
         axes.axvline(np.degrees(bound), color="black", linewidth=0.8, linestyle=":")
         axes.plot([], [], ":", color="black", linewidth=0.8, label="bound for a raw angle")
-    for k, value in enumerate(tuned):
-        axes.text(value, k, f" {value:.2g}", va="center", fontsize=7)
+    for k, (value, other) in enumerate(zip(tuned, recommended, strict=True)):
+        axes.text(max(value, other), k, f"  {value:.2g}", va="center", fontsize=7)
     axes.set_xscale("log")
-    axes.set_xlim(left=least)
+    axes.set_xlim(least, 2.5 * max(tuned.max(), recommended.max()))
     axes.set_yticks(at, [r.name for r in results], fontsize=8)
     axes.set_xlabel("position error, rms [°]")
-    axes.legend(fontsize=7, loc="lower right")
+    axes.legend(fontsize=7, loc="lower right", bbox_to_anchor=(1, 1), ncols=3)
 
 
 def _course(axes: Axes, comparison: Comparison) -> None:
@@ -203,7 +203,9 @@ def _course(axes: Axes, comparison: Comparison) -> None:
     colors = ["#9ecae1", ORANGE, "#7b9e5b", BLUE]
     step = max(1, len(t) // 4000)
     for result, color in zip(shown, colors[-len(shown) :], strict=True):
-        axes.plot(t[::step], np.degrees(result.error)[::step], color=color, label=result.name)
+        error = np.degrees(result.error)[::step]
+        error[1:][np.abs(np.diff(error)) > 180] = np.nan  # no line where the angle wraps
+        axes.plot(t[::step], error, color=color, label=result.name)
     reach = max(r.tuned.worst for r in shown)
     axes.set_ylim(-1.2 * np.degrees(reach), 1.2 * np.degrees(reach))
     axes.axvspan(t[0], comparison.truth.score_from, color="0.9", linewidth=0)
