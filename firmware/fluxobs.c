@@ -515,10 +515,10 @@ static int voltage_error_small(const fo_observer *o, fo_state *s)
     return s->exposed < VOLTAGE_LIMIT * o->prior[DRIFT] * s->length;
 }
 
-/* Carries the last trusted flux on by integration; returns the variance of its angle. What is
- * wrong with the drift shows in the length of the position vector, which should stay, and is taken
- * to be as large across it as along it. Once nothing is known of the angle any more, the flux stays
- * where it is. */
+/* Carries the last trusted flux on by integration; returns the variance of its angle. It grows
+ * with what is not known of the drift and with a voltage error as large as the drift's prior; where
+ * the length of the position vector, which should stay, says that the error is larger, with that.
+ * Once nothing is known of the angle any more, the flux stays where it is. */
 static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N],
                         const solution *a)
 {
@@ -526,7 +526,8 @@ static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N]
     if (s->carried == ZERO) {
         position(o, s, s->flux, p);
         const fo_real square = dot(p, p);
-        s->growth = a->inflation * drift_variance(s, a) / square;
+        const fo_real plausible = ONE / (o->prior[DRIFT] * o->prior[DRIFT]);
+        s->growth = (a->inflation * drift_variance(s, a) + plausible) / square;
         s->carried_length = fo_sqrt(square);
         s->carried_off = ZERO;
     }

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from fluxobs import LeastSquaresObserver
 from fluxobs.design.drive import (
     Control,
     Course,
@@ -20,6 +21,7 @@ from fluxobs.design.drive import (
     Motor,
     Plant,
     Profile,
+    Sensorless,
     Sensors,
     rms,
     rpm,
@@ -29,6 +31,7 @@ from fluxobs.design.drive import (
     to_rpm,
 )
 from fluxobs.design.drive.vectors import from_phases, phases, turn
+from fluxobs.design.observers.least_squares import SquareRootLeastSquares
 from fluxobs.errors import ModelError
 from fluxobs.machines import SurfacePMSM, example
 
@@ -363,12 +366,38 @@ def test_unreachable_torque_is_named():
 
 
 def test_impossible_values_are_named():
-    with pytest.raises(ModelError, match="J must be positive"):
+    with pytest.raises(ModelError, match="J must be positive, got 0"):
         Mechanics(0.0)
     with pytest.raises(ModelError, match="both J_load and stiffness"):
         Mechanics(0.01, stiffness=10.0)
-    with pytest.raises(ModelError, match="dead_time must not be negative"):
+    with pytest.raises(ModelError, match="dead_time must be zero or positive, got -1e-06"):
         Inverter(dead_time=-1e-6)
+    with pytest.raises(ModelError, match="switching must be a number of parts"):
+        Inverter(switching=2.5)
+    with pytest.raises(ModelError, match="n_p must be a whole number"):
+        Motor(1.0, 1e-3, 1e-3, 0.1, 2.5)
+    with pytest.raises(ModelError, match="R_s must be positive"):
+        Motor(-1.0, 1e-3, 1e-3, 0.1, 2)
+    with pytest.raises(ModelError, match=r"offset must be a pair"):
+        Sensors(offset=0.1)
+    with pytest.raises(ModelError, match="noise must be zero or positive"):
+        Sensors(noise=-1.0)
+    with pytest.raises(ModelError, match=r"course.speed must be a number of numbers in time"):
+        simulate(drive(), Course([0.0, 100.0], 540.0), 0.1)
+    with pytest.raises(ModelError, match="duration must be a number of seconds"):
+        simulate(drive(), Course(10.0, 540.0), float("nan"))
+    stiff = Mechanics(1e-3, J_load=1e-3, stiffness=1e12)
+    with pytest.raises(ModelError, match=r"stiffness is .* steps a sample of 0.000125 s. Leave"):
+        simulate(replace(drive(), plant=Plant(MACHINES["pmsm-2kw2"], stiff)), Course(1.0, 540.0), 1)
+    compiled = LeastSquaresObserver.for_machine(example("pmsm-2kw2"), sample_time=H)
+    with pytest.raises(ModelError, match=r"drive.observer is a LeastSquaresObserver; make it with"):
+        simulate(replace(drive(), observer=compiled), Course(10.0, 540.0), 0.1)
+    with pytest.raises(ModelError, match=r"drive.sensorless needs a drive.observer"):
+        simulate(replace(drive(), sensorless=Sensorless(5.0, 40.0, 80.0)), Course(1.0, 540.0), 0.1)
+    other = LeastSquaresObserver.for_machine(example("pmsm-2kw2"), sample_time=1e-3)
+    slow = replace(drive(), observer=SquareRootLeastSquares.of(other))
+    with pytest.raises(ModelError, match=r"the observer's sample time, 0.001 s, is not the dr"):
+        simulate(slow, Course(1.0, 540.0), 0.1)
     with pytest.raises(ModelError, match="psi_f is missing"):
         Motor.of(SurfacePMSM(R_s=1.0, L_s=1e-3, n_p=4))
     with pytest.raises(ModelError, match="no drive can be simulated with a maglev-2dof"):

@@ -79,16 +79,34 @@ def test_standstill_is_loss_of_excitation_and_is_said(drive, load):
     run = simulate(drive, course(speed, ((0.8, 0), (0.8, load)), theta_e=1.0), 4.0, seed=1)
     lost = times(run, "position lost")
     assert len(lost) == 1
-    assert 1.2 < lost[0] < 3.0
+    assert 1.1 < lost[0] < 1.6
     k = round(lost[0] / RATED.sample_time)
     std = np.degrees(run.trace.reading.theta_e_std)
-    assert std[k] >= 30
     assert run.trace.mode[k] == 0
-    # While it was in the loop it was as right as it said, and not valid once it stood.
+    # While it was in the loop it was as right as it said; valid only where the rotor swings.
     running = run.trace.mode == 1
     assert (np.abs(position_error(run))[running] < 3 * std[running] + 2.0).all()
     assert np.abs(position_error(run)[running]).max() < 10.0
-    assert not run.trace.reading.valid[run.t > 1.3].any()
+    valid = run.trace.reading.valid
+    assert not valid[(run.t > 1.2) & (run.t < lost[0])].any()
+    assert np.abs(position_error(run)[valid]).max() < 5.0
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_a_wrong_resistance_at_a_stop_under_load_ends_in_a_loss_that_is_said(factor):
+    """The drop that is taken wrongly lies across the flux: neither residual nor length shows it.
+    What limits the harm is that the drive does not go on for long without a valid position."""
+    wrong = MACHINE.model_copy(update={"R_s": factor * MACHINE.R_s})
+    drive = sensorless_drive(MACHINE, RATED, believed=wrong, noise=0.02)
+    speed = ((0, 0), (0.2, 0), (0.7, 0.3), (0.9, 0.3), (1.1, 0.0))
+    given = {"voltage_offset": (0.0, 0.0), "theta_e": 1.0}
+    run = simulate(drive, course(speed, ((0.8, 0), (0.8, 0.5)), **given), 2.0, seed=1)
+    assert times(run, "position lost")
+    at = round(times(run, "position lost")[-1] / RATED.sample_time)
+    assert run.trace.mode[at] == 0
+    running = run.trace.mode == 1
+    assert np.abs(position_error(run)[running]).max() < 60.0
+    assert not run.trace.reading.valid[at - 100 : at].any()
 
 
 def test_biases_that_jump_do_not_stop_the_drive(drive):
@@ -106,13 +124,16 @@ def test_biases_that_jump_do_not_stop_the_drive(drive):
 
 
 def test_one_percent_of_rated_speed_with_full_load_step():
-    slow = sensorless_drive(MACHINE, RATED, memory=0.67, speed_bandwidth=50.0, **BIASES)
+    # At 1 % the EMF is 2.6 V: voltage errors other than offsets have to be far below.
+    slow = sensorless_drive(
+        MACHINE, RATED, memory=0.67, speed_bandwidth=50.0, drift_prior=0.25, **BIASES
+    )
     run = simulate(
         slow, course(((0, 0), (0.2, 0), (0.3, 0.01)), ((3.0, 0), (3.0, 1)), theta_e=2.0), 4.0
     )
     assert not times(run, "position lost")
     running = run.trace.mode == 1
-    assert running[run.t > 1.5].all()
+    assert running[run.t > 2.0].all()
     assert np.sqrt(np.mean(position_error(run)[running] ** 2)) < 0.3
     assert run.trace.speed[-1] * MACHINE.n_p / RATED.speed_e == pytest.approx(0.01, abs=0.002)
 

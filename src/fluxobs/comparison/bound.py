@@ -1,10 +1,10 @@
-"""The least position error that any unbiased observer can have on a record (Cramér–Rao).
+"""The least position error of an observer that knows neither magnet flux, drift nor motion.
 
-Per sample the current is measured with noise σ, and the position is free: nothing is assumed of
-the rotor's motion. What remains is one radial equation a sample, ``|λ - L i| = length``, known up
-to L σ; across it the noise of the present current is the only knowledge of the present angle.
-Unknown are flux, drift and magnet flux, all constant but for what the voltage moves; noise of the
-current also enters the flux through R. Derivation: docs/theory.md, section 12.
+Cramér–Rao, for machines with one inductance. Per sample the current is measured with noise σ, and
+the position is free: nothing is assumed of the rotor's motion. What remains is one radial equation
+a sample, ``|λ - L i| = ψ``, known up to L σ; across it the noise of the present current is the only
+knowledge of the present angle. Noise of the current also enters the flux through R, and it is the
+same noise. Derivation: docs/theory.md, section 12.
 """
 
 from __future__ import annotations
@@ -54,14 +54,17 @@ def position_bound(
     Q = np.zeros((5, 5))
     Q[0, 0] = Q[1, 1] = (h * resistance * noise) ** 2
     out = np.empty(len(theta_e))
+    shared = h * resistance * inductance * noise**2  # of the flux's step with the measurement
     for k, (angle, size) in enumerate(zip(theta_e, length, strict=True)):
-        if k:
-            P = F @ P @ F.T + Q
         c, s = np.cos(angle), np.sin(angle)
         g = np.array([c, s, 0.0, 0.0, -1.0])
         Pg = P @ g
-        P = P - np.outer(Pg, Pg) / (g @ Pg + r)
-        P = (P + P.T) / 2
-        across = s * s * P[0, 0] - 2 * s * c * P[0, 1] + c * c * P[1, 1]
+        seen = g @ Pg + r
+        now = P - np.outer(Pg, Pg) / seen
+        across = s * s * now[0, 0] - 2 * s * c * now[0, 1] + c * c * now[1, 1]
         out[k] = np.sqrt(across + r) / max(abs(size), 1e-9 * psi)
+        # To the next sample: step and measurement share their noise along e(φ).
+        gain = F @ Pg + shared * np.array([c, s, 0.0, 0.0, 0.0])
+        P = F @ P @ F.T + Q - np.outer(gain, gain) / seen
+        P = (P + P.T) / 2
     return np.asarray(np.minimum(out, np.pi / np.sqrt(3)))

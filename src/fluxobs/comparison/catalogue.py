@@ -120,12 +120,20 @@ def _regression_rows(s: Setting, corner: float) -> tuple[Any, Parametrisation]:
     return rows, Parametrisation(constraint, "voltage-bias", corner)
 
 
+def _on_regression(s: Setting, inner: Any, g: Gains) -> OnRegression:
+    return OnRegression(
+        s.motor, s.sample_time, s.machine.constraint, inner, g["corner"], g["bandwidth"]
+    )
+
+
 def _pebo(s: Setting, g: Gains) -> OnRegression:
     rows, _ = _regression_rows(s, g["corner"])
     phi = np.asarray(rows.Phi_flux)[len(rows.y) // 4 :]
     Gamma = g["rate"] / np.mean(phi**2)
     inner = PEBO(2, "gradient", float(Gamma))
-    return OnRegression(s.motor, s.sample_time, s.machine.constraint, inner, g["corner"], PLL)
+    return OnRegression(
+        s.motor, s.sample_time, s.machine.constraint, inner, g["corner"], g["bandwidth"]
+    )
 
 
 def _drem(s: Setting, g: Gains) -> OnRegression:
@@ -138,7 +146,9 @@ def _drem(s: Setting, g: Gains) -> OnRegression:
     gramian += 1e-6 * np.diag(np.where(size > 0, size, size.max()) ** 2)
     basis = balanced_basis(gramian, 1.0)
     inner = DremObserver(g["rate"], g["memory"], basis, constants)
-    return OnRegression(s.motor, s.sample_time, s.machine.constraint, inner, g["corner"], PLL)
+    return OnRegression(
+        s.motor, s.sample_time, s.machine.constraint, inner, g["corner"], g["bandwidth"]
+    )
 
 
 def _kalman(s: Setting, g: Gains, with_drift: bool) -> KalmanFilter:
@@ -159,7 +169,7 @@ def _entries() -> list[Entry]:
     def of(kind: Any, **fixed: Any) -> Callable[[Setting, Gains], Any]:
         return lambda s, g: kind(s.motor, s.sample_time, **g, **fixed)
 
-    cutoffs = (0.01, 0.03, 0.1, 0.3)
+    cutoffs = (0.03, 0.1, 0.3, 1.0)
     return [
         Entry(
             "least squares",
@@ -171,39 +181,57 @@ def _entries() -> list[Entry]:
         Entry(
             "voltage model, low-pass",
             of(FilteredVoltageModel, order=1),
-            lambda s: {"cutoff": 0.05 * s.speed_e, "bandwidth": PLL},
-            lambda s: {"cutoff": [c * s.speed_e for c in cutoffs], "bandwidth": [PLL / 4, PLL]},
+            lambda s: {"cutoff": 0.2, "least": 0.005 * s.speed_e, "bandwidth": PLL},
+            lambda s: {
+                "cutoff": list(cutoffs),
+                "least": [0.002 * s.speed_e, 0.02 * s.speed_e],
+                "bandwidth": [PLL / 4, PLL],
+            },
         ),
         Entry(
             "voltage model, high-pass",
             of(FilteredVoltageModel, order=2),
-            lambda s: {"cutoff": 0.05 * s.speed_e, "bandwidth": PLL},
-            lambda s: {"cutoff": [c * s.speed_e for c in cutoffs], "bandwidth": [PLL / 4, PLL]},
+            lambda s: {"cutoff": 0.2, "least": 0.005 * s.speed_e, "bandwidth": PLL},
+            lambda s: {
+                "cutoff": list(cutoffs),
+                "least": [0.002 * s.speed_e, 0.02 * s.speed_e],
+                "bandwidth": [PLL / 4, PLL],
+            },
         ),
         Entry(
             "gradient (Ortega, Lee)",
-            of(LengthGradient, bandwidth=2 * PLL),
-            lambda s: {"gain": 1000.0},
-            lambda s: {"gain": [3.0, 10.0, 30.0, 100.0, 300.0, 3000.0]},
+            of(LengthGradient),
+            lambda s: {"gain": 1000.0, "bandwidth": 2 * PLL},
+            lambda s: {
+                "gain": [10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0],
+                "bandwidth": [PLL, 2 * PLL, 4 * PLL],
+            },
         ),
         Entry(
             "gradient, adapting",
-            of(LengthGradient, bandwidth=2 * PLL),
-            lambda s: {"gain": 1000.0, "adaptation": 10.0},
-            lambda s: {"gain": [30.0, 100.0, 300.0, 1000.0], "adaptation": [1.0, 10.0, 100.0]},
+            of(LengthGradient),
+            lambda s: {"gain": 1000.0, "adaptation": 10.0, "bandwidth": 2 * PLL},
+            lambda s: {
+                "gain": [30.0, 100.0, 300.0, 1000.0],
+                "adaptation": [1.0, 100.0],
+                "bandwidth": [PLL, 3 * PLL],
+            },
         ),
         Entry(
             "clamped integrator (MXLEMMING)",
-            of(ClampedIntegrator, bandwidth=2 * PLL),
-            lambda s: {"level": 1.0},
-            lambda s: {"level": [0.8, 0.9, 1.1, 1.2]},
+            of(ClampedIntegrator),
+            lambda s: {"level": 1.0, "bandwidth": 2 * PLL},
+            lambda s: {
+                "level": [0.8, 0.9, 1.0, 1.1, 1.2],
+                "bandwidth": [PLL, 2 * PLL, 4 * PLL],
+            },
         ),
         Entry(
             "speed-adaptive (Hinkkanen)",
             of(SpeedAdaptiveObserver),
             lambda s: {"gain": 1.0, "bandwidth": PLL},
             lambda s: {
-                "gain": [0.03, 0.1, 0.3, 1.0],
+                "gain": [0.03, 0.1, 0.3, 1.0, 3.0],
                 "bandwidth": [PLL / 4, PLL, 2 * PLL, 4 * PLL],
             },
         ),
@@ -252,20 +280,22 @@ def _entries() -> list[Entry]:
         Entry(
             "PEBO (gradient)",
             _pebo,
-            lambda s: {"corner": 0.5 * s.speed_e, "rate": 30.0},
+            lambda s: {"corner": 0.5 * s.speed_e, "rate": 30.0, "bandwidth": PLL},
             lambda s: {
                 "corner": [0.1 * s.speed_e, 0.5 * s.speed_e],
                 "rate": [3.0, 30.0, 300.0],
+                "bandwidth": [PLL, 3 * PLL],
             },
         ),
         Entry(
             "DREM",
             _drem,
-            lambda s: {"corner": 0.5 * s.speed_e, "rate": 100.0, "memory": 0.1},
+            lambda s: {"corner": 0.5 * s.speed_e, "rate": 100.0, "memory": 0.1, "bandwidth": PLL},
             lambda s: {
                 "corner": [0.1 * s.speed_e, 0.5 * s.speed_e],
                 "rate": [10.0, 1000.0],
                 "memory": [0.1, 0.5],
+                "bandwidth": [PLL, 3 * PLL],
             },
         ),
     ]

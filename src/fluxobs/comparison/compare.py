@@ -19,7 +19,7 @@ from ..design.drive.vectors import vector
 from ..design.observers.least_squares import SquareRootLeastSquares
 from ..errors import FluxobsError, RecordError
 from ..logs import Log
-from ..machines import RotatingMachine
+from ..machines import RotatingMachine, SurfacePMSM
 from ..scales import LEAST_NOISE, VOLTAGE_OFFSET, white_noise
 from .bound import position_bound
 from .catalogue import CATALOGUE, Entry, Gains, Setting
@@ -66,8 +66,8 @@ class Comparison:
     Attributes
     ----------
     bound : float or None
-        Rms of the Cramér–Rao bound over the scored rows [rad]; None without current noise or
-        without a true flux.
+        Rms of the Cramér–Rao bound over the scored rows [rad]; None without current noise, for
+        salient machines, with wrong parameters, and for logs.
     limit : str
         What else bounds the least squares on this record, in words.
     """
@@ -109,7 +109,7 @@ def _lane(observer: Any, voltage: jax.Array, current: jax.Array) -> _Found:
             angles = out.theta_e, out.theta_e_tracked
             return state, _Found(*angles, out.speed_e, vector(out.flux), out.valid)
         # The others never say that they do not know.
-        return state, _Found(out.theta_e, out.theta_e, out.speed_e, out.flux, jnp.ones((), bool))
+        return state, _Found(out.theta_e, out.tracked, out.speed_e, out.flux, jnp.ones((), bool))
 
     return jax.lax.scan(body, observer.init(), (voltage, current))[1]
 
@@ -190,29 +190,36 @@ def compare(
             started = time.perf_counter()
             found = jax.tree.map(np.asarray, compiled(observers, *signals))
             seconds = (time.perf_counter() - started) / LANES / len(current)
-            results.append(_best(entry.name, gains, found, found.theta_e, truth, seconds))
+            raw_angle, tracked = found.theta_e, found.tracked
             if entry.least_squares:
+                results.append(_best(entry.name, gains, found, [raw_angle], truth, seconds))
                 name = entry.name + TRACKED
-                results.append(_best(name, gains, found, found.tracked, truth, seconds))
+                results.append(_best(name, gains, found, [tracked], truth, seconds))
+            else:
+                angles = [raw_angle, tracked]
+                results.append(_best(entry.name, gains, found, angles, truth, seconds))
     return Comparison(title, about, setting, truth, bound, tuple(results), limit)
 
 
 def _best(
-    name: str, gains: list[Gains], found: _Found, theta_e: Any, truth: Truth, seconds: float
+    name: str, gains: list[Gains], found: _Found, angles: list[Any], truth: Truth, seconds: float
 ) -> Result:
+    """Scores of the first angle at the first gains, and of the best of all angles and gains."""
+    choices = [(angle, k) for angle in angles for k in range(len(gains))]
     scores = [
         score(
-            theta_e[k],
+            angle[k],
             np.asarray(found.speed_e)[k],
             np.asarray(found.flux)[k],
             truth,
             np.asarray(found.valid)[k],
         )
-        for k in range(len(gains))
+        for angle, k in choices
     ]
-    k = int(np.argmin([s.rms for s in scores]))
-    error = position_error(theta_e[k], truth)
-    return Result(name, scores[0], scores[k], gains[0], gains[k], error, seconds)
+    chosen = int(np.argmin([s.rms for s in scores]))
+    angle, k = choices[chosen]
+    error = position_error(angle[k], truth)
+    return Result(name, scores[0], scores[chosen], gains[0], gains[k], error, seconds)
 
 
 def compare_scenario(
@@ -236,7 +243,9 @@ def compare_scenario(
         scenario.score_from,
         machine.half_turn_ambiguous,
     )
-    least = _bound(scenario, machine, setting, run.trace) if scenario.noise else None
+    # The bound is that of a machine with one inductance, at its right parameters.
+    bounded = scenario.noise > 0 and isinstance(machine, SurfacePMSM) and not scenario.believed
+    least = _bound(scenario, machine, setting, run.trace) if bounded else None
     about = scenario.about + "".join(f"; {event}" for event in run.events)
     return compare(
         scenario.name,

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from importlib.metadata import version
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from ..errors import ModelError
 
 #: XLA shares out even the smallest kernels of a loop among threads. A drive simulated sample by
 #: sample then takes up to 2.5 times as long, on twice the processors.
@@ -57,4 +60,23 @@ def real(name: str, value: Any, shape: tuple[int, ...] | None = None) -> jax.Arr
             raise ValueError(f"{name} must be finite, got {float(array[at])}{where}")
     if shape is not None and array.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
+    return array
+
+
+def positive(name: str, value: Any, shape: tuple[int, ...] | None = ()) -> jax.Array:
+    """Like :func:`real`, and above zero."""
+    return _bounded(name, value, shape, "positive", lambda array: array > 0)
+
+
+def not_negative(name: str, value: Any, shape: tuple[int, ...] | None = ()) -> jax.Array:
+    """Like :func:`real`, and zero or above."""
+    return _bounded(name, value, shape, "zero or positive", lambda array: array >= 0)
+
+
+def _bounded(
+    name: str, value: Any, shape: tuple[int, ...] | None, what: str, holds: Callable[[Any], Any]
+) -> jax.Array:
+    array = real(name, value, shape)
+    if not isinstance(array, jax.core.Tracer) and not holds(np.asarray(array)).all():
+        raise ModelError(f"{name} must be {what}, got {np.asarray(array).tolist()}")
     return array

@@ -67,7 +67,7 @@ class ExtendedEmf(Baseline):
         theta = _rotor_angle(emf, speed, _lag(fade, speed * h) + speed * h / 2)
         loop = pll(own.pll, theta, self.bandwidth, h)
         x = self.length(current, _unit(loop.theta)) * _unit(loop.theta)
-        return EmfState(emf, loop), Guess(loop.theta, loop.speed, x + m.L_q * current)
+        return EmfState(emf, loop), Guess(loop.theta, loop.speed, x + m.L_q * current, loop.theta)
 
 
 class SlidingState(NamedTuple):
@@ -139,7 +139,7 @@ class SlidingMode(Baseline):
         loop = pll(own.pll, theta, self.bandwidth, h)
         x = self.length(current, _unit(loop.theta)) * _unit(loop.theta)
         return SlidingState(modelled, forced, emf, loop), Guess(
-            loop.theta, loop.speed, x + m.L_q * current
+            loop.theta, loop.speed, x + m.L_q * current, loop.theta
         )
 
 

@@ -18,11 +18,12 @@ Array = jax.Array
 
 class Guess(NamedTuple):
     """What such an observer says of a sample: position [rad], speed [rad/s, electrical], flux
-    linkage (complex, αβ) [Wb]."""
+    linkage (complex, αβ) [Wb], and the position of its phase-locked loop [rad]."""
 
     theta_e: Array
     speed_e: Array
     flux: Array
+    tracked: Array
 
 
 class BaselineState(NamedTuple):

@@ -70,7 +70,7 @@ class LengthGradient(Baseline):
         theta = angle(x)
         loop = pll(own.pll, theta, self.bandwidth, h)
         flux = x + self.motor.L_q * current
-        return GradientState(x, psi, loop), Guess(theta, loop.speed, flux)
+        return GradientState(x, psi, loop), Guess(theta, loop.speed, flux, loop.theta)
 
 
 class ClampedState(NamedTuple):
@@ -111,4 +111,4 @@ class ClampedIntegrator(Baseline):
         theta = angle(x)
         loop = pll(own.pll, theta, self.bandwidth, self.sample_time)
         flux = x + self.motor.L_q * current
-        return ClampedState(x, loop), Guess(theta, loop.speed, flux)
+        return ClampedState(x, loop), Guess(theta, loop.speed, flux, loop.theta)

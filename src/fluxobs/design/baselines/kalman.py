@@ -115,4 +115,4 @@ class KalmanFilter(Baseline):
         x = x.at[3].set(wrap(x[3]))
         left = jnp.eye(size) - K @ H
         P = left @ P @ left.T + r * K @ K.T
-        return KalmanState(x, P), Guess(x[3], x[2], jax.lax.complex(x[0], x[1]))
+        return KalmanState(x, P), Guess(x[3], x[2], jax.lax.complex(x[0], x[1]), x[3])

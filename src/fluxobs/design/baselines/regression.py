@@ -78,4 +78,6 @@ class OnRegression(Baseline):
         flux = vector(self.observer.estimate(observer)[0])
         theta = angle(self.active(flux, current))
         loop = pll(own.pll, theta, self.bandwidth, h)
-        return RegressionState(moments, observer, own.k + 1, loop), Guess(theta, loop.speed, flux)
+        return RegressionState(moments, observer, own.k + 1, loop), Guess(
+            theta, loop.speed, flux, loop.theta
+        )

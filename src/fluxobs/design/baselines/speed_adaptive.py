@@ -24,13 +24,13 @@ class SpeedAdaptiveObserver(Baseline):
     In estimated rotor coordinates, with ``e = L_d i_d + j L_q i_q + ψ - λ̂`` and the auxiliary flux
     ``ψ_a = ψ + (L_d - L_q) i*``::
 
-        λ̂' = y + b ψ_a Re(e/ψ_a)             b = k (R (1/L_d + 1/L_q)/2 + 0.2 |ω̂|)
+        λ̂' = y + b ψ_a Re(e/ψ_a)             b = k (R (1/L_d + 1/L_q)/2 + 0.4 |ω̂|)
         ω̂' = α² ε,   θ̂' = ω̂ + 2 α ε          ε = -Im(e/ψ_a)
 
     Parameters
     ----------
     gain : float
-        k; 1 is the paper's choice.
+        k; 1 is the usual choice, with ζ_∞ = 0.2.
     bandwidth : float
         α [rad/s]; 2π 40 is usual.
 
@@ -69,7 +69,7 @@ class SpeedAdaptiveObserver(Baseline):
         auxiliary = jax.lax.complex(m.psi_f + k * i.real, -k * i.imag)
         square = jnp.maximum(auxiliary.real**2 + auxiliary.imag**2, (1e-3 * self.size()) ** 2)
         share = e * jnp.conj(auxiliary) / square  # e/ψ_a
-        b = m.R_s * (1 / m.L_d + 1 / m.L_q) / 2 + 0.2 * jnp.abs(own.speed)
+        b = m.R_s * (1 / m.L_d + 1 / m.L_q) / 2 + 0.4 * jnp.abs(own.speed)
         # Only the part along ψ_a, by its exact decay.
         decay = -jnp.expm1(-self.gain * b * h)
         flux = flux + decay * share.real * auxiliary * jnp.conj(back)
@@ -77,4 +77,4 @@ class SpeedAdaptiveObserver(Baseline):
         epsilon = jnp.clip(-share.imag, -1.0, 1.0)
         speed = own.speed + (1 - pole) ** 2 / h * epsilon
         theta = wrap(theta + (1 - pole**2) * epsilon)
-        return SpeedAdaptiveState(flux, theta, speed), Guess(theta, speed, flux)
+        return SpeedAdaptiveState(flux, theta, speed), Guess(theta, speed, flux, theta)

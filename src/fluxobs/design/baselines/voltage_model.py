@@ -19,31 +19,39 @@ class VoltageModelState(NamedTuple):
 
 class FilteredVoltageModel(Baseline):
     """Low-pass instead of an integrator, ``λ_c' = y - ω_c λ_c`` (order 1), or that and a high-pass
-    after it (order 2), which blocks offsets; what either takes at the present speed is given back,
-    ``λ̂ = λ_c (1 - jω_c/ω̂)^order``.
+    after it (order 2), which blocks offsets; ω_c goes with the speed, and what the filters take at
+    that speed is given back, ``λ̂ = λ_c (1 - jω_c/ω̂)^order``.
 
     Parameters
     ----------
-    cutoff : float
-        ω_c [rad/s].
+    cutoff, least : float
+        ω_c over |ω̂|; and what ω_c does not go below [rad/s].
     bandwidth : float
         Of the phase-locked loop that says ω̂ [rad/s].
 
     References
     ----------
-    J. Hu, B. Wu, "New integration algorithms for estimating motor flux over a wide speed range",
-    IEEE Trans. Power Electronics 13 (1998), doi:10.1109/63.712323.
+    M. Hinkkanen, J. Luomi, "Modified integrator for voltage model flux estimation of induction
+    motors", IEEE Trans. Industrial Electronics 50 (2003).
     """
 
     cutoff: Array
+    least: Array
     bandwidth: Array
     order: int = eqx.field(static=True)
 
     def __init__(
-        self, motor: Any, sample_time: Any, cutoff: Any, bandwidth: Any, order: int = 1
+        self,
+        motor: Any,
+        sample_time: Any,
+        cutoff: Any,
+        least: Any,
+        bandwidth: Any,
+        order: int = 1,
     ) -> None:
         self.motor, self.sample_time = motor, number(sample_time)
-        self.cutoff, self.bandwidth, self.order = number(cutoff), number(bandwidth), order
+        self.cutoff, self.least = number(cutoff), number(least)
+        self.bandwidth, self.order = number(bandwidth), order
 
     def start(self) -> VoltageModelState:
         flux = jax.lax.complex(self.size(), jnp.zeros(()))
@@ -59,14 +67,15 @@ class FilteredVoltageModel(Baseline):
     ) -> tuple[VoltageModelState, Guess]:
         h = self.sample_time
         # Bilinear, so that the compensation is right up to (ωh)².
-        a = self.cutoff * h / 2
+        speed = own.pll.speed
+        corner = jnp.maximum(self.cutoff * jnp.abs(speed), self.least)
+        a = corner * h / 2
         first = ((1 - a) * own.first + volt_seconds) / (1 + a)
         second = ((1 - a) * own.second + first - own.first) / (1 + a)
-        speed = own.pll.speed
-        least = self.cutoff
+        least = self.least
         safe = jnp.where(jnp.abs(speed) > least, speed, jnp.where(speed < 0, -least, least))
-        give_back = jax.lax.complex(jnp.ones(()), -self.cutoff / safe)
+        give_back = jax.lax.complex(jnp.ones(()), -corner / safe)
         flux = first * give_back if self.order == 1 else second * give_back**2
         theta = angle(self.active(flux, current))
         loop = pll(own.pll, theta, self.bandwidth, h)
-        return VoltageModelState(first, second, loop), Guess(theta, loop.speed, flux)
+        return VoltageModelState(first, second, loop), Guess(theta, loop.speed, flux, loop.theta)

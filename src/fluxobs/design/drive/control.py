@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...errors import ModelError
-from ..precision import real
+from ..precision import not_negative, positive, real
 from .motor import Motor
 from .vectors import ROOT3, limit
 
@@ -108,7 +108,13 @@ class Control(eqx.Module):
             "weakening": weakening,
             "voltage_use": voltage_use,
         }
-        return cls(motor, **{name: real(name, value) for name, value in values.items()})
+        kinds = {"i_d_min": real, "weakening": not_negative}
+        checked = {
+            name: kinds.get(name, positive)(name, value, ()) for name, value in values.items()
+        }
+        if not float(checked["voltage_use"]) <= 1:
+            raise ModelError(f"voltage_use must be at most 1, got {voltage_use}")
+        return cls(motor, **checked)
 
     def init(self) -> ControlState:
         zero = jnp.zeros(())
@@ -142,8 +148,10 @@ class Control(eqx.Module):
             i_d = jnp.maximum(i_d, self.i_d_min)
             active = psi + k * i_d
             i_q = (i_q + wanted / jnp.where(active > 0, active, 1.0)) / 2
+        # Weakening stops where no flux is left to make torque with.
+        floor = jnp.where(psi > 0, -psi / self.motor.L_d, self.i_d_min)
+        i_d = jnp.clip(jnp.maximum(i_d - weakening, floor), -most, most)
         i_q = wanted / jnp.maximum(psi + k * i_d, 1e-300)
-        i_d = jnp.clip(i_d - weakening, -most, most)
         reach = jnp.sqrt(jnp.maximum(most**2 - i_d**2, 0.0))
         return jax.lax.complex(i_d, jnp.clip(i_q, -reach, reach))
 
@@ -171,23 +179,23 @@ class Control(eqx.Module):
         current: Array,
         speed_e: Array,
         dc_link: Array,
+        aligned: Array | bool = True,
     ) -> tuple[ControlState, Array, Array]:
-        """Realisable voltage for a current error, all in rotor coordinates, and whether cut."""
-        m, a, h = self.motor, self.current_bandwidth, self.sample_time
+        """Realisable voltage for a current error, all in rotor coordinates, and whether cut.
+
+        Where the frame is not `aligned` with the rotor either inductance may meet either axis:
+        both have the gains of the smaller one, and nothing is known of the rotor's EMF.
+        """
+        a, h = self.current_bandwidth, self.sample_time
+        L_d, L_q = self._inductances(aligned)
         error = reference - current
-        # Cross terms, and active damping through the resistance a L - R.
-        flux = jax.lax.complex(m.L_d * current.real + m.psi_f, m.L_q * current.imag)
-        turning = jax.lax.complex(-speed_e * flux.imag, speed_e * flux.real)
-        damping = jax.lax.complex(
-            (a * m.L_d - m.R_s) * current.real, (a * m.L_q - m.R_s) * current.imag
-        )
-        proportional = jax.lax.complex(a * m.L_d * error.real, a * m.L_q * error.imag)
-        wanted = proportional + state.voltage + turning - damping
+        proportional = jax.lax.complex(a * L_d * error.real, a * L_q * error.imag)
+        wanted = proportional + state.voltage + self._known(current, speed_e, aligned)
         most = self.voltage_use * dc_link / ROOT3
         voltage = limit(wanted, most)
         left = voltage - wanted
         gained = jax.lax.complex(
-            a * a * m.L_d * error.real + a * left.real, a * a * m.L_q * error.imag + a * left.imag
+            a * a * L_d * error.real + a * left.real, a * a * L_q * error.imag + a * left.imag
         )
         size = jnp.sqrt(wanted.real**2 + wanted.imag**2)
         # Field weakening: less flux while the voltage is near its limit, back when it is not.
@@ -197,6 +205,28 @@ class Control(eqx.Module):
             state._replace(voltage=state.voltage + h * gained, weakening=weakening),
             voltage,
             size > most,
+        )
+
+    def continued(
+        self, state: ControlState, voltage: Array, current: Array, speed_e: Array, aligned: Array
+    ) -> ControlState:
+        """Integrator with which the next voltage is that one, where the current is as wanted."""
+        return state._replace(voltage=voltage - self._known(current, speed_e, aligned))
+
+    def _inductances(self, aligned: Array | bool) -> tuple[Array, Array]:
+        m = self.motor
+        least = jnp.minimum(m.L_d, m.L_q)
+        return jnp.where(aligned, m.L_d, least), jnp.where(aligned, m.L_q, least)
+
+    def _known(self, current: Array, speed_e: Array, aligned: Array | bool) -> Array:
+        """Cross terms, less active damping through the resistance a L - R."""
+        m, a = self.motor, self.current_bandwidth
+        L_d, L_q = self._inductances(aligned)
+        speed_e = jnp.where(aligned, speed_e, 0.0)
+        flux = jax.lax.complex(m.L_d * current.real + m.psi_f, m.L_q * current.imag)
+        return jax.lax.complex(
+            -speed_e * flux.imag - (a * L_d - m.R_s) * current.real,
+            speed_e * flux.real - (a * L_q - m.R_s) * current.imag,
         )
 
     def check(self) -> None:

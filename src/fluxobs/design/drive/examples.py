@@ -127,6 +127,8 @@ def sensorless_drive(
     # The speed controller needs a speed that is no slower than with the usual memory.
     bandwidth = min(TRACKER / MEMORY, 0.5 / rated.sample_time)
     compiled = replace(compiled, tracker_bandwidth=bandwidth)
+    # A voltage error as large as the drift's prior turns the flux by half a radian meanwhile.
+    ride = 0.5 * compiled.flux_base / compiled.drift_prior
     if speed_bandwidth is None:
         speed_bandwidth = min(2 * np.pi * 8, 0.75 / memory)
     most = 1.5 * _rated_current(machine)
@@ -142,5 +144,5 @@ def sensorless_drive(
         drive,
         control=control,
         observer=SquareRootLeastSquares.of(compiled),
-        sensorless=Sensorless.for_drive(_rated_current(machine), rated.speed_e),
+        sensorless=Sensorless.for_drive(_rated_current(machine), rated.speed_e, ride=ride),
     )

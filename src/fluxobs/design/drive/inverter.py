@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from ...errors import ModelError
-from ..precision import real
+from ..precision import not_negative, positive
 from .vectors import from_phases, phases
 
 Array = jax.Array
@@ -49,12 +49,10 @@ class Inverter(eqx.Module):
         smoothing: Any = 0.1,
         switching: int = 0,
     ) -> None:
-        for name, value in (("dead_time", dead_time), ("drop", drop), ("R_on", R_on)):
-            array = real(name, value)
-            if not isinstance(array, jax.core.Tracer) and (array < 0).any():
-                raise ModelError(f"{name} must not be negative, got {float(array.min())}")
-            setattr(self, name, array)
-        self.smoothing = real("smoothing", smoothing)
+        self.dead_time, self.drop = not_negative("dead_time", dead_time), not_negative("drop", drop)
+        self.R_on, self.smoothing = not_negative("R_on", R_on), positive("smoothing", smoothing)
+        if not isinstance(switching, int) or isinstance(switching, bool) or switching < 0:
+            raise ModelError(f"switching must be a number of parts, 0 for none, got {switching!r}")
         self.switching = switching
 
     def duties(self, voltage: Array, dc_link: Array) -> Array:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from ...errors import ModelError
 from ...machines import InteriorPMSM, RotatingMachine, SurfacePMSM, SynchronousReluctance
-from ..precision import real
+from ..precision import not_negative, positive, real
 from .vectors import turn
 
 Array = jax.Array
@@ -31,8 +31,11 @@ class Motor(eqx.Module):
     n_p: Array
 
     def __init__(self, R_s: Any, L_d: Any, L_q: Any, psi_f: Any, n_p: Any) -> None:
-        self.R_s, self.L_d, self.L_q = real("R_s", R_s), real("L_d", L_d), real("L_q", L_q)
-        self.psi_f, self.n_p = real("psi_f", psi_f), real("n_p", n_p)
+        self.R_s, self.L_d = positive("R_s", R_s), positive("L_d", L_d)
+        self.L_q, self.psi_f = positive("L_q", L_q), not_negative("psi_f", psi_f)
+        if isinstance(n_p, int | float) and (n_p < 1 or n_p != int(n_p)):
+            raise ModelError(f"n_p must be a whole number of pole pairs, got {n_p}")
+        self.n_p = real("n_p", n_p, ())
 
     @classmethod
     def of(cls, machine: RotatingMachine) -> Motor:
@@ -111,17 +114,15 @@ class Mechanics(eqx.Module):
         stiffness: Any = None,
         damping: Any = 0.0,
     ) -> None:
-        self.J = real("J", J)
-        if not isinstance(self.J, jax.core.Tracer) and not (self.J > 0).all():
-            raise ModelError(f"J must be positive, got {float(self.J.min())} kg m²")
-        self.viscous, self.coulomb = real("viscous", viscous), real("coulomb", coulomb)
-        self.fan, self.smoothing = real("fan", fan), real("smoothing", smoothing)
+        self.J, self.viscous = positive("J", J), not_negative("viscous", viscous)
+        self.coulomb, self.fan = not_negative("coulomb", coulomb), not_negative("fan", fan)
+        self.smoothing = positive("smoothing", smoothing)
         if (J_load is None) != (stiffness is None):
             raise ModelError("an elastic coupling needs both J_load and stiffness")
         self.elastic = stiffness is not None
-        self.J_load = real("J_load", 1.0 if J_load is None else J_load)
-        self.stiffness = real("stiffness", 0.0 if stiffness is None else stiffness)
-        self.damping = real("damping", damping)
+        self.J_load = positive("J_load", 1.0 if J_load is None else J_load)
+        self.stiffness = positive("stiffness", 1.0 if stiffness is None else stiffness)
+        self.damping = not_negative("damping", damping)
 
     def resisting(self, speed: Array) -> Array:
         """What friction and fan take at a speed [N m]."""

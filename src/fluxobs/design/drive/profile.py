@@ -37,10 +37,17 @@ class Profile(eqx.Module):
 
     def __init__(self, times: Any, values: Any) -> None:
         self.times, self.values = real("times", times), real("values", values)
-        if self.times.ndim != 1 or len(self.times) == 0 or len(self.values) != len(self.times):
+        shape = self.values.shape
+        if (
+            self.times.ndim != 1
+            or len(self.times) == 0
+            or len(shape) not in (1, 2)
+            or shape[0] != len(self.times)
+            or shape[1:] not in ((), (2,))
+        ):
             raise ModelError(
-                f"a profile needs as many values as times, got {self.values.shape} and "
-                f"{self.times.shape}"
+                f"a profile needs as many values, numbers or pairs (α, β), as times; got shapes "
+                f"{self.values.shape} and {self.times.shape}"
             )
         if not isinstance(self.times, jax.core.Tracer):
             back = np.flatnonzero(np.diff(np.asarray(self.times)) < 0)

@@ -21,13 +21,14 @@ STARTING, RUNNING = 0, 1
 
 class SensorlessState(NamedTuple):
     """Mode; frame in which currents are controlled, its speed [rad/s electrical]; how long the
-    observer has been sure [s]; time since the start [s]; what is left of the last current step
-    between modes [A, in the frame]."""
+    observer has been sure, and how long not valid [s]; time since the start [s]; what is left of
+    the last current step between modes [A, in the frame]."""
 
     mode: Array
     direction: Array
     speed_e: Array
     sure: Array
+    unsure: Array
     running: Array
     left: Array
 
@@ -36,10 +37,11 @@ class Sensorless(eqx.Module):
     """Decides which angle the drive runs on.
 
     Starting (I/f): a current of `current` turns with the reference speed, at most `speed`, after
-    `align` seconds at rest. The observer takes over when its standard deviation has been below
-    `ready` for `hold` seconds. It goes on through a reversal, where it carries the flux by
-    integration, as long as its standard deviation stays below `lost`; then the drive says that it
-    is lost and goes back to starting, at the speed it had.
+    `align` seconds at rest. The observer takes over when its position has been valid, with a
+    standard deviation below `ready`, for `hold` seconds, and the reference is not zero. Where the
+    position is not valid, near zero speed, the drive goes on for `ride` seconds as long as the
+    standard deviation stays below `lost`; then it says that it is lost and goes back to starting,
+    at the speed it had.
 
     Parameters
     ----------
@@ -49,10 +51,10 @@ class Sensorless(eqx.Module):
         Fastest without feedback [rad/s electrical].
     acceleration : float
         [rad/s² electrical].
-    align, hold, blend : float
+    align, hold, blend, ride : float
         [s]; `blend` is the time constant with which currents change at hand-over.
     ready, lost : float
-        Standard deviations of the angle [rad]; 5 and 30 degrees.
+        Standard deviations of the angle [rad]; 2 and 30 degrees.
     """
 
     current: Array
@@ -61,6 +63,7 @@ class Sensorless(eqx.Module):
     align: Array
     hold: Array
     blend: Array
+    ride: Array
     ready: Array
     lost: Array
 
@@ -72,7 +75,8 @@ class Sensorless(eqx.Module):
         align: Any = 0.1,
         hold: Any = 0.02,
         blend: Any = 0.02,
-        ready: Any = np.pi / 36,
+        ride: Any = 0.15,
+        ready: Any = np.pi / 90,
         lost: Any = np.pi / 6,
     ) -> None:
         for name, value in (
@@ -82,6 +86,7 @@ class Sensorless(eqx.Module):
             ("align", align),
             ("hold", hold),
             ("blend", blend),
+            ("ride", ride),
             ("ready", ready),
             ("lost", lost),
         ):
@@ -99,7 +104,8 @@ class Sensorless(eqx.Module):
         zero = jnp.zeros(())
         one = jax.lax.complex(jnp.ones(()), zero)
         # The current comes in as gently as at a hand-over.
-        return SensorlessState(jnp.asarray(STARTING), one, zero, zero, zero, -self.current * one)
+        start = -self.current * one
+        return SensorlessState(jnp.asarray(STARTING), one, zero, zero, zero, zero, start)
 
     def step(
         self,
@@ -114,14 +120,18 @@ class Sensorless(eqx.Module):
         Returns
         -------
         state, direction, speed_e
-        turned : complex
-            New frame seen from the old one where the mode changed, else 1.
+        changed : bool
+            Whether the frame is another one than it was.
         """
         h = sample_time
-        sure = jnp.where(reading.theta_e_std < self.ready, state.sure + h, 0.0)
+        good = reading.valid & (reading.theta_e_std < self.ready)
+        sure = jnp.where(good, state.sure + h, 0.0)
+        unsure = jnp.where(reading.valid, 0.0, state.unsure + h)
         was_running = state.mode == RUNNING
-        takes_over = ~was_running & (sure >= self.hold) & (state.running >= self.align)
-        loses = was_running & ~(reading.theta_e_std < self.lost)
+        # Where standstill is asked for the position would be lost again at once.
+        moves = jnp.abs(reference_e) > 1e-3 * self.speed
+        takes_over = ~was_running & moves & (sure >= self.hold) & (state.running >= self.align)
+        loses = was_running & (~(reading.theta_e_std < self.lost) | (unsure > self.ride))
         running = (was_running | takes_over) & ~loses
         # Without feedback: the frame turns towards the reference speed.
         aim = jnp.where(state.running < self.align, 0.0, reference_e)
@@ -135,15 +145,13 @@ class Sensorless(eqx.Module):
         open_direction = jnp.where(loses & (size > 0.05 * self.current), along, open_direction)
         direction = jnp.where(running, turn(reading.theta_e), open_direction)
         speed_e = jnp.where(running, reading.speed_e, open_speed)
-        changed = takes_over | loses
-        before = state.direction * turn(h * state.speed_e)
-        turned = jnp.where(changed, direction * jnp.conj(before), 1.0)
         state = SensorlessState(
             jnp.where(running, RUNNING, STARTING),
             direction,
             speed_e,
             sure,
+            unsure,
             state.running + h,
             state.left * jnp.exp(-h / self.blend),
         )
-        return state, direction, speed_e, turned
+        return state, direction, speed_e, takes_over | loses

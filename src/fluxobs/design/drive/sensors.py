@@ -8,7 +8,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..precision import real
+from ...errors import ModelError
+from ..precision import not_negative, positive
 from .profile import Profile
 from .vectors import from_phases, phases
 
@@ -55,9 +56,12 @@ class Sensors(eqx.Module):
         dc_link_gain: Any = 1.0,
     ) -> None:
         self.offset = Profile.of(offset)
-        self.noise, self.gain = real("noise", noise), real("gain", gain, (3,))
-        self.quantum, self.range = real("quantum", quantum), real("range", range)
-        self.jitter, self.dc_link_gain = real("jitter", jitter), real("dc_link_gain", dc_link_gain)
+        if self.offset.values.ndim != 2 or self.offset.values.shape[-1] != 2:
+            raise ModelError("offset must be a pair (α, β), or a Profile of pairs")
+        self.noise, self.gain = not_negative("noise", noise), positive("gain", gain, (3,))
+        self.quantum, self.range = not_negative("quantum", quantum), positive("range", range)
+        self.jitter = not_negative("jitter", jitter)
+        self.dc_link_gain = positive("dc_link_gain", dc_link_gain)
 
     def measure(
         self, current: Array, slope: Array, offset: Array, noise: Array, late: Array

@@ -30,6 +30,10 @@ Array = jax.Array
 
 #: A drive trips at this many times its current limit.
 TRIP = 3.0
+#: A speed is off its reference by more than this share of the largest one.
+UNFOLLOWED = 0.1
+#: Integration steps a sample beyond which a drive is too stiff for its sample time.
+MOST_STEPS = 100
 
 
 class Drive(eqx.Module):
@@ -112,6 +116,7 @@ class Trace(NamedTuple):
     voltage_limited: Array
     current_limited: Array
     tripped: Array
+    reference: Array  # speed [rad/s]
     reading: Reading | None
 
 
@@ -136,7 +141,8 @@ class Run:
     Attributes
     ----------
     events : tuple of Event
-        Limits met, trips, hand-overs and losses of the position.
+        Limits met, trips, hand-overs and losses of the position, a reference not followed at the
+        end. A trip makes the voltage zero: a short at the terminals.
     """
 
     sample_time: float
@@ -225,8 +231,8 @@ def simulate_batch(
         same number of switching parts, and the same sample time.
     keep : callable
         Of a row of the trace: what is returned of it. A record of everything takes half a gigabyte
-        for 256 seconds at 8 kHz; keep what you score. The same function object again does not
-        compile again.
+        for 256 seconds at 8 kHz; keep what you score, and `row.tripped` to see
+        trips. The same function object again does not compile again.
     threads : int, optional
         Default one a processor.
 
@@ -242,6 +248,9 @@ def simulate_batch(
     if not len(drives) == len(courses) == len(seeds) or not drives:
         raise ModelError("a batch needs as many drives as courses and seeds, at least one")
     rows = _rows(drives[0], duration)
+    times = {float(drive.sample_time) for drive in drives}
+    if len(times) != 1:
+        raise ModelError(f"a batch needs one sample time, got {sorted(times)} s")
     pairs = {(id(d), id(c)): (d, c) for d, c in zip(drives, courses, strict=True)}
     for drive, course in pairs.values():
         check(drive, course)
@@ -314,12 +323,38 @@ def _padded(profile: Profile, length: int) -> Profile:
 
 def check(drive: Drive, course: Course) -> None:
     """Raises ModelError for what cannot work."""
+    for name, kind in (
+        ("plant", Plant),
+        ("inverter", Inverter),
+        ("sensors", Sensors),
+        ("control", Control),
+        ("observer", SquareRootLeastSquares | None),
+        ("sensorless", Sensorless | None),
+    ):
+        part = getattr(drive, name, None)
+        if not isinstance(part, kind):
+            advice = "; make it with SquareRootLeastSquares.of(…)" if name == "observer" else ""
+            raise ModelError(f"drive.{name} is a {type(part).__name__}{advice}")
+    for name, dimensions in (("speed", 1), ("load", 1), ("dc_link", 1), ("voltage_offset", 2)):
+        if getattr(course, name).values.ndim != dimensions:
+            what = "numbers" if dimensions == 1 else "pairs (α, β)"
+            raise ModelError(f"course.{name} must be a number of {what} in time: Profile(times, …)")
+    if drive.sensorless is not None and drive.observer is None:
+        raise ModelError("drive.sensorless needs a drive.observer")
+    if drive.observer is not None and not np.isclose(
+        float(drive.observer.sample_time), float(drive.sample_time), rtol=1e-6
+    ):
+        raise ModelError(
+            f"the observer's sample time, {float(drive.observer.sample_time):g} s, is not the "
+            f"drive's, {float(drive.sample_time):g} s"
+        )
     drive.control.check()
     most, heaviest = float(drive.control.most_torque()), float(np.abs(course.load.values).max())
     if heaviest > most:
         raise ModelError(
             f"a load of {heaviest:.4g} N m cannot be held: at the current limit, "
-            f"{float(drive.control.current_limit):.4g} A, the torque is {most:.4g} N m"
+            f"{float(drive.control.current_limit):.4g} A, the torque is {most:.4g} N m. Lower the "
+            f"load, or raise current_limit"
         )
     if not (np.asarray(course.dc_link.values) > 0).all():
         raise ModelError(f"dc_link must be positive, got {float(course.dc_link.values.min())} V")
@@ -328,15 +363,26 @@ def check(drive: Drive, course: Course) -> None:
 def substeps(drive: Drive, course: Course) -> int:
     """Runge-Kutta steps a sample, such that each is a tenth of every time constant at most."""
     h, motor, m = float(drive.sample_time), drive.plant.motor, drive.plant.mechanics
-    fastest = float(np.abs(course.speed.values).max()) * 1.2 * float(motor.n_p)
+    speeds = np.append(np.abs(course.speed.values), np.abs(course.start_speed))
+    fastest = float(speeds.max()) * 1.2 * float(motor.n_p)
     rates = [float(motor.R_s) / min(float(motor.L_d), float(motor.L_q)), fastest]
+    rates += [(float(m.viscous) + float(m.coulomb / m.smoothing)) / float(m.J)]
     if m.elastic:
         least = 1 / (1 / float(m.J) + 1 / float(m.J_load))
         rates += [np.sqrt(float(m.stiffness) / least), float(m.damping) / least]
-    return int(np.ceil(h * max(rates) / 0.1))
+    steps = int(np.ceil(h * max(rates) / 0.1))
+    if steps > MOST_STEPS:
+        names = ["R_s/L", "speed", "friction/J", "stiffness", "damping"]
+        raise ModelError(
+            f"{names[int(np.argmax(rates))]} is {max(rates):.3g} 1/s: {steps} steps a sample of "
+            f"{h:g} s. Leave out what is that stiff, or take shorter samples"
+        )
+    return max(steps, 1)
 
 
 def _rows(drive: Drive, duration: float) -> int:
+    if not (isinstance(duration, int | float) and np.isfinite(duration)):
+        raise ModelError(f"duration must be a number of seconds, got {duration!r}")
     rows = round(duration / float(drive.sample_time))
     if rows < 2:
         raise ModelError(
@@ -406,7 +452,8 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
     plant, control, h = drive.plant, drive.control, drive.sample_time
     motor, state = plant.motor, loop.plant
     current = plant.current(state)
-    slope = (loop.acted - motor.R_s * current) / motor.L_q
+    rate = plant.rate(state, loop.acted, row.load)
+    _, slope = jax.jvp(plant.current, (state,), (rate,))
     measured = drive.sensors.measure(current, slope, row.current_offset, row.noise, row.late)
     dc_link = row.dc_link * drive.sensors.dc_link_gain
 
@@ -422,17 +469,18 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
         kept, torque, cut = control.speed_step(kept, reference, state.speed)
         wanted = control.current_for(torque, kept.weakening)
     else:
-        sensorless, direction, speed_e, turned = drive.sensorless.step(
+        sensorless, direction, speed_e, changed = drive.sensorless.step(
             sensorless, reading, motor.n_p * reference, measured, h
         )
         mode = sensorless.mode
         # The same voltage and current in the new frame.
-        changed = (turned.real != 1.0) | (turned.imag != 0.0)
         seen = measured * jnp.conj(direction)
         torque_now = motor.torque_dq(seen.real, seen.imag)
         running = mode == RUNNING
+        last = loop.pending * jnp.conj(direction)
+        entered = control.continued(kept, last, seen, speed_e, running)
         kept = kept._replace(
-            voltage=kept.voltage * jnp.conj(turned),
+            voltage=jnp.where(changed, entered.voltage, kept.voltage),
             torque=jnp.where(running & ~changed, kept.torque, torque_now),
         )
         stepped, torque, cut = control.speed_step(kept, reference, speed_e / motor.n_p)
@@ -447,7 +495,7 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
         sensorless = sensorless._replace(left=left)
         wanted = limit(demand + left, control.current_limit)
     kept, voltage_dq, limited = control.current_step(
-        kept, wanted, measured * jnp.conj(direction), speed_e, dc_link
+        kept, wanted, measured * jnp.conj(direction), speed_e, dc_link, mode == RUNNING
     )
     # The voltage acts half a sample after its interval's start, and one later with a delay.
     ahead = (1.5 if delay else 0.5) * h * speed_e
@@ -472,6 +520,7 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
         limited,
         cut,
         tripped,
+        reference,
         reading,
     )
     return _Loop(after, kept, acting, command, observer, sensorless, tripped), rows
@@ -498,7 +547,8 @@ def _pass(
     def part(carried: tuple[PlantState, Array], k: Array) -> tuple[tuple[PlantState, Array], None]:
         now, total = carried
         u = inverter.switched(duties, row.dc_link, plant.current(now), h, k)
-        return (plant.advance(now, u, row.load, h / parts, 1), total + u / parts), None
+        each = max(1, -(-steps // parts))
+        return (plant.advance(now, u, row.load, h / parts, each), total + u / parts), None
 
     start = (state, jnp.zeros_like(voltage))
     (after, mean), _ = jax.lax.scan(part, start, jnp.arange(parts))
@@ -528,4 +578,20 @@ def _finish(trace: Trace, h: float) -> Run:
     change = np.diff(trace.mode)
     for what, rows in (("observer in the loop", change > 0), ("position lost", change < 0)):
         events += [Event(what, float(t[k + 1])) for k in np.flatnonzero(rows)]
+    events += _unfollowed(np.asarray(t, np.float64), trace)
     return Run(h, np.asarray(t), trace, tuple(sorted(events, key=lambda event: event.at)))
+
+
+def _unfollowed(t: NDArray[np.float64], trace: Trace) -> list[Event]:
+    """A position that was never known, and a speed that ends far from its reference."""
+    events = []
+    if not (trace.mode == RUNNING).any():
+        events.append(Event("observer never in the loop", float(t[0]), 1.0))
+    largest = np.abs(trace.reference).max()
+    off = np.abs(trace.speed - trace.reference) > UNFOLLOWED * largest
+    last = np.flatnonzero(~off)[-1] + 1 if (~off).any() else 0
+    if largest > 0 and len(t) - last > len(t) // 20:
+        events.append(
+            Event("speed reference not followed", float(t[last]), (len(t) - last) / len(t))
+        )
+    return events

@@ -326,7 +326,9 @@ class SquareRootLeastSquares(eqx.Module):
         # Not trusted: the last trusted flux goes on by integration.
         start = s.flux - self.L_position * current
         begins = s.carried == 0
-        growth = jnp.where(begins, inflation * a.drift_variance / (start @ start), s.growth)
+        plausible = 1 / self.prior[4] ** 2
+        grows = (inflation * a.drift_variance + plausible) / (start @ start)
+        growth = jnp.where(begins, grows, s.growth)
         carried_length = jnp.where(begins, jnp.sqrt(start @ start), s.carried_length)
         carried = s.carried + self.h
         carried_flux = s.flux + v + self.h * s.drift
