@@ -81,7 +81,11 @@ def speeds() -> None:
             settle = ramped + 4 * memory + 0.5
             at = sign * share
             speed = ((0, 0), (0.2, 0), (ramped, at))
-            drive = sensorless_drive(machine, rated, memory, speed_bandwidth=50.0, **sensors)
+            # An EMF of 1 % leaves no room for other voltage errors than offsets.
+            prior = min(0.1 * machine.psi_f / memory, 0.1 * share * rated.speed_e * machine.psi_f)
+            drive = sensorless_drive(
+                machine, rated, memory, speed_bandwidth=50.0, drift_prior=prior, **sensors
+            )
             load = ((settle, 0), (settle, sign * 1.0))
             run = simulate(
                 drive,

@@ -127,8 +127,10 @@ def sensorless_drive(
     # The speed controller needs a speed that is no slower than with the usual memory.
     bandwidth = min(TRACKER / MEMORY, 0.5 / rated.sample_time)
     compiled = replace(compiled, tracker_bandwidth=bandwidth)
-    # A voltage error as large as the drift's prior turns the flux by half a radian meanwhile.
-    ride = 0.5 * compiled.flux_base / compiled.drift_prior
+    # A voltage error as large as the drift's prior S turns the flux by half a radian meanwhile; and it
+    # leaves a position valid above S/(0.14 ψ) only (docs/theory.md, section 6).
+    radian = compiled.flux_base / compiled.drift_prior
+    ride, start_speed = 0.5 * radian, max(0.1 * rated.speed_e, 1.5 / (0.14 * radian))
     if speed_bandwidth is None:
         speed_bandwidth = min(2 * np.pi * 8, 0.75 / memory)
     most = 1.5 * _rated_current(machine)
@@ -144,5 +146,7 @@ def sensorless_drive(
         drive,
         control=control,
         observer=SquareRootLeastSquares.of(compiled),
-        sensorless=Sensorless.for_drive(_rated_current(machine), rated.speed_e, ride=ride),
+        sensorless=Sensorless.for_drive(
+            _rated_current(machine), rated.speed_e, ride=ride, speed=start_speed
+        ),
     )
