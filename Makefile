@@ -49,7 +49,7 @@ sanitize:
 	done
 
 bench: $(READY)
-	@for script in accuracy measured speed startup paper hour drive closed_loop compare; do \
+	@for script in accuracy measured speed startup paper hour drive closed_loop validity compare; do \
 	    $(BIN)/python benchmarks/$$script.py || exit 1; \
 	done
 

@@ -210,7 +210,7 @@ def compare(
     out: Annotated[Path, typer.Option(help="Folder for scores and pictures; made if missing.")] = (
         Path("fluxobs-compare")
     ),
-    seed: Annotated[int, typer.Option(help="Of a scenario's sensor noise.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of a scenario's sensor noise.")] = 0,
     settle: Annotated[
         float, typer.Option(help="Seconds of a log that are not scored, while observers settle.")
     ] = 0.2,
@@ -227,14 +227,13 @@ def compare(
 ) -> None:
     """Run a log or a scenario through every known observer, and score them.
 
-    Each observer runs with the gains that its authors recommend, and with the best of a grid for
-    this very record. Writes scores.csv and a picture a record, and summary.png for several. Needs
+    Each observer runs with usual gains, and with the best of a grid for this very record. Writes scores.csv and a picture a record, and summary.png for several. Needs
     the extra "design" (JAX).
     """
     from .comparison.scenarios import SCENARIOS
     from .machines import RotatingMachine, read_machine
 
-    if records == ["list"]:
+    if "list" in records:
         width = max(len(name) for name in SCENARIOS)
         for scenario in SCENARIOS.values():
             typer.echo(f"{scenario.name:{width}}  {scenario.about}")
@@ -421,7 +420,7 @@ def _echo(text: str) -> None:
 def _print_table(table: Any) -> None:
     from rich.console import Console
 
-    width = None if sys.stdout.isatty() else 140
+    width = None if sys.stdout.isatty() else 110
     Console(width=width).print(table)
 
 

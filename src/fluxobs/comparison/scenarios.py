@@ -74,7 +74,7 @@ def _set() -> dict[str, Scenario]:
     def add(name: str, about: str, **given: Any) -> None:
         out.append(Scenario(name, about, **given))
 
-    add("noise", "current noise of 1/300 of rated, as in all that follow")
+    add("noise", "current noise of 1/300 of rated")
     for sign, word in ((1, "plus"), (-1, "minus")):
         add(
             f"current-bias-{word}",

@@ -127,8 +127,8 @@ def sensorless_drive(
     # The speed controller needs a speed that is no slower than with the usual memory.
     bandwidth = min(TRACKER / MEMORY, 0.5 / rated.sample_time)
     compiled = replace(compiled, tracker_bandwidth=bandwidth)
-    # A voltage error as large as the drift's prior S turns the flux by half a radian meanwhile; and it
-    # leaves a position valid above S/(0.14 ψ) only (docs/theory.md, section 6).
+    # A voltage error as large as the drift's prior S turns the flux by half a radian meanwhile. It
+    # leaves a position valid only above S/(0.14 ψ) (docs/theory.md, section 6).
     radian = compiled.flux_base / compiled.drift_prior
     ride, start_speed = 0.5 * radian, max(0.1 * rated.speed_e, 1.5 / (0.14 * radian))
     if speed_bandwidth is None:
