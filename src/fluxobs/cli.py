@@ -227,8 +227,10 @@ def compare(
 ) -> None:
     """Run a log or a scenario through every known observer, and score them.
 
-    Each observer runs with usual gains, and with the best of a grid for this very record. Writes
-    scores.csv and a picture a record, and summary.png for several. Needs the extra "design" (JAX).
+    Each observer runs with usual gains, and with the best of a grid for this very record.
+
+    Writes scores.csv and a picture a record, and summary.png for several. Needs the extra "design"
+    (JAX).
     """
     from .comparison.scenarios import SCENARIOS
     from .machines import RotatingMachine, read_machine

@@ -190,7 +190,7 @@ def _bars(axes: Axes, results: Sequence[Result], bound: float | None) -> None:
     least = min(tuned.min(), 0.05) / 2
     axes.barh(at, tuned - least, left=least, color=colors, height=0.6, label="gains tuned here")
     axes.plot(recommended, at, "|", color=ORANGE, markersize=11, markeredgewidth=2)
-    axes.plot([], [], "|", color=ORANGE, markersize=9, markeredgewidth=2, label="as recommended")
+    axes.plot([], [], "|", color=ORANGE, markersize=9, markeredgewidth=2, label="usual gains")
     if bound is not None:
         axes.axvline(np.degrees(bound), color="black", linewidth=0.8, linestyle=":")
         axes.plot([], [], ":", color="black", linewidth=0.8, label="bound for a raw angle")
