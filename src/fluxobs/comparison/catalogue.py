@@ -218,8 +218,8 @@ def _entries() -> list[Entry]:
             of(LengthGradient),
             lambda s: {"gain": 1000.0, "adaptation": 10.0, "bandwidth": 2 * PLL},
             lambda s: {
-                "gain": [30.0, 100.0, 300.0, 1000.0],
-                "adaptation": [1.0, 100.0],
+                "gain": [30.0, 100.0, 300.0],
+                "adaptation": [1.0, 10.0, 100.0],
                 "bandwidth": [PLL, 3 * PLL],
             },
         ),
