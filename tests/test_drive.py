@@ -253,6 +253,35 @@ def test_sensors_do_what_they_say():
     assert complex(Sensors().measure(i, zero + 0j, zero + 0j, zero + 0j, zero)) == 3 + 4j
 
 
+def test_jitter_moves_a_sample_along_the_current_s_course():
+    """Its noise is the sampling instant's times the true slope of the current."""
+    jitter = 1e-6
+    d = drive(sensors=Sensors(jitter=jitter))
+    run = simulate(d, Course(Profile([0.0, 0.2], [0.0, 100.0]), 540.0, load=8.0), 0.5)
+    late = slice(2400, None)
+    noise = (run.trace.measured_current - run.trace.current)[late]
+    # Just before the sample, under the voltage that acted until then.
+    trace, motor = run.trace, MACHINES["pmsm-2kw2"]
+    acted = np.concatenate([[0], trace.voltage[:-1]])
+    emf = 1j * motor.n_p * trace.speed * motor.psi_f * np.exp(1j * trace.theta_e)
+    slope = np.asarray((acted - motor.R_s * trace.current - emf) / motor.L_d)[late]
+    expected = jitter * np.sqrt(np.mean(np.abs(slope) ** 2))
+    assert np.sqrt(np.mean(np.abs(noise) ** 2)) == pytest.approx(expected, rel=0.05)
+
+
+def test_many_steps_in_a_sample_give_what_few_in_short_samples_give():
+    motor = MACHINES["pmsm-2kw2"]
+    plant = Plant(motor, Mechanics(1e-3, J_load=1e-3, stiffness=5e3))
+    u, load = jnp.asarray(50 + 20j), jnp.asarray(0.5)
+    start = plant.standstill(0.3, 30.0)
+    at_once = plant.advance(start, u, load, jnp.asarray(8e-3), 64)
+    state = start
+    for _ in range(16):
+        state = plant.advance(state, u, load, jnp.asarray(5e-4), 4)
+    assert complex(at_once.flux) == pytest.approx(complex(state.flux), rel=1e-8)
+    assert float(at_once.twist) == pytest.approx(float(state.twist), rel=1e-7)
+
+
 # ---- control ---------------------------------------------------------------------------------
 
 

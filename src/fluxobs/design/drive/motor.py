@@ -20,6 +20,9 @@ from .vectors import turn
 
 Array = jax.Array
 
+#: Integration steps a sample that are written out; more run in a loop.
+UNROLLED = 4
+
 
 class Motor(eqx.Module):
     """Electrical parameters: R_s [Ω], L_d, L_q [H], psi_f [Wb], n_p."""
@@ -183,14 +186,22 @@ class Plant(eqx.Module):
     ) -> PlantState:
         """Runge-Kutta of fourth order in equal steps, voltage and load held."""
         h = duration / steps
-        for _ in range(steps):
+
+        def step(_: Any, state: PlantState) -> PlantState:
             k1 = self.rate(state, voltage, load)
             k2 = self.rate(_along(state, k1, h / 2), voltage, load)
             k3 = self.rate(_along(state, k2, h / 2), voltage, load)
             k4 = self.rate(_along(state, k3, h), voltage, load)
             rates = zip(k1, k2, k3, k4, strict=True)
             mean = PlantState(*((a + 2 * b + 2 * c + d) / 6 for a, b, c, d in rates))
-            state = _along(state, mean, h)
+            return _along(state, mean, h)
+
+        # A loop costs time, many unrolled steps cost minutes of compilation.
+        if steps <= UNROLLED:
+            for k in range(steps):
+                state = step(k, state)
+        else:
+            state = jax.lax.fori_loop(0, steps, step, state)
         size = jnp.sqrt(state.direction.real**2 + state.direction.imag**2)
         return state._replace(direction=state.direction / size)
 
