@@ -22,10 +22,7 @@ MACHINE = "pmsm-2kw2"
 
 def errors(run: Run, half_turn: bool = False) -> np.ndarray:
     """Position error [°] of what the drive runs on."""
-    estimated, true = run.trace.reading.theta_e, run.trace.theta_e
-    if half_turn:
-        return degrees_error(2 * estimated, 2 * true) / 2
-    return degrees_error(estimated, true)
+    return degrees_error(run.trace.reading.theta_e, run.trace.theta_e, half_turn)
 
 
 def course(rated: Rating, machine: RotatingMachine, speed, load=((0, 0),), **given) -> Course:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fluxobs.frames import wrap
+from fluxobs.frames import angle_error, wrap
 
 Array = NDArray[np.float64]
 
@@ -62,5 +62,5 @@ def vectors(z: NDArray[np.complex128]) -> Array:
     return np.stack([z.real, z.imag], axis=-1)
 
 
-def degrees_error(estimated: Array, true: Array) -> Array:
-    return np.asarray(np.degrees(wrap(estimated - true)))
+def degrees_error(estimated: Array, true: Array, half_turn: bool = False) -> Array:
+    return np.asarray(np.degrees(angle_error(estimated, true, half_turn)))

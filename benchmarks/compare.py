@@ -9,7 +9,7 @@ from common import MEASURED, heading
 from measured import LAYOUT, MACHINE
 
 from fluxobs.comparison.compare import Comparison, compare_log, compare_scenario
-from fluxobs.comparison.report import LEAST_SQUARES, NEAR, ours
+from fluxobs.comparison.report import LEAST_SQUARES, NEAR, others, ours
 from fluxobs.comparison.scenarios import SCENARIOS
 from fluxobs.formats import open_table
 from fluxobs.logs import open_log
@@ -18,9 +18,8 @@ from fluxobs.logs import open_log
 def line(found: Comparison) -> str:
     """Rms degrees: ours raw and tracked, over the bound, and the best of the others."""
     raw = found.result(LEAST_SQUARES)
-    others = [r for r in found.results if not r.name.startswith(LEAST_SQUARES)]
-    best = min(others, key=lambda r: r.tuned.rms)
-    recommended = min(others, key=lambda r: r.recommended.rms)
+    rest = others(found)
+    best, recommended = rest[0], min(rest, key=lambda r: r.recommended.rms)
     mine = ours(found)
     ratio = f"{raw.tuned.rms / found.bound:6.2f}" if found.bound else "     -"
     mark = (

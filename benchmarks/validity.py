@@ -65,9 +65,7 @@ def main() -> None:
                 theta = rng.uniform(-3, 3)
                 courses.append(Course(Profile(times, speeds), rated.dc_link, torque, theta_e=theta))
             true, found, valid, _ = simulate_batch(drives, courses, DURATION, range(LANES), keep)
-            error = np.abs(degrees_error(found, true))
-            if machine.half_turn_ambiguous:
-                error = np.abs(degrees_error(2 * found, 2 * true)) / 2
+            error = np.abs(degrees_error(found, true, machine.half_turn_ambiguous))
             worst = np.where(valid, error, 0).max(axis=1)
             print(
                 f"    {name:11s} {case:31s} {worst.max():5.1f}, {(worst > 15).sum():2d} lanes, "

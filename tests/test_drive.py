@@ -411,7 +411,7 @@ def test_impossible_values_are_named():
         Sensors(offset=0.1)
     with pytest.raises(ModelError, match="noise must be zero or positive"):
         Sensors(noise=-1.0)
-    with pytest.raises(ModelError, match=r"course.speed must be a number of numbers in time"):
+    with pytest.raises(ModelError, match=r"course.speed must be a number or numbers in time"):
         simulate(drive(), Course([0.0, 100.0], 540.0), 0.1)
     with pytest.raises(ModelError, match="duration must be a number of seconds"):
         simulate(drive(), Course(10.0, 540.0), float("nan"))

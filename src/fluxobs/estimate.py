@@ -12,7 +12,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from .errors import FluxobsError
-from .frames import wrap
+from .frames import angle_error
 from .logs import Aligned, Log
 from .machines import RotatingMachine
 from .observers import Estimate, LeastSquaresObserver, SampleCounts
@@ -51,9 +51,7 @@ class Result:
 
 def position_error(machine: RotatingMachine, estimated: Array, true: Array) -> Array:
     """Estimated minus true angle, wrapped; modulo half a turn where the machine is."""
-    if machine.half_turn_ambiguous:
-        return np.asarray(wrap(2 * (estimated - true)) / 2)
-    return wrap(estimated - true)
+    return angle_error(estimated, true, machine.half_turn_ambiguous)
 
 
 def prepare(

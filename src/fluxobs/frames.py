@@ -61,6 +61,12 @@ def wrap(angle: Array) -> Array:
     return np.asarray(np.pi - np.mod(np.pi - angle, 2 * np.pi))
 
 
+def angle_error(estimated: Array, true: Array, half_turn: bool = False) -> Array:
+    """Estimated minus true angle, wrapped; modulo half a turn where a machine cannot tell."""
+    difference = estimated - true
+    return wrap(2 * difference) / 2 if half_turn else wrap(difference)
+
+
 def native_voltage(frame: Frame, channels: dict[str, Array]) -> Array:
     """Voltage vector a row: αβ, except in dq, where it has yet to be rotated."""
     u = [channels[name] for name in VOLTAGES[frame]]

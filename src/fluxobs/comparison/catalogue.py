@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from typing import Any
 
@@ -117,6 +118,7 @@ def _memories(s: Setting) -> list[float]:
     return [m for m in (0.01, 0.03, 0.1, 0.3, 1.0) if m >= 10 * s.sample_time]
 
 
+@lru_cache(maxsize=4)  # all settings of a corner are balanced on the same rows
 def _regression_rows(s: Setting, corner: float) -> tuple[Any, Parametrisation]:
     constraint = s.machine.constraint
     i, R = s.current_rows, s.machine.R_s
@@ -136,10 +138,7 @@ def _pebo(s: Setting, g: Gains) -> OnRegression:
     rows, _ = _regression_rows(s, g["corner"])
     phi = np.asarray(rows.Phi_flux)[len(rows.y) // 4 :]
     Gamma = g["rate"] / np.mean(phi**2)
-    inner = PEBO(2, "gradient", float(Gamma))
-    return OnRegression(
-        s.motor, s.sample_time, s.machine.constraint, inner, g["corner"], g["bandwidth"]
-    )
+    return _on_regression(s, PEBO(2, "gradient", float(Gamma)), g)
 
 
 def _drem(s: Setting, g: Gains) -> OnRegression:
@@ -151,10 +150,7 @@ def _drem(s: Setting, g: Gains) -> OnRegression:
     size = np.sqrt(np.diag(gramian))
     gramian += 1e-6 * np.diag(np.where(size > 0, size, size.max()) ** 2)
     basis = balanced_basis(gramian, 1.0)
-    inner = DremObserver(g["rate"], g["memory"], basis, constants)
-    return OnRegression(
-        s.motor, s.sample_time, s.machine.constraint, inner, g["corner"], g["bandwidth"]
-    )
+    return _on_regression(s, DremObserver(g["rate"], g["memory"], basis, constants), g)
 
 
 def _kalman(s: Setting, g: Gains, with_drift: bool) -> KalmanFilter:

@@ -95,11 +95,13 @@ class Comparison:
 
 
 class _Found(NamedTuple):
-    theta_e: jax.Array
-    tracked: jax.Array
-    speed_e: jax.Array
-    flux: jax.Array
-    valid: jax.Array
+    """What an observer says, JAX or NumPy arrays; leading shape (lanes, rows)."""
+
+    theta_e: Any
+    tracked: Any
+    speed_e: Any
+    flux: Any
+    valid: Any
 
 
 def _lane(observer: Any, voltage: jax.Array, current: jax.Array) -> _Found:
@@ -209,10 +211,10 @@ def _best(
     scores = [
         score(
             angle[k],
-            np.asarray(found.speed_e)[k],
-            np.asarray(found.flux)[k],
+            found.speed_e[k],
+            found.flux[k],
             truth,
-            np.asarray(found.valid)[k],
+            found.valid[k],
         )
         for angle, k in choices
     ]

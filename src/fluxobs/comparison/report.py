@@ -30,6 +30,12 @@ def ours(comparison: Comparison) -> Result:
     return min(both, key=lambda result: result.tuned.rms)
 
 
+def others(comparison: Comparison) -> list[Result]:
+    """The rest, best first."""
+    rest = [r for r in comparison.results if not r.name.startswith(LEAST_SQUARES)]
+    return sorted(rest, key=lambda result: result.tuned.rms)
+
+
 def verdict(comparison: Comparison) -> str:
     """How the least squares stands, against the best and against the bound, and why."""
     mine, best = ours(comparison), comparison.best
@@ -44,10 +50,8 @@ def verdict(comparison: Comparison) -> str:
     text += _claims(comparison.result(LEAST_SQUARES).recommended)
     if mine.tuned.rms <= NEAR * best.tuned.rms:
         if best is mine:
-            others = [r for r in comparison.results if not r.name.startswith(LEAST_SQUARES)]
-            if others:
-                next_best = min(others, key=lambda r: r.tuned.rms)
-                text += f" It is the best, before {next_best.name}, {_rms(next_best.tuned)}."
+            for second in others(comparison)[:1]:
+                text += f" It is the best, before {second.name}, {_rms(second.tuned)}."
         else:
             text += f" It is within 10 % of the best, {best.name}, {_rms(best.tuned)}."
         return text
@@ -206,8 +210,7 @@ def _bars(axes: Axes, results: Sequence[Result], bound: float | None) -> None:
 def _course(axes: Axes, comparison: Comparison) -> None:
     t = comparison.truth.t
     mine = ours(comparison)
-    others = [r for r in comparison.results if not r.name.startswith(LEAST_SQUARES)]
-    shown = [*sorted(others, key=lambda r: r.tuned.rms)[:3][::-1], mine]
+    shown = [*others(comparison)[:3][::-1], mine]
     colors = ["#9ecae1", ORANGE, "#7b9e5b", BLUE]
     step = max(1, len(t) // 4000)
     for result, color in zip(shown, colors[-len(shown) :], strict=True):

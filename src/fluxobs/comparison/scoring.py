@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frames import wrap
+from ..frames import angle_error
 
 Array = NDArray[np.float64]
 
@@ -62,8 +62,8 @@ class Score:
 def position_error(estimated: Array, truth: Truth) -> Array:
     """Wrapped; modulo half a turn where the machine cannot tell. What is no number counts as a
     half turn."""
-    difference = np.where(np.isfinite(estimated), estimated - truth.theta_e, np.pi)
-    return wrap(2 * difference) / 2 if truth.half_turn else wrap(difference)
+    known = np.where(np.isfinite(estimated), estimated, truth.theta_e + np.pi)
+    return angle_error(known, truth.theta_e, truth.half_turn)
 
 
 def score(

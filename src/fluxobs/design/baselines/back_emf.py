@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from ..drive.vectors import turn
 from .base import Array, Baseline, Guess, PllState, angle, number, pll, pll_start
 
 
@@ -66,7 +67,7 @@ class ExtendedEmf(Baseline):
         # The mean over the interval is half a sample old.
         theta = _rotor_angle(emf, speed, _lag(fade, speed * h) + speed * h / 2)
         loop = pll(own.pll, theta, self.bandwidth, h)
-        x = self.length(current, _unit(loop.theta)) * _unit(loop.theta)
+        x = self.length(current, turn(loop.theta)) * turn(loop.theta)
         return EmfState(emf, loop), Guess(loop.theta, loop.speed, x + m.L_q * current, loop.theta)
 
 
@@ -137,11 +138,7 @@ class SlidingMode(Baseline):
         half = jnp.asarray(0.5)
         theta = _rotor_angle(emf, speed, _lag(half, turned) + _lag(fade, turned) + turned / 2)
         loop = pll(own.pll, theta, self.bandwidth, h)
-        x = self.length(current, _unit(loop.theta)) * _unit(loop.theta)
+        x = self.length(current, turn(loop.theta)) * turn(loop.theta)
         return SlidingState(modelled, forced, emf, loop), Guess(
             loop.theta, loop.speed, x + m.L_q * current, loop.theta
         )
-
-
-def _unit(theta: Array) -> Array:
-    return jax.lax.complex(jnp.cos(theta), jnp.sin(theta))

@@ -99,16 +99,22 @@ class PllState(NamedTuple):
     speed: Array
 
 
-def pll(state: PllState, theta: Array, bandwidth: Array, h: Array, weight: Any = 1.0) -> PllState:
+def pll_gains(bandwidth: Array, h: Array) -> tuple[Array, Array]:
+    """Corrections of angle and speed by an error of the angle, for a double pole at `bandwidth`."""
+    pole = jnp.exp(-bandwidth * h)
+    return 1 - pole**2, (1 - pole) ** 2 / h
+
+
+def pll(state: PllState, theta: Array, bandwidth: Array, h: Array) -> PllState:
     """Phase-locked loop with a double pole at `bandwidth`, on an angle.
 
     L. Harnefors, H.-P. Nee, "A general algorithm for speed and position estimation of AC motors",
     IEEE Trans. Industrial Electronics 47 (2000), doi:10.1109/41.824128.
     """
-    pole = jnp.exp(-bandwidth * h)
+    gain_theta, gain_speed = pll_gains(bandwidth, h)
     ahead = state.theta + h * state.speed
-    error = weight * wrap(theta - ahead)
-    return PllState(wrap(ahead + (1 - pole**2) * error), state.speed + (1 - pole) ** 2 / h * error)
+    error = wrap(theta - ahead)
+    return PllState(wrap(ahead + gain_theta * error), state.speed + gain_speed * error)
 
 
 def pll_start() -> PllState:

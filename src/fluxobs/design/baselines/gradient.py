@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from ..drive.vectors import length, unit
 from .base import Array, Baseline, Guess, PllState, angle, number, pll, pll_start
 
 
@@ -61,10 +62,9 @@ class LengthGradient(Baseline):
     ) -> tuple[GradientState, Guess]:
         h = self.sample_time
         x = own.active + volt_seconds - self.motor.L_q * (current - before)
-        size = jnp.sqrt(x.real**2 + x.imag**2)
-        length = self.length(current, x / jnp.maximum(size, 1e-300)) - self.motor.psi_f + own.psi
-        length = jnp.maximum(length, 1e-3 * self.size())
-        short = 1 - jnp.minimum((size / length) ** 2, 4.0)
+        aim = self.length(current, unit(x)) - self.motor.psi_f + own.psi
+        aim = jnp.maximum(aim, 1e-3 * self.size())
+        short = 1 - jnp.minimum((length(x) / aim) ** 2, 4.0)
         x = x * jnp.exp(h * self.gain / 2 * short)
         psi = own.psi * jnp.exp(-h * self.adaptation / 2 * short)
         theta = angle(x)
@@ -105,8 +105,7 @@ class ClampedIntegrator(Baseline):
         self, own: ClampedState, voltage: Array, volt_seconds: Array, current: Array, before: Array
     ) -> tuple[ClampedState, Guess]:
         x = own.active + volt_seconds - self.motor.L_q * (current - before)
-        size = jnp.sqrt(x.real**2 + x.imag**2)
-        most = self.level * self.length(current, x / jnp.maximum(size, 1e-300))
+        most = self.level * self.length(current, unit(x))
         x = jax.lax.complex(jnp.clip(x.real, -most, most), jnp.clip(x.imag, -most, most))
         theta = angle(x)
         loop = pll(own.pll, theta, self.bandwidth, self.sample_time)

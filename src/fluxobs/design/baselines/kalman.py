@@ -99,10 +99,8 @@ class KalmanFilter(Baseline):
         predicted = m.current(flux, direction)
         # ∂i/∂λ = e Λ e*, ∂i/∂θ = j i + e Λ (-j λ_dq), Λ = diag(1/L_d, 1/L_q).
         d, q = 1 / m.L_d, 1 / m.L_q
-        by_flux = jnp.array(
-            [[c * c * d + s * s * q, c * s * (d - q)], [0.0, s * s * d + c * c * q]]
-        )
-        by_flux = by_flux.at[1, 0].set(by_flux[0, 1])
+        cross = c * s * (d - q)
+        by_flux = jnp.array([[c * c * d + s * s * q, cross], [cross, s * s * d + c * c * q]])
         local = flux * jnp.conj(direction)
         by_angle = 1j * predicted + direction * jax.lax.complex(local.imag * d, -local.real * q)
         H = jnp.zeros((2, size)).at[:, :2].set(by_flux).at[:, 3].set(pair(by_angle))

@@ -25,7 +25,7 @@ class OnRegression(Baseline):
     """An observer of :mod:`fluxobs.design.observers` on the exact sampled regression of the
     machine's relation.
 
-    The regression's start-up, `settle` over its corner, is not used.
+    The regression's start-up, 15 over its corner, is not used.
 
     Parameters
     ----------

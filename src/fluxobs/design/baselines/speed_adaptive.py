@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from ..drive.vectors import turn
 from ..observers.least_squares import wrap
-from .base import Array, Baseline, Guess, number
+from .base import Array, Baseline, Guess, number, pll_gains
 
 
 class SpeedAdaptiveState(NamedTuple):
@@ -65,7 +65,7 @@ class SpeedAdaptiveObserver(Baseline):
         flux = own.flux + volt_seconds
         back = jnp.conj(turn(theta))
         i, k = current * back, m.L_d - m.L_q
-        e = jax.lax.complex(m.L_d * i.real + m.psi_f, m.L_q * i.imag) - flux * back
+        e = m.flux_dq(i) - flux * back
         auxiliary = jax.lax.complex(m.psi_f + k * i.real, -k * i.imag)
         square = jnp.maximum(auxiliary.real**2 + auxiliary.imag**2, (1e-3 * self.size()) ** 2)
         share = e * jnp.conj(auxiliary) / square  # e/ψ_a
@@ -73,8 +73,8 @@ class SpeedAdaptiveObserver(Baseline):
         # Only the part along ψ_a, by its exact decay.
         decay = -jnp.expm1(-self.gain * b * h)
         flux = flux + decay * share.real * auxiliary * jnp.conj(back)
-        pole = jnp.exp(-self.bandwidth * h)
+        gain_theta, gain_speed = pll_gains(self.bandwidth, h)
         epsilon = jnp.clip(-share.imag, -1.0, 1.0)
-        speed = own.speed + (1 - pole) ** 2 / h * epsilon
-        theta = wrap(theta + (1 - pole**2) * epsilon)
+        speed = own.speed + gain_speed * epsilon
+        theta = wrap(theta + gain_theta * epsilon)
         return SpeedAdaptiveState(flux, theta, speed), Guess(theta, speed, flux, theta)

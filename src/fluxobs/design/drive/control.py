@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import ModelError
 from ..precision import not_negative, positive, real
 from .motor import Motor
-from .vectors import ROOT3, limit
+from .vectors import ROOT3, length, limit
 
 Array = jax.Array
 
@@ -23,16 +23,6 @@ class ControlState(NamedTuple):
     torque: Array
     voltage: Array
     weakening: Array
-
-
-class Commands(NamedTuple):
-    """What the controller wants, and where it met a limit."""
-
-    voltage: Array  # rotor coordinates, realisable [V]
-    current: Array  # rotor coordinates [A]
-    torque: Array  # [N m]
-    voltage_limited: Array
-    current_limited: Array
 
 
 class Control(eqx.Module):
@@ -197,7 +187,7 @@ class Control(eqx.Module):
         gained = jax.lax.complex(
             a * a * L_d * error.real + a * left.real, a * a * L_q * error.imag + a * left.imag
         )
-        size = jnp.sqrt(wanted.real**2 + wanted.imag**2)
+        size = length(wanted)
         # Field weakening: less flux while the voltage is near its limit, back when it is not.
         weakening = state.weakening + h * self.weakening * (size - 0.95 * most)
         weakening = jnp.clip(weakening, 0.0, 0.8 * self.current_limit)
@@ -223,7 +213,7 @@ class Control(eqx.Module):
         m, a = self.motor, self.current_bandwidth
         L_d, L_q = self._inductances(aligned)
         speed_e = jnp.where(aligned, speed_e, 0.0)
-        flux = jax.lax.complex(m.L_d * current.real + m.psi_f, m.L_q * current.imag)
+        flux = m.flux_dq(current)
         return jax.lax.complex(
             -speed_e * flux.imag - (a * L_d - m.R_s) * current.real,
             speed_e * flux.real - (a * L_q - m.R_s) * current.imag,

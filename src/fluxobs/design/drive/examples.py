@@ -74,9 +74,12 @@ def _rated_current(machine: RotatingMachine) -> float:
     return machine.rated_current
 
 
-def _weakening(current: float, rated: Rating) -> float:
-    """The whole current within 20 ms at a voltage that is the DC link too high [A/(V s)]."""
-    return current / (0.02 * rated.dc_link)
+def _control(motor: Motor, machine: RotatingMachine, rated: Rating, **given: Any) -> Control:
+    """For half again the rated current; field weakening brings the whole of it within 20 ms at a
+    voltage that is the DC link too high."""
+    most = 1.5 * _rated_current(machine)
+    weakening = most / (0.02 * rated.dc_link)
+    return Control.of(motor, rated.J, rated.sample_time, most, weakening=weakening, **given)
 
 
 def encoder_drive(machine: RotatingMachine, rated: Rating, **sensors: Any) -> Drive:
@@ -84,9 +87,9 @@ def encoder_drive(machine: RotatingMachine, rated: Rating, **sensors: Any) -> Dr
 
     `sensors` are arguments of :class:`Sensors`.
     """
-    motor, most = Motor.of(machine), 1.5 * _rated_current(machine)
-    control = Control.of(motor, rated.J, rated.sample_time, most, weakening=_weakening(most, rated))
-    return Drive(Plant(motor, Mechanics(rated.J)), Inverter(), Sensors(**sensors), control)
+    motor = Motor.of(machine)
+    plant = Plant(motor, Mechanics(rated.J))
+    return Drive(plant, Inverter(), Sensors(**sensors), _control(motor, machine, rated))
 
 
 def sensorless_drive(
@@ -133,18 +136,9 @@ def sensorless_drive(
     ride, start_speed = 0.5 * radian, max(0.1 * rated.speed_e, 1.5 / (0.14 * radian))
     if speed_bandwidth is None:
         speed_bandwidth = min(2 * np.pi * 8, 0.75 / memory)
-    most = 1.5 * _rated_current(machine)
-    control = Control.of(
-        Motor.of(taken),
-        rated.J,
-        rated.sample_time,
-        most,
-        speed_bandwidth=speed_bandwidth,
-        weakening=_weakening(most, rated),
-    )
     return replace(
         drive,
-        control=control,
+        control=_control(Motor.of(taken), machine, rated, speed_bandwidth=speed_bandwidth),
         observer=SquareRootLeastSquares.of(compiled),
         sensorless=Sensorless.for_drive(
             _rated_current(machine), rated.speed_e, ride=ride, speed=start_speed

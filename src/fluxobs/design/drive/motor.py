@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from ...errors import ModelError
 from ...machines import InteriorPMSM, RotatingMachine, SurfacePMSM, SynchronousReluctance
 from ..precision import not_negative, positive, real
-from .vectors import turn
+from .vectors import length, turn
 
 Array = jax.Array
 
@@ -57,8 +57,11 @@ class Motor(eqx.Module):
 
     def flux(self, current: Array, direction: Array) -> Array:
         """Flux linkage at a current; `direction` is exp(jθ_e)."""
-        i = current * jnp.conj(direction)
-        return direction * jax.lax.complex(self.L_d * i.real + self.psi_f, self.L_q * i.imag)
+        return direction * self.flux_dq(current * jnp.conj(direction))
+
+    def flux_dq(self, current: Array) -> Array:
+        """The same in rotor coordinates."""
+        return jax.lax.complex(self.L_d * current.real + self.psi_f, self.L_q * current.imag)
 
     def current(self, flux: Array, direction: Array) -> Array:
         """Current at a flux linkage."""
@@ -202,8 +205,7 @@ class Plant(eqx.Module):
                 state = step(k, state)
         else:
             state = jax.lax.fori_loop(0, steps, step, state)
-        size = jnp.sqrt(state.direction.real**2 + state.direction.imag**2)
-        return state._replace(direction=state.direction / size)
+        return state._replace(direction=state.direction / length(state.direction))
 
 
 def _along(state: PlantState, rate: PlantState, h: Array) -> PlantState:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..observers.least_squares import Reading
 from ..precision import real
-from .vectors import turn
+from .vectors import length, turn, unit
 
 Array = jax.Array
 
@@ -140,9 +140,8 @@ class Sensorless(eqx.Module):
         open_speed = state.speed_e + jnp.clip(aim - state.speed_e, -most, most)
         open_direction = state.direction * turn(h * state.speed_e)
         # Lost: the frame goes on from the current vector, so that the torque does.
-        size = jnp.sqrt(current.real**2 + current.imag**2)
-        along = current / jnp.maximum(size, 1e-300)
-        open_direction = jnp.where(loses & (size > 0.05 * self.current), along, open_direction)
+        follows = loses & (length(current) > 0.05 * self.current)
+        open_direction = jnp.where(follows, unit(current), open_direction)
         direction = jnp.where(running, turn(reading.theta_e), open_direction)
         speed_e = jnp.where(running, reading.speed_e, open_speed)
         state = SensorlessState(

@@ -24,7 +24,7 @@ from .motor import Plant, PlantState
 from .profile import Profile
 from .sensorless import RUNNING, Sensorless, SensorlessState
 from .sensors import Sensors
-from .vectors import limit, pair, vector
+from .vectors import length, limit, pair, turn, vector
 
 Array = jax.Array
 
@@ -337,8 +337,8 @@ def check(drive: Drive, course: Course) -> None:
             raise ModelError(f"drive.{name} is a {type(part).__name__}{advice}")
     for name, dimensions in (("speed", 1), ("load", 1), ("dc_link", 1), ("voltage_offset", 2)):
         if getattr(course, name).values.ndim != dimensions:
-            what = "numbers" if dimensions == 1 else "pairs (α, β)"
-            raise ModelError(f"course.{name} must be a number of {what} in time: Profile(times, …)")
+            what = "a number or numbers" if dimensions == 1 else "a pair (α, β) or pairs"
+            raise ModelError(f"course.{name} must be {what} in time: Profile(times, values)")
     if drive.sensorless is not None and drive.observer is None:
         raise ModelError("drive.sensorless needs a drive.observer")
     if drive.observer is not None and not np.isclose(
@@ -499,9 +499,8 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
     )
     # The voltage acts half a sample after its interval's start, and one later with a delay.
     ahead = (1.5 if delay else 0.5) * h * speed_e
-    command = voltage_dq * direction * jax.lax.complex(jnp.cos(ahead), jnp.sin(ahead))
-    size = jnp.sqrt(current.real**2 + current.imag**2)
-    tripped = loop.tripped | ~(size < TRIP * control.current_limit)
+    command = voltage_dq * direction * turn(ahead)
+    tripped = loop.tripped | ~(length(current) < TRIP * control.current_limit)
     command = jnp.where(tripped, 0.0, command)
 
     acting = loop.pending if delay else command
@@ -558,7 +557,7 @@ def _pass(
 def _finish(trace: Trace, h: float) -> Run:
     """Checks a trace and says what happened in it."""
     trace = jax.tree.map(np.asarray, trace)
-    t = np.arange(len(trace.theta_e)) * h
+    t = np.asarray(np.arange(len(trace.theta_e)) * h, np.float64)
     finite = np.isfinite(trace.current) & np.isfinite(trace.speed) & np.isfinite(trace.voltage)
     if not finite.all():
         at = max(int(np.argmin(finite)) - 1, 0)
@@ -578,8 +577,8 @@ def _finish(trace: Trace, h: float) -> Run:
     change = np.diff(trace.mode)
     for what, rows in (("observer in the loop", change > 0), ("position lost", change < 0)):
         events += [Event(what, float(t[k + 1])) for k in np.flatnonzero(rows)]
-    events += _unfollowed(np.asarray(t, np.float64), trace)
-    return Run(h, np.asarray(t), trace, tuple(sorted(events, key=lambda event: event.at)))
+    events += _unfollowed(t, trace)
+    return Run(h, t, trace, tuple(sorted(events, key=lambda event: event.at)))
 
 
 def _unfollowed(t: NDArray[np.float64], trace: Trace) -> list[Event]:
