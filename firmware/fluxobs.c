@@ -19,8 +19,8 @@
 /* Order of the immersion's state. */
 enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
 
-/* Element (i, j), i <= j, of a packed upper triangle. */
-#define AT(i, j) ((i) * (2 * FO_NX - (i) - 1) / 2 + (j))
+/* Element (i, j), i < j, of a packed strict upper triangle. */
+#define AT(i, j) ((i) * (2 * FO_NX - (i) - 3) / 2 + (j) - 1)
 
 /* Share of noise in the flux information above which the flux is called unknown. */
 static const fo_real SHARE_LIMIT = (fo_real)0.1;
@@ -71,15 +71,12 @@ static fo_real dot(const fo_real *a, const fo_real *b)
     return sum;
 }
 
+static fo_real magnitude(fo_real x) { return x < ZERO ? -x : x; }
+
+/* Of an angle within a turn and a half. */
 static fo_real wrap(fo_real angle)
 {
-    while (angle > PI) {
-        angle -= TWO * PI;
-    }
-    while (angle <= -PI) {
-        angle += TWO * PI;
-    }
-    return angle;
+    return angle > PI ? angle - TWO * PI : angle <= -PI ? angle + TWO * PI : angle;
 }
 
 /* ---- configuration ------------------------------------------------------------------- */
@@ -135,24 +132,23 @@ fo_error fo_init(fo_observer *o, const fo_config *c)
     o->sample_time = c->sample_time;
     o->h = c->sample_time / c->memory;
     o->rho = ONE - o->h;
-    o->root_rho = fo_sqrt(o->rho);
     o->noise_information = q2 / (fo_real)FO_N * c->current_noise * c->current_noise;
 
+    const fo_real square = drift_prior * drift_prior;
+    o->plausible = drift_prior;
     o->prior[S] = ONE;
-    o->prior[KAPPA] = ONE / (TWO * drift_prior);
-    o->prior[CC] = ONE / (drift_prior * drift_prior);
+    o->prior[KAPPA] = ONE / ((fo_real)4 * square);
+    o->prior[CC] = ONE / (square * square);
     for (int i = 0; i < FO_N; i++) {
         o->prior[FLUX + i] = ONE;
-        o->prior[DRIFT + i] = ONE / drift_prior;
+        o->prior[DRIFT + i] = ONE / square;
     }
     /* Each row brings back what forgetting takes until its next turn, 1 - rho^period. */
     fo_real left = ONE;
     for (int i = 0; i < REINJECT_PERIOD; i++) {
         left *= o->rho;
     }
-    for (int i = 0; i < FO_NX; i++) {
-        o->reinject[i] = fo_sqrt(ONE - left) * o->prior[i];
-    }
+    o->reinject = ONE - left;
     o->flux_base = psi;
     o->drift_base = drift_base;
     o->current_limit = c->current_limit;
@@ -182,21 +178,23 @@ fo_error fo_init(fo_observer *o, const fo_config *c)
 
 /* ---- square-root information filter -------------------------------------------------- */
 
-/* How much wider than configured the prior of state i has to be. */
-static fo_real prior_scale(const fo_state *s, int i)
+/* Information of the prior on state i; wider than configured where it has proved too tight. */
+static fo_real prior(const fo_observer *o, const fo_state *s, int i)
 {
-    return i < KAPPA ? ONE : i < CC ? s->prior_scale : s->prior_scale * s->prior_scale;
+    const fo_real square = s->prior_scale * s->prior_scale;
+    return o->prior[i] / (i < KAPPA ? ONE : i < CC ? square : square * square);
 }
 
 /* Only the prior is left; the innovations start at their assumed level. */
 static void empty_information(const fo_observer *o, fo_state *s)
 {
     for (int i = 0; i < FO_TRIANGLE; i++) {
-        s->info.R[i] = ZERO;
+        s->info.U[i] = ZERO;
     }
     for (int i = 0; i < FO_NX; i++) {
-        s->info.R[AT(i, i)] = o->prior[i] / prior_scale(s, i);
+        s->info.d[i] = prior(o, s, i);
         s->info.z[i] = ZERO;
+        s->x[i] = ZERO;
     }
     s->innovation = ZERO;
     s->weight = ONE / o->h;
@@ -227,95 +225,123 @@ void fo_reset(const fo_observer *o, fo_state *s)
     restart(o, s);
 }
 
-/* R <- sqrt(rho) R F^-1, z <- sqrt(rho) (z + R F^-1 d): F(h, v)^-1 = F(-h, -v), and d the
- * known input (v'Q1v + E'v, v, 0, 0, 0). docs/theory.md, section 4. */
-static void predict(const fo_observer *o, fo_state *s, const fo_real v[FO_N])
-{
-    const fo_real h = o->h, g = o->root_rho;
-    fo_real q[FO_N]; /* 2 Q1 v */
-    for (int i = 0; i < FO_N; i++) {
-        q[i] = dot(o->Q1x2[i], v);
-    }
-    const fo_real input = dot(q, v) / TWO + dot(o->E, v);
+/* ---- one interval -------------------------------------------------------------------- */
 
-    { /* the row of s reaches every column */
-        fo_real *row = s->info.R;
-        const fo_real r_s = row[S], kappa = row[KAPPA], kappa_new = kappa - h * r_s;
-        fo_real shift = r_s * input;
-        row[CC] = g * (row[CC] - h * (kappa + kappa_new));
-        for (int j = 0; j < FO_N; j++) {
-            const fo_real flux = row[FLUX + j], flux_new = flux - q[j] * r_s;
-            row[DRIFT + j] = g * (row[DRIFT + j] - h * flux - q[j] * kappa_new);
-            shift += flux_new * v[j];
-            row[FLUX + j] = g * flux_new;
+/* 24 times the mean current over the last interval: the cubic through four samples. */
+static fo_real mean_current_24(const fo_state *s, int i)
+{
+    return (fo_real)9 * s->current[0][i] + (fo_real)19 * s->current[1][i] -
+           (fo_real)5 * s->current[2][i] + s->current[3][i];
+}
+
+/* The immersion's step over the last interval, x <- F x + b: F depends on q, b is (input, v, 0, 0, 0).
+ * docs/theory.md, section 4. Per-unit. */
+typedef struct {
+    fo_real v[FO_N]; /* volt-seconds */
+    fo_real q[FO_N]; /* 2 Q1 v */
+    fo_real input;   /* v'Q1v + E'v */
+} interval;
+
+/* The resistive drop is still to be taken off unless the source's volt-seconds are `complete`. */
+static void last_interval(const fo_observer *o, const fo_state *s, int complete, interval *t)
+{
+    for (int i = 0; i < FO_N; i++) {
+        t->v[i] = s->source[i];
+        for (int j = 0; j < FO_N && !complete; j++) {
+            t->v[i] -= o->hR[i][j] * mean_current_24(s, j);
         }
-        row[KAPPA] = g * kappa_new;
-        row[S] = g * r_s;
-        s->info.z[S] = g * (s->info.z[S] + shift);
+    }
+    for (int i = 0; i < FO_N; i++) {
+        t->q[i] = dot(o->Q1x2[i], t->v);
+    }
+    t->input = dot(t->q, t->v) / TWO + dot(o->E, t->v);
+}
+
+/* U <- U F^-1, d <- rho d, z <- z + U F^-1 b: F(h, v)^-1 = F(-h, -v). */
+static void predict(const fo_observer *o, fo_state *s, const interval *t)
+{
+    const fo_real h = o->h, *v = t->v, *q = t->q;
+    fo_real *z = s->info.z;
+    fo_real *row = s->info.U;
+    { /* the row of s reaches every column */
+        fo_real *flux = row, *kappa = flux + FO_N, *drift = kappa + 1, *c = drift + FO_N;
+        const fo_real kappa_new = *kappa - h;
+        fo_real shift = t->input;
+        *c -= h * (*kappa + kappa_new);
+        *kappa = kappa_new;
+        for (int j = 0; j < FO_N; j++) {
+            drift[j] -= h * flux[j] + q[j] * kappa_new;
+            flux[j] -= q[j];
+            shift += flux[j] * v[j];
+        }
+        z[S] += shift;
+        row = c + 1;
     }
     for (int i = 0; i < FO_N; i++) { /* the rows of the flux, and ... */
-        fo_real *row = &s->info.R[AT(FLUX + i, 0)];
-        const fo_real kappa = row[KAPPA];
-        fo_real shift = ZERO;
-        row[CC] = g * (row[CC] - TWO * h * kappa);
-        for (int j = 0; j < i; j++) {
-            row[DRIFT + j] = g * (row[DRIFT + j] - q[j] * kappa);
-        }
-        for (int j = i; j < FO_N; j++) {
-            const fo_real flux = row[FLUX + j];
-            row[DRIFT + j] = g * (row[DRIFT + j] - h * flux - q[j] * kappa);
-            shift += flux * v[j];
-            row[FLUX + j] = g * flux;
-        }
-        row[KAPPA] = g * kappa;
-        s->info.z[FLUX + i] = g * (s->info.z[FLUX + i] + shift);
-    }
-    { /* ... of kappa have nothing left of their diagonals; what is below is only forgotten */
-        fo_real *row = &s->info.R[AT(KAPPA, 0)];
-        const fo_real kappa = row[KAPPA];
-        row[CC] = g * (row[CC] - TWO * h * kappa);
+        fo_real *flux = row, *kappa = flux + (FO_N - 1 - i), *drift = kappa + 1, *c = drift + FO_N;
+        fo_real shift = v[i];
+        *c -= TWO * h * *kappa;
+        drift[i] -= h;
         for (int j = 0; j < FO_N; j++) {
-            row[DRIFT + j] = g * (row[DRIFT + j] - q[j] * kappa);
+            drift[j] -= q[j] * *kappa;
         }
-        row[KAPPA] = g * kappa;
-        s->info.z[KAPPA] *= g;
+        for (int j = i + 1; j < FO_N; j++) {
+            drift[j] -= h * flux[j - i - 1];
+            shift += flux[j - i - 1] * v[j];
+        }
+        z[FLUX + i] += shift;
+        row = c + 1;
     }
-    for (int i = AT(DRIFT, DRIFT); i < FO_TRIANGLE; i++) {
-        s->info.R[i] *= g;
+    for (int j = 0; j < FO_N; j++) { /* ... of kappa; what is below is only forgotten */
+        row[j] -= q[j];
     }
-    for (int i = DRIFT; i < FO_NX; i++) {
-        s->info.z[i] *= g;
+    row[FO_N] -= TWO * h;
+
+    for (int i = 0; i < FO_NX; i++) {
+        s->info.d[i] *= o->rho;
     }
     /* What noise alone pretends to know is carried and forgotten in the same way; it lives on
      * (flux, drift), in each component alike. */
-    s->info.noise[2] = o->rho * (s->info.noise[2] - TWO * h * s->info.noise[1] + h * h * s->info.noise[0]);
-    s->info.noise[1] = o->rho * (s->info.noise[1] - h * s->info.noise[0]);
-    s->info.noise[0] = o->rho * s->info.noise[0];
+    fo_real *noise = s->info.noise;
+    noise[2] = o->rho * (noise[2] - h * (TWO * noise[1] - h * noise[0]));
+    noise[1] = o->rho * (noise[1] - h * noise[0]);
+    noise[0] = o->rho * noise[0];
 }
 
-/* Rotates the row (zero left of `first`) into R x = z; returns the normalised innovation. */
-static fo_real rotate_in(fo_state *s, fo_real row[FO_NX], fo_real rhs, int first)
+/* Takes in the row (zero left of `first`) with this weight: Gentleman's rotations without roots.
+ * Returns the normalised innovation. The row is used up. */
+static fo_real rotate_in(fo_state *s, fo_real row[FO_NX], fo_real rhs, fo_real weight, int first)
 {
+    fo_real *u = &s->info.U[AT(first, first + 1)];
     for (int i = first; i < FO_NX; i++) {
-        if (row[i] == ZERO) {
-            continue;
-        }
-        fo_real *r = &s->info.R[AT(i, 0)];
-        const fo_real square = r[i] * r[i] + row[i] * row[i];
-        const fo_real norm = fo_sqrt(square);
-        const fo_real inverse = norm * (ONE / square); /* the division need not wait for the root */
-        const fo_real cosine = r[i] * inverse, sine = row[i] * inverse;
-        r[i] = norm;
+        const fo_real pivot = row[i], weighted = weight * pivot, d = s->info.d[i];
+        const fo_real d_new = d + weighted * pivot, inverse = ONE / d_new;
+        const fo_real gain = weighted * inverse;
+        weight *= d * inverse;
+        s->info.d[i] = d_new;
         for (int j = i + 1; j < FO_NX; j++) {
-            const fo_real old = r[j];
-            r[j] = cosine * old + sine * row[j];
-            row[j] = cosine * row[j] - sine * old;
+            row[j] -= pivot * *u;
+            *u += gain * row[j];
+            u++;
         }
-        const fo_real old = s->info.z[i];
-        s->info.z[i] = cosine * old + sine * rhs;
-        rhs = cosine * rhs - sine * old;
+        rhs -= pivot * s->info.z[i];
+        s->info.z[i] += gain * rhs;
     }
-    return rhs;
+    return fo_sqrt(weight) * rhs;
+}
+
+/* Variance of row'x: |y|^2 / d with U'y = row. The row is used up. */
+static fo_real variance_of(const fo_state *s, fo_real row[FO_NX], int first)
+{
+    const fo_real *u = &s->info.U[AT(first, first + 1)];
+    fo_real sum = ZERO;
+    for (int i = first; i < FO_NX; i++) {
+        sum += row[i] * row[i] / s->info.d[i];
+        for (int j = i + 1; j < FO_NX; j++) {
+            row[j] -= row[i] * *u++;
+        }
+    }
+    return sum;
 }
 
 /* Noise variance of a current component from the last four samples: third differences remove what
@@ -338,57 +364,56 @@ static fo_real roughness(const fo_observer *o, const fo_state *s)
     return ratio > ONE ? ratio : ONE;
 }
 
-/* 0 = s + (Q2 i)'flux + i'Q3 i + C'i, divided by its noise. Returns 0 where that is far from what
- * all samples before say; the information is then spoilt. */
-static int measure(const fo_observer *o, fo_state *s, const fo_real current[FO_N])
+/* The measurement 0 = s + (Q2 i)'flux + i'Q3 i + C'i, divided by its noise: row'x = rhs. */
+typedef struct {
+    fo_real row[FO_NX];
+    fo_real rhs;
+} measurement;
+
+static void relation(const fo_observer *o, const fo_real current[FO_N], measurement *m)
 {
-    fo_real row[FO_NX] = {0};
-    fo_real rhs = -dot(o->row_C, current);
-    row[S] = o->row_s;
+    m->rhs = -dot(o->row_C, current);
+    m->row[S] = o->row_s;
     for (int i = 0; i < FO_N; i++) {
-        row[FLUX + i] = dot(o->row_Q2[i], current);
-        rhs -= current[i] * dot(o->row_Q3[i], current);
+        m->row[FLUX + i] = dot(o->row_Q2[i], current);
+        m->rhs -= current[i] * dot(o->row_Q3[i], current);
     }
-    const fo_real e = rotate_in(s, row, rhs, S);
-    if (!(e * e < OUTLIER_LIMIT * OUTLIER_LIMIT * o->row_s * o->row_s)) {
-        return 0;
+    for (int i = KAPPA; i < FO_NX; i++) {
+        m->row[i] = ZERO;
     }
+}
+
+/* Is the measurement far from what all samples before say? Seen from before the interval, F'row. */
+static int contradicts(const fo_observer *o, const fo_state *s, const interval *t,
+                       const measurement *m)
+{
+    fo_real row[FO_NX];
+    const fo_real *flux = &m->row[FLUX];
+    const fo_real h = o->h, free = m->row[S], limit = OUTLIER_LIMIT * o->row_s;
+    fo_real off = m->rhs - free * t->input - dot(flux, t->v);
+    row[S] = free;
+    row[KAPPA] = h * free;
+    row[CC] = h * row[KAPPA];
+    for (int i = 0; i < FO_N; i++) {
+        row[FLUX + i] = flux[i] + free * t->q[i];
+        row[DRIFT + i] = h * row[FLUX + i];
+    }
+    for (int i = 0; i < FO_NX; i++) {
+        off -= row[i] * s->x[i];
+    }
+    const fo_real excess = off * off / (limit * limit);
+    return !(excess < ONE) && !(excess < ONE + variance_of(s, row, S) / o->rho);
+}
+
+static void measure(const fo_observer *o, fo_state *s, measurement *m)
+{
+    const fo_real e = rotate_in(s, m->row, m->rhs, ONE, S);
     s->power = o->rho * s->power + e * e;
     s->lag_one = o->rho * s->lag_one + e * s->innovation;
     s->weight = o->rho * s->weight + ONE;
     s->innovation = e;
     s->info.noise[0] += o->noise_information * roughness(o, s);
     s->rough += o->h * (third_difference(s) - s->rough);
-    return 1;
-}
-
-static void solve(const fo_state *s, const fo_real inverse[FO_NX], fo_real x[FO_NX])
-{
-    for (int i = FO_NX - 1; i >= 0; i--) {
-        const fo_real *row = &s->info.R[AT(i, 0)];
-        fo_real sum = s->info.z[i];
-        for (int j = i + 1; j < FO_NX; j++) {
-            sum -= row[j] * x[j];
-        }
-        x[i] = sum * inverse[i];
-    }
-}
-
-/* y solves R'y = e_k: the variance of x_k is |y|^2. Entries before k are zero. */
-static void whiten(const fo_state *s, const fo_real inverse[FO_NX], int k, fo_real y[FO_NX])
-{
-    fo_real rest[FO_NX] = {0};
-    for (int i = 0; i < k; i++) {
-        y[i] = ZERO;
-    }
-    rest[k] = ONE;
-    for (int i = k; i < FO_NX; i++) {
-        const fo_real *row = &s->info.R[AT(i, 0)];
-        y[i] = rest[i] * inverse[i];
-        for (int j = i + 1; j < FO_NX; j++) {
-            rest[j] -= row[j] * y[i];
-        }
-    }
 }
 
 /* ---- read-out ------------------------------------------------------------------------- */
@@ -404,51 +429,71 @@ static void track(const fo_observer *o, fo_state *s, fo_real theta)
 {
     const fo_real h = o->sample_time;
     const fo_real step = h * (s->speed + h * s->acceleration / TWO);
-    if (!(step <= PI && step >= -PI)) { /* faster than the samples can tell */
+    if (!(magnitude(step) <= PI)) { /* faster than the samples can tell */
         stop_tracker(s, theta);
         return;
     }
-    const fo_real error = wrap(theta - wrap(s->angle + step));
-    s->angle = wrap(s->angle + step + o->track[0] * error);
+    const fo_real predicted = wrap(s->angle + step), error = wrap(theta - predicted);
+    s->angle = wrap(predicted + o->track[0] * error);
     s->speed += h * s->acceleration + o->track[1] * error;
     s->acceleration += o->track[2] * error;
 }
 
-/* What R says of the solution, and what of it is only noise. Per-unit. */
-typedef struct {
-    fo_real inverse[FO_NX]; /* of R's diagonal                                                */
-    fo_real x[FO_NX];
-    fo_real P[FO_N][FO_N];  /* covariance of the flux, innovations white and of assumed power */
-    fo_real inflation;      /* what coloured innovations of another power make of it          */
-    fo_real noise_share;
-} solution;
-
-static void read_solution(const fo_state *s, solution *a)
+/* U x = z */
+static void solve(fo_state *s)
 {
-    fo_real y[FO_N][FO_NX];
-    for (int i = 0; i < FO_NX; i++) {
-        a->inverse[i] = ONE / s->info.R[AT(i, i)];
-    }
-    solve(s, a->inverse, a->x);
-    fo_real trace = ZERO;
-    for (int i = 0; i < FO_N; i++) {
-        whiten(s, a->inverse, FLUX + i, y[i]);
-        for (int j = 0; j <= i; j++) {
-            fo_real sum = ZERO;
-            for (int k = FLUX + i; k < FO_NX; k++) {
-                sum += y[i][k] * y[j][k];
-            }
-            a->P[i][j] = sum;
-            a->P[j][i] = sum;
+    const fo_real *u = &s->info.U[FO_TRIANGLE];
+    for (int i = FO_NX - 1; i >= 0; i--) {
+        fo_real sum = s->info.z[i];
+        for (int j = FO_NX - 1; j > i; j--) {
+            sum -= *--u * s->x[j];
         }
-        trace += a->P[i][i];
+        s->x[i] = sum;
+    }
+}
+
+/* What the information says of the flux, and what of it is only noise. Per-unit. */
+typedef struct {
+    fo_real P[3];        /* its covariance (11, 12, 22), innovations white and of assumed power */
+    fo_real inflation;   /* what coloured innovations of another power make of it               */
+    fo_real noise_share;
+} certainty;
+
+/* U'y = e_k; the entries of y before k are not written. */
+static void row_of_inverse(const fo_state *s, int k, fo_real y[FO_NX])
+{
+    const fo_real *u = &s->info.U[AT(k, k + 1)];
+    for (int j = k; j < FO_NX; j++) {
+        y[j] = j == k ? ONE : ZERO;
+    }
+    for (int i = k; i < FO_NX; i++) {
+        for (int j = i + 1; j < FO_NX; j++) {
+            y[j] -= y[i] * *u++;
+        }
+    }
+}
+
+static void judge(const fo_state *s, certainty *a)
+{
+    fo_real y0[FO_NX], y1[FO_NX];
+    row_of_inverse(s, FLUX, y0);
+    row_of_inverse(s, FLUX + 1, y1);
+    a->P[0] = ONE / s->info.d[FLUX];
+    a->P[1] = ZERO;
+    a->P[2] = ZERO;
+    for (int k = FLUX + 1; k < FO_NX; k++) {
+        const fo_real inverse = ONE / s->info.d[k], y = y1[k] * inverse;
+        a->P[0] += y0[k] * y0[k] * inverse;
+        a->P[1] += y0[k] * y;
+        a->P[2] += y1[k] * y;
     }
     /* Information that noise pretends to have on the flux when the drift is unknown. */
-    fo_real pretended = s->info.noise[0];
-    if (s->info.noise[2] > ZERO) {
-        pretended -= s->info.noise[1] * s->info.noise[1] / s->info.noise[2];
+    const fo_real *noise = s->info.noise;
+    fo_real pretended = noise[0];
+    if (noise[2] > ZERO) {
+        pretended -= noise[1] * noise[1] / noise[2];
     }
-    a->noise_share = pretended * trace;
+    a->noise_share = pretended * (a->P[0] + a->P[2]);
 
     fo_real r1 = s->power > ZERO ? s->lag_one / s->power : ZERO;
     r1 = r1 < ZERO ? ZERO : r1 > CORRELATION_LIMIT ? CORRELATION_LIMIT : r1;
@@ -456,15 +501,13 @@ static void read_solution(const fo_state *s, solution *a)
 }
 
 /* Mean variance of a drift component, as uninflated as P. */
-static fo_real drift_variance(const fo_state *s, const solution *a)
+static fo_real drift_variance(const fo_state *s)
 {
     fo_real sum = ZERO;
     for (int i = 0; i < FO_N; i++) {
-        fo_real y[FO_NX];
-        whiten(s, a->inverse, DRIFT + i, y);
-        for (int k = DRIFT + i; k < FO_NX; k++) {
-            sum += y[k] * y[k];
-        }
+        fo_real row[FO_NX] = {0};
+        row[DRIFT + i] = ONE;
+        sum += variance_of(s, row, DRIFT + i);
     }
     return sum / (fo_real)FO_N;
 }
@@ -478,24 +521,21 @@ static void position(const fo_observer *o, const fo_state *s, const fo_real *flu
 }
 
 /* Variance of the angle of p: covariance across p, and the noise of the current in it. */
-static fo_real angle_variance(const fo_observer *o, const fo_state *s, const solution *a,
+static fo_real angle_variance(const fo_observer *o, const fo_state *s, const certainty *a,
                               const fo_real *p, fo_real square)
 {
-    const fo_real across = p[1] * p[1] * a->P[0][0] - TWO * p[0] * p[1] * a->P[0][1] +
-                           p[0] * p[0] * a->P[1][1];
+    const fo_real across =
+        p[1] * p[1] * a->P[0] - TWO * p[0] * p[1] * a->P[1] + p[0] * p[0] * a->P[2];
     return (a->inflation * across / square + o->position_noise * roughness(o, s)) / square;
 }
 
 /* A prior that is wrong is forgotten slowly: widen it, and let what it did count for little. */
 static void widen_prior(fo_state *s, fo_real excess)
 {
-    const fo_real keep = DISTRUST / excess, root = fo_sqrt(keep);
+    const fo_real keep = DISTRUST / excess;
     s->prior_scale *= TWO * fo_sqrt(excess);
-    for (int i = 0; i < FO_TRIANGLE; i++) {
-        s->info.R[i] *= root;
-    }
     for (int i = 0; i < FO_NX; i++) {
-        s->info.z[i] *= root;
+        s->info.d[i] *= keep;
     }
     for (int i = 0; i < 3; i++) {
         s->info.noise[i] *= keep;
@@ -506,13 +546,12 @@ static void widen_prior(fo_state *s, fo_real excess)
  * has turned by about a radian; a slow turn of the flux leaves no trace in the innovations. */
 static int voltage_error_small(const fo_observer *o, fo_state *s)
 {
-    const fo_real speed = s->speed < ZERO ? -s->speed : s->speed;
-    const fo_real turned = speed * o->sample_time;
+    const fo_real turned = magnitude(s->speed) * o->sample_time;
     s->exposed += o->h - s->exposed * (turned < ONE ? turned : ONE);
     if (!s->trusted) {
         s->exposed = ZERO; /* trust comes with half a turn */
     }
-    return s->exposed < VOLTAGE_LIMIT * o->prior[DRIFT] * s->length;
+    return s->exposed * o->plausible < VOLTAGE_LIMIT * s->length;
 }
 
 /* Carries the last trusted flux on by integration; returns the variance of its angle. It grows
@@ -520,14 +559,13 @@ static int voltage_error_small(const fo_observer *o, fo_state *s)
  * the length of the position vector, which should stay, says that the error is larger, with that.
  * Once nothing is known of the angle any more, the flux stays where it is. */
 static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N],
-                        const solution *a)
+                        const certainty *a)
 {
     fo_real p[FO_N], flux[FO_N];
     if (s->carried == ZERO) {
         position(o, s, s->flux, p);
         const fo_real square = dot(p, p);
-        const fo_real plausible = ONE / (o->prior[DRIFT] * o->prior[DRIFT]);
-        s->growth = (a->inflation * drift_variance(s, a) + plausible) / square;
+        s->growth = (a->inflation * drift_variance(s) + o->plausible * o->plausible) / square;
         s->carried_length = fo_sqrt(square);
         s->carried_off = ZERO;
     }
@@ -550,14 +588,13 @@ static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N]
 }
 
 /* One prior row in turn, aimed at the estimate: bounds the standard deviations, moves nothing. */
-static void reinject_prior(const fo_observer *o, fo_state *s, const fo_real x[FO_NX])
+static void reinject_prior(const fo_observer *o, fo_state *s)
 {
     const int j = (int)s->turn / REINJECT_EVERY;
     if ((int)s->turn % REINJECT_EVERY == 0) {
-        const fo_real weight = o->reinject[j] / prior_scale(s, j);
         fo_real row[FO_NX] = {0};
-        row[j] = weight;
-        (void)rotate_in(s, row, weight * x[j], j);
+        row[j] = ONE;
+        (void)rotate_in(s, row, s->x[j], o->reinject * prior(o, s, j), j);
     }
     s->turn = (s->turn + 1U) % (uint32_t)REINJECT_PERIOD;
 }
@@ -566,22 +603,23 @@ static void reinject_prior(const fo_observer *o, fo_state *s, const fo_real x[FO
  * is known, else the last trusted one carried on. See docs/theory.md, section 6. */
 static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], fo_estimate *e)
 {
-    solution a;
+    certainty a;
     fo_real p[FO_N];
-    read_solution(s, &a);
-    const fo_real *flux = &a.x[FLUX], *drift = &a.x[DRIFT];
+    solve(s);
+    judge(s, &a);
+    const fo_real *flux = &s->x[FLUX], *drift = &s->x[DRIFT];
     position(o, s, flux, p);
     fo_real square = dot(p, p), theta = fo_atan2(p[1], p[0]);
 
     const int known = a.noise_share < SHARE_LIMIT && square > o->length_min * o->length_min;
     s->swept = known ? s->swept + wrap(theta - s->theta) : ZERO;
     s->theta = theta;
-    const fo_real turned = s->swept < ZERO ? -s->swept : s->swept;
+    const fo_real turned = magnitude(s->swept);
     const int trusted = known && (s->trusted || turned > SWEEP);
     s->trusted = trusted ? 1U : 0U;
 
     /* A covariance with a prior that is too tight in it is too small by as much. */
-    const fo_real drift_prior = s->prior_scale / o->prior[DRIFT];
+    const fo_real drift_prior = s->prior_scale * o->plausible;
     const fo_real excess = dot(drift, drift) / (drift_prior * drift_prior);
     a.inflation *= excess > ONE ? excess : ONE;
 
@@ -630,7 +668,7 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     if (trusted && excess > ONE && turned > SETTLED) {
         widen_prior(s, excess);
     } else {
-        reinject_prior(o, s, a.x);
+        reinject_prior(o, s);
     }
 }
 
@@ -647,25 +685,6 @@ static void push_current(fo_state *s, const fo_real current[FO_N])
     }
 }
 
-/* 24 times the mean current over the last interval: the cubic through four samples. */
-static fo_real mean_current_24(const fo_state *s, int i)
-{
-    return (fo_real)9 * s->current[0][i] + (fo_real)19 * s->current[1][i] -
-           (fo_real)5 * s->current[2][i] + s->current[3][i];
-}
-
-/* Per-unit volt-seconds of the last interval; the resistive drop is still to be taken off unless
- * the source's are `complete`. */
-static void volt_seconds(const fo_observer *o, const fo_state *s, int complete, fo_real v[FO_N])
-{
-    for (int i = 0; i < FO_N; i++) {
-        v[i] = s->source[i];
-        for (int j = 0; j < FO_N && !complete; j++) {
-            v[i] -= o->hR[i][j] * mean_current_24(s, j);
-        }
-    }
-}
-
 /* Step of the position vector over the last interval, without the drift. */
 static fo_real position_step(const fo_observer *o, const fo_state *s, const fo_real v[FO_N])
 {
@@ -676,11 +695,18 @@ static fo_real position_step(const fo_observer *o, const fo_state *s, const fo_r
     return fo_sqrt(dot(step, step));
 }
 
+/* Does the position vector leap? */
+static int leaps(const fo_observer *o, const fo_state *s, fo_real step)
+{
+    return s->trusted && step > TWO * s->step + STEP_LIMIT * s->length +
+                                    STEP_NOISE * fo_sqrt(o->position_noise * roughness(o, s));
+}
+
 /* One sample; `source` in per-unit volt-seconds, complete or still without the resistive drop. */
 static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N], int complete,
                     const fo_real current[FO_N], fo_estimate *e)
 {
-    fo_real v[FO_N] = {0};
+    interval t = {{0}, {0}, 0};
     const int source_finite = finite_vector(source), current_finite = finite_vector(current);
     const fo_real limit = o->current_limit;
     const int absurd =
@@ -704,29 +730,32 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
                 s->source[i] = source[i];
             }
         }
-        const fo_information before = s->info;
         if (s->have_voltage) {
-            volt_seconds(o, s, complete, v);
-            predict(o, s, v);
+            last_interval(o, s, complete, &t);
         } else {
             empty_information(o, s); /* the past cannot be connected to this sample */
         }
-        const fo_real step = position_step(o, s, v);
-        contradicted = current_good && s->trusted &&
-                       step > TWO * s->step + STEP_LIMIT * s->length +
-                                  STEP_NOISE * fo_sqrt(o->position_noise * roughness(o, s));
-        contradicted = contradicted || (current_good && !measure(o, s, current));
+        measurement m;
+        relation(o, current, &m);
+        const fo_real step = position_step(o, s, t.v);
+        contradicted = current_good && (leaps(o, s, step) || contradicts(o, s, &t, &m));
         if (contradicted) { /* go over it as if it were missing */
             s->outliers++;
             bad = 1;
-            s->info = before;
             for (int i = 0; i < FO_N; i++) {
                 s->current[0][i] = s->current[1][i];
             }
-            volt_seconds(o, s, complete, v);
-            predict(o, s, v);
+            if (s->have_voltage) {
+                last_interval(o, s, complete, &t);
+            }
         } else {
             s->step = step;
+        }
+        if (s->have_voltage) {
+            predict(o, s, &t);
+        }
+        if (current_good && !contradicted) {
+            measure(o, s, &m);
         }
     }
     s->consecutive_bad = bad ? s->consecutive_bad + 1U : 0U;
@@ -734,7 +763,7 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
         s->restarts += absurd || s->consecutive_bad == FO_MAX_CONSECUTIVE_BAD + 1U ? 1U : 0U;
         restart(o, s);
     }
-    read_out(o, s, v, e);
+    read_out(o, s, t.v, e);
     e->valid = e->valid && !contradicted;
 }
 

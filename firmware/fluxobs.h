@@ -2,8 +2,8 @@
  * currents and voltages.
  *
  * The deployable observer: the exact linear immersion of the machine's quadratic
- * constraint, solved by a square-root information least squares with exponential
- * forgetting (docs/theory.md, sections 4 and 5).
+ * constraint, solved by a square-root information least squares (in its root-free form) with
+ * exponential forgetting (docs/theory.md, sections 4 and 5).
  *
  * No allocation, no globals; the caller owns configuration, observer and state.
  * SI units outside; per-unit inside, so that single precision suffices.
@@ -28,7 +28,7 @@ typedef double fo_real;
 enum {
     FO_N = 2,                                /* flux components (alpha, beta)            */
     FO_NX = 2 * FO_N + 3,                    /* immersion: s, flux, kappa, drift, c      */
-    FO_TRIANGLE = FO_NX * (FO_NX + 1) / 2,   /* packed upper triangle, row by row        */
+    FO_TRIANGLE = FO_NX * (FO_NX - 1) / 2,   /* packed strict upper triangle, row by row */
     FO_HISTORY = 4,                          /* current samples of the cubic quadrature  */
     FO_MAX_CONSECUTIVE_BAD = 3               /* bad samples bridged before a restart     */
 };
@@ -67,9 +67,10 @@ typedef struct {
     fo_real hR[FO_N][FO_N];        /* current times 24 to per-unit volt-seconds       */
     fo_real hB[FO_N][FO_N];        /* voltage to per-unit volt-seconds                */
     fo_real h;                     /* sample time / memory                            */
-    fo_real rho, root_rho;         /* forgetting a sample                             */
-    fo_real prior[FO_NX];          /* 1 / prior std, per-unit                         */
-    fo_real reinject[FO_NX];       /* prior rows as re-injected, in turn              */
+    fo_real rho;                   /* forgetting a sample                             */
+    fo_real prior[FO_NX];          /* 1 / prior variance, per-unit                    */
+    fo_real reinject;              /* share of it that is re-injected in a turn       */
+    fo_real plausible;             /* std of the drift before anything is known, per-unit */
     fo_real noise_information;     /* per sample, what current noise alone pretends   */
     fo_real flux_base, drift_base; /* [Wb], [V]                                       */
     fo_real current_limit;         /* [A]                                             */
@@ -81,9 +82,11 @@ typedef struct {
     fo_real track[3];              /* gains of the tracker                            */
 } fo_observer;
 
-/* R x = z with R upper triangular, x = (s, flux, kappa, drift, c) per-unit. */
+/* U x = z with weights d, U unit upper triangular, x = (s, flux, kappa, drift, c) per-unit: the
+ * square-root information R x = sqrt(d) z, R = sqrt(d) U, without its roots. */
 typedef struct {
-    fo_real R[FO_TRIANGLE];
+    fo_real U[FO_TRIANGLE];
+    fo_real d[FO_NX];
     fo_real z[FO_NX];
     fo_real noise[3];              /* what noise alone pretends: (flux, flux-drift, drift) */
 } fo_information;
@@ -91,6 +94,7 @@ typedef struct {
 /* Everything that changes. Plain data: copy it, store it, restore it. Per-unit unless said. */
 typedef struct {
     fo_information info;
+    fo_real x[FO_NX];                    /* its solution                                         */
     fo_real current[FO_HISTORY][FO_N];   /* newest first [A]                                     */
     fo_real source[FO_N];                /* last good volt-seconds                               */
     fo_real step, length;                /* of the position vector: last step, |flux - L i|      */
