@@ -54,6 +54,23 @@ nb::ndarray<nb::numpy, T> owned(std::unique_ptr<T[]> data, std::initializer_list
     return nb::ndarray<nb::numpy, T>(data.release(), shape, owner);
 }
 
+// Every number a step uses, in the order of the struct.
+#define FO_OBSERVER_FIELDS(X)                                                                    \
+    X(Q1x2) X(E) X(row_Q2) X(row_Q3) X(row_C) X(row_s) X(hR) X(hB) X(h) X(rho) X(reinject)        \
+    X(plausible) X(noise_information) X(flux_base) X(drift_base) X(current_limit) X(over_noise)   \
+    X(square_min) X(L_position) X(position_noise) X(sample_time) X(track)
+#define FO_SIZE(name) +sizeof(fo_observer::name)
+static_assert(sizeof(fo_observer) == 0 FO_OBSERVER_FIELDS(FO_SIZE), "a field is missing");
+
+nb::object nested(fo_real value) { return nb::float_(static_cast<double>(value)); }
+
+template <class T, std::size_t N>
+nb::object nested(const T (&values)[N]) {
+    nb::list out;
+    for (const T &value : values) out.append(nested(value));
+    return out;
+}
+
 class Core {
 public:
     Core(const Matrix &Q1, const Matrix &Q2, const Matrix &Q3, const Vector &E, const Vector &C,
@@ -87,6 +104,14 @@ public:
                 throw std::invalid_argument("bases, noises, limits and priors must be positive");
             default: throw std::invalid_argument("every parameter must be finite");
         }
+    }
+
+    // name -> number or nested list, in the order of fo_observer
+    nb::dict parameters() const {
+        nb::dict out;
+#define FO_ADD(name) out[#name] = nested(observer_.name);
+        FO_OBSERVER_FIELDS(FO_ADD)
+        return out;
     }
 
     nb::ndarray<nb::numpy, std::uint8_t> reset(std::size_t lanes) const {
@@ -188,6 +213,7 @@ NB_MODULE(FLUXOBS_MODULE, m) {
              nb::arg("memory"), nb::arg("flux_base"), nb::arg("constraint_base"),
              nb::arg("constraint_noise"), nb::arg("current_noise"), nb::arg("current_limit"),
              nb::arg("drift_prior"), nb::arg("length_min"), nb::arg("tracker_bandwidth"))
+        .def("parameters", &Core::parameters)
         .def("reset", &Core::reset)
         .def("run", &Core::run)
         .def_static("counters", &Core::counters);

@@ -68,14 +68,13 @@ typedef struct {
     fo_real hB[FO_N][FO_N];        /* voltage to per-unit volt-seconds                */
     fo_real h;                     /* sample time / memory                            */
     fo_real rho;                   /* forgetting a sample                             */
-    fo_real prior[FO_NX];          /* 1 / prior variance, per-unit                    */
-    fo_real reinject;              /* share of it that is re-injected in a turn       */
+    fo_real reinject;              /* share of the prior re-injected in a turn        */
     fo_real plausible;             /* std of the drift before anything is known, per-unit */
     fo_real noise_information;     /* per sample, what current noise alone pretends   */
     fo_real flux_base, drift_base; /* [Wb], [V]                                       */
     fo_real current_limit;         /* [A]                                             */
-    fo_real over_noise;            /* 1 / assumed variance of the current [1/A^2]     */
-    fo_real length_min;            /* per-unit                                        */
+    fo_real over_noise;            /* 1 / what noise makes of third differences [1/A^2] */
+    fo_real square_min;            /* of a position vector that tells, squared, per-unit */
     fo_real L_position;            /* per-unit per ampere                             */
     fo_real position_noise;        /* variance in x from the current's noise          */
     fo_real sample_time;           /* [s]                                             */
@@ -93,28 +92,29 @@ typedef struct {
 
 /* Everything that changes. Plain data: copy it, store it, restore it. Per-unit unless said. */
 typedef struct {
+    uint32_t have_current, have_voltage; /* seen since the last restart                          */
+    uint32_t trusted, have_carried;      /* the least squares is now; was once                   */
+    uint32_t turn;                       /* which prior row is re-injected next                  */
+    uint32_t consecutive_bad;
+    uint32_t bad_voltages, bad_currents, absurd, outliers, restarts; /* counted since fo_reset   */
+    uint32_t reserved;                   /* keeps what follows aligned                           */
     fo_information info;
     fo_real x[FO_NX];                    /* its solution                                         */
     fo_real current[FO_HISTORY][FO_N];   /* newest first [A]                                     */
     fo_real source[FO_N];                /* last good volt-seconds                               */
     fo_real step, length;                /* of the position vector: last step, |flux - L i|      */
-    fo_real rough;                       /* variance of a current component by its roughness [A^2] */
+    fo_real rough, roughness;            /* variance of the current's noise over the assumed; >= 1 */
     fo_real exposed;                     /* to voltage errors: time within the last radian [memories] */
     fo_real innovation;                  /* last, normalised                                     */
-    fo_real power, lag_one, weight;      /* sums over the innovations, forgetting                */
-    fo_real prior_scale;                 /* the drift's prior has proved too tight by this       */
+    fo_real power, lag_one;              /* sums over the innovations, forgetting                */
+    fo_real noise_share, inflation, spread; /* as last judged; variance of the angle [rad^2]     */
+    fo_real drift_prior;                 /* information; less where it has proved too tight      */
     fo_real theta, swept;                /* of the least squares; turned since it is known [rad] */
     fo_real flux[FO_N], drift[FO_N];     /* last trusted, carried on while nothing is known      */
     fo_real variance, growth;            /* of the carried position: start, and a memory squared [rad^2] */
     fo_real carried;                     /* for how long [memories]                              */
     fo_real carried_length, carried_off; /* of the position vector: at its start, largest change */
     fo_real angle, speed, acceleration;  /* tracker [rad, rad/s, rad/s^2]                        */
-    uint32_t have_current, have_voltage; /* seen since the last restart                          */
-    uint32_t trusted, have_carried;      /* the least squares is now; was once                   */
-    uint32_t turn;                       /* which prior row is re-injected next                  */
-    uint32_t consecutive_bad;
-    uint32_t bad_voltages, bad_currents, absurd, outliers, restarts; /* counted since fo_reset   */
-    uint32_t reserved;                   /* keeps the size a multiple of eight                   */
 } fo_state;
 
 typedef struct {
@@ -126,7 +126,7 @@ typedef struct {
     fo_real drift[FO_N];       /* R current_bias - B voltage_bias [V]                             */
     fo_real theta_e_std;       /* of theta_e [rad]; pi/sqrt(3) when nothing is known              */
     fo_real innovation;        /* of this sample, normalised by the assumed noise                 */
-    fo_real noise_share;       /* share of the flux information that is only noise                */
+    fo_real noise_share;       /* share of the flux information that is only noise; 1: no position */
     int32_t valid;             /* 1: the position is known now                                    */
 } fo_estimate;
 

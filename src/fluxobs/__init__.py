@@ -3,6 +3,7 @@
 from importlib.metadata import version
 
 from .constraint import QuadraticConstraint
+from .deployment import export
 from .errors import FluxobsError, MachineError, ModelError, RecordError
 from .immersion import Immersion
 from .machines import (
@@ -34,5 +35,6 @@ __all__ = [
     "RecordError",
     "SurfacePMSM",
     "SynchronousReluctance",
+    "export",
     "read_machine",
 ]

@@ -294,6 +294,58 @@ def compare(
 
 
 @app.command()
+def export(
+    machine: MachineOption,
+    sample_time: Annotated[
+        float, typer.Option(help="Seconds; period of the current-control interrupt.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder to be made.")],
+    unknowns: Annotated[
+        str, typer.Option(help="What is constant and not known; the firmware finds the drift.")
+    ] = "drift",
+    memory: Annotated[
+        float | None, typer.Option(help="Seconds; memory of the least squares. Default 0.03.")
+    ] = None,
+    current_noise: Annotated[
+        float | None,
+        typer.Option(
+            help="Ampere, standard deviation of a component; default 0.2 % of the rated current. "
+            "`fluxobs estimate` prints what it took for a log."
+        ),
+    ] = None,
+    drift_prior: Annotated[
+        float | None, typer.Option(help="Volt; largest plausible drift. Default from the machine.")
+    ] = None,
+    prefix: Annotated[
+        str, typer.Option(help="Of the generated names, so that two machines fit one firmware.")
+    ] = "motor",
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an earlier export.")] = False,
+) -> None:
+    """Write the observer for one machine as C99 that compiles into its firmware.
+
+    The folder holds the sources, a header with the parameters, an example interrupt, and test
+    vectors with a host test: `make test` in it replays them. It does sample by sample what
+    `fluxobs estimate` does.
+    """
+    from .deployment import export as write
+    from .machines import read_machine
+    from .reference_estimate import read_unknowns
+
+    done = write(
+        read_machine(machine),
+        sample_time,
+        out,
+        memory=memory,
+        unknowns=read_unknowns(unknowns),
+        current_noise=current_noise,
+        drift_prior=drift_prior,
+        prefix=prefix,
+        force=force,
+    )
+    typer.echo(f"Written: {done.folder}, content {done.content}. `make -C {done.folder} test`")
+
+
+@app.command()
 def machines() -> None:
     """List the machines that come with the package; any name serves as --machine."""
     from .machines import example, example_names, example_text

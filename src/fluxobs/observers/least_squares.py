@@ -395,6 +395,11 @@ class LeastSquaresObserver:
             )
         return self._advance(state, source, i, volt_seconds is not None, threads or _processors())
 
+    def parameters(self) -> dict[str, Any]:
+        """Every number a step uses, per-unit, in the order of fo_observer (firmware/fluxobs.h)."""
+        found: dict[str, Any] = self._core.parameters()
+        return found
+
     def counts(self, state: LeastSquaresState, lane: int = 0) -> SampleCounts:
         """Bad samples and restarts that `state` (one lane of it) has seen."""
         return SampleCounts(*self._core.counters(state.raw, lane))

@@ -26,12 +26,12 @@ FLUX_STEP_LIMIT = 4.0
 OUTLIER_LIMIT = 1.0
 STEP_LIMIT, STEP_NOISE = 0.15, 6.0
 CORRELATION_LIMIT = 0.98
-REINJECT_EVERY = 2
 SETTLED = 3 * np.pi
 DISTRUST = 0.01
 MAX_CONSECUTIVE_BAD = 3
 SIZE = 7
-PERIOD = REINJECT_EVERY * SIZE
+#: Samples take turns: in one a prior row is re-injected, in the next the certainty is judged.
+PERIOD = 2 * SIZE
 #: Columns of the information triangle: s, flux, kappa, drift, c, and what they solve for.
 S, FLUX, KAPPA, DRIFT, CC, Z = 0, slice(1, 3), 3, slice(4, 6), 6, 7
 PRIOR_POWER = np.array([0, 0, 0, 1, 1, 1, 2])
@@ -43,6 +43,7 @@ class LeastSquaresState(NamedTuple):
     """Everything that changes; per-unit (flux base, memory) unless said."""
 
     triangle: Array  # (7, 8): R | z of R x = z, x = (s, flux, kappa, drift, c)
+    x: Array  # (7,) its solution
     noise: Array  # (3,) information that noise alone pretends: flux, flux-drift, drift
     currents: Array  # (4, 2) newest first [A]
     source: Array  # (2,) last good volt-seconds
@@ -53,7 +54,9 @@ class LeastSquaresState(NamedTuple):
     innovation: Array
     power: Array
     lag_one: Array
-    weight: Array
+    noise_share: Array  # as last judged
+    inflation: Array
+    spread: Array  # variance of the least squares' angle [rad²]
     prior_scale: Array  # the drift's prior has proved too tight by this
     theta: Array  # of the least squares [rad]
     swept: Array  # turned since it is known [rad]
@@ -89,16 +92,6 @@ class Reading(NamedTuple):
     theta_e_std: Array
     valid: Array
     innovation: Array
-    noise_share: Array
-
-
-class Solution(NamedTuple):
-    """What R says of the unknowns, and what of it is only noise."""
-
-    x: Array  # (7,)
-    P: Array  # (3,) covariance of the flux: αα, αβ, ββ
-    drift_variance: Array
-    inflation: Array
     noise_share: Array
 
 
@@ -194,6 +187,7 @@ class SquareRootLeastSquares(eqx.Module):
         blank |= dict.fromkeys(("turn", "consecutive_bad", "restarts", "outliers"), count)
         blank |= {
             "triangle": jnp.zeros((SIZE, SIZE + 1)),
+            "x": jnp.zeros(SIZE),
             "noise": jnp.zeros(3),
             "currents": jnp.zeros((4, 2)),
             "prior_scale": jnp.ones(()),
@@ -224,11 +218,12 @@ class SquareRootLeastSquares(eqx.Module):
         triangle = jnp.diag(self.prior / s.prior_scale**PRIOR_POWER)
         return s._replace(
             triangle=jnp.pad(triangle, ((0, 0), (0, 1))),
+            x=jnp.zeros(SIZE),
             noise=jnp.zeros(3),
             innovation=zero,
-            weight=1 / self.h,
             power=1 / self.h,
             lag_one=zero,
+            noise_share=jnp.ones(()),
             swept=zero,
             trusted=jnp.zeros((), bool),
             turn=jnp.zeros((), jnp.int32),
@@ -239,7 +234,6 @@ class SquareRootLeastSquares(eqx.Module):
         return self._empty(s)._replace(
             have_current=no,
             have_voltage=no,
-            exposed=jnp.zeros(()),
             variance=jnp.asarray(VARIANCE_UNKNOWN),
         )
 
@@ -264,72 +258,62 @@ class SquareRootLeastSquares(eqx.Module):
     def _roughness(self, s: LeastSquaresState) -> Array:
         return jnp.maximum(s.rough * self.over_noise, 1.0)
 
-    def _measure(self, s: LeastSquaresState, current: Array) -> tuple[LeastSquaresState, Array]:
-        """0 = s + (Q2 i)ᵀflux + iᵀQ3 i + Cᵀi; and whether that is near what was known."""
+    def _relation(self, current: Array) -> Array:
+        """Row and right-hand side of 0 = s + (Q2 i)ᵀflux + iᵀQ3 i + Cᵀi, divided by its noise."""
         rhs = -(self.row_C @ current + current @ self.row_Q3 @ current)
         row = [self.row_s[None], self.row_Q2 @ current, jnp.zeros(4), rhs[None]]
-        triangle, e = absorb(s.triangle, jnp.concatenate(row))
-        near = e * e < (OUTLIER_LIMIT * self.row_s) ** 2
+        return jnp.concatenate(row)
+
+    def _contradicts(self, s: LeastSquaresState, v: Array, row: Array) -> Array:
+        """Is the measurement far from what the estimate before the interval leads to?"""
+        h, x, q = self.h, s.x, self.Q1x2 @ v
+        flux = x[FLUX] + h * x[DRIFT]
+        free = x[S] + q @ v / 2 + self.E @ v + h * (x[KAPPA] + h * x[CC]) + q @ flux
+        off = row[Z] - row[S] * free - row[FLUX] @ (flux + v)
+        return ~(jnp.abs(off) < OUTLIER_LIMIT * self.row_s)
+
+    def _measure(self, s: LeastSquaresState, row: Array) -> LeastSquaresState:
+        triangle, e = absorb(s.triangle, row)
         c = s.currents
         third = c[0] - c[3] + 3 * (c[2] - c[1])
-        measured = s._replace(
+        return s._replace(
             triangle=triangle,
             power=self._rho * s.power + e * e,
             lag_one=self._rho * s.lag_one + e * s.innovation,
-            weight=self._rho * s.weight + 1,
             innovation=e,
             noise=s.noise + self.noise_information * self._roughness(s) * np.array([1.0, 0, 0]),
             rough=s.rough + self.h * (third @ third / 40 - s.rough),
         )
-        return measured, near
 
     # ---- read-out ------------------------------------------------------------------------
 
-    def _solution(self, s: LeastSquaresState) -> Solution:
-        T = s.triangle
-        inverse = invert(T[:, :SIZE])
-        x = inverse @ T[:, Z]
-        flux, drift = inverse[FLUX], inverse[DRIFT]
-        P = flux @ flux.T
-        n0, n1, n2 = s.noise
-        pretended = n0 - jnp.where(n2 > 0, n1**2 / jnp.where(n2 > 0, n2, 1.0), 0.0)
-        r1 = jnp.clip(s.lag_one / s.power, 0.0, CORRELATION_LIMIT)
-        r1 = jnp.where(s.power > 0, r1, 0.0)
-        return Solution(
-            x,
-            jnp.stack([P[0, 0], P[0, 1], P[1, 1]]),
-            jnp.sum(drift**2) / 2,
-            s.power / s.weight * (1 + r1) / (1 - r1),
-            pretended * (P[0, 0] + P[1, 1]),
-        )
-
     def _read_out(self, s: LeastSquaresState, v: Array) -> tuple[LeastSquaresState, Reading]:
         """The least squares' own flux while it is trusted, else the last trusted carried on."""
-        a = self._solution(s)
-        flux, drift = a.x[FLUX], a.x[DRIFT]
+        inverse = invert(s.triangle[:, :SIZE])
+        x = inverse @ s.triangle[:, Z]
+        flux, drift = x[FLUX], x[DRIFT]
         current = s.currents[0]
         p = flux - self.L_position * current
         square = p @ p
         theta = jnp.arctan2(p[1], p[0])
-        known = (a.noise_share < SHARE_LIMIT) & (square > self.length_min**2)
+        long_enough = square > self.length_min**2
+        s = self._taken_turn(s._replace(x=x), inverse, p, square, long_enough)
+        known = long_enough & (s.noise_share < SHARE_LIMIT)
         swept = jnp.where(known, s.swept + wrap(theta - s.theta), 0.0)
-        turned = jnp.abs(swept)
-        trusted = known & (s.trusted | (turned > SWEEP))
-        drift_prior = s.prior_scale / self.prior[4]
-        excess = drift @ drift / drift_prior**2
-        inflation = a.inflation * jnp.maximum(excess, 1.0)
+        trusted = known & (s.trusted | (jnp.abs(swept) > SWEEP))
 
         # Trusted: the covariance across p, and the noise of the current in it.
         floor = self.position_noise * self._roughness(s)
-        across = p[1] ** 2 * a.P[0] - 2 * p[0] * p[1] * a.P[1] + p[0] ** 2 * a.P[2]
-        own_variance = (inflation * across / square + floor) / square
+        own_variance = s.spread + floor / square
         # Not trusted: the last trusted flux goes on by integration.
         start = s.flux - self.L_position * current
         begins = s.carried == 0
-        plausible = 1 / self.prior[4] ** 2
-        grows = (inflation * a.drift_variance + plausible) / (start @ start)
+        plausible = 1 / self.prior[4]
+        start_square = start @ start
+        across = (start[1] * inverse[4] - start[0] * inverse[5]) ** 2
+        grows = (s.inflation * jnp.sum(across) / start_square + plausible**2) / start_square
         growth = jnp.where(begins, grows, s.growth)
-        carried_length = jnp.where(begins, jnp.sqrt(start @ start), s.carried_length)
+        carried_length = jnp.where(begins, jnp.sqrt(start_square), s.carried_length)
         carried = s.carried + self.h
         carried_flux = s.flux + v + self.h * s.drift
         # What is wrong with the drift shows in the length, which should stay.
@@ -357,20 +341,13 @@ class SquareRootLeastSquares(eqx.Module):
         std = jnp.where(unknown, STD_UNKNOWN, jnp.sqrt(variance))
 
         # A voltage error adds up until the rotor has turned by about a radian.
-        step = jnp.minimum(jnp.abs(tracker[1]) * self.sample_time, 1.0)
-        exposed = jnp.where(trusted, s.exposed + self.h - s.exposed * step, 0.0)
-        steady = exposed < VOLTAGE_LIMIT * self.prior[4] * length
+        step = jnp.minimum(jnp.abs(s.speed) * self.sample_time, 1.0)
+        exposed = jnp.where(s.trusted, s.exposed + self.h - s.exposed * step, 0.0)
+        steady = exposed * plausible < VOLTAGE_LIMIT * length
 
-        widen = trusted & (excess > 1) & (turned > SETTLED)
-        reinjected, turn = self._reinjected(s, a.x)
-        keep = DISTRUST / jnp.where(widen, excess, 1.0)
         after = s._replace(
-            triangle=jnp.where(widen, jnp.sqrt(keep) * s.triangle, reinjected),
-            noise=jnp.where(widen, keep * s.noise, s.noise),
-            prior_scale=jnp.where(widen, 2 * jnp.sqrt(excess), 1.0) * s.prior_scale,
-            turn=jnp.where(widen, s.turn, turn),
             length=length,
-            exposed=exposed,
+            exposed=jnp.where(trusted, exposed, s.exposed),
             theta=theta,
             swept=swept,
             flux=jnp.where(trusted, flux, jnp.where(carries, carried_flux, s.flux)),
@@ -396,7 +373,42 @@ class SquareRootLeastSquares(eqx.Module):
             std,
             trusted & (std < STD_LIMIT) & steady,
             s.innovation,
-            a.noise_share,
+            s.noise_share,
+        )
+
+    def _taken_turn(
+        self, s: LeastSquaresState, inverse: Array, p: Array, square: Array, long_enough: Array
+    ) -> LeastSquaresState:
+        """Re-injects a prior row, or judges how sure the least squares is."""
+        judges = s.turn % 2 == 1
+        turned = self._judged(s, inverse, p, square)
+        judged = select(long_enough, turned, s._replace(noise_share=jnp.ones(())))
+        s = select(judges, judged, s._replace(triangle=self._reinjected(s)))
+        return s._replace(turn=(s.turn + 1) % PERIOD)
+
+    def _judged(
+        self, s: LeastSquaresState, inverse: Array, p: Array, square: Array
+    ) -> LeastSquaresState:
+        """Variance of the angle of p, and what of the flux's information is only noise."""
+        drift_prior = s.prior_scale / self.prior[4]
+        excess = s.x[DRIFT] @ s.x[DRIFT] / drift_prior**2
+        flux = inverse[FLUX]
+        across = jnp.sum((p[1] * flux[0] - p[0] * flux[1]) ** 2) / square
+        n0, n1, n2 = s.noise
+        pretended = n0 - jnp.where(n2 > 0, n1**2 / jnp.where(n2 > 0, n2, 1.0), 0.0)
+        r1 = jnp.clip(s.lag_one / s.power, 0.0, CORRELATION_LIMIT)
+        r1 = jnp.where(s.power > 0, r1, 0.0)
+        inflation = self.h * s.power * (1 + r1) / (1 - r1)
+        # A prior that is wrong is forgotten slowly: widen it, and let what it did count for little.
+        widen = (excess > 1) & s.trusted & (jnp.abs(s.swept) > SETTLED)
+        keep = jnp.where(widen, DISTRUST / excess, 1.0)
+        return s._replace(
+            noise_share=pretended * jnp.sum(flux**2),
+            inflation=inflation,
+            spread=inflation * across / square * jnp.maximum(excess, 1.0),
+            triangle=jnp.sqrt(keep) * s.triangle,
+            noise=keep * s.noise,
+            prior_scale=jnp.where(widen, 2 * jnp.sqrt(excess), 1.0) * s.prior_scale,
         )
 
     def _track(self, s: LeastSquaresState, theta: Array, stop: Array) -> tuple[Array, ...]:
@@ -414,14 +426,11 @@ class SquareRootLeastSquares(eqx.Module):
             jnp.where(stop, 0.0, acceleration),
         )
 
-    def _reinjected(self, s: LeastSquaresState, x: Array) -> tuple[Array, Array]:
+    def _reinjected(self, s: LeastSquaresState) -> Array:
         """One prior row in turn, aimed at the estimate: bounds the deviations, moves nothing."""
-        due = s.turn % REINJECT_EVERY == 0
         scale = s.prior_scale**PRIOR_POWER
-        chosen = jnp.arange(SIZE) == s.turn // REINJECT_EVERY
-        row = jnp.where(chosen & due, self.reinject / scale, 0.0)
-        triangle, _ = absorb(s.triangle, jnp.append(row, row @ x))
-        return triangle, (s.turn + 1) % PERIOD
+        row = jnp.where(jnp.arange(SIZE) == s.turn // 2, self.reinject / scale, 0.0)
+        return absorb(s.triangle, jnp.append(row, row @ s.x))[0]
 
     # ---- samples -------------------------------------------------------------------------
 
@@ -461,29 +470,28 @@ class SquareRootLeastSquares(eqx.Module):
         v = self._volt_seconds(s.currents, s.source, complete)
         connected = s.have_voltage
         v = jnp.where(connected, v, 0.0)
-        moved = select(connected, self._predict(s, v), self._empty(s))
+        s = select(connected | ~takes, s, self._empty(s))
         step = jnp.linalg.norm(v - self.L_position * (s.currents[0] - s.currents[1]))
         jump = STEP_NOISE * jnp.sqrt(self.position_noise * self._roughness(s))
-        jumped = moved.trusted & (step > 2 * s.step + STEP_LIMIT * s.length + jump)
-        measured, near = self._measure(moved, current)
-        contradicted = takes & good & (jumped | ~near)
+        row = self._relation(current)
+        leaps = step > 2 * s.step + STEP_LIMIT * s.length + jump
+        contradicted = takes & good & s.trusted & (leaps | self._contradicts(s, v, row))
 
         # A sample that contradicts all before is passed over as if it were missing.
         held = s.currents.at[0].set(s.currents[1])
-        v_held = self._volt_seconds(held, s.source, complete)
-        over = self._predict(
-            moved._replace(triangle=s.triangle, noise=s.noise, currents=held), v_held
+        v = jnp.where(contradicted, self._volt_seconds(held, s.source, complete), v)
+        s = s._replace(
+            currents=jnp.where(contradicted, held, s.currents),
+            step=jnp.where(takes & ~contradicted, step, s.step),
+            outliers=s.outliers + contradicted,
         )
-        taken = select(good, measured, moved)._replace(step=step)
-        after = select(contradicted, over, taken)
-        v = jnp.where(takes, jnp.where(contradicted, v_held, v), 0.0)
-        s = select(takes, after, s)
-        s = s._replace(outliers=s.outliers + contradicted)
+        s = select(takes & connected, self._predict(s, v), s)
+        s = select(takes & good & ~contradicted, self._measure(s, row), s)
+        v = jnp.where(takes, v, 0.0)
 
         consecutive = jnp.where(missing | contradicted, s.consecutive_bad + 1, 0)
-        restart = absurd | (consecutive > MAX_CONSECUTIVE_BAD)
-        counts = absurd | (consecutive == MAX_CONSECUTIVE_BAD + 1)
-        s = s._replace(consecutive_bad=consecutive, restarts=s.restarts + (restart & counts))
+        restart = absurd | (s.have_current & (consecutive > MAX_CONSECUTIVE_BAD))
+        s = s._replace(consecutive_bad=consecutive, restarts=s.restarts + restart)
         s = select(restart, self._restarted(s), s)
         s, reading = self._read_out(s, v)
         return s, reading._replace(valid=reading.valid & ~contradicted)

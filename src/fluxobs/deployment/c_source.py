@@ -1,0 +1,51 @@
+"""Numbers and names as C99 writes them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Any, Literal
+
+Precision = Literal["single", "double"]
+PRECISIONS: tuple[Precision, ...] = ("single", "double")
+
+
+def hex_float(value: float, precision: Precision = "double") -> str:
+    """A literal that loses no digit: ``0x1.8p-3``, with the suffix f in single precision.
+
+    Examples
+    --------
+    >>> hex_float(0.1875), hex_float(-0.5, "single")
+    ('0x1.8p-3', '-0x1p-1f')
+    """
+    if value != value:
+        return "(fo_real)NAN"
+    mantissa, exponent = value.hex().split("p")
+    mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
+    return f"{mantissa}p{int(exponent)}" + ("f" if precision == "single" else "")
+
+
+def initializer(value: Any, precision: Precision) -> str:
+    """``{0x1p+0, …}`` of a number or a nested list of them."""
+    if isinstance(value, list):
+        return "{" + ", ".join(initializer(item, precision) for item in value) + "}"
+    return hex_float(float(value), precision)
+
+
+def table(rows: Iterable[Iterable[float]], precision: Precision) -> str:
+    """Rows of a two-dimensional array, one a line."""
+    return "\n".join(
+        "    {" + ", ".join(hex_float(float(x), precision) for x in row) + "}," for row in rows
+    )
+
+
+def is_identifier(name: str) -> bool:
+    """Can it begin the names of a C source, and of a file?"""
+    return re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,39}", name) is not None
+
+
+def identifier(text: str) -> str:
+    """The nearest identifier: ``servo-400w`` is ``servo_400w``."""
+    name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_") or "motor"
+    name = name if name[0].isalpha() else f"motor_{name}"
+    return name[:40].rstrip("_")

@@ -1,0 +1,94 @@
+#include "check.h"
+
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+#include "@prefix@.h"
+#include "vectors.h"
+
+enum { LENGTH = 2, EXACT_COLUMNS = 9, VALID = 8, TRACKED = 10, SPEED = 11 };
+
+static const double TURN = 6.283185307179586;
+static fo_state state;
+
+void check_start(void) { fo_reset(&@prefix@_observer, &state); }
+
+void check_step(int sample, fo_estimate *estimate)
+{
+    fo_step(&@prefix@_observer, &state, &samples[sample][0], &samples[sample][2], estimate);
+}
+
+/* FNV-1a, least significant byte first. */
+static uint32_t checksum(void)
+{
+    uint32_t sum = 0x811C9DC5U;
+    for (int row = 0; row < SAMPLES / EVERY; row++) {
+        for (int column = 0; column < EXPECTED_COLUMNS; column++) {
+#ifdef FO_SINGLE
+            uint32_t bits;
+#else
+            uint64_t bits;
+#endif
+            memcpy(&bits, &expected[row][column], sizeof bits);
+            for (unsigned byte = 0; byte < sizeof bits; byte++) {
+                sum = (sum ^ (uint32_t)((bits >> (8U * byte)) & 0xFFU)) * 0x01000193U;
+            }
+        }
+    }
+    return sum;
+}
+
+static double larger(double a, double b) { return a > b ? a : b; }
+
+void check_replay(check_result *r)
+{
+    static const check_result none = {0, 0, 0, 0, 0, 0, 0.0, 0.0};
+    fo_estimate e;
+    double speed_scale = 0.0, flux_scale = 0.0;
+    *r = none;
+    r->damaged = checksum() != expected_checksum;
+    for (int row = 0; row < SAMPLES / EVERY; row++) {
+        speed_scale = larger(speed_scale, fabs((double)expected[row][SPEED]));
+        flux_scale = larger(flux_scale, (double)expected[row][LENGTH]);
+    }
+    check_start();
+    for (int k = 0; k < SAMPLES; k++) {
+        check_step(k, &e);
+        if ((k + 1) % EVERY != 0) {
+            continue;
+        }
+        const fo_real found[EXPECTED_COLUMNS] = {
+            e.flux[0],     e.flux[1],    e.psi_f,       e.drift[0],
+            e.drift[1],    e.theta_e_std, e.innovation, e.noise_share,
+            (fo_real)e.valid, e.theta_e, e.theta_e_tracked, e.speed_e,
+        };
+        const fo_real *right = expected[k / EVERY];
+        int first = EXPECTED_COLUMNS;
+        for (int column = EXPECTED_COLUMNS - 1; column >= 0; column--) {
+            double off = fabs((double)found[column] - (double)right[column]);
+            double limit = 0.0;
+            if (column == SPEED) {
+                limit = 1e-5 * speed_scale;
+            } else if (column >= EXACT_COLUMNS) {
+                off = fabs(remainder(off, TURN));
+                limit = 1e-6;
+                r->angle_error = larger(r->angle_error, off);
+            } else if (column < 2) {
+                r->flux_error = larger(r->flux_error, off / flux_scale);
+            }
+            if (!(off <= limit)) {
+                first = column;
+            }
+        }
+        if (first < EXPECTED_COLUMNS) {
+            if (r->wrong == 0) {
+                r->first_row = k;
+                r->first_column = first;
+            }
+            r->wrong++;
+        }
+        r->valid += found[VALID] != (fo_real)0 ? 1 : 0;
+        r->rows++;
+    }
+}

@@ -1,0 +1,26 @@
+/* Replays the test vectors and compares with what the fluxobs library returns for them. */
+#ifndef CHECK_H
+#define CHECK_H
+
+#include "fluxobs.h"
+
+typedef struct {
+    int damaged;       /* the expected values are not those that were written */
+    int rows;          /* compared */
+    int wrong;         /* of them */
+    int first_row;     /* the first wrong sample, ... */
+    int first_column;  /* ... and which value of it; see vectors.h */
+    int valid;         /* rows whose position is known */
+    double flux_error; /* largest, relative */
+    double angle_error; /* largest [rad] */
+} check_result;
+
+/* Flux, drift and what is computed from them have to be equal bit for bit; angles, for which each
+ * C library has its own atan2, to 1e-6 rad, the speed to 1e-5. */
+void check_replay(check_result *result);
+
+/* One sample of the record, the first after the last; for counting what a step costs. */
+void check_start(void);
+void check_step(int sample, fo_estimate *estimate);
+
+#endif
