@@ -1,7 +1,8 @@
 """A short record that takes the observer through everything it can meet, for its tests in C.
 
-Closed form, in steps of converters: a start from rest at an unknown angle, a run-up, a step of
-load, a sample that is missing, one that is absurd, a stop, and the reverse.
+Closed form, in steps of converters: a start from rest at an unknown angle, a run-up, a voltage
+offset beyond its prior, a step of load, samples that are missing, contradict or are absurd, a stop
+through which the flux is carried, and the reverse.
 """
 
 from __future__ import annotations
@@ -12,15 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machines import RotatingMachine, SurfacePMSM
+from ..observers import LeastSquaresObserver
 
 Array = NDArray[np.float64]
 
 #: Samples an electrical period at full speed.
 PERIOD = 36
-#: (row, share of full speed), straight between.
-SPEED = ((0, 0.0), (40, 0.0), (160, 1.0), (640, 1.0), (760, 0.0), (840, 0.0), (960, -0.8))
-LOAD_ROW, MISSING_ROW, ABSURD_ROW = 300, 380, 460
-ROWS = 1200
+#: (row, share of full speed), straight between. The stop is long enough to be carried through where
+#: the memory is 50 samples.
+SPEED = ((0, 0.0), (40, 0.0), (140, 1.0), (660, 1.0), (740, 0.0), (1280, 0.0), (1380, -0.8))
+LOAD_ROW, ABSURD_ROW = 220, 380
+MISSING_CURRENT_ROW, MISSING_VOLTAGE_ROW, SPIKE_ROW = 280, 300, 320
+ROWS = 1540
 #: Bits of the current converter over its range, of two rated currents either way.
 BITS = 12
 START_ANGLE = 2.0
@@ -40,10 +44,11 @@ class Course:
     theta_e: Array  # (rows,) the true angle [rad]
 
 
-def course(
-    machine: RotatingMachine, sample_time: float, psi_f: float | None, rated_current: float
-) -> Course:
+def course(machine: RotatingMachine, observer: LeastSquaresObserver) -> Course:
     """The record for a machine: currents a tenth to the whole of the rated one."""
+    sample_time, rated_current = observer.sample_time, machine.rated_current
+    assert rated_current is not None
+    psi_f: float | None = getattr(machine, "psi_f", None)
     h = sample_time / PARTS
     k = np.arange(ROWS * PARTS + 1) / PARTS
     rows, shares = zip(*SPEED, strict=True)
@@ -62,12 +67,16 @@ def course(
     mean = (parts.sum(axis=1) + (current[PARTS::PARTS] - current[:-1:PARTS]) / 2) / PARTS
     voltage = np.diff((flux_dq * turn)[::PARTS]) / sample_time + machine.R_s * mean
 
+    voltage += 1.5 * observer.drift_prior
     offset = 0.01 * rated_current * (1 - 0.5j)
     step = 2.0 ** np.ceil(np.log2(4 * rated_current / 2**BITS))
-    measured = np.round((_pairs(current[PARTS::PARTS] + offset)) / step) * step
+    measured = np.round(_pairs(current[PARTS::PARTS] + offset) / step) * step
     measured[ABSURD_ROW] = 1e6 * rated_current
-    measured[MISSING_ROW] = np.nan
-    return Course(_single(_pairs(voltage)), _single(measured), np.angle(turn[PARTS::PARTS]))
+    measured[MISSING_CURRENT_ROW] = np.nan
+    measured[SPIKE_ROW, 0] += 2 * observer.flux_base / machine.position_inductance
+    applied = _pairs(voltage)
+    applied[MISSING_VOLTAGE_ROW] = np.nan
+    return Course(_single(applied), _single(measured), np.angle(turn[PARTS::PARTS]))
 
 
 def _pairs(z: NDArray[np.complex128]) -> Array:

@@ -199,10 +199,7 @@ def _files(
     sources = {name: (installed / name).read_text(encoding="utf-8") for name in SOURCES}
     header = parameter_header(prefix, observers, machine, version, tuple(sources.values()))
     single = observers["single"]
-    assert machine.rated_current is not None
-    record = course(
-        machine, single.sample_time, getattr(machine, "psi_f", None), machine.rated_current
-    )
+    record = course(machine, single)
     words = {
         "prefix": prefix,
         "sample_time": f"{single.sample_time:.9g}",

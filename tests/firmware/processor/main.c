@@ -1,0 +1,66 @@
+/* Replays the exported test vectors on an emulated processor: compares, counts, weighs. */
+#include <stddef.h>
+
+#include "check.h"
+#include "motor.h"
+#include "target.h"
+#include "vectors.h"
+
+enum { PAINTED = 1024, PAINT = 0x5A };
+
+static fo_state state;
+
+static volatile unsigned char *stack_pointer(void)
+{
+    volatile unsigned char *sp;
+    __asm__ volatile("mov %0, sp" : "=r"(sp));
+    return sp;
+}
+
+static __attribute__((noinline)) uint32_t timed_step(int k, fo_estimate *e)
+{
+    const uint32_t before = target_ticks();
+    fo_step(&motor_observer, &state, &samples[k][0], &samples[k][2], e);
+    return (before - target_ticks()) & 0xFFFFFFU;
+}
+
+int main(void)
+{
+    check_result r;
+    fo_estimate e;
+    check_replay(&r);
+    target_number("damaged", r.damaged);
+    target_number("rows", r.rows);
+    target_number("wrong", r.wrong);
+    target_number("first_row", r.first_row);
+    target_number("first_column", r.first_column);
+    target_number("valid", r.valid);
+    target_number("flux_error_e12", (int32_t)(r.flux_error * 1e12));
+    target_number("angle_error_e12", (int32_t)(r.angle_error * 1e12));
+
+    /* Sums are kept by the host: ticks of every step are written out. */
+    fo_reset(&motor_observer, &state);
+    target_start_ticks();
+    const uint32_t first = target_ticks(), second = target_ticks();
+    target_number("ticks_of_reading", (int32_t)((first - second) & 0xFFFFFFU));
+    for (int k = 0; k < SAMPLES; k++) {
+        target_number("ticks", (int32_t)timed_step(k, &e));
+    }
+
+    /* What lies below the stack's end is painted; what a step has used of it is not, afterwards. */
+    volatile unsigned char *const sp = stack_pointer(), *below = sp - PAINTED;
+    fo_reset(&motor_observer, &state);
+    for (int i = 0; i < PAINTED; i++) {
+        below[i] = PAINT;
+    }
+    for (int k = 0; k < SAMPLES; k++) {
+        fo_step(&motor_observer, &state, &samples[k][0], &samples[k][2], &e);
+    }
+    while (below < sp && *below == PAINT) {
+        below++;
+    }
+    target_number("stack", (int32_t)(sp - below));
+    target_number("state", (int32_t)sizeof(fo_state));
+    target_number("parameters", (int32_t)sizeof(fo_observer));
+    return r.damaged || r.wrong > 0 || r.valid == 0 ? 1 : 0;
+}

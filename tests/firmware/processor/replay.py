@@ -1,0 +1,167 @@
+"""Processor in the loop: the exported folder on emulated microcontrollers.
+
+Exports a machine, cross-compiles the folder for Cortex-M4F and Cortex-M0, replays its test vectors
+under QEMU, compares them with the library's numbers, and prints what a sample costs.
+
+    python tests/firmware/processor/replay.py           # skips with a word where tools are missing
+    python tests/firmware/processor/replay.py --update  # writes the costs into the package
+
+Instructions are counted, not timed: ``-icount shift=10`` makes every instruction last 1024 ns of
+virtual time, and the processor's SysTick timer, which runs on virtual time, is read before and after
+each call; its period is short enough that ticks give the number of instructions without remainder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import fluxobs
+from fluxobs.deployment.export import cost_table, read_costs
+
+HERE = Path(__file__).parent
+#: The memory is short so that the vectors reach the carrying of the flux through a stop.
+MACHINE, SAMPLE_TIME, MEMORY = "servo-400w", 1e-4, 0.006
+#: Virtual time of an instruction [ns].
+INSTRUCTION = 1024
+TOOLS = {
+    "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
+    "qemu-system-arm": "qemu-system-arm",
+}
+COMMON = (
+    "-std=c99 -DFO_SINGLE -ffp-contract=off -fno-math-errno -ffunction-sections -fdata-sections "
+    "-mthumb -Wall -Wextra -Werror"
+).split()
+SIZE = ["-Os", "-fno-tree-loop-distribute-patterns"]
+
+
+@dataclass(frozen=True)
+class Build:
+    """One way to compile, and the board that QEMU emulates for it."""
+
+    name: str
+    flags: list[str]
+    board: str
+    clock: float  # of the SysTick timer [Hz]
+    linker: str
+
+
+M4F = "-mcpu=cortex-m4 -mfpu=fpv4-sp-d16 -mfloat-abi=hard".split()
+BUILDS = (
+    Build("Cortex-M4F, -O2", [*M4F, "-O2"], "mps2-an386", 25e6, "m4f.ld"),
+    Build("Cortex-M4F, -Os", [*M4F, *SIZE], "mps2-an386", 25e6, "m4f.ld"),
+    Build("Cortex-M0, soft float, -O2", ["-mcpu=cortex-m0", "-O2"], "microbit", 16e6, "m0.ld"),
+)
+
+
+def compile_for(build: Build, folder: Path) -> tuple[Path, int]:
+    """The program, and the bytes of the observer in it: code and constants of fluxobs.c."""
+    flags = [*COMMON, *build.flags, "-I", folder, "-I", folder / "test", "-I", HERE]
+    observer, program = folder / "fluxobs.o", folder / "program.elf"
+    subprocess.run(
+        ["arm-none-eabi-gcc", *flags, "-c", folder / "fluxobs.c", "-o", observer], check=True
+    )
+    sources = [HERE / "startup.c", HERE / "main.c", folder / "test" / "check.c", observer]
+    link = ["-nostartfiles", "--specs=nano.specs", "-L", HERE, "-T", HERE / build.linker]
+    link += ["-Wl,--gc-sections", "-Wl,--no-warn-rwx-segments", "-lm", "-o", program]
+    subprocess.run(["arm-none-eabi-gcc", *flags, *sources, *link], check=True)
+
+    def sizes(path: Path) -> dict[str, int]:
+        out = subprocess.run(
+            ["arm-none-eabi-nm", "-S", "-t", "d", path], check=True, capture_output=True, text=True
+        ).stdout
+        found = re.findall(r"^\d+ (\d+) [tTrRdD] (\S+)$", out, re.MULTILINE)
+        return {name: int(size) for size, name in found}
+
+    linked = sizes(program)
+    return program, sum(size for name, size in sizes(observer).items() if name in linked)
+
+
+def run(build: Build, program: Path) -> tuple[dict[str, int], np.ndarray]:
+    """What the program says: its numbers, and the instructions of every step."""
+    done = subprocess.run(
+        ["qemu-system-arm", "-M", build.board, "-nographic", "-monitor", "none", "-serial", "none"]
+        + ["-semihosting-config", "enable=on,target=native", "-icount", "shift=10"]
+        + ["-kernel", program],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    lines = (done.stdout + done.stderr).split("\n")
+    pairs = [line.split() for line in lines if re.fullmatch(r"\w+ -?\d+", line)]
+    ticks = np.array([int(value) for name, value in pairs if name == "ticks"])
+    said = {name: int(value) for name, value in pairs if name != "ticks"}
+    if "parameters" not in said:
+        raise SystemExit(f"{build.name}: the program did not end: {lines[-3:]}")
+    per_instruction = build.clock * INSTRUCTION * 1e-9
+    instructions = (ticks - said["ticks_of_reading"]) / per_instruction
+    counted = np.round(instructions)
+    assert np.abs(instructions - counted).max() < 0.1, "ticks do not tell instructions"
+    return said | {"rc": done.returncode}, counted
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--update", action="store_true", help="write costs.json and docs")
+    options = parser.parse_args()
+    missing = [package for tool, package in TOOLS.items() if shutil.which(tool) is None]
+    if missing:
+        print(f"Processor in the loop: skipped; it needs apt-get install {' '.join(missing)}")
+        return 0
+    version = subprocess.run(
+        ["arm-none-eabi-gcc", "--version"], check=True, capture_output=True, text=True
+    ).stdout.split("\n")[0]
+    costs: dict[str, Any] = {"compiler": f"Compiled by {version}", "builds": []}
+    failed = False
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "motor"
+        fluxobs.export(fluxobs.read_machine(MACHINE), SAMPLE_TIME, folder, memory=MEMORY)
+        for build in BUILDS:
+            program, code = compile_for(build, folder)
+            said, instructions = run(build, program)
+            ok = said["rc"] == 0 and not said["wrong"] and not said["damaged"]
+            failed = failed or not ok
+            print(
+                f"{build.name}: {said['rows'] - said['wrong']} of {said['rows']} rows as expected, "
+                f"{said['valid']} valid; flux equal within {said['flux_error_e12'] / 1e12:.0e}, "
+                f"angles within {said['angle_error_e12'] / 1e12:.1e} rad"
+                + ("" if ok else f"  FAILED, first at sample {said['first_row']}")
+            )
+            costs["parameters"] = said["parameters"]
+            costs["builds"].append(
+                {
+                    "name": build.name,
+                    "mean": round(float(instructions.mean())),
+                    "most": int(instructions.max()),
+                    "code": code,
+                    "state": said["state"],
+                    "stack": said["stack"],
+                }
+            )
+    print()
+    print(cost_table(costs))
+    print(f"Parameters in flash: {costs['parameters']} bytes")
+    if options.update:
+        target = HERE.parents[2] / "src" / "fluxobs" / "deployment" / "costs.json"
+        target.write_text(json.dumps(costs, indent=1) + "\n", encoding="utf-8")
+        print(f"Written: {target}")
+    elif not failed and read_costs() != costs:
+        print("These are not the costs that the package states; run with --update, and docs too")
+        failed = read_costs()["compiler"] == costs["compiler"]  # another compiler, other numbers
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

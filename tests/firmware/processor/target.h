@@ -1,0 +1,17 @@
+/* What the program needs of an emulated board: output, exit, and a count of instructions. */
+#ifndef TARGET_H
+#define TARGET_H
+
+#include <stdint.h>
+
+void target_write(const char *text);
+void target_number(const char *name, int32_t value);
+
+/* Starts and reads the SysTick timer, which counts down. QEMU's -icount makes an instruction last
+ * a fixed virtual time, so that ticks tell instructions exactly. */
+void target_start_ticks(void);
+uint32_t target_ticks(void);
+
+int main(void);
+
+#endif
