@@ -194,7 +194,7 @@ private:
             row[THETA_E_STD * plane] = e.theta_e_std;
             row[INNOVATION * plane] = e.innovation;
             row[NOISE_SHARE * plane] = e.noise_share;
-            valid[k] = e.valid != 0;
+            valid[k] = e.valid;
         }
     }
 

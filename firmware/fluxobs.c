@@ -73,7 +73,7 @@ static fo_real wrap(fo_real angle)
 
 /* ---- configuration ------------------------------------------------------------------- */
 
-static int config_finite(const fo_config *c)
+static bool config_finite(const fo_config *c)
 {
     fo_real sum = c->L_position + c->sample_time + c->memory + c->flux_base + c->constraint_base +
                   c->constraint_noise + c->current_noise + c->current_limit + c->drift_prior +
@@ -87,19 +87,25 @@ static int config_finite(const fo_config *c)
     return sum - sum == ZERO;
 }
 
-fo_error fo_init(fo_observer *o, const fo_config *c)
+static fo_error check(const fo_config *c)
 {
+    fo_error found = FO_OK;
     if (!config_finite(c)) {
-        return FO_ERROR_NOT_FINITE;
+        found = FO_ERROR_NOT_FINITE;
+    } else if (!(c->sample_time > ZERO) || !(c->memory >= (fo_real)10 * c->sample_time)) {
+        found = FO_ERROR_SAMPLE_TIME;
+    } else if (!(c->flux_base > ZERO && c->constraint_base > ZERO && c->constraint_noise > ZERO &&
+                 c->current_noise > ZERO && c->current_limit > ZERO && c->drift_prior > ZERO &&
+                 c->tracker_bandwidth > ZERO)) {
+        found = FO_ERROR_BASE;
+    } else {
+        /* nothing is wrong */
     }
-    if (!(c->sample_time > ZERO) || !(c->memory >= (fo_real)10 * c->sample_time)) {
-        return FO_ERROR_SAMPLE_TIME;
-    }
-    if (!(c->flux_base > ZERO && c->constraint_base > ZERO && c->constraint_noise > ZERO &&
-          c->current_noise > ZERO && c->current_limit > ZERO && c->drift_prior > ZERO &&
-          c->tracker_bandwidth > ZERO)) {
-        return FO_ERROR_BASE;
-    }
+    return found;
+}
+
+static void prepare(fo_observer *o, const fo_config *c)
+{
     const fo_real psi = c->flux_base;
     const fo_real noise = c->constraint_noise / c->constraint_base;
     const fo_real drift_base = psi / c->memory; /* time base: the memory */
@@ -157,7 +163,15 @@ fo_error fo_init(fo_observer *o, const fo_config *c)
     o->track[0] = ONE - pole * pole * pole;
     o->track[1] = (fo_real)1.5 * gap * gap * (ONE + pole) / c->sample_time;
     o->track[2] = gap * gap * gap / (c->sample_time * c->sample_time);
-    return FO_OK;
+}
+
+fo_error fo_init(fo_observer *o, const fo_config *c)
+{
+    const fo_error found = check(c);
+    if (found == FO_OK) {
+        prepare(o, c);
+    }
+    return found;
 }
 
 /* ---- square-root information filter -------------------------------------------------- */
@@ -165,14 +179,12 @@ fo_error fo_init(fo_observer *o, const fo_config *c)
 /* Information of the prior on state i. */
 static fo_real prior(const fo_state *s, int i)
 {
-    fo_real information = ONE;
-    if (i >= KAPPA) {
-        information = s->drift_prior;
-        if (i == KAPPA) {
-            information /= (fo_real)4;
-        } else if (i == CC) {
-            information *= information;
-        }
+    fo_real information = i < KAPPA ? ONE : s->drift_prior;
+    if (i == KAPPA) {
+        information /= (fo_real)4;
+    }
+    if (i == CC) {
+        information *= information;
     }
     return information;
 }
@@ -190,15 +202,15 @@ static void empty_information(const fo_observer *o, fo_state *s)
     s->lag_one = ZERO;
     s->noise_share = ONE;
     s->swept = ZERO;
-    s->trusted = 0;
-    s->turn = 0;
+    s->trusted = false;
+    s->turn = 0U;
 }
 
 static void restart(const fo_observer *o, fo_state *s)
 {
     empty_information(o, s);
-    s->have_current = 0;
-    s->have_voltage = 0;
+    s->have_current = false;
+    s->have_voltage = false;
     s->variance = VARIANCE_UNKNOWN; /* what is carried is lost */
 }
 
@@ -262,11 +274,12 @@ static void predict(const fo_observer *o, fo_state *s, const interval *t)
     noise[0] = rho * noise[0];
 }
 
-/* Takes in the row (zero left of `first`) with this weight, by Gentleman's rotations without
- * roots. Returns the normalised innovation. */
-static fo_real rotate_in(fo_information *info, fo_real row[FO_NX], fo_real rhs, fo_real weight,
-                         int first)
+/* Takes in row'x = value (the row zero left of `first`) with this much information, by Gentleman's
+ * rotations without roots. Returns the normalised innovation. */
+static fo_real rotate_in(fo_information *info, fo_real row[FO_NX], fo_real value,
+                         fo_real information, int first)
 {
+    fo_real rhs = value, weight = information;
     fo_real *u = &info->U[AT(first, first + 1)];
     for (int i = first; i < FO_NX; i++) {
         const fo_real pivot = row[i], weighted = weight * pivot, d = info->d[i];
@@ -325,42 +338,39 @@ static fo_real third_difference(const fo_state *s, int i)
            (fo_real)3 * (s->current[2][i] - s->current[1][i]);
 }
 
-/* The measurement 0 = s + (Q2 i)'flux + i'Q3 i + C'i, divided by its noise: row'x = rhs. */
-typedef struct {
-    fo_real row[FO_NX];
-    fo_real rhs;
-} measurement;
-
-static void relation(const fo_observer *o, const fo_real current[FO_N], measurement *m)
+/* The measurement 0 = s + (Q2 i)'flux + i'Q3 i + C'i, divided by its noise: row'x = what it
+ * returns. */
+static fo_real relation(const fo_observer *o, const fo_real current[FO_N], fo_real row[FO_NX])
 {
-    clear(m->row);
-    m->rhs = ZERO;
-    m->row[S] = o->row_s;
+    fo_real rhs = ZERO;
+    clear(row);
+    row[S] = o->row_s;
     for (int i = 0; i < FO_N; i++) {
-        m->row[FLUX + i] = dot(o->row_Q2[i], current);
-        m->rhs -= current[i] * (o->row_C[i] + dot(o->row_Q3[i], current));
+        row[FLUX + i] = dot(o->row_Q2[i], current);
+        rhs -= current[i] * (o->row_C[i] + dot(o->row_Q3[i], current));
     }
+    return rhs;
 }
 
 /* Is the measurement far from what the estimate before the interval leads to? */
-static int contradicts(const fo_observer *o, const fo_state *s, const interval *t,
-                       const measurement *m)
+static bool contradicts(const fo_observer *o, const fo_state *s, const interval *t,
+                        const fo_real row[FO_NX], fo_real rhs)
 {
     const fo_real h = o->h, *x = s->x;
-    fo_real off = m->rhs;
+    fo_real off = rhs;
     fo_real free = x[S] + t->input + h * (x[KAPPA] + h * x[CC]);
     for (int i = 0; i < FO_N; i++) {
         const fo_real flux = x[FLUX + i] + h * x[DRIFT + i];
         free += t->q[i] * flux;
-        off -= m->row[FLUX + i] * (flux + t->v[i]);
+        off -= row[FLUX + i] * (flux + t->v[i]);
     }
-    off -= m->row[S] * free;
-    return !(fo_abs(off) < OUTLIER_LIMIT * m->row[S]);
+    off -= row[S] * free;
+    return !(fo_abs(off) < OUTLIER_LIMIT * row[S]);
 }
 
-static void measure(const fo_observer *o, fo_state *s, measurement *m)
+static void measure(const fo_observer *o, fo_state *s, fo_real row[FO_NX], fo_real rhs)
 {
-    const fo_real e = rotate_in(&s->info, m->row, m->rhs, ONE, S);
+    const fo_real e = rotate_in(&s->info, row, rhs, ONE, S);
     const fo_real third0 = third_difference(s, 0), third1 = third_difference(s, 1);
     s->power = o->rho * s->power + e * e;
     s->lag_one = o->rho * s->lag_one + e * s->innovation;
@@ -383,14 +393,15 @@ static void track(const fo_observer *o, fo_state *s, fo_real theta)
 {
     const fo_real h = o->sample_time;
     const fo_real step = h * (s->speed + h * s->acceleration / TWO);
-    if (!(fo_abs(step) <= PI)) { /* faster than the samples can tell */
+    if (fo_abs(step) <= PI) {
+        const fo_real predicted = wrap(s->angle + step);
+        const fo_real error = wrap(theta - predicted);
+        s->angle = wrap(predicted + o->track[0] * error);
+        s->speed += h * s->acceleration + o->track[1] * error;
+        s->acceleration += o->track[2] * error;
+    } else { /* faster than the samples can tell */
         stop_tracker(s, theta);
-        return;
     }
-    const fo_real predicted = wrap(s->angle + step), error = wrap(theta - predicted);
-    s->angle = wrap(predicted + o->track[0] * error);
-    s->speed += h * s->acceleration + o->track[1] * error;
-    s->acceleration += o->track[2] * error;
 }
 
 /* Position vector x = flux - L i; returns |x|^2. */
@@ -471,13 +482,11 @@ static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N]
     }
     const fo_real off = fo_sqrt(position(o, s, flux, p)) / s->carried_length - ONE;
     s->carried_off = off * off > s->carried_off ? off * off : s->carried_off;
-    const fo_real variance =
-        s->variance + s->growth * s->carried * s->carried + s->carried_off;
-    if (!(variance < VARIANCE_UNKNOWN)) {
-        return VARIANCE_UNKNOWN;
+    const fo_real variance = s->variance + s->growth * s->carried * s->carried + s->carried_off;
+    if (variance < VARIANCE_UNKNOWN) {
+        s->flux[0] = flux[0];
+        s->flux[1] = flux[1];
     }
-    s->flux[0] = flux[0];
-    s->flux[1] = flux[1];
     return variance;
 }
 
@@ -490,10 +499,10 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     const fo_real *flux = &s->x[FLUX], *drift = &s->x[DRIFT];
     fo_real square = position(o, s, flux, p), theta = fo_atan2(p[1], p[0]);
 
-    const int long_enough = square > o->square_min;
+    const bool long_enough = square > o->square_min;
 
     if ((s->turn & 1U) == 0U) {
-        reinject_prior(o, s, (int)(s->turn / 2U));
+        reinject_prior(o, s, (int)s->turn / 2);
     } else if (long_enough) {
         judge(o, s, p, square);
     } else {
@@ -501,10 +510,10 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     }
     s->turn = s->turn + 1U < (uint32_t)REINJECT_PERIOD ? s->turn + 1U : 0U;
 
-    const int known = long_enough && s->noise_share < SHARE_LIMIT;
+    const bool known = long_enough && s->noise_share < SHARE_LIMIT;
     s->swept = known ? s->swept + wrap(theta - s->theta) : ZERO;
     s->theta = theta;
-    const int trusted = known && (s->trusted || fo_abs(s->swept) > SWEEP);
+    const bool trusted = known && (s->trusted || fo_abs(s->swept) > SWEEP);
 
     fo_real variance = VARIANCE_UNKNOWN;
     if (trusted) {
@@ -518,7 +527,7 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
         }
         s->variance = variance;
         s->carried = ZERO;
-        s->have_carried = 1;
+        s->have_carried = true;
         for (int i = 0; i < FO_N; i++) {
             s->flux[i] = flux[i];
             s->drift[i] = drift[i];
@@ -531,8 +540,10 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
             square = position(o, s, flux, p);
             theta = fo_atan2(p[1], p[0]);
         }
+    } else {
+        /* nothing better is known */
     }
-    const int lost = !(variance < VARIANCE_UNKNOWN);
+    const bool lost = !(variance < VARIANCE_UNKNOWN);
     if (lost) {
         variance = VARIANCE_UNKNOWN;
     }
@@ -542,7 +553,7 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
         track(o, s, theta);
     }
     s->length = fo_sqrt(square);
-    s->trusted = trusted ? 1U : 0U;
+    s->trusted = trusted;
 
     for (int i = 0; i < FO_N; i++) {
         e->flux[i] = flux[i] * o->flux_base;
@@ -570,7 +581,7 @@ static fo_real mean_current_24(const fo_state *s, int i)
 }
 
 /* The resistive drop is still to be taken off unless the source's volt-seconds are `complete`. */
-static void last_interval(const fo_observer *o, const fo_state *s, int complete, interval *t)
+static void last_interval(const fo_observer *o, const fo_state *s, bool complete, interval *t)
 {
     fo_real mean[FO_N] = {0};
     for (int i = 0; i < FO_N && !complete; i++) {
@@ -595,7 +606,7 @@ static fo_real position_step(const fo_observer *o, const fo_state *s, const fo_r
     return fo_sqrt(dot(step, step));
 }
 
-static int leaps(const fo_observer *o, const fo_state *s, fo_real step)
+static bool leaps(const fo_observer *o, const fo_state *s, fo_real step)
 {
     return step > TWO * s->step + STEP_LIMIT * s->length +
                       STEP_NOISE * fo_sqrt(o->position_noise * s->roughness);
@@ -611,11 +622,11 @@ static void push_current(fo_state *s, fo_real i0, fo_real i1)
     s->current[0][1] = i1;
 }
 
-enum { GOOD, MISSING, ABSURD };
+typedef enum { GOOD, MISSING, ABSURD } sample_quality;
 
-static int quality(const fo_real x[FO_N], fo_real limit)
+static sample_quality quality(const fo_real x[FO_N], fo_real limit)
 {
-    int found = GOOD;
+    sample_quality found = GOOD;
     if (!(dot(x, x) <= limit * limit)) { /* x - x is not 0 where x is not finite */
         found = (x[0] - x[0]) + (x[1] - x[1]) == ZERO ? ABSURD : MISSING;
     }
@@ -623,22 +634,19 @@ static int quality(const fo_real x[FO_N], fo_real limit)
 }
 
 /* One sample; `source` in per-unit volt-seconds, complete or still without the resistive drop. */
-static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N], int complete,
+static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N], bool complete,
                     const fo_real current[FO_N], fo_estimate *e)
 {
-    interval t;
-    const int of_source = quality(source, FLUX_STEP_LIMIT);
-    const int of_current = quality(current, o->current_limit);
-    const int absurd = of_source == ABSURD || of_current == ABSURD;
-    int bad = 0, contradicted = 0;
-    t.v[0] = ZERO;
-    t.v[1] = ZERO;
+    interval t = {{ZERO, ZERO}, {ZERO, ZERO}, ZERO};
+    const sample_quality of_source = quality(source, FLUX_STEP_LIMIT);
+    const sample_quality of_current = quality(current, o->current_limit);
+    const bool absurd = of_source == ABSURD || of_current == ABSURD;
+    bool measured = of_current == GOOD, bad = of_current == MISSING, contradicted = false;
 
-    if (of_current == MISSING) {
+    if (bad) {
         s->bad_currents++;
-        bad = 1;
     }
-    if (of_source == MISSING && (s->have_voltage | s->restarts) != 0U) { /* none yet is no fault */
+    if (of_source == MISSING && (s->have_voltage || s->restarts > 0U)) { /* none yet is no fault */
         s->bad_voltages++;
         bad = bad || s->have_voltage;
     }
@@ -646,45 +654,44 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
         s->absurd++;
     }
 
-    if (!absurd && (of_current == GOOD || s->have_current)) {
-        const fo_real *newest = of_current == GOOD ? current : s->current[0];
-        for (int times = s->have_current ? 1 : FO_HISTORY; times > 0; times--) {
+    if (!absurd && (measured || s->have_current)) {
+        const fo_real *newest = measured ? current : s->current[0];
+        fo_real row[FO_NX];
+        for (int times = s->have_current ? 1 : (int)FO_HISTORY; times > 0; times--) {
             push_current(s, newest[0], newest[1]);
         }
         if (of_source == GOOD && s->have_current) {
-            s->have_voltage = 1;
+            s->have_voltage = true;
             s->source[0] = source[0];
             s->source[1] = source[1];
         }
-        s->have_current = 1;
+        s->have_current = true;
+        const fo_real rhs = relation(o, s->current[0], row);
         if (s->have_voltage) {
             last_interval(o, s, complete, &t);
+            const fo_real step = position_step(o, s, t.v);
+            contradicted = measured && s->trusted &&
+                           (leaps(o, s, step) || contradicts(o, s, &t, row, rhs));
+            if (contradicted) { /* go over it as if it were missing */
+                s->outliers++;
+                measured = false;
+                bad = true;
+                s->current[0][0] = s->current[1][0];
+                s->current[0][1] = s->current[1][1];
+                last_interval(o, s, complete, &t);
+            } else {
+                s->step = step;
+            }
+            predict(o, s, &t);
         } else {
             empty_information(o, s); /* the past cannot be connected to this sample */
         }
-        measurement m;
-        relation(o, s->current[0], &m);
-        const fo_real step = position_step(o, s, t.v);
-        contradicted = of_current == GOOD && s->trusted &&
-                       (leaps(o, s, step) || contradicts(o, s, &t, &m));
-        if (contradicted) { /* go over it as if it were missing */
-            s->outliers++;
-            bad = 1;
-            s->current[0][0] = s->current[1][0];
-            s->current[0][1] = s->current[1][1];
-            last_interval(o, s, complete, &t);
-        } else {
-            s->step = step;
-        }
-        if (s->have_voltage) {
-            predict(o, s, &t);
-        }
-        if (of_current == GOOD && !contradicted) {
-            measure(o, s, &m);
+        if (measured) {
+            measure(o, s, row, rhs);
         }
     }
     s->consecutive_bad = bad ? s->consecutive_bad + 1U : 0U;
-    if (absurd || (s->have_current && s->consecutive_bad > FO_MAX_CONSECUTIVE_BAD)) {
+    if (absurd || (s->have_current && s->consecutive_bad > (uint32_t)FO_MAX_CONSECUTIVE_BAD)) {
         s->restarts++;
         restart(o, s);
     }
@@ -699,7 +706,7 @@ void fo_step(const fo_observer *o, fo_state *s, const fo_real voltage[FO_N],
     for (int i = 0; i < FO_N; i++) {
         source[i] = dot(o->hB[i], voltage);
     }
-    advance(o, s, source, 0, current, e);
+    advance(o, s, source, false, current, e);
 }
 
 void fo_step_volt_seconds(const fo_observer *o, fo_state *s, const fo_real volt_seconds[FO_N],
@@ -709,5 +716,5 @@ void fo_step_volt_seconds(const fo_observer *o, fo_state *s, const fo_real volt_
     for (int i = 0; i < FO_N; i++) {
         source[i] = volt_seconds[i] / o->flux_base;
     }
-    advance(o, s, source, 1, current, e);
+    advance(o, s, source, true, current, e);
 }

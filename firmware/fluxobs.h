@@ -13,6 +13,7 @@
 #ifndef FLUXOBS_H
 #define FLUXOBS_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 #ifdef __cplusplus
@@ -92,12 +93,11 @@ typedef struct {
 
 /* Everything that changes. Plain data: copy it, store it, restore it. Per-unit unless said. */
 typedef struct {
-    uint32_t have_current, have_voltage; /* seen since the last restart                          */
-    uint32_t trusted, have_carried;      /* the least squares is now; was once                   */
-    uint32_t turn;                       /* which prior row is re-injected next                  */
+    bool have_current, have_voltage;     /* seen since the last restart                          */
+    bool trusted, have_carried;          /* the least squares is now; was once                   */
+    uint32_t turn;                       /* of re-injecting the prior and judging                */
     uint32_t consecutive_bad;
     uint32_t bad_voltages, bad_currents, absurd, outliers, restarts; /* counted since fo_reset   */
-    uint32_t reserved;                   /* keeps what follows aligned                           */
     fo_information info;
     fo_real x[FO_NX];                    /* its solution                                         */
     fo_real current[FO_HISTORY][FO_N];   /* newest first [A]                                     */
@@ -127,7 +127,7 @@ typedef struct {
     fo_real theta_e_std;       /* of theta_e [rad]; pi/sqrt(3) when nothing is known              */
     fo_real innovation;        /* of this sample, normalised by the assumed noise                 */
     fo_real noise_share;       /* share of the flux information that is only noise; 1: no position */
-    int32_t valid;             /* 1: the position is known now                                    */
+    bool valid;                /* the position is known now                                       */
 } fo_estimate;
 
 typedef enum {

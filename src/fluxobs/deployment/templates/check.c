@@ -61,7 +61,7 @@ void check_replay(check_result *r)
         const fo_real found[EXPECTED_COLUMNS] = {
             e.flux[0],     e.flux[1],    e.psi_f,       e.drift[0],
             e.drift[1],    e.theta_e_std, e.innovation, e.noise_share,
-            (fo_real)e.valid, e.theta_e, e.theta_e_tracked, e.speed_e,
+            e.valid ? (fo_real)1 : (fo_real)0, e.theta_e, e.theta_e_tracked, e.speed_e,
         };
         const fo_real *right = expected[k / EVERY];
         int first = EXPECTED_COLUMNS;

@@ -482,7 +482,7 @@ class SquareRootLeastSquares(eqx.Module):
         v = jnp.where(contradicted, self._volt_seconds(held, s.source, complete), v)
         s = s._replace(
             currents=jnp.where(contradicted, held, s.currents),
-            step=jnp.where(takes & ~contradicted, step, s.step),
+            step=jnp.where(takes & connected & ~contradicted, step, s.step),
             outliers=s.outliers + contradicted,
         )
         s = select(takes & connected, self._predict(s, v), s)
