@@ -1,6 +1,8 @@
 # make demo   the main job on a log shipped with the package: summary, estimates, picture
 # make test   all tests
-# make check  lint, types, and the C sources under every warning and the sanitizers
+# make check  lint, types, and the C sources under every warning, MISRA and the sanitizers
+# make pil    an exported firmware on emulated microcontrollers, its instructions counted
+# make fuzz   ten million samples of anything into the C sources, in either precision
 # make bench  the benchmarks, each with its number and the machine
 
 PYTHON ?= python3
@@ -9,7 +11,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 SOURCES := CMakeLists.txt pyproject.toml binding/core.cpp firmware/fluxobs.h firmware/fluxobs.c
 
-.PHONY: demo test check lint warnings sanitize bench clean
+.PHONY: demo test check lint warnings misra sanitize pil fuzz bench clean
 
 demo: $(READY)
 	$(BIN)/fluxobs demo --out fluxobs-demo
@@ -24,7 +26,7 @@ $(READY): $(SOURCES)
 	$(BIN)/python -m pip install --quiet --group dev --editable ".[design]"
 	@touch $(READY)
 
-check: lint warnings sanitize
+check: lint warnings misra sanitize
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -41,11 +43,34 @@ warnings:
 	    $$cc $(STRICT) $$precision -c firmware/fluxobs.c -o /dev/null || exit 1; \
 	done; done
 
+misra:
+	@if ! command -v cppcheck >/dev/null; then echo "MISRA: skipped, cppcheck is missing"; else \
+	    for precision in -DFO_SINGLE -UFO_SINGLE; do \
+	        cppcheck --std=c99 --addon=misra --enable=warning,style,performance,portability \
+	            --suppressions-list=tests/firmware/misra.txt --error-exitcode=1 --quiet \
+	            $$precision firmware/fluxobs.c || exit 1; \
+	    done && echo "MISRA C:2012: nothing but the deviations in tests/firmware/misra.txt"; fi
+
 sanitize:
 	@for precision in "" -DFO_SINGLE; do \
 	    gcc $(STRICT) -g -fsanitize=address,undefined -fno-sanitize-recover=all $$precision \
 	        -Ifirmware tests/firmware/stress.c firmware/fluxobs.c -lm -o build-stress \
 	    && ./build-stress; status=$$?; rm -f build-stress; [ $$status -eq 0 ] || exit 1; \
+	done
+
+pil: $(READY)
+	$(BIN)/python tests/firmware/processor/replay.py
+
+FUZZ_STEPS ?= 10000000L
+fuzz:
+	@for precision in -DFO_SINGLE -UFO_SINGLE; do \
+	    clang -std=c99 -g -O1 -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all \
+	        $$precision -DFUZZ_STEPS=$(FUZZ_STEPS) -Ifirmware tests/firmware/fuzz.c \
+	        firmware/fluxobs.c -lm -o build-fuzz || exit 1; \
+	    scratch=$$(mktemp -d); \
+	    ./build-fuzz -max_len=400 -verbosity=0 -artifact_prefix=build-fuzz- \
+	        $$scratch tests/firmware/corpus; \
+	    status=$$?; rm -rf build-fuzz $$scratch; [ $$status -eq 0 ] || exit 1; \
 	done
 
 bench: $(READY)

@@ -99,9 +99,13 @@ public:
         switch (fo_init(&observer_, &c)) {
             case FO_OK: return;
             case FO_ERROR_SAMPLE_TIME:
-                throw std::invalid_argument("sample_time must be positive, memory at least ten samples");
+                throw std::invalid_argument("sample_time must be positive, memory ten to a million samples");
             case FO_ERROR_BASE:
                 throw std::invalid_argument("bases, noises, limits and priors must be positive");
+            case FO_ERROR_RANGE:
+                throw std::invalid_argument(
+                    "sizes do not fit each other: check the units of resistance, inductance, flux, "
+                    "currents and sample time");
             default: throw std::invalid_argument("every parameter must be finite");
         }
     }

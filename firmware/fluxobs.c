@@ -4,6 +4,10 @@
 #include <math.h>
 #include <string.h>
 
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ > 0)
+#error "not with -ffast-math: values that are not finite have to be told from others"
+#endif
+
 #ifdef FO_SINGLE
 #define fo_abs fabsf
 #define fo_sqrt sqrtf
@@ -44,6 +48,8 @@ static const fo_real OUTLIER_LIMIT = (fo_real)1;
  * itself and six stds of noise: a spike of the current can leave |x| as it is. */
 static const fo_real STEP_LIMIT = (fo_real)0.15;
 static const fo_real STEP_NOISE = (fo_real)6;
+/* A position vector longer than this, squared, in flux bases, is numbers that have run away. */
+static const fo_real RUNAWAY = (fo_real)1e16;
 /* Largest lag-one correlation of the innovations that is believed. */
 static const fo_real CORRELATION_LIMIT = (fo_real)0.98;
 /* Samples take turns: in one a prior row is re-injected, in the next the certainty is judged. */
@@ -92,7 +98,8 @@ static fo_error check(const fo_config *c)
     fo_error found = FO_OK;
     if (!config_finite(c)) {
         found = FO_ERROR_NOT_FINITE;
-    } else if (!(c->sample_time > ZERO) || !(c->memory >= (fo_real)10 * c->sample_time)) {
+    } else if (!(c->sample_time > ZERO && c->memory >= (fo_real)10 * c->sample_time &&
+                 c->memory <= (fo_real)1e6 * c->sample_time)) {
         found = FO_ERROR_SAMPLE_TIME;
     } else if (!(c->flux_base > ZERO && c->constraint_base > ZERO && c->constraint_noise > ZERO &&
                  c->current_noise > ZERO && c->current_limit > ZERO && c->drift_prior > ZERO &&
@@ -165,11 +172,43 @@ static void prepare(fo_observer *o, const fo_config *c)
     o->track[2] = gap * gap * gap / (c->sample_time * c->sample_time);
 }
 
+static bool within(fo_real x, fo_real low, fo_real high) { return x >= low && x <= high; }
+
+/* Do the prepared numbers leave single precision enough room? Limits are far beyond any machine. */
+static bool in_range(const fo_observer *o)
+{
+    const fo_real low = (fo_real)1e-12, high = (fo_real)1e12;
+    const fo_real i = o->current_limit;
+    bool good = within(o->flux_base, low, high) && within(o->drift_base, low, high) &&
+                within(o->sample_time, low, high) && within(i, low, high) &&
+                within(o->plausible, (fo_real)1e-6, (fo_real)1e6) &&
+                within(o->row_s, (fo_real)1e-3, (fo_real)1e6) &&
+                within(o->L_position * i, -(fo_real)1e6, (fo_real)1e6) &&
+                within(o->square_min, ZERO, (fo_real)1e6) &&
+                within(o->position_noise, ZERO, (fo_real)1e6) &&
+                within(o->noise_information, ZERO, high) &&
+                within(o->over_noise * i * i, ZERO, (fo_real)1e24) &&
+                within(o->track[2], ZERO, (fo_real)1e24);
+    for (int n = 0; n < FO_N; n++) {
+        good = good && within(o->E[n], -(fo_real)1e3, (fo_real)1e3) &&
+               within(o->row_C[n] * i, -high, high);
+        for (int m = 0; m < FO_N; m++) {
+            good = good && within(o->Q1x2[n][m], -(fo_real)1e3, (fo_real)1e3) &&
+                   within(o->row_Q2[n][m] * i, -(fo_real)1e9, (fo_real)1e9) &&
+                   within(o->row_Q3[n][m] * i * i, -high, high) &&
+                   within(o->hR[n][m] * i, -(fo_real)1e3, (fo_real)1e3) &&
+                   within(o->hB[n][m], -high, high);
+        }
+    }
+    return good;
+}
+
 fo_error fo_init(fo_observer *o, const fo_config *c)
 {
-    const fo_error found = check(c);
+    fo_error found = check(c);
     if (found == FO_OK) {
         prepare(o, c);
+        found = in_range(o) ? FO_OK : FO_ERROR_RANGE;
     }
     return found;
 }
@@ -497,7 +536,13 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     fo_real p[FO_N];
     solve(s);
     const fo_real *flux = &s->x[FLUX], *drift = &s->x[DRIFT];
-    fo_real square = position(o, s, flux, p), theta = fo_atan2(p[1], p[0]);
+    fo_real square = position(o, s, flux, p);
+    if (!(square < RUNAWAY)) { /* not a number, too */
+        s->restarts++;
+        restart(o, s);
+        square = position(o, s, flux, p);
+    }
+    fo_real theta = fo_atan2(p[1], p[0]);
 
     const bool long_enough = square > o->square_min;
 

@@ -132,12 +132,13 @@ typedef struct {
 
 typedef enum {
     FO_OK = 0,
-    FO_ERROR_SAMPLE_TIME,      /* sample time, or memory below ten samples   */
-    FO_ERROR_BASE,             /* a base, noise, prior or limit not positive */
-    FO_ERROR_NOT_FINITE        /* a parameter is NaN or infinite             */
+    FO_ERROR_SAMPLE_TIME,      /* sample time; memory below ten or above a million samples  */
+    FO_ERROR_BASE,             /* a base, noise, prior or limit not positive                */
+    FO_ERROR_NOT_FINITE,       /* a parameter is NaN or infinite                            */
+    FO_ERROR_RANGE             /* sizes that do not fit each other: a wrong unit, most likely */
 } fo_error;
 
-/* Checks the configuration and prepares the observer. */
+/* Checks the configuration and prepares the observer, which serves only after FO_OK. */
 fo_error fo_init(fo_observer *observer, const fo_config *config);
 
 /* Nothing known, nothing counted. */

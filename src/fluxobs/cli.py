@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import signal
 import sys
@@ -136,7 +137,7 @@ def estimate(
     )
     check_truth(opened, given)
     if isinstance(given, RotatingMachine) and wanted == ("drift",):
-        _run(opened, given, out, report, memory)
+        _run(opened, given, str(machine), out, report, memory)
     else:
         _run_reference(opened, given, wanted, out, report, memory)
 
@@ -164,7 +165,7 @@ def demo(
     assert isinstance(machine, RotatingMachine)
     with resources.as_file(log_file()) as path:
         log = open_log(open_table(path), Layout(truth={"theta_e": "theta_e"}), machine.n_p)
-        _run(log, machine, out / "estimates.parquet", out / "report.png", None)
+        _run(log, machine, MACHINE, out / "estimates.parquet", out / "report.png", None)
 
 
 @app.command()
@@ -439,7 +440,12 @@ def _run_reference(
 
 
 def _run(
-    log: Log, machine: RotatingMachine, out: Path, report: Path | None, memory: float | None
+    log: Log,
+    machine: RotatingMachine,
+    source: str,
+    out: Path,
+    report: Path | None,
+    memory: float | None,
 ) -> None:
     from .estimate import estimate as run
     from .observers.least_squares import MEMORY
@@ -456,6 +462,13 @@ def _run(
 
         draw(result, report)
         typer.echo(f"Written: {report}")
+    if machine.rated_current and machine.flux_base(getattr(machine, "psi_f", None), 1.0):
+        o = result.observer
+        typer.echo(
+            f"The same in firmware: fluxobs export --machine {shlex.quote(source)} "
+            f"--sample-time {o.sample_time!r} --memory {o.memory!r} "
+            f"--current-noise {o.current_noise!r} --drift-prior {o.drift_prior!r} --out FOLDER"
+        )
 
 
 def _print_summary(paragraph: str, warnings: list[str]) -> None:

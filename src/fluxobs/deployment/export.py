@@ -74,7 +74,7 @@ def export(
     out : path
         Folder to be made.
     memory : float, optional
-        Exponential memory of the least squares [s], at least ten samples; default 0.03 s.
+        Exponential memory of the least squares [s], ten to a million samples; default 0.03 s.
     unknowns : tuple of str
         What is constant and unknown; the firmware knows ("drift",).
     current_noise, drift_prior : float, optional
@@ -109,17 +109,20 @@ def export(
             raise FluxobsError(f"{name} must be positive and finite, got {value:g}")
     folder = Path(out)
     _check_folder(folder, force)
-    observers = {
-        precision: LeastSquaresObserver.for_machine(
-            rotating,
-            sample_time=sample_time,
-            memory=memory,
-            current_noise=current_noise,
-            drift_prior=drift_prior,
-            precision=precision,
-        )
-        for precision in PRECISIONS
-    }
+    try:
+        observers = {
+            precision: LeastSquaresObserver.for_machine(
+                rotating,
+                sample_time=sample_time,
+                memory=memory,
+                current_noise=current_noise,
+                drift_prior=drift_prior,
+                precision=precision,
+            )
+            for precision in PRECISIONS
+        }
+    except ValueError as error:
+        raise FluxobsError(str(error)) from None
     files = _files(prefix, rotating, observers)
     content = files["README.md"].split("content `")[1].split("`")[0]
     _write(folder, files)
@@ -168,11 +171,12 @@ def _check_times(sample_time: float, memory: float | None) -> float:
             f"{sample_time:g} Hz it is {1 / sample_time:g} s"
         )
     memory = MEMORY if memory is None else memory
-    least = 10 * sample_time
-    if not (least <= memory < float("inf")):
+    least, most = 10 * sample_time, 1e6 * sample_time
+    if not least <= memory <= most:
+        nearest = most if memory > most else least
         raise FluxobsError(
-            f"memory {memory:g} s: at sample time {sample_time:g} s at least ten samples, "
-            f"{least:g} s, are needed"
+            f"memory {memory:g} s: at sample time {sample_time:g} s it is ten samples at least and "
+            f"a million at most; {nearest:g} s would do"
         )
     return memory
 
@@ -233,10 +237,14 @@ def _files(
 
 def _facts(machine: RotatingMachine, observer: LeastSquaresObserver) -> str:
     given = machine.model_dump(by_alias=True, exclude_none=True)
-    rows = [("kind", machine.kind), *((name, f"{value:.9g}") for name, value in given.items())]
-    rows += settings(observer).items()
-    rows += ((f"per-unit {name}", value) for name, value in bases(observer).items())
-    return "| | |\n|---|---|\n" + "\n".join(f"| {name} | {value} |" for name, value in rows)
+    rows = {
+        "kind": machine.kind,
+        **{name: f"{value:.9g}" for name, value in given.items()},
+        **settings(observer),
+        **{f"per-unit {name}": value for name, value in bases(observer).items()},
+    }
+    lines = [f"| {name} | {value} |" for name, value in rows.items()]
+    return "\n".join(["| | |", "|---|---|", *lines])
 
 
 def read_costs() -> dict[str, Any]:

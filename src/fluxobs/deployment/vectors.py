@@ -40,11 +40,13 @@ def expected(estimate: Estimate) -> NDArray[np.float64]:
     return np.stack([np.asarray(c, float) for c in columns], axis=-1)
 
 
-def checksum(rows: NDArray[np.float64], precision: Precision) -> int:
-    """FNV-1a over the numbers' bytes, least significant first."""
+def checksum(inputs: NDArray[np.float64], rows: NDArray[np.float64], precision: Precision) -> int:
+    """FNV-1a over the numbers' bytes, least significant first; what is missing counts as 0."""
     kind = "<f4" if precision == "single" else "<f8"
     value = 0x811C9DC5
-    for byte in rows.astype(kind).tobytes():
+    for byte in (
+        np.nan_to_num(np.concatenate([inputs.ravel(), rows.ravel()])).astype(kind).tobytes()
+    ):
         value = ((value ^ byte) * 0x01000193) & 0xFFFFFFFF
     return value
 
@@ -61,8 +63,9 @@ def vectors_header(course: Course, observers: Mapping[Precision, LeastSquaresObs
         rows = expected(observers[precision].run(course.voltage, course.current))[
             EVERY - 1 :: EVERY
         ]
+        guard = checksum(inputs, rows, precision)
         blocks.append(
-            f"static const uint32_t expected_checksum = 0x{checksum(rows, precision):08x}U;\n"
+            f"static const uint32_t expected_checksum = 0x{guard:08x}U;\n"
             f"static const fo_real expected[{len(rows)}][EXPECTED_COLUMNS] = {{\n"
             f"{table(rows, precision)}\n}};"
         )

@@ -96,7 +96,7 @@ class LeastSquaresObserver:
     sample_time : float
         [s], > 0.
     memory : float
-        Exponential memory [s], at least ten samples.
+        Exponential memory [s], ten to a million samples.
     flux_base : float
         Size of the flux [Wb], to within a factor of a few.
     constraint_noise : float
@@ -118,7 +118,8 @@ class LeastSquaresObserver:
     Raises
     ------
     ValueError
-        A value is not positive or not finite, or the memory is shorter than ten samples.
+        A value is not positive or not finite, the memory is shorter than ten samples or longer than
+        a million, or sizes do not fit each other (a wrong unit).
 
     References
     ----------
@@ -178,6 +179,11 @@ class LeastSquaresObserver:
         if self.memory < 10 * self.sample_time:
             raise ValueError(
                 f"memory must be at least ten samples, {10 * self.sample_time:g} s here, "
+                f"got {self.memory:g} s"
+            )
+        if self.memory > 1e6 * self.sample_time:
+            raise ValueError(
+                f"memory must be at most a million samples, {1e6 * self.sample_time:g} s here, "
                 f"got {self.memory:g} s"
             )
         object.__setattr__(self, "_core", self._make_core())

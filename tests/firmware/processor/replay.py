@@ -7,8 +7,8 @@ under QEMU, compares them with the library's numbers, and prints what a sample c
     python tests/firmware/processor/replay.py --update  # writes the costs into the package
 
 Instructions are counted, not timed: ``-icount shift=10`` makes every instruction last 1024 ns of
-virtual time, and the processor's SysTick timer, which runs on virtual time, is read before and after
-each call; its period is short enough that ticks give the number of instructions without remainder.
+virtual time, and the processor's SysTick timer, which runs on virtual time, is read before and
+after each call; its period is short enough that ticks tell the number of instructions exactly.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -39,10 +38,8 @@ TOOLS = {
     "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
     "qemu-system-arm": "qemu-system-arm",
 }
-COMMON = (
-    "-std=c99 -DFO_SINGLE -ffp-contract=off -fno-math-errno -ffunction-sections -fdata-sections "
-    "-mthumb -Wall -Wextra -Werror"
-).split()
+COMMON = ["-std=c99", "-DFO_SINGLE", "-ffp-contract=off", "-fno-math-errno", "-mthumb"]
+COMMON += ["-ffunction-sections", "-fdata-sections", "-Wall", "-Wextra", "-Werror"]
 SIZE = ["-Os", "-fno-tree-loop-distribute-patterns"]
 
 
@@ -57,7 +54,7 @@ class Build:
     linker: str
 
 
-M4F = "-mcpu=cortex-m4 -mfpu=fpv4-sp-d16 -mfloat-abi=hard".split()
+M4F = ["-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"]
 BUILDS = (
     Build("Cortex-M4F, -O2", [*M4F, "-O2"], "mps2-an386", 25e6, "m4f.ld"),
     Build("Cortex-M4F, -Os", [*M4F, *SIZE], "mps2-an386", 25e6, "m4f.ld"),
@@ -90,15 +87,10 @@ def compile_for(build: Build, folder: Path) -> tuple[Path, int]:
 
 def run(build: Build, program: Path) -> tuple[dict[str, int], np.ndarray]:
     """What the program says: its numbers, and the instructions of every step."""
-    done = subprocess.run(
-        ["qemu-system-arm", "-M", build.board, "-nographic", "-monitor", "none", "-serial", "none"]
-        + ["-semihosting-config", "enable=on,target=native", "-icount", "shift=10"]
-        + ["-kernel", program],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    command = ["qemu-system-arm", "-M", build.board, "-nographic", "-monitor", "none"]
+    command += ["-serial", "none", "-semihosting-config", "enable=on,target=native"]
+    command += ["-icount", "shift=10", "-kernel", str(program)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     lines = (done.stdout + done.stderr).split("\n")
     pairs = [line.split() for line in lines if re.fullmatch(r"\w+ -?\d+", line)]
     ticks = np.array([int(value) for name, value in pairs if name == "ticks"])

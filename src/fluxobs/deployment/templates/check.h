@@ -5,7 +5,7 @@
 #include "fluxobs.h"
 
 typedef struct {
-    int damaged;       /* the expected values are not those that were written */
+    int damaged;       /* the vectors are not those that were written */
     int rows;          /* compared */
     int wrong;         /* of them */
     int first_row;     /* the first wrong sample, ... */

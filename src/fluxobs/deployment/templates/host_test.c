@@ -14,7 +14,7 @@ int main(void)
            "within %.1e rad\n",
            precision, r.rows - r.wrong, r.rows, r.valid, r.flux_error, r.angle_error);
     if (r.damaged) {
-        printf("FAILED: the expected values in vectors.h are not those that were written\n");
+        printf("FAILED: the values in vectors.h are not those that were written\n");
     }
     if (r.wrong > 0) {
         printf("FAILED: first at sample %d: %s\n", r.first_row, columns[r.first_column]);

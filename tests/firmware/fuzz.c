@@ -1,0 +1,175 @@
+/* The observer under libFuzzer: arbitrary parameters, arbitrary samples, real motion in between.
+ * Nothing may crash or be undefined, no estimate may be other than finite, and a valid one has to
+ * be one. Ends by itself after FUZZ_STEPS samples. */
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fluxobs.h"
+
+#ifndef FUZZ_STEPS
+#define FUZZ_STEPS 10000000L
+#endif
+
+static const double PI = 3.14159265358979323846;
+static long steps, valid, prepared;
+
+typedef struct {
+    const uint8_t *next;
+    size_t left;
+} bytes;
+
+static unsigned byte(bytes *b)
+{
+    unsigned value = 0;
+    if (b->left > 0) {
+        value = *b->next;
+        b->next++;
+        b->left--;
+    }
+    return value;
+}
+
+/* Any bit pattern at all. */
+static fo_real any(bytes *b)
+{
+    unsigned char raw[sizeof(fo_real)];
+    fo_real value;
+    for (size_t i = 0; i < sizeof raw; i++) {
+        raw[i] = (unsigned char)byte(b);
+    }
+    memcpy(&value, raw, sizeof value);
+    return value;
+}
+
+/* About `usual`, ten decades and more either way, or anything. */
+static fo_real about(bytes *b, double usual)
+{
+    const int kind = (int)byte(b) - 128;
+    if (kind == 127) {
+        return any(b);
+    }
+    return (fo_real)(usual * pow(10.0, kind / (kind % 4 == 0 ? 64.0 : 8.0)));
+}
+
+static void fail(const char *what)
+{
+    printf("%s, at step %ld\n", what, steps);
+    abort();
+}
+
+static int finite_real(fo_real x) { return x - x == (fo_real)0; }
+
+static void judge(const fo_estimate *e)
+{
+    const fo_real out[] = {
+        e->flux[0],    e->flux[1],  e->psi_f,    e->theta_e,    e->theta_e_tracked, e->speed_e,
+        e->drift[0],   e->drift[1], e->theta_e_std, e->innovation, e->noise_share,
+    };
+    for (size_t i = 0; i < sizeof out / sizeof out[0]; i++) {
+        if (!finite_real(out[i])) {
+            fail("an estimate is not finite");
+        }
+    }
+    if (fabs((double)e->theta_e) > PI * 1.000001 || fabs((double)e->theta_e_tracked) > PI * 1.000001) {
+        fail("an angle is beyond half a turn");
+    }
+    if (e->theta_e_std < (fo_real)0 || (e->valid && (double)e->theta_e_std > PI / 59)) {
+        fail("a standard deviation is impossible");
+    }
+    steps++;
+    valid += e->valid ? 1 : 0;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    bytes b = {data, size};
+    const double R = (double)about(&b, 0.36), L = (double)about(&b, 0.6e-3);
+    const double psi = (double)about(&b, 0.0125), h = (double)about(&b, 1e-4);
+    fo_config c;
+    memset(&c, 0, sizeof c);
+    for (int i = 0; i < FO_N; i++) {
+        c.Q1[i][i] = (fo_real)1;
+        c.Q2[i][i] = (fo_real)(-2 * L);
+        c.Q3[i][i] = (fo_real)(L * L);
+        c.R[i][i] = (fo_real)R;
+        c.B[i][i] = (fo_real)1;
+    }
+    const unsigned odd = byte(&b);
+    if (odd & 1U) {
+        c.Q1[0][1] = any(&b);
+        c.Q2[1][0] = any(&b);
+        c.E[0] = any(&b);
+        c.C[1] = any(&b);
+    }
+    c.L_position = (fo_real)L;
+    c.sample_time = (fo_real)h;
+    c.memory = about(&b, 300 * h);
+    c.flux_base = (odd & 2U) ? about(&b, psi) : (fo_real)psi;
+    c.constraint_base = (odd & 4U) ? about(&b, psi * psi) : (fo_real)(psi * psi);
+    c.constraint_noise = about(&b, 0.005 * psi * psi);
+    c.current_noise = about(&b, 0.02);
+    c.current_limit = about(&b, 240.0);
+    c.drift_prior = about(&b, 0.13);
+    c.length_min = (odd & 8U) ? any(&b) : (fo_real)(0.25 * psi);
+    c.tracker_bandwidth = about(&b, 667.0);
+
+    fo_observer observer;
+    fo_state state;
+    fo_estimate e;
+    if (fo_init(&observer, &c) != FO_OK) {
+        return 0;
+    }
+    prepared++;
+    fo_reset(&observer, &state);
+    double angle = byte(&b) * 0.1, omega = 0.0;
+    while (b.left > 0) {
+        const unsigned kind = byte(&b);
+        if ((kind & 3U) == 0U) { /* anything */
+            const fo_real u[FO_N] = {any(&b), any(&b)}, i[FO_N] = {any(&b), any(&b)};
+            if (kind & 4U) {
+                fo_step_volt_seconds(&observer, &state, u, i, &e);
+            } else {
+                fo_step(&observer, &state, u, i, &e);
+            }
+            judge(&e);
+            continue;
+        }
+        /* Motion: a speed, a load, errors; for some samples. */
+        const double aim = ((double)byte(&b) - 128.0) / 128.0 * PI / (5 * h);
+        const double load = ((double)byte(&b) - 128.0) * 0.05 * psi / L / 12.0;
+        const double bias = (kind & 4U) ? ((double)byte(&b) - 128.0) * 0.01 * psi / (300 * h) : 0.0;
+        const int count = 1 + (int)byte(&b);
+        for (int k = 0; k < count; k++) {
+            const double before = angle;
+            fo_real u[FO_N], i[FO_N];
+            omega += (aim - omega) * 0.05;
+            angle = remainder(angle + omega * h, 2 * PI);
+            const double middle = before + omega * h / 2;
+            i[0] = (fo_real)(-load * sin(angle));
+            i[1] = (fo_real)(load * cos(angle));
+            u[0] = (fo_real)(-(omega * psi + R * load) * sin(middle) -
+                             omega * L * load * cos(middle) + bias);
+            u[1] = (fo_real)((omega * psi + R * load) * cos(middle) - omega * L * load * sin(middle));
+            if ((kind & 8U) && k % 17 == 16) {
+                u[k & 1] = any(&b);
+            }
+            if ((kind & 16U) && k % 13 == 12) {
+                i[k & 1] = any(&b);
+            }
+            fo_step(&observer, &state, u, i, &e);
+            judge(&e);
+        }
+    }
+    if (steps >= FUZZ_STEPS) {
+        printf("%ld steps, %ld valid, with %ld settings: nothing found\n", steps, valid, prepared);
+        fflush(stdout);
+        _Exit(0);
+    }
+    return 0;
+}

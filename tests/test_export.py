@@ -1,0 +1,378 @@
+"""An exported folder compiles into a firmware and does there what the log replay did."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+import fluxobs
+from fluxobs.deployment import course
+from fluxobs.deployment.c_source import hex_float, identifier
+from fluxobs.deployment.export import cost_table, read_costs
+from fluxobs.deployment.vectors import expected
+from fluxobs.errors import FluxobsError
+from records import CURRENTS, MACHINES, rotating, wrapped_degrees
+
+HERE = Path(__file__).parent / "firmware"
+STRICT = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion"]
+STRICT += ["-Wshadow", "-Wdouble-promotion", "-Werror", "-pedantic"]
+SANITIZERS = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+COMPILERS = [
+    pytest.param(name, marks=pytest.mark.skipif(not shutil.which(name), reason=f"no {name} here"))
+    for name in ("gcc", "clang")
+]
+SAMPLE_TIME = 1e-4
+
+
+def compiled(folder, compiler, precision, extra=()):
+    program = folder / f"replay-{compiler}-{precision}{len(extra)}"
+    single = ["-DFO_SINGLE"] if precision == "single" else []
+    sources = [HERE / "replay.c", folder / "fluxobs.c"]
+    command = [compiler, *STRICT, *single, *extra, f"-I{folder}", *sources, "-lm", "-o", program]
+    subprocess.run(command, check=True)
+    return program
+
+
+def replayed(program, voltage, current):
+    rows = np.ascontiguousarray(np.concatenate([voltage, current], axis=1))
+    done = subprocess.run([program], input=rows.tobytes(), capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr.decode()
+    return np.frombuffer(done.stdout).reshape(len(rows), -1)
+
+
+def all_records(name):
+    """Whole records of a machine: biased and noisy, through a stop, and with every bad sample."""
+    machine = MACHINES[name]
+    rated = machine.rated_current
+    biased = {
+        "current_bias": 0.02 * rated * (0.6 + 0.8j),
+        "voltage_bias": 0.3 * machine.R_s * rated * (0.8 - 0.6j),
+        "noise": 0.003 * rated,
+        "i_dq": CURRENTS[name],
+    }
+    rows = 6000
+    stop = np.interp(np.arange(rows), [0, 1500, 2000, 4000, 4500], [500.0, 500.0, 0.0, 0.0, -500.0])
+    plain = rotating(machine, SAMPLE_TIME, 500.0, rows, **biased)
+    stopped = rotating(machine, SAMPLE_TIME, stop, rows, **biased)
+    u, i = plain.voltage.copy(), plain.current.copy()
+    rng = np.random.default_rng(3)
+    for values, worst in ((u, 1e12), (i, 1e9)):
+        spoilt = rng.choice(rows, 300)
+        values[spoilt, rng.integers(0, 2, 300)] = rng.choice(
+            [np.nan, np.inf, -np.inf, worst, 0.0, 3 * rated], 300
+        )
+    yield plain.voltage, plain.current
+    yield stopped.voltage, stopped.current
+    yield u, i
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    made = {}
+    for name, machine in MACHINES.items():
+        made[name] = tmp_path_factory.mktemp("exports") / name
+        fluxobs.export(machine, SAMPLE_TIME, made[name])
+    return made
+
+
+@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("precision", ["single", "double"])
+def test_software_in_the_loop(folders, name, compiler, precision):
+    program = compiled(folders[name], compiler, precision)
+    observer = fluxobs.LeastSquaresObserver.for_machine(
+        MACHINES[name], sample_time=SAMPLE_TIME, precision=precision
+    )
+    for voltage, current in all_records(name):
+        found = replayed(program, voltage, current)
+        np.testing.assert_array_equal(found, expected(observer.run(voltage, current)))
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_single_precision_within_the_documented_bound(folders, name):
+    observer = fluxobs.LeastSquaresObserver.for_machine(MACHINES[name], sample_time=SAMPLE_TIME)
+    for voltage, current in list(all_records(name))[:2]:
+        double = observer.run(voltage, current)
+        single = replace(observer, precision="single").run(voltage, current)
+        both = single.valid & double.valid
+        assert both.sum() > 1000
+        assert np.abs(single.flux - double.flux)[both].max() < 1e-4 * observer.flux_base
+        assert np.abs(wrapped_degrees(single.theta_e - double.theta_e))[both].max() < 0.05
+
+
+@pytest.mark.parametrize("precision", ["single", "double"])
+def test_sanitizers_over_all_records(folders, precision):
+    for name in MACHINES:
+        program = compiled(folders[name], "gcc", precision, SANITIZERS)
+        for voltage, current in all_records(name):
+            assert np.isfinite(replayed(program, voltage, current)).all()
+
+
+def test_what_estimate_does_with_a_log_the_firmware_does(tmp_path):
+    """The options that `fluxobs estimate` prints give its numbers bit for bit."""
+    log = resources.files("fluxobs") / "demo_data" / "log.csv"
+    said = fluxobs_command(
+        ["estimate", log, "--machine", "servo-400w", "--out", tmp_path / "e.parquet"]
+    )
+    options = re.search(r"fluxobs export (.*) --out", said).group(1).split()
+    fluxobs_command(["export", *options, "--out", tmp_path / "motor"])
+    table = pl.read_csv(str(log))
+    voltage = table.select("u_alpha", "u_beta").to_numpy()
+    current = table.select("i_alpha", "i_beta").to_numpy()
+    late = np.concatenate([[[np.nan, np.nan]], voltage[:-1]])  # lag 0: from its row to the next
+    found = replayed(compiled(tmp_path / "motor", "gcc", "double"), late, current)
+    estimate = pl.read_parquet(tmp_path / "e.parquet")
+    for column, name in ((0, "flux_alpha"), (2, "psi_f"), (9, "theta_e"), (11, "speed_e")):
+        np.testing.assert_array_equal(found[:, column], estimate[name].to_numpy())
+
+
+def fluxobs_command(arguments, code=0):
+    done = subprocess.run(
+        ["fluxobs", *map(str, arguments)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout if code == 0 else done.stderr
+
+
+# ---- the folder ----------------------------------------------------------------------------
+
+
+def make(folder, *arguments):
+    return subprocess.run(
+        ["make", "-C", folder, "test", *arguments], capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_make_test_in_the_folder(tmp_path, compiler):
+    fluxobs.export(MACHINES["servo-400w"], 5e-5, tmp_path / "servo", prefix="servo")
+    done = make(tmp_path / "servo", f"CC={compiler}")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "single: 171 of 171 rows as expected" in done.stdout
+    assert "double: 171 of 171 rows as expected" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "pattern"),
+    [
+        ("test/vectors.h", r"expected\[171\].*?\{(0x1\.[0-9a-f]{3})"),  # an expected flux
+        ("test/vectors.h", r"expected\[171\].*?, (0x1\.[0-9a-f]{3})[^,]*\},"),  # … or speed
+        ("test/vectors.h", r"samples\[SAMPLES\].*?FO_\((0x1\.[0-9a-f]{3})"),  # a measured voltage
+        ("motor.h", r"FO_SINGLE.*?(0x1\.[0-9a-f]{3})[0-9a-f]*p-?\d+f, /\* sample time"),
+    ],
+    ids=["flux", "speed", "sample", "parameter"],
+)
+def test_one_changed_value_fails(tmp_path, folders, name, pattern):
+    shutil.copytree(folders["servo-400w"], tmp_path / "motor")
+    path = tmp_path / "motor" / name
+    text = path.read_text()
+    end = re.search(pattern, text, re.DOTALL).end(1)
+    digit = text[end - 1]
+    path.write_text(text[: end - 1] + ("1" if digit != "1" else "2") + text[end:])
+    done = make(tmp_path / "motor")
+    assert done.returncode != 0
+    assert "FAILED" in done.stdout
+
+
+def test_the_last_digit_of_an_expected_angle_is_guarded(tmp_path, folders):
+    shutil.copytree(folders["servo-400w"], tmp_path / "motor")
+    path = tmp_path / "motor" / "test" / "vectors.h"
+    lines = path.read_text().split("\n")
+    row = next(n for n, line in enumerate(lines) if "expected[171]" in line) + 60
+    cells = lines[row].split(", ")
+    value = float.fromhex(cells[9].removesuffix("f"))
+    cells[9] = hex_float(float(np.nextafter(np.float32(value), np.float32(9))), "single")
+    lines[row] = ", ".join(cells)
+    path.write_text("\n".join(lines))
+    done = make(tmp_path / "motor")
+    assert done.returncode != 0
+    assert "not those that were written" in done.stdout
+
+
+def test_the_same_call_writes_the_same_bytes(tmp_path):
+    for name in ("a", "b"):
+        fluxobs.export(MACHINES["servo-400w"], 1e-4, tmp_path / name)
+    files = sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*.*"))
+    assert len(files) == 9
+    for path in files:
+        assert (tmp_path / "a" / path).read_bytes() == (tmp_path / "b" / path).read_bytes()
+    assert not any(path.name.startswith(".") for path in tmp_path.iterdir())
+
+
+def test_content_changes_with_what_matters(tmp_path):
+    machine = MACHINES["servo-400w"]
+    first = fluxobs.export(machine, 1e-4, tmp_path / "a")
+    other = fluxobs.export(machine, 1e-4, tmp_path / "b", memory=0.05)
+    assert first.content != other.content
+    assert first.content in (tmp_path / "a" / "motor.h").read_text()
+    assert first.observer.memory == 0.03
+
+
+def test_every_word_of_the_templates_is_filled(folders):
+    for folder in folders.values():
+        for path in folder.rglob("*.*"):
+            assert not re.search(r"@\w+@", path.read_text()), path
+    readme = (folders["servo-400w"] / "README.md").read_text()
+    assert cost_table(read_costs()) in readme
+
+
+def test_two_machines_in_one_firmware(tmp_path):
+    for prefix, name in (("pump", "synrm-6kw7"), ("fan", "servo-400w")):
+        fluxobs.export(MACHINES[name], 1e-4, tmp_path / prefix, prefix=prefix)
+    main = tmp_path / "main.c"
+    main.write_text(
+        '#include "fan.h"\n#include "pump.h"\n'
+        "int main(void)\n{\n    fo_state a, b;\n"
+        "    fo_reset(&fan_observer, &a);\n    fo_reset(&pump_observer, &b);\n"
+        "    return fan_observer.flux_base > pump_observer.flux_base;\n}\n"
+    )
+    includes = [f"-I{tmp_path / prefix}" for prefix in ("pump", "fan")]
+    sources = [main, tmp_path / "fan" / "fluxobs.c"]
+    command = ["gcc", *STRICT, *includes, *sources, "-lm", "-o", tmp_path / "two"]
+    subprocess.run(command, check=True)
+    assert subprocess.run([tmp_path / "two"], check=False).returncode == 0
+
+
+def test_header_in_cpp(tmp_path, folders):
+    source = tmp_path / "main.cpp"
+    source.write_text('#include "motor.h"\nint main() { return motor_observer.h > 1; }\n')
+    command = ["g++", "-std=c++17", "-Wall", "-Wextra", "-pedantic", "-Werror", "-DFO_SINGLE"]
+    folder = folders["servo-400w"]
+    subprocess.run([*command, f"-I{folder}", "-c", source, "-o", tmp_path / "main.o"], check=True)
+
+
+def test_fast_math_is_refused(folders, tmp_path):
+    source = folders["servo-400w"] / "fluxobs.c"
+    done = subprocess.run(
+        ["gcc", "-O2", "-ffast-math", "-c", source, "-o", tmp_path / "x.o"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode != 0
+    assert "-ffast-math" in done.stderr
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_the_vectors_are_a_drive_that_is_followed(name):
+    """The record is no noise: where the observer says that it knows the position, it does."""
+    machine = MACHINES[name]
+    observer = fluxobs.LeastSquaresObserver.for_machine(machine, sample_time=1e-4)
+    record = course.course(machine, observer)
+    found = observer.run(record.voltage, record.current)
+    error = wrapped_degrees(found.theta_e - record.theta_e)
+    if machine.half_turn_ambiguous:
+        error = wrapped_degrees(2 * (found.theta_e - record.theta_e)) / 2
+    assert found.valid.sum() > 500
+    # The quadrature of so quick a turn costs degrees where L / R is short.
+    assert np.abs(error[found.valid]).max() < 5
+    state, _ = observer.resume(observer.init(), record.voltage, record.current)
+    counts = observer.counts(state)
+    assert counts.bad_currents == counts.bad_voltages == counts.absurd == counts.outliers == 1
+
+
+# ---- what is refused -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"sample_time": 0.0}, ["sample time 0 s", "1e-4 s"]),
+        ({"sample_time": -1e-4}, ["sample time -0.0001 s", "0.0001 s would do"]),
+        ({"sample_time": float("nan")}, ["sample time nan"]),
+        ({"sample_time": 20000.0}, ["20000", "5e-05 s"]),
+        ({"memory": 5e-4}, ["memory 0.0005 s", "ten samples", "0.001 s"]),
+        ({"sample_time": 0.01}, ["memory 0.03 s", "0.1 s"]),
+        ({"memory": 1e3}, ["memory 1000 s", "100 s"]),
+        ({"unknowns": ("drift", "current-bias")}, ["cannot both be found", "--unknowns drift"]),
+        ({"unknowns": ("current-bias",)}, ["drift only", "use drift"]),
+        ({"unknowns": ("drft",)}, ["drft", "drift, current-bias"]),
+        ({"unknowns": ()}, ["drift serves"]),
+        ({"current_noise": 0.0}, ["current_noise must be positive"]),
+        ({"drift_prior": float("inf")}, ["drift_prior must be positive and finite"]),
+        ({"prefix": "2nd motor"}, ["'2nd motor'", "'motor_2nd_motor'"]),
+        ({"prefix": "fluxobs"}, ["'fluxobs'", "'motor'"]),
+    ],
+)
+def test_bad_settings_name_the_nearest_good_one(tmp_path, options, words):
+    given = {"sample_time": 1e-4, "out": tmp_path / "motor"} | options
+    with pytest.raises(FluxobsError) as error:
+        fluxobs.export(MACHINES["servo-400w"], **given)
+    for word in words:
+        assert word in str(error.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_machines_that_cannot_be_exported(tmp_path):
+    with pytest.raises(FluxobsError, match="machines that turn"):
+        fluxobs.export(fluxobs.read_machine("maglev-knospe"), 1e-4, tmp_path / "x")
+    bare = MACHINES["servo-400w"].model_copy(update={"psi_f": None, "rated_current": None})
+    with pytest.raises(FluxobsError, match="psi_f and rated_current missing"):
+        fluxobs.export(bare, 1e-4, tmp_path / "x")
+    wrong = MACHINES["servo-400w"].model_copy(update={"psi_f": 1e-9})
+    with pytest.raises(FluxobsError, match="units"):
+        fluxobs.export(wrong, 1e-4, tmp_path / "x")
+    synrm = fluxobs.read_machine("synrm-6kw7")
+    with pytest.raises(FluxobsError, match="drift only"):
+        fluxobs.export(synrm, 1e-4, tmp_path / "x", unknowns=("drift", "current-bias"))
+
+
+def test_nothing_is_overwritten_unasked(tmp_path):
+    machine = MACHINES["servo-400w"]
+    fluxobs.export(machine, 1e-4, tmp_path / "motor")
+    (tmp_path / "motor" / "notes.txt").write_text("mine")
+    with pytest.raises(FluxobsError, match="--force"):
+        fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.05)
+    again = fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.05, force=True)
+    assert again.content in (tmp_path / "motor" / "motor.h").read_text()
+    assert (tmp_path / "motor" / "notes.txt").read_text() == "mine"
+
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "README.md").write_text("mine")
+    with pytest.raises(FluxobsError, match="no earlier export"):
+        fluxobs.export(machine, 1e-4, tmp_path / "home", force=True)
+    assert (tmp_path / "home" / "README.md").read_text() == "mine"
+
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(FluxobsError, match="no folder"):
+        fluxobs.export(machine, 1e-4, tmp_path / "file", force=True)
+    with pytest.raises(FluxobsError, match="cannot be written"):
+        fluxobs.export(machine, 1e-4, tmp_path / "file" / "motor")
+    (tmp_path / "empty").mkdir()
+    fluxobs.export(machine, 1e-4, tmp_path / "empty")
+    assert make(tmp_path / "empty").returncode == 0
+
+
+def test_command_line(tmp_path):
+    options = ["export", "--machine", "servo-400w", "--out", tmp_path / "motor"]
+    said = fluxobs_command([*options, "--sample-time", "1e-4", "--prefix", "axis_1"])
+    assert "make -C" in said
+    assert (tmp_path / "motor" / "axis_1.h").exists()
+    assert "--force" in fluxobs_command([*options, "--sample-time", "1e-4"], code=2)
+    other = ["export", "--machine", "servo-400w", "--out", tmp_path / "other"]
+    assert "10 kHz" in fluxobs_command([*other, "--sample-time", "0"], code=2)
+    wrong = [*other, "--sample-time", "1e-4", "--unknowns", "drft"]
+    assert "drift" in fluxobs_command(wrong, code=2)
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize("value", [0.0, -0.0, 1.0, -1.5, 0.1, 1e-300, 5e-324, 1.7e308, 3e38])
+def test_hex_floats_lose_nothing(value):
+    assert float.fromhex(hex_float(value)) == value
+    if abs(value) < 3.4e38:
+        single = float(np.float32(value))
+        assert float.fromhex(hex_float(single, "single").removesuffix("f")) == single
+
+
+def test_identifiers():
+    assert identifier("servo-400w") == "servo_400w"
+    assert identifier("2kW2 pump!") == "motor_2kW2_pump"
+    assert identifier("") == "motor"
