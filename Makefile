@@ -74,7 +74,8 @@ fuzz:
 	done
 
 bench: $(READY)
-	@for script in accuracy measured speed startup paper hour drive closed_loop validity compare; do \
+	@for script in accuracy measured speed startup paper hour long_run drive closed_loop validity \
+	        compare update_every; do \
 	    $(BIN)/python benchmarks/$$script.py || exit 1; \
 	done
 

@@ -763,3 +763,17 @@ void fo_step_volt_seconds(const fo_observer *o, fo_state *s, const fo_real volt_
     }
     advance(o, s, source, true, current, e);
 }
+
+void fo_gather(const fo_observer *o, fo_gathered *g, fo_real share, const fo_real voltage[FO_N],
+               const fo_real current[FO_N])
+{
+    const fo_real scale = share * o->flux_base;
+    fo_real mean[FO_N]; /* 24 times the mean current, by the trapezoid: intervals are short */
+    for (int i = 0; i < FO_N; i++) {
+        mean[i] = (fo_real)12 * (g->current[i] + current[i]);
+        g->current[i] = current[i];
+    }
+    for (int i = 0; i < FO_N; i++) {
+        g->volt_seconds[i] += scale * (dot(o->hB[i], voltage) - dot(o->hR[i], mean));
+    }
+}

@@ -153,6 +153,18 @@ void fo_step_volt_seconds(const fo_observer *observer, fo_state *state,
                           const fo_real volt_seconds[FO_N], const fo_real current[FO_N],
                           fo_estimate *estimate);
 
+/* For an observer that is stepped every few interrupts: what has been gathered since its last step.
+ * Start from zeros; after a step set the volt-seconds to zero again. */
+typedef struct {
+    fo_real volt_seconds[FO_N]; /* [Wb], for fo_step_volt_seconds */
+    fo_real current[FO_N];      /* at the interrupt before [A]    */
+} fo_gathered;
+
+/* Adds the interval ending now: its mean voltage [V], the current now [A]. The interval is this
+ * `share` of the observer's sample time. */
+void fo_gather(const fo_observer *observer, fo_gathered *gathered, fo_real share,
+               const fo_real voltage[FO_N], const fo_real current[FO_N]);
+
 #ifdef __cplusplus
 }
 #endif

@@ -142,6 +142,31 @@ def fluxobs_command(arguments, code=0):
     return done.stdout if code == 0 else done.stderr
 
 
+@pytest.mark.parametrize("every", [1, 4])
+def test_the_example_interrupt_follows_a_drive(tmp_path, every):
+    """The example as exported, in a drive: commands act from the next interrupt on."""
+    machine, h, rows = MACHINES["servo-400w"], 5e-5, 8000
+    folder = tmp_path / "motor"
+    fluxobs.export(machine, h, folder, update_every=every)
+    data = rotating(machine, h, 700.0, rows, noise=0.02)
+    alpha, beta = data.current.T
+    abc = np.stack([alpha, -alpha / 2 + beta * np.sqrt(0.75), -alpha / 2 - beta * np.sqrt(0.75)])
+    commanded = np.zeros((rows, 2))
+    commanded[:-2] = data.voltage[2:]  # acts over the interval that ends two interrupts later
+    program = tmp_path / "drive"
+    extra = ["-DFO_SINGLE", *(["-DSLOW"] if every > 1 else [])]
+    sources = [HERE / "drive.c", folder / "example_isr.c", folder / "fluxobs.c"]
+    command = ["gcc", *STRICT, *extra, f"-I{folder}", *sources, "-lm", "-o", program]
+    subprocess.run(command, check=True)
+    fed = np.concatenate([abc.T, commanded], axis=1).astype(np.float32)
+    done = subprocess.run([program], input=fed.tobytes(), capture_output=True, check=True)
+    angle = np.frombuffer(done.stdout, np.float32)[4000:-2].astype(float)
+    assert (angle < 99).all()  # the position is known
+    error = wrapped_degrees(angle - data.theta[4000:-2])
+    assert np.sqrt(np.mean(error**2)) < 0.05
+    assert np.abs(error).max() < 0.2
+
+
 # ---- the folder ----------------------------------------------------------------------------
 
 
@@ -289,8 +314,10 @@ def test_the_vectors_are_a_drive_that_is_followed(name):
         ({"sample_time": -1e-4}, ["sample time -0.0001 s", "0.0001 s would do"]),
         ({"sample_time": float("nan")}, ["sample time nan"]),
         ({"sample_time": 20000.0}, ["20000", "5e-05 s"]),
-        ({"memory": 5e-4}, ["memory 0.0005 s", "ten samples", "0.001 s"]),
+        ({"memory": 5e-4}, ["memory 0.0005 s", "ten steps", "0.001 s"]),
         ({"sample_time": 0.01}, ["memory 0.03 s", "0.1 s"]),
+        ({"update_every": 0}, ["update_every 0", "at least 1"]),
+        ({"update_every": 50}, ["memory 0.03 s", "step every 0.005 s", "0.05 s"]),
         ({"memory": 1e3}, ["memory 1000 s", "100 s"]),
         ({"unknowns": ("drift", "current-bias")}, ["cannot both be found", "--unknowns drift"]),
         ({"unknowns": ("current-bias",)}, ["drift only", "use drift"]),

@@ -317,6 +317,13 @@ def export(
     drift_prior: Annotated[
         float | None, typer.Option(help="Volt; largest plausible drift. Default from the machine.")
     ] = None,
+    update_every: Annotated[
+        int,
+        typer.Option(
+            help="Interrupts from one step of the observer to the next: where time is short, the "
+            "example then gathers volt-seconds in between."
+        ),
+    ] = 1,
     prefix: Annotated[
         str, typer.Option(help="Of the generated names, so that two machines fit one firmware.")
     ] = "motor",
@@ -340,6 +347,7 @@ def export(
         unknowns=read_unknowns(unknowns),
         current_noise=current_noise,
         drift_prior=drift_prior,
+        update_every=update_every,
         prefix=prefix,
         force=force,
     )

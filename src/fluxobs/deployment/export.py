@@ -17,7 +17,6 @@ from ..immersion import UNKNOWNS
 from ..machines import Machine, RotatingMachine
 from ..observers import LeastSquaresObserver
 from ..observers.least_squares import MEMORY
-from ..reference_estimate import check_unknowns
 from .c_source import PRECISIONS, Precision, identifier, is_identifier
 from .course import course
 from .header import bases, parameter_header, settings
@@ -58,6 +57,7 @@ def export(
     unknowns: tuple[str, ...] = ("drift",),
     current_noise: float | None = None,
     drift_prior: float | None = None,
+    update_every: int = 1,
     prefix: str | None = None,
     force: bool = False,
 ) -> Export:
@@ -80,6 +80,9 @@ def export(
     current_noise, drift_prior : float, optional
         As of :meth:`LeastSquaresObserver.for_machine` [A], [V]; `fluxobs estimate` prints what it
         took for a log.
+    update_every : int
+        Interrupts from one step of the observer to the next; in between volt-seconds are gathered.
+        Costs less, and noise is averaged over fewer samples.
     prefix : str, optional
         Of the generated names, so that two machines fit one firmware; default ``motor``.
     force : bool
@@ -103,7 +106,7 @@ def export(
         near = identifier(prefix) if prefix != "fluxobs" else "motor"
         raise FluxobsError(f"prefix {prefix!r} cannot begin names in C; {near!r} can")
     rotating = _check_machine(machine, unknowns)
-    memory = _check_times(sample_time, memory)
+    memory = _check_times(sample_time, update_every, memory)
     for name, value in (("current_noise", current_noise), ("drift_prior", drift_prior)):
         if value is not None and not 0 < value < float("inf"):
             raise FluxobsError(f"{name} must be positive and finite, got {value:g}")
@@ -113,7 +116,7 @@ def export(
         observers = {
             precision: LeastSquaresObserver.for_machine(
                 rotating,
-                sample_time=sample_time,
+                sample_time=update_every * sample_time,
                 memory=memory,
                 current_noise=current_noise,
                 drift_prior=drift_prior,
@@ -123,13 +126,15 @@ def export(
         }
     except ValueError as error:
         raise FluxobsError(str(error)) from None
-    files = _files(prefix, rotating, observers)
+    files = _files(prefix, rotating, observers, update_every)
     content = files["README.md"].split("content `")[1].split("`")[0]
     _write(folder, files)
     return Export(folder, prefix, observers["single"], content)
 
 
 def _check_machine(machine: Machine, unknowns: tuple[str, ...]) -> RotatingMachine:
+    from ..reference_estimate import check_unknowns  # loads what reads logs
+
     for name in unknowns:
         if name not in UNKNOWNS:
             raise FluxobsError(f"unknowns: {name!r} is none of {', '.join(UNKNOWNS)}")
@@ -158,7 +163,7 @@ def _check_machine(machine: Machine, unknowns: tuple[str, ...]) -> RotatingMachi
     return machine
 
 
-def _check_times(sample_time: float, memory: float | None) -> float:
+def _check_times(sample_time: float, update_every: int, memory: float | None) -> float:
     if not 0 < sample_time < float("inf"):
         near = f"{-sample_time:g} s" if -1 < sample_time < 0 else "1e-4 s, 10 kHz,"
         raise FluxobsError(
@@ -170,13 +175,16 @@ def _check_times(sample_time: float, memory: float | None) -> float:
             f"sample time {sample_time:g} s is no period of a current control; for "
             f"{sample_time:g} Hz it is {1 / sample_time:g} s"
         )
+    if update_every < 1:
+        raise FluxobsError(f"update_every {update_every}: at least 1, a step every interrupt")
     memory = MEMORY if memory is None else memory
-    least, most = 10 * sample_time, 1e6 * sample_time
+    step = update_every * sample_time
+    least, most = 10 * step, 1e6 * step
     if not least <= memory <= most:
         nearest = most if memory > most else least
         raise FluxobsError(
-            f"memory {memory:g} s: at sample time {sample_time:g} s it is ten samples at least and "
-            f"a million at most; {nearest:g} s would do"
+            f"memory {memory:g} s: with a step every {step:g} s it is ten steps at least and a "
+            f"million at most; {nearest:g} s would do"
         )
     return memory
 
@@ -195,18 +203,24 @@ def _check_folder(folder: Path, force: bool) -> None:
 
 
 def _files(
-    prefix: str, machine: RotatingMachine, observers: Mapping[Precision, LeastSquaresObserver]
+    prefix: str,
+    machine: RotatingMachine,
+    observers: Mapping[Precision, LeastSquaresObserver],
+    update_every: int,
 ) -> dict[str, str]:
     """Relative path → text."""
     version = metadata.version("fluxobs")
     installed = resources.files("fluxobs") / "firmware"
     sources = {name: (installed / name).read_text(encoding="utf-8") for name in SOURCES}
-    header = parameter_header(prefix, observers, machine, version, tuple(sources.values()))
+    texts = tuple(sources.values())
+    header = parameter_header(prefix, observers, machine, version, texts, update_every)
     single = observers["single"]
     record = course(machine, single)
     words = {
         "prefix": prefix,
-        "sample_time": f"{single.sample_time:.9g}",
+        "PREFIX": prefix.upper(),
+        "sample_time": f"{single.sample_time / update_every:.9g}",
+        "step_time": f"{single.sample_time:.9g}",
         "n_p": str(machine.n_p),
         "half_turn": "; up to half a turn" if machine.half_turn_ambiguous else "",
         "content": header.split("Content ")[1].split(",")[0],
@@ -227,7 +241,7 @@ def _files(
         f"{prefix}.h": header,
         "README.md": filled("README.md"),
         "Makefile": filled("Makefile"),
-        "example_isr.c": filled("example_isr.c"),
+        "example_isr.c": filled("example_isr.c" if update_every == 1 else "example_slow_isr.c"),
         "test/check.h": filled("check.h"),
         "test/check.c": filled("check.c"),
         "test/host_test.c": filled("host_test.c"),

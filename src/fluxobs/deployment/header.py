@@ -75,12 +75,13 @@ def parameter_header(
     machine: RotatingMachine,
     version: str,
     sources: tuple[str, ...],
+    update_every: int,
 ) -> str:
     """The header's text; `observer` in either precision, `sources` what it belongs to."""
     single = observer["single"]
     facts = {
         "machine": _machine(machine),
-        "settings": settings(single),
+        "settings": {"interrupts a step": update_every} | settings(single),
         "per-unit bases": bases(single),
     }
     about = "\n".join(
@@ -102,6 +103,9 @@ def parameter_header(
 #define {guard}
 
 #include "fluxobs.h"
+
+/* Interrupts of the current control from one step of the observer to the next. */
+enum {{ {prefix.upper()}_UPDATE_EVERY = {update_every} }};
 
 /* Per-unit unless said. Lives in flash: nothing has to be prepared when the drive starts. */
 static const fo_observer {prefix}_observer = {{

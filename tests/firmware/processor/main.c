@@ -24,6 +24,14 @@ static __attribute__((noinline)) uint32_t timed_step(int k, fo_estimate *e)
     return (before - target_ticks()) & 0xFFFFFFU;
 }
 
+static __attribute__((noinline)) uint32_t timed_gathering(void)
+{
+    static fo_gathered gathered;
+    const uint32_t before = target_ticks();
+    fo_gather(&motor_observer, &gathered, 0.25f, &samples[0][0], &samples[0][2]);
+    return (before - target_ticks()) & 0xFFFFFFU;
+}
+
 int main(void)
 {
     check_result r;
@@ -46,6 +54,7 @@ int main(void)
     for (int k = 0; k < SAMPLES; k++) {
         target_number("ticks", (int32_t)timed_step(k, &e));
     }
+    target_number("ticks_of_gathering", (int32_t)timed_gathering());
 
     /* What lies below the stack's end is painted; what a step has used of it is not, afterwards. */
     volatile unsigned char *const sp = stack_pointer(), *below = sp - PAINTED;

@@ -30,6 +30,7 @@ import fluxobs
 from fluxobs.deployment.export import cost_table, read_costs
 
 HERE = Path(__file__).parent
+ROOT = HERE.parents[2]
 #: The memory is short so that the vectors reach the carrying of the flux through a stop.
 MACHINE, SAMPLE_TIME, MEMORY = "servo-400w", 1e-4, 0.006
 #: Virtual time of an instruction [ns].
@@ -82,26 +83,27 @@ def compile_for(build: Build, folder: Path) -> tuple[Path, int]:
         return {name: int(size) for size, name in found}
 
     linked = sizes(program)
-    return program, sum(size for name, size in sizes(observer).items() if name in linked)
+    counted = linked.keys() - {"fo_gather"}  # for those who step every few interrupts
+    return program, sum(size for name, size in sizes(observer).items() if name in counted)
 
 
-def run(build: Build, program: Path) -> tuple[dict[str, int], np.ndarray]:
-    """What the program says: its numbers, and the instructions of every step."""
+def run(build: Build, program: Path) -> tuple[dict[str, int], np.ndarray, float]:
+    """What the program says: its numbers, the instructions of every step, and of gathering."""
     command = ["qemu-system-arm", "-M", build.board, "-nographic", "-monitor", "none"]
     command += ["-serial", "none", "-semihosting-config", "enable=on,target=native"]
     command += ["-icount", "shift=10", "-kernel", str(program)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     lines = (done.stdout + done.stderr).split("\n")
     pairs = [line.split() for line in lines if re.fullmatch(r"\w+ -?\d+", line)]
-    ticks = np.array([int(value) for name, value in pairs if name == "ticks"])
+    ticks = np.array([int(value) for name, value in pairs if name.startswith("ticks")])
     said = {name: int(value) for name, value in pairs if name != "ticks"}
     if "parameters" not in said:
         raise SystemExit(f"{build.name}: the program did not end: {lines[-3:]}")
     per_instruction = build.clock * INSTRUCTION * 1e-9
-    instructions = (ticks - said["ticks_of_reading"]) / per_instruction
+    instructions = (ticks[1:] - ticks[0]) / per_instruction  # less those of reading the timer
     counted = np.round(instructions)
     assert np.abs(instructions - counted).max() < 0.1, "ticks do not tell instructions"
-    return said | {"rc": done.returncode}, counted
+    return said | {"rc": done.returncode}, counted[:-1], counted[-1]
 
 
 def main() -> int:
@@ -122,7 +124,7 @@ def main() -> int:
         fluxobs.export(fluxobs.read_machine(MACHINE), SAMPLE_TIME, folder, memory=MEMORY)
         for build in BUILDS:
             program, code = compile_for(build, folder)
-            said, instructions = run(build, program)
+            said, instructions, gathering = run(build, program)
             ok = said["rc"] == 0 and not said["wrong"] and not said["damaged"]
             failed = failed or not ok
             print(
@@ -137,6 +139,7 @@ def main() -> int:
                     "name": build.name,
                     "mean": round(float(instructions.mean())),
                     "most": int(instructions.max()),
+                    "gather": int(gathering),
                     "code": code,
                     "state": said["state"],
                     "stack": said["stack"],
@@ -146,9 +149,16 @@ def main() -> int:
     print(cost_table(costs))
     print(f"Parameters in flash: {costs['parameters']} bytes")
     if options.update:
-        target = HERE.parents[2] / "src" / "fluxobs" / "deployment" / "costs.json"
+        target = ROOT / "src" / "fluxobs" / "deployment" / "costs.json"
         target.write_text(json.dumps(costs, indent=1) + "\n", encoding="utf-8")
-        print(f"Written: {target}")
+        docs = ROOT / "docs" / "firmware.md"
+        before, _, rest = docs.read_text(encoding="utf-8").partition("<!-- costs -->")
+        after = rest.partition("<!-- /costs -->")[2]
+        table = f"{cost_table(costs)} The parameters, {costs['parameters']} bytes, stay in flash."
+        docs.write_text(
+            f"{before}<!-- costs -->\n{table}\n<!-- /costs -->{after}", encoding="utf-8"
+        )
+        print(f"Written: {target} and {docs}")
     elif not failed and read_costs() != costs:
         print("These are not the costs that the package states; run with --update, and docs too")
         failed = read_costs()["compiler"] == costs["compiler"]  # another compiler, other numbers

@@ -1,0 +1,47 @@
+"""What a step every few interrupts costs: instructions on average, position error under noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from common import Drive, degrees_error, heading
+
+from fluxobs import LeastSquaresObserver
+from fluxobs.deployment.export import read_costs
+from fluxobs.machines import SurfacePMSM, example
+
+SAMPLE_TIME, NOISE = 5e-5, 0.005
+
+
+def main() -> None:
+    heading("A step every M-th interrupt at 20 kHz, noise of 0.5 % of rated current")
+    build = next(b for b in read_costs()["builds"] if b["name"] == "Cortex-M4F, -O2")
+    print("    | M | instructions an interrupt, mean | servo-400w | pmsm-2kw2 |")
+    print("    |---|---|---|---|")
+    for every in (1, 2, 4, 8, 16):
+        cells = []
+        for name in ("servo-400w", "pmsm-2kw2"):
+            machine = example(name)
+            assert isinstance(machine, SurfacePMSM)
+            noise, squares = NOISE * machine.rated_current, []
+            for seed in range(6):
+                rng = np.random.default_rng(seed)
+                drive = Drive(machine.R_s, machine.L_s, machine.psi_f, 600.0, 3j, SAMPLE_TIME, seed)
+                theta, i, _, u = drive.samples(16_000)
+                i = i + noise * rng.standard_normal(i.shape)
+                mean = (i + np.concatenate([i[:1], i[:-1]])) / 2
+                gathered = SAMPLE_TIME * (u - machine.R_s * mean)
+                gathered = gathered.reshape(-1, every, 2).sum(axis=1)
+                observer = LeastSquaresObserver.for_machine(
+                    machine, sample_time=every * SAMPLE_TIME, current_noise=noise
+                )
+                now = slice(every - 1, None, every)
+                found = observer.run(volt_seconds=gathered, current=i[now])
+                error = degrees_error(found.theta_e_tracked, theta[now])
+                squares.append(np.mean(error[len(error) // 4 :] ** 2))
+            cells.append(f"{np.sqrt(np.mean(squares)):.3f}°")
+        cost = build["mean"] if every == 1 else build["mean"] / every + build["gather"]
+        print(f"    | {every} | {cost:.0f} | {' | '.join(cells)} |")
+
+
+if __name__ == "__main__":
+    main()

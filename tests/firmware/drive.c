@@ -1,0 +1,72 @@
+/* A drive around the exported example interrupt: rows of (i_a, i_b, i_c, the alpha and the beta
+ * voltage commanded in this interrupt) as floats on standard input, the angle that the control was
+ * given as a float a row on standard output. */
+#include <stdio.h>
+
+#include "motor.h"
+
+static float row[5], angle;
+
+void drive_read_currents(float i_abc[3]);
+float drive_read_dc_link(void);
+void drive_write_voltage(const float command[2], float udc);
+void drive_start(void);
+void current_control_interrupt(void);
+
+void drive_read_currents(float i_abc[3])
+{
+    for (int phase = 0; phase < 3; phase++) {
+        i_abc[phase] = row[phase];
+    }
+}
+
+float drive_read_dc_link(void) { return 48.0f; }
+
+void drive_write_voltage(const float command[2], float udc)
+{
+    (void)command;
+    (void)udc;
+}
+
+static void take_command(float command[2])
+{
+    command[0] = row[3];
+    command[1] = row[4];
+}
+
+#ifdef SLOW
+void drive_current_control(const float i[2], float theta_e, float speed_e, int position_known,
+                           float udc, float command[2]);
+
+void drive_current_control(const float i[2], float theta_e, float speed_e, int position_known,
+                           float udc, float command[2])
+{
+    (void)i;
+    (void)speed_e;
+    (void)udc;
+    angle = position_known ? theta_e : 100.0f;
+    take_command(command);
+}
+#else
+void drive_current_control(const float i[2], const fo_estimate *e, float udc, float command[2]);
+
+void drive_current_control(const float i[2], const fo_estimate *e, float udc, float command[2])
+{
+    (void)i;
+    (void)udc;
+    angle = e->valid ? e->theta_e_tracked : 100.0f;
+    take_command(command);
+}
+#endif
+
+int main(void)
+{
+    drive_start();
+    while (fread(row, sizeof row, 1, stdin) == 1) {
+        current_control_interrupt();
+        if (fwrite(&angle, sizeof angle, 1, stdout) != 1) {
+            return 1;
+        }
+    }
+    return 0;
+}
