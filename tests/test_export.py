@@ -30,6 +30,7 @@ COMPILERS = [
     for name in ("gcc", "clang")
 ]
 SAMPLE_TIME = 1e-4
+CPU = Path("/proc/cpuinfo").read_text().split() if Path("/proc/cpuinfo").exists() else []
 
 
 def compiled(folder, compiler, precision, extra=()):
@@ -106,6 +107,19 @@ def test_single_precision_within_the_documented_bound(folders, name):
         assert both.sum() > 1000
         assert np.abs(single.flux - double.flux)[both].max() < 1e-4 * observer.flux_base
         assert np.abs(wrapped_degrees(single.theta_e - double.theta_e))[both].max() < 0.05
+
+
+@pytest.mark.skipif("fma" not in CPU, reason="this processor has no fused multiply-add")
+@pytest.mark.parametrize("name", MACHINES)
+def test_fused_multiply_adds_stay_within_the_documented_bound(folders, name):
+    program = compiled(folders[name], "gcc", "single", ["-ffp-contract=fast", "-mfma"])
+    observer = fluxobs.LeastSquaresObserver.for_machine(MACHINES[name], sample_time=SAMPLE_TIME)
+    for voltage, current in list(all_records(name))[:2]:
+        fused, double = replayed(program, voltage, current), observer.run(voltage, current)
+        both = (fused[:, 8] > 0) & double.valid
+        assert both.sum() > 1000
+        assert np.abs(fused[:, :2] - double.flux)[both].max() < 1e-4 * observer.flux_base
+        assert np.abs(wrapped_degrees(fused[:, 9] - double.theta_e))[both].max() < 0.05
 
 
 @pytest.mark.parametrize("precision", ["single", "double"])

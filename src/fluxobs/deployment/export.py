@@ -221,6 +221,7 @@ def _files(
         "PREFIX": prefix.upper(),
         "sample_time": f"{single.sample_time / update_every:.9g}",
         "step_time": f"{single.sample_time:.9g}",
+        "steps": "" if update_every == 1 else f" (a step in every {update_every}th)",
         "n_p": str(machine.n_p),
         "half_turn": "; up to half a turn" if machine.half_turn_ambiguous else "",
         "content": header.split("Content ")[1].split(",")[0],
