@@ -37,6 +37,8 @@ static const fo_real SWEEP = PI;
 static const fo_real STD_LIMIT = PI / (fo_real)60;
 /* The same for what a voltage error as large as the drift's prior can do: 8 degrees. */
 static const fo_real VOLTAGE_LIMIT = PI / (fo_real)22.5;
+/* For so long, in memories, the tracker has to be as near as that before a position is valid. */
+static const fo_real TRACKER_SETTLED = (fo_real)0.1;
 /* Variance of an angle of which nothing is known: uniform over a turn. */
 static const fo_real VARIANCE_UNKNOWN = PI * PI / (fo_real)3;
 /* The largest flux change in one sample that is no error, in flux bases: twice what eight samples
@@ -599,6 +601,15 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     }
     s->length = fo_sqrt(square);
     s->trusted = trusted;
+    e->theta_e_std = fo_sqrt(variance);
+    if (!trusted) {
+        s->settled = ZERO;
+    } else if (s->settled < TRACKER_SETTLED) { /* it starts from rest, at whatever speed it is met */
+        const fo_real off = fo_abs(wrap(theta - s->angle));
+        s->settled = off < STD_LIMIT + (fo_real)3 * e->theta_e_std ? s->settled + o->h : ZERO;
+    } else {
+        /* it stays settled */
+    }
 
     for (int i = 0; i < FO_N; i++) {
         e->flux[i] = flux[i] * o->flux_base;
@@ -608,11 +619,10 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     e->theta_e = theta;
     e->theta_e_tracked = s->angle;
     e->speed_e = s->speed;
-    e->theta_e_std = fo_sqrt(variance);
     e->innovation = s->innovation;
     e->noise_share = s->noise_share;
     /* A slow turn by a voltage error of the plausible size leaves no trace in the innovations. */
-    e->valid = trusted && variance < STD_LIMIT * STD_LIMIT &&
+    e->valid = trusted && s->settled >= TRACKER_SETTLED && variance < STD_LIMIT * STD_LIMIT &&
                s->exposed * o->plausible < VOLTAGE_LIMIT * s->length;
 }
 

@@ -20,8 +20,15 @@
 extern "C" {
 #endif
 
+/* FO_SINGLE, defined for all sources or for none, chooses single precision. The names of the
+ * functions say which, so that a mixture does not link. */
 #ifdef FO_SINGLE
 typedef float fo_real;
+#define fo_init fo_init_single
+#define fo_reset fo_reset_single
+#define fo_step fo_step_single
+#define fo_step_volt_seconds fo_step_volt_seconds_single
+#define fo_gather fo_gather_single
 #else
 typedef double fo_real;
 #endif
@@ -115,6 +122,7 @@ typedef struct {
     fo_real carried;                     /* for how long [memories]                              */
     fo_real carried_length, carried_off; /* of the position vector: at its start, largest change */
     fo_real angle, speed, acceleration;  /* tracker [rad, rad/s, rad/s^2]                        */
+    fo_real settled;                     /* the tracker is near for so long [memories]           */
 } fo_state;
 
 typedef struct {
@@ -127,7 +135,7 @@ typedef struct {
     fo_real theta_e_std;       /* of theta_e [rad]; pi/sqrt(3) when nothing is known              */
     fo_real innovation;        /* of this sample, normalised by the assumed noise                 */
     fo_real noise_share;       /* share of the flux information that is only noise; 1: no position */
-    bool valid;                /* the position is known now                                       */
+    bool valid;                /* the position is known now, and the tracker has settled on it    */
 } fo_estimate;
 
 typedef enum {

@@ -83,7 +83,7 @@ def compile_for(build: Build, folder: Path) -> tuple[Path, int]:
         return {name: int(size) for size, name in found}
 
     linked = sizes(program)
-    counted = linked.keys() - {"fo_gather"}  # for those who step every few interrupts
+    counted = linked.keys() - {"fo_gather_single"}  # for those who step every few interrupts
     return program, sum(size for name, size in sizes(observer).items() if name in counted)
 
 

@@ -20,6 +20,7 @@ SHARE_LIMIT = 0.1
 SWEEP = np.pi
 STD_LIMIT = np.pi / 60
 VOLTAGE_LIMIT = np.pi / 22.5
+TRACKER_SETTLED = 0.1
 VARIANCE_UNKNOWN = np.pi**2 / 3
 STD_UNKNOWN = np.sqrt(VARIANCE_UNKNOWN)
 FLUX_STEP_LIMIT = 4.0
@@ -70,6 +71,7 @@ class LeastSquaresState(NamedTuple):
     angle: Array  # tracker [rad], [rad/s], [rad/s²]
     speed: Array
     acceleration: Array
+    settled: Array  # the tracker is near for so long
     have_current: Array
     have_voltage: Array
     trusted: Array
@@ -339,6 +341,11 @@ class SquareRootLeastSquares(eqx.Module):
         unknown = ~(variance < VARIANCE_UNKNOWN)
         tracker = self._track(s, out_theta, unknown & ~known)
         std = jnp.where(unknown, STD_UNKNOWN, jnp.sqrt(variance))
+        near = jnp.abs(wrap(out_theta - tracker[0])) < STD_LIMIT + 3 * std
+        settled = jnp.where(
+            s.settled < TRACKER_SETTLED, jnp.where(near, s.settled + self.h, 0.0), s.settled
+        )
+        settled = jnp.where(trusted, settled, 0.0)
 
         # A voltage error adds up until the rotor has turned by about a radian.
         step = jnp.minimum(jnp.abs(s.speed) * self.sample_time, 1.0)
@@ -362,6 +369,7 @@ class SquareRootLeastSquares(eqx.Module):
             angle=tracker[0],
             speed=tracker[1],
             acceleration=tracker[2],
+            settled=settled,
         )
         return after, Reading(
             out_flux * self.flux_base,
@@ -371,7 +379,7 @@ class SquareRootLeastSquares(eqx.Module):
             tracker[1],
             out_drift * self.drift_base,
             std,
-            trusted & (std < STD_LIMIT) & steady,
+            trusted & (settled >= TRACKER_SETTLED) & (std < STD_LIMIT) & steady,
             s.innovation,
             s.noise_share,
         )
