@@ -351,7 +351,8 @@ def export(
         prefix=prefix,
         force=force,
     )
-    typer.echo(f"Written: {done.folder}, content {done.content}. `make -C {done.folder} test`")
+    folder = shlex.quote(str(done.folder))
+    typer.echo(f"Written: {folder}, content {done.content}. Try: make -C {folder} test")
 
 
 @app.command()
@@ -470,8 +471,14 @@ def _run(
 
         draw(result, report)
         typer.echo(f"Written: {report}")
-    if machine.rated_current and machine.flux_base(getattr(machine, "psi_f", None), 1.0):
-        o = result.observer
+    o = result.observer
+    if not machine.rated_current or not machine.flux_base(getattr(machine, "psi_f", None), 1.0):
+        lacking = {"psi_f": o.flux_base, "rated_current": result.scales.current}
+        values = [
+            f"{k} ({v:.3g} here)" for k, v in lacking.items() if getattr(machine, k, 0) is None
+        ]
+        typer.echo(f"For an export as firmware the machine file needs {' and '.join(values)}.")
+    else:
         typer.echo(
             f"The same in firmware: fluxobs export --machine {shlex.quote(source)} "
             f"--sample-time {o.sample_time!r} --memory {o.memory!r} "

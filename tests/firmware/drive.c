@@ -1,14 +1,15 @@
 /* A drive around the exported example interrupt: rows of (i_a, i_b, i_c, the alpha and the beta
- * voltage commanded in this interrupt) as floats on standard input, the angle that the control was
- * given as a float a row on standard output. */
+ * voltage commanded in this interrupt, are the gates on?) as floats on standard input; the angle
+ * that the control was given, 100 where it is not known, as a float a row on standard output. */
 #include <stdio.h>
 
-#include "motor.h"
+#include "motor_observer.h"
 
-static float row[5], angle;
+static float row[6], angle;
 
 void drive_read_currents(float i_abc[3]);
 float drive_read_dc_link(void);
+bool drive_gates_are_on(void);
 void drive_write_voltage(const float command[2], float udc);
 void drive_start(void);
 void current_control_interrupt(void);
@@ -22,6 +23,8 @@ void drive_read_currents(float i_abc[3])
 
 float drive_read_dc_link(void) { return 48.0f; }
 
+bool drive_gates_are_on(void) { return row[5] > 0.5f; }
+
 void drive_write_voltage(const float command[2], float udc)
 {
     (void)command;
@@ -34,11 +37,10 @@ static void take_command(float command[2])
     command[1] = row[4];
 }
 
-#ifdef SLOW
-void drive_current_control(const float i[2], float theta_e, float speed_e, int position_known,
+void drive_current_control(const float i[2], float theta_e, float speed_e, bool position_known,
                            float udc, float command[2]);
 
-void drive_current_control(const float i[2], float theta_e, float speed_e, int position_known,
+void drive_current_control(const float i[2], float theta_e, float speed_e, bool position_known,
                            float udc, float command[2])
 {
     (void)i;
@@ -47,17 +49,6 @@ void drive_current_control(const float i[2], float theta_e, float speed_e, int p
     angle = position_known ? theta_e : 100.0f;
     take_command(command);
 }
-#else
-void drive_current_control(const float i[2], const fo_estimate *e, float udc, float command[2]);
-
-void drive_current_control(const float i[2], const fo_estimate *e, float udc, float command[2])
-{
-    (void)i;
-    (void)udc;
-    angle = e->valid ? e->theta_e_tracked : 100.0f;
-    take_command(command);
-}
-#endif
 
 int main(void)
 {

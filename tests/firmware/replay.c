@@ -2,7 +2,7 @@
  * standard input, rows of estimates as doubles on standard output. */
 #include <stdio.h>
 
-#include "motor.h"
+#include "motor_observer.h"
 
 int main(void)
 {

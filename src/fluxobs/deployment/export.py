@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
 import os
-import shutil
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,12 +19,21 @@ from ..observers import LeastSquaresObserver
 from ..observers.least_squares import MEMORY
 from .c_source import PRECISIONS, Precision, identifier, is_identifier
 from .course import course
-from .header import bases, parameter_header, settings
+from .header import bases, parameter_header, parameters, settings
 from .vectors import COLUMNS, vectors_header
 
 SOURCES = ("fluxobs.h", "fluxobs.c")
-#: A current control is never slower than this [s]; larger numbers are frequencies or ms.
-SLOWEST = 0.1
+#: Periods of current controls [s]; other numbers are in another unit.
+PERIODS = (1e-6, 1e-2)
+#: What a voltage error as large as the drift's prior may turn the flux by while the position is
+#: called valid [rad]; as in firmware/fluxobs.c.
+VOLTAGE_LIMIT = math.pi / 22.5
+#: For the README of a folder whose observer is stepped every few interrupts.
+GATHER = (
+    "\nIn every interrupt `fo_gather` adds the volt-seconds of the interval that ends, and "
+    "`fo_step_volt_seconds` takes their sum instead of the voltage. A voltage that is not known "
+    "spoils the step it belongs to, a current that is missing the steps on either side of it.\n"
+)
 
 
 @dataclass(frozen=True)
@@ -98,12 +107,12 @@ def export(
     >>> import fluxobs, tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     done = fluxobs.export(fluxobs.read_machine("servo-400w"), 1e-4, f"{folder}/servo")
-    ...     sorted(path.name for path in done.folder.iterdir())
-    ['Makefile', 'README.md', 'example_isr.c', 'fluxobs.c', 'fluxobs.h', 'motor.h', 'test']
+    ...     sorted(path.name for path in done.folder.glob("*.[ch]"))
+    ['example_isr.c', 'fluxobs.c', 'fluxobs.h', 'motor_observer.h']
     """
     prefix = "motor" if prefix is None else prefix
-    if not is_identifier(prefix) or prefix == "fluxobs":
-        near = identifier(prefix) if prefix != "fluxobs" else "motor"
+    if not is_identifier(prefix) or prefix == "fo":  # fo_observer is a type
+        near = identifier(prefix) if prefix != "fo" else "motor"
         raise FluxobsError(f"prefix {prefix!r} cannot begin names in C; {near!r} can")
     rotating = _check_machine(machine, unknowns)
     memory = _check_times(sample_time, update_every, memory)
@@ -128,7 +137,10 @@ def export(
         raise FluxobsError(str(error)) from None
     files = _files(prefix, rotating, observers, update_every)
     content = files["README.md"].split("content `")[1].split("`")[0]
-    _write(folder, files)
+    try:
+        _write(folder, files)
+    except OSError as error:
+        raise FluxobsError(f"{folder}: cannot be written: {error.strerror}") from None
     return Export(folder, prefix, observers["single"], content)
 
 
@@ -157,8 +169,8 @@ def _check_machine(machine: Machine, unknowns: tuple[str, ...]) -> RotatingMachi
         if name in type(machine).model_fields and getattr(machine, name) is None
     ]:
         raise FluxobsError(
-            f"{' and '.join(rotating_lacks)} missing: give it in the machine file; within a factor "
-            f"of two serves"
+            f"the machine file lacks {' and '.join(rotating_lacks)}: give a value that is right "
+            f"within a factor of two"
         )
     return machine
 
@@ -170,10 +182,21 @@ def _check_times(sample_time: float, update_every: int, memory: float | None) ->
             f"sample time {sample_time:g} s: it is the period of the current-control interrupt, "
             f"above 0; {near} would do"
         )
-    if sample_time > SLOWEST:
+    if not PERIODS[0] <= sample_time <= PERIODS[1]:
+        meant = {
+            "µs": 1e-6 * sample_time,
+            "ms": 1e-3 * sample_time,
+            "Hz": 1 / sample_time,
+            "kHz": 1e-3 / sample_time,
+        }
+        likely = [
+            f"{sample_time:g} {unit} is {period:g} s"
+            for unit, period in meant.items()
+            if PERIODS[0] <= period <= 0.2 * PERIODS[1]
+        ]
         raise FluxobsError(
-            f"sample time {sample_time:g} s is no period of a current control; for "
-            f"{sample_time:g} Hz it is {1 / sample_time:g} s"
+            f"sample time {sample_time:g} s is no period of a current control"
+            + (f"; {', '.join(likely)}" if likely else "; it is in seconds, such as 1e-4")
         )
     if update_every < 1:
         raise FluxobsError(f"update_every {update_every}: at least 1, a step every interrupt")
@@ -216,6 +239,13 @@ def _files(
     header = parameter_header(prefix, observers, machine, version, texts, update_every)
     single = observers["single"]
     record = course(machine, single)
+    if not single.run(record.voltage, record.current).valid.any():
+        raise FluxobsError(
+            f"with these settings the position is never known, not even at full speed: memory "
+            f"{single.memory:g} s, current noise {single.current_noise:g} A, drift prior "
+            f"{single.drift_prior:g} V; check the units of R_s, inductance and rated_current"
+        )
+    slowest = single.drift_prior / (VOLTAGE_LIMIT * single.flux_base)
     words = {
         "prefix": prefix,
         "PREFIX": prefix.upper(),
@@ -223,12 +253,18 @@ def _files(
         "step_time": f"{single.sample_time:.9g}",
         "steps": "" if update_every == 1 else f" (a step in every {update_every}th)",
         "n_p": str(machine.n_p),
-        "half_turn": "; up to half a turn" if machine.half_turn_ambiguous else "",
+        "half_turn": "; the one 180 degrees away fits as well"
+        if machine.half_turn_ambiguous
+        else "",
+        "gather": GATHER if update_every > 1 else "",
+        "drift_prior": f"{single.drift_prior:.3g}",
+        "slowest": f"{slowest:.3g}",
+        "slowest_rpm": f"{slowest / machine.n_p * 30 / math.pi:.3g}",
         "content": header.split("Content ")[1].split(",")[0],
         "columns": ", ".join(f'"{name}"' for name in COLUMNS),
         "costs": cost_table(read_costs()),
         "parameters": str(read_costs()["parameters"]),
-        "facts": _facts(machine, single),
+        "facts": _facts(machine, single, update_every),
     }
     folder = resources.files(__package__) / "templates"
 
@@ -239,24 +275,23 @@ def _files(
         return text
 
     return sources | {
-        f"{prefix}.h": header,
+        "LICENSE": (installed / "LICENSE").read_text(encoding="utf-8"),
+        f"{prefix}_observer.h": header,
         "README.md": filled("README.md"),
         "Makefile": filled("Makefile"),
         "example_isr.c": filled("example_isr.c" if update_every == 1 else "example_slow_isr.c"),
         "test/check.h": filled("check.h"),
         "test/check.c": filled("check.c"),
         "test/host_test.c": filled("host_test.c"),
-        "test/vectors.h": vectors_header(record, observers),
+        "test/vectors.h": vectors_header(record, observers, update_every),
     }
 
 
-def _facts(machine: RotatingMachine, observer: LeastSquaresObserver) -> str:
-    given = machine.model_dump(by_alias=True, exclude_none=True)
+def _facts(machine: RotatingMachine, observer: LeastSquaresObserver, update_every: int) -> str:
     rows = {
-        "kind": machine.kind,
-        **{name: f"{value:.9g}" for name, value in given.items()},
-        **settings(observer),
-        **{f"per-unit {name}": value for name, value in bases(observer).items()},
+        **parameters(machine),
+        **settings(observer, update_every),
+        **{f"per-unit base of {name}": value for name, value in bases(observer).items()},
     }
     lines = [f"| {name} | {value} |" for name, value in rows.items()]
     return "\n".join(["| | |", "|---|---|", *lines])
@@ -282,22 +317,21 @@ def cost_table(costs: Mapping[str, Any]) -> str:
 
 def _write(folder: Path, files: Mapping[str, str]) -> None:
     """All files or none: they are made beside the folder and moved there when complete."""
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".fluxobs-", dir=folder.parent) as scratch:
-            made = Path(scratch) / "export"
-            for name, text in files.items():
-                path = made / name
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_text(text, encoding="utf-8", newline="\n")
-            if folder.exists() and not any(folder.iterdir()):
-                folder.rmdir()
-            if not folder.exists():
-                os.replace(made, folder)
-                return
-            for name in files:
-                (folder / name).parent.mkdir(exist_ok=True)
-                os.replace(made / name, folder / name)
-            shutil.rmtree(folder / "build", ignore_errors=True)  # of the earlier sources
-    except OSError as error:
-        raise FluxobsError(f"{folder}: cannot be written: {error.strerror}") from None
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".fluxobs-", dir=folder.parent) as scratch:
+        made = Path(scratch) / "export"
+        for name, text in files.items():
+            path = made / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8", newline="\n")
+        if folder.exists() and not any(folder.iterdir()):
+            folder.rmdir()
+        if not folder.exists():
+            os.replace(made, folder)
+            return
+        for name in files:
+            (folder / name).parent.mkdir(exist_ok=True)
+            os.replace(made / name, folder / name)
+    for old in folder.glob("*_observer.h"):  # of an export with another prefix
+        if old.name not in files and "Generated by fluxobs" in old.read_text(encoding="utf-8"):
+            old.unlink()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from typing import Any
 
 from ..machines import RotatingMachine
 from ..observers import LeastSquaresObserver
@@ -37,11 +36,12 @@ MEANING = {
 }
 
 
-def settings(observer: LeastSquaresObserver) -> dict[str, str]:
+def settings(observer: LeastSquaresObserver, update_every: int) -> dict[str, str]:
     """What was chosen for the observer, in SI units."""
     o = observer
     return {
-        "sample time": f"{o.sample_time:.9g} s",
+        "interrupt every": f"{o.sample_time / update_every:.9g} s",
+        "step every": f"{o.sample_time:.9g} s",
         "memory": f"{o.memory:.9g} s",
         "unknowns": "drift",
         "current noise": f"{o.current_noise:.6g} A (std of a component)",
@@ -80,8 +80,8 @@ def parameter_header(
     """The header's text; `observer` in either precision, `sources` what it belongs to."""
     single = observer["single"]
     facts = {
-        "machine": _machine(machine),
-        "settings": {"interrupts a step": update_every} | settings(single),
+        "machine": parameters(machine),
+        "settings": settings(single, update_every),
         "per-unit bases": bases(single),
     }
     about = "\n".join(
@@ -97,7 +97,7 @@ def parameter_header(
         )
         for precision in PRECISIONS
     )
-    guard = f"{prefix.upper()}_H"
+    guard = f"FLUXOBS_{prefix}_H"
     body = f"""\
 #ifndef {guard}
 #define {guard}
@@ -105,7 +105,7 @@ def parameter_header(
 #include "fluxobs.h"
 
 /* Interrupts of the current control from one step of the observer to the next. */
-enum {{ {prefix.upper()}_UPDATE_EVERY = {update_every} }};
+enum {{ {prefix}_update_every = {update_every} }};
 
 /* Per-unit unless said. Lives in flash: nothing has to be prepared when the drive starts. */
 static const fo_observer {prefix}_observer = {{
@@ -123,7 +123,8 @@ static const fo_observer {prefix}_observer = {{
     )
 
 
-def _machine(machine: RotatingMachine) -> dict[str, Any]:
+def parameters(machine: RotatingMachine) -> dict[str, str]:
+    """What the machine file says, with units."""
     units = {"R_s": "ohm", "n_p": "pole pairs", "psi_f": "Wb", "rated_current": "A"}
     given = machine.model_dump(by_alias=True, exclude_none=True)
     return {"kind": machine.kind} | {

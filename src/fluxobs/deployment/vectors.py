@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from ..observers import Estimate, LeastSquaresObserver
 from .c_source import PRECISIONS, Precision, hex_float, table
 from .course import Course
+
+Array = NDArray[np.float64]
 
 #: An expected row every so many samples: coprime to the turns in which samples differ.
 EVERY = 9
@@ -30,7 +33,7 @@ COLUMNS = (
 )
 
 
-def expected(estimate: Estimate) -> NDArray[np.float64]:
+def expected(estimate: Estimate) -> Array:
     """All columns of an estimate, (rows, 12)."""
     e = estimate
     columns = (
@@ -40,7 +43,7 @@ def expected(estimate: Estimate) -> NDArray[np.float64]:
     return np.stack([np.asarray(c, float) for c in columns], axis=-1)
 
 
-def checksum(inputs: NDArray[np.float64], rows: NDArray[np.float64], precision: Precision) -> int:
+def checksum(inputs: Array, rows: Array, precision: Precision) -> int:
     """FNV-1a over the numbers' bytes, least significant first; what is missing counts as 0."""
     kind = "<f4" if precision == "single" else "<f8"
     value = 0x811C9DC5
@@ -51,7 +54,40 @@ def checksum(inputs: NDArray[np.float64], rows: NDArray[np.float64], precision: 
     return value
 
 
-def vectors_header(course: Course, observers: Mapping[Precision, LeastSquaresObserver]) -> str:
+def gathered(observer: LeastSquaresObserver, course: Course, update_every: int) -> Array:
+    """Volt-seconds [Wb] of every row, as fo_gather sums them; test/check.c says of what.
+
+    In the observer's precision, operation by operation, so that sums are equal bit for bit.
+    """
+    real: Any = np.float32 if observer.precision == "single" else np.float64
+    p: dict[str, Any] = {
+        name: np.array(value, dtype=real) for name, value in observer.parameters().items()
+    }
+    share = real(1) / real(update_every)
+    scale = share * p["flux_base"]
+    u, i = course.voltage.astype(real), course.current.astype(real)
+    before = np.concatenate([np.zeros((1, 2), real), i[:-1]])
+    source = u[:, :1] * p["hB"][:, 0] + u[:, 1:] * p["hB"][:, 1]
+    total, last = np.zeros_like(u), before
+    for k in range(1, update_every + 1):
+        now = before + real(k) * share * (i - before) if k < update_every else i
+        mean = real(12) * (last + now)
+        drop = mean[:, :1] * p["hR"][:, 0] + mean[:, 1:] * p["hR"][:, 1]
+        total, last = total + scale * (source - drop), now
+    return np.asarray(total, float)
+
+
+def run(observer: LeastSquaresObserver, course: Course, update_every: int) -> Estimate:
+    """What the exported observer has to return for the record."""
+    if update_every == 1:
+        return observer.run(course.voltage, course.current)
+    volt_seconds = gathered(observer, course, update_every)
+    return observer.run(volt_seconds=volt_seconds, current=course.current)
+
+
+def vectors_header(
+    course: Course, observers: Mapping[Precision, LeastSquaresObserver], update_every: int
+) -> str:
     """The text of test/vectors.h."""
     inputs = np.concatenate([course.voltage, course.current], axis=1)
     samples = "\n".join(
@@ -60,9 +96,7 @@ def vectors_header(course: Course, observers: Mapping[Precision, LeastSquaresObs
     )
     blocks = []
     for precision in PRECISIONS:
-        rows = expected(observers[precision].run(course.voltage, course.current))[
-            EVERY - 1 :: EVERY
-        ]
+        rows = expected(run(observers[precision], course, update_every))[EVERY - 1 :: EVERY]
         guard = checksum(inputs, rows, precision)
         blocks.append(
             f"static const uint32_t expected_checksum = 0x{guard:08x}U;\n"

@@ -2,7 +2,7 @@
 #include <stddef.h>
 
 #include "check.h"
-#include "motor.h"
+#include "motor_observer.h"
 #include "target.h"
 #include "vectors.h"
 

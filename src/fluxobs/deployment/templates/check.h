@@ -1,4 +1,5 @@
-/* Replays the test vectors and compares with what the fluxobs library returns for them. */
+/* Replays the test vectors and compares with what the fluxobs library returns for them. Runs on the
+ * target as well: no input, no output, about 100 KB of constants. */
 #ifndef CHECK_H
 #define CHECK_H
 
@@ -18,9 +19,5 @@ typedef struct {
 /* Flux, drift and what is computed from them have to be equal bit for bit; angles, for which each
  * C library has its own atan2, to 1e-6 rad, the speed to 1e-5. */
 void check_replay(check_result *result);
-
-/* One sample of the record, the first after the last; for counting what a step costs. */
-void check_start(void);
-void check_step(int sample, fo_estimate *estimate);
 
 #endif

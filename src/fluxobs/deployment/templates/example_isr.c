@@ -1,15 +1,20 @@
 /* How the observer is called: once an interrupt of the current control, every @sample_time@ s.
- * What is yours stands in the four functions declared here. Compile with -DFO_SINGLE.
+ * Copy this file before you change it: an export with --force writes it anew.
+ * What is yours stands in the functions declared here. Compile with -DFO_SINGLE.
  *
  *      t[k-1]               t[k]                 t[k+1]
  *        |  `acting` acts    |  `next` acts       |  what is commanded now acts
  *      interrupt           interrupt: i[k] sampled
  */
-#include "@prefix@.h"
+#include <math.h>
 
-void drive_read_currents(float i_abc[3]);             /* [A], positive into the machine */
-float drive_read_dc_link(void);                       /* [V] */
-void drive_current_control(const float i[2], const fo_estimate *e, float udc, float command[2]);
+#include "@prefix@_observer.h"
+
+void drive_read_currents(float i_abc[3]); /* [A], positive into the machine */
+float drive_read_dc_link(void);           /* [V] */
+bool drive_gates_are_on(void);
+void drive_current_control(const float i[2], float theta_e, float speed_e, bool position_known,
+                           float udc, float command[2]);
 void drive_write_voltage(const float command[2], float udc);
 void drive_start(void);
 void current_control_interrupt(void);
@@ -19,11 +24,15 @@ static fo_estimate estimate;
 static float acting[2]; /* mean voltage, alpha and beta [V], over the interval that ends now */
 static float next[2];   /* over the one that begins now: commanded an interrupt ago */
 
+/* Before the gates go on, each time: with the gates off nobody knows the voltage. */
 void drive_start(void)
 {
+    static const fo_estimate nothing_known = {{0.0f, 0.0f}, 0.0f, 0.0f, 0.0f, 0.0f, {0.0f, 0.0f},
+                                              0.0f, 0.0f, 0.0f, false};
     fo_reset(&@prefix@_observer, &state);
-    acting[0] = acting[1] = 0.0f; /* no voltage is applied yet */
-    next[0] = next[1] = 0.0f;
+    estimate = nothing_known;
+    acting[0] = acting[1] = NAN; /* not known: no voltage has been commanded yet */
+    next[0] = next[1] = NAN;
 }
 
 void current_control_interrupt(void)
@@ -38,16 +47,21 @@ void current_control_interrupt(void)
 
     fo_step(&@prefix@_observer, &state, acting, i, &estimate);
 
-    /* estimate.theta_e_tracked [rad] and .speed_e [rad/s], electrical, are for the control;
-     * .valid says whether the position is known, .theta_e_std how well [rad]. */
-    drive_current_control(i, &estimate, udc, command);
+    /* The angle [rad] and speed [rad/s], electrical, are those of t[k]. `valid` says whether the
+     * position is known; where it is not, do not commutate by it (README, "When it knows"). The
+     * command will act around t[k] + 1.5 periods: turn it ahead by 1.5 * @sample_time@ * speed_e. */
+    drive_current_control(i, estimate.theta_e_tracked, estimate.speed_e, estimate.valid, udc, command);
 
     /* Limited by the modulator? Then `command` has to hold what is applied, not what was wanted:
      * keep it within the hexagon of udc before it is written. */
     drive_write_voltage(command, udc);
+    if (!drive_gates_are_on()) {
+        command[0] = command[1] = NAN; /* the voltage is the machine's own, and not known */
+    }
 
-    /* The PWM takes the new duties at t[k+1], one interrupt from now. Where it takes them at once,
-     * `next` falls away: acting = command. */
+    /* The PWM takes the new duties at t[k+1], one interrupt from now (a log of such a drive has lag
+     * -1). Where it takes them at once, `next` falls away: acting = command (lag 0). Where it takes
+     * them in between, mix the two in proportion of the time that they act. */
     acting[0] = next[0];
     acting[1] = next[1];
     next[0] = command[0];

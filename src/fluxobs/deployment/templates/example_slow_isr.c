@@ -1,17 +1,21 @@
-/* How the observer is called where it is stepped every few interrupts only: the current control
+/* How the observer is called where it takes a step every few interrupts only: the current control
  * interrupts every @sample_time@ s, the observer takes a step every @step_time@ s and
  * volt-seconds are gathered in between, so that none are lost.
- * What is yours stands in the four functions declared here. Compile with -DFO_SINGLE.
+ * Copy this file before you change it: an export with --force writes it anew.
+ * What is yours stands in the functions declared here. Compile with -DFO_SINGLE.
  *
  *      t[k-1]               t[k]                 t[k+1]
  *        |  `acting` acts    |  `next` acts       |  what is commanded now acts
  *      interrupt           interrupt: i[k] sampled
  */
-#include "@prefix@.h"
+#include <math.h>
 
-void drive_read_currents(float i_abc[3]);             /* [A], positive into the machine */
-float drive_read_dc_link(void);                       /* [V] */
-void drive_current_control(const float i[2], float theta_e, float speed_e, int position_known,
+#include "@prefix@_observer.h"
+
+void drive_read_currents(float i_abc[3]); /* [A], positive into the machine */
+float drive_read_dc_link(void);           /* [V] */
+bool drive_gates_are_on(void);
+void drive_current_control(const float i[2], float theta_e, float speed_e, bool position_known,
                            float udc, float command[2]);
 void drive_write_voltage(const float command[2], float udc);
 void drive_start(void);
@@ -20,23 +24,27 @@ void current_control_interrupt(void);
 static fo_state state;
 static fo_estimate estimate;
 static fo_gathered gathered;
-static int since_step;  /* interrupts since the observer's last step */
+static int since_step; /* interrupts since the observer's last step */
 static float acting[2]; /* mean voltage, alpha and beta [V], over the interval that ends now */
 static float next[2];   /* over the one that begins now: commanded an interrupt ago */
 
+/* Before the gates go on, each time: with the gates off nobody knows the voltage. */
 void drive_start(void)
 {
+    static const fo_estimate nothing_known = {{0.0f, 0.0f}, 0.0f, 0.0f, 0.0f, 0.0f, {0.0f, 0.0f},
+                                              0.0f, 0.0f, 0.0f, false};
     static const fo_gathered nothing = {{0.0f, 0.0f}, {0.0f, 0.0f}};
-    fo_reset(&@prefix@_observer, &state);
     gathered = nothing;
     since_step = 0;
-    acting[0] = acting[1] = 0.0f; /* no voltage is applied yet */
-    next[0] = next[1] = 0.0f;
+    fo_reset(&@prefix@_observer, &state);
+    estimate = nothing_known;
+    acting[0] = acting[1] = NAN; /* not known: no voltage has been commanded yet */
+    next[0] = next[1] = NAN;
 }
 
 void current_control_interrupt(void)
 {
-    const float share = 1.0f / (float)@PREFIX@_UPDATE_EVERY;
+    const float share = 1.0f / (float)@prefix@_update_every;
     float i_abc[3], i[2], command[2];
     const float udc = drive_read_dc_link();
     drive_read_currents(i_abc);
@@ -47,23 +55,30 @@ void current_control_interrupt(void)
 
     fo_gather(&@prefix@_observer, &gathered, share, acting, i);
     since_step++;
-    if (since_step == @PREFIX@_UPDATE_EVERY) {
+    if (since_step == @prefix@_update_every) {
         fo_step_volt_seconds(&@prefix@_observer, &state, gathered.volt_seconds, i, &estimate);
         gathered.volt_seconds[0] = gathered.volt_seconds[1] = 0.0f;
         since_step = 0;
     }
 
-    /* Between steps the rotor goes on at its speed. Wrap the angle where your control asks for it. */
+    /* Between steps the rotor goes on at its speed; wrap the angle where your control asks for it.
+     * Angle [rad] and speed [rad/s], electrical, are those of t[k]. `valid` says whether the
+     * position is known; where it is not, do not commutate by it (README, "When it knows"). The
+     * command will act around t[k] + 1.5 periods: turn it ahead by 1.5 * @sample_time@ * speed_e. */
     const float ahead = (float)since_step * share * @prefix@_observer.sample_time;
-    drive_current_control(i, estimate.theta_e_tracked + estimate.speed_e * ahead,
-                          estimate.speed_e, estimate.valid, udc, command);
+    drive_current_control(i, estimate.theta_e_tracked + estimate.speed_e * ahead, estimate.speed_e,
+                          estimate.valid, udc, command);
 
     /* Limited by the modulator? Then `command` has to hold what is applied, not what was wanted:
      * keep it within the hexagon of udc before it is written. */
     drive_write_voltage(command, udc);
+    if (!drive_gates_are_on()) {
+        command[0] = command[1] = NAN; /* the voltage is the machine's own, and not known */
+    }
 
-    /* The PWM takes the new duties at t[k+1], one interrupt from now. Where it takes them at once,
-     * `next` falls away: acting = command. */
+    /* The PWM takes the new duties at t[k+1], one interrupt from now (a log of such a drive has lag
+     * -1). Where it takes them at once, `next` falls away: acting = command (lag 0). Where it takes
+     * them in between, mix the two in proportion of the time that they act. */
     acting[0] = next[0];
     acting[1] = next[1];
     next[0] = command[0];

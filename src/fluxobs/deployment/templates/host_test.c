@@ -23,5 +23,8 @@ int main(void)
                "-mfpmath=sse\n");
 #endif
     }
+    if (r.valid == 0) {
+        printf("FAILED: no position is ever known\n");
+    }
     return r.damaged || r.wrong > 0 || r.valid == 0 ? 1 : 0;
 }
