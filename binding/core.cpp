@@ -6,9 +6,11 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <limits>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -46,6 +48,14 @@ void copy(fo_real (&target)[FO_N][FO_N], const Matrix &source) {
 
 void copy(fo_real (&target)[FO_N], const Vector &source) {
     for (std::size_t i = 0; i < FO_N; i++) target[i] = static_cast<fo_real>(source(i));
+}
+
+// Beyond the range of single precision a number is infinite; the cast alone would be undefined.
+fo_real real(double x) {
+    constexpr double most = std::numeric_limits<fo_real>::max();
+    if (std::abs(x) > most)
+        return std::copysign(std::numeric_limits<fo_real>::infinity(), static_cast<fo_real>(x < 0 ? -1 : 1));
+    return static_cast<fo_real>(x);
 }
 
 template <class T>
@@ -179,8 +189,8 @@ private:
             fo_real u[FO_N], i[FO_N];
             fo_estimate e;
             for (int n = 0; n < FO_N; n++) {
-                u[n] = static_cast<fo_real>(source[FO_N * k + n]);
-                i[n] = static_cast<fo_real>(current[FO_N * k + n]);
+                u[n] = real(source[FO_N * k + n]);
+                i[n] = real(current[FO_N * k + n]);
             }
             if (volt_seconds)
                 fo_step_volt_seconds(&observer_, &state, u, i, &e);

@@ -27,7 +27,7 @@
 enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
 
 /* Element (i, j), i < j, of a packed strict upper triangle. */
-#define AT(i, j) ((i) * (2 * FO_NX - (i) - 3) / 2 + (j) - 1)
+#define AT(i, j) ((int)(i) * (2 * (int)FO_NX - (int)(i) - 3) / 2 + (int)(j) - 1)
 
 /* Share of noise in the flux information above which the flux is called unknown. */
 static const fo_real SHARE_LIMIT = (fo_real)0.1;
@@ -37,6 +37,8 @@ static const fo_real SWEEP = PI;
 static const fo_real STD_LIMIT = PI / (fo_real)60;
 /* The same for what a voltage error as large as the drift's prior can do: 8 degrees. */
 static const fo_real VOLTAGE_LIMIT = PI / (fo_real)22.5;
+/* Longest that a voltage error adds up, in memories. */
+static const fo_real EXPOSED_MOST = (fo_real)3;
 /* For so long, in memories, the tracker has to be as near as that before a position is valid. */
 static const fo_real TRACKER_SETTLED = (fo_real)0.1;
 /* Variance of an angle of which nothing is known: uniform over a turn. */
@@ -51,7 +53,7 @@ static const fo_real OUTLIER_LIMIT = (fo_real)1;
 static const fo_real STEP_LIMIT = (fo_real)0.15;
 static const fo_real STEP_NOISE = (fo_real)6;
 /* A position vector longer than this, squared, in flux bases, is numbers that have run away. */
-static const fo_real RUNAWAY = (fo_real)1e16;
+static const fo_real RUNAWAY = (fo_real)1e4;
 /* Largest lag-one correlation of the innovations that is believed. */
 static const fo_real CORRELATION_LIMIT = (fo_real)0.98;
 /* Samples take turns: in one a prior row is re-injected, in the next the certainty is judged. */
@@ -100,8 +102,8 @@ static fo_error check(const fo_config *c)
     fo_error found = FO_OK;
     if (!config_finite(c)) {
         found = FO_ERROR_NOT_FINITE;
-    } else if (!(c->sample_time > ZERO && c->memory >= (fo_real)10 * c->sample_time &&
-                 c->memory <= (fo_real)1e6 * c->sample_time)) {
+    } else if (!(c->sample_time > ZERO && c->memory >= (fo_real)9.99 * c->sample_time &&
+                 c->memory <= (fo_real)1.001e6 * c->sample_time)) {
         found = FO_ERROR_SAMPLE_TIME;
     } else if (!(c->flux_base > ZERO && c->constraint_base > ZERO && c->constraint_noise > ZERO &&
                  c->current_noise > ZERO && c->current_limit > ZERO && c->drift_prior > ZERO &&
@@ -339,22 +341,42 @@ static fo_real rotate_in(fo_information *info, fo_real row[FO_NX], fo_real value
     return fo_sqrt(weight) * rhs;
 }
 
-/* Variance of a x_first + b x_(first + 1): |y|^2 / d with U'y = (.., a, b, ..). */
-static fo_real variance_along(const fo_information *info, int first, fo_real a, fo_real b)
+typedef struct {
+    fo_real along, across;
+} variances;
+
+/* Variances of the flux along p and across it, times |p|^2: |y|^2 / d with U'y = (0, p, 0 ..). */
+static variances flux_variances(const fo_information *info, const fo_real p[FO_N])
 {
-    const fo_real *u = &info->U[AT(first, first + 1)];
-    fo_real row[FO_NX], sum = ZERO;
-    clear(row);
-    row[first] = a;
-    row[first + 1] = b;
-    for (int i = first; i < FO_NX; i++) {
-        const fo_real pivot = row[i];
-        sum += pivot * pivot / info->d[i];
+    const fo_real *u = &info->U[AT(FLUX, FLUX + 1)];
+    variances found = {ZERO, ZERO};
+    fo_real along[FO_NX], across[FO_NX];
+    clear(along);
+    clear(across);
+    along[FLUX] = p[0];
+    along[FLUX + 1] = p[1];
+    across[FLUX] = -p[1];
+    across[FLUX + 1] = p[0];
+    for (int i = FLUX; i < FO_NX; i++) {
+        const fo_real inverse = ONE / info->d[i], a = along[i], b = across[i];
+        found.along += a * a * inverse;
+        found.across += b * b * inverse;
         for (int j = i + 1; j < FO_NX; j++) {
-            row[j] -= pivot * *u++;
+            along[j] -= a * *u;
+            across[j] -= b * *u;
+            u++;
         }
     }
-    return sum;
+    return found;
+}
+
+/* The same of the drift, across p only. */
+static fo_real drift_across(const fo_information *info, const fo_real p[FO_N])
+{
+    const fo_real *u = info->U, *d = info->d;
+    const fo_real a = p[0] + p[1] * u[AT(DRIFT, DRIFT + 1)];
+    const fo_real c = p[1] * u[AT(DRIFT, CC)] - a * u[AT(DRIFT + 1, CC)];
+    return p[1] * p[1] / d[DRIFT] + a * a / d[DRIFT + 1] + c * c / d[CC];
 }
 
 /* U x = z */
@@ -364,7 +386,8 @@ static void solve(fo_state *s)
     for (int i = FO_NX - 1; i >= 0; i--) {
         fo_real sum = s->info.z[i];
         for (int j = FO_NX - 1; j > i; j--) {
-            sum -= *--u * s->x[j];
+            u--;
+            sum -= *u * s->x[j];
         }
         s->x[i] = sum;
     }
@@ -475,14 +498,14 @@ static void judge(const fo_observer *o, fo_state *s, const fo_real p[FO_N], fo_r
     /* A covariance with a prior that is too tight in it is too small by as much. */
     const fo_real *drift = &s->x[DRIFT];
     const fo_real excess = dot(drift, drift) * s->drift_prior;
-    const fo_real across = variance_along(&s->info, FLUX, p[1], -p[0]) / square;
-    const fo_real along = variance_along(&s->info, FLUX, p[0], p[1]) / square;
+    const variances flux = flux_variances(&s->info, p);
+    const fo_real across = flux.across / square, along = flux.along / square;
     /* Information that noise pretends to have on the flux when the drift is unknown. */
     const fo_real *noise = s->info.noise;
-    const fo_real shared = noise[1] * noise[1] / noise[2];
-    s->noise_share = (noise[0] - (shared > ZERO ? shared : ZERO)) * (across + along);
+    const fo_real shared = noise[2] > ZERO ? noise[1] * noise[1] / noise[2] : ZERO;
+    s->noise_share = (noise[0] - shared) * (across + along);
     /* Coloured innovations of another power than assumed make more or less of a variance. */
-    const fo_real lag = s->lag_one / s->power;
+    const fo_real lag = s->power > ZERO ? s->lag_one / s->power : ZERO;
     const fo_real r = !(lag > ZERO) ? ZERO : lag > CORRELATION_LIMIT ? CORRELATION_LIMIT : lag;
     s->inflation = o->h * s->power * (ONE + r) / (ONE - r);
     s->spread = s->inflation * across / square;
@@ -512,7 +535,7 @@ static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N]
     fo_real p[FO_N], flux[FO_N];
     if (s->carried == ZERO) {
         const fo_real square = position(o, s, s->flux, p);
-        const fo_real across = variance_along(&s->info, DRIFT, p[1], -p[0]) / square;
+        const fo_real across = drift_across(&s->info, p) / square;
         s->growth = (s->inflation * across + o->plausible * o->plausible) / square;
         s->carried_length = fo_sqrt(square);
         s->carried_off = ZERO;
@@ -539,9 +562,9 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     solve(s);
     const fo_real *flux = &s->x[FLUX], *drift = &s->x[DRIFT];
     fo_real square = position(o, s, flux, p);
-    if (!(square < RUNAWAY)) { /* not a number, too */
+    if (!(square < RUNAWAY)) { /* not a number, too; after long at rest */
         s->restarts++;
-        restart(o, s);
+        empty_information(o, s);
         square = position(o, s, flux, p);
     }
     fo_real theta = fo_atan2(p[1], p[0]);
@@ -562,16 +585,16 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     s->theta = theta;
     const bool trusted = known && (s->trusted || fo_abs(s->swept) > SWEEP);
 
+    /* A voltage error adds up until the rotor has turned by about a radian; before that, for as long
+     * as the information remembers. */
+    const fo_real turned = fo_abs(s->speed) * o->sample_time;
+    s->exposed += o->h - s->exposed * (turned < ONE ? turned : ONE);
+    s->exposed = s->exposed < EXPOSED_MOST ? s->exposed : EXPOSED_MOST;
+
     fo_real variance = VARIANCE_UNKNOWN;
     if (trusted) {
         /* The covariance across p, and the noise of the current in it. */
         variance = s->spread + o->position_noise * s->roughness / square;
-        /* A voltage error adds up until the rotor has turned by about a radian. */
-        const fo_real turned = fo_abs(s->speed) * o->sample_time;
-        s->exposed += o->h - s->exposed * (turned < ONE ? turned : ONE);
-        if (!s->trusted) {
-            s->exposed = ZERO; /* trust comes with half a turn */
-        }
         s->variance = variance;
         s->carried = ZERO;
         s->have_carried = true;
@@ -677,6 +700,19 @@ static void push_current(fo_state *s, fo_real i0, fo_real i1)
     s->current[0][1] = i1;
 }
 
+/* What is missing is taken to have gone on turning with the rotor, if that is known: by the angle a
+ * whose half has the tangent speed * sample_time / 2. */
+static void ahead(const fo_observer *o, const fo_state *s, const fo_real before[FO_N],
+                  fo_real now[FO_N])
+{
+    const fo_real half = s->trusted ? s->speed * o->sample_time / TWO : ZERO;
+    const fo_real over = ONE / (ONE + half * half);
+    const fo_real cosine = (ONE - half * half) * over, sine = TWO * half * over;
+    const fo_real alpha = before[0], beta = before[1];
+    now[0] = cosine * alpha - sine * beta;
+    now[1] = sine * alpha + cosine * beta;
+}
+
 typedef enum { GOOD, MISSING, ABSURD } sample_quality;
 
 static sample_quality quality(const fo_real x[FO_N], fo_real limit)
@@ -696,7 +732,7 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
     const sample_quality of_source = quality(source, FLUX_STEP_LIMIT);
     const sample_quality of_current = quality(current, o->current_limit);
     const bool absurd = of_source == ABSURD || of_current == ABSURD;
-    bool measured = of_current == GOOD, bad = of_current == MISSING, contradicted = false;
+    bool measured = of_current == GOOD, bad = of_current == MISSING;
 
     if (bad) {
         s->bad_currents++;
@@ -710,8 +746,10 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
     }
 
     if (!absurd && (measured || s->have_current)) {
-        const fo_real *newest = measured ? current : s->current[0];
-        fo_real row[FO_NX];
+        fo_real row[FO_NX], newest[FO_N] = {current[0], current[1]};
+        if (!measured) {
+            ahead(o, s, s->current[0], newest);
+        }
         for (int times = s->have_current ? 1 : (int)FO_HISTORY; times > 0; times--) {
             push_current(s, newest[0], newest[1]);
         }
@@ -719,20 +757,20 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
             s->have_voltage = true;
             s->source[0] = source[0];
             s->source[1] = source[1];
+        } else {
+            ahead(o, s, s->source, s->source);
         }
         s->have_current = true;
         const fo_real rhs = relation(o, s->current[0], row);
         if (s->have_voltage) {
             last_interval(o, s, complete, &t);
             const fo_real step = position_step(o, s, t.v);
-            contradicted = measured && s->trusted &&
-                           (leaps(o, s, step) || contradicts(o, s, &t, row, rhs));
-            if (contradicted) { /* go over it as if it were missing */
-                s->outliers++;
+            if (measured && s->trusted &&
+                (leaps(o, s, step) || contradicts(o, s, &t, row, rhs))) {
+                s->outliers++; /* go over it as if it were missing */
                 measured = false;
                 bad = true;
-                s->current[0][0] = s->current[1][0];
-                s->current[0][1] = s->current[1][1];
+                ahead(o, s, s->current[1], s->current[0]);
                 last_interval(o, s, complete, &t);
             } else {
                 s->step = step;
@@ -751,7 +789,7 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
         restart(o, s);
     }
     read_out(o, s, t.v, e);
-    e->valid = e->valid && !contradicted;
+    e->valid = e->valid && !bad;
 }
 
 void fo_step(const fo_observer *o, fo_state *s, const fo_real voltage[FO_N],

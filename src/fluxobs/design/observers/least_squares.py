@@ -21,6 +21,8 @@ SWEEP = np.pi
 STD_LIMIT = np.pi / 60
 VOLTAGE_LIMIT = np.pi / 22.5
 TRACKER_SETTLED = 0.1
+EXPOSED_MOST = 3.0
+RUNAWAY = 1e4
 VARIANCE_UNKNOWN = np.pi**2 / 3
 STD_UNKNOWN = np.sqrt(VARIANCE_UNKNOWN)
 FLUX_STEP_LIMIT = 4.0
@@ -293,8 +295,14 @@ class SquareRootLeastSquares(eqx.Module):
         """The least squares' own flux while it is trusted, else the last trusted carried on."""
         inverse = invert(s.triangle[:, :SIZE])
         x = inverse @ s.triangle[:, Z]
-        flux, drift = x[FLUX], x[DRIFT]
         current = s.currents[0]
+        p = x[FLUX] - self.L_position * current
+        ran_away = ~(p @ p < RUNAWAY)  # after long at rest
+        emptied = self._empty(s)._replace(restarts=s.restarts + 1)
+        s = select(ran_away, emptied, s)
+        x = jnp.where(ran_away, 0.0, x)
+        inverse = jnp.where(ran_away, jnp.diag(1 / jnp.diagonal(s.triangle)), inverse)
+        flux, drift = x[FLUX], x[DRIFT]
         p = flux - self.L_position * current
         square = p @ p
         theta = jnp.arctan2(p[1], p[0])
@@ -349,12 +357,12 @@ class SquareRootLeastSquares(eqx.Module):
 
         # A voltage error adds up until the rotor has turned by about a radian.
         step = jnp.minimum(jnp.abs(s.speed) * self.sample_time, 1.0)
-        exposed = jnp.where(s.trusted, s.exposed + self.h - s.exposed * step, 0.0)
+        exposed = jnp.minimum(s.exposed + self.h - s.exposed * step, EXPOSED_MOST)
         steady = exposed * plausible < VOLTAGE_LIMIT * length
 
         after = s._replace(
             length=length,
-            exposed=jnp.where(trusted, exposed, s.exposed),
+            exposed=exposed,
             theta=theta,
             swept=swept,
             flux=jnp.where(trusted, flux, jnp.where(carries, carried_flux, s.flux)),
@@ -442,6 +450,13 @@ class SquareRootLeastSquares(eqx.Module):
 
     # ---- samples -------------------------------------------------------------------------
 
+    def _ahead(self, s: LeastSquaresState, before: Array) -> Array:
+        """What is missing is taken to have gone on turning with the rotor, if that is known."""
+        half = jnp.where(s.trusted, s.speed * self.sample_time / 2, 0.0)
+        cosine, sine = (1 - half**2) / (1 + half**2), 2 * half / (1 + half**2)
+        alpha, beta = before[0], before[1]
+        return jnp.stack([cosine * alpha - sine * beta, sine * alpha + cosine * beta])
+
     def _volt_seconds(self, currents: Array, source: Array, complete: bool) -> Array:
         """Per-unit volt-seconds; the mean current from the cubic through four samples."""
         if complete:
@@ -465,13 +480,15 @@ class SquareRootLeastSquares(eqx.Module):
         takes = ~absurd & (good | s.have_current)
 
         # The sample comes in; before the first one the current is taken to have been what it is.
-        newest = jnp.where(good, current, s.currents[0])
+        newest = jnp.where(good, current, self._ahead(s, s.currents[0]))
         shifted = jnp.concatenate([newest[None], s.currents[:3]])
         currents = jnp.where(s.have_current, shifted, jnp.stack([newest] * 4))
         new_source = takes & source_finite & s.have_current
         s = s._replace(
             currents=jnp.where(takes, currents, s.currents),
-            source=jnp.where(new_source, source, s.source),
+            source=jnp.where(
+                new_source, source, jnp.where(takes, self._ahead(s, s.source), s.source)
+            ),
             have_voltage=s.have_voltage | new_source,
             have_current=s.have_current | takes,
         )
@@ -486,7 +503,7 @@ class SquareRootLeastSquares(eqx.Module):
         contradicted = takes & good & s.trusted & (leaps | self._contradicts(s, v, row))
 
         # A sample that contradicts all before is passed over as if it were missing.
-        held = s.currents.at[0].set(s.currents[1])
+        held = s.currents.at[0].set(self._ahead(s, s.currents[1]))
         v = jnp.where(contradicted, self._volt_seconds(held, s.source, complete), v)
         s = s._replace(
             currents=jnp.where(contradicted, held, s.currents),
@@ -502,7 +519,7 @@ class SquareRootLeastSquares(eqx.Module):
         s = s._replace(consecutive_bad=consecutive, restarts=s.restarts + restart)
         s = select(restart, self._restarted(s), s)
         s, reading = self._read_out(s, v)
-        return s, reading._replace(valid=reading.valid & ~contradicted)
+        return s, reading._replace(valid=reading.valid & ~(missing | contradicted))
 
     def run(self, voltage: Any, current: Any) -> Estimate:
         """A whole record from zero knowledge, (rows, 2) each; as :meth:`LeastSquaresObserver.run`
