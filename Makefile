@@ -53,7 +53,8 @@ misra:
 
 sanitize:
 	@for precision in "" -DFO_SINGLE; do \
-	    gcc $(STRICT) -g -fsanitize=address,undefined -fno-sanitize-recover=all $$precision \
+	    gcc $(STRICT) -g -fsanitize=address,undefined,float-divide-by-zero \
+	        -fno-sanitize-recover=all $$precision \
 	        -Ifirmware tests/firmware/stress.c firmware/fluxobs.c -lm -o build-stress \
 	    && ./build-stress; status=$$?; rm -f build-stress; [ $$status -eq 0 ] || exit 1; \
 	done
@@ -64,7 +65,8 @@ pil: $(READY)
 FUZZ_STEPS ?= 10000000L
 fuzz:
 	@for precision in -DFO_SINGLE -UFO_SINGLE; do \
-	    clang -std=c99 -g -O1 -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all \
+	    clang -std=c99 -g -O1 -fsanitize=fuzzer,address,undefined,float-divide-by-zero \
+	        -fno-sanitize-recover=all \
 	        $$precision -DFUZZ_STEPS=$(FUZZ_STEPS) -Ifirmware tests/firmware/fuzz.c \
 	        firmware/fluxobs.c -lm -o build-fuzz || exit 1; \
 	    scratch=$$(mktemp -d); \

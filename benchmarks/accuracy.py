@@ -109,9 +109,30 @@ def single_precision() -> None:
         print(f"    {name:12s} flux {flux:.1e} of psi, angle {angle:.1e} degrees")
 
 
+def long_memories() -> None:
+    heading("float32 against double by the steps in a memory (servo, 20 kHz, ten memories)")
+    machine = magnet_machines()["servo-400w"]
+    for steps in (600, 2000, 4000, 10_000, 20_000):
+        h, rows = 5e-5, 20 * steps
+        drive = Drive(machine.R_s, machine.L_s, machine.psi_f, 600.0, 3j, h)
+        _, i, _, u = drive.samples(rows)
+        i = i + 0.1 + 0.02 * np.random.default_rng(0).standard_normal(i.shape)
+        double, single = (
+            LeastSquaresObserver.for_machine(
+                machine, sample_time=h, memory=steps * h, precision=p
+            ).run(u, i)
+            for p in ("double", "single")
+        )
+        settled = slice(rows // 2, None)
+        flux = np.abs(single.flux - double.flux)[settled].max() / machine.psi_f
+        angle = np.abs(degrees_error(single.theta_e, double.theta_e))[settled].max()
+        print(f"    {steps:6d} steps  flux {flux:.1e} of psi, angle {angle:.1e} degrees")
+
+
 if __name__ == "__main__":
     exactness()
     quadrature()
     noise_floor()
     standstill()
     single_precision()
+    long_memories()

@@ -24,7 +24,11 @@ from records import CURRENTS, MACHINES, rotating, wrapped_degrees
 HERE = Path(__file__).parent / "firmware"
 STRICT = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion"]
 STRICT += ["-Wshadow", "-Wdouble-promotion", "-Werror", "-pedantic"]
-SANITIZERS = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+SANITIZERS = [
+    "-g",
+    "-fsanitize=address,undefined,float-divide-by-zero",
+    "-fno-sanitize-recover=all",
+]
 COMPILERS = [
     pytest.param(name, marks=pytest.mark.skipif(not shutil.which(name), reason=f"no {name} here"))
     for name in ("gcc", "clang")
@@ -241,6 +245,27 @@ def test_the_last_digit_of_an_expected_angle_is_guarded(tmp_path, folders):
     assert "not those that were written" in done.stdout
 
 
+@pytest.mark.parametrize(
+    ("was", "becomes"),
+    [
+        ("e->valid = e->valid && !bad;", "e->valid = e->valid || bad;"),
+        ("FO_MAX_CONSECUTIVE_BAD)) {", "FO_MAX_CONSECUTIVE_BAD / 3U)) {"),
+        ("EXPOSED_MOST = (fo_real)3", "EXPOSED_MOST = (fo_real)30"),
+        ("VOLTAGE_LIMIT = PI / (fo_real)22.5", "VOLTAGE_LIMIT = PI / (fo_real)22"),
+        ("STEP_LIMIT = (fo_real)0.15", "STEP_LIMIT = (fo_real)15"),
+        ("SETTLED = (fo_real)3 * PI", "SETTLED = (fo_real)4 * PI"),
+    ],
+)
+def test_a_change_of_the_observer_shows(tmp_path, was, becomes):
+    fluxobs.export(MACHINES["servo-400w"], 1e-4, tmp_path / "motor", memory=0.01)
+    source = tmp_path / "motor" / "fluxobs.c"
+    assert source.read_text().count(was) == 1
+    source.write_text(source.read_text().replace(was, becomes))
+    done = make(tmp_path / "motor", "CFLAGS=-O2 -Wno-error")
+    assert done.returncode != 0
+    assert "FAILED" in done.stdout
+
+
 @pytest.mark.parametrize("every", [2, 5])
 def test_make_test_where_volt_seconds_are_gathered(tmp_path, every):
     fluxobs.export(MACHINES["servo-400w"], 5e-5, tmp_path / "motor", update_every=every)
@@ -350,7 +375,8 @@ def test_the_vectors_are_a_drive_that_is_followed(name):
     assert np.abs(error[found.valid]).max() < 5
     state, _ = observer.resume(observer.init(), record.voltage, record.current)
     counts = observer.counts(state)
-    assert counts.bad_currents == counts.bad_voltages == counts.absurd == counts.outliers == 1
+    assert counts.bad_currents == counts.absurd == counts.outliers == 1
+    assert counts.bad_voltages == 2
 
 
 # ---- what is refused -----------------------------------------------------------------------
@@ -371,7 +397,7 @@ def test_the_vectors_are_a_drive_that_is_followed(name):
         ({"sample_time": 0.01}, ["memory 0.03 s", "0.1 s"]),
         ({"update_every": 0}, ["update_every 0", "at least 1"]),
         ({"update_every": 50}, ["memory 0.03 s", "step every 0.005 s", "0.05 s"]),
-        ({"memory": 1e3}, ["memory 1000 s", "100 s"]),
+        ({"memory": 1.0}, ["memory 1 s", "4000 steps", "0.4 s", "update_every 3"]),
         ({"unknowns": ("drift", "current-bias")}, ["cannot both be found", "--unknowns drift"]),
         ({"unknowns": ("current-bias",)}, ["drift only", "use drift"]),
         ({"unknowns": ("drft",)}, ["drft", "drift, current-bias"]),
@@ -419,11 +445,22 @@ def test_nothing_is_overwritten_unasked(tmp_path):
     assert not (tmp_path / "motor" / "motor_observer.h").exists()
     assert make(tmp_path / "motor").returncode == 0
 
+    example = tmp_path / "motor" / "example_isr.c"
+    example.write_text(example.read_text() + "/* mine */\n")
+    with pytest.raises(FluxobsError, match=r"example_isr\.c: changed since"):
+        fluxobs.export(machine, 1e-4, tmp_path / "motor", force=True)
+    assert "mine" in example.read_text()
+    example.unlink()
+    (tmp_path / "motor" / "axis_observer.h").write_text("mine")
+    with pytest.raises(FluxobsError, match=r"axis_observer\.h: is no part"):
+        fluxobs.export(machine, 1e-4, tmp_path / "motor", prefix="axis", force=True)
+    assert (tmp_path / "motor" / "pump_observer.h").exists()
+
     (tmp_path / "home").mkdir()
-    (tmp_path / "home" / "README.md").write_text("mine")
+    (tmp_path / "home" / "fluxobs.h").write_text("vendored")
     with pytest.raises(FluxobsError, match="no earlier export"):
         fluxobs.export(machine, 1e-4, tmp_path / "home", force=True)
-    assert (tmp_path / "home" / "README.md").read_text() == "mine"
+    assert (tmp_path / "home" / "fluxobs.h").read_text() == "vendored"
 
     (tmp_path / "file").write_text("mine")
     with pytest.raises(FluxobsError, match="no folder"):

@@ -73,9 +73,12 @@ def course(machine: RotatingMachine, observer: LeastSquaresObserver) -> Course:
     measured = np.round(_pairs(current[PARTS::PARTS] + offset) / step) * step
     measured[ABSURD_ROW] = 1e6 * rated_current
     measured[MISSING_CURRENT_ROW] = np.nan
-    measured[SPIKE_ROW, 0] += 2 * observer.flux_base / machine.position_inductance
+    # A spike that turns the position vector by a radian and leaves its length.
+    L = machine.position_inductance
+    x = (flux_dq - L * i_dq)[SPIKE_ROW * PARTS + PARTS] * turn[SPIKE_ROW * PARTS + PARTS]
+    measured[SPIKE_ROW] += _pairs(x * (1 - np.exp(1j)) / L)
     applied = _pairs(voltage)
-    applied[MISSING_VOLTAGE_ROW] = np.nan
+    applied[MISSING_VOLTAGE_ROW : MISSING_VOLTAGE_ROW + 2] = np.nan
     return Course(_single(applied), _single(measured), np.angle(turn[PARTS::PARTS]))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -20,7 +21,7 @@ from ..observers.least_squares import MEMORY
 from .c_source import PRECISIONS, Precision, identifier, is_identifier
 from .course import course
 from .header import bases, parameter_header, parameters, settings
-from .vectors import COLUMNS, vectors_header
+from .vectors import COLUMNS, EXACT_COLUMNS, vectors_header
 
 SOURCES = ("fluxobs.h", "fluxobs.c")
 #: Periods of current controls [s]; other numbers are in another unit.
@@ -29,6 +30,11 @@ PERIODS = (1e-6, 1e-2)
 #: called valid [rad]; as in firmware/fluxobs.c.
 VOLTAGE_LIMIT = math.pi / 22.5
 #: For the README of a folder whose observer is stepped every few interrupts.
+#: Steps in a memory up to which single precision keeps to 1e-4 of the flux and 0.01°
+#: (benchmarks/accuracy.py).
+MOST_STEPS = 4000
+#: Lists what an export wrote, so that another may overwrite that and nothing else.
+MANIFEST = "MANIFEST"
 GATHER = (
     "\nIn every interrupt `fo_gather` adds the volt-seconds of the interval that ends, and "
     "`fo_step_volt_seconds` takes their sum instead of the voltage. A voltage that is not known "
@@ -83,7 +89,7 @@ def export(
     out : path
         Folder to be made.
     memory : float, optional
-        Exponential memory of the least squares [s], ten to a million samples; default 0.03 s.
+        Exponential memory of the least squares [s], 10 to 4000 steps; default 0.03 s.
     unknowns : tuple of str
         What is constant and unknown; the firmware knows ("drift",).
     current_noise, drift_prior : float, optional
@@ -95,7 +101,7 @@ def export(
     prefix : str, optional
         Of the generated names, so that two machines fit one firmware; default ``motor``.
     force : bool
-        Overwrite an earlier export.
+        Replace an earlier export, of which nothing has been changed since.
 
     Raises
     ------
@@ -119,7 +125,7 @@ def export(
     for name, value in (("current_noise", current_noise), ("drift_prior", drift_prior)):
         if value is not None and not 0 < value < float("inf"):
             raise FluxobsError(f"{name} must be positive and finite, got {value:g}")
-    folder = Path(out)
+    folder = Path(out).resolve()
     _check_folder(folder, force)
     try:
         observers = {
@@ -202,12 +208,17 @@ def _check_times(sample_time: float, update_every: int, memory: float | None) ->
         raise FluxobsError(f"update_every {update_every}: at least 1, a step every interrupt")
     memory = MEMORY if memory is None else memory
     step = update_every * sample_time
-    least, most = 10 * step, 1e6 * step
-    if not least <= memory <= most:
-        nearest = most if memory > most else least
+    least, most = 10 * step, MOST_STEPS * step
+    if memory > most * (1 + 1e-9):
+        every = math.ceil(memory / (MOST_STEPS * sample_time))
         raise FluxobsError(
-            f"memory {memory:g} s: with a step every {step:g} s it is ten steps at least and a "
-            f"million at most; {nearest:g} s would do"
+            f"memory {memory:g} s: single precision is good for {MOST_STEPS} steps in a memory, "
+            f"{most:g} s with a step every {step:g} s; with update_every {every} it would do"
+        )
+    if not memory >= least * (1 - 1e-9):
+        raise FluxobsError(
+            f"memory {memory:g} s: with a step every {step:g} s it is ten steps at least, "
+            f"{least:g} s"
         )
     return memory
 
@@ -220,9 +231,26 @@ def _check_folder(folder: Path, force: bool) -> None:
     if not any(folder.iterdir()):
         return
     if not force:
-        raise FluxobsError(f"{folder}: exists; give another name, or --force to overwrite it")
-    if not (folder / "fluxobs.h").exists():
+        raise FluxobsError(f"{folder}: exists; give another name, or --force to replace an export")
+    for name, digest in _manifest(folder).items():
+        path = folder / name
+        if path.exists() and _digest(path.read_bytes()) != digest:
+            raise FluxobsError(
+                f"{path}: changed since it was exported; move it away, and it will be written anew"
+            )
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _manifest(folder: Path) -> dict[str, str]:
+    """What an earlier export wrote: name → SHA-256."""
+    path = folder / MANIFEST
+    if not path.exists():
         raise FluxobsError(f"{folder}: no earlier export, so nothing in it is overwritten")
+    lines = path.read_text(encoding="utf-8").split("\n")
+    return {name: digest for digest, _, name in (line.partition("  ") for line in lines) if name}
 
 
 def _files(
@@ -261,6 +289,7 @@ def _files(
         "slowest": f"{slowest:.3g}",
         "slowest_rpm": f"{slowest / machine.n_p * 30 / math.pi:.3g}",
         "content": header.split("Content ")[1].split(",")[0],
+        "exact_columns": str(EXACT_COLUMNS),
         "columns": ", ".join(f'"{name}"' for name in COLUMNS),
         "costs": cost_table(read_costs()),
         "parameters": str(read_costs()["parameters"]),
@@ -317,21 +346,30 @@ def cost_table(costs: Mapping[str, Any]) -> str:
 
 def _write(folder: Path, files: Mapping[str, str]) -> None:
     """All files or none: they are made beside the folder and moved there when complete."""
+    contents = {name: text.encode() for name, text in files.items()}
+    listing = "".join(f"{_digest(content)}  {name}\n" for name, content in contents.items())
+    contents[MANIFEST] = listing.encode()
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".fluxobs-", dir=folder.parent) as scratch:
         made = Path(scratch) / "export"
-        for name, text in files.items():
+        for name, content in contents.items():
             path = made / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8", newline="\n")
+            path.write_bytes(content)
         if folder.exists() and not any(folder.iterdir()):
             folder.rmdir()
         if not folder.exists():
             os.replace(made, folder)
             return
-        for name in files:
+        old = _manifest(folder)
+        for name in contents:
+            path = folder / name
+            if name not in old and name != MANIFEST and path.exists():
+                raise FluxobsError(f"{path}: is no part of the earlier export; move it away")
+            if path.parent.exists() and not path.parent.is_dir():
+                raise FluxobsError(f"{path.parent}: is no folder; move it away")
+        for name in contents:
             (folder / name).parent.mkdir(exist_ok=True)
             os.replace(made / name, folder / name)
-    for old in folder.glob("*_observer.h"):  # of an export with another prefix
-        if old.name not in files and "Generated by fluxobs" in old.read_text(encoding="utf-8"):
-            old.unlink()
+        for name in old.keys() - contents.keys():
+            (folder / name).unlink(missing_ok=True)

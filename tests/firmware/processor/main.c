@@ -42,9 +42,10 @@ int main(void)
     target_number("wrong", r.wrong);
     target_number("first_row", r.first_row);
     target_number("first_column", r.first_column);
+    target_number("between", r.between);
     target_number("valid", r.valid);
-    target_number("flux_error_e12", (int32_t)(r.flux_error * 1e12));
-    target_number("angle_error_e12", (int32_t)(r.angle_error * 1e12));
+    target_number("flux_error_e9", (int32_t)(r.flux_error < 2.0 ? r.flux_error * 1e9 : 2e9));
+    target_number("angle_error_e9", (int32_t)(r.angle_error < 2.0 ? r.angle_error * 1e9 : 2e9));
 
     /* Sums are kept by the host: ticks of every step are written out. */
     fo_reset(&motor_observer, &state);
@@ -71,5 +72,5 @@ int main(void)
     target_number("stack", (int32_t)(sp - below));
     target_number("state", (int32_t)sizeof(fo_state));
     target_number("parameters", (int32_t)sizeof(fo_observer));
-    return r.damaged || r.wrong > 0 || r.valid == 0 ? 1 : 0;
+    return r.damaged || r.wrong > 0 || r.between || r.valid == 0 ? 1 : 0;
 }

@@ -11,6 +11,7 @@ typedef struct {
     int wrong;         /* of them */
     int first_row;     /* the first wrong sample, ... */
     int first_column;  /* ... and which value of it; see vectors.h */
+    int between;       /* all these are right, but some sample between them is not */
     int valid;         /* rows whose position is known */
     double flux_error; /* largest, relative */
     double angle_error; /* largest [rad] */

@@ -1,5 +1,5 @@
 /* How the observer is called: once an interrupt of the current control, every @sample_time@ s.
- * Copy this file before you change it: an export with --force writes it anew.
+ * Copy it under another name before you change it, and the folder can be exported anew.
  * What is yours stands in the functions declared here. Compile with -DFO_SINGLE.
  *
  *      t[k-1]               t[k]                 t[k+1]

@@ -1,7 +1,7 @@
 /* How the observer is called where it takes a step every few interrupts only: the current control
  * interrupts every @sample_time@ s, the observer takes a step every @step_time@ s and
  * volt-seconds are gathered in between, so that none are lost.
- * Copy this file before you change it: an export with --force writes it anew.
+ * Copy it under another name before you change it, and the folder can be exported anew.
  * What is yours stands in the functions declared here. Compile with -DFO_SINGLE.
  *
  *      t[k-1]               t[k]                 t[k+1]
