@@ -97,6 +97,8 @@ static bool config_finite(const fo_config *c)
     return sum - sum == ZERO;
 }
 
+static bool within(fo_real x, fo_real low, fo_real high) { return x >= low && x <= high; }
+
 static fo_error check(const fo_config *c)
 {
     fo_error found = FO_OK;
@@ -109,8 +111,14 @@ static fo_error check(const fo_config *c)
                  c->current_noise > ZERO && c->current_limit > ZERO && c->drift_prior > ZERO &&
                  c->tracker_bandwidth > ZERO)) {
         found = FO_ERROR_BASE;
+    } else if (!(within(c->sample_time, (fo_real)1e-12, (fo_real)1e12) &&
+                 within(c->flux_base, (fo_real)1e-12, (fo_real)1e12) &&
+                 within(c->constraint_base, (fo_real)1e-24, (fo_real)1e24) &&
+                 within(c->constraint_noise, (fo_real)1e-30, (fo_real)1e30) &&
+                 within(c->current_noise, (fo_real)1e-12, (fo_real)1e12))) {
+        found = FO_ERROR_RANGE; /* what is divided by must not vanish */
     } else {
-        /* nothing is wrong */
+        /* nothing is wrong yet */
     }
     return found;
 }
@@ -118,7 +126,6 @@ static fo_error check(const fo_config *c)
 static void prepare(fo_observer *o, const fo_config *c)
 {
     const fo_real psi = c->flux_base;
-    const fo_real noise = c->constraint_noise / c->constraint_base;
     const fo_real drift_base = psi / c->memory; /* time base: the memory */
     const fo_real drift_prior = c->drift_prior / drift_base;
     fo_real q2 = ZERO;
@@ -137,7 +144,7 @@ static void prepare(fo_observer *o, const fo_config *c)
         o->E[i] = c->E[i] * psi / c->constraint_base;
         o->row_C[i] = c->C[i] / c->constraint_noise;
     }
-    o->row_s = ONE / noise;
+    o->row_s = c->constraint_base / c->constraint_noise;
     o->sample_time = c->sample_time;
     o->h = c->sample_time / c->memory;
     o->rho = ONE - o->h;
@@ -175,8 +182,6 @@ static void prepare(fo_observer *o, const fo_config *c)
     o->track[1] = (fo_real)1.5 * gap * gap * (ONE + pole) / c->sample_time;
     o->track[2] = gap * gap * gap / (c->sample_time * c->sample_time);
 }
-
-static bool within(fo_real x, fo_real low, fo_real high) { return x >= low && x <= high; }
 
 /* Do the prepared numbers leave single precision enough room? Limits are far beyond any machine. */
 static bool in_range(const fo_observer *o)
