@@ -74,19 +74,22 @@ def noise_floor() -> None:
 def standstill() -> None:
     heading("Ten noisy minutes at standstill, then motion (target: never valid; one period)")
     for name, machine in magnet_machines().items():
-        h, noise, omega, rows = 2e-4, 0.005 * machine.rated_current, 250.0, 3000
+        h, noise, rows = 2e-4, 0.005 * machine.rated_current, 3000
+        observer = LeastSquaresObserver.for_machine(machine, sample_time=h, current_noise=noise)
+        slowest = observer.drift_prior / (np.pi / 22.5 * machine.psi_f)  # that can be valid
+        omega = max(250.0, 2 * slowest)
         drive = Drive(machine.R_s, machine.L_s, machine.psi_f, omega, 3j, h)
         theta, i, _, u = drive.samples(rows)
         still = 3_000_000
         i = np.concatenate([np.repeat(i[:1], still, axis=0), i])
         u = np.concatenate([np.repeat(machine.R_s * i[:1], still, axis=0), u])
         i += 0.1 + noise * np.random.default_rng(0).standard_normal(i.shape)
-        observer = LeastSquaresObserver.for_machine(machine, sample_time=h, current_noise=noise)
         found = observer.run(u, i)
         valid = found.valid[still:]
         error = degrees_error(found.theta_e[still:], theta)
         print(
-            f"    {name:12s} {found.valid[:still].sum()} rows valid at standstill; valid after "
+            f"    {name:12s} {found.valid[:still].sum()} rows valid at standstill; at {omega:.0f} "
+            f"rad/s valid after "
             f"{np.argmax(valid) * h * omega / 2 / np.pi:.2f} turns, then at most "
             f"{np.abs(error[valid]).max():.2f} degrees off"
         )
