@@ -6,7 +6,7 @@ import numpy as np
 from common import Drive, degrees_error, heading
 
 from fluxobs import LeastSquaresObserver
-from fluxobs.deployment.export import read_costs
+from fluxobs.deployment.costs import read_costs
 from fluxobs.machines import SurfacePMSM, example
 
 SAMPLE_TIME, NOISE = 5e-5, 0.005

@@ -16,7 +16,7 @@ import pytest
 import fluxobs
 from fluxobs.deployment import course
 from fluxobs.deployment.c_source import hex_float, identifier
-from fluxobs.deployment.export import cost_table, read_costs
+from fluxobs.deployment.costs import cost_table, read_costs
 from fluxobs.deployment.vectors import expected
 from fluxobs.errors import FluxobsError
 from records import CURRENTS, MACHINES, rotating, wrapped_degrees

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 import fluxobs
-from fluxobs.deployment.export import cost_table, read_costs
+from fluxobs.deployment.costs import cost_table, read_costs
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]

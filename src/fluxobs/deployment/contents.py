@@ -1,0 +1,99 @@
+"""What stands in an exported folder."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from importlib import metadata, resources
+
+from ..errors import FluxobsError
+from ..machines import RotatingMachine
+from ..observers import LeastSquaresObserver
+from .c_source import Precision
+from .costs import cost_table, read_costs
+from .course import course
+from .header import bases, parameter_header, parameters, settings
+from .vectors import COLUMNS, EXACT_COLUMNS, vectors_header
+
+SOURCES = ("fluxobs.h", "fluxobs.c")
+#: What a voltage error as large as the drift's prior may turn the flux by while the position is
+#: called valid [rad]; as in firmware/fluxobs.c.
+VOLTAGE_LIMIT = math.pi / 22.5
+#: For the README of a folder whose observer is stepped every few interrupts.
+GATHER = (
+    "\nIn every interrupt `fo_gather` adds the volt-seconds of the interval that ends, and "
+    "`fo_step_volt_seconds` takes their sum instead of the voltage. A voltage that is not known "
+    "spoils the step it belongs to, a current that is missing the steps on either side of it.\n"
+)
+
+
+def contents(
+    prefix: str,
+    machine: RotatingMachine,
+    observers: Mapping[Precision, LeastSquaresObserver],
+    update_every: int,
+) -> tuple[str, dict[str, str]]:
+    """The content's hash, and the files: relative path → text."""
+    version = metadata.version("fluxobs")
+    installed = resources.files("fluxobs") / "firmware"
+    sources = {name: (installed / name).read_text(encoding="utf-8") for name in SOURCES}
+    texts = tuple(sources.values())
+    content, header = parameter_header(prefix, observers, machine, version, texts, update_every)
+    single = observers["single"]
+    record = course(machine, single)
+    if not single.run(record.voltage, record.current).valid.any():
+        raise FluxobsError(
+            f"with these settings the position is never known, not even at full speed: memory "
+            f"{single.memory:g} s, current noise {single.current_noise:g} A, drift prior "
+            f"{single.drift_prior:g} V; check the units of R_s, inductance and rated_current"
+        )
+    slowest = single.drift_prior / (VOLTAGE_LIMIT * single.flux_base)
+    words = {
+        "prefix": prefix,
+        "sample_time": f"{single.sample_time / update_every:.9g}",
+        "step_time": f"{single.sample_time:.9g}",
+        "steps": "" if update_every == 1 else f" (a step in every {update_every}th)",
+        "n_p": str(machine.n_p),
+        "half_turn": "; the one 180 degrees away fits as well"
+        if machine.half_turn_ambiguous
+        else "",
+        "gather": GATHER if update_every > 1 else "",
+        "drift_prior": f"{single.drift_prior:.3g}",
+        "slowest": f"{slowest:.3g}",
+        "slowest_rpm": f"{slowest / machine.n_p * 30 / math.pi:.3g}",
+        "content": content,
+        "exact_columns": str(EXACT_COLUMNS),
+        "columns": ", ".join(f'"{name}"' for name in COLUMNS),
+        "costs": cost_table(read_costs()),
+        "parameters": str(read_costs()["parameters"]),
+        "facts": _facts(machine, single, update_every),
+    }
+    folder = resources.files(__package__) / "templates"
+
+    def filled(name: str) -> str:
+        text = (folder / name).read_text(encoding="utf-8")
+        for word, value in words.items():
+            text = text.replace(f"@{word}@", value)
+        return text
+
+    return content, sources | {
+        "LICENSE": (installed / "LICENSE").read_text(encoding="utf-8"),
+        f"{prefix}_observer.h": header,
+        "README.md": filled("README.md"),
+        "Makefile": filled("Makefile"),
+        "example_isr.c": filled("example_isr.c" if update_every == 1 else "example_slow_isr.c"),
+        "test/check.h": filled("check.h"),
+        "test/check.c": filled("check.c"),
+        "test/host_test.c": filled("host_test.c"),
+        "test/vectors.h": vectors_header(record, observers, update_every),
+    }
+
+
+def _facts(machine: RotatingMachine, observer: LeastSquaresObserver, update_every: int) -> str:
+    rows = {
+        **parameters(machine),
+        **settings(observer, update_every),
+        **{f"per-unit base of {name}": value for name, value in bases(observer).items()},
+    }
+    lines = [f"| {name} | {value} |" for name, value in rows.items()]
+    return "\n".join(["| | |", "|---|---|", *lines])

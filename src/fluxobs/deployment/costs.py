@@ -1,0 +1,26 @@
+"""What a sample costs on emulated processors; counted by `make pil`, kept with the package."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from importlib import resources
+from typing import Any
+
+
+def read_costs() -> dict[str, Any]:
+    """The numbers as `make pil --update` wrote them."""
+    text = (resources.files(__package__) / "costs.json").read_text(encoding="utf-8")
+    costs: dict[str, Any] = json.loads(text)
+    return costs
+
+
+def cost_table(costs: Mapping[str, Any]) -> str:
+    """The costs as Markdown."""
+    head = "| | instructions, mean | most | code [bytes] | state [bytes] | stack [bytes] |"
+    rows = [
+        f"| {build['name']} | {build['mean']} | {build['most']} | {build['code']} "
+        f"| {build['state']} | {build['stack']} |"
+        for build in costs["builds"]
+    ]
+    return "\n".join([head, "|---|---|---|---|---|---|", *rows, "", f"{costs['compiler']}."])

@@ -1,0 +1,99 @@
+"""Settings that cannot work are refused, with the nearest that can."""
+
+from __future__ import annotations
+
+import math
+
+from ..errors import FluxobsError
+from ..immersion import UNKNOWNS
+from ..machines import Machine, RotatingMachine
+from ..observers.least_squares import MEMORY
+from .c_source import identifier, is_identifier
+
+#: Periods of current controls [s]; other numbers are in another unit.
+PERIODS = (1e-6, 1e-2)
+#: Steps in a memory up to which single precision keeps to 1e-4 of the flux and 0.01°
+#: (benchmarks/accuracy.py).
+MOST_STEPS = 4000
+
+
+def check_prefix(prefix: str) -> None:
+    """FluxobsError where names in C cannot begin so."""
+    if not is_identifier(prefix) or prefix == "fo":  # fo_observer is a type
+        near = identifier(prefix) if prefix != "fo" else "motor"
+        raise FluxobsError(f"prefix {prefix!r} cannot begin names in C; {near!r} can")
+
+
+def check_machine(machine: Machine, unknowns: tuple[str, ...]) -> RotatingMachine:
+    """The machine, if the firmware can serve it and find these unknowns."""
+    from ..reference_estimate import check_unknowns  # loads what reads logs
+
+    for name in unknowns:
+        if name not in UNKNOWNS:
+            raise FluxobsError(f"unknowns: {name!r} is none of {', '.join(UNKNOWNS)}")
+    if not unknowns:
+        raise FluxobsError(f"unknowns: give some of {', '.join(UNKNOWNS)}; drift serves")
+    if not isinstance(machine, RotatingMachine):
+        raise FluxobsError(
+            f"kind {machine.kind}: the firmware's observer is for machines that turn; logs of "
+            f"this one can be read with `fluxobs estimate`"
+        )
+    check_unknowns(machine, unknowns)  # type: ignore[arg-type]
+    if set(unknowns) != {"drift"}:
+        raise FluxobsError(
+            f"unknowns {','.join(unknowns)}: the firmware's observer finds the drift only, which "
+            f"takes a current bias in; use drift"
+        )
+    if lacking := [
+        name
+        for name in ("psi_f", "rated_current")
+        if name in type(machine).model_fields and getattr(machine, name) is None
+    ]:
+        raise FluxobsError(
+            f"the machine file lacks {' and '.join(lacking)}: give a value that is right "
+            f"within a factor of two"
+        )
+    return machine
+
+
+def check_times(sample_time: float, update_every: int, memory: float | None) -> float:
+    """The memory [s], if it and the times fit each other."""
+    if not 0 < sample_time < float("inf"):
+        near = f"{-sample_time:g} s" if -1 < sample_time < 0 else "1e-4 s, 10 kHz,"
+        raise FluxobsError(
+            f"sample time {sample_time:g} s: it is the period of the current-control interrupt, "
+            f"above 0; {near} would do"
+        )
+    if not PERIODS[0] <= sample_time <= PERIODS[1]:
+        meant = {
+            "µs": 1e-6 * sample_time,
+            "ms": 1e-3 * sample_time,
+            "Hz": 1 / sample_time,
+            "kHz": 1e-3 / sample_time,
+        }
+        likely = [
+            f"{sample_time:g} {unit} is {period:g} s"
+            for unit, period in meant.items()
+            if PERIODS[0] <= period <= 0.2 * PERIODS[1]
+        ]
+        raise FluxobsError(
+            f"sample time {sample_time:g} s is no period of a current control"
+            + (f"; {', '.join(likely)}" if likely else "; it is in seconds, such as 1e-4")
+        )
+    if update_every < 1:
+        raise FluxobsError(f"update_every {update_every}: at least 1, a step every interrupt")
+    memory = MEMORY if memory is None else memory
+    step = update_every * sample_time
+    least, most = 10 * step, MOST_STEPS * step
+    if memory > most * (1 + 1e-9):
+        every = math.ceil(memory / (MOST_STEPS * sample_time))
+        raise FluxobsError(
+            f"memory {memory:g} s: single precision is good for {MOST_STEPS} steps in a memory, "
+            f"{most:g} s with a step every {step:g} s; with update_every {every} it would do"
+        )
+    if not memory >= least * (1 - 1e-9):
+        raise FluxobsError(
+            f"memory {memory:g} s: with a step every {step:g} s it is ten steps at least, "
+            f"{least:g} s"
+        )
+    return memory
