@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+import sys
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -154,7 +155,10 @@ def test_what_estimate_does_with_a_log_the_firmware_does(tmp_path):
 
 def fluxobs_command(arguments, code=0):
     done = subprocess.run(
-        ["fluxobs", *map(str, arguments)], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "fluxobs.cli", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == code, done.stdout + done.stderr
     return done.stdout if code == 0 else done.stderr
