@@ -37,10 +37,13 @@ static const fo_real SWEEP = PI;
 static const fo_real STD_LIMIT = PI / (fo_real)60;
 /* The same for what a voltage error as large as the drift's prior can do: 8 degrees. */
 static const fo_real VOLTAGE_LIMIT = PI / (fo_real)22.5;
-/* Longest that a voltage error adds up, in memories. */
-static const fo_real EXPOSED_MOST = (fo_real)3;
-/* For so long, in memories, the tracker has to be as near as that before a position is valid. */
+/* It adds up to this at most [rad]: ten times as much, since a flux that is wrong may be long. */
+static const fo_real EXPOSED_MOST = PI / (fo_real)2.25;
+/* For so long, in memories, the tracker has to be as near as that before a position is valid; time
+ * in which it is not counts for little, so that one which never comes near, under a quick ripple of
+ * the speed, does not keep the position from being valid for more than three memories. */
 static const fo_real TRACKER_SETTLED = (fo_real)0.1;
+static const fo_real TRACKER_OFF = (fo_real)(1.0 / 30.0);
 /* Variance of an angle of which nothing is known: uniform over a turn. */
 static const fo_real VARIANCE_UNKNOWN = PI * PI / (fo_real)3;
 /* The largest flux change in one sample that is no error, in flux bases: twice what eight samples
@@ -590,10 +593,10 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     s->theta = theta;
     const bool trusted = known && (s->trusted || fo_abs(s->swept) > SWEEP);
 
-    /* A voltage error adds up until the rotor has turned by about a radian; before that, for as long
-     * as the information remembers. */
+    /* What a voltage error turns the flux by adds up until the rotor has turned by about a radian; no
+     * further than matters, so that it is forgotten soon after a stop. */
     const fo_real turned = fo_abs(s->speed) * o->sample_time;
-    s->exposed += o->h - s->exposed * (turned < ONE ? turned : ONE);
+    s->exposed += o->h * o->plausible - s->exposed * (turned < ONE ? turned : ONE);
     s->exposed = s->exposed < EXPOSED_MOST ? s->exposed : EXPOSED_MOST;
 
     fo_real variance = VARIANCE_UNKNOWN;
@@ -634,7 +637,8 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
         s->settled = ZERO;
     } else if (s->settled < TRACKER_SETTLED) { /* it starts from rest, at whatever speed it is met */
         const fo_real off = fo_abs(wrap(theta - s->angle));
-        s->settled = off < STD_LIMIT + (fo_real)3 * e->theta_e_std ? s->settled + o->h : ZERO;
+        const bool near = off < STD_LIMIT + (fo_real)3 * e->theta_e_std;
+        s->settled += near ? o->h : TRACKER_OFF * o->h;
     } else {
         /* it stays settled */
     }
@@ -651,7 +655,7 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     e->noise_share = s->noise_share;
     /* A slow turn by a voltage error of the plausible size leaves no trace in the innovations. */
     e->valid = trusted && s->settled >= TRACKER_SETTLED && variance < STD_LIMIT * STD_LIMIT &&
-               s->exposed * o->plausible < VOLTAGE_LIMIT * s->length;
+               s->exposed < VOLTAGE_LIMIT * s->length;
 }
 
 /* ---- samples -------------------------------------------------------------------------- */

@@ -111,7 +111,7 @@ typedef struct {
     fo_real source[FO_N];                /* last good volt-seconds                               */
     fo_real step, length;                /* of the position vector: last step, |flux - L i|      */
     fo_real rough, roughness;            /* variance of the current's noise over the assumed; >= 1 */
-    fo_real exposed;                     /* to voltage errors: time within the last radian [memories] */
+    fo_real exposed;                     /* turn by a plausible voltage error, flux base [rad]   */
     fo_real innovation;                  /* last, normalised                                     */
     fo_real power, lag_one;              /* sums over the innovations, forgetting                */
     fo_real noise_share, inflation, spread; /* as last judged; variance of the angle [rad^2]     */

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fluxobs import InteriorPMSM, LeastSquaresObserver, SurfacePMSM
-from records import CURRENTS, MACHINES, SERVO, rotating, wrapped_degrees
+from records import CURRENTS, MACHINES, SERVO, rotating, vectors, wrapped_degrees
 
 MAGNETS = [name for name in MACHINES if name != "synrm-6kw7"]
 
@@ -247,3 +247,50 @@ def test_missing_scales_are_named():
 def test_unusable_settings_are_named(options, message):
     with pytest.raises(ValueError, match=message):
         observer_for(SERVO, 1e-4, **options)
+
+
+@pytest.mark.parametrize("error", [0.05, 0.1, 0.15, 0.25])
+@pytest.mark.parametrize("frequency", [2.2, 2.6, 3.0, 4.0])
+def test_a_locked_rotor_under_a_turning_current_is_not_called_valid(error, frequency):
+    """A wrong R makes half a turn of its own; the position stays where it is."""
+    machine = MACHINES["servo-400w"]
+    h, rows, theta = 1e-4, 60_000, 0.7
+    turn = np.exp(2j * np.pi * frequency * h * np.arange(rows))
+    noise = np.random.default_rng(1).standard_normal((2, rows))
+    i = 8 * turn + 0.0024 * (noise[0] + 1j * noise[1])
+    u = 8 * turn * (1.0 + error) * machine.R_s + machine.L_s * 8 * turn * 2j * np.pi * frequency
+    observer = LeastSquaresObserver.for_machine(machine, sample_time=h)
+    found = observer.run(vectors(u), vectors(i))
+    wrong = found.valid & (np.abs(wrapped_degrees(found.theta_e - theta)) > 15)
+    assert not wrong.any()
+
+
+@pytest.mark.parametrize(
+    ("swing", "frequency", "memory"), [(200.0, 100.0, 0.03), (60.0, 25.0, 0.1)]
+)
+def test_a_ripple_of_the_speed_does_not_keep_a_position_from_being_valid(swing, frequency, memory):
+    machine = MACHINES["servo-400w"]
+    t = 1e-4 * np.arange(10_000)
+    speed = 3 * swing + swing * np.cos(2 * np.pi * frequency * t)
+    data = rotating(machine, 1e-4, speed, len(t), noise=0.01)
+    observer = LeastSquaresObserver.for_machine(machine, sample_time=1e-4, memory=memory)
+    found = observer.run(data.voltage, data.current)
+    assert found.valid[-2000:].all()
+    assert np.abs(wrapped_degrees(found.theta_e - data.theta))[-2000:].max() < 1
+
+
+@pytest.mark.parametrize("missing", ["voltage", "current"])
+@pytest.mark.parametrize("speed", [1700.0, 4000.0])  # 37 and 16 samples a period
+def test_samples_that_are_missing_leave_no_wrong_position(missing, speed):
+    machine = MACHINES["servo-400w"]
+    data = rotating(machine, 1e-4, speed, 6000, i_dq=12j, noise=0.02)
+    u, i = data.voltage.copy(), data.current.copy()
+    for count in (1, 2, 3):
+        (u if missing == "voltage" else i)[2000 * count - 1000 :][:count] = np.nan
+    observer = LeastSquaresObserver.for_machine(machine, sample_time=1e-4)
+    found = observer.run(u, i)
+    gone = ~(np.isfinite(u).all(axis=1) & np.isfinite(i).all(axis=1))
+    assert not found.valid[gone].any()
+    assert found.valid[1000:][~gone[1000:]].all()
+    error = np.abs(wrapped_degrees(found.theta_e - data.theta))
+    assert error[found.valid].max() < 2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 import re
 import shutil
 import subprocess
@@ -254,7 +256,7 @@ def test_the_last_digit_of_an_expected_angle_is_guarded(tmp_path, folders):
     [
         ("e->valid = e->valid && !bad;", "e->valid = e->valid || bad;"),
         ("FO_MAX_CONSECUTIVE_BAD)) {", "FO_MAX_CONSECUTIVE_BAD / 3U)) {"),
-        ("EXPOSED_MOST = (fo_real)3", "EXPOSED_MOST = (fo_real)30"),
+        ("TRACKER_SETTLED = (fo_real)0.1;", "TRACKER_SETTLED = (fo_real)0.11;"),
         ("VOLTAGE_LIMIT = PI / (fo_real)22.5", "VOLTAGE_LIMIT = PI / (fo_real)22"),
         ("STEP_LIMIT = (fo_real)0.15", "STEP_LIMIT = (fo_real)15"),
         ("SETTLED = (fo_real)3 * PI", "SETTLED = (fo_real)4 * PI"),
@@ -435,7 +437,7 @@ def test_machines_that_cannot_be_exported(tmp_path):
         fluxobs.export(synrm, 1e-4, tmp_path / "x", unknowns=("drift", "current-bias"))
 
 
-def test_nothing_is_overwritten_unasked(tmp_path):
+def test_nothing_is_overwritten_unasked(tmp_path, monkeypatch):
     machine = MACHINES["servo-400w"]
     fluxobs.export(machine, 1e-4, tmp_path / "motor")
     (tmp_path / "motor" / "notes.txt").write_text("mine")
@@ -459,6 +461,34 @@ def test_nothing_is_overwritten_unasked(tmp_path):
     with pytest.raises(FluxobsError, match=r"axis_observer\.h: is no part"):
         fluxobs.export(machine, 1e-4, tmp_path / "motor", prefix="axis", force=True)
     assert (tmp_path / "motor" / "pump_observer.h").exists()
+
+    victim = tmp_path / "victim"
+    victim.write_text("mine")
+    digest = hashlib.sha256(b"mine").hexdigest()
+    manifest = tmp_path / "motor" / "MANIFEST"
+    kept = manifest.read_text()
+    manifest.write_text(f"{kept}{digest}  ../victim\n")
+    (tmp_path / "motor" / "axis_observer.h").unlink()
+    with pytest.raises(FluxobsError, match="no name within the folder"):
+        fluxobs.export(machine, 1e-4, tmp_path / "motor", force=True)
+    assert victim.read_text() == "mine"
+    manifest.write_text(kept)
+
+    # Interrupted half-way, the next one goes through.
+    replace_file, calls = os.replace, []
+
+    def full(source, target):
+        calls.append(target)
+        if len(calls) == 5:
+            raise OSError(28, "No space left on device")
+        replace_file(source, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("os.replace", full)
+        with pytest.raises(FluxobsError, match="No space left"):
+            fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.02, force=True)
+    fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.02, force=True)
+    assert make(tmp_path / "motor").returncode == 0
 
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "fluxobs.h").write_text("vendored")

@@ -23,7 +23,8 @@ VOLTAGE_LIMIT = math.pi / 22.5
 GATHER = (
     "\nIn every interrupt `fo_gather` adds the volt-seconds of the interval that ends, and "
     "`fo_step_volt_seconds` takes their sum instead of the voltage. A voltage that is not known "
-    "spoils the step it belongs to, a current that is missing the steps on either side of it.\n"
+    "spoils the step it belongs to, and so does a current that is missing; at a step the two on "
+    "either side of it.\n"
 )
 
 
@@ -60,6 +61,8 @@ def contents(
         "gather": GATHER if update_every > 1 else "",
         "drift_prior": f"{single.drift_prior:.3g}",
         "slowest": f"{slowest:.3g}",
+        "flux": f"{single.flux_base:.3g}",
+        "ride": f"{1e3 * single.flux_base / (2 * single.drift_prior):.2g}",
         "slowest_rpm": f"{slowest / machine.n_p * 30 / math.pi:.3g}",
         "content": content,
         "exact_columns": str(EXACT_COLUMNS),

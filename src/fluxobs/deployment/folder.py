@@ -16,6 +16,13 @@ MANIFEST = "MANIFEST"
 
 def check_folder(folder: Path, force: bool) -> None:
     """FluxobsError unless the folder is new or empty, or an export that `force` may replace."""
+    try:
+        _check(folder, force)
+    except OSError as error:
+        raise FluxobsError(f"{error.filename or folder}: {error.strerror}") from None
+
+
+def _check(folder: Path, force: bool) -> None:
     if not folder.exists():
         return
     if not folder.is_dir():
@@ -24,25 +31,39 @@ def check_folder(folder: Path, force: bool) -> None:
         return
     if not force:
         raise FluxobsError(f"{folder}: exists; give another name, or --force to replace an export")
-    for name, digest in _manifest(folder).items():
+    for name, digests in _manifest(folder).items():
         path = folder / name
-        if path.exists() and _digest(path.read_bytes()) != digest:
+        if _exists(path) and (path.is_symlink() or _digest(path.read_bytes()) not in digests):
             raise FluxobsError(
                 f"{path}: changed since it was exported; move it away, and it will be written anew"
             )
+
+
+def _exists(path: Path) -> bool:
+    return path.exists() or path.is_symlink()
 
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def _manifest(folder: Path) -> dict[str, str]:
-    """What an earlier export wrote: name → SHA-256."""
+def _manifest(folder: Path) -> dict[str, set[str]]:
+    """What an earlier export wrote: name → SHA-256, or two of them if it was interrupted."""
     path = folder / MANIFEST
     if not path.exists():
         raise FluxobsError(f"{folder}: no earlier export, so nothing in it is overwritten")
-    lines = path.read_text(encoding="utf-8").split("\n")
-    return {name: digest for digest, _, name in (line.partition("  ") for line in lines) if name}
+    found: dict[str, set[str]] = {}
+    for line in path.read_bytes().decode(errors="replace").split("\n"):
+        digest, _, name = line.partition("  ")
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            raise FluxobsError(f"{path}: damaged: {name!r} is no name within the folder")
+        if name:
+            found.setdefault(name, set()).add(digest)
+    return found
+
+
+def _listing(contents: Mapping[str, bytes]) -> bytes:
+    return "".join(f"{_digest(content)}  {name}\n" for name, content in contents.items()).encode()
 
 
 def write_folder(folder: Path, files: Mapping[str, str]) -> None:
@@ -61,12 +82,10 @@ def write_folder(folder: Path, files: Mapping[str, str]) -> None:
 
 def _write(folder: Path, files: Mapping[str, str]) -> None:
     contents = {name: text.encode() for name, text in files.items()}
-    listing = "".join(f"{_digest(content)}  {name}\n" for name, content in contents.items())
-    contents[MANIFEST] = listing.encode()
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".fluxobs-", dir=folder.parent) as scratch:
         made = Path(scratch) / "export"
-        for name, content in contents.items():
+        for name, content in [*contents.items(), (MANIFEST, _listing(contents))]:
             path = made / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
@@ -78,12 +97,16 @@ def _write(folder: Path, files: Mapping[str, str]) -> None:
         old = _manifest(folder)
         for name in contents:
             path = folder / name
-            if name not in old and name != MANIFEST and path.exists():
+            if name not in old and _exists(path):
                 raise FluxobsError(f"{path}: is no part of the earlier export; move it away")
-            if path.parent.exists() and not path.parent.is_dir():
-                raise FluxobsError(f"{path.parent}: is no folder; move it away")
+            if _exists(path.parent) and (path.parent.is_symlink() or not path.parent.is_dir()):
+                raise FluxobsError(f"{path.parent}: is no folder of its own; move it away")
+        # While files are replaced either version of them is ours.
+        with (folder / MANIFEST).open("ab") as manifest:
+            manifest.write(_listing(contents))
         for name in contents:
             (folder / name).parent.mkdir(exist_ok=True)
             os.replace(made / name, folder / name)
         for name in old.keys() - contents.keys():
             (folder / name).unlink(missing_ok=True)
+        os.replace(made / MANIFEST, folder / MANIFEST)

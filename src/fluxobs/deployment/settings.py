@@ -12,7 +12,7 @@ from .c_source import identifier, is_identifier
 
 #: Periods of current controls [s]; other numbers are in another unit.
 PERIODS = (1e-6, 1e-2)
-#: Steps in a memory up to which single precision keeps to 1e-4 of the flux and 0.01°
+#: Steps in a memory up to which single precision keeps to 1e-4 of the flux and 0.05°
 #: (benchmarks/accuracy.py).
 MOST_STEPS = 4000
 

@@ -1,5 +1,5 @@
 /* Replays the test vectors and compares with what the fluxobs library returns for them. Runs on the
- * target as well: no input, no output, about 100 KB of constants. */
+ * target as well: no input, no output, about 70 KB of constants. */
 #ifndef CHECK_H
 #define CHECK_H
 

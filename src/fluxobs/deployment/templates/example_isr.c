@@ -6,6 +6,10 @@
  *        |  `acting` acts    |  `next` acts       |  what is commanded now acts
  *      interrupt           interrupt: i[k] sampled
  */
+#ifndef FO_SINGLE
+#error "define FO_SINGLE for the whole project: single precision"
+#endif
+
 #include <math.h>
 
 #include "@prefix@_observer.h"
@@ -48,7 +52,8 @@ void current_control_interrupt(void)
     fo_step(&@prefix@_observer, &state, acting, i, &estimate);
 
     /* The angle [rad] and speed [rad/s], electrical, are those of t[k]. `valid` says whether the
-     * position is known; where it is not, do not commutate by it (README, "When it knows"). The
+     * position is known; where it has not been for long, do not commutate by it (README, "When it
+     * knows": how long, and what then). The
      * command will act around t[k] + 1.5 periods: turn it ahead by 1.5 * @sample_time@ * speed_e. */
     drive_current_control(i, estimate.theta_e_tracked, estimate.speed_e, estimate.valid, udc, command);
 

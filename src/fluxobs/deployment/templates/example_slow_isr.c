@@ -8,6 +8,10 @@
  *        |  `acting` acts    |  `next` acts       |  what is commanded now acts
  *      interrupt           interrupt: i[k] sampled
  */
+#ifndef FO_SINGLE
+#error "define FO_SINGLE for the whole project: single precision"
+#endif
+
 #include <math.h>
 
 #include "@prefix@_observer.h"
@@ -63,7 +67,8 @@ void current_control_interrupt(void)
 
     /* Between steps the rotor goes on at its speed; wrap the angle where your control asks for it.
      * Angle [rad] and speed [rad/s], electrical, are those of t[k]. `valid` says whether the
-     * position is known; where it is not, do not commutate by it (README, "When it knows"). The
+     * position is known; where it has not been for long, do not commutate by it (README, "When it
+     * knows": how long, and what then). The
      * command will act around t[k] + 1.5 periods: turn it ahead by 1.5 * @sample_time@ * speed_e. */
     const float ahead = (float)since_step * share * @prefix@_observer.sample_time;
     drive_current_control(i, estimate.theta_e_tracked + estimate.speed_e * ahead, estimate.speed_e,

@@ -21,7 +21,8 @@ SWEEP = np.pi
 STD_LIMIT = np.pi / 60
 VOLTAGE_LIMIT = np.pi / 22.5
 TRACKER_SETTLED = 0.1
-EXPOSED_MOST = 3.0
+TRACKER_OFF = 1 / 30
+EXPOSED_MOST = np.pi / 2.25
 RUNAWAY = 1e4
 VARIANCE_UNKNOWN = np.pi**2 / 3
 STD_UNKNOWN = np.sqrt(VARIANCE_UNKNOWN)
@@ -53,7 +54,7 @@ class LeastSquaresState(NamedTuple):
     step: Array  # of the position vector, over the last interval
     length: Array  # |flux - L i|
     rough: Array  # variance of a current component by its roughness [A²]
-    exposed: Array  # to voltage errors: time within the last radian
+    exposed: Array  # turn by a plausible voltage error, flux base [rad]
     innovation: Array
     power: Array
     lag_one: Array
@@ -350,15 +351,15 @@ class SquareRootLeastSquares(eqx.Module):
         tracker = self._track(s, out_theta, unknown & ~known)
         std = jnp.where(unknown, STD_UNKNOWN, jnp.sqrt(variance))
         near = jnp.abs(wrap(out_theta - tracker[0])) < STD_LIMIT + 3 * std
-        settled = jnp.where(
-            s.settled < TRACKER_SETTLED, jnp.where(near, s.settled + self.h, 0.0), s.settled
-        )
+        counts = jnp.where(near, self.h, TRACKER_OFF * self.h)
+        settled = jnp.where(s.settled < TRACKER_SETTLED, s.settled + counts, s.settled)
         settled = jnp.where(trusted, settled, 0.0)
 
         # A voltage error adds up until the rotor has turned by about a radian.
         step = jnp.minimum(jnp.abs(s.speed) * self.sample_time, 1.0)
-        exposed = jnp.minimum(s.exposed + self.h - s.exposed * step, EXPOSED_MOST)
-        steady = exposed * plausible < VOLTAGE_LIMIT * length
+        exposed = s.exposed + self.h * plausible - s.exposed * step
+        exposed = jnp.minimum(exposed, EXPOSED_MOST)
+        steady = exposed < VOLTAGE_LIMIT * length
 
         after = s._replace(
             length=length,
