@@ -637,8 +637,8 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
         s->settled = ZERO;
     } else if (s->settled < TRACKER_SETTLED) { /* it starts from rest, at whatever speed it is met */
         const fo_real off = fo_abs(wrap(theta - s->angle));
-        const bool near = off < STD_LIMIT + (fo_real)3 * e->theta_e_std;
-        s->settled += near ? o->h : TRACKER_OFF * o->h;
+        const bool follows = off < STD_LIMIT + (fo_real)3 * e->theta_e_std;
+        s->settled += follows ? o->h : TRACKER_OFF * o->h;
     } else {
         /* it stays settled */
     }
