@@ -18,8 +18,6 @@ def hex_float(value: float, precision: Precision = "double") -> str:
     >>> hex_float(0.1875), hex_float(-0.5, "single")
     ('0x1.8p-3', '-0x1p-1f')
     """
-    if value != value:
-        return "(fo_real)NAN"
     mantissa, exponent = value.hex().split("p")
     mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
     return f"{mantissa}p{int(exponent)}" + ("f" if precision == "single" else "")

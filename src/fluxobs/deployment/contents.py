@@ -13,19 +13,12 @@ from .c_source import Precision
 from .costs import cost_table, read_costs
 from .course import course
 from .header import bases, parameter_header, parameters, settings
-from .vectors import COLUMNS, EXACT_COLUMNS, vectors_header
+from .vectors import COLUMNS, EXACT_COLUMNS, run, vectors_header
 
 SOURCES = ("fluxobs.h", "fluxobs.c")
 #: What a voltage error as large as the drift's prior may turn the flux by while the position is
 #: called valid [rad]; as in firmware/fluxobs.c.
 VOLTAGE_LIMIT = math.pi / 22.5
-#: For the README of a folder whose observer is stepped every few interrupts.
-GATHER = (
-    "\nIn every interrupt `fo_gather` adds the volt-seconds of the interval that ends, and "
-    "`fo_step_volt_seconds` takes their sum instead of the voltage. A voltage that is not known "
-    "spoils the step it belongs to, and so does a current that is missing; at a step the two on "
-    "either side of it.\n"
-)
 
 
 def contents(
@@ -42,12 +35,14 @@ def contents(
     content, header = parameter_header(prefix, observers, machine, version, texts, update_every)
     single = observers["single"]
     record = course(machine, single)
-    if not single.run(record.voltage, record.current).valid.any():
+    estimates = {p: run(observer, record, update_every) for p, observer in observers.items()}
+    if not estimates["single"].valid.any():
         raise FluxobsError(
             f"with these settings the position is never known, not even at full speed: memory "
             f"{single.memory:g} s, current noise {single.current_noise:g} A, drift prior "
             f"{single.drift_prior:g} V; check the units of R_s, inductance and rated_current"
         )
+    costs = read_costs()
     slowest = single.drift_prior / (VOLTAGE_LIMIT * single.flux_base)
     words = {
         "prefix": prefix,
@@ -58,7 +53,6 @@ def contents(
         "half_turn": "; the one 180 degrees away fits as well"
         if machine.half_turn_ambiguous
         else "",
-        "gather": GATHER if update_every > 1 else "",
         "drift_prior": f"{single.drift_prior:.3g}",
         "slowest": f"{slowest:.3g}",
         "flux": f"{single.flux_base:.3g}",
@@ -67,14 +61,14 @@ def contents(
         "content": content,
         "exact_columns": str(EXACT_COLUMNS),
         "columns": ", ".join(f'"{name}"' for name in COLUMNS),
-        "costs": cost_table(read_costs()),
-        "parameters": str(read_costs()["parameters"]),
+        "costs": cost_table(costs),
+        "parameters": str(costs["parameters"]),
         "facts": _facts(machine, single, update_every),
     }
     folder = resources.files(__package__) / "templates"
 
     def filled(name: str) -> str:
-        text = (folder / name).read_text(encoding="utf-8")
+        text = _variant((folder / name).read_text(encoding="utf-8"), update_every)
         for word, value in words.items():
             text = text.replace(f"@{word}@", value)
         return text
@@ -84,12 +78,24 @@ def contents(
         f"{prefix}_observer.h": header,
         "README.md": filled("README.md"),
         "Makefile": filled("Makefile"),
-        "example_isr.c": filled("example_isr.c" if update_every == 1 else "example_slow_isr.c"),
+        "example_isr.c": filled("example_isr.c"),
         "test/check.h": filled("check.h"),
         "test/check.c": filled("check.c"),
         "test/host_test.c": filled("host_test.c"),
-        "test/vectors.h": vectors_header(record, observers, update_every),
+        "test/vectors.h": vectors_header(record, estimates),
     }
+
+
+def _variant(template: str, update_every: int) -> str:
+    """The lines for an observer that is stepped every interrupt, or every few."""
+    marks = {"@every interrupt@": update_every == 1, "@every few@": update_every > 1}
+    kept, keep = [], True
+    for line in template.split("\n"):
+        if line in marks or line == "@always@":
+            keep = marks.get(line, True)
+        elif keep:
+            kept.append(line)
+    return "\n".join(kept)
 
 
 def _facts(machine: RotatingMachine, observer: LeastSquaresObserver, update_every: int) -> str:

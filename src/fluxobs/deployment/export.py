@@ -45,7 +45,7 @@ def export(
     current_noise: float | None = None,
     drift_prior: float | None = None,
     update_every: int = 1,
-    prefix: str | None = None,
+    prefix: str = "motor",
     force: bool = False,
 ) -> Export:
     """Write the observer of a machine as a folder of C99.
@@ -70,8 +70,8 @@ def export(
     update_every : int
         Interrupts from one step of the observer to the next; in between volt-seconds are gathered.
         Costs less, and noise is averaged over fewer samples.
-    prefix : str, optional
-        Of the generated names, so that two machines fit one firmware; default ``motor``.
+    prefix : str
+        Of the generated names, so that two machines fit one firmware.
     force : bool
         Replace an earlier export, of which nothing has been changed since.
 
@@ -88,7 +88,6 @@ def export(
     ...     sorted(path.name for path in done.folder.glob("*.[ch]"))
     ['example_isr.c', 'fluxobs.c', 'fluxobs.h', 'motor_observer.h']
     """
-    prefix = "motor" if prefix is None else prefix
     check_prefix(prefix)
     rotating = check_machine(machine, unknowns)
     memory = check_times(sample_time, update_every, memory)

@@ -91,15 +91,13 @@ def parameter_header(
         f" *\n * {title}:\n" + "\n".join(f" *   {name} = {value}" for name, value in lines.items())
         for title, lines in facts.items()
     )
-    constants = "\n".join(
-        f"#{'if' if precision == 'single' else 'else'}"
-        f"{'def FO_SINGLE' if precision == 'single' else ''}\n"
-        + "\n".join(
+    constants = {
+        precision: "\n".join(
             f"    {initializer(value, precision)}, /* {MEANING[name]} */"
             for name, value in observer[precision].parameters().items()
         )
         for precision in PRECISIONS
-    )
+    }
     guard = f"FLUXOBS_{prefix}_H"
     body = f"""\
 #ifndef {guard}
@@ -112,7 +110,10 @@ enum {{ {prefix}_update_every = {update_every} }};
 
 /* Per-unit unless said. Lives in flash: nothing has to be prepared when the drive starts. */
 static const fo_observer {prefix}_observer = {{
-{constants}
+#ifdef FO_SINGLE
+{constants["single"]}
+#else
+{constants["double"]}
 #endif
 }};
 

@@ -86,10 +86,8 @@ def run(observer: LeastSquaresObserver, course: Course, update_every: int) -> Es
     return observer.run(volt_seconds=volt_seconds, current=course.current)
 
 
-def vectors_header(
-    course: Course, observers: Mapping[Precision, LeastSquaresObserver], update_every: int
-) -> str:
-    """The text of test/vectors.h."""
+def vectors_header(course: Course, estimates: Mapping[Precision, Estimate]) -> str:
+    """The text of test/vectors.h: a record, and what :func:`run` returns for it."""
     inputs = np.concatenate([course.voltage, course.current], axis=1)
     samples = "\n".join(
         "    {" + ", ".join(f"FO_({hex_float(x)})" if x == x else "FO_MISSING" for x in row) + "},"
@@ -97,7 +95,7 @@ def vectors_header(
     )
     blocks = []
     for precision in PRECISIONS:
-        everything = expected(run(observers[precision], course, update_every))
+        everything = expected(estimates[precision])
         rows = everything[EVERY - 1 :: EVERY]
         guard = checksum(inputs, rows, precision)
         exact = checksum(everything[:, :EXACT_COLUMNS], np.zeros(0), precision)

@@ -1,4 +1,10 @@
+@every interrupt@
 /* How the observer is called: once an interrupt of the current control, every @sample_time@ s.
+@every few@
+/* How the observer is called where it takes a step every few interrupts only: the current control
+ * interrupts every @sample_time@ s, the observer takes a step every @step_time@ s and
+ * volt-seconds are gathered in between, so that none are lost.
+@always@
  * Copy it under another name before you change it, and the folder can be exported anew.
  * What is yours stands in the functions declared here. Compile with -DFO_SINGLE.
  *
@@ -25,6 +31,10 @@ void current_control_interrupt(void);
 
 static fo_state state;
 static fo_estimate estimate;
+@every few@
+static fo_gathered gathered;
+static int since_step; /* interrupts since the observer's last step */
+@always@
 static float acting[2]; /* mean voltage, alpha and beta [V], over the interval that ends now */
 static float next[2];   /* over the one that begins now: commanded an interrupt ago */
 
@@ -33,6 +43,11 @@ void drive_start(void)
 {
     static const fo_estimate nothing_known = {{0.0f, 0.0f}, 0.0f, 0.0f, 0.0f, 0.0f, {0.0f, 0.0f},
                                               0.0f, 0.0f, 0.0f, false};
+@every few@
+    static const fo_gathered nothing = {{0.0f, 0.0f}, {0.0f, 0.0f}};
+    gathered = nothing;
+    since_step = 0;
+@always@
     fo_reset(&@prefix@_observer, &state);
     estimate = nothing_known;
     acting[0] = acting[1] = NAN; /* not known: no voltage has been commanded yet */
@@ -41,6 +56,9 @@ void drive_start(void)
 
 void current_control_interrupt(void)
 {
+@every few@
+    const float share = 1.0f / (float)@prefix@_update_every;
+@always@
     float i_abc[3], i[2], command[2];
     const float udc = drive_read_dc_link();
     drive_read_currents(i_abc);
@@ -49,13 +67,34 @@ void current_control_interrupt(void)
     i[0] = (2.0f * i_abc[0] - i_abc[1] - i_abc[2]) / 3.0f;
     i[1] = (i_abc[1] - i_abc[2]) * 0.57735027f;
 
+@every interrupt@
     fo_step(&@prefix@_observer, &state, acting, i, &estimate);
+@every few@
+    fo_gather(&@prefix@_observer, &gathered, share, acting, i);
+    since_step++;
+    if (since_step == @prefix@_update_every) {
+        fo_step_volt_seconds(&@prefix@_observer, &state, gathered.volt_seconds, i, &estimate);
+        gathered.volt_seconds[0] = gathered.volt_seconds[1] = 0.0f;
+        since_step = 0;
+    }
+@always@
 
+@every interrupt@
     /* The angle [rad] and speed [rad/s], electrical, are those of t[k]. `valid` says whether the
+@every few@
+    /* Between steps the rotor goes on at its speed; wrap the angle where your control asks for it.
+     * Angle [rad] and speed [rad/s], electrical, are those of t[k]. `valid` says whether the
+@always@
      * position is known; where it has not been for long, do not commutate by it (README, "When it
      * knows": how long, and what then). The
      * command will act around t[k] + 1.5 periods: turn it ahead by 1.5 * @sample_time@ * speed_e. */
+@every interrupt@
     drive_current_control(i, estimate.theta_e_tracked, estimate.speed_e, estimate.valid, udc, command);
+@every few@
+    const float ahead = (float)since_step * share * @prefix@_observer.sample_time;
+    drive_current_control(i, estimate.theta_e_tracked + estimate.speed_e * ahead, estimate.speed_e,
+                          estimate.valid, udc, command);
+@always@
 
     /* Limited by the modulator? Then `command` has to hold what is applied, not what was wanted:
      * keep it within the hexagon of udc before it is written. */
