@@ -9,6 +9,7 @@
 #include <string.h>
 
 #include "fluxobs.h"
+#include "surface_pmsm.h"
 
 #ifndef FUZZ_STEPS
 #define FUZZ_STEPS 10000000L
@@ -92,14 +93,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     const double R = (double)about(&b, 0.36), L = (double)about(&b, 0.6e-3);
     const double psi = (double)about(&b, 0.0125), h = (double)about(&b, 1e-4);
     fo_config c;
-    memset(&c, 0, sizeof c);
-    for (int i = 0; i < FO_N; i++) {
-        c.Q1[i][i] = (fo_real)1;
-        c.Q2[i][i] = (fo_real)(-2 * L);
-        c.Q3[i][i] = (fo_real)(L * L);
-        c.R[i][i] = (fo_real)R;
-        c.B[i][i] = (fo_real)1;
-    }
+    surface_pmsm(&c, R, L);
     const unsigned odd = byte(&b);
     if (odd & 1U) {
         c.Q1[0][1] = any(&b);
@@ -107,7 +101,6 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         c.E[0] = any(&b);
         c.C[1] = any(&b);
     }
-    c.L_position = (fo_real)L;
     c.sample_time = (fo_real)h;
     c.memory = about(&b, 300 * h);
     c.flux_base = (odd & 2U) ? about(&b, psi) : (fo_real)psi;

@@ -5,6 +5,7 @@
 #include <stdio.h>
 
 #include "fluxobs.h"
+#include "surface_pmsm.h"
 
 static uint32_t seed = 1;
 
@@ -31,15 +32,8 @@ static int is_finite(fo_real x) { return x - x == (fo_real)0; }
 int main(void)
 {
     const double R = 0.36, L = 0.6e-3, psi = 0.0125, h = 1e-4, omega = 500.0, load = 6.0;
-    fo_config c = {0};
-    for (int i = 0; i < FO_N; i++) {
-        c.Q1[i][i] = (fo_real)1;
-        c.Q2[i][i] = (fo_real)(-2 * L);
-        c.Q3[i][i] = (fo_real)(L * L);
-        c.R[i][i] = (fo_real)R;
-        c.B[i][i] = (fo_real)1;
-    }
-    c.L_position = (fo_real)L;
+    fo_config c;
+    surface_pmsm(&c, R, L);
     c.sample_time = (fo_real)h;
     c.memory = (fo_real)0.03;
     c.flux_base = (fo_real)psi;
