@@ -9,7 +9,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
-SOURCES := CMakeLists.txt pyproject.toml binding/core.cpp firmware/fluxobs.h firmware/fluxobs.c
+FIRMWARE := firmware/fluxobs.c firmware/fluxobs_candidates.c firmware/fluxobs_adaptive.c
+SOURCES := CMakeLists.txt pyproject.toml binding/core.cpp $(FIRMWARE) $(wildcard firmware/*.h)
 
 .PHONY: demo test check lint warnings misra sanitize pil fuzz bench clean
 
@@ -40,7 +41,9 @@ COMPILERS ?= gcc clang
 warnings:
 	@for cc in $(COMPILERS); do for precision in "" -DFO_SINGLE; do \
 	    echo "$$cc $(STRICT) $$precision"; \
-	    $$cc $(STRICT) $$precision -c firmware/fluxobs.c -o /dev/null || exit 1; \
+	    for source in $(FIRMWARE); do \
+	        $$cc $(STRICT) $$precision -c $$source -o /dev/null || exit 1; \
+	    done; \
 	done; done
 
 misra:
@@ -48,14 +51,14 @@ misra:
 	    for precision in -DFO_SINGLE -UFO_SINGLE; do \
 	        cppcheck --std=c99 --addon=misra --enable=warning,style,performance,portability \
 	            --suppressions-list=tests/firmware/misra.txt --error-exitcode=1 --quiet \
-	            $$precision firmware/fluxobs.c || exit 1; \
+	            $$precision $(FIRMWARE) || exit 1; \
 	    done && echo "MISRA C:2012: nothing but the deviations in tests/firmware/misra.txt"; fi
 
 sanitize:
 	@for precision in "" -DFO_SINGLE; do \
 	    gcc $(STRICT) -g -fsanitize=address,undefined,float-divide-by-zero \
 	        -fno-sanitize-recover=all $$precision \
-	        -Ifirmware tests/firmware/stress.c firmware/fluxobs.c -lm -o build-stress \
+	        -Ifirmware tests/firmware/stress.c $(FIRMWARE) -lm -o build-stress \
 	    && ./build-stress; status=$$?; rm -f build-stress; [ $$status -eq 0 ] || exit 1; \
 	done
 
@@ -68,7 +71,7 @@ fuzz:
 	    clang -std=c99 -g -O1 -fsanitize=fuzzer,address,undefined,float-divide-by-zero \
 	        -fno-sanitize-recover=all \
 	        $$precision -DFUZZ_STEPS=$(FUZZ_STEPS) -Ifirmware tests/firmware/fuzz.c \
-	        firmware/fluxobs.c -lm -o build-fuzz || exit 1; \
+	        $(FIRMWARE) -lm -o build-fuzz || exit 1; \
 	    scratch=$$(mktemp -d); \
 	    ./build-fuzz -max_len=400 -verbosity=0 -artifact_prefix=build-fuzz- \
 	        $$scratch tests/firmware/corpus; \

@@ -1,51 +1,17 @@
 /* SPDX-License-Identifier: MIT */
-#include "fluxobs.h"
+#include "fluxobs_internal.h"
 
-#include <math.h>
 #include <string.h>
-
-#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ > 0)
-#error "not with -ffast-math: values that are not finite have to be told from others"
-#endif
-
-#ifdef FO_SINGLE
-#define fo_abs fabsf
-#define fo_sqrt sqrtf
-#define fo_atan2 atan2f
-#else
-#define fo_abs fabs
-#define fo_sqrt sqrt
-#define fo_atan2 atan2
-#endif
-
-#define ZERO ((fo_real)0)
-#define ONE ((fo_real)1)
-#define TWO ((fo_real)2)
-#define PI ((fo_real)3.14159265358979323846)
-
-/* Order of the immersion's state. */
-enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
 
 /* Element (i, j), i < j, of a packed strict upper triangle. */
 #define AT(i, j) ((int)(i) * (2 * (int)FO_NX - (int)(i) - 3) / 2 + (int)(j) - 1)
 
 /* Share of noise in the flux information above which the flux is called unknown. */
 static const fo_real SHARE_LIMIT = (fo_real)0.1;
-/* Rotation since the flux is known before the position is trusted: half a turn. */
-static const fo_real SWEEP = PI;
-/* Position std above which a trusted position is not called valid: 3 degrees, five to 15. */
-static const fo_real STD_LIMIT = PI / (fo_real)60;
 /* The same for what a voltage error as large as the drift's prior can do: 8 degrees. */
 static const fo_real VOLTAGE_LIMIT = PI / (fo_real)22.5;
 /* It adds up to this at most [rad]: ten times as much, since a flux that is wrong may be long. */
 static const fo_real EXPOSED_MOST = PI / (fo_real)2.25;
-/* For so long, in memories, the tracker has to be as near as that before a position is valid; time
- * in which it is not counts for little, so that one which never comes near, under a quick ripple of
- * the speed, does not keep the position from being valid for more than three memories. */
-static const fo_real TRACKER_SETTLED = (fo_real)0.1;
-static const fo_real TRACKER_OFF = (fo_real)(1.0 / 30.0);
-/* Variance of an angle of which nothing is known: uniform over a turn. */
-static const fo_real VARIANCE_UNKNOWN = PI * PI / (fo_real)3;
 /* The largest flux change in one sample that is no error, in flux bases: twice what eight samples
  * a period ask for, with a magnet flux twice as large as its base. */
 static const fo_real FLUX_STEP_LIMIT = (fo_real)4;
@@ -55,10 +21,6 @@ static const fo_real OUTLIER_LIMIT = (fo_real)1;
  * itself and six stds of noise: a spike of the current can leave |x| as it is. */
 static const fo_real STEP_LIMIT = (fo_real)0.15;
 static const fo_real STEP_NOISE = (fo_real)6;
-/* A position vector longer than this, squared, in flux bases, is numbers that have run away. */
-static const fo_real RUNAWAY = (fo_real)1e4;
-/* Largest lag-one correlation of the innovations that is believed. */
-static const fo_real CORRELATION_LIMIT = (fo_real)0.98;
 /* Samples take turns: in one a prior row is re-injected, in the next the certainty is judged. */
 enum { REINJECT_PERIOD = 2 * FO_NX };
 /* Rotation after which a drift beyond its prior std says that the prior was too tight, ... */
@@ -66,22 +28,11 @@ static const fo_real SETTLED = (fo_real)3 * PI;
 /* ... and what the past then still counts, over the square of that excess. */
 static const fo_real DISTRUST = (fo_real)0.01;
 
-static fo_real dot(const fo_real a[FO_N], const fo_real b[FO_N])
-{
-    return a[0] * b[0] + a[1] * b[1];
-}
-
 static void clear(fo_real x[FO_NX])
 {
     for (int i = 0; i < FO_NX; i++) {
         x[i] = ZERO;
     }
-}
-
-/* Of an angle within a turn and a half. */
-static fo_real wrap(fo_real angle)
-{
-    return angle > PI ? angle - TWO * PI : angle <= -PI ? angle + TWO * PI : angle;
 }
 
 /* ---- configuration ------------------------------------------------------------------- */
@@ -99,8 +50,6 @@ static bool config_finite(const fo_config *c)
     }
     return sum - sum == ZERO;
 }
-
-static bool within(fo_real x, fo_real low, fo_real high) { return x >= low && x <= high; }
 
 static fo_error check(const fo_config *c)
 {
@@ -454,28 +403,6 @@ static void measure(const fo_observer *o, fo_state *s, fo_real row[FO_NX], fo_re
 
 /* ---- read-out ------------------------------------------------------------------------- */
 
-static void stop_tracker(fo_state *s, fo_real theta)
-{
-    s->angle = theta;
-    s->speed = ZERO;
-    s->acceleration = ZERO;
-}
-
-static void track(const fo_observer *o, fo_state *s, fo_real theta)
-{
-    const fo_real h = o->sample_time;
-    const fo_real step = h * (s->speed + h * s->acceleration / TWO);
-    if (fo_abs(step) <= PI) {
-        const fo_real predicted = wrap(s->angle + step);
-        const fo_real error = wrap(theta - predicted);
-        s->angle = wrap(predicted + o->track[0] * error);
-        s->speed += h * s->acceleration + o->track[1] * error;
-        s->acceleration += o->track[2] * error;
-    } else { /* faster than the samples can tell */
-        stop_tracker(s, theta);
-    }
-}
-
 /* Position vector x = flux - L i; returns |x|^2. */
 static fo_real position(const fo_observer *o, const fo_state *s, const fo_real flux[FO_N],
                         fo_real p[FO_N])
@@ -595,7 +522,7 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
 
     /* What a voltage error turns the flux by adds up until the rotor has turned by about a radian; no
      * further than matters, so that it is forgotten soon after a stop. */
-    const fo_real turned = fo_abs(s->speed) * o->sample_time;
+    const fo_real turned = fo_abs(s->tracker.speed) * o->sample_time;
     s->exposed += o->h * o->plausible - s->exposed * (turned < ONE ? turned : ONE);
     s->exposed = s->exposed < EXPOSED_MOST ? s->exposed : EXPOSED_MOST;
 
@@ -626,21 +553,17 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
         variance = VARIANCE_UNKNOWN;
     }
     if (lost && !known) {
-        stop_tracker(s, theta);
+        stop_tracker(&s->tracker, theta);
     } else {
-        track(o, s, theta);
+        track(o, &s->tracker, theta);
     }
     s->length = fo_sqrt(square);
     s->trusted = trusted;
     e->theta_e_std = fo_sqrt(variance);
-    if (!trusted) {
-        s->settled = ZERO;
-    } else if (s->settled < TRACKER_SETTLED) { /* it starts from rest, at whatever speed it is met */
-        const fo_real off = fo_abs(wrap(theta - s->angle));
-        const bool follows = off < STD_LIMIT + (fo_real)3 * e->theta_e_std;
-        s->settled += follows ? o->h : TRACKER_OFF * o->h;
+    if (trusted) {
+        settle_tracker(o, &s->tracker, theta, e->theta_e_std);
     } else {
-        /* it stays settled */
+        s->tracker.settled = ZERO;
     }
 
     for (int i = 0; i < FO_N; i++) {
@@ -649,30 +572,24 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     }
     e->psi_f = s->length * o->flux_base;
     e->theta_e = theta;
-    e->theta_e_tracked = s->angle;
-    e->speed_e = s->speed;
+    e->theta_e_tracked = s->tracker.angle;
+    e->speed_e = s->tracker.speed;
     e->innovation = s->innovation;
     e->noise_share = s->noise_share;
     /* A slow turn by a voltage error of the plausible size leaves no trace in the innovations. */
-    e->valid = trusted && s->settled >= TRACKER_SETTLED && variance < STD_LIMIT * STD_LIMIT &&
-               s->exposed < VOLTAGE_LIMIT * s->length;
+    e->valid = trusted && s->tracker.settled >= TRACKER_SETTLED &&
+               variance < STD_LIMIT * STD_LIMIT && s->exposed < VOLTAGE_LIMIT * s->length;
 }
 
 /* ---- samples -------------------------------------------------------------------------- */
-
-/* 24 times the mean current over the last interval: the cubic through four samples. */
-static fo_real mean_current_24(const fo_state *s, int i)
-{
-    return (fo_real)9 * s->current[0][i] + (fo_real)19 * s->current[1][i] -
-           (fo_real)5 * s->current[2][i] + s->current[3][i];
-}
 
 /* The resistive drop is still to be taken off unless the source's volt-seconds are `complete`. */
 static void last_interval(const fo_observer *o, const fo_state *s, bool complete, interval *t)
 {
     fo_real mean[FO_N] = {0};
     for (int i = 0; i < FO_N && !complete; i++) {
-        mean[i] = mean_current_24(s, i);
+        mean[i] = mean_current_24(s->current[0][i], s->current[1][i], s->current[2][i],
+                                  s->current[3][i]);
     }
     for (int i = 0; i < FO_N; i++) {
         t->v[i] = s->source[i] - dot(o->hR[i], mean);
@@ -714,7 +631,7 @@ static void push_current(fo_state *s, fo_real i0, fo_real i1)
 static void ahead(const fo_observer *o, const fo_state *s, const fo_real before[FO_N],
                   fo_real now[FO_N])
 {
-    const fo_real half = s->trusted ? s->speed * o->sample_time / TWO : ZERO;
+    const fo_real half = s->trusted ? s->tracker.speed * o->sample_time / TWO : ZERO;
     const fo_real over = ONE / (ONE + half * half);
     const fo_real cosine = (ONE - half * half) * over, sine = TWO * half * over;
     const fo_real alpha = before[0], beta = before[1];

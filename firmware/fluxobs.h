@@ -98,6 +98,12 @@ typedef struct {
     fo_real noise[3];              /* what noise alone pretends: (flux, flux-drift, drift) */
 } fo_information;
 
+/* Follows the angle of the flux. */
+typedef struct {
+    fo_real angle, speed, acceleration;  /* [rad, rad/s, rad/s^2]      */
+    fo_real settled;                     /* near for so long [memories] */
+} fo_tracker;
+
 /* Everything that changes. Plain data: copy it, store it, restore it. Per-unit unless said. */
 typedef struct {
     bool have_current, have_voltage;     /* seen since the last restart                          */
@@ -121,8 +127,7 @@ typedef struct {
     fo_real variance, growth;            /* of the carried position: start, and a memory squared [rad^2] */
     fo_real carried;                     /* for how long [memories]                              */
     fo_real carried_length, carried_off; /* of the position vector: at its start, largest change */
-    fo_real angle, speed, acceleration;  /* tracker [rad, rad/s, rad/s^2]                        */
-    fo_real settled;                     /* the tracker is near for so long [memories]           */
+    fo_tracker tracker;
 } fo_state;
 
 typedef struct {

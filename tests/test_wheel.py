@@ -13,8 +13,10 @@ ROOT = Path(__file__).parent.parent
 
 def test_firmware_sources_are_package_data():
     folder = resources.files("fluxobs") / "firmware"
-    for name in ("fluxobs.h", "fluxobs.c"):
-        assert (folder / name).read_bytes() == (ROOT / "firmware" / name).read_bytes()
+    sources = sorted((ROOT / "firmware").glob("fluxobs*.[ch]"))
+    assert len(sources) == 7
+    for source in sources:
+        assert (folder / source.name).read_bytes() == source.read_bytes()
 
 
 @pytest.mark.slow

@@ -14,12 +14,13 @@ from .machines import (
     SynchronousReluctance,
     read_machine,
 )
-from .observers import Estimate, ImmersionObserver, LeastSquaresObserver
+from .observers import AdaptiveObserver, Estimate, ImmersionObserver, LeastSquaresObserver
 from .records import Record
 
 __version__ = version("fluxobs")
 
 __all__ = [
+    "AdaptiveObserver",
     "Estimate",
     "FluxobsError",
     "Immersion",

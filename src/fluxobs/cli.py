@@ -135,11 +135,77 @@ def estimate(
     opened = _open(
         log, given, record, frame, sample_time, lag, column, scale, offset, start, stop, truth
     )
+    opened = _less_inverter(opened, given)
     check_truth(opened, given)
     if isinstance(given, RotatingMachine) and wanted == ("drift",):
         _run(opened, given, str(machine), out, report, memory)
     else:
         _run_reference(opened, given, wanted, out, report, memory)
+
+
+@app.command()
+def identify(
+    log: Annotated[
+        Path, typer.Argument(help="CSV (any delimiter), Parquet or npz; a column a channel.")
+    ],
+    machine: MachineOption,
+    out: Annotated[Path, typer.Option(help="Machine file to be written, .toml.")],
+    free: Annotated[
+        str | None,
+        typer.Option(
+            help="What is fitted, of R_s, L_s (or L_d, L_q), psi_f, inverter, lag. Default "
+            "R_s,psi_f,inverter; the rest stays as given."
+        ),
+    ] = None,
+    record: RecordOption = None,
+    frame: FrameOption = None,
+    sample_time: SampleTimeOption = None,
+    lag: LagOption = None,
+    column: ColumnOption = None,
+    scale: ScaleOption = None,
+    offset: OffsetOption = None,
+    start: FromOption = None,
+    stop: ToOption = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Picture of the residual: .png, .pdf or .svg.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite --out.")] = False,
+) -> None:
+    """Fit the machine's parameters and the inverter's error to a whole log.
+
+    Prints each parameter with its standard deviation, and says which ones the log cannot tell;
+    those stay as given. The machine file that it writes serves `fluxobs estimate`, which takes the
+    inverter's error (inverter_voltage) off the commanded voltages.
+    """
+    from .identification import identify as run
+    from .identification.identify import read_free
+    from .identification.report import draw, lines, toml
+    from .machines import RotatingMachine, read_machine
+
+    given = read_machine(machine)
+    if not isinstance(given, RotatingMachine):
+        raise FluxobsError(f"{given.kind}: only machines that turn can be identified")
+    wanted = read_free(free, given)
+    if out.exists() and not force:
+        raise FluxobsError(f"{out}: exists; give another name, or --force to overwrite it")
+    if report is not None:
+        from .plots import check_path
+
+        check_path(report)
+    opened = _open(
+        log, given, record, frame, sample_time, lag, column, scale, offset, start, stop, None
+    )
+    found = run(opened, given, wanted)
+    for line in lines(found):
+        _echo(line)
+    try:
+        out.write_text(toml(found, log), encoding="utf-8")
+    except OSError as error:
+        raise FluxobsError(f"{out}: cannot be written: {error.strerror}") from None
+    typer.echo(f"Written: {out}")
+    if report is not None:
+        draw(found, report)
+        typer.echo(f"Written: {report}")
 
 
 @app.command()
@@ -281,7 +347,7 @@ def compare(
                 stop,
                 truth,
             )
-            found = compare_log(opened, given, settle)
+            found = compare_log(_less_inverter(opened, given), given, settle)
         comparisons.append(found)
         _print_table(report.table(found))
         _echo(report.verdict(found))
@@ -417,6 +483,13 @@ def _open(
     return open_log(table, layout, getattr(machine, "n_p", 1), start, stop)
 
 
+def _less_inverter(log: Log, machine: Machine) -> Log:
+    """The log less what the machine file says that the inverter loses."""
+    from dataclasses import replace
+
+    return replace(log, inverter=getattr(machine, "inverter", None))
+
+
 def _check(log: Log, report: Path | None, memory: float | None) -> None:
     if memory is not None and not memory >= 10 * log.sample_time:
         raise FluxobsError(
@@ -472,7 +545,12 @@ def _run(
         draw(result, report)
         typer.echo(f"Written: {report}")
     o = result.observer
-    if not machine.rated_current or not machine.flux_base(getattr(machine, "psi_f", None), 1.0):
+    if machine.inverter is not None:
+        typer.echo(
+            "An export as firmware leaves the inverter to the drive: compensate it there, and take "
+            "inverter_voltage out of the machine file."
+        )
+    elif not machine.rated_current or not machine.flux_base(getattr(machine, "psi_f", None), 1.0):
         lacking = {"psi_f": o.flux_base, "rated_current": result.scales.current}
         values = [
             f"{k} ({v:.3g} here)" for k, v in lacking.items() if getattr(machine, k, 0) is None

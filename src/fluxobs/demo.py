@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from .frames import clarke
 from .machines import SurfacePMSM, example
-from .suspects import inverter_direction
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,8 @@ def generate() -> dict[str, Array]:
     voltage = (np.diff(flux[::inner]) + machine.R_s * integral) / SAMPLE_TIME
 
     mean = integral / SAMPLE_TIME
-    drop = inverter_direction(np.stack([mean.real, mean.imag], axis=1), 0.2)
+    phases = (mean * np.exp(-2j * np.pi / 3 * k) for k in range(3))
+    drop = clarke(*(np.tanh(phase.real / 0.2) for phase in phases))
     command = np.stack([voltage.real, voltage.imag], axis=1) + INVERTER_VOLTAGE * drop
     measured = np.stack([current[:-1:inner].real, current[:-1:inner].imag], axis=1)
     noise = np.random.default_rng(SEED).normal(0.0, CURRENT_NOISE, measured.shape)

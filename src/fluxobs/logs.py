@@ -13,6 +13,7 @@ from .errors import RecordError
 from .formats import BATCH, Table, missing_column, read_rows
 from .formats.table import Columns
 from .frames import alphabeta_current, native_voltage, rotate, wrap
+from .inverter import InverterError
 from .layout import Layout
 from .records import Record, check_lag, interval_rows
 
@@ -79,6 +80,7 @@ class Log:
     t0: float
     first: int
     last: int
+    inverter: InverterError | None = None  # taken off the commanded voltage
 
     def __len__(self) -> int:
         return self.last - self.first
@@ -120,13 +122,24 @@ class Log:
     def aligned(
         self, first: int | None = None, last: int | None = None, size: int = BATCH
     ) -> Iterator[Aligned]:
-        """Rows in order, in batches whose size changes no number.
+        """Rows in order, in batches whose size changes no number; less what the inverter loses.
 
         Raises
         ------
         RecordError
             A value is no number, or time does not advance uniformly: names the place.
         """
+        before: Array | None = None
+        for part in self._as_commanded(first, last, size):
+            if self.inverter is None:
+                yield part
+                continue
+            joined = np.concatenate([part.current[:1] if before is None else before, part.current])
+            before = part.current[-1:]
+            lost = self.inverter.lost(joined[:-1], joined[1:])
+            yield part._replace(voltage=part.voltage - lost)
+
+    def _as_commanded(self, first: int | None, last: int | None, size: int) -> Iterator[Aligned]:
         first = self.first if first is None else first
         last = self.last if last is None else last
         lag = self.layout.lag

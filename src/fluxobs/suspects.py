@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .frames import clarke
+from .inverter import inverter_direction
 from .logs import Aligned, Log
 from .machines import RotatingMachine
 from .scales import Scales, excerpts, observer_for
@@ -31,17 +31,6 @@ class Suspect:
     name: str
     advice: str
     remaining: float  # share of the residual that is left with it
-
-
-def inverter_direction(current: Array, threshold: float) -> Array:
-    """Sum of the phase axes weighted by the smoothed signs of the phase currents, (rows, 2).
-
-    Dead time and device drops take their voltage along it: V_d of them cost ``V_d · direction``.
-    `threshold` [A] is the current at which a sign counts three quarters.
-    """
-    alpha, beta = current.T
-    half, root = alpha / 2, np.sqrt(3) / 2 * beta
-    return clarke(*(np.tanh(phase / threshold) for phase in (alpha, root - half, -root - half)))
 
 
 def _lively(log: Log) -> Aligned:

@@ -1,4 +1,4 @@
-/* The observer under libFuzzer: arbitrary parameters, arbitrary samples, real motion in between.
+/* Both observers under libFuzzer: arbitrary parameters, arbitrary samples, real motion in between.
  * Nothing may crash or be undefined, no estimate may be other than finite, and a valid one has to
  * be one. Ends by itself after FUZZ_STEPS samples. */
 #include <math.h>
@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "fluxobs.h"
+#include "fluxobs_adaptive.h"
 #include "surface_pmsm.h"
 
 #ifndef FUZZ_STEPS
@@ -16,7 +16,7 @@
 #endif
 
 static const double PI = 3.14159265358979323846;
-static long steps, valid, prepared;
+static long steps, valid, prepared, adapting;
 
 typedef struct {
     const uint8_t *next;
@@ -58,7 +58,7 @@ static fo_real about(bytes *b, double usual)
 
 static void fail(const char *what)
 {
-    printf("%s, at step %ld\n", what, steps);
+    fprintf(stderr, "%s, at step %ld\n", what, steps);
     abort();
 }
 
@@ -83,6 +83,55 @@ static void judge(const fo_estimate *e)
     }
     steps++;
     valid += e->valid ? 1 : 0;
+}
+
+static void judge_adaptive(const fo_adaptive_estimate *e)
+{
+    const fo_real out[] = {
+        e->drift_std,      e->psi_f,            e->psi_f_std,    e->resistance_error,
+        e->resistance_std, e->inverter_voltage, e->inverter_std, e->theta_other,
+        e->weight_other,
+    };
+    for (size_t i = 0; i < sizeof out / sizeof out[0]; i++) {
+        if (!finite_real(out[i])) {
+            fail("an estimate of the adaptive observer is not finite");
+        }
+    }
+    if (e->weight_other < (fo_real)0 || (double)e->weight_other > 0.5000001 ||
+        fabs((double)e->theta_other) > PI * 1.000001) {
+        fail("another angle is impossible");
+    }
+    adapting += e->adapting ? 1 : 0;
+    judge(&e->position);
+    steps--; /* the same sample as the plain observer's */
+}
+
+typedef struct {
+    fo_observer plain;
+    fo_adaptive adaptive;
+    bool both; /* the adaptive one can be prepared */
+    fo_state state;
+    fo_adaptive_state adaptive_state;
+} observers;
+
+static void step(observers *o, const fo_real u[FO_N], const fo_real i[FO_N], bool volt_seconds)
+{
+    fo_estimate e;
+    fo_adaptive_estimate a;
+    if (volt_seconds) {
+        fo_step_volt_seconds(&o->plain, &o->state, u, i, &e);
+    } else {
+        fo_step(&o->plain, &o->state, u, i, &e);
+    }
+    judge(&e);
+    if (o->both) {
+        if (volt_seconds) {
+            fo_adaptive_step_volt_seconds(&o->adaptive, &o->adaptive_state, u, i, &a);
+        } else {
+            fo_adaptive_step(&o->adaptive, &o->adaptive_state, u, i, &a);
+        }
+        judge_adaptive(&a);
+    }
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
@@ -112,30 +161,39 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     c.length_min = (odd & 8U) ? any(&b) : (fo_real)(0.25 * psi);
     c.tracker_bandwidth = about(&b, 667.0);
 
-    fo_observer observer;
-    fo_state state;
-    fo_estimate e;
-    if (fo_init(&observer, &c) != FO_OK) {
+    static observers o;
+    if (fo_init(&o.plain, &c) != FO_OK) {
         return 0;
     }
     prepared++;
-    fo_reset(&observer, &state);
+    fo_reset(&o.plain, &o.state);
+    const unsigned more = byte(&b);
+    fo_adaptive_config more_config;
+    more_config.saliency = (more & 1U) ? about(&b, 0.3e-3) : (fo_real)0;
+    more_config.psi_f = (fo_real)psi;
+    more_config.psi_f_std = (more & 2U) ? about(&b, 0.25 * psi) : (fo_real)(0.25 * psi);
+    more_config.resistance_std = (more & 4U) ? about(&b, 0.1) : (fo_real)(0.25 * R);
+    more_config.inverter_voltage = (more & 8U) ? about(&b, 0.1) : (fo_real)0;
+    more_config.inverter_std = (more & 16U) ? about(&b, 0.5) : (fo_real)0;
+    more_config.inverter_current = (more & 32U) ? about(&b, 0.5) : (fo_real)0.5;
+    more_config.slow_memory = (more & 64U) ? about(&b, 100.0) : (fo_real)100;
+    more_config.projection = (fo_projection)(more % 3U);
+    o.both = fo_adaptive_init(&o.adaptive, &c, &more_config) == FO_OK;
+    if (o.both) {
+        fo_adaptive_reset(&o.adaptive, &o.adaptive_state);
+    }
     double angle = byte(&b) * 0.1, omega = 0.0;
     while (b.left > 0) {
         const unsigned kind = byte(&b);
         if ((kind & 3U) == 0U) { /* anything */
             const fo_real u[FO_N] = {any(&b), any(&b)}, i[FO_N] = {any(&b), any(&b)};
-            if (kind & 4U) {
-                fo_step_volt_seconds(&observer, &state, u, i, &e);
-            } else {
-                fo_step(&observer, &state, u, i, &e);
-            }
-            judge(&e);
+            step(&o, u, i, (kind & 4U) != 0U);
             continue;
         }
         /* Motion: a speed, a load, errors; for some samples. */
         const double aim = ((double)byte(&b) - 128.0) / 128.0 * PI / (5 * h);
-        const double load = ((double)byte(&b) - 128.0) * 0.05 * psi / L / 12.0;
+        const double share = ((double)byte(&b) - 128.0) * 0.05 / 12.0;
+        const double load = L > 0.0 ? share * psi / L : 0.0;
         const double bias = (kind & 4U) ? ((double)byte(&b) - 128.0) * 0.01 * psi / (300 * h) : 0.0;
         const int count = 1 + (int)byte(&b);
         for (int k = 0; k < count; k++) {
@@ -155,12 +213,12 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
             if ((kind & 16U) && k % 13 == 12) {
                 i[k & 1] = any(&b);
             }
-            fo_step(&observer, &state, u, i, &e);
-            judge(&e);
+            step(&o, u, i, false);
         }
     }
     if (steps >= FUZZ_STEPS) {
-        printf("%ld steps, %ld valid, with %ld settings: nothing found\n", steps, valid, prepared);
+        printf("%ld steps, %ld estimates valid, %ld adapting, with %ld settings: nothing found\n",
+               steps, valid, adapting, prepared);
         fflush(stdout);
         _Exit(0);
     }

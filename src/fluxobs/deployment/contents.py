@@ -15,7 +15,7 @@ from .course import course
 from .header import bases, parameter_header, parameters, settings
 from .vectors import COLUMNS, EXACT_COLUMNS, run, vectors_header
 
-SOURCES = ("fluxobs.h", "fluxobs.c")
+SOURCES = ("fluxobs.h", "fluxobs_internal.h", "fluxobs.c")
 #: What a voltage error as large as the drift's prior may turn the flux by while the position is
 #: called valid [rad]; as in firmware/fluxobs.c.
 VOLTAGE_LIMIT = math.pi / 22.5

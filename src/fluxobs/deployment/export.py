@@ -86,7 +86,7 @@ def export(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     done = fluxobs.export(fluxobs.read_machine("servo-400w"), 1e-4, f"{folder}/servo")
     ...     sorted(path.name for path in done.folder.glob("*.[ch]"))
-    ['example_isr.c', 'fluxobs.c', 'fluxobs.h', 'motor_observer.h']
+    ['example_isr.c', 'fluxobs.c', 'fluxobs.h', 'fluxobs_internal.h', 'motor_observer.h']
     """
     check_prefix(prefix)
     rotating = check_machine(machine, unknowns)

@@ -38,6 +38,11 @@ def check_machine(machine: Machine, unknowns: tuple[str, ...]) -> RotatingMachin
             f"kind {machine.kind}: the firmware's observer is for machines that turn; logs of "
             f"this one can be read with `fluxobs estimate`"
         )
+    if machine.inverter_voltage:
+        raise FluxobsError(
+            "inverter_voltage: the firmware's observer leaves the inverter to the drive; "
+            "compensate it there, and take it out of the machine file"
+        )
     check_unknowns(machine, unknowns)  # type: ignore[arg-type]
     if set(unknowns) != {"drift"}:
         raise FluxobsError(

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..constraint import QuadraticConstraint
+from ..errors import MachineError
 from ..frames import Frame
-from ..validation import Positive
+from ..inverter import SMOOTHING, InverterError
+from ..validation import Number, Positive
 
 PolePairs = Annotated[int, Field(ge=1)]
 
@@ -71,6 +73,11 @@ class RotatingMachine(Machine):
         Pole pairs, >= 1.
     rated_current : float, optional
         Peak phase current [A], > 0; sets the scale of what is plausible, needs no precision.
+    inverter_voltage : float, optional
+        What dead time and device drops take of a phase's voltage [V]; taken off a log's commands.
+    inverter_current : float, optional
+        Phase current at which the inverter's smoothed sign counts three quarters [A], > 0; default
+        5 % of rated_current.
     """
 
     #: The relation cannot tell the position from the one half a turn away.
@@ -80,6 +87,21 @@ class RotatingMachine(Machine):
 
     R_s: Positive
     n_p: PolePairs
+    inverter_voltage: Number | None = None
+    inverter_current: Positive | None = None
+
+    @property
+    def inverter(self) -> InverterError | None:
+        """The inverter's error, where it is known."""
+        if not self.inverter_voltage:
+            return None
+        smoothing = self.inverter_current or SMOOTHING * (self.rated_current or 0.0)
+        if not smoothing:
+            raise MachineError(
+                "inverter_voltage needs inverter_current, the phase current below which its sign "
+                "is smoothed [A], or rated_current"
+            )
+        return InverterError(self.inverter_voltage, smoothing)
 
     @property
     def R(self) -> NDArray[np.float64]:
@@ -93,3 +115,8 @@ class RotatingMachine(Machine):
     def position_inductance(self) -> float:
         """L of the position vector ``λ - L i`` [H], which points along the rotor's d axis."""
         raise NotImplementedError
+
+    @property
+    def saliency(self) -> float:
+        """L_d - L_q [H]: the position vector has the length ``ψ_f + saliency · i_d``."""
+        return 0.0

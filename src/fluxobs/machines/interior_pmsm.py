@@ -30,5 +30,9 @@ class InteriorPMSM(MagnetMachine):
     L_q: Positive
 
     @property
+    def saliency(self) -> float:
+        return self.L_d - self.L_q
+
+    @property
     def position_inductance(self) -> float:
         return self.L_q

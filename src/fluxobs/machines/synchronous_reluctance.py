@@ -48,6 +48,10 @@ class SynchronousReluctance(RotatingMachine):
         return QuadraticConstraint(one, -(self.L_d + self.L_q) * one, self.L_d * self.L_q * one)
 
     @property
+    def saliency(self) -> float:
+        return self.L_d - self.L_q
+
+    @property
     def position_inductance(self) -> float:
         return self.L_q
 

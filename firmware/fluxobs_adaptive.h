@@ -1,0 +1,127 @@
+/* fluxobs, the adaptive observer: starts within a fraction of a turn at an unknown angle, finds
+ * errors of resistance and inverter, returns the magnet's flux, and knows saliency.
+ *
+ * The observer of fluxobs.h runs in it as ever. Until the position is known its information is
+ * projected on the manifold of consistent (flux, drift, magnet flux); then a recursive square-root
+ * Gauss-Newton on (flux, drift, magnet flux, resistance error, inverter voltage) takes over, guarded
+ * by the observer in it (docs/theory.md, section 8).
+ *
+ * For machines with Q1 = 1, E = 0: |flux - L i| = psi_f + saliency i_d.
+ *
+ * SPDX-License-Identifier: MIT
+ */
+#ifndef FLUXOBS_ADAPTIVE_H
+#define FLUXOBS_ADAPTIVE_H
+
+#include "fluxobs.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#ifdef FO_SINGLE
+#define fo_adaptive_init fo_adaptive_init_single
+#define fo_adaptive_reset fo_adaptive_reset_single
+#define fo_adaptive_step fo_adaptive_step_single
+#define fo_adaptive_step_volt_seconds fo_adaptive_step_volt_seconds_single
+#endif
+
+enum {
+    FO_NP = 2 * FO_N + 3,                     /* flux, drift, magnet flux, resistance, inverter   */
+    FO_NP_TRIANGLE = FO_NP * (FO_NP - 1) / 2, /* packed strict upper triangle, column by column   */
+    FO_NM = 2 * FO_N + 1,                     /* the manifold: flux, drift, square of magnet flux */
+    FO_CANDIDATES = 4                         /* positions that are followed at the start         */
+};
+
+/* When the information is projected on the manifold. */
+typedef enum {
+    FO_PROJECT_NEVER, /* the start waits for the position of the observer in it       */
+    FO_PROJECT_START, /* until the position is known                                  */
+    FO_PROJECT_ALWAYS /* and afterwards: the projection is then what guards the filter */
+} fo_projection;
+
+/* What is believed of machine and inverter, and how surely. A standard deviation of 0: it is known. */
+typedef struct {
+    fo_real saliency;         /* L_d - L_position [H]                                             */
+    fo_real psi_f, psi_f_std; /* magnet flux [Wb]; 0, 0 without magnets                           */
+    fo_real resistance_std;   /* of the resistance [Ohm]                                          */
+    fo_real inverter_voltage; /* dead time and device drops of a phase [V]                        */
+    fo_real inverter_std;     /* of that [V]                                                      */
+    fo_real inverter_current; /* the sign of a phase current i is tanh(i / this), nearly [A]      */
+    fo_real slow_memory;      /* in which magnet flux, resistance and inverter may have changed by
+                                 as much as their std [s]                                         */
+    fo_projection projection;
+} fo_adaptive_config;
+
+/* Treat as opaque. Per-unit unless said. */
+typedef struct {
+    fo_observer plain;
+    fo_real saliency;        /* per ampere                                      */
+    fo_real mean[FO_NP];     /* before anything is known; [Ohm] and [V] at the end */
+    fo_real variance[FO_NP]; /* of that                                         */
+    fo_real walk[FO_NP];     /* variance that is won in a round of turns        */
+    fo_real noise;           /* variance of the residual                        */
+    fo_real charge;          /* 24 times a mean current to its integral         */
+    fo_real over_current;    /* of the inverter [1/A]                           */
+    fo_real knee;            /* variance per V^2 where the inverter's sign is not sure */
+    fo_projection projection;
+} fo_adaptive;
+
+/* A position that is followed at the start. */
+typedef struct {
+    fo_real p[FO_NM];        /* flux, drift, square of the magnet flux */
+    fo_real cost, least;     /* what the information says against it, and against its end */
+    fo_real variance;        /* of its angle [rad^2]                   */
+    fo_real theta;           /* at its last turn [rad]                 */
+    uint32_t age;            /* turns since it was sown                */
+} fo_candidate;
+
+/* Everything that changes. Plain data: copy it, store it, restore it. */
+typedef struct {
+    fo_state plain;
+    bool running;                        /* the filter; else the candidates are followed  */
+    uint32_t turn, round;
+    uint32_t restarts;                   /* of the filter, by its guard                   */
+    fo_candidate candidates[FO_CANDIDATES];
+    uint32_t searched;                   /* candidates that ended at the best one         */
+    fo_real best;                        /* its angle [rad]                               */
+    fo_real disturbance;                 /* of the EMF by what is unknown                 */
+    fo_real U[FO_NP_TRIANGLE], D[FO_NP]; /* covariance U D U', U unit upper triangular    */
+    fo_real p[FO_NP];                    /* flux, drift, magnet flux, R error, inverter   */
+    fo_real innovation, power, lag_one;  /* sums over the innovations, forgetting         */
+    fo_real level;                       /* their power over the assumed                  */
+    fo_real x[FO_N], theta;              /* direction of the position vector              */
+    fo_real settled, swept;              /* since the start [memories], [rad]             */
+    fo_real disagree;                    /* with the guard for so long [memories]         */
+    fo_tracker tracker;
+} fo_adaptive_state;
+
+typedef struct {
+    fo_estimate position;     /* as of the observer in it                                     */
+    fo_real drift_std;        /* of a component [V]                                           */
+    fo_real psi_f, psi_f_std; /* magnet flux; active flux while nothing better is known [Wb]  */
+    fo_real resistance_error; /* true less believed [Ohm]                                     */
+    fo_real resistance_std;
+    fo_real inverter_voltage; /* [V]                                                          */
+    fo_real inverter_std;
+    fo_real theta_other;      /* while two angles are in question the other one [rad] ...     */
+    fo_real weight_other;     /* ... and its weight, 0 to 1/2                                 */
+    bool adapting;            /* the filter runs                                              */
+} fo_adaptive_estimate;
+
+/* As fo_init, fo_reset, fo_step and fo_step_volt_seconds. */
+fo_error fo_adaptive_init(fo_adaptive *observer, const fo_config *config,
+                          const fo_adaptive_config *adaptive);
+void fo_adaptive_reset(const fo_adaptive *observer, fo_adaptive_state *state);
+void fo_adaptive_step(const fo_adaptive *observer, fo_adaptive_state *state,
+                      const fo_real voltage[FO_N], const fo_real current[FO_N],
+                      fo_adaptive_estimate *estimate);
+void fo_adaptive_step_volt_seconds(const fo_adaptive *observer, fo_adaptive_state *state,
+                                   const fo_real volt_seconds[FO_N], const fo_real current[FO_N],
+                                   fo_adaptive_estimate *estimate);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

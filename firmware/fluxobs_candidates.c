@@ -1,0 +1,317 @@
+/* SPDX-License-Identifier: MIT */
+#include "fluxobs_candidates.h"
+
+#include "fluxobs_internal.h"
+
+#include <string.h>
+
+/* The manifold's order; its last is the square of the magnet flux. */
+enum { M_FLUX = 0, M_DRIFT = FO_N, M_SQUARE = 2 * FO_N };
+/* Element (i, j), i < j, of its packed strict upper triangle. */
+#define AT(i, j) ((int)(i) * (2 * (int)FO_NM - (int)(i) - 3) / 2 + (int)(j) - 1)
+
+/* Of the steps, as information: far below that of one sample. */
+static const fo_real DAMPING = (fo_real)1e-3;
+/* Candidates nearer than this are one. */
+static const fo_real SAME = PI / (fo_real)8;
+/* Turns after which a candidate has come to its end. */
+static const uint32_t GROWN = 4U;
+/* So many candidates have to come to the same end, with none elsewhere of more than this weight, */
+static const uint32_t SEARCHED = 6U;
+static const fo_real OTHER = (fo_real)0.01;
+/* the angle's std has to be below ten degrees, and noise pretend no more than this share. */
+static const fo_real START_STD = PI / (fo_real)18;
+static const fo_real START_SHARE = (fo_real)0.3;
+/* It is taken as no more than this. */
+static const fo_real SHARE_MOST = (fo_real)0.99;
+/* Costs of different angles differ by the noise alone; so many of its stds do not count. */
+static const fo_real FLUCTUATION = (fo_real)4;
+/* What is unknown of resistance and inverter may take this share of the EMF; else the start waits
+ * for the observer's own position. It counts as at most half. */
+static const fo_real QUICK = (fo_real)0.2;
+static const fo_real DISTURBANCE_MOST = (fo_real)0.5;
+/* Fundamental of the vector of three signs. */
+static const fo_real SIX_STEP = (fo_real)1.27;
+/* Smallest square of a magnet flux. */
+static const fo_real SQUARE_LEAST = (fo_real)0.04;
+/* Shortest square of a position vector that is one. */
+static const fo_real LENGTH_LEAST = (fo_real)1e-4;
+
+static void position_of(const fo_adaptive *a, const fo_adaptive_state *s, const fo_candidate *c,
+                     fo_real x[FO_N])
+{
+    for (int i = 0; i < FO_N; i++) {
+        x[i] = c->p[M_FLUX + i] - a->plain.L_position * s->plain.current[0][i];
+    }
+}
+
+/* A candidate in the direction of x. */
+static void sow(const fo_adaptive *a, const fo_adaptive_state *s, const fo_real x[FO_N],
+                fo_candidate *c)
+{
+    const fo_real psi = s->p[M_SQUARE]; /* 0 without magnets */
+    const fo_real length = fo_sqrt(dot(x, x)), longer = psi > ZERO ? psi : ONE;
+    (void)memset(c, 0, sizeof *c);
+    for (int i = 0; i < FO_N; i++) {
+        const fo_real along = length > ZERO ? x[i] / length : i == 0 ? ONE : ZERO;
+        c->p[M_FLUX + i] = longer * along + a->plain.L_position * s->plain.current[0][i];
+    }
+    c->p[M_SQUARE] = psi * psi;
+    c->theta = fo_atan2(x[1], x[0]);
+    c->variance = VARIANCE_UNKNOWN;
+}
+
+void fo_candidates_sow(const fo_adaptive *a, fo_adaptive_state *s)
+{
+    fo_real x[FO_N] = {s->x[0], s->x[1]};
+    if (s->plain.trusted) {
+        for (int i = 0; i < FO_N; i++) {
+            x[i] = s->plain.x[FLUX + i] - a->plain.L_position * s->plain.current[0][i];
+        }
+    }
+    for (int k = 0; k < FO_CANDIDATES; k++) { /* a quarter of a turn apart */
+        const fo_real before = x[0];
+        sow(a, s, x, &s->candidates[k]);
+        x[0] = -x[1];
+        x[1] = before;
+    }
+    s->running = false;
+    s->searched = 0U;
+    s->disturbance = DISTURBANCE_MOST;
+}
+
+/* Gentleman's rotation of row'p = value; returns what of its square is left. */
+static fo_real rotate_row(fo_manifold *m, fo_real row[FO_NM], fo_real value, fo_real information)
+{
+    fo_real rhs = value, weight = information;
+    fo_real *u = m->U;
+    for (int i = 0; i < FO_NM; i++) {
+        const fo_real pivot = row[i], weighted = weight * pivot, d = m->d[i];
+        const fo_real d_new = d + weighted * pivot, inverse = ONE / d_new;
+        const fo_real gain = weighted * inverse;
+        weight *= d * inverse;
+        m->d[i] = d_new;
+        for (int j = i + 1; j < FO_NM; j++) {
+            const fo_real left = row[j] - pivot * *u;
+            row[j] = left;
+            *u++ += gain * left;
+        }
+        rhs -= pivot * m->z[i];
+        m->z[i] += gain * rhs;
+    }
+    return weight * rhs * rhs;
+}
+
+/* Only damping, and what is believed of the magnet flux: as it looks while resistance and inverter
+ * are off by what is unknown of them. */
+static void believe(const fo_adaptive *a, const fo_adaptive_state *s, const fo_candidate *c,
+                  fo_manifold *m)
+{
+    const fo_real psi = s->p[M_SQUARE], square = psi * psi;
+    const fo_real off = s->disturbance * s->disturbance * square;
+    const fo_real variance = (fo_real)4 * square * (a->variance[M_SQUARE] + off);
+    (void)memset(m, 0, sizeof *m);
+    for (int i = 0; i < FO_NM; i++) {
+        m->d[i] = DAMPING;
+    }
+    m->d[M_SQUARE] = ONE / (variance + (fo_real)1e-6);
+    m->z[M_SQUARE] = square - c->p[M_SQUARE];
+}
+
+void fo_project(const fo_adaptive *a, const fo_adaptive_state *s, fo_candidate *c, fo_manifold *m)
+{
+    const fo_information *info = &s->plain.info;
+    const fo_real *flux = &c->p[M_FLUX], *drift = &c->p[M_DRIFT], *u = info->U;
+    fo_real full[FO_NX], at[FO_NX], x[FO_N], row[FO_NM], least = ZERO;
+
+    /* docs/theory.md, section 8: the immersion's state is a function of the manifold's. */
+    at[S] = dot(flux, flux) - c->p[M_SQUARE];
+    at[KAPPA] = TWO * dot(flux, drift);
+    at[CC] = dot(drift, drift);
+    for (int i = 0; i < FO_N; i++) {
+        at[FLUX + i] = flux[i];
+        at[DRIFT + i] = drift[i];
+    }
+    believe(a, s, c, m);
+    fo_real cost = m->d[M_SQUARE] * m->z[M_SQUARE] * m->z[M_SQUARE];
+    (void)memset(full, 0, sizeof full);
+    for (int j = 0; j < FO_NX; j++) { /* U_j (x - x(p)) of its row, and that over p */
+        fo_real off = info->z[j] - at[j];
+        if (j > 0) {
+            full[j - 1] = ZERO;
+        }
+        full[j] = ONE;
+        for (int k = j + 1; k < FO_NX; k++) {
+            full[k] = *u;
+            off -= *u * at[k];
+            u++;
+        }
+        for (int i = 0; i < FO_N; i++) {
+            row[M_FLUX + i] = full[FLUX + i] + TWO * (full[S] * flux[i] + full[KAPPA] * drift[i]);
+            row[M_DRIFT + i] =
+                full[DRIFT + i] + TWO * (full[KAPPA] * flux[i] + full[CC] * drift[i]);
+        }
+        row[M_SQUARE] = -full[S];
+        cost += info->d[j] * off * off;
+        least += rotate_row(m, row, off, info->d[j]);
+    }
+    /* The noise of the current in the rows adds noise psi^2 to the cost, which draws psi to zero:
+     * take it off again. Linear in the last unknown, it moves nothing else in the triangle. */
+    const fo_real noise = info->noise[0];
+    const fo_real shift = noise / (TWO * m->d[M_SQUARE]);
+    least -= m->d[M_SQUARE] * shift * shift;
+    m->z[M_SQUARE] += shift;
+    c->cost = cost - noise * c->p[M_SQUARE];
+
+    for (int i = FO_NM - 1; i >= 0; i--) {
+        fo_real step = m->z[i];
+        for (int j = i + 1; j < FO_NM; j++) {
+            step -= m->U[AT(i, j)] * m->z[j];
+        }
+        m->z[i] = step; /* from here on the step itself */
+        c->p[i] += step;
+    }
+    const fo_real lowest = s->p[M_SQUARE] > ZERO ? SQUARE_LEAST : ZERO;
+    c->p[M_SQUARE] = c->p[M_SQUARE] > lowest ? c->p[M_SQUARE] : lowest;
+    c->least = least - noise * c->p[M_SQUARE];
+    c->age++;
+
+    position_of(a, s, c, x);
+    const fo_real square = dot(x, x), all = dot(drift, drift) + c->p[M_SQUARE] + c->cost + c->least;
+    if (square > LENGTH_LEAST && square < RUNAWAY && all - all == ZERO) {
+        fo_real y[FO_NM] = {-x[1], x[0], ZERO, ZERO, ZERO};
+        c->theta = fo_atan2(x[1], x[0]);
+        c->variance = ZERO;
+        for (int i = 0; i < FO_NM; i++) { /* |y|^2 / d with U'y = (across, 0 ..) */
+            c->variance += y[i] * y[i] / m->d[i];
+            for (int j = i + 1; j < FO_NM; j++) {
+                y[j] -= y[i] * m->U[AT(i, j)];
+            }
+        }
+        c->variance /= square * square;
+        c->variance = c->variance < VARIANCE_UNKNOWN ? c->variance : VARIANCE_UNKNOWN;
+    } else { /* gone astray, or not a number */
+        const fo_real across[FO_N] = {-s->x[1], s->x[0]};
+        sow(a, s, across, c);
+    }
+}
+
+/* The grown candidate of the least cost, or -1. */
+static int likeliest(const fo_adaptive_state *s)
+{
+    int best = -1;
+    for (int k = 0; k < FO_CANDIDATES; k++) {
+        const fo_candidate *c = &s->candidates[k];
+        if (c->age >= GROWN && (best < 0 || c->cost < s->candidates[best].cost)) {
+            best = k;
+        }
+    }
+    return best;
+}
+
+/* The likeliest grown candidate elsewhere, or -1; one that came to the same end is sown anew. */
+static int rival(const fo_adaptive *a, fo_adaptive_state *s, int best)
+{
+    int second = -1;
+    for (int k = 0; k < FO_CANDIDATES; k++) {
+        const fo_candidate *c = &s->candidates[k];
+        if (k != best && c->age >= GROWN) {
+            if (fo_abs(wrap(c->theta - s->candidates[best].theta)) < SAME) {
+                fo_real x[FO_N];
+                position_of(a, s, &s->candidates[best], x);
+                for (uint32_t quarters = 1U + s->searched % 3U; quarters > 0U; quarters--) {
+                    const fo_real before = x[0];
+                    x[0] = -x[1];
+                    x[1] = before;
+                }
+                sow(a, s, x, &s->candidates[k]);
+                s->searched++;
+            } else if (second < 0 || c->least < s->candidates[second].least) {
+                second = k;
+            } else {
+                /* neither the best nor the second */
+            }
+        }
+    }
+    return second;
+}
+
+/* About exp(-x), x >= 0. */
+static fo_real decay(fo_real x)
+{
+    const fo_real third = ONE + x / (fo_real)3 * (ONE + x / (fo_real)4);
+    return ONE / (ONE + x * (ONE + x / TWO * third));
+}
+
+/* Likelihood of the second against the best, whose position vector has this square. */
+static fo_real against(const fo_adaptive *a, const fo_adaptive_state *s, const fo_candidate *best,
+                       const fo_candidate *second, fo_real square, fo_real inflation)
+{
+    const fo_real noise = TWO * a->plain.noise_information * s->plain.info.noise[0];
+    const fo_real chance = FLUCTUATION * fo_sqrt(noise) * square;
+    const fo_real x = (second->least - best->cost - chance) / (TWO * inflation);
+    return decay(x > ZERO ? x : ZERO);
+}
+
+/* What share of the EMF resistance and inverter may be off by. */
+static fo_real disturbance(const fo_adaptive *a, const fo_adaptive_state *s, fo_real square)
+{
+    const fo_real *i = s->plain.current[0];
+    const fo_real emf = fo_abs(s->tracker.speed) * a->plain.sample_time * fo_sqrt(square);
+    const fo_real off =
+        (fo_real)24 * a->charge *
+        (fo_sqrt(s->D[FO_NP - 2] * dot(i, i)) + SIX_STEP * fo_sqrt(s->D[FO_NP - 1]));
+    return off < DISTURBANCE_MOST * emf ? off / emf : DISTURBANCE_MOST;
+}
+
+void fo_candidates_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO_N],
+                        fo_choice *choice)
+{
+    const uint32_t round = s->turn % (uint32_t)FO_CANDIDATES;
+    const int due = (int)round;
+    for (int k = 0; k < FO_CANDIDATES; k++) {
+        fo_real *p = s->candidates[k].p;
+        for (int i = 0; i < FO_N; i++) {
+            p[M_FLUX + i] += v[i] + a->plain.h * p[M_DRIFT + i];
+        }
+    }
+    fo_project(a, s, &s->candidates[due], &choice->information);
+
+    const int best = likeliest(s);
+    choice->found = best >= 0;
+    choice->decided = false;
+    choice->weight = ONE / TWO;
+    if (choice->found) {
+        fo_candidate *c = &s->candidates[best];
+        const fo_real power = s->plain.power * a->plain.h;
+        const fo_real inflation = power > ONE ? power : ONE;
+        fo_real x[FO_N], other = ZERO;
+        if (fo_abs(wrap(c->theta - s->best)) > SAME) {
+            s->searched = 0U;
+            s->tracker.settled = ZERO;
+        }
+        s->best = c->theta;
+        position_of(a, s, c, x);
+        const fo_real square = dot(x, x);
+        const int second = rival(a, s, best);
+        choice->other = c->theta;
+        if (second >= 0) {
+            choice->other = s->candidates[second].theta;
+            other = against(a, s, c, &s->candidates[second], square, inflation);
+            s->searched = other > OTHER ? 0U : s->searched;
+        }
+        choice->best = *c;
+        choice->best.theta = fo_atan2(x[1], x[0]);
+        track(&a->plain, &s->tracker, choice->best.theta);
+        settle_tracker(&a->plain, &s->tracker, choice->best.theta, fo_sqrt(c->variance));
+        s->disturbance = disturbance(a, s, square);
+        const bool quick = !(s->disturbance > ZERO) ||
+                           (s->disturbance < QUICK && s->tracker.settled >= TRACKER_SETTLED);
+        const fo_real share = s->plain.info.noise[0] * c->variance * square;
+        choice->inflation = inflation / (share < SHARE_MOST ? ONE - share : ONE - SHARE_MOST);
+        choice->best.variance *= choice->inflation;
+        choice->weight = s->searched >= SEARCHED ? other / (ONE + other) : ONE / TWO;
+        choice->decided = due == best && (quick || s->plain.trusted) && s->searched >= SEARCHED && other < OTHER &&
+                          share < START_SHARE && choice->best.variance < START_STD * START_STD;
+    }
+}

@@ -1,0 +1,205 @@
+"""What a log says of the machine, and what it cannot tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FluxobsError
+from ..logs import Log
+from ..machines import RotatingMachine
+from ..validation import nearest
+from .fit import Fit, fit
+from .pieces import LAGS, Piece, pieces, smoothing_current
+
+Array = NDArray[np.float64]
+
+UNITS = {"R_s": "Ω", "L_s": "H", "L_d": "H", "L_q": "H", "psi_f": "Wb", "inverter": "V"}
+#: Where the others imitate a parameter so far (its variance is larger by this factor), what the
+#: model does not contain decides its value: the log does not tell it.
+ALIKE_LIMIT = 100.0
+#: Nor where its standard deviation is above this share of it (of the voltage's size for the
+#: inverter; samples for the lag).
+UNSURE = {"R_s": 0.15, "L_s": 0.2, "L_d": 0.2, "L_q": 0.2, "psi_f": 0.05, "inverter": 0.02}
+LAG_UNSURE = 0.25
+#: What is held first where parameters cannot be told apart.
+HELD_FIRST = ("lag", "L_d", "L_q", "L_s", "inverter", "R_s", "psi_f")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter: as given, as found, and its standard deviation; none where it was held."""
+
+    name: str
+    unit: str
+    given: float | None
+    value: float
+    std: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """Result of :func:`identify`.
+
+    Attributes
+    ----------
+    machine : RotatingMachine
+        With what was found; the rest as given.
+    parameters : list of Parameter
+        All that were to be free, in the order of `--free`.
+    untold : dict
+        Name → why this log cannot tell it.
+    lag : float
+        Voltage lag that fits best [samples]; as given unless free.
+    before, after : Fit
+        Nothing but the magnet flux free; and the final one.
+    pieces : list of Piece
+    """
+
+    machine: RotatingMachine
+    parameters: list[Parameter]
+    untold: dict[str, str]
+    lag: float
+    before: Fit
+    after: Fit
+    pieces: list[Piece]
+
+
+def free_names(machine: RotatingMachine) -> tuple[str, ...]:
+    """What can be free for this kind of machine."""
+    fields = type(machine).model_fields
+    inductances = [name for name in ("L_s", "L_d", "L_q") if name in fields]
+    magnet = ["psi_f"] if "psi_f" in fields else []
+    return ("R_s", *inductances, *magnet, "inverter", "lag")
+
+
+def read_free(text: str | None, machine: RotatingMachine) -> tuple[str, ...]:
+    """Names from ``R_s,psi_f,inverter``; the default is these, as far as the machine has them.
+
+    Raises
+    ------
+    FluxobsError
+        A name that this kind of machine does not have, with the nearest that it has.
+    """
+    known = free_names(machine)
+    if text is None:
+        return tuple(name for name in known if name in ("R_s", "psi_f", "inverter"))
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    for word in words:
+        if word not in known:
+            raise FluxobsError(
+                f"--free: kind {machine.kind} has no {word!r}{nearest(word, known)}; it has "
+                f"{', '.join(known)}"
+            )
+    if not words:
+        raise FluxobsError(f"--free: give some of {', '.join(known)}")
+    return tuple(name for name in known if name in words)
+
+
+def identify(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identification:
+    """Fits the free parameters to the whole log; holds those that it cannot tell.
+
+    Parameters
+    ----------
+    log : Log
+    machine : RotatingMachine
+        A guess, right within a factor of two or so.
+    free : sequence of str
+        Some of :func:`free_names`.
+
+    Raises
+    ------
+    FluxobsError
+        The position is never known in the log.
+    """
+    data, scales = pieces(log, machine, LAGS if "lag" in free else (0,))
+    given = _values(machine, data)
+    names = tuple(free)
+    before = fit(data, given, ("psi_f",) if given["psi_f"] > 0 else ())
+    untold: dict[str, str] = {}
+    while True:
+        after = fit(data, given, names)
+        doubts = _doubts(after, scales.voltage)
+        if not doubts:
+            break
+        held = next(name for name in HELD_FIRST if name in doubts)
+        untold[held] = doubts[held]
+        names = tuple(name for name in names if name not in untold)
+    found = [
+        Parameter(
+            name,
+            UNITS.get(name, "samples"),
+            _given(machine, name, log.layout.lag),
+            after.values[name] + (log.layout.lag if name == "lag" else 0.0),
+            after.std(name) if name in names else None,
+        )
+        for name in free
+    ]
+    changes = {
+        "inverter_voltage" if name == "inverter" else name: after.values[name]
+        for name in names
+        if name != "lag"
+    }
+    if "inverter" in names:
+        changes["inverter_current"] = smoothing_current(machine, scales)
+    changes = {name: float(f"{value:.6g}") for name, value in changes.items()}
+    return Identification(
+        machine.model_copy(update=changes),
+        found,
+        untold,
+        log.layout.lag + after.values["lag"],
+        before,
+        after,
+        data,
+    )
+
+
+def _values(machine: RotatingMachine, data: Sequence[Piece]) -> dict[str, float]:
+    """Where the fit starts; a magnet flux that is not given is the length that λ - L i has."""
+    values = {
+        "R_s": machine.R_s,
+        "L_d": getattr(machine, "L_d", machine.position_inductance),
+        "L_q": getattr(machine, "L_q", machine.position_inductance),
+        "psi_f": 0.0,
+        "inverter": machine.inverter_voltage or 0.0,
+        "lag": 0.0,
+    }
+    if "L_s" in type(machine).model_fields:
+        values["L_s"] = values["L_d"] = values["L_q"] = machine.position_inductance
+    if "psi_f" in type(machine).model_fields:
+        psi_f: float | None = machine.psi_f  # type: ignore[attr-defined]
+        lengths = [np.linalg.norm(p.start - values["L_q"] * p.current[0]) for p in data]
+        values["psi_f"] = float(psi_f if psi_f is not None else np.median(lengths))
+    return values
+
+
+def _given(machine: RotatingMachine, name: str, lag: float) -> float | None:
+    if name == "lag":
+        return lag
+    value: float | None = getattr(machine, "inverter_voltage" if name == "inverter" else name)
+    return value
+
+
+def _doubts(found: Fit, voltage: float) -> dict[str, str]:
+    """Why a parameter is not told, by name."""
+    doubts = {}
+    for k, name in enumerate(found.free):
+        std, value = found.std(name), found.values[name]
+        others = [
+            (abs(found.covariance[k, j]) / (std * found.std(other) + 1e-300), other)
+            for j, other in enumerate(found.free)
+            if j != k
+        ]
+        if found.alike[k] > ALIKE_LIMIT:
+            partner = max(others)[1]
+            doubts[name] = f"it acts like {partner} in this log"
+        elif name == "lag":
+            at_edge = not LAGS[0] + 0.01 < value < LAGS[-1] - 0.01
+            if at_edge or std > LAG_UNSURE:
+                doubts[name] = "no lag fits better than another"
+        elif std > UNSURE[name] * (voltage if name == "inverter" else abs(value)):
+            doubts[name] = f"± {std:.2g} {UNITS[name]} is all that it says"
+    return doubts

@@ -1,0 +1,149 @@
+"""Contiguous pieces of a log, integrated: what the fit needs of the record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FluxobsError
+from ..estimate import prepare
+from ..inverter import SMOOTHING, inverter_direction
+from ..logs import Log
+from ..machines import RotatingMachine
+from ..scales import Scales, excerpts
+
+Array = NDArray[np.float64]
+
+#: A piece, over which the drift is taken as constant, lasts so many turns, at least so long [s],
+#: and is no shorter than so many rows.
+TURNS, SECONDS, SHORTEST = 2.5, 0.4, 100
+#: Lags of the voltage that are looked at, beside the one that was given [samples].
+LAGS = (-2, -1, 0, 1, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Rows without a gap; integrals from its first row on.
+
+    Attributes
+    ----------
+    t : (rows,) array
+        Time since the first row [s].
+    current : (rows, 2) array
+        [A].
+    voltage : (lags, rows, 2) array
+        ∫ u dt [Vs], for each of the lags.
+    charge : (rows, 2) array
+        ∫ i dt [As].
+    inverter : (rows, 2) array
+        ∫ of the inverter's direction [s]: V_d of it are lost.
+    start : (2,) array
+        Flux at the first row, by the observer [Wb].
+    drift : (2,) array
+        By the observer [V].
+    """
+
+    t: Array
+    current: Array
+    voltage: Array
+    charge: Array
+    inverter: Array
+    start: Array
+    drift: Array
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+
+def smoothing_current(machine: RotatingMachine, scales: Scales) -> float:
+    """Phase current below which the inverter's sign is smoothed [A]."""
+    return machine.inverter_current or SMOOTHING * (machine.rated_current or scales.current)
+
+
+def pieces(log: Log, machine: RotatingMachine, lags: tuple[int, ...]) -> tuple[list[Piece], Scales]:
+    """The log cut where samples are missing and where pieces get long.
+
+    Each starts from the observer's flux at its surest row; pieces in which the observer never
+    knows the position are left out.
+
+    Raises
+    ------
+    FluxobsError
+        No piece is left.
+    """
+    observer, scales = prepare(log, machine)
+    found: list[Piece] = []
+    smoothing = smoothing_current(machine, scales)
+    shifted = [
+        replace(log, layout=log.layout.model_copy(update={"lag": log.layout.lag + lag}))
+        for lag in lags
+    ]
+    for parts in zip(*(excerpts(one) for one in shifted), strict=True):
+        current = parts[0].current
+        voltage = np.stack([part.voltage for part in parts])
+        estimate = observer.run(voltage[lags.index(0)], current)
+        good = np.isfinite(current).all(axis=1) & np.isfinite(voltage).all(axis=(0, 2))
+        speed = np.abs(estimate.speed_e[estimate.valid])
+        turns = TURNS * 2 * np.pi / np.median(speed) if len(speed) else 0.0
+        rows = max(SHORTEST, round(max(SECONDS, turns) / log.sample_time))
+        for run in _runs(good, rows):
+            valid = np.flatnonzero(estimate.valid[run])
+            if len(valid) == 0:
+                continue
+            known = valid[np.argmin(estimate.theta_e_std[run][valid])]
+            found.append(
+                _piece(
+                    log.sample_time,
+                    current[run],
+                    voltage[:, run],
+                    lags.index(0),
+                    machine.R_s,
+                    smoothing,
+                    known,
+                    estimate.flux[run][known],
+                    estimate.drift[run][known],
+                )
+            )
+    if not found:
+        raise FluxobsError(
+            f"{log.table.path}: the position is never known in it, so nothing can be identified; "
+            f"does the machine turn, and do `fluxobs estimate` and its warnings look right?"
+        )
+    return found, scales
+
+
+def _runs(good: NDArray[np.bool_], rows: int) -> Iterator[slice]:
+    """Stretches of good rows, none longer than `rows`, none shorter than SHORTEST."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
+    for first, last in edges.reshape(-1, 2):
+        count = max(1, round((last - first) / rows))
+        bounds = np.linspace(first, last, count + 1).astype(int)
+        for low, high in pairwise(bounds):
+            if high - low >= SHORTEST:
+                yield slice(int(low), int(high))
+
+
+def _piece(
+    h: float,
+    current: Array,
+    voltage: Array,
+    given: int,
+    R_s: float,
+    smoothing: float,
+    known: int,
+    flux: Array,
+    drift: Array,
+) -> Piece:
+    # The cubic through four samples, as in the observer; the first rows' history is held.
+    padded = np.concatenate([np.repeat(current[:1], 3, axis=0), current])
+    mean = (9 * padded[3:] + 19 * padded[2:-1] - 5 * padded[1:-2] + padded[:-3]) / 24
+    integrals = [h * np.cumsum(x, axis=-2) for x in (voltage, mean)]
+    u, i = (x - x[..., :1, :] for x in integrals)
+    s = h * np.cumsum(inverter_direction(mean, smoothing), axis=0)
+    t = np.asarray(h * np.arange(len(current)), float)
+    start = flux - (u[given] - R_s * i)[known] - drift * t[known]
+    return Piece(t, current, u, i, s - s[:1], start, drift)

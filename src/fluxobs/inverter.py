@@ -1,0 +1,57 @@
+"""The inverter's voltage error: dead time and device drops, against the current of each phase."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .frames import clarke
+
+Array = NDArray[np.float64]
+
+#: The sign of a phase current is smoothed below this share of the current's size: near zero the
+#: switches' capacitances, not the dead time, decide the voltage.
+SMOOTHING = 0.05
+
+
+def soft_sign(x: Array) -> Array:
+    """tanh(x) to within 0.024 (its Padé approximant), ±1 beyond 3; as in the C core."""
+    x = np.clip(x, -3, 3)
+    return np.asarray(x * (27 + x**2) / (27 + 9 * x**2))
+
+
+def inverter_direction(current: Array, threshold: float) -> Array:
+    """Sum of the phase axes weighted by the smoothed signs of the phase currents, (rows, 2).
+
+    Dead time and device drops take their voltage along it: V_d of them cost ``V_d · direction``.
+    `threshold` [A] is the current at which a sign counts three quarters.
+    """
+    alpha, beta = current.T
+    half, root = alpha / 2, np.sqrt(3) / 2 * beta
+    return clarke(*(soft_sign(phase / threshold) for phase in (alpha, root - half, -root - half)))
+
+
+@dataclass(frozen=True)
+class InverterError:
+    """What an inverter takes of the commanded voltage.
+
+    Parameters
+    ----------
+    voltage : float
+        V_d, dead time and device drops of a phase [V].
+    current : float
+        Phase current at which the smoothed sign counts three quarters [A].
+    """
+
+    voltage: float
+    current: float
+
+    def lost(self, before: Array, now: Array) -> Array:
+        """Mean voltage lost over intervals from these currents to those, (rows, 2) [V].
+
+        Nothing where a current is missing.
+        """
+        direction = inverter_direction((before + now) / 2, self.current)
+        return self.voltage * np.nan_to_num(direction)
