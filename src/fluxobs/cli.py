@@ -18,7 +18,7 @@ import typer
 from .errors import FluxobsError, RecordError
 
 if TYPE_CHECKING:
-    from .immersion import Unknown
+    from .estimate import Result
     from .logs import Log
     from .machines import Machine, RotatingMachine
 
@@ -31,7 +31,7 @@ app = typer.Typer(
 )
 
 #: Options that may be followed by several NAME=VALUE.
-PAIRS = ("--column", "--scale", "--offset", "--truth")
+PAIRS = ("--column", "--scale", "--offset", "--truth", "--prior")
 
 Pairs = list[str] | None
 
@@ -110,36 +110,52 @@ def estimate(
     unknowns: Annotated[
         str,
         typer.Option(
-            help="drift (default), current-bias, or drift,current-bias: what is constant and not "
-            "known. A current bias takes the slower, general least squares, 0.25 ms a row; alone "
-            "it assumes that the voltage has no offset."
+            help="What is constant, or slow, and not known: drift (default); drift,resistance, "
+            "drift,inverter or drift,resistance,inverter: errors of R_s, and of the inverter (dead "
+            "time and device drops); current-bias, or drift,current-bias: the slower, general "
+            "least squares, 0.25 ms a row; a current bias alone assumes that the voltage has no "
+            "offset."
         ),
     ] = "drift",
+    prior: Annotated[
+        Pairs,
+        typer.Option(
+            help="resistance=OHM, inverter=VOLT, psi_f=WB: standard deviations of what the machine "
+            "file says. Default: a quarter of R_s, of R_s times the rated current, and of psi_f."
+        ),
+    ] = None,
 ) -> None:
     """Estimate flux, position, speed and drift of a recorded log.
 
     Writes a row a sample, in SI units and electrical radians: t, flux_alpha, flux_beta, psi_f,
     theta_e (straight from the flux), theta_e_tracked, speed_e, drift_alpha, drift_beta,
-    theta_e_std, valid; and theta_e_error where a truth is given. Prints a summary. For a
-    maglev-2dof, and with a current bias: flux, position or theta_e, drift, current_bias with their
-    standard deviations, noise_share, valid.
+    theta_e_std, valid; and theta_e_error where a truth is given. Prints a summary.
+
+    With resistance or inverter among the unknowns also: resistance, inverter_voltage, psi_f of the
+    magnet, drift, each with its standard deviation, and the other angle while two are in question.
+    For a maglev-2dof, and with a current bias: flux, position or theta_e, drift, current_bias with
+    their standard deviations, noise_share, valid.
     """
     from .machines import RotatingMachine, read_machine
-    from .reference_estimate import check_truth, read_unknowns
+    from .reference_estimate import check_truth
+    from .unknowns import adapts, check_adapted, read_unknowns
 
-    wanted = read_unknowns(unknowns)
+    wanted, priors = read_unknowns(unknowns), _numbers("prior", prior)
     given = read_machine(machine)
+    check_adapted(given, wanted, priors)
     for source in (machine, record):
         if source is not None and source.exists() and out.exists() and out.samefile(source):
             raise FluxobsError(f"{out}: --out is one of the inputs; give another name")
     opened = _open(
         log, given, record, frame, sample_time, lag, column, scale, offset, start, stop, truth
     )
-    opened = _less_inverter(opened, given)
     check_truth(opened, given)
-    if isinstance(given, RotatingMachine) and wanted == ("drift",):
-        _run(opened, given, str(machine), out, report, memory)
+    if isinstance(given, RotatingMachine) and (wanted == ("drift",) or adapts(wanted)):
+        if not adapts(wanted):  # the adaptive observer knows of the inverter itself
+            opened = _less_inverter(opened, given)
+        _run(opened, given, str(machine), out, report, memory, wanted, priors)
     else:
+        opened = _less_inverter(opened, given)
         _run_reference(opened, given, wanted, out, report, memory)
 
 
@@ -403,7 +419,7 @@ def export(
     """
     from .deployment import export as write
     from .machines import read_machine
-    from .reference_estimate import read_unknowns
+    from .unknowns import read_unknowns
 
     done = write(
         read_machine(machine),
@@ -504,7 +520,7 @@ def _check(log: Log, report: Path | None, memory: float | None) -> None:
 def _run_reference(
     log: Log,
     machine: Machine,
-    unknowns: tuple[Unknown, ...],
+    unknowns: tuple[str, ...],
     out: Path,
     report: Path | None,
     memory: float | None,
@@ -513,7 +529,8 @@ def _run_reference(
 
     _check(log, report, memory)
     with _Progress(len(log)) as progress:
-        result = reference_estimate.estimate(log, machine, unknowns, out, memory, progress)
+        chosen: Any = unknowns
+        result = reference_estimate.estimate(log, machine, chosen, out, memory, progress)
     _print_summary(*reference_estimate.summarise(result))
     typer.echo(f"Written: {out}")
     if report is not None:
@@ -528,6 +545,8 @@ def _run(
     out: Path,
     report: Path | None,
     memory: float | None,
+    unknowns: tuple[str, ...] = ("drift",),
+    priors: dict[str, float] | None = None,
 ) -> None:
     from .estimate import estimate as run
     from .observers.least_squares import MEMORY
@@ -535,7 +554,8 @@ def _run(
 
     _check(log, report, memory)
     with _Progress(len(log)) as progress:
-        result = run(log, machine, out, memory if memory is not None else MEMORY, progress)
+        memory = memory if memory is not None else MEMORY
+        result = run(log, machine, out, memory, progress, unknowns, priors)
     summary = summarise(result)
     _print_summary(summary.paragraph, summary.warnings)
     typer.echo(f"Written: {out}")
@@ -544,18 +564,24 @@ def _run(
 
         draw(result, report)
         typer.echo(f"Written: {report}")
-    o = result.observer
-    if machine.inverter is not None:
-        typer.echo(
-            "An export as firmware leaves the inverter to the drive: compensate it there, and take "
-            "inverter_voltage out of the machine file."
-        )
-    elif not machine.rated_current or not machine.flux_base(getattr(machine, "psi_f", None), 1.0):
+    _advise_export(result, source, unknowns)
+
+
+def _advise_export(result: Result, source: str, unknowns: tuple[str, ...]) -> None:
+    """How the same observer gets into firmware."""
+    o, machine = result.observer, result.machine
+    if not machine.rated_current or not machine.flux_base(getattr(machine, "psi_f", None), 1.0):
         lacking = {"psi_f": o.flux_base, "rated_current": result.scales.current}
         values = [
             f"{k} ({v:.3g} here)" for k, v in lacking.items() if getattr(machine, k, 0) is None
         ]
         typer.echo(f"For an export as firmware the machine file needs {' and '.join(values)}.")
+    elif machine.inverter is not None or result.adaptive is not None:
+        typer.echo(
+            "Firmware exports find the drift only: write what was found into the machine file and "
+            "compensate the inverter in the drive, or take fluxobs_adaptive.h from the package "
+            "(fluxobs/firmware)."
+        )
     else:
         typer.echo(
             f"The same in firmware: fluxobs export --machine {shlex.quote(source)} "

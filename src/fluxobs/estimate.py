@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,17 @@ from .errors import FluxobsError
 from .frames import angle_error
 from .logs import Aligned, Log
 from .machines import RotatingMachine
-from .observers import Estimate, LeastSquaresObserver, SampleCounts
+from .observers import (
+    AdaptiveEstimate,
+    AdaptiveObserver,
+    Estimate,
+    LeastSquaresObserver,
+    SampleCounts,
+)
 from .observers.least_squares import MEMORY
 from .scales import Scales, guess_psi_f, measure_scales, observer_for
 from .tally import Tally
+from .unknowns import adapts, check_adapted
 from .writing import Schema, ahead, check_out, write_rows
 
 Array = NDArray[np.float64]
@@ -35,6 +42,17 @@ _COLUMNS = (
     "drift_beta",
     "theta_e_std",
 )
+#: Further ones of the adaptive observer.
+_ADAPTIVE_COLUMNS = (
+    "psi_f_std",
+    "drift_std",
+    "resistance",
+    "resistance_std",
+    "inverter_voltage",
+    "inverter_voltage_std",
+    "theta_e_other",
+    "weight_other",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +65,7 @@ class Result:
     scales: Scales
     tally: Tally
     counts: SampleCounts
+    adaptive: AdaptiveObserver | None = None  # in which `observer` ran
 
 
 def position_error(machine: RotatingMachine, estimated: Array, true: Array) -> Array:
@@ -73,12 +92,41 @@ def prepare(
         raise FluxobsError(str(error)) from None
 
 
+def adapt(
+    plain: LeastSquaresObserver,
+    machine: RotatingMachine,
+    scales: Scales,
+    unknowns: tuple[str, ...],
+    priors: Mapping[str, float],
+) -> AdaptiveObserver:
+    """The adaptive observer around one that was chosen for a log."""
+    check_adapted(machine, unknowns, priors)
+    try:
+        return AdaptiveObserver.for_machine(
+            machine,
+            sample_time=plain.sample_time,
+            unknowns=unknowns,
+            memory=plain.memory,
+            psi_f=plain.flux_base,
+            rated_current=machine.rated_current or scales.current,
+            current_noise=plain.current_noise,
+            drift_prior=plain.drift_prior,
+            psi_f_std=priors.get("psi_f"),
+            resistance_std=priors.get("resistance"),
+            inverter_std=priors.get("inverter"),
+        )
+    except ValueError as error:
+        raise FluxobsError(str(error)) from None
+
+
 def estimate(
     log: Log,
     machine: RotatingMachine,
     out: str | Path,
     memory: float = MEMORY,
     progress: Callable[[int], Any] = lambda rows: None,
+    unknowns: tuple[str, ...] = ("drift",),
+    priors: Mapping[str, float] | None = None,
 ) -> Result:
     """Runs the observer over a log and writes a row a sample.
 
@@ -95,6 +143,11 @@ def estimate(
         Of the least squares [s].
     progress : callable
         Called with the number of rows done so far.
+    unknowns : tuple of {"drift", "resistance", "inverter"}
+        What is not known.
+    priors : mapping of {"resistance", "inverter", "psi_f"} to float
+        Standard deviations of what the machine file says [Ω], [V], [Wb], where the defaults of
+        :meth:`AdaptiveObserver.for_machine` do not fit.
 
     Returns
     -------
@@ -106,7 +159,11 @@ def estimate(
         Unusable input, or an `out` that cannot be written.
     """
     out = check_out(out, log.table.path)
-    observer, scales = prepare(log, machine, memory)
+    plain, scales = prepare(log, machine, memory)
+    adaptive = None
+    if adapts(unknowns):
+        adaptive = adapt(plain, machine, scales, unknowns, priors or {})
+    observer = adaptive or plain
     tally = Tally(len(log))
     state = observer.init()
 
@@ -123,12 +180,13 @@ def estimate(
             progress(tally.rows)
             yield _frame(part, estimated, error)
 
-    schema: Schema = dict.fromkeys(_COLUMNS, pl.Float64)
+    names = _COLUMNS if adaptive is None else _COLUMNS + _ADAPTIVE_COLUMNS
+    schema: Schema = dict.fromkeys(names, pl.Float64)
     schema["valid"] = pl.Boolean
     if log.truth is not None:
         schema["theta_e_error"] = pl.Float64
     write_rows(out, schema, rows())
-    return Result(log, machine, observer, scales, tally, observer.counts(state))
+    return Result(log, machine, plain, scales, tally, observer.counts(state), adaptive)
 
 
 def _frame(rows: Aligned, estimate: Estimate, error: Array | None) -> pl.DataFrame:
@@ -143,8 +201,10 @@ def _frame(rows: Aligned, estimate: Estimate, error: Array | None) -> pl.DataFra
         "drift_alpha": estimate.drift[:, 0],
         "drift_beta": estimate.drift[:, 1],
         "theta_e_std": estimate.theta_e_std,
-        "valid": estimate.valid,
     }
+    if isinstance(estimate, AdaptiveEstimate):
+        columns |= {name: getattr(estimate, name) for name in _ADAPTIVE_COLUMNS}
+    columns["valid"] = estimate.valid
     if error is not None:
         columns["theta_e_error"] = error
     return pl.DataFrame(columns)

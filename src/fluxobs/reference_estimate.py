@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 
 from .errors import FluxobsError
 from .estimate import position_error
-from .immersion import UNKNOWNS, Immersion, Unknown
+from .immersion import Immersion, Unknown
 from .logs import Aligned, Log
 from .machines import Machine, MagLev2DOF, RotatingMachine
 from .observers.least_squares import MODEL_ERROR
 from .observers.reference import ImmersionEstimate, ImmersionObserver, describe_invisible
 from .records import lag_in_words
 from .scales import LEAST_NOISE, VOLTAGE_OFFSET, Scales, measure_scales
-from .validation import nearest
 from .writing import Schema, ahead, check_out, write_rows
 
 Array = NDArray[np.float64]
@@ -68,23 +67,6 @@ class ReferenceResult:
     kept: Kept
     bad: int
     restarts: int
-
-
-def read_unknowns(text: str) -> tuple[Unknown, ...]:
-    """Unknowns from ``drift,current-bias``.
-
-    Raises
-    ------
-    FluxobsError
-        An unknown word, with the nearest known one; or none at all.
-    """
-    words = [word.strip() for word in text.split(",") if word.strip()]
-    for word in words:
-        if word not in UNKNOWNS:
-            raise FluxobsError(f"--unknowns: unknown {word!r}{nearest(word, UNKNOWNS)}")
-    if not words:
-        raise FluxobsError(f"--unknowns: give some of {', '.join(UNKNOWNS)}")
-    return tuple(name for name in UNKNOWNS if name in words)
 
 
 def check_unknowns(machine: Machine, unknowns: Sequence[Unknown]) -> None:

@@ -18,6 +18,8 @@ PSI_RANGE = (0.75, 1.33)
 VALID_SHARE = 0.5
 #: Memories that a log must last for its summary to be worth anything.
 MEMORIES = 3
+#: A standard deviation that is left at this share of the prior's: nothing was learnt.
+UNSEEN = 0.5
 #: Rms position error [rad] beyond which the truth itself is in doubt.
 TRUTH_LIMIT = 0.5
 
@@ -69,8 +71,10 @@ def _paragraph(result: Result) -> str:
         f"The flux integral would drift by ({drift[0]:+.4g}, {drift[1]:+.4g}) V in αβ: as much as "
         f"a voltage offset of {_si(size, 'V')}, or a current offset of "
         f"{_si(size / machine.R_s, 'A')} through R_s.",
-        f"{flux}: {_si(tally.psi / tally.valid, 'Wb')}.",
     ]
+    if result.adaptive is None:
+        sentences.append(f"{flux}: {_si(tally.psi / tally.valid, 'Wb')}.")
+    sentences += _found(result)
     if tally.scored:
         mean = tally.error / tally.scored
         rms = np.sqrt(tally.error_squared / tally.scored)
@@ -80,6 +84,36 @@ def _paragraph(result: Result) -> str:
             f"{_degrees(tally.error_max)} at most, mean {_degrees(mean)}."
         )
     return " ".join(sentences)
+
+
+def _found(result: Result) -> list[str]:
+    """What the adaptive observer holds at the end, each with what was believed of it."""
+    adaptive, found = result.adaptive, result.tally.found
+    if adaptive is None or not found:
+        return []
+
+    def words(name: str, value: str, believed: float, unit: str) -> str:
+        std = found[f"{value}_std"]
+        return f"{name} {_si(found[value], unit)} ± {_si(std, unit)} ({_si(believed, unit)} given)"
+
+    parts = []
+    if adaptive.psi_f_std > 0:
+        parts.append(words("magnet flux", "psi_f", adaptive.psi_f, "Wb"))
+    if adaptive.resistance_std > 0:
+        parts.append(words("resistance", "resistance", adaptive.resistance, "Ω"))
+    if adaptive.inverter_std > 0:
+        given = adaptive.inverter_voltage
+        parts.append(words("inverter", "inverter_voltage", given, "V"))
+    text = "At the end: " + ", ".join(parts) + "."
+    priors = {
+        "magnet flux": (adaptive.psi_f_std, "psi_f_std"),
+        "resistance": (adaptive.resistance_std, "resistance_std"),
+        "inverter": (adaptive.inverter_std, "inverter_voltage_std"),
+    }
+    unseen = [name for name, (std, key) in priors.items() if std > 0 and found[key] > UNSEEN * std]
+    if unseen:
+        text += f" Of {' and '.join(unseen)} the log says little beyond that."
+    return [text]
 
 
 def _warnings(result: Result) -> list[str]:
@@ -96,7 +130,8 @@ def _warnings(result: Result) -> list[str]:
         *_rate_warnings(result),
         *_validity_warnings(result),
         *_flux_warnings(result),
-        *_residual_warnings(result),
+        *([] if result.adaptive is not None else _residual_warnings(result)),
+        *_far_warnings(result),
     ]
 
 
@@ -176,6 +211,30 @@ def _flux_warnings(result: Result) -> list[str]:
     return [
         f"psi_f = {given:g} Wb in the machine file looks wrong: the record says "
         f"{_si(found, 'Wb')}. The estimates do not depend on it."
+    ]
+
+
+def _far_warnings(result: Result) -> list[str]:
+    """A parameter that went as far as it was let, three standard deviations of its prior."""
+    adaptive, found = result.adaptive, result.tally.found
+    if adaptive is None or not found:
+        return []
+    cases = (
+        ("R_s", found["resistance"], adaptive.resistance, adaptive.resistance_std, "resistance"),
+        (
+            "inverter_voltage",
+            found["inverter_voltage"],
+            adaptive.inverter_voltage,
+            adaptive.inverter_std,
+            "inverter",
+        ),
+    )
+    return [
+        f"{name} went as far off the machine file as was believed possible, to {value:.3g} where "
+        f"{given:.3g} ± {std:.2g} was given: correct the file, or allow more with --prior "
+        f"{prior}=…; if neither helps, something else is wrong."
+        for name, value, given, std, prior in cases
+        if std > 0 and abs(value - given) > 2.8 * std
     ]
 
 

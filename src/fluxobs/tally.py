@@ -8,12 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .logs import Aligned
-from .observers import Estimate
+from .observers import AdaptiveEstimate, Estimate
 
 Array = NDArray[np.float64]
 
 #: Rows of the thinned-out whole, and of the piece shown in full around the first valid row.
 THIN_ROWS, DETAIL_ROWS = 4000, 3000
+
+#: What the adaptive observer finds of machine and inverter.
+FOUND = (
+    "resistance",
+    "resistance_std",
+    "inverter_voltage",
+    "inverter_voltage_std",
+    "psi_f_std",
+)
 
 
 @dataclass
@@ -35,6 +44,8 @@ class Series:
             "drift_beta": estimate.drift[keep, 1],
             "valid": estimate.valid[keep].astype(float),
         }
+        if isinstance(estimate, AdaptiveEstimate):
+            part |= {name: getattr(estimate, name)[keep] for name in FOUND}
         if error is not None and rows.truth is not None:
             part |= {"theta_e_error": error[keep], "truth": rows.truth[keep]}
         self.parts.append({name: values.copy() for name, values in part.items()})
@@ -63,6 +74,7 @@ class Tally:
     error: float = 0.0
     error_squared: float = 0.0
     error_max: float = 0.0
+    found: dict[str, float] = field(default_factory=dict)  # of the last adapting row
     thin: Series = field(default_factory=Series)
     detail: Series = field(default_factory=Series)
 
@@ -88,6 +100,10 @@ class Tally:
         self.valid += int(valid.sum())
         self.drift = self.drift + estimate.drift[valid].sum(axis=0)
         self.psi += float(estimate.psi_f[valid].sum())
+        if isinstance(estimate, AdaptiveEstimate) and estimate.adapting.any():
+            last = int(np.flatnonzero(estimate.adapting)[-1])
+            names = (*FOUND, "psi_f")
+            self.found = {name: float(getattr(estimate, name)[last]) for name in names}
         if error is not None:
             known = error[valid & np.isfinite(error)]
             self.scored += len(known)
