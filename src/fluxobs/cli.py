@@ -225,6 +225,46 @@ def identify(
 
 
 @app.command()
+def check(
+    log: Annotated[
+        Path, typer.Argument(help="CSV (any delimiter), Parquet or npz; a column a channel.")
+    ],
+    machine: MachineOption,
+    record: RecordOption = None,
+    frame: FrameOption = None,
+    sample_time: SampleTimeOption = None,
+    lag: LagOption = None,
+    column: ColumnOption = None,
+    scale: ScaleOption = None,
+    offset: OffsetOption = None,
+    start: FromOption = None,
+    stop: ToOption = None,
+) -> None:
+    """Is a log what you think? Tries the usual mistakes.
+
+    Sign of the current, phase order, lag of the voltage from two samples earlier to two later, in
+    all combinations; scales (line to line √3, rms √2, power-invariant √1.5) and R_s per phase or
+    line to line, by the resistance and the magnet flux that fit. Says which fits best, how surely,
+    and what the log cannot tell. Exit code 1: something else fits better than what was given.
+    """
+    from .identification.check import check as run
+    from .identification.check import lines
+    from .machines import RotatingMachine, read_machine
+
+    given = read_machine(machine)
+    if not isinstance(given, RotatingMachine):
+        raise FluxobsError(f"{given.kind}: only logs of machines that turn can be checked")
+    opened = _open(
+        log, given, record, frame, sample_time, lag, column, scale, offset, start, stop, None
+    )
+    found = run(opened, given)
+    for line in lines(found):
+        _echo(line)
+    if not found.sound:
+        raise typer.Exit(1)
+
+
+@app.command()
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for the results; made if missing.")] = Path(
         "fluxobs-demo"

@@ -33,15 +33,15 @@ class Suspect:
     remaining: float  # share of the residual that is left with it
 
 
-def _lively(log: Log) -> Aligned:
+def lively(log: Log, rows: int = ROWS) -> Aligned:
     """The piece of the log with the largest voltage, cut to a bounded length."""
 
     def size(part: Aligned) -> float:
         return float(np.nanmean(np.abs(part.voltage))) if np.isfinite(part.voltage).any() else 0.0
 
     part = max(excerpts(log), key=size)
-    middle = max(0, (len(part.t) - ROWS) // 2)
-    cut = slice(middle, middle + ROWS)
+    middle = max(0, (len(part.t) - rows) // 2)
+    cut = slice(middle, middle + rows)
     return Aligned(part.t[cut], part.current[cut], part.voltage[cut], None)
 
 
@@ -82,7 +82,7 @@ def largest_suspect(
 
     `psi_f` is a scale for machines whose file has none.
     """
-    part = _lively(log)
+    part = lively(log)
     duration = len(part.t) * log.sample_time
     memory = max(min(MEMORY, duration / 4), 10 * log.sample_time)
 

@@ -45,6 +45,8 @@ class Fit:
     alike : (free,) array
         How far the others can imitate each parameter: the factor by which its variance exceeds
         that with the others known.
+    along : (rows,) array
+        Current along the position vector, all pieces [A].
     residuals : list of (rows,) array
         r of each piece [Wb].
     converged : bool
@@ -54,6 +56,7 @@ class Fit:
     free: tuple[str, ...]
     covariance: Array
     alike: Array
+    along: Array
     residuals: list[Array]
     converged: bool
 
@@ -183,7 +186,9 @@ def fit(data: Sequence[Piece], start: Mapping[str, float], free: Sequence[str]) 
         if change < CONVERGED:
             converged = True
             break
-    return Fit(values, names, *_uncertainty(data, values, local, names), converged)
+    along = [-evaluate(p, values, *w, ("L_d",))[2][:, 0] for p, w in zip(data, local, strict=True)]
+    covariance, alike, residuals = _uncertainty(data, values, local, names)
+    return Fit(values, names, covariance, alike, np.concatenate(along), residuals, converged)
 
 
 def _uncertainty(

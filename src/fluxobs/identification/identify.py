@@ -25,6 +25,9 @@ ALIKE_LIMIT = 100.0
 #: inverter; samples for the lag).
 UNSURE = {"R_s": 0.15, "L_s": 0.2, "L_d": 0.2, "L_q": 0.2, "psi_f": 0.05, "inverter": 0.02}
 LAG_UNSURE = 0.25
+#: L_s and L_d are seen through the current along the flux; where that is below this share of the
+#: whole (rms), what the model does not contain decides their value.
+ALONG_LIMIT = 0.15
 #: What is held first where parameters cannot be told apart.
 HELD_FIRST = ("lag", "L_d", "L_q", "L_s", "inverter", "R_s", "psi_f")
 
@@ -122,7 +125,7 @@ def identify(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identif
     untold: dict[str, str] = {}
     while True:
         after = fit(data, given, names)
-        doubts = _doubts(after, scales.voltage)
+        doubts = _doubts(after, scales.voltage) | _unseen_inductances(after, data)
         if not doubts:
             break
         held = next(name for name in HELD_FIRST if name in doubts)
@@ -181,6 +184,16 @@ def _given(machine: RotatingMachine, name: str, lag: float) -> float | None:
         return lag
     value: float | None = getattr(machine, "inverter_voltage" if name == "inverter" else name)
     return value
+
+
+def _unseen_inductances(found: Fit, data: Sequence[Piece]) -> dict[str, str]:
+    """Inductances along the flux, where hardly any current flows along it."""
+    current = np.concatenate([piece.current for piece in data])
+    share = float(np.sqrt(np.mean(found.along**2) / np.mean(np.sum(current**2, axis=1))))
+    if share >= ALONG_LIMIT:
+        return {}
+    why = f"it shows in i_d only, which is {share:.0%} of the current in this log"
+    return {name: why for name in ("L_s", "L_d") if name in found.free}
 
 
 def _doubts(found: Fit, voltage: float) -> dict[str, str]:

@@ -14,6 +14,7 @@ from ..estimate import prepare
 from ..inverter import SMOOTHING, inverter_direction
 from ..logs import Log
 from ..machines import RotatingMachine
+from ..observers import LeastSquaresObserver
 from ..scales import Scales, excerpts
 
 Array = NDArray[np.float64]
@@ -83,37 +84,40 @@ def pieces(log: Log, machine: RotatingMachine, lags: tuple[int, ...]) -> tuple[l
         for lag in lags
     ]
     for parts in zip(*(excerpts(one) for one in shifted), strict=True):
-        current = parts[0].current
         voltage = np.stack([part.voltage for part in parts])
-        estimate = observer.run(voltage[lags.index(0)], current)
-        good = np.isfinite(current).all(axis=1) & np.isfinite(voltage).all(axis=(0, 2))
-        speed = np.abs(estimate.speed_e[estimate.valid])
-        turns = TURNS * 2 * np.pi / np.median(speed) if len(speed) else 0.0
-        rows = max(SHORTEST, round(max(SECONDS, turns) / log.sample_time))
-        for run in _runs(good, rows):
-            valid = np.flatnonzero(estimate.valid[run])
-            if len(valid) == 0:
-                continue
-            known = valid[np.argmin(estimate.theta_e_std[run][valid])]
-            found.append(
-                _piece(
-                    log.sample_time,
-                    current[run],
-                    voltage[:, run],
-                    lags.index(0),
-                    machine.R_s,
-                    smoothing,
-                    known,
-                    estimate.flux[run][known],
-                    estimate.drift[run][known],
-                )
-            )
+        found += cut(observer, parts[0].current, voltage, lags.index(0), machine.R_s, smoothing)
     if not found:
         raise FluxobsError(
             f"{log.table.path}: the position is never known in it, so nothing can be identified; "
             f"does the machine turn, and do `fluxobs estimate` and its warnings look right?"
         )
     return found, scales
+
+
+def cut(
+    observer: LeastSquaresObserver,
+    current: Array,
+    voltage: Array,
+    given: int,
+    R_s: float,
+    smoothing: float,
+) -> list[Piece]:
+    """Pieces of a stretch, (rows, 2) and (lags, rows, 2); the observer runs with lag `given`."""
+    h, found = observer.sample_time, []
+    estimate = observer.run(voltage[given], current)
+    missing = np.isnan(current).any(axis=1) | np.isnan(voltage).any(axis=(0, 2))
+    good: NDArray[np.bool_] = np.logical_not(missing)
+    speed = np.abs(estimate.speed_e[estimate.valid])
+    turns = TURNS * 2 * np.pi / np.median(speed) if len(speed) else 0.0
+    rows = max(SHORTEST, round(max(SECONDS, turns) / h))
+    for run in _runs(good, rows):
+        valid = np.flatnonzero(estimate.valid[run])
+        if len(valid):
+            known = valid[np.argmin(estimate.theta_e_std[run][valid])]
+            start, drift = estimate.flux[run][known], estimate.drift[run][known]
+            arrays = current[run], voltage[:, run]
+            found.append(_piece(h, *arrays, given, R_s, smoothing, known, start, drift))
+    return found
 
 
 def _runs(good: NDArray[np.bool_], rows: int) -> Iterator[slice]:
