@@ -24,6 +24,10 @@ static const fo_real CLIP = (fo_real)5;
 /* While a phase current is near zero its inverter's sign is wrong by a good half, for a fraction of
  * a millisecond: the square of the one times the other [s]. */
 static const fo_real KNEE_TIME = (fo_real)4e-5;
+/* The drift moves by this much less than the flux. */
+static const fo_real DRIFT_WALK = (fo_real)0.1;
+/* Share of white noise in an angle that is left in the tracker's, over bandwidth times sample time. */
+static const fo_real TRACKED = (fo_real)6;
 /* At the start errors of resistance and inverter are tied to flux and drift as if speed and load had
  * always been what they are; this share of their variance is not. */
 static const fo_real LOOSE = (fo_real)0.3;
@@ -77,6 +81,17 @@ fo_error fo_adaptive_init(fo_adaptive *a, const fo_config *config, const fo_adap
         a->knee = (fo_real)FO_NP * KNEE_TIME * volt_seconds / psi;
         a->projection = c->projection;
         a->noise = through_L * through_L + MODEL * MODEL;
+        /* the noise of the current takes its way through the resistance, too */
+        fo_real drop = ZERO;
+        for (int i = 0; i < FO_N; i++) {
+            drop += config->R[i][i] * config->sample_time * config->current_noise / (psi * TWO);
+        }
+        a->through_R = (fo_real)FO_NP * drop * drop;
+        a->decoy = config->sample_time * config->current_noise / psi;
+        a->resistance = (config->R[0][0] + config->R[1][1]) / TWO;
+        /* of white noise in the angle so much is left behind the tracker */
+        const fo_real left = TRACKED * config->tracker_bandwidth * config->sample_time;
+        a->pretended = (fo_real)FO_NP * (left < ONE ? left : ONE) * o->position_noise;
         for (int i = 0; i < FO_NP; i++) {
             a->mean[i] = ZERO;
         }
@@ -85,9 +100,9 @@ fo_error fo_adaptive_init(fo_adaptive *a, const fo_config *config, const fo_adap
         for (int i = 0; i < FO_N; i++) {
             a->variance[P_FLUX + i] = ONE;
             a->variance[P_DRIFT + i] = o->plausible * o->plausible;
-            /* so that flux and drift are followed with the memory, whatever the noise */
+            /* so that the flux is followed with the memory, whatever the noise */
             a->walk[P_FLUX + i] = (fo_real)FO_NP * a->noise * o->h * o->h;
-            a->walk[P_DRIFT + i] = a->walk[P_FLUX + i];
+            a->walk[P_DRIFT + i] = DRIFT_WALK * a->walk[P_FLUX + i];
         }
         for (int i = 0; i < 3; i++) {
             a->variance[P_PSI + i] = stds[i] * stds[i];
@@ -114,6 +129,7 @@ void fo_adaptive_reset(const fo_adaptive *a, fo_adaptive_state *s)
     fo_reset(&a->plain, &s->plain);
     forget(a, s);
     s->x[0] = ONE;
+    s->random = 1U;
     fo_candidates_sow(a, s);
 }
 
@@ -126,6 +142,21 @@ static void zero(fo_real x[FO_NP])
     }
 }
 
+/* The decoy goes along as if it were the column of the resistance. What it tells of its parameter,
+ * which does not exist, the noise of the current pretends to tell of the resistance. */
+static void update_decoy(fo_adaptive_state *s, const fo_real row[FO_NP], const fo_real gain[FO_NP],
+                  fo_real alpha)
+{
+    fo_real f = ZERO;
+    for (int i = 0; i < FO_NM; i++) {
+        f += row[i] * s->decoy[i];
+    }
+    for (int i = 0; i < FO_NM; i++) {
+        s->decoy[i] -= gain[i] * f / alpha;
+    }
+    s->decoyed = f * f / alpha;
+}
+
 /* Bierman's update by row'p, which is `off` from what it should be, with noise of this variance.
  * Returns the variance of the innovation. */
 static fo_real update(fo_adaptive_state *s, const fo_real row[FO_NP], fo_real off, fo_real noise)
@@ -134,6 +165,9 @@ static fo_real update(fo_adaptive_state *s, const fo_real row[FO_NP], fo_real of
     fo_real *u = s->U;
     for (int j = 0; j < FO_NP; j++) {
         fo_real f = row[j];
+        if (j == (int)P_R) {
+            update_decoy(s, row, gain, alpha);
+        }
         for (int i = 0; i < j; i++) {
             f += u[i] * row[i];
         }
@@ -317,6 +351,9 @@ static void start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate
     s->innovation = ZERO;
     s->level = ONE;
     s->disagree = ZERO;
+    s->pretended = ZERO;
+    s->pretended_R = ZERO;
+    (void)memset(s->decoy, 0, sizeof s->decoy);
     s->settled = ZERO;
     s->swept = ZERO;
     s->tracker.settled = ZERO;
@@ -325,6 +362,18 @@ static void start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate
     s->theta = c->theta;
     s->candidates[0] = *c;
     tie(a, s, along, psi_before, psi_variance);
+}
+
+/* The decoy over an interval: like the column of the resistance, but driven by noise of the current's
+ * size, of two signs from a shift register, in place of the current. */
+static void drive_decoy(const fo_adaptive *a, fo_adaptive_state *s)
+{
+    const fo_real noise = a->decoy * fo_sqrt(s->plain.roughness);
+    const uint32_t signs[FO_N] = {s->random & 0x1U, s->random & 0x80U};
+    s->random = (s->random >> 1) ^ (signs[0] != 0U ? 0xA3000000U : 0U);
+    for (int i = 0; i < FO_N; i++) {
+        s->decoy[i] += a->plain.h * s->decoy[P_DRIFT + i] + (signs[i] != 0U ? noise : -noise);
+    }
 }
 
 /* p and its covariance over an interval; one state in turn wins its walk. */
@@ -352,7 +401,15 @@ static void time_update(const fo_adaptive *a, fo_adaptive_state *s, const effect
         won = room > ZERO ? a->walk[n] * room * (n < (int)P_PSI ? s->level : ONE) : ZERO;
     }
     if (n < (int)P_DRIFT) {
+        /* what noise in the derivative took from the variance across though it tells nothing */
+        won += (a->pretended * s->pretended + a->through_R) * s->plain.roughness;
         won += a->knee * s->p[P_V] * s->p[P_V] * t->unsure;
+    }
+    if (n == (int)P_R && a->variance[P_R] > ZERO) {
+        /* what noise alone tells, that the resistance is zero, is taken back */
+        const fo_real pulled = (fo_real)FO_NP * s->D[P_R] * s->pretended_R;
+        won += pulled * s->D[P_R];
+        s->p[P_R] += pulled * a->resistance;
     }
     if (won > ZERO) {
         widen(s, n, won);
@@ -382,9 +439,12 @@ static void measurement_update(const fo_adaptive *a, fo_adaptive_state *s, const
     }
     row[P_PSI] = -ONE;
     /* second order: what is not known across lengthens the vector */
-    const fo_real curve = variance_across(s, along) / (TWO * length);
+    const fo_real across = variance_across(s, along);
+    const fo_real curve = across / (TWO * length);
     const fo_real noise = a->noise * s->level + TWO * curve * curve;
     const fo_real alpha = update(s, row, curve - off, noise);
+    s->pretended = across * across / alpha;
+    s->pretended_R += a->plain.h * (s->decoyed - s->pretended_R);
 
     const fo_real most = CLIP * fo_sqrt(s->level);
     const fo_real e = off * fo_sqrt(s->level / alpha);
@@ -508,6 +568,7 @@ static void run(const fo_adaptive *a, fo_adaptive_state *s, const effects *t, bo
 {
     const fo_observer *o = &a->plain;
     fo_real x[FO_N];
+    drive_decoy(a, s);
     time_update(a, s, t);
     fo_real square = position_square(a, s, x);
     if (measured && square > o->square_min) {

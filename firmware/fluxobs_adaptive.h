@@ -61,6 +61,10 @@ typedef struct {
     fo_real variance[FO_NP]; /* of that                                         */
     fo_real walk[FO_NP];     /* variance that is won in a round of turns        */
     fo_real noise;           /* variance of the residual                        */
+    fo_real through_R;       /* noise of the current in the flux, in a round   */
+    fo_real decoy;           /* current noise in a sample's flux per ohm        */
+    fo_real resistance;      /* [Ohm]                                           */
+    fo_real pretended;       /* noise of the direction, in a round of turns     */
     fo_real charge;          /* 24 times a mean current to its integral         */
     fo_real over_current;    /* of the inverter [1/A]                           */
     fo_real knee;            /* variance per V^2 where the inverter's sign is not sure */
@@ -90,6 +94,10 @@ typedef struct {
     fo_real p[FO_NP];                    /* flux, drift, magnet flux, R error, inverter   */
     fo_real innovation, power, lag_one;  /* sums over the innovations, forgetting         */
     fo_real level;                       /* their power over the assumed                  */
+    fo_real pretended;                   /* what it took, at the last sample              */
+    fo_real decoy[FO_NM], decoyed;       /* a parameter that is only noise, its information */
+    fo_real pretended_R;                 /* of that a sample, averaged                    */
+    uint32_t random;
     fo_real x[FO_N], theta;              /* direction of the position vector              */
     fo_real settled, swept;              /* since the start [memories], [rad]             */
     fo_real disagree;                    /* with the guard for so long [memories]         */

@@ -105,7 +105,7 @@ def cut(
     """Pieces of a stretch, (rows, 2) and (lags, rows, 2); the observer runs with lag `given`."""
     h, found = observer.sample_time, []
     estimate = observer.run(voltage[given], current)
-    missing = np.isnan(current).any(axis=1) | np.isnan(voltage).any(axis=(0, 2))
+    missing = ~np.isfinite(current).all(axis=1) | ~np.isfinite(voltage).all(axis=(0, 2))
     good: NDArray[np.bool_] = np.logical_not(missing)
     speed = np.abs(estimate.speed_e[estimate.valid])
     turns = TURNS * 2 * np.pi / np.median(speed) if len(speed) else 0.0
