@@ -351,6 +351,7 @@ static void start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate
     s->innovation = ZERO;
     s->level = ONE;
     s->disagree = ZERO;
+    s->alpha = ZERO;
     s->pretended = ZERO;
     s->pretended_R = ZERO;
     (void)memset(s->decoy, 0, sizeof s->decoy);
@@ -443,6 +444,7 @@ static void measurement_update(const fo_adaptive *a, fo_adaptive_state *s, const
     const fo_real curve = across / (TWO * length);
     const fo_real noise = a->noise * s->level + TWO * curve * curve;
     const fo_real alpha = update(s, row, curve - off, noise);
+    s->alpha = alpha;
     s->pretended = across * across / alpha;
     s->pretended_R += a->plain.h * (s->decoyed - s->pretended_R);
 
@@ -477,15 +479,12 @@ static bool proven(const fo_adaptive *a, const fo_adaptive_state *s)
     return fo_abs(s->swept) > SWEEP && s->settled > (known ? PROVEN_AFTER_KNOWN : PROVEN_AFTER);
 }
 
-/* Are all its numbers numbers, and the flux one that a machine can have? */
+/* Are its numbers numbers, and the flux one that a machine can have? */
 static bool sound(const fo_adaptive_state *s)
 {
-    fo_real sum = s->power + s->lag_one + s->tracker.speed + s->tracker.acceleration;
+    fo_real sum = s->alpha + s->power + s->lag_one + s->tracker.speed + s->tracker.acceleration;
     for (int i = 0; i < FO_NP; i++) {
         sum += s->p[i] + s->D[i];
-    }
-    for (int i = 0; i < FO_NP_TRIANGLE; i++) {
-        sum += s->U[i];
     }
     return sum - sum == ZERO && s->p[0] * s->p[0] + s->p[1] * s->p[1] < RUNAWAY;
 }
@@ -711,19 +710,22 @@ static void known_loss(const fo_adaptive *a, const fo_adaptive_state *s,
                        const fo_real current[FO_N], fo_real loss[FO_N])
 {
     const fo_state *q = &s->plain;
-    fo_real mean[FO_N], signs[FO_N];
+    fo_real signs[FO_N];
     signs[0] = ZERO;
     signs[1] = ZERO;
-    for (int i = 0; i < FO_N; i++) {
-        mean[i] = current[i];
-        if (q->have_current) {
-            mean[i] = mean_current_24(current[i], q->current[0][i], q->current[1][i],
-                                      q->current[2][i]) /
-                      (fo_real)24;
+    if (a->mean[P_V] != ZERO) {
+        fo_real mean[FO_N];
+        for (int i = 0; i < FO_N; i++) {
+            mean[i] = current[i];
+            if (q->have_current) {
+                mean[i] = mean_current_24(current[i], q->current[0][i], q->current[1][i],
+                                          q->current[2][i]) /
+                          (fo_real)24;
+            }
         }
-    }
-    if (dot(mean, mean) <= a->plain.current_limit * a->plain.current_limit) {
-        (void)direction(a, mean, signs);
+        if (dot(mean, mean) <= a->plain.current_limit * a->plain.current_limit) {
+            (void)direction(a, mean, signs);
+        }
     }
     for (int i = 0; i < FO_N; i++) {
         loss[i] = a->mean[P_V] * signs[i];

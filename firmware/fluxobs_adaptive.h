@@ -94,6 +94,7 @@ typedef struct {
     fo_real p[FO_NP];                    /* flux, drift, magnet flux, R error, inverter   */
     fo_real innovation, power, lag_one;  /* sums over the innovations, forgetting         */
     fo_real level;                       /* their power over the assumed                  */
+    fo_real alpha;                       /* variance of the last innovation               */
     fo_real pretended;                   /* what it took, at the last sample              */
     fo_real decoy[FO_NM], decoyed;       /* a parameter that is only noise, its information */
     fo_real pretended_R;                 /* of that a sample, averaged                    */

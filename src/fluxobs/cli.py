@@ -424,7 +424,11 @@ def export(
     ],
     out: Annotated[Path, typer.Option(help="Folder to be made.")],
     unknowns: Annotated[
-        str, typer.Option(help="What is constant and not known; the firmware finds the drift.")
+        str,
+        typer.Option(
+            help="What is constant, or slow, and not known: drift; with resistance, inverter or "
+            "both it is the adaptive observer, which starts within a fraction of a turn."
+        ),
     ] = "drift",
     memory: Annotated[
         float | None, typer.Option(help="Seconds; memory of the least squares. Default 0.03.")
@@ -616,15 +620,15 @@ def _advise_export(result: Result, source: str, unknowns: tuple[str, ...]) -> No
             f"{k} ({v:.3g} here)" for k, v in lacking.items() if getattr(machine, k, 0) is None
         ]
         typer.echo(f"For an export as firmware the machine file needs {' and '.join(values)}.")
-    elif machine.inverter is not None or result.adaptive is not None:
+    elif machine.inverter is not None and result.adaptive is None:
         typer.echo(
-            "Firmware exports find the drift only: write what was found into the machine file and "
-            "compensate the inverter in the drive, or take fluxobs_adaptive.h from the package "
-            "(fluxobs/firmware)."
+            "In firmware the observer for the drift leaves the inverter to the drive: compensate it "
+            "there, or export with --unknowns drift,inverter."
         )
     else:
+        chosen = "" if result.adaptive is None else f" --unknowns {','.join(unknowns)}"
         typer.echo(
-            f"The same in firmware: fluxobs export --machine {shlex.quote(source)} "
+            f"The same in firmware: fluxobs export --machine {shlex.quote(source)}{chosen} "
             f"--sample-time {o.sample_time!r} --memory {o.memory!r} "
             f"--current-noise {o.current_noise!r} --drift-prior {o.drift_prior!r} --out FOLDER"
         )

@@ -27,6 +27,8 @@ def initializer(value: Any, precision: Precision) -> str:
     """``{0x1p+0, …}`` of a number or a nested list of them."""
     if isinstance(value, list):
         return "{" + ", ".join(initializer(item, precision) for item in value) + "}"
+    if isinstance(value, int):
+        return str(value)
     return hex_float(float(value), precision)
 
 

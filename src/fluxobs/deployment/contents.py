@@ -8,14 +8,21 @@ from importlib import metadata, resources
 
 from ..errors import FluxobsError
 from ..machines import RotatingMachine
-from ..observers import LeastSquaresObserver
+from ..observers import AdaptiveObserver
 from .c_source import Precision
 from .costs import cost_table, read_costs
 from .course import course
-from .header import bases, parameter_header, parameters, settings
-from .vectors import COLUMNS, EXACT_COLUMNS, run, vectors_header
+from .header import Exported, bases, parameter_header, parameters, plain, settings
+from .vectors import COLUMNS, exact_columns, run, vectors_header
 
 SOURCES = ("fluxobs.h", "fluxobs_internal.h", "fluxobs.c")
+ADAPTIVE_SOURCES = (
+    *SOURCES,
+    "fluxobs_adaptive.h",
+    "fluxobs_adaptive.c",
+    "fluxobs_candidates.h",
+    "fluxobs_candidates.c",
+)
 #: What a voltage error as large as the drift's prior may turn the flux by while the position is
 #: called valid [rad]; as in firmware/fluxobs.c.
 VOLTAGE_LIMIT = math.pi / 22.5
@@ -24,16 +31,18 @@ VOLTAGE_LIMIT = math.pi / 22.5
 def contents(
     prefix: str,
     machine: RotatingMachine,
-    observers: Mapping[Precision, LeastSquaresObserver],
+    observers: Mapping[Precision, Exported],
     update_every: int,
 ) -> tuple[str, dict[str, str]]:
     """The content's hash, and the files: relative path → text."""
     version = metadata.version("fluxobs")
     installed = resources.files("fluxobs") / "firmware"
-    sources = {name: (installed / name).read_text(encoding="utf-8") for name in SOURCES}
+    adaptive = isinstance(observers["single"], AdaptiveObserver)
+    names = ADAPTIVE_SOURCES if adaptive else SOURCES
+    sources = {name: (installed / name).read_text(encoding="utf-8") for name in names}
     texts = tuple(sources.values())
     content, header = parameter_header(prefix, observers, machine, version, texts, update_every)
-    single = observers["single"]
+    single = plain(observers["single"])
     record = course(machine, single)
     estimates = {p: run(observer, record, update_every) for p, observer in observers.items()}
     if not estimates["single"].valid.any():
@@ -42,7 +51,7 @@ def contents(
             f"{single.memory:g} s, current noise {single.current_noise:g} A, drift prior "
             f"{single.drift_prior:g} V; check the units of R_s, inductance and rated_current"
         )
-    costs = read_costs()
+    costs = read_costs()["adaptive" if adaptive else "plain"]
     slowest = single.drift_prior / (VOLTAGE_LIMIT * single.flux_base)
     words = {
         "prefix": prefix,
@@ -59,16 +68,23 @@ def contents(
         "ride": f"{1e3 * single.flux_base / (2 * single.drift_prior):.2g}",
         "slowest_rpm": f"{slowest / machine.n_p * 30 / math.pi:.3g}",
         "content": content,
-        "exact_columns": str(EXACT_COLUMNS),
+        "exact_columns": str(exact_columns(estimates["single"])),
         "columns": ", ".join(f'"{name}"' for name in COLUMNS),
         "costs": cost_table(costs),
         "parameters": str(costs["parameters"]),
-        "facts": _facts(machine, single, update_every),
+        "facts": _facts(machine, observers["single"], update_every),
+        "fo": "fo_adaptive" if adaptive else "fo",
+        "plain": ".plain" if adaptive else "",
+        "position": ".position" if adaptive else "",
+        "c_sources": " ".join(name for name in names if name.endswith(".c")),
+        "source_list": ", ".join(f"`{name}`" for name in names),
+        "header": "fluxobs_adaptive.h" if adaptive else "fluxobs.h",
     }
     folder = resources.files(__package__) / "templates"
 
     def filled(name: str) -> str:
-        text = _variant((folder / name).read_text(encoding="utf-8"), update_every)
+        template = (folder / name).read_text(encoding="utf-8")
+        text = _variant(template, update_every, adaptive)
         for word, value in words.items():
             text = text.replace(f"@{word}@", value)
         return text
@@ -86,9 +102,10 @@ def contents(
     }
 
 
-def _variant(template: str, update_every: int) -> str:
-    """The lines for an observer that is stepped every interrupt, or every few."""
+def _variant(template: str, update_every: int, adaptive: bool) -> str:
+    """The lines for an observer stepped every interrupt or every few, plain or adaptive."""
     marks = {"@every interrupt@": update_every == 1, "@every few@": update_every > 1}
+    marks |= {"@when plain@": not adaptive, "@when adaptive@": adaptive}
     kept, keep = [], True
     for line in template.split("\n"):
         if line in marks or line == "@always@":
@@ -98,7 +115,7 @@ def _variant(template: str, update_every: int) -> str:
     return "\n".join(kept)
 
 
-def _facts(machine: RotatingMachine, observer: LeastSquaresObserver, update_every: int) -> str:
+def _facts(machine: RotatingMachine, observer: Exported, update_every: int) -> str:
     rows = {
         **parameters(machine),
         **settings(observer, update_every),

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from ..errors import FluxobsError
 from ..machines import Machine
-from ..observers import LeastSquaresObserver
+from ..observers import AdaptiveObserver, LeastSquaresObserver
 from .c_source import PRECISIONS
 from .contents import contents
 from .folder import check_folder, write_folder
@@ -23,7 +25,7 @@ class Export:
     folder : Path
     prefix : str
         Of the parameters' names.
-    observer : LeastSquaresObserver
+    observer : LeastSquaresObserver or AdaptiveObserver
         The same in Python, in single precision as the firmware.
     content : str
         Changes with the parameters and with the C sources.
@@ -31,7 +33,7 @@ class Export:
 
     folder: Path
     prefix: str
-    observer: LeastSquaresObserver
+    observer: LeastSquaresObserver | AdaptiveObserver
     content: str
 
 
@@ -63,7 +65,8 @@ def export(
     memory : float, optional
         Exponential memory of the least squares [s], 10 to 4000 steps; default 0.03 s.
     unknowns : tuple of str
-        What is constant and unknown; the firmware knows ("drift",).
+        What is constant, or slow, and unknown: ("drift",), or with "resistance", "inverter" or
+        both, which takes the adaptive observer.
     current_noise, drift_prior : float, optional
         As of :meth:`LeastSquaresObserver.for_machine` [A], [V]; `fluxobs estimate` prints what it
         took for a log.
@@ -88,6 +91,8 @@ def export(
     ...     sorted(path.name for path in done.folder.glob("*.[ch]"))
     ['example_isr.c', 'fluxobs.c', 'fluxobs.h', 'fluxobs_internal.h', 'motor_observer.h']
     """
+    from ..unknowns import adapts  # loads what reads logs
+
     check_prefix(prefix)
     rotating = check_machine(machine, unknowns)
     memory = check_times(sample_time, update_every, memory)
@@ -97,8 +102,12 @@ def export(
     folder = Path(out).resolve()
     check_folder(folder, force)
     try:
+        if adapts(unknowns):
+            kind: Any = partial(AdaptiveObserver.for_machine, unknowns=unknowns)
+        else:
+            kind = LeastSquaresObserver.for_machine
         observers = {
-            precision: LeastSquaresObserver.for_machine(
+            precision: kind(
                 rotating,
                 sample_time=update_every * sample_time,
                 memory=memory,

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from typing import Any
 
 from ..machines import RotatingMachine
-from ..observers import LeastSquaresObserver
+from ..observers import AdaptiveObserver, LeastSquaresObserver
 from .c_source import PRECISIONS, Precision, initializer
 
 #: What the parameters are, in the order of fo_observer; a name that is missing here is an error.
@@ -34,16 +35,54 @@ MEANING = {
     "sample_time": "[s]",
     "track": "gains of the tracker",
 }
+#: The same of fo_adaptive, after the observer in it.
+ADAPTIVE_MEANING = {
+    "saliency": "L_d - L_q, per ampere",
+    "mean": "of flux, drift, magnet flux, resistance error [ohm], inverter [V] at the start",
+    "variance": "of these",
+    "walk": "variance won in a round of turns",
+    "noise": "variance of the residual",
+    "through_R": "noise of the current in the flux, in a round",
+    "decoy": "current noise in a sample's flux per ohm",
+    "resistance": "[ohm]",
+    "pretended": "noise of the direction, in a round of turns",
+    "charge": "24 times a mean current to its integral",
+    "over_current": "of the inverter [1/A]",
+    "knee": "variance per V^2 where the inverter's sign is not sure",
+    "projection": "when the information is projected",
+}
+#: Either observer, in one precision.
+Exported = LeastSquaresObserver | AdaptiveObserver
 
 
-def settings(observer: LeastSquaresObserver, update_every: int) -> dict[str, str]:
-    """What was chosen for the observer, in SI units."""
-    o = observer
+def plain(observer: Exported) -> LeastSquaresObserver:
+    """The observer itself, or the one in it."""
+    return observer.plain if isinstance(observer, AdaptiveObserver) else observer
+
+
+def _adaptive_settings(o: AdaptiveObserver) -> dict[str, str]:
     return {
+        "magnet flux believed": f"{o.psi_f:.6g} +- {o.psi_f_std:.6g} Wb",
+        "resistance believed": f"{o.resistance:.6g} +- {o.resistance_std:.6g} ohm",
+        "inverter believed": f"{o.inverter_voltage:.6g} +- {o.inverter_std:.6g} V",
+        "inverter current": f"{o.inverter_current:.6g} A",
+        "slow memory": f"{o.slow_memory:.6g} s",
+        "projection": o.projection,
+    }
+
+
+def settings(observer: Exported, update_every: int) -> dict[str, str]:
+    """What was chosen for the observer, in SI units."""
+    o, more, unknowns = plain(observer), {}, ["drift"]
+    if isinstance(observer, AdaptiveObserver):
+        more = _adaptive_settings(observer)
+        unknowns += ["resistance"] if observer.resistance_std > 0 else []
+        unknowns += ["inverter"] if observer.inverter_std > 0 else []
+    return more | {
         "interrupt every": f"{o.sample_time / update_every:.9g} s",
         "step every": f"{o.sample_time:.9g} s",
         "memory": f"{o.memory:.9g} s",
-        "unknowns": "drift",
+        "unknowns": ", ".join(unknowns),
         "current noise": f"{o.current_noise:.6g} A (std of a component)",
         "drift prior": f"{o.drift_prior:.6g} V (std)",
         "constraint noise": f"{o.constraint_noise:.6g} Wb^2 (std)",
@@ -53,8 +92,9 @@ def settings(observer: LeastSquaresObserver, update_every: int) -> dict[str, str
     }
 
 
-def bases(observer: LeastSquaresObserver) -> dict[str, str]:
+def bases(exported: Exported) -> dict[str, str]:
     """Bases of the per-unit system."""
+    observer = plain(exported)
     psi, memory = observer.flux_base, observer.memory
     return {
         "flux": f"{psi:.9g} Wb",
@@ -71,7 +111,7 @@ def digest(*texts: str) -> str:
 
 def parameter_header(
     prefix: str,
-    observer: Mapping[Precision, LeastSquaresObserver],
+    observer: Mapping[Precision, Exported],
     machine: RotatingMachine,
     version: str,
     sources: tuple[str, ...],
@@ -92,24 +132,22 @@ def parameter_header(
         for title, lines in facts.items()
     )
     constants = {
-        precision: "\n".join(
-            f"    {initializer(value, precision)}, /* {MEANING[name]} */"
-            for name, value in observer[precision].parameters().items()
-        )
-        for precision in PRECISIONS
+        precision: _initializers(observer[precision], precision) for precision in PRECISIONS
     }
+    adaptive = isinstance(single, AdaptiveObserver)
+    kind, include = ("fo_adaptive", "fluxobs_adaptive") if adaptive else ("fo_observer", "fluxobs")
     guard = f"FLUXOBS_{prefix}_H"
     body = f"""\
 #ifndef {guard}
 #define {guard}
 
-#include "fluxobs.h"
+#include "{include}.h"
 
 /* Interrupts of the current control from one step of the observer to the next. */
 enum {{ {prefix}_update_every = {update_every} }};
 
 /* Per-unit unless said. Lives in flash: nothing has to be prepared when the drive starts. */
-static const fo_observer {prefix}_observer = {{
+static const {kind} {prefix}_observer = {{
 #ifdef FO_SINGLE
 {constants["single"]}
 #else
@@ -122,15 +160,31 @@ static const fo_observer {prefix}_observer = {{
     content = digest(about, body, *sources)
     text = (
         f"/* Parameters of the fluxobs observer for {prefix}. Generated by fluxobs {version}.\n"
-        f" * Content {content}, of these parameters and of fluxobs.h and fluxobs.c.\n"
+        f" * Content {content}, of these parameters and of the sources.\n"
         f"{about}\n */\n{body}"
     )
     return content, text
 
 
+def _initializers(observer: Exported, precision: Precision) -> str:
+    """Every number, a line each with its meaning."""
+
+    def lines(values: Mapping[str, Any], meaning: Mapping[str, str]) -> str:
+        return "\n".join(
+            f"    {initializer(value, precision)}, /* {meaning[name]} */"
+            for name, value in values.items()
+        )
+
+    if not isinstance(observer, AdaptiveObserver):
+        return lines(observer.parameters(), MEANING)
+    inner = lines(observer.plain.parameters(), MEANING)
+    return f"    {{\n{inner}\n    }},\n{lines(observer.parameters(), ADAPTIVE_MEANING)}"
+
+
 def parameters(machine: RotatingMachine) -> dict[str, str]:
     """What the machine file says, with units."""
     units = {"R_s": "ohm", "n_p": "pole pairs", "psi_f": "Wb", "rated_current": "A"}
+    units |= {"inverter_voltage": "V", "inverter_current": "A"}
     given = machine.model_dump(by_alias=True, exclude_none=True)
     return {"kind": machine.kind} | {
         name: f"{value:.9g} {units.get(name, 'H')}" for name, value in given.items()

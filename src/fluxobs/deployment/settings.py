@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from ..errors import FluxobsError
-from ..immersion import UNKNOWNS
 from ..machines import Machine, RotatingMachine
 from ..observers.least_squares import MEMORY
 from .c_source import identifier, is_identifier
@@ -26,7 +25,7 @@ def check_prefix(prefix: str) -> None:
 
 def check_machine(machine: Machine, unknowns: tuple[str, ...]) -> RotatingMachine:
     """The machine, if the firmware can serve it and find these unknowns."""
-    from ..reference_estimate import check_unknowns  # loads what reads logs
+    from ..unknowns import UNKNOWNS, adapts, check_adapted  # loads what reads logs
 
     for name in unknowns:
         if name not in UNKNOWNS:
@@ -38,16 +37,17 @@ def check_machine(machine: Machine, unknowns: tuple[str, ...]) -> RotatingMachin
             f"kind {machine.kind}: the firmware's observer is for machines that turn; logs of "
             f"this one can be read with `fluxobs estimate`"
         )
-    if machine.inverter_voltage:
+    check_adapted(machine, unknowns, {})
+    if "current-bias" in unknowns:
         raise FluxobsError(
-            "inverter_voltage: the firmware's observer leaves the inverter to the drive; "
-            "compensate it there, and take it out of the machine file"
+            f"unknowns {','.join(unknowns)}: the firmware's observers find the drift, which takes "
+            f"a current bias in; use drift"
         )
-    check_unknowns(machine, unknowns)  # type: ignore[arg-type]
-    if set(unknowns) != {"drift"}:
+    if machine.inverter_voltage and not adapts(unknowns):
         raise FluxobsError(
-            f"unknowns {','.join(unknowns)}: the firmware's observer finds the drift only, which "
-            f"takes a current bias in; use drift"
+            "inverter_voltage in the machine file: the observer for the drift alone leaves the "
+            "inverter to the drive. Compensate it there and take it out of the file, or export "
+            "with unknowns drift,inverter"
         )
     if lacking := [
         name

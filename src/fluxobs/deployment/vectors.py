@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..observers import Estimate, LeastSquaresObserver
+from ..observers import AdaptiveEstimate, Estimate, LeastSquaresObserver
 from .c_source import PRECISIONS, Precision, hex_float, table
 from .course import Course
+from .header import Exported, plain
 
 Array = NDArray[np.float64]
 
@@ -78,12 +79,17 @@ def gathered(observer: LeastSquaresObserver, course: Course, update_every: int) 
     return np.asarray(total, float)
 
 
-def run(observer: LeastSquaresObserver, course: Course, update_every: int) -> Estimate:
+def run(observer: Exported, course: Course, update_every: int) -> Estimate:
     """What the exported observer has to return for the record."""
     if update_every == 1:
         return observer.run(course.voltage, course.current)
-    volt_seconds = gathered(observer, course, update_every)
+    volt_seconds = gathered(plain(observer), course, update_every)
     return observer.run(volt_seconds=volt_seconds, current=course.current)
+
+
+def exact_columns(estimate: Estimate) -> int:
+    """How many are equal bit for bit everywhere; none where angles go back into the filter."""
+    return 0 if isinstance(estimate, AdaptiveEstimate) else EXACT_COLUMNS
 
 
 def vectors_header(course: Course, estimates: Mapping[Precision, Estimate]) -> str:
@@ -98,7 +104,9 @@ def vectors_header(course: Course, estimates: Mapping[Precision, Estimate]) -> s
         everything = expected(estimates[precision])
         rows = everything[EVERY - 1 :: EVERY]
         guard = checksum(inputs, rows, precision)
-        exact = checksum(everything[:, :EXACT_COLUMNS], np.zeros(0), precision)
+        exact = checksum(
+            everything[:, : exact_columns(estimates[precision])], np.zeros(0), precision
+        )
         blocks.append(
             f"static const uint32_t expected_checksum = 0x{guard:08x}U;\n"
             f"static const uint32_t exact_checksum = 0x{exact:08x}U;\n"

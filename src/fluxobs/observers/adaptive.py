@@ -274,6 +274,12 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             projection=projection,
         )
 
+    def parameters(self) -> dict[str, Any]:
+        """Every number a step uses beyond the plain observer's, in the order of fo_adaptive
+        (firmware/fluxobs_adaptive.h)."""
+        found: dict[str, Any] = self._core.parameters()
+        return found
+
     def _estimate(self, columns: Array, valid: NDArray[np.bool_]) -> AdaptiveEstimate:
         fields = position_columns(columns) | {
             "drift_std": columns[11],

@@ -6,9 +6,25 @@
 #include "target.h"
 #include "vectors.h"
 
-enum { PAINTED = 1024, PAINT = 0x5A };
+#ifdef ADAPTIVE
+#define OBSERVER fo_adaptive
+#define STATE fo_adaptive_state
+#define ESTIMATE fo_adaptive_estimate
+#define RESET fo_adaptive_reset
+#define STEP fo_adaptive_step
+#define PLAIN(observer) (observer).plain
+#else
+#define OBSERVER fo_observer
+#define STATE fo_state
+#define ESTIMATE fo_estimate
+#define RESET fo_reset
+#define STEP fo_step
+#define PLAIN(observer) (observer)
+#endif
 
-static fo_state state;
+enum { PAINTED = 2048, PAINT = 0x5A };
+
+static STATE state;
 
 static volatile unsigned char *stack_pointer(void)
 {
@@ -17,10 +33,10 @@ static volatile unsigned char *stack_pointer(void)
     return sp;
 }
 
-static __attribute__((noinline)) uint32_t timed_step(int k, fo_estimate *e)
+static __attribute__((noinline)) uint32_t timed_step(int k, ESTIMATE *e)
 {
     const uint32_t before = target_ticks();
-    fo_step(&motor_observer, &state, &samples[k][0], &samples[k][2], e);
+    STEP(&motor_observer, &state, &samples[k][0], &samples[k][2], e);
     return (before - target_ticks()) & 0xFFFFFFU;
 }
 
@@ -28,14 +44,14 @@ static __attribute__((noinline)) uint32_t timed_gathering(void)
 {
     static fo_gathered gathered;
     const uint32_t before = target_ticks();
-    fo_gather(&motor_observer, &gathered, 0.25f, &samples[0][0], &samples[0][2]);
+    fo_gather(&PLAIN(motor_observer), &gathered, 0.25f, &samples[0][0], &samples[0][2]);
     return (before - target_ticks()) & 0xFFFFFFU;
 }
 
 int main(void)
 {
     check_result r;
-    fo_estimate e;
+    ESTIMATE e;
     check_replay(&r);
     target_number("damaged", r.damaged);
     target_number("rows", r.rows);
@@ -48,7 +64,7 @@ int main(void)
     target_number("angle_error_e9", (int32_t)(r.angle_error < 2.0 ? r.angle_error * 1e9 : 2e9));
 
     /* Sums are kept by the host: ticks of every step are written out. */
-    fo_reset(&motor_observer, &state);
+    RESET(&motor_observer, &state);
     target_start_ticks();
     const uint32_t first = target_ticks(), second = target_ticks();
     target_number("ticks_of_reading", (int32_t)((first - second) & 0xFFFFFFU));
@@ -59,18 +75,18 @@ int main(void)
 
     /* What lies below the stack's end is painted; what a step has used of it is not, afterwards. */
     volatile unsigned char *const sp = stack_pointer(), *below = sp - PAINTED;
-    fo_reset(&motor_observer, &state);
+    RESET(&motor_observer, &state);
     for (int i = 0; i < PAINTED; i++) {
         below[i] = PAINT;
     }
     for (int k = 0; k < SAMPLES; k++) {
-        fo_step(&motor_observer, &state, &samples[k][0], &samples[k][2], &e);
+        STEP(&motor_observer, &state, &samples[k][0], &samples[k][2], &e);
     }
     while (below < sp && *below == PAINT) {
         below++;
     }
     target_number("stack", (int32_t)(sp - below));
-    target_number("state", (int32_t)sizeof(fo_state));
-    target_number("parameters", (int32_t)sizeof(fo_observer));
+    target_number("state", (int32_t)sizeof(STATE));
+    target_number("parameters", (int32_t)sizeof(OBSERVER));
     return r.damaged || r.wrong > 0 || r.between || r.valid == 0 ? 1 : 0;
 }

@@ -3,7 +3,7 @@
 #ifndef CHECK_H
 #define CHECK_H
 
-#include "fluxobs.h"
+#include "@header@"
 
 typedef struct {
     int damaged;       /* the vectors are not those that were written */
@@ -17,8 +17,13 @@ typedef struct {
     double angle_error; /* largest [rad] */
 } check_result;
 
+@when plain@
 /* Flux, drift and what is computed from them have to be equal bit for bit; angles, for which each
  * C library has its own atan2, to 1e-6 rad, the speed to 1e-5. */
+@when adaptive@
+/* Each C library has its own atan2, and the filter follows its angle: all has to be equal to 1e-5 of
+ * its largest value, angles to 1e-6 rad. */
+@always@
 void check_replay(check_result *result);
 
 #endif

@@ -29,8 +29,8 @@ void drive_write_voltage(const float command[2], float udc);
 void drive_start(void);
 void current_control_interrupt(void);
 
-static fo_state state;
-static fo_estimate estimate;
+static @fo@_state state;
+static @fo@_estimate estimate;
 @every few@
 static fo_gathered gathered;
 static int since_step; /* interrupts since the observer's last step */
@@ -41,14 +41,20 @@ static float next[2];   /* over the one that begins now: commanded an interrupt 
 /* Before the gates go on, each time: with the gates off nobody knows the voltage. */
 void drive_start(void)
 {
+@when plain@
     static const fo_estimate nothing_known = {{0.0f, 0.0f}, 0.0f, 0.0f, 0.0f, 0.0f, {0.0f, 0.0f},
                                               0.0f, 0.0f, 0.0f, false};
+@when adaptive@
+    static const fo_adaptive_estimate nothing_known = {
+        {{0.0f, 0.0f}, 0.0f, 0.0f, 0.0f, 0.0f, {0.0f, 0.0f}, 0.0f, 0.0f, 0.0f, false},
+        0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, false};
+@always@
 @every few@
     static const fo_gathered nothing = {{0.0f, 0.0f}, {0.0f, 0.0f}};
     gathered = nothing;
     since_step = 0;
 @always@
-    fo_reset(&@prefix@_observer, &state);
+    @fo@_reset(&@prefix@_observer, &state);
     estimate = nothing_known;
     acting[0] = acting[1] = NAN; /* not known: no voltage has been commanded yet */
     next[0] = next[1] = NAN;
@@ -68,12 +74,12 @@ void current_control_interrupt(void)
     i[1] = (i_abc[1] - i_abc[2]) * 0.57735027f;
 
 @every interrupt@
-    fo_step(&@prefix@_observer, &state, acting, i, &estimate);
+    @fo@_step(&@prefix@_observer, &state, acting, i, &estimate);
 @every few@
-    fo_gather(&@prefix@_observer, &gathered, share, acting, i);
+    fo_gather(&@prefix@_observer@plain@, &gathered, share, acting, i);
     since_step++;
     if (since_step == @prefix@_update_every) {
-        fo_step_volt_seconds(&@prefix@_observer, &state, gathered.volt_seconds, i, &estimate);
+        @fo@_step_volt_seconds(&@prefix@_observer, &state, gathered.volt_seconds, i, &estimate);
         gathered.volt_seconds[0] = gathered.volt_seconds[1] = 0.0f;
         since_step = 0;
     }
@@ -89,11 +95,11 @@ void current_control_interrupt(void)
      * knows": how long, and what then). The
      * command will act around t[k] + 1.5 periods: turn it ahead by 1.5 * @sample_time@ * speed_e. */
 @every interrupt@
-    drive_current_control(i, estimate.theta_e_tracked, estimate.speed_e, estimate.valid, udc, command);
+    drive_current_control(i, estimate@position@.theta_e_tracked, estimate@position@.speed_e, estimate@position@.valid, udc, command);
 @every few@
-    const float ahead = (float)since_step * share * @prefix@_observer.sample_time;
-    drive_current_control(i, estimate.theta_e_tracked + estimate.speed_e * ahead, estimate.speed_e,
-                          estimate.valid, udc, command);
+    const float ahead = (float)since_step * share * @prefix@_observer@plain@.sample_time;
+    drive_current_control(i, estimate@position@.theta_e_tracked + estimate@position@.speed_e * ahead, estimate@position@.speed_e,
+                          estimate@position@.valid, udc, command);
 @always@
 
     /* Limited by the modulator? Then `command` has to hold what is applied, not what was wanted:
