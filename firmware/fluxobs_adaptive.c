@@ -24,6 +24,8 @@ static const fo_real CLIP = (fo_real)5;
 /* While a phase current is near zero its inverter's sign is wrong by a good half, for a fraction of
  * a millisecond: the square of the one times the other [s]. */
 static const fo_real KNEE_TIME = (fo_real)4e-5;
+/* So many times what noise pretends to tell of the resistance does not count. */
+static const fo_real BEYOND = (fo_real)2;
 /* The drift moves by this much less than the flux. */
 static const fo_real DRIFT_WALK = (fo_real)0.1;
 /* Share of white noise in an angle that is left in the tracker's, over bandwidth times sample time. */
@@ -88,7 +90,6 @@ fo_error fo_adaptive_init(fo_adaptive *a, const fo_config *config, const fo_adap
         }
         a->through_R = (fo_real)FO_NP * drop * drop;
         a->decoy = config->sample_time * config->current_noise / psi;
-        a->resistance = (config->R[0][0] + config->R[1][1]) / TWO;
         /* of white noise in the angle so much is left behind the tracker */
         const fo_real left = TRACKED * config->tracker_bandwidth * config->sample_time;
         a->pretended = (fo_real)FO_NP * (left < ONE ? left : ONE) * o->position_noise;
@@ -129,7 +130,7 @@ void fo_adaptive_reset(const fo_adaptive *a, fo_adaptive_state *s)
     fo_reset(&a->plain, &s->plain);
     forget(a, s);
     s->x[0] = ONE;
-    s->random = 1U;
+    s->random = 0x2545F491U;
     fo_candidates_sow(a, s);
 }
 
@@ -145,7 +146,7 @@ static void zero(fo_real x[FO_NP])
 /* The decoy goes along as if it were the column of the resistance. What it tells of its parameter,
  * which does not exist, the noise of the current pretends to tell of the resistance. */
 static void update_decoy(fo_adaptive_state *s, const fo_real row[FO_NP], const fo_real gain[FO_NP],
-                  fo_real alpha)
+                         fo_real alpha)
 {
     fo_real f = ZERO;
     for (int i = 0; i < FO_NM; i++) {
@@ -154,7 +155,7 @@ static void update_decoy(fo_adaptive_state *s, const fo_real row[FO_NP], const f
     for (int i = 0; i < FO_NM; i++) {
         s->decoy[i] -= gain[i] * f / alpha;
     }
-    s->decoyed = f * f / alpha;
+    s->decoy_told = f * f;
 }
 
 /* Bierman's update by row'p, which is `off` from what it should be, with noise of this variance.
@@ -170,6 +171,9 @@ static fo_real update(fo_adaptive_state *s, const fo_real row[FO_NP], fo_real of
         }
         for (int i = 0; i < j; i++) {
             f += u[i] * row[i];
+        }
+        if (j == (int)P_R) {
+            s->told = f * f;
         }
         const fo_real v = s->D[j] * f, before = alpha;
         alpha += v * f;
@@ -353,7 +357,8 @@ static void start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate
     s->disagree = ZERO;
     s->alpha = ZERO;
     s->pretended = ZERO;
-    s->pretended_R = ZERO;
+    s->tells = ZERO;
+    s->pretends = ZERO;
     (void)memset(s->decoy, 0, sizeof s->decoy);
     s->settled = ZERO;
     s->swept = ZERO;
@@ -366,14 +371,18 @@ static void start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate
 }
 
 /* The decoy over an interval: like the column of the resistance, but driven by noise of the current's
- * size, of two signs from a shift register, in place of the current. */
+ * size, of either sign by chance (xorshift), in place of the current. */
 static void drive_decoy(const fo_adaptive *a, fo_adaptive_state *s)
 {
-    const fo_real noise = a->decoy * fo_sqrt(s->plain.roughness);
-    const uint32_t signs[FO_N] = {s->random & 0x1U, s->random & 0x80U};
-    s->random = (s->random >> 1) ^ (signs[0] != 0U ? 0xA3000000U : 0U);
+    const fo_real noise = a->decoy * fo_sqrt(s->plain.roughness), h = a->plain.h;
+    uint32_t x = s->random;
+    x ^= x << 13U;
+    x ^= x >> 17U;
+    x ^= x << 5U;
+    s->random = x;
+    const uint32_t signs[FO_N] = {x & 0x100U, x & 0x10000U};
     for (int i = 0; i < FO_N; i++) {
-        s->decoy[i] += a->plain.h * s->decoy[P_DRIFT + i] + (signs[i] != 0U ? noise : -noise);
+        s->decoy[i] += h * s->decoy[P_DRIFT + i] + (signs[i] != 0U ? noise : -noise);
     }
 }
 
@@ -406,12 +415,6 @@ static void time_update(const fo_adaptive *a, fo_adaptive_state *s, const effect
         won += (a->pretended * s->pretended + a->through_R) * s->plain.roughness;
         won += a->knee * s->p[P_V] * s->p[P_V] * t->unsure;
     }
-    if (n == (int)P_R && a->variance[P_R] > ZERO) {
-        /* what noise alone tells, that the resistance is zero, is taken back */
-        const fo_real pulled = (fo_real)FO_NP * s->D[P_R] * s->pretended_R;
-        won += pulled * s->D[P_R];
-        s->p[P_R] += pulled * a->resistance;
-    }
     if (won > ZERO) {
         widen(s, n, won);
     }
@@ -443,10 +446,17 @@ static void measurement_update(const fo_adaptive *a, fo_adaptive_state *s, const
     const fo_real across = variance_across(s, along);
     const fo_real curve = across / (TWO * length);
     const fo_real noise = a->noise * s->level + TWO * curve * curve;
+    const fo_real resistance = s->p[P_R], variance = s->D[P_R];
     const fo_real alpha = update(s, row, curve - off, noise);
+    /* of the resistance it takes no more than what is beyond noise */
+    s->tells += a->plain.h * (s->told / alpha - s->tells);
+    s->pretends += a->plain.h * (s->decoy_told / alpha - s->pretends);
+    const fo_real beyond = s->tells - BEYOND * s->pretends;
+    const fo_real share = beyond > ZERO ? beyond / s->tells : ZERO;
+    s->p[P_R] = resistance + share * (s->p[P_R] - resistance);
+    s->D[P_R] = variance + share * (s->D[P_R] - variance);
     s->alpha = alpha;
     s->pretended = across * across / alpha;
-    s->pretended_R += a->plain.h * (s->decoyed - s->pretended_R);
 
     const fo_real most = CLIP * fo_sqrt(s->level);
     const fo_real e = off * fo_sqrt(s->level / alpha);

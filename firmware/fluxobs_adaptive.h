@@ -63,7 +63,6 @@ typedef struct {
     fo_real noise;           /* variance of the residual                        */
     fo_real through_R;       /* noise of the current in the flux, in a round   */
     fo_real decoy;           /* current noise in a sample's flux per ohm        */
-    fo_real resistance;      /* [Ohm]                                           */
     fo_real pretended;       /* noise of the direction, in a round of turns     */
     fo_real charge;          /* 24 times a mean current to its integral         */
     fo_real over_current;    /* of the inverter [1/A]                           */
@@ -96,8 +95,9 @@ typedef struct {
     fo_real level;                       /* their power over the assumed                  */
     fo_real alpha;                       /* variance of the last innovation               */
     fo_real pretended;                   /* what it took, at the last sample              */
-    fo_real decoy[FO_NM], decoyed;       /* a parameter that is only noise, its information */
-    fo_real pretended_R;                 /* of that a sample, averaged                    */
+    fo_real decoy[FO_NM];                /* column of a parameter that is only noise      */
+    fo_real decoy_told, told;            /* at the last sample, of it and of the resistance */
+    fo_real pretends, tells;             /* that over the innovation's variance, averaged */
     uint32_t random;
     fo_real x[FO_N], theta;              /* direction of the position vector              */
     fo_real settled, swept;              /* since the start [memories], [rad]             */

@@ -84,3 +84,60 @@ SERVO = example("servo-400w")
 MACHINES = {name: example(name) for name in ("servo-400w", "pmsm-2kw2", "ipm-2kw2", "synrm-6kw7")}
 #: A current in the rotor frame that suits each machine.
 CURRENTS = {"servo-400w": 6j, "pmsm-2kw2": 4j, "ipm-2kw2": 4j, "synrm-6kw7": 8 + 10j}
+
+
+def driven(
+    machine: Machine,
+    sample_time: float,
+    speed: Array,
+    i_dq: Array,
+    *,
+    R_s: float | None = None,
+    psi_f: float | None = None,
+    inverter: float = 0.0,
+    smoothing: float = 0.1,
+    voltage_bias: complex = 0,
+    noise: float = 0.0,
+    theta0: float = 0.7,
+    seed: int = 0,
+) -> Samples:
+    """Any course of speed and rotor-frame current, one of each a row; straight between rows.
+
+    The machine's true R_s and psi_f may be others than in `machine`, and `inverter` volts a phase
+    are lost against the sign of its current, tanh(i / smoothing). Integrals by the midpoint rule
+    over 16 parts of each interval.
+    """
+    parts, rows, h = 16, len(speed), sample_time
+    k = np.arange((rows - 1) * parts + 1) / parts
+    R = machine.R_s if R_s is None else R_s
+    psi = (getattr(machine, "psi_f", None) or 0.0) if psi_f is None else psi_f
+    L_d = getattr(machine, "L_d", machine.position_inductance)
+    L_q = machine.position_inductance
+    middle = (k[1:] + k[:-1]) / 2
+    omega = np.interp(middle, np.arange(rows), speed)
+    theta = theta0 + np.concatenate([[0.0], np.cumsum(omega) * h / parts])
+    fine = np.interp(k, np.arange(rows), i_dq.real) + 1j * np.interp(k, np.arange(rows), i_dq.imag)
+    flux = (L_d * fine.real + 1j * L_q * fine.imag + psi) * np.exp(1j * theta)
+    half = (theta[1:] + theta[:-1]) / 2
+    between = (fine[1:] + fine[:-1]) / 2 * np.exp(1j * half)
+    mean = between.reshape(rows - 1, parts).mean(axis=1)
+    lost = np.zeros(rows - 1, complex)
+    for phase in range(3):
+        turn = np.exp(2j * np.pi / 3 * phase)
+        sign = np.tanh((between * turn.conj()).real / smoothing)
+        lost += 2 / 3 * turn * sign.reshape(rows - 1, parts).mean(axis=1)
+    voltage = np.diff(flux[::parts]) / h + R * mean + inverter * lost + voltage_bias
+    rng = np.random.default_rng(seed)
+    white = noise * (rng.standard_normal(rows) + 1j * rng.standard_normal(rows))
+    current = fine[::parts] * np.exp(1j * theta[::parts]) + white
+    before = np.array([np.nan + 1j * np.nan])
+    volt_seconds = np.concatenate([before, h * (voltage - R * mean)])
+    return Samples(
+        h,
+        theta[::parts],
+        vectors(flux[::parts]),
+        vectors(current),
+        vectors(np.concatenate([before, voltage])),
+        vectors(volt_seconds),
+        vectors(np.array(-voltage_bias, complex)),
+    )
