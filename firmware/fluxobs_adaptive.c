@@ -41,6 +41,13 @@ static const fo_real PROVEN_AFTER = (fo_real)2;
 static const fo_real PROVEN_AFTER_KNOWN = (fo_real)0.25;
 /* Std of the angle above which linearising makes no sense: 30 degrees. */
 static const fo_real STD_LOST = PI / (fo_real)6;
+/* Above this it does not start. */
+static const fo_real STD_START = PI / (fo_real)12;
+/* A voltage error of this share of what the drift may be is in no model; a slow turn by it leaves no
+ * trace in the residual. */
+static const fo_real UNMODELLED = (fo_real)0.05;
+/* The saliency's part of the derivative is followed with so many times the memory's inverse. */
+static const fo_real TILT = (fo_real)10;
 /* Off by 20 degrees for three memories, the guard is right. */
 static const fo_real DISAGREE = PI / (fo_real)9;
 static const fo_real DISAGREE_FOR = (fo_real)3;
@@ -203,7 +210,7 @@ static void widen(fo_adaptive_state *s, int n, fo_real variance)
     column[n] = ONE;
     for (int j = n; j >= 0; j--) {
         const fo_real pivot = column[j];
-        if (pivot != ZERO) {
+        if (pivot != ZERO && left > ZERO) {
             fo_real *u = &s->U[AT(0, j)];
             const fo_real d_new = s->D[j] + left * pivot * pivot;
             const fo_real over = left * pivot / d_new;
@@ -280,37 +287,83 @@ typedef struct {
     fo_real unsure; /* of the inverter's signs, 0 to 3 */
 } effects;
 
+/* A radian in a memory, at least: slower than that nothing is told apart from the drift. */
+static fo_real turned_in_a_sample(const fo_adaptive *a, const fo_adaptive_state *s)
+{
+    const fo_real h = a->plain.h, speed = a->plain.sample_time * s->tracker.speed;
+    return fo_abs(speed) > h ? speed : speed < ZERO ? -h : h;
+}
+
+/* How far from steady things may have been: the less, the more often the rotor turned in a memory. */
+static fo_real looseness(const fo_adaptive *a, fo_real turned)
+{
+    return LOOSE / (ONE + fo_abs(turned) / (a->plain.h * TWO * PI));
+}
+
+/* What is unknown of resistance and inverter makes of a candidate's angle: its variance. */
+static fo_real tied_variance(const fo_adaptive *a, const fo_adaptive_state *s,
+                             const fo_candidate *c)
+{
+    const fo_real *current = s->plain.current[0];
+    const fo_real turned = turned_in_a_sample(a, s), scale = (fo_real)24 * a->charge / turned;
+    fo_real x[FO_N], signs[FO_N];
+    for (int i = 0; i < FO_N; i++) {
+        x[i] = c->p[i] - a->plain.L_position * current[i];
+    }
+    const fo_real square = dot(x, x);
+    (void)direction(a, current, signs);
+    const fo_real *causes[2] = {current, signs};
+    fo_real variance = c->variance;
+    for (int k = 0; k < 2; k++) {
+        const fo_real across = scale * dot(causes[k], x); /* across x lies what was along it */
+        const fo_real all = scale * scale * dot(causes[k], causes[k]);
+        const fo_real off = across * across / square + looseness(a, turned) * all;
+        variance += s->D[P_R + k] * off / square;
+    }
+    return variance;
+}
+
 /* Ties what is off in resistance and inverter to flux, drift and magnet flux, seen as steady: they
  * turn the flux by -i / (j omega), and lengthen the magnet's by as much as it has along it. */
 static void tie(const fo_adaptive *a, fo_adaptive_state *s, const fo_real along[FO_N],
-                fo_real psi_before, fo_real psi_variance)
+                fo_real length, fo_real psi_before, fo_real psi_variance)
 {
     const fo_observer *o = &a->plain;
     const fo_real *current = s->plain.current[0];
-    /* a radian in a memory, at least: slower than that nothing is told apart from the drift */
-    const fo_real speed = o->sample_time * s->tracker.speed;
-    const fo_real turned = fo_abs(speed) > o->h ? speed : speed < ZERO ? -o->h : o->h;
-    fo_real signs[FO_N];
+    const fo_real turned = turned_in_a_sample(a, s);
+    const fo_real i_along = dot(along, current);
+    fo_real signs[FO_N], lengthens[FO_N];
+    for (int i = 0; i < FO_N; i++) {
+        lengthens[i] = along[i] - a->saliency * (current[i] - i_along * along[i]) / length;
+    }
     (void)direction(a, current, signs);
     const fo_real *causes[2] = {current, signs};
     for (int k = 0; k < 2; k++) {
         const int n = P_R + k;
         fo_real *u = &s->U[AT(0, n)];
         const fo_real scale = (fo_real)24 * a->charge / turned;
-        const fo_real d0 = -scale * causes[k][1], d1 = scale * causes[k][0];
-        const fo_real loose = LOOSE * (d0 * d0 + d1 * d1) * s->D[n];
-        u[P_FLUX] = d0;
-        u[P_FLUX + 1] = d1;
-        u[P_DRIFT] = ZERO;
-        u[P_DRIFT + 1] = ZERO;
-        u[P_PSI] = s->D[P_PSI] > ZERO ? d0 * along[0] + d1 * along[1] : ZERO;
-        s->D[P_PSI] += s->D[P_PSI] > ZERO ? loose : ZERO;
+        const fo_real both = k == 1 ? s->U[AT(P_R, P_V)] : ZERO;
+        const fo_real *other = &s->U[AT(0, P_R)];
+        const fo_real d[FO_N] = {-scale * causes[k][1], scale * causes[k][0]};
+        const fo_real loose = looseness(a, turned) * dot(d, d) * s->D[n];
+        const fo_real off = s->p[n] - a->mean[n]; /* learnt before; the candidate knows nothing of it */
+        fo_real longer = ZERO;
         for (int i = 0; i < FO_N; i++) {
+            u[P_FLUX + i] = d[i] + both * other[P_FLUX + i];
+            u[P_DRIFT + i] = ZERO;
+            longer += lengthens[i] * d[i];
+            s->p[P_FLUX + i] += d[i] * off;
             s->D[P_FLUX + i] += loose;
             s->D[P_DRIFT + i] += loose * turned * turned / (o->h * o->h);
         }
+        u[P_PSI] = ZERO;
+        if (s->D[P_PSI] > ZERO) {
+            u[P_PSI] = longer + both * other[P_PSI];
+            s->p[P_PSI] += longer * off;
+            s->D[P_PSI] += loose;
+        }
     }
-    if (psi_variance > ZERO) {
+    if (psi_variance > ZERO && s->D[P_R] + s->D[P_V] > ZERO) { /* else the candidate took it in */
         fo_real row[FO_NP];
         zero(row);
         row[P_PSI] = ONE;
@@ -361,13 +414,14 @@ static void start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate
     s->pretends = ZERO;
     (void)memset(s->decoy, 0, sizeof s->decoy);
     s->settled = ZERO;
+    s->exposed = ZERO;
     s->swept = ZERO;
     s->tracker.settled = ZERO;
     s->x[0] = along[0];
     s->x[1] = along[1];
     s->theta = c->theta;
     s->candidates[0] = *c;
-    tie(a, s, along, psi_before, psi_variance);
+    tie(a, s, along, length, psi_before, psi_variance);
 }
 
 /* The decoy over an interval: like the column of the resistance, but driven by noise of the current's
@@ -437,10 +491,12 @@ static void measurement_update(const fo_adaptive *a, fo_adaptive_state *s, const
             turn(s->x, ahead, along);
         }
     }
-    const fo_real i_row = dot(along, i);
-    for (int n = 0; n < FO_N; n++) {
-        row[P_FLUX + n] = along[n] - a->saliency * (i[n] - i_row * along[n]) / length;
-    }
+    /* the saliency's part lies across; its noise would be taken for information as well */
+    const fo_real tilt = a->saliency * (along[0] * i[1] - along[1] * i[0]) / length;
+    const fo_real follow = TILT * a->plain.h;
+    s->tilt += (s->settled > ZERO && follow < ONE ? follow : ONE) * (tilt - s->tilt);
+    row[P_FLUX] = along[0] + s->tilt * along[1];
+    row[P_FLUX + 1] = along[1] - s->tilt * along[0];
     row[P_PSI] = -ONE;
     /* second order: what is not known across lengthens the vector */
     const fo_real across = variance_across(s, along);
@@ -602,6 +658,10 @@ static void run(const fo_adaptive *a, fo_adaptive_state *s, const effects *t, bo
             variance = (variance_across(s, s->x) * coloured +
                         o->position_noise * s->plain.roughness) / square;
         }
+        const fo_real turned = fo_abs(s->tracker.speed) * o->sample_time;
+        s->exposed += UNMODELLED * o->h * o->plausible / length -
+                      s->exposed * (turned < ONE ? turned : ONE);
+        variance += s->exposed * s->exposed;
         const fo_real std =
             fo_sqrt(variance < VARIANCE_UNKNOWN ? variance : VARIANCE_UNKNOWN);
         fo_estimate plain;
@@ -645,7 +705,7 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const effects *t,
             q->psi_f = fo_sqrt(choice.best.p[2 * FO_N]) * o->flux_base;
             q->valid = false;
         }
-        if (choice.decided) {
+        if (choice.decided && tied_variance(a, s, &choice.best) < STD_START * STD_START) {
             start(a, s, &choice.best, &choice.information, choice.inflation);
         }
     } else if (s->plain.trusted) {
@@ -670,6 +730,7 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const effects *t,
 /* What stands in the estimate whether the filter runs or not. */
 static void report_prior(const fo_adaptive *a, const fo_adaptive_state *s, fo_adaptive_estimate *e)
 {
+    e->adapting = false;
     e->theta_other = e->position.theta_e;
     e->weight_other = e->position.valid ? ZERO : ONE / TWO;
     e->psi_f = e->position.psi_f;
@@ -701,6 +762,7 @@ static void go_on(const fo_adaptive *a, fo_adaptive_state *s, bool complete, boo
             t.charge[i] = a->charge * mean_24[i];
             t.inverter[i] = (fo_real)24 * a->charge * signs[i];
         }
+        e->adapting = s->running;
         if (s->running) {
             run(a, s, &t, measured, e);
         } else {
@@ -710,7 +772,6 @@ static void go_on(const fo_adaptive *a, fo_adaptive_state *s, bool complete, boo
         /* the first sample */
     }
     s->turn++;
-    e->adapting = s->running;
     e->resistance_error = s->p[P_R];
     e->inverter_voltage = s->p[P_V];
 }

@@ -83,11 +83,11 @@ typedef struct {
 typedef struct {
     fo_state plain;
     bool running;                        /* the filter; else the candidates are followed  */
-    uint32_t turn, round;
+    uint32_t turn;
     uint32_t restarts;                   /* of the filter, by its guard                   */
     fo_candidate candidates[FO_CANDIDATES];
     uint32_t searched;                   /* candidates that ended at the best one         */
-    fo_real best;                        /* its angle [rad]                               */
+    int32_t best;                        /* which one                                     */
     fo_real disturbance;                 /* of the EMF by what is unknown                 */
     fo_real U[FO_NP_TRIANGLE], D[FO_NP]; /* covariance U D U', U unit upper triangular    */
     fo_real p[FO_NP];                    /* flux, drift, magnet flux, R error, inverter   */
@@ -101,6 +101,8 @@ typedef struct {
     uint32_t random;
     fo_real x[FO_N], theta;              /* direction of the position vector              */
     fo_real settled, swept;              /* since the start [memories], [rad]             */
+    fo_real exposed;                     /* turn by a voltage error that is in no model [rad] */
+    fo_real tilt;                        /* of the residual's derivative, by saliency     */
     fo_real disagree;                    /* with the guard for so long [memories]         */
     fo_tracker tracker;
 } fo_adaptive_state;

@@ -12,8 +12,8 @@ enum { M_FLUX = 0, M_DRIFT = FO_N, M_SQUARE = 2 * FO_N };
 
 /* Of the steps, as information: far below that of one sample. */
 static const fo_real DAMPING = (fo_real)1e-3;
-/* Candidates nearer than this are one. */
-static const fo_real SAME = PI / (fo_real)8;
+/* Candidates nearer than 22.5 degrees are one: the square of that cosine. */
+static const fo_real SAME = (fo_real)0.8536;
 /* Turns after which a candidate has come to its end. */
 static const uint32_t GROWN = 4U;
 /* So many candidates have to come to the same end, with none elsewhere of more than this weight, */
@@ -43,6 +43,12 @@ static void position_of(const fo_adaptive *a, const fo_adaptive_state *s, const 
     for (int i = 0; i < FO_N; i++) {
         x[i] = c->p[M_FLUX + i] - a->plain.L_position * s->plain.current[0][i];
     }
+}
+
+static bool same(const fo_real x[FO_N], const fo_real y[FO_N])
+{
+    const fo_real product = dot(x, y);
+    return product > ZERO && product * product > SAME * dot(x, x) * dot(y, y);
 }
 
 /* A candidate in the direction of x. */
@@ -77,6 +83,7 @@ void fo_candidates_sow(const fo_adaptive *a, fo_adaptive_state *s)
     }
     s->running = false;
     s->searched = 0U;
+    s->best = 0;
     s->disturbance = DISTURBANCE_MOST;
 }
 
@@ -121,6 +128,8 @@ static void believe(const fo_adaptive *a, const fo_adaptive_state *s, const fo_c
 void fo_project(const fo_adaptive *a, const fo_adaptive_state *s, fo_candidate *c, fo_manifold *m)
 {
     const fo_information *info = &s->plain.info;
+    fo_real x_before[FO_N];
+    position_of(a, s, c, x_before);
     const fo_real *flux = &c->p[M_FLUX], *drift = &c->p[M_DRIFT], *u = info->U;
     fo_real full[FO_NX], at[FO_NX], x[FO_N], row[FO_NM], least = ZERO;
 
@@ -174,9 +183,8 @@ void fo_project(const fo_adaptive *a, const fo_adaptive_state *s, fo_candidate *
     const fo_real lowest = s->p[M_SQUARE] > ZERO ? SQUARE_LEAST : ZERO;
     c->p[M_SQUARE] = c->p[M_SQUARE] > lowest ? c->p[M_SQUARE] : lowest;
     c->least = least - noise * c->p[M_SQUARE];
-    c->age++;
-
     position_of(a, s, c, x);
+    c->age = same(x, x_before) ? c->age + 1U : 0U; /* after a leap it has to settle again */
     const fo_real square = dot(x, x), all = dot(drift, drift) + c->p[M_SQUARE] + c->cost + c->least;
     if (square > LENGTH_LEAST && square < RUNAWAY && all - all == ZERO) {
         fo_real y[FO_NM] = {-x[1], x[0], ZERO, ZERO, ZERO};
@@ -216,9 +224,10 @@ static int rival(const fo_adaptive *a, fo_adaptive_state *s, int best)
     for (int k = 0; k < FO_CANDIDATES; k++) {
         const fo_candidate *c = &s->candidates[k];
         if (k != best && c->age >= GROWN) {
-            if (fo_abs(wrap(c->theta - s->candidates[best].theta)) < SAME) {
-                fo_real x[FO_N];
-                position_of(a, s, &s->candidates[best], x);
+            fo_real x[FO_N], y[FO_N];
+            position_of(a, s, &s->candidates[best], x);
+            position_of(a, s, c, y);
+            if (same(x, y)) {
                 for (uint32_t quarters = 1U + s->searched % 3U; quarters > 0U; quarters--) {
                     const fo_real before = x[0];
                     x[0] = -x[1];
@@ -286,12 +295,16 @@ void fo_candidates_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_rea
         const fo_real power = s->plain.power * a->plain.h;
         const fo_real inflation = power > ONE ? power : ONE;
         fo_real x[FO_N], other = ZERO;
-        if (fo_abs(wrap(c->theta - s->best)) > SAME) {
-            s->searched = 0U;
-            s->tracker.settled = ZERO;
-        }
-        s->best = c->theta;
         position_of(a, s, c, x);
+        if (s->best != best) {
+            fo_real before[FO_N];
+            position_of(a, s, &s->candidates[s->best], before);
+            if (!same(x, before) || s->candidates[s->best].age < GROWN) {
+                s->searched = 0U;
+                s->tracker.settled = ZERO;
+            }
+            s->best = best;
+        }
         const fo_real square = dot(x, x);
         const int second = rival(a, s, best);
         choice->other = c->theta;
