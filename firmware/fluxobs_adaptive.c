@@ -48,6 +48,10 @@ static const fo_real STD_START = PI / (fo_real)12;
 static const fo_real UNMODELLED = (fo_real)0.05;
 /* The saliency's part of the derivative is followed with so many times the memory's inverse. */
 static const fo_real TILT = (fo_real)10;
+/* A current of so many times its noise turns for so many memories while the rotor stands. */
+static const fo_real LARGE = (fo_real)30;
+static const fo_real STANDING_SLOWER = (fo_real)4;
+static const fo_real STANDING_MOST = (fo_real)0.2;
 /* Off by 20 degrees for three memories, the guard is right. */
 static const fo_real DISAGREE = PI / (fo_real)9;
 static const fo_real DISAGREE_FOR = (fo_real)3;
@@ -415,6 +419,8 @@ static void start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate
     (void)memset(s->decoy, 0, sizeof s->decoy);
     s->settled = ZERO;
     s->exposed = ZERO;
+    s->turning = ZERO;
+    s->standing = ZERO;
     s->swept = ZERO;
     s->tracker.settled = ZERO;
     s->x[0] = along[0];
@@ -555,6 +561,22 @@ static bool sound(const fo_adaptive_state *s)
     return sum - sum == ZERO && s->p[0] * s->p[0] + s->p[1] * s->p[1] < RUNAWAY;
 }
 
+/* A current that turns while the rotor is said to stand: with a resistance that is large enough, its
+ * drop is the whole voltage, and nothing tells that from an EMF that turns with the current. */
+static void look_at_current(const fo_adaptive *a, fo_adaptive_state *s)
+{
+    const fo_observer *o = &a->plain;
+    const fo_real *now = s->plain.current[0], *before = s->plain.current[1];
+    const fo_real square = dot(now, now);
+    const fo_real noise = LARGE * LARGE * o->position_noise * s->plain.roughness;
+    const bool large = square * o->L_position * o->L_position > noise;
+    const fo_real step = large ? (before[0] * now[1] - before[1] * now[0]) / square : ZERO;
+    s->turning += (o->h < ONE ? o->h : ONE) * (step - s->turning);
+    const fo_real rotor = fo_abs(s->tracker.speed) * o->sample_time * STANDING_SLOWER;
+    const fo_real least = rotor > o->h ? rotor : o->h;
+    s->standing = fo_abs(s->turning) > least ? s->standing + o->h : ZERO;
+}
+
 /* Does the filter have to give way? */
 static void watch(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO_N],
                   const fo_estimate *plain, fo_real variance)
@@ -574,7 +596,7 @@ static void watch(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO
     }
     const bool off = known && fo_abs(wrap(s->theta - guard)) > DISAGREE;
     s->disagree = off ? s->disagree + a->plain.h : ZERO;
-    const bool overruled = s->disagree > DISAGREE_FOR, misfit = s->level > LEVEL_MOST;
+    const bool overruled = s->disagree > DISAGREE_FOR || s->standing > DISAGREE_FOR, misfit = s->level > LEVEL_MOST;
     if (overruled || misfit) {
         s->restarts++;
         forget(a, s);
@@ -608,7 +630,8 @@ static void report(const fo_adaptive *a, const fo_adaptive_state *s, fo_real len
         q->theta_e_std = std;
         q->innovation = s->innovation;
         q->noise_share = ZERO;
-        q->valid = s->tracker.settled >= TRACKER_SETTLED && std < STD_LIMIT;
+        q->valid = s->tracker.settled >= TRACKER_SETTLED && std < STD_LIMIT &&
+                   s->standing < STANDING_MOST;
     }
     q->valid = q->valid && known;
     e->theta_other = q->theta_e;
@@ -671,6 +694,7 @@ static void run(const fo_adaptive *a, fo_adaptive_state *s, const effects *t, bo
         s->settled += o->h;
         track(o, &s->tracker, theta);
         settle_tracker(o, &s->tracker, theta, std);
+        look_at_current(a, s);
         report(a, s, length, std, coloured, e);
         watch(a, s, t->v, &plain, variance);
     }
