@@ -1,3 +1,8 @@
+import os
+
+# Tests run side by side: threads within each would only wait for one another.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from hypothesis import settings
 
 # Deterministic, and no deadline: a slow machine is no failure.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,3 +142,33 @@ def driven(
         vectors(volt_seconds),
         vectors(np.array(-voltage_bias, complex)),
     )
+
+
+PMSM = MACHINES["pmsm-2kw2"]
+#: Sample time of the courses [s].
+COURSE_TIME = 1.25e-4
+
+
+def profile(*knots: tuple[float, float]) -> Array:
+    """Straight lines through (time [s], value), a value every COURSE_TIME."""
+    t, values = zip(*knots, strict=True)
+    return np.asarray(np.interp(np.arange(0, t[-1], COURSE_TIME), t, values), float)
+
+
+def course(**given: Any) -> Samples:
+    """The 2.2 kW servo at half speed with steps of load, and a reversal under load."""
+    speed = profile((0, 0), (0.3, 236), (1.2, 236), (1.6, -236), (2.5, -236))
+    steps = ((0, 1), (0.6, 1), (0.61, 6), (1.0, 6), (1.01, 2), (1.9, 2), (1.91, -5), (2.5, -5))
+    return driven(PMSM, COURSE_TIME, speed, 1j * profile(*steps), noise=0.02, **given)
+
+
+def log_columns(samples: Samples) -> dict[str, Array]:
+    """Columns of a log with lag 0: the voltage of row k acts from k to k + 1."""
+    u = np.concatenate([samples.voltage[1:], samples.voltage[-1:]])
+    return {
+        "t": np.arange(len(u)) * samples.sample_time,
+        "u_alpha": u[:, 0],
+        "u_beta": u[:, 1],
+        "i_alpha": samples.current[:, 0],
+        "i_beta": samples.current[:, 1],
+    }

@@ -12,19 +12,13 @@ import pytest
 
 from fluxobs import AdaptiveObserver, FluxobsError
 from fluxobs.machines import example
-from records import MACHINES, driven, wrapped_degrees
+from records import COURSE_TIME as H
+from records import MACHINES, course, driven, profile, wrapped_degrees
+from records import PMSM as MACHINE
 
 HERE = Path(__file__).parent
-MACHINE = example("pmsm-2kw2")
 RATED = MACHINE.rated_current
-H = 1.25e-4
 BOTH = ("drift", "resistance", "inverter")
-
-
-def profile(*knots):
-    """Straight lines through (time [s], value)."""
-    t, values = zip(*knots, strict=True)
-    return np.interp(np.arange(0, t[-1], H), t, values)
 
 
 def start(noise, seed):
@@ -41,13 +35,6 @@ def start(noise, seed):
         theta0=rng.uniform(-3, 3),
         seed=seed,
     )
-
-
-def course(**given):
-    """Half speed with steps of load, and a reversal under load."""
-    speed = profile((0, 0), (0.3, 236), (1.2, 236), (1.6, -236), (2.5, -236))
-    steps = ((0, 1), (0.6, 1), (0.61, 6), (1.0, 6), (1.01, 2), (1.9, 2), (1.91, -5), (2.5, -5))
-    return driven(MACHINE, H, speed, 1j * profile(*steps), noise=0.02, **given)
 
 
 def errors(found, samples):

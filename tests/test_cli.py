@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 
 from fluxobs.machines import example_text
-from records import SERVO, rotating
+from records import SERVO, log_columns, rotating
 
 H, ROWS = 1e-4, 4000
 COLUMNS = [
@@ -41,10 +41,7 @@ def fluxobs(*arguments, folder):
 @pytest.fixture
 def folder(tmp_path):
     samples = rotating(SERVO, H, 500.0, ROWS, 6j, 0.15 - 0.1j, -0.1 + 0.05j, 0.02)
-    u = np.concatenate([samples.voltage[1:], samples.voltage[-1:]])  # row k acts from k to k + 1
-    columns = {"u_alpha": u[:, 0], "u_beta": u[:, 1]}
-    columns |= {"i_alpha": samples.current[:, 0], "i_beta": samples.current[:, 1]}
-    columns |= {"t": np.arange(ROWS) * H, "angle": samples.theta / SERVO.n_p}
+    columns = log_columns(samples) | {"angle": samples.theta / SERVO.n_p}
     pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
     pl.DataFrame(columns).write_parquet(tmp_path / "log.parquet")
     (tmp_path / "motor.toml").write_text(example_text("servo-400w"))

@@ -170,7 +170,7 @@ def identify(
         str | None,
         typer.Option(
             help="What is fitted, of R_s, L_s (or L_d, L_q), psi_f, inverter, lag. Default "
-            "R_s,psi_f,inverter; the rest stays as given."
+            "R_s,psi_f,inverter, as far as the machine has them; the rest stays as given."
         ),
     ] = None,
     record: RecordOption = None,
@@ -189,21 +189,22 @@ def identify(
 ) -> None:
     """Fit the machine's parameters and the inverter's error to a whole log.
 
-    Prints each parameter with its standard deviation, and says which ones the log cannot tell;
-    those stay as given. The machine file that it writes serves `fluxobs estimate`, which takes the
-    inverter's error (inverter_voltage) off the commanded voltages.
+    Prints each parameter with its standard deviation, and says which ones the log cannot tell:
+    they are held at what the machine file says. The machine file that it writes serves `fluxobs
+    estimate`, which takes the inverter's error (inverter_voltage) off the commanded voltages. A lag
+    is no part of it. Where the log tells nothing, nothing is written (exit code 2).
     """
     from .identification import identify as run
     from .identification.identify import read_free
     from .identification.report import draw, lines, toml
     from .machines import RotatingMachine, read_machine
+    from .writing import write_text
 
     given = read_machine(machine)
     if not isinstance(given, RotatingMachine):
         raise FluxobsError(f"{given.kind}: only machines that turn can be identified")
     wanted = read_free(free, given)
-    if out.exists() and not force:
-        raise FluxobsError(f"{out}: exists; give another name, or --force to overwrite it")
+    _check_machine_out(out, force, log, record)
     if report is not None:
         from .plots import check_path
 
@@ -214,10 +215,7 @@ def identify(
     found = run(opened, given, wanted)
     for line in lines(found):
         _echo(line)
-    try:
-        out.write_text(toml(found, log), encoding="utf-8")
-    except OSError as error:
-        raise FluxobsError(f"{out}: cannot be written: {error.strerror}") from None
+    write_text(out, toml(found, log))
     typer.echo(f"Written: {out}")
     if report is not None:
         draw(found, report)
@@ -548,6 +546,22 @@ def _less_inverter(log: Log, machine: Machine) -> Log:
     from dataclasses import replace
 
     return replace(log, inverter=getattr(machine, "inverter", None))
+
+
+def _check_machine_out(out: Path, force: bool, *inputs: Path | None) -> None:
+    """Refuses early what could not, or must not, be written at the end."""
+    if out.suffix != ".toml":
+        raise FluxobsError(f"{out}: --out must end in .toml")
+    if not out.parent.is_dir():
+        raise FluxobsError(f"{out}: the folder {out.parent} does not exist")
+    if out.is_dir():
+        raise FluxobsError(f"{out}: this is a folder")
+    if out.exists():
+        for source in inputs:
+            if source is not None and source.exists() and out.samefile(source):
+                raise FluxobsError(f"{out}: --out is one of the inputs; give another name")
+        if not force:
+            raise FluxobsError(f"{out}: exists; give another name, or --force to overwrite it")
 
 
 def _check(log: Log, report: Path | None, memory: float | None) -> None:

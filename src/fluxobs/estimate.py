@@ -22,6 +22,7 @@ from .observers import (
     LeastSquaresObserver,
     SampleCounts,
 )
+from .observers.adaptive import RESISTANCE_MOST
 from .observers.least_squares import MEMORY
 from .scales import Scales, guess_psi_f, measure_scales, observer_for
 from .tally import Tally
@@ -92,6 +93,25 @@ def prepare(
         raise FluxobsError(str(error)) from None
 
 
+def check_priors(
+    plain: LeastSquaresObserver,
+    machine: RotatingMachine,
+    scales: Scales,
+    priors: Mapping[str, float],
+) -> None:
+    """FluxobsError where a standard deviation is beyond sense, in a wrong unit most likely."""
+    for name, most, words in (
+        ("resistance", RESISTANCE_MOST * machine.R_s, f"{RESISTANCE_MOST:g} times R_s"),
+        ("inverter", scales.voltage, "the voltage in this log"),
+        ("psi_f", plain.flux_base, "the magnet flux itself"),
+    ):
+        if priors.get(name, 0.0) > most > 0:
+            raise FluxobsError(
+                f"--prior {name}={priors[name]:g}: a standard deviation, in SI units; this is more "
+                f"than {words}, {most:.3g}"
+            )
+
+
 def adapt(
     plain: LeastSquaresObserver,
     machine: RotatingMachine,
@@ -101,6 +121,7 @@ def adapt(
 ) -> AdaptiveObserver:
     """The adaptive observer around one that was chosen for a log."""
     check_adapted(machine, unknowns, priors)
+    check_priors(plain, machine, scales, priors)
     try:
         return AdaptiveObserver.for_machine(
             machine,

@@ -20,6 +20,13 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 BLUE, ORANGE, GREY = "#1f5fa8", "#d9762b", "#8a8a8a"
+GREY_WORDS = "        grey: position not known"
+#: Title and unit of what the adaptive observer finds.
+PARAMETERS = {
+    "resistance": ("Resistance", "Ω"),
+    "inverter_voltage": ("Inverter", "V"),
+    "psi_f": ("Magnet flux", "Wb"),
+}
 FORMATS = (".png", ".pdf", ".svg")
 STYLE: Any = {
     "font.size": 9,
@@ -49,25 +56,26 @@ def report(result: Result, path: str | Path) -> None:
     import matplotlib.pyplot as plt
 
     with plt.rc_context(STYLE):
-        figure = plt.figure(figsize=(11, 8.5), layout="constrained")
-        axes = figure.subplot_mosaic(
-            [["locus", "position"], ["locus", "error"], ["speed", "speed"], ["drift", "drift"]],
-            width_ratios=[1, 1.9],
-            height_ratios=[1.2, 1, 1, 1],
-        )
+        learnt = _learnt(result)
+        figure = plt.figure(figsize=(11, 10.5 if learnt else 8.5), layout="constrained")
+        axes = figure.subplot_mosaic(_layout(learnt), height_ratios=[1.2, *[1] * (4 if learnt else 3)])
         whole, detail = result.tally.thin.columns(), result.tally.detail.columns()
         _locus(axes["locus"], whole)
         _position(axes["position"], detail)
         _error(axes["error"], whole)
         _speed(axes["speed"], whole)
         _drift(axes["drift"], whole)
-        for name in ("error", "speed", "drift"):
+        for name in learnt:
+            _parameter(axes[name], name, whole, learnt[name])
+        for name in ("error", "speed", "drift", *learnt):
             _shade_unknown(axes[name], whole)
             axes[name].set_xlim(whole["t"][0], whole["t"][-1])
         axes["error"].set_xlabel("t [s]")
         axes["speed"].sharex(axes["drift"])
         axes["speed"].tick_params(labelbottom=False)
-        axes["drift"].set_xlabel("t [s]        grey: position not known")
+        axes["drift"].set_xlabel("" if learnt else f"t [s]{GREY_WORDS}")
+        for name in learnt:
+            axes[name].set_xlabel(f"t [s]{GREY_WORDS if name == list(learnt)[0] else ''}")
         figure.suptitle(
             f"{result.log.table.path.name}  ·  {result.machine.kind}  ·  position valid on "
             f"{result.tally.valid / result.tally.rows:.1%} of {result.tally.rows} rows"
@@ -76,6 +84,32 @@ def report(result: Result, path: str | Path) -> None:
         )
         write(figure, path)
         plt.close(figure)
+
+
+def _learnt(result: Result) -> dict[str, float]:
+    """Columns of what the adaptive observer finds → what was believed."""
+    adaptive = result.adaptive
+    if adaptive is None:
+        return {}
+    believed = {
+        "resistance": (adaptive.resistance, adaptive.resistance_std),
+        "inverter_voltage": (adaptive.inverter_voltage, adaptive.inverter_std),
+        "psi_f": (adaptive.psi_f, adaptive.psi_f_std),
+    }
+    return {name: value for name, (value, std) in believed.items() if std > 0}
+
+
+def _layout(learnt: dict[str, float]) -> list[list[str]]:
+    """Six columns, so that one, two or three panels share a row."""
+    rows = [
+        ["locus"] * 2 + ["position"] * 4,
+        ["locus"] * 2 + ["error"] * 4,
+        ["speed"] * 6,
+        ["drift"] * 6,
+    ]
+    if learnt:
+        rows.append([name for name in learnt for _ in range(6 // len(learnt))])
+    return rows
 
 
 def write(figure: Figure, path: Path) -> None:
@@ -213,6 +247,28 @@ def _drift(axes: Axes, whole: dict[str, Array]) -> None:
     axes.axhline(0, color=GREY, linewidth=0.5)
     axes.set_title("Drift: R δ_i - δ_u, what the sensors' offsets add to the flux per second")
     axes.set_ylabel("[mV]")
+    _legend(axes)
+
+
+def _parameter(axes: Axes, name: str, whole: dict[str, Array], believed: float) -> None:
+    """What was found, with its ±2σ band, and what the machine file says."""
+    title, unit = PARAMETERS[name]
+    value, std = whole[name].copy(), whole[f"{name}_std"]
+    before = whole["adapting"] == 0  # psi_f is then the length of λ - L i
+    value[before] = np.nan
+    axes.fill_between(
+        whole["t"],
+        value - 2 * std,
+        value + 2 * std,
+        color=BLUE,
+        alpha=0.18,
+        linewidth=0,
+        label="±2σ",
+    )
+    axes.plot(whole["t"], value, color=BLUE)
+    axes.axhline(believed, color=ORANGE, linewidth=0.8, linestyle="--", label="assumed")
+    axes.set_title(title)
+    axes.set_ylabel(f"[{unit}]")
     _legend(axes)
 
 

@@ -89,31 +89,36 @@ def _paragraph(result: Result) -> str:
 def _found(result: Result) -> list[str]:
     """What the adaptive observer holds at the end, each with what was believed of it."""
     adaptive, found = result.adaptive, result.tally.found
-    if adaptive is None or not found:
+    if adaptive is None:
         return []
-
-    def words(name: str, value: str, believed: float, unit: str) -> str:
-        std = found[f"{value}_std"]
-        return f"{name} {_si(found[value], unit)} ± {_si(std, unit)} ({_si(believed, unit)} given)"
-
-    parts = []
-    if adaptive.psi_f_std > 0:
-        parts.append(words("magnet flux", "psi_f", adaptive.psi_f, "Wb"))
-    if adaptive.resistance_std > 0:
-        parts.append(words("resistance", "resistance", adaptive.resistance, "Ω"))
-    if adaptive.inverter_std > 0:
-        given = adaptive.inverter_voltage
-        parts.append(words("inverter", "inverter_voltage", given, "V"))
-    text = "At the end: " + ", ".join(parts) + "."
-    priors = {
-        "magnet flux": (adaptive.psi_f_std, "psi_f_std"),
-        "resistance": (adaptive.resistance_std, "resistance_std"),
-        "inverter": (adaptive.inverter_std, "inverter_voltage_std"),
-    }
-    unseen = [name for name, (std, key) in priors.items() if std > 0 and found[key] > UNSEEN * std]
-    if unseen:
-        text += f" Of {' and '.join(unseen)} the log says little beyond that."
-    return [text]
+    if not found:
+        return ["Nothing was found of the machine: the position was not known for long enough."]
+    machine = result.machine
+    magnet = "given" if getattr(machine, "psi_f", None) is not None else "guessed from the log"
+    drops = "given" if machine.inverter_voltage is not None else "assumed"
+    told, untold = [], []
+    for name, key, believed, prior, unit, source in (
+        ("magnet flux", "psi_f", adaptive.psi_f, adaptive.psi_f_std, "Wb", magnet),
+        ("resistance", "resistance", adaptive.resistance, adaptive.resistance_std, "Ω", "given"),
+        (
+            "inverter",
+            "inverter_voltage",
+            adaptive.inverter_voltage,
+            adaptive.inverter_std,
+            "V",
+            drops,
+        ),
+    ):
+        std = found[f"{key}_std"]
+        if prior > 0 and std > UNSEEN * prior:
+            untold.append(name)
+        elif prior > 0:
+            value = f"{_si(found[key], unit)} ± {_si(std, unit)}"
+            told.append(f"{name} {value} ({_si(believed, unit)} {source})")
+    text = [f"At the end: {', '.join(told)}."] if told else []
+    if untold:
+        text.append(f"The log does not tell {' and '.join(untold)}.")
+    return text
 
 
 def _warnings(result: Result) -> list[str]:
@@ -162,7 +167,7 @@ def _truth_warnings(result: Result) -> list[str]:
         out.append(f"The true angle is known on {tally.scored} of {tally.valid} valid rows only.")
     if tally.scored and np.sqrt(tally.error_squared / tally.scored) > TRUTH_LIMIT:
         out.append(
-            "The true angle is far off everywhere: is it in radians (--scale theta_mech=0.0174533 "
+            "The true angle is far off: is it in radians (--scale theta_mech=0.0174533 "
             "for degrees), electrical or mechanical, n_p right, counted in the direction of a-b-c, "
             "zero where d lies along α?"
         )

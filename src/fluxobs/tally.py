@@ -46,6 +46,7 @@ class Series:
         }
         if isinstance(estimate, AdaptiveEstimate):
             part |= {name: getattr(estimate, name)[keep] for name in FOUND}
+            part["adapting"] = estimate.adapting[keep].astype(float)
         if error is not None and rows.truth is not None:
             part |= {"theta_e_error": error[keep], "truth": rows.truth[keep]}
         self.parts.append({name: values.copy() for name, values in part.items()})

@@ -59,7 +59,7 @@ def check_adapted(machine: Machine, unknowns: Sequence[str], priors: Mapping[str
         if name not in PRIORS:
             raise FluxobsError(f"--prior: unknown {name!r}{nearest(name, PRIORS)}")
         if not 0 <= std < float("inf"):
-            raise FluxobsError(f"--prior {name}={std:g}: a standard deviation is not negative")
+            raise FluxobsError(f"--prior {name}={std:g}: must be finite and not negative")
         if name in ADAPTED and name not in unknowns:
             raise FluxobsError(f"--prior {name}: {name} is not among the unknowns")
     if priors and not found:

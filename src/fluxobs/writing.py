@@ -30,6 +30,18 @@ def check_out(out: str | Path, log: Path) -> Path:
     return out
 
 
+def write_text(out: Path, text: str) -> None:
+    """A text file: complete or not at all; FluxobsError if it cannot be written."""
+    part_file = out.with_name(f".{out.name}.part")
+    try:
+        part_file.write_text(text, encoding="utf-8")
+        part_file.replace(out)
+    except OSError as error:
+        raise FluxobsError(f"{out}: cannot be written: {error.strerror}") from None
+    finally:
+        part_file.unlink(missing_ok=True)
+
+
 def write_rows(out: Path, schema: Schema, frames: Iterator[pl.DataFrame]) -> None:
     """Streams frames into .parquet or .csv; `out` appears only when all are written.
 

@@ -26,7 +26,7 @@ from .pieces import cut, smoothing_current
 #: Rows that are looked at, and the memory of the observer that starts the fits [s].
 ROWS, MEMORY = 20_000, 0.03
 #: A residual within this factor of the least one fits as well.
-AS_GOOD = 1.2
+AS_GOOD = 1.5
 #: One above this share of the flux fits nothing.
 BAD = 0.25
 LAGS = (-2, -1, 0, 1, 2)
@@ -198,7 +198,7 @@ def _fit(
     """Fit of resistance, inverter and magnet, and its residual over the flux; None if the position
     is never known."""
     mirrored, turned = ORDERS[key.phases]
-    z = part.current[:, 0] + 1j * part.current[:, 1]
+    z = np.where(np.isfinite(part.current), part.current, np.nan) @ [1, 1j]
     z = key.sign * np.exp(1j * np.radians(turned)) * (z.conj() if mirrored else z)
     current = np.stack([z.real, z.imag], axis=1)
     observer = observer_for(log, machine, scales, memory, psi)
@@ -238,11 +238,13 @@ def _arranged(
         if getattr(key, kind) != value and key._replace(**{kind: value}) == best
     }
     same = tuple(words(x) for x in others if others[x] < AS_GOOD * residuals[best])
-    least = min(others.values())
+    least = min(others.values(), default=np.inf)
     sure = (
         f"else the residual is {least / residuals[best]:.1f} times as large"
         if np.isfinite(least)
         else "else the position is never known"
+        if others
+        else "nothing else comes near"
     )
     as_given = value == getattr(ARRANGED, kind)
     return Finding(kind, words(value), as_given, same, "" if same else sure)
@@ -254,8 +256,13 @@ def _scaled(found: Fit, machine: RotatingMachine) -> Finding:
     given_psi: float | None = getattr(machine, "psi_f", None)
     told_R = float(found.alike[0]) < ALIKE_LIMIT and found.std("R_s") < 0.2 * abs(R) and R > 0
     told_psi = given_psi is not None and psi > 0
+    if not (told_R or told_psi):
+        words = "this log cannot tell whether scales are as given"
+        return Finding("scale", words, True, (), "steps of load or speed would show R_s")
     distances = {}
     for h in HYPOTHESES:
+        if not told_psi and h.resistance == 1 and h != AS_GIVEN:
+            continue  # of the magnet flux alone
         d = 0.0
         if told_R:
             d += (np.log(R / machine.R_s / h.resistance) / SPREAD_R) ** 2
@@ -277,12 +284,14 @@ def _scaled(found: Fit, machine: RotatingMachine) -> Finding:
     if distances[best] > FAR**2:
         words = "no usual mistake of scale explains what fits: check R_s and psi_f themselves"
         return Finding("scale", words, False, (), sure)
-    others = [h.words for h in HYPOTHESES if h != best and distances[h] < distances[best] + TOLD]
-    if told_psi and best.psi != 1 and best.resistance == 1:
-        others.append("psi_f in the machine file is off by that much")
-    if told_R and best.resistance != 1 and best.psi == 1:
-        others.append("R_s in the machine file is off by that much")
-    return Finding("scale", best.words, best == AS_GIVEN, tuple(others), sure)
+    others = [h.words for h in distances if h != best and distances[h] < distances[best] + TOLD]
+    # The simplest first: the number in the machine file itself.
+    words = best.words
+    if told_psi and best.psi != 1 and (best.resistance == 1 or not told_R):
+        words = f"psi_f in the machine file is off, or {words}"
+    elif told_R and best.resistance != 1 and (best.psi == 1 or not told_psi):
+        words = f"R_s in the machine file is off, or {words}"
+    return Finding("scale", words, best == AS_GIVEN, tuple(others), sure)
 
 
 def lines(found: Check) -> list[str]:

@@ -28,6 +28,10 @@ LAG_UNSURE = 0.25
 #: L_s and L_d are seen through the current along the flux; where that is below this share of the
 #: whole (rms), what the model does not contain decides their value.
 ALONG_LIMIT = 0.15
+ADVICE = (
+    "Record one with steps of load at several speeds, a run-up from rest, or both directions: a "
+    "resistance acts with the current, an inverter with its sign, a magnet with the speed"
+)
 #: What is held first where parameters cannot be told apart.
 HELD_FIRST = ("lag", "L_d", "L_q", "L_s", "inverter", "R_s", "psi_f")
 
@@ -58,7 +62,11 @@ class Identification:
     lag : float
         Voltage lag that fits best [samples]; as given unless free.
     before, after : Fit
-        Nothing but the magnet flux free; and the final one.
+        As given, the magnet flux of a machine that has magnets fitted; and the final one.
+    inverter_current : float
+        At which the inverter's sign is smoothed [A].
+    rows : int
+        Of the log; those in `pieces` were used.
     pieces : list of Piece
     """
 
@@ -69,6 +77,8 @@ class Identification:
     before: Fit
     after: Fit
     pieces: list[Piece]
+    inverter_current: float
+    rows: int
 
 
 def free_names(machine: RotatingMachine) -> tuple[str, ...]:
@@ -91,6 +101,7 @@ def read_free(text: str | None, machine: RotatingMachine) -> tuple[str, ...]:
     if text is None:
         return tuple(name for name in known if name in ("R_s", "psi_f", "inverter"))
     words = [word.strip() for word in text.split(",") if word.strip()]
+    words = ["inverter" if word == "inverter_voltage" else word for word in words]
     for word in words:
         if word not in known:
             raise FluxobsError(
@@ -116,7 +127,7 @@ def identify(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identif
     Raises
     ------
     FluxobsError
-        The position is never known in the log.
+        The position is never known in the log, or it tells none of the free parameters.
     """
     data, scales = pieces(log, machine, LAGS if "lag" in free else (0,))
     given = _values(machine, data)
@@ -131,6 +142,11 @@ def identify(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identif
         held = next(name for name in HELD_FIRST if name in doubts)
         untold[held] = doubts[held]
         names = tuple(name for name in names if name not in untold)
+        if not names:
+            reasons = "; ".join(f"{name}: {why}" for name, why in untold.items())
+            raise FluxobsError(
+                f"{log.table.path}: this log tells none of {', '.join(free)} ({reasons}). {ADVICE}."
+            )
     found = [
         Parameter(
             name,
@@ -141,13 +157,14 @@ def identify(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identif
         )
         for name in free
     ]
+    smoothing = smoothing_current(machine, scales)
     changes = {
         "inverter_voltage" if name == "inverter" else name: after.values[name]
         for name in names
         if name != "lag"
     }
     if "inverter" in names:
-        changes["inverter_current"] = smoothing_current(machine, scales)
+        changes["inverter_current"] = smoothing
     changes = {name: float(f"{value:.6g}") for name, value in changes.items()}
     return Identification(
         machine.model_copy(update=changes),
@@ -157,6 +174,8 @@ def identify(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identif
         before,
         after,
         data,
+        smoothing,
+        len(log),
     )
 
 

@@ -7,12 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .identify import Identification
-
-ADVICE = (
-    "Record one with steps of load at several speeds, a run-up from rest, or both directions: a "
-    "resistance acts with the current, an inverter with its sign, a magnet with the speed"
-)
+from ..plots import write
+from .identify import ADVICE, Identification, Parameter
 
 
 def lines(found: Identification) -> list[str]:
@@ -23,20 +19,38 @@ def lines(found: Identification) -> list[str]:
         if p.std is None:
             out.append(f"{p.name} held at {p.value:.4g} {p.unit}: {found.untold[p.name]}")
         else:
-            out.append(f"{p.name} = {p.value:.4g} ± {p.std:.2g} {p.unit} ({was})")
+            out.append(f"{p.name} = {p.value:.4g} ± {p.std:.2g} {p.unit} ({was}){_note(p, found)}")
     if found.untold:
         out.append(
-            f"This log cannot tell {', '.join(found.untold)}; what it tells holds if these are as "
-            f"given. {ADVICE}."
+            f"This log cannot tell {', '.join(found.untold)}: held at what the machine file says. "
+            f"The others are right as far as that is. {ADVICE}."
+        )
+    used = sum(len(piece) for piece in found.pieces)
+    if used < 0.99 * found.rows:
+        out.append(
+            f"{used} of {found.rows} rows were used: those without a gap, in pieces in which the "
+            f"position is known"
         )
     size = found.after.values["psi_f"] or np.mean([np.linalg.norm(p.start) for p in found.pieces])
     out.append(
-        f"Residual of the relation: {found.before.rms() / size:.2%} of the flux as given, "
+        f"Residual of the relation: {found.before.rms() / size:.2%} of the flux {_as_given(found)}, "
         f"{found.after.rms() / size:.2%} as found"
     )
     if not found.after.converged:
         out.append("Warning: the fit did not settle; treat its values with caution")
     return out
+
+
+def _note(parameter: Parameter, found: Identification) -> str:
+    if parameter.name == "inverter":
+        return f", its sign smoothed at inverter_current = {found.inverter_current:.3g} A"
+    if parameter.name == "lag":
+        return f"; no part of a machine file: give --lag {parameter.value:.2g}"
+    return ""
+
+
+def _as_given(found: Identification) -> str:
+    return "as given but for psi_f, which is fitted" if found.before.free else "as given"
 
 
 def toml(found: Identification, log: Path) -> str:
@@ -46,6 +60,8 @@ def toml(found: Identification, log: Path) -> str:
         f"# Identified from {log.name} by `fluxobs identify`.",
         f'kind = "{found.machine.kind}"',
     ]
+    if found.untold:
+        rows.insert(1, f"# The log did not tell {', '.join(found.untold)}: as they were.")
     for name, value in found.machine.model_dump(by_alias=True, exclude_none=True).items():
         std = stds.get(name)
         rows.append(f"{name} = {value!r}" + (f"  # ± {std:.2g}" if std is not None else ""))
@@ -64,7 +80,7 @@ def draw(found: Identification, path: Path) -> None:
         np.mean([np.linalg.norm(p.start) for p in found.pieces])
     )
     styles: tuple[tuple[Any, str, str], ...] = (
-        (found.before, "as given", "tab:orange"),
+        (found.before, _as_given(found), "tab:orange"),
         (found.after, "as identified", "tab:blue"),
     )
     for fitted, label, colour in styles:
@@ -83,5 +99,5 @@ def draw(found: Identification, path: Path) -> None:
     axes.grid(alpha=0.3)
     axes.legend(loc="upper right")
     axes.set_title("How well the machine's relation holds over the log")
-    figure.savefig(path, dpi=120)
+    write(figure, path)
     plt.close(figure)

@@ -28,6 +28,8 @@ PROJECTIONS: tuple[Projection, ...] = ("never", "start", "always")
 #: Default standard deviations: of the resistance and the magnet flux as shares of what the machine
 #: file says, of the inverter's voltage as a share of the rated resistive drop.
 RESISTANCE_SHARE, PSI_SHARE, INVERTER_SHARE = 0.25, 0.25, 0.25
+#: A resistance's standard deviation beyond so many times the resistance is a wrong unit.
+RESISTANCE_MOST = 10.0
 #: In which resistance, inverter and magnet may have changed by as much as that [s].
 SLOW_MEMORY = 100.0
 
@@ -81,12 +83,10 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         The one that runs in it.
     saliency : float
         L_d - L_q [H]; 0 of a machine with one inductance.
-    resistance : float
-        As believed [Ω].
     psi_f, psi_f_std : float
         Magnet flux as believed and its standard deviation [Wb]; 0, 0 without magnets.
     resistance_std : float
-        Of the resistance [Ω].
+        Of the plain observer's resistance [Ω].
     inverter_voltage, inverter_std : float
         Dead time and device drops of a phase as believed, and the standard deviation [V].
     inverter_current : float
@@ -101,7 +101,8 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
     Raises
     ------
     ValueError
-        A value is negative or not finite, or sizes do not fit each other.
+        A value is negative or not finite, sizes do not fit each other, a standard deviation is
+        far above what it is of, or the slow memory is shorter than the plain observer's.
 
     References
     ----------
@@ -122,7 +123,6 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
 
     plain: LeastSquaresObserver
     saliency: float
-    resistance: float
     psi_f: float
     psi_f_std: float
     resistance_std: float
@@ -145,6 +145,19 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         for name in ("saliency", "inverter_voltage"):
             if not np.isfinite(value := getattr(self, name)):
                 raise ValueError(f"{name} must be finite, got {value}")
+        for name, value, of in (
+            ("psi_f_std", self.psi_f_std, self.psi_f),
+            ("resistance_std", self.resistance_std, RESISTANCE_MOST * self.resistance),
+        ):
+            if value > of:
+                raise ValueError(
+                    f"{name} = {value:g} is more than {of:g}: a standard deviation, in SI units"
+                )
+        if self.slow_memory < self.memory:
+            raise ValueError(
+                f"slow_memory = {self.slow_memory:g} s is shorter than the memory of the plain "
+                f"observer, {self.memory:g} s"
+            )
         if self.projection not in PROJECTIONS:
             raise ValueError(
                 f"projection must be one of {', '.join(PROJECTIONS)}, got {self.projection!r}"
@@ -185,6 +198,11 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
     def memory(self) -> float:
         """[s]."""
         return self.plain.memory
+
+    @property
+    def resistance(self) -> float:
+        """As believed [Ω]."""
+        return float(self.plain.R[0, 0])
 
     @classmethod
     def for_machine(
@@ -263,7 +281,6 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         return cls(
             plain=plain,
             saliency=machine.saliency,
-            resistance=machine.R_s,
             psi_f=flux,
             psi_f_std=PSI_SHARE * flux if psi_f_std is None else psi_f_std,
             resistance_std=believed("resistance", resistance_std, RESISTANCE_SHARE * machine.R_s),
