@@ -161,7 +161,7 @@ def inverter() -> None:
 def interior(picture: Path | None) -> None:
     heading(
         "Interior machine with i_d stepping by its rated current: largest error [degrees] by "
-        "saliency L_q / L_d (rows) and i_d / rated (columns), half load, half speed; L_q i / psi 0.7"
+        "saliency L_q / L_d (rows), i_d / rated (columns); half load and speed; L_q i / psi 0.7"
     )
     base = example("ipm-2kw2")
     ratios, currents = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0), (-1.5, -1.0, -0.5, 0.5, 1.0)
@@ -392,7 +392,7 @@ def lane_scores(lane, machine, h, u, i, theta, volt, drift, worst) -> list[list[
         begin = at + 1
         if not found.valid[-1]:
             continue
-        covariance, scales = covariance_of(observer, state, found)
+        covariance, _ = covariance_of(observer, state, found)
         off = np.array(
             [
                 np.radians(degrees_error(found.theta_e[-1:], theta[at : at + 1])[0]),
@@ -409,7 +409,7 @@ def lane_scores(lane, machine, h, u, i, theta, volt, drift, worst) -> list[list[
 
 def covariance_of(observer, state, found) -> tuple[Array, Array]:
     """Of (angle, drift, psi_f, R, V) in SI, at the last row: scaled to the reported ones."""
-    _, _, p, packed, D = observer._core.filter(state.raw, 0)
+    _, _, _, packed, D = observer._core.filter(state.raw, 0)
     U = np.eye(7)
     for j in range(7):
         U[:j, j] = packed[j * (j - 1) // 2 : j * (j - 1) // 2 + j]

@@ -1,4 +1,4 @@
-"""The adaptive observer: start, resistance, inverter, magnet, saliency, and what it says of them."""
+"""The adaptive observer: start, resistance, inverter, magnet, saliency, and what it says of it."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from fluxobs import AdaptiveObserver, FluxobsError
-from fluxobs.machines import example
 from records import COURSE_TIME as H
 from records import MACHINES, course, driven, profile, wrapped_degrees
 from records import PMSM as MACHINE
 
 HERE = Path(__file__).parent
 RATED = MACHINE.rated_current
+SPEED_TIMES, LOAD_TIMES = (0, 0.3, 0.9, 1.2, 2.0), (0, 0.5, 0.51, 1.1, 1.11, 2.0)
 BOTH = ("drift", "resistance", "inverter")
 
 
@@ -134,9 +134,7 @@ def test_magnet_flux_and_its_standard_deviation():
 
 def test_a_known_magnet_flux_shows_the_resistance_at_steady_state():
     speed = profile((0, 0), (0.3, 100), (2.0, 100))
-    samples = driven(
-        MACHINE, H, speed, np.full(len(speed), 5j), R_s=1.2 * MACHINE.R_s, noise=0.02
-    )
+    samples = driven(MACHINE, H, speed, np.full(len(speed), 5j), R_s=1.2 * MACHINE.R_s, noise=0.02)
 
     def found(psi_f_std):
         observer = AdaptiveObserver.for_machine(
@@ -227,8 +225,8 @@ def test_standard_deviations_are_honest():
         rng = np.random.default_rng(seed)
         R, psi = MACHINE.R_s * (1 + 0.2 * rng.standard_normal()), 0.545 * rng.normal(1, 0.15)
         V = 2.0 * abs(rng.standard_normal())
-        speeds = [(t, 200 * s) for t, s in zip((0, 0.3, 0.9, 1.2, 2.0), rng.uniform(-1, 1, 5))]
-        loads = [(t, 5 * s) for t, s in zip((0, 0.5, 0.51, 1.1, 1.11, 2.0), rng.uniform(-1, 1, 6))]
+        speeds = [(t, 200 * s) for t, s in zip(SPEED_TIMES, rng.uniform(-1, 1, 5), strict=True)]
+        loads = [(t, 5 * s) for t, s in zip(LOAD_TIMES, rng.uniform(-1, 1, 6), strict=True)]
         bias = 0.2 * (rng.standard_normal() + 1j * rng.standard_normal())
         samples = driven(
             MACHINE,
@@ -344,7 +342,7 @@ def test_what_cannot_be():
         ("projection", "sometimes"),
         ("resistance_std", 1e30),
     ):
-        with pytest.raises(ValueError):
+        with pytest.raises(ValueError, match=field):
             replace(good, **{field: value})
 
 

@@ -80,6 +80,13 @@ TruthOption = Annotated[
         "of a levitated body, in metres."
     ),
 ]
+PriorOption = Annotated[
+    Pairs,
+    typer.Option(
+        help="resistance=OHM, inverter=VOLT, psi_f=WB: standard deviations of what the machine "
+        "file says. Default: a quarter of R_s, of R_s times the rated current, and of psi_f."
+    ),
+]
 
 
 @app.command()
@@ -117,13 +124,7 @@ def estimate(
             "offset."
         ),
     ] = "drift",
-    prior: Annotated[
-        Pairs,
-        typer.Option(
-            help="resistance=OHM, inverter=VOLT, psi_f=WB: standard deviations of what the machine "
-            "file says. Default: a quarter of R_s, of R_s times the rated current, and of psi_f."
-        ),
-    ] = None,
+    prior: PriorOption = None,
 ) -> None:
     """Estimate flux, position, speed and drift of a recorded log.
 
@@ -441,6 +442,7 @@ def export(
     drift_prior: Annotated[
         float | None, typer.Option(help="Volt; largest plausible drift. Default from the machine.")
     ] = None,
+    prior: PriorOption = None,
     update_every: Annotated[
         int,
         typer.Option(
@@ -471,6 +473,7 @@ def export(
         unknowns=read_unknowns(unknowns),
         current_noise=current_noise,
         drift_prior=drift_prior,
+        priors=_numbers("prior", prior),
         update_every=update_every,
         prefix=prefix,
         force=force,
@@ -622,10 +625,12 @@ def _run(
 
         draw(result, report)
         typer.echo(f"Written: {report}")
-    _advise_export(result, source, unknowns)
+    _advise_export(result, source, unknowns, priors or {})
 
 
-def _advise_export(result: Result, source: str, unknowns: tuple[str, ...]) -> None:
+def _advise_export(
+    result: Result, source: str, unknowns: tuple[str, ...], priors: dict[str, float]
+) -> None:
     """How the same observer gets into firmware."""
     o, machine = result.observer, result.machine
     if not machine.rated_current or not machine.flux_base(getattr(machine, "psi_f", None), 1.0):
@@ -636,11 +641,12 @@ def _advise_export(result: Result, source: str, unknowns: tuple[str, ...]) -> No
         typer.echo(f"For an export as firmware the machine file needs {' and '.join(values)}.")
     elif machine.inverter is not None and result.adaptive is None:
         typer.echo(
-            "In firmware the observer for the drift leaves the inverter to the drive: compensate it "
-            "there, or export with --unknowns drift,inverter."
+            "In firmware the observer for the drift leaves the inverter to the drive: compensate "
+            "it there, or export with --unknowns drift,inverter."
         )
     else:
         chosen = "" if result.adaptive is None else f" --unknowns {','.join(unknowns)}"
+        chosen += "".join(f" --prior {name}={std!r}" for name, std in priors.items())
         typer.echo(
             f"The same in firmware: fluxobs export --machine {shlex.quote(source)}{chosen} "
             f"--sample-time {o.sample_time!r} --memory {o.memory!r} "

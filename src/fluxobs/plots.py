@@ -58,7 +58,8 @@ def report(result: Result, path: str | Path) -> None:
     with plt.rc_context(STYLE):
         learnt = _learnt(result)
         figure = plt.figure(figsize=(11, 10.5 if learnt else 8.5), layout="constrained")
-        axes = figure.subplot_mosaic(_layout(learnt), height_ratios=[1.2, *[1] * (4 if learnt else 3)])
+        layout = _layout(learnt)
+        axes = figure.subplot_mosaic(layout, height_ratios=[1.2, *[1.0] * (len(layout) - 1)])
         whole, detail = result.tally.thin.columns(), result.tally.detail.columns()
         _locus(axes["locus"], whole)
         _position(axes["position"], detail)
@@ -75,7 +76,7 @@ def report(result: Result, path: str | Path) -> None:
         axes["speed"].tick_params(labelbottom=False)
         axes["drift"].set_xlabel("" if learnt else f"t [s]{GREY_WORDS}")
         for name in learnt:
-            axes[name].set_xlabel(f"t [s]{GREY_WORDS if name == list(learnt)[0] else ''}")
+            axes[name].set_xlabel(f"t [s]{GREY_WORDS if name == next(iter(learnt)) else ''}")
         figure.suptitle(
             f"{result.log.table.path.name}  ·  {result.machine.kind}  ·  position valid on "
             f"{result.tally.valid / result.tally.rows:.1%} of {result.tally.rows} rows"
@@ -99,7 +100,7 @@ def _learnt(result: Result) -> dict[str, float]:
     return {name: value for name, (value, std) in believed.items() if std > 0}
 
 
-def _layout(learnt: dict[str, float]) -> list[list[str]]:
+def _layout(learnt: dict[str, float]) -> Any:
     """Six columns, so that one, two or three panels share a row."""
     rows = [
         ["locus"] * 2 + ["position"] * 4,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -46,6 +47,7 @@ def export(
     unknowns: tuple[str, ...] = ("drift",),
     current_noise: float | None = None,
     drift_prior: float | None = None,
+    priors: Mapping[str, float] | None = None,
     update_every: int = 1,
     prefix: str = "motor",
     force: bool = False,
@@ -70,6 +72,8 @@ def export(
     current_noise, drift_prior : float, optional
         As of :meth:`LeastSquaresObserver.for_machine` [A], [V]; `fluxobs estimate` prints what it
         took for a log.
+    priors : mapping of {"resistance", "inverter", "psi_f"} to float, optional
+        Standard deviations of what the machine says, for the adaptive observer [Ω], [V], [Wb].
     update_every : int
         Interrupts from one step of the observer to the next; in between volt-seconds are gathered.
         Costs less, and noise is averaged over fewer samples.
@@ -94,7 +98,7 @@ def export(
     from ..unknowns import adapts  # loads what reads logs
 
     check_prefix(prefix)
-    rotating = check_machine(machine, unknowns)
+    rotating = check_machine(machine, unknowns, priors or {})
     memory = check_times(sample_time, update_every, memory)
     for name, value in (("current_noise", current_noise), ("drift_prior", drift_prior)):
         if value is not None and not 0 < value < float("inf"):
@@ -103,7 +107,8 @@ def export(
     check_folder(folder, force)
     try:
         if adapts(unknowns):
-            kind: Any = partial(AdaptiveObserver.for_machine, unknowns=unknowns)
+            stds: Any = {f"{name}_std": std for name, std in (priors or {}).items()}
+            kind: Any = partial(AdaptiveObserver.for_machine, unknowns=unknowns, **stds)
         else:
             kind = LeastSquaresObserver.for_machine
         observers = {

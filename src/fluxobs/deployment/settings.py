@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from ..errors import FluxobsError
 from ..machines import Machine, RotatingMachine
@@ -23,7 +24,9 @@ def check_prefix(prefix: str) -> None:
         raise FluxobsError(f"prefix {prefix!r} cannot begin names in C; {near!r} can")
 
 
-def check_machine(machine: Machine, unknowns: tuple[str, ...]) -> RotatingMachine:
+def check_machine(
+    machine: Machine, unknowns: tuple[str, ...], priors: Mapping[str, float]
+) -> RotatingMachine:
     """The machine, if the firmware can serve it and find these unknowns."""
     from ..unknowns import UNKNOWNS, adapts, check_adapted  # loads what reads logs
 
@@ -37,7 +40,7 @@ def check_machine(machine: Machine, unknowns: tuple[str, ...]) -> RotatingMachin
             f"kind {machine.kind}: the firmware's observer is for machines that turn; logs of "
             f"this one can be read with `fluxobs estimate`"
         )
-    check_adapted(machine, unknowns, {})
+    check_adapted(machine, unknowns, priors)
     if "current-bias" in unknowns:
         raise FluxobsError(
             f"unknowns {','.join(unknowns)}: the firmware's observers find the drift, which takes "

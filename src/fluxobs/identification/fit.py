@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,11 +197,10 @@ def fit(data: Sequence[Piece], start: Mapping[str, float], free: Sequence[str]) 
     return Fit(values, names, covariance, alike, np.concatenate(along), residuals, converged)
 
 
-def _change(triangles: Sequence[Array], moves: Sequence[Array], step: Array) -> float:
+def _change(triangles: Sequence[Array], moves: Sequence[Any], step: Array) -> float:
     """What a step changes in the residual, rms over the rows of the triangles [Wb]."""
     changes = [
-        R[:, :-1] @ np.concatenate([move, step])
-        for R, move in zip(triangles, moves, strict=True)
+        R[:, :-1] @ np.concatenate([move, step]) for R, move in zip(triangles, moves, strict=True)
     ]
     return float(np.sqrt(np.mean(np.concatenate(changes) ** 2)))
 

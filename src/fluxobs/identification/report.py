@@ -32,9 +32,10 @@ def lines(found: Identification) -> list[str]:
             f"position is known"
         )
     size = found.after.values["psi_f"] or np.mean([np.linalg.norm(p.start) for p in found.pieces])
+    before, after = found.before.rms() / size, found.after.rms() / size
     out.append(
-        f"Residual of the relation: {found.before.rms() / size:.2%} of the flux {_as_given(found)}, "
-        f"{found.after.rms() / size:.2%} as found"
+        f"Residual of the relation: {before:.2%} of the flux {_as_given(found)}, {after:.2%} as "
+        f"found"
     )
     if not found.after.converged:
         out.append("Warning: the fit did not settle; treat its values with caution")
