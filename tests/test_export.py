@@ -37,6 +37,7 @@ COMPILERS = [
     for name in ("gcc", "clang")
 ]
 SAMPLE_TIME = 1e-4
+ADAPTIVE = ("drift", "resistance", "inverter")
 CPU = Path("/proc/cpuinfo").read_text().split() if Path("/proc/cpuinfo").exists() else []
 
 
@@ -302,11 +303,68 @@ def test_precisions_do_not_mix(tmp_path, folders):
     assert "fo_reset_single" in linked.stderr
 
 
+@pytest.mark.parametrize(
+    ("name", "unknowns"),
+    [
+        ("servo-400w", ADAPTIVE),
+        ("ipm-2kw2", ("drift", "resistance")),
+        ("synrm-6kw7", ADAPTIVE),
+    ],
+)
+def test_the_adaptive_observer_in_the_folder(tmp_path, name, unknowns):
+    done = fluxobs.export(MACHINES[name], 1e-4, tmp_path / "motor", unknowns=unknowns)
+    assert isinstance(done.observer, fluxobs.AdaptiveObserver)
+    assert {path.name for path in done.folder.glob("*.[ch]")} == {
+        "example_isr.c",
+        "fluxobs.c",
+        "fluxobs.h",
+        "fluxobs_adaptive.c",
+        "fluxobs_adaptive.h",
+        "fluxobs_candidates.c",
+        "fluxobs_candidates.h",
+        "fluxobs_internal.h",
+        "motor_observer.h",
+    }
+    said = make(done.folder)
+    assert said.returncode == 0, said.stdout + said.stderr
+    for precision in ("single", "double"):
+        assert f"{precision}: 171 of 171 rows as expected" in said.stdout
+    strict = [*STRICT, f"-I{done.folder}", "-c", done.folder / "example_isr.c"]
+    subprocess.run(["gcc", *strict, "-DFO_SINGLE", "-o", tmp_path / "isr.o"], check=True)
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes"),
+    [
+        ("UNMODELLED = (fo_real)0.05", "UNMODELLED = (fo_real)0.5"),
+        ("s->theta = ", "s->theta = (fo_real)0.01 + "),
+    ],
+)
+def test_a_change_of_the_adaptive_observer_shows(tmp_path, was, becomes):
+    fluxobs.export(MACHINES["servo-400w"], 1e-4, tmp_path / "motor", unknowns=ADAPTIVE)
+    source = tmp_path / "motor" / "fluxobs_adaptive.c"
+    assert was in source.read_text()
+    source.write_text(source.read_text().replace(was, becomes))
+    done = make(tmp_path / "motor", "CFLAGS=-O2 -Wno-error")
+    assert done.returncode != 0
+    assert "FAILED" in done.stdout
+
+
+def test_standard_deviations_reach_the_firmware(tmp_path):
+    priors = {"resistance": 0.1, "inverter": 0.2, "psi_f": 0.001}
+    done = fluxobs.export(
+        MACHINES["servo-400w"], 1e-4, tmp_path / "motor", unknowns=ADAPTIVE, priors=priors
+    )
+    assert done.observer.resistance_std == 0.1
+    assert done.observer.inverter_std == 0.2
+    assert done.observer.psi_f_std == 0.001
+
+
 def test_the_same_call_writes_the_same_bytes(tmp_path):
     for name in ("a", "b"):
         fluxobs.export(MACHINES["servo-400w"], 1e-4, tmp_path / name)
     files = sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*.*"))
-    assert len(files) == 9  # and LICENSE, Makefile
+    assert len(files) == 10  # and LICENSE, Makefile
     for path in files:
         assert (tmp_path / "a" / path).read_bytes() == (tmp_path / "b" / path).read_bytes()
     assert not any(path.name.startswith(".") for path in tmp_path.iterdir())
@@ -321,12 +379,14 @@ def test_content_changes_with_what_matters(tmp_path):
     assert first.observer.memory == 0.03
 
 
-def test_every_word_of_the_templates_is_filled(folders):
-    for folder in folders.values():
+def test_every_word_of_the_templates_is_filled(folders, tmp_path):
+    adaptive = tmp_path / "adaptive"
+    fluxobs.export(MACHINES["servo-400w"], SAMPLE_TIME, adaptive, unknowns=ADAPTIVE)
+    for folder in (*folders.values(), adaptive):
         for path in folder.rglob("*.*"):
-            assert not re.search(r"@\w+@", path.read_text()), path
-    readme = (folders["servo-400w"] / "README.md").read_text()
-    assert cost_table(read_costs()) in readme
+            assert not re.search(r"@\w+@|@when", path.read_text()), path
+    for folder, kind in ((folders["servo-400w"], "plain"), (adaptive, "adaptive")):
+        assert cost_table(read_costs()[kind]) in (folder / "README.md").read_text()
 
 
 def test_two_machines_in_one_firmware(tmp_path):
@@ -404,8 +464,12 @@ def test_the_vectors_are_a_drive_that_is_followed(name):
         ({"update_every": 0}, ["update_every 0", "at least 1"]),
         ({"update_every": 50}, ["memory 0.03 s", "step every 0.005 s", "0.05 s"]),
         ({"memory": 1.0}, ["memory 1 s", "4000 steps", "0.4 s", "update_every 3"]),
-        ({"unknowns": ("drift", "current-bias")}, ["cannot both be found", "--unknowns drift"]),
-        ({"unknowns": ("current-bias",)}, ["drift only", "use drift"]),
+        ({"unknowns": ("drift", "current-bias")}, ["find the drift", "use drift"]),
+        ({"unknowns": ("current-bias",)}, ["find the drift", "use drift"]),
+        ({"unknowns": ("resistance",)}, ["without the drift", "drift,resistance"]),
+        ({"unknowns": ADAPTIVE, "priors": {"resistance": 1e6}}, ["resistance_std", "SI units"]),
+        ({"unknowns": ADAPTIVE, "priors": {"R": 1.0}}, ["'R'", "resistance"]),
+        ({"priors": {"psi_f": 0.001}}, ["needs", "drift,resistance"]),
         ({"unknowns": ("drft",)}, ["drft", "drift, current-bias"]),
         ({"unknowns": ()}, ["drift serves"]),
         ({"current_noise": 0.0}, ["current_noise must be positive"]),
@@ -433,8 +497,11 @@ def test_machines_that_cannot_be_exported(tmp_path):
     with pytest.raises(FluxobsError, match="units"):
         fluxobs.export(wrong, 1e-4, tmp_path / "x")
     synrm = fluxobs.read_machine("synrm-6kw7")
-    with pytest.raises(FluxobsError, match="drift only"):
+    with pytest.raises(FluxobsError, match="find the drift"):
         fluxobs.export(synrm, 1e-4, tmp_path / "x", unknowns=("drift", "current-bias"))
+    dropping = MACHINES["servo-400w"].model_copy(update={"inverter_voltage": 0.5})
+    with pytest.raises(FluxobsError, match="with unknowns drift,inverter"):
+        fluxobs.export(dropping, 1e-4, tmp_path / "x")
 
 
 def test_nothing_is_overwritten_unasked(tmp_path, monkeypatch):

@@ -20,6 +20,11 @@ VALID_SHARE = 0.5
 MEMORIES = 3
 #: A standard deviation that is left at this share of the prior's: nothing was learnt.
 UNSEEN = 0.5
+#: What finds a suspect.
+REMEDY = dict.fromkeys(
+    ("R_s", "the inverter"),
+    " Find it with --unknowns drift,resistance,inverter, or with `fluxobs identify`.",
+)
 #: Rms position error [rad] beyond which the truth itself is in doubt.
 TRUTH_LIMIT = 0.5
 
@@ -267,4 +272,5 @@ def _residual_warnings(result: Result) -> list[str]:
     return [
         f"The residual of the machine's constraint is more than noise explains{size}. Largest "
         f"suspect: {suspect.name}; {suspect.advice} ({suspect.remaining:.0%} of the residual left)."
+        f"{REMEDY.get(suspect.name, '')}"
     ]
