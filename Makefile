@@ -80,7 +80,7 @@ fuzz:
 
 bench: $(READY)
 	@for script in accuracy measured speed startup paper hour long_run drive closed_loop validity \
-	        compare update_every; do \
+	        compare update_every adaptive; do \
 	    $(BIN)/python benchmarks/$$script.py || exit 1; \
 	done
 

@@ -48,7 +48,8 @@ static const fo_real STD_START = PI / (fo_real)12;
 static const fo_real UNMODELLED = (fo_real)0.05;
 /* The saliency's part of the derivative is followed with so many times the memory's inverse. */
 static const fo_real TILT = (fo_real)10;
-/* A current of so many times its noise turns for so many memories while the rotor stands. */
+/* A current of so many times its noise that turns so many times as fast as the rotor, for so many
+ * memories: the rotor does not stand, the filter is wrong. */
 static const fo_real LARGE = (fo_real)30;
 static const fo_real STANDING_SLOWER = (fo_real)4;
 static const fo_real STANDING_MOST = (fo_real)0.2;
@@ -482,8 +483,8 @@ static void time_update(const fo_adaptive *a, fo_adaptive_state *s, const effect
 
 /* The residual |x| - saliency i_d - psi_f. Its derivative is taken in the direction that the tracker
  * predicts: this sample's noise in it would count as information. */
-static void measurement_update(const fo_adaptive *a, fo_adaptive_state *s, const fo_real x[FO_N],
-                    fo_real length)
+static void measurement_update(const fo_adaptive *a, fo_adaptive_state *s,
+                               const fo_real x[FO_N], fo_real length)
 {
     const fo_real *i = s->plain.current[0];
     const fo_real i_along = dot(x, i) / length;
@@ -596,7 +597,8 @@ static void watch(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO
     }
     const bool off = known && fo_abs(wrap(s->theta - guard)) > DISAGREE;
     s->disagree = off ? s->disagree + a->plain.h : ZERO;
-    const bool overruled = s->disagree > DISAGREE_FOR || s->standing > DISAGREE_FOR, misfit = s->level > LEVEL_MOST;
+    const bool overruled = s->disagree > DISAGREE_FOR || s->standing > DISAGREE_FOR;
+    const bool misfit = s->level > LEVEL_MOST;
     if (overruled || misfit) {
         s->restarts++;
         forget(a, s);

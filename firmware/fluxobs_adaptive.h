@@ -4,7 +4,7 @@
  * The observer of fluxobs.h runs in it as ever. Until the position is known its information is
  * projected on the manifold of consistent (flux, drift, magnet flux); then a recursive square-root
  * Gauss-Newton on (flux, drift, magnet flux, resistance error, inverter voltage) takes over, guarded
- * by the observer in it (docs/theory.md, section 8).
+ * by the observer in it (docs/theory.md, section 13).
  *
  * For machines with Q1 = 1, E = 0: |flux - L i| = psi_f + saliency i_d.
  *

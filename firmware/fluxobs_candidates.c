@@ -133,7 +133,7 @@ void fo_project(const fo_adaptive *a, const fo_adaptive_state *s, fo_candidate *
     const fo_real *flux = &c->p[M_FLUX], *drift = &c->p[M_DRIFT], *u = info->U;
     fo_real full[FO_NX], at[FO_NX], x[FO_N], row[FO_NM], least = ZERO;
 
-    /* docs/theory.md, section 8: the immersion's state is a function of the manifold's. */
+    /* docs/theory.md, section 13: the immersion's state is a function of the manifold's. */
     at[S] = dot(flux, flux) - c->p[M_SQUARE];
     at[KAPPA] = TWO * dot(flux, drift);
     at[CC] = dot(drift, drift);
@@ -324,7 +324,8 @@ void fo_candidates_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_rea
         choice->inflation = inflation / (share < SHARE_MOST ? ONE - share : ONE - SHARE_MOST);
         choice->best.variance *= choice->inflation;
         choice->weight = s->searched >= SEARCHED ? other / (ONE + other) : ONE / TWO;
-        choice->decided = due == best && (quick || s->plain.trusted) && s->searched >= SEARCHED && other < OTHER &&
-                          share < START_SHARE && choice->best.variance < START_STD * START_STD;
+        choice->decided = due == best && (quick || s->plain.trusted) &&
+                          s->searched >= SEARCHED && other < OTHER && share < START_SHARE &&
+                          choice->best.variance < START_STD * START_STD;
     }
 }

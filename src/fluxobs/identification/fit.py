@@ -5,7 +5,7 @@ in all of these, and the relation of a machine with a magnet or saliency leaves 
 
     r = |x| - ψ - (L_d - L_q) (x·i) / |x|,        x = λ - L_q i
 
-(docs/theory.md, sections 1 and 12). Gauss and Newton with Huber's weights; λ₀ and θ of each piece
+(docs/theory.md, section 13). Gauss and Newton with Huber's weights; λ₀ and θ of each piece
 are eliminated by its own QR decomposition, so that work grows with the rows only.
 """
 

@@ -106,7 +106,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
 
     References
     ----------
-    docs/theory.md, section 8; firmware/fluxobs_adaptive.c. Bierman, Factorization Methods for
+    docs/theory.md, section 13; firmware/fluxobs_adaptive.c. Bierman, Factorization Methods for
     Discrete Sequential Estimation, 1977, for the covariance's form.
 
     Examples
