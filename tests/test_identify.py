@@ -83,6 +83,14 @@ def test_finds_a_lag(tmp_path):
     assert found.lag == pytest.approx(-1, abs=0.05)
 
 
+def test_finds_a_lag_and_all_the_rest_from_afar(rich):
+    found = identify(rich, PMSM, ("R_s", "L_s", "psi_f", "inverter", "lag"))
+    # Half speed: a sample of lag shows, but inductance and lag both turn the vector with the load.
+    assert found.after.converged
+    assert found.lag == pytest.approx(0, abs=0.1)
+    assert found.machine.R_s == pytest.approx(R_S, rel=0.01)
+
+
 def test_derivatives_are_those_of_the_residual(rich):
     data, _ = pieces(rich, PMSM, (-2, -1, 0, 1, 2))
     piece = data[len(data) // 2]

@@ -50,6 +50,8 @@ class Fit:
         Current along the position vector, all pieces [A].
     residuals : list of (rows,) array
         r of each piece [Wb].
+    local : list of ((2,) array, (2,) array)
+        λ₀ [Wb] and θ [V] of each piece.
     converged : bool
     """
 
@@ -59,6 +61,7 @@ class Fit:
     alike: Array
     along: Array
     residuals: list[Array]
+    local: list[tuple[Array, Array]]
     converged: bool
 
     def std(self, name: str) -> float:
@@ -140,7 +143,12 @@ def _weights(residual: Array, scale: float) -> Array:
     return np.asarray(np.sqrt(np.where(r < HUBER, 1.0, HUBER / np.maximum(r, HUBER))))
 
 
-def fit(data: Sequence[Piece], start: Mapping[str, float], free: Sequence[str]) -> Fit:
+def fit(
+    data: Sequence[Piece],
+    start: Mapping[str, float],
+    free: Sequence[str],
+    local: Sequence[tuple[Array, Array]] | None = None,
+) -> Fit:
     """Best parameters from a start that is right within a factor of two or so.
 
     Parameters
@@ -150,16 +158,19 @@ def fit(data: Sequence[Piece], start: Mapping[str, float], free: Sequence[str]) 
         R_s, L_d, L_q (and L_s), psi_f, inverter, lag.
     free : sequence of str
         Which of them are fitted; without any, λ₀ and θ of the pieces alone are.
+    local : sequence of ((2,) array, (2,) array), optional
+        Where λ₀ and θ start; default the observer's.
     """
     values, names = dict(start), tuple(free)
-    local = [(piece.start.copy(), piece.drift.copy()) for piece in data]
+    at = local if local is not None else [(piece.start, piece.drift) for piece in data]
+    here = [(start.copy(), drift.copy()) for start, drift in at]
 
     def run(at: Mapping[str, float], where: Sequence[tuple[Array, Array]]) -> list[Array]:
         return [evaluate(p, at, *w, names)[0] for p, w in zip(data, where, strict=True)]
 
     converged = False
     for _ in range(ITERATIONS):
-        parts = [evaluate(p, values, *w, names) for p, w in zip(data, local, strict=True)]
+        parts = [evaluate(p, values, *w, names) for p, w in zip(data, here, strict=True)]
         residuals = [part[0] for part in parts]
         scale = 1.4826 * float(np.median(np.abs(np.concatenate(residuals)))) + 1e-15
         triangles: list[Array] = []
@@ -181,20 +192,20 @@ def fit(data: Sequence[Piece], start: Mapping[str, float], free: Sequence[str]) 
             new = _with(values, names, factor * step)
             where = [
                 (s + factor * m[:2], d + factor * m[2:])
-                for (s, d), m in zip(local, moves, strict=True)
+                for (s, d), m in zip(here, moves, strict=True)
             ]
             if _possible(new) and _cost(run(new, where), scale) <= before * (1 + 1e-12):
                 break
             factor /= 2
         else:
             break
-        values, local = new, where
+        values, here = new, where
         if _change(triangles, moves, step) < CONVERGED * scale:
             converged = True
             break
-    along = [-evaluate(p, values, *w, ("L_d",))[2][:, 0] for p, w in zip(data, local, strict=True)]
-    covariance, alike, residuals = _uncertainty(data, values, local, names)
-    return Fit(values, names, covariance, alike, np.concatenate(along), residuals, converged)
+    along = [-evaluate(p, values, *w, ("L_d",))[2][:, 0] for p, w in zip(data, here, strict=True)]
+    covariance, alike, residuals = _uncertainty(data, values, here, names)
+    return Fit(values, names, covariance, alike, np.concatenate(along), residuals, here, converged)
 
 
 def _change(triangles: Sequence[Array], moves: Sequence[Any], step: Array) -> float:

@@ -133,9 +133,13 @@ def identify(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identif
     given = _values(machine, data)
     names = tuple(free)
     before = fit(data, given, ("psi_f",) if given["psi_f"] > 0 else ())
+    nearest = _nearest_lag(data, given, names) if "lag" in names else None
     untold: dict[str, str] = {}
     while True:
-        after = fit(data, given, names)
+        if nearest is None or "lag" not in names:
+            after = fit(data, given, names)
+        else:
+            after = fit(data, _start(given, nearest, names), names, nearest.local)
         doubts = _doubts(after, scales.voltage) | _unseen_inductances(after, data)
         if not doubts:
             break
@@ -195,6 +199,21 @@ def _values(machine: RotatingMachine, data: Sequence[Piece]) -> dict[str, float]
         psi_f: float | None = machine.psi_f  # type: ignore[attr-defined]
         lengths = [np.linalg.norm(p.start - values["L_q"] * p.current[0]) for p in data]
         values["psi_f"] = float(psi_f if psi_f is not None else np.median(lengths))
+    return values
+
+
+def _nearest_lag(data: Sequence[Piece], given: dict[str, float], free: Sequence[str]) -> Fit:
+    """The fit at the whole lag that fits best: a step from afar would leave the range of lags."""
+    names = [name for name in free if name != "lag"]
+    fits = [fit(data, given | {"lag": float(lag)}, names) for lag in LAGS]
+    return min(fits, key=lambda found: found.rms())
+
+
+def _start(given: dict[str, float], found: Fit, names: Sequence[str]) -> dict[str, float]:
+    """As found what is free, as given what is held."""
+    values = given | {name: found.values[name] for name in names}
+    if "L_s" in names:
+        values["L_d"] = values["L_q"] = values["L_s"]
     return values
 
 
