@@ -153,7 +153,7 @@ def check_path(path: Path) -> None:
         raise FluxobsError(f"{path}: the folder {path.parent} does not exist")
 
 
-def _legend(axes: Axes, **options: Any) -> None:
+def legend(axes: Axes, **options: Any) -> None:
     """Above the axes at the right, where no data can be."""
     axes.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, ncols=2, **options)
 
@@ -180,7 +180,7 @@ def _locus(axes: Axes, whole: dict[str, Array]) -> None:
     axes.set_title("Flux locus")
     axes.set_xlabel(f"α [{unit}]")
     axes.set_ylabel(f"β [{unit}]")
-    _legend(axes, markerscale=5)
+    legend(axes, markerscale=5)
 
 
 def _position(axes: Axes, detail: dict[str, Array]) -> None:
@@ -199,7 +199,7 @@ def _position(axes: Axes, detail: dict[str, Array]) -> None:
     axes.set_xlim(t[0], t[-1])
     axes.set_xlabel("t [s]")
     _shade_unknown(axes, detail)
-    _legend(axes)
+    legend(axes)
 
 
 def _few_periods(detail: dict[str, Array], periods: float = 8.0) -> dict[str, Array]:
@@ -232,7 +232,7 @@ def _error(axes: Axes, whole: dict[str, Array]) -> None:
     axes.set_ylim(-1.4 * limit, 1.4 * limit)
     axes.set_title("Position error" if "theta_e_error" in whole else "Uncertainty of the position")
     axes.set_ylabel("[°]")
-    _legend(axes)
+    legend(axes)
 
 
 def _speed(axes: Axes, whole: dict[str, Array]) -> None:
@@ -248,7 +248,7 @@ def _drift(axes: Axes, whole: dict[str, Array]) -> None:
     axes.axhline(0, color=GREY, linewidth=0.5)
     axes.set_title("Drift: R δ_i - δ_u, what the sensors' offsets add to the flux per second")
     axes.set_ylabel("[mV]")
-    _legend(axes)
+    legend(axes)
 
 
 def _parameter(axes: Axes, name: str, whole: dict[str, Array], believed: float) -> None:
@@ -270,7 +270,7 @@ def _parameter(axes: Axes, name: str, whole: dict[str, Array], believed: float) 
     axes.axhline(believed, color=ORANGE, linewidth=0.8, linestyle="--", label="assumed")
     axes.set_title(title)
     axes.set_ylabel(f"[{unit}]")
-    _legend(axes)
+    legend(axes)
 
 
 def _shade_unknown(axes: Axes, series: dict[str, Array]) -> None:

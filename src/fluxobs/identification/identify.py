@@ -30,7 +30,8 @@ LAG_UNSURE = 0.25
 ALONG_LIMIT = 0.15
 ADVICE = (
     "Record one with steps of load at several speeds, a run-up from rest, or both directions: a "
-    "resistance acts with the current, an inverter with its sign, a magnet with the speed"
+    "resistance acts with the current, an inverter with its sign, a magnet with the speed, a lag "
+    "with both"
 )
 #: What is held first where parameters cannot be told apart.
 HELD_FIRST = ("lag", "L_d", "L_q", "L_s", "inverter", "R_s", "psi_f")

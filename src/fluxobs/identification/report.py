@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..plots import write
+from ..plots import BLUE, GREY, ORANGE, STYLE, legend, write
 from .identify import ADVICE, Identification, Parameter
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 def lines(found: Identification) -> list[str]:
@@ -22,8 +25,8 @@ def lines(found: Identification) -> list[str]:
             out.append(f"{p.name} = {p.value:.4g} ± {p.std:.2g} {p.unit} ({was}){_note(p, found)}")
     if found.untold:
         out.append(
-            f"This log cannot tell {', '.join(found.untold)}: held at what the machine file says. "
-            f"The others are right as far as that is. {ADVICE}."
+            f"This log cannot tell {', '.join(found.untold)}: held as given. The others are "
+            f"right as far as that is. {ADVICE}."
         )
     used = sum(len(piece) for piece in found.pieces)
     if used < 0.99 * found.rows:
@@ -76,14 +79,18 @@ def draw(found: Identification, path: Path) -> None:
     mpl.use("agg")
     from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(9, 4.5), layout="constrained")
+    with plt.rc_context(STYLE):
+        figure, axes = plt.subplots(figsize=(9, 4.5), layout="constrained")
+        _residuals(axes, found)
+        write(figure, path)
+        plt.close(figure)
+
+
+def _residuals(axes: Axes, found: Identification) -> None:
     size = found.after.values["psi_f"] or float(
         np.mean([np.linalg.norm(p.start) for p in found.pieces])
     )
-    styles: tuple[tuple[Any, str, str], ...] = (
-        (found.before, _as_given(found), "tab:orange"),
-        (found.after, "as identified", "tab:blue"),
-    )
+    styles = ((found.before, _as_given(found), ORANGE), (found.after, "as identified", BLUE))
     for fitted, label, colour in styles:
         begin = 0.0
         for k, (piece, residual) in enumerate(zip(found.pieces, fitted.residuals, strict=True)):
@@ -95,10 +102,8 @@ def draw(found: Identification, path: Path) -> None:
                 label=f"{label}: {100 * fitted.rms() / size:.2f} % rms" if k == 0 else None,
             )
             begin += float(piece.t[-1])
+    axes.axhline(0, color=GREY, linewidth=0.5)
     axes.set_xlabel("time in the pieces that were used [s]")
     axes.set_ylabel("residual of the relation [% of the flux]")
-    axes.grid(alpha=0.3)
-    axes.legend(loc="upper right")
-    axes.set_title("How well the machine's relation holds over the log")
-    write(figure, path)
-    plt.close(figure)
+    axes.set_title("How well the relation holds")
+    legend(axes)
