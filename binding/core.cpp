@@ -261,7 +261,8 @@ enum AdaptiveColumn {
 };
 
 #define FO_ADAPTIVE_FIELDS(X)                                                                     \
-    X(saliency) X(mean) X(variance) X(walk) X(noise) X(through_R) X(decoy) X(pretended) X(charge) X(over_current) X(knee) X(projection)
+    X(saliency) X(mean) X(variance) X(walk) X(noise) X(through_R) X(decoy) X(pretended)           \
+    X(charge) X(over_current) X(knee) X(projection)
 #define FO_ADAPTIVE_SIZE(name) +sizeof(fo_adaptive::name)
 static_assert(sizeof(fo_adaptive) - sizeof(fo_observer) - (0 FO_ADAPTIVE_FIELDS(FO_ADAPTIVE_SIZE)) <
                   sizeof(fo_real),
@@ -325,12 +326,13 @@ public:
             });
     }
 
-    // as of Core; and what there is of the filter: how often its guard restarted it, mean p and
-    // covariance U D U' of (flux, drift, magnet flux, resistance error, inverter) per-unit
+    // as of Core
     static nb::tuple counters(const States &states, std::size_t lane) {
         return counts(lane_of<fo_adaptive_state>(states, lane).plain);
     }
 
+    // whether the filter runs, how often its guard restarted it, mean p and covariance U D U' of
+    // (flux, drift, magnet flux, resistance error, inverter), per-unit
     static nb::tuple filter(const States &states, std::size_t lane) {
         const auto state = lane_of<fo_adaptive_state>(states, lane);
         return nb::make_tuple(state.running, state.restarts, nested(state.p), nested(state.U),

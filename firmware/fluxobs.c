@@ -440,8 +440,7 @@ static void judge(const fo_observer *o, fo_state *s, const fo_real p[FO_N], fo_r
     const fo_real shared = noise[2] > ZERO ? noise[1] * noise[1] / noise[2] : ZERO;
     s->noise_share = (noise[0] - shared) * (across + along);
     /* Coloured innovations of another power than assumed make more or less of a variance. */
-    const fo_real lag = s->power > ZERO ? s->lag_one / s->power : ZERO;
-    const fo_real r = !(lag > ZERO) ? ZERO : lag > CORRELATION_LIMIT ? CORRELATION_LIMIT : lag;
+    const fo_real r = correlation(s->lag_one, s->power);
     s->inflation = o->h * s->power * (ONE + r) / (ONE - r);
     s->spread = s->inflation * across / square;
     if (excess > ONE) {

@@ -672,8 +672,7 @@ static void run(const fo_adaptive *a, fo_adaptive_state *s, const effects *t, bo
         fo_candidates_sow(a, s);
     } else {
         /* Coloured innovations make more of a variance. */
-        const fo_real lag = s->power > ZERO ? s->lag_one / s->power : ZERO;
-        const fo_real r = !(lag > ZERO) ? ZERO : lag > CORRELATION_LIMIT ? CORRELATION_LIMIT : lag;
+        const fo_real r = correlation(s->lag_one, s->power);
         const fo_real coloured = (ONE + r) / (ONE - r);
         const fo_real length = fo_sqrt(square), theta = fo_atan2(x[1], x[0]);
         fo_real variance = VARIANCE_UNKNOWN;

@@ -47,6 +47,13 @@ enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
 /* Largest lag-one correlation of the innovations that is believed. */
 #define CORRELATION_LIMIT ((fo_real)0.98)
 
+/* Lag-one correlation of innovations with these sums, as far as it is believed. */
+static inline fo_real correlation(fo_real lag_one, fo_real power)
+{
+    const fo_real r = power > ZERO ? lag_one / power : ZERO;
+    return !(r > ZERO) ? ZERO : r > CORRELATION_LIMIT ? CORRELATION_LIMIT : r;
+}
+
 static inline fo_real dot(const fo_real a[FO_N], const fo_real b[FO_N])
 {
     return a[0] * b[0] + a[1] * b[1];

@@ -553,12 +553,11 @@ def _less_inverter(log: Log, machine: Machine) -> Log:
 
 def _check_machine_out(out: Path, force: bool, *inputs: Path | None) -> None:
     """Refuses early what could not, or must not, be written at the end."""
+    from .writing import check_place
+
     if out.suffix != ".toml":
         raise FluxobsError(f"{out}: --out must end in .toml")
-    if not out.parent.is_dir():
-        raise FluxobsError(f"{out}: the folder {out.parent} does not exist")
-    if out.is_dir():
-        raise FluxobsError(f"{out}: this is a folder")
+    check_place(out)
     if out.exists():
         for source in inputs:
             if source is not None and source.exists() and out.samefile(source):

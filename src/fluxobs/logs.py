@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -89,6 +89,10 @@ class Log:
     def truth(self) -> str | None:
         """Column of the true angle, if any."""
         return next(iter(self.layout.truth.values()), None)
+
+    def lagged(self, by: float) -> Log:
+        """The same log, its voltages acting `by` samples earlier than they do in this one."""
+        return replace(self, layout=self.layout.model_copy(update={"lag": self.layout.lag + by}))
 
     def _columns(self) -> list[str]:
         names = list(self.names.values())

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .errors import FluxobsError
 from .estimate import Result
+from .writing import check_place
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -147,10 +148,7 @@ def check_path(path: Path) -> None:
     """Refuses early what could not be written at the end."""
     if path.suffix.lower() not in FORMATS:
         raise FluxobsError(f"{path}: --report must end in {', '.join(FORMATS)}")
-    if path.is_dir():
-        raise FluxobsError(f"{path}: this is a folder")
-    if not path.parent.is_dir():
-        raise FluxobsError(f"{path}: the folder {path.parent} does not exist")
+    check_place(path)
 
 
 def legend(axes: Axes, **options: Any) -> None:

@@ -18,13 +18,20 @@ from .logs import Aligned
 Schema = dict[str, pl.DataType | type[pl.DataType]]
 
 
+def check_place(path: Path) -> None:
+    """FluxobsError where no file can be: its folder is missing, or it is a folder itself."""
+    if path.is_dir():
+        raise FluxobsError(f"{path}: this is a folder")
+    if not path.parent.is_dir():
+        raise FluxobsError(f"{path}: the folder {path.parent} does not exist")
+
+
 def check_out(out: str | Path, log: Path) -> Path:
     """The path, if it can be written and is not the log itself; else FluxobsError."""
     out = Path(out)
     if out.suffix not in (".parquet", ".csv"):
         raise FluxobsError(f"{out}: --out must end in .parquet or .csv")
-    if not out.parent.is_dir():
-        raise FluxobsError(f"{out}: the folder {out.parent} does not exist")
+    check_place(out)
     if out.exists() and out.samefile(log):
         raise FluxobsError(f"{out}: --out is the log itself; give another name")
     return out

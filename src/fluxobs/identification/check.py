@@ -8,28 +8,29 @@ from the resistance and the magnet flux that fit, against those of the machine f
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..errors import FluxobsError
+from ..estimate import prepare
 from ..logs import Aligned, Log
 from ..machines import RotatingMachine
-from ..scales import Scales, guess_psi_f, measure_scales, observer_for
+from ..observers import LeastSquaresObserver
+from ..observers.least_squares import MEMORY
 from ..suspects import lively
 from .fit import Fit, fit
-from .identify import ALIKE_LIMIT
-from .pieces import cut, smoothing_current
+from .identify import ALIKE_LIMIT, read_free, starting_values
+from .pieces import LAGS, cut, smoothing_current, typical_length
 
-#: Rows that are looked at, and the memory of the observer that starts the fits [s].
-ROWS, MEMORY = 20_000, 0.03
+#: Rows that are looked at.
+ROWS = 20_000
 #: A residual within this factor of the least one fits as well.
 AS_GOOD = 1.5
 #: One above this share of the flux fits nothing.
 BAD = 0.25
-LAGS = (-2, -1, 0, 1, 2)
 #: Arrangements that are tried with other lags.
 NEAR = 3.0
 #: How well a machine file usually knows a cold resistance and a magnet flux (std of the logarithm).
@@ -151,20 +152,16 @@ def check(log: Log, machine: RotatingMachine) -> Check:
     FluxobsError
         Nothing fits: does the machine turn in this log?
     """
-    scales = measure_scales(log)
-    memory = max(MEMORY, 10 * log.sample_time)
-    psi = getattr(machine, "psi_f", None)
-    if psi is None and machine.flux_base(None, 1.0) is None:
-        psi = guess_psi_f(log, machine, scales, memory)
+    observer, scales = prepare(log, machine, max(MEMORY, 10 * log.sample_time))
+    smoothing = smoothing_current(machine, scales)
     fits: dict[Arrangement, Fit] = {}
     residuals: dict[Arrangement, float] = {}
 
     def attempt(keys: Iterable[Arrangement]) -> None:
         for lag, group in groupby(keys, key=lambda key: key.lag):
-            layout = log.layout.model_copy(update={"lag": log.layout.lag + lag})
-            part = lively(replace(log, layout=layout), ROWS)
+            part = lively(log.lagged(lag), ROWS)
             for key in group:
-                found = _fit(key, part, log, machine, scales, memory, psi)
+                found = _fit(key, part, machine, observer, smoothing)
                 residuals[key] = np.inf
                 if found is not None:
                     fits[key], residuals[key] = found
@@ -189,11 +186,9 @@ def check(log: Log, machine: RotatingMachine) -> Check:
 def _fit(
     key: Arrangement,
     part: Aligned,
-    log: Log,
     machine: RotatingMachine,
-    scales: Scales,
-    memory: float,
-    psi: float | None,
+    observer: LeastSquaresObserver,
+    smoothing: float,
 ) -> tuple[Fit, float] | None:
     """Fit of resistance, inverter and magnet, and its residual over the flux; None if the position
     is never known."""
@@ -201,25 +196,14 @@ def _fit(
     z = np.where(np.isfinite(part.current), part.current, np.nan) @ [1, 1j]
     z = key.sign * np.exp(1j * np.radians(turned)) * (z.conj() if mirrored else z)
     current = np.stack([z.real, z.imag], axis=1)
-    observer = observer_for(log, machine, scales, memory, psi)
-    smoothing = smoothing_current(machine, scales)
     data = cut(observer, current, part.voltage[None], 0, machine.R_s, smoothing)
     if not data:
         return None
-    L = machine.position_inductance
-    lengths = [np.linalg.norm(piece.start - L * piece.current[0]) for piece in data]
-    size = float(np.median(lengths))
-    magnets = "psi_f" in type(machine).model_fields
-    start = {
-        "R_s": machine.R_s,
-        "L_q": L,
-        "L_d": L + machine.saliency,
-        "psi_f": size if magnets else 0.0,
-        "inverter": machine.inverter_voltage or 0.0,
-        "lag": 0.0,
-    }
-    names = ("R_s", "psi_f", "inverter") if magnets else ("R_s", "inverter")
-    found = fit(data, start, names)
+    size = typical_length(data, machine.position_inductance)
+    start = starting_values(machine, data)
+    if "psi_f" in type(machine).model_fields:
+        start["psi_f"] = size  # whatever the scales
+    found = fit(data, start, read_free(None, machine))
     size = found.values["psi_f"] or size
     return found, found.rms() / size if size > 0 else np.inf
 

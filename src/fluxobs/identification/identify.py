@@ -13,7 +13,7 @@ from ..logs import Log
 from ..machines import RotatingMachine
 from ..validation import nearest
 from .fit import Fit, fit
-from .pieces import LAGS, Piece, pieces, smoothing_current
+from .pieces import LAGS, Piece, pieces, smoothing_current, typical_length
 
 Array = NDArray[np.float64]
 
@@ -131,7 +131,7 @@ def identify(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identif
         The position is never known in the log, or it tells none of the free parameters.
     """
     data, scales = pieces(log, machine, LAGS if "lag" in free else (0,))
-    given = _values(machine, data)
+    given = starting_values(machine, data)
     names = tuple(free)
     before = fit(data, given, ("psi_f",) if given["psi_f"] > 0 else ())
     nearest = _nearest_lag(data, given, names) if "lag" in names else None
@@ -184,7 +184,7 @@ def identify(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identif
     )
 
 
-def _values(machine: RotatingMachine, data: Sequence[Piece]) -> dict[str, float]:
+def starting_values(machine: RotatingMachine, data: Sequence[Piece]) -> dict[str, float]:
     """Where the fit starts; a magnet flux that is not given is the length that λ - L i has."""
     values = {
         "R_s": machine.R_s,
@@ -198,8 +198,7 @@ def _values(machine: RotatingMachine, data: Sequence[Piece]) -> dict[str, float]
         values["L_s"] = values["L_d"] = values["L_q"] = machine.position_inductance
     if "psi_f" in type(machine).model_fields:
         psi_f: float | None = machine.psi_f  # type: ignore[attr-defined]
-        lengths = [np.linalg.norm(p.start - values["L_q"] * p.current[0]) for p in data]
-        values["psi_f"] = float(psi_f if psi_f is not None else np.median(lengths))
+        values["psi_f"] = psi_f if psi_f is not None else typical_length(data, values["L_q"])
     return values
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -60,6 +60,12 @@ class Piece:
         return len(self.t)
 
 
+def typical_length(data: Sequence[Piece], inductance: float) -> float:
+    """Median over the pieces of the length of λ - L i, by the observer [Wb]."""
+    lengths = [np.linalg.norm(piece.start - inductance * piece.current[0]) for piece in data]
+    return float(np.median(lengths))
+
+
 def smoothing_current(machine: RotatingMachine, scales: Scales) -> float:
     """Phase current below which the inverter's sign is smoothed [A]."""
     return machine.inverter_current or SMOOTHING * (machine.rated_current or scales.current)
@@ -79,11 +85,7 @@ def pieces(log: Log, machine: RotatingMachine, lags: tuple[int, ...]) -> tuple[l
     observer, scales = prepare(log, machine)
     found: list[Piece] = []
     smoothing = smoothing_current(machine, scales)
-    shifted = [
-        replace(log, layout=log.layout.model_copy(update={"lag": log.layout.lag + lag}))
-        for lag in lags
-    ]
-    for parts in zip(*(excerpts(one) for one in shifted), strict=True):
+    for parts in zip(*(excerpts(log.lagged(lag)) for lag in lags), strict=True):
         voltage = np.stack([part.voltage for part in parts])
         found += cut(observer, parts[0].current, voltage, lags.index(0), machine.R_s, smoothing)
     if not found:

@@ -34,7 +34,7 @@ def lines(found: Identification) -> list[str]:
             f"{used} of {found.rows} rows were used: those without a gap, in pieces in which the "
             f"position is known"
         )
-    size = found.after.values["psi_f"] or np.mean([np.linalg.norm(p.start) for p in found.pieces])
+    size = _flux(found)
     before, after = found.before.rms() / size, found.after.rms() / size
     out.append(
         f"Residual of the relation: {before:.2%} of the flux {_as_given(found)}, {after:.2%} as "
@@ -43,6 +43,12 @@ def lines(found: Identification) -> list[str]:
     if not found.after.converged:
         out.append("Warning: the fit did not settle; treat its values with caution")
     return out
+
+
+def _flux(found: Identification) -> float:
+    """What residuals are shares of: the magnet's, or what stands for it [Wb]."""
+    lengths = [np.linalg.norm(piece.start) for piece in found.pieces]
+    return found.after.values["psi_f"] or float(np.mean(lengths))
 
 
 def _note(parameter: Parameter, found: Identification) -> str:
@@ -87,9 +93,7 @@ def draw(found: Identification, path: Path) -> None:
 
 
 def _residuals(axes: Axes, found: Identification) -> None:
-    size = found.after.values["psi_f"] or float(
-        np.mean([np.linalg.norm(p.start) for p in found.pieces])
-    )
+    size = _flux(found)
     styles = ((found.before, _as_given(found), ORANGE), (found.after, "as identified", BLUE))
     for fitted, label, colour in styles:
         begin = 0.0
