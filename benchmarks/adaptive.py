@@ -292,7 +292,7 @@ def measured() -> None:
         return
     import polars as pl
 
-    for unknowns in (("drift",), BOTH):
+    for unknowns in (("drift",), ("drift", "inverter"), BOTH):
         scores = []
         for path in logs:
             log = open_log(open_table(path), LAYOUT, PUBLISHED.n_p)
