@@ -191,9 +191,9 @@ def identify(
     """Fit the machine's parameters and the inverter's error to a whole log.
 
     Prints each parameter with its standard deviation, and says which ones the log cannot tell:
-    they are held as given. The machine file that it writes serves `fluxobs
-    estimate`, which takes the inverter's error (inverter_voltage) off the commanded voltages. A lag
-    is no part of it. Where the log tells nothing, nothing is written (exit code 2).
+    they are held as given. The machine file that it writes serves `fluxobs estimate`, which takes
+    the inverter's error (inverter_voltage) off the commanded voltages. A lag is no part of it.
+    Where the log tells nothing, nothing is written (exit code 2).
     """
     from .identification import identify as run
     from .identification.identify import read_free

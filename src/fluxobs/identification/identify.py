@@ -105,10 +105,7 @@ def read_free(text: str | None, machine: RotatingMachine) -> tuple[str, ...]:
     words = ["inverter" if word == "inverter_voltage" else word for word in words]
     for word in words:
         if word not in known:
-            raise FluxobsError(
-                f"--free: kind {machine.kind} has no {word!r}{nearest(word, known)}; it has "
-                f"{', '.join(known)}"
-            )
+            raise FluxobsError(f"--free: kind {machine.kind} has no {word!r}{nearest(word, known)}")
     if not words:
         raise FluxobsError(f"--free: give some of {', '.join(known)}")
     return tuple(name for name in known if name in words)
