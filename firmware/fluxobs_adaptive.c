@@ -645,6 +645,41 @@ static void report(const fo_adaptive *a, const fo_adaptive_state *s, fo_real len
     e->inverter_std = fo_sqrt(variance_of(s, P_V) * coloured);
 }
 
+/* What stands in the estimate whether the filter runs or not. */
+static void report_prior(const fo_adaptive *a, const fo_adaptive_state *s, fo_adaptive_estimate *e)
+{
+    e->adapting = false;
+    e->theta_other = e->position.theta_e;
+    e->weight_other = e->position.valid ? ZERO : ONE / TWO;
+    e->psi_f = e->position.psi_f;
+    e->psi_f_std = fo_sqrt(variance_of(s, P_PSI)) * a->plain.flux_base;
+    e->drift_std = a->plain.plausible * a->plain.drift_base;
+    e->resistance_std = fo_sqrt(variance_of(s, P_R));
+    e->inverter_std = fo_sqrt(variance_of(s, P_V));
+}
+
+/* Are all the numbers that the filter has put into it? What no state shows, such as the variance of a
+ * parameter on a scale of its own, may be too large for one. */
+static bool all_finite(const fo_adaptive_estimate *e)
+{
+    const fo_estimate *q = &e->position;
+    fo_real sum = q->psi_f + q->theta_e_std + q->theta_e_tracked + q->speed_e + e->psi_f +
+                  e->psi_f_std + e->drift_std + e->resistance_std + e->inverter_std;
+    for (int i = 0; i < FO_N; i++) {
+        sum += q->flux[i] + q->drift[i];
+    }
+    return sum - sum == ZERO;
+}
+
+/* Numbers have run away: it begins anew, and the plain observer's estimate stands. */
+static void give_up(const fo_adaptive *a, fo_adaptive_state *s, fo_adaptive_estimate *e)
+{
+    s->restarts++;
+    forget(a, s);
+    fo_candidates_sow(a, s);
+    report_prior(a, s, e);
+}
+
 static fo_real position_square(const fo_adaptive *a, const fo_adaptive_state *s, fo_real x[FO_N])
 {
     for (int i = 0; i < FO_N; i++) {
@@ -653,51 +688,60 @@ static fo_real position_square(const fo_adaptive *a, const fo_adaptive_state *s,
     return dot(x, x);
 }
 
+/* Everything that a filter whose numbers are sound makes of a sample. */
+static void conclude(const fo_adaptive *a, fo_adaptive_state *s, const fo_real x[FO_N],
+                     fo_real square, const fo_real v[FO_N], fo_adaptive_estimate *e)
+{
+    const fo_observer *o = &a->plain;
+    /* Coloured innovations make more of a variance. */
+    const fo_real r = correlation(s->lag_one, s->power);
+    const fo_real coloured = (ONE + r) / (ONE - r);
+    const fo_real length = fo_sqrt(square), theta = fo_atan2(x[1], x[0]);
+    fo_real variance = VARIANCE_UNKNOWN;
+    if (square > o->square_min) {
+        s->x[0] = x[0] / length;
+        s->x[1] = x[1] / length;
+        variance = (variance_across(s, s->x) * coloured +
+                    o->position_noise * s->plain.roughness) / square;
+    }
+    const fo_real turned = fo_abs(s->tracker.speed) * o->sample_time;
+    s->exposed += UNMODELLED * o->h * o->plausible / length -
+                  s->exposed * (turned < ONE ? turned : ONE);
+    variance += s->exposed * s->exposed;
+    const fo_real std = fo_sqrt(variance < VARIANCE_UNKNOWN ? variance : VARIANCE_UNKNOWN);
+    fo_estimate plain;
+    plain = e->position;
+    s->swept += wrap(theta - s->theta);
+    s->theta = theta;
+    s->settled += o->h;
+    track(o, &s->tracker, theta);
+    settle_tracker(o, &s->tracker, theta, std);
+    look_at_current(a, s);
+    report(a, s, length, std, coloured, e);
+    if (all_finite(e)) {
+        watch(a, s, v, &plain, variance);
+    } else {
+        e->position = plain;
+        give_up(a, s, e);
+    }
+}
+
 static void run(const fo_adaptive *a, fo_adaptive_state *s, const effects *t, bool measured,
                 fo_adaptive_estimate *e)
 {
-    const fo_observer *o = &a->plain;
     fo_real x[FO_N];
     drive_decoy(a, s);
     time_update(a, s, t);
     fo_real square = position_square(a, s, x);
-    if (measured && square > o->square_min) {
+    if (measured && square > a->plain.square_min) {
         measurement_update(a, s, x, fo_sqrt(square));
         remind(a, s);
         square = position_square(a, s, x);
     }
-    if (!sound(s)) { /* the plain observer's estimate stands */
-        s->restarts++;
-        forget(a, s);
-        fo_candidates_sow(a, s);
+    if (sound(s)) {
+        conclude(a, s, x, square, t->v, e);
     } else {
-        /* Coloured innovations make more of a variance. */
-        const fo_real r = correlation(s->lag_one, s->power);
-        const fo_real coloured = (ONE + r) / (ONE - r);
-        const fo_real length = fo_sqrt(square), theta = fo_atan2(x[1], x[0]);
-        fo_real variance = VARIANCE_UNKNOWN;
-        if (square > o->square_min) {
-            s->x[0] = x[0] / length;
-            s->x[1] = x[1] / length;
-            variance = (variance_across(s, s->x) * coloured +
-                        o->position_noise * s->plain.roughness) / square;
-        }
-        const fo_real turned = fo_abs(s->tracker.speed) * o->sample_time;
-        s->exposed += UNMODELLED * o->h * o->plausible / length -
-                      s->exposed * (turned < ONE ? turned : ONE);
-        variance += s->exposed * s->exposed;
-        const fo_real std =
-            fo_sqrt(variance < VARIANCE_UNKNOWN ? variance : VARIANCE_UNKNOWN);
-        fo_estimate plain;
-        plain = e->position;
-        s->swept += wrap(theta - s->theta);
-        s->theta = theta;
-        s->settled += o->h;
-        track(o, &s->tracker, theta);
-        settle_tracker(o, &s->tracker, theta, std);
-        look_at_current(a, s);
-        report(a, s, length, std, coloured, e);
-        watch(a, s, t->v, &plain, variance);
+        give_up(a, s, e);
     }
 }
 
@@ -751,19 +795,6 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const effects *t,
 }
 
 /* ---- samples -------------------------------------------------------------------------- */
-
-/* What stands in the estimate whether the filter runs or not. */
-static void report_prior(const fo_adaptive *a, const fo_adaptive_state *s, fo_adaptive_estimate *e)
-{
-    e->adapting = false;
-    e->theta_other = e->position.theta_e;
-    e->weight_other = e->position.valid ? ZERO : ONE / TWO;
-    e->psi_f = e->position.psi_f;
-    e->psi_f_std = fo_sqrt(variance_of(s, P_PSI)) * a->plain.flux_base;
-    e->drift_std = a->plain.plausible * a->plain.drift_base;
-    e->resistance_std = fo_sqrt(variance_of(s, P_R));
-    e->inverter_std = fo_sqrt(variance_of(s, P_V));
-}
 
 /* After the plain observer's step: the rest of the sample. */
 static void go_on(const fo_adaptive *a, fo_adaptive_state *s, bool complete, bool measured,
