@@ -253,13 +253,14 @@ static fo_real variance_across(const fo_adaptive_state *s, const fo_real along[F
 
 /* ---- inverter ------------------------------------------------------------------------- */
 
-/* tanh(x) to within 0.024 (Pade), 1 from x = 3 on. */
+/* tanh(x) to within 0.0014 (Pade), 1 from where that reaches it. */
 static fo_real soft_sign(fo_real x)
 {
     const fo_real square = x * x;
     fo_real sign = x > ZERO ? ONE : -ONE;
-    if (square < (fo_real)9) {
-        sign = x * ((fo_real)27 + square) / ((fo_real)27 + (fo_real)9 * square);
+    if (square < (fo_real)13.298) {
+        sign = x * ((fo_real)945 + square * ((fo_real)105 + square)) /
+               ((fo_real)945 + square * ((fo_real)420 + (fo_real)15 * square));
     }
     return sign;
 }
