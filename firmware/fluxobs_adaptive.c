@@ -214,10 +214,9 @@ static void widen(fo_adaptive_state *s, int n, fo_real variance)
     zero(column);
     column[n] = ONE;
     for (int j = n; j >= 0; j--) {
-        const fo_real pivot = column[j];
-        if (pivot != ZERO && left > ZERO) {
+        const fo_real pivot = column[j], d_new = s->D[j] + left * pivot * pivot;
+        if (pivot != ZERO && d_new > ZERO) {
             fo_real *u = &s->U[AT(0, j)];
-            const fo_real d_new = s->D[j] + left * pivot * pivot;
             const fo_real over = left * pivot / d_new;
             left *= s->D[j] / d_new;
             s->D[j] = d_new;
@@ -404,7 +403,8 @@ static void start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate
             }
             s->U[AT(i, j)] = column[i];
         }
-        s->D[j] = scale > ZERO ? inflation / (m->d[j] * scale * scale) : ZERO;
+        const fo_real information = m->d[j] * scale * scale;
+        s->D[j] = information > ZERO ? inflation / information : ZERO;
         s->p[j] = c->p[j];
     }
     s->p[P_PSI] = psi_variance > ZERO ? root - a->saliency * dot(along, current) : psi_before;
@@ -700,15 +700,14 @@ static void conclude(const fo_adaptive *a, fo_adaptive_state *s, const fo_real x
     const fo_real length = fo_sqrt(square), theta = fo_atan2(x[1], x[0]);
     fo_real variance = VARIANCE_UNKNOWN;
     if (square > o->square_min) {
+        const fo_real turned = fo_abs(s->tracker.speed) * o->sample_time;
+        s->exposed += UNMODELLED * o->h * o->plausible / length -
+                      s->exposed * (turned < ONE ? turned : ONE);
         s->x[0] = x[0] / length;
         s->x[1] = x[1] / length;
         variance = (variance_across(s, s->x) * coloured +
-                    o->position_noise * s->plain.roughness) / square;
+                    o->position_noise * s->plain.roughness) / square + s->exposed * s->exposed;
     }
-    const fo_real turned = fo_abs(s->tracker.speed) * o->sample_time;
-    s->exposed += UNMODELLED * o->h * o->plausible / length -
-                  s->exposed * (turned < ONE ? turned : ONE);
-    variance += s->exposed * s->exposed;
     const fo_real std = fo_sqrt(variance < VARIANCE_UNKNOWN ? variance : VARIANCE_UNKNOWN);
     fo_estimate plain;
     plain = e->position;
@@ -789,7 +788,9 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const effects *t,
         }
         s->tracker = s->plain.tracker;
         fo_project(a, s, &c, &information);
-        start(a, s, &c, &information, power > ONE ? power : ONE);
+        if (c.variance < STD_START * STD_START) {
+            start(a, s, &c, &information, power > ONE ? power : ONE);
+        }
     } else {
         /* it waits */
     }
