@@ -29,7 +29,7 @@ static const fo_real BEYOND = (fo_real)2;
 /* The drift moves by this much less than the flux. */
 static const fo_real DRIFT_WALK = (fo_real)0.1;
 /* Share of white noise in an angle that is left in the tracker's, over bandwidth times sample time. */
-static const fo_real TRACKED = (fo_real)6;
+static const fo_real TRACKED = (fo_real)2.1;
 /* At the start errors of resistance and inverter are tied to flux and drift as if speed and load had
  * always been what they are; this share of their variance is not. */
 static const fo_real LOOSE = (fo_real)0.3;
@@ -207,13 +207,11 @@ static fo_real update(fo_adaptive_state *s, const fo_real row[FO_NP], fo_real of
     return alpha;
 }
 
-/* Adds variance to one state (Agee and Turner). */
-static void widen(fo_adaptive_state *s, int n, fo_real variance)
+/* Adds variance along a column of which the elements up to `last` are not zero (Agee and Turner). */
+static void widen(fo_adaptive_state *s, fo_real column[FO_NP], int last, fo_real variance)
 {
-    fo_real column[FO_NP], left = variance;
-    zero(column);
-    column[n] = ONE;
-    for (int j = n; j >= 0; j--) {
+    fo_real left = variance;
+    for (int j = last; j >= 0; j--) {
         const fo_real pivot = column[j], d_new = s->D[j] + left * pivot * pivot;
         if (pivot != ZERO && d_new > ZERO) {
             fo_real *u = &s->U[AT(0, j)];
@@ -415,7 +413,6 @@ static void start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate
     s->level = ONE;
     s->disagree = ZERO;
     s->alpha = ZERO;
-    s->pretended = ZERO;
     s->tells = ZERO;
     s->pretends = ZERO;
     (void)memset(s->decoy, 0, sizeof s->decoy);
@@ -448,6 +445,25 @@ static void drive_decoy(const fo_adaptive *a, fo_adaptive_state *s)
     }
 }
 
+/* Noise in the residual's derivative takes from the covariance what a residual across would have
+ * told: along what that residual moves, its square over the innovation's variance. For a round of
+ * turns. */
+static void give_back(const fo_adaptive *a, fo_adaptive_state *s)
+{
+    const fo_real across[FO_N] = {-s->x[1], s->x[0]};
+    fo_real moves[FO_NP]; /* U D U' by across */
+    for (int j = 0; j < FO_NP; j++) {
+        const fo_real *u = &s->U[AT(0, j)];
+        const fo_real first = j > 0 ? u[0] : ONE, second = j > 1 ? u[1] : j > 0 ? ONE : ZERO;
+        const fo_real along_j = s->D[j] * (first * across[0] + second * across[1]);
+        for (int i = 0; i < j; i++) {
+            moves[i] += u[i] * along_j;
+        }
+        moves[j] = along_j;
+    }
+    widen(s, moves, FO_NP - 1, a->pretended * s->plain.roughness / s->alpha);
+}
+
 /* p and its covariance over an interval; one state in turn wins its walk. */
 static void time_update(const fo_adaptive *a, fo_adaptive_state *s, const effects *t)
 {
@@ -473,12 +489,17 @@ static void time_update(const fo_adaptive *a, fo_adaptive_state *s, const effect
         won = room > ZERO ? a->walk[n] * room * (n < (int)P_PSI ? s->level : ONE) : ZERO;
     }
     if (n < (int)P_DRIFT) {
-        /* what noise in the derivative took from the variance across though it tells nothing */
-        won += (a->pretended * s->pretended + a->through_R) * s->plain.roughness;
+        won += a->through_R * s->plain.roughness;
         won += a->knee * s->p[P_V] * s->p[P_V] * t->unsure;
     }
     if (won > ZERO) {
-        widen(s, n, won);
+        fo_real column[FO_NP];
+        zero(column);
+        column[n] = ONE;
+        widen(s, column, n, won);
+    }
+    if (n == (int)P_PSI && s->alpha > ZERO) {
+        give_back(a, s);
     }
 }
 
@@ -520,7 +541,6 @@ static void measurement_update(const fo_adaptive *a, fo_adaptive_state *s,
     s->p[P_R] = resistance + share * (s->p[P_R] - resistance);
     s->D[P_R] = variance + share * (s->D[P_R] - variance);
     s->alpha = alpha;
-    s->pretended = across * across / alpha;
 
     const fo_real most = CLIP * fo_sqrt(s->level);
     const fo_real e = off * fo_sqrt(s->level / alpha);

@@ -94,7 +94,6 @@ typedef struct {
     fo_real innovation, power, lag_one;  /* sums over the innovations, forgetting         */
     fo_real level;                       /* their power over the assumed                  */
     fo_real alpha;                       /* variance of the last innovation               */
-    fo_real pretended;                   /* what it took, at the last sample              */
     fo_real decoy[FO_NM];                /* column of a parameter that is only noise      */
     fo_real decoy_told, told;            /* at the last sample, of it and of the resistance */
     fo_real pretends, tells;             /* that over the innovation's variance, averaged */
