@@ -37,7 +37,7 @@ static const fo_real LOOSE = (fo_real)0.3;
 static const fo_real FAR = (fo_real)3;
 /* Memories before a position of the filter is called valid, while resistance and inverter may move;
  * and where they are known. */
-static const fo_real PROVEN_AFTER = (fo_real)2;
+static const fo_real PROVEN_AFTER = (fo_real)3;
 static const fo_real PROVEN_AFTER_KNOWN = (fo_real)0.25;
 /* Std of the angle above which linearising makes no sense: 30 degrees. */
 static const fo_real STD_LOST = PI / (fo_real)6;
