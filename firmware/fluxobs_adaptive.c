@@ -27,7 +27,7 @@ static const fo_real KNEE_TIME = (fo_real)4e-5;
 /* So many times what noise pretends to tell of the resistance does not count. */
 static const fo_real BEYOND = (fo_real)2;
 /* The drift moves by this much less than the flux. */
-static const fo_real DRIFT_WALK = (fo_real)0.1;
+static const fo_real DRIFT_WALK = (fo_real)0.03;
 /* Share of white noise in an angle that is left in the tracker's, over bandwidth times sample time. */
 static const fo_real TRACKED = (fo_real)2.1;
 /* At the start errors of resistance and inverter are tied to flux and drift as if speed and load had
@@ -286,6 +286,7 @@ static fo_real direction(const fo_adaptive *a, const fo_real current[FO_N], fo_r
 typedef struct {
     fo_real v[FO_N];
     fo_real charge[FO_N];
+    fo_real before[FO_N]; /* the interval before, turned on to this one */
     fo_real inverter[FO_N];
     fo_real unsure; /* of the inverter's signs, 0 to 3 */
 } effects;
@@ -476,8 +477,8 @@ static void time_update(const fo_adaptive *a, fo_adaptive_state *s, const effect
         }
     }
     for (int i = 0; i < FO_N; i++) {
-        s->U[AT(i, P_R)] -= t->charge[i];
-        s->U[AT(i, P_V)] -= t->charge[i] * s->U[AT(P_R, P_V)] + t->inverter[i];
+        s->U[AT(i, P_R)] -= t->before[i];
+        s->U[AT(i, P_V)] -= t->before[i] * s->U[AT(P_R, P_V)] + t->inverter[i];
         s->p[i] += t->v[i] + h * s->p[P_DRIFT + i] - s->p[P_R] * t->charge[i] -
                    (s->p[P_V] - a->mean[P_V]) * t->inverter[i];
     }
@@ -839,6 +840,12 @@ static void go_on(const fo_adaptive *a, fo_adaptive_state *s, bool complete, boo
             t.v[i] = s->plain.source[i] - (complete ? ZERO : dot(a->plain.hR[i], mean_24));
             t.charge[i] = a->charge * mean_24[i];
             t.inverter[i] = (fo_real)24 * a->charge * signs[i];
+        }
+        /* This sample's noise is in the residual, too: in both it would be taken for a resistance. */
+        const fo_real step = a->plain.sample_time * s->tracker.speed;
+        turn(s->charge, fo_abs(step) < ONE ? step : ZERO, t.before);
+        for (int i = 0; i < FO_N; i++) {
+            s->charge[i] = t.charge[i];
         }
         e->adapting = s->running;
         if (s->running) {

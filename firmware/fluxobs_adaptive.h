@@ -102,6 +102,7 @@ typedef struct {
     fo_real settled, swept;              /* since the start [memories], [rad]             */
     fo_real exposed;                     /* turn by a voltage error that is in no model [rad] */
     fo_real turning, standing;           /* the current [rad a sample]; while the rotor stands */
+    fo_real charge[FO_N];                /* over the last interval                        */
     fo_real tilt;                        /* of the residual's derivative, by saliency     */
     fo_real disagree;                    /* with the guard for so long [memories]         */
     fo_tracker tracker;

@@ -539,7 +539,10 @@ def _pass(
     # Duties come from the measured DC link, volts from the true one.
     duties = inverter.duties(voltage, dc_link)
     if inverter.switching == 0:
-        mean = inverter.averaged(duties, row.dc_link, current, h)
+        # A leg switches twice a period, on either side of its middle: the current there decides.
+        at_start = inverter.averaged(duties, row.dc_link, current, h)
+        _, slope = jax.jvp(plant.current, (state,), (plant.rate(state, at_start, row.load),))
+        mean = inverter.averaged(duties, row.dc_link, current + h / 2 * slope, h)
         return plant.advance(state, mean, row.load, h, steps), mean
     parts = inverter.switching
 
