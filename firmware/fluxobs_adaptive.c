@@ -39,6 +39,8 @@ static const fo_real FAR = (fo_real)3;
  * and where they are known. */
 static const fo_real PROVEN_AFTER = (fo_real)3;
 static const fo_real PROVEN_AFTER_KNOWN = (fo_real)0.25;
+/* And if the guard never knows the position, as at low speed. */
+static const fo_real PROVEN_ALONE = (fo_real)10;
 /* Std of the angle above which linearising makes no sense: 30 degrees. */
 static const fo_real STD_LOST = PI / (fo_real)6;
 /* Above this it does not start. */
@@ -413,6 +415,7 @@ static void start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate
     s->innovation = ZERO;
     s->level = ONE;
     s->disagree = ZERO;
+    s->agreed = false;
     s->alpha = ZERO;
     s->tells = ZERO;
     s->pretends = ZERO;
@@ -571,7 +574,10 @@ static void remind(const fo_adaptive *a, fo_adaptive_state *s)
 static bool proven(const fo_adaptive *a, const fo_adaptive_state *s)
 {
     const bool known = !(a->variance[P_R] + a->variance[P_V] > ZERO);
-    return fo_abs(s->swept) > SWEEP && s->settled > (known ? PROVEN_AFTER_KNOWN : PROVEN_AFTER);
+    const fo_real least = known       ? PROVEN_AFTER_KNOWN
+                          : s->agreed ? PROVEN_AFTER
+                                      : PROVEN_ALONE;
+    return fo_abs(s->swept) > SWEEP && s->settled > least;
 }
 
 /* Are its numbers numbers, and the flux one that a machine can have? */
@@ -617,7 +623,9 @@ static void watch(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO
         known = c->variance < STD_LIMIT * STD_LIMIT &&
                 s->plain.info.noise[0] * c->variance * c->p[P_PSI] < ONE / TWO;
     }
-    const bool off = known && fo_abs(wrap(s->theta - guard)) > DISAGREE;
+    const fo_real apart = fo_abs(wrap(s->theta - guard));
+    const bool off = known && apart > DISAGREE;
+    s->agreed = s->agreed || (known && apart < DISAGREE / TWO);
     s->disagree = off ? s->disagree + a->plain.h : ZERO;
     const bool overruled = s->disagree > DISAGREE_FOR || s->standing > DISAGREE_FOR;
     const bool misfit = s->level > LEVEL_MOST;

@@ -83,6 +83,7 @@ typedef struct {
 typedef struct {
     fo_state plain;
     bool running;                        /* the filter; else the candidates are followed  */
+    bool agreed;                         /* with the guard, since it was started          */
     uint32_t turn;
     uint32_t restarts;                   /* of the filter, by its guard                   */
     fo_candidate candidates[FO_CANDIDATES];
