@@ -102,6 +102,7 @@ typedef struct {
 typedef struct {
     fo_real angle, speed, acceleration;  /* [rad, rad/s, rad/s^2]      */
     fo_real settled;                     /* near for so long [memories] */
+    bool lost;                           /* the speed is taken from the next angle */
 } fo_tracker;
 
 /* Everything that changes. Plain data: copy it, store it, restore it. Per-unit unless said. */

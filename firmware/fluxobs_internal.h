@@ -40,6 +40,8 @@ enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
  * the speed, does not keep the position from being valid for more than three memories. */
 #define TRACKER_SETTLED ((fo_real)0.1)
 #define TRACKER_OFF ((fo_real)(1.0 / 30.0))
+/* Off by more than this the tracker starts anew: 60 degrees. */
+#define TRACKER_LOST (PI / (fo_real)3)
 /* Variance of an angle of which nothing is known: uniform over a turn. */
 #define VARIANCE_UNKNOWN (PI * PI / (fo_real)3)
 /* A position vector longer than this, squared, in flux bases, is numbers that have run away. */
@@ -91,18 +93,29 @@ static inline void stop_tracker(fo_tracker *t, fo_real theta)
     t->angle = theta;
     t->speed = ZERO;
     t->acceleration = ZERO;
+    t->lost = false;
 }
 
 static inline void track(const fo_observer *o, fo_tracker *t, fo_real theta)
 {
     const fo_real h = o->sample_time;
     const fo_real step = h * (t->speed + h * t->acceleration / TWO);
-    if (fo_abs(step) <= PI) {
+    if (t->lost) { /* it was at the angle a sample ago */
+        const fo_real turned = wrap(theta - t->angle);
+        stop_tracker(t, theta);
+        t->speed = turned / h;
+    } else if (fo_abs(step) <= PI) {
         const fo_real predicted = wrap(t->angle + step);
         const fo_real error = wrap(theta - predicted);
-        t->angle = wrap(predicted + o->track[0] * error);
-        t->speed += h * t->acceleration + o->track[1] * error;
-        t->acceleration += o->track[2] * error;
+        if (fo_abs(error) <= TRACKER_LOST) {
+            t->angle = wrap(predicted + o->track[0] * error);
+            t->speed += h * t->acceleration + o->track[1] * error;
+            t->acceleration += o->track[2] * error;
+        } else { /* left alone it could lock on a speed at which errors of four samples cancel */
+            stop_tracker(t, theta);
+            t->lost = true;
+            t->settled = ZERO;
+        }
     } else { /* faster than the samples can tell */
         stop_tracker(t, theta);
     }

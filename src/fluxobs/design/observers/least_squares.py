@@ -23,6 +23,7 @@ STD_LIMIT = np.pi / 60
 VOLTAGE_LIMIT = np.pi / 22.5
 TRACKER_SETTLED = 0.1
 TRACKER_OFF = 1 / 30
+TRACKER_LOST = np.pi / 3
 EXPOSED_MOST = np.pi / 2.25
 VARIANCE_UNKNOWN = np.pi**2 / 3
 STD_UNKNOWN = np.sqrt(VARIANCE_UNKNOWN)
@@ -75,6 +76,7 @@ class LeastSquaresState(NamedTuple):
     speed: Array
     acceleration: Array
     settled: Array  # the tracker is near for so long
+    lost: Array  # its speed is taken from the next angle
     have_current: Array
     have_voltage: Array
     trusted: Array
@@ -187,7 +189,8 @@ class SquareRootLeastSquares(eqx.Module):
         names = LeastSquaresState._fields
         blank: dict[str, Any] = dict.fromkeys(names, zero)
         blank |= dict.fromkeys(("source", "flux", "drift"), pair)
-        blank |= dict.fromkeys(("have_current", "have_voltage", "trusted", "have_carried"), no)
+        flags = ("have_current", "have_voltage", "trusted", "have_carried", "lost")
+        blank |= dict.fromkeys(flags, no)
         count = jnp.zeros((), jnp.int32)
         blank |= dict.fromkeys(("turn", "consecutive_bad", "restarts", "outliers"), count)
         blank |= {
@@ -346,7 +349,7 @@ class SquareRootLeastSquares(eqx.Module):
         std = jnp.where(unknown, STD_UNKNOWN, jnp.sqrt(variance))
         near = jnp.abs(wrap(out_theta - tracker[0])) < STD_LIMIT + 3 * std
         counts = jnp.where(near, self.h, TRACKER_OFF * self.h)
-        settled = jnp.where(s.settled < TRACKER_SETTLED, s.settled + counts, s.settled)
+        settled = jnp.where(tracker[3] < TRACKER_SETTLED, tracker[3] + counts, tracker[3])
         settled = jnp.where(trusted, settled, 0.0)
 
         # A voltage error adds up until the rotor has turned by about a radian.
@@ -373,6 +376,7 @@ class SquareRootLeastSquares(eqx.Module):
             speed=tracker[1],
             acceleration=tracker[2],
             settled=settled,
+            lost=tracker[4],
         )
         return after, Reading(
             out_flux * self.flux_base,
@@ -423,18 +427,27 @@ class SquareRootLeastSquares(eqx.Module):
         )
 
     def _track(self, s: LeastSquaresState, theta: Array, stop: Array) -> tuple[Array, ...]:
-        """Fading-memory filter of second order; stopped at theta where nothing is known."""
+        """Fading-memory filter of second order; stopped at theta where nothing is known.
+
+        Angle, speed, acceleration, settled, lost.
+        """
         h = self.sample_time
         step = h * (s.speed + h * s.acceleration / 2)
         stop = stop | ~(jnp.abs(step) <= np.pi)
         error = wrap(theta - wrap(s.angle + step))
+        resumes = ~stop & s.lost
+        lost = ~stop & ~s.lost & ~(jnp.abs(error) <= TRACKER_LOST)
         angle = wrap(s.angle + step + self.track[0] * error)
         speed = s.speed + h * s.acceleration + self.track[1] * error
         acceleration = s.acceleration + self.track[2] * error
+        anew = stop | lost | resumes
+        turned = jnp.where(resumes, wrap(theta - s.angle) / h, 0.0)
         return (
-            jnp.where(stop, theta, angle),
-            jnp.where(stop, 0.0, speed),
-            jnp.where(stop, 0.0, acceleration),
+            jnp.where(anew, theta, angle),
+            jnp.where(anew, turned, speed),
+            jnp.where(anew, 0.0, acceleration),
+            jnp.where(lost, 0.0, s.settled),
+            lost,
         )
 
     def _reinjected(self, s: LeastSquaresState) -> Array:
