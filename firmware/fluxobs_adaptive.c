@@ -23,9 +23,9 @@ static const fo_real LEVEL_MOST = (fo_real)1e3;
 static const fo_real CLIP = (fo_real)5;
 /* While a phase current is near zero its inverter's sign is wrong by a good half, for a fraction of
  * a millisecond: the square of the one times the other [s]. */
-static const fo_real KNEE_TIME = (fo_real)4e-5;
+static const fo_real KNEE_TIME = (fo_real)1e-5;
 /* So many times what noise pretends to tell of the resistance does not count. */
-static const fo_real BEYOND = (fo_real)2;
+static const fo_real BEYOND = (fo_real)1;
 /* The drift moves by this much less than the flux. */
 static const fo_real DRIFT_WALK = (fo_real)0.03;
 /* Share of white noise in an angle that is left in the tracker's, over bandwidth times sample time. */
