@@ -25,11 +25,9 @@ static const fo_real CLIP = (fo_real)5;
  * a millisecond: the square of the one times the other [s]. */
 static const fo_real KNEE_TIME = (fo_real)1e-5;
 /* So many times what noise pretends to tell of the resistance does not count. */
-static const fo_real BEYOND = (fo_real)1;
+static const fo_real BEYOND = (fo_real)2;
 /* The drift moves by this much less than the flux. */
 static const fo_real DRIFT_WALK = (fo_real)0.03;
-/* Share of white noise in an angle that is left in the tracker's, over bandwidth times sample time. */
-static const fo_real TRACKED = (fo_real)2.1;
 /* At the start errors of resistance and inverter are tied to flux and drift as if speed and load had
  * always been what they are; this share of their variance is not. */
 static const fo_real LOOSE = (fo_real)0.3;
@@ -104,9 +102,6 @@ fo_error fo_adaptive_init(fo_adaptive *a, const fo_config *config, const fo_adap
         }
         a->through_R = (fo_real)FO_NP * drop * drop;
         a->decoy = config->sample_time * config->current_noise / psi;
-        /* of white noise in the angle so much is left behind the tracker */
-        const fo_real left = TRACKED * config->tracker_bandwidth * config->sample_time;
-        a->pretended = (fo_real)FO_NP * (left < ONE ? left : ONE) * o->position_noise;
         for (int i = 0; i < FO_NP; i++) {
             a->mean[i] = ZERO;
         }
@@ -209,11 +204,13 @@ static fo_real update(fo_adaptive_state *s, const fo_real row[FO_NP], fo_real of
     return alpha;
 }
 
-/* Adds variance along a column of which the elements up to `last` are not zero (Agee and Turner). */
-static void widen(fo_adaptive_state *s, fo_real column[FO_NP], int last, fo_real variance)
+/* Adds variance to one state (Agee and Turner). */
+static void widen(fo_adaptive_state *s, int n, fo_real variance)
 {
-    fo_real left = variance;
-    for (int j = last; j >= 0; j--) {
+    fo_real column[FO_NP], left = variance;
+    zero(column);
+    column[n] = ONE;
+    for (int j = n; j >= 0; j--) {
         const fo_real pivot = column[j], d_new = s->D[j] + left * pivot * pivot;
         if (pivot != ZERO && d_new > ZERO) {
             fo_real *u = &s->U[AT(0, j)];
@@ -449,25 +446,6 @@ static void drive_decoy(const fo_adaptive *a, fo_adaptive_state *s)
     }
 }
 
-/* Noise in the residual's derivative takes from the covariance what a residual across would have
- * told: along what that residual moves, its square over the innovation's variance. For a round of
- * turns. */
-static void give_back(const fo_adaptive *a, fo_adaptive_state *s)
-{
-    const fo_real across[FO_N] = {-s->x[1], s->x[0]};
-    fo_real moves[FO_NP]; /* U D U' by across */
-    for (int j = 0; j < FO_NP; j++) {
-        const fo_real *u = &s->U[AT(0, j)];
-        const fo_real first = j > 0 ? u[0] : ONE, second = j > 1 ? u[1] : j > 0 ? ONE : ZERO;
-        const fo_real along_j = s->D[j] * (first * across[0] + second * across[1]);
-        for (int i = 0; i < j; i++) {
-            moves[i] += u[i] * along_j;
-        }
-        moves[j] = along_j;
-    }
-    widen(s, moves, FO_NP - 1, a->pretended * s->plain.roughness / s->alpha);
-}
-
 /* p and its covariance over an interval; one state in turn wins its walk. */
 static void time_update(const fo_adaptive *a, fo_adaptive_state *s, const effects *t)
 {
@@ -497,13 +475,7 @@ static void time_update(const fo_adaptive *a, fo_adaptive_state *s, const effect
         won += a->knee * s->p[P_V] * s->p[P_V] * t->unsure;
     }
     if (won > ZERO) {
-        fo_real column[FO_NP];
-        zero(column);
-        column[n] = ONE;
-        widen(s, column, n, won);
-    }
-    if (n == (int)P_PSI && s->alpha > ZERO) {
-        give_back(a, s);
+        widen(s, n, won);
     }
 }
 

@@ -63,7 +63,6 @@ typedef struct {
     fo_real noise;           /* variance of the residual                        */
     fo_real through_R;       /* noise of the current in the flux, in a round   */
     fo_real decoy;           /* current noise in a sample's flux per ohm        */
-    fo_real pretended;       /* noise of the direction, in a round of turns     */
     fo_real charge;          /* 24 times a mean current to its integral         */
     fo_real over_current;    /* of the inverter [1/A]                           */
     fo_real knee;            /* variance per V^2 where the inverter's sign is not sure */

@@ -44,7 +44,6 @@ ADAPTIVE_MEANING = {
     "noise": "variance of the residual",
     "through_R": "noise of the current in the flux, in a round",
     "decoy": "current noise in a sample's flux per ohm",
-    "pretended": "noise of the direction, in a round of turns",
     "charge": "24 times a mean current to its integral",
     "over_current": "of the inverter [1/A]",
     "knee": "variance per V^2 where the inverter's sign is not sure",
