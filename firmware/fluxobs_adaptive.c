@@ -23,14 +23,14 @@ static const fo_real LEVEL_MOST = (fo_real)1e3;
 static const fo_real CLIP = (fo_real)5;
 /* While a phase current is near zero its inverter's sign is wrong by a good half, for a fraction of
  * a millisecond: the square of the one times the other [s]. */
-static const fo_real KNEE_TIME = (fo_real)1e-5;
+static const fo_real KNEE_TIME = (fo_real)4e-5;
 /* So many times what noise pretends to tell of the resistance does not count. */
 static const fo_real BEYOND = (fo_real)2;
 /* The drift moves by this much less than the flux. */
 static const fo_real DRIFT_WALK = (fo_real)0.03;
 /* At the start errors of resistance and inverter are tied to flux and drift as if speed and load had
  * always been what they are; this share of their variance is not. */
-static const fo_real LOOSE = (fo_real)0.3;
+static const fo_real LOOSE = (fo_real)0.1;
 /* Off the prior by so many of its stds, a parameter is reminded of it. */
 static const fo_real FAR = (fo_real)3;
 /* Memories before a position of the filter is called valid, while resistance and inverter may move;
@@ -597,7 +597,7 @@ static void watch(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO
     }
     const fo_real apart = fo_abs(wrap(s->theta - guard));
     const bool off = known && apart > DISAGREE;
-    s->agreed = s->agreed || (known && apart < DISAGREE / TWO);
+    s->agreed = known ? apart < DISAGREE / TWO : s->agreed;
     s->disagree = off ? s->disagree + a->plain.h : ZERO;
     const bool overruled = s->disagree > DISAGREE_FOR || s->standing > DISAGREE_FOR;
     const bool misfit = s->level > LEVEL_MOST;
