@@ -311,10 +311,15 @@ def measured() -> None:
 
 def honesty() -> None:
     heading(
-        "208 simulated drives, R, psi, inverter and offsets drawn from the priors: normalised "
+        "416 simulated drives, R, psi, inverter and offsets drawn from the priors: normalised "
         "squared error a dimension (target 0.7 to 1.5), and the worst valid row [degrees]"
     )
-    lanes, duration, name = 208, 2.5, "pmsm-2kw2"
+    for name, lanes in (("pmsm-2kw2", 208), ("servo-400w", 104), ("ipm-2kw2", 104)):
+        honesty_of(name, lanes)
+
+
+def honesty_of(name: str, lanes: int) -> None:
+    duration = 2.5
     machine, rated = example(name), rating(name)
     I_n, full = machine.rated_current, rated.speed_e / machine.n_p
     drives, courses, volts, drifts = [], [], [], []
@@ -360,7 +365,7 @@ def honesty() -> None:
     scores = np.array(scores)
     names = ("position", "drift", "drift", "psi_f", "R_s", "inverter")
     print(
-        f"    {len(scores)} valid instants: mean {scores[:, 0].mean():.2f}; each by itself: "
+        f"    {name}, {len(scores)} valid instants: mean {scores[:, 0].mean():.2f}; each: "
         + ", ".join(f"{n} {x:.2f}" for n, x in zip(names, scores[:, 1:].mean(axis=0), strict=True))
         + f"; worst valid row {max(worst):.1f}"
     )
@@ -385,7 +390,7 @@ def lane_scores(lane, machine, h, u, i, theta, volt, drift, worst) -> list[list[
     voltage = np.concatenate([np.full((1, 2), np.nan), voltage[:-1]])
     current = np.stack([i.real, i.imag], axis=1)
     state, begin, out = observer.init(), 0, []
-    for at in (8000, 12_000, 16_000, 19_600):
+    for at in (int(t / h) for t in (1.0, 1.5, 2.0, 2.45)):
         state, found = observer.resume(state, voltage[begin : at + 1], current[begin : at + 1])
         error = np.abs(degrees_error(found.theta_e, theta[begin : at + 1]))
         worst.append(error[found.valid].max(initial=0))

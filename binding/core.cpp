@@ -261,7 +261,7 @@ enum AdaptiveColumn {
 };
 
 #define FO_ADAPTIVE_FIELDS(X)                                                                     \
-    X(saliency) X(mean) X(variance) X(walk) X(noise) X(through_R) X(decoy)           \
+    X(saliency) X(mean) X(variance) X(walk) X(noise) X(through_R) X(decoy)                        \
     X(charge) X(over_current) X(knee) X(projection)
 #define FO_ADAPTIVE_SIZE(name) +sizeof(fo_adaptive::name)
 static_assert(sizeof(fo_adaptive) - sizeof(fo_observer) - (0 FO_ADAPTIVE_FIELDS(FO_ADAPTIVE_SIZE)) <

@@ -27,7 +27,7 @@ static const fo_real KNEE_TIME = (fo_real)4e-5;
 /* So many times what noise pretends to tell of the resistance does not count. */
 static const fo_real BEYOND = (fo_real)2;
 /* The drift moves by this much less than the flux. */
-static const fo_real DRIFT_WALK = (fo_real)0.03;
+static const fo_real DRIFT_WALK = (fo_real)0.01;
 /* At the start errors of resistance and inverter are tied to flux and drift as if speed and load had
  * always been what they are; this share of their variance is not. */
 static const fo_real LOOSE = (fo_real)0.1;
