@@ -161,8 +161,9 @@ static void update_decoy(fo_adaptive_state *s, const fo_real row[FO_NP], const f
     for (int i = 0; i < FO_NM; i++) {
         f += row[i] * s->decoy[i];
     }
+    const fo_real back = f / alpha;
     for (int i = 0; i < FO_NM; i++) {
-        s->decoy[i] -= gain[i] * f / alpha;
+        s->decoy[i] -= gain[i] * back;
     }
     s->decoy_told = f * f;
 }
@@ -285,7 +286,8 @@ static fo_real direction(const fo_adaptive *a, const fo_real current[FO_N], fo_r
 typedef struct {
     fo_real v[FO_N];
     fo_real charge[FO_N];
-    fo_real before[FO_N]; /* the interval before, turned on to this one */
+    fo_real before[FO_N]; /* charge of the interval before, turned on to this one: this sample's noise
+                             is in the residual, too; in both it would be taken for a resistance */
     fo_real inverter[FO_N];
     fo_real unsure; /* of the inverter's signs, 0 to 3 */
 } effects;
@@ -552,12 +554,12 @@ static bool proven(const fo_adaptive *a, const fo_adaptive_state *s)
     return fo_abs(s->swept) > SWEEP && s->settled > least;
 }
 
-/* Are its numbers numbers, and the flux one that a machine can have? */
+/* Is the estimate of numbers, and the flux one that a machine can have? */
 static bool sound(const fo_adaptive_state *s)
 {
     fo_real sum = s->alpha + s->power + s->lag_one + s->tracker.speed + s->tracker.acceleration;
     for (int i = 0; i < FO_NP; i++) {
-        sum += s->p[i] + s->D[i];
+        sum += s->p[i];
     }
     return sum - sum == ZERO && s->p[0] * s->p[0] + s->p[1] * s->p[1] < RUNAWAY;
 }
@@ -580,10 +582,10 @@ static void look_at_current(const fo_adaptive *a, fo_adaptive_state *s)
 
 /* Does the filter have to give way? */
 static void watch(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO_N],
-                  const fo_estimate *plain, fo_real variance)
+                  fo_real plain_theta, bool plain_valid, fo_real variance)
 {
-    fo_real guard = plain->theta_e;
-    bool known = plain->valid;
+    fo_real guard = plain_theta;
+    bool known = plain_valid;
     if (a->projection == FO_PROJECT_ALWAYS) {
         fo_manifold information;
         fo_candidate *c = &s->candidates[0];
@@ -615,19 +617,30 @@ static void watch(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO
     }
 }
 
-/* The estimate from the filter: the position vector x, its angle's standard deviation. */
-static void report(const fo_adaptive *a, const fo_adaptive_state *s, fo_real length, fo_real std,
+/* The estimate from the filter, whose position vector has this length and whose angle this standard
+ * deviation. False, and the plain observer's position stands, if one of the numbers is too large to be
+ * one: what no state shows, such as the variance of a parameter on a scale of its own. */
+static bool report(const fo_adaptive *a, const fo_adaptive_state *s, fo_real length, fo_real std,
                    fo_real coloured, fo_adaptive_estimate *e)
 {
     const fo_observer *o = &a->plain;
     fo_estimate *q = &e->position;
-    const bool known = proven(a, s);
-    if (known || !q->valid) { /* until then the plain observer's, where it is sure of it */
+    const fo_real psi = length * o->flux_base;
+    const fo_real drift[FO_N] = {s->p[P_DRIFT] * o->drift_base, s->p[P_DRIFT + 1] * o->drift_base};
+    e->psi_f = s->p[P_PSI] * o->flux_base;
+    e->psi_f_std = fo_sqrt(variance_of(s, P_PSI) * coloured) * o->flux_base;
+    e->drift_std = fo_sqrt(variance_of(s, P_DRIFT) * coloured) * o->drift_base;
+    e->resistance_std = fo_sqrt(variance_of(s, P_R) * coloured);
+    e->inverter_std = fo_sqrt(variance_of(s, P_V) * coloured);
+    const fo_real sum = psi + drift[0] + drift[1] + s->tracker.speed + e->psi_f + e->psi_f_std +
+                        e->drift_std + e->resistance_std + e->inverter_std;
+    const bool good = sum - sum == ZERO, known = proven(a, s);
+    if (good && (known || !q->valid)) { /* until then the plain observer's, where it is sure of it */
         for (int i = 0; i < FO_N; i++) {
             q->flux[i] = s->p[P_FLUX + i] * o->flux_base;
-            q->drift[i] = s->p[P_DRIFT + i] * o->drift_base;
+            q->drift[i] = drift[i];
         }
-        q->psi_f = length * o->flux_base;
+        q->psi_f = psi;
         q->theta_e = s->theta;
         q->theta_e_tracked = s->tracker.angle;
         q->speed_e = s->tracker.speed;
@@ -637,14 +650,10 @@ static void report(const fo_adaptive *a, const fo_adaptive_state *s, fo_real len
         q->valid = s->tracker.settled >= TRACKER_SETTLED && std < STD_LIMIT &&
                    s->standing < STANDING_MOST;
     }
-    q->valid = q->valid && known;
+    q->valid = q->valid && (known || !good);
     e->theta_other = q->theta_e;
     e->weight_other = ZERO;
-    e->psi_f = s->p[P_PSI] * o->flux_base;
-    e->psi_f_std = fo_sqrt(variance_of(s, P_PSI) * coloured) * o->flux_base;
-    e->drift_std = fo_sqrt(variance_of(s, P_DRIFT) * coloured) * o->drift_base;
-    e->resistance_std = fo_sqrt(variance_of(s, P_R) * coloured);
-    e->inverter_std = fo_sqrt(variance_of(s, P_V) * coloured);
+    return good;
 }
 
 /* What stands in the estimate whether the filter runs or not. */
@@ -658,19 +667,6 @@ static void report_prior(const fo_adaptive *a, const fo_adaptive_state *s, fo_ad
     e->drift_std = a->plain.plausible * a->plain.drift_base;
     e->resistance_std = fo_sqrt(variance_of(s, P_R));
     e->inverter_std = fo_sqrt(variance_of(s, P_V));
-}
-
-/* Are all the numbers that the filter has put into it? What no state shows, such as the variance of a
- * parameter on a scale of its own, may be too large for one. */
-static bool all_finite(const fo_adaptive_estimate *e)
-{
-    const fo_estimate *q = &e->position;
-    fo_real sum = q->psi_f + q->theta_e_std + q->theta_e_tracked + q->speed_e + e->psi_f +
-                  e->psi_f_std + e->drift_std + e->resistance_std + e->inverter_std;
-    for (int i = 0; i < FO_N; i++) {
-        sum += q->flux[i] + q->drift[i];
-    }
-    return sum - sum == ZERO;
 }
 
 /* Numbers have run away: it begins anew, and the plain observer's estimate stands. */
@@ -699,30 +695,33 @@ static void conclude(const fo_adaptive *a, fo_adaptive_state *s, const fo_real x
     const fo_real r = correlation(s->lag_one, s->power);
     const fo_real coloured = (ONE + r) / (ONE - r);
     const fo_real length = fo_sqrt(square), theta = fo_atan2(x[1], x[0]);
-    fo_real variance = VARIANCE_UNKNOWN;
+    fo_real variance = VARIANCE_UNKNOWN, across = ZERO;
     if (square > o->square_min) {
         const fo_real turned = fo_abs(s->tracker.speed) * o->sample_time;
         s->exposed += UNMODELLED * o->h * o->plausible / length -
                       s->exposed * (turned < ONE ? turned : ONE);
         s->x[0] = x[0] / length;
         s->x[1] = x[1] / length;
-        variance = (variance_across(s, s->x) * coloured +
-                    o->position_noise * s->plain.roughness) / square + s->exposed * s->exposed;
+        across = variance_across(s, s->x) * coloured;
+        variance = (across + o->position_noise * s->plain.roughness) / square +
+                   s->exposed * s->exposed;
     }
     const fo_real std = fo_sqrt(variance < VARIANCE_UNKNOWN ? variance : VARIANCE_UNKNOWN);
-    fo_estimate plain;
-    plain = e->position;
+    const fo_real plain_theta = e->position.theta_e;
+    const bool plain_valid = e->position.valid;
     s->swept += wrap(theta - s->theta);
     s->theta = theta;
     s->settled += o->h;
     track(o, &s->tracker, theta);
     settle_tracker(o, &s->tracker, theta, std);
     look_at_current(a, s);
-    report(a, s, length, std, coloured, e);
-    if (all_finite(e)) {
-        watch(a, s, v, &plain, variance);
+    bool good = across - across == ZERO;
+    if (good) {
+        good = report(a, s, length, std, coloured, e);
+    }
+    if (good) {
+        watch(a, s, v, plain_theta, plain_valid, variance);
     } else {
-        e->position = plain;
         give_up(a, s, e);
     }
 }
@@ -799,42 +798,50 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const effects *t,
 
 /* ---- samples -------------------------------------------------------------------------- */
 
+/* What the last interval did, as far as the currents tell. */
+static void integrate(const fo_adaptive *a, fo_adaptive_state *s, bool complete, effects *t)
+{
+    fo_real mean[FO_N], mean_24[FO_N], signs[FO_N];
+    for (int i = 0; i < FO_N; i++) {
+        mean_24[i] = mean_current_24(s->plain.current[0][i], s->plain.current[1][i],
+                                     s->plain.current[2][i], s->plain.current[3][i]);
+        mean[i] = mean_24[i] / (fo_real)24;
+    }
+    t->unsure = direction(a, mean, signs);
+    for (int i = 0; i < FO_N; i++) {
+        t->v[i] = s->plain.source[i] - (complete ? ZERO : dot(a->plain.hR[i], mean_24));
+        t->charge[i] = a->charge * mean_24[i];
+        t->inverter[i] = (fo_real)24 * a->charge * signs[i];
+    }
+    const fo_real step = a->plain.sample_time * s->tracker.speed;
+    const fo_real sine = fo_abs(step) < ONE ? step : ZERO, cosine = ONE - sine * sine / TWO;
+    t->before[0] = cosine * s->charge[0] - sine * s->charge[1];
+    t->before[1] = cosine * s->charge[1] + sine * s->charge[0];
+    for (int i = 0; i < FO_N; i++) {
+        s->charge[i] = t->charge[i];
+    }
+}
+
 /* After the plain observer's step: the rest of the sample. */
 static void go_on(const fo_adaptive *a, fo_adaptive_state *s, bool complete, bool measured,
                   fo_adaptive_estimate *e)
 {
-    report_prior(a, s, e);
-    if (!s->plain.have_current) {
-        forget(a, s);
-        fo_candidates_sow(a, s);
-    } else if (s->plain.have_voltage) {
+    if (s->plain.have_current && s->plain.have_voltage) {
         effects t;
-        fo_real mean[FO_N], mean_24[FO_N], signs[FO_N];
-        for (int i = 0; i < FO_N; i++) {
-            mean_24[i] = mean_current_24(s->plain.current[0][i], s->plain.current[1][i],
-                                         s->plain.current[2][i], s->plain.current[3][i]);
-            mean[i] = mean_24[i] / (fo_real)24;
-        }
-        t.unsure = direction(a, mean, signs);
-        for (int i = 0; i < FO_N; i++) {
-            t.v[i] = s->plain.source[i] - (complete ? ZERO : dot(a->plain.hR[i], mean_24));
-            t.charge[i] = a->charge * mean_24[i];
-            t.inverter[i] = (fo_real)24 * a->charge * signs[i];
-        }
-        /* This sample's noise is in the residual, too: in both it would be taken for a resistance. */
-        const fo_real step = a->plain.sample_time * s->tracker.speed;
-        turn(s->charge, fo_abs(step) < ONE ? step : ZERO, t.before);
-        for (int i = 0; i < FO_N; i++) {
-            s->charge[i] = t.charge[i];
-        }
-        e->adapting = s->running;
+        integrate(a, s, complete, &t);
         if (s->running) {
+            e->adapting = true;
             run(a, s, &t, measured, e);
         } else {
+            report_prior(a, s, e);
             begin(a, s, &t, e);
         }
     } else {
-        /* the first sample */
+        if (!s->plain.have_current) {
+            forget(a, s);
+            fo_candidates_sow(a, s);
+        }
+        report_prior(a, s, e);
     }
     s->turn++;
     e->resistance_error = s->p[P_R];
@@ -846,11 +853,10 @@ static void known_loss(const fo_adaptive *a, const fo_adaptive_state *s,
                        const fo_real current[FO_N], fo_real loss[FO_N])
 {
     const fo_state *q = &s->plain;
-    fo_real signs[FO_N];
-    signs[0] = ZERO;
-    signs[1] = ZERO;
+    fo_real mean[FO_N], signs[FO_N];
+    loss[0] = ZERO;
+    loss[1] = ZERO;
     if (a->mean[P_V] != ZERO) {
-        fo_real mean[FO_N];
         for (int i = 0; i < FO_N; i++) {
             mean[i] = current[i];
             if (q->have_current) {
@@ -861,10 +867,9 @@ static void known_loss(const fo_adaptive *a, const fo_adaptive_state *s,
         }
         if (dot(mean, mean) <= a->plain.current_limit * a->plain.current_limit) {
             (void)direction(a, mean, signs);
+            loss[0] = a->mean[P_V] * signs[0];
+            loss[1] = a->mean[P_V] * signs[1];
         }
-    }
-    for (int i = 0; i < FO_N; i++) {
-        loss[i] = a->mean[P_V] * signs[i];
     }
 }
 
