@@ -66,6 +66,8 @@ pil: $(READY)
 	$(BIN)/python tests/firmware/processor/replay.py
 
 FUZZ_STEPS ?= 10000000L
+# 1: the same inputs every time; 0: others every time, to look further.
+FUZZ_SEED ?= 1
 fuzz:
 	@for precision in -DFO_SINGLE -UFO_SINGLE; do \
 	    clang -std=c99 -g -O1 -fsanitize=fuzzer,address,undefined,float-divide-by-zero \
@@ -73,8 +75,8 @@ fuzz:
 	        $$precision -DFUZZ_STEPS=$(FUZZ_STEPS) -Ifirmware tests/firmware/fuzz.c \
 	        $(FIRMWARE) -lm -o build-fuzz || exit 1; \
 	    scratch=$$(mktemp -d); \
-	    ./build-fuzz -max_len=400 -verbosity=0 -artifact_prefix=build-fuzz- \
-	        $$scratch tests/firmware/corpus; \
+	    ./build-fuzz -seed=$(FUZZ_SEED) -max_len=400 -verbosity=0 \
+	        -artifact_prefix=build-fuzz- $$scratch tests/firmware/corpus; \
 	    status=$$?; rm -rf build-fuzz $$scratch; [ $$status -eq 0 ] || exit 1; \
 	done
 

@@ -759,7 +759,13 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const effects *t,
         if (choice.found && choice.weight < ONE / TWO) {
             e->theta_other = choice.other;
         }
-        if (choice.found && !s->plain.trusted) {
+        const bool known = !(a->variance[P_R] + a->variance[P_V] > ZERO);
+        if (s->plain.trusted) { /* it takes resistance and inverter for known */
+            const fo_real off = known ? ZERO : s->disturbance * s->disturbance;
+            const fo_real all = q->theta_e_std * q->theta_e_std + off;
+            q->theta_e_std = fo_sqrt(all < VARIANCE_UNKNOWN ? all : VARIANCE_UNKNOWN);
+            q->valid = q->valid && q->theta_e_std < STD_LIMIT;
+        } else if (choice.found) {
             fo_real variance = choice.best.variance;
             const fo_real apart = wrap(choice.other - choice.best.theta);
             variance += choice.weight * apart * apart;
@@ -773,6 +779,8 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const effects *t,
             }
             q->psi_f = fo_sqrt(choice.best.p[2 * FO_N]) * o->flux_base;
             q->valid = false;
+        } else {
+            /* nothing is known */
         }
         if (choice.decided && tied_variance(a, s, &choice.best) < STD_START * STD_START) {
             start(a, s, &choice.best, &choice.information, choice.inflation);

@@ -18,6 +18,8 @@ PSI_RANGE = (0.75, 1.33)
 VALID_SHARE = 0.5
 #: Memories that a log must last for its summary to be worth anything.
 MEMORIES = 3
+#: The same where resistance or inverter are unknown.
+MEMORIES_ADAPTIVE = 5
 #: A standard deviation that is left at this share of the prior's: nothing was learnt.
 UNSEEN = 0.5
 #: What finds a suspect.
@@ -128,10 +130,11 @@ def _found(result: Result) -> list[str]:
 
 def _warnings(result: Result) -> list[str]:
     duration = result.tally.rows * result.log.sample_time
-    if duration < MEMORIES * result.observer.memory:
+    memories = MEMORIES if result.adaptive is None else MEMORIES_ADAPTIVE
+    if duration < memories * result.observer.memory:
         return [
             *_sample_warnings(result),
-            f"The log lasts {_si(duration, 's')}, too short to settle: at least {MEMORIES} "
+            f"The log lasts {_si(duration, 's')}, too short to settle: at least {memories} "
             f"memories of {_si(result.observer.memory, 's')} are needed.",
         ]
     return [
