@@ -861,10 +861,10 @@ static void known_loss(const fo_adaptive *a, const fo_adaptive_state *s,
                        const fo_real current[FO_N], fo_real loss[FO_N])
 {
     const fo_state *q = &s->plain;
-    fo_real mean[FO_N], signs[FO_N];
     loss[0] = ZERO;
     loss[1] = ZERO;
     if (a->mean[P_V] != ZERO) {
+        fo_real mean[FO_N], signs[FO_N];
         for (int i = 0; i < FO_N; i++) {
             mean[i] = current[i];
             if (q->have_current) {
