@@ -544,13 +544,18 @@ static void remind(const fo_adaptive *a, fo_adaptive_state *s)
     }
 }
 
+/* Are resistance and inverter known? */
+static bool knows_voltage(const fo_adaptive *a)
+{
+    return !(a->variance[P_R] + a->variance[P_V] > ZERO);
+}
+
 /* Has it run for long enough to be believed? */
 static bool proven(const fo_adaptive *a, const fo_adaptive_state *s)
 {
-    const bool known = !(a->variance[P_R] + a->variance[P_V] > ZERO);
-    const fo_real least = known       ? PROVEN_AFTER_KNOWN
-                          : s->agreed ? PROVEN_AFTER
-                                      : PROVEN_ALONE;
+    const fo_real least = knows_voltage(a) ? PROVEN_AFTER_KNOWN
+                          : s->agreed      ? PROVEN_AFTER
+                                           : PROVEN_ALONE;
     return fo_abs(s->swept) > SWEEP && s->settled > least;
 }
 
@@ -759,9 +764,8 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const effects *t,
         if (choice.found && choice.weight < ONE / TWO) {
             e->theta_other = choice.other;
         }
-        const bool known = !(a->variance[P_R] + a->variance[P_V] > ZERO);
         if (s->plain.trusted) { /* it takes resistance and inverter for known */
-            const fo_real off = known ? ZERO : s->disturbance * s->disturbance;
+            const fo_real off = knows_voltage(a) ? ZERO : s->disturbance * s->disturbance;
             const fo_real all = q->theta_e_std * q->theta_e_std + off;
             q->theta_e_std = fo_sqrt(all < VARIANCE_UNKNOWN ? all : VARIANCE_UNKNOWN);
             q->valid = q->valid && q->theta_e_std < STD_LIMIT;
