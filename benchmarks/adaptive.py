@@ -314,11 +314,22 @@ def honesty() -> None:
         "416 simulated drives, R, psi, inverter and offsets drawn from the priors: normalised "
         "squared error a dimension (target 0.7 to 1.5), and the worst valid row [degrees]"
     )
+    drives = []
     for name, lanes in (("pmsm-2kw2", 208), ("servo-400w", 104), ("ipm-2kw2", 104)):
-        honesty_of(name, lanes)
+        drives += honesty_of(name, lanes)
+    print(f"    all: mean {mean_score(drives)}")
 
 
-def honesty_of(name: str, lanes: int) -> None:
+def mean_score(drives: list[list[list[float]]]) -> str:
+    """Over all valid instants; and without the drive that adds most: the tail is heavy."""
+    drives = sorted(drives, key=lambda scores: sum(row[0] for row in scores))
+    means = [
+        np.mean([row[0] for scores in part for row in scores]) for part in (drives, drives[:-1])
+    ]
+    return f"{means[0]:.2f} ({means[1]:.2f} without one drive)"
+
+
+def honesty_of(name: str, lanes: int) -> list[list[list[float]]]:
     duration = 2.5
     machine, rated = example(name), rating(name)
     I_n, full = machine.rated_current, rated.speed_e / machine.n_p
@@ -346,14 +357,14 @@ def honesty_of(name: str, lanes: int) -> None:
     def keep(row: Trace) -> tuple[object, ...]:
         return row.voltage, row.measured_current, row.theta_e
 
-    scores, worst = [], []
+    scored, worst = [], []
     for k in range(0, lanes, 26):
         part = slice(k, k + 26)
         u, i, theta = simulate_batch(
             drives[part], courses[part], duration, range(k, min(k + 26, lanes)), keep
         )
         for lane in range(len(u)):
-            scores += lane_scores(
+            own = lane_scores(
                 k + lane,
                 machine,
                 rated.sample_time,
@@ -362,13 +373,15 @@ def honesty_of(name: str, lanes: int) -> None:
                 drifts[k + lane],
                 worst,
             )
-    scores = np.array(scores)
+            scored.append(own)
+    scores = np.array([row for own in scored for row in own])
     names = ("position", "drift", "drift", "psi_f", "R_s", "inverter")
     print(
-        f"    {name}, {len(scores)} valid instants: mean {scores[:, 0].mean():.2f}; each: "
+        f"    {name}, {len(scores)} valid instants: mean {mean_score(scored)}; each: "
         + ", ".join(f"{n} {x:.2f}" for n, x in zip(names, scores[:, 1:].mean(axis=0), strict=True))
         + f"; worst valid row {max(worst):.1f}"
     )
+    return scored
 
 
 def lane_scores(lane, machine, h, u, i, theta, volt, drift, worst) -> list[list[float]]:

@@ -28,6 +28,7 @@ import numpy as np
 
 import fluxobs
 from fluxobs.deployment.costs import cost_table, read_costs
+from fluxobs.deployment.course import course
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
@@ -142,6 +143,8 @@ def measure(kind: str, unknowns: tuple[str, ...], compiler: str) -> tuple[dict[s
                 f"{said['angle_error_e9'] / 1e9:.0e} rad"
                 + ("" if ok else f"  FAILED, first at sample {said['first_row']}")
             )
+            if kind == "adaptive" and build is BUILDS[0]:
+                print_shares(machine, build, instructions)
             costs["parameters"] = said["parameters"]
             costs["builds"].append(
                 {
@@ -163,6 +166,24 @@ def measure(kind: str, unknowns: tuple[str, ...], compiler: str) -> tuple[dict[s
     print(cost_table(costs))
     print(f"Parameters in flash: {costs['parameters']} bytes")
     return costs, failed
+
+
+def print_shares(machine: fluxobs.Machine, build: Build, instructions: np.ndarray) -> None:
+    """What a sample costs while the adaptive observer starts, and while its filter runs."""
+    observer = fluxobs.AdaptiveObserver.for_machine(
+        machine,
+        sample_time=SAMPLE_TIME,
+        memory=MEMORY,
+        unknowns=KINDS["adaptive"],
+        precision="single",
+    )
+    record = course(machine, observer.plain)
+    running = observer.run(record.voltage, record.current).adapting
+    print(
+        f"adaptive, {build.name}: starting on {1 - running.mean():.0%} of the rows, "
+        f"{instructions[~running].mean():.0f} instructions on the mean; then "
+        f"{instructions[running].mean():.0f}"
+    )
 
 
 def main() -> int:
