@@ -279,11 +279,11 @@ def measured() -> None:
     from measured import LAYOUT
     from measured import MACHINE as PUBLISHED
 
-    from fluxobs.estimate import estimate
-    from fluxobs.formats import open_table
+    from fluxobs.estimation.estimate import estimate
+    from fluxobs.logs.formats import open_table
     from fluxobs.identification import identify
     from fluxobs.identification.report import lines
-    from fluxobs.logs import open_log
+    from fluxobs.logs.log import open_log
 
     heading("Measured logs, one setting: degrees rms about the mean from 0.2 s (target 1.05)")
     logs = sorted(MEASURED.glob("data*.csv"))

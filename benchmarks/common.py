@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fluxobs.frames import angle_error, wrap
+from fluxobs.model.frames import angle_error, wrap
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from measured import LAYOUT, MACHINE
 from fluxobs.comparison.compare import Comparison, compare_log, compare_scenario
 from fluxobs.comparison.report import LEAST_SQUARES, NEAR, others, ours
 from fluxobs.comparison.scenarios import SCENARIOS
-from fluxobs.formats import open_table
-from fluxobs.logs import open_log
+from fluxobs.logs.formats import open_table
+from fluxobs.logs.log import open_log
 
 
 def line(found: Comparison) -> str:

@@ -12,10 +12,10 @@ import numpy as np
 import polars as pl
 from common import MEASURED, degrees_error, heading
 
-from fluxobs.estimate import estimate
-from fluxobs.formats import open_table
-from fluxobs.layout import Layout
-from fluxobs.logs import open_log
+from fluxobs.estimation.estimate import estimate
+from fluxobs.logs.formats import open_table
+from fluxobs.logs.layout import Layout
+from fluxobs.logs.log import open_log
 from fluxobs.machines import SurfacePMSM
 
 #: As published; no rated current, so that is taken from the record.

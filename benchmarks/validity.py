@@ -18,7 +18,7 @@ from fluxobs.design.drive import (
     rating,
     simulate_batch,
 )
-from fluxobs.design.observers.least_squares import SquareRootLeastSquares
+from fluxobs.design.drive.twin import SquareRootLeastSquares
 from fluxobs.machines import example
 
 LANES, DURATION = 16, 2.5

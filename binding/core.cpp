@@ -17,7 +17,10 @@
 #include <thread>
 #include <vector>
 
+extern "C" {
 #include "fluxobs_adaptive.h"
+#include "fluxobs_internal.h"
+}
 
 namespace nb = nanobind;
 
@@ -27,19 +30,6 @@ using Matrix = nb::ndarray<const double, nb::shape<FO_N, FO_N>, nb::c_contig, nb
 using Vector = nb::ndarray<const double, nb::shape<FO_N>, nb::c_contig, nb::device::cpu>;
 using States = nb::ndarray<const std::uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Signals = nb::ndarray<const double, nb::shape<-1, -1, FO_N>, nb::c_contig, nb::device::cpu>;
-
-enum Column {
-    FLUX = 0,
-    PSI_F = FO_N,
-    THETA_E,
-    THETA_E_TRACKED,
-    SPEED_E,
-    DRIFT,
-    THETA_E_STD = DRIFT + FO_N,
-    INNOVATION,
-    NOISE_SHARE,
-    COLUMNS
-};
 
 void copy(fo_real (&target)[FO_N][FO_N], const Matrix &source) {
     for (std::size_t i = 0; i < FO_N; i++)
@@ -129,19 +119,99 @@ nb::tuple run_lanes(const States &states, const Signals &source, const Signals &
                           owned(std::move(valid), {lanes, rows}));
 }
 
-void write(const fo_estimate &e, double *row, std::size_t plane) {
-    for (int n = 0; n < FO_N; n++) {
-        row[(FLUX + n) * plane] = e.flux[n];
-        row[(DRIFT + n) * plane] = e.drift[n];
-    }
-    row[PSI_F * plane] = e.psi_f;
-    row[THETA_E * plane] = e.theta_e;
-    row[THETA_E_TRACKED * plane] = e.theta_e_tracked;
-    row[SPEED_E * plane] = e.speed_e;
-    row[THETA_E_STD * plane] = e.theta_e_std;
-    row[INNOVATION * plane] = e.innovation;
-    row[NOISE_SHARE * plane] = e.noise_share;
+// ---- what the lists of the C headers say ---------------------------------------------------
+
+// Columns of the numbers of an estimate, in the order of the list; `valid` goes apart.
+#define COUNT_VECTOR(name) +FO_N
+#define COUNT_NUMBER(name) +1
+constexpr std::size_t COLUMNS = 0 FO_ESTIMATE_FIELDS(COUNT_VECTOR, COUNT_NUMBER);
+
+double *write(const fo_estimate &e, double *row, std::size_t plane) {
+    auto put = [&](double value) { *row = value, row += plane; };
+#define PUT_VECTOR(name) for (int n = 0; n < FO_N; n++) put(e.name[n]);
+#define PUT_NUMBER(name) put(e.name);
+    FO_ESTIMATE_FIELDS(PUT_VECTOR, PUT_NUMBER)
+    return row;
 }
+
+// What the adaptive observer adds: the member of fo_adaptive_estimate, and its name in Python.
+#define ADAPTIVE_ESTIMATE_FIELDS(X)                                                      \
+    X(drift_std, drift_std) X(psi_f, psi_f) X(psi_f_std, psi_f_std)                      \
+    X(resistance_error, resistance_error) X(resistance_std, resistance_std)              \
+    X(inverter_voltage, inverter_voltage) X(inverter_std, inverter_voltage_std)          \
+    X(theta_other, theta_e_other) X(weight_other, weight_other) X(adapting, adapting)
+#define COUNT_ONE(member, name) +1
+constexpr std::size_t ADAPTIVE_COLUMNS = COLUMNS ADAPTIVE_ESTIMATE_FIELDS(COUNT_ONE);
+
+void write(const fo_adaptive_estimate &e, double *row, std::size_t plane) {
+    row = write(e.position, row, plane);
+#define PUT_ONE(member, name) *row = e.member, row += plane;
+    ADAPTIVE_ESTIMATE_FIELDS(PUT_ONE)
+}
+
+// (name, components) of every column or group of them, in the order in which they are written.
+nb::list outputs(bool adaptive) {
+    nb::list out;
+    auto add = [&](const char *name, int components) { out.append(nb::make_tuple(name, components)); };
+#define NAME_VECTOR(name) add(#name, FO_N);
+#define NAME_NUMBER(name) add(#name, 1);
+#define NAME_ONE(member, name) add(#name, 1);
+    FO_ESTIMATE_FIELDS(NAME_VECTOR, NAME_NUMBER)
+    if (adaptive) {
+        ADAPTIVE_ESTIMATE_FIELDS(NAME_ONE)
+    }
+    return out;
+}
+
+// name -> meaning of every number that a step uses.
+nb::dict meanings(bool adaptive) {
+    nb::dict out;
+#define MEANING(name, meaning) out[#name] = meaning;
+#define MEANING_ARRAY(name, size, meaning) out[#name] = meaning;
+    if (adaptive) {
+        FO_ADAPTIVE_FIELDS(MEANING_ARRAY, MEANING)
+        out["projection"] = "when the information is projected";
+    } else {
+        FO_OBSERVER_FIELDS(MEANING, MEANING_ARRAY, MEANING)
+    }
+    return out;
+}
+
+// name -> value of the plain observer's thresholds.
+nb::dict thresholds() {
+    nb::dict out;
+#define THRESHOLD(name) out[#name] = static_cast<double>(name);
+    FO_THRESHOLDS(THRESHOLD)
+    return out;
+}
+
+// A field of a configuration, out of a mapping that has to name them all and nothing else.
+class Fields {
+public:
+    explicit Fields(const nb::dict &given) : given_(given) {}
+
+    void matrix(const char *name, fo_real (&target)[FO_N][FO_N]) {
+        copy(target, nb::cast<Matrix>(at(name)));
+    }
+    void vector(const char *name, fo_real (&target)[FO_N]) {
+        copy(target, nb::cast<Vector>(at(name)));
+    }
+    void number(const char *name, fo_real &target) {
+        target = static_cast<fo_real>(nb::cast<double>(at(name)));
+    }
+    nb::object at(const char *name) {
+        if (!given_.contains(name)) throw std::invalid_argument(std::string(name) + " is missing");
+        taken_++;
+        return given_[name];
+    }
+    void end() const {
+        if (taken_ != given_.size()) throw std::invalid_argument("a field is given that is not known");
+    }
+
+private:
+    nb::dict given_;
+    std::size_t taken_ = 0;
+};
 
 nb::tuple counts(const fo_state &state) {
     return nb::make_tuple(state.bad_voltages, state.bad_currents, state.absurd, state.outliers,
@@ -157,15 +227,8 @@ State lane_of(const States &states, std::size_t lane) {
     return state;
 }
 
-// Every number a step uses, in the order of the struct.
-#define FO_OBSERVER_FIELDS(X)                                                                    \
-    X(Q1x2) X(E) X(row_Q2) X(row_Q3) X(row_C) X(row_s) X(hR) X(hB) X(h) X(rho) X(reinject)        \
-    X(plausible) X(noise_information) X(flux_base) X(drift_base) X(current_limit) X(over_noise)   \
-    X(square_min) X(L_position) X(position_noise) X(sample_time) X(track)
-#define FO_SIZE(name) +sizeof(fo_observer::name)
-static_assert(sizeof(fo_observer) == 0 FO_OBSERVER_FIELDS(FO_SIZE), "a field is missing");
-
-#define FO_ADD(name) out[#name] = nested(observer_.name);
+#define ADD(name, meaning) out[#name] = nested(observer_.name);
+#define ADD_ARRAY(name, size, meaning) out[#name] = nested(observer_.name);
 
 nb::object nested(fo_projection value) { return nb::int_(static_cast<int>(value)); }
 nb::object nested(fo_real value) { return nb::float_(static_cast<double>(value)); }
@@ -179,30 +242,16 @@ nb::object nested(const T (&values)[N]) {
 
 class Core {
 public:
-    Core(const Matrix &Q1, const Matrix &Q2, const Matrix &Q3, const Vector &E, const Vector &C,
-         const Matrix &R, const Matrix &B, double L_position, double sample_time, double memory,
-         double flux_base, double constraint_base, double constraint_noise, double current_noise,
-         double current_limit, double drift_prior, double length_min, double tracker_bandwidth) {
-        fo_config &c = config_;
-        copy(c.Q1, Q1);
-        copy(c.Q2, Q2);
-        copy(c.Q3, Q3);
-        copy(c.E, E);
-        copy(c.C, C);
-        copy(c.R, R);
-        copy(c.B, B);
-        c.L_position = static_cast<fo_real>(L_position);
-        c.sample_time = static_cast<fo_real>(sample_time);
-        c.memory = static_cast<fo_real>(memory);
-        c.flux_base = static_cast<fo_real>(flux_base);
-        c.constraint_base = static_cast<fo_real>(constraint_base);
-        c.constraint_noise = static_cast<fo_real>(constraint_noise);
-        c.current_noise = static_cast<fo_real>(current_noise);
-        c.current_limit = static_cast<fo_real>(current_limit);
-        c.drift_prior = static_cast<fo_real>(drift_prior);
-        c.length_min = static_cast<fo_real>(length_min);
-        c.tracker_bandwidth = static_cast<fo_real>(tracker_bandwidth);
-        check(fo_init(&observer_, &c));
+    // `given` maps every field of fo_config to a number, or to an array of doubles.
+    explicit Core(const nb::dict &given) {
+        Fields fields(given);
+#define TAKE_MATRIX(name) fields.matrix(#name, config_.name);
+#define TAKE_VECTOR(name) fields.vector(#name, config_.name);
+#define TAKE_NUMBER(name) fields.number(#name, config_.name);
+#define TAKE_POSITIVE(name, least, most) fields.number(#name, config_.name);
+        FO_CONFIG_FIELDS(TAKE_MATRIX, TAKE_VECTOR, TAKE_NUMBER, TAKE_POSITIVE)
+        fields.end();
+        check(fo_init(&observer_, &config_));
     }
 
     const fo_config &config() const { return config_; }
@@ -210,7 +259,7 @@ public:
     // name -> number or nested list, in the order of fo_observer
     nb::dict parameters() const {
         nb::dict out;
-        FO_OBSERVER_FIELDS(FO_ADD)
+        FO_OBSERVER_FIELDS(ADD, ADD_ARRAY, ADD)
         return out;
     }
 
@@ -246,50 +295,24 @@ private:
     fo_observer observer_;
 };
 
-enum AdaptiveColumn {
-    DRIFT_STD = COLUMNS,
-    MAGNET_FLUX,
-    MAGNET_FLUX_STD,
-    RESISTANCE_ERROR,
-    RESISTANCE_STD,
-    INVERTER_VOLTAGE,
-    INVERTER_STD,
-    THETA_OTHER,
-    WEIGHT_OTHER,
-    ADAPTING,
-    ADAPTIVE_COLUMNS
-};
-
-#define FO_ADAPTIVE_FIELDS(X)                                                                     \
-    X(saliency) X(mean) X(variance) X(walk) X(noise) X(through_R) X(decoy)                        \
-    X(charge) X(over_current) X(knee) X(projection)
-#define FO_ADAPTIVE_SIZE(name) +sizeof(fo_adaptive::name)
-static_assert(sizeof(fo_adaptive) - sizeof(fo_observer) - (0 FO_ADAPTIVE_FIELDS(FO_ADAPTIVE_SIZE)) <
-                  sizeof(fo_real),
-              "a field is missing");
-
 class Adaptive {
 public:
-    Adaptive(const Core &core, double saliency, double psi_f, double psi_f_std,
-             double resistance_std, double inverter_voltage, double inverter_std,
-             double inverter_current, double slow_memory, int projection) {
+    // `given` maps every field of fo_adaptive_config.
+    Adaptive(const Core &core, const nb::dict &given) {
         fo_adaptive_config c;
-        c.saliency = static_cast<fo_real>(saliency);
-        c.psi_f = static_cast<fo_real>(psi_f);
-        c.psi_f_std = static_cast<fo_real>(psi_f_std);
-        c.resistance_std = static_cast<fo_real>(resistance_std);
-        c.inverter_voltage = static_cast<fo_real>(inverter_voltage);
-        c.inverter_std = static_cast<fo_real>(inverter_std);
-        c.inverter_current = static_cast<fo_real>(inverter_current);
-        c.slow_memory = static_cast<fo_real>(slow_memory);
-        c.projection = static_cast<fo_projection>(projection);
+        Fields fields(given);
+#define TAKE_CONFIG(name) fields.number(#name, c.name);
+        FO_ADAPTIVE_CONFIG_FIELDS(TAKE_CONFIG)
+        c.projection = static_cast<fo_projection>(nb::cast<int>(fields.at("projection")));
+        fields.end();
         check(fo_adaptive_init(&observer_, &core.config(), &c));
     }
 
     // name -> number or nested list, in the order of fo_adaptive after its first field
     nb::dict parameters() const {
         nb::dict out;
-        FO_ADAPTIVE_FIELDS(FO_ADD)
+        FO_ADAPTIVE_FIELDS(ADD_ARRAY, ADD)
+        ADD(projection, )
         return out;
     }
 
@@ -311,17 +334,7 @@ public:
                     fo_adaptive_step_volt_seconds(&observer_, &state, u, i, &e);
                 else
                     fo_adaptive_step(&observer_, &state, u, i, &e);
-                write(e.position, row, plane);
-                row[DRIFT_STD * plane] = e.drift_std;
-                row[MAGNET_FLUX * plane] = e.psi_f;
-                row[MAGNET_FLUX_STD * plane] = e.psi_f_std;
-                row[RESISTANCE_ERROR * plane] = e.resistance_error;
-                row[RESISTANCE_STD * plane] = e.resistance_std;
-                row[INVERTER_VOLTAGE * plane] = e.inverter_voltage;
-                row[INVERTER_STD * plane] = e.inverter_std;
-                row[THETA_OTHER * plane] = e.theta_other;
-                row[WEIGHT_OTHER * plane] = e.weight_other;
-                row[ADAPTING * plane] = e.adapting;
+                write(e, row, plane);
                 return e.position.valid;
             });
     }
@@ -347,30 +360,23 @@ private:
 
 NB_MODULE(FLUXOBS_MODULE, m) {
     nb::class_<Core>(m, "Core")
-        .def(nb::init<const Matrix &, const Matrix &, const Matrix &, const Vector &, const Vector &,
-                      const Matrix &, const Matrix &, double, double, double, double, double, double,
-                      double, double, double, double, double>(),
-             nb::kw_only(), nb::arg("Q1"), nb::arg("Q2"), nb::arg("Q3"), nb::arg("E"), nb::arg("C"),
-             nb::arg("R"), nb::arg("B"), nb::arg("L_position"), nb::arg("sample_time"),
-             nb::arg("memory"), nb::arg("flux_base"), nb::arg("constraint_base"),
-             nb::arg("constraint_noise"), nb::arg("current_noise"), nb::arg("current_limit"),
-             nb::arg("drift_prior"), nb::arg("length_min"), nb::arg("tracker_bandwidth"))
+        .def(nb::init<const nb::dict &>(), nb::arg("config"))
         .def("parameters", &Core::parameters)
         .def("reset", &Core::reset)
         .def("run", &Core::run)
         .def_static("counters", &Core::counters);
     nb::class_<Adaptive>(m, "Adaptive")
-        .def(nb::init<const Core &, double, double, double, double, double, double, double, double,
-                      int>(),
-             nb::arg("core"), nb::kw_only(), nb::arg("saliency"), nb::arg("psi_f"),
-             nb::arg("psi_f_std"), nb::arg("resistance_std"), nb::arg("inverter_voltage"),
-             nb::arg("inverter_std"), nb::arg("inverter_current"), nb::arg("slow_memory"),
-             nb::arg("projection"))
+        .def(nb::init<const Core &, const nb::dict &>(), nb::arg("core"), nb::arg("config"))
         .def("parameters", &Adaptive::parameters)
         .def("reset", &Adaptive::reset)
         .def("run", &Adaptive::run)
         .def_static("counters", &Adaptive::counters)
         .def_static("filter", &Adaptive::filter);
+    m.attr("outputs") = outputs(false);
+    m.attr("adaptive_outputs") = outputs(true);
+    m.attr("meanings") = meanings(false);
+    m.attr("adaptive_meanings") = meanings(true);
+    m.attr("thresholds") = thresholds();
     m.attr("state_bytes") = sizeof(fo_state);
     m.attr("adaptive_state_bytes") = sizeof(fo_adaptive_state);
 }

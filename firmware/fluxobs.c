@@ -6,28 +6,6 @@
 /* Element (i, j), i < j, of a packed strict upper triangle. */
 #define AT(i, j) ((int)(i) * (2 * (int)FO_NX - (int)(i) - 3) / 2 + (int)(j) - 1)
 
-/* Share of noise in the flux information above which the flux is called unknown. */
-static const fo_real SHARE_LIMIT = (fo_real)0.1;
-/* The same for what a voltage error as large as the drift's prior can do: 8 degrees. */
-static const fo_real VOLTAGE_LIMIT = PI / (fo_real)22.5;
-/* It adds up to this at most [rad]: ten times as much, since a flux that is wrong may be long. */
-static const fo_real EXPOSED_MOST = PI / (fo_real)2.25;
-/* The largest flux change in one sample that is no error, in flux bases: twice what eight samples
- * a period ask for, with a magnet flux twice as large as its base. */
-static const fo_real FLUX_STEP_LIMIT = (fo_real)4;
-/* A measurement further than this off what is known, in constraint bases, is not taken. */
-static const fo_real OUTLIER_LIMIT = (fo_real)1;
-/* So is one in which the position vector x moves by more than twice its last step, this share of
- * itself and six stds of noise: a spike of the current can leave |x| as it is. */
-static const fo_real STEP_LIMIT = (fo_real)0.15;
-static const fo_real STEP_NOISE = (fo_real)6;
-/* Samples take turns: in one a prior row is re-injected, in the next the certainty is judged. */
-enum { REINJECT_PERIOD = 2 * FO_NX };
-/* Rotation after which a drift beyond its prior std says that the prior was too tight, ... */
-static const fo_real SETTLED = (fo_real)3 * PI;
-/* ... and what the past then still counts, over the square of that excess. */
-static const fo_real DISTRUST = (fo_real)0.01;
-
 static void clear(fo_real x[FO_NX])
 {
     for (int i = 0; i < FO_NX; i++) {
@@ -37,38 +15,38 @@ static void clear(fo_real x[FO_NX])
 
 /* ---- configuration ------------------------------------------------------------------- */
 
-static bool config_finite(const fo_config *c)
+/* 0 unless something in it is not finite. */
+static fo_real not_finite(const fo_real *x, int n)
 {
-    fo_real sum = c->L_position + c->sample_time + c->memory + c->flux_base + c->constraint_base +
-                  c->constraint_noise + c->current_noise + c->current_limit + c->drift_prior +
-                  c->tracker_bandwidth + c->length_min;
-    for (int i = 0; i < FO_N; i++) {
-        for (int j = 0; j < FO_N; j++) {
-            sum += c->Q1[i][j] + c->Q2[i][j] + c->Q3[i][j] + c->R[i][j] + c->B[i][j];
-        }
-        sum += c->E[i] + c->C[i];
+    fo_real sum = ZERO;
+    for (int i = 0; i < n; i++) {
+        sum += x[i] - x[i];
     }
-    return sum - sum == ZERO;
+    return sum;
 }
+
+#define MATRIX_NOT_FINITE(name) +not_finite(&c->name[0][0], FO_N * FO_N)
+#define VECTOR_NOT_FINITE(name) +not_finite(c->name, FO_N)
+#define NUMBER_NOT_FINITE(name) +not_finite(&c->name, 1)
+#define POSITIVE_NOT_FINITE(name, least, most) +not_finite(&c->name, 1)
+#define PASSED_OVER(name)
+#define IS_POSITIVE(name, least, most) &&(c->name > ZERO)
+#define IS_IN_RANGE(name, least, most) &&within(c->name, (fo_real)(least), (fo_real)(most))
 
 static fo_error check(const fo_config *c)
 {
     fo_error found = FO_OK;
-    if (!config_finite(c)) {
+    if (!(FO_CONFIG_FIELDS(MATRIX_NOT_FINITE, VECTOR_NOT_FINITE, NUMBER_NOT_FINITE,
+                           POSITIVE_NOT_FINITE) == ZERO)) {
         found = FO_ERROR_NOT_FINITE;
-    } else if (!(c->sample_time > ZERO && c->memory >= (fo_real)9.99 * c->sample_time &&
+    } else if (!(c->sample_time > ZERO && /* ten to a million samples, but for rounding */
+                 c->memory >= (fo_real)9.99 * c->sample_time &&
                  c->memory <= (fo_real)1.001e6 * c->sample_time)) {
         found = FO_ERROR_SAMPLE_TIME;
-    } else if (!(c->flux_base > ZERO && c->constraint_base > ZERO && c->constraint_noise > ZERO &&
-                 c->current_noise > ZERO && c->current_limit > ZERO && c->drift_prior > ZERO &&
-                 c->tracker_bandwidth > ZERO)) {
+    } else if (!(true FO_CONFIG_FIELDS(PASSED_OVER, PASSED_OVER, PASSED_OVER, IS_POSITIVE))) {
         found = FO_ERROR_BASE;
-    } else if (!(within(c->sample_time, (fo_real)1e-12, (fo_real)1e12) &&
-                 within(c->flux_base, (fo_real)1e-12, (fo_real)1e12) &&
-                 within(c->constraint_base, (fo_real)1e-24, (fo_real)1e24) &&
-                 within(c->constraint_noise, (fo_real)1e-30, (fo_real)1e30) &&
-                 within(c->current_noise, (fo_real)1e-12, (fo_real)1e12))) {
-        found = FO_ERROR_RANGE; /* what is divided by must not vanish */
+    } else if (!(true FO_CONFIG_FIELDS(PASSED_OVER, PASSED_OVER, PASSED_OVER, IS_IN_RANGE))) {
+        found = FO_ERROR_RANGE;
     } else {
         /* nothing is wrong yet */
     }
@@ -105,7 +83,7 @@ static void prepare(fo_observer *o, const fo_config *c)
     o->plausible = drift_prior;
     /* Each row brings back what forgetting takes until its next turn, 1 - rho^period. */
     fo_real left = ONE;
-    for (int i = 0; i < REINJECT_PERIOD; i++) {
+    for (int i = 0; i < (int)REINJECT_PERIOD; i++) {
         left *= o->rho;
     }
     o->reinject = ONE - left;
@@ -181,7 +159,7 @@ static fo_real prior(const fo_state *s, int i)
 {
     fo_real information = i < KAPPA ? ONE : s->drift_prior;
     if (i == KAPPA) {
-        information /= (fo_real)4;
+        information /= (fo_real)4; /* kappa = 2 drift'Q1 flux: twice the drift's std */
     }
     if (i == CC) {
         information *= information;
@@ -417,7 +395,7 @@ static fo_real position(const fo_observer *o, const fo_state *s, const fo_real f
 static void widen_prior(fo_state *s, fo_real excess)
 {
     const fo_real keep = DISTRUST / excess;
-    s->drift_prior /= (fo_real)4 * excess;
+    s->drift_prior /= WIDEN * excess;
     for (int i = 0; i < FO_NX; i++) {
         s->info.d[i] *= keep;
     }

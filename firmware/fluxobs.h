@@ -41,52 +41,69 @@ enum {
     FO_MAX_CONSECUTIVE_BAD = 3               /* bad samples bridged before a restart     */
 };
 
-/* What is known of the machine and of the measurement. Matrices are row-major.
+/* What is known of the machine and of the measurement. The list makes the struct, its checks and the
+ * library's binding. Matrices are row-major; POSITIVE(name, least, most) gives the range beyond which
+ * single precision fails: what is divided by must not vanish.
  * Constraint: 0 = flux'Q1 flux + flux'Q2 i + i'Q3 i + E'flux + C'i + d; d is never needed. */
+#define FO_CONFIG_FIELDS(MATRIX, VECTOR, NUMBER, POSITIVE)                                        \
+    MATRIX(Q1)                               /* only the symmetric part enters                */ \
+    MATRIX(Q2)                               /* [Q1 unit * H]                                 */ \
+    MATRIX(Q3)                               /* [Q1 unit * H^2]                               */ \
+    VECTOR(E)                                /* [Q1 unit * Wb]                                */ \
+    VECTOR(C)                                /* [Q1 unit * Wb H]                              */ \
+    MATRIX(R)                                /* resistance [Ohm]                              */ \
+    MATRIX(B)                                /* input matrix: d flux/dt = -R i + B u          */ \
+    NUMBER(L_position)                       /* position vector x = flux - L_position i [H]   */ \
+    POSITIVE(sample_time, 1e-12, 1e12)       /* [s]                                           */ \
+    POSITIVE(memory, 1e-37, 1e37)            /* exponential memory of the least squares [s]   */ \
+    POSITIVE(flux_base, 1e-12, 1e12)         /* base of flux, also the prior's std [Wb]       */ \
+    POSITIVE(constraint_base, 1e-24, 1e24)   /* of the constraint, |Q1| flux_base^2 [Wb^2]    */ \
+    POSITIVE(constraint_noise, 1e-30, 1e30)  /* std of its noise, |dw/di| current_noise       */ \
+    POSITIVE(current_noise, 1e-12, 1e12)     /* std of one current component [A]              */ \
+    POSITIVE(current_limit, 1e-37, 1e37)     /* |i| above this is no measurement [A]          */ \
+    POSITIVE(drift_prior, 1e-37, 1e37)       /* std of the drift before anything is known [V] */ \
+    NUMBER(length_min)                       /* |flux - L_position i| below this: no position */ \
+    POSITIVE(tracker_bandwidth, 1e-37, 1e37) /* of the angle and speed tracker [rad/s]        */
+
+#define FO_MATRIX_FIELD(name) fo_real name[FO_N][FO_N];
+#define FO_VECTOR_FIELD(name) fo_real name[FO_N];
+#define FO_NUMBER_FIELD(name) fo_real name;
+#define FO_POSITIVE_FIELD(name, least, most) fo_real name;
 typedef struct {
-    fo_real Q1[FO_N][FO_N];        /* only the symmetric part enters                           */
-    fo_real Q2[FO_N][FO_N];        /* [Q1 unit * H]                                            */
-    fo_real Q3[FO_N][FO_N];        /* [Q1 unit * H^2]                                          */
-    fo_real E[FO_N];               /* [Q1 unit * Wb]                                           */
-    fo_real C[FO_N];               /* [Q1 unit * Wb H]                                         */
-    fo_real R[FO_N][FO_N];         /* resistance [Ohm]                                         */
-    fo_real B[FO_N][FO_N];         /* input matrix: d flux/dt = -R i + B u                     */
-    fo_real L_position;            /* position vector x = flux - L_position i [H]              */
-    fo_real sample_time;           /* [s]                                                      */
-    fo_real memory;                /* exponential memory of the least squares [s]              */
-    fo_real flux_base;             /* base of per-unit flux, also the prior's std [Wb]         */
-    fo_real constraint_base;       /* base of the constraint, |Q1| flux_base^2 [Wb^2]          */
-    fo_real constraint_noise;      /* std of the constraint's noise, |dw/di| current_noise     */
-    fo_real current_noise;         /* std of one current component [A]                         */
-    fo_real current_limit;         /* |i| above this is no measurement [A]                     */
-    fo_real drift_prior;           /* std of the drift before anything is known [V]            */
-    fo_real length_min;            /* |flux - L_position i| below this is no position [Wb]     */
-    fo_real tracker_bandwidth;     /* of the angle and speed tracker [rad/s]                   */
+    FO_CONFIG_FIELDS(FO_MATRIX_FIELD, FO_VECTOR_FIELD, FO_NUMBER_FIELD, FO_POSITIVE_FIELD)
 } fo_config;
 
-/* The configuration in the form the step needs; treat as opaque. Made by fo_init. */
+/* The configuration in the form the step needs; treat as opaque. Made by fo_init. Per-unit unless
+ * said. Name and meaning: the exported header of a machine repeats it beside each number. */
+#define FO_OBSERVER_FIELDS(MATRIX, ARRAY, NUMBER)                            \
+    MATRIX(Q1x2, "2 Q1")                                                     \
+    ARRAY(E, FO_N, "linear term of the constraint")                          \
+    MATRIX(row_Q2, "output row from the current, over noise [1/A]")          \
+    MATRIX(row_Q3, "[1/A^2]")                                                \
+    ARRAY(row_C, FO_N, "[1/A]")                                              \
+    NUMBER(row_s, "1 / noise")                                               \
+    MATRIX(hR, "24ths of current to volt-seconds")                           \
+    MATRIX(hB, "voltage to volt-seconds")                                    \
+    NUMBER(h, "sample time / memory")                                        \
+    NUMBER(rho, "forgetting a sample")                                       \
+    NUMBER(reinject, "share of the prior re-injected in a turn")             \
+    NUMBER(plausible, "std of the drift before anything is known")           \
+    NUMBER(noise_information, "what current noise alone pretends, a sample") \
+    NUMBER(flux_base, "[Wb]")                                                \
+    NUMBER(drift_base, "[V]")                                                \
+    NUMBER(current_limit, "[A]")                                             \
+    NUMBER(over_noise, "1 / what noise makes of third differences [1/A^2]")  \
+    NUMBER(square_min, "of a position vector that tells")                    \
+    NUMBER(L_position, "per ampere")                                         \
+    NUMBER(position_noise, "variance of x from the current's noise")         \
+    NUMBER(sample_time, "[s]")                                               \
+    ARRAY(track, 3, "gains of the tracker")
+
+#define FO_MATRIX_PARAMETER(name, meaning) fo_real name[FO_N][FO_N];
+#define FO_ARRAY_PARAMETER(name, size, meaning) fo_real name[size];
+#define FO_NUMBER_PARAMETER(name, meaning) fo_real name;
 typedef struct {
-    fo_real Q1x2[FO_N][FO_N];      /* 2 Q1, per-unit                                  */
-    fo_real E[FO_N];               /* per-unit                                        */
-    fo_real row_Q2[FO_N][FO_N];    /* whitened output row from the current [1/A]      */
-    fo_real row_Q3[FO_N][FO_N];    /* [1/A^2]                                         */
-    fo_real row_C[FO_N];           /* [1/A]                                           */
-    fo_real row_s;                 /* 1 / noise, per-unit                             */
-    fo_real hR[FO_N][FO_N];        /* current times 24 to per-unit volt-seconds       */
-    fo_real hB[FO_N][FO_N];        /* voltage to per-unit volt-seconds                */
-    fo_real h;                     /* sample time / memory                            */
-    fo_real rho;                   /* forgetting a sample                             */
-    fo_real reinject;              /* share of the prior re-injected in a turn        */
-    fo_real plausible;             /* std of the drift before anything is known, per-unit */
-    fo_real noise_information;     /* per sample, what current noise alone pretends   */
-    fo_real flux_base, drift_base; /* [Wb], [V]                                       */
-    fo_real current_limit;         /* [A]                                             */
-    fo_real over_noise;            /* 1 / what noise makes of third differences [1/A^2] */
-    fo_real square_min;            /* of a position vector that tells, squared, per-unit */
-    fo_real L_position;            /* per-unit per ampere                             */
-    fo_real position_noise;        /* variance in x from the current's noise          */
-    fo_real sample_time;           /* [s]                                             */
-    fo_real track[3];              /* gains of the tracker                            */
+    FO_OBSERVER_FIELDS(FO_MATRIX_PARAMETER, FO_ARRAY_PARAMETER, FO_NUMBER_PARAMETER)
 } fo_observer;
 
 /* U x = z with weights d, U unit upper triangular, x = (s, flux, kappa, drift, c) per-unit: the
@@ -131,17 +148,22 @@ typedef struct {
     fo_tracker tracker;
 } fo_state;
 
+/* What a sample returns; then whether it is valid: the position is known now, and the tracker has
+ * settled on it. */
+#define FO_ESTIMATE_FIELDS(VECTOR, NUMBER)                                                         \
+    VECTOR(flux)            /* [Wb]                                                            */ \
+    NUMBER(psi_f)           /* |flux - L_position i|: magnet flux, active flux if salient [Wb] */ \
+    NUMBER(theta_e)         /* straight from the flux, in (-pi, pi] [rad]                      */ \
+    NUMBER(theta_e_tracked) /* in (-pi, pi] [rad]                                              */ \
+    NUMBER(speed_e)         /* electrical [rad/s]                                              */ \
+    VECTOR(drift)           /* R current_bias - B voltage_bias [V]                             */ \
+    NUMBER(theta_e_std)     /* of theta_e [rad]; pi/sqrt(3) when nothing is known              */ \
+    NUMBER(innovation)      /* of this sample, over the assumed noise                          */ \
+    NUMBER(noise_share)     /* of the flux information, only noise; 1: no position             */
+
 typedef struct {
-    fo_real flux[FO_N];        /* [Wb]                                                            */
-    fo_real psi_f;             /* |flux - L_position i|: magnet flux, active flux if salient [Wb] */
-    fo_real theta_e;           /* straight from the flux, in (-pi, pi] [rad]                      */
-    fo_real theta_e_tracked;   /* in (-pi, pi] [rad]                                              */
-    fo_real speed_e;           /* electrical [rad/s]                                              */
-    fo_real drift[FO_N];       /* R current_bias - B voltage_bias [V]                             */
-    fo_real theta_e_std;       /* of theta_e [rad]; pi/sqrt(3) when nothing is known              */
-    fo_real innovation;        /* of this sample, normalised by the assumed noise                 */
-    fo_real noise_share;       /* share of the flux information that is only noise; 1: no position */
-    bool valid;                /* the position is known now, and the tracker has settled on it    */
+    FO_ESTIMATE_FIELDS(FO_VECTOR_FIELD, FO_NUMBER_FIELD)
+    bool valid;
 } fo_estimate;
 
 typedef enum {

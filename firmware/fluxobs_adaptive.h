@@ -40,32 +40,41 @@ typedef enum {
     FO_PROJECT_ALWAYS /* and afterwards: the projection is then what guards the filter */
 } fo_projection;
 
-/* What is believed of machine and inverter, and how surely. A standard deviation of 0: it is known. */
+/* What is believed of machine and inverter, and how surely; then when the information is projected. A
+ * standard deviation of 0: it is known. */
+#define FO_ADAPTIVE_CONFIG_FIELDS(NUMBER)                                                        \
+    NUMBER(saliency)         /* L_d - L_position [H]                                          */ \
+    NUMBER(psi_f)            /* magnet flux [Wb]; 0 without magnets, ...                      */ \
+    NUMBER(psi_f_std)        /* ... and so its std                                            */ \
+    NUMBER(resistance_std)   /* of the resistance [Ohm]                                       */ \
+    NUMBER(inverter_voltage) /* dead time and device drops of a phase [V]                     */ \
+    NUMBER(inverter_std)     /* of that [V]                                                   */ \
+    NUMBER(inverter_current) /* the sign of a phase current i is tanh(i / this), nearly [A]   */ \
+    NUMBER(slow_memory)      /* in which magnet flux, resistance and inverter may have changed by */ \
+                             /* as much as their std [s]                                      */
+
 typedef struct {
-    fo_real saliency;         /* L_d - L_position [H]                                             */
-    fo_real psi_f, psi_f_std; /* magnet flux [Wb]; 0, 0 without magnets                           */
-    fo_real resistance_std;   /* of the resistance [Ohm]                                          */
-    fo_real inverter_voltage; /* dead time and device drops of a phase [V]                        */
-    fo_real inverter_std;     /* of that [V]                                                      */
-    fo_real inverter_current; /* the sign of a phase current i is tanh(i / this), nearly [A]      */
-    fo_real slow_memory;      /* in which magnet flux, resistance and inverter may have changed by
-                                 as much as their std [s]                                         */
+    FO_ADAPTIVE_CONFIG_FIELDS(FO_NUMBER_FIELD)
     fo_projection projection;
 } fo_adaptive_config;
 
-/* Treat as opaque. Per-unit unless said. */
+/* After the plain observer's; treat as opaque. Per-unit unless said. */
+#define FO_ADAPTIVE_FIELDS(ARRAY, NUMBER)                                                          \
+    NUMBER(saliency, "L_d - L_q, per ampere")                                                      \
+    ARRAY(mean, FO_NP, "of flux, drift, magnet flux, resistance error [ohm], inverter [V] at the " \
+                       "start")                                                                    \
+    ARRAY(variance, FO_NP, "of these")                                                             \
+    ARRAY(walk, FO_NP, "variance won in a round of turns")                                         \
+    NUMBER(noise, "variance of the residual")                                                      \
+    NUMBER(through_R, "noise of the current in the flux, in a round")                              \
+    NUMBER(decoy, "current noise in a sample's flux per ohm")                                      \
+    NUMBER(charge, "24 times a mean current to its integral")                                      \
+    NUMBER(over_current, "of the inverter [1/A]")                                                  \
+    NUMBER(knee, "variance per V^2 where the inverter's sign is not sure")
+
 typedef struct {
     fo_observer plain;
-    fo_real saliency;        /* per ampere                                      */
-    fo_real mean[FO_NP];     /* before anything is known; [Ohm] and [V] at the end */
-    fo_real variance[FO_NP]; /* of that                                         */
-    fo_real walk[FO_NP];     /* variance that is won in a round of turns        */
-    fo_real noise;           /* variance of the residual                        */
-    fo_real through_R;       /* noise of the current in the flux, in a round   */
-    fo_real decoy;           /* current noise in a sample's flux per ohm        */
-    fo_real charge;          /* 24 times a mean current to its integral         */
-    fo_real over_current;    /* of the inverter [1/A]                           */
-    fo_real knee;            /* variance per V^2 where the inverter's sign is not sure */
+    FO_ADAPTIVE_FIELDS(FO_ARRAY_PARAMETER, FO_NUMBER_PARAMETER)
     fo_projection projection;
 } fo_adaptive;
 

@@ -31,23 +31,77 @@
 /* Order of the immersion's state. */
 enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
 
-/* Rotation since the flux is known before the position is trusted: half a turn. */
+/* ---- thresholds ------------------------------------------------------------------------
+ * Of the plain observer: what each is, its unit, why it is so large, and what fixed it. The last list
+ * names them for the library's binding, from which the twin and the readable observer read them. */
+
+/* Share of the flux information that may be noise before the flux is called unknown [1]. A share of
+ * 0.1 makes the flux 5 % too short, 3 degrees in the worst direction (tests/observers/test_accuracy,
+ * current noise at standstill). */
+#define SHARE_LIMIT ((fo_real)0.1)
+/* What a voltage error as large as the drift's prior may turn the flux by while the position is
+ * valid: 8 degrees [rad] (benchmarks/validity.py; tests/observers/test_accuracy, locked rotor). */
+#define VOLTAGE_LIMIT (PI / (fo_real)22.5)
+/* That turn adds up to this at most [rad]: ten times VOLTAGE_LIMIT, since a flux that is wrong may be
+ * long; more would be remembered for long after a stop (benchmarks/validity.py). */
+#define EXPOSED_MOST (PI / (fo_real)2.25)
+/* Largest change of the flux in a sample that is no error [flux bases]: twice what eight samples a
+ * period ask for, with a magnet flux twice as large as its base (tests/observers/test_bad_samples). */
+#define FLUX_STEP_LIMIT ((fo_real)4)
+/* A measurement further than this off what is known is not taken [constraint bases]: the relation's
+ * own size. Smaller ones are left to STEP_LIMIT (tests/observers/test_bad_samples). */
+#define OUTLIER_LIMIT ((fo_real)1)
+/* Nor is one in which the position vector moves by more than twice its last step, this share of
+ * itself [1] and so many stds of noise [1]: a spike of the current can leave its length as it is. 0.15
+ * is 9 degrees, half of what a spike needs to harm (tests/observers/test_bad_samples); six stds occur
+ * once in 10^9 samples. */
+#define STEP_LIMIT ((fo_real)0.15)
+#define STEP_NOISE ((fo_real)6)
+/* Rotation after which a drift beyond its prior's std says that the prior was too tight: one and a
+ * half turns [rad], in which any flux circle is seen whole (tests/observers/test_accuracy, a drift of
+ * several priors). */
+#define SETTLED ((fo_real)3 * PI)
+/* The prior's variance then becomes so many times the square of that drift [1]: twice the drift, so
+ * that it is ordinary from now on (the same tests). */
+#define WIDEN ((fo_real)4)
+/* What the past then still counts, over the square of that excess [1]: enough to keep the matrix
+ * regular, too little to be believed (the same tests). */
+#define DISTRUST ((fo_real)0.01)
+/* Rotation since the flux is known before the position is trusted: half a turn [rad]. A flux that is
+ * wrong by its drift shows within that (benchmarks/validity.py). */
 #define SWEEP PI
-/* Position std above which a trusted position is not called valid: 3 degrees, five to 15. */
+/* Std of the position above which it is not valid: 3 degrees [rad], five to 15
+ * (benchmarks/validity.py). */
 #define STD_LIMIT (PI / (fo_real)60)
-/* For so long, in memories, the tracker has to be as near as that before a position is valid; time
- * in which it is not counts for little, so that one which never comes near, under a quick ripple of
- * the speed, does not keep the position from being valid for more than three memories. */
+/* For so long the tracker has to be as near as that before a position is valid [memories]; and the
+ * share of the time that counts while it is not near [1], so that a tracker that never comes near,
+ * under a quick ripple of the speed, does not keep the position from being valid for more than three
+ * memories (tests/observers/test_accuracy, restart at speed and ripple). */
 #define TRACKER_SETTLED ((fo_real)0.1)
 #define TRACKER_OFF ((fo_real)(1.0 / 30.0))
-/* Off by more than this the tracker starts anew: 60 degrees. */
+/* Off by more than this the tracker starts anew: 60 degrees [rad]. Beyond 90 it can lock on a speed a
+ * quarter of a turn a sample too fast (tests/observers/test_tracker). */
 #define TRACKER_LOST (PI / (fo_real)3)
-/* Variance of an angle of which nothing is known: uniform over a turn. */
+/* Variance of an angle of which nothing is known: uniform over a turn [rad^2]. */
 #define VARIANCE_UNKNOWN (PI * PI / (fo_real)3)
-/* A position vector longer than this, squared, in flux bases, is numbers that have run away. */
+/* Square of a position vector [flux bases] beyond which its numbers have run away: a hundred times any
+ * flux, and far within single precision (tests/firmware/fuzz.c). */
 #define RUNAWAY ((fo_real)1e4)
-/* Largest lag-one correlation of the innovations that is believed. */
+/* Largest correlation of successive innovations that is believed [1]: it inflates a variance by
+ * (1 + r) / (1 - r) = 99, to a tenth of the angle's; more is slow change, not noise
+ * (benchmarks/validity.py). */
 #define CORRELATION_LIMIT ((fo_real)0.98)
+/* Bad samples in a row that are bridged before a restart [1]. */
+#define MAX_CONSECUTIVE_BAD ((fo_real)FO_MAX_CONSECUTIVE_BAD)
+/* Samples take turns: in one a row of the prior is re-injected, in the next the certainty is judged.
+ * A round [samples]. */
+#define REINJECT_PERIOD ((fo_real)(2 * FO_NX))
+
+#define FO_THRESHOLDS(X)                                                                     \
+    X(SHARE_LIMIT) X(VOLTAGE_LIMIT) X(EXPOSED_MOST) X(FLUX_STEP_LIMIT) X(OUTLIER_LIMIT)      \
+    X(STEP_LIMIT) X(STEP_NOISE) X(SETTLED) X(WIDEN) X(DISTRUST) X(SWEEP) X(STD_LIMIT)        \
+    X(TRACKER_SETTLED) X(TRACKER_OFF) X(TRACKER_LOST) X(VARIANCE_UNKNOWN) X(RUNAWAY)         \
+    X(CORRELATION_LIMIT) X(MAX_CONSECUTIVE_BAD) X(REINJECT_PERIOD)
 
 /* Lag-one correlation of innovations with these sums, as far as it is believed. */
 static inline fo_real correlation(fo_real lag_one, fo_real power)

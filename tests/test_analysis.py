@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from fluxobs import ModelError
 from fluxobs.design.analysis import (
     bound_on_record,
-    compare,
+    compare_invisible,
     decay_rate,
     excitation,
     floquet_multipliers,
@@ -26,7 +26,7 @@ from fluxobs.design.analysis import (
 )
 from fluxobs.design.analysis.identifiability import rank
 from fluxobs.design.analysis.stability import proposition_2
-from fluxobs.design.observers import RobustObserver, run
+from fluxobs.design.regression.laws import RobustObserver, run
 from fluxobs.design.regression import Parametrisation, Regressors, SampledRegression
 from fluxobs.paper import counter_example as paper_case
 from fluxobs.paper.pmsm import counter_example, servo
@@ -150,7 +150,7 @@ def test_constraint_and_record_agree_on_what_is_invisible(name, kind):
     unknown = Parametrisation(given.constraint, kind, corner)
     psi = np.column_stack([rows.Phi_flux, unknown.record(rows)])
     scale = 1 / np.sqrt(np.mean(psi**2, axis=0))
-    found = compare(given.constraint, rows, unknown, h, 3999 * h, scale, tolerance=1e-13)
+    found = compare_invisible(given.constraint, rows, unknown, h, 3999 * h, scale, tolerance=1e-13)
     assert found.agree, (found.predicted.shape, found.found.shape, found.angle)
 
 

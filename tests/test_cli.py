@@ -109,7 +109,7 @@ def test_streamed_is_the_same_as_one_piece(folder):
     """Batches of another size, and another file format, change no number."""
     estimate(folder, out="text.parquet")
     script = (
-        "import fluxobs.logs as logs\n"
+        "import fluxobs.logs.log as logs\n"
         "logs.Log.aligned.__defaults__ = (None, None, 137)\n"
         "from fluxobs.cli import main\n"
         "main()\n"

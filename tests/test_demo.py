@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from fluxobs.demo import MACHINE, generate, log_file, write
-from fluxobs.estimate import estimate
-from fluxobs.formats import open_table
-from fluxobs.layout import Layout
-from fluxobs.logs import open_log
+from fluxobs.synthetic.demo import MACHINE, generate, log_file, write
+from fluxobs.estimation.estimate import estimate
+from fluxobs.logs.formats import open_table
+from fluxobs.logs.layout import Layout
+from fluxobs.logs.log import open_log
 from fluxobs.machines import example
 
 EXPECTED = Path(__file__).parent / "expected" / "demo.csv"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fluxobs import ModelError, QuadraticConstraint, SurfacePMSM, SynchronousReluctance
-from fluxobs.constraint import invisible_offsets
+from fluxobs.model.constraint import invisible_offsets
 from fluxobs.design import (
     ElectromechanicalSystem,
     blondel_park,
@@ -18,8 +18,8 @@ from fluxobs.design import (
     inertia,
     linear_magnetics,
 )
-from fluxobs.design.discovery import relative_residual
-from fluxobs.design.machines import (
+from fluxobs.design.energies.discovery import relative_residual
+from fluxobs.design.energies.library import (
     LIBRARY,
     differential_relation,
     doubly_fed,

@@ -31,7 +31,7 @@ from fluxobs.design.drive import (
     to_rpm,
 )
 from fluxobs.design.drive.vectors import from_phases, phases, turn
-from fluxobs.design.observers.least_squares import SquareRootLeastSquares
+from fluxobs.design.drive.twin import SquareRootLeastSquares
 from fluxobs.errors import ModelError
 from fluxobs.machines import SurfacePMSM, example
 

@@ -7,13 +7,13 @@ import polars as pl
 import pytest
 
 from fluxobs.errors import FluxobsError
-from fluxobs.formats import open_table
+from fluxobs.logs.formats import open_table
 from fluxobs.identification import identify
 from fluxobs.identification.fit import evaluate
 from fluxobs.identification.identify import read_free
 from fluxobs.identification.pieces import pieces
-from fluxobs.layout import Layout
-from fluxobs.logs import open_log
+from fluxobs.logs.layout import Layout
+from fluxobs.logs.log import open_log
 from fluxobs.machines import example, example_text, read_machine
 from records import COURSE_TIME, PMSM, course, driven, log_columns, profile
 from test_cli import fluxobs

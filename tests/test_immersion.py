@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fluxobs import QuadraticConstraint
-from fluxobs.immersion import Immersion
+from fluxobs.model.immersion import Immersion
 
 seeds = st.integers(0, 2**32 - 1)
 ports = st.integers(1, 4)

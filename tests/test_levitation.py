@@ -8,16 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fluxobs import ModelError
-from fluxobs.design import State, simulate
-from fluxobs.design.control import IdaPbc
-from fluxobs.design.machines import maglev_2dof
-from fluxobs.design.simulate import volt_seconds
+from fluxobs.design import State, integrate
+from fluxobs.design.energies import IdaPbc
+from fluxobs.design.energies.library import maglev_2dof
+from fluxobs.design.energies.integrate import volt_seconds
 from fluxobs.machines import example
 from fluxobs.paper.levitation import SCENARIOS, filtered, record
 from fluxobs.paper.section_v import LevitationRun, least_squares
 from fluxobs.paper.studies import mechanics
-from fluxobs.sensing import Sensor, Steps
-from fluxobs.tracking import LevitationTracker
+from fluxobs.synthetic.sensors import Sensor, Steps
+from fluxobs.observers.levitation_tracker import LevitationTracker
 
 MACHINE = example("maglev-knospe")
 TYPICAL = MACHINE.k_2 * 0.5 / MACHINE.g
@@ -63,7 +63,7 @@ def closed_loop(law, start, duration=1.0, **options):
     def control(t, state):
         return law(t, state.flux / c, state.position[0], MACHINE.D * state.momentum[0])
 
-    return simulate(
+    return integrate(
         system,
         control,
         np.arange(0, duration, 1e-3),
@@ -96,7 +96,7 @@ def test_leaving_the_air_gap_says_when_and_where():
 
 def test_simulation_refuses_bad_time_and_state():
     with pytest.raises(ModelError, match="t must be uniform"):
-        simulate(maglev_2dof(MACHINE), lambda t, s: jnp.zeros(2), [0.0, 1.0, 3.0], None)
+        integrate(maglev_2dof(MACHINE), lambda t, s: jnp.zeros(2), [0.0, 1.0, 3.0], None)
     with pytest.raises(ValueError, match=r"initial.flux must have shape \(2,\)"):
         closed_loop(controller(), jnp.ones(3)[:, None])
 

@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fluxobs import Record, RecordError
-from fluxobs.formats import open_table
-from fluxobs.frames import wrap
-from fluxobs.layout import Layout
-from fluxobs.logs import open_log
-from fluxobs.records import interval_rows, lag_in_words
+from fluxobs.logs.formats import open_table
+from fluxobs.model.frames import wrap
+from fluxobs.logs.layout import Layout
+from fluxobs.logs.log import open_log
+from fluxobs.logs.record import interval_rows, lag_in_words
 
 ROWS, H = 200, 1e-3
 K = np.arange(ROWS)

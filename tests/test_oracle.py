@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fluxobs import LeastSquaresObserver
-from fluxobs.immersion import Immersion
+from fluxobs.model.immersion import Immersion
 from records import CURRENTS, MACHINES, rotating
 
 X = np.longdouble

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from fluxobs import ModelError, QuadraticConstraint
 from fluxobs.design.analysis import balanced_basis, balanced_gain, observability_gramian
-from fluxobs.design.observers import (
+from fluxobs.design.regression.laws import (
     PEBO,
-    AdaptiveObserver,
+    PrintedAdaptiveObserver,
     DremObserver,
     RepairedAdaptiveObserver,
     RiccatiObserver,
@@ -40,7 +40,7 @@ def observers(rng):
     A = rng.standard_normal((5, 5))
     return {
         "robust": RobustObserver([1.0, 2.0], 2),
-        "adaptive": AdaptiveObserver(A @ A.T + np.eye(5), CONSTANTS),
+        "adaptive": PrintedAdaptiveObserver(A @ A.T + np.eye(5), CONSTANTS),
         "repaired": RepairedAdaptiveObserver([1.0, 2.0], [0.5, 1.0, 3.0], CONSTANTS),
         "voltage model": VoltageModel(2),
     }
@@ -160,7 +160,7 @@ def test_adaptive_observers_converge_or_do_not():
     constants = Parametrisation(given.constraint, "voltage-bias", 200.0)
     psi = np.column_stack([given.rows.Phi_flux, constants.record(given.rows)])[skip:]
     printed, _ = run(
-        AdaptiveObserver(balanced_gain(psi, 100.0), constants), given.h, v, given.rows, skip
+        PrintedAdaptiveObserver(balanced_gain(psi, 100.0), constants), given.h, v, given.rows, skip
     )
     assert errors(printed)[given.t > 0.9].min() > 1.0
     half = len(given.t) // 2
@@ -226,7 +226,7 @@ def test_drem_is_exact_as_soon_as_its_formula_applies():
         (lambda: RobustObserver(-1.0, 2), "Gamma must be positive definite"),
         (lambda: RobustObserver([[1.0, 2.0], [2.0, 1.0]], 2), "least eigenvalue -1"),
         (lambda: RobustObserver([[1.0, 0.5], [0.0, 1.0]], 2), "Gamma must be symmetric"),
-        (lambda: AdaptiveObserver([1.0, 2.0], CONSTANTS), r"Gamma must be a number, \(5,\)"),
+        (lambda: PrintedAdaptiveObserver([1.0, 2.0], CONSTANTS), r"Gamma must be a number, \(5,\)"),
         (lambda: RepairedAdaptiveObserver(1.0, 0.0, CONSTANTS), "G must be positive definite"),
         (lambda: RobustObserver(np.float32(1.0), 2), "Gamma is float32"),
         (lambda: RobustObserver(np.nan, 2), "Gamma must be finite"),
@@ -242,7 +242,7 @@ def test_what_is_refused(build, message):
 
 
 def test_gains_of_very_different_units_are_positive_definite():
-    AdaptiveObserver([1e20, 1e20, 1e20, 1e20, 20.0], CONSTANTS)
+    PrintedAdaptiveObserver([1e20, 1e20, 1e20, 1e20, 20.0], CONSTANTS)
 
 
 def test_parametrisation_lengths():

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from fluxobs import Immersion, ImmersionObserver, LeastSquaresObserver, QuadraticConstraint
 from fluxobs.design import discover_constraint
-from fluxobs.design.machines import (
+from fluxobs.design.energies.library import (
     differential_actuator,
     differential_relation,
     doubly_fed,

@@ -17,7 +17,7 @@ from fluxobs.design.regression import (
     residual,
 )
 from fluxobs.design.regression.filtered import filter_record, read_out_record
-from fluxobs.immersion import Immersion
+from fluxobs.model.immersion import Immersion
 from test_immersion import random_constraint
 from trajectories import CASES, filtered
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from fluxobs import ModelError
 from fluxobs.design import ElectromechanicalSystem, State, inertia, linear_magnetics
-from fluxobs.design.machines import (
+from fluxobs.design.energies.library import (
     LIBRARY,
     differential_actuator,
     differential_relation,

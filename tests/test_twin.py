@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fluxobs import LeastSquaresObserver
-from fluxobs.design.observers.least_squares import SquareRootLeastSquares, wrap
+from fluxobs.design.drive.twin import SquareRootLeastSquares, wrap
 from records import CURRENTS, MACHINES, rotating
 
 TOLERANCE = 1e-10

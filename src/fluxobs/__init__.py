@@ -1,23 +1,58 @@
-"""Magnetic flux, rotor position, speed and sensor drift of electrical drives."""
+"""Magnetic flux, rotor position, speed and sensor drift of electrical drives.
 
+The door: :func:`estimate`, :func:`identify`, :func:`check`, :func:`compare` and :func:`export` are
+what the command line calls; :func:`read_log`, :func:`read_machine`, :func:`example` and
+:func:`demo_log` get them their input. The observers themselves are below, for use sample by sample.
+"""
+
+from importlib import import_module
 from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
 
-from .constraint import QuadraticConstraint
-from .deployment import export
-from .errors import FluxobsError, MachineError, ModelError, RecordError
-from .immersion import Immersion
+from .errors import (
+    FluxobsError,
+    MachineError,
+    ModelError,
+    ObserverError,
+    RecordError,
+    UsageError,
+)
+from .logs.record import Record
 from .machines import (
     InteriorPMSM,
     Machine,
     MagLev2DOF,
     SurfacePMSM,
     SynchronousReluctance,
+    example,
     read_machine,
 )
+from .model.constraint import QuadraticConstraint
+from .model.immersion import Immersion
 from .observers import AdaptiveObserver, Estimate, ImmersionObserver, LeastSquaresObserver
-from .records import Record
+
+if TYPE_CHECKING:
+    from .comparison.compare import compare
+    from .deployment import export
+    from .estimation import Result, estimate
+    from .identification import check, identify
+    from .logs import Log, read_log
+    from .synthetic.demo import demo_log
 
 __version__ = version("fluxobs")
+
+#: Loaded when they are first used: they bring what reads files, and compare brings JAX.
+_LATER = {
+    "Log": "logs",
+    "Result": "estimation",
+    "check": "identification",
+    "compare": "comparison.compare",
+    "demo_log": "synthetic.demo",
+    "estimate": "estimation",
+    "export": "deployment",
+    "identify": "identification",
+    "read_log": "logs",
+}
 
 __all__ = [
     "AdaptiveObserver",
@@ -27,15 +62,38 @@ __all__ = [
     "ImmersionObserver",
     "InteriorPMSM",
     "LeastSquaresObserver",
+    "Log",
     "Machine",
     "MachineError",
     "MagLev2DOF",
     "ModelError",
+    "ObserverError",
     "QuadraticConstraint",
     "Record",
     "RecordError",
+    "Result",
     "SurfacePMSM",
     "SynchronousReluctance",
+    "UsageError",
+    "check",
+    "compare",
+    "demo_log",
+    "estimate",
+    "example",
     "export",
+    "identify",
+    "read_log",
     "read_machine",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f".{_LATER[name]}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

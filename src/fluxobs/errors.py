@@ -2,7 +2,7 @@
 
 
 class FluxobsError(ValueError):
-    """Base of all errors that name a thing, a place and a remedy."""
+    """Base of all errors of a user's making: each names a thing, a place and a remedy."""
 
 
 class MachineError(FluxobsError):
@@ -11,6 +11,14 @@ class MachineError(FluxobsError):
 
 class RecordError(FluxobsError):
     """A record, or the description of its channels, is unusable."""
+
+
+class ObserverError(FluxobsError):
+    """A setting of an observer cannot work."""
+
+
+class UsageError(FluxobsError, TypeError):
+    """Arguments that do not belong together, or one that is missing."""
 
 
 class ModelError(FluxobsError):

@@ -29,12 +29,12 @@ from ..design.baselines import (
     SpeedAdaptiveObserver,
 )
 from ..design.drive import Motor
-from ..design.observers import PEBO, DremObserver
-from ..design.observers.least_squares import SquareRootLeastSquares
+from ..design.regression.laws import PEBO, DremObserver
+from ..design.drive.twin import SquareRootLeastSquares
 from ..design.regression import Parametrisation, SampledRegression
 from ..machines import RotatingMachine
 from ..observers import LeastSquaresObserver
-from ..observers.least_squares import MEMORY, TRACKER
+from ..observers.plain import MEMORY, TRACKER
 
 Array = NDArray[np.float64]
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,15 +17,17 @@ from numpy.typing import NDArray
 
 from ..design.drive.simulate import stack
 from ..design.drive.vectors import vector
-from ..design.observers.least_squares import SquareRootLeastSquares
-from ..errors import FluxobsError, RecordError
-from ..logs import Log
-from ..machines import RotatingMachine, SurfacePMSM
-from ..scales import LEAST_NOISE, VOLTAGE_OFFSET, white_noise
+from ..design.drive.twin import SquareRootLeastSquares
+from ..errors import FluxobsError, RecordError, UsageError
+from ..logs.log import Log
+from ..logs.read import Source
+from ..machines import Machine, RotatingMachine, as_machine, rotating
+from ..estimation.prepare import LEAST_NOISE, VOLTAGE_OFFSET, open_for
+from ..logs.scales import white_noise
 from .bound import position_bound
 from .catalogue import CATALOGUE, Entry, Gains, Setting
-from .scenarios import Scenario, believed_machine, run_scenario
-from .scoring import Score, Truth, position_error, score
+from .scenarios import SCENARIOS, Scenario, believed_machine, run_scenario
+from .scoring import Score, Truth, score, scored_error
 
 Array = NDArray[np.float64]
 
@@ -35,7 +38,7 @@ TRACKED = ", tracked"
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class ObserverResult:
     """One observer on one record.
 
     Attributes
@@ -77,7 +80,7 @@ class Comparison:
     setting: Setting
     truth: Truth
     bound: float | None
-    results: tuple[Result, ...]
+    results: tuple[ObserverResult, ...]
     limit: str = ""
 
     @property
@@ -85,11 +88,11 @@ class Comparison:
         """Size of the machine's flux [Wb]."""
         return self.setting.voltage / self.setting.speed_e
 
-    def result(self, name: str) -> Result:
+    def result(self, name: str) -> ObserverResult:
         return next(result for result in self.results if result.name == name)
 
     @property
-    def best(self) -> Result:
+    def best(self) -> ObserverResult:
         """Smallest tuned rms position error."""
         return min(self.results, key=lambda result: result.tuned.rms)
 
@@ -140,7 +143,7 @@ def setting_for(
     i = current[np.isfinite(current).all(axis=1)]
     u = voltage[np.isfinite(voltage).all(axis=1)]
     rated = machine.rated_current or float(np.percentile(np.hypot(*i.T), 95))
-    psi = getattr(machine, "psi_f", None) or machine.flux_base(None, rated)
+    psi = machine.flux_base(rated)
     if psi is None:
         raise FluxobsError(
             f"psi_f is missing in the {machine.kind}: most observers rest on the magnet flux"
@@ -158,7 +161,7 @@ def setting_for(
     )
 
 
-def compare(
+def compare_record(
     title: str,
     about: str,
     voltage: Array,
@@ -185,7 +188,7 @@ def compare(
         signals = raw if entry.least_squares else held
         return entry, gains, observers, signals, _compiled(observers, *signals)
 
-    results: list[Result] = []
+    results: list[ObserverResult] = []
     with ThreadPoolExecutor(2) as pool:
         for entry, gains, observers, signals, compiled in list(pool.map(prepare, entries)):
             progress(entry.name)
@@ -205,7 +208,7 @@ def compare(
 
 def _best(
     name: str, gains: list[Gains], found: _Found, angles: list[Any], truth: Truth, seconds: float
-) -> Result:
+) -> ObserverResult:
     """Scores of the first angle at the first gains, and of the best of all angles and gains."""
     choices = [(angle, k) for angle in angles for k in range(len(gains))]
     scores = [
@@ -220,8 +223,68 @@ def _best(
     ]
     chosen = int(np.argmin([s.rms for s in scores]))
     angle, k = choices[chosen]
-    error = position_error(angle[k], truth)
-    return Result(name, scores[0], scores[chosen], gains[0], gains[k], error, seconds)
+    error = scored_error(angle[k], truth)
+    return ObserverResult(name, scores[0], scores[chosen], gains[0], gains[k], error, seconds)
+
+
+def compare(
+    record: Source,
+    machine: Machine | str | Path | None = None,
+    *,
+    seed: int = 0,
+    settle: float = 0.2,
+    progress: Callable[[str], Any] = lambda name: None,
+    **layout: Any,
+) -> Comparison:
+    """Run a log or a scenario through every known observer, and score them.
+
+    Each observer runs with usual gains, and with the best of a grid for this very record. Needs the
+    extra "design" (JAX).
+
+    Parameters
+    ----------
+    record : str, or as for :func:`fluxobs.read_log`
+        The name of a scenario, or a log with a true angle.
+    machine : Machine, or a path, or the name of a shipped machine
+        A scenario needs a shipped machine's name; default pmsm-2kw2.
+    seed : int
+        Of a scenario's sensor noise.
+    settle : float
+        Seconds of a log that are not scored, while observers settle.
+    progress : callable
+        Called with the name of every observer that is run.
+    layout : optional
+        As for :func:`fluxobs.read_log`.
+
+    Raises
+    ------
+    FluxobsError
+        `record` is neither a scenario nor a log, or the log has no true angle.
+    """
+    if isinstance(record, str) and record in SCENARIOS:
+        name = "pmsm-2kw2" if machine is None else machine
+        if not isinstance(name, str | Path):
+            raise UsageError(f"scenario {record!r}: give the name of a shipped machine")
+        return compare_scenario(SCENARIOS[record], str(name), seed, progress=progress)
+    check_comparable(record, machine)
+    assert machine is not None
+    given = rotating(as_machine(machine), "the comparison")
+    log = open_for(record, given, **layout)
+    return compare_log(log.less_inverter(given.inverter), given, settle, progress=progress)
+
+
+def check_comparable(record: Source, machine: Machine | str | Path | None) -> None:
+    """FluxobsError where a record is neither a scenario nor a log with its machine."""
+    if isinstance(record, str | Path) and str(record) not in SCENARIOS:
+        if not Path(record).exists():
+            raise FluxobsError(
+                f"{str(record)!r} is neither a file nor a scenario; `fluxobs compare list` lists "
+                f"these"
+            )
+        if machine is None:
+            raise FluxobsError(f"a machine is needed for a log ({record}): --machine")
+    elif machine is None and not isinstance(record, str):
+        raise FluxobsError("a machine is needed for a log")
 
 
 def compare_scenario(
@@ -243,13 +306,13 @@ def compare_scenario(
         machine.n_p * np.asarray(run.trace.speed),
         np.asarray(run.trace.flux),
         scenario.score_from,
-        machine.half_turn_ambiguous,
+        machine,
     )
     # The bound is that of a machine with one inductance, at its right parameters.
-    bounded = scenario.noise > 0 and isinstance(machine, SurfacePMSM) and not scenario.believed
+    bounded = scenario.noise > 0 and machine.saliency == 0.0 and not scenario.believed
     least = _bound(scenario, machine, setting, run.trace) if bounded else None
     about = scenario.about + "".join(f"; {event}" for event in run.events)
-    return compare(
+    return compare_record(
         scenario.name,
         about,
         voltage,
@@ -277,9 +340,9 @@ def compare_log(
     RecordError
         The log has no true angle, or ends before `settle`.
     """
-    path = log.table.path
+    path = log.path
     parts = list(log.aligned())
-    if log.truth is None or any(part.truth is None for part in parts):
+    if log.truth is None:
         raise RecordError(
             f"{path}: observers can only be scored against a true angle: "
             f"--truth theta_mech=COLUMN or theta_e=COLUMN"
@@ -287,6 +350,7 @@ def compare_log(
     t, current, voltage, true = (
         np.concatenate([np.asarray(part[k]) for part in parts]) for k in range(4)
     )
+    true = machine.true_position(log.truth[0], true)
     h = log.sample_time
     if t[-1] - t[0] <= settle:
         raise RecordError(f"{path}: {t[-1] - t[0]:.4g} s, none left after --settle {settle:g} s")
@@ -295,9 +359,9 @@ def compare_log(
     angle = np.unwrap(np.where(np.isfinite(true), true, 0.0))
     speed = np.abs(angle[window:] - angle[:-window]) / (window * h)
     setting = setting_for(h, voltage, current, machine, float(np.percentile(speed, 95)))
-    truth = Truth(t - t[0], true, None, None, settle, machine.half_turn_ambiguous)
+    truth = Truth(t - t[0], true, None, None, settle, machine)
     about = f"{len(t)} rows, {h:g} s each; lag {log.layout.lag:g}"
-    return compare(
+    return compare_record(
         path.name, about, voltage, current, setting, truth, entries=entries, progress=progress
     )
 

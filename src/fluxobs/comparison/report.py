@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import FluxobsError
 from ..plots import BLUE, GREY, ORANGE, STYLE, write
-from .compare import LANES, Comparison, Result
+from .compare import LANES, Comparison, ObserverResult
 from .scoring import Score
 
 if TYPE_CHECKING:
@@ -24,13 +24,13 @@ LEAST_SQUARES = "least squares"
 NEAR = 1.1
 
 
-def ours(comparison: Comparison) -> Result:
+def ours(comparison: Comparison) -> ObserverResult:
     """The better of the least squares' two angles, raw and tracked."""
     both = [r for r in comparison.results if r.name.startswith(LEAST_SQUARES)]
     return min(both, key=lambda result: result.tuned.rms)
 
 
-def others(comparison: Comparison) -> list[Result]:
+def others(comparison: Comparison) -> list[ObserverResult]:
     """The rest, best first."""
     rest = [r for r in comparison.results if not r.name.startswith(LEAST_SQUARES)]
     return sorted(rest, key=lambda result: result.tuned.rms)
@@ -186,7 +186,7 @@ def draw(comparison: Comparison, path: Path) -> None:
         plt.close(figure)
 
 
-def _bars(axes: Axes, results: Sequence[Result], bound: float | None) -> None:
+def _bars(axes: Axes, results: Sequence[ObserverResult], bound: float | None) -> None:
     at = np.arange(len(results))
     tuned = np.degrees([r.tuned.rms for r in results])
     recommended = np.degrees([r.recommended.rms for r in results])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frames import angle_error
+from ..machines import RotatingMachine
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ class Truth:
     speed_e: Array | None
     flux: NDArray[np.complex128] | None
     score_from: float
-    half_turn: bool = False
+    machine: RotatingMachine
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,10 @@ class Score:
     worst_claimed: float = 0.0
 
 
-def position_error(estimated: Array, truth: Truth) -> Array:
-    """Wrapped; modulo half a turn where the machine cannot tell. What is no number counts as a
-    half turn."""
+def scored_error(estimated: Array, truth: Truth) -> Array:
+    """Position error; an estimate that is no number counts as half a turn off."""
     known = np.where(np.isfinite(estimated), estimated, truth.theta_e + np.pi)
-    return angle_error(known, truth.theta_e, truth.half_turn)
+    return truth.machine.position_error(known, truth.theta_e)
 
 
 def score(
@@ -74,7 +73,7 @@ def score(
     valid: NDArray[np.bool_] | None = None,
 ) -> Score:
     """Scores of estimates, one row a sample; `valid` where an observer tells."""
-    error = np.abs(position_error(theta_e, truth))
+    error = np.abs(scored_error(theta_e, truth))
     scored = truth.t >= truth.score_from
     claimed = np.ones(len(error), bool) if valid is None else valid
     held = max(1, round(HELD / (truth.t[1] - truth.t[0])))

@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping
 from importlib import metadata, resources
 
+from .. import _core  # type: ignore[attr-defined]  # compiled
 from ..errors import FluxobsError
 from ..machines import RotatingMachine
 from ..observers import AdaptiveObserver
 from .c_source import Precision
 from .costs import cost_table, read_costs
-from .course import course
+from ..synthetic.firmware_record import firmware_record
 from .header import Exported, bases, parameter_header, parameters, plain, settings
 from .vectors import COLUMNS, exact_columns, run, vectors_header
 
@@ -24,8 +25,8 @@ ADAPTIVE_SOURCES = (
     "fluxobs_candidates.c",
 )
 #: What a voltage error as large as the drift's prior may turn the flux by while the position is
-#: called valid [rad]; as in firmware/fluxobs.c.
-VOLTAGE_LIMIT = math.pi / 22.5
+#: valid [rad].
+VOLTAGE_LIMIT: float = _core.thresholds["VOLTAGE_LIMIT"]
 
 
 def contents(
@@ -43,7 +44,7 @@ def contents(
     texts = tuple(sources.values())
     content, header = parameter_header(prefix, observers, machine, version, texts, update_every)
     single = plain(observers["single"])
-    record = course(machine, single)
+    record = firmware_record(machine, single)
     estimates = {p: run(observer, record, update_every) for p, observer in observers.items()}
     if not estimates["single"].valid.any():
         raise FluxobsError(

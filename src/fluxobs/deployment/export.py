@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ..errors import FluxobsError
-from ..machines import Machine
+from ..machines import Machine, as_machine
 from ..observers import AdaptiveObserver, LeastSquaresObserver
+from ..observers.unknowns import adapts, read_unknowns
 from .c_source import PRECISIONS
 from .contents import contents
 from .folder import check_folder, write_folder
@@ -39,12 +40,12 @@ class Export:
 
 
 def export(
-    machine: Machine,
+    machine: Machine | str | Path,
     sample_time: float,
     out: str | Path,
     *,
     memory: float | None = None,
-    unknowns: tuple[str, ...] = ("drift",),
+    unknowns: str | Sequence[str] = "drift",
     current_noise: float | None = None,
     drift_prior: float | None = None,
     priors: Mapping[str, float] | None = None,
@@ -58,7 +59,7 @@ def export(
 
     Parameters
     ----------
-    machine : Machine
+    machine : Machine, or a path, or the name of a shipped machine
         One that turns, with psi_f (if it has a magnet) and rated_current.
     sample_time : float
         Period of the current-control interrupt [s].
@@ -66,9 +67,9 @@ def export(
         Folder to be made.
     memory : float, optional
         Exponential memory of the least squares [s], 10 to 4000 steps; default 0.03 s.
-    unknowns : tuple of str
-        What is constant, or slow, and unknown: ("drift",), or with "resistance", "inverter" or
-        both, which takes the adaptive observer.
+    unknowns : str or sequence of str
+        What is constant, or slow, and unknown: "drift", or with "resistance", "inverter" or both,
+        which takes the adaptive observer.
     current_noise, drift_prior : float, optional
         As of :meth:`LeastSquaresObserver.for_machine` [A], [V]; `fluxobs estimate` prints what it
         took for a log.
@@ -91,39 +92,35 @@ def export(
     --------
     >>> import fluxobs, tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     done = fluxobs.export(fluxobs.read_machine("servo-400w"), 1e-4, f"{folder}/servo")
+    ...     done = fluxobs.export("servo-400w", 1e-4, f"{folder}/servo")
     ...     sorted(path.name for path in done.folder.glob("*.[ch]"))
     ['example_isr.c', 'fluxobs.c', 'fluxobs.h', 'fluxobs_internal.h', 'motor_observer.h']
     """
-    from ..unknowns import adapts  # loads what reads logs
-
     check_prefix(prefix)
-    rotating = check_machine(machine, unknowns, priors or {})
+    chosen = read_unknowns(unknowns)
+    given = check_machine(as_machine(machine), chosen, priors or {})
     memory = check_times(sample_time, update_every, memory)
     for name, value in (("current_noise", current_noise), ("drift_prior", drift_prior)):
         if value is not None and not 0 < value < float("inf"):
             raise FluxobsError(f"{name} must be positive and finite, got {value:g}")
     folder = Path(out).resolve()
     check_folder(folder, force)
-    try:
-        if adapts(unknowns):
-            stds: Any = {f"{name}_std": std for name, std in (priors or {}).items()}
-            kind: Any = partial(AdaptiveObserver.for_machine, unknowns=unknowns, **stds)
-        else:
-            kind = LeastSquaresObserver.for_machine
-        observers = {
-            precision: kind(
-                rotating,
-                sample_time=update_every * sample_time,
-                memory=memory,
-                current_noise=current_noise,
-                drift_prior=drift_prior,
-                precision=precision,
-            )
-            for precision in PRECISIONS
-        }
-    except ValueError as error:
-        raise FluxobsError(str(error)) from None
-    content, files = contents(prefix, rotating, observers, update_every)
+    if adapts(chosen):
+        stds: Any = {f"{name}_std": std for name, std in (priors or {}).items()}
+        kind: Any = partial(AdaptiveObserver.for_machine, unknowns=chosen, **stds)
+    else:
+        kind = LeastSquaresObserver.for_machine
+    observers = {
+        precision: kind(
+            given,
+            sample_time=update_every * sample_time,
+            memory=memory,
+            current_noise=current_noise,
+            drift_prior=drift_prior,
+            precision=precision,
+        )
+        for precision in PRECISIONS
+    }
+    content, files = contents(prefix, given, observers, update_every)
     write_folder(folder, files)
     return Export(folder, prefix, observers["single"], content)

@@ -6,49 +6,11 @@ import hashlib
 from collections.abc import Mapping
 from typing import Any
 
+from .. import _core  # type: ignore[attr-defined]  # compiled
 from ..machines import RotatingMachine
 from ..observers import AdaptiveObserver, LeastSquaresObserver
 from .c_source import PRECISIONS, Precision, initializer
 
-#: What the parameters are, in the order of fo_observer; a name that is missing here is an error.
-MEANING = {
-    "Q1x2": "2 Q1",
-    "E": "linear term of the constraint",
-    "row_Q2": "output row from the current, over noise [1/A]",
-    "row_Q3": "[1/A^2]",
-    "row_C": "[1/A]",
-    "row_s": "1 / noise",
-    "hR": "24ths of current to volt-seconds",
-    "hB": "voltage to volt-seconds",
-    "h": "sample time / memory",
-    "rho": "forgetting a sample",
-    "reinject": "share of the prior re-injected in a turn",
-    "plausible": "std of the drift before anything is known",
-    "noise_information": "what current noise alone pretends, a sample",
-    "flux_base": "[Wb]",
-    "drift_base": "[V]",
-    "current_limit": "[A]",
-    "over_noise": "1 / what noise makes of third differences [1/A^2]",
-    "square_min": "of a position vector that tells",
-    "L_position": "per ampere",
-    "position_noise": "variance of x from the current's noise",
-    "sample_time": "[s]",
-    "track": "gains of the tracker",
-}
-#: The same of fo_adaptive, after the observer in it.
-ADAPTIVE_MEANING = {
-    "saliency": "L_d - L_q, per ampere",
-    "mean": "of flux, drift, magnet flux, resistance error [ohm], inverter [V] at the start",
-    "variance": "of these",
-    "walk": "variance won in a round of turns",
-    "noise": "variance of the residual",
-    "through_R": "noise of the current in the flux, in a round",
-    "decoy": "current noise in a sample's flux per ohm",
-    "charge": "24 times a mean current to its integral",
-    "over_current": "of the inverter [1/A]",
-    "knee": "variance per V^2 where the inverter's sign is not sure",
-    "projection": "when the information is projected",
-}
 #: Either observer, in one precision.
 Exported = LeastSquaresObserver | AdaptiveObserver
 
@@ -173,10 +135,10 @@ def _initializers(observer: Exported, precision: Precision) -> str:
             for name, value in values.items()
         )
 
+    inner = lines(plain(observer).parameters(), _core.meanings)
     if not isinstance(observer, AdaptiveObserver):
-        return lines(observer.parameters(), MEANING)
-    inner = lines(observer.plain.parameters(), MEANING)
-    return f"    {{\n{inner}\n    }},\n{lines(observer.parameters(), ADAPTIVE_MEANING)}"
+        return inner
+    return f"    {{\n{inner}\n    }},\n{lines(observer.parameters(), _core.adaptive_meanings)}"
 
 
 def parameters(machine: RotatingMachine) -> dict[str, str]:

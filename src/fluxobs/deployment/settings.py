@@ -7,7 +7,8 @@ from collections.abc import Mapping
 
 from ..errors import FluxobsError
 from ..machines import Machine, RotatingMachine
-from ..observers.least_squares import MEMORY
+from ..observers.plain import MEMORY
+from ..observers.unknowns import adapts, check_adapted
 from .c_source import identifier, is_identifier
 
 #: Periods of current controls [s]; other numbers are in another unit.
@@ -28,13 +29,6 @@ def check_machine(
     machine: Machine, unknowns: tuple[str, ...], priors: Mapping[str, float]
 ) -> RotatingMachine:
     """The machine, if the firmware can serve it and find these unknowns."""
-    from ..unknowns import UNKNOWNS, adapts, check_adapted  # loads what reads logs
-
-    for name in unknowns:
-        if name not in UNKNOWNS:
-            raise FluxobsError(f"unknowns: {name!r} is none of {', '.join(UNKNOWNS)}")
-    if not unknowns:
-        raise FluxobsError(f"unknowns: give some of {', '.join(UNKNOWNS)}; drift serves")
     if not isinstance(machine, RotatingMachine):
         raise FluxobsError(
             f"kind {machine.kind}: the firmware's observer is for machines that turn; logs of "
@@ -52,11 +46,9 @@ def check_machine(
             "inverter to the drive. Compensate it there and take it out of the file, or export "
             "with unknowns drift,inverter"
         )
-    if lacking := [
-        name
-        for name in ("psi_f", "rated_current")
-        if name in type(machine).model_fields and getattr(machine, name) is None
-    ]:
+    lacking = ["psi_f"] if machine.magnet_flux is None else []
+    lacking += ["rated_current"] if machine.rated_current is None else []
+    if lacking:
         raise FluxobsError(
             f"the machine file lacks {' and '.join(lacking)}: give a value that is right "
             f"within a factor of two"

@@ -8,41 +8,41 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..observers import AdaptiveEstimate, Estimate, LeastSquaresObserver
+from ..observers import AdaptiveEstimate, Estimate, LeastSquaresObserver, Output, outputs
 from .c_source import PRECISIONS, Precision, hex_float, table
-from .course import Course
+from ..synthetic.firmware_record import FirmwareRecord
 from .header import Exported, plain
 
 Array = NDArray[np.float64]
 
 #: An expected row every so many samples: coprime to the turns in which samples differ.
 EVERY = 9
-#: Columns of an expected row; the first are equal bit for bit wherever they are computed.
-EXACT_COLUMNS = 9
-COLUMNS = (
-    "flux[0]",
-    "flux[1]",
-    "psi_f",
-    "drift[0]",
-    "drift[1]",
-    "theta_e_std",
-    "innovation",
-    "noise_share",
-    "valid",
-    "theta_e",
-    "theta_e_tracked",
-    "speed_e",
+
+
+def _columns(exact: bool) -> list[Output]:
+    """Outputs of the plain observer that are equal bit for bit wherever they are computed, or not."""
+    return [one for one in outputs(Estimate) if one.exact is exact]
+
+
+#: An expected row: the outputs that are exact, `valid` last, then the angles and the speed. test/check.c
+#: relies on this order.
+ORDER = (*_columns(exact=True), *_columns(exact=False))
+EXACT_COLUMNS = sum(2 if one.vector else 1 for one in _columns(exact=True))
+#: As C writes them.
+COLUMNS = tuple(
+    name
+    for one in ORDER
+    for name in ((f"{one.name}[0]", f"{one.name}[1]") if one.vector else (one.name,))
 )
 
 
 def expected(estimate: Estimate) -> Array:
     """All columns of an estimate, (rows, 12)."""
-    e = estimate
-    columns = (
-        *(e.flux[:, 0], e.flux[:, 1], e.psi_f, e.drift[:, 0], e.drift[:, 1], e.theta_e_std),
-        *(e.innovation, e.noise_share, e.valid, e.theta_e, e.theta_e_tracked, e.speed_e),
-    )
-    return np.stack([np.asarray(c, float) for c in columns], axis=-1)
+    columns = []
+    for one in ORDER:
+        value = np.asarray(getattr(estimate, one.name), float)
+        columns += [*value.T] if one.vector else [value]
+    return np.stack(columns, axis=-1)
 
 
 def checksum(inputs: Array, rows: Array, precision: Precision) -> int:
@@ -56,7 +56,7 @@ def checksum(inputs: Array, rows: Array, precision: Precision) -> int:
     return value
 
 
-def gathered(observer: LeastSquaresObserver, course: Course, update_every: int) -> Array:
+def gathered(observer: LeastSquaresObserver, record: FirmwareRecord, update_every: int) -> Array:
     """Volt-seconds [Wb] of every row, as fo_gather sums them; test/check.c says of what.
 
     In the observer's precision, operation by operation, so that sums are equal bit for bit.
@@ -67,7 +67,7 @@ def gathered(observer: LeastSquaresObserver, course: Course, update_every: int) 
     }
     share = real(1) / real(update_every)
     scale = share * p["flux_base"]
-    u, i = course.voltage.astype(real), course.current.astype(real)
+    u, i = record.voltage.astype(real), record.current.astype(real)
     before = np.concatenate([np.zeros((1, 2), real), i[:-1]])
     source = u[:, :1] * p["hB"][:, 0] + u[:, 1:] * p["hB"][:, 1]
     total, last = np.zeros_like(u), before
@@ -79,12 +79,12 @@ def gathered(observer: LeastSquaresObserver, course: Course, update_every: int) 
     return np.asarray(total, float)
 
 
-def run(observer: Exported, course: Course, update_every: int) -> Estimate:
+def run(observer: Exported, record: FirmwareRecord, update_every: int) -> Estimate:
     """What the exported observer has to return for the record."""
     if update_every == 1:
-        return observer.run(course.voltage, course.current)
-    volt_seconds = gathered(plain(observer), course, update_every)
-    return observer.run(volt_seconds=volt_seconds, current=course.current)
+        return observer.run(record.voltage, record.current)
+    volt_seconds = gathered(plain(observer), record, update_every)
+    return observer.run(volt_seconds=volt_seconds, current=record.current)
 
 
 def exact_columns(estimate: Estimate) -> int:
@@ -92,9 +92,9 @@ def exact_columns(estimate: Estimate) -> int:
     return 0 if isinstance(estimate, AdaptiveEstimate) else EXACT_COLUMNS
 
 
-def vectors_header(course: Course, estimates: Mapping[Precision, Estimate]) -> str:
+def vectors_header(record: FirmwareRecord, estimates: Mapping[Precision, Estimate]) -> str:
     """The text of test/vectors.h: a record, and what :func:`run` returns for it."""
-    inputs = np.concatenate([course.voltage, course.current], axis=1)
+    inputs = np.concatenate([record.voltage, record.current], axis=1)
     samples = "\n".join(
         "    {" + ", ".join(f"FO_({hex_float(x)})" if x == x else "FO_MISSING" for x in row) + "},"
         for row in inputs

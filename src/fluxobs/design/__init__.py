@@ -15,10 +15,10 @@ if _missing:
     )
 
 from . import precision  # noqa: E402, F401  # before anything else: float64
-from .blondel_park import BlondelPark, blondel_park  # noqa: E402
-from .discovery import Discovery, check_constraint, discover_constraint  # noqa: E402
-from .simulate import Trajectory, simulate  # noqa: E402
-from .system import (  # noqa: E402
+from .energies.blondel_park import BlondelPark, blondel_park  # noqa: E402
+from .energies.discovery import Discovery, check_constraint, discover_constraint  # noqa: E402
+from .energies.integrate import Trajectory, integrate  # noqa: E402
+from .energies.system import (  # noqa: E402
     ElectromechanicalSystem,
     Power,
     State,
@@ -38,5 +38,5 @@ __all__ = [
     "discover_constraint",
     "inertia",
     "linear_magnetics",
-    "simulate",
+    "integrate",
 ]

@@ -1,5 +1,6 @@
-"""Parameters of the machine and of its inverter from a whole log, offline."""
+"""Parameters of the machine and of its inverter from a whole log, and what is wrong with a log."""
 
+from .check import Check, Finding, check
 from .identify import Identification, Parameter, identify
 
-__all__ = ["Identification", "Parameter", "identify"]
+__all__ = ["Check", "Finding", "Identification", "Parameter", "check", "identify"]

@@ -10,17 +10,19 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import groupby
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..errors import FluxobsError
-from ..estimate import prepare
-from ..logs import Aligned, Log
-from ..machines import RotatingMachine
+from ..estimation.prepare import open_for, plain_for
+from ..logs.log import Aligned, Log
+from ..logs.read import Source
+from ..machines import Machine, RotatingMachine, as_machine, rotating
 from ..observers import LeastSquaresObserver
-from ..observers.least_squares import MEMORY
-from ..suspects import lively
+from ..observers.plain import MEMORY
+from ..estimation.suspects import lively
 from .fit import Fit, fit
 from .identify import ALIKE_LIMIT, read_free, starting_values
 from .pieces import LAGS, cut, smoothing_current, typical_length
@@ -143,16 +145,51 @@ class Check:
         """Nothing fits better than what was given."""
         return all(finding.as_given for finding in self.findings)
 
+    def lines(self) -> list[str]:
+        """A finding a line, and the residual."""
+        given, best = self.residual_given, self.residual
+        tail = (
+            ""
+            if best == given
+            else f"; as given it is {given:.1%}"
+            if given < np.inf
+            else ("; as given the position is never known")
+        )
+        return [
+            *(str(finding) for finding in self.findings),
+            f"Residual of the machine's relation: {best:.1%} of the flux{tail}.",
+        ]
 
-def check(log: Log, machine: RotatingMachine) -> Check:
-    """Tries the usual mistakes on the liveliest piece of a log.
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+
+def check(log: Source, machine: Machine | str | Path, **layout: Any) -> Check:
+    """Is a log what its user thinks? Tries the usual mistakes on its liveliest piece.
+
+    Sign of the current, phase order, lag, and scales.
+
+    Parameters
+    ----------
+    log : path, Log, Record, mapping of str to array, or (voltage, current)
+        See :func:`fluxobs.read_log`.
+    machine : Machine, or a path, or the name of a shipped machine
+        One that turns.
+    layout : optional
+        As for :func:`fluxobs.read_log`.
 
     Raises
     ------
     FluxobsError
         Nothing fits: does the machine turn in this log?
     """
-    observer, scales = prepare(log, machine, max(MEMORY, 10 * log.sample_time))
+    given = rotating(as_machine(machine), "the check of a log")
+    return check_log(open_for(log, given, **layout), given)
+
+
+def check_log(log: Log, machine: RotatingMachine) -> Check:
+    """The same of an opened log."""
+    observer, scales = plain_for(log, machine, max(MEMORY, 10 * log.sample_time))
     smoothing = smoothing_current(machine, scales)
     fits: dict[Arrangement, Fit] = {}
     residuals: dict[Arrangement, float] = {}
@@ -173,7 +210,7 @@ def check(log: Log, machine: RotatingMachine) -> Check:
     best = min(residuals, key=lambda key: residuals[key])
     if not residuals[best] < BAD:
         raise FluxobsError(
-            f"{log.table.path}: no arrangement of signs, phases and lag fits this machine. Does it "
+            f"{log.path}: no arrangement of signs, phases and lag fits this machine. Does it "
             f"turn in this log, and are its inductances right within a factor of two?"
         )
     if residuals[ARRANGED] < AS_GOOD * residuals[best]:
@@ -201,7 +238,7 @@ def _fit(
         return None
     size = typical_length(data, machine.position_inductance)
     start = starting_values(machine, data)
-    if "psi_f" in type(machine).model_fields:
+    if machine.magnets:
         start["psi_f"] = size  # whatever the scales
     found = fit(data, start, read_free(None, machine))
     size = found.values["psi_f"] or size
@@ -237,7 +274,7 @@ def _arranged(
 def _scaled(found: Fit, machine: RotatingMachine) -> Finding:
     """Which mistake of scale leads from the machine file to what fits."""
     R, psi = found.values["R_s"], found.values["psi_f"]
-    given_psi: float | None = getattr(machine, "psi_f", None)
+    given_psi = machine.magnet_flux or None
     told_R = float(found.alike[0]) < ALIKE_LIMIT and found.std("R_s") < 0.2 * abs(R) and R > 0
     told_psi = given_psi is not None and psi > 0
     if not (told_R or told_psi):
@@ -276,19 +313,3 @@ def _scaled(found: Fit, machine: RotatingMachine) -> Finding:
     elif told_R and best.resistance != 1 and (best.psi == 1 or not told_psi):
         words = f"R_s in the machine file is off, or {words}"
     return Finding("scale", words, best == AS_GIVEN, tuple(others), sure)
-
-
-def lines(found: Check) -> list[str]:
-    """A finding a line, and the residual."""
-    given, best = found.residual_given, found.residual
-    tail = (
-        ""
-        if best == given
-        else f"; as given it is {given:.1%}"
-        if given < np.inf
-        else ("; as given the position is never known")
-    )
-    return [
-        *(str(finding) for finding in found.findings),
-        f"Residual of the machine's relation: {best:.1%} of the flux{tail}.",
-    ]

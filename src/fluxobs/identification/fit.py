@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..observers.immersed import CORRELATION_LIMIT
 from .pieces import LAGS, Piece
 
 Array = NDArray[np.float64]
@@ -244,7 +245,7 @@ def _uncertainty(
     inverse = np.linalg.pinv(H / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
     spread = g.T @ g * len(g) / max(1, len(g) - len(names))
     sandwich = inverse @ spread @ inverse
-    r1 = min(max(lagged / (power + 1e-300), 0.0), 0.99)
+    r1 = min(max(lagged / (power + 1e-300), 0.0), CORRELATION_LIMIT)
     coloured = inverse * power / max(rows, 1.0) * (1 + r1) / (1 - r1)
     larger = np.sqrt(np.maximum(1.0, np.diag(sandwich) / (np.diag(coloured) + 1e-300)))
     return coloured * np.outer(larger, larger), size**2 * np.diag(inverse), residuals

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FluxobsError
-from ..logs import Log
-from ..machines import RotatingMachine
+from ..estimation.prepare import open_for
+from ..logs.log import Log
+from ..logs.read import Source
+from ..machines import Machine, RotatingMachine, as_machine, rotating
 from ..validation import nearest
 from .fit import Fit, fit
 from .pieces import LAGS, Piece, pieces, smoothing_current, typical_length
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -66,9 +73,12 @@ class Identification:
         As given, the magnet flux of a machine that has magnets fitted; and the final one.
     inverter_current : float
         At which the inverter's sign is smoothed [A].
-    rows : int
-        Of the log; those in `pieces` were used.
     pieces : list of Piece
+        Of the log, that were used.
+    rows : int
+        Of the log.
+    source : str
+        The log's name.
     """
 
     machine: RotatingMachine
@@ -80,18 +90,44 @@ class Identification:
     pieces: list[Piece]
     inverter_current: float
     rows: int
+    source: str = ""
+
+    def lines(self) -> list[str]:
+        """A parameter a line, then what the log cannot tell, then the residual."""
+        from .report import lines
+
+        return lines(self)
+
+    def plot(self) -> Figure:
+        """The residual over time, as given and as found."""
+        from .report import figure
+
+        return figure(self)
+
+    def write(self, path: str | Path, *, force: bool = False) -> None:
+        """The machine as .toml (an existing file only by `force`), or the picture of the residual.
+
+        Raises
+        ------
+        FluxobsError
+            Another ending, the file exists, or it cannot be written.
+        """
+        from .report import write
+
+        write(self, Path(path), force)
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
 
 
 def free_names(machine: RotatingMachine) -> tuple[str, ...]:
     """What can be free for this kind of machine."""
-    fields = type(machine).model_fields
-    inductances = [name for name in ("L_s", "L_d", "L_q") if name in fields]
-    magnet = ["psi_f"] if "psi_f" in fields else []
-    return ("R_s", *inductances, *magnet, "inverter", "lag")
+    magnet = ("psi_f",) if machine.magnets else ()
+    return ("R_s", *machine.inductance_names, *magnet, "inverter", "lag")
 
 
-def read_free(text: str | None, machine: RotatingMachine) -> tuple[str, ...]:
-    """Names from ``R_s,psi_f,inverter``; the default is these, as far as the machine has them.
+def read_free(free: str | Sequence[str] | None, machine: RotatingMachine) -> tuple[str, ...]:
+    """Names from ``"R_s,psi_f,inverter"`` or a sequence; default these, as far as there are any.
 
     Raises
     ------
@@ -99,34 +135,54 @@ def read_free(text: str | None, machine: RotatingMachine) -> tuple[str, ...]:
         A name that this kind of machine does not have, with the nearest that it has.
     """
     known = free_names(machine)
-    if text is None:
+    if free is None:
         return tuple(name for name in known if name in ("R_s", "psi_f", "inverter"))
-    words = [word.strip() for word in text.split(",") if word.strip()]
+    given = free.split(",") if isinstance(free, str) else free
+    words = [word.strip() for word in given if word.strip()]
     words = ["inverter" if word == "inverter_voltage" else word for word in words]
     for word in words:
         if word not in known:
-            raise FluxobsError(f"--free: kind {machine.kind} has no {word!r}{nearest(word, known)}")
+            raise FluxobsError(f"free: kind {machine.kind} has no {word!r}{nearest(word, known)}")
     if not words:
-        raise FluxobsError(f"--free: give some of {', '.join(known)}")
+        raise FluxobsError(f"free: give some of {', '.join(known)}")
     return tuple(name for name in known if name in words)
 
 
-def identify(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identification:
-    """Fits the free parameters to the whole log; holds those that it cannot tell.
+def identify(
+    log: Source,
+    machine: Machine | str | Path,
+    *,
+    free: str | Sequence[str] | None = None,
+    **layout: Any,
+) -> Identification:
+    """Fit the machine's parameters and the inverter's error to a whole log.
+
+    Holds what the log cannot tell, and says why.
 
     Parameters
     ----------
-    log : Log
-    machine : RotatingMachine
-        A guess, right within a factor of two or so.
-    free : sequence of str
-        Some of :func:`free_names`.
+    log : path, Log, Record, mapping of str to array, or (voltage, current)
+        See :func:`fluxobs.read_log`.
+    machine : Machine, or a path, or the name of a shipped machine
+        One that turns; a guess, right within a factor of two or so.
+    free : str or sequence of str, optional
+        Some of R_s, L_s (or L_d, L_q), psi_f, inverter, lag; default R_s, psi_f, inverter, as far
+        as the machine has them.
+    layout : optional
+        As for :func:`fluxobs.read_log`.
 
     Raises
     ------
     FluxobsError
         The position is never known in the log, or it tells none of the free parameters.
     """
+    given = rotating(as_machine(machine), "identification")
+    names = read_free(free, given)
+    return identify_log(open_for(log, given, **layout), given, names)
+
+
+def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identification:
+    """The same of an opened log, with the free parameters' names checked."""
     data, scales = pieces(log, machine, LAGS if "lag" in free else (0,))
     given = starting_values(machine, data)
     names = tuple(free)
@@ -147,7 +203,7 @@ def identify(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identif
         if not names:
             reasons = "; ".join(f"{name}: {why}" for name, why in untold.items())
             raise FluxobsError(
-                f"{log.table.path}: this log tells none of {', '.join(free)} ({reasons}). {ADVICE}."
+                f"{log.path}: this log tells none of {', '.join(free)} ({reasons}). {ADVICE}."
             )
     found = [
         Parameter(
@@ -169,7 +225,7 @@ def identify(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identif
         changes["inverter_current"] = smoothing
     changes = {name: float(f"{value:.6g}") for name, value in changes.items()}
     return Identification(
-        machine.model_copy(update=changes),
+        machine.with_values(**changes),
         found,
         untold,
         log.layout.lag + after.values["lag"],
@@ -178,24 +234,26 @@ def identify(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identif
         data,
         smoothing,
         len(log),
+        log.path.name,
     )
 
 
 def starting_values(machine: RotatingMachine, data: Sequence[Piece]) -> dict[str, float]:
     """Where the fit starts; a magnet flux that is not given is the length that λ - L i has."""
+    L_d, L_q = machine.L_dq
     values = {
         "R_s": machine.R_s,
-        "L_d": getattr(machine, "L_d", machine.position_inductance),
-        "L_q": getattr(machine, "L_q", machine.position_inductance),
+        "L_d": L_d,
+        "L_q": L_q,
         "psi_f": 0.0,
         "inverter": machine.inverter_voltage or 0.0,
         "lag": 0.0,
     }
-    if "L_s" in type(machine).model_fields:
-        values["L_s"] = values["L_d"] = values["L_q"] = machine.position_inductance
-    if "psi_f" in type(machine).model_fields:
-        psi_f: float | None = machine.psi_f  # type: ignore[attr-defined]
-        values["psi_f"] = psi_f if psi_f is not None else typical_length(data, values["L_q"])
+    if machine.inductance_names == ("L_s",):
+        values["L_s"] = L_q
+    if machine.magnets:
+        psi_f = machine.magnet_flux
+        values["psi_f"] = psi_f if psi_f is not None else typical_length(data, L_q)
     return values
 
 

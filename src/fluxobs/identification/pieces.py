@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FluxobsError
-from ..estimate import prepare
-from ..inverter import SMOOTHING, inverter_direction
-from ..logs import Log
+from ..estimation.prepare import plain_for
+from ..model.inverter import SMOOTHING, inverter_direction
+from ..logs.log import Log
 from ..machines import RotatingMachine
 from ..observers import LeastSquaresObserver
-from ..scales import Scales, excerpts
+from ..logs.scales import Scales, excerpts
 
 Array = NDArray[np.float64]
 
@@ -82,7 +82,7 @@ def pieces(log: Log, machine: RotatingMachine, lags: tuple[int, ...]) -> tuple[l
     FluxobsError
         No piece is left.
     """
-    observer, scales = prepare(log, machine)
+    observer, scales = plain_for(log, machine)
     found: list[Piece] = []
     smoothing = smoothing_current(machine, scales)
     for parts in zip(*(excerpts(log.lagged(lag)) for lag in lags), strict=True):

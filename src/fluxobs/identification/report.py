@@ -7,11 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..plots import BLUE, GREY, ORANGE, STYLE, legend, write
+from ..errors import FluxobsError
+from ..output import check_place, write_text
+from ..plots import BLUE, FORMATS, GREY, ORANGE, STYLE, legend, new_figure
+from ..plots import write as save
 from .identify import ADVICE, Identification, Parameter
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def lines(found: Identification) -> list[str]:
@@ -63,11 +67,11 @@ def _as_given(found: Identification) -> str:
     return "as given but for psi_f, which is fitted" if found.before.free else "as given"
 
 
-def toml(found: Identification, log: Path) -> str:
+def toml(found: Identification) -> str:
     """The machine file."""
     stds = {"inverter_voltage" if p.name == "inverter" else p.name: p.std for p in found.parameters}
     rows = [
-        f"# Identified from {log.name} by `fluxobs identify`.",
+        f"# Identified from {found.source} by `fluxobs identify`.",
         f'kind = "{found.machine.kind}"',
     ]
     if found.untold:
@@ -78,18 +82,32 @@ def toml(found: Identification, log: Path) -> str:
     return "\n".join(rows) + "\n"
 
 
-def draw(found: Identification, path: Path) -> None:
-    """Residual over time, before and after; .png, .pdf or .svg."""
+def check_machine_file(out: Path, force: bool) -> None:
+    """FluxobsError where a machine file cannot, or must not, be written."""
+    if out.suffix != ".toml":
+        raise FluxobsError(f"{out}: --out must end in .toml")
+    check_place(out)
+    if out.exists() and not force:
+        raise FluxobsError(f"{out}: exists; give another name, or --force to overwrite it")
+
+
+def write(found: Identification, path: Path, force: bool) -> None:
+    """The machine file, or the picture; FluxobsError where it cannot be written."""
+    if path.suffix.lower() in FORMATS:
+        save(figure(found), path)
+        return
+    check_machine_file(path, force)
+    write_text(path, toml(found))
+
+
+def figure(found: Identification) -> Figure:
+    """Residual over time, before and after."""
     import matplotlib as mpl
 
-    mpl.use("agg")
-    from matplotlib import pyplot as plt
-
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(figsize=(9, 4.5), layout="constrained")
-        _residuals(axes, found)
-        write(figure, path)
-        plt.close(figure)
+    with mpl.rc_context(STYLE):
+        drawn = new_figure(figsize=(9, 4.5))
+        _residuals(drawn.subplots(), found)
+    return drawn
 
 
 def _residuals(axes: Axes, found: Identification) -> None:

@@ -1,9 +1,18 @@
-"""Machines: parameters in SI, their constraint, R and B."""
+"""Machines: parameters in SI, the relation between flux and current, and what follows from them."""
 
-from .base import Machine, RotatingMachine
-from .files import KINDS, example, example_names, example_text, machine_from, read_machine
+from .contract import Machine, Position
+from .files import (
+    as_machine,
+    example,
+    example_names,
+    example_text,
+    machine_from,
+    read_machine,
+)
 from .interior_pmsm import InteriorPMSM
 from .maglev import MagLev2DOF
+from .registry import KINDS
+from .rotating import MagnetMachine, RotatingMachine, rotating
 from .surface_pmsm import SurfacePMSM
 from .synchronous_reluctance import SynchronousReluctance
 
@@ -12,12 +21,16 @@ __all__ = [
     "InteriorPMSM",
     "Machine",
     "MagLev2DOF",
+    "MagnetMachine",
+    "Position",
     "RotatingMachine",
     "SurfacePMSM",
     "SynchronousReluctance",
+    "as_machine",
     "example",
     "example_names",
     "example_text",
     "machine_from",
     "read_machine",
+    "rotating",
 ]

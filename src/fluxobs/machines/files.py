@@ -8,19 +8,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from ..errors import MachineError
-from ..validation import complaints, nearest
-from .base import Machine
-from .interior_pmsm import InteriorPMSM
-from .maglev import MagLev2DOF
-from .surface_pmsm import SurfacePMSM
-from .synchronous_reluctance import SynchronousReluctance
-
-KINDS: dict[str, type[Machine]] = {
-    kind.kind: kind for kind in (SurfacePMSM, InteriorPMSM, SynchronousReluctance, MagLev2DOF)
-}
+from ..validation import nearest
+from .contract import Machine
+from .registry import KINDS
 
 
 def machine_from(fields: Mapping[str, Any], source: str = "machine") -> Machine:
@@ -39,10 +30,8 @@ def machine_from(fields: Mapping[str, Any], source: str = "machine") -> Machine:
         raise MachineError(f"{source}: unknown kind {kind!r}{nearest(str(kind), KINDS)}")
     try:
         return KINDS[kind](**parameters)
-    except ValidationError as error:
-        names = [field.alias or name for name, field in KINDS[kind].model_fields.items()]
-        what = complaints(error, names, f"kind {kind}")
-        raise MachineError(f"{source}: {what}") from None
+    except MachineError as error:
+        raise MachineError(f"{source}: {error}") from None
 
 
 def read_machine(path: str | Path) -> Machine:
@@ -99,3 +88,21 @@ def example(name: str) -> Machine:
 def example_text(name: str) -> str:
     """TOML of a shipped machine, comments included."""
     return str((_examples() / f"{name}.toml").read_text(encoding="utf-8"))
+
+
+def as_machine(machine: Machine | str | Path) -> Machine:
+    """A machine as it is, or as its file or a shipped example's name says.
+
+    Raises
+    ------
+    MachineError
+        It is neither.
+    """
+    if isinstance(machine, Machine):
+        return machine
+    if isinstance(machine, str | Path):
+        return read_machine(machine)
+    raise MachineError(
+        f"expected a machine, a TOML file or one of {', '.join(example_names())}, "
+        f"got {type(machine).__name__}"
+    )

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from ..validation import Positive
-from .surface_pmsm import MagnetMachine
+from .rotating import MagnetMachine
 
 
 class InteriorPMSM(MagnetMachine):
     """Interior PMSM: its active flux ``λ - L_q i`` has the length ``ψ_f + (L_d - L_q) i_d``.
 
-    That length is taken as constant, as if the machine were a surface PMSM with L = L_q. This
-    holds while i_d is small or varies slowly against the memory; with i_d moving quickly the
-    estimate is disturbed for about a memory after each change, and what is returned as magnet
-    flux is the active flux.
+    The plain observer takes that length as constant, as if the machine were a surface PMSM with
+    L = L_q. This holds while i_d is small or varies slowly against the memory. After a quick change
+    of i_d the estimate is disturbed for about a memory, and psi_f is the active flux.
 
     Parameters
     ----------
@@ -25,14 +24,8 @@ class InteriorPMSM(MagnetMachine):
     """
 
     kind = "interior-pmsm"
+    inductances = ("L_d", "L_q")
+    length_name = "Active flux psi_f + (L_d - L_q) i_d"
 
     L_d: Positive
     L_q: Positive
-
-    @property
-    def saliency(self) -> float:
-        return self.L_d - self.L_q
-
-    @property
-    def position_inductance(self) -> float:
-        return self.L_q

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from ..constraint import QuadraticConstraint
+from ..model.constraint import QuadraticConstraint
 from ..validation import Positive
-from .base import Machine
+from .contract import Machine, Position
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,10 @@ class MagLev2DOF(Machine):
 
     kind = "maglev-2dof"
     frame = "ports"
+    ports = ("1", "2")
+    position_output = Position("position", ("position",), 1e6, " µm", "Position")
     memory = 0.15  # mechanics are slower than a rotor
+    measured_voltage = True
 
     k_1: Positive
     k_2: Positive
@@ -71,16 +74,16 @@ class MagLev2DOF(Machine):
         mixed = -np.array([[0.0, self.k_2], [self.k_1, 0.0]])
         return QuadraticConstraint(self.g * swap, mixed, np.zeros((2, 2)))
 
-    def flux_base(self, psi_f: float | None, rated_current: float) -> float | None:
+    def flux_base(self, rated_current: float, psi_f: float | None = None) -> float | None:
         return float(np.sqrt(self.k_1 * self.k_2)) * rated_current / self.g
 
-    def constraint_noise(self, flux_base: float, rated_current: float, noise: float) -> float:
+    def constraint_noise(self, flux_base: float, noise: float) -> float:
         return float(np.hypot(self.k_1, self.k_2)) * flux_base * noise
 
-    def position(self, flux: Array, current: Array) -> tuple[Array, Array]:
-        """Displacement q [m] and the length of the flux vector that says it [Wb].
+    def position(self, flux: ArrayLike, current: ArrayLike) -> tuple[Array, Array]:
+        """Displacement q [m] and the length of the flux vector that tells it [Wb].
 
-        Both coils say ``φ_k q``; least squares weighs them. Undefined as the flux vanishes.
+        Both coils tell ``φ_k q``; least squares weighs them. Undefined as the flux vanishes.
 
         Parameters
         ----------
@@ -93,6 +96,22 @@ class MagLev2DOF(Machine):
         phi_1, phi_2 = np.moveaxis(np.asarray(flux, float), -1, 0)
         i_1, i_2 = np.moveaxis(np.asarray(current, float), -1, 0)
         square = phi_1**2 + phi_2**2
-        said = phi_1 * (self.g * phi_1 - self.k_1 * i_1) + phi_2 * (self.k_2 * i_2 - self.g * phi_2)
+        told = phi_1 * (self.g * phi_1 - self.k_1 * i_1) + phi_2 * (self.k_2 * i_2 - self.g * phi_2)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(said / square), np.asarray(np.sqrt(square))
+            return np.asarray(told / square), np.asarray(np.sqrt(square))
+
+    def position_std(self, flux: Array, flux_std: Array, current: Array) -> Array:
+        where, length = self.position(flux, current)
+        gaps = np.stack([self.g - where, self.g + where], axis=-1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(np.linalg.norm(flux * gaps * flux_std, axis=-1) / length**2)
+
+    @property
+    def position_span(self) -> float:
+        return self.g
+
+    def true_position(self, channel: str, value: Array) -> Array:
+        return value
+
+    def position_error(self, estimated: Array, true: Array) -> Array:
+        return estimated - true

@@ -1,32 +1,9 @@
-"""Permanent-magnet synchronous machines with one effective inductance."""
+"""Surface permanent-magnet synchronous machine."""
 
 from __future__ import annotations
 
-import numpy as np
-
-from ..constraint import QuadraticConstraint
 from ..validation import Positive
-from .base import RotatingMachine
-
-
-class MagnetMachine(RotatingMachine):
-    """A machine whose position vector λ - L i has the constant length of the magnet flux.
-
-    The relation is ``|λ - L i|² = ψ²``: Q1 = I, Q2 = -2L I, Q3 = L² I, d = -ψ².
-    """
-
-    psi_f: Positive | None = None
-
-    @property
-    def constraint(self) -> QuadraticConstraint:
-        L, one = self.position_inductance, np.eye(2)
-        return QuadraticConstraint(one, -2 * L * one, L * L * one, d=-((self.psi_f or 0.0) ** 2))
-
-    def flux_base(self, psi_f: float | None, rated_current: float) -> float | None:
-        return psi_f
-
-    def constraint_noise(self, flux_base: float, rated_current: float, noise: float) -> float:
-        return 2 * self.position_inductance * flux_base * noise
+from .rotating import MagnetMachine
 
 
 class SurfacePMSM(MagnetMachine):
@@ -50,9 +27,6 @@ class SurfacePMSM(MagnetMachine):
     """
 
     kind = "surface-pmsm"
+    inductances = ("L_s", "L_s")
 
     L_s: Positive
-
-    @property
-    def position_inductance(self) -> float:
-        return self.L_s

@@ -7,16 +7,16 @@ from typing import Self
 import numpy as np
 from pydantic import model_validator
 
-from ..constraint import QuadraticConstraint
+from ..model.constraint import QuadraticConstraint
 from ..validation import Positive
-from .base import RotatingMachine
+from .rotating import RotatingMachine
 
 
 class SynchronousReluctance(RotatingMachine):
     """Synchronous reluctance machine, ``(λ - L_q i)ᵀ(λ - L_d i) = 0``.
 
-    The position vector ``λ - L_q i = (L_d - L_q) i_d e(θ_e)`` lies along d, up to half a turn
-    (it points backwards if i_d < 0), and vanishes with i_d: the position is then flagged unknown.
+    The position vector ``λ - L_q i = (L_d - L_q) i_d e(θ_e)`` lies along d, up to half a turn: it
+    points backwards if i_d < 0. It vanishes with i_d; the position is then not valid.
 
     Parameters
     ----------
@@ -27,8 +27,10 @@ class SynchronousReluctance(RotatingMachine):
     """
 
     kind = "synchronous-reluctance"
+    inductances = ("L_d", "L_q")
     half_turn_ambiguous = True
     shortest = 0.05  # it is as long as i_d allows
+    length_name = "Active flux (L_d - L_q) i_d"
 
     L_d: Positive
     L_q: Positive
@@ -47,17 +49,9 @@ class SynchronousReluctance(RotatingMachine):
         one = np.eye(2)
         return QuadraticConstraint(one, -(self.L_d + self.L_q) * one, self.L_d * self.L_q * one)
 
-    @property
-    def saliency(self) -> float:
-        return self.L_d - self.L_q
-
-    @property
-    def position_inductance(self) -> float:
-        return self.L_q
-
-    def flux_base(self, psi_f: float | None, rated_current: float) -> float | None:
+    def flux_base(self, rated_current: float, psi_f: float | None = None) -> float | None:
         return 0.5 * self.L_d * rated_current  # d current is around half of a rated vector
 
-    def constraint_noise(self, flux_base: float, rated_current: float, noise: float) -> float:
+    def constraint_noise(self, flux_base: float, noise: float) -> float:
         # |∂w/∂i| = (L_d - L_q) |(L_d i_d, L_q i_q)| at the scale of the flux.
         return (self.L_d - self.L_q) * flux_base * noise

@@ -1,19 +1,25 @@
-"""The estimators."""
+"""The estimators, and the one list of what they return."""
 
 from .adaptive import AdaptiveEstimate, AdaptiveObserver
-from .base import Estimate, Observer
-from .least_squares import LeastSquaresObserver, LeastSquaresState, SampleCounts
-from .reference import ImmersionEstimate, ImmersionObserver, ImmersionState
+from .base import Estimate, LogObserver, Observer, SampleCounts
+from .compiled import CompiledState
+from .immersed import ImmersionEstimate, ImmersionObserver, ImmersionState
+from .outputs import Output, in_files, outputs
+from .plain import LeastSquaresObserver
 
 __all__ = [
     "AdaptiveEstimate",
     "AdaptiveObserver",
+    "CompiledState",
     "Estimate",
     "ImmersionEstimate",
     "ImmersionObserver",
     "ImmersionState",
     "LeastSquaresObserver",
-    "LeastSquaresState",
+    "LogObserver",
     "Observer",
+    "Output",
     "SampleCounts",
+    "in_files",
+    "outputs",
 ]

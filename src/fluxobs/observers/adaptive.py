@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core, _core_single  # type: ignore[attr-defined]  # compiled
-from ..errors import FluxobsError
-from ..inverter import SMOOTHING
-from ..machines import RotatingMachine, SynchronousReluctance
+from ..errors import ObserverError
+from ..machines import RotatingMachine, rotating
+from ..model.inverter import SMOOTHING
 from .base import Estimate
-from .compiled import CompiledObserver, position_columns
-from .least_squares import MEMORY, LeastSquaresObserver
+from .compiled import CompiledObserver, read_columns, wrapped
+from .outputs import documented, output
+from .plain import MEMORY, LeastSquaresObserver
 
 Array = NDArray[np.float64]
 
@@ -34,34 +35,31 @@ RESISTANCE_MOST = 10.0
 SLOW_MEMORY = 100.0
 
 
+@documented
 @dataclass(frozen=True, eq=False)
 class AdaptiveEstimate(Estimate):
-    """What the adaptive observer says; see also :class:`Estimate`.
+    """What the adaptive observer returns: see :class:`Estimate`, and more.
 
-    Attributes
-    ----------
-    psi_f, psi_f_std : (...) ndarray
-        Magnet flux and its standard deviation [Wb], not the active flux of a salient machine;
-        until `adapting` first holds the length of the position vector, and what was believed.
-    resistance, resistance_std, inverter_voltage, inverter_voltage_std : (...) ndarray
-        Phase resistance [Ω], and what dead time and device drops take of a phase's voltage [V].
-    drift_std : (...) ndarray
-        Of a component [V].
-    theta_e_other, weight_other : (...) ndarray
-        While two positions are in question, the less likely one [rad] and its weight, up to ½.
-    adapting : (...) ndarray of bool
-        The filter for all unknowns runs; before, positions are followed that fit so far.
+    psi_f is the magnet flux here, not the active flux of a salient machine. Until `adapting` first
+    holds, it is the length of the position vector, and psi_f_std is what was believed.
     """
 
-    psi_f_std: Array
-    resistance: Array
-    resistance_std: Array
-    inverter_voltage: Array
-    inverter_voltage_std: Array
-    drift_std: Array
-    theta_e_other: Array
-    weight_other: Array
-    adapting: NDArray[np.bool_]
+    psi_f_std: Array = output("Wb", "Standard deviation of psi_f")
+    drift_std: Array = output("V", "Standard deviation of a component of the drift")
+    resistance: Array = output("Ω", "Phase resistance")
+    resistance_std: Array = output("Ω", "Standard deviation of resistance")
+    inverter_voltage: Array = output("V", "What dead time and device drops take of a phase")
+    inverter_voltage_std: Array = output("V", "Standard deviation of inverter_voltage")
+    theta_e_other: Array = output(
+        "rad", "While two positions are in question, the less likely one", exact=False
+    )
+    weight_other: Array = output("", "Weight of theta_e_other, up to ½")
+    adapting: NDArray[np.bool_] = output(
+        "",
+        "The filter for all unknowns runs; before, positions are followed that fit so far",
+        boolean=True,
+        in_files=False,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +98,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
 
     Raises
     ------
-    ValueError
+    ObserverError
         A value is negative or not finite, sizes do not fit each other, a standard deviation is
         far above what it is of, or the slow memory is shorter than the plain observer's.
 
@@ -137,50 +135,45 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         for name in ("psi_f", "psi_f_std", "resistance_std", "inverter_std"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
-                raise ValueError(f"{name} must be finite and not negative, got {value}")
+                raise ObserverError(f"{name} must be finite and not negative, got {value}")
         for name in ("inverter_current", "slow_memory"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be positive and finite, got {value}")
+                raise ObserverError(f"{name} must be positive and finite, got {value}")
         for name in ("saliency", "inverter_voltage"):
             if not np.isfinite(value := getattr(self, name)):
-                raise ValueError(f"{name} must be finite, got {value}")
+                raise ObserverError(f"{name} must be finite, got {value}")
         for name, value, of in (
             ("psi_f_std", self.psi_f_std, self.psi_f),
             ("resistance_std", self.resistance_std, RESISTANCE_MOST * self.resistance),
         ):
             if value > of:
-                raise ValueError(
+                raise ObserverError(
                     f"{name} = {value:g} is more than {of:g}: a standard deviation, in SI units"
                 )
         if self.slow_memory < self.memory:
-            raise ValueError(
+            raise ObserverError(
                 f"slow_memory = {self.slow_memory:g} s is shorter than the memory of the plain "
                 f"observer, {self.memory:g} s"
             )
         if self.projection not in PROJECTIONS:
-            raise ValueError(
+            raise ObserverError(
                 f"projection must be one of {', '.join(PROJECTIONS)}, got {self.projection!r}"
             )
         c = self.plain.constraint
         if not (np.array_equal(c.Q1, np.eye(2)) and not c.E.any() and not c.C.any()):
-            raise ValueError("the adaptive observer is for relations with Q1 = I, E = 0, C = 0")
+            raise ObserverError("the adaptive observer is for relations with Q1 = I, E = 0, C = 0")
         object.__setattr__(self, "_core", self._make_core())
 
     def _make_core(self) -> Any:
         module = _core if self.plain.precision == "double" else _core_single
-        return module.Adaptive(
-            self.plain._core,
-            saliency=self.saliency,
-            psi_f=self.psi_f,
-            psi_f_std=self.psi_f_std,
-            resistance_std=self.resistance_std,
-            inverter_voltage=self.inverter_voltage,
-            inverter_std=self.inverter_std,
-            inverter_current=self.inverter_current,
-            slow_memory=self.slow_memory,
-            projection=PROJECTIONS.index(self.projection),
+        names = (
+            *("saliency", "psi_f", "psi_f_std", "resistance_std", "inverter_voltage"),
+            *("inverter_std", "inverter_current", "slow_memory"),
         )
+        config: dict[str, Any] = {name: getattr(self, name) for name in names}
+        config["projection"] = PROJECTIONS.index(self.projection)
+        return wrapped(module.Adaptive, self.plain._core, config)
 
     def __getstate__(self) -> dict[str, Any]:
         return {key: value for key, value in self.__dict__.items() if key != "_core"}
@@ -244,20 +237,19 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
 
         Raises
         ------
-        ValueError
-            Names the argument that neither the machine nor the call gives.
-        FluxobsError
-            An unknown that this observer does not find, or a standard deviation for something that
+        ObserverError
+            Neither the machine nor the call gives something that is needed; an unknown that this observer does not find, or a standard deviation for something that
             is not among the unknowns.
         """
         for name in unknowns:
             if name not in ("drift", "resistance", "inverter"):
-                raise FluxobsError(
+                raise ObserverError(
                     f"unknown {name!r}: this observer finds drift, resistance and inverter"
                 )
         for name, std in (("resistance", resistance_std), ("inverter", inverter_std)):
             if std and name not in unknowns:
-                raise FluxobsError(f"{name}_std is given, but {name} is not among the unknowns")
+                raise ObserverError(f"{name}_std is given, but {name} is not among the unknowns")
+        machine = rotating(machine, "AdaptiveObserver")
         plain = LeastSquaresObserver.for_machine(
             machine,
             sample_time=sample_time,
@@ -270,10 +262,9 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         )
         rated = rated_current if rated_current is not None else machine.rated_current
         assert rated is not None  # the plain observer needs it
-        magnets = not isinstance(machine, SynchronousReluctance)
-        if not magnets and psi_f_std:
-            raise FluxobsError(f"psi_f_std: a {machine.kind} has no magnets")
-        flux = plain.flux_base if magnets else 0.0
+        if not machine.magnets and psi_f_std:
+            raise ObserverError(f"psi_f_std: a {machine.kind} has no magnets")
+        flux = plain.flux_base if machine.magnets else 0.0
 
         def believed(name: str, given: float | None, default: float) -> float:
             return (default if given is None else given) if name in unknowns else 0.0
@@ -298,15 +289,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         return found
 
     def _estimate(self, columns: Array, valid: NDArray[np.bool_]) -> AdaptiveEstimate:
-        fields = position_columns(columns) | {
-            "drift_std": columns[11],
-            "psi_f": columns[12],
-            "psi_f_std": columns[13],
-            "resistance": self.resistance + columns[14],
-            "resistance_std": columns[15],
-            "inverter_voltage": columns[16],
-            "inverter_voltage_std": columns[17],
-            "theta_e_other": columns[18],
-            "weight_other": columns[19],
-        }
-        return AdaptiveEstimate(**fields, valid=valid, adapting=columns[20] > 0)
+        fields = read_columns(_core.adaptive_outputs, columns)
+        fields["resistance"] = self.resistance + fields.pop("resistance_error")
+        adapting = fields.pop("adapting") > 0
+        return AdaptiveEstimate(**fields, valid=valid, adapting=adapting)

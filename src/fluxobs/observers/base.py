@@ -1,63 +1,116 @@
-"""The protocol that every observer keeps, and what it returns."""
+"""What an observer is, and what it returns."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .outputs import documented, output
+
 Array = NDArray[np.float64]
 
 
+@documented
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What an observer says, for one sample (leading shape ``()``), a record or a batch.
+    """What an observer returns for one sample (leading shape ``()``), a record or a batch."""
+
+    flux: Array = output(
+        "Wb", "Flux linkage. A current bias δ_i adds L δ_i: docs/theory.md, section 3", vector=True
+    )
+    psi_f: Array = output(
+        "Wb", "Length of the position vector λ - L i: magnet flux, or active flux if salient"
+    )
+    theta_e: Array = output(
+        "rad", "Electrical position straight from the flux, in (-π, π]; always finite", exact=False
+    )
+    theta_e_tracked: Array = output("rad", "Tracked position, in (-π, π]", exact=False)
+    speed_e: Array = output("rad/s", "Electrical speed", exact=False)
+    drift: Array = output(
+        "V", "R δ_i - B δ_u, the rate at which the open-loop flux integral drifts", vector=True
+    )
+    theta_e_std: Array = output(
+        "rad", "Standard deviation of theta_e; π/√3 (uniform over a turn) if nothing is known"
+    )
+    valid: NDArray[np.bool_] = output("", "The position is known now", boolean=True)
+    innovation: Array = output(
+        "", "Residual of the constraint over its assumed noise, before the update", in_files=False
+    )
+    noise_share: Array = output(
+        "", "Share of the flux information that is only noise; 1: no position", in_files=False
+    )
+
+
+@dataclass(frozen=True)
+class SampleCounts:
+    """What was wrong with the samples so far, and how often the information was emptied.
 
     Attributes
     ----------
-    flux : (..., 2) ndarray
-        Flux linkage αβ [Wb]. With a current bias δ_i it is λ + L δ_i: see docs/theory.md, 3.
-    psi_f : (...) ndarray
-        Length of the position vector λ - L i [Wb]: magnet flux; active flux of a salient machine.
-    theta_e : (...) ndarray
-        Electrical position straight from the flux, in (-π, π] [rad]. Always finite.
-    theta_e_tracked, speed_e : (...) ndarray
-        Tracked position in (-π, π] [rad] and electrical speed [rad/s].
-    drift : (..., 2) ndarray
-        R δ_i - B δ_u [V], the rate at which the open-loop flux integral drifts.
-    theta_e_std : (...) ndarray
-        Standard deviation of theta_e [rad]; π/√3 (uniform over a turn) where nothing is known.
-    valid : (...) ndarray of bool
-        The position is known now.
-    innovation : (...) ndarray
-        Residual of the constraint over its assumed noise, before the sample was used.
-    noise_share : (...) ndarray
-        Share of the flux information that current noise alone would pretend.
+    bad_voltages, bad_currents : int
+        Not finite.
+    absurd : int
+        No such machine can have such a value.
+    outliers : int
+        Currents that contradict all samples before; not used.
+    restarts : int
+        After an absurd value, or more than three bad samples in a row.
     """
 
-    flux: Array
-    psi_f: Array
-    theta_e: Array
-    theta_e_tracked: Array
-    speed_e: Array
-    drift: Array
-    theta_e_std: Array
-    valid: NDArray[np.bool_]
-    innovation: Array
-    noise_share: Array
+    bad_voltages: int
+    bad_currents: int
+    absurd: int
+    outliers: int
+    restarts: int
 
 
-class Observer(Protocol):
-    """State is data, the observer a frozen object; nothing is mutated.
+State = TypeVar("State")
+Found = TypeVar("Found", covariant=True)
 
-    `step` takes the current sampled now and the mean voltage over the interval ending now; `run`
-    gives the same numbers for a whole record.
+
+class Observer(Protocol[State, Found]):
+    """What every observer keeps: the state is data, the observer a frozen object.
+
+    `step` takes the current sampled now and the mean voltage over the interval that ends now; `run`
+    gives the same numbers for a whole record, and `resume` goes on from a state. Nothing is
+    mutated. tests/contract holds every observer to this.
     """
 
-    def init(self, batch: tuple[int, ...] = ()) -> Any: ...
+    @property
+    def sample_time(self) -> float:
+        """[s]."""
+        ...
 
-    def step(self, state: Any, voltage: ArrayLike, current: ArrayLike) -> tuple[Any, Estimate]: ...
+    @property
+    def memory(self) -> float:
+        """Exponential memory [s]."""
+        ...
 
-    def run(self, record: Any) -> Estimate: ...
+    def init(self) -> State:
+        """State in which nothing is known."""
+        ...
+
+    def step(self, state: State, voltage: ArrayLike, current: ArrayLike) -> tuple[State, Found]:
+        """One sample, (2,) [V] and [A]."""
+        ...
+
+    def run(self, voltage: Any, current: ArrayLike) -> Found:
+        """A record, (rows, 2) each, from zero knowledge."""
+        ...
+
+    def resume(
+        self, state: State, voltage: ArrayLike, current: ArrayLike
+    ) -> tuple[State, Found]:
+        """As `run`, from a state; the state after the last row too."""
+        ...
+
+
+class LogObserver(Observer[State, Found], Protocol[State, Found]):
+    """An observer that estimations of logs run: it counts what was wrong with the samples."""
+
+    def counts(self, state: State) -> SampleCounts:
+        """Bad samples and restarts so far."""
+        ...

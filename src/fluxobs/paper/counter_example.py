@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..design.analysis import GainStudy, excitation, over_gain
 from ..design.analysis.stability import proposition_2
-from ..design.observers import AdaptiveObserver, FluxObserver, RepairedAdaptiveObserver, run
+from ..design.regression.laws import PrintedAdaptiveObserver, FluxObserver, RepairedAdaptiveObserver, run
 from ..design.regression import Parametrisation, Regressors
 from .pmsm import counter_example as trajectory
 
@@ -65,7 +65,7 @@ def study() -> CounterExample:
         alpha,
         multipliers,
         {
-            "printed, γ_a = 1": errors(AdaptiveObserver(1.0, constants)),
+            "printed, γ_a = 1": errors(PrintedAdaptiveObserver(1.0, constants)),
             "repaired, Γ = G = 1": errors(RepairedAdaptiveObserver(1.0, 1.0, constants)),
             "repaired, Γ = 100, G = 1": errors(RepairedAdaptiveObserver(100.0, 1.0, constants)),
         },

@@ -11,7 +11,7 @@ import numpy as np
 from ..plots import BLUE, GREY, ORANGE, STYLE, write
 from .counter_example import CounterExample
 from .scenario import ScenarioResult
-from .section_v import Course
+from .section_v import ErrorCourse
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,7 +54,7 @@ def _new(columns: int, rows: int = 1) -> tuple[Figure, Any]:
 
 def _courses(
     axes: Axes,
-    courses: dict[str, Course],
+    courses: dict[str, ErrorCourse],
     names: Sequence[str],
     jump: float,
     constants: bool = False,
@@ -122,7 +122,7 @@ def draw_scenarios(out: Path, runs: Sequence[ScenarioResult], formats: Sequence[
 
 
 def draw_motors(
-    out: Path, motor: dict[str, Course], counter: CounterExample, formats: Sequence[str]
+    out: Path, motor: dict[str, ErrorCourse], counter: CounterExample, formats: Sequence[str]
 ) -> None:
     """Figures of the PMSM cases."""
     figures = {"pmsm": lambda: _motor(motor), "counter_example": lambda: _counter(counter)}
@@ -194,7 +194,7 @@ def _trajectories(runs: Sequence[ScenarioResult]) -> Figure:
     return figure
 
 
-def _motor(courses: dict[str, Course]) -> Figure:
+def _motor(courses: dict[str, ErrorCourse]) -> Figure:
     figure, axes = _new(1)
     t = courses["voltage model"].t
     _courses(axes[0, 0], courses, list(courses), float(t[-1] / 2))

@@ -11,15 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from ..constraint import QuadraticConstraint
-from ..design.control import IdaPbc
-from ..design.machines import maglev_2dof
+from ..model.constraint import QuadraticConstraint
+from ..design.energies import IdaPbc
+from ..design.energies.library import maglev_2dof
 from ..design.regression import FilteredRegression, Regressors
 from ..design.regression.filtered import filter_record, read_out_record
-from ..design.simulate import Trajectory, simulate, volt_seconds
-from ..design.system import ElectromechanicalSystem, State
+from ..design.energies.integrate import Trajectory, integrate, volt_seconds
+from ..design.energies.system import ElectromechanicalSystem, State
 from ..machines import MagLev2DOF, example
-from ..sensing import Steps
+from ..synthetic.sensors import Steps
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ class BiasFlux(eqx.Module):
 
 
 @dataclass(frozen=True)
-class Scenario:
+class LevitationScenario:
     """Controller settings and references.
 
     Attributes
@@ -82,10 +82,10 @@ class Scenario:
 SCENARIOS = {
     scenario.name: scenario
     for scenario in (
-        Scenario("S1", "the paper's, α = 10, no bias flux", 10.0, 1e4, 0.0, 0.0, 1e-5),
-        Scenario("S2", "α = 10, 0.5 A of bias flux", 10.0, 1e4, 0.5, 0.0, 1e-5),
-        Scenario("S3", "α = 0.01, 0.5 A of bias flux", 0.01, 5e3, 0.5, 0.0, np.nan),
-        Scenario("S5", "α = 0.01, bias flux modulated ±30 %", 0.01, 5e3, 0.5, 0.3, np.nan),
+        LevitationScenario("S1", "the paper's, α = 10, no bias flux", 10.0, 1e4, 0.0, 0.0, 1e-5),
+        LevitationScenario("S2", "α = 10, 0.5 A of bias flux", 10.0, 1e4, 0.5, 0.0, 1e-5),
+        LevitationScenario("S3", "α = 0.01, 0.5 A of bias flux", 0.01, 5e3, 0.5, 0.0, np.nan),
+        LevitationScenario("S5", "α = 0.01, bias flux modulated ±30 %", 0.01, 5e3, 0.5, 0.3, np.nan),
     )
 }
 
@@ -117,7 +117,7 @@ class LevitationRecord:
         ∫ (-R i_m + u_m)/N dt over the interval ending at each row, exact [Wb].
     """
 
-    scenario: Scenario
+    scenario: LevitationScenario
     machine: MagLev2DOF
     trajectory: Trajectory
     jump: float
@@ -151,7 +151,7 @@ def _benchmark() -> tuple[MagLev2DOF, ElectromechanicalSystem]:
     return machine, maglev_2dof(machine)
 
 
-def record(scenario: Scenario, h: float = 1e-3, quick: bool = False) -> LevitationRecord:
+def record(scenario: LevitationScenario, h: float = 1e-3, quick: bool = False) -> LevitationRecord:
     """Simulates a scenario; quick: 30 s with the biases jumping at 15 s."""
     duration, jump = (30.0, 15.0) if quick else (DURATION, JUMP)
     machine, system = _benchmark()
@@ -169,7 +169,7 @@ def record(scenario: Scenario, h: float = 1e-3, quick: bool = False) -> Levitati
     )
     start = phi if np.isnan(scenario.initial_flux) else scenario.initial_flux
     typical = machine.k_2 * 0.5 / machine.g
-    trajectory = simulate(
+    trajectory = integrate(
         system,
         _Control(law, jnp.asarray(c), machine.D),
         np.arange(round(duration / h) + 1) * h,
@@ -183,7 +183,7 @@ def record(scenario: Scenario, h: float = 1e-3, quick: bool = False) -> Levitati
 
 
 def measured(
-    scenario: Scenario,
+    scenario: LevitationScenario,
     machine: MagLev2DOF,
     trajectory: Trajectory,
     jump: float,

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from ..constraint import QuadraticConstraint
+from ..model.constraint import QuadraticConstraint
 from ..design.regression import FilteredRegression, Regressors
 from ..design.regression.filtered import filter_record, read_out_record
-from ..design.simulate import volt_seconds
+from ..design.energies.integrate import volt_seconds
 from ..machines import SurfacePMSM, example
-from ..sensing import Steps
+from ..synthetic.sensors import Steps
 
 Array = NDArray[np.float64]
 

@@ -10,13 +10,13 @@ import numpy as np
 
 from .counter_example import CounterExample
 from .scenario import MAIN, ScenarioResult
-from .section_v import Course
+from .section_v import ErrorCourse
 
 #: Flux errors that count as settled.
 LEVELS = (0.02, 1e-3, 1e-6)
 
 
-def course_numbers(course: Course, jump: float) -> dict[str, Any]:
+def course_numbers(course: ErrorCourse, jump: float) -> dict[str, Any]:
     """Errors before and after the jump, and the times to settle after it (None: never)."""
     end = float(course.t[-1])
     settle = {f"{level:g}": course.first_below(level, jump) for level in LEVELS}
@@ -28,7 +28,7 @@ def course_numbers(course: Course, jump: float) -> dict[str, Any]:
 
 
 def numbers(
-    runs: Sequence[ScenarioResult], motor: Mapping[str, Course], counter: CounterExample
+    runs: Sequence[ScenarioResult], motor: Mapping[str, ErrorCourse], counter: CounterExample
 ) -> dict[str, Any]:
     """All that the report says, for a machine to read."""
     half = float(next(iter(motor.values())).t[-1] / 2)

@@ -16,13 +16,13 @@ from .figures import draw_motors, draw_scenarios
 from .pmsm import servo
 from .report import markdown, numbers
 from .scenario import MAIN, ScenarioResult, run_scenario
-from .section_v import Course, motor_courses
+from .section_v import ErrorCourse, motor_courses
 
 #: Shown in the figures: the paper's scenario, and the well-posed one.
 SHOWN = ("S1", MAIN)
 
 
-def _motors(quick: bool) -> tuple[dict[str, Course], CounterExample]:
+def _motors(quick: bool) -> tuple[dict[str, ErrorCourse], CounterExample]:
     return motor_courses(servo(quick)), counter_example.study()
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .levitation import SCENARIOS, Scenario, record
-from .section_v import Course, levitation_run
+from .levitation import SCENARIOS, LevitationScenario, record
+from .section_v import ErrorCourse, levitation_run
 from .studies import Excited, Noisy, Robust, excited, growth, mechanics, noisy, robust
 
 Array = NDArray[np.float64]
@@ -46,9 +46,9 @@ class ScenarioResult:
         Unknowns → how the least squares did.
     """
 
-    scenario: Scenario
+    scenario: LevitationScenario
     jump: float
-    courses: dict[str, Course]
+    courses: dict[str, ErrorCourse]
     t: Array
     position: Array
     reference: Array

@@ -15,9 +15,9 @@ from ..design.analysis import (
     balanced_repaired,
     observability_gramian,
 )
-from ..design.observers import (
+from ..design.regression.laws import (
     PEBO,
-    AdaptiveObserver,
+    PrintedAdaptiveObserver,
     DremObserver,
     FluxObserver,
     RiccatiObserver,
@@ -26,9 +26,9 @@ from ..design.observers import (
     run,
 )
 from ..design.regression import Parametrisation, Regressors
-from ..immersion import Immersion
+from ..model.immersion import Immersion
 from ..observers import LeastSquaresObserver
-from ..observers.reference import ImmersionEstimate, ImmersionObserver
+from ..observers.immersed import ImmersionEstimate, ImmersionObserver
 from .levitation import ADAPTIVE_GAIN, CORNER, ROBUST_GAIN, LevitationRecord, filtered
 from .pmsm import SERVO_CORNER, MotorRecord
 
@@ -44,7 +44,7 @@ LS_SAMPLE_TIME, LS_MEMORY = 1e-2, 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class ErrorCourse:
     """How an observer did.
 
     Attributes
@@ -90,7 +90,7 @@ class LevitationRun:
 
     given: LevitationRecord
     rows: Regressors
-    courses: dict[str, Course]
+    courses: dict[str, ErrorCourse]
     least_squares: ImmersionEstimate
 
 
@@ -104,11 +104,11 @@ def sizes(given: LevitationRecord) -> tuple[float, Array]:
 
 def _course(
     given: LevitationRecord, found: tuple[jax.Array, jax.Array], constants: Parametrisation | None
-) -> Course:
+) -> ErrorCourse:
     flux, size = np.asarray(found[0]), sizes(given)[0]
     error = np.linalg.norm(flux - given.flux, axis=1) / size
     if constants is None:
-        return Course(given.t, error)
+        return ErrorCourse(given.t, error)
     # Two values each: before the jump and after it.
     before, after = (
         np.asarray(constants.constants(given.drift[k], given.current_bias[k])) for k in (0, -1)
@@ -121,7 +121,7 @@ def _course(
         / np.linalg.norm(true[:, part], axis=1).max()
         for part in parts
     ]
-    return Course(given.t, error, np.hypot(*share))
+    return ErrorCourse(given.t, error, np.hypot(*share))
 
 
 def levitation_run(given: LevitationRecord, all_observers: bool = True) -> LevitationRun:
@@ -140,19 +140,19 @@ def levitation_run(given: LevitationRecord, all_observers: bool = True) -> Levit
         observer: FluxObserver,
         constants: Parametrisation | None = None,
         regression: Regressors = rows,
-    ) -> Course:
+    ) -> ErrorCourse:
         return _course(given, run(observer, h, v, regression, skip), constants)
 
     courses = {
         "robust, printed gain": course(RobustObserver(ROBUST_GAIN, 2)),
         "robust, balanced gain": course(RobustObserver(Gamma, 2)),
         "robust, balanced gain, printed Φ": course(RobustObserver(Gamma, 2), None, wrong),
-        "adaptive, printed gain": course(AdaptiveObserver(ADAPTIVE_GAIN, printed), printed),
+        "adaptive, printed gain": course(PrintedAdaptiveObserver(ADAPTIVE_GAIN, printed), printed),
         "adaptive, printed gain and Φ": course(
-            AdaptiveObserver(ADAPTIVE_GAIN, printed), printed, wrong
+            PrintedAdaptiveObserver(ADAPTIVE_GAIN, printed), printed, wrong
         ),
         "adaptive, ten times the gain": course(
-            AdaptiveObserver(10 * np.array(ADAPTIVE_GAIN), printed), printed
+            PrintedAdaptiveObserver(10 * np.array(ADAPTIVE_GAIN), printed), printed
         ),
         "adaptive, repaired": course(
             balanced_repaired(nominal, structured, h, FLUX_RATE, CONSTANTS_RATE, round(2.0 / h)),
@@ -203,7 +203,7 @@ def least_squares(given: LevitationRecord) -> ImmersionEstimate:
     return observer.run(current=given.current[rows], volt_seconds=v)
 
 
-def _least_squares_course(given: LevitationRecord, estimate: ImmersionEstimate) -> Course:
+def _least_squares_course(given: LevitationRecord, estimate: ImmersionEstimate) -> ErrorCourse:
     rows, _ = thinned(given, LS_SAMPLE_TIME)
     error = np.linalg.norm(estimate.flux - given.flux[rows], axis=1) / sizes(given)[0]
     share = [
@@ -213,10 +213,10 @@ def _least_squares_course(given: LevitationRecord, estimate: ImmersionEstimate) 
             (estimate.current_bias, given.current_bias),
         )
     ]
-    return Course(given.t[rows], error, np.hypot(*share))
+    return ErrorCourse(given.t[rows], error, np.hypot(*share))
 
 
-def motor_courses(given: MotorRecord) -> dict[str, Course]:
+def motor_courses(given: MotorRecord) -> dict[str, ErrorCourse]:
     """The PMSM with both biases: error of the active flux λ - L i, over ψ.
 
     A current bias cannot be told from a flux offset (λ, i) + (L s, s), and λ̂ - L i_m is free of
@@ -232,11 +232,11 @@ def motor_courses(given: MotorRecord) -> dict[str, Course]:
     Gamma = balanced_gain(np.asarray(nominal.Phi_flux), 100.0)
     regressor = np.asarray(constants.psi_record(nominal))
 
-    def course(flux: object) -> Course:
+    def course(flux: object) -> ErrorCourse:
         error = np.linalg.norm(np.asarray(flux) - L * given.current - true, axis=1) / psi
-        return Course(given.t, error)
+        return ErrorCourse(given.t, error)
 
-    def of(observer: FluxObserver) -> Course:
+    def of(observer: FluxObserver) -> ErrorCourse:
         return course(run(observer, h, v, rows, skip)[0])
 
     production = LeastSquaresObserver.for_machine(given.machine, sample_time=h)
@@ -244,7 +244,7 @@ def motor_courses(given: MotorRecord) -> dict[str, Course]:
         "voltage model": of(VoltageModel(2)),
         "PEBO, least squares": of(PEBO(2, "least-squares", Gamma)),
         "robust, balanced gain": of(RobustObserver(Gamma, 2)),
-        "adaptive, printed law": of(AdaptiveObserver(balanced_gain(regressor, 100.0), constants)),
+        "adaptive, printed law": of(PrintedAdaptiveObserver(balanced_gain(regressor, 100.0), constants)),
         "adaptive, repaired": of(
             balanced_repaired(nominal, constants, h, 100.0, 30.0, round(0.2 / h))
         ),

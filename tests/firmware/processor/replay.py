@@ -28,7 +28,7 @@ import numpy as np
 
 import fluxobs
 from fluxobs.deployment.costs import cost_table, read_costs
-from fluxobs.deployment.course import course
+from fluxobs.synthetic.firmware_record import course
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]

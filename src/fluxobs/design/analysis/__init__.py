@@ -2,7 +2,7 @@
 
 from .bounds import bound_on_record, decay_rate, robust_bound
 from .excitation import Excitation, excitation, persistency
-from .identifiability import compare, invisible_from_constraint, observability_gramian
+from .identifiability import compare_invisible, invisible_from_constraint, observability_gramian
 from .stability import GainStudy, floquet_multipliers, lyapunov_exponents, over_gain
 from .tuning import balanced_basis, balanced_gain, balanced_repaired
 
@@ -13,7 +13,7 @@ __all__ = [
     "balanced_gain",
     "balanced_repaired",
     "bound_on_record",
-    "compare",
+    "compare_invisible",
     "decay_rate",
     "excitation",
     "floquet_multipliers",

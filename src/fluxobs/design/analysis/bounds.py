@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..observers.base import positive_definite
+from ..regression.laws.base import positive_definite
 from ..regression import Parametrisation, Regressors
 from .excitation import excitation
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import subspace_angles
 
-from ...constraint import QuadraticConstraint, invisible_offsets
+from ...model.constraint import QuadraticConstraint, invisible_offsets
 from ...errors import ModelError
 from ..regression import Parametrisation, Regressors
 
@@ -97,7 +97,7 @@ def invisible_from_constraint(constraint: QuadraticConstraint, constants: Parame
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class InvisibleComparison:
     """Invisible directions as predicted and as found.
 
     Attributes
@@ -117,7 +117,7 @@ class Comparison:
         return self.predicted.shape == self.found.shape and not self.angle > 1e-3
 
 
-def compare(
+def compare_invisible(
     constraint: QuadraticConstraint,
     rows: Regressors,
     constants: Parametrisation,
@@ -125,7 +125,7 @@ def compare(
     window: float,
     scale: ArrayLike,
     tolerance: float = 1e-10,
-) -> Comparison:
+) -> InvisibleComparison:
     """Prediction from the constraint against the observability Gramian of a record."""
     sizes = np.asarray(scale, float)
     found = invisible_from_gramian(
@@ -138,7 +138,7 @@ def compare(
         angle = 0.0
     else:
         angle = float(np.max(subspace_angles(predicted, found)))
-    return Comparison(predicted, found, angle)
+    return InvisibleComparison(predicted, found, angle)
 
 
 def rank(gramian: ArrayLike, tolerance: float = 1e-10) -> int:

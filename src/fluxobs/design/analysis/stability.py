@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import ModelError
-from ..observers.base import positive_definite
+from ..regression.laws.base import positive_definite
 from ..regression import Parametrisation, Regressors
 
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...errors import ModelError
-from ..observers.gradient import RepairedAdaptiveObserver, sensitivity_step
+from ..regression.laws.gradient import RepairedAdaptiveObserver, sensitivity_step
 from ..regression import Parametrisation, Regressors
 
 Array = NDArray[np.float64]

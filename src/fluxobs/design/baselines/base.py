@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from ..drive.motor import Motor
 from ..drive.vectors import vector
-from ..observers.least_squares import wrap
+from ..drive.twin import wrap
 from ..precision import real
 
 Array = jax.Array

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from ..drive.vectors import pair, turn
-from ..observers.least_squares import wrap
+from ..drive.twin import wrap
 from .base import Array, Baseline, Guess, number
 
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ...constraint import QuadraticConstraint
+from ...model.constraint import QuadraticConstraint
 from ..drive.vectors import pair, vector
 from ..regression import SampledRegression
 from ..regression.sampled import Moments
@@ -22,7 +22,7 @@ class RegressionState(NamedTuple):
 
 
 class OnRegression(Baseline):
-    """An observer of :mod:`fluxobs.design.observers` on the exact sampled regression of the
+    """An observer of :mod:`fluxobs.design.regression.laws` on the exact sampled regression of the
     machine's relation.
 
     The regression's start-up, 15 over its corner, is not used.

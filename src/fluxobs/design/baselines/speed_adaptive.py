@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from ..drive.vectors import turn
-from ..observers.least_squares import wrap
+from ..drive.twin import wrap
 from .base import Array, Baseline, Guess, number, pll_gains
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from ...errors import ModelError
 from ...machines import RotatingMachine
 from ...observers import LeastSquaresObserver
-from ...observers.least_squares import MEMORY, TRACKER
-from ..observers.least_squares import SquareRootLeastSquares
+from ...observers.plain import MEMORY, TRACKER
+from .twin import SquareRootLeastSquares
 from .control import Control
 from .inverter import Inverter
 from .motor import Mechanics, Motor, Plant

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from ...errors import ModelError
-from ...machines import InteriorPMSM, RotatingMachine, SurfacePMSM, SynchronousReluctance
+from ...machines import RotatingMachine
 from ..precision import not_negative, positive, real
 from .vectors import length, turn
 
@@ -43,17 +43,9 @@ class Motor(eqx.Module):
     @classmethod
     def of(cls, machine: RotatingMachine) -> Motor:
         """From a machine file; a magnet machine needs its psi_f here."""
-        match machine:
-            case SynchronousReluctance():
-                return cls(machine.R_s, machine.L_d, machine.L_q, 0.0, machine.n_p)
-            case SurfacePMSM() | InteriorPMSM() if machine.psi_f is None:
-                raise ModelError(f"psi_f is missing in the {machine.kind}: simulation needs it")
-            case SurfacePMSM():
-                return cls(machine.R_s, machine.L_s, machine.L_s, machine.psi_f, machine.n_p)
-            case InteriorPMSM():
-                return cls(machine.R_s, machine.L_d, machine.L_q, machine.psi_f, machine.n_p)
-            case _:
-                raise ModelError(f"no drive can be simulated with a {machine.kind}")
+        if machine.magnet_flux is None:
+            raise ModelError(f"psi_f is missing in the {machine.kind}: simulation needs it")
+        return cls(machine.R_s, *machine.L_dq, machine.magnet_flux, machine.n_p)
 
     def flux(self, current: Array, direction: Array) -> Array:
         """Flux linkage at a current; `direction` is exp(jθ_e)."""

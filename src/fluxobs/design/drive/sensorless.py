@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..observers.least_squares import Reading
+from .twin import Reading
 from ..precision import real
 from .vectors import length, turn, unit
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import ModelError
-from ...records import Record
-from ..observers.least_squares import LeastSquaresState, Reading, SquareRootLeastSquares
+from ...logs.record import Record
+from .twin import TwinState, Reading, SquareRootLeastSquares
 from ..precision import real
 from .control import Control, ControlState
 from .inverter import Inverter
@@ -168,7 +168,7 @@ class _Loop(NamedTuple):
     control: ControlState
     acted: Array  # commanded voltage that acted until now
     pending: Array  # the one computed last
-    observer: LeastSquaresState | None
+    observer: TwinState | None
     sensorless: SensorlessState | None
     tripped: Array
 

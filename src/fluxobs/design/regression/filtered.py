@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ...constraint import QuadraticConstraint
+from ...model.constraint import QuadraticConstraint
 from ...errors import ModelError
 from .regressors import Regressors
 

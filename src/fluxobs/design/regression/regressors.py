@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from ...constraint import QuadraticConstraint
+from ...model.constraint import QuadraticConstraint
 from ...errors import ModelError
 from ..precision import real
 

@@ -1,0 +1,5 @@
+"""``python -m fluxobs`` is ``fluxobs``."""
+
+from .cli import main
+
+main()

@@ -1,0 +1,91 @@
+"""The program: its commands, its errors, its exit codes. Start-up time counts: a command loads
+what it needs when it runs.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Iterable
+from importlib.metadata import version
+from typing import Annotated
+
+import typer
+
+from ..errors import FluxobsError
+from .commands import check, compare, demo, estimate, export, identify, machines, reproduce
+from .options import REPEATED
+
+HELP = """
+Flux, rotor position, speed and sensor drift from a drive's currents and voltages, both biased.
+
+**Try it:**
+
+    fluxobs demo
+
+**Your own log** (CSV, Parquet, npz), with a machine file or the name of a shipped machine:
+
+    fluxobs estimate LOG.csv --machine motor.toml --out estimates.parquet --report report.png
+
+`fluxobs COMMAND --help` has the options. Exit codes: 0 done, 1 `check` found a mistake, 2 unusable
+input.
+"""
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    help=HELP,
+)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"fluxobs {version('fluxobs')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    asked: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+for command in (estimate, check, identify, compare, export, machines, demo, reproduce):
+    app.command(name=command.__name__)(command)
+
+
+def spread(arguments: Iterable[str]) -> list[str]:
+    """``--column a=b c=d`` means the same as ``--column a=b --column c=d``."""
+    out: list[str] = []
+    option, taken = None, 0
+    for argument in arguments:
+        if argument.startswith("--"):
+            name, joined, _ = argument.partition("=")
+            option = name if name in REPEATED else None
+            taken = 1 if joined else 0
+        elif option is not None and "=" in argument:
+            if taken:
+                out.append(option)
+            taken += 1
+        else:
+            option = None
+        out.append(argument)
+    return out
+
+
+def main() -> None:
+    """Entry point; unusable input ends with a message and exit code 2."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    try:
+        app(args=spread(sys.argv[1:]), prog_name="fluxobs")
+    except FluxobsError as error:
+        typer.echo(f"Error: {error}", err=True)
+        raise SystemExit(2) from None

@@ -1,0 +1,28 @@
+"""`fluxobs demo`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .. import show
+from .estimate import show_result
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the results; made if missing.")] = Path(
+        "fluxobs-demo"
+    ),
+) -> None:
+    """Run the main job on a log that comes with the package."""
+    from ... import estimate as run
+    from ...output import make_folder
+    from ...synthetic.demo import MACHINE, demo_log
+
+    make_folder(out)
+    estimates = out / "estimates.parquet"
+    with show.Progress() as progress:
+        result = run(demo_log(), MACHINE, out=estimates, progress=progress)
+    show_result(result, MACHINE, estimates, out / "report.png")

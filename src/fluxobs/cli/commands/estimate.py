@@ -1,0 +1,96 @@
+"""`fluxobs estimate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .. import show
+from ..options import (
+    LogArgument,
+    MachineOption,
+    PriorOption,
+    ReportOption,
+    numbers,
+    reads_logs,
+    refuse_input_as_output,
+)
+
+if TYPE_CHECKING:
+    from ...estimation import Result
+
+
+@reads_logs()
+def estimate(
+    log: LogArgument,
+    machine: MachineOption,
+    out: Annotated[Path, typer.Option(help="Where the estimates go, .parquet or .csv.")],
+    layout: dict[str, Any],
+    report: ReportOption = None,
+    memory: Annotated[
+        float | None,
+        typer.Option(
+            help="Seconds; memory of the least squares. The default, 0.03 (maglev-2dof: 0.15), "
+            "serves most machines."
+        ),
+    ] = None,
+    unknowns: Annotated[
+        str,
+        typer.Option(
+            help="What is constant, or slow, and not known: drift (default); drift,resistance, "
+            "drift,inverter or drift,resistance,inverter: errors of R_s, and of the inverter (dead "
+            "time and device drops); current-bias, or drift,current-bias: the slower, general "
+            "least squares, 0.25 ms a row; a current bias alone assumes that the voltage has no "
+            "offset."
+        ),
+    ] = "drift",
+    prior: PriorOption = None,
+) -> None:
+    """Estimate flux, position, speed and drift of a recorded log.
+
+    Writes a row a sample, in SI units and electrical radians: t, flux_alpha, flux_beta, psi_f,
+    theta_e (straight from the flux), theta_e_tracked, speed_e, drift_alpha, drift_beta,
+    theta_e_std, valid; and theta_e_error where a truth is given. Prints a summary.
+
+    With resistance or inverter among the unknowns also: resistance, inverter_voltage, psi_f of the
+    magnet and drift, each with its standard deviation, and the other angle while two are in
+    question. For a maglev-2dof, and with a current bias: flux, position or theta_e, drift,
+    current_bias with their standard deviations, noise_share, valid.
+
+    Example: fluxobs estimate LOG.csv --machine motor.toml --out estimates.parquet --lag -1
+    """
+    from ... import estimate as run
+
+    refuse_input_as_output(out, machine, layout.get("record"))
+    if report is not None:
+        from ...plots import check_path
+
+        check_path(report)
+    with show.Progress() as progress:
+        result = run(
+            log,
+            machine,
+            out=out,
+            unknowns=unknowns,
+            memory=memory,
+            priors=numbers("prior", prior),
+            progress=progress,
+            **layout,
+        )
+    show_result(result, str(machine), out, report)
+
+
+def show_result(result: Result, machine: str, out: Path, report: Path | None) -> None:
+    """Summary, what was written, and how the same observer gets into firmware."""
+    show.summary(result.summary, result.warnings)
+    typer.echo(f"Written: {out}")
+    if report is not None:
+        result.write(report)
+        typer.echo(f"Written: {report}")
+    command = result.export_command(machine)
+    if command is not None:
+        typer.echo(f"The same in firmware: {command}")
+    elif result.firmware is not None:
+        typer.echo(result.firmware)

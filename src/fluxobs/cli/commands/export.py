@@ -1,0 +1,77 @@
+"""`fluxobs export`."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..options import MachineOption, PriorOption, numbers
+
+
+def export(
+    machine: MachineOption,
+    sample_time: Annotated[
+        float, typer.Option(help="Seconds; period of the current-control interrupt.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder to be made.")],
+    unknowns: Annotated[
+        str,
+        typer.Option(
+            help="What is constant, or slow, and not known: drift; with resistance, inverter or "
+            "both it is the adaptive observer, which starts within a fraction of a turn."
+        ),
+    ] = "drift",
+    memory: Annotated[
+        float | None, typer.Option(help="Seconds; memory of the least squares. Default 0.03.")
+    ] = None,
+    current_noise: Annotated[
+        float | None,
+        typer.Option(
+            help="Ampere, standard deviation of a component; default 0.2 % of the rated current. "
+            "`fluxobs estimate` prints what it took for a log."
+        ),
+    ] = None,
+    drift_prior: Annotated[
+        float | None, typer.Option(help="Volt; largest plausible drift. Default from the machine.")
+    ] = None,
+    prior: PriorOption = None,
+    update_every: Annotated[
+        int,
+        typer.Option(
+            help="Interrupts from one step of the observer to the next: where time is short, the "
+            "example then gathers volt-seconds in between."
+        ),
+    ] = 1,
+    prefix: Annotated[
+        str, typer.Option(help="Of the generated names, so that two machines fit one firmware.")
+    ] = "motor",
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an earlier export.")] = False,
+) -> None:
+    """Write the observer for one machine as C99 that compiles into its firmware.
+
+    The folder holds the sources, a header with the parameters, an example interrupt, and test
+    vectors with a host test: `make test` in it replays them. It does sample by sample what
+    `fluxobs estimate` does.
+
+    Example: fluxobs export --machine motor.toml --sample-time 5e-5 --out firmware/motor
+    """
+    from ... import export as run
+
+    done = run(
+        machine,
+        sample_time,
+        out,
+        memory=memory,
+        unknowns=unknowns,
+        current_noise=current_noise,
+        drift_prior=drift_prior,
+        priors=numbers("prior", prior),
+        update_every=update_every,
+        prefix=prefix,
+        force=force,
+    )
+    folder = shlex.quote(str(done.folder))
+    typer.echo(f"Written: {folder}, content {done.content}. Try: make -C {folder} test")

@@ -1,0 +1,57 @@
+"""`fluxobs identify`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from .. import show
+from ..options import LogArgument, MachineOption, reads_logs, refuse_input_as_output
+
+
+@reads_logs("truth")
+def identify(
+    log: LogArgument,
+    machine: MachineOption,
+    out: Annotated[Path, typer.Option(help="Machine file to be written, .toml.")],
+    layout: dict[str, Any],
+    free: Annotated[
+        str | None,
+        typer.Option(
+            help="What is fitted, of R_s, L_s (or L_d, L_q), psi_f, inverter, lag. Default "
+            "R_s,psi_f,inverter, as far as the machine has them; the rest stays as given."
+        ),
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Picture of the residual: .png, .pdf or .svg.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite --out.")] = False,
+) -> None:
+    """Fit the machine's parameters and the inverter's error to a whole log.
+
+    Prints each parameter with its standard deviation, and says which ones the log cannot tell:
+    they are held as given. The machine file that it writes serves `fluxobs estimate`, which takes
+    the inverter's error (inverter_voltage) off the commanded voltages. A lag is no part of it.
+    Where the log tells nothing, nothing is written (exit code 2).
+
+    Example: fluxobs identify LOG.csv --machine motor.toml --out found.toml --report fit.png
+    """
+    from ... import identify as run
+    from ...identification.report import check_machine_file
+
+    refuse_input_as_output(out, log, layout.get("record"))
+    check_machine_file(out, force)
+    if report is not None:
+        from ...plots import check_path
+
+        check_path(report)
+    found = run(log, machine, free=free, **layout)
+    for line in found.lines():
+        show.echo(line)
+    found.write(out, force=force)
+    typer.echo(f"Written: {out}")
+    if report is not None:
+        found.write(report)
+        typer.echo(f"Written: {report}")

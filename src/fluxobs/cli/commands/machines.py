@@ -1,0 +1,21 @@
+"""`fluxobs machines`."""
+
+from __future__ import annotations
+
+import typer
+
+
+def machines() -> None:
+    """List the machines that come with the package; any name serves as --machine."""
+    from ...machines import example, example_names, example_text
+
+    for name in example_names():
+        machine = example(name)
+        title = example_text(name).splitlines()[0].removeprefix("# ")
+        values = ", ".join(
+            f"{key} = {value:g}"
+            for key, value in machine.model_dump(by_alias=True).items()
+            if value is not None
+        )
+        typer.echo(f"{name}\n    {machine.kind}: {values}\n    {title}")
+    typer.echo("\nSI units; R and L per phase (star), psi_f and rated_current peak values.")

@@ -1,0 +1,31 @@
+"""`fluxobs reproduce`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def reproduce(
+    out: Annotated[Path, typer.Option(help="Folder for figures and report; made if missing.")] = (
+        Path("fluxobs-paper")
+    ),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="One scenario, 30 s of it: a quarter of the time.")
+    ] = False,
+) -> None:
+    """Reproduce Section V of the paper, as printed, corrected and beyond.
+
+    Writes report.md, numbers.json and figures (PNG, and SVG unless --quick).
+
+    Needs the extra "design" (JAX).
+    """
+    # Most of the time is compilation; must be said before JAX is loaded.
+    os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+    from ...paper.reproduce import reproduce as run
+
+    run(out, quick, typer.echo)
+    typer.echo(f"Written: {out / 'report.md'}, numbers.json and figures")

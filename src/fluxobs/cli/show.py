@@ -1,0 +1,66 @@
+"""What a terminal shows: wrapped text, tables, progress."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import textwrap
+import time
+from collections.abc import Iterable
+from typing import Any, Self
+
+import typer
+
+
+def echo(text: str) -> None:
+    """Wrapped for a terminal, in one line for a pipe."""
+    if sys.stdout.isatty():
+        text = textwrap.fill(text, min(shutil.get_terminal_size().columns, 100))
+    typer.echo(text)
+
+
+def summary(paragraph: str, warnings: Iterable[str]) -> None:
+    """A paragraph, and its warnings."""
+    echo(paragraph)
+    for warning in warnings:
+        echo(f"Warning: {warning}")
+
+
+def table(rich_table: Any) -> None:
+    """A table of rich's."""
+    from rich.console import Console
+
+    width = None if sys.stdout.isatty() else 110
+    Console(width=width).print(rich_table)
+
+
+class Progress:
+    """A bar on standard error, once a run has taken a second."""
+
+    def __init__(self) -> None:
+        self.started = time.monotonic()
+        self.bar: Any = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __call__(self, done: int, total: int) -> None:
+        if self.bar is None and time.monotonic() - self.started > 1 and done < total:
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
+
+            self.bar = Progress(
+                BarColumn(),
+                TaskProgressColumn(),
+                TimeRemainingColumn(),
+                console=Console(stderr=True),
+                transient=True,
+            )
+            self.bar.start()
+            self.task = self.bar.add_task("", total=total)
+        if self.bar is not None:
+            self.bar.update(self.task, completed=done)
+
+    def __exit__(self, *_: object) -> None:
+        if self.bar is not None:
+            self.bar.stop()

@@ -1,5 +1,0 @@
-"""Controllers for the simulated machines."""
-
-from .ida_pbc import IdaPbc
-
-__all__ = ["IdaPbc"]

@@ -1,0 +1,403 @@
+"""Assumption 1 of the paper, checked and discovered from nothing but the energies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.constraint import QuadraticConstraint, invisible_offsets
+from ...errors import ModelError
+from .system import ElectromechanicalSystem
+
+Array = NDArray[np.float64]
+
+#: A null space is believed if the singular values fall by this factor at its edge, ...
+GAP = 1e6
+#: ... to below this share of the largest.
+FLOOR = 1e-9
+#: Relative residual on other states beyond which nothing has been found.
+HELD_OUT = 1e-9
+#: Coefficients below this share of a relation's largest are rounding.
+ROUNDING = 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class Polynomial:
+    """A relation ``Σ c_k Π x_j^e_kj = 0`` in x = (λ, i).
+
+    Attributes
+    ----------
+    exponents : (terms, 2n) ndarray of int
+    coefficients : (terms,) ndarray
+    """
+
+    exponents: NDArray[np.int_]
+    coefficients: Array
+
+    @property
+    def degree(self) -> int:
+        return int(self.exponents.sum(axis=1).max())
+
+    @property
+    def degree_in_flux(self) -> int:
+        """1: linear in λ, 2: quadratic; an observer can use both. More: it cannot."""
+        n = self.exponents.shape[1] // 2
+        return int(self.exponents[:, :n].sum(axis=1).max())
+
+    def terms(self, flux: Array, current: Array) -> Array:
+        """Every term's value, (..., terms)."""
+        x = np.concatenate([flux, current], axis=-1)[..., None, :]
+        return np.asarray(self.coefficients * np.prod(x**self.exponents, axis=-1))
+
+    def __str__(self) -> str:
+        n = self.exponents.shape[1] // 2
+        names = [f"λ{j + 1}" for j in range(n)] + [f"i{j + 1}" for j in range(n)]
+        out = []
+        for exponents, coefficient in zip(self.exponents, self.coefficients, strict=True):
+            factors = [
+                name + ("" if e == 1 else "²³⁴"[e - 2])
+                for name, e in zip(names, exponents, strict=True)
+                if e
+            ]
+            out.append(f"{coefficient:+.4g} {' '.join(factors)}".strip())
+        return " ".join(out) + " = 0"
+
+
+@dataclass(frozen=True, eq=False)
+class Discovery:
+    """What holds between flux and current whatever the position is.
+
+    Attributes
+    ----------
+    name : str
+        Of the system.
+    relations : tuple of QuadraticConstraint
+        All independent quadratic relations that involve the flux.
+    affine : tuple of Polynomial
+        Linear relations between flux and current (a winding plane without magnets): taken out
+        first, since every product with them would be a quadratic one.
+    higher : tuple of Polynomial
+        Relations of degree 3 or 4 that do not follow from the quadratic ones; only if asked for.
+    margin : float
+        Factor by which the singular values fall at the edge of the null space: how sure. At least
+        1e6 where there is one; around 1e12 is usual. Without, the largest factor between
+        neighbours, which was not enough.
+    smallest : float
+        Smallest singular value over the largest: without relations, the distance from having one.
+    residual : float
+        Largest relative residual on states that were not used to find the relations.
+    invisible : (2n, k) ndarray
+        Offsets of (λ, i) that all quadratic relations together cannot see.
+    """
+
+    name: str
+    relations: tuple[QuadraticConstraint, ...]
+    affine: tuple[Polynomial, ...]
+    higher: tuple[Polynomial, ...]
+    margin: float
+    smallest: float
+    residual: float
+    invisible: Array
+
+    def __bool__(self) -> bool:
+        return bool(self.relations)
+
+
+def relative_residual(constraint: QuadraticConstraint, flux: Array, current: Array) -> Array:
+    """|w| over the sum of its terms' magnitudes, (...)."""
+    c = constraint
+    flux, current = np.asarray(flux, float), np.asarray(current, float)
+    size = (
+        np.einsum("...i,ij,...j", abs(flux), abs(c.Q1), abs(flux))
+        + np.einsum("...i,ij,...j", abs(flux), abs(c.Q2), abs(current))
+        + np.einsum("...i,ij,...j", abs(current), abs(c.Q3), abs(current))
+        + abs(flux) @ abs(c.E)
+        + abs(current) @ abs(c.C)
+        + abs(c.d)
+    )
+    return np.asarray(np.abs(c.residual(flux, current)) / np.maximum(size, 1e-300))
+
+
+def check_constraint(
+    system: ElectromechanicalSystem,
+    constraint: QuadraticConstraint | Iterable[QuadraticConstraint],
+    samples: int = 1000,
+    tolerance: float = 1e-9,
+    seed: int = 0,
+) -> float:
+    """Checks that the relations hold for the system whatever the position is.
+
+    Parameters
+    ----------
+    system : ElectromechanicalSystem
+    constraint : QuadraticConstraint, or several
+    samples : int
+        Random states, drawn from the system's ranges.
+    tolerance : float
+        Of the residual relative to the sum of the terms' magnitudes.
+
+    Returns
+    -------
+    float
+        Largest relative residual.
+
+    Raises
+    ------
+    ModelError
+        A relation does not hold: its residual, and where.
+    """
+    relations = [constraint] if isinstance(constraint, QuadraticConstraint) else list(constraint)
+    if not relations:
+        raise ModelError("no relation to check")
+    flux, current, position = _sample(system, samples, seed)
+    worst = 0.0
+    for number, relation in enumerate(relations):
+        if relation.n != system.n_E:
+            raise ModelError(
+                f"{system.name}: the relation has {relation.n} ports, the system {system.n_E}"
+            )
+        residual = relative_residual(relation, flux, current)
+        at = int(np.argmax(residual))
+        worst = max(worst, float(residual[at]))
+        if not residual[at] <= tolerance:
+            which = f"relation {number + 1}" if len(relations) > 1 else "the relation"
+            raise ModelError(
+                f"{system.name}: {which} does not hold: residual {residual[at]:.3g} of its terms "
+                f"at flux {flux[at].round(6).tolist()}, position {position[at].round(6).tolist()}; "
+                f"median {np.median(residual):.3g} over {samples} random states"
+            )
+    return worst
+
+
+def discover_constraint(
+    system: ElectromechanicalSystem,
+    degree: int = 2,
+    ports: Sequence[int] | None = None,
+    seed: int = 0,
+) -> Discovery:
+    """All quadratic relations between flux and current that hold whatever the position is.
+
+    Random states, currents by differentiation, and the null space of the monomials
+    ``{λλ, λi, ii, λ, i, 1}`` by singular values; docs/theory.md, section 9.
+
+    Parameters
+    ----------
+    system : ElectromechanicalSystem
+    degree : {2, 3, 4}
+        Up to which degree relations are sought that do not follow from lower ones.
+    ports : sequence of int, optional
+        Measured ports, from 0; default all.
+    seed : int
+        Of the random states.
+
+    Returns
+    -------
+    Discovery
+
+    Raises
+    ------
+    ModelError
+        Unusable degree or ports.
+    """
+    if degree not in (2, 3, 4):
+        raise ModelError(f"degree must be 2, 3 or 4, got {degree}")
+    if not isinstance(system, ElectromechanicalSystem):
+        raise ModelError(
+            f"a system of energies is needed, got {type(system).__name__}; see "
+            f"fluxobs.design.energies.library"
+        )
+    measured = list(range(system.n_E)) if ports is None else list(ports)
+    every = set(range(system.n_E))
+    if not measured or len(set(measured)) < len(measured) or not set(measured) <= every:
+        raise ModelError(f"ports must be some of 0 … {system.n_E - 1}, each once, got {measured}")
+    n = len(measured)
+    size = 40 * sum(1 for _ in combinations_with_replacement(range(2 * n + 1), degree))
+    flux, current, _ = _sample(system, size + 500, seed)
+    x = np.concatenate([flux[:, measured], current[:, measured]], axis=1)
+    scale = np.sqrt(np.mean(x**2, axis=0))
+    scale = np.where(scale > 0, scale, 1.0)  # a port without current: i = 0 is affine
+    x, held_out = x[:size] / scale, x[size:] / scale
+
+    kept, affine = _without_affine(x, scale)
+    found: list[tuple[NDArray[np.int_], Array]] = []  # exponents, null vectors of each degree
+    margin = smallest = 0.0
+    for d in range(2, degree + 1):
+        exponents = _exponents(x.shape[1], kept, d)
+        columns = _monomials(x, exponents)
+        null, gap, least = _null_space(columns)
+        if d == 2:
+            margin, smallest = gap, least
+        null = _beyond(null, exponents, found, d)
+        if null.shape[1]:
+            found.append((exponents, _reduced(null, _no_flux(exponents))))
+
+    quadratic, higher = [], []
+    residual = 0.0
+    for exponents, null in found:
+        for vector in null.T:
+            used = np.abs(vector) > ROUNDING * np.abs(vector).max()
+            polynomial = Polynomial(exponents[used], vector[used])
+            if polynomial.degree_in_flux == 0:
+                continue
+            terms = polynomial.terms(held_out[:, :n], held_out[:, n:])
+            residual = max(residual, float((np.abs(terms.sum(-1)) / np.abs(terms).sum(-1)).max()))
+            coefficients = polynomial.coefficients / np.prod(scale**polynomial.exponents, axis=1)
+            polynomial = Polynomial(polynomial.exponents, coefficients / coefficients[0])
+            if polynomial.degree == 2:
+                quadratic.append(_constraint(polynomial))
+            else:
+                higher.append(polynomial)
+    if residual > HELD_OUT:
+        raise ModelError(
+            f"{system.name}: a relation fits the states it was found on and fails on others, by "
+            f"{residual:.1g} of its terms: too badly scaled. Give flux_range and position_range "
+            f"of the size in which the machine lives"
+        )
+    invisible = invisible_offsets(quadratic) if quadratic else np.eye(2 * n)
+    return Discovery(
+        system.name,
+        tuple(quadratic),
+        affine,
+        tuple(higher),
+        margin,
+        smallest,
+        residual,
+        invisible,
+    )
+
+
+def _sample(system: ElectromechanicalSystem, count: int, seed: int) -> tuple[Array, Array, Array]:
+    flux, position = system.random_states(np.random.default_rng(seed), count)
+    current = np.asarray(jax.jit(jax.vmap(system.current))(flux, position))
+    finite = np.isfinite(current).all(axis=1)
+    if not finite.all():
+        at = int(np.argmin(finite))
+        raise ModelError(
+            f"{system.name}: the current is not finite at flux {np.asarray(flux[at]).tolist()}, "
+            f"position {np.asarray(position[at]).tolist()}; see flux_range and position_range"
+        )
+    return np.asarray(flux), current, np.asarray(position)
+
+
+def _exponents(variables: int, kept: Sequence[int], degree: int) -> NDArray[np.int_]:
+    """Monomials up to a degree in the kept variables; more flux first, then higher degree."""
+    rows = []
+    for d in range(degree + 1):
+        for factors in combinations_with_replacement(kept, d):
+            row = np.zeros(variables, dtype=int)
+            for factor in factors:
+                row[factor] += 1
+            rows.append(row)
+    n = variables // 2
+    rows.sort(key=lambda row: (-row[:n].sum(), -row.sum(), tuple(-row)))
+    return np.array(rows)
+
+
+def _monomials(x: Array, exponents: NDArray[np.int_]) -> Array:
+    out = np.ones((len(x), len(exponents)))
+    for j in range(x.shape[1]):
+        out *= x[:, [j]] ** exponents[:, j]
+    return out
+
+
+def _no_flux(exponents: NDArray[np.int_]) -> NDArray[np.bool_]:
+    return np.asarray(exponents[:, : exponents.shape[1] // 2].sum(axis=1) == 0)
+
+
+def _null_space(columns: Array) -> tuple[Array, float, float]:
+    """Null vectors as columns, the fall of the singular values at their edge, the smallest."""
+    norms = np.sqrt(np.mean(columns**2, axis=0))
+    norms = np.where(norms > 0, norms, 1.0)
+    _, singular, vt = np.linalg.svd(columns / norms, full_matrices=False)
+    relative = singular / singular[0]
+    # Below rounding one zero is as good as another.
+    falls = relative[:-1] / np.maximum(relative[1:], np.finfo(float).eps)
+    at = int(np.argmax(falls))
+    null = vt[:0] if falls[at] < GAP or relative[at + 1] > FLOOR else vt[at + 1 :]
+    return (null / norms).T, float(falls[at]), float(relative[-1])
+
+
+def _without_affine(x: Array, scale: Array) -> tuple[list[int], tuple[Polynomial, ...]]:
+    """Variables that remain once affine relations are used up, and these relations."""
+    variables = x.shape[1]
+    exponents = np.vstack([np.eye(variables, dtype=int), np.zeros((1, variables), dtype=int)])
+    null, _, _ = _null_space(_monomials(x, exponents))
+    null = _reduced(null, np.zeros(len(exponents), dtype=bool))
+    gone, relations = [], []
+    for vector in null.T:
+        used = np.abs(vector) > ROUNDING * np.abs(vector).max()
+        gone.append(int(np.argmax(used)))
+        coefficients = vector[used] / np.prod(scale ** exponents[used], axis=1)
+        relations.append(Polynomial(exponents[used], coefficients / coefficients[0]))
+    return [j for j in range(variables) if j not in gone], tuple(relations)
+
+
+def _reduced(null: Array, last: NDArray[np.bool_]) -> Array:
+    """Reduced echelon form of the null vectors (columns), pivots in `last` rows last."""
+    order = np.argsort(last, kind="stable")
+    rows = null.T[:, order].copy()
+    at = 0
+    for column in range(rows.shape[1]):
+        if at == len(rows):
+            break
+        pivot = at + int(np.argmax(np.abs(rows[at:, column])))
+        if np.abs(rows[pivot, column]) < ROUNDING * np.abs(rows[at:]).max():
+            continue
+        rows[[at, pivot]] = rows[[pivot, at]]
+        rows[at] /= rows[at, column]
+        others = np.arange(len(rows)) != at
+        rows[others] -= np.outer(rows[others, column], rows[at])
+        at += 1
+    out = np.empty_like(null)
+    out[order] = rows[:at].T
+    return out
+
+
+def _beyond(
+    null: Array,
+    exponents: NDArray[np.int_],
+    found: list[tuple[NDArray[np.int_], Array]],
+    degree: int,
+) -> Array:
+    """The part of a null space that is no product of a relation already found."""
+    if not found or not null.shape[1]:
+        return null
+    index = {tuple(row): k for k, row in enumerate(exponents)}
+    products = []
+    for lower, vectors in found:
+        room = degree - int(lower.sum(axis=1).max())
+        factors = [row for row in exponents if row.sum() <= room]
+        for vector in vectors.T:
+            for factor in factors:
+                product = np.zeros(len(exponents))
+                for row, value in zip(lower, vector, strict=True):
+                    if value != 0:
+                        product[index[tuple(row + factor)]] += value
+                products.append(product)
+    basis, singular, _ = np.linalg.svd(np.array(products).T, full_matrices=False)
+    basis = basis[:, singular > ROUNDING * singular[0]]
+    q, _ = np.linalg.qr(null)
+    rest, singular, _ = np.linalg.svd(q - basis @ (basis.T @ q), full_matrices=False)
+    return np.asarray(rest[:, singular > 1e-6])
+
+
+def _constraint(polynomial: Polynomial) -> QuadraticConstraint:
+    n = polynomial.exponents.shape[1] // 2
+    quadratic = np.zeros((2 * n, 2 * n))
+    linear, d = np.zeros(2 * n), 0.0
+    for row, value in zip(polynomial.exponents, polynomial.coefficients, strict=True):
+        variables = np.repeat(np.arange(2 * n), row)
+        if len(variables) == 2:
+            quadratic[tuple(variables)] += value
+        elif len(variables) == 1:
+            linear[variables[0]] = value
+        else:
+            d = float(value)
+    return QuadraticConstraint(
+        quadratic[:n, :n], quadratic[:n, n:], quadratic[n:, n:], linear[:n], linear[n:], d
+    )

@@ -1,0 +1,106 @@
+"""What an observer returned for some rows of a log, as the columns that are written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..logs.log import Aligned, Log
+from ..machines import Machine
+from ..observers import AdaptiveEstimate, Estimate, ImmersionEstimate, ImmersionObserver
+from ..observers.outputs import in_files
+from .prepare import AnyObserver
+
+Array = NDArray[np.float64]
+
+#: Standard deviation of a position beyond which it is not valid, where it is read out of the
+#: immersed observer's flux: 3°, or this share of the gap, as in the compiled observer (STD_LIMIT).
+POSITION_STD = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows of a run.
+
+    Attributes
+    ----------
+    columns : dict
+        As written: name → values.
+    valid : (rows,) ndarray of bool
+    error : (rows,) ndarray, optional
+        Position error, where there is a truth.
+    innovation : (rows,) ndarray, optional
+        Of the compiled observers.
+    more : dict
+        For pictures and summary, but not written: truth, adapting.
+    """
+
+    columns: dict[str, NDArray[Any]]
+    valid: NDArray[np.bool_]
+    error: Array | None
+    innovation: Array | None
+    more: dict[str, Array]
+
+
+def rows_of(
+    log: Log, machine: Machine, observer: AnyObserver, part: Aligned, found: Any
+) -> Rows:
+    """Columns of what `observer` returned for `part` of a log."""
+    more: dict[str, Array] = {}
+    if isinstance(found, Estimate):
+        columns, valid = _compiled(machine, part, found)
+        innovation = found.innovation
+        if isinstance(found, AdaptiveEstimate):
+            more["adapting"] = found.adapting.astype(float)
+    else:
+        assert isinstance(observer, ImmersionObserver)
+        columns, valid = _immersed(machine, observer, part, found)
+        innovation = None
+    error = None
+    if part.truth is not None and log.truth is not None:
+        where = machine.position_output.name
+        more["truth"] = machine.true_position(log.truth[0], part.truth)
+        error = machine.position_error(columns[where], more["truth"])
+        columns[f"{where}_error"] = error
+    return Rows(columns, valid, error, innovation, more)
+
+
+def _compiled(
+    machine: Machine, part: Aligned, found: Estimate
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
+    columns: dict[str, NDArray[Any]] = {"t": part.t}
+    for one in in_files(type(found)):
+        value = getattr(found, one.name)
+        columns |= zip(one.columns(machine.ports), value.T if one.vector else [value], strict=True)
+    return columns, found.valid
+
+
+def _immersed(
+    machine: Machine, observer: ImmersionObserver, part: Aligned, found: ImmersionEstimate
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
+    current = part.current - found.current_bias
+    where, length = machine.position(found.flux, current)
+    std = machine.position_std(found.flux, found.flux_std, current)
+    near = std < POSITION_STD * machine.position_span
+    longer = length > machine.shortest * float(observer.flux_base[0])
+    valid = found.valid & np.isfinite(where) & near & longer
+    biased = "current-bias" in observer.immersion.unknowns
+    columns: dict[str, NDArray[Any]] = {"t": part.t}
+    for one in in_files(ImmersionEstimate):
+        match one.name:
+            case "noise_share":  # of the worse port
+                columns["noise_share"] = found.noise_share.max(axis=1)
+            case "valid":
+                columns["valid"] = valid
+            case "current_bias" | "current_bias_std" if not biased:
+                pass
+            case _:
+                values = getattr(found, one.name).T
+                columns |= zip(one.columns(machine.ports), values, strict=True)
+        if one.name == "flux_std":
+            name = machine.position_output.name
+            columns |= {name: where, f"{name}_std": std}
+    return columns, valid

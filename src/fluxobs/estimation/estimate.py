@@ -1,0 +1,118 @@
+"""The main job: a log in; flux, position, speed, drift and their standard deviations out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from ..logs.read import Source
+from ..machines import Machine
+from ..machines.files import as_machine
+from ..observers import LogObserver
+from ..observers.unknowns import read_unknowns
+from ..output import ahead, check_out, write_rows
+from .columns import rows_of
+from .prepare import open_for, prepare
+from .result import Result
+from .statistics import Statistics
+
+
+def estimate(
+    log: Source,
+    machine: Machine | str | Path,
+    *,
+    out: str | Path | None = None,
+    unknowns: str | Sequence[str] = "drift",
+    memory: float | None = None,
+    priors: Mapping[str, float] | None = None,
+    progress: Callable[[int, int], Any] | None = None,
+    **layout: Any,
+) -> Result:
+    """Estimate flux, position, speed and drift of a recorded log, with standard deviations.
+
+    Streams: with `out`, neither log nor estimates need fit into memory; the numbers do not depend
+    on how the rows are cut. `out` appears only when it is complete.
+
+    Parameters
+    ----------
+    log : path, Log, Record, mapping of str to array, or (voltage, current)
+        See :func:`fluxobs.read_log`.
+    machine : Machine, or a path, or the name of a shipped machine
+    out : path, optional
+        Ends in .parquet or .csv. Without it the estimates stay in memory.
+    unknowns : str or sequence of {"drift", "resistance", "inverter", "current-bias"}
+        What is constant, or slow, and not known. With resistance or inverter the adaptive observer
+        runs; with current-bias the readable one, 0.25 ms a row.
+    memory : float, optional
+        Of the least squares [s]; default that of the kind of machine.
+    priors : mapping of {"resistance", "inverter", "psi_f"} to float, optional
+        Standard deviations of what the machine file says [Ω], [V], [Wb], where the defaults of
+        :meth:`AdaptiveObserver.for_machine` do not fit.
+    progress : callable, optional
+        Called with the number of rows done and of all rows.
+    layout : optional
+        record, frame, sample_time, lag, udc, columns, scale, offset, truth, start, stop: as for
+        :func:`fluxobs.read_log`.
+
+    Returns
+    -------
+    Result
+        ``result["theta_e"]``, ``.estimates``, ``.summary``, ``.warnings``, ``.counts``, ``.plot()``,
+        ``.write(path)``.
+
+    Raises
+    ------
+    FluxobsError
+        Unusable input, unknowns that cannot be told apart, or an `out` that cannot be written: says
+        what, where, and the remedy.
+
+    Examples
+    --------
+    >>> import fluxobs
+    >>> result = fluxobs.estimate(fluxobs.demo_log(), "servo-400w")
+    >>> round(float(result["psi_f"][-1]), 4)
+    0.0125
+    """
+    machine = as_machine(machine)
+    chosen, stds = read_unknowns(unknowns), dict(priors or {})
+    opened = open_for(log, machine, **layout)
+    path = None if out is None else check_out(out, opened.path)
+    run = prepare(opened, machine, chosen, memory, stds)
+    statistics = Statistics(len(opened))
+    observer: LogObserver[Any, Any] = run.observer
+    state = observer.init()
+
+    def frames() -> Iterator[pl.DataFrame]:
+        nonlocal state
+        for part in ahead(run.log.aligned(size=run.batch)):
+            state, found = observer.resume(state, part.voltage, part.current)
+            rows = rows_of(run.log, machine, run.observer, part, found)
+            statistics.add(rows)
+            if progress is not None:
+                progress(statistics.rows, statistics.total)
+            yield pl.DataFrame(rows.columns)
+
+    made = frames()
+    first = next(made)
+    everything = chain([first], made)
+    table = None
+    if path is None:
+        table = pl.concat(everything)
+    else:
+        write_rows(path, dict(first.schema), everything)
+    return Result(
+        run.log,
+        machine,
+        run.observer,
+        run.scales,
+        chosen,
+        stds,
+        statistics,
+        observer.counts(state),
+        table,
+        path,
+    )

@@ -1,0 +1,280 @@
+"""The picture of a run: flux locus, position with its ±2σ band, speed, drift, parameters."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..observers import ImmersionObserver
+from ..plots import BLUE, GREY, ORANGE, STYLE, legend, new_figure
+from .result import Result
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+GREY_WORDS = "        grey: position not valid"
+#: Title and unit of what the adaptive observer finds.
+PARAMETERS = {
+    "resistance": ("Resistance", "Ω"),
+    "inverter_voltage": ("Inverter", "V"),
+    "psi_f": ("Magnet flux", "Wb"),
+}
+
+
+def figure(result: Result) -> Figure:
+    """The picture; for an immersed observer its own panels."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(STYLE):
+        if isinstance(result.observer, ImmersionObserver):
+            return _immersed(result)
+        return _compiled(result)
+
+
+def _title(result: Result) -> str:
+    statistics = result.statistics
+    share = statistics.valid / statistics.rows
+    return (
+        f"{result.log.path.name}  ·  {result.machine.kind}  ·  position valid on {share:.1%} of "
+        f"{statistics.rows} rows"
+    )
+
+
+def _compiled(result: Result) -> Figure:
+    learnt = _learnt(result)
+    figure = new_figure(figsize=(11, 10.5 if learnt else 8.5))
+    layout = _layout(learnt)
+    axes = figure.subplot_mosaic(layout, height_ratios=[1.2, *[1.0] * (len(layout) - 1)])
+    whole = result.statistics.thin.columns()
+    _locus(axes["locus"], whole)
+    _position(axes["position"], result.statistics.detail.columns())
+    _error(axes["error"], whole)
+    _speed(axes["speed"], whole)
+    _drift(axes["drift"], whole)
+    for name in learnt:
+        _parameter(axes[name], name, whole, learnt[name])
+    for name in ("error", "speed", "drift", *learnt):
+        _shade_unknown(axes[name], whole)
+        axes[name].set_xlim(whole["t"][0], whole["t"][-1])
+    axes["error"].set_xlabel("t [s]")
+    axes["speed"].sharex(axes["drift"])
+    axes["speed"].tick_params(labelbottom=False)
+    axes["drift"].set_xlabel("" if learnt else f"t [s]{GREY_WORDS}")
+    for name in learnt:
+        axes[name].set_xlabel(f"t [s]{GREY_WORDS if name == next(iter(learnt)) else ''}")
+    figure.suptitle(f"{_title(result)}{_numbers(result)}", fontsize=10)
+    return figure
+
+
+def _learnt(result: Result) -> dict[str, float]:
+    """Columns of what the adaptive observer finds → what was believed."""
+    adaptive = result.adaptive
+    if adaptive is None:
+        return {}
+    believed = {
+        "resistance": (adaptive.resistance, adaptive.resistance_std),
+        "inverter_voltage": (adaptive.inverter_voltage, adaptive.inverter_std),
+        "psi_f": (adaptive.psi_f, adaptive.psi_f_std),
+    }
+    return {name: value for name, (value, std) in believed.items() if std > 0}
+
+
+def _layout(learnt: dict[str, float]) -> Any:
+    """Six columns, so that one, two or three panels share a row."""
+    rows = [
+        ["locus"] * 2 + ["position"] * 4,
+        ["locus"] * 2 + ["error"] * 4,
+        ["speed"] * 6,
+        ["drift"] * 6,
+    ]
+    if learnt:
+        rows.append([name for name in learnt for _ in range(6 // len(learnt))])
+    return rows
+
+
+def _numbers(result: Result) -> str:
+    """Second line of the title."""
+    statistics = result.statistics
+    if not statistics.valid:
+        return "\nthe position was never known: see the summary"
+    psi = 1e3 * statistics.mean("psi_f")
+    text = f"\nlag {result.log.layout.lag:g}  ·  |λ - L i| = {psi:.3g} mWb"
+    if statistics.scored:
+        text += f"  ·  position error {np.degrees(statistics.rms_error):.2f}° rms on valid rows"
+    return text
+
+
+def _where_valid(series: dict[str, Array], name: str) -> Array:
+    return np.where(series["valid"] > 0, series[name], np.nan)
+
+
+def _locus(axes: Axes, whole: dict[str, Array]) -> None:
+    known = whole["valid"] > 0
+    scale, unit = (1e3, "mWb") if np.abs(whole["psi_f"]).max(initial=0) < 0.5 else (1.0, "Wb")
+    axes.plot(
+        scale * whole["flux_alpha"][known],
+        scale * whole["flux_beta"][known],
+        ".",
+        color=BLUE,
+        markersize=1.5,
+        label="λ",
+    )
+    x = scale * whole["psi_f"] * np.cos(whole["theta_e"])
+    y = scale * whole["psi_f"] * np.sin(whole["theta_e"])
+    axes.plot(x[known], y[known], ".", color=ORANGE, markersize=1.5, label="λ - L i, along d")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_title("Flux locus")
+    axes.set_xlabel(f"α [{unit}]")
+    axes.set_ylabel(f"β [{unit}]")
+    legend(axes, markerscale=5)
+
+
+def _position(axes: Axes, detail: dict[str, Array]) -> None:
+    axes.set_title("Position around the first valid row")
+    axes.set_ylabel("θ_e [°]")
+    if not detail:
+        axes.text(0.5, 0.5, "the position was never known", ha="center", transform=axes.transAxes)
+        return
+    detail = _few_periods(detail)
+    t = detail["t"]
+    if "truth" in detail:
+        axes.plot(t, _degrees_unjoined(detail["truth"]), color=GREY, linewidth=3, label="true")
+    axes.plot(t, _degrees_unjoined(detail["theta_e"]), color=BLUE, label="estimated")
+    axes.set_ylim(-190, 190)
+    axes.set_yticks([-180, -90, 0, 90, 180])
+    axes.set_xlim(t[0], t[-1])
+    axes.set_xlabel("t [s]")
+    _shade_unknown(axes, detail)
+    legend(axes)
+
+
+def _few_periods(detail: dict[str, Array], periods: float = 8.0) -> dict[str, Array]:
+    """From some way before the first valid row until it has turned a few times."""
+    at = int(np.argmax(detail["valid"] > 0))
+    turned = np.abs(np.unwrap(detail["theta_e"][at:]) - detail["theta_e"][at])
+    far = turned > periods * 2 * np.pi
+    stop = at + int(np.argmax(far)) if far.any() else None
+    start = 0 if stop is None else max(0, at - (stop - at))
+    return {name: values[start:stop] for name, values in detail.items()}
+
+
+def _degrees_unjoined(angle: Array) -> Array:
+    """Degrees, with a gap where the angle wraps."""
+    out = np.degrees(angle)
+    out[1:][np.abs(np.diff(out)) > 180] = np.nan
+    return np.asarray(out)
+
+
+def _error(axes: Axes, whole: dict[str, Array]) -> None:
+    t, band = whole["t"], 2 * np.degrees(_where_valid(whole, "theta_e_std"))
+    axes.fill_between(t, -band, band, color=BLUE, alpha=0.18, linewidth=0, label="±2σ")
+    if "theta_e_error" in whole:
+        axes.plot(t, np.degrees(_where_valid(whole, "theta_e_error")), color=BLUE, label="error")
+    axes.axhline(0, color=GREY, linewidth=0.5)
+    limit = np.nanpercentile(band, 99) if np.isfinite(band).any() else 10.0
+    if "theta_e_error" in whole:
+        error = np.abs(np.degrees(_where_valid(whole, "theta_e_error")))
+        limit = max(limit, np.nanpercentile(error, 99.5) if np.isfinite(error).any() else 0.0)
+    axes.set_ylim(-1.4 * limit, 1.4 * limit)
+    axes.set_title("Position error" if "theta_e_error" in whole else "Uncertainty of the position")
+    axes.set_ylabel("[°]")
+    legend(axes)
+
+
+def _speed(axes: Axes, whole: dict[str, Array]) -> None:
+    axes.plot(whole["t"], _where_valid(whole, "speed_e"), color=BLUE)
+    axes.axhline(0, color=GREY, linewidth=0.5)
+    axes.set_title("Speed")
+    axes.set_ylabel("ω_e [rad/s]")
+
+
+def _drift(axes: Axes, whole: dict[str, Array]) -> None:
+    for name, color, label in (("drift_alpha", BLUE, "α"), ("drift_beta", ORANGE, "β")):
+        axes.plot(whole["t"], 1e3 * _where_valid(whole, name), color=color, label=label)
+    axes.axhline(0, color=GREY, linewidth=0.5)
+    axes.set_title("Drift: R δ_i - δ_u, what the sensors' offsets add to the flux per second")
+    axes.set_ylabel("[mV]")
+    legend(axes)
+
+
+def _parameter(axes: Axes, name: str, whole: dict[str, Array], believed: float) -> None:
+    """What was found, with its ±2σ band, and what the machine file says."""
+    title, unit = PARAMETERS[name]
+    value, std = whole[name].copy(), whole[f"{name}_std"]
+    before = whole["adapting"] == 0  # psi_f is then the length of λ - L i
+    value[before] = np.nan
+    axes.fill_between(
+        whole["t"],
+        value - 2 * std,
+        value + 2 * std,
+        color=BLUE,
+        alpha=0.18,
+        linewidth=0,
+        label="±2σ",
+    )
+    axes.plot(whole["t"], value, color=BLUE)
+    axes.axhline(believed, color=ORANGE, linewidth=0.8, linestyle="--", label="assumed")
+    axes.set_title(title)
+    axes.set_ylabel(f"[{unit}]")
+    legend(axes)
+
+
+def _shade_unknown(axes: Axes, series: dict[str, Array]) -> None:
+    unknown: Any = series["valid"] == 0
+    axes.fill_between(
+        series["t"],
+        0,
+        1,
+        where=unknown,
+        color="0.88",
+        linewidth=0,
+        step="mid",
+        transform=axes.get_xaxis_transform(),
+        zorder=0,
+    )
+
+
+def _immersed(result: Result) -> Figure:
+    """Flux with ±2σ, position, drift, and current bias or noise share."""
+    whole = result.statistics.thin.columns()
+    t, ports, position = whole["t"], result.machine.ports, result.machine.position_output
+    angle = position.unit == "°"
+    figure = new_figure(figsize=(9, 9))
+    axes = figure.subplots(4, 1, sharex=True)
+    _pair(axes[0], whole, "flux", ports, 1e3 if angle else 1e6)
+    axes[0].set_title(f"Flux [{'mWb' if angle else 'µWb'}], band ±2σ")
+    axes[1].plot(t, position.factor * _where_valid(whole, position.name), color=BLUE)
+    axes[1].set_title(f"{position.title} [{position.unit.strip()}]")
+    _pair(axes[2], whole, "drift", ports)
+    axes[2].set_title("Drift [V]")
+    if f"current_bias_{ports[0]}" in whole:
+        _pair(axes[3], whole, "current_bias", ports)
+        axes[3].set_title("Current bias [A], band ±2σ")
+    else:
+        axes[3].semilogy(t, np.maximum(whole["noise_share"], 1e-12), color=GREY)
+        axes[3].set_title("Noise share of the flux information; valid below 0.1")
+    axes[3].set_xlabel("t [s]")
+    axes[3].set_xlim(t[0], t[-1])
+    figure.suptitle(_title(result), fontsize=10)
+    return figure
+
+
+def _pair(
+    axes: Axes, whole: dict[str, Array], name: str, ports: tuple[str, str], factor: float = 1.0
+) -> None:
+    """Both components of a vector, with their bands where there are any."""
+    for port, colour in zip(ports, (BLUE, ORANGE), strict=True):
+        column = f"{name}_{port}"
+        value = factor * _where_valid(whole, column)
+        axes.plot(whole["t"], value, color=colour, label=port)
+        if f"{column}_std" in whole:
+            band = 2 * factor * whole[f"{column}_std"]
+            axes.fill_between(
+                whole["t"], value - band, value + band, color=colour, alpha=0.2, linewidth=0
+            )
+    legend(axes)

@@ -1,0 +1,255 @@
+"""Before the first row: the log opened for its machine, the sizes of its signals, the observer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..errors import FluxobsError, MachineError, ObserverError, RecordError
+from ..logs.formats import BATCH
+from ..logs.log import Log
+from ..logs.read import read_log
+from ..logs.scales import Scales, excerpts, measure_scales
+from ..machines import Machine, RotatingMachine
+from ..model.immersion import Immersion, Unknown
+from ..observers import AdaptiveObserver, ImmersionObserver, LeastSquaresObserver
+from ..observers.adaptive import RESISTANCE_MOST
+from ..observers.immersed import describe_invisible
+from ..observers.plain import MODEL_ERROR
+from ..observers.unknowns import adapts, check_adapted
+
+#: A drift as from an offset of this share of the voltage is ordinary: usual converters have 0.2 to
+#: 2 % of their range, and drives run at a fraction of it (benchmarks/measured.py).
+VOLTAGE_OFFSET = 0.01
+#: A current bias of this share of the rated current is ordinary, for the same reason.
+CURRENT_OFFSET = 0.02
+#: No sensor is better than this share of the rated current: half a step of a 12-bit converter.
+LEAST_NOISE = 1e-4
+#: Magnet fluxes that are tried where none is given, over L times the rated current: two octaves
+#: apart, since an estimate does not depend on its scale within a factor of two.
+GUESSES = (0.5, 2.0, 8.0, 32.0)
+#: Rows of a batch of the immersed observer, half a second of work, so that progress shows.
+IMMERSED_BATCH = 2000
+
+AnyObserver = LeastSquaresObserver | AdaptiveObserver | ImmersionObserver
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What a run needs.
+
+    Attributes
+    ----------
+    log : Log
+        Less the inverter's error where the observer does not know of it.
+    machine : Machine
+    observer : AnyObserver
+    scales : Scales
+    batch : int
+        Rows that are run at once.
+    """
+
+    log: Log
+    machine: Machine
+    observer: AnyObserver
+    scales: Scales
+    batch: int = BATCH
+
+
+def open_for(source: Any, machine: Machine, **layout: Any) -> Log:
+    """A log for a machine: its frame where none is given, and a truth that it has.
+
+    Parameters
+    ----------
+    source, layout
+        See :func:`fluxobs.read_log`.
+
+    Raises
+    ------
+    RecordError
+        The frame, or the channel of the truth, does not fit the kind of machine.
+    """
+    log = read_log(source, default_frame=machine.frame, **layout)
+    frame = log.layout.frame
+    if (frame == "ports") != (machine.frame == "ports"):
+        raise RecordError(
+            f"frame {frame!r} does not fit kind {machine.kind}; leave it at {machine.frame!r}"
+        )
+    known = machine.position_output.truths
+    if log.truth is not None and log.truth[0] not in known:
+        raise RecordError(
+            f"truth {log.truth[0]}: kind {machine.kind} has {' or '.join(reversed(known))}"
+        )
+    return log
+
+
+def prepare(
+    log: Log,
+    machine: Machine,
+    unknowns: tuple[str, ...],
+    memory: float | None,
+    priors: Mapping[str, float],
+) -> Prepared:
+    """Chooses the observer for these unknowns, and everything in it.
+
+    Raises
+    ------
+    FluxobsError
+        The unknowns cannot be told apart on this machine, or a setting cannot work.
+    """
+    check_adapted(machine, unknowns, priors)
+    if isinstance(machine, RotatingMachine) and adapts(unknowns):
+        plain, scales = plain_for(log, machine, memory)
+        adaptive = _adaptive_observer(plain, machine, scales, unknowns, priors)
+        return Prepared(log, machine, adaptive, scales)
+    log = log.less_inverter(machine.inverter)
+    if isinstance(machine, RotatingMachine) and unknowns == ("drift",):
+        return Prepared(log, machine, *plain_for(log, machine, memory))
+    observer, scales = _immersed_for(log, machine, unknowns, memory)
+    return Prepared(log, machine, observer, scales, IMMERSED_BATCH)
+
+
+def plain_for(
+    log: Log, machine: RotatingMachine, memory: float | None = None
+) -> tuple[LeastSquaresObserver, Scales]:
+    """First pass over the log, and the plain observer chosen from machine and log."""
+    memory = _memory(log, machine, memory)
+    scales = measure_scales(log)
+    psi_f = None
+    if machine.flux_base(1.0) is None:
+        psi_f = guess_psi_f(log, machine, scales, memory)
+    return plain_observer(log, machine, scales, memory, psi_f), scales
+
+
+def plain_observer(
+    log: Log, machine: RotatingMachine, scales: Scales, memory: float, psi_f: float | None = None
+) -> LeastSquaresObserver:
+    """Plain observer for a log: what the machine does not tell comes from `scales`."""
+    rated = machine.rated_current or scales.current
+    chosen = LeastSquaresObserver.for_machine(
+        machine,
+        sample_time=log.sample_time,
+        memory=memory,
+        psi_f=psi_f,
+        rated_current=rated,
+        current_noise=max(scales.current_noise, LEAST_NOISE * rated),
+    )
+    return replace(chosen, drift_prior=max(chosen.drift_prior, VOLTAGE_OFFSET * scales.voltage))
+
+
+def guess_psi_f(log: Log, machine: RotatingMachine, scales: Scales, memory: float) -> float:
+    """Magnet flux [Wb] for a machine file without one: what the observer itself returns."""
+    longest = max(excerpts(log), key=lambda part: len(part.t))
+    base = machine.position_inductance * (machine.rated_current or scales.current)
+    best, most = base, 0
+    for guess in base * np.array(GUESSES):
+        observer = plain_observer(log, machine, scales, memory, float(guess))
+        found = observer.run(longest.voltage, longest.current)
+        if (count := int(found.valid.sum())) > most:
+            best, most = float(np.median(found.psi_f[found.valid])), count
+    return best
+
+
+def _memory(log: Log, machine: Machine, memory: float | None) -> float:
+    """The memory, where it is ten rows at least."""
+    least = 10 * log.sample_time
+    if memory is not None and not memory >= least:
+        raise ObserverError(f"memory {memory:g} s is too short: at least ten samples, {least:g} s")
+    chosen = machine.memory if memory is None else memory
+    if chosen < least:
+        raise RecordError(
+            f"{log.path}: a row every {log.sample_time:.6g} s is too slow for a memory of "
+            f"{chosen:g} s, which takes ten rows at least. Give a longer memory; or is t in ms? "
+            f"--scale t=1e-3"
+        )
+    return chosen
+
+
+def _adaptive_observer(
+    plain: LeastSquaresObserver,
+    machine: RotatingMachine,
+    scales: Scales,
+    unknowns: tuple[str, ...],
+    priors: Mapping[str, float],
+) -> AdaptiveObserver:
+    """The adaptive observer around one that was chosen for a log."""
+    for name, most, words in (
+        ("resistance", RESISTANCE_MOST * machine.R_s, f"{RESISTANCE_MOST:g} times R_s"),
+        ("inverter", scales.voltage, "the voltage in this log"),
+        ("psi_f", plain.flux_base, "the magnet flux itself"),
+    ):
+        if priors.get(name, 0.0) > most > 0:
+            raise ObserverError(
+                f"prior {name}={priors[name]:g}: a standard deviation, in SI units; this is more "
+                f"than {words}, {most:.3g}"
+            )
+    return AdaptiveObserver.for_machine(
+        machine,
+        sample_time=plain.sample_time,
+        unknowns=unknowns,
+        memory=plain.memory,
+        psi_f=plain.flux_base,
+        rated_current=machine.rated_current or scales.current,
+        current_noise=plain.current_noise,
+        drift_prior=plain.drift_prior,
+        psi_f_std=priors.get("psi_f"),
+        resistance_std=priors.get("resistance"),
+        inverter_std=priors.get("inverter"),
+    )
+
+
+def _immersed_for(
+    log: Log, machine: Machine, unknowns: Sequence[Any], memory: float | None
+) -> tuple[ImmersionObserver, Scales]:
+    """First pass over the log, and the immersed observer chosen from machine and log."""
+    _check_told_apart(machine, unknowns)
+    memory = _memory(log, machine, memory)
+    scales = measure_scales(log)
+    rated = machine.rated_current or scales.current
+    base = machine.flux_base(rated)
+    if base is None:
+        raise MachineError(f"psi_f is missing in the machine ({machine.kind}); a rough value does")
+    noise = max(scales.current_noise, LEAST_NOISE * rated)
+    drift = VOLTAGE_OFFSET * scales.voltage * np.abs(machine.B).max()
+    size = np.abs(machine.constraint.Q1).max() * base**2
+    residual = float(np.hypot(machine.constraint_noise(base, noise), MODEL_ERROR * size))
+    bias = CURRENT_OFFSET * rated
+    if "current-bias" in unknowns:
+        drift = max(drift, bias * np.abs(machine.R).max())
+    observer = ImmersionObserver(
+        Immersion((machine.constraint,), tuple(unknowns), machine.R),
+        machine.R,
+        machine.B,
+        log.sample_time,
+        memory,
+        flux_base=np.full(2, base),
+        constraint_noise=np.array([residual]),
+        drift_prior=np.full(2, drift),
+        current_bias_prior=np.full(2, bias),
+        current_noise=noise,
+        voltage_noise=scales.voltage_noise if machine.measured_voltage else 0.0,
+    )
+    return observer, scales
+
+
+def _check_told_apart(machine: Machine, unknowns: Sequence[Unknown]) -> None:
+    """FluxobsError where the machine's relation cannot tell these apart, naming what is hidden."""
+    immersion = Immersion((machine.constraint,), tuple(unknowns), machine.R)
+    invisible = immersion.invisible()
+    if invisible.shape[1] == 0:
+        return
+    advice = "Run with --unknowns drift"
+    if isinstance(machine, RotatingMachine):
+        advice += (
+            ": the flux returned is then off by L times the current bias, while λ - L i, hence "
+            "position and speed, is free of it"
+        )
+    raise FluxobsError(
+        f"{' and '.join(unknowns)} cannot both be found for kind {machine.kind}: "
+        f"{describe_invisible(invisible)}. {advice}"
+    )
+
+

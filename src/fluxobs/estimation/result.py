@@ -1,0 +1,176 @@
+"""What an estimation returns: the estimates, and everything that was seen on the way."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from ..errors import FluxobsError
+from ..logs.log import Log
+from ..logs.scales import Scales
+from ..machines import Machine, RotatingMachine
+from ..observers import AdaptiveObserver, LeastSquaresObserver, SampleCounts
+from ..output import check_out, write_rows
+from ..validation import nearest
+from .prepare import AnyObserver
+from .statistics import Statistics
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """Result of :func:`fluxobs.estimate`.
+
+    ``result["theta_e"]`` is a column as an array; ``print(result)`` shows summary and warnings.
+
+    Attributes
+    ----------
+    log : Log
+        As it was read; less the inverter's error where the observer does not know of it.
+    machine : Machine
+    observer : LeastSquaresObserver, AdaptiveObserver or ImmersionObserver
+        That ran, with all its settings.
+    scales : Scales
+        Sizes of the log's signals.
+    unknowns : tuple of str
+    priors : mapping
+    statistics : Statistics
+        Counts and means over the rows.
+    counts : SampleCounts
+        Bad samples and restarts.
+    table : polars.DataFrame, optional
+        The estimates, if they stayed in memory.
+    path : Path, optional
+        The file with the estimates, if there is one.
+    """
+
+    log: Log
+    machine: Machine
+    observer: AnyObserver
+    scales: Scales
+    unknowns: tuple[str, ...]
+    priors: Mapping[str, float]
+    statistics: Statistics
+    counts: SampleCounts
+    table: pl.DataFrame | None
+    path: Path | None
+
+    @property
+    def estimates(self) -> pl.DataFrame:
+        """A row a sample, a column an output, in SI units; read from `path` if it is there."""
+        if self.table is not None:
+            return self.table
+        assert self.path is not None
+        read = pl.read_parquet if self.path.suffix == ".parquet" else pl.read_csv
+        try:
+            return read(self.path)
+        except (OSError, pl.exceptions.PolarsError) as error:
+            raise FluxobsError(f"{self.path}: the estimates cannot be read: {error}") from None
+
+    def __getitem__(self, column: str) -> NDArray[Any]:
+        table = self.estimates
+        if column not in table.columns:
+            raise FluxobsError(f"no column {column!r}{nearest(column, table.columns)}")
+        return np.asarray(table[column].to_numpy())
+
+    @property
+    def plain(self) -> LeastSquaresObserver | None:
+        """The plain observer: the one that ran, or the one in the adaptive one."""
+        if isinstance(self.observer, AdaptiveObserver):
+            return self.observer.plain
+        return self.observer if isinstance(self.observer, LeastSquaresObserver) else None
+
+    @property
+    def adaptive(self) -> AdaptiveObserver | None:
+        """The adaptive observer, if it ran."""
+        return self.observer if isinstance(self.observer, AdaptiveObserver) else None
+
+    @cached_property
+    def summary(self) -> str:
+        """What the run found, in one paragraph."""
+        from .summary import paragraph
+
+        return paragraph(self)
+
+    @cached_property
+    def warnings(self) -> list[str]:
+        """What should make a reader wary, a sentence or two each."""
+        from .warnings import warnings
+
+        return warnings(self)
+
+    @property
+    def firmware(self) -> str | None:
+        """How the same observer gets into firmware; None where it cannot."""
+        machine, plain = self.machine, self.plain
+        if plain is None or not isinstance(machine, RotatingMachine):
+            return None
+        lacking = []
+        if machine.flux_base(1.0) is None:
+            lacking.append(f"psi_f ({plain.flux_base:.3g} here)")
+        if not machine.rated_current:
+            lacking.append(f"rated_current ({self.scales.current:.3g} here)")
+        if lacking:
+            return f"For an export as firmware the machine file needs {' and '.join(lacking)}."
+        if machine.inverter is not None and self.adaptive is None:
+            return (
+                "In firmware the observer for the drift leaves the inverter to the drive: "
+                "compensate it there, or export with --unknowns drift,inverter."
+            )
+        return None
+
+    def export_command(self, machine: str) -> str | None:
+        """The command that exports the same observer for a machine of that name."""
+        plain = self.plain
+        if plain is None or self.firmware is not None:
+            return None
+        chosen = "" if self.adaptive is None else f" --unknowns {','.join(self.unknowns)}"
+        chosen += "".join(f" --prior {name}={std!r}" for name, std in self.priors.items())
+        return (
+            f"fluxobs export --machine {shlex.quote(machine)}{chosen} "
+            f"--sample-time {plain.sample_time!r} --memory {plain.memory!r} "
+            f"--current-noise {plain.current_noise!r} --drift-prior {plain.drift_prior!r} "
+            f"--out FOLDER"
+        )
+
+    def plot(self) -> Figure:
+        """The picture of the run, a matplotlib figure: flux, position, speed, drift, and more."""
+        from .picture import figure
+
+        return figure(self)
+
+    def write(self, path: str | Path) -> None:
+        """Estimates to .parquet or .csv, or the picture to .png, .pdf or .svg.
+
+        Raises
+        ------
+        FluxobsError
+            Another ending, or the file cannot be written.
+        """
+        from ..plots import FORMATS, write
+
+        path = Path(path)
+        if path.suffix.lower() in FORMATS:
+            write(self.plot(), path)
+            return
+        table = self.estimates
+        write_rows(check_out(path, self.log.path), dict(table.schema), iter([table]))
+
+    def __str__(self) -> str:
+        return "\n".join([self.summary, *(f"Warning: {text}" for text in self.warnings)])
+
+    def __repr__(self) -> str:
+        return (
+            f"<Result: {self.log.path.name}, {self.machine.kind}, "
+            f"{self.statistics.valid} of {self.statistics.rows} rows valid>"
+        )

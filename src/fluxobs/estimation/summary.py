@@ -1,0 +1,155 @@
+"""What a run found, in one readable paragraph."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..logs.record import lag_in_words
+from ..machines import RotatingMachine
+from ..observers import ImmersionObserver
+from .result import Result
+
+#: A standard deviation that is left at this share of its prior: nothing was learnt of it. At a half
+#: three quarters of the information in the estimate are the record's.
+UNSEEN = 0.5
+#: The same for a current bias, which disturbs the flux where it is not seen.
+UNSEEN_BIAS = 0.25
+
+
+def si(value: float, unit: str) -> str:
+    """Three digits and an SI prefix."""
+    for factor, prefix in ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n")):
+        if abs(value) >= factor:
+            return f"{value / factor:.3g} {prefix}{unit}"
+    return f"0 {unit}" if value == 0 else f"{value:.2g} {unit}"
+
+
+def paragraph(result: Result) -> str:
+    """The summary of a run."""
+    statistics, log = result.statistics, result.log
+    head = (
+        f"{statistics.rows} samples, {statistics.rows * log.sample_time:.4g} s at "
+        f"{1 / log.sample_time:.6g} Hz; {lag_in_words(log.layout.lag)}."
+    )
+    if isinstance(result.observer, ImmersionObserver):
+        unknowns = " and ".join(result.observer.immersion.unknowns)
+        head += f" Unknown: {unknowns}; memory {result.observer.memory:g} s."
+    if statistics.first_valid is None:
+        return f"{head} The position was never known."
+    share = statistics.valid / statistics.rows
+    sentences = [
+        head,
+        f"The position is valid on {share:.1%} of the rows, first "
+        f"{si(statistics.first_valid - statistics.start, 's')} after the start.",
+        _drift(result),
+        *_current_bias(result),
+        *_flux(result),
+        *_parameters(result),
+        *_score(result),
+    ]
+    return " ".join(sentences)
+
+
+def mean_of(result: Result, output: str) -> np.ndarray:
+    """Mean of a vector output over the valid rows, (2,)."""
+    ports = result.machine.ports
+    return np.array([result.statistics.mean(f"{output}_{port}") for port in ports])
+
+
+def _drift(result: Result) -> str:
+    drift, machine = mean_of(result, "drift"), result.machine
+    if isinstance(machine, RotatingMachine):
+        size = float(np.hypot(*drift))
+        return (
+            f"The flux integral would drift by ({drift[0]:+.4g}, {drift[1]:+.4g}) V in αβ: as much "
+            f"as a voltage offset of {si(size, 'V')}, or a current offset of "
+            f"{si(size / machine.R_s, 'A')} through R_s."
+        )
+    offset = -np.linalg.solve(machine.B, drift)
+    return (
+        f"The flux integral would drift by ({drift[0]:+.4g}, {drift[1]:+.4g}) V, as much as "
+        f"voltage offsets of ({offset[0]:+.3g}, {offset[1]:+.3g}) V."
+    )
+
+
+def bias_is_seen(result: Result) -> bool:
+    """Whether the record told the current bias, where that is an unknown."""
+    observer = result.observer
+    if not isinstance(observer, ImmersionObserver):
+        return False
+    std = _bias_std(result)
+    return bool((std < UNSEEN_BIAS * observer.current_bias_prior).all())
+
+
+def _bias_std(result: Result) -> np.ndarray:
+    ports = result.machine.ports
+    return np.array([result.statistics.mean(f"current_bias_{port}_std") for port in ports])
+
+
+def _current_bias(result: Result) -> list[str]:
+    if "current-bias" not in result.unknowns:
+        return []
+    if not bias_is_seen(result):
+        return ["Current bias: not seen."]
+    bias, std = mean_of(result, "current_bias"), _bias_std(result)
+    assumed = ", if the voltage has no offset" if result.unknowns == ("current-bias",) else ""
+    return [
+        f"Current bias: {bias[0]:+.4g} ± {std[0]:.2g} and {bias[1]:+.4g} ± {std[1]:.2g} A "
+        f"(σ){assumed}."
+    ]
+
+
+def _flux(result: Result) -> list[str]:
+    machine = result.machine
+    if result.adaptive is not None or "psi_f" not in result.statistics.sums:
+        return []
+    assert isinstance(machine, RotatingMachine)
+    return [f"{machine.length_name}: {si(result.statistics.mean('psi_f'), 'Wb')}."]
+
+
+def _parameters(result: Result) -> list[str]:
+    """What the adaptive observer holds at the end, each with what was believed of it."""
+    adaptive, found, machine = result.adaptive, result.statistics.found, result.machine
+    if adaptive is None:
+        return []
+    if not found:
+        return ["No parameter was found: the position was not known for long enough."]
+    assert isinstance(machine, RotatingMachine)
+    magnet = "given" if machine.magnet_flux else "guessed from the log"
+    drops = "given" if machine.inverter_voltage is not None else "assumed"
+    told, untold = [], []
+    for name, column, believed, prior, unit, source in (
+        ("magnet flux", "psi_f", adaptive.psi_f, adaptive.psi_f_std, "Wb", magnet),
+        ("resistance", "resistance", adaptive.resistance, adaptive.resistance_std, "Ω", "given"),
+        (
+            *("inverter", "inverter_voltage"),
+            *(adaptive.inverter_voltage, adaptive.inverter_std, "V", drops),
+        ),
+    ):
+        std = found[f"{column}_std"]
+        if prior > 0 and std > UNSEEN * prior:
+            untold.append(name)
+        elif prior > 0:
+            value = f"{si(found[column], unit)} ± {si(std, unit)}"
+            told.append(f"{name} {value} ({si(believed, unit)} {source})")
+    text = [f"At the end: {', '.join(told)}."] if told else []
+    if untold:
+        text.append(f"The log does not tell {' and '.join(untold)}.")
+    return text
+
+
+def _score(result: Result) -> list[str]:
+    statistics, position = result.statistics, result.machine.position_output
+    if not statistics.scored:
+        return []
+    mean, factor = statistics.error / statistics.scored, position.factor
+    angle = position.unit == "°"
+
+    def told(value: float) -> str:
+        return f"{factor * value:.2f}°" if angle else f"{factor * value:.3g}{position.unit}"
+
+    return [
+        f"Against the true {'angle' if angle else 'position'}, on {statistics.scored} valid rows: "
+        f"position error {told(statistics.rms_error)} rms, {told(statistics.error_max)} at most, "
+        f"mean {told(mean)}."
+    ]

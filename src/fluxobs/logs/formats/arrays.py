@@ -1,0 +1,57 @@
+"""Arrays in memory: a mapping of names to columns, such as a dict or a data frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import RecordError
+from .table import BATCH, Columns
+
+#: Stands for a path in messages.
+NAME = Path("arrays")
+
+
+class ArrayTable:
+    """Equally long columns of numbers.
+
+    Raises
+    ------
+    RecordError
+        A column is no vector of numbers, or columns differ in length.
+    """
+
+    random_access = True
+
+    def __init__(self, columns: Mapping[str, Any], path: Path = NAME) -> None:
+        self.path = path
+        self._arrays: Columns = {}
+        for name, values in columns.items():
+            try:
+                array = np.asarray(values, dtype=float)
+            except (TypeError, ValueError):
+                raise RecordError(f"{path}: column {name!r} holds what is no number") from None
+            if array.ndim != 1:
+                raise RecordError(
+                    f"{path}: column {name!r} must have shape (rows,), got {array.shape}"
+                )
+            self._arrays[str(name)] = array
+        self.columns = list(self._arrays)
+        lengths = {len(array) for array in self._arrays.values()}
+        if len(lengths) > 1:
+            sizes = ", ".join(f"{name} {len(array)}" for name, array in self._arrays.items())
+            raise RecordError(f"{path}: the columns differ in length: {sizes}")
+        self.rows = lengths.pop() if lengths else 0
+
+    def batches(
+        self, names: Sequence[str], first: int, last: int, size: int = BATCH
+    ) -> Iterator[Columns]:
+        for start in range(first, last, size):
+            stop = min(start + size, last)
+            yield {name: self._arrays[name][start:stop] for name in names}
+
+    def place(self, row: int) -> str:
+        return f"row {row + 1}"

@@ -1,0 +1,179 @@
+"""Measured data in memory, and which interval each voltage acts over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import RecordError
+from ..model.frames import clarke
+
+Array = NDArray[np.float64]
+
+
+#: Sample times of record and observer may differ by this share: a clock is as good.
+SAMPLE_TIME_TOLERANCE = 1e-3
+
+
+def interval_rows(rows: Array, lag: float, first: int, last: int, start: int = 0) -> Array:
+    """Voltage over the intervals that end at rows first … last - 1.
+
+    The interval [t_{k-1}, t_k] is read at row ``k - 1 + lag``, linearly between rows where that is
+    fractional; outside `rows` it is NaN, never extrapolated.
+
+    Parameters
+    ----------
+    rows : (m, 2) ndarray
+        Voltage as recorded, rows start … start + m - 1 of the record.
+    lag : float
+        In samples; 0: row k acts from t_k to t_{k+1}; -1: one sample later.
+    first, last, start : int
+        Row numbers of the record.
+
+    Returns
+    -------
+    (last - first, 2) ndarray
+    """
+    whole = int(np.floor(lag))
+    fraction = lag - whole
+    low = np.arange(first, last) - 1 + whole - start
+    out = np.full((last - first, rows.shape[1]), np.nan)
+    inside = (low >= 0) & (low + (fraction > 0) < len(rows))
+    low = low[inside]
+    if fraction > 0:
+        out[inside] = (1 - fraction) * rows[low] + fraction * rows[low + 1]
+    else:
+        out[inside] = rows[low]
+    return out
+
+
+def lag_in_words(lag: float) -> str:
+    """What a lag says, in a sentence."""
+    if lag == 0:
+        return "each row's voltage is taken to act from that row's sample to the next (lag 0)"
+    amount = f"{abs(lag):g} sample{'' if abs(lag) == 1 else 's'}"
+    when = "later" if lag < 0 else "earlier"
+    return (
+        f"each row's voltage is taken to act {amount} {when} than from that row's sample to the "
+        f"next (lag {lag:+g})"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Currents and voltages in αβ, sampled uniformly.
+
+    Parameters
+    ----------
+    sample_time : float
+        [s], > 0.
+    voltage, current : array_like
+        As logged [V], [A]; NaN where missing. (rows, 2) in αβ, (rows, 3) of three phases, or
+        (rows,) complex α + j β. Kept as (rows, 2) in αβ, amplitude-invariant.
+    lag : float
+        Which interval a voltage row acts over, in samples; see :func:`interval_rows`.
+    theta_e : (rows,) array_like, optional
+        True electrical angle, for scoring [rad].
+
+    Raises
+    ------
+    RecordError
+        Shapes do not fit, too few rows, or the lag lies outside the record.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> u, i = np.zeros((100, 3)), np.zeros(100, complex)
+    >>> Record(1e-4, u, i, lag=-1).voltage.shape
+    (100, 2)
+    """
+
+    sample_time: float
+    voltage: Array
+    current: Array
+    lag: float = 0.0
+    theta_e: Array | None = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.sample_time) and self.sample_time > 0):
+            raise RecordError(f"sample_time must be positive [s], got {self.sample_time}")
+        for name in ("voltage", "current"):
+            object.__setattr__(self, name, alphabeta_rows(name, getattr(self, name)))
+        if self.voltage.shape != self.current.shape:
+            raise RecordError(
+                f"voltage and current must have as many rows, got {len(self.voltage)} and "
+                f"{len(self.current)}"
+            )
+        if self.theta_e is not None:
+            theta = np.asarray(self.theta_e, dtype=float)
+            if theta.shape != self.current.shape[:1]:
+                raise RecordError(
+                    f"theta_e must have shape ({len(self.current)},), got {theta.shape}"
+                )
+            object.__setattr__(self, "theta_e", theta)
+        check_lag(self.lag, len(self.current))
+
+    def __len__(self) -> int:
+        return len(self.current)
+
+    @property
+    def t(self) -> Array:
+        """Time of the rows [s], from 0."""
+        return np.asarray(np.arange(len(self)) * self.sample_time)
+
+    def interval_voltage(self) -> Array:
+        """Mean voltage over the interval ending at each row, (rows, 2) [V]; NaN where unknown."""
+        return interval_rows(self.voltage, self.lag, 0, len(self))
+
+    def on_intervals(self, sample_time: float) -> tuple[Array, Array]:
+        """Interval voltage and current, for an observer of that sample time.
+
+        Raises
+        ------
+        RecordError
+            The record has another sample time.
+        """
+        if not np.isclose(self.sample_time, sample_time, rtol=SAMPLE_TIME_TOLERANCE):
+            raise RecordError(
+                f"the record's sample time, {self.sample_time:g} s, is not the observer's, "
+                f"{sample_time:g} s: make the observer with the record's"
+            )
+        return self.interval_voltage(), self.current
+
+
+def check_lag(lag: float, rows: int) -> None:
+    """Raise RecordError where a lag is no number or leaves no voltage inside the record."""
+    if not np.isfinite(lag):
+        raise RecordError(f"lag must be a number of samples, got {lag}")
+    if abs(lag) >= rows - 1:
+        raise RecordError(
+            f"a lag of {lag:g} samples lies outside the record of {rows} rows; usual are -1 to +1"
+        )
+
+
+def alphabeta_rows(name: str, value: ArrayLike) -> Array:
+    """Vectors in αβ, (rows, 2), of those in αβ, of three phases, or of complex numbers.
+
+    Raises
+    ------
+    RecordError
+        Another shape, or no numbers.
+    """
+    try:
+        array = np.asarray(value)
+        array = array if np.iscomplexobj(array) else np.asarray(array, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise RecordError(f"{name} must hold numbers: {error}") from None
+    if np.iscomplexobj(array) and array.ndim == 1:
+        return np.stack([array.real, array.imag], axis=-1)
+    if not np.iscomplexobj(array) and array.ndim == 2:
+        if array.shape[1] == 2:
+            return array
+        if array.shape[1] == 3:
+            return clarke(*array.T)
+    raise RecordError(
+        f"{name} must have shape (rows, 2) in αβ, (rows, 3) of three phases, or (rows,) complex, "
+        f"got {array.shape}{' complex' if np.iscomplexobj(array) else ''}"
+    )

@@ -1,0 +1,125 @@
+"""First pass over a log: the sizes that the machine file does not tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import RecordError
+from ..model.frames import wrap
+from .log import Aligned, Log
+
+Array = NDArray[np.float64]
+
+#: At most this much of a log is looked at, evenly spread.
+EXCERPTS, EXCERPT_ROWS = 64, 16384
+#: Rows over which one noise level is taken; the median over these is not moved by transients.
+NOISE_ROWS = 256
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Sizes of the signals; all need to be right within a factor of a few only.
+
+    Attributes
+    ----------
+    current : float
+        95th percentile of |i| [A].
+    voltage : float
+        95th percentile of |u| [V].
+    current_noise, voltage_noise : float
+        Standard deviation of one component, from third differences [A], [V]. Of a commanded
+        voltage it is what the controller does, not an error.
+    current_speed : float
+        95th percentile of the speed at which the current vector turns [rad/s]; all noise where
+        there is little current.
+    """
+
+    current: float
+    voltage: float
+    current_noise: float
+    voltage_noise: float
+    current_speed: float
+
+
+def excerpts(log: Log) -> Iterator[Aligned]:
+    """Evenly spread pieces of a log, the same however it is read; all of it if it is short."""
+    if len(log) <= EXCERPTS * EXCERPT_ROWS:
+        yield _joined(list(log.aligned()))
+        return
+    spacing = len(log) // EXCERPTS
+    starts = [log.first + n * spacing for n in range(EXCERPTS)]
+    if log.table.random_access:
+        for start in starts:
+            yield _joined(list(log.aligned(start, start + EXCERPT_ROWS)))
+        return
+    row, pieces = log.first, []
+    for part in log.aligned():
+        for start in starts:
+            low, high = max(start - row, 0), min(start + EXCERPT_ROWS - row, len(part.t))
+            if low < high:
+                t, current, voltage = (column[low:high] for column in part[:3])
+                pieces.append(Aligned(t, current, voltage, None))
+                if row + high == start + EXCERPT_ROWS:
+                    yield _joined(pieces)
+                    pieces = []
+        row += len(part.t)
+
+
+def _joined(parts: list[Aligned]) -> Aligned:
+    """One piece of several; the true angle is not needed here."""
+    columns = zip(*(part[:3] for part in parts), strict=True)
+    t, current, voltage = (np.concatenate(column) for column in columns)
+    return Aligned(t, current, voltage, None)
+
+
+def white_noise(signal: Array) -> float:
+    """Std of one component of white noise on a smooth signal, (rows, 2).
+
+    Third differences remove anything smooth and have 20 times the noise's variance.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):  # garbage is no reason to stop
+        third = np.diff(signal, 3, axis=0)
+    rows = max(1, min(NOISE_ROWS, len(third)))
+    blocks = third[: len(third) // rows * rows].reshape(-1, rows, 2)
+    with np.errstate(over="ignore", invalid="ignore"):
+        level = np.mean(blocks**2, axis=(1, 2))
+    level = level[np.isfinite(level)]
+    return float(np.sqrt(np.median(level) / 20)) if len(level) else 0.0
+
+
+def measure_scales(log: Log) -> Scales:
+    """Scales of a log.
+
+    Raises
+    ------
+    RecordError
+        No finite current or voltage in it, or one of them is zero throughout.
+    """
+    currents, voltages, noise, voltage_noise, turning = [], [], [], [], []
+    for part in excerpts(log):
+        turning.append(np.abs(wrap(np.diff(np.arctan2(part.current[:, 1], part.current[:, 0])))))
+        currents.append(np.hypot(*part.current.T))
+        voltages.append(np.hypot(*part.voltage.T))
+        noise.append(white_noise(part.current))
+        voltage_noise.append(white_noise(part.voltage))
+    i, u = np.concatenate(currents), np.concatenate(voltages)
+    i, u = i[np.isfinite(i)], u[np.isfinite(u)]
+    for what, values in (("current", i), ("voltage", u)):
+        if len(values) == 0:
+            raise RecordError(f"{log.table.path}: no row has a {what}; are the columns right?")
+        if not values.any():
+            raise RecordError(
+                f"{log.table.path}: the {what} is zero in every row: nothing can be learnt "
+                f"from it; are column and scale right?"
+            )
+    return Scales(
+        float(np.percentile(i, 95)) or float(i.max()),
+        float(np.percentile(u, 95)),
+        float(np.median(noise)),
+        float(np.median(voltage_noise)),
+        float(np.nanpercentile(np.concatenate(turning), 95)) / log.sample_time,
+    )

@@ -1,0 +1,176 @@
+"""Machines that turn: three phases in αβ, with magnets or without."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from ..errors import MachineError
+from ..model.constraint import QuadraticConstraint
+from ..model.frames import angle_error, wrap
+from ..model.inverter import SMOOTHING, InverterError
+from ..validation import Number, Positive
+from .contract import Array, Machine, Position, angle_std
+
+PolePairs = Annotated[int, Field(ge=1)]
+
+
+class RotatingMachine(Machine):
+    """A three-phase machine in αβ: per-phase (star) values, amplitude-invariant vectors.
+
+    Current is positive into the machine; phases a-b-c follow each other at positive speed.
+
+    Parameters
+    ----------
+    R_s : float
+        Phase resistance [Ω], > 0.
+    n_p : int
+        Pole pairs, >= 1.
+    rated_current : float, optional
+        Peak phase current [A], > 0. A scale of what is plausible: it needs no precision.
+    inverter_voltage : float, optional
+        What dead time and device drops take of a phase's voltage [V]; taken off a log's commands.
+    inverter_current : float, optional
+        Phase current at which the inverter's smoothed sign counts three quarters [A], > 0; default
+        5 % of rated_current.
+    """
+
+    position_output = Position(
+        "theta_e", ("theta_e", "theta_mech"), 180 / np.pi, "°", "Electrical angle"
+    )
+    shortest = 0.25
+    #: Whether there are magnets, whose flux is the parameter psi_f.
+    magnets: ClassVar[bool] = False
+    #: Names of the inductances, along d and along q; twice the same where there is one.
+    inductances: ClassVar[tuple[str, str]]
+    #: What |λ - L i| is, in words.
+    length_name: ClassVar[str] = "Magnet flux"
+
+    R_s: Positive
+    n_p: PolePairs
+    inverter_voltage: Number | None = None
+    inverter_current: Positive | None = None
+
+    @property
+    def inverter(self) -> InverterError | None:
+        if not self.inverter_voltage:
+            return None
+        knee = self.inverter_current or SMOOTHING * (self.rated_current or 0.0)
+        if not knee:
+            raise MachineError(
+                "inverter_voltage needs inverter_current, the phase current below which its sign "
+                "is smoothed [A], or rated_current"
+            )
+        return InverterError(self.inverter_voltage, knee)
+
+    @property
+    def R(self) -> Array:
+        return self.R_s * np.eye(2)
+
+    @property
+    def B(self) -> Array:
+        return np.eye(2)
+
+    @property
+    def magnet_flux(self) -> float | None:
+        """Of the magnets [Wb]: 0 without magnets, None where it is not given."""
+        return 0.0
+
+    @property
+    def inductance_names(self) -> tuple[str, ...]:
+        """Of this kind's inductances, each once."""
+        return tuple(dict.fromkeys(self.inductances))
+
+    @property
+    def L_dq(self) -> tuple[float, float]:
+        """Inductances along d and along q [H]."""
+        L_d, L_q = (float(getattr(self, name)) for name in self.inductances)
+        return L_d, L_q
+
+    @property
+    def position_inductance(self) -> float:
+        """L of the position vector ``λ - L i`` [H], which points along the rotor's d axis."""
+        return self.L_dq[1]
+
+    @property
+    def saliency(self) -> float:
+        """L_d - L_q [H]: the position vector has the length ``ψ_f + saliency · i_d``."""
+        L_d, L_q = self.L_dq
+        return L_d - L_q
+
+    def flux_dq(self, current: Any) -> NDArray[np.complex128]:
+        """Flux linkage of a current, both in rotor coordinates d + j q [Wb], [A].
+
+        Raises
+        ------
+        MachineError
+            There are magnets, but psi_f is not given.
+        """
+        psi = self.magnet_flux
+        if psi is None:
+            raise MachineError(f"psi_f is missing in the {self.kind}: its flux is asked for")
+        L_d, L_q = self.L_dq
+        i = np.asarray(current, complex)
+        return np.asarray(L_d * i.real + psi + 1j * (L_q * i.imag))
+
+    def position(self, flux: ArrayLike, current: ArrayLike) -> tuple[Array, Array]:
+        x = np.asarray(flux, float) - self.position_inductance * np.asarray(current, float)
+        return np.arctan2(x[..., 1], x[..., 0]), np.hypot(x[..., 0], x[..., 1])
+
+    def position_std(self, flux: Array, flux_std: Array, current: Array) -> Array:
+        return angle_std(flux_std, self.position(flux, current)[1])
+
+    def true_position(self, channel: str, value: Array) -> Array:
+        return wrap(value * self.n_p if channel == "theta_mech" else value)
+
+    def position_error(self, estimated: Array, true: Array) -> Array:
+        return angle_error(estimated, true, self.half_turn_ambiguous)
+
+
+class MagnetMachine(RotatingMachine):
+    """A machine whose position vector λ - L i has the constant length of the magnet flux.
+
+    The relation is ``|λ - L i|² = ψ²``: Q1 = I, Q2 = -2L I, Q3 = L² I, d = -ψ².
+    """
+
+    magnets = True
+
+    psi_f: Positive | None = None
+
+    @property
+    def magnet_flux(self) -> float | None:
+        return self.psi_f
+
+    @property
+    def constraint(self) -> QuadraticConstraint:
+        L, one = self.position_inductance, np.eye(2)
+        return QuadraticConstraint(one, -2 * L * one, L * L * one, d=-((self.psi_f or 0.0) ** 2))
+
+    def flux_base(self, rated_current: float, psi_f: float | None = None) -> float | None:
+        return self.psi_f if psi_f is None else psi_f
+
+    def constraint_noise(self, flux_base: float, noise: float) -> float:
+        return 2 * self.position_inductance * flux_base * noise
+
+
+def rotating(machine: object, what: str = "this") -> RotatingMachine:
+    """The machine, if it is one that turns.
+
+    Raises
+    ------
+    MachineError
+        It does not turn, or is no machine but a name, say.
+    """
+    if isinstance(machine, RotatingMachine):
+        return machine
+    if isinstance(machine, Machine):
+        raise MachineError(f"kind {machine.kind}: {what} is for machines that turn")
+    if isinstance(machine, str):
+        raise MachineError(
+            f"{machine!r} is a name: {what} takes the machine itself, "
+            f"fluxobs.read_machine({machine!r})"
+        )
+    raise MachineError(f"{what} takes a machine, got {type(machine).__name__}")

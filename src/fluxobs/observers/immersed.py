@@ -1,0 +1,503 @@
+"""Readable least squares on the immersion: any number of ports and relations, current bias too.
+
+The same recursion as firmware/fluxobs.c, which is its special case of one relation, two ports and
+unknown drift, written for reading; what is valid is judged more simply.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _core  # type: ignore[attr-defined]  # compiled
+from ..errors import ObserverError, RecordError, UsageError
+from ..logs.record import Record
+from ..model.immersion import Immersion
+from .base import SampleCounts
+from .outputs import documented, output
+
+Array = NDArray[np.float64]
+
+#: Share of the flux information that may be noise pretending: as in the compiled observer.
+NOISE_SHARE_LIMIT: float = _core.thresholds["SHARE_LIMIT"]
+#: Largest correlation of successive innovations that is believed: as in the compiled observer.
+CORRELATION_LIMIT: float = _core.thresholds["CORRELATION_LIMIT"]
+#: After so many missing samples in a row nothing is known any more: as in the compiled observer.
+MISSING: int = int(_core.thresholds["MAX_CONSECUTIVE_BAD"]) + 1
+#: A flux is known when its standard deviation is below this share of the flux, per-unit. With the
+#: flux of a rotor it is 3° of its angle, the compiled observer's limit (STD_LIMIT).
+KNOWN = 0.05
+#: A sample whose innovation is so many times its standard deviation contradicts all before. Noise
+#: does not reach ten; a jump of an offset does within a few samples (tests/observers).
+CONTRADICTION = 10.0
+#: After so many contradictions in a row something that was constant has jumped: start anew. Fewer
+#: could be a burst of spikes, which the compiled observer also bridges.
+CONTRADICTIONS = MISSING
+#: A restart takes the innovations' power so many times larger, so that noise beyond what is assumed
+#: cannot restart for ever: four restarts make up for an assumed noise 16 times too small.
+RESTART_POWER = 4.0
+#: A current bias beyond so many of its prior's standard deviations is made up by noise, and takes
+#: the flux with it: the flux is not valid then.
+BIAS_LIMIT = 3.0
+#: A row of the prior is given back every so many samples: in turns, as in the compiled observer.
+EVERY = 2
+#: Mean current of the last interval from the last four, newest first: the cubic through them.
+QUADRATURE = np.array([9.0, 19.0, -5.0, 1.0]) / 24
+
+
+@documented
+@dataclass(frozen=True, eq=False)
+class ImmersionEstimate:
+    """What the least squares returns for one sample (leading shape ``()``) or a record ``(rows,)``.
+
+    With n ports and r relations vectors are (..., n), and the innovation is (..., r).
+    """
+
+    flux: Array = output("Wb", "Flux linkage", vector=True)
+    flux_std: Array = output("Wb", "Standard deviation of flux", vector=True)
+    drift: Array = output("V", "R δ_i - B δ_u", vector=True)
+    drift_std: Array = output("V", "Standard deviation of drift", vector=True, in_files=False)
+    current_bias: Array = output("A", "Offset of the current; 0 where it is no unknown", vector=True)
+    current_bias_std: Array = output("A", "Standard deviation of current_bias", vector=True)
+    noise_share: Array = output(
+        "", "Share of each flux component's information that is only noise", vector=True
+    )
+    valid: NDArray[np.bool_] = output(
+        "",
+        "The flux is known: noise share below 0.1 and standard deviation below a twentieth of the "
+        "flux, per-unit, both for a memory without a missing sample",
+        boolean=True,
+    )
+    innovation: Array = output(
+        "", "Residual of each relation over its assumed noise, before the update", in_files=False
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ImmersionState:
+    """All that is remembered: information ``R x = z``, what noise put there, and a few samples."""
+
+    R: Array
+    z: Array
+    noise: Array  # information that noise alone would have produced
+    currents: Array  # the last four, newest first
+    voltage: Array
+    power: float = 1.0  # of the innovations
+    correlation: float = 0.0  # of successive ones
+    last_innovation: Array | None = None
+    samples: int = 0
+    bad_voltages: int = 0
+    bad_currents: int = 0
+    missing: int = 0  # in a row
+    contradictions: int = 0  # in a row
+    known: int = 0  # samples in a row
+    outliers: int = 0
+    restarts: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class ImmersionObserver:
+    """Exponentially forgetting least squares for flux, drift and current bias.
+
+    Parameters
+    ----------
+    immersion : Immersion
+        Relations and unknowns.
+    R : (n, n) array_like
+        Of ``λ̇ = -R i + B u`` [Ω].
+    B : (n, m) array_like
+    sample_time : float
+        [s], > 0.
+    memory : float
+        [s], at least ten samples.
+    flux_base : (n,) array_like
+        Size of the flux [Wb], within a factor of a few.
+    constraint_noise : (r,) array_like
+        Std of each relation's residual, in its own unit.
+    drift_prior : (n,) array_like
+        Largest plausible drift [V].
+    current_bias_prior : (n,) array_like
+        Largest plausible current bias [A]; used where it is an unknown.
+    current_noise : float, optional
+        Std of a current component [A]; default what makes `constraint_noise`. `noise_share`, and
+        so `valid`, rests on it.
+    voltage_noise : float
+        The same of the mean voltage over a sample [V]; default 0, a command.
+
+    Raises
+    ------
+    ObserverError
+        A number is not positive, or an unknown cannot be told from others by these relations.
+
+    References
+    ----------
+    docs/theory.md, sections 4 to 6. G. J. Bierman, *Factorization Methods for Discrete Sequential
+    Estimation*, Academic Press, 1977.
+    """
+
+    immersion: Immersion
+    R: Array
+    B: Array
+    sample_time: float
+    memory: float
+    flux_base: Array
+    constraint_noise: Array
+    drift_prior: Array
+    current_bias_prior: Array = field(default_factory=lambda: np.empty(0))
+    current_noise: float | None = None
+    voltage_noise: float = 0.0
+    _prior: Array = field(init=False, repr=False)
+    _volt_seconds_noise: Array = field(init=False, repr=False)
+    _row_noise: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        n, r = self.immersion.n, len(self.immersion.relations)
+        invisible = self.immersion.invisible()
+        if invisible.shape[1]:
+            raise ObserverError(
+                f"{' and '.join(self.immersion.unknowns)} cannot be found together: "
+                f"{describe_invisible(invisible)}"
+            )
+        shapes = {"flux_base": n, "constraint_noise": r, "drift_prior": n}
+        if "current-bias" in self.immersion.unknowns:
+            shapes["current_bias_prior"] = n
+        for name, length in shapes.items():
+            value = np.array(np.broadcast_to(getattr(self, name), (length,)), dtype=float)
+            if not (np.isfinite(value) & (value > 0)).all():
+                raise ObserverError(f"{name} must be positive and finite, got {value}")
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        for name in ("R", "B"):
+            matrix = np.array(getattr(self, name), dtype=float)
+            if matrix.ndim != 2 or len(matrix) != n or (name == "R" and matrix.shape != (n, n)):
+                raise ObserverError(f"{name} must have {n} rows, got shape {matrix.shape}")
+            if not np.isfinite(matrix).all():
+                raise ObserverError(f"{name} must be finite, got {matrix.tolist()}")
+            object.__setattr__(self, name, matrix)
+        if not (np.isfinite(self.sample_time) and self.sample_time > 0):
+            raise ObserverError(f"sample_time must be positive and finite, got {self.sample_time}")
+        if not self.memory >= 10 * self.sample_time:
+            raise ObserverError(
+                f"memory must be at least ten samples, {10 * self.sample_time:g} s here, "
+                f"got {self.memory:g} s"
+            )
+        if self.immersion.R is not None and not np.array_equal(self.immersion.R, self.R):
+            raise ObserverError("R differs from that of the immersion")
+        noise = self.current_noise
+        if noise is None:
+            slopes = [
+                np.linalg.norm(self.flux_base @ relation.Q2)
+                for relation in self.immersion.relations
+            ]
+            shares = [s / k for s, k in zip(self.constraint_noise, slopes, strict=True) if k > 0]
+            noise = float(min(shares, default=0.0))
+            object.__setattr__(self, "current_noise", noise)
+        for name in ("current_noise", "voltage_noise"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
+                raise ObserverError(f"{name} must be a number >= 0, got {getattr(self, name)}")
+        object.__setattr__(self, "_prior", self._prior_std())
+        h, gain = self.sample_time, self.immersion.transition_gain()
+        pushes = h * np.hstack([self.voltage_noise * self.B, noise * self.R])
+        # One direction of v's noise each: ∂F⁻¹ along it.
+        object.__setattr__(self, "_volt_seconds_noise", np.tensordot(pushes.T, gain, axes=1))
+        object.__setattr__(self, "_row_noise", noise * self.immersion.row_gain())
+
+    def _prior_std(self) -> Array:
+        """Standard deviation of every state before anything is known."""
+        flux, drift, unknowns = self.flux_base, self.drift_prior, self.immersion.unknowns
+        bias = self.current_bias_prior if "current-bias" in unknowns else np.zeros_like(flux)
+        if unknowns == ("current-bias",):
+            drift = np.abs(self.R) @ bias
+        out = np.ones(self.immersion.size)
+        at = self.immersion.slices
+        for k, relation in enumerate(self.immersion.relations):
+            Q1, Q2, E = np.abs(relation.Q1), np.abs(relation.Q2), np.abs(relation.E)
+            size = max(
+                np.max(flux[:, None] * Q1 * flux),
+                np.max(E * flux),
+                np.max(flux[:, None] * Q2 * bias),
+                abs(relation.d),
+            )
+            slope = np.maximum(2 * Q1 * flux, Q2 * bias).max(axis=1)
+            # A state that is zero by definition (Q1 = 0, say) is pinned, not left free.
+            rate = float(np.max(drift / flux))
+            least = 1e-9 * rate * max(size, self.constraint_noise[k])
+            out[at["s"]][k] = max(size, self.constraint_noise[k])
+            out[at["kappa"]][k] = max(np.max(drift * np.maximum(slope, E)), least)
+            out[at["c"]][k] = max(np.max(drift[:, None] * Q1 * drift), rate * least)
+        out[at["flux"]] = flux
+        if "drift" in unknowns:
+            out[at["drift"]] = drift
+        if "current-bias" in unknowns:
+            out[at["current_bias"]] = bias
+        return out
+
+    def init(self, batch: tuple[int, ...] = ()) -> ImmersionState:
+        """State of which nothing is known; one record at a time."""
+        if batch:
+            raise ObserverError("this observer takes one record at a time")
+        size = self.immersion.size
+        return ImmersionState(
+            np.diag(1 / self._prior),
+            np.zeros(size),
+            np.zeros((size, size)),
+            np.zeros((4, self.immersion.n)),
+            np.zeros(0),
+        )
+
+    def step(
+        self,
+        state: ImmersionState,
+        voltage: ArrayLike | None = None,
+        current: ArrayLike | None = None,
+        *,
+        volt_seconds: ArrayLike | None = None,
+    ) -> tuple[ImmersionState, ImmersionEstimate]:
+        """One sample; arguments as for :meth:`LeastSquaresObserver.step`, ``(m,)`` and ``(n,)``.
+
+        A missing (NaN) current or voltage is held, and so is a current that contradicts all
+        before; nothing is valid for a memory after it. Four in a row empty the information.
+        """
+        if current is None or (voltage is None) == (volt_seconds is None):
+            raise UsageError("give current, and either voltage or volt_seconds")
+        i = np.asarray(current, float)
+        u = state.voltage if voltage is None else np.asarray(voltage, float)
+        v = None if volt_seconds is None else np.asarray(volt_seconds, float)
+        if v is not None and not np.isfinite(v).all():
+            raise RecordError("volt_seconds must be finite; a missing sample has no current")
+        known = bool(np.isfinite(i).all())
+        # A first voltage belongs to an interval before the record: none is no fault.
+        no_voltage = not np.isfinite(u).all() and state.samples > 0
+        bad = not known or no_voltage
+        held = state.currents[0] if state.samples else np.zeros(self.immersion.n)
+        if not np.isfinite(u).all():
+            u = state.voltage
+        if u.size == 0:
+            u = np.zeros(self.B.shape[1])
+        missing = state.missing + 1 if bad else 0
+        after = self._move(state, i if known else held, u, v)
+        if known:
+            measured = self._measure(after, i)
+            if measured is None:  # contradicts all before: as if it were missing
+                after = self._move(state, held, u, v)
+                after = replace(
+                    after,
+                    contradictions=state.contradictions + 1,
+                    outliers=state.outliers + 1,
+                    known=0,
+                )
+            else:
+                after = measured
+        if missing >= MISSING:
+            after = self._emptied(after)
+        after = replace(
+            after,
+            voltage=u,
+            samples=state.samples + 1,
+            bad_voltages=state.bad_voltages + no_voltage,
+            bad_currents=state.bad_currents + (not known),
+            missing=missing,
+            known=0 if bad else after.known,
+        )
+        return self._read_out(after)
+
+    def counts(self, state: ImmersionState) -> SampleCounts:
+        """Bad samples, outliers and restarts that `state` has seen."""
+        return SampleCounts(
+            state.bad_voltages, state.bad_currents, 0, state.outliers, state.restarts
+        )
+
+    def _move(
+        self, state: ImmersionState, current: Array, voltage: Array, v: Array | None
+    ) -> ImmersionState:
+        """Time update to a sample with that current."""
+        h, immersion = self.sample_time, self.immersion
+        if state.samples == 0:
+            # Before the first sample the current is taken to have been what it is.
+            return replace(state, currents=np.tile(current, (4, 1)))
+        currents = np.vstack([current, state.currents[:-1]])
+        if v is None:
+            v = h * (self.B @ voltage - self.R @ (QUADRATURE @ currents))
+        rho = 1 - h / self.memory
+        back = immersion.transition(-h, -v)
+        R = state.R @ back
+        z = np.sqrt(rho) * (state.z + R @ immersion.known_input(v))
+        R = np.sqrt(rho) * R
+        noise = rho * back.T @ state.noise @ back + self._pretended(R)
+        return replace(state, R=R, z=z, noise=noise, currents=currents)
+
+    def _emptied(self, state: ImmersionState) -> ImmersionState:
+        """The same without information."""
+        fresh = self.init()
+        return replace(state, R=fresh.R, z=fresh.z, noise=fresh.noise, contradictions=0)
+
+    def _measure(self, state: ImmersionState, current: Array) -> ImmersionState | None:
+        """Takes the relations at the current in, and one row of the prior back.
+
+        None if the current contradicts all before, and not often enough to start anew.
+        """
+        immersion, sigma = self.immersion, self.constraint_noise
+        rows, values = immersion.output_rows(current)
+        rows, values = rows / sigma[:, None], values / sigma
+        inverse = np.linalg.inv(state.R)
+        innovation = values - rows @ (inverse @ state.z)
+        expected = 1 + np.square(rows @ inverse).sum(axis=1)
+        limit = CONTRADICTION**2 * expected * max(state.power, 1.0)
+        rho = 1 - self.sample_time / self.memory
+        if (innovation**2 > limit).any():
+            if state.contradictions + 1 < CONTRADICTIONS:
+                return None
+            state = replace(
+                self._emptied(state),
+                # The currents held meanwhile were no measurements.
+                currents=np.tile(current, (4, 1)),
+                restarts=state.restarts + 1,
+                power=RESTART_POWER * max(state.power, 1.0),
+            )
+        else:
+            last = state.last_innovation
+            product = 0.0 if last is None else float(np.mean(innovation * last))
+            state = replace(
+                state,
+                power=rho * state.power + (1 - rho) * float(np.mean(innovation**2)),
+                correlation=rho * state.correlation + (1 - rho) * product,
+            )
+        state = replace(state, last_innovation=innovation)
+        R, z = _absorb(state.R, state.z, rows, values)
+        # Against wind-up: what forgetting takes from the prior is given back, in turn, at the
+        # estimate, which it does not move.
+        if state.samples % EVERY == 0:
+            j = state.samples // EVERY % immersion.size
+            weight = np.sqrt(1 - rho ** (EVERY * immersion.size)) / self._prior[j]
+            row = np.zeros((1, immersion.size))
+            row[0, j] = weight
+            R, z = _absorb(R, z, row, weight * np.linalg.solve(R, z)[[j]])
+        gain = self._row_noise / sigma[:, None, None]
+        noise = state.noise + np.einsum("rij,rkj->ik", gain, gain)
+        return replace(state, R=R, z=z, noise=noise, contradictions=0)
+
+    def _pretended(self, R: Array) -> Array:
+        """Information that noise of the last volt-seconds has given to all rows of the past."""
+        moved = R @ self._volt_seconds_noise
+        return np.asarray((moved.transpose(0, 2, 1) @ moved).sum(axis=0))
+
+    def _read_out(self, state: ImmersionState) -> tuple[ImmersionState, ImmersionEstimate]:
+        immersion, at = self.immersion, self.immersion.slices
+        inverse = np.linalg.inv(state.R)
+        x = inverse @ state.z
+        covariance = inverse @ inverse.T
+        # Innovations of real records are coloured: their power and correlation scale the variance.
+        r1 = float(np.clip(state.correlation / max(state.power, 1e-300), 0.0, CORRELATION_LIMIT))
+        level = state.power * (1 + r1) / (1 - r1)
+        # What the prior holds is as uncertain as the prior says, however small the innovations.
+        held = np.square(covariance / self._prior).sum(axis=1)
+        variance = level * np.diag(covariance) + max(1 - level, 0.0) * held
+        std = np.sqrt(variance)
+        # Share of each state's marginal information that noise has put there.
+        spread = np.einsum("ij,ik,kj->j", covariance, state.noise, covariance)
+        all_shares = spread / np.diag(covariance)
+        share = all_shares[at["flux"]]
+        n = immersion.n
+        flux, flux_std = x[at["flux"]], std[at["flux"]]
+        bias = x[at["current_bias"]] if "current-bias" in immersion.unknowns else np.zeros(n)
+        bias_std = std[at["current_bias"]] if "current-bias" in immersion.unknowns else np.zeros(n)
+        if "drift" in immersion.unknowns:
+            drift, drift_std = x[at["drift"]], std[at["drift"]]
+        else:
+            drift, drift_std = self.R @ bias, np.sqrt(np.square(self.R) @ np.square(bias_std))
+        # Each port by its own size: a large one says nothing of a small one.
+        length = np.linalg.norm(flux / self.flux_base) / np.sqrt(n)
+        known = bool(
+            (share < NOISE_SHARE_LIMIT).all()
+            and (flux_std < KNOWN * length * self.flux_base).all()
+            and state.contradictions == 0
+            # A current bias that noise makes up takes the flux with it.
+            and (all_shares[at["current_bias"]] < NOISE_SHARE_LIMIT).all()
+            and (
+                np.abs(x[at["current_bias"]]) < BIAS_LIMIT * self._prior[at["current_bias"]]
+            ).all()
+            and np.isfinite(x).all()
+        )
+        state = replace(state, known=state.known + 1 if known and state.missing == 0 else 0)
+        innovation = state.last_innovation
+        return state, ImmersionEstimate(
+            flux,
+            flux_std,
+            drift,
+            drift_std,
+            bias,
+            bias_std,
+            share,
+            np.asarray(state.known * self.sample_time >= self.memory),
+            np.zeros(len(immersion.relations)) if innovation is None else innovation,
+        )
+
+    def run(
+        self,
+        voltage: Record | ArrayLike | None = None,
+        current: ArrayLike | None = None,
+        *,
+        volt_seconds: ArrayLike | None = None,
+    ) -> ImmersionEstimate:
+        """A whole record, from zero knowledge; the same numbers as the step loop.
+
+        A :class:`Record`, or ``(rows, m)`` and ``(rows, n)`` arrays: row k's voltage (or
+        volt-seconds) belongs to the interval that ends at row k.
+        """
+        if isinstance(voltage, Record):
+            voltage, current = voltage.on_intervals(self.sample_time)
+        return self.resume(self.init(), voltage, current, volt_seconds=volt_seconds)[1]
+
+    def resume(
+        self,
+        state: ImmersionState,
+        voltage: ArrayLike | None = None,
+        current: ArrayLike | None = None,
+        *,
+        volt_seconds: ArrayLike | None = None,
+    ) -> tuple[ImmersionState, ImmersionEstimate]:
+        """Like :meth:`run`, from `state`; returns the state after the last row too."""
+        if current is None or (voltage is None) == (volt_seconds is None):
+            raise UsageError("give current, and either voltage or volt_seconds")
+        key = "voltage" if volt_seconds is None else "volt_seconds"
+        source = np.asarray(voltage if volt_seconds is None else volt_seconds, float)
+        currents = np.asarray(current, float)
+        if currents.ndim != 2 or source.shape[:1] != currents.shape[:1] or source.ndim != 2:
+            raise RecordError(
+                f"voltage and current must have as many rows, got {source.shape} and "
+                f"{currents.shape}"
+            )
+        found = []
+        for given, i in zip(source, currents, strict=True):
+            state, estimate = self.step(state, current=i, **{key: given})
+            found.append(estimate)
+        if not found:
+            raise RecordError("the record has no rows")
+        names = ImmersionEstimate.__dataclass_fields__
+        return state, ImmersionEstimate(
+            **{name: np.array([getattr(row, name) for row in found]) for name in names}
+        )
+
+
+def _absorb(R: Array, z: Array, rows: Array, values: Array) -> tuple[Array, Array]:
+    """Triangle that has taken weighted rows in."""
+    n = len(R)
+    stacked = np.vstack([np.column_stack([R, z]), np.column_stack([rows, values])])
+    # LAPACK's rows may come out negative; a sign of a row means nothing.
+    triangle: Any = np.linalg.qr(stacked, mode="r")
+    return triangle[:n, :n], triangle[:n, n]
+
+
+def describe_invisible(directions: NDArray[np.floating]) -> str:
+    """In words: what offset of flux and current no record can tell from none."""
+    n = len(directions) // 2
+    out = []
+    for column in directions.T:
+        column = column / np.abs(column[n:]).max() if np.abs(column[n:]).max() > 0 else column
+        flux = ", ".join(f"{value:.3g}" for value in column[:n] + 0.0)
+        current = ", ".join(f"{value:.3g}" for value in column[n:] + 0.0)
+        out.append(f"an offset of ({flux}) Wb in the flux with ({current}) A in the current")
+    return " and ".join(out) + " leaves every relation as it is"

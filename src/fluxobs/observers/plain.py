@@ -1,0 +1,257 @@
+"""The production observer: square-root information least squares on the exact immersion.
+
+The numbers come from firmware/fluxobs.c, the same source that runs in a drive.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core, _core_single  # type: ignore[attr-defined]  # compiled
+from ..errors import ObserverError
+from ..machines import RotatingMachine, rotating
+from ..model.constraint import QuadraticConstraint
+from .base import Estimate
+from .compiled import CompiledObserver, read_columns, wrapped
+
+#: Default memory [s]. One value served every record tried, 75 to 5000 rad/s electrical: much
+#: shorter, and slow machines turn too little within it; much longer, and what is taken as constant
+#: (drift, inverter error, magnet flux) changes within it.
+MEMORY = RotatingMachine.memory
+#: Bandwidth of the tracker times the memory: follows load steps that the memory only averages.
+TRACKER = 20.0
+#: No real machine keeps its relation better than to this share of its flux squared (saturation,
+#: slots, inverter). It belongs to the assumed noise, where it balances prior against data; the
+#: reported standard deviations take their level from the innovations.
+MODEL_ERROR = 0.003
+#: Default noise of a current component, as a share of the rated current.
+CURRENT_NOISE = 0.002
+#: A current is no measurement beyond this many rated currents, ...
+CURRENT_LIMIT = 20.0
+#: ... provided that its own flux, L i, is then beyond this many flux bases.
+CURRENT_FLUX_LIMIT = 5.0
+#: Settings that are positive numbers, by the names of fo_config (firmware/fluxobs.h).
+POSITIVE = (
+    "sample_time",
+    "memory",
+    "flux_base",
+    "current_noise",
+    "constraint_noise",
+    "current_limit",
+    "drift_prior",
+    "length_min",
+    "tracker_bandwidth",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class LeastSquaresObserver(CompiledObserver[Estimate]):
+    """Flux, position, speed and drift by exponentially forgetting least squares.
+
+    Use :meth:`for_machine` unless you know better; the fields are what it chooses.
+
+    Parameters
+    ----------
+    constraint : QuadraticConstraint
+        Two ports.
+    R, B : (2, 2) array_like
+        Of ``λ̇ = -R i + B u`` [Ω], [-].
+    position_inductance : float
+        L of the position vector λ - L i [H].
+    sample_time : float
+        [s], > 0.
+    memory : float
+        Exponential memory [s], ten to a million samples.
+    flux_base : float
+        Size of the flux [Wb], to within a factor of a few.
+    constraint_noise : float
+        Std of the constraint's residual in its own unit (Wb² for Q1 = I).
+    current_noise : float
+        Std of a current component [A].
+    current_limit : float
+        A longer current vector is taken for garbage [A].
+    drift_prior : float
+        Largest plausible drift [V]. Start-up is quicker the tighter it is; one that proves too
+        tight is widened.
+    length_min : float
+        A position vector shorter than this is no position [Wb].
+    tracker_bandwidth : float
+        [rad/s].
+    precision : {"double", "single"}
+        Single computes what a microcontroller does.
+
+    Raises
+    ------
+    ObserverError
+        A value is not positive or not finite, the memory is shorter than ten samples or longer than
+        a million, or sizes do not fit each other (a wrong unit).
+
+    References
+    ----------
+    docs/theory.md, sections 4 to 6; firmware/fluxobs.c.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fluxobs.machines import example
+    >>> observer = LeastSquaresObserver.for_machine(example("servo-400w"), sample_time=1e-4)
+    >>> state, estimate = observer.step(observer.init(), voltage=[0.0, 0.0], current=[0.1, 0.0])
+    >>> bool(estimate.valid)
+    False
+    """
+
+    constraint: QuadraticConstraint
+    R: NDArray[np.float64]
+    B: NDArray[np.float64]
+    position_inductance: float
+    sample_time: float
+    memory: float
+    flux_base: float
+    constraint_noise: float
+    current_noise: float
+    current_limit: float
+    drift_prior: float
+    length_min: float
+    tracker_bandwidth: float
+    precision: Literal["double", "single"] = "double"
+    _core: Any = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.constraint.n != 2:
+            raise ObserverError(f"the compiled observer has two ports, got {self.constraint.n}")
+        if self.precision not in ("double", "single"):
+            raise ObserverError(f'precision must be "double" or "single", got {self.precision!r}')
+        for name in ("R", "B"):
+            matrix = np.array(getattr(self, name), dtype=float)
+            if matrix.shape != (2, 2):
+                raise ObserverError(f"{name} must have shape (2, 2), got {matrix.shape}")
+            matrix.setflags(write=False)
+            object.__setattr__(self, name, matrix)
+        for name in POSITIVE:
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise ObserverError(f"{name} must be positive and finite, got {value}")
+        if self.memory < 10 * self.sample_time:
+            raise ObserverError(
+                f"memory must be at least ten samples, {10 * self.sample_time:g} s here, "
+                f"got {self.memory:g} s"
+            )
+        if self.memory > 1e6 * self.sample_time:
+            raise ObserverError(
+                f"memory must be at most a million samples, {1e6 * self.sample_time:g} s here, "
+                f"got {self.memory:g} s"
+            )
+        object.__setattr__(self, "_core", self._make_core())
+
+    def _make_core(self) -> Any:
+        module = _core if self.precision == "double" else _core_single
+        c = self.constraint
+        size = np.abs(c.Q1).max()
+        config = {
+            "Q1": c.Q1,
+            "Q2": np.ascontiguousarray(c.Q2),
+            "Q3": c.Q3,
+            "E": c.E,
+            "C": c.C,
+            "R": self.R,
+            "B": self.B,
+            "L_position": self.position_inductance,
+            # Without λᵀQ1λ the mixed term sets the size; any positive number serves.
+            "constraint_base": float(size) * self.flux_base**2 if size else self.constraint_noise,
+        }
+        config |= {name: getattr(self, name) for name in POSITIVE}
+        return wrapped(module.Core, config)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {key: value for key, value in self.__dict__.items() if key != "_core"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        object.__setattr__(self, "_core", self._make_core())
+
+    @classmethod
+    def for_machine(
+        cls,
+        machine: RotatingMachine,
+        *,
+        sample_time: float,
+        memory: float = MEMORY,
+        psi_f: float | None = None,
+        rated_current: float | None = None,
+        current_noise: float | None = None,
+        drift_prior: float | None = None,
+        precision: Literal["double", "single"] = "double",
+    ) -> Self:
+        """Observer with everything chosen from the machine.
+
+        Parameters
+        ----------
+        machine : RotatingMachine
+        sample_time : float
+            [s].
+        memory : float
+            [s]; the one tuning number. The default served every record tried.
+        psi_f, rated_current : float, optional
+            Override the machine's; scales only, a factor of two does no harm [Wb], [A peak].
+        current_noise : float, optional
+            Std of a current component [A]; default 0.2 % of the rated current.
+        drift_prior : float, optional
+            Largest plausible drift [V]; default the larger of 3 % of the rated resistive drop and
+            what would turn the flux by 0.1 rad within the memory.
+        precision : {"double", "single"}
+
+        Raises
+        ------
+        ObserverError
+            Names the argument that neither the machine nor the call gives.
+        """
+        machine = rotating(machine, "LeastSquaresObserver")
+        rated = rated_current if rated_current is not None else machine.rated_current
+        if rated is None:
+            raise ObserverError(
+                f"rated_current is missing: give it in the machine ({machine.kind}) or to "
+                f"for_machine(…, rated_current=…) [A peak]; a rough value serves"
+            )
+        flux_base = machine.flux_base(rated, psi_f)
+        if flux_base is None:
+            raise ObserverError(
+                f"psi_f is missing: give it in the machine ({machine.kind}) or to "
+                f"for_machine(…, psi_f=…) [Wb]; a rough value serves"
+            )
+        noise = current_noise if current_noise is not None else CURRENT_NOISE * rated
+        if drift_prior is None:
+            drift_prior = max(0.03 * machine.R_s * rated, 0.1 * flux_base / memory)
+        return cls(
+            constraint=machine.constraint,
+            R=machine.R,
+            B=machine.B,
+            position_inductance=machine.position_inductance,
+            sample_time=sample_time,
+            memory=memory,
+            flux_base=flux_base,
+            constraint_noise=float(
+                np.hypot(
+                    machine.constraint_noise(flux_base, noise), MODEL_ERROR * flux_base**2
+                )
+            ),
+            current_noise=noise,
+            current_limit=max(
+                CURRENT_LIMIT * rated, CURRENT_FLUX_LIMIT * flux_base / machine.position_inductance
+            ),
+            drift_prior=drift_prior,
+            length_min=machine.shortest * flux_base,
+            tracker_bandwidth=TRACKER / memory,
+            precision=precision,
+        )
+
+    def parameters(self) -> dict[str, Any]:
+        """Every number a step uses, per-unit, in the order of fo_observer (firmware/fluxobs.h)."""
+        found: dict[str, Any] = self._core.parameters()
+        return found
+
+    def _estimate(self, columns: NDArray[np.float64], valid: NDArray[np.bool_]) -> Estimate:
+        return Estimate(**read_columns(_core.outputs, columns), valid=valid)

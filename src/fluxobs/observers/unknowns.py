@@ -1,0 +1,67 @@
+"""The vocabulary of what is constant, or slow, and not known; and which observer finds it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from ..errors import FluxobsError
+from ..model.immersion import UNKNOWNS as IN_THE_IMMERSION
+from ..machines import Machine, RotatingMachine
+from ..validation import nearest
+
+#: Errors of the machine's parameters and of its inverter, found by the adaptive observer.
+ADAPTED = ("resistance", "inverter")
+UNKNOWNS: tuple[str, ...] = (*IN_THE_IMMERSION, *ADAPTED)
+#: What a standard deviation can be given for.
+PRIORS = ("resistance", "inverter", "psi_f")
+
+
+def read_unknowns(unknowns: str | Sequence[str]) -> tuple[str, ...]:
+    """Unknowns from ``"drift,resistance"``, or a sequence of such words.
+
+    Raises
+    ------
+    FluxobsError
+        An unknown word, with the nearest known one; none at all; or two that exclude each other.
+    """
+    given = unknowns.split(",") if isinstance(unknowns, str) else unknowns
+    words = [word.strip() for word in given if word.strip()]
+    for word in words:
+        if word not in UNKNOWNS:
+            raise FluxobsError(f"unknowns: unknown {word!r}{nearest(word, UNKNOWNS)}")
+    if not words:
+        raise FluxobsError(f"unknowns: give some of {', '.join(UNKNOWNS)}; drift serves")
+    return tuple(name for name in UNKNOWNS if name in words)
+
+
+def adapts(unknowns: Sequence[str]) -> bool:
+    """Whether these take the adaptive observer."""
+    return any(name in ADAPTED for name in unknowns)
+
+
+def check_adapted(machine: Machine, unknowns: Sequence[str], priors: Mapping[str, float]) -> None:
+    """FluxobsError where the adaptive observer cannot find these unknowns on that machine."""
+    found = [name for name in unknowns if name in ADAPTED]
+    if found and not isinstance(machine, RotatingMachine):
+        raise FluxobsError(
+            f"kind {machine.kind}: {' and '.join(found)} can be found of machines that turn only"
+        )
+    if found and "current-bias" in unknowns:
+        raise FluxobsError(
+            f"{' and '.join(found)} cannot be found together with a current bias: with the drift, "
+            f"which takes a current bias in, they can (unknowns drift,{','.join(found)})"
+        )
+    if found and "drift" not in unknowns:
+        raise FluxobsError(
+            f"{' and '.join(found)} without the drift: no sensor is without an offset, and the "
+            f"drift is found in any case; unknowns drift,{','.join(found)}"
+        )
+    for name, std in priors.items():
+        if name not in PRIORS:
+            raise FluxobsError(f"prior: unknown {name!r}{nearest(name, PRIORS)}")
+        if not 0 <= std < float("inf"):
+            raise FluxobsError(f"prior {name}={std:g}: must be finite and not negative")
+        if name in ADAPTED and name not in unknowns:
+            raise FluxobsError(f"prior {name}: {name} is not among the unknowns")
+    if priors and not found:
+        raise FluxobsError("prior: needs resistance or inverter among the unknowns")
