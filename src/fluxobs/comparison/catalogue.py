@@ -29,9 +29,9 @@ from ..design.baselines import (
     SpeedAdaptiveObserver,
 )
 from ..design.drive import Motor
-from ..design.regression.laws import PEBO, DremObserver
 from ..design.drive.twin import SquareRootLeastSquares
 from ..design.regression import Parametrisation, SampledRegression
+from ..design.regression.laws import PEBO, DremObserver
 from ..machines import RotatingMachine
 from ..observers import LeastSquaresObserver
 from ..observers.plain import MEMORY, TRACKER

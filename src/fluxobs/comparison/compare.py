@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..design.drive.simulate import stack
-from ..design.drive.vectors import vector
 from ..design.drive.twin import SquareRootLeastSquares
+from ..design.drive.vectors import vector
 from ..errors import FluxobsError, RecordError, UsageError
+from ..estimation.prepare import LEAST_NOISE, VOLTAGE_OFFSET, open_for
 from ..logs.log import Log
 from ..logs.read import Source
-from ..machines import Machine, RotatingMachine, as_machine, rotating
-from ..estimation.prepare import LEAST_NOISE, VOLTAGE_OFFSET, open_for
 from ..logs.scales import white_noise
+from ..machines import Machine, RotatingMachine, as_machine, rotating
 from .bound import position_bound
 from .catalogue import CATALOGUE, Entry, Gains, Setting
 from .scenarios import SCENARIOS, Scenario, believed_machine, run_scenario

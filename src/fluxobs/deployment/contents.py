@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping
 from importlib import metadata, resources
 
-from .. import _core  # type: ignore[attr-defined]  # compiled
+from .. import _core
 from ..errors import FluxobsError
 from ..machines import RotatingMachine
 from ..observers import AdaptiveObserver
+from ..synthetic.firmware_record import firmware_record
 from .c_source import Precision
 from .costs import cost_table, read_costs
-from ..synthetic.firmware_record import firmware_record
 from .header import Exported, bases, parameter_header, parameters, plain, settings
 from .vectors import COLUMNS, exact_columns, run, vectors_header
 

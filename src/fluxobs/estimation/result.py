@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..errors import FluxobsError
 from ..logs.log import Log
 from ..logs.scales import Scales
-from ..machines import Machine, RotatingMachine
+from ..machines import Machine, RotatingMachine, rotating
 from ..observers import AdaptiveObserver, LeastSquaresObserver, SampleCounts
 from ..output import check_out, write_rows
 from ..validation import nearest
@@ -84,6 +84,11 @@ class Result:
         return np.asarray(table[column].to_numpy())
 
     @property
+    def rotor(self) -> RotatingMachine:
+        """The machine, where it turns: a compiled observer ran."""
+        return rotating(self.machine, "this part of a result")
+
+    @property
     def plain(self) -> LeastSquaresObserver | None:
         """The plain observer: the one that ran, or the one in the adaptive one."""
         if isinstance(self.observer, AdaptiveObserver):
@@ -112,9 +117,10 @@ class Result:
     @property
     def firmware(self) -> str | None:
         """How the same observer gets into firmware; None where it cannot."""
-        machine, plain = self.machine, self.plain
-        if plain is None or not isinstance(machine, RotatingMachine):
+        plain = self.plain
+        if plain is None:
             return None
+        machine = self.rotor
         lacking = []
         if machine.flux_base(1.0) is None:
             lacking.append(f"psi_f ({plain.flux_base:.3g} here)")

@@ -100,21 +100,19 @@ def _current_bias(result: Result) -> list[str]:
 
 
 def _flux(result: Result) -> list[str]:
-    machine = result.machine
-    if result.adaptive is not None or "psi_f" not in result.statistics.sums:
+    if result.adaptive is not None or result.plain is None:
         return []
-    assert isinstance(machine, RotatingMachine)
-    return [f"{machine.length_name}: {si(result.statistics.mean('psi_f'), 'Wb')}."]
+    return [f"{result.rotor.length_name}: {si(result.statistics.mean('psi_f'), 'Wb')}."]
 
 
 def _parameters(result: Result) -> list[str]:
     """What the adaptive observer holds at the end, each with what was believed of it."""
-    adaptive, found, machine = result.adaptive, result.statistics.found, result.machine
+    adaptive, found = result.adaptive, result.statistics.found
     if adaptive is None:
         return []
     if not found:
         return ["No parameter was found: the position was not known for long enough."]
-    assert isinstance(machine, RotatingMachine)
+    machine = result.rotor
     magnet = "given" if machine.magnet_flux else "guessed from the log"
     drops = "given" if machine.inverter_voltage is not None else "assumed"
     told, untold = [], []

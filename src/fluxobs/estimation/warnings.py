@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..machines import RotatingMachine
 from ..observers import LeastSquaresObserver
 from .result import Result
 from .summary import bias_is_seen, si
@@ -18,10 +17,11 @@ SAMPLES_PER_PERIOD = 8
 PSI_RANGE = (0.75, 1.33)
 #: Share of valid rows below which, in a log that moves, something does not fit.
 VALID_SHARE = 0.5
-#: Memories that a log must last for its summary to mean anything: after three e⁻³ = 5 % of the start
-#: is left; where resistance or inverter are unknown, three pass before a position is valid.
+#: Memories that a log must last for its summary to mean anything: after three e⁻³ = 5 % of the
+#: start is left; where resistance or inverter are unknown, three pass before a valid position.
 MEMORIES, MEMORIES_ADAPTIVE = 3, 5
-#: Rms position error [rad] beyond which the truth itself is in doubt: no valid estimate is so wrong.
+#: Rms position error [rad] beyond which the truth itself is in doubt: no valid estimate is so far
+#: off.
 TRUTH_LIMIT = 0.5
 #: Share of the valid rows below which a truth that is missing is worth a word.
 TRUTH_SHARE = 0.99
@@ -115,10 +115,9 @@ def _rate(result: Result) -> list[str]:
 
 
 def _validity(result: Result) -> list[str]:
-    statistics, machine = result.statistics, result.machine
+    statistics, machine = result.statistics, result.rotor
     if statistics.valid >= VALID_SHARE * statistics.rows:
         return []
-    assert isinstance(machine, RotatingMachine)
     still = result.scales.voltage < STANDING * machine.R_s * result.scales.current
     reason = (
         "the voltage is hardly more than the resistive drop: at standstill, or nearly, the flux "
@@ -131,9 +130,7 @@ def _validity(result: Result) -> list[str]:
 
 
 def _magnet_flux(result: Result) -> list[str]:
-    machine = result.machine
-    assert isinstance(machine, RotatingMachine)
-    given = machine.magnet_flux
+    given = result.rotor.magnet_flux
     if not given or not result.statistics.valid:
         return []
     found = result.statistics.mean("psi_f")
@@ -167,8 +164,7 @@ def _far(result: Result) -> list[str]:
 
 
 def _residual(result: Result, plain: LeastSquaresObserver) -> list[str]:
-    statistics, machine = result.statistics, result.machine
-    assert isinstance(machine, RotatingMachine)
+    statistics, machine = result.statistics, result.rotor
     # Without magnets λ - L i says little of the flux.
     flux = statistics.mean("psi_f") if statistics.valid and machine.magnets else plain.flux_base
     residual = np.inf

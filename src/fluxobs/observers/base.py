@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -18,29 +18,51 @@ Array = NDArray[np.float64]
 class Estimate:
     """What an observer returns for one sample (leading shape ``()``), a record or a batch."""
 
-    flux: Array = output(
-        "Wb", "Flux linkage. A current bias δ_i adds L δ_i: docs/theory.md, section 3", vector=True
+    flux: Array = field(
+        metadata=output(
+            "Wb",
+            "Flux linkage. A current bias δ_i adds L δ_i to it (theory, section 3)",
+            vector=True,
+        )
     )
-    psi_f: Array = output(
-        "Wb", "Length of the position vector λ - L i: magnet flux, or active flux if salient"
+    psi_f: Array = field(
+        metadata=output(
+            "Wb", "Length of the position vector λ - L i: magnet flux, or active flux if salient"
+        )
     )
-    theta_e: Array = output(
-        "rad", "Electrical position straight from the flux, in (-π, π]; always finite", exact=False
+    theta_e: Array = field(
+        metadata=output(
+            "rad",
+            "Electrical position straight from the flux, in (-π, π]; always finite",
+            exact=False,
+        )
     )
-    theta_e_tracked: Array = output("rad", "Tracked position, in (-π, π]", exact=False)
-    speed_e: Array = output("rad/s", "Electrical speed", exact=False)
-    drift: Array = output(
-        "V", "R δ_i - B δ_u, the rate at which the open-loop flux integral drifts", vector=True
+    theta_e_tracked: Array = field(
+        metadata=output("rad", "Tracked position, in (-π, π]", exact=False)
     )
-    theta_e_std: Array = output(
-        "rad", "Standard deviation of theta_e; π/√3 (uniform over a turn) if nothing is known"
+    speed_e: Array = field(metadata=output("rad/s", "Electrical speed", exact=False))
+    drift: Array = field(
+        metadata=output(
+            "V", "R δ_i - B δ_u, the rate at which the open-loop flux integral drifts", vector=True
+        )
     )
-    valid: NDArray[np.bool_] = output("", "The position is known now", boolean=True)
-    innovation: Array = output(
-        "", "Residual of the constraint over its assumed noise, before the update", in_files=False
+    theta_e_std: Array = field(
+        metadata=output(
+            "rad", "Standard deviation of theta_e; π/√3 (uniform over a turn) if nothing is known"
+        )
     )
-    noise_share: Array = output(
-        "", "Share of the flux information that is only noise; 1: no position", in_files=False
+    valid: NDArray[np.bool_] = field(metadata=output("", "The position is known now", boolean=True))
+    innovation: Array = field(
+        metadata=output(
+            "",
+            "Residual of the constraint over its assumed noise, before the update",
+            in_files=False,
+        )
+    )
+    noise_share: Array = field(
+        metadata=output(
+            "", "Share of the flux information that is only noise; 1: no position", in_files=False
+        )
     )
 
 
@@ -101,9 +123,7 @@ class Observer(Protocol[State, Found]):
         """A record, (rows, 2) each, from zero knowledge."""
         ...
 
-    def resume(
-        self, state: State, voltage: ArrayLike, current: ArrayLike
-    ) -> tuple[State, Found]:
+    def resume(self, state: State, voltage: ArrayLike, current: ArrayLike) -> tuple[State, Found]:
         """As `run`, from a state; the state after the last row too."""
         ...
 

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 
 from ..drive.motor import Motor
-from ..drive.vectors import vector
 from ..drive.twin import wrap
+from ..drive.vectors import vector
 from ..precision import real
 
 Array = jax.Array
