@@ -97,39 +97,40 @@ class Observer(Protocol[State, Found]):
     """What every observer keeps: the state is data, the observer a frozen object.
 
     `step` takes the current sampled now and the mean voltage over the interval that ends now; `run`
-    gives the same numbers for a whole record, and `resume` goes on from a state. Nothing is
-    mutated. tests/contract holds every observer to this.
+    gives the same numbers for a whole record. Nothing is mutated. Vectors are (2,) or (rows, 2), in
+    NumPy or in JAX, as the observer is. tests/contract holds every observer to this: the compiled
+    ones, the immersed one, their twin in JAX, and the baselines of the comparison.
     """
 
     @property
-    def sample_time(self) -> float:
+    def sample_time(self) -> Any:
         """[s]."""
-        ...
-
-    @property
-    def memory(self) -> float:
-        """Exponential memory [s]."""
         ...
 
     def init(self) -> State:
         """State in which nothing is known."""
         ...
 
-    def step(self, state: State, voltage: ArrayLike, current: ArrayLike) -> tuple[State, Found]:
-        """One sample, (2,) [V] and [A]."""
+    def step(self, state: State, voltage: Any, current: Any) -> tuple[State, Found]:
+        """One sample [V], [A]."""
         ...
 
-    def run(self, voltage: Any, current: ArrayLike) -> Found:
-        """A record, (rows, 2) each, from zero knowledge."""
-        ...
-
-    def resume(self, state: State, voltage: ArrayLike, current: ArrayLike) -> tuple[State, Found]:
-        """As `run`, from a state; the state after the last row too."""
+    def run(self, voltage: Any, current: Any) -> Any:
+        """A record, from zero knowledge: the estimates of all its rows, stacked."""
         ...
 
 
 class LogObserver(Observer[State, Found], Protocol[State, Found]):
-    """An observer that estimations of logs run: it counts what was wrong with the samples."""
+    """An observer that estimations of logs run: it takes a log in parts, and counts bad samples."""
+
+    @property
+    def memory(self) -> float:
+        """Exponential memory [s]."""
+        ...
+
+    def resume(self, state: State, voltage: ArrayLike, current: ArrayLike) -> tuple[State, Any]:
+        """As `run`, from a state; the state after the last row too."""
+        ...
 
     def counts(self, state: State) -> SampleCounts:
         """Bad samples and restarts so far."""

@@ -514,6 +514,11 @@ class SquareRootLeastSquares(eqx.Module):
         s, reading = self._read_out(s, v)
         return s, reading._replace(valid=reading.valid & ~(missing | contradicted))
 
+    @property
+    def memory(self) -> Array:
+        """Exponential memory [s]."""
+        return self.sample_time / self.h
+
     def run(self, voltage: Any, current: Any) -> Estimate:
         """A whole record from zero knowledge, (rows, 2) each; as :meth:`LeastSquaresObserver.run`
         on arrays: row k's voltage is the mean over the interval that ends at row k."""
