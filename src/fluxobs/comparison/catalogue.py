@@ -169,7 +169,9 @@ def _kalman(s: Setting, g: Gains, with_drift: bool) -> KalmanFilter:
 
 
 def _entries() -> list[Entry]:
-    def of(kind: type[Baseline], **fixed: Any) -> Callable[[Setting, Gains], Observer[Any, Any]]:
+    def of(
+        kind: Callable[..., Baseline], **fixed: Any
+    ) -> Callable[[Setting, Gains], Observer[Any, Any]]:
         return lambda s, g: kind(s.motor, s.sample_time, **g, **fixed)
 
     cutoffs = (0.03, 0.1, 0.3, 1.0)
