@@ -1,15 +1,25 @@
-"""Pydantic's complaints in words that name the field, what was given and what would do."""
+"""Checks of what users give, in words that name the field, what was given and what would do."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from numbers import Real
 from typing import Annotated
 
 from pydantic import Field, ValidationError
 
+from .errors import UsageError
+
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+def number(name: str, value: object, unit: str) -> float:
+    """The value as a number; UsageError where it is none."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise UsageError(f"{name} must be a number [{unit}], got {value!r}")
+    return float(value)
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

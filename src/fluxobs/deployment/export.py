@@ -12,6 +12,7 @@ from ..errors import FluxobsError
 from ..machines import Machine, as_machine
 from ..observers import AdaptiveObserver, LeastSquaresObserver
 from ..observers.unknowns import adapts, read_unknowns
+from ..validation import number
 from .c_source import PRECISIONS
 from .contents import contents
 from .folder import check_folder, write_folder
@@ -97,6 +98,7 @@ def export(
     ['example_isr.c', 'fluxobs.c', 'fluxobs.h', 'fluxobs_internal.h', 'motor_observer.h']
     """
     check_prefix(prefix)
+    sample_time = number("sample_time", sample_time, "s")
     chosen = read_unknowns(unknowns)
     given = check_machine(as_machine(machine), chosen, priors or {})
     memory = check_times(sample_time, update_every, memory)

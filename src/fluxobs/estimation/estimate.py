@@ -15,6 +15,7 @@ from ..machines.files import as_machine
 from ..observers import LogObserver
 from ..observers.unknowns import read_unknowns
 from ..output import ahead, check_out, write_rows
+from ..validation import number
 from .columns import rows_of
 from .prepare import open_for, prepare
 from .result import Result
@@ -78,6 +79,8 @@ def estimate(
     0.0125
     """
     machine = as_machine(machine)
+    if memory is not None:
+        memory = number("memory", memory, "s")
     chosen, stds = read_unknowns(unknowns), dict(priors or {})
     opened = open_for(log, machine, **layout)
     path = None if out is None else check_out(out, opened.path)

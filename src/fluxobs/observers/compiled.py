@@ -104,6 +104,7 @@ class CompiledObserver(Generic[Found]):
             Leading shape `batch`.
         """
         source = _source(voltage, volt_seconds)
+        _check_state(state)
         if current is None:
             raise UsageError("current is missing: give voltage (or volt_seconds) and current")
         expected = (*state.batch, 2)
@@ -162,12 +163,14 @@ class CompiledObserver(Generic[Found]):
         threads: int | None = None,
     ) -> tuple[CompiledState, Found]:
         """Like :meth:`run` on arrays, from `state`; returns the state after the last row too."""
+        _check_state(state)
         source = np.ascontiguousarray(_source(voltage, volt_seconds), dtype=float)
         i = np.ascontiguousarray(current, dtype=float)
         if i.ndim < 2 or i.shape[-1] != 2 or source.shape != i.shape or i.shape[:-2] != state.batch:
+            expected = ", ".join(map(str, (*state.batch, "rows", 2)))
             raise RecordError(
-                f"voltage and current must have shape {(*state.batch, 'rows', 2)}, "
-                f"got {source.shape} and {i.shape}"
+                f"voltage and current must have shape ({expected}), got {source.shape} and "
+                f"{i.shape}"
             )
         return self._advance(state, source, i, volt_seconds is not None, threads or _processors())
 
@@ -196,6 +199,11 @@ class CompiledObserver(Generic[Found]):
         shape = state.batch if squeeze else (*state.batch, rows)
         found = self._estimate(columns.reshape(len(columns), *shape), valid.reshape(shape))
         return CompiledState(raw, state.batch), found
+
+
+def _check_state(state: object) -> None:
+    if not isinstance(state, CompiledState):
+        raise UsageError(f"state must come from init or step, got {type(state).__name__}")
 
 
 def _source(voltage: ArrayLike | None, volt_seconds: ArrayLike | None) -> ArrayLike:

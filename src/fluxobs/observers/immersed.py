@@ -168,6 +168,8 @@ class ImmersionObserver:
     _row_noise: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.immersion, Immersion):
+            raise UsageError(f"immersion must be an Immersion, got {self.immersion!r}")
         n, r = self.immersion.n, len(self.immersion.relations)
         invisible = self.immersion.invisible()
         if invisible.shape[1]:

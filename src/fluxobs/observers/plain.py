@@ -15,6 +15,7 @@ from .. import _core, _core_single
 from ..errors import ObserverError
 from ..machines import RotatingMachine, rotating
 from ..model.constraint import QuadraticConstraint
+from ..validation import number
 from .base import Estimate
 from .compiled import CompiledObserver, read_columns, wrapped
 
@@ -132,7 +133,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
             matrix.setflags(write=False)
             object.__setattr__(self, name, matrix)
         for name in POSITIVE:
-            value = getattr(self, name)
+            value = number(name, getattr(self, name), "SI")
             if not (np.isfinite(value) and value > 0):
                 raise ObserverError(f"{name} must be positive and finite, got {value}")
         if self.memory < 10 * self.sample_time:
