@@ -22,7 +22,8 @@ MachineOption = Annotated[
     Path, typer.Option(help="TOML with kind, R_s, … in SI; or a name from `fluxobs machines`.")
 ]
 LogArgument = Annotated[
-    Path, typer.Argument(help="CSV (any delimiter), Parquet or npz; a column a channel.")
+    Path,
+    typer.Argument(metavar="LOG", help="CSV (any delimiter), Parquet or npz; a column a channel."),
 ]
 ReportOption = Annotated[Path | None, typer.Option(help="Picture: .png, .pdf or .svg.")]
 PriorOption = Annotated[

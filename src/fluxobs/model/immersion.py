@@ -212,6 +212,6 @@ class Immersion:
         Returns
         -------
         (2n, k) ndarray
-            See :func:`fluxobs.constraint.invisible_offsets`.
+            See :func:`fluxobs.model.constraint.invisible_offsets`.
         """
         return invisible_offsets(self.relations, self.unknowns, self.R)

@@ -63,7 +63,10 @@ def steady(
     `speed` is a number, or one for each of the rows. Every integral is exact.
     """
     omega = np.broadcast_to(np.asarray(speed, float), (rows,)).copy()
-    theta = theta0 + np.concatenate([[0.0], np.cumsum(omega * sample_time)])
+    if np.ndim(speed) == 0:  # a sum over millions of rows would lose digits
+        theta = theta0 + omega[0] * sample_time * np.arange(rows + 1)
+    else:
+        theta = theta0 + np.concatenate([[0.0], np.cumsum(omega * sample_time)])
     turn = np.exp(1j * theta)
     moving = np.abs(omega) > 1e-9  # else the quotient below is 0/0
     safe = np.where(moving, omega, 1.0)
