@@ -64,7 +64,7 @@ class Baseline(eqx.Module):
     def advance(
         self, own: Any, voltage: Array, volt_seconds: Array, current: Array, before: Array
     ) -> tuple[Any, Guess]:
-        """One sample, complex vectors: `volt_seconds` is ∫(u - R i) dt, `before` the last current."""
+        """One sample, complex vectors: `volt_seconds` ∫(u - R i) dt, `before` the last current."""
         raise NotImplementedError
 
     def init(self) -> BaselineState:
@@ -84,7 +84,7 @@ class Baseline(eqx.Module):
         return BaselineState(i, jnp.ones((), bool), own), guess
 
     def run(self, voltage: Any, current: Any) -> Guess:
-        """Runs a record, (rows, 2) each; voltages are means over the interval ending at each row."""
+        """Runs a record, (rows, 2) each; voltages are means over the interval ending at a row."""
         return run(self, jnp.asarray(voltage, float), jnp.asarray(current, float))
 
     # ---- shared by several ---------------------------------------------------------------
@@ -94,7 +94,7 @@ class Baseline(eqx.Module):
         return flux - self.motor.L_q * current
 
     def length(self, current: Array, direction: Array) -> Array:
-        """Its length ``ψ + (L_d - L_q) i_d``, d along `direction`; at least 0.1 % of :meth:`size`."""
+        """Its length ``ψ + (L_d - L_q) i_d``, d along `direction`; kept above 0.1 % of `size`."""
         i_d = (current * jnp.conj(direction)).real
         length = self.motor.psi_f + (self.motor.L_d - self.motor.L_q) * i_d
         return jnp.maximum(length, 1e-3 * self.size())
