@@ -53,7 +53,7 @@ class Inverter(eqx.Module):
         self.R_on, self.smoothing = not_negative("R_on", R_on), positive("smoothing", smoothing)
         if not isinstance(switching, int) or isinstance(switching, bool) or switching < 0:
             raise ModelError(
-                f"switching must be a number of parts, or 0 (averaged), got {switching!r}"
+                f"switching must be a number of parts, 0 for averaged, got {switching!r}"
             )
         self.switching = switching
 

@@ -283,7 +283,7 @@ class SquareRootLeastSquares(eqx.Module):
     # ---- read-out ------------------------------------------------------------------------
 
     def _read_out(self, s: TwinState, v: Array) -> tuple[TwinState, Reading]:
-        """Reads out the flux of the least squares while trusted; else carries on the last trusted."""
+        """Reads out the flux of the least squares if trusted, else carries the last trusted on."""
         inverse = invert(s.triangle[:, :SIZE])
         x = inverse @ s.triangle[:, Z]
         current = s.currents[0]
@@ -436,7 +436,7 @@ class SquareRootLeastSquares(eqx.Module):
         )
 
     def _reinjected(self, s: TwinState) -> Array:
-        """Adds one prior row in turn, centred on the estimate: bounds the stds, moves no estimate."""
+        """Adds one prior row in turn, centred on the estimate: bounds the stds, moves nothing."""
         scale = s.prior_scale**PRIOR_POWER
         row = jnp.where(jnp.arange(SIZE) == s.turn // 2, self.reinject / scale, 0.0)
         return absorb(s.triangle, jnp.append(row, row @ s.x))[0]
@@ -444,7 +444,7 @@ class SquareRootLeastSquares(eqx.Module):
     # ---- samples -------------------------------------------------------------------------
 
     def _ahead(self, s: TwinState, before: Array) -> Array:
-        """Substitutes a missing sample: the last one, turned with the rotor if its speed is known."""
+        """Substitute for a missing sample: the last one, turned with the rotor if known."""
         half = jnp.where(s.trusted, s.speed * self.sample_time / 2, 0.0)
         cosine, sine = (1 - half**2) / (1 + half**2), 2 * half / (1 + half**2)
         alpha, beta = before[0], before[1]
@@ -544,7 +544,7 @@ def select(condition: Array, yes: TwinState, no: TwinState) -> TwinState:
 
 
 def _barrier(array: Array) -> Array:
-    """The same array, made so that XLA computes it once, not again for each element that uses it."""
+    """The same array; XLA computes it once, not again for every element that uses it."""
     barrier: Any = jax.lax.optimization_barrier
     kept: Array = barrier(array)
     return kept
