@@ -2,9 +2,9 @@
 
 Cramér–Rao bound, for machines with one inductance. Each sample measures the current with noise σ.
 The position is free: the bound assumes nothing about the rotor's motion. Each sample then gives one
-radial equation, ``|λ - L i| = ψ``, accurate to L σ. Across it, only the present
-sample tells the present angle, with noise L σ. The same noise also enters the flux, through R.
-Derivation: docs/theory.md, section 12.
+radial equation, ``|λ - L i| = ψ``, accurate to L σ. Across it, only the present sample tells the
+present angle, with noise L σ. The same noise also enters the flux, through R. Derivation:
+docs/theory.md, section 12.
 """
 
 from __future__ import annotations

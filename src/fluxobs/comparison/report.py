@@ -55,7 +55,7 @@ def verdict(comparison: Comparison) -> str:
         else:
             text += f" It is within 10 % of the best, {best.name}, {_rms(best.tuned)}."
         return text
-    text += f" {best.name} is better, {_rms(best.tuned)}"
+    text += f" The best is {best.name}, {_rms(best.tuned)}"
     return text + (f": {comparison.limit}." if comparison.limit else ".")
 
 
@@ -197,7 +197,7 @@ def _bars(axes: Axes, results: Sequence[ObserverResult], bound: float | None) ->
     axes.plot([], [], "|", color=ORANGE, markersize=9, markeredgewidth=2, label="usual gains")
     if bound is not None:
         axes.axvline(np.degrees(bound), color="black", linewidth=0.8, linestyle=":")
-        axes.plot([], [], ":", color="black", linewidth=0.8, label="bound of a raw angle")
+        axes.plot([], [], ":", color="black", linewidth=0.8, label="bound for a raw angle")
     for k, (value, other) in enumerate(zip(tuned, recommended, strict=True)):
         axes.text(max(value, other), k, f"  {value:.2g}", va="center", fontsize=7)
     axes.set_xscale("log")

@@ -21,8 +21,8 @@ class FilteredVoltageModel(Baseline):
     """Low-pass instead of an integrator, ``λ_c' = y - ω_c λ_c`` (order 1), optionally followed by a
     high-pass that blocks offsets (order 2).
 
-    ω_c is proportional to the speed. The gain and phase of the filters at that speed are
-    compensated, ``λ̂ = λ_c (1 - jω_c/ω̂)^order``.
+    ω_c is proportional to the speed, down to `least`. The gain and phase of the filters at that
+    speed are compensated, ``λ̂ = λ_c (1 - jω_c/ω̂)^order``.
 
     Parameters
     ----------

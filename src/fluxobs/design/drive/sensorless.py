@@ -39,8 +39,8 @@ class Sensorless(eqx.Module):
     Start (I/f): after `align` seconds at rest a current vector of length `current` turns at the
     reference speed, at most at `speed`. The observer takes over once its position has been valid,
     with a standard deviation below `ready`, for `hold` seconds, and the reference is not zero. If
-    the position becomes invalid, as near zero speed, the drive rides through for `ride` seconds, as
-    long as the standard deviation stays below `lost`. Then the position counts as lost, and the
+    the position becomes invalid, as near zero speed, the drive rides through for `ride` seconds.
+    After that, or once the standard deviation reaches `lost`, the position counts as lost, and the
     drive returns to I/f at its present speed.
 
     Parameters

@@ -58,7 +58,7 @@ class TwinState(NamedTuple):
     variance: Array  # variance of the carried position at its start [rad²]
     growth: Array
     carried: Array  # duration of carrying on
-    carried_length: Array  # length of the position vector at its start
+    carried_length: Array  # length of the position vector when carrying began
     carried_off: Array  # largest squared relative change of that length since
     angle: Array  # tracker: angle, speed, acceleration [rad], [rad/s], [rad/s²]
     speed: Array

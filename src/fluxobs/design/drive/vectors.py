@@ -24,7 +24,7 @@ def to_rpm(speed: Any) -> Any:
 
 
 def rms(amplitude: Any) -> Any:
-    """RMS of a phase quantity to its peak, the unit used internally: A rms to A."""
+    """RMS of a phase quantity to its peak, which is used internally: A rms to A."""
     return amplitude * np.sqrt(2.0)
 
 
