@@ -15,7 +15,7 @@ def magnet_machines() -> dict[str, SurfacePMSM]:
 
 
 def exactness() -> None:
-    heading("Offsets of 1 to 10 % of rated, no noise, volt-seconds given (target 1e-6 rad)")
+    heading("Offsets of 1 to 10 % of rated, no noise, exact volt-seconds (target 1e-6 rad)")
     for name, machine in magnet_machines().items():
         worst = 0.0
         for per_period in (8, 12, 24):
@@ -35,7 +35,7 @@ def exactness() -> None:
 
 
 def quadrature() -> None:
-    heading("Currents only, 12 samples a period (target 0.05 degrees)")
+    heading("Mean voltage and sampled currents only, 12 samples per period (target 0.05 degrees)")
     for name, machine in magnet_machines().items():
         h, rated = 2e-4, machine.rated_current
         omega = 2 * np.pi / (12 * h)
@@ -48,7 +48,7 @@ def quadrature() -> None:
 
 
 def noise_floor() -> None:
-    heading("White current noise, two electrical periods on (target 1.3 L sigma / psi)")
+    heading("White current noise, after two electrical periods (target 1.3 L sigma / psi)")
     for name, machine in magnet_machines().items():
         h, noise = 1e-4, 0.005 * machine.rated_current
         for omega in (200.0, 600.0, 2000.0):
@@ -67,16 +67,16 @@ def noise_floor() -> None:
             walk = machine.R_s * np.sqrt(h * observer.memory) / machine.L_s
             print(
                 f"    {name:12s} {omega:5.0f} rad/s  {rms:.3f} degrees, {rms / floor:.2f} × the "
-                f"floor; through R {walk:.2f} times as much as through L"
+                f"floor; noise through R is {walk:.2f} times that through L"
             )
 
 
 def standstill() -> None:
-    heading("Ten noisy minutes at standstill, then motion (target: never valid; one period)")
+    heading("Ten noisy minutes at standstill, then motion (target: never valid, then one period)")
     for name, machine in magnet_machines().items():
         h, noise, rows = 2e-4, 0.005 * machine.rated_current, 3000
         observer = LeastSquaresObserver.for_machine(machine, sample_time=h, current_noise=noise)
-        slowest = observer.drift_prior / (np.pi / 22.5 * machine.psi_f)  # that can be valid
+        slowest = observer.drift_prior / (np.pi / 22.5 * machine.psi_f)  # speed that can be valid
         omega = max(250.0, 2 * slowest)
         drive = Drive(machine, omega, 3j, h)
         theta, i, _, u = drive.samples(rows)
@@ -113,7 +113,7 @@ def single_precision() -> None:
 
 
 def long_memories() -> None:
-    heading("float32 against double by the steps in a memory (servo, 20 kHz, ten memories)")
+    heading("float32 against double over the steps per memory (servo, 20 kHz, ten memories)")
     machine = magnet_machines()["servo-400w"]
     for steps in (600, 2000, 4000, 10_000, 20_000):
         h, rows = 5e-5, 20 * steps

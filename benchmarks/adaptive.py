@@ -1,7 +1,9 @@
-"""The adaptive observer against the plain one: start, resistance, inverter, interior machines with
-moving i_d, low speed, measured logs, honesty of its standard deviations, cost.
+"""The adaptive observer against the plain one.
 
-    python benchmarks/adaptive.py                 # all; a map is written with --map FILE.png
+Start, resistance, inverter, interior machines with varying i_d, low speed, measured logs, whether
+its standard deviations are honest, cost.
+
+    python benchmarks/adaptive.py                 # runs all; --map FILE.png also draws the map
 """
 
 from __future__ import annotations
@@ -48,7 +50,7 @@ def profile(*knots: tuple[float, float]) -> Array:
 def start() -> None:
     heading(
         "Start from standstill at an unknown angle, 5 % offset: largest error of 40 starts "
-        "[degrees] after so many degrees (target: 5 after 90 at 0.5 % noise, 180 at 2.5 %)"
+        "[degrees] by degrees turned (target: 5 after 90 at 0.5 % noise, after 180 at 2.5 %)"
     )
     turns = (60, 90, 129, 180, 270, 360)
     speed = profile((0, 0), (0.02, 0), (0.08, 250), (0.13, 250))
@@ -85,7 +87,7 @@ def start() -> None:
 def simulated(
     name: str, speed, load, duration: float, inverter: float = 0.0, seed: int = 0
 ) -> tuple[float, Array, Array, Array]:
-    """A drive with an encoder: sample time, interval voltage, current, true angle."""
+    """Record of a drive with an encoder: sample time, interval voltage, current, true angle."""
     machine, rated = example(name), rating(name)
     I_n, full = machine.rated_current, rated.speed_e / machine.n_p
     drive = encoder_drive(machine, rated, noise=I_n / 300, offset=(0.006 * I_n, 0.008 * I_n))
@@ -116,14 +118,12 @@ def compare(name: str, believed, record, begin: float, **given) -> str:
     half = believed.half_turn_ambiguous
     for o in (observer.plain, observer):
         error = degrees_error(o.run(u, i).theta_e, theta, half)[late]
-        out.append(f"{rms(error):6.2f} rms, {np.abs(error).max():6.1f} most")
+        out.append(f"{rms(error):6.2f} rms, {np.abs(error).max():6.1f} max")
     return f"{name:24s} plain {out[0]}   adaptive {out[1]}"
 
 
 def resistance() -> None:
-    heading(
-        "R wrong; steps of load and a reversal under load; degrees from 0.8 s on (target 0.3 rms)"
-    )
+    heading("Wrong R; load steps and a reversal under load; degrees from 0.8 s on (target 0.3 rms)")
     speed = ((0, 0), (0.3, 0.5), (1.4, 0.5), (1.8, -0.5), (3.0, -0.5))
     load = ((0.6, 0), (0.6, 1), (1.0, 1), (1.0, 0.3), (2.0, 0.3), (2.0, -0.8), (2.5, 0.5))
     for name in ("pmsm-2kw2", "servo-400w", "ipm-2kw2", "synrm-6kw7"):
@@ -159,7 +159,7 @@ def inverter() -> None:
 
 def interior(picture: Path | None) -> None:
     heading(
-        "Interior machine with i_d stepping by its rated current: largest error [degrees] by "
+        "Interior machine, i_d stepped by shares of rated current: largest error [degrees] over "
         "saliency L_q / L_d (rows), i_d / rated (columns); half load and speed; L_q i / psi 0.7"
     )
     base = example("ipm-2kw2")
@@ -224,8 +224,8 @@ def draw_map(path: Path, ratios, currents, maps: dict[str, Array]) -> None:
 
 def low_speed() -> None:
     heading(
-        "Lowest speed [rad/s] at which the position holds 5 degrees for 1 s and more, after a run "
-        "at 100 rad/s; 3 seeds; 1 % offset, 30 % load, drift only (rated: 474 rad/s)"
+        "Lowest speed [rad/s] at which the position stays within 5 degrees for 1 s or more, after "
+        "100 rad/s; 3 seeds; 1 % offset, 30 % load, drift only (rated: 474 rad/s)"
     )
     speeds = (60, 40, 25, 15, 10, 6, 4, 2.5, 1.5, 1.0, 0.6, 0.4)
     for memory in (0.03, 0.3):
@@ -302,7 +302,7 @@ def measured() -> None:
 def honesty() -> None:
     heading(
         "416 simulated drives, R, psi, inverter and offsets drawn from the priors: normalised "
-        "squared error a dimension (target 0.7 to 1.5), and the worst valid row [degrees]"
+        "squared error per dimension (target 0.7 to 1.5), and the worst valid row [degrees]"
     )
     drives = []
     for name, lanes in (("pmsm-2kw2", 208), ("servo-400w", 104), ("ipm-2kw2", 104)):
@@ -311,7 +311,7 @@ def honesty() -> None:
 
 
 def mean_score(drives: list[list[list[float]]]) -> str:
-    """Over all valid instants; and without the drive that adds most: the tail is heavy."""
+    """Mean over all valid instants, and without the worst drive: the tail is heavy."""
     drives = sorted(drives, key=lambda scores: sum(row[0] for row in scores))
     means = [
         np.mean([row[0] for scores in part for row in scores]) for part in (drives, drives[:-1])
@@ -416,7 +416,7 @@ def lane_scores(lane, machine, h, u, i, theta, volt, drift, worst) -> list[list[
 
 
 def covariance_of(observer, state, found) -> tuple[Array, Array]:
-    """Of (angle, drift, psi_f, R, V) in SI, at the last row: scaled to the reported ones."""
+    """Covariance of (angle, drift, psi_f, R, V), SI, at the last row, scaled to the stds given."""
     _, _, _, packed, D = observer._core.filter(state.raw, 0)
     U = np.eye(7)
     for j in range(7):
@@ -446,7 +446,7 @@ def covariance_of(observer, state, found) -> tuple[Array, Array]:
 
 
 def cost() -> None:
-    heading("A million samples of pmsm-2kw2, ns a sample (target: 2.5 times the plain observer's)")
+    heading("A million samples of pmsm-2kw2, ns per sample (target: 2.5 times the plain one's)")
     s = rotating(MACHINE, H, 200.0, 200_000, i_dq=3j, noise=0.02)
     observer = AdaptiveObserver.for_machine(MACHINE, sample_time=H)
     times: dict[str, list[float]] = {"plain": [], "adaptive": []}
@@ -461,7 +461,7 @@ def cost() -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--map", type=Path, help="picture of the interior machine's map")
+    parser.add_argument("--map", type=Path, help="draw the interior machine's map to this file")
     options = parser.parse_args()
     start()
     resistance()

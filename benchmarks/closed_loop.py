@@ -1,4 +1,4 @@
-"""Sensorless closed loop: the least squares in the loop from standstill at an unknown angle."""
+"""Sensorless closed loop: the least squares starts from standstill at an unknown angle."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ MACHINE = "pmsm-2kw2"
 
 
 def errors(run: Run, half_turn: bool = False) -> np.ndarray:
-    """Position error [°] of what the drive runs on."""
+    """Error of the angle that the drive runs on [°]."""
     return degrees_error(run.trace.reading.theta_e, run.trace.theta_e, half_turn)
 
 
 def course(rated: Rating, machine: RotatingMachine, speed, load=((0, 0),), **given) -> Course:
-    """Speeds and loads as shares of the rated ones."""
+    """Course from speeds and loads as shares of their rated values."""
     return Course(
         Profile([t for t, _ in speed], [x * rated.speed_e / machine.n_p for _, x in speed]),
         rated.dc_link,
@@ -36,7 +36,7 @@ def course(rated: Rating, machine: RotatingMachine, speed, load=((0, 0),), **giv
 
 
 def losses(run: Run) -> str:
-    """Hand-over and losses, in words."""
+    """Times of hand-over and of losses, as text."""
     took = [e.at for e in run.events if e.what == "observer in the loop"]
     lost = [e.at for e in run.events if e.what in ("position lost", "overcurrent trip")]
     text = f"in the loop from {took[0]:.2f} s" if took else "never in the loop"
@@ -72,13 +72,13 @@ def speeds() -> None:
     sensors = {"offset": (0.22 * 0.6, 0.22 * 0.8), "noise": 0.02}
     for share in (0.01, 0.02, 0.05, 0.1, 0.3, 1.0):
         for sign in (1, -1):
-            # Half a turn, as the docstring advises; the default where that is shorter.
+            # Time of half a turn, as `sensorless_drive` advises; not below the default.
             memory = max(0.03, np.pi / (share * rated.speed_e))
             ramped = 0.2 + max(0.1, 2 * share)
             settle = ramped + 4 * memory + 0.5
             at = sign * share
             speed = ((0, 0), (0.2, 0), (ramped, at))
-            # An EMF of 1 % leaves no room for other voltage errors than offsets.
+            # An EMF of 1 % of rated leaves no room for voltage errors other than offsets.
             prior = min(0.1 * machine.psi_f / memory, 0.1 * share * rated.speed_e * machine.psi_f)
             drive = sensorless_drive(
                 machine, rated, memory, speed_bandwidth=50.0, drift_prior=prior, **sensors
@@ -119,9 +119,7 @@ def resistance_in_the_loop() -> None:
 
 
 def jumps() -> None:
-    heading(
-        "Biases that jump during operation, under full load (2.2 V and 0.22 A, changed in sign)"
-    )
+    heading("Biases that change sign during operation, under full load (2.2 V and 0.22 A)")
     rated, machine = rating(MACHINE), example(MACHINE)
     for share in (0.1, 0.3, 1.0):
         a = np.array([0.22 * 0.6, 0.22 * 0.8])
@@ -177,7 +175,7 @@ def starts() -> None:
         worst.append(np.abs(errors(run)[run.trace.mode == 1]).max())
     print(
         f"    in the loop after {min(times):.2f} to {max(times):.2f} s (the reference starts at "
-        f"0.2 s), from then on at most {max(worst):.2f} degrees"
+        f"0.2 s), then at most {max(worst):.2f} degrees"
     )
 
 

@@ -1,4 +1,4 @@
-"""What the benchmarks share: the machine they ran on, and closed-form records."""
+"""Shared by the benchmarks: the computer they ran on, and closed-form records."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MEASURED = Path(os.environ.get("FLUXOBS_DATA", ROOT.parent / "shared" / "data"))
 
 
 def machine_line() -> str:
-    """Processor, cores and Python, to stand beside every number."""
+    """Processor, cores and Python version, printed with every result."""
     model = platform.processor()
     info = Path("/proc/cpuinfo")
     if info.exists():
@@ -37,7 +37,7 @@ def heading(title: str) -> None:
 
 @dataclass(frozen=True)
 class Drive:
-    """A machine at constant speed and current: every integral is exact."""
+    """A machine at constant speed and current; every integral is exact."""
 
     machine: RotatingMachine
     omega: float  # electrical, rad/s
@@ -46,8 +46,8 @@ class Drive:
     theta0: float = 1.0
 
     def samples(self, rows: int) -> tuple[Array, Array, Array, Array]:
-        """True angle, current, volt-seconds ∫(u - R i) and mean voltage over the interval that
-        ends at each row; vectors (rows, 2)."""
+        """True angle, current, and over the interval that ends at each row the volt-seconds
+        ∫(u - R i) dt and the mean voltage; vectors are (rows, 2)."""
         start = self.theta0 - self.omega * self.sample_time
         true = steady(self.machine, self.sample_time, self.omega, rows, self.current, start)
         angle, current = wrap(true.theta_e[1:]), vectors(true.current[1:])

@@ -14,7 +14,8 @@ from fluxobs.comparison.scenarios import SCENARIOS
 
 
 def line(found: Comparison) -> str:
-    """Rms degrees: ours raw and tracked, over the bound, and the best of the others."""
+    """Rms degrees: the least squares recommended and tuned, its raw angle over the bound, the best
+    of the others."""
     raw = found.result(LEAST_SQUARES)
     rest = others(found)
     best, recommended = rest[0], min(rest, key=lambda r: r.recommended.rms)
@@ -42,9 +43,9 @@ def scenarios(machine: str, names: list[str]) -> None:
 def logs() -> None:
     paths = sorted(MEASURED.glob("data*.csv"))
     if not paths:
-        heading(f"Measured logs: skipped, none in {MEASURED}")
+        heading(f"Measured logs: skipped, no log in {MEASURED}")
         return
-    for psi, what in ((0.032, "as published"), (0.0243, "as the least squares finds it")):
+    for psi, what in ((0.032, "as published"), (0.0243, "as estimated by the least squares")):
         heading(f"Measured logs, magnet flux {psi} Vs, {what}: rms degrees, gains tuned on the log")
         machine = MACHINE.with_values(psi_f=psi)
         found = [compare(p, machine, **LAYOUT) for p in paths]

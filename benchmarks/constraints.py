@@ -1,4 +1,4 @@
-"""The table of docs/constraints.md: what every machine of the library satisfies."""
+"""The table of docs/constraints.md: the relations that every machine of the library satisfies."""
 
 from fluxobs.design import blondel_park, discover_constraint
 from fluxobs.design.energies.library import LIBRARY, doubly_fed

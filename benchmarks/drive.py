@@ -1,4 +1,4 @@
-"""Time of the simulated drive: one second alone, and a batch."""
+"""Run time of the simulated drive: one second of a single drive, and a batch."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def keep(row: Trace) -> tuple[object, ...]:
 
 
 def best(run: object, times: int = 7) -> tuple[float, float]:
-    """Shortest and median time [s], after one for compilation."""
+    """Shortest and median time [s]; a first run compiles."""
     run()
     taken = []
     for _ in range(times):
@@ -58,7 +58,7 @@ def main() -> None:
         least, median = best(lambda drive=drive: simulate(drive, course(), DURATION))
         print(f"    {name:38s} median {median:.3f} s, best {least:.3f} s")
 
-    heading(f"A batch of {LANES} such seconds, all different (target 1 us a scenario and sample)")
+    heading(f"A batch of {LANES} such seconds, all different (target 1 us per drive and sample)")
     rng = np.random.default_rng(0)
     drives = [
         sensorless_drive(MACHINE, RATED, noise=0.02, offset=rng.normal(0, 0.1, 2))

@@ -30,7 +30,7 @@ rated_current = 12.0
 
 
 def batches(rows: int) -> Iterator[pl.DataFrame]:
-    """A drive that swings between ±800 rad/s, with offsets and noise."""
+    """Record of a drive that swings between ±800 rad/s, with offsets and noise."""
     rng = np.random.default_rng(1)
     for start in range(0, rows, BATCH):
         t = np.arange(start, min(start + BATCH, rows)) / RATE
@@ -65,7 +65,7 @@ def main() -> None:
         memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20
         heading(f"{rows} rows of Parquet (target for 72 million: 60 s, 1 GB)")
         sizes = [(folder / n).stat().st_size / 2**30 for n in ("log.parquet", "estimates.parquet")]
-        print(f"    {wall:.1f} s wall, {1e9 * wall / rows:.0f} ns a row, peak {memory:.2f} GiB")
+        print(f"    {wall:.1f} s wall, {1e9 * wall / rows:.0f} ns per row, peak {memory:.2f} GiB")
         print(f"    log {sizes[0]:.2f} GiB, estimates {sizes[1]:.2f} GiB")
 
 

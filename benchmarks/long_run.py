@@ -21,7 +21,7 @@ def course(name: str, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Electrical angle [rad] and speed [rad/s] at these times."""
     if name == "constant speed":
         return 600.0 * t, np.full_like(t, 600.0)
-    # Between 200 and 1000 rad/s, a swing of eight seconds.
+    # Swings between 200 and 1000 rad/s with a period of eight seconds.
     w = 2 * np.pi / 8
     return 600.0 * t + 400.0 / w * np.sin(w * t), 600.0 + 400.0 * np.cos(w * t)
 
@@ -35,7 +35,7 @@ def minute(machine: SurfacePMSM, name: str, start: int, noise: float) -> tuple[n
     turn = np.exp(1j * np.remainder(theta, 2 * np.pi))
     i = 4j * turn
     flux = machine.L_s * i + machine.psi_f * turn
-    # Mean current over an interval, by Euler and Maclaurin: h^4 is far below single precision.
+    # Mean current over an interval, by Euler-Maclaurin: h^4 is far below single precision.
     slope = 1j * speed * i
     mean = (i[1:] + i[:-1]) / 2 - h * (slope[1:] - slope[:-1]) / 12
     u = np.diff(flux) / h + machine.R_s * mean + (0.12 - 0.08j)
@@ -69,8 +69,8 @@ def main() -> None:
                 invalid += int((~found.valid[settled]).sum())
             drift = max(abs(m - means[0]) for m in means)
             print(
-                f"    {name}, noise {noise:g} A: mean of a minute {means[0]:+.4f}° at first, at "
-                f"most {drift:.5f}° from that; largest error {worst:.3f}°, {invalid} rows invalid"
+                f"    {name}, noise {noise:g} A: mean per minute {means[0]:+.4f}° at first, then "
+                f"within {drift:.5f}° of that; largest error {worst:.3f}°, {invalid} rows invalid"
             )
 
 

@@ -1,6 +1,6 @@
-"""Accuracy on measured logs of a surface PMSM with encoder; skipped where they are absent.
+"""Accuracy on measured logs of a surface PMSM with encoder; skipped if the logs are absent.
 
-Data: lab449/med2021-spmsm-ft-observer, not part of this project. FLUXOBS_DATA names their folder.
+Data: lab449/med2021-spmsm-ft-observer, not part of this project. FLUXOBS_DATA names the folder.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from common import MEASURED, degrees_error, heading
 import fluxobs
 from fluxobs import SurfacePMSM
 
-#: As published; no rated current, so that is taken from the record.
+#: Published data; without a rated current, which is then taken from the record.
 MACHINE = SurfacePMSM(R_s=0.39, L_s=1.4e-3, n_p=8, psi_f=0.032)
 Q8 = 1 / 256
 LAYOUT: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""Wall time of `fluxobs reproduce`, compilation included, a fresh process each."""
+"""Wall time of `fluxobs reproduce`, each run in a fresh process, compilation included."""
 
 import subprocess
 import sys

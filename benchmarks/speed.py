@@ -1,4 +1,4 @@
-"""Time a sample of `run`, all that it returns, on one core; double, single, and a batch."""
+"""Time per sample of `run` with all its outputs, on one core; double, single, and a batch."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROWS, REPEATS = 200_000, 9
 
 
 def main() -> None:
-    heading("Time a sample (target 350 ns on one core)")
+    heading("Time per sample (target 350 ns on one core)")
     machine = example("servo-400w")
     drive = Drive(machine, 800.0, 4j, 5e-5)
     _, i, _, u = drive.samples(ROWS)
@@ -34,7 +34,7 @@ def main() -> None:
     started = time.perf_counter()
     observer.run(*both)
     each = (time.perf_counter() - started) / ROWS / lanes * 1e9
-    print(f"    batch of {lanes} on {os.cpu_count()} cores: {each:.0f} ns a sample and record")
+    print(f"    batch of {lanes} on {os.cpu_count()} cores: {each:.0f} ns per sample and record")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What a step every few interrupts costs: instructions on average, position error under noise."""
+"""Cost of a step every M-th interrupt: mean instructions, and position error under noise."""
 
 from __future__ import annotations
 

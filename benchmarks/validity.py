@@ -30,13 +30,13 @@ def keep(row: Trace) -> tuple[object, ...]:
 
 def main() -> None:
     heading(
-        f"Largest error on a valid row [degrees], lanes of {LANES} above 15, share of rows valid"
+        f"Largest error of a valid row [degrees], lanes of {LANES} above 15, share of valid rows"
     )
     cases = (
         ("noise 0.3 %, offsets 1 %", 1.0, 0.0),
         ("and R + 20 %", 1.2, 0.0),
         ("and R - 20 %", 0.8, 0.0),
-        ("and 0.5 % of rated EMF a phase", 1.0, 0.005),
+        ("and 0.5 % of rated EMF per phase", 1.0, 0.005),
     )
     for name in ("pmsm-2kw2", "servo-400w", "ipm-2kw2", "synrm-6kw7"):
         machine, rated = example(name), rating(name)

@@ -1,6 +1,6 @@
-"""A machine of your own in ten lines: a dual three-phase PMSM, phase by phase.
+"""Define your own machine in ten lines: a dual three-phase PMSM, phase by phase.
 
-Two three-phase windings 30 degrees apart on one magnet rotor. Its energies are all that is given;
+Two three-phase windings, 30 degrees apart, share one magnet rotor. You give only the energies;
 currents, torque, dynamics and the relation that the flux observers need follow from them.
 """
 
@@ -29,6 +29,6 @@ if __name__ == "__main__":
     found = discover_constraint(machine)
     print(f"{machine.name}: {len(found.relations)} quadratic relation between flux and current")
     print(f"  margin {found.margin:.0e}, residual on other states {found.residual:.0e}")
-    print(f"{len(found.affine)} linear ones, of the planes without magnet flux:")
+    print(f"{len(found.affine)} linear relations, in the planes without magnet flux:")
     for relation in found.affine:
         print(f"  {relation}")

@@ -1,4 +1,4 @@
-"""A drive without an encoder: start at an unknown angle, load, reversal; draws what happens.
+"""Drive without an encoder: starts at an unknown angle, takes load, reverses; draws the result.
 
 python examples/sensorless_start.py [PICTURE]
 """
@@ -17,7 +17,7 @@ from fluxobs.machines import example
 from fluxobs.plots import BLUE, GREY, ORANGE, STYLE, write
 
 machine, rated = example("pmsm-2kw2"), rating("pmsm-2kw2")
-# Sensors that are wrong by a few percent, and noisy; the voltage is biased too.
+# The current sensors are off by a few percent and noisy; the voltage is biased too.
 drive = sensorless_drive(machine, rated, offset=(0.13, 0.18), noise=0.02)
 course = Course(
     speed=Profile([0.2, 0.9, 1.8, 2.6], rpm(np.array([0.0, 750.0, 750.0, -750.0]))),
@@ -57,7 +57,7 @@ with plt.rc_context(STYLE):
         drift.axhline(true[k], color=color, linewidth=0.8, linestyle=":")
     drift.set_ylabel("drift [V]")
     drift.set_ylim(-3, 2)
-    drift.set_xlabel("t [s]        grey: current vector turned without feedback (I/f)")
+    drift.set_xlabel("t [s]        grey: current vector rotated open-loop (I/f)")
     for panel in axes:
         panel.axvspan(0, run.t[np.argmax(running)], color="0.9", linewidth=0)
         panel.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, ncols=3)

@@ -1,1 +1,1 @@
-"""Observers side by side: scenarios, the observers that people use, scores and their bound."""
+"""Observers side by side: scenarios, the usual observers, their scores and the error bound."""

@@ -1,10 +1,10 @@
-"""The least position error of an observer that knows neither magnet flux, drift nor motion.
+"""Least position error of an observer that does not know magnet flux, drift or motion.
 
-Cramér–Rao, for machines with one inductance. Per sample the current is measured with noise σ, and
-the position is free: nothing is assumed of the rotor's motion. What remains is one radial equation
-a sample, ``|λ - L i| = ψ``, known up to L σ; across it the noise of the present current is the only
-knowledge of the present angle. Noise of the current also enters the flux through R, and it is the
-same noise. Derivation: docs/theory.md, section 12.
+Cramér–Rao bound, for machines with one inductance. Each sample measures the current with noise σ.
+The position is free: the bound assumes nothing about the rotor's motion. Each sample then gives one
+radial equation, ``|λ - L i| = ψ``, accurate to L σ. Across it, only the present sample tells the
+present angle, with noise L σ. The same noise also enters the flux, through R. Derivation:
+docs/theory.md, section 12.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ def position_bound(
     length : (rows,) ndarray
         True length of the position vector λ - L i [Wb].
     sample_time : float
-        [s].
+        Sample time [s].
     inductance, resistance : float
         L of the position vector [H], R [Ω].
     noise : float
         Std of a current component [A], > 0.
     drift_prior : float
-        Std of the drift before anything is known [V].
+        Prior std of the drift [V].
 
     Returns
     -------
     (rows,) ndarray
-        At most that of a uniform angle, π/√3.
+        Limited to that of a uniformly distributed angle, π/√3.
     """
     h, r = sample_time, (inductance * noise) ** 2
     psi = float(np.median(np.abs(length)))
@@ -54,7 +54,7 @@ def position_bound(
     Q = np.zeros((5, 5))
     Q[0, 0] = Q[1, 1] = (h * resistance * noise) ** 2
     out = np.empty(len(theta_e))
-    shared = h * resistance * inductance * noise**2  # of the flux's step with the measurement
+    shared = h * resistance * inductance * noise**2  # covariance of flux step and measurement
     for k, (angle, size) in enumerate(zip(theta_e, length, strict=True)):
         c, s = np.cos(angle), np.sin(angle)
         g = np.array([c, s, 0.0, 0.0, -1.0])
@@ -63,7 +63,7 @@ def position_bound(
         now = P - np.outer(Pg, Pg) / seen
         across = s * s * now[0, 0] - 2 * s * c * now[0, 1] + c * c * now[1, 1]
         out[k] = np.sqrt(across + r) / max(abs(size), 1e-9 * psi)
-        # To the next sample: step and measurement share their noise along e(φ).
+        # Predict the next sample; flux step and measurement share their noise along e(φ).
         gain = F @ Pg + shared * np.array([c, s, 0.0, 0.0, 0.0])
         P = F @ P @ F.T + Q - np.outer(gain, gain) / seen
         P = (P + P.T) / 2

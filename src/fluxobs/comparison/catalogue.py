@@ -1,9 +1,9 @@
-"""Every observer of the comparison: with usual gains, and a grid to tune in.
+"""Every observer of the comparison, with its usual gains and a grid for tuning.
 
-Usual are: 0.2 |ω| for the voltage model, 1000 1/s for the gradient (ODrive), level 1 for the clamp,
-1 and 2π 40 rad/s for the speed-adaptive observer (motulator), 2π 40 rad/s for phase-locked loops.
-The covariances of the Kalman filters, the EMF observers' cutoffs, and rates and corners of PEBO and
-DREM have no usual values; these are our choice, right within a factor of a few.
+Usual gains: 0.2 |ω| for the voltage model, 1000 1/s for the gradient (ODrive), level 1 for the
+clamp, 1 and 2π 40 rad/s for the speed-adaptive observer (motulator), 2π 40 rad/s for phase-locked
+loops. No usual values exist for the covariances of the Kalman filters, the cutoffs of the EMF
+observers, and the rates and corners of PEBO and DREM; ours are right within a factor of a few.
 """
 
 from __future__ import annotations
@@ -42,23 +42,23 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What observers are built from: the machine as believed, and sizes of the record's signals.
+    """Data for building observers: the machine as believed, and the sizes of the record's signals.
 
     Attributes
     ----------
     machine : RotatingMachine
     sample_time : float
-        [s].
+        Sample time [s].
     speed_e : float
-        Rated, electrical [rad/s].
+        Rated electrical speed [rad/s].
     current, voltage : float
-        Rated, peak [A], [V].
+        Rated values, peak [A], [V].
     noise : float
         Std of a current component [A].
     drift_prior : float or None
         Largest plausible drift [V].
     mean_voltage, current_rows : (rows, 2) ndarray
-        The record: gains of the regression's observers are balanced on it.
+        The record, on which the gains of the observers on the regression are balanced.
     """
 
     machine: RotatingMachine
@@ -81,7 +81,7 @@ Gains = dict[str, float]
 
 @dataclass(frozen=True)
 class Entry:
-    """One observer: how to build it from gains, which are recommended, which are tried."""
+    """One observer: its constructor, its recommended gains, and the grid to try."""
 
     name: str
     build: Callable[[Setting, Gains], Observer[Any, Any]]
@@ -90,7 +90,7 @@ class Entry:
     least_squares: bool = False
 
     def candidates(self, setting: Setting) -> Iterator[Gains]:
-        """The recommended gains first, then the grid."""
+        """Yields the recommended gains, then the grid."""
         yield self.recommended(setting)
         grid = self.grid(setting)
         for values in product(*grid.values()):
@@ -119,7 +119,7 @@ def _memories(s: Setting) -> list[float]:
     return [m for m in (0.01, 0.03, 0.1, 0.3, 1.0) if m >= 10 * s.sample_time]
 
 
-@lru_cache(maxsize=4)  # all settings of a corner are balanced on the same rows
+@lru_cache(maxsize=4)  # all settings with one corner share the same rows
 def _regression_rows(s: Setting, corner: float) -> tuple[Any, Parametrisation]:
     constraint = s.machine.constraint
     i, R = s.current_rows, s.machine.R_s
@@ -147,7 +147,7 @@ def _drem(s: Setting, g: Gains) -> OnRegression:
     cut = len(rows.y) // 4
     psi = np.asarray(constants.psi_record(rows))[cut:]
     gramian = psi.T @ psi / len(psi)
-    # What the record does not excite (constant speed) stays at its size instead of exploding.
+    # Regularise directions that the record does not excite (constant speed).
     size = np.sqrt(np.diag(gramian))
     gramian += 1e-6 * np.diag(np.where(size > 0, size, size.max()) ** 2)
     basis = balanced_basis(gramian, 1.0)

@@ -1,4 +1,4 @@
-"""One record through every observer: recommended gains, and the best of a grid for this record."""
+"""Runs every observer on one record, with recommended gains and with the best of a grid."""
 
 from __future__ import annotations
 
@@ -31,26 +31,26 @@ from .scoring import Score, Truth, score, scored_error
 
 Array = NDArray[np.float64]
 
-#: Every observer runs with so many sets of gains at once, so that their times compare.
+#: Number of gain sets that every observer runs at once; equal, so that run times compare.
 LANES = 24
-#: What the name of the least squares' tracked angle ends with.
+#: Suffix of the name under which the least squares' tracked angle is listed.
 TRACKED = ", tracked"
 
 
 @dataclass(frozen=True, eq=False)
 class ObserverResult:
-    """One observer on one record.
+    """Result of one observer on one record.
 
     Attributes
     ----------
     recommended, tuned : Score
-        With the gains of the literature, and with the best of the grid by rms position error.
+        With the gains of the literature, and with the gains of least rms position error.
     recommended_gains, gains : dict
-        Those of the literature, the tuned ones.
+        Gains of the literature; tuned gains.
     error : (rows,) ndarray
         Position error with the tuned gains [rad].
     time : float
-        Seconds a sample, in a batch of 24, compiled.
+        Run time per sample [s], compiled, in a batch of 24.
     """
 
     name: str
@@ -64,7 +64,7 @@ class ObserverResult:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """A record and what every observer made of it.
+    """A record, and the result of every observer on it.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Comparison:
         Rms of the Cramér–Rao bound over the scored rows [rad]; None without current noise, for
         salient machines, with wrong parameters, and for logs.
     limit : str
-        What else bounds the least squares on this record, in words.
+        What limits the least squares on this record besides noise; a phrase.
     """
 
     title: str
@@ -98,7 +98,7 @@ class Comparison:
 
 
 class _Found(NamedTuple):
-    """What an observer says, JAX or NumPy arrays; leading shape (lanes, rows)."""
+    """Outputs of an observer, JAX or NumPy arrays of leading shape (lanes, rows)."""
 
     theta_e: Any
     tracked: Any
@@ -127,7 +127,7 @@ def _compiled(observers: Any, voltage: jax.Array, current: jax.Array) -> Any:
 
 
 def _held(rows: Array) -> Array:
-    """Missing samples as the last good ones; zero before the first."""
+    """Replaces missing samples by the last good one; by zero before the first."""
     good = np.isfinite(rows).all(axis=1)
     last = np.maximum.accumulate(np.where(good, np.arange(len(rows)), -1))
     return np.where(last[:, None] >= 0, rows[last], 0.0)
@@ -136,14 +136,14 @@ def _held(rows: Array) -> Array:
 def setting_for(
     sample_time: float, voltage: Array, current: Array, machine: RotatingMachine, speed_e: float
 ) -> Setting:
-    """Sizes that observers are built from, as the main job takes them from a log."""
+    """Setting for a record, derived as `fluxobs estimate` derives it from a log."""
     i = current[np.isfinite(current).all(axis=1)]
     u = voltage[np.isfinite(voltage).all(axis=1)]
     rated = machine.rated_current or float(np.percentile(np.hypot(*i.T), 95))
     psi = machine.flux_base(rated)
     if psi is None:
         raise FluxobsError(
-            f"psi_f is missing in the {machine.kind}: most observers rest on the magnet flux"
+            f"psi_f is missing in the {machine.kind}: most observers need the magnet flux"
         )
     return Setting(
         machine,
@@ -206,7 +206,7 @@ def compare_record(
 def _best(
     name: str, gains: list[Gains], found: _Found, angles: list[Any], truth: Truth, seconds: float
 ) -> ObserverResult:
-    """Scores of the first angle at the first gains, and of the best of all angles and gains."""
+    """Scores the first angle with the first gains, and the best of all angles and gains."""
     choices = [(angle, k) for angle in angles for k in range(len(gains))]
     scores = [
         score(
@@ -235,8 +235,8 @@ def compare(
 ) -> Comparison:
     """Run a log or a scenario through every known observer, and score them.
 
-    Each observer runs with usual gains, and with the best of a grid for this very record. Needs the
-    extra "design" (JAX).
+    Each observer runs with its usual gains, and with the gains of a grid that suit this record
+    best. Needs the extra "design" (JAX).
 
     Parameters
     ----------
@@ -245,11 +245,11 @@ def compare(
     machine : Machine, or a path, or the name of a shipped machine
         A scenario needs a shipped machine's name; default pmsm-2kw2.
     seed : int
-        Of a scenario's sensor noise.
+        Seed of a scenario's sensor noise.
     settle : float
-        Seconds of a log that are not scored, while observers settle.
+        Initial part of a log that is not scored, while observers settle [s].
     progress : callable
-        Called with the name of every observer that is run.
+        Called with the name of each observer as it runs.
     layout : optional
         As for :func:`fluxobs.read_log`.
 
@@ -271,12 +271,12 @@ def compare(
 
 
 def check_comparable(record: Source, machine: Machine | str | Path | None) -> None:
-    """FluxobsError where a record is neither a scenario nor a log with its machine."""
+    """Raises FluxobsError unless the record is a scenario, or a log with its machine."""
     if isinstance(record, str | Path) and str(record) not in SCENARIOS:
         if not Path(record).exists():
             raise FluxobsError(
-                f"{str(record)!r} is neither a file nor a scenario; `fluxobs compare list` lists "
-                f"these"
+                f"{str(record)!r} is neither a file nor a scenario; `fluxobs compare list` "
+                f"lists the scenarios"
             )
         if machine is None:
             raise FluxobsError(f"a machine is needed for a log ({record}): --machine")
@@ -291,7 +291,7 @@ def compare_scenario(
     entries: Sequence[Entry] = CATALOGUE,
     progress: Callable[[str], Any] = lambda name: None,
 ) -> Comparison:
-    """Makes a scenario's record and compares on it."""
+    """Simulates a scenario and compares the observers on its record."""
     run, machine, rated = run_scenario(scenario, machine_name, seed)
     record = run.record()
     believed = believed_machine(machine, scenario.believed)
@@ -305,7 +305,7 @@ def compare_scenario(
         scenario.score_from,
         machine,
     )
-    # The bound is that of a machine with one inductance, at its right parameters.
+    # The bound holds for a machine with one inductance and correct parameters.
     bounded = scenario.noise > 0 and machine.saliency == 0.0 and not scenario.believed
     least = _bound(scenario, machine, setting, run.trace) if bounded else None
     about = scenario.about + "".join(f"; {event}" for event in run.events)
@@ -330,7 +330,7 @@ def compare_log(
     entries: Sequence[Entry] = CATALOGUE,
     progress: Callable[[str], Any] = lambda name: None,
 ) -> Comparison:
-    """Compares on a measured log; all of it must fit into memory.
+    """Compares the observers on a measured log; all of it must fit into memory.
 
     Raises
     ------
@@ -351,7 +351,7 @@ def compare_log(
     h = log.sample_time
     if t[-1] - t[0] <= settle:
         raise RecordError(f"{path}: {t[-1] - t[0]:.4g} s, none left after --settle {settle:g} s")
-    # The encoder's speed, averaged over a hundredth of a second.
+    # Speed from the encoder, averaged over 10 ms.
     window = max(1, round(0.01 / h))
     angle = np.unwrap(np.where(np.isfinite(true), true, 0.0))
     speed = np.abs(angle[window:] - angle[:-window]) / (window * h)
@@ -364,7 +364,7 @@ def compare_log(
 
 
 def _bound(scenario: Scenario, machine: RotatingMachine, setting: Setting, trace: Any) -> float:
-    """Rms of the bound over the scored rows, with the true parameters."""
+    """Rms of the bound over the scored rows, at the true parameters."""
     L = machine.position_inductance
     x = np.asarray(trace.flux) - L * np.asarray(trace.current)
     assert machine.rated_current is not None

@@ -1,4 +1,4 @@
-"""A comparison as table, sentence, CSV and picture."""
+"""Reports a comparison as a table, a verdict, CSV and pictures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 LEAST_SQUARES = "least squares"
-#: "As good as the best" is within this factor.
+#: Within this factor of the best counts as equally good.
 NEAR = 1.1
 
 
@@ -31,13 +31,13 @@ def ours(comparison: Comparison) -> ObserverResult:
 
 
 def others(comparison: Comparison) -> list[ObserverResult]:
-    """The rest, best first."""
+    """Results of all other observers, best first."""
     rest = [r for r in comparison.results if not r.name.startswith(LEAST_SQUARES)]
     return sorted(rest, key=lambda result: result.tuned.rms)
 
 
 def verdict(comparison: Comparison) -> str:
-    """How the least squares stands, against the best and against the bound, and why."""
+    """Compares the least squares with the best observer and with the bound, and says why."""
     mine, best = ours(comparison), comparison.best
     rms = np.degrees(mine.tuned.rms)
     text = f"The least squares has {_degrees(rms)} rms"
@@ -45,7 +45,7 @@ def verdict(comparison: Comparison) -> str:
         raw = comparison.result(LEAST_SQUARES).tuned.rms
         text += (
             f"; untracked {raw / comparison.bound:.2f} times the Cramér-Rao bound, "
-            f"{_degrees(np.degrees(comparison.bound))}, of an angle of which nothing is assumed"
+            f"{_degrees(np.degrees(comparison.bound))}, for an angle without a motion model"
         )
     text += _claims(comparison.result(LEAST_SQUARES).recommended)
     if mine.tuned.rms <= NEAR * best.tuned.rms:
@@ -55,15 +55,15 @@ def verdict(comparison: Comparison) -> str:
         else:
             text += f" It is within 10 % of the best, {best.name}, {_rms(best.tuned)}."
         return text
-    text += f" Better is {best.name}, {_rms(best.tuned)}"
+    text += f" The best is {best.name}, {_rms(best.tuned)}"
     return text + (f": {comparison.limit}." if comparison.limit else ".")
 
 
 def _claims(default: Score) -> str:
-    """What the observer itself says, with the default memory."""
+    """Share of rows that the observer calls valid with its default memory, and its error there."""
     text = f". With its default memory it calls {default.claimed:.0%} of the scored rows valid"
     if default.claimed:
-        text += f" and is at most {_degrees(np.degrees(default.worst_claimed))} off on these"
+        text += f" and is at most {_degrees(np.degrees(default.worst_claimed))} off there"
     return text + "."
 
 
@@ -80,13 +80,13 @@ def _degrees(value: float) -> str:
 
 
 def table(comparison: Comparison) -> Table:
-    """For a terminal, best first."""
+    """Table for a terminal, best first."""
     from rich import box
     from rich.table import Table
 
     caption = (
         f"{comparison.about}. Gains as usually recommended, and tuned for this record; settled: "
-        f"first 50 ms below 10°; time: a sample in JAX, {LANES} settings at once"
+        f"first 50 ms below 10°; time: per sample in JAX, {LANES} settings at once"
     )
     out = Table(title=comparison.title, caption=caption, box=box.SIMPLE, expand=False)
     out.add_column("observer", no_wrap=True)
@@ -136,7 +136,7 @@ COLUMNS = (
 
 
 def write_csv(comparisons: Sequence[Comparison], path: Path) -> None:
-    """All scores, two rows an observer: recommended and tuned gains."""
+    """Writes all scores, two rows per observer: recommended and tuned gains."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(COLUMNS)
@@ -169,7 +169,7 @@ def write_csv(comparisons: Sequence[Comparison], path: Path) -> None:
 
 
 def draw(comparison: Comparison, path: Path) -> None:
-    """Bars of the rms errors, and the errors of the least squares and the next best in time."""
+    """Draws the rms errors as bars; in time, the errors of the least squares and the best other."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -227,7 +227,7 @@ def _course(axes: Axes, comparison: Comparison) -> None:
 
 
 def draw_summary(comparisons: Sequence[Comparison], path: Path) -> None:
-    """Observers against records, tuned rms errors as colours and numbers."""
+    """Draws observers over records, with tuned rms errors as colours and numbers."""
     import matplotlib as mpl
 
     mpl.use("Agg")

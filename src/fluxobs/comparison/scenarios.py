@@ -1,5 +1,7 @@
-"""The scenarios that come with the package: a drive with an encoder makes the record, and every
-observer then works on the same samples."""
+"""The scenarios that come with the package.
+
+A drive with an encoder makes the record; every observer then runs on the same samples.
+"""
 
 from __future__ import annotations
 
@@ -10,38 +12,38 @@ from ..design.drive import Course, Inverter, Profile, Rating, Run, encoder_drive
 from ..errors import ModelError
 from ..machines import RotatingMachine, example, rotating
 
-#: Current noise of every scenario but the ideal one, as a share of the rated current.
+#: Current noise of all scenarios but the ideal one, as a share of the rated current.
 NOISE = 1 / 300
 
 
-#: Phase current, over the rated one, at which the simulated inverter's sign counts three quarters:
-#: sharper than the 5 % that the observers take it for (model/inverter.py), on purpose.
+#: Phase current over the rated one at which the simulated inverter's smoothed sign reaches three
+#: quarters. On purpose sharper than the 5 % that the observers assume (model/inverter.py).
 KNEE = 0.02
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """A record to be made.
+    """A record to simulate.
 
     Attributes
     ----------
     name, about : str
-    speed, load : tuple of (time [s], share of the rated one)
+    speed, load : tuple of (time [s], share of the rated value)
     duration, score_from : float
-        [s].
+        Length of the record, start of scoring [s].
     current_offset, voltage_offset : tuple of (time, α share, β share)
-        Of rated current, and of the rated voltage ω ψ.
+        Shares of rated current, and of rated voltage ω ψ.
     noise : float
-        Share of the rated current.
+        Std as a share of the rated current.
     believed : dict
-        Factors on what the observers believe: R, L, psi.
+        Factors on the parameters that the observers believe: R, L, psi.
     theta_e : float
-        Of the rotor at the start [rad].
+        Initial angle of the rotor [rad].
     limit : str
-        What bounds the least squares here, other than noise.
+        What limits the least squares here besides noise; a phrase.
     other : dict
-        dead_time [s], drop [share of dc_link], dc_link (profile of shares), gain, range (share of
-        rated current).
+        dead_time [share of a sample], drop [share of dc_link], dc_link (profile of shares),
+        gain, range [share of rated current].
     """
 
     name: str
@@ -67,10 +69,10 @@ class Scenario:
 
 
 RESISTANCE = (
-    "a wrong R turns with the rotor: it leaves a residual only while load or speed change, and is "
-    "then taken for a drift; at low speed it is (R - R') i/(ω ψ) in the angle"
+    "the error of a wrong R turns with the rotor: it leaves a residual only while load or speed "
+    "change, and then looks like a drift; at low speed it puts (R - R') i/(ω ψ) into the angle"
 )
-INDUCTANCE = "a wrong L turns x = λ - L i by (L - L') i_q/ψ at once: no observer can see it"
+INDUCTANCE = "a wrong L turns x = λ - L i by (L - L') i_q/ψ at once: no observer can see that"
 
 
 def _set() -> dict[str, Scenario]:
@@ -102,14 +104,14 @@ def _set() -> dict[str, Scenario]:
         "bias-drifts",
         "current offset from 0 to 5 % of rated within 2 s",
         current_offset=((0.5, 0.0, 0.0), (2.5, 0.03, 0.04)),
-        limit="a drift that moves is averaged over the memory",
+        limit="the memory averages a drift that changes",
     )
     add(
         "bias-jumps",
         "current offset of 2 % and voltage offset of 0.5 % change sign at 2.6 s",
         current_offset=((0.0, 0.02, 0.0), (2.6, 0.02, 0.0), (2.6, -0.02, 0.0)),
         voltage_offset=((0.0, 0.0, 0.005), (2.6, 0.0, 0.005), (2.6, 0.0, -0.005)),
-        limit="what was learnt before a jump counts until it is forgotten",
+        limit="samples from before a jump count until they are forgotten",
     )
     for name, factors, limit in (
         ("R", (0.5, 0.8, 1.2, 1.5), RESISTANCE),
@@ -128,7 +130,7 @@ def _set() -> dict[str, Scenario]:
         "dead time of 1/60 of a sample and device drops of 0.2 % of the DC link, not compensated",
         load=((0.6, 0.0), (0.6, 0.6)),
         other={"dead_time": 1 / 60, "drop": 0.002},
-        limit="the inverter's error turns with the current; near zero speed it is larger than "
+        limit="the inverter's voltage error turns with the current; near zero speed it exceeds "
         "the EMF",
     )
     add(
@@ -136,16 +138,16 @@ def _set() -> dict[str, Scenario]:
         "10 % of rated speed, load step, reversal",
         speed=((0.0, 0.0), (0.2, 0.1), (1.8, 0.1), (2.2, -0.1)),
         load=((1.2, 0.0), (1.2, 1.0)),
-        limit="the drift is free, so that only what turns tells; a filter that takes it as zero "
-        "and knows psi has more to go by",
+        limit="the drift is free, so only the turning part of the flux carries information; a "
+        "filter that knows psi and assumes zero drift has more",
     )
     add(
         "low-speed-1",
         "1 % of rated speed, load step, no bias",
         speed=((0.0, 0.0), (0.2, 0.01)),
         load=((5.0, 0.0), (5.0, 1.0)),
-        limit="a memory of 1 s is 0.75 turns here; a filter that takes the drift as zero has "
-        "more to go by",
+        limit="a memory of 1 s spans 0.75 turns here; a filter that assumes zero drift has more "
+        "information",
         duration=9.0,
         score_from=3.0,
     )
@@ -167,29 +169,28 @@ def _set() -> dict[str, Scenario]:
         speed=((0.0, 0.0), (0.05, 0.0), (0.25, 0.5)),
         load=((0.6, 0.0), (0.6, 1.0)),
         theta_e=2.8,
-        limit="nothing is assumed of flux and drift: the first half turn is needed to tell them "
-        "apart",
+        limit="flux and drift start unknown, and it takes the first half turn to tell them apart",
         duration=1.5,
         score_from=0.1,
     )
     add(
         "dc-link-sag",
-        "DC link at 60 % for 0.3 s at full speed and half load; measured",
+        "DC link, measured, at 60 % for 0.3 s at full speed and half load",
         load=((0.6, 0.0), (0.6, 0.5)),
         other={"dc_link": ((1.3, 1.0), (1.31, 0.6), (1.6, 0.6), (1.61, 1.0))},
     )
     add(
         "gain-mismatch",
-        "current sensors of the phases at 1.02, 0.98 and 1",
+        "gains of the phase current sensors 1.02, 0.98 and 1",
         other={"gain": (1.02, 0.98, 1.0)},
-        limit="unequal gains make L i an ellipse: twice the frequency, taken for a drift in part",
+        limit="unequal gains make L i an ellipse: an error at twice the frequency, in part taken "
+        "for a drift",
     )
     add(
         "sensor-saturation",
-        "current sensors end at the rated current while the load needs 1.1 times as much at "
-        "acceleration",
+        "current sensors clip at the rated current; load and acceleration need 1.1 times as much",
         other={"range": 1.0},
-        limit="a current that is cut off is wrong by what is missing, times L",
+        limit="clipping puts L times the missing current into x = λ - L i",
     )
     return {scenario.name: scenario for scenario in out}
 
@@ -198,12 +199,12 @@ SCENARIOS = _set()
 
 
 def scenario(name: str) -> Scenario:
-    """One of the set.
+    """Looks up a scenario by name.
 
     Raises
     ------
     ModelError
-        No such scenario: names all.
+        Unknown name; the message lists all scenarios.
     """
     if name not in SCENARIOS:
         raise ModelError(f"no scenario {name!r}; there are {', '.join(SCENARIOS)}")
@@ -211,7 +212,7 @@ def scenario(name: str) -> Scenario:
 
 
 def believed_machine(machine: RotatingMachine, factors: dict[str, float]) -> RotatingMachine:
-    """The machine as the observers take it."""
+    """The machine as the observers believe it."""
     names = {"R": ("R_s",), "L": machine.inductance_names, "psi": ("psi_f",)}
     for key, factor in factors.items():
         machine = machine.scaled(names[key], factor)
@@ -221,12 +222,12 @@ def believed_machine(machine: RotatingMachine, factors: dict[str, float]) -> Rot
 def run_scenario(
     chosen: Scenario, machine_name: str, seed: int = 0
 ) -> tuple[Run, RotatingMachine, Rating]:
-    """Simulated record of a scenario on a shipped machine."""
+    """Simulates a scenario on a shipped machine."""
     rated = rating(machine_name)
     machine = rotating(example(machine_name), "a scenario")
     assert machine.rated_current is not None
     n_p, I_n = machine.n_p, machine.rated_current
-    # Rated voltage by the flux that the machine has at its rating.
+    # Rated voltage from the flux of the machine at rated current.
     psi = machine.flux_base(I_n)
     assert psi is not None
     U_n = rated.speed_e * psi

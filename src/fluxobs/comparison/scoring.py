@@ -1,4 +1,4 @@
-"""How wrong an observer was, in the words of a drive engineer."""
+"""Scores the errors of an observer by the measures of a drive engineer."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from ..machines import RotatingMachine
 
 Array = NDArray[np.float64]
 
-#: Settled is an error below this for that long; lost one above a sixth of a turn.
+#: Settled: error below SETTLED [rad] for HELD [s]. Lost: error above LOST [rad].
 SETTLED, HELD, LOST = np.radians(10.0), 0.05, np.radians(60.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What is known better than by any observer; flux and speed where there are any."""
+    """Reference values for scoring; speed and flux are None where unknown."""
 
     t: Array
     theta_e: Array
@@ -29,24 +29,24 @@ class Truth:
 
 @dataclass(frozen=True)
 class Score:
-    """Of one observer on one record.
+    """Errors of one observer on one record.
 
     Attributes
     ----------
     rms, worst : float
-        Position error from `score_from` on [rad].
+        Rms and largest position error from `score_from` on [rad].
     speed : float or None
-        Rms speed error, electrical [rad/s].
+        Rms error of the electrical speed [rad/s].
     flux : float or None
         Rms flux error [Wb].
     settled : float
-        First time from which the error stays below 10° for 50 ms [s]; nan if never.
+        Time from which the error first stays below 10° for 50 ms [s]; nan if never.
     lost : float
         Share of the scored rows with an error above 60°.
     claimed : float
         Share of the scored rows that the observer calls valid.
     worst_claimed : float
-        Largest position error on these [rad].
+        Largest position error on those rows [rad].
     """
 
     rms: float
@@ -60,7 +60,7 @@ class Score:
 
 
 def scored_error(estimated: Array, truth: Truth) -> Array:
-    """Position error; an estimate that is no number counts as half a turn off."""
+    """Position error [rad]; an estimate that is not finite counts as half a turn off."""
     known = np.where(np.isfinite(estimated), estimated, truth.theta_e + np.pi)
     return truth.machine.position_error(known, truth.theta_e)
 
@@ -72,7 +72,7 @@ def score(
     truth: Truth,
     valid: NDArray[np.bool_] | None = None,
 ) -> Score:
-    """Scores of estimates, one row a sample; `valid` where an observer tells."""
+    """Scores estimates, one row per sample; `valid` if the observer reports it."""
     error = np.abs(scored_error(theta_e, truth))
     scored = truth.t >= truth.score_from
     claimed = np.ones(len(error), bool) if valid is None else valid

@@ -1,4 +1,4 @@
-"""The design desk: machines as energies, the paper's observers, analysis, simulation.
+"""Design tools: machines as energies, the paper's observers, analysis, simulation.
 
 Needs the extra "design" (JAX, equinox, diffrax). Importing it switches JAX to float64; single
 precision is refused. Nothing outside this folder loads JAX.

@@ -1,4 +1,4 @@
-"""Double precision everywhere in the design layer; single is refused where it enters."""
+"""Enforces double precision in the design layer; refuses single precision at its inputs."""
 
 from __future__ import annotations
 
@@ -13,15 +13,19 @@ import numpy as np
 
 from ..errors import ModelError
 
-#: XLA shares out even the smallest kernels of a loop among threads. A drive simulated sample by
-#: sample then takes up to 2.5 times as long, on twice the processors.
+#: This XLA scheduler spreads even the smallest kernels of a loop over threads. A drive simulated
+#: sample by sample then takes up to 2.5 times as long, on twice the processors.
 _SCHEDULER = "--xla_cpu_enable_concurrency_optimized_scheduler"
-#: XLA ends the process on a flag that it does not know; it is known in these versions.
+#: XLA ends the process on an unknown flag; jaxlib from the first up to the second version knows
+#: this one.
 _KNOWN = ((0, 4, 36), (0, 11))
 
 
 def _schedule_in_sequence() -> None:
-    """Unless the user has chosen otherwise. Read by XLA when the first computation starts."""
+    """Turns the scheduler off unless the user has set it.
+
+    XLA reads the flag when the first computation starts.
+    """
     release = tuple(int(part) for part in version("jaxlib").split(".")[:3] if part.isdigit())
     flags = os.environ.get("XLA_FLAGS", "")
     if _KNOWN[0] <= release < _KNOWN[1] and _SCHEDULER not in flags:
@@ -33,7 +37,7 @@ jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
 
 
 def double(name: str, value: Any) -> jax.Array:
-    """Array of doubles, traced or not; ModelError if it is of single precision."""
+    """Array of doubles, traced or not; ModelError for single precision."""
     given = getattr(value, "dtype", None)
     if given is not None and given in (jnp.float32, jnp.float16, jnp.bfloat16, jnp.complex64):
         raise ModelError(
@@ -44,15 +48,15 @@ def double(name: str, value: Any) -> jax.Array:
 
 
 def real(name: str, value: Any, shape: tuple[int, ...] | None = None) -> jax.Array:
-    """Array of doubles; ModelError names what is single, not finite or of another shape.
+    """Array of doubles; ModelError if it is of single precision, not finite or of another shape.
 
-    Traced values pass with their shape checked.
+    For traced values only precision and shape are checked.
     """
     if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
         raise RuntimeError("jax_enable_x64 was switched off; the design layer needs it")
     array = double(name, value)
     if not isinstance(array, jax.core.Tracer):
-        # NumPy does the check: every new operation on a JAX array costs a compilation.
+        # Check with NumPy: every new operation on a JAX array costs a compilation.
         finite = np.isfinite(np.asarray(array))
         if not finite.all():
             at = tuple(int(k) for k in np.argwhere(~finite)[0])
@@ -64,12 +68,12 @@ def real(name: str, value: Any, shape: tuple[int, ...] | None = None) -> jax.Arr
 
 
 def positive(name: str, value: Any, shape: tuple[int, ...] | None = ()) -> jax.Array:
-    """Like :func:`real`, and above zero."""
+    """Like :func:`real`; also checks that all values are above zero."""
     return _bounded(name, value, shape, "positive", lambda array: array > 0)
 
 
 def not_negative(name: str, value: Any, shape: tuple[int, ...] | None = ()) -> jax.Array:
-    """Like :func:`real`, and zero or above."""
+    """Like :func:`real`; also checks that no value is negative."""
     return _bounded(name, value, shape, "zero or positive", lambda array: array >= 0)
 
 

@@ -1,4 +1,4 @@
-"""Erratum 6: persistently excited, and Proposition 2 is unstable at every gain."""
+"""Erratum 6: Ψ is persistently exciting, yet Proposition 2 is unstable at every gain."""
 
 from __future__ import annotations
 
@@ -22,19 +22,21 @@ from .pmsm import counter_example as trajectory
 Array = NDArray[np.float64]
 
 GAINS = tuple(10.0**k for k in range(-3, 5))
-#: Samples a period of the analysis; of the runs it is thinned by THIN.
+#: Samples per period in the analysis; the runs take every THIN-th.
 SAMPLES, THIN = 2000, 1
 PERIODS = 30
 
 
 @dataclass(frozen=True, eq=False)
 class CounterExample:
-    """Attributes
+    """The counter-example in numbers.
+
+    Attributes
     ----------
     alpha : float
-        Smallest eigenvalue of ``∫ Ψ Ψᵀ`` over a period: persistently exciting.
+        Smallest eigenvalue of ``∫ Ψ Ψᵀ`` over a period; > 0 is persistently exciting.
     study : GainStudy
-        Largest |Floquet multiplier| over the gain.
+        Largest |Floquet multiplier| for each gain.
     errors : dict
         Law → |λ̂ - λ| at the end of each period.
     """
@@ -45,14 +47,14 @@ class CounterExample:
 
 
 def study() -> CounterExample:
-    """Multipliers, and the printed and the repaired law from zero over thirty periods."""
+    """Computes the multipliers, and runs the printed and repaired laws from zero for 30 periods."""
     given = trajectory(SAMPLES)
     constants = Parametrisation(given.constraint, "voltage-bias", 1.0)
     psi, _, _ = proposition_2(given.rows, constants)
     alpha = excitation(np.asarray(psi), given.h, 2 * np.pi - given.h).alpha
     multipliers = over_gain(given.rows, constants, given.h, GAINS)
 
-    # The same period over and over; rows 1 … of it, since row 0 is the last one again.
+    # Repeat one period from row 1 on; row 0 equals the last row.
     step = THIN * given.h
     rows = Regressors(
         *(jnp.tile(part[THIN::THIN], (PERIODS, *[1] * (part.ndim - 1))) for part in given.rows)

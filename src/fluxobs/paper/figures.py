@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 GREEN, RED, VIOLET = "#3a8f4d", "#b4332e", "#7b5aa6"
-#: Points drawn of a course.
+#: Points drawn per course.
 POINTS = 1000
 FLOOR = 1e-13
 
@@ -98,7 +98,7 @@ def _pair(
 
 
 def draw_scenarios(out: Path, runs: Sequence[ScenarioResult], formats: Sequence[str]) -> None:
-    """Figures of the levitation, a panel a scenario; the last one for the baselines."""
+    """Draws the levitation figures, one panel per scenario; the baselines on the last scenario."""
     flux = "|λ̂ - λ| over largest |λ|"
     _write(
         out,
@@ -124,13 +124,13 @@ def draw_scenarios(out: Path, runs: Sequence[ScenarioResult], formats: Sequence[
 def draw_motors(
     out: Path, motor: dict[str, ErrorCourse], counter: CounterExample, formats: Sequence[str]
 ) -> None:
-    """Figures of the PMSM cases."""
+    """Draws the figures of the PMSM cases."""
     figures = {"pmsm": lambda: _motor(motor), "counter_example": lambda: _counter(counter)}
     _write(out, figures, formats)
 
 
 def _write(out: Path, figures: dict[str, Callable[[], Figure]], formats: Sequence[str]) -> None:
-    """Every figure in every format."""
+    """Writes every figure in every format."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -170,7 +170,7 @@ def _baselines(one: ScenarioResult) -> Figure:
     ]
     _courses(axes[0, 0], one.courses, names, one.jump)
     axes[0, 0].set_ylim(FLOOR, 1e3)
-    axes[0, 0].set_title(f"{one.scenario.name}: what the paper argues against, and beyond it")
+    axes[0, 0].set_title(f"{one.scenario.name}: the observers the paper argues against, and others")
     axes[0, 0].set_ylabel("|λ̂ - λ| over largest |λ|")
     _legend(axes[0, 0])
     return figure

@@ -23,7 +23,7 @@ from ..synthetic.sensors import Steps
 
 Array = NDArray[np.float64]
 
-#: The paper's values.
+#: Values from the paper.
 CORNER = 50.0
 R_A = 1e-2
 JUMP, DURATION = 50.0, 100.0
@@ -43,7 +43,7 @@ class Position(eqx.Module):
 
 
 class BiasFlux(eqx.Module):
-    """``mean (1 + depth sin(speed t))`` [Wb]: what both coils carry in common."""
+    """``mean (1 + depth sin(speed t))`` [Wb]: the flux common to both coils."""
 
     mean: jax.Array
     depth: jax.Array
@@ -61,13 +61,13 @@ class LevitationScenario:
     ----------
     name, title : str
     alpha, G : float
-        Of the controller; β = -α.
+        Controller parameters; β = -α.
     bias_current : float
-        Current that the reference flux φ* corresponds to in the middle of the gap [A].
+        Current that makes the reference flux φ* in the middle of the gap [A].
     depth : float
-        Modulation of the reference flux, at 7 rad/s.
+        Depth of modulation of the reference flux, at 7 rad/s.
     initial_flux : float
-        Of both cores [Wb]; NaN: the reference.
+        Initial flux of both cores [Wb]; NaN for the reference.
     """
 
     name: str
@@ -93,7 +93,7 @@ SCENARIOS = {
 
 
 class _Control(eqx.Module):
-    """The controller in the system's own coordinates: linkages c φ, momentum p/D."""
+    """The controller in the coordinates of the system: linkages c φ, momentum p/D."""
 
     law: IdaPbc
     c: jax.Array
@@ -105,18 +105,18 @@ class _Control(eqx.Module):
 
 @dataclass(frozen=True, eq=False)
 class LevitationRecord:
-    """What the sensors say, and what is true; rows h apart, core fluxes.
+    """Measured and true signals, rows h apart; fluxes are core fluxes.
 
     Attributes
     ----------
     jump : float
-        When the biases change [s].
+        Time at which the biases change [s].
     drift, current_bias : (rows, 2) ndarray
-        True values that hold over the interval ending at each row, and at it.
+        True values over the interval that ends at each row, and at the row.
     current : (rows, 2) ndarray
-        Measured: with bias [A].
+        Measured current, with bias [A].
     volt_seconds : (rows, 2) ndarray
-        ∫ (-R i_m + u_m)/N dt over the interval ending at each row, exact [Wb].
+        ∫ (-R i_m + u_m)/N dt over the interval that ends at each row, exact [Wb].
     """
 
     scenario: LevitationScenario
@@ -147,14 +147,14 @@ class LevitationRecord:
 
 @cache
 def _benchmark() -> tuple[MagLev2DOF, ElectromechanicalSystem]:
-    """One system for all scenarios, so that its dynamics are compiled once."""
+    """One system for all scenarios: its dynamics compile only once."""
     machine = example("maglev-knospe")
     assert isinstance(machine, MagLev2DOF)
     return machine, maglev_2dof(machine)
 
 
 def record(scenario: LevitationScenario, h: float = 1e-3, quick: bool = False) -> LevitationRecord:
-    """Simulates a scenario; quick: 30 s with the biases jumping at 15 s."""
+    """Simulates a scenario; if `quick`, for 30 s, with the biases jumping at 15 s."""
     duration, jump = (30.0, 15.0) if quick else (DURATION, JUMP)
     machine, system = _benchmark()
     c = np.array([machine.c_1, machine.c_2])
@@ -178,7 +178,7 @@ def record(scenario: LevitationScenario, h: float = 1e-3, quick: bool = False) -
         State(jnp.asarray(c * start), jnp.zeros(1), jnp.zeros(1)),
         scale=State(jnp.asarray(c * typical), jnp.full(1, 1e-4), jnp.full(1, 0.1)),
         position_limit=(-machine.g, machine.g),
-        stiff=scenario.alpha > 1,  # poles near ±8600j, well damped: gone after 0.1 s
+        stiff=scenario.alpha > 1,  # well-damped poles near ±8600j, decayed after 0.1 s
         rtol=1e-7,
     )
     return measured(scenario, machine, trajectory, jump)
@@ -191,7 +191,7 @@ def measured(
     jump: float,
     factor: float = 1.0,
 ) -> LevitationRecord:
-    """What the sensors make of a trajectory, with the paper's biases times a factor."""
+    """Measures a trajectory, with the paper's biases times `factor`."""
     t, h = trajectory.t, trajectory.h
     current_bias = factor * Steps(CURRENT_BIAS, np.array([jump])).at(t - h / 2)
     voltage_bias = factor * Steps(VOLTAGE_BIAS, np.array([jump])).at(t - h / 2)
@@ -213,11 +213,11 @@ def measured(
 
 
 def filtered(given: LevitationRecord) -> tuple[Regressors, Regressors]:
-    """The continuous regression at every row: corrected, and with Φ_λ as printed."""
+    """Continuous regression at every row: corrected, and with Φ_λ as printed."""
     c = np.array([given.machine.c_1, given.machine.c_2])
     _, rate, current = given.trajectory.middle()
     known = given.trajectory.flux_rate / c
-    # Signals at the beginning, middle and end of each interval, with that interval's bias.
+    # Signals at the start, middle and end of each interval, with the bias of that interval.
     drift, bias = given.drift[1:, None], given.current_bias[1:, None]
     y_m = np.stack([known[:-1], rate / c, known[1:]], axis=1) - drift
     i_m = np.stack([given.true_current[:-1], current, given.true_current[1:]], axis=1) + bias

@@ -1,4 +1,4 @@
-"""PMSM cases, which the paper leaves out: a servo motor, and the counter-example of erratum 6."""
+"""PMSM cases that the paper leaves out: a servo motor, and the counter-example of erratum 6."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def motor_record(
     current_bias: Steps,
     voltage_bias: Steps,
 ) -> MotorRecord:
-    """Record of a motor whose electrical angle and torque current are given functions of time."""
+    """Record of a motor with electrical angle and torque current as functions of time."""
     h = float(t[1] - t[0])
     L, psi = machine.L_s, machine.psi_f or 0.0
 
@@ -67,7 +67,7 @@ def motor_record(
         flux, rate = jax.jvp(flux_at, (time,), (jnp.ones_like(time),))
         return flux, rate, current_at(time), angle(time)
 
-    # Beginning, middle and end of every interval.
+    # Start, middle and end of every interval.
     fine = jnp.asarray(t[:-1, None] + h * np.array([0.0, 0.5, 1.0]))
     flux, rate, current, theta_e = jax.jit(jax.vmap(jax.vmap(signals)))(fine)
 
@@ -93,12 +93,12 @@ def motor_record(
     )
 
 
-#: Of the filters for the servo motor [rad/s].
+#: Corner of the filters for the servo motor [rad/s].
 SERVO_CORNER = 200.0
 
 
 def servo(quick: bool = False) -> MotorRecord:
-    """400 W servo motor, speed and load varying, offsets of both sensors that jump half way."""
+    """400 W servo motor with varying speed and load; the sensor offsets jump half way."""
     machine = example("servo-400w")
     assert isinstance(machine, SurfacePMSM)
     duration = 2.0 if quick else 4.0
@@ -118,8 +118,8 @@ def servo(quick: bool = False) -> MotorRecord:
 def counter_example(samples: int = 16000) -> MotorRecord:
     """Erratum 6 in per-unit: Ψ is persistently exciting, Proposition 2 unstable at every gain.
 
-    θ_e = t + 0.8 sin t, L = 0.4, i_dq = (0, 0.5), ψ = 1, ν = 1, no bias. The record begins in
-    periodic steady state of the filters and lasts one period, 2π.
+    θ_e = t + 0.8 sin t, L = 0.4, i_dq = (0, 0.5), ψ = 1, ν = 1, no bias. The record starts with
+    the filters in periodic steady state and lasts one period, 2π.
     """
     machine = SurfacePMSM(R_s=0.05, L_s=0.4, n_p=1, psi_f=1.0)
     periods = 8

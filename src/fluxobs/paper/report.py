@@ -1,4 +1,4 @@
-"""What the paper claims and what was measured, as numbers and as Markdown."""
+"""The paper's claims and the measured results, as numbers and as Markdown."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def course_numbers(course: ErrorCourse, jump: float) -> dict[str, Any]:
 def numbers(
     runs: Sequence[ScenarioResult], motor: Mapping[str, ErrorCourse], counter: CounterExample
 ) -> dict[str, Any]:
-    """All that the report says, for a machine to read."""
+    """All numbers of the report, for ``numbers.json``."""
     half = float(next(iter(motor.values())).t[-1] / 2)
     return {
         "scenarios": {
@@ -102,7 +102,7 @@ def _claims(found: Mapping[str, Any]) -> str:
     rows = [
         [
             "Figure 2: the robust observer's error is bounded",
-            f"with the printed gain it is the voltage model (error {integrator:.3f} times its); "
+            f"with the printed gain it equals the voltage model (error ratio {integrator:.3f}); "
             f"with a balanced gain bounded, {_error(one['robust, balanced gain']['before'])} rms",
         ],
         [
@@ -149,7 +149,7 @@ def markdown(found: Mapping[str, Any]) -> str:
         "A. Pyrkin, A. Vedyakov, R. Ortega, A. Bobtsov, *A Robust Adaptive Flux Observer for a "
         "Class of Electromechanical Systems*. Two opposed coils under IDA-PBC on the consistent "
         "model, measured with the paper's biases, which jump half way. Errors are those of the "
-        "flux vector over its largest length; everything starts from zero."
+        "flux vector over its largest length; all observers start from zero."
         + ("" if len(scenarios) > 1 else " Quick run: one scenario, 30 s, jump at 15 s."),
         "## Claims",
         _claims(found),
@@ -162,28 +162,28 @@ def markdown(found: Mapping[str, Any]) -> str:
         parts += [
             f"### {name}: {one['title']}",
             f"The position follows its reference to {1e6 * one['tracking']:.0f} µm rms; the "
-            f"reference itself is 66 µm rms, faster than the closed loop of a law for constant "
-            f"references.",
+            f"reference itself is 66 µm rms. It is faster than the closed loop, whose law assumes "
+            f"constant references.",
             _courses(one["courses"]),
         ]
     parts += [
-        "Least squares: 100 samples a second, memory 0.1 s, unknowns drift and current bias, "
-        "started anew by its own residual at the jump. The robust observer's printed gain gives "
-        "rates of 1e-11 1/s. Gradient gains called balanced are the inverse of the regressor's "
-        "mean square, from the record before the jump."
+        "Least squares: 100 samples per second, memory 0.1 s, unknowns drift and current bias; its "
+        "residual restarts it at the jump. The robust observer's printed gain gives rates of "
+        "1e-11 1/s. A balanced gain is the inverse of the regressor's mean square, taken from the "
+        "record before the jump."
         + (
-            " S1 to S3 excite one direction hardly at all: without noise that is no obstacle, with "
-            "it none of this holds (below)."
+            " S1 to S3 hardly excite one direction: without noise that does no harm; with noise "
+            "these results no longer hold (below)."
             if len(scenarios) > 1
             else ""
         ),
         "![trajectories](trajectories.png)",
         "![baselines](baselines.png)",
         "## Excitation and stability",
-        "Smallest over largest eigenvalue within 2 s, per-unit."
+        "Ratio of smallest to largest eigenvalue over 2 s, per-unit."
         + (
-            " Then the largest Lyapunov exponent of Proposition 2, 10 s of the scenario, with the "
-            "printed gain matrix times the factor [1/s]; ± is the change at half the sample rate."
+            " Then the largest Lyapunov exponent [1/s] of Proposition 2 over 10 s of the scenario, "
+            "printed gain matrix times the factor; ± is the change at half the sample rate."
             if any(one["exponents"] for one in scenarios.values())
             else ""
         ),
@@ -223,9 +223,9 @@ def markdown(found: Mapping[str, Any]) -> str:
     if noise:
         parts += [
             "## With noise",
-            "1 mA and 10 mV of white noise at 1 kHz, converters of 0.5 mA and 5 mV, first 10 s, "
-            "memory 0.5 s. Where little is excited the covariance alone claims far too much; the "
-            "share of the information that noise has put there says so.",
+            "1 mA and 10 mV of white noise at 1 kHz, converter steps of 0.5 mA and 5 mV, first "
+            "10 s, memory 0.5 s. With little excitation the covariance alone claims far too much; "
+            "the noise share, the part of the information that is only noise, shows it.",
             _table(
                 ["", "rms error", "claimed by covariance", "noise share", "claimed valid"], noise
             ),
@@ -233,8 +233,8 @@ def markdown(found: Mapping[str, Any]) -> str:
     errors = found["counter_example"]["errors"]
     parts += [
         "## PMSM",
-        "A servo motor with offsets of both sensors; error of the active flux λ - L i over ψ, "
-        "which a current bias does not touch. Least squares is the production observer.",
+        "A servo motor with offsets of both sensors. Errors are those of the active flux λ - L i "
+        "over ψ, which a current bias does not affect. Least squares is the production observer.",
         _courses(found["motor"]),
         "![PMSM](pmsm.png)",
         "## Proposition 2 is false",

@@ -1,4 +1,4 @@
-"""Section V of the paper with one command: figures, numbers, report."""
+"""Reproduces Section V of the paper with one command: figures, numbers, report."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .report import markdown, numbers
 from .scenario import MAIN, ScenarioResult, run_scenario
 from .section_v import ErrorCourse, motor_courses
 
-#: Shown in the figures: the paper's scenario, and the well-posed one.
+#: Scenarios in the figures: the paper's, and the well-posed one.
 SHOWN = ("S1", MAIN)
 
 
@@ -37,23 +37,23 @@ def reproduce(
     Parameters
     ----------
     out : path
-        Made if missing; files of the same names are replaced.
+        Created if missing; files of the same names are replaced.
     quick : bool
-        Scenario S5 alone, 30 s with the jump at 15 s; no exponents, no noise, PNG only.
+        Runs scenario S5 alone, 30 s with the jump at 15 s; no exponents, no noise, PNG only.
     say : callable
-        Told what has been done.
+        Called with a line of text after each part.
     processes : int
-        1: all in this one; the numbers are the same.
+        Number of processes; 1 runs all in this one. The numbers do not depend on it.
 
     Returns
     -------
     dict
-        What is in ``numbers.json``.
+        The content of ``numbers.json``.
 
     Raises
     ------
     FluxobsError
-        The folder cannot be made or written.
+        The folder cannot be created or written.
     """
     out = Path(out)
     try:
@@ -68,7 +68,7 @@ def reproduce(
             say(f"{name}: {done[name].scenario.title}")
         motor, counter = _motors(quick)
     else:
-        # A process compiles for itself; this one takes a share of the work too.
+        # Each process compiles for itself; this one takes a share of the work too.
         with ProcessPoolExecutor(processes - 1, mp_context=get_context("spawn")) as pool:
             side = pool.submit(_motors, quick)
             away = {name: pool.submit(run_scenario, name, quick) for name in names[:2] if not quick}

@@ -1,4 +1,4 @@
-"""All that is computed on one scenario, in a form that crosses process borders."""
+"""All results on one scenario, in a form that passes between processes."""
 
 from __future__ import annotations
 
@@ -13,37 +13,37 @@ from .studies import Excited, Noisy, Robust, excited, growth, mechanics, noisy, 
 
 Array = NDArray[np.float64]
 
-#: Gains of Proposition 2, times the printed matrix.
+#: Gain factors on the printed matrix of Proposition 2.
 FACTORS = (0.01, 1.0, 10.0)
-#: Unknowns under noise, by scenario.
+#: Unknowns of the noise study, by scenario.
 NOISE: dict[str, tuple[tuple[str, ...], ...]] = {
     "S3": (("drift",), ("drift", "current-bias")),
     "S5": (("drift",), ("drift", "current-bias")),
 }
-#: Scenario on which the claims are judged, and the robust observer's error is studied.
+#: Scenario for judging the claims and studying the error of the robust observer.
 MAIN = "S5"
 
 
 @dataclass(frozen=True, eq=False)
 class ScenarioResult:
-    """Courses of all observers, the trajectory for a picture, and the studies.
+    """Courses of all observers, the trajectory for the figures, and the studies.
 
     Attributes
     ----------
     jump : float
-        When the biases change [s].
+        Time at which the biases change [s].
     courses : dict
-        Observer → course.
+        Observer → error course.
     t, position, reference, flux : ndarray
         The first 5 s, thinned.
     tracking : float
-        Rms of position minus reference [m].
+        Rms position error to the reference [m].
     exponents : dict
-        Factor of the gain → (Lyapunov exponent, uncertainty) [1/s]; empty in a quick run.
+        Gain factor → (Lyapunov exponent, uncertainty) [1/s]; empty in a quick run.
     mechanics : (float, float)
-        Rms errors of position [m] and velocity [m/s] from the flux.
+        Rms errors of position [m] and velocity [m/s], estimated from the flux.
     noise : dict
-        Unknowns → how the least squares did.
+        Unknowns → result of the least squares.
     """
 
     scenario: LevitationScenario
@@ -62,7 +62,7 @@ class ScenarioResult:
 
 
 def run_scenario(name: str, quick: bool = False) -> ScenarioResult:
-    """Simulates, observes and studies one scenario."""
+    """Simulates one scenario, runs the observers and the studies."""
     given = record(SCENARIOS[name], quick=quick)
     one = levitation_run(given, all_observers=name == MAIN and not quick)
     part = slice(0, round(5.0 / given.h), 5)

@@ -1,4 +1,4 @@
-"""Every observer on the same record; relative errors over time."""
+"""Runs every observer on the same record; relative errors over time."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ from .pmsm import SERVO_CORNER, MotorRecord
 
 Array = NDArray[np.float64]
 
-#: The filters' transient is not used: e^{-15}.
+#: Start of use, times 1/ν: the filters' transient has decayed to e^{-15}.
 RUN_IN = 15.0
-#: Rates [1/s] of balanced gains on the levitation.
+#: Rates of the balanced gains on the levitation [1/s].
 FLUX_RATE, CONSTANTS_RATE = 8.0, 2.0
-#: Least squares on the levitation: sample time and memory [s]. The volt-seconds of a longer
-#: interval are as exact as those of a shorter one.
+#: Sample time and memory of the least squares on the levitation [s]. Volt-seconds are exact over
+#: intervals of any length.
 LS_SAMPLE_TIME, LS_MEMORY = 1e-2, 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorCourse:
-    """How an observer did.
+    """Errors of an observer over time.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class ErrorCourse:
     flux : (rows,) ndarray
         |λ̂ - λ| over the largest |λ|.
     constants : (rows,) ndarray or None
-        |θ̂ - θ| over |θ|, per-unit; None where the observer has none.
+        |θ̂ - θ| over |θ|, per-unit; None if the observer estimates no constants.
     """
 
     t: Array
@@ -62,7 +62,7 @@ class ErrorCourse:
     constants: Array | None = None
 
     def at(self, time: float) -> float:
-        """Flux error at the first row not before `time`; infinite where it is not finite."""
+        """Flux error at the first row at or after `time`; inf if it is not finite."""
         value = float(self.flux[min(int(np.searchsorted(self.t, time - 1e-9)), len(self.t) - 1)])
         return value if np.isfinite(value) else float("inf")
 
@@ -72,9 +72,9 @@ class ErrorCourse:
         return float(np.sqrt(np.mean(self.flux[inside] ** 2)))
 
     def first_below(self, level: float, since: float) -> float:
-        """Time after `since` from which the error stays below; infinite where it never does.
+        """Time after `since` from which the error stays below `level`; inf if it never does.
 
-        Until the next jump or the end: only rows up to `since` plus half the record count.
+        Only rows up to `since` plus half the record count: until the next jump or the end.
         """
         inside = (self.t >= since) & (self.t <= since + self.t[-1] / 2 - 1e-9)
         late = np.flatnonzero(~(self.flux[inside] < level))
@@ -86,7 +86,7 @@ class ErrorCourse:
 
 @dataclass(frozen=True, eq=False)
 class LevitationRun:
-    """A record, its regression, and the courses of all observers by name."""
+    """A record, its regression, and the error courses of all observers by name."""
 
     given: LevitationRecord
     rows: Regressors
@@ -109,12 +109,12 @@ def _course(
     error = np.linalg.norm(flux - given.flux, axis=1) / size
     if constants is None:
         return ErrorCourse(given.t, error)
-    # Two values each: before the jump and after it.
+    # Each constant has two values: before and after the jump.
     before, after = (
         np.asarray(constants.constants(given.drift[k], given.current_bias[k])) for k in (0, -1)
     )
     true = np.where((given.t > given.jump)[:, None], after, before)
-    # θ and the block that the current bias makes, each relative; the last constant says no more.
+    # Relative errors of θ and of the block from the current bias; the last constant adds nothing.
     parts = [slice(0, 2), slice(2, 4)]
     share = [
         np.linalg.norm((np.asarray(found[1]) - true)[:, part], axis=1)
@@ -125,14 +125,14 @@ def _course(
 
 
 def levitation_run(given: LevitationRecord, all_observers: bool = True) -> LevitationRun:
-    """The paper's observers as printed and corrected, the repaired one, and the least squares."""
+    """Runs the paper's observers as printed and corrected, the repaired one, the least squares."""
     rows, wrong = filtered(given)
     h, v = given.h, jnp.asarray(given.volt_seconds)
     skip = round(RUN_IN / CORNER / h)
     printed = Parametrisation(given.constraint, "printed", CORNER)
     structured = Parametrisation(given.constraint, "structured", CORNER)
     jump = int(np.searchsorted(given.t, given.jump))
-    # Gains come from the excitation before the jump; a design run would do as well.
+    # Gains come from the excitation before the jump; those of a design run would serve as well.
     nominal = Regressors(*(part[skip:jump] for part in rows))
     Gamma = balanced_gain(np.asarray(nominal.Phi_flux), FLUX_RATE)
 
@@ -177,7 +177,7 @@ def levitation_run(given: LevitationRecord, all_observers: bool = True) -> Levit
 
 
 def thinned(given: LevitationRecord, sample_time: float) -> tuple[NDArray[np.int_], Array]:
-    """Row numbers, and volt-seconds between them: sums, so nothing is lost."""
+    """Row numbers, and the volt-seconds between those rows: summed, so nothing is lost."""
     step = round(sample_time / given.h)
     rows = np.arange(0, len(given.t), step)
     sums = np.cumsum(given.volt_seconds, axis=0)[rows]
@@ -185,7 +185,7 @@ def thinned(given: LevitationRecord, sample_time: float) -> tuple[NDArray[np.int
 
 
 def least_squares(given: LevitationRecord) -> ImmersionEstimate:
-    """Drift and current bias unknown, no noise."""
+    """Runs the least squares with drift and current bias unknown, without noise."""
     machine = given.machine
     typical = machine.k_2 * 0.5 / machine.g
     observer = ImmersionObserver(
@@ -217,10 +217,10 @@ def _least_squares_course(given: LevitationRecord, estimate: ImmersionEstimate) 
 
 
 def motor_courses(given: MotorRecord) -> dict[str, ErrorCourse]:
-    """The PMSM with both biases: error of the active flux λ - L i, over ψ.
+    """Runs the observers on a PMSM with both biases; errors of the active flux λ - L i over ψ.
 
-    A current bias cannot be told from a flux offset (λ, i) + (L s, s), and λ̂ - L i_m is free of
-    it; so drift alone is unknown.
+    A current bias cannot be told from an offset (λ, i) + (L s, s), which leaves λ̂ - L i_m
+    unchanged; so only the drift is unknown.
     """
     h, v, rows = given.h, jnp.asarray(given.volt_seconds), given.rows
     psi, L = given.machine.psi_f or 1.0, given.machine.L_s

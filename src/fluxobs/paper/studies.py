@@ -1,4 +1,4 @@
-"""Numbers beside the courses: excitation, stability, bound, scaling with the bias, noise."""
+"""Studies besides the error courses: excitation, stability, bound, scaling with bias, noise."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .section_v import FLUX_RATE, LS_SAMPLE_TIME, RUN_IN, LevitationRun, sizes, 
 
 Array = NDArray[np.float64]
 
-#: Window of the excitation [s]: three periods of the reference's slowest part.
+#: Window of the excitation [s]: three periods of the slowest component of the reference.
 WINDOW = 2.0
 
 
@@ -37,11 +37,11 @@ class Excited:
     Attributes
     ----------
     flux : float
-        Of Φ_λ: (pe1).
+        For Φ_λ, (pe1).
     all_constants : float
-        Of Ψ with (λ, θ, δ_i, θᵀQ1θ): (pe2).
+        For Ψ with unknowns (λ, θ, δ_i, θᵀQ1θ), (pe2).
     observability : float
-        Of the Gramian of the pair, the flux moving with the drift.
+        For the observability Gramian, in which the drift moves the flux.
     """
 
     flux: float
@@ -56,14 +56,14 @@ def _nominal(given: LevitationRun) -> tuple[Regressors, int, int]:
 
 
 def excited(given: LevitationRun) -> Excited:
-    """Excitation of a scenario."""
+    """Computes the excitation of a scenario."""
     rows, _, _ = _nominal(given)
     h, size = given.given.h, sizes(given.given)[1]
     constants = Parametrisation(given.given.constraint, "structured", CORNER)
     psi = np.asarray(constants.psi_record(rows))
     thin = slice(None, None, 5)
     flux = excitation(np.asarray(rows.Phi_flux)[thin], 5 * h, WINDOW)
-    # Scale each column to unit rms: what is left is how alike they are.
+    # Scale each column to unit rms: the ratio then shows only how alike they are.
     full = excitation((psi / np.sqrt(np.mean(psi**2, axis=0)))[thin], 5 * h, WINDOW)
     gramian = observability_gramian(rows, constants, h, WINDOW, size)
     scale = 1 / np.sqrt(np.diag(gramian))
@@ -72,9 +72,9 @@ def excited(given: LevitationRun) -> Excited:
 
 
 def growth(given: LevitationRun, factors: tuple[float, ...]) -> dict[str, tuple[float, float]]:
-    """Largest Lyapunov exponent of Proposition 2 over its gain matrix, and its uncertainty [1/s].
+    """Largest Lyapunov exponent of Proposition 2 for each gain factor, and its uncertainty [1/s].
 
-    Over 10 s before the jump; stiff gains need every row.
+    Uses 10 s before the jump, and every row, since high gains are stiff.
     """
     rows, _, _ = _nominal(given)
     span = 2 * (min(round(10.0 / given.given.h), len(rows.y) - 1) // 2) + 1
@@ -100,9 +100,9 @@ class Robust:
     Attributes
     ----------
     rms : dict
-        Bias factor → rms flux error over the second half before the jump, relative.
+        Bias factor → relative rms flux error over the second half of the time before the jump.
     bound, largest : float
-        Corrected bound in steady state and largest error there, relative.
+        Corrected bound in steady state, and the largest error there; both relative.
     """
 
     rms: dict[float, float]
@@ -111,7 +111,7 @@ class Robust:
 
 
 def robust(given: LevitationRun) -> Robust:
-    """Scaling of the error with the biases, and the corrected bound against the error."""
+    """Scales the biases, and compares the corrected bound with the error."""
     base = given.given
     nominal, skip, jump = _nominal(given)
     Gamma = balanced_gain(np.asarray(nominal.Phi_flux), FLUX_RATE)
@@ -137,16 +137,16 @@ def robust(given: LevitationRun) -> Robust:
 
 @dataclass(frozen=True)
 class Noisy:
-    """Least squares under sensor noise.
+    """Result of the least squares under sensor noise.
 
     Attributes
     ----------
     error, claimed : float
-        Rms flux error after 2 s; what its covariance says. Relative.
+        Rms flux error after 2 s, true and from the covariance; relative.
     noise_share : float
-        Median over time of the larger component's.
+        Noise share of the larger flux component, median over time.
     valid : float
-        Share of samples claimed known.
+        Share of samples that the observer calls valid.
     """
 
     error: float
@@ -158,7 +158,7 @@ class Noisy:
 def noisy(
     given: LevitationRecord, unknowns: tuple[str, ...], duration: float, memory: float
 ) -> Noisy:
-    """1 mA and 10 mV of white noise at 1 kHz, converters of 0.5 mA and 5 mV."""
+    """Adds 1 mA and 10 mV of white noise at 1 kHz and converter steps of 0.5 mA and 5 mV."""
     rows = slice(0, round(duration / given.h) + 1)
     t, machine, h = given.t[rows], given.machine, given.h
     current_sensor = Sensor(Steps(np.zeros((1, 2))), noise=1e-3, quantum=5e-4)
@@ -172,7 +172,7 @@ def noisy(
     v[0] = 0.0
     typical = machine.k_2 * 0.5 / machine.g
     slope = float(np.hypot(machine.k_1, machine.k_2)) * typical
-    # What voltage noise puts into w within the memory, beside the current's own noise.
+    # Voltage noise integrates into w over the memory, in addition to the current noise.
     walk = 2 * machine.g * typical * 1e-2 / machine.N * np.sqrt(h * memory)
     observer = ImmersionObserver(
         Immersion((machine.constraint,), unknowns),  # type: ignore[arg-type]
@@ -201,8 +201,8 @@ def noisy(
 
 
 def mechanics(given: LevitationRun) -> tuple[float, float]:
-    """Rms error of position [m] and velocity [m/s] from the least squares' flux, before the jump
-    and after the first second."""
+    """Rms errors of position [m] and velocity [m/s] from the least squares' flux, between the first
+    second and the jump."""
     base, estimate = given.given, given.least_squares
     rows, _ = thinned(base, LS_SAMPLE_TIME)
     tracker = LevitationTracker(base.machine, LS_SAMPLE_TIME)

@@ -1,4 +1,4 @@
-"""Proposition 1's bound, corrected (docs/errata.md, 7)."""
+"""The bound of Proposition 1, corrected (docs/errata.md, 7)."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ def robust_bound(
     ----------
     Gamma : (n, n) array_like
     window, alpha, Phi_max : float
-        T [s] and α of (pe1), bound of |Φ_λ|.
+        T [s] and α of (pe1), upper bound of |Φ_λ|.
     initial_error, disturbance : float
         |λ̃(0)| [Wb], ‖b‖ [V].
     t : (rows,) array_like
-        [s].
+        Times [s].
 
     Returns
     -------
     (rows,) ndarray
-        Infinite where nothing is excited (α = 0).
+        Bound [Wb]; inf without excitation (α = 0).
     """
     values = np.linalg.eigvalsh(np.atleast_2d(np.asarray(Gamma, float)))
     eta = decay_rate(Gamma, window, alpha, Phi_max)
@@ -80,9 +80,9 @@ def bound_on_record(
     current_bias: Any,
     t: ArrayLike | None = None,
 ) -> Array:
-    """The bound with every constant measured on a record, at its rows or at times t [Wb].
+    """Bound [Wb] with all constants measured on a record, at its rows or at times t.
 
-    ``t = inf`` gives its steady state.
+    ``t = inf`` gives the steady state.
     """
     found = excitation(np.asarray(rows.Phi_flux), h, window)
     size = np.linalg.norm(np.asarray(rows.Phi_flux), axis=1).max()

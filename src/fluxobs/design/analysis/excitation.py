@@ -15,12 +15,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """How a regressor excites over windows of one length.
+    """Excitation by a regressor over sliding windows of one length.
 
     Attributes
     ----------
     window : float
-        T [s].
+        Length T [s].
     smallest, largest : (windows,) ndarray
         Extreme eigenvalues of ``∫ Φ Φᵀ`` over each window.
     """
@@ -31,7 +31,7 @@ class Excitation:
 
     @property
     def alpha(self) -> float:
-        """α of the condition: the smallest eigenvalue over all windows."""
+        """α of (pe1) or (pe2): the smallest eigenvalue over all windows."""
         return float(self.smallest.min())
 
     @property
@@ -54,7 +54,7 @@ def gram(signal: ArrayLike, h: float, window: float) -> Array:
         )
     product = np.einsum("ki,kj->kij", phi, phi)
     area = (product[:-1] + product[1:]) / 2 * h
-    # Sums over blocks of the window's length, from their ends: no difference of large sums.
+    # Add cumulative sums of blocks of one window length: avoids differences of large sums.
     count = len(area) - length + 1
     blocks = -(-len(area) // length)
     padded = np.zeros((blocks * length, *area.shape[1:]))
@@ -77,16 +77,16 @@ def excitation(
     signal : (rows, k) array_like
         Regressor.
     h, window : float
-        [s].
+        Sample time, length of the window [s].
     scale : (k,) array_like, optional
-        Size of each unknown: multiplies the regressor, which makes eigenvalues comparable
-        (per-unit). Default 1.
+        Size of each unknown; it multiplies the regressor, so that eigenvalues are per-unit and
+        comparable. Default 1.
     """
     phi = np.asarray(signal, float)
     values = np.linalg.eigvalsh(gram(phi if scale is None else phi * scale, h, window))
-    # Rounding may leave a tiny negative one.
+    # Rounding may make an eigenvalue slightly negative.
     least, most = np.asarray(values[:, 0], float), np.asarray(values[:, -1], float)
-    # The window that was integrated: a whole number of steps.
+    # Report the window actually integrated: a whole number of steps.
     return Excitation(round(window / h) * h, np.maximum(least, 0.0), most)
 
 

@@ -1,4 +1,4 @@
-"""What can be told apart: from the constraint's Hessian beforehand, from a record afterwards."""
+"""Which unknowns can be told apart: predicted from the constraint, checked on a record."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def observability_gramian(
     window: float,
     scale: ArrayLike | None = None,
 ) -> Array:
-    """``∫ F(s,t)ᵀ Ψ Ψᵀ F(s,t) ds`` over the last window of a record, t its end.
+    """``∫ F(s,t)ᵀ Ψ Ψᵀ F(s,t) ds`` over the last window of a record, which ends at t.
 
-    The pair is (λ' = θ, y = Ψᵀ(λ, θ, …)): the flux moves with the drift, which makes more visible
-    than the plain excitation of Ψ does. At constant speed a PMSM's Ψ has rank 3 of 5 while this
+    The system is λ' = θ, y = Ψᵀ(λ, θ, …). The drift moves the flux, which makes more directions
+    visible than Ψ alone excites: at constant speed the Ψ of a PMSM has rank 3 of 5, while this
     Gramian is regular.
 
     Parameters
@@ -34,7 +34,7 @@ def observability_gramian(
         Leading axis time.
     constants : Parametrisation
     h, window : float
-        [s].
+        Sample time, length of the window [s].
     scale : (n + n_θ,) array_like, optional
         Size of each unknown.
 
@@ -56,24 +56,24 @@ def observability_gramian(
 
 
 def invisible_from_gramian(gramian: ArrayLike, tolerance: float = 1e-10) -> Array:
-    """Directions that a record did not see: eigenvectors below a share of the largest, (N, k)."""
+    """Directions invisible in a record, (N, k): eigenvalue at most `tolerance` of the largest."""
     values, vectors = np.linalg.eigh(np.asarray(gramian, float))
     return np.asarray(vectors[:, values <= tolerance * values[-1]])
 
 
 def invisible_from_constraint(constraint: QuadraticConstraint, constants: Parametrisation) -> Array:
-    """Directions in (λ, constants) that no record sees, (N, k).
+    """Directions in (λ, constants) that are invisible in every record, (N, k).
 
-    For current bias as an unknown they are the null space of the Hessian, (r, s) read as offsets
-    of flux and bias. The printed parametrisation adds (s, 0, -2 Q1 s, -Q2ᵀ s) where it has the
-    y_b block: its constants are more than the biases can make (erratum 5).
+    With the current bias as an unknown, they are the null space of the Hessian, read as offsets
+    (r, s) of flux and bias. The printed parametrisation, if it has the y_b block, adds
+    (s, 0, -2 Q1 s, -Q2ᵀ s): it has more constants than the biases can produce (erratum 5).
     """
     n, size = constants.n, constants.n + len(constants)
     columns = []
     if constants.kind == "structured":
         for column in constraint.invisible_offsets().T:
             direction = np.zeros(size)
-            # An offset s of i_m - δ is one of -s in δ.
+            # An offset s of i_m - δ is an offset -s of δ.
             direction[:n], direction[2 * n : 3 * n] = column[:n], -column[n:]
             columns.append(direction)
     elif constants.kind == "printed":
@@ -84,7 +84,7 @@ def invisible_from_constraint(constraint: QuadraticConstraint, constants: Parame
             direction[3 * n : 4 * n] = -constraint.Q2.T @ s
             columns.append(direction)
         if not constants.with_b:
-            # The same identity with Q3 = 0: what Q2ᵀ does not see.
+            # The same identity with Q3 = 0: the null space of Q2ᵀ.
             _, singular, vt = np.linalg.svd(constraint.Q2.T)
             for s in vt[singular <= 1e-9 * max(singular[0], 1e-300)]:
                 direction = np.zeros(size)
@@ -98,13 +98,13 @@ def invisible_from_constraint(constraint: QuadraticConstraint, constants: Parame
 
 @dataclass(frozen=True, eq=False)
 class InvisibleComparison:
-    """Invisible directions as predicted and as found.
+    """Invisible directions, predicted from the constraint and found on a record.
 
     Attributes
     ----------
     predicted, found : (N, k) ndarray
     angle : float
-        Largest principal angle between the two [rad]; NaN where their dimensions differ.
+        Largest principal angle between the two [rad]; NaN if their dimensions differ.
     """
 
     predicted: Array
@@ -113,7 +113,7 @@ class InvisibleComparison:
 
     @property
     def agree(self) -> bool:
-        """The record saw all that the constraint allows to be seen."""
+        """Whether the record shows every direction that the constraint makes visible."""
         return self.predicted.shape == self.found.shape and not self.angle > 1e-3
 
 
@@ -126,7 +126,7 @@ def compare_invisible(
     scale: ArrayLike,
     tolerance: float = 1e-10,
 ) -> InvisibleComparison:
-    """Prediction from the constraint against the observability Gramian of a record."""
+    """Compares the prediction from the constraint with the observability Gramian of a record."""
     sizes = np.asarray(scale, float)
     found = invisible_from_gramian(
         observability_gramian(rows, constants, h, window, sizes), tolerance
@@ -142,6 +142,6 @@ def compare_invisible(
 
 
 def rank(gramian: ArrayLike, tolerance: float = 1e-10) -> int:
-    """Number of directions seen."""
+    """Number of visible directions."""
     values = np.linalg.eigvalsh(np.asarray(gramian, float))
     return int((values > tolerance * values[-1]).sum())

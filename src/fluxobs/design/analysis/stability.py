@@ -1,7 +1,7 @@
-"""Is an adaptive law stable along this trajectory? The number that Remark 7 leaves to the reader.
+"""Is an adaptive law stable along this trajectory? Remark 7 leaves the number to the reader.
 
-The error of Proposition 2 obeys ``χ' = (G_a - Γ Ψ Ψᵀ) χ``. Along a periodic trajectory its Floquet
-multipliers decide, along any other its Lyapunov exponents.
+The error of Proposition 2 obeys ``χ' = (G_a - Γ Ψ Ψᵀ) χ``. On a periodic trajectory its Floquet
+multipliers decide stability, on any other its Lyapunov exponents.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ Array = NDArray[np.float64]
 
 
 class GainStudy(NamedTuple):
-    """Growth of the error over the gain.
+    """Growth of the error as a function of the gain.
 
     Attributes
     ----------
     gains : (k,) ndarray
     growth : (k,) ndarray
-        Largest |Floquet multiplier| over the record (periodic), else largest Lyapunov exponent
+        Largest |Floquet multiplier| if the record is periodic, else largest Lyapunov exponent
         [1/s].
     resolution : (k,) ndarray
-        How much `growth` changes when every second row is left out: where that is much, the record
-        is too coarse for the gain. NaN for an odd number of steps.
+        Change of `growth` when every second row is left out: if large, the record is too coarse for
+        the gain. NaN for an odd number of steps.
     stable : (k,) ndarray of bool
     """
 
@@ -54,11 +54,11 @@ def proposition_2(
 
 
 def _steps(psi: jax.Array, Gamma: jax.Array, G_a: jax.Array, h: jax.Array) -> jax.Array:
-    """Transition of every step, (rows - 1, N, N): exponential of the generator in its middle.
+    """Transition matrix of each step, (rows - 1, N, N): exponential of the generator at its middle.
 
-    One regressor a step: the mean of two products would contract a second direction, which at high
-    gain makes an unstable law look stable. In coordinates in which Γ is the identity, whatever the
-    units of the constants are: neither multipliers nor exponents depend on them.
+    Each step uses one regressor: the mean of two products would contract a second direction, which
+    at high gain makes an unstable law look stable. Coordinates are scaled so that Γ is the identity
+    for any units of the constants; multipliers and exponents do not depend on the scaling.
     """
     root = jnp.linalg.cholesky(Gamma)
     balanced = psi @ root
@@ -69,7 +69,7 @@ def _steps(psi: jax.Array, Gamma: jax.Array, G_a: jax.Array, h: jax.Array) -> ja
 
 
 def _product(steps: jax.Array) -> jax.Array:
-    """All steps in order of time."""
+    """Product of all steps in order of time."""
 
     def body(product: jax.Array, step: jax.Array) -> tuple[jax.Array, None]:
         return step @ product, None
@@ -78,19 +78,19 @@ def _product(steps: jax.Array) -> jax.Array:
 
 
 def _logarithms(steps: jax.Array) -> jax.Array:
-    """Growth of an orthonormal frame over all steps."""
+    """Logarithmic growth of an orthonormal frame over all steps."""
 
     def body(q: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array]:
         q, r = jnp.linalg.qr(step @ q)
         diagonal = jnp.abs(jnp.diag(r))
-        # A direction contracted to nothing; NaN stays NaN.
+        # Guard against a direction contracted to zero; NaN stays NaN.
         return q, jnp.log(jnp.where(diagonal == 0, np.finfo(float).tiny, diagonal))
 
     return jax.lax.scan(body, jnp.eye(steps.shape[1]), steps)[1].sum(axis=0)
 
 
 def floquet_multipliers(steps: jax.Array) -> Array:
-    """Eigenvalues of the product of all steps, the record being one period; largest first.
+    """Eigenvalues of the product of all steps of a one-period record; largest first.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def floquet_multipliers(steps: jax.Array) -> Array:
 
 
 def lyapunov_exponents(steps: jax.Array, h: float) -> Array:
-    """Mean exponential growth rates [1/s] over a record of steps h apart, by QR; largest first."""
+    """Mean exponential growth rates [1/s] over a record, h per step, by QR; largest first."""
     return np.sort(np.asarray(_logarithms(jnp.asarray(steps))))[::-1] / (len(steps) * h)
 
 
@@ -110,7 +110,7 @@ def lyapunov_exponents(steps: jax.Array, h: float) -> Array:
 def _growth(
     psi: jax.Array, Gammas: jax.Array, G_a: jax.Array, h: jax.Array, periodic: bool
 ) -> jax.Array:
-    """Monodromy, or logarithms of growth, for each gain."""
+    """Monodromy matrix, or logarithms of growth, for each gain."""
     grow = _product if periodic else _logarithms
     return jnp.asarray(jax.lax.map(lambda Gamma: grow(_steps(psi, Gamma, G_a, h)), Gammas))
 
@@ -123,27 +123,27 @@ def over_gain(
     Gamma: Any = 1.0,
     periodic: bool = True,
 ) -> GainStudy:
-    """Stability of Proposition 2 along a record, over gains γ Γ.
+    """Stability of Proposition 2 along a record for the gains γ Γ.
 
     Parameters
     ----------
     rows : Regressors
         Leading axis time, h apart, fine enough for the trajectory; if `periodic`, exactly one
-        period, the first row repeated at the end.
+        period, with the first row repeated at the end.
     constants : Parametrisation
     h : float
-        [s].
+        Sample time [s].
     gains : sequence of float
-        γ.
+        Values of γ.
     Gamma : number, vector or matrix
-        Shape of the gain.
+        Γ, the shape of the gain.
     periodic : bool
-        Floquet multipliers (True) or Lyapunov exponents.
+        Computes Floquet multipliers if true, else Lyapunov exponents.
 
     Raises
     ------
     ModelError
-        The record is said to be periodic and its ends differ.
+        `periodic` is set, but the ends of the record differ.
     """
     psi, matrix, G_a = proposition_2(rows, constants, Gamma)
     if periodic:

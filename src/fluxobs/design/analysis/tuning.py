@@ -1,7 +1,7 @@
-"""Gains from a record: in coordinates where the regressor excites all directions alike.
+"""Gains from a record, balanced so that all directions converge equally fast.
 
-A gradient observer converges as slowly as its least excited direction; a gain that is the inverse
-of the regressor's mean square makes all equally fast. The record it is taken from need not have a
+A gradient observer converges as slowly as its least excited direction. The inverse of the
+regressor's mean square, as gain, makes all directions equally fast. The record for this needs no
 bias: only the excitation counts.
 """
 
@@ -22,7 +22,7 @@ from ..regression.laws.gradient import RepairedAdaptiveObserver, sensitivity_ste
 Array = NDArray[np.float64]
 
 
-#: Directions excited less than this share of the strongest are not amplified further.
+#: Directions excited less than this share of the strongest get no higher gain.
 LEAST = 1e-10
 
 
@@ -39,7 +39,7 @@ def balanced_gain(regressor: ArrayLike, rate: float) -> Array:
 
 
 def balanced_basis(gramian: ArrayLike, window: float) -> Array:
-    """Basis in which ``gramian/window`` is the identity: for DREM, whose Δ is then about 1."""
+    """Basis in which ``gramian/window`` is the identity; gives DREM a Δ of about 1."""
     W = np.asarray(gramian, float) / window
     size = 1 / np.sqrt(np.diag(W))
     triangle = np.linalg.cholesky(size[:, None] * W * size)

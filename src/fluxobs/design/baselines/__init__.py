@@ -1,4 +1,4 @@
-"""The observers that people use, each from its published equations."""
+"""Observers in common use, each written from its published equations."""
 
 from .back_emf import ExtendedEmf, SlidingMode
 from .base import Baseline, Guess, run

@@ -12,12 +12,12 @@ from .base import Array, Baseline, Guess, PllState, angle, number, pll, pll_star
 
 
 def _lag(fade: Array, turned: Array) -> Array:
-    """Phase lag of ``y ← fade y + (1 - fade) x`` where the signal turns by that angle a sample."""
+    """Phase lag of ``y ← fade y + (1 - fade) x`` for a signal that turns by `turned` per sample."""
     return jnp.arctan2(fade * jnp.sin(turned), 1 - fade * jnp.cos(turned))
 
 
 def _rotor_angle(emf: Array, speed: Array, lag: Array) -> Array:
-    """Rotor angle from an EMF ``j ω ψ exp(jθ)`` that is seen late."""
+    """Rotor angle from an EMF ``j ω ψ exp(jθ)`` with a phase lag."""
     return angle(emf) - jnp.where(speed < 0, -1.0, 1.0) * jnp.pi / 2 + lag
 
 
@@ -27,15 +27,15 @@ class EmfState(NamedTuple):
 
 
 class ExtendedEmf(Baseline):
-    """Extended EMF ``u = R i + L_d di/dt - jω(L_d - L_q) i + e``, e filtered by ω_c/(s + ω_c), its
-    angle followed by a phase-locked loop.
+    """Extended EMF e of ``u = R i + L_d di/dt - jω(L_d - L_q) i + e``, filtered by ω_c/(s + ω_c); a
+    phase-locked loop tracks its angle.
 
     Parameters
     ----------
     cutoff : float
         ω_c of the disturbance observer [rad/s].
     bandwidth : float
-        Of the phase-locked loop [rad/s].
+        Bandwidth of the phase-locked loop [rad/s].
 
     References
     ----------
@@ -64,7 +64,7 @@ class ExtendedEmf(Baseline):
         raw = (volt_seconds - m.L_d * (current - before)) / h + 1j * cross
         fade = jnp.exp(-self.cutoff * h)
         emf = fade * own.emf + (1 - fade) * raw
-        # The mean over the interval is half a sample old.
+        # The mean EMF over the interval is half a sample old.
         theta = _rotor_angle(emf, speed, _lag(fade, speed * h) + speed * h / 2)
         loop = pll(own.pll, theta, self.bandwidth, h)
         x = self.length(current, turn(loop.theta)) * turn(loop.theta)
@@ -79,22 +79,22 @@ class SlidingState(NamedTuple):
 
 
 class SlidingMode(Baseline):
-    """Current model forced onto the measured current, ``L_q î' = u - R î - z``,
-    ``z = K sat((î - i)/Φ)`` axis by axis; z filtered is the back EMF of the active flux.
+    """Sliding mode forces a current model onto the measured current: ``L_q î' = u - R î - z`` with
+    ``z = K sat((î - i)/Φ)`` on each axis. Filtered, z is the back EMF of the active flux.
 
     Parameters
     ----------
     switching : float
-        K [V]; above the largest EMF.
+        K [V]; must exceed the largest EMF.
     cutoff : float
-        Of the low-pass on z [rad/s].
+        Cutoff of the low-pass on z [rad/s].
     bandwidth : float
-        Of the phase-locked loop [rad/s].
+        Bandwidth of the phase-locked loop [rad/s].
 
     Notes
     -----
-    The boundary layer Φ = 2 K h/L_q is as thin as the samples allow: in it the current error
-    halves every sample.
+    The boundary layer Φ = 2 K h/L_q is as thin as sampling allows: inside it the current error
+    halves with every sample.
 
     References
     ----------
@@ -133,7 +133,7 @@ class SlidingMode(Baseline):
         fade = jnp.exp(-self.cutoff * h)
         emf = fade * own.emf + (1 - fade) * forced
         speed = own.pll.speed
-        # Within the layer ``forced`` is the interval's mean EMF through a filter that halves.
+        # Inside the layer, ``forced`` is the mean EMF of the interval, low-passed with fade 1/2.
         turned = speed * h
         half = jnp.asarray(0.5)
         theta = _rotor_angle(emf, speed, _lag(half, turned) + _lag(fade, turned) + turned / 2)

@@ -1,4 +1,4 @@
-"""What the observers that people use share: protocol, machine model, phase-locked loop, runner."""
+"""Common parts of the baseline observers: protocol, machine model, phase-locked loop, runner."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Array = jax.Array
 
 
 class Guess(NamedTuple):
-    """What such an observer says of a sample, by the names of :class:`fluxobs.Estimate`: position
-    [rad], speed [rad/s], flux linkage [Wb], and the position of its phase-locked loop [rad].
+    """Estimate of one sample, named as in :class:`fluxobs.Estimate`: position [rad], speed [rad/s],
+    flux linkage [Wb], and the position of the phase-locked loop [rad].
 
-    Subclasses give the flux as a complex number; `step` returns it as (2,). None of them ever says
-    that it does not know: it is always valid.
+    Subclasses give the flux as a complex number; `step` returns it as (2,). These observers do not
+    detect when they are lost: `valid` is always true.
     """
 
     theta_e: Array
@@ -32,7 +32,7 @@ class Guess(NamedTuple):
 
 
 class BaselineState(NamedTuple):
-    """Last current, whether there was one, and the observer's own state."""
+    """Last current, whether there has been one, and the observer's own state."""
 
     current: Array
     started: Array
@@ -42,23 +42,23 @@ class BaselineState(NamedTuple):
 class Baseline(eqx.Module):
     """One published observer.
 
-    Subclasses give `start` and `advance`. Integrals of the voltage are exact: the voltage is the
-    mean over the interval that ends now, the resistive drop the mean of the two currents. In that
-    all are treated better than by forward Euler, the usual way.
+    Subclasses implement `start` and `advance`. Voltage integrals are exact: the voltage is the mean
+    over the interval that ends now. The resistive drop uses the mean of the two currents. Both are
+    better than the usual forward Euler.
 
     Parameters
     ----------
     motor : Motor
-        What the observer believes of the machine.
+        Machine parameters as the observer believes them.
     sample_time : float
-        [s].
+        Sample time [s].
     """
 
     motor: Motor
     sample_time: Array
 
     def start(self) -> Any:
-        """Own state at the start: rotor at θ_e = 0, at rest."""
+        """Initial own state: rotor at θ_e = 0, at rest."""
         raise NotImplementedError
 
     def advance(
@@ -74,7 +74,7 @@ class Baseline(eqx.Module):
     def step(
         self, state: BaselineState, voltage: Array, current: Array
     ) -> tuple[BaselineState, Guess]:
-        """Mean voltage over the interval ending now [V], current now [A], (2,) each."""
+        """One sample: mean voltage over the interval ending now [V], current now [A], (2,) each."""
         u, i = vector(voltage), vector(current)
         before = jnp.where(state.started, state.current, i)
         u = jnp.where(state.started, u, self.motor.R_s * i)
@@ -84,23 +84,23 @@ class Baseline(eqx.Module):
         return BaselineState(i, jnp.ones((), bool), own), guess
 
     def run(self, voltage: Any, current: Any) -> Guess:
-        """A record, (rows, 2) each; row k's voltage is the mean over the interval ending there."""
+        """Runs a record, (rows, 2) each; voltages are means over the interval ending at a row."""
         return run(self, jnp.asarray(voltage, float), jnp.asarray(current, float))
 
-    # ---- what several need ---------------------------------------------------------------
+    # ---- shared by several ---------------------------------------------------------------
 
     def active(self, flux: Array, current: Array) -> Array:
-        """Active flux ``x = λ - L_q i``: along the rotor's d axis."""
+        """Active flux ``x = λ - L_q i``, along the rotor's d axis."""
         return flux - self.motor.L_q * current
 
     def length(self, current: Array, direction: Array) -> Array:
-        """Its length, ``ψ + (L_d - L_q) i_d``, with d along `direction`; never below a little."""
+        """Its length ``ψ + (L_d - L_q) i_d``, d along `direction`; kept above 0.1 % of `size`."""
         i_d = (current * jnp.conj(direction)).real
         length = self.motor.psi_f + (self.motor.L_d - self.motor.L_q) * i_d
         return jnp.maximum(length, 1e-3 * self.size())
 
     def size(self) -> Array:
-        """A flux of the machine's size, also where it has no magnet [Wb]."""
+        """Typical flux of the machine, also without magnets [Wb]."""
         return self.motor.psi_f + jnp.where(self.motor.psi_f > 0, 0.0, self.motor.L_d)
 
 
@@ -110,13 +110,13 @@ class PllState(NamedTuple):
 
 
 def pll_gains(bandwidth: Array, h: Array) -> tuple[Array, Array]:
-    """Corrections of angle and speed by an error of the angle, for a double pole at `bandwidth`."""
+    """Gains from angle error to angle and speed, for a double pole at `bandwidth`."""
     pole = jnp.exp(-bandwidth * h)
     return 1 - pole**2, (1 - pole) ** 2 / h
 
 
 def pll(state: PllState, theta: Array, bandwidth: Array, h: Array) -> PllState:
-    """Phase-locked loop with a double pole at `bandwidth`, on an angle.
+    """Phase-locked loop on an angle, with a double pole at `bandwidth`.
 
     L. Harnefors, H.-P. Nee, "A general algorithm for speed and position estimation of AC motors",
     IEEE Trans. Industrial Electronics 47 (2000), doi:10.1109/41.824128.
@@ -136,13 +136,13 @@ def angle(z: Array) -> Array:
 
 
 def number(value: Any) -> Array:
-    """A gain as a leaf."""
+    """A gain as an array leaf of the pytree."""
     return real("gain", value)
 
 
 @eqx.filter_jit
 def run(observer: Any, voltage: Array, current: Array) -> Guess:
-    """A record through any observer that steps in JAX; see :meth:`Baseline.run`."""
+    """Runs a record through any observer that steps in JAX; see :meth:`Baseline.run`."""
 
     def body(state: Any, row: tuple[Array, Array]) -> tuple[Any, Guess]:
         after, guess = observer.step(state, *row)

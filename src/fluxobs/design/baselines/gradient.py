@@ -1,4 +1,4 @@
-"""The gradient on the length of the active flux; and the clamp, its limit of infinite gain."""
+"""Gradient on the length of the active flux, and its limit of infinite gain, the clamp."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ class GradientState(NamedTuple):
 class LengthGradient(Baseline):
     """``x' = y - L_q di/dt + g/2 (1 - |x|²/ψ²) x``: the non-linear observer of ODrive and VESC.
 
-    With `adaptation` the length is estimated too, by the gradient of the same error (the
+    With `adaptation` it also estimates the length, by the gradient of the same error (the
     magnitude-adapting variant): ``ψ̂' = -g_ψ/2 (1 - |x|²/ψ̂²) ψ̂``.
 
     Parameters
     ----------
     gain : float
-        g [1/s]: rate at which a wrong length decays.
+        g [1/s]; the rate at which an error of the length decays.
     adaptation : float
-        g_ψ [1/s]; 0 for none.
+        g_ψ [1/s]; 0 switches it off.
     bandwidth : float
-        Of the phase-locked loop for the speed [rad/s].
+        Bandwidth of the phase-locked loop for the speed [rad/s].
 
     References
     ----------
@@ -79,16 +79,17 @@ class ClampedState(NamedTuple):
 
 
 class ClampedIntegrator(Baseline):
-    """``x' = y - L_q di/dt`` with each axis clamped to ± its length, known as MXLEMMING.
+    """``x' = y - L_q di/dt`` with each axis clamped to ± the length of x; known as MXLEMMING.
 
-    Published as a description and in firmware only (MESC project); no gain but the length.
+    Published only as a description and in firmware (MESC project). The clamp level is its only
+    gain.
 
     Parameters
     ----------
     level : float
-        Clamp over ψ + (L_d - L_q) i_d; 1 is meant.
+        Clamp over ψ + (L_d - L_q) i_d; nominally 1.
     bandwidth : float
-        Of the phase-locked loop for the speed [rad/s].
+        Bandwidth of the phase-locked loop for the speed [rad/s].
     """
 
     level: Array

@@ -1,4 +1,4 @@
-"""Extended Kalman filter, as published and with the drift as a further state."""
+"""Extended Kalman filter, as published and with the drift as an additional state."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ class KalmanState(NamedTuple):
 
 
 class KalmanFilter(Baseline):
-    """States flux, speed and position; the current is the measurement, ``i(λ, θ)``; the speed is a
-    random walk. Works for salient machines as it stands.
+    """States are flux, speed and position; the measurement is the current ``i(λ, θ)``; the speed
+    is a random walk. Works for salient machines without change.
 
     Parameters
     ----------
     voltage_noise : float
-        Of the mean voltage over a sample [V]: process noise of the flux.
+        Std of the mean voltage over a sample [V]; process noise of the flux.
     acceleration : float
         Random walk of the speed [rad/s per √s].
     current_noise : float
-        [A].
+        Std of a current component [A].
     drift_walk : float
-        Random walk of the drift [V per √s]; used where the drift is a state.
+        Random walk of the drift [V per √s]; used if the drift is a state.
     with_drift : bool
-        The drift is a state too (not in the references).
+        Makes the drift a state (not in the references).
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Observers on the regression of the paper (PEBO, DREM), made sample by sample."""
+"""Observers on the paper's regression (PEBO, DREM), running sample by sample."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ class RegressionState(NamedTuple):
 
 
 class OnRegression(Baseline):
-    """An observer of :mod:`fluxobs.design.regression.laws` on the exact sampled regression of the
-    machine's relation.
+    """Runs an observer of :mod:`fluxobs.design.regression.laws` on the exact sampled regression of
+    the machine's relation.
 
-    The regression's start-up, 15 over its corner, is not used.
+    It ignores the start-up of the regression, 15 over its corner.
 
     Parameters
     ----------
     constraint : QuadraticConstraint
-        Of the machine.
+        Relation of the machine.
     observer : FluxObserver
         PEBO, DREM, …
     corner : float
         ν of the regression's filters [rad/s].
     bandwidth : float
-        Of the phase-locked loop for the speed [rad/s].
+        Bandwidth of the phase-locked loop for the speed [rad/s].
     """
 
     regression: SampledRegression

@@ -19,7 +19,7 @@ class SpeedAdaptiveState(NamedTuple):
 
 
 class SpeedAdaptiveObserver(Baseline):
-    """Flux observer whose correction acts along the active flux, position by a phase-locked loop.
+    """Flux observer corrected along the active flux; a phase-locked loop gives the position.
 
     In estimated rotor coordinates, with ``e = L_d i_d + j L_q i_q + ψ - λ̂`` and the auxiliary flux
     ``ψ_a = ψ + (L_d - L_q) i*``::
@@ -70,7 +70,7 @@ class SpeedAdaptiveObserver(Baseline):
         square = jnp.maximum(auxiliary.real**2 + auxiliary.imag**2, (1e-3 * self.size()) ** 2)
         share = e * jnp.conj(auxiliary) / square  # e/ψ_a
         b = m.R_s * (1 / m.L_d + 1 / m.L_q) / 2 + 0.4 * jnp.abs(own.speed)
-        # Only the part along ψ_a, by its exact decay.
+        # Correct only the part along ψ_a, by its exact decay.
         decay = -jnp.expm1(-self.gain * b * h)
         flux = flux + decay * share.real * auxiliary * jnp.conj(back)
         gain_theta, gain_speed = pll_gains(self.bandwidth, h)

@@ -1,4 +1,4 @@
-"""Integration of the voltage with a forgetting that is undone at the present speed."""
+"""Voltage model with a filter instead of the integrator, compensated at the present speed."""
 
 from __future__ import annotations
 
@@ -18,16 +18,18 @@ class VoltageModelState(NamedTuple):
 
 
 class FilteredVoltageModel(Baseline):
-    """Low-pass instead of an integrator, ``λ_c' = y - ω_c λ_c`` (order 1), or that and a high-pass
-    after it (order 2), which blocks offsets; ω_c goes with the speed, and what the filters take at
-    that speed is given back, ``λ̂ = λ_c (1 - jω_c/ω̂)^order``.
+    """Low-pass instead of an integrator, ``λ_c' = y - ω_c λ_c`` (order 1), optionally followed by a
+    high-pass that blocks offsets (order 2).
+
+    ω_c is proportional to the speed, down to `least`. The gain and phase of the filters at that
+    speed are compensated, ``λ̂ = λ_c (1 - jω_c/ω̂)^order``.
 
     Parameters
     ----------
     cutoff, least : float
-        ω_c over |ω̂|; and what ω_c does not go below [rad/s].
+        ω_c over |ω̂|; least value of ω_c [rad/s].
     bandwidth : float
-        Of the phase-locked loop that says ω̂ [rad/s].
+        Bandwidth of the phase-locked loop that estimates ω̂ [rad/s].
 
     References
     ----------
@@ -66,7 +68,7 @@ class FilteredVoltageModel(Baseline):
         before: Array,
     ) -> tuple[VoltageModelState, Guess]:
         h = self.sample_time
-        # Bilinear, so that the compensation is right up to (ωh)².
+        # Bilinear, so that the compensation is exact up to errors of order (ωh)².
         speed = own.pll.speed
         corner = jnp.maximum(self.cutoff * jnp.abs(speed), self.least)
         a = corner * h / 2

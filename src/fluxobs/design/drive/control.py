@@ -18,7 +18,7 @@ Array = jax.Array
 
 
 class ControlState(NamedTuple):
-    """Integrators of speed [N m] and current [V, rotor coordinates]; weakening current [A]."""
+    """Integrators of speed [N m] and current control [V, rotor frame]; weakening current [A]."""
 
     torque: Array
     voltage: Array
@@ -28,32 +28,32 @@ class ControlState(NamedTuple):
 class Control(eqx.Module):
     """PI speed control, maximum torque per ampere, PI current control with anti-windup.
 
-    The current controller is the internal-model one of L. Harnefors and H.-P. Nee, "Model-based
+    The current controller uses internal model control: L. Harnefors and H.-P. Nee, "Model-based
     current control of AC machines using the internal model control method", IEEE Trans. Industry
-    Applications 34 (1998), doi:10.1109/28.658735: gains α L, an active resistance α L - R, and
-    back calculation from the realisable voltage. The speed controller is a PI of bandwidth
-    α_s with double pole, with back calculation from the realisable torque.
+    Applications 34 (1998), doi:10.1109/28.658735. It has gains α L, an active resistance α L - R,
+    and back calculation from the realisable voltage. The speed controller is a PI with a double
+    pole at α_s and back calculation from the realisable torque.
 
-    Use :meth:`of` unless you know better.
+    Create it with :meth:`of`, which chooses suitable gains.
 
     Parameters
     ----------
     motor : Motor
-        What the controller believes.
+        Motor parameters as the controller believes them.
     inertia : float
-        [kg m²].
+        Inertia [kg m²].
     sample_time : float
-        [s].
+        Sample time [s].
     current_bandwidth, speed_bandwidth : float
-        [rad/s].
+        Closed-loop bandwidths [rad/s].
     current_limit : float
-        Peak [A].
+        Peak current [A].
     i_d_min : float
-        Least i_d, for reluctance machines: keeps their flux visible [A].
+        Least i_d; keeps the flux of reluctance machines visible [A].
     weakening : float
         Gain of the field weakening [A/(V s)]; 0 switches it off.
     voltage_use : float
-        Share of the linear range, udc/√3, that is used.
+        Share of the linear voltage range, udc/√3, to use.
     """
 
     motor: Motor
@@ -79,9 +79,12 @@ class Control(eqx.Module):
         weakening: Any = 0.0,
         voltage_use: Any = 0.98,
     ) -> Self:
-        """With what is left out chosen: current bandwidth a 16th of the sampling frequency in
-        rad/s, or 2π 200 rad/s if that is less; speed a tenth of it, 2π 8 rad/s at most; a
-        reluctance machine's i_d at least 0.3 of the limit."""
+        """Controller with defaults for the omitted parameters.
+
+        Current bandwidth: 1/16 of the sampling frequency in rad/s, at most 2π 200 rad/s. Speed
+        bandwidth: a tenth of the current bandwidth, at most 2π 8 rad/s. Least i_d of a reluctance
+        machine: 0.3 of the current limit.
+        """
         h = float(sample_time)
         fast = min(2 * np.pi * 200, 2 * np.pi / h / 16)
         current_bandwidth = fast if current_bandwidth is None else current_bandwidth
@@ -117,28 +120,28 @@ class Control(eqx.Module):
         return self.motor.torque_dq(i_d, jnp.sqrt(self.current_limit**2 - i_d**2))
 
     def _per_ampere(self, size: Array) -> Array:
-        """i_d of the largest torque for a current of that size."""
+        """i_d that gives the largest torque at a current of this magnitude."""
         k, psi = self.motor.L_d - self.motor.L_q, self.motor.psi_f
         root = jnp.sqrt(psi**2 + 8 * (k * size) ** 2)
         return 2 * k * size**2 / jnp.maximum(psi + root, 1e-300)
 
     def current_for(self, torque: Array, weakening: Array) -> Array:
-        """Current reference for a torque: a few rounds of i_d and i_q, then field weakening."""
+        """Current reference for a torque: iterates i_d and i_q, then applies field weakening."""
         k, psi = self.motor.L_d - self.motor.L_q, self.motor.psi_f
         most = self.current_limit
-        # Exact for a surface and for a reluctance machine; a start for what lies between.
+        # Exact for surface and for reluctance machines; a starting point for those between.
         wanted = torque / (1.5 * self.motor.n_p)
         root = jnp.sqrt(psi**2 + 4 * jnp.abs(k * wanted))
         i_q = 2 * wanted / jnp.maximum(psi + root, 1e-300)
         i_d = jnp.zeros(())
         for _ in range(4):
-            # Along the optimum: i_q² = i_d² + (ψ/k) i_d, so i_d from i_q by the same quadratic.
+            # At the optimum i_q² = i_d² + (ψ/k) i_d: the same quadratic gives i_d from i_q.
             root = jnp.sqrt(psi**2 + 4 * (k * i_q) ** 2)
             i_d = 2 * k * i_q**2 / jnp.maximum(psi + root, 1e-300)
             i_d = jnp.maximum(i_d, self.i_d_min)
             active = psi + k * i_d
             i_q = (i_q + wanted / jnp.where(active > 0, active, 1.0)) / 2
-        # Weakening stops where no flux is left to make torque with.
+        # Weaken no further than zero flux, which makes no torque.
         floor = jnp.where(psi > 0, -psi / self.motor.L_d, self.i_d_min)
         i_d = jnp.clip(jnp.maximum(i_d - weakening, floor), -most, most)
         i_q = wanted / jnp.maximum(psi + k * i_d, 1e-300)
@@ -148,13 +151,13 @@ class Control(eqx.Module):
     def speed_step(
         self, state: ControlState, reference: Array, speed: Array
     ) -> tuple[ControlState, Array, Array]:
-        """Torque for a speed error, and whether the current limit cut it [rad/s → N m]."""
+        """Torque for a speed error [rad/s → N m], and whether the current limit cuts it."""
         a, J, h = self.speed_bandwidth, self.inertia, self.sample_time
         error = reference - speed
         wanted = 2 * a * J * error + state.torque
         most = self.most_torque()
         torque = jnp.clip(wanted, -most, most)
-        # Back calculation: the integrator sees the error that would have just met the limit.
+        # Back calculation: the integrator gets the error that just reaches the limit.
         real_error = error + (torque - wanted) / (2 * a * J)
         return (
             state._replace(torque=state.torque + h * a * a * J * real_error),
@@ -171,10 +174,10 @@ class Control(eqx.Module):
         dc_link: Array,
         aligned: Array | bool = True,
     ) -> tuple[ControlState, Array, Array]:
-        """Realisable voltage for a current error, all in rotor coordinates, and whether cut.
+        """Realisable voltage for a current error, in rotor coordinates, and whether it was cut.
 
-        Where the frame is not `aligned` with the rotor either inductance may meet either axis:
-        both have the gains of the smaller one, and nothing is known of the rotor's EMF.
+        If the frame is not `aligned` with the rotor, either axis may see either inductance: both
+        axes then use the gains of the smaller one, without feed-forward of the EMF.
         """
         a, h = self.current_bandwidth, self.sample_time
         L_d, L_q = self._inductances(aligned)
@@ -188,7 +191,7 @@ class Control(eqx.Module):
             a * a * L_d * error.real + a * left.real, a * a * L_q * error.imag + a * left.imag
         )
         size = length(wanted)
-        # Field weakening: less flux while the voltage is near its limit, back when it is not.
+        # Field weakening: reduce flux while the voltage is near its limit, then restore it.
         weakening = state.weakening + h * self.weakening * (size - 0.95 * most)
         weakening = jnp.clip(weakening, 0.0, 0.8 * self.current_limit)
         return (
@@ -200,7 +203,7 @@ class Control(eqx.Module):
     def continued(
         self, state: ControlState, voltage: Array, current: Array, speed_e: Array, aligned: Array
     ) -> ControlState:
-        """Integrator with which the next voltage is that one, where the current is as wanted."""
+        """Sets the integrator so that the next voltage is `voltage` at zero current error."""
         return state._replace(voltage=voltage - self._known(current, speed_e, aligned))
 
     def _inductances(self, aligned: Array | bool) -> tuple[Array, Array]:
@@ -209,7 +212,7 @@ class Control(eqx.Module):
         return jnp.where(aligned, m.L_d, least), jnp.where(aligned, m.L_q, least)
 
     def _known(self, current: Array, speed_e: Array, aligned: Array | bool) -> Array:
-        """Cross terms, less active damping through the resistance a L - R."""
+        """Cross-coupling terms, minus active damping by the resistance a L - R."""
         m, a = self.motor, self.current_bandwidth
         L_d, L_q = self._inductances(aligned)
         speed_e = jnp.where(aligned, speed_e, 0.0)
@@ -222,8 +225,8 @@ class Control(eqx.Module):
     def check(self) -> None:
         """Raises ModelError if the current loop with one sample of delay is unstable.
 
-        Judged with the motor's own parameters at standstill, each axis alone, both exact between
-        samples.
+        Checks each axis alone at standstill, with the controller's motor parameters and an exact
+        discretisation.
         """
         h, a = float(self.sample_time), float(self.current_bandwidth)
         for axis, L in (("d", float(self.motor.L_d)), ("q", float(self.motor.L_q))):
@@ -241,8 +244,10 @@ class Control(eqx.Module):
             )
 
     def current_loop(self, L: float) -> np.ndarray:
-        """Transition matrix (3, 3) of (current, pending voltage, integrator) on one axis at
-        standstill, reference zero: the plant exact under a held voltage, one sample of delay."""
+        """Transition matrix (3, 3) of (current, pending voltage, integrator) on one axis.
+
+        Standstill, zero reference, one sample of delay; exact for a voltage held over the sample.
+        """
         h, a, R = float(self.sample_time), float(self.current_bandwidth), float(self.motor.R_s)
         decay = np.exp(-R * h / L)
         proportional = -(a * L + a * L - R)

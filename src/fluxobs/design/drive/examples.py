@@ -1,4 +1,4 @@
-"""Drives around the shipped machines, with an encoder or without."""
+"""Drives for the shipped machines, with or without an encoder."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from .twin import SquareRootLeastSquares
 
 @dataclass(frozen=True)
 class Rating:
-    """What a machine file does not say of a drive.
+    """Data of a drive that the machine file does not hold.
 
     Attributes
     ----------
     speed_e : float
-        Rated, electrical [rad/s].
+        Rated electrical speed [rad/s].
     torque : float
-        Rated [N m].
+        Rated torque [N m].
     J : float
         Inertia [kg m²].
     dc_link : float
-        [V].
+        DC-link voltage [V].
     sample_time : float
-        [s].
+        Sample time [s].
     """
 
     speed_e: float
@@ -45,7 +45,7 @@ class Rating:
     sample_time: float
 
 
-#: Of the shipped machines.
+#: Ratings of the shipped machines.
 RATINGS = {
     "pmsm-2kw2": Rating(2 * np.pi * 75, 14.0, 0.015, 540.0, 1.25e-4),
     "ipm-2kw2": Rating(2 * np.pi * 75, 14.0, 0.015, 540.0, 1.25e-4),
@@ -56,12 +56,12 @@ RATINGS = {
 
 
 def rating(name: str) -> Rating:
-    """Of a shipped machine.
+    """Rating of a shipped machine.
 
     Raises
     ------
     ModelError
-        A machine without one: names those with.
+        The machine has no rating; the message lists those that have.
     """
     if name not in RATINGS:
         raise ModelError(f"no drive is defined for {name!r}; there is one for {', '.join(RATINGS)}")
@@ -75,17 +75,19 @@ def _rated_current(machine: RotatingMachine) -> float:
 
 
 def _control(motor: Motor, machine: RotatingMachine, rated: Rating, **given: Any) -> Control:
-    """For half again the rated current; field weakening brings the whole of it within 20 ms at a
-    voltage that is the DC link too high."""
+    """Control for 1.5 times the rated current.
+
+    Field weakening reaches that current within 20 ms if the voltage is udc above its limit.
+    """
     most = 1.5 * _rated_current(machine)
     weakening = most / (0.02 * rated.dc_link)
     return Control.of(motor, rated.J, rated.sample_time, most, weakening=weakening, **given)
 
 
 def encoder_drive(machine: RotatingMachine, rated: Rating, **sensors: Any) -> Drive:
-    """Drive with an encoder, an ideal inverter and half again the rated current.
+    """Drive with an encoder, an ideal inverter and 1.5 times the rated current.
 
-    `sensors` are arguments of :class:`Sensors`.
+    `sensors` are passed to :class:`Sensors`.
     """
     motor = Motor.of(machine)
     plant = Plant(motor, Mechanics(rated.J))
@@ -102,21 +104,20 @@ def sensorless_drive(
     speed_bandwidth: float | None = None,
     **sensors: Any,
 ) -> Drive:
-    """The same with the least squares in the loop instead of the encoder.
+    """Like :func:`encoder_drive`, with the least squares instead of the encoder in the loop.
 
     Parameters
     ----------
     memory : float
-        [s]; about the time of half a turn at the slowest speed to be held.
+        Memory of the observer [s]; about the time of half a turn at the slowest speed to hold.
     believed : RotatingMachine, optional
-        What observer and controller take the machine for.
+        Machine as observer and controller believe it.
     current_noise, drift_prior : float, optional
-        Of the observer, see :meth:`LeastSquaresObserver.for_machine`.
+        Passed to :meth:`LeastSquaresObserver.for_machine`.
     speed_bandwidth : float, optional
-        Of the speed controller [rad/s]; default three quarters over the memory, 2π 8 at most. A
-        wrong R turns the angle for a memory after each change of the torque, and a speed
-        controller that answers within that time can oscillate with it. With the right R a faster
-        one does no harm.
+        Bandwidth of the speed controller [rad/s]; default 0.75 over the memory, at most 2π 8. A
+        wrong R turns the angle for one memory after each torque change. A speed controller that
+        responds within that time can oscillate. With the right R a faster one does no harm.
     """
     drive = encoder_drive(machine, rated, **sensors)
     taken = machine if believed is None else believed
@@ -127,11 +128,11 @@ def sensorless_drive(
         current_noise=current_noise,
         drift_prior=drift_prior,
     )
-    # The speed controller needs a speed that is no slower than with the usual memory.
+    # Keep the speed estimate as fast as with the usual memory: the speed controller needs it.
     bandwidth = min(TRACKER / MEMORY, 0.5 / rated.sample_time)
     compiled = replace(compiled, tracker_bandwidth=bandwidth)
-    # A voltage error as large as the drift's prior S turns the flux by half a radian meanwhile. It
-    # leaves a position valid only above S/(0.14 ψ) (docs/theory.md, section 6).
+    # During `ride` a voltage error of the size of the drift prior S turns the flux by half a
+    # radian. With that error a position is valid only above S/(0.14 ψ) (docs/theory.md, section 6).
     radian = compiled.flux_base / compiled.drift_prior
     ride, start_speed = 0.5 * radian, max(0.1 * rated.speed_e, 1.5 / (0.14 * radian))
     if speed_bandwidth is None:

@@ -1,4 +1,4 @@
-"""Two-level inverter: what becomes of a commanded voltage."""
+"""Two-level inverter: from commanded to actual voltage."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ Array = jax.Array
 
 
 class Inverter(eqx.Module):
-    """Averaged over a switching period, or switching by comparison with a carrier.
+    """Inverter model, averaged over a switching period or switching by carrier comparison.
 
-    A sample is a switching period, its pulses centred in it: currents are sampled where their
-    ripple is zero. Dead time delays every turn-on by `dead_time`, so that a leg loses (wins) that
-    much of its pulse while its current flows out (in); the devices drop `drop` + `R_on` |i|
+    Each sample is one switching period with centred pulses, so that currents are sampled at zero
+    ripple. Dead time delays every turn-on by `dead_time`: a leg loses that much of its pulse while
+    its current flows out, and gains as much while it flows in. The devices drop `drop` + `R_on` |i|
     against the current.
 
     Parameters
     ----------
     dead_time : float
-        [s], >= 0.
+        Dead time [s], >= 0.
     drop, R_on : float
-        Of switch or diode [V], [Ω], >= 0.
+        Forward voltage and resistance of switch or diode [V], [Ω], >= 0.
     smoothing : float
-        Current over which the averaged inverter's sign is smoothed (the ripple's size) [A], > 0.
+        Current over which the averaged inverter smooths the sign (size of the ripple) [A], > 0.
     switching : int
-        Parts of a sample in which the switching inverter's voltage is integrated; 0: averaged.
+        Integration parts per sample of the switching inverter; 0 for the averaged one.
     """
 
     dead_time: Array
@@ -52,11 +52,13 @@ class Inverter(eqx.Module):
         self.dead_time, self.drop = not_negative("dead_time", dead_time), not_negative("drop", drop)
         self.R_on, self.smoothing = not_negative("R_on", R_on), positive("smoothing", smoothing)
         if not isinstance(switching, int) or isinstance(switching, bool) or switching < 0:
-            raise ModelError(f"switching must be a number of parts, 0 for none, got {switching!r}")
+            raise ModelError(
+                f"switching must be a number of parts, 0 for averaged, got {switching!r}"
+            )
         self.switching = switching
 
     def duties(self, voltage: Array, dc_link: Array) -> Array:
-        """Duty cycles (3,) in [0, 1] for a voltage vector: the zero sequence is centred."""
+        """Duty cycles (3,) in [0, 1] for a voltage vector, with centred zero sequence."""
         share = phases(voltage) / dc_link
         centre = (jnp.max(share) + jnp.min(share)) / 2
         return jnp.clip(0.5 + share - centre, 0.0, 1.0)
@@ -71,10 +73,10 @@ class Inverter(eqx.Module):
     def switched(
         self, duties: Array, dc_link: Array, current: Array, period: Array, part: Array
     ) -> Array:
-        """Mean voltage over one of the `switching` parts of the period [V], exact in the edges."""
+        """Mean voltage over one of the `switching` parts of the period [V], with exact edges."""
         i = phases(current)
         outwards = i > 0
-        # Turn-on is late: of the upper switch if the current flows out, else of the lower one.
+        # Dead time delays the upper switch if the current flows out, else the lower one.
         on = (1 - duties) / 2 + jnp.where(outwards, self.dead_time / period, 0.0)
         off = (1 + duties) / 2 + jnp.where(outwards, 0.0, self.dead_time / period)
         # A leg that stays on one side has no edges.

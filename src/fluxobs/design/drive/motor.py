@@ -1,8 +1,8 @@
-"""The plant: magnet, reluctance or both, in stator coordinates, with its mechanics.
+"""The plant: a magnet or reluctance machine, or both, in stator coordinates, with mechanics.
 
-``λ̇ = u - R i``, ``i = e(θ)((λ_d - ψ)/L_d + j λ_q/L_q)``, torque ``1.5 n_p Im(λ* i)``: constant
-inductances. Flux and the rotor's direction are integrated, so that no sine is needed and the
-voltage, which an inverter holds in stator coordinates, needs no rotation.
+``λ̇ = u - R i``, ``i = e(θ)((λ_d - ψ)/L_d + j λ_q/L_q)``, torque ``1.5 n_p Im(λ* i)``; constant
+inductances. Integrating the flux and the rotor direction needs no sine, and the voltage, which the
+inverter holds in stator coordinates, needs no rotation.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .vectors import length, turn
 
 Array = jax.Array
 
-#: Integration steps a sample that are written out; more run in a loop.
+#: Largest number of integration steps per sample to unroll; more run in a loop.
 UNROLLED = 4
 
 
@@ -42,7 +42,7 @@ class Motor(eqx.Module):
 
     @classmethod
     def of(cls, machine: RotatingMachine) -> Motor:
-        """From a machine file; a magnet machine needs its psi_f here."""
+        """Motor of a machine; a magnet machine needs its psi_f."""
         if machine.magnet_flux is None:
             raise ModelError(f"psi_f is missing in the {machine.kind}: simulation needs it")
         return cls(machine.R_s, *machine.L_dq, machine.magnet_flux, machine.n_p)
@@ -52,7 +52,7 @@ class Motor(eqx.Module):
         return direction * self.flux_dq(current * jnp.conj(direction))
 
     def flux_dq(self, current: Array) -> Array:
-        """The same in rotor coordinates."""
+        """Flux linkage in rotor coordinates."""
         return jax.lax.complex(self.L_d * current.real + self.psi_f, self.L_q * current.imag)
 
     def current(self, flux: Array, direction: Array) -> Array:
@@ -61,34 +61,34 @@ class Motor(eqx.Module):
         return direction * jax.lax.complex((x.real - self.psi_f) / self.L_d, x.imag / self.L_q)
 
     def torque(self, flux: Array, current: Array) -> Array:
-        """[N m]."""
+        """Torque [N m]."""
         return 1.5 * self.n_p * (jnp.conj(flux) * current).imag
 
     def torque_dq(self, i_d: Array, i_q: Array) -> Array:
-        """The same from currents in rotor coordinates."""
+        """Torque from currents in rotor coordinates [N m]."""
         return 1.5 * self.n_p * (self.psi_f + (self.L_d - self.L_q) * i_d) * i_q
 
     def field_energy(self, current: Array, direction: Array) -> Array:
-        """Energy that the currents have stored in the field [J]."""
+        """Magnetic energy stored by the currents [J]."""
         i = current * jnp.conj(direction)
         return 0.75 * (self.L_d * i.real**2 + self.L_q * i.imag**2)
 
 
 class Mechanics(eqx.Module):
-    """Rotor, load machine, and what is between them.
+    """Rotor, load machine, and the coupling between them.
 
     Parameters
     ----------
     J : float
-        Inertia of the rotor, and of all else if `stiffness` is None [kg m²], > 0.
+        Inertia of the rotor, including the load if `stiffness` is None [kg m²], > 0.
     viscous : float
-        [N m s].
+        Viscous friction [N m s].
     coulomb : float
         Dry friction [N m], smoothed around standstill over `smoothing` [rad/s].
     fan : float
-        Load that grows with the square of the speed [N m s²].
+        Load torque over the square of the speed [N m s²].
     J_load, stiffness, damping : float, optional
-        A second inertia behind an elastic coupling [kg m², N m, N m s]; loads act on it.
+        Second inertia behind an elastic coupling [kg m², N m, N m s]; the load acts on it.
     """
 
     J: Array
@@ -123,14 +123,14 @@ class Mechanics(eqx.Module):
         self.damping = not_negative("damping", damping)
 
     def resisting(self, speed: Array) -> Array:
-        """What friction and fan take at a speed [N m]."""
+        """Torque of friction and fan at a speed [N m]."""
         dry = self.coulomb * jnp.tanh(speed / self.smoothing)
         return self.viscous * speed + dry + self.fan * speed * jnp.abs(speed)
 
 
 class PlantState(NamedTuple):
-    """Flux linkage [Wb], rotor direction exp(jθ_e), mechanical speed [rad/s]; behind a coupling
-    the load's speed and the twist [rad]."""
+    """Flux linkage [Wb], rotor direction exp(jθ_e), mechanical speed [rad/s]; with an elastic
+    coupling also the load speed [rad/s] and the twist [rad]."""
 
     flux: Array
     direction: Array
@@ -146,7 +146,7 @@ class Plant(eqx.Module):
     mechanics: Mechanics
 
     def standstill(self, theta_e: Any = 0.0, speed: Any = 0.0) -> PlantState:
-        """No current; at an angle, turning at a speed [rad/s]."""
+        """State without current at an angle [rad] and a speed [rad/s]."""
         direction = turn(real("theta_e", theta_e))
         speed = real("speed", speed)
         return PlantState(self.motor.psi_f * direction, direction, speed, speed, jnp.zeros(()))
@@ -179,7 +179,7 @@ class Plant(eqx.Module):
     def advance(
         self, state: PlantState, voltage: Array, load: Array, duration: Array, steps: int
     ) -> PlantState:
-        """Runge-Kutta of fourth order in equal steps, voltage and load held."""
+        """Integrates by fourth-order Runge-Kutta in equal steps, with voltage and load held."""
         h = duration / steps
 
         def step(_: Any, state: PlantState) -> PlantState:
@@ -191,7 +191,7 @@ class Plant(eqx.Module):
             mean = PlantState(*((a + 2 * b + 2 * c + d) / 6 for a, b, c, d in rates))
             return _along(state, mean, h)
 
-        # A loop costs time, many unrolled steps cost minutes of compilation.
+        # A loop costs run time; many unrolled steps cost minutes of compilation.
         if steps <= UNROLLED:
             for k in range(steps):
                 state = step(k, state)

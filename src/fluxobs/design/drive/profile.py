@@ -1,4 +1,4 @@
-"""Piecewise-linear courses in time: references, loads, biases, the DC link."""
+"""Piecewise-linear functions of time: references, loads, biases, the DC link."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from ..precision import real
 
 
 class Profile(eqx.Module):
-    """Straight lines through knots; level before the first and after the last.
+    """Linear interpolation between knots, constant before the first and after the last.
 
     Two knots at the same time make a jump.
 
     Parameters
     ----------
     times : (k,) array_like
-        Not decreasing [s].
+        Knot times [s], not decreasing.
     values : (k,) or (k, 2) array_like
-        In SI.
+        Values at the knots, in SI units.
 
     Examples
     --------
@@ -59,7 +59,7 @@ class Profile(eqx.Module):
 
     @classmethod
     def of(cls, value: Any) -> Profile:
-        """A profile as it is; a number or a vector as a constant."""
+        """Returns a profile unchanged; turns a number or a vector into a constant profile."""
         return value if isinstance(value, Profile) else cls([0.0], real("value", value)[None])
 
     def at(self, t: jax.Array) -> jax.Array:

@@ -15,14 +15,14 @@ from .vectors import length, turn, unit
 
 Array = jax.Array
 
-#: Modes: current vector turned without feedback (I/f), and with the observer's angle.
+#: Modes: open-loop rotation of the current vector (I/f), and control with the observer's angle.
 STARTING, RUNNING = 0, 1
 
 
 class SensorlessState(NamedTuple):
-    """Mode; frame in which currents are controlled, its speed [rad/s electrical]; how long the
-    observer has been sure, and how long not valid [s]; time since the start [s]; what is left of
-    the last current step between modes [A, in the frame]."""
+    """Mode; frame of current control, and its speed [rad/s electrical]; how long the observer has
+    been ready, and how long not valid [s]; time since the start [s]; remainder of the last current
+    step between modes [A, in the frame]."""
 
     mode: Array
     direction: Array
@@ -36,25 +36,25 @@ class SensorlessState(NamedTuple):
 class Sensorless(eqx.Module):
     """Decides which angle the drive runs on.
 
-    Starting (I/f): a current of `current` turns with the reference speed, at most `speed`, after
-    `align` seconds at rest. The observer takes over when its position has been valid, with a
-    standard deviation below `ready`, for `hold` seconds, and the reference is not zero. Where the
-    position is not valid, near zero speed, the drive goes on for `ride` seconds as long as the
-    standard deviation stays below `lost`; then it says that it is lost and goes back to starting,
-    at the speed it had.
+    Start (I/f): after `align` seconds at rest a current vector of length `current` turns at the
+    reference speed, at most at `speed`. The observer takes over once its position has been valid,
+    with a standard deviation below `ready`, for `hold` seconds, and the reference is not zero. If
+    the position becomes invalid, as near zero speed, the drive rides through for `ride` seconds.
+    After that, or once the standard deviation reaches `lost`, the position counts as lost, and the
+    drive returns to I/f at its present speed.
 
     Parameters
     ----------
     current : float
-        [A peak]; must carry the load.
+        Peak current during the start [A]; must carry the load.
     speed : float
-        Fastest without feedback [rad/s electrical].
+        Largest open-loop speed [rad/s electrical].
     acceleration : float
-        [rad/s² electrical].
+        Open-loop acceleration [rad/s² electrical].
     align, hold, blend, ride : float
-        [s]; `blend` is the time constant with which currents change at hand-over.
+        Times as above [s]; `blend` is the time constant of the current at hand-over.
     ready, lost : float
-        Standard deviations of the angle [rad]; 2 and 30 degrees.
+        Limits for the standard deviation of the angle [rad]; 2 and 30 degrees.
     """
 
     current: Array
@@ -94,7 +94,7 @@ class Sensorless(eqx.Module):
 
     @classmethod
     def for_drive(cls, current_limit: float, rated_speed_e: float, **given: Any) -> Self:
-        """The whole current, up to a tenth of the rated speed within half a second."""
+        """Starts at the current limit, up to a tenth of the rated speed within half a second."""
         given.setdefault("current", current_limit)
         given.setdefault("speed", 0.1 * rated_speed_e)
         given.setdefault("acceleration", 0.2 * rated_speed_e)
@@ -103,7 +103,7 @@ class Sensorless(eqx.Module):
     def init(self) -> SensorlessState:
         zero = jnp.zeros(())
         one = jax.lax.complex(jnp.ones(()), zero)
-        # The current comes in as gently as at a hand-over.
+        # The current rises with the same time constant as at a hand-over.
         start = -self.current * one
         return SensorlessState(jnp.asarray(STARTING), one, zero, zero, zero, zero, start)
 
@@ -121,25 +121,25 @@ class Sensorless(eqx.Module):
         -------
         state, direction, speed_e
         changed : bool
-            Whether the frame is another one than it was.
+            Whether the frame jumps at this sample.
         """
         h = sample_time
         good = reading.valid & (reading.theta_e_std < self.ready)
         sure = jnp.where(good, state.sure + h, 0.0)
         unsure = jnp.where(reading.valid, 0.0, state.unsure + h)
         was_running = state.mode == RUNNING
-        # Where standstill is asked for the position would be lost again at once.
+        # At a standstill reference the position would be lost again at once.
         moves = jnp.abs(reference_e) > 1e-3 * self.speed
         takes_over = ~was_running & moves & (sure >= self.hold) & (state.running >= self.align)
         loses = was_running & (~(reading.theta_e_std < self.lost) | (unsure > self.ride))
         running = (was_running | takes_over) & ~loses
-        # Without feedback: the frame turns towards the reference speed.
+        # Open loop: the speed of the frame ramps towards the reference.
         aim = jnp.where(state.running < self.align, 0.0, reference_e)
         aim = jnp.clip(aim, -self.speed, self.speed)
         most = self.acceleration * h
         open_speed = state.speed_e + jnp.clip(aim - state.speed_e, -most, most)
         open_direction = state.direction * turn(h * state.speed_e)
-        # Lost: the frame goes on from the current vector, so that the torque does.
+        # Lost: the frame starts from the current vector, so that the torque stays continuous.
         follows = loses & (length(current) > 0.05 * self.current)
         open_direction = jnp.where(follows, unit(current), open_direction)
         direction = jnp.where(running, turn(reading.theta_e), open_direction)

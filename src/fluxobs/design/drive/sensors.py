@@ -1,4 +1,4 @@
-"""What the drive measures: three phase currents and the DC link."""
+"""Sensors of the drive: three phase currents and the DC link."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ Array = jax.Array
 
 
 class Sensors(eqx.Module):
-    """Gain errors and limits belong to the phases; offset and noise are given in αβ.
+    """Current and DC-link sensors; gains and limits are per phase, offset and noise in αβ.
 
     Parameters
     ----------
     offset : Profile, or (2,) array_like
-        In time: constant, drifting or jumping [A].
+        Offset over time: constant, drifting or jumping [A].
     noise : float
         Standard deviation of an αβ component [A].
     gain : (3,) array_like
-        Of the phases; 1 is right.
+        Gains of the phases; 1 is exact.
     quantum : float
-        Step of the converter [A]; 0 for none.
+        Step of the converter [A]; 0 for no quantisation.
     range : float
         The converter's limits are ± this [A].
     jitter : float
         Standard deviation of the sampling instant [s].
     dc_link_gain : float
-        Measured over true DC-link voltage.
+        Measured DC-link voltage over the true one.
     """
 
     offset: Profile
@@ -66,7 +66,7 @@ class Sensors(eqx.Module):
     def measure(
         self, current: Array, slope: Array, offset: Array, noise: Array, late: Array
     ) -> Array:
-        """Measured current vector; `slope` is di/dt, noise and late are standard normal."""
+        """Measured current vector; `slope` is di/dt, `noise` and `late` are standard normal."""
         seen = current + self.jitter * late * slope + offset + self.noise * noise
         abc = jnp.clip(self.gain * phases(seen), -self.range, self.range)
         step = jnp.where(self.quantum > 0, self.quantum, 1.0)

@@ -1,4 +1,4 @@
-"""A whole drive, sample by sample: one scan a record, many at once by vmap."""
+"""Simulates a whole drive sample by sample: one scan per record, batches by vmap."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from .vectors import length, limit, pair, turn, vector
 
 Array = jax.Array
 
-#: A drive trips at this many times its current limit.
+#: Trip current over the current limit.
 TRIP = 3.0
-#: A speed is off its reference by more than this share of the largest one.
+#: A speed does not follow if its error exceeds this share of the largest reference.
 UNFOLLOWED = 0.1
-#: Integration steps a sample beyond which a drive is too stiff for its sample time.
+#: Integration steps per sample above which a drive is too stiff for its sample time.
 MOST_STEPS = 100
 
 
@@ -43,9 +43,9 @@ class Drive(eqx.Module):
     ----------
     plant, inverter, sensors, control
     observer : SquareRootLeastSquares, optional
-        Runs along, and in the loop if there is a `sensorless`.
+        Runs alongside; in the loop only with `sensorless`.
     sensorless : Sensorless, optional
-        Without it the controller has an encoder.
+        If None, the controller uses an encoder.
     """
 
     plant: Plant
@@ -61,20 +61,20 @@ class Drive(eqx.Module):
 
 
 class Course(eqx.Module):
-    """What happens to a drive in time.
+    """Inputs of a drive over time.
 
     Parameters
     ----------
     speed : Profile or number
-        Reference, mechanical [rad/s].
+        Mechanical speed reference [rad/s].
     load : Profile or number
-        Torque on the shaft [N m].
+        Load torque on the shaft [N m].
     dc_link : Profile or number
-        [V].
+        DC-link voltage [V].
     voltage_offset : Profile or (2,)
         Commanded minus true [V].
     theta_e, start_speed : float
-        Of the rotor at the start [rad], [rad/s mechanical].
+        Initial angle [rad] and speed [rad/s mechanical] of the rotor.
     """
 
     speed: Profile
@@ -100,8 +100,8 @@ class Course(eqx.Module):
 
 
 class Trace(NamedTuple):
-    """Rows of a run; vectors complex in αβ, all at the sampling instant but the voltages, which
-    act from the row to the next."""
+    """Rows of a run; vectors are complex, in αβ. All values hold at the sampling instant, except
+    voltages, which act from the row to the next."""
 
     current: Array
     measured_current: Array
@@ -122,7 +122,7 @@ class Trace(NamedTuple):
 
 @dataclass(frozen=True)
 class Event:
-    """Something a user must know: the first time it happened, and on what share of the rows."""
+    """Something the user must know: its first time, and the share of rows it holds on."""
 
     what: str
     at: float
@@ -141,8 +141,8 @@ class Run:
     Attributes
     ----------
     events : tuple of Event
-        Limits met, trips, hand-overs and losses of the position, a reference not followed at the
-        end. A trip makes the voltage zero: a short at the terminals.
+        Limits met, trips, hand-overs, losses of the position, a reference not followed at the end.
+        A trip sets the voltage to zero: a short at the terminals.
     """
 
     sample_time: float
@@ -151,7 +151,7 @@ class Run:
     events: tuple[Event, ...]
 
     def record(self) -> Record:
-        """What a log of this drive would hold: row k's voltage acts from k to k + 1."""
+        """The record that a log of this drive would hold; row k's voltage acts from k to k + 1."""
         trace = self.trace
         return Record(
             self.sample_time,
@@ -162,7 +162,7 @@ class Run:
 
 
 class _Loop(NamedTuple):
-    """What is carried from sample to sample."""
+    """State carried from sample to sample."""
 
     plant: PlantState
     control: ControlState
@@ -174,7 +174,7 @@ class _Loop(NamedTuple):
 
 
 class _Row(NamedTuple):
-    """What comes from outside at a sample."""
+    """External inputs at a sample."""
 
     reference: Array
     load: Array
@@ -188,23 +188,23 @@ class _Row(NamedTuple):
 def simulate(
     drive: Drive, course: Course, duration: float, seed: int = 0, delay: bool = True
 ) -> Run:
-    """Run a drive through a course.
+    """Simulate a drive on a course.
 
     Parameters
     ----------
     drive, course
     duration : float
-        [s].
+        Simulated time [s].
     seed : int
-        Of sensor noise and jitter.
+        Seed of sensor noise and jitter.
     delay : bool
-        A voltage acts one sample after the currents it is computed from, as on a processor.
+        Lets a voltage act one sample after the currents it was computed from, as on a processor.
 
     Raises
     ------
     ModelError
-        An unstable current loop, a load beyond the torque at the current limit, or a state that
-        is no number: what, and when.
+        The current loop is unstable, the load exceeds the torque at the current limit, or a state
+        is not finite; the message says what and when.
     """
     check(drive, course)
     rows = _rows(drive, duration)
@@ -222,28 +222,28 @@ def simulate_batch(
     delay: bool = True,
     threads: int | None = None,
 ) -> Any:
-    """The same for many at once.
+    """Simulate many drives at once.
 
     Parameters
     ----------
     drives, courses, seeds
-        One each a lane. All drives need the same parts (observer or none, elastic or not), the
-        same number of switching parts, and the same sample time.
+        One of each per lane. All drives need the same parts (with or without observer, elastic or
+        rigid), the same number of switching parts, and the same sample time.
     keep : callable
-        Of a row of the trace: what is returned of it. A record of everything takes half a gigabyte
-        for 256 seconds at 8 kHz; keep what you score, and `row.tripped` to see
-        trips. The same function object again does not compile again.
+        Maps a row of the trace to what to return of it. A record of everything takes half a
+        gigabyte for 256 seconds at 8 kHz: keep what you score, and `row.tripped` to see trips.
+        Passing the same function object again avoids a new compilation.
     threads : int, optional
-        Default one a processor.
+        Default one per processor.
 
     Returns
     -------
-    What `keep` returns, NumPy arrays with leading shape (lanes, rows).
+    Output of `keep`, as NumPy arrays with leading shape (lanes, rows).
 
     Raises
     ------
     ModelError
-        As :func:`simulate`, with the lane.
+        As for :func:`simulate`; the message names the lane.
     """
     if not len(drives) == len(courses) == len(seeds) or not drives:
         raise ModelError("a batch needs as many drives as courses and seeds, at least one")
@@ -278,7 +278,7 @@ def simulate_batch(
 
 
 def stack(items: Sequence[Any]) -> Any:
-    """Pytrees of one structure as one with a leading axis; profiles are padded to one length."""
+    """Stacks pytrees of one structure along a new leading axis; pads profiles to one length."""
     longest: dict[Any, int] = {}
     items = list(items)
 
@@ -305,12 +305,12 @@ def stack(items: Sequence[Any]) -> Any:
         )
         for leaves in flat
     ]
-    # NumPy stacks: hundreds of small JAX arrays would take longer than their simulation.
+    # Stack with NumPy: hundreds of small JAX arrays would take longer than the simulation.
     return jax.tree.map(lambda *parts: np.stack([np.asarray(part) for part in parts]), *padded)
 
 
 def _padded(profile: Profile, length: int) -> Profile:
-    """The last knot again until there are as many."""
+    """Repeats the last knot until the profile has `length` knots."""
     more = length - len(profile.times)
     if more == 0:
         return profile
@@ -322,7 +322,7 @@ def _padded(profile: Profile, length: int) -> Profile:
 
 
 def check(drive: Drive, course: Course) -> None:
-    """Raises ModelError for what cannot work."""
+    """Raises ModelError for a drive or course that cannot work."""
     for name, kind in (
         ("plant", Plant),
         ("inverter", Inverter),
@@ -361,7 +361,7 @@ def check(drive: Drive, course: Course) -> None:
 
 
 def substeps(drive: Drive, course: Course) -> int:
-    """Runge-Kutta steps a sample, such that each is a tenth of every time constant at most."""
+    """Runge-Kutta steps per sample, each at most a tenth of the shortest time constant."""
     h, motor, m = float(drive.sample_time), drive.plant.motor, drive.plant.mechanics
     speeds = np.append(np.abs(course.speed.values), np.abs(course.start_speed))
     fastest = float(speeds.max()) * 1.2 * float(motor.n_p)
@@ -375,7 +375,7 @@ def substeps(drive: Drive, course: Course) -> int:
         names = ["R_s/L", "speed", "friction/J", "stiffness", "damping"]
         raise ModelError(
             f"{names[int(np.argmax(rates))]} is {max(rates):.3g} 1/s: {steps} steps a sample of "
-            f"{h:g} s. Leave out what is that stiff, or take shorter samples"
+            f"{h:g} s. Leave that part out, or take shorter samples"
         )
     return max(steps, 1)
 
@@ -392,7 +392,7 @@ def _rows(drive: Drive, duration: float) -> int:
 
 
 def _noise(seeds: Sequence[int], rows: int) -> NDArray[np.float64]:
-    """Standard normal, (lanes, rows, 3)."""
+    """Standard normal samples, (lanes, rows, 3)."""
     return np.stack([np.random.default_rng(seed).standard_normal((rows, 3)) for seed in seeds])
 
 
@@ -416,7 +416,7 @@ def _run(
     delay: bool,
     keep: Callable[[Trace], Any],
 ) -> tuple[Array, Any]:
-    """Whether the plant ends in numbers, and what is kept of the rows; to be compiled."""
+    """Whether the final state is finite, and what `keep` returns of the rows; to be compiled."""
     t = jnp.arange(noise.shape[0]) * drive.sample_time
     rows = _Row(
         course.speed.at(t),
@@ -448,7 +448,7 @@ def _run(
 
 
 def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tuple[_Loop, Trace]:
-    """Measure, observe, control; then a sample time passes."""
+    """Measures, observes, controls; then advances the plant by one sample time."""
     plant, control, h = drive.plant, drive.control, drive.sample_time
     motor, state = plant.motor, loop.plant
     current = plant.current(state)
@@ -473,7 +473,7 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
             sensorless, reading, motor.n_p * reference, measured, h
         )
         mode = sensorless.mode
-        # The same voltage and current in the new frame.
+        # At a jump of the frame, carry voltage and current over to the new frame.
         seen = measured * jnp.conj(direction)
         torque_now = motor.torque_dq(seen.real, seen.imag)
         running = mode == RUNNING
@@ -497,7 +497,7 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
     kept, voltage_dq, limited = control.current_step(
         kept, wanted, measured * jnp.conj(direction), speed_e, dc_link, mode == RUNNING
     )
-    # The voltage acts half a sample after its interval's start, and one later with a delay.
+    # The voltage acts on average half a sample later, with a delay one and a half.
     ahead = (1.5 if delay else 0.5) * h * speed_e
     command = voltage_dq * direction * turn(ahead)
     tripped = loop.tripped | ~(length(current) < TRIP * control.current_limit)
@@ -534,12 +534,12 @@ def _pass(
     steps: int,
     dc_link: Array,
 ) -> tuple[PlantState, Array]:
-    """One sample time under a commanded voltage; and the mean of the true one."""
+    """Plant state after one sample time under a commanded voltage, and the mean true voltage."""
     inverter, plant, h = drive.inverter, drive.plant, drive.sample_time
-    # Duties come from the measured DC link, volts from the true one.
+    # Duty cycles come from the measured DC link, the voltage from the true one.
     duties = inverter.duties(voltage, dc_link)
     if inverter.switching == 0:
-        # A leg switches twice a period, on either side of its middle: the current there decides.
+        # A leg switches twice per period, around its middle: the current there sets the error.
         at_start = inverter.averaged(duties, row.dc_link, current, h)
         _, slope = jax.jvp(plant.current, (state,), (plant.rate(state, at_start, row.load),))
         mean = inverter.averaged(duties, row.dc_link, current + h / 2 * slope, h)
@@ -558,7 +558,7 @@ def _pass(
 
 
 def _finish(trace: Trace, h: float) -> Run:
-    """Checks a trace and says what happened in it."""
+    """Checks a trace and lists its events."""
     trace = jax.tree.map(np.asarray, trace)
     t = np.asarray(np.arange(len(trace.theta_e)) * h, np.float64)
     finite = np.isfinite(trace.current) & np.isfinite(trace.speed) & np.isfinite(trace.voltage)
@@ -585,7 +585,7 @@ def _finish(trace: Trace, h: float) -> Run:
 
 
 def _unfollowed(t: NDArray[np.float64], trace: Trace) -> list[Event]:
-    """A position that was never known, and a speed that ends far from its reference."""
+    """Events for a position never known, and for a final speed far from its reference."""
     events = []
     if not (trace.mode == RUNNING).any():
         events.append(Event("observer never in the loop", float(t[0]), 1.0))

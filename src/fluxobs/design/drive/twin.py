@@ -1,9 +1,9 @@
 """The production least squares in JAX: readable, differentiable, batched, usable inside a loop.
 
-The twin of firmware/fluxobs.c, function by function, in double precision; equal to it to rounding
-over whole records. It exists so that a closed loop can be simulated with the observer in it, and
-many at once. Left out is only what the C core does with numbers that have run away.
-docs/theory.md, sections 4 to 6, says why each step is as it is.
+Twin of firmware/fluxobs.c, function by function, in double precision; equal to it to rounding over
+whole records. It makes it possible to simulate closed loops with the observer, many at once. It
+omits only how the C core handles numbers that have run away. docs/theory.md, sections 4 to 6,
+explains each step.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ import numpy as np
 from ... import _core
 from ...observers import Estimate, LeastSquaresObserver
 
-#: The compiled observer's thresholds, with their reasons in firmware/fluxobs_internal.h.
+#: Thresholds of the compiled observer; firmware/fluxobs_internal.h gives the reasons.
 C: SimpleNamespace = SimpleNamespace(**_core.thresholds)
 STD_UNKNOWN = np.sqrt(C.VARIANCE_UNKNOWN)
 SIZE = 7
-#: Samples take turns: in one a prior row is re-injected, in the next the certainty is judged.
+#: Samples alternate: one re-injects a prior row, the next judges the certainty.
 PERIOD = int(C.REINJECT_PERIOD)
-#: Columns of the information triangle: s, flux, kappa, drift, c, and what they solve for.
+#: Columns of the information triangle: s, flux, kappa, drift, c, and the right side.
 S, FLUX, KAPPA, DRIFT, CC, Z = 0, slice(1, 3), 3, slice(4, 6), 6, 7
 PRIOR_POWER = np.array([0, 0, 0, 1, 1, 1, 2])
 
@@ -33,38 +33,38 @@ Array = jax.Array
 
 
 class TwinState(NamedTuple):
-    """Everything that changes; per-unit (flux base, memory) unless said."""
+    """State of the observer; per-unit (flux base, memory) unless a unit is given."""
 
     triangle: Array  # (7, 8): R | z of R x = z, x = (s, flux, kappa, drift, c)
-    x: Array  # (7,) its solution
-    noise: Array  # (3,) information that noise alone pretends: flux, flux-drift, drift
-    currents: Array  # (4, 2) newest first [A]
+    x: Array  # (7,) solution of R x = z
+    noise: Array  # (3,) information from noise alone: flux, flux-drift, drift
+    currents: Array  # (4, 2) last currents, newest first [A]
     source: Array  # (2,) last good volt-seconds
-    step: Array  # of the position vector, over the last interval
+    step: Array  # change of the position vector over the last interval
     length: Array  # |flux - L i|
-    rough: Array  # variance of a current component by its roughness [A²]
-    exposed: Array  # turn by a plausible voltage error, flux base [rad]
+    rough: Array  # variance of a current component, from its roughness [A²]
+    exposed: Array  # turn from a plausible voltage error, at the flux base [rad]
     innovation: Array
     power: Array
     lag_one: Array
-    noise_share: Array  # as last judged
+    noise_share: Array  # last judged value
     inflation: Array
     spread: Array  # variance of the least squares' angle [rad²]
-    prior_scale: Array  # the drift's prior has proved too tight by this
-    theta: Array  # of the least squares [rad]
-    swept: Array  # turned since it is known [rad]
+    prior_scale: Array  # factor by which the drift prior proved too tight
+    theta: Array  # angle of the least squares [rad]
+    swept: Array  # angle turned since it is known [rad]
     flux: Array  # (2,) last trusted
     drift: Array  # (2,) last trusted
-    variance: Array  # of the carried position at its start [rad²]
+    variance: Array  # variance of the carried position at its start [rad²]
     growth: Array
-    carried: Array  # for how long
-    carried_length: Array  # of the position vector when it began
-    carried_off: Array  # largest square of its relative change since
-    angle: Array  # tracker [rad], [rad/s], [rad/s²]
+    carried: Array  # duration of carrying on
+    carried_length: Array  # length of the position vector when carrying began
+    carried_off: Array  # largest squared relative change of that length since
+    angle: Array  # tracker: angle, speed, acceleration [rad], [rad/s], [rad/s²]
     speed: Array
     acceleration: Array
-    settled: Array  # the tracker is near for so long
-    lost: Array  # its speed is taken from the next angle
+    settled: Array  # how long the tracker has been close
+    lost: Array  # the tracker takes its speed from the next angle
     have_current: Array
     have_voltage: Array
     trusted: Array
@@ -76,7 +76,7 @@ class TwinState(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """What a sample says; fields as of :class:`fluxobs.observers.Estimate`."""
+    """Estimate of one sample; fields as in :class:`fluxobs.observers.Estimate`."""
 
     flux: Array
     psi_f: Array
@@ -93,8 +93,8 @@ class Reading(NamedTuple):
 class SquareRootLeastSquares(eqx.Module):
     """Square-root information least squares on the immersion, one sample at a time.
 
-    Make it with :meth:`of`. Every field is an array: a batch of observers for a batch of machines
-    is the same object with stacked leaves.
+    Create it with :meth:`of`. Every field is an array: the same object with stacked leaves is a
+    batch of observers for a batch of machines.
 
     Examples
     --------
@@ -172,7 +172,7 @@ class SquareRootLeastSquares(eqx.Module):
         return cls(**{name: jnp.asarray(value, float) for name, value in values.items()})
 
     def init(self) -> TwinState:
-        """Nothing known."""
+        """State without any knowledge."""
         zero, pair, no = jnp.zeros(()), jnp.zeros(2), jnp.zeros((), bool)
         names = TwinState._fields
         blank: dict[str, Any] = dict.fromkeys(names, zero)
@@ -197,7 +197,7 @@ class SquareRootLeastSquares(eqx.Module):
     def step_volt_seconds(
         self, state: TwinState, volt_seconds: Array, current: Array
     ) -> tuple[TwinState, Reading]:
-        """The same with the interval's volt-seconds, ∫(-R i + B u) dt [Wb], known exactly."""
+        """Like :meth:`step`, with the exact volt-seconds ∫(-R i + B u) dt of the interval [Wb]."""
         return self._advance(state, volt_seconds / self.flux_base, current, complete=True)
 
     # ---- square-root information filter --------------------------------------------------
@@ -207,7 +207,7 @@ class SquareRootLeastSquares(eqx.Module):
         return 1 - self.h
 
     def _empty(self, s: TwinState) -> TwinState:
-        """Only the prior is left; the innovations start at their assumed level."""
+        """Resets the information to the prior, and the innovations to their assumed level."""
         zero = jnp.zeros(())
         triangle = jnp.diag(self.prior / s.prior_scale**PRIOR_POWER)
         return s._replace(
@@ -259,7 +259,7 @@ class SquareRootLeastSquares(eqx.Module):
         return jnp.concatenate(row)
 
     def _contradicts(self, s: TwinState, v: Array, row: Array) -> Array:
-        """Is the measurement far from what the estimate before the interval leads to?"""
+        """Whether the measurement is far from the prediction of the last estimate."""
         h, x, q = self.h, s.x, self.Q1x2 @ v
         flux = x[FLUX] + h * x[DRIFT]
         free = x[S] + q @ v / 2 + self.E @ v + h * (x[KAPPA] + h * x[CC]) + q @ flux
@@ -283,7 +283,7 @@ class SquareRootLeastSquares(eqx.Module):
     # ---- read-out ------------------------------------------------------------------------
 
     def _read_out(self, s: TwinState, v: Array) -> tuple[TwinState, Reading]:
-        """The least squares' own flux while it is trusted, else the last trusted carried on."""
+        """Reads out the flux of the least squares if trusted, else carries the last trusted on."""
         inverse = invert(s.triangle[:, :SIZE])
         x = inverse @ s.triangle[:, Z]
         current = s.currents[0]
@@ -297,10 +297,10 @@ class SquareRootLeastSquares(eqx.Module):
         swept = jnp.where(known, s.swept + wrap(theta - s.theta), 0.0)
         trusted = known & (s.trusted | (jnp.abs(swept) > C.SWEEP))
 
-        # Trusted: the covariance across p, and the noise of the current in it.
+        # Trusted: variance from the covariance across p, and from the current noise in p.
         floor = self.position_noise * self._roughness(s)
         own_variance = s.spread + floor / square
-        # Not trusted: the last trusted flux goes on by integration.
+        # Not trusted: integrate on from the last trusted flux.
         start = s.flux - self.L_position * current
         begins = s.carried == 0
         plausible = 1 / self.prior[4]
@@ -311,7 +311,7 @@ class SquareRootLeastSquares(eqx.Module):
         carried_length = jnp.where(begins, jnp.sqrt(start_square), s.carried_length)
         carried = s.carried + self.h
         carried_flux = s.flux + v + self.h * s.drift
-        # What is wrong with the drift shows in the length, which should stay.
+        # An error of the drift shows in the length, which should stay constant.
         now = carried_flux - self.L_position * current
         off = jnp.sqrt(now @ now) / jnp.where(carried_length > 0, carried_length, 1.0) - 1
         off = jnp.maximum(off**2, jnp.where(begins, 0.0, s.carried_off))
@@ -381,7 +381,7 @@ class SquareRootLeastSquares(eqx.Module):
     def _taken_turn(
         self, s: TwinState, inverse: Array, p: Array, square: Array, long_enough: Array
     ) -> TwinState:
-        """Re-injects a prior row, or judges how sure the least squares is."""
+        """Re-injects a prior row or judges the certainty, in turn."""
         judges = s.turn % 2 == 1
         turned = self._judged(s, inverse, p, square)
         judged = select(long_enough, turned, s._replace(noise_share=jnp.ones(())))
@@ -389,7 +389,7 @@ class SquareRootLeastSquares(eqx.Module):
         return s._replace(turn=(s.turn + 1) % PERIOD)
 
     def _judged(self, s: TwinState, inverse: Array, p: Array, square: Array) -> TwinState:
-        """Variance of the angle of p, and what of the flux's information is only noise."""
+        """Variance of the angle of p, and the share of the flux information that is only noise."""
         drift_prior = s.prior_scale / self.prior[4]
         excess = s.x[DRIFT] @ s.x[DRIFT] / drift_prior**2
         flux = inverse[FLUX]
@@ -399,7 +399,7 @@ class SquareRootLeastSquares(eqx.Module):
         r1 = jnp.clip(s.lag_one / s.power, 0.0, C.CORRELATION_LIMIT)
         r1 = jnp.where(s.power > 0, r1, 0.0)
         inflation = self.h * s.power * (1 + r1) / (1 - r1)
-        # A prior that is wrong is forgotten slowly: widen it, and let what it did count for little.
+        # A wrong prior is forgotten slowly: widen it, and discount the information it influenced.
         widen = (excess > 1) & s.trusted & (jnp.abs(s.swept) > C.SETTLED)
         keep = jnp.where(widen, C.DISTRUST / excess, 1.0)
         return s._replace(
@@ -412,9 +412,9 @@ class SquareRootLeastSquares(eqx.Module):
         )
 
     def _track(self, s: TwinState, theta: Array, stop: Array) -> tuple[Array, ...]:
-        """Fading-memory filter of second order; stopped at theta where nothing is known.
+        """Second-order fading-memory filter; held at theta while nothing is known.
 
-        Angle, speed, acceleration, settled, lost.
+        Returns angle, speed, acceleration, settled, lost.
         """
         h = self.sample_time
         step = h * (s.speed + h * s.acceleration / 2)
@@ -436,7 +436,7 @@ class SquareRootLeastSquares(eqx.Module):
         )
 
     def _reinjected(self, s: TwinState) -> Array:
-        """One prior row in turn, aimed at the estimate: bounds the deviations, moves nothing."""
+        """Adds one prior row in turn, centred on the estimate: bounds the stds, moves nothing."""
         scale = s.prior_scale**PRIOR_POWER
         row = jnp.where(jnp.arange(SIZE) == s.turn // 2, self.reinject / scale, 0.0)
         return absorb(s.triangle, jnp.append(row, row @ s.x))[0]
@@ -444,14 +444,14 @@ class SquareRootLeastSquares(eqx.Module):
     # ---- samples -------------------------------------------------------------------------
 
     def _ahead(self, s: TwinState, before: Array) -> Array:
-        """What is missing is taken to have gone on turning with the rotor, if that is known."""
+        """Substitute for a missing sample: the last one, turned with the rotor if known."""
         half = jnp.where(s.trusted, s.speed * self.sample_time / 2, 0.0)
         cosine, sine = (1 - half**2) / (1 + half**2), 2 * half / (1 + half**2)
         alpha, beta = before[0], before[1]
         return jnp.stack([cosine * alpha - sine * beta, sine * alpha + cosine * beta])
 
     def _volt_seconds(self, currents: Array, source: Array, complete: bool) -> Array:
-        """Per-unit volt-seconds; the mean current from the cubic through four samples."""
+        """Per-unit volt-seconds; a cubic through four samples gives the mean current."""
         if complete:
             return source
         mean = 9 * currents[0] + 19 * currents[1] - 5 * currents[2] + currents[3]
@@ -472,7 +472,7 @@ class SquareRootLeastSquares(eqx.Module):
         missing = ~current_finite | (~source_finite & s.have_voltage)
         takes = ~absurd & (good | s.have_current)
 
-        # The sample comes in; before the first one the current is taken to have been what it is.
+        # Shift in the sample; assume that the current was constant before the first one.
         newest = jnp.where(good, current, self._ahead(s, s.currents[0]))
         shifted = jnp.concatenate([newest[None], s.currents[:3]])
         currents = jnp.where(s.have_current, shifted, jnp.stack([newest] * 4))
@@ -495,7 +495,7 @@ class SquareRootLeastSquares(eqx.Module):
         leaps = step > 2 * s.step + C.STEP_LIMIT * s.length + jump
         contradicted = takes & good & s.trusted & (leaps | self._contradicts(s, v, row))
 
-        # A sample that contradicts all before is passed over as if it were missing.
+        # Treat a sample that contradicts the earlier ones as missing.
         held = s.currents.at[0].set(self._ahead(s, s.currents[1]))
         v = jnp.where(contradicted, self._volt_seconds(held, s.source, complete), v)
         s = s._replace(
@@ -520,8 +520,11 @@ class SquareRootLeastSquares(eqx.Module):
         return self.sample_time / self.h
 
     def run(self, voltage: Any, current: Any) -> Estimate:
-        """A whole record from zero knowledge, (rows, 2) each; as :meth:`LeastSquaresObserver.run`
-        on arrays: row k's voltage is the mean over the interval that ends at row k."""
+        """Runs a whole record from zero knowledge, (rows, 2) each.
+
+        Like :meth:`LeastSquaresObserver.run` on arrays: row k's voltage is the mean over the
+        interval that ends at row k.
+        """
         found = _run(self, jnp.asarray(voltage, float), jnp.asarray(current, float))
         return Estimate(**{name: np.asarray(value) for name, value in found._asdict().items()})
 
@@ -535,20 +538,20 @@ def _run(observer: SquareRootLeastSquares, voltage: Array, current: Array) -> Re
 
 
 def select(condition: Array, yes: TwinState, no: TwinState) -> TwinState:
-    """One of two states."""
+    """Selects one of two states."""
     chosen: TwinState = jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
     return chosen
 
 
 def _barrier(array: Array) -> Array:
-    """The same array, which XLA computes once and not anew for every element after it."""
+    """The same array; XLA computes it once, not again for every element that uses it."""
     barrier: Any = jax.lax.optimization_barrier
     kept: Array = barrier(array)
     return kept
 
 
 def absorb(triangle: Array, row: Array) -> tuple[Array, Array]:
-    """Rotates a row into R x = z (Givens); returns the triangle and what is left of its z."""
+    """Rotates a row into R x = z (Givens); returns the triangle and the residual of the row."""
     rows = []
     for i in range(SIZE):
         old = triangle[i]
@@ -562,7 +565,7 @@ def absorb(triangle: Array, row: Array) -> tuple[Array, Array]:
 
 
 def invert(R: Array) -> Array:
-    """Inverse of an upper triangle."""
+    """Inverse of an upper triangular matrix."""
     diagonal = 1 / jnp.diagonal(R)
     left, rows = jnp.eye(SIZE), []
     for i in reversed(range(SIZE)):
@@ -573,5 +576,5 @@ def invert(R: Array) -> Array:
 
 
 def wrap(angle: Array) -> Array:
-    """Into (-π, π]."""
+    """Wraps an angle into (-π, π]."""
     return angle - 2 * np.pi * jnp.ceil((angle - np.pi) / (2 * np.pi))

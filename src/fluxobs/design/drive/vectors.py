@@ -1,4 +1,4 @@
-"""Space vectors as complex numbers (αβ, amplitude-invariant), and units at the border."""
+"""Space vectors as complex numbers (αβ, amplitude-invariant), and unit conversions."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ ROOT3 = np.sqrt(3.0)
 
 
 def rpm(speed: Any) -> Any:
-    """Revolutions a minute to rad/s."""
+    """Revolutions per minute to rad/s."""
     return speed * (2 * np.pi / 60)
 
 
 def to_rpm(speed: Any) -> Any:
-    """rad/s to revolutions a minute."""
+    """rad/s to revolutions per minute."""
     return speed * (60 / (2 * np.pi))
 
 
 def rms(amplitude: Any) -> Any:
-    """RMS of a phase quantity to its peak, which is what is used inside: A rms to A."""
+    """RMS of a phase quantity to its peak, which is used internally: A rms to A."""
     return amplitude * np.sqrt(2.0)
 
 
@@ -44,7 +44,7 @@ def vector(xy: Array) -> Array:
 
 
 def phases(z: Array) -> Array:
-    """Phase quantities (..., 3) of a space vector (no zero sequence)."""
+    """Phase quantities (..., 3) of a space vector, without zero sequence."""
     half, root = -z.real / 2, ROOT3 / 2 * z.imag
     return jnp.stack([z.real, half + root, half - root], axis=-1)
 
@@ -61,15 +61,15 @@ def turn(angle: Array) -> Array:
 
 
 def length(z: Array) -> Array:
-    """Of a vector; quicker than the careful jnp.abs."""
+    """Length of a vector; faster than jnp.abs, without its guard against overflow."""
     return jnp.sqrt(z.real**2 + z.imag**2)
 
 
 def unit(z: Array) -> Array:
-    """Direction of a vector; zero of none."""
+    """Unit vector in the direction of `z`; zero for a zero vector."""
     return z / jnp.maximum(length(z), 1e-300)
 
 
 def limit(z: Array, most: Array) -> Array:
-    """A vector cut to a length, direction kept."""
+    """Limits the length of a vector; keeps its direction."""
     return z * jnp.minimum(1.0, most / jnp.maximum(length(z), 1e-300))

@@ -1,1 +1,1 @@
-"""Machines as energies: dynamics and forces by differentiation, their relations, trajectories."""
+"""Machines as energies: dynamics and forces by differentiation, relations, trajectories."""

@@ -1,12 +1,12 @@
-"""Blondel-Park transformability: does a rotation take the position out of the energy?
+"""Blondel-Park transformability: does a rotation remove the position from the energy?
 
-The paper asks how it relates to Assumption 1. A machine has it if for each coordinate q_k a
-constant skew U_k makes ``H_E(λ, q) = H_0(e^{-U q} λ) + V(q)``; for linear magnetics that is
-``L′(q) = U L(q) - L(q) U`` and ``μ′(q) = U μ(q)``. Differentiated, for any energy::
+The paper asks how it relates to Assumption 1. A machine is transformable if for each coordinate
+q_k there is a constant skew U_k with ``H_E(λ, q) = H_0(e^{-U q} λ) + V(q)``. For linear magnetics
+this means ``L′(q) = U L(q) - L(q) U`` and ``μ′(q) = U μ(q)``. Differentiated, for any energy::
 
     ∂i/∂q_k + (∂i/∂λ) U_k λ - U_k i = 0        for all (λ, q)
 
-which is linear in U_k. Neither property implies the other: see the table in docs/constraints.md.
+which is linear in U_k. Neither property implies the other; see the table in docs/constraints.md.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ class BlondelPark:
     Attributes
     ----------
     transformable : bool
-        A constant skew U exists for every coordinate.
+        Whether a constant skew U exists for every coordinate.
     U : (n_M, n_E, n_E) ndarray
-        The best skew matrices [1/rad or 1/m].
+        Best-fitting skew matrices [1/rad or 1/m].
     residual : (n_M,) ndarray
-        Rms of the identity over that of ``∂i/∂q_k``; zero (1e-15) or not (0.1 … 1).
+        Rms of the identity over that of ``∂i/∂q_k``: about 1e-15 if it holds, else 0.1 … 1.
     """
 
     transformable: bool
@@ -44,15 +44,15 @@ class BlondelPark:
 def blondel_park(
     system: ElectromechanicalSystem, samples: int = 300, tolerance: float = 1e-8, seed: int = 0
 ) -> BlondelPark:
-    """Linear least squares for U over random states."""
+    """Fits U by linear least squares over random states."""
     n, m = system.n_E, system.n_M
     rng = np.random.default_rng(seed)
     flux, position = system.random_states(rng, samples)
     i = np.asarray(jax.vmap(system.current)(flux, position))
     by_flux = np.asarray(jax.vmap(jax.jacfwd(system.current, 0))(flux, position))
     by_position = np.asarray(jax.vmap(jax.jacfwd(system.current, 1))(flux, position))
-    # Balance ports of different size by their currents, not by what position does to them: that
-    # may be nothing. A skew U stays skew only under a common scale, so rows are weighed.
+    # Balance ports of different size by their currents, not by how position changes these: the
+    # change may be zero. Weigh rows, since a skew U stays skew only under a common scale.
     size = np.sqrt(np.mean(i**2, axis=0))
     weight = 1 / np.maximum(size, max(1e-9 * size.max(), 1e-300))
     pairs = [(a, b) for a in range(n) for b in range(a + 1, n)]

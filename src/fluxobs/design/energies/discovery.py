@@ -1,4 +1,4 @@
-"""Assumption 1 of the paper, checked and discovered from nothing but the energies."""
+"""Checks Assumption 1 of the paper, and discovers its relations, from the energies alone."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from .system import ElectromechanicalSystem
 
 Array = NDArray[np.float64]
 
-#: A null space is believed if the singular values fall by this factor at its edge, ...
+#: A null space is accepted if the singular values fall by this factor at its edge, ...
 GAP = 1e6
 #: ... to below this share of the largest.
 FLOOR = 1e-9
-#: Relative residual on other states beyond which nothing has been found.
+#: Relative residual on other states above which a relation is rejected.
 HELD_OUT = 1e-9
-#: Coefficients below this share of a relation's largest are rounding.
+#: Coefficients below this share of the largest of a relation are rounding errors.
 ROUNDING = 1e-8
 
 
@@ -45,12 +45,12 @@ class Polynomial:
 
     @property
     def degree_in_flux(self) -> int:
-        """1: linear in λ, 2: quadratic; an observer can use both. More: it cannot."""
+        """1: linear in λ; 2: quadratic. Observers can use these, but no higher degree."""
         n = self.exponents.shape[1] // 2
         return int(self.exponents[:, :n].sum(axis=1).max())
 
     def terms(self, flux: Array, current: Array) -> Array:
-        """Every term's value, (..., terms)."""
+        """Value of every term, (..., terms)."""
         x = np.concatenate([flux, current], axis=-1)[..., None, :]
         return np.asarray(self.coefficients * np.prod(x**self.exponents, axis=-1))
 
@@ -70,27 +70,27 @@ class Polynomial:
 
 @dataclass(frozen=True, eq=False)
 class Discovery:
-    """What holds between flux and current whatever the position is.
+    """Relations between flux and current that hold at any position.
 
     Attributes
     ----------
     name : str
-        Of the system.
+        Name of the system.
     relations : tuple of QuadraticConstraint
         All independent quadratic relations that involve the flux.
     affine : tuple of Polynomial
-        Linear relations between flux and current (a winding plane without magnets): taken out
-        first, since every product with them would be a quadratic one.
+        Linear relations between flux and current (a winding plane without magnets). Removed first,
+        since every product with them would be a quadratic relation.
     higher : tuple of Polynomial
-        Relations of degree 3 or 4 that do not follow from the quadratic ones; only if asked for.
+        Relations of degree 3 or 4 that do not follow from the quadratic ones; only on request.
     margin : float
-        Factor by which the singular values fall at the edge of the null space: how sure. At least
-        1e6 where there is one; around 1e12 is usual. Without, the largest factor between
-        neighbours, which was not enough.
+        Factor by which the singular values fall at the edge of the null space; a measure of
+        certainty. At least 1e6 if there is a null space, usually around 1e12. Otherwise the largest
+        factor between neighbours, which was too small.
     smallest : float
-        Smallest singular value over the largest: without relations, the distance from having one.
+        Smallest singular value over the largest; without relations, the distance from having one.
     residual : float
-        Largest relative residual on states that were not used to find the relations.
+        Largest relative residual on states not used to find the relations.
     invisible : (2n, k) ndarray
         Offsets of (λ, i) that all quadratic relations together cannot see.
     """
@@ -130,16 +130,16 @@ def check_constraint(
     tolerance: float = 1e-9,
     seed: int = 0,
 ) -> float:
-    """Checks that the relations hold for the system whatever the position is.
+    """Checks that relations hold for a system at any position.
 
     Parameters
     ----------
     system : ElectromechanicalSystem
     constraint : QuadraticConstraint, or several
     samples : int
-        Random states, drawn from the system's ranges.
+        Number of random states, drawn from the ranges of the system.
     tolerance : float
-        Of the residual relative to the sum of the terms' magnitudes.
+        Limit of the residual relative to the sum of the terms' magnitudes.
 
     Returns
     -------
@@ -149,7 +149,7 @@ def check_constraint(
     Raises
     ------
     ModelError
-        A relation does not hold: its residual, and where.
+        A relation does not hold; the message gives its residual and the state.
     """
     relations = [constraint] if isinstance(constraint, QuadraticConstraint) else list(constraint)
     if not relations:
@@ -180,20 +180,20 @@ def discover_constraint(
     ports: Sequence[int] | None = None,
     seed: int = 0,
 ) -> Discovery:
-    """All quadratic relations between flux and current that hold whatever the position is.
+    """Finds all quadratic relations between flux and current that hold at any position.
 
-    Random states, currents by differentiation, and the null space of the monomials
-    ``{λλ, λi, ii, λ, i, 1}`` by singular values; docs/theory.md, section 9.
+    Draws random states, computes currents by differentiation, and finds the null space of the
+    monomials ``{λλ, λi, ii, λ, i, 1}`` by singular values; docs/theory.md, section 9.
 
     Parameters
     ----------
     system : ElectromechanicalSystem
     degree : {2, 3, 4}
-        Up to which degree relations are sought that do not follow from lower ones.
+        Highest degree of relations to seek that do not follow from lower ones.
     ports : sequence of int, optional
         Measured ports, from 0; default all.
     seed : int
-        Of the random states.
+        Seed of the random states.
 
     Returns
     -------
@@ -202,7 +202,7 @@ def discover_constraint(
     Raises
     ------
     ModelError
-        Unusable degree or ports.
+        Invalid degree or ports.
     """
     if degree not in (2, 3, 4):
         raise ModelError(f"degree must be 2, 3 or 4, got {degree}")
@@ -255,8 +255,8 @@ def discover_constraint(
     if residual > HELD_OUT:
         raise ModelError(
             f"{system.name}: a relation fits the states it was found on and fails on others, by "
-            f"{residual:.1g} of its terms: too badly scaled. Give flux_range and position_range "
-            f"of the size in which the machine lives"
+            f"{residual:.1g} of its terms: too badly scaled. Set flux_range and position_range to "
+            f"the operating range of the machine"
         )
     invisible = invisible_offsets(quadratic) if quadratic else np.eye(2 * n)
     return Discovery(
@@ -285,7 +285,7 @@ def _sample(system: ElectromechanicalSystem, count: int, seed: int) -> tuple[Arr
 
 
 def _exponents(variables: int, kept: Sequence[int], degree: int) -> NDArray[np.int_]:
-    """Monomials up to a degree in the kept variables; more flux first, then higher degree."""
+    """Monomials up to a degree in the kept variables, sorted by degree in flux, then by degree."""
     rows = []
     for d in range(degree + 1):
         for factors in combinations_with_replacement(kept, d):
@@ -310,12 +310,12 @@ def _no_flux(exponents: NDArray[np.int_]) -> NDArray[np.bool_]:
 
 
 def _null_space(columns: Array) -> tuple[Array, float, float]:
-    """Null vectors as columns, the fall of the singular values at their edge, the smallest."""
+    """Null vectors as columns, fall of the singular values at their edge, smallest of them."""
     norms = np.sqrt(np.mean(columns**2, axis=0))
     norms = np.where(norms > 0, norms, 1.0)
     _, singular, vt = np.linalg.svd(columns / norms, full_matrices=False)
     relative = singular / singular[0]
-    # Below rounding one zero is as good as another.
+    # Values below rounding all count as equal zeros.
     falls = relative[:-1] / np.maximum(relative[1:], np.finfo(float).eps)
     at = int(np.argmax(falls))
     null = vt[:0] if falls[at] < GAP or relative[at + 1] > FLOOR else vt[at + 1 :]
@@ -323,7 +323,7 @@ def _null_space(columns: Array) -> tuple[Array, float, float]:
 
 
 def _without_affine(x: Array, scale: Array) -> tuple[list[int], tuple[Polynomial, ...]]:
-    """Variables that remain once affine relations are used up, and these relations."""
+    """Variables that remain after eliminating by the affine relations, and these relations."""
     variables = x.shape[1]
     exponents = np.vstack([np.eye(variables, dtype=int), np.zeros((1, variables), dtype=int)])
     null, _, _ = _null_space(_monomials(x, exponents))
@@ -338,7 +338,7 @@ def _without_affine(x: Array, scale: Array) -> tuple[list[int], tuple[Polynomial
 
 
 def _reduced(null: Array, last: NDArray[np.bool_]) -> Array:
-    """Reduced echelon form of the null vectors (columns), pivots in `last` rows last."""
+    """Reduced echelon form of the null vectors (columns), with pivots in `last` rows last."""
     order = np.argsort(last, kind="stable")
     rows = null.T[:, order].copy()
     at = 0
@@ -364,7 +364,7 @@ def _beyond(
     found: list[tuple[NDArray[np.int_], Array]],
     degree: int,
 ) -> Array:
-    """The part of a null space that is no product of a relation already found."""
+    """Part of a null space that is not a product of relations already found."""
     if not found or not null.shape[1]:
         return null
     index = {tuple(row): k for k, row in enumerate(exponents)}

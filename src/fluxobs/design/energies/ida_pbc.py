@@ -1,4 +1,4 @@
-"""The levitation benchmark's passivity-based controller, on the consistent model."""
+"""Passivity-based controller of the levitation benchmark, on the consistent model."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from ...machines import MagLev2DOF
 class IdaPbc(eqx.Module):
     """Interconnection and damping assignment for two opposed coils (the paper's Section V-B).
 
-    Written in core fluxes φ [Wb], position q [m] and angular momentum p = J Θ̇ [kg m²/s]. With
-    constant references the closed loop has the shaped energy :meth:`shaped_energy` and dissipation
+    States are core fluxes φ [Wb], position q [m] and angular momentum p = J Θ̇ [kg m²/s]. With
+    constant references the closed loop has the energy :meth:`shaped_energy` and the dissipation
     ``diag(R/(N c_1), R/(N c_2), R_a/D², 0)``.
 
     Parameters
@@ -26,7 +26,7 @@ class IdaPbc(eqx.Module):
     alpha, beta, R_a, G : float
         α > 0 > β, R_a > 0, G > 0.
     flux_reference : callable
-        t → φ_2* [Wb], >= 0. With zero the shaped energy has no minimum: not stable.
+        t → φ_2* [Wb], >= 0. At zero the shaped energy has no minimum: the loop is not stable.
     position_reference : callable
         t → q* [m].
 
@@ -93,7 +93,7 @@ class IdaPbc(eqx.Module):
     def shaped_energy(
         self, t: Any, flux: jax.Array, position: jax.Array, momentum: jax.Array
     ) -> jax.Array:
-        """H_d [J]; falls along the closed loop where the references are constant."""
+        """H_d [J]; decreases along the closed loop if the references are constant."""
         m = self.machine
         _, phi_2, _ = self._references(t)
         star = m.c_2 * phi_2**2 / (2 * m.k_2)

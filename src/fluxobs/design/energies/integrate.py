@@ -1,4 +1,4 @@
-"""A system under control, integrated by an implicit solver and sampled uniformly."""
+"""Integrates a system under control by an implicit solver, sampled uniformly."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ Control = Callable[[Any, State], jax.Array]
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Samples of a simulation; between them flux and position are cubic (Hermite).
+    """Samples of a simulation; flux and position between them are cubic (Hermite).
 
-    The cubic is a trajectory in its own right: currents follow from it by the energies, so that
-    every relation holds exactly, between samples too.
+    The cubic is itself a trajectory: the energies give its currents, so that every relation holds
+    exactly between samples too.
 
     Attributes
     ----------
     t : (rows,) ndarray
-        Uniform [s].
+        Uniform times [s].
     flux, flux_rate, current : (rows, n_E) ndarray
         [Wb], [V], [A].
     position, velocity, momentum : (rows, n_M) ndarray
     voltage : (rows, m) ndarray
-        Of the control at the samples [V].
+        Voltage of the control at the samples [V].
     """
 
     system: ElectromechanicalSystem
@@ -55,7 +55,7 @@ class Trajectory:
         return float(self.t[1] - self.t[0])
 
     def middle(self) -> tuple[Array, Array, Array]:
-        """Flux, its rate and current half way between the samples, (rows - 1, n_E)."""
+        """Flux, flux rate and current halfway between samples, (rows - 1, n_E)."""
         flux, rate = _hermite_middle(self.flux, self.flux_rate, self.h)
         position, _ = _hermite_middle(self.position, self.velocity, self.h)
         current = _currents(self.system, jnp.asarray(flux), jnp.asarray(position))
@@ -74,10 +74,10 @@ def _hermite_middle(value: Array, rate: Array, h: float) -> tuple[Array, Array]:
 
 
 def volt_seconds(flux: ArrayLike, h: float, drift: ArrayLike) -> Array:
-    """``∫ y_m dt`` over the interval ending at each row, exact: ``λ_k - λ_{k-1} - h θ``.
+    """Exact ``∫ y_m dt`` over the interval that ends at each row: ``λ_k - λ_{k-1} - h θ``.
 
-    `drift` is (n,) or (rows, n), then that of the interval that ends at the row. The first row has
-    no interval: zero.
+    `drift` is (n,), or (rows, n) for the interval that ends at each row. The first row has no
+    interval and is zero.
     """
     x = np.asarray(flux, float)
     step = np.diff(x, axis=0, prepend=x[:1])
@@ -107,25 +107,25 @@ def integrate(
     t : (rows,) array_like
         Uniform sample times [s], at least two.
     initial : State
-        At t[0].
+        State at t[0].
     scale : State, optional
-        Sizes of the states; errors are controlled relative to these. Default the ranges of the
-        system and 1.
+        Sizes of the states, to which the solver's tolerance is relative. Default the ranges of the
+        system, and 1 for the momentum.
     load : (n_M,) array_like, optional
         Constant load forces.
     position_limit : (low, high), optional
-        Leaving it ends the simulation with an error: the air gap, say.
+        Range of the position, such as the air gap; leaving it is an error.
     stiff : bool
-        Implicit solver of fifth order (Kvaerno5), or explicit (Tsit5), which is cheaper where the
-        closed loop's time scales are all alike.
+        Uses an implicit fifth-order solver (Kvaerno5); if false an explicit one (Tsit5), cheaper if
+        all time scales of the closed loop are similar.
     rtol : float
-        Of the adaptive step, relative to `scale`.
+        Tolerance of the adaptive step, relative to `scale`.
     max_steps : int
 
     Raises
     ------
     ModelError
-        The position reached its limit, or the solver failed: when and where.
+        The position reached its limit, or the solver failed; the message says when and where.
     """
     times = np.asarray(t, float)
     if times.ndim != 1 or len(times) < 2 or np.ptp(np.diff(times)) > 1e-6 * (times[1] - times[0]):

@@ -1,11 +1,11 @@
-"""An electromechanical system is its energies; dynamics follow by differentiation.
+"""Electromechanical systems, defined by their energies; differentiation gives the dynamics.
 
 ``H_E(λ, q)`` and ``H_M(q, p)`` define everything (equation (1) of the paper)::
 
     i = ∇_λ H_E        λ̇ = -R i + B u
     q̇ = ∇_p H_M        ṗ = -∇_q H_E - ∇_q H_M - R_M q̇ + F_L
 
-The electric-field dual is the same: read charge for λ, voltage for i, conductance for R.
+The electric-field dual has the same form: read charge for λ, voltage for i, conductance for R.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class State(NamedTuple):
 
 
 class Power(NamedTuple):
-    """Balance of power [W]: stored = supplied - dissipated."""
+    """Power balance [W]: stored = supplied - dissipated."""
 
     stored: jax.Array
     supplied: jax.Array
@@ -54,7 +54,7 @@ def linear_magnetics(
 
 
 def inertia(mass: Any) -> Energy:
-    """H_M of constant inertia, ``½ pᵀ M⁻¹ p``; a number, or one for each coordinate."""
+    """H_M for constant inertia, ``½ pᵀ M⁻¹ p``; `mass` is a number, or one per coordinate."""
     masses = real("mass", mass)
     if not (np.asarray(masses) > 0).all():
         raise ModelError(f"inertia must be positive, got {masses.tolist()}")
@@ -66,7 +66,7 @@ def inertia(mass: Any) -> Energy:
 
 
 class ElectromechanicalSystem(eqx.Module):
-    """Electrical ports (flux, current), mechanical ports (position, momentum), two energies.
+    """System with electrical ports (flux, current), mechanical ports and two energies.
 
     Parameters
     ----------
@@ -79,16 +79,16 @@ class ElectromechanicalSystem(eqx.Module):
     R_M : (n_M, n_M) array_like
         Mechanical damping, likewise.
     B : (n_E, m) array_like, optional
-        Input matrix of full column rank; default the identity.
+        Input matrix of full column rank; default identity.
     flux_range, position_range : (low, high), optional
-        Where states of this machine live, each bound a number or one for every port; random
-        states are drawn from it. Defaults ±1 Wb and ±π.
+        Operating range, from which random states are drawn; each bound is a number, or one per
+        port. Defaults ±1 Wb and ±π.
     name : str
 
     Raises
     ------
     ModelError
-        An energy is not scalar or not finite in the ranges, or a matrix does not fit.
+        An energy is not scalar or not finite within the ranges, or a matrix does not fit.
 
     Examples
     --------
@@ -134,7 +134,7 @@ class ElectromechanicalSystem(eqx.Module):
         self._probe()
 
     def _probe(self) -> None:
-        """Energies must be finite scalars where the machine lives."""
+        """Checks that the energies are finite scalars within the ranges."""
         rng = np.random.default_rng(0)
         flux, position = self.random_states(rng, 500)
         momentum = jnp.asarray(rng.standard_normal(position.shape))
@@ -150,8 +150,8 @@ class ElectromechanicalSystem(eqx.Module):
             except (TypeError, ValueError, IndexError) as error:
                 raise ModelError(
                     f"{self.name}: {what} fails at shapes {one[0].shape} and {other[0].shape}: "
-                    f"{str(error).splitlines()[0]} (write it with jax.numpy, without float() "
-                    f"and if on its arguments)"
+                    f"{str(error).splitlines()[0]} (write it with jax.numpy; do not use "
+                    f"float() or if on its arguments)"
                 ) from error
             if shape != ():
                 raise ModelError(f"{self.name}: {what} must return one number, got shape {shape}")
@@ -163,8 +163,8 @@ class ElectromechanicalSystem(eqx.Module):
                 raise ModelError(
                     f"{self.name}: {what} or its gradient is not finite at "
                     f"{np.asarray(one[at]).round(6).tolist()}, "
-                    f"{np.asarray(other[at]).round(6).tolist()}; is that where the machine lives? "
-                    f"See flux_range and position_range"
+                    f"{np.asarray(other[at]).round(6).tolist()}; is that within the machine's "
+                    f"operating range? See flux_range and position_range"
                 )
 
     @property
@@ -178,7 +178,7 @@ class ElectromechanicalSystem(eqx.Module):
         return len(self.R_M)
 
     def random_states(self, rng: np.random.Generator, count: int) -> tuple[jax.Array, jax.Array]:
-        """Flux (count, n_E) and position (count, n_M), uniform in their ranges."""
+        """Flux (count, n_E) and position (count, n_M), uniform within their ranges."""
         out = []
         for bounds in (self.flux_range, self.position_range):
             low, high = np.asarray(bounds)
@@ -219,7 +219,7 @@ class ElectromechanicalSystem(eqx.Module):
         )
 
     def power(self, state: State, voltage: jax.Array, load: jax.Array | None = None) -> Power:
-        """Rate of the stored energy along the dynamics, supplied and dissipated power [W]."""
+        """Rate of stored energy along the dynamics, supplied and dissipated power [W]."""
         rate = self.derivative(state, voltage, load)
         _, stored = jax.jvp(self.energy, (state,), (rate,))
         i = self.current(state.flux, state.position)

@@ -1,4 +1,4 @@
-"""Lemma 1: the constraint as a linear regression, in continuous time and exactly on samples."""
+"""Lemma 1: the constraint as a linear regression, in continuous time and exact on samples."""
 
 from .filtered import FilteredRegression, Filters
 from .regressors import Parametrisation, Regressors, residual

@@ -1,7 +1,7 @@
 """Lemma 1 of the paper in continuous time: nine filters, for any number of ports.
 
-Corrected (docs/errata.md): ν stands before y_a in Φ_λ, and the constant entry of y_b, whose
-regressor decays to zero, is left out. ``form="printed"`` keeps the paper's Φ_λ, to show the error.
+Two corrections (docs/errata.md): y_a in Φ_λ has the factor ν, and the constant entry of y_b, whose
+regressor decays to zero, is omitted. ``form="printed"`` keeps the paper's Φ_λ, to show the error.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .regressors import Regressors
 
 
 class Filters(NamedTuple):
-    """ξ1 … ξ9 of the paper; ξ5 and ξ9 are scalars, the others vectors (n,)."""
+    """ξ1 … ξ9 of the paper; ξ5 and ξ9 are scalars, the others are vectors (n,)."""
 
     xi1: jax.Array
     xi2: jax.Array
@@ -90,7 +90,7 @@ class FilteredRegression(eqx.Module):
         )
 
     def read_out(self, xi: Filters, current: jax.Array) -> Regressors:
-        """The regression at this moment."""
+        """The regression at this instant."""
         nu = self.corner
         y_a, y_c = self.known(current)
         scale = 1.0 if self.form == "printed" else nu
@@ -111,7 +111,7 @@ def filter_record(
     y_m: jax.Array,
     current: jax.Array,
 ) -> Filters:
-    """Filters at every sample of a record, by Runge and Kutta's fourth order, from zero.
+    """Filters at every sample of a record, by fourth-order Runge-Kutta from zero.
 
     Parameters
     ----------
@@ -119,12 +119,12 @@ def filter_record(
     h : float
         Sample time [s]; ν h up to about 0.1.
     y_m, current : (rows - 1, 3, n) array
-        At the beginning, middle and end of each interval, so that both may jump at samples.
+        Values at the start, middle and end of each interval, so that both may jump at samples.
 
     Returns
     -------
     Filters
-        Leading axis rows.
+        With leading axis rows.
     """
 
     def add(xi: Filters, rate: Filters, step: float) -> Filters:
@@ -151,5 +151,5 @@ def filter_record(
 def read_out_record(
     regression: FilteredRegression, filters: Filters, current: jax.Array
 ) -> Regressors:
-    """The regression at every sample, from filters and measured currents (rows, n)."""
+    """The regression at every sample, from the filters and measured currents (rows, n)."""
     return jax.vmap(regression.read_out)(filters, current)

@@ -17,7 +17,7 @@ from ..precision import real
 
 class Regressors(NamedTuple):
     """``y = Φ_fluxᵀλ + Φ_driftᵀθ + Φ_aᵀθ_a + Φ_bᵀθ_b + φ_c θᵀQ1θ`` with θ_a = -Q2 δ_i,
-    θ_b = -2 Q3 δ_i; leading axis time in a record.
+    θ_b = -2 Q3 δ_i. In a record the leading axis is time.
     """
 
     y: jax.Array  # ()
@@ -33,24 +33,24 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 class Parametrisation(eqx.Module):
-    """Which constants are estimated beside the flux, and with which regressors.
+    """The constants to estimate besides the flux, and their regressors.
 
-    Every one begins with the drift θ.
+    The first constants are always the drift θ.
 
     Parameters
     ----------
     constraint : QuadraticConstraint
     kind : {"printed", "structured", "voltage-bias"}
-        The paper's (θ, θ_a, θ_b, 2/ν θᵀQ1θ), without its entry 1 of y_b, whose regressor vanishes;
-        (θ, δ_i, θᵀQ1θ), where θ_a and θ_b are known functions of one current bias;
-        (θ, θᵀQ1θ), exact where the currents have no bias.
+        Printed: the paper's (θ, θ_a, θ_b, 2/ν θᵀQ1θ), without its entry 1 of y_b, whose regressor
+        vanishes. Structured: (θ, δ_i, θᵀQ1θ), with θ_a and θ_b as known functions of one current
+        bias. Voltage-bias: (θ, θᵀQ1θ), exact if the currents have no bias.
     corner : float
-        ν of the filters [rad/s]; scales the last constant as in the paper.
+        ν of the filters [rad/s]; it scales the last constant as in the paper.
 
     Notes
     -----
-    With a regular Q1 the printed one is never persistently exciting unless Q3 = 0: up to decaying
-    terms ``Φ_flux = 2 Q1 Φ_a + Q2 Φ_b`` (erratum 5).
+    With a regular Q1 the printed regressor is never persistently exciting unless Q3 = 0: up to
+    decaying terms, ``Φ_flux = 2 Q1 Φ_a + Q2 Φ_b`` (erratum 5).
     """
 
     Q1: jax.Array
@@ -68,7 +68,7 @@ class Parametrisation(eqx.Module):
         self.Q3 = jnp.asarray(constraint.Q3)
         self.corner = corner
         self.kind = kind
-        # A block whose coefficients are zero whatever the bias is carries nothing.
+        # Omit a block whose coefficients are zero for any bias.
         self.with_b = bool(np.any(constraint.Q3 != 0))
         self.with_c = bool(np.any(constraint.Q1 != 0))
 
@@ -90,7 +90,7 @@ class Parametrisation(eqx.Module):
         return jnp.concatenate(parts)
 
     def constants(self, drift: Any, current_bias: Any) -> NDArray[np.float64]:
-        """The true constants that belong to drift [V] and current bias [A], (n_θ,)."""
+        """True constants for a drift [V] and a current bias [A], (n_θ,)."""
         theta = np.asarray(real("drift", drift, (self.n,)))
         delta = np.asarray(real("current_bias", current_bias, (self.n,)))
         Q1, Q2, Q3 = (np.asarray(matrix) for matrix in (self.Q1, self.Q2, self.Q3))
@@ -127,7 +127,7 @@ class Parametrisation(eqx.Module):
 def residual(
     rows: Regressors, constraint: QuadraticConstraint, flux: Any, drift: Any, current_bias: Any
 ) -> jax.Array:
-    """y minus what the true flux, drift and current bias explain; leading axes as in `rows`."""
+    """y minus what true flux, drift and current bias explain; leading axes as in `rows`."""
     Q1, Q2, Q3 = (jnp.asarray(getattr(constraint, name)) for name in ("Q1", "Q2", "Q3"))
     theta, delta = jnp.asarray(drift), jnp.asarray(current_bias)
     explained = (

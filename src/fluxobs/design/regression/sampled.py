@@ -1,7 +1,7 @@
-"""The same regression on samples, without discretisation error.
+"""Lemma 1 on samples, without discretisation error.
 
-Kernel ``g ↔ ((1 - z⁻¹)/(1 - a z⁻¹))²``, a = e^{-νh}, applied to the constraint of all past samples,
-each expressed in the present flux through volt-seconds. docs/theory.md, section 8.
+Applies the kernel ``g ↔ ((1 - z⁻¹)/(1 - a z⁻¹))²``, a = e^{-νh}, to the constraint at all past
+samples, each expressed in the present flux through volt-seconds. docs/theory.md, section 8.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from .regressors import Regressors
 
 
 class Moments(NamedTuple):
-    """Sums over the past with the weights of a double pole: two rows each, (2, …).
+    """Sums over the past with the weights of a double pole, two rows each, (2, …).
 
-    S is the volt-seconds between a past sample and now, j its age in samples; a, c, i the known
-    signals at that sample. ``SS`` weighs Sᵀ Q1 S.
+    S are the volt-seconds between a past sample and now, j is its age in samples; a, c and i are
+    the known signals at that sample. ``SS`` sums Sᵀ Q1 S.
     """
 
     one: jax.Array
@@ -64,11 +64,11 @@ class SampledRegression(eqx.Module):
                 raise ModelError(f"{name} must be positive, got {value}")
         for name in ("Q1", "Q2", "Q3", "E", "C"):
             setattr(self, name, jnp.asarray(getattr(constraint, name)))
-        # Arrays, so that another value does not compile anew.
+        # Stored as arrays, so that another value does not trigger a compilation.
         self.corner, self.sample_time = jnp.asarray(corner), jnp.asarray(sample_time)
 
     def init(self) -> Moments:
-        """No past."""
+        """Moments of an empty past."""
         n = len(self.E)
         scalar, vector = jnp.zeros(2), jnp.zeros((2, n))
         return Moments(
@@ -84,13 +84,13 @@ class SampledRegression(eqx.Module):
         -------
         moments, regressors
         start : (m0, m1)
-            Moments of the kernel so far. Until they have decayed (15 … 20 over ν) the regression
-            is exact with ``m0 s - h m1 κ`` added to its right side, s and κ of the immersion
-            (their E is in a here).
+            Moments of the kernel so far. Until they have decayed (15 … 20 over ν), the regression
+            is exact if ``m0 s - h m1 κ`` is added to its right side, with s and κ of the immersion
+            (whose E is part of a here).
         """
         m, v = moments, volt_seconds
         q = self.Q1 @ v
-        # The past relative to the new flux; order matters: each line uses the old ones below it.
+        # Express the past in the new flux. Order matters: each line uses old values of those below.
         SS = m.SS + 2 * m.S @ q + m.one * (v @ q)
         Sa = m.Sa + m.a @ v
         jS = m.jS + m.S + (m.j + m.one)[:, None] * v
@@ -134,7 +134,7 @@ class SampledRegression(eqx.Module):
     def run(
         self, volt_seconds: Any, current: Any
     ) -> tuple[Regressors, tuple[jax.Array, jax.Array]]:
-        """A record: volt-seconds (rows, n), row k's interval ends at row k; currents (rows, n)."""
+        """Runs a record: volt-seconds of the interval ending at each row, currents; (rows, n)."""
         v, i = real("volt_seconds", volt_seconds), real("current", current)
         if v.shape != i.shape or v.ndim != 2 or v.shape[1] != len(self.E):
             raise ModelError(

@@ -1,4 +1,4 @@
-"""Machines as energies: who satisfies a quadratic relation, and who does not."""
+"""Machines as energies: some satisfy a quadratic relation, some do not."""
 
 from collections.abc import Callable
 

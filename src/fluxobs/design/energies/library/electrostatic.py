@@ -30,7 +30,7 @@ def differential_actuator(
     g, area : float
         Gap [m], area of a plate [m²].
     resistance : float
-        In series with each electrode [Ω].
+        Series resistance of each electrode [Ω].
     mass, damping, stiffness : float
         [kg], [N s/m], [N/m].
     """

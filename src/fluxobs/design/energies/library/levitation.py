@@ -1,4 +1,4 @@
-"""Magnets that hold and move bodies; position is a displacement [m] from the middle of the gap."""
+"""Magnetic levitation and bearings; position is the displacement [m] from mid-gap."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import jax.numpy as jnp
 from ....machines import MagLev2DOF
 from ..system import ElectromechanicalSystem, inertia, linear_magnetics
 
-#: Share of the gap in which positions are drawn.
+#: Share of the gap from which positions are drawn.
 INSIDE = 0.8
 
 
 def _coils(
     inductances: Any, gap: float, name: str, ports: int, axes: int = 1, magnet: Any = None
 ) -> ElectromechanicalSystem:
-    """Coils without mutual inductance, λ_k = L_k(q) (i_k + magnet_k); fluxes of one sign."""
+    """Coils without mutual inductance, λ_k = L_k(q) (i_k + magnet_k), with fluxes of one sign."""
     size = 1e-2
     offset = None
     if magnet is not None:
@@ -34,14 +34,14 @@ def _coils(
 
 
 def maglev_1dof(k: float = 1e-5, g: float = 1e-3) -> ElectromechanicalSystem:
-    """One coil over a body, ``λ = k i / (g - q)``: no relation."""
+    """One coil above a body, ``λ = k i / (g - q)``; has no relation."""
     return _coils(lambda q: jnp.array([k / (g - q[0])]), g, "MagLev, one coil", 1)
 
 
 def maglev_2dof(machine: MagLev2DOF) -> ElectromechanicalSystem:
-    """Opposed coils on a lever: the paper's Section V-B in canonical port-Hamiltonian form.
+    """Opposed coils on a lever: Section V-B of the paper in canonical port-Hamiltonian form.
 
-    Its flux is the linkage ``λ = c φ`` with the force constants c, so that ``-∇_q H_E`` is the
+    The flux is the linkage ``λ = c φ`` with the force constants c, so that ``-∇_q H_E`` is the
     force of Knospe's benchmark; momentum is p/D. ``λ̇ = -(c/N) R i + (c/N) u``.
     docs/theory.md, section 11.
     """
@@ -67,7 +67,7 @@ def maglev_2dof(machine: MagLev2DOF) -> ElectromechanicalSystem:
 def maglev_leakage(
     k: tuple[float, float] = (1e-5, 1.2e-5), g: float = 1e-3, leakage: float = 2e-3
 ) -> ElectromechanicalSystem:
-    """Opposed coils with leakage inductance [H]: replace λ by λ - l i in the relation."""
+    """Opposed coils with leakage inductance l [H]; the relation has λ - l i instead of λ."""
     return _coils(
         lambda q: jnp.array([k[0] / (g - q[0]), k[1] / (g + q[0])]) + leakage,
         g,
@@ -77,7 +77,7 @@ def maglev_leakage(
 
 
 def maglev_biased(k: float = 1e-5, g: float = 1e-3, magnet: float = 0.8) -> ElectromechanicalSystem:
-    """Opposed coils with magnets in their cores, worth `magnet` ampere: needs the linear term E."""
+    """Opposed coils with core magnets worth `magnet` ampere; the relation has a linear term E."""
     return _coils(
         lambda q: jnp.array([k / (g - q[0]), k / (g + q[0])]),
         g,
@@ -88,7 +88,7 @@ def maglev_biased(k: float = 1e-5, g: float = 1e-3, magnet: float = 0.8) -> Elec
 
 
 def four_pole_bearing(k: float = 1e-5, g: float = 1e-3) -> ElectromechanicalSystem:
-    """Two opposed pairs, one an axis."""
+    """Two pairs of opposed coils, one pair per axis."""
     return _coils(
         lambda q: k / jnp.array([g - q[0], g + q[0], g - q[1], g + q[1]]),
         g,
@@ -99,7 +99,7 @@ def four_pole_bearing(k: float = 1e-5, g: float = 1e-3) -> ElectromechanicalSyst
 
 
 def three_coils(k: float = 1e-5, g: float = 1e-3) -> ElectromechanicalSystem:
-    """Three coils on one axis, with different gaps: any two make a relation."""
+    """Three coils on one axis with different gaps; any two give a relation."""
     return _coils(
         lambda q: jnp.array([k / (g - q[0]), 1.1 * k / (g + q[0]), 0.9 * k / (1.5 * g + q[0])]),
         g,

@@ -41,7 +41,7 @@ def switched_reluctance(L_0: float = 10e-3, L_1: float = 6e-3) -> Electromechani
 def saturated_switched_reluctance(
     psi_s: float = 0.5, a: float = 0.05, b: float = 0.03
 ) -> ElectromechanicalSystem:
-    """The same saturating exponentially: ``λ_k = ψ_s (1 - exp(-i_k (a + b cos(q - 2πk/3))))``."""
+    """SRM with exponential saturation, ``λ_k = ψ_s (1 - exp(-i_k (a + b cos(q - 2πk/3))))``."""
 
     def magnetic_energy(flux: jax.Array, position: jax.Array) -> jax.Array:
         free = 1 - flux / psi_s

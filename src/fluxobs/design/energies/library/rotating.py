@@ -36,7 +36,7 @@ def surface_pmsm(
 ) -> ElectromechanicalSystem:
     """Surface PMSM in αβ, ``λ = L_s i + ψ_f e(n_p q)`` (the paper's Section V-A).
 
-    R_s [Ω], L_s [H], psi_f [Wb], J [kg m²], friction [N m s]. Torques are those of two-phase
+    R_s [Ω], L_s [H], psi_f [Wb], J [kg m²], friction [N m s]. Torques are in two-phase
     power-invariant coordinates, as in the paper.
     """
     return ElectromechanicalSystem(
@@ -59,7 +59,7 @@ def salient_pmsm(
     friction: float,
     name: str,
 ) -> ElectromechanicalSystem:
-    """``λ = T diag(L_d, L_q) Tᵀ i + ψ_f e`` with T the rotation by n_p q."""
+    """Salient PMSM, ``λ = T diag(L_d, L_q) Tᵀ i + ψ_f e``, where T rotates by n_p q."""
 
     def inductance(q: jax.Array) -> jax.Array:
         T = turn(n_p * q[0])
@@ -84,7 +84,7 @@ def interior_pmsm(
     J: float = 0.05,
     friction: float = 1e-3,
 ) -> ElectromechanicalSystem:
-    """Interior PMSM in αβ; no quadratic relation, one of degree four."""
+    """Interior PMSM in αβ; has no quadratic relation, but one of degree four."""
     return salient_pmsm(R_s, L_d, L_q, psi_f, n_p, J, friction, "interior PMSM")
 
 
@@ -129,7 +129,7 @@ def wound_field(
 ) -> ElectromechanicalSystem:
     """Salient wound-field synchronous machine with its field port: (α, β, F).
 
-    Power-invariant vectors, so that the inductances are those of an energy (f = 1).
+    Vectors are power-invariant, so that the inductances derive from an energy (f = 1).
     """
     rotor = jnp.array([[L_d, 0.0, M], [0.0, L_q, 0.0], [M, 0.0, L_F]])
 
@@ -150,9 +150,9 @@ def wound_field(
 def doubly_fed(
     L_s: float = 0.12, L_r: float = 0.11, M: float = 0.1, n_p: int = 2
 ) -> ElectromechanicalSystem:
-    """Induction machine with both windings as ports: (α_s, β_s, α_r, β_r), rotor's own axes.
+    """Induction machine with both windings as ports: (α_s, β_s, α_r, β_r), rotor in its own axes.
 
-    A cage machine is the same with the rotor ports unmeasured.
+    For a cage machine, leave the rotor ports unmeasured.
     """
 
     def inductance(q: jax.Array) -> jax.Array:

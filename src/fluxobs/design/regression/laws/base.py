@@ -1,9 +1,9 @@
-"""What every observer on the regression shares: two forms, continuous and sampled, and a runner.
+"""Common parts of the observers on the regression: continuous and sampled form, and a runner.
 
 ``derivative(state, y_m, row)`` is the law as published, for an ODE solver. ``step(state, h,
-volt_seconds, row)`` is for samples: it moves the state by the known volt-seconds, then takes the
-row by the exact solution of the gradient flow for a constant regressor, which is stable at any
-gain, however stiff the law.
+volt_seconds, row)`` is for samples: it moves the state by the known volt-seconds, then applies the
+exact solution of the gradient flow for a constant regressor. That is stable at any gain, however
+stiff the law.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .. import Regressors
 
 
 class FluxObserver(Protocol):
-    """Frozen parameters, explicit state."""
+    """Observer with frozen parameters and explicit state."""
 
     def init(self) -> Any: ...
 
@@ -33,18 +33,18 @@ class FluxObserver(Protocol):
 
 
 class ContinuousObserver(FluxObserver, Protocol):
-    """One that is published as a differential equation."""
+    """Observer published as a differential equation."""
 
     def derivative(self, state: Any, y_m: jax.Array, row: Regressors) -> Any: ...
 
 
 def positive_definite(name: str, value: Any, size: int) -> jax.Array:
-    """Gain matrix of that size from a number, a vector (its diagonal) or a matrix.
+    """Gain matrix of a given size from a number, a vector (its diagonal) or a matrix.
 
     Raises
     ------
     ModelError
-        Not symmetric positive definite: names the least eigenvalue.
+        Not symmetric positive definite; the message names the least eigenvalue.
     """
     plain = np.asarray(real(name, value))
     if plain.shape not in ((), (size,), (size, size)):
@@ -55,7 +55,7 @@ def positive_definite(name: str, value: Any, size: int) -> jax.Array:
         plain = plain * np.eye(size)
     if not np.allclose(plain, plain.T, rtol=1e-12, atol=0):
         raise ModelError(f"{name} must be symmetric, got {plain.tolist()}")
-    # Judged per-unit: the units of flux and constants differ by twenty powers of ten.
+    # Check per-unit: the scales of flux and constants differ by twenty powers of ten.
     scale = np.sqrt(np.abs(np.diag(plain)))
     least = np.linalg.eigvalsh(plain / np.outer(scale, scale)).min() if scale.all() else 0.0
     if not (least > 0 and (np.diag(plain) > 0).all()):
@@ -67,7 +67,7 @@ def positive_definite(name: str, value: Any, size: int) -> jax.Array:
 
 
 def flow_gain(q: jax.Array, h: float) -> jax.Array:
-    """``(1 - e^{-qh})/q``: what a gradient flow of rate q does within h; h where q is zero."""
+    """``(1 - e^{-qh})/q``, the effect of a gradient flow of rate q over h; h at q = 0."""
     safe = jnp.where(q > 0, q, 1.0)
     return jnp.where(q > 0, -jnp.expm1(-safe * h) / safe, h)
 
@@ -78,8 +78,8 @@ def run(
 ) -> tuple[jax.Array, jax.Array]:
     """Flux (rows, n) and constants (rows, n_θ) over a record, from `observer.init()`.
 
-    Row k's volt-seconds belong to the interval that ends at row k. The regression of the first
-    `skip` rows (its filters' transient) is not used.
+    Row k's volt-seconds belong to the interval that ends at row k. The regression is not used for
+    the first `skip` rows (transient of its filters).
     """
     count = len(rows.y)
 

@@ -15,7 +15,7 @@ from .base import flow_gain
 
 
 class DremState(NamedTuple):
-    """Extension M, m (per-unit); estimate, its open-loop twin, and what is left of the start."""
+    """Extension M, m (per-unit); estimate, its open-loop twin, and w, what is left of the start."""
 
     M: jax.Array
     m: jax.Array
@@ -25,13 +25,13 @@ class DremState(NamedTuple):
 
 
 class DremObserver(eqx.Module):
-    """One regression extended to as many as unknowns, then mixed into scalar ones.
+    """Extends one regression to as many as there are unknowns, then mixes them into scalar ones.
 
     Extension (Kreisselmeier, moved along with the flux): ``M' = -M/T - AᵀM - M A + ΨΨᵀ``, likewise
-    m, so that ``M x = m``. Mixing with the adjugate gives ``Δ x_j = Y_j``, Δ = det M, and each
-    unknown its own scalar gradient ``x̂_j' = … + γ Δ (Y_j - Δ x̂_j)``. The error is
-    ``x̃(t) = w(t) x̃_open-loop(t)`` with ``w = exp(-γ ∫ Δ²)``: solved for x, an estimate in finite
-    time, as soon as 1 - w > `finite`.
+    m, so that ``M x = m``. Mixing with the adjugate gives ``Δ x_j = Y_j``, Δ = det M, and for each
+    unknown a scalar gradient ``x̂_j' = … + γ Δ (Y_j - Δ x̂_j)``. The error is
+    ``x̃(t) = w(t) x̃_open-loop(t)`` with ``w = exp(-γ ∫ Δ²)``. Solving this for x gives an estimate
+    in finite time, used once 1 - w > `finite`.
 
     Parameters
     ----------
@@ -40,11 +40,11 @@ class DremObserver(eqx.Module):
     memory : float
         T of the extension [s].
     basis : (N,) or (N, N) array_like
-        Unknowns are estimated as ``x = basis x_pu``: sizes, or a matrix that balances them, since
-        Δ is a product of N eigenvalues (:func:`fluxobs.design.analysis.balanced_basis`).
+        Scaling ``x = basis x_pu``: sizes, or a matrix that balances the unknowns, since Δ is a
+        product of N eigenvalues (:func:`fluxobs.design.analysis.balanced_basis`).
     constants : Parametrisation
     finite : float
-        1 - w from which the finite-time formula is used, in (0, 1].
+        Value of 1 - w above which the finite-time formula is used, in (0, 1].
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""The paper's two observers as printed, and the second one repaired."""
+"""The paper's two observers as printed, and the second repaired."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .base import flow_gain, positive_definite
 
 
 class RobustObserver(eqx.Module):
-    """Proposition 1: ``λ̂' = y_m + Γ Φ_λ (y - Φ_λᵀ λ̂)``; constants are disturbances.
+    """Proposition 1: ``λ̂' = y_m + Γ Φ_λ (y - Φ_λᵀ λ̂)``; constants act as disturbances.
 
     The error ends within a bound proportional to the biases: :mod:`fluxobs.design.analysis.bounds`.
 
@@ -51,14 +51,14 @@ class RobustObserver(eqx.Module):
 class PrintedAdaptiveObserver(eqx.Module):
     """Proposition 2 as printed: ``(λ̂, θ̂)' = (y_m + θ̂_drift, 0) + Γ Ψ (y - Ψᵀ(λ̂, θ̂))``.
 
-    For the record. Its claim is false: there are machines and trajectories with Ψ persistently
-    exciting on which it is unstable at every gain (docs/errata.md, 6). Use
+    For reference only. The proposition is false: there are machines and trajectories with
+    persistently exciting Ψ on which the law is unstable at every gain (docs/errata.md, 6). Use
     :class:`RepairedAdaptiveObserver`, or check with :mod:`fluxobs.design.analysis.stability`.
 
     Parameters
     ----------
     Gamma : number, vector or matrix
-        Positive definite, of size n + n_θ; the paper's γ_a is a number or a diagonal.
+        Positive definite gain of size n + n_θ; the paper's γ_a is a number or a diagonal.
     constants : Parametrisation
     """
 
@@ -93,9 +93,9 @@ class PrintedAdaptiveObserver(eqx.Module):
 def sensitivity_step(
     Gamma: jax.Array, U: jax.Array, h: float, Phi: jax.Array, Phi_theta: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """U after a sample, Ω at it, and the gain K of the flux, of :class:`RepairedAdaptiveObserver`.
+    """U after a sample, Ω at it, and flux gain K of :class:`RepairedAdaptiveObserver`.
 
-    None of them depends on what is estimated, nor on the gain of the constants.
+    They depend neither on the estimates nor on the gain of the constants.
     """
     U = U + h * jnp.eye(U.shape[0], U.shape[1])
     omega = U.T @ Phi + Phi_theta
@@ -105,7 +105,7 @@ def sensitivity_step(
 
 
 class RepairedState(NamedTuple):
-    """Estimates, and U: how the flux error depends on that of the constants."""
+    """Estimates, and the sensitivity U of the flux error to the error of the constants."""
 
     flux: jax.Array
     constants: jax.Array
@@ -118,16 +118,16 @@ class RepairedAdaptiveObserver(eqx.Module):
         λ̂' = y_m + [I 0] θ̂ + Γ Φ_λ e + U θ̂'      e = y - Φ_λᵀ λ̂ - Φ_θᵀ θ̂
         U' = [I 0] - Γ Φ_λ (Φ_λᵀ U + Φ_θᵀ)       θ̂' = G Ω e,  Ω = Uᵀ Φ_λ + Φ_θ
 
-    The error is a cascade, exponentially stable at any positive gains if Φ_λ and Ω are
+    The error is a cascade, exponentially stable for any positive gains if Φ_λ and Ω are
     persistently exciting: ``η = λ̃ - U θ̃`` obeys ``η' = -Γ Φ_λ Φ_λᵀ η``, then
     ``θ̃' = -G Ω Ωᵀ θ̃ - G Ω Φ_λᵀ η``. Moderate gains converge fastest.
 
     Parameters
     ----------
     Gamma : number, (n,) or (n, n)
-        Positive definite.
+        Positive definite flux gain.
     G : number, (n_θ,) or (n_θ, n_θ)
-        Positive definite.
+        Positive definite gain of the constants.
     constants : Parametrisation
 
     References
@@ -169,7 +169,7 @@ class RepairedAdaptiveObserver(eqx.Module):
         U, omega, K = sensitivity_step(self.Gamma, state.U, h, Phi, Phi_theta)
         direction = self.G @ omega
         change = flow_gain(omega @ direction, h) * direction * e
-        # The same K moves the flux and U, so that η keeps its own dynamics exactly.
+        # The same K corrects the flux and U, which keeps the dynamics of η exact.
         return RepairedState(flux + K * e + U @ change, state.constants + change, U)
 
     def estimate(self, state: RepairedState) -> tuple[jax.Array, jax.Array]:

@@ -1,4 +1,4 @@
-"""What the paper argues against: open-loop integration, alone and with its start estimated."""
+"""Methods the paper argues against: open-loop integration, alone and with estimated start."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .base import flow_gain, positive_definite
 
 
 class VoltageModel(eqx.Module):
-    """``λ̂' = y_m``: off by its start, and drifting by θ t under bias."""
+    """``λ̂' = y_m``; keeps its initial error, and drifts by θ t under bias."""
 
     n: int = eqx.field(static=True)
 
@@ -34,7 +34,7 @@ class VoltageModel(eqx.Module):
 
 
 class PeboState(NamedTuple):
-    """Integral ξ, information M and m of the constant λ - ξ, and its estimate."""
+    """Integral ξ; information M, m of the constant λ - ξ; estimate of that constant."""
 
     xi: jax.Array
     M: jax.Array
@@ -43,11 +43,11 @@ class PeboState(NamedTuple):
 
 
 class PEBO(eqx.Module):
-    """Parameter-estimation-based observer: ``ξ' = y_m``, λ = ξ + constant, the constant estimated.
+    """Parameter-estimation-based observer: ``ξ' = y_m``, λ = ξ + constant; estimates the constant.
 
-    With the gradient estimator it is, written in λ̂ = ξ + θ̂_0, exactly Proposition 1's observer,
-    but carries two signals that grow without bound under bias. With least squares, which trusts
-    that λ - ξ is constant, the flux error itself grows without bound.
+    With the gradient estimator, written in λ̂ = ξ + θ̂_0, it is exactly the observer of
+    Proposition 1, but carries two signals that grow without bound under bias. Least squares relies
+    on a constant λ - ξ, so that under bias the flux error itself grows without bound.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class PEBO(eqx.Module):
         Number of ports.
     estimator : {"least-squares", "gradient"}
     Gamma : number, (n,) or (n, n)
-        Gain of the gradient; start of the inverse information of the least squares.
+        Gain of the gradient; for least squares the initial inverse information.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Least squares on the regression with forgetting: the Kalman-like observer, as square roots."""
+"""Least squares with forgetting on the regression: the Kalman-like observer in square-root form."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class RiccatiObserver(eqx.Module):
     Parameters
     ----------
     memory : float
-        T [s].
+        Memory T [s].
     scale : (n + n_θ,) array_like
-        Standard deviation of each unknown before anything is known; also the scale of the start.
+        Prior standard deviation of each unknown; also scales the initial information.
     noise : float
-        Standard deviation of y times the root of its bandwidth; weighs data against the start.
+        Standard deviation of y times the root of its bandwidth; weighs data against the prior.
     constants : Parametrisation
     """
 
