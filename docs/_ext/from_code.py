@@ -6,22 +6,35 @@ fails stops the build. ``{outputs}``, ``{options}`` and ``{api}`` write referenc
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import inspect
 import os
 import re
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any, ClassVar
 
 import typer
 from docutils import nodes
-from docutils.parsers.rst import directives
+from docutils.parsers.rst import Parser, directives
 from docutils.statemachine import StringList
+from docutils.utils import new_document
 from sample_logs import write_samples
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+from sphinx.util.nodes import make_refnode
+
+PAGES = ("theory", "errata", "constraints")
+#: What has no docstring of its own.
+CONSTANTS = {
+    "KINDS": "Every kind of machine, by its word in a machine file.",
+    "LIBRARY": "Every machine of the library, with typical parameters.",
+    "RATINGS": "Speed, torque, inertia, DC link and sample time of the shipped machines' drives.",
+    "Source": "What :py:func:`fluxobs.read_log` takes.",
+}
 
 _folders: dict[str, tempfile.TemporaryDirectory[str]] = {}
 
@@ -125,8 +138,11 @@ class Options(Markdown):
 
 
 def _value(p: Any) -> str:
-    kinds = {"path": "PATH", "float": "NUMBER", "integer": "NUMBER", "integer range": "NUMBER"}
-    return str(p.metavar or kinds.get(p.type.name, "WORD"))
+    """What stands for an option's value; typer keeps its type in one attribute or another."""
+    kind = getattr(p, "bare_type", None) or getattr(getattr(p, "type", None), "name", "")
+    word = str(getattr(kind, "__name__", kind)).lower()
+    kinds = {"path": "PATH", "float": "NUMBER", "int": "NUMBER"}
+    return str(p.metavar or next((v for k, v in kinds.items() if word.startswith(k)), "WORD"))
 
 
 class Api(SphinxDirective):
@@ -147,40 +163,38 @@ class Api(SphinxDirective):
             value = getattr(module, one)
             top = name != "fluxobs" and getattr(fluxobs, one, None) is value
             home = "fluxobs" if top else name
-            first = _first_sentence(value)
+            first = _first_sentence(one, value)
             kind = "func" if inspect.isfunction(value) else "obj"
             role = "class" if inspect.isclass(value) else kind
-            about += [f"   * - :py:{role}:`~{home}.{one}`", f"     - {first}"]
+            link = f"``{one}``" if one in CONSTANTS else f":py:{role}:`~{home}.{one}`"
+            about += [f"   * - {link}", f"     - {first}"]
             if not top:
                 bodies += _body(name, one, value)
         table = [".. list-table::", "   :widths: 30 70", "   :class: api-names", "", *about, ""]
         lines += table + bodies
-        return self.parse_text_to_nodes("\n".join(lines)) if False else _rst(self, lines)
+        return _rst(self, lines)
 
 
 def _rst(directive: SphinxDirective, lines: list[str]) -> list[nodes.Node]:
     """reStructuredText parsed inside a Markdown page."""
-    from docutils.frontend import get_default_settings
-    from docutils.parsers.rst import Parser
-    from docutils.utils import new_document
-
     settings = directive.state.document.settings
     document = new_document(directive.state.document["source"], settings)
     document.reporter = directive.state.document.reporter
     Parser().parse("\n".join(lines) + "\n", document)
-    del get_default_settings
     return list(document.children)
 
 
-def _first_sentence(value: Any) -> str:
-    if not (inspect.isclass(value) or inspect.isfunction(value)):
-        return "Constant or type."
+def _first_sentence(name: str, value: Any) -> str:
+    if name in CONSTANTS:
+        return CONSTANTS[name]
     text = " ".join(inspect.cleandoc(value.__doc__ or "").split("\n\n")[0].split())
-    return text or "See below."
+    return _escaped(text)
 
 
 def _body(module: str, name: str, value: Any) -> list[str]:
     full = f"{module}.{name}"
+    if name in CONSTANTS:
+        return []
     if inspect.isclass(value):
         lines = [f".. autoclass:: {full}", "   :members:"]
         if issubclass(value, BaseException):
@@ -188,9 +202,7 @@ def _body(module: str, name: str, value: Any) -> list[str]:
         elif any(base.__name__ == "CompiledObserver" for base in value.__mro__):
             lines += ["   :inherited-members:"]
         return [*lines, ""]
-    if inspect.isfunction(value):
-        return [f".. autofunction:: {full}", ""]
-    return [f".. autodata:: {full}", "   :no-value:", ""]
+    return [f".. autofunction:: {full}", ""]
 
 
 def _skip(app: Sphinx, what: str, name: str, obj: Any, skip: bool, options: Any) -> bool | None:
@@ -200,39 +212,60 @@ def _skip(app: Sphinx, what: str, name: str, obj: Any, skip: bool, options: Any)
     return None
 
 
-def _docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """Names of files and sections in docstrings become what a reader of the site can follow."""
-    pages = {"theory": "theory", "errata": "errata", "constraints": "constraints"}
+def _escaped(text: str) -> str:
+    """|x| is a length and (*batch, 2) a shape, no markup; ``code`` stays as it is."""
+    parts = re.split(r"(``.*?``)", text)
+    return "".join(
+        part if k % 2 else re.sub(r"(?<!\\)\||(?<=\()\*(?=\w)", r"\\\g<0>", part)
+        for k, part in enumerate(parts)
+    )
+
+
+def _before(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Docstrings are written for people: what only looks like markup is escaped."""
     for k, line in enumerate(lines):
         lines[k] = re.sub(
-            r"docs/(\w+)\.md",
-            lambda m: f":doc:`/{pages[m[1]]}`" if m[1] in pages else m[0],
-            line,
+            r"docs/(\w+)\.md", lambda m: f":doc:`/{m[1]}`" if m[1] in PAGES else m[0], _escaped(line)
         )
 
 
+def _after(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Types of attributes are words too: they stand in the text, not as something to look up."""
+    types = {}
+    for line in list(lines):
+        if found := re.match(r":vartype (\w+): (.*)", line):
+            types[found[1]] = found[2]
+            lines.remove(line)
+    for k, line in enumerate(lines):
+        if (found := re.match(r":ivar (\w+): ?(.*)", line)) and types.get(found[1]):
+            lines[k] = f":ivar {found[1]}: ({types[found[1]]}) {found[2]}"
+
+
 def _find(app: Sphinx, env: Any, node: Any, content: nodes.Node) -> nodes.Node | None:
-    """A reference by a short name, or by where a thing is defined rather than exported."""
+    """A reference by a short name, or by where a thing is defined rather than exported.
+
+    What exists in the package but has no place in these pages is named without a link.
+    """
     if node.get("refdomain") != "py":
         return None
     target = node["reftarget"].lstrip("~.")
     domain = env.get_domain("py")
-    last = target.split(".")[-1]
-    ends = (
-        [".".join(target.split(".")[-2:])] if node.get("reftype") in ("meth", "attr") else []
-    ) + [last]
-    for end in ends:
-        found = sorted(
-            (n for n in domain.objects if n == end or n.endswith("." + end)), key=lambda n: len(n)
-        )
+    parts = target.split(".")
+    ends = [".".join(parts[-2:])] if node.get("reftype") in ("meth", "attr") else []
+    for end in [*ends, parts[-1]]:
+        found = [n for n in domain.objects if n == end or n.endswith("." + end)]
         if found:
-            at = domain.objects[found[0]]
-            from sphinx.util.nodes import make_refnode
-
+            name = min(found, key=len)
+            at = domain.objects[name]
             return make_refnode(
-                app.builder, node.get("refdoc"), at.docname, at.node_id, content, found[0]
+                app.builder, node.get("refdoc"), at.docname, at.node_id, content, name
             )
-    return None
+    if node.get("reftype") == "mod":
+        with contextlib.suppress(ImportError):
+            importlib.import_module(target)
+            return content
+    known = [m for n, m in sys.modules.items() if n.startswith("fluxobs")]
+    return content if any(hasattr(m, parts[-1]) for m in known) else None
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
@@ -241,6 +274,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("options", Options)
     app.add_directive("api", Api)
     app.connect("autodoc-skip-member", _skip)
-    app.connect("autodoc-process-docstring", _docstring, priority=900)
+    app.connect("autodoc-process-docstring", _before, priority=100)
+    app.connect("autodoc-process-docstring", _after, priority=900)
     app.connect("missing-reference", _find)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
