@@ -2,6 +2,7 @@
 
 import os
 import sys
+import tempfile
 from importlib.metadata import version as installed
 from pathlib import Path
 
@@ -12,6 +13,18 @@ os.environ |= {"COLUMNS": "88", "NO_COLOR": "1", "TERM": "dumb", "JAX_PLATFORMS"
 # Most of the pages' time is compilation.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 os.environ["PYDEVD_DISABLE_FILE_VALIDATION"] = "1"
+
+# Compiled once, used again by the next build.
+cache = Path(__file__).parent.parent / "build" / "jax"
+os.environ |= {
+    "JAX_COMPILATION_CACHE_DIR": str(cache),
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3",
+}
+# Kernels of the notebooks start without a remark on how they are reached.
+profile = Path(tempfile.mkdtemp(prefix="fluxobs-docs-")) / "profile_default"
+profile.mkdir()
+(profile / "ipython_kernel_config.py").write_text("c = get_config()\nc.IPKernelApp.log_level = 40\n")
+os.environ["IPYTHONDIR"] = str(profile.parent)
 
 project = "fluxobs"
 author = "the fluxobs authors"

@@ -36,6 +36,7 @@ CONSTANTS = {
     "Source": "What :py:func:`fluxobs.read_log` takes.",
 }
 
+_kept: dict[str, list[str]] = {}
 _folders: dict[str, tempfile.TemporaryDirectory[str]] = {}
 
 
@@ -223,6 +224,11 @@ def _escaped(text: str) -> str:
 
 def _before(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
     """Docstrings are written for people: what only looks like markup is escaped."""
+    if what in ("property", "attribute"):
+        # A colon in its first sentence is no type: kept from napoleon.
+        _kept[name] = [_escaped(line) for line in lines]
+        lines[:] = []
+        return
     for k, line in enumerate(lines):
         lines[k] = re.sub(
             r"docs/(\w+)\.md", lambda m: f":doc:`/{m[1]}`" if m[1] in PAGES else m[0], _escaped(line)
@@ -231,14 +237,17 @@ def _before(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: li
 
 def _after(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
     """Types of attributes are words too: they stand in the text, not as something to look up."""
+    if name in _kept:
+        lines[:] = _kept.pop(name)
     types = {}
     for line in list(lines):
-        if found := re.match(r":vartype (\w+): (.*)", line):
+        if found := re.match(r":vartype ([^:]+): (.*)", line):
             types[found[1]] = found[2]
             lines.remove(line)
     for k, line in enumerate(lines):
-        if (found := re.match(r":ivar (\w+): ?(.*)", line)) and types.get(found[1]):
-            lines[k] = f":ivar {found[1]}: ({types[found[1]]}) {found[2]}"
+        if found := re.match(r":ivar ([^:]+): ?(.*)", line):
+            kind = f"({types[found[1]]}) " if types.get(found[1]) else ""
+            lines[k] = f":ivar {found[1].replace(', ', ',')}: {kind}{found[2]}"
 
 
 def _find(app: Sphinx, env: Any, node: Any, content: nodes.Node) -> nodes.Node | None:
