@@ -23,7 +23,7 @@ os.environ |= {
 # Kernels of the notebooks start without a remark on how they are reached.
 profile = Path(tempfile.mkdtemp(prefix="fluxobs-docs-")) / "profile_default"
 profile.mkdir()
-(profile / "ipython_kernel_config.py").write_text("c = get_config()\nc.IPKernelApp.log_level = 40\n")
+(profile / "ipython_kernel_config.py").write_text("get_config().IPKernelApp.log_level = 40\n")
 os.environ["IPYTHONDIR"] = str(profile.parent)
 
 project = "fluxobs"
@@ -71,4 +71,4 @@ autodoc_preserve_defaults = True
 
 # Every reference has to lead somewhere; base classes of others' packages are only named.
 nitpicky = True
-nitpick_ignore_regex = [("py:class", r"(equinox|pydantic|numpy|jax|typing)\b.*|Generic|Found|State")]
+nitpick_ignore_regex = [("py:class", r"(equinox|pydantic|numpy|jax|typing)\b.*|Generic|Found")]

@@ -117,10 +117,16 @@ class Options(Markdown):
 
         name = self.arguments[0]
         command = typer.main.get_command(app).commands[name]  # type: ignore[attr-defined]
-        words = [f"[{p.metavar or p.name.upper()}]" if not p.required else (p.metavar or "LOG")
-                 for p in command.params if p.param_type_name == "argument"]
-        required = [f"{p.opts[0]} {_value(p)}" for p in command.params
-                    if p.param_type_name == "option" and p.required]
+        words = [
+            f"[{p.metavar or p.name.upper()}]" if not p.required else (p.metavar or "LOG")
+            for p in command.params
+            if p.param_type_name == "argument"
+        ]
+        required = [
+            f"{p.opts[0]} {_value(p)}"
+            for p in command.params
+            if p.param_type_name == "option" and p.required
+        ]
         usage = " ".join(["fluxobs", name, *words, *required, "[OPTIONS]"])
         lines = ["```text", usage, "```", "", *inspect.cleandoc(command.help or "").split("\n"), ""]
         for p in command.params:
@@ -189,7 +195,7 @@ def _first_sentence(name: str, value: Any) -> str:
     if name in CONSTANTS:
         return CONSTANTS[name]
     text = " ".join(inspect.cleandoc(value.__doc__ or "").split("\n\n")[0].split())
-    return _escaped(text)
+    return _escaped(text.removesuffix("::"))
 
 
 def _body(module: str, name: str, value: Any) -> list[str]:
@@ -231,7 +237,9 @@ def _before(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: li
         return
     for k, line in enumerate(lines):
         lines[k] = re.sub(
-            r"docs/(\w+)\.md", lambda m: f":doc:`/{m[1]}`" if m[1] in PAGES else m[0], _escaped(line)
+            r"docs/(\w+)\.md",
+            lambda m: f":doc:`/{m[1]}`" if m[1] in PAGES else m[0],
+            _escaped(line),
         )
 
 

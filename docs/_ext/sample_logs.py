@@ -27,7 +27,7 @@ def _csv(path: Path, delimiter: str = ",", comma: bool = False, **columns: np.nd
 
 
 def write_samples(folder: Path) -> None:
-    """log.csv and motor.toml of the README, the same data as other drives would log it, a wrong R_s."""
+    """log.csv and motor.toml of the README, a wrong R_s, and the log in other shapes."""
     text = log_file().read_text(encoding="utf-8")
     (folder / "log.csv").write_text(text, encoding="utf-8")
     (folder / "motor.toml").write_text(MOTOR, encoding="utf-8")
@@ -67,7 +67,9 @@ def write_samples(folder: Path) -> None:
     after = np.append(np.unwrap(theta)[1:], 2 * np.unwrap(theta)[-1] - np.unwrap(theta)[-2])
     middle = (np.unwrap(theta) + after) / 2
     dq, idq = u * np.exp(-1j * middle), i * np.exp(-1j * theta)
-    _csv(folder / "dq.csv", t=t, u_d=dq.real, u_q=dq.imag, i_d=idq.real, i_q=idq.imag, theta_e=theta)
+    _csv(
+        folder / "dq.csv", t=t, u_d=dq.real, u_q=dq.imag, i_d=idq.real, i_q=idq.imag, theta_e=theta
+    )
     names = ("u_alpha", "u_beta", "i_alpha", "i_beta")
     _csv(folder / "untimed.csv", **{name: table[name] for name in names})
     gaps = {name: table[name].copy() for name in names}
