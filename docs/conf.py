@@ -39,6 +39,7 @@ extensions = [
     "from_code",
 ]
 exclude_patterns = ["_ext"]
+smartquotes = False  # --lag is an option
 templates_path: list[str] = []
 
 myst_heading_anchors = 3

@@ -104,6 +104,7 @@ class Outputs(Markdown):
         table = markdown(
             ("plain", Estimate), ("adaptive", AdaptiveEstimate), ("immersed", ImmersionEstimate)
         )
+        table = re.sub(r"docs/(\w+)\.md", r"[\1](/\1.md)", table)
         return self.parsed(table.split("\n"))
 
 
@@ -145,8 +146,9 @@ class Options(Markdown):
 
 
 def _value(p: Any) -> str:
-    """What stands for an option's value; typer keeps its type in one attribute or another."""
-    kind = getattr(p, "bare_type", None) or getattr(getattr(p, "type", None), "name", "")
+    """What stands for an option's value; where its type is depends on typer's version."""
+    kind: Any = getattr(getattr(p, "type", None), "name", "")
+    kind = getattr(getattr(p, "type_descriptor", None), "annotation", kind)
     word = str(getattr(kind, "__name__", kind)).lower()
     kinds = {"path": "PATH", "float": "NUMBER", "int": "NUMBER"}
     return str(p.metavar or next((v for k, v in kinds.items() if word.startswith(k)), "WORD"))
@@ -163,7 +165,7 @@ class Api(SphinxDirective):
 
         name, *only = self.arguments
         module = importlib.import_module(name)
-        names = only or [n for n in module.__all__]
+        names = only or sorted(module.__all__, key=lambda n: _order(getattr(module, n)))
         lines, bodies = [f".. py:currentmodule:: {name}", ""], []
         about: list[str] = []
         for one in names:
@@ -180,6 +182,15 @@ class Api(SphinxDirective):
         table = [".. list-table::", "   :widths: 30 70", "   :class: api-names", "", *about, ""]
         lines += table + bodies
         return _rst(self, lines)
+
+
+def _order(value: Any) -> int:
+    """Functions first, then classes, then errors, then the rest."""
+    if inspect.isfunction(value):
+        return 0
+    if inspect.isclass(value):
+        return 2 if issubclass(value, BaseException) else 1
+    return 3
 
 
 def _rst(directive: SphinxDirective, lines: list[str]) -> list[nodes.Node]:
