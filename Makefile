@@ -4,6 +4,7 @@
 # make pil    an exported firmware on emulated microcontrollers, its instructions counted
 # make fuzz   ten million samples of anything into the C sources, in either precision
 # make bench  the benchmarks, each with its number and the machine
+# make docs   the documentation, in build/docs
 
 PYTHON ?= python3
 VENV := .venv
@@ -12,7 +13,7 @@ READY := $(VENV)/.ready
 FIRMWARE := firmware/fluxobs.c firmware/fluxobs_candidates.c firmware/fluxobs_adaptive.c
 SOURCES := CMakeLists.txt pyproject.toml binding/core.cpp $(FIRMWARE) $(wildcard firmware/*.h)
 
-.PHONY: demo test check lint warnings misra sanitize pil fuzz bench clean
+.PHONY: demo test check lint warnings misra sanitize pil fuzz bench docs clean
 
 demo: $(READY)
 	$(BIN)/fluxobs demo --out fluxobs-demo
@@ -85,6 +86,15 @@ bench: $(READY)
 	        compare update_every adaptive; do \
 	    $(BIN)/python benchmarks/$$script.py || exit 1; \
 	done
+
+$(VENV)/.docs: $(READY) pyproject.toml
+	$(BIN)/python -m pip install --quiet --group docs
+	@touch $(VENV)/.docs
+
+# -W: a warning is an error; -n: so is a reference to nothing. -E -a: pages run the code anew.
+docs: $(VENV)/.docs
+	$(BIN)/sphinx-build -b html -W --keep-going -n -E -a -j 2 -q docs build/docs
+	@echo "Written: build/docs/index.html"
 
 clean:
 	rm -rf $(VENV) build fluxobs-demo fluxobs-paper
