@@ -1,8 +1,8 @@
 """Magnetic flux, rotor position, speed and sensor drift of electrical drives.
 
-The door: :func:`estimate`, :func:`identify`, :func:`check`, :func:`compare` and :func:`export` are
-what the command line calls; :func:`read_log`, :func:`read_machine`, :func:`example` and
-:func:`demo_log` get them their input. The observers themselves are below, for use sample by sample.
+The command line calls :func:`estimate`, :func:`identify`, :func:`check`, :func:`compare` and
+:func:`export`; :func:`read_log`, :func:`read_machine`, :func:`example` and :func:`demo_log` provide
+their input. The observers are for use sample by sample.
 """
 
 from importlib import import_module
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 __version__ = version("fluxobs")
 
-#: Loaded when they are first used: they bring what reads files, and compare brings JAX.
+#: Loaded on first use: these import the readers of files, and compare imports JAX.
 _LATER = {
     "Log": "logs",
     "Result": "estimation.result",

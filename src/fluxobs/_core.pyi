@@ -1,4 +1,4 @@
-"""The compiled observers in double precision (binding/core.cpp); checks of shapes are Python's."""
+"""The compiled observers in double precision (binding/core.cpp); Python checks the shapes."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 Bytes = NDArray[np.uint8]
 Doubles = NDArray[np.float64]
 
-#: (name, components) of what a run returns, in its order.
+#: (name, components) of each output of a run, in order.
 outputs: list[tuple[str, int]]
 adaptive_outputs: list[tuple[str, int]]
 #: Name -> meaning of every number that a step uses.

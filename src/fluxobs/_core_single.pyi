@@ -1,4 +1,4 @@
-"""The same in single precision, as a microcontroller computes."""
+"""The compiled observers in single precision, as on a microcontroller."""
 
 from ._core import Adaptive as Adaptive
 from ._core import Core as Core

@@ -1,8 +1,8 @@
-"""What fluxobs raises when input is unusable; the command line turns these into exit code 2."""
+"""Errors raised for unusable input; the command line turns them into exit code 2."""
 
 
 class FluxobsError(ValueError):
-    """Base of all errors of a user's making: each names a thing, a place and a remedy."""
+    """Base of all errors that a user can correct: the message names what, where and the remedy."""
 
 
 class MachineError(FluxobsError):
@@ -14,11 +14,11 @@ class RecordError(FluxobsError):
 
 
 class ObserverError(FluxobsError):
-    """A setting of an observer cannot work."""
+    """An observer setting cannot work."""
 
 
 class UsageError(FluxobsError, TypeError):
-    """Arguments that do not belong together, or one that is missing."""
+    """Arguments do not belong together, or one is missing."""
 
 
 class ModelError(FluxobsError):

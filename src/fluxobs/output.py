@@ -20,7 +20,7 @@ Schema = dict[str, pl.DataType | type[pl.DataType]]
 
 
 def check_place(path: Path) -> None:
-    """FluxobsError where no file can be: its folder is missing, or it is a folder itself."""
+    """Raise FluxobsError if the path is a folder, or lies in a folder that does not exist."""
     if path.is_dir():
         raise FluxobsError(f"{path}: this is a folder")
     if not path.parent.is_dir():
@@ -28,7 +28,7 @@ def check_place(path: Path) -> None:
 
 
 def make_folder(path: str | Path) -> Path:
-    """The folder, made if it is missing; FluxobsError where it cannot be."""
+    """Make the folder if it is missing; FluxobsError if that fails."""
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -38,7 +38,7 @@ def make_folder(path: str | Path) -> Path:
 
 
 def check_out(out: str | Path, log: Path) -> Path:
-    """The path, if it can be written and is not the log itself; else FluxobsError."""
+    """Return the path if it can be written and is not the log itself; else raise FluxobsError."""
     out = Path(out)
     if out.suffix not in (".parquet", ".csv"):
         raise FluxobsError(f"{out}: --out must end in .parquet or .csv")
@@ -49,7 +49,7 @@ def check_out(out: str | Path, log: Path) -> Path:
 
 
 def write_text(out: Path, text: str) -> None:
-    """A text file: complete or not at all; FluxobsError if it cannot be written."""
+    """Write a text file, complete or not at all; FluxobsError if it cannot be written."""
     part_file = out.with_name(f".{out.name}.part")
     try:
         part_file.write_text(text, encoding="utf-8")
@@ -61,12 +61,12 @@ def write_text(out: Path, text: str) -> None:
 
 
 def write_rows(out: Path, schema: Schema, frames: Iterator[pl.DataFrame]) -> None:
-    """Streams frames into .parquet or .csv; `out` appears only when all are written.
+    """Stream frames into .parquet or .csv; `out` appears only when all are written.
 
     Raises
     ------
     FluxobsError
-        What making a frame raised, or that the file cannot be written.
+        Making a frame raised it, or the file cannot be written.
     """
     failure: FluxobsError | None = None
     stop = threading.Event()
@@ -78,7 +78,7 @@ def write_rows(out: Path, schema: Schema, frames: Iterator[pl.DataFrame]) -> Non
                 yield frame
                 if stop.is_set():
                     return
-        except FluxobsError as problem:  # Polars would wrap it: kept aside, raised below
+        except FluxobsError as problem:  # Polars would wrap it: raised below
             failure = problem
 
     try:
@@ -102,7 +102,7 @@ def write_rows(out: Path, schema: Schema, frames: Iterator[pl.DataFrame]) -> Non
 
 
 def _sink(lazy: pl.LazyFrame, path: Path, suffix: str, stop: threading.Event) -> None:
-    """Writes in another thread, so that an interrupt reaches this one and ends the writing."""
+    """Write in another thread, so that an interrupt reaches this one and ends the writing."""
     with ThreadPoolExecutor(max_workers=1) as writer:
         if suffix == ".csv":
             job = writer.submit(lazy.sink_csv, path)
@@ -122,7 +122,7 @@ def _sink(lazy: pl.LazyFrame, path: Path, suffix: str, stop: threading.Event) ->
 
 
 def ahead(parts: Iterator[Part]) -> Iterator[Part]:
-    """The same parts; the next one is read while the present one is worked on."""
+    """Yield the same parts, and read the next one while the caller works on the current one."""
     with ThreadPoolExecutor(max_workers=1) as reader:
         coming = reader.submit(next, parts, None)
         while (part := coming.result()) is not None:

@@ -1,4 +1,4 @@
-"""What all pictures share: colours, style, files. Matplotlib is loaded only when one is drawn."""
+"""Colours, style and files of all pictures. Matplotlib is loaded only when one is drawn."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ STYLE: Any = {
 
 
 def new_figure(**options: Any) -> Figure:
-    """A figure that belongs to no window: the caller shows or saves it."""
+    """A figure without a window: the caller shows or saves it."""
     from matplotlib.figure import Figure
 
     return Figure(layout="constrained", **options)
 
 
 def write(figure: Figure, path: Path) -> None:
-    """Saves a figure: complete or not at all, the same bytes on every run."""
+    """Save a figure, complete or not at all, with the same bytes on every run."""
     import matplotlib as mpl
 
     temporary = path.with_name(f".{path.name}.part{path.suffix}")
@@ -53,12 +53,12 @@ def write(figure: Figure, path: Path) -> None:
 
 
 def check_path(path: Path) -> None:
-    """Refuses early what could not be written at the end."""
+    """Refuse a path early that could not be written at the end."""
     if path.suffix.lower() not in FORMATS:
         raise FluxobsError(f"{path}: --report must end in {', '.join(FORMATS)}")
     check_place(path)
 
 
 def legend(axes: Axes, **options: Any) -> None:
-    """Above the axes at the right, where no data can be."""
+    """Place the legend above the axes at the right, where it covers no data."""
     axes.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, ncols=2, **options)

@@ -1,4 +1,4 @@
-"""Checks of what users give, in words that name the field, what was given and what would do."""
+"""Checks of user input: messages name the field, what was given and what would do."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 def number(name: str, value: object, unit: str) -> float:
-    """The value as a number; UsageError where it is none."""
+    """Return the value as a float; UsageError if it is not a number."""
     if isinstance(value, bool) or not isinstance(value, Real):
         raise UsageError(f"{name} must be a number [{unit}], got {value!r}")
     return float(value)
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Hint at the known name that is meant, or at all of them."""
+    """Suggest the known name that is probably meant, or list all of them."""
     known = list(known)
     close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
     return f"; did you mean {close[0]!r}?" if close else f"; known: {', '.join(known)}"
 
 
 def complaints(error: ValidationError, fields: Iterable[str], what: str) -> str:
-    """One sentence part a problem. `what` needs the fields, "kind surface-pmsm" say."""
+    """One clause per problem. `what` needs the fields: "kind surface-pmsm", for example."""
     fields = list(fields)
     out = []
     for problem in error.errors():

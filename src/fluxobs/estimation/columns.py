@@ -1,4 +1,4 @@
-"""What an observer returned for some rows of a log, as the columns that are written."""
+"""Turns what an observer returned for some rows of a log into the columns that are written."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from .prepare import AnyObserver
 
 Array = NDArray[np.float64]
 
-#: Standard deviation of a position beyond which it is not valid, where it is read out of the
-#: immersed observer's flux: 3°, or this share of the gap, as in the compiled observer (STD_LIMIT).
+#: A position from the immersed observer's flux is not valid if its standard deviation is larger:
+#: 3°, or this share of the gap, as in the compiled observer (STD_LIMIT).
 POSITION_STD = 0.05
 
 
@@ -31,9 +31,9 @@ class Rows:
         As written: name → values.
     valid : (rows,) ndarray of bool
     error : (rows,) ndarray, optional
-        Position error, where there is a truth.
+        Position error, if there is a truth.
     innovation : (rows,) ndarray, optional
-        Of the compiled observers.
+        Only from the compiled observers.
     more : dict
         For pictures and summary, but not written: truth, adapting.
     """
@@ -46,7 +46,7 @@ class Rows:
 
 
 def rows_of(log: Log, machine: Machine, observer: AnyObserver, part: Aligned, found: Any) -> Rows:
-    """Columns of what `observer` returned for `part` of a log."""
+    """Make columns of what `observer` returned for `part` of a log."""
     more: dict[str, Array] = {}
     if isinstance(found, Estimate):
         columns, valid = _compiled(machine, part, found)

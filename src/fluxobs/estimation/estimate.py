@@ -35,8 +35,8 @@ def estimate(
 ) -> Result:
     """Estimate flux, position, speed and drift of a recorded log, with standard deviations.
 
-    Streams: with `out`, neither log nor estimates need fit into memory; the numbers do not depend
-    on how the rows are cut. `out` appears only when it is complete.
+    With `out` rows are streamed: neither log nor estimates need to fit into memory. The numbers do
+    not depend on the size of the batches. `out` appears only when it is complete.
 
     Parameters
     ----------
@@ -46,15 +46,15 @@ def estimate(
     out : path, optional
         Ends in .parquet or .csv. Without it the estimates stay in memory.
     unknowns : str or sequence of {"drift", "resistance", "inverter", "current-bias"}
-        What is constant, or slow, and not known. With resistance or inverter the adaptive observer
-        runs; with current-bias the readable one, 0.25 ms a row.
+        Constant or slow unknowns. With resistance or inverter the adaptive observer runs; with
+        current-bias the readable one, 0.25 ms per row.
     memory : float, optional
-        Of the least squares [s]; default that of the kind of machine.
+        Memory of the least squares [s]; default: that of the kind of machine.
     priors : mapping of {"resistance", "inverter", "psi_f"} to float, optional
-        Standard deviations of what the machine file says [Ω], [V], [Wb], where the defaults of
+        Standard deviations of the machine file's values [Ω], [V], [Wb], if the defaults of
         :meth:`AdaptiveObserver.for_machine` do not fit.
     progress : callable, optional
-        Called with the number of rows done and of all rows.
+        Called with the number of rows done and the number of all rows.
     layout : optional
         record, frame, sample_time, lag, udc, columns, scale, offset, truth, start, stop: as for
         :func:`fluxobs.read_log`.
@@ -68,8 +68,8 @@ def estimate(
     Raises
     ------
     FluxobsError
-        Unusable input, unknowns that cannot be told apart, or an `out` that cannot be written: says
-        what, where, and the remedy.
+        The input is unusable, the unknowns cannot be told apart, or `out` cannot be written; the
+        message says what, where, and the remedy.
 
     Examples
     --------

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 GREY_WORDS = "        grey: position not valid"
-#: Title and unit of what the adaptive observer finds.
+#: Title and unit of each parameter that the adaptive observer finds.
 PARAMETERS = {
     "resistance": ("Resistance", "Ω"),
     "inverter_voltage": ("Inverter", "V"),
@@ -27,7 +27,7 @@ PARAMETERS = {
 
 
 def figure(result: Run) -> Figure:
-    """The picture; for an immersed observer its own panels."""
+    """Draw the picture; the immersed observer has its own panels."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
@@ -72,7 +72,7 @@ def _compiled(result: Run) -> Figure:
 
 
 def _learnt(result: Run) -> dict[str, float]:
-    """Columns of what the adaptive observer finds → what was believed."""
+    """Column → assumed value, for each parameter that the adaptive observer finds."""
     adaptive = result.adaptive
     if adaptive is None:
         return {}
@@ -85,7 +85,7 @@ def _learnt(result: Run) -> dict[str, float]:
 
 
 def _layout(learnt: dict[str, float]) -> Any:
-    """Six columns, so that one, two or three panels share a row."""
+    """Six columns, so that one, two or three panels can share a row."""
     rows = [
         ["locus"] * 2 + ["position"] * 4,
         ["locus"] * 2 + ["error"] * 4,
@@ -154,7 +154,7 @@ def _position(axes: Axes, detail: dict[str, Array]) -> None:
 
 
 def _few_periods(detail: dict[str, Array], periods: float = 8.0) -> dict[str, Array]:
-    """From some way before the first valid row until it has turned a few times."""
+    """Rows from shortly before the first valid one until the rotor has turned a few times."""
     at = int(np.argmax(detail["valid"] > 0))
     turned = np.abs(np.unwrap(detail["theta_e"][at:]) - detail["theta_e"][at])
     far = turned > periods * 2 * np.pi
@@ -203,7 +203,7 @@ def _drift(axes: Axes, whole: dict[str, Array]) -> None:
 
 
 def _parameter(axes: Axes, name: str, whole: dict[str, Array], believed: float) -> None:
-    """What was found, with its ±2σ band, and what the machine file says."""
+    """Plot the value found, with its ±2σ band, and the machine file's value."""
     title, unit = PARAMETERS[name]
     value, std = whole[name].copy(), whole[f"{name}_std"]
     before = whole["adapting"] == 0  # psi_f is then the length of λ - L i
@@ -267,7 +267,7 @@ def _immersed(result: Run) -> Figure:
 def _pair(
     axes: Axes, whole: dict[str, Array], name: str, ports: tuple[str, str], factor: float = 1.0
 ) -> None:
-    """Both components of a vector, with their bands where there are any."""
+    """Plot both components of a vector, with their bands if there are any."""
     for port, colour in zip(ports, (BLUE, ORANGE), strict=True):
         column = f"{name}_{port}"
         value = factor * _where_valid(whole, column)

@@ -21,17 +21,17 @@ from ..observers.immersed import describe_invisible
 from ..observers.plain import MODEL_ERROR
 from ..observers.unknowns import adapts, check_adapted
 
-#: A drift as from an offset of this share of the voltage is ordinary: usual converters have 0.2 to
-#: 2 % of their range, and drives run at a fraction of it (benchmarks/measured.py).
+#: A drift caused by an offset of this share of the voltage is ordinary: usual converters are off by
+#: 0.2 to 2 % of their range, and drives use a fraction of it (benchmarks/measured.py).
 VOLTAGE_OFFSET = 0.01
 #: A current bias of this share of the rated current is ordinary, for the same reason.
 CURRENT_OFFSET = 0.02
 #: No sensor is better than this share of the rated current: half a step of a 12-bit converter.
 LEAST_NOISE = 1e-4
-#: Magnet fluxes that are tried where none is given, over L times the rated current: two octaves
-#: apart, since an estimate does not depend on its scale within a factor of two.
+#: Magnet fluxes to try if none is given, over L times the rated current: two octaves apart, since
+#: an estimate does not depend on a scale that is right within a factor of two.
 GUESSES = (0.5, 2.0, 8.0, 32.0)
-#: Rows of a batch of the immersed observer, half a second of work, so that progress shows.
+#: Rows per batch of the immersed observer: half a second of work, so that progress shows.
 IMMERSED_BATCH = 2000
 
 AnyObserver = LeastSquaresObserver | AdaptiveObserver | ImmersionObserver
@@ -44,12 +44,12 @@ class Prepared:
     Attributes
     ----------
     log : Log
-        Less the inverter's error where the observer does not know of it.
+        Less the inverter's error if the observer does not model it.
     machine : Machine
     observer : AnyObserver
     scales : Scales
     batch : int
-        Rows that are run at once.
+        Rows processed at once.
     """
 
     log: Log
@@ -60,7 +60,7 @@ class Prepared:
 
 
 def open_for(source: Any, machine: Machine, **layout: Any) -> Log:
-    """A log for a machine: its frame where none is given, and a truth that it has.
+    """Open a log for a machine: with its frame by default, and a truth channel that it has.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def prepare(
     memory: float | None,
     priors: Mapping[str, float],
 ) -> Prepared:
-    """Chooses the observer for these unknowns, and everything in it.
+    """Choose the observer for these unknowns, and all its settings.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def plain_for(
 def plain_observer(
     log: Log, machine: RotatingMachine, scales: Scales, memory: float, psi_f: float | None = None
 ) -> LeastSquaresObserver:
-    """Plain observer for a log: what the machine does not tell comes from `scales`."""
+    """Plain observer for a log; `scales` supplies what the machine does not."""
     rated = machine.rated_current or scales.current
     chosen = LeastSquaresObserver.for_machine(
         machine,
@@ -154,7 +154,7 @@ def guess_psi_f(log: Log, machine: RotatingMachine, scales: Scales, memory: floa
 
 
 def _memory(log: Log, machine: Machine, memory: float | None) -> float:
-    """The memory, where it is ten rows at least."""
+    """The memory, if it spans at least ten rows."""
     least = 10 * log.sample_time
     if memory is not None and not memory >= least:
         raise ObserverError(f"memory {memory:g} s is too short: at least ten samples, {least:g} s")
@@ -162,8 +162,8 @@ def _memory(log: Log, machine: Machine, memory: float | None) -> float:
     if chosen < least:
         raise RecordError(
             f"{log.path}: a row every {log.sample_time:.6g} s is too slow for a memory of "
-            f"{chosen:g} s, which takes ten rows at least. Give a longer memory; or is t in ms? "
-            f"--scale t=1e-3"
+            f"{chosen:g} s, which needs at least ten rows. Give a longer memory; or is t in ms? "
+            f"Then give --scale t=1e-3"
         )
     return chosen
 
@@ -211,7 +211,9 @@ def _immersed_for(
     rated = machine.rated_current or scales.current
     base = machine.flux_base(rated)
     if base is None:
-        raise MachineError(f"psi_f is missing in the machine ({machine.kind}); a rough value does")
+        raise MachineError(
+            f"psi_f is missing in the machine ({machine.kind}); a rough value will do"
+        )
     noise = max(scales.current_noise, LEAST_NOISE * rated)
     drift = VOLTAGE_OFFSET * scales.voltage * np.abs(machine.B).max()
     size = np.abs(machine.constraint.Q1).max() * base**2
@@ -236,7 +238,7 @@ def _immersed_for(
 
 
 def _check_told_apart(machine: Machine, unknowns: Sequence[Unknown]) -> None:
-    """FluxobsError where the machine's relation cannot tell these apart, naming what is hidden."""
+    """Raise FluxobsError, naming what is hidden, if the relation cannot tell these apart."""
     immersion = Immersion((machine.constraint,), tuple(unknowns), machine.R)
     invisible = immersion.invisible()
     if invisible.shape[1] == 0:
@@ -244,7 +246,7 @@ def _check_told_apart(machine: Machine, unknowns: Sequence[Unknown]) -> None:
     advice = "Run with --unknowns drift"
     if isinstance(machine, RotatingMachine):
         advice += (
-            ": the flux returned is then off by L times the current bias, while λ - L i, hence "
+            ": the flux returned is then off by L times the current bias, but λ - L i, hence "
             "position and speed, is free of it"
         )
     raise FluxobsError(

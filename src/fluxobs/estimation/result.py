@@ -1,4 +1,4 @@
-"""What an estimation returns: the estimates, and everything that was seen on the way."""
+"""What an estimation returns: the estimates, and everything found on the way."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Result(Run):
 
     @property
     def estimates(self) -> pl.DataFrame:
-        """A row a sample, a column an output, in SI units; read from `path` if it is there."""
+        """One row per sample, one column per output, in SI; read from `path` if written there."""
         if self.table is not None:
             return self.table
         assert self.path is not None
@@ -67,12 +67,12 @@ class Result(Run):
 
     @cached_property
     def warnings(self) -> list[str]:
-        """What should make a reader wary, a sentence or two each."""
+        """What should make a reader wary, one or two sentences each."""
         return warnings(self)
 
     @property
     def firmware(self) -> str | None:
-        """How the same observer gets into firmware; None where it cannot."""
+        """What keeps the same observer out of firmware; None if nothing does, or it has no C."""
         plain = self.plain
         if plain is None:
             return None
@@ -83,10 +83,10 @@ class Result(Run):
         if not machine.rated_current:
             lacking.append(f"rated_current ({self.scales.current:.3g} here)")
         if lacking:
-            return f"For an export as firmware the machine file needs {' and '.join(lacking)}."
+            return f"To be exported as firmware, the machine file needs {' and '.join(lacking)}."
         if machine.inverter is not None and self.adaptive is None:
             return (
-                "In firmware the observer for the drift leaves the inverter to the drive: "
+                "In firmware, the observer for the drift alone leaves the inverter to the drive: "
                 "compensate it there, or export with --unknowns drift,inverter."
             )
         return None
@@ -112,12 +112,12 @@ class Result(Run):
         return figure(self)
 
     def write(self, path: str | Path) -> None:
-        """Estimates to .parquet or .csv, or the picture to .png, .pdf or .svg.
+        """Write the estimates to .parquet or .csv, or the picture to .png, .pdf or .svg.
 
         Raises
         ------
         FluxobsError
-            Another ending, or the file cannot be written.
+            The path has another ending, or the file cannot be written.
         """
         from ..plots import FORMATS, write
 

@@ -1,4 +1,4 @@
-"""What a run was and what it saw: all that its summary, its warnings and its picture need."""
+"""A run and its results: all that its summary, its warnings and its picture need."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class Run:
     Attributes
     ----------
     log : Log
-        As it was read; less the inverter's error where the observer does not know of it.
+        As read; less the inverter's error if the observer does not model it.
     machine : Machine
     observer : LeastSquaresObserver, AdaptiveObserver or ImmersionObserver
-        That ran, with all its settings.
+        The observer that ran, with all its settings.
     scales : Scales
         Sizes of the log's signals.
     unknowns : tuple of str
@@ -45,12 +45,12 @@ class Run:
 
     @property
     def rotor(self) -> RotatingMachine:
-        """The machine, where it turns: a compiled observer ran."""
+        """The machine, if it is a rotating one; it is if a compiled observer ran."""
         return rotating(self.machine, "this part of a result")
 
     @property
     def plain(self) -> LeastSquaresObserver | None:
-        """The plain observer: the one that ran, or the one in the adaptive one."""
+        """The plain observer: the one that ran, or the one inside the adaptive observer."""
         if isinstance(self.observer, AdaptiveObserver):
             return self.observer.plain
         return self.observer if isinstance(self.observer, LeastSquaresObserver) else None

@@ -1,4 +1,4 @@
-"""What is remembered of a run for its summary and picture: bounded, however long the log."""
+"""What a run keeps for its summary and picture; its size is bounded, however long the log."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .columns import Rows
 
 Array = NDArray[np.float64]
 
-#: Rows of the thinned-out whole, and of the piece shown in full around the first valid row: as many
+#: Rows of the thinned-out log, and of the piece around the first valid row shown in full: as many
 #: as a picture can show, and a few megabytes.
 THIN_ROWS, DETAIL_ROWS = 4000, 3000
 
@@ -44,26 +44,26 @@ class Statistics:
     first_valid_row: int | None = None
     sums: dict[str, float] = field(default_factory=dict)  # of every column, over the valid rows
     settled: int = 0  # rows since the first valid one
-    innovation: float = 0.0  # sum of squares over these
+    innovation: float = 0.0  # sum of squares over those
     scored: int = 0
     error: float = 0.0
     error_squared: float = 0.0
     error_max: float = 0.0
-    found: dict[str, float] = field(default_factory=dict)  # every column, of the last adapting row
+    found: dict[str, float] = field(default_factory=dict)  # every column of the last adapting row
     thin: Series = field(default_factory=Series)
     detail: Series = field(default_factory=Series)
 
     def mean(self, name: str) -> float:
-        """Of a column over the valid rows, of which there is one at least."""
+        """Mean of a column over the valid rows; there must be at least one."""
         return self.sums[name] / self.valid
 
     @property
     def rms_error(self) -> float:
-        """Of the position, over the scored rows."""
+        """Rms error of the position over the scored rows."""
         return float(np.sqrt(self.error_squared / self.scored))
 
     def add(self, rows: Rows) -> None:
-        """Takes the next rows in."""
+        """Take in the next rows."""
         t, valid = rows.columns["t"], rows.valid
         count = len(t)
         if self.rows == 0:
@@ -91,7 +91,7 @@ class Statistics:
         self.rows += count
 
     def _add_settled(self, rows: Rows, first: int, count: int) -> None:
-        """From the first valid row on all rows: one is not valid because of its residual."""
+        """Add all rows from the first valid one on: a residual can itself make a row invalid."""
         since = max(0, first - self.rows)
         self.settled += count - since
         if rows.innovation is not None:

@@ -9,10 +9,10 @@ from ..machines import RotatingMachine
 from ..observers import ImmersionObserver
 from .run import Run
 
-#: A standard deviation that is left at this share of its prior: nothing was learnt of it. At a half
-#: three quarters of the information in the estimate are the record's.
+#: Nothing was learnt about a parameter whose standard deviation stays above this share of its
+#: prior. At a half, three quarters of the estimate's information come from the record.
 UNSEEN = 0.5
-#: The same for a current bias, which disturbs the flux where it is not seen.
+#: The same for a current bias, which disturbs the flux if it is not seen.
 UNSEEN_BIAS = 0.25
 
 
@@ -73,7 +73,7 @@ def _drift(result: Run) -> str:
 
 
 def bias_is_seen(result: Run) -> bool:
-    """Whether the record told the current bias, where that is an unknown."""
+    """Whether the record revealed the current bias, if that is an unknown."""
     observer = result.observer
     if not isinstance(observer, ImmersionObserver):
         return False
@@ -106,7 +106,7 @@ def _flux(result: Run) -> list[str]:
 
 
 def _parameters(result: Run) -> list[str]:
-    """What the adaptive observer holds at the end, each with what was believed of it."""
+    """The adaptive observer's parameters at the end, each with the value assumed at the start."""
     adaptive, found = result.adaptive, result.statistics.found
     if adaptive is None:
         return []

@@ -1,4 +1,4 @@
-"""What would explain best that the constraint's residual is too large."""
+"""The likeliest cause of a constraint residual that is too large."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from .prepare import plain_observer
 
 Array = NDArray[np.float64]
 
-#: A residual below this share of the flux squared is no cause for doubt: right machines measured
-#: with right settings reach 0.3 to 0.8 % (benchmarks/measured.py).
+#: A residual below this share of the flux squared is no cause for doubt: measured logs with correct
+#: machine data and settings reach 0.3 to 0.8 % (benchmarks/measured.py).
 RESIDUAL_LIMIT = 0.01
-#: A suspect must bring the residual down to this share of itself; by chance the best of some twenty
-#: trials gets to 0.85.
+#: A suspect must reduce the residual to this share; by chance, the best of some twenty trials
+#: reaches 0.85.
 IMPROVEMENT = 0.75
-#: Parameters are tried at so many times what the machine file says, an inverter's voltage at these
-#: shares of the log's voltage: a guide to the cause, not a measurement.
+#: Parameters are tried at these multiples of the machine file's values, the inverter's voltage at
+#: these shares of the log's voltage: a guide to the cause, not a measurement.
 FACTORS = (0.5, 0.75, 1.33, 2.0)
 SHARES = (0.01, 0.02, 0.05, 0.1, 0.2)
-#: Trials run with a long memory: a short one follows, and so hides, what is wrong.
+#: Trials run with a long memory: a short one follows the error, and so hides it.
 MEMORY, ROWS = 0.2, 20_000
 
 
 @dataclass(frozen=True)
 class Suspect:
-    """What fits better than what was given."""
+    """A change that fits better than what was given."""
 
     name: str
     advice: str
@@ -54,7 +54,7 @@ def lively(log: Log, rows: int = ROWS) -> Aligned:
 def _trials(
     machine: RotatingMachine, scales: Scales, u: Array, i: Array, lag: float
 ) -> Iterator[tuple[str, str, RotatingMachine, Array, Array]]:
-    """Name, advice, and machine, voltage and current with one thing changed."""
+    """Yield name, advice, and machine, voltage and current with one thing changed."""
     what = " and ".join(machine.inductance_names)
     for factor in FACTORS:
         changed = machine.scaled(["R_s"], factor)
@@ -66,7 +66,7 @@ def _trials(
         drop = share * scales.voltage
         yield (
             "the inverter",
-            f"dead time and device drops of about {drop:.2g} V a phase fit better than none",
+            f"dead time and device drops of about {drop:.2g} V per phase fit better than none",
             machine,
             u - drop * direction,
             i,
@@ -76,15 +76,15 @@ def _trials(
     yield "the lag", f"--lag {lag - 1:g} fits better than {lag:g}", machine, np.r_[gap, u[:-1]], i
     yield "the sign of the current", "the opposite sign fits better", machine, u, -i
     mirrored = i * np.array([1, -1])
-    yield "the phase order", "two phases of the current exchanged fit better", machine, u, mirrored
+    yield "the phase order", "exchanging two current phases fits better", machine, u, mirrored
 
 
 def largest_suspect(
     log: Log, machine: RotatingMachine, scales: Scales, psi_f: float | None
 ) -> Suspect | None:
-    """Tries the usual errors on a piece of the log; the one that explains most, if one does.
+    """Try the usual errors on a piece of the log; return the one that explains most, if any does.
 
-    `psi_f` is a scale for machines whose file has none.
+    `psi_f` is a scale for machines whose file does not give it.
     """
     part = lively(log)
     duration = len(part.t) * log.sample_time

@@ -9,30 +9,30 @@ from .run import Run
 from .summary import bias_is_seen, si
 from .suspects import RESIDUAL_LIMIT, largest_suspect
 
-#: Samples an electrical period below which a warning is due: the cubic through four currents then
-#: misses a percent of the resistive drop (benchmarks/accuracy.py).
+#: Warn below this many samples per electrical period: the cubic through four currents then misses a
+#: percent of the resistive drop (benchmarks/accuracy.py).
 SAMPLES_PER_PERIOD = 8
-#: Ratio of found to given magnet flux outside which the given one looks wrong: beyond what heat and
-#: tolerances do, within √2 and √3 of the usual mistakes.
+#: The given magnet flux looks wrong if the ratio of found to given is outside this range: heat and
+#: tolerances stay inside, the usual mistakes of √2 and √3 do not.
 PSI_RANGE = (0.75, 1.33)
-#: Share of valid rows below which, in a log that moves, something does not fit.
+#: If the machine moves and fewer than this share of the rows are valid, something does not fit.
 VALID_SHARE = 0.5
-#: Memories that a log must last for its summary to mean anything: after three e⁻³ = 5 % of the
-#: start is left; where resistance or inverter are unknown, three pass before a valid position.
+#: A summary means something only if the log lasts this many memories: after three, e⁻³ = 5 % of the
+#: start is left. With unknown resistance or inverter, three pass before a position is valid.
 MEMORIES, MEMORIES_ADAPTIVE = 3, 5
-#: Rms position error [rad] beyond which the truth itself is in doubt: no valid estimate is so far
+#: Rms position error [rad] beyond which the truth itself is in doubt: no valid estimate is that far
 #: off.
 TRUTH_LIMIT = 0.5
-#: Share of the valid rows below which a truth that is missing is worth a word.
+#: Mention a missing truth if fewer than this share of the valid rows have one.
 TRUTH_SHARE = 0.99
-#: A parameter this many standard deviations of its prior off went as far as it was let, which is
+#: A parameter off by this many standard deviations of its prior has reached its limit, which is
 #: three, less rounding.
 FAR = 2.8
-#: A voltage below so many resistive drops: at standstill, or nearly.
+#: A voltage below this many resistive drops means standstill, or nearly.
 STANDING = 2.0
-#: So many times what noise explains of the residual are no cause for doubt.
+#: A residual below this many times what noise explains is no cause for doubt.
 NOISE_FACTOR = 3.0
-#: What finds a suspect.
+#: How to find the value of a suspect.
 REMEDY = dict.fromkeys(
     ("R_s", "the inverter"),
     " Find it with --unknowns drift,resistance,inverter, or with `fluxobs identify`.",
@@ -40,7 +40,7 @@ REMEDY = dict.fromkeys(
 
 
 def warnings(result: Run) -> list[str]:
-    """The warnings of a run, in the order of their weight."""
+    """The warnings of a run, the most important first."""
     if result.plain is None:
         return [*_samples(result), *_jumps(result), *_immersed_validity(result), *_bias(result)]
     duration = result.statistics.rows * result.log.sample_time
@@ -70,7 +70,7 @@ def _samples(result: Run) -> list[str]:
             (counts.bad_currents, "without a current (bridged)"),
             (counts.bad_voltages, "without a voltage (bridged)"),
             (counts.absurd, "with an impossible value"),
-            (counts.outliers, "that contradict the others (passed over)"),
+            (counts.outliers, "that contradict the others (ignored)"),
         )
         if number
     ]
@@ -86,13 +86,13 @@ def _truth(result: Run) -> list[str]:
         return []
     if statistics.scored < TRUTH_SHARE * statistics.valid:
         out.append(
-            f"The true angle is known on {statistics.scored} of {statistics.valid} valid rows only."
+            f"The true angle is known on only {statistics.scored} of {statistics.valid} valid rows."
         )
     if statistics.scored and statistics.rms_error > TRUTH_LIMIT:
         out.append(
-            "The true angle is far off: is it in radians (--scale theta_mech=0.0174533 "
-            "for degrees), electrical or mechanical, n_p right, counted in the direction of a-b-c, "
-            "zero where d lies along α?"
+            "The true angle is far off. Is it in radians (--scale theta_mech=0.0174533 for "
+            "degrees)? Is it electrical or mechanical, and n_p right? Does it increase in the "
+            "direction a-b-c, and is it zero where d lies along α?"
         )
     return out
 
@@ -120,13 +120,13 @@ def _validity(result: Run) -> list[str]:
         return []
     still = result.scales.voltage < STANDING * machine.R_s * result.scales.current
     reason = (
-        "the voltage is hardly more than the resistive drop: at standstill, or nearly, the flux "
-        "cannot be seen"
+        "the voltage is hardly more than the resistive drop; at or near standstill the flux "
+        "cannot be observed"
         if still
         else "check R_s and the inductances, the voltage columns and their scale, --frame and --lag"
     )
     share = statistics.valid / statistics.rows
-    return [f"The position is valid on {share:.1%} of the rows only: {reason}."]
+    return [f"The position is valid on only {share:.1%} of the rows: {reason}."]
 
 
 def _magnet_flux(result: Run) -> list[str]:
@@ -143,7 +143,7 @@ def _magnet_flux(result: Run) -> list[str]:
 
 
 def _far(result: Run) -> list[str]:
-    """A parameter that went as far as it was let."""
+    """A parameter that went to the limit of its prior."""
     adaptive, found = result.adaptive, result.statistics.found
     if adaptive is None or not found:
         return []
@@ -165,7 +165,7 @@ def _far(result: Run) -> list[str]:
 
 def _residual(result: Run, plain: LeastSquaresObserver) -> list[str]:
     statistics, machine = result.statistics, result.rotor
-    # Without magnets λ - L i says little of the flux.
+    # Without magnets λ - L i says little about the flux.
     flux = statistics.mean("psi_f") if statistics.valid and machine.magnets else plain.flux_base
     residual = np.inf
     if statistics.valid:
@@ -180,8 +180,8 @@ def _residual(result: Run, plain: LeastSquaresObserver) -> list[str]:
         if np.isinf(residual):
             return []
         return [
-            f"The residual of the machine's constraint is more than noise explains{size}; no "
-            f"single error that is tried by default accounts for it."
+            f"The residual of the machine's constraint is more than noise explains{size}; none of "
+            f"the errors tried by default accounts for it on its own."
         ]
     return [
         f"The residual of the machine's constraint is more than noise explains{size}. Largest "
@@ -195,8 +195,8 @@ def _jumps(result: Run) -> list[str]:
     if not restarts:
         return []
     return [
-        f"Started anew {restarts} ×: samples contradicted all before. Something that should be "
-        f"constant has jumped, or the assumed noise is too small."
+        f"Started anew {restarts} ×: samples contradicted all earlier ones. Something that should "
+        f"be constant has jumped, or the assumed noise is too small."
     ]
 
 
@@ -204,19 +204,19 @@ def _immersed_validity(result: Run) -> list[str]:
     statistics = result.statistics
     if not statistics.valid:
         return [
-            "The flux was never known: too little excitation for the noise, or machine data, "
-            "column scale or --lag are wrong."
+            "The flux was never known: there is too little excitation for the noise, or machine "
+            "data, column scale or --lag are wrong."
         ]
     if statistics.valid >= VALID_SHARE * statistics.rows:
         return []
     advice = (
-        "--unknowns drift asks for less."
+        "--unknowns drift needs less."
         if "current-bias" in result.unknowns
         else "A longer --memory may see weaker excitation."
     )
     return [
-        f"The flux is known on {statistics.valid / statistics.rows:.1%} of the rows only: little "
-        f"excitation for the noise. {advice}"
+        f"The flux is known on only {statistics.valid / statistics.rows:.1%} of the rows: there is "
+        f"little excitation for the noise. {advice}"
     ]
 
 
@@ -224,6 +224,6 @@ def _bias(result: Run) -> list[str]:
     if "current-bias" not in result.unknowns or not result.statistics.valid or bias_is_seen(result):
         return []
     return [
-        "The current bias was hardly seen by this log, and what is taken for it disturbs "
-        "the rest: --unknowns drift ignores it, which costs little."
+        "This log hardly shows the current bias, and its wrong estimate disturbs the rest: "
+        "--unknowns drift ignores it, which costs little."
     ]

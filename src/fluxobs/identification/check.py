@@ -1,8 +1,8 @@
-"""Is a log what its user thinks? The usual mistakes, against what the machine's relation says.
+"""Is a log what its user thinks? Tests the usual mistakes by the machine's relation.
 
 Sign, phase order and lag change how well the relation holds. A scale does not: with voltages u/s
-and currents i/c in place of u and i the same relation holds with R c/s and ψ_f/s. Scales are read
-from the resistance and the magnet flux that fit, against those of the machine file.
+and currents i/c in place of u and i, the same relation holds with R c/s and ψ_f/s. A wrong scale
+shows when the resistance and the magnet flux that fit are compared with those of the machine file.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ from .fit import Fit, fit
 from .identify import ALIKE_LIMIT, read_free, starting_values
 from .pieces import LAGS, cut, smoothing_current, typical_length
 
-#: Rows that are looked at.
+#: Rows that are examined.
 ROWS = 20_000
 #: A residual within this factor of the least one fits as well.
 AS_GOOD = 1.5
-#: One above this share of the flux fits nothing.
+#: A residual above this share of the flux does not fit at all.
 BAD = 0.25
-#: Arrangements that are tried with other lags.
+#: Arrangements within this factor of the least residual are tried with other lags.
 NEAR = 3.0
-#: How well a machine file usually knows a cold resistance and a magnet flux (std of the logarithm).
+#: Usual errors of a machine file's cold resistance and magnet flux (std of the logarithm).
 SPREAD_R, SPREAD_PSI = 0.15, 0.08
-#: Explanations whose squared distances differ by less than this are not told apart; one beyond
-#: FAR² is none.
+#: Explanations whose squared distances differ by less than TOLD are not told apart; one beyond
+#: FAR² explains nothing.
 TOLD, FAR = 4.0, 3.0
 
 
 class Hypothesis(NamedTuple):
-    """A mistake of scale: what R and ψ then come out at, over those of the machine file."""
+    """A mistake of scale, and the R and ψ that then fit, over those of the machine file."""
 
     words: str
     resistance: float
@@ -69,7 +69,7 @@ HYPOTHESES = (
 
 
 class Arrangement(NamedTuple):
-    """Sign of the current, its phases, and what is added to the lag."""
+    """Sign of the current, order of its phases, and a number added to the lag."""
 
     sign: int
     phases: str
@@ -106,17 +106,17 @@ ARRANGED = Arrangement(1, "abc", 0)
 
 @dataclass(frozen=True)
 class Finding:
-    """Of one kind of mistake.
+    """The finding for one kind of mistake.
 
     Attributes
     ----------
     kind, words : str
     as_given : bool
-        What fits best, or as well, is what was given.
+        Whether what was given fits best, or as well as the best.
     others : tuple of str
-        What this log cannot tell from it.
+        Alternatives that this log cannot tell from it.
     sure : str
-        How sure, where it is told.
+        How sure the finding is, if that is known.
     """
 
     kind: str
@@ -142,11 +142,11 @@ class Check:
 
     @property
     def sound(self) -> bool:
-        """Nothing fits better than what was given."""
+        """Whether nothing fits better than what was given."""
         return all(finding.as_given for finding in self.findings)
 
     def lines(self) -> list[str]:
-        """A finding a line, and the residual."""
+        """One finding per line, then the residual."""
         given, best = self.residual_given, self.residual
         tail = (
             ""
@@ -165,16 +165,16 @@ class Check:
 
 
 def check(log: Source, machine: Machine | str | Path, **layout: Any) -> Check:
-    """Is a log what its user thinks? Tries the usual mistakes on its liveliest piece.
+    """Is a log what its user thinks? Try the usual mistakes on its liveliest piece.
 
-    Sign of the current, phase order, lag, and scales.
+    They are the sign of the current, the phase order, the lag, and scales.
 
     Parameters
     ----------
     log : path, Log, Record, mapping of str to array, or (voltage, current)
         See :func:`fluxobs.read_log`.
     machine : Machine, or a path, or the name of a shipped machine
-        One that turns.
+        A rotating one.
     layout : optional
         As for :func:`fluxobs.read_log`.
 
@@ -188,7 +188,7 @@ def check(log: Source, machine: Machine | str | Path, **layout: Any) -> Check:
 
 
 def check_log(log: Log, machine: RotatingMachine) -> Check:
-    """The same of an opened log."""
+    """Check a log that is open."""
     observer, scales = plain_for(log, machine, max(MEMORY, 10 * log.sample_time))
     smoothing = smoothing_current(machine, scales)
     fits: dict[Arrangement, Fit] = {}
@@ -204,7 +204,7 @@ def check_log(log: Log, machine: RotatingMachine) -> Check:
                     fits[key], residuals[key] = found
 
     attempt(Arrangement(sign, phases, 0) for sign in (1, -1) for phases in ORDERS)
-    # A lag shifts the voltage by degrees: it can be left for those that fit more or less.
+    # A lag shifts the voltage by degrees: try it only where the rest fits more or less.
     near = [key for key in residuals if residuals[key] < NEAR * min(residuals.values())]
     attempt(key._replace(lag=lag) for lag in LAGS if lag for key in {ARRANGED, *near})
     best = min(residuals, key=lambda key: residuals[key])
@@ -272,7 +272,7 @@ def _arranged(
 
 
 def _scaled(found: Fit, machine: RotatingMachine) -> Finding:
-    """Which mistake of scale leads from the machine file to what fits."""
+    """Find the mistake of scale that leads from the machine file to what fits."""
     R, psi = found.values["R_s"], found.values["psi_f"]
     given_psi = machine.magnet_flux or None
     told_R = float(found.alike[0]) < ALIKE_LIMIT and found.std("R_s") < 0.2 * abs(R) and R > 0
@@ -283,12 +283,12 @@ def _scaled(found: Fit, machine: RotatingMachine) -> Finding:
     distances = {}
     for h in HYPOTHESES:
         if not told_psi and h.resistance == 1 and h != AS_GIVEN:
-            continue  # of the magnet flux alone
+            continue  # concerns the magnet flux alone
         d = 0.0
         if told_R:
             d += (np.log(R / machine.R_s / h.resistance) / SPREAD_R) ** 2
         if told_psi and given_psi is not None:
-            # without R the magnet flux holds what the resistive drop would
+            # without R, the magnet flux takes in what belongs to the resistive drop
             spread = SPREAD_PSI if told_R else 2 * SPREAD_PSI
             d += (np.log(psi / given_psi / h.psi) / spread) ** 2
         distances[h] = float(d)
@@ -306,7 +306,7 @@ def _scaled(found: Fit, machine: RotatingMachine) -> Finding:
         words = "no usual mistake of scale explains what fits: check R_s and psi_f themselves"
         return Finding("scale", words, False, (), sure)
     others = [h.words for h in distances if h != best and distances[h] < distances[best] + TOLD]
-    # The simplest first: the number in the machine file itself.
+    # Name the simplest explanation first: the number in the machine file itself.
     words = best.words
     if told_psi and best.psi != 1 and (best.resistance == 1 or not told_R):
         words = f"psi_f in the machine file is off, or {words}"

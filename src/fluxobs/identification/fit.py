@@ -1,12 +1,12 @@
-"""Nonlinear least squares of a whole log: what the machine's relation says of its parameters.
+"""Nonlinear least squares over a whole log: parameters from the machine's relation.
 
-The flux of a piece is λ = λ₀ + ∫ (u - R i - V_d S(i)) dt + θ t with its own λ₀ and drift θ, linear
-in all of these, and the relation of a machine with a magnet or saliency leaves the residual
+The flux of a piece is λ = λ₀ + ∫ (u - R i - V_d S(i)) dt + θ t with its own λ₀ and drift θ. It is
+linear in all of these. The relation of a machine with a magnet or saliency leaves the residual
 
     r = |x| - ψ - (L_d - L_q) (x·i) / |x|,        x = λ - L_q i
 
-(docs/theory.md, section 13). Gauss and Newton with Huber's weights; λ₀ and θ of each piece
-are eliminated by its own QR decomposition, so that work grows with the rows only.
+(docs/theory.md, section 13). The method is Gauss-Newton with Huber's weights. Each piece eliminates
+its λ₀ and θ by its own QR decomposition, so the work grows only with the number of rows.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from .pieces import LAGS, Piece
 
 Array = NDArray[np.float64]
 
-#: Huber's constant: 95 % of the efficiency of squares under normal noise.
+#: Huber's constant: 95 % of the efficiency of least squares under normal noise.
 HUBER = 1.345
 ITERATIONS, HALVINGS = 60, 12
-#: Steps below this share of what is uncertain end the iteration.
+#: Steps below this share of the uncertainty end the iteration.
 CONVERGED = 1e-4
-#: Stretches of a log whose sums of residuals are taken as independent.
+#: Number of stretches of a log whose sums of residuals are taken as independent.
 BLOCKS = 24
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Parameters that fit best, and how sure.
+    """Parameters that fit best, and how sure they are.
 
     Attributes
     ----------
@@ -42,8 +42,8 @@ class Fit:
         All parameters, free and held.
     free : tuple of str
     covariance : (free, free) array
-        The larger, for each, of what coloured residuals make of it and of what the scatter over
-        stretches of the log says.
+        For each parameter the larger of two estimates: from the coloured residuals, and from the
+        scatter over stretches of the log.
     alike : (free,) array
         How far the others can imitate each parameter: the factor by which its variance exceeds
         that with the others known.
@@ -70,19 +70,19 @@ class Fit:
         return float(np.sqrt(self.covariance[k, k]))
 
     def rms(self) -> float:
-        """Of the residual, over the magnet flux or what stands for it."""
+        """Rms residual [Wb]."""
         return float(np.sqrt(np.mean(np.concatenate(self.residuals) ** 2)))
 
 
 def _dot(a: Array, b: Array) -> Array:
-    """Row by row; several times as fast as a sum over an axis of two."""
+    """Dot products row by row; several times as fast as a sum over an axis of two."""
     return np.asarray(np.einsum("ij,ij->i", a, b))
 
 
 def evaluate(
     piece: Piece, values: Mapping[str, float], start: Array, drift: Array, free: Sequence[str]
 ) -> tuple[Array, Array, Array]:
-    """Residual (rows,), its derivatives to (λ₀, θ), (rows, 4), and to the free ones."""
+    """Residual (rows,), its derivatives by (λ₀, θ), (rows, 4), and by the free parameters."""
     i, lag = piece.current, values["lag"]
     low = int(np.clip(np.floor(lag), LAGS[0], LAGS[-1] - 1)) - LAGS[0]
     share = lag - LAGS[0] - low
@@ -115,7 +115,7 @@ def evaluate(
 
 
 def _with(values: Mapping[str, float], free: Sequence[str], step: Array) -> dict[str, float]:
-    """Values after a step; one inductance stands for both."""
+    """Values after a step; L_s stands for both inductances."""
     new = dict(values)
     for name, change in zip(free, step, strict=True):
         new[name] = values[name] + float(change)
@@ -150,7 +150,7 @@ def fit(
     free: Sequence[str],
     local: Sequence[tuple[Array, Array]] | None = None,
 ) -> Fit:
-    """Best parameters from a start that is right within a factor of two or so.
+    """Find the best parameters, from a start that is right within a factor of two or so.
 
     Parameters
     ----------
@@ -158,9 +158,9 @@ def fit(
     start : mapping
         R_s, L_d, L_q (and L_s), psi_f, inverter, lag.
     free : sequence of str
-        Which of them are fitted; without any, λ₀ and θ of the pieces alone are.
+        The ones to fit; if empty, only λ₀ and θ of the pieces are fitted.
     local : sequence of ((2,) array, (2,) array), optional
-        Where λ₀ and θ start; default the observer's.
+        Where λ₀ and θ start; default: the observer's.
     """
     values, names = dict(start), tuple(free)
     at = local if local is not None else [(piece.start, piece.drift) for piece in data]
@@ -210,7 +210,7 @@ def fit(
 
 
 def _change(triangles: Sequence[Array], moves: Sequence[Any], step: Array) -> float:
-    """What a step changes in the residual, rms over the rows of the triangles [Wb]."""
+    """Change of the residual by a step, rms over the rows of the triangles [Wb]."""
     changes = [
         R[:, :-1] @ np.concatenate([move, step]) for R, move in zip(triangles, moves, strict=True)
     ]

@@ -10,15 +10,15 @@ from .pieces import Piece
 
 UNITS = {"R_s": "Ω", "L_s": "H", "L_d": "H", "L_q": "H", "psi_f": "Wb", "inverter": "V"}
 ADVICE = (
-    "Record one with steps of load at several speeds, a run-up from rest, or both directions: a "
-    "resistance acts with the current, an inverter with its sign, a magnet with the speed, a lag "
-    "with both"
+    "Record one with steps of load at several speeds, a run-up from rest, or both directions: the "
+    "resistance acts with the current, the inverter with its sign, the magnet with the speed, and "
+    "a lag with both"
 )
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter: as given, as found, and its standard deviation; none where it was held."""
+    """One parameter: as given, as found, and its standard deviation, None if it was held."""
 
     name: str
     unit: str
@@ -34,21 +34,21 @@ class Fitted:
     Attributes
     ----------
     machine : RotatingMachine
-        With what was found; the rest as given.
+        With the values found; the rest as given.
     parameters : list of Parameter
-        All that were to be free, in the order of `--free`.
+        All that `--free` names, in its order.
     untold : dict
         Name → why this log cannot tell it.
     lag : float
         Voltage lag that fits best [samples]; as given unless free.
     before, after : Fit
-        As given, the magnet flux of a machine that has magnets fitted; and the final one.
+        The fit as given, in which only the flux of magnets is fitted, and the final fit.
     inverter_current : float
-        At which the inverter's sign is smoothed [A].
+        Current at which the inverter's sign is smoothed [A].
     pieces : list of Piece
-        Of the log, that were used.
+        Pieces of the log that were used.
     rows : int
-        Of the log.
+        Rows of the log.
     source : str
         The log's name.
     """

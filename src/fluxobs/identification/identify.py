@@ -1,4 +1,4 @@
-"""What a log says of the machine, and what it cannot tell."""
+"""What a log tells about the machine, and what it cannot tell."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: Where the others imitate a parameter so far (its variance is larger by this factor), what the
-#: model does not contain decides its value: the log does not tell it.
+#: If the others imitate a parameter this well (its variance is larger by this factor), what the
+#: model leaves out decides its value: the log does not tell it.
 ALIKE_LIMIT = 100.0
-#: Nor where its standard deviation is above this share of it (of the voltage's size for the
-#: inverter; samples for the lag).
+#: Nor does it if the standard deviation is above this share of the parameter (for the inverter, of
+#: the voltage's size; for the lag, in samples).
 UNSURE = {"R_s": 0.15, "L_s": 0.2, "L_d": 0.2, "L_q": 0.2, "psi_f": 0.05, "inverter": 0.02}
 LAG_UNSURE = 0.25
-#: L_s and L_d are seen through the current along the flux; where that is below this share of the
-#: whole (rms), what the model does not contain decides their value.
+#: L_s and L_d show only through the current along the flux; if that is below this share of the
+#: whole (rms), what the model leaves out decides their value.
 ALONG_LIMIT = 0.15
-#: What is held first where parameters cannot be told apart.
+#: Order in which parameters are held if they cannot be told apart.
 HELD_FIRST = ("lag", "L_d", "L_q", "L_s", "inverter", "R_s", "psi_f")
 
 
@@ -45,7 +45,7 @@ class Identification(Fitted):
     """Result of :func:`identify`; its attributes are those of :class:`Fitted`."""
 
     def lines(self) -> list[str]:
-        """A parameter a line, then what the log cannot tell, then the residual."""
+        """One parameter per line, then what the log cannot tell, then the residual."""
         return lines(self)
 
     def plot(self) -> Figure:
@@ -53,12 +53,12 @@ class Identification(Fitted):
         return figure(self)
 
     def write(self, path: str | Path, *, force: bool = False) -> None:
-        """The machine as .toml (an existing file only by `force`), or the picture of the residual.
+        """Write the machine to .toml (over an existing file only with `force`), or the picture.
 
         Raises
         ------
         FluxobsError
-            Another ending, the file exists, or it cannot be written.
+            The path has another ending, the file exists, or it cannot be written.
         """
         write(self, Path(path), force)
 
@@ -67,18 +67,18 @@ class Identification(Fitted):
 
 
 def free_names(machine: RotatingMachine) -> tuple[str, ...]:
-    """What can be free for this kind of machine."""
+    """Parameters that can be free for this kind of machine."""
     magnet = ("psi_f",) if machine.magnets else ()
     return ("R_s", *machine.inductance_names, *magnet, "inverter", "lag")
 
 
 def read_free(free: str | Sequence[str] | None, machine: RotatingMachine) -> tuple[str, ...]:
-    """Names from ``"R_s,psi_f,inverter"`` or a sequence; default these, as far as there are any.
+    """Names from ``"R_s,psi_f,inverter"`` or a sequence; default: these, if the machine has them.
 
     Raises
     ------
     FluxobsError
-        A name that this kind of machine does not have, with the nearest that it has.
+        This kind of machine does not have a name; the message gives the nearest one it has.
     """
     known = free_names(machine)
     if free is None:
@@ -103,24 +103,24 @@ def identify(
 ) -> Identification:
     """Fit the machine's parameters and the inverter's error to a whole log.
 
-    Holds what the log cannot tell, and says why.
+    Parameters that the log cannot tell are held, and the report says why.
 
     Parameters
     ----------
     log : path, Log, Record, mapping of str to array, or (voltage, current)
         See :func:`fluxobs.read_log`.
     machine : Machine, or a path, or the name of a shipped machine
-        One that turns; a guess, right within a factor of two or so.
+        A rotating one; a guess that is right within a factor of two or so.
     free : str or sequence of str, optional
-        Some of R_s, L_s (or L_d, L_q), psi_f, inverter, lag; default R_s, psi_f, inverter, as far
-        as the machine has them.
+        Some of R_s, L_s (or L_d, L_q), psi_f, inverter, lag; default: R_s, psi_f, inverter, if the
+        machine has them.
     layout : optional
         As for :func:`fluxobs.read_log`.
 
     Raises
     ------
     FluxobsError
-        The position is never known in the log, or it tells none of the free parameters.
+        The position is never known in the log, or the log tells none of the free parameters.
     """
     given = rotating(as_machine(machine), "identification")
     names = read_free(free, given)
@@ -128,7 +128,7 @@ def identify(
 
 
 def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identification:
-    """The same of an opened log, with the free parameters' names checked."""
+    """Identify from a log that is open, with names of free parameters that are checked."""
     data, scales = pieces(log, machine, LAGS if "lag" in free else (0,))
     given = starting_values(machine, data)
     names = tuple(free)
@@ -185,7 +185,7 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
 
 
 def starting_values(machine: RotatingMachine, data: Sequence[Piece]) -> dict[str, float]:
-    """Where the fit starts; a magnet flux that is not given is the length that λ - L i has."""
+    """Where the fit starts; a missing magnet flux is taken from the length of λ - L i."""
     L_d, L_q = machine.L_dq
     values = {
         "R_s": machine.R_s,
@@ -204,14 +204,14 @@ def starting_values(machine: RotatingMachine, data: Sequence[Piece]) -> dict[str
 
 
 def _nearest_lag(data: Sequence[Piece], given: dict[str, float], free: Sequence[str]) -> Fit:
-    """The fit at the whole lag that fits best: a step from afar would leave the range of lags."""
+    """The fit at the best integer lag: a step from far away would leave the range of lags."""
     names = [name for name in free if name != "lag"]
     fits = [fit(data, given | {"lag": float(lag)}, names) for lag in LAGS]
     return min(fits, key=lambda found: found.rms())
 
 
 def _start(given: dict[str, float], found: Fit, names: Sequence[str]) -> dict[str, float]:
-    """As found what is free, as given what is held."""
+    """Free parameters as found, held ones as given."""
     values = given | {name: found.values[name] for name in names}
     if "L_s" in names:
         values["L_d"] = values["L_q"] = values["L_s"]
@@ -226,17 +226,17 @@ def _given(machine: RotatingMachine, name: str, lag: float) -> float | None:
 
 
 def _unseen_inductances(found: Fit, data: Sequence[Piece]) -> dict[str, str]:
-    """Inductances along the flux, where hardly any current flows along it."""
+    """Inductances along the flux, if hardly any current flows along it."""
     current = np.concatenate([piece.current for piece in data])
     share = float(np.sqrt(np.mean(found.along**2) / np.mean(np.sum(current**2, axis=1))))
     if share >= ALONG_LIMIT:
         return {}
-    why = f"it shows in i_d only, which is {share:.0%} of the current in this log"
+    why = f"it shows only in i_d, which is {share:.0%} of the current in this log"
     return {name: why for name in ("L_s", "L_d") if name in found.free}
 
 
 def _doubts(found: Fit, voltage: float) -> dict[str, str]:
-    """Why a parameter is not told, by name."""
+    """Parameters that the log does not tell → why."""
     doubts = {}
     for k, name in enumerate(found.free):
         std, value = found.std(name), found.values[name]
@@ -253,5 +253,5 @@ def _doubts(found: Fit, voltage: float) -> dict[str, str]:
             if at_edge or std > LAG_UNSURE:
                 doubts[name] = "no lag fits better than another"
         elif std > UNSURE[name] * (voltage if name == "inverter" else abs(value)):
-            doubts[name] = f"± {std:.2g} {UNITS[name]} is all that it says"
+            doubts[name] = f"it is known only to ± {std:.2g} {UNITS[name]}"
     return doubts

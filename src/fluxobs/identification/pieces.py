@@ -1,4 +1,4 @@
-"""Contiguous pieces of a log, integrated: what the fit needs of the record."""
+"""Contiguous pieces of a log, integrated, as the fit needs them."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from ..observers import LeastSquaresObserver
 
 Array = NDArray[np.float64]
 
-#: A piece, over which the drift is taken as constant, lasts so many turns, at least so long [s],
-#: and is no shorter than so many rows.
+#: A piece, over which the drift is taken as constant, lasts this many turns, at least this long
+#: [s], and is no shorter than this many rows.
 TURNS, SECONDS, SHORTEST = 2.5, 0.4, 100
-#: Lags of the voltage that are looked at, beside the one that was given [samples].
+#: Lags of the voltage that are tried, relative to the given one [samples].
 LAGS = (-2, -1, 0, 1, 2)
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """Rows without a gap; integrals from its first row on.
+    """Rows without a gap; integrals start at the first row.
 
     Attributes
     ----------
@@ -41,11 +41,11 @@ class Piece:
     charge : (rows, 2) array
         ∫ i dt [As].
     inverter : (rows, 2) array
-        ∫ of the inverter's direction [s]: V_d of it are lost.
+        ∫ of the inverter's direction [s]; V_d times this is lost.
     start : (2,) array
-        Flux at the first row, by the observer [Wb].
+        Flux at the first row, from the observer [Wb].
     drift : (2,) array
-        By the observer [V].
+        Drift, from the observer [V].
     """
 
     t: Array
@@ -61,7 +61,7 @@ class Piece:
 
 
 def typical_length(data: Sequence[Piece], inductance: float) -> float:
-    """Median over the pieces of the length of λ - L i, by the observer [Wb]."""
+    """Median over the pieces of the length of λ - L i, from the observer [Wb]."""
     lengths = [np.linalg.norm(piece.start - inductance * piece.current[0]) for piece in data]
     return float(np.median(lengths))
 
@@ -72,10 +72,10 @@ def smoothing_current(machine: RotatingMachine, scales: Scales) -> float:
 
 
 def pieces(log: Log, machine: RotatingMachine, lags: tuple[int, ...]) -> tuple[list[Piece], Scales]:
-    """The log cut where samples are missing and where pieces get long.
+    """Cut the log where samples are missing and where pieces get long.
 
-    Each starts from the observer's flux at its surest row; pieces in which the observer never
-    knows the position are left out.
+    Each piece starts from the observer's flux at its most certain row. Pieces in which the observer
+    never knows the position are left out.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def cut(
     R_s: float,
     smoothing: float,
 ) -> list[Piece]:
-    """Pieces of a stretch, (rows, 2) and (lags, rows, 2); the observer runs with lag `given`."""
+    """Cut a stretch, (rows, 2) and (lags, rows, 2), into pieces; the observer uses lag `given`."""
     h, found = observer.sample_time, []
     estimate = observer.run(voltage[given], current)
     missing = ~np.isfinite(current).all(axis=1) | ~np.isfinite(voltage).all(axis=(0, 2))
@@ -123,7 +123,7 @@ def cut(
 
 
 def _runs(good: NDArray[np.bool_], rows: int) -> Iterator[slice]:
-    """Stretches of good rows, none longer than `rows`, none shorter than SHORTEST."""
+    """Yield stretches of good rows, about `rows` long, none shorter than SHORTEST."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
     for first, last in edges.reshape(-1, 2):
         count = max(1, round((last - first) / rows))
@@ -144,7 +144,7 @@ def _piece(
     flux: Array,
     drift: Array,
 ) -> Piece:
-    # The cubic through four samples, as in the observer; the first rows' history is held.
+    # The cubic through four samples, as in the observer; the first rows repeat the first current.
     padded = np.concatenate([np.repeat(current[:1], 3, axis=0), current])
     mean = (9 * padded[3:] + 19 * padded[2:-1] - 5 * padded[1:-2] + padded[:-3]) / 24
     integrals = [h * np.cumsum(x, axis=-2) for x in (voltage, mean)]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def lines(found: Fitted) -> list[str]:
-    """A parameter a line, then what the log cannot tell, then the residual."""
+    """One parameter per line, then what the log cannot tell, then the residual."""
     out = []
     for p in found.parameters:
         was = "not given" if p.given is None else f"given {p.given:.4g}"
@@ -29,8 +29,8 @@ def lines(found: Fitted) -> list[str]:
             out.append(f"{p.name} = {p.value:.4g} ± {p.std:.2g} {p.unit} ({was}){_note(p, found)}")
     if found.untold:
         out.append(
-            f"This log cannot tell {', '.join(found.untold)}: held as given. The others are "
-            f"right as far as that is. {ADVICE}."
+            f"This log cannot tell {', '.join(found.untold)}: held as given. The others are right "
+            f"only as far as these are. {ADVICE}."
         )
     used = sum(len(piece) for piece in found.pieces)
     if used < 0.99 * found.rows:
@@ -45,12 +45,12 @@ def lines(found: Fitted) -> list[str]:
         f"found"
     )
     if not found.after.converged:
-        out.append("Warning: the fit did not settle; treat its values with caution")
+        out.append("Warning: the fit did not converge; treat its values with caution")
     return out
 
 
 def _flux(found: Fitted) -> float:
-    """What residuals are shares of: the magnet's, or what stands for it [Wb]."""
+    """The flux to which residuals are related: the magnet's, or the mean of the start [Wb]."""
     lengths = [np.linalg.norm(piece.start) for piece in found.pieces]
     return found.after.values["psi_f"] or float(np.mean(lengths))
 
@@ -59,7 +59,7 @@ def _note(parameter: Parameter, found: Fitted) -> str:
     if parameter.name == "inverter":
         return f", its sign smoothed at inverter_current = {found.inverter_current:.3g} A"
     if parameter.name == "lag":
-        return f"; no part of a machine file: give --lag {parameter.value:.2g}"
+        return f"; not part of a machine file: give --lag {parameter.value:.2g}"
     return ""
 
 
@@ -68,14 +68,14 @@ def _as_given(found: Fitted) -> str:
 
 
 def toml(found: Fitted) -> str:
-    """The machine file."""
+    """The text of the machine file."""
     stds = {"inverter_voltage" if p.name == "inverter" else p.name: p.std for p in found.parameters}
     rows = [
         f"# Identified from {found.source} by `fluxobs identify`.",
         f'kind = "{found.machine.kind}"',
     ]
     if found.untold:
-        rows.insert(1, f"# The log did not tell {', '.join(found.untold)}: as they were.")
+        rows.insert(1, f"# The log did not tell {', '.join(found.untold)}: held as given.")
     for name, value in found.machine.model_dump(by_alias=True, exclude_none=True).items():
         std = stds.get(name)
         rows.append(f"{name} = {value!r}" + (f"  # ± {std:.2g}" if std is not None else ""))
@@ -83,7 +83,7 @@ def toml(found: Fitted) -> str:
 
 
 def check_machine_file(out: Path, force: bool) -> None:
-    """FluxobsError where a machine file cannot, or must not, be written."""
+    """Raise FluxobsError if a machine file cannot, or must not, be written."""
     if out.suffix != ".toml":
         raise FluxobsError(f"{out}: --out must end in .toml")
     check_place(out)
@@ -92,7 +92,7 @@ def check_machine_file(out: Path, force: bool) -> None:
 
 
 def write(found: Fitted, path: Path, force: bool) -> None:
-    """The machine file, or the picture; FluxobsError where it cannot be written."""
+    """Write the machine file, or the picture; FluxobsError if it cannot be written."""
     if path.suffix.lower() in FORMATS:
         save(figure(found), path)
         return
@@ -101,7 +101,7 @@ def write(found: Fitted, path: Path, force: bool) -> None:
 
 
 def figure(found: Fitted) -> Figure:
-    """Residual over time, before and after."""
+    """Draw the residual over time, before and after the fit."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):

@@ -1,4 +1,4 @@
-"""Recorded data: files and arrays, what their columns mean, and what the signals are like."""
+"""Recorded data: files and arrays, the meaning of their columns, and the sizes of their signals."""
 
 from .layout import Layout
 from .log import Log

@@ -21,7 +21,7 @@ CHANNELS = tuple(
     )
 )
 TRUTHS = ("theta_e", "theta_mech", "position")
-#: Column name that says: pass over what there is (for t).
+#: Column name that means: ignore the existing column (for t).
 NO_COLUMN = "-"
 
 
@@ -29,7 +29,7 @@ class Layout(BaseModel):
     """How to read a log: the fields of a record TOML, and the options of the same names.
 
     A channel's value is ``scale · column + offset``. A channel that is not named in `columns` is
-    read from the column of its own name. `columns` t = "-" passes over a column t.
+    read from the column of the same name. `columns` t = "-" ignores a column t.
 
     Parameters
     ----------
@@ -38,19 +38,19 @@ class Layout(BaseModel):
         (line-to-line voltages u_ab, u_bc), "duty" (duty cycles 0…1 and udc), "dq" (with theta_e,
         the angle used for the rotation), "ports" (u_1 u_2 i_1 i_2, coils as they are).
     sample_time : float, optional
-        [s]; needed where there is no column t.
+        [s]; needed if there is no column t.
     lag : float
-        Which interval a voltage row acts over, in samples: 0 from that row to the next, -1 one
+        Interval over which a row's voltage acts, in samples: 0 from that row to the next, -1 one
         sample later, +1 one earlier; fractions allowed.
     udc : float, optional
-        DC-link voltage [V] where it is no column (frame "duty").
+        DC-link voltage [V] if it has no column (frame "duty").
     columns : dict
         Channel → column name.
     scale, offset : dict
         Channel → number.
     truth : dict
-        {"theta_e": column} (electrical) or {"theta_mech": column} (mechanical), or {"position":
-        column} [m] of a levitated body, to score by.
+        {"theta_e": column} (electrical), {"theta_mech": column} (mechanical) or {"position":
+        column} [m] of a levitated body, for scoring.
     start, stop : float, optional
         Only rows with start <= t <= stop [s].
     """
@@ -92,7 +92,7 @@ class Layout(BaseModel):
         return self
 
     def required(self, available: list[str]) -> dict[str, str]:
-        """Channel → column of all that the frame needs and the file has."""
+        """Channel → column for all channels that the frame needs or can use."""
         channels = list(VOLTAGES[self.frame])
         if self.frame == "duty" and self.udc is not None:
             channels.remove("udc")
@@ -113,7 +113,7 @@ def read_fields(path: str | Path) -> dict[str, Any]:
     Raises
     ------
     RecordError
-        The file cannot be read, or holds what is no field of :class:`Layout`.
+        The file cannot be read, or holds something that is not a field of :class:`Layout`.
     """
     path = Path(path)
     try:

@@ -1,4 +1,4 @@
-"""A log: a file of columns together with what they mean, read as aligned currents and voltages."""
+"""A log: a table and the meaning of its columns, read as aligned currents and voltages."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ Array = NDArray[np.float64]
 MINIMUM_ROWS = 20
 #: Largest deviation of a time step from the sample time, as a share of it.
 TIME_TOLERANCE = 0.1
-#: The same where the user gave the sample time: t may be rounded, but no sample missing.
+#: The same if the user gave the sample time: t may be rounded, but no sample may be missing.
 TIME_TOLERANCE_GIVEN = 0.9
 _HEAD = 65536
 
 
 class Aligned(NamedTuple):
-    """Rows of a log: time [s], current now, mean voltage over the interval ending now, and what its
-    channel of truth says, scaled: an electrical or mechanical angle [rad], or a position [m].
+    """Rows of a log: time [s], current now, mean voltage over the interval ending now, and the
+    scaled truth channel: an electrical or mechanical angle [rad], or a position [m].
     """
 
     t: Array
@@ -80,14 +80,14 @@ class Log:
     t0: float
     first: int
     last: int
-    inverter: InverterError | None = None  # taken off the commanded voltage
+    inverter: InverterError | None = None  # subtracted from the commanded voltage
 
     def __len__(self) -> int:
         return self.last - self.first
 
     @property
     def path(self) -> Path:
-        """Of its file; of arrays a name that stands for them."""
+        """Path of the file; for arrays, a name that stands for them."""
         return self.table.path
 
     @property
@@ -96,11 +96,11 @@ class Log:
         return next(iter(self.layout.truth.items()), None)
 
     def less_inverter(self, inverter: InverterError | None) -> Log:
-        """The same log, less what the inverter takes of its commanded voltages."""
+        """The same log, with the inverter's error subtracted from its commanded voltages."""
         return replace(self, inverter=inverter)
 
     def lagged(self, by: float) -> Log:
-        """The same log, its voltages acting `by` samples earlier than they do in this one."""
+        """The same log, with voltages that act `by` samples earlier."""
         return replace(self, layout=self.layout.model_copy(update={"lag": self.layout.lag + by}))
 
     def _columns(self) -> list[str]:
@@ -133,12 +133,12 @@ class Log:
     def aligned(
         self, first: int | None = None, last: int | None = None, size: int = BATCH
     ) -> Iterator[Aligned]:
-        """Rows in order, in batches whose size changes no number; less what the inverter loses.
+        """Yield rows in order, less the inverter's loss; the batch size changes no number.
 
         Raises
         ------
         RecordError
-            A value is no number, or time does not advance uniformly: names the place.
+            A value is not a number, or time does not advance uniformly; the message says where.
         """
         before: Array | None = None
         for part in self._as_commanded(first, last, size):
@@ -186,14 +186,14 @@ class Log:
             yield _align(waiting, source, lag, emitted, held)
 
     def _check_time(self, t: Array, row: int) -> None:
-        """`t` begins at `row`; its first value is NaN at the very start."""
+        """Check that time is uniform. `t` begins at `row`; its first value is NaN at the start."""
         step = np.diff(t)
         known = np.isfinite(t[1:])
         if not known.all():
             at = row + 1 + int(np.argmin(known))
             raise RecordError(
                 f"{self.table.path}, {self.table.place(at)}: t is missing. If the samples "
-                f"are uniform, --sample-time and --column t=- pass over t"
+                f"are uniform, --sample-time and --column t=- ignore t"
             )
         step = np.where(np.isnan(step), self.sample_time, step)
         if (step <= 0).any():
@@ -201,7 +201,7 @@ class Log:
             raise RecordError(
                 f"{self.table.path}, {self.table.place(row + 1 + at)}: time runs backwards or "
                 f"stands still, {t[at]:.9g} s then {t[at + 1]:.9g} s. Cut the log there; if the "
-                f"samples are uniform, --sample-time and --column t=- pass over t"
+                f"samples are uniform, --sample-time and --column t=- ignore t"
             )
         given = self.layout.sample_time is not None
         tolerance = TIME_TOLERANCE_GIVEN if given else TIME_TOLERANCE
@@ -212,16 +212,16 @@ class Log:
                 f"{self.table.path}, {self.table.place(row + 1 + at)}: samples are not uniform: a "
                 f"step of {step[at]:.6g} s where {self.sample_time:.6g} s is expected (the worst "
                 f"place; {tolerance:.0%} is tolerated). Fill gaps with empty rows; if t is "
-                f"only rounded, --sample-time and --column t=- pass over it"
+                f"only rounded, --sample-time and --column t=- ignore it"
             )
 
     def to_record(self) -> Record:
-        """The whole log in memory; its voltages are aligned, so that its lag is 0."""
+        """The whole log in memory; its voltages are aligned, so its lag is 0."""
         parts = list(self.aligned())
         voltage = np.concatenate([part.voltage for part in parts])
         return Record(
             self.sample_time,
-            # Row k of the record acts from t_k on, so the interval ending at k stands at k - 1.
+            # Row k of the record acts from t_k on, so the interval ending at k goes to row k - 1.
             np.concatenate([voltage[1:], np.full((1, 2), np.nan)]),
             np.concatenate([part.current for part in parts]),
             theta_e=np.concatenate([part.truth for part in parts if part.truth is not None])
@@ -231,7 +231,7 @@ class Log:
 
 
 def open_log(table: Table, layout: Layout) -> Log:
-    """Checks that the table has what the layout names, and finds the sample time.
+    """Check that the table has what the layout names, and find the sample time.
 
     Parameters
     ----------
@@ -241,7 +241,8 @@ def open_log(table: Table, layout: Layout) -> Log:
     Raises
     ------
     RecordError
-        Missing column, no sample time or two that disagree, too few rows, lag outside the record.
+        A column is missing, there is no sample time or two that disagree, there are too few rows,
+        or the lag lies outside the record.
     """
     available = table.columns
     names = layout.required(available)
@@ -259,7 +260,7 @@ def open_log(table: Table, layout: Layout) -> Log:
         t0, typical, mean, rows = _measured_time(table, layout, names["t"])
         if sample_time is None:
             sample_time = typical
-        # A gap moves the mean, rounding the typical step: either may confirm what was given.
+        # A gap moves the mean, rounding moves the typical step: either may confirm the given one.
         elif min(abs(typical / sample_time - 1), abs(mean / sample_time - 1)) > max(1e-3, 1 / rows):
             raise RecordError(
                 f"{table.path}: t advances by {mean:.6g} s a row, but --sample-time is "
@@ -287,14 +288,14 @@ def open_log(table: Table, layout: Layout) -> Log:
 
 
 def _measured_time(table: Table, layout: Layout, column: str) -> tuple[float, float, float, int]:
-    """First time, typical and mean step, from so many rows at the head of the table."""
+    """First time, typical step and mean step at the head of the table, and the rows used."""
     t = read_rows(table, [column], 0, min(table.rows, _HEAD))[column]
     t = t * layout.scale.get("t", 1.0) + layout.offset.get("t", 0.0)
     if not np.isfinite(t[[0, -1]]).all() or t[-1] <= t[0] or not np.nanmedian(np.diff(t)) > 0:
         at = int(np.argmax(~np.isfinite(t) | np.r_[False, np.diff(t) <= 0]))
         raise RecordError(
             f"{table.path}, {table.place(at)}: t is missing, stands still or runs backwards. Cut "
-            f"the log there, or pass over t with --sample-time and --column t=-"
+            f"the log there, or ignore t with --sample-time and --column t=-"
         )
     step = np.diff(t)
     median = float(np.nanmedian(step))

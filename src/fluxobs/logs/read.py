@@ -1,4 +1,4 @@
-"""A log from whatever holds it: a file, a record, or arrays."""
+"""Open a log from a file, a record, or arrays."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ def read_log(
     default_frame: Frame = "alphabeta",
     **layout: Any,
 ) -> Log:
-    """Open a log: nothing but its head is read yet.
+    """Open a log. Only its head is read at this point.
 
     Parameters
     ----------
     source : path, Log, Record, mapping of str to array, or (voltage, current)
-        A CSV (any delimiter), Parquet or npz file; or what is in memory. A pair of arrays is as for
+        A CSV (any delimiter), Parquet or npz file, or data in memory. A pair of arrays is as for
         :class:`Record`: (rows, 2) in αβ, (rows, 3) of three phases, or (rows,) complex.
     record : path, optional
-        TOML with the fields of :class:`Layout`; what is given here overrides it.
+        TOML with the fields of :class:`Layout`; arguments given here override it.
     frame : str, optional
     default_frame : str
-        Where neither `record` nor `frame` says.
+        Used if neither `record` nor `frame` gives a frame.
     sample_time, lag, udc, columns, scale, offset, truth, start, stop : optional
         Fields of :class:`Layout`. A number as the column of udc is a constant DC-link voltage.
 
@@ -56,9 +56,9 @@ def read_log(
     Raises
     ------
     RecordError
-        The source cannot be read, or does not hold what the layout names: says what, and where.
+        The source cannot be read, or lacks what the layout names; the message says what and where.
     UsageError
-        A layout for a log or a record, which has one already.
+        A layout is given for a log or a record, which already has one.
 
     Examples
     --------
@@ -80,7 +80,7 @@ def read_log(
     for name, value in given.items():
         fields[name] = fields.get(name, {}) | dict(value) if name in _MAPPINGS else value
     if layout.get("truth"):
-        fields["truth"] = dict(layout["truth"])  # there is one truth: it replaces
+        fields["truth"] = dict(layout["truth"])  # there is only one truth: replace it
     if frame is not None:
         fields["frame"] = frame
     fields.setdefault("frame", default_frame)
@@ -90,7 +90,7 @@ def read_log(
 
 
 def _table(source: Any, fields: dict[str, Any]) -> tuple[Table, dict[str, Any]]:
-    """The table, and the fields with what the source itself says."""
+    """The table, and the fields, completed by what the source itself says."""
     if isinstance(source, str | Path):
         return open_table(source), fields
     if isinstance(source, Record):
@@ -116,7 +116,7 @@ def _record_table(source: Record, fields: dict[str, Any]) -> tuple[Table, dict[s
     surplus = set(fields) - {"frame", "start", "stop"}
     if surplus or fields["frame"] not in ("alphabeta", "ports"):
         raise UsageError(
-            f"{', '.join(sorted(surplus)) or 'frame'}: a Record says this itself, in αβ"
+            f"{', '.join(sorted(surplus)) or 'frame'}: already fixed in a Record, which is in αβ"
         )
     fields = fields | {"sample_time": source.sample_time, "lag": source.lag}
     channels = _channels(source.voltage, source.current, fields["frame"])
@@ -133,7 +133,7 @@ def _pair_table(voltage: Any, current: Any, fields: dict[str, Any]) -> tuple[Tab
             f"complex; for other frames give a mapping of channels to arrays"
         )
     if "sample_time" not in fields:
-        raise UsageError("sample_time is missing: arrays without a time need it [s]")
+        raise UsageError("sample_time is missing: arrays without a time column need it [s]")
     u, i = alphabeta_rows("voltage", voltage), alphabeta_rows("current", current)
     if len(u) != len(i):
         raise RecordError(f"voltage and current must have as many rows, got {len(u)} and {len(i)}")
@@ -141,7 +141,7 @@ def _pair_table(voltage: Any, current: Any, fields: dict[str, Any]) -> tuple[Tab
 
 
 def _take_constant_udc(fields: dict[str, Any], table: Table) -> None:
-    """A column of udc that is a number and no column is a constant voltage."""
+    """Take a udc column that is a number, and not a column's name, as a constant voltage."""
     columns = dict(fields.get("columns", {}))
     constant = columns.get("udc")
     if constant is None:

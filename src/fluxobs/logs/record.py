@@ -1,4 +1,4 @@
-"""Measured data in memory, and which interval each voltage acts over."""
+"""Measured data in memory, and the interval over which each voltage acts."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ..model.frames import clarke
 Array = NDArray[np.float64]
 
 
-#: Sample times of record and observer may differ by this share: a clock is as good.
+#: Sample times of record and observer may differ by this share: clocks are not more accurate.
 SAMPLE_TIME_TOLERANCE = 1e-3
 
 
 def interval_rows(rows: Array, lag: float, first: int, last: int, start: int = 0) -> Array:
     """Voltage over the intervals that end at rows first … last - 1.
 
-    The interval [t_{k-1}, t_k] is read at row ``k - 1 + lag``, linearly between rows where that is
+    The interval [t_{k-1}, t_k] is read at row ``k - 1 + lag``, interpolated linearly if that is
     fractional; outside `rows` it is NaN, never extrapolated.
 
     Parameters
@@ -50,7 +50,7 @@ def interval_rows(rows: Array, lag: float, first: int, last: int, start: int = 0
 
 
 def lag_in_words(lag: float) -> str:
-    """What a lag says, in a sentence."""
+    """The meaning of a lag, in a sentence."""
     if lag == 0:
         return "each row's voltage is taken to act from that row's sample to the next (lag 0)"
     amount = f"{abs(lag):g} sample{'' if abs(lag) == 1 else 's'}"
@@ -73,7 +73,7 @@ class Record:
         As logged [V], [A]; NaN where missing. (rows, 2) in αβ, (rows, 3) of three phases, or
         (rows,) complex α + j β. Kept as (rows, 2) in αβ, amplitude-invariant.
     lag : float
-        Which interval a voltage row acts over, in samples; see :func:`interval_rows`.
+        Interval over which a row's voltage acts, in samples; see :func:`interval_rows`.
     theta_e : (rows,) array_like, optional
         True electrical angle, for scoring [rad].
 
@@ -128,7 +128,7 @@ class Record:
         return interval_rows(self.voltage, self.lag, 0, len(self))
 
     def on_intervals(self, sample_time: float) -> tuple[Array, Array]:
-        """Interval voltage and current, for an observer of that sample time.
+        """Interval voltage and current, for an observer with this sample time.
 
         Raises
         ------
@@ -138,28 +138,28 @@ class Record:
         if not np.isclose(self.sample_time, sample_time, rtol=SAMPLE_TIME_TOLERANCE):
             raise RecordError(
                 f"the record's sample time, {self.sample_time:g} s, is not the observer's, "
-                f"{sample_time:g} s: make the observer with the record's"
+                f"{sample_time:g} s: make the observer with the record's sample time"
             )
         return self.interval_voltage(), self.current
 
 
 def check_lag(lag: float, rows: int) -> None:
-    """Raise RecordError where a lag is no number or leaves no voltage inside the record."""
+    """Raise RecordError if a lag is not a number or leaves no voltage inside the record."""
     if not np.isfinite(lag):
         raise RecordError(f"lag must be a number of samples, got {lag}")
     if abs(lag) >= rows - 1:
         raise RecordError(
-            f"a lag of {lag:g} samples lies outside the record of {rows} rows; usual are -1 to +1"
+            f"a lag of {lag:g} samples lies outside the record of {rows} rows; -1 to +1 is usual"
         )
 
 
 def alphabeta_rows(name: str, value: ArrayLike) -> Array:
-    """Vectors in αβ, (rows, 2), of those in αβ, of three phases, or of complex numbers.
+    """Vectors in αβ, (rows, 2), from αβ, three phases or complex numbers.
 
     Raises
     ------
     RecordError
-        Another shape, or no numbers.
+        The shape is another, or the values are not numbers.
     """
     try:
         array = np.asarray(value)

@@ -1,4 +1,4 @@
-"""First pass over a log: the sizes that the machine file does not tell."""
+"""First pass over a log: the sizes of its signals, which the machine file does not give."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .log import Aligned, Log
 
 Array = NDArray[np.float64]
 
-#: At most this much of a log is looked at, evenly spread.
+#: At most this much of a log is examined, evenly spread.
 EXCERPTS, EXCERPT_ROWS = 64, 16384
-#: Rows over which one noise level is taken; the median over these is not moved by transients.
+#: Rows from which one noise level is taken; transients do not move the median of these levels.
 NOISE_ROWS = 256
 
 
 @dataclass(frozen=True)
 class Scales:
-    """Sizes of the signals; all need to be right within a factor of a few only.
+    """Sizes of the signals; each needs to be right only to within a factor of a few.
 
     Attributes
     ----------
@@ -31,10 +31,10 @@ class Scales:
     voltage : float
         95th percentile of |u| [V].
     current_noise, voltage_noise : float
-        Standard deviation of one component, from third differences [A], [V]. Of a commanded
-        voltage it is what the controller does, not an error.
+        Standard deviation of one component, from third differences [A], [V]. For a commanded
+        voltage it shows what the controller does, not an error.
     current_speed : float
-        95th percentile of the speed at which the current vector turns [rad/s]; all noise where
+        95th percentile of the speed at which the current vector turns [rad/s]; nothing but noise if
         there is little current.
     """
 
@@ -46,7 +46,7 @@ class Scales:
 
 
 def excerpts(log: Log) -> Iterator[Aligned]:
-    """Evenly spread pieces of a log, the same however it is read; all of it if it is short."""
+    """Yield evenly spread pieces of a log, independent of its format; all of it if it is short."""
     if len(log) <= EXCERPTS * EXCERPT_ROWS:
         yield _joined(list(log.aligned()))
         return
@@ -70,7 +70,7 @@ def excerpts(log: Log) -> Iterator[Aligned]:
 
 
 def _joined(parts: list[Aligned]) -> Aligned:
-    """One piece of several; the true angle is not needed here."""
+    """Join pieces into one; the true angle is not needed here."""
     columns = zip(*(part[:3] for part in parts), strict=True)
     t, current, voltage = (np.concatenate(column) for column in columns)
     return Aligned(t, current, voltage, None)
@@ -81,7 +81,7 @@ def white_noise(signal: Array) -> float:
 
     Third differences remove anything smooth and have 20 times the noise's variance.
     """
-    with np.errstate(over="ignore", invalid="ignore"):  # garbage is no reason to stop
+    with np.errstate(over="ignore", invalid="ignore"):  # garbage must not stop it
         third = np.diff(signal, 3, axis=0)
     rows = max(1, min(NOISE_ROWS, len(third)))
     blocks = third[: len(third) // rows * rows].reshape(-1, rows, 2)
@@ -92,12 +92,12 @@ def white_noise(signal: Array) -> float:
 
 
 def measure_scales(log: Log) -> Scales:
-    """Scales of a log.
+    """Measure the scales of a log.
 
     Raises
     ------
     RecordError
-        No finite current or voltage in it, or one of them is zero throughout.
+        It has no finite current or voltage, or one of them is zero throughout.
     """
     currents, voltages, noise, voltage_noise, turning = [], [], [], [], []
     for part in excerpts(log):

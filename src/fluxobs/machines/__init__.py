@@ -1,4 +1,4 @@
-"""Machines: parameters in SI, the relation between flux and current, and what follows from them."""
+"""Machines: parameters in SI, the relation between flux and current, and what follows from it."""
 
 from .contract import Machine, Position
 from .files import (

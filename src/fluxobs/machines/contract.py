@@ -1,5 +1,5 @@
-"""What every machine answers. A new machine is one file with these answers, and one line of
-registration (registry.py); docs/contributing says what they mean.
+"""The interface of every machine. A new kind is one file with a subclass, and one line of
+registration (registry.py); docs/contributing explains the members.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Position:
-    """What a kind of machine calls its position.
+    """How a kind of machine names its position.
 
     Attributes
     ----------
     name : str
-        Of the output, in rad or m.
+        Name of the output, in rad or m.
     truths : tuple of str
-        Channels of a log that may hold the true one.
+        Channels of a log that may hold the true position.
     factor, unit : float, str
-        From SI to the unit in which an error of it is told.
+        Factor from SI to the unit of a stated error, and that unit.
     title : str
-        Of a picture.
+        Title in a picture.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Machine(BaseModel):
     Parameters
     ----------
     rated_current : float, optional
-        Peak current of a port [A], > 0. A scale of what is plausible: it needs no precision.
+        Peak current of a port [A], > 0. It scales what is plausible; a rough value will do.
 
     Raises
     ------
@@ -61,18 +61,18 @@ class Machine(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     kind: ClassVar[str]
-    #: Reference frame of its logs where none is given.
+    #: Default reference frame of its logs.
     frame: ClassVar[Frame] = "alphabeta"
-    #: Names of its two ports, with which the names of outputs end.
+    #: Names of its two ports; names of outputs end with them.
     ports: ClassVar[tuple[str, str]] = ("alpha", "beta")
     position_output: ClassVar[Position]
-    #: Memory of the least squares that serves most of this kind [s].
+    #: Memory of the least squares that suits most machines of this kind [s].
     memory: ClassVar[float] = 0.03
-    #: The relation cannot tell the position from the one half a turn away.
+    #: Whether the position half a turn away fits the relation as well.
     half_turn_ambiguous: ClassVar[bool] = False
-    #: Share of the flux base below which a position vector tells no position.
+    #: A position vector shorter than this share of the flux base gives no position.
     shortest: ClassVar[float] = 0.0
-    #: Its voltages are measured, noise and all; else they are commands, which have none.
+    #: Whether its voltages are measured, with noise; else they are commands, without noise.
     measured_voltage: ClassVar[bool] = False
 
     rated_current: Positive | None = None
@@ -103,28 +103,28 @@ class Machine(BaseModel):
 
     @property
     def constraint(self) -> QuadraticConstraint:
-        """The relation between flux and current. Its d is 0 where it is not known: not needed."""
+        """The relation between flux and current. Its d is 0 if unknown: no observer needs it."""
         raise NotImplementedError
 
     @property
     def inverter(self) -> InverterError | None:
-        """What the inverter takes of a commanded voltage, where it is known."""
+        """The inverter's voltage error, if known."""
         return None
 
     # ---- sizes ------------------------------------------------------------------------
 
     def flux_base(self, rated_current: float, psi_f: float | None = None) -> float | None:
-        """Size of the flux [Wb]; `psi_f` in place of the machine's own. None: psi_f is needed."""
+        """Size of the flux [Wb]; `psi_f` replaces the machine's own. None if psi_f is missing."""
         raise NotImplementedError
 
     def constraint_noise(self, flux_base: float, noise: float) -> float:
-        """Std of the constraint's residual caused by that std of each current component [A]."""
+        """Std of the constraint's residual if each current component has the std `noise` [A]."""
         raise NotImplementedError
 
     # ---- the position -----------------------------------------------------------------
 
     def position(self, flux: ArrayLike, current: ArrayLike) -> tuple[Array, Array]:
-        """Position [rad] or [m] and the length of the vector that tells it [Wb].
+        """Position [rad] or [m], and the length of the position vector [Wb].
 
         Parameters
         ----------
@@ -137,20 +137,20 @@ class Machine(BaseModel):
         raise NotImplementedError
 
     def position_std(self, flux: Array, flux_std: Array, current: Array) -> Array:
-        """Standard deviation of that position from that of the flux, (...)."""
+        """Standard deviation of the position, from that of the flux, (...)."""
         raise NotImplementedError
 
     @property
     def position_span(self) -> float:
-        """What a standard deviation of the position is compared with: 1 rad, or the gap [m]."""
+        """Reference for a standard deviation of the position: 1 rad, or the gap [m]."""
         return 1.0
 
     def true_position(self, channel: str, value: Array) -> Array:
-        """The position that a log's channel of truth says: one of ``position_output.truths``."""
+        """The true position from a log's channel, one of ``position_output.truths``."""
         raise NotImplementedError
 
     def position_error(self, estimated: Array, true: Array) -> Array:
-        """Estimated minus true position, wrapped where it is an angle."""
+        """Estimated minus true position, wrapped if it is an angle."""
         raise NotImplementedError
 
     # ---- copies -----------------------------------------------------------------------
@@ -166,12 +166,12 @@ class Machine(BaseModel):
         return type(self)(**self.model_dump(by_alias=True) | values)
 
     def scaled(self, names: Iterable[str], factor: float) -> Self:
-        """A copy whose named parameters, as far as they are given, are multiplied."""
+        """A copy with the named parameters, those that are given, multiplied by `factor`."""
         given = {name: getattr(self, name, None) for name in names}
         return self.with_values(**{k: v * factor for k, v in given.items() if v is not None})
 
 
 def angle_std(flux_std: Array, length: Array) -> Array:
-    """Standard deviation of the direction of a vector of that length, (...)."""
+    """Standard deviation of the direction of a vector of this length, (...)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.linalg.norm(flux_std, axis=-1) / np.sqrt(2) / length)

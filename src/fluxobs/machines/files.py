@@ -20,7 +20,8 @@ def machine_from(fields: Mapping[str, Any], source: str = "machine") -> Machine:
     Raises
     ------
     MachineError
-        Names what is missing, unknown (with the nearest known name) or impossible, and `source`.
+        A field is missing, unknown (the nearest known name is given) or impossible; the message
+        names `source`.
     """
     parameters = dict(fields)
     kind = parameters.pop("kind", None)
@@ -40,7 +41,7 @@ def read_machine(path: str | Path) -> Machine:
     Raises
     ------
     MachineError
-        No such file or example, no TOML, or wrong parameters.
+        There is no such file or example, it is not TOML, or its parameters are wrong.
     """
     path = Path(path)
     if not path.exists() and not path.suffix and path.name in example_names():
@@ -91,12 +92,12 @@ def example_text(name: str) -> str:
 
 
 def as_machine(machine: Machine | str | Path) -> Machine:
-    """A machine as it is, or as its file or a shipped example's name says.
+    """Return a machine as it is, or read it from a file or by the name of a shipped example.
 
     Raises
     ------
     MachineError
-        It is neither.
+        `machine` is none of these.
     """
     if isinstance(machine, Machine):
         return machine

@@ -10,8 +10,8 @@ class InteriorPMSM(MagnetMachine):
     """Interior PMSM: its active flux ``λ - L_q i`` has the length ``ψ_f + (L_d - L_q) i_d``.
 
     The plain observer takes that length as constant, as if the machine were a surface PMSM with
-    L = L_q. This holds while i_d is small or varies slowly against the memory. After a quick change
-    of i_d the estimate is disturbed for about a memory, and psi_f is the active flux.
+    L = L_q. This holds while i_d is small or varies slowly compared with the memory. A quick change
+    of i_d disturbs the estimate for about one memory. The psi_f returned is the active flux.
 
     Parameters
     ----------
@@ -20,7 +20,7 @@ class InteriorPMSM(MagnetMachine):
     L_d, L_q : float
         Inductances along and across the magnet axis [H], > 0.
     psi_f : float, optional
-        Peak phase flux linkage of the magnets [Wb]; a scale only.
+        Peak phase flux linkage of the magnets [Wb]; only a scale.
     """
 
     kind = "interior-pmsm"

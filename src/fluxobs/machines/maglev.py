@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 class MagLev2DOF(Machine):
     """Opposed coils, ``i₁ = φ₁(g - q)/k₁``, ``i₂ = φ₂(g + q)/k₂``: ``2gφ₁φ₂ = k₁i₁φ₂ + k₂i₂φ₁``.
 
-    The flux is that of a core, φ, with ``N φ̇ = u - R i``. Only k, g, R and N enter the observer.
+    The flux is the core flux φ, ``N φ̇ = u - R i``. Only k, g, R and N enter the observer.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class MagLev2DOF(Machine):
     c_1, c_2 : float
         Force constants, F = c φ²/(2k).
     rated_current : float, optional
-        [A]; sets the scale of what is plausible.
+        [A]; scales what is plausible.
 
     References
     ----------
@@ -46,7 +46,7 @@ class MagLev2DOF(Machine):
     frame = "ports"
     ports = ("1", "2")
     position_output = Position("position", ("position",), 1e6, " µm", "Position")
-    memory = 0.15  # mechanics are slower than a rotor
+    memory = 0.15  # it moves more slowly than a rotor
     measured_voltage = True
 
     k_1: Positive
@@ -81,9 +81,9 @@ class MagLev2DOF(Machine):
         return float(np.hypot(self.k_1, self.k_2)) * flux_base * noise
 
     def position(self, flux: ArrayLike, current: ArrayLike) -> tuple[Array, Array]:
-        """Displacement q [m] and the length of the flux vector that tells it [Wb].
+        """Displacement q [m], and the length of the flux vector [Wb].
 
-        Both coils tell ``φ_k q``; least squares weighs them. Undefined as the flux vanishes.
+        Each coil gives ``φ_k q``; least squares combines both. Undefined where the flux vanishes.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Every kind of machine: add a class here, and files, commands and the library know it."""
+"""All kinds of machines: a class added here is known to files, commands and the library."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ from .surface_pmsm import SurfacePMSM
 from .synchronous_reluctance import SynchronousReluctance
 
 _KINDS: tuple[type[Machine], ...] = (SurfacePMSM, InteriorPMSM, SynchronousReluctance, MagLev2DOF)
-#: By the word that stands in a machine file.
+#: Word in a machine file → class.
 KINDS = {machine.kind: machine for machine in _KINDS}

@@ -1,4 +1,4 @@
-"""Machines that turn: three phases in αβ, with magnets or without."""
+"""Rotating machines: three phases in αβ, with or without magnets."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PolePairs = Annotated[int, Field(ge=1)]
 class RotatingMachine(Machine):
     """A three-phase machine in αβ: per-phase (star) values, amplitude-invariant vectors.
 
-    Current is positive into the machine; phases a-b-c follow each other at positive speed.
+    Current is positive into the machine; the phase sequence at positive speed is a-b-c.
 
     Parameters
     ----------
@@ -30,11 +30,11 @@ class RotatingMachine(Machine):
     n_p : int
         Pole pairs, >= 1.
     rated_current : float, optional
-        Peak phase current [A], > 0. A scale of what is plausible: it needs no precision.
+        Peak phase current [A], > 0. It scales what is plausible; a rough value will do.
     inverter_voltage : float, optional
-        What dead time and device drops take of a phase's voltage [V]; taken off a log's commands.
+        Dead time and device drops of a phase [V]; subtracted from a log's commanded voltages.
     inverter_current : float, optional
-        Phase current at which the inverter's smoothed sign counts three quarters [A], > 0; default
+        Phase current at which the inverter's smoothed sign reaches three quarters [A], > 0; default
         5 % of rated_current.
     """
 
@@ -42,9 +42,9 @@ class RotatingMachine(Machine):
         "theta_e", ("theta_e", "theta_mech"), 180 / np.pi, "°", "Electrical angle"
     )
     shortest = 0.25
-    #: Whether there are magnets, whose flux is the parameter psi_f.
+    #: Whether there are magnets; the parameter psi_f is their flux.
     magnets: ClassVar[bool] = False
-    #: Names of the inductances, along d and along q; twice the same where there is one.
+    #: Names of the inductances along d and q; the same name twice if there is only one.
     inductances: ClassVar[tuple[str, str]]
     #: What |λ - L i| is, in words.
     length_name: ClassVar[str] = "Magnet flux"
@@ -76,12 +76,12 @@ class RotatingMachine(Machine):
 
     @property
     def magnet_flux(self) -> float | None:
-        """Of the magnets [Wb]: 0 without magnets, None where it is not given."""
+        """Flux of the magnets [Wb]: 0 without magnets, None if not given."""
         return 0.0
 
     @property
     def inductance_names(self) -> tuple[str, ...]:
-        """Of this kind's inductances, each once."""
+        """Names of this kind's inductances, each once."""
         return tuple(dict.fromkeys(self.inductances))
 
     @property
@@ -111,7 +111,7 @@ class RotatingMachine(Machine):
         """
         psi = self.magnet_flux
         if psi is None:
-            raise MachineError(f"psi_f is missing in the {self.kind}: its flux is asked for")
+            raise MachineError(f"psi_f is missing in the {self.kind}: its flux cannot be computed")
         L_d, L_q = self.L_dq
         i = np.asarray(current, complex)
         return np.asarray(L_d * i.real + psi + 1j * (L_q * i.imag))
@@ -131,7 +131,7 @@ class RotatingMachine(Machine):
 
 
 class MagnetMachine(RotatingMachine):
-    """A machine whose position vector λ - L i has the constant length of the magnet flux.
+    """A machine whose position vector λ - L i has a constant length: the magnet flux.
 
     The relation is ``|λ - L i|² = ψ²``: Q1 = I, Q2 = -2L I, Q3 = L² I, d = -ψ².
     """
@@ -157,12 +157,12 @@ class MagnetMachine(RotatingMachine):
 
 
 def rotating(machine: object, what: str = "this") -> RotatingMachine:
-    """The machine, if it is one that turns.
+    """Return the machine if it is a rotating one.
 
     Raises
     ------
     MachineError
-        It does not turn, or is no machine but a name, say.
+        It does not rotate, or is not a machine (a name, for example).
     """
     if isinstance(machine, RotatingMachine):
         return machine

@@ -16,8 +16,8 @@ class SurfacePMSM(MagnetMachine):
     L_s : float
         Phase inductance (synchronous, per phase in star) [H], > 0.
     psi_f : float, optional
-        Peak phase flux linkage of the magnets [Wb]. A scale only: the estimates do not use it,
-        the observer returns its own.
+        Peak phase flux linkage of the magnets [Wb]. Only a scale: the estimates do not depend on
+        it, and the observer returns its own.
 
     Examples
     --------

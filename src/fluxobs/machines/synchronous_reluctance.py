@@ -16,7 +16,7 @@ class SynchronousReluctance(RotatingMachine):
     """Synchronous reluctance machine, ``(λ - L_q i)ᵀ(λ - L_d i) = 0``.
 
     The position vector ``λ - L_q i = (L_d - L_q) i_d e(θ_e)`` lies along d, up to half a turn: it
-    points backwards if i_d < 0. It vanishes with i_d; the position is then not valid.
+    points backwards if i_d < 0. It vanishes with i_d, and the position is then not valid.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class SynchronousReluctance(RotatingMachine):
     kind = "synchronous-reluctance"
     inductances = ("L_d", "L_q")
     half_turn_ambiguous = True
-    shortest = 0.05  # it is as long as i_d allows
+    shortest = 0.05  # its length depends on i_d
     length_name = "Active flux (L_d - L_q) i_d"
 
     L_d: Positive
@@ -50,7 +50,7 @@ class SynchronousReluctance(RotatingMachine):
         return QuadraticConstraint(one, -(self.L_d + self.L_q) * one, self.L_d * self.L_q * one)
 
     def flux_base(self, rated_current: float, psi_f: float | None = None) -> float | None:
-        return 0.5 * self.L_d * rated_current  # d current is around half of a rated vector
+        return 0.5 * self.L_d * rated_current  # i_d is about half of a rated current
 
     def constraint_noise(self, flux_base: float, noise: float) -> float:
         # |∂w/∂i| = (L_d - L_q) |(L_d i_d, L_q i_q)| at the scale of the flux.

@@ -1,4 +1,4 @@
-"""The quadratic relation between flux linkage and current that holds whatever the position is."""
+"""The quadratic relation between flux linkage and current, which holds at every position."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class QuadraticConstraint:
         return np.block([[2 * self.Q1, self.Q2], [self.Q2.T, 2 * self.Q3]])
 
     def invisible_offsets(self) -> Array:
-        """Constant offsets of (λ, i) that the relation cannot tell from none, (2n, k).
+        """Constant offsets of (λ, i) that the relation cannot detect, (2n, k).
 
         See the function :func:`invisible_offsets`, which takes several relations.
         """
@@ -122,13 +122,13 @@ def invisible_offsets(
     unknowns: Iterable[str] = ("drift", "current-bias"),
     R: ArrayLike | None = None,
 ) -> Array:
-    """Constant offsets of (λ, i) that no record can tell from none.
+    """Constant offsets of (λ, i) that no record can reveal.
 
-    The null space of the relations' stacked Hessians, restricted to what may be offset: with
-    unknown drift alone the current has none; with unknown current bias alone R s = 0, or else the
-    offset would drift. Where it is empty all unknowns can be found, given excitation. For a surface
-    PMSM with both unknowns it is spanned by (L s, s), while λ - L i, hence the position, is
-    unaffected. docs/theory.md, section 3.
+    They form the null space of the relations' stacked Hessians, restricted to offsets that are
+    possible. With unknown drift alone the current has no offset; with unknown current bias alone
+    R s = 0, or else the offset would drift. If the null space is empty, excitation reveals all
+    unknowns. For a surface PMSM with both unknowns, (L s, s) spans it; λ - L i, and hence the
+    position, is unaffected. See docs/theory.md, section 3.
 
     Parameters
     ----------
@@ -140,11 +140,11 @@ def invisible_offsets(
     Returns
     -------
     (2n, k) ndarray
-        One offset (r, s) a column, in Wb and A, orthonormal after scaling by typical sizes.
+        One offset (r, s) per column, in Wb and A, orthonormal after scaling by typical sizes.
     """
     n, wanted = relations[0].n, set(unknowns)
     hessians = np.stack([relation.hessian() for relation in relations])
-    # Ports, flux and current differ in size: balance rows and columns before judging ranks.
+    # Ports, flux and current differ in size: balance rows and columns before finding the rank.
     scale = np.ones(2 * n)
     for _ in range(20):
         largest = np.abs(scale[:, None] * hessians * scale).max(axis=(0, 1))
@@ -155,7 +155,7 @@ def invisible_offsets(
         rows.append(np.hstack([zero, np.eye(n)]))
     elif "drift" not in wanted:
         if R is None:
-            raise ModelError("R is missing: with a current bias alone the drift is R times it")
+            raise ModelError("R is missing: with current-bias alone, the drift is R times the bias")
         rows.append(np.hstack([zero, np.asarray(R, float) * scale[n:]]))
     stacked = np.vstack(rows)
     sizes = np.abs(stacked).max(axis=1, keepdims=True)

@@ -1,6 +1,6 @@
-"""Reference frames: from what a drive logs to αβ, amplitude-invariant; or coils as they are.
+"""Reference frames: turn logged quantities into αβ, amplitude-invariant, or keep coils as they are.
 
-Vectors are (rows, 2) arrays; angles electrical, in radians.
+Vectors are (rows, 2) arrays; angles are electrical, in radians.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 Frame = Literal["alphabeta", "abc", "line", "duty", "dq", "ports"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 
-#: Channels of a frame: voltages, and currents; "?" marks what may be missing.
+#: Voltage channels of each frame, then its current channels.
 VOLTAGES: dict[Frame, tuple[str, ...]] = {
     "alphabeta": ("u_alpha", "u_beta"),
     "abc": ("u_a", "u_b", "u_c"),
@@ -36,12 +36,12 @@ CURRENTS: dict[Frame, tuple[str, ...]] = {
 
 
 def clarke(a: Array, b: Array, c: Array) -> Array:
-    """Amplitude-invariant Clarke transform; what the phases have in common drops out."""
+    """Amplitude-invariant Clarke transform; the zero-sequence component drops out."""
     return np.stack([(2 * a - b - c) / 3, (b - c) / np.sqrt(3)], axis=-1)
 
 
 def clarke_two_phases(values: dict[str, Array]) -> Array:
-    """The same from any two (or all) phases whose sum is zero."""
+    """Clarke transform of any two (or all) of three phases whose sum is zero."""
     missing = [name for name in PHASE_CURRENTS if name not in values]
     if missing:
         (name,) = missing
@@ -50,7 +50,7 @@ def clarke_two_phases(values: dict[str, Array]) -> Array:
 
 
 def rotate(vector: Array, angle: Array) -> Array:
-    """Turn (rows, 2) vectors by angles: from a rotor frame at `angle` to αβ."""
+    """Rotate (rows, 2) vectors by angles: from a rotor frame at `angle` to αβ."""
     cos, sin = np.cos(angle), np.sin(angle)
     x, y = vector[:, 0], vector[:, 1]
     return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
@@ -62,13 +62,13 @@ def wrap(angle: Array) -> Array:
 
 
 def angle_error(estimated: Array, true: Array, half_turn: bool = False) -> Array:
-    """Estimated minus true angle, wrapped; modulo half a turn where a machine cannot tell."""
+    """Estimated minus true angle, wrapped; modulo half a turn if `half_turn` is set."""
     difference = estimated - true
     return wrap(2 * difference) / 2 if half_turn else wrap(difference)
 
 
 def native_voltage(frame: Frame, channels: dict[str, Array]) -> Array:
-    """Voltage vector a row: αβ, except in dq, where it has yet to be rotated."""
+    """Voltage vector of each row: in αβ, except for dq, which is still to be rotated."""
     u = [channels[name] for name in VOLTAGES[frame]]
     match frame:
         case "alphabeta" | "dq" | "ports":
@@ -82,7 +82,7 @@ def native_voltage(frame: Frame, channels: dict[str, Array]) -> Array:
 
 
 def alphabeta_current(frame: Frame, channels: dict[str, Array]) -> Array:
-    """Current vector αβ a row."""
+    """Current vector of each row in αβ."""
     i = {name: channels[name] for name in CURRENTS[frame] if name in channels}
     if frame in ("alphabeta", "ports"):
         return np.stack(list(i.values()), axis=-1)

@@ -1,13 +1,13 @@
-"""The exact linear system in which the observers run: any number of ports and relations.
+"""The exact linear system behind the observers, for any number of ports and relations.
 
-State ``x = (s_1 … s_r, λ, κ_1 … κ_r, θ, c_1 … c_r, δ)`` with one ``(s, κ, c)`` a relation and ::
+State ``x = (s_1 … s_r, λ, κ_1 … κ_r, θ, c_1 … c_r, δ)`` with one ``(s, κ, c)`` per relation and ::
 
     s = λᵀQ1λ + Eᵀλ + d - λᵀQ2δ + δᵀQ3δ - Cᵀδ    κ = θᵀ(2 Q1 λ - Q2 δ + E)    c = θᵀQ1θ
 
-θ is the drift, ``λ̇ = y_m + θ``; δ the current bias where it is unknown, else left out; where it is
-the only unknown, ``θ = R δ`` and θ is left out. With volt-seconds ``v = ∫ y_m dt`` over one sample
-the transition is exact at any sampling rate: nothing is discretised. Derivation: docs/theory.md,
-section 4. The C core is the case of one relation with two ports and unknown drift.
+θ is the drift, ``λ̇ = y_m + θ``. δ is the current bias, left out unless it is unknown. If it is the
+only unknown, ``θ = R δ`` and θ is left out. With the volt-seconds ``v = ∫ y_m dt`` of a sample the
+transition is exact at any sampling rate: nothing is discretised. See docs/theory.md, section 4, for
+the derivation. The C core is the case of one relation, two ports and unknown drift.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ UNKNOWNS: tuple[Unknown, ...] = get_args(Unknown)
 
 @dataclass(frozen=True, eq=False)
 class Immersion:
-    """Linear time-varying system that contains flux, drift and current bias.
+    """Linear time-varying system whose state contains flux, drift and current bias.
 
     Parameters
     ----------
     relations : QuadraticConstraint, or a tuple of several
         All with the same number n of ports.
     unknowns : tuple of {"drift", "current-bias"}
-        What is constant and not known.
+        The unknown constants.
     R : (n, n) array_like, optional
-        Resistance [Ω]; needed where the current bias is the only unknown.
+        Resistance [Ω]; needed if the current bias is the only unknown.
 
     Raises
     ------
     ModelError
-        Relations of different size, no or unknown unknowns, or R missing.
+        Relations differ in size, `unknowns` is empty or has an unknown word, or R is missing.
 
     Examples
     --------
@@ -57,7 +57,7 @@ class Immersion:
     relations: tuple[QuadraticConstraint, ...]
     unknowns: tuple[Unknown, ...] = ("drift",)
     R: Array | None = None
-    #: Where s, flux, kappa, drift, c and current_bias stand in the state.
+    #: Where the state holds s, flux, kappa, drift, c and current_bias.
     slices: dict[str, slice] = field(init=False, repr=False)
     size: int = field(init=False, repr=False)
     _stack: dict[str, Array] = field(init=False, repr=False)
@@ -66,14 +66,14 @@ class Immersion:
         given = self.relations
         chosen = (given,) if isinstance(given, QuadraticConstraint) else tuple(given)
         if not chosen or len({relation.n for relation in chosen}) != 1:
-            raise ModelError("relations: at least one is needed, all with as many ports")
+            raise ModelError("relations: at least one is needed, all with the same number of ports")
         wanted = set(self.unknowns)
         if not wanted or wanted - set(UNKNOWNS):
             raise ModelError(
                 f"unknowns must be some of {', '.join(UNKNOWNS)}, got {', '.join(sorted(wanted))}"
             )
         if wanted == {"current-bias"} and self.R is None:
-            raise ModelError("R is missing: with a current bias alone the drift is R times it")
+            raise ModelError("R is missing: with current-bias alone, the drift is R times the bias")
         set_field = partial(object.__setattr__, self)
         set_field("relations", chosen)
         set_field("unknowns", tuple(name for name in UNKNOWNS if name in wanted))
@@ -107,14 +107,14 @@ class Immersion:
     ) -> Array:
         """State that belongs to flux [Wb], drift [V] and current bias [A], each (n,).
 
-        Where the current bias is the only unknown the drift is R times it and must not be given.
+        If the current bias is the only unknown, the drift is R times it and must not be given.
         """
         x = np.asarray(flux)
         zero = np.zeros(self.n, dtype=x.dtype)
         delta = zero if current_bias is None else np.asarray(current_bias)
         if self.unknowns == ("current-bias",):
             if drift is not None or self.R is None:
-                raise ModelError("the drift is R times the current bias here; do not give it")
+                raise ModelError("do not give the drift: here it is R times the current bias")
             theta = self.R @ delta
         else:
             theta = zero if drift is None else np.asarray(drift)
@@ -192,7 +192,7 @@ class Immersion:
         return rows, -(Q3i @ i + self._stack["C"] @ i)
 
     def row_gain(self) -> Array:
-        """∂H/∂i_m, shape (r, size, n): how noise of the current enters the rows."""
+        """∂H/∂i_m, shape (r, size, n): how current noise enters the rows."""
         gain = np.zeros((len(self.relations), self.size, self.n))
         gain[:, self.slices["flux"]] = self._stack["Q2"]
         if "current-bias" in self.unknowns:
@@ -200,14 +200,14 @@ class Immersion:
         return gain
 
     def transition_gain(self) -> Array:
-        """∂F(-h, -v)/∂v as h → 0, shape (n, size, size): how noise of v enters the past's rows."""
+        """∂F(-h, -v)/∂v as h → 0, shape (n, size, size): how noise of v enters past rows."""
         zero = np.zeros(self.n)
         return np.stack(
             [self.transition(0.0, -unit) - self.transition(0.0, zero) for unit in np.eye(self.n)]
         )
 
     def invisible(self) -> Array:
-        """Constant offsets (r, s) of flux [Wb] and current [A] that no record can tell from none.
+        """Constant offsets (r, s) of flux [Wb] and current [A] that no record can reveal.
 
         Returns
         -------

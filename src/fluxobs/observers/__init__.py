@@ -1,4 +1,4 @@
-"""The estimators, and the one list of what they return."""
+"""The observers, and the one list of their outputs."""
 
 from .adaptive import AdaptiveEstimate, AdaptiveObserver
 from .base import Estimate, LogObserver, Observer, SampleCounts

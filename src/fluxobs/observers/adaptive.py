@@ -1,4 +1,4 @@
-"""The observer for what is not known of the machine: start, resistance, inverter, magnet, saliency.
+"""The adaptive observer: quick start, errors of resistance and inverter, magnet flux, saliency.
 
 The numbers come from firmware/fluxobs_adaptive.c, the same source that runs in a drive.
 """
@@ -26,31 +26,29 @@ Array = NDArray[np.float64]
 Projection = Literal["never", "start", "always"]
 PROJECTIONS: tuple[Projection, ...] = ("never", "start", "always")
 
-#: Default standard deviations: of the resistance and the magnet flux as shares of what the machine
-#: file says, of the inverter's voltage as a share of the rated resistive drop.
+#: Default standard deviations: of resistance and magnet flux, as shares of the values given;
+#: of the inverter's voltage, as a share of the rated resistive drop.
 RESISTANCE_SHARE, PSI_SHARE, INVERTER_SHARE = 0.25, 0.25, 0.25
-#: A resistance's standard deviation beyond so many times the resistance is a wrong unit.
+#: A standard deviation beyond this many times the resistance must have a wrong unit.
 RESISTANCE_MOST = 10.0
-#: In which resistance, inverter and magnet may have changed by as much as that [s].
+#: Time in which resistance, inverter and magnet may change by one standard deviation [s].
 SLOW_MEMORY = 100.0
 
 
 @documented
 @dataclass(frozen=True, eq=False)
 class AdaptiveEstimate(Estimate):
-    """What the adaptive observer returns: see :class:`Estimate`, and more.
+    """What the adaptive observer returns: an :class:`Estimate`, and more.
 
     psi_f is the magnet flux here, not the active flux of a salient machine. Until `adapting` first
-    holds, it is the length of the position vector, and psi_f_std is what was believed.
+    holds, it is the length of the position vector, and psi_f_std is the prior's.
     """
 
     psi_f_std: Array = field(metadata=output("Wb", "Standard deviation of psi_f"))
     drift_std: Array = field(metadata=output("V", "Standard deviation of a component of the drift"))
     resistance: Array = field(metadata=output("Ω", "Phase resistance"))
     resistance_std: Array = field(metadata=output("Ω", "Standard deviation of resistance"))
-    inverter_voltage: Array = field(
-        metadata=output("V", "What dead time and device drops take of a phase")
-    )
+    inverter_voltage: Array = field(metadata=output("V", "Dead time and device drops of a phase"))
     inverter_voltage_std: Array = field(
         metadata=output("V", "Standard deviation of inverter_voltage")
     )
@@ -63,7 +61,7 @@ class AdaptiveEstimate(Estimate):
     adapting: NDArray[np.bool_] = field(
         metadata=output(
             "",
-            "The filter for all unknowns runs; before, positions are followed that fit so far",
+            "The filter for all unknowns runs; before that, positions that fit so far are followed",
             boolean=True,
             in_files=False,
         )
@@ -72,43 +70,43 @@ class AdaptiveEstimate(Estimate):
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
-    """Starts within a fraction of a turn, and finds what resistance and inverter are off by.
+    """Starts within a fraction of a turn, and finds the errors of resistance and inverter.
 
-    The observer of :class:`LeastSquaresObserver` runs in it as ever. Its information is projected
-    on the manifold of consistent (flux, drift, magnet flux) until the position is known; then a
-    recursive square-root Gauss-Newton on (flux, drift, magnet flux, resistance, inverter) goes on,
-    guarded by it. What cannot be seen at the moment (at constant speed and load: resistance,
-    inverter and magnet flux apart from each other) keeps its value, and its standard deviation
-    grows. A standard deviation of 0 says that something is known.
+    A :class:`LeastSquaresObserver` runs inside, unchanged. Until the position is known, its
+    information is projected on the manifold of consistent (flux, drift, magnet flux). Then a
+    recursive square-root Gauss-Newton filter on (flux, drift, magnet flux, resistance, inverter)
+    takes over, guarded by the plain observer. A parameter that the data do not determine keeps its
+    value, and its standard deviation grows: at constant speed and load, resistance, inverter and
+    magnet flux cannot be told apart. A standard deviation of 0 marks a parameter as known.
 
     Use :meth:`for_machine` unless you know better.
 
     Parameters
     ----------
     plain : LeastSquaresObserver
-        The one that runs in it.
+        The observer that runs inside.
     saliency : float
-        L_d - L_q [H]; 0 of a machine with one inductance.
+        L_d - L_q [H]; 0 for a machine with one inductance.
     psi_f, psi_f_std : float
-        Magnet flux as believed and its standard deviation [Wb]; 0, 0 without magnets.
+        Assumed magnet flux and its standard deviation [Wb]; 0, 0 without magnets.
     resistance_std : float
-        Of the plain observer's resistance [Ω].
+        Standard deviation of the plain observer's resistance [Ω].
     inverter_voltage, inverter_std : float
-        Dead time and device drops of a phase as believed, and the standard deviation [V].
+        Assumed dead time and device drops of a phase, and their standard deviation [V].
     inverter_current : float
-        Phase current at which the inverter's sign counts three quarters: it is tanh(i / this) [A].
-        Near zero the switches' capacitances decide the voltage, not the dead time.
+        Phase current at which the inverter's smoothed sign, tanh(i / this), reaches three quarters
+        [A]. Near zero, the switches' capacitances determine the voltage, not the dead time.
     slow_memory : float
-        In which magnet flux, resistance and inverter may have changed by a standard deviation [s].
+        Time in which magnet flux, resistance and inverter may change by a standard deviation [s].
     projection : {"start", "always", "never"}
         "never": the start waits for the plain observer's position, about a turn. "always": the
-        projection goes on, and guards in place of the plain observer's position.
+        projection continues, and replaces the plain observer's position as the guard.
 
     Raises
     ------
     ObserverError
         A value is negative or not finite, sizes do not fit each other, a standard deviation is
-        far above what it is of, or the slow memory is shorter than the plain observer's.
+        far larger than its parameter, or the slow memory is shorter than the plain observer's.
 
     References
     ----------
@@ -157,7 +155,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         ):
             if value > of:
                 raise ObserverError(
-                    f"{name} = {value:g} is more than {of:g}: a standard deviation, in SI units"
+                    f"{name} = {value:g} is above {of:g}: give a standard deviation, in SI units"
                 )
         if self.slow_memory < self.memory:
             raise ObserverError(
@@ -170,7 +168,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             )
         c = self.plain.constraint
         if not (np.array_equal(c.Q1, np.eye(2)) and not c.E.any() and not c.C.any()):
-            raise ObserverError("the adaptive observer is for relations with Q1 = I, E = 0, C = 0")
+            raise ObserverError("the adaptive observer needs a relation with Q1 = I, E = 0, C = 0")
         object.__setattr__(self, "_core", self._make_core())
 
     def _make_core(self) -> Any:
@@ -202,7 +200,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
 
     @property
     def resistance(self) -> float:
-        """As believed [Ω]."""
+        """Assumed phase resistance [Ω]."""
         return float(self.plain.R[0, 0])
 
     @classmethod
@@ -229,15 +227,15 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         Parameters
         ----------
         machine : RotatingMachine
-            Its inverter_voltage and inverter_current serve as what is believed of the inverter.
+            Its inverter_voltage and inverter_current are the values assumed for the inverter.
         sample_time : float
             [s].
         unknowns : tuple of {"drift", "resistance", "inverter"}
-            What is not known; the drift always is.
+            The unknowns; the drift is always one of them.
         psi_f_std, resistance_std, inverter_std : float, optional
-            Standard deviations of what is believed [Wb], [Ω], [V]; default a quarter of the
+            Standard deviations of the assumed values [Wb], [Ω], [V]; default: a quarter of the
             machine's magnet flux, of its resistance, and of its rated resistive drop. A magnet flux
-            known to 1 % quickens the start and shows the resistance at constant speed and load.
+            known to 1 % speeds up the start and reveals the resistance at constant speed and load.
         memory, psi_f, rated_current, current_noise, drift_prior, precision
             See :meth:`LeastSquaresObserver.for_machine`.
         slow_memory, projection
@@ -246,8 +244,8 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         Raises
         ------
         ObserverError
-            Neither the machine nor the call gives something that is needed; an unknown that this
-            observer does not find; or a standard deviation for what is not among the unknowns.
+            Neither the machine nor the call gives a value that is needed; this observer does not
+            find one of the unknowns; or a standard deviation is given for what is not an unknown.
         """
         for name in unknowns:
             if name not in ("drift", "resistance", "inverter"):

@@ -1,4 +1,4 @@
-"""What an observer is, and what it returns."""
+"""The interface of an observer, and what it returns."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Estimate:
     theta_e: Array = field(
         metadata=output(
             "rad",
-            "Electrical position straight from the flux, in (-π, π]; always finite",
+            "Electrical position directly from the flux, in (-π, π]; always finite",
             exact=False,
         )
     )
@@ -68,18 +68,18 @@ class Estimate:
 
 @dataclass(frozen=True)
 class SampleCounts:
-    """What was wrong with the samples so far, and how often the information was emptied.
+    """How many samples were bad so far, and how often the observer restarted.
 
     Attributes
     ----------
     bad_voltages, bad_currents : int
-        Not finite.
+        Samples that are not finite.
     absurd : int
-        No such machine can have such a value.
+        Samples with a value that no such machine can have.
     outliers : int
-        Currents that contradict all samples before; not used.
+        Currents that contradict all earlier samples; not used.
     restarts : int
-        After an absurd value, or more than three bad samples in a row.
+        Restarts after an absurd value, or after more than three bad samples in a row.
     """
 
     bad_voltages: int
@@ -94,12 +94,12 @@ Found = TypeVar("Found", covariant=True)
 
 
 class Observer(Protocol[State, Found]):
-    """What every observer keeps: the state is data, the observer a frozen object.
+    """The protocol of every observer: the state is data, the observer a frozen object.
 
     `step` takes the current sampled now and the mean voltage over the interval that ends now; `run`
     gives the same numbers for a whole record. Nothing is mutated. Vectors are (2,) or (rows, 2), in
-    NumPy or in JAX, as the observer is. tests/contract holds every observer to this: the compiled
-    ones, the immersed one, their twin in JAX, and the baselines of the comparison.
+    NumPy or JAX, whichever the observer uses. tests/contract checks every observer against this:
+    the compiled ones, the immersed one, their twin in JAX, and the baselines of the comparison.
     """
 
     @property
@@ -108,20 +108,20 @@ class Observer(Protocol[State, Found]):
         ...
 
     def init(self) -> State:
-        """State in which nothing is known."""
+        """Initial state, in which nothing is known."""
         ...
 
     def step(self, state: State, voltage: Any, current: Any) -> tuple[State, Found]:
-        """One sample [V], [A]."""
+        """Process one sample [V], [A]."""
         ...
 
     def run(self, voltage: Any, current: Any) -> Any:
-        """A record, from zero knowledge: the estimates of all its rows, stacked."""
+        """Process a record from the initial state; returns the estimates of all rows, stacked."""
         ...
 
 
 class LogObserver(Observer[State, Found], Protocol[State, Found]):
-    """An observer that estimations of logs run: it takes a log in parts, and counts bad samples."""
+    """An observer for logs: it takes a log in parts, and counts bad samples."""
 
     @property
     def memory(self) -> float:
@@ -129,7 +129,7 @@ class LogObserver(Observer[State, Found], Protocol[State, Found]):
         ...
 
     def resume(self, state: State, voltage: ArrayLike, current: ArrayLike) -> tuple[State, Any]:
-        """As `run`, from a state; the state after the last row too."""
+        """Like `run`, from `state`; returns the state after the last row too."""
         ...
 
     def counts(self, state: State) -> SampleCounts:

@@ -1,4 +1,4 @@
-"""What the compiled observers share: state as bytes, steps, whole records, batches."""
+"""The common part of the compiled observers: state as bytes, steps, whole records, batches."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Found = TypeVar("Found", bound=Estimate)
 
 @dataclass(frozen=True, eq=False)
 class CompiledState:
-    """Everything the observer remembers; plain bytes of the C state, one row a lane."""
+    """Everything the observer remembers: plain bytes of the C state, one row per lane."""
 
     raw: NDArray[np.uint8]
     batch: tuple[int, ...]
@@ -40,7 +40,7 @@ class CompiledState:
 def read_columns(
     names: Sequence[tuple[str, int]], columns: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
-    """What the core returned, by name: (name, components) each, in its order."""
+    """Outputs of the core by name; `names` lists (name, components) in the core's order."""
     out, at = {}, 0
     for name, components in names:
         part = columns[at : at + components]
@@ -50,7 +50,7 @@ def read_columns(
 
 
 def wrapped(core: Any, *arguments: Any) -> Any:
-    """A compiled core; ObserverError where it refuses its configuration."""
+    """Make a compiled core; ObserverError if it refuses its configuration."""
     try:
         return core(*arguments)
     except ValueError as error:
@@ -58,7 +58,7 @@ def wrapped(core: Any, *arguments: Any) -> Any:
 
 
 class CompiledObserver(Generic[Found]):
-    """Steps and runs of an observer whose numbers come from C; its state is plain bytes."""
+    """An observer whose numbers come from C; its state is plain bytes."""
 
     _core: Any
 
@@ -72,7 +72,7 @@ class CompiledObserver(Generic[Found]):
         raise NotImplementedError
 
     def init(self, batch: tuple[int, ...] = ()) -> CompiledState:
-        """State of which nothing is known, for one record or a batch of that shape."""
+        """Initial state, in which nothing is known, for one record or a batch of that shape."""
         lanes = int(np.prod(batch, dtype=int))
         return CompiledState(self._core.reset(lanes), tuple(batch))
 
@@ -84,7 +84,7 @@ class CompiledObserver(Generic[Found]):
         *,
         volt_seconds: ArrayLike | None = None,
     ) -> tuple[CompiledState, Found]:
-        """One sample.
+        """Process one sample.
 
         Parameters
         ----------
@@ -95,7 +95,7 @@ class CompiledObserver(Generic[Found]):
         current : (*batch, 2) array_like
             Current sampled now [A]; NaN where missing.
         volt_seconds : (*batch, 2) array_like, instead of voltage
-            ∫ (-R i_m + B u_m) dt over the interval ending now [Wb], where known exactly.
+            ∫ (-R i_m + B u_m) dt over the interval ending now [Wb], if known exactly.
 
         Returns
         -------
@@ -125,21 +125,22 @@ class CompiledObserver(Generic[Found]):
         volt_seconds: ArrayLike | None = None,
         threads: int | None = None,
     ) -> Found:
-        """A whole record, or a batch of arrays, from zero knowledge; releases the GIL.
+        """Process a whole record, or a batch of arrays, from the initial state; releases the GIL.
 
-        Same numbers, bit for bit, as the step loop. To go on from a state, see :meth:`resume`.
+        The numbers equal those of a step loop bit for bit. To continue from a state, see
+        :meth:`resume`.
 
         Parameters
         ----------
         voltage : Record or (*batch, rows, 2) array_like
-            A record, whose lag decides which voltage belongs to which interval; or, with
-            `current`, an array whose row k is the mean over the interval that ends at row k [V].
+            A record, whose lag says which voltage belongs to which interval; or, with `current`, an
+            array whose row k is the mean over the interval that ends at row k [V].
         current : (*batch, rows, 2) array_like
             [A].
         volt_seconds : (*batch, rows, 2) array_like, instead of voltage
             [Wb].
         threads : int, optional
-            For a batch; default one a processor.
+            For a batch; default one per processor.
 
         Returns
         -------

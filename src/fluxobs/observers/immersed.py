@@ -1,7 +1,7 @@
 """Readable least squares on the immersion: any number of ports and relations, current bias too.
 
-The same recursion as firmware/fluxobs.c, which is its special case of one relation, two ports and
-unknown drift, written for reading; what is valid is judged more simply.
+The recursion is that of firmware/fluxobs.c, the special case of one relation, two ports and unknown
+drift. This one is written to be read, and judges validity more simply.
 """
 
 from __future__ import annotations
@@ -21,30 +21,31 @@ from .outputs import documented, output
 
 Array = NDArray[np.float64]
 
-#: Share of the flux information that may be noise pretending: as in the compiled observer.
+#: Share of the flux information that may come from noise, as in the compiled observer.
 NOISE_SHARE_LIMIT: float = _core.thresholds["SHARE_LIMIT"]
-#: Largest correlation of successive innovations that is believed: as in the compiled observer.
+#: Cap on the correlation of successive innovations, as in the compiled observer.
 CORRELATION_LIMIT: float = _core.thresholds["CORRELATION_LIMIT"]
-#: After so many missing samples in a row nothing is known any more: as in the compiled observer.
+#: This many missing samples in a row erase all that is known, as in the compiled observer.
 MISSING: int = int(_core.thresholds["MAX_CONSECUTIVE_BAD"]) + 1
-#: A flux is known when its standard deviation is below this share of the flux, per-unit. With the
-#: flux of a rotor it is 3° of its angle, the compiled observer's limit (STD_LIMIT).
+#: A flux is known if its standard deviation is below this share of the flux, per-unit. For the flux
+#: of a rotor this is 3° of its angle, the compiled observer's limit (STD_LIMIT).
 KNOWN = 0.05
-#: A sample whose innovation is so many times its standard deviation contradicts all before. Noise
-#: does not reach ten; a jump of an offset does within a few samples (tests/observers).
+#: A sample whose innovation exceeds this many standard deviations contradicts all earlier samples.
+#: Noise does not reach ten; a jump of an offset does within a few samples (tests/observers).
 CONTRADICTION = 10.0
-#: After so many contradictions in a row something that was constant has jumped: start anew. Fewer
-#: could be a burst of spikes, which the compiled observer also bridges.
+#: This many contradictions in a row mean that a constant has jumped: restart. Fewer could be a
+#: burst of spikes, which the compiled observer also bridges.
 CONTRADICTIONS = MISSING
-#: A restart takes the innovations' power so many times larger, so that noise beyond what is assumed
-#: cannot restart for ever: four restarts make up for an assumed noise 16 times too small.
+#: A restart multiplies the innovations' power by this, so that noise above the assumed one cannot
+#: restart for ever: four restarts make up for an assumed noise 16 times too small.
 RESTART_POWER = 4.0
-#: A current bias beyond so many of its prior's standard deviations is made up by noise, and takes
-#: the flux with it: the flux is not valid then.
+#: A current bias beyond this many standard deviations of its prior is an artefact of noise. It
+#: corrupts the flux, which is then not valid.
 BIAS_LIMIT = 3.0
-#: A row of the prior is given back every so many samples: in turns, as in the compiled observer.
+#: Samples between two re-injected rows of the prior, which take turns as in the compiled observer.
 EVERY = 2
-#: Mean current of the last interval from the last four, newest first: the cubic through them.
+#: Mean current of the last interval from the last four samples, newest first: the cubic through
+#: them.
 QUADRATURE = np.array([9.0, 19.0, -5.0, 1.0]) / 24
 
 
@@ -63,7 +64,7 @@ class ImmersionEstimate:
         metadata=output("V", "Standard deviation of drift", vector=True, in_files=False)
     )
     current_bias: Array = field(
-        metadata=output("A", "Offset of the current; 0 where it is no unknown", vector=True)
+        metadata=output("A", "Offset of the current; 0 if it is not an unknown", vector=True)
     )
     current_bias_std: Array = field(
         metadata=output("A", "Standard deviation of current_bias", vector=True)
@@ -77,7 +78,7 @@ class ImmersionEstimate:
         metadata=output(
             "",
             "The flux is known: noise share below 0.1 and standard deviation below a twentieth of "
-            "the flux, per-unit, both for a memory without a missing sample",
+            "the flux, per-unit, both for one memory without a missing sample",
             boolean=True,
         )
     )
@@ -92,7 +93,7 @@ class ImmersionEstimate:
 
 @dataclass(frozen=True, eq=False)
 class ImmersionState:
-    """All that is remembered: information ``R x = z``, what noise put there, and a few samples."""
+    """All that is remembered: information ``R x = z``, its part from noise, and a few samples."""
 
     R: Array
     z: Array
@@ -121,7 +122,7 @@ class ImmersionObserver:
     immersion : Immersion
         Relations and unknowns.
     R : (n, n) array_like
-        Of ``λ̇ = -R i + B u`` [Ω].
+        Resistance in ``λ̇ = -R i + B u`` [Ω].
     B : (n, m) array_like
     sample_time : float
         [s], > 0.
@@ -134,17 +135,17 @@ class ImmersionObserver:
     drift_prior : (n,) array_like
         Largest plausible drift [V].
     current_bias_prior : (n,) array_like
-        Largest plausible current bias [A]; used where it is an unknown.
+        Largest plausible current bias [A]; used if it is an unknown.
     current_noise : float, optional
-        Std of a current component [A]; default what makes `constraint_noise`. `noise_share`, and
-        so `valid`, rests on it.
+        Std of a current component [A]; default: the one that causes `constraint_noise`.
+        `noise_share`, and so `valid`, depends on it.
     voltage_noise : float
-        The same of the mean voltage over a sample [V]; default 0, a command.
+        Std of the mean voltage over a sample [V]; default 0, for a command.
 
     Raises
     ------
     ObserverError
-        A number is not positive, or an unknown cannot be told from others by these relations.
+        A number is not positive, or these relations cannot tell an unknown from others.
 
     References
     ----------
@@ -217,12 +218,12 @@ class ImmersionObserver:
         object.__setattr__(self, "_prior", self._prior_std())
         h, gain = self.sample_time, self.immersion.transition_gain()
         pushes = h * np.hstack([self.voltage_noise * self.B, noise * self.R])
-        # One direction of v's noise each: ∂F⁻¹ along it.
+        # For each direction of v's noise, ∂F⁻¹ along it.
         object.__setattr__(self, "_volt_seconds_noise", np.tensordot(pushes.T, gain, axes=1))
         object.__setattr__(self, "_row_noise", noise * self.immersion.row_gain())
 
     def _prior_std(self) -> Array:
-        """Standard deviation of every state before anything is known."""
+        """Prior standard deviation of every state."""
         flux, drift, unknowns = self.flux_base, self.drift_prior, self.immersion.unknowns
         bias = self.current_bias_prior if "current-bias" in unknowns else np.zeros_like(flux)
         if unknowns == ("current-bias",):
@@ -252,7 +253,7 @@ class ImmersionObserver:
         return out
 
     def init(self, batch: tuple[int, ...] = ()) -> ImmersionState:
-        """State of which nothing is known; one record at a time."""
+        """Initial state, in which nothing is known; one record at a time."""
         if batch:
             raise ObserverError("this observer takes one record at a time")
         size = self.immersion.size
@@ -272,10 +273,11 @@ class ImmersionObserver:
         *,
         volt_seconds: ArrayLike | None = None,
     ) -> tuple[ImmersionState, ImmersionEstimate]:
-        """One sample; arguments as for :meth:`LeastSquaresObserver.step`, ``(m,)`` and ``(n,)``.
+        """Process one sample; as :meth:`LeastSquaresObserver.step`, with ``(m,)`` and ``(n,)``.
 
-        A missing (NaN) current or voltage is held, and so is a current that contradicts all
-        before; nothing is valid for a memory after it. Four in a row empty the information.
+        For a missing (NaN) current or voltage the last value is held, and also for a current that
+        contradicts all earlier samples; nothing is valid for one memory after that. Four in a row
+        erase the information.
         """
         if current is None or (voltage is None) == (volt_seconds is None):
             raise UsageError("give current, and either voltage or volt_seconds")
@@ -283,9 +285,9 @@ class ImmersionObserver:
         u = state.voltage if voltage is None else np.asarray(voltage, float)
         v = None if volt_seconds is None else np.asarray(volt_seconds, float)
         if v is not None and not np.isfinite(v).all():
-            raise RecordError("volt_seconds must be finite; a missing sample has no current")
+            raise RecordError("volt_seconds must be finite; mark a missing sample by current NaN")
         known = bool(np.isfinite(i).all())
-        # A first voltage belongs to an interval before the record: none is no fault.
+        # The first voltage belongs to an interval before the record: it may be missing.
         no_voltage = not np.isfinite(u).all() and state.samples > 0
         bad = not known or no_voltage
         held = state.currents[0] if state.samples else np.zeros(self.immersion.n)
@@ -297,7 +299,7 @@ class ImmersionObserver:
         after = self._move(state, i if known else held, u, v)
         if known:
             measured = self._measure(after, i)
-            if measured is None:  # contradicts all before: as if it were missing
+            if measured is None:  # contradicts all before: treat it as missing
                 after = self._move(state, held, u, v)
                 after = replace(
                     after,
@@ -329,10 +331,10 @@ class ImmersionObserver:
     def _move(
         self, state: ImmersionState, current: Array, voltage: Array, v: Array | None
     ) -> ImmersionState:
-        """Time update to a sample with that current."""
+        """Time update to a sample with this current."""
         h, immersion = self.sample_time, self.immersion
         if state.samples == 0:
-            # Before the first sample the current is taken to have been what it is.
+            # Assume that the current was the same before the first sample.
             return replace(state, currents=np.tile(current, (4, 1)))
         currents = np.vstack([current, state.currents[:-1]])
         if v is None:
@@ -346,14 +348,14 @@ class ImmersionObserver:
         return replace(state, R=R, z=z, noise=noise, currents=currents)
 
     def _emptied(self, state: ImmersionState) -> ImmersionState:
-        """The same without information."""
+        """The same state without its information."""
         fresh = self.init()
         return replace(state, R=fresh.R, z=fresh.z, noise=fresh.noise, contradictions=0)
 
     def _measure(self, state: ImmersionState, current: Array) -> ImmersionState | None:
-        """Takes the relations at the current in, and one row of the prior back.
+        """Take in the relations at this current, and re-inject one row of the prior.
 
-        None if the current contradicts all before, and not often enough to start anew.
+        Returns None if the current contradicts all before, but not often enough for a restart.
         """
         immersion, sigma = self.immersion, self.constraint_noise
         rows, values = immersion.output_rows(current)
@@ -368,7 +370,7 @@ class ImmersionObserver:
                 return None
             state = replace(
                 self._emptied(state),
-                # The currents held meanwhile were no measurements.
+                # The currents held meanwhile were not measured.
                 currents=np.tile(current, (4, 1)),
                 restarts=state.restarts + 1,
                 power=RESTART_POWER * max(state.power, 1.0),
@@ -383,8 +385,8 @@ class ImmersionObserver:
             )
         state = replace(state, last_innovation=innovation)
         R, z = _absorb(state.R, state.z, rows, values)
-        # Against wind-up: what forgetting takes from the prior is given back, in turn, at the
-        # estimate, which it does not move.
+        # Against wind-up: re-inject, row by row, what forgetting takes from the prior. Centred on
+        # the estimate, it does not move it.
         if state.samples % EVERY == 0:
             j = state.samples // EVERY % immersion.size
             weight = np.sqrt(1 - rho ** (EVERY * immersion.size)) / self._prior[j]
@@ -396,7 +398,7 @@ class ImmersionObserver:
         return replace(state, R=R, z=z, noise=noise, contradictions=0)
 
     def _pretended(self, R: Array) -> Array:
-        """Information that noise of the last volt-seconds has given to all rows of the past."""
+        """Information that noise of the last volt-seconds has added to all past rows."""
         moved = R @ self._volt_seconds_noise
         return np.asarray((moved.transpose(0, 2, 1) @ moved).sum(axis=0))
 
@@ -408,11 +410,11 @@ class ImmersionObserver:
         # Innovations of real records are coloured: their power and correlation scale the variance.
         r1 = float(np.clip(state.correlation / max(state.power, 1e-300), 0.0, CORRELATION_LIMIT))
         level = state.power * (1 + r1) / (1 - r1)
-        # What the prior holds is as uncertain as the prior says, however small the innovations.
+        # What only the prior holds stays as uncertain as the prior, however small the innovations.
         held = np.square(covariance / self._prior).sum(axis=1)
         variance = level * np.diag(covariance) + max(1 - level, 0.0) * held
         std = np.sqrt(variance)
-        # Share of each state's marginal information that noise has put there.
+        # Share of each state's marginal information that comes from noise.
         spread = np.einsum("ij,ik,kj->j", covariance, state.noise, covariance)
         all_shares = spread / np.diag(covariance)
         share = all_shares[at["flux"]]
@@ -424,13 +426,13 @@ class ImmersionObserver:
             drift, drift_std = x[at["drift"]], std[at["drift"]]
         else:
             drift, drift_std = self.R @ bias, np.sqrt(np.square(self.R) @ np.square(bias_std))
-        # Each port by its own size: a large one says nothing of a small one.
+        # Judge each port by its own size: a large one says nothing about a small one.
         length = np.linalg.norm(flux / self.flux_base) / np.sqrt(n)
         known = bool(
             (share < NOISE_SHARE_LIMIT).all()
             and (flux_std < KNOWN * length * self.flux_base).all()
             and state.contradictions == 0
-            # A current bias that noise makes up takes the flux with it.
+            # A current bias that is an artefact of noise corrupts the flux.
             and (all_shares[at["current_bias"]] < NOISE_SHARE_LIMIT).all()
             and (np.abs(x[at["current_bias"]]) < BIAS_LIMIT * self._prior[at["current_bias"]]).all()
             and np.isfinite(x).all()
@@ -456,9 +458,9 @@ class ImmersionObserver:
         *,
         volt_seconds: ArrayLike | None = None,
     ) -> ImmersionEstimate:
-        """A whole record, from zero knowledge; the same numbers as the step loop.
+        """Process a whole record from the initial state; the same numbers as the step loop.
 
-        A :class:`Record`, or ``(rows, m)`` and ``(rows, n)`` arrays: row k's voltage (or
+        Takes a :class:`Record`, or ``(rows, m)`` and ``(rows, n)`` arrays: row k's voltage (or
         volt-seconds) belongs to the interval that ends at row k.
         """
         if isinstance(voltage, Record):
@@ -497,16 +499,16 @@ class ImmersionObserver:
 
 
 def _absorb(R: Array, z: Array, rows: Array, values: Array) -> tuple[Array, Array]:
-    """Triangle that has taken weighted rows in."""
+    """The triangle after taking in weighted rows."""
     n = len(R)
     stacked = np.vstack([np.column_stack([R, z]), np.column_stack([rows, values])])
-    # LAPACK's rows may come out negative; a sign of a row means nothing.
+    # LAPACK's rows may come out negative; the sign of a row means nothing.
     triangle: Any = np.linalg.qr(stacked, mode="r")
     return triangle[:n, :n], triangle[:n, n]
 
 
 def describe_invisible(directions: NDArray[np.floating]) -> str:
-    """In words: what offset of flux and current no record can tell from none."""
+    """Describe in words the offsets of flux and current that no record can reveal."""
     n = len(directions) // 2
     out = []
     for column in directions.T:

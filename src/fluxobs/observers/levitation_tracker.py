@@ -1,4 +1,4 @@
-"""From flux to position and velocity of a levitated body."""
+"""Position and velocity of a levitated body from its flux."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 class LevitationTracker:
     """Luenberger observer for position and velocity, driven by the estimated force.
 
-    Measured is the position that flux and current say, ``q = g - k_1 i_1/φ_1 = k_2 i_2/φ_2 - g``,
-    both weighed by least squares; the model is ``q̈ = (D²/J)(F_1 - F_2)``, F = c φ²/(2k).
+    It measures the position from flux and current, ``q = g - k_1 i_1/φ_1 = k_2 i_2/φ_2 - g``, both
+    weighted by least squares; the model is ``q̈ = (D²/J)(F_1 - F_2)``, F = c φ²/(2k).
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class LevitationTracker:
                 raise ObserverError(f"{name} must be positive and finite, got {value}")
 
     def run(self, flux: ArrayLike, current: ArrayLike) -> tuple[Array, Array]:
-        """Position [m] and velocity [m/s], (rows,) each; a row without a position is predicted.
+        """Position [m] and velocity [m/s], (rows,) each; rows without a position are predicted.
 
         Parameters
         ----------
@@ -51,7 +51,7 @@ class LevitationTracker:
         phi = np.asarray(flux, float)
         measured, _ = m.position(phi, np.asarray(current, float))
         force = m.c_1 * phi[:, 0] ** 2 / (2 * m.k_1) - m.c_2 * phi[:, 1] ** 2 / (2 * m.k_2)
-        acceleration = np.nan_to_num(m.D**2 / m.J * force)  # none where the flux is missing
+        acceleration = np.nan_to_num(m.D**2 / m.J * force)  # zero where the flux is missing
         # Double pole at e^{-h bandwidth} for a double integrator.
         pole = np.exp(-h * self.bandwidth)
         gain, gain_velocity = 1 - pole**2, (1 - pole) ** 2 / h

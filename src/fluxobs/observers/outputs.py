@@ -1,8 +1,8 @@
-"""The one list of what observers return: name, unit, shape, column of a file, in which observer.
+"""The one list of what observers return: name, unit, shape, file column, and which observer.
 
 An estimate is a dataclass whose fields carry :func:`output`. Its attributes, its docstring, the
 columns of a file, the summary's series, the test vectors of firmware and the table in the docs all
-come from these fields. The compiled core names what it returns; the names are the same.
+come from these fields. The compiled core uses the same names.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ class Output:
     Attributes
     ----------
     name : str
-        Of the attribute, and of the column.
+        Name of the attribute and of the column.
     unit : str
-        SI; "" without one.
+        In SI; "" if it has none.
     about : str
         What it is.
     vector : bool
-        Two components (..., 2), one a port; else (...).
+        Two components (..., 2), one per port; else (...).
     boolean : bool
     in_files : bool
-        A column of the files that an estimation writes.
+        Is a column of the files that an estimation writes.
     exact : bool
-        In firmware, equal bit for bit wherever the plain observer is compiled; angles are not,
-        since every C library has its own atan2.
+        Equal bit for bit in every firmware of the plain observer; angles are not, since every C
+        library has its own atan2.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Output:
     exact: bool
 
     def columns(self, ports: Sequence[str]) -> tuple[str, ...]:
-        """Names of its columns: ``flux_alpha``, or ``flux_alpha_std`` of ``flux_std``."""
+        """Names of its columns: ``flux`` gives ``flux_alpha``, ``flux_std`` ``flux_alpha_std``."""
         if not self.vector:
             return (self.name,)
         stem, std = (self.name[:-4], "_std") if self.name.endswith("_std") else (self.name, "")
@@ -61,23 +61,23 @@ def output(
     in_files: bool = True,
     exact: bool = True,
 ) -> dict[str, Any]:
-    """The ``metadata`` of an estimate's field; arguments as of :class:`Output`."""
+    """The ``metadata`` of an estimate's field; arguments as for :class:`Output`."""
     return {"output": (unit, about, vector, boolean, in_files, exact)}
 
 
 def outputs(estimate: type) -> tuple[Output, ...]:
-    """Of a class of estimates, in the order of the files; ``valid`` comes last."""
+    """Outputs of a class of estimates, in the order of the files; ``valid`` comes last."""
     found = [Output(f.name, *f.metadata["output"]) for f in fields(estimate)]
     return tuple(sorted(found, key=lambda one: one.name == "valid"))
 
 
 def in_files(estimate: type) -> tuple[Output, ...]:
-    """Those that are columns of a file."""
+    """Outputs that are columns of a file."""
     return tuple(one for one in outputs(estimate) if one.in_files)
 
 
 def documented(estimate: Class) -> Class:
-    """Class decorator: completes the docstring by the list of its outputs."""
+    """Class decorator: append the list of outputs to the docstring."""
     lines = []
     for one in outputs(estimate):
         kind = "ndarray of bool" if one.boolean else "ndarray"
@@ -97,7 +97,7 @@ def markdown(*estimates: tuple[str, type]) -> str:
             rows.setdefault(one.name, (one, []))[1].append(title)
     lines = ["| output | unit | observer | meaning |", "|---|---|---|---|"]
     for one, titles in rows.values():
-        shape = ", a component a port" if one.vector else ""
+        shape = ", one component per port" if one.vector else ""
         lines.append(
             f"| `{one.name}` | {one.unit or '–'} | {', '.join(titles)} "
             f"| {one.about.rstrip('.')}{shape} |"

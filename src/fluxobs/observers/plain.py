@@ -19,19 +19,19 @@ from ..validation import number
 from .base import Estimate
 from .compiled import CompiledObserver, read_columns, wrapped
 
-#: Default memory [s]. One value served every record tried, 75 to 5000 rad/s electrical: much
-#: shorter, and slow machines turn too little within it; much longer, and what is taken as constant
-#: (drift, inverter error, magnet flux) changes within it.
+#: Default memory [s]. One value suited every record tried, 75 to 5000 rad/s electrical. If it is
+#: much shorter, slow machines turn too little within it; if much longer, the quantities assumed
+#: constant (drift, inverter error, magnet flux) change within it.
 MEMORY = RotatingMachine.memory
-#: Bandwidth of the tracker times the memory: follows load steps that the memory only averages.
+#: Bandwidth of the tracker times the memory: it follows load steps that the memory only averages.
 TRACKER = 20.0
-#: No real machine keeps its relation better than to this share of its flux squared (saturation,
-#: slots, inverter). It belongs to the assumed noise, where it balances prior against data; the
-#: reported standard deviations take their level from the innovations.
+#: No real machine satisfies its relation better than to this share of its flux squared (saturation,
+#: slots, inverter). It is part of the assumed noise, where it balances prior against data; the
+#: innovations set the level of the reported standard deviations.
 MODEL_ERROR = 0.003
 #: Default noise of a current component, as a share of the rated current.
 CURRENT_NOISE = 0.002
-#: A current is no measurement beyond this many rated currents, ...
+#: A current beyond this many rated currents is garbage, ...
 CURRENT_LIMIT = 20.0
 #: ... provided that its own flux, L i, is then beyond this many flux bases.
 CURRENT_FLUX_LIMIT = 5.0
@@ -53,14 +53,14 @@ POSITIVE = (
 class LeastSquaresObserver(CompiledObserver[Estimate]):
     """Flux, position, speed and drift by exponentially forgetting least squares.
 
-    Use :meth:`for_machine` unless you know better; the fields are what it chooses.
+    Use :meth:`for_machine`, which chooses these fields, unless you know better.
 
     Parameters
     ----------
     constraint : QuadraticConstraint
-        Two ports.
+        With two ports.
     R, B : (2, 2) array_like
-        Of ``λ̇ = -R i + B u`` [Ω], [-].
+        Matrices of ``λ̇ = -R i + B u`` [Ω], [-].
     position_inductance : float
         L of the position vector λ - L i [H].
     sample_time : float
@@ -76,14 +76,14 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
     current_limit : float
         A longer current vector is taken for garbage [A].
     drift_prior : float
-        Largest plausible drift [V]. Start-up is quicker the tighter it is; one that proves too
-        tight is widened.
+        Largest plausible drift [V]. A tighter prior speeds up the start; one that proves too tight
+        is widened.
     length_min : float
-        A position vector shorter than this is no position [Wb].
+        A position vector shorter than this gives no position [Wb].
     tracker_bandwidth : float
         [rad/s].
     precision : {"double", "single"}
-        Single computes what a microcontroller does.
+        "single" computes what a microcontroller does.
 
     Raises
     ------
@@ -161,7 +161,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
             "R": self.R,
             "B": self.B,
             "L_position": self.position_inductance,
-            # Without λᵀQ1λ the mixed term sets the size; any positive number serves.
+            # Without λᵀQ1λ the mixed term sets the size; any positive number will do.
             "constraint_base": float(size) * self.flux_base**2 if size else self.constraint_noise,
         }
         config |= {name: getattr(self, name) for name in POSITIVE}
@@ -195,33 +195,34 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         sample_time : float
             [s].
         memory : float
-            [s]; the one tuning number. The default served every record tried.
+            [s]; the only tuning parameter. The default suited every record tried.
         psi_f, rated_current : float, optional
-            Override the machine's; scales only, a factor of two does no harm [Wb], [A peak].
+            Override the machine's [Wb], [A peak]. They are only scales: a factor of two does no
+            harm.
         current_noise : float, optional
             Std of a current component [A]; default 0.2 % of the rated current.
         drift_prior : float, optional
-            Largest plausible drift [V]; default the larger of 3 % of the rated resistive drop and
-            what would turn the flux by 0.1 rad within the memory.
+            Largest plausible drift [V]; default: the larger of 3 % of the rated resistive drop and
+            the drift that turns the flux by 0.1 rad within the memory.
         precision : {"double", "single"}
 
         Raises
         ------
         ObserverError
-            Names the argument that neither the machine nor the call gives.
+            Neither the machine nor the call gives a value that is needed; the message names it.
         """
         machine = rotating(machine, "LeastSquaresObserver")
         rated = rated_current if rated_current is not None else machine.rated_current
         if rated is None:
             raise ObserverError(
                 f"rated_current is missing: give it in the machine ({machine.kind}) or to "
-                f"for_machine(…, rated_current=…) [A peak]; a rough value serves"
+                f"for_machine(…, rated_current=…) [A peak]; a rough value will do"
             )
         flux_base = machine.flux_base(rated, psi_f)
         if flux_base is None:
             raise ObserverError(
                 f"psi_f is missing: give it in the machine ({machine.kind}) or to "
-                f"for_machine(…, psi_f=…) [Wb]; a rough value serves"
+                f"for_machine(…, psi_f=…) [Wb]; a rough value will do"
             )
         noise = current_noise if current_noise is not None else CURRENT_NOISE * rated
         if drift_prior is None:

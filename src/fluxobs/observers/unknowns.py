@@ -1,4 +1,4 @@
-"""The vocabulary of what is constant, or slow, and not known; and which observer finds it."""
+"""The words for constant or slow unknowns, and which observer finds them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..validation import nearest
 #: Errors of the machine's parameters and of its inverter, found by the adaptive observer.
 ADAPTED = ("resistance", "inverter")
 UNKNOWNS: tuple[str, ...] = (*IN_THE_IMMERSION, *ADAPTED)
-#: What a standard deviation can be given for.
+#: Quantities for which a standard deviation can be given.
 PRIORS = ("resistance", "inverter", "psi_f")
 
 
@@ -22,7 +22,7 @@ def read_unknowns(unknowns: str | Sequence[str]) -> tuple[str, ...]:
     Raises
     ------
     FluxobsError
-        An unknown word, with the nearest known one; none at all; or two that exclude each other.
+        A word is not known (the message names the nearest known one), or there is none.
     """
     given = unknowns.split(",") if isinstance(unknowns, str) else unknowns
     words = [word.strip() for word in given if word.strip()]
@@ -35,26 +35,26 @@ def read_unknowns(unknowns: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def adapts(unknowns: Sequence[str]) -> bool:
-    """Whether these take the adaptive observer."""
+    """Whether these unknowns need the adaptive observer."""
     return any(name in ADAPTED for name in unknowns)
 
 
 def check_adapted(machine: Machine, unknowns: Sequence[str], priors: Mapping[str, float]) -> None:
-    """FluxobsError where the adaptive observer cannot find these unknowns on that machine."""
+    """Raise FluxobsError if the adaptive observer cannot find these unknowns on this machine."""
     found = [name for name in unknowns if name in ADAPTED]
     if found and not isinstance(machine, RotatingMachine):
         raise FluxobsError(
-            f"kind {machine.kind}: {' and '.join(found)} can be found of machines that turn only"
+            f"kind {machine.kind}: {' and '.join(found)} can be found only for machines that turn"
         )
     if found and "current-bias" in unknowns:
         raise FluxobsError(
-            f"{' and '.join(found)} cannot be found together with a current bias: with the drift, "
-            f"which takes a current bias in, they can (unknowns drift,{','.join(found)})"
+            f"{' and '.join(found)} cannot be found together with a current bias, only with the "
+            f"drift, which includes the effect of a current bias (unknowns drift,{','.join(found)})"
         )
     if found and "drift" not in unknowns:
         raise FluxobsError(
-            f"{' and '.join(found)} without the drift: no sensor is without an offset, and the "
-            f"drift is found in any case; unknowns drift,{','.join(found)}"
+            f"{' and '.join(found)} without the drift: every sensor has an offset, so the drift is "
+            f"always found too; give unknowns drift,{','.join(found)}"
         )
     for name, std in priors.items():
         if name not in PRIORS:

@@ -1,1 +1,1 @@
-"""Signals made from closed forms: the demo log, the firmware's test record, sensors."""
+"""Signals in closed form: the demo log, the firmware's test record, sensors."""

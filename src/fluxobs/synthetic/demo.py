@@ -1,12 +1,12 @@
-"""The log of the demonstration: made here, from a closed form, shipped as demo_log.csv.
+"""The demonstration log: made here in closed form, shipped as demo_log.csv.
 
 A servo motor (machine "servo-400w") runs up, is loaded, and reverses through zero. Position and
-currents are prescribed, smooth functions; flux linkage follows from the machine's equations and the
-true voltages from its change, so there is no integrator whose error would stand in the data. Then
-comes what a real drive adds: the inverter takes dead time and device drops from the commanded
-voltage, sensors have offsets, noise and the steps of their converter.
+currents are prescribed smooth functions. The machine's equations give the flux linkage, and its
+change gives the true voltages, so no integration error enters the data. Then the flaws of a real
+drive are added: the inverter loses dead time and device drops from the commanded voltage, and
+sensors have offsets, noise and the steps of their converter.
 
-``python -m fluxobs.synthetic.demo FILE`` writes it anew.
+``python -m fluxobs.synthetic.demo FILE`` writes it again.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SEED = 20261121
 
 
 def _smooth(t: Array, *knots: tuple[float, float]) -> Array:
-    """Through the knots (time, value) with level ends and half cosines between."""
+    """Curve through the knots (time, value), with level ends and half cosines in between."""
     out = np.full_like(t, knots[0][1])
     for (t0, y0), (t1, y1) in pairwise(knots):
         share = np.clip((t - t0) / (t1 - t0), 0.0, 1.0)
@@ -77,7 +77,7 @@ def generate() -> dict[str, Array]:
 
 
 def demo_log() -> Log:
-    """The shipped log, opened, with its true angle; its machine is "servo-400w".
+    """Open the shipped log, with its true angle; its machine is "servo-400w".
 
     Examples
     --------
@@ -88,7 +88,7 @@ def demo_log() -> Log:
 
 
 def write(path: str | Path) -> None:
-    """Writes the log as CSV."""
+    """Write the log as CSV."""
     columns = generate()
     digits = {"t": 4, "u_alpha": 3, "u_beta": 3, "i_alpha": 2, "i_beta": 2, "theta_e": 5}
     lines = [",".join(columns)]

@@ -1,8 +1,8 @@
 """A short record that takes the observer through everything it can meet, for its tests in C.
 
-Closed form, in steps of converters: a start from rest at an unknown angle, a run-up, a voltage
-offset beyond its prior, a step of load, samples that are missing, contradict or are absurd, a stop
-through which the flux is carried, and the reverse.
+It is in closed form, quantised by converters: a start from rest at an unknown angle, a run-up, a
+voltage offset beyond its prior, a load step, samples that are missing, contradictory or absurd, a
+stop through which the flux is carried, and a reversal.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from .signals import driven, vectors
 
 Array = NDArray[np.float64]
 
-#: Samples an electrical period at full speed.
+#: Samples per electrical period at full speed.
 PERIOD = 36
-#: (row, share of full speed), straight between. The stop is long enough to be carried through where
-#: the memory is 50 samples.
+#: (row, share of full speed), linear in between. The stop is long enough that an observer with a
+#: memory of 50 samples carries the flux through it.
 SPEED = ((0, 0.0), (40, 0.0), (140, 1.0), (660, 1.0), (740, 0.0), (1280, 0.0), (1380, -0.8))
 LOAD_ROW, ABSURD_ROW = 220, 380
 MISSING_CURRENT_ROW, MISSING_VOLTAGE_ROW, SPIKE_ROW = 280, 300, 320
 ROWS = 1540
-#: Bits of the current converter over its range, of two rated currents either way.
+#: Bits of the current converter; its range is two rated currents either way.
 BITS = 12
 START_ANGLE = 2.0
-#: Parts of an interval for its integral of the current.
+#: Parts into which an interval is divided to integrate the current.
 PARTS = 16
 
 
 @dataclass(frozen=True)
 class FirmwareRecord:
-    """Rows as an interrupt sees them: the voltage of the interval that ends at each, the current.
+    """Rows as an interrupt sees them: the current, and the voltage of the interval that ends there.
 
-    All values fit single precision.
+    Single precision represents all values exactly.
     """
 
     voltage: Array  # (rows, 2) [V]
@@ -47,7 +47,7 @@ class FirmwareRecord:
 
 
 def firmware_record(machine: RotatingMachine, observer: LeastSquaresObserver) -> FirmwareRecord:
-    """The record for a machine: currents a tenth to the whole of the rated one."""
+    """The record for a machine, with currents from a tenth of the rated one to all of it."""
     h, rated = observer.sample_time, machine.rated_current
     assert rated is not None
     k = np.arange(ROWS * PARTS + 1) / PARTS
@@ -63,7 +63,7 @@ def firmware_record(machine: RotatingMachine, observer: LeastSquaresObserver) ->
     measured = np.round(vectors(true.current[1:] + bias) / step) * step
     measured[ABSURD_ROW] = 1e6 * rated
     measured[MISSING_CURRENT_ROW] = np.nan
-    # A spike that turns the position vector by a radian and leaves its length.
+    # A spike that turns the position vector by a radian and keeps its length.
     L = machine.position_inductance
     x = (true.flux - L * true.current)[SPIKE_ROW + 1]
     measured[SPIKE_ROW] += vectors(x * (1 - np.exp(1j)) / L)

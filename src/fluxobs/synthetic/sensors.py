@@ -1,4 +1,4 @@
-"""What turns a true signal into a measured one: bias, noise, quantisation."""
+"""Sensors turn a true signal into a measured one: bias, noise, quantisation."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Sensor:
     noise : float
         Standard deviation of white noise, >= 0.
     quantum : float
-        Step of the converter, >= 0; 0 for none.
+        Step of the converter, >= 0; 0: no quantisation.
     """
 
     bias: Steps
@@ -75,7 +75,7 @@ class Sensor:
                 raise ModelError(f"{name} must be a number >= 0, got {value}")
 
     def measure(self, t: ArrayLike, true: ArrayLike, seed: int) -> Array:
-        """Measured signal, (rows, n); the same for the same seed."""
+        """Measured signal, (rows, n); the same seed gives the same signal."""
         signal = np.asarray(true, float)
         out = signal + self.bias.at(t)
         if self.noise > 0:

@@ -1,9 +1,9 @@
-"""True signals of a machine that turns, from closed forms: no integrator whose error would stay.
+"""True signals of a rotating machine in closed form: no integration error accumulates.
 
 Position and currents are prescribed. The flux linkage follows from the machine, and the mean
 voltage over each interval from the change of the flux and the integral of the current. The demo
-log, the firmware's test record, tests and benchmarks are all made here. What sensors and inverter
-do to the signals is added afterwards (sensors.py, :func:`inverter_loss`).
+log, the firmware's test record, tests and benchmarks are all made here. The effects of sensors and
+inverter are added afterwards (sensors.py, :func:`inverter_loss`).
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def steady(
 ) -> Signals:
     """Constant current in rotor coordinates [A]; speed [rad/s] constant in each interval.
 
-    `speed` is a number, or one for each of the rows. Every integral is exact.
+    `speed` is one number, or one per row. Every integral is exact.
     """
     omega = np.broadcast_to(np.asarray(speed, float), (rows,)).copy()
     if np.ndim(speed) == 0:  # a sum over millions of rows would lose digits
@@ -85,9 +85,9 @@ def driven(
 ) -> Signals:
     """Any course of speed [rad/s] and current in rotor coordinates [A].
 
-    Both are given at rows · parts + 1 instants, `parts` (even) to a sample. The angle is integrated
-    by the trapezoid, exact for speeds that are straight between the instants; the current by
-    Simpson's rule, to some 1e-9 of it at 36 samples a period and 16 parts.
+    Both are given at rows · parts + 1 instants, `parts` (even) per sample. The trapezoidal rule
+    integrates the angle, exactly if the speed is linear between the instants. Simpson's rule
+    integrates the current, to some 1e-9 of it at 36 samples per period and 16 parts.
     """
     h = sample_time / parts
     theta = theta0 + np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * h)])
@@ -107,7 +107,7 @@ def interval_means(values: AnyComplex, parts: int) -> Complex:
 
 
 def between_rows(values: ArrayLike, parts: int) -> NDArray[np.generic]:
-    """Straight lines between the values at the rows: ``parts`` to a sample, for :func:`driven`."""
+    """Interpolate linearly between rows, ``parts`` values per sample, for :func:`driven`."""
     rows = np.asarray(values)
     at, k = np.arange(len(rows)), np.arange((len(rows) - 1) * parts + 1) / parts
     if np.iscomplexobj(rows):
@@ -116,7 +116,7 @@ def between_rows(values: ArrayLike, parts: int) -> NDArray[np.generic]:
 
 
 def inverter_loss(current: AnyComplex, voltage: float, knee: float) -> Complex:
-    """What dead time and device drops take: `voltage` a phase [V], against the phase's current.
+    """Voltage lost to dead time and device drops: `voltage` per phase [V], against its current.
 
     The sign of a phase current is ``tanh(i / knee)``, knee in ampere.
     """

@@ -1,4 +1,4 @@
-"""Readers: files of columns, whatever their format."""
+"""Readers for files of columns, in every supported format."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 from ...errors import RecordError
 from .table import BATCH, Table, missing_column, read_rows
 
-#: Endings of files that are not text, each with its module and class; loaded where needed, since
-#: start-up time counts. A new format is a class with what :class:`Table` asks, and a line here.
+#: Endings of files that are not text, each with its module and class. They are loaded when needed:
+#: start-up time counts. A new format is a class with the members of :class:`Table` and a line here.
 FORMATS = {
     ".npz": ("npz", "NpzTable"),
     ".parquet": ("parquet", "ParquetTable"),
@@ -21,7 +21,7 @@ __all__ = ["BATCH", "Table", "missing_column", "open_table", "read_rows"]
 
 
 def open_table(path: str | Path) -> Table:
-    """Table in a file: .parquet, .npz, else delimited text.
+    """Open the table in a file: .parquet, .npz, else delimited text.
 
     Raises
     ------
@@ -36,5 +36,5 @@ def open_table(path: str | Path) -> Table:
     module, name = FORMATS.get(path.suffix.lower(), TEXT)
     table: Table = getattr(import_module(f"{__name__}.{module}"), name)(path)
     if not table.columns:
-        raise RecordError(f"{path}: no columns of numbers in it")
+        raise RecordError(f"{path}: it has no columns of numbers")
     return table

@@ -21,7 +21,7 @@ class ArrayTable:
     Raises
     ------
     RecordError
-        A column is no vector of numbers, or columns differ in length.
+        A column is not a vector of numbers, or columns differ in length.
     """
 
     random_access = True
@@ -33,7 +33,7 @@ class ArrayTable:
             try:
                 array = np.asarray(values, dtype=float)
             except (TypeError, ValueError):
-                raise RecordError(f"{path}: column {name!r} holds what is no number") from None
+                raise RecordError(f"{path}: column {name!r} must hold numbers") from None
             if array.ndim != 1:
                 raise RecordError(
                     f"{path}: column {name!r} must have shape (rows,), got {array.shape}"

@@ -1,4 +1,4 @@
-"""Batches out of a Polars lazy frame."""
+"""Batches from a Polars lazy frame."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .table import Columns
 def frames(
     lazy: pl.LazyFrame, names: Sequence[str], first: int, last: int, size: int
 ) -> Iterator[pl.DataFrame]:
-    """Rows first … last - 1 in order, about `size` rows a frame."""
+    """Yield rows first … last - 1 in order, about `size` rows per frame."""
     selected = lazy.select(list(dict.fromkeys(names))).slice(first, last - first)
     if last - first <= size:
         yield selected.collect()

@@ -1,4 +1,4 @@
-"""NumPy archives: one array a column."""
+"""NumPy archives: one array per column."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .arrays import ArrayTable
 
 
 class NpzTable(ArrayTable):
-    """Equally long one-dimensional arrays of an .npz file; anything else in it is passed over."""
+    """Equally long one-dimensional arrays of an .npz file; anything else in it is ignored."""
 
     def __init__(self, path: Path) -> None:
         try:

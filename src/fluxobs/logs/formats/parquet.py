@@ -39,7 +39,7 @@ class ParquetTable:
             for frame in frames(self._lazy, names, first, last, size):
                 yield as_columns(frame)
         except pl.exceptions.PolarsError as error:
-            raise RecordError(f"{self.path}: cannot be read on: {error}") from None
+            raise RecordError(f"{self.path}: reading failed midway: {error}") from None
 
     def place(self, row: int) -> str:
         return f"row {row + 1}"

@@ -1,4 +1,4 @@
-"""What a file of columns has to offer, whatever its format."""
+"""The interface to a file of columns, the same for every format."""
 
 from __future__ import annotations
 
@@ -15,40 +15,40 @@ from ...errors import RecordError
 Array = NDArray[np.float64]
 Columns = dict[str, Array]
 
-#: Rows a batch by default: small enough that memory is reused rather than mapped anew.
+#: Default rows per batch: small enough that memory is reused rather than mapped anew.
 BATCH = 50_000
 
 
 class Table(Protocol):
-    """Named columns of numbers, read in batches so that files larger than memory stream."""
+    """Named columns of numbers, read in batches so that files larger than memory can stream."""
 
     path: Path
     columns: list[str]
     rows: int
-    random_access: bool  # rows in the middle are read without reading all before them
+    random_access: bool  # can read rows in the middle without reading those before them
 
     def batches(
         self, names: Sequence[str], first: int, last: int, size: int = BATCH
     ) -> Iterator[Columns]:
-        """Columns of rows first … last - 1 in order; missing values are NaN.
+        """Yield columns of rows first … last - 1 in order; missing values are NaN.
 
-        Raises RecordError with file, column and place where a value is no number.
+        Raises RecordError with file, column and place if a value is not a number.
         """
         ...
 
     def place(self, row: int) -> str:
-        """How a person finds that row in the file."""
+        """Where a person finds that row in the file."""
         ...
 
 
 def read_rows(table: Table, names: Sequence[str], first: int, last: int) -> Columns:
-    """The same in one piece."""
+    """Columns of rows first … last - 1 in one piece."""
     parts = list(table.batches(names, first, last))
     return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 
 def missing_column(table: Table, name: str, channel: str, option: str) -> RecordError:
-    """The error for a column that is not there: says which are, nearest first."""
+    """The error for a missing column; it names the nearest columns, or all of them."""
     near = difflib.get_close_matches(name, table.columns, n=3, cutoff=0.4)
     hint = f"nearest: {', '.join(near)}" if near else f"it has: {', '.join(table.columns)}"
     return RecordError(

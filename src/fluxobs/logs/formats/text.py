@@ -15,12 +15,12 @@ from ...errors import RecordError
 from .lazy import as_columns, frames
 from .table import BATCH, Columns
 
-#: What stands in a cell that holds no value.
+#: Contents of a cell that mean a missing value.
 MISSING = ("", "nan", "na", "n/a", "null", "none", "-")
 _DECIMAL_COMMA = re.compile(r"^\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*$")
-#: Takes a cell more than the header has; such lines are refused.
+#: Column for cells beyond the header; lines that have them are refused.
 _SURPLUS = "cells beyond the header"
-_DELIMITERS = ("\t", ";", "|", ",", " ")  # most telling first
+_DELIMITERS = ("\t", ";", "|", ",", " ")  # most distinctive first
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def _split(line: str, delimiter: str) -> list[str]:
 
 
 def _probe(path: Path, lines: int = 200, places: int = 8) -> list[str]:
-    """First lines of a file, and a few whole ones from further down."""
+    """The first lines of a file, and a few complete ones from further down."""
     with path.open("rb") as file:
         found = list(islice(file, lines))
         size = file.seek(0, 2)
@@ -57,20 +57,18 @@ def sniff(path: Path) -> Dialect:
     Raises
     ------
     RecordError
-        Empty file, no header, or repeated column names.
+        The file is empty, has no header, or repeats a column name.
     """
     lines = _probe(path)
     if any("\x00" in line for line in lines[:5]):
-        raise RecordError(f"{path}: this is no text in UTF-8; save it as CSV, Parquet or npz")
+        raise RecordError(f"{path}: this is not UTF-8 text; save it as CSV, Parquet or npz")
     content = [
         (number, line)
         for number, line in enumerate(lines)
         if line.strip() and not line.lstrip().startswith("#")
     ]
     if not content:
-        raise RecordError(
-            f"{path}: the file is empty; a header line and rows of numbers belong in it"
-        )
+        raise RecordError(f"{path}: the file is empty; it needs a header line and rows of numbers")
     header_line, header = content[0]
     delimiter = next((d for d in _DELIMITERS if d in header.strip()), ",")
     names = _split(header, delimiter)
@@ -173,7 +171,7 @@ class TextTable:
                 ) from None
 
     def _refuse_short(self, row: int) -> None:
-        """A cell that is missing may be empty, or its line too short."""
+        """A missing cell is either empty, or its line is too short."""
         number = self.dialect.header_line + 1 + row
         with self.path.open(encoding="utf-8", errors="replace") as file:
             line = next(islice(file, number, None), "")
@@ -181,11 +179,11 @@ class TextTable:
         if cells < width:
             raise RecordError(
                 f"{self.path}, {self.place(row)}: {cells} cells, the header has {width}. Complete "
-                f"the line or take it out"
+                f"the line or remove it"
             )
 
     def _ragged(self, error: object) -> RecordError:
-        """Finds the first line with too many cells, to say more than the parser does."""
+        """Find the first line with too many cells, to say more than the parser does."""
         width = len(self.columns)
         with self.path.open(encoding="utf-8", errors="replace") as file:
             for number, line in enumerate(file):
