@@ -22,7 +22,7 @@ def exactness() -> None:
             for bias in (0.01, 0.03, 0.1):
                 h, rated = 2e-4, machine.rated_current
                 omega = 2 * np.pi / (per_period * h)
-                drive = Drive(machine.R_s, machine.L_s, machine.psi_f, omega, 0.5j * rated, h)
+                drive = Drive(machine, omega, 0.5j * rated, h)
                 theta, i, v, _ = drive.samples(2000)
                 i_bias = bias * rated * np.array([0.6, 0.8])
                 u_bias = bias * omega * machine.psi_f * np.array([0.8, -0.6])
@@ -39,7 +39,7 @@ def quadrature() -> None:
     for name, machine in magnet_machines().items():
         h, rated = 2e-4, machine.rated_current
         omega = 2 * np.pi / (12 * h)
-        drive = Drive(machine.R_s, machine.L_s, machine.psi_f, omega, (0.2 + 1j) * rated, h)
+        drive = Drive(machine, omega, (0.2 + 1j) * rated, h)
         theta, i, _, u = drive.samples(2000)
         found = LeastSquaresObserver.for_machine(machine, sample_time=h).run(u, i)
         drop = machine.R_s * abs(drive.current) / (omega * machine.psi_f)
@@ -55,7 +55,7 @@ def noise_floor() -> None:
             squares = []
             for seed in range(8):
                 rng = np.random.default_rng(seed)
-                drive = Drive(machine.R_s, machine.L_s, machine.psi_f, omega, 3j, h, theta0=seed)
+                drive = Drive(machine, omega, 3j, h, theta0=seed)
                 theta, i, _, u = drive.samples(6000)
                 observer = LeastSquaresObserver.for_machine(
                     machine, sample_time=h, current_noise=noise
@@ -78,7 +78,7 @@ def standstill() -> None:
         observer = LeastSquaresObserver.for_machine(machine, sample_time=h, current_noise=noise)
         slowest = observer.drift_prior / (np.pi / 22.5 * machine.psi_f)  # that can be valid
         omega = max(250.0, 2 * slowest)
-        drive = Drive(machine.R_s, machine.L_s, machine.psi_f, omega, 3j, h)
+        drive = Drive(machine, omega, 3j, h)
         theta, i, _, u = drive.samples(rows)
         still = 3_000_000
         i = np.concatenate([np.repeat(i[:1], still, axis=0), i])
@@ -99,7 +99,7 @@ def single_precision() -> None:
     heading("float32 against double over 100 s (target 1e-4 of the flux)")
     for name, machine in magnet_machines().items():
         h, rows = 1e-4, 1_000_000
-        drive = Drive(machine.R_s, machine.L_s, machine.psi_f, 700.0, 3j, h)
+        drive = Drive(machine, 700.0, 3j, h)
         _, i, _, u = drive.samples(rows)
         i = i + 0.1 + 0.002 * np.random.default_rng(0).standard_normal(i.shape)
         double, single = (
@@ -117,7 +117,7 @@ def long_memories() -> None:
     machine = magnet_machines()["servo-400w"]
     for steps in (600, 2000, 4000, 10_000, 20_000):
         h, rows = 5e-5, 20 * steps
-        drive = Drive(machine.R_s, machine.L_s, machine.psi_f, 600.0, 3j, h)
+        drive = Drive(machine, 600.0, 3j, h)
         _, i, _, u = drive.samples(rows)
         i = i + 0.1 + 0.02 * np.random.default_rng(0).standard_normal(i.shape)
         double, single = (

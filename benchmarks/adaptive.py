@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -279,34 +278,25 @@ def measured() -> None:
     from measured import LAYOUT
     from measured import MACHINE as PUBLISHED
 
-    from fluxobs.estimation.estimate import estimate
-    from fluxobs.logs.formats import open_table
-    from fluxobs.identification import identify
-    from fluxobs.identification.report import lines
-    from fluxobs.logs.log import open_log
+    import fluxobs
 
     heading("Measured logs, one setting: degrees rms about the mean from 0.2 s (target 1.05)")
     logs = sorted(MEASURED.glob("data*.csv"))
     if not logs:
         print(f"    skipped: no measured logs in {MEASURED}")
         return
-    import polars as pl
-
     for unknowns in (("drift",), ("drift", "inverter"), BOTH):
         scores = []
         for path in logs:
-            log = open_log(open_table(path), LAYOUT, PUBLISHED.n_p)
-            with tempfile.TemporaryDirectory() as folder:
-                out = Path(folder) / "out.parquet"
-                estimate(log, PUBLISHED, out, unknowns=unknowns)
-                error = np.degrees(pl.read_parquet(out)["theta_e_error"].to_numpy())
-            scores.append(error[int(0.2 / log.sample_time) :].std())
+            found = fluxobs.estimate(path, PUBLISHED, unknowns=unknowns, **LAYOUT)
+            error = np.degrees(found["theta_e_error"])
+            scores.append(error[int(0.2 / LAYOUT["sample_time"]) :].std())
         words = " ".join(f"{score:.2f}" for score in scores)
         print(f"    {', '.join(unknowns):28s} {words}, mean {np.mean(scores):.2f}")
     for path in logs:
-        log = open_log(open_table(path), LAYOUT, PUBLISHED.n_p)
-        found = identify(log, PUBLISHED, ("R_s", "psi_f", "inverter"))
-        print(f"    identify {path.stem}: " + "; ".join(lines(found)[:3]))
+        layout = {name: value for name, value in LAYOUT.items() if name != "truth"}
+        found = fluxobs.identify(path, PUBLISHED, free="R_s,psi_f,inverter", **layout)
+        print(f"    identify {path.stem}: " + "; ".join(found.lines()[:3]))
 
 
 def honesty() -> None:

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fluxobs.machines import RotatingMachine
 from fluxobs.model.frames import angle_error, wrap
+from fluxobs.synthetic.signals import steady, vectors
 
 Array = NDArray[np.float64]
 
@@ -35,11 +37,9 @@ def heading(title: str) -> None:
 
 @dataclass(frozen=True)
 class Drive:
-    """Closed form of a surface PMSM at constant speed and current: every integral is exact."""
+    """A machine at constant speed and current: every integral is exact."""
 
-    R_s: float
-    L_s: float
-    psi_f: float
+    machine: RotatingMachine
     omega: float  # electrical, rad/s
     current: complex  # in the rotor frame, d + jq [A]
     sample_time: float
@@ -48,18 +48,10 @@ class Drive:
     def samples(self, rows: int) -> tuple[Array, Array, Array, Array]:
         """True angle, current, volt-seconds ∫(u - R i) and mean voltage over the interval that
         ends at each row; vectors (rows, 2)."""
-        theta = self.theta0 + self.omega * self.sample_time * np.arange(-1, rows)
-        turn = np.exp(1j * theta)
-        flux = (self.L_s * self.current + self.psi_f) * turn
-        integral = self.current * np.diff(turn) / (1j * self.omega)
-        volt_seconds = np.diff(flux)
-        voltage = (volt_seconds + self.R_s * integral) / self.sample_time
-        current = self.current * turn[1:]
-        return wrap(theta[1:]), vectors(current), vectors(volt_seconds), vectors(voltage)
-
-
-def vectors(z: NDArray[np.complex128]) -> Array:
-    return np.stack([z.real, z.imag], axis=-1)
+        start = self.theta0 - self.omega * self.sample_time
+        true = steady(self.machine, self.sample_time, self.omega, rows, self.current, start)
+        angle, current = wrap(true.theta_e[1:]), vectors(true.current[1:])
+        return angle, current, vectors(true.volt_seconds), vectors(true.voltage)
 
 
 def degrees_error(estimated: Array, true: Array, half_turn: bool = False) -> Array:

@@ -8,11 +8,9 @@ import numpy as np
 from common import MEASURED, heading
 from measured import LAYOUT, MACHINE
 
-from fluxobs.comparison.compare import Comparison, compare_log, compare_scenario
+from fluxobs.comparison.compare import Comparison, compare, compare_scenario
 from fluxobs.comparison.report import LEAST_SQUARES, NEAR, others, ours
 from fluxobs.comparison.scenarios import SCENARIOS
-from fluxobs.logs.formats import open_table
-from fluxobs.logs.log import open_log
 
 
 def line(found: Comparison) -> str:
@@ -48,8 +46,8 @@ def logs() -> None:
         return
     for psi, what in ((0.032, "as published"), (0.0243, "as the least squares finds it")):
         heading(f"Measured logs, magnet flux {psi} Vs, {what}: rms degrees, gains tuned on the log")
-        machine = MACHINE.model_copy(update={"psi_f": psi})
-        found = [compare_log(open_log(open_table(p), LAYOUT, 8), machine, 0.2) for p in paths]
+        machine = MACHINE.with_values(psi_f=psi)
+        found = [compare(p, machine, **LAYOUT) for p in paths]
         print(f"    {'':34s}", *(f"{c.title.removesuffix('.csv'):>7s}" for c in found))
         for k, result in enumerate(found[0].results):
             values = [np.degrees(c.results[k].tuned.rms) for c in found]

@@ -58,7 +58,7 @@ def main() -> None:
         )
         (folder / "machine.toml").write_text(MACHINE)
         started = time.perf_counter()
-        command = [sys.executable, "-m", "fluxobs.cli", "estimate", folder / "log.parquet"]
+        command = [sys.executable, "-m", "fluxobs", "estimate", folder / "log.parquet"]
         command += ["--machine", folder / "machine.toml", "--out", folder / "estimates.parquet"]
         subprocess.run(command, check=True)
         wall = time.perf_counter() - started

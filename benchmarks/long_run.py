@@ -8,10 +8,11 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from common import degrees_error, heading, vectors
+from common import degrees_error, heading
 
 from fluxobs import LeastSquaresObserver
 from fluxobs.machines import SurfacePMSM, example
+from fluxobs.synthetic.signals import vectors
 
 RATE, BATCH = 20_000, 1_200_000  # a batch is a minute
 

@@ -12,6 +12,6 @@ if __name__ == "__main__":
     for options in ([], ["--quick"]):
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()
-            command = [sys.executable, "-m", "fluxobs.cli", "reproduce", "--out", folder, *options]
+            command = [sys.executable, "-m", "fluxobs", "reproduce", "--out", folder, *options]
             subprocess.run(command, check=True, capture_output=True)
             print(f"{' '.join(options) or 'full':10s} {time.perf_counter() - start:6.1f} s")

@@ -17,7 +17,7 @@ ROWS, REPEATS = 200_000, 9
 def main() -> None:
     heading("Time a sample (target 350 ns on one core)")
     machine = example("servo-400w")
-    drive = Drive(machine.R_s, machine.L_s, machine.psi_f, 800.0, 4j, 5e-5)
+    drive = Drive(machine, 800.0, 4j, 5e-5)
     _, i, _, u = drive.samples(ROWS)
     i = i + 0.1 + 0.02 * np.random.default_rng(0).standard_normal(i.shape)
     for precision in ("double", "single"):

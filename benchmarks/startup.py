@@ -18,7 +18,7 @@ from fluxobs.machines import example, example_text
 def main() -> None:
     heading("fluxobs estimate on 4000 rows of CSV, imports included (target 1 s)")
     machine = example("servo-400w")
-    _, i, _, u = Drive(machine.R_s, machine.L_s, machine.psi_f, 800.0, 4j, 1e-4).samples(4001)
+    _, i, _, u = Drive(machine, 800.0, 4j, 1e-4).samples(4001)
     i = i + 0.1 + 0.02 * np.random.default_rng(0).standard_normal(i.shape)
     columns = {"t": np.arange(4000) * 1e-4, "u_alpha": u[1:, 0], "u_beta": u[1:, 1]}
     columns |= {"i_alpha": i[:-1, 0], "i_beta": i[:-1, 1]}
@@ -26,7 +26,7 @@ def main() -> None:
         folder = Path(name)
         pl.DataFrame(columns).write_csv(folder / "log.csv")
         (folder / "machine.toml").write_text(example_text("servo-400w"))
-        command = [sys.executable, "-m", "fluxobs.cli", "estimate", "log.csv"]
+        command = [sys.executable, "-m", "fluxobs", "estimate", "log.csv"]
         command += ["--machine", "machine.toml", "--out", "out.parquet"]
         times = []
         for _ in range(7):

@@ -25,7 +25,7 @@ def main() -> None:
             noise, squares = NOISE * machine.rated_current, []
             for seed in range(6):
                 rng = np.random.default_rng(seed)
-                drive = Drive(machine.R_s, machine.L_s, machine.psi_f, 600.0, 3j, SAMPLE_TIME, seed)
+                drive = Drive(machine, 600.0, 3j, SAMPLE_TIME, seed)
                 theta, i, _, u = drive.samples(16_000)
                 i = i + noise * rng.standard_normal(i.shape)
                 mean = (i + np.concatenate([i[:1], i[:-1]])) / 2

@@ -41,7 +41,7 @@ def main() -> None:
     for name in ("pmsm-2kw2", "servo-400w", "ipm-2kw2", "synrm-6kw7"):
         machine, rated = example(name), rating(name)
         I_n, full = machine.rated_current, rated.speed_e / machine.n_p
-        flux = getattr(machine, "psi_f", None) or machine.flux_base(None, I_n)
+        flux = machine.flux_base(I_n)
         for case, factor, drop in cases:
             compiled = LeastSquaresObserver.for_machine(
                 believed_machine(machine, {"R": factor}),

@@ -10,31 +10,46 @@ enum { M_FLUX = 0, M_DRIFT = FO_N, M_SQUARE = 2 * FO_N };
 /* Element (i, j), i < j, of its packed strict upper triangle. */
 #define AT(i, j) ((int)(i) * (2 * (int)FO_NM - (int)(i) - 3) / 2 + (int)(j) - 1)
 
-/* Of the steps, as information: far below that of one sample. */
+/* ---- thresholds: unit, reason, and what fixed them --------------------------------------
+ * Where a benchmark is named, it is the start in benchmarks/adaptive.py (worst of 40 unknown angles,
+ * 90 degrees after the start); the tests are in tests/observers/test_adaptive. */
+
+/* Damping of the Gauss-Newton steps, as information [1, that of one sample]: a thousandth keeps the
+ * matrix regular before there is a sample, and is gone with the first (tests). */
 static const fo_real DAMPING = (fo_real)1e-3;
-/* Candidates nearer than 22.5 degrees are one: the square of that cosine. */
+/* Candidates nearer than 22.5 degrees, half of what lies between four, are one: square of that cosine
+ * [1] (benchmark). */
 static const fo_real SAME = (fo_real)0.8536;
-/* Turns after which a candidate has come to its end. */
+/* Turns after which a candidate has come to its end [1]: Gauss-Newton doubles the digits in each, and
+ * four make 22.5 degrees into less than noise (benchmark). */
 static const uint32_t GROWN = 4U;
-/* So many candidates have to come to the same end, with none elsewhere of more than this weight, */
+/* So many candidates have to come to the same end [1]: one and a half rounds of the four, so that no
+ * start in between is overlooked (benchmark); ... */
 static const uint32_t SEARCHED = 6U;
+/* ... none elsewhere may have more than this weight [1], the chance of a wrong start (benchmark). */
 static const fo_real OTHER = (fo_real)0.01;
-/* the angle's std has to be below ten degrees, and noise pretend no more than this share. */
+/* Std of the angle below which the start may be decided: ten degrees [rad], where linearising is good
+ * to a degree (benchmark, noise 2.5 %). */
 static const fo_real START_STD = PI / (fo_real)18;
+/* Share of the information that noise may pretend at the start [1]: three times that of a valid
+ * position, since the filter goes on judging (benchmark, noise 2.5 %). */
 static const fo_real START_SHARE = (fo_real)0.3;
-/* It is taken as no more than this. */
+/* It is taken as no more than this [1], so that what is left is not zero. */
 static const fo_real SHARE_MOST = (fo_real)0.99;
-/* Costs of different angles differ by the noise alone; so many of its stds do not count. */
+/* Costs of different angles differ by noise alone; so many stds of that do not count [1]: once in
+ * 30 000 starts (benchmark). */
 static const fo_real FLUCTUATION = (fo_real)4;
-/* What is unknown of resistance and inverter may take this share of the EMF; else the start waits
- * for the observer's own position. It counts as at most half. */
+/* What is unknown of resistance and inverter may take this share of the EMF [1]; more, and the start
+ * waits for the plain observer's position. A fifth turns the flux by 11 degrees (benchmark). */
 static const fo_real QUICK = (fo_real)0.2;
+/* It counts as at most this share [1]: beyond a half it is no EMF. */
 static const fo_real DISTURBANCE_MOST = (fo_real)0.5;
-/* Fundamental of the vector of three signs. */
+/* Fundamental of the vector of three signs: 4 / pi [1]. */
 static const fo_real SIX_STEP = (fo_real)1.27;
-/* Smallest square of a magnet flux. */
+/* Smallest square of a magnet flux [flux bases]: a fifth of what is believed; below it the candidate
+ * has no direction (tests). */
 static const fo_real SQUARE_LEAST = (fo_real)0.04;
-/* Shortest square of a position vector that is one. */
+/* Smallest square of a position vector that has a direction [flux bases]: a hundredth (tests). */
 static const fo_real LENGTH_LEAST = (fo_real)1e-4;
 
 static void position_of(const fo_adaptive *a, const fo_adaptive_state *s, const fo_candidate *c,

@@ -33,9 +33,11 @@ from .observers import AdaptiveObserver, Estimate, ImmersionObserver, LeastSquar
 
 if TYPE_CHECKING:
     from .comparison.compare import compare
-    from .deployment import export
-    from .estimation import Result, estimate
-    from .identification import check, identify
+    from .deployment.export import export
+    from .estimation.estimate import estimate
+    from .estimation.result import Result
+    from .identification.check import check
+    from .identification.identify import identify
     from .logs import Log, read_log
     from .synthetic.demo import demo_log
 
@@ -44,13 +46,13 @@ __version__ = version("fluxobs")
 #: Loaded when they are first used: they bring what reads files, and compare brings JAX.
 _LATER = {
     "Log": "logs",
-    "Result": "estimation",
-    "check": "identification",
+    "Result": "estimation.result",
+    "check": "identification.check",
     "compare": "comparison.compare",
     "demo_log": "synthetic.demo",
-    "estimate": "estimation",
-    "export": "deployment",
-    "identify": "identification",
+    "estimate": "estimation.estimate",
+    "export": "deployment.export",
+    "identify": "identification.identify",
     "read_log": "logs",
 }
 

@@ -22,4 +22,4 @@ class UsageError(FluxobsError, TypeError):
 
 
 class ModelError(FluxobsError):
-    """A design model (energies, gains, relation, trajectory) is unusable."""
+    """A model (relation, immersion, energies, gains, trajectory) is unusable."""

@@ -43,7 +43,7 @@ def check_out(out: str | Path, log: Path) -> Path:
     if out.suffix not in (".parquet", ".csv"):
         raise FluxobsError(f"{out}: --out must end in .parquet or .csv")
     check_place(out)
-    if out.exists() and out.samefile(log):
+    if out.exists() and log.exists() and out.samefile(log):
         raise FluxobsError(f"{out}: --out is the log itself; give another name")
     return out
 

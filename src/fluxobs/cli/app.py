@@ -13,7 +13,14 @@ from typing import Annotated
 import typer
 
 from ..errors import FluxobsError
-from .commands import check, compare, demo, estimate, export, identify, machines, reproduce
+from .commands.check import check
+from .commands.compare import compare
+from .commands.demo import demo
+from .commands.estimate import estimate
+from .commands.export import export
+from .commands.identify import identify
+from .commands.machines import machines
+from .commands.reproduce import reproduce
 from .options import REPEATED
 
 HELP = """

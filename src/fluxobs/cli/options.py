@@ -1,7 +1,7 @@
 """Options that several commands share. Their names are those of the library's arguments.
 
-How a log is laid out takes a dozen options. They stand once, in :data:`LAYOUT`; a command that reads
-logs is decorated with :func:`reads_logs` and gets them as one mapping, ``layout``.
+How a log is laid out takes a dozen options. They stand once, in :data:`LAYOUT`. A command that
+reads logs is decorated with :func:`reads_logs` and gets them as one mapping, ``layout``.
 """
 
 from __future__ import annotations
@@ -93,9 +93,7 @@ LAYOUT: dict[str, Any] = {
 }
 
 #: Options after which several NAME=VALUE may stand.
-REPEATED = (
-    *("--column", "--columns", "--scale", "--offset", "--truth", "--prior", "--priors"),
-)
+REPEATED = (*("--column", "--columns", "--scale", "--offset", "--truth", "--prior", "--priors"),)
 
 
 def reads_logs(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -126,7 +124,7 @@ def reads_logs(*without: str) -> Callable[[Callable[..., None]], Callable[..., N
 
 
 def layout_of(options: dict[str, Any]) -> dict[str, Any]:
-    """The options as arguments of :func:`fluxobs.read_log`; those that are not given are left out."""
+    """The options that are given, as arguments of :func:`fluxobs.read_log`."""
     layout = {name: value for name, value in options.items() if value is not None}
     for name in ("columns", "truth"):
         if name in layout:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..design.analysis import balanced_basis
 from ..design.baselines import (
+    Baseline,
     ClampedIntegrator,
     ExtendedEmf,
     FilteredVoltageModel,
@@ -29,11 +30,11 @@ from ..design.baselines import (
     SpeedAdaptiveObserver,
 )
 from ..design.drive import Motor
-from ..design.regression.laws import PEBO, DremObserver
 from ..design.drive.twin import SquareRootLeastSquares
 from ..design.regression import Parametrisation, SampledRegression
+from ..design.regression.laws import PEBO, DremObserver
 from ..machines import RotatingMachine
-from ..observers import LeastSquaresObserver
+from ..observers import LeastSquaresObserver, Observer
 from ..observers.plain import MEMORY, TRACKER
 
 Array = NDArray[np.float64]
@@ -83,7 +84,7 @@ class Entry:
     """One observer: how to build it from gains, which are recommended, which are tried."""
 
     name: str
-    build: Callable[[Setting, Gains], Any]
+    build: Callable[[Setting, Gains], Observer[Any, Any]]
     recommended: Callable[[Setting], Gains]
     grid: Callable[[Setting], dict[str, list[float]]]
     least_squares: bool = False
@@ -168,7 +169,9 @@ def _kalman(s: Setting, g: Gains, with_drift: bool) -> KalmanFilter:
 
 
 def _entries() -> list[Entry]:
-    def of(kind: Any, **fixed: Any) -> Callable[[Setting, Gains], Any]:
+    def of(
+        kind: Callable[..., Baseline], **fixed: Any
+    ) -> Callable[[Setting, Gains], Observer[Any, Any]]:
         return lambda s, g: kind(s.motor, s.sample_time, **g, **fixed)
 
     cutoffs = (0.03, 0.1, 0.3, 1.0)

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from ..design.drive.simulate import stack
 from ..design.drive.vectors import vector
-from ..design.drive.twin import SquareRootLeastSquares
 from ..errors import FluxobsError, RecordError, UsageError
+from ..estimation.prepare import LEAST_NOISE, VOLTAGE_OFFSET, open_for
 from ..logs.log import Log
 from ..logs.read import Source
-from ..machines import Machine, RotatingMachine, as_machine, rotating
-from ..estimation.prepare import LEAST_NOISE, VOLTAGE_OFFSET, open_for
 from ..logs.scales import white_noise
+from ..machines import Machine, RotatingMachine, as_machine, rotating
+from ..observers import Observer
 from .bound import position_bound
 from .catalogue import CATALOGUE, Entry, Gains, Setting
 from .scenarios import SCENARIOS, Scenario, believed_machine, run_scenario
@@ -107,14 +107,11 @@ class _Found(NamedTuple):
     valid: Any
 
 
-def _lane(observer: Any, voltage: jax.Array, current: jax.Array) -> _Found:
+def _lane(observer: Observer[Any, Any], voltage: jax.Array, current: jax.Array) -> _Found:
     def body(state: Any, row: tuple[jax.Array, jax.Array]) -> tuple[Any, _Found]:
         state, out = observer.step(state, *row)
-        if isinstance(observer, SquareRootLeastSquares):
-            angles = out.theta_e, out.theta_e_tracked
-            return state, _Found(*angles, out.speed_e, vector(out.flux), out.valid)
-        # The others never say that they do not know.
-        return state, _Found(out.theta_e, out.tracked, out.speed_e, out.flux, jnp.ones((), bool))
+        angles = out.theta_e, out.theta_e_tracked
+        return state, _Found(*angles, out.speed_e, vector(out.flux), out.valid)
 
     return jax.lax.scan(body, observer.init(), (voltage, current))[1]
 

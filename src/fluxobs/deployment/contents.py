@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping
 from importlib import metadata, resources
 
-from .. import _core  # type: ignore[attr-defined]  # compiled
+from .. import _core
 from ..errors import FluxobsError
 from ..machines import RotatingMachine
-from ..observers import AdaptiveObserver
+from ..observers import AdaptiveObserver, Estimate, outputs
+from ..synthetic.firmware_record import firmware_record
 from .c_source import Precision
 from .costs import cost_table, read_costs
-from ..synthetic.firmware_record import firmware_record
 from .header import Exported, bases, parameter_header, parameters, plain, settings
 from .vectors import COLUMNS, exact_columns, run, vectors_header
 
@@ -60,9 +60,6 @@ def contents(
         "step_time": f"{single.sample_time:.9g}",
         "steps": "" if update_every == 1 else f" (a step in every {update_every}th)",
         "n_p": str(machine.n_p),
-        "half_turn": "; the one 180 degrees away fits as well"
-        if machine.half_turn_ambiguous
-        else "",
         "drift_prior": f"{single.drift_prior:.3g}",
         "slowest": f"{slowest:.3g}",
         "flux": f"{single.flux_base:.3g}",
@@ -70,6 +67,11 @@ def contents(
         "slowest_rpm": f"{slowest / machine.n_p * 30 / math.pi:.3g}",
         "content": content,
         "exact_columns": str(exact_columns(estimates["single"])),
+        "psi_f_column": str(COLUMNS.index("psi_f")),
+        "valid_column": str(COLUMNS.index("valid")),
+        "speed_column": str(COLUMNS.index("speed_e")),
+        "found": _found(adaptive),
+        "outputs": _outputs(machine, adaptive),
         "columns": ", ".join(f'"{name}"' for name in COLUMNS),
         "costs": cost_table(costs),
         "parameters": str(costs["parameters"]),
@@ -114,6 +116,52 @@ def _variant(template: str, update_every: int, adaptive: bool) -> str:
         elif keep:
             kept.append(line)
     return "\n".join(kept)
+
+
+def _member(name: str, adaptive: bool) -> str:
+    """An output as a member of the estimate; the adaptive observer has its own magnet flux."""
+    inner = adaptive and name.partition("[")[0] != "psi_f"
+    return f".position.{name}" if inner else f".{name}"
+
+
+def _found(adaptive: bool) -> str:
+    """What test/check.c compares, in the order of the columns."""
+    values = {name: f"e{_member(name, adaptive)}" for name in COLUMNS}
+    values["valid"] += " ? (fo_real)1 : (fo_real)0"
+    return "\n".join(f"            {value}," for value in values.values())
+
+
+#: What the adaptive observer adds: members, unit, meaning.
+_ADAPTIVE_OUTPUTS = (
+    ("`estimate.psi_f`, `psi_f_std`", "Wb", "the magnet's flux (not the active one)"),
+    ("`estimate.resistance_error`, `resistance_std`", "ohm", "true less believed"),
+    ("`estimate.inverter_voltage`, `inverter_std`", "V", "dead time and device drops of a phase"),
+    ("`estimate.drift_std`", "V", "of a component"),
+    (
+        "`estimate.theta_other`, `weight_other`",
+        "rad, 1",
+        "while two angles are in question, the other one and its weight",
+    ),
+    ("`estimate.adapting`", "bool", "the filter for all of these runs"),
+)
+
+
+def _outputs(machine: RotatingMachine, adaptive: bool) -> str:
+    """The table of outputs, from the one list; as members of the C struct."""
+    more = {"speed_e": f"; divide by {machine.n_p} for the shaft"}
+    if machine.half_turn_ambiguous:
+        more["theta_e"] = "; the one 180 degrees away fits as well"
+    position = ".position" if adaptive else ""
+    rows = [
+        (
+            f"`estimate{position}.{one.name}{'[2]' if one.vector else ''}`",
+            "bool" if one.boolean else one.unit or "1",
+            one.about.rstrip(".") + more.get(one.name, ""),
+        )
+        for one in outputs(Estimate)
+    ]
+    rows += _ADAPTIVE_OUTPUTS if adaptive else ()
+    return "\n".join(f"| {member} | {unit} | {about} |" for member, unit, about in rows)
 
 
 def _facts(machine: RotatingMachine, observer: Exported, update_every: int) -> str:

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping
 from typing import Any
 
-from .. import _core  # type: ignore[attr-defined]  # compiled
+from .. import _core
 from ..machines import RotatingMachine
 from ..observers import AdaptiveObserver, LeastSquaresObserver
 from .c_source import PRECISIONS, Precision, initializer

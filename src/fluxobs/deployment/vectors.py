@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..observers import AdaptiveEstimate, Estimate, LeastSquaresObserver, Output, outputs
-from .c_source import PRECISIONS, Precision, hex_float, table
 from ..synthetic.firmware_record import FirmwareRecord
+from .c_source import PRECISIONS, Precision, hex_float, table
 from .header import Exported, plain
 
 Array = NDArray[np.float64]
@@ -20,11 +20,11 @@ EVERY = 9
 
 
 def _columns(exact: bool) -> list[Output]:
-    """Outputs of the plain observer that are equal bit for bit wherever they are computed, or not."""
+    """Outputs of the plain observer: equal bit for bit wherever they are computed, or not."""
     return [one for one in outputs(Estimate) if one.exact is exact]
 
 
-#: An expected row: the outputs that are exact, `valid` last, then the angles and the speed. test/check.c
+#: An expected row: the exact outputs, `valid` last, then the angles and the speed. test/check.c
 #: relies on this order.
 ORDER = (*_columns(exact=True), *_columns(exact=False))
 EXACT_COLUMNS = sum(2 if one.vector else 1 for one in _columns(exact=True))

@@ -37,6 +37,6 @@ __all__ = [
     "check_constraint",
     "discover_constraint",
     "inertia",
-    "linear_magnetics",
     "integrate",
+    "linear_magnetics",
 ]

@@ -33,10 +33,10 @@ jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
 
 
 def double(name: str, value: Any) -> jax.Array:
-    """Array of doubles, traced or not; ValueError if it is of single precision."""
+    """Array of doubles, traced or not; ModelError if it is of single precision."""
     given = getattr(value, "dtype", None)
     if given is not None and given in (jnp.float32, jnp.float16, jnp.bfloat16, jnp.complex64):
-        raise ValueError(
+        raise ModelError(
             f"{name} is {given}: the design layer computes in float64 only; "
             f"give {name} as float64, e.g. numpy.asarray({name}, float)"
         )
@@ -44,7 +44,7 @@ def double(name: str, value: Any) -> jax.Array:
 
 
 def real(name: str, value: Any, shape: tuple[int, ...] | None = None) -> jax.Array:
-    """Array of doubles; ValueError names what is single, not finite or of another shape.
+    """Array of doubles; ModelError names what is single, not finite or of another shape.
 
     Traced values pass with their shape checked.
     """
@@ -57,9 +57,9 @@ def real(name: str, value: Any, shape: tuple[int, ...] | None = None) -> jax.Arr
         if not finite.all():
             at = tuple(int(k) for k in np.argwhere(~finite)[0])
             where = f" at {at}" if at else ""
-            raise ValueError(f"{name} must be finite, got {float(array[at])}{where}")
+            raise ModelError(f"{name} must be finite, got {float(array[at])}{where}")
     if shape is not None and array.shape != shape:
-        raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
+        raise ModelError(f"{name} must have shape {shape}, got {array.shape}")
     return array
 
 

@@ -45,9 +45,7 @@ class Rows:
     more: dict[str, Array]
 
 
-def rows_of(
-    log: Log, machine: Machine, observer: AnyObserver, part: Aligned, found: Any
-) -> Rows:
+def rows_of(log: Log, machine: Machine, observer: AnyObserver, part: Aligned, found: Any) -> Rows:
     """Columns of what `observer` returned for `part` of a log."""
     more: dict[str, Array] = {}
     if isinstance(found, Estimate):

@@ -61,8 +61,8 @@ def estimate(
     Returns
     -------
     Result
-        ``result["theta_e"]``, ``.estimates``, ``.summary``, ``.warnings``, ``.counts``, ``.plot()``,
-        ``.write(path)``.
+        ``result["theta_e"]``, ``.estimates``, ``.summary``, ``.warnings``, ``.counts``,
+        ``.plot()``, ``.write(path)``.
 
     Raises
     ------

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..observers import ImmersionObserver
 from ..plots import BLUE, GREY, ORANGE, STYLE, legend, new_figure
-from .result import Result
+from .run import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,7 +26,7 @@ PARAMETERS = {
 }
 
 
-def figure(result: Result) -> Figure:
+def figure(result: Run) -> Figure:
     """The picture; for an immersed observer its own panels."""
     import matplotlib as mpl
 
@@ -36,7 +36,7 @@ def figure(result: Result) -> Figure:
         return _compiled(result)
 
 
-def _title(result: Result) -> str:
+def _title(result: Run) -> str:
     statistics = result.statistics
     share = statistics.valid / statistics.rows
     return (
@@ -45,7 +45,7 @@ def _title(result: Result) -> str:
     )
 
 
-def _compiled(result: Result) -> Figure:
+def _compiled(result: Run) -> Figure:
     learnt = _learnt(result)
     figure = new_figure(figsize=(11, 10.5 if learnt else 8.5))
     layout = _layout(learnt)
@@ -71,7 +71,7 @@ def _compiled(result: Result) -> Figure:
     return figure
 
 
-def _learnt(result: Result) -> dict[str, float]:
+def _learnt(result: Run) -> dict[str, float]:
     """Columns of what the adaptive observer finds → what was believed."""
     adaptive = result.adaptive
     if adaptive is None:
@@ -97,7 +97,7 @@ def _layout(learnt: dict[str, float]) -> Any:
     return rows
 
 
-def _numbers(result: Result) -> str:
+def _numbers(result: Run) -> str:
     """Second line of the title."""
     statistics = result.statistics
     if not statistics.valid:
@@ -239,7 +239,7 @@ def _shade_unknown(axes: Axes, series: dict[str, Array]) -> None:
     )
 
 
-def _immersed(result: Result) -> Figure:
+def _immersed(result: Run) -> Figure:
     """Flux with ±2σ, position, drift, and current bias or noise share."""
     whole = result.statistics.thin.columns()
     t, ports, position = whole["t"], result.machine.ports, result.machine.position_output

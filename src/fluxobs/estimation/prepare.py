@@ -251,5 +251,3 @@ def _check_told_apart(machine: Machine, unknowns: Sequence[Unknown]) -> None:
         f"{' and '.join(unknowns)} cannot both be found for kind {machine.kind}: "
         f"{describe_invisible(invisible)}. {advice}"
     )
-
-

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,54 +13,32 @@ import polars as pl
 from numpy.typing import NDArray
 
 from ..errors import FluxobsError
-from ..logs.log import Log
-from ..logs.scales import Scales
-from ..machines import Machine, RotatingMachine
-from ..observers import AdaptiveObserver, LeastSquaresObserver, SampleCounts
 from ..output import check_out, write_rows
 from ..validation import nearest
-from .prepare import AnyObserver
-from .statistics import Statistics
+from .run import Run
+from .summary import paragraph
+from .warnings import warnings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class Result(Run):
     """Result of :func:`fluxobs.estimate`.
 
     ``result["theta_e"]`` is a column as an array; ``print(result)`` shows summary and warnings.
 
     Attributes
     ----------
-    log : Log
-        As it was read; less the inverter's error where the observer does not know of it.
-    machine : Machine
-    observer : LeastSquaresObserver, AdaptiveObserver or ImmersionObserver
-        That ran, with all its settings.
-    scales : Scales
-        Sizes of the log's signals.
-    unknowns : tuple of str
-    priors : mapping
-    statistics : Statistics
-        Counts and means over the rows.
-    counts : SampleCounts
-        Bad samples and restarts.
     table : polars.DataFrame, optional
         The estimates, if they stayed in memory.
     path : Path, optional
         The file with the estimates, if there is one.
+    log, machine, observer, scales, unknowns, priors, statistics, counts
+        See :class:`Run`.
     """
 
-    log: Log
-    machine: Machine
-    observer: AnyObserver
-    scales: Scales
-    unknowns: tuple[str, ...]
-    priors: Mapping[str, float]
-    statistics: Statistics
-    counts: SampleCounts
     table: pl.DataFrame | None
     path: Path | None
 
@@ -83,38 +60,23 @@ class Result:
             raise FluxobsError(f"no column {column!r}{nearest(column, table.columns)}")
         return np.asarray(table[column].to_numpy())
 
-    @property
-    def plain(self) -> LeastSquaresObserver | None:
-        """The plain observer: the one that ran, or the one in the adaptive one."""
-        if isinstance(self.observer, AdaptiveObserver):
-            return self.observer.plain
-        return self.observer if isinstance(self.observer, LeastSquaresObserver) else None
-
-    @property
-    def adaptive(self) -> AdaptiveObserver | None:
-        """The adaptive observer, if it ran."""
-        return self.observer if isinstance(self.observer, AdaptiveObserver) else None
-
     @cached_property
     def summary(self) -> str:
         """What the run found, in one paragraph."""
-        from .summary import paragraph
-
         return paragraph(self)
 
     @cached_property
     def warnings(self) -> list[str]:
         """What should make a reader wary, a sentence or two each."""
-        from .warnings import warnings
-
         return warnings(self)
 
     @property
     def firmware(self) -> str | None:
         """How the same observer gets into firmware; None where it cannot."""
-        machine, plain = self.machine, self.plain
-        if plain is None or not isinstance(machine, RotatingMachine):
+        plain = self.plain
+        if plain is None:
             return None
+        machine = self.rotor
         lacking = []
         if machine.flux_base(1.0) is None:
             lacking.append(f"psi_f ({plain.flux_base:.3g} here)")
@@ -145,7 +107,7 @@ class Result:
 
     def plot(self) -> Figure:
         """The picture of the run, a matplotlib figure: flux, position, speed, drift, and more."""
-        from .picture import figure
+        from .picture import figure  # matplotlib is loaded only where it is needed
 
         return figure(self)
 

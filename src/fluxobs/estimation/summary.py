@@ -7,7 +7,7 @@ import numpy as np
 from ..logs.record import lag_in_words
 from ..machines import RotatingMachine
 from ..observers import ImmersionObserver
-from .result import Result
+from .run import Run
 
 #: A standard deviation that is left at this share of its prior: nothing was learnt of it. At a half
 #: three quarters of the information in the estimate are the record's.
@@ -24,7 +24,7 @@ def si(value: float, unit: str) -> str:
     return f"0 {unit}" if value == 0 else f"{value:.2g} {unit}"
 
 
-def paragraph(result: Result) -> str:
+def paragraph(result: Run) -> str:
     """The summary of a run."""
     statistics, log = result.statistics, result.log
     head = (
@@ -50,13 +50,13 @@ def paragraph(result: Result) -> str:
     return " ".join(sentences)
 
 
-def mean_of(result: Result, output: str) -> np.ndarray:
+def mean_of(result: Run, output: str) -> np.ndarray:
     """Mean of a vector output over the valid rows, (2,)."""
     ports = result.machine.ports
     return np.array([result.statistics.mean(f"{output}_{port}") for port in ports])
 
 
-def _drift(result: Result) -> str:
+def _drift(result: Run) -> str:
     drift, machine = mean_of(result, "drift"), result.machine
     if isinstance(machine, RotatingMachine):
         size = float(np.hypot(*drift))
@@ -72,7 +72,7 @@ def _drift(result: Result) -> str:
     )
 
 
-def bias_is_seen(result: Result) -> bool:
+def bias_is_seen(result: Run) -> bool:
     """Whether the record told the current bias, where that is an unknown."""
     observer = result.observer
     if not isinstance(observer, ImmersionObserver):
@@ -81,12 +81,12 @@ def bias_is_seen(result: Result) -> bool:
     return bool((std < UNSEEN_BIAS * observer.current_bias_prior).all())
 
 
-def _bias_std(result: Result) -> np.ndarray:
+def _bias_std(result: Run) -> np.ndarray:
     ports = result.machine.ports
     return np.array([result.statistics.mean(f"current_bias_{port}_std") for port in ports])
 
 
-def _current_bias(result: Result) -> list[str]:
+def _current_bias(result: Run) -> list[str]:
     if "current-bias" not in result.unknowns:
         return []
     if not bias_is_seen(result):
@@ -99,22 +99,20 @@ def _current_bias(result: Result) -> list[str]:
     ]
 
 
-def _flux(result: Result) -> list[str]:
-    machine = result.machine
-    if result.adaptive is not None or "psi_f" not in result.statistics.sums:
+def _flux(result: Run) -> list[str]:
+    if result.adaptive is not None or result.plain is None:
         return []
-    assert isinstance(machine, RotatingMachine)
-    return [f"{machine.length_name}: {si(result.statistics.mean('psi_f'), 'Wb')}."]
+    return [f"{result.rotor.length_name}: {si(result.statistics.mean('psi_f'), 'Wb')}."]
 
 
-def _parameters(result: Result) -> list[str]:
+def _parameters(result: Run) -> list[str]:
     """What the adaptive observer holds at the end, each with what was believed of it."""
-    adaptive, found, machine = result.adaptive, result.statistics.found, result.machine
+    adaptive, found = result.adaptive, result.statistics.found
     if adaptive is None:
         return []
     if not found:
         return ["No parameter was found: the position was not known for long enough."]
-    assert isinstance(machine, RotatingMachine)
+    machine = result.rotor
     magnet = "given" if machine.magnet_flux else "guessed from the log"
     drops = "given" if machine.inverter_voltage is not None else "assumed"
     told, untold = [], []
@@ -138,7 +136,7 @@ def _parameters(result: Result) -> list[str]:
     return text
 
 
-def _score(result: Result) -> list[str]:
+def _score(result: Run) -> list[str]:
     statistics, position = result.statistics, result.machine.position_output
     if not statistics.scored:
         return []

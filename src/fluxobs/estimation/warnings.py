@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..machines import RotatingMachine
 from ..observers import LeastSquaresObserver
-from .result import Result
+from .run import Run
 from .summary import bias_is_seen, si
 from .suspects import RESIDUAL_LIMIT, largest_suspect
 
@@ -18,10 +17,11 @@ SAMPLES_PER_PERIOD = 8
 PSI_RANGE = (0.75, 1.33)
 #: Share of valid rows below which, in a log that moves, something does not fit.
 VALID_SHARE = 0.5
-#: Memories that a log must last for its summary to mean anything: after three e⁻³ = 5 % of the start
-#: is left; where resistance or inverter are unknown, three pass before a position is valid.
+#: Memories that a log must last for its summary to mean anything: after three e⁻³ = 5 % of the
+#: start is left; where resistance or inverter are unknown, three pass before a valid position.
 MEMORIES, MEMORIES_ADAPTIVE = 3, 5
-#: Rms position error [rad] beyond which the truth itself is in doubt: no valid estimate is so wrong.
+#: Rms position error [rad] beyond which the truth itself is in doubt: no valid estimate is so far
+#: off.
 TRUTH_LIMIT = 0.5
 #: Share of the valid rows below which a truth that is missing is worth a word.
 TRUTH_SHARE = 0.99
@@ -39,7 +39,7 @@ REMEDY = dict.fromkeys(
 )
 
 
-def warnings(result: Result) -> list[str]:
+def warnings(result: Run) -> list[str]:
     """The warnings of a run, in the order of their weight."""
     if result.plain is None:
         return [*_samples(result), *_jumps(result), *_immersed_validity(result), *_bias(result)]
@@ -62,7 +62,7 @@ def warnings(result: Result) -> list[str]:
     ]
 
 
-def _samples(result: Result) -> list[str]:
+def _samples(result: Run) -> list[str]:
     counts = result.counts
     bad = [
         f"{what}: {number}"
@@ -80,7 +80,7 @@ def _samples(result: Result) -> list[str]:
     return [f"Number of rows {', '.join(bad)}{restarts}."]
 
 
-def _truth(result: Result) -> list[str]:
+def _truth(result: Run) -> list[str]:
     statistics, out = result.statistics, []
     if result.log.truth is None or not statistics.valid:
         return []
@@ -97,7 +97,7 @@ def _truth(result: Result) -> list[str]:
     return out
 
 
-def _rate(result: Result) -> list[str]:
+def _rate(result: Run) -> list[str]:
     h, series = result.log.sample_time, result.statistics.thin.columns()
     speed = np.abs(series["speed_e"][series["valid"] > 0])
     if len(speed) == 0:
@@ -114,11 +114,10 @@ def _rate(result: Result) -> list[str]:
     ]
 
 
-def _validity(result: Result) -> list[str]:
-    statistics, machine = result.statistics, result.machine
+def _validity(result: Run) -> list[str]:
+    statistics, machine = result.statistics, result.rotor
     if statistics.valid >= VALID_SHARE * statistics.rows:
         return []
-    assert isinstance(machine, RotatingMachine)
     still = result.scales.voltage < STANDING * machine.R_s * result.scales.current
     reason = (
         "the voltage is hardly more than the resistive drop: at standstill, or nearly, the flux "
@@ -130,10 +129,8 @@ def _validity(result: Result) -> list[str]:
     return [f"The position is valid on {share:.1%} of the rows only: {reason}."]
 
 
-def _magnet_flux(result: Result) -> list[str]:
-    machine = result.machine
-    assert isinstance(machine, RotatingMachine)
-    given = machine.magnet_flux
+def _magnet_flux(result: Run) -> list[str]:
+    given = result.rotor.magnet_flux
     if not given or not result.statistics.valid:
         return []
     found = result.statistics.mean("psi_f")
@@ -145,7 +142,7 @@ def _magnet_flux(result: Result) -> list[str]:
     ]
 
 
-def _far(result: Result) -> list[str]:
+def _far(result: Run) -> list[str]:
     """A parameter that went as far as it was let."""
     adaptive, found = result.adaptive, result.statistics.found
     if adaptive is None or not found:
@@ -166,9 +163,8 @@ def _far(result: Result) -> list[str]:
     ]
 
 
-def _residual(result: Result, plain: LeastSquaresObserver) -> list[str]:
-    statistics, machine = result.statistics, result.machine
-    assert isinstance(machine, RotatingMachine)
+def _residual(result: Run, plain: LeastSquaresObserver) -> list[str]:
+    statistics, machine = result.statistics, result.rotor
     # Without magnets λ - L i says little of the flux.
     flux = statistics.mean("psi_f") if statistics.valid and machine.magnets else plain.flux_base
     residual = np.inf
@@ -194,7 +190,7 @@ def _residual(result: Result, plain: LeastSquaresObserver) -> list[str]:
     ]
 
 
-def _jumps(result: Result) -> list[str]:
+def _jumps(result: Run) -> list[str]:
     restarts = result.counts.restarts
     if not restarts:
         return []
@@ -204,7 +200,7 @@ def _jumps(result: Result) -> list[str]:
     ]
 
 
-def _immersed_validity(result: Result) -> list[str]:
+def _immersed_validity(result: Run) -> list[str]:
     statistics = result.statistics
     if not statistics.valid:
         return [
@@ -224,7 +220,7 @@ def _immersed_validity(result: Result) -> list[str]:
     ]
 
 
-def _bias(result: Result) -> list[str]:
+def _bias(result: Run) -> list[str]:
     if "current-bias" not in result.unknowns or not result.statistics.valid or bias_is_seen(result):
         return []
     return [

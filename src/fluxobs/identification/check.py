@@ -17,12 +17,12 @@ import numpy as np
 
 from ..errors import FluxobsError
 from ..estimation.prepare import open_for, plain_for
+from ..estimation.suspects import lively
 from ..logs.log import Aligned, Log
 from ..logs.read import Source
 from ..machines import Machine, RotatingMachine, as_machine, rotating
 from ..observers import LeastSquaresObserver
 from ..observers.plain import MEMORY
-from ..estimation.suspects import lively
 from .fit import Fit, fit
 from .identify import ALIKE_LIMIT, read_free, starting_values
 from .pieces import LAGS, cut, smoothing_current, typical_length

@@ -17,14 +17,15 @@ from ..logs.read import Source
 from ..machines import Machine, RotatingMachine, as_machine, rotating
 from ..validation import nearest
 from .fit import Fit, fit
+from .fitted import ADVICE, UNITS, Fitted, Parameter
 from .pieces import LAGS, Piece, pieces, smoothing_current, typical_length
+from .report import figure, lines, write
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
-UNITS = {"R_s": "Ω", "L_s": "H", "L_d": "H", "L_q": "H", "psi_f": "Wb", "inverter": "V"}
 #: Where the others imitate a parameter so far (its variance is larger by this factor), what the
 #: model does not contain decides its value: the log does not tell it.
 ALIKE_LIMIT = 100.0
@@ -35,73 +36,20 @@ LAG_UNSURE = 0.25
 #: L_s and L_d are seen through the current along the flux; where that is below this share of the
 #: whole (rms), what the model does not contain decides their value.
 ALONG_LIMIT = 0.15
-ADVICE = (
-    "Record one with steps of load at several speeds, a run-up from rest, or both directions: a "
-    "resistance acts with the current, an inverter with its sign, a magnet with the speed, a lag "
-    "with both"
-)
 #: What is held first where parameters cannot be told apart.
 HELD_FIRST = ("lag", "L_d", "L_q", "L_s", "inverter", "R_s", "psi_f")
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """One parameter: as given, as found, and its standard deviation; none where it was held."""
-
-    name: str
-    unit: str
-    given: float | None
-    value: float
-    std: float | None
-
-
 @dataclass(frozen=True, eq=False)
-class Identification:
-    """Result of :func:`identify`.
-
-    Attributes
-    ----------
-    machine : RotatingMachine
-        With what was found; the rest as given.
-    parameters : list of Parameter
-        All that were to be free, in the order of `--free`.
-    untold : dict
-        Name → why this log cannot tell it.
-    lag : float
-        Voltage lag that fits best [samples]; as given unless free.
-    before, after : Fit
-        As given, the magnet flux of a machine that has magnets fitted; and the final one.
-    inverter_current : float
-        At which the inverter's sign is smoothed [A].
-    pieces : list of Piece
-        Of the log, that were used.
-    rows : int
-        Of the log.
-    source : str
-        The log's name.
-    """
-
-    machine: RotatingMachine
-    parameters: list[Parameter]
-    untold: dict[str, str]
-    lag: float
-    before: Fit
-    after: Fit
-    pieces: list[Piece]
-    inverter_current: float
-    rows: int
-    source: str = ""
+class Identification(Fitted):
+    """Result of :func:`identify`; its attributes are those of :class:`Fitted`."""
 
     def lines(self) -> list[str]:
         """A parameter a line, then what the log cannot tell, then the residual."""
-        from .report import lines
-
         return lines(self)
 
     def plot(self) -> Figure:
         """The residual over time, as given and as found."""
-        from .report import figure
-
         return figure(self)
 
     def write(self, path: str | Path, *, force: bool = False) -> None:
@@ -112,8 +60,6 @@ class Identification:
         FluxobsError
             Another ending, the file exists, or it cannot be written.
         """
-        from .report import write
-
         write(self, Path(path), force)
 
     def __str__(self) -> str:

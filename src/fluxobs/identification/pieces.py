@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from ..errors import FluxobsError
 from ..estimation.prepare import plain_for
-from ..model.inverter import SMOOTHING, inverter_direction
 from ..logs.log import Log
-from ..machines import RotatingMachine
-from ..observers import LeastSquaresObserver
 from ..logs.scales import Scales, excerpts
+from ..machines import RotatingMachine
+from ..model.inverter import SMOOTHING, inverter_direction
+from ..observers import LeastSquaresObserver
 
 Array = NDArray[np.float64]
 

@@ -11,14 +11,14 @@ from ..errors import FluxobsError
 from ..output import check_place, write_text
 from ..plots import BLUE, FORMATS, GREY, ORANGE, STYLE, legend, new_figure
 from ..plots import write as save
-from .identify import ADVICE, Identification, Parameter
+from .fitted import ADVICE, Fitted, Parameter
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-def lines(found: Identification) -> list[str]:
+def lines(found: Fitted) -> list[str]:
     """A parameter a line, then what the log cannot tell, then the residual."""
     out = []
     for p in found.parameters:
@@ -49,13 +49,13 @@ def lines(found: Identification) -> list[str]:
     return out
 
 
-def _flux(found: Identification) -> float:
+def _flux(found: Fitted) -> float:
     """What residuals are shares of: the magnet's, or what stands for it [Wb]."""
     lengths = [np.linalg.norm(piece.start) for piece in found.pieces]
     return found.after.values["psi_f"] or float(np.mean(lengths))
 
 
-def _note(parameter: Parameter, found: Identification) -> str:
+def _note(parameter: Parameter, found: Fitted) -> str:
     if parameter.name == "inverter":
         return f", its sign smoothed at inverter_current = {found.inverter_current:.3g} A"
     if parameter.name == "lag":
@@ -63,11 +63,11 @@ def _note(parameter: Parameter, found: Identification) -> str:
     return ""
 
 
-def _as_given(found: Identification) -> str:
+def _as_given(found: Fitted) -> str:
     return "as given but for psi_f, which is fitted" if found.before.free else "as given"
 
 
-def toml(found: Identification) -> str:
+def toml(found: Fitted) -> str:
     """The machine file."""
     stds = {"inverter_voltage" if p.name == "inverter" else p.name: p.std for p in found.parameters}
     rows = [
@@ -91,7 +91,7 @@ def check_machine_file(out: Path, force: bool) -> None:
         raise FluxobsError(f"{out}: exists; give another name, or --force to overwrite it")
 
 
-def write(found: Identification, path: Path, force: bool) -> None:
+def write(found: Fitted, path: Path, force: bool) -> None:
     """The machine file, or the picture; FluxobsError where it cannot be written."""
     if path.suffix.lower() in FORMATS:
         save(figure(found), path)
@@ -100,7 +100,7 @@ def write(found: Identification, path: Path, force: bool) -> None:
     write_text(path, toml(found))
 
 
-def figure(found: Identification) -> Figure:
+def figure(found: Fitted) -> Figure:
     """Residual over time, before and after."""
     import matplotlib as mpl
 
@@ -110,7 +110,7 @@ def figure(found: Identification) -> Figure:
     return drawn
 
 
-def _residuals(axes: Axes, found: Identification) -> None:
+def _residuals(axes: Axes, found: Fitted) -> None:
     size = _flux(found)
     styles = ((found.before, _as_given(found), ORANGE), (found.after, "as identified", BLUE))
     for fitted, label, colour in styles:

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordError
-from .formats import BATCH, Table, missing_column, read_rows
-from .formats.table import Columns
 from ..model.frames import alphabeta_current, native_voltage, rotate, wrap
 from ..model.inverter import InverterError
+from .formats import BATCH, Table, missing_column, read_rows
+from .formats.table import Columns
 from .layout import Layout
 from .record import Record, check_lag, interval_rows
 

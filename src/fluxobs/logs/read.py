@@ -126,9 +126,7 @@ def _record_table(source: Record, fields: dict[str, Any]) -> tuple[Table, dict[s
     return ArrayTable(channels, Path("record")), fields
 
 
-def _pair_table(
-    voltage: Any, current: Any, fields: dict[str, Any]
-) -> tuple[Table, dict[str, Any]]:
+def _pair_table(voltage: Any, current: Any, fields: dict[str, Any]) -> tuple[Table, dict[str, Any]]:
     if fields.get("frame") not in ("alphabeta", "ports"):
         raise UsageError(
             f"frame {fields['frame']!r}: a pair (voltage, current) is in αβ, of three phases, or "
@@ -138,9 +136,7 @@ def _pair_table(
         raise UsageError("sample_time is missing: arrays without a time need it [s]")
     u, i = alphabeta_rows("voltage", voltage), alphabeta_rows("current", current)
     if len(u) != len(i):
-        raise RecordError(
-            f"voltage and current must have as many rows, got {len(u)} and {len(i)}"
-        )
+        raise RecordError(f"voltage and current must have as many rows, got {len(u)} and {len(i)}")
     return ArrayTable(_channels(u, i, fields["frame"])), fields
 
 

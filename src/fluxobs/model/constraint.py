@@ -8,15 +8,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..errors import ModelError
+
 Array = NDArray[np.float64]
 
 
 def _frozen(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     array = np.array(value, dtype=float)
     if array.shape != shape:
-        raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
+        raise ModelError(f"{name} must have shape {shape}, got {array.shape}")
     if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite, got {array.tolist()}")
+        raise ModelError(f"{name} must be finite, got {array.tolist()}")
     array.setflags(write=False)
     return array
 
@@ -39,7 +41,7 @@ class QuadraticConstraint:
 
     Raises
     ------
-    ValueError
+    ModelError
         A shape does not fit or an entry is not finite.
 
     References
@@ -153,7 +155,7 @@ def invisible_offsets(
         rows.append(np.hstack([zero, np.eye(n)]))
     elif "drift" not in wanted:
         if R is None:
-            raise ValueError("R is missing: with a current bias alone the drift is R times it")
+            raise ModelError("R is missing: with a current bias alone the drift is R times it")
         rows.append(np.hstack([zero, np.asarray(R, float) * scale[n:]]))
     stacked = np.vstack(rows)
     sizes = np.abs(stacked).max(axis=1, keepdims=True)

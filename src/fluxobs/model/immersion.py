@@ -19,6 +19,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..errors import ModelError
 from .constraint import QuadraticConstraint, invisible_offsets
 
 Array = NDArray[np.floating]
@@ -42,7 +43,7 @@ class Immersion:
 
     Raises
     ------
-    ValueError
+    ModelError
         Relations of different size, no or unknown unknowns, or R missing.
 
     Examples
@@ -65,14 +66,14 @@ class Immersion:
         given = self.relations
         chosen = (given,) if isinstance(given, QuadraticConstraint) else tuple(given)
         if not chosen or len({relation.n for relation in chosen}) != 1:
-            raise ValueError("relations: at least one is needed, all with as many ports")
+            raise ModelError("relations: at least one is needed, all with as many ports")
         wanted = set(self.unknowns)
         if not wanted or wanted - set(UNKNOWNS):
-            raise ValueError(
+            raise ModelError(
                 f"unknowns must be some of {', '.join(UNKNOWNS)}, got {', '.join(sorted(wanted))}"
             )
         if wanted == {"current-bias"} and self.R is None:
-            raise ValueError("R is missing: with a current bias alone the drift is R times it")
+            raise ModelError("R is missing: with a current bias alone the drift is R times it")
         set_field = partial(object.__setattr__, self)
         set_field("relations", chosen)
         set_field("unknowns", tuple(name for name in UNKNOWNS if name in wanted))
@@ -113,7 +114,7 @@ class Immersion:
         delta = zero if current_bias is None else np.asarray(current_bias)
         if self.unknowns == ("current-bias",):
             if drift is not None or self.R is None:
-                raise ValueError("the drift is R times the current bias here; do not give it")
+                raise ModelError("the drift is R times the current bias here; do not give it")
             theta = self.R @ delta
         else:
             theta = zero if drift is None else np.asarray(drift)

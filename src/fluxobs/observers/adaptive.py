@@ -11,7 +11,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core, _core_single  # type: ignore[attr-defined]  # compiled
+from .. import _core, _core_single
 from ..errors import ObserverError
 from ..machines import RotatingMachine, rotating
 from ..model.inverter import SMOOTHING
@@ -44,21 +44,29 @@ class AdaptiveEstimate(Estimate):
     holds, it is the length of the position vector, and psi_f_std is what was believed.
     """
 
-    psi_f_std: Array = output("Wb", "Standard deviation of psi_f")
-    drift_std: Array = output("V", "Standard deviation of a component of the drift")
-    resistance: Array = output("Ω", "Phase resistance")
-    resistance_std: Array = output("Ω", "Standard deviation of resistance")
-    inverter_voltage: Array = output("V", "What dead time and device drops take of a phase")
-    inverter_voltage_std: Array = output("V", "Standard deviation of inverter_voltage")
-    theta_e_other: Array = output(
-        "rad", "While two positions are in question, the less likely one", exact=False
+    psi_f_std: Array = field(metadata=output("Wb", "Standard deviation of psi_f"))
+    drift_std: Array = field(metadata=output("V", "Standard deviation of a component of the drift"))
+    resistance: Array = field(metadata=output("Ω", "Phase resistance"))
+    resistance_std: Array = field(metadata=output("Ω", "Standard deviation of resistance"))
+    inverter_voltage: Array = field(
+        metadata=output("V", "What dead time and device drops take of a phase")
     )
-    weight_other: Array = output("", "Weight of theta_e_other, up to ½")
-    adapting: NDArray[np.bool_] = output(
-        "",
-        "The filter for all unknowns runs; before, positions are followed that fit so far",
-        boolean=True,
-        in_files=False,
+    inverter_voltage_std: Array = field(
+        metadata=output("V", "Standard deviation of inverter_voltage")
+    )
+    theta_e_other: Array = field(
+        metadata=output(
+            "rad", "While two positions are in question, the less likely one", exact=False
+        )
+    )
+    weight_other: Array = field(metadata=output("", "Weight of theta_e_other, up to ½"))
+    adapting: NDArray[np.bool_] = field(
+        metadata=output(
+            "",
+            "The filter for all unknowns runs; before, positions are followed that fit so far",
+            boolean=True,
+            in_files=False,
+        )
     )
 
 
@@ -183,7 +191,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         object.__setattr__(self, "_core", self._make_core())
 
     @property
-    def sample_time(self) -> float:  # type: ignore[override]
+    def sample_time(self) -> float:
         """[s]."""
         return self.plain.sample_time
 
@@ -238,8 +246,8 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         Raises
         ------
         ObserverError
-            Neither the machine nor the call gives something that is needed; an unknown that this observer does not find, or a standard deviation for something that
-            is not among the unknowns.
+            Neither the machine nor the call gives something that is needed; an unknown that this
+            observer does not find; or a standard deviation for what is not among the unknowns.
         """
         for name in unknowns:
             if name not in ("drift", "resistance", "inverter"):

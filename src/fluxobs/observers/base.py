@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -18,29 +18,51 @@ Array = NDArray[np.float64]
 class Estimate:
     """What an observer returns for one sample (leading shape ``()``), a record or a batch."""
 
-    flux: Array = output(
-        "Wb", "Flux linkage. A current bias δ_i adds L δ_i: docs/theory.md, section 3", vector=True
+    flux: Array = field(
+        metadata=output(
+            "Wb",
+            "Flux linkage. A current bias δ_i adds L δ_i to it (theory, section 3)",
+            vector=True,
+        )
     )
-    psi_f: Array = output(
-        "Wb", "Length of the position vector λ - L i: magnet flux, or active flux if salient"
+    psi_f: Array = field(
+        metadata=output(
+            "Wb", "Length of the position vector λ - L i: magnet flux, or active flux if salient"
+        )
     )
-    theta_e: Array = output(
-        "rad", "Electrical position straight from the flux, in (-π, π]; always finite", exact=False
+    theta_e: Array = field(
+        metadata=output(
+            "rad",
+            "Electrical position straight from the flux, in (-π, π]; always finite",
+            exact=False,
+        )
     )
-    theta_e_tracked: Array = output("rad", "Tracked position, in (-π, π]", exact=False)
-    speed_e: Array = output("rad/s", "Electrical speed", exact=False)
-    drift: Array = output(
-        "V", "R δ_i - B δ_u, the rate at which the open-loop flux integral drifts", vector=True
+    theta_e_tracked: Array = field(
+        metadata=output("rad", "Tracked position, in (-π, π]", exact=False)
     )
-    theta_e_std: Array = output(
-        "rad", "Standard deviation of theta_e; π/√3 (uniform over a turn) if nothing is known"
+    speed_e: Array = field(metadata=output("rad/s", "Electrical speed", exact=False))
+    drift: Array = field(
+        metadata=output(
+            "V", "R δ_i - B δ_u, the rate at which the open-loop flux integral drifts", vector=True
+        )
     )
-    valid: NDArray[np.bool_] = output("", "The position is known now", boolean=True)
-    innovation: Array = output(
-        "", "Residual of the constraint over its assumed noise, before the update", in_files=False
+    theta_e_std: Array = field(
+        metadata=output(
+            "rad", "Standard deviation of theta_e; π/√3 (uniform over a turn) if nothing is known"
+        )
     )
-    noise_share: Array = output(
-        "", "Share of the flux information that is only noise; 1: no position", in_files=False
+    valid: NDArray[np.bool_] = field(metadata=output("", "The position is known now", boolean=True))
+    innovation: Array = field(
+        metadata=output(
+            "",
+            "Residual of the constraint over its assumed noise, before the update",
+            in_files=False,
+        )
+    )
+    noise_share: Array = field(
+        metadata=output(
+            "", "Share of the flux information that is only noise; 1: no position", in_files=False
+        )
     )
 
 
@@ -75,41 +97,40 @@ class Observer(Protocol[State, Found]):
     """What every observer keeps: the state is data, the observer a frozen object.
 
     `step` takes the current sampled now and the mean voltage over the interval that ends now; `run`
-    gives the same numbers for a whole record, and `resume` goes on from a state. Nothing is
-    mutated. tests/contract holds every observer to this.
+    gives the same numbers for a whole record. Nothing is mutated. Vectors are (2,) or (rows, 2), in
+    NumPy or in JAX, as the observer is. tests/contract holds every observer to this: the compiled
+    ones, the immersed one, their twin in JAX, and the baselines of the comparison.
     """
 
     @property
-    def sample_time(self) -> float:
+    def sample_time(self) -> Any:
         """[s]."""
-        ...
-
-    @property
-    def memory(self) -> float:
-        """Exponential memory [s]."""
         ...
 
     def init(self) -> State:
         """State in which nothing is known."""
         ...
 
-    def step(self, state: State, voltage: ArrayLike, current: ArrayLike) -> tuple[State, Found]:
-        """One sample, (2,) [V] and [A]."""
+    def step(self, state: State, voltage: Any, current: Any) -> tuple[State, Found]:
+        """One sample [V], [A]."""
         ...
 
-    def run(self, voltage: Any, current: ArrayLike) -> Found:
-        """A record, (rows, 2) each, from zero knowledge."""
-        ...
-
-    def resume(
-        self, state: State, voltage: ArrayLike, current: ArrayLike
-    ) -> tuple[State, Found]:
-        """As `run`, from a state; the state after the last row too."""
+    def run(self, voltage: Any, current: Any) -> Any:
+        """A record, from zero knowledge: the estimates of all its rows, stacked."""
         ...
 
 
 class LogObserver(Observer[State, Found], Protocol[State, Found]):
-    """An observer that estimations of logs run: it counts what was wrong with the samples."""
+    """An observer that estimations of logs run: it takes a log in parts, and counts bad samples."""
+
+    @property
+    def memory(self) -> float:
+        """Exponential memory [s]."""
+        ...
+
+    def resume(self, state: State, voltage: ArrayLike, current: ArrayLike) -> tuple[State, Any]:
+        """As `run`, from a state; the state after the last row too."""
+        ...
 
     def counts(self, state: State) -> SampleCounts:
         """Bad samples and restarts so far."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,9 +60,13 @@ def wrapped(core: Any, *arguments: Any) -> Any:
 class CompiledObserver(Generic[Found]):
     """Steps and runs of an observer whose numbers come from C; its state is plain bytes."""
 
-    sample_time: float
-    memory: float
     _core: Any
+
+    if TYPE_CHECKING:  # a field of one observer, a property of the other
+
+        @property
+        def sample_time(self) -> float:
+            """[s]."""
 
     def _estimate(self, columns: NDArray[np.float64], valid: NDArray[np.bool_]) -> Found:
         raise NotImplementedError

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import _core  # type: ignore[attr-defined]  # compiled
+from .. import _core
 from ..errors import ObserverError, RecordError, UsageError
 from ..logs.record import Record
 from ..model.immersion import Immersion
@@ -56,23 +56,37 @@ class ImmersionEstimate:
     With n ports and r relations vectors are (..., n), and the innovation is (..., r).
     """
 
-    flux: Array = output("Wb", "Flux linkage", vector=True)
-    flux_std: Array = output("Wb", "Standard deviation of flux", vector=True)
-    drift: Array = output("V", "R δ_i - B δ_u", vector=True)
-    drift_std: Array = output("V", "Standard deviation of drift", vector=True, in_files=False)
-    current_bias: Array = output("A", "Offset of the current; 0 where it is no unknown", vector=True)
-    current_bias_std: Array = output("A", "Standard deviation of current_bias", vector=True)
-    noise_share: Array = output(
-        "", "Share of each flux component's information that is only noise", vector=True
+    flux: Array = field(metadata=output("Wb", "Flux linkage", vector=True))
+    flux_std: Array = field(metadata=output("Wb", "Standard deviation of flux", vector=True))
+    drift: Array = field(metadata=output("V", "R δ_i - B δ_u", vector=True))
+    drift_std: Array = field(
+        metadata=output("V", "Standard deviation of drift", vector=True, in_files=False)
     )
-    valid: NDArray[np.bool_] = output(
-        "",
-        "The flux is known: noise share below 0.1 and standard deviation below a twentieth of the "
-        "flux, per-unit, both for a memory without a missing sample",
-        boolean=True,
+    current_bias: Array = field(
+        metadata=output("A", "Offset of the current; 0 where it is no unknown", vector=True)
     )
-    innovation: Array = output(
-        "", "Residual of each relation over its assumed noise, before the update", in_files=False
+    current_bias_std: Array = field(
+        metadata=output("A", "Standard deviation of current_bias", vector=True)
+    )
+    noise_share: Array = field(
+        metadata=output(
+            "", "Share of each flux component's information that is only noise", vector=True
+        )
+    )
+    valid: NDArray[np.bool_] = field(
+        metadata=output(
+            "",
+            "The flux is known: noise share below 0.1 and standard deviation below a twentieth of "
+            "the flux, per-unit, both for a memory without a missing sample",
+            boolean=True,
+        )
+    )
+    innovation: Array = field(
+        metadata=output(
+            "",
+            "Residual of each relation over its assumed noise, before the update",
+            in_files=False,
+        )
     )
 
 
@@ -416,9 +430,7 @@ class ImmersionObserver:
             and state.contradictions == 0
             # A current bias that noise makes up takes the flux with it.
             and (all_shares[at["current_bias"]] < NOISE_SHARE_LIMIT).all()
-            and (
-                np.abs(x[at["current_bias"]]) < BIAS_LIMIT * self._prior[at["current_bias"]]
-            ).all()
+            and (np.abs(x[at["current_bias"]]) < BIAS_LIMIT * self._prior[at["current_bias"]]).all()
             and np.isfinite(x).all()
         )
         state = replace(state, known=state.known + 1 if known and state.missing == 0 else 0)

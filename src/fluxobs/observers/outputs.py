@@ -1,6 +1,6 @@
 """The one list of what observers return: name, unit, shape, column of a file, in which observer.
 
-An estimate is a class whose fields are made by :func:`output`. Its attributes, its docstring, the
+An estimate is a dataclass whose fields carry :func:`output`. Its attributes, its docstring, the
 columns of a file, the summary's series, the test vectors of firmware and the table in the docs all
 come from these fields. The compiled core names what it returns; the names are the same.
 """
@@ -8,7 +8,7 @@ come from these fields. The compiled core names what it returns; the names are t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
 Class = TypeVar("Class", bound=type)
@@ -60,10 +60,9 @@ def output(
     boolean: bool = False,
     in_files: bool = True,
     exact: bool = True,
-) -> Any:
-    """A field of an estimate."""
-    about_it = (unit, about, vector, boolean, in_files, exact)
-    return field(metadata={"output": about_it})
+) -> dict[str, Any]:
+    """The ``metadata`` of an estimate's field; arguments as of :class:`Output`."""
+    return {"output": (unit, about, vector, boolean, in_files, exact)}
 
 
 def outputs(estimate: type) -> tuple[Output, ...]:

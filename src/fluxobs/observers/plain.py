@@ -11,7 +11,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core, _core_single  # type: ignore[attr-defined]  # compiled
+from .. import _core, _core_single
 from ..errors import ObserverError
 from ..machines import RotatingMachine, rotating
 from ..model.constraint import QuadraticConstraint
@@ -234,9 +234,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
             memory=memory,
             flux_base=flux_base,
             constraint_noise=float(
-                np.hypot(
-                    machine.constraint_noise(flux_base, noise), MODEL_ERROR * flux_base**2
-                )
+                np.hypot(machine.constraint_noise(flux_base, noise), MODEL_ERROR * flux_base**2)
             ),
             current_noise=noise,
             current_limit=max(

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from ..errors import FluxobsError
-from ..model.immersion import UNKNOWNS as IN_THE_IMMERSION
 from ..machines import Machine, RotatingMachine
+from ..model.immersion import UNKNOWNS as IN_THE_IMMERSION
 from ..validation import nearest
 
 #: Errors of the machine's parameters and of its inverter, found by the adaptive observer.

@@ -10,8 +10,13 @@ from numpy.typing import NDArray
 
 from ..design.analysis import GainStudy, excitation, over_gain
 from ..design.analysis.stability import proposition_2
-from ..design.regression.laws import PrintedAdaptiveObserver, FluxObserver, RepairedAdaptiveObserver, run
 from ..design.regression import Parametrisation, Regressors
+from ..design.regression.laws import (
+    FluxObserver,
+    PrintedAdaptiveObserver,
+    RepairedAdaptiveObserver,
+    run,
+)
 from .pmsm import counter_example as trajectory
 
 Array = NDArray[np.float64]

@@ -11,14 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.constraint import QuadraticConstraint
-from ..design.energies import IdaPbc
+from ..design.energies.ida_pbc import IdaPbc
+from ..design.energies.integrate import Trajectory, integrate, volt_seconds
 from ..design.energies.library import maglev_2dof
+from ..design.energies.system import ElectromechanicalSystem, State
 from ..design.regression import FilteredRegression, Regressors
 from ..design.regression.filtered import filter_record, read_out_record
-from ..design.energies.integrate import Trajectory, integrate, volt_seconds
-from ..design.energies.system import ElectromechanicalSystem, State
 from ..machines import MagLev2DOF, example
+from ..model.constraint import QuadraticConstraint
 from ..synthetic.sensors import Steps
 
 Array = NDArray[np.float64]
@@ -85,7 +85,9 @@ SCENARIOS = {
         LevitationScenario("S1", "the paper's, α = 10, no bias flux", 10.0, 1e4, 0.0, 0.0, 1e-5),
         LevitationScenario("S2", "α = 10, 0.5 A of bias flux", 10.0, 1e4, 0.5, 0.0, 1e-5),
         LevitationScenario("S3", "α = 0.01, 0.5 A of bias flux", 0.01, 5e3, 0.5, 0.0, np.nan),
-        LevitationScenario("S5", "α = 0.01, bias flux modulated ±30 %", 0.01, 5e3, 0.5, 0.3, np.nan),
+        LevitationScenario(
+            "S5", "α = 0.01, bias flux modulated ±30 %", 0.01, 5e3, 0.5, 0.3, np.nan
+        ),
     )
 }
 

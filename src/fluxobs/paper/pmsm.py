@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.constraint import QuadraticConstraint
+from ..design.energies.integrate import volt_seconds
 from ..design.regression import FilteredRegression, Regressors
 from ..design.regression.filtered import filter_record, read_out_record
-from ..design.energies.integrate import volt_seconds
 from ..machines import SurfacePMSM, example
+from ..model.constraint import QuadraticConstraint
 from ..synthetic.sensors import Steps
 
 Array = NDArray[np.float64]

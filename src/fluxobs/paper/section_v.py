@@ -15,17 +15,17 @@ from ..design.analysis import (
     balanced_repaired,
     observability_gramian,
 )
+from ..design.regression import Parametrisation, Regressors
 from ..design.regression.laws import (
     PEBO,
-    PrintedAdaptiveObserver,
     DremObserver,
     FluxObserver,
+    PrintedAdaptiveObserver,
     RiccatiObserver,
     RobustObserver,
     VoltageModel,
     run,
 )
-from ..design.regression import Parametrisation, Regressors
 from ..model.immersion import Immersion
 from ..observers import LeastSquaresObserver
 from ..observers.immersed import ImmersionEstimate, ImmersionObserver
@@ -244,7 +244,9 @@ def motor_courses(given: MotorRecord) -> dict[str, ErrorCourse]:
         "voltage model": of(VoltageModel(2)),
         "PEBO, least squares": of(PEBO(2, "least-squares", Gamma)),
         "robust, balanced gain": of(RobustObserver(Gamma, 2)),
-        "adaptive, printed law": of(PrintedAdaptiveObserver(balanced_gain(regressor, 100.0), constants)),
+        "adaptive, printed law": of(
+            PrintedAdaptiveObserver(balanced_gain(regressor, 100.0), constants)
+        ),
         "adaptive, repaired": of(
             balanced_repaired(nominal, constants, h, 100.0, 30.0, round(0.2 / h))
         ),

@@ -15,12 +15,12 @@ from ..design.analysis import (
     observability_gramian,
     over_gain,
 )
-from ..design.regression.laws import RobustObserver, run
 from ..design.regression import Parametrisation, Regressors
+from ..design.regression.laws import RobustObserver, run
 from ..model.immersion import Immersion
 from ..observers.immersed import ImmersionObserver
-from ..synthetic.sensors import Sensor, Steps
 from ..observers.levitation_tracker import LevitationTracker
+from ..synthetic.sensors import Sensor, Steps
 from .levitation import ADAPTIVE_GAIN, CORNER, LevitationRecord, filtered, measured
 from .section_v import FLUX_RATE, LS_SAMPLE_TIME, RUN_IN, LevitationRun, sizes, thinned
 

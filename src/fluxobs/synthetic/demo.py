@@ -12,8 +12,6 @@ voltage, sensors have offsets, noise and the steps of their converter.
 from __future__ import annotations
 
 import sys
-from importlib import resources
-from importlib.resources.abc import Traversable
 from itertools import pairwise
 from pathlib import Path
 
@@ -28,6 +26,8 @@ from .signals import driven, inverter_loss, vectors
 
 Array = NDArray[np.float64]
 
+#: The shipped log.
+LOG = Path(__file__).with_name("demo_log.csv")
 MACHINE = "servo-400w"
 SAMPLE_TIME = 2e-4  # s
 DURATION = 2.0  # s
@@ -62,8 +62,8 @@ def generate() -> dict[str, Array]:
 
     command = vectors(true.voltage + inverter_loss(true.mean_current, INVERTER_VOLTAGE, KNEE))
     at = np.arange(rows) * SAMPLE_TIME
-    voltage = Sensor(Steps([VOLTAGE_OFFSET]), quantum=VOLTAGE_STEP)
-    current = Sensor(Steps([CURRENT_OFFSET]), CURRENT_NOISE, CURRENT_STEP)
+    voltage = Sensor(Steps(np.array([VOLTAGE_OFFSET])), quantum=VOLTAGE_STEP)
+    current = Sensor(Steps(np.array([CURRENT_OFFSET])), CURRENT_NOISE, CURRENT_STEP)
     u = voltage.measure(at, command, SEED)
     i = current.measure(at, vectors(true.current[:-1]), SEED)
     return {
@@ -76,11 +76,6 @@ def generate() -> dict[str, Array]:
     }
 
 
-def log_file() -> Traversable:
-    """The shipped log."""
-    return resources.files(__package__) / "demo_log.csv"
-
-
 def demo_log() -> Log:
     """The shipped log, opened, with its true angle; its machine is "servo-400w".
 
@@ -89,9 +84,7 @@ def demo_log() -> Log:
     >>> len(demo_log())
     10000
     """
-    table = np.genfromtxt(log_file().read_text(encoding="utf-8").splitlines(), delimiter=",", names=True)
-    columns = {name: table[name] for name in table.dtype.names or ()}
-    return read_log(columns, truth={"theta_e": "theta_e"})
+    return read_log(LOG, truth={"theta_e": "theta_e"})
 
 
 def write(path: str | Path) -> None:

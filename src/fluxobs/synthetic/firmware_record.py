@@ -55,7 +55,8 @@ def firmware_record(machine: RotatingMachine, observer: LeastSquaresObserver) ->
     speed = 2 * np.pi / (PERIOD * h) * np.interp(k, rows, shares)
     load = np.interp(k, (20, 60, LOAD_ROW, LOAD_ROW + 20), (0.0, 0.1, 0.1, 0.8))
     along = 0.0 if machine.magnets else 0.5 * np.minimum(1, k / 40)
-    true = driven(machine, h, speed, rated * (along + 1j * load), PARTS, START_ANGLE)
+    i_dq = rated * (along + 1j * load)
+    true = driven(machine, h, speed, np.asarray(i_dq, complex), PARTS, START_ANGLE)
 
     bias = 0.01 * rated * (1 - 0.5j)
     step = 2.0 ** np.ceil(np.log2(4 * rated / 2**BITS))

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..errors import ModelError
+
 Array = NDArray[np.float64]
 
 
@@ -33,14 +35,14 @@ class Steps:
         values = np.array(self.values, dtype=float)
         times = np.array(self.times, dtype=float)
         if values.ndim != 2 or times.ndim != 1 or len(values) != len(times) + 1:
-            raise ValueError(
+            raise ModelError(
                 f"values must have shape (len(times) + 1, n), got {values.shape} and {times.shape}"
             )
         if (np.diff(times) <= 0).any():
-            raise ValueError(f"times must increase, got {times.tolist()}")
+            raise ModelError(f"times must increase, got {times.tolist()}")
         for name, array in (("values", values), ("times", times)):
             if not np.isfinite(array).all():
-                raise ValueError(f"{name} must be finite, got {array.tolist()}")
+                raise ModelError(f"{name} must be finite, got {array.tolist()}")
             object.__setattr__(self, name, array)
 
     def at(self, t: ArrayLike) -> Array:
@@ -70,7 +72,7 @@ class Sensor:
         for name in ("noise", "quantum"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
-                raise ValueError(f"{name} must be a number >= 0, got {value}")
+                raise ModelError(f"{name} must be a number >= 0, got {value}")
 
     def measure(self, t: ArrayLike, true: ArrayLike, seed: int) -> Array:
         """Measured signal, (rows, n); the same for the same seed."""

@@ -1,9 +1,9 @@
 """True signals of a machine that turns, from closed forms: no integrator whose error would stay.
 
-Position and currents are prescribed. The flux linkage follows from the machine, and the mean voltage
-over each interval from the change of the flux and the integral of the current. The demo log, the
-firmware's test record, tests and benchmarks are all made here; what sensors and inverter do to the
-signals is added afterwards (sensors.py, :func:`inverter_loss`).
+Position and currents are prescribed. The flux linkage follows from the machine, and the mean
+voltage over each interval from the change of the flux and the integral of the current. The demo
+log, the firmware's test record, tests and benchmarks are all made here. What sensors and inverter
+do to the signals is added afterwards (sensors.py, :func:`inverter_loss`).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from ..model.frames import clarke
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+AnyComplex = NDArray[np.complexfloating]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +76,7 @@ def driven(
     machine: RotatingMachine,
     sample_time: float,
     speed: Array,
-    i_dq: Complex,
+    i_dq: AnyComplex,
     parts: int,
     theta0: float = 0.0,
 ) -> Signals:
@@ -91,12 +92,10 @@ def driven(
     current = i_dq * turn
     flux = machine.flux_dq(i_dq) * turn
     means = interval_means(current, parts)
-    return _signals(
-        machine, sample_time, theta[::parts], flux[::parts], current[::parts], means
-    )
+    return _signals(machine, sample_time, theta[::parts], flux[::parts], current[::parts], means)
 
 
-def interval_means(values: Complex, parts: int) -> Complex:
+def interval_means(values: AnyComplex, parts: int) -> Complex:
     """Means over intervals of `parts` (even) steps each, by Simpson's rule, (rows,)."""
     weights = np.tile([2.0, 4.0], parts // 2) / (3 * parts)
     weights[0] /= 2
@@ -113,7 +112,7 @@ def between_rows(values: ArrayLike, parts: int) -> NDArray[np.generic]:
     return np.asarray(np.interp(k, at, rows))
 
 
-def inverter_loss(current: Complex, voltage: float, knee: float) -> Complex:
+def inverter_loss(current: AnyComplex, voltage: float, knee: float) -> Complex:
     """What dead time and device drops take: `voltage` a phase [V], against the phase's current.
 
     The sign of a phase current is ``tanh(i / knee)``, knee in ampere.
@@ -123,7 +122,7 @@ def inverter_loss(current: Complex, voltage: float, knee: float) -> Complex:
     return np.asarray(voltage * (direction @ [1, 1j]))
 
 
-def vectors(z: Complex) -> Array:
+def vectors(z: AnyComplex) -> Array:
     """α and β of complex numbers, (..., 2)."""
     return np.stack([np.real(z), np.imag(z)], axis=-1)
 
@@ -132,9 +131,10 @@ def _signals(
     machine: RotatingMachine,
     sample_time: float,
     theta: Array,
-    flux: Complex,
-    current: Complex,
-    mean_current: Complex,
+    flux: AnyComplex,
+    current: AnyComplex,
+    mean_current: AnyComplex,
 ) -> Signals:
     voltage = np.diff(flux) / sample_time + machine.R_s * mean_current
-    return Signals(sample_time, theta, flux, current, mean_current, voltage)
+    vectors = (np.asarray(z, complex) for z in (flux, current, mean_current, voltage))
+    return Signals(sample_time, theta, *vectors)

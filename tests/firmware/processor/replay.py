@@ -28,7 +28,7 @@ import numpy as np
 
 import fluxobs
 from fluxobs.deployment.costs import cost_table, read_costs
-from fluxobs.synthetic.firmware_record import course
+from fluxobs.synthetic.firmware_record import firmware_record
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
@@ -177,7 +177,7 @@ def print_shares(machine: fluxobs.Machine, build: Build, instructions: np.ndarra
         unknowns=KINDS["adaptive"],
         precision="single",
     )
-    record = course(machine, observer.plain)
+    record = firmware_record(machine, observer.plain)
     running = observer.run(record.voltage, record.current).adapting
     print(
         f"adaptive, {build.name}: starting on {1 - running.mean():.0%} of the rows, "

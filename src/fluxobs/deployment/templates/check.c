@@ -7,7 +7,7 @@
 #include "@prefix@_observer.h"
 #include "vectors.h"
 
-enum { LENGTH = 2, EXACT_COLUMNS = @exact_columns@, VALID = 8, TRACKED = 10, SPEED = 11 };
+enum { LENGTH = @psi_f_column@, EXACT_COLUMNS = @exact_columns@, VALID = @valid_column@, SPEED = @speed_column@ };
 
 static const double TURN = 6.283185307179586;
 static @fo@_state state;
@@ -94,11 +94,7 @@ void check_replay(check_result *r)
     for (int k = 0; k < SAMPLES; k++) {
         step(k, &gathered, &e);
         const fo_real found[EXPECTED_COLUMNS] = {
-            e@position@.flux[0], e@position@.flux[1], e.psi_f,
-            e@position@.drift[0], e@position@.drift[1], e@position@.theta_e_std,
-            e@position@.innovation, e@position@.noise_share,
-            e@position@.valid ? (fo_real)1 : (fo_real)0,
-            e@position@.theta_e, e@position@.theta_e_tracked, e@position@.speed_e,
+@found@
         };
         for (int column = 0; column < EXACT_COLUMNS; column++) {
             all = checksum(all, found[column]);

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..regression.laws.base import positive_definite
 from ..regression import Parametrisation, Regressors
+from ..regression.laws.base import positive_definite
 from .excitation import excitation
 
 Array = NDArray[np.float64]

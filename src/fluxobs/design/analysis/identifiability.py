@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import subspace_angles
 
-from ...model.constraint import QuadraticConstraint, invisible_offsets
 from ...errors import ModelError
+from ...model.constraint import QuadraticConstraint, invisible_offsets
 from ..regression import Parametrisation, Regressors
 
 Array = NDArray[np.float64]

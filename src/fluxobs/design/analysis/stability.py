@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import ModelError
-from ..regression.laws.base import positive_definite
 from ..regression import Parametrisation, Regressors
+from ..regression.laws.base import positive_definite
 
 Array = NDArray[np.float64]
 

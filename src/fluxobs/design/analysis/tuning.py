@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...errors import ModelError
-from ..regression.laws.gradient import RepairedAdaptiveObserver, sensitivity_step
 from ..regression import Parametrisation, Regressors
+from ..regression.laws.gradient import RepairedAdaptiveObserver, sensitivity_step
 
 Array = NDArray[np.float64]
 

@@ -9,21 +9,26 @@ import jax
 import jax.numpy as jnp
 
 from ..drive.motor import Motor
-from ..drive.vectors import vector
 from ..drive.twin import wrap
+from ..drive.vectors import pair, vector
 from ..precision import real
 
 Array = jax.Array
 
 
 class Guess(NamedTuple):
-    """What such an observer says of a sample: position [rad], speed [rad/s, electrical], flux
-    linkage (complex, αβ) [Wb], and the position of its phase-locked loop [rad]."""
+    """What such an observer says of a sample, by the names of :class:`fluxobs.Estimate`: position
+    [rad], speed [rad/s], flux linkage [Wb], and the position of its phase-locked loop [rad].
+
+    Subclasses give the flux as a complex number; `step` returns it as (2,). None of them ever says
+    that it does not know: it is always valid.
+    """
 
     theta_e: Array
     speed_e: Array
     flux: Array
-    tracked: Array
+    theta_e_tracked: Array
+    valid: Any = True
 
 
 class BaselineState(NamedTuple):
@@ -75,7 +80,12 @@ class Baseline(eqx.Module):
         u = jnp.where(state.started, u, self.motor.R_s * i)
         volt_seconds = self.sample_time * (u - self.motor.R_s * (i + before) / 2)
         own, guess = self.advance(state.own, u, volt_seconds, i, before)
+        guess = guess._replace(flux=pair(guess.flux), valid=jnp.ones((), bool))
         return BaselineState(i, jnp.ones((), bool), own), guess
+
+    def run(self, voltage: Any, current: Any) -> Guess:
+        """A record, (rows, 2) each; row k's voltage is the mean over the interval ending there."""
+        return run(self, jnp.asarray(voltage, float), jnp.asarray(current, float))
 
     # ---- what several need ---------------------------------------------------------------
 
@@ -132,7 +142,7 @@ def number(value: Any) -> Array:
 
 @eqx.filter_jit
 def run(observer: Any, voltage: Array, current: Array) -> Guess:
-    """A record, (rows, 2) each; row k's voltage is the mean over the interval that ends there."""
+    """A record through any observer that steps in JAX; see :meth:`Baseline.run`."""
 
     def body(state: Any, row: tuple[Array, Array]) -> tuple[Any, Guess]:
         after, guess = observer.step(state, *row)

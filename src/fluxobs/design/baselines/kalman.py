@@ -8,8 +8,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..drive.vectors import pair, turn
 from ..drive.twin import wrap
+from ..drive.vectors import pair, turn
 from .base import Array, Baseline, Guess, number
 
 

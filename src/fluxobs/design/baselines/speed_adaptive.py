@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..drive.vectors import turn
 from ..drive.twin import wrap
+from ..drive.vectors import turn
 from .base import Array, Baseline, Guess, number, pll_gains
 
 

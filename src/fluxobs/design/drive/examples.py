@@ -11,13 +11,13 @@ from ...errors import ModelError
 from ...machines import RotatingMachine
 from ...observers import LeastSquaresObserver
 from ...observers.plain import MEMORY, TRACKER
-from .twin import SquareRootLeastSquares
 from .control import Control
 from .inverter import Inverter
 from .motor import Mechanics, Motor, Plant
 from .sensorless import Sensorless
 from .sensors import Sensors
 from .simulate import Drive
+from .twin import SquareRootLeastSquares
 
 
 @dataclass(frozen=True)

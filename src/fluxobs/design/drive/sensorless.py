@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .twin import Reading
 from ..precision import real
+from .twin import Reading
 from .vectors import length, turn, unit
 
 Array = jax.Array

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from ...errors import ModelError
 from ...logs.record import Record
-from .twin import TwinState, Reading, SquareRootLeastSquares
 from ..precision import real
 from .control import Control, ControlState
 from .inverter import Inverter
@@ -24,6 +23,7 @@ from .motor import Plant, PlantState
 from .profile import Profile
 from .sensorless import RUNNING, Sensorless, SensorlessState
 from .sensors import Sensors
+from .twin import Reading, SquareRootLeastSquares, TwinState
 from .vectors import length, limit, pair, turn, vector
 
 Array = jax.Array

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ... import _core  # type: ignore[attr-defined]  # compiled
+from ... import _core
 from ...observers import Estimate, LeastSquaresObserver
 
 #: The compiled observer's thresholds, with their reasons in firmware/fluxobs_internal.h.
@@ -190,9 +190,7 @@ class SquareRootLeastSquares(eqx.Module):
         }
         return self._restarted(TwinState(**blank))
 
-    def step(
-        self, state: TwinState, voltage: Array, current: Array
-    ) -> tuple[TwinState, Reading]:
+    def step(self, state: TwinState, voltage: Array, current: Array) -> tuple[TwinState, Reading]:
         """One sample: mean voltage over the interval ending now [V], the current now [A]."""
         return self._advance(state, self.hB @ voltage, current, complete=False)
 
@@ -266,7 +264,8 @@ class SquareRootLeastSquares(eqx.Module):
         flux = x[FLUX] + h * x[DRIFT]
         free = x[S] + q @ v / 2 + self.E @ v + h * (x[KAPPA] + h * x[CC]) + q @ flux
         off = row[Z] - row[S] * free - row[FLUX] @ (flux + v)
-        return ~(jnp.abs(off) < C.OUTLIER_LIMIT * self.row_s)
+        contradicts: Array = ~(jnp.abs(off) < C.OUTLIER_LIMIT * self.row_s)
+        return contradicts
 
     def _measure(self, s: TwinState, row: Array) -> TwinState:
         triangle, e = absorb(s.triangle, row)
@@ -389,9 +388,7 @@ class SquareRootLeastSquares(eqx.Module):
         s = select(judges, judged, s._replace(triangle=self._reinjected(s)))
         return s._replace(turn=(s.turn + 1) % PERIOD)
 
-    def _judged(
-        self, s: TwinState, inverse: Array, p: Array, square: Array
-    ) -> TwinState:
+    def _judged(self, s: TwinState, inverse: Array, p: Array, square: Array) -> TwinState:
         """Variance of the angle of p, and what of the flux's information is only noise."""
         drift_prior = s.prior_scale / self.prior[4]
         excess = s.x[DRIFT] @ s.x[DRIFT] / drift_prior**2
@@ -516,6 +513,11 @@ class SquareRootLeastSquares(eqx.Module):
         s = select(restart, self._restarted(s), s)
         s, reading = self._read_out(s, v)
         return s, reading._replace(valid=reading.valid & ~(missing | contradicted))
+
+    @property
+    def memory(self) -> Array:
+        """Exponential memory [s]."""
+        return self.sample_time / self.h
 
     def run(self, voltage: Any, current: Any) -> Estimate:
         """A whole record from zero knowledge, (rows, 2) each; as :meth:`LeastSquaresObserver.run`

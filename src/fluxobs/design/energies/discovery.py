@@ -10,8 +10,8 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.constraint import QuadraticConstraint, invisible_offsets
 from ...errors import ModelError
+from ...model.constraint import QuadraticConstraint, invisible_offsets
 from .system import ElectromechanicalSystem
 
 Array = NDArray[np.float64]

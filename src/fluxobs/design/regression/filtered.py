@@ -12,8 +12,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ...model.constraint import QuadraticConstraint
 from ...errors import ModelError
+from ...model.constraint import QuadraticConstraint
 from .regressors import Regressors
 
 

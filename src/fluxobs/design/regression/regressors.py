@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.constraint import QuadraticConstraint
 from ...errors import ModelError
+from ...model.constraint import QuadraticConstraint
 from ..precision import real
 
 

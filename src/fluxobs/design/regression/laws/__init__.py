@@ -8,10 +8,10 @@ from .riccati import RiccatiObserver
 
 __all__ = [
     "PEBO",
-    "PrintedAdaptiveObserver",
     "ContinuousObserver",
     "DremObserver",
     "FluxObserver",
+    "PrintedAdaptiveObserver",
     "RepairedAdaptiveObserver",
     "RiccatiObserver",
     "RobustObserver",

@@ -1,0 +1,61 @@
+"""What a run was and what it saw: all that its summary, its warnings and its picture need."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ..logs.log import Log
+from ..logs.scales import Scales
+from ..machines import Machine, RotatingMachine, rotating
+from ..observers import AdaptiveObserver, LeastSquaresObserver, SampleCounts
+from .prepare import AnyObserver
+from .statistics import Statistics
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run over a log.
+
+    Attributes
+    ----------
+    log : Log
+        As it was read; less the inverter's error where the observer does not know of it.
+    machine : Machine
+    observer : LeastSquaresObserver, AdaptiveObserver or ImmersionObserver
+        That ran, with all its settings.
+    scales : Scales
+        Sizes of the log's signals.
+    unknowns : tuple of str
+    priors : mapping
+    statistics : Statistics
+        Counts and means over the rows.
+    counts : SampleCounts
+        Bad samples and restarts.
+    """
+
+    log: Log
+    machine: Machine
+    observer: AnyObserver
+    scales: Scales
+    unknowns: tuple[str, ...]
+    priors: Mapping[str, float]
+    statistics: Statistics
+    counts: SampleCounts
+
+    @property
+    def rotor(self) -> RotatingMachine:
+        """The machine, where it turns: a compiled observer ran."""
+        return rotating(self.machine, "this part of a result")
+
+    @property
+    def plain(self) -> LeastSquaresObserver | None:
+        """The plain observer: the one that ran, or the one in the adaptive one."""
+        if isinstance(self.observer, AdaptiveObserver):
+            return self.observer.plain
+        return self.observer if isinstance(self.observer, LeastSquaresObserver) else None
+
+    @property
+    def adaptive(self) -> AdaptiveObserver | None:
+        """The adaptive observer, if it ran."""
+        return self.observer if isinstance(self.observer, AdaptiveObserver) else None
