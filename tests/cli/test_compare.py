@@ -71,7 +71,7 @@ def test_a_log_and_a_scenario(folder):
     ("arguments", "message"),
     [
         (["calm"], "'calm' is neither a file nor a scenario"),
-        (["log.csv"], "--machine is needed for a log (log.csv)"),
+        (["log.csv"], "a machine is needed for a log (log.csv): --machine"),
         (["log.csv", "--machine", "pmsm-2kw2"], "can only be scored against a true angle"),
         (["ideal", "--machine", "maglev-knospe"], "no drive is defined for 'maglev-knospe'"),
         (

@@ -1,41 +1,22 @@
 """The command line by exit code, output and files."""
 
+import importlib
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
 import pytest
 
+from fluxobs.estimation.prepare import prepare
 from fluxobs.machines import example_text
+from support.cli import COLUMNS, fluxobs
 from support.records import SERVO, log_columns, steady
 
 H, ROWS = 1e-4, 4000
-COLUMNS = [
-    "t",
-    "flux_alpha",
-    "flux_beta",
-    "psi_f",
-    "theta_e",
-    "theta_e_tracked",
-    "speed_e",
-    "drift_alpha",
-    "drift_beta",
-    "theta_e_std",
-    "valid",
-]
-
-
-def fluxobs(*arguments, folder):
-    return subprocess.run(
-        [sys.executable, "-m", "fluxobs.cli", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        cwd=folder,
-        encoding="utf-8",
-    )
 
 
 @pytest.fixture
@@ -105,17 +86,20 @@ def test_record_file_and_override(folder):
     assert "(lag 0)" in estimate(folder, "--record", "record.toml", "--lag", "0").stdout
 
 
-def test_streamed_is_the_same_as_one_piece(folder):
+def test_streamed_is_the_same_as_one_piece(folder, monkeypatch):
     """Batches of another size, and another file format, change no number."""
     estimate(folder, out="text.parquet")
-    script = (
-        "import fluxobs.logs.log as logs\n"
-        "logs.Log.aligned.__defaults__ = (None, None, 137)\n"
-        "from fluxobs.cli import main\n"
-        "main()\n"
-    )
-    arguments = ["estimate", "log.parquet", "--machine", "motor.toml", "--out", "cut.parquet"]
-    subprocess.run([sys.executable, "-c", script, *arguments], check=True, cwd=folder)
+    batches = []
+
+    def in_small_batches(*arguments):
+        run = replace(prepare(*arguments), batch=137)
+        batches.append(run.batch)
+        return run
+
+    module = importlib.import_module("fluxobs.estimation.estimate")
+    monkeypatch.setattr(module, "prepare", in_small_batches)
+    assert estimate(folder, log="log.parquet", out="cut.parquet").returncode == 0
+    assert batches == [137]
     one, other = (pl.read_parquet(folder / f"{n}.parquet") for n in ("text", "cut"))
     assert one.equals(other)
 
@@ -160,7 +144,7 @@ def test_missing_values_are_counted(folder):
     )
     log.with_columns(gaps.alias("i_beta")).write_csv(folder / "log.csv")
     done = estimate(folder)
-    assert "without a current (predicted over): 2" in done.stdout
+    assert "without a current (bridged): 2" in done.stdout
     assert pl.read_parquet(folder / "out.parquet")["theta_e"].is_finite().all()
 
 
@@ -169,7 +153,7 @@ def test_a_long_gap_is_counted_in_full(folder):
     gap = pl.int_range(pl.len()).is_between(1000, 1499)
     log = log.with_columns(pl.when(gap).then(None).otherwise(pl.col("u_beta")).alias("u_beta"))
     log.write_csv(folder / "log.csv")
-    assert "without a voltage (the last one held): 500; the observer" in estimate(folder).stdout
+    assert "without a voltage (bridged): 500; the observer started anew" in estimate(folder).stdout
 
 
 def test_truth_in_degrees_is_noticed(folder):
@@ -202,7 +186,7 @@ def test_interrupted_leaves_nothing(folder, name):
     many = pl.concat([log] * 2000).with_columns(t=pl.int_range(pl.len()) * H)
     many.write_parquet(folder / "log.parquet")
     before = sorted(folder.iterdir())
-    command = [sys.executable, "-m", "fluxobs.cli", "estimate", "log.parquet"]
+    command = [sys.executable, "-m", "fluxobs", "estimate", "log.parquet"]
     command += ["--machine", "motor.toml", "--out", "out.parquet"]
     with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE) as running:
         deadline = time.monotonic() + 20
@@ -237,9 +221,9 @@ def test_exchanged_phases_are_suspected(folder):
         (["--report", "report.gif"], "must end in .png, .pdf, .svg"),
         (["--report", "nowhere/report.png"], "the folder nowhere does not exist"),
         (["--record", "none.toml"], "none.toml: cannot be read"),
-        (["--from", "nan"], "--from must be a number of seconds, got nan"),
-        (["--to", "inf"], "--to must be a number of seconds, got inf"),
-        (["--scale", "t=1000"], "Is t in ms?"),
+        (["--from", "nan"], "start: input should be a finite number, got nan"),
+        (["--to", "inf"], "stop: input should be a finite number, got inf"),
+        (["--scale", "t=1000"], "is t in ms?"),
         (["--scale", "i_alpha=0", "i_beta=0"], "the current is zero in every row"),
         (["--scale", "u_alpha=0", "u_beta=0"], "the voltage is zero in every row"),
         (["--column", "udc=540"], 'udc belongs to frame "duty"'),

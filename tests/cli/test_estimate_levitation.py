@@ -119,8 +119,14 @@ def test_current_bias_of_a_reluctance_machine(folder):
             ["maglev.csv", "--machine", "maglev-knospe", "--truth", "theta_e=y"],
             "kind maglev-2dof has position",
         ),
-        (["maglev.csv", "--machine", "maglev-knospe", "--memory", "0.01"], "--memory 0.01 s is"),
-        (["synrm.parquet", "--machine", "synrm-6kw7", "--truth", "position=t"], "has theta_e or"),
+        (
+            ["maglev.csv", "--machine", "maglev-knospe", "--memory", "0.01"],
+            "memory 0.01 s is too short",
+        ),
+        (
+            ["synrm.parquet", "--machine", "synrm-6kw7", "--truth", "position=t"],
+            "has theta_mech or theta_e",
+        ),
     ],
 )
 def test_bad_options_end_with_2_and_leave_nothing(folder, arguments, message):

@@ -11,7 +11,7 @@ from fluxobs.comparison.bound import position_bound
 from fluxobs.comparison.catalogue import CATALOGUE
 from fluxobs.comparison.compare import LANES, compare_scenario, setting_for
 from fluxobs.comparison.scenarios import SCENARIOS, believed_machine, run_scenario, scenario
-from fluxobs.comparison.scoring import Truth, position_error, score
+from fluxobs.comparison.scoring import Truth, score, scored_error
 from fluxobs.errors import ModelError
 from fluxobs.machines import example
 from support.records import steady
@@ -24,8 +24,9 @@ FEW = [
 
 
 def truth(rows=1000, half_turn=False, score_from=0.2):
+    machine = example("synrm-6kw7" if half_turn else "pmsm-2kw2")
     t = np.arange(rows) * 1e-3
-    return Truth(t, 5 * t, np.full(rows, 5.0), np.exp(5j * t), score_from, half_turn)
+    return Truth(t, 5 * t, np.full(rows, 5.0), np.exp(5j * t), score_from, machine)
 
 
 # ---- scores ----------------------------------------------------------------------------------
@@ -56,8 +57,8 @@ def test_settling_and_loss():
 
 
 def test_half_a_turn_is_nothing_to_a_reluctance_machine_and_no_number_is_half_a_turn():
-    assert np.allclose(position_error(truth().theta_e + np.pi, truth(half_turn=True)), 0)
-    bad = position_error(np.full(1000, np.nan), truth())
+    assert np.allclose(scored_error(truth().theta_e + np.pi, truth(half_turn=True)), 0)
+    bad = scored_error(np.full(1000, np.nan), truth())
     assert np.allclose(np.abs(bad), np.pi)
 
 

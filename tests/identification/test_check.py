@@ -8,11 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from fluxobs.errors import FluxobsError
-from fluxobs.identification.check import check, lines
-from fluxobs.logs.formats import open_table
-from fluxobs.logs.layout import Layout
-from fluxobs.logs.log import open_log
+from fluxobs import FluxobsError, check, read_log
 from fluxobs.machines import example, example_text
 from support.cli import fluxobs
 from support.records import COURSE_TIME, PMSM, course, driven, log_columns, profile
@@ -23,7 +19,7 @@ COLUMNS = log_columns(course())
 
 def log_of(folder, columns, **layout):
     pl.DataFrame(columns).write_parquet(folder / "log.parquet")
-    return open_log(open_table(folder / "log.parquet"), Layout(**layout), PMSM.n_p)
+    return read_log(folder / "log.parquet", **layout)
 
 
 def scaled(voltage=1.0, current=1.0):
@@ -101,7 +97,7 @@ def test_a_steady_log_cannot_tell_the_resistance(tmp_path):
     samples = driven(PMSM, COURSE_TIME, speed, np.full(len(speed), 4j), noise=0.02)
     found = check(log_of(tmp_path, log_columns(samples)), PMSM)
     assert found.sound
-    text = "\n".join(lines(found))
+    text = "\n".join(found.lines())
     assert "steps of load or speed would show R_s" in text
     assert "cannot tell that from" in text
     assert "halve it" in text
@@ -113,7 +109,7 @@ def test_without_a_magnet_its_flux_is_no_matter(tmp_path):
     load = profile((0, 10), (0.3, 10), (0.31, 15), (0.7, 15), (0.71, 8), (1.5, 8))
     samples = driven(machine, COURSE_TIME, speed, 8 + 1j * load, noise=0.02)
     columns = log_columns(samples)
-    assert "psi_f" not in "\n".join(lines(check(log_of(tmp_path, columns), machine)))
+    assert "psi_f" not in "\n".join(check(log_of(tmp_path, columns), machine).lines())
     columns["i_alpha"], columns["i_beta"] = -columns["i_alpha"], -columns["i_beta"]
     assert not by_kind(check(log_of(tmp_path, columns), machine))["sign"].as_given
 

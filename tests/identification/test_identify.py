@@ -6,14 +6,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from fluxobs.errors import FluxobsError
-from fluxobs.identification import identify
+from fluxobs import FluxobsError, identify, read_log
 from fluxobs.identification.fit import evaluate
 from fluxobs.identification.identify import read_free
 from fluxobs.identification.pieces import pieces
-from fluxobs.logs.formats import open_table
-from fluxobs.logs.layout import Layout
-from fluxobs.logs.log import open_log
 from fluxobs.machines import example, example_text, read_machine
 from support.cli import fluxobs
 from support.records import COURSE_TIME, PMSM, course, driven, log_columns, profile
@@ -25,7 +21,7 @@ TRUE = {"R_s": R_S, "psi_f": PSI_F, "inverter": INVERTER}
 
 def opened(path, samples, **layout):
     pl.DataFrame(log_columns(samples)).write_parquet(path)
-    return open_log(open_table(path), Layout(**layout), PMSM.n_p)
+    return read_log(path, **layout)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +42,7 @@ def steady(tmp_path_factory):
 
 
 def test_finds_resistance_magnet_and_inverter_within_what_it_says(rich):
-    found = identify(rich, PMSM, ("R_s", "psi_f", "inverter"))
+    found = identify(rich, PMSM, free=("R_s", "psi_f", "inverter"))
     assert not found.untold
     assert found.after.converged
     for p in found.parameters:
@@ -59,7 +55,7 @@ def test_finds_resistance_magnet_and_inverter_within_what_it_says(rich):
 
 
 def test_a_steady_log_tells_the_magnet_only_and_says_so(steady):
-    found = identify(steady, PMSM, ("R_s", "psi_f", "inverter"))
+    found = identify(steady, PMSM, free=("R_s", "psi_f", "inverter"))
     assert set(found.untold) == {"R_s", "inverter"}
     assert found.machine.R_s == PMSM.R_s
     assert [p.std is None for p in found.parameters] == [True, False, True]
@@ -67,7 +63,7 @@ def test_a_steady_log_tells_the_magnet_only_and_says_so(steady):
 
 def test_what_cannot_be_told_alone_is_an_error(steady):
     with pytest.raises(FluxobsError, match=r"tells none of lag .*steps of load"):
-        identify(steady, PMSM, ("lag",))
+        identify(steady, PMSM, free=("lag",))
 
 
 def test_finds_a_lag(tmp_path):
@@ -78,13 +74,13 @@ def test_finds_a_lag(tmp_path):
     for name in ("u_alpha", "u_beta"):
         columns[name] = np.concatenate([columns[name][1:], columns[name][-1:]])
     pl.DataFrame(columns).write_parquet(tmp_path / "log.parquet")
-    log = open_log(open_table(tmp_path / "log.parquet"), Layout(), PMSM.n_p)
-    found = identify(log, PMSM, ("psi_f", "lag"))
+    log = read_log(tmp_path / "log.parquet")
+    found = identify(log, PMSM, free=("psi_f", "lag"))
     assert found.lag == pytest.approx(-1, abs=0.05)
 
 
 def test_finds_a_lag_and_all_the_rest_from_afar(rich):
-    found = identify(rich, PMSM, ("R_s", "L_s", "psi_f", "inverter", "lag"))
+    found = identify(rich, PMSM, free=("R_s", "L_s", "psi_f", "inverter", "lag"))
     # Half speed: a sample of lag shows, but inductance and lag both turn the vector with the load.
     assert found.after.converged
     assert found.lag == pytest.approx(0, abs=0.1)
@@ -121,7 +117,7 @@ def test_a_machine_without_a_magnet(tmp_path):
     load = profile((0, 10), (0.3, 10), (0.31, 15), (0.7, 15), (0.71, 8), (1.5, 8))
     samples = driven(machine, COURSE_TIME, speed, 8 + 1j * load, R_s=1.3 * machine.R_s, noise=0.02)
     log = opened(tmp_path / "log.parquet", samples)
-    found = identify(log, machine, read_free(None, machine))
+    found = identify(log, machine)
     assert found.before.free == ()
     assert found.machine.R_s == pytest.approx(1.3 * machine.R_s, rel=0.02)
 
@@ -159,7 +155,8 @@ def test_command_line(rich, tmp_path):
     written = (tmp_path / "found.toml").read_text()
     for more, out, words in (
         ((), "found.toml", "exists"),
-        (("--force",), "log.parquet", "must end in .toml"),
+        (("--force",), "found.txt", "must end in .toml"),
+        (("--force",), "log.parquet", "--out is one of the inputs"),
         ((), "none/found.toml", "does not exist"),
         (("--report", "none/fit.png"), "x.toml", "does not exist"),
         (("--free", "R"), "x.toml", "did you mean 'R_s'"),
