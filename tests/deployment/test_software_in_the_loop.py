@@ -11,7 +11,7 @@ import pytest
 
 import fluxobs
 from fluxobs.deployment.vectors import expected
-from fluxobs.synthetic.demo import log_file
+from fluxobs.synthetic.demo import LOG
 from support.cli import fluxobs as command
 from support.firmware import (
     COMPILERS,
@@ -106,7 +106,7 @@ def test_sanitizers_over_all_records(folders, compiled, precision):
 
 def test_what_estimate_does_with_a_log_the_firmware_does(compiled, tmp_path):
     """The options that `fluxobs estimate` prints give its numbers bit for bit."""
-    log = log_file()
+    log = LOG
     done = command(
         *("estimate", log, "--machine", "servo-400w", "--out", "e.parquet"), folder=tmp_path
     )

@@ -1,42 +1,32 @@
 """The demonstration, and the replay of its log with committed expected outputs.
 
 A change of any number shows as a diff of tests/expected/demo.csv; where it is meant, write the file
-anew with ``python tests/test_demo.py``.
+anew with ``python tests/synthetic/test_demo.py``.
 """
 
 import io
-import subprocess
-import sys
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
-from fluxobs.estimation.estimate import estimate
-from fluxobs.logs.formats import open_table
-from fluxobs.logs.layout import Layout
-from fluxobs.logs.log import open_log
-from fluxobs.machines import example
-from fluxobs.synthetic.demo import MACHINE, generate, log_file, write
+from fluxobs import estimate
+from fluxobs.synthetic.demo import LOG, MACHINE, demo_log, generate, write
+from support.cli import fluxobs
 
 EXPECTED = Path(__file__).parents[1] / "expected" / "demo.csv"
 EVERY = 50
 
 
 def replay(folder):
-    machine = example(MACHINE)
-    with resources.as_file(log_file()) as path:
-        log = open_log(open_table(path), Layout(truth={"theta_e": "theta_e"}), machine.n_p)
-        result = estimate(log, machine, folder / "out.parquet")
+    result = estimate(demo_log(), MACHINE, out=folder / "out.parquet")
     return result, pl.read_parquet(folder / "out.parquet")
 
 
 def test_shipped_log_is_the_generated_one(tmp_path):
     write(tmp_path / "log.csv")
     made, shipped = (
-        pl.read_csv(source)
-        for source in (tmp_path / "log.csv", io.StringIO(log_file().read_text()))
+        pl.read_csv(source) for source in (tmp_path / "log.csv", io.StringIO(LOG.read_text()))
     )
     assert made.columns == shipped.columns == list(generate())
     # Another libm may round the last digit of a quantised value the other way.
@@ -59,19 +49,15 @@ def test_replay_gives_the_committed_numbers(tmp_path):
 
 def test_demo_shows_what_it_should(tmp_path):
     result, found = replay(tmp_path)
-    tally = result.tally
-    assert tally.valid > 0.9 * tally.rows
-    assert tally.error_max < np.radians(15)  # through zero, with a dead-time error
+    seen = result.statistics
+    assert seen.valid > 0.9 * seen.rows
+    assert seen.error_max < np.radians(15)  # through zero, with a dead-time error
     settled = found.filter(pl.col("valid") & (pl.col("t") > 0.2) & (pl.col("t") < 1.0))
     assert settled["theta_e_error"].abs().max() < np.radians(2)
 
 
 def test_demo_command_writes_both_files(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-m", "fluxobs.cli", "demo", "--out", tmp_path / "results"],
-        capture_output=True,
-        encoding="utf-8",
-    )
+    done = fluxobs("demo", "--out", "results", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert sorted(p.name for p in (tmp_path / "results").iterdir()) == [
         "estimates.parquet",

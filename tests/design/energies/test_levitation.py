@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from fluxobs import ModelError
 from fluxobs.design import State, integrate
-from fluxobs.design.energies import IdaPbc
+from fluxobs.design.energies.ida_pbc import IdaPbc
 from fluxobs.design.energies.integrate import volt_seconds
 from fluxobs.design.energies.library import maglev_2dof
 from fluxobs.machines import example
