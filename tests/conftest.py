@@ -1,9 +1,20 @@
+"""Before anything is imported: how libraries of numbers are to behave in the tests."""
+
 import os
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
 
 # Tests run side by side: threads within each would only wait for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from hypothesis import settings
+# Most of the time of these tests is compilation by XLA. What one process has compiled serves the
+# others, those that tests start too, and the next run; `make clean` removes it.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / "build" / "jax"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+
+from hypothesis import settings  # noqa: E402
 
 # Deterministic, and no deadline: a slow machine is no failure.
 settings.register_profile("fluxobs", deadline=None, derandomize=True)

@@ -76,7 +76,7 @@ def estimate(
     >>> import fluxobs
     >>> result = fluxobs.estimate(fluxobs.demo_log(), "servo-400w")
     >>> round(float(result["psi_f"][-1]), 4)
-    0.0125
+    0.0129
     """
     machine = as_machine(machine)
     if memory is not None:

@@ -284,6 +284,13 @@ class ImmersionObserver:
         i = np.asarray(current, float)
         u = state.voltage if voltage is None else np.asarray(voltage, float)
         v = None if volt_seconds is None else np.asarray(volt_seconds, float)
+        n, m = self.B.shape
+        source, length = (u, m) if v is None else (v, n)
+        if i.shape != (n,) or source.shape != (length,):
+            raise RecordError(
+                f"{'voltage' if v is None else 'volt_seconds'} must have shape ({length},) and "
+                f"current ({n},), got {source.shape} and {i.shape}"
+            )
         if v is not None and not np.isfinite(v).all():
             raise RecordError("volt_seconds must be finite; mark a missing sample by current NaN")
         known = bool(np.isfinite(i).all())

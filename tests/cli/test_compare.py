@@ -1,0 +1,87 @@
+"""`fluxobs compare` by exit code, output and files."""
+
+from __future__ import annotations
+
+import numpy as np
+import polars as pl
+import pytest
+
+from fluxobs.comparison.catalogue import CATALOGUE
+from fluxobs.machines import example
+from support.cli import fluxobs
+from support.records import steady
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("compare")
+    rows = 4000
+    data = steady(example("pmsm-2kw2"), 1.25e-4, 300.0, rows, 4j, 0.2, 2.0, noise=0.02, theta0=0.0)
+    columns = {
+        "t": np.arange(rows) * 1.25e-4,
+        # Logged with the row from which it acts.
+        "u_alpha": np.append(data.voltage[1:, 0], 0.0),
+        "u_beta": np.append(data.voltage[1:, 1], 0.0),
+        "i_alpha": data.current[:, 0],
+        "i_beta": data.current[:, 1],
+        "theta": data.theta,
+    }
+    pl.DataFrame(columns).write_csv(path / "log.csv")
+    return path
+
+
+def test_the_list_needs_nothing_else(folder):
+    done = fluxobs("compare", "list", folder=folder)
+    assert done.returncode == 0
+    assert "low-speed-1 " in done.stdout
+    assert "dead time" in done.stdout
+
+
+def test_a_log_and_a_scenario(folder):
+    done = fluxobs(
+        "compare",
+        "log.csv",
+        "unknown-start",
+        "--machine",
+        "pmsm-2kw2",
+        "--truth",
+        "theta_e=theta",
+        "--out",
+        "out",
+        folder=folder,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "The least squares has" in done.stdout
+    assert "With its default memory it calls" in done.stdout
+    for entry in CATALOGUE:
+        assert entry.name in done.stdout
+    scores = pl.read_csv(folder / "out" / "scores.csv")
+    assert set(scores["record"]) == {"log.csv", "unknown-start"}
+    ours = scores.filter(
+        (pl.col("record") == "log.csv")
+        & (pl.col("observer") == "least squares")
+        & (pl.col("gains") == "recommended")
+    )
+    assert 0.05 < ours["rms_deg"][0] < 0.15
+    for name in ("log.png", "unknown-start.png", "summary.png"):
+        assert (folder / "out" / name).stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["calm"], "'calm' is neither a file nor a scenario"),
+        (["log.csv"], "a machine is needed for a log (log.csv): --machine"),
+        (["log.csv", "--machine", "pmsm-2kw2"], "can only be scored against a true angle"),
+        (["ideal", "--machine", "maglev-knospe"], "no drive is defined for 'maglev-knospe'"),
+        (
+            ["log.csv", "--machine", "pmsm-2kw2", "--truth", "theta_e=theta", "--settle", "9"],
+            "none left after --settle 9 s",
+        ),
+        (["ideal", "--out", "log.csv"], "cannot be made"),
+    ],
+)
+def test_unusable_input_ends_with_2(folder, arguments, message):
+    done = fluxobs("compare", *arguments, folder=folder)
+    assert done.returncode == 2, done.stdout
+    assert message in " ".join(done.stderr.split())

@@ -1,0 +1,101 @@
+"""estimate with resistance and inverter among the unknowns, by exit code, output and files."""
+
+import polars as pl
+import pytest
+
+from fluxobs.machines import example_text
+from support.cli import COLUMNS, fluxobs
+from support.records import PMSM, course, log_columns
+
+FURTHER = [
+    "psi_f_std",
+    "drift_std",
+    "resistance",
+    "resistance_std",
+    "inverter_voltage",
+    "inverter_voltage_std",
+    "theta_e_other",
+    "weight_other",
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("log")
+    columns = log_columns(course(R_s=1.3 * PMSM.R_s, inverter=6.0, smoothing=0.2))
+    pl.DataFrame(columns).write_parquet(folder / "log.parquet")
+    (folder / "motor.toml").write_text(example_text("pmsm-2kw2"))
+    (folder / "synrm.toml").write_text(example_text("synrm-6kw7"))
+    return folder
+
+
+def estimate(folder, *more, machine="motor.toml"):
+    arguments = ("log.parquet", "--machine", machine, "--out", "out.parquet", *more)
+    return fluxobs("estimate", *arguments, folder=folder)
+
+
+def test_columns_summary_picture_and_the_way_into_firmware(folder):
+    given = ("--unknowns", "drift,resistance,inverter", "--prior", "psi_f=0.02")
+    done = estimate(folder, *given, "--report", "report.png")
+    assert done.returncode == 0, done.stderr
+    found = pl.read_parquet(folder / "out.parquet")
+    assert found.columns == [*COLUMNS[:-1], *FURTHER, "valid"]
+    last = found.row(-1, named=True)
+    assert last["resistance"] == pytest.approx(1.3 * PMSM.R_s, rel=0.05)
+    assert last["inverter_voltage"] == pytest.approx(6.0, rel=0.2)
+    assert abs(last["resistance"] - 1.3 * PMSM.R_s) < 4 * last["resistance_std"]
+    assert "resistance 4." in done.stdout
+    assert "(3.6 Ω given)" in done.stdout
+    assert "(0 V assumed)" in done.stdout
+    assert (folder / "report.png").read_bytes().startswith(b"\x89PNG")
+    assert "--unknowns drift,resistance,inverter --prior psi_f=0.02" in done.stdout
+
+
+def test_the_plain_observer_warns_and_names_the_option(folder):
+    done = estimate(folder)
+    assert done.returncode == 0
+    assert "Warning" in done.stdout
+    assert "--unknowns drift,resistance,inverter" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("to", "words"),
+    [("0.12", "too short to settle: at least 5 memories"), ("0.2", "does not tell resistance")],
+)
+def test_what_a_short_log_tells_is_said(folder, to, words):
+    done = estimate(folder, "--unknowns", "drift,resistance", "--to", to)
+    assert done.returncode == 0
+    assert words in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (("--unknowns", "drift,resistanc"), "did you mean 'resistance'"),
+        (("--unknowns", "resistance"), "drift,resistance"),
+        (("--unknowns", "drift,inverter,current-bias"), "together with a current bias"),
+        (("--prior", "resistance=1"), "not among the unknowns"),
+        (("--prior", "psi_f=0.01"), "needs resistance or inverter among the unknowns"),
+        (("--unknowns", "drift,inverter", "--prior", "resistance=1"), "not among the unknowns"),
+        (("--unknowns", "drift,inverter", "--prior", "R=1"), "unknown 'R'"),
+        (("--unknowns", "drift,inverter", "--prior", "inverter=-1"), "not negative"),
+        (("--unknowns", "drift,inverter", "--prior", "inverter=nan"), "must be finite"),
+        (("--unknowns", "drift,inverter", "--prior", "inverter=1e9"), "voltage in this log"),
+        (("--unknowns", "drift,resistance", "--prior", "resistance=1e6"), "10 times R_s"),
+        (("--unknowns", "drift,resistance", "--prior", "psi_f=100"), "magnet flux itself"),
+        (("--unknowns", "drift,resistance", "--prior", "psi_f=much"), "not a number"),
+    ],
+)
+def test_nonsense_is_refused(folder, more, words):
+    (folder / "out.parquet").unlink(missing_ok=True)
+    failed = estimate(folder, *more)
+    assert failed.returncode == 2
+    assert words in failed.stderr
+    assert not (folder / "out.parquet").exists()
+
+
+def test_a_machine_without_a_magnet_has_no_magnet_flux(folder):
+    given = ("--unknowns", "drift,resistance", "--prior", "psi_f=0.1")
+    failed = estimate(folder, *given, machine="synrm.toml")
+    assert failed.returncode == 2
+    assert "no magnets" in failed.stderr

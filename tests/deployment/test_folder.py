@@ -1,0 +1,268 @@
+"""An exported folder: its host test notices what is not as exported; nothing of a user is lost."""
+
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+import fluxobs
+from fluxobs import FluxobsError
+from fluxobs.deployment.c_source import hex_float
+from support.firmware import COMPILERS, STRICT, make_test
+from support.records import MACHINES
+
+ADAPTIVE = ("drift", "resistance", "inverter")
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_make_test_in_the_folder(tmp_path, compiler):
+    fluxobs.export(MACHINES["servo-400w"], 5e-5, tmp_path / "servo", prefix="servo")
+    done = make_test(tmp_path / "servo", f"CC={compiler}")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "single: 171 of 171 rows as expected" in done.stdout
+    assert "double: 171 of 171 rows as expected" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "pattern"),
+    [
+        ("test/vectors.h", r"expected\[171\].*?\{(0x1\.[0-9a-f]{3})"),  # an expected flux
+        ("test/vectors.h", r"expected\[171\].*?, (0x1\.[0-9a-f]{3})[^,]*\},"),  # … or speed
+        ("test/vectors.h", r"samples\[SAMPLES\].*?FO_\((0x1\.[0-9a-f]{3})"),  # a measured voltage
+        ("motor_observer.h", r"FO_SINGLE.*?(0x1\.[0-9a-f]{3})[0-9a-f]*p-?\d+f, /\* sample time"),
+    ],
+    ids=["flux", "speed", "sample", "parameter"],
+)
+def test_one_changed_value_fails(tmp_path, folders, name, pattern):
+    shutil.copytree(folders["servo-400w"], tmp_path / "motor")
+    path = tmp_path / "motor" / name
+    text = path.read_text()
+    end = re.search(pattern, text, re.DOTALL).end(1)
+    digit = text[end - 1]
+    path.write_text(text[: end - 1] + ("1" if digit != "1" else "2") + text[end:])
+    done = make_test(tmp_path / "motor")
+    assert done.returncode != 0
+    assert "FAILED" in done.stdout
+
+
+def test_the_last_digit_of_an_expected_angle_is_guarded(tmp_path, folders):
+    shutil.copytree(folders["servo-400w"], tmp_path / "motor")
+    path = tmp_path / "motor" / "test" / "vectors.h"
+    lines = path.read_text().split("\n")
+    row = next(n for n, line in enumerate(lines) if "expected[171]" in line) + 60
+    cells = lines[row].split(", ")
+    value = float.fromhex(cells[9].removesuffix("f"))
+    cells[9] = hex_float(float(np.nextafter(np.float32(value), np.float32(9))), "single")
+    lines[row] = ", ".join(cells)
+    path.write_text("\n".join(lines))
+    done = make_test(tmp_path / "motor")
+    assert done.returncode != 0
+    assert "not those that were written" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes"),
+    [
+        ("e->valid = e->valid && !bad;", "e->valid = e->valid || bad;"),
+        ("FO_MAX_CONSECUTIVE_BAD)) {", "FO_MAX_CONSECUTIVE_BAD / 3U)) {"),
+        ("TRACKER_SETTLED ((fo_real)0.1)", "TRACKER_SETTLED ((fo_real)0.11)"),
+        ("VOLTAGE_LIMIT (PI / (fo_real)22.5)", "VOLTAGE_LIMIT (PI / (fo_real)22)"),
+        (" STEP_LIMIT ((fo_real)0.15)", " STEP_LIMIT ((fo_real)15)"),
+        (" SETTLED ((fo_real)3 * PI)", " SETTLED ((fo_real)4 * PI)"),
+    ],
+)
+def test_a_change_of_the_observer_shows(tmp_path, was, becomes):
+    fluxobs.export(MACHINES["servo-400w"], 1e-4, tmp_path / "motor", memory=0.01)
+    sources = (tmp_path / "motor").glob("fluxobs*")
+    (source,) = (path for path in sources if path.read_text().count(was) == 1)
+    source.write_text(source.read_text().replace(was, becomes))
+    done = make_test(tmp_path / "motor", "CFLAGS=-O0 -Wno-error")
+    assert done.returncode != 0
+    assert "FAILED" in done.stdout
+
+
+@pytest.mark.parametrize("every", [2, 5])
+def test_make_test_where_volt_seconds_are_gathered(tmp_path, every):
+    fluxobs.export(MACHINES["servo-400w"], 5e-5, tmp_path / "motor", update_every=every)
+    done = make_test(tmp_path / "motor")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "fo_gather" in (tmp_path / "motor" / "README.md").read_text()
+    source = tmp_path / "motor" / "fluxobs.c"
+    source.write_text(source.read_text().replace("(fo_real)12 *", "(fo_real)13 *"))
+    assert make_test(tmp_path / "motor").returncode != 0
+
+
+@pytest.mark.parametrize(
+    ("name", "unknowns"),
+    [
+        ("servo-400w", ADAPTIVE),
+        ("ipm-2kw2", ("drift", "resistance")),
+        ("synrm-6kw7", ADAPTIVE),
+    ],
+)
+def test_the_adaptive_observer_in_the_folder(tmp_path, name, unknowns):
+    done = fluxobs.export(MACHINES[name], 1e-4, tmp_path / "motor", unknowns=unknowns)
+    assert isinstance(done.observer, fluxobs.AdaptiveObserver)
+    assert {path.name for path in done.folder.glob("*.[ch]")} == {
+        "example_isr.c",
+        "fluxobs.c",
+        "fluxobs.h",
+        "fluxobs_adaptive.c",
+        "fluxobs_adaptive.h",
+        "fluxobs_candidates.c",
+        "fluxobs_candidates.h",
+        "fluxobs_internal.h",
+        "motor_observer.h",
+    }
+    said = make_test(done.folder)
+    assert said.returncode == 0, said.stdout + said.stderr
+    for precision in ("single", "double"):
+        assert f"{precision}: 171 of 171 rows as expected" in said.stdout
+    strict = [*STRICT, f"-I{done.folder}", "-c", done.folder / "example_isr.c"]
+    subprocess.run(["gcc", *strict, "-DFO_SINGLE", "-o", tmp_path / "isr.o"], check=True)
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes"),
+    [
+        ("UNMODELLED = (fo_real)0.05", "UNMODELLED = (fo_real)0.5"),
+        ("s->theta = ", "s->theta = (fo_real)0.01 + "),
+    ],
+)
+def test_a_change_of_the_adaptive_observer_shows(tmp_path, was, becomes):
+    fluxobs.export(MACHINES["servo-400w"], 1e-4, tmp_path / "motor", unknowns=ADAPTIVE)
+    source = tmp_path / "motor" / "fluxobs_adaptive.c"
+    assert was in source.read_text()
+    source.write_text(source.read_text().replace(was, becomes))
+    done = make_test(tmp_path / "motor", "CFLAGS=-O0 -Wno-error")
+    assert done.returncode != 0
+    assert "FAILED" in done.stdout
+
+
+def test_precisions_do_not_mix(tmp_path, folders):
+    folder = folders["servo-400w"]
+    main = tmp_path / "main.c"
+    main.write_text(
+        '#include "motor_observer.h"\n'
+        "int main(void) { fo_state s; fo_reset(&motor_observer, &s); return 0; }\n"
+    )
+    made = []
+    for source, flags in ((main, ["-DFO_SINGLE"]), (folder / "fluxobs.c", [])):
+        made.append(tmp_path / f"{source.stem}.o")
+        command = ["gcc", *flags, f"-I{folder}", "-c", source, "-o", made[-1]]
+        subprocess.run(command, check=True)
+    linked = subprocess.run(
+        ["gcc", *made, "-lm", "-o", tmp_path / "mixed"], capture_output=True, text=True, check=False
+    )
+    assert linked.returncode != 0
+    assert "fo_reset_single" in linked.stderr
+
+
+def test_two_machines_in_one_firmware(tmp_path):
+    for prefix, name in (("pump", "synrm-6kw7"), ("fan", "servo-400w")):
+        fluxobs.export(MACHINES[name], 1e-4, tmp_path / prefix, prefix=prefix)
+    main = tmp_path / "main.c"
+    main.write_text(
+        '#include "fan_observer.h"\n#include "pump_observer.h"\n'
+        "int main(void)\n{\n    fo_state a, b;\n"
+        "    fo_reset(&fan_observer, &a);\n    fo_reset(&pump_observer, &b);\n"
+        "    return fan_observer.flux_base > pump_observer.flux_base;\n}\n"
+    )
+    includes = [f"-I{tmp_path / prefix}" for prefix in ("pump", "fan")]
+    sources = [main, tmp_path / "fan" / "fluxobs.c"]
+    command = ["gcc", *STRICT, *includes, *sources, "-lm", "-o", tmp_path / "two"]
+    subprocess.run(command, check=True)
+    assert subprocess.run([tmp_path / "two"], check=False).returncode == 0
+
+
+def test_header_in_cpp(tmp_path, folders):
+    source = tmp_path / "main.cpp"
+    source.write_text('#include "motor_observer.h"\nint main() { return motor_observer.h > 1; }\n')
+    command = ["g++", "-std=c++17", "-Wall", "-Wextra", "-pedantic", "-Werror", "-DFO_SINGLE"]
+    folder = folders["servo-400w"]
+    subprocess.run([*command, f"-I{folder}", "-c", source, "-o", tmp_path / "main.o"], check=True)
+
+
+def test_fast_math_is_refused(folders, tmp_path):
+    source = folders["servo-400w"] / "fluxobs.c"
+    done = subprocess.run(
+        ["gcc", "-O2", "-ffast-math", "-c", source, "-o", tmp_path / "x.o"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode != 0
+    assert "-ffast-math" in done.stderr
+
+
+def test_nothing_is_overwritten_unasked(tmp_path, monkeypatch):
+    machine = MACHINES["servo-400w"]
+    fluxobs.export(machine, 1e-4, tmp_path / "motor")
+    (tmp_path / "motor" / "notes.txt").write_text("mine")
+    with pytest.raises(FluxobsError, match="--force"):
+        fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.05)
+    again = fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.05, force=True)
+    assert again.content in (tmp_path / "motor" / "motor_observer.h").read_text()
+    assert (tmp_path / "motor" / "notes.txt").read_text() == "mine"
+
+    fluxobs.export(machine, 1e-4, tmp_path / "motor", prefix="pump", force=True)
+    assert not (tmp_path / "motor" / "motor_observer.h").exists()
+    assert make_test(tmp_path / "motor").returncode == 0
+
+    example = tmp_path / "motor" / "example_isr.c"
+    example.write_text(example.read_text() + "/* mine */\n")
+    with pytest.raises(FluxobsError, match=r"example_isr\.c: changed since"):
+        fluxobs.export(machine, 1e-4, tmp_path / "motor", force=True)
+    assert "mine" in example.read_text()
+    example.unlink()
+    (tmp_path / "motor" / "axis_observer.h").write_text("mine")
+    with pytest.raises(FluxobsError, match=r"axis_observer\.h: is no part"):
+        fluxobs.export(machine, 1e-4, tmp_path / "motor", prefix="axis", force=True)
+    assert (tmp_path / "motor" / "pump_observer.h").exists()
+
+    victim = tmp_path / "victim"
+    victim.write_text("mine")
+    digest = hashlib.sha256(b"mine").hexdigest()
+    manifest = tmp_path / "motor" / "MANIFEST"
+    kept = manifest.read_text()
+    manifest.write_text(f"{kept}{digest}  ../victim\n")
+    (tmp_path / "motor" / "axis_observer.h").unlink()
+    with pytest.raises(FluxobsError, match="no name within the folder"):
+        fluxobs.export(machine, 1e-4, tmp_path / "motor", force=True)
+    assert victim.read_text() == "mine"
+    manifest.write_text(kept)
+
+    # Interrupted half-way, the next one goes through.
+    replace_file, calls = os.replace, []
+
+    def full(source, target):
+        calls.append(target)
+        if len(calls) == 5:
+            raise OSError(28, "No space left on device")
+        replace_file(source, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("os.replace", full)
+        with pytest.raises(FluxobsError, match="No space left"):
+            fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.02, force=True)
+    fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.02, force=True)
+    assert make_test(tmp_path / "motor").returncode == 0
+
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "fluxobs.h").write_text("vendored")
+    with pytest.raises(FluxobsError, match="no earlier export"):
+        fluxobs.export(machine, 1e-4, tmp_path / "home", force=True)
+    assert (tmp_path / "home" / "fluxobs.h").read_text() == "vendored"
+
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(FluxobsError, match="no folder"):
+        fluxobs.export(machine, 1e-4, tmp_path / "file", force=True)
+    with pytest.raises(FluxobsError, match="cannot be written"):
+        fluxobs.export(machine, 1e-4, tmp_path / "file" / "motor")
+    (tmp_path / "empty").mkdir()
+    fluxobs.export(machine, 1e-4, tmp_path / "empty")
+    assert make_test(tmp_path / "empty").returncode == 0

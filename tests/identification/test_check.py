@@ -1,0 +1,141 @@
+"""check: the usual mistakes with a log are named, and what it cannot tell is said."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import polars as pl
+import pytest
+
+from fluxobs import FluxobsError, check, read_log
+from fluxobs.machines import example, example_text
+from support.cli import fluxobs
+from support.records import COURSE_TIME, PMSM, course, driven, log_columns, profile
+
+SQRT2, SQRT3 = np.sqrt(2), np.sqrt(3)
+COLUMNS = log_columns(course())
+
+
+def log_of(folder, columns, **layout):
+    pl.DataFrame(columns).write_parquet(folder / "log.parquet")
+    return read_log(folder / "log.parquet", **layout)
+
+
+def scaled(voltage=1.0, current=1.0):
+    out = dict(COLUMNS)
+    for name in out:
+        out[name] = out[name] * {"u": voltage, "i": current}.get(name[0], 1.0)
+    return out
+
+
+def turned(mirror, degrees):
+    """Currents whose phases were exchanged."""
+    z = COLUMNS["i_alpha"] + 1j * COLUMNS["i_beta"]
+    z = np.exp(1j * np.radians(degrees)) * (z.conj() if mirror else z)
+    return COLUMNS | {"i_alpha": z.real, "i_beta": z.imag}
+
+
+def by_kind(found):
+    return {finding.kind: finding for finding in found.findings}
+
+
+def test_a_right_log_is_right(tmp_path):
+    found = check(log_of(tmp_path, COLUMNS), PMSM)
+    assert found.sound
+    assert found.residual == found.residual_given < 0.02
+    assert all(not finding.others for finding in found.findings if finding.kind != "scale")
+
+
+@pytest.mark.parametrize(
+    ("columns", "kind", "words"),
+    [
+        (scaled(current=-1), "sign", "opposite sign"),
+        (turned(True, 0), "phases", "b and c are exchanged"),
+        (turned(True, 120), "phases", "a and b are exchanged"),
+        (turned(True, -120), "phases", "a and c are exchanged"),
+        (turned(False, 120), "phases", "shifted by one (b c a)"),
+        (turned(True, 90), "phases", "α and β are exchanged"),
+        (scaled(voltage=SQRT3), "scale", "voltages are line to line"),
+        (scaled(voltage=1 / SQRT2), "scale", "voltages are rms"),
+        (scaled(current=1 / SQRT2), "scale", "currents are rms"),
+        (scaled(np.sqrt(1.5), np.sqrt(1.5)), "scale", "power-invariant"),
+    ],
+)
+def test_names_the_mistake(tmp_path, columns, kind, words):
+    found = check(log_of(tmp_path, columns), PMSM)
+    assert not found.sound
+    finding = by_kind(found)[kind]
+    assert not finding.as_given
+    assert words in finding.words
+    assert [f.kind for f in found.findings if not f.as_given] == [kind]
+
+
+def test_a_resistance_line_to_line(tmp_path):
+    machine = PMSM.model_copy(update={"R_s": 2 * PMSM.R_s})
+    finding = by_kind(check(log_of(tmp_path, COLUMNS), machine))["scale"]
+    assert finding.words.startswith("R_s in the machine file is off, or")
+    assert "line to line (halve it)" in finding.words
+
+
+@pytest.mark.parametrize("lag", [-2, -1, 1, 2])
+def test_a_lag(tmp_path, lag):
+    # Fast, so that a sample is an angle that shows.
+    speed = profile((0, 0), (0.3, 471), (1.0, 471), (1.4, -471), (2.0, -471))
+    load = profile((0, 2), (0.5, 2), (0.51, 5), (0.8, 5), (0.81, 1), (2, 1))
+    columns = log_columns(driven(PMSM, COURSE_TIME, speed, 1j * load, noise=0.01))
+    for name in ("u_alpha", "u_beta"):
+        columns[name] = np.roll(columns[name], lag)
+    cut = {name: values[5:-5] for name, values in columns.items()}
+    finding = by_kind(check(log_of(tmp_path, cut), PMSM))["lag"]
+    assert not finding.as_given
+    assert finding.words == f"{lag:+d}"
+
+
+def test_a_steady_log_cannot_tell_the_resistance(tmp_path):
+    speed = profile((0, 236), (1.5, 236))
+    samples = driven(PMSM, COURSE_TIME, speed, np.full(len(speed), 4j), noise=0.02)
+    found = check(log_of(tmp_path, log_columns(samples)), PMSM)
+    assert found.sound
+    text = "\n".join(found.lines())
+    assert "steps of load or speed would show R_s" in text
+    assert "cannot tell that from" in text
+    assert "halve it" in text
+
+
+def test_without_a_magnet_its_flux_is_no_matter(tmp_path):
+    machine = example("synrm-6kw7")
+    speed = profile((0, 100), (0.5, 100), (0.9, -200), (1.5, -200))
+    load = profile((0, 10), (0.3, 10), (0.31, 15), (0.7, 15), (0.71, 8), (1.5, 8))
+    samples = driven(machine, COURSE_TIME, speed, 8 + 1j * load, noise=0.02)
+    columns = log_columns(samples)
+    assert "psi_f" not in "\n".join(check(log_of(tmp_path, columns), machine).lines())
+    columns["i_alpha"], columns["i_beta"] = -columns["i_alpha"], -columns["i_beta"]
+    assert not by_kind(check(log_of(tmp_path, columns), machine))["sign"].as_given
+
+
+def test_impossible_values_are_gaps(tmp_path):
+    columns = {name: values.copy() for name, values in COLUMNS.items()}
+    columns["i_alpha"][5000:5010] = np.inf
+    columns["u_beta"][9000] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert check(log_of(tmp_path, columns), PMSM).sound
+
+
+def test_a_log_that_tells_nothing(tmp_path):
+    rng = np.random.default_rng(1)
+    noise = {name: rng.standard_normal(4000) for name in COLUMNS if name != "t"}
+    with pytest.raises(FluxobsError, match="no arrangement"):
+        check(log_of(tmp_path, noise | {"t": COLUMNS["t"][:4000]}), PMSM)
+
+
+def test_exit_codes(tmp_path):
+    (tmp_path / "motor.toml").write_text(example_text("pmsm-2kw2"))
+    for columns, code in ((COLUMNS, 0), (scaled(current=-1), 1)):
+        log_of(tmp_path, columns)
+        done = fluxobs("check", "log.parquet", "--machine", "motor.toml", folder=tmp_path)
+        assert done.returncode == code, done.stderr
+        assert ("NOT as given" in done.stdout) == (code == 1)
+    failed = fluxobs("check", "none.csv", "--machine", "motor.toml", folder=tmp_path)
+    assert failed.returncode == 2

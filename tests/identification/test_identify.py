@@ -1,0 +1,169 @@
+"""identify: what a log says of the machine, and what it cannot tell."""
+
+from __future__ import annotations
+
+import numpy as np
+import polars as pl
+import pytest
+
+from fluxobs import FluxobsError, identify, read_log
+from fluxobs.identification.fit import evaluate
+from fluxobs.identification.identify import read_free
+from fluxobs.identification.pieces import pieces
+from fluxobs.machines import example, example_text, read_machine
+from support.cli import fluxobs
+from support.records import COURSE_TIME, PMSM, course, driven, log_columns, profile
+
+R_S, PSI_F, INVERTER = 1.3 * PMSM.R_s, 0.9 * PMSM.psi_f, 4.0
+SMOOTHING = 0.05 * PMSM.rated_current
+TRUE = {"R_s": R_S, "psi_f": PSI_F, "inverter": INVERTER}
+
+
+def opened(path, samples, **layout):
+    pl.DataFrame(log_columns(samples)).write_parquet(path)
+    return read_log(path, **layout)
+
+
+@pytest.fixture(scope="module")
+def rich(tmp_path_factory):
+    """A log with steps of load and a reversal of a machine that is not quite the given one."""
+    samples = course(
+        R_s=R_S, psi_f=PSI_F, inverter=INVERTER, smoothing=SMOOTHING, voltage_bias=0.5 - 0.2j
+    )
+    return opened(tmp_path_factory.mktemp("rich") / "log.parquet", samples)
+
+
+@pytest.fixture(scope="module")
+def steady(tmp_path_factory):
+    """A log of one speed and one load."""
+    speed = profile((0, 236), (1.5, 236))
+    samples = driven(PMSM, COURSE_TIME, speed, np.full(len(speed), 4j), R_s=R_S, noise=0.02)
+    return opened(tmp_path_factory.mktemp("steady") / "log.parquet", samples)
+
+
+def test_finds_resistance_magnet_and_inverter_within_what_it_says(rich):
+    found = identify(rich, PMSM, free=("R_s", "psi_f", "inverter"))
+    assert not found.untold
+    assert found.after.converged
+    for p in found.parameters:
+        assert p.std is not None
+        assert abs(p.value - TRUE[p.name]) < 4 * p.std + 0.01 * TRUE[p.name]
+        assert p.std < 0.02 * TRUE[p.name]
+    assert found.after.rms() < 0.1 * found.before.rms()
+    assert found.machine.R_s == pytest.approx(R_S, rel=0.01)
+    assert found.machine.inverter_voltage == pytest.approx(INVERTER, rel=0.03)
+
+
+def test_a_steady_log_tells_the_magnet_only_and_says_so(steady):
+    found = identify(steady, PMSM, free=("R_s", "psi_f", "inverter"))
+    assert set(found.untold) == {"R_s", "inverter"}
+    assert found.machine.R_s == PMSM.R_s
+    assert [p.std is None for p in found.parameters] == [True, False, True]
+
+
+def test_what_cannot_be_told_alone_is_an_error(steady):
+    with pytest.raises(FluxobsError, match=r"tells none of lag .*steps of load"):
+        identify(steady, PMSM, free=("lag",))
+
+
+def test_finds_a_lag(tmp_path):
+    # A row's voltage acts one sample later than the layout says.
+    speed = profile((0, 0), (0.3, 400), (1.2, 400))
+    samples = driven(PMSM, COURSE_TIME, speed, 4j * np.ones(len(speed)), noise=0.02)
+    columns = log_columns(samples)
+    for name in ("u_alpha", "u_beta"):
+        columns[name] = np.concatenate([columns[name][1:], columns[name][-1:]])
+    pl.DataFrame(columns).write_parquet(tmp_path / "log.parquet")
+    log = read_log(tmp_path / "log.parquet")
+    found = identify(log, PMSM, free=("psi_f", "lag"))
+    assert found.lag == pytest.approx(-1, abs=0.05)
+
+
+def test_finds_a_lag_and_all_the_rest_from_afar(rich):
+    found = identify(rich, PMSM, free=("R_s", "L_s", "psi_f", "inverter", "lag"))
+    # Half speed: a sample of lag shows, but inductance and lag both turn the vector with the load.
+    assert found.after.converged
+    assert found.lag == pytest.approx(0, abs=0.1)
+    assert found.machine.R_s == pytest.approx(R_S, rel=0.01)
+
+
+def test_derivatives_are_those_of_the_residual(rich):
+    data, _ = pieces(rich, PMSM, (-2, -1, 0, 1, 2))
+    piece = data[len(data) // 2]
+    values = {"R_s": 3.0, "L_d": 0.04, "L_q": 0.05, "L_s": 0.05, "psi_f": 0.5, "inverter": 1.0}
+    values["lag"] = 0.3
+    names = ("R_s", "L_d", "L_q", "psi_f", "inverter", "lag")
+    start, drift = piece.start, piece.drift
+    _, local, free = evaluate(piece, values, start, drift, names)
+    for k, name in enumerate(names):
+        step = 1e-6 * (abs(values[name]) + 0.1)
+        ends = [
+            evaluate(piece, values | {name: values[name] + s}, start, drift, ())[0]
+            for s in (step, -step)
+        ]
+        slope = (ends[0] - ends[1]) / (2 * step)
+        np.testing.assert_allclose(free[:, k], slope, atol=1e-6 * np.abs(slope).max() + 1e-9)
+    for k in range(4):
+        step = np.eye(4)[k] * 1e-6
+        up = evaluate(piece, values, start + step[:2], drift + step[2:], ())[0]
+        down = evaluate(piece, values, start - step[:2], drift - step[2:], ())[0]
+        slope = (up - down) / 2e-6
+        np.testing.assert_allclose(local[:, k], slope, atol=1e-6 * np.abs(slope).max() + 1e-9)
+
+
+def test_a_machine_without_a_magnet(tmp_path):
+    machine = example("synrm-6kw7")
+    speed = profile((0, 100), (0.5, 100), (0.9, -200), (1.5, -200))
+    load = profile((0, 10), (0.3, 10), (0.31, 15), (0.7, 15), (0.71, 8), (1.5, 8))
+    samples = driven(machine, COURSE_TIME, speed, 8 + 1j * load, R_s=1.3 * machine.R_s, noise=0.02)
+    log = opened(tmp_path / "log.parquet", samples)
+    found = identify(log, machine)
+    assert found.before.free == ()
+    assert found.machine.R_s == pytest.approx(1.3 * machine.R_s, rel=0.02)
+
+
+def test_names_of_what_is_free():
+    assert read_free(None, PMSM) == ("R_s", "psi_f", "inverter")
+    assert read_free("lag, R_s", PMSM) == ("R_s", "lag")
+    assert read_free("inverter_voltage", PMSM) == ("inverter",)
+    with pytest.raises(FluxobsError, match=r"no 'L_d'; did you mean"):
+        read_free("L_d", PMSM)
+    with pytest.raises(FluxobsError, match="give some of"):
+        read_free(" , ", PMSM)
+
+
+def test_command_line(rich, tmp_path):
+    (tmp_path / "log.parquet").write_bytes(rich.table.path.read_bytes())
+    (tmp_path / "guess.toml").write_text(example_text("pmsm-2kw2"))
+
+    def run(*more, out="found.toml"):
+        arguments = ("log.parquet", "--machine", "guess.toml", "--out", out, *more)
+        return fluxobs("identify", *arguments, folder=tmp_path)
+
+    done = run("--report", "fit.png")
+    assert done.returncode == 0, done.stderr
+    assert "R_s = " in done.stdout
+    assert " V (not given), its sign smoothed at" in done.stdout
+    assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
+    assert read_machine(tmp_path / "found.toml").R_s == pytest.approx(R_S, rel=0.01)
+    again = fluxobs(
+        *("estimate", "log.parquet", "--machine", "found.toml", "--out", "e.parquet"),
+        folder=tmp_path,
+    )
+    assert again.returncode == 0, again.stderr
+    assert "Warning" not in again.stdout
+    written = (tmp_path / "found.toml").read_text()
+    for more, out, words in (
+        ((), "found.toml", "exists"),
+        (("--force",), "found.txt", "must end in .toml"),
+        (("--force",), "log.parquet", "--out is one of the inputs"),
+        ((), "none/found.toml", "does not exist"),
+        (("--report", "none/fit.png"), "x.toml", "does not exist"),
+        (("--free", "R"), "x.toml", "did you mean 'R_s'"),
+        (("--to", "0.005"), "x.toml", "never known"),
+    ):
+        failed = run(*more, out=out)
+        assert failed.returncode == 2
+        assert words in failed.stderr
+    assert (tmp_path / "found.toml").read_text() == written
+    assert not (tmp_path / "x.toml").exists()

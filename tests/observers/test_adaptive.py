@@ -1,0 +1,343 @@
+"""The adaptive observer: start, resistance, inverter, magnet, saliency, and what it says of it."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fluxobs import AdaptiveObserver, FluxobsError
+from support.records import COURSE_TIME as H
+from support.records import MACHINES, course, driven, profile, wrapped_degrees
+from support.records import PMSM as MACHINE
+
+RATED = MACHINE.rated_current
+SPEED_TIMES, LOAD_TIMES = (0, 0.3, 0.9, 1.2, 2.0), (0, 0.5, 0.51, 1.1, 1.11, 2.0)
+BOTH = ("drift", "resistance", "inverter")
+
+
+def start(noise, seed):
+    """From standstill at an unknown angle, an offset of 5 %, a full turn and a half."""
+    rng = np.random.default_rng(seed)
+    speed = profile((0, 0), (0.02, 0), (0.08, 250), (0.13, 250))
+    return driven(
+        MACHINE,
+        H,
+        speed,
+        np.full(len(speed), 0.5j * RATED),
+        voltage_bias=0.05 * MACHINE.R_s * RATED * np.exp(1j * rng.uniform(0, 6)),
+        noise=noise * RATED,
+        theta0=rng.uniform(-3, 3),
+        seed=seed,
+    )
+
+
+def errors(found, samples):
+    return wrapped_degrees(found.theta_e - samples.theta)
+
+
+def rms(x):
+    return float(np.sqrt(np.mean(x**2)))
+
+
+@pytest.mark.parametrize(("noise", "turned"), [(0.005, 90), (0.025, 180)])
+def test_start_within_a_fraction_of_a_turn(noise, turned):
+    for seed in range(20):
+        samples = start(noise, seed)
+        observer = AdaptiveObserver.for_machine(
+            MACHINE, sample_time=H, unknowns=("drift",), current_noise=noise * RATED
+        )
+        error = np.abs(errors(observer.run(samples.voltage, samples.current), samples))
+        at = np.argmax(samples.theta - samples.theta[0] > np.radians(turned))
+        assert error[at] < 5
+        plain = observer.plain.run(samples.voltage, samples.current)
+        assert np.abs(wrapped_degrees(plain.theta_e - samples.theta))[at] > error[at]
+
+
+def test_a_start_says_that_two_angles_are_in_question():
+    samples = start(0.005, 3)
+    observer = AdaptiveObserver.for_machine(
+        MACHINE, sample_time=H, unknowns=("drift",), current_noise=0.005 * RATED
+    )
+    found = observer.run(samples.voltage, samples.current)
+    turned = np.degrees(samples.theta - samples.theta[0])
+    early = (turned > 3) & ~found.adapting
+    assert early.any()
+    # Neither hides: the true angle is the one or the other, and neither is called valid.
+    other = np.abs(wrapped_degrees(found.theta_e_other - samples.theta))
+    nearer = np.minimum(np.abs(errors(found, samples)), other)
+    assert np.median(nearer[early]) < 15
+    assert found.weight_other[early].max() > 0.4
+    assert not found.valid[early].any()
+    assert (found.weight_other[found.adapting] == 0).all()
+
+
+@pytest.mark.parametrize("projection", ["never", "start", "always"])
+def test_projections_end_at_the_same(projection):
+    samples = course(R_s=1.2 * MACHINE.R_s)
+    observer = AdaptiveObserver.for_machine(
+        MACHINE, sample_time=H, unknowns=("drift", "resistance"), projection=projection
+    )
+    found = observer.run(samples.voltage, samples.current)
+    late = slice(int(0.7 / H), None)
+    assert rms(errors(found, samples)[late]) < 0.3
+    first = H * np.argmax(found.adapting)
+    assert (first > 0.05) == (projection == "never")
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.8, 1.2, 1.5])
+def test_resistance(factor):
+    samples = course()
+    believed = MACHINE.model_copy(update={"R_s": MACHINE.R_s * factor})
+    observer = AdaptiveObserver.for_machine(
+        believed, sample_time=H, resistance_std=0.5 * believed.R_s
+    )
+    found = observer.run(samples.voltage, samples.current)
+    late = slice(int(0.7 / H), None)
+    assert rms(errors(found, samples)[late]) < 0.3
+    assert found.resistance[-1] == pytest.approx(MACHINE.R_s, abs=4 * found.resistance_std[-1])
+    assert found.resistance_std[-1] < 0.1 * MACHINE.R_s
+    plain = observer.plain.run(samples.voltage, samples.current)
+    assert rms(errors(plain, samples)[late]) > 0.3
+
+
+def test_inverter_at_a_tenth_of_the_speed():
+    speed = profile((0, 0), (0.1, 47), (2.0, 47))
+    load = profile((0, 3), (0.8, 3), (0.81, 6), (1.3, 6), (1.31, 2), (2.0, 2))
+    samples = driven(
+        MACHINE, H, speed, 1j * load, inverter=10.8, smoothing=0.05 * RATED, noise=0.02
+    )
+    observer = AdaptiveObserver.for_machine(MACHINE, sample_time=H, unknowns=BOTH)
+    found = observer.run(samples.voltage, samples.current)
+    late = slice(int(1.0 / H), None)
+    assert rms(errors(found, samples)[late]) < 0.5
+    assert found.inverter_voltage[-1] == pytest.approx(10.8, rel=0.1)
+    plain = observer.plain.run(samples.voltage, samples.current)
+    assert rms(errors(plain, samples)[late]) > 1
+
+
+def test_magnet_flux_and_its_standard_deviation():
+    samples = course(psi_f=0.85 * MACHINE.psi_f)
+    found = AdaptiveObserver.for_machine(MACHINE, sample_time=H).run(
+        samples.voltage, samples.current
+    )
+    late = slice(int(1.0 / H), None)
+    off = found.psi_f[late] - 0.85 * MACHINE.psi_f
+    assert rms(off / found.psi_f_std[late]) < 2
+    assert found.psi_f_std[-1] < 0.02 * MACHINE.psi_f
+
+
+def test_a_known_magnet_flux_shows_the_resistance_at_steady_state():
+    speed = profile((0, 0), (0.3, 100), (2.0, 100))
+    samples = driven(MACHINE, H, speed, np.full(len(speed), 5j), R_s=1.2 * MACHINE.R_s, noise=0.02)
+
+    def found(psi_f_std):
+        observer = AdaptiveObserver.for_machine(
+            MACHINE, sample_time=H, unknowns=("drift", "resistance"), psi_f_std=psi_f_std
+        )
+        return observer.run(samples.voltage, samples.current)
+
+    known = found(0.001 * MACHINE.psi_f)
+    assert known.resistance[-1] == pytest.approx(1.2 * MACHINE.R_s, rel=0.02)
+    assert known.resistance_std[-1] < 0.3 * found(None).resistance_std[-1]
+
+
+def test_what_is_not_visible_keeps_its_value_and_the_position():
+    """Without load, at low speed, for seconds: noise alone would draw the resistance to zero."""
+    machine = MACHINES["servo-400w"]
+    rows = int(3.0 / H)
+    speed = np.interp(np.arange(rows) * H, [0, 0.2, 3.0], [0, 126, 126])
+    samples = driven(machine, H, speed, np.full(rows, 0.05j), noise=0.04)
+    observer = AdaptiveObserver.for_machine(
+        machine, sample_time=H, unknowns=("drift", "resistance"), current_noise=0.04
+    )
+    found = observer.run(samples.voltage, samples.current)
+    late = slice(rows // 2, None)
+    assert np.abs(found.resistance[late] - machine.R_s).max() < 0.2 * machine.R_s
+    assert found.resistance_std[-1] > found.resistance_std[rows // 4]
+    plain = observer.plain.run(samples.voltage, samples.current)
+    assert rms(errors(found, samples)[late]) < 1.2 * rms(errors(plain, samples)[late]) + 0.05
+
+
+def test_slow_turning():
+    """A rotor that turns by 4 rad/s: far below what the plain observer can do in its memory."""
+    speed = profile((0, 100), (0.4, 100), (0.6, 4), (4.0, 4))
+    samples = driven(MACHINE, H, speed, np.full(len(speed), 2j), noise=0.005 * RATED)
+    observer = AdaptiveObserver.for_machine(
+        MACHINE, sample_time=H, unknowns=("drift",), current_noise=0.005 * RATED
+    )
+    found = observer.run(samples.voltage, samples.current)
+    late = slice(int(2.0 / H), None)
+    assert np.abs(errors(found, samples)[late]).max() < 5
+    assert found.valid[late].all()
+    assert not observer.plain.run(samples.voltage, samples.current).valid[late].any()
+
+
+def test_standstill_is_admitted():
+    speed = profile((0, 100), (0.4, 100), (0.5, 0), (8.0, 0))
+    samples = driven(MACHINE, H, speed, np.full(len(speed), 2j), noise=0.02 * RATED)
+    observer = AdaptiveObserver.for_machine(
+        MACHINE, sample_time=H, unknowns=("drift",), current_noise=0.02 * RATED
+    )
+    found = observer.run(samples.voltage, samples.current)
+    error = np.abs(errors(found, samples))
+    assert not found.valid[-1]
+    assert error[found.valid].max() < 10
+
+
+def test_interior_machine_with_moving_i_d():
+    machine = MACHINES["ipm-2kw2"]
+    speed = profile((0, 0), (0.3, 240), (2.0, 240))
+    i_d = profile((0, 0), (0.6, 0), (0.61, -6), (1.0, -6), (1.01, 0), (1.4, 0), (1.41, 4), (2, 4))
+    samples = driven(machine, H, speed, i_d + 4j, noise=0.01)
+    observer = AdaptiveObserver.for_machine(machine, sample_time=H, unknowns=("drift",))
+    found = observer.run(samples.voltage, samples.current)
+    late = slice(int(0.5 / H), None)
+    plain = observer.plain.run(samples.voltage, samples.current)
+    assert np.abs(errors(found, samples)[late]).max() < 1
+    assert np.abs(errors(plain, samples)[late]).max() > 2
+    assert rms(found.psi_f[late] - machine.psi_f) < 0.005 * machine.psi_f
+
+
+def test_reluctance_machine():
+    machine = MACHINES["synrm-6kw7"]
+    speed = profile((0, 100), (0.5, 100), (0.9, -200), (1.5, -200))
+    load = profile((0, 10), (0.3, 10), (0.31, 15), (0.7, 15), (0.71, 8), (1.5, 8))
+    samples = driven(machine, H, speed, 8 + 1j * load, R_s=1.3 * machine.R_s, noise=0.02)
+    observer = AdaptiveObserver.for_machine(machine, sample_time=H)
+    found = observer.run(samples.voltage, samples.current)
+    late = slice(int(0.5 / H), None)
+    error = wrapped_degrees(2 * (found.theta_e - samples.theta)) / 2
+    assert rms(error[late]) < 0.5
+    assert found.resistance[-1] == pytest.approx(1.3 * machine.R_s, rel=0.05)
+    assert (found.psi_f == 0).all() or found.psi_f_std.max() == 0
+
+
+def test_standard_deviations_are_honest():
+    """Normalised squared errors over records with parameters drawn from the priors."""
+    scores = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        R, psi = MACHINE.R_s * (1 + 0.2 * rng.standard_normal()), 0.545 * rng.normal(1, 0.15)
+        V = 2.0 * abs(rng.standard_normal())
+        speeds = [(t, 200 * s) for t, s in zip(SPEED_TIMES, rng.uniform(-1, 1, 5), strict=True)]
+        loads = [(t, 5 * s) for t, s in zip(LOAD_TIMES, rng.uniform(-1, 1, 6), strict=True)]
+        bias = 0.2 * (rng.standard_normal() + 1j * rng.standard_normal())
+        samples = driven(
+            MACHINE,
+            H,
+            profile(*speeds),
+            1j * profile(*loads),
+            R_s=R,
+            psi_f=psi,
+            inverter=V,
+            smoothing=0.05 * RATED,
+            voltage_bias=bias,
+            noise=0.02,
+            seed=seed,
+        )
+        observer = AdaptiveObserver.for_machine(
+            MACHINE,
+            sample_time=H,
+            resistance_std=0.2 * MACHINE.R_s,
+            psi_f_std=0.15 * 0.545,
+            inverter_std=2.0,
+            current_noise=0.02,
+            slow_memory=1000.0,
+        )
+        found = observer.run(samples.voltage, samples.current)
+        for at in (10_000, 13_000, 15_900):
+            if not found.valid[at]:
+                continue
+            drift = found.drift[at] + np.array([bias.real, bias.imag])
+            angle = np.radians(wrapped_degrees(found.theta_e[at] - samples.theta[at]))
+            scores.append(
+                [
+                    (angle / found.theta_e_std[at]) ** 2,
+                    np.mean(drift**2) / found.drift_std[at] ** 2,
+                    ((found.psi_f[at] - psi) / found.psi_f_std[at]) ** 2,
+                    ((found.resistance[at] - R) / found.resistance_std[at]) ** 2,
+                    ((found.inverter_voltage[at] - V) / found.inverter_voltage_std[at]) ** 2,
+                ]
+            )
+    assert len(scores) > 60
+    assert np.median(scores, axis=0).max() < 2  # of a normal distribution: 0.45
+    assert 0.2 < np.mean(np.minimum(scores, 25)) < 2.5
+
+
+def test_steps_are_the_run_and_batches_lanes():
+    samples = course(R_s=1.1 * MACHINE.R_s)
+    u, i = samples.voltage[:3000], samples.current[:3000]
+    observer = AdaptiveObserver.for_machine(MACHINE, sample_time=H)
+    whole = observer.run(u, i)
+    state = observer.init()
+    for k in range(3000):
+        state, estimate = observer.step(state, u[k], i[k])
+        if k % 500 == 499:
+            assert estimate.theta_e == whole.theta_e[k]
+            assert estimate.resistance == whole.resistance[k]
+    lanes = observer.run(np.stack([u, u[::-1]]), np.stack([i, i[::-1]]))
+    np.testing.assert_array_equal(lanes.flux[0], whole.flux)
+    again = pickle.loads(pickle.dumps(observer)).run(u, i)
+    np.testing.assert_array_equal(again.theta_e, whole.theta_e)
+    middle, _ = observer.resume(observer.init(), u[:1700], i[:1700])
+    rest = observer.resume(middle, u[1700:], i[1700:])[1]
+    np.testing.assert_array_equal(rest.resistance, whole.resistance[1700:])
+
+
+def test_single_precision():
+    samples = course(R_s=1.2 * MACHINE.R_s)
+    double, single = (
+        AdaptiveObserver.for_machine(MACHINE, sample_time=H, precision=p).run(
+            samples.voltage, samples.current
+        )
+        for p in ("double", "single")
+    )
+    late = slice(int(0.7 / H), None)
+    assert np.abs(wrapped_degrees(single.theta_e - double.theta_e)[late]).max() < 0.05
+    assert np.abs(single.resistance - double.resistance)[late].max() < 0.02 * MACHINE.R_s
+
+
+def test_a_prior_of_zero_is_knowledge():
+    samples = course()
+    found = AdaptiveObserver.for_machine(MACHINE, sample_time=H, unknowns=("drift",)).run(
+        samples.voltage, samples.current
+    )
+    assert (found.resistance == MACHINE.R_s).all()
+    assert (found.inverter_voltage == 0).all()
+    assert (found.resistance_std == 0).all()
+
+
+def test_a_known_inverter_is_taken_off():
+    samples = course(inverter=8.0, smoothing=0.05 * RATED)
+    machine = MACHINE.model_copy(update={"inverter_voltage": 8.0})
+    observer = AdaptiveObserver.for_machine(machine, sample_time=H, unknowns=("drift",))
+    found = observer.run(samples.voltage, samples.current)
+    late = slice(int(0.7 / H), None)
+    assert rms(errors(found, samples)[late]) < 0.3
+
+
+def test_what_cannot_be():
+    with pytest.raises(FluxobsError, match="finds drift, resistance and inverter"):
+        AdaptiveObserver.for_machine(MACHINE, sample_time=H, unknowns=("drift", "current-bias"))
+    with pytest.raises(FluxobsError, match="not among the unknowns"):
+        AdaptiveObserver.for_machine(
+            MACHINE, sample_time=H, unknowns=("drift",), resistance_std=0.1
+        )
+    with pytest.raises(FluxobsError, match="no magnets"):
+        AdaptiveObserver.for_machine(MACHINES["synrm-6kw7"], sample_time=H, psi_f_std=0.1)
+    good = AdaptiveObserver.for_machine(MACHINE, sample_time=H)
+    for field, value in (
+        ("resistance_std", -1.0),
+        ("inverter_std", np.nan),
+        ("psi_f_std", np.inf),
+        ("slow_memory", 0.0),
+        ("inverter_current", -0.1),
+        ("saliency", np.inf),
+        ("projection", "sometimes"),
+        ("resistance_std", 1e30),
+    ):
+        with pytest.raises(ValueError, match=field):
+            replace(good, **{field: value})

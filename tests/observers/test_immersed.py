@@ -1,0 +1,423 @@
+"""The readable least squares: equal to the C core, and beyond what that knows."""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fluxobs import Immersion, ImmersionObserver, LeastSquaresObserver, QuadraticConstraint
+from fluxobs.design import discover_constraint
+from fluxobs.design.energies.library import (
+    differential_actuator,
+    differential_relation,
+    doubly_fed,
+    four_pole_bearing,
+    wound_field,
+)
+from fluxobs.paper.levitation import SCENARIOS, record
+from fluxobs.paper.section_v import LS_SAMPLE_TIME, least_squares, thinned
+from fluxobs.paper.studies import noisy
+from support.records import CURRENTS, MACHINES, steady
+
+
+@pytest.mark.parametrize("source", ["volt_seconds", "voltage"])
+@pytest.mark.parametrize("name", MACHINES)
+def test_it_is_the_c_core(name, source):
+    """1e-10 relative over a whole record, from the first sample on."""
+    machine = MACHINES[name]
+    rated = machine.rated_current
+    samples = steady(
+        machine,
+        2e-4,
+        350 + 150 * np.sin(np.arange(1500) / 40),
+        1500,
+        CURRENTS[name],
+        current_bias=0.01 * rated * (1 + 0.5j),
+        voltage_bias=0.05,
+        noise=0.002 * rated,
+    )
+    core = LeastSquaresObserver.for_machine(machine, sample_time=2e-4, memory=0.02, drift_prior=5.0)
+    readable = ImmersionObserver(
+        Immersion(machine.constraint),
+        machine.R,
+        machine.B,
+        2e-4,
+        0.02,
+        core.flux_base,
+        core.constraint_noise,
+        core.drift_prior,
+    )
+    given = {source: getattr(samples, source)}
+    a = core.run(current=samples.current, **given)
+    b = readable.run(current=samples.current, **given)
+    for one, other in ((a.flux, b.flux), (a.drift, b.drift)):
+        assert np.abs(one - other).max() < 1e-10 * np.abs(one).max()
+
+
+def test_run_is_the_step_loop():
+    given = record(SCENARIOS["S5"], quick=True)
+    observer = maglev_observer(given, 1e-2)
+    rows, v = thinned(given, 1e-2)
+    rows, v = rows[:60], v[:60]
+    whole = observer.run(current=given.current[rows], volt_seconds=v)
+    state = observer.init()
+    for k in range(60):
+        state, estimate = observer.step(state, current=given.current[rows[k]], volt_seconds=v[k])
+    np.testing.assert_array_equal(estimate.flux, whole.flux[-1])
+
+
+def maglev_observer(given, sample_time, unknowns=("drift", "current-bias")):
+    machine, typical = given.machine, 3.33e-5
+    return ImmersionObserver(
+        Immersion(machine.constraint, unknowns, machine.R),
+        machine.R,
+        machine.B,
+        sample_time,
+        0.1,
+        typical,
+        1e-6 * machine.g * typical**2,
+        1e-5,
+        5e-3,
+    )
+
+
+@cache
+def levitation():
+    given = record(SCENARIOS["S5"], quick=True)
+    return given, least_squares(given)
+
+
+def test_levitation_converges_and_reconverges():
+    """Unknown drift and current bias: 2 % within 0.3 s and 1e-6 within 2 s of the jump."""
+    given, found = levitation()
+    rows, _ = thinned(given, LS_SAMPLE_TIME)
+    t = given.t[rows]
+    error = np.linalg.norm(found.flux - given.flux[rows], axis=1) / given.flux.max()
+    for start in (0.0, given.jump):
+        end = t < start + 14.9
+        assert error[(t > start + 0.3) & end].max() < 0.02
+        assert error[(t > start + 2.0) & end].max() < 1e-6
+    late = slice(-10, None)
+    np.testing.assert_allclose(found.current_bias[late], given.current_bias[rows][late], rtol=1e-6)
+    np.testing.assert_allclose(found.drift[late], given.drift[rows][late], atol=1e-11)
+
+
+def test_a_jump_restarts_and_the_claim_of_validity_pauses():
+    given, found = levitation()
+    t = given.t[thinned(given, LS_SAMPLE_TIME)[0]]
+    assert not found.valid[(t > given.jump + 0.05) & (t < given.jump + 0.1)].any()
+    assert found.valid[t > given.jump + 3.0].all()
+    error = np.linalg.norm(found.flux - given.flux[thinned(given, LS_SAMPLE_TIME)[0]], axis=1)
+    sure = found.valid & (np.abs(t - given.jump) > 0.05)
+    assert error[sure].max() < 0.02 * given.flux.max()
+
+
+def test_current_bias_alone():
+    """θ = R δ: everything is identifiable for the PMSM, at constant speed too."""
+    machine = MACHINES["servo-400w"]
+    samples = steady(machine, 1e-4, 500.0, 3000, 4j, current_bias=0.2 - 0.1j)
+    observer = ImmersionObserver(
+        Immersion(machine.constraint, ("current-bias",), machine.R),
+        machine.R,
+        machine.B,
+        1e-4,
+        0.03,
+        machine.psi_f,
+        1e-4 * machine.psi_f**2,
+        0.1,
+        0.5,
+    )
+    found = observer.run(current=samples.current, volt_seconds=samples.volt_seconds)
+    np.testing.assert_allclose(found.current_bias[-1], [0.2, -0.1], atol=1e-6)
+    np.testing.assert_allclose(found.flux[-1], samples.flux[-1], atol=1e-7 * machine.psi_f)
+    np.testing.assert_allclose(found.drift[-1], machine.R_s * np.array([0.2, -0.1]), atol=1e-6)
+
+
+@pytest.mark.parametrize("make", [wound_field, doubly_fed, four_pole_bearing])
+def test_several_relations(make):
+    """Vector output: relations discovered from the energies, any number of ports."""
+    system = make()
+    relations = discover_constraint(system).relations
+    n, h, rows = system.n_E, 1e-3, 1500
+    low, high = np.asarray(system.flux_range)
+    rng = np.random.default_rng(4)
+    t = jnp.arange(rows) * h
+    speeds, phases = rng.uniform(10, 60, (2, n)), rng.uniform(0, 6, (2, n))
+    waves = [jnp.sin(speeds[k] * t[:, None] + phases[k]) for k in (0, 1)]
+    flux = np.asarray((low + high) / 2 + (high - low) * (0.3 * waves[0] + 0.15 * waves[1]))
+    turning = 0.6 * jnp.sin(25 * t) if make is four_pole_bearing else 40 * t
+    reach = np.asarray(system.position_range)[1]
+    position = turning[:, None] * (reach if make is four_pole_bearing else 1.0)
+    if system.n_M == 2:
+        position = jnp.column_stack([position[:, 0], 0.6 * jnp.cos(31 * t) * reach[1]])
+    current = np.asarray(jax.vmap(system.current)(jnp.asarray(flux), position))
+    size = np.abs(flux).max(axis=0)
+    drift = 0.1 * size
+    v = np.diff(flux, axis=0, prepend=flux[:1]) - h * drift
+    sigma = [
+        1e-6 * size @ np.abs(one.Q1) @ size
+        + 1e-6 * size @ np.abs(one.Q2) @ np.abs(current).max(axis=0)
+        for one in relations
+    ]
+    observer = ImmersionObserver(
+        Immersion(relations),
+        np.asarray(system.R),
+        np.asarray(system.B),
+        h,
+        0.2,
+        size,
+        np.array(sigma),
+        0.3 * size,
+    )
+    found = observer.run(current=current, volt_seconds=v)
+    np.testing.assert_allclose(found.flux[-1], flux[-1], atol=1e-5 * size.max())
+    np.testing.assert_allclose(found.drift[-1], drift, atol=1e-4 * size.max())
+    assert found.valid[-1]
+
+
+def test_the_electrostatic_dual_with_the_observers_unchanged():
+    system, relation = differential_actuator(), differential_relation()
+    h, rows = 1e-6, 2000
+    low, high = np.asarray(system.flux_range)
+    t = jnp.arange(rows)[:, None] * h
+    charge = low + (high - low) * (0.5 + 0.3 * jnp.sin(jnp.array([9e3, 13e3]) * t))
+    position = 1e-6 * jnp.sin(2e4 * t)
+    voltage = np.asarray(jax.vmap(system.current)(charge, position))
+    bias = np.array([0.02, -0.01])  # of the source voltages [V]
+    drift = -np.asarray(system.B) @ bias
+    v = np.diff(charge, axis=0, prepend=charge[:1]) - h * drift
+    size = np.asarray(high)
+    observer = ImmersionObserver(
+        Immersion(relation),
+        np.asarray(system.R),
+        np.asarray(system.B),
+        h,
+        2e-4,
+        size,
+        np.array([1e-6 * 2e-6 * size[0] ** 2]),
+        np.abs(np.asarray(system.B)).max() * 0.1,
+    )
+    found = observer.run(current=voltage, volt_seconds=v)
+    np.testing.assert_allclose(found.flux[-1], np.asarray(charge)[-1], atol=1e-6 * size.max())
+    np.testing.assert_allclose(found.drift[-1], drift, rtol=1e-4)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_information_is_the_dense_sum(seed):
+    """R against all rows ever measured, propagated and weighted; several relations, with bias."""
+    rng = np.random.default_rng(seed)
+    n = 2
+    relations = tuple(
+        QuadraticConstraint(*rng.standard_normal((3, n, n)), *rng.standard_normal((2, n)))
+        for _ in range(2)
+    )
+    immersion = Immersion(relations, ("drift", "current-bias"))
+    h, memory = 0.1, 2.0
+    observer = ImmersionObserver(
+        immersion, np.eye(n), np.eye(n), h, memory, 1.0, np.array([1e3, 2e3]), 1.0, 1.0
+    )
+    state, rho, size = observer.init(), 1 - h / memory, immersion.size
+    prior = np.diag(state.R).copy()
+    dense = np.diag(prior)
+    for k in range(12):
+        i, v = rng.standard_normal((2, n))
+        if k > 0:
+            dense = np.sqrt(rho) * dense @ immersion.transition(-h, -v)
+        state, _ = observer.step(state, current=i, volt_seconds=v)
+        dense = np.vstack([dense, immersion.output_rows(i)[0] / np.array([[1e3], [2e3]])])
+        if k % 2 == 0:
+            row = np.zeros(size)
+            row[k // 2 % size] = np.sqrt(1 - rho ** (2 * size)) * prior[k // 2 % size]
+            dense = np.vstack([dense, row])
+    expected = dense.T @ dense
+    np.testing.assert_allclose(state.R.T @ state.R, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_missing_samples_are_bridged():
+    given = record(SCENARIOS["S5"], quick=True)
+    observer = maglev_observer(given, 1e-2)
+    rows, v = thinned(given, 1e-2)
+    rows, v = rows[:300], v[:300]
+    current = given.current[rows].copy()
+    current[150] = np.nan
+    state = observer.init()
+    state, found = observer.resume(state, current=current, volt_seconds=v)
+    assert state.bad == 1
+    assert np.isfinite(found.flux).all()
+    error = np.linalg.norm(found.flux - given.flux[rows], axis=1)
+    assert error[200:].max() < 1e-5 * given.flux.max()
+
+
+def motor(current, **options):
+    """The servo at 500 rad/s with 0.2 % noise, read by its own settings."""
+    machine = MACHINES["servo-400w"]
+    samples = steady(machine, 1e-4, 500.0, 6000, 6j, noise=0.024)
+    observer = ImmersionObserver(
+        Immersion(machine.constraint),
+        machine.R,
+        machine.B,
+        1e-4,
+        0.03,
+        machine.psi_f,
+        2 * machine.L_s * machine.psi_f * 0.024,
+        0.2,
+    )
+    measured = samples.current.copy()
+    current(measured)
+    state, found = observer.resume(observer.init(), samples.voltage, measured)
+    error = np.linalg.norm(found.flux - samples.flux, axis=1) / machine.psi_f
+    return state, found, error
+
+
+@pytest.mark.parametrize("rows", [1, 50, 600])
+def test_nothing_is_valid_while_samples_are_missing(rows):
+    def gap(current):
+        current[3000 : 3000 + rows] = np.nan
+
+    state, found, error = motor(gap)
+    assert state.bad == rows
+    assert not found.valid[3000 : 3000 + rows].any()
+    assert error[found.valid].max() < 0.1
+    assert found.valid[4500:].all()
+    assert np.isfinite(found.flux_std).all()
+
+
+@pytest.mark.parametrize("size", [10.0, 1e3, 1e6])
+def test_a_spike_is_passed_over(size):
+    def spike(current):
+        current[3000, 0] += size
+
+    state, found, error = motor(spike)
+    assert state.restarts == 0
+    assert error[found.valid].max() < 0.1
+    assert error[3001:].max() < 0.1
+    assert found.valid[3400:].all()
+
+
+def test_long_gaps_leave_numbers():
+    observer = maglev_observer(record(SCENARIOS["S5"], quick=True), 1e-2)
+    current = np.full((5000, 2), np.nan)
+    current[0] = 0.5
+    _, found = observer.resume(observer.init(), np.zeros((5000, 2)), current)
+    assert np.isfinite(found.flux_std).all()
+    assert not found.valid.any()
+
+
+def test_a_current_bias_that_noise_makes_up_is_not_claimed():
+    """S5 with 1 mA and 10 mV: it cannot be told, and takes the flux with it."""
+    given = record(SCENARIOS["S5"], quick=True)
+    machine, rng = given.machine, np.random.default_rng(0)
+    rows = slice(0, 8001, 4)
+    v = np.diff(np.cumsum(given.volt_seconds, axis=0)[rows], axis=0, prepend=np.zeros((1, 2)))
+    v[1:] += 4e-3 * 5e-3 / machine.N * rng.standard_normal((len(v) - 1, 2))
+    current = given.current[rows] + 1e-3 * rng.standard_normal((len(v), 2))
+    observer = ImmersionObserver(
+        Immersion(machine.constraint, ("drift", "current-bias")),
+        machine.R,
+        machine.B,
+        4e-3,
+        0.5,
+        3.3e-5,
+        3e-3 * machine.g * 3.3e-5**2,
+        5e-5,
+        0.02,
+        voltage_noise=5e-3,
+    )
+    found = observer.run(current=current, volt_seconds=v)
+    error = np.linalg.norm(found.flux - given.flux[rows], axis=1) / given.flux.max()
+    assert error.max() > 0.2
+    assert not found.valid.any()
+
+
+def test_a_small_port_is_judged_by_its_own_size():
+    """Two opposed pairs, the second at rest with a hundredth of the flux: not claimed."""
+    k, g, h, rows = 1e-5, 1e-3, 1e-3, 2000
+    t = np.arange(rows)[:, None] * h
+    size = np.array([1.0, 1.0, 0.01, 0.01])
+    flux = 5e-3 * size * (1 + np.array([0.3, 0.3, 0, 0]) * np.sin(np.array([20, 31, 1, 1]) * t))
+    gaps = g + 3e-4 * np.array([-1, 1, 0, 0]) * np.sin(17 * t)
+    current = flux * gaps / k
+    relations = []
+    for first in (0, 2):
+        Q1, Q2 = np.zeros((4, 4)), np.zeros((4, 4))
+        Q1[first, first + 1] = Q1[first + 1, first] = g
+        Q2[first, first + 1] = Q2[first + 1, first] = -k
+        relations.append(QuadraticConstraint(Q1, Q2, np.zeros((4, 4))))
+    base = 5e-3 * size
+    sigma = np.array([1e-4 * g * base[0] ** 2, 1e-4 * g * base[2] ** 2])
+    observer = ImmersionObserver(
+        Immersion(tuple(relations)), np.eye(4), np.eye(4), h, 0.2, base, sigma, 0.01 * base
+    )
+    found = observer.run(current=current, volt_seconds=np.diff(flux, axis=0, prepend=flux[:1]))
+    wrong = (np.abs(found.flux - flux) > 0.3 * base).any(axis=1)
+    assert not (wrong & found.valid).any()
+
+
+def test_noise_that_pretends_is_seen():
+    """S3 excites one direction hardly at all: half of it is wrong, and nothing is claimed."""
+    found = noisy(record(SCENARIOS["S3"], quick=True), ("drift",), 4.0, 0.15)
+    assert found.error > 0.2
+    assert found.claimed < 0.1  # by the covariance alone
+    assert found.noise_share > 0.5
+    assert found.valid < 0.05
+    good = noisy(record(SCENARIOS["S5"], quick=True), ("drift",), 6.0, 0.5)
+    assert good.error < 0.06
+    assert good.noise_share < 0.15
+
+
+def test_noise_beyond_what_is_assumed_does_not_restart_for_ever():
+    machine = MACHINES["servo-400w"]
+    samples = steady(machine, 1e-4, 500.0, 4000, 4j, noise=0.05)
+    observer = ImmersionObserver(
+        Immersion(machine.constraint),
+        machine.R,
+        machine.B,
+        1e-4,
+        0.03,
+        machine.psi_f,
+        1e-6 * machine.psi_f**2,  # three hundred times too small
+        0.1,
+    )
+    state, found = observer.resume(
+        observer.init(), current=samples.current, volt_seconds=samples.volt_seconds
+    )
+    half = observer.resume(
+        observer.init(), current=samples.current[:2000], volt_seconds=samples.volt_seconds[:2000]
+    )[0]
+    assert state.restarts == half.restarts
+    assert np.linalg.norm(found.flux[-1] - samples.flux[-1]) < 0.05 * machine.psi_f
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"unknowns": ("drift", "current-bias")},
+            r"cannot be found together: an offset of \(0.0006, 0\) Wb in the flux with \(1, 0\) A",
+        ),
+        ({"flux_base": 0.0}, "flux_base must be positive"),
+        ({"memory": 5e-4}, "memory must be at least ten samples, 0.001 s here"),
+        ({"sample_time": np.nan}, "sample_time must be positive"),
+        ({"R": np.eye(3)}, "R must have 2 rows"),
+    ],
+)
+def test_what_is_refused(change, message):
+    machine = MACHINES["servo-400w"]
+    fields = {
+        "immersion": Immersion(machine.constraint, change.pop("unknowns", ("drift",))),
+        "R": machine.R,
+        "B": machine.B,
+        "sample_time": 1e-4,
+        "memory": 0.03,
+        "flux_base": 0.01,
+        "constraint_noise": 1e-6,
+        "drift_prior": 0.1,
+        "current_bias_prior": 0.1,
+    }
+    with pytest.raises(ValueError, match=message):
+        ImmersionObserver(**(fields | change))

@@ -1,0 +1,94 @@
+"""The C core against one dense weighted least-squares solve over the whole past.
+
+The oracle shares nothing with the recursion but the model: it stacks every measurement ever made,
+expresses each in the present state by products of transitions, weights it by what forgetting has
+left, adds the prior and its re-injections in the same way, and solves once, in extended precision.
+"""
+
+import numpy as np
+import pytest
+
+from fluxobs import LeastSquaresObserver
+from fluxobs.model.immersion import Immersion
+from support.records import CURRENTS, MACHINES, steady
+
+X = np.longdouble
+PERIOD, EVERY = 14, 2  # re-injection: a prior row every other sample, seven rows
+
+
+def solve(A, b):
+    """Least squares by modified Gram-Schmidt, twice, in extended precision."""
+    A, b = A.copy(), b.copy()
+    scale = np.sqrt((A**2).sum(axis=0))
+    A /= scale
+    n = A.shape[1]
+    R = np.eye(n, dtype=X)
+    for _ in range(2):
+        S = np.zeros((n, n), dtype=X)
+        for j in range(n):
+            S[j, j] = np.sqrt((A[:, j] ** 2).sum())
+            A[:, j] /= S[j, j]
+            for k in range(j + 1, n):
+                S[j, k] = A[:, j] @ A[:, k]
+                A[:, k] -= S[j, k] * A[:, j]
+        R = S @ R
+    y = A.T @ b
+    x = np.zeros(n, dtype=X)
+    for j in reversed(range(n)):
+        x[j] = (y[j] - R[j, j + 1 :] @ x[j + 1 :]) / R[j, j]
+    return x / scale
+
+
+def dense(observer, volt_seconds, current):
+    """Estimates (flux, drift) at every row."""
+    immersion, h = Immersion(observer.constraint), X(observer.sample_time)
+    psi, theta = X(observer.flux_base), X(observer.drift_prior)
+    prior = 1 / np.array([psi**2, psi, psi, 2 * psi * theta, theta, theta, theta**2], dtype=X)
+    rho = 1 - h / X(observer.memory)
+    returned = np.sqrt(1 - rho**PERIOD) * prior
+    rows, values = np.diag(prior), np.zeros(7, dtype=X)
+    out = []
+    for k, i in enumerate(current.astype(X)):
+        if k > 0:
+            v = volt_seconds[k].astype(X)
+            inverse = immersion.transition(-h, -v)
+            rows = np.sqrt(rho) * rows @ inverse
+            values = np.sqrt(rho) * values + rows @ immersion.known_input(v)
+        row, value = immersion.output_rows(i)
+        sigma = X(observer.constraint_noise)
+        rows = np.vstack([rows, row / sigma])
+        values = np.append(values, value / sigma)
+        x = solve(rows, values)
+        out.append(np.r_[x[1:3], x[4:6]])
+        if k % EVERY == 0:
+            j = k // EVERY % 7
+            rows = np.vstack([rows, returned[j] * np.eye(7, dtype=X)[j]])
+            values = np.append(values, returned[j] * x[j])
+    return np.array(out, dtype=float)
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_recursion_is_the_dense_solution(name):
+    machine = MACHINES[name]
+    rated = machine.rated_current
+    samples = steady(
+        machine,
+        2e-4,
+        350 + 150 * np.sin(np.arange(300) / 40),
+        300,
+        CURRENTS[name],
+        current_bias=0.01 * rated * (1 + 0.5j),
+        voltage_bias=0.05,
+        noise=0.002 * rated,
+    )
+    # A loose drift prior, so that none is found too tight and widened.
+    observer = LeastSquaresObserver.for_machine(
+        machine, sample_time=2e-4, memory=0.02, drift_prior=5.0
+    )
+    state, found = observer.init(), []
+    for v, i in zip(samples.volt_seconds, samples.current, strict=True):
+        state, estimate = observer.step(state, volt_seconds=v, current=i)
+        found.append(np.r_[estimate.flux, estimate.drift])
+    found, expected = np.array(found), dense(observer, samples.volt_seconds, samples.current)
+    size = np.abs(expected).max(axis=0)
+    assert np.abs((found - expected) / size).max() < 1e-9

@@ -1,0 +1,1 @@
+"""What tests share: records, trajectories, the command line, compiled folders."""

@@ -1,0 +1,70 @@
+"""The command line, in this process where only its interface is asked, or as a process."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from unittest import mock
+
+from fluxobs.cli import main
+
+#: Columns of the plain observer's estimates, in order.
+COLUMNS = [
+    "t",
+    "flux_alpha",
+    "flux_beta",
+    "psi_f",
+    "theta_e",
+    "theta_e_tracked",
+    "speed_e",
+    "drift_alpha",
+    "drift_beta",
+    "theta_e_std",
+    "valid",
+]
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a command left: as of subprocess.run."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def fluxobs(*arguments: object, folder: Path) -> Done:
+    """`fluxobs ARGUMENTS` in a folder, by its entry point. An uncaught error goes to the test."""
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        with (
+            mock.patch.object(sys, "argv", ["fluxobs", *map(str, arguments)]),
+            contextlib.chdir(folder),
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(err),
+        ):
+            try:
+                main()
+            except SystemExit as end:
+                code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    return Done(code, out.getvalue(), err.getvalue())
+
+
+def process(*arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
+    """`python -m fluxobs ARGUMENTS` in a folder."""
+    return subprocess.run(
+        [sys.executable, "-m", "fluxobs", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        encoding="utf-8",
+        check=False,
+    )

@@ -1,0 +1,142 @@
+"""Records for the tests: the closed-form signals of fluxobs.synthetic, then spoilt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fluxobs.machines import RotatingMachine, example
+from fluxobs.synthetic import signals
+from fluxobs.synthetic.signals import Signals, between_rows, inverter_loss, vectors
+
+Array = NDArray[np.float64]
+
+SERVO = example("servo-400w")
+MACHINES = {name: example(name) for name in ("servo-400w", "pmsm-2kw2", "ipm-2kw2", "synrm-6kw7")}
+#: A current in the rotor frame that suits each machine.
+CURRENTS = {"servo-400w": 6j, "pmsm-2kw2": 4j, "ipm-2kw2": 4j, "synrm-6kw7": 8 + 10j}
+PMSM = MACHINES["pmsm-2kw2"]
+#: Sample time of the courses [s].
+COURSE_TIME = 1.25e-4
+#: Integration steps of a sample, for :func:`driven`.
+PARTS = 16
+
+
+def wrapped_degrees(angle: Array) -> Array:
+    return np.degrees((np.asarray(angle) + np.pi) % (2 * np.pi) - np.pi)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Rows of a record; voltage and volt-seconds belong to the interval that ends at each row."""
+
+    sample_time: float
+    theta: Array
+    flux: Array
+    current: Array  # measured: with bias and noise
+    voltage: Array
+    volt_seconds: Array  # ∫ (-R i_m + u_m) dt with the biases, without the noise
+    drift: Array
+
+
+def white(rows: int, seed: int) -> NDArray[np.complex128]:
+    rng = np.random.default_rng(seed)
+    return np.asarray(rng.standard_normal(rows) + 1j * rng.standard_normal(rows))
+
+
+def steady(
+    machine: RotatingMachine,
+    sample_time: float,
+    speed: Array | float,
+    rows: int,
+    i_dq: complex = 3j,
+    current_bias: complex = 0,
+    voltage_bias: complex = 0,
+    noise: float = 0.0,
+    theta0: float = 0.7,
+    seed: int = 0,
+) -> Samples:
+    """Constant rotor-frame current; `speed` [rad/s] a number, or one for every row."""
+    true = signals.steady(machine, sample_time, speed, rows, i_dq, theta0)
+    drift = machine.R_s * current_bias - voltage_bias
+    return Samples(
+        sample_time,
+        true.theta_e[1:],
+        vectors(true.flux[1:]),
+        vectors(true.current[1:] + current_bias + noise * white(rows, seed)),
+        vectors(true.voltage + voltage_bias),
+        vectors(true.volt_seconds - sample_time * drift),
+        vectors(np.array(drift, complex)),
+    )
+
+
+def driven(
+    machine: RotatingMachine,
+    sample_time: float,
+    speed: Array,
+    i_dq: Array,
+    *,
+    R_s: float | None = None,
+    psi_f: float | None = None,
+    inverter: float = 0.0,
+    smoothing: float = 0.1,
+    voltage_bias: complex = 0,
+    noise: float = 0.0,
+    theta0: float = 0.7,
+    seed: int = 0,
+) -> Samples:
+    """Any course of speed and rotor-frame current, one of each a row; straight between rows.
+
+    The machine's true R_s and psi_f may be others than in `machine`, and `inverter` volts a phase
+    are lost against the sign of its current, tanh(i / smoothing).
+    """
+    given = {"R_s": R_s, "psi_f": psi_f}
+    machine = machine.with_values(**{k: v for k, v in given.items() if v is not None})
+    true: Signals = signals.driven(
+        machine,
+        sample_time,
+        between_rows(speed, PARTS),
+        between_rows(np.asarray(i_dq, complex), PARTS),
+        PARTS,
+        theta0,
+    )
+    lost = inverter_loss(true.mean_current, inverter, smoothing)
+    before = np.array([np.nan + 1j * np.nan])  # nothing is known of the time before the first row
+    volt_seconds = true.volt_seconds + sample_time * (lost + voltage_bias)
+    return Samples(
+        sample_time,
+        true.theta_e,
+        vectors(true.flux),
+        vectors(true.current + noise * white(len(speed), seed)),
+        vectors(np.concatenate([before, true.voltage + lost + voltage_bias])),
+        vectors(np.concatenate([before, volt_seconds])),
+        vectors(np.array(-voltage_bias, complex)),
+    )
+
+
+def profile(*knots: tuple[float, float]) -> Array:
+    """Straight lines through (time [s], value), a value every COURSE_TIME."""
+    t, values = zip(*knots, strict=True)
+    return np.asarray(np.interp(np.arange(0, t[-1], COURSE_TIME), t, values), float)
+
+
+def course(**given: Any) -> Samples:
+    """The 2.2 kW servo at half speed with steps of load, and a reversal under load."""
+    speed = profile((0, 0), (0.3, 236), (1.2, 236), (1.6, -236), (2.5, -236))
+    steps = ((0, 1), (0.6, 1), (0.61, 6), (1.0, 6), (1.01, 2), (1.9, 2), (1.91, -5), (2.5, -5))
+    return driven(PMSM, COURSE_TIME, speed, 1j * profile(*steps), noise=0.02, **given)
+
+
+def log_columns(samples: Samples) -> dict[str, Array]:
+    """Columns of a log with lag 0: the voltage of row k acts from k to k + 1."""
+    u = np.concatenate([samples.voltage[1:], samples.voltage[-1:]])
+    return {
+        "t": np.arange(len(u)) * samples.sample_time,
+        "u_alpha": u[:, 0],
+        "u_beta": u[:, 1],
+        "i_alpha": samples.current[:, 0],
+        "i_beta": samples.current[:, 1],
+    }
