@@ -46,7 +46,10 @@ def export(
         ),
     ] = 1,
     prefix: Annotated[
-        str, typer.Option(help="Prefix of the generated names; each machine needs its own.")
+        str,
+        typer.Option(
+            help="Prefix of the generated names, so that two machines fit into one firmware."
+        ),
     ] = "motor",
     force: Annotated[bool, typer.Option("--force", help="Overwrite an earlier export.")] = False,
 ) -> None:
