@@ -1,5 +1,5 @@
-// Python's view of the deployable observer. Arrays in, arrays out, the GIL released; a batch runs
-// one record a thread at a time. All checks of shapes and values happen in Python.
+// Python's view of the deployable observer. Arrays in, arrays out, the GIL released; in a batch each
+// thread runs one record at a time. Python checks shapes and values.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/pair.h>
@@ -119,9 +119,9 @@ nb::tuple run_lanes(const States &states, const Signals &source, const Signals &
                           owned(std::move(valid), {lanes, rows}));
 }
 
-// ---- what the lists of the C headers say ---------------------------------------------------
+// ---- made from the lists of the C headers --------------------------------------------------
 
-// Columns of the numbers of an estimate, in the order of the list; `valid` goes apart.
+// Columns of the numbers of an estimate, in the order of the list; `valid` is separate.
 #define COUNT_VECTOR(name) +FO_N
 #define COUNT_NUMBER(name) +1
 constexpr std::size_t COLUMNS = 0 FO_ESTIMATE_FIELDS(COUNT_VECTOR, COUNT_NUMBER);
@@ -185,7 +185,7 @@ nb::dict thresholds() {
     return out;
 }
 
-// A field of a configuration, out of a mapping that has to name them all and nothing else.
+// Reads the fields of a configuration from a mapping, which must name all of them and nothing else.
 class Fields {
 public:
     explicit Fields(const nb::dict &given) : given_(given) {}
@@ -205,7 +205,7 @@ public:
         return given_[name];
     }
     void end() const {
-        if (taken_ != given_.size()) throw std::invalid_argument("a field is given that is not known");
+        if (taken_ != given_.size()) throw std::invalid_argument("an unknown field is given");
     }
 
 private:
@@ -339,7 +339,7 @@ public:
             });
     }
 
-    // as of Core
+    // as in Core
     static nb::tuple counters(const States &states, std::size_t lane) {
         return counts(lane_of<fo_adaptive_state>(states, lane).plain);
     }

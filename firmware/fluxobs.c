@@ -15,7 +15,7 @@ static void clear(fo_real x[FO_NX])
 
 /* ---- configuration ------------------------------------------------------------------- */
 
-/* 0 unless something in it is not finite. */
+/* 0 if all numbers are finite. */
 static fo_real not_finite(const fo_real *x, int n)
 {
     fo_real sum = ZERO;
@@ -39,7 +39,7 @@ static fo_error check(const fo_config *c)
     if (!(FO_CONFIG_FIELDS(MATRIX_NOT_FINITE, VECTOR_NOT_FINITE, NUMBER_NOT_FINITE,
                            POSITIVE_NOT_FINITE) == ZERO)) {
         found = FO_ERROR_NOT_FINITE;
-    } else if (!(c->sample_time > ZERO && /* ten to a million samples, but for rounding */
+    } else if (!(c->sample_time > ZERO && /* ten to a million samples, up to rounding */
                  c->memory >= (fo_real)9.99 * c->sample_time &&
                  c->memory <= (fo_real)1.001e6 * c->sample_time)) {
         found = FO_ERROR_SAMPLE_TIME;
@@ -81,7 +81,7 @@ static void prepare(fo_observer *o, const fo_config *c)
     o->noise_information = q2 / (fo_real)FO_N * c->current_noise * c->current_noise;
 
     o->plausible = drift_prior;
-    /* Each row brings back what forgetting takes until its next turn, 1 - rho^period. */
+    /* Each row gives back what forgetting takes until its next turn, 1 - rho^period. */
     fo_real left = ONE;
     for (int i = 0; i < (int)REINJECT_PERIOD; i++) {
         left *= o->rho;
@@ -93,8 +93,8 @@ static void prepare(fo_observer *o, const fo_config *c)
     o->over_noise = ONE / ((fo_real)(20 * FO_N) * c->current_noise * c->current_noise);
     o->square_min = c->length_min * c->length_min / (psi * psi);
     o->L_position = c->L_position / psi;
-    /* Noise of the current in x: directly through L, and through R as a random walk of the flux
-     * that is followed with about a quarter of the memory. */
+    /* Current noise in x: directly through L, and through R as a random walk of the flux, which is
+     * followed with about a quarter of the memory. */
     fo_real walk = ZERO;
     for (int i = 0; i < FO_N; i++) {
         walk += c->R[i][i] / (fo_real)FO_N;
@@ -104,7 +104,7 @@ static void prepare(fo_observer *o, const fo_config *c)
                         c->current_noise / (psi * psi);
 
     /* Fading-memory filter of second order, triple pole z: no lag at constant acceleration.
-     * 1 / (1 + x + x^2/2) stands for exp(-x), so that the core needs no exp. */
+     * 1 / (1 + x + x^2/2) replaces exp(-x), so that the core needs no exp. */
     const fo_real x = c->tracker_bandwidth * c->sample_time;
     const fo_real pole = ONE / (ONE + x + x * x / TWO);
     const fo_real gap = ONE - pole;
@@ -154,7 +154,7 @@ fo_error fo_init(fo_observer *o, const fo_config *c)
 
 /* ---- square-root information filter -------------------------------------------------- */
 
-/* Information of the prior on state i. */
+/* Prior information on state i. */
 static fo_real prior(const fo_state *s, int i)
 {
     fo_real information = i < KAPPA ? ONE : s->drift_prior;
@@ -167,7 +167,7 @@ static fo_real prior(const fo_state *s, int i)
     return information;
 }
 
-/* Only the prior is left; the innovations start at their assumed level. */
+/* Drops all information but the prior; the innovations start at their assumed level. */
 static void empty_information(const fo_observer *o, fo_state *s)
 {
     (void)memset(&s->info, 0, sizeof s->info);
@@ -189,7 +189,7 @@ static void restart(const fo_observer *o, fo_state *s)
     empty_information(o, s);
     s->have_current = false;
     s->have_voltage = false;
-    s->variance = VARIANCE_UNKNOWN; /* what is carried is lost */
+    s->variance = VARIANCE_UNKNOWN; /* the carried flux is lost */
 }
 
 void fo_reset(const fo_observer *o, fo_state *s)
@@ -224,36 +224,36 @@ static void predict(const fo_observer *o, fo_state *s, const interval *t)
         u[2] = kappa;
         z[S] += t->input + flux0 * v0 + flux1 * v1;
     }
-    { /* of the first flux: the second, kappa, drift, c */
+    { /* the row of the first flux: the second, kappa, drift, c */
         const fo_real flux1 = u[6], kappa = u[7];
         u[8] -= h + q0 * kappa;
         u[9] -= h * flux1 + q1 * kappa;
         u[10] -= h2 * kappa;
         z[FLUX] += v0 + flux1 * v1;
     }
-    { /* of the second: kappa, drift, c */
+    { /* the row of the second flux: kappa, drift, c */
         const fo_real kappa = u[11];
         u[12] -= q0 * kappa;
         u[13] -= h + q1 * kappa;
         u[14] -= h2 * kappa;
         z[FLUX + 1] += v1;
     }
-    u[15] -= q0; /* of kappa: drift, c */
+    u[15] -= q0; /* the row of kappa: drift, c */
     u[16] -= q1;
     u[17] -= h2;
     for (int i = 0; i < FO_NX; i++) {
         s->info.d[i] *= rho;
     }
-    /* What noise alone pretends to know is carried and forgotten in the same way; it lives on
-     * (flux, drift), in each component alike. */
+    /* The information from noise alone is carried and forgotten in the same way; it is about
+     * (flux, drift), alike in both components. */
     fo_real *noise = s->info.noise;
     noise[2] = rho * (noise[2] - h * (TWO * noise[1] - h * noise[0]));
     noise[1] = rho * (noise[1] - h * noise[0]);
     noise[0] = rho * noise[0];
 }
 
-/* Takes in row'x = value (the row zero left of `first`) with this much information, by Gentleman's
- * rotations without roots. Returns the normalised innovation. */
+/* Takes in row'x = value (the row is zero left of `first`) with this much information, by
+ * Gentleman's rotations without roots. Returns the normalised innovation. */
 static fo_real rotate_in(fo_information *info, fo_real row[FO_NX], fo_real value,
                          fo_real information, int first)
 {
@@ -305,7 +305,7 @@ static variances flux_variances(const fo_information *info, const fo_real p[FO_N
     return found;
 }
 
-/* The same of the drift, across p only. */
+/* The same for the drift, across p only. */
 static fo_real drift_across(const fo_information *info, const fo_real p[FO_N])
 {
     const fo_real *u = info->U, *d = info->d;
@@ -330,15 +330,15 @@ static void solve(fo_state *s)
 
 /* ---- measurement ---------------------------------------------------------------------- */
 
-/* Third difference of the current: what is smooth is gone, noise has 20 times its variance. */
+/* Third difference of the current: removes what is smooth, and has 20 times the noise variance. */
 static fo_real third_difference(const fo_state *s, int i)
 {
     return s->current[0][i] - s->current[3][i] +
            (fo_real)3 * (s->current[2][i] - s->current[1][i]);
 }
 
-/* The measurement 0 = s + (Q2 i)'flux + i'Q3 i + C'i, divided by its noise: row'x = what it
- * returns. */
+/* The measurement 0 = s + (Q2 i)'flux + i'Q3 i + C'i, divided by its noise: row'x = the value
+ * returned. */
 static fo_real relation(const fo_observer *o, const fo_real current[FO_N], fo_real row[FO_NX])
 {
     fo_real rhs = ZERO;
@@ -351,7 +351,7 @@ static fo_real relation(const fo_observer *o, const fo_real current[FO_N], fo_re
     return rhs;
 }
 
-/* Is the measurement far from what the estimate before the interval leads to? */
+/* Is the measurement far from what the estimate before the interval predicts? */
 static bool contradicts(const fo_observer *o, const fo_state *s, const interval *t,
                         const fo_real row[FO_NX], fo_real rhs)
 {
@@ -391,7 +391,7 @@ static fo_real position(const fo_observer *o, const fo_state *s, const fo_real f
     return dot(p, p);
 }
 
-/* A prior that is wrong is forgotten slowly: widen it, and let what it did count for little. */
+/* A wrong prior is forgotten slowly: widens it, and gives its effect so far little weight. */
 static void widen_prior(fo_state *s, fo_real excess)
 {
     const fo_real keep = DISTRUST / excess;
@@ -404,20 +404,20 @@ static void widen_prior(fo_state *s, fo_real excess)
     }
 }
 
-/* What the information says of the position vector p: the variance of its angle, and what of the
- * flux's information is only noise. */
+/* Judges the position vector p by the information: the variance of its angle, and the share of the
+ * flux information that is only noise. */
 static void judge(const fo_observer *o, fo_state *s, const fo_real p[FO_N], fo_real square)
 {
-    /* A covariance with a prior that is too tight in it is too small by as much. */
+    /* A prior that is too tight makes the covariance too small by the same factor. */
     const fo_real *drift = &s->x[DRIFT];
     const fo_real excess = dot(drift, drift) * s->drift_prior;
     const variances flux = flux_variances(&s->info, p);
     const fo_real across = flux.across / square, along = flux.along / square;
-    /* Information that noise pretends to have on the flux when the drift is unknown. */
+    /* Information on the flux from noise alone, if the drift is unknown. */
     const fo_real *noise = s->info.noise;
     const fo_real shared = noise[2] > ZERO ? noise[1] * noise[1] / noise[2] : ZERO;
     s->noise_share = (noise[0] - shared) * (across + along);
-    /* Coloured innovations of another power than assumed make more or less of a variance. */
+    /* The variance scales with the innovations' colour, and with their power over the assumed. */
     const fo_real r = correlation(s->lag_one, s->power);
     s->inflation = o->h * s->power * (ONE + r) / (ONE - r);
     s->spread = s->inflation * across / square;
@@ -429,7 +429,8 @@ static void judge(const fo_observer *o, fo_state *s, const fo_real p[FO_N], fo_r
     }
 }
 
-/* One prior row in turn, aimed at the estimate: bounds the standard deviations, moves nothing. */
+/* Re-injects one prior row, centred on the estimate: it bounds the standard deviations and moves
+ * nothing. */
 static void reinject_prior(const fo_observer *o, fo_state *s, int i)
 {
     fo_real row[FO_NX];
@@ -438,10 +439,10 @@ static void reinject_prior(const fo_observer *o, fo_state *s, int i)
     (void)rotate_in(&s->info, row, s->x[i], o->reinject * prior(s, i), i);
 }
 
-/* Carries the last trusted flux on by integration; returns the variance of its angle. It grows
- * with what is not known of the drift and with a voltage error as large as the drift's prior; where
- * the length of the position vector, which should stay, says that the error is larger, with that.
- * Once nothing is known of the angle any more, the flux stays where it is. */
+/* Carries the last trusted flux on by integration; returns the variance of its angle. The variance
+ * grows with the uncertainty of the drift and with a voltage error as large as the drift's prior. A
+ * change in the length of the position vector, which should be constant, shows a larger error and
+ * adds to it. Once the angle is unknown, the flux stays where it is. */
 static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N])
 {
     fo_real p[FO_N], flux[FO_N];
@@ -466,15 +467,15 @@ static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N]
     return variance;
 }
 
-/* Decides which flux is reported: the least squares' own while it is trusted or nothing better
- * is known, else the last trusted one carried on. See docs/theory.md, section 6. */
+/* Decides which flux is reported: that of the least squares while it is trusted or nothing better
+ * is known, else the last trusted one, carried on. See docs/theory.md, section 6. */
 static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], fo_estimate *e)
 {
     fo_real p[FO_N];
     solve(s);
     const fo_real *flux = &s->x[FLUX], *drift = &s->x[DRIFT];
     fo_real square = position(o, s, flux, p);
-    if (!(square < RUNAWAY)) { /* not a number, too; after long at rest */
+    if (!(square < RUNAWAY)) { /* or not a number; happens after a long rest */
         s->restarts++;
         empty_information(o, s);
         square = position(o, s, flux, p);
@@ -497,15 +498,15 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     s->theta = theta;
     const bool trusted = known && (s->trusted || fo_abs(s->swept) > SWEEP);
 
-    /* What a voltage error turns the flux by adds up until the rotor has turned by about a radian; no
-     * further than matters, so that it is forgotten soon after a stop. */
+    /* The turn of the flux by a voltage error adds up until the rotor has turned by about a radian.
+     * It is bounded, so that it is forgotten soon after a stop. */
     const fo_real turned = fo_abs(s->tracker.speed) * o->sample_time;
     s->exposed += o->h * o->plausible - s->exposed * (turned < ONE ? turned : ONE);
     s->exposed = s->exposed < EXPOSED_MOST ? s->exposed : EXPOSED_MOST;
 
     fo_real variance = VARIANCE_UNKNOWN;
     if (trusted) {
-        /* The covariance across p, and the noise of the current in it. */
+        /* The covariance across p, and the current noise in p. */
         variance = s->spread + o->position_noise * s->roughness / square;
         s->variance = variance;
         s->carried = ZERO;
@@ -553,14 +554,14 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     e->speed_e = s->tracker.speed;
     e->innovation = s->innovation;
     e->noise_share = s->noise_share;
-    /* A slow turn by a voltage error of the plausible size leaves no trace in the innovations. */
+    /* A slow turn by a voltage error of plausible size leaves no trace in the innovations. */
     e->valid = trusted && s->tracker.settled >= TRACKER_SETTLED &&
                variance < STD_LIMIT * STD_LIMIT && s->exposed < VOLTAGE_LIMIT * s->length;
 }
 
 /* ---- samples -------------------------------------------------------------------------- */
 
-/* The resistive drop is still to be taken off unless the source's volt-seconds are `complete`. */
+/* Subtracts the resistive drop, unless the source's volt-seconds are `complete`. */
 static void last_interval(const fo_observer *o, const fo_state *s, bool complete, interval *t)
 {
     fo_real mean[FO_N] = {0};
@@ -577,7 +578,7 @@ static void last_interval(const fo_observer *o, const fo_state *s, bool complete
     t->input = dot(t->q, t->v) / TWO + dot(o->E, t->v);
 }
 
-/* Step of the position vector over the interval; the drift does not matter. */
+/* Step of the position vector over the interval; the drift is negligible. */
 static fo_real position_step(const fo_observer *o, const fo_state *s, const fo_real v[FO_N])
 {
     fo_real step[FO_N];
@@ -603,7 +604,7 @@ static void push_current(fo_state *s, fo_real i0, fo_real i1)
     s->current[0][1] = i1;
 }
 
-/* What is missing is taken to have gone on turning with the rotor, if that is known: by the angle a
+/* Predicts a missing vector: it goes on turning with the rotor, if that is known, by the angle
  * whose half has the tangent speed * sample_time / 2. */
 static void ahead(const fo_observer *o, const fo_state *s, const fo_real before[FO_N],
                   fo_real now[FO_N])
@@ -627,7 +628,7 @@ static sample_quality quality(const fo_real x[FO_N], fo_real limit)
     return found;
 }
 
-/* One sample; `source` in per-unit volt-seconds, complete or still without the resistive drop. */
+/* One sample; `source` in per-unit volt-seconds, complete or still to lose the resistive drop. */
 static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N], bool complete,
                     const fo_real current[FO_N], fo_estimate *e)
 {
@@ -640,7 +641,7 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
     if (bad) {
         s->bad_currents++;
     }
-    if (of_source == MISSING && (s->have_voltage || s->restarts > 0U)) { /* none yet is no fault */
+    if (of_source == MISSING && (s->have_voltage || s->restarts > 0U)) { /* not before the first */
         s->bad_voltages++;
         bad = bad || s->have_voltage;
     }
@@ -670,7 +671,7 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
             const fo_real step = position_step(o, s, t.v);
             if (measured && s->trusted &&
                 (leaps(o, s, step) || contradicts(o, s, &t, row, rhs))) {
-                s->outliers++; /* go over it as if it were missing */
+                s->outliers++; /* treat it as missing */
                 measured = false;
                 bad = true;
                 ahead(o, s, s->current[1], s->current[0]);
@@ -719,7 +720,7 @@ void fo_gather(const fo_observer *o, fo_gathered *g, fo_real share, const fo_rea
                const fo_real current[FO_N])
 {
     const fo_real scale = share * o->flux_base;
-    fo_real mean[FO_N]; /* 24 times the mean current, by the trapezoid: intervals are short */
+    fo_real mean[FO_N]; /* 24 times the mean current, by the trapezoid rule: intervals are short */
     for (int i = 0; i < FO_N; i++) {
         mean[i] = (fo_real)12 * (g->current[i] + current[i]);
         g->current[i] = current[i];

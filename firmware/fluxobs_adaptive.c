@@ -10,50 +10,50 @@
 enum { P_FLUX = 0, P_DRIFT = FO_N, P_PSI = 2 * FO_N, P_R = P_PSI + 1, P_V = P_PSI + 2 };
 /* Element (i, j), i < j, of a packed strict upper triangle, column by column. */
 #define AT(i, j) ((int)(j) * ((int)(j) - 1) / 2 + (int)(i))
-/* The same of the manifold's, row by row. */
+/* The same for the manifold's, row by row. */
 #define ROW(i, j) ((int)(i) * (2 * (int)FO_NM - (int)(i) - 3) / 2 + (int)(j) - 1)
 
-/* What no real machine keeps its relation better than, in flux bases. */
+/* No real machine satisfies its relation better than this, in flux bases. */
 static const fo_real MODEL = (fo_real)0.0015;
-/* The residual's power over the assumed is taken as no less than this. */
+/* Lower bound of the residual's power over the assumed. */
 static const fo_real LEVEL_LEAST = (fo_real)0.05;
 /* Above this the model does not hold: the residual is 30 times what was assumed. */
 static const fo_real LEVEL_MOST = (fo_real)1e3;
-/* An innovation beyond so many of its stds counts as that many. */
+/* An innovation beyond this many stds is clipped to it. */
 static const fo_real CLIP = (fo_real)5;
-/* While a phase current is near zero its inverter's sign is wrong by a good half, for a fraction of
- * a millisecond: the square of the one times the other [s]. */
+/* While a phase current is near zero, the inverter's sign is wrong by a good half for a fraction of
+ * a millisecond: the square of the first times the second [s]. */
 static const fo_real KNEE_TIME = (fo_real)4e-5;
-/* So many times what noise pretends to tell of the resistance does not count. */
+/* This many times the information on the resistance that comes from noise does not count. */
 static const fo_real BEYOND = (fo_real)2;
-/* The drift moves by this much less than the flux. */
+/* Random walk of the drift over that of the flux. */
 static const fo_real DRIFT_WALK = (fo_real)0.01;
-/* At the start errors of resistance and inverter are tied to flux and drift as if speed and load had
- * always been what they are; this share of their variance is not. */
+/* At the start, errors of resistance and inverter are tied to flux and drift as if speed and load
+ * had always been the same; this share of their variance is not tied. */
 static const fo_real LOOSE = (fo_real)0.1;
-/* Off the prior by so many of its stds, a parameter is reminded of it. */
+/* A parameter that is off its prior by this many of the prior's stds is pulled back to it. */
 static const fo_real FAR = (fo_real)3;
-/* Memories before a position of the filter is called valid, while resistance and inverter may move;
- * and where they are known. */
+/* Memories before a position of the filter is called valid, if resistance and inverter are unknown,
+ * and if they are known. */
 static const fo_real PROVEN_AFTER = (fo_real)3;
 static const fo_real PROVEN_AFTER_KNOWN = (fo_real)0.25;
-/* And if the guard never knows the position, as at low speed. */
+/* The same if the guard never knows the position, as at low speed. */
 static const fo_real PROVEN_ALONE = (fo_real)10;
 /* Std of the angle above which linearising makes no sense: 30 degrees. */
 static const fo_real STD_LOST = PI / (fo_real)6;
-/* Above this it does not start. */
+/* Std of the angle above which the filter does not start: 15 degrees. */
 static const fo_real STD_START = PI / (fo_real)12;
-/* A voltage error of this share of what the drift may be is in no model; a slow turn by it leaves no
+/* A voltage error of this share of the drift's prior is in no model; a slow turn by it leaves no
  * trace in the residual. */
 static const fo_real UNMODELLED = (fo_real)0.05;
-/* The saliency's part of the derivative is followed with so many times the memory's inverse. */
+/* Bandwidth with which the saliency's part of the derivative is followed, times the memory. */
 static const fo_real TILT = (fo_real)10;
-/* A current of so many times its noise that turns so many times as fast as the rotor, for so many
- * memories: the rotor does not stand, the filter is wrong. */
+/* If a current of this many times its noise turns this many times as fast as the rotor for this
+ * many memories, the rotor is not at rest: the filter is wrong. */
 static const fo_real LARGE = (fo_real)30;
 static const fo_real STANDING_SLOWER = (fo_real)4;
 static const fo_real STANDING_MOST = (fo_real)0.2;
-/* Off by 20 degrees for three memories, the guard is right. */
+/* If filter and guard differ by 20 degrees for three memories, the guard is right. */
 static const fo_real DISAGREE = PI / (fo_real)9;
 static const fo_real DISAGREE_FOR = (fo_real)3;
 
@@ -95,7 +95,7 @@ fo_error fo_adaptive_init(fo_adaptive *a, const fo_config *config, const fo_adap
         a->knee = (fo_real)FO_NP * KNEE_TIME * volt_seconds / psi;
         a->projection = c->projection;
         a->noise = through_L * through_L + MODEL * MODEL;
-        /* the noise of the current takes its way through the resistance, too */
+        /* current noise also enters through the resistance */
         fo_real drop = ZERO;
         for (int i = 0; i < FO_N; i++) {
             drop += config->R[i][i] * config->sample_time * config->current_noise / (psi * TWO);
@@ -110,7 +110,7 @@ fo_error fo_adaptive_init(fo_adaptive *a, const fo_config *config, const fo_adap
         for (int i = 0; i < FO_N; i++) {
             a->variance[P_FLUX + i] = ONE;
             a->variance[P_DRIFT + i] = o->plausible * o->plausible;
-            /* so that the flux is followed with the memory, whatever the noise */
+            /* follows the flux with the memory, whatever the noise */
             a->walk[P_FLUX + i] = (fo_real)FO_NP * a->noise * o->h * o->h;
             a->walk[P_DRIFT + i] = DRIFT_WALK * a->walk[P_FLUX + i];
         }
@@ -152,8 +152,8 @@ static void zero(fo_real x[FO_NP])
     }
 }
 
-/* The decoy goes along as if it were the column of the resistance. What it tells of its parameter,
- * which does not exist, the noise of the current pretends to tell of the resistance. */
+/* Updates the decoy as if it were the column of the resistance. Its parameter does not exist: the
+ * information on it is what current noise seems to tell about the resistance. */
 static void update_decoy(fo_adaptive_state *s, const fo_real row[FO_NP], const fo_real gain[FO_NP],
                          fo_real alpha)
 {
@@ -168,7 +168,7 @@ static void update_decoy(fo_adaptive_state *s, const fo_real row[FO_NP], const f
     s->decoy_told = f * f;
 }
 
-/* Bierman's update by row'p, which is `off` from what it should be, with noise of this variance.
+/* Bierman's update with row'p, which is `off` from what it should be, and noise of this variance.
  * Returns the variance of the innovation. */
 static fo_real update(fo_adaptive_state *s, const fo_real row[FO_NP], fo_real off, fo_real noise)
 {
@@ -236,7 +236,7 @@ static fo_real variance_of(const fo_adaptive_state *s, int n)
     return sum;
 }
 
-/* Of the flux across a direction. */
+/* Variance of the flux across a direction. */
 static fo_real variance_across(const fo_adaptive_state *s, const fo_real along[FO_N])
 {
     fo_real sum = s->D[0] * along[1] * along[1];
@@ -250,7 +250,7 @@ static fo_real variance_across(const fo_adaptive_state *s, const fo_real along[F
 
 /* ---- inverter ------------------------------------------------------------------------- */
 
-/* tanh(x) to within 0.0014 (Pade), 1 from where that reaches it. */
+/* tanh(x) to within 0.0014: its Pade approximant, clipped where that reaches 1. */
 static fo_real soft_sign(fo_real x)
 {
     const fo_real square = x * x;
@@ -282,30 +282,30 @@ static fo_real direction(const fo_adaptive *a, const fo_real current[FO_N], fo_r
 
 /* ---- the filter ----------------------------------------------------------------------- */
 
-/* What an interval does: volt-seconds, and those of one ohm and of one volt of the inverter. */
+/* Effects of an interval: its volt-seconds, and those of one ohm and of one inverter volt. */
 typedef struct {
     fo_real v[FO_N];
     fo_real charge[FO_N];
-    fo_real before[FO_N]; /* charge of the interval before, turned on to this one: this sample's noise
-                             is in the residual, too; in both it would be taken for a resistance */
+    fo_real before[FO_N]; /* charge of the interval before, turned on to this one: this sample's
+                             noise is in the residual too; in both it would pass for a resistance */
     fo_real inverter[FO_N];
     fo_real unsure; /* of the inverter's signs, 0 to 3 */
 } effects;
 
-/* A radian in a memory, at least: slower than that nothing is told apart from the drift. */
+/* At least a radian per memory: if slower, nothing can be told from the drift. */
 static fo_real turned_in_a_sample(const fo_adaptive *a, const fo_adaptive_state *s)
 {
     const fo_real h = a->plain.h, speed = a->plain.sample_time * s->tracker.speed;
     return fo_abs(speed) > h ? speed : speed < ZERO ? -h : h;
 }
 
-/* How far from steady things may have been: the less, the more often the rotor turned in a memory. */
+/* How far from steady state the past may have been: less, the more turns there are in a memory. */
 static fo_real looseness(const fo_adaptive *a, fo_real turned)
 {
     return LOOSE / (ONE + fo_abs(turned) / (a->plain.h * TWO * PI));
 }
 
-/* What is unknown of resistance and inverter makes of a candidate's angle: its variance. */
+/* Variance of a candidate's angle, with unknown errors of resistance and inverter. */
 static fo_real tied_variance(const fo_adaptive *a, const fo_adaptive_state *s,
                              const fo_candidate *c)
 {
@@ -320,7 +320,7 @@ static fo_real tied_variance(const fo_adaptive *a, const fo_adaptive_state *s,
     const fo_real *causes[2] = {current, signs};
     fo_real variance = c->variance;
     for (int k = 0; k < 2; k++) {
-        const fo_real across = scale * dot(causes[k], x); /* across x lies what was along it */
+        const fo_real across = scale * dot(causes[k], x); /* what was along x is across it */
         const fo_real all = scale * scale * dot(causes[k], causes[k]);
         const fo_real off = across * across / square + looseness(a, turned) * all;
         variance += s->D[P_R + k] * off / square;
@@ -328,8 +328,9 @@ static fo_real tied_variance(const fo_adaptive *a, const fo_adaptive_state *s,
     return variance;
 }
 
-/* Ties what is off in resistance and inverter to flux, drift and magnet flux, seen as steady: they
- * turn the flux by -i / (j omega), and lengthen the magnet's by as much as it has along it. */
+/* Ties errors of resistance and inverter to flux, drift and magnet flux, assuming steady state:
+ * they shift the flux by -i / (j omega), and lengthen the magnet flux by the part of that along
+ * it. */
 static void tie(const fo_adaptive *a, fo_adaptive_state *s, const fo_real along[FO_N],
                 fo_real length, fo_real psi_before, fo_real psi_variance)
 {
@@ -351,7 +352,7 @@ static void tie(const fo_adaptive *a, fo_adaptive_state *s, const fo_real along[
         const fo_real *other = &s->U[AT(0, P_R)];
         const fo_real d[FO_N] = {-scale * causes[k][1], scale * causes[k][0]};
         const fo_real loose = looseness(a, turned) * dot(d, d) * s->D[n];
-        const fo_real off = s->p[n] - a->mean[n]; /* learnt before; the candidate knows nothing of it */
+        const fo_real off = s->p[n] - a->mean[n]; /* learnt before; not known to the candidate */
         fo_real longer = ZERO;
         for (int i = 0; i < FO_N; i++) {
             u[P_FLUX + i] = d[i] + both * other[P_FLUX + i];
@@ -368,7 +369,7 @@ static void tie(const fo_adaptive *a, fo_adaptive_state *s, const fo_real along[
             s->D[P_PSI] += loose;
         }
     }
-    if (psi_variance > ZERO && s->D[P_R] + s->D[P_V] > ZERO) { /* else the candidate took it in */
+    if (psi_variance > ZERO && s->D[P_R] + s->D[P_V] > ZERO) { /* else the candidate has it */
         fo_real row[FO_NP];
         zero(row);
         row[P_PSI] = ONE;
@@ -377,7 +378,7 @@ static void tie(const fo_adaptive *a, fo_adaptive_state *s, const fo_real along[
 }
 
 /* Starts the filter at a candidate, with the covariance of its projection: U D U' is the inverse of
- * the information U'dU. What was learnt of resistance and inverter before stays. */
+ * the information U'dU. What was learnt about resistance and inverter before is kept. */
 static void start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate *c,
                   const fo_manifold *m, fo_real inflation)
 {
@@ -392,7 +393,7 @@ static void start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate
     const fo_real along[FO_N] = {x[0] / length, x[1] / length};
 
     for (int j = 0; j < FO_NM; j++) {
-        /* the square of the magnet flux in the manifold, itself in the filter */
+        /* the manifold has the square of the magnet flux, the filter the magnet flux itself */
         const fo_real scale = j == (int)P_PSI ? TWO * root : ONE;
         fo_real column[FO_NP];
         zero(column);
@@ -432,8 +433,8 @@ static void start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate
     tie(a, s, along, length, psi_before, psi_variance);
 }
 
-/* The decoy over an interval: like the column of the resistance, but driven by noise of the current's
- * size, of either sign by chance (xorshift), in place of the current. */
+/* Moves the decoy over an interval, like the column of the resistance, but driven by numbers of the
+ * size of the current's noise with random signs (xorshift), in place of the current. */
 static void drive_decoy(const fo_adaptive *a, fo_adaptive_state *s)
 {
     const fo_real noise = a->decoy * fo_sqrt(s->plain.roughness), h = a->plain.h;
@@ -448,7 +449,7 @@ static void drive_decoy(const fo_adaptive *a, fo_adaptive_state *s)
     }
 }
 
-/* p and its covariance over an interval; one state in turn wins its walk. */
+/* Moves p and its covariance over an interval; one state in turn gains its random walk. */
 static void time_update(const fo_adaptive *a, fo_adaptive_state *s, const effects *t)
 {
     const fo_real h = a->plain.h;
@@ -481,8 +482,8 @@ static void time_update(const fo_adaptive *a, fo_adaptive_state *s, const effect
     }
 }
 
-/* The residual |x| - saliency i_d - psi_f. Its derivative is taken in the direction that the tracker
- * predicts: this sample's noise in it would count as information. */
+/* Takes in the residual |x| - saliency i_d - psi_f. Its derivative is taken in the direction that
+ * the tracker predicts: this sample's noise in it would count as information. */
 static void measurement_update(const fo_adaptive *a, fo_adaptive_state *s,
                                const fo_real x[FO_N], fo_real length)
 {
@@ -498,20 +499,20 @@ static void measurement_update(const fo_adaptive *a, fo_adaptive_state *s,
             turn(s->x, ahead, along);
         }
     }
-    /* the saliency's part lies across; its noise would be taken for information as well */
+    /* the saliency's part lies across; its noise would count as information as well */
     const fo_real tilt = a->saliency * (along[0] * i[1] - along[1] * i[0]) / length;
     const fo_real follow = TILT * a->plain.h;
     s->tilt += (s->settled > ZERO && follow < ONE ? follow : ONE) * (tilt - s->tilt);
     row[P_FLUX] = along[0] + s->tilt * along[1];
     row[P_FLUX + 1] = along[1] - s->tilt * along[0];
     row[P_PSI] = -ONE;
-    /* second order: what is not known across lengthens the vector */
+    /* second order: uncertainty across lengthens the vector */
     const fo_real across = variance_across(s, along);
     const fo_real curve = across / (TWO * length);
     const fo_real noise = a->noise * s->level + TWO * curve * curve;
     const fo_real resistance = s->p[P_R], variance = s->D[P_R];
     const fo_real alpha = update(s, row, curve - off, noise);
-    /* of the resistance it takes no more than what is beyond noise */
+    /* for the resistance, take only what is beyond noise */
     s->tells += a->plain.h * (s->told / alpha - s->tells);
     s->pretends += a->plain.h * (s->decoy_told / alpha - s->pretends);
     const fo_real beyond = s->tells - BEYOND * s->pretends;
@@ -530,7 +531,7 @@ static void measurement_update(const fo_adaptive *a, fo_adaptive_state *s,
     s->level = level > LEVEL_LEAST ? level : LEVEL_LEAST;
 }
 
-/* A parameter that has gone far from what is believed of it is reminded of that. */
+/* Pulls a parameter that has gone far from its prior back to it. */
 static void remind(const fo_adaptive *a, fo_adaptive_state *s)
 {
     const uint32_t round = s->turn % 3U;
@@ -559,7 +560,7 @@ static bool proven(const fo_adaptive *a, const fo_adaptive_state *s)
     return fo_abs(s->swept) > SWEEP && s->settled > least;
 }
 
-/* Is the estimate of numbers, and the flux one that a machine can have? */
+/* Is the estimate finite, and the flux one that a machine can have? */
 static bool sound(const fo_adaptive_state *s)
 {
     fo_real sum = s->alpha + s->power + s->lag_one + s->tracker.speed + s->tracker.acceleration;
@@ -569,8 +570,9 @@ static bool sound(const fo_adaptive_state *s)
     return sum - sum == ZERO && s->p[0] * s->p[0] + s->p[1] * s->p[1] < RUNAWAY;
 }
 
-/* A current that turns while the rotor is said to stand: with a resistance that is large enough, its
- * drop is the whole voltage, and nothing tells that from an EMF that turns with the current. */
+/* Watches for a current that turns while the rotor is said to stand. If the resistance is large
+ * enough, its drop is the whole voltage, and cannot be told from an EMF that turns with the
+ * current. */
 static void look_at_current(const fo_adaptive *a, fo_adaptive_state *s)
 {
     const fo_observer *o = &a->plain;
@@ -585,7 +587,7 @@ static void look_at_current(const fo_adaptive *a, fo_adaptive_state *s)
     s->standing = fo_abs(s->turning) > least ? s->standing + o->h : ZERO;
 }
 
-/* Does the filter have to give way? */
+/* Decides whether the filter has to give way. */
 static void watch(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO_N],
                   fo_real plain_theta, bool plain_valid, fo_real variance)
 {
@@ -622,9 +624,9 @@ static void watch(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO
     }
 }
 
-/* The estimate from the filter, whose position vector has this length and whose angle this standard
- * deviation. False, and the plain observer's position stands, if one of the numbers is too large to be
- * one: what no state shows, such as the variance of a parameter on a scale of its own. */
+/* Writes the estimate of the filter, whose position vector has this length and whose angle this
+ * std. Returns false, and keeps the plain observer's position, if a number overflows. States do not
+ * show that: an example is the variance of a parameter with a scale of its own. */
 static bool report(const fo_adaptive *a, const fo_adaptive_state *s, fo_real length, fo_real std,
                    fo_real coloured, fo_adaptive_estimate *e)
 {
@@ -640,7 +642,7 @@ static bool report(const fo_adaptive *a, const fo_adaptive_state *s, fo_real len
     const fo_real sum = psi + drift[0] + drift[1] + s->tracker.speed + e->psi_f + e->psi_f_std +
                         e->drift_std + e->resistance_std + e->inverter_std;
     const bool good = sum - sum == ZERO, known = proven(a, s);
-    if (good && (known || !q->valid)) { /* until then the plain observer's, where it is sure of it */
+    if (good && (known || !q->valid)) { /* until then the plain observer's, if that is valid */
         for (int i = 0; i < FO_N; i++) {
             q->flux[i] = s->p[P_FLUX + i] * o->flux_base;
             q->drift[i] = drift[i];
@@ -661,7 +663,7 @@ static bool report(const fo_adaptive *a, const fo_adaptive_state *s, fo_real len
     return good;
 }
 
-/* What stands in the estimate whether the filter runs or not. */
+/* Writes what the estimate holds while the filter does not run. */
 static void report_prior(const fo_adaptive *a, const fo_adaptive_state *s, fo_adaptive_estimate *e)
 {
     e->adapting = false;
@@ -674,7 +676,7 @@ static void report_prior(const fo_adaptive *a, const fo_adaptive_state *s, fo_ad
     e->inverter_std = fo_sqrt(variance_of(s, P_V));
 }
 
-/* Numbers have run away: it begins anew, and the plain observer's estimate stands. */
+/* Numbers have run away: restarts, and keeps the plain observer's estimate. */
 static void give_up(const fo_adaptive *a, fo_adaptive_state *s, fo_adaptive_estimate *e)
 {
     s->restarts++;
@@ -691,12 +693,12 @@ static fo_real position_square(const fo_adaptive *a, const fo_adaptive_state *s,
     return dot(x, x);
 }
 
-/* Everything that a filter whose numbers are sound makes of a sample. */
+/* The rest of a sample, if the filter's numbers are sound. */
 static void conclude(const fo_adaptive *a, fo_adaptive_state *s, const fo_real x[FO_N],
                      fo_real square, const fo_real v[FO_N], fo_adaptive_estimate *e)
 {
     const fo_observer *o = &a->plain;
-    /* Coloured innovations make more of a variance. */
+    /* Coloured innovations make a variance larger. */
     const fo_real r = correlation(s->lag_one, s->power);
     const fo_real coloured = (ONE + r) / (ONE - r);
     const fo_real length = fo_sqrt(square), theta = fo_atan2(x[1], x[0]);
@@ -764,7 +766,7 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const effects *t,
         if (choice.found && choice.weight < ONE / TWO) {
             e->theta_other = choice.other;
         }
-        if (s->plain.trusted) { /* it takes resistance and inverter for known */
+        if (s->plain.trusted) { /* it assumes known resistance and inverter */
             const fo_real off = knows_voltage(a) ? ZERO : s->disturbance * s->disturbance;
             const fo_real all = q->theta_e_std * q->theta_e_std + off;
             q->theta_e_std = fo_sqrt(all < VARIANCE_UNKNOWN ? all : VARIANCE_UNKNOWN);
@@ -810,7 +812,7 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const effects *t,
 
 /* ---- samples -------------------------------------------------------------------------- */
 
-/* What the last interval did, as far as the currents tell. */
+/* Effects of the last interval, from the currents. */
 static void integrate(const fo_adaptive *a, fo_adaptive_state *s, bool complete, effects *t)
 {
     fo_real mean[FO_N], mean_24[FO_N], signs[FO_N];
@@ -860,7 +862,7 @@ static void go_on(const fo_adaptive *a, fo_adaptive_state *s, bool complete, boo
     e->inverter_voltage = s->p[P_V];
 }
 
-/* What the inverter is known to take over the interval that ends with this current, in volt. */
+/* Known voltage loss of the inverter over the interval that ends with this current, in volt. */
 static void known_loss(const fo_adaptive *a, const fo_adaptive_state *s,
                        const fo_real current[FO_N], fo_real loss[FO_N])
 {

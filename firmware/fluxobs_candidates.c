@@ -11,42 +11,44 @@ enum { M_FLUX = 0, M_DRIFT = FO_N, M_SQUARE = 2 * FO_N };
 #define AT(i, j) ((int)(i) * (2 * (int)FO_NM - (int)(i) - 3) / 2 + (int)(j) - 1)
 
 /* ---- thresholds: unit, reason, and what fixed them --------------------------------------
- * Where a benchmark is named, it is the start in benchmarks/adaptive.py (worst of 40 unknown angles,
- * 90 degrees after the start); the tests are in tests/observers/test_adaptive. */
+ * "Benchmark" is the start in benchmarks/adaptive.py (worst of 40 unknown angles, 90 degrees after
+ * the start); "tests" are in tests/observers/test_adaptive. */
 
 /* Damping of the Gauss-Newton steps, as information [1, that of one sample]: a thousandth keeps the
- * matrix regular before there is a sample, and is gone with the first (tests). */
+ * matrix regular before there is a sample, and no longer matters after the first (tests). */
 static const fo_real DAMPING = (fo_real)1e-3;
-/* Candidates nearer than 22.5 degrees, half of what lies between four, are one: square of that cosine
- * [1] (benchmark). */
+/* Candidates closer than 22.5 degrees, half of what each of the four covers to a side, are the
+ * same: square of the cosine [1] (benchmark). */
 static const fo_real SAME = (fo_real)0.8536;
-/* Turns after which a candidate has come to its end [1]: Gauss-Newton doubles the digits in each, and
- * four make 22.5 degrees into less than noise (benchmark). */
+/* Turns after which a candidate has converged [1]: Gauss-Newton doubles the digits in each, and
+ * four reduce 22.5 degrees to less than noise (benchmark). */
 static const uint32_t GROWN = 4U;
-/* So many candidates have to come to the same end [1]: one and a half rounds of the four, so that no
- * start in between is overlooked (benchmark); ... */
+/* This many candidates have to converge to the same end [1]: one and a half rounds of the four, so
+ * that no start in between is overlooked (benchmark); ... */
 static const uint32_t SEARCHED = 6U;
-/* ... none elsewhere may have more than this weight [1], the chance of a wrong start (benchmark). */
+/* ... and none elsewhere may have more than this weight [1], the chance of a wrong start
+ * (benchmark). */
 static const fo_real OTHER = (fo_real)0.01;
-/* Std of the angle below which the start may be decided: ten degrees [rad], where linearising is good
- * to a degree (benchmark, noise 2.5 %). */
+/* Std of the angle below which the start may be decided: ten degrees [rad], where linearising is
+ * good to a degree (benchmark, noise 2.5 %). */
 static const fo_real START_STD = PI / (fo_real)18;
-/* Share of the information that noise may pretend at the start [1]: three times that of a valid
+/* Share of the information that may come from noise at the start [1]: three times that of a valid
  * position, since the filter goes on judging (benchmark, noise 2.5 %). */
 static const fo_real START_SHARE = (fo_real)0.3;
-/* It is taken as no more than this [1], so that what is left is not zero. */
+/* Upper bound of that share [1], so that the rest is not zero. */
 static const fo_real SHARE_MOST = (fo_real)0.99;
-/* Costs of different angles differ by noise alone; so many stds of that do not count [1]: once in
- * 30 000 starts (benchmark). */
+/* Noise alone makes the costs of different angles differ; this many stds of that do not count [1]:
+ * once in 30 000 starts (benchmark). */
 static const fo_real FLUCTUATION = (fo_real)4;
-/* What is unknown of resistance and inverter may take this share of the EMF [1]; more, and the start
- * waits for the plain observer's position. A fifth turns the flux by 11 degrees (benchmark). */
+/* Unknown errors of resistance and inverter may take this share of the EMF [1]; if they take more,
+ * the start waits for the plain observer's position. A fifth turns the flux by 11 degrees
+ * (benchmark). */
 static const fo_real QUICK = (fo_real)0.2;
-/* It counts as at most this share [1]: beyond a half it is no EMF. */
+/* Upper bound of that share [1]: beyond a half there is no EMF to use. */
 static const fo_real DISTURBANCE_MOST = (fo_real)0.5;
 /* Fundamental of the vector of three signs: 4 / pi [1]. */
 static const fo_real SIX_STEP = (fo_real)1.27;
-/* Smallest square of a magnet flux [flux bases]: a fifth of what is believed; below it the candidate
+/* Smallest square of a magnet flux [flux bases]: a fifth of the assumed one; below it the candidate
  * has no direction (tests). */
 static const fo_real SQUARE_LEAST = (fo_real)0.04;
 /* Smallest square of a position vector that has a direction [flux bases]: a hundredth (tests). */
@@ -66,7 +68,7 @@ static bool same(const fo_real x[FO_N], const fo_real y[FO_N])
     return product > ZERO && product * product > SAME * dot(x, x) * dot(y, y);
 }
 
-/* A candidate in the direction of x. */
+/* Sows a candidate in the direction of x. */
 static void sow(const fo_adaptive *a, const fo_adaptive_state *s, const fo_real x[FO_N],
                 fo_candidate *c)
 {
@@ -102,7 +104,7 @@ void fo_candidates_sow(const fo_adaptive *a, fo_adaptive_state *s)
     s->disturbance = DISTURBANCE_MOST;
 }
 
-/* Gentleman's rotation of row'p = value; returns what of its square is left. */
+/* Takes in row'p = value by Gentleman's rotations; returns the square of what is left of it. */
 static fo_real rotate_row(fo_manifold *m, fo_real row[FO_NM], fo_real value, fo_real information)
 {
     fo_real rhs = value, weight = information;
@@ -124,8 +126,8 @@ static fo_real rotate_row(fo_manifold *m, fo_real row[FO_NM], fo_real value, fo_
     return weight * rhs * rhs;
 }
 
-/* Only damping, and what is believed of the magnet flux: as it looks while resistance and inverter
- * are off by what is unknown of them. */
+/* Starts the information with damping and the assumed magnet flux, whose variance includes the
+ * effect of unknown errors of resistance and inverter. */
 static void believe(const fo_adaptive *a, const fo_adaptive_state *s, const fo_candidate *c,
                   fo_manifold *m)
 {
@@ -159,7 +161,7 @@ void fo_project(const fo_adaptive *a, const fo_adaptive_state *s, fo_candidate *
     believe(a, s, c, m);
     fo_real cost = m->d[M_SQUARE] * m->z[M_SQUARE] * m->z[M_SQUARE];
     (void)memset(full, 0, sizeof full);
-    for (int j = 0; j < FO_NX; j++) { /* U_j (x - x(p)) of its row, and that over p */
+    for (int j = 0; j < FO_NX; j++) { /* U_j (x - x(p)), and its derivative by p */
         fo_real off = info->z[j] - at[j];
         if (j > 0) {
             full[j - 1] = ZERO;
@@ -179,8 +181,8 @@ void fo_project(const fo_adaptive *a, const fo_adaptive_state *s, fo_candidate *
         cost += info->d[j] * off * off;
         least += rotate_row(m, row, off, info->d[j]);
     }
-    /* The noise of the current in the rows adds noise psi^2 to the cost, which draws psi to zero:
-     * take it off again. Linear in the last unknown, it moves nothing else in the triangle. */
+    /* Current noise in the rows adds noise psi^2 to the cost, which pulls psi to zero: subtract it.
+     * It is linear in the last unknown, and so moves nothing else in the triangle. */
     const fo_real noise = info->noise[0];
     const fo_real shift = noise / (TWO * m->d[M_SQUARE]);
     least -= m->d[M_SQUARE] * shift * shift;
@@ -219,7 +221,7 @@ void fo_project(const fo_adaptive *a, const fo_adaptive_state *s, fo_candidate *
     }
 }
 
-/* The grown candidate of the least cost, or -1. */
+/* The grown candidate with the least cost, or -1. */
 static int likeliest(const fo_adaptive_state *s)
 {
     int best = -1;
@@ -232,7 +234,7 @@ static int likeliest(const fo_adaptive_state *s)
     return best;
 }
 
-/* The likeliest grown candidate elsewhere, or -1; one that came to the same end is sown anew. */
+/* The likeliest grown candidate elsewhere, or -1; one that came to the same end is sown again. */
 static int rival(const fo_adaptive *a, fo_adaptive_state *s, int best)
 {
     int second = -1;
@@ -267,7 +269,7 @@ static fo_real decay(fo_real x)
     return ONE / (ONE + x * (ONE + x / TWO * third));
 }
 
-/* Likelihood of the second against the best, whose position vector has this square. */
+/* Likelihood of the second relative to the best, whose position vector has this square. */
 static fo_real against(const fo_adaptive *a, const fo_adaptive_state *s, const fo_candidate *best,
                        const fo_candidate *second, fo_real square, fo_real inflation)
 {
@@ -277,7 +279,7 @@ static fo_real against(const fo_adaptive *a, const fo_adaptive_state *s, const f
     return decay(x > ZERO ? x : ZERO);
 }
 
-/* What share of the EMF resistance and inverter may be off by. */
+/* Share of the EMF that may come from errors of resistance and inverter. */
 static fo_real disturbance(const fo_adaptive *a, const fo_adaptive_state *s, fo_real square)
 {
     const fo_real *i = s->plain.current[0];

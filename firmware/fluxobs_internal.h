@@ -1,4 +1,4 @@
-/* What the sources share; not for users.
+/* Shared by the sources; not for users.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -10,7 +10,7 @@
 #include <math.h>
 
 #if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ > 0)
-#error "not with -ffast-math: values that are not finite have to be told from others"
+#error "do not use -ffast-math: values that are not finite have to be detected"
 #endif
 
 #ifdef FO_SINGLE
@@ -32,69 +32,71 @@
 enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
 
 /* ---- thresholds ------------------------------------------------------------------------
- * Of the plain observer: what each is, its unit, why it is so large, and what fixed it. The last list
- * names them for the library's binding, from which the twin and the readable observer read them. */
+ * Those of the plain observer: what each is, its unit, the reason for its value, and what fixed it.
+ * The list at the end names them for the library's binding, from which the twin and the readable
+ * observer read them. */
 
 /* Share of the flux information that may be noise before the flux is called unknown [1]. A share of
- * 0.1 makes the flux 5 % too short, 3 degrees in the worst direction (tests/observers/test_accuracy,
- * current noise at standstill). */
+ * 0.1 makes the flux 5 % too short, 3 degrees in the worst direction
+ * (tests/observers/test_accuracy, current noise at standstill). */
 #define SHARE_LIMIT ((fo_real)0.1)
-/* What a voltage error as large as the drift's prior may turn the flux by while the position is
- * valid: 8 degrees [rad] (benchmarks/validity.py; tests/observers/test_accuracy, locked rotor). */
+/* Angle by which a voltage error as large as the drift's prior may turn the flux while the position
+ * is valid: 8 degrees [rad] (benchmarks/validity.py; tests/observers/test_accuracy, a locked
+ * rotor). */
 #define VOLTAGE_LIMIT (PI / (fo_real)22.5)
-/* That turn adds up to this at most [rad]: ten times VOLTAGE_LIMIT, since a flux that is wrong may be
- * long; more would be remembered for long after a stop (benchmarks/validity.py). */
+/* Upper bound of that angle [rad]: ten times VOLTAGE_LIMIT, since a wrong flux may be long; a
+ * larger one would be remembered for long after a stop (benchmarks/validity.py). */
 #define EXPOSED_MOST (PI / (fo_real)2.25)
-/* Largest change of the flux in a sample that is no error [flux bases]: twice what eight samples a
- * period ask for, with a magnet flux twice as large as its base (tests/observers/test_bad_samples). */
+/* A larger change of the flux in one sample is an error [flux bases]: twice what eight samples per
+ * period need, with a magnet flux twice as large as its base (tests/observers/test_bad_samples). */
 #define FLUX_STEP_LIMIT ((fo_real)4)
-/* A measurement further than this off what is known is not taken [constraint bases]: the relation's
- * own size. Smaller ones are left to STEP_LIMIT (tests/observers/test_bad_samples). */
+/* A measurement that is off what is known by more than this is rejected [constraint bases]: the
+ * relation's own size. STEP_LIMIT deals with smaller ones (tests/observers/test_bad_samples). */
 #define OUTLIER_LIMIT ((fo_real)1)
-/* Nor is one in which the position vector moves by more than twice its last step, this share of
- * itself [1] and so many stds of noise [1]: a spike of the current can leave its length as it is. 0.15
- * is 9 degrees, half of what a spike needs to harm (tests/observers/test_bad_samples); six stds occur
- * once in 10^9 samples. */
+/* So is one in which the position vector moves by more than the sum of twice its last step, this
+ * share of its length [1] and this many stds of noise [1]: a current spike can leave its length
+ * unchanged. 0.15 is 9 degrees, half of what a spike needs to do harm
+ * (tests/observers/test_bad_samples); six stds occur once in 10^9 samples. */
 #define STEP_LIMIT ((fo_real)0.15)
 #define STEP_NOISE ((fo_real)6)
-/* Rotation after which a drift beyond its prior's std says that the prior was too tight: one and a
- * half turns [rad], in which any flux circle is seen whole (tests/observers/test_accuracy, a drift of
- * several priors). */
+/* After this rotation, a drift beyond its prior's std means that the prior was too tight: one and a
+ * half turns [rad], which show any flux circle as a whole (tests/observers/test_accuracy, a drift
+ * of several priors). */
 #define SETTLED ((fo_real)3 * PI)
-/* The prior's variance then becomes so many times the square of that drift [1]: twice the drift, so
- * that it is ordinary from now on (the same tests). */
+/* The prior's variance then becomes this many times the square of that drift [1]: a std of twice
+ * the drift, so that it is ordinary from then on (the same tests). */
 #define WIDEN ((fo_real)4)
-/* What the past then still counts, over the square of that excess [1]: enough to keep the matrix
+/* Weight that the past then keeps, over the square of that excess [1]: enough to keep the matrix
  * regular, too little to be believed (the same tests). */
 #define DISTRUST ((fo_real)0.01)
-/* Rotation since the flux is known before the position is trusted: half a turn [rad]. A flux that is
- * wrong by its drift shows within that (benchmarks/validity.py). */
+/* Rotation at a known flux before the position is trusted: half a turn [rad]. A flux that is wrong
+ * by its drift shows within that (benchmarks/validity.py). */
 #define SWEEP PI
-/* Std of the position above which it is not valid: 3 degrees [rad], five to 15
- * (benchmarks/validity.py). */
+/* Std of the position above which it is not valid: 3 degrees [rad], so that five stds are within
+ * 15 degrees (benchmarks/validity.py). */
 #define STD_LIMIT (PI / (fo_real)60)
-/* For so long the tracker has to be as near as that before a position is valid [memories]; and the
- * share of the time that counts while it is not near [1], so that a tracker that never comes near,
- * under a quick ripple of the speed, does not keep the position from being valid for more than three
+/* Time for which the tracker has to be that near before a position is valid [memories]; and the
+ * share of the time that counts while it is not near [1]. Under a quick ripple of the speed a
+ * tracker may never come near; thanks to the share, that delays a valid position by at most three
  * memories (tests/observers/test_accuracy, restart at speed and ripple). */
 #define TRACKER_SETTLED ((fo_real)0.1)
 #define TRACKER_OFF ((fo_real)(1.0 / 30.0))
-/* Off by more than this the tracker starts anew: 60 degrees [rad]. Beyond 90 it can lock on a speed a
- * quarter of a turn a sample too fast (tests/observers/test_tracker). */
+/* A tracker that is off by more than this restarts: 60 degrees [rad]. Beyond 90 it can lock onto a
+ * speed that is a quarter of a turn per sample too fast (tests/observers/test_tracker). */
 #define TRACKER_LOST (PI / (fo_real)3)
-/* Variance of an angle of which nothing is known: uniform over a turn [rad^2]. */
+/* Variance of an unknown angle: uniform over a turn [rad^2]. */
 #define VARIANCE_UNKNOWN (PI * PI / (fo_real)3)
-/* Square of a position vector [flux bases] beyond which its numbers have run away: a hundred times any
- * flux, and far within single precision (tests/firmware/fuzz.c). */
+/* Square of a position vector [flux bases] beyond which its numbers have run away: a hundred times
+ * any flux, and far within single precision (tests/firmware/fuzz.c). */
 #define RUNAWAY ((fo_real)1e4)
-/* Largest correlation of successive innovations that is believed [1]: it inflates a variance by
+/* Cap on the correlation of successive innovations [1]: it inflates a variance by
  * (1 + r) / (1 - r) = 99, to a tenth of the angle's; more is slow change, not noise
  * (benchmarks/validity.py). */
 #define CORRELATION_LIMIT ((fo_real)0.98)
 /* Bad samples in a row that are bridged before a restart [1]. */
 #define MAX_CONSECUTIVE_BAD ((fo_real)FO_MAX_CONSECUTIVE_BAD)
-/* Samples take turns: in one a row of the prior is re-injected, in the next the certainty is judged.
- * A round [samples]. */
+/* Length of a round [samples]. Samples take turns: one re-injects a row of the prior, the next
+ * judges the certainty. */
 #define REINJECT_PERIOD ((fo_real)(2 * FO_NX))
 
 #define FO_THRESHOLDS(X)                                                                     \
@@ -103,7 +105,7 @@ enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
     X(TRACKER_SETTLED) X(TRACKER_OFF) X(TRACKER_LOST) X(VARIANCE_UNKNOWN) X(RUNAWAY)         \
     X(CORRELATION_LIMIT) X(MAX_CONSECUTIVE_BAD) X(REINJECT_PERIOD)
 
-/* Lag-one correlation of innovations with these sums, as far as it is believed. */
+/* Lag-one correlation of innovations with these sums, between 0 and CORRELATION_LIMIT. */
 static inline fo_real correlation(fo_real lag_one, fo_real power)
 {
     const fo_real r = power > ZERO ? lag_one / power : ZERO;
@@ -117,14 +119,14 @@ static inline fo_real dot(const fo_real a[FO_N], const fo_real b[FO_N])
 
 static inline bool within(fo_real x, fo_real low, fo_real high) { return x >= low && x <= high; }
 
-/* Of an angle within a turn and a half. */
+/* Wraps an angle that is within a turn and a half of zero. */
 static inline fo_real wrap(fo_real angle)
 {
     return angle > PI ? angle - TWO * PI : angle <= -PI ? angle + TWO * PI : angle;
 }
 
-/* Turns a vector by an angle below 1.5 rad, to within 1e-3 of it: by the angle whose half has this
- * tangent. */
+/* Turns a vector by an angle below 1.5 rad, to within 1e-3 of the angle: by the one whose half has
+ * this tangent. */
 static inline void turn(const fo_real v[FO_N], fo_real angle, fo_real turned[FO_N])
 {
     const fo_real half = angle / TWO, square = half * half;
@@ -136,7 +138,7 @@ static inline void turn(const fo_real v[FO_N], fo_real angle, fo_real turned[FO_
     turned[1] = sine * v0 + cosine * v1;
 }
 
-/* 24 times the mean current over the last interval: the cubic through four samples, newest first. */
+/* 24 times the mean current of the last interval: the cubic through four samples, newest first. */
 static inline fo_real mean_current_24(fo_real i0, fo_real i1, fo_real i2, fo_real i3)
 {
     return (fo_real)9 * i0 + (fo_real)19 * i1 - (fo_real)5 * i2 + i3;
@@ -154,7 +156,7 @@ static inline void track(const fo_observer *o, fo_tracker *t, fo_real theta)
 {
     const fo_real h = o->sample_time;
     const fo_real step = h * (t->speed + h * t->acceleration / TWO);
-    if (t->lost) { /* it was at the angle a sample ago */
+    if (t->lost) { /* its angle is that of the sample before */
         const fo_real turned = wrap(theta - t->angle);
         stop_tracker(t, theta);
         t->speed = turned / h;
@@ -165,17 +167,17 @@ static inline void track(const fo_observer *o, fo_tracker *t, fo_real theta)
             t->angle = wrap(predicted + o->track[0] * error);
             t->speed += h * t->acceleration + o->track[1] * error;
             t->acceleration += o->track[2] * error;
-        } else { /* left alone it could lock on a speed at which errors of four samples cancel */
+        } else { /* else it could lock onto a speed at which the errors of four samples cancel */
             stop_tracker(t, theta);
             t->lost = true;
             t->settled = ZERO;
         }
-    } else { /* faster than the samples can tell */
+    } else { /* faster than the samples can show */
         stop_tracker(t, theta);
     }
 }
 
-/* The tracker starts from rest, at whatever speed it is met: is it near by now? */
+/* The tracker starts from rest, whatever the speed: counts how long it has been near. */
 static inline void settle_tracker(const fo_observer *o, fo_tracker *t, fo_real theta, fo_real std)
 {
     if (t->settled < TRACKER_SETTLED) { /* else it stays settled */

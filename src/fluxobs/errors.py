@@ -2,7 +2,7 @@
 
 
 class FluxobsError(ValueError):
-    """Base of all errors that a user can correct: the message names what, where and the remedy."""
+    """Base of all errors that a user can correct: each says what is wrong, where and the remedy."""
 
 
 class MachineError(FluxobsError):

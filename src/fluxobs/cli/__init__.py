@@ -1,4 +1,4 @@
-"""The command line: it reads options, calls the library, and prints what that returns."""
+"""The command line: it reads options, calls the library, and prints the result."""
 
 from .app import main
 

@@ -1,7 +1,7 @@
 """Options that several commands share. Their names are those of the library's arguments.
 
-How a log is laid out takes a dozen options. They stand once, in :data:`LAYOUT`. A command that
-reads logs is decorated with :func:`reads_logs` and gets them as one mapping, ``layout``.
+The layout of a log takes a dozen options, defined once in :data:`LAYOUT`. A command that reads logs
+is decorated with :func:`reads_logs` and gets them as one mapping, ``layout``.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ PriorOption = Annotated[
         "--prior",
         "--priors",
         metavar="NAME=NUMBER",
-        help="resistance=OHM, inverter=VOLT, psi_f=WB: standard deviations of what the machine "
-        "file says. Default: a quarter of R_s, of R_s times the rated current, and of psi_f.",
+        help="resistance=OHM, inverter=VOLT, psi_f=WB: standard deviations of the machine file's "
+        "values. Default: a quarter of R_s, of R_s times the rated current, and of psi_f.",
     ),
 ]
 
@@ -52,7 +52,7 @@ LAYOUT: dict[str, Any] = {
         ),
     ],
     "sample_time": Annotated[
-        float | None, typer.Option(help="Seconds; needed where there is no column t.")
+        float | None, typer.Option(help="Seconds; needed if there is no column t.")
     ],
     "lag": Annotated[
         float | None,
@@ -67,8 +67,8 @@ LAYOUT: dict[str, Any] = {
             "--column",
             "--columns",
             metavar="CHANNEL=COLUMN",
-            help="Which column a channel is; udc=540 sets a constant DC-link voltage, t=- passes "
-            "over a column t.",
+            help="The column of a channel; udc=540 sets a constant DC-link voltage, t=- ignores a "
+            "column t.",
         ),
     ],
     "scale": Annotated[
@@ -78,27 +78,27 @@ LAYOUT: dict[str, Any] = {
         Pairs, typer.Option(metavar="CHANNEL=NUMBER", help="A channel is scale · column + offset.")
     ],
     "start": Annotated[
-        float | None, typer.Option("--from", "--start", help="Seconds; only rows from then on.")
+        float | None, typer.Option("--from", "--start", help="Seconds; use rows from then on.")
     ],
     "stop": Annotated[
-        float | None, typer.Option("--to", "--stop", help="Seconds; only rows until then.")
+        float | None, typer.Option("--to", "--stop", help="Seconds; use rows until then.")
     ],
     "truth": Annotated[
         Pairs,
         typer.Option(
             metavar="CHANNEL=COLUMN",
-            help="theta_e=COLUMN or theta_mech=COLUMN: a true angle in radians; position=COLUMN: "
-            "of a levitated body, in metres.",
+            help="theta_e=COLUMN or theta_mech=COLUMN: true angle in radians; position=COLUMN: "
+            "true position of a levitated body in metres.",
         ),
     ],
 }
 
-#: Options after which several NAME=VALUE may stand.
+#: Options that may be followed by several NAME=VALUE.
 REPEATED = (*("--column", "--columns", "--scale", "--offset", "--truth", "--prior", "--priors"),)
 
 
 def reads_logs(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Gives a command the options of :data:`LAYOUT`, but those named, as its argument `layout`."""
+    """Give a command the options of :data:`LAYOUT`, less those named, as its argument `layout`."""
     names = [name for name in LAYOUT if name not in without]
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
@@ -137,7 +137,7 @@ def layout_of(options: dict[str, Any]) -> dict[str, Any]:
 
 
 def pairs(option: str, given: Pairs) -> dict[str, str]:
-    """Names and values out of NAME=VALUE."""
+    """Names and values from NAME=VALUE."""
     out = {}
     for pair in given or []:
         name, equals, value = pair.partition("=")
@@ -148,7 +148,7 @@ def pairs(option: str, given: Pairs) -> dict[str, str]:
 
 
 def numbers(option: str, given: Pairs) -> dict[str, float]:
-    """Names and numbers out of NAME=VALUE."""
+    """Names and numbers from NAME=VALUE."""
     out = {}
     for name, value in pairs(option, given).items():
         try:
@@ -159,7 +159,7 @@ def numbers(option: str, given: Pairs) -> dict[str, float]:
 
 
 def refuse_input_as_output(out: Path, *inputs: Path | None) -> None:
-    """FluxobsError where `out` is one of the files that are read."""
+    """Raise FluxobsError if `out` is one of the input files."""
     for source in inputs:
         if source is not None and source.exists() and out.exists() and out.samefile(source):
             raise FluxobsError(f"{out}: --out is one of the inputs; give another name")

@@ -1,4 +1,4 @@
-"""What a terminal shows: wrapped text, tables, progress."""
+"""Output on a terminal: wrapped text, tables, progress."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ import typer
 
 
 def echo(text: str) -> None:
-    """Wrapped for a terminal, in one line for a pipe."""
+    """Print text, wrapped for a terminal, in one line for a pipe."""
     if sys.stdout.isatty():
         text = textwrap.fill(text, min(shutil.get_terminal_size().columns, 100))
     typer.echo(text)
 
 
 def summary(paragraph: str, warnings: Iterable[str]) -> None:
-    """A paragraph, and its warnings."""
+    """Print a paragraph and its warnings."""
     echo(paragraph)
     for warning in warnings:
         echo(f"Warning: {warning}")
 
 
 def table(rich_table: Any) -> None:
-    """A table of rich's."""
+    """Print a table made with rich."""
     from rich.console import Console
 
     width = None if sys.stdout.isatty() else 110

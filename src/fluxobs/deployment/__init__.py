@@ -1,4 +1,4 @@
-"""From the desk to the drive: a folder of C that does what the log replay did."""
+"""From the desk to the drive: a folder of C that computes what the replay of a log computed."""
 
 from .export import Export, export
 

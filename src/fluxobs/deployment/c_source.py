@@ -24,7 +24,7 @@ def hex_float(value: float, precision: Precision = "double") -> str:
 
 
 def initializer(value: Any, precision: Precision) -> str:
-    """``{0x1p+0, …}`` of a number or a nested list of them."""
+    """A number as a literal, or a nested list of numbers as ``{0x1p+0, …}``."""
     if isinstance(value, list):
         return "{" + ", ".join(initializer(item, precision) for item in value) + "}"
     if isinstance(value, int):
@@ -33,19 +33,19 @@ def initializer(value: Any, precision: Precision) -> str:
 
 
 def table(rows: Iterable[Iterable[float]], precision: Precision) -> str:
-    """Rows of a two-dimensional array, one a line."""
+    """Rows of a two-dimensional array, one per line."""
     return "\n".join(
         "    {" + ", ".join(hex_float(float(x), precision) for x in row) + "}," for row in rows
     )
 
 
 def is_identifier(name: str) -> bool:
-    """Can it begin the names of a C source, and of a file?"""
+    """Whether names in C, and a file name, can begin with it."""
     return re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,39}", name) is not None
 
 
 def identifier(text: str) -> str:
-    """The nearest identifier: ``servo-400w`` is ``servo_400w``."""
+    """The nearest identifier: ``servo-400w`` becomes ``servo_400w``."""
     name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_") or "motor"
     name = name if name[0].isalpha() else f"motor_{name}"
     return name[:40].rstrip("_")

@@ -1,4 +1,4 @@
-"""What stands in an exported folder."""
+"""The contents of an exported folder."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ ADAPTIVE_SOURCES = (
     "fluxobs_candidates.h",
     "fluxobs_candidates.c",
 )
-#: What a voltage error as large as the drift's prior may turn the flux by while the position is
-#: valid [rad].
+#: Angle by which a voltage error as large as the drift's prior may turn the flux while the position
+#: is valid [rad].
 VOLTAGE_LIMIT: float = _core.thresholds["VOLTAGE_LIMIT"]
 
 
@@ -35,7 +35,7 @@ def contents(
     observers: Mapping[Precision, Exported],
     update_every: int,
 ) -> tuple[str, dict[str, str]]:
-    """The content's hash, and the files: relative path → text."""
+    """Hash of the content, and the files: relative path → text."""
     version = metadata.version("fluxobs")
     installed = resources.files("fluxobs") / "firmware"
     adaptive = isinstance(observers["single"], AdaptiveObserver)
@@ -106,7 +106,7 @@ def contents(
 
 
 def _variant(template: str, update_every: int, adaptive: bool) -> str:
-    """The lines for an observer stepped every interrupt or every few, plain or adaptive."""
+    """Keep the lines for an observer stepped every interrupt or every few, plain or adaptive."""
     marks = {"@every interrupt@": update_every == 1, "@every few@": update_every > 1}
     marks |= {"@when plain@": not adaptive, "@when adaptive@": adaptive}
     kept, keep = [], True
@@ -125,7 +125,7 @@ def _member(name: str, adaptive: bool) -> str:
 
 
 def _found(adaptive: bool) -> str:
-    """What test/check.c compares, in the order of the columns."""
+    """The values that test/check.c compares, in the order of the columns."""
     values = {name: f"e{_member(name, adaptive)}" for name in COLUMNS}
     values["valid"] += " ? (fo_real)1 : (fo_real)0"
     return "\n".join(f"            {value}," for value in values.values())
@@ -134,9 +134,9 @@ def _found(adaptive: bool) -> str:
 #: What the adaptive observer adds: members, unit, meaning.
 _ADAPTIVE_OUTPUTS = (
     ("`estimate.psi_f`, `psi_f_std`", "Wb", "the magnet's flux (not the active one)"),
-    ("`estimate.resistance_error`, `resistance_std`", "ohm", "true less believed"),
+    ("`estimate.resistance_error`, `resistance_std`", "ohm", "true minus assumed"),
     ("`estimate.inverter_voltage`, `inverter_std`", "V", "dead time and device drops of a phase"),
-    ("`estimate.drift_std`", "V", "of a component"),
+    ("`estimate.drift_std`", "V", "standard deviation of a component of the drift"),
     (
         "`estimate.theta_other`, `weight_other`",
         "rad, 1",
@@ -147,7 +147,7 @@ _ADAPTIVE_OUTPUTS = (
 
 
 def _outputs(machine: RotatingMachine, adaptive: bool) -> str:
-    """The table of outputs, from the one list; as members of the C struct."""
+    """The table of outputs, from the one list, as members of the C struct."""
     more = {"speed_e": f"; divide by {machine.n_p} for the shaft"}
     if machine.half_turn_ambiguous:
         more["theta_e"] = "; the one 180 degrees away fits as well"

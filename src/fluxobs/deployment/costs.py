@@ -1,4 +1,4 @@
-"""What a sample costs on emulated processors; counted by `make pil`, kept with the package."""
+"""The cost of a sample on emulated processors, counted by `make pil` and kept with the package."""
 
 from __future__ import annotations
 

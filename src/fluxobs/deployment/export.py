@@ -21,17 +21,17 @@ from .settings import check_machine, check_prefix, check_times
 
 @dataclass(frozen=True)
 class Export:
-    """What was exported.
+    """Result of :func:`export`.
 
     Attributes
     ----------
     folder : Path
     prefix : str
-        Of the parameters' names.
+        Prefix of the generated names.
     observer : LeastSquaresObserver or AdaptiveObserver
-        The same in Python, in single precision as the firmware.
+        The same observer in Python, in single precision like the firmware.
     content : str
-        Changes with the parameters and with the C sources.
+        Hash of the parameters and the C sources.
     """
 
     folder: Path
@@ -61,33 +61,33 @@ def export(
     Parameters
     ----------
     machine : Machine, or a path, or the name of a shipped machine
-        One that turns, with psi_f (if it has a magnet) and rated_current.
+        A rotating one, with psi_f (if it has a magnet) and rated_current.
     sample_time : float
         Period of the current-control interrupt [s].
     out : path
-        Folder to be made.
+        Folder to make.
     memory : float, optional
         Exponential memory of the least squares [s], 10 to 4000 steps; default 0.03 s.
     unknowns : str or sequence of str
-        What is constant, or slow, and unknown: "drift", or with "resistance", "inverter" or both,
-        which takes the adaptive observer.
+        Constant or slow unknowns: "drift", or with "resistance", "inverter" or both, which exports
+        the adaptive observer.
     current_noise, drift_prior : float, optional
-        As of :meth:`LeastSquaresObserver.for_machine` [A], [V]; `fluxobs estimate` prints what it
-        took for a log.
+        As for :meth:`LeastSquaresObserver.for_machine` [A], [V]; `fluxobs estimate` prints what it
+        used for a log.
     priors : mapping of {"resistance", "inverter", "psi_f"} to float, optional
-        Standard deviations of what the machine says, for the adaptive observer [Ω], [V], [Wb].
+        Standard deviations of the machine's values, for the adaptive observer [Ω], [V], [Wb].
     update_every : int
-        Interrupts from one step of the observer to the next; in between volt-seconds are gathered.
-        Costs less, and noise is averaged over fewer samples.
+        Interrupts from one step of the observer to the next; in between, volt-seconds are gathered.
+        More interrupts cost less computing time, but noise is averaged over fewer samples.
     prefix : str
-        Of the generated names, so that two machines fit one firmware.
+        Prefix of the generated names, so that two machines fit into one firmware.
     force : bool
-        Replace an earlier export, of which nothing has been changed since.
+        Replace an earlier export in which nothing has been changed.
 
     Raises
     ------
     FluxobsError
-        A setting cannot work (with the nearest good value), or `out` exists.
+        A setting cannot work (the message gives the nearest good value), or `out` exists.
 
     Examples
     --------

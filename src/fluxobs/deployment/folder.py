@@ -15,7 +15,7 @@ MANIFEST = "MANIFEST"
 
 
 def check_folder(folder: Path, force: bool) -> None:
-    """FluxobsError unless the folder is new or empty, or an export that `force` may replace."""
+    """Raise FluxobsError unless the folder is new, empty, or an export that `force` may replace."""
     try:
         _check(folder, force)
     except OSError as error:
@@ -67,7 +67,7 @@ def _listing(contents: Mapping[str, bytes]) -> bytes:
 
 
 def write_folder(folder: Path, files: Mapping[str, str]) -> None:
-    """All files or none: they are made beside the folder and moved there when complete.
+    """Write all files or none: they are made beside the folder and moved there when complete.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def _write(folder: Path, files: Mapping[str, str]) -> None:
                 raise FluxobsError(f"{path}: is no part of the earlier export; move it away")
             if _exists(path.parent) and (path.parent.is_symlink() or not path.parent.is_dir()):
                 raise FluxobsError(f"{path.parent}: is no folder of its own; move it away")
-        # While files are replaced either version of them is ours.
+        # While files are being replaced, either version of them is ours.
         with (folder / MANIFEST).open("ab") as manifest:
             manifest.write(_listing(contents))
         for name in contents:

@@ -1,4 +1,4 @@
-"""Settings that cannot work are refused, with the nearest that can."""
+"""Refuses settings that cannot work, and names the nearest that can."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from ..observers.plain import MEMORY
 from ..observers.unknowns import adapts, check_adapted
 from .c_source import identifier, is_identifier
 
-#: Periods of current controls [s]; other numbers are in another unit.
+#: Plausible periods of a current control [s]; other numbers must be in another unit.
 PERIODS = (1e-6, 1e-2)
-#: Steps in a memory up to which single precision keeps to 1e-4 of the flux and 0.05°
+#: Steps in a memory up to which single precision stays within 1e-4 of the flux and 0.05°
 #: (benchmarks/accuracy.py).
 MOST_STEPS = 4000
 
 
 def check_prefix(prefix: str) -> None:
-    """FluxobsError where names in C cannot begin so."""
+    """Raise FluxobsError if names in C cannot begin with this prefix."""
     if not is_identifier(prefix) or prefix == "fo":  # fo_observer is a type
         near = identifier(prefix) if prefix != "fo" else "motor"
         raise FluxobsError(f"prefix {prefix!r} cannot begin names in C; {near!r} can")
@@ -28,22 +28,22 @@ def check_prefix(prefix: str) -> None:
 def check_machine(
     machine: Machine, unknowns: tuple[str, ...], priors: Mapping[str, float]
 ) -> RotatingMachine:
-    """The machine, if the firmware can serve it and find these unknowns."""
+    """Return the machine if the firmware supports it and can find these unknowns."""
     if not isinstance(machine, RotatingMachine):
         raise FluxobsError(
             f"kind {machine.kind}: the firmware's observer is for machines that turn; logs of "
-            f"this one can be read with `fluxobs estimate`"
+            f"this one can be evaluated with `fluxobs estimate`"
         )
     check_adapted(machine, unknowns, priors)
     if "current-bias" in unknowns:
         raise FluxobsError(
-            f"unknowns {','.join(unknowns)}: the firmware's observers find the drift, which takes "
-            f"a current bias in; use drift"
+            f"unknowns {','.join(unknowns)}: the firmware's observers find the drift, which "
+            f"includes the effect of a current bias; use drift"
         )
     if machine.inverter_voltage and not adapts(unknowns):
         raise FluxobsError(
             "inverter_voltage in the machine file: the observer for the drift alone leaves the "
-            "inverter to the drive. Compensate it there and take it out of the file, or export "
+            "inverter to the drive. Compensate it there and remove it from the file, or export "
             "with unknowns drift,inverter"
         )
     lacking = ["psi_f"] if machine.magnet_flux is None else []
@@ -57,7 +57,7 @@ def check_machine(
 
 
 def check_times(sample_time: float, update_every: int, memory: float | None) -> float:
-    """The memory [s], if it and the times fit each other."""
+    """Return the memory [s], if it and the sample time fit each other."""
     if not 0 < sample_time < float("inf"):
         near = f"{-sample_time:g} s" if -1 < sample_time < 0 else "1e-4 s, 10 kHz,"
         raise FluxobsError(
@@ -77,8 +77,8 @@ def check_times(sample_time: float, update_every: int, memory: float | None) -> 
             if PERIODS[0] <= period <= 0.2 * PERIODS[1]
         ]
         raise FluxobsError(
-            f"sample time {sample_time:g} s is no period of a current control"
-            + (f"; {', '.join(likely)}" if likely else "; it is in seconds, such as 1e-4")
+            f"sample time {sample_time:g} s is not the period of a current control"
+            + (f"; {', '.join(likely)}" if likely else "; give it in seconds, such as 1e-4")
         )
     if update_every < 1:
         raise FluxobsError(f"update_every {update_every}: at least 1, a step every interrupt")
@@ -93,7 +93,7 @@ def check_times(sample_time: float, update_every: int, memory: float | None) -> 
         )
     if not memory >= least * (1 - 1e-9):
         raise FluxobsError(
-            f"memory {memory:g} s: with a step every {step:g} s it is ten steps at least, "
+            f"memory {memory:g} s: with a step every {step:g} s it must be at least ten steps, "
             f"{least:g} s"
         )
     return memory

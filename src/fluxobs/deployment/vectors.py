@@ -15,12 +15,12 @@ from .header import Exported, plain
 
 Array = NDArray[np.float64]
 
-#: An expected row every so many samples: coprime to the turns in which samples differ.
+#: Samples from one expected row to the next: coprime to the round in which samples take turns.
 EVERY = 9
 
 
 def _columns(exact: bool) -> list[Output]:
-    """Outputs of the plain observer: equal bit for bit wherever they are computed, or not."""
+    """Outputs of the plain observer that are, or are not, equal bit for bit on every platform."""
     return [one for one in outputs(Estimate) if one.exact is exact]
 
 
@@ -28,7 +28,7 @@ def _columns(exact: bool) -> list[Output]:
 #: relies on this order.
 ORDER = (*_columns(exact=True), *_columns(exact=False))
 EXACT_COLUMNS = sum(2 if one.vector else 1 for one in _columns(exact=True))
-#: As C writes them.
+#: Names of the columns as C writes them.
 COLUMNS = tuple(
     name
     for one in ORDER
@@ -46,7 +46,7 @@ def expected(estimate: Estimate) -> Array:
 
 
 def checksum(inputs: Array, rows: Array, precision: Precision) -> int:
-    """FNV-1a over the numbers' bytes, least significant first; what is missing counts as 0."""
+    """FNV-1a over the numbers' bytes, least significant first; a missing number counts as 0."""
     kind = "<f4" if precision == "single" else "<f8"
     value = 0x811C9DC5
     for byte in (
@@ -57,9 +57,9 @@ def checksum(inputs: Array, rows: Array, precision: Precision) -> int:
 
 
 def gathered(observer: LeastSquaresObserver, record: FirmwareRecord, update_every: int) -> Array:
-    """Volt-seconds [Wb] of every row, as fo_gather sums them; test/check.c says of what.
+    """Volt-seconds [Wb] of every row, as fo_gather sums them with the inputs of test/check.c.
 
-    In the observer's precision, operation by operation, so that sums are equal bit for bit.
+    Computed in the observer's precision, operation by operation: sums are equal bit for bit.
     """
     real: Any = np.float32 if observer.precision == "single" else np.float64
     p: dict[str, Any] = {
@@ -80,7 +80,7 @@ def gathered(observer: LeastSquaresObserver, record: FirmwareRecord, update_ever
 
 
 def run(observer: Exported, record: FirmwareRecord, update_every: int) -> Estimate:
-    """What the exported observer has to return for the record."""
+    """What the exported observer must return for the record."""
     if update_every == 1:
         return observer.run(record.voltage, record.current)
     volt_seconds = gathered(plain(observer), record, update_every)
@@ -88,7 +88,7 @@ def run(observer: Exported, record: FirmwareRecord, update_every: int) -> Estima
 
 
 def exact_columns(estimate: Estimate) -> int:
-    """How many are equal bit for bit everywhere; none where angles go back into the filter."""
+    """How many columns are equal bit for bit everywhere: 0 if angles feed back into the filter."""
     return 0 if isinstance(estimate, AdaptiveEstimate) else EXACT_COLUMNS
 
 
@@ -134,7 +134,7 @@ enum {{ SAMPLES = {len(inputs)}, EVERY = {EVERY}, EXPECTED_COLUMNS = {len(COLUMN
 #endif
 #define FO_MISSING ((fo_real)NAN)
 
-/* Mean voltage over the interval that ends at the row (alpha, beta) [V]; current then [A]. */
+/* Mean voltage over the interval that ends at the row (alpha, beta) [V]; current at the row [A]. */
 static const fo_real samples[SAMPLES][4] = {{
 {samples}
 }};

@@ -83,7 +83,7 @@ class Result(Run):
         if not machine.rated_current:
             lacking.append(f"rated_current ({self.scales.current:.3g} here)")
         if lacking:
-            return f"To be exported as firmware, the machine file needs {' and '.join(lacking)}."
+            return f"For an export as firmware, the machine file needs {' and '.join(lacking)}."
         if machine.inverter is not None and self.adaptive is None:
             return (
                 "In firmware, the observer for the drift alone leaves the inverter to the drive: "

@@ -32,7 +32,7 @@ def compare(
     out: Annotated[Path, typer.Option(help="Folder for scores and pictures; made if missing.")] = (
         Path("fluxobs-compare")
     ),
-    seed: Annotated[int, typer.Option(min=0, help="Of a scenario's sensor noise.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of a scenario's sensor noise.")] = 0,
     settle: Annotated[
         float, typer.Option(help="Seconds of a log that are not scored, while observers settle.")
     ] = 0.2,
@@ -41,8 +41,8 @@ def compare(
 
     Each observer runs with usual gains, and with the best of a grid for this very record.
 
-    Writes scores.csv and a picture a record, and summary.png for several. Needs the extra "design"
-    (JAX).
+    Writes scores.csv, one picture per record, and summary.png for several records. Needs the extra
+    "design" (JAX).
 
     Example: fluxobs compare noise both-biases R-120
     """
@@ -73,5 +73,5 @@ def compare(
         report.write_csv(comparisons, out / "scores.csv")
     if len(comparisons) > 1:
         report.draw_summary(comparisons, out / "summary.png")
-    pictures = "a picture a record" + (", summary.png" if len(comparisons) > 1 else "")
+    pictures = "one picture per record" + (", summary.png" if len(comparisons) > 1 else "")
     typer.echo(f"Written: {out / 'scores.csv'}, {pictures}")

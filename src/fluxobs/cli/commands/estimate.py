@@ -33,31 +33,30 @@ def estimate(
         float | None,
         typer.Option(
             help="Seconds; memory of the least squares. The default, 0.03 (maglev-2dof: 0.15), "
-            "serves most machines."
+            "suits most machines."
         ),
     ] = None,
     unknowns: Annotated[
         str,
         typer.Option(
-            help="What is constant, or slow, and not known: drift (default); drift,resistance, "
-            "drift,inverter or drift,resistance,inverter: errors of R_s, and of the inverter (dead "
-            "time and device drops); current-bias, or drift,current-bias: the slower, general "
-            "least squares, 0.25 ms a row; a current bias alone assumes that the voltage has no "
-            "offset."
+            help="Constant or slow unknowns: drift (default); drift,resistance, drift,inverter or "
+            "drift,resistance,inverter: also errors of R_s and of the inverter (dead time and "
+            "device drops); current-bias or drift,current-bias: the slower, general least squares, "
+            "0.25 ms per row; current-bias alone assumes that the voltage has no offset."
         ),
     ] = "drift",
     prior: PriorOption = None,
 ) -> None:
     """Estimate flux, position, speed and drift of a recorded log.
 
-    Writes a row a sample, in SI units and electrical radians: t, flux_alpha, flux_beta, psi_f,
-    theta_e (straight from the flux), theta_e_tracked, speed_e, drift_alpha, drift_beta,
-    theta_e_std, valid; and theta_e_error where a truth is given. Prints a summary.
+    Writes one row per sample, in SI units and electrical radians: t, flux_alpha, flux_beta, psi_f,
+    theta_e (directly from the flux), theta_e_tracked, speed_e, drift_alpha, drift_beta,
+    theta_e_std, valid; and theta_e_error if a truth is given. Prints a summary.
 
-    With resistance or inverter among the unknowns also: resistance, inverter_voltage, psi_f of the
-    magnet and drift, each with its standard deviation, and the other angle while two are in
-    question. For a maglev-2dof, and with a current bias: flux, position or theta_e, drift,
-    current_bias with their standard deviations, noise_share, valid.
+    With resistance or inverter among the unknowns it also writes resistance, inverter_voltage,
+    psi_f of the magnet and drift, each with its standard deviation, and the other angle while two
+    are in question. For a maglev-2dof, or with a current bias, it writes flux, position or theta_e,
+    drift and current_bias with their standard deviations, noise_share and valid.
 
     Example: fluxobs estimate LOG.csv --machine motor.toml --out estimates.parquet --lag -1
     """
@@ -83,7 +82,7 @@ def estimate(
 
 
 def show_result(result: Result, machine: str, out: Path, report: Path | None) -> None:
-    """Summary, what was written, and how the same observer gets into firmware."""
+    """Print the summary, what was written, and how to export the same observer as firmware."""
     show.summary(result.summary, result.warnings)
     typer.echo(f"Written: {out}")
     if report is not None:

@@ -16,12 +16,12 @@ def export(
     sample_time: Annotated[
         float, typer.Option(help="Seconds; period of the current-control interrupt.")
     ],
-    out: Annotated[Path, typer.Option(help="Folder to be made.")],
+    out: Annotated[Path, typer.Option(help="Folder to make.")],
     unknowns: Annotated[
         str,
         typer.Option(
-            help="What is constant, or slow, and not known: drift; with resistance, inverter or "
-            "both it is the adaptive observer, which starts within a fraction of a turn."
+            help="Constant or slow unknowns: drift, or with resistance, inverter or both. These "
+            "export the adaptive observer, which starts within a fraction of a turn."
         ),
     ] = "drift",
     memory: Annotated[
@@ -31,7 +31,7 @@ def export(
         float | None,
         typer.Option(
             help="Ampere, standard deviation of a component; default 0.2 % of the rated current. "
-            "`fluxobs estimate` prints what it took for a log."
+            "`fluxobs estimate` prints what it used for a log."
         ),
     ] = None,
     drift_prior: Annotated[
@@ -41,20 +41,23 @@ def export(
     update_every: Annotated[
         int,
         typer.Option(
-            help="Interrupts from one step of the observer to the next: where time is short, the "
-            "example then gathers volt-seconds in between."
+            help="Interrupts from one step of the observer to the next. Above 1 it saves computing "
+            "time: the example gathers volt-seconds in between."
         ),
     ] = 1,
     prefix: Annotated[
-        str, typer.Option(help="Of the generated names, so that two machines fit one firmware.")
+        str,
+        typer.Option(
+            help="Prefix of the generated names, so that two machines fit into one firmware."
+        ),
     ] = "motor",
     force: Annotated[bool, typer.Option("--force", help="Overwrite an earlier export.")] = False,
 ) -> None:
     """Write the observer for one machine as C99 that compiles into its firmware.
 
     The folder holds the sources, a header with the parameters, an example interrupt, and test
-    vectors with a host test: `make test` in it replays them. It does sample by sample what
-    `fluxobs estimate` does.
+    vectors with a host test: `make test` in it replays them. Sample by sample, it computes what
+    `fluxobs estimate` computes.
 
     Example: fluxobs export --machine motor.toml --sample-time 5e-5 --out firmware/motor
     """

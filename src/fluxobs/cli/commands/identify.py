@@ -15,13 +15,13 @@ from ..options import LogArgument, MachineOption, reads_logs, refuse_input_as_ou
 def identify(
     log: LogArgument,
     machine: MachineOption,
-    out: Annotated[Path, typer.Option(help="Machine file to be written, .toml.")],
+    out: Annotated[Path, typer.Option(help="Machine file to write, .toml.")],
     layout: dict[str, Any],
     free: Annotated[
         str | None,
         typer.Option(
-            help="What is fitted, of R_s, L_s (or L_d, L_q), psi_f, inverter, lag. Default "
-            "R_s,psi_f,inverter, as far as the machine has them; the rest stays as given."
+            help="Parameters to fit, out of R_s, L_s (or L_d, L_q), psi_f, inverter, lag. Default "
+            "R_s,psi_f,inverter, if the machine has them; the rest stays as given."
         ),
     ] = None,
     report: Annotated[
@@ -32,9 +32,9 @@ def identify(
     """Fit the machine's parameters and the inverter's error to a whole log.
 
     Prints each parameter with its standard deviation, and says which ones the log cannot tell:
-    they are held as given. The machine file that it writes serves `fluxobs estimate`, which takes
-    the inverter's error (inverter_voltage) off the commanded voltages. A lag is no part of it.
-    Where the log tells nothing, nothing is written (exit code 2).
+    they are held as given. `fluxobs estimate` reads the machine file written here, and subtracts
+    the inverter's error (inverter_voltage) from the commanded voltages. A lag is not part of the
+    file. If the log tells nothing, nothing is written (exit code 2).
 
     Example: fluxobs identify LOG.csv --machine motor.toml --out found.toml --report fit.png
     """

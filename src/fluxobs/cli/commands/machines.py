@@ -6,7 +6,7 @@ import typer
 
 
 def machines() -> None:
-    """List the machines that come with the package; any name serves as --machine."""
+    """List the machines that come with the package; any name works as --machine."""
     from ...machines import example, example_names, example_text
 
     for name in example_names():
@@ -18,4 +18,4 @@ def machines() -> None:
             if value is not None
         )
         typer.echo(f"{name}\n    {machine.kind}: {values}\n    {title}")
-    typer.echo("\nSI units; R and L per phase (star), psi_f and rated_current peak values.")
+    typer.echo("\nSI units; R and L are per phase (star), psi_f and rated_current are peak values.")

@@ -14,7 +14,7 @@ def reproduce(
         Path("fluxobs-paper")
     ),
     quick: Annotated[
-        bool, typer.Option("--quick", help="One scenario, 30 s of it: a quarter of the time.")
+        bool, typer.Option("--quick", help="Only 30 s of one scenario: a quarter of the time.")
     ] = False,
 ) -> None:
     """Reproduce Section V of the paper, as printed, corrected and beyond.
@@ -23,7 +23,7 @@ def reproduce(
 
     Needs the extra "design" (JAX).
     """
-    # Most of the time is compilation; must be said before JAX is loaded.
+    # Compilation takes most of the time; this must be set before JAX is loaded.
     os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
     from ...paper.reproduce import reproduce as run
 

@@ -12,8 +12,8 @@ enum { LENGTH = @psi_f_column@, EXACT_COLUMNS = @exact_columns@, VALID = @valid_
 static const double TURN = 6.283185307179586;
 static @fo@_state state;
 
-/* As the example interrupt calls it. Where the observer is stepped every few interrupts, the row's
- * voltage is applied in all of them, and the current goes from row to row in a straight line. */
+/* Calls the observer as the example interrupt does. If it steps only every few interrupts, the
+ * row's voltage is applied in all of them, and the current is interpolated linearly between rows. */
 static void step(int row, fo_gathered *gathered, @fo@_estimate *estimate)
 {
     const fo_real *voltage = &samples[row][0], *current = &samples[row][2];
@@ -38,7 +38,7 @@ static void step(int row, fo_gathered *gathered, @fo@_estimate *estimate)
     gathered->volt_seconds[1] = (fo_real)0;
 }
 
-/* FNV-1a of a number, least significant byte first; what is missing counts as 0. */
+/* FNV-1a of a number, least significant byte first; a missing number counts as 0. */
 static uint32_t checksum(uint32_t before, fo_real number)
 {
     const fo_real value = number == number ? number : (fo_real)0;

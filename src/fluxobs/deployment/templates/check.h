@@ -1,4 +1,4 @@
-/* Replays the test vectors and compares with what the fluxobs library returns for them. Runs on the
+/* Replays the test vectors and compares the results with those of the fluxobs library. Runs on the
  * target as well: no input, no output, about 70 KB of constants. */
 #ifndef CHECK_H
 #define CHECK_H
@@ -18,11 +18,11 @@ typedef struct {
 } check_result;
 
 @when plain@
-/* Flux, drift and what is computed from them have to be equal bit for bit; angles, for which each
- * C library has its own atan2, to 1e-6 rad, the speed to 1e-5. */
+/* Flux, drift and what is computed from them must be equal bit for bit; angles, for which each C
+ * library has its own atan2, to 1e-6 rad, the speed to 1e-5. */
 @when adaptive@
-/* Each C library has its own atan2, and the filter follows its angle: all has to be equal to 1e-5 of
- * its largest value, angles to 1e-6 rad. */
+/* Each C library has its own atan2, and the filter uses its angle: every output must be equal to
+ * 1e-5 of its largest value, angles to 1e-6 rad. */
 @always@
 void check_replay(check_result *result);
 

@@ -1,12 +1,12 @@
 @every interrupt@
-/* How the observer is called: once an interrupt of the current control, every @sample_time@ s.
+/* How to call the observer: once per interrupt of the current control, every @sample_time@ s.
 @every few@
-/* How the observer is called where it takes a step every few interrupts only: the current control
- * interrupts every @sample_time@ s, the observer takes a step every @step_time@ s and
- * volt-seconds are gathered in between, so that none are lost.
+/* How to call the observer if it steps only every few interrupts: the current control interrupts
+ * every @sample_time@ s, the observer takes a step every @step_time@ s, and volt-seconds are
+ * gathered in between, so that none are lost.
 @always@
- * Copy it under another name before you change it, and the folder can be exported anew.
- * What is yours stands in the functions declared here. Compile with -DFO_SINGLE.
+ * Copy this file under another name before you change it, so that the folder can be exported again.
+ * The functions declared here are yours to write. Compile with -DFO_SINGLE.
  *
  *      t[k-1]               t[k]                 t[k+1]
  *        |  `acting` acts    |  `next` acts       |  what is commanded now acts
@@ -38,7 +38,7 @@ static int since_step; /* interrupts since the observer's last step */
 static float acting[2]; /* mean voltage, alpha and beta [V], over the interval that ends now */
 static float next[2];   /* over the one that begins now: commanded an interrupt ago */
 
-/* Before the gates go on, each time: with the gates off nobody knows the voltage. */
+/* Call it each time before the gates are switched on: with the gates off the voltage is unknown. */
 void drive_start(void)
 {
 @when plain@
@@ -88,11 +88,11 @@ void current_control_interrupt(void)
 @every interrupt@
     /* The angle [rad] and speed [rad/s], electrical, are those of t[k]. `valid` says whether the
 @every few@
-    /* Between steps the rotor goes on at its speed; wrap the angle where your control asks for it.
+    /* Between steps the angle goes on at the speed; wrap it if your control needs that.
      * Angle [rad] and speed [rad/s], electrical, are those of t[k]. `valid` says whether the
 @always@
-     * position is known; where it has not been for long, do not commutate by it (README, "When it
-     * knows": how long, and what then). The
+     * position is known; if it has been unknown for long, do not commutate by it (README, "When the
+     * position is valid": how long, and what then). The
      * command will act around t[k] + 1.5 periods: turn it ahead by 1.5 * @sample_time@ * speed_e. */
 @every interrupt@
     drive_current_control(i, estimate@position@.theta_e_tracked, estimate@position@.speed_e, estimate@position@.valid, udc, command);
@@ -102,16 +102,16 @@ void current_control_interrupt(void)
                           estimate@position@.valid, udc, command);
 @always@
 
-    /* Limited by the modulator? Then `command` has to hold what is applied, not what was wanted:
-     * keep it within the hexagon of udc before it is written. */
+    /* If the modulator limits the voltage, `command` must hold what is applied, not what was
+     * wanted: keep it within the hexagon of udc before it is written. */
     drive_write_voltage(command, udc);
     if (!drive_gates_are_on()) {
-        command[0] = command[1] = NAN; /* the voltage is the machine's own, and not known */
+        command[0] = command[1] = NAN; /* the machine sets the voltage: unknown */
     }
 
     /* The PWM takes the new duties at t[k+1], one interrupt from now (a log of such a drive has lag
-     * -1). Where it takes them at once, `next` falls away: acting = command (lag 0). Where it takes
-     * them in between, mix the two in proportion of the time that they act. */
+     * -1). If it takes them at once, `next` is not needed: acting = command (lag 0). If it takes
+     * them in between, mix the two in proportion to the time that each acts. */
     acting[0] = next[0];
     acting[1] = next[1];
     next[0] = command[0];

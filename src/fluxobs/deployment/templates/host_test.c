@@ -1,4 +1,4 @@
-/* The observer on this computer, against what the fluxobs library returns. */
+/* Runs the observer on this computer and compares it with the fluxobs library. */
 #include <float.h>
 #include <stdio.h>
 
