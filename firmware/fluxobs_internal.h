@@ -32,66 +32,71 @@
 enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
 
 /* ---- thresholds ------------------------------------------------------------------------
- * Those of the plain observer: what each is, its unit, the reason for its value, and what fixed it.
- * The list at the end names them for the library's binding, from which the twin and the readable
- * observer read them. */
+ * Those of the plain observer: what each is, its unit, the reason for its value, and the test that
+ * fails at half or at twice of it; "not sharp" where none does. The list at the end names them for
+ * the library's binding, from which the twin and the readable observer read them. Tests without a
+ * folder are in tests/observers/test_accuracy.py. */
 
-/* Share of the flux information that may be noise before the flux is called unknown [1]. A share of
- * 0.1 makes the flux 5 % too short, 3 degrees in the worst direction
- * (tests/observers/test_accuracy, current noise at standstill). */
+/* Share of the flux information that may be noise before the flux is called unknown [1]. Noise in
+ * the rows shortens an estimate by its share: a tenth, in one direction only, turns the flux by up
+ * to 3 degrees (twice: test_carried_through_a_short_standstill). */
 #define SHARE_LIMIT ((fo_real)0.1)
 /* Angle by which a voltage error as large as the drift's prior may turn the flux while the position
- * is valid: 8 degrees [rad] (benchmarks/validity.py; tests/observers/test_accuracy, a locked
- * rotor). */
+ * is valid: 8 degrees [rad] (benchmarks/validity.py; half:
+ * test_a_ripple_of_the_speed_does_not_keep_a_position_from_being_valid, twice:
+ * test_stop_with_a_voltage_error_is_not_wrong_and_sure). */
 #define VOLTAGE_LIMIT (PI / (fo_real)22.5)
 /* Upper bound of that angle [rad]: ten times VOLTAGE_LIMIT, since a wrong flux may be long; a
- * larger one would be remembered for long after a stop (benchmarks/validity.py). */
+ * larger one would be remembered for long after a stop (not sharp). */
 #define EXPOSED_MOST (PI / (fo_real)2.25)
 /* A larger change of the flux in one sample is an error [flux bases]: twice what eight samples per
- * period need, with a magnet flux twice as large as its base (tests/observers/test_bad_samples). */
+ * period need, with a magnet flux twice as large as its base (half:
+ * tests/observers/test_bad_samples.py,
+ * test_a_spike_in_the_voltage_restarts_once_the_currents_contradict). */
 #define FLUX_STEP_LIMIT ((fo_real)4)
 /* A measurement that is off what is known by more than this is rejected [constraint bases]: the
- * relation's own size. STEP_LIMIT deals with smaller ones (tests/observers/test_bad_samples). */
+ * relation's own size. STEP_LIMIT deals with smaller ones (half:
+ * test_exact_without_noise_from_volt_seconds, twice: test_drift_jump_is_followed). */
 #define OUTLIER_LIMIT ((fo_real)1)
 /* So is one in which the position vector moves by more than the sum of twice its last step, this
  * share of its length [1] and this many stds of noise [1]: a current spike can leave its length
- * unchanged. 0.15 is 9 degrees, half of what a spike needs to do harm
- * (tests/observers/test_bad_samples); six stds occur once in 10^9 samples. */
+ * unchanged. 0.15 turns it by 9 degrees; six stds occur once in 10^9 samples (twice of either:
+ * tests/observers/test_bad_samples.py, test_spikes_of_any_size_and_direction_do_not_mislead). */
 #define STEP_LIMIT ((fo_real)0.15)
 #define STEP_NOISE ((fo_real)6)
 /* After this rotation, a drift beyond its prior's std means that the prior was too tight: one and a
- * half turns [rad], which show any flux circle as a whole (tests/observers/test_accuracy, a drift
- * of several priors). */
+ * half turns [rad], which show any flux circle as a whole (not sharp). */
 #define SETTLED ((fo_real)3 * PI)
 /* The prior's variance then becomes this many times the square of that drift [1]: a std of twice
- * the drift, so that it is ordinary from then on (the same tests). */
+ * the drift, so that it is ordinary from then on (not sharp). */
 #define WIDEN ((fo_real)4)
 /* Weight that the past then keeps, over the square of that excess [1]: enough to keep the matrix
- * regular, too little to be believed (the same tests). */
+ * regular, too little to be believed (not sharp). */
 #define DISTRUST ((fo_real)0.01)
 /* Rotation at a known flux before the position is trusted: half a turn [rad]. A flux that is wrong
- * by its drift shows within that (benchmarks/validity.py). */
+ * by its drift shows within that (twice:
+ * test_never_valid_at_standstill_and_one_period_is_enough_after). */
 #define SWEEP PI
 /* Std of the position above which it is not valid: 3 degrees [rad], so that five stds are within
- * 15 degrees (benchmarks/validity.py). */
+ * 15 degrees (half: test_random_machines). */
 #define STD_LIMIT (PI / (fo_real)60)
 /* Time for which the tracker has to be that near before a position is valid [memories]; and the
  * share of the time that counts while it is not near [1]. Under a quick ripple of the speed a
  * tracker may never come near; thanks to the share, that delays a valid position by at most three
- * memories (tests/observers/test_accuracy, restart at speed and ripple). */
+ * memories (not sharp: half and twice delay a valid position by less than a memory). */
 #define TRACKER_SETTLED ((fo_real)0.1)
 #define TRACKER_OFF ((fo_real)(1.0 / 30.0))
 /* A tracker that is off by more than this restarts: 60 degrees [rad]. Beyond 90 it can lock onto a
- * speed that is a quarter of a turn per sample too fast (tests/observers/test_tracker). */
+ * speed that is a quarter of a turn per sample too fast (twice: tests/firmware/pieces.c). */
 #define TRACKER_LOST (PI / (fo_real)3)
-/* Variance of an unknown angle: uniform over a turn [rad^2]. */
+/* Variance of an unknown angle: uniform over a turn [rad^2]. Not tuned. */
 #define VARIANCE_UNKNOWN (PI * PI / (fo_real)3)
 /* Square of a position vector [flux bases] beyond which its numbers have run away: a hundred times
- * any flux, and far within single precision (tests/firmware/fuzz.c). */
+ * any flux, and far within single precision (not sharp; tests/firmware/fuzz.c). */
 #define RUNAWAY ((fo_real)1e4)
 /* Cap on the correlation of successive innovations [1]: it inflates a variance by
- * (1 + r) / (1 - r) = 99, to a tenth of the angle's; more is slow change, not noise
- * (benchmarks/validity.py). */
+ * (1 + r) / (1 - r) = 99, a std tenfold; what correlates more is a slow change, not noise (not
+ * sharp). */
 #define CORRELATION_LIMIT ((fo_real)0.98)
 /* Bad samples in a row that are bridged before a restart [1]. */
 #define MAX_CONSECUTIVE_BAD ((fo_real)FO_MAX_CONSECUTIVE_BAD)

@@ -247,7 +247,7 @@ def test_missing_samples_are_bridged():
     current[150] = np.nan
     state = observer.init()
     state, found = observer.resume(state, current=current, volt_seconds=v)
-    assert state.bad == 1
+    assert (state.bad_currents, state.bad_voltages) == (1, 0)
     assert np.isfinite(found.flux).all()
     error = np.linalg.norm(found.flux - given.flux[rows], axis=1)
     assert error[200:].max() < 1e-5 * given.flux.max()
@@ -280,7 +280,7 @@ def test_nothing_is_valid_while_samples_are_missing(rows):
         current[3000 : 3000 + rows] = np.nan
 
     state, found, error = motor(gap)
-    assert state.bad == rows
+    assert (state.bad_currents, state.bad_voltages) == (rows, 0)
     assert not found.valid[3000 : 3000 + rows].any()
     assert error[found.valid].max() < 0.1
     assert found.valid[4500:].all()

@@ -1,6 +1,6 @@
 """Section V with one command: its numbers against those committed, and the same twice.
 
-``python tests/test_reproduce.py`` writes the expected numbers anew.
+``python tests/paper/test_reproduce.py`` writes the expected numbers anew.
 """
 
 import json
@@ -8,12 +8,11 @@ import math
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from fluxobs import FluxobsError
-from fluxobs.cli import app
 from fluxobs.paper.reproduce import reproduce
 from fluxobs.paper.scenario import run_scenario
+from support.cli import fluxobs
 
 EXPECTED = Path(__file__).parents[1] / "expected" / "reproduce.json"
 FIGURES = (
@@ -53,8 +52,8 @@ def compare(found, expected, path=""):
 
 
 def test_quick_run_writes_figures_report_and_the_committed_numbers(tmp_path):
-    done = CliRunner().invoke(app, ["reproduce", "--quick", "--out", str(tmp_path / "paper")])
-    assert done.exit_code == 0, done.output
+    done = fluxobs("reproduce", "--quick", "--out", "paper", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
     found = json.loads((tmp_path / "paper" / "numbers.json").read_text())
     compare(found, json.loads(EXPECTED.read_text()))
     report = (tmp_path / "paper" / "report.md").read_text()

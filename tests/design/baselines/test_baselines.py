@@ -93,8 +93,8 @@ def test_adaptation_finds_a_wrong_magnet_flux():
         jnp.asarray(data.current),
     )
     assert late_error(machine, data, found) < 0.05
-    x = np.asarray(found.flux)[-1] - machine.L_s * complex(*data.current[-1])
-    assert abs(x) == pytest.approx(machine.psi_f, rel=1e-3)
+    x = np.asarray(found.flux)[-1] - machine.L_s * data.current[-1]
+    assert np.hypot(*x) == pytest.approx(machine.psi_f, rel=1e-3)
 
 
 def test_the_drift_as_a_state_removes_a_bias():

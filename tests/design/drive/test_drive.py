@@ -32,7 +32,7 @@ from fluxobs.design.drive import (
 )
 from fluxobs.design.drive.twin import SquareRootLeastSquares
 from fluxobs.design.drive.vectors import from_phases, phases, turn
-from fluxobs.errors import ModelError
+from fluxobs.errors import MachineError, ModelError
 from fluxobs.machines import SurfacePMSM, example
 
 H = 1.25e-4
@@ -429,7 +429,7 @@ def test_impossible_values_are_named():
         simulate(slow, Course(1.0, 540.0), 0.1)
     with pytest.raises(ModelError, match="psi_f is missing"):
         Motor.of(SurfacePMSM(R_s=1.0, L_s=1e-3, n_p=4))
-    with pytest.raises(ModelError, match="no drive can be simulated with a maglev-2dof"):
+    with pytest.raises(MachineError, match="maglev-2dof: the simulation of drives is for machines"):
         Motor.of(example("maglev-knospe"))
     with pytest.raises(ModelError, match="dc_link must be positive"):
         simulate(drive(), Course(10.0, 0.0), 0.1)

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from ...errors import ModelError
-from ...machines import RotatingMachine
+from ...machines import RotatingMachine, rotating
 from ..precision import not_negative, positive, real
 from .vectors import length, turn
 
@@ -43,6 +43,7 @@ class Motor(eqx.Module):
     @classmethod
     def of(cls, machine: RotatingMachine) -> Motor:
         """Motor of a machine; a magnet machine needs its psi_f."""
+        machine = rotating(machine, "the simulation of drives")
         if machine.magnet_flux is None:
             raise ModelError(f"psi_f is missing in the {machine.kind}: simulation needs it")
         return cls(machine.R_s, *machine.L_dq, machine.magnet_flux, machine.n_p)
