@@ -10,6 +10,8 @@ sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 # Commands and notebooks on the pages find the program and each other, and look alike everywhere.
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 os.environ |= {"COLUMNS": "88", "NO_COLOR": "1", "TERM": "dumb", "JAX_PLATFORMS": "cpu"}
+# Pages are made side by side: threads within each would only wait for one another.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Most of the pages' time is compilation.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 os.environ["PYDEVD_DISABLE_FILE_VALIDATION"] = "1"
