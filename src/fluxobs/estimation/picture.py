@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..observers import ImmersionObserver
 from ..plots import BLUE, GREY, ORANGE, STYLE, legend, new_figure
-from .run import Run
+from .run import LogRun
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,7 +26,7 @@ PARAMETERS = {
 }
 
 
-def figure(result: Run) -> Figure:
+def figure(result: LogRun) -> Figure:
     """Draw the picture; the immersed observer has its own panels."""
     import matplotlib as mpl
 
@@ -36,7 +36,7 @@ def figure(result: Run) -> Figure:
         return _compiled(result)
 
 
-def _title(result: Run) -> str:
+def _title(result: LogRun) -> str:
     statistics = result.statistics
     share = statistics.valid / statistics.rows
     return (
@@ -45,7 +45,7 @@ def _title(result: Run) -> str:
     )
 
 
-def _compiled(result: Run) -> Figure:
+def _compiled(result: LogRun) -> Figure:
     learnt = _learnt(result)
     figure = new_figure(figsize=(11, 10.5 if learnt else 8.5))
     layout = _layout(learnt)
@@ -71,7 +71,7 @@ def _compiled(result: Run) -> Figure:
     return figure
 
 
-def _learnt(result: Run) -> dict[str, float]:
+def _learnt(result: LogRun) -> dict[str, float]:
     """Column → assumed value, for each parameter that the adaptive observer finds."""
     adaptive = result.adaptive
     if adaptive is None:
@@ -97,7 +97,7 @@ def _layout(learnt: dict[str, float]) -> Any:
     return rows
 
 
-def _numbers(result: Run) -> str:
+def _numbers(result: LogRun) -> str:
     """Second line of the title."""
     statistics = result.statistics
     if not statistics.valid:
@@ -239,7 +239,7 @@ def _shade_unknown(axes: Axes, series: dict[str, Array]) -> None:
     )
 
 
-def _immersed(result: Run) -> Figure:
+def _immersed(result: LogRun) -> Figure:
     """Flux with ±2σ, position, drift, and current bias or noise share."""
     whole = result.statistics.thin.columns()
     t, ports, position = whole["t"], result.machine.ports, result.machine.position_output

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import FluxobsError
 from ..output import check_out, write_rows
 from ..validation import nearest
-from .run import Run
+from .run import LogRun
 from .summary import paragraph
 from .warnings import warnings
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Result(Run):
+class Result(LogRun):
     """Result of :func:`fluxobs.estimate`.
 
     ``result["theta_e"]`` is a column as an array; ``print(result)`` shows summary and warnings.
@@ -36,7 +36,7 @@ class Result(Run):
     path : Path, optional
         The file with the estimates, if there is one.
     log, machine, observer, scales, unknowns, priors, statistics, counts
-        See :class:`Run`.
+        See :class:`LogRun`.
     """
 
     table: pl.DataFrame | None

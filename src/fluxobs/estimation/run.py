@@ -14,7 +14,7 @@ from .statistics import Statistics
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class LogRun:
     """A run over a log.
 
     Attributes

@@ -7,7 +7,7 @@ import numpy as np
 from ..logs.record import lag_in_words
 from ..machines import RotatingMachine
 from ..observers import ImmersionObserver
-from .run import Run
+from .run import LogRun
 
 #: Nothing was learnt about a parameter whose standard deviation stays above this share of its
 #: prior. At a half, three quarters of the estimate's information come from the record.
@@ -24,7 +24,7 @@ def si(value: float, unit: str) -> str:
     return f"0 {unit}" if value == 0 else f"{value:.2g} {unit}"
 
 
-def paragraph(result: Run) -> str:
+def paragraph(result: LogRun) -> str:
     """The summary of a run."""
     statistics, log = result.statistics, result.log
     head = (
@@ -50,13 +50,13 @@ def paragraph(result: Run) -> str:
     return " ".join(sentences)
 
 
-def mean_of(result: Run, output: str) -> np.ndarray:
+def mean_of(result: LogRun, output: str) -> np.ndarray:
     """Mean of a vector output over the valid rows, (2,)."""
     ports = result.machine.ports
     return np.array([result.statistics.mean(f"{output}_{port}") for port in ports])
 
 
-def _drift(result: Run) -> str:
+def _drift(result: LogRun) -> str:
     drift, machine = mean_of(result, "drift"), result.machine
     if isinstance(machine, RotatingMachine):
         size = float(np.hypot(*drift))
@@ -72,7 +72,7 @@ def _drift(result: Run) -> str:
     )
 
 
-def bias_is_seen(result: Run) -> bool:
+def bias_is_seen(result: LogRun) -> bool:
     """Whether the record revealed the current bias, if that is an unknown."""
     observer = result.observer
     if not isinstance(observer, ImmersionObserver):
@@ -81,12 +81,12 @@ def bias_is_seen(result: Run) -> bool:
     return bool((std < UNSEEN_BIAS * observer.current_bias_prior).all())
 
 
-def _bias_std(result: Run) -> np.ndarray:
+def _bias_std(result: LogRun) -> np.ndarray:
     ports = result.machine.ports
     return np.array([result.statistics.mean(f"current_bias_{port}_std") for port in ports])
 
 
-def _current_bias(result: Run) -> list[str]:
+def _current_bias(result: LogRun) -> list[str]:
     if "current-bias" not in result.unknowns:
         return []
     if not bias_is_seen(result):
@@ -99,13 +99,13 @@ def _current_bias(result: Run) -> list[str]:
     ]
 
 
-def _flux(result: Run) -> list[str]:
+def _flux(result: LogRun) -> list[str]:
     if result.adaptive is not None or result.plain is None:
         return []
     return [f"{result.rotor.length_name}: {si(result.statistics.mean('psi_f'), 'Wb')}."]
 
 
-def _parameters(result: Run) -> list[str]:
+def _parameters(result: LogRun) -> list[str]:
     """The adaptive observer's parameters at the end, each with the value assumed at the start."""
     adaptive, found = result.adaptive, result.statistics.found
     if adaptive is None:
@@ -136,7 +136,7 @@ def _parameters(result: Run) -> list[str]:
     return text
 
 
-def _score(result: Run) -> list[str]:
+def _score(result: LogRun) -> list[str]:
     statistics, position = result.statistics, result.machine.position_output
     if not statistics.scored:
         return []

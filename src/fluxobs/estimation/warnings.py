@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..observers import LeastSquaresObserver
-from .run import Run
+from .run import LogRun
 from .summary import bias_is_seen, si
 from .suspects import RESIDUAL_LIMIT, largest_suspect
 
@@ -39,7 +39,7 @@ REMEDY = dict.fromkeys(
 )
 
 
-def warnings(result: Run) -> list[str]:
+def warnings(result: LogRun) -> list[str]:
     """The warnings of a run, the most important first."""
     if result.plain is None:
         return [*_samples(result), *_jumps(result), *_immersed_validity(result), *_bias(result)]
@@ -62,7 +62,7 @@ def warnings(result: Run) -> list[str]:
     ]
 
 
-def _samples(result: Run) -> list[str]:
+def _samples(result: LogRun) -> list[str]:
     counts = result.counts
     bad = [
         f"{what}: {number}"
@@ -80,7 +80,7 @@ def _samples(result: Run) -> list[str]:
     return [f"Number of rows {', '.join(bad)}{restarts}."]
 
 
-def _truth(result: Run) -> list[str]:
+def _truth(result: LogRun) -> list[str]:
     statistics, out = result.statistics, []
     if result.log.truth is None or not statistics.valid:
         return []
@@ -97,7 +97,7 @@ def _truth(result: Run) -> list[str]:
     return out
 
 
-def _rate(result: Run) -> list[str]:
+def _rate(result: LogRun) -> list[str]:
     h, series = result.log.sample_time, result.statistics.thin.columns()
     speed = np.abs(series["speed_e"][series["valid"] > 0])
     if len(speed) == 0:
@@ -114,7 +114,7 @@ def _rate(result: Run) -> list[str]:
     ]
 
 
-def _validity(result: Run) -> list[str]:
+def _validity(result: LogRun) -> list[str]:
     statistics, machine = result.statistics, result.rotor
     if statistics.valid >= VALID_SHARE * statistics.rows:
         return []
@@ -129,7 +129,7 @@ def _validity(result: Run) -> list[str]:
     return [f"The position is valid on only {share:.1%} of the rows: {reason}."]
 
 
-def _magnet_flux(result: Run) -> list[str]:
+def _magnet_flux(result: LogRun) -> list[str]:
     given = result.rotor.magnet_flux
     if not given or not result.statistics.valid:
         return []
@@ -142,7 +142,7 @@ def _magnet_flux(result: Run) -> list[str]:
     ]
 
 
-def _far(result: Run) -> list[str]:
+def _far(result: LogRun) -> list[str]:
     """A parameter that went to the limit of its prior."""
     adaptive, found = result.adaptive, result.statistics.found
     if adaptive is None or not found:
@@ -163,7 +163,7 @@ def _far(result: Run) -> list[str]:
     ]
 
 
-def _residual(result: Run, plain: LeastSquaresObserver) -> list[str]:
+def _residual(result: LogRun, plain: LeastSquaresObserver) -> list[str]:
     statistics, machine = result.statistics, result.rotor
     # Without magnets λ - L i says little about the flux.
     flux = statistics.mean("psi_f") if statistics.valid and machine.magnets else plain.flux_base
@@ -190,7 +190,7 @@ def _residual(result: Run, plain: LeastSquaresObserver) -> list[str]:
     ]
 
 
-def _jumps(result: Run) -> list[str]:
+def _jumps(result: LogRun) -> list[str]:
     restarts = result.counts.restarts
     if not restarts:
         return []
@@ -200,7 +200,7 @@ def _jumps(result: Run) -> list[str]:
     ]
 
 
-def _immersed_validity(result: Run) -> list[str]:
+def _immersed_validity(result: LogRun) -> list[str]:
     statistics = result.statistics
     if not statistics.valid:
         return [
@@ -220,7 +220,7 @@ def _immersed_validity(result: Run) -> list[str]:
     ]
 
 
-def _bias(result: Run) -> list[str]:
+def _bias(result: LogRun) -> list[str]:
     if "current-bias" not in result.unknowns or not result.statistics.valid or bias_is_seen(result):
         return []
     return [

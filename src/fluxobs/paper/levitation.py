@@ -33,7 +33,7 @@ ROBUST_GAIN = 1e4
 ADAPTIVE_GAIN = (1e20, 1e20, 1e20, 1e20, 2e13, 2e13, 20.0)
 
 
-class Position(eqx.Module):
+class PositionReference(eqx.Module):
     """q_d(t) of the paper [m]."""
 
     scale: float = 1.0
@@ -138,7 +138,7 @@ class LevitationRecord:
     @property
     def reference(self) -> Array:
         """q_d(t) [m]."""
-        return np.asarray(Position()(jnp.asarray(self.t)))
+        return np.asarray(PositionReference()(jnp.asarray(self.t)))
 
     @property
     def constraint(self) -> QuadraticConstraint:
@@ -167,7 +167,7 @@ def record(scenario: LevitationScenario, h: float = 1e-3, quick: bool = False) -
         jnp.asarray(R_A),
         jnp.asarray(scenario.G),
         reference,
-        Position(),
+        PositionReference(),
     )
     start = phi if np.isnan(scenario.initial_flux) else scenario.initial_flux
     typical = machine.k_2 * 0.5 / machine.g

@@ -15,7 +15,7 @@ from .counter_example import CounterExample
 from .figures import draw_motors, draw_scenarios
 from .pmsm import servo
 from .report import markdown, numbers
-from .scenario import MAIN, ScenarioResult, run_scenario
+from .scenario import MAIN, ScenarioResult, run_levitation
 from .section_v import ErrorCourse, motor_courses
 
 #: Scenarios in the figures: the paper's, and the well-posed one.
@@ -64,16 +64,18 @@ def reproduce(
     done: dict[str, ScenarioResult] = {}
     if processes == 1:
         for name in names:
-            done[name] = run_scenario(name, quick)
+            done[name] = run_levitation(name, quick)
             say(f"{name}: {done[name].scenario.title}")
         motor, counter = _motors(quick)
     else:
         # Each process compiles for itself; this one takes a share of the work too.
         with ProcessPoolExecutor(processes - 1, mp_context=get_context("spawn")) as pool:
             side = pool.submit(_motors, quick)
-            away = {name: pool.submit(run_scenario, name, quick) for name in names[:2] if not quick}
+            away = {
+                name: pool.submit(run_levitation, name, quick) for name in names[:2] if not quick
+            }
             for name in [name for name in names if name not in away]:
-                done[name] = run_scenario(name, quick)
+                done[name] = run_levitation(name, quick)
                 say(f"{name}: {done[name].scenario.title}")
             for name, job in away.items():
                 done[name] = job.result()

@@ -61,7 +61,7 @@ class ScenarioResult:
     noise: dict[str, Noisy]
 
 
-def run_scenario(name: str, quick: bool = False) -> ScenarioResult:
+def run_levitation(name: str, quick: bool = False) -> ScenarioResult:
     """Simulates one scenario, runs the observers and the studies."""
     given = record(SCENARIOS[name], quick=quick)
     one = levitation_run(given, all_observers=name == MAIN and not quick)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from ..drive.vectors import turn
-from .base import Array, Baseline, Guess, PllState, angle, number, pll, pll_start
+from .base import Array, Baseline, Guess, PllState, angle, leaf, pll, pll_start
 
 
 def _lag(fade: Array, turned: Array) -> Array:
@@ -48,8 +48,8 @@ class ExtendedEmf(Baseline):
     bandwidth: Array
 
     def __init__(self, motor: Any, sample_time: Any, cutoff: Any, bandwidth: Any) -> None:
-        self.motor, self.sample_time = motor, number(sample_time)
-        self.cutoff, self.bandwidth = number(cutoff), number(bandwidth)
+        self.motor, self.sample_time = motor, leaf(sample_time)
+        self.cutoff, self.bandwidth = leaf(cutoff), leaf(bandwidth)
 
     def start(self) -> EmfState:
         zero = jnp.zeros(())
@@ -111,9 +111,9 @@ class SlidingMode(Baseline):
     def __init__(
         self, motor: Any, sample_time: Any, switching: Any, cutoff: Any, bandwidth: Any
     ) -> None:
-        self.motor, self.sample_time = motor, number(sample_time)
-        self.switching, self.cutoff = number(switching), number(cutoff)
-        self.bandwidth = number(bandwidth)
+        self.motor, self.sample_time = motor, leaf(sample_time)
+        self.switching, self.cutoff = leaf(switching), leaf(cutoff)
+        self.bandwidth = leaf(bandwidth)
 
     def start(self) -> SlidingState:
         zero = jax.lax.complex(jnp.zeros(()), jnp.zeros(()))

@@ -135,7 +135,7 @@ def angle(z: Array) -> Array:
     return jnp.arctan2(z.imag, z.real)
 
 
-def number(value: Any) -> Array:
+def leaf(value: Any) -> Array:
     """A gain as an array leaf of the pytree."""
     return real("gain", value)
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from ..drive.vectors import length, unit
-from .base import Array, Baseline, Guess, PllState, angle, number, pll, pll_start
+from .base import Array, Baseline, Guess, PllState, angle, leaf, pll, pll_start
 
 
 class GradientState(NamedTuple):
@@ -48,9 +48,9 @@ class LengthGradient(Baseline):
     def __init__(
         self, motor: Any, sample_time: Any, gain: Any, bandwidth: Any, adaptation: Any = 0.0
     ) -> None:
-        self.motor, self.sample_time = motor, number(sample_time)
-        self.gain, self.bandwidth = number(gain), number(bandwidth)
-        self.adaptation = number(adaptation)
+        self.motor, self.sample_time = motor, leaf(sample_time)
+        self.gain, self.bandwidth = leaf(gain), leaf(bandwidth)
+        self.adaptation = leaf(adaptation)
 
     def start(self) -> GradientState:
         return GradientState(
@@ -96,8 +96,8 @@ class ClampedIntegrator(Baseline):
     bandwidth: Array
 
     def __init__(self, motor: Any, sample_time: Any, level: Any, bandwidth: Any) -> None:
-        self.motor, self.sample_time = motor, number(sample_time)
-        self.level, self.bandwidth = number(level), number(bandwidth)
+        self.motor, self.sample_time = motor, leaf(sample_time)
+        self.level, self.bandwidth = leaf(level), leaf(bandwidth)
 
     def start(self) -> ClampedState:
         return ClampedState(jax.lax.complex(self.size(), jnp.zeros(())), pll_start())

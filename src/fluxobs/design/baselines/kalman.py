@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from ..drive.twin import wrap
 from ..drive.vectors import pair, turn
-from .base import Array, Baseline, Guess, number
+from .base import Array, Baseline, Guess, leaf
 
 
 class KalmanState(NamedTuple):
@@ -64,10 +64,10 @@ class KalmanFilter(Baseline):
         drift_size: Any = 1.0,
         with_drift: bool = False,
     ) -> None:
-        self.motor, self.sample_time = motor, number(sample_time)
-        self.voltage_noise, self.acceleration = number(voltage_noise), number(acceleration)
-        self.current_noise, self.drift_walk = number(current_noise), number(drift_walk)
-        self.drift_size, self.speed_size = number(drift_size), number(speed_size)
+        self.motor, self.sample_time = motor, leaf(sample_time)
+        self.voltage_noise, self.acceleration = leaf(voltage_noise), leaf(acceleration)
+        self.current_noise, self.drift_walk = leaf(current_noise), leaf(drift_walk)
+        self.drift_size, self.speed_size = leaf(drift_size), leaf(speed_size)
         self.with_drift = with_drift
 
     def start(self) -> KalmanState:

@@ -11,7 +11,7 @@ from ...model.constraint import QuadraticConstraint
 from ..drive.vectors import pair, vector
 from ..regression import SampledRegression
 from ..regression.sampled import Moments
-from .base import Array, Baseline, Guess, PllState, angle, number, pll, pll_start
+from .base import Array, Baseline, Guess, PllState, angle, leaf, pll, pll_start
 
 
 class RegressionState(NamedTuple):
@@ -52,9 +52,9 @@ class OnRegression(Baseline):
         corner: float,
         bandwidth: Any,
     ) -> None:
-        self.motor, self.sample_time = motor, number(sample_time)
+        self.motor, self.sample_time = motor, leaf(sample_time)
         self.regression = SampledRegression(constraint, corner, float(sample_time))
-        self.observer, self.bandwidth = observer, number(bandwidth)
+        self.observer, self.bandwidth = observer, leaf(bandwidth)
 
     def start(self) -> RegressionState:
         return RegressionState(

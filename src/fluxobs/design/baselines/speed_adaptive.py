@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from ..drive.twin import wrap
 from ..drive.vectors import turn
-from .base import Array, Baseline, Guess, number, pll_gains
+from .base import Array, Baseline, Guess, leaf, pll_gains
 
 
 class SpeedAdaptiveState(NamedTuple):
@@ -45,8 +45,8 @@ class SpeedAdaptiveObserver(Baseline):
     bandwidth: Array
 
     def __init__(self, motor: Any, sample_time: Any, gain: Any, bandwidth: Any) -> None:
-        self.motor, self.sample_time = motor, number(sample_time)
-        self.gain, self.bandwidth = number(gain), number(bandwidth)
+        self.motor, self.sample_time = motor, leaf(sample_time)
+        self.gain, self.bandwidth = leaf(gain), leaf(bandwidth)
 
     def start(self) -> SpeedAdaptiveState:
         zero = jnp.zeros(())

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .base import Array, Baseline, Guess, PllState, angle, number, pll, pll_start
+from .base import Array, Baseline, Guess, PllState, angle, leaf, pll, pll_start
 
 
 class VoltageModelState(NamedTuple):
@@ -51,9 +51,9 @@ class FilteredVoltageModel(Baseline):
         bandwidth: Any,
         order: int = 1,
     ) -> None:
-        self.motor, self.sample_time = motor, number(sample_time)
-        self.cutoff, self.least = number(cutoff), number(least)
-        self.bandwidth, self.order = number(bandwidth), order
+        self.motor, self.sample_time = motor, leaf(sample_time)
+        self.cutoff, self.least = leaf(cutoff), leaf(least)
+        self.bandwidth, self.order = leaf(bandwidth), order
 
     def start(self) -> VoltageModelState:
         flux = jax.lax.complex(self.size(), jnp.zeros(()))
