@@ -11,7 +11,7 @@ import pytest
 
 from fluxobs import FluxobsError
 from fluxobs.paper.reproduce import reproduce
-from fluxobs.paper.scenario import run_scenario
+from fluxobs.paper.scenario import run_levitation
 from support.cli import fluxobs
 
 EXPECTED = Path(__file__).parents[1] / "expected" / "reproduce.json"
@@ -73,7 +73,7 @@ def test_quick_run_writes_figures_report_and_the_committed_numbers(tmp_path):
 
 
 def test_the_same_to_the_last_digit():
-    one, other = run_scenario("S5", quick=True), run_scenario("S5", quick=True)
+    one, other = run_levitation("S5", quick=True), run_levitation("S5", quick=True)
     for name, course in one.courses.items():
         assert course.flux.tobytes() == other.courses[name].flux.tobytes(), name
     assert one.robust == other.robust
