@@ -296,6 +296,13 @@ def _find(app: Sphinx, env: Any, node: Any, content: nodes.Node) -> nodes.Node |
     return content if any(hasattr(m, parts[-1]) for m in known) else None
 
 
+def _dashes(app: Sphinx, doctree: nodes.document) -> None:
+    """Between a parameter and what it is stands a dash, not two hyphens."""
+    for text in list(doctree.findall(nodes.Text)):
+        if text == " -- ":
+            text.parent.replace(text, nodes.Text(" – "))
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("run", Run)
     app.add_directive("outputs", Outputs)
@@ -305,4 +312,5 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("autodoc-process-docstring", _before, priority=100)
     app.connect("autodoc-process-docstring", _after, priority=900)
     app.connect("missing-reference", _find)
+    app.connect("doctree-read", _dashes)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
