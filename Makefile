@@ -9,7 +9,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-READY := $(VENV)/.ready
+# The package is installed in editable mode, which knows its files by name: a new one asks for it anew.
+READY := $(VENV)/.ready-$(shell find src/fluxobs -name '*.py' | LC_ALL=C sort | cksum | cut -d ' ' -f 1)
 FIRMWARE := firmware/fluxobs.c firmware/fluxobs_candidates.c firmware/fluxobs_adaptive.c
 SOURCES := CMakeLists.txt pyproject.toml binding/core.cpp $(FIRMWARE) $(wildcard firmware/*.h)
 

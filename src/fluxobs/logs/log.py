@@ -85,6 +85,9 @@ class Log:
     def __len__(self) -> int:
         return self.last - self.first
 
+    def __repr__(self) -> str:
+        return f"<Log: {self.path.name}, {len(self)} rows, {self.sample_time:g} s apart>"
+
     @property
     def path(self) -> Path:
         """Path of the file; for arrays, a name that stands for them."""
