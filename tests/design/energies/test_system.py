@@ -110,7 +110,7 @@ def test_a_user_writes_ten_lines():
         check=True,
     )
     assert "1 quadratic relation" in done.stdout
-    assert "4 linear ones" in done.stdout
+    assert "4 linear relations" in done.stdout
 
 
 def test_parameters_are_differentiable():
