@@ -31,7 +31,7 @@ from fluxobs.design.drive import (
 from fluxobs.machines import InteriorPMSM, example
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
-from records import driven, rotating
+from support.records import driven, steady
 
 MACHINE, H = example("pmsm-2kw2"), 1.25e-4
 RATED = MACHINE.rated_current
@@ -58,7 +58,7 @@ def start() -> None:
         worst: dict[str, list[list[float]]] = {"plain": [], "adaptive": []}
         for seed in range(40):
             rng = np.random.default_rng(seed)
-            s = rotating(
+            s = steady(
                 MACHINE,
                 H,
                 speed,
@@ -236,7 +236,7 @@ def low_speed() -> None:
                 for seed in range(3):
                     hold = max(2.0, 4 * np.pi / omega)
                     speed = profile((0, 100), (0.4, 100), (0.6, omega), (0.6 + hold, omega))
-                    s = rotating(
+                    s = steady(
                         MACHINE,
                         H,
                         speed,
@@ -447,7 +447,7 @@ def covariance_of(observer, state, found) -> tuple[Array, Array]:
 
 def cost() -> None:
     heading("A million samples of pmsm-2kw2, ns per sample (target: 2.5 times the plain one's)")
-    s = rotating(MACHINE, H, 200.0, 200_000, i_dq=3j, noise=0.02)
+    s = steady(MACHINE, H, 200.0, 200_000, i_dq=3j, noise=0.02)
     observer = AdaptiveObserver.for_machine(MACHINE, sample_time=H)
     times: dict[str, list[float]] = {"plain": [], "adaptive": []}
     for _ in range(7):

@@ -1,0 +1,91 @@
+"""The program around the commands: version, help, names of options, typed use from Python."""
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import fluxobs
+from fluxobs.logs import Layout
+from fluxobs.synthetic.demo import LOG
+
+ROOT = Path(__file__).parents[2]
+
+
+def python(*arguments, **options):
+    return subprocess.run(
+        [sys.executable, "-m", *map(str, arguments)], capture_output=True, text=True, **options
+    )
+
+
+def test_version():
+    done = python("fluxobs", "--version")
+    pyproject = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert done.stdout.strip() == f"fluxobs {pyproject['project']['version']}"
+    assert fluxobs.__version__ == pyproject["project"]["version"]
+
+
+def test_the_first_screen_shows_an_example():
+    screen = python("fluxobs", "--help", env={"COLUMNS": "80", "PATH": ""}).stdout.split("\n")[:24]
+    assert any("fluxobs estimate LOG.csv --machine motor.toml" in line for line in screen)
+
+
+def test_options_have_the_names_of_the_fields():
+    """A field of the layout is an option and an argument of the same name."""
+    text = python("fluxobs", "estimate", "--help", env={"COLUMNS": "200", "PATH": ""}).stdout
+    for name in Layout.model_fields:
+        if name != "udc":  # --column udc=540
+            assert f"--{name.replace('_', '-')}" in text, name
+
+
+def test_both_names_of_an_option_do_the_same(tmp_path):
+    tables = []
+    for names in (("--column", "--from", "--to"), ("--columns", "--start", "--stop")):
+        out = tmp_path / f"{len(tables)}.csv"
+        column, start, stop = names
+        done = python(
+            *("fluxobs", "estimate", LOG, "--machine", "servo-400w", "--out", out),
+            *(column, "u_alpha=u_alpha", "i_beta=i_beta", start, 0.1, stop, 0.5),
+        )
+        assert done.returncode == 0, done.stderr
+        tables.append(out.read_text())
+    assert tables[0] == tables[1]
+    assert tables[0].count("\n") == 2002
+
+
+SCRIPT = """
+from pathlib import Path
+
+import numpy as np
+
+import fluxobs
+
+machine = fluxobs.read_machine("servo-400w")
+log: fluxobs.Log = fluxobs.read_log("log.csv", lag=-1, columns={"i_alpha": "Ia"})
+result: fluxobs.Result = fluxobs.estimate(log, machine, unknowns=("drift", "resistance"))
+theta = result["theta_e"]
+degrees: float = float(np.degrees(theta[-1]))
+text: str = result.summary + "".join(result.warnings)
+found = fluxobs.identify(log, "motor.toml", free="R_s")
+spread: list[float | None] = [parameter.std for parameter in found.parameters]
+sound: bool = fluxobs.check(log, Path("motor.toml")).sound
+folder: Path = fluxobs.export(machine, 1e-4, "out").folder
+record = fluxobs.Record(1e-4, np.zeros((30, 2)), np.zeros((30, 2)), lag=-1)
+if isinstance(machine, fluxobs.SurfacePMSM):
+    observer = fluxobs.LeastSquaresObserver.for_machine(machine, sample_time=1e-4)
+    estimate = observer.run(record)
+    first: bool = bool(estimate.valid[0])
+    state, now = observer.step(observer.init(), [0.0, 0.0], [0.1, 0.0])
+"""
+
+
+@pytest.mark.slow
+def test_a_user_s_script_is_typed(tmp_path):
+    """mypy, strict, over a script that uses the door: the package says its types (py.typed)."""
+    (tmp_path / "script.py").write_text(SCRIPT)
+    (tmp_path / "wrong.py").write_text(SCRIPT + "\nresult.summry\nfluxobs.estimate(log)\n")
+    for name, expected in (("script.py", 0), ("wrong.py", 1)):
+        done = python("mypy", "--strict", "--cache-dir", tmp_path / "cache", tmp_path / name)
+        assert done.returncode == expected, done.stdout
