@@ -27,11 +27,10 @@ def test_wheel_in_a_fresh_environment(tmp_path):
         [*pip, "-q", "-w", tmp_path, ROOT], check=True, cwd=tmp_path, capture_output=True
     )
     (wheel,) = tmp_path.glob("fluxobs-*.whl")
-    venv.create(tmp_path / "env", with_pip=True)
+    venv.create(tmp_path / "env", with_pip=False)
     python = tmp_path / "env" / "bin" / "python"
-    subprocess.run(
-        [python, "-m", "pip", "install", "-q", "--no-deps", wheel], check=True, cwd=tmp_path
-    )
+    install = [sys.executable, "-m", "pip", "--python", python, "install", "-q", "--no-deps"]
+    subprocess.run([*install, wheel], check=True, cwd=tmp_path)
     here = subprocess.run(
         [sys.executable, "-c", "import polars, sysconfig; print(sysconfig.get_path('purelib'))"],
         check=True,

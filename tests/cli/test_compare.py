@@ -15,7 +15,7 @@ from support.records import steady
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("compare")
-    rows = 4000
+    rows = 12000  # as many as the scenario below: observers are compiled for both at once
     data = steady(example("pmsm-2kw2"), 1.25e-4, 300.0, rows, 4j, 0.2, 2.0, noise=0.02, theta0=0.0)
     columns = {
         "t": np.arange(rows) * 1.25e-4,

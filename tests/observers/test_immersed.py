@@ -18,6 +18,7 @@ from fluxobs.design.energies.library import (
     four_pole_bearing,
     wound_field,
 )
+from fluxobs.observers import ImmersionEstimate
 from fluxobs.paper.levitation import SCENARIOS, record
 from fluxobs.paper.section_v import LS_SAMPLE_TIME, least_squares, thinned
 from fluxobs.paper.studies import noisy
@@ -253,8 +254,9 @@ def test_missing_samples_are_bridged():
     assert error[200:].max() < 1e-5 * given.flux.max()
 
 
-def motor(current, **options):
-    """The servo at 500 rad/s with 0.2 % noise, read by its own settings."""
+@cache
+def motor_so_far():
+    """The servo at 500 rad/s with 0.2 % noise, read by its own settings: the first 3000 rows."""
     machine = MACHINES["servo-400w"]
     samples = steady(machine, 1e-4, 500.0, 6000, 6j, noise=0.024)
     observer = ImmersionObserver(
@@ -267,9 +269,21 @@ def motor(current, **options):
         2 * machine.L_s * machine.psi_f * 0.024,
         0.2,
     )
+    half = slice(0, 3000)
+    state, found = observer.resume(observer.init(), samples.voltage[half], samples.current[half])
+    return machine, samples, observer, state, found
+
+
+def motor(spoil):
+    """State, estimates and errors of 6000 rows; `spoil` changes currents from row 3000 on."""
+    machine, samples, observer, state, first = motor_so_far()
     measured = samples.current.copy()
-    current(measured)
-    state, found = observer.resume(observer.init(), samples.voltage, measured)
+    spoil(measured)
+    assert np.array_equal(measured[:3000], samples.current[:3000])
+    state, second = observer.resume(state, samples.voltage[3000:], measured[3000:])
+    found = ImmersionEstimate(
+        **{name: np.concatenate([part, vars(second)[name]]) for name, part in vars(first).items()}
+    )
     error = np.linalg.norm(found.flux - samples.flux, axis=1) / machine.psi_f
     return state, found, error
 

@@ -118,7 +118,7 @@ def test_the_drift_as_a_state_removes_a_bias():
 
 def test_missing_first_voltage_is_no_fault():
     """The interval before the first row is not in a record."""
-    machine, data = clean("pmsm-2kw2", rows=2000)
+    machine, data = clean("pmsm-2kw2")
     u = data.voltage.copy()
     u[0] = np.nan
     for kind in (

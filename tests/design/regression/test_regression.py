@@ -1,5 +1,6 @@
 """Lemma 1, corrected: residuals in continuous time and on samples; the printed forms fail."""
 
+from functools import cache
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -32,6 +33,7 @@ def run_in(rows, first=20):
 CORNERS = {"pmsm": 60.0, "synrm": 60.0, "maglev": 50.0, "three-port": 8.0}
 
 
+@cache
 def continuous(name, form="corrected"):
     case, corner = CASES[name](), CORNERS[name]
     times = np.concatenate([np.linspace(0, 40 / corner, 20), np.linspace(42, 60, 60) / corner])
