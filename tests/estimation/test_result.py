@@ -1,0 +1,169 @@
+"""What an estimation returns, written, drawn and told."""
+
+import numpy as np
+import polars as pl
+import pytest
+from matplotlib.figure import Figure
+
+import fluxobs
+from fluxobs import FluxobsError
+from fluxobs.observers import AdaptiveEstimate, Estimate, SampleCounts, in_files
+from support.cli import COLUMNS as PLAIN
+from support.cli import fluxobs as command
+from support.records import PMSM, SERVO, course, log_columns, steady
+
+H, ROWS = 1e-4, 2000
+SAMPLES = steady(SERVO, H, 500.0, ROWS, 6j, 0.15 - 0.1j, -0.1 + 0.05j, 0.02)
+COLUMNS = log_columns(SAMPLES)
+PORTS = ("alpha", "beta")
+UNKNOWNS = ("drift", "resistance", "inverter")
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return fluxobs.estimate(COLUMNS | {"angle": SAMPLES.theta}, SERVO, truth={"theta_e": "angle"})
+
+
+@pytest.fixture(scope="module")
+def adaptive():
+    columns = log_columns(course(R_s=1.3 * PMSM.R_s, inverter=6.0, smoothing=0.2))
+    return fluxobs.estimate(columns, PMSM, unknowns=UNKNOWNS, priors={"psi_f": 0.02})
+
+
+def columns_of(estimate):
+    return [name for one in in_files(estimate) for name in one.columns(PORTS)]
+
+
+def test_columns_are_those_of_the_one_list(plain, adaptive):
+    assert plain.estimates.columns == ["t", *columns_of(Estimate), "theta_e_error"]
+    assert plain.estimates.columns[:-1] == PLAIN
+    assert adaptive.estimates.columns == ["t", *columns_of(AdaptiveEstimate)]
+    assert plain.estimates.height == ROWS
+
+
+def test_a_column_is_an_array(plain):
+    assert plain["valid"].dtype == bool
+    np.testing.assert_array_equal(plain["t"], COLUMNS["t"])
+    np.testing.assert_array_equal(plain["flux_beta"], plain.estimates["flux_beta"].to_numpy())
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("theta", "no column 'theta'; did you mean 'theta_e'"),
+        ("resistance", "no column 'resistance'"),
+        ("xyz", "no column 'xyz'; known: t, flux_alpha"),
+    ],
+)
+def test_a_column_that_is_not_there(plain, name, words):
+    with pytest.raises(FluxobsError) as caught:
+        plain[name]
+    assert words in str(caught.value)
+
+
+def test_the_observer_that_ran(plain, adaptive):
+    assert plain.plain is plain.observer
+    assert plain.adaptive is None
+    assert adaptive.adaptive is adaptive.observer
+    assert adaptive.plain is adaptive.observer.plain
+    assert adaptive.observer.psi_f_std == 0.02
+    again = plain.observer.run(SAMPLES.voltage, SAMPLES.current)
+    assert again.theta_e[-1] == pytest.approx(plain["theta_e"][-1], abs=1e-6)
+
+
+def test_counts_and_statistics(plain):
+    assert plain.counts == SampleCounts(0, 0, 0, 0, 0)
+    assert (plain.statistics.rows, plain.statistics.total) == (ROWS, ROWS)
+    assert plain.statistics.valid == plain["valid"].sum()
+    gaps = {name: values.copy() for name, values in COLUMNS.items()}
+    gaps["i_alpha"][[700, 900]] = np.nan
+    assert fluxobs.estimate(gaps, SERVO).counts == SampleCounts(0, 2, 0, 0, 0)
+
+
+def test_printed_it_is_summary_and_warnings(plain):
+    assert str(plain) == plain.summary
+    assert "2000 samples" in plain.summary
+    assert (
+        repr(plain) == f"<Result: arrays, surface-pmsm, {plain['valid'].sum()} of 2000 rows valid>"
+    )
+    wrong = fluxobs.estimate(COLUMNS | {"i_beta": -COLUMNS["i_beta"]}, SERVO)
+    assert wrong.warnings
+    assert str(wrong).startswith(wrong.summary)
+    for text in wrong.warnings:
+        assert f"\nWarning: {text}" in str(wrong)
+
+
+def test_the_adaptive_one_tells_what_it_found(adaptive):
+    assert "(3.6 Ω given)" in adaptive.summary
+    assert adaptive["resistance"][-1] == pytest.approx(1.3 * PMSM.R_s, rel=0.05)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet"])
+def test_write_estimates(plain, tmp_path, ending):
+    plain.write(tmp_path / f"out{ending}")
+    read = pl.read_csv if ending == ".csv" else pl.read_parquet
+    assert read(tmp_path / f"out{ending}").equals(plain.estimates)
+    assert [path.name for path in tmp_path.iterdir()] == [f"out{ending}"]
+
+
+@pytest.mark.parametrize(
+    ("ending", "magic"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<")]
+)
+def test_write_a_picture(adaptive, tmp_path, ending, magic):
+    adaptive.write(str(tmp_path / f"picture.{ending}"))
+    assert (tmp_path / f"picture.{ending}").read_bytes().startswith(magic)
+
+
+def test_plot(plain, adaptive):
+    for result, names in ((plain, "θ_e ω_e"), (adaptive, "θ_e ω_e Ω")):
+        figure = result.plot()
+        assert isinstance(figure, Figure)
+        labels = " ".join(axes.get_ylabel() + axes.get_title() for axes in figure.axes)
+        for name in names.split():
+            assert name in labels, labels
+
+
+def test_out_is_the_same_and_is_read_back(plain, tmp_path):
+    out = tmp_path / "out.parquet"
+    seen = []
+    result = fluxobs.estimate(
+        COLUMNS | {"angle": SAMPLES.theta},
+        SERVO,
+        truth={"theta_e": "angle"},
+        out=out,
+        progress=lambda done, total: seen.append((done, total)),
+    )
+    assert seen[-1] == (ROWS, ROWS)
+    assert result.path == out
+    assert result.estimates.equals(plain.estimates)
+    assert result.summary == plain.summary
+    out.unlink()
+    with pytest.raises(FluxobsError, match=r"out\.parquet: the estimates cannot be read"):
+        result["theta_e"]
+
+
+def test_what_cannot_be_written(plain, tmp_path):
+    pl.DataFrame(COLUMNS).write_csv(tmp_path / "log.csv")
+    from_file = fluxobs.estimate(tmp_path / "log.csv", SERVO)
+    before = (tmp_path / "log.csv").read_bytes()
+    for path, words in (
+        ("out.xlsx", "must end in"),
+        ("picture.gif", "must end in"),
+        ("nowhere/out.csv", "does not exist"),
+        ("nowhere/picture.png", "cannot be written: No such file"),
+        ("log.csv", "the log itself"),
+    ):
+        with pytest.raises(FluxobsError, match=words):
+            from_file.write(tmp_path / path)
+    assert (tmp_path / "log.csv").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["log.csv"]
+
+
+def test_the_command_that_exports_it(adaptive, plain, tmp_path):
+    for result, machine, name in ((plain, "servo-400w", "one"), (adaptive, "pmsm-2kw2", "other")):
+        said = result.export_command(machine)
+        assert said.startswith(f"fluxobs export --machine {machine}")
+        done = command(*said.replace("FOLDER", name).split()[1:], folder=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert (tmp_path / name / "motor_observer.h").exists()
+    assert "--prior psi_f=0.02" in adaptive.export_command("pmsm-2kw2")
