@@ -126,12 +126,12 @@ nb::tuple run_lanes(const States &states, const Signals &source, const Signals &
 #define COUNT_NUMBER(name) +1
 constexpr std::size_t COLUMNS = 0 FO_ESTIMATE_FIELDS(COUNT_VECTOR, COUNT_NUMBER);
 
-double *write(const fo_estimate &e, double *row, std::size_t plane) {
-    auto put = [&](double value) { *row = value, row += plane; };
-#define PUT_VECTOR(name) for (int n = 0; n < FO_N; n++) put(e.name[n]);
-#define PUT_NUMBER(name) put(e.name);
+void write(const fo_estimate &e, double *row, std::size_t plane) {
+    std::size_t at = 0; // known when compiled: the columns' places are computed once a record
+#define PUT_VECTOR(name) \
+    for (int n = 0; n < FO_N; n++) row[plane * at++] = e.name[n];
+#define PUT_NUMBER(name) row[plane * at++] = e.name;
     FO_ESTIMATE_FIELDS(PUT_VECTOR, PUT_NUMBER)
-    return row;
 }
 
 // What the adaptive observer adds: the member of fo_adaptive_estimate, and its name in Python.
@@ -144,8 +144,9 @@ double *write(const fo_estimate &e, double *row, std::size_t plane) {
 constexpr std::size_t ADAPTIVE_COLUMNS = COLUMNS ADAPTIVE_ESTIMATE_FIELDS(COUNT_ONE);
 
 void write(const fo_adaptive_estimate &e, double *row, std::size_t plane) {
-    row = write(e.position, row, plane);
-#define PUT_ONE(member, name) *row = e.member, row += plane;
+    write(e.position, row, plane);
+    std::size_t at = COLUMNS;
+#define PUT_ONE(member, name) row[plane * at++] = e.member;
     ADAPTIVE_ESTIMATE_FIELDS(PUT_ONE)
 }
 
