@@ -11,7 +11,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 # The package is installed in editable mode, which knows its files by name: a new one asks for it anew.
 READY := $(VENV)/.ready-$(shell find src/fluxobs -name '*.py' | LC_ALL=C sort | cksum | cut -d ' ' -f 1)
-FIRMWARE := firmware/fluxobs.c firmware/fluxobs_candidates.c firmware/fluxobs_adaptive.c
+FIRMWARE := $(wildcard firmware/*.c)
 SOURCES := CMakeLists.txt pyproject.toml binding/core.cpp $(FIRMWARE) $(wildcard firmware/*.h)
 
 .PHONY: demo test check lint warnings misra sanitize pil fuzz bench docs clean

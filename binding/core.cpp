@@ -345,12 +345,20 @@ public:
         return counts(lane_of<fo_adaptive_state>(states, lane).plain);
     }
 
-    // whether the filter runs, how often its guard restarted it, mean p and covariance U D U' of
-    // (flux, drift, magnet flux, resistance error, inverter), per-unit
-    static nb::tuple filter(const States &states, std::size_t lane) {
+    // name -> number or list of what has been learnt
+    nb::dict learnt(const States &states, std::size_t lane) const {
         const auto state = lane_of<fo_adaptive_state>(states, lane);
-        return nb::make_tuple(state.running, state.restarts, nested(state.p), nested(state.U),
-                              nested(state.D));
+        fo_learnt found;
+        fo_adaptive_learnt(&observer_, &state, &found);
+        nb::dict out;
+#define ADD_LEARNT(name) out[#name] = nested(found.name);
+        FO_LEARNT_FIELDS(ADD_LEARNT, ADD_LEARNT)
+        return out;
+    }
+
+    // how often the filter's guard restarted it
+    static std::uint32_t restarts(const States &states, std::size_t lane) {
+        return lane_of<fo_adaptive_state>(states, lane).restarts;
     }
 
 private:
@@ -372,7 +380,8 @@ NB_MODULE(FLUXOBS_MODULE, m) {
         .def("reset", &Adaptive::reset)
         .def("run", &Adaptive::run)
         .def_static("counters", &Adaptive::counters)
-        .def_static("filter", &Adaptive::filter);
+        .def("learnt", &Adaptive::learnt)
+        .def_static("restarts", &Adaptive::restarts);
     m.attr("outputs") = outputs(false);
     m.attr("adaptive_outputs") = outputs(true);
     m.attr("meanings") = meanings(false);

@@ -1,10 +1,10 @@
-/* fluxobs, the adaptive observer: starts within a fraction of a turn at an unknown angle, finds
- * errors of resistance and inverter, returns the magnet's flux, and models saliency.
+/* fluxobs, the adaptive observer: starts within a fraction of a turn at an unknown angle; learns
+ * magnet flux, resistance, the inverter's voltage loss, current offsets and an asymmetry of the
+ * phases; models saliency; and says what is not known yet.
  *
- * The observer of fluxobs.h runs inside, unchanged. Until the position is known, its information is
- * projected on the manifold of consistent (flux, drift, magnet flux). Then a recursive square-root
- * Gauss-Newton filter on (flux, drift, magnet flux, resistance error, inverter voltage) takes over,
- * guarded by the observer inside (docs/theory.md, section 13).
+ * The observer of fluxobs.h runs inside, on volt-seconds corrected by what has been learnt. It is
+ * start and guard. Two time scales in one triangle: a fast filter on (flux, drift), and below it
+ * the parameters, which see only what the fast filter leaves (docs/theory.md, section 13).
  *
  * For machines with Q1 = 1, E = 0: |flux - L i| = psi_f + saliency i_d.
  *
@@ -14,6 +14,7 @@
 #define FLUXOBS_ADAPTIVE_H
 
 #include "fluxobs.h"
+#include "fluxobs_triangle.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -24,34 +25,49 @@ extern "C" {
 #define fo_adaptive_reset fo_adaptive_reset_single
 #define fo_adaptive_step fo_adaptive_step_single
 #define fo_adaptive_step_volt_seconds fo_adaptive_step_volt_seconds_single
+#define fo_adaptive_learnt fo_adaptive_learnt_single
 #endif
 
+/* Order of the parameters. The inverter's loss is a sum of two: one grows within small currents,
+ * one within larger ones. The last is never learnt: what the loss may differ from that sum. */
 enum {
-    FO_NP = 2 * FO_N + 3,                     /* flux, drift, magnet flux, resistance, inverter   */
-    FO_NP_TRIANGLE = FO_NP * (FO_NP - 1) / 2, /* packed strict upper triangle, column by column   */
-    FO_NM = 2 * FO_N + 1,                     /* the manifold: flux, drift, square of magnet flux */
-    FO_CANDIDATES = 4                         /* positions followed at the start                  */
+    FO_PSI,
+    FO_RESISTANCE,
+    FO_INVERTER,
+    FO_OFFSET = FO_INVERTER + 2,
+    FO_ASYMMETRY = FO_OFFSET + FO_N,
+    FO_CURVE = FO_ASYMMETRY + FO_N,
+    FO_NP
+};
+
+enum {
+    FO_NF = 2 * FO_N,             /* the fast filter: flux, drift                       */
+    FO_NA = FO_NF + FO_NP,        /* order of the triangle: fast filter, then parameters */
+    FO_NM = 2 * FO_N + 1,         /* the manifold: flux, drift, square of magnet flux   */
+    FO_CANDIDATES = 4             /* positions followed at the start                    */
 };
 
 /* When the information is projected on the manifold. */
 typedef enum {
-    FO_PROJECT_NEVER, /* the start waits for the plain observer's position         */
-    FO_PROJECT_START, /* until the position is known                               */
-    FO_PROJECT_ALWAYS /* also afterwards, when the projection is the filter's guard */
+    FO_PROJECT_NEVER, /* the start waits for the plain observer's position */
+    FO_PROJECT_START  /* until the position is known                       */
 } fo_projection;
 
 /* Assumed values of machine and inverter, and their standard deviations, 0 if known; then when the
  * information is projected. */
 #define FO_ADAPTIVE_CONFIG_FIELDS(NUMBER)                                                        \
     NUMBER(saliency)         /* L_d - L_position [H]                                          */ \
+    NUMBER(inductance_std)   /* std of the inductances [H]                                    */ \
+    NUMBER(lag_std)          /* std of the time by which a voltage comes late [s]             */ \
     NUMBER(psi_f)            /* magnet flux [Wb]; 0 without magnets, ...                      */ \
     NUMBER(psi_f_std)        /* ... and its std, 0 too                                        */ \
     NUMBER(resistance_std)   /* std of the resistance [Ohm]                                   */ \
     NUMBER(inverter_voltage) /* dead time and device drops of a phase [V]                     */ \
     NUMBER(inverter_std)     /* std of that [V]                                               */ \
     NUMBER(inverter_current) /* the sign of a phase current i is tanh(i / this), nearly [A]   */ \
-    NUMBER(slow_memory)      /* time in which magnet flux, resistance and inverter may change */ \
-                             /* by one std [s]                                                */
+    NUMBER(offset_std)       /* std of the offset of a current component [A]                  */ \
+    NUMBER(asymmetry_std)    /* std of g, both components, in u' = u + g conj(u) [1]          */ \
+    NUMBER(slow_memory)      /* time in which a parameter may change by one std [s]           */
 
 typedef struct {
     FO_ADAPTIVE_CONFIG_FIELDS(FO_NUMBER_FIELD)
@@ -59,18 +75,20 @@ typedef struct {
 } fo_adaptive_config;
 
 /* The fields after the plain observer; treat them as opaque. Per-unit unless stated. */
-#define FO_ADAPTIVE_FIELDS(ARRAY, NUMBER)                                                          \
-    NUMBER(saliency, "L_d - L_q, per ampere")                                                      \
-    ARRAY(mean, FO_NP, "prior mean of flux, drift, magnet flux, resistance error [ohm], inverter " \
-                       "[V]")                                                                      \
-    ARRAY(variance, FO_NP, "prior variance of these")                                              \
-    ARRAY(walk, FO_NP, "variance gained in a round of turns")                                      \
-    NUMBER(noise, "variance of the residual")                                                      \
-    NUMBER(through_R, "current noise in the flux, in a round")                                     \
-    NUMBER(decoy, "current noise in a sample's flux, per ohm")                                     \
-    NUMBER(charge, "24 times a mean current to its integral")                                      \
-    NUMBER(over_current, "1 / current at which the inverter's sign is smoothed [1/A]")             \
-    NUMBER(knee, "variance per V^2 while the inverter's sign is not sure")
+#define FO_ADAPTIVE_FIELDS(ARRAY, NUMBER)                                                        \
+    NUMBER(saliency, "L_d - L_q, per ampere")                                                    \
+    NUMBER(psi, "assumed magnet flux")                                                           \
+    ARRAY(std, FO_NP, "prior std: 1, ohm, volt, volt, ampere, ampere, 1, 1, volt per volt")      \
+    NUMBER(inverter_mean, "assumed loss of each part of the inverter [V]")                       \
+    NUMBER(volt, "one volt over a sample")                                                       \
+    ARRAY(over_current, 2, "1 / currents at which the parts of the inverter's loss saturate "    \
+                           "[1/A]")                                                              \
+    NUMBER(over_rated, "1 / current at which the rest of the loss is zero again [1/A]")          \
+    NUMBER(inductance_std, "std of the inductances, per ampere")                                 \
+    NUMBER(lag_std, "std of the lag [s]")                                                        \
+    NUMBER(through_L, "variance of a residual from current noise")                               \
+    NUMBER(unmodelled, "voltage error that is in no model")                                      \
+    NUMBER(slow, "memory / slow memory")
 
 typedef struct {
     fo_observer plain;
@@ -87,33 +105,46 @@ typedef struct {
     uint32_t age;            /* turns since it was sown                */
 } fo_candidate;
 
+/* Sums over the samples since the last row of the fast filter. */
+typedef struct {
+    uint32_t samples;
+    fo_real time;                     /* [memories]                                         */
+    fo_real theta;                    /* angle at its start [rad]                           */
+    fo_real effect[FO_NP][FO_N];      /* of each parameter on the flux                      */
+    fo_real residual;                 /* |x| - saliency i_d - psi_f, summed                 */
+    fo_real slope[FO_N];              /* its derivative by the flux, summed, ...            */
+    fo_real slope_time[FO_N];         /* ... and times the time                             */
+    fo_real along[FO_NP];             /* its derivative by each parameter, summed           */
+} fo_block;
+
 /* Everything that changes. Plain data: copy it, store it, restore it. */
 typedef struct {
     fo_state plain;
-    bool running;                        /* the filter; else candidates are followed      */
-    bool agreed;                         /* the filter, with its guard, since its start   */
+    bool running;                        /* the filter; else candidates are followed        */
     uint32_t turn;
-    uint32_t restarts;                   /* of the filter, by its guard                   */
+    uint32_t restarts;                   /* of the filter, by its guard                     */
     fo_candidate candidates[FO_CANDIDATES];
-    uint32_t searched;                   /* candidates that ended at the best one         */
-    int32_t best;                        /* index of that one                             */
-    fo_real disturbance;                 /* share of the EMF that may be wrong            */
-    fo_real U[FO_NP_TRIANGLE], D[FO_NP]; /* covariance U D U', U unit upper triangular    */
-    fo_real p[FO_NP];                    /* flux, drift, magnet flux, R error, inverter   */
-    fo_real innovation, power, lag_one;  /* last one; fading sums over the innovations    */
-    fo_real level;                       /* their power over the assumed                  */
-    fo_real alpha;                       /* variance of the last innovation               */
-    fo_real decoy[FO_NM];                /* column of a parameter that is only noise      */
-    fo_real decoy_told, told;            /* last information on it and on the resistance  */
-    fo_real pretends, tells;             /* that over the innovation's variance, averaged */
-    uint32_t random;
-    fo_real x[FO_N], theta;              /* direction of the position vector              */
-    fo_real settled, swept;              /* time and turn since the start [memories, rad] */
-    fo_real exposed;                     /* turn by an unmodelled voltage error [rad]     */
-    fo_real turning, standing;           /* of the current [rad/sample]; time of it at standstill */
-    fo_real charge[FO_N];                /* over the last interval                        */
-    fo_real tilt;                        /* of the residual's derivative, by saliency     */
-    fo_real disagree;                    /* with the guard, how long [memories]           */
+    uint32_t searched;                   /* candidates that ended at the best one           */
+    int32_t best;                        /* index of that one                               */
+    fo_real U[FO_PACKED(FO_NA)], d[FO_NA], z[FO_NA]; /* flux, drift: about their estimates; */
+                                         /* parameters: from their prior mean, in its stds  */
+    fo_real flux[FO_N], drift[FO_N], p[FO_NP]; /* the estimates                             */
+    fo_block block;
+    uint32_t pulled;                     /* parameter whose prior was re-injected last      */
+    fo_real level;                       /* power of what the fast filter leaves, over that assumed */
+    fo_real rows;                        /* since the start, at most those of two turns     */
+    fo_real contradiction;               /* power of the innovations over their variance    */
+    fo_real point[3], known_point;       /* operating point; rows taken there               */
+    fo_real across;                      /* variance across x at the last row               */
+    fo_real deviations[3];               /* of psi_f, resistance, inverter's loss           */
+    fo_real unsure, unsure_at;           /* voltage by which the parameters may be off, and the */
+                                         /* square of the current for which it was computed */
+    fo_real doubt;                       /* that voltage over the EMF [rad]                 */
+    fo_real exposed;                     /* turn by an unmodelled voltage error [rad]       */
+    fo_real signs[2][FO_N], bend[3];     /* of the inverter's loss; its derivative          */
+    fo_real x[FO_N], theta;              /* direction of the position vector                */
+    fo_real swept;                       /* since the start [rad]                           */
+    fo_real disagree;                    /* turn for which it differs from the guard [rad]  */
     fo_tracker tracker;
 } fo_adaptive_state;
 
@@ -130,6 +161,23 @@ typedef struct {
     bool adapting;            /* the filter runs                                              */
 } fo_adaptive_estimate;
 
+/* What has been learnt: every parameter and its standard deviation. */
+#define FO_LEARNT_FIELDS(VECTOR, NUMBER)                       \
+    NUMBER(psi_f)            /* [Wb]                        */ \
+    NUMBER(psi_f_std)                                          \
+    NUMBER(resistance_error) /* true minus assumed [Ohm]    */ \
+    NUMBER(resistance_std)                                     \
+    NUMBER(inverter_voltage) /* [V]                         */ \
+    NUMBER(inverter_std)                                       \
+    VECTOR(offset)           /* of the measured current [A] */ \
+    VECTOR(offset_std)                                         \
+    VECTOR(asymmetry)        /* g in u' = u + g conj(u) [1] */ \
+    VECTOR(asymmetry_std)
+
+typedef struct {
+    FO_LEARNT_FIELDS(FO_VECTOR_FIELD, FO_NUMBER_FIELD)
+} fo_learnt;
+
 /* Like fo_init, fo_reset, fo_step and fo_step_volt_seconds. */
 fo_error fo_adaptive_init(fo_adaptive *observer, const fo_config *config,
                           const fo_adaptive_config *adaptive);
@@ -140,6 +188,8 @@ void fo_adaptive_step(const fo_adaptive *observer, fo_adaptive_state *state,
 void fo_adaptive_step_volt_seconds(const fo_adaptive *observer, fo_adaptive_state *state,
                                    const fo_real volt_seconds[FO_N], const fo_real current[FO_N],
                                    fo_adaptive_estimate *estimate);
+void fo_adaptive_learnt(const fo_adaptive *observer, const fo_adaptive_state *state,
+                        fo_learnt *learnt);
 
 #ifdef __cplusplus
 }

@@ -7,8 +7,6 @@
 
 /* The manifold's order; its last is the square of the magnet flux. */
 enum { M_FLUX = 0, M_DRIFT = FO_N, M_SQUARE = 2 * FO_N };
-/* Element (i, j), i < j, of its packed strict upper triangle. */
-#define AT(i, j) ((int)(i) * (2 * (int)FO_NM - (int)(i) - 3) / 2 + (int)(j) - 1)
 
 /* ---- thresholds: unit, reason, and what fixed them --------------------------------------
  * "Benchmark" is the start in benchmarks/adaptive.py (worst of 40 unknown angles, 90 degrees after
@@ -46,8 +44,6 @@ static const fo_real FLUCTUATION = (fo_real)4;
 static const fo_real QUICK = (fo_real)0.2;
 /* Upper bound of that share [1]: beyond a half there is no EMF to use. */
 static const fo_real DISTURBANCE_MOST = (fo_real)0.5;
-/* Fundamental of the vector of three signs: 4 / pi [1]. */
-static const fo_real SIX_STEP = (fo_real)1.27;
 /* Smallest square of a magnet flux [flux bases]: a fifth of the assumed one; below it the candidate
  * has no direction (tests). */
 static const fo_real SQUARE_LEAST = (fo_real)0.04;
@@ -62,6 +58,12 @@ static void position_of(const fo_adaptive *a, const fo_adaptive_state *s, const 
     }
 }
 
+/* The magnet flux as known; 0 without magnets. */
+static fo_real magnet(const fo_adaptive *a, const fo_adaptive_state *s)
+{
+    return a->psi > ZERO ? a->psi + a->std[FO_PSI] * s->p[FO_PSI] : ZERO;
+}
+
 static bool same(const fo_real x[FO_N], const fo_real y[FO_N])
 {
     const fo_real product = dot(x, y);
@@ -72,7 +74,7 @@ static bool same(const fo_real x[FO_N], const fo_real y[FO_N])
 static void sow(const fo_adaptive *a, const fo_adaptive_state *s, const fo_real x[FO_N],
                 fo_candidate *c)
 {
-    const fo_real psi = s->p[M_SQUARE]; /* 0 without magnets */
+    const fo_real psi = magnet(a, s);
     const fo_real length = fo_sqrt(dot(x, x)), longer = psi > ZERO ? psi : ONE;
     (void)memset(c, 0, sizeof *c);
     for (int i = 0; i < FO_N; i++) {
@@ -101,29 +103,12 @@ void fo_candidates_sow(const fo_adaptive *a, fo_adaptive_state *s)
     s->running = false;
     s->searched = 0U;
     s->best = 0;
-    s->disturbance = DISTURBANCE_MOST;
 }
 
-/* Takes in row'p = value by Gentleman's rotations; returns the square of what is left of it. */
-static fo_real rotate_row(fo_manifold *m, fo_real row[FO_NM], fo_real value, fo_real information)
+/* Share of the EMF that may come from errors of resistance and inverter. */
+static fo_real disturbance(const fo_adaptive_state *s)
 {
-    fo_real rhs = value, weight = information;
-    fo_real *u = m->U;
-    for (int i = 0; i < FO_NM; i++) {
-        const fo_real pivot = row[i], weighted = weight * pivot, d = m->d[i];
-        const fo_real d_new = d + weighted * pivot, inverse = ONE / d_new;
-        const fo_real gain = weighted * inverse;
-        weight *= d * inverse;
-        m->d[i] = d_new;
-        for (int j = i + 1; j < FO_NM; j++) {
-            const fo_real left = row[j] - pivot * *u;
-            row[j] = left;
-            *u++ += gain * left;
-        }
-        rhs -= pivot * m->z[i];
-        m->z[i] += gain * rhs;
-    }
-    return weight * rhs * rhs;
+    return s->doubt < DISTURBANCE_MOST ? s->doubt : DISTURBANCE_MOST;
 }
 
 /* Starts the information with damping and the assumed magnet flux, whose variance includes the
@@ -131,9 +116,9 @@ static fo_real rotate_row(fo_manifold *m, fo_real row[FO_NM], fo_real value, fo_
 static void believe(const fo_adaptive *a, const fo_adaptive_state *s, const fo_candidate *c,
                   fo_manifold *m)
 {
-    const fo_real psi = s->p[M_SQUARE], square = psi * psi;
-    const fo_real off = s->disturbance * s->disturbance * square;
-    const fo_real variance = (fo_real)4 * square * (a->variance[M_SQUARE] + off);
+    const fo_real psi = magnet(a, s), square = psi * psi, doubt = disturbance(s);
+    const fo_real variance =
+        (fo_real)4 * square * (a->std[FO_PSI] * a->std[FO_PSI] + doubt * doubt * square);
     (void)memset(m, 0, sizeof *m);
     for (int i = 0; i < FO_NM; i++) {
         m->d[i] = DAMPING;
@@ -179,7 +164,9 @@ void fo_project(const fo_adaptive *a, const fo_adaptive_state *s, fo_candidate *
         }
         row[M_SQUARE] = -full[S];
         cost += info->d[j] * off * off;
-        least += rotate_row(m, row, off, info->d[j]);
+        fo_real value = off, weight = info->d[j];
+        fo_rotate(FO_NM, m->U, m->d, m->z, 0, FO_NM, row, &value, &weight);
+        least += weight * value * value;
     }
     /* Current noise in the rows adds noise psi^2 to the cost, which pulls psi to zero: subtract it.
      * It is linear in the last unknown, and so moves nothing else in the triangle. */
@@ -189,15 +176,12 @@ void fo_project(const fo_adaptive *a, const fo_adaptive_state *s, fo_candidate *
     m->z[M_SQUARE] += shift;
     c->cost = cost - noise * c->p[M_SQUARE];
 
-    for (int i = FO_NM - 1; i >= 0; i--) {
-        fo_real step = m->z[i];
-        for (int j = i + 1; j < FO_NM; j++) {
-            step -= m->U[AT(i, j)] * m->z[j];
-        }
-        m->z[i] = step; /* from here on the step itself */
-        c->p[i] += step;
+    fo_real step[FO_NM];
+    fo_solve(FO_NM, m->U, m->z, 0, FO_NM, step);
+    for (int i = 0; i < FO_NM; i++) {
+        c->p[i] += step[i];
     }
-    const fo_real lowest = s->p[M_SQUARE] > ZERO ? SQUARE_LEAST : ZERO;
+    const fo_real lowest = a->psi > ZERO ? SQUARE_LEAST : ZERO;
     c->p[M_SQUARE] = c->p[M_SQUARE] > lowest ? c->p[M_SQUARE] : lowest;
     c->least = least - noise * c->p[M_SQUARE];
     position_of(a, s, c, x);
@@ -206,13 +190,7 @@ void fo_project(const fo_adaptive *a, const fo_adaptive_state *s, fo_candidate *
     if (square > LENGTH_LEAST && square < RUNAWAY && all - all == ZERO) {
         fo_real y[FO_NM] = {-x[1], x[0], ZERO, ZERO, ZERO};
         c->theta = fo_atan2(x[1], x[0]);
-        c->variance = ZERO;
-        for (int i = 0; i < FO_NM; i++) { /* |y|^2 / d with U'y = (across, 0 ..) */
-            c->variance += y[i] * y[i] / m->d[i];
-            for (int j = i + 1; j < FO_NM; j++) {
-                y[j] -= y[i] * m->U[AT(i, j)];
-            }
-        }
+        c->variance = fo_variance(FO_NM, m->U, m->d, 0, FO_NM, y);
         c->variance /= square * square;
         c->variance = c->variance < VARIANCE_UNKNOWN ? c->variance : VARIANCE_UNKNOWN;
     } else { /* gone astray, or not a number */
@@ -279,17 +257,6 @@ static fo_real against(const fo_adaptive *a, const fo_adaptive_state *s, const f
     return decay(x > ZERO ? x : ZERO);
 }
 
-/* Share of the EMF that may come from errors of resistance and inverter. */
-static fo_real disturbance(const fo_adaptive *a, const fo_adaptive_state *s, fo_real square)
-{
-    const fo_real *i = s->plain.current[0];
-    const fo_real emf = fo_abs(s->tracker.speed) * a->plain.sample_time * fo_sqrt(square);
-    const fo_real off =
-        (fo_real)24 * a->charge *
-        (fo_sqrt(s->D[FO_NP - 2] * dot(i, i)) + SIX_STEP * fo_sqrt(s->D[FO_NP - 1]));
-    return off < DISTURBANCE_MOST * emf ? off / emf : DISTURBANCE_MOST;
-}
-
 void fo_candidates_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO_N],
                         fo_choice *choice)
 {
@@ -334,9 +301,8 @@ void fo_candidates_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_rea
         choice->best.theta = fo_atan2(x[1], x[0]);
         track(&a->plain, &s->tracker, choice->best.theta);
         settle_tracker(&a->plain, &s->tracker, choice->best.theta, fo_sqrt(c->variance));
-        s->disturbance = disturbance(a, s, square);
-        const bool quick = !(s->disturbance > ZERO) ||
-                           (s->disturbance < QUICK && s->tracker.settled >= TRACKER_SETTLED);
+        const bool quick = !(s->doubt > ZERO) ||
+                           (s->doubt < QUICK && s->tracker.settled >= TRACKER_SETTLED);
         const fo_real share = s->plain.info.noise[0] * c->variance * square;
         choice->inflation = inflation / (share < SHARE_MOST ? ONE - share : ONE - SHARE_MOST);
         choice->best.variance *= choice->inflation;

@@ -13,9 +13,9 @@
 #define fo_project fo_project_single
 #endif
 
-/* Information on the manifold: U (p - p0) = z, weights d, U unit upper triangular, row by row. */
+/* Information on the manifold, U (p - p0) = z. */
 typedef struct {
-    fo_real U[FO_NM * (FO_NM - 1) / 2];
+    fo_real U[FO_PACKED(FO_NM)];
     fo_real d[FO_NM];
     fo_real z[FO_NM];
 } fo_manifold;

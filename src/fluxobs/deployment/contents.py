@@ -19,10 +19,11 @@ from .vectors import COLUMNS, exact_columns, run, vectors_header
 SOURCES = ("fluxobs.h", "fluxobs_internal.h", "fluxobs.c")
 ADAPTIVE_SOURCES = (
     *SOURCES,
-    "fluxobs_adaptive.h",
-    "fluxobs_adaptive.c",
-    "fluxobs_candidates.h",
-    "fluxobs_candidates.c",
+    *(
+        f"fluxobs_{part}.{kind}"
+        for part in ("adaptive", "learning", "candidates", "triangle")
+        for kind in ("h", "c")
+    ),
 )
 #: Angle by which a voltage error as large as the drift's prior may turn the flux while the position
 #: is valid [rad].

@@ -16,23 +16,49 @@ from ..errors import ObserverError
 from ..machines import RotatingMachine, rotating
 from ..model.inverter import SMOOTHING
 from .base import Estimate
-from .compiled import CompiledObserver, read_columns, wrapped
+from .compiled import CompiledObserver, CompiledState, read_columns, wrapped
 from .outputs import documented, output
 from .plain import MEMORY, LeastSquaresObserver
+from .unknowns import ADAPTED
 
 Array = NDArray[np.float64]
 
 #: When the immersion is projected: see :class:`AdaptiveObserver`.
-Projection = Literal["never", "start", "always"]
-PROJECTIONS: tuple[Projection, ...] = ("never", "start", "always")
+Projection = Literal["never", "start"]
+PROJECTIONS: tuple[Projection, ...] = ("never", "start")
 
-#: Default standard deviations: of resistance and magnet flux, as shares of the values given;
-#: of the inverter's voltage, as a share of the rated resistive drop.
-RESISTANCE_SHARE, PSI_SHARE, INVERTER_SHARE = 0.25, 0.25, 0.25
+#: Default standard deviations: of resistance, magnet flux and inductance, as shares of the values
+#: given; of the inverter's voltage, as a share of the rated resistive drop and of the DC link.
+RESISTANCE_SHARE, PSI_SHARE, INDUCTANCE_SHARE = 0.5, 0.25, 0.08
+INVERTER_SHARE, DC_LINK_SHARE = 0.25, 0.02
+#: ... of a current offset, as a share of the rated current; of the asymmetry; of the lag [samples].
+OFFSET_SHARE, ASYMMETRY_STD, LAG_STD = 0.02, 0.01, 0.15
 #: A standard deviation beyond this many times the resistance must have a wrong unit.
 RESISTANCE_MOST = 10.0
-#: Time in which resistance, inverter and magnet may change by one standard deviation [s].
+#: Time in which a parameter may change by one standard deviation [s].
 SLOW_MEMORY = 100.0
+#: The numbers of fo_adaptive_config, in the names of the C header.
+NUMBERS = (
+    *("saliency", "inductance_std", "lag_std", "psi_f", "psi_f_std", "resistance_std"),
+    *("inverter_voltage", "inverter_std", "inverter_current", "offset_std", "asymmetry_std"),
+    "slow_memory",
+)
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """What an adaptive observer has learnt: every parameter, and its standard deviation."""
+
+    psi_f: float
+    psi_f_std: float
+    resistance: float
+    resistance_std: float
+    inverter_voltage: float
+    inverter_std: float
+    offset: tuple[float, float]
+    offset_std: tuple[float, float]
+    asymmetry: tuple[float, float]
+    asymmetry_std: tuple[float, float]
 
 
 @documented
@@ -70,14 +96,19 @@ class AdaptiveEstimate(Estimate):
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
-    """Starts within a fraction of a turn, and finds the errors of resistance and inverter.
+    """Starts within a fraction of a turn, and learns what the machine file says wrong.
 
-    A :class:`LeastSquaresObserver` runs inside, unchanged. Until the position is known, its
-    information is projected on the manifold of consistent (flux, drift, magnet flux). Then a
-    recursive square-root Gauss-Newton filter on (flux, drift, magnet flux, resistance, inverter)
-    takes over, guarded by the plain observer. A parameter that the data do not determine keeps its
-    value, and its standard deviation grows: at constant speed and load, resistance, inverter and
-    magnet flux cannot be told apart. A standard deviation of 0 marks a parameter as known.
+    A fast filter on (flux, drift) takes the residual of the machine's relation, averaged over an
+    eighth of a turn. Below it, in the same triangle, the parameters (magnet flux, resistance, the
+    inverter's voltage loss, current offsets, an asymmetry of the phases) learn from what the fast
+    filter leaves. Their uncertainty is in the position's standard deviation, and decides whether a
+    position can be valid. A parameter that the data do not determine keeps its prior: at constant
+    speed and load, resistance, inverter and magnet flux cannot be told apart. A standard deviation
+    of 0 marks a parameter as known.
+
+    A :class:`LeastSquaresObserver` runs inside, on voltages corrected by what has been learnt. It
+    starts the filter and guards it. Until its position is known, its information is projected on
+    the manifold of consistent (flux, drift, magnet flux).
 
     Use :meth:`for_machine` unless you know better.
 
@@ -95,12 +126,18 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         Assumed dead time and device drops of a phase, and their standard deviation [V].
     inverter_current : float
         Phase current at which the inverter's smoothed sign, tanh(i / this), reaches three quarters
-        [A]. Near zero, the switches' capacitances determine the voltage, not the dead time.
+        [A]. Only its order matters: the loss is a sum of a harder and a softer one.
+    offset_std : float
+        Standard deviation of the offset of a current component [A].
+    asymmetry_std : float
+        Standard deviation of both components of g in u' = u + g conj(u) [1].
+    inductance_std, lag_std : float
+        Standard deviations of the inductances [H], and of the time by which the voltages come late
+        [s]. Errors of these leave no residual; they are in the position's standard deviation.
     slow_memory : float
-        Time in which magnet flux, resistance and inverter may change by a standard deviation [s].
-    projection : {"start", "always", "never"}
-        "never": the start waits for the plain observer's position, about a turn. "always": the
-        projection continues, and replaces the plain observer's position as the guard.
+        Time in which a parameter may change by a standard deviation [s].
+    projection : {"start", "never"}
+        "never": the start waits for the plain observer's position, about a turn.
 
     Raises
     ------
@@ -110,8 +147,9 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
 
     References
     ----------
-    docs/theory.md, section 13; firmware/fluxobs_adaptive.c. Bierman, Factorization Methods for
-    Discrete Sequential Estimation, 1977, for the covariance's form.
+    docs/theory.md, section 13; firmware/fluxobs_learning.c. Bierman, Factorization Methods for
+    Discrete Sequential Estimation, 1977, for triangles and considered parameters. Friedland,
+    Treatment of bias in recursive filtering, 1969, doi:10.1109/TAC.1969.1099223, for the two parts.
 
     Examples
     --------
@@ -133,22 +171,22 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
     inverter_voltage: float
     inverter_std: float
     inverter_current: float
+    offset_std: float = 0.0
+    asymmetry_std: float = 0.0
+    inductance_std: float = 0.0
+    lag_std: float = 0.0
     slow_memory: float = SLOW_MEMORY
     projection: Projection = "start"
     _core: Any = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        for name in ("psi_f", "psi_f_std", "resistance_std", "inverter_std"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise ObserverError(f"{name} must be finite and not negative, got {value}")
-        for name in ("inverter_current", "slow_memory"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise ObserverError(f"{name} must be positive and finite, got {value}")
-        for name in ("saliency", "inverter_voltage"):
-            if not np.isfinite(value := getattr(self, name)):
-                raise ObserverError(f"{name} must be finite, got {value}")
+        for name in NUMBERS:
+            value, least = getattr(self, name), -np.inf if name == "saliency" else 0.0
+            positive = name in ("inverter_current", "slow_memory")
+            if not (np.isfinite(value) and value >= least and not (positive and value == 0)):
+                wanted = "positive and finite" if positive else "finite and not negative"
+                wanted = "finite" if name == "saliency" else wanted
+                raise ObserverError(f"{name} must be {wanted}, got {value}")
         for name, value, of in (
             ("psi_f_std", self.psi_f_std, self.psi_f),
             ("resistance_std", self.resistance_std, RESISTANCE_MOST * self.resistance),
@@ -173,11 +211,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
 
     def _make_core(self) -> Any:
         module = _core if self.plain.precision == "double" else _core_single
-        names = (
-            *("saliency", "psi_f", "psi_f_std", "resistance_std", "inverter_voltage"),
-            *("inverter_std", "inverter_current", "slow_memory"),
-        )
-        config: dict[str, Any] = {name: getattr(self, name) for name in names}
+        config: dict[str, Any] = {name: getattr(self, name) for name in NUMBERS}
         config["projection"] = PROJECTIONS.index(self.projection)
         return wrapped(module.Adaptive, self.plain._core, config)
 
@@ -215,9 +249,14 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         psi_f_std: float | None = None,
         resistance_std: float | None = None,
         inverter_std: float | None = None,
+        asymmetry_std: float | None = None,
+        offset_std: float | None = None,
+        inductance_std: float | None = None,
+        lag_std: float | None = None,
         rated_current: float | None = None,
         current_noise: float | None = None,
         drift_prior: float | None = None,
+        dc_link: float | None = None,
         slow_memory: float = SLOW_MEMORY,
         projection: Projection = "start",
         precision: Literal["double", "single"] = "double",
@@ -230,12 +269,18 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             Its inverter_voltage and inverter_current are the values assumed for the inverter.
         sample_time : float
             [s].
-        unknowns : tuple of {"drift", "resistance", "inverter"}
-            The unknowns; the drift is always one of them.
+        unknowns : tuple of {"drift", "resistance", "inverter", "asymmetry"}
+            The unknowns; the drift, which a current offset causes, is always one of them.
         psi_f_std, resistance_std, inverter_std : float, optional
             Standard deviations of the assumed values [Wb], [Ω], [V]; default: a quarter of the
-            machine's magnet flux, of its resistance, and of its rated resistive drop. A magnet flux
-            known to 1 % speeds up the start and reveals the resistance at constant speed and load.
+            machine's magnet flux, half of its resistance, and the larger of a quarter of its rated
+            resistive drop and 2 % of the DC link. A magnet flux known to 1 % speeds up the start
+            and reveals the resistance at constant speed and load.
+        asymmetry_std, offset_std, inductance_std, lag_std : float, optional
+            Default: 0.01; 2 % of the rated current [A]; 8 % of the larger inductance [H]; 0.15
+            samples [s].
+        dc_link : float, optional
+            Voltage of the inverter's DC link [V].
         memory, psi_f, rated_current, current_noise, drift_prior, precision
             See :meth:`LeastSquaresObserver.for_machine`.
         slow_memory, projection
@@ -248,11 +293,16 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             find one of the unknowns; or a standard deviation is given for what is not an unknown.
         """
         for name in unknowns:
-            if name not in ("drift", "resistance", "inverter"):
+            if name not in ("drift", *ADAPTED):
                 raise ObserverError(
-                    f"unknown {name!r}: this observer finds drift, resistance and inverter"
+                    f"unknown {name!r}: this observer finds drift, {', '.join(ADAPTED)}"
                 )
-        for name, std in (("resistance", resistance_std), ("inverter", inverter_std)):
+        stds = {
+            "resistance": resistance_std,
+            "inverter": inverter_std,
+            "asymmetry": asymmetry_std,
+        }
+        for name, std in stds.items():
             if std and name not in unknowns:
                 raise ObserverError(f"{name}_std is given, but {name} is not among the unknowns")
         machine = rotating(machine, "AdaptiveObserver")
@@ -271,22 +321,47 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         if not machine.magnets and psi_f_std:
             raise ObserverError(f"psi_f_std: a {machine.kind} has no magnets")
         flux = plain.flux_base if machine.magnets else 0.0
+        defaults = {
+            "resistance": RESISTANCE_SHARE * machine.R_s,
+            "inverter": max(
+                INVERTER_SHARE * machine.R_s * rated, DC_LINK_SHARE * (dc_link or 0.0)
+            ),
+            "asymmetry": ASYMMETRY_STD,
+        }
 
-        def believed(name: str, given: float | None, default: float) -> float:
-            return (default if given is None else given) if name in unknowns else 0.0
+        def believed(name: str) -> float:
+            given = stds[name]
+            return (defaults[name] if given is None else given) if name in unknowns else 0.0
+
+        def otherwise(given: float | None, default: float) -> float:
+            return default if given is None else given
 
         return cls(
             plain=plain,
             saliency=machine.saliency,
             psi_f=flux,
-            psi_f_std=PSI_SHARE * flux if psi_f_std is None else psi_f_std,
-            resistance_std=believed("resistance", resistance_std, RESISTANCE_SHARE * machine.R_s),
+            psi_f_std=otherwise(psi_f_std, PSI_SHARE * flux),
+            resistance_std=believed("resistance"),
             inverter_voltage=machine.inverter_voltage or 0.0,
-            inverter_std=believed("inverter", inverter_std, INVERTER_SHARE * machine.R_s * rated),
+            inverter_std=believed("inverter"),
             inverter_current=machine.inverter_current or SMOOTHING * rated,
+            offset_std=otherwise(offset_std, OFFSET_SHARE * rated),
+            asymmetry_std=believed("asymmetry"),
+            inductance_std=otherwise(inductance_std, INDUCTANCE_SHARE * max(machine.L_dq)),
+            lag_std=otherwise(lag_std, LAG_STD * sample_time),
             slow_memory=slow_memory,
             projection=projection,
         )
+
+    def learnt(self, state: CompiledState, lane: int = 0) -> Learnt:
+        """What `state` (one lane of it) has learnt."""
+        found = self._core.learnt(state.raw, lane)
+        found["resistance"] = self.resistance + found.pop("resistance_error")
+        return Learnt(**{k: tuple(v) if isinstance(v, list) else v for k, v in found.items()})
+
+    def restarts(self, state: CompiledState, lane: int = 0) -> int:
+        """How often the filter's guard restarted it in `state` (one lane of it)."""
+        return int(self._core.restarts(state.raw, lane))
 
     def parameters(self) -> dict[str, Any]:
         """Every number a step uses beyond the plain observer's, in the order of fo_adaptive

@@ -10,10 +10,10 @@ from ..model.immersion import UNKNOWNS as IN_THE_IMMERSION
 from ..validation import nearest
 
 #: Errors of the machine's parameters and of its inverter, found by the adaptive observer.
-ADAPTED = ("resistance", "inverter")
+ADAPTED = ("resistance", "inverter", "asymmetry")
 UNKNOWNS: tuple[str, ...] = (*IN_THE_IMMERSION, *ADAPTED)
 #: Quantities for which a standard deviation can be given.
-PRIORS = ("resistance", "inverter", "psi_f")
+PRIORS = ("resistance", "inverter", "asymmetry", "psi_f")
 
 
 def read_unknowns(unknowns: str | Sequence[str]) -> tuple[str, ...]:

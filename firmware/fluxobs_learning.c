@@ -1,0 +1,453 @@
+/* SPDX-License-Identifier: MIT */
+#include "fluxobs_learning.h"
+
+#include "fluxobs_internal.h"
+
+#include <string.h>
+
+/* ---- thresholds: unit, reason, and what fixed them --------------------------------------- */
+
+/* Rotation for which residuals are averaged to one row: an eighth of a turn [rad]. What a model
+ * leaves is a function of the angle, with harmonics up to the sixth: rows of less than that repeat
+ * the same error, and must not count as new information. */
+static const fo_real BLOCK = PI / (fo_real)4;
+/* A slower rotor ends a block after this time; its row weighs by its share of BLOCK [memories]. */
+static const fo_real BLOCK_MOST = (fo_real)0.3;
+/* Std of a row that no noise explains: no machine satisfies its relation better [flux bases]. */
+static const fo_real MODEL = (fo_real)0.002;
+/* Of the inverter's voltage, this share is in no model: the curve of its loss. */
+static const fo_real INVERTER_UNMODELLED = (fo_real)0.05;
+/* Time in which a drift that was known is half forgotten [memories]. */
+static const fo_real DRIFT_MEMORY = (fo_real)100;
+/* Rows over which powers are averaged: two turns. */
+static const fo_real ROWS = (fo_real)16;
+/* A power beyond this many times the average before is clipped to it: five stds. */
+static const fo_real CLIP = (fo_real)25;
+/* Lower bound of that power for the flux: a fiftieth, a seventh of the std. */
+static const fo_real LEVEL_LEAST = (fo_real)0.02;
+/* Rows of the filter before parameters learn from what it leaves: half a turn. */
+static const fo_real LEARN_AFTER = (fo_real)4;
+/* Rows at one operating point repeat the same error: the n-th counts 1/n. Current, of rated, or
+ * speed, of itself, that differ by this share make a new one. */
+static const fo_real NEW_POINT = (fo_real)0.3;
+/* Share of doubt's square that a start leaves to flux and drift. */
+static const fo_real LOOSE = (fo_real)0.3;
+
+/* ---- parameters --------------------------------------------------------------------------- */
+
+void fo_learning_forget(const fo_adaptive *a, fo_adaptive_state *s)
+{
+    (void)a;
+    (void)memset(s->U, 0, sizeof s->U);
+    for (int i = 0; i < FO_NA; i++) {
+        s->d[i] = ONE;
+        s->z[i] = ZERO;
+    }
+    for (int i = 0; i < FO_NP; i++) {
+        s->p[i] = ZERO;
+    }
+}
+
+fo_real fo_learning_value(const fo_adaptive *a, const fo_adaptive_state *s, int n)
+{
+    return a->std[n] * s->p[n];
+}
+
+fo_real fo_learning_deviation(const fo_adaptive *a, const fo_adaptive_state *s, int n, int count,
+                              fo_real curve)
+{
+    fo_real direction[FO_NA] = {ZERO};
+    for (int i = n; i < n + count; i++) {
+        direction[FO_NF + i] = a->std[i];
+    }
+    direction[FO_NF + FO_CURVE] += a->std[FO_CURVE] * curve;
+    return fo_sqrt(fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction));
+}
+
+/* Present loss of both parts of the inverter [V]. */
+static fo_real loss(const fo_adaptive *a, const fo_adaptive_state *s)
+{
+    return TWO * a->inverter_mean + fo_learning_value(a, s, FO_INVERTER) +
+           fo_learning_value(a, s, FO_INVERTER + 1);
+}
+
+fo_real fo_learning_unmodelled(const fo_adaptive *a, const fo_adaptive_state *s)
+{
+    return INVERTER_UNMODELLED * loss(a, s) * a->volt / a->plain.h;
+}
+
+static fo_real magnitude(const fo_real v[FO_N]) { return fo_sqrt(dot(v, v)); }
+
+/* Finds the voltage by which the parameters may be off at this current, and keeps the stds that
+ * are reported. */
+static void judge(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t)
+{
+    fo_real direction[FO_NA] = {ZERO};
+    for (int i = FO_RESISTANCE; i < FO_OFFSET; i++) {
+        direction[FO_NF + i] = magnitude(t->effect[i]);
+    }
+    s->unsure = fo_sqrt(fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction));
+    s->unsure_at = dot(s->plain.current[0], s->plain.current[0]);
+    s->deviations[0] = fo_learning_deviation(a, s, FO_PSI, 1, ZERO);
+    s->deviations[1] = fo_learning_deviation(a, s, FO_RESISTANCE, 1, ZERO);
+    s->deviations[2] = fo_learning_deviation(a, s, FO_INVERTER, 2, loss(a, s));
+}
+
+void fo_learning_doubt(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
+                       fo_real length, fo_real turned)
+{
+    if (!s->running && s->turn % 16U == 0U) {
+        judge(a, s, t);
+    }
+    const fo_real square = dot(s->plain.current[0], s->plain.current[0]);
+    fo_real unsure = s->unsure;
+    if (square > s->unsure_at && s->unsure_at > ZERO) { /* it has grown since */
+        unsure *= fo_sqrt(square / s->unsure_at);
+    }
+    const fo_real gone = turned < ONE ? turned : ONE;
+    const fo_real doubt = s->doubt + (length > ZERO ? unsure / length : ONE) - s->doubt * gone;
+    s->doubt = doubt < TWO ? doubt : TWO;
+    if (!(s->unsure > ZERO)) { /* everything is known */
+        s->doubt = ZERO;
+    }
+}
+
+/* ---- the triangle: rows of flux and drift above those of the parameters ---------------------- */
+
+/* Lets the flux take a random step of this variance: the information L on it, given the rest,
+ * becomes (1 / L + variance)^-1, and what it says about the rest stays. */
+static void step_flux(fo_adaptive_state *s, fo_real variance)
+{
+    fo_real *first = &s->U[0], *second = &s->U[FO_ROW(FO_NA, 1)];
+    const fo_real u = first[0], d0 = s->d[0], d1 = s->d[1];
+    const fo_real l01 = d0 * u, l11 = d0 * u * u + d1;
+    const fo_real a = ONE + variance * d0, b = variance * l01, c = ONE + variance * l11;
+    const fo_real over = ONE / (a * c - b * b);
+    const fo_real m00 = (d0 + variance * d0 * d1) * over, m01 = l01 * over;
+    const fo_real m11 = (l11 + variance * d0 * d1) * over;
+    const fo_real u_new = m01 / m00;
+    s->d[0] = m00;
+    s->d[1] = m11 - m01 * u_new;
+    first[0] = u_new;
+    for (int j = 1; j < FO_NA - 1; j++) {
+        first[j] += (u_new - u) * second[j - 1];
+    }
+}
+
+/* Carries the triangle to the end of the block: flux there = flux + time drift + effect p. */
+static void carry(fo_adaptive_state *s, const fo_block *b)
+{
+    for (int i = 0; i < FO_N; i++) {
+        const fo_real on[FO_N] = {i == 0 ? ONE : ZERO, i == 0 ? s->U[0] : ONE};
+        fo_real *row = &s->U[FO_AT(FO_NA, i, FO_N)]; /* from the drift on */
+        for (int j = 0; j < FO_N; j++) {
+            row[j] -= b->time * on[j];
+        }
+        for (int j = 0; j < FO_NP; j++) {
+            row[FO_N + j] -= dot(on, b->effect[j]);
+        }
+    }
+}
+
+/* The drift is forgotten towards its prior. */
+static void forget_drift(const fo_adaptive *a, fo_adaptive_state *s, fo_real time)
+{
+    const fo_real share = time / DRIFT_MEMORY, prior = ONE / (a->plain.plausible * a->plain.plausible);
+    for (int i = FO_N; i < (int)FO_NF; i++) {
+        s->d[i] += share * (prior - s->d[i]);
+    }
+}
+
+static void clear_block(fo_adaptive_state *s)
+{
+    (void)memset(&s->block, 0, sizeof s->block);
+    s->block.theta = s->theta;
+}
+
+/* How steady states tie an error of a parameter to the flux: effect / (j turned). */
+static void tied(const fo_real effect[FO_N], fo_real turned, fo_real tie[FO_N])
+{
+    tie[0] = effect[1] / turned;
+    tie[1] = -effect[0] / turned;
+}
+
+void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate *c,
+                       const fo_manifold *m, fo_real inflation, const fo_effects *t)
+{
+    const fo_real *current = s->plain.current[0];
+    const fo_real psi = fo_sqrt(c->p[FO_NM - 1]), speed = a->plain.sample_time * s->tracker.speed;
+    const fo_real h = a->plain.h; /* at least a radian a memory: slower, nothing tells the drift */
+    const fo_real turned = fo_abs(speed) > h ? speed : speed < ZERO ? -h : h;
+    fo_real x[FO_N];
+    for (int i = 0; i < FO_N; i++) {
+        s->flux[i] = c->p[i];
+        s->drift[i] = c->p[FO_N + i];
+        x[i] = c->p[i] - a->plain.L_position * (current[i] - fo_learning_value(a, s, FO_OFFSET + i));
+    }
+    const fo_real length = magnitude(x);
+    if (a->std[FO_PSI] > ZERO && !(fo_abs(s->p[FO_PSI]) > ZERO)) { /* nothing learnt yet */
+        s->p[FO_PSI] = (length - a->saliency * dot(x, current) / length - a->psi) / a->std[FO_PSI];
+    }
+    for (int i = 0; i < (int)FO_NF; i++) {
+        for (int j = i + 1; j < (int)FO_NF; j++) {
+            s->U[FO_AT(FO_NA, i, j)] = m->U[FO_AT(FO_NM, i, j)];
+        }
+        fo_real *row = &s->U[FO_AT(FO_NA, i, FO_NF)]; /* the parameters */
+        const fo_real by_psi = /* the manifold has its square */
+            TWO * psi * m->U[FO_AT(FO_NM, i, FO_NM - 1)];
+        row[FO_PSI] = by_psi * a->std[FO_PSI];
+        for (int j = FO_RESISTANCE; j < (int)FO_NP; j++) {
+            fo_real tie[FO_N], sum = ZERO;
+            tied(t->effect[j], turned, tie);
+            for (int k = 0; k < FO_N; k++) {
+                const fo_real on = k < i ? ZERO : k == i ? ONE : m->U[FO_AT(FO_NM, i, k)];
+                sum -= tie[k] * (on + by_psi * x[k] / length);
+            }
+            row[j] = j < (int)FO_OFFSET ? sum : ZERO;
+        }
+        s->d[i] = m->d[i] / inflation;
+        s->z[i] = ZERO;
+    }
+    step_flux(s, LOOSE * s->doubt * s->doubt * length * length);
+    for (int i = FO_N; i < (int)FO_NF; i++) { /* as much, turning, for the drift */
+        const fo_real loose = LOOSE * s->unsure * s->unsure / (h * h);
+        s->d[i] /= ONE + s->d[i] * loose;
+    }
+    s->theta = c->theta;
+    s->x[0] = x[0] / length;
+    s->x[1] = x[1] / length;
+    s->running = true;
+    s->level = ONE;
+    s->rows = ZERO;
+    s->contradiction = ONE;
+    s->known_point = ZERO;
+    s->across = c->variance * length * length;
+    s->exposed = ZERO;
+    s->swept = ZERO;
+    s->disagree = ZERO;
+    clear_block(s);
+}
+
+/* ---- a sample --------------------------------------------------------------------------------- */
+
+/* x = flux - L i, without offset; returns its length. */
+static fo_real position(const fo_adaptive *a, const fo_adaptive_state *s, fo_real current[FO_N],
+                        fo_real x[FO_N])
+{
+    for (int i = 0; i < FO_N; i++) {
+        current[i] = s->plain.current[0][i] - fo_learning_value(a, s, FO_OFFSET + i);
+        x[i] = s->flux[i] - a->plain.L_position * current[i];
+    }
+    return magnitude(x);
+}
+
+/* Adds the residual |x| - saliency i_d - psi_f of a sample to the block. */
+static void add(const fo_adaptive *a, const fo_adaptive_state *s, const fo_real x[FO_N],
+                fo_real length, const fo_real current[FO_N], fo_block *b)
+{
+    const fo_real along[FO_N] = {x[0] / length, x[1] / length};
+    const fo_real i_d = dot(along, current);
+    fo_real slope[FO_N];
+    for (int i = 0; i < FO_N; i++) {
+        slope[i] = along[i] - a->saliency / length * (current[i] - i_d * along[i]);
+        b->slope[i] += slope[i];
+        b->slope_time[i] += slope[i] * b->time;
+        b->along[FO_OFFSET + i] +=
+            a->std[FO_OFFSET + i] * (a->plain.L_position * slope[i] + a->saliency * along[i]);
+    }
+    for (int j = FO_RESISTANCE; j < (int)FO_NP; j++) {
+        b->along[j] += dot(slope, b->effect[j]);
+    }
+    b->along[FO_PSI] -= a->std[FO_PSI];
+    b->residual +=
+        length - a->saliency * i_d - (a->psi + fo_learning_value(a, s, FO_PSI));
+    b->samples++;
+}
+
+/* What is left of a row for the parameters: follows its power, and how far that contradicts what
+ * has been learnt. */
+static void follow(fo_adaptive_state *s, const fo_real row[FO_NA], fo_real value,
+                   fo_real information, fo_real share)
+{
+    fo_real direction[FO_NA];
+    (void)memcpy(direction, row, sizeof direction);
+    const fo_real square = value * value;
+    const fo_real power = information * square;
+    const fo_real all =
+        ONE / information + fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction);
+    const fo_real odd = square / all;
+    s->rows += share;
+    const fo_real gain = share / (s->rows + ONE < ROWS ? s->rows + ONE : ROWS);
+    s->level += gain * ((power < CLIP * s->level ? power : CLIP * s->level) - s->level);
+    const fo_real most = CLIP * (ONE + s->contradiction);
+    s->contradiction += TWO / ROWS * share * ((odd < most ? odd : most) - s->contradiction);
+}
+
+/* Counts the rows at the present operating point; returns their number. */
+static fo_real rows_here(const fo_adaptive *a, fo_adaptive_state *s, const fo_real x[FO_N],
+                         fo_real length, const fo_real current[FO_N], fo_real speed, fo_real share)
+{
+    const fo_real now[3] = {dot(x, current) / length,
+                            (x[0] * current[1] - x[1] * current[0]) / length, speed};
+    const fo_real before = fo_abs(s->point[2]) + fo_abs(speed);
+    const fo_real scale[3] = {a->over_rated, a->over_rated, before > ZERO ? ONE / before : ZERO};
+    fo_real moved = ZERO;
+    for (int i = 0; i < 3; i++) {
+        const fo_real off = (now[i] - s->point[i]) * scale[i];
+        moved += off * off;
+    }
+    s->known_point = s->known_point / (ONE + moved / (NEW_POINT * NEW_POINT) * s->known_point) + share;
+    const fo_real gain = s->known_point > ONE ? ONE / s->known_point : ONE;
+    for (int i = 0; i < 3; i++) {
+        s->point[i] += gain * (now[i] - s->point[i]);
+    }
+    return s->known_point > ONE ? s->known_point : ONE;
+}
+
+/* The parameters learn from what is left of a row; then all is solved. */
+static void learn(const fo_adaptive *a, fo_adaptive_state *s, fo_real row[FO_NA], fo_real value,
+                  fo_real information, fo_real time)
+{
+    fo_real before[FO_NP], x[FO_NA];
+    for (int j = 0; j < FO_NP; j++) {
+        before[j] = s->p[j];
+    }
+    if (information > ZERO) {
+        fo_real rhs = value, weight = information;
+        for (int j = 0; j < FO_NP; j++) { /* from the prior mean */
+            rhs += row[FO_NF + j] * s->p[j];
+        }
+        fo_rotate(FO_NA, s->U, s->d, s->z, FO_NF, FO_NF + FO_CURVE, row, &rhs, &weight);
+        fo_solve(FO_NA, s->U, s->z, FO_NF, FO_NA, x);
+        const fo_real volts = TWO * a->inverter_mean + a->std[FO_INVERTER] * x[FO_NF + FO_INVERTER] +
+                              a->std[FO_INVERTER + 1] * x[FO_NF + FO_INVERTER + 1];
+        if (volts < ZERO) { /* no inverter adds voltage: the likeliest without */
+            fo_real direction[FO_NA] = {ZERO}, y[FO_NA] = {ZERO};
+            direction[FO_NF + FO_INVERTER] = a->std[FO_INVERTER];
+            direction[FO_NF + FO_INVERTER + 1] = a->std[FO_INVERTER + 1];
+            const fo_real variance = fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction);
+            for (int j = FO_NF; j < FO_NA; j++) { /* the direction is now y, U'y = direction */
+                y[j] = direction[j] / s->d[j];
+            }
+            fo_solve(FO_NA, s->U, y, FO_NF, FO_NA, direction);
+            for (int j = FO_NF; j < FO_NA; j++) {
+                x[j] -= direction[j] * volts / variance;
+            }
+        }
+        for (int j = 0; j < FO_NP; j++) {
+            s->p[j] = x[FO_NF + j];
+        }
+        /* the prior comes back, one parameter a row */
+        const fo_real share = time * a->slow;
+        for (int j = 0; j < (int)FO_CURVE; j++) {
+            s->d[FO_NF + j] *= ONE - share;
+        }
+        s->pulled = s->pulled + 1U < (uint32_t)FO_CURVE ? s->pulled + 1U : 0U;
+        fo_real unit[FO_NA] = {ZERO}, zero = ZERO, prior = (fo_real)FO_CURVE * share;
+        unit[FO_NF + s->pulled] = ONE;
+        fo_rotate(FO_NA, s->U, s->d, s->z, FO_NF, FO_NF + FO_CURVE, unit, &zero, &prior);
+    }
+    for (int j = 0; j < FO_NP; j++) {
+        x[FO_NF + j] = s->p[j] - before[j];
+    }
+    fo_solve(FO_NA, s->U, s->z, 0, FO_NF, x);
+    for (int i = 0; i < FO_N; i++) {
+        s->flux[i] += x[i];
+        s->drift[i] += x[FO_N + i];
+        s->z[i] = ZERO;
+        s->z[FO_N + i] = ZERO;
+    }
+}
+
+/* Ends a block: takes in its row. */
+static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t, fo_real turned)
+{
+    fo_block *b = &s->block;
+    const fo_observer *o = &a->plain;
+    const fo_real share = turned < BLOCK ? turned / BLOCK : ONE;
+    const fo_real inverter = fo_learning_unmodelled(a, s);
+    const fo_real walk =
+        (a->unmodelled * a->unmodelled + inverter * inverter) * b->time * b->time;
+    carry(s, b);
+    step_flux(s, walk);
+    forget_drift(a, s, b->time);
+    fo_real x[FO_N], current[FO_N];
+    if (b->samples > 0U && share > (fo_real)1e-6) {
+        const fo_real over = ONE / (fo_real)b->samples;
+        fo_real row[FO_NA], value = -b->residual * over;
+        for (int i = 0; i < FO_N; i++) {
+            row[i] = b->slope[i] * over;
+            row[FO_N + i] = b->slope_time[i] * over - b->time * row[i];
+        }
+        for (int j = 0; j < FO_NP; j++) {
+            row[FO_NF + j] = b->along[j] * over - dot(row, b->effect[j]);
+        }
+        fo_real information =
+            share / (MODEL * MODEL + a->through_L * s->plain.roughness * over);
+        fo_rotate(FO_NA, s->U, s->d, s->z, 0, FO_NF, row, &value, &information);
+        follow(s, row, value, information, share);
+        const fo_real length = position(a, s, current, x), speed = turned / b->time;
+        const fo_real rows = rows_here(a, s, x, length, current, speed, share);
+        const fo_real shape = speed > ZERO ? inverter / speed : ZERO;
+        const bool ready = s->rows > LEARN_AFTER && s->doubt < DOUBT_LIMIT && speed > ZERO;
+        const fo_real level = s->level > ONE ? s->level : ONE;
+        const fo_real weight = ONE / ((rows / information + shape * shape) * level);
+        learn(a, s, row, value, ready ? weight : ZERO, b->time);
+    }
+    const fo_real length = position(a, s, current, x);
+    fo_real direction[FO_NA] = {-x[1] / length, x[0] / length};
+    for (int i = 0; i < FO_N; i++) {
+        direction[FO_NF + FO_OFFSET + i] = o->L_position * a->std[FO_OFFSET + i] * direction[i];
+    }
+    const fo_real level = s->level > LEVEL_LEAST ? s->level : LEVEL_LEAST;
+    s->across = level * fo_variance(FO_NA, s->U, s->d, 0, FO_NF, direction);
+    s->across += fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction);
+    s->theta = fo_atan2(x[1], x[0]);
+    clear_block(s);
+    judge(a, s, t);
+}
+
+/* Is the estimate finite, and the flux one that a machine can have? */
+static bool sound(const fo_adaptive_state *s)
+{
+    fo_real sum = s->level + s->contradiction + s->across;
+    for (int i = 0; i < FO_NP; i++) {
+        sum += s->p[i];
+    }
+    for (int i = 0; i < FO_N; i++) {
+        sum += s->drift[i];
+    }
+    return sum - sum == ZERO && dot(s->flux, s->flux) < RUNAWAY;
+}
+
+fo_real fo_learning_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
+                           bool measured, fo_real x[FO_N])
+{
+    const fo_observer *o = &a->plain;
+    fo_block *b = &s->block;
+    fo_real current[FO_N];
+    for (int i = 0; i < FO_N; i++) {
+        s->flux[i] += t->v[i] + o->h * s->drift[i];
+        for (int j = FO_RESISTANCE; j < (int)FO_NP; j++) {
+            b->effect[j][i] += t->effect[j][i];
+        }
+    }
+    b->time += o->h;
+    fo_real length = position(a, s, current, x);
+    bool good = length * length > o->square_min / (fo_real)16;
+    if (good) {
+        if (measured) {
+            add(a, s, x, length, current, b);
+        }
+        const fo_real theta = fo_atan2(x[1], x[0]);
+        const fo_real turned = fo_abs(wrap(theta - b->theta));
+        s->swept += wrap(theta - s->theta);
+        s->theta = theta;
+        if (turned >= BLOCK || b->time >= BLOCK_MOST) {
+            end(a, s, t, turned);
+            length = position(a, s, current, x);
+        }
+        good = sound(s) && length > ZERO;
+    }
+    return good ? length : ZERO;
+}

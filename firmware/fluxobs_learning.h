@@ -1,0 +1,61 @@
+/* The adaptive observer's filter and its parameters, in one triangle; not for users.
+ *
+ * SPDX-License-Identifier: MIT
+ */
+#ifndef FLUXOBS_LEARNING_H
+#define FLUXOBS_LEARNING_H
+
+#include "fluxobs_candidates.h"
+
+#ifdef FO_SINGLE
+#define fo_learning_forget fo_learning_forget_single
+#define fo_learning_start fo_learning_start_single
+#define fo_learning_sample fo_learning_sample_single
+#define fo_learning_doubt fo_learning_doubt_single
+#define fo_learning_unmodelled fo_learning_unmodelled_single
+#define fo_learning_value fo_learning_value_single
+#define fo_learning_deviation fo_learning_deviation_single
+#endif
+
+/* Share of the EMF that the parameters may be off, above which another angle explains the data as
+ * well [1]: twice it, four stds, would turn the EMF round. */
+#define DOUBT_LIMIT ((fo_real)0.5)
+
+/* An interval: its volt-seconds, with all that has been learnt, and what one std of each parameter
+ * adds to them. Per-unit. */
+typedef struct {
+    fo_real v[FO_N];
+    fo_real effect[FO_NP][FO_N];
+} fo_effects;
+
+/* Forgets the parameters: they are their prior. */
+void fo_learning_forget(const fo_adaptive *observer, fo_adaptive_state *state);
+
+/* Starts the filter at a candidate, with the covariance of its projection times `inflation`.
+ * `effects` are those of the last interval. What was learnt before is kept. */
+void fo_learning_start(const fo_adaptive *observer, fo_adaptive_state *state,
+                       const fo_candidate *candidate, const fo_manifold *information,
+                       fo_real inflation, const fo_effects *effects);
+
+/* Moves the filter over an interval and, where that ends a block, takes in its row. Returns the
+ * length of the position vector, which it leaves in `x`; 0 if its numbers have run away. */
+fo_real fo_learning_sample(const fo_adaptive *observer, fo_adaptive_state *state,
+                           const fo_effects *effects, bool measured, fo_real x[FO_N]);
+
+/* Follows what share of the EMF the parameters may be off: the angle by which that may have turned
+ * the flux, which adds up until the rotor has turned by a radian. */
+void fo_learning_doubt(const fo_adaptive *observer, fo_adaptive_state *state,
+                       const fo_effects *effects, fo_real length, fo_real turned);
+
+/* Voltage of the inverter that is in no model, per-unit. */
+fo_real fo_learning_unmodelled(const fo_adaptive *observer, const fo_adaptive_state *state);
+
+/* Value of a parameter [its unit]. */
+fo_real fo_learning_value(const fo_adaptive *observer, const fo_adaptive_state *state, int n);
+
+/* Standard deviation of the sum of `count` parameters from n on, and of the inverter's curve times
+ * `curve` [their unit]. */
+fo_real fo_learning_deviation(const fo_adaptive *observer, const fo_adaptive_state *state, int n,
+                              int count, fo_real curve);
+
+#endif
