@@ -30,7 +30,7 @@ static const fo_real STD_START = PI / (fo_real)12;
 static const fo_real STD_ALL = PI / (fo_real)18;
 /* Rows of the filter before its position is valid, and before it may be lost for its std [1]. */
 static const fo_real PROVEN_AFTER = (fo_real)4;
-static const fo_real LOST_AFTER = (fo_real)24;
+static const fo_real LOST_AFTER = (fo_real)2;
 /* The filter is wrong if it contradicts what has been learnt by this power [1], ten stds, ... */
 static const fo_real CONTRADICTION_MOST = (fo_real)100;
 /* ... learns a resistance that is this many stds off its prior [1], ... */
@@ -346,7 +346,7 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *
         } else {
             /* nothing is known */
         }
-        if (choice.decided && (s->doubt < DOUBT_LIMIT)) {
+        if (choice.decided && s->doubt < DOUBT_LIMIT) {
             fo_learning_start(a, s, &choice.best, &choice.information, choice.inflation, t);
         }
     } else if (s->plain.trusted && s->doubt < DOUBT_LIMIT) {

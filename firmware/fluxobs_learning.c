@@ -25,8 +25,6 @@ static const fo_real ROWS = (fo_real)16;
 static const fo_real CLIP = (fo_real)25;
 /* Lower bound of that power for the flux: a fiftieth, a seventh of the std. */
 static const fo_real LEVEL_LEAST = (fo_real)0.02;
-/* Rows of the filter before parameters learn from what it leaves: half a turn. */
-static const fo_real LEARN_AFTER = (fo_real)4;
 /* Rows at one operating point repeat the same error: the n-th counts 1/n. Current, of rated, or
  * speed, of itself, that differ by this share make a new one. */
 static const fo_real NEW_POINT = (fo_real)0.3;
@@ -389,7 +387,7 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         const fo_real length = position(a, s, current, x), speed = turned / b->time;
         const fo_real rows = rows_here(a, s, x, length, current, speed, share);
         const fo_real shape = speed > ZERO ? inverter / speed : ZERO;
-        const bool ready = s->rows > LEARN_AFTER && s->doubt < DOUBT_LIMIT && speed > ZERO;
+        const bool ready = s->doubt < DOUBT_LIMIT && speed > ZERO;
         const fo_real level = s->level > ONE ? s->level : ONE;
         const fo_real weight = ONE / ((rows / information + shape * shape) * level);
         learn(a, s, row, value, ready ? weight : ZERO, b->time);
