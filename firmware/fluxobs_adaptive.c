@@ -23,8 +23,6 @@ static const fo_real UNMODELLED = (fo_real)0.1;
 static const fo_real EXPOSED = (fo_real)0.05;
 /* Std of the angle above which linearising makes no sense: 30 degrees [rad]. */
 static const fo_real STD_LOST = PI / (fo_real)6;
-/* Std of the angle above which the filter does not start: 15 degrees [rad]. */
-static const fo_real STD_START = PI / (fo_real)12;
 /* Std of an angle, with what inductance and lag may turn it, above which it is not valid: 10
  * degrees [rad]. */
 static const fo_real STD_ALL = PI / (fo_real)18;
@@ -346,7 +344,10 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *
         } else {
             /* nothing is known */
         }
-        if (choice.decided && s->doubt < DOUBT_LIMIT) {
+        const bool one = choice.found && choice.weight < ONE / TWO;
+        s->swept = one ? s->swept + wrap(choice.best.theta - s->theta) : ZERO;
+        s->theta = choice.found ? choice.best.theta : s->theta;
+        if (choice.decided && s->doubt < DOUBT_LIMIT && fo_abs(s->swept) > SWEEP) {
             fo_learning_start(a, s, &choice.best, &choice.information, choice.inflation, t);
         }
     } else if (s->plain.trusted && s->doubt < DOUBT_LIMIT) {
@@ -360,7 +361,7 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *
         }
         s->tracker = s->plain.tracker;
         fo_project(a, s, &c, &information);
-        if (c.variance < STD_START * STD_START) {
+        if (c.variance < STD_LOST * STD_LOST) {
             fo_learning_start(a, s, &c, &information, power > ONE ? power : ONE, t);
         }
     } else {
