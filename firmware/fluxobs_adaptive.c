@@ -96,7 +96,6 @@ void fo_adaptive_reset(const fo_adaptive *a, fo_adaptive_state *s)
     fo_reset(&a->plain, &s->plain);
     fo_learning_forget(a, s);
     s->x[0] = ONE;
-    s->doubt = TWO;
     fo_candidates_sow(a, s);
 }
 
@@ -263,11 +262,24 @@ static void report(const fo_adaptive *a, const fo_adaptive_state *s, fo_real len
     e->weight_other = ZERO;
 }
 
+/* Are all numbers of an estimate finite? */
+static bool finite_numbers(const fo_adaptive_estimate *e)
+{
+    const fo_estimate *q = &e->position;
+    const fo_real sum = q->flux[0] + q->flux[1] + q->drift[0] + q->drift[1] + q->psi_f +
+                        q->theta_e + q->speed_e + q->theta_e_std + e->psi_f + e->psi_f_std +
+                        e->drift_std + e->resistance_error + e->resistance_std +
+                        e->inverter_voltage + e->inverter_std;
+    return sum - sum == ZERO;
+}
+
 /* A sample while the filter runs. */
 static void run(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t, bool measured,
                 fo_adaptive_estimate *e)
 {
     const fo_observer *o = &a->plain;
+    fo_adaptive_estimate plain;
+    plain = *e;
     const fo_real guard = e->position.theta_e;
     const bool known = e->position.valid;
     fo_real x[FO_N];
@@ -295,7 +307,12 @@ static void run(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         report(a, s, length, variance, i_q * i_q + late * late, e);
         const bool off = known && fo_abs(wrap(s->theta - guard)) > DISAGREE;
         s->disagree = off ? s->disagree + step : known ? ZERO : s->disagree;
-        const bool harm = s->disagree > DISAGREE_FOR || s->contradiction > CONTRADICTION_MOST ||
+        report_parameters(a, s, e);
+        const bool sound = finite_numbers(e);
+        if (!sound) {
+            *e = plain;
+        }
+        const bool harm = !sound || s->disagree > DISAGREE_FOR || s->contradiction > CONTRADICTION_MOST ||
                           fo_abs(s->p[FO_RESISTANCE]) > FAR;
         const bool lost = s->doubt > ONE ||
                           (s->rows > LOST_AFTER && !(variance < STD_LOST * STD_LOST));
@@ -371,10 +388,22 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *
 
 /* ---- samples -------------------------------------------------------------------------- */
 
+typedef struct {
+    uint32_t voltages, currents;
+} bad_samples;
+
+static bad_samples bad_so_far(const fo_state *q)
+{
+    const bad_samples found = {q->bad_voltages, q->bad_currents + q->outliers};
+    return found;
+}
+
 /* After the plain observer's step: the rest of the sample. */
-static void go_on(const fo_adaptive *a, fo_adaptive_state *s, bool complete, bool measured,
+static void go_on(const fo_adaptive *a, fo_adaptive_state *s, bool complete, bad_samples before,
                   fo_adaptive_estimate *e)
 {
+    const bad_samples now = bad_so_far(&s->plain);
+    const bool measured = now.currents == before.currents;
     e->theta_other = e->position.theta_e;
     e->weight_other = e->position.valid ? ZERO : ONE / TWO;
     e->psi_f = e->position.psi_f;
@@ -397,12 +426,13 @@ static void go_on(const fo_adaptive *a, fo_adaptive_state *s, bool complete, boo
     }
     s->turn++;
     report_parameters(a, s, e);
+    e->position.valid = e->position.valid && measured && now.voltages == before.voltages;
 }
 
 void fo_adaptive_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_real voltage[FO_N],
                       const fo_real current[FO_N], fo_adaptive_estimate *e)
 {
-    const uint32_t before = s->plain.bad_currents + s->plain.outliers;
+    const bad_samples before = bad_so_far(&s->plain);
     fo_real lost[FO_N], left[FO_N];
     known_loss(a, s, current, lost);
     straighten(a, s, voltage, left);
@@ -410,14 +440,14 @@ void fo_adaptive_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_real 
         left[i] -= lost[i];
     }
     fo_step(&a->plain, &s->plain, left, current, &e->position);
-    go_on(a, s, false, s->plain.bad_currents + s->plain.outliers == before, e);
+    go_on(a, s, false, before, e);
 }
 
 void fo_adaptive_step_volt_seconds(const fo_adaptive *a, fo_adaptive_state *s,
                                    const fo_real volt_seconds[FO_N], const fo_real current[FO_N],
                                    fo_adaptive_estimate *e)
 {
-    const uint32_t before = s->plain.bad_currents + s->plain.outliers;
+    const bad_samples before = bad_so_far(&s->plain);
     fo_real lost[FO_N], left[FO_N];
     known_loss(a, s, current, lost);
     straighten(a, s, volt_seconds, left);
@@ -425,7 +455,7 @@ void fo_adaptive_step_volt_seconds(const fo_adaptive *a, fo_adaptive_state *s,
         left[i] -= a->plain.sample_time * lost[i];
     }
     fo_step_volt_seconds(&a->plain, &s->plain, left, current, &e->position);
-    go_on(a, s, true, s->plain.bad_currents + s->plain.outliers == before, e);
+    go_on(a, s, true, before, e);
 }
 
 void fo_adaptive_learnt(const fo_adaptive *a, const fo_adaptive_state *s, fo_learnt *l)

@@ -35,16 +35,13 @@ enum {
     FO_RESISTANCE,
     FO_INVERTER,
     FO_OFFSET = FO_INVERTER + 2,
-    FO_ASYMMETRY = FO_OFFSET + FO_N,
-    FO_CURVE = FO_ASYMMETRY + FO_N,
-    FO_NP
-};
-
-enum {
-    FO_NF = 2 * FO_N,             /* the fast filter: flux, drift                       */
-    FO_NA = FO_NF + FO_NP,        /* order of the triangle: fast filter, then parameters */
-    FO_NM = 2 * FO_N + 1,         /* the manifold: flux, drift, square of magnet flux   */
-    FO_CANDIDATES = 4             /* positions followed at the start                    */
+    FO_ASYMMETRY = FO_OFFSET + 2,
+    FO_CURVE = FO_ASYMMETRY + 2,
+    FO_NP,                 /* how many                                             */
+    FO_NF = 2 * FO_N,      /* the fast filter: flux, drift                         */
+    FO_NA = FO_NF + FO_NP, /* order of the triangle: fast filter, then parameters  */
+    FO_NM = 2 * FO_N + 1,  /* the manifold: flux, drift, square of the magnet flux */
+    FO_CANDIDATES = 4      /* positions followed at the start                      */
 };
 
 /* When the information is projected on the manifold. */

@@ -28,23 +28,12 @@ static const fo_real LEVEL_LEAST = (fo_real)0.02;
 /* Rows at one operating point repeat the same error: the n-th counts 1/n. Current, of rated, or
  * speed, of itself, that differ by this share make a new one. */
 static const fo_real NEW_POINT = (fo_real)0.3;
+/* Least information on the flux [1 / flux bases^2]: a thousand times any flux. */
+static const fo_real LEAST = (fo_real)1e-6;
 /* Share of doubt's square that a start leaves to flux and drift. */
 static const fo_real LOOSE = (fo_real)0.3;
 
 /* ---- parameters --------------------------------------------------------------------------- */
-
-void fo_learning_forget(const fo_adaptive *a, fo_adaptive_state *s)
-{
-    (void)a;
-    (void)memset(s->U, 0, sizeof s->U);
-    for (int i = 0; i < FO_NA; i++) {
-        s->d[i] = ONE;
-        s->z[i] = ZERO;
-    }
-    for (int i = 0; i < FO_NP; i++) {
-        s->p[i] = ZERO;
-    }
-}
 
 fo_real fo_learning_value(const fo_adaptive *a, const fo_adaptive_state *s, int n)
 {
@@ -54,7 +43,7 @@ fo_real fo_learning_value(const fo_adaptive *a, const fo_adaptive_state *s, int 
 fo_real fo_learning_deviation(const fo_adaptive *a, const fo_adaptive_state *s, int n, int count,
                               fo_real curve)
 {
-    fo_real direction[FO_NA] = {ZERO};
+    fo_real direction[FO_NA] = {0};
     for (int i = n; i < n + count; i++) {
         direction[FO_NF + i] = a->std[i];
     }
@@ -76,26 +65,46 @@ fo_real fo_learning_unmodelled(const fo_adaptive *a, const fo_adaptive_state *s)
 
 static fo_real magnitude(const fo_real v[FO_N]) { return fo_sqrt(dot(v, v)); }
 
-/* Finds the voltage by which the parameters may be off at this current, and keeps the stds that
- * are reported. */
-static void judge(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t)
+/* Keeps the stds that are reported. */
+static void keep_deviations(const fo_adaptive *a, fo_adaptive_state *s)
 {
-    fo_real direction[FO_NA] = {ZERO};
+    s->deviations[0] = fo_learning_deviation(a, s, FO_PSI, 1, ZERO);
+    s->deviations[1] = fo_learning_deviation(a, s, FO_RESISTANCE, 1, ZERO);
+    s->deviations[2] = fo_learning_deviation(a, s, FO_INVERTER, 2, loss(a, s));
+}
+
+void fo_learning_forget(const fo_adaptive *a, fo_adaptive_state *s)
+{
+    (void)memset(s->U, 0, sizeof s->U);
+    for (int i = 0; i < FO_NA; i++) {
+        s->d[i] = ONE;
+        s->z[i] = ZERO;
+    }
+    for (int i = 0; i < FO_NP; i++) {
+        s->p[i] = ZERO;
+    }
+    keep_deviations(a, s);
+    s->unsure = ZERO;
+    s->doubt = TWO;
+}
+
+/* Finds the voltage by which the parameters may be off at this current. */
+static void weigh_parameters(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t)
+{
+    fo_real direction[FO_NA] = {0};
     for (int i = FO_RESISTANCE; i < FO_OFFSET; i++) {
         direction[FO_NF + i] = magnitude(t->effect[i]);
     }
     s->unsure = fo_sqrt(fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction));
     s->unsure_at = dot(s->plain.current[0], s->plain.current[0]);
-    s->deviations[0] = fo_learning_deviation(a, s, FO_PSI, 1, ZERO);
-    s->deviations[1] = fo_learning_deviation(a, s, FO_RESISTANCE, 1, ZERO);
-    s->deviations[2] = fo_learning_deviation(a, s, FO_INVERTER, 2, loss(a, s));
+    keep_deviations(a, s);
 }
 
 void fo_learning_doubt(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
                        fo_real length, fo_real turned)
 {
     if (!s->running && s->turn % 16U == 0U) {
-        judge(a, s, t);
+        weigh_parameters(a, s, t);
     }
     const fo_real square = dot(s->plain.current[0], s->plain.current[0]);
     fo_real unsure = s->unsure;
@@ -118,14 +127,12 @@ static void step_flux(fo_adaptive_state *s, fo_real variance)
 {
     fo_real *first = &s->U[0], *second = &s->U[FO_ROW(FO_NA, 1)];
     const fo_real u = first[0], d0 = s->d[0], d1 = s->d[1];
-    const fo_real l01 = d0 * u, l11 = d0 * u * u + d1;
-    const fo_real a = ONE + variance * d0, b = variance * l01, c = ONE + variance * l11;
-    const fo_real over = ONE / (a * c - b * b);
-    const fo_real m00 = (d0 + variance * d0 * d1) * over, m01 = l01 * over;
-    const fo_real m11 = (l11 + variance * d0 * d1) * over;
-    const fo_real u_new = m01 / m00;
-    s->d[0] = m00;
-    s->d[1] = m11 - m01 * u_new;
+    /* written out for U'dU, so that nothing cancels */
+    const fo_real a = ONE + variance * d0, b = ONE + variance * d1, square = d0 * u * u;
+    const fo_real det = a * b + variance * square, u_new = u / b;
+    const fo_real m0 = d0 * b / det, m1 = d1 * (a + square * variance / b) / det;
+    s->d[0] = m0 > LEAST ? m0 : LEAST;
+    s->d[1] = m1 > LEAST ? m1 : LEAST;
     first[0] = u_new;
     for (int j = 1; j < FO_NA - 1; j++) {
         first[j] += (u_new - u) * second[j - 1];
@@ -186,23 +193,27 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
     if (a->std[FO_PSI] > ZERO && !(fo_abs(s->p[FO_PSI]) > ZERO)) { /* nothing learnt yet */
         s->p[FO_PSI] = (length - a->saliency * dot(x, current) / length - a->psi) / a->std[FO_PSI];
     }
+    const fo_real *known = m->U;
     for (int i = 0; i < (int)FO_NF; i++) {
+        fo_real on[FO_NM] = {0}; /* the row of the manifold */
+        on[i] = ONE;
+        for (int j = i + 1; j < (int)FO_NM; j++) {
+            on[j] = *known;
+            known++;
+        }
         for (int j = i + 1; j < (int)FO_NF; j++) {
-            s->U[FO_AT(FO_NA, i, j)] = m->U[FO_AT(FO_NM, i, j)];
+            s->U[FO_AT(FO_NA, i, j)] = on[j];
         }
         fo_real *row = &s->U[FO_AT(FO_NA, i, FO_NF)]; /* the parameters */
-        const fo_real by_psi = /* the manifold has its square */
-            TWO * psi * m->U[FO_AT(FO_NM, i, FO_NM - 1)];
-        row[FO_PSI] = by_psi * a->std[FO_PSI];
-        for (int j = FO_RESISTANCE; j < (int)FO_NP; j++) {
-            fo_real tie[FO_N], sum = ZERO;
-            tied(t->effect[j], turned, tie);
-            for (int k = 0; k < FO_N; k++) {
-                const fo_real on = k < i ? ZERO : k == i ? ONE : m->U[FO_AT(FO_NM, i, k)];
-                sum -= tie[k] * (on + by_psi * x[k] / length);
+        const fo_real by_psi = TWO * psi * on[FO_NM - 1]; /* the manifold has its square */
+        for (int j = 0; j < (int)FO_NP; j++) {
+            fo_real tie[FO_N] = {0};
+            if (j < (int)FO_OFFSET) {
+                tied(t->effect[j], turned, tie);
             }
-            row[j] = j < (int)FO_OFFSET ? sum : ZERO;
+            row[j] = -(dot(tie, on) + by_psi * dot(tie, x) / length);
         }
+        row[FO_PSI] = by_psi * a->std[FO_PSI];
         s->d[i] = m->d[i] / inflation;
         s->z[i] = ZERO;
     }
@@ -229,7 +240,7 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
 /* ---- a sample --------------------------------------------------------------------------------- */
 
 /* x = flux - L i, without offset; returns its length. */
-static fo_real position(const fo_adaptive *a, const fo_adaptive_state *s, fo_real current[FO_N],
+static fo_real without_offset(const fo_adaptive *a, const fo_adaptive_state *s, fo_real current[FO_N],
                         fo_real x[FO_N])
 {
     for (int i = 0; i < FO_N; i++) {
@@ -320,7 +331,7 @@ static void learn(const fo_adaptive *a, fo_adaptive_state *s, fo_real row[FO_NA]
         const fo_real volts = TWO * a->inverter_mean + a->std[FO_INVERTER] * x[FO_NF + FO_INVERTER] +
                               a->std[FO_INVERTER + 1] * x[FO_NF + FO_INVERTER + 1];
         if (volts < ZERO) { /* no inverter adds voltage: the likeliest without */
-            fo_real direction[FO_NA] = {ZERO}, y[FO_NA] = {ZERO};
+            fo_real direction[FO_NA] = {0}, y[FO_NA] = {0};
             direction[FO_NF + FO_INVERTER] = a->std[FO_INVERTER];
             direction[FO_NF + FO_INVERTER + 1] = a->std[FO_INVERTER + 1];
             const fo_real variance = fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction);
@@ -341,7 +352,7 @@ static void learn(const fo_adaptive *a, fo_adaptive_state *s, fo_real row[FO_NA]
             s->d[FO_NF + j] *= ONE - share;
         }
         s->pulled = s->pulled + 1U < (uint32_t)FO_CURVE ? s->pulled + 1U : 0U;
-        fo_real unit[FO_NA] = {ZERO}, zero = ZERO, prior = (fo_real)FO_CURVE * share;
+        fo_real unit[FO_NA] = {0}, zero = ZERO, prior = (fo_real)FO_CURVE * share;
         unit[FO_NF + s->pulled] = ONE;
         fo_rotate(FO_NA, s->U, s->d, s->z, FO_NF, FO_NF + FO_CURVE, unit, &zero, &prior);
     }
@@ -383,17 +394,24 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         fo_real information =
             share / (MODEL * MODEL + a->through_L * s->plain.roughness * over);
         fo_rotate(FO_NA, s->U, s->d, s->z, 0, FO_NF, row, &value, &information);
-        follow(s, row, value, information, share);
-        const fo_real length = position(a, s, current, x), speed = turned / b->time;
+        if (information > ZERO) {
+            follow(s, row, value, information, share);
+        }
+        const fo_real length = without_offset(a, s, current, x), speed = turned / b->time;
         const fo_real rows = rows_here(a, s, x, length, current, speed, share);
         const fo_real shape = speed > ZERO ? inverter / speed : ZERO;
-        const bool ready = s->doubt < DOUBT_LIMIT && speed > ZERO;
+        const bool ready = s->doubt < DOUBT_LIMIT && speed > ZERO && information > ZERO;
         const fo_real level = s->level > ONE ? s->level : ONE;
-        const fo_real weight = ONE / ((rows / information + shape * shape) * level);
-        learn(a, s, row, value, ready ? weight : ZERO, b->time);
+        fo_real weight = ZERO;
+        if (ready) {
+            weight = ONE / ((rows / information + shape * shape) * level);
+        }
+        learn(a, s, row, value, weight, b->time);
     }
-    const fo_real length = position(a, s, current, x);
-    fo_real direction[FO_NA] = {-x[1] / length, x[0] / length};
+    const fo_real length = without_offset(a, s, current, x);
+    fo_real direction[FO_NA] = {0};
+    direction[0] = -x[1] / length;
+    direction[1] = x[0] / length;
     for (int i = 0; i < FO_N; i++) {
         direction[FO_NF + FO_OFFSET + i] = o->L_position * a->std[FO_OFFSET + i] * direction[i];
     }
@@ -402,7 +420,7 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
     s->across += fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction);
     s->theta = fo_atan2(x[1], x[0]);
     clear_block(s);
-    judge(a, s, t);
+    weigh_parameters(a, s, t);
 }
 
 /* Is the estimate finite, and the flux one that a machine can have? */
@@ -431,7 +449,7 @@ fo_real fo_learning_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_
         }
     }
     b->time += o->h;
-    fo_real length = position(a, s, current, x);
+    fo_real length = without_offset(a, s, current, x);
     bool good = length * length > o->square_min / (fo_real)16;
     if (good) {
         if (measured) {
@@ -443,7 +461,7 @@ fo_real fo_learning_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_
         s->theta = theta;
         if (turned >= BLOCK || b->time >= BLOCK_MOST) {
             end(a, s, t, turned);
-            length = position(a, s, current, x);
+            length = without_offset(a, s, current, x);
         }
         good = sound(s) && length > ZERO;
     }

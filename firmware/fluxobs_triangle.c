@@ -9,9 +9,8 @@ void fo_rotate(int n, fo_real U[], fo_real d[], fo_real z[], int first, int last
     fo_real rhs = *value, weight = *information;
     fo_real *u = &U[FO_ROW(n, first)];
     for (int i = first; i < last; i++) {
-        const fo_real pivot = row[i];
-        if (pivot != ZERO) {
-            const fo_real weighted = weight * pivot, d_new = d[i] + weighted * pivot;
+        const fo_real pivot = row[i], weighted = weight * pivot, d_new = d[i] + weighted * pivot;
+        if (pivot != ZERO && d_new > ZERO) {
             const fo_real inverse = ONE / d_new, gain = weighted * inverse;
             weight *= d[i] * inverse;
             d[i] = d_new;
@@ -24,7 +23,7 @@ void fo_rotate(int n, fo_real U[], fo_real d[], fo_real z[], int first, int last
             rhs -= pivot * z[i];
             z[i] += gain * rhs;
         } else {
-            u += n - 1 - i;
+            u = &u[n - 1 - i];
         }
     }
     *value = rhs;

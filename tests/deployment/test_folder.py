@@ -116,6 +116,10 @@ def test_the_adaptive_observer_in_the_folder(tmp_path, name, unknowns):
         "fluxobs_candidates.c",
         "fluxobs_candidates.h",
         "fluxobs_internal.h",
+        "fluxobs_learning.c",
+        "fluxobs_learning.h",
+        "fluxobs_triangle.c",
+        "fluxobs_triangle.h",
         "motor_observer.h",
     }
     said = make_test(done.folder)
@@ -127,15 +131,15 @@ def test_the_adaptive_observer_in_the_folder(tmp_path, name, unknowns):
 
 
 @pytest.mark.parametrize(
-    ("was", "becomes"),
+    ("file", "was", "becomes"),
     [
-        ("UNMODELLED = (fo_real)0.05", "UNMODELLED = (fo_real)0.5"),
-        ("s->theta = ", "s->theta = (fo_real)0.01 + "),
+        ("learning", "MODEL = (fo_real)0.002", "MODEL = (fo_real)0.004"),
+        ("adaptive", "q->theta_e = s->theta", "q->theta_e = (fo_real)0.01 + s->theta"),
     ],
 )
-def test_a_change_of_the_adaptive_observer_shows(tmp_path, was, becomes):
+def test_a_change_of_the_adaptive_observer_shows(tmp_path, file, was, becomes):
     fluxobs.export(MACHINES["servo-400w"], 1e-4, tmp_path / "motor", unknowns=ADAPTIVE)
-    source = tmp_path / "motor" / "fluxobs_adaptive.c"
+    source = tmp_path / "motor" / f"fluxobs_{file}.c"
     assert was in source.read_text()
     source.write_text(source.read_text().replace(was, becomes))
     done = make_test(tmp_path / "motor", "CFLAGS=-O0 -Wno-error")

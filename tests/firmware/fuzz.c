@@ -64,7 +64,7 @@ static void fail(const char *what)
 
 static int finite_real(fo_real x) { return x - x == (fo_real)0; }
 
-static void judge(const fo_estimate *e)
+static void judge(const fo_estimate *e, double most)
 {
     const fo_real out[] = {
         e->flux[0],    e->flux[1],  e->psi_f,    e->theta_e,    e->theta_e_tracked, e->speed_e,
@@ -78,7 +78,7 @@ static void judge(const fo_estimate *e)
     if (fabs((double)e->theta_e) > PI * 1.000001 || fabs((double)e->theta_e_tracked) > PI * 1.000001) {
         fail("an angle is beyond half a turn");
     }
-    if (e->theta_e_std < (fo_real)0 || (e->valid && (double)e->theta_e_std > PI / 59)) {
+    if (e->theta_e_std < (fo_real)0 || (e->valid && (double)e->theta_e_std > most)) {
         fail("a standard deviation is impossible");
     }
     steps++;
@@ -102,7 +102,7 @@ static void judge_adaptive(const fo_adaptive_estimate *e)
         fail("another angle is impossible");
     }
     adapting += e->adapting ? 1 : 0;
-    judge(&e->position);
+    judge(&e->position, PI / 17.9); /* with what inductance and lag may turn it */
     steps--; /* the same sample as the plain observer's */
 }
 
@@ -123,7 +123,7 @@ static void step(observers *o, const fo_real u[FO_N], const fo_real i[FO_N], boo
     } else {
         fo_step(&o->plain, &o->state, u, i, &e);
     }
-    judge(&e);
+    judge(&e, PI / 59);
     if (o->both) {
         if (volt_seconds) {
             fo_adaptive_step_volt_seconds(&o->adaptive, &o->adaptive_state, u, i, &a);
@@ -176,8 +176,13 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     more_config.inverter_voltage = (more & 8U) ? about(&b, 0.1) : (fo_real)0;
     more_config.inverter_std = (more & 16U) ? about(&b, 0.5) : (fo_real)0;
     more_config.inverter_current = (more & 32U) ? about(&b, 0.5) : (fo_real)0.5;
+    const unsigned most = byte(&b);
+    more_config.offset_std = (most & 1U) ? about(&b, 0.24) : (fo_real)0.24;
+    more_config.asymmetry_std = (most & 2U) ? about(&b, 0.01) : (fo_real)0;
+    more_config.inductance_std = (most & 4U) ? about(&b, 0.05e-3) : (fo_real)0;
+    more_config.lag_std = (most & 8U) ? about(&b, 1e-5) : (fo_real)0;
     more_config.slow_memory = (more & 64U) ? about(&b, 100.0) : (fo_real)100;
-    more_config.projection = (fo_projection)(more % 3U);
+    more_config.projection = (fo_projection)(more % 2U);
     o.both = fo_adaptive_init(&o.adaptive, &c, &more_config) == FO_OK;
     if (o.both) {
         fo_adaptive_reset(&o.adaptive, &o.adaptive_state);

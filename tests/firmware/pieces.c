@@ -3,8 +3,9 @@
 #include <stdlib.h>
 
 #include "fluxobs_adaptive.c"
+#include "fluxobs_learning.c"
 
-typedef double matrix[FO_NP][FO_NP];
+typedef double matrix[FO_NA][FO_NA];
 
 static int failed;
 static unsigned long seed = 1;
@@ -15,23 +16,9 @@ static double uniform(void) /* -1 to 1 */
     return (double)(seed >> 33) / 1073741824.0 - 1.0;
 }
 
-static void expand(const fo_adaptive_state *s, matrix P)
-{
-    for (int i = 0; i < FO_NP; i++) {
-        for (int j = 0; j < FO_NP; j++) {
-            P[i][j] = 0.0;
-            for (int k = i > j ? i : j; k < FO_NP; k++) {
-                const double a = k == i ? 1.0 : (double)s->U[AT(i, k)];
-                const double b = k == j ? 1.0 : (double)s->U[AT(j, k)];
-                P[i][j] += a * b * (double)s->D[k];
-            }
-        }
-    }
-}
-
 static void compare(const char *what, const double *a, const double *b, int n)
 {
-    const double most = sizeof(fo_real) == sizeof(float) ? 2e-4 : 1e-11;
+    const double most = sizeof(fo_real) == sizeof(float) ? 2e-4 : 1e-10;
     double off = 0.0, size = 0.0;
     for (int i = 0; i < n; i++) {
         off = fabs(a[i] - b[i]) > off ? fabs(a[i] - b[i]) : off;
@@ -43,119 +30,301 @@ static void compare(const char *what, const double *a, const double *b, int n)
     }
 }
 
-static void random_state(fo_adaptive_state *s)
+/* Information U'dU of a triangle of order n, its first rows only. */
+static void expand(int n, int rows, const fo_real U[], const fo_real d[], double *info)
 {
-    memset(s, 0, sizeof *s);
-    for (int i = 0; i < FO_NP_TRIANGLE; i++) {
-        s->U[i] = (fo_real)uniform();
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j < n; j++) {
+            info[i * n + j] = 0.0;
+            for (int k = 0; k < rows && k <= i && k <= j; k++) {
+                const double a = k == i ? 1.0 : (double)U[FO_AT(n, k, i)];
+                const double b = k == j ? 1.0 : (double)U[FO_AT(n, k, j)];
+                info[i * n + j] += a * b * (double)d[k];
+            }
+        }
     }
-    for (int i = 0; i < FO_NP; i++) {
-        s->D[i] = (fo_real)(0.1 + fabs(uniform()));
-        s->p[i] = (fo_real)uniform();
-    }
-    s->level = ONE;
-    s->power = ONE;
 }
 
-static void check_update(void)
+/* Inverse by Gauss and Jordan with pivots. */
+static void invert(int n, const double *given, double *inverse)
+{
+    double a[FO_NA * FO_NA];
+    memcpy(a, given, sizeof(double) * (size_t)(n * n));
+    for (int i = 0; i < n * n; i++) {
+        inverse[i] = i % (n + 1) == 0 ? 1.0 : 0.0;
+    }
+    for (int c = 0; c < n; c++) {
+        int p = c;
+        for (int r = c + 1; r < n; r++) {
+            p = fabs(a[r * n + c]) > fabs(a[p * n + c]) ? r : p;
+        }
+        for (int j = 0; j < n; j++) {
+            double keep = a[c * n + j];
+            a[c * n + j] = a[p * n + j];
+            a[p * n + j] = keep;
+            keep = inverse[c * n + j];
+            inverse[c * n + j] = inverse[p * n + j];
+            inverse[p * n + j] = keep;
+        }
+        const double over = 1.0 / a[c * n + c];
+        for (int j = 0; j < n; j++) {
+            a[c * n + j] *= over;
+            inverse[c * n + j] *= over;
+        }
+        for (int r = 0; r < n; r++) {
+            const double by = a[r * n + c];
+            for (int j = 0; r != c && j < n; j++) {
+                a[r * n + j] -= by * a[c * n + j];
+                inverse[r * n + j] -= by * inverse[c * n + j];
+            }
+        }
+    }
+}
+
+static void random_triangle(int n, fo_real U[], fo_real d[], fo_real z[])
+{
+    for (int i = 0; i < n * (n - 1) / 2; i++) {
+        U[i] = (fo_real)(0.5 * uniform());
+    }
+    for (int i = 0; i < n; i++) {
+        d[i] = (fo_real)(1.0 + 0.5 * uniform());
+        z[i] = (fo_real)uniform();
+    }
+}
+
+/* A row taken in adds its outer product to the information, and its value to the right-hand side;
+ * what is left of it after the first rows is what the rest sees once those are eliminated. */
+static void check_rotation(void)
+{
+    enum { N = 7, M = 3 };
+    fo_real U[FO_PACKED(N)], d[N], z[N], row[N], x[N], value = (fo_real)0.7;
+    fo_real information = (fo_real)1.3;
+    double before[N * N], after[N * N], all[N * N], given[N], rhs[N], solved[N], sought[N];
+    random_triangle(N, U, d, z);
+    expand(N, N, U, d, before);
+    for (int i = 0; i < N; i++) { /* U'd z */
+        rhs[i] = 0.0;
+        for (int k = 0; k <= i; k++) {
+            rhs[i] += (k == i ? 1.0 : (double)U[FO_AT(N, k, i)]) * (double)d[k] * (double)z[k];
+        }
+    }
+    for (int i = 0; i < N; i++) {
+        row[i] = i == 2 ? ZERO : (fo_real)uniform(); /* zeros are passed over */
+        given[i] = (double)row[i];
+        rhs[i] += 1.3 * given[i] * 0.7;
+    }
+    fo_rotate(N, U, d, z, 0, M, row, &value, &information);
+    expand(N, N, U, d, after);
+    for (int i = 0; i < N; i++) { /* rotated rows, and the row that is left */
+        for (int j = 0; j < N; j++) {
+            all[i * N + j] = before[i * N + j] + 1.3 * given[i] * given[j];
+            after[i * N + j] += (double)information * (double)row[i] * (double)row[j];
+        }
+    }
+    compare("rotation, half way", after, all, N * N);
+    for (int i = 0; i < M; i++) {
+        if (row[i] != ZERO) {
+            printf("rotation: the row is not zero at %d\n", i);
+            failed = 1;
+        }
+    }
+    fo_rotate(N, U, d, z, M, N, row, &value, &information);
+    expand(N, N, U, d, after);
+    compare("rotation", after, all, N * N);
+    fo_solve(N, U, z, 0, N, x);
+    double inverse[N * N];
+    invert(N, all, inverse);
+    for (int i = 0; i < N; i++) {
+        solved[i] = (double)x[i];
+        sought[i] = 0.0;
+        for (int j = 0; j < N; j++) {
+            sought[i] += inverse[i * N + j] * rhs[j];
+        }
+    }
+    compare("solution", solved, sought, N);
+    fo_real direction[N];
+    double variance = 0.0;
+    for (int i = 0; i < N; i++) {
+        direction[i] = (fo_real)given[i];
+        for (int j = 0; j < N; j++) {
+            variance += given[i] * inverse[i * N + j] * given[j];
+        }
+    }
+    double found = (double)fo_variance(N, U, d, 0, M, direction);
+    found += (double)fo_variance(N, U, d, M, N, direction);
+    compare("variance", &found, &variance, 1);
+}
+
+/* A random step of the flux adds its variance to the covariance of the flux. */
+static void check_step_flux(void)
 {
     fo_adaptive_state s;
-    matrix P, Q, found;
-    fo_real row[FO_NP];
-    double Pg[FO_NP], g[FO_NP], p[FO_NP], moved[FO_NP], alpha = 0.3;
-    random_state(&s);
-    expand(&s, P);
-    for (int i = 0; i < FO_NP; i++) {
-        row[i] = (fo_real)uniform();
-        g[i] = (double)row[i];
-    }
-    for (int i = 0; i < FO_NP; i++) {
-        Pg[i] = 0.0;
-        for (int j = 0; j < FO_NP; j++) {
-            Pg[i] += P[i][j] * g[j];
-        }
-    }
-    for (int i = 0; i < FO_NP; i++) {
-        alpha += g[i] * Pg[i];
-    }
-    for (int i = 0; i < FO_NP; i++) {
-        p[i] = (double)s.p[i] + Pg[i] * 0.7 / alpha;
-        for (int j = 0; j < FO_NP; j++) {
-            Q[i][j] = P[i][j] - Pg[i] * Pg[j] / alpha;
-        }
-    }
-    const double said = (double)update(&s, row, (fo_real)0.7, (fo_real)0.3);
-    expand(&s, found);
-    for (int i = 0; i < FO_NP; i++) {
-        moved[i] = (double)s.p[i];
-    }
-    compare("update, covariance", &found[0][0], &Q[0][0], FO_NP * FO_NP);
-    compare("update, estimate", moved, p, FO_NP);
-    compare("update, innovation", &said, &alpha, 1);
+    static double before[FO_NA * FO_NA], P[FO_NA * FO_NA], after[FO_NA * FO_NA], Q[FO_NA * FO_NA];
+    memset(&s, 0, sizeof s);
+    random_triangle(FO_NA, s.U, s.d, s.z);
+    expand(FO_NA, FO_NA, s.U, s.d, before);
+    invert(FO_NA, before, P);
+    P[0] += 0.4;
+    P[FO_NA + 1] += 0.4;
+    step_flux(&s, (fo_real)0.4);
+    expand(FO_NA, FO_NA, s.U, s.d, after);
+    invert(FO_NA, after, Q);
+    compare("step of the flux", Q, P, FO_NA * FO_NA);
 }
 
-static void check_widen(void)
-{
-    for (int n = 0; n < FO_NP; n++) {
-        fo_adaptive_state s;
-        matrix P, found;
-        random_state(&s);
-        expand(&s, P);
-        P[n][n] += 0.4;
-        widen(&s, n, (fo_real)0.4);
-        expand(&s, found);
-        compare("widen", &found[0][0], &P[0][0], FO_NP * FO_NP);
-        const double variance = (double)variance_of(&s, n);
-        compare("variance", &variance, &P[n][n], 1);
-    }
-}
-
-static void check_transition(void)
+/* The transition to the end of a block: P <- F P F'. */
+static void check_carry(void)
 {
     fo_adaptive_state s;
-    static fo_adaptive a;
-    matrix P, F, Q = {{0}}, found;
-    random_state(&s);
-    memset(&a, 0, sizeof a);
-    a.plain.h = (fo_real)0.01;
-    const effects t = {{(fo_real)0.3, (fo_real)-0.2},
-                       {(fo_real)0.05, (fo_real)0.07},
-                       {(fo_real)0.06, (fo_real)0.08},
-                       {(fo_real)-0.02, (fo_real)0.04},
-                       ZERO};
-    expand(&s, P);
-    double p[FO_NP], moved[FO_NP];
-    for (int i = 0; i < FO_NP; i++) {
-        for (int j = 0; j < FO_NP; j++) {
-            F[i][j] = i == j ? 1.0 : 0.0;
-        }
+    static double info[FO_NA * FO_NA], P[FO_NA * FO_NA], F[FO_NA * FO_NA], Q[FO_NA * FO_NA];
+    static double sought[FO_NA * FO_NA];
+    memset(&s, 0, sizeof s);
+    memset(F, 0, sizeof F);
+    random_triangle(FO_NA, s.U, s.d, s.z);
+    s.block.time = (fo_real)0.3;
+    for (int i = 0; i < FO_NA; i++) {
+        F[i * FO_NA + i] = 1.0;
     }
     for (int i = 0; i < FO_N; i++) {
-        F[i][P_DRIFT + i] = 0.01;
-        F[i][P_R] = -(double)t.before[i];
-        F[i][P_V] = -(double)t.inverter[i];
-    }
-    for (int i = 0; i < FO_NP; i++) {
-        /* the estimate goes by the interval itself, its derivative by the one before */
-        p[i] = i < FO_N ? (double)t.v[i] + (double)(t.before[i] - t.charge[i]) * (double)s.p[P_R]
-                        : 0.0;
+        F[i * FO_NA + FO_N + i] = (double)s.block.time;
         for (int j = 0; j < FO_NP; j++) {
-            p[i] += F[i][j] * (double)s.p[j];
-            for (int k = 0; k < FO_NP; k++) {
-                for (int l = 0; l < FO_NP; l++) {
-                    Q[i][j] += F[i][k] * P[k][l] * F[j][l];
+            s.block.effect[j][i] = (fo_real)uniform();
+            F[i * FO_NA + FO_NF + j] = (double)s.block.effect[j][i];
+        }
+    }
+    expand(FO_NA, FO_NA, s.U, s.d, info);
+    invert(FO_NA, info, P);
+    for (int i = 0; i < FO_NA; i++) {
+        for (int j = 0; j < FO_NA; j++) {
+            sought[i * FO_NA + j] = 0.0;
+            for (int k = 0; k < FO_NA; k++) {
+                for (int l = 0; l < FO_NA; l++) {
+                    sought[i * FO_NA + j] += F[i * FO_NA + k] * P[k * FO_NA + l] * F[j * FO_NA + l];
                 }
             }
         }
     }
-    s.turn = 3U; /* no walk: its variance is zero */
-    time_update(&a, &s, &t);
-    expand(&s, found);
-    for (int i = 0; i < FO_NP; i++) {
-        moved[i] = (double)s.p[i];
+    carry(&s, &s.block);
+    expand(FO_NA, FO_NA, s.U, s.d, info);
+    invert(FO_NA, info, Q);
+    compare("transition", Q, sought, FO_NA * FO_NA);
+}
+
+static void simple(fo_adaptive *a)
+{
+    memset(a, 0, sizeof *a);
+    a->plain.h = (fo_real)0.01;
+    a->plain.sample_time = (fo_real)1e-4;
+    a->plain.L_position = (fo_real)0.05;
+    a->psi = ONE;
+    a->over_current[0] = ONE;
+    a->over_current[1] = (fo_real)0.2;
+    a->over_rated = (fo_real)0.05;
+    a->volt = (fo_real)0.01;
+    for (int j = 0; j < FO_NP; j++) {
+        a->std[j] = (fo_real)(0.2 + 0.1 * uniform());
     }
-    compare("transition, covariance", &found[0][0], &Q[0][0], FO_NP * FO_NP);
-    compare("transition, estimate", moved, p, FO_NP);
+}
+
+/* The derivatives of a sample's residual are those of the residual. */
+static void check_derivatives(void)
+{
+    static fo_adaptive a;
+    static fo_adaptive_state s;
+    simple(&a);
+    a.saliency = (fo_real)-0.03;
+    memset(&s, 0, sizeof s);
+    s.flux[0] = (fo_real)0.8;
+    s.flux[1] = (fo_real)0.7;
+    s.plain.current[0][0] = (fo_real)2.5;
+    s.plain.current[0][1] = (fo_real)-1.5;
+    const double step = sizeof(fo_real) == sizeof(float) ? 2e-2 : 1e-5;
+    for (int n = 0; n < FO_N + FO_NP; n++) {
+        double two[2], derivative = 0.0;
+        for (int side = 0; side < 2; side++) {
+            fo_adaptive_state t = s;
+            fo_real x[FO_N], current[FO_N];
+            const fo_real by = (fo_real)(side == 0 ? -step : step);
+            if (n < FO_N) {
+                t.flux[n] += by;
+            } else {
+                t.p[n - FO_N] += by;
+            }
+            const fo_real length = without_offset(&a, &t, current, x);
+            add(&a, &t, x, length, current, &t.block);
+            two[side] = (double)t.block.residual;
+            derivative += 0.5 * (double)(n < FO_N ? t.block.slope[n] : t.block.along[n - FO_N]);
+        }
+        const double found = (two[1] - two[0]) / (2.0 * step);
+        if (!(fabs(found - derivative) < 2e-3 * (1.0 + fabs(found)))) {
+            printf("derivative %d: %g, is %g\n", n, derivative, found);
+            failed = 1;
+        }
+    }
+}
+
+/* What one std of each parameter adds to an interval's volt-seconds is the difference that it
+ * makes. */
+static void check_effects(void)
+{
+    static fo_adaptive a;
+    static fo_adaptive_state s;
+    simple(&a);
+    memset(&s, 0, sizeof s);
+    a.inverter_mean = (fo_real)0.4;
+    const fo_real i[FO_N] = {(fo_real)1.2, (fo_real)-0.7}, u[FO_N] = {(fo_real)3, (fo_real)-5};
+    for (int k = 0; k < FO_HISTORY; k++) {
+        s.plain.current[k][0] = i[0];
+        s.plain.current[k][1] = i[1];
+    }
+    s.plain.have_current = true;
+    const double step = sizeof(fo_real) == sizeof(float) ? 1e-2 : 1e-5;
+    for (int j = 0; j < (int)FO_CURVE; j++) {
+        double found[FO_N], effect[FO_N] = {0.0, 0.0};
+        for (int side = 0; side < 2; side++) {
+            fo_adaptive_state t = s;
+            fo_effects e;
+            fo_real lost[FO_N], left[FO_N];
+            t.p[j] += (fo_real)(side == 0 ? -step : step);
+            known_loss(&a, &t, i, lost);
+            straighten(&a, &t, u, left);
+            for (int n = 0; n < FO_N; n++) { /* as the plain observer takes it in */
+                t.plain.source[n] = a.volt * (left[n] - lost[n]);
+                found[n] = side == 0 ? -(double)t.plain.source[n]
+                                     : (found[n] + (double)t.plain.source[n]) / (2.0 * step);
+            }
+            t.plain.source[0] = a.volt * u[0]; /* by the voltage as measured */
+            t.plain.source[1] = a.volt * u[1];
+            integrate(&a, &t, false, &e);
+            effect[0] += 0.5 * (double)e.effect[j][0];
+            effect[1] += 0.5 * (double)e.effect[j][1];
+        }
+        for (int n = 0; n < FO_N; n++) {
+            if (!(fabs(found[n] - effect[n]) < 2e-3 * (1e-3 + fabs(found[n])))) {
+                printf("effect %d: %g, is %g\n", j, effect[n], found[n]);
+                failed = 1;
+            }
+        }
+    }
+}
+
+/* No inverter adds voltage: the estimate is then the likeliest whose loss is zero. */
+static void check_no_gain(void)
+{
+    static fo_adaptive a;
+    static fo_adaptive_state s;
+    fo_real row[FO_NA] = {ZERO};
+    simple(&a);
+    memset(&s, 0, sizeof s);
+    fo_learning_forget(&a, &s);
+    row[FO_NF + FO_INVERTER] = ONE;
+    row[FO_NF + FO_RESISTANCE] = (fo_real)0.5;
+    learn(&a, &s, row, -ONE, (fo_real)3, ZERO);
+    const double volts = (double)loss(&a, &s);
+    if (!(fabs(volts) < 1e-4 && s.p[FO_RESISTANCE] < ZERO)) {
+        printf("inverter: gains %g V\n", -volts);
+        failed = 1;
+    }
 }
 
 /* The cost of a candidate, straight from its definition. */
@@ -187,8 +356,8 @@ static void check_projection(void)
     memset(&s, 0, sizeof s);
     memset(&c, 0, sizeof c);
     s.x[0] = ONE;
-    s.p[P_PSI] = ONE;
-    a.variance[P_PSI] = (fo_real)1e6; /* no prior to speak of */
+    a.psi = ONE;
+    a.std[FO_PSI] = (fo_real)1e3; /* no prior to speak of */
     fo_information *info = &s.plain.info;
     for (int i = 0; i < FO_TRIANGLE; i++) {
         info->U[i] = (fo_real)(0.3 * uniform());
@@ -235,62 +404,52 @@ static void check_projection(void)
     }
 }
 
-/* The covariance at the start is the inverse of the projection's information, and what is added for
- * resistance and inverter. */
+/* A start has the information of the projection on flux and drift, and ties an error of the
+ * resistance to the flux as in steady state: the flux of the true resistance is as likely. */
 static void check_start(void)
 {
     static fo_adaptive a;
     static fo_adaptive_state s;
     fo_manifold m;
     fo_candidate c;
-    matrix found;
-    memset(&a, 0, sizeof a);
+    fo_effects t;
+    simple(&a);
+    a.plain.plausible = ONE;
     memset(&s, 0, sizeof s);
     memset(&c, 0, sizeof c);
     memset(&m, 0, sizeof m);
-    a.plain.h = (fo_real)0.01;
-    a.plain.sample_time = (fo_real)1e-4;
+    memset(&t, 0, sizeof t);
+    fo_learning_forget(&a, &s);
+    s.doubt = ZERO;
     s.tracker.speed = (fo_real)300;
-    s.D[P_PSI] = (fo_real)1e6; /* no prior of the magnet's flux */
-    for (int i = 0; i < FO_NM * (FO_NM - 1) / 2; i++) {
-        m.U[i] = (fo_real)uniform();
-    }
-    for (int i = 0; i < FO_NM; i++) {
-        m.d[i] = (fo_real)(2.0 + uniform());
-    }
+    random_triangle(FO_NM, m.U, m.d, m.z);
     c.p[0] = ONE;
     c.p[4] = (fo_real)1.44;
-    start(&a, &s, &c, &m, ONE);
-    expand(&s, found);
-    /* information in (flux, drift, psi): the square's by 2 psi */
-    double product[FO_NM][FO_NM], one[FO_NM][FO_NM], info[FO_NM][FO_NM];
-    for (int i = 0; i < FO_NM; i++) {
-        for (int j = 0; j < FO_NM; j++) {
-            info[i][j] = 0.0;
-            for (int k = 0; k <= (i < j ? i : j); k++) {
-                const double p = k == i ? 1.0 : (double)m.U[ROW(k, i)];
-                const double q = k == j ? 1.0 : (double)m.U[ROW(k, j)];
-                info[i][j] += p * q * (double)m.d[k];
-            }
-            info[i][j] *= (i == 4 ? 2.4 : 1.0) * (j == 4 ? 2.4 : 1.0);
+    t.effect[FO_RESISTANCE][1] = (fo_real)-0.02;
+    fo_learning_start(&a, &s, &c, &m, (fo_real)2, &t);
+    static double found[FO_NA * FO_NA], given[FO_NM * FO_NM];
+    expand(FO_NA, FO_NF, s.U, s.d, found);
+    expand(FO_NM, FO_NF, m.U, m.d, given);
+    double two[FO_NF * FO_NF], one[FO_NF * FO_NF];
+    for (int i = 0; i < FO_NF * FO_NF; i++) {
+        two[i] = found[i / FO_NF * FO_NA + i % FO_NF];
+        one[i] = given[i / FO_NF * FO_NM + i % FO_NF] / 2.0;
+    }
+    compare("start, information", two, one, FO_NF * FO_NF);
+    /* the drop of one std along -beta, at 0.03 rad a sample, moves the flux along -alpha by 2/3 */
+    const double along = -0.02 / 0.03;
+    double x[FO_NA] = {0.0}, cost = 0.0;
+    x[0] = along;
+    x[FO_NF + FO_RESISTANCE] = 1.0;
+    x[FO_NF + FO_PSI] = along / (double)a.std[FO_PSI]; /* and shortens it by as much */
+    for (int i = 0; i < FO_NA; i++) {
+        for (int j = 0; j < FO_NA; j++) {
+            cost += x[i] * found[i * FO_NA + j] * x[j];
         }
     }
-    for (int i = 0; i < FO_NM; i++) {
-        for (int j = 0; j < FO_NM; j++) {
-            product[i][j] = 0.0;
-            for (int k = 0; k < FO_NM; k++) {
-                product[i][j] += info[i][k] * found[k][j];
-            }
-            one[i][j] = i == j ? 1.0 : 0.0;
-        }
-    }
-    /* the prior of the magnet flux, a million, is not nothing */
-    const double worst = 1e-4;
-    for (int i = 0; i < FO_NM * FO_NM; i++) {
-        if (!(fabs((&product[0][0])[i] - (&one[0][0])[i]) < worst)) {
-            printf("start: not the inverse, %g\n", (&product[0][0])[i]);
-            failed = 1;
-        }
+    if (!(fabs(cost) < 1e-6)) {
+        printf("start: a wrong resistance costs %g\n", cost);
+        failed = 1;
     }
 }
 
@@ -321,9 +480,12 @@ static void check_tracker(void)
 int main(void)
 {
     for (int times = 0; times < 20; times++) {
-        check_update();
-        check_widen();
-        check_transition();
+        check_rotation();
+        check_step_flux();
+        check_carry();
+        check_derivatives();
+        check_effects();
+        check_no_gain();
         check_projection();
         check_start();
         for (int starts = 0; starts < 50; starts++) {

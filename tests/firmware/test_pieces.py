@@ -9,10 +9,10 @@ from support.firmware import FIRMWARE, HARNESS
 
 @pytest.mark.parametrize("precision", ["-DFO_SINGLE", "-UFO_SINGLE"])
 def test_pieces_against_dense_matrices(tmp_path, precision):
-    """Bierman, Agee-Turner, the transition, the start's inverse and the projection's minimum."""
+    """Triangles, transition, random step, derivatives, effects, start, the projection's minimum."""
     program = tmp_path / "pieces"
     sources = [HARNESS / "pieces.c", FIRMWARE / "fluxobs.c"]
-    sources += [FIRMWARE / "fluxobs_candidates.c"]
+    sources += [FIRMWARE / f"fluxobs_{part}.c" for part in ("triangle", "candidates")]
     command = ["gcc", "-std=c99", "-O1", "-Wall", "-Werror", precision, f"-I{FIRMWARE}"]
     subprocess.run([*command, *sources, "-lm", "-o", program], check=True)
     done = subprocess.run([program], capture_output=True, text=True, check=False)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fluxobs import AdaptiveObserver, FluxobsError
+from fluxobs import AdaptiveObserver, FluxobsError, SurfacePMSM
 from support.records import COURSE_TIME as H
 from support.records import MACHINES, course, driven, profile, wrapped_degrees
 from support.records import PMSM as MACHINE
@@ -74,7 +74,7 @@ def test_a_start_says_that_two_angles_are_in_question():
     assert (found.weight_other[found.adapting] == 0).all()
 
 
-@pytest.mark.parametrize("projection", ["never", "start", "always"])
+@pytest.mark.parametrize("projection", ["never", "start"])
 def test_projections_end_at_the_same(projection):
     samples = course(R_s=1.2 * MACHINE.R_s)
     observer = AdaptiveObserver.for_machine(
@@ -83,8 +83,6 @@ def test_projections_end_at_the_same(projection):
     found = observer.run(samples.voltage, samples.current)
     late = slice(int(0.7 / H), None)
     assert rms(errors(found, samples)[late]) < 0.3
-    first = H * np.argmax(found.adapting)
-    assert (first > 0.05) == (projection == "never")
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.8, 1.2, 1.5])
@@ -96,11 +94,85 @@ def test_resistance(factor):
     )
     found = observer.run(samples.voltage, samples.current)
     late = slice(int(0.7 / H), None)
-    assert rms(errors(found, samples)[late]) < 0.3
-    assert found.resistance[-1] == pytest.approx(MACHINE.R_s, abs=4 * found.resistance_std[-1])
-    assert found.resistance_std[-1] < 0.1 * MACHINE.R_s
+    assert rms(errors(found, samples)[late]) < 0.1
+    off = np.abs(found.resistance - MACHINE.R_s)
+    assert (off <= 3 * found.resistance_std).all()
+    assert off[-1] < 0.005 * MACHINE.R_s
+    assert found.resistance_std[-1] < 0.05 * MACHINE.R_s
     plain = observer.plain.run(samples.voltage, samples.current)
     assert rms(errors(plain, samples)[late]) > 0.3
+
+
+@pytest.mark.parametrize("believed", [0.12, 0.18, 0.08])
+def test_never_sure_and_wrong(believed):
+    """The record on which a joint filter became sure of R = 0.21 ± 0.010 Ω (docs/theory.md)."""
+    h, rows = 5e-5, 80_000
+    t = np.arange(rows) * h
+    true = SurfacePMSM(R_s=0.12, L_s=120e-6, psi_f=0.0105, n_p=7, rated_current=30.0)
+    speed = 600 * np.sin(2 * np.pi * t / 100) + 300 * np.sin(2 * np.pi * t / 7)
+    current = 1j * (5 + 3 * np.sin(2 * np.pi * t / 3))
+    samples = driven(true, h, speed, current, noise=0.05)
+    biased = samples.current + np.array([0.1, -0.05])
+    machine = true.with_values(R_s=believed)
+    observer = AdaptiveObserver.for_machine(machine, sample_time=h, resistance_std=0.5 * believed)
+    found = observer.run(samples.voltage, biased)
+    error = np.abs(errors(found, samples))
+    assert error[found.valid].max() < 5
+    assert (np.abs(found.resistance - 0.12) <= 3 * found.resistance_std).all()
+    late = t > 2
+    assert found.valid[late].mean() > 0.8
+    assert error[late & found.valid].max() < 1
+    assert found.resistance[-1] == pytest.approx(0.12, rel=0.01)
+
+
+def test_an_emf_within_the_uncertainty_is_not_valid():
+    """At 1 V of EMF and 8 A, a resistance that is 0.25 Ω larger explains the rotor half a turn on
+    as well; as the speed rises, the truth remains."""
+    machine = MACHINES["servo-400w"]
+    speed = profile((0, 80), (1.0, 80), (1.3, 800), (2.0, 800))
+    samples = driven(machine, H, speed, np.full(len(speed), 8j), noise=0.02)
+    believed = machine.with_values(R_s=0.6)
+    observer = AdaptiveObserver.for_machine(believed, sample_time=H, resistance_std=0.3)
+    found = observer.run(samples.voltage, samples.current)
+    slow = np.arange(len(speed)) * H < 1.0
+    assert not found.valid[slow].any()
+    assert found.valid[-1]
+    assert np.abs(errors(found, samples))[found.valid].max() < 5
+
+
+def test_what_leaves_no_residual_is_in_the_standard_deviation():
+    samples = course()
+    for name, change in (("L_s", 1.15), ("L_s", 0.85)):
+        machine = MACHINE.with_values(**{name: change * getattr(MACHINE, name)})
+        observer = AdaptiveObserver.for_machine(machine, sample_time=H)
+        found = observer.run(samples.voltage, samples.current)
+        sure = np.abs(np.radians(errors(found, samples))) < 2 * found.theta_e_std
+        assert sure[found.valid].mean() > 0.85
+        known = replace(observer, inductance_std=0.0).run(samples.voltage, samples.current)
+        assert (known.theta_e == found.theta_e).all()
+        assert known.theta_e_std[-1] < found.theta_e_std[-1]
+
+
+def test_offsets_and_asymmetry_are_learnt():
+    true = course(inverter=8.0, smoothing=0.05 * RATED)
+    g, offset = 0.008 - 0.004j, np.array([0.12, -0.08])
+    u = true.voltage[:, 0] + 1j * true.voltage[:, 1]
+    # measured u, of which u + g conj(u) acts
+    measured = (u - g * np.conj(u)) / (1 - abs(g) ** 2)
+    observer = AdaptiveObserver.for_machine(
+        MACHINE, sample_time=H, unknowns=(*BOTH, "asymmetry"), inverter_std=5.0
+    )
+    state, found = observer.resume(
+        observer.init(), np.stack([measured.real, measured.imag], axis=1), true.current + offset
+    )
+    learnt = observer.learnt(state)
+    np.testing.assert_allclose(learnt.asymmetry, [g.real, g.imag], atol=0.001)
+    assert (np.abs(learnt.offset - offset) < 3 * np.array(learnt.offset_std)).all()
+    assert max(learnt.offset_std) < 0.6 * observer.offset_std
+    assert learnt.inverter_voltage == pytest.approx(8.0, abs=3 * learnt.inverter_std)
+    assert learnt.resistance == found.resistance[-1]
+    assert rms(errors(found, true)[int(0.7 / H) :]) < 0.25
+    assert observer.restarts(state) == 0
 
 
 def test_inverter_at_a_tenth_of_the_speed():
@@ -145,7 +217,7 @@ def test_a_known_magnet_flux_shows_the_resistance_at_steady_state():
 
 
 def test_what_is_not_visible_keeps_its_value_and_the_position():
-    """Without load, at low speed, for seconds: noise alone would draw the resistance to zero."""
+    """Without load, at low speed, for seconds: noise alone tells nothing of the resistance."""
     machine = MACHINES["servo-400w"]
     rows = int(3.0 / H)
     speed = np.interp(np.arange(rows) * H, [0, 0.2, 3.0], [0, 126, 126])
@@ -156,7 +228,7 @@ def test_what_is_not_visible_keeps_its_value_and_the_position():
     found = observer.run(samples.voltage, samples.current)
     late = slice(rows // 2, None)
     assert np.abs(found.resistance[late] - machine.R_s).max() < 0.2 * machine.R_s
-    assert found.resistance_std[-1] > found.resistance_std[rows // 4]
+    assert found.resistance_std[-1] > 0.8 * observer.resistance_std
     plain = observer.plain.run(samples.voltage, samples.current)
     assert rms(errors(found, samples)[late]) < 1.2 * rms(errors(plain, samples)[late]) + 0.05
 
@@ -320,7 +392,7 @@ def test_a_known_inverter_is_taken_off():
 
 
 def test_what_cannot_be():
-    with pytest.raises(FluxobsError, match="finds drift, resistance and inverter"):
+    with pytest.raises(FluxobsError, match="finds drift, resistance, inverter, asymmetry"):
         AdaptiveObserver.for_machine(MACHINE, sample_time=H, unknowns=("drift", "current-bias"))
     with pytest.raises(FluxobsError, match="not among the unknowns"):
         AdaptiveObserver.for_machine(

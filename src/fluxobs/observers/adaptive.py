@@ -29,7 +29,7 @@ PROJECTIONS: tuple[Projection, ...] = ("never", "start")
 
 #: Default standard deviations: of resistance, magnet flux and inductance, as shares of the values
 #: given; of the inverter's voltage, as a share of the rated resistive drop and of the DC link.
-RESISTANCE_SHARE, PSI_SHARE, INDUCTANCE_SHARE = 0.5, 0.25, 0.08
+RESISTANCE_SHARE, PSI_SHARE, INDUCTANCE_SHARE = 0.5, 0.25, 0.1
 INVERTER_SHARE, DC_LINK_SHARE = 0.25, 0.02
 #: ... of a current offset, as a share of the rated current; of the asymmetry; of the lag [samples].
 OFFSET_SHARE, ASYMMETRY_STD, LAG_STD = 0.02, 0.01, 0.15
@@ -277,7 +277,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             resistive drop and 2 % of the DC link. A magnet flux known to 1 % speeds up the start
             and reveals the resistance at constant speed and load.
         asymmetry_std, offset_std, inductance_std, lag_std : float, optional
-            Default: 0.01; 2 % of the rated current [A]; 8 % of the larger inductance [H]; 0.15
+            Default: 0.01; 2 % of the rated current [A]; 10 % of the larger inductance [H]; 0.15
             samples [s].
         dc_link : float, optional
             Voltage of the inverter's DC link [V].
