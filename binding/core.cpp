@@ -356,6 +356,18 @@ public:
         return out;
     }
 
+    // every lane's state, reset but for what it has learnt
+    nb::ndarray<nb::numpy, std::uint8_t> restart(const States &states, bool frozen) const {
+        const std::size_t lanes = states.shape(0), size = sizeof(fo_adaptive_state);
+        auto raw = std::make_unique<std::uint8_t[]>(lanes * size);
+        for (std::size_t lane = 0; lane < lanes; lane++) {
+            auto state = lane_of<fo_adaptive_state>(states, lane);
+            fo_adaptive_restart(&observer_, &state, frozen);
+            std::memcpy(raw.get() + lane * size, &state, size);
+        }
+        return owned(std::move(raw), {lanes, size});
+    }
+
     // how often the filter's guard restarted it
     static std::uint32_t restarts(const States &states, std::size_t lane) {
         return lane_of<fo_adaptive_state>(states, lane).restarts;
@@ -381,6 +393,7 @@ NB_MODULE(FLUXOBS_MODULE, m) {
         .def("run", &Adaptive::run)
         .def_static("counters", &Adaptive::counters)
         .def("learnt", &Adaptive::learnt)
+        .def("restart", &Adaptive::restart)
         .def_static("restarts", &Adaptive::restarts);
     m.attr("outputs") = outputs(false);
     m.attr("adaptive_outputs") = outputs(true);

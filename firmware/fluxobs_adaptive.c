@@ -99,6 +99,20 @@ void fo_adaptive_reset(const fo_adaptive *a, fo_adaptive_state *s)
     fo_candidates_sow(a, s);
 }
 
+void fo_adaptive_restart(const fo_adaptive *a, fo_adaptive_state *s, bool frozen)
+{
+    fo_adaptive_state before;
+    before = *s;
+    fo_adaptive_reset(a, s);
+    (void)memcpy(s->U, before.U, sizeof s->U);
+    (void)memcpy(s->d, before.d, sizeof s->d);
+    (void)memcpy(s->z, before.z, sizeof s->z);
+    (void)memcpy(s->p, before.p, sizeof s->p);
+    (void)memcpy(s->deviations, before.deviations, sizeof s->deviations);
+    s->frozen = frozen;
+    fo_candidates_sow(a, s);
+}
+
 /* ---- the inverter --------------------------------------------------------------------- */
 
 /* tanh(x) to within 0.0014: its Pade approximant, clipped where that reaches 1. */
@@ -220,6 +234,8 @@ static void stop(const fo_adaptive *a, fo_adaptive_state *s, bool harm)
 {
     if (harm) {
         s->restarts++;
+    }
+    if (harm && !s->frozen) {
         fo_learning_forget(a, s);
     }
     fo_candidates_sow(a, s);

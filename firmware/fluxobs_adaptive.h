@@ -26,6 +26,7 @@ extern "C" {
 #define fo_adaptive_step fo_adaptive_step_single
 #define fo_adaptive_step_volt_seconds fo_adaptive_step_volt_seconds_single
 #define fo_adaptive_learnt fo_adaptive_learnt_single
+#define fo_adaptive_restart fo_adaptive_restart_single
 #endif
 
 /* Order of the parameters. The inverter's loss is a sum of two: one grows within small currents,
@@ -118,6 +119,7 @@ typedef struct {
 typedef struct {
     fo_state plain;
     bool running;                        /* the filter; else candidates are followed        */
+    bool frozen;                         /* the parameters stay as they are                 */
     uint32_t turn;
     uint32_t restarts;                   /* of the filter, by its guard                     */
     fo_candidate candidates[FO_CANDIDATES];
@@ -179,6 +181,10 @@ typedef struct {
 fo_error fo_adaptive_init(fo_adaptive *observer, const fo_config *config,
                           const fo_adaptive_config *adaptive);
 void fo_adaptive_reset(const fo_adaptive *observer, fo_adaptive_state *state);
+
+/* Resets all but what has been learnt, as after a power cycle. If `frozen`, that stays as it is. */
+void fo_adaptive_restart(const fo_adaptive *observer, fo_adaptive_state *state, bool frozen);
+
 void fo_adaptive_step(const fo_adaptive *observer, fo_adaptive_state *state,
                       const fo_real voltage[FO_N], const fo_real current[FO_N],
                       fo_adaptive_estimate *estimate);

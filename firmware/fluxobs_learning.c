@@ -190,7 +190,7 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
         x[i] = c->p[i] - a->plain.L_position * (current[i] - fo_learning_value(a, s, FO_OFFSET + i));
     }
     const fo_real length = magnitude(x);
-    if (a->std[FO_PSI] > ZERO && !(fo_abs(s->p[FO_PSI]) > ZERO)) { /* nothing learnt yet */
+    if (a->std[FO_PSI] > ZERO && !s->frozen && !(fo_abs(s->p[FO_PSI]) > ZERO)) { /* new */
         s->p[FO_PSI] = (length - a->saliency * dot(x, current) / length - a->psi) / a->std[FO_PSI];
     }
     const fo_real *known = m->U;
@@ -400,7 +400,8 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         const fo_real length = without_offset(a, s, current, x), speed = turned / b->time;
         const fo_real rows = rows_here(a, s, x, length, current, speed, share);
         const fo_real shape = speed > ZERO ? inverter / speed : ZERO;
-        const bool ready = s->doubt < DOUBT_LIMIT && speed > ZERO && information > ZERO;
+        const bool ready =
+            !s->frozen && s->doubt < DOUBT_LIMIT && speed > ZERO && information > ZERO;
         const fo_real level = s->level > ONE ? s->level : ONE;
         fo_real weight = ZERO;
         if (ready) {

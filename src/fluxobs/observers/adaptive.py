@@ -359,6 +359,13 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         found["resistance"] = self.resistance + found.pop("resistance_error")
         return Learnt(**{k: tuple(v) if isinstance(v, list) else v for k, v in found.items()})
 
+    def restart(self, state: CompiledState, *, frozen: bool = False) -> CompiledState:
+        """Initial state that keeps what `state` has learnt, as after a power cycle.
+
+        With `frozen` the parameters and their standard deviations stay as they are.
+        """
+        return CompiledState(self._core.restart(state.raw, frozen), state.batch)
+
     def restarts(self, state: CompiledState, lane: int = 0) -> int:
         """How often the filter's guard restarted it in `state` (one lane of it)."""
         return int(self._core.restarts(state.raw, lane))
