@@ -11,7 +11,7 @@ from typing import Any
 from ..errors import FluxobsError
 from ..machines import Machine, as_machine
 from ..observers import AdaptiveObserver, LeastSquaresObserver
-from ..observers.unknowns import adapts, read_unknowns
+from ..observers.unknowns import ADAPTED, AUTO, adapts, read_unknowns
 from ..validation import number
 from .c_source import PRECISIONS
 from .contents import contents
@@ -100,6 +100,8 @@ def export(
     check_prefix(prefix)
     sample_time = number("sample_time", sample_time, "s")
     chosen = read_unknowns(unknowns)
+    if chosen == (AUTO,):
+        chosen = ("drift", *ADAPTED)
     given = check_machine(as_machine(machine), chosen, priors or {})
     memory = check_times(sample_time, update_every, memory)
     for name, value in (("current_noise", current_noise), ("drift_prior", drift_prior)):

@@ -38,6 +38,7 @@ def settings(observer: Exported, update_every: int) -> dict[str, str]:
         more = _adaptive_settings(observer)
         unknowns += ["resistance"] if observer.resistance_std > 0 else []
         unknowns += ["inverter"] if observer.inverter_std > 0 else []
+        unknowns += ["asymmetry"] if observer.asymmetry_std > 0 else []
     return more | {
         "interrupt every": f"{o.sample_time / update_every:.9g} s",
         "step every": f"{o.sample_time:.9g} s",

@@ -10,13 +10,15 @@ from typing import Any
 import polars as pl
 
 from ..logs.read import Source
-from ..machines import Machine
+from ..machines import Machine, RotatingMachine
 from ..machines.files import as_machine
-from ..observers import LogObserver
-from ..observers.unknowns import read_unknowns
+from ..observers import AdaptiveObserver, LogObserver
+from ..observers.adaptive import Learnt
+from ..observers.unknowns import ADAPTED, AUTO, read_unknowns
 from ..output import ahead, check_out, write_rows
 from ..validation import number
 from .columns import rows_of
+from .learning import learn, parameters
 from .prepare import open_for, prepare
 from .result import Result
 from .statistics import Statistics
@@ -28,6 +30,7 @@ def estimate(
     *,
     out: str | Path | None = None,
     unknowns: str | Sequence[str] = "drift",
+    causal: bool = False,
     memory: float | None = None,
     priors: Mapping[str, float] | None = None,
     progress: Callable[[int, int], Any] | None = None,
@@ -45,9 +48,14 @@ def estimate(
     machine : Machine, or a path, or the name of a shipped machine
     out : path, optional
         Ends in .parquet or .csv. Without it the estimates stay in memory.
-    unknowns : str or sequence of {"drift", "resistance", "inverter", "current-bias"}
-        Constant or slow unknowns. With resistance or inverter the adaptive observer runs; with
-        current-bias the readable one, 0.25 ms per row.
+    unknowns : "auto", or str or sequence of {"drift", "resistance", "inverter", "asymmetry", \
+            "current-bias"}
+        Constant or slow unknowns. With resistance, inverter or asymmetry the adaptive observer
+        runs; with current-bias the readable one, 0.25 ms per row. "auto": all that the adaptive
+        observer finds, if the log tells resistance or inverter, else drift.
+    causal : bool
+        The adaptive observer learns from the whole log, then estimates with what it has learnt.
+        If true it learns as it goes: what firmware would have known at the time.
     memory : float, optional
         Memory of the least squares [s]; default: that of the kind of machine.
     priors : mapping of {"resistance", "inverter", "psi_f"} to float, optional
@@ -84,10 +92,28 @@ def estimate(
     chosen, stds = read_unknowns(unknowns), dict(priors or {})
     opened = open_for(log, machine, **layout)
     path = None if out is None else check_out(out, opened.path)
+    automatic, done, total = chosen == (AUTO,), 0, len(opened)
+    if automatic:
+        chosen = ("drift", *ADAPTED) if isinstance(machine, RotatingMachine) else ("drift",)
     run = prepare(opened, machine, chosen, memory, stds)
-    statistics = Statistics(len(opened))
+    learnt: Learnt | None = None
+    state: Any = None
+    if isinstance(run.observer, AdaptiveObserver) and (automatic or not causal):
+
+        def tell(rows: int) -> None:
+            nonlocal done
+            done += rows
+            if progress is not None:
+                progress(done, 2 * total)
+
+        state, learnt = learn(run, run.observer, tell)
+        if automatic and not _told(run.observer, learnt):
+            chosen, learnt, state = ("drift",), None, None
+            run = prepare(opened, machine, chosen, memory, {})
+    statistics = Statistics(total)
     observer: LogObserver[Any, Any] = run.observer
-    state = observer.init()
+    if state is None or causal:
+        state = observer.init()
 
     def frames() -> Iterator[pl.DataFrame]:
         nonlocal state
@@ -96,7 +122,7 @@ def estimate(
             rows = rows_of(run.log, machine, run.observer, part, found)
             statistics.add(rows)
             if progress is not None:
-                progress(statistics.rows, statistics.total)
+                progress(done + statistics.rows, done + total)
             yield pl.DataFrame(rows.columns)
 
     made = frames()
@@ -107,6 +133,8 @@ def estimate(
         table = pl.concat(everything)
     else:
         write_rows(path, dict(first.schema), everything)
+    if isinstance(run.observer, AdaptiveObserver):
+        learnt = run.observer.learnt(state)
     return Result(
         run.log,
         machine,
@@ -116,6 +144,15 @@ def estimate(
         stds,
         statistics,
         observer.counts(state),
+        learnt,
+        automatic,
+        causal,
         table,
         path,
     )
+
+
+def _told(observer: AdaptiveObserver, learnt: Learnt) -> bool:
+    """Whether a log tells resistance or inverter."""
+    found = parameters(observer, learnt)
+    return any(one.told for one in found if one.name in ADAPTED)

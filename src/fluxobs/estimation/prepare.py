@@ -203,6 +203,8 @@ def _adaptive_observer(
         psi_f_std=priors.get("psi_f"),
         resistance_std=priors.get("resistance"),
         inverter_std=priors.get("inverter"),
+        asymmetry_std=priors.get("asymmetry"),
+        dc_link=np.sqrt(3) * scales.voltage,  # at least
     )
 
 

@@ -35,7 +35,7 @@ class Result(LogRun):
         The estimates, if they stayed in memory.
     path : Path, optional
         The file with the estimates, if there is one.
-    log, machine, observer, scales, unknowns, priors, statistics, counts
+    log, machine, observer, scales, unknowns, priors, statistics, counts, learnt, automatic, causal
         See :class:`LogRun`.
     """
 
@@ -97,7 +97,10 @@ class Result(LogRun):
         if plain is None or self.firmware is not None:
             return None
         chosen = "" if self.adaptive is None else f" --unknowns {','.join(self.unknowns)}"
-        chosen += "".join(f" --prior {name}={std!r}" for name, std in self.priors.items())
+        priors = dict(self.priors)
+        if self.adaptive is not None and self.adaptive.inverter_std > 0:
+            priors["inverter"] = self.adaptive.inverter_std  # its default depends on the log
+        chosen += "".join(f" --prior {name}={std!r}" for name, std in priors.items())
         return (
             f"fluxobs export --machine {shlex.quote(machine)}{chosen} "
             f"--sample-time {plain.sample_time!r} --memory {plain.memory!r} "

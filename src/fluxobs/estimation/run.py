@@ -9,6 +9,7 @@ from ..logs.log import Log
 from ..logs.scales import Scales
 from ..machines import Machine, RotatingMachine, rotating
 from ..observers import AdaptiveObserver, LeastSquaresObserver, SampleCounts
+from ..observers.adaptive import Learnt
 from .prepare import AnyObserver
 from .statistics import Statistics
 
@@ -32,6 +33,12 @@ class LogRun:
         Counts and means over the rows.
     counts : SampleCounts
         Bad samples and restarts.
+    learnt : Learnt, optional
+        What the adaptive observer has learnt, if it ran.
+    automatic : bool
+        Whether the unknowns were chosen by what the log tells.
+    causal : bool
+        Whether it learnt as it went, not from the whole log.
     """
 
     log: Log
@@ -42,6 +49,9 @@ class LogRun:
     priors: Mapping[str, float]
     statistics: Statistics
     counts: SampleCounts
+    learnt: Learnt | None
+    automatic: bool
+    causal: bool
 
     @property
     def rotor(self) -> RotatingMachine:

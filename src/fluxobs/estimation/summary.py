@@ -7,12 +7,11 @@ import numpy as np
 from ..logs.record import lag_in_words
 from ..machines import RotatingMachine
 from ..observers import ImmersionObserver
+from .learning import UNSEEN, parameters
 from .run import LogRun
 
-#: Nothing was learnt about a parameter whose standard deviation stays above this share of its
-#: prior. At a half, three quarters of the estimate's information come from the record.
-UNSEEN = 0.5
-#: The same for a current bias, which disturbs the flux if it is not seen.
+#: Nothing was learnt about a current bias whose standard deviation stays above this share of its
+#: prior; it disturbs the flux if it is not seen.
 UNSEEN_BIAS = 0.25
 
 
@@ -39,6 +38,7 @@ def paragraph(result: LogRun) -> str:
     share = statistics.valid / statistics.rows
     sentences = [
         head,
+        *_choice(result),
         f"The position is valid on {share:.1%} of the rows, first "
         f"{si(statistics.first_valid - statistics.start, 's')} after the start.",
         _drift(result),
@@ -106,34 +106,45 @@ def _flux(result: LogRun) -> list[str]:
 
 
 def _parameters(result: LogRun) -> list[str]:
-    """The adaptive observer's parameters at the end, each with the value assumed at the start."""
-    adaptive, found = result.adaptive, result.statistics.found
-    if adaptive is None:
+    """What the adaptive observer has learnt, each with the value assumed before."""
+    adaptive, learnt = result.adaptive, result.learnt
+    if adaptive is None or learnt is None:
         return []
-    if not found:
+    if not result.statistics.found:
         return ["No parameter was found: the position was not known for long enough."]
     machine = result.rotor
-    magnet = "given" if machine.magnet_flux else "guessed from the log"
-    drops = "given" if machine.inverter_voltage is not None else "assumed"
+    sources = {
+        "magnet flux": "given" if machine.magnet_flux else "guessed from the log",
+        "resistance": "given",
+        "inverter": "given" if machine.inverter_voltage is not None else "assumed",
+    }
     told, untold = [], []
-    for name, column, believed, prior, unit, source in (
-        ("magnet flux", "psi_f", adaptive.psi_f, adaptive.psi_f_std, "Wb", magnet),
-        ("resistance", "resistance", adaptive.resistance, adaptive.resistance_std, "Ω", "given"),
-        (
-            *("inverter", "inverter_voltage"),
-            *(adaptive.inverter_voltage, adaptive.inverter_std, "V", drops),
-        ),
-    ):
-        std = found[f"{column}_std"]
-        if prior > 0 and std > UNSEEN * prior:
-            untold.append(name)
-        elif prior > 0:
-            value = f"{si(found[column], unit)} ± {si(std, unit)}"
-            told.append(f"{name} {value} ({si(believed, unit)} {source})")
-    text = [f"At the end: {', '.join(told)}."] if told else []
+    for one in parameters(adaptive, learnt):
+        if one.told:
+            value = f"{si(one.value, one.unit)} ± {si(one.std, one.unit)}"
+            told.append(f"{one.name} {value} ({si(one.assumed, one.unit)} {sources[one.name]})")
+        else:
+            untold.append(one.name)
+    if adaptive.asymmetry_std > 0 and max(learnt.asymmetry_std) <= UNSEEN * adaptive.asymmetry_std:
+        size, std = np.hypot(*learnt.asymmetry), max(learnt.asymmetry_std)
+        told.append(f"asymmetry of the phases {100 * size:.2g} ± {100 * std:.1g} %")
+    when = "At the end" if result.causal else "From the whole log"
+    text = [f"{when}: {', '.join(told)}."] if told else []
     if untold:
         text.append(f"The log does not tell {' and '.join(untold)}.")
     return text
+
+
+def _choice(result: LogRun) -> list[str]:
+    """What was taken as unknown, if the log decided."""
+    if not result.automatic:
+        return []
+    if result.adaptive is not None:
+        return [f"Taken as unknown: {', '.join(result.unknowns)}."]
+    return [
+        "Taken as unknown: the drift; the log does not tell resistance or inverter, which are "
+        "taken as given."
+    ]
 
 
 def _score(result: LogRun) -> list[str]:

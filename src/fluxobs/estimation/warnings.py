@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..observers import LeastSquaresObserver
+from .learning import parameters
 from .run import LogRun
 from .summary import bias_is_seen, si
 from .suspects import RESIDUAL_LIMIT, largest_suspect
@@ -25,9 +26,8 @@ MEMORIES, MEMORIES_ADAPTIVE = 3, 5
 TRUTH_LIMIT = 0.5
 #: Mention a missing truth if fewer than this share of the valid rows have one.
 TRUTH_SHARE = 0.99
-#: A parameter off by this many standard deviations of its prior has reached its limit, which is
-#: three, less rounding.
-FAR = 2.8
+#: A parameter off by this many standard deviations of its prior was not expected.
+FAR = 2.5
 #: A voltage below this many resistive drops means standstill, or nearly.
 STANDING = 2.0
 #: A residual below this many times what noise explains is no cause for doubt.
@@ -143,23 +143,17 @@ def _magnet_flux(result: LogRun) -> list[str]:
 
 
 def _far(result: LogRun) -> list[str]:
-    """A parameter that went to the limit of its prior."""
-    adaptive, found = result.adaptive, result.statistics.found
-    if adaptive is None or not found:
+    """A parameter that went far from its prior."""
+    adaptive, learnt = result.adaptive, result.learnt
+    if adaptive is None or learnt is None or not result.statistics.found:
         return []
-    cases = (
-        ("R_s", "resistance", adaptive.resistance, adaptive.resistance_std, "resistance"),
-        (
-            *("inverter_voltage", "inverter_voltage"),
-            *(adaptive.inverter_voltage, adaptive.inverter_std, "inverter"),
-        ),
-    )
+    names = {"magnet flux": "psi_f", "resistance": "R_s", "inverter": "inverter_voltage"}
     return [
-        f"{name} went to the limit of its prior: {found[column]:.3g}, where {given:.3g} ± "
-        f"{std:.2g} was given. Correct the machine file, or allow more with --prior {prior}=…; if "
-        f"neither helps, something else is wrong."
-        for name, column, given, std, prior in cases
-        if std > 0 and abs(found[column] - given) > FAR * std
+        f"{names[one.name]} is far from what was given: {si(one.value, one.unit)}, where "
+        f"{si(one.assumed, one.unit)} ± {si(one.prior, one.unit)} was. Correct the machine file; "
+        f"if that does not help, something else is wrong."
+        for one in parameters(adaptive, learnt)
+        if one.name != "magnet flux" and abs(one.value - one.assumed) > FAR * one.prior
     ]
 
 

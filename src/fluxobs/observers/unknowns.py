@@ -12,12 +12,14 @@ from ..validation import nearest
 #: Errors of the machine's parameters and of its inverter, found by the adaptive observer.
 ADAPTED = ("resistance", "inverter", "asymmetry")
 UNKNOWNS: tuple[str, ...] = (*IN_THE_IMMERSION, *ADAPTED)
+#: The word for: what the log supports.
+AUTO = "auto"
 #: Quantities for which a standard deviation can be given.
 PRIORS = ("resistance", "inverter", "asymmetry", "psi_f")
 
 
 def read_unknowns(unknowns: str | Sequence[str]) -> tuple[str, ...]:
-    """Unknowns from ``"drift,resistance"``, or a sequence of such words.
+    """Unknowns from ``"drift,resistance"``, or a sequence of such words; ("auto",) from "auto".
 
     Raises
     ------
@@ -26,9 +28,12 @@ def read_unknowns(unknowns: str | Sequence[str]) -> tuple[str, ...]:
     """
     given = unknowns.split(",") if isinstance(unknowns, str) else unknowns
     words = [word.strip() for word in given if word.strip()]
+    if words == [AUTO]:
+        return (AUTO,)
     for word in words:
         if word not in UNKNOWNS:
-            raise FluxobsError(f"unknowns: unknown {word!r}{nearest(word, UNKNOWNS)}")
+            known = (*UNKNOWNS, AUTO) if len(words) == 1 else UNKNOWNS
+            raise FluxobsError(f"unknowns: unknown {word!r}{nearest(word, known)}")
     if not words:
         raise FluxobsError(f"unknowns: give some of {', '.join(UNKNOWNS)}; drift serves")
     return tuple(name for name in UNKNOWNS if name in words)

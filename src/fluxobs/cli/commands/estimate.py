@@ -39,12 +39,20 @@ def estimate(
     unknowns: Annotated[
         str,
         typer.Option(
-            help="Constant or slow unknowns: drift (default); drift,resistance, drift,inverter or "
-            "drift,resistance,inverter: also errors of R_s and of the inverter (dead time and "
-            "device drops); current-bias or drift,current-bias: the slower, general least squares, "
+            help="Constant or slow unknowns: drift (default); with resistance, inverter, asymmetry, "
+            "in any combination: also errors of R_s, of the inverter (dead time and device drops), "
+            "and unequal gains of the phases; auto: all of these if the log tells them; current-bias or drift,current-bias: the slower, general least squares, "
             "0.25 ms per row; current-bias alone assumes that the voltage has no offset."
         ),
     ] = "drift",
+    causal: Annotated[
+        bool,
+        typer.Option(
+            "--causal",
+            help="Learn resistance, inverter, … as the log goes, as firmware would; else from the "
+            "whole log first.",
+        ),
+    ] = False,
     prior: PriorOption = None,
 ) -> None:
     """Estimate flux, position, speed and drift of a recorded log.
@@ -73,6 +81,7 @@ def estimate(
             machine,
             out=out,
             unknowns=unknowns,
+            causal=causal,
             memory=memory,
             priors=numbers("prior", prior),
             progress=progress,
