@@ -66,9 +66,13 @@ fo_error fo_adaptive_init(fo_adaptive *a, const fo_config *config, const fo_adap
         const fo_real through_L =
             (config->L_position + c->saliency) * config->current_noise / psi;
         const fo_real half = c->inverter_std / fo_sqrt(TWO);
-        const fo_real stds[FO_NP] = {c->psi_f_std / psi, c->resistance_std, half, half,
-                                     c->offset_std,      c->offset_std,     c->asymmetry_std,
-                                     c->asymmetry_std,   CURVE_STD};
+        const fo_real stds[FO_NP] = {
+            c->psi_f_std / psi, c->resistance_std, half, half, c->offset_std, c->offset_std,
+#if FO_ASYMMETRIC
+            c->asymmetry_std,   c->asymmetry_std,
+#endif
+            CURVE_STD,
+        };
         a->saliency = c->saliency / psi;
         a->psi = c->psi_f / psi;
         for (int i = 0; i < FO_NP; i++) {
@@ -189,10 +193,17 @@ static void known_loss(const fo_adaptive *a, fo_adaptive_state *s, const fo_real
 static void straighten(const fo_adaptive *a, const fo_adaptive_state *s, const fo_real u[FO_N],
                        fo_real straight[FO_N])
 {
+    straight[0] = u[0];
+    straight[1] = u[1];
+#if FO_ASYMMETRIC
     const fo_real g0 = fo_learning_value(a, s, FO_ASYMMETRY);
     const fo_real g1 = fo_learning_value(a, s, FO_ASYMMETRY + 1);
-    straight[0] = u[0] + g0 * u[0] + g1 * u[1];
-    straight[1] = u[1] + g1 * u[0] - g0 * u[1];
+    straight[0] += g0 * u[0] + g1 * u[1];
+    straight[1] += g1 * u[0] - g0 * u[1];
+#else
+    (void)a;
+    (void)s;
+#endif
 }
 
 /* Volt-seconds of the last interval, and what one std of each parameter adds to them. */
@@ -221,10 +232,14 @@ static void integrate(const fo_adaptive *a, const fo_adaptive_state *s, bool com
         t->effect[FO_CURVE][i] =
             -std[FO_CURVE] * a->volt * volts * mean[i] * a->over_rated * (ONE - share);
     }
+#if FO_ASYMMETRIC
     t->effect[FO_ASYMMETRY][0] = std[FO_ASYMMETRY] * u[0];
     t->effect[FO_ASYMMETRY][1] = -std[FO_ASYMMETRY] * u[1];
     t->effect[FO_ASYMMETRY + 1][0] = std[FO_ASYMMETRY + 1] * u[1];
     t->effect[FO_ASYMMETRY + 1][1] = std[FO_ASYMMETRY + 1] * u[0];
+#else
+    (void)u;
+#endif
 }
 
 /* ---- the filter, guarded -------------------------------------------------------------- */
@@ -312,7 +327,7 @@ static void run(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         const fo_real plausible = EXPOSED * o->plausible * o->h;
         s->exposed += (plausible + inverter) / length - s->exposed * step;
         /* since the last row, by what the parameters may be off */
-        const fo_real since = s->unsure * s->block.time / o->h;
+        const fo_real since = s->unsure * s->now.block.time / o->h;
         const fo_real variance = (s->across + since * since + o->position_noise * s->plain.roughness) / square +
                                  s->exposed * s->exposed;
         /* what leaves no trace at all */
@@ -386,7 +401,7 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *
     } else if (s->plain.trusted && s->doubt < DOUBT_LIMIT) {
         fo_manifold information;
         fo_candidate c;
-        c = s->candidates[0];
+        c = s->now.start.candidates[0];
         const fo_real power = s->plain.power * o->h;
         for (int i = 0; i < FO_N; i++) {
             c.p[i] = s->plain.x[FLUX + i];
@@ -486,7 +501,11 @@ void fo_adaptive_learnt(const fo_adaptive *a, const fo_adaptive_state *s, fo_lea
     for (int i = 0; i < FO_N; i++) {
         l->offset[i] = fo_learning_value(a, s, FO_OFFSET + i);
         l->offset_std[i] = fo_learning_deviation(a, s, FO_OFFSET + i, 1, ZERO);
+        l->asymmetry[i] = ZERO;
+        l->asymmetry_std[i] = ZERO;
+#if FO_ASYMMETRIC
         l->asymmetry[i] = fo_learning_value(a, s, FO_ASYMMETRY + i);
         l->asymmetry_std[i] = fo_learning_deviation(a, s, FO_ASYMMETRY + i, 1, ZERO);
+#endif
     }
 }

@@ -29,6 +29,10 @@ extern "C" {
 #define fo_adaptive_restart fo_adaptive_restart_single
 #endif
 
+/* 0 leaves the asymmetry of the phases out: less memory and time, the same numbers as with
+ * asymmetry_std = 0. An export does so where the asymmetry is not an unknown. */
+#define FO_ASYMMETRIC 1
+
 /* Order of the parameters. The inverter's loss is a sum of two: one grows within small currents,
  * one within larger ones. The last is never learnt: what the loss may differ from that sum. */
 enum {
@@ -37,7 +41,7 @@ enum {
     FO_INVERTER,
     FO_OFFSET = FO_INVERTER + 2,
     FO_ASYMMETRY = FO_OFFSET + 2,
-    FO_CURVE = FO_ASYMMETRY + 2,
+    FO_CURVE = FO_ASYMMETRY + 2 * FO_ASYMMETRIC,
     FO_NP,                 /* how many                                             */
     FO_NF = 2 * FO_N,      /* the fast filter: flux, drift                         */
     FO_NA = FO_NF + FO_NP, /* order of the triangle: fast filter, then parameters  */
@@ -122,15 +126,20 @@ typedef struct {
     bool frozen;                         /* the parameters stay as they are                 */
     uint32_t turn;
     uint32_t restarts;                   /* of the filter, by its guard                     */
-    fo_candidate candidates[FO_CANDIDATES];
-    uint32_t searched;                   /* candidates that ended at the best one           */
-    int32_t best;                        /* index of that one                               */
+    union {                              /* before the filter runs, and while it does       */
+        struct {
+            fo_candidate candidates[FO_CANDIDATES];
+            uint32_t searched;           /* candidates that ended at the best one           */
+            int32_t best;                /* index of that one                               */
+        } start;
+        fo_block block;
+    } now;
     fo_real U[FO_PACKED(FO_NA)], d[FO_NA], z[FO_NA]; /* flux, drift: about their estimates; */
                                          /* parameters: from their prior mean, in its stds  */
     fo_real flux[FO_N], drift[FO_N], p[FO_NP]; /* the estimates                             */
-    fo_block block;
-    uint32_t pulled;                     /* parameter whose prior was re-injected last      */
-    fo_real level;                       /* power of what the fast filter leaves, over that assumed */
+    uint32_t pulled, judged;             /* turns in forgetting, and in judging             */
+    fo_real since, passed;               /* share forgotten in this round, and in the last  */
+    fo_real level;                       /* power of what the fast filter leaves            */
     fo_real rows;                        /* since the start, at most those of two turns     */
     fo_real contradiction;               /* power of the innovations over their variance    */
     fo_real point[3], known_point;       /* operating point; rows taken there               */

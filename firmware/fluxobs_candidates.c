@@ -96,13 +96,13 @@ void fo_candidates_sow(const fo_adaptive *a, fo_adaptive_state *s)
     }
     for (int k = 0; k < FO_CANDIDATES; k++) { /* a quarter of a turn apart */
         const fo_real before = x[0];
-        sow(a, s, x, &s->candidates[k]);
+        sow(a, s, x, &s->now.start.candidates[k]);
         x[0] = -x[1];
         x[1] = before;
     }
     s->running = false;
-    s->searched = 0U;
-    s->best = 0;
+    s->now.start.searched = 0U;
+    s->now.start.best = 0;
 }
 
 /* Share of the EMF that may come from errors of resistance and inverter. */
@@ -204,8 +204,8 @@ static int likeliest(const fo_adaptive_state *s)
 {
     int best = -1;
     for (int k = 0; k < FO_CANDIDATES; k++) {
-        const fo_candidate *c = &s->candidates[k];
-        if (c->age >= GROWN && (best < 0 || c->cost < s->candidates[best].cost)) {
+        const fo_candidate *c = &s->now.start.candidates[k];
+        if (c->age >= GROWN && (best < 0 || c->cost < s->now.start.candidates[best].cost)) {
             best = k;
         }
     }
@@ -217,20 +217,20 @@ static int rival(const fo_adaptive *a, fo_adaptive_state *s, int best)
 {
     int second = -1;
     for (int k = 0; k < FO_CANDIDATES; k++) {
-        const fo_candidate *c = &s->candidates[k];
+        const fo_candidate *c = &s->now.start.candidates[k];
         if (k != best && c->age >= GROWN) {
             fo_real x[FO_N], y[FO_N];
-            position_of(a, s, &s->candidates[best], x);
+            position_of(a, s, &s->now.start.candidates[best], x);
             position_of(a, s, c, y);
             if (same(x, y)) {
-                for (uint32_t quarters = 1U + s->searched % 3U; quarters > 0U; quarters--) {
+                for (uint32_t quarters = 1U + s->now.start.searched % 3U; quarters > 0U; quarters--) {
                     const fo_real before = x[0];
                     x[0] = -x[1];
                     x[1] = before;
                 }
-                sow(a, s, x, &s->candidates[k]);
-                s->searched++;
-            } else if (second < 0 || c->least < s->candidates[second].least) {
+                sow(a, s, x, &s->now.start.candidates[k]);
+                s->now.start.searched++;
+            } else if (second < 0 || c->least < s->now.start.candidates[second].least) {
                 second = k;
             } else {
                 /* neither the best nor the second */
@@ -263,39 +263,39 @@ void fo_candidates_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_rea
     const uint32_t round = s->turn % (uint32_t)FO_CANDIDATES;
     const int due = (int)round;
     for (int k = 0; k < FO_CANDIDATES; k++) {
-        fo_real *p = s->candidates[k].p;
+        fo_real *p = s->now.start.candidates[k].p;
         for (int i = 0; i < FO_N; i++) {
             p[M_FLUX + i] += v[i] + a->plain.h * p[M_DRIFT + i];
         }
     }
-    fo_project(a, s, &s->candidates[due], &choice->information);
+    fo_project(a, s, &s->now.start.candidates[due], &choice->information);
 
     const int best = likeliest(s);
     choice->found = best >= 0;
     choice->decided = false;
     choice->weight = ONE / TWO;
     if (choice->found) {
-        fo_candidate *c = &s->candidates[best];
+        fo_candidate *c = &s->now.start.candidates[best];
         const fo_real power = s->plain.power * a->plain.h;
         const fo_real inflation = power > ONE ? power : ONE;
         fo_real x[FO_N], other = ZERO;
         position_of(a, s, c, x);
-        if (s->best != best) {
+        if (s->now.start.best != best) {
             fo_real before[FO_N];
-            position_of(a, s, &s->candidates[s->best], before);
-            if (!same(x, before) || s->candidates[s->best].age < GROWN) {
-                s->searched = 0U;
+            position_of(a, s, &s->now.start.candidates[s->now.start.best], before);
+            if (!same(x, before) || s->now.start.candidates[s->now.start.best].age < GROWN) {
+                s->now.start.searched = 0U;
                 s->tracker.settled = ZERO;
             }
-            s->best = best;
+            s->now.start.best = best;
         }
         const fo_real square = dot(x, x);
         const int second = rival(a, s, best);
         choice->other = c->theta;
         if (second >= 0) {
-            choice->other = s->candidates[second].theta;
-            other = against(a, s, c, &s->candidates[second], square, inflation);
-            s->searched = other > OTHER ? 0U : s->searched;
+            choice->other = s->now.start.candidates[second].theta;
+            other = against(a, s, c, &s->now.start.candidates[second], square, inflation);
+            s->now.start.searched = other > OTHER ? 0U : s->now.start.searched;
         }
         choice->best = *c;
         choice->best.theta = fo_atan2(x[1], x[0]);
@@ -306,9 +306,9 @@ void fo_candidates_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_rea
         const fo_real share = s->plain.info.noise[0] * c->variance * square;
         choice->inflation = inflation / (share < SHARE_MOST ? ONE - share : ONE - SHARE_MOST);
         choice->best.variance *= choice->inflation;
-        choice->weight = s->searched >= SEARCHED ? other / (ONE + other) : ONE / TWO;
+        choice->weight = s->now.start.searched >= SEARCHED ? other / (ONE + other) : ONE / TWO;
         choice->decided = due == best && (quick || s->plain.trusted) &&
-                          s->searched >= SEARCHED && other < OTHER && share < START_SHARE &&
+                          s->now.start.searched >= SEARCHED && other < OTHER && share < START_SHARE &&
                           choice->best.variance < START_STD * START_STD;
     }
 }

@@ -21,8 +21,11 @@ static const fo_real INVERTER_UNMODELLED = (fo_real)0.05;
 static const fo_real DRIFT_MEMORY = (fo_real)100;
 /* Rows over which powers are averaged: two turns. */
 static const fo_real ROWS = (fo_real)16;
-/* A power beyond this many times the average before is clipped to it: five stds. */
+/* A power beyond this many times the average before is clipped to it, and the drift is opened anew:
+ * five stds. */
 static const fo_real CLIP = (fo_real)25;
+/* Rows after which that average means something. */
+static const fo_real PROVEN = (fo_real)8;
 /* Lower bound of that power for the flux: a fiftieth, a seventh of the std. */
 static const fo_real LEVEL_LEAST = (fo_real)0.02;
 /* Rows at one operating point repeat the same error: the n-th counts 1/n. Current, of rated, or
@@ -30,6 +33,8 @@ static const fo_real LEVEL_LEAST = (fo_real)0.02;
 static const fo_real NEW_POINT = (fo_real)0.3;
 /* Least information on the flux [1 / flux bases^2]: a thousand times any flux. */
 static const fo_real LEAST = (fo_real)1e-6;
+/* Rows in which each parameter is forgotten once, and its prior comes back. */
+static const uint32_t ROUND = 16U;
 /* Share of doubt's square that a start leaves to flux and drift. */
 static const fo_real LOOSE = (fo_real)0.3;
 
@@ -65,12 +70,16 @@ fo_real fo_learning_unmodelled(const fo_adaptive *a, const fo_adaptive_state *s)
 
 static fo_real magnitude(const fo_real v[FO_N]) { return fo_sqrt(dot(v, v)); }
 
-/* Keeps the stds that are reported. */
-static void keep_deviations(const fo_adaptive *a, fo_adaptive_state *s)
+/* Keeps one of the stds that are reported. */
+static void keep_deviation(const fo_adaptive *a, fo_adaptive_state *s, uint32_t n)
 {
-    s->deviations[0] = fo_learning_deviation(a, s, FO_PSI, 1, ZERO);
-    s->deviations[1] = fo_learning_deviation(a, s, FO_RESISTANCE, 1, ZERO);
-    s->deviations[2] = fo_learning_deviation(a, s, FO_INVERTER, 2, loss(a, s));
+    if (n == 0U) {
+        s->deviations[0] = fo_learning_deviation(a, s, FO_PSI, 1, ZERO);
+    } else if (n == 1U) {
+        s->deviations[1] = fo_learning_deviation(a, s, FO_RESISTANCE, 1, ZERO);
+    } else {
+        s->deviations[2] = fo_learning_deviation(a, s, FO_INVERTER, 2, loss(a, s));
+    }
 }
 
 void fo_learning_forget(const fo_adaptive *a, fo_adaptive_state *s)
@@ -83,7 +92,9 @@ void fo_learning_forget(const fo_adaptive *a, fo_adaptive_state *s)
     for (int i = 0; i < FO_NP; i++) {
         s->p[i] = ZERO;
     }
-    keep_deviations(a, s);
+    for (uint32_t n = 0U; n < 3U; n++) {
+        keep_deviation(a, s, n);
+    }
     s->unsure = ZERO;
     s->doubt = TWO;
 }
@@ -92,18 +103,18 @@ void fo_learning_forget(const fo_adaptive *a, fo_adaptive_state *s)
 static void weigh_parameters(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t)
 {
     fo_real direction[FO_NA] = {0};
+    (void)a;
     for (int i = FO_RESISTANCE; i < FO_OFFSET; i++) {
         direction[FO_NF + i] = magnitude(t->effect[i]);
     }
     s->unsure = fo_sqrt(fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction));
     s->unsure_at = dot(s->plain.current[0], s->plain.current[0]);
-    keep_deviations(a, s);
 }
 
 void fo_learning_doubt(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
                        fo_real length, fo_real turned)
 {
-    if (!s->running && s->turn % 16U == 0U) {
+    if (!s->running && s->turn % ROUND == 0U) {
         weigh_parameters(a, s, t);
     }
     const fo_real square = dot(s->plain.current[0], s->plain.current[0]);
@@ -165,8 +176,8 @@ static void forget_drift(const fo_adaptive *a, fo_adaptive_state *s, fo_real tim
 
 static void clear_block(fo_adaptive_state *s)
 {
-    (void)memset(&s->block, 0, sizeof s->block);
-    s->block.theta = s->theta;
+    (void)memset(&s->now.block, 0, sizeof s->now.block);
+    s->now.block.theta = s->theta;
 }
 
 /* How steady states tie an error of a parameter to the flux: effect / (j turned). */
@@ -274,22 +285,24 @@ static void add(const fo_adaptive *a, const fo_adaptive_state *s, const fo_real 
 }
 
 /* What is left of a row for the parameters: follows its power, and how far that contradicts what
- * has been learnt. */
-static void follow(fo_adaptive_state *s, const fo_real row[FO_NA], fo_real value,
+ * has been learnt. Returns whether it is a surprise, as after a jump of the drift. */
+static bool follow(fo_adaptive_state *s, const fo_real row[FO_NA], fo_real value,
                    fo_real information, fo_real share)
 {
     fo_real direction[FO_NA];
     (void)memcpy(direction, row, sizeof direction);
     const fo_real square = value * value;
-    const fo_real power = information * square;
-    const fo_real all =
-        ONE / information + fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction);
-    const fo_real odd = square / all;
+    const fo_real power = information * square, noise = ONE / information;
+    const fo_real known = fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction);
+    const fo_real odd = square / (noise + known);
     s->rows += share;
     const fo_real gain = share / (s->rows + ONE < ROWS ? s->rows + ONE : ROWS);
+    const fo_real usual = s->level > LEVEL_LEAST ? s->level : LEVEL_LEAST;
+    const bool surprise = s->rows > PROVEN && square > CLIP * (usual * noise + known);
     s->level += gain * ((power < CLIP * s->level ? power : CLIP * s->level) - s->level);
     const fo_real most = CLIP * (ONE + s->contradiction);
     s->contradiction += TWO / ROWS * share * ((odd < most ? odd : most) - s->contradiction);
+    return surprise;
 }
 
 /* Counts the rows at the present operating point; returns their number. */
@@ -311,6 +324,27 @@ static fo_real rows_here(const fo_adaptive *a, fo_adaptive_state *s, const fo_re
         s->point[i] += gain * (now[i] - s->point[i]);
     }
     return s->known_point > ONE ? s->known_point : ONE;
+}
+
+/* The parameters are forgotten towards their prior, one after the other, each every ROUND rows. */
+static void forget_parameters(const fo_adaptive *a, fo_adaptive_state *s, fo_real time)
+{
+    s->since += time * a->slow;
+    s->pulled = s->pulled + 1U < ROUND ? s->pulled + 1U : 0U;
+    if (s->pulled < (uint32_t)FO_CURVE) {
+        const int n = FO_NF + (int)s->pulled;
+        fo_real unit[FO_NA] = {0}, mean = ZERO, prior = s->passed;
+        unit[n] = ONE;
+        fo_rotate(FO_NA, s->U, s->d, s->z, n, FO_NF + FO_CURVE, unit, &mean, &prior);
+    } else if (s->pulled == ROUND - 1U) {
+        for (int j = 0; j < (int)FO_CURVE; j++) {
+            s->d[FO_NF + j] *= ONE - s->since;
+        }
+        s->passed = s->since;
+        s->since = ZERO;
+    } else {
+        /* it rests */
+    }
 }
 
 /* The parameters learn from what is left of a row; then all is solved. */
@@ -346,15 +380,7 @@ static void learn(const fo_adaptive *a, fo_adaptive_state *s, fo_real row[FO_NA]
         for (int j = 0; j < FO_NP; j++) {
             s->p[j] = x[FO_NF + j];
         }
-        /* the prior comes back, one parameter a row */
-        const fo_real share = time * a->slow;
-        for (int j = 0; j < (int)FO_CURVE; j++) {
-            s->d[FO_NF + j] *= ONE - share;
-        }
-        s->pulled = s->pulled + 1U < (uint32_t)FO_CURVE ? s->pulled + 1U : 0U;
-        fo_real unit[FO_NA] = {0}, zero = ZERO, prior = (fo_real)FO_CURVE * share;
-        unit[FO_NF + s->pulled] = ONE;
-        fo_rotate(FO_NA, s->U, s->d, s->z, FO_NF, FO_NF + FO_CURVE, unit, &zero, &prior);
+        forget_parameters(a, s, time);
     }
     for (int j = 0; j < FO_NP; j++) {
         x[FO_NF + j] = s->p[j] - before[j];
@@ -371,7 +397,7 @@ static void learn(const fo_adaptive *a, fo_adaptive_state *s, fo_real row[FO_NA]
 /* Ends a block: takes in its row. */
 static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t, fo_real turned)
 {
-    fo_block *b = &s->block;
+    fo_block *b = &s->now.block;
     const fo_observer *o = &a->plain;
     const fo_real share = turned < BLOCK ? turned / BLOCK : ONE;
     const fo_real inverter = fo_learning_unmodelled(a, s);
@@ -394,14 +420,16 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         fo_real information =
             share / (MODEL * MODEL + a->through_L * s->plain.roughness * over);
         fo_rotate(FO_NA, s->U, s->d, s->z, 0, FO_NF, row, &value, &information);
-        if (information > ZERO) {
-            follow(s, row, value, information, share);
+        const bool known = information > ZERO;
+        const bool surprise = known && follow(s, row, value, information, share);
+        if (surprise) {
+            forget_drift(a, s, DRIFT_MEMORY); /* all of it */
         }
         const fo_real length = without_offset(a, s, current, x), speed = turned / b->time;
         const fo_real rows = rows_here(a, s, x, length, current, speed, share);
         const fo_real shape = speed > ZERO ? inverter / speed : ZERO;
         const bool ready =
-            !s->frozen && s->doubt < DOUBT_LIMIT && speed > ZERO && information > ZERO;
+            known && !surprise && !s->frozen && s->doubt < DOUBT_LIMIT && speed > ZERO;
         const fo_real level = s->level > ONE ? s->level : ONE;
         fo_real weight = ZERO;
         if (ready) {
@@ -422,6 +450,8 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
     s->theta = fo_atan2(x[1], x[0]);
     clear_block(s);
     weigh_parameters(a, s, t);
+    s->judged = s->judged < 2U ? s->judged + 1U : 0U;
+    keep_deviation(a, s, s->judged);
 }
 
 /* Is the estimate finite, and the flux one that a machine can have? */
@@ -441,7 +471,7 @@ fo_real fo_learning_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_
                            bool measured, fo_real x[FO_N])
 {
     const fo_observer *o = &a->plain;
-    fo_block *b = &s->block;
+    fo_block *b = &s->now.block;
     fo_real current[FO_N];
     for (int i = 0; i < FO_N; i++) {
         s->flux[i] += t->v[i] + o->h * s->drift[i];

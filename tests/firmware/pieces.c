@@ -181,15 +181,15 @@ static void check_carry(void)
     memset(&s, 0, sizeof s);
     memset(F, 0, sizeof F);
     random_triangle(FO_NA, s.U, s.d, s.z);
-    s.block.time = (fo_real)0.3;
+    s.now.block.time = (fo_real)0.3;
     for (int i = 0; i < FO_NA; i++) {
         F[i * FO_NA + i] = 1.0;
     }
     for (int i = 0; i < FO_N; i++) {
-        F[i * FO_NA + FO_N + i] = (double)s.block.time;
+        F[i * FO_NA + FO_N + i] = (double)s.now.block.time;
         for (int j = 0; j < FO_NP; j++) {
-            s.block.effect[j][i] = (fo_real)uniform();
-            F[i * FO_NA + FO_NF + j] = (double)s.block.effect[j][i];
+            s.now.block.effect[j][i] = (fo_real)uniform();
+            F[i * FO_NA + FO_NF + j] = (double)s.now.block.effect[j][i];
         }
     }
     expand(FO_NA, FO_NA, s.U, s.d, info);
@@ -204,7 +204,7 @@ static void check_carry(void)
             }
         }
     }
-    carry(&s, &s.block);
+    carry(&s, &s.now.block);
     expand(FO_NA, FO_NA, s.U, s.d, info);
     invert(FO_NA, info, Q);
     compare("transition", Q, sought, FO_NA * FO_NA);
@@ -251,9 +251,9 @@ static void check_derivatives(void)
                 t.p[n - FO_N] += by;
             }
             const fo_real length = without_offset(&a, &t, current, x);
-            add(&a, &t, x, length, current, &t.block);
-            two[side] = (double)t.block.residual;
-            derivative += 0.5 * (double)(n < FO_N ? t.block.slope[n] : t.block.along[n - FO_N]);
+            add(&a, &t, x, length, current, &t.now.block);
+            two[side] = (double)t.now.block.residual;
+            derivative += 0.5 * (double)(n < FO_N ? t.now.block.slope[n] : t.now.block.along[n - FO_N]);
         }
         const double found = (two[1] - two[0]) / (2.0 * step);
         if (!(fabs(found - derivative) < 2e-3 * (1.0 + fabs(found)))) {

@@ -25,6 +25,9 @@ ADAPTIVE_SOURCES = (
         for kind in ("h", "c")
     ),
 )
+#: What an export changes in the sources if the asymmetry is not an unknown: it saves memory and
+#: time, and changes no number.
+ASYMMETRIC = "#define FO_ASYMMETRIC 1"
 #: Angle by which a voltage error as large as the drift's prior may turn the flux while the position
 #: is valid [rad].
 VOLTAGE_LIMIT: float = _core.thresholds["VOLTAGE_LIMIT"]
@@ -42,6 +45,10 @@ def contents(
     adaptive = isinstance(observers["single"], AdaptiveObserver)
     names = ADAPTIVE_SOURCES if adaptive else SOURCES
     sources = {name: (installed / name).read_text(encoding="utf-8") for name in names}
+    if adaptive and not observers["single"].asymmetry_std > 0:
+        header = sources["fluxobs_adaptive.h"]
+        assert ASYMMETRIC in header
+        sources["fluxobs_adaptive.h"] = header.replace(ASYMMETRIC, ASYMMETRIC[:-1] + "0")
     texts = tuple(sources.values())
     content, header = parameter_header(prefix, observers, machine, version, texts, update_every)
     single = plain(observers["single"])

@@ -29,7 +29,7 @@ def estimate(
     machine: Machine | str | Path,
     *,
     out: str | Path | None = None,
-    unknowns: str | Sequence[str] = "drift",
+    unknowns: str | Sequence[str] = "auto",
     causal: bool = False,
     memory: float | None = None,
     priors: Mapping[str, float] | None = None,

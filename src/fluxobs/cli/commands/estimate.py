@@ -44,7 +44,7 @@ def estimate(
             "and unequal gains of the phases; auto: all of these if the log tells them; current-bias or drift,current-bias: the slower, general least squares, "
             "0.25 ms per row; current-bias alone assumes that the voltage has no offset."
         ),
-    ] = "drift",
+    ] = "auto",
     causal: Annotated[
         bool,
         typer.Option(
