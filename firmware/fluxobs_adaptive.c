@@ -132,8 +132,8 @@ static fo_real soft_sign(fo_real x)
 }
 
 /* Amplitude-invariant vector of the signs of the phase currents; adds its derivative (alpha alpha,
- * alpha beta, beta beta) by the current, times `volts`. */
-static void direction(const fo_real current[FO_N], fo_real over, fo_real volts,
+ * alpha beta, beta beta) by the current, times `volts`. Returns how unsure they are, 0 to 1. */
+static fo_real direction(const fo_real current[FO_N], fo_real over, fo_real volts,
                       fo_real signs[FO_N], fo_real bend[3])
 {
     const fo_real half = current[0] / TWO, root = (fo_real)0.8660254037844386 * current[1];
@@ -148,6 +148,7 @@ static void direction(const fo_real current[FO_N], fo_real over, fo_real volts,
     bend[0] += ((fo_real)4 * steep[0] + steep[1] + steep[2]) / (fo_real)6;
     bend[1] += (steep[2] - steep[1]) * (fo_real)0.2886751345948129;
     bend[2] += (steep[1] + steep[2]) / TWO;
+    return ONE - (phases[0] * phases[0] + phases[1] * phases[1] + phases[2] * phases[2]) / (fo_real)3;
 }
 
 /* Voltage of each part of the inverter's loss. */
@@ -182,7 +183,8 @@ static void known_loss(const fo_adaptive *a, fo_adaptive_state *s, const fo_real
     (void)memset(s->bend, 0, sizeof s->bend);
     for (int n = 0; n < 2; n++) {
         const fo_real volts = part(a, s, n);
-        direction(inside, a->over_current[n], volts, s->signs[n], s->bend);
+        const fo_real unsure = direction(inside, a->over_current[n], volts, s->signs[n], s->bend);
+        s->knee = n == 0 ? unsure : s->knee;
         for (int i = 0; i < FO_N; i++) {
             lost[i] += volts * s->signs[n][i];
         }

@@ -113,6 +113,7 @@ typedef struct {
     fo_real time;                     /* [memories]                                         */
     fo_real theta;                    /* angle at its start [rad]                           */
     fo_real effect[FO_NP][FO_N];      /* of each parameter on the flux                      */
+    fo_real unmodelled;               /* voltage error that is in no model, integrated      */
     fo_real residual;                 /* |x| - saliency i_d - psi_f, summed                 */
     fo_real slope[FO_N];              /* its derivative by the flux, summed, ...            */
     fo_real slope_time[FO_N];         /* ... and times the time                             */
@@ -150,6 +151,7 @@ typedef struct {
     fo_real doubt;                       /* that voltage over the EMF [rad]                 */
     fo_real exposed;                     /* turn by an unmodelled voltage error [rad]       */
     fo_real signs[2][FO_N], bend[3];     /* of the inverter's loss; its derivative          */
+    fo_real knee;                        /* how unsure the harder signs are, 0 to 1         */
     fo_real x[FO_N], theta;              /* direction of the position vector                */
     fo_real swept;                       /* since the start [rad]                           */
     fo_real disagree;                    /* turn for which it differs from the guard [rad]  */

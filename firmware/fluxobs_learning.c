@@ -17,6 +17,8 @@ static const fo_real BLOCK_MOST = (fo_real)0.3;
 static const fo_real MODEL = (fo_real)0.002;
 /* Of the inverter's voltage, this share is in no model: the curve of its loss. */
 static const fo_real INVERTER_UNMODELLED = (fo_real)0.05;
+/* Where a current is within the harder sign's knee, so much more is. */
+static const fo_real KNEE_UNMODELLED = (fo_real)0.3;
 /* Time in which a drift that was known is half forgotten [memories]. */
 static const fo_real DRIFT_MEMORY = (fo_real)100;
 /* Rows over which powers are averaged: two turns. */
@@ -65,7 +67,8 @@ static fo_real loss(const fo_adaptive *a, const fo_adaptive_state *s)
 
 fo_real fo_learning_unmodelled(const fo_adaptive *a, const fo_adaptive_state *s)
 {
-    return INVERTER_UNMODELLED * loss(a, s) * a->volt / a->plain.h;
+    const fo_real share = INVERTER_UNMODELLED + KNEE_UNMODELLED * s->knee;
+    return share * loss(a, s) * a->volt / a->plain.h;
 }
 
 static fo_real magnitude(const fo_real v[FO_N]) { return fo_sqrt(dot(v, v)); }
@@ -400,9 +403,8 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
     fo_block *b = &s->now.block;
     const fo_observer *o = &a->plain;
     const fo_real share = turned < BLOCK ? turned / BLOCK : ONE;
-    const fo_real inverter = fo_learning_unmodelled(a, s);
-    const fo_real walk =
-        (a->unmodelled * a->unmodelled + inverter * inverter) * b->time * b->time;
+    const fo_real step = a->unmodelled * b->time, inverter = b->unmodelled / b->time;
+    const fo_real walk = step * step + b->unmodelled * b->unmodelled;
     carry(s, b);
     step_flux(s, walk);
     forget_drift(a, s, b->time);
@@ -480,6 +482,7 @@ fo_real fo_learning_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_
         }
     }
     b->time += o->h;
+    b->unmodelled += o->h * fo_learning_unmodelled(a, s);
     fo_real length = without_offset(a, s, current, x);
     bool good = length * length > o->square_min / (fo_real)16;
     if (good) {
