@@ -29,6 +29,7 @@ static const fo_real STD_ALL = PI / (fo_real)18;
 /* Rows of the filter before its position is valid, and before it may be lost for its std [1]. */
 static const fo_real PROVEN_AFTER = (fo_real)4;
 static const fo_real LOST_AFTER = (fo_real)2;
+static const fo_real EARLY = (fo_real)16;
 /* The filter is wrong if it contradicts what has been learnt by this power [1], ten stds, ... */
 static const fo_real CONTRADICTION_MOST = (fo_real)100;
 /* ... learns a resistance that is this many stds off its prior [1], ... */
@@ -349,8 +350,11 @@ static void run(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
                           fo_abs(s->p[FO_RESISTANCE]) > FAR;
         const bool lost = s->doubt > ONE ||
                           (s->rows > LOST_AFTER && !(variance < STD_LOST * STD_LOST));
+        /* what little a filter has learnt that is lost within two turns is worth nothing */
+        const bool early = lost && s->rows < EARLY &&
+                           s->deviations[1] > a->std[FO_RESISTANCE] / TWO;
         if (harm || lost) {
-            stop(a, s, harm);
+            stop(a, s, harm || early);
         }
     } else {
         stop(a, s, true);
