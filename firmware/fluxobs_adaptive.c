@@ -61,6 +61,9 @@ fo_error fo_adaptive_init(fo_adaptive *a, const fo_config *config, const fo_adap
     if (found == FO_OK && !(c->inverter_current > ZERO && c->slow_memory > ZERO)) {
         found = FO_ERROR_BASE;
     }
+    if (found == FO_OK && !within(c->inverter_current, (fo_real)1e-9, (fo_real)1e9)) {
+        found = FO_ERROR_RANGE;
+    }
     if (found == FO_OK) {
         const fo_observer *o = &a->plain;
         const fo_real psi = config->flux_base;
@@ -291,7 +294,8 @@ static void report(const fo_adaptive *a, const fo_adaptive_state *s, fo_real len
                s->doubt < DOUBT_LIMIT && variance < STD_LIMIT * STD_LIMIT &&
                all < STD_ALL * STD_ALL;
     e->psi_f = (a->psi + fo_learning_value(a, s, FO_PSI)) * o->flux_base;
-    e->drift_std = o->drift_base / fo_sqrt(s->d[FO_N]);
+    const fo_real known = fo_sqrt(s->d[FO_N]) * o->plausible; /* over what the prior knew */
+    e->drift_std = o->plausible * o->drift_base / (known > ONE ? known : ONE);
     e->theta_other = q->theta_e;
     e->weight_other = ZERO;
 }

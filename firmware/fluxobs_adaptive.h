@@ -41,7 +41,11 @@ enum {
     FO_INVERTER,
     FO_OFFSET = FO_INVERTER + 2,
     FO_ASYMMETRY = FO_OFFSET + 2,
-    FO_CURVE = FO_ASYMMETRY + 2 * FO_ASYMMETRIC,
+#if FO_ASYMMETRIC
+    FO_CURVE = FO_ASYMMETRY + 2,
+#else
+    FO_CURVE = FO_ASYMMETRY,
+#endif
     FO_NP,                 /* how many                                             */
     FO_NF = 2 * FO_N,      /* the fast filter: flux, drift                         */
     FO_NA = FO_NF + FO_NP, /* order of the triangle: fast filter, then parameters  */

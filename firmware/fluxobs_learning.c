@@ -340,10 +340,10 @@ static void forget_parameters(const fo_adaptive *a, fo_adaptive_state *s, fo_rea
         unit[n] = ONE;
         fo_rotate(FO_NA, s->U, s->d, s->z, n, FO_NF + FO_CURVE, unit, &mean, &prior);
     } else if (s->pulled == ROUND - 1U) {
+        s->passed = s->since < ONE / TWO ? s->since : ONE / TWO;
         for (int j = 0; j < (int)FO_CURVE; j++) {
-            s->d[FO_NF + j] *= ONE - s->since;
+            s->d[FO_NF + j] *= ONE - s->passed;
         }
-        s->passed = s->since;
         s->since = ZERO;
     } else {
         /* it rests */

@@ -45,11 +45,12 @@ void fo_solve(int n, const fo_real U[], const fo_real z[], int first, int last, 
 fo_real fo_variance(int n, const fo_real U[], const fo_real d[], int first, int last,
                     fo_real direction[])
 {
+    const fo_real least = (fo_real)1e-30; /* rounding may leave nothing at all */
     fo_real sum = ZERO;
     const fo_real *u = &U[FO_ROW(n, first)];
     for (int i = first; i < last; i++) {
         const fo_real y = direction[i];
-        sum += y * y / d[i];
+        sum += y * y / (d[i] > least ? d[i] : least);
         for (int j = i + 1; j < n; j++) {
             direction[j] -= y * *u++;
         }

@@ -139,7 +139,10 @@ def _initializers(observer: Exported, precision: Precision) -> str:
     inner = lines(plain(observer).parameters(), _core.meanings)
     if not isinstance(observer, AdaptiveObserver):
         return inner
-    return f"    {{\n{inner}\n    }},\n{lines(observer.parameters(), _core.adaptive_meanings)}"
+    more = observer.parameters()
+    if not observer.asymmetry_std > 0:  # the export leaves its two columns out
+        more["std"] = [*more["std"][:6], more["std"][8]]
+    return f"    {{\n{inner}\n    }},\n{lines(more, _core.adaptive_meanings)}"
 
 
 def parameters(machine: RotatingMachine) -> dict[str, str]:
