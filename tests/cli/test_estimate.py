@@ -99,7 +99,7 @@ def test_streamed_is_the_same_as_one_piece(folder, monkeypatch):
     module = importlib.import_module("fluxobs.estimation.estimate")
     monkeypatch.setattr(module, "prepare", in_small_batches)
     assert estimate(folder, log="log.parquet", out="cut.parquet").returncode == 0
-    assert batches == [137]
+    assert set(batches) == {137}
     one, other = (pl.read_parquet(folder / f"{n}.parquet") for n in ("text", "cut"))
     assert one.equals(other)
 

@@ -52,10 +52,25 @@ def test_columns_summary_picture_and_the_way_into_firmware(folder):
 
 
 def test_the_plain_observer_warns_and_names_the_option(folder):
-    done = estimate(folder)
+    done = estimate(folder, "--unknowns", "drift")
     assert done.returncode == 0
     assert "Warning" in done.stdout
     assert "--unknowns drift,resistance,inverter" in done.stdout
+
+
+def test_by_default_the_log_decides(folder):
+    done = estimate(folder)
+    assert done.returncode == 0
+    assert "Warning" not in done.stdout
+    assert "as the log tells them: drift, resistance, inverter, asymmetry" in done.stdout
+    whole = pl.read_parquet(folder / "out.parquet")
+    assert whole["resistance"].n_unique() == 1  # learnt on the whole log
+    assert whole["resistance"][0] == pytest.approx(1.3 * PMSM.R_s, rel=0.02)
+    done = estimate(folder, "--causal")
+    assert "At the end: magnet flux" in done.stdout
+    causal = pl.read_parquet(folder / "out.parquet")
+    assert causal["resistance"][0] == PMSM.R_s
+    assert causal["valid"].sum() < whole["valid"].sum()
 
 
 @pytest.mark.parametrize(
@@ -74,8 +89,8 @@ def test_what_a_short_log_tells_is_said(folder, to, words):
         (("--unknowns", "drift,resistanc"), "did you mean 'resistance'"),
         (("--unknowns", "resistance"), "drift,resistance"),
         (("--unknowns", "drift,inverter,current-bias"), "together with a current bias"),
-        (("--prior", "resistance=1"), "not among the unknowns"),
-        (("--prior", "psi_f=0.01"), "needs resistance or inverter among the unknowns"),
+        (("--unknowns", "drift", "--prior", "resistance=1"), "not among the unknowns"),
+        (("--unknowns", "drift", "--prior", "psi_f=0.01"), "needs resistance or inverter"),
         (("--unknowns", "drift,inverter", "--prior", "resistance=1"), "not among the unknowns"),
         (("--unknowns", "drift,inverter", "--prior", "R=1"), "unknown 'R'"),
         (("--unknowns", "drift,inverter", "--prior", "inverter=-1"), "not negative"),

@@ -108,7 +108,9 @@ def test_what_estimate_does_with_a_log_the_firmware_does(compiled, tmp_path):
     """The options that `fluxobs estimate` prints give its numbers bit for bit."""
     log = LOG
     done = command(
-        *("estimate", log, "--machine", "servo-400w", "--out", "e.parquet"), folder=tmp_path
+        *("estimate", log, "--machine", "servo-400w", "--out", "e.parquet"),
+        *("--unknowns", "drift"),
+        folder=tmp_path,
     )
     assert done.returncode == 0, done.stderr
     options = re.search(r"fluxobs export (.*) --out", done.stdout).group(1).split()

@@ -159,7 +159,7 @@ def test_streaming_to_a_file_is_the_same(tmp_path):
     assert there.path == tmp_path / "out.parquet"
     assert there.estimates.equals(here.estimates)
     assert there.summary == here.summary
-    assert seen[-1] == (10000, 10000)
+    assert seen[-1] == (20000, 20000)  # both passes
 
 
 def test_the_other_doors(tmp_path):

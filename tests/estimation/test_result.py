@@ -21,7 +21,8 @@ UNKNOWNS = ("drift", "resistance", "inverter")
 
 @pytest.fixture(scope="module")
 def plain():
-    return fluxobs.estimate(COLUMNS | {"angle": SAMPLES.theta}, SERVO, truth={"theta_e": "angle"})
+    columns = COLUMNS | {"angle": SAMPLES.theta}
+    return fluxobs.estimate(columns, SERVO, unknowns="drift", truth={"theta_e": "angle"})
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +87,8 @@ def test_printed_it_is_summary_and_warnings(plain):
     assert (
         repr(plain) == f"<Result: arrays, surface-pmsm, {plain['valid'].sum()} of 2000 rows valid>"
     )
-    wrong = fluxobs.estimate(COLUMNS | {"i_beta": -COLUMNS["i_beta"]}, SERVO)
+    swapped = COLUMNS | {"i_beta": -COLUMNS["i_beta"]}
+    wrong = fluxobs.estimate(swapped, SERVO, unknowns="drift")
     assert wrong.warnings
     assert str(wrong).startswith(wrong.summary)
     for text in wrong.warnings:
@@ -129,6 +131,7 @@ def test_out_is_the_same_and_is_read_back(plain, tmp_path):
     result = fluxobs.estimate(
         COLUMNS | {"angle": SAMPLES.theta},
         SERVO,
+        unknowns="drift",
         truth={"theta_e": "angle"},
         out=out,
         progress=lambda done, total: seen.append((done, total)),

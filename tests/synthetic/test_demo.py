@@ -63,7 +63,8 @@ def test_demo_command_writes_both_files(tmp_path):
         "estimates.parquet",
         "report.png",
     ]
-    assert "Largest suspect: the inverter" in done.stdout
+    assert "as the log tells them: drift, resistance, inverter" in done.stdout
+    assert "Warning" not in done.stdout
 
 
 if __name__ == "__main__":

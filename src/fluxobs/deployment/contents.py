@@ -45,7 +45,8 @@ def contents(
     adaptive = isinstance(observers["single"], AdaptiveObserver)
     names = ADAPTIVE_SOURCES if adaptive else SOURCES
     sources = {name: (installed / name).read_text(encoding="utf-8") for name in names}
-    if adaptive and not observers["single"].asymmetry_std > 0:
+    single = observers["single"]
+    if isinstance(single, AdaptiveObserver) and not single.asymmetry_std > 0:
         header = sources["fluxobs_adaptive.h"]
         assert ASYMMETRIC in header
         sources["fluxobs_adaptive.h"] = header.replace(ASYMMETRIC, ASYMMETRIC[:-1] + "0")

@@ -18,7 +18,7 @@ from ..observers.unknowns import ADAPTED, AUTO, read_unknowns
 from ..output import ahead, check_out, write_rows
 from ..validation import number
 from .columns import rows_of
-from .learning import learn, parameters
+from .learning import learn, needed
 from .prepare import open_for, prepare
 from .result import Result
 from .statistics import Statistics
@@ -83,8 +83,8 @@ def estimate(
     --------
     >>> import fluxobs
     >>> result = fluxobs.estimate(fluxobs.demo_log(), "servo-400w")
-    >>> round(float(result["psi_f"][-1]), 4)
-    0.0129
+    >>> round(float(result["resistance"][-1]), 3)  # 0.360 is true
+    0.361
     """
     machine = as_machine(machine)
     if memory is not None:
@@ -107,9 +107,10 @@ def estimate(
                 progress(done, 2 * total)
 
         state, learnt = learn(run, run.observer, tell)
-        if automatic and not _told(run.observer, learnt):
-            chosen, learnt, state = ("drift",), None, None
-            run = prepare(opened, machine, chosen, memory, {})
+        if automatic:
+            plain = prepare(opened, machine, ("drift",), memory, {})
+            if not needed(run.observer, learnt, plain):
+                chosen, stds, learnt, state, run = ("drift",), {}, None, None, plain
     statistics = Statistics(total)
     observer: LogObserver[Any, Any] = run.observer
     if state is None or causal:
@@ -150,9 +151,3 @@ def estimate(
         table,
         path,
     )
-
-
-def _told(observer: AdaptiveObserver, learnt: Learnt) -> bool:
-    """Whether a log tells resistance or inverter."""
-    found = parameters(observer, learnt)
-    return any(one.told for one in found if one.name in ADAPTED)

@@ -204,7 +204,7 @@ def _adaptive_observer(
         resistance_std=priors.get("resistance"),
         inverter_std=priors.get("inverter"),
         asymmetry_std=priors.get("asymmetry"),
-        dc_link=np.sqrt(3) * scales.voltage,  # at least
+        dc_link=float(np.sqrt(3) * scales.voltage),  # at least
     )
 
 

@@ -140,11 +140,8 @@ def _choice(result: LogRun) -> list[str]:
     if not result.automatic:
         return []
     if result.adaptive is not None:
-        return [f"Taken as unknown: {', '.join(result.unknowns)}."]
-    return [
-        "Taken as unknown: the drift; the log does not tell resistance or inverter, which are "
-        "taken as given."
-    ]
+        return [f"Taken as unknown, as the log tells them: {', '.join(result.unknowns)}."]
+    return ["Taken as unknown: the drift; the log does not ask for more."]
 
 
 def _score(result: LogRun) -> list[str]:

@@ -16,9 +16,6 @@ from .prepare import plain_observer
 
 Array = NDArray[np.float64]
 
-#: A residual below this share of the flux squared is no cause for doubt: measured logs with correct
-#: machine data and settings reach 0.3 to 0.8 % (benchmarks/measured.py).
-RESIDUAL_LIMIT = 0.01
 #: A suspect must reduce the residual to this share; by chance, the best of some twenty trials
 #: reaches 0.85.
 IMPROVEMENT = 0.75

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..observers import LeastSquaresObserver
-from .learning import parameters
+from .learning import doubtful, parameters
 from .run import LogRun
 from .summary import bias_is_seen, si
-from .suspects import RESIDUAL_LIMIT, largest_suspect
+from .suspects import largest_suspect
 
 #: Warn below this many samples per electrical period: the cubic through four currents then misses a
 #: percent of the resistive drop (benchmarks/accuracy.py).
@@ -30,8 +30,6 @@ TRUTH_SHARE = 0.99
 FAR = 2.5
 #: A voltage below this many resistive drops means standstill, or nearly.
 STANDING = 2.0
-#: A residual below this many times what noise explains is no cause for doubt.
-NOISE_FACTOR = 3.0
 #: How to find the value of a suspect.
 REMEDY = dict.fromkeys(
     ("R_s", "the inverter"),
@@ -165,8 +163,7 @@ def _residual(result: LogRun, plain: LeastSquaresObserver) -> list[str]:
     if statistics.valid:
         rms = np.sqrt(statistics.innovation / statistics.settled)
         residual = float(rms * plain.constraint_noise / flux**2)
-    noise = machine.constraint_noise(flux, result.scales.current_noise) / flux**2
-    if residual < max(RESIDUAL_LIMIT, NOISE_FACTOR * noise):
+    if not doubtful(residual, machine, flux, result.scales):
         return []
     suspect = largest_suspect(result.log, machine, result.scales, plain.flux_base)
     size = "" if np.isinf(residual) else f", {residual:.1%} of the flux squared"

@@ -323,9 +323,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         flux = plain.flux_base if machine.magnets else 0.0
         defaults = {
             "resistance": RESISTANCE_SHARE * machine.R_s,
-            "inverter": max(
-                INVERTER_SHARE * machine.R_s * rated, DC_LINK_SHARE * (dc_link or 0.0)
-            ),
+            "inverter": max(INVERTER_SHARE * machine.R_s * rated, DC_LINK_SHARE * (dc_link or 0.0)),
             "asymmetry": ASYMMETRY_STD,
         }
 
@@ -355,7 +353,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
 
     def learnt(self, state: CompiledState, lane: int = 0) -> Learnt:
         """What `state` (one lane of it) has learnt."""
-        found = self._core.learnt(state.raw, lane)
+        found: dict[str, Any] = self._core.learnt(state.raw, lane)
         found["resistance"] = self.resistance + found.pop("resistance_error")
         return Learnt(**{k: tuple(v) if isinstance(v, list) else v for k, v in found.items()})
 

@@ -39,10 +39,11 @@ def estimate(
     unknowns: Annotated[
         str,
         typer.Option(
-            help="Constant or slow unknowns: drift (default); with resistance, inverter, asymmetry, "
-            "in any combination: also errors of R_s, of the inverter (dead time and device drops), "
-            "and unequal gains of the phases; auto: all of these if the log tells them; current-bias or drift,current-bias: the slower, general least squares, "
-            "0.25 ms per row; current-bias alone assumes that the voltage has no offset."
+            help="Constant or slow unknowns: auto (default): what the log asks for; drift; with "
+            "resistance, inverter, asymmetry, in any combination: also errors of R_s, of the "
+            "inverter (dead time and device drops), and unequal gains of the phases; current-bias "
+            "or drift,current-bias: the slower, general least squares, 0.25 ms per row; "
+            "current-bias alone assumes that the voltage has no offset."
         ),
     ] = "auto",
     causal: Annotated[
@@ -61,7 +62,7 @@ def estimate(
     theta_e (directly from the flux), theta_e_tracked, speed_e, drift_alpha, drift_beta,
     theta_e_std, valid; and theta_e_error if a truth is given. Prints a summary.
 
-    With resistance or inverter among the unknowns it also writes resistance, inverter_voltage,
+    With more than the drift among the unknowns it also writes resistance, inverter_voltage,
     psi_f of the magnet and drift, each with its standard deviation, and the other angle while two
     are in question. For a maglev-2dof, or with a current bias, it writes flux, position or theta_e,
     drift and current_bias with their standard deviations, noise_share and valid.
@@ -99,6 +100,9 @@ def show_result(result: Result, machine: str, out: Path, report: Path | None) ->
         typer.echo(f"Written: {report}")
     command = result.export_command(machine)
     if command is not None:
-        typer.echo(f"The same in firmware: {command}")
+        words = "The same in firmware"
+        if result.adaptive is not None and not result.causal:
+            words += ", which learns as it goes"
+        typer.echo(f"{words}: {command}")
     elif result.firmware is not None:
         typer.echo(result.firmware)
