@@ -52,27 +52,27 @@ def contents(
         sources["fluxobs_adaptive.h"] = header.replace(ASYMMETRIC, ASYMMETRIC[:-1] + "0")
     texts = tuple(sources.values())
     content, header = parameter_header(prefix, observers, machine, version, texts, update_every)
-    single = plain(observers["single"])
-    record = firmware_record(machine, single)
+    inside = plain(observers["single"])
+    record = firmware_record(machine, inside)
     estimates = {p: run(observer, record, update_every) for p, observer in observers.items()}
     if not estimates["single"].valid.any():
         raise FluxobsError(
             f"with these settings the position is never known, not even at full speed: memory "
-            f"{single.memory:g} s, current noise {single.current_noise:g} A, drift prior "
-            f"{single.drift_prior:g} V; check the units of R_s, inductance and rated_current"
+            f"{inside.memory:g} s, current noise {inside.current_noise:g} A, drift prior "
+            f"{inside.drift_prior:g} V; check the units of R_s, inductance and rated_current"
         )
     costs = read_costs()["adaptive" if adaptive else "plain"]
-    slowest = single.drift_prior / (VOLTAGE_LIMIT * single.flux_base)
+    slowest = inside.drift_prior / (VOLTAGE_LIMIT * inside.flux_base)
     words = {
         "prefix": prefix,
-        "sample_time": f"{single.sample_time / update_every:.9g}",
-        "step_time": f"{single.sample_time:.9g}",
+        "sample_time": f"{inside.sample_time / update_every:.9g}",
+        "step_time": f"{inside.sample_time:.9g}",
         "steps": "" if update_every == 1 else f" (a step in every {update_every}th)",
         "n_p": str(machine.n_p),
-        "drift_prior": f"{single.drift_prior:.3g}",
+        "drift_prior": f"{inside.drift_prior:.3g}",
         "slowest": f"{slowest:.3g}",
-        "flux": f"{single.flux_base:.3g}",
-        "ride": f"{1e3 * single.flux_base / (2 * single.drift_prior):.2g}",
+        "flux": f"{inside.flux_base:.3g}",
+        "ride": f"{1e3 * inside.flux_base / (2 * inside.drift_prior):.2g}",
         "slowest_rpm": f"{slowest / machine.n_p * 30 / math.pi:.3g}",
         "content": content,
         "exact_columns": str(exact_columns(estimates["single"])),

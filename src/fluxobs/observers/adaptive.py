@@ -355,7 +355,11 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         """What `state` (one lane of it) has learnt."""
         found: dict[str, Any] = self._core.learnt(state.raw, lane)
         found["resistance"] = self.resistance + found.pop("resistance_error")
-        return Learnt(**{k: tuple(v) if isinstance(v, list) else v for k, v in found.items()})
+        values: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in found.items()
+        }
+        return Learnt(**values)
 
     def restart(self, state: CompiledState, *, frozen: bool = False) -> CompiledState:
         """Initial state that keeps what `state` has learnt, as after a power cycle.

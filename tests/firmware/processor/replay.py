@@ -61,7 +61,7 @@ KINDS = {"plain": ("drift",), "adaptive": ("drift", "resistance", "inverter")}
 #: instructions of the plain one.
 BUDGETS = {
     "plain": {"most": 2000, "state": 400, "stack": 256},
-    "adaptive": {"mean": 5300, "state": 900, "stack": 700},
+    "adaptive": {"mean": 4800, "state": 1100, "stack": 900},
 }
 M4F = ["-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"]
 BUILDS = (
