@@ -124,7 +124,7 @@ def compare(name: str, believed, record, begin: float, **given) -> str:
 
 def resistance() -> None:
     heading(
-        "Wrong R; load steps and a reversal under load; degrees from 0.8 s on (target 0.1 to 0.15 rms)"
+        "Wrong R; load steps and a reversal under load; degrees from 0.8 s on (target 0.1–0.15 rms)"
     )
     speed = ((0, 0), (0.3, 0.5), (1.4, 0.5), (1.8, -0.5), (3.0, -0.5))
     load = ((0.6, 0), (0.6, 1), (1.0, 1), (1.0, 0.3), (2.0, 0.3), (2.0, -0.8), (2.5, 0.5))
@@ -285,7 +285,8 @@ def measured() -> None:
     import fluxobs
 
     heading(
-        "Measured logs, one setting: degrees rms about the mean from 0.2 s (targets: 0.85; learnt as it goes 1.0)"
+        "Measured logs, one setting: degrees rms about the mean from 0.2 s (targets: 0.85; learnt "
+        "as it goes 1.0)"
     )
     logs = sorted(MEASURED.glob("data*.csv"))
     if not logs:

@@ -318,6 +318,8 @@ def test_standard_deviations_are_honest():
             inverter_std=2.0,
             current_noise=0.02,
             slow_memory=1000.0,
+            inductance_std=0.0,
+            lag_std=0.0,
         )
         found = observer.run(samples.voltage, samples.current)
         for at in (10_000, 13_000, 15_900):
@@ -336,7 +338,9 @@ def test_standard_deviations_are_honest():
             )
     assert len(scores) > 60
     assert np.median(scores, axis=0).max() < 2  # of a normal distribution: 0.45
-    assert 0.2 < np.mean(np.minimum(scores, 25)) < 2.5
+    # Below 1: no real machine is as exact as these, and the filter does not expect it.
+    assert 0.1 < np.mean(np.minimum(scores, 25)) < 1.5
+    assert (np.array(scores) < 9).mean(axis=0).min() > 0.95
 
 
 def test_steps_are_the_run_and_batches_lanes():
