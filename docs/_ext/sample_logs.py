@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fluxobs.synthetic.demo import log_file
+from fluxobs.synthetic.demo import LOG
 
 MOTOR = """\
 kind = "surface-pmsm"
@@ -28,7 +28,7 @@ def _csv(path: Path, delimiter: str = ",", comma: bool = False, **columns: np.nd
 
 def write_samples(folder: Path) -> None:
     """log.csv and motor.toml of the README, a wrong R_s, and the log in other shapes."""
-    text = log_file().read_text(encoding="utf-8")
+    text = LOG.read_text(encoding="utf-8")
     (folder / "log.csv").write_text(text, encoding="utf-8")
     (folder / "motor.toml").write_text(MOTOR, encoding="utf-8")
     guess = MOTOR.replace("0.36", "0.45")
