@@ -311,6 +311,17 @@ static bool finite_numbers(const fo_adaptive_estimate *e)
     return sum - sum == ZERO;
 }
 
+/* The position of the observer inside, which takes the parameters for known. */
+static void take_inside(const fo_adaptive_state *s, const fo_estimate *inside,
+                        fo_adaptive_estimate *e)
+{
+    fo_estimate *q = &e->position;
+    const fo_real all = inside->theta_e_std * inside->theta_e_std + s->doubt * s->doubt;
+    *q = *inside;
+    q->theta_e_std = fo_sqrt(all < VARIANCE_UNKNOWN ? all : VARIANCE_UNKNOWN);
+    q->valid = inside->valid && q->theta_e_std < STD_LIMIT;
+}
+
 /* A sample while the filter runs. */
 static void run(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t, bool measured,
                 fo_adaptive_estimate *e)
@@ -349,6 +360,10 @@ static void run(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         const bool sound = finite_numbers(e);
         if (!sound) {
             *e = plain;
+        } else if (known && !(s->rows > PROVEN_AFTER)) {
+            take_inside(s, &plain.position, e);
+        } else {
+            /* the filter's own position */
         }
         const bool harm = !sound || s->disagree > DISAGREE_FOR || s->contradiction > CONTRADICTION_MOST ||
                           fo_abs(s->p[FO_RESISTANCE]) > FAR;
@@ -381,10 +396,10 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *
         if (choice.found && choice.weight < ONE / TWO) {
             e->theta_other = choice.other;
         }
-        if (s->plain.trusted) { /* it assumes known parameters */
-            const fo_real all = q->theta_e_std * q->theta_e_std + s->doubt * s->doubt;
-            q->theta_e_std = fo_sqrt(all < VARIANCE_UNKNOWN ? all : VARIANCE_UNKNOWN);
-            q->valid = q->valid && q->theta_e_std < STD_LIMIT;
+        if (s->plain.trusted) {
+            fo_estimate inside;
+            inside = *q;
+            take_inside(s, &inside, e);
         } else if (choice.found) {
             fo_real variance = choice.best.variance;
             const fo_real apart = wrap(choice.other - choice.best.theta);

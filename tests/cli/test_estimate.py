@@ -176,6 +176,7 @@ def test_a_rounded_time_column_is_passed_over(folder):
 
 def test_a_short_log_is_called_short(folder):
     done = estimate(folder, "--to", "0.003")
+    assert done.returncode == 3  # no row is valid
     assert "too short to settle" in done.stdout
     assert "suspect" not in done.stdout
 

@@ -35,7 +35,7 @@ Flux, rotor position, speed and sensor drift from a drive's currents and voltage
     fluxobs estimate LOG.csv --machine motor.toml --out estimates.parquet --report report.png
 
 `fluxobs COMMAND --help` has the options. Exit codes: 0 done, 1 `check` found a mistake, 2 unusable
-input.
+input, 3 the position is never valid.
 """
 
 app = typer.Typer(

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from ...estimation import Result
 
 
+#: Exit code if no row is valid: the estimates are written, but nothing in them can be used.
+NEVER_VALID = 3
+
+
 @reads_logs()
 def estimate(
     log: LogArgument,
@@ -60,7 +64,8 @@ def estimate(
 
     Writes one row per sample, in SI units and electrical radians: t, flux_alpha, flux_beta, psi_f,
     theta_e (directly from the flux), theta_e_tracked, speed_e, drift_alpha, drift_beta,
-    theta_e_std, valid; and theta_e_error if a truth is given. Prints a summary.
+    theta_e_std, valid; and theta_e_error if a truth is given. Prints a summary. Exit code 3: no row
+    is valid.
 
     With more than the drift among the unknowns it also writes resistance, inverter_voltage,
     psi_f of the magnet and drift, each with its standard deviation, and the other angle while two
@@ -99,6 +104,8 @@ def show_result(result: Result, machine: str, out: Path, report: Path | None) ->
         result.write(report)
         typer.echo(f"Written: {report}")
     command = result.export_command(machine)
+    if result.statistics.valid == 0:
+        raise typer.Exit(NEVER_VALID)
     if command is not None:
         words = "The same in firmware"
         if result.adaptive is not None and not result.causal:
