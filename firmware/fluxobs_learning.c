@@ -103,10 +103,9 @@ void fo_learning_forget(const fo_adaptive *a, fo_adaptive_state *s)
 }
 
 /* Finds the voltage by which the parameters may be off at this current. */
-static void weigh_parameters(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t)
+static void weigh_parameters(fo_adaptive_state *s, const fo_effects *t)
 {
     fo_real direction[FO_NA] = {0};
-    (void)a;
     for (int i = FO_RESISTANCE; i < FO_OFFSET; i++) {
         direction[FO_NF + i] = magnitude(t->effect[i]);
     }
@@ -118,7 +117,7 @@ void fo_learning_doubt(const fo_adaptive *a, fo_adaptive_state *s, const fo_effe
                        fo_real length, fo_real turned)
 {
     if (!s->running && s->turn % ROUND == 0U) {
-        weigh_parameters(a, s, t);
+        weigh_parameters(s, t);
     }
     const fo_real square = dot(s->plain.current[0], s->plain.current[0]);
     fo_real unsure = s->unsure;
@@ -128,7 +127,7 @@ void fo_learning_doubt(const fo_adaptive *a, fo_adaptive_state *s, const fo_effe
     const fo_real gone = turned < ONE ? turned : ONE;
     const fo_real doubt = s->doubt + (length > ZERO ? unsure / length : ONE) - s->doubt * gone;
     s->doubt = doubt < TWO ? doubt : TWO;
-    if (!(s->unsure > ZERO)) { /* everything is known */
+    if (!(a->std[FO_RESISTANCE] + a->std[FO_INVERTER] > ZERO)) { /* all of it is known */
         s->doubt = ZERO;
     }
 }
@@ -451,7 +450,7 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
     s->across += fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction);
     s->theta = fo_atan2(x[1], x[0]);
     clear_block(s);
-    weigh_parameters(a, s, t);
+    weigh_parameters(s, t);
     s->judged = s->judged < 2U ? s->judged + 1U : 0U;
     keep_deviation(a, s, s->judged);
 }
