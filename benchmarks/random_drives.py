@@ -76,13 +76,14 @@ def loss(current: Array, curve: str, knee: float) -> Array:
 
 
 def drive(job: tuple[str, int, float]) -> list[float]:
-    """Valid rows, those 10 and 20 degrees off, worst; then share within three stds: R, V_d."""
+    """Rows, valid ones, those 10 and 20 degrees off, worst; then share within three: R, V_d."""
     name, seed, stops = job
     machine, h, rated = MACHINES[name]
     rng, current = np.random.default_rng(seed), machine.rated_current
     speed, load = course(rng, h, stops)
     link = 1.6 * rated * (machine.magnet_flux or 0.5 * machine.L_dq[0] * current)
-    volts, knee = rng.uniform(0, 0.03) * link, np.exp(rng.uniform(*np.log([0.005, 0.08]))) * current
+    volts = rng.uniform(0, 0.03) * link
+    knee = np.exp(rng.uniform(*np.log([0.005, 0.08]))) * current
     curve = str(rng.choice(list(CURVES)))
     i_dq = 0.7j * load * current
     if name == "synrm":
