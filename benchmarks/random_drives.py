@@ -138,8 +138,8 @@ def drive(job: tuple[str, int, float]) -> list[float]:
 def main(drives: int, stops: float) -> None:
     heading(
         f"{drives} random drives of each machine, {stops:.0%} of the segments stopped: valid rows, "
-        "share of them 10 and 20 degrees off (target 1e-4, 0), worst; rows on which R_s and V_d are "
-        "within three standard deviations (target 95 %)"
+        "share of them 10 and 20 degrees off (target 1e-4, 0), worst; rows on which R_s and V_d "
+        "are within three standard deviations (target 95 %)"
     )
     everything = []
     with ProcessPoolExecutor() as pool:
