@@ -29,6 +29,7 @@ static const fo_real STD_ALL = PI / (fo_real)18;
 /* Rows of the filter before its position is valid, and before it may be lost for its std [1]. */
 static const fo_real PROVEN_AFTER = (fo_real)4;
 static const fo_real LOST_AFTER = (fo_real)2;
+/* Rows within which a filter that is lost has learnt nothing worth keeping: two turns [1]. */
 static const fo_real EARLY = (fo_real)16;
 /* The filter is wrong if it contradicts what has been learnt by this power [1], ten stds, ... */
 static const fo_real CONTRADICTION_MOST = (fo_real)100;
@@ -262,6 +263,12 @@ static void stop(const fo_adaptive *a, fo_adaptive_state *s, bool harm)
     fo_candidates_sow(a, s);
 }
 
+/* Std of an angle with this variance: at most that of an unknown one. */
+static fo_real std_of(fo_real variance)
+{
+    return fo_sqrt(variance < VARIANCE_UNKNOWN ? variance : VARIANCE_UNKNOWN);
+}
+
 /* Writes what the estimate says about the parameters. */
 static void report_parameters(const fo_adaptive *a, const fo_adaptive_state *s,
                               fo_adaptive_estimate *e)
@@ -288,7 +295,7 @@ static void report(const fo_adaptive *a, const fo_adaptive_state *s, fo_real len
     q->theta_e = s->theta;
     q->theta_e_tracked = s->tracker.angle;
     q->speed_e = s->tracker.speed;
-    q->theta_e_std = fo_sqrt(all < VARIANCE_UNKNOWN ? all : VARIANCE_UNKNOWN);
+    q->theta_e_std = std_of(all);
     q->noise_share = ZERO;
     q->valid = s->rows > PROVEN_AFTER && s->tracker.settled >= TRACKER_SETTLED &&
                s->doubt < DOUBT_LIMIT && variance < STD_LIMIT * STD_LIMIT &&
@@ -316,9 +323,8 @@ static void take_inside(const fo_adaptive_state *s, const fo_estimate *inside,
                         fo_adaptive_estimate *e)
 {
     fo_estimate *q = &e->position;
-    const fo_real all = inside->theta_e_std * inside->theta_e_std + s->doubt * s->doubt;
     *q = *inside;
-    q->theta_e_std = fo_sqrt(all < VARIANCE_UNKNOWN ? all : VARIANCE_UNKNOWN);
+    q->theta_e_std = std_of(inside->theta_e_std * inside->theta_e_std + s->doubt * s->doubt);
     q->valid = inside->valid && q->theta_e_std < STD_LIMIT;
 }
 
@@ -346,8 +352,9 @@ static void run(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         s->exposed += (plausible + inverter) / length - s->exposed * step;
         /* since the last row, by what the parameters may be off */
         const fo_real since = s->unsure * s->now.block.time / o->h;
-        const fo_real variance = (s->across + since * since + o->position_noise * s->plain.roughness) / square +
-                                 s->exposed * s->exposed;
+        const fo_real noise = o->position_noise * s->plain.roughness;
+        const fo_real variance =
+            (s->across + since * since + noise) / square + s->exposed * s->exposed;
         /* what leaves no trace at all */
         const fo_real *i = s->plain.current[0];
         const fo_real i_q = a->inductance_std * (s->x[0] * i[1] - s->x[1] * i[0]) / length;
@@ -365,7 +372,8 @@ static void run(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         } else {
             /* the filter's own position */
         }
-        const bool harm = !sound || s->disagree > DISAGREE_FOR || s->contradiction > CONTRADICTION_MOST ||
+        const bool harm = !sound || s->disagree > DISAGREE_FOR ||
+                          s->contradiction > CONTRADICTION_MOST ||
                           fo_abs(s->p[FO_RESISTANCE]) > FAR;
         const bool lost = s->doubt > ONE ||
                           (s->rows > LOST_AFTER && !(variance < STD_LOST * STD_LOST));
@@ -407,7 +415,7 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *
             q->theta_e = choice.best.theta;
             q->theta_e_tracked = s->tracker.angle;
             q->speed_e = s->tracker.speed;
-            q->theta_e_std = fo_sqrt(variance < VARIANCE_UNKNOWN ? variance : VARIANCE_UNKNOWN);
+            q->theta_e_std = std_of(variance);
             for (int i = 0; i < FO_N; i++) {
                 q->flux[i] = choice.best.p[i] * o->flux_base;
                 q->drift[i] = choice.best.p[FO_N + i] * o->drift_base;
@@ -481,7 +489,9 @@ static void go_on(const fo_adaptive *a, fo_adaptive_state *s, bool complete, bad
         s->doubt = TWO;
     }
     s->turn++;
-    report_parameters(a, s, e);
+    if (!e->adapting || !s->running) { /* else it is done, and nothing has changed since */
+        report_parameters(a, s, e);
+    }
     e->position.valid = e->position.valid && measured && now.voltages == before.voltages;
 }
 

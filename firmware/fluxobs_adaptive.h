@@ -157,7 +157,8 @@ typedef struct {
     fo_real signs[2][FO_N], bend[3];     /* of the inverter's loss; its derivative          */
     fo_real knee;                        /* how unsure the harder signs are, 0 to 1         */
     fo_real x[FO_N], theta;              /* direction of the position vector                */
-    fo_real swept;                       /* since the start [rad]                           */
+    fo_real swept;                       /* before the filter runs, since one angle is the  */
+                                         /* likely one [rad]                                */
     fo_real disagree;                    /* turn for which it differs from the guard [rad]  */
     fo_tracker tracker;
 } fo_adaptive_state;

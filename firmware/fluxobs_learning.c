@@ -245,7 +245,6 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
     s->known_point = ZERO;
     s->across = c->variance * length * length;
     s->exposed = ZERO;
-    s->swept = ZERO;
     s->disagree = ZERO;
     clear_block(s);
 }
@@ -253,8 +252,8 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
 /* ---- a sample --------------------------------------------------------------------------------- */
 
 /* x = flux - L i, without offset; returns its length. */
-static fo_real without_offset(const fo_adaptive *a, const fo_adaptive_state *s, fo_real current[FO_N],
-                        fo_real x[FO_N])
+static fo_real without_offset(const fo_adaptive *a, const fo_adaptive_state *s,
+                              fo_real current[FO_N], fo_real x[FO_N])
 {
     for (int i = 0; i < FO_N; i++) {
         current[i] = s->plain.current[0][i] - fo_learning_value(a, s, FO_OFFSET + i);
@@ -490,7 +489,6 @@ fo_real fo_learning_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_
         }
         const fo_real theta = fo_atan2(x[1], x[0]);
         const fo_real turned = fo_abs(wrap(theta - b->theta));
-        s->swept += wrap(theta - s->theta);
         s->theta = theta;
         if (turned >= BLOCK || b->time >= BLOCK_MOST) {
             end(a, s, t, turned);

@@ -32,8 +32,9 @@ PriorOption = Annotated[
         "--prior",
         "--priors",
         metavar="NAME=NUMBER",
-        help="resistance=OHM, inverter=VOLT, psi_f=WB: standard deviations of the machine file's "
-        "values. Default: a quarter of R_s, of R_s times the rated current, and of psi_f.",
+        help="resistance=OHM, inverter=VOLT, psi_f=WB, asymmetry=NUMBER: standard deviations of "
+        "the machine file's values. Default: half of R_s; a quarter of R_s times the rated "
+        "current (a log's voltage may make it more); a quarter of psi_f; 0.01.",
     ),
 ]
 

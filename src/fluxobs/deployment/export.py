@@ -11,7 +11,7 @@ from typing import Any
 from ..errors import FluxobsError
 from ..machines import Machine, as_machine
 from ..observers import AdaptiveObserver, LeastSquaresObserver
-from ..observers.unknowns import ADAPTED, AUTO, adapts, read_unknowns
+from ..observers.unknowns import ALL, AUTO, adapts, read_unknowns
 from ..validation import number
 from .c_source import PRECISIONS
 from .contents import contents
@@ -69,12 +69,12 @@ def export(
     memory : float, optional
         Exponential memory of the least squares [s], 10 to 4000 steps; default 0.03 s.
     unknowns : str or sequence of str
-        Constant or slow unknowns: "drift", or with "resistance", "inverter" or both, which exports
-        the adaptive observer.
+        Constant or slow unknowns: "drift", or also some of "resistance", "inverter", "asymmetry"
+        ("auto": all), which exports the adaptive observer.
     current_noise, drift_prior : float, optional
         As for :meth:`LeastSquaresObserver.for_machine` [A], [V]; `fluxobs estimate` prints what it
         used for a log.
-    priors : mapping of {"resistance", "inverter", "psi_f"} to float, optional
+    priors : mapping of {"resistance", "inverter", "asymmetry", "psi_f"} to float, optional
         Standard deviations of the machine's values, for the adaptive observer [Ω], [V], [Wb].
     update_every : int
         Interrupts from one step of the observer to the next; in between, volt-seconds are gathered.
@@ -101,7 +101,7 @@ def export(
     sample_time = number("sample_time", sample_time, "s")
     chosen = read_unknowns(unknowns)
     if chosen == (AUTO,):
-        chosen = ("drift", *ADAPTED)
+        chosen = ALL
     given = check_machine(as_machine(machine), chosen, priors or {})
     memory = check_times(sample_time, update_every, memory)
     for name, value in (("current_noise", current_noise), ("drift_prior", drift_prior)):

@@ -14,7 +14,7 @@ from ..machines import Machine, RotatingMachine
 from ..machines.files import as_machine
 from ..observers import AdaptiveObserver, LogObserver
 from ..observers.adaptive import Learnt
-from ..observers.unknowns import ADAPTED, AUTO, read_unknowns
+from ..observers.unknowns import ALL, AUTO, read_unknowns
 from ..output import ahead, check_out, write_rows
 from ..validation import number
 from .columns import rows_of
@@ -58,8 +58,8 @@ def estimate(
         If true it learns as it goes: what firmware would have known at the time.
     memory : float, optional
         Memory of the least squares [s]; default: that of the kind of machine.
-    priors : mapping of {"resistance", "inverter", "psi_f"} to float, optional
-        Standard deviations of the machine file's values [Ω], [V], [Wb], if the defaults of
+    priors : mapping of {"resistance", "inverter", "asymmetry", "psi_f"} to float, optional
+        Standard deviations of the machine file's values [Ω], [V], [1], [Wb], if the defaults of
         :meth:`AdaptiveObserver.for_machine` do not fit.
     progress : callable, optional
         Called with the number of rows done and the number of all rows.
@@ -94,7 +94,7 @@ def estimate(
     path = None if out is None else check_out(out, opened.path)
     automatic, done, total = chosen == (AUTO,), 0, len(opened)
     if automatic:
-        chosen = ("drift", *ADAPTED) if isinstance(machine, RotatingMachine) else ("drift",)
+        chosen = ALL if isinstance(machine, RotatingMachine) else ("drift",)
     run = prepare(opened, machine, chosen, memory, stds)
     learnt: Learnt | None = None
     state: Any = None

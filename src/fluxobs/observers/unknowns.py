@@ -12,8 +12,9 @@ from ..validation import nearest
 #: Errors of the machine's parameters and of its inverter, found by the adaptive observer.
 ADAPTED = ("resistance", "inverter", "asymmetry")
 UNKNOWNS: tuple[str, ...] = (*IN_THE_IMMERSION, *ADAPTED)
-#: The word for: what the log supports.
+#: The word for what the log supports, and all that it may take.
 AUTO = "auto"
+ALL = ("drift", *ADAPTED)
 #: Quantities for which a standard deviation can be given.
 PRIORS = ("resistance", "inverter", "asymmetry", "psi_f")
 

@@ -20,8 +20,9 @@ def export(
     unknowns: Annotated[
         str,
         typer.Option(
-            help="Constant or slow unknowns: drift, or with resistance, inverter or both. These "
-            "export the adaptive observer, which starts within a fraction of a turn."
+            help="Constant or slow unknowns: drift, or also some of resistance, inverter, "
+            "asymmetry (auto: all). These export the adaptive observer, which starts within a "
+            "fraction of a turn."
         ),
     ] = "drift",
     memory: Annotated[
