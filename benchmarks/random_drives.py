@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 from concurrent.futures import ProcessPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 from common import Array, degrees_error, heading
@@ -18,7 +19,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from fluxobs import AdaptiveObserver, SurfacePMSM
 from fluxobs.machines import RotatingMachine, example
-from fluxobs.synthetic.signals import between_rows, driven, vectors
+from fluxobs.synthetic.signals import Complex, between_rows, driven, vectors
 
 DURATION, PARTS = 6.0, 4
 #: Machine, sample time [s], rated electrical speed [rad/s].
@@ -75,11 +76,24 @@ def loss(current: Array, curve: str, knee: float) -> Array:
     return 2 / 3 * sum(turn**k * CURVES[curve](x / knee) for k, x in enumerate(phases))
 
 
-def drive(job: tuple[str, int, float]) -> list[float]:
-    """Rows, valid ones, those 10 and 20 degrees off, worst; then share within three: R, V_d."""
-    name, seed, stops = job
+class Drive(NamedTuple):
+    """A simulated record, and the machine file that its user believes."""
+
+    machine: RotatingMachine
+    believed: RotatingMachine
+    sample_time: float
+    voltage: Complex  # over the interval that ends at the row; the first is not known
+    current: Complex
+    theta: Array
+    inverter: float
+    dc_link: float
+    noise: float
+
+
+def simulate(name: str, seed: int, stops: float) -> Drive:
+    """A random course of a machine, with everything that is unknown drawn."""
     machine, h, rated = MACHINES[name]
-    rng, current = np.random.default_rng(seed), machine.rated_current
+    rng, current = np.random.default_rng([sum(map(ord, name)), seed]), machine.rated_current
     speed, load = course(rng, h, stops)
     link = 1.6 * rated * (machine.magnet_flux or 0.5 * machine.L_dq[0] * current)
     volts = rng.uniform(0, 0.03) * link
@@ -105,23 +119,31 @@ def drive(job: tuple[str, int, float]) -> list[float]:
     believed = {"R_s": machine.R_s / rng.uniform(0.5, 1.5)}
     if machine.magnets:
         believed["psi_f"] = machine.psi_f / rng.uniform(0.8, 1.2)
+    return Drive(
+        machine, machine.with_values(**believed), h, u, i, true.theta_e, volts, link, noise
+    )
+
+
+def drive(job: tuple[str, int, float]) -> list[float]:
+    """Rows, valid ones, those 10 and 20 degrees off, worst; then share within three: R, V_d."""
+    one = simulate(*job)
     observer = AdaptiveObserver.for_machine(
-        machine.with_values(**believed),
-        sample_time=h,
+        one.believed,
+        sample_time=one.sample_time,
         unknowns=("drift", "resistance", "inverter", "asymmetry"),
-        current_noise=noise,
-        dc_link=link,
+        current_noise=one.noise,
+        dc_link=one.dc_link,
         inductance_std=0.0,  # they are exact here
         lag_std=0.0,
     )
-    found = observer.run(vectors(u), vectors(i))
-    error = np.abs(degrees_error(found.theta_e, true.theta_e, machine.half_turn_ambiguous))
+    found = observer.run(vectors(one.voltage), vectors(one.current))
+    error = np.abs(degrees_error(found.theta_e, one.theta, one.machine.half_turn_ambiguous))
     valid = found.valid
     within = [
         (np.abs(x - y) <= 3 * s)[valid].mean() if valid.any() else np.nan
         for x, y, s in (
-            (found.resistance, machine.R_s, found.resistance_std),
-            (found.inverter_voltage, volts, found.inverter_voltage_std),
+            (found.resistance, one.machine.R_s, found.resistance_std),
+            (found.inverter_voltage, one.inverter, found.inverter_voltage_std),
         )
     ]
     off = error[valid]

@@ -54,8 +54,9 @@ def test_columns_summary_picture_and_the_way_into_firmware(folder):
 def test_the_plain_observer_warns_and_names_the_option(folder):
     done = estimate(folder, "--unknowns", "drift")
     assert done.returncode == 0
-    assert "Warning" in done.stdout
-    assert "--unknowns drift,resistance,inverter" in done.stdout
+    assert "Warning: The residual of the machine's relation is more than noise" in done.stdout
+    assert "R_s fits at 1.29 times" in done.stdout
+    assert "--unknowns auto" in done.stdout
 
 
 def test_by_default_the_log_decides(folder):

@@ -45,7 +45,8 @@ class Progress:
         return self
 
     def __call__(self, done: int, total: int) -> None:
-        if self.bar is None and time.monotonic() - self.started > 1 and done < total:
+        late = sys.stderr.isatty() and time.monotonic() - self.started > 1
+        if self.bar is None and late and done < total:
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
 

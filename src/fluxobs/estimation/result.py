@@ -12,7 +12,10 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from ..checking.findings import Check
+from ..checking.search import check_log
 from ..errors import FluxobsError
+from ..machines import RotatingMachine
 from ..output import check_out, write_rows
 from ..validation import nearest
 from .run import LogRun
@@ -63,12 +66,22 @@ class Result(LogRun):
     @cached_property
     def summary(self) -> str:
         """What the run found, in one paragraph."""
-        return paragraph(self)
+        return paragraph(self, self.checked)
 
     @cached_property
     def warnings(self) -> list[str]:
         """What should make a reader wary, one or two sentences each."""
-        return warnings(self)
+        return warnings(self, self.checked)
+
+    @cached_property
+    def checked(self) -> Check | None:
+        """What :func:`fluxobs.check` says of the log; None if it cannot be checked."""
+        if not isinstance(self.machine, RotatingMachine):
+            return None
+        try:
+            return check_log(self.log, self.machine)
+        except FluxobsError:  # too many gaps
+            return None
 
     @property
     def firmware(self) -> str | None:

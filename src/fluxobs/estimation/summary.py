@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..checking.findings import Check
 from ..logs.record import lag_in_words
 from ..machines import RotatingMachine
 from ..observers import ImmersionObserver
@@ -23,8 +24,8 @@ def si(value: float, unit: str) -> str:
     return f"0 {unit}" if value == 0 else f"{value:.2g} {unit}"
 
 
-def paragraph(result: LogRun) -> str:
-    """The summary of a run."""
+def paragraph(result: LogRun, found: Check | None) -> str:
+    """The summary of a run whose log was checked."""
     statistics, log = result.statistics, result.log
     head = (
         f"{statistics.rows} samples, {statistics.rows * log.sample_time:.4g} s at "
@@ -46,6 +47,7 @@ def paragraph(result: LogRun) -> str:
         *_flux(result),
         *_parameters(result),
         *_score(result),
+        *([found.untold] if found is not None and found.untold else []),
     ]
     return " ".join(sentences)
 

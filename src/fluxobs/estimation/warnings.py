@@ -4,41 +4,28 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..checking.findings import Check
 from ..observers import LeastSquaresObserver
-from .learning import doubtful, parameters
+from .learning import doubtful
 from .run import LogRun
 from .summary import bias_is_seen, si
-from .suspects import largest_suspect
 
 #: Warn below this many samples per electrical period: the cubic through four currents then misses a
 #: percent of the resistive drop (benchmarks/accuracy.py).
 SAMPLES_PER_PERIOD = 8
-#: The given magnet flux looks wrong if the ratio of found to given is outside this range: heat and
-#: tolerances stay inside, the usual mistakes of √2 and √3 do not.
-PSI_RANGE = (0.75, 1.33)
 #: If the machine moves and fewer than this share of the rows are valid, something does not fit.
 VALID_SHARE = 0.5
 #: A summary means something only if the log lasts this many memories: after three, e⁻³ = 5 % of the
 #: start is left. With unknown resistance or inverter, three pass before a position is valid.
 MEMORIES, MEMORIES_ADAPTIVE = 3, 5
-#: Rms position error [rad] beyond which the truth itself is in doubt: no valid estimate is that far
-#: off.
-TRUTH_LIMIT = 0.5
 #: Mention a missing truth if fewer than this share of the valid rows have one.
 TRUTH_SHARE = 0.99
-#: A parameter off by this many standard deviations of its prior was not expected.
-FAR = 2.5
 #: A voltage below this many resistive drops means standstill, or nearly.
 STANDING = 2.0
-#: How to find the value of a suspect.
-REMEDY = dict.fromkeys(
-    ("R_s", "the inverter"),
-    " Find it with --unknowns drift,resistance,inverter, or with `fluxobs identify`.",
-)
 
 
-def warnings(result: LogRun) -> list[str]:
-    """The warnings of a run, the most important first."""
+def warnings(result: LogRun, found: Check | None) -> list[str]:
+    """The warnings of a run whose log was checked, the most important first."""
     if result.plain is None:
         return [*_samples(result), *_jumps(result), *_immersed_validity(result), *_bias(result)]
     duration = result.statistics.rows * result.log.sample_time
@@ -49,14 +36,18 @@ def warnings(result: LogRun) -> list[str]:
             f"The log lasts {si(duration, 's')}, too short to settle: at least {memories} "
             f"memories of {si(result.observer.memory, 's')} are needed.",
         ]
+    mistakes = [] if found is None else [str(finding) for finding in found.mistakes]
     return [
         *_samples(result),
+        *mistakes,
         *_truth(result),
         *_rate(result),
         *_validity(result),
-        *_magnet_flux(result),
-        *([] if result.adaptive is not None else _residual(result, result.plain)),
-        *_far(result),
+        *(
+            []
+            if result.adaptive is not None or mistakes
+            else _residual(result, result.plain, found)
+        ),
     ]
 
 
@@ -79,20 +70,12 @@ def _samples(result: LogRun) -> list[str]:
 
 
 def _truth(result: LogRun) -> list[str]:
-    statistics, out = result.statistics, []
-    if result.log.truth is None or not statistics.valid:
+    statistics = result.statistics
+    if result.log.truth is None or statistics.scored >= TRUTH_SHARE * statistics.valid:
         return []
-    if statistics.scored < TRUTH_SHARE * statistics.valid:
-        out.append(
-            f"The true angle is known on only {statistics.scored} of {statistics.valid} valid rows."
-        )
-    if statistics.scored and statistics.rms_error > TRUTH_LIMIT:
-        out.append(
-            "The true angle is far off. Is it in radians (--scale theta_mech=0.0174533 for "
-            "degrees)? Is it electrical or mechanical, and n_p right? Does it increase in the "
-            "direction a-b-c, and is it zero where d lies along α?"
-        )
-    return out
+    return [
+        f"The true angle is known on only {statistics.scored} of {statistics.valid} valid rows."
+    ]
 
 
 def _rate(result: LogRun) -> list[str]:
@@ -127,57 +110,22 @@ def _validity(result: LogRun) -> list[str]:
     return [f"The position is valid on only {share:.1%} of the rows: {reason}."]
 
 
-def _magnet_flux(result: LogRun) -> list[str]:
-    given = result.rotor.magnet_flux
-    if not given or not result.statistics.valid:
-        return []
-    found = result.statistics.mean("psi_f")
-    if PSI_RANGE[0] < found / given < PSI_RANGE[1]:
-        return []
-    return [
-        f"psi_f = {given:g} Wb in the machine file looks wrong: the record says "
-        f"{si(found, 'Wb')}. The estimates do not depend on it."
-    ]
-
-
-def _far(result: LogRun) -> list[str]:
-    """A parameter that went far from its prior."""
-    adaptive, learnt = result.adaptive, result.learnt
-    if adaptive is None or learnt is None or not result.statistics.found:
-        return []
-    names = {"magnet flux": "psi_f", "resistance": "R_s", "inverter": "inverter_voltage"}
-    return [
-        f"{names[one.name]} is far from what was given: {si(one.value, one.unit)}, where "
-        f"{si(one.assumed, one.unit)} ± {si(one.prior, one.unit)} was. Correct the machine file; "
-        f"if that does not help, something else is wrong."
-        for one in parameters(adaptive, learnt)
-        if one.name != "magnet flux" and abs(one.value - one.assumed) > FAR * one.prior
-    ]
-
-
-def _residual(result: LogRun, plain: LeastSquaresObserver) -> list[str]:
+def _residual(result: LogRun, plain: LeastSquaresObserver, found: Check | None) -> list[str]:
     statistics, machine = result.statistics, result.rotor
+    if not statistics.valid:
+        return []
     # Without magnets λ - L i says little about the flux.
-    flux = statistics.mean("psi_f") if statistics.valid and machine.magnets else plain.flux_base
-    residual = np.inf
-    if statistics.valid:
-        rms = np.sqrt(statistics.innovation / statistics.settled)
-        residual = float(rms * plain.constraint_noise / flux**2)
+    flux = statistics.mean("psi_f") if machine.magnets else plain.flux_base
+    rms = np.sqrt(statistics.innovation / statistics.settled)
+    residual = float(rms * plain.constraint_noise / flux**2)
     if not doubtful(residual, machine, flux, result.scales):
         return []
-    suspect = largest_suspect(result.log, machine, result.scales, plain.flux_base)
-    size = "" if np.isinf(residual) else f", {residual:.1%} of the flux squared"
-    if suspect is None:
-        if np.isinf(residual):
-            return []
-        return [
-            f"The residual of the machine's constraint is more than noise explains{size}; none of "
-            f"the errors tried by default accounts for it on its own."
-        ]
+    fits = "" if found is None else found.fits
     return [
-        f"The residual of the machine's constraint is more than noise explains{size}. Largest "
-        f"suspect: {suspect.name}; {suspect.advice} ({suspect.remaining:.0%} of the residual left)."
-        f"{REMEDY.get(suspect.name, '')}"
+        f"The residual of the machine's relation is more than noise explains, {residual:.1%} of "
+        f"the flux squared, with R_s and inverter held as given."
+        + (f" In stretches of the log {fits}." if fits else "")
+        + " Find them with --unknowns auto, or with `fluxobs identify`."
     ]
 
 

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checking.stretches import LAGS
 from ..observers.immersed import CORRELATION_LIMIT
-from .pieces import LAGS, Piece
+from .pieces import Piece
 
 Array = NDArray[np.float64]
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checking.stretches import LAGS
 from ..errors import FluxobsError
 from ..estimation.prepare import open_for
 from ..logs.log import Log
@@ -18,7 +19,7 @@ from ..machines import Machine, RotatingMachine, as_machine, rotating
 from ..validation import nearest
 from .fit import Fit, fit
 from .fitted import ADVICE, UNITS, Fitted, Parameter
-from .pieces import LAGS, Piece, pieces, smoothing_current, typical_length
+from .pieces import Piece, pieces, smoothing_current, typical_length
 from .report import figure, lines, write
 
 if TYPE_CHECKING:

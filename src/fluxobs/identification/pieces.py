@@ -22,8 +22,6 @@ Array = NDArray[np.float64]
 #: A piece, over which the drift is taken as constant, lasts this many turns, at least this long
 #: [s], and is no shorter than this many rows.
 TURNS, SECONDS, SHORTEST = 2.5, 0.4, 100
-#: Lags of the voltage that are tried, relative to the given one [samples].
-LAGS = (-2, -1, 0, 1, 2)
 
 
 @dataclass(frozen=True, eq=False)

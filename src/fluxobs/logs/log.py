@@ -128,6 +128,12 @@ class Log:
         channel, column = self.truth
         return self._scaled(channel, part[column])
 
+    def channels(self, first: int, last: int) -> Iterator[Columns]:
+        """Yield rows of the channels, scaled, before any transform; "truth" is the true angle."""
+        for part in self.table.batches(self._columns(), first, last, BATCH):
+            channels, truth = self._channels(part), self._truth(part)
+            yield channels if truth is None else channels | {"truth": truth}
+
     def _time(self, channels: Columns, row: int, count: int) -> Array:
         if "t" in channels:
             return channels["t"]

@@ -61,8 +61,9 @@ def excerpts(log: Log) -> Iterator[Aligned]:
         for start in starts:
             low, high = max(start - row, 0), min(start + EXCERPT_ROWS - row, len(part.t))
             if low < high:
+                truth = None if part.truth is None else part.truth[low:high]
                 t, current, voltage = (column[low:high] for column in part[:3])
-                pieces.append(Aligned(t, current, voltage, None))
+                pieces.append(Aligned(t, current, voltage, truth))
                 if row + high == start + EXCERPT_ROWS:
                     yield _joined(pieces)
                     pieces = []
@@ -70,10 +71,12 @@ def excerpts(log: Log) -> Iterator[Aligned]:
 
 
 def _joined(parts: list[Aligned]) -> Aligned:
-    """Join pieces into one; the true angle is not needed here."""
-    columns = zip(*(part[:3] for part in parts), strict=True)
-    t, current, voltage = (np.concatenate(column) for column in columns)
-    return Aligned(t, current, voltage, None)
+    """Join pieces into one."""
+    t, current, voltage = (
+        np.concatenate(column) for column in zip(*(part[:3] for part in parts), strict=True)
+    )
+    truth = [part.truth for part in parts if part.truth is not None]
+    return Aligned(t, current, voltage, np.concatenate(truth) if truth else None)
 
 
 def white_noise(signal: Array) -> float:

@@ -10,21 +10,23 @@ from .. import show
 from ..options import LogArgument, MachineOption, reads_logs
 
 
-@reads_logs("truth")
+@reads_logs()
 def check(log: LogArgument, machine: MachineOption, layout: dict[str, Any]) -> None:
     """Is a log what you think? Tries the usual mistakes.
 
-    Tries all combinations of the current's sign, phase order, and lags of the voltage from two
-    samples earlier to two later. Judges scales (line to line √3, rms √2, power-invariant √1.5), and
-    R_s per phase or line to line, by the resistance and the magnet flux that fit. Says what fits
-    best, how surely, and what the log cannot tell. Exit code 1: something else fits better than
-    what was given.
+    Looks at the columns first: one given twice, raw counts, an angle in degrees, spikes. Then tries
+    the current's sign, phase order and frame, lags of the voltage from two samples earlier to two
+    later, and scales of the log or of the machine file (line to line √3, rms √2, power-invariant
+    √1.5, any factor), and with a true angle its zero, its direction and n_p. Says what fits best,
+    how surely, and what the log cannot tell. Exit code 1: something fits better than what was
+    given.
 
     Example: fluxobs check LOG.csv --machine motor.toml --lag -1
     """
     from ... import check as run
 
-    found = run(log, machine, **layout)
+    with show.Progress() as progress:
+        found = run(log, machine, progress=progress, **layout)
     for line in found.lines():
         show.echo(line)
     if not found.sound:

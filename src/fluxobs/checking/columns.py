@@ -1,0 +1,197 @@
+"""Mistakes that show in the columns themselves, without a machine."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..logs.log import Log
+from ..model.frames import PHASE_CURRENTS
+from .findings import Finding
+from .stretches import without_spikes
+
+Array = NDArray[np.float64]
+
+#: Rows that are looked at, from the middle of the log.
+ROWS = 20_000
+#: Columns with a correlation closer to one are the same column.
+SAME = 1e-9
+#: Phase currents whose sum is more than this share of them do not belong together.
+SUM = 0.3
+#: A duty beyond this is no share of the DC link.
+DUTY_MOST = 1.5
+#: Whole numbers whose mean is more than so many times their standard deviation are raw counts.
+RAW_OFFSET = 3.0
+#: Fewer spikes than this are events.
+SPIKES = 3
+#: What an angle's wrap shows: (size of a full turn, its unit, the scale to radians).
+TURNS = (
+    (360.0, "degrees", "0.0174533"),
+    (1.0, "turns", "6.2831853"),
+    (65536.0, "counts of 65536", "9.58738e-5"),
+    (32768.0, "counts of 32768", "1.917476e-4"),
+    (16384.0, "counts of 16384", "3.834952e-4"),
+    (4096.0, "counts of 4096", "1.533981e-3"),
+)
+
+
+def columns(log: Log) -> list[Finding]:
+    """Findings on the columns of a log; none if there is nothing to say."""
+    first = max(log.first, (log.first + log.last - ROWS) // 2)
+    parts = list(log.channels(first, min(first + ROWS, log.last)))
+    channels = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    signals = {
+        name: values
+        for name, values in channels.items()
+        if name not in ("t", "udc", "theta_e", "truth")
+    }
+    return [
+        *_repeated(signals, log),
+        *_constant(signals, log),
+        *_sum(signals),
+        *_duty(signals),
+        *_counts(signals),
+        *_angle(channels, log),
+        *_spikes(signals),
+    ]
+
+
+def _name(channel: str, log: Log) -> str:
+    column = log.names.get(channel, channel)
+    return channel if column == channel else f"{channel} (column {column})"
+
+
+def _repeated(signals: dict[str, Array], log: Log) -> list[Finding]:
+    out = []
+    for one, other in combinations(signals, 2):
+        a, b = signals[one], signals[other]
+        good = np.isfinite(a) & np.isfinite(b)
+        a, b = a[good] - a[good].mean(), b[good] - b[good].mean()
+        scale = float(np.sqrt(a @ a) * np.sqrt(b @ b))
+        if scale > 0 and abs(float(a @ b)) > (1 - SAME) * scale:
+            out.append(
+                Finding(
+                    "columns",
+                    f"{_name(one, log)} and {_name(other, log)} hold the same signal: give each "
+                    f"channel its own column",
+                    False,
+                )
+            )
+    return out
+
+
+def _constant(signals: dict[str, Array], log: Log) -> list[Finding]:
+    return [
+        Finding("columns", f"{_name(name, log)} never changes: is it the right column?", False)
+        for name, values in signals.items()
+        if np.isfinite(values).any() and np.nanmax(values) == np.nanmin(values)
+    ]
+
+
+def _sum(signals: dict[str, Array]) -> list[Finding]:
+    if not set(PHASE_CURRENTS) <= set(signals):
+        return []
+    phases = np.stack([_smooth(signals[name]) for name in PHASE_CURRENTS])
+    phases = phases[:, np.isfinite(phases).all(axis=0)]
+    phases = phases - phases.mean(axis=1, keepdims=True)
+    share = float(np.sqrt(np.mean(phases.sum(axis=0) ** 2) / (np.mean(phases**2) + 1e-300)))
+    if share < SUM:
+        return []
+    return [
+        Finding(
+            "columns",
+            f"i_a + i_b + i_c is not zero but {share:.0%} of a phase current: is one of them "
+            f"another column, or of the opposite sign?",
+            False,
+        )
+    ]
+
+
+def _smooth(values: Array) -> Array:
+    return np.asarray(without_spikes(values.astype(complex))[0].real)
+
+
+def _duty(signals: dict[str, Array]) -> list[Finding]:
+    duties = [np.abs(values) for name, values in signals.items() if name.startswith("d_")]
+    most = float(np.nanmax(np.concatenate(duties))) if duties else 0.0
+    if most <= DUTY_MOST:
+        return []
+    full = next((n for n in (100.0, 1000.0, *(2.0**k for k in range(8, 17))) if most <= n), most)
+    return [
+        Finding(
+            "columns",
+            f"a duty reaches {most:g}, but is a share of the DC link, 0 to 1: are these counts, "
+            f"or percent? If the full scale is {full:g}: "
+            + " ".join(f"--scale d_{phase}={1 / full:.6g}" for phase in "abc"),
+            False,
+        )
+    ]
+
+
+def _counts(signals: dict[str, Array]) -> list[Finding]:
+    raw = []
+    for name, values in signals.items():
+        known = values[np.isfinite(values)]
+        whole = len(known) > 0 and bool((known == np.round(known)).all())
+        if whole and abs(known.mean()) > RAW_OFFSET * known.std() > 0:
+            raw.append((name, float(known.mean())))
+    if not raw:
+        return []
+    zero = ", ".join(f"{name} about {mean:.0f}" for name, mean in raw)
+    return [
+        Finding(
+            "columns",
+            f"whole numbers about a large mean ({zero}): raw converter counts? Give --scale and "
+            f"--offset: a channel is scale · column + offset",
+            False,
+        )
+    ]
+
+
+def _angle(channels: dict[str, Array], log: Log) -> list[Finding]:
+    out = []
+    truth = "" if log.truth is None else log.truth[0]
+    for key, name in (("theta_e", "theta_e"), ("truth", truth)):
+        if key not in channels or name == "position":
+            continue
+        steps = np.abs(np.diff(channels[key]))
+        steps = steps[np.isfinite(steps)]
+        if len(steps) == 0 or not steps.max() > 0:
+            continue
+        usual = float(np.median(steps))
+        for turn, unit, scale in TURNS:
+            wraps = np.abs(steps - turn) < max(0.1 * turn, 3 * usual)
+            if wraps.any() and steps.max() < 1.2 * turn and usual < 0.2 * turn:
+                out.append(
+                    Finding(
+                        "angle",
+                        f"{name} wraps at {turn:g}: it seems to be in {unit}, not in radians "
+                        f"(--scale {name}={scale})",
+                        False,
+                    )
+                )
+                break
+    return out
+
+
+def _spikes(signals: dict[str, Array]) -> list[Finding]:
+    out = []
+    for name, values in signals.items():
+        if name.startswith("d_"):
+            continue
+        _, found = without_spikes(values.astype(complex))
+        if found >= SPIKES:
+            out.append((name, found))
+    if not out:
+        return []
+    where = ", ".join(f"{name}: {found}" for name, found in out)
+    return [
+        Finding(
+            "spikes",
+            f"single rows that leave their neighbours by far ({where}, in {len(values)} rows): "
+            f"an observer ignores what contradicts the machine, but mend the cause",
+            False,
+        )
+    ]

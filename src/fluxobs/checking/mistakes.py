@@ -1,0 +1,220 @@
+"""The usual mistakes with a log and a machine file: what each does to vectors and parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .relation import Prior
+from .stretches import LAGS, Complex
+
+Array = NDArray[np.float64]
+
+#: Spread of what a machine file says: of ln R (hot copper), ln L (saturation), ln ψ (heat); of V_d,
+#: which it seldom says, as a share of the voltage.
+SPREAD = np.array([0.25, 0.15, 0.08, 0.1])
+#: Spread of something that is wrong by an unknown factor: a thousand is two of it.
+WIDE = 3.5
+#: A mistake is so much less likely than none: one log in twelve has it. As twice a logarithm.
+ODDS = 5.0
+
+
+@dataclass(frozen=True)
+class Linear:
+    """z → turn · z, or turn · conj(z); phases a and b taken as α and β are put right before."""
+
+    turn: complex = 1.0
+    mirrored: bool = False
+    phases: bool = False
+
+    def __call__(self, z: Complex) -> Complex:
+        if self.phases:
+            z = z.real + 1j * (z.real + 2 * z.imag) / np.sqrt(3)
+        return np.asarray(self.turn * (z.conj() if self.mirrored else z))
+
+
+SAME = Linear()
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A mistake, put right.
+
+    Attributes
+    ----------
+    kind : str
+        Mistakes of the same kind exclude one another.
+    words : str
+        What was wrong, and the remedy.
+    current, voltage : Linear
+        What puts the vectors right.
+    lag : int
+        Samples to be added to the lag.
+    resistance, inductance, flux : float
+        What then fits, over what the machine file says. With voltages u/s and currents i/c in place
+        of u and i the relation holds with R c/s, L c/s and ψ/s.
+    loose : tuple of float
+        What of (ln R, ln L, ln ψ) is wrong by the same unknown amount.
+    """
+
+    kind: str
+    words: str
+    current: Linear = SAME
+    voltage: Linear = SAME
+    lag: int = 0
+    resistance: float = 1.0
+    inductance: float = 1.0
+    flux: float = 1.0
+    loose: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def only_flux(self) -> bool:
+        """Whether it concerns the magnet flux alone."""
+        others = (self.resistance, self.inductance, *self.loose[:2])
+        return others == (1.0, 1.0, 0, 0) and (self.flux != 1.0 or self.loose[2] != 0)
+
+    @property
+    def arrangement(self) -> tuple[Linear, Linear, int]:
+        """What decides the vectors."""
+        return self.current, self.voltage, self.lag
+
+    def prior(self, inverter: float) -> Prior:
+        """The prior of the parameters; `inverter` is the machine file's voltage over the log's."""
+        factors = np.array([self.resistance, self.inductance, self.flux])
+        v = np.array([*self.loose, 0.0])
+        covariance = np.diag(SPREAD**2) + WIDE**2 * np.outer(v, v)
+        return Prior(
+            np.asarray(np.append(np.log(factors), inverter), float),
+            np.asarray(np.linalg.inv(covariance), float),
+        )
+
+
+AS_GIVEN = Mistake("", "as given")
+_2, _3, _P = float(np.sqrt(2)), float(np.sqrt(3)), float(np.sqrt(1.5))
+_TURN = {
+    name: complex(np.exp(1j * np.radians(degrees)))
+    for name, degrees in (("+", 120), ("-", -120), ("90", 90), ("30", 30), ("-30", -30))
+}
+
+SIGN = [Mistake("sign", "the current has the opposite sign (scale it by -1)", Linear(-1.0))]
+PHASES = [
+    Mistake("phases", f"the current's {words}", Linear(turn, mirrored))
+    for words, mirrored, turn in (
+        ("phases b and c are exchanged", True, 1.0),
+        ("phases a and b are exchanged", True, _TURN["+"]),
+        ("phases a and c are exchanged", True, _TURN["-"]),
+        ("phases are shifted by one (b c a)", False, _TURN["-"]),
+        ("phases are shifted by one (c a b)", False, _TURN["+"]),
+        ("α and β are exchanged", True, _TURN["90"]),
+    )
+]
+LAG = [Mistake("lag", f"{lag:+d}", lag=lag) for lag in LAGS if lag]
+FRAME = [
+    Mistake(
+        "frame",
+        "phases a and b were given as α and β (--frame abc)",
+        Linear(phases=True),
+        Linear(phases=True),
+    ),
+    Mistake("frame", "the currents of phases a and b were given as α and β", Linear(phases=True)),
+]
+#: Line voltages u_ab, u_bc, u_ca given as phase voltages lead those by 30° and are √3 as large.
+LINE = [
+    Mistake(
+        "scale",
+        "voltages are line to line, u_ab u_bc u_ca (--frame line)",
+        voltage=Linear(_TURN["-30"] / _3),
+    ),
+    Mistake(
+        "scale",
+        "voltages are line to line, u_ac u_ba u_cb (--frame line with these exchanged)",
+        voltage=Linear(_TURN["30"] / _3),
+    ),
+]
+SCALES = [
+    Mistake(
+        "scale",
+        "voltages are line to line (--frame line, or divide by √3)",
+        resistance=_3,
+        inductance=_3,
+        flux=_3,
+    ),
+    Mistake(
+        "scale",
+        "voltages are rms values (multiply by √2)",
+        resistance=1 / _2,
+        inductance=1 / _2,
+        flux=1 / _2,
+    ),
+    Mistake("scale", "currents are rms values (multiply by √2)", resistance=_2, inductance=_2),
+    Mistake("scale", "voltages and currents are rms values (multiply both by √2)", flux=1 / _2),
+    Mistake(
+        "scale",
+        "vectors are power-invariant (multiply voltages and currents by √(2/3))",
+        flux=_P,
+    ),
+    Mistake(
+        "scale",
+        "voltages alone are power-invariant (multiply by √(2/3))",
+        resistance=_P,
+        inductance=_P,
+        flux=_P,
+    ),
+    Mistake(
+        "scale",
+        "currents alone are power-invariant (multiply by √(2/3))",
+        resistance=1 / _P,
+        inductance=1 / _P,
+    ),
+    Mistake("scale", "R_s in the machine file is line to line (halve it)", resistance=0.5),
+    Mistake("scale", "R_s in the machine file is half of a phase's (double it)", resistance=2),
+    Mistake(
+        "scale",
+        "R_s and inductances in the machine file are line to line (halve them)",
+        resistance=0.5,
+        inductance=0.5,
+    ),
+    Mistake("scale", "psi_f in the machine file is an rms value (multiply by √2)", flux=_2),
+    Mistake("scale", "psi_f in the machine file is line to line (divide by √3)", flux=1 / _3),
+]
+#: A number of the machine file is wrong by an unknown factor: what fits then names it.
+FILE = [
+    Mistake("scale", "psi_f in the machine file is off", loose=(0, 0, 1)),
+    Mistake("scale", "R_s in the machine file is off", loose=(1, 0, 0)),
+    Mistake("scale", "the inductances in the machine file are off", loose=(0, 1, 0)),
+]
+#: And so are the log's.
+FACTOR = [
+    Mistake("scale", "the scale of the currents is off", loose=(1, 1, 0)),
+    Mistake("scale", "the scale of the voltages is off", loose=(1, 1, 1)),
+]
+RIGHT = {
+    "sign": "the current's sign is right: positive into the machine",
+    "phases": "currents and voltages have the same phase order",
+    "lag": "as given",
+    "frame": "vectors are in the frame that was given",
+    "scale": "scales are as given",
+}
+KINDS = tuple(RIGHT)
+
+
+def together(one: Mistake, other: Mistake) -> Mistake:
+    """Both mistakes, put right; of one kind the other replaces the one."""
+    first, second = one.current, other.current
+    current = Linear(
+        second.turn * (first.turn.conjugate() if second.mirrored else first.turn),
+        first.mirrored != second.mirrored,
+        first.phases or second.phases,
+    )
+    return replace(
+        other,
+        current=current,
+        voltage=other.voltage if other.voltage != SAME else one.voltage,
+        lag=one.lag + other.lag,
+        resistance=one.resistance * other.resistance,
+        inductance=one.inductance * other.inductance,
+        flux=one.flux * other.flux,
+        loose=other.loose if any(other.loose) else one.loose,
+    )

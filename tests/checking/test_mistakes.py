@@ -1,0 +1,173 @@
+"""Every usual mistake, by `check` and by `estimate`, with a true angle and without: the cause is
+named, or the log cannot tell; nothing else is blamed."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import fluxobs
+from fluxobs import RecordError, check, estimate
+from fluxobs.machines import example
+from support.records import COURSE_TIME, PMSM, course
+
+ROWS = slice(1, -1)  # the first voltage and the last are not known
+SAMPLES = course()
+THETA = np.mod(SAMPLES.theta, 2 * np.pi)
+LAYOUT = {"frame": "abc", "lag": -1}
+AXES = np.exp(2j * np.pi / 3 * np.arange(3))
+
+
+def _columns():
+    """Three phases, and voltages that act one sample later."""
+    u, i = (getattr(SAMPLES, name) @ [1, 1j] for name in ("voltage", "current"))
+    u = np.concatenate([u[2:], u[-1:], u[-1:]])
+    out = {"t": np.arange(len(u)) * COURSE_TIME, "angle": THETA}
+    for name, axis in zip("abc", AXES, strict=True):
+        out[f"u_{name}"], out[f"i_{name}"] = (u * axis.conj()).real, (i * axis.conj()).real
+    return {name: values[ROWS] for name, values in out.items()}
+
+
+GOOD = _columns()
+
+
+def permuted(what, order):
+    return {
+        f"{w}_{new}": GOOD[f"{w}_{old}"]
+        for w in what
+        for new, old in zip("abc", order, strict=True)
+    }
+
+
+def phases(what, change):
+    return {f"{what}_{p}": change(GOOD[f"{what}_{p}"]) for p in "abc"}
+
+
+def dq(angle):
+    """The same record in the rotor's frame, with a column for its angle."""
+    theta = SAMPLES.theta
+    i = SAMPLES.current @ [1, 1j] * np.exp(-1j * theta)
+    middle = np.concatenate([theta[:1], (theta[1:] + theta[:-1]) / 2])
+    u = SAMPLES.voltage @ [1, 1j] * np.exp(-1j * middle)
+    u = np.concatenate([u[1:], u[-1:]])
+    out = {"t": np.arange(len(u)) * COURSE_TIME, "angle": THETA, "theta_e": angle}
+    out |= {"u_d": u.real, "u_q": u.imag, "i_d": i.real, "i_q": i.imag}
+    return {name: values[ROWS] for name, values in out.items()}
+
+
+def spiked():
+    current = GOOD["i_a"].copy()
+    current[250::500] += 200
+    return {"i_a": current}
+
+
+LINE = {
+    "u_a": GOOD["u_a"] - GOOD["u_b"],
+    "u_b": GOOD["u_b"] - GOOD["u_c"],
+    "u_c": GOOD["u_c"] - GOOD["u_a"],
+}
+DUTY = {f"d_{p}": np.round((GOOD[f"u_{p}"] / 600 + 0.5) * 4096) for p in "abc"}
+AS_ALPHABETA = {
+    new: GOOD[old]
+    for new, old in (("u_alpha", "u_a"), ("u_beta", "u_b"), ("i_alpha", "i_a"), ("i_beta", "i_b"))
+} | {"t": GOOD["t"]}
+ONLY_TRUTH = "Only a true angle"
+
+#: What is wrong, machine, layout: what is said without a true angle, what with it (None: the same).
+CASES = {
+    "nothing": ({}, PMSM, {}, None, None),
+    "current's phases shifted": (permuted("i", "bca"), PMSM, {}, r"shifted by one \(c a b\)", None),
+    "both pairs exchanged": (permuted("iu", "acb"), PMSM, {}, ONLY_TRUTH, "turns against"),
+    "lag 0": ({}, PMSM, {"lag": 0}, r"cannot tell that from: .*-1", "with --lag -1"),
+    "lag +1": ({}, PMSM, {"lag": 1}, r"cannot tell that from: .*-1", "with --lag -1"),
+    "psi_f x 7": ({}, PMSM.with_values(psi_f=7 * PMSM.psi_f), {}, r"psi_f .* 0\.545 Wb fits", None),
+    "psi_f x 1000": ({}, PMSM.with_values(psi_f=545), {}, r"psi_f .* 0\.545 Wb fits", None),
+    "psi_f / 10": ({}, PMSM.with_values(psi_f=0.0545), {}, r"psi_f .* 0\.545 Wb fits", None),
+    "L in mH": ({}, PMSM.with_values(L_s=36), {}, r"inductances .* L_s = 0\.0[34]\d* H", None),
+    "R_s x 2": ({}, PMSM.with_values(R_s=7.2), {}, r"R_s in the machine file .* 3\.6\d* Ω", None),
+    "currents in mA": (
+        *(phases("i", lambda x: 1000 * x), PMSM, {}),
+        r"scale of the currents is off: multiply them by about 0\.00(1|099)",
+        None,
+    ),
+    "line voltages": (LINE, PMSM, {}, "line to line", None),
+    "poles for pairs": (
+        *({"angle": np.unwrap(GOOD["angle"]) / 3}, PMSM.with_values(n_p=6), {"mech": True}),
+        *(ONLY_TRUTH, "n_p is 6, and 3 would fit"),
+    ),
+    "zero off by 10": ({"angle": GOOD["angle"] + 0.175}, PMSM, {}, None, r"zero .* off by -9|-10"),
+    "zero off by 40": ({"angle": GOOD["angle"] + 0.698}, PMSM, {}, None, r"zero .* off by -39|-40"),
+    "truth in degrees": ({"angle": np.degrees(GOOD["angle"])}, PMSM, {}, None, "in degrees"),
+    "i_a twice": ({"i_b": GOOD["i_a"]}, PMSM, {}, "i_a and i_b hold the same signal", None),
+    "voltage is the current": (
+        *(permuted("i", "abc") | {f"u_{p}": GOOD[f"i_{p}"] for p in "abc"}, PMSM, {}),
+        *("u_a and i_a hold the same signal", None),
+    ),
+    "a reluctance machine": ({}, example("synrm-6kw7"), {}, "one with a magnet does", None),
+    "angle in degrees": (
+        *(dq(np.degrees(THETA)), PMSM, {"frame": "dq", "lag": 0}),
+        *("theta_e wraps at 360: it seems to be in degrees", None),
+    ),
+    "dq as it should be": (dq(THETA), PMSM, {"frame": "dq", "lag": 0}, None, None),
+    "duty in counts": (
+        *(DUTY | {"udc": np.full(len(GOOD["t"]), 600.0)}, PMSM, {"frame": "duty"}),
+        *("full scale is 4096", None),
+    ),
+    "raw counts": (
+        *(phases("i", lambda x: np.round(2048 + 100 * x)), PMSM, {}),
+        *("raw converter counts", None),
+    ),
+    "counts about zero": (
+        *(phases("i", lambda x: np.round(100 * x)), PMSM, {}),
+        *(r"scale of the currents is off: multiply them by about 0\.0(1|099)", None),
+    ),
+    "spikes": (spiked(), PMSM, {}, r"single rows .*i_a: 4\d", None),
+    "frame forgotten": (AS_ALPHABETA, PMSM, {"frame": "alphabeta"}, r"\(--frame abc\)", None),
+}
+
+
+def case(name, told):
+    changed, machine, layout, silent, truth = CASES[name]
+    layout = LAYOUT | layout
+    channel = "theta_mech" if layout.pop("mech", False) else "theta_e"
+    columns = GOOD | changed if layout["frame"] in ("abc", "duty") else {"angle": GOOD["angle"]}
+    columns = columns | changed
+    if told:
+        layout["truth"] = {channel: "angle"}
+    words = truth if told and truth is not None else silent
+    return columns, machine, layout, words
+
+
+@pytest.mark.parametrize("told", [False, True], ids=["without truth", "with truth"])
+@pytest.mark.parametrize("name", CASES)
+def test_check(name, told):
+    columns, machine, layout, words = case(name, told)
+    found = check(columns, machine, **layout)
+    if words is None:
+        assert found.sound, str(found)
+        return
+    assert re.search(words, str(found)), str(found)
+    told_by_it = words == ONLY_TRUTH or words.startswith(r"cannot tell")
+    assert found.sound == told_by_it, str(found)
+    # Nothing else is blamed: what is not as given is what the case is about.
+    blamed = [str(finding) for finding in found.mistakes]
+    assert all(re.search(words, text) for text in blamed[:1]), blamed
+
+
+@pytest.mark.parametrize("told", [False, True], ids=["without truth", "with truth"])
+@pytest.mark.parametrize("name", CASES)
+def test_estimate(name, told):
+    columns, machine, layout, words = case(name, told)
+    try:
+        said = str(estimate(columns, machine, **layout))
+    except (RecordError, fluxobs.FluxobsError) as error:
+        said = str(error)
+    if words is None:
+        assert "NOT as given" not in said
+    elif words == ONLY_TRUTH or words.startswith("cannot tell"):
+        assert "NOT as given" not in said
+        assert "Not told by the log" in said
+    else:
+        assert re.search(words, said), said

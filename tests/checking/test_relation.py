@@ -1,0 +1,94 @@
+"""The fit behind `check`: what it finds, its derivatives, and that noise does not move it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fluxobs.checking.mistakes import AS_GIVEN, FACTOR, FILE, SIGN, together
+from fluxobs.checking.relation import INVERTER, PSI, L, Prior, R, Relation, rows
+from fluxobs.checking.stretches import Stretches, stretches, without_spikes
+from fluxobs.logs import read_log
+from support.records import CURRENTS, MACHINES, PMSM, course, log_columns, steady
+
+LOOSE = Prior(np.zeros(4), np.diag([1.0, 1.0, 1.0, 100.0]))
+SAMPLES = course(inverter=5.0, smoothing=0.3)
+
+
+@pytest.fixture(scope="module")
+def data():
+    return stretches(read_log(log_columns(SAMPLES)), PMSM.R_s)
+
+
+def relation(machine, data):
+    return Relation(machine, rows(data, data.voltage[0], data.current, 0.3), 0.02)
+
+
+def test_finds_what_is_off(data):
+    machine = PMSM.with_values(R_s=PMSM.R_s / 1.4, L_s=PMSM.L_s / 0.8, psi_f=PMSM.psi_f / 1.2)
+    found = relation(machine, data)
+    fit = found.fit(LOOSE, np.zeros(4))
+    np.testing.assert_allclose(np.exp(fit.values[[R, PSI]]), [1.4, 1.2], rtol=0.03)
+    assert abs(fit.values[L] - np.log(0.8)) < 3 * fit.std[L]  # hardly shown: no current along d
+    assert fit.values[INVERTER] * found.data.size == pytest.approx(5.0, rel=0.05)
+    assert fit.share < 0.003
+
+
+def test_derivatives_are_those_of_the_residual(data, monkeypatch):
+    monkeypatch.setattr("fluxobs.checking.relation.HUBER", 1e9)
+    found = Relation(MACHINES["ipm-2kw2"], rows(data, data.voltage[0], data.current, 0.3), 0.0)
+    values = np.array([0.1, -0.1, 0.05, 0.02])
+    first = np.full((len(data.current), 1), 0.3 + 0.2j)
+    slope = np.full((len(data.current), 1), 0.1 - 0.2j)
+
+    def columns(values, first, slope):
+        at = found._evaluate(values, first, slope, 0.5, LOOSE)
+        return at.columns * np.sqrt(np.mean(np.abs(at.position) ** 2))  # without their scale
+
+    base = columns(values, first, slope)
+    moves = [
+        *((values, first + step, slope) for step in (1e-6, 1e-6j)),
+        *((values, first, slope + step) for step in (1e-6, 1e-6j)),
+        *((values + step, first, slope) for step in 1e-6 * np.eye(4)),
+    ]
+    for k, move in enumerate(moves):
+        change = (columns(*move) - base)[..., -1] / 1e-6  # of the neighbour's residual
+        own = change.reshape(len(change), -1, 2)[..., ::-1].reshape(change.shape)
+        np.testing.assert_allclose(own, base[..., k], atol=1e-4 * np.abs(base[..., k]).max())
+
+
+@pytest.mark.parametrize("name", ["pmsm-2kw2", "ipm-2kw2"])
+def test_noise_moves_nothing(name):
+    machine = MACHINES[name]
+    parts = [
+        steady(machine, 1e-4, w, 3000, i * CURRENTS[name], noise=0.1, seed=k)
+        for k, (w, i) in enumerate([(300.0, 1.0), (150.0, 0.3), (-250.0, -1.0), (400.0, 0.6)])
+    ]
+    current = np.stack([part.current @ [1, 1j] for part in parts])
+    voltage = np.stack([part.voltage @ [1, 1j] for part in parts])
+    noisy = Stretches(1e-4, current, {0: voltage}, None, 0)
+    loose = Prior(np.zeros(4), np.diag([1.0, 1.0, 1.0, 100.0]))
+    fit = Relation(machine, rows(noisy, voltage, current, 0.3), 0.1).fit(loose, np.zeros(4))
+    assert abs(fit.values[L]) < 4 * fit.std[L] + 0.02
+    assert abs(fit.values[R]) < 4 * fit.std[R] + 0.02
+
+
+def test_mistakes_add_up():
+    z = np.exp(1j * np.linspace(0, 6, 50))
+    twice = together(SIGN[0], SIGN[0])
+    np.testing.assert_allclose(twice.current(z), z)
+    both = together(FILE[1], FACTOR[0])
+    assert both.loose == FACTOR[0].loose
+    assert together(AS_GIVEN, SIGN[0]).arrangement == SIGN[0].arrangement
+
+
+def test_spikes_are_rows_that_come_back():
+    t = np.linspace(0, 20, 4000)
+    clean = np.exp(1j * t)
+    spiked = clean.copy()
+    spiked[[700, 1900]] += 3
+    stepped = np.where(t > 10, clean + 3, clean)
+    mended, found = without_spikes(spiked)
+    assert found == 2
+    np.testing.assert_allclose(mended, clean, atol=1e-4)
+    assert without_spikes(stepped)[1] == without_spikes(clean)[1] == 0
