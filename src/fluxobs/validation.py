@@ -13,6 +13,7 @@ from .errors import UsageError
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 def number(name: str, value: object, unit: str) -> float:

@@ -3,7 +3,7 @@
 import polars as pl
 import pytest
 
-from fluxobs.machines import example_text
+from fluxobs.machines import example_text, read_machine
 from support.cli import COLUMNS, fluxobs
 from support.records import PMSM, course, log_columns
 
@@ -118,3 +118,23 @@ def test_a_machine_without_a_magnet_has_no_magnet_flux(folder):
     failed = estimate(folder, *given, machine="synrm.toml")
     assert failed.returncode == 2
     assert "no magnets" in failed.stderr
+
+
+def test_saves_what_was_learnt(folder):
+    done = estimate(folder, "--save-machine", "learnt.toml")
+    assert done.returncode == 0, done.stderr
+    learnt = read_machine(folder / "learnt.toml")
+    assert pytest.approx(1.3 * PMSM.R_s, rel=0.02) == learnt.R_s
+    assert learnt.R_s_std == pytest.approx(0.15 * learnt.R_s, rel=0.1)  # heat
+    assert learnt.inverter_voltage == pytest.approx(6.0, rel=0.1)
+    assert "# ± " in (folder / "learnt.toml").read_text()
+    again = estimate(folder, machine="learnt.toml")
+    assert again.returncode == 0, again.stderr
+    assert "Warning" not in again.stdout
+    refused = estimate(folder, "--save-machine", "learnt.toml")
+    assert refused.returncode == 2
+    assert "exists" in refused.stderr
+    assert estimate(folder, "--save-machine", "learnt.toml", "--force").returncode == 0
+    plain = estimate(folder, "--unknowns", "drift", "--save-machine", "none.toml")
+    assert plain.returncode == 2
+    assert "told no parameter" in plain.stderr

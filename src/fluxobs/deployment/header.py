@@ -151,5 +151,6 @@ def parameters(machine: RotatingMachine) -> dict[str, str]:
     units |= {"inverter_voltage": "V", "inverter_current": "A"}
     given = machine.model_dump(by_alias=True, exclude_none=True)
     return {"kind": machine.kind} | {
-        name: f"{value:.9g} {units.get(name, 'H')}" for name, value in given.items()
+        name: f"{value:.9g} {units.get(name.removesuffix('_std'), 'H')}"
+        for name, value in given.items()
     }

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from ..checking.findings import Check
 from ..checking.search import check_log
 from ..errors import FluxobsError
-from ..machines import RotatingMachine
+from ..machines import Machine, RotatingMachine, rotating
+from ..machines.written import machine_text, with_found, write_machine
 from ..output import check_out, write_rows
 from ..validation import nearest
+from .learning import parameters
 from .run import LogRun
 from .summary import paragraph
 from .warnings import warnings
@@ -121,23 +123,53 @@ class Result(LogRun):
             f"--out FOLDER"
         )
 
+    @property
+    def found(self) -> dict[str, tuple[float, float]]:
+        """Name in the machine file → value and standard deviation, of what the log told."""
+        if self.adaptive is None or self.learnt is None:
+            return {}
+        names = {"magnet flux": "psi_f", "resistance": "R_s", "inverter": "inverter_voltage"}
+        return {
+            names[one.name]: (one.value, one.std)
+            for one in parameters(self.adaptive, self.learnt)
+            if one.told
+        }
+
+    @property
+    def machine_learnt(self) -> Machine:
+        """The machine with what the log told, and standard deviations for the next log."""
+        if self.adaptive is None or not self.found:
+            return self.machine
+        machine = with_found(self.rotor, self.found)
+        if "inverter_voltage" not in self.found:
+            return machine
+        return machine.with_values(inverter_current=float(f"{self.adaptive.inverter_current:.6g}"))
+
     def plot(self) -> Figure:
         """The picture of the run, a matplotlib figure: flux, position, speed, drift, and more."""
         from .picture import figure  # matplotlib is loaded only where it is needed
 
         return figure(self)
 
-    def write(self, path: str | Path) -> None:
-        """Write the estimates to .parquet or .csv, or the picture to .png, .pdf or .svg.
+    def write(self, path: str | Path, *, force: bool = False) -> None:
+        """Write estimates to .parquet or .csv, the picture to .png, .pdf or .svg, or the machine
+        with what was learnt to .toml (over an existing file only with `force`).
 
         Raises
         ------
         FluxobsError
-            The path has another ending, or the file cannot be written.
+            The path has another ending, nothing was learnt, or the file cannot be written.
         """
         from ..plots import FORMATS, write
 
         path = Path(path)
+        if path.suffix.lower() == ".toml":
+            if not self.found:
+                raise FluxobsError(f"{path}: the log told no parameter; there is nothing to write")
+            head = [f"Learnt from {self.log.path.name} by `fluxobs estimate`."]
+            machine = rotating(self.machine_learnt)
+            write_machine(path, machine_text(machine, head, self.found), force)
+            return
         if path.suffix.lower() in FORMATS:
             write(self.plot(), path)
             return

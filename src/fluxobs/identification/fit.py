@@ -44,7 +44,9 @@ class Fit:
     free : tuple of str
     covariance : (free, free) array
         For each parameter the larger of two estimates: from the coloured residuals, and from the
-        scatter over stretches of the log.
+        scatter over stretches of the log. Then what the held parameters may turn it by.
+    own : (free,) array
+        The standard deviations without that.
     alike : (free,) array
         How far the others can imitate each parameter: the factor by which its variance exceeds
         that with the others known.
@@ -60,6 +62,7 @@ class Fit:
     values: dict[str, float]
     free: tuple[str, ...]
     covariance: Array
+    own: Array
     alike: Array
     along: Array
     residuals: list[Array]
@@ -150,6 +153,7 @@ def fit(
     start: Mapping[str, float],
     free: Sequence[str],
     local: Sequence[tuple[Array, Array]] | None = None,
+    held: Mapping[str, float] | None = None,
 ) -> Fit:
     """Find the best parameters, from a start that is right within a factor of two or so.
 
@@ -162,6 +166,9 @@ def fit(
         The ones to fit; if empty, only λ₀ and θ of the pieces are fitted.
     local : sequence of ((2,) array, (2,) array), optional
         Where λ₀ and θ start; default: the observer's.
+    held : mapping of str to float, optional
+        Standard deviations of parameters; of those that are not free, what they may turn the others
+        by is in the covariance.
     """
     values, names = dict(start), tuple(free)
     at = local if local is not None else [(piece.start, piece.drift) for piece in data]
@@ -206,8 +213,10 @@ def fit(
             converged = True
             break
     along = [-evaluate(p, values, *w, ("L_d",))[2][:, 0] for p, w in zip(data, here, strict=True)]
-    covariance, alike, residuals = _uncertainty(data, values, here, names)
-    return Fit(values, names, covariance, alike, np.concatenate(along), residuals, here, converged)
+    covariance, own, alike, residuals = _uncertainty(data, values, here, names, held or {})
+    return Fit(
+        values, names, covariance, own, alike, np.concatenate(along), residuals, here, converged
+    )
 
 
 def _change(triangles: Sequence[Array], moves: Sequence[Any], step: Array) -> float:
@@ -223,19 +232,26 @@ def _uncertainty(
     values: Mapping[str, float],
     local: Sequence[tuple[Array, Array]],
     names: Sequence[str],
-) -> tuple[Array, Array, list[Array]]:
-    """Covariance of the free parameters, how alike they are, and the residuals."""
-    parts = [evaluate(p, values, *w, names) for p, w in zip(data, local, strict=True)]
+    held: Mapping[str, float],
+) -> tuple[Array, Array, Array, list[Array]]:
+    """Covariance of the free parameters, stds without the held ones, how alike they are, and the
+    residuals."""
+    considered = [name for name in held if name not in names]
+    both = [*names, *considered]
+    parts = [evaluate(p, values, *w, both) for p, w in zip(data, local, strict=True)]
     residuals = [part[0] for part in parts]
     scale = 1.4826 * float(np.median(np.abs(np.concatenate(residuals)))) + 1e-15
-    H = np.zeros((len(names), len(names)))
+    free = len(names)
+    H, across = np.zeros((free, free)), np.zeros((free, len(considered)))
     sums, power, lagged, rows = [], 0.0, 0.0, 0.0
     stretch = max(1, sum(map(len, data)) // BLOCKS)
     for residual, to_local, to_free in parts:
         weight = _weights(residual, scale)[:, None]
         inner, outer, r = weight * to_local, weight * to_free, weight[:, 0] * residual
         left = outer - inner @ np.linalg.lstsq(inner, outer, rcond=1e-12)[0]
+        left, rest = left[:, :free], left[:, free:]
         H += left.T @ left
+        across += left.T @ rest
         gradient = left * r[:, None]
         power, lagged = power + float(r @ r), lagged + float(r[1:] @ r[:-1])
         rows += float(np.sum(weight**2)) - 4
@@ -249,4 +265,7 @@ def _uncertainty(
     r1 = min(max(lagged / (power + 1e-300), 0.0), CORRELATION_LIMIT)
     coloured = inverse * power / max(rows, 1.0) * (1 + r1) / (1 - r1)
     larger = np.sqrt(np.maximum(1.0, np.diag(sandwich) / (np.diag(coloured) + 1e-300)))
-    return coloured * np.outer(larger, larger), size**2 * np.diag(inverse), residuals
+    turned = inverse @ across * np.array([held[name] for name in considered])
+    own = coloured * np.outer(larger, larger)
+    alike = size**2 * np.diag(inverse)
+    return own + turned @ turned.T, np.sqrt(np.diag(own)), alike, residuals

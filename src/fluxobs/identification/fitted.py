@@ -63,3 +63,13 @@ class Fitted:
     inverter_current: float
     rows: int
     source: str = ""
+
+    @property
+    def found(self) -> dict[str, tuple[float, float]]:
+        """Name in the machine file → value and standard deviation, of what the log told."""
+        names = {"inverter": "inverter_voltage"}
+        return {
+            names.get(p.name, p.name): (p.value, p.std)
+            for p in self.parameters
+            if p.std is not None and p.name != "lag"
+        }

@@ -15,7 +15,11 @@ from ..errors import FluxobsError
 from ..estimation.prepare import open_for
 from ..logs.log import Log
 from ..logs.read import Source
+from ..logs.scales import Scales
 from ..machines import Machine, RotatingMachine, as_machine, rotating
+from ..machines.written import with_found
+from ..observers import AdaptiveObserver
+from ..observers.adaptive import INDUCTANCE_SHARE
 from ..validation import nearest
 from .fit import Fit, fit
 from .fitted import ADVICE, UNITS, Fitted, Parameter
@@ -132,20 +136,24 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
     """Identify from a log that is open, with names of free parameters that are checked."""
     data, scales = pieces(log, machine, LAGS if "lag" in free else (0,))
     given = starting_values(machine, data)
-    names = tuple(free)
+    names, held = tuple(free), _held(machine, scales)
     before = fit(data, given, ("psi_f",) if given["psi_f"] > 0 else ())
     nearest = _nearest_lag(data, given, names) if "lag" in names else None
     untold: dict[str, str] = {}
     while True:
         if nearest is None or "lag" not in names:
-            after = fit(data, given, names)
+            after = fit(data, given, names, held=held)
         else:
-            after = fit(data, _start(given, nearest, names), names, nearest.local)
+            after = fit(data, _start(given, nearest, names), names, nearest.local, held)
         doubts = _doubts(after, scales.voltage) | _unseen_inductances(after, data)
+        if "inverter" in names and after.values["inverter"] < 0 and not doubts:
+            value, std = after.values["inverter"], after.std("inverter")
+            doubts = {"inverter": f"{value:.2g} ± {std:.2g} V fits, but no inverter adds voltage"}
+            given["inverter"] = 0.0
         if not doubts:
             break
-        held = next(name for name in HELD_FIRST if name in doubts)
-        untold[held] = doubts[held]
+        doubtful = next(name for name in HELD_FIRST if name in doubts)
+        untold[doubtful] = doubts[doubtful]
         names = tuple(name for name in names if name not in untold)
         if not names:
             reasons = "; ".join(f"{name}: {why}" for name, why in untold.items())
@@ -163,16 +171,16 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
         for name in free
     ]
     smoothing = smoothing_current(machine, scales)
-    changes = {
-        "inverter_voltage" if name == "inverter" else name: after.values[name]
-        for name in names
-        if name != "lag"
+    told = {
+        "inverter_voltage" if p.name == "inverter" else p.name: (p.value, p.std)
+        for p in found
+        if p.std is not None and p.name != "lag"
     }
+    changed = with_found(machine, told)
     if "inverter" in names:
-        changes["inverter_current"] = smoothing
-    changes = {name: float(f"{value:.6g}") for name, value in changes.items()}
+        changed = changed.with_values(inverter_current=float(f"{smoothing:.6g}"))
     return Identification(
-        machine.with_values(**changes),
+        changed,
         found,
         untold,
         log.layout.lag + after.values["lag"],
@@ -202,6 +210,27 @@ def starting_values(machine: RotatingMachine, data: Sequence[Piece]) -> dict[str
         psi_f = machine.magnet_flux
         values["psi_f"] = psi_f if psi_f is not None else typical_length(data, L_q)
     return values
+
+
+def _held(machine: RotatingMachine, scales: Scales) -> dict[str, float]:
+    """Standard deviations of what is not free, as the adaptive observer takes them."""
+    if machine.flux_base(1.0) is None:
+        machine = machine.with_values(psi_f=1.0)
+    observer = AdaptiveObserver.for_machine(
+        machine,
+        sample_time=1.0,
+        memory=10.0,
+        slow_memory=10.0,
+        rated_current=machine.rated_current or scales.current,
+        dc_link=float(np.sqrt(3) * scales.voltage),  # at least
+    )
+    stds = list(machine.inductance_stds(INDUCTANCE_SHARE).values())
+    names = ("L_s",) if len(stds) == 1 else ("L_d", "L_q")
+    return {
+        "R_s": observer.resistance_std,
+        "inverter": observer.inverter_std,
+        **dict(zip(names, stds, strict=True)),
+    }
 
 
 def _nearest_lag(data: Sequence[Piece], given: dict[str, float], free: Sequence[str]) -> Fit:
@@ -240,7 +269,7 @@ def _doubts(found: Fit, voltage: float) -> dict[str, str]:
     """Parameters that the log does not tell → why."""
     doubts = {}
     for k, name in enumerate(found.free):
-        std, value = found.std(name), found.values[name]
+        std, value = float(found.own[k]), found.values[name]
         others = [
             (abs(found.covariance[k, j]) / (std * found.std(other) + 1e-300), other)
             for j, other in enumerate(found.free)

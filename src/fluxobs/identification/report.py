@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import FluxobsError
-from ..output import check_place, write_text
+from ..machines.written import machine_text, write_machine
 from ..plots import BLUE, FORMATS, GREY, ORANGE, STYLE, legend, new_figure
 from ..plots import write as save
 from .fitted import ADVICE, Fitted, Parameter
@@ -69,35 +68,18 @@ def _as_given(found: Fitted) -> str:
 
 def toml(found: Fitted) -> str:
     """The text of the machine file."""
-    stds = {"inverter_voltage" if p.name == "inverter" else p.name: p.std for p in found.parameters}
-    rows = [
-        f"# Identified from {found.source} by `fluxobs identify`.",
-        f'kind = "{found.machine.kind}"',
-    ]
+    head = [f"Identified from {found.source} by `fluxobs identify`."]
     if found.untold:
-        rows.insert(1, f"# The log did not tell {', '.join(found.untold)}: held as given.")
-    for name, value in found.machine.model_dump(by_alias=True, exclude_none=True).items():
-        std = stds.get(name)
-        rows.append(f"{name} = {value!r}" + (f"  # ± {std:.2g}" if std is not None else ""))
-    return "\n".join(rows) + "\n"
-
-
-def check_machine_file(out: Path, force: bool) -> None:
-    """Raise FluxobsError if a machine file cannot, or must not, be written."""
-    if out.suffix != ".toml":
-        raise FluxobsError(f"{out}: --out must end in .toml")
-    check_place(out)
-    if out.exists() and not force:
-        raise FluxobsError(f"{out}: exists; give another name, or --force to overwrite it")
+        head.append(f"The log did not tell {', '.join(found.untold)}: held as given.")
+    return machine_text(found.machine, head, found.found)
 
 
 def write(found: Fitted, path: Path, force: bool) -> None:
     """Write the machine file, or the picture; FluxobsError if it cannot be written."""
     if path.suffix.lower() in FORMATS:
         save(figure(found), path)
-        return
-    check_machine_file(path, force)
-    write_text(path, toml(found))
+    else:
+        write_machine(path, toml(found), force)
 
 
 def figure(found: Fitted) -> Figure:

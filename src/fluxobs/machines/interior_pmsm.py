@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..validation import Positive
+from ..validation import NotNegative, Positive
 from .rotating import MagnetMachine
 
 
@@ -29,3 +29,5 @@ class InteriorPMSM(MagnetMachine):
 
     L_d: Positive
     L_q: Positive
+    L_d_std: NotNegative | None = None
+    L_q_std: NotNegative | None = None

@@ -12,7 +12,7 @@ from ..errors import MachineError
 from ..model.constraint import QuadraticConstraint
 from ..model.frames import angle_error, wrap
 from ..model.inverter import SMOOTHING, InverterError
-from ..validation import Number, Positive
+from ..validation import NotNegative, Number, Positive
 from .contract import Array, Machine, Position, angle_std
 
 PolePairs = Annotated[int, Field(ge=1)]
@@ -36,6 +36,10 @@ class RotatingMachine(Machine):
     inverter_current : float, optional
         Phase current at which the inverter's smoothed sign reaches three quarters [A], > 0; default
         5 % of rated_current.
+    R_s_std, inverter_voltage_std : float, optional
+        Standard deviations of these values [Ω], [V], >= 0, for the adaptive observer; likewise
+        L_s_std, or L_d_std and L_q_std [H], and psi_f_std [Wb]. Defaults:
+        :meth:`AdaptiveObserver.for_machine`.
     """
 
     position_output = Position(
@@ -53,6 +57,8 @@ class RotatingMachine(Machine):
     n_p: PolePairs
     inverter_voltage: Number | None = None
     inverter_current: Positive | None = None
+    R_s_std: NotNegative | None = None
+    inverter_voltage_std: NotNegative | None = None
 
     @property
     def inverter(self) -> InverterError | None:
@@ -89,6 +95,19 @@ class RotatingMachine(Machine):
         """Inductances along d and along q [H]."""
         L_d, L_q = (float(getattr(self, name)) for name in self.inductances)
         return L_d, L_q
+
+    def inductance_stds(self, share: float) -> dict[str, float]:
+        """Standard deviations of the inductances by name [H]; `share` of those without one."""
+        given = {name: getattr(self, f"{name}_std", None) for name in self.inductance_names}
+        return {
+            name: share * float(getattr(self, name)) if std is None else std
+            for name, std in given.items()
+        }
+
+    @property
+    def magnet_flux_std(self) -> float | None:
+        """Standard deviation of the magnet flux [Wb]; None if not given."""
+        return None
 
     @property
     def position_inductance(self) -> float:
@@ -139,10 +158,15 @@ class MagnetMachine(RotatingMachine):
     magnets = True
 
     psi_f: Positive | None = None
+    psi_f_std: NotNegative | None = None
 
     @property
     def magnet_flux(self) -> float | None:
         return self.psi_f
+
+    @property
+    def magnet_flux_std(self) -> float | None:
+        return self.psi_f_std
 
     @property
     def constraint(self) -> QuadraticConstraint:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..validation import Positive
+from ..validation import NotNegative, Positive
 from .rotating import MagnetMachine
 
 
@@ -30,3 +30,4 @@ class SurfacePMSM(MagnetMachine):
     inductances = ("L_s", "L_s")
 
     L_s: Positive
+    L_s_std: NotNegative | None = None

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import model_validator
 
 from ..model.constraint import QuadraticConstraint
-from ..validation import Positive
+from ..validation import NotNegative, Positive
 from .rotating import RotatingMachine
 
 
@@ -34,6 +34,8 @@ class SynchronousReluctance(RotatingMachine):
 
     L_d: Positive
     L_q: Positive
+    L_d_std: NotNegative | None = None
+    L_q_std: NotNegative | None = None
 
     @model_validator(mode="after")
     def _salient(self) -> Self:

@@ -272,13 +272,14 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         unknowns : tuple of {"drift", "resistance", "inverter", "asymmetry"}
             The unknowns; the drift, which a current offset causes, is always one of them.
         psi_f_std, resistance_std, inverter_std : float, optional
-            Standard deviations of the assumed values [Wb], [Ω], [V]; default: a quarter of the
-            machine's magnet flux, half of its resistance, and the larger of a quarter of its rated
-            resistive drop and 2 % of the DC link. A magnet flux known to 1 % speeds up the start
-            and reveals the resistance at constant speed and load.
+            Standard deviations of the assumed values [Wb], [Ω], [V]; default: those of the machine
+            file (psi_f_std, R_s_std, inverter_voltage_std), else a quarter of the machine's magnet
+            flux, half of its resistance, and the larger of a quarter of its rated resistive drop
+            and 2 % of the DC link. A magnet flux known to 1 % speeds up the start and reveals the
+            resistance at constant speed and load.
         asymmetry_std, offset_std, inductance_std, lag_std : float, optional
-            Default: 0.01; 2 % of the rated current [A]; 10 % of the larger inductance [H]; 0.15
-            samples [s].
+            Default: 0.01; 2 % of the rated current [A]; the machine file's L_s_std, …, else 10 % of
+            the larger inductance [H]; 0.15 samples [s].
         dc_link : float, optional
             Voltage of the inverter's DC link [V].
         memory, psi_f, rated_current, current_noise, drift_prior, precision
@@ -321,31 +322,34 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         if not machine.magnets and psi_f_std:
             raise ObserverError(f"psi_f_std: a {machine.kind} has no magnets")
         flux = plain.flux_base if machine.magnets else 0.0
+        inverter = max(INVERTER_SHARE * machine.R_s * rated, DC_LINK_SHARE * (dc_link or 0.0))
+
+        def otherwise(*given: float | None) -> float:
+            return next(value for value in given if value is not None)
+
         defaults = {
-            "resistance": RESISTANCE_SHARE * machine.R_s,
-            "inverter": max(INVERTER_SHARE * machine.R_s * rated, DC_LINK_SHARE * (dc_link or 0.0)),
+            "resistance": otherwise(machine.R_s_std, RESISTANCE_SHARE * machine.R_s),
+            "inverter": otherwise(machine.inverter_voltage_std, inverter),
             "asymmetry": ASYMMETRY_STD,
         }
 
         def believed(name: str) -> float:
-            given = stds[name]
-            return (defaults[name] if given is None else given) if name in unknowns else 0.0
-
-        def otherwise(given: float | None, default: float) -> float:
-            return default if given is None else given
+            return otherwise(stds[name], defaults[name]) if name in unknowns else 0.0
 
         return cls(
             plain=plain,
             saliency=machine.saliency,
             psi_f=flux,
-            psi_f_std=otherwise(psi_f_std, PSI_SHARE * flux),
+            psi_f_std=otherwise(psi_f_std, machine.magnet_flux_std, PSI_SHARE * flux),
             resistance_std=believed("resistance"),
             inverter_voltage=machine.inverter_voltage or 0.0,
             inverter_std=believed("inverter"),
             inverter_current=machine.inverter_current or SMOOTHING * rated,
             offset_std=otherwise(offset_std, OFFSET_SHARE * rated),
             asymmetry_std=believed("asymmetry"),
-            inductance_std=otherwise(inductance_std, INDUCTANCE_SHARE * max(machine.L_dq)),
+            inductance_std=otherwise(
+                inductance_std, max(machine.inductance_stds(INDUCTANCE_SHARE).values())
+            ),
             lag_std=otherwise(lag_std, LAG_STD * sample_time),
             slow_memory=slow_memory,
             projection=projection,

@@ -59,6 +59,16 @@ def estimate(
         ),
     ] = False,
     prior: PriorOption = None,
+    save_machine: Annotated[
+        Path | None,
+        typer.Option(
+            help="Machine file to write, .toml: with the parameters that the log told, and "
+            "standard deviations that allow for heat."
+        ),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Overwrite the file of --save-machine.")
+    ] = False,
 ) -> None:
     """Estimate flux, position, speed and drift of a recorded log.
 
@@ -81,6 +91,11 @@ def estimate(
         from ...plots import check_path
 
         check_path(report)
+    if save_machine is not None:
+        from ...machines.written import check_machine_file
+
+        refuse_input_as_output(save_machine, log, layout.get("record"))
+        check_machine_file(save_machine, force, "--save-machine")
     with show.Progress() as progress:
         result = run(
             log,
@@ -93,6 +108,9 @@ def estimate(
             progress=progress,
             **layout,
         )
+    if save_machine is not None:
+        result.write(save_machine, force=force)
+        typer.echo(f"Written: {save_machine}")
     show_result(result, str(machine), out, report)
 
 

@@ -39,7 +39,7 @@ def identify(
     Example: fluxobs identify LOG.csv --machine motor.toml --out found.toml --report fit.png
     """
     from ... import identify as run
-    from ...identification.report import check_machine_file
+    from ...machines.written import check_machine_file
 
     refuse_input_as_output(out, log, layout.get("record"))
     check_machine_file(out, force)
