@@ -374,11 +374,11 @@ static void learn(const fo_adaptive *a, fo_adaptive_state *s, fo_real row[FO_NA]
                 y[j] = direction[j] / s->d[j];
             }
             fo_solve(FO_NA, s->U, y, FO_NF, FO_NA, direction);
-            for (int j = FO_NF; j < FO_NA; j++) {
+            for (int j = FO_NF; j < (int)FO_NF + (int)FO_CURVE; j++) {
                 x[j] -= direction[j] * volts / variance;
             }
         }
-        for (int j = 0; j < FO_NP; j++) {
+        for (int j = 0; j < (int)FO_CURVE; j++) { /* the curve is only considered */
             s->p[j] = x[FO_NF + j];
         }
         forget_parameters(a, s, time);

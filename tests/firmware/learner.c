@@ -1,0 +1,97 @@
+/* The learner alone, started where the input says, over the samples of the input. See
+ * test_learning.py.
+ *
+ * SPDX-License-Identifier: MIT
+ */
+#include "fluxobs_learning.h"
+
+#include "fluxobs_internal.h"
+
+#include <stdio.h>
+#include <string.h>
+
+static double next(void)
+{
+    double value = 0.0;
+    if (fread(&value, sizeof value, 1, stdin) != 1) {
+        value = NAN;
+    }
+    return value;
+}
+
+int main(void)
+{
+    static fo_adaptive a;
+    static fo_adaptive_state s;
+    (void)memset(&a, 0, sizeof a);
+    (void)memset(&s, 0, sizeof s);
+    a.plain.h = next();
+    a.plain.L_position = next();
+    a.saliency = next();
+    a.psi = next();
+    a.inverter_mean = next();
+    a.volt = next();
+    a.over_rated = next();
+    a.through_L = next();
+    a.unmodelled = next();
+    a.slow = next();
+    a.plain.plausible = next();
+    a.plain.square_min = 0.0;
+    for (int i = 0; i < FO_NP; i++) {
+        a.std[i] = next();
+    }
+    fo_learning_forget(&a, &s);
+    for (int i = 0; i < FO_N; i++) {
+        s.flux[i] = next();
+    }
+    for (int i = 0; i < FO_N; i++) {
+        s.drift[i] = next();
+    }
+    for (int i = 0; i < (int)FO_NF; i++) {
+        const double std = next();
+        s.d[i] = 1.0 / (std * std);
+    }
+    s.theta = next();
+    s.now.block.theta = s.theta;
+    s.running = true;
+    s.doubt = 0.0;
+    s.level = 1.0;
+    s.contradiction = 1.0;
+    const int rows = (int)next();
+    for (int k = 0; k < rows; k++) {
+        fo_effects t;
+        fo_real x[FO_N];
+        for (int i = 0; i < FO_N; i++) {
+            t.v[i] = next();
+        }
+        for (int j = 0; j < FO_NP; j++) {
+            for (int i = 0; i < FO_N; i++) {
+                t.effect[j][i] = next();
+            }
+        }
+        for (int i = 0; i < FO_N; i++) { /* the parameters learnt correct the volt-seconds */
+            for (int j = FO_RESISTANCE; j < (int)FO_CURVE; j++) {
+                t.v[i] += s.p[j] * t.effect[j][i];
+            }
+            s.plain.current[0][i] = next();
+        }
+        s.plain.roughness = next();
+        s.knee = next();
+        if (!(fo_learning_sample(&a, &s, &t, true, x) > 0.0)) {
+            return 1;
+        }
+        double out[2 * FO_N + FO_CURVE + 3];
+        for (int i = 0; i < FO_N; i++) {
+            out[i] = s.flux[i];
+            out[FO_N + i] = s.drift[i];
+        }
+        for (int j = 0; j < FO_CURVE; j++) {
+            out[2 * FO_N + j] = s.p[j];
+        }
+        out[2 * FO_N + FO_CURVE] = s.level;
+        out[2 * FO_N + FO_CURVE + 1] = s.contradiction;
+        out[2 * FO_N + FO_CURVE + 2] = s.across;
+        (void)fwrite(out, sizeof out, 1, stdout);
+    }
+    return 0;
+}

@@ -1,0 +1,124 @@
+"""The learner in C against its readable twin, number by number."""
+
+from __future__ import annotations
+
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fluxobs.observers.learning_twin import CURVE, INVERTER, OFFSET, LearningTwin, Settings
+from support.firmware import FIRMWARE, HARNESS
+
+ROWS, H = 6000, 0.004  # sample time over memory
+STD = np.array([0.2, 0.5, 0.1, 0.1, 0.03, 0.03, 0.01, 0.01, 0.02])
+SETTINGS = Settings(
+    h=H,
+    L=0.3,
+    saliency=0.0,
+    psi=0.9,
+    std=STD,
+    inverter_mean=0.02,
+    volt=H,
+    over_rated=1.0,
+    through_L=1e-4,
+    unmodelled=0.05,
+    slow=0.003,
+    plausible=0.5,
+)
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory):
+    made = tmp_path_factory.mktemp("learner") / "learner"
+    sources = [HARNESS / "learner.c", FIRMWARE / "fluxobs.c"]
+    sources += [FIRMWARE / f"fluxobs_{name}.c" for name in ("triangle", "candidates", "learning")]
+    command = ["gcc", "-std=c99", "-O1", "-Wall", "-Werror", f"-I{FIRMWARE}", *sources]
+    subprocess.run([*command, "-lm", "-o", made], check=True)
+    return made
+
+
+def record(settings, jump=0.0, at=12.0, stop=False, inverter=0.05, noise=0.01):
+    """Volt-seconds, effects, current, roughness and knee of a drive with loads and reversals."""
+    rng = np.random.default_rng(3)
+    t = H * np.arange(ROWS + 1)
+    speed = np.interp(t, [0, 6, 8, 14, 16, 24], [12, 12, -8, -8, 20, 20])
+    if stop:
+        speed *= np.interp(t, [0, 9, 9.5, 11, 11.5, 24], [1, 1, 0, 0, 1, 1])
+    theta = np.concatenate([[0.4], 0.4 + np.cumsum(H * (speed[1:] + speed[:-1]) / 2)])[: ROWS + 1]
+    load = np.interp(t, [0, 2, 2.1, 5, 5.1, 10, 10.1, 24], [0.3, 0.3, 1, 1, -0.4, -0.4, 0.8, 0.8])
+    i = (0.2 * settings.saliency * 3 + 1j * load) * np.exp(1j * theta)
+    psi = 1.0 + settings.saliency * (i * np.exp(-1j * theta)).real
+    flux = settings.L * i + psi * np.exp(1j * theta)
+    mean = (i[1:] + i[:-1]) / 2
+    sign = np.tanh(mean.real / 0.05) + 1j * np.tanh(mean.imag / 0.05)
+    drift = 0.1 - 0.05j + np.where(t[1:] > at, jump, 0)
+    # the assumed resistance is a third of a std too small
+    v = np.diff(flux) + 0.3 * STD[1] * 0.2 * H * mean + inverter * H * sign - H * drift
+    effect = np.zeros((ROWS, CURVE + 1), complex)
+    effect[:, 1] = -STD[1] * 0.2 * H * mean
+    effect[:, INVERTER] = -STD[INVERTER] * H * sign
+    effect[:, INVERTER + 1] = -STD[INVERTER + 1] * H * np.tanh(mean.real) - 1j * H * 0.1 * np.tanh(
+        mean.imag
+    )
+    effect[:, OFFSET] = STD[OFFSET] * 0.2 * H
+    effect[:, OFFSET + 1] = 1j * STD[OFFSET + 1] * 0.2 * H
+    effect[:, OFFSET + 2] = STD[OFFSET + 2] * np.diff(flux).conj()
+    effect[:, OFFSET + 3] = 1j * STD[OFFSET + 3] * np.diff(flux).conj()
+    effect[:, CURVE] = -STD[CURVE] * H * mean * (1 - np.abs(mean))
+    noisy = i[1:] + noise * (rng.standard_normal(ROWS) + 1j * rng.standard_normal(ROWS))
+    knee = rng.uniform(0, 1, ROWS)
+    return flux[0], v, effect, noisy, knee
+
+
+def pairs(z):
+    return np.stack([np.real(z), np.imag(z)], axis=-1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "changes"),
+    [
+        (SETTINGS, {}),
+        (replace(SETTINGS, saliency=-0.2), {}),
+        (SETTINGS, {"jump": 0.6}),  # a surprise: the drift is opened
+        (SETTINGS, {"jump": 5.0, "at": 0.35}),  # too early for one
+        (SETTINGS, {"jump": 0.6, "at": 0.8}),  # just late enough
+        (SETTINGS, {"noise": 0.0, "inverter": 0.0}),
+        (SETTINGS, {"stop": True}),  # blocks end by time
+        (replace(SETTINGS, inverter_mean=0.0), {"inverter": -0.03}),  # no inverter adds voltage
+        (replace(SETTINGS, slow=0.5), {}),  # parameters are forgotten
+    ],
+    ids=["plain", "salient", "jump", "early", "late", "quiet", "stop", "negative", "forgets"],
+)
+def test_c_is_its_twin(program, settings, changes):
+    first, v, effect, current, knee = record(settings, **changes)
+    stds = np.array([0.05, 0.05, 0.3, 0.3])
+    theta = float(np.angle(first - settings.L * current[0]))
+    numbers = [
+        *(getattr(settings, name) for name in ("h", "L", "saliency", "psi", "inverter_mean")),
+        *(getattr(settings, name) for name in ("volt", "over_rated", "through_L", "unmodelled")),
+        *(settings.slow, settings.plausible, *settings.std),
+        *(first.real, first.imag, 0.0, 0.0, *stds, theta, ROWS),
+    ]
+    samples = np.concatenate(
+        [
+            *(pairs(v), pairs(effect).reshape(ROWS, -1), pairs(current)),
+            *(np.full((ROWS, 1), 0.8), knee[:, None]),
+        ],
+        axis=1,
+    )
+    given = np.concatenate([numbers, samples.ravel()]).astype(float)
+    done = subprocess.run([program], input=given.tobytes(), capture_output=True, check=False)
+    assert done.returncode == 0
+    found = np.frombuffer(done.stdout).reshape(ROWS, 7 + CURVE)
+
+    twin = LearningTwin(settings, pairs(first), np.zeros(2), stds, theta)
+    expected = np.empty_like(found)
+    for k in range(ROWS):
+        learnt = twin.p @ pairs(effect[k])[:CURVE]
+        volts = pairs(v[k]) + learnt
+        f, p = twin.sample(volts, pairs(effect[k]), pairs(current[k]), 0.8, knee[k])
+        expected[k] = *f, *p, twin.level, twin.contradiction, twin.across
+    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
+    assert np.abs(found[-1, 4:-3]).max() > 0.1  # something was learnt
