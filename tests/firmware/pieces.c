@@ -404,6 +404,15 @@ static void check_projection(void)
     }
 }
 
+/* Covariance of the flux, given drift and parameters: two variances about their product. */
+static void conditional(const fo_adaptive_state *s, double P[3])
+{
+    const double u = (double)s->U[0], d0 = (double)s->d[0], d1 = (double)s->d[1];
+    P[0] = 1.0 / d0 + u * u / d1;
+    P[1] = -u / d1;
+    P[2] = 1.0 / d1;
+}
+
 /* A start has the information of the projection on flux and drift, and ties an error of the
  * resistance to the flux as in steady state: the flux of the true resistance is as likely. */
 static void check_start(void)
@@ -451,6 +460,19 @@ static void check_start(void)
         printf("start: a wrong resistance costs %g\n", cost);
         failed = 1;
     }
+    /* what is doubtful loosens the flux by 0.3 doubt^2 length^2, and the drift by as much, turning */
+    double before[3], after[3];
+    conditional(&s, before);
+    const double tight = 1.0 / (double)s.d[FO_N];
+    s.doubt = (fo_real)0.5;
+    s.unsure = (fo_real)0.002;
+    fo_learning_start(&a, &s, &c, &m, (fo_real)2, &t);
+    conditional(&s, after);
+    const double wide[3] = {before[0] + 0.3 * 0.25, before[1], before[2] + 0.3 * 0.25};
+    compare("start, doubt of the flux", after, wide, 3);
+    const double turning = (double)(s.unsure / a.plain.h);
+    const double loose = 1.0 / (double)s.d[FO_N], due = tight + 0.3 * turning * turning;
+    compare("start, doubt of the drift", &loose, &due, 1);
 }
 
 /* From wherever it starts the tracker has to find angle and speed; there are speeds at which errors
