@@ -68,7 +68,8 @@ static fo_real loss(const fo_adaptive *a, const fo_adaptive_state *s)
 fo_real fo_learning_unmodelled(const fo_adaptive *a, const fo_adaptive_state *s)
 {
     const fo_real share = INVERTER_UNMODELLED + KNEE_UNMODELLED * s->knee;
-    return share * loss(a, s) * a->volt / a->plain.h;
+    const fo_real mean = loss(a, s), std = s->deviations[2];
+    return share * fo_sqrt(mean * mean + std * std) * a->volt / a->plain.h;
 }
 
 static fo_real magnitude(const fo_real v[FO_N]) { return fo_sqrt(dot(v, v)); }

@@ -136,7 +136,7 @@ def test_an_emf_within_the_uncertainty_is_not_valid():
     found = observer.run(samples.voltage, samples.current)
     slow = np.arange(len(speed)) * H < 1.0
     assert not found.valid[slow].any()
-    assert found.valid[-1]
+    assert found.valid[-2000:].mean() > 0.5
     assert np.abs(errors(found, samples))[found.valid].max() < 5
 
 

@@ -84,7 +84,8 @@ class LearningTwin:
         self.rows = self.known_point = self.since = self.passed = 0.0
         self.across = 0.0
         self.point: Array = np.zeros(3)
-        self.pulled = 0
+        self.pulled = self.judged = 0
+        self.loss_std = self._loss_std()
 
     # ---- a sample -------------------------------------------------------------------------
 
@@ -97,16 +98,27 @@ class LearningTwin:
         self.f[:2] += v + a.h * self.f[2:]
         b.effect[RESISTANCE:] += effect[RESISTANCE:]
         b.time += a.h
-        inverter = slice(INVERTER, INVERTER + 2)
-        loss = 2 * a.inverter_mean + float(a.std[inverter] @ self.p[inverter])
         share = INVERTER_UNMODELLED + KNEE_UNMODELLED * knee
-        b.unmodelled += share * loss * a.volt
+        b.unmodelled += share * np.hypot(self._loss(), self.loss_std) * a.volt
         i, x = self._position(current)
         self._add(i, x)
         turned = abs(float(wrap(np.arctan2(x[1], x[0]) - b.theta)))
         if turned >= BLOCK or b.time >= BLOCK_MOST:
             self._end(current, roughness, turned)
         return self.f.copy(), self.p.copy()
+
+    def _loss(self) -> float:
+        """The inverter's loss, both parts [V]."""
+        both = slice(INVERTER, INVERTER + 2)
+        return float(2 * self.a.inverter_mean + self.a.std[both] @ self.p[both])
+
+    def _loss_std(self) -> float:
+        """Its standard deviation, with what its curve may differ by [V]."""
+        a, both = self.a, slice(INVERTER, INVERTER + 2)
+        direction = np.zeros(CURVE + 1)
+        direction[both] = a.std[both]
+        direction[CURVE] = a.std[CURVE] * self._loss()
+        return float(np.sqrt(self._known(direction)))
 
     def _position(self, current: Array) -> tuple[Array, Array]:
         i = current - self.a.std[OFFSET : OFFSET + 2] * self.p[OFFSET : OFFSET + 2]
@@ -155,6 +167,9 @@ class LearningTwin:
                 self._learn(slow, value, weight, b.time)
         _, x = self._position(current)
         self.across = self._across(x)
+        self.judged = (self.judged + 1) % 3
+        if self.judged == 2:
+            self.loss_std = self._loss_std()
         self.block = Block(float(np.arctan2(x[1], x[0])))
 
     def _across(self, x: Array) -> float:
