@@ -295,7 +295,8 @@ static void report(const fo_adaptive *a, const fo_adaptive_state *s, fo_real len
     q->theta_e = s->theta;
     q->theta_e_tracked = s->tracker.angle;
     q->speed_e = s->tracker.speed;
-    q->theta_e_std = std_of(all);
+    /* what may be unmodelled is a bound: its std is that over the root of three */
+    q->theta_e_std = std_of(all - TWO / (fo_real)3 * s->exposed * s->exposed);
     q->noise_share = ZERO;
     q->valid = s->rows > PROVEN_AFTER && s->tracker.settled >= TRACKER_SETTLED &&
                s->doubt < DOUBT_LIMIT && variance < STD_LIMIT * STD_LIMIT &&

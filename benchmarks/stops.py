@@ -1,0 +1,86 @@
+"""Stops under load: a servo at 20 kHz for 17 minutes, random speed and load, a quarter stopped.
+
+The time at which a sensorless observer is lost: at rest the flux says nothing of the rotor, and the
+voltage is no more than the resistive drop. Counted are events, rows in succession that are called
+valid and are more than ten degrees off.
+
+    python benchmarks/stops.py [--minutes 17]
+"""
+
+from __future__ import annotations
+
+import argparse
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+from common import degrees_error, heading
+from random_drives import DURATION, course
+
+from fluxobs import AdaptiveObserver, LeastSquaresObserver
+from fluxobs.machines import example
+from fluxobs.synthetic.signals import between_rows, driven, vectors
+
+H, RATED, PARTS = 5e-5, 1257.0, 4
+MACHINE = example("servo-400w")
+RUNS = [
+    (kind, factor, precision)
+    for kind, factor in (("plain", 1.0), ("adaptive", 1.0), ("adaptive", 1.2))
+    for precision in ("double", "single")
+]
+
+
+def attempt(seed: int) -> list[tuple[int, int, float]]:
+    """Valid rows, events and the worst valid row of each of RUNS."""
+    rng = np.random.default_rng([17, seed])
+    speed, load = course(rng, H, 0.25)
+    current = MACHINE.rated_current
+    true = driven(
+        MACHINE,
+        H,
+        between_rows(RATED * speed, PARTS),
+        between_rows(0.7j * load * current, PARTS),
+        PARTS,
+        rng.uniform(-np.pi, np.pi),
+    )
+    noise = 0.005 * current
+    u = vectors(np.concatenate([[np.nan], true.voltage]))
+    i = true.current + 0.01 * current * np.exp(2j * np.pi * rng.random())
+    i = vectors(i + noise * (rng.standard_normal(len(i)) + 1j * rng.standard_normal(len(i))))
+    out = []
+    for kind, factor, precision in RUNS:
+        make = LeastSquaresObserver if kind == "plain" else AdaptiveObserver
+        observer = make.for_machine(
+            MACHINE.with_values(R_s=factor * MACHINE.R_s),
+            sample_time=H,
+            current_noise=noise,
+            precision=precision,
+        )
+        found = observer.run(u, i)
+        error = np.abs(degrees_error(found.theta_e, true.theta_e))
+        bad = found.valid & (error > 10)
+        events = int(np.sum(np.diff(bad.astype(int)) == 1) + bad[0])
+        out.append((int(found.valid.sum()), events, float(error[found.valid].max(initial=0))))
+    return out
+
+
+def main(minutes: float) -> None:
+    drives = round(60 * minutes / DURATION)
+    heading(
+        f"Stops under load, {drives * DURATION / 60:.0f} minutes at 20 kHz: share valid, events "
+        "more than ten degrees off, worst valid row (target: 0 events)"
+    )
+    with ProcessPoolExecutor() as pool:
+        found = np.array(list(pool.map(attempt, range(drives))))
+    rows = drives * DURATION / H
+    for k, (kind, factor, precision) in enumerate(RUNS):
+        valid, events, worst = found[:, k].T
+        print(
+            f"    {kind:8s} R x {factor:.1f} {precision}: valid {valid.sum() / rows:.0%}, "
+            f"{events.sum():.0f} events, worst {worst.max():.1f} degrees"
+        )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=17)
+    main(parser.parse_args().minutes)
