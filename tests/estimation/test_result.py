@@ -6,7 +6,8 @@ import pytest
 from matplotlib.figure import Figure
 
 import fluxobs
-from fluxobs import FluxobsError
+from fluxobs import FluxobsError, estimate
+from fluxobs.estimation import learning
 from fluxobs.observers import AdaptiveEstimate, Estimate, SampleCounts, in_files
 from support.cli import COLUMNS as PLAIN
 from support.cli import fluxobs as command
@@ -170,3 +171,18 @@ def test_the_command_that_exports_it(adaptive, plain, tmp_path):
         assert done.returncode == 0, done.stderr
         assert (tmp_path / name / "motor_observer.h").exists()
     assert "--prior psi_f=0.02" in adaptive.export_command("pmsm-2kw2")
+
+
+def test_a_long_log_is_learnt_from_in_parts(tmp_path, monkeypatch):
+    samples = course(R_s=1.3 * PMSM.R_s)
+    pl.DataFrame(log_columns(samples)).write_parquet(tmp_path / "log.parquet")
+    whole = estimate(tmp_path / "log.parquet", PMSM)
+    assert "From the whole log" in whole.summary
+    monkeypatch.setattr(learning, "PARTS", 3)
+    monkeypatch.setattr(learning, "PART_ROWS", 4000)
+    told: list[tuple[int, int]] = []
+    parts = estimate(tmp_path / "log.parquet", PMSM, progress=lambda *n: told.append(n))
+    assert "From 12000 rows, evenly spread" in parts.summary
+    assert told[-1] == (32_000, 32_000)
+    assert parts.learnt.resistance == pytest.approx(1.3 * PMSM.R_s, rel=0.02)
+    assert 4 * whole.learnt.resistance_std > parts.learnt.resistance_std

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FluxobsError
-from ..logs.log import Aligned, Log
+from ..logs.log import Log
 from ..logs.scales import excerpts
 
 Array = NDArray[np.float64]
@@ -135,29 +135,28 @@ def stretches(log: Log, resistance: float) -> Stretches:
     FluxobsError
         No stretch of the log is free of gaps.
     """
-    parts: dict[int, list[Aligned]] = {lag: list(excerpts(log.lagged(lag))) for lag in LAGS}
     spikes = 0
     current: list[Complex] = []
-    voltage: dict[int, list[Complex]] = {lag: [] for lag in LAGS}
-    for k, part in enumerate(parts[0]):
-        cleaned, found = without_spikes(_bridge(_complex(part.current)))
-        current.append(cleaned)
-        spikes += found
-        for lag in LAGS:
-            cleaned, found = without_spikes(_bridge(_complex(parts[lag][k].voltage)))
-            voltage[lag].append(cleaned)
-            spikes += found if lag == 0 else 0
-    least = _resistance(voltage[0], current, resistance)
-    emf = [u - least * i for u, i in zip(voltage[0], current, strict=True)]
+    voltage: list[Complex] = []
+    truths: list[Array | None] = []
+    for part in excerpts(log):
+        for signal, kept in ((part.current, current), (part.voltage, voltage)):
+            cleaned, found = without_spikes(_bridge(_complex(signal)))
+            kept.append(cleaned)
+            spikes += found
+        truths.append(part.truth)
+    least = _resistance(voltage, current, resistance)
+    emf = [u - least * i for u, i in zip(voltage, current, strict=True)]
     rows = _rows(emf, log.sample_time)
     places, features = [], []
     for k, i in enumerate(current):
+        good = np.isfinite(i) & np.isfinite(voltage[k])
         for first in range(0, len(i) - rows + 1, max(1, rows // 2)):
-            cut = slice(first, first + rows)
-            u = emf[k][cut]
-            if not all(np.isfinite(x[cut]).all() for x in (i, *(voltage[n][k] for n in LAGS))):
+            # other lags take voltages from beyond both ends
+            if not good[max(0, first + LAGS[0]) : first + rows + LAGS[-1]].all():
                 continue
-            size = float(np.abs(i[cut]).mean())
+            cut = slice(first, first + rows)
+            u, size = emf[k][cut], float(np.abs(i[cut]).mean())
             angle = np.vdot(u, i[cut]) / (np.abs(u).sum() + 1e-300)
             places.append((k, cut))
             features.append([float(np.abs(u).mean()), size, angle.real, angle.imag])
@@ -172,10 +171,21 @@ def stretches(log: Log, resistance: float) -> Stretches:
     return Stretches(
         log.sample_time,
         np.stack([current[k][cut] for k, cut in chosen]),
-        {lag: np.stack([voltage[lag][k][cut] for k, cut in chosen]) for lag in LAGS},
-        _truth([parts[0][k].truth for k, _ in chosen], [cut for _, cut in chosen]),
+        {lag: _lagged(log, lag, chosen) for lag in LAGS},
+        _truth([truths[k] for k, _ in chosen], [cut for _, cut in chosen]),
         spikes,
     )
+
+
+def _lagged(log: Log, lag: int, places: list[tuple[int, slice]]) -> Complex:
+    """The voltages at these places (excerpt, rows) with another lag."""
+    found: dict[int, Complex] = {}
+    wanted = {k for k, _ in places}
+    for k, part in enumerate(excerpts(log.lagged(lag))):
+        if k in wanted:
+            found[k] = without_spikes(_bridge(_complex(part.voltage)))[0]
+    # nothing is known from beyond the ends of the log
+    return np.nan_to_num(np.stack([found[k][cut] for k, cut in places]))
 
 
 def _truth(parts: list[Array | None], cuts: list[slice]) -> Array | None:

@@ -18,7 +18,7 @@ from ..observers.unknowns import ALL, AUTO, read_unknowns
 from ..output import ahead, check_out, write_rows
 from ..validation import number
 from .columns import rows_of
-from .learning import learn, needed
+from .learning import learn, learning_parts, needed
 from .prepare import open_for, prepare
 from .result import Result
 from .statistics import Statistics
@@ -99,12 +99,13 @@ def estimate(
     learnt: Learnt | None = None
     state: Any = None
     if isinstance(run.observer, AdaptiveObserver) and (automatic or not causal):
+        ahead_of = sum(last - first for first, last in learning_parts(run.log))
 
         def tell(rows: int) -> None:
             nonlocal done
             done += rows
             if progress is not None:
-                progress(done, 2 * total)
+                progress(done, ahead_of + total)
 
         state, learnt = learn(run, run.observer, tell)
         if automatic:

@@ -8,7 +8,7 @@ from ..checking.findings import Check
 from ..logs.record import lag_in_words
 from ..machines import RotatingMachine
 from ..observers import ImmersionObserver
-from .learning import UNSEEN, parameters
+from .learning import UNSEEN, learning_parts, parameters
 from .run import LogRun
 
 #: Nothing was learnt about a current bias whose standard deviation stays above this share of its
@@ -130,7 +130,11 @@ def _parameters(result: LogRun) -> list[str]:
     if adaptive.asymmetry_std > 0 and max(learnt.asymmetry_std) <= UNSEEN * adaptive.asymmetry_std:
         size, std = np.hypot(*learnt.asymmetry), max(learnt.asymmetry_std)
         told.append(f"asymmetry of the phases {100 * size:.2g} ± {100 * std:.1g} %")
-    when = "At the end" if result.causal else "From the whole log"
+    parts = learning_parts(result.log)
+    whole = "From the whole log"
+    if len(parts) > 1:
+        whole = f"From {sum(last - first for first, last in parts)} rows, evenly spread"
+    when = "At the end" if result.causal else whole
     text = [f"{when}: {', '.join(told)}."] if told else []
     if untold:
         text.append(f"The log does not tell {' and '.join(untold)}.")

@@ -31,6 +31,8 @@ def read_unknowns(unknowns: str | Sequence[str]) -> tuple[str, ...]:
     words = [word.strip() for word in given if word.strip()]
     if words == [AUTO]:
         return (AUTO,)
+    if AUTO in words:
+        raise FluxobsError(f"unknowns {','.join(words)}: {AUTO} stands alone, it chooses the rest")
     for word in words:
         if word not in UNKNOWNS:
             known = (*UNKNOWNS, AUTO) if len(words) == 1 else UNKNOWNS
