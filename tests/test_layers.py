@@ -17,6 +17,7 @@ LAYERS = (
     ("logs",),
     ("_core", "_core_single"),
     ("observers",),
+    ("checking",),
     ("synthetic", "estimation", "design"),
     ("identification", "deployment", "comparison"),
     ("paper",),

@@ -132,6 +132,17 @@ def test_a_log_that_tells_nothing(tmp_path):
     assert "no arrangement" in str(found)
 
 
+def test_a_log_of_standstill(tmp_path):
+    rng = np.random.default_rng(2)
+    z = np.exp(0.3j) * (3 + 0.5 * np.sin(np.linspace(0, 40, 8000)))
+    i = z + 0.01 * (rng.standard_normal(8000) + 1j * rng.standard_normal(8000))
+    u = PMSM.R_s * z + PMSM.L_s * np.gradient(z, COURSE_TIME)
+    columns = {"t": COURSE_TIME * np.arange(8000), "u_alpha": u.real, "u_beta": u.imag}
+    found = check(log_of(tmp_path, columns | {"i_alpha": i.real, "i_beta": i.imag}), PMSM)
+    assert not found.sound
+    assert "as at standstill" in str(found)
+
+
 def test_exit_codes(tmp_path):
     (tmp_path / "motor.toml").write_text(example_text("pmsm-2kw2"))
     for columns, code in ((COLUMNS, 0), (scaled(current=-1), 1)):

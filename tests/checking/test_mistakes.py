@@ -86,7 +86,22 @@ CASES = {
     "psi_f x 1000": ({}, PMSM.with_values(psi_f=545), {}, r"psi_f .* 0\.545 Wb fits", None),
     "psi_f / 10": ({}, PMSM.with_values(psi_f=0.0545), {}, r"psi_f .* 0\.545 Wb fits", None),
     "L in mH": ({}, PMSM.with_values(L_s=36), {}, r"inductances .* L_s = 0\.0[34]\d* H", None),
-    "R_s x 2": ({}, PMSM.with_values(R_s=7.2), {}, r"R_s in the machine file .* 3\.6\d* Ω", None),
+    "R_s x 2": (
+        {},
+        PMSM.with_values(R_s=7.2),
+        {},
+        r"R_s in the machine file .* 3\.[56]\d* Ω",
+        None,
+    ),
+    "R_s / 2": (
+        {},
+        PMSM.with_values(R_s=1.8),
+        {},
+        r"R_s in the machine file .* 3\.[56]\d* Ω",
+        None,
+    ),
+    "L x 2": ({}, PMSM.with_values(L_s=0.072), {}, r"inductances .* L_s = 0\.0[34]\d* H", None),
+    "L / 2": ({}, PMSM.with_values(L_s=0.018), {}, r"inductances .* L_s = 0\.0[34]\d* H", None),
     "currents in mA": (
         *(phases("i", lambda x: 1000 * x), PMSM, {}),
         r"scale of the currents is off: multiply them by about 0\.00(1|099)",

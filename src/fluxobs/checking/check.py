@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ..estimation.prepare import open_for
+from ..logs.for_machine import open_for
 from ..logs.read import Source
 from ..machines import Machine, as_machine, rotating
 from .findings import Check

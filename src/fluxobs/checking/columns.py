@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 #: Rows that are looked at, from the middle of the log.
 ROWS = 20_000
-#: Columns with a correlation closer to one are the same column.
+#: Columns that differ by less than this share of their size are the same column.
 SAME = 1e-9
 #: Phase currents whose sum is more than this share of them do not belong together.
 SUM = 0.3
@@ -64,13 +64,16 @@ def _name(channel: str, log: Log) -> str:
 
 
 def _repeated(signals: dict[str, Array], log: Log) -> list[Finding]:
+    raw = {
+        name: (values - log.layout.offset.get(name, 0.0)) / log.layout.scale.get(name, 1.0)
+        for name, values in signals.items()
+    }
     out = []
-    for one, other in combinations(signals, 2):
-        a, b = signals[one], signals[other]
+    for one, other in combinations(raw, 2):
+        a, b = raw[one], raw[other]
         good = np.isfinite(a) & np.isfinite(b)
-        a, b = a[good] - a[good].mean(), b[good] - b[good].mean()
-        scale = float(np.sqrt(a @ a) * np.sqrt(b @ b))
-        if scale > 0 and abs(float(a @ b)) > (1 - SAME) * scale:
+        size = float(np.abs(a[good]).max(initial=0.0))
+        if size > 0 and float(np.abs(a[good] - b[good]).max()) < SAME * size:
             out.append(
                 Finding(
                     "columns",

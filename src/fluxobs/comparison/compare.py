@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from ..design.drive.simulate import stack
 from ..design.drive.vectors import vector
 from ..errors import FluxobsError, RecordError, UsageError
-from ..estimation.prepare import LEAST_NOISE, VOLTAGE_OFFSET, open_for
+from ..estimation.prepare import LEAST_NOISE, VOLTAGE_OFFSET
+from ..logs.for_machine import open_for
 from ..logs.log import Log
 from ..logs.read import Source
 from ..logs.scales import white_noise

@@ -9,6 +9,7 @@ from typing import Any
 
 import polars as pl
 
+from ..logs.for_machine import open_for
 from ..logs.read import Source
 from ..machines import Machine, RotatingMachine
 from ..machines.files import as_machine
@@ -19,7 +20,7 @@ from ..output import ahead, check_out, write_rows
 from ..validation import number
 from .columns import rows_of
 from .learning import learn, learning_parts, needed
-from .prepare import open_for, prepare
+from .prepare import prepare
 from .result import Result
 from .statistics import Statistics
 
@@ -84,7 +85,7 @@ def estimate(
     >>> import fluxobs
     >>> result = fluxobs.estimate(fluxobs.demo_log(), "servo-400w")
     >>> round(float(result["resistance"][-1]), 3)  # 0.360 is true
-    0.361
+    0.36
     """
     machine = as_machine(machine)
     if memory is not None:

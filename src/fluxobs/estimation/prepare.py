@@ -11,7 +11,6 @@ import numpy as np
 from ..errors import FluxobsError, MachineError, ObserverError, RecordError
 from ..logs.formats import BATCH
 from ..logs.log import Log
-from ..logs.read import read_log
 from ..logs.scales import Scales, excerpts, measure_scales
 from ..machines import Machine, RotatingMachine
 from ..model.immersion import Immersion, Unknown
@@ -57,38 +56,6 @@ class Prepared:
     observer: AnyObserver
     scales: Scales
     batch: int = BATCH
-
-
-def open_for(source: Any, machine: Machine, **layout: Any) -> Log:
-    """Open a log for a machine: with its frame by default, and a truth channel that it has.
-
-    Parameters
-    ----------
-    source, layout
-        See :func:`fluxobs.read_log`.
-
-    Raises
-    ------
-    RecordError
-        The frame, or the channel of the truth, does not fit the kind of machine.
-    """
-    if layout.get("frame") is not None:  # before its columns are looked for
-        _check_frame(layout["frame"], machine)
-    log = read_log(source, default_frame=machine.frame, **layout)
-    _check_frame(log.layout.frame, machine)
-    known = machine.position_output.truths
-    if log.truth is not None and log.truth[0] not in known:
-        raise RecordError(
-            f"truth {log.truth[0]}: kind {machine.kind} has {' or '.join(reversed(known))}"
-        )
-    return log
-
-
-def _check_frame(frame: str, machine: Machine) -> None:
-    if (frame == "ports") != (machine.frame == "ports"):
-        raise RecordError(
-            f"frame {frame!r} does not fit kind {machine.kind}; leave it at {machine.frame!r}"
-        )
 
 
 def prepare(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..checking.stretches import LAGS
 from ..errors import FluxobsError
-from ..estimation.prepare import open_for
+from ..logs.for_machine import open_for
 from ..logs.log import Log
 from ..logs.read import Source
 from ..logs.scales import Scales
