@@ -66,7 +66,7 @@ def test_noise_moves_nothing(name):
     ]
     current = np.stack([part.current @ [1, 1j] for part in parts])
     voltage = np.stack([part.voltage @ [1, 1j] for part in parts])
-    noisy = Stretches(1e-4, current, {0: voltage}, None, 0)
+    noisy = Stretches(1e-4, current, {0: voltage}, None)
     loose = Prior(np.zeros(4), np.diag([1.0, 1.0, 1.0, 100.0]))
     fit = Relation(machine, rows(noisy, voltage, current, 0.3), 0.1).fit(loose, np.zeros(4))
     assert abs(fit.values[L]) < 4 * fit.std[L] + 0.02

@@ -189,11 +189,12 @@ def _spikes(signals: dict[str, Array]) -> list[Finding]:
             out.append((name, found))
     if not out:
         return []
+    count = len(next(iter(signals.values())))
     where = ", ".join(f"{name}: {found}" for name, found in out)
     return [
         Finding(
             "spikes",
-            f"single rows that leave their neighbours by far ({where}, in {len(values)} rows): "
+            f"single rows that leave their neighbours by far ({where}, in {count} rows): "
             f"an observer ignores what contradicts the machine, but mend the cause",
             False,
         )

@@ -6,6 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+#: What a log without a true angle cannot show.
+UNSEEN = (
+    "Only a true angle (--truth) would show two phases exchanged in currents and voltages alike, "
+    "a wrong n_p, or a mirrored sign of the speed."
+)
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -67,7 +73,9 @@ class Check:
         """A sentence on what this log cannot show, empty if there is nothing."""
         lag = [", ".join(one.others) for one in self.findings if one.kind == "lag" and one.others]
         parts = [f"the lag ({others} would fit as well)" for others in lag]
-        parts += ["the sense of rotation and n_p, without a true angle"] if self.notes else []
+        parts += (
+            ["the sense of rotation and n_p, without a true angle"] if UNSEEN in self.notes else []
+        )
         return f"Not told by the log: {'; '.join(parts)}." if parts else ""
 
     @property

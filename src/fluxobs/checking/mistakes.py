@@ -93,21 +93,28 @@ class Mistake:
 
 AS_GIVEN = Mistake("", "as given")
 _2, _3, _P = float(np.sqrt(2)), float(np.sqrt(3)), float(np.sqrt(1.5))
-_TURN = {
-    name: complex(np.exp(1j * np.radians(degrees)))
-    for name, degrees in (("+", 120), ("-", -120), ("90", 90), ("30", 30), ("-30", -30))
-}
+
+
+def _turn(degrees: float) -> complex:
+    return complex(np.exp(1j * np.radians(degrees)))
+
+
+def _scaled(words: str, voltage: float = 1.0, current: float = 1.0) -> Mistake:
+    """Voltages and currents were given so many times too large."""
+    ratio = voltage / current
+    return Mistake("scale", words, resistance=ratio, inductance=ratio, flux=voltage)
+
 
 SIGN = [Mistake("sign", "the current has the opposite sign (scale it by -1)", Linear(-1.0))]
 PHASES = [
     Mistake("phases", f"the current's {words}", Linear(turn, mirrored))
     for words, mirrored, turn in (
         ("phases b and c are exchanged", True, 1.0),
-        ("phases a and b are exchanged", True, _TURN["+"]),
-        ("phases a and c are exchanged", True, _TURN["-"]),
-        ("phases are shifted by one (b c a)", False, _TURN["-"]),
-        ("phases are shifted by one (c a b)", False, _TURN["+"]),
-        ("α and β are exchanged", True, _TURN["90"]),
+        ("phases a and b are exchanged", True, _turn(120)),
+        ("phases a and c are exchanged", True, _turn(-120)),
+        ("phases are shifted by one (b c a)", False, _turn(-120)),
+        ("phases are shifted by one (c a b)", False, _turn(120)),
+        ("α and β are exchanged", True, _turn(90)),
     )
 ]
 LAG = [Mistake("lag", f"{lag:+d}", lag=lag) for lag in LAGS if lag]
@@ -125,49 +132,22 @@ LINE = [
     Mistake(
         "scale",
         "voltages are line to line, u_ab u_bc u_ca (--frame line)",
-        voltage=Linear(_TURN["-30"] / _3),
+        voltage=Linear(_turn(-30) / _3),
     ),
     Mistake(
         "scale",
         "voltages are line to line, u_ac u_ba u_cb (--frame line with these exchanged)",
-        voltage=Linear(_TURN["30"] / _3),
+        voltage=Linear(_turn(30) / _3),
     ),
 ]
 SCALES = [
-    Mistake(
-        "scale",
-        "voltages are line to line (--frame line, or divide by √3)",
-        resistance=_3,
-        inductance=_3,
-        flux=_3,
-    ),
-    Mistake(
-        "scale",
-        "voltages are rms values (multiply by √2)",
-        resistance=1 / _2,
-        inductance=1 / _2,
-        flux=1 / _2,
-    ),
-    Mistake("scale", "currents are rms values (multiply by √2)", resistance=_2, inductance=_2),
-    Mistake("scale", "voltages and currents are rms values (multiply both by √2)", flux=1 / _2),
-    Mistake(
-        "scale",
-        "vectors are power-invariant (multiply voltages and currents by √(2/3))",
-        flux=_P,
-    ),
-    Mistake(
-        "scale",
-        "voltages alone are power-invariant (multiply by √(2/3))",
-        resistance=_P,
-        inductance=_P,
-        flux=_P,
-    ),
-    Mistake(
-        "scale",
-        "currents alone are power-invariant (multiply by √(2/3))",
-        resistance=1 / _P,
-        inductance=1 / _P,
-    ),
+    _scaled("voltages are line to line (--frame line, or divide by √3)", voltage=_3),
+    _scaled("voltages are rms values (multiply by √2)", voltage=1 / _2),
+    _scaled("currents are rms values (multiply by √2)", current=1 / _2),
+    _scaled("voltages and currents are rms values (multiply both by √2)", 1 / _2, 1 / _2),
+    _scaled("vectors are power-invariant (multiply voltages and currents by √(2/3))", _P, _P),
+    _scaled("voltages alone are power-invariant (multiply by √(2/3))", voltage=_P),
+    _scaled("currents alone are power-invariant (multiply by √(2/3))", current=_P),
     Mistake("scale", "R_s in the machine file is line to line (halve it)", resistance=0.5),
     Mistake("scale", "R_s in the machine file is half of a phase's (double it)", resistance=2),
     Mistake(

@@ -186,13 +186,12 @@ class Relation:
         d = self.data
         values = np.array(values, float)
         first, slope, _ = _start(self._without_start(values), d.t)
-        base = self.psi
-        if base is None or not self.magnets:
-            x = self._without_start(values) + first + slope * d.t
-            base = float(np.sqrt(np.mean(np.abs(x) ** 2)))
+        length = np.abs(self._without_start(values) + first + slope * d.t)
         if self.magnets and self.psi is not None:
-            x = self._without_start(values) + first + slope * d.t
-            values[PSI] = np.log(float(np.median(np.abs(x))) / base + 1e-300)
+            base = self.psi
+            values[PSI] = np.log(float(np.median(length)) / base + 1e-300)
+        else:
+            base = float(np.sqrt(np.mean(length**2)))
         best = self._evaluate(values, first, slope, base, prior)
         for _ in range(ITERATIONS):
             step, moves = self._step(best, prior)

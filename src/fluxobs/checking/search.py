@@ -14,7 +14,7 @@ from ..logs.scales import Scales, measure_scales
 from ..machines import RotatingMachine
 from ..model.inverter import SMOOTHING
 from .columns import columns
-from .findings import Check, Finding
+from .findings import UNSEEN, Check, Finding
 from .mistakes import (
     AS_GIVEN,
     FACTOR,
@@ -33,7 +33,7 @@ from .mistakes import (
 )
 from .relation import INVERTER, MODEL, PSI, Fit, R, Relation, positions, rows
 from .stretches import Stretches, stretches
-from .truth import UNSEEN, truth
+from .truth import truth
 
 Array = NDArray[np.float64]
 
@@ -113,7 +113,7 @@ class Search:
         """Put a mistake right on top of those before, and fit."""
         whole = together(before, mistake)
         key = whole.arrangement
-        if key not in self.relations and whole.lag in self.data.voltage:
+        if key not in self.relations:
             made = rows(
                 self.data,
                 whole.voltage(self.data.voltage[whole.lag]),
@@ -121,11 +121,7 @@ class Search:
                 self.smoothing,
             )
             self.relations[key] = Relation(self.machine, made, self.scales.current_noise)
-        relation = self.relations.get(key)
-        if relation is None:
-            nothing = np.full(4, np.nan)
-            empty = Fit(np.inf, 0.0, np.inf, nothing, nothing, np.zeros((0, 0), complex))
-            return Tried(mistake, whole, empty, odds, 0.0)
+        relation = self.relations[key]
         prior = whole.prior(self._given(relation))
         start, direction = prior.mean, np.array([*whole.loose, 0.0])
         if direction[:2].any():
@@ -136,15 +132,18 @@ class Search:
 
 
 def check_log(
-    log: Log, machine: RotatingMachine, progress: Callable[[int, int], Any] | None = None
+    log: Log,
+    machine: RotatingMachine,
+    progress: Callable[[int, int], Any] | None = None,
+    scales: Scales | None = None,
 ) -> Check:
-    """Check a log that is open."""
+    """Check a log that is open; its scales are measured if they are not given."""
     log = log.less_inverter(None)
     seen = columns(log)
     if any(finding.kind in FIRST for finding in seen):
         return Check(tuple(seen), None, None, ("Mend that first; nothing else was tried.",))
-    data, scales = stretches(log, machine.R_s), measure_scales(log)
-    search = Search(machine, data, scales)
+    data = stretches(log, machine.R_s)
+    search = Search(machine, data, measure_scales(log) if scales is None else scales)
     tries = alternatives(machine, log.layout.frame)
     best = given = search.attempt(AS_GIVEN, AS_GIVEN, 0.0)
     found: list[Mistake] = []
@@ -267,7 +266,7 @@ def _fits(best: Tried, machine: RotatingMachine) -> str:
     values, std = best.fit.values, best.fit.std
     names = ("R_s", " and ".join(machine.inductance_names), "psi_f")
     told = [
-        f"{name} fits at {np.exp(values[k]):.3g} times"
+        f"{name} {'fit' if ' and ' in name else 'fits'} at {np.exp(values[k]):.3g} times"
         for k, name in enumerate(names)
         if std[k] < KNOWN and not (k == PSI and not machine.magnet_flux)
     ]

@@ -44,15 +44,12 @@ class Stretches:
         Mean over the interval that ends at the row [V], for each of LAGS.
     truth : (stretches, rows) array, optional
         The truth channel, in its own unit.
-    spikes : int
-        Rows that were replaced by the mean of their neighbours.
     """
 
     sample_time: float
     current: Complex
     voltage: dict[int, Complex]
     truth: Array | None
-    spikes: int
 
 
 def _complex(values: Array) -> Complex:
@@ -90,6 +87,11 @@ def without_spikes(values: Complex) -> tuple[Complex, int]:
     at = np.flatnonzero(spike) + 1
     out[at] = (values[at + 1] + values[at - 1]) / 2
     return out, len(at)
+
+
+def _cleaned(values: Array) -> Complex:
+    """As complex numbers, without short gaps and spikes."""
+    return without_spikes(_bridge(_complex(values)))[0]
 
 
 def _rows(voltage: list[Complex], sample_time: float) -> int:
@@ -135,15 +137,12 @@ def stretches(log: Log, resistance: float) -> Stretches:
     FluxobsError
         No stretch of the log is free of gaps.
     """
-    spikes = 0
     current: list[Complex] = []
     voltage: list[Complex] = []
     truths: list[Array | None] = []
     for part in excerpts(log):
         for signal, kept in ((part.current, current), (part.voltage, voltage)):
-            cleaned, found = without_spikes(_bridge(_complex(signal)))
-            kept.append(cleaned)
-            spikes += found
+            kept.append(_cleaned(signal))
         truths.append(part.truth)
     least = _resistance(voltage, current, resistance)
     emf = [u - least * i for u, i in zip(voltage, current, strict=True)]
@@ -171,9 +170,13 @@ def stretches(log: Log, resistance: float) -> Stretches:
     return Stretches(
         log.sample_time,
         np.stack([current[k][cut] for k, cut in chosen]),
-        {lag: _lagged(log, lag, chosen) for lag in LAGS},
+        {
+            lag: _lagged(log, lag, chosen)
+            if lag
+            else np.stack([voltage[k][cut] for k, cut in chosen])
+            for lag in LAGS
+        },
         _truth([truths[k] for k, _ in chosen], [cut for _, cut in chosen]),
-        spikes,
     )
 
 
@@ -183,7 +186,7 @@ def _lagged(log: Log, lag: int, places: list[tuple[int, slice]]) -> Complex:
     wanted = {k for k, _ in places}
     for k, part in enumerate(excerpts(log.lagged(lag))):
         if k in wanted:
-            found[k] = without_spikes(_bridge(_complex(part.voltage)))[0]
+            found[k] = _cleaned(part.voltage)
     # nothing is known from beyond the ends of the log
     return np.nan_to_num(np.stack([found[k][cut] for k, cut in places]))
 

@@ -23,11 +23,6 @@ CLEAR = 3.0
 SCATTER = np.radians(40.0)
 #: Another lag has to make the error so much smaller, and that has to be worth it [rad].
 BETTER, WORTH = 2.0, np.radians(1.0)
-#: What a log without a true angle cannot show.
-UNSEEN = (
-    "Only a true angle (--truth) would show two phases exchanged in currents and voltages alike, "
-    "a wrong n_p, or a mirrored sign of the speed."
-)
 
 
 def truth(

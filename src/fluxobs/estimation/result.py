@@ -81,7 +81,7 @@ class Result(LogRun):
         if not isinstance(self.machine, RotatingMachine):
             return None
         try:
-            return check_log(self.log, self.machine)
+            return check_log(self.log, self.machine, scales=self.scales)
         except FluxobsError:  # too many gaps
             return None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ..machines import RotatingMachine
@@ -25,6 +26,15 @@ class Parameter:
     given: float | None
     value: float
     std: float | None
+
+
+def in_the_file(parameters: Iterable[Parameter]) -> dict[str, tuple[float, float]]:
+    """Name in the machine file → value and standard deviation, of what was not held."""
+    return {
+        "inverter_voltage" if p.name == "inverter" else p.name: (p.value, p.std)
+        for p in parameters
+        if p.std is not None and p.name != "lag"
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +77,4 @@ class Fitted:
     @property
     def found(self) -> dict[str, tuple[float, float]]:
         """Name in the machine file → value and standard deviation, of what the log told."""
-        names = {"inverter": "inverter_voltage"}
-        return {
-            names.get(p.name, p.name): (p.value, p.std)
-            for p in self.parameters
-            if p.std is not None and p.name != "lag"
-        }
+        return in_the_file(self.parameters)

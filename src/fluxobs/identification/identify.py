@@ -18,11 +18,10 @@ from ..logs.read import Source
 from ..logs.scales import Scales
 from ..machines import Machine, RotatingMachine, as_machine, rotating
 from ..machines.written import with_found
-from ..observers import AdaptiveObserver
-from ..observers.adaptive import INDUCTANCE_SHARE
+from ..observers.adaptive import INDUCTANCE_SHARE, default_inverter_std, default_resistance_std
 from ..validation import nearest
 from .fit import Fit, fit
-from .fitted import ADVICE, UNITS, Fitted, Parameter
+from .fitted import ADVICE, UNITS, Fitted, Parameter, in_the_file
 from .pieces import Piece, pieces, smoothing_current, typical_length
 from .report import figure, lines, write
 
@@ -171,12 +170,7 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
         for name in free
     ]
     smoothing = smoothing_current(machine, scales)
-    told = {
-        "inverter_voltage" if p.name == "inverter" else p.name: (p.value, p.std)
-        for p in found
-        if p.std is not None and p.name != "lag"
-    }
-    changed = with_found(machine, told)
+    changed = with_found(machine, in_the_file(found))
     if "inverter" in names:
         changed = changed.with_values(inverter_current=float(f"{smoothing:.6g}"))
     return Identification(
@@ -214,21 +208,13 @@ def starting_values(machine: RotatingMachine, data: Sequence[Piece]) -> dict[str
 
 def _held(machine: RotatingMachine, scales: Scales) -> dict[str, float]:
     """Standard deviations of what is not free, as the adaptive observer takes them."""
-    if machine.flux_base(1.0) is None:
-        machine = machine.with_values(psi_f=1.0)
-    observer = AdaptiveObserver.for_machine(
-        machine,
-        sample_time=1.0,
-        memory=10.0,
-        slow_memory=10.0,
-        rated_current=machine.rated_current or scales.current,
-        dc_link=float(np.sqrt(3) * scales.voltage),  # at least
-    )
+    rated = machine.rated_current or scales.current
+    link = float(np.sqrt(3) * scales.voltage)  # at least
     stds = list(machine.inductance_stds(INDUCTANCE_SHARE).values())
     names = ("L_s",) if len(stds) == 1 else ("L_d", "L_q")
     return {
-        "R_s": observer.resistance_std,
-        "inverter": observer.inverter_std,
+        "R_s": default_resistance_std(machine),
+        "inverter": default_inverter_std(machine, rated, link),
         **dict(zip(names, stds, strict=True)),
     }
 

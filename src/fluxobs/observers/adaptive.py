@@ -94,6 +94,20 @@ class AdaptiveEstimate(Estimate):
     )
 
 
+def default_resistance_std(machine: RotatingMachine) -> float:
+    """Standard deviation of R_s [Ω]: the machine file's, else half of it."""
+    given = machine.R_s_std
+    return RESISTANCE_SHARE * machine.R_s if given is None else given
+
+
+def default_inverter_std(machine: RotatingMachine, rated_current: float, dc_link: float) -> float:
+    """Standard deviation of the inverter's voltage [V]: the machine file's, else the larger of a
+    quarter of the rated resistive drop and 2 % of the DC link."""
+    given = machine.inverter_voltage_std
+    drop = INVERTER_SHARE * machine.R_s * rated_current
+    return max(drop, DC_LINK_SHARE * dc_link) if given is None else given
+
+
 @dataclass(frozen=True, eq=False)
 class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
     """Starts within a fraction of a turn, and learns what the machine file says wrong.
@@ -322,14 +336,13 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         if not machine.magnets and psi_f_std:
             raise ObserverError(f"psi_f_std: a {machine.kind} has no magnets")
         flux = plain.flux_base if machine.magnets else 0.0
-        inverter = max(INVERTER_SHARE * machine.R_s * rated, DC_LINK_SHARE * (dc_link or 0.0))
 
         def otherwise(*given: float | None) -> float:
             return next(value for value in given if value is not None)
 
         defaults = {
-            "resistance": otherwise(machine.R_s_std, RESISTANCE_SHARE * machine.R_s),
-            "inverter": otherwise(machine.inverter_voltage_std, inverter),
+            "resistance": default_resistance_std(machine),
+            "inverter": default_inverter_std(machine, rated, dc_link or 0.0),
             "asymmetry": ASYMMETRY_STD,
         }
 
