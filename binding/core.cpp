@@ -31,6 +31,10 @@ using Vector = nb::ndarray<const double, nb::shape<FO_N>, nb::c_contig, nb::devi
 using States = nb::ndarray<const std::uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Signals = nb::ndarray<const double, nb::shape<-1, -1, FO_N>, nb::c_contig, nb::device::cpu>;
 
+using Table = nb::ndarray<const double, nb::shape<-1, -1, 2>, nb::c_contig, nb::device::cpu>;
+using Pairs = nb::ndarray<const double, nb::shape<-1, 2>, nb::c_contig, nb::device::cpu>;
+using Column = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
 void copy(fo_real (&target)[FO_N][FO_N], const Matrix &source) {
     for (std::size_t i = 0; i < FO_N; i++)
         for (std::size_t j = 0; j < FO_N; j++) target[i][j] = static_cast<fo_real>(source(i, j));
@@ -216,7 +220,7 @@ private:
 
 nb::tuple counts(const fo_state &state) {
     return nb::make_tuple(state.bad_voltages, state.bad_currents, state.absurd, state.outliers,
-                          state.restarts);
+                          state.restarts, state.outside);
 }
 
 template <class State>
@@ -241,10 +245,46 @@ nb::object nested(const T (&values)[N]) {
     return out;
 }
 
+// A flux map with its table.
+class Map {
+public:
+    Map() = default;
+    Map(const Map &) = delete;
+    Map &operator=(const Map &) = delete;
+
+    // `given` maps every field of fo_map; its coefficients are (nodes_d, nodes_q, 2).
+    void take(const nb::dict &given) {
+        Fields fields(given);
+        map_.kind = static_cast<fo_map_kind>(nb::cast<int>(fields.at("kind")));
+        map_.magnets = nb::cast<bool>(fields.at("magnets"));
+#define TAKE_MAP(name) fields.number(#name, map_.name);
+        FO_MAP_FIELDS(TAKE_MAP)
+        const auto table = nb::cast<Table>(fields.at("coefficients"));
+        fields.end();
+        map_.nodes_d = static_cast<std::int32_t>(table.shape(0));
+        map_.nodes_q = static_cast<std::int32_t>(table.shape(1));
+        coefficients_.resize(table.shape(0) * table.shape(1) * 2);
+        for (std::size_t i = 0; i < coefficients_.size(); i++)
+            coefficients_[i] = real(table.data()[i]);
+        map_.coefficients = coefficients_.data();
+    }
+    void share(const Map &other) {
+        map_ = other.map_;
+        coefficients_ = other.coefficients_;
+        map_.coefficients = coefficients_.data();
+    }
+    const fo_map &get() const { return map_; }
+
+private:
+    fo_map map_{};
+    std::vector<fo_real> coefficients_;
+};
+
 class Core {
 public:
-    // `given` maps every field of fo_config to a number, or to an array of doubles.
-    explicit Core(const nb::dict &given) {
+    // `given` maps every field of fo_config to a number, or to an array of doubles; `map` is empty,
+    // or maps every field of fo_map.
+    Core(const nb::dict &given, const nb::dict &map) {
         Fields fields(given);
 #define TAKE_MATRIX(name) fields.matrix(#name, config_.name);
 #define TAKE_VECTOR(name) fields.vector(#name, config_.name);
@@ -253,9 +293,33 @@ public:
         FO_CONFIG_FIELDS(TAKE_MATRIX, TAKE_VECTOR, TAKE_NUMBER, TAKE_POSITIVE)
         fields.end();
         check(fo_init(&observer_, &config_));
+        if (map.size() > 0) {
+            map_.take(map);
+            check(fo_use_map(&observer_, &map_.get()));
+        }
     }
 
     const fo_config &config() const { return config_; }
+    const Map *map() const { return observer_.map ? &map_ : nullptr; }
+
+    // (rows, 2) currents in rotor coordinates, (rows) rotor fluxes -> (rows, 9): flux, its
+    // derivatives by i_d and i_q, auxiliary flux, outside
+    nb::ndarray<nb::numpy, double> mapped(const Pairs &current, const Column &rotor) const {
+        if (!observer_.map) throw std::invalid_argument("there is no map");
+        const std::size_t rows = current.shape(0);
+        if (rotor.shape(0) != rows) throw std::invalid_argument("currents and fluxes differ");
+        auto out = std::make_unique<double[]>(9 * rows);
+        for (std::size_t k = 0; k < rows; k++) {
+            const fo_real i[2] = {real(current(k, 0)), real(current(k, 1))};
+            fo_mapped at;
+            fo_map_at(observer_.map, i, real(rotor(k)), &at);
+            const fo_real row[9] = {at.flux[0], at.flux[1], at.by_d[0], at.by_d[1], at.by_q[0],
+                                    at.by_q[1], at.auxiliary[0], at.auxiliary[1],
+                                    at.outside ? fo_real(1) : fo_real(0)};
+            for (std::size_t n = 0; n < 9; n++) out[9 * k + n] = row[n];
+        }
+        return owned(std::move(out), {rows, 9});
+    }
 
     // name -> number or nested list, in the order of fo_observer
     nb::dict parameters() const {
@@ -291,9 +355,13 @@ public:
         return counts(lane_of<fo_state>(states, lane));
     }
 
+    Core(const Core &) = delete;
+    Core &operator=(const Core &) = delete;
+
 private:
     fo_config config_;
     fo_observer observer_;
+    Map map_;
 };
 
 class Adaptive {
@@ -307,7 +375,13 @@ public:
         c.projection = static_cast<fo_projection>(nb::cast<int>(fields.at("projection")));
         fields.end();
         check(fo_adaptive_init(&observer_, &core.config(), &c));
+        if (core.map()) {
+            map_.share(*core.map());
+            check(fo_use_map(&observer_.plain, &map_.get()));
+        }
     }
+    Adaptive(const Adaptive &) = delete;
+    Adaptive &operator=(const Adaptive &) = delete;
 
     // name -> number or nested list, in the order of fo_adaptive after its first field
     nb::dict parameters() const {
@@ -375,15 +449,17 @@ public:
 
 private:
     fo_adaptive observer_;
+    Map map_;
 };
 
 }  // namespace
 
 NB_MODULE(FLUXOBS_MODULE, m) {
     nb::class_<Core>(m, "Core")
-        .def(nb::init<const nb::dict &>(), nb::arg("config"))
+        .def(nb::init<const nb::dict &, const nb::dict &>(), nb::arg("config"), nb::arg("map"))
         .def("parameters", &Core::parameters)
         .def("reset", &Core::reset)
+        .def("mapped", &Core::mapped)
         .def("run", &Core::run)
         .def_static("counters", &Core::counters);
     nb::class_<Adaptive>(m, "Adaptive")

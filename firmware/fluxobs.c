@@ -147,10 +147,22 @@ fo_error fo_init(fo_observer *o, const fo_config *c)
     fo_error found = check(c);
     if (found == FO_OK) {
         prepare(o, c);
+#if FO_MAPPED
+        o->map = (const fo_map *)0;
+#endif
         found = in_range(o) ? FO_OK : FO_ERROR_RANGE;
     }
     return found;
 }
+
+#if FO_MAPPED
+fo_error fo_use_map(fo_observer *o, const fo_map *map)
+{
+    const bool good = fo_map_good(map);
+    o->map = good ? map : (const fo_map *)0;
+    return good ? FO_OK : FO_ERROR_RANGE;
+}
+#endif
 
 /* ---- square-root information filter -------------------------------------------------- */
 
@@ -337,16 +349,107 @@ static fo_real third_difference(const fo_state *s, int i)
            (fo_real)3 * (s->current[2][i] - s->current[1][i]);
 }
 
-/* The measurement 0 = s + (Q2 i)'flux + i'Q3 i + C'i, divided by its noise: row'x = the value
- * returned. */
-static fo_real relation(const fo_observer *o, const fo_real current[FO_N], fo_real row[FO_NX])
+#if FO_MAPPED
+static void turned_by(const fo_real v[FO_N], const fo_real direction[FO_N], fo_real turned[FO_N])
 {
+    turned[0] = direction[0] * v[0] - direction[1] * v[1];
+    turned[1] = direction[1] * v[0] + direction[0] * v[1];
+}
+
+/* A cage's rotor flux follows i_d: it grows in the ratio in which the current that would keep it
+ * does, d(magnetizing)/dt = (i_d - magnetizing) R_R / L_M. An offset of the currents is a ripple of
+ * i_d: small differences count for little. */
+static void follow_rotor(const fo_observer *o, const fo_state *s, fo_real i_d, fo_shape *f)
+{
+    const fo_map *map = o->map;
+    const fo_shape *b = &s->before;
+    f->rotor = b->rotor;
+    f->square = b->square;
+    const bool known = s->trusted || s->guided;
+    f->magnetizing = known ? b->magnetizing : ZERO;
+    if (f->magnetizing > map->still) {
+        const fo_real off = i_d - f->magnetizing, square = off * off;
+        const fo_real grown = map->decay * off * square / (square + map->still * map->still);
+        const fo_real ratio = grown / f->magnetizing;
+        f->magnetizing += grown;
+        f->rotor += ratio * s->length;
+        f->square += TWO * ratio * s->length * s->length;
+    } else if (known) {
+        f->magnetizing = i_d;
+    } else {
+        /* its angle is not known */
+    }
+}
+
+/* Asks the map about the newest current, at the angle where the tracker expects the rotor. */
+static void shape(const fo_observer *o, fo_state *s)
+{
+    fo_shape *f = &s->shape;
+    const fo_real *current = s->current[0];
+    if (mapped(o)) {
+        const fo_map *map = o->map;
+        const fo_real over = ONE / o->flux_base;
+        fo_real direction[FO_N], back[FO_N], i[FO_N];
+        fo_mapped at;
+        fo_direction(s->guided ? s->guide : expected_angle(o, &s->tracker), direction);
+        back[0] = direction[0];
+        back[1] = -direction[1];
+        turned_by(current, back, i);
+        if (map->kind == FO_MAP_CAGE) {
+            follow_rotor(o, s, i[0], f);
+        }
+        fo_map_at(map, i, f->rotor * o->flux_base, &at);
+        /* The relation holds for any share of the auxiliary flux; half of it needs no angle where a
+         * machine is linear and has no magnets, all of it where it has no saliency. */
+        const fo_real share = map->magnets ? ONE : ONE / TWO;
+        const fo_real psi = map->psi * over;
+        const fo_real a_d = at.auxiliary[0] * over, a_q = at.auxiliary[1] * over;
+        const fo_real lean = fo_abs(a_d) > SHORTEST_ACTIVE ? a_q / a_d : ZERO;
+        const fo_real away[FO_N] = {at.flux[0] * over - a_d, at.flux[1] * over};
+        const fo_real centre[FO_N] = {at.flux[0] * over - share * a_d,
+                                      at.flux[1] * over - share * a_q};
+        const fo_real slope[FO_N] = {ONE, lean};
+        const fo_real by_current[FO_N] = {(at.by_d[0] + lean * at.by_d[1]) * over,
+                                          (at.by_q[0] + lean * at.by_q[1]) * over};
+        turned_by(away, direction, f->away);
+        turned_by(centre, direction, f->centre);
+        turned_by(slope, direction, f->slope);
+        turned_by(by_current, direction, f->by_current);
+        f->active = map->kind == FO_MAP_CAGE ? a_d : fo_abs(a_d);
+        f->outside = at.outside;
+        if (map->kind != FO_MAP_CAGE) {
+            f->square = share * share * (a_d * a_d + a_q * a_q) - psi * psi;
+        }
+    } else {
+        for (int i = 0; i < FO_N; i++) {
+            f->away[i] = o->L_position * current[i];
+        }
+    }
+}
+#endif
+
+/* The measurement 0 = s + (Q2 i)'flux + i'Q3 i + C'i, divided by its noise: row'x = the value
+ * returned. With a map, 0 = s - 2 centre'flux + |centre|^2 - square. */
+static fo_real relation(const fo_observer *o, const fo_state *s, fo_real row[FO_NX])
+{
+    const fo_real *current = s->current[0];
     fo_real rhs = ZERO;
     clear(row);
     row[S] = o->row_s;
-    for (int i = 0; i < FO_N; i++) {
-        row[FLUX + i] = dot(o->row_Q2[i], current);
-        rhs -= current[i] * (o->row_C[i] + dot(o->row_Q3[i], current));
+#if FO_MAPPED
+    if (mapped(o)) {
+        const fo_shape *f = &s->shape;
+        for (int i = 0; i < FO_N; i++) {
+            row[FLUX + i] = -TWO * o->row_s * f->centre[i];
+        }
+        rhs = o->row_s * (f->square - dot(f->centre, f->centre));
+    } else
+#endif
+    {
+        for (int i = 0; i < FO_N; i++) {
+            row[FLUX + i] = dot(o->row_Q2[i], current);
+            rhs -= current[i] * (o->row_C[i] + dot(o->row_Q3[i], current));
+        }
     }
     return rhs;
 }
@@ -386,7 +489,7 @@ static fo_real position(const fo_observer *o, const fo_state *s, const fo_real f
                         fo_real p[FO_N])
 {
     for (int i = 0; i < FO_N; i++) {
-        p[i] = flux[i] - o->L_position * s->current[0][i];
+        p[i] = flux[i] - away(o, s, i);
     }
     return dot(p, p);
 }
@@ -439,6 +542,18 @@ static void reinject_prior(const fo_observer *o, fo_state *s, int i)
     (void)rotate_in(&s->info, row, s->x[i], o->reinject * prior(s, i), i);
 }
 
+/* What the map says of the length of the position vector: it is not constant then. */
+static fo_real active_length(const fo_observer *o, const fo_state *s)
+{
+#if FO_MAPPED
+    return mapped(o) ? s->shape.active : ZERO;
+#else
+    (void)o;
+    (void)s;
+    return ZERO;
+#endif
+}
+
 /* Carries the last trusted flux on by integration; returns the variance of its angle. The variance
  * grows with the uncertainty of the drift and with a voltage error as large as the drift's prior. A
  * change in the length of the position vector, which should be constant, shows a larger error and
@@ -450,14 +565,16 @@ static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N]
         const fo_real square = position(o, s, s->flux, p);
         const fo_real across = drift_across(&s->info, p) / square;
         s->growth = (s->inflation * across + o->plausible * o->plausible) / square;
-        s->carried_length = fo_sqrt(square);
+        s->carried_length = fo_sqrt(square) - active_length(o, s);
         s->carried_off = ZERO;
     }
     s->carried += o->h;
     for (int i = 0; i < FO_N; i++) {
         flux[i] = s->flux[i] + v[i] + o->h * s->drift[i];
     }
-    const fo_real off = fo_sqrt(position(o, s, flux, p)) / s->carried_length - ONE;
+    fo_real usual = s->carried_length + active_length(o, s);
+    usual = usual > SHORTEST_ACTIVE ? usual : SHORTEST_ACTIVE;
+    const fo_real off = fo_sqrt(position(o, s, flux, p)) / usual - ONE;
     s->carried_off = off * off > s->carried_off ? off * off : s->carried_off;
     const fo_real variance = s->variance + s->growth * s->carried * s->carried + s->carried_off;
     if (variance < VARIANCE_UNKNOWN) {
@@ -536,6 +653,18 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
         track(o, &s->tracker, theta);
     }
     s->length = fo_sqrt(square);
+#if FO_MAPPED
+    if (trusted && !s->trusted && mapped(o)) {
+        for (int i = 0; i < FO_NX; i++) { /* its rows asked the map at wrong angles */
+            s->info.d[i] *= DISTRUST;
+        }
+        for (int i = 0; i < 3; i++) {
+            s->info.noise[i] *= DISTRUST;
+        }
+    }
+    s->before = s->shape;
+    s->outside += trusted && s->shape.outside ? 1U : 0U;
+#endif
     s->trusted = trusted;
     e->theta_e_std = fo_sqrt(variance);
     if (trusted) {
@@ -557,6 +686,9 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     /* A slow turn by a voltage error of plausible size leaves no trace in the innovations. */
     e->valid = trusted && s->tracker.settled >= TRACKER_SETTLED &&
                variance < STD_LIMIT * STD_LIMIT && s->exposed < VOLTAGE_LIMIT * s->length;
+#if FO_MAPPED
+    e->valid = e->valid && !s->shape.outside;
+#endif
 }
 
 /* ---- samples -------------------------------------------------------------------------- */
@@ -584,6 +716,11 @@ static fo_real position_step(const fo_observer *o, const fo_state *s, const fo_r
     fo_real step[FO_N];
     for (int i = 0; i < FO_N; i++) {
         step[i] = v[i] - o->L_position * (s->current[0][i] - s->current[1][i]);
+#if FO_MAPPED
+        if (mapped(o)) {
+            step[i] = v[i] - (s->shape.away[i] - s->before.away[i]);
+        }
+#endif
     }
     return fo_sqrt(dot(step, step));
 }
@@ -592,6 +729,15 @@ static bool leaps(const fo_observer *o, const fo_state *s, fo_real step)
 {
     return step > TWO * s->step + STEP_LIMIT * s->length +
                       STEP_NOISE * fo_sqrt(o->position_noise * s->roughness);
+}
+
+/* The newest current in the relation; it has changed. */
+static fo_real taken_in(const fo_observer *o, fo_state *s, fo_real row[FO_NX])
+{
+#if FO_MAPPED
+    shape(o, s);
+#endif
+    return relation(o, s, row);
 }
 
 static void push_current(fo_state *s, fo_real i0, fo_real i1)
@@ -665,7 +811,7 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
             ahead(o, s, s->source, s->source);
         }
         s->have_current = true;
-        const fo_real rhs = relation(o, s->current[0], row);
+        const fo_real rhs = taken_in(o, s, row);
         if (s->have_voltage) {
             last_interval(o, s, complete, &t);
             const fo_real step = position_step(o, s, t.v);
@@ -675,6 +821,7 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
                 measured = false;
                 bad = true;
                 ahead(o, s, s->current[1], s->current[0]);
+                (void)taken_in(o, s, row);
                 last_interval(o, s, complete, &t);
             } else {
                 s->step = step;

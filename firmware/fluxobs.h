@@ -13,24 +13,17 @@
 #ifndef FLUXOBS_H
 #define FLUXOBS_H
 
-#include <stdbool.h>
-#include <stdint.h>
+#include "fluxobs_real.h"
+
+/* 0 leaves flux maps out: less memory and time. An export does so for a machine without one. */
+#define FO_MAPPED 1
+
+#if FO_MAPPED
+#include "fluxobs_map.h"
+#endif
 
 #ifdef __cplusplus
 extern "C" {
-#endif
-
-/* FO_SINGLE, defined for all sources or for none, chooses single precision. Each precision has its
- * own function names, so that a mixture does not link. */
-#ifdef FO_SINGLE
-typedef float fo_real;
-#define fo_init fo_init_single
-#define fo_reset fo_reset_single
-#define fo_step fo_step_single
-#define fo_step_volt_seconds fo_step_volt_seconds_single
-#define fo_gather fo_gather_single
-#else
-typedef double fo_real;
 #endif
 
 enum {
@@ -104,6 +97,9 @@ typedef struct {
 #define FO_NUMBER_PARAMETER(name, meaning) fo_real name;
 typedef struct {
     FO_OBSERVER_FIELDS(FO_MATRIX_PARAMETER, FO_ARRAY_PARAMETER, FO_NUMBER_PARAMETER)
+#if FO_MAPPED
+    const fo_map *map;  /* null: the constraint alone, with constant inductances */
+#endif
 } fo_observer;
 
 /* U x = z with weights d, U unit upper triangular, x = (s, flux, kappa, drift, c) per-unit: the
@@ -121,6 +117,19 @@ typedef struct {
     fo_real settled;                     /* how long it has been near [memories] */
     bool lost;                           /* takes its speed from the next angle */
 } fo_tracker;
+
+/* What the machine's flux map says of the present current, in alpha and beta. */
+typedef struct {
+    fo_real away[FO_N];       /* position vector = flux - away                            */
+    fo_real centre[FO_N];     /* |flux - centre|^2 - square does not change               */
+    fo_real square;           /* less that of the map's magnet flux                       */
+    fo_real active;           /* length of the position vector; of a cage, its growth     */
+    fo_real slope[FO_N];      /* change of the length less `active` with the flux, ...    */
+    fo_real by_current[FO_N]; /* ... and, negative, with the current                      */
+    fo_real rotor;            /* growth of a cage's flux so far                           */
+    fo_real magnetizing;      /* the current that would keep it [A]; 0: unknown           */
+    bool outside;             /* the current is outside the map                           */
+} fo_shape;
 
 /* Everything that changes. Plain data: copy it, store it, restore it. Per-unit unless stated. */
 typedef struct {
@@ -146,6 +155,12 @@ typedef struct {
     fo_real carried;                     /* how long it has been carried [memories]              */
     fo_real carried_length, carried_off; /* of the position vector: at its start, largest change */
     fo_tracker tracker;
+#if FO_MAPPED
+    fo_shape shape, before;              /* of this sample and the last                          */
+    bool guided;                         /* the map is asked at this angle [rad], ...            */
+    fo_real guide;                       /* ... not at the one which the tracker expects         */
+    uint32_t outside;                    /* trusted samples outside the map, since fo_reset      */
+#endif
 } fo_state;
 
 /* The estimate of a sample, and whether it is valid: the position is known now, and the tracker has
@@ -176,6 +191,13 @@ typedef enum {
 
 /* Checks the configuration and prepares the observer, which may be used only after FO_OK. */
 fo_error fo_init(fo_observer *observer, const fo_config *config);
+
+#if FO_MAPPED
+/* Gives the observer, after fo_init, a flux map, which has to live as long as the observer. The
+ * constraint's Q1 has to be 1, and Q2, Q3 and L_position those of a linear machine near the map:
+ * they scale the noise. */
+fo_error fo_use_map(fo_observer *observer, const fo_map *map);
+#endif
 
 /* Resets the state: nothing is known, all counters are 0. */
 void fo_reset(const fo_observer *observer, fo_state *state);

@@ -302,6 +302,11 @@ static void report(const fo_adaptive *a, const fo_adaptive_state *s, fo_real len
                s->doubt < DOUBT_LIMIT && variance < STD_LIMIT * STD_LIMIT &&
                all < STD_ALL * STD_ALL;
     e->psi_f = (a->psi + fo_learning_value(a, s, FO_PSI)) * o->flux_base;
+#if FO_MAPPED
+    if (cage(o)) {
+        e->psi_f += s->plain.shape.active * o->flux_base;
+    }
+#endif
     const fo_real known = fo_sqrt(s->d[FO_N]) * o->plausible; /* over what the prior knew */
     e->drift_std = o->plausible * o->drift_base / (known > ONE ? known : ONE);
     e->theta_other = q->theta_e;
@@ -496,6 +501,18 @@ static void go_on(const fo_adaptive *a, fo_adaptive_state *s, bool complete, bad
     e->position.valid = e->position.valid && measured && now.voltages == before.voltages;
 }
 
+/* While the filter runs, the map is asked at its angle. */
+static void guide(const fo_adaptive *a, fo_adaptive_state *s)
+{
+#if FO_MAPPED
+    s->plain.guided = s->running;
+    s->plain.guide = expected_angle(&a->plain, &s->tracker);
+#else
+    (void)a;
+    (void)s;
+#endif
+}
+
 void fo_adaptive_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_real voltage[FO_N],
                       const fo_real current[FO_N], fo_adaptive_estimate *e)
 {
@@ -506,6 +523,7 @@ void fo_adaptive_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_real 
     for (int i = 0; i < FO_N; i++) {
         left[i] -= lost[i];
     }
+    guide(a, s);
     fo_step(&a->plain, &s->plain, left, current, &e->position);
     go_on(a, s, false, before, e);
 }
@@ -521,6 +539,7 @@ void fo_adaptive_step_volt_seconds(const fo_adaptive *a, fo_adaptive_state *s,
     for (int i = 0; i < FO_N; i++) {
         left[i] -= a->plain.sample_time * lost[i];
     }
+    guide(a, s);
     fo_step_volt_seconds(&a->plain, &s->plain, left, current, &e->position);
     go_on(a, s, true, before, e);
 }

@@ -54,7 +54,7 @@ static void position_of(const fo_adaptive *a, const fo_adaptive_state *s, const 
                      fo_real x[FO_N])
 {
     for (int i = 0; i < FO_N; i++) {
-        x[i] = c->p[M_FLUX + i] - a->plain.L_position * s->plain.current[0][i];
+        x[i] = c->p[M_FLUX + i] - away(&a->plain, &s->plain, i);
     }
 }
 
@@ -79,7 +79,7 @@ static void sow(const fo_adaptive *a, const fo_adaptive_state *s, const fo_real 
     (void)memset(c, 0, sizeof *c);
     for (int i = 0; i < FO_N; i++) {
         const fo_real along = length > ZERO ? x[i] / length : i == 0 ? ONE : ZERO;
-        c->p[M_FLUX + i] = longer * along + a->plain.L_position * s->plain.current[0][i];
+        c->p[M_FLUX + i] = longer * along + away(&a->plain, &s->plain, i);
     }
     c->p[M_SQUARE] = psi * psi;
     c->theta = fo_atan2(x[1], x[0]);
@@ -91,7 +91,7 @@ void fo_candidates_sow(const fo_adaptive *a, fo_adaptive_state *s)
     fo_real x[FO_N] = {s->x[0], s->x[1]};
     if (s->plain.trusted) {
         for (int i = 0; i < FO_N; i++) {
-            x[i] = s->plain.x[FLUX + i] - a->plain.L_position * s->plain.current[0][i];
+            x[i] = s->plain.x[FLUX + i] - away(&a->plain, &s->plain, i);
         }
     }
     for (int k = 0; k < FO_CANDIDATES; k++) { /* a quarter of a turn apart */

@@ -104,6 +104,10 @@ enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
  * judges the certainty. */
 #define REINJECT_PERIOD ((fo_real)(2 * FO_NX))
 
+/* Active flux below which the slope of its length means nothing: a thousandth [flux bases], far
+ * below the shortest usable one. Not tuned. */
+#define SHORTEST_ACTIVE ((fo_real)0.001)
+
 #define FO_THRESHOLDS(X)                                                                     \
     X(SHARE_LIMIT) X(VOLTAGE_LIMIT) X(EXPOSED_MOST) X(FLUX_STEP_LIMIT) X(OUTLIER_LIMIT)      \
     X(STEP_LIMIT) X(STEP_NOISE) X(SETTLED) X(WIDEN) X(DISTRUST) X(SWEEP) X(STD_LIMIT)        \
@@ -120,6 +124,49 @@ static inline fo_real correlation(fo_real lag_one, fo_real power)
 static inline fo_real dot(const fo_real a[FO_N], const fo_real b[FO_N])
 {
     return a[0] * b[0] + a[1] * b[1];
+}
+
+/* A component of what the position vector leaves of the flux: position vector = flux - this. */
+static inline fo_real away(const fo_observer *o, const fo_state *s, int i)
+{
+#if FO_MAPPED
+    (void)o;
+    return s->shape.away[i];
+#else
+    return o->L_position * s->current[0][i];
+#endif
+}
+
+static inline bool mapped(const fo_observer *o)
+{
+#if FO_MAPPED
+    return o->map != (const fo_map *)0;
+#else
+    (void)o;
+    return false;
+#endif
+}
+
+/* Does the machine differ from one with constant inductances and magnet flux? */
+static inline bool curved(const fo_observer *o)
+{
+#if FO_MAPPED
+    return o->map != (const fo_map *)0 && o->map->kind != FO_MAP_LINEAR;
+#else
+    (void)o;
+    return false;
+#endif
+}
+
+/* Does its flux move by itself, as a cage's? */
+static inline bool cage(const fo_observer *o)
+{
+#if FO_MAPPED
+    return o->map != (const fo_map *)0 && o->map->kind == FO_MAP_CAGE;
+#else
+    (void)o;
+    return false;
+#endif
 }
 
 static inline bool within(fo_real x, fo_real low, fo_real high) { return x >= low && x <= high; }
@@ -157,10 +204,24 @@ static inline void stop_tracker(fo_tracker *t, fo_real theta)
     t->lost = false;
 }
 
+/* Angle by which the tracker expects the rotor to turn in a sample. */
+static inline fo_real expected_step(const fo_observer *o, const fo_tracker *t)
+{
+    const fo_real h = o->sample_time;
+    return h * (t->speed + h * t->acceleration / TWO);
+}
+
+/* The angle at which it expects the rotor now. */
+static inline fo_real expected_angle(const fo_observer *o, const fo_tracker *t)
+{
+    const fo_real step = expected_step(o, t);
+    return fo_abs(step) <= PI ? wrap(t->angle + step) : t->angle;
+}
+
 static inline void track(const fo_observer *o, fo_tracker *t, fo_real theta)
 {
     const fo_real h = o->sample_time;
-    const fo_real step = h * (t->speed + h * t->acceleration / TWO);
+    const fo_real step = expected_step(o, t);
     if (t->lost) { /* its angle is that of the sample before */
         const fo_real turned = wrap(theta - t->angle);
         stop_tracker(t, theta);

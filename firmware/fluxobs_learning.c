@@ -40,6 +40,11 @@ static const uint32_t ROUND = 16U;
 /* Share of doubt's square that a start leaves to flux and drift. */
 static const fo_real LOOSE = (fo_real)0.3;
 
+/* Share of its flux by which a cage may walk off what i_d says, in a memory: an offset of 2 % of
+ * rated current moves it by 4 % within its time constant, three to thirty memories (half:
+ * tests/observers/test_cage.py). */
+static const fo_real CAGE_WALK = (fo_real)0.01;
+
 /* ---- parameters --------------------------------------------------------------------------- */
 
 fo_real fo_learning_value(const fo_adaptive *a, const fo_adaptive_state *s, int n)
@@ -70,6 +75,32 @@ fo_real fo_learning_unmodelled(const fo_adaptive *a, const fo_adaptive_state *s)
     const fo_real share = INVERTER_UNMODELLED + KNEE_UNMODELLED * s->knee;
     const fo_real mean = loss(a, s), std = s->deviations[2];
     return share * fo_sqrt(mean * mean + std * std) * a->volt / a->plain.h;
+}
+
+/* A component of what the position vector leaves of the flux, at a current without offset. */
+static fo_real away_of(const fo_adaptive *a, const fo_adaptive_state *s,
+                       const fo_real current[FO_N], int i)
+{
+    const fo_real L = a->plain.L_position;
+    fo_real found = L * current[i];
+    if (curved(&a->plain)) {
+        found = away(&a->plain, &s->plain, i) - L * fo_learning_value(a, s, FO_OFFSET + i);
+    }
+    return found;
+}
+
+/* What a current along d adds to the length of the position vector. */
+static fo_real grown(const fo_adaptive *a, const fo_adaptive_state *s, fo_real i_d)
+{
+    fo_real found = a->saliency * i_d;
+#if FO_MAPPED
+    if (curved(&a->plain)) {
+        found = s->plain.shape.active - a->plain.map->psi / a->plain.flux_base;
+    }
+#else
+    (void)s;
+#endif
+    return found;
 }
 
 static fo_real magnitude(const fo_real v[FO_N]) { return fo_sqrt(dot(v, v)); }
@@ -201,11 +232,13 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
     for (int i = 0; i < FO_N; i++) {
         s->flux[i] = c->p[i];
         s->drift[i] = c->p[FO_N + i];
-        x[i] = c->p[i] - a->plain.L_position * (current[i] - fo_learning_value(a, s, FO_OFFSET + i));
+        const fo_real inside[FO_N] = {current[0] - fo_learning_value(a, s, FO_OFFSET),
+                                      current[1] - fo_learning_value(a, s, FO_OFFSET + 1)};
+        x[i] = c->p[i] - away_of(a, s, inside, i);
     }
     const fo_real length = magnitude(x);
     if (a->std[FO_PSI] > ZERO && !s->frozen && !(fo_abs(s->p[FO_PSI]) > ZERO)) { /* new */
-        s->p[FO_PSI] = (length - a->saliency * dot(x, current) / length - a->psi) / a->std[FO_PSI];
+        s->p[FO_PSI] = (length - grown(a, s, dot(x, current) / length) - a->psi) / a->std[FO_PSI];
     }
     const fo_real *known = m->U;
     for (int i = 0; i < (int)FO_NF; i++) {
@@ -252,37 +285,61 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
 
 /* ---- a sample --------------------------------------------------------------------------------- */
 
-/* x = flux - L i, without offset; returns its length. */
+/* x, without offset; returns its length. */
 static fo_real without_offset(const fo_adaptive *a, const fo_adaptive_state *s,
                               fo_real current[FO_N], fo_real x[FO_N])
 {
     for (int i = 0; i < FO_N; i++) {
         current[i] = s->plain.current[0][i] - fo_learning_value(a, s, FO_OFFSET + i);
-        x[i] = s->flux[i] - a->plain.L_position * current[i];
+        x[i] = s->flux[i] - away_of(a, s, current, i);
     }
     return magnitude(x);
 }
 
-/* Adds the residual |x| - saliency i_d - psi_f of a sample to the block. */
+/* How the residual answers to the flux, and, negative, to the current. */
+static void slopes(const fo_adaptive *a, const fo_adaptive_state *s, const fo_real along[FO_N],
+                   fo_real length, const fo_real current[FO_N], fo_real slope[FO_N],
+                   fo_real by_current[FO_N])
+{
+#if FO_MAPPED
+    if (curved(&a->plain)) {
+        const fo_shape *f = &s->plain.shape;
+        for (int i = 0; i < FO_N; i++) {
+            slope[i] = f->slope[i];
+            by_current[i] = f->by_current[i];
+        }
+    } else
+#else
+    (void)s;
+#endif
+    {
+        const fo_real i_d = dot(along, current);
+        for (int i = 0; i < FO_N; i++) {
+            slope[i] = along[i] - a->saliency / length * (current[i] - i_d * along[i]);
+            by_current[i] = a->plain.L_position * slope[i] + a->saliency * along[i];
+        }
+    }
+}
+
+/* Adds the residual |x| - grown - psi_f of a sample to the block. */
 static void add(const fo_adaptive *a, const fo_adaptive_state *s, const fo_real x[FO_N],
                 fo_real length, const fo_real current[FO_N], fo_block *b)
 {
     const fo_real along[FO_N] = {x[0] / length, x[1] / length};
     const fo_real i_d = dot(along, current);
-    fo_real slope[FO_N];
+    fo_real slope[FO_N], by_current[FO_N];
+    slopes(a, s, along, length, current, slope, by_current);
     for (int i = 0; i < FO_N; i++) {
-        slope[i] = along[i] - a->saliency / length * (current[i] - i_d * along[i]);
         b->slope[i] += slope[i];
         b->slope_time[i] += slope[i] * b->time;
-        b->along[FO_OFFSET + i] +=
-            a->std[FO_OFFSET + i] * (a->plain.L_position * slope[i] + a->saliency * along[i]);
+        b->along[FO_OFFSET + i] += a->std[FO_OFFSET + i] * by_current[i];
     }
     for (int j = FO_RESISTANCE; j < (int)FO_NP; j++) {
         b->along[j] += dot(slope, b->effect[j]);
     }
     b->along[FO_PSI] -= a->std[FO_PSI];
     b->residual +=
-        length - a->saliency * i_d - (a->psi + fo_learning_value(a, s, FO_PSI));
+        length - grown(a, s, i_d) - (a->psi + fo_learning_value(a, s, FO_PSI));
     b->samples++;
 }
 
@@ -406,6 +463,10 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
     const fo_real walk = step * step + b->unmodelled * b->unmodelled;
     carry(s, b);
     step_flux(s, walk);
+    if (cage(&a->plain)) {
+        const fo_real q = CAGE_WALK * CAGE_WALK * b->time / (a->std[FO_PSI] * a->std[FO_PSI]);
+        s->d[FO_NF + FO_PSI] /= ONE + s->d[FO_NF + FO_PSI] * q;
+    }
     forget_drift(a, s, b->time);
     fo_real x[FO_N], current[FO_N];
     if (b->samples > 0U && share > (fo_real)1e-6) {

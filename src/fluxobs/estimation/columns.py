@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..logs.log import Aligned, Log
 from ..machines import Machine
 from ..observers import AdaptiveEstimate, Estimate, ImmersionEstimate, ImmersionObserver
+from ..observers.derived import derived
 from ..observers.outputs import in_files
 from .prepare import AnyObserver
 
@@ -73,7 +74,9 @@ def _compiled(
     for one in in_files(type(found)):
         value = getattr(found, one.name)
         columns |= zip(one.columns(machine.ports), value.T if one.vector else [value], strict=True)
-    return columns, found.valid
+    valid = columns.pop("valid")
+    columns |= derived(machine, found, part.current)
+    return columns | {"valid": valid}, found.valid
 
 
 def _immersed(

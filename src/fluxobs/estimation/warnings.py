@@ -60,6 +60,7 @@ def _samples(result: LogRun) -> list[str]:
             (counts.bad_voltages, "without a voltage (bridged)"),
             (counts.absurd, "with an impossible value"),
             (counts.outliers, "that contradict the others (ignored)"),
+            (counts.outside, "with a current outside the machine's flux map (not valid)"),
         )
         if number
     ]

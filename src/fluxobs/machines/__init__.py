@@ -9,6 +9,7 @@ from .files import (
     machine_from,
     read_machine,
 )
+from .induction import InductionMachine
 from .interior_pmsm import InteriorPMSM
 from .maglev import MagLev2DOF
 from .registry import KINDS
@@ -18,6 +19,7 @@ from .synchronous_reluctance import SynchronousReluctance
 
 __all__ = [
     "KINDS",
+    "InductionMachine",
     "InteriorPMSM",
     "Machine",
     "MagLev2DOF",

@@ -14,8 +14,12 @@ from .contract import Machine
 from .registry import KINDS
 
 
-def machine_from(fields: Mapping[str, Any], source: str = "machine") -> Machine:
-    """Machine from a flat mapping with ``kind`` and its parameters.
+def machine_from(
+    fields: Mapping[str, Any], source: str = "machine", folder: Path | None = None
+) -> Machine:
+    """Machine from a mapping with ``kind`` and its parameters.
+
+    The path of a flux map is relative to `folder`.
 
     Raises
     ------
@@ -24,6 +28,9 @@ def machine_from(fields: Mapping[str, Any], source: str = "machine") -> Machine:
         names `source`.
     """
     parameters = dict(fields)
+    given = parameters.get("flux_map")
+    if isinstance(given, str) and folder is not None:
+        parameters["flux_map"] = folder / given
     kind = parameters.pop("kind", None)
     if kind is None:
         raise MachineError(f"{source}: kind is missing: one of {', '.join(KINDS)}")
@@ -61,7 +68,7 @@ def read_machine(path: str | Path) -> Machine:
         fields = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise MachineError(f"{path}: not TOML: {error}") from None
-    return machine_from(fields, source=str(path))
+    return machine_from(fields, source=str(path), folder=path.parent)
 
 
 def _examples() -> Any:
@@ -83,7 +90,7 @@ def example(name: str) -> Machine:
     """
     if name not in example_names():
         raise MachineError(f"no shipped machine {name!r}{nearest(name, example_names())}")
-    return machine_from(tomllib.loads(example_text(name)), source=name)
+    return machine_from(tomllib.loads(example_text(name)), source=name, folder=Path(str(_examples())))
 
 
 def example_text(name: str) -> str:

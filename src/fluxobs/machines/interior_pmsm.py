@@ -9,9 +9,9 @@ from .rotating import MagnetMachine
 class InteriorPMSM(MagnetMachine):
     """Interior PMSM: its active flux ``λ - L_q i`` has the length ``ψ_f + (L_d - L_q) i_d``.
 
-    The plain observer takes that length as constant, as if the machine were a surface PMSM with
-    L = L_q. This holds while i_d is small or varies slowly compared with the memory. A quick change
-    of i_d disturbs the estimate for about one memory. The psi_f returned is the active flux.
+    The observers follow i_d by its flux map. A bias δ_i of the currents is a wrong i_d, and turns
+    the position by up to (L_q - L_d) δ_i / ψ_f. The psi_f that the plain observer returns is the
+    active flux.
 
     Parameters
     ----------
@@ -19,8 +19,12 @@ class InteriorPMSM(MagnetMachine):
         See :class:`RotatingMachine`.
     L_d, L_q : float
         Inductances along and across the magnet axis [H], > 0.
+    L_d_rated, L_q_rated : float, optional
+        Apparent inductance at the rated current [H], where it falls with the current.
     psi_f : float, optional
-        Peak phase flux linkage of the magnets [Wb]; only a scale.
+        Peak phase flux linkage of the magnets [Wb]; only a scale if i_d is constant.
+    flux_map
+        See :class:`SynchronousMachine`.
     """
 
     kind = "interior-pmsm"
@@ -31,3 +35,5 @@ class InteriorPMSM(MagnetMachine):
     L_q: Positive
     L_d_std: NotNegative | None = None
     L_q_std: NotNegative | None = None
+    L_d_rated: Positive | None = None
+    L_q_rated: Positive | None = None

@@ -6,14 +6,17 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from ..errors import MachineError
+from ..errors import FluxobsError, MachineError
 from ..model.constraint import QuadraticConstraint
+from ..model.flux_map import FluxMap, LinearMap
+from ..model.flux_table import FittedTable
 from ..model.frames import angle_error, wrap
 from ..model.inverter import SMOOTHING, InverterError
 from ..validation import NotNegative, Number, Positive
 from .contract import Array, Machine, Position, angle_std
+from .saturation import Falling, FluxMapField, MapSource, chords, fitted, read_source
 
 PolePairs = Annotated[int, Field(ge=1)]
 
@@ -135,6 +138,18 @@ class RotatingMachine(Machine):
         i = np.asarray(current, complex)
         return np.asarray(L_d * i.real + psi + 1j * (L_q * i.imag))
 
+    def map_for(self, sample_time: float, psi_f: float) -> FluxMap | None:
+        """Map of flux over current, where an inductance and a magnet flux are not enough.
+
+        Parameters
+        ----------
+        sample_time : float
+            [s], for what a map follows over time.
+        psi_f : float
+            Magnet flux where the machine has none [Wb].
+        """
+        return None
+
     def position(self, flux: ArrayLike, current: ArrayLike) -> tuple[Array, Array]:
         x = np.asarray(flux, float) - self.position_inductance * np.asarray(current, float)
         return np.arctan2(x[..., 1], x[..., 0]), np.hypot(x[..., 0], x[..., 1])
@@ -149,7 +164,86 @@ class RotatingMachine(Machine):
         return angle_error(estimated, true, self.half_turn_ambiguous)
 
 
-class MagnetMachine(RotatingMachine):
+class SynchronousMachine(RotatingMachine):
+    """A machine whose flux is a function of its current in rotor coordinates, its flux map.
+
+    Parameters
+    ----------
+    flux_map : path, mapping, FluxPoints or AlgebraicSaturation, optional
+        How the machine saturates: a CSV file with columns i_d, i_q [A], psi_d, psi_q [Wb]; or the
+        parameters of the algebraic model. Inductances and psi_f that are not given follow from it.
+    """
+
+    flux_map: FluxMapField | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_map(cls, given: Any) -> Any:
+        if not isinstance(given, dict) or given.get("flux_map") is None:
+            return given
+        given = given | {"flux_map": read_source(given["flux_map"])}
+        for name in cls._rated_inductances():
+            if given.get(name) is not None:
+                raise ValueError(f"{name} and flux_map: give one of them")
+        lacking = [name for name in dict.fromkeys(cls.inductances) if given.get(name) is None]
+        if cls.magnets and given.get("psi_f") is None:
+            lacking.append("psi_f")
+        if lacking:
+            try:
+                fit = fitted(given["flux_map"], given.get("rated_current"), cls.magnets)
+                L_d, L_q, psi_f = chords(fit, given.get("rated_current"))
+            except FluxobsError as error:
+                raise ValueError(str(error)) from None
+            mean = {"L_s": (L_d + L_q) / 2, "L_d": L_d, "L_q": L_q, "psi_f": psi_f}
+            given |= {name: float(f"{mean[name]:.6g}") for name in lacking}
+        return given
+
+    @classmethod
+    def _rated_inductances(cls) -> tuple[str, ...]:
+        return tuple(f"{name}_rated" for name in dict.fromkeys(cls.inductances))
+
+    @property
+    def saturation(self) -> FittedTable | None:
+        """The splines of the flux map, or of inductances that fall; None where they are constant.
+
+        Raises
+        ------
+        MachineError
+            The map is none that a machine can have.
+        """
+        source: MapSource | Falling | None = self.flux_map
+        rated = {name: getattr(self, name) for name in self._rated_inductances()}
+        if source is None and any(value is not None for value in rated.values()):
+            L_d, L_q = self.L_dq
+            at_d, at_q = (
+                rated[f"{name}_rated"] or L
+                for name, L in zip(self.inductances, (L_d, L_q), strict=True)
+            )
+            if self.magnet_flux is None:
+                raise MachineError("an inductance that falls needs psi_f")
+            together = len(rated) == 1
+            source = Falling(L_d, L_q, at_d, at_q, self.magnet_flux, together)
+        if source is None:
+            return None
+        try:
+            return fitted(source, self.rated_current, self.magnets)
+        except FluxobsError as error:
+            raise MachineError(str(error)) from None
+
+    def map_for(self, sample_time: float, psi_f: float) -> FluxMap | None:
+        fit = self.saturation
+        if fit is not None:
+            return fit.table
+        if self.magnets and self.saliency != 0.0:
+            return LinearMap(self.magnet_flux or psi_f, *self.L_dq)
+        return None
+
+    def flux_dq(self, current: Any) -> NDArray[np.complex128]:
+        fit = self.saturation
+        return super().flux_dq(current) if fit is None else fit.table.flux(current)
+
+
+class MagnetMachine(SynchronousMachine):
     """A machine whose position vector λ - L i has a constant length: the magnet flux.
 
     The relation is ``|λ - L i|² = ψ²``: Q1 = I, Q2 = -2L I, Q3 = L² I, d = -ψ².

@@ -15,9 +15,13 @@ class SurfacePMSM(MagnetMachine):
         See :class:`RotatingMachine`.
     L_s : float
         Phase inductance (synchronous, per phase in star) [H], > 0.
+    L_s_rated : float, optional
+        Apparent inductance at the rated current [H], where it falls with the current.
     psi_f : float, optional
         Peak phase flux linkage of the magnets [Wb]. Only a scale: the estimates do not depend on
         it, and the observer returns its own.
+    flux_map
+        See :class:`SynchronousMachine`.
 
     Examples
     --------
@@ -31,3 +35,4 @@ class SurfacePMSM(MagnetMachine):
 
     L_s: Positive
     L_s_std: NotNegative | None = None
+    L_s_rated: Positive | None = None

@@ -9,10 +9,10 @@ from pydantic import model_validator
 
 from ..model.constraint import QuadraticConstraint
 from ..validation import NotNegative, Positive
-from .rotating import RotatingMachine
+from .rotating import SynchronousMachine
 
 
-class SynchronousReluctance(RotatingMachine):
+class SynchronousReluctance(SynchronousMachine):
     """Synchronous reluctance machine, ``(λ - L_q i)ᵀ(λ - L_d i) = 0``.
 
     The position vector ``λ - L_q i = (L_d - L_q) i_d e(θ_e)`` lies along d, up to half a turn: it
@@ -24,6 +24,10 @@ class SynchronousReluctance(RotatingMachine):
         See :class:`RotatingMachine`.
     L_d, L_q : float
         Inductances along and across the axis of high permeance [H], L_d > L_q > 0.
+    L_d_rated, L_q_rated : float, optional
+        Apparent inductance at the rated current [H], where it falls with the current.
+    flux_map
+        See :class:`SynchronousMachine`.
     """
 
     kind = "synchronous-reluctance"
@@ -36,6 +40,8 @@ class SynchronousReluctance(RotatingMachine):
     L_q: Positive
     L_d_std: NotNegative | None = None
     L_q_std: NotNegative | None = None
+    L_d_rated: Positive | None = None
+    L_q_rated: Positive | None = None
 
     @model_validator(mode="after")
     def _salient(self) -> Self:

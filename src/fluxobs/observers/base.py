@@ -80,6 +80,8 @@ class SampleCounts:
         Currents that contradict all earlier samples; not used.
     restarts : int
         Restarts after an absurd value, or after more than three bad samples in a row.
+    outside : int
+        Rows, of those with a known position, whose current is outside the machine's flux map.
     """
 
     bad_voltages: int
@@ -87,6 +89,7 @@ class SampleCounts:
     absurd: int
     outliers: int
     restarts: int
+    outside: int = 0
 
 
 State = TypeVar("State")

@@ -15,6 +15,7 @@ from .. import _core, _core_single
 from ..errors import ObserverError
 from ..machines import RotatingMachine, rotating
 from ..model.constraint import QuadraticConstraint
+from ..model.flux_map import FluxMap
 from ..validation import number
 from .base import Estimate
 from .compiled import CompiledObserver, read_columns, wrapped
@@ -84,6 +85,9 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         [rad/s].
     precision : {"double", "single"}
         "single" computes what a microcontroller does.
+    flux_map : FluxMap, optional
+        How the flux depends on the current, where that is not a constant inductance and a constant
+        magnet flux. Q1 of the constraint must then be 1; its other terms only scale the noise.
 
     Raises
     ------
@@ -119,6 +123,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
     length_min: float
     tracker_bandwidth: float
     precision: Literal["double", "single"] = "double"
+    flux_map: FluxMap | None = None
     _core: Any = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -165,7 +170,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
             "constraint_base": float(size) * self.flux_base**2 if size else self.constraint_noise,
         }
         config |= {name: getattr(self, name) for name in POSITIVE}
-        return wrapped(module.Core, config)
+        return wrapped(module.Core, config, {} if self.flux_map is None else self.flux_map.core())
 
     def __getstate__(self) -> dict[str, Any]:
         return {key: value for key, value in self.__dict__.items() if key != "_core"}
@@ -246,6 +251,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
             length_min=machine.shortest * flux_base,
             tracker_bandwidth=TRACKER / memory,
             precision=precision,
+            flux_map=machine.map_for(sample_time, flux_base),
         )
 
     def parameters(self) -> dict[str, Any]:

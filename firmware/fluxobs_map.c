@@ -1,0 +1,132 @@
+/* SPDX-License-Identifier: MIT */
+#include "fluxobs_map.h"
+
+#define ZERO ((fo_real)0)
+#define ONE ((fo_real)1)
+#define TWO ((fo_real)2)
+#define THREE ((fo_real)3)
+#define PI ((fo_real)3.14159265358979323846)
+
+enum { D = 0, Q = 1, ORDER = 4 };
+
+/* sin(x), |x| <= pi/2. Abramowitz and Stegun, 4.3.97. */
+static fo_real sine(fo_real x)
+{
+    const fo_real s = x * x;
+    return x * (ONE + s * ((fo_real)-.1666666664 +
+                           s * ((fo_real).0083333315 +
+                                s * ((fo_real)-.0001984090 +
+                                     s * ((fo_real).0000027526 + s * (fo_real)-.0000000239)))));
+}
+
+void fo_direction(fo_real angle, fo_real direction[2])
+{
+    const fo_real size = angle < ZERO ? -angle : angle;
+    const fo_real folded = size > PI / TWO ? PI - size : size;
+    const fo_real up = sine(folded);
+    direction[0] = sine(PI / TWO - size);
+    direction[1] = angle < ZERO ? -up : up;
+}
+
+/* Where a current is in a table: the first of its four coefficients, and their weights for the
+ * value and for its derivative. Returns how far outside the current is [A]. */
+typedef struct {
+    int32_t first;
+    fo_real value[ORDER], slope[ORDER];
+} place;
+
+static fo_real find(fo_real current, fo_real least, fo_real most, fo_real over, int32_t nodes,
+                    place *p)
+{
+    const fo_real inside = !(current > least) ? least : current > most ? most : current;
+    const fo_real at = (inside - least) * over;
+    const int32_t last = nodes - (int32_t)ORDER;
+    int32_t first = (int32_t)at;
+    first = first < last ? first : last;
+    const fo_real t = at - (fo_real)first, u = ONE - t;
+    const fo_real tt = t * t, uu = u * u, sixth = ONE / (fo_real)6, half = over / TWO;
+    p->first = first;
+    p->value[0] = uu * u * sixth;
+    p->value[3] = tt * t * sixth;
+    p->value[1] = (fo_real)4 * sixth + tt * (t / TWO - ONE);
+    p->value[2] = ONE - p->value[0] - p->value[1] - p->value[3];
+    p->slope[0] = -uu * half;
+    p->slope[3] = tt * half;
+    p->slope[1] = t * (THREE * t - (fo_real)4) * half;
+    p->slope[2] = -p->slope[0] - p->slope[1] - p->slope[3];
+    return current - inside;
+}
+
+static void look_up(const fo_map *map, const fo_real current[2], fo_mapped *at)
+{
+    place d, q;
+    const fo_real off[2] = {
+        find(current[D], map->least_d, map->most_d, map->over_d, map->nodes_d, &d),
+        find(current[Q], map->least_q, map->most_q, map->over_q, map->nodes_q, &q)};
+    const fo_real *c = &map->coefficients[2 * (d.first * map->nodes_q + q.first)];
+    for (int n = 0; n < 2; n++) {
+        at->flux[n] = ZERO;
+        at->by_d[n] = ZERO;
+        at->by_q[n] = ZERO;
+    }
+    for (int i = 0; i < (int)ORDER; i++) {
+        for (int n = 0; n < 2; n++) {
+            fo_real value = ZERO, slope = ZERO;
+            for (int j = 0; j < (int)ORDER; j++) {
+                value += q.value[j] * c[2 * j + n];
+                slope += q.slope[j] * c[2 * j + n];
+            }
+            at->flux[n] += d.value[i] * value;
+            at->by_d[n] += d.slope[i] * value;
+            at->by_q[n] += d.value[i] * slope;
+        }
+        c = &c[2 * map->nodes_q];
+    }
+    at->outside = !(off[D] == ZERO && off[Q] == ZERO);
+    if (at->outside) {
+        for (int n = 0; n < 2; n++) {
+            at->flux[n] += off[D] * at->by_d[n] + off[Q] * at->by_q[n];
+        }
+    }
+}
+
+void fo_map_at(const fo_map *map, const fo_real current[2], fo_real rotor_flux, fo_mapped *at)
+{
+    if (map->kind == FO_MAP_TABLE) {
+        look_up(map, current, at);
+    } else {
+        const bool cage = map->kind == FO_MAP_CAGE;
+        at->by_d[D] = map->L_d;
+        at->by_d[Q] = ZERO;
+        at->by_q[D] = ZERO;
+        at->by_q[Q] = map->L_q;
+        at->flux[D] = (cage ? rotor_flux : map->psi) + map->L_d * current[D];
+        at->flux[Q] = map->L_q * current[Q];
+        at->outside = false;
+    }
+    at->auxiliary[D] = at->flux[D] + at->by_d[Q] * current[Q] - at->by_q[Q] * current[D];
+    at->auxiliary[Q] = at->flux[Q] - at->by_d[D] * current[Q] + at->by_q[D] * current[D];
+}
+
+static bool finite_number(fo_real x) { return x - x == ZERO; }
+
+#define IS_FINITE(name) &&finite_number(map->name)
+
+bool fo_map_good(const fo_map *map)
+{
+    bool good = true FO_MAP_FIELDS(IS_FINITE);
+    if (map->kind == FO_MAP_TABLE) {
+        good = good && map->nodes_d >= (int32_t)ORDER && map->nodes_q >= (int32_t)ORDER &&
+               map->most_d > map->least_d && map->most_q > map->least_q && map->over_d > ZERO &&
+               map->over_q > ZERO && map->coefficients != (const fo_real *)0;
+        const int32_t count = good ? 2 * map->nodes_d * map->nodes_q : 0;
+        for (int32_t i = 0; i < count; i++) {
+            good = good && finite_number(map->coefficients[i]);
+        }
+    } else if (map->kind == FO_MAP_CAGE) {
+        good = good && map->decay > ZERO && map->decay < ONE && map->still > ZERO;
+    } else {
+        /* any numbers will do */
+    }
+    return good;
+}

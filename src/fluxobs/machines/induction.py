@@ -1,0 +1,186 @@
+"""Induction machine with a cage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import model_validator
+
+from ..model.constraint import QuadraticConstraint
+from ..model.flux_map import CageMap, FluxMap
+from ..validation import NotNegative, Positive
+from .contract import Array, Position
+from .rotating import RotatingMachine
+
+#: Parameters of the T-model, as a data sheet or a no-load and a locked-rotor test give them.
+T_MODEL = ("R_r", "L_ls", "L_lr", "L_m")
+#: Numbers on the rating plate, as they stand there: V and A rms (line to line, line), Hz, W, rpm.
+PLATE = ("voltage", "frequency", "power", "current", "speed", "cos_phi")
+#: Leakage reactance over the rated impedance, where only the plate is known: 0.12 to 0.2 in
+#: machines of 1 to 100 kW.
+LEAKAGE = 0.15
+#: Magnetizing over rated current, where nothing else is known: 0.3 (large) to 0.6 (small machines).
+MAGNETIZING = 0.45
+#: Change of i_d below which the rotor flux is taken to stand, over the magnetizing current: five
+#: times what usual offsets of the currents (2 % of rated) do to it, less than any field weakening.
+STILL = 0.15
+
+
+class InductionMachine(RotatingMachine):
+    """Cage induction machine in its inverse-Γ model; the position is that of the rotor flux.
+
+    With the stator flux λ, the rotor flux is ``x = λ - L_sigma i``, and ``dx/dt = R_R i - (R_R/L_M
+    - j n_p ω_m) x``. So its length moves by ``d|x|/dt = R_R i_d - R_R/L_M |x|``, in which the speed
+    does not appear, and turns by ``R_R i_q/|x|`` faster than the rotor: the slip.
+
+    Parameters
+    ----------
+    R_s, n_p, rated_current
+        See :class:`RotatingMachine`.
+    R_R : float
+        Rotor resistance [Ω], > 0. It enters the mechanical speed, and the position while the rotor
+        flux changes.
+    L_sigma, L_M : float
+        Leakage and magnetizing inductance [H], > 0.
+    psi_R : float, optional
+        Rated rotor flux [Wb]; only a scale. Default: 0.45 L_M rated_current.
+    rated_speed : float, optional
+        Mechanical speed [rad/s] beyond which a drive weakens the flux.
+    R_R_std, L_sigma_std : float, optional
+        Standard deviations [Ω], [H]; default 30 % and 10 %.
+    R_r, L_ls, L_lr, L_m : float, instead of R_R, L_sigma, L_M
+        The T-model's, referred to the stator.
+    plate : mapping, instead of all inductances and resistances
+        voltage [V rms, line to line], frequency [Hz], power [W], current [A rms], speed [rpm],
+        cos_phi, of the star connection: a rough start, for `fluxobs identify` to improve. It takes
+        the leakage reactance as 0.15 of the rated impedance, and all losses but the air gap's slip
+        as the stator's copper.
+
+    References
+    ----------
+    G. R. Slemon, "Modelling of induction machines for electric drives", IEEE Trans. Ind. Appl. 25
+    (1989), doi:10.1109/28.44251 (inverse-Γ); docs/theory.md, section 15.
+    """
+
+    kind = "induction"
+    inductances = ("L_sigma", "L_sigma")
+    magnets = True
+    length_name = "Rotor flux"
+    position_output = Position(
+        "theta_e", ("theta_e",), 180 / np.pi, "°", "Electrical angle of the rotor flux"
+    )
+
+    R_R: Positive
+    L_sigma: Positive
+    L_M: Positive
+    psi_R: Positive | None = None
+    rated_speed: Positive | None = None
+    R_R_std: NotNegative | None = None
+    L_sigma_std: NotNegative | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _converted(cls, given: Any) -> Any:
+        if not isinstance(given, dict):
+            return given
+        given = dict(given)
+        plate = given.pop("plate", None)
+        if plate is not None:
+            given = from_plate(plate) | given
+        named = [name for name in T_MODEL if name in given]
+        if named:
+            missing = [name for name in T_MODEL if name not in given]
+            if missing:
+                raise ValueError(f"the T-model needs {', '.join(T_MODEL)}: {missing[0]} is missing")
+            given |= from_t_model(**{name: _positive(name, given.pop(name)) for name in T_MODEL})
+        return given
+
+    @property
+    def magnet_flux(self) -> float | None:
+        return self.flux_base(1.0) if self.psi_R or self.rated_current else None
+
+    @property
+    def constraint(self) -> QuadraticConstraint:
+        L, one = self.L_sigma, np.eye(2)
+        return QuadraticConstraint(one, -2 * L * one, L * L * one, d=-((self.magnet_flux or 0.0) ** 2))
+
+    def flux_base(self, rated_current: float, psi_f: float | None = None) -> float | None:
+        if psi_f is not None or self.psi_R is not None:
+            return psi_f or self.psi_R
+        return MAGNETIZING * self.L_M * (self.rated_current or rated_current)
+
+    def constraint_noise(self, flux_base: float, noise: float) -> float:
+        return 2 * self.L_sigma * flux_base * noise
+
+    def map_for(self, sample_time: float, psi_f: float) -> FluxMap | None:
+        still = STILL * psi_f / self.L_M
+        return CageMap(self.L_sigma, self.L_M, self.R_R, sample_time, psi_f, still)
+
+    def slip(self, flux: Array, current: Array) -> Array:
+        """Speed of the rotor flux against the rotor, electrical [rad/s], (...)."""
+        x = np.asarray(flux) - self.L_sigma * np.asarray(current)
+        across = x[..., 0] * current[..., 1] - x[..., 1] * current[..., 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(self.R_R * across / np.sum(x * x, axis=-1))
+
+    @property
+    def slip_share_std(self) -> float:
+        """Standard deviation of the slip over the slip: that of R_R."""
+        return ROTOR_SHARE if self.R_R_std is None else self.R_R_std / self.R_R
+
+
+#: Standard deviation of R_R over R_R, if the file does not say: heat alone makes it ± 20 %.
+ROTOR_SHARE = 0.3
+
+
+def from_t_model(R_r: float, L_ls: float, L_lr: float, L_m: float) -> dict[str, float]:
+    """R_R, L_sigma, L_M of the inverse-Γ model: the same terminals with all leakage on one side."""
+    k = L_m / (L_lr + L_m)
+    return {"R_R": k * k * R_r, "L_sigma": L_ls + k * L_lr, "L_M": k * L_m}
+
+
+def from_plate(plate: object) -> dict[str, Any]:
+    """All parameters, roughly, from the rating plate."""
+    if not isinstance(plate, Mapping) or set(plate) != set(PLATE):
+        raise ValueError(f"plate has {', '.join(PLATE)} [V rms, Hz, W, A rms, rpm, 1]")
+    V, f, P, I, n, cos_phi = (_positive(f"plate.{name}", plate[name]) for name in PLATE)
+    if not cos_phi < 1:
+        raise ValueError(f"plate.cos_phi must be below 1, got {cos_phi:g}")
+    n_p = int(60 * f / n)
+    slip = 1 - n * n_p / (60 * f)
+    if n_p < 1 or not 0 < slip < 0.2:
+        raise ValueError(
+            f"plate.speed {n:g} rpm and frequency {f:g} Hz give no slip between 0 and 20 %: the "
+            f"rated speed is a little below 60 f/n_p"
+        )
+    omega = 2 * np.pi * f
+    u, i = V * np.sqrt(2 / 3), I * np.sqrt(2) * complex(cos_phi, -np.sqrt(1 - cos_phi**2))
+    across_gap = P / (1 - slip)
+    taken = 1.5 * u * i.real
+    if not across_gap < taken:
+        raise ValueError(
+            f"plate: {P:g} W at the shaft need {across_gap:.4g} W across the air gap, more than the "
+            f"{taken:.4g} W that voltage, current and cos_phi give"
+        )
+    R_s = (taken - across_gap) / (1.5 * abs(i) ** 2)
+    L_sigma = LEAKAGE * u / abs(i) / omega
+    x = (u - (R_s + 1j * omega * L_sigma) * i) / (1j * omega)
+    i_dq = i * abs(x) / x
+    values = {
+        "R_s": R_s,
+        "R_R": slip * omega * abs(x) / i_dq.imag,
+        "L_sigma": L_sigma,
+        "L_M": abs(x) / i_dq.real,
+        "psi_R": abs(x),
+        "rated_current": abs(i),
+        "rated_speed": n * np.pi / 30,
+    }
+    return {name: float(f"{value:.4g}") for name, value in values.items()} | {"n_p": n_p}
+
+
+def _positive(name: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
+        raise ValueError(f"{name} must be a positive number, got {value!r}")
+    return float(value)

@@ -1,0 +1,299 @@
+"""Flux maps in machine files: a table of points, or the algebraic model of saturation."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator, ValidationError
+
+from ..errors import FluxobsError, MachineError, ModelError
+from ..model.flux_table import FittedTable, fit_table
+from ..validation import NotNegative, Positive, complaints
+
+Complex = NDArray[np.complex128]
+
+#: Columns of a map's file [A], [Wb].
+COLUMNS = ("i_d", "i_q", "psi_d", "psi_q")
+#: A model is tabulated up to this many rated currents: few drives use more.
+RANGE = 2.0
+#: Points along each axis of such a table: more than it has splines.
+POINTS = 61
+#: Exponents of the algebraic model.
+Exponent = Annotated[float, Field(ge=0, le=20, allow_inf_nan=False)]
+
+
+@dataclass(frozen=True, eq=False)
+class FluxPoints:
+    """Points of a flux map, on a grid or scattered.
+
+    Points for one sign of i_q are mirrored to the other; without magnets also those for one sign of
+    i_d.
+
+    Parameters
+    ----------
+    current, flux : (points,) array_like
+        d + j q [A], [Wb].
+    source : str
+        Where they come from: the path of their file.
+    """
+
+    current: Complex
+    flux: Complex
+    source: str = "flux_map"
+
+    def __post_init__(self) -> None:
+        for name in ("current", "flux"):
+            value = np.array(getattr(self, name), complex).ravel()
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_columns(
+        cls, i_d: ArrayLike, i_q: ArrayLike, psi_d: ArrayLike, psi_q: ArrayLike
+    ) -> FluxPoints:
+        """Points from four arrays of one shape [A], [Wb]."""
+        d, q, flux_d, flux_q = (np.asarray(part, float) for part in (i_d, i_q, psi_d, psi_q))
+        return cls(d + 1j * q, flux_d + 1j * flux_q)
+
+    @classmethod
+    def read(cls, path: str | Path) -> FluxPoints:
+        """Points from a CSV file with columns i_d, i_q [A], psi_d, psi_q [Wb].
+
+        Raises
+        ------
+        MachineError
+            The file cannot be read, a column is missing or a value is no number.
+        """
+        try:
+            with open(path, newline="", encoding="utf-8-sig") as file:
+                lines = [line for line in file if line.strip() and not line.startswith("#")]
+        except OSError as error:
+            raise MachineError(f"{path}: cannot be read: {error.strerror}") from None
+        except UnicodeDecodeError as error:
+            raise MachineError(f"{path}: not a CSV file: {error}") from None
+        rows = list(csv.DictReader(lines, skipinitialspace=True))
+        have = [name.strip() for name in rows[0]] if rows else []
+        missing = [name for name in COLUMNS if name not in have]
+        if missing:
+            raise MachineError(
+                f"{path}: a flux map has the columns {', '.join(COLUMNS)} [A, A, Wb, Wb]; "
+                f"{', '.join(missing)} is missing"
+            )
+        values = np.empty((len(rows), 4))
+        for k, row in enumerate(rows):
+            named = {str(name).strip(): value for name, value in row.items()}
+            for n, name in enumerate(COLUMNS):
+                try:
+                    values[k, n] = float(named[name] or "")
+                except ValueError:
+                    raise MachineError(
+                        f"{path}: point {k + 1}: {name} is {named[name]!r}, not a number"
+                    ) from None
+        return cls(values[:, 0] + 1j * values[:, 1], values[:, 2] + 1j * values[:, 3], str(path))
+
+    def table(self, rated_current: float | None, magnets: bool) -> FittedTable:
+        """The splines through these points."""
+        return fit_table(self.current, self.flux, magnets)
+
+    def text(self) -> str:
+        """As in a machine file."""
+        return repr(self.source)
+
+
+class AlgebraicSaturation(BaseModel):
+    """Currents as algebraic functions of the fluxes, with cross-saturation:
+
+        i_d = (a_d0 + a_dd |ψ_d|^S + a_dq/(V+2) |ψ_d|^U |ψ_q|^(V+2)) ψ_d - i_m
+        i_q = (a_q0 + a_qq |ψ_q|^T + a_dq/(U+2) |ψ_d|^(U+2) |ψ_q|^V) ψ_q
+
+    i_m makes i_d = 0 at the magnets' flux psi_f. It is reciprocal whatever the parameters.
+
+    Parameters
+    ----------
+    a_d0, a_q0 : float
+        Inverse inductances without saturation [1/H], > 0.
+    a_dd, a_qq, a_dq : float
+        Saturation of d, of q, and of each by the other [A/Wb^(S+1)] …, >= 0.
+    S, T, U, V : float
+        Exponents, 0 to 20.
+    psi_f : float
+        Flux of the magnets [Wb], >= 0.
+
+    References
+    ----------
+    Hinkkanen, Pescetto, Mölsä, Saarakkala, Pellegrino, Bojoi, "Sensorless self-commissioning of
+    synchronous reluctance motors at standstill without rotor locking", IEEE Trans. Ind. Appl. 53
+    (2017), doi:10.1109/TIA.2016.2644624.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    a_d0: Positive
+    a_q0: Positive
+    a_dd: NotNegative = 0.0
+    a_qq: NotNegative = 0.0
+    a_dq: NotNegative = 0.0
+    S: Exponent = 5.0
+    T: Exponent = 1.0
+    U: Exponent = 1.0
+    V: Exponent = 0.0
+    psi_f: NotNegative = 0.0
+
+    def current(self, flux: ArrayLike) -> Complex:
+        """Current d + j q [A] of a flux [Wb], (...)."""
+        psi = np.asarray(flux, complex)
+        d, q = np.abs(psi.real), np.abs(psi.imag)
+        S, T, U, V = self.S, self.T, self.U, self.V
+        by_d = self.a_d0 + self.a_dd * d**S + self.a_dq / (V + 2) * d**U * q ** (V + 2)
+        by_q = self.a_q0 + self.a_qq * q**T + self.a_dq / (U + 2) * d ** (U + 2) * q**V
+        magnet = (self.a_d0 + self.a_dd * self.psi_f**S) * self.psi_f
+        return np.asarray(by_d * psi.real - magnet + 1j * by_q * psi.imag)
+
+    def slopes(self, flux: ArrayLike) -> tuple[NDArray[np.float64], ...]:
+        """∂i_d/∂ψ_d, ∂i_d/∂ψ_q = ∂i_q/∂ψ_d and ∂i_q/∂ψ_q [1/H], each (...)."""
+        psi = np.asarray(flux, complex)
+        d, q = np.abs(psi.real), np.abs(psi.imag)
+        S, T, U, V, a = self.S, self.T, self.U, self.V, self.a_dq
+        dd = self.a_d0 + (S + 1) * self.a_dd * d**S + a * (U + 1) / (V + 2) * d**U * q ** (V + 2)
+        qq = self.a_q0 + (T + 1) * self.a_qq * q**T + a * (V + 1) / (U + 2) * d ** (U + 2) * q**V
+        sign = np.sign(psi.real) * np.sign(psi.imag)
+        return dd, sign * a * d ** (U + 1) * q ** (V + 1), qq
+
+    def flux(self, current: ArrayLike) -> Complex:
+        """Flux d + j q [Wb] of a current [A], (...), by Newton's method.
+
+        The map is the gradient of a convex energy, so damped steps always arrive.
+        """
+        i = np.asarray(current, complex)
+        psi = np.full(i.shape, complex(self.psi_f))
+        for _ in range(200):
+            off = i - self.current(psi)
+            dd, dq, qq = self.slopes(psi)
+            det = dd * qq - dq * dq
+            step = (qq * off.real - dq * off.imag) / det + 1j * (
+                (dd * off.imag - dq * off.real) / det
+            )
+            most = 0.3 * (np.abs(psi) + 1 / (self.a_d0 + self.a_q0))
+            psi = psi + step * np.minimum(1.0, most / np.maximum(np.abs(step), 1e-300))
+            if np.all(np.abs(step) <= 1e-13 * (1e-3 + np.abs(psi))):
+                return np.asarray(psi)
+        raise ModelError("the flux of a current cannot be found: check the saturation parameters")
+
+    def table(self, rated_current: float | None, magnets: bool) -> FittedTable:
+        """Splines through points up to twice the rated current [A]."""
+        if rated_current is None:
+            raise MachineError("flux_map by its parameters needs rated_current, for its range")
+        if magnets != (self.psi_f > 0):
+            raise MachineError(
+                "flux_map: psi_f is missing, the flux of the magnets [Wb]"
+                if magnets
+                else "flux_map: psi_f given, but this kind has no magnets"
+            )
+        at = np.linspace(-RANGE, RANGE, POINTS) * rated_current
+        i = (at[:, None] + 1j * at[None, :]).ravel()
+        return fit_table(i, self.flux(i), magnets)
+
+    def text(self) -> str:
+        """As in a machine file: an inline table."""
+        return "{ " + ", ".join(f"{k} = {v!r}" for k, v in self.model_dump().items()) + " }"
+
+
+@dataclass(frozen=True)
+class Falling:
+    """Inductances that fall with the current: ``L(x) = L / √(1 + k x²)``, x over the rated current.
+
+    Parameters
+    ----------
+    L_d, L_q : float
+        Without current [H].
+    rated_L_d, rated_L_q : float
+        Apparent inductance at the rated current [H], not above the former.
+    psi_f : float
+        [Wb].
+    together : bool
+        x is the length of the current vector, for both axes; else each axis has its own.
+    """
+
+    L_d: float
+    L_q: float
+    rated_L_d: float
+    rated_L_q: float
+    psi_f: float
+    together: bool = False
+
+    def table(self, rated_current: float | None, magnets: bool) -> FittedTable:
+        """Splines through points up to twice the rated current [A]."""
+        if rated_current is None:
+            raise MachineError("an inductance that falls needs rated_current")
+        at = np.linspace(-RANGE, RANGE, POINTS)
+        x = (at[:, None] + 1j * at[None, :]).ravel()
+        parts = []
+        for L, rated, own in ((self.L_d, self.rated_L_d, x.real), (self.L_q, self.rated_L_q, x.imag)):
+            k = (L / rated) ** 2 - 1
+            square = np.abs(x) ** 2 if self.together else own**2
+            parts.append(L * rated_current * own / np.sqrt(1 + k * square))
+        flux = self.psi_f + parts[0] + 1j * parts[1]
+        return fit_table(x * rated_current, flux, magnets)
+
+
+MapSource = FluxPoints | AlgebraicSaturation
+
+
+def read_source(given: object) -> MapSource:
+    """A map from what a machine file or a call gives: a path, a table of parameters, or a map."""
+    if isinstance(given, FluxPoints | AlgebraicSaturation):
+        return given
+    if isinstance(given, str | Path):
+        return _told(lambda: FluxPoints.read(given))
+    if isinstance(given, Mapping):
+        names = AlgebraicSaturation.model_fields
+        try:
+            return AlgebraicSaturation(**given)
+        except ValidationError as error:
+            raise ValueError("flux_map: " + complaints(error, names, "flux_map")) from None
+    raise ValueError(
+        f"flux_map must be the path of a CSV file, a table of the algebraic model's parameters or "
+        f"FluxPoints, got {type(given).__name__}"
+    )
+
+
+def _told(read: Any) -> Any:
+    """Let pydantic carry the message."""
+    try:
+        return read()
+    except FluxobsError as error:
+        raise ValueError(str(error)) from None
+
+
+#: Field of a machine.
+FluxMapField = Annotated[
+    MapSource, PlainValidator(read_source), PlainSerializer(lambda source: source)
+]
+
+
+@lru_cache(maxsize=64)
+def fitted(
+    source: MapSource | Falling, rated_current: float | None, magnets: bool
+) -> FittedTable:
+    """The splines of a map, made once: copies of a machine share them."""
+    return source.table(rated_current, magnets)
+
+
+def chords(fit: FittedTable, rated_current: float | None) -> tuple[float, float, float]:
+    """L_d, L_q [H] and psi_f [Wb] of the linear machine near a map: chords over ± the rated
+    current along q, over half of it along d."""
+    table = fit.table
+    most = float(min(np.abs(table.q).min(), 2 * max(np.abs(table.d))))
+    i = min(rated_current or most, most)
+    ends_d = np.clip(np.array([i, -i]) / 2, *table.d)
+    along_d, along_q = table.flux(ends_d + 0j).real, table.flux(np.array([1j * i, -1j * i])).imag
+    L_d = float((along_d[0] - along_d[1]) / (ends_d[0] - ends_d[1]))
+    L_q = float((along_q[0] - along_q[1]) / (2 * i))
+    return L_d, L_q, float(table.flux(0j).real)

@@ -1,0 +1,226 @@
+"""How the flux of a machine depends on its current, in rotor coordinates.
+
+A machine with the map F has the flux ``λ = e^{jφ} F(e^{-jφ} i)``. The observers ask a map for F, its
+derivative J and the auxiliary flux ``a = F + j J(j i)``: an error e of the angle φ moves the flux of
+a current by ``-j e a``. So ``λ - e^{jφ}(F - a_d)`` lies along d whatever small error the φ has at
+which the map was asked (docs/theory.md, section 14).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import BSpline
+
+from ..errors import ModelError
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Degree of the splines: with two continuous derivatives the inductances have no kinks.
+DEGREE = 3
+
+
+class Mapped(NamedTuple):
+    """A map at currents, each (...): flux d + j q [Wb]; its derivatives by i_d and i_q [H]."""
+
+    flux: Complex
+    by_d: Complex
+    by_q: Complex
+
+    def auxiliary(self, current: ArrayLike) -> Complex:
+        """``F + j J(j i)`` [Wb]; its real part is the active flux."""
+        i = np.asarray(current, complex)
+        return np.asarray(self.flux + 1j * (self.by_q * i.real - self.by_d * i.imag))
+
+
+class FluxMap:
+    """The interface of every map. Maps are frozen; see the subclasses."""
+
+    #: Its number in firmware/fluxobs_map.h.
+    code: ClassVar[int]
+    #: Whether there are magnets (or a rotor flux): F(0) is not 0.
+    magnets: bool
+
+    def at(self, current: ArrayLike) -> Mapped:
+        """Flux and derivatives at currents in rotor coordinates d + j q [A], (...)."""
+        raise NotImplementedError
+
+    def flux(self, current: ArrayLike) -> Complex:
+        """Flux at currents in rotor coordinates d + j q [Wb], [A], (...)."""
+        return self.at(current).flux
+
+    def outside(self, current: ArrayLike) -> NDArray[np.bool_]:
+        """Whether currents are outside the map's range, where it is extrapolated, (...)."""
+        return np.zeros(np.shape(current), bool)
+
+    def fields(self) -> dict[str, Any]:
+        """Its fields in C: a subset of fo_map (firmware/fluxobs_map.h)."""
+        raise NotImplementedError
+
+    def core(self) -> dict[str, Any]:
+        """All fields of fo_map."""
+        zeros = dict.fromkeys(
+            "psi L_d L_q decay still least_d most_d over_d least_q most_q over_q".split(), 0.0
+        )
+        none: dict[str, Any] = {"coefficients": np.zeros((0, 0, 2))}
+        return (
+            {"kind": self.code, "magnets": self.magnets} | zeros | none | self.fields()
+        )
+
+
+@dataclass(frozen=True)
+class LinearMap(FluxMap):
+    """``psi + L_d i_d + j L_q i_q`` [Wb], [H]."""
+
+    psi: float
+    L_d: float
+    L_q: float
+
+    code: ClassVar[int] = 0
+
+    @property
+    def magnets(self) -> bool:  # type: ignore[override]
+        return self.psi > 0
+
+    def at(self, current: ArrayLike) -> Mapped:
+        i = np.asarray(current, complex)
+        ones = np.ones(i.shape)
+        return Mapped(
+            np.asarray(self.psi + self.L_d * i.real + 1j * self.L_q * i.imag),
+            self.L_d * ones + 0j,
+            1j * self.L_q * ones,
+        )
+
+    def fields(self) -> dict[str, Any]:
+        return {"psi": self.psi, "L_d": self.L_d, "L_q": self.L_q}
+
+
+@dataclass(frozen=True)
+class CageMap(FluxMap):
+    """``psi + L_sigma i``, d along the rotor flux, whose length obeys ``dψ/dt = R_R i_d - R_R ψ/L_M``.
+
+    Parameters
+    ----------
+    L_sigma, L_M : float
+        Leakage and magnetizing inductance of the inverse-Γ model [H].
+    R_R : float
+        Its rotor resistance [Ω].
+    sample_time : float
+        [s].
+    psi_R : float
+        Rated rotor flux [Wb].
+    still : float
+        Change of i_d below which the rotor flux is taken to stand [A].
+    """
+
+    L_sigma: float
+    L_M: float
+    R_R: float
+    sample_time: float
+    psi_R: float
+    still: float
+
+    code: ClassVar[int] = 2
+    magnets: ClassVar[bool] = True  # type: ignore[misc]
+
+    def at(self, current: ArrayLike) -> Mapped:
+        return LinearMap(self.psi_R, self.L_sigma, self.L_sigma).at(current)
+
+    def fields(self) -> dict[str, Any]:
+        return {
+            "L_d": self.L_sigma,
+            "L_q": self.L_sigma,
+            "decay": self.R_R * self.sample_time / self.L_M,
+            "still": self.still,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class TableMap(FluxMap):
+    """Cubic B-splines over a grid of currents with equal steps in each direction.
+
+    Beyond the grid the map goes on linearly, and :meth:`outside` says so.
+
+    Parameters
+    ----------
+    d, q : (2,) array_like
+        Range of i_d and of i_q [A].
+    coefficients : (intervals along d + 3, intervals along q + 3, 2) array_like
+        Of psi_d and psi_q [Wb].
+    magnets : bool
+    """
+
+    d: Array
+    q: Array
+    coefficients: Array
+    magnets: bool = field(default=True)
+
+    code: ClassVar[int] = 1
+
+    def __post_init__(self) -> None:
+        for name in ("d", "q", "coefficients"):
+            value = np.array(getattr(self, name), float)
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        if self.coefficients.ndim != 3 or self.coefficients.shape[2] != 2:
+            raise ModelError(f"coefficients must be (d, q, 2), got {self.coefficients.shape}")
+        if min(self.coefficients.shape[:2]) < DEGREE + 1:
+            raise ModelError("a table needs at least one interval along d and along q")
+        if not (self.d[1] > self.d[0] and self.q[1] > self.q[0]):
+            raise ModelError("a table's ranges of i_d and i_q must not be empty")
+        if not np.isfinite(self.coefficients).all():
+            raise ModelError("every coefficient of a table must be finite")
+
+    @property
+    def intervals(self) -> tuple[int, int]:
+        """Along d and along q."""
+        return self.coefficients.shape[0] - DEGREE, self.coefficients.shape[1] - DEGREE
+
+    def at(self, current: ArrayLike) -> Mapped:
+        i = np.asarray(current, complex)
+        d, q = np.clip(i.real, *self.d), np.clip(i.imag, *self.q)
+        c = self.coefficients[..., 0] + 1j * self.coefficients[..., 1]
+
+        def value(by_d: int, by_q: int) -> Complex:
+            along_d = basis(d.ravel(), self.d, self.intervals[0], by_d)
+            along_q = basis(q.ravel(), self.q, self.intervals[1], by_q)
+            return np.einsum("kd,dq,kq->k", along_d, c, along_q, optimize=True).reshape(i.shape)
+
+        flux, by_d, by_q = value(0, 0), value(1, 0), value(0, 1)
+        return Mapped(flux + (i.real - d) * by_d + (i.imag - q) * by_q, by_d, by_q)
+
+    def outside(self, current: ArrayLike) -> NDArray[np.bool_]:
+        i = np.asarray(current, complex)
+        beyond_d = (i.real < self.d[0]) | (i.real > self.d[1])
+        return np.asarray(beyond_d | (i.imag < self.q[0]) | (i.imag > self.q[1]))
+
+    @cached_property
+    def psi_f(self) -> float:
+        """Flux of the magnets [Wb]: that without current."""
+        return float(self.flux(0j).real) if self.magnets else 0.0
+
+    def fields(self) -> dict[str, Any]:
+        over = np.array(self.intervals) / (self.d[1] - self.d[0], self.q[1] - self.q[0])
+        return {
+            "psi": self.psi_f,
+            "least_d": self.d[0],
+            "most_d": self.d[1],
+            "over_d": over[0],
+            "least_q": self.q[0],
+            "most_q": self.q[1],
+            "over_q": over[1],
+            "coefficients": np.ascontiguousarray(self.coefficients),
+        }
+
+
+def basis(x: Array, span: Array, intervals: int, derivative: int = 0) -> Array:
+    """Values or derivatives of the B-splines over `span` in equal intervals, (len(x), splines)."""
+    step = (span[1] - span[0]) / intervals
+    knots = span[0] + step * np.arange(-DEGREE, intervals + DEGREE + 1)
+    splines = BSpline(knots, np.eye(intervals + DEGREE), DEGREE)
+    return np.asarray((splines.derivative(derivative) if derivative else splines)(x))

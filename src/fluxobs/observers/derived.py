@@ -1,0 +1,66 @@
+"""What follows from an estimate and the machine: torque, slip, mechanical speed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machines import InductionMachine, Machine, RotatingMachine
+from .base import Estimate
+from .outputs import Output
+
+Array = NDArray[np.float64]
+
+
+def _column(name: str, unit: str, about: str) -> Output:
+    return Output(name, unit, about, vector=False, boolean=False, in_files=True, exact=False)
+
+
+#: Of every machine that turns.
+ROTATING = (
+    _column("torque", "N m", "Air-gap torque, 1.5 n_p Im(λ* i)"),
+    _column("speed_mech", "rad/s", "Mechanical speed"),
+)
+#: Of an induction machine, besides.
+INDUCTION = (
+    _column("speed_mech_std", "rad/s", "Standard deviation that R_R gives the mechanical speed"),
+    _column("slip_e", "rad/s", "Speed of the rotor flux against the rotor, electrical"),
+)
+
+
+def derived_outputs(machine: Machine) -> tuple[Output, ...]:
+    """What :func:`derived` returns for a machine."""
+    if isinstance(machine, InductionMachine):
+        return (*ROTATING, *INDUCTION)
+    return ROTATING if isinstance(machine, RotatingMachine) else ()
+
+
+def derived(machine: Machine, estimate: Estimate, current: Array) -> dict[str, Array]:
+    """Torque and speeds of the rows.
+
+    Parameters
+    ----------
+    machine : Machine
+        Empty result for one that does not turn.
+    estimate : Estimate
+    current : (rows, 2) ndarray
+        As measured [A].
+
+    Returns
+    -------
+    dict of str to (rows,) ndarray
+        By the names of :func:`derived_outputs`, in SI.
+    """
+    if not isinstance(machine, RotatingMachine):
+        return {}
+    flux, i = estimate.flux, current
+    torque = 1.5 * machine.n_p * (flux[..., 0] * i[..., 1] - flux[..., 1] * i[..., 0])
+    if not isinstance(machine, InductionMachine):
+        return {"torque": torque, "speed_mech": estimate.speed_e / machine.n_p}
+    slip = machine.slip(flux, i)
+    return {
+        "torque": torque,
+        "speed_mech": (estimate.speed_e - slip) / machine.n_p,
+        "speed_mech_std": machine.slip_share_std * np.abs(slip) / machine.n_p,
+        "slip_e": slip,
+    }
