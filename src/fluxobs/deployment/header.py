@@ -149,8 +149,11 @@ def parameters(machine: RotatingMachine) -> dict[str, str]:
     """What the machine file says, with units."""
     units = {"R_s": "ohm", "n_p": "pole pairs", "psi_f": "Wb", "rated_current": "A"}
     units |= {"inverter_voltage": "V", "inverter_current": "A"}
-    given = machine.model_dump(by_alias=True, exclude_none=True)
-    return {"kind": machine.kind} | {
+    units |= {"R_R": "ohm", "psi_R": "Wb", "rated_speed": "rad/s"}
+    given = {name: value for name, value in machine.parameters().items() if value is not None}
+    flux_map = given.pop("flux_map", None)
+    found = {"kind": machine.kind} | {
         name: f"{value:.9g} {units.get(name.removesuffix('_std'), 'H')}"
         for name, value in given.items()
     }
+    return found if flux_map is None else found | {"flux_map": flux_map.text()}

@@ -11,7 +11,7 @@ its λ₀ and θ by its own QR decomposition, so the work grows only with the nu
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ..checking.stretches import LAGS
 from ..observers.immersed import CORRELATION_LIMIT
 from .pieces import Piece
+from .relations import SATURATION, Relation, Rows, linear
 
 Array = NDArray[np.float64]
 
@@ -29,6 +30,8 @@ HUBER = 1.345
 ITERATIONS, HALVINGS = 60, 12
 #: Steps below this share of the uncertainty end the iteration.
 CONVERGED = 1e-4
+#: Rows of a log that repeat one another's errors, against a prior: about an eighth of a turn.
+REPEATED = 20.0
 #: Number of stretches of a log whose sums of residuals are taken as independent.
 BLOCKS = 24
 
@@ -45,13 +48,13 @@ class Fit:
     covariance : (free, free) array
         For each parameter the larger of two estimates: from the coloured residuals, and from the
         scatter over stretches of the log. Then what the held parameters may turn it by.
-    own : (free,) array
-        The standard deviations without that.
+    own_covariance : (free, free) array
+        Without that.
     alike : (free,) array
         How far the others can imitate each parameter: the factor by which its variance exceeds
         that with the others known.
-    along : (rows,) array
-        Current along the position vector, all pieces [A].
+    current : (rows,) complex array
+        Current in rotor coordinates, all pieces [A].
     residuals : list of (rows,) array
         r of each piece [Wb].
     local : list of ((2,) array, (2,) array)
@@ -62,12 +65,17 @@ class Fit:
     values: dict[str, float]
     free: tuple[str, ...]
     covariance: Array
-    own: Array
+    own_covariance: Array
     alike: Array
-    along: Array
+    current: NDArray[np.complex128]
     residuals: list[Array]
     local: list[tuple[Array, Array]]
     converged: bool
+
+    @property
+    def own(self) -> Array:
+        """Standard deviations without what the held parameters may do, (free,)."""
+        return np.asarray(np.sqrt(np.diag(self.own_covariance)))
 
     def std(self, name: str) -> float:
         k = self.free.index(name)
@@ -83,10 +91,35 @@ def _dot(a: Array, b: Array) -> Array:
     return np.asarray(np.einsum("ij,ij->i", a, b))
 
 
+#: α + j β of a vector.
+ALPHA_BETA = np.array([1, 1j])
+
+
 def evaluate(
-    piece: Piece, values: Mapping[str, float], start: Array, drift: Array, free: Sequence[str]
+    piece: Piece,
+    values: Mapping[str, float],
+    start: Array,
+    drift: Array,
+    free: Sequence[str],
+    relation: Relation = linear,
 ) -> tuple[Array, Array, Array]:
     """Residual (rows,), its derivatives by (λ₀, θ), (rows, 4), and by the free parameters."""
+    said, slope = _said(piece, values, start, drift, relation)
+    to_flux = np.stack([said.to_flux.real, said.to_flux.imag], axis=1)
+    local = np.concatenate([to_flux, to_flux * piece.t[:, None]], axis=1)
+    by_name = said.by_name | {
+        "R_s": -_dot(to_flux, piece.charge),
+        "inverter": -_dot(to_flux, piece.inverter),
+        "lag": _dot(to_flux, slope),
+    }
+    columns = np.reshape([by_name[name] for name in free], (len(free), len(piece))).T
+    return said.residual, local, columns
+
+
+def _said(
+    piece: Piece, values: Mapping[str, float], start: Array, drift: Array, relation: Relation
+) -> tuple[Rows, Array]:
+    """What the relation says of a piece, and the derivative of its flux by the lag."""
     i, lag = piece.current, values["lag"]
     low = int(np.clip(np.floor(lag), LAGS[0], LAGS[-1] - 1)) - LAGS[0]
     share = lag - LAGS[0] - low
@@ -97,32 +130,16 @@ def evaluate(
         u = piece.voltage[low] + share * slope
     flux = start + u - values["R_s"] * piece.charge - values["inverter"] * piece.inverter
     flux = flux + drift * piece.t[:, None]
-    x = flux - values["L_q"] * i
-    length = np.sqrt(_dot(x, x))
-    along = _dot(x, i) / length  # current along x
-    saliency = values["L_d"] - values["L_q"]
-    residual = length - values["psi_f"] - saliency * along
-    direction = x / length[:, None]
-    to_flux = direction - saliency * (i - along[:, None] * direction) / length[:, None]
-    local = np.concatenate([to_flux, to_flux * piece.t[:, None]], axis=1)
-    ones = np.ones(len(i))
-    by_name = {
-        "R_s": -_dot(to_flux, piece.charge),
-        "inverter": -_dot(to_flux, piece.inverter),
-        "psi_f": -ones,
-        "L_s": -_dot(direction, i),
-        "L_d": -along,
-        "L_q": along - _dot(to_flux, i),
-        "lag": _dot(to_flux, slope),
-    }
-    return residual, local, np.reshape([by_name[name] for name in free], (len(free), len(i))).T
+    return relation(flux @ ALPHA_BETA, i @ ALPHA_BETA, values), slope
 
 
 def _with(values: Mapping[str, float], free: Sequence[str], step: Array) -> dict[str, float]:
-    """Values after a step; L_s stands for both inductances."""
+    """Values after a step; L_s stands for both inductances, and saturation is not negative."""
     new = dict(values)
     for name, change in zip(free, step, strict=True):
         new[name] = values[name] + float(change)
+        if name in SATURATION:
+            new[name] = max(new[name], 0.0)
     if "L_s" in free:
         new["L_d"] = new["L_q"] = new["L_s"]
     return new
@@ -154,6 +171,8 @@ def fit(
     free: Sequence[str],
     local: Sequence[tuple[Array, Array]] | None = None,
     held: Mapping[str, float] | None = None,
+    relation: Relation = linear,
+    prior: Mapping[str, tuple[float, float]] | None = None,
 ) -> Fit:
     """Find the best parameters, from a start that is right within a factor of two or so.
 
@@ -169,17 +188,22 @@ def fit(
     held : mapping of str to float, optional
         Standard deviations of parameters; of those that are not free, what they may turn the others
         by is in the covariance.
+    relation : Relation
+        Default: constant inductances.
+    prior : mapping of str to (float, float), optional
+        Mean and standard deviation of free parameters before the log.
     """
+    believed = _believed(prior or {}, free)
     values, names = dict(start), tuple(free)
     at = local if local is not None else [(piece.start, piece.drift) for piece in data]
     here = [(start.copy(), drift.copy()) for start, drift in at]
 
     def run(at: Mapping[str, float], where: Sequence[tuple[Array, Array]]) -> list[Array]:
-        return [evaluate(p, at, *w, names)[0] for p, w in zip(data, where, strict=True)]
+        return [evaluate(p, at, *w, names, relation)[0] for p, w in zip(data, where, strict=True)]
 
     converged = False
     for _ in range(ITERATIONS):
-        parts = [evaluate(p, values, *w, names) for p, w in zip(data, here, strict=True)]
+        parts = [evaluate(p, values, *w, names, relation) for p, w in zip(data, here, strict=True)]
         residuals = [part[0] for part in parts]
         scale = 1.4826 * float(np.median(np.abs(np.concatenate(residuals)))) + 1e-15
         triangles: list[Array] = []
@@ -189,22 +213,25 @@ def fit(
             triangles.append(np.asarray(np.linalg.qr(block, mode="r")))
         step = np.zeros(len(names))
         if names:
-            rows = np.concatenate([R[4:, 4:] for R in triangles])
+            rows = np.concatenate([*(R[4:, 4:] for R in triangles), scale * believed(values)])
             size = np.linalg.norm(rows[:, :-1], axis=0) + 1e-300
             step = -np.linalg.lstsq(rows[:, :-1] / size, rows[:, -1], rcond=1e-9)[0] / size
         moves = [
             -np.linalg.lstsq(R[:4, :4], R[:4, -1] + R[:4, 4:-1] @ step, rcond=1e-12)[0]
             for R in triangles
         ]
-        before, factor = _cost(residuals, scale), 1.0
+        before = _cost(residuals, scale) + np.sum(believed(values)[:, -1] ** 2) / 2
+        factor = 1.0
         for _ in range(HALVINGS):
             new = _with(values, names, factor * step)
             where = [
                 (s + factor * m[:2], d + factor * m[2:])
                 for (s, d), m in zip(here, moves, strict=True)
             ]
-            if _possible(new) and _cost(run(new, where), scale) <= before * (1 + 1e-12):
-                break
+            if _possible(new):
+                after = _cost(run(new, where), scale) + np.sum(believed(new)[:, -1] ** 2) / 2
+                if after <= before * (1 + 1e-12):
+                    break
             factor /= 2
         else:
             break
@@ -212,11 +239,32 @@ def fit(
         if _change(triangles, moves, step) < CONVERGED * scale:
             converged = True
             break
-    along = [-evaluate(p, values, *w, ("L_d",))[2][:, 0] for p, w in zip(data, here, strict=True)]
-    covariance, own, alike, residuals = _uncertainty(data, values, here, names, held or {})
-    return Fit(
-        values, names, covariance, own, alike, np.concatenate(along), residuals, here, converged
+    current = [_said(p, values, *w, relation)[0].current for p, w in zip(data, here, strict=True)]
+    covariance, own, alike, residuals = _uncertainty(
+        data, values, here, names, held or {}, relation, believed(values)[:, :-1]
     )
+    return Fit(
+        values, names, covariance, own, alike, np.concatenate(current), residuals, here, converged
+    )
+
+
+def _believed(
+    prior: Mapping[str, tuple[float, float]], free: Sequence[str]
+) -> Callable[[Mapping[str, float]], Array]:
+    """Rows (derivatives, residual) of the prior at given values, in standard deviations. A row of a
+    log is no independent measurement; REPEATED of them count as one against the prior."""
+    names = [name for name in free if name in prior]
+    places = [tuple(free).index(name) for name in names]
+
+    def rows(values: Mapping[str, float]) -> Array:
+        out = np.zeros((len(names), len(free) + 1))
+        for k, (name, place) in enumerate(zip(names, places, strict=True)):
+            mean, std = prior[name]
+            out[k, place] = np.sqrt(REPEATED) / std
+            out[k, -1] = np.sqrt(REPEATED) * (values[name] - mean) / std
+        return out
+
+    return rows
 
 
 def _change(triangles: Sequence[Array], moves: Sequence[Any], step: Array) -> float:
@@ -233,12 +281,14 @@ def _uncertainty(
     local: Sequence[tuple[Array, Array]],
     names: Sequence[str],
     held: Mapping[str, float],
+    relation: Relation,
+    believed: Array,
 ) -> tuple[Array, Array, Array, list[Array]]:
-    """Covariance of the free parameters, stds without the held ones, how alike they are, and the
+    """Covariance of the free parameters, that without the held ones, how alike they are, and the
     residuals."""
     considered = [name for name in held if name not in names]
     both = [*names, *considered]
-    parts = [evaluate(p, values, *w, both) for p, w in zip(data, local, strict=True)]
+    parts = [evaluate(p, values, *w, both, relation) for p, w in zip(data, local, strict=True)]
     residuals = [part[0] for part in parts]
     scale = 1.4826 * float(np.median(np.abs(np.concatenate(residuals)))) + 1e-15
     free = len(names)
@@ -258,6 +308,7 @@ def _uncertainty(
         count = max(1, round(len(r) / stretch))
         sums += [part.sum(axis=0) for part in np.array_split(gradient, count)]
     g = np.stack(sums)
+    H += scale**2 * believed.T @ believed
     size = np.sqrt(np.diag(H)) + 1e-300
     inverse = np.linalg.pinv(H / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
     spread = g.T @ g * len(g) / max(1, len(g) - len(names))
@@ -268,4 +319,4 @@ def _uncertainty(
     turned = inverse @ across * np.array([held[name] for name in considered])
     own = coloured * np.outer(larger, larger)
     alike = size**2 * np.diag(inverse)
-    return own + turned @ turned.T, np.sqrt(np.diag(own)), alike, residuals
+    return own + turned @ turned.T, own, alike, residuals

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from ..machines import RotatingMachine
 from .fit import Fit
+from .found_map import FoundMap
 from .pieces import Piece
 
 UNITS = {"R_s": "Ω", "L_s": "H", "L_d": "H", "L_q": "H", "psi_f": "Wb", "inverter": "V"}
@@ -61,6 +62,8 @@ class Fitted:
         Rows of the log.
     source : str
         The log's name.
+    map : FoundMap, optional
+        The flux map, if it was free.
     """
 
     machine: RotatingMachine
@@ -73,6 +76,7 @@ class Fitted:
     inverter_current: float
     rows: int
     source: str = ""
+    map: FoundMap | None = None
 
     @property
     def found(self) -> dict[str, tuple[float, float]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,13 +16,23 @@ from ..logs.for_machine import open_for
 from ..logs.log import Log
 from ..logs.read import Source
 from ..logs.scales import Scales
-from ..machines import Machine, RotatingMachine, as_machine, rotating
+from ..machines import (
+    AlgebraicSaturation,
+    Machine,
+    RotatingMachine,
+    SynchronousMachine,
+    as_machine,
+    rotating,
+)
 from ..machines.written import with_found
+from ..model.flux_map import TableMap
 from ..observers.adaptive import INDUCTANCE_SHARE, default_inverter_std, default_resistance_std
 from ..validation import nearest
 from .fit import Fit, fit
 from .fitted import ADVICE, UNITS, Fitted, Parameter, in_the_file
+from .found_map import found_map
 from .pieces import Piece, pieces, smoothing_current, typical_length
+from .relations import SATURATION, Mapped, Relation, Saturating, linear
 from .report import figure, lines, write
 
 if TYPE_CHECKING:
@@ -40,6 +50,9 @@ LAG_UNSURE = 0.25
 #: L_s and L_d show only through the current along the flux; if that is below this share of the
 #: whole (rms), what the model leaves out decides their value.
 ALONG_LIMIT = 0.15
+#: Standard deviations of a map before the log: of the inverse inductances, over themselves; and of
+#: what saturation adds to them.
+UNSURE_SLOPE, SATURATES = 0.5, 3.0
 #: Order in which parameters are held if they cannot be told apart.
 HELD_FIRST = ("lag", "L_d", "L_q", "L_s", "inverter", "R_s", "psi_f")
 
@@ -70,10 +83,26 @@ class Identification(Fitted):
         return "\n".join(self.lines())
 
 
+#: The word for the parameters of the flux map.
+MAP = "map"
+
+
 def free_names(machine: RotatingMachine) -> tuple[str, ...]:
     """Parameters that can be free for this kind of machine."""
-    magnet = ("psi_f",) if machine.magnets else ()
-    return ("R_s", *machine.inductance_names, *magnet, "inverter", "lag")
+    magnet = (machine.flux_name,) if machine.magnets else ()
+    saturates = isinstance(machine, SynchronousMachine)
+    inductances = () if _table(machine) is not None else machine.inductance_names
+    return ("R_s", *inductances, *magnet, *((MAP,) if saturates else ()), "inverter", "lag")
+
+
+def _table(machine: RotatingMachine) -> TableMap | None:
+    """The flux map of the machine file."""
+    fit = machine.saturation if isinstance(machine, SynchronousMachine) else None
+    return None if fit is None else fit.table
+
+
+#: Names that the fit uses for every kind.
+INTERNAL = {"L_sigma": "L_s", "psi_R": "psi_f"}
 
 
 def read_free(free: str | Sequence[str] | None, machine: RotatingMachine) -> tuple[str, ...]:
@@ -86,10 +115,12 @@ def read_free(free: str | Sequence[str] | None, machine: RotatingMachine) -> tup
     """
     known = free_names(machine)
     if free is None:
-        return tuple(name for name in known if name in ("R_s", "psi_f", "inverter"))
+        return tuple(n for n in known if n in ("R_s", machine.flux_name, "inverter"))
     given = free.split(",") if isinstance(free, str) else free
     words = [word.strip() for word in given if word.strip()]
     words = ["inverter" if word == "inverter_voltage" else word for word in words]
+    if MAP in words and any(word in machine.inductance_names for word in words):
+        raise FluxobsError(f"free: {MAP} has the inductances in it; give it without them")
     for word in words:
         if word not in known:
             raise FluxobsError(f"free: kind {machine.kind} has no {word!r}{nearest(word, known)}")
@@ -116,8 +147,9 @@ def identify(
     machine : Machine, or a path, or the name of a shipped machine
         A rotating one; a guess that is right within a factor of two or so.
     free : str or sequence of str, optional
-        Some of R_s, L_s (or L_d, L_q), psi_f, inverter, lag; default: R_s, psi_f, inverter, if the
-        machine has them.
+        Some of R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, inverter, lag; default: R_s,
+        psi_f, inverter, if the machine has them. "map": how the machine saturates, the parameters
+        of :class:`AlgebraicSaturation`; the log has to move i_d and i_q.
     layout : optional
         As for :func:`fluxobs.read_log`.
 
@@ -134,16 +166,22 @@ def identify(
 def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identification:
     """Identify from a log that is open, with names of free parameters that are checked."""
     data, scales = pieces(log, machine, LAGS if "lag" in free else (0,))
-    given = starting_values(machine, data)
-    names, held = tuple(free), _held(machine, scales)
-    before = fit(data, given, ("psi_f",) if given["psi_f"] > 0 else ())
-    nearest = _nearest_lag(data, given, names) if "lag" in names else None
+    given, relation, prior = starting_values(machine, data), _relation(machine), {}
+    names, held = _expanded(free, machine), _held(machine, scales)
+    if MAP in free:
+        relation = Saturating(_first_model(machine, given))
+        prior = _saturation_prior(relation.model, data)
+        given |= {name: getattr(relation.model, name) for name in SATURATION}
+    if relation is not linear:
+        held = {name: std for name, std in held.items() if not name.startswith("L_")}
+    before = fit(data, given, ("psi_f",) if given["psi_f"] > 0 else (), relation=relation)
+    nearest = _nearest_lag(data, given, names, relation, prior) if "lag" in names else None
     untold: dict[str, str] = {}
     while True:
-        if nearest is None or "lag" not in names:
-            after = fit(data, given, names, held=held)
-        else:
-            after = fit(data, _start(given, nearest, names), names, nearest.local, held)
+        start, local = given, None
+        if nearest is not None and "lag" in names:
+            start, local = _start(given, nearest, names), nearest.local
+        after = fit(data, start, names, local, held, relation, prior)
         doubts = _doubts(after, scales.voltage) | _unseen_inductances(after, data)
         if "inverter" in names and after.values["inverter"] < 0 and not doubts:
             value, std = after.values["inverter"], after.std("inverter")
@@ -159,18 +197,24 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
             raise FluxobsError(
                 f"{log.path}: this log tells none of {', '.join(free)} ({reasons}). {ADVICE}."
             )
+    told = found_map(relation, after) if isinstance(relation, Saturating) else None
+    internal = {name: INTERNAL.get(name, name) for name in free if name != MAP}
+    untold = {name: untold[inner] for name, inner in internal.items() if inner in untold}
     found = [
         Parameter(
             name,
-            UNITS.get(name, "samples"),
+            UNITS.get(inner, "samples"),
             _given(machine, name, log.layout.lag),
-            after.values[name] + (log.layout.lag if name == "lag" else 0.0),
-            after.std(name) if name in names else None,
+            after.values[inner] + (log.layout.lag if name == "lag" else 0.0),
+            after.std(inner) if inner in names else None,
         )
-        for name in free
+        for name, inner in internal.items()
+        if told is None or inner not in told.names
     ]
     smoothing = smoothing_current(machine, scales)
     changed = with_found(machine, in_the_file(found))
+    if told is not None:
+        changed = _with_map(changed, told.model, scales)
     if "inverter" in names:
         changed = changed.with_values(inverter_current=float(f"{smoothing:.6g}"))
     return Identification(
@@ -184,6 +228,63 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
         smoothing,
         len(log),
         log.path.name,
+        told,
+    )
+
+
+def _expanded(free: Sequence[str], machine: RotatingMachine) -> tuple[str, ...]:
+    """Names as the fit uses them."""
+    names = [INTERNAL.get(name, name) for name in free if name != MAP]
+    if MAP in free:
+        names += SATURATION
+        names += ["psi_f"] if machine.magnets and "psi_f" not in names else []
+    return tuple(names)
+
+
+def _relation(machine: RotatingMachine) -> Relation:
+    """The relation of a machine file."""
+    table = _table(machine)
+    return linear if table is None else Mapped(table, machine.magnet_flux or 0.0)
+
+
+def _first_model(machine: RotatingMachine, given: Mapping[str, float]) -> AlgebraicSaturation:
+    """Where the fit of a map starts: the file's model, else its inductances without saturation."""
+    assert isinstance(machine, SynchronousMachine)
+    if isinstance(machine.flux_map, AlgebraicSaturation):
+        return machine.flux_map
+    return AlgebraicSaturation(
+        a_d0=1 / given["L_d"], a_q0=1 / given["L_q"], psi_f=given["psi_f"] or 0.0
+    )
+
+
+def _saturation_prior(
+    model: AlgebraicSaturation, data: Sequence[Piece]
+) -> dict[str, tuple[float, float]]:
+    """Means and standard deviations before the log: inductances known to a half of themselves, and
+    saturation that may make the currents four times as large at the flux of the log."""
+    psi = float(np.sqrt(np.mean([np.sum(piece.start**2) for piece in data])))
+    a_d, a_q = SATURATES * model.a_d0, SATURATES * model.a_q0
+    stds = {
+        "a_d0": UNSURE_SLOPE * model.a_d0,
+        "a_q0": UNSURE_SLOPE * model.a_q0,
+        "a_dd": a_d / psi**model.S,
+        "a_qq": a_q / psi**model.T,
+        "a_dq": (model.U + 2) * max(a_d, a_q) / psi ** (model.U + model.V + 2),
+    }
+    return {name: (getattr(model, name), std) for name, std in stds.items()}
+
+
+def _with_map(
+    machine: RotatingMachine, model: AlgebraicSaturation, scales: Scales
+) -> RotatingMachine:
+    """The machine with a map that was found; its inductances follow from it."""
+    rounded = {name: float(f"{value:.6g}") for name, value in model.model_dump().items()}
+    values: dict[str, Any] = dict.fromkeys(machine.inductance_names)
+    if machine.magnets:
+        values["psi_f"] = rounded["psi_f"]
+    rated = machine.rated_current or float(f"{scales.current:.3g}")
+    return machine.with_values(
+        **values, flux_map=AlgebraicSaturation(**rounded), rated_current=rated
     )
 
 
@@ -198,7 +299,7 @@ def starting_values(machine: RotatingMachine, data: Sequence[Piece]) -> dict[str
         "inverter": machine.inverter_voltage or 0.0,
         "lag": 0.0,
     }
-    if machine.inductance_names == ("L_s",):
+    if len(machine.inductance_names) == 1:
         values["L_s"] = L_q
     if machine.magnets:
         psi_f = machine.magnet_flux
@@ -219,10 +320,19 @@ def _held(machine: RotatingMachine, scales: Scales) -> dict[str, float]:
     }
 
 
-def _nearest_lag(data: Sequence[Piece], given: dict[str, float], free: Sequence[str]) -> Fit:
+def _nearest_lag(
+    data: Sequence[Piece],
+    given: dict[str, float],
+    free: Sequence[str],
+    relation: Relation,
+    prior: Mapping[str, tuple[float, float]],
+) -> Fit:
     """The fit at the best integer lag: a step from far away would leave the range of lags."""
     names = [name for name in free if name != "lag"]
-    fits = [fit(data, given | {"lag": float(lag)}, names) for lag in LAGS]
+    fits = [
+        fit(data, given | {"lag": float(lag)}, names, relation=relation, prior=prior)
+        for lag in LAGS
+    ]
     return min(fits, key=lambda found: found.rms())
 
 
@@ -244,7 +354,7 @@ def _given(machine: RotatingMachine, name: str, lag: float) -> float | None:
 def _unseen_inductances(found: Fit, data: Sequence[Piece]) -> dict[str, str]:
     """Inductances along the flux, if hardly any current flows along it."""
     current = np.concatenate([piece.current for piece in data])
-    share = float(np.sqrt(np.mean(found.along**2) / np.mean(np.sum(current**2, axis=1))))
+    share = float(np.sqrt(np.mean(found.current.real**2) / np.mean(np.sum(current**2, axis=1))))
     if share >= ALONG_LIMIT:
         return {}
     why = f"it shows only in i_d, which is {share:.0%} of the current in this log"
@@ -254,7 +364,10 @@ def _unseen_inductances(found: Fit, data: Sequence[Piece]) -> dict[str, str]:
 def _doubts(found: Fit, voltage: float) -> dict[str, str]:
     """Parameters that the log does not tell → why."""
     doubts = {}
+    mapped = SATURATION[0] in found.free
     for k, name in enumerate(found.free):
+        if mapped and (name in SATURATION or name == "psi_f"):
+            continue  # its prior decides what the log does not; the map's std says so
         std, value = float(found.own[k]), found.values[name]
         others = [
             (abs(found.covariance[k, j]) / (std * found.std(other) + 1e-300), other)

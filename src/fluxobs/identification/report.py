@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..errors import FluxobsError
 from ..machines.written import machine_text, write_machine
+from ..output import check_out, write_text
 from ..plots import BLUE, FORMATS, GREY, ORANGE, STYLE, legend, new_figure
 from ..plots import write as save
 from .fitted import ADVICE, Fitted, Parameter
+from .found_map import FoundMap
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,6 +29,8 @@ def lines(found: Fitted) -> list[str]:
             out.append(f"{p.name} held at {p.value:.4g} {p.unit}: {found.untold[p.name]}")
         else:
             out.append(f"{p.name} = {p.value:.4g} ± {p.std:.2g} {p.unit} ({was}){_note(p, found)}")
+    if found.map is not None:
+        out += found.map.lines()
     if found.untold:
         out.append(
             f"This log cannot tell {', '.join(found.untold)}: held as given. The others are right "
@@ -75,9 +80,14 @@ def toml(found: Fitted) -> str:
 
 
 def write(found: Fitted, path: Path, force: bool) -> None:
-    """Write the machine file, or the picture; FluxobsError if it cannot be written."""
+    """Write the machine file, the map's table or the picture; FluxobsError if it cannot be
+    written."""
     if path.suffix.lower() in FORMATS:
         save(figure(found), path)
+    elif path.suffix.lower() == ".csv":
+        if found.map is None:
+            raise FluxobsError(f"{path}: there is no map to write; identify with free = map")
+        write_text(check_out(path, Path(found.source)), found.map.csv())
     else:
         write_machine(path, toml(found), force)
 
@@ -87,9 +97,40 @@ def figure(found: Fitted) -> Figure:
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
-        drawn = new_figure(figsize=(9, 4.5))
-        _residuals(drawn.subplots(), found)
+        if found.map is None:
+            drawn = new_figure(figsize=(9, 4.5))
+            _residuals(drawn.subplots(), found)
+        else:
+            drawn = new_figure(figsize=(9, 8.5))
+            axes = drawn.subplot_mosaic([["d", "q"], ["residual", "residual"]])
+            _map(axes["d"], axes["q"], found.map)
+            _residuals(axes["residual"], found)
     return drawn
+
+
+def _map(along_d: Axes, along_q: Axes, told: FoundMap) -> None:
+    """Flux over current along each axis, at three currents of the other; ± 2σ, visited marked."""
+    d, q = told.visited.real, told.visited.imag
+    grid = told.grid()
+    ends = (grid.real[0, 0], grid.real[-1, 0]), (grid.imag[0, 0], grid.imag[0, -1])
+    for axes, name, span, others in (
+        (along_d, "d", ends[0], np.linspace(q.min(), q.max(), 3)),
+        (along_q, "q", ends[1], np.linspace(d.min(), d.max(), 3)),
+    ):
+        at = np.linspace(*span, 121)
+        for other, colour in zip(others, (BLUE, ORANGE, GREY), strict=True):
+            i = at + 1j * other if name == "d" else other + 1j * at
+            flux, std = told.flux(i), told.flux_std(i)
+            value, width = (flux.real, std.real) if name == "d" else (flux.imag, std.imag)
+            seen = told.inside(i)
+            fixed = f"i_{'q' if name == 'd' else 'd'} = {other:.3g} A"
+            axes.fill_between(at, value - 2 * width, value + 2 * width, color=colour, alpha=0.25)
+            axes.plot(at, value, color=colour, linewidth=0.8, linestyle=":")
+            axes.plot(at, np.where(seen, value, np.nan), color=colour, label=fixed)
+        axes.set_xlabel(f"i_{name} [A]")
+        axes.set_ylabel(f"psi_{name} [Wb]")
+        axes.set_title("solid: visited by the log; dotted: the model; band: ± 2σ", fontsize=8)
+        legend(axes)
 
 
 def _residuals(axes: Axes, found: Fitted) -> None:

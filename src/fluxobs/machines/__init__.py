@@ -13,12 +13,15 @@ from .induction import InductionMachine
 from .interior_pmsm import InteriorPMSM
 from .maglev import MagLev2DOF
 from .registry import KINDS
-from .rotating import MagnetMachine, RotatingMachine, rotating
+from .rotating import MagnetMachine, RotatingMachine, SynchronousMachine, rotating
+from .saturation import AlgebraicSaturation, FluxPoints
 from .surface_pmsm import SurfacePMSM
 from .synchronous_reluctance import SynchronousReluctance
 
 __all__ = [
     "KINDS",
+    "AlgebraicSaturation",
+    "FluxPoints",
     "InductionMachine",
     "InteriorPMSM",
     "Machine",
@@ -27,6 +30,7 @@ __all__ = [
     "Position",
     "RotatingMachine",
     "SurfacePMSM",
+    "SynchronousMachine",
     "SynchronousReluctance",
     "as_machine",
     "example",

@@ -89,6 +89,11 @@ class Machine(BaseModel):
         """Names in a machine file."""
         return [field.alias or name for name, field in cls.model_fields.items()]
 
+    def parameters(self) -> dict[str, Any]:
+        """Values by their names in a machine file; None where not given."""
+        fields = type(self).model_fields.items()
+        return {field.alias or name: getattr(self, name) for name, field in fields}
+
     # ---- the model --------------------------------------------------------------------
 
     @property
@@ -155,7 +160,7 @@ class Machine(BaseModel):
 
     # ---- copies -----------------------------------------------------------------------
 
-    def with_values(self, **values: float | None) -> Self:
+    def with_values(self, **values: Any) -> Self:
         """A copy with other parameters.
 
         Raises
@@ -163,7 +168,7 @@ class Machine(BaseModel):
         MachineError
             An impossible value, or a parameter that this kind does not have.
         """
-        return type(self)(**self.model_dump(by_alias=True) | values)
+        return type(self)(**self.parameters() | values)
 
     def scaled(self, names: Iterable[str], factor: float) -> Self:
         """A copy with the named parameters, those that are given, multiplied by `factor`."""

@@ -90,7 +90,9 @@ def example(name: str) -> Machine:
     """
     if name not in example_names():
         raise MachineError(f"no shipped machine {name!r}{nearest(name, example_names())}")
-    return machine_from(tomllib.loads(example_text(name)), source=name, folder=Path(str(_examples())))
+    return machine_from(
+        tomllib.loads(example_text(name)), source=name, folder=Path(str(_examples()))
+    )
 
 
 def example_text(name: str) -> str:

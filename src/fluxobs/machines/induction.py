@@ -67,6 +67,7 @@ class InductionMachine(RotatingMachine):
     kind = "induction"
     inductances = ("L_sigma", "L_sigma")
     magnets = True
+    flux_name = "psi_R"
     length_name = "Rotor flux"
     position_output = Position(
         "theta_e", ("theta_e",), 180 / np.pi, "°", "Electrical angle of the rotor flux"
@@ -104,7 +105,9 @@ class InductionMachine(RotatingMachine):
     @property
     def constraint(self) -> QuadraticConstraint:
         L, one = self.L_sigma, np.eye(2)
-        return QuadraticConstraint(one, -2 * L * one, L * L * one, d=-((self.magnet_flux or 0.0) ** 2))
+        return QuadraticConstraint(
+            one, -2 * L * one, L * L * one, d=-((self.magnet_flux or 0.0) ** 2)
+        )
 
     def flux_base(self, rated_current: float, psi_f: float | None = None) -> float | None:
         if psi_f is not None or self.psi_R is not None:
@@ -145,7 +148,7 @@ def from_plate(plate: object) -> dict[str, Any]:
     """All parameters, roughly, from the rating plate."""
     if not isinstance(plate, Mapping) or set(plate) != set(PLATE):
         raise ValueError(f"plate has {', '.join(PLATE)} [V rms, Hz, W, A rms, rpm, 1]")
-    V, f, P, I, n, cos_phi = (_positive(f"plate.{name}", plate[name]) for name in PLATE)
+    V, f, P, rms, n, cos_phi = (_positive(f"plate.{name}", plate[name]) for name in PLATE)
     if not cos_phi < 1:
         raise ValueError(f"plate.cos_phi must be below 1, got {cos_phi:g}")
     n_p = int(60 * f / n)
@@ -156,13 +159,13 @@ def from_plate(plate: object) -> dict[str, Any]:
             f"rated speed is a little below 60 f/n_p"
         )
     omega = 2 * np.pi * f
-    u, i = V * np.sqrt(2 / 3), I * np.sqrt(2) * complex(cos_phi, -np.sqrt(1 - cos_phi**2))
+    u, i = V * np.sqrt(2 / 3), rms * np.sqrt(2) * complex(cos_phi, -np.sqrt(1 - cos_phi**2))
     across_gap = P / (1 - slip)
     taken = 1.5 * u * i.real
     if not across_gap < taken:
         raise ValueError(
-            f"plate: {P:g} W at the shaft need {across_gap:.4g} W across the air gap, more than the "
-            f"{taken:.4g} W that voltage, current and cos_phi give"
+            f"plate: {P:g} W at the shaft need {across_gap:.4g} W across the air gap, more than "
+            f"the {taken:.4g} W that voltage, current and cos_phi give"
         )
     R_s = (taken - across_gap) / (1.5 * abs(i) ** 2)
     L_sigma = LEAKAGE * u / abs(i) / omega

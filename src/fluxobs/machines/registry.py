@@ -9,6 +9,12 @@ from .maglev import MagLev2DOF
 from .surface_pmsm import SurfacePMSM
 from .synchronous_reluctance import SynchronousReluctance
 
-_KINDS: tuple[type[Machine], ...] = (SurfacePMSM, InteriorPMSM, SynchronousReluctance, InductionMachine, MagLev2DOF)
+_KINDS: tuple[type[Machine], ...] = (
+    SurfacePMSM,
+    InteriorPMSM,
+    SynchronousReluctance,
+    InductionMachine,
+    MagLev2DOF,
+)
 #: Word in a machine file → class.
 KINDS = {machine.kind: machine for machine in _KINDS}

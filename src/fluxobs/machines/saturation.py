@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
 from ..errors import FluxobsError, MachineError, ModelError
 from ..model.flux_table import FittedTable, fit_table
@@ -235,7 +235,10 @@ class Falling:
         at = np.linspace(-RANGE, RANGE, POINTS)
         x = (at[:, None] + 1j * at[None, :]).ravel()
         parts = []
-        for L, rated, own in ((self.L_d, self.rated_L_d, x.real), (self.L_q, self.rated_L_q, x.imag)):
+        for L, rated, own in (
+            (self.L_d, self.rated_L_d, x.real),
+            (self.L_q, self.rated_L_q, x.imag),
+        ):
             k = (L / rated) ** 2 - 1
             square = np.abs(x) ** 2 if self.together else own**2
             parts.append(L * rated_current * own / np.sqrt(1 + k * square))
@@ -251,7 +254,10 @@ def read_source(given: object) -> MapSource:
     if isinstance(given, FluxPoints | AlgebraicSaturation):
         return given
     if isinstance(given, str | Path):
-        return _told(lambda: FluxPoints.read(given))
+        try:
+            return FluxPoints.read(given)
+        except FluxobsError as error:  # pydantic carries a ValueError's message
+            raise ValueError(str(error)) from None
     if isinstance(given, Mapping):
         names = AlgebraicSaturation.model_fields
         try:
@@ -264,24 +270,12 @@ def read_source(given: object) -> MapSource:
     )
 
 
-def _told(read: Any) -> Any:
-    """Let pydantic carry the message."""
-    try:
-        return read()
-    except FluxobsError as error:
-        raise ValueError(str(error)) from None
-
-
 #: Field of a machine.
-FluxMapField = Annotated[
-    MapSource, PlainValidator(read_source), PlainSerializer(lambda source: source)
-]
+FluxMapField = Annotated[MapSource, PlainValidator(read_source)]
 
 
 @lru_cache(maxsize=64)
-def fitted(
-    source: MapSource | Falling, rated_current: float | None, magnets: bool
-) -> FittedTable:
+def fitted(source: MapSource | Falling, rated_current: float | None, magnets: bool) -> FittedTable:
     """The splines of a map, made once: copies of a machine share them."""
     return source.table(rated_current, magnets)
 

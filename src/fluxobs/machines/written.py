@@ -40,10 +40,10 @@ def machine_text(
 ) -> str:
     """The text of a machine file: comment lines, then a parameter a line, with what was found."""
     rows = [*(f"# {line}" for line in head), f'kind = "{machine.kind}"']
-    values = machine.model_dump(by_alias=True, exclude_none=True)
+    values = {name: value for name, value in machine.parameters().items() if value is not None}
     stds = {name: values.pop(name) for name in list(values) if name.endswith("_std")}
     for name, value in values.items():
-        rows.append(f"{name} = {value!r}")
+        rows.append(f"{name} = {value!r}" if name != "flux_map" else f"{name} = {value.text()}")
         if name in found:
             rows[-1] += f"  # ± {found[name][1]:.2g} in this log"
         if f"{name}_std" in stds:

@@ -1,8 +1,8 @@
 """How the flux of a machine depends on its current, in rotor coordinates.
 
-A machine with the map F has the flux ``λ = e^{jφ} F(e^{-jφ} i)``. The observers ask a map for F, its
-derivative J and the auxiliary flux ``a = F + j J(j i)``: an error e of the angle φ moves the flux of
-a current by ``-j e a``. So ``λ - e^{jφ}(F - a_d)`` lies along d whatever small error the φ has at
+A machine with the map F has the flux ``λ = e^{jφ} F(e^{-jφ} i)``. The observers ask a map for F,
+its derivative J and the auxiliary flux ``a = F + j J(j i)``: an error e of the angle φ moves the
+flux of a current by ``-j e a``. So ``λ - e^{jφ}(F - a_d)`` lies along d whatever small error the φ has at
 which the map was asked (docs/theory.md, section 14).
 """
 
@@ -21,6 +21,8 @@ from ..errors import ModelError
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+#: What a table says of each of its axes.
+SPAN = ("least", "most", "over")
 #: Degree of the splines: with two continuous derivatives the inductances have no kinks.
 DEGREE = 3
 
@@ -65,12 +67,23 @@ class FluxMap:
     def core(self) -> dict[str, Any]:
         """All fields of fo_map."""
         zeros = dict.fromkeys(
-            "psi L_d L_q decay still least_d most_d over_d least_q most_q over_q".split(), 0.0
+            [
+                "psi",
+                "L_d",
+                "L_q",
+                "decay",
+                "still",
+                "least_d",
+                "most_d",
+                "over_d",
+                "least_q",
+                "most_q",
+                "over_q",
+            ],
+            0.0,
         )
         none: dict[str, Any] = {"coefficients": np.zeros((0, 0, 2))}
-        return (
-            {"kind": self.code, "magnets": self.magnets} | zeros | none | self.fields()
-        )
+        return {"kind": self.code, "magnets": self.magnets} | zeros | none | self.fields()
 
 
 @dataclass(frozen=True)
@@ -92,8 +105,8 @@ class LinearMap(FluxMap):
         ones = np.ones(i.shape)
         return Mapped(
             np.asarray(self.psi + self.L_d * i.real + 1j * self.L_q * i.imag),
-            self.L_d * ones + 0j,
-            1j * self.L_q * ones,
+            np.asarray(self.L_d * ones, complex),
+            np.asarray(1j * self.L_q * ones),
         )
 
     def fields(self) -> dict[str, Any]:
@@ -102,7 +115,7 @@ class LinearMap(FluxMap):
 
 @dataclass(frozen=True)
 class CageMap(FluxMap):
-    """``psi + L_sigma i``, d along the rotor flux, whose length obeys ``dψ/dt = R_R i_d - R_R ψ/L_M``.
+    """``psi + L_sigma i``, d along the rotor flux: ``dψ/dt = R_R i_d - R_R ψ/L_M`` is its length.
 
     Parameters
     ----------
@@ -185,13 +198,16 @@ class TableMap(FluxMap):
         i = np.asarray(current, complex)
         d, q = np.clip(i.real, *self.d), np.clip(i.imag, *self.q)
         c = self.coefficients[..., 0] + 1j * self.coefficients[..., 1]
-
-        def value(by_d: int, by_q: int) -> Complex:
-            along_d = basis(d.ravel(), self.d, self.intervals[0], by_d)
-            along_q = basis(q.ravel(), self.q, self.intervals[1], by_q)
-            return np.einsum("kd,dq,kq->k", along_d, c, along_q, optimize=True).reshape(i.shape)
-
-        flux, by_d, by_q = value(0, 0), value(1, 0), value(0, 1)
+        first_d, value_d, slope_d = weights(d, self.d, self.intervals[0])
+        first_q, value_q, slope_q = weights(q, self.q, self.intervals[1])
+        four = np.arange(DEGREE + 1)
+        near = c[
+            (first_d[..., None] + four)[..., :, None], (first_q[..., None] + four)[..., None, :]
+        ]
+        along_q = np.einsum("...dq,...q->...d", near, value_q)
+        flux = np.einsum("...d,...d->...", value_d, along_q)
+        by_d = np.einsum("...d,...d->...", slope_d, along_q)
+        by_q = np.einsum("...d,...dq,...q->...", value_d, near, slope_q)
         return Mapped(flux + (i.real - d) * by_d + (i.imag - q) * by_q, by_d, by_q)
 
     def outside(self, current: ArrayLike) -> NDArray[np.bool_]:
@@ -218,8 +234,21 @@ class TableMap(FluxMap):
         }
 
 
+def weights(x: Array, span: Array, intervals: int) -> tuple[NDArray[np.int64], Array, Array]:
+    """The first of the four splines at x within `span`, (...), their values and derivatives,
+    (..., 4)."""
+    over = intervals / (span[1] - span[0])
+    at = (x - span[0]) * over
+    first = np.clip(at.astype(np.int64), 0, intervals - 1)
+    t = at - first
+    u = 1 - t
+    values = [u**3 / 6, 2 / 3 + t * t * (t / 2 - 1), 2 / 3 + u * u * (u / 2 - 1), t**3 / 6]
+    slopes = [-u * u / 2, t * (1.5 * t - 2), u * (2 - 1.5 * u), t * t / 2]
+    return first, np.stack(values, -1), over * np.stack(slopes, -1)
+
+
 def basis(x: Array, span: Array, intervals: int, derivative: int = 0) -> Array:
-    """Values or derivatives of the B-splines over `span` in equal intervals, (len(x), splines)."""
+    """Values or derivatives of all B-splines over `span` in equal intervals, (len(x), splines)."""
     step = (span[1] - span[0]) / intervals
     knots = span[0] + step * np.arange(-DEGREE, intervals + DEGREE + 1)
     splines = BSpline(knots, np.eye(intervals + DEGREE), DEGREE)

@@ -41,9 +41,9 @@ class FittedTable:
     reciprocity: float
 
 
-def mirrored(current: NDArray[np.complex128], flux: NDArray[np.complex128], magnets: bool) -> tuple[
-    NDArray[np.complex128], NDArray[np.complex128]
-]:
+def mirrored(
+    current: NDArray[np.complex128], flux: NDArray[np.complex128], magnets: bool
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """The points, and their mirror images where they cover one sign of i_q (without magnets: of
     i_d) only: ψ_d is even and ψ_q odd in i_q, and without magnets the other way round in i_d."""
     small = 1e-6 * np.abs(current).max()
@@ -144,4 +144,4 @@ def _roughness(counts: list[int]) -> Array:
         parts.append([basis(at, np.array([0.0, 1.0]), count, n) for n in (0, 1, 2)])
     gram = [[b.T @ b / len(b) for b in part] for part in parts]
     (d0, d1, d2), (q0, q1, q2) = gram
-    return np.kron(d2, q0) + 2 * np.kron(d1, q1) + np.kron(d0, q2)
+    return np.asarray(np.kron(d2, q0) + 2 * np.kron(d1, q1) + np.kron(d0, q2))

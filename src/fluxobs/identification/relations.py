@@ -1,0 +1,169 @@
+"""The relation between flux and current as residuals of a log, with derivatives.
+
+Each relation gives for the rows of a piece the residual, its derivatives by flux and by its own
+parameters, with the angle eliminated (docs/theory.md, sections 13 and 14).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machines import AlgebraicSaturation
+from ..model.flux_map import FluxMap
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Rounds in which an angle is refined: each takes an error to the square of it, or nearly.
+ROUNDS = 6
+#: Largest step of an angle in a round [rad].
+LARGEST = 0.3
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What a relation says of rows.
+
+    Attributes
+    ----------
+    residual : (rows,) ndarray
+        [Wb].
+    to_flux : (rows,) complex ndarray
+        Its derivative by the flux: change = Re(conj(to_flux) dλ).
+    by_name : dict of str to (rows,) ndarray
+        Its derivatives by the relation's parameters.
+    current : (rows,) complex ndarray
+        i_d + j i_q [A].
+    """
+
+    residual: Array
+    to_flux: Complex
+    by_name: dict[str, Array]
+    current: Complex
+
+
+class Relation(Protocol):
+    """How flux and current fit together."""
+
+    def __call__(self, flux: Complex, current: Complex, values: Mapping[str, float]) -> Rows:
+        """Residual and derivatives at these values [Wb], [A], of all rows."""
+        ...
+
+
+def linear(flux: Complex, current: Complex, values: Mapping[str, float]) -> Rows:
+    """Constant inductances: ``|x| - ψ - (L_d - L_q) i_d``, x = λ - L_q i."""
+    x = flux - values["L_q"] * current
+    length = np.abs(x)
+    direction = x / length
+    i_d = (direction.conj() * current).real
+    saliency = values["L_d"] - values["L_q"]
+    to_flux = direction - saliency * (current - i_d * direction) / length
+    by_current = (to_flux.conj() * current).real
+    by_name = {
+        "psi_f": -np.ones(len(current)),
+        "L_s": -(direction.conj() * current).real,
+        "L_d": -i_d,
+        "L_q": i_d - by_current,
+    }
+    return Rows(
+        length - values["psi_f"] - saliency * i_d, to_flux, by_name, current * direction.conj()
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Mapped:
+    """A flux map: ``|x| - a_d``, x = λ - e^{jφ}(F - a_d), with the auxiliary flux a.
+
+    Another magnet flux than the map's adds to F. `L_q` is where the angle starts.
+    """
+
+    flux_map: FluxMap
+    psi_f: float
+
+    def __call__(self, flux: Complex, current: Complex, values: Mapping[str, float]) -> Rows:
+        x = flux - values["L_q"] * current
+        for _ in range(ROUNDS):
+            direction = x / np.abs(x)
+            i = current * direction.conj()
+            at = self.flux_map.at(i)
+            a = at.auxiliary(i)
+            x = flux - direction * (at.flux - a.real)
+        length = np.abs(x)
+        residual = length - np.abs(a.real) - (values["psi_f"] - self.psi_f)
+        lean = a.imag / np.where(np.abs(a.real) > 1e-9, a.real, np.inf)
+        to_flux = direction * (1 + 1j * lean)
+        return Rows(residual, to_flux, {"psi_f": -np.ones(len(current))}, i)
+
+
+#: Parameters of the algebraic model that a log may tell.
+SATURATION = ("a_d0", "a_dd", "a_q0", "a_qq", "a_dq")
+
+
+@dataclass(frozen=True)
+class Saturating:
+    """The algebraic model with free parameters: what is left of ``i - e^{jφ} I(e^{-jφ} λ)`` across
+    its own change with φ, times L_q.
+
+    `model` holds the exponents; `L_q` is where the angle starts.
+    """
+
+    model: AlgebraicSaturation
+
+    def with_values(self, values: Mapping[str, float]) -> AlgebraicSaturation:
+        """The model with the parameters of a fit."""
+        names = (*SATURATION, *(("psi_f",) if self.model.psi_f > 0 else ()))
+        return AlgebraicSaturation.model_construct(
+            **self.model.model_dump() | {name: values[name] for name in names}
+        )
+
+    def __call__(self, flux: Complex, current: Complex, values: Mapping[str, float]) -> Rows:
+        model = self.with_values(values)
+        x = flux - values["L_q"] * current
+        direction = x / np.abs(x)
+        for _ in range(ROUNDS):
+            psi = flux * direction.conj()
+            i = model.current(psi)
+            dd, dq, qq = model.slopes(psi)
+            # derivative of e^{jφ} I(e^{-jφ} λ) by φ, in rotor coordinates: j I - I'(j ψ)
+            d, q = psi.real, psi.imag
+            g = 1j * i - ((-dd * q + dq * d) + 1j * (-dq * q + qq * d))
+            left = current * direction.conj() - i
+            step = (left * g.conj()).real / (np.abs(g) ** 2 + 1e-300)
+            direction = direction * np.exp(1j * np.clip(step, -LARGEST, LARGEST))
+        psi = flux * direction.conj()
+        i = model.current(psi)
+        dd, dq, qq = model.slopes(psi)
+        d, q = psi.real, psi.imag
+        g = 1j * i - ((-dd * q + dq * d) + 1j * (-dq * q + qq * d))
+        n = 1j * g / (np.abs(g) + 1e-300)
+        left = current * direction.conj() - i
+        # In flux units by one inductance for all rows: currents have the same noise in all of them.
+        across = -n * values["L_q"]
+        residual = (left * across.conj()).real
+        # a flux across x acts as n' I' on the current
+        to = n.real * dd + n.imag * dq + 1j * (n.real * dq + n.imag * qq)
+        to_flux = direction * to * values["L_q"]
+
+        def by(change: NDArray[np.complexfloating]) -> Array:
+            return -(change * across.conj()).real
+
+        absolute_d, absolute_q = np.abs(d), np.abs(q)
+        S, T, U, V = model.S, model.T, model.U, model.V
+        magnet = model.psi_f
+        cross = absolute_d**U * absolute_q ** (V + 2) * d / (V + 2) + 1j * absolute_d ** (
+            U + 2
+        ) * absolute_q**V * q / (U + 2)
+        by_name = {
+            "a_d0": by(d - magnet + 0j),
+            "a_dd": by(absolute_d**S * d - magnet ** (S + 1) + 0j),
+            "a_q0": by(1j * q),
+            "a_qq": by(1j * absolute_q**T * q),
+            "a_dq": by(cross),
+            "psi_f": by(-(model.a_d0 + (S + 1) * model.a_dd * magnet**S) * np.ones_like(psi)),
+        }
+        return Rows(residual, to_flux, by_name, current * direction.conj())
