@@ -13,11 +13,12 @@ be compared.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machines import RotatingMachine
+from ..machines import RotatingMachine, SynchronousMachine
 from ..model.inverter import inverter_direction
 from .stretches import Complex, Stretches
 
@@ -38,6 +39,8 @@ DRIFT = 0.03
 ITERATIONS, HALVINGS = 25, 5
 #: An iteration that lowers the cost by less ends the fit.
 CONVERGED = 1e-3
+#: Rounds in which the angle is refined at which a flux map is asked.
+ROUNDS = 3
 #: A position vector that turns by less than this tells nothing [rad].
 TURNED = np.pi / 2
 
@@ -156,6 +159,16 @@ class _Point:
     off: Array  # of the parameters, from the prior's mean
 
 
+class _Position(NamedTuple):
+    """Position vector [Wb], what currents add to its length, and the derivatives of the length less
+    that: by the flux, and by the logarithm of the inductances."""
+
+    x: Complex
+    grown: Array
+    to_flux: Complex
+    by_scale: Array
+
+
 class Relation:
     """The relation of one machine on one set of rows."""
 
@@ -167,15 +180,47 @@ class Relation:
         self.saliency = L_d - self.L_q
         self.psi = machine.magnet_flux
         self.magnets = machine.magnets
+        self.moves = machine.flux_moves
+        fit = machine.saturation if isinstance(machine, SynchronousMachine) else None
+        self.table = None if fit is None else fit.table
+
+    def _integral(self, values: Array) -> Complex:
+        """∫ (u - R i - V_d S) dt."""
+        d, resistance = self.data, self.R * np.exp(values[R])
+        return np.asarray(
+            d.voltage - resistance * d.charge - values[INVERTER] * d.size * d.inverter
+        )
 
     def _without_start(self, values: Array) -> Complex:
         """∫ (u - R i - V_d S) dt - L_q i."""
-        d = self.data
-        resistance, inductance = self.R * np.exp(values[R]), self.L_q * np.exp(values[L])
-        lost = values[INVERTER] * d.size
-        return np.asarray(
-            d.voltage - resistance * d.charge - lost * d.inverter - inductance * d.current
-        )
+        inductance = self.L_q * np.exp(values[L])
+        return np.asarray(self._integral(values) - inductance * self.data.current)
+
+    def _position(self, flux: Complex, values: Array, psi: float | Array) -> _Position:
+        """Position vector of a flux, and how its length answers."""
+        current, scale = self.data.current, np.exp(values[L])
+        x = flux - self.L_q * scale * current
+        if self.table is None:
+            length = np.abs(x) + 1e-300
+            direction = x / length
+            i_d = (direction.conj() * current).real
+            saliency = self.saliency * scale
+            to_flux = direction - saliency * (current - i_d * direction) / length
+            by_scale = -self.L_q * scale * (to_flux.conj() * current).real - saliency * i_d
+            return _Position(x, saliency * i_d, to_flux, by_scale)
+        for _ in range(ROUNDS):  # the angle at which the map is asked
+            direction = x / (np.abs(x) + 1e-300)
+            i = current * direction.conj()
+            at = self.table.at(i)
+            through = at.flux - self.table.psi_f
+            a = at.auxiliary(i) - self.table.psi_f
+            x = flux - direction * (through - a.real) * scale
+        grown = a.real * scale if self.magnets else np.abs(a.real) * scale
+        active = psi + a.real * scale
+        lean = a.imag * scale / np.where(np.abs(active) > 1e-9, active, np.inf)
+        to_flux = direction * (1 + 1j * lean)
+        by_scale = -(to_flux.conj() * direction * through).real * scale
+        return _Position(x, grown, to_flux, by_scale)
 
     def misfit(self, values: Array) -> float:
         """How far the position vector of these parameters is from a circle, squared."""
@@ -188,8 +233,10 @@ class Relation:
         first, slope, _ = _start(self._without_start(values), d.t)
         length = np.abs(self._without_start(values) + first + slope * d.t)
         if self.magnets and self.psi is not None:
-            base = self.psi
+            base: float | Array = self.psi
             values[PSI] = np.log(float(np.median(length)) / base + 1e-300)
+            if self.moves:  # each stretch has its own flux
+                base = base * np.median(length, axis=1, keepdims=True) / np.median(length)
         else:
             base = float(np.sqrt(np.mean(length**2)))
         best = self._evaluate(values, first, slope, base, prior)
@@ -219,18 +266,15 @@ class Relation:
         return Fit(misfit, best.cost - best.misfit, share, values, std, best.position)
 
     def _evaluate(
-        self, values: Array, first: Complex, slope: Complex, base: float, prior: Prior
+        self, values: Array, first: Complex, slope: Complex, base: float | Array, prior: Prior
     ) -> _Point:
         d = self.data
-        x = self._without_start(values) + first + slope * d.t
-        length = np.abs(x) + 1e-300
-        direction = x / length
-        i_d = (direction.conj() * d.current).real
         psi = base * np.exp(values[PSI]) if self.magnets else 0.0
-        saliency = self.saliency * np.exp(values[L])
-        to_flux = direction - saliency * (d.current - i_d * direction) / length
+        found = self._position(self._integral(values) + first + slope * d.t, values, psi)
+        x, to_flux = found.x, found.to_flux
+        length = np.abs(x) + 1e-300
         size = float(np.sqrt(np.mean(length**2)))
-        residual = length - psi - saliency * i_d
+        residual = length - psi - found.grown
         inductance = self.L_q * np.exp(values[L])
         std = np.hypot(MODEL * size, inductance * self.noise)
         neighbour = _swapped(residual)
@@ -245,8 +289,8 @@ class Relation:
         cost = misfit + float(off @ prior.precision @ off + (np.abs(drift) ** 2).sum())
         along = [
             -self.R * np.exp(values[R]) * (to_flux.conj() * d.charge).real,
-            -inductance * (to_flux.conj() * d.current).real - saliency * i_d,
-            np.full_like(length, -psi),
+            found.by_scale,
+            -psi * np.ones_like(length),
             -d.size * (to_flux.conj() * d.inverter).real,
         ]
         columns = np.stack(

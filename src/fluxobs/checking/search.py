@@ -170,7 +170,7 @@ def check_log(
     if not best.fit.share < BAD:
         return _nothing_fits(log, machine, search, seen, given)
     findings = [
-        _finding(kind, best, found, instead, around, level, log.layout.lag)
+        _finding(kind, best, found, instead, around, level, log.layout.lag, machine.flux_name)
         for kind in KINDS
         if any(mistake.kind == kind for mistake in tries)
     ]
@@ -236,9 +236,12 @@ def _finding(
     around: list[Tried],
     level: float,
     lag: float,
+    flux_name: str,
 ) -> Finding:
     def words(mistake: Mistake) -> str:
-        return f"{lag + mistake.lag:+g}" if kind == "lag" else mistake.words
+        if kind == "lag":
+            return f"{lag + mistake.lag:+g}"
+        return mistake.words.replace("psi_f", flux_name)
 
     taken = next((mistake for mistake in found if mistake.kind == kind), None)
     if taken is not None:
@@ -264,7 +267,7 @@ def _finding(
 def _fits(best: Tried, machine: RotatingMachine) -> str:
     """The parameters that fit, if they are told."""
     values, std = best.fit.values, best.fit.std
-    names = ("R_s", " and ".join(machine.inductance_names), "psi_f")
+    names = ("R_s", " and ".join(machine.inductance_names), machine.flux_name)
     told = [
         f"{name} {'fit' if ' and ' in name else 'fits'} at {np.exp(values[k]):.3g} times"
         for k, name in enumerate(names)

@@ -30,6 +30,9 @@ HUBER = 1.345
 ITERATIONS, HALVINGS = 60, 12
 #: Steps below this share of the uncertainty end the iteration.
 CONVERGED = 1e-4
+#: So does a gain below this share of the cost: derivatives leave out what is of the size of the
+#: residual, and get no nearer.
+NO_GAIN = 1e-7
 #: Rows of a log that repeat one another's errors, against a prior: about an eighth of a turn.
 REPEATED = 20.0
 #: Number of stretches of a log whose sums of residuals are taken as independent.
@@ -236,7 +239,8 @@ def fit(
         else:
             break
         values, here = new, where
-        if _change(triangles, moves, step) < CONVERGED * scale:
+        settled = before - after < NO_GAIN * before
+        if settled or _change(triangles, moves, step) < CONVERGED * scale:
             converged = True
             break
     current = [_said(p, values, *w, relation)[0].current for p, w in zip(data, here, strict=True)]

@@ -121,8 +121,9 @@ class FoundMap:
         most, own = (float(np.abs(self.flux_std(i, own=part)).max()) for part in (False, True))
         out.append(
             f"Visited: i_d from {d.min():.3g} to {d.max():.3g} A, i_q from {q.min():.3g} to "
-            f"{q.max():.3g} A; there the map is known to ± {own:.2g} Wb or better ({own / size:.2%} "
-            f"of the flux) if what is held is right. Elsewhere it is the model that speaks"
+            f"{q.max():.3g} A; there the map is known to ± {own:.2g} Wb or better "
+            f"({own / size:.2%} of the flux) if what is held is right. Elsewhere it is the model "
+            f"that speaks"
         )
         if most > HELD * own:
             out.append(

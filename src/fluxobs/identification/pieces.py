@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 #: A piece, over which the drift is taken as constant, lasts this many turns, at least this long
 #: [s], and is no shorter than this many rows.
 TURNS, SECONDS, SHORTEST = 2.5, 0.4, 100
+#: A cage's flux stands within this share of its usual length: a wrong R_s makes less of it, field
+#: weakening more.
+SAME_FLUX = 0.08
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +47,8 @@ class Piece:
         Flux at the first row, from the observer [Wb].
     drift : (2,) array
         Drift, from the observer [V].
+    lengths : (2,) array
+        Least and largest length of the position vector, from the observer [Wb].
     """
 
     t: Array
@@ -53,6 +58,7 @@ class Piece:
     inverter: Array
     start: Array
     drift: Array
+    lengths: Array
 
     def __len__(self) -> int:
         return len(self.t)
@@ -86,12 +92,25 @@ def pieces(log: Log, machine: RotatingMachine, lags: tuple[int, ...]) -> tuple[l
     for parts in zip(*(excerpts(log.lagged(lag)) for lag in lags), strict=True):
         voltage = np.stack([part.voltage for part in parts])
         found += cut(observer, parts[0].current, voltage, lags.index(0), machine.R_s, smoothing)
+    if machine.flux_moves and found:
+        found = _same_flux(found)
+        if not found:
+            raise FluxobsError(
+                f"{log.table.path}: the rotor flux changes all the time in it; a log in which it "
+                f"stands for {SECONDS:g} s tells the parameters"
+            )
     if not found:
         raise FluxobsError(
             f"{log.table.path}: the position is never known in it, so nothing can be identified; "
             f"does the machine turn, and do `fluxobs estimate` and its warnings look right?"
         )
     return found, scales
+
+
+def _same_flux(found: list[Piece]) -> list[Piece]:
+    """The pieces in which the flux stands at its usual length."""
+    usual = float(np.median([piece.lengths.mean() for piece in found]))
+    return [p for p in found if np.abs(p.lengths - usual).max() < SAME_FLUX * usual]
 
 
 def cut(
@@ -116,7 +135,9 @@ def cut(
             known = valid[np.argmin(estimate.theta_e_std[run][valid])]
             start, drift = estimate.flux[run][known], estimate.drift[run][known]
             arrays = current[run], voltage[:, run]
-            found.append(_piece(h, *arrays, given, R_s, smoothing, known, start, drift))
+            psi = estimate.psi_f[run][valid]
+            lengths = np.quantile(psi, [0.02, 0.98])
+            found.append(_piece(h, *arrays, given, R_s, smoothing, known, start, drift, lengths))
     return found
 
 
@@ -141,6 +162,7 @@ def _piece(
     known: int,
     flux: Array,
     drift: Array,
+    lengths: Array,
 ) -> Piece:
     # The cubic through four samples, as in the observer; the first rows repeat the first current.
     padded = np.concatenate([np.repeat(current[:1], 3, axis=0), current])
@@ -150,4 +172,4 @@ def _piece(
     s = h * np.cumsum(inverter_direction(mean, smoothing), axis=0)
     t = np.asarray(h * np.arange(len(current)), float)
     start = flux - (u[given] - R_s * i)[known] - drift * t[known]
-    return Piece(t, current, u, i, s - s[:1], start, drift)
+    return Piece(t, current, u, i, s - s[:1], start, drift, lengths)

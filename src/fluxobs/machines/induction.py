@@ -67,6 +67,7 @@ class InductionMachine(RotatingMachine):
     kind = "induction"
     inductances = ("L_sigma", "L_sigma")
     magnets = True
+    flux_moves = True
     flux_name = "psi_R"
     length_name = "Rotor flux"
     position_output = Position(

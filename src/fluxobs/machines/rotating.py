@@ -53,6 +53,8 @@ class RotatingMachine(Machine):
     magnets: ClassVar[bool] = False
     #: Names of the inductances along d and q; the same name twice if there is only one.
     inductances: ClassVar[tuple[str, str]]
+    #: Whether that flux changes in operation, as a cage's does.
+    flux_moves: ClassVar[bool] = False
     #: Name of the parameter that is the flux without current.
     flux_name: ClassVar[str] = "psi_f"
     #: What |λ - L i| is, in words.

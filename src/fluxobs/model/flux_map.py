@@ -2,8 +2,8 @@
 
 A machine with the map F has the flux ``λ = e^{jφ} F(e^{-jφ} i)``. The observers ask a map for F,
 its derivative J and the auxiliary flux ``a = F + j J(j i)``: an error e of the angle φ moves the
-flux of a current by ``-j e a``. So ``λ - e^{jφ}(F - a_d)`` lies along d whatever small error the φ has at
-which the map was asked (docs/theory.md, section 14).
+flux of a current by ``-j e a``. So ``λ - e^{jφ}(F - a_d)`` lies along d whatever small error the φ
+has at which the map was asked (docs/theory.md, section 14).
 """
 
 from __future__ import annotations
