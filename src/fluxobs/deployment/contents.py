@@ -16,7 +16,9 @@ from .costs import cost_table, read_costs
 from .header import Exported, bases, parameter_header, parameters, plain, settings
 from .vectors import COLUMNS, exact_columns, run, vectors_header
 
-SOURCES = ("fluxobs.h", "fluxobs_internal.h", "fluxobs.c")
+SOURCES = ("fluxobs_real.h", "fluxobs.h", "fluxobs_internal.h", "fluxobs.c")
+#: Needed only by a machine with a flux map.
+MAP_SOURCES = ("fluxobs_map.h", "fluxobs_map.c")
 ADAPTIVE_SOURCES = (
     *SOURCES,
     *(
@@ -28,6 +30,8 @@ ADAPTIVE_SOURCES = (
 #: What an export changes in the sources if the asymmetry is not an unknown: it saves memory and
 #: time, and changes no number.
 ASYMMETRIC = "#define FO_ASYMMETRIC 1"
+#: What it changes if the machine needs no flux map, for the same reasons.
+MAPPED = "#define FO_MAPPED 1"
 #: Angle by which a voltage error as large as the drift's prior may turn the flux while the position
 #: is valid [rad].
 VOLTAGE_LIMIT: float = _core.thresholds["VOLTAGE_LIMIT"]
@@ -43,13 +47,17 @@ def contents(
     version = metadata.version("fluxobs")
     installed = resources.files("fluxobs") / "firmware"
     adaptive = isinstance(observers["single"], AdaptiveObserver)
-    names = ADAPTIVE_SOURCES if adaptive else SOURCES
+    mapped = plain(observers["single"]).flux_map is not None
+    names = (ADAPTIVE_SOURCES if adaptive else SOURCES) + (MAP_SOURCES if mapped else ())
     sources = {name: (installed / name).read_text(encoding="utf-8") for name in names}
     single = observers["single"]
     if isinstance(single, AdaptiveObserver) and not single.asymmetry_std > 0:
         header = sources["fluxobs_adaptive.h"]
         assert ASYMMETRIC in header
         sources["fluxobs_adaptive.h"] = header.replace(ASYMMETRIC, ASYMMETRIC[:-1] + "0")
+    if not mapped:
+        assert MAPPED in sources["fluxobs.h"]
+        sources["fluxobs.h"] = sources["fluxobs.h"].replace(MAPPED, MAPPED[:-1] + "0")
     texts = tuple(sources.values())
     content, header = parameter_header(prefix, observers, machine, version, texts, update_every)
     inside = plain(observers["single"])
@@ -75,7 +83,7 @@ def contents(
         "ride": f"{1e3 * inside.flux_base / (2 * inside.drift_prior):.2g}",
         "slowest_rpm": f"{slowest / machine.n_p * 30 / math.pi:.3g}",
         "content": content,
-        "exact_columns": str(exact_columns(estimates["single"])),
+        "exact_columns": str(exact_columns(single)),
         "psi_f_column": str(COLUMNS.index("psi_f")),
         "valid_column": str(COLUMNS.index("valid")),
         "speed_column": str(COLUMNS.index("speed_e")),
@@ -110,7 +118,7 @@ def contents(
         "test/check.h": filled("check.h"),
         "test/check.c": filled("check.c"),
         "test/host_test.c": filled("host_test.c"),
-        "test/vectors.h": vectors_header(record, estimates),
+        "test/vectors.h": vectors_header(record, estimates, exact_columns(single)),
     }
 
 

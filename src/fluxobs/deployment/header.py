@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .. import _core
-from ..machines import RotatingMachine
+from ..machines import FluxPoints, RotatingMachine
 from ..observers import AdaptiveObserver, LeastSquaresObserver
-from .c_source import PRECISIONS, Precision, initializer
+from .c_source import PRECISIONS, Precision, hex_float, initializer
 
 #: Either observer, in one precision.
 Exported = LeastSquaresObserver | AdaptiveObserver
@@ -93,8 +96,14 @@ def parameter_header(
         for title, lines in facts.items()
     )
     constants = {
-        precision: _initializers(observer[precision], precision) for precision in PRECISIONS
+        precision: _initializers(observer[precision], precision, prefix) for precision in PRECISIONS
     }
+    maps = {precision: _map(observer[precision], precision, prefix) for precision in PRECISIONS}
+    tables = (
+        f"#ifdef FO_SINGLE\n{maps['single']}\n#else\n{maps['double']}\n#endif\n\n"
+        if maps["single"]
+        else ""
+    )
     adaptive = isinstance(single, AdaptiveObserver)
     kind, include = ("fo_adaptive", "fluxobs_adaptive") if adaptive else ("fo_observer", "fluxobs")
     guard = f"FLUXOBS_{prefix}_H"
@@ -107,7 +116,7 @@ def parameter_header(
 /* Interrupts of the current control from one step of the observer to the next. */
 enum {{ {prefix}_update_every = {update_every} }};
 
-/* Per-unit unless stated. Lives in flash: nothing has to be prepared when the drive starts. */
+{tables}/* Per-unit unless stated. Lives in flash: nothing has to be prepared at the start. */
 static const {kind} {prefix}_observer = {{
 #ifdef FO_SINGLE
 {constants["single"]}
@@ -127,7 +136,37 @@ static const {kind} {prefix}_observer = {{
     return content, text
 
 
-def _initializers(observer: Exported, precision: Precision) -> str:
+def _map(observer: Exported, precision: Precision, prefix: str) -> str:
+    """The flux map as constants; empty if there is none."""
+    flux_map = plain(observer).flux_map
+    if flux_map is None:
+        return ""
+    fields = flux_map.core()
+    table = np.asarray(fields.pop("coefficients"), float)
+    name = f"{prefix}_map"
+    text, pointer = "", "(const fo_real *)0"
+    if table.size:
+        rows = ",\n".join(
+            "    " + ", ".join(hex_float(float(x), precision) for x in row)
+            for row in table.reshape(table.shape[0], -1)
+        )
+        pointer = f"{name}_coefficients"
+        text = (
+            f"/* psi_d and psi_q over i_d (rows) and i_q: cubic B-splines [Wb]. */\n"
+            f"static const fo_real {pointer}[{table.size}] = {{\n{rows}\n}};\n\n"
+        )
+    kind = ("FO_MAP_LINEAR", "FO_MAP_TABLE", "FO_MAP_CAGE")[fields.pop("kind")]
+    magnets = "true" if fields.pop("magnets") else "false"
+    numbers = "".join(
+        f"    {hex_float(float(value), precision)}, /* {key} */\n" for key, value in fields.items()
+    )
+    return (
+        f"{text}static const fo_map {name} = {{\n    {kind}, {magnets}, {table.shape[0]}, "
+        f"{table.shape[1]},\n{numbers}    {pointer},\n}};"
+    )
+
+
+def _initializers(observer: Exported, precision: Precision, prefix: str) -> str:
     """Every number on its own line, with its meaning."""
 
     def lines(values: Mapping[str, Any], meaning: Mapping[str, str]) -> str:
@@ -137,6 +176,8 @@ def _initializers(observer: Exported, precision: Precision) -> str:
         )
 
     inner = lines(plain(observer).parameters(), _core.meanings)
+    if plain(observer).flux_map is not None:
+        inner += f"\n    &{prefix}_map, /* flux over current */"
     if not isinstance(observer, AdaptiveObserver):
         return inner
     more = observer.parameters()
@@ -156,4 +197,7 @@ def parameters(machine: RotatingMachine) -> dict[str, str]:
         name: f"{value:.9g} {units.get(name.removesuffix('_std'), 'H')}"
         for name, value in given.items()
     }
-    return found if flux_map is None else found | {"flux_map": flux_map.text()}
+    if flux_map is None:
+        return found
+    given_as = flux_map.source if isinstance(flux_map, FluxPoints) else flux_map.text()
+    return found | {"flux_map": Path(given_as).name}

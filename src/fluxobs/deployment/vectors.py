@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..observers import AdaptiveEstimate, Estimate, LeastSquaresObserver, Output, outputs
+from ..observers import AdaptiveObserver, Estimate, LeastSquaresObserver, Output, outputs
 from ..synthetic.firmware_record import FirmwareRecord
 from .c_source import PRECISIONS, Precision, hex_float, table
 from .header import Exported, plain
@@ -87,12 +87,15 @@ def run(observer: Exported, record: FirmwareRecord, update_every: int) -> Estima
     return observer.run(volt_seconds=volt_seconds, current=record.current)
 
 
-def exact_columns(estimate: Estimate) -> int:
+def exact_columns(observer: Exported) -> int:
     """How many columns are equal bit for bit everywhere: 0 if angles feed back into the filter."""
-    return 0 if isinstance(estimate, AdaptiveEstimate) else EXACT_COLUMNS
+    mapped = plain(observer).flux_map is not None
+    return 0 if mapped or isinstance(observer, AdaptiveObserver) else EXACT_COLUMNS
 
 
-def vectors_header(record: FirmwareRecord, estimates: Mapping[Precision, Estimate]) -> str:
+def vectors_header(
+    record: FirmwareRecord, estimates: Mapping[Precision, Estimate], exact_count: int
+) -> str:
     """The text of test/vectors.h: a record, and what :func:`run` returns for it."""
     inputs = np.concatenate([record.voltage, record.current], axis=1)
     samples = "\n".join(
@@ -104,9 +107,7 @@ def vectors_header(record: FirmwareRecord, estimates: Mapping[Precision, Estimat
         everything = expected(estimates[precision])
         rows = everything[EVERY - 1 :: EVERY]
         guard = checksum(inputs, rows, precision)
-        exact = checksum(
-            everything[:, : exact_columns(estimates[precision])], np.zeros(0), precision
-        )
+        exact = checksum(everything[:, :exact_count], np.zeros(0), precision)
         blocks.append(
             f"static const uint32_t expected_checksum = 0x{guard:08x}U;\n"
             f"static const uint32_t exact_checksum = 0x{exact:08x}U;\n"

@@ -104,6 +104,10 @@ class InductionMachine(RotatingMachine):
         return self.flux_base(1.0) if self.psi_R or self.rated_current else None
 
     @property
+    def magnetizing_current(self) -> float:
+        return (self.magnet_flux or 0.0) / self.L_M
+
+    @property
     def constraint(self) -> QuadraticConstraint:
         L, one = self.L_sigma, np.eye(2)
         return QuadraticConstraint(

@@ -117,6 +117,11 @@ class RotatingMachine(Machine):
         return None
 
     @property
+    def magnetizing_current(self) -> float:
+        """Current along d that keeps the flux of a cage [A]."""
+        return 0.0
+
+    @property
     def position_inductance(self) -> float:
         """L of the position vector ``λ - L i`` [H], which points along the rotor's d axis."""
         return self.L_dq[1]

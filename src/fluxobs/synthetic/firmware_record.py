@@ -54,7 +54,9 @@ def firmware_record(machine: RotatingMachine, observer: LeastSquaresObserver) ->
     rows, shares = zip(*SPEED, strict=True)
     speed = 2 * np.pi / (PERIOD * h) * np.interp(k, rows, shares)
     load = np.interp(k, (20, 60, LOAD_ROW, LOAD_ROW + 20), (0.0, 0.1, 0.1, 0.8))
-    along = 0.0 if machine.magnets else 0.5 * np.minimum(1, k / 40)
+    along: Array | float = machine.magnetizing_current / rated
+    if not machine.magnets:
+        along = 0.5 * np.minimum(1, k / 40)
     i_dq = rated * (along + 1j * load)
     true = driven(machine, h, speed, np.asarray(i_dq, complex), PARTS, START_ANGLE)
 
