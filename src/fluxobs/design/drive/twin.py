@@ -9,7 +9,7 @@ explains each step.
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeVar
 
 import equinox as eqx
 import jax
@@ -18,6 +18,8 @@ import numpy as np
 
 from ... import _core
 from ...observers import Estimate, LeastSquaresObserver
+from .flux_map import Map
+from .vectors import pair, turn, vector
 
 #: Thresholds of the compiled observer; firmware/fluxobs_internal.h gives the reasons.
 C: SimpleNamespace = SimpleNamespace(**_core.thresholds)
@@ -30,6 +32,18 @@ S, FLUX, KAPPA, DRIFT, CC, Z = 0, slice(1, 3), 3, slice(4, 6), 6, 7
 PRIOR_POWER = np.array([0, 0, 0, 1, 1, 1, 2])
 
 Array = jax.Array
+
+
+class Shape(NamedTuple):
+    """What the machine's flux map says of the present current; per-unit, vectors (2,)."""
+
+    away: Array  # position vector = flux - away
+    centre: Array  # |flux - centre|² - square does not change
+    square: Array
+    active: Array  # length of the position vector by the map; of a cage, its growth
+    rotor: Array  # growth of a cage's flux so far
+    magnetizing: Array  # the current that would keep it [A]; 0: unknown
+    outside: Array
 
 
 class TwinState(NamedTuple):
@@ -73,6 +87,7 @@ class TwinState(NamedTuple):
     consecutive_bad: Array
     restarts: Array
     outliers: Array
+    shape: Shape
 
 
 class Reading(NamedTuple):
@@ -128,6 +143,7 @@ class SquareRootLeastSquares(eqx.Module):
     position_noise: Array
     sample_time: Array
     track: Array  # (3,)
+    flux_map: Map | None = None
 
     @classmethod
     def of(cls, observer: LeastSquaresObserver) -> Self:
@@ -169,14 +185,16 @@ class SquareRootLeastSquares(eqx.Module):
             "sample_time": h,
             "track": track,
         }
-        return cls(**{name: jnp.asarray(value, float) for name, value in values.items()})
+        flux_map = None if observer.flux_map is None else Map.of(observer.flux_map)
+        arrays = {name: jnp.asarray(value, float) for name, value in values.items()}
+        return cls(**arrays, flux_map=flux_map)
 
     def init(self) -> TwinState:
         """State without any knowledge."""
-        zero, pair, no = jnp.zeros(()), jnp.zeros(2), jnp.zeros((), bool)
+        zero, both, no = jnp.zeros(()), jnp.zeros(2), jnp.zeros((), bool)
         names = TwinState._fields
         blank: dict[str, Any] = dict.fromkeys(names, zero)
-        blank |= dict.fromkeys(("source", "flux", "drift"), pair)
+        blank |= dict.fromkeys(("source", "flux", "drift"), both)
         flags = ("have_current", "have_voltage", "trusted", "have_carried", "lost")
         blank |= dict.fromkeys(flags, no)
         count = jnp.zeros((), jnp.int32)
@@ -187,6 +205,7 @@ class SquareRootLeastSquares(eqx.Module):
             "noise": jnp.zeros(3),
             "currents": jnp.zeros((4, 2)),
             "prior_scale": jnp.ones(()),
+            "shape": Shape(both, both, zero, zero, zero, zero, no),
         }
         return self._restarted(TwinState(**blank))
 
@@ -252,8 +271,46 @@ class SquareRootLeastSquares(eqx.Module):
     def _roughness(self, s: TwinState) -> Array:
         return jnp.maximum(s.rough * self.over_noise, 1.0)
 
-    def _relation(self, current: Array) -> Array:
-        """Row and right-hand side of 0 = s + (Q2 i)ᵀflux + iᵀQ3 i + Cᵀi, divided by its noise."""
+    def _shape(self, s: TwinState, before: Shape) -> Shape:
+        """Asks the map about the newest current, at the angle where the tracker expects the
+        rotor; `before` is what it said of the last one."""
+        current, m, base = s.currents[0], self.flux_map, self.flux_base
+        if m is None:
+            return before._replace(away=self.L_position * current)
+        step = self._expected_step(s)
+        angle = jnp.where(jnp.abs(step) <= np.pi, wrap(s.angle + step), s.angle)
+        direction = turn(angle)
+        i = vector(current) * jnp.conj(direction)
+        rotor, square, magnetizing = before.rotor, before.square, before.magnetizing
+        if m.cage:
+            known = jnp.where(s.trusted, magnetizing, 0.0)
+            off = i.real - known
+            grown = m.decay * off * off**2 / (off**2 + m.still**2)
+            follows = known > m.still
+            ratio = jnp.where(follows, grown / jnp.where(follows, known, 1.0), 0.0)
+            rotor = rotor + ratio * s.length
+            square = square + 2 * ratio * s.length**2
+            held = jnp.where(s.trusted, i.real, known)
+            magnetizing = jnp.where(follows, known + grown, held)
+        flux, by_d, by_q = m.at(i, rotor * base)
+        # a = F + j J(j i)
+        a = (flux + 1j * (by_q * i.real - by_d * i.imag)) / base
+        share = 1.0 if m.magnets else 0.5
+        away = direction * (flux / base - a.real)
+        centre = direction * (flux / base - share * a)
+        if not m.cage:
+            square = share**2 * (a.real**2 + a.imag**2) - (m.psi / base) ** 2
+        active = a.real if m.cage else jnp.abs(a.real)
+        outside = m.outside(i)
+        return Shape(pair(away), pair(centre), square, active, rotor, magnetizing, outside)
+
+    def _relation(self, shape: Shape, current: Array) -> Array:
+        """Row and right-hand side of 0 = s + (Q2 i)ᵀflux + iᵀQ3 i + Cᵀi, divided by its noise; with
+        a map, of 0 = s - 2 centreᵀflux + |centre|² - square."""
+        if self.flux_map is not None:
+            rhs = self.row_s * (shape.square - shape.centre @ shape.centre)
+            row = [self.row_s[None], -2 * self.row_s * shape.centre, jnp.zeros(4), rhs[None]]
+            return jnp.concatenate(row)
         rhs = -(self.row_C @ current + current @ self.row_Q3 @ current)
         row = [self.row_s[None], self.row_Q2 @ current, jnp.zeros(4), rhs[None]]
         return jnp.concatenate(row)
@@ -286,8 +343,8 @@ class SquareRootLeastSquares(eqx.Module):
         """Reads out the flux of the least squares if trusted, else carries the last trusted on."""
         inverse = invert(s.triangle[:, :SIZE])
         x = inverse @ s.triangle[:, Z]
-        current = s.currents[0]
-        p = x[FLUX] - self.L_position * current
+        away, active = s.shape.away, self._active(s)
+        p = x[FLUX] - away
         flux, drift = x[FLUX], x[DRIFT]
         square = p @ p
         theta = jnp.arctan2(p[1], p[0])
@@ -301,19 +358,21 @@ class SquareRootLeastSquares(eqx.Module):
         floor = self.position_noise * self._roughness(s)
         own_variance = s.spread + floor / square
         # Not trusted: integrate on from the last trusted flux.
-        start = s.flux - self.L_position * current
+        start = s.flux - away
         begins = s.carried == 0
         plausible = 1 / self.prior[4]
         start_square = start @ start
         across = (start[1] * inverse[4] - start[0] * inverse[5]) ** 2
         grows = (s.inflation * jnp.sum(across) / start_square + plausible**2) / start_square
         growth = jnp.where(begins, grows, s.growth)
-        carried_length = jnp.where(begins, jnp.sqrt(start_square), s.carried_length)
+        carried_length = jnp.where(begins, jnp.sqrt(start_square) - active, s.carried_length)
         carried = s.carried + self.h
         carried_flux = s.flux + v + self.h * s.drift
-        # An error of the drift shows in the length, which should stay constant.
-        now = carried_flux - self.L_position * current
-        off = jnp.sqrt(now @ now) / jnp.where(carried_length > 0, carried_length, 1.0) - 1
+        # An error of the drift shows in the length, which should stay as the map says.
+        now = carried_flux - away
+        usual = carried_length + active
+        usual = jnp.where(usual > C.SHORTEST_ACTIVE, usual, C.SHORTEST_ACTIVE)
+        off = jnp.sqrt(now @ now) / usual - 1
         off = jnp.maximum(off**2, jnp.where(begins, 0.0, s.carried_off))
         carried_variance = s.variance + growth * carried**2 + off
         lost = ~(carried_variance < C.VARIANCE_UNKNOWN)
@@ -327,7 +386,7 @@ class SquareRootLeastSquares(eqx.Module):
         shows_carried = carries & (~known | ~lost)
         out_flux = jnp.where(shows_carried, carried_flux, flux)
         out_drift = jnp.where(shows_carried, s.drift, drift)
-        p = out_flux - self.L_position * current
+        p = out_flux - away
         square = p @ p
         length = jnp.sqrt(square)
         out_theta = jnp.arctan2(p[1], p[0])
@@ -344,6 +403,13 @@ class SquareRootLeastSquares(eqx.Module):
         exposed = s.exposed + self.h * plausible - s.exposed * step
         exposed = jnp.minimum(exposed, C.EXPOSED_MOST)
         steady = exposed < C.VOLTAGE_LIMIT * length
+
+        valid = trusted & (settled >= C.TRACKER_SETTLED) & (std < C.STD_LIMIT) & steady
+        if self.flux_map is not None:
+            # the rows before asked the map at wrong angles
+            keep = jnp.where(trusted & ~s.trusted, C.DISTRUST, 1.0)
+            s = s._replace(triangle=jnp.sqrt(keep) * s.triangle, noise=keep * s.noise)
+            valid = valid & ~s.shape.outside
 
         after = s._replace(
             length=length,
@@ -373,10 +439,18 @@ class SquareRootLeastSquares(eqx.Module):
             tracker[1],
             out_drift * self.drift_base,
             std,
-            trusted & (settled >= C.TRACKER_SETTLED) & (std < C.STD_LIMIT) & steady,
+            valid,
             s.innovation,
             s.noise_share,
         )
+
+    def _active(self, s: TwinState) -> Array:
+        """What the map says of the length of the position vector: it is not constant then."""
+        return jnp.zeros(()) if self.flux_map is None else s.shape.active
+
+    def _expected_step(self, s: TwinState) -> Array:
+        """Angle by which the tracker expects the rotor to turn in a sample."""
+        return self.sample_time * (s.speed + self.sample_time * s.acceleration / 2)
 
     def _taken_turn(
         self, s: TwinState, inverse: Array, p: Array, square: Array, long_enough: Array
@@ -417,7 +491,7 @@ class SquareRootLeastSquares(eqx.Module):
         Returns angle, speed, acceleration, settled, lost.
         """
         h = self.sample_time
-        step = h * (s.speed + h * s.acceleration / 2)
+        step = self._expected_step(s)
         stop = stop | ~(jnp.abs(step) <= np.pi)
         error = wrap(theta - wrap(s.angle + step))
         resumes = ~stop & s.lost
@@ -489,9 +563,14 @@ class SquareRootLeastSquares(eqx.Module):
         connected = s.have_voltage
         v = jnp.where(connected, v, 0.0)
         s = select(connected | ~takes, s, self._empty(s))
-        step = jnp.linalg.norm(v - self.L_position * (s.currents[0] - s.currents[1]))
+        before = s.shape
+        s = s._replace(shape=select(takes, self._shape(s, before), before))
+        moved = self.L_position * (s.currents[0] - s.currents[1])
+        if self.flux_map is not None:
+            moved = s.shape.away - before.away
+        step = jnp.linalg.norm(v - moved)
         jump = C.STEP_NOISE * jnp.sqrt(self.position_noise * self._roughness(s))
-        row = self._relation(current)
+        row = self._relation(s.shape, current)
         leaps = step > 2 * s.step + C.STEP_LIMIT * s.length + jump
         contradicted = takes & good & s.trusted & (leaps | self._contradicts(s, v, row))
 
@@ -503,6 +582,7 @@ class SquareRootLeastSquares(eqx.Module):
             step=jnp.where(takes & connected & ~contradicted, step, s.step),
             outliers=s.outliers + contradicted,
         )
+        s = s._replace(shape=select(contradicted, self._shape(s, before), s.shape))
         s = select(takes & connected, self._predict(s, v), s)
         s = select(takes & good & ~contradicted, self._measure(s, row), s)
         v = jnp.where(takes, v, 0.0)
@@ -537,9 +617,12 @@ def _run(observer: SquareRootLeastSquares, voltage: Array, current: Array) -> Re
     return jax.lax.scan(body, observer.init(), (voltage, current))[1]  # type: ignore[no-any-return]
 
 
-def select(condition: Array, yes: TwinState, no: TwinState) -> TwinState:
+State = TypeVar("State")
+
+
+def select(condition: Array, yes: State, no: State) -> State:
     """Selects one of two states."""
-    chosen: TwinState = jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
+    chosen: State = jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
     return chosen
 
 
