@@ -494,17 +494,22 @@ static fo_real position(const fo_observer *o, const fo_state *s, const fo_real f
     return dot(p, p);
 }
 
-/* A wrong prior is forgotten slowly: widens it, and gives its effect so far little weight. */
-static void widen_prior(fo_state *s, fo_real excess)
+/* Gives all that is known less weight. */
+static void discount(fo_state *s, fo_real keep)
 {
-    const fo_real keep = DISTRUST / excess;
-    s->drift_prior /= WIDEN * excess;
     for (int i = 0; i < FO_NX; i++) {
         s->info.d[i] *= keep;
     }
     for (int i = 0; i < 3; i++) {
         s->info.noise[i] *= keep;
     }
+}
+
+/* A wrong prior is forgotten slowly: widens it, and gives its effect so far little weight. */
+static void widen_prior(fo_state *s, fo_real excess)
+{
+    s->drift_prior /= WIDEN * excess;
+    discount(s, DISTRUST / excess);
 }
 
 /* Judges the position vector p by the information: the variance of its angle, and the share of the
@@ -655,12 +660,7 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     s->length = fo_sqrt(square);
 #if FO_MAPPED
     if (trusted && !s->trusted && mapped(o)) {
-        for (int i = 0; i < FO_NX; i++) { /* its rows asked the map at wrong angles */
-            s->info.d[i] *= DISTRUST;
-        }
-        for (int i = 0; i < 3; i++) {
-            s->info.noise[i] *= DISTRUST;
-        }
+        discount(s, DISTRUST); /* its rows asked the map at wrong angles */
     }
     s->before = s->shape;
     s->outside += trusted && s->shape.outside ? 1U : 0U;

@@ -32,7 +32,7 @@ SETTINGS = Settings(
 @pytest.fixture(scope="module")
 def program(tmp_path_factory):
     made = tmp_path_factory.mktemp("learner") / "learner"
-    sources = [HARNESS / "learner.c", FIRMWARE / "fluxobs.c"]
+    sources = [HARNESS / "learner.c", FIRMWARE / "fluxobs.c", FIRMWARE / "fluxobs_map.c"]
     sources += [FIRMWARE / f"fluxobs_{name}.c" for name in ("triangle", "candidates", "learning")]
     command = ["gcc", "-std=c99", "-O1", "-Wall", "-Werror", f"-I{FIRMWARE}", *sources]
     subprocess.run([*command, "-lm", "-o", made], check=True)

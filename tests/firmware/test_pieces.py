@@ -11,7 +11,7 @@ from support.firmware import FIRMWARE, HARNESS
 def test_pieces_against_dense_matrices(tmp_path, precision):
     """Triangles, transition, random step, derivatives, effects, start, the projection's minimum."""
     program = tmp_path / "pieces"
-    sources = [HARNESS / "pieces.c", FIRMWARE / "fluxobs.c"]
+    sources = [HARNESS / "pieces.c", FIRMWARE / "fluxobs.c", FIRMWARE / "fluxobs_map.c"]
     sources += [FIRMWARE / f"fluxobs_{part}.c" for part in ("triangle", "candidates")]
     command = ["gcc", "-std=c99", "-O1", "-Wall", "-Werror", precision, f"-I{FIRMWARE}"]
     subprocess.run([*command, *sources, "-lm", "-o", program], check=True)

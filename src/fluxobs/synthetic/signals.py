@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..machines import RotatingMachine
+from ..machines import InductionMachine, RotatingMachine
 from ..model.frames import clarke
 
 Array = NDArray[np.float64]
@@ -96,6 +96,51 @@ def driven(
     flux = machine.flux_dq(i_dq) * turn
     means = interval_means(current, parts)
     return _signals(machine, sample_time, theta[::parts], flux[::parts], current[::parts], means)
+
+
+def driven_cage(
+    machine: InductionMachine,
+    sample_time: float,
+    speed: Array,
+    psi: Array,
+    i_q: Array,
+    parts: int,
+    theta0: float = 0.0,
+) -> tuple[Signals, Array]:
+    """Any course of an induction machine: what its rotor flux does is prescribed.
+
+    Parameters
+    ----------
+    machine : InductionMachine
+    sample_time : float
+        [s].
+    speed, psi, i_q : (rows parts + 1,) ndarray
+        Speed of the rotor flux [rad/s electrical], its length [Wb], current across it [A].
+    parts : int
+        Instants per sample, even.
+    theta0 : float
+        First angle of the rotor flux [rad].
+
+    Returns
+    -------
+    signals : Signals
+        Its theta_e is the angle of the rotor flux. i_d follows from psi and its derivative.
+    mechanical : (rows + 1,) ndarray
+        Speed of the shaft [rad/s].
+    """
+    h = sample_time / parts
+    theta = theta0 + np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * h)])
+    i_d = (np.gradient(psi, h) + machine.R_R / machine.L_M * psi) / machine.R_R
+    i_dq = i_d + 1j * i_q
+    turn = np.exp(1j * theta)
+    current = i_dq * turn
+    flux = (psi + machine.L_sigma * i_dq) * turn
+    means = interval_means(current, parts)
+    mechanical = (speed - machine.R_R * i_q / psi) / machine.n_p
+    true = _signals(
+        machine, sample_time, theta[::parts], flux[::parts], current[::parts], means
+    )
+    return true, mechanical[::parts]
 
 
 def interval_means(values: AnyComplex, parts: int) -> Complex:

@@ -1,0 +1,100 @@
+"""The induction machine: conversions of its parameters, slip, and what it refuses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fluxobs import MachineError
+from fluxobs.machines import InductionMachine, example
+
+MACHINE = example("induction-2kw2")
+T_MODEL = {"R_r": 2.4, "L_ls": 0.011, "L_lr": 0.013, "L_m": 0.23}
+
+
+def test_the_t_model_has_the_same_terminals():
+    """Impedance at the terminals, at any frequency and slip."""
+    machine = InductionMachine(R_s=3.7, n_p=2, **T_MODEL)
+    for omega, slip in ((314.0, 0.05), (314.0, 1.0), (60.0, -0.3)):
+        rotor = T_MODEL["R_r"] / slip + 1j * omega * T_MODEL["L_lr"]
+        across = 1j * omega * T_MODEL["L_m"]
+        t_model = 3.7 + 1j * omega * T_MODEL["L_ls"] + across * rotor / (across + rotor)
+        across = 1j * omega * machine.L_M
+        inverse_gamma = (
+            machine.R_s
+            + 1j * omega * machine.L_sigma
+            + across * machine.R_R / slip / (across + machine.R_R / slip)
+        )
+        assert inverse_gamma == pytest.approx(t_model, rel=1e-12)
+
+
+def test_a_plate_gives_back_its_own_operating_point():
+    plate = {"voltage": 400, "frequency": 50, "power": 2200, "current": 5.0, "speed": 1436}
+    machine = InductionMachine(plate=plate | {"cos_phi": 0.82})
+    assert machine.n_p == 2
+    assert machine.rated_current == pytest.approx(5 * np.sqrt(2), rel=1e-3)
+    omega, slip = 2 * np.pi * 50, 1 - 1436 / 1500
+    across = 1j * omega * machine.L_M
+    impedance = (
+        machine.R_s
+        + 1j * omega * machine.L_sigma
+        + across * machine.R_R / slip / (across + machine.R_R / slip)
+    )
+    current = 400 / np.sqrt(3) / impedance
+    assert abs(current) == pytest.approx(5.0, rel=0.01)
+    assert np.cos(np.angle(current)) == pytest.approx(0.82, rel=0.01)
+
+
+def test_slip_of_a_steady_state():
+    psi, i_d, i_q = 0.9, 0.9 / MACHINE.L_M, 3.0
+    direction = np.exp(0.4j)
+    i = (i_d + 1j * i_q) * direction
+    flux = psi * direction + MACHINE.L_sigma * i
+    pair = [np.array([z.real, z.imag]) for z in (flux, i)]
+    assert MACHINE.slip(*pair) == pytest.approx(MACHINE.R_R * i_q / psi)
+
+
+def test_scales_without_a_rated_flux():
+    machine = MACHINE.with_values(psi_R=None)
+    assert 0.5 < machine.flux_base(7.1) / 0.9 < 2
+    assert machine.flux_base(7.1, psi_f=0.4) == 0.4
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"R_R": 2.0, "L_sigma": 0.02}, "L_M is missing"),
+        ({"R_r": 2.0, "L_ls": 0.01, "L_m": 0.2}, "L_lr is missing"),
+        (T_MODEL | {"R_r": -1.0}, "R_r must be a positive number"),
+        ({"plate": {"voltage": 400}}, "plate has voltage, frequency, power"),
+        (
+            {
+                "plate": {
+                    "voltage": 400,
+                    "frequency": 50,
+                    "power": 9000,
+                    "current": 5.0,
+                    "speed": 1436,
+                    "cos_phi": 0.82,
+                }
+            },
+            "more than the",
+        ),
+        (
+            {
+                "plate": {
+                    "voltage": 400,
+                    "frequency": 50,
+                    "power": 2200,
+                    "current": 5.0,
+                    "speed": 1100,
+                    "cos_phi": 0.82,
+                }
+            },
+            "no slip between 0 and 20 %",
+        ),
+    ],
+)
+def test_refusals(given, message):
+    with pytest.raises(MachineError, match=message):
+        InductionMachine(**({"R_s": 3.7, "n_p": 2} | given))
