@@ -17,9 +17,7 @@ BIAS = 0.2 - 0.1j
 VOLTAGE_BIAS = 2 + 1j
 CONSTANT = profile((0, 0.9), (2.4, 0.9))
 #: 0.9 to 0.5 Wb and back, each in 0.1 s.
-RAMPS = profile(
-    (0, 0.9), (1.0, 0.9), (1.1, 0.5), (1.5, 0.5), (1.6, 0.9), (2.4, 0.9)
-)
+RAMPS = profile((0, 0.9), (1.0, 0.9), (1.1, 0.5), (1.5, 0.5), (1.6, 0.9), (2.4, 0.9))
 
 
 def record(psi, machine=MACHINE, bias=BIAS, seed=0):

@@ -109,9 +109,7 @@ def test_a_surface_machine_whose_inductance_falls(share):
     machine = SurfacePMSM(**given, L_s_rated=share * 3e-3)
     speed = profile((0, 300), (1.0, 300), (1.4, -300), (1.8, -300))
     i_q = profile((0, 3), (0.3, 3), (0.31, 20), (0.8, 20), (0.81, -10), (1.8, 15))
-    samples = driven(
-        machine, H, speed, 0j + 1j * i_q, voltage_bias=0.5 + 0.2j, noise=0.04, seed=1
-    )
+    samples = driven(machine, H, speed, 0j + 1j * i_q, voltage_bias=0.5 + 0.2j, noise=0.04, seed=1)
     for taken, least, most in ((machine, 0.0, 0.2), (SurfacePMSM(**given), 1.5, 30.0)):
         estimate = LeastSquaresObserver.for_machine(taken, sample_time=H).run(
             samples.voltage, samples.current

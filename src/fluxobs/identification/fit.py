@@ -176,6 +176,7 @@ def fit(
     held: Mapping[str, float] | None = None,
     relation: Relation = linear,
     prior: Mapping[str, tuple[float, float]] | None = None,
+    model_error: float = 0.0,
 ) -> Fit:
     """Find the best parameters, from a start that is right within a factor of two or so.
 
@@ -195,6 +196,9 @@ def fit(
         Default: constant inductances.
     prior : mapping of str to (float, float), optional
         Mean and standard deviation of free parameters before the log.
+    model_error : float
+        Standard deviation of an error of the relation that is constant over a stretch of the log
+        [Wb]; it is in the covariance only.
     """
     believed = _believed(prior or {}, free)
     values, names = dict(start), tuple(free)
@@ -245,7 +249,7 @@ def fit(
             break
     current = [_said(p, values, *w, relation)[0].current for p, w in zip(data, here, strict=True)]
     covariance, own, alike, residuals = _uncertainty(
-        data, values, here, names, held or {}, relation, believed(values)[:, :-1]
+        data, values, here, names, held or {}, relation, believed(values)[:, :-1], model_error
     )
     return Fit(
         values, names, covariance, own, alike, np.concatenate(current), residuals, here, converged
@@ -287,6 +291,7 @@ def _uncertainty(
     held: Mapping[str, float],
     relation: Relation,
     believed: Array,
+    model_error: float,
 ) -> tuple[Array, Array, Array, list[Array]]:
     """Covariance of the free parameters, that without the held ones, how alike they are, and the
     residuals."""
@@ -297,7 +302,7 @@ def _uncertainty(
     scale = 1.4826 * float(np.median(np.abs(np.concatenate(residuals)))) + 1e-15
     free = len(names)
     H, across = np.zeros((free, free)), np.zeros((free, len(considered)))
-    sums, power, lagged, rows = [], 0.0, 0.0, 0.0
+    sums, shifts, power, lagged, rows = [], [], 0.0, 0.0, 0.0
     stretch = max(1, sum(map(len, data)) // BLOCKS)
     for residual, to_local, to_free in parts:
         weight = _weights(residual, scale)[:, None]
@@ -311,6 +316,7 @@ def _uncertainty(
         rows += float(np.sum(weight**2)) - 4
         count = max(1, round(len(r) / stretch))
         sums += [part.sum(axis=0) for part in np.array_split(gradient, count)]
+        shifts += [part.sum(axis=0) for part in np.array_split(left * weight, count)]
     g = np.stack(sums)
     H += scale**2 * believed.T @ believed
     size = np.sqrt(np.diag(H)) + 1e-300
@@ -321,6 +327,7 @@ def _uncertainty(
     coloured = inverse * power / max(rows, 1.0) * (1 + r1) / (1 - r1)
     larger = np.sqrt(np.maximum(1.0, np.diag(sandwich) / (np.diag(coloured) + 1e-300)))
     turned = inverse @ across * np.array([held[name] for name in considered])
-    own = coloured * np.outer(larger, larger)
+    shift = model_error * inverse @ np.stack(shifts).T
+    own = coloured * np.outer(larger, larger) + shift @ shift.T
     alike = size**2 * np.diag(inverse)
     return own + turned @ turned.T, own, alike, residuals

@@ -31,7 +31,7 @@ from ..validation import nearest
 from .fit import Fit, fit
 from .fitted import ADVICE, UNITS, Fitted, Parameter, in_the_file
 from .found_map import found_map
-from .pieces import Piece, pieces, smoothing_current, typical_length
+from .pieces import SECONDS, Piece, pieces, smoothing_current, typical_length
 from .relations import SATURATION, Mapped, Relation, Saturating, linear
 from .report import figure, lines, write
 
@@ -53,6 +53,12 @@ ALONG_LIMIT = 0.15
 #: Standard deviations of a map before the log: of the inverse inductances, over themselves; and of
 #: what saturation adds to them.
 UNSURE_SLOPE, SATURATES = 0.5, 3.0
+#: No machine is the algebraic model: so much of the flux may be off at an operating point. Without
+#: a position the log tells the map's symmetry only weakly, and such an error grows several-fold.
+MODEL_ERROR = 0.001
+#: Length of a piece for a map [s]: the drift has to stand for so long, since five parameters of
+#: saturation can imitate one that changes.
+MAP_SECONDS = 2.0
 #: Order in which parameters are held if they cannot be told apart.
 HELD_FIRST = ("lag", "L_d", "L_q", "L_s", "inverter", "R_s", "psi_f")
 
@@ -165,7 +171,8 @@ def identify(
 
 def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identification:
     """Identify from a log that is open, with names of free parameters that are checked."""
-    data, scales = pieces(log, machine, LAGS if "lag" in free else (0,))
+    lags = LAGS if "lag" in free else (0,)
+    data, scales = pieces(log, machine, lags, MAP_SECONDS if MAP in free else SECONDS)
     given, relation, prior = starting_values(machine, data), _relation(machine), {}
     names, held = _expanded(free, machine), _held(machine, scales)
     if MAP in free:
@@ -174,6 +181,7 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
         given |= {name: getattr(relation.model, name) for name in SATURATION}
     if relation is not linear:
         held = {name: std for name, std in held.items() if not name.startswith("L_")}
+    error = MODEL_ERROR * _typical_flux(data) if MAP in free else 0.0
     before = fit(data, given, ("psi_f",) if given["psi_f"] > 0 else (), relation=relation)
     nearest = _nearest_lag(data, given, names, relation, prior) if "lag" in names else None
     untold: dict[str, str] = {}
@@ -181,7 +189,7 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
         start, local = given, None
         if nearest is not None and "lag" in names:
             start, local = _start(given, nearest, names), nearest.local
-        after = fit(data, start, names, local, held, relation, prior)
+        after = fit(data, start, names, local, held, relation, prior, error)
         doubts = _doubts(after, scales.voltage) | _unseen_inductances(after, data)
         if "inverter" in names and after.values["inverter"] < 0 and not doubts:
             value, std = after.values["inverter"], after.std("inverter")
@@ -262,7 +270,7 @@ def _saturation_prior(
 ) -> dict[str, tuple[float, float]]:
     """Means and standard deviations before the log: inductances known to a half of themselves, and
     saturation that may make the currents four times as large at the flux of the log."""
-    psi = float(np.sqrt(np.mean([np.sum(piece.start**2) for piece in data])))
+    psi = _typical_flux(data)
     a_d, a_q = SATURATES * model.a_d0, SATURATES * model.a_q0
     stds = {
         "a_d0": UNSURE_SLOPE * model.a_d0,
@@ -272,6 +280,11 @@ def _saturation_prior(
         "a_dq": (model.U + 2) * max(a_d, a_q) / psi ** (model.U + model.V + 2),
     }
     return {name: (getattr(model, name), std) for name, std in stds.items()}
+
+
+def _typical_flux(data: Sequence[Piece]) -> float:
+    """Length of the flux, rms [Wb]."""
+    return float(np.sqrt(np.mean([np.sum(piece.start**2) for piece in data])))
 
 
 def _with_map(

@@ -75,8 +75,11 @@ def smoothing_current(machine: RotatingMachine, scales: Scales) -> float:
     return machine.inverter_current or SMOOTHING * (machine.rated_current or scales.current)
 
 
-def pieces(log: Log, machine: RotatingMachine, lags: tuple[int, ...]) -> tuple[list[Piece], Scales]:
-    """Cut the log where samples are missing and where pieces get long.
+def pieces(
+    log: Log, machine: RotatingMachine, lags: tuple[int, ...], seconds: float = SECONDS
+) -> tuple[list[Piece], Scales]:
+    """Cut the log where samples are missing and where pieces get longer than `seconds` or some
+    turns.
 
     Each piece starts from the observer's flux at its most certain row. Pieces in which the observer
     never knows the position are left out.
@@ -91,7 +94,8 @@ def pieces(log: Log, machine: RotatingMachine, lags: tuple[int, ...]) -> tuple[l
     smoothing = smoothing_current(machine, scales)
     for parts in zip(*(excerpts(log.lagged(lag)) for lag in lags), strict=True):
         voltage = np.stack([part.voltage for part in parts])
-        found += cut(observer, parts[0].current, voltage, lags.index(0), machine.R_s, smoothing)
+        settings = lags.index(0), machine.R_s, smoothing, seconds
+        found += cut(observer, parts[0].current, voltage, *settings)
     if machine.flux_moves and found:
         found = _same_flux(found)
         if not found:
@@ -120,6 +124,7 @@ def cut(
     given: int,
     R_s: float,
     smoothing: float,
+    seconds: float,
 ) -> list[Piece]:
     """Cut a stretch, (rows, 2) and (lags, rows, 2), into pieces; the observer uses lag `given`."""
     h, found = observer.sample_time, []
@@ -128,7 +133,7 @@ def cut(
     good: NDArray[np.bool_] = np.logical_not(missing)
     speed = np.abs(estimate.speed_e[estimate.valid])
     turns = TURNS * 2 * np.pi / np.median(speed) if len(speed) else 0.0
-    rows = max(SHORTEST, round(max(SECONDS, turns) / h))
+    rows = max(SHORTEST, round(max(seconds, turns) / h))
     for run in _runs(good, rows):
         valid = np.flatnonzero(estimate.valid[run])
         if len(valid):

@@ -137,9 +137,7 @@ def driven_cage(
     flux = (psi + machine.L_sigma * i_dq) * turn
     means = interval_means(current, parts)
     mechanical = (speed - machine.R_R * i_q / psi) / machine.n_p
-    true = _signals(
-        machine, sample_time, theta[::parts], flux[::parts], current[::parts], means
-    )
+    true = _signals(machine, sample_time, theta[::parts], flux[::parts], current[::parts], means)
     return true, mechanical[::parts]
 
 
