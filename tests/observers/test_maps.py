@@ -154,7 +154,7 @@ def test_a_biased_current_turns_a_salient_machine_by_the_saliency_and_no_more():
     bias = 0.1 * INTERIOR.rated_current
     speed = np.full(6001, 400.0)
     samples = driven(INTERIOR, H, speed, np.full(6001, 4j))
-    current = samples.current + [bias, 0.0]
+    current = samples.current + np.array([bias, 0.0])
     estimate = LeastSquaresObserver.for_machine(INTERIOR, sample_time=H).run(
         samples.voltage, current
     )

@@ -221,7 +221,7 @@ class SynchronousMachine(RotatingMachine):
             The map is none that a machine can have.
         """
         source: MapSource | Falling | None = self.flux_map
-        rated = {name: getattr(self, name) for name in self._rated_inductances()}
+        rated = {name: getattr(self, name, None) for name in self._rated_inductances()}
         if source is None and any(value is not None for value in rated.values()):
             L_d, L_q = self.L_dq
             at_d, at_q = (

@@ -14,7 +14,7 @@ def machines() -> None:
         title = example_text(name).splitlines()[0].removeprefix("# ")
         values = ", ".join(
             f"{key} = {value:g}"
-            for key, value in machine.model_dump(by_alias=True).items()
+            for key, value in machine.parameters().items()
             if value is not None
         )
         typer.echo(f"{name}\n    {machine.kind}: {values}\n    {title}")
