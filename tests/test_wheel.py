@@ -14,7 +14,7 @@ ROOT = Path(__file__).parent.parent
 def test_firmware_sources_are_package_data():
     folder = resources.files("fluxobs") / "firmware"
     sources = sorted((ROOT / "firmware").glob("fluxobs*.[ch]"))
-    assert len(sources) == 11
+    assert len(sources) == 14
     for source in sources:
         assert (folder / source.name).read_bytes() == source.read_bytes()
 

@@ -39,7 +39,7 @@ def test_columns_summary_picture_and_the_way_into_firmware(folder):
     done = estimate(folder, *given, "--report", "report.png")
     assert done.returncode == 0, done.stderr
     found = pl.read_parquet(folder / "out.parquet")
-    assert found.columns == [*COLUMNS[:-1], *FURTHER, "valid"]
+    assert found.columns == [*COLUMNS[:-3], *FURTHER, *COLUMNS[-3:]]
     last = found.row(-1, named=True)
     assert last["resistance"] == pytest.approx(1.3 * PMSM.R_s, rel=0.05)
     assert last["inverter_voltage"] == pytest.approx(6.0, rel=0.2)

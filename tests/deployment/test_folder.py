@@ -118,9 +118,11 @@ def test_the_adaptive_observer_in_the_folder(tmp_path, name, unknowns):
         "fluxobs_internal.h",
         "fluxobs_learning.c",
         "fluxobs_learning.h",
+        "fluxobs_real.h",
         "fluxobs_triangle.c",
         "fluxobs_triangle.h",
         "motor_observer.h",
+        *(("fluxobs_map.c", "fluxobs_map.h") if name == "ipm-2kw2" else ()),
     }
     said = make_test(done.folder)
     assert said.returncode == 0, said.stdout + said.stderr

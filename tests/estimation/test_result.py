@@ -9,6 +9,7 @@ import fluxobs
 from fluxobs import FluxobsError, estimate
 from fluxobs.estimation import learning
 from fluxobs.observers import AdaptiveEstimate, Estimate, SampleCounts, in_files
+from fluxobs.observers.derived import derived_outputs
 from support.cli import COLUMNS as PLAIN
 from support.cli import fluxobs as command
 from support.records import PMSM, SERVO, course, log_columns, steady
@@ -33,7 +34,8 @@ def adaptive():
 
 
 def columns_of(estimate):
-    return [name for one in in_files(estimate) for name in one.columns(PORTS)]
+    *names, valid = [name for one in in_files(estimate) for name in one.columns(PORTS)]
+    return [*names, *(one.name for one in derived_outputs(SERVO)), valid]
 
 
 def test_columns_are_those_of_the_one_list(plain, adaptive):

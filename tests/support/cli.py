@@ -25,6 +25,8 @@ COLUMNS = [
     "drift_alpha",
     "drift_beta",
     "theta_e_std",
+    "torque",
+    "speed_mech",
     "valid",
 ]
 

@@ -59,6 +59,7 @@ class Compiled:
             command = [compiler, *STRICT, *single, *extra]
             made = self.scratch / f"replay{len(self.programs)}"
             parts = [HARNESS / "replay.c", self.observer(folder, *command)]
+            parts += folder.glob("fluxobs_map.c")
             subprocess.run([*command, f"-I{folder}", *parts, "-lm", "-o", made], check=True)
             self.programs[key] = made
         return self.programs[key]

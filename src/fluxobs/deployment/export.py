@@ -94,8 +94,8 @@ def export(
     >>> import fluxobs, tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     done = fluxobs.export("servo-400w", 1e-4, f"{folder}/servo")
-    ...     sorted(path.name for path in done.folder.glob("*.[ch]"))
-    ['example_isr.c', 'fluxobs.c', 'fluxobs.h', 'fluxobs_internal.h', 'motor_observer.h']
+    ...     sorted(path.name for path in done.folder.glob("*.h"))
+    ['fluxobs.h', 'fluxobs_internal.h', 'fluxobs_real.h', 'motor_observer.h']
     """
     check_prefix(prefix)
     sample_time = number("sample_time", sample_time, "s")

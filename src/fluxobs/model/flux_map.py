@@ -14,7 +14,6 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import BSpline
 
 from ..errors import ModelError
 
@@ -249,6 +248,8 @@ def weights(x: Array, span: Array, intervals: int) -> tuple[NDArray[np.int64], A
 
 def basis(x: Array, span: Array, intervals: int, derivative: int = 0) -> Array:
     """Values or derivatives of all B-splines over `span` in equal intervals, (len(x), splines)."""
+    from scipy.interpolate import BSpline  # loaded only where a table is fitted
+
     step = (span[1] - span[0]) / intervals
     knots = span[0] + step * np.arange(-DEGREE, intervals + DEGREE + 1)
     splines = BSpline(knots, np.eye(intervals + DEGREE), DEGREE)

@@ -13,7 +13,7 @@ def machines() -> None:
         machine = example(name)
         title = example_text(name).splitlines()[0].removeprefix("# ")
         values = ", ".join(
-            f"{key} = {value:g}"
+            f"{key} = {value:g}" if isinstance(value, int | float) else key
             for key, value in machine.parameters().items()
             if value is not None
         )

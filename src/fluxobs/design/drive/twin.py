@@ -19,7 +19,8 @@ import numpy as np
 from ... import _core
 from ...observers import Estimate, LeastSquaresObserver
 from .flux_map import Map
-from .vectors import pair, turn, vector
+from .flux_map import direction as expected
+from .vectors import pair, vector
 
 #: Thresholds of the compiled observer; firmware/fluxobs_internal.h gives the reasons.
 C: SimpleNamespace = SimpleNamespace(**_core.thresholds)
@@ -279,7 +280,7 @@ class SquareRootLeastSquares(eqx.Module):
             return before._replace(away=self.L_position * current)
         step = self._expected_step(s)
         angle = jnp.where(jnp.abs(step) <= np.pi, wrap(s.angle + step), s.angle)
-        direction = turn(angle)
+        direction = expected(angle)
         i = vector(current) * jnp.conj(direction)
         rotor, square, magnetizing = before.rotor, before.square, before.magnetizing
         if m.cage:
