@@ -148,7 +148,7 @@ fo_error fo_init(fo_observer *o, const fo_config *c)
     if (found == FO_OK) {
         prepare(o, c);
 #if FO_MAPPED
-        o->map = (const fo_map *)0;
+        o->map = NULL;
 #endif
         found = in_range(o) ? FO_OK : FO_ERROR_RANGE;
     }
@@ -159,7 +159,7 @@ fo_error fo_init(fo_observer *o, const fo_config *c)
 fo_error fo_use_map(fo_observer *o, const fo_map *map)
 {
     const bool good = fo_map_good(map);
-    o->map = good ? map : (const fo_map *)0;
+    o->map = good ? map : NULL;
     return good ? FO_OK : FO_ERROR_RANGE;
 }
 #endif
@@ -405,13 +405,13 @@ static void shape(const fo_observer *o, fo_state *s)
         const fo_real psi = map->psi * over;
         const fo_real a_d = at.auxiliary[0] * over, a_q = at.auxiliary[1] * over;
         const fo_real lean = fo_abs(a_d) > SHORTEST_ACTIVE ? a_q / a_d : ZERO;
-        const fo_real away[FO_N] = {at.flux[0] * over - a_d, at.flux[1] * over};
+        const fo_real beside[FO_N] = {at.flux[0] * over - a_d, at.flux[1] * over};
         const fo_real centre[FO_N] = {at.flux[0] * over - share * a_d,
                                       at.flux[1] * over - share * a_q};
         const fo_real slope[FO_N] = {ONE, lean};
         const fo_real by_current[FO_N] = {(at.by_d[0] + lean * at.by_d[1]) * over,
                                           (at.by_q[0] + lean * at.by_q[1]) * over};
-        turned_by(away, direction, f->away);
+        turned_by(beside, direction, f->away);
         turned_by(centre, direction, f->centre);
         turned_by(slope, direction, f->slope);
         turned_by(by_current, direction, f->by_current);
@@ -547,18 +547,6 @@ static void reinject_prior(const fo_observer *o, fo_state *s, int i)
     (void)rotate_in(&s->info, row, s->x[i], o->reinject * prior(s, i), i);
 }
 
-/* What the map says of the length of the position vector: it is not constant then. */
-static fo_real active_length(const fo_observer *o, const fo_state *s)
-{
-#if FO_MAPPED
-    return mapped(o) ? s->shape.active : ZERO;
-#else
-    (void)o;
-    (void)s;
-    return ZERO;
-#endif
-}
-
 /* Carries the last trusted flux on by integration; returns the variance of its angle. The variance
  * grows with the uncertainty of the drift and with a voltage error as large as the drift's prior. A
  * change in the length of the position vector, which should be constant, shows a larger error and
@@ -570,15 +558,23 @@ static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N]
         const fo_real square = position(o, s, s->flux, p);
         const fo_real across = drift_across(&s->info, p) / square;
         s->growth = (s->inflation * across + o->plausible * o->plausible) / square;
-        s->carried_length = fo_sqrt(square) - active_length(o, s);
+        s->carried_length = fo_sqrt(square);
+#if FO_MAPPED
+        s->carried_length -= mapped(o) ? s->shape.active : ZERO;
+#endif
         s->carried_off = ZERO;
     }
     s->carried += o->h;
     for (int i = 0; i < FO_N; i++) {
         flux[i] = s->flux[i] + v[i] + o->h * s->drift[i];
     }
-    fo_real usual = s->carried_length + active_length(o, s);
-    usual = usual > SHORTEST_ACTIVE ? usual : SHORTEST_ACTIVE;
+    fo_real usual = s->carried_length;
+#if FO_MAPPED
+    if (mapped(o)) { /* the map says what it should be */
+        usual += s->shape.active;
+        usual = usual > SHORTEST_ACTIVE ? usual : SHORTEST_ACTIVE;
+    }
+#endif
     const fo_real off = fo_sqrt(position(o, s, flux, p)) / usual - ONE;
     s->carried_off = off * off > s->carried_off ? off * off : s->carried_off;
     const fo_real variance = s->variance + s->growth * s->carried * s->carried + s->carried_off;

@@ -140,7 +140,7 @@ static inline fo_real away(const fo_observer *o, const fo_state *s, int i)
 static inline bool mapped(const fo_observer *o)
 {
 #if FO_MAPPED
-    return o->map != (const fo_map *)0;
+    return o->map != NULL;
 #else
     (void)o;
     return false;
@@ -151,7 +151,7 @@ static inline bool mapped(const fo_observer *o)
 static inline bool curved(const fo_observer *o)
 {
 #if FO_MAPPED
-    return o->map != (const fo_map *)0 && o->map->kind != FO_MAP_LINEAR;
+    return o->map != NULL && o->map->kind != FO_MAP_LINEAR;
 #else
     (void)o;
     return false;
@@ -162,7 +162,7 @@ static inline bool curved(const fo_observer *o)
 static inline bool cage(const fo_observer *o)
 {
 #if FO_MAPPED
-    return o->map != (const fo_map *)0 && o->map->kind == FO_MAP_CAGE;
+    return o->map != NULL && o->map->kind == FO_MAP_CAGE;
 #else
     (void)o;
     return false;

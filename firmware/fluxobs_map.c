@@ -118,7 +118,7 @@ bool fo_map_good(const fo_map *map)
     if (map->kind == FO_MAP_TABLE) {
         good = good && map->nodes_d >= (int32_t)ORDER && map->nodes_q >= (int32_t)ORDER &&
                map->most_d > map->least_d && map->most_q > map->least_q && map->over_d > ZERO &&
-               map->over_q > ZERO && map->coefficients != (const fo_real *)0;
+               map->over_q > ZERO && map->coefficients != NULL;
         const int32_t count = good ? 2 * map->nodes_d * map->nodes_q : 0;
         for (int32_t i = 0; i < count; i++) {
             good = good && finite_number(map->coefficients[i]);

@@ -7,6 +7,7 @@
 #define FLUXOBS_REAL_H
 
 #include <stdbool.h>
+#include <stddef.h>
 #include <stdint.h>
 
 #ifdef FO_SINGLE

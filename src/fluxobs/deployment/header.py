@@ -144,7 +144,7 @@ def _map(observer: Exported, precision: Precision, prefix: str) -> str:
     fields = flux_map.core()
     table = np.asarray(fields.pop("coefficients"), float)
     name = f"{prefix}_map"
-    text, pointer = "", "(const fo_real *)0"
+    text, pointer = "", "NULL"
     if table.size:
         rows = ",\n".join(
             "    " + ", ".join(hex_float(float(x), precision) for x in row)
