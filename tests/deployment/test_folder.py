@@ -16,6 +16,13 @@ from support.firmware import COMPILERS, STRICT, make_test
 from support.records import MACHINES
 
 ADAPTIVE = ("drift", "resistance", "inverter")
+#: A machine with a table of splines.
+MAPPED = fluxobs.SynchronousReluctance(
+    R_s=0.63,
+    n_p=2,
+    rated_current=22.0,
+    flux_map={"a_d0": 17.4, "a_dd": 373, "a_q0": 52.1, "a_qq": 658, "a_dq": 1120},
+)
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
@@ -272,3 +279,19 @@ def test_nothing_is_overwritten_unasked(tmp_path, monkeypatch):
     (tmp_path / "empty").mkdir()
     fluxobs.export(machine, 1e-4, tmp_path / "empty")
     assert make_test(tmp_path / "empty").returncode == 0
+
+
+@pytest.mark.parametrize("unknowns", ["drift", "drift,resistance,inverter"])
+@pytest.mark.parametrize("name", ["table", "induction-2kw2", "ipm-2kw2"])
+def test_a_flux_map_in_the_folder(tmp_path, name, unknowns):
+    """A table of splines, a cage, a salient machine: the folder returns the library's numbers."""
+    machine = MAPPED if name == "table" else fluxobs.example(name)
+    done = fluxobs.export(machine, 1e-4, tmp_path / "motor", unknowns=unknowns)
+    assert (done.folder / "fluxobs_map.c").exists()
+    header = (done.folder / "motor_observer.h").read_text()
+    assert "&motor_map" in header
+    assert str(tmp_path) not in header
+    said = make_test(done.folder)
+    assert said.returncode == 0, said.stdout + said.stderr
+    strict = [*STRICT, f"-I{done.folder}", "-c", done.folder / "example_isr.c"]
+    subprocess.run(["gcc", *strict, "-DFO_SINGLE", "-o", tmp_path / "isr.o"], check=True)

@@ -129,8 +129,15 @@ def _map(along_d: Axes, along_q: Axes, told: FoundMap) -> None:
             axes.plot(at, np.where(seen, value, np.nan), color=colour, label=fixed)
         axes.set_xlabel(f"i_{name} [A]")
         axes.set_ylabel(f"psi_{name} [Wb]")
-        axes.set_title("solid: visited by the log; dotted: the model; band: ± 2σ", fontsize=8)
-        legend(axes)
+        axes.legend(loc="upper left", frameon=False, fontsize=8)
+    along_q.text(
+        0.98,
+        0.03,
+        "solid: visited by the log\ndotted: the model\nband: ± 2σ",
+        transform=along_q.transAxes,
+        ha="right",
+        fontsize=8,
+    )
 
 
 def _residuals(axes: Axes, found: Fitted) -> None:

@@ -108,12 +108,12 @@ void check_replay(check_result *r)
             double off = fabs((double)found[column] - (double)right[column]);
             double limit = 0.0;
             if (column < VALID && EXACT_COLUMNS == 0) {
-                limit = 1e-5 * scales[column];
+                limit = 1e-4 * scales[column];
             } else if (column == SPEED) {
-                limit = 1e-5 * speed_scale;
+                limit = (EXACT_COLUMNS == 0 ? 1e-4 : 1e-5) * speed_scale;
             } else if (column > VALID) {
                 off = fabs(remainder(off, TURN));
-                limit = 1e-6;
+                limit = EXACT_COLUMNS == 0 ? 1e-4 : 1e-6;
                 r->angle_error = larger(r->angle_error, off);
             }
             if (column < 2) {

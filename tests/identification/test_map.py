@@ -1,0 +1,141 @@
+"""identify --free map: how a machine saturates, from a log without a position."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fluxobs
+from fluxobs import FluxobsError
+from fluxobs.machines import AlgebraicSaturation, SynchronousReluctance, read_machine
+from fluxobs.synthetic.signals import between_rows, driven_cage, vectors
+from observers.test_cage import BIAS, CONSTANT, MACHINE, RAMPS, VOLTAGE_BIAS, H
+from observers.test_maps import MODEL, reluctance_record
+from support.records import log_columns, profile, white
+
+
+class Exact(SynchronousReluctance):
+    """The reluctance machine itself, not the splines through its map."""
+
+    def flux_dq(self, current):
+        return MODEL.flux(current)
+
+
+GIVEN = {"n_p": 2, "rated_current": 22.0, "L_d": 0.047, "L_q": 0.0085}
+TRUE = Exact(R_s=0.63, **GIVEN)
+START = SynchronousReluctance(R_s=0.69, inverter_voltage=0.0, inverter_voltage_std=0.01, **GIVEN)
+
+
+@pytest.fixture(scope="module")
+def log():
+    columns = log_columns(reluctance_record(machine=TRUE))
+    return {name: np.asarray(column) for name, column in columns.items()}
+
+
+@pytest.fixture(scope="module")
+def found(log):
+    return fluxobs.identify(log, START, free="R_s,map")
+
+
+def test_fluxes_in_the_visited_region_and_their_standard_deviations(found):
+    """Asked: 3 %, three standard deviations on 95 %."""
+    assert found.after.converged
+    assert found.machine.R_s == pytest.approx(0.63, rel=0.005)
+    i = (found.map.visited[:, None] * np.array([0.9, 0.95, 1.0])).ravel()
+    i = i[found.map.inside(i)]
+    assert len(i) > 10
+    off, std = found.map.flux(i) - MODEL.flux(i), found.map.flux_std(i)
+    assert np.abs(off).max() < 0.03 * np.abs(MODEL.flux(i)).max()
+    assert np.mean(np.abs(off.real) < 3 * std.real) > 0.95
+    assert np.mean(np.abs(off.imag) < 3 * std.imag) > 0.95
+    assert std.real.max() < 0.05
+    assert found.map.inside(10 + 5j)
+    assert not found.map.inside(20 + 5j)
+
+
+def test_the_machine_file_and_the_table_serve_the_next_log(found, log, tmp_path):
+    found.write(tmp_path / "found.toml")
+    found.write(tmp_path / "map.csv")
+    found.write(tmp_path / "map.png")
+    by_model = read_machine(tmp_path / "found.toml")
+    assert isinstance(by_model.flux_map, AlgebraicSaturation)
+    (tmp_path / "table.toml").write_text(
+        'kind = "synchronous-reluctance"\nR_s = 0.63\nn_p = 2\nrated_current = 22.0\n'
+        'flux_map = "map.csv"\n'
+    )
+    by_table = read_machine(tmp_path / "table.toml")
+    i = np.array([10 + 5j, 11 + 15j])
+    np.testing.assert_allclose(by_model.flux_dq(i), found.map.flux(i), atol=1e-3)
+    np.testing.assert_allclose(by_table.flux_dq(i), found.map.flux(i), atol=1e-3)
+    log = log | {"theta_e": reluctance_record(machine=TRUE).theta}
+    result = fluxobs.estimate(log, by_model, unknowns="drift")
+    assert not result.warnings
+    check = fluxobs.check(log, by_model)
+    assert not check.mistakes
+
+
+def test_the_report_says_what_the_log_visited_and_what_it_does_not_tell(found):
+    text = str(found)
+    assert "Visited: i_d from 7." in text
+    assert "i_d hardly moves in this log: how psi_d saturates is not told" in text
+    assert "a_qq = " in text
+
+
+def test_an_unknown_inverter_is_in_the_standard_deviations(log):
+    machine = START.with_values(inverter_voltage=None, inverter_voltage_std=1.0)
+    found = fluxobs.identify(log, machine, free="R_s,map")
+    std, own = found.map.flux_std(10 + 10j), found.map.flux_std(10 + 10j, own=True)
+    assert std.imag > 1.5 * own.imag
+    assert "inverter_voltage_std" in str(found)
+
+
+def test_a_machine_with_a_map_tells_resistance_and_not_inductances(log):
+    machine = START.with_values(flux_map=MODEL, L_d=None, L_q=None)
+    found = fluxobs.identify(log, machine, free="R_s")
+    assert found.machine.R_s == pytest.approx(0.63, rel=0.01)
+    with pytest.raises(FluxobsError, match="has no 'L_d'"):
+        fluxobs.identify(log, machine, free="R_s,L_d")
+    with pytest.raises(FluxobsError, match="map has the inductances in it"):
+        fluxobs.identify(log, START, free="L_d,map")
+    with pytest.raises(FluxobsError, match="has no 'map'"):
+        fluxobs.identify(log, MACHINE, free="map")
+
+
+def cage_log(psi):
+    speed = profile((0, 60), (0.4, 310), (1.8, 310), (2.2, -200), (2.4, -200))
+    i_q = profile((0, 2), (0.6, 2), (0.602, 5), (1.3, 5), (1.31, 1), (1.9, 4), (2.4, 4))
+    true, mechanical = driven_cage(
+        MACHINE, H, *(between_rows(x, 16) for x in (speed, psi, i_q)), 16
+    )
+    current = true.current[:-1] + BIAS + 0.02 * white(len(true.voltage), 0)
+    voltage, i = vectors(true.voltage + VOLTAGE_BIAS), vectors(current)
+    log = {
+        "t": H * np.arange(len(i)),
+        "u_alpha": voltage[:, 0],
+        "u_beta": voltage[:, 1],
+        "i_alpha": i[:, 0],
+        "i_beta": i[:, 1],
+        "theta_e": true.theta_e[:-1],
+    }
+    return log, mechanical[:-1]
+
+
+def test_an_induction_machine_through_every_door(tmp_path):
+    log, mechanical = cage_log(CONSTANT)
+    result = fluxobs.estimate(log, "induction-2kw2")
+    assert not result.warnings
+    assert "Rotor flux" in result.summary
+    valid = result["valid"]
+    off = (result["speed_mech"] - mechanical[-len(valid) :])[valid]
+    assert np.sqrt(np.mean(off**2)) < 0.5
+    assert {"slip_e", "speed_mech_std", "torque"} < set(result.estimates.columns)
+    assert not fluxobs.check(log, "induction-2kw2").mistakes
+    found = fluxobs.identify(log, MACHINE.with_values(R_s=4.4, inverter_voltage_std=0.01))
+    values = {p.name: p for p in found.parameters}
+    assert values["psi_R"].value == pytest.approx(0.9, rel=0.02)
+    assert values["R_s"].value == pytest.approx(3.7, rel=0.03)
+
+
+def test_a_moving_rotor_flux_is_no_mistake():
+    log, _ = cage_log(RAMPS)
+    assert not fluxobs.check(log, "induction-2kw2").mistakes
