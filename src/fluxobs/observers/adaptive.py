@@ -5,7 +5,7 @@ The numbers come from firmware/fluxobs_adaptive.c, the same source that runs in 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from .. import _core, _core_single
 from ..errors import ObserverError
 from ..machines import RotatingMachine, rotating
+from ..model.flux_map import LinearMap
 from ..model.inverter import SMOOTHING
 from .base import Estimate
 from .compiled import CompiledObserver, CompiledState, read_columns, wrapped
@@ -331,6 +332,9 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             drift_prior=drift_prior,
             precision=precision,
         )
+        if isinstance(plain.flux_map, LinearMap):
+            # The filter models i_d itself, and its guard must not depend on the filter's angle.
+            plain = replace(plain, flux_map=None)
         rated = rated_current if rated_current is not None else machine.rated_current
         assert rated is not None  # the plain observer needs it
         if not machine.magnets and psi_f_std:
