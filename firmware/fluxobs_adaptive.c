@@ -501,11 +501,12 @@ static void go_on(const fo_adaptive *a, fo_adaptive_state *s, bool complete, bad
     e->position.valid = e->position.valid && measured && now.voltages == before.voltages;
 }
 
-/* While the filter runs, the map is asked at its angle. */
+/* While the filter runs and the guard has no position of its own, the map is asked at the filter's
+ * angle; else at the guard's, which must not depend on what it guards. */
 static void guide(const fo_adaptive *a, fo_adaptive_state *s)
 {
 #if FO_MAPPED
-    s->plain.guided = s->running;
+    s->plain.guided = s->running && !s->plain.trusted;
     s->plain.guide = expected_angle(&a->plain, &s->tracker);
 #else
     (void)a;
