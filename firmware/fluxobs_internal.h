@@ -71,7 +71,8 @@ enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
  * the drift, so that it is ordinary from then on (not sharp). */
 #define WIDEN ((fo_real)4)
 /* Weight that the past then keeps, over the square of that excess [1]: enough to keep the matrix
- * regular, too little to be believed (not sharp). */
+ * regular, too little to be believed (not sharp). With a flux map, the weight of what was known
+ * before the position was (all of it: starts up to 8 degrees off). */
 #define DISTRUST ((fo_real)0.01)
 /* Rotation at a known flux before the position is trusted: half a turn [rad]. A flux that is wrong
  * by its drift shows within that (twice:

@@ -41,8 +41,8 @@ static const uint32_t ROUND = 16U;
 static const fo_real LOOSE = (fo_real)0.3;
 
 /* Share of its flux by which a cage may walk off what i_d says, in a memory: an offset of 2 % of
- * rated current moves it by 4 % within its time constant, three to thirty memories (half:
- * tests/observers/test_cage.py). */
+ * rated current moves it by 4 % within its time constant, three to thirty memories. Without it
+ * valid rows were 10 degrees off (tests/observers/test_cage.py). */
 static const fo_real CAGE_WALK = (fo_real)0.01;
 
 /* ---- parameters --------------------------------------------------------------------------- */
