@@ -655,11 +655,13 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     }
     s->length = fo_sqrt(square);
 #if FO_MAPPED
-    if (trusted && !s->trusted && mapped(o)) {
-        discount(s, DISTRUST); /* its rows asked the map at wrong angles */
+    if (mapped(o)) {
+        if (trusted && !s->trusted) {
+            discount(s, DISTRUST); /* its rows asked the map at wrong angles */
+        }
+        s->before = s->shape;
+        s->outside += trusted && s->shape.outside ? 1U : 0U;
     }
-    s->before = s->shape;
-    s->outside += trusted && s->shape.outside ? 1U : 0U;
 #endif
     s->trusted = trusted;
     e->theta_e_std = fo_sqrt(variance);

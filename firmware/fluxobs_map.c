@@ -1,16 +1,12 @@
 /* SPDX-License-Identifier: MIT */
 #include "fluxobs_map.h"
 
-#define ZERO ((fo_real)0)
-#define ONE ((fo_real)1)
-#define TWO ((fo_real)2)
-#define THREE ((fo_real)3)
-#define PI ((fo_real)3.14159265358979323846)
+#include "fluxobs_internal.h"
 
 enum { D = 0, Q = 1, ORDER = 4 };
 
 /* sin(x), |x| <= pi/2. Abramowitz and Stegun, 4.3.97. */
-static fo_real sine(fo_real x)
+static fo_real rising(fo_real x)
 {
     const fo_real s = x * x;
     return x * (ONE + s * ((fo_real)-.1666666664 +
@@ -21,10 +17,10 @@ static fo_real sine(fo_real x)
 
 void fo_direction(fo_real angle, fo_real direction[2])
 {
-    const fo_real size = angle < ZERO ? -angle : angle;
+    const fo_real size = fo_abs(angle);
     const fo_real folded = size > PI / TWO ? PI - size : size;
-    const fo_real up = sine(folded);
-    direction[0] = sine(PI / TWO - size);
+    const fo_real up = rising(folded);
+    direction[0] = rising(PI / TWO - size);
     direction[1] = angle < ZERO ? -up : up;
 }
 
@@ -52,7 +48,7 @@ static fo_real find(fo_real current, fo_real least, fo_real most, fo_real over, 
     p->value[2] = ONE - p->value[0] - p->value[1] - p->value[3];
     p->slope[0] = -uu * half;
     p->slope[3] = tt * half;
-    p->slope[1] = t * (THREE * t - (fo_real)4) * half;
+    p->slope[1] = t * ((fo_real)3 * t - (fo_real)4) * half;
     p->slope[2] = -p->slope[0] - p->slope[1] - p->slope[3];
     return current - inside;
 }
@@ -95,12 +91,12 @@ void fo_map_at(const fo_map *map, const fo_real current[2], fo_real rotor_flux, 
     if (map->kind == FO_MAP_TABLE) {
         look_up(map, current, at);
     } else {
-        const bool cage = map->kind == FO_MAP_CAGE;
+        const fo_real psi = map->kind == FO_MAP_CAGE ? rotor_flux : map->psi;
         at->by_d[D] = map->L_d;
         at->by_d[Q] = ZERO;
         at->by_q[D] = ZERO;
         at->by_q[Q] = map->L_q;
-        at->flux[D] = (cage ? rotor_flux : map->psi) + map->L_d * current[D];
+        at->flux[D] = psi + map->L_d * current[D];
         at->flux[Q] = map->L_q * current[Q];
         at->outside = false;
     }

@@ -20,8 +20,9 @@ def identify(
     free: Annotated[
         str | None,
         typer.Option(
-            help="Parameters to fit, out of R_s, L_s (or L_d, L_q), psi_f, inverter, lag. Default "
-            "R_s,psi_f,inverter, if the machine has them; the rest stays as given."
+            help="Parameters to fit, out of R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, "
+            "inverter, lag. map: how the machine saturates. Default R_s,psi_f,inverter, if the "
+            "machine has them; the rest stays as given."
         ),
     ] = None,
     report: Annotated[
