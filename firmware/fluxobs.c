@@ -685,7 +685,10 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     e->valid = trusted && s->tracker.settled >= TRACKER_SETTLED &&
                variance < STD_LIMIT * STD_LIMIT && s->exposed < VOLTAGE_LIMIT * s->length;
 #if FO_MAPPED
-    e->valid = e->valid && !s->shape.outside;
+    if (mapped(o)) { /* the map was asked where the tracker expected the rotor */
+        const bool near = fo_abs(wrap(theta - s->tracker.angle)) < STD_LIMIT;
+        e->valid = e->valid && near && !s->shape.outside;
+    }
 #endif
 }
 

@@ -3,7 +3,7 @@
 
 #include "fluxobs_internal.h"
 
-enum { D = 0, Q = 1, ORDER = 4 };
+enum { D = 0, Q = 1, ORDER = 3 };
 
 /* sin(x), |x| <= pi/2. Abramowitz and Stegun, 4.3.97. */
 static fo_real rising(fo_real x)
@@ -24,13 +24,14 @@ void fo_direction(fo_real angle, fo_real direction[2])
     direction[1] = angle < ZERO ? -up : up;
 }
 
-/* Where a current is in a table: the first of its four coefficients, and their weights for the
- * value and for its derivative. Returns how far outside the current is [A]. */
+/* Where a current is in a table: the first of its three coefficients, and the weights of the first
+ * and the last against the middle one, for the value and for its derivative. */
 typedef struct {
     int32_t first;
-    fo_real value[ORDER], slope[ORDER];
+    fo_real low, high, slope_low, slope_high;
 } place;
 
+/* Returns how far outside the table the current is [A]. */
 static fo_real find(fo_real current, fo_real least, fo_real most, fo_real over, int32_t nodes,
                     place *p)
 {
@@ -40,17 +41,22 @@ static fo_real find(fo_real current, fo_real least, fo_real most, fo_real over, 
     int32_t first = (int32_t)at;
     first = first < last ? first : last;
     const fo_real t = at - (fo_real)first, u = ONE - t;
-    const fo_real tt = t * t, uu = u * u, sixth = ONE / (fo_real)6, half = over / TWO;
     p->first = first;
-    p->value[0] = uu * u * sixth;
-    p->value[3] = tt * t * sixth;
-    p->value[1] = (fo_real)4 * sixth + tt * (t / TWO - ONE);
-    p->value[2] = ONE - p->value[0] - p->value[1] - p->value[3];
-    p->slope[0] = -uu * half;
-    p->slope[3] = tt * half;
-    p->slope[1] = t * ((fo_real)3 * t - (fo_real)4) * half;
-    p->slope[2] = -p->slope[0] - p->slope[1] - p->slope[3];
+    p->low = u * u / TWO;
+    p->high = t * t / TWO;
+    p->slope_low = -u * over;
+    p->slope_high = t * over;
     return current - inside;
+}
+
+static fo_real value(const place *p, fo_real low, fo_real middle, fo_real high)
+{
+    return middle + p->low * (low - middle) + p->high * (high - middle);
+}
+
+static fo_real slope(const place *p, fo_real low, fo_real middle, fo_real high)
+{
+    return p->slope_low * (low - middle) + p->slope_high * (high - middle);
 }
 
 static void look_up(const fo_map *map, const fo_real current[2], fo_mapped *at)
@@ -61,22 +67,16 @@ static void look_up(const fo_map *map, const fo_real current[2], fo_mapped *at)
         find(current[Q], map->least_q, map->most_q, map->over_q, map->nodes_q, &q)};
     const fo_real *c = &map->coefficients[2 * (d.first * map->nodes_q + q.first)];
     for (int n = 0; n < 2; n++) {
-        at->flux[n] = ZERO;
-        at->by_d[n] = ZERO;
-        at->by_q[n] = ZERO;
-    }
-    for (int i = 0; i < (int)ORDER; i++) {
-        for (int n = 0; n < 2; n++) {
-            fo_real value = ZERO, slope = ZERO;
-            for (int j = 0; j < (int)ORDER; j++) {
-                value += q.value[j] * c[2 * j + n];
-                slope += q.slope[j] * c[2 * j + n];
-            }
-            at->flux[n] += d.value[i] * value;
-            at->by_d[n] += d.slope[i] * value;
-            at->by_q[n] += d.value[i] * slope;
-        }
-        c = &c[2 * map->nodes_q];
+        const fo_real *low = &c[n], *middle = &low[2 * map->nodes_q];
+        const fo_real *high = &middle[2 * map->nodes_q];
+        const fo_real along[ORDER] = {value(&q, low[0], low[2], low[4]),
+                                      value(&q, middle[0], middle[2], middle[4]),
+                                      value(&q, high[0], high[2], high[4])};
+        at->flux[n] = value(&d, along[0], along[1], along[2]);
+        at->by_d[n] = slope(&d, along[0], along[1], along[2]);
+        at->by_q[n] = value(&d, slope(&q, low[0], low[2], low[4]),
+                            slope(&q, middle[0], middle[2], middle[4]),
+                            slope(&q, high[0], high[2], high[4]));
     }
     at->outside = !(off[D] == ZERO && off[Q] == ZERO);
     if (at->outside) {

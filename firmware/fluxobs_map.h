@@ -21,7 +21,7 @@ extern "C" {
 /* What F is made of. */
 typedef enum {
     FO_MAP_LINEAR, /* psi + L_d i_d + j L_q i_q                                             */
-    FO_MAP_TABLE,  /* cubic B-splines over a grid of currents                               */
+    FO_MAP_TABLE,  /* quadratic B-splines over a grid of currents                           */
     FO_MAP_CAGE    /* psi + L i, d along the rotor flux psi, which follows i_d              */
 } fo_map_kind;
 
@@ -43,7 +43,7 @@ typedef enum {
 typedef struct {
     fo_map_kind kind;
     bool magnets;          /* or a cage's flux: there is flux without a stator current       */
-    int32_t nodes_d;       /* table: coefficients along i_d: intervals + 3                   */
+    int32_t nodes_d;       /* table: coefficients along i_d: intervals + 2                   */
     int32_t nodes_q;
     FO_MAP_FIELDS(FO_MAP_NUMBER)
     const fo_real *coefficients; /* [nodes_d][nodes_q][2] [Wb]                               */

@@ -152,7 +152,7 @@ def _map(observer: Exported, precision: Precision, prefix: str) -> str:
         )
         pointer = f"{name}_coefficients"
         text = (
-            f"/* psi_d and psi_q over i_d (rows) and i_q: cubic B-splines [Wb]. */\n"
+            f"/* psi_d and psi_q over i_d (rows) and i_q: quadratic B-splines [Wb]. */\n"
             f"static const fo_real {pointer}[{table.size}] = {{\n{rows}\n}};\n\n"
         )
     kind = ("FO_MAP_LINEAR", "FO_MAP_TABLE", "FO_MAP_CAGE")[fields.pop("kind")]

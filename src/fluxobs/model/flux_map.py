@@ -22,8 +22,9 @@ Complex = NDArray[np.complex128]
 
 #: What a table says of each of its axes.
 SPAN = ("least", "most", "over")
-#: Degree of the splines: with two continuous derivatives the inductances have no kinks.
-DEGREE = 3
+#: Degree of the splines: inductances are continuous, and a point of the map is made of nine
+#: coefficients (of sixteen with cubic ones, whose angle is no better).
+DEGREE = 2
 
 
 class Mapped(NamedTuple):
@@ -154,7 +155,7 @@ class CageMap(FluxMap):
 
 @dataclass(frozen=True, eq=False)
 class TableMap(FluxMap):
-    """Cubic B-splines over a grid of currents with equal steps in each direction.
+    """Quadratic B-splines over a grid of currents with equal steps in each direction.
 
     Beyond the grid the map goes on linearly, and :meth:`outside` says so.
 
@@ -162,7 +163,7 @@ class TableMap(FluxMap):
     ----------
     d, q : (2,) array_like
         Range of i_d and of i_q [A].
-    coefficients : (intervals along d + 3, intervals along q + 3, 2) array_like
+    coefficients : (intervals along d + 2, intervals along q + 2, 2) array_like
         Of psi_d and psi_q [Wb].
     magnets : bool
     """
@@ -199,9 +200,9 @@ class TableMap(FluxMap):
         c = self.coefficients[..., 0] + 1j * self.coefficients[..., 1]
         first_d, value_d, slope_d = weights(d, self.d, self.intervals[0])
         first_q, value_q, slope_q = weights(q, self.q, self.intervals[1])
-        four = np.arange(DEGREE + 1)
+        three = np.arange(DEGREE + 1)
         near = c[
-            (first_d[..., None] + four)[..., :, None], (first_q[..., None] + four)[..., None, :]
+            (first_d[..., None] + three)[..., :, None], (first_q[..., None] + three)[..., None, :]
         ]
         along_q = np.einsum("...dq,...q->...d", near, value_q)
         flux = np.einsum("...d,...d->...", value_d, along_q)
@@ -234,15 +235,15 @@ class TableMap(FluxMap):
 
 
 def weights(x: Array, span: Array, intervals: int) -> tuple[NDArray[np.int64], Array, Array]:
-    """The first of the four splines at x within `span`, (...), their values and derivatives,
-    (..., 4)."""
+    """The first of the three splines at x within `span`, (...), their values and derivatives,
+    (..., 3)."""
     over = intervals / (span[1] - span[0])
     at = (x - span[0]) * over
     first = np.clip(at.astype(np.int64), 0, intervals - 1)
     t = at - first
     u = 1 - t
-    values = [u**3 / 6, 2 / 3 + t * t * (t / 2 - 1), 2 / 3 + u * u * (u / 2 - 1), t**3 / 6]
-    slopes = [-u * u / 2, t * (1.5 * t - 2), u * (2 - 1.5 * u), t * t / 2]
+    values = [u * u / 2, 1 / 2 + t * u, t * t / 2]
+    slopes = [-u, u - t, t]
     return first, np.stack(values, -1), over * np.stack(slopes, -1)
 
 

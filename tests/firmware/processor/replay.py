@@ -28,6 +28,7 @@ import numpy as np
 
 import fluxobs
 from fluxobs.deployment.costs import cost_table, read_costs
+from fluxobs.machines import AlgebraicSaturation, SynchronousReluctance
 from fluxobs.synthetic.firmware_record import firmware_record
 
 HERE = Path(__file__).parent
@@ -63,6 +64,8 @@ BUDGETS = {
     "plain": {"most": 2000, "state": 400, "stack": 256},
     "adaptive": {"mean": 4800, "state": 1100, "stack": 900},
 }
+#: What a look-up in a table may add to a linear map [instructions].
+LOOK_UP = 300
 M4F = ["-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"]
 BUILDS = (
     Build("Cortex-M4F, -O2", [*M4F, "-O2"], "mps2-an386", 25e6, "m4f.ld"),
@@ -186,6 +189,31 @@ def print_shares(machine: fluxobs.Machine, build: Build, instructions: np.ndarra
     )
 
 
+def measure_maps() -> bool:
+    """Prints what maps add to a sample of the plain observer; whether a look-up is too dear."""
+    model = AlgebraicSaturation(a_d0=17.4, a_dd=373, a_q0=52.1, a_qq=658, a_dq=1120)
+    machines = {
+        "without": fluxobs.read_machine(MACHINE),
+        "linear": fluxobs.read_machine("ipm-2kw2"),
+        "table": SynchronousReluctance(R_s=0.63, n_p=2, rated_current=22.0, flux_map=model),
+    }
+    means = {}
+    for name, machine in machines.items():
+        with tempfile.TemporaryDirectory() as scratch:
+            folder = Path(scratch) / "motor"
+            fluxobs.export(machine, SAMPLE_TIME, folder)
+            program, _ = compile_for(BUILDS[0], folder, "plain")
+            means[name] = run(BUILDS[0], program)[1].mean()
+    table, linear = means["table"] - means["linear"], means["linear"] - means["without"]
+    print(
+        f"plain, {BUILDS[0].name}: a linear map adds {linear:.0f} instructions, a table "
+        f"{table:.0f} more"
+    )
+    if table > LOOK_UP:
+        print(f"FAILED: a look-up in a table may add {LOOK_UP} instructions")
+    return bool(table > LOOK_UP)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--update", action="store_true", help="write costs.json and docs")
@@ -203,6 +231,7 @@ def main() -> int:
     for kind, unknowns in KINDS.items():
         costs[kind], bad = measure(kind, unknowns, compiler)
         failed = failed or bad
+    failed = measure_maps() or failed
     if options.update:
         target = ROOT / "src" / "fluxobs" / "deployment" / "costs.json"
         target.write_text(json.dumps(costs, indent=1) + "\n", encoding="utf-8")

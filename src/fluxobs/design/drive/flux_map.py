@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ...model.flux_map import CageMap, FluxMap, TableMap
+from ...model.flux_map import DEGREE, CageMap, FluxMap, TableMap
 
 Array = jax.Array
 
@@ -62,12 +62,12 @@ class Map(eqx.Module):
             return flux, jax.lax.complex(self.L_d, zero), jax.lax.complex(zero, self.L_q)
         i = jnp.stack([current.real, current.imag])
         inside = jnp.clip(i, self.least, self.most)
-        intervals = jnp.array(self.coefficients.shape[:2]) - 3
+        intervals = jnp.array(self.coefficients.shape[:2]) - DEGREE
         at = (inside - self.least) * self.over
         first = jnp.clip(at.astype(int), 0, intervals - 1)
         values, slopes = _weights(at - first)
         slopes = slopes * self.over[:, None]
-        near = jax.lax.dynamic_slice(self.coefficients, (*first, 0), (4, 4, 2))
+        near = jax.lax.dynamic_slice(self.coefficients, (*first, 0), (DEGREE + 1, DEGREE + 1, 2))
         c = jax.lax.complex(near[..., 0], near[..., 1])
         along_q = c @ values[1].astype(c.dtype)
         flux = values[0] @ along_q
@@ -120,8 +120,8 @@ def direction(angle: Array) -> Array:
 
 
 def _weights(t: Array) -> tuple[Array, Array]:
-    """Values and derivatives of the four splines at t in [0, 1], (..., 4) each."""
+    """Values and derivatives of the three splines at t in [0, 1], (..., 3) each."""
     u = 1 - t
-    values = [u**3 / 6, 2 / 3 + t * t * (t / 2 - 1), 2 / 3 + u * u * (u / 2 - 1), t**3 / 6]
-    slopes = [-u * u / 2, t * (1.5 * t - 2), u * (2 - 1.5 * u), t * t / 2]
+    values = [u * u / 2, 1 / 2 + t * u, t * t / 2]
+    slopes = [-u, u - t, t]
     return jnp.stack(values, -1), jnp.stack(slopes, -1)

@@ -410,7 +410,8 @@ class SquareRootLeastSquares(eqx.Module):
             # the rows before asked the map at wrong angles
             keep = jnp.where(trusted & ~s.trusted, C.DISTRUST, 1.0)
             s = s._replace(triangle=jnp.sqrt(keep) * s.triangle, noise=keep * s.noise)
-            valid = valid & ~s.shape.outside
+            at_the_rotor = jnp.abs(wrap(out_theta - tracker[0])) < C.STD_LIMIT
+            valid = valid & at_the_rotor & ~s.shape.outside
 
         after = s._replace(
             length=length,
