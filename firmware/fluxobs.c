@@ -74,6 +74,8 @@ static void prepare(fo_observer *o, const fo_config *c)
         o->E[i] = c->E[i] * psi / c->constraint_base;
         o->row_C[i] = c->C[i] / c->constraint_noise;
     }
+    o->kink_now = c->kink_now;
+    o->kink_before = c->kink_before;
     o->row_s = c->constraint_base / c->constraint_noise;
     o->sample_time = c->sample_time;
     o->h = c->sample_time / c->memory;
@@ -122,6 +124,7 @@ static bool in_range(const fo_observer *o)
                 within(o->sample_time, low, high) && within(i, low, high) &&
                 within(o->plausible, (fo_real)1e-6, (fo_real)1e6) &&
                 within(o->row_s, (fo_real)1e-3, (fo_real)1e6) &&
+                within(o->kink_now, -ONE, ONE) && within(o->kink_before, -ONE, ONE) &&
                 within(o->L_position * i, -(fo_real)1e6, (fo_real)1e6) &&
                 within(o->square_min, ZERO, (fo_real)1e6) &&
                 within(o->position_noise, ZERO, (fo_real)1e6) &&
@@ -844,12 +847,28 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
     e->valid = e->valid && !bad;
 }
 
+/* Volt-seconds of a voltage that is held over the sample: less what the kinks that its steps put
+ * into the current add to the resistive drop. A cubic through the samples does not see them. */
+static void less_kinks(const fo_observer *o, fo_state *s, fo_real source[FO_N])
+{
+    const bool good = quality(source, FLUX_STEP_LIMIT) == GOOD;
+    for (int i = 0; i < FO_N && good; i++) {
+        const fo_real given = source[i], before = s->have_voltage ? s->kink[i] : ZERO;
+        s->kink[i] = s->have_voltage ? given - s->given[i] : ZERO;
+        s->given[i] = given;
+        source[i] = given - o->kink_now * s->kink[i] - o->kink_before * before;
+    }
+}
+
 void fo_step(const fo_observer *o, fo_state *s, const fo_real voltage[FO_N],
              const fo_real current[FO_N], fo_estimate *e)
 {
     fo_real source[FO_N];
     for (int i = 0; i < FO_N; i++) {
         source[i] = dot(o->hB[i], voltage);
+    }
+    if (o->kink_now != ZERO) {
+        less_kinks(o, s, source);
     }
     advance(o, s, source, false, current, e);
 }

@@ -55,6 +55,8 @@ enum {
     POSITIVE(current_noise, 1e-12, 1e12)     /* std of one current component [A]              */ \
     POSITIVE(current_limit, 1e-37, 1e37)     /* |i| above this is garbage [A]                 */ \
     POSITIVE(drift_prior, 1e-37, 1e37)       /* prior std of the drift [V]                    */ \
+    NUMBER(kink_now)                         /* voltages are held over a sample: share of  */ \
+    NUMBER(kink_before)                      /* their last two steps in what is missed; 0 */ \
     NUMBER(length_min)                       /* |flux - L_position i| below this: no position */ \
     POSITIVE(tracker_bandwidth, 1e-37, 1e37) /* of the angle and speed tracker [rad/s]        */
 
@@ -77,6 +79,8 @@ typedef struct {
     NUMBER(row_s, "1 / noise")                                              \
     MATRIX(hR, "24ths of current to volt-seconds")                          \
     MATRIX(hB, "voltage to volt-seconds")                                   \
+    NUMBER(kink_now, "what a step of the voltage takes from its volt-seconds") \
+    NUMBER(kink_before, "what the step before it takes")                    \
     NUMBER(h, "sample time / memory")                                       \
     NUMBER(rho, "forgetting factor of a sample")                            \
     NUMBER(reinject, "share of the prior re-injected per turn")             \
@@ -142,6 +146,7 @@ typedef struct {
     fo_real x[FO_NX];                    /* solution of info                                     */
     fo_real current[FO_HISTORY][FO_N];   /* newest first [A]                                     */
     fo_real source[FO_N];                /* last good volt-seconds                               */
+    fo_real given[FO_N], kink[FO_N];     /* before kinks were taken from them; their last step   */
     fo_real step, length;                /* of the position vector: last step, |flux - L i|      */
     fo_real rough, roughness;            /* variance of current noise over the assumed; same >= 1 */
     fo_real exposed;                     /* turn by a plausible voltage error [flux base rad]    */

@@ -17,7 +17,7 @@ SAMPLES = course(inverter=5.0, smoothing=0.3)
 
 @pytest.fixture(scope="module")
 def data():
-    return stretches(read_log(log_columns(SAMPLES)), PMSM.R_s)
+    return stretches(read_log(log_columns(SAMPLES)), PMSM)
 
 
 def relation(machine, data):

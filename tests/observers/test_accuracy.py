@@ -88,7 +88,7 @@ def test_quadrature_of_the_current():
     speed = 2 * np.pi / (12 * h)
     machine = SurfacePMSM(R_s=1.3, L_s=2e-4, n_p=4, psi_f=0.01, rated_current=10)
     samples = steady(machine, h, speed, 2000, 2 + 10j)
-    estimate = observer_for(machine, h).run(samples.voltage, samples.current)
+    estimate = observer_for(machine, h, held=False).run(samples.voltage, samples.current)
     error = np.abs(wrapped_degrees(estimate.theta_e - samples.theta))[-500:]
     # The trapezoid is 2.3 % off in ∫i, the cubic 0.2 %: what remains is R i/(ω ψ) of that.
     drop = machine.R_s * abs(2 + 10j) / (speed * machine.psi_f)

@@ -42,7 +42,9 @@ def test_it_is_the_c_core(name, source):
         voltage_bias=0.05,
         noise=0.002 * rated,
     )
-    core = LeastSquaresObserver.for_machine(machine, sample_time=2e-4, memory=0.02, drift_prior=5.0)
+    core = LeastSquaresObserver.for_machine(
+        machine, sample_time=2e-4, memory=0.02, drift_prior=5.0, held=False
+    )
     core = replace(core, flux_map=None)  # the readable one has the relation alone
     readable = ImmersionObserver(
         Immersion(machine.constraint),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fluxobs.machines import RotatingMachine, example
+from fluxobs.machines import RotatingMachine, SurfacePMSM, example
 from fluxobs.synthetic import signals
 from fluxobs.synthetic.signals import Signals, between_rows, inverter_loss, vectors
 
@@ -140,3 +141,41 @@ def log_columns(samples: Samples) -> dict[str, Array]:
         "i_alpha": samples.current[:, 0],
         "i_beta": samples.current[:, 1],
     }
+
+
+def held(
+    machine: SurfacePMSM,
+    sample_time: float,
+    speed: float,
+    current_q: Callable[[Array], Array],
+    seconds: float,
+    current_bias: complex = 0.0,
+    voltage_bias: complex = 0.0,
+    noise: float = 0.0,
+    seed: int = 0,
+) -> Samples:
+    """A surface machine at constant speed, fed by voltages that are held over a sample: the exact
+    solution of its differential equation. Each voltage brings i_q to its reference at the end."""
+    R, L, psi = machine.R_s, machine.L_s, machine.psi_f
+    rows = round(seconds / sample_time)
+    theta = speed * sample_time * np.arange(rows)
+    reference = 1j * current_q(sample_time * np.arange(rows)) * np.exp(1j * theta)
+    left = np.exp(-R / L * sample_time)
+    forced = -1j * speed * psi / (R + 1j * speed * L) * np.exp(1j * theta)
+    current, voltage = np.full(rows, reference[0]), np.zeros(rows, complex)
+    for k in range(1, rows):
+        free = (current[k - 1] - forced[k - 1]) * left + forced[k]
+        voltage[k] = (reference[k] - free) * R / (1 - left)
+        current[k] = free + voltage[k] / R * (1 - left)
+    flux = L * current + psi * np.exp(1j * theta)
+    drift = R * current_bias - voltage_bias
+    volt_seconds = np.diff(flux, prepend=flux[0]) - sample_time * drift
+    return Samples(
+        sample_time,
+        theta,
+        vectors(flux),
+        vectors(current + current_bias + noise * white(rows, seed)),
+        vectors(voltage + voltage_bias),
+        vectors(volt_seconds),
+        vectors(np.array(drift, complex)),
+    )

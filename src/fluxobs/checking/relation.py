@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machines import RotatingMachine, SynchronousMachine
+from ..model.held import mean_current
 from ..model.inverter import inverter_direction
 from .stretches import Complex, Stretches
 
@@ -104,9 +105,7 @@ def _swapped(values: Array) -> Array:
 def rows(data: Stretches, voltage: Complex, current: Complex, smoothing: float) -> Rows:
     """Integrate stretches; `smoothing` is that of the inverter's sign [A]."""
     h, count = data.sample_time, current.shape[1]
-    padded = np.concatenate([np.repeat(current[:, :1], 3, axis=1), current], axis=1)
-    # the cubic through four samples, as in the observer
-    mean = (9 * padded[:, 3:] + 19 * padded[:, 2:-1] - 5 * padded[:, 1:-2] + padded[:, :-3]) / 24
+    mean = mean_current(current)
     flat = mean.ravel()
     sign = inverter_direction(np.stack([flat.real, flat.imag], axis=1), smoothing) @ [1, 1j]
     at = positions(count)

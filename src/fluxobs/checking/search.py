@@ -142,7 +142,7 @@ def check_log(
     seen = columns(log)
     if any(finding.kind in FIRST for finding in seen):
         return Check(tuple(seen), None, None, ("Mend that first; nothing else was tried.",))
-    data = stretches(log, machine.R_s)
+    data = stretches(log, machine)
     search = Search(machine, data, measure_scales(log) if scales is None else scales)
     tries = alternatives(machine, log.layout.frame)
     best = given = search.attempt(AS_GIVEN, AS_GIVEN, 0.0)

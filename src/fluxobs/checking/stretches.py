@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from ..errors import FluxobsError
 from ..logs.log import Log
 from ..logs.scales import excerpts
+from ..machines import RotatingMachine
+from ..model.held import without_kinks
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -129,7 +131,7 @@ def _spread(features: Array) -> list[int]:
     return sorted(chosen)
 
 
-def stretches(log: Log, resistance: float) -> Stretches:
+def stretches(log: Log, machine: RotatingMachine) -> Stretches:
     """Cut stretches out of a log of a machine with about this resistance [Ω].
 
     Raises
@@ -140,11 +142,12 @@ def stretches(log: Log, resistance: float) -> Stretches:
     current: list[Complex] = []
     voltage: list[Complex] = []
     truths: list[Array | None] = []
+    share = machine.held_share(log.held, log.sample_time)
     for part in excerpts(log):
-        for signal, kept in ((part.current, current), (part.voltage, voltage)):
-            kept.append(_cleaned(signal))
+        current.append(_cleaned(part.current))
+        voltage.append(without_kinks(_cleaned(part.voltage), share))
         truths.append(part.truth)
-    least = _resistance(voltage, current, resistance)
+    least = _resistance(voltage, current, machine.R_s)
     emf = [u - least * i for u, i in zip(voltage, current, strict=True)]
     rows = _rows(emf, log.sample_time)
     places, features = [], []
@@ -171,7 +174,7 @@ def stretches(log: Log, resistance: float) -> Stretches:
         log.sample_time,
         np.stack([current[k][cut] for k, cut in chosen]),
         {
-            lag: _lagged(log, lag, chosen)
+            lag: _lagged(log, lag, share, chosen)
             if lag
             else np.stack([voltage[k][cut] for k, cut in chosen])
             for lag in LAGS
@@ -180,13 +183,13 @@ def stretches(log: Log, resistance: float) -> Stretches:
     )
 
 
-def _lagged(log: Log, lag: int, places: list[tuple[int, slice]]) -> Complex:
+def _lagged(log: Log, lag: int, share: float, places: list[tuple[int, slice]]) -> Complex:
     """The voltages at these places (excerpt, rows) with another lag."""
     found: dict[int, Complex] = {}
     wanted = {k for k, _ in places}
     for k, part in enumerate(excerpts(log.lagged(lag))):
         if k in wanted:
-            found[k] = _cleaned(part.voltage)
+            found[k] = without_kinks(_cleaned(part.voltage), share)
     # nothing is known from beyond the ends of the log
     return np.nan_to_num(np.stack([found[k][cut] for k, cut in places]))
 

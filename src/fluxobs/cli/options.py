@@ -62,6 +62,14 @@ LAYOUT: dict[str, Any] = {
             "sample later (usual computation delay); +1: one earlier; fractions allowed."
         ),
     ],
+    "held": Annotated[
+        bool | None,
+        typer.Option(
+            "--held/--not-held",
+            help="Whether each voltage is held over its sample, as an inverter's mean voltage is. "
+            "Default: if it matters for the machine, R h/L above 0.1.",
+        ),
+    ],
     "columns": Annotated[
         Pairs,
         typer.Option(

@@ -67,7 +67,8 @@ def export(
     out : path
         Folder to make.
     memory : float, optional
-        Exponential memory of the least squares [s], 10 to 4000 steps; default 0.03 s.
+        Exponential memory of the least squares [s], 10 to 4000 steps; default 0.03 s, or less where
+        L/R is short (see :meth:`RotatingMachine.memory_for`).
     unknowns : str or sequence of str
         Constant or slow unknowns: "drift", or also some of "resistance", "inverter", "asymmetry"
         ("auto": all), which exports the adaptive observer.
@@ -103,7 +104,7 @@ def export(
     if chosen == (AUTO,):
         chosen = ALL
     given = check_machine(as_machine(machine), chosen, priors or {})
-    memory = check_times(sample_time, update_every, memory)
+    check_times(given, sample_time, update_every, memory)
     for name, value in (("current_noise", current_noise), ("drift_prior", drift_prior)):
         if value is not None and not 0 < value < float("inf"):
             raise FluxobsError(f"{name} must be positive and finite, got {value:g}")

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 
 from ..errors import FluxobsError
 from ..machines import Machine, RotatingMachine
-from ..observers.plain import MEMORY
 from ..observers.unknowns import adapts, check_adapted
 from .c_source import identifier, is_identifier
 
@@ -56,8 +55,10 @@ def check_machine(
     return machine
 
 
-def check_times(sample_time: float, update_every: int, memory: float | None) -> float:
-    """Return the memory [s], if it and the sample time fit each other."""
+def check_times(
+    machine: RotatingMachine, sample_time: float, update_every: int, memory: float | None
+) -> None:
+    """Raise FluxobsError if memory and sample time do not fit each other."""
     if not 0 < sample_time < float("inf"):
         near = f"{-sample_time:g} s" if -1 < sample_time < 0 else "1e-4 s, 10 kHz,"
         raise FluxobsError(
@@ -82,8 +83,8 @@ def check_times(sample_time: float, update_every: int, memory: float | None) -> 
         )
     if update_every < 1:
         raise FluxobsError(f"update_every {update_every}: at least 1, a step every interrupt")
-    memory = MEMORY if memory is None else memory
     step = update_every * sample_time
+    memory = machine.memory_for(step) if memory is None else memory
     least, most = 10 * step, MOST_STEPS * step
     if memory > most * (1 + 1e-9):
         every = math.ceil(memory / (MOST_STEPS * sample_time))
@@ -96,4 +97,3 @@ def check_times(sample_time: float, update_every: int, memory: float | None) -> 
             f"memory {memory:g} s: with a step every {step:g} s it must be at least ten steps, "
             f"{least:g} s"
         )
-    return memory

@@ -13,6 +13,7 @@ from ..logs.formats import BATCH
 from ..logs.log import Log
 from ..logs.scales import Scales, excerpts, measure_scales
 from ..machines import Machine, RotatingMachine
+from ..model.held import Held
 from ..model.immersion import Immersion, Unknown
 from ..observers import AdaptiveObserver, ImmersionObserver, LeastSquaresObserver
 from ..observers.adaptive import RESISTANCE_MOST
@@ -75,7 +76,7 @@ def prepare(
     check_adapted(machine, unknowns, priors)
     if isinstance(machine, RotatingMachine) and adapts(unknowns):
         plain, scales = plain_for(log, machine, memory)
-        adaptive = _adaptive_observer(plain, machine, scales, unknowns, priors)
+        adaptive = _adaptive_observer(plain, machine, scales, unknowns, priors, memory, log.held)
         return Prepared(log, machine, adaptive, scales)
     log = log.less_inverter(machine.inverter)
     if isinstance(machine, RotatingMachine) and unknowns == ("drift",):
@@ -88,7 +89,7 @@ def plain_for(
     log: Log, machine: RotatingMachine, memory: float | None = None
 ) -> tuple[LeastSquaresObserver, Scales]:
     """First pass over the log, and the plain observer chosen from machine and log."""
-    memory = _memory(log, machine, memory)
+    _check_memory(log, machine, memory)
     scales = measure_scales(log)
     psi_f = None
     if machine.flux_base(1.0) is None:
@@ -96,8 +97,18 @@ def plain_for(
     return plain_observer(log, machine, scales, memory, psi_f), scales
 
 
+def usual_speed(machine: RotatingMachine, scales: Scales, psi_f: float | None) -> float:
+    """Electrical speed of a log [rad/s]: of its currents, but no more than its voltages allow."""
+    base = machine.flux_base(scales.current, psi_f)
+    return min(scales.current_speed, scales.voltage / base) if base else scales.current_speed
+
+
 def plain_observer(
-    log: Log, machine: RotatingMachine, scales: Scales, memory: float, psi_f: float | None = None
+    log: Log,
+    machine: RotatingMachine,
+    scales: Scales,
+    memory: float | None,
+    psi_f: float | None = None,
 ) -> LeastSquaresObserver:
     """Plain observer for a log; `scales` supplies what the machine does not."""
     rated = machine.rated_current or scales.current
@@ -105,14 +116,16 @@ def plain_observer(
         machine,
         sample_time=log.sample_time,
         memory=memory,
+        speed_e=usual_speed(machine, scales, psi_f),
         psi_f=psi_f,
         rated_current=rated,
         current_noise=max(scales.current_noise, LEAST_NOISE * rated),
+        held=log.held,
     )
     return replace(chosen, drift_prior=max(chosen.drift_prior, VOLTAGE_OFFSET * scales.voltage))
 
 
-def guess_psi_f(log: Log, machine: RotatingMachine, scales: Scales, memory: float) -> float:
+def guess_psi_f(log: Log, machine: RotatingMachine, scales: Scales, memory: float | None) -> float:
     """Magnet flux [Wb] for a machine file without one: what the observer itself returns."""
     longest = max(excerpts(log), key=lambda part: len(part.t))
     base = machine.position_inductance * (machine.rated_current or scales.current)
@@ -125,8 +138,8 @@ def guess_psi_f(log: Log, machine: RotatingMachine, scales: Scales, memory: floa
     return best
 
 
-def _memory(log: Log, machine: Machine, memory: float | None) -> float:
-    """The memory, if it spans at least ten rows."""
+def _check_memory(log: Log, machine: Machine, memory: float | None) -> float:
+    """The memory, the machine's own by default, if it spans at least ten rows."""
     least = 10 * log.sample_time
     if memory is not None and not memory >= least:
         raise ObserverError(f"memory {memory:g} s is too short: at least ten samples, {least:g} s")
@@ -146,6 +159,8 @@ def _adaptive_observer(
     scales: Scales,
     unknowns: tuple[str, ...],
     priors: Mapping[str, float],
+    memory: float | None,
+    held: Held,
 ) -> AdaptiveObserver:
     """The adaptive observer around one that was chosen for a log."""
     for name, most, words in (
@@ -162,11 +177,13 @@ def _adaptive_observer(
         machine,
         sample_time=plain.sample_time,
         unknowns=unknowns,
-        memory=plain.memory,
+        memory=memory,
+        speed_e=usual_speed(machine, scales, plain.flux_base),
         psi_f=plain.flux_base,
         rated_current=machine.rated_current or scales.current,
         current_noise=plain.current_noise,
         drift_prior=plain.drift_prior,
+        held=held,
         psi_f_std=priors.get("psi_f"),
         resistance_std=priors.get("resistance"),
         inverter_std=priors.get("inverter"),
@@ -180,7 +197,7 @@ def _immersed_for(
 ) -> tuple[ImmersionObserver, Scales]:
     """First pass over the log, and the immersed observer chosen from machine and log."""
     _check_told_apart(machine, unknowns)
-    memory = _memory(log, machine, memory)
+    memory = _check_memory(log, machine, memory)
     scales = measure_scales(log)
     rated = machine.rated_current or scales.current
     base = machine.flux_base(rated)

@@ -14,6 +14,7 @@ from ..estimation.prepare import plain_for
 from ..logs.log import Log
 from ..logs.scales import Scales, excerpts
 from ..machines import RotatingMachine
+from ..model.held import mean_current, without_kinks
 from ..model.inverter import SMOOTHING, inverter_direction
 from ..observers import LeastSquaresObserver
 
@@ -134,6 +135,7 @@ def cut(
     speed = np.abs(estimate.speed_e[estimate.valid])
     turns = TURNS * 2 * np.pi / np.median(speed) if len(speed) else 0.0
     rows = max(SHORTEST, round(max(seconds, turns) / h))
+    voltage = without_kinks(voltage, observer.held, axis=1)
     for run in _runs(good, rows):
         valid = np.flatnonzero(estimate.valid[run])
         if len(valid):
@@ -169,9 +171,7 @@ def _piece(
     drift: Array,
     lengths: Array,
 ) -> Piece:
-    # The cubic through four samples, as in the observer; the first rows repeat the first current.
-    padded = np.concatenate([np.repeat(current[:1], 3, axis=0), current])
-    mean = (9 * padded[3:] + 19 * padded[2:-1] - 5 * padded[1:-2] + padded[:-3]) / 24
+    mean = mean_current(current, axis=0)
     integrals = [h * np.cumsum(x, axis=-2) for x in (voltage, mean)]
     u, i = (x - x[..., :1, :] for x in integrals)
     s = h * np.cumsum(inverter_direction(mean, smoothing), axis=0)

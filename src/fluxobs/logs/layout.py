@@ -42,6 +42,9 @@ class Layout(BaseModel):
     lag : float
         Interval over which a row's voltage acts, in samples: 0 from that row to the next, -1 one
         sample later, +1 one earlier; fractions allowed.
+    held : bool, optional
+        Whether each voltage is held over its sample, as an inverter's mean voltage is; default: if
+        that matters for the machine (R h/L above 0.1), and the lag is no fraction.
     udc : float, optional
         DC-link voltage [V] if it has no column (frame "duty").
     columns : dict
@@ -60,6 +63,7 @@ class Layout(BaseModel):
     frame: Frame = "alphabeta"
     sample_time: Positive | None = None
     lag: Number = 0.0
+    held: bool | None = None
     udc: Positive | None = None
     columns: dict[str, str] = {}
     scale: dict[str, Number] = {}

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import RecordError
 from ..model.frames import alphabeta_current, native_voltage, rotate, wrap
+from ..model.held import Held
 from ..model.inverter import InverterError
 from .formats import BATCH, Table, missing_column, read_rows
 from .formats.table import Columns
@@ -97,6 +98,13 @@ class Log:
     def truth(self) -> tuple[str, str] | None:
         """Channel and column of the truth, if there is one."""
         return next(iter(self.layout.truth.items()), None)
+
+    @property
+    def held(self) -> Held:
+        """Whether its voltages are held over a sample; for :func:`fluxobs.model.held.held_share`."""
+        if self.layout.held is not None:
+            return self.layout.held
+        return "auto" if self.layout.lag == round(self.layout.lag) else False
 
     def less_inverter(self, inverter: InverterError | None) -> Log:
         """The same log, with the inverter's error subtracted from its commanded voltages."""

@@ -46,7 +46,7 @@ def read_log(
     frame : str, optional
     default_frame : str
         Used if neither `record` nor `frame` gives a frame.
-    sample_time, lag, udc, columns, scale, offset, truth, start, stop : optional
+    sample_time, lag, held, udc, columns, scale, offset, truth, start, stop : optional
         Fields of :class:`Layout`. A number as the column of udc is a constant DC-link voltage.
 
     Returns
@@ -113,7 +113,7 @@ def _channels(voltage: Any, current: Any, frame: Frame) -> dict[str, Any]:
 
 
 def _record_table(source: Record, fields: dict[str, Any]) -> tuple[Table, dict[str, Any]]:
-    surplus = set(fields) - {"frame", "start", "stop"}
+    surplus = set(fields) - {"frame", "held", "start", "stop"}
     if surplus or fields["frame"] not in ("alphabeta", "ports"):
         raise UsageError(
             f"{', '.join(sorted(surplus)) or 'frame'}: already fixed in a Record, which is in αβ"

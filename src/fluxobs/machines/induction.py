@@ -37,7 +37,7 @@ class InductionMachine(RotatingMachine):
 
     Parameters
     ----------
-    R_s, n_p, rated_current
+    R_s, n_p, rated_current, rated_speed
         See :class:`RotatingMachine`.
     R_R : float
         Rotor resistance [Ω], > 0. It enters the mechanical speed, and the position while the rotor
@@ -46,8 +46,6 @@ class InductionMachine(RotatingMachine):
         Leakage and magnetizing inductance [H], > 0.
     psi_R : float, optional
         Rated rotor flux [Wb]; only a scale. Default: 0.45 L_M rated_current.
-    rated_speed : float, optional
-        Mechanical speed [rad/s] beyond which a drive weakens the flux.
     R_R_std, L_sigma_std : float, optional
         Standard deviations [Ω], [H]; default 30 % and 10 %.
     R_r, L_ls, L_lr, L_m : float, instead of R_R, L_sigma, L_M
@@ -78,7 +76,6 @@ class InductionMachine(RotatingMachine):
     L_sigma: Positive
     L_M: Positive
     psi_R: Positive | None = None
-    rated_speed: Positive | None = None
     R_R_std: NotNegative | None = None
     L_sigma_std: NotNegative | None = None
 

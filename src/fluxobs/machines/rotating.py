@@ -13,10 +13,17 @@ from ..model.constraint import QuadraticConstraint
 from ..model.flux_map import FluxMap, LinearMap
 from ..model.flux_table import FittedTable
 from ..model.frames import angle_error, wrap
+from ..model.held import Held, held_share
 from ..model.inverter import SMOOTHING, InverterError
 from ..validation import NotNegative, Number, Positive
 from .contract import Array, Machine, Position, angle_std
 from .saturation import Falling, FluxMapField, MapSource, chords, fitted, read_source
+
+#: The random walk of the flux by noise in the resistive drop is held to about the direct noise, if
+#: the memory is this many times (L/R)² over the sample time (tests/observers/test_held.py)...
+WALK = 3.5
+#: ... but it holds a turn at the usual speed over this.
+SLOW = 4.0
 
 PolePairs = Annotated[int, Field(ge=1)]
 
@@ -39,6 +46,9 @@ class RotatingMachine(Machine):
     inverter_current : float, optional
         Phase current at which the inverter's smoothed sign reaches three quarters [A], > 0; default
         5 % of rated_current.
+    rated_speed : float, optional
+        Mechanical speed [rad/s], > 0; of an induction machine, that from which its flux is
+        weakened. A rough value will do: where L/R is short it sets the memory.
     R_s_std, inverter_voltage_std : float, optional
         Standard deviations of these values [Ω], [V], >= 0, for the adaptive observer; likewise
         L_s_std, or L_d_std and L_q_std [H], and psi_f_std [Wb]. Defaults:
@@ -64,6 +74,7 @@ class RotatingMachine(Machine):
     n_p: PolePairs
     inverter_voltage: Number | None = None
     inverter_current: Positive | None = None
+    rated_speed: Positive | None = None
     R_s_std: NotNegative | None = None
     inverter_voltage_std: NotNegative | None = None
 
@@ -125,6 +136,42 @@ class RotatingMachine(Machine):
     def position_inductance(self) -> float:
         """L of the position vector ``λ - L i`` [H], which points along the rotor's d axis."""
         return self.L_dq[1]
+
+    def memory_for(self, sample_time: float, speed_e: float | None = None) -> float:
+        """Memory of the least squares for a sample time [s].
+
+        Noise of the current enters the flux directly, as L i, and through the resistive drop, as a
+        random walk of its samples: R sqrt(h T) / (2 L) of the first. Where L/R is short, a shorter
+        memory keeps the second below the first; but it must hold a turn at a quarter of the speed.
+
+        Parameters
+        ----------
+        sample_time : float
+            [s].
+        speed_e : float, optional
+            Usual electrical speed [rad/s]; default that of rated_speed. If neither is known the
+            memory is :attr:`memory`.
+        """
+        if speed_e is None:
+            speed_e = self.n_p * self.rated_speed if self.rated_speed else 0.0
+        if not speed_e > 0:
+            return self.memory
+        quiet = WALK * (self.transient_inductance / self.R_s) ** 2 / sample_time
+        least = max(10 * sample_time, 2 * np.pi * SLOW / speed_e)
+        return float(min(self.memory, max(quiet, least)))
+
+    def held_share(self, held: Held, sample_time: float) -> float:
+        """R h/L if voltages are held over a sample [s], else 0; "auto": if it matters.
+
+        See :meth:`LeastSquaresObserver.for_machine`.
+        """
+        return held_share(held, self.R_s * sample_time / self.transient_inductance)
+
+    @property
+    def transient_inductance(self) -> float:
+        """Inductance that a step of the voltage meets, on the mean over its direction [H]."""
+        L_d, L_q = self.L_dq
+        return 2 / (1 / L_d + 1 / L_q)
 
     @property
     def saliency(self) -> float:

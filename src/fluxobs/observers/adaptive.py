@@ -15,11 +15,12 @@ from .. import _core, _core_single
 from ..errors import ObserverError
 from ..machines import RotatingMachine, rotating
 from ..model.flux_map import LinearMap
+from ..model.held import Held
 from ..model.inverter import SMOOTHING
 from .base import Estimate
 from .compiled import CompiledObserver, CompiledState, read_columns, wrapped
 from .outputs import documented, output
-from .plain import MEMORY, LeastSquaresObserver
+from .plain import LeastSquaresObserver
 from .unknowns import ADAPTED
 
 Array = NDArray[np.float64]
@@ -259,7 +260,8 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         *,
         sample_time: float,
         unknowns: tuple[str, ...] = ("drift", "resistance", "inverter"),
-        memory: float = MEMORY,
+        memory: float | None = None,
+        speed_e: float | None = None,
         psi_f: float | None = None,
         psi_f_std: float | None = None,
         resistance_std: float | None = None,
@@ -271,6 +273,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         rated_current: float | None = None,
         current_noise: float | None = None,
         drift_prior: float | None = None,
+        held: Held = "auto",
         dc_link: float | None = None,
         slow_memory: float = SLOW_MEMORY,
         projection: Projection = "start",
@@ -297,7 +300,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             the larger inductance [H]; 0.15 samples [s].
         dc_link : float, optional
             Voltage of the inverter's DC link [V].
-        memory, psi_f, rated_current, current_noise, drift_prior, precision
+        memory, speed_e, psi_f, rated_current, current_noise, drift_prior, held, precision
             See :meth:`LeastSquaresObserver.for_machine`.
         slow_memory, projection
             See the class.
@@ -326,10 +329,12 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             machine,
             sample_time=sample_time,
             memory=memory,
+            speed_e=speed_e,
             psi_f=psi_f,
             rated_current=rated_current,
             current_noise=current_noise,
             drift_prior=drift_prior,
+            held=held,
             precision=precision,
         )
         if isinstance(plain.flux_map, LinearMap):

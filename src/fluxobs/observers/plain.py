@@ -16,13 +16,14 @@ from ..errors import ObserverError
 from ..machines import RotatingMachine, rotating
 from ..model.constraint import QuadraticConstraint
 from ..model.flux_map import FluxMap
+from ..model.held import Held, kink_weights
 from ..validation import number
 from .base import Estimate
 from .compiled import CompiledObserver, read_columns, wrapped
 
-#: Default memory [s]. One value suited every record tried, 75 to 5000 rad/s electrical. If it is
-#: much shorter, slow machines turn too little within it; if much longer, the quantities assumed
-#: constant (drift, inverter error, magnet flux) change within it.
+#: Usual memory [s]. One value suited every record tried, 75 to 5000 rad/s electrical. If it is much
+#: shorter, slow machines turn too little within it; if much longer, the quantities assumed constant
+#: (drift, inverter error, magnet flux) change within it.
 MEMORY = RotatingMachine.memory
 #: Bandwidth of the tracker times the memory: it follows load steps that the memory only averages.
 TRACKER = 20.0
@@ -83,6 +84,9 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         A position vector shorter than this gives no position [Wb].
     tracker_bandwidth : float
         [rad/s].
+    held : float
+        Voltages are held over a sample: R h/L, the share of a current's kink that decays in it, so
+        that the resistive drop counts the kinks. 0: the current is smooth.
     precision : {"double", "single"}
         "single" computes what a microcontroller does.
     flux_map : FluxMap, optional
@@ -122,6 +126,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
     drift_prior: float
     length_min: float
     tracker_bandwidth: float
+    held: float = 0.0
     precision: Literal["double", "single"] = "double"
     flux_map: FluxMap | None = None
     _core: Any = field(init=False, repr=False, compare=False)
@@ -137,6 +142,8 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
                 raise ObserverError(f"{name} must have shape (2, 2), got {matrix.shape}")
             matrix.setflags(write=False)
             object.__setattr__(self, name, matrix)
+        if not 0 <= self.held < np.inf:
+            raise ObserverError(f"held = R h/L must be 0 or more, and finite, got {self.held}")
         for name in POSITIVE:
             value = number(name, getattr(self, name), "SI")
             if not (np.isfinite(value) and value > 0):
@@ -166,6 +173,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
             "R": self.R,
             "B": self.B,
             "L_position": self.position_inductance,
+            **dict(zip(("kink_now", "kink_before"), kink_weights(self.held), strict=True)),
             # Without λᵀQ1λ the mixed term sets the size; any positive number will do.
             "constraint_base": float(size) * self.flux_base**2 if size else self.constraint_noise,
         }
@@ -185,11 +193,13 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         machine: RotatingMachine,
         *,
         sample_time: float,
-        memory: float = MEMORY,
+        memory: float | None = None,
+        speed_e: float | None = None,
         psi_f: float | None = None,
         rated_current: float | None = None,
         current_noise: float | None = None,
         drift_prior: float | None = None,
+        held: Held = "auto",
         precision: Literal["double", "single"] = "double",
     ) -> Self:
         """Observer with everything chosen from the machine.
@@ -199,8 +209,12 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         machine : RotatingMachine
         sample_time : float
             [s].
-        memory : float
-            [s]; the only tuning parameter. The default suited every record tried.
+        memory : float, optional
+            [s]; the only tuning parameter. Default 0.03 s, which suited every record tried; less
+            where L/R is so short that noise in the resistive drop would count most
+            (:meth:`RotatingMachine.memory_for`).
+        speed_e : float, optional
+            Usual electrical speed [rad/s], for that default; otherwise the machine's rated_speed.
         psi_f, rated_current : float, optional
             Override the machine's [Wb], [A peak]. They are only scales: a factor of two does no
             harm.
@@ -209,6 +223,10 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         drift_prior : float, optional
             Largest plausible drift [V]; default: the larger of 3 % of the rated resistive drop and
             the drift that turns the flux by 0.1 rad within the memory.
+        held : {"auto", True, False}
+            Whether each voltage is held over its sample, as an inverter's mean voltage is, which
+            counts where R h/L is large: a motor with a small time constant, few samples a period.
+            "auto": if R h/L is above 0.1. False: means of a voltage that is smooth.
         precision : {"double", "single"}
 
         Raises
@@ -217,6 +235,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
             Neither the machine nor the call gives a value that is needed; the message names it.
         """
         machine = rotating(machine, "LeastSquaresObserver")
+        sample_time = number("sample_time", sample_time, "s")
         rated = rated_current if rated_current is not None else machine.rated_current
         if rated is None:
             raise ObserverError(
@@ -229,6 +248,9 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
                 f"psi_f is missing: give it in the machine ({machine.kind}) or to "
                 f"for_machine(…, psi_f=…) [Wb]; a rough value will do"
             )
+        # A tracker that follows load steps does not depend on why a memory is short.
+        tracked = machine.memory if memory is None else memory
+        memory = machine.memory_for(sample_time, speed_e) if memory is None else memory
         noise = current_noise if current_noise is not None else CURRENT_NOISE * rated
         if drift_prior is None:
             drift_prior = max(0.03 * machine.R_s * rated, 0.1 * flux_base / memory)
@@ -249,7 +271,8 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
             ),
             drift_prior=drift_prior,
             length_min=machine.shortest * flux_base,
-            tracker_bandwidth=TRACKER / memory,
+            tracker_bandwidth=TRACKER / tracked,
+            held=machine.held_share(held, sample_time),
             precision=precision,
             flux_map=machine.map_for(sample_time, flux_base),
         )

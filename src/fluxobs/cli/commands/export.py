@@ -26,7 +26,10 @@ def export(
         ),
     ] = "drift",
     memory: Annotated[
-        float | None, typer.Option(help="Seconds; memory of the least squares. Default 0.03.")
+        float | None,
+        typer.Option(
+            help="Seconds; memory of the least squares. Default 0.03, or less if L/R is short."
+        ),
     ] = None,
     current_noise: Annotated[
         float | None,

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ... import _core
+from ...model.held import kink_weights
 from ...observers import Estimate, LeastSquaresObserver
 from .flux_map import Map
 from .flux_map import direction as expected
@@ -55,6 +56,8 @@ class TwinState(NamedTuple):
     noise: Array  # (3,) information from noise alone: flux, flux-drift, drift
     currents: Array  # (4, 2) last currents, newest first [A]
     source: Array  # (2,) last good volt-seconds
+    given: Array  # (2,) before kinks were taken from them, ...
+    kink: Array  # (2,) ... and their last step
     step: Array  # change of the position vector over the last interval
     length: Array  # |flux - L i|
     rough: Array  # variance of a current component, from its roughness [A²]
@@ -131,6 +134,7 @@ class SquareRootLeastSquares(eqx.Module):
     row_s: Array
     hR: Array  # (2, 2) current times 24 to volt-seconds
     hB: Array  # (2, 2)
+    kinks: Array  # (2,) what a step of the voltage takes from its volt-seconds, now and one later
     h: Array  # sample time over memory
     prior: Array  # (7,) 1 / std
     reinject: Array  # (7,)
@@ -172,6 +176,7 @@ class SquareRootLeastSquares(eqx.Module):
             "row_s": base / sigma,
             "hR": h * observer.R / (24 * psi),
             "hB": h * observer.B / psi,
+            "kinks": kink_weights(observer.held),
             "h": h / memory,
             "prior": prior,
             "reinject": np.sqrt(1 - (1 - h / memory) ** PERIOD) * prior,
@@ -195,7 +200,7 @@ class SquareRootLeastSquares(eqx.Module):
         zero, both, no = jnp.zeros(()), jnp.zeros(2), jnp.zeros((), bool)
         names = TwinState._fields
         blank: dict[str, Any] = dict.fromkeys(names, zero)
-        blank |= dict.fromkeys(("source", "flux", "drift"), both)
+        blank |= dict.fromkeys(("source", "given", "kink", "flux", "drift"), both)
         flags = ("have_current", "have_voltage", "trusted", "have_carried", "lost")
         blank |= dict.fromkeys(flags, no)
         count = jnp.zeros((), jnp.int32)
@@ -212,7 +217,16 @@ class SquareRootLeastSquares(eqx.Module):
 
     def step(self, state: TwinState, voltage: Array, current: Array) -> tuple[TwinState, Reading]:
         """One sample: mean voltage over the interval ending now [V], the current now [A]."""
-        return self._advance(state, self.hB @ voltage, current, complete=False)
+        source = self.hB @ voltage
+        good = jnp.isfinite(source).all() & (source @ source <= C.FLUX_STEP_LIMIT**2)
+        kink = jnp.where(state.have_voltage, source - state.given, 0.0)
+        s = state._replace(
+            given=jnp.where(good, source, state.given), kink=jnp.where(good, kink, state.kink)
+        )
+        before = jnp.where(state.have_voltage, state.kink, 0.0)
+        less = source - self.kinks[0] * kink - self.kinks[1] * before
+        source = jnp.where(good, less, source)
+        return self._advance(s, source, current, complete=False)
 
     def step_volt_seconds(
         self, state: TwinState, volt_seconds: Array, current: Array
