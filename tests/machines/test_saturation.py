@@ -90,7 +90,7 @@ def test_inductance_that_falls_with_the_current(share):
     assert machine.flux_dq(20j * np.exp(0.6j)) == pytest.approx(
         0.1 + share * 4e-3 * 20j * np.exp(0.6j), rel=1e-3
     )
-    assert fit.table.at(1e-3j).by_q.imag == pytest.approx(4e-3, rel=1e-2)
+    assert fit.table.at(1e-3j).by_q.imag == pytest.approx(4e-3, rel=3e-2)
     assert fit.reciprocity < 1e-2
 
 

@@ -105,7 +105,7 @@ def _swapped(values: Array) -> Array:
 def rows(data: Stretches, voltage: Complex, current: Complex, smoothing: float) -> Rows:
     """Integrate stretches; `smoothing` is that of the inverter's sign [A]."""
     h, count = data.sample_time, current.shape[1]
-    mean = mean_current(current)
+    mean: Complex = mean_current(current)
     flat = mean.ravel()
     sign = inverter_direction(np.stack([flat.real, flat.imag], axis=1), smoothing) @ [1, 1j]
     at = positions(count)
@@ -120,7 +120,7 @@ def rows(data: Stretches, voltage: Complex, current: Complex, smoothing: float) 
         current[:, at],
         integral(voltage),
         integral(mean),
-        integral(sign.reshape(mean.shape)),
+        integral(np.asarray(sign.reshape(mean.shape), complex)),
         float(np.abs(voltage).mean()),
     )
 

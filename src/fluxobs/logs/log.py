@@ -101,7 +101,7 @@ class Log:
 
     @property
     def held(self) -> Held:
-        """Whether its voltages are held over a sample; for :func:`fluxobs.model.held.held_share`."""
+        """Whether its voltages are held over a sample (:mod:`fluxobs.model.held`)."""
         if self.layout.held is not None:
             return self.layout.held
         return "auto" if self.layout.lag == round(self.layout.lag) else False

@@ -63,8 +63,8 @@ def mean_current(current: AnyArray, axis: int = -1) -> AnyArray:
     first row the current is taken to have stood. `axis` is that of the rows."""
     i = np.moveaxis(current, axis, -1)
     padded = np.concatenate([np.repeat(i[..., :1], 3, axis=-1), i], axis=-1)
-    terms = [w * padded[..., 3 - k : 3 - k + i.shape[-1]] for k, w in enumerate(CUBIC)]
-    return np.asarray(np.moveaxis(sum(terms) / 24, -1, axis))
+    recent = np.stack([padded[..., 3 - k : 3 - k + i.shape[-1]] for k in range(4)], axis=-1)
+    return np.asarray(np.moveaxis(recent @ np.array(CUBIC) / 24, -1, axis))
 
 
 def without_kinks(voltage: AnyArray, share: float, axis: int = -1) -> AnyArray:
