@@ -86,14 +86,9 @@ class Mapped:
     psi_f: float
 
     def __call__(self, flux: Complex, current: Complex, values: Mapping[str, float]) -> Rows:
-        x = flux - values["L_q"] * current
-        for _ in range(ROUNDS):
-            direction = x / np.abs(x)
-            i = current * direction.conj()
-            at = self.flux_map.at(i)
-            a = at.auxiliary(i)
-            x = flux - direction * (at.flux - a.real)
+        x, i, a = self.flux_map.position_vector(flux, current, values["L_q"])
         length = np.abs(x)
+        direction = x / length
         residual = length - np.abs(a.real) - (values["psi_f"] - self.psi_f)
         lean = a.imag / np.where(np.abs(a.real) > 1e-9, a.real, np.inf)
         to_flux = direction * (1 + 1j * lean)
@@ -121,27 +116,28 @@ class Saturating:
             **self.model.model_dump() | {name: values[name] for name in names}
         )
 
+    @staticmethod
+    def _at(
+        model: AlgebraicSaturation, psi: Complex, current: Complex
+    ) -> tuple[tuple[Array, ...], Complex, Complex]:
+        """Slopes of the model; the derivative of ``e^{jφ} I(e^{-jφ} λ)`` by φ, j I - I'(j ψ); and
+        what is left of the current. All in rotor coordinates."""
+        i, slopes = model.current(psi), model.slopes(psi)
+        (dd, dq, qq), d, q = slopes, psi.real, psi.imag
+        g = 1j * i - ((-dd * q + dq * d) + 1j * (-dq * q + qq * d))
+        return slopes, g, current - i
+
     def __call__(self, flux: Complex, current: Complex, values: Mapping[str, float]) -> Rows:
         model = self.with_values(values)
         x = flux - values["L_q"] * current
         direction = x / np.abs(x)
         for _ in range(ROUNDS):
-            psi = flux * direction.conj()
-            i = model.current(psi)
-            dd, dq, qq = model.slopes(psi)
-            # derivative of e^{jφ} I(e^{-jφ} λ) by φ, in rotor coordinates: j I - I'(j ψ)
-            d, q = psi.real, psi.imag
-            g = 1j * i - ((-dd * q + dq * d) + 1j * (-dq * q + qq * d))
-            left = current * direction.conj() - i
+            _, g, left = self._at(model, flux * direction.conj(), current * direction.conj())
             step = (left * g.conj()).real / (np.abs(g) ** 2 + 1e-300)
             direction = direction * np.exp(1j * np.clip(step, -LARGEST, LARGEST))
         psi = flux * direction.conj()
-        i = model.current(psi)
-        dd, dq, qq = model.slopes(psi)
-        d, q = psi.real, psi.imag
-        g = 1j * i - ((-dd * q + dq * d) + 1j * (-dq * q + qq * d))
+        (dd, dq, qq), g, left = self._at(model, psi, current * direction.conj())
         n = 1j * g / (np.abs(g) + 1e-300)
-        left = current * direction.conj() - i
         # In flux units by one inductance for all rows: currents have the same noise in all of them.
         across = -n * values["L_q"]
         residual = (left * across.conj()).real
@@ -152,6 +148,7 @@ class Saturating:
         def by(change: NDArray[np.complexfloating]) -> Array:
             return -(change * across.conj()).real
 
+        d, q = psi.real, psi.imag
         absolute_d, absolute_q = np.abs(d), np.abs(q)
         S, T, U, V = model.S, model.T, model.U, model.V
         magnet = model.psi_f

@@ -294,6 +294,14 @@ class SynchronousMachine(RotatingMachine):
             return LinearMap(self.magnet_flux or psi_f, *self.L_dq)
         return None
 
+    def position(self, flux: ArrayLike, current: ArrayLike) -> tuple[Array, Array]:
+        fit = self.saturation
+        if fit is None:
+            return super().position(flux, current)
+        psi, i = (np.asarray(part, float) @ [1, 1j] for part in (flux, current))
+        x, _, _ = fit.table.position_vector(psi, i, self.position_inductance)
+        return np.angle(x), np.abs(x)
+
     def flux_dq(self, current: Any) -> NDArray[np.complex128]:
         fit = self.saturation
         return super().flux_dq(current) if fit is None else fit.table.flux(current)

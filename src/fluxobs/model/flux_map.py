@@ -22,6 +22,10 @@ Complex = NDArray[np.complex128]
 
 #: What a table says of each of its axes.
 SPAN = ("least", "most", "over")
+#: Rounds in which a map is asked at the angle that it gave: each squares the error.
+ROUNDS = 6
+#: Keeps a direction of nothing from being no number [Wb].
+TINY = 1e-300
 #: Degree of the splines: inductances are continuous, and a point of the map is made of nine
 #: coefficients (of sixteen with cubic ones, whose angle is no better).
 DEGREE = 2
@@ -55,6 +59,33 @@ class FluxMap:
     def flux(self, current: ArrayLike) -> Complex:
         """Flux at currents in rotor coordinates d + j q [Wb], [A], (...)."""
         return self.at(current).flux
+
+    def position_vector(
+        self, flux: ArrayLike, current: ArrayLike, L_q: float
+    ) -> tuple[Complex, Complex, Complex]:
+        """Position vectors λ - e^{jφ}(F - a_d) with the map asked at their own angle φ, (...).
+
+        Parameters
+        ----------
+        flux, current : array_like
+            α + j β [Wb], [A], (...).
+        L_q : float
+            Inductance with which the angle starts, from λ - L_q i [H].
+
+        Returns
+        -------
+        x, i, a : complex ndarray
+            Position vector, α + j β [Wb]; current [A] and auxiliary flux [Wb] in rotor coordinates.
+        """
+        psi, i = np.asarray(flux, complex), np.asarray(current, complex)
+        x = psi - L_q * i
+        for _ in range(ROUNDS):
+            direction = x / (np.abs(x) + TINY)
+            turned = i * direction.conj()
+            at = self.at(turned)
+            a = at.auxiliary(turned)
+            x = psi - direction * (at.flux - a.real)
+        return x, turned, a
 
     def outside(self, current: ArrayLike) -> NDArray[np.bool_]:
         """Whether currents are outside the map's range, where it is extrapolated, (...)."""
