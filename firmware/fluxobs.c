@@ -628,7 +628,8 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     fo_real variance = VARIANCE_UNKNOWN;
     if (trusted) {
         /* The covariance across p, and the current noise in p. */
-        variance = s->spread + o->position_noise * s->roughness / square;
+        variance = s->spread + o->position_noise * s->roughness / square +
+                   rippled(o, s->tracker.speed);
         s->variance = variance;
         s->carried = ZERO;
         s->have_carried = true;

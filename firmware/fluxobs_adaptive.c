@@ -366,7 +366,8 @@ static void run(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         const fo_real i_q = a->inductance_std * (s->x[0] * i[1] - s->x[1] * i[0]) / length;
         const fo_real late = a->lag_std * s->tracker.speed;
         settle_tracker(o, &s->tracker, s->theta, fo_sqrt(variance));
-        report(a, s, length, variance, i_q * i_q + late * late, e);
+        report(a, s, length, variance,
+               i_q * i_q + late * late + rippled(o, s->tracker.speed), e);
         const bool off = known && fo_abs(wrap(s->theta - guard)) > DISAGREE;
         s->disagree = off ? s->disagree + step : known ? ZERO : s->disagree;
         report_parameters(a, s, e);

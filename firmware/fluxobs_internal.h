@@ -170,6 +170,22 @@ static inline bool cage(const fo_observer *o)
 #endif
 }
 
+/* Variance of a cage's angle by an offset of the currents, which makes its flux ripple [rad^2]. */
+static inline fo_real rippled(const fo_observer *o, fo_real speed)
+{
+    fo_real variance = ZERO;
+#if FO_MAPPED
+    if (cage(o)) {
+        const fo_real turn = o->map->ripple, size = fo_abs(speed) + turn;
+        variance = turn * turn / (size * size);
+    }
+#else
+    (void)o;
+    (void)speed;
+#endif
+    return variance;
+}
+
 static inline bool within(fo_real x, fo_real low, fo_real high) { return x >= low && x <= high; }
 
 /* Wraps an angle that is within a turn and a half of zero. */

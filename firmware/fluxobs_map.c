@@ -120,7 +120,8 @@ bool fo_map_good(const fo_map *map)
             good = good && finite_number(map->coefficients[i]);
         }
     } else if (map->kind == FO_MAP_CAGE) {
-        good = good && map->decay > ZERO && map->decay < ONE && map->still > ZERO;
+        good = good && map->decay > ZERO && map->decay < ONE && map->still > ZERO &&
+               map->ripple > ZERO;
     } else {
         /* any numbers will do */
     }

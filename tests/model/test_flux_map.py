@@ -133,5 +133,5 @@ def test_a_map_that_c_cannot_use_is_refused():
         TableMap(np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.full((4, 4, 2), np.nan))
     with pytest.raises(ModelError, match="at least one interval"):
         TableMap(np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.zeros((2, 4, 2)))
-    cage = CageMap(0.02, 0.2, 2.0, 1e-4, 0.9, 0.5)
+    cage = CageMap(0.02, 0.2, 2.0, 1e-4, 0.9, 0.5, 0.07)
     assert cage.fields()["decay"] == pytest.approx(2.0 * 1e-4 / 0.2)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from ..design.drive.simulate import stack
+from ..design.drive.simulate import Run, stack
 from ..design.drive.vectors import vector
 from ..errors import FluxobsError, RecordError, UsageError
 from ..estimation.prepare import LEAST_NOISE, VOLTAGE_OFFSET
@@ -26,7 +26,8 @@ from ..logs.scales import white_noise
 from ..machines import Machine, RotatingMachine, as_machine, rotating
 from ..observers import Observer
 from .bound import position_bound
-from .catalogue import CATALOGUE, Entry, Gains, Setting
+from .cages import entries_for
+from .catalogue import Entry, Gains, Setting
 from .scenarios import SCENARIOS, Scenario, believed_machine, run_scenario
 from .scoring import Score, Truth, score, scored_error
 
@@ -168,7 +169,7 @@ def compare_record(
     truth: Truth,
     bound: float | None = None,
     limit: str = "",
-    entries: Sequence[Entry] = CATALOGUE,
+    entries: Sequence[Entry] | None = None,
     progress: Callable[[str], Any] = lambda name: None,
 ) -> Comparison:
     """Runs and scores all observers on a record.
@@ -176,6 +177,7 @@ def compare_record(
     `voltage` and `current` are (rows, 2); row k's voltage is the mean over the interval that ends
     at row k, NaN where missing.
     """
+    chosen = entries_for(setting.machine) if entries is None else entries
     raw = jnp.asarray(voltage), jnp.asarray(current)
     held = jnp.asarray(setting.mean_voltage), jnp.asarray(setting.current_rows)
 
@@ -188,7 +190,7 @@ def compare_record(
 
     results: list[ObserverResult] = []
     with ThreadPoolExecutor(2) as pool:
-        for entry, gains, observers, signals, compiled in list(pool.map(prepare, entries)):
+        for entry, gains, observers, signals, compiled in list(pool.map(prepare, chosen)):
             progress(entry.name)
             started = time.perf_counter()
             found = jax.tree.map(np.asarray, compiled(observers, *signals))
@@ -289,7 +291,7 @@ def compare_scenario(
     scenario: Scenario,
     machine_name: str,
     seed: int = 0,
-    entries: Sequence[Entry] = CATALOGUE,
+    entries: Sequence[Entry] | None = None,
     progress: Callable[[str], Any] = lambda name: None,
 ) -> Comparison:
     """Simulates a scenario and compares the observers on its record."""
@@ -301,7 +303,7 @@ def compare_scenario(
     truth = Truth(
         run.t,
         np.asarray(run.trace.theta_e),
-        machine.n_p * np.asarray(run.trace.speed),
+        _speed(run, machine),
         np.asarray(run.trace.flux),
         scenario.score_from,
         machine,
@@ -328,7 +330,7 @@ def compare_log(
     log: Log,
     machine: RotatingMachine,
     settle: float,
-    entries: Sequence[Entry] = CATALOGUE,
+    entries: Sequence[Entry] | None = None,
     progress: Callable[[str], Any] = lambda name: None,
 ) -> Comparison:
     """Compares the observers on a measured log; all of it must fit into memory.
@@ -362,6 +364,13 @@ def compare_log(
     return compare_record(
         path.name, about, voltage, current, setting, truth, entries=entries, progress=progress
     )
+
+
+def _speed(run: Run, machine: RotatingMachine) -> NDArray[np.float64]:
+    """True speed of the position [rad/s]: of the rotor, or of a cage's flux."""
+    if not machine.flux_moves:
+        return np.asarray(machine.n_p * run.trace.speed, float)
+    return np.asarray(np.gradient(np.unwrap(run.trace.theta_e), run.sample_time), float)
 
 
 def _bound(scenario: Scenario, machine: RotatingMachine, setting: Setting, trace: Any) -> float:

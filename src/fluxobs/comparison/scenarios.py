@@ -213,7 +213,7 @@ def scenario(name: str) -> Scenario:
 
 def believed_machine(machine: RotatingMachine, factors: dict[str, float]) -> RotatingMachine:
     """The machine as the observers believe it."""
-    names = {"R": ("R_s",), "L": machine.inductance_names, "psi": ("psi_f",)}
+    names = {"R": ("R_s",), "L": machine.inductance_names, "psi": (machine.flux_name,)}
     for key, factor in factors.items():
         machine = machine.scaled(names[key], factor)
     return machine

@@ -26,6 +26,8 @@ MAGNETIZING = 0.45
 #: Change of i_d below which the rotor flux is taken to stand, over the magnetizing current: five
 #: times what usual offsets of the currents (2 % of rated) do to it, less than any field weakening.
 STILL = 0.15
+#: Std of an offset of the currents, over the rated current.
+OFFSET = 0.01
 
 
 class InductionMachine(RotatingMachine):
@@ -121,7 +123,8 @@ class InductionMachine(RotatingMachine):
 
     def map_for(self, sample_time: float, psi_f: float) -> FluxMap | None:
         still = STILL * psi_f / self.L_M
-        return CageMap(self.L_sigma, self.L_M, self.R_R, sample_time, psi_f, still)
+        offset = OFFSET * (self.rated_current or psi_f / (MAGNETIZING * self.L_M))
+        return CageMap(self.L_sigma, self.L_M, self.R_R, sample_time, psi_f, still, offset)
 
     def slip(self, flux: Array, current: Array) -> Array:
         """Speed of the rotor flux against the rotor, electrical [rad/s], (...)."""

@@ -78,13 +78,13 @@ class FluxMap:
             Position vector, α + j β [Wb]; current [A] and auxiliary flux [Wb] in rotor coordinates.
         """
         psi, i = np.asarray(flux, complex), np.asarray(current, complex)
-        x = psi - L_q * i
+        x = np.asarray(psi - L_q * i, complex)
         for _ in range(ROUNDS):
             direction = x / (np.abs(x) + TINY)
             turned = i * direction.conj()
             at = self.at(turned)
             a = at.auxiliary(turned)
-            x = psi - direction * (at.flux - a.real)
+            x = np.asarray(psi - direction * (at.flux - a.real), complex)
         return x, turned, a
 
     def outside(self, current: ArrayLike) -> NDArray[np.bool_]:
@@ -104,6 +104,7 @@ class FluxMap:
                 "L_q",
                 "decay",
                 "still",
+                "ripple",
                 "least_d",
                 "most_d",
                 "over_d",
@@ -160,6 +161,10 @@ class CageMap(FluxMap):
         Rated rotor flux [Wb].
     still : float
         Change of i_d below which the rotor flux is taken to stand [A].
+    offset : float
+        Std of the currents' offsets [A]. In a drive that regulates the measured current they make
+        the true i_d, and with it the rotor flux, ripple with the stator frequency ω: by
+        ``R_R offset/ω``, which looks like an offset of the flux.
     """
 
     L_sigma: float
@@ -168,6 +173,7 @@ class CageMap(FluxMap):
     sample_time: float
     psi_R: float
     still: float
+    offset: float
 
     code: ClassVar[int] = 2
     magnets: ClassVar[bool] = True  # type: ignore[misc]
@@ -181,6 +187,7 @@ class CageMap(FluxMap):
             "L_q": self.L_sigma,
             "decay": self.R_R * self.sample_time / self.L_M,
             "still": self.still,
+            "ripple": self.R_R * self.offset / self.psi_R,
         }
 
 

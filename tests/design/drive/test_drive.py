@@ -116,7 +116,7 @@ def test_power_balance(name):
 
     def stored(s):
         return float(
-            motor.field_energy(plant.current(s), s.direction) + plant.mechanics.J * s.speed**2 / 2
+            motor.field_energy(plant.current(s), s.rotor) + plant.mechanics.J * s.speed**2 / 2
         )
 
     gained = stored(end) - stored(start)
@@ -175,10 +175,10 @@ def test_against_an_independent_solver(elastic):
     )
     for _ in range(rows):
         state = step(state)
-    x = complex(state.flux * np.conj(state.direction))
+    x = complex(state.flux * np.conj(state.rotor))
     assert x == pytest.approx(found[0] + 1j * found[1], abs=1e-8)
     assert float(state.speed) == pytest.approx(found[2], abs=1e-6)
-    assert np.angle(complex(state.direction) * np.exp(-1j * found[3])) == pytest.approx(0, abs=1e-8)
+    assert np.angle(complex(state.rotor) * np.exp(-1j * found[3])) == pytest.approx(0, abs=1e-8)
     if elastic:
         assert float(state.load_speed) == pytest.approx(found[4], abs=1e-6)
         assert float(state.twist) == pytest.approx(found[5], abs=1e-8)
@@ -292,7 +292,7 @@ def test_maximum_torque_per_ampere(name):
     control = Control.of(motor, 0.01, H, 10.0, i_d_min=-10.0)
     for share in (0.1, 0.5, -0.9):
         asked = share * float(control.most_torque())
-        i = complex(control.current_for(jnp.asarray(asked), jnp.zeros(())))
+        i = complex(control.current_for(jnp.asarray(asked), *jnp.zeros(4)))
         assert float(motor.torque_dq(i.real, i.imag)) == pytest.approx(asked, rel=1e-9)
         angles = np.linspace(-np.pi, np.pi, 20001)
         i_d, i_q = abs(i) * np.cos(angles), abs(i) * np.sin(angles)

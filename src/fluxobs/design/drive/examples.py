@@ -11,9 +11,9 @@ from ...errors import ModelError
 from ...machines import RotatingMachine
 from ...observers import LeastSquaresObserver
 from ...observers.plain import MEMORY, TRACKER
-from .control import Control
+from .control import CageControl, Control
 from .inverter import Inverter
-from .motor import Mechanics, Motor, Plant
+from .motor import CageMotor, Mechanics, Motor, Plant
 from .sensorless import Sensorless
 from .sensors import Sensors
 from .simulate import Drive
@@ -51,6 +51,9 @@ RATINGS = {
     "ipm-2kw2": Rating(2 * np.pi * 75, 14.0, 0.015, 540.0, 1.25e-4),
     "synrm-6kw7": Rating(2 * np.pi * 106, 20.0, 0.015, 540.0, 1.25e-4),
     "servo-400w": Rating(2 * np.pi * 200, 0.8, 6e-5, 48.0, 1e-4),
+    "induction-2kw2": Rating(2 * np.pi * 50, 14.0, 0.015, 540.0, 1.25e-4),
+    "ipm-5kw6": Rating(2 * np.pi * 60, 29.7, 0.05, 540.0, 1.25e-4),
+    "synrm-6kw7-saturated": Rating(2 * np.pi * 106, 20.0, 0.015, 540.0, 1.25e-4),
     "drone-900kv": Rating(2 * np.pi * 350, 0.25, 4e-5, 24.0, 5e-5),
 }
 
@@ -74,6 +77,14 @@ def _rated_current(machine: RotatingMachine) -> float:
     return machine.rated_current
 
 
+def _start_current(machine: RotatingMachine) -> float:
+    """Length of the current vector that turns the rotor open loop [A]; for a cage the one that
+    makes rated flux where its torque is largest."""
+    if machine.flux_moves:
+        return float(np.sqrt(2) * machine.magnetizing_current)
+    return _rated_current(machine)
+
+
 def _control(motor: Motor, machine: RotatingMachine, rated: Rating, **given: Any) -> Control:
     """Control for 1.5 times the rated current.
 
@@ -81,7 +92,8 @@ def _control(motor: Motor, machine: RotatingMachine, rated: Rating, **given: Any
     """
     most = 1.5 * _rated_current(machine)
     weakening = most / (0.02 * rated.dc_link)
-    return Control.of(motor, rated.J, rated.sample_time, most, weakening=weakening, **given)
+    kind = CageControl if isinstance(motor, CageMotor) else Control
+    return kind.of(motor, rated.J, rated.sample_time, most, weakening=weakening, **given)
 
 
 def encoder_drive(machine: RotatingMachine, rated: Rating, **sensors: Any) -> Drive:
@@ -142,6 +154,6 @@ def sensorless_drive(
         control=_control(Motor.of(taken), machine, rated, speed_bandwidth=speed_bandwidth),
         observer=SquareRootLeastSquares.of(compiled),
         sensorless=Sensorless.for_drive(
-            _rated_current(machine), rated.speed_e, ride=ride, speed=start_speed
+            _start_current(taken), rated.speed_e, ride=ride, speed=start_speed
         ),
     )

@@ -27,6 +27,7 @@ class Map(eqx.Module):
     L_q: Array
     decay: Array
     still: Array
+    ripple: Array
     least: Array  # (2,) lowest i_d and i_q [A]
     most: Array
     over: Array
@@ -42,7 +43,7 @@ class Map(eqx.Module):
         }
         numbers = {
             name: jnp.asarray(fields[name], float)
-            for name in ("psi", "L_d", "L_q", "decay", "still", "coefficients")
+            for name in ("psi", "L_d", "L_q", "decay", "still", "ripple", "coefficients")
         }
         table = isinstance(flux_map, TableMap)
         return cls(

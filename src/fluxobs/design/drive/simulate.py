@@ -24,7 +24,7 @@ from .profile import Profile
 from .sensorless import RUNNING, Sensorless, SensorlessState
 from .sensors import Sensors
 from .twin import Reading, SquareRootLeastSquares, TwinState
-from .vectors import length, limit, pair, turn, vector
+from .vectors import length, limit, pair, turn, unit, vector
 
 Array = jax.Array
 
@@ -365,7 +365,7 @@ def substeps(drive: Drive, course: Course) -> int:
     h, motor, m = float(drive.sample_time), drive.plant.motor, drive.plant.mechanics
     speeds = np.append(np.abs(course.speed.values), np.abs(course.start_speed))
     fastest = float(speeds.max()) * 1.2 * float(motor.n_p)
-    rates = [float(motor.R_s) / min(float(motor.L_d), float(motor.L_q)), fastest]
+    rates = [*motor.rates(), fastest]
     rates += [(float(m.viscous) + float(m.coulomb / m.smoothing)) / float(m.J)]
     if m.elastic:
         least = 1 / (1 / float(m.J) + 1 / float(m.J_load))
@@ -464,10 +464,13 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
     reference = row.reference
     sensorless, kept = loop.sensorless, loop.control
     if drive.sensorless is None or sensorless is None or reading is None:
-        direction, speed_e = state.direction, motor.n_p * state.speed
+        direction = jnp.where(length(state.rotor) > 0, unit(state.rotor), 1.0)
+        rotor_flux = motor.rotor_flux(state.rotor)
+        slip = motor.slip((current * jnp.conj(direction)).imag, rotor_flux)
+        speed_e = motor.n_p * state.speed + slip
         mode = jnp.asarray(RUNNING)
         kept, torque, cut = control.speed_step(kept, reference, state.speed)
-        wanted = control.current_for(torque, kept.weakening)
+        wanted = control.current_for(torque, kept.weakening, rotor_flux, speed_e, dc_link)
     else:
         sensorless, direction, speed_e, changed = drive.sensorless.step(
             sensorless, reading, motor.n_p * reference, measured, h
@@ -483,12 +486,14 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
             voltage=jnp.where(changed, entered.voltage, kept.voltage),
             torque=jnp.where(running & ~changed, kept.torque, torque_now),
         )
-        stepped, torque, cut = control.speed_step(kept, reference, speed_e / motor.n_p)
+        slip = control.motor.slip(seen.imag, reading.psi_f)
+        speed = (speed_e - slip) / motor.n_p
+        stepped, torque, cut = control.speed_step(kept, reference, speed)
         kept = kept._replace(torque=jnp.where(running, stepped.torque, kept.torque))
         cut = cut & running
         demand = jnp.where(
             running,
-            control.current_for(torque, kept.weakening),
+            control.current_for(torque, kept.weakening, reading.psi_f, speed_e, dc_link),
             jax.lax.complex(drive.sensorless.current, jnp.zeros(())),
         )
         left = jnp.where(changed, seen - demand, sensorless.left)
@@ -511,7 +516,7 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
         acting,
         mean,
         state.flux,
-        jnp.arctan2(state.direction.imag, state.direction.real),
+        jnp.arctan2(state.rotor.imag, state.rotor.real),
         state.speed,
         motor.torque(state.flux, current),
         wanted,

@@ -1,0 +1,77 @@
+"""The observers of an induction machine, with their usual gains and a grid for tuning.
+
+Usual gains: 0.2 for the damping of the reduced-order observer (motulator). Crossovers, bandwidths
+and covariances have no usual values; ours are right within a factor of a few.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ..design.baselines.cage import (
+    CageKalmanFilter,
+    FullOrderObserver,
+    HybridFluxObserver,
+    ReducedOrderObserver,
+)
+from ..machines import RotatingMachine
+from .catalogue import CATALOGUE, PLL, Entry, Gains, Setting
+
+#: Entries of the other catalogue that a cage shares: those which need no flux of a known length.
+SHARED = ("least squares", "voltage model, low-pass", "voltage model, high-pass")
+
+
+def _of(kind: Any) -> Any:
+    return lambda s, g: kind(s.motor, s.sample_time, **g)
+
+
+def _kalman(s: Setting, g: Gains) -> CageKalmanFilter:
+    noise = max(s.noise, 1e-3 * s.current)
+    return CageKalmanFilter(s.motor, s.sample_time, **g, current_noise=noise, speed_size=s.speed_e)
+
+
+CAGES = [
+    *(entry for entry in CATALOGUE if entry.name in SHARED),
+    Entry(
+        "hybrid (Gopinath, Jansen, Lorenz)",
+        _of(HybridFluxObserver),
+        lambda s: {"crossover": 0.03 * s.speed_e, "bandwidth": 4 * PLL},
+        lambda s: {
+            "crossover": [x * s.speed_e for x in (0.01, 0.03, 0.1, 0.3)],
+            "bandwidth": [PLL / 2, PLL, 2 * PLL, 4 * PLL],
+        },
+    ),
+    Entry(
+        "full-order, speed-adaptive (Kubota)",
+        _of(FullOrderObserver),
+        lambda s: {"gain": 1.0, "bandwidth": 2 * PLL},
+        lambda s: {
+            "gain": [0.0, 0.3, 1.0, 3.0],
+            "bandwidth": [PLL / 2, PLL, 2 * PLL, 4 * PLL],
+        },
+    ),
+    Entry(
+        "reduced-order (Hinkkanen)",
+        _of(ReducedOrderObserver),
+        lambda s: {"damping": 0.2, "bandwidth": PLL},
+        lambda s: {
+            "damping": [0.01, 0.03, 0.1, 0.2, 0.5, 1.0],
+            "bandwidth": [PLL / 2, PLL, 2 * PLL],
+        },
+    ),
+    Entry(
+        "extended Kalman filter",
+        _kalman,
+        lambda s: {"voltage_noise": 0.01 * s.voltage, "acceleration": 30.0 * s.speed_e**0.5},
+        lambda s: {
+            "voltage_noise": [x * s.voltage for x in (1e-3, 1e-2, 1e-1, 1.0)],
+            "acceleration": [x * s.speed_e**0.5 for x in (3.0, 30.0, 300.0, 3000.0)],
+        },
+    ),
+]
+
+
+def entries_for(machine: RotatingMachine) -> Sequence[Entry]:
+    """The observers that are made for a kind of machine."""
+    return CAGES if machine.flux_moves else CATALOGUE
