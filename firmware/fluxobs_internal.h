@@ -170,14 +170,15 @@ static inline bool cage(const fo_observer *o)
 #endif
 }
 
-/* Variance of a cage's angle by an offset of the currents, which makes its flux ripple [rad^2]. */
+/* Variance of a cage's angle by an offset of the currents, which makes its flux ripple [rad^2]: the
+ * flux is a low-pass of the current. */
 static inline fo_real rippled(const fo_observer *o, fo_real speed)
 {
     fo_real variance = ZERO;
 #if FO_MAPPED
     if (cage(o)) {
-        const fo_real turn = o->map->ripple, size = fo_abs(speed) + turn;
-        variance = turn * turn / (size * size);
+        const fo_real corner = o->map->decay / o->sample_time;
+        variance = o->map->ripple * o->map->ripple / (speed * speed + corner * corner);
     }
 #else
     (void)o;

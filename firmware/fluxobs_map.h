@@ -32,8 +32,7 @@ typedef enum {
     NUMBER(L_q)                                                                                 \
     NUMBER(decay)    /* cage: share of its flux that decays in a sample, R_R h / L_M         */ \
     NUMBER(still)    /* cage: change of i_d below which its flux is taken to stand [A]       */ \
-    NUMBER(ripple)   /* cage: turn by the ripple that a current offset makes, times the      */ \
-                     /* speed [rad/s rad]                                                    */ \
+    NUMBER(ripple)   /* cage: rate at which a current offset turns its flux [rad/s]          */ \
     NUMBER(least_d)  /* table: lowest i_d [A], ...                                           */ \
     NUMBER(most_d)   /* ... highest, ...                                                     */ \
     NUMBER(over_d)   /* ... and one over the distance of its nodes [1/A]                     */ \

@@ -164,7 +164,7 @@ class CageMap(FluxMap):
     offset : float
         Std of the currents' offsets [A]. In a drive that regulates the measured current they make
         the true i_d, and with it the rotor flux, ripple with the stator frequency ω: by
-        ``R_R offset/ω``, which looks like an offset of the flux.
+        ``R_R offset/√(ω² + (R_R/L_M)²)``, which looks like an offset of the flux.
     """
 
     L_sigma: float

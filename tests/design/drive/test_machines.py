@@ -158,7 +158,7 @@ def test_field_orientation_with_an_encoder():
     psi = np.abs(trace.flux - CAGE.L_sigma * trace.current)
     assert psi[t > 0.25][0] == pytest.approx(0.9, rel=0.03)
     assert psi[(t > 0.5) & (t < 0.7)] == pytest.approx(0.9, rel=0.01)
-    assert 0.5 < psi[-1] < 0.7  # weakened
+    assert 0.4 < psi[-1] < 0.6  # weakened
     assert trace.speed[-1] == pytest.approx(1.5 * BASE, rel=0.01)
     assert trace.torque[-100:].mean() == pytest.approx(0.5 * RATED.torque, rel=0.05)
 
@@ -176,7 +176,7 @@ def test_sensorless_from_standstill_through_a_loaded_reversal():
     assert np.sqrt(np.mean(error**2)) < 0.4
 
 
-@pytest.mark.parametrize("wrong", [{"R_R": 1.2}, {"R_R": 0.8}, {"R_s": 1.2}, {"R_s": 0.8}])
+@pytest.mark.parametrize("wrong", [{}, {"R_R": 1.2}, {"R_R": 0.8}, {"R_s": 1.2}, {"R_s": 0.8}])
 def test_sensorless_with_wrong_resistances_and_offsets(wrong):
     believed = CAGE
     for name, factor in wrong.items():

@@ -16,9 +16,10 @@ from .vectors import ROOT3, length, limit
 
 Array = jax.Array
 
-#: Of a cage: bandwidth of the rotor flux [rad/s], three times its own; the share of the voltage
-#: that its EMF may take, the rest being for the leakage; the share of the current limit for i_d.
-FLUX_BANDWIDTH, FLUX_VOLTAGE, FLUX_CURRENT = 30.0, 0.85, 0.8
+#: Of a cage: bandwidth of the rotor flux [rad/s], 1.6 times its own; the share of the voltage
+#: that its EMF may take, the rest being for leakage and load steps; the share of the current limit
+#: that i_d may take.
+FLUX_BANDWIDTH, FLUX_VOLTAGE, FLUX_CURRENT = 15.0, 0.8, 0.8
 
 
 class ControlState(NamedTuple):

@@ -373,7 +373,8 @@ class SquareRootLeastSquares(eqx.Module):
         floor = self.position_noise * self._roughness(s)
         own_variance = s.spread + floor / square
         if self.flux_map is not None and self.flux_map.cage:
-            own_variance += (self.flux_map.ripple / (jnp.abs(s.speed) + self.flux_map.ripple)) ** 2
+            corner = self.flux_map.decay / self.sample_time
+            own_variance += self.flux_map.ripple**2 / (s.speed**2 + corner**2)
         # Not trusted: integrate on from the last trusted flux.
         start = s.flux - away
         begins = s.carried == 0
