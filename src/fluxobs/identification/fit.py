@@ -33,6 +33,9 @@ CONVERGED = 1e-4
 #: So does a gain below this share of the cost: derivatives leave out what is of the size of the
 #: residual, and get no nearer.
 NO_GAIN = 1e-7
+#: And where no step helps, so near to the last one: a cage's derivatives leave out that the angle
+#: moves i_d.
+NEARLY = 0.1
 #: Rows of a log that repeat one another's errors, against a prior: about an eighth of a turn.
 REPEATED = 20.0
 #: Number of stretches of a log whose sums of residuals are taken as independent.
@@ -109,7 +112,10 @@ def evaluate(
     """Residual (rows,), its derivatives by (λ₀, θ), (rows, 4), and by the free parameters."""
     said, slope = _said(piece, values, start, drift, relation)
     to_flux = np.stack([said.to_flux.real, said.to_flux.imag], axis=1)
-    local = np.concatenate([to_flux, to_flux * piece.t[:, None]], axis=1)
+    to_start = to_flux
+    if said.to_start is not None:
+        to_start = to_flux + np.stack([said.to_start.real, said.to_start.imag], axis=1)
+    local = np.concatenate([to_start, to_flux * piece.t[:, None]], axis=1)
     by_name = said.by_name | {
         "R_s": -_dot(to_flux, piece.charge),
         "inverter": -_dot(to_flux, piece.inverter),
@@ -149,9 +155,9 @@ def _with(values: Mapping[str, float], free: Sequence[str], step: Array) -> dict
 
 
 def _possible(values: Mapping[str, float]) -> bool:
-    positive = ("R_s", "L_d", "L_q")
+    positive = ("R_s", "L_d", "L_q", "R_R", "L_M")
     return (
-        all(values[name] > 0 for name in positive)
+        all(values[name] > 0 for name in positive if name in values)
         and values["psi_f"] >= 0
         and LAGS[0] <= values["lag"] <= LAGS[-1]
     )
@@ -241,6 +247,7 @@ def fit(
                     break
             factor /= 2
         else:
+            converged = _change(triangles, moves, step) < NEARLY * scale
             break
         values, here = new, where
         settled = before - after < NO_GAIN * before

@@ -10,7 +10,8 @@ from .fit import Fit
 from .found_map import FoundMap
 from .pieces import Piece
 
-UNITS = {"R_s": "Ω", "L_s": "H", "L_d": "H", "L_q": "H", "psi_f": "Wb", "inverter": "V"}
+UNITS = {"R_s": "Ω", "R_R": "Ω", "L_s": "H", "L_d": "H", "L_q": "H", "L_M": "H", "psi_f": "Wb"}
+UNITS |= {"inverter": "V"}
 ADVICE = (
     "Record one with steps of load at several speeds, a run-up from rest, or both directions: the "
     "resistance acts with the current, the inverter with its sign, the magnet with the speed, and "

@@ -32,7 +32,7 @@ from .fit import Fit, fit
 from .fitted import ADVICE, UNITS, Fitted, Parameter, in_the_file
 from .found_map import found_map
 from .pieces import SECONDS, Piece, pieces, smoothing_current, typical_length
-from .relations import SATURATION, Mapped, Relation, Saturating, linear
+from .relations import SATURATION, Cage, Mapped, Relation, Saturating, linear
 from .report import figure, lines, write
 
 if TYPE_CHECKING:
@@ -46,6 +46,7 @@ ALIKE_LIMIT = 100.0
 #: Nor does it if the standard deviation is above this share of the parameter (for the inverter, of
 #: the voltage's size; for the lag, in samples).
 UNSURE = {"R_s": 0.15, "L_s": 0.2, "L_d": 0.2, "L_q": 0.2, "psi_f": 0.05, "inverter": 0.02}
+UNSURE |= {"R_R": 0.15, "L_M": 0.15}
 LAG_UNSURE = 0.25
 #: L_s and L_d show only through the current along the flux; if that is below this share of the
 #: whole (rms), what the model leaves out decides their value.
@@ -62,7 +63,12 @@ MODEL_ERROR = 0.0003
 #: saturation can imitate one that changes.
 MAP_SECONDS = 2.0
 #: Order in which parameters are held if they cannot be told apart.
-HELD_FIRST = ("lag", "L_d", "L_q", "L_s", "inverter", "R_s", "psi_f")
+HELD_FIRST = ("lag", "L_d", "L_q", "L_s", "L_M", "R_R", "inverter", "R_s", "psi_f")
+#: Parameters of a cage, which only changes of its flux tell; a piece for them lasts this long [s],
+#: some time constants of the rotor.
+ROTOR, ROTOR_SECONDS = ("R_R", "L_M"), 1.0
+#: A flux that changes by less than this share, as noise and offsets make it, tells neither.
+FLUX_CHANGES = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +106,8 @@ def free_names(machine: RotatingMachine) -> tuple[str, ...]:
     magnet = (machine.flux_name,) if machine.magnets else ()
     saturates = isinstance(machine, SynchronousMachine)
     inductances = () if _table(machine) is not None else machine.inductance_names
-    return ("R_s", *inductances, *magnet, *((MAP,) if saturates else ()), "inverter", "lag")
+    own = (MAP,) if saturates else ROTOR if machine.flux_moves else ()
+    return ("R_s", *inductances, *magnet, *own, "inverter", "lag")
 
 
 def _table(machine: RotatingMachine) -> TableMap | None:
@@ -129,6 +136,8 @@ def read_free(free: str | Sequence[str] | None, machine: RotatingMachine) -> tup
     words = ["inverter" if word == "inverter_voltage" else word for word in words]
     if MAP in words and any(word in machine.inductance_names for word in words):
         raise FluxobsError(f"free: {MAP} has the inductances in it; give it without them")
+    if "psi_R" in words and any(word in ROTOR for word in words):
+        raise FluxobsError("free: psi_R, or R_R and L_M, for which the flux has to change")
     for word in words:
         if word not in known:
             raise FluxobsError(f"free: kind {machine.kind} has no {word!r}{nearest(word, known)}")
@@ -155,8 +164,9 @@ def identify(
     machine : Machine, or a path, or the name of a shipped machine
         A rotating one; a guess that is right within a factor of two or so.
     free : str or sequence of str, optional
-        Some of R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, inverter, lag; default: R_s,
-        psi_f, inverter, if the machine has them. "map": how the machine saturates, the parameters
+        Some of R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, R_R, L_M, inverter, lag;
+        default: R_s, psi_f, inverter, if the machine has them. R_R and L_M of a cage show where its
+        flux changes. "map": how the machine saturates, the parameters
         of :class:`AlgebraicSaturation`; the log has to move i_d and i_q.
     layout : optional
         As for :func:`fluxobs.read_log`.
@@ -174,19 +184,33 @@ def identify(
 def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identification:
     """Identify from a log that is open, with names of free parameters that are checked."""
     lags = LAGS if "lag" in free else (0,)
-    data, scales = pieces(log, machine, lags, MAP_SECONDS if MAP in free else SECONDS)
+    rotor = any(name in ROTOR for name in free)
+    if rotor:  # a change of the flux tells both, or neither
+        free = (*(name for name in free if name not in ROTOR), *ROTOR)
+    seconds = MAP_SECONDS if MAP in free else ROTOR_SECONDS if rotor else SECONDS
+    data, scales = pieces(log, machine, lags, seconds, moving=rotor)
     given, relation, prior = starting_values(machine, data), _relation(machine), {}
     names, held = _expanded(free, machine), _held(machine, scales)
+    untold: dict[str, str] = {}
+    if rotor:
+        given |= {name: getattr(machine, name) for name in ROTOR}
+        untold = _standing_flux(data)
+        names = tuple(name for name in names if name not in untold)
+        if not names:
+            raise FluxobsError(_told_nothing(log, free, untold))
     if MAP in free:
         relation = Saturating(_first_model(machine, given))
         prior = _saturation_prior(relation.model, data)
         given |= {name: getattr(relation.model, name) for name in SATURATION}
-    if relation is not linear:
+    if rotor and not untold:
+        relation = Cage(log.sample_time)
+        held |= {name: INDUCTANCE_SHARE * given[name] for name in ROTOR}
+    elif relation is not linear:
         held = {name: std for name, std in held.items() if not name.startswith("L_")}
     error = MODEL_ERROR * _typical_flux(data) if MAP in free else 0.0
-    before = fit(data, given, ("psi_f",) if given["psi_f"] > 0 else (), relation=relation)
+    scale = ("psi_f",) if given["psi_f"] > 0 and not isinstance(relation, Cage) else ()
+    before = fit(data, given, scale, relation=relation)
     nearest = _nearest_lag(data, given, names, relation, prior) if "lag" in names else None
-    untold: dict[str, str] = {}
     while True:
         start, local = given, None
         if nearest is not None and "lag" in names:
@@ -203,10 +227,7 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
         untold[doubtful] = doubts[doubtful]
         names = tuple(name for name in names if name not in untold)
         if not names:
-            reasons = "; ".join(f"{name}: {why}" for name, why in untold.items())
-            raise FluxobsError(
-                f"{log.path}: this log tells none of {', '.join(free)} ({reasons}). {ADVICE}."
-            )
+            raise FluxobsError(_told_nothing(log, free, untold))
     told = found_map(relation, after) if isinstance(relation, Saturating) else None
     internal = {name: INTERNAL.get(name, name) for name in free if name != MAP}
     untold = {name: untold[inner] for name, inner in internal.items() if inner in untold}
@@ -374,6 +395,21 @@ def _unseen_inductances(found: Fit, data: Sequence[Piece]) -> dict[str, str]:
         return {}
     why = f"it shows only in i_d, which is {share:.0%} of the current in this log"
     return {name: why for name in ("L_s", "L_d") if name in found.free}
+
+
+def _told_nothing(log: Log, free: Sequence[str], untold: Mapping[str, str]) -> str:
+    reasons = "; ".join(f"{name}: {why}" for name, why in untold.items())
+    return f"{log.path}: this log tells none of {', '.join(free)} ({reasons}). {ADVICE}."
+
+
+def _standing_flux(data: Sequence[Piece]) -> dict[str, str]:
+    """Why the parameters of a cage are not told, if its flux hardly changes."""
+    spread = max(float(np.ptp(piece.lengths)) for piece in data)
+    usual = float(np.median([piece.lengths.mean() for piece in data]))
+    if spread > FLUX_CHANGES * usual:
+        return {}
+    why = f"the rotor flux changes by no more than {spread / usual:.0%} in this log"
+    return dict.fromkeys(ROTOR, why)
 
 
 def _doubts(found: Fit, voltage: float) -> dict[str, str]:

@@ -77,7 +77,11 @@ def smoothing_current(machine: RotatingMachine, scales: Scales) -> float:
 
 
 def pieces(
-    log: Log, machine: RotatingMachine, lags: tuple[int, ...], seconds: float = SECONDS
+    log: Log,
+    machine: RotatingMachine,
+    lags: tuple[int, ...],
+    seconds: float = SECONDS,
+    moving: bool = False,
 ) -> tuple[list[Piece], Scales]:
     """Cut the log where samples are missing and where pieces get longer than `seconds` or some
     turns.
@@ -97,7 +101,7 @@ def pieces(
         voltage = np.stack([part.voltage for part in parts])
         settings = lags.index(0), machine.R_s, smoothing, seconds
         found += cut(observer, parts[0].current, voltage, *settings)
-    if machine.flux_moves and found:
+    if machine.flux_moves and found and not moving:
         found = _same_flux(found)
         if not found:
             raise FluxobsError(

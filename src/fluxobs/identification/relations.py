@@ -23,6 +23,8 @@ Complex = NDArray[np.complex128]
 ROUNDS = 6
 #: Largest step of an angle in a round [rad].
 LARGEST = 0.3
+#: Share by which a cage's parameters are moved for their derivatives.
+STEP = 1e-4
 
 
 @dataclass(frozen=True)
@@ -39,12 +41,15 @@ class Rows:
         Its derivatives by the relation's parameters.
     current : (rows,) complex ndarray
         i_d + j i_q [A].
+    to_start : (rows,) complex ndarray, optional
+        Derivative of the residual by the flux of the first row, beyond that by its own.
     """
 
     residual: Array
     to_flux: Complex
     by_name: dict[str, Array]
     current: Complex
+    to_start: Complex | None = None
 
 
 class Relation(Protocol):
@@ -164,3 +169,38 @@ class Saturating:
             "psi_f": by(-(model.a_d0 + (S + 1) * model.a_dd * magnet**S) * np.ones_like(psi)),
         }
         return Rows(residual, to_flux, by_name, current * direction.conj())
+
+
+@dataclass(frozen=True)
+class Cage:
+    """Rotor flux that follows its equation: ``|x| - ψ``, ``dψ/dt = R_R (i_d - ψ/L_M)``, from |x| of
+    the first row on (docs/theory.md, section 15)."""
+
+    sample_time: float
+
+    def __call__(self, flux: Complex, current: Complex, values: Mapping[str, float]) -> Rows:
+        x = flux - values["L_q"] * current
+        length = np.abs(x)
+        direction = x / length
+        i = current * direction.conj()
+        first = length[0]
+        R_R, L_M = values["R_R"], values["L_M"]
+        by_name = {}
+        for name in ("R_R", "L_M"):
+            more, less = (
+                self._flux(i.real, first, **{"R_R": R_R, "L_M": L_M, name: values[name] * factor})
+                for factor in (1 + STEP, 1 - STEP)
+            )
+            by_name[name] = -(more - less) / (2 * STEP * values[name])
+        left = np.exp(-R_R / L_M * self.sample_time * np.arange(len(x)))
+        by_name["L_s"] = -i.real + left * i.real[0]
+        residual = length - self._flux(i.real, first, R_R, L_M)
+        return Rows(residual, direction, by_name, i, -left * direction[0])
+
+    def _flux(self, i_d: Array, first: float, R_R: float, L_M: float) -> Array:
+        """The flux from a first one on; i_d is linear between the rows."""
+        from scipy.signal import lfilter  # loaded only where a cage is identified
+
+        stays = float(np.exp(-R_R / L_M * self.sample_time))
+        driven = np.concatenate([[first], (1 - stays) * L_M * (i_d[1:] + i_d[:-1]) / 2])
+        return np.asarray(lfilter([1.0], [1.0, -stays], driven))

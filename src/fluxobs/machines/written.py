@@ -11,7 +11,7 @@ from .rotating import RotatingMachine
 
 #: What a parameter may change by until the next log, as a share of it: copper by heat, 40 K,
 #: magnets by as much, an inverter by load and DC link.
-CHANGES = {"R_s": 0.15, "psi_f": 0.05, "inverter_voltage": 0.1}
+CHANGES = {"R_s": 0.15, "R_R": 0.15, "psi_f": 0.05, "inverter_voltage": 0.1}
 
 
 def with_found(

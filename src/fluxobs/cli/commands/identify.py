@@ -21,8 +21,9 @@ def identify(
         str | None,
         typer.Option(
             help="Parameters to fit, out of R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, "
-            "inverter, lag. map: how the machine saturates. Default R_s,psi_f,inverter, if the "
-            "machine has them; the rest stays as given."
+            "R_R, L_M, inverter, lag. map: how the machine saturates. R_R, L_M: of a cage, if its "
+            "flux changes. Default R_s,psi_f,inverter, if the machine has them; the rest stays as "
+            "given."
         ),
     ] = None,
     report: Annotated[
