@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
 
 import fluxobs
 from fluxobs import AdaptiveObserver, LeastSquaresObserver
@@ -20,6 +21,7 @@ from fluxobs.machines import (
     SynchronousReluctance,
     example,
 )
+from fluxobs.model.flux_table import mirrored
 from fluxobs.observers.derived import derived
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -127,6 +129,38 @@ def interior():
     saturated = InteriorPMSM(R_s=3.6, n_p=3, rated_current=6.1, flux_map=model)
     print(f"    saturated, L_q/L_d {saturated.L_q / saturated.L_d:.1f} at rated current")
     print(f"                              {plain(saturated, interior_record(saturated))}")
+    measured = example("ipm-5kw6")
+    given = {name: value for name, value in measured.parameters().items() if value is not None}
+    between = Measured(**given)
+    for title, true in (("its splines", measured), ("linear between the points", between)):
+        for seed in range(3):
+            samples = measured_record(true, seed)
+            print(f"    measured map, {title:25s} {plain(measured, samples)}")
+
+
+class Measured(InteriorPMSM):
+    """The machine with a measured map, linear between the points of its test."""
+
+    def flux_dq(self, current):
+        i, psi = mirrored(self.flux_map.current, self.flux_map.flux, True)
+        d, q = np.unique(i.real), np.unique(i.imag)
+        grid = np.zeros((len(d), len(q)), complex)
+        grid[np.searchsorted(d, i.real), np.searchsorted(q, i.imag)] = psi
+        at = np.asarray(current, complex)
+        return RegularGridInterpolator((d, q), grid)(np.stack([at.real, at.imag], -1))
+
+
+def measured_record(machine, seed):
+    """i_d -2 to -10 A, i_q to 14 A both ways, a reversal at 60 Hz."""
+    speed = 377 * profile((0, 0.2), (0.3, 1), (1.2, 1), (1.8, -1), (2, -1))
+    i_d = profile(
+        *((0, -2), (0.4, -2), (0.41, -10), (0.8, -10), (0.81, -4), (1.3, -4), (1.31, -8), (2, -8))
+    )
+    i_q = profile(
+        *((0, 3), (0.5, 3), (0.51, 14), (0.9, 14), (0.91, -12), (1.3, -12), (1.32, 6), (2, 6))
+    )
+    given = {"voltage_bias": 1 + 0.5j, "noise": 0.04, "theta0": 2.0 * seed, "seed": seed}
+    return driven(machine, H, speed, i_d + 1j * i_q, **given)
 
 
 def cage():
@@ -134,6 +168,13 @@ def cage():
     machine = example("induction-2kw2")
     for name, psi in (("flux stands", CONSTANT), ("0.9 to 0.5 to 0.9 Wb", RAMPS)):
         voltage, current, theta, mechanical = cage_record(psi)
+        for factor in (0.7, 1.0, 1.5) if psi is RAMPS else ():
+            guess = machine.with_values(R_R=factor * machine.R_R)
+            found = fluxobs.identify(
+                (voltage, current), guess, free="R_R", sample_time=H, lag=1.0
+            ).parameters
+            told = ", ".join(f"{p.name} {p.value:.4g} ± {p.std:.2g} {p.unit}" for p in found)
+            print(f"    {name:21s} identified from R_R x {factor:3.1f}  {told}")
         for title, taken in (
             ("length taken as constant", machine.with_values(R_R=1e-6)),
             ("length followed", machine),

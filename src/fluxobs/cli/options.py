@@ -67,7 +67,7 @@ LAYOUT: dict[str, Any] = {
         typer.Option(
             "--held/--not-held",
             help="Whether each voltage is held over its sample, as an inverter's mean voltage is. "
-            "Default: if it matters for the machine, R h/L above 0.1.",
+            "Default: if it matters for the machine, R h/L above 0.15.",
         ),
     ],
     "columns": Annotated[

@@ -220,7 +220,7 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
         if "inverter" in names and after.values["inverter"] < 0 and not doubts:
             value, std = after.values["inverter"], after.std("inverter")
             doubts = {"inverter": f"{value:.2g} ± {std:.2g} V fits, but no inverter adds voltage"}
-            given["inverter"] = 0.0
+            given["inverter"], held["inverter"] = 0.0, std
         if not doubts:
             break
         doubtful = next(name for name in HELD_FIRST if name in doubts)

@@ -44,7 +44,7 @@ class Layout(BaseModel):
         sample later, +1 one earlier; fractions allowed.
     held : bool, optional
         Whether each voltage is held over its sample, as an inverter's mean voltage is; default: if
-        that matters for the machine (R h/L above 0.1), and the lag is no fraction.
+        that matters for the machine (R h/L above 0.15), and the lag is no fraction.
     udc : float, optional
         DC-link voltage [V] if it has no column (frame "duty").
     columns : dict

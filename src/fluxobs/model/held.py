@@ -19,7 +19,7 @@ AnyArray = NDArray[Any]
 
 #: Share R h/L from which kinks are counted in by default: with 14 samples a period, what is missed
 #: turns the flux by R h/L times two degrees.
-MATTERS = 0.1
+MATTERS = 0.15
 #: Below this share the response is taken to be a ramp, whose weights are 1/8 and -1/24.
 RAMP = 1e-2
 #: Weights of the cubic through the last four samples for the last interval, newest first, times 24.

@@ -226,7 +226,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         held : {"auto", True, False}
             Whether each voltage is held over its sample, as an inverter's mean voltage is, which
             counts where R h/L is large: a motor with a small time constant, few samples a period.
-            "auto": if R h/L is above 0.1. False: means of a voltage that is smooth.
+            "auto": if R h/L is above 0.15. False: means of a voltage that is smooth.
         precision : {"double", "single"}
 
         Raises
