@@ -148,17 +148,6 @@ static inline bool mapped(const fo_observer *o)
 #endif
 }
 
-/* Does the machine differ from one with constant inductances and magnet flux? */
-static inline bool curved(const fo_observer *o)
-{
-#if FO_MAPPED
-    return o->map != NULL && o->map->kind != FO_MAP_LINEAR;
-#else
-    (void)o;
-    return false;
-#endif
-}
-
 /* Does its flux move by itself, as a cage's? */
 static inline bool cage(const fo_observer *o)
 {

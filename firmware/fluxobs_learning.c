@@ -83,7 +83,7 @@ static fo_real away_of(const fo_adaptive *a, const fo_adaptive_state *s,
 {
     const fo_real L = a->plain.L_position;
     fo_real found = L * current[i];
-    if (curved(&a->plain)) {
+    if (mapped(&a->plain)) {
         found = away(&a->plain, &s->plain, i) - L * fo_learning_value(a, s, FO_OFFSET + i);
     }
     return found;
@@ -94,7 +94,7 @@ static fo_real grown(const fo_adaptive *a, const fo_adaptive_state *s, fo_real i
 {
     fo_real found = a->saliency * i_d;
 #if FO_MAPPED
-    if (curved(&a->plain)) {
+    if (mapped(&a->plain)) {
         found = s->plain.shape.active - a->plain.map->psi / a->plain.flux_base;
     }
 #else
@@ -302,7 +302,7 @@ static void slopes(const fo_adaptive *a, const fo_adaptive_state *s, const fo_re
                    fo_real by_current[FO_N])
 {
 #if FO_MAPPED
-    if (curved(&a->plain)) {
+    if (mapped(&a->plain)) {
         const fo_shape *f = &s->plain.shape;
         for (int i = 0; i < FO_N; i++) {
             slope[i] = f->slope[i];

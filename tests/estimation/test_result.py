@@ -8,11 +8,12 @@ from matplotlib.figure import Figure
 import fluxobs
 from fluxobs import FluxobsError, estimate
 from fluxobs.estimation import learning
+from fluxobs.machines import FluxPoints
 from fluxobs.observers import AdaptiveEstimate, Estimate, SampleCounts, in_files
 from fluxobs.observers.derived import derived_outputs
 from support.cli import COLUMNS as PLAIN
 from support.cli import fluxobs as command
-from support.records import PMSM, SERVO, course, log_columns, steady
+from support.records import PMSM, SERVO, course, driven, log_columns, profile, steady
 
 H, ROWS = 1e-4, 2000
 SAMPLES = steady(SERVO, H, 500.0, ROWS, 6j, 0.15 - 0.1j, -0.1 + 0.05j, 0.02)
@@ -188,3 +189,18 @@ def test_a_long_log_is_learnt_from_in_parts(tmp_path, monkeypatch):
     assert told[-1] == (32_000, 32_000)
     assert parts.learnt.resistance == pytest.approx(1.3 * PMSM.R_s, rel=0.02)
     assert 4 * whole.learnt.resistance_std > parts.learnt.resistance_std
+
+
+def test_a_map_that_is_not_reciprocal_is_warned_of():
+    """Rotate the fluxes of a measured map against its currents by 10 degrees."""
+    machine = fluxobs.example("ipm-5kw6")
+    points = machine.flux_map
+    samples = driven(
+        machine, 1.25e-4, profile((0, 100), (2, 377)), -4 + 1j * profile((0, 3), (2, 9))
+    )
+    log = (samples.voltage, samples.current)
+    for turn, warned in ((1.0, False), (np.exp(0.17j), True)):
+        flux = FluxPoints(points.current, points.flux * turn)
+        taken = machine.with_values(flux_map=flux, L_d=None, L_q=None, psi_f=None)
+        result = fluxobs.estimate(log, taken, sample_time=1.25e-4, lag=1.0, unknowns="drift")
+        assert any("not reciprocal" in line for line in result.warnings) == warned

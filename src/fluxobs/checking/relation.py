@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machines import RotatingMachine, SynchronousMachine
+from ..machines import RotatingMachine
 from ..model.held import mean_current
 from ..model.inverter import inverter_direction
 from .stretches import Complex, Stretches
@@ -180,7 +180,7 @@ class Relation:
         self.psi = machine.magnet_flux
         self.magnets = machine.magnets
         self.moves = machine.flux_moves
-        fit = machine.saturation if isinstance(machine, SynchronousMachine) else None
+        fit = machine.saturation
         self.table = None if fit is None else fit.table
 
     def _integral(self, values: Array) -> Complex:

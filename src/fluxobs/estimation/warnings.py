@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..checking.findings import Check
+from ..machines import RotatingMachine
+from ..model.flux_table import RECIPROCITY
 from ..observers import LeastSquaresObserver
 from .learning import doubtful
 from .run import LogRun
@@ -40,6 +42,7 @@ def warnings(result: LogRun, found: Check | None) -> list[str]:
     return [
         *_samples(result),
         *mistakes,
+        *_reciprocity(result),
         *_truth(result),
         *_rate(result),
         *_validity(result),
@@ -48,6 +51,19 @@ def warnings(result: LogRun, found: Check | None) -> list[str]:
             if result.adaptive is not None or mistakes
             else _residual(result, result.plain, found)
         ),
+    ]
+
+
+def _reciprocity(result: LogRun) -> list[str]:
+    """A flux map that no machine without losses can have."""
+    machine = result.machine
+    fit = machine.saturation if isinstance(machine, RotatingMachine) else None
+    if fit is None or fit.reciprocity <= RECIPROCITY:
+        return []
+    return [
+        f"The machine's flux map is not reciprocal: the derivatives of psi_d by i_q and of psi_q "
+        f"by i_d differ by {fit.reciprocity:.0%} of the mean inductance; up to {RECIPROCITY:.0%} "
+        f"is usual. Do its fluxes and currents belong to one angle, and do their signs agree?"
     ]
 
 

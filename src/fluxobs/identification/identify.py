@@ -112,7 +112,7 @@ def free_names(machine: RotatingMachine) -> tuple[str, ...]:
 
 def _table(machine: RotatingMachine) -> TableMap | None:
     """The flux map of the machine file."""
-    fit = machine.saturation if isinstance(machine, SynchronousMachine) else None
+    fit = machine.saturation
     return None if fit is None else fit.table
 
 

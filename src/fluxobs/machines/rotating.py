@@ -137,6 +137,11 @@ class RotatingMachine(Machine):
         """L of the position vector ``λ - L i`` [H], which points along the rotor's d axis."""
         return self.L_dq[1]
 
+    @property
+    def saturation(self) -> FittedTable | None:
+        """The splines of a flux map; None where inductances are constant."""
+        return None
+
     def memory_for(self, sample_time: float, speed_e: float | None = None) -> float:
         """Memory of the least squares for a sample time [s].
 
