@@ -44,3 +44,47 @@ def test_a_standing_flux_does_not_tell_the_rotor():
 def test_flux_and_rotor_are_not_free_together():
     with pytest.raises(FluxobsError, match="psi_R, or R_R and L_M"):
         fluxobs.identify(cage_log(RAMPS), MACHINE, free="psi_R,R_R")
+
+
+def speed_log(psi, seconds=2.4):
+    voltage, current, _, mechanical = record(psi)
+    rows = slice(0, round(seconds / H))
+    channels = {
+        "u_alpha": voltage[rows, 0],
+        "u_beta": voltage[rows, 1],
+        "i_alpha": current[rows, 0],
+        "i_beta": current[rows, 1],
+        "encoder": mechanical[rows],
+    }
+    return channels, {"sample_time": H, "lag": 1.0, "truth": {"speed_mech": "encoder"}}
+
+
+@pytest.mark.parametrize("psi", [CONSTANT, RAMPS])
+def test_a_speed_tells_the_rotor_while_the_flux_stands(psi):
+    log, layout = speed_log(psi)
+    found = fluxobs.identify(log, MACHINE.scaled(["R_R"], 1.4), free="R_s,R_R", **layout)
+    by_name = {p.name: p for p in found.parameters}
+    assert set(by_name) == {"R_s", "R_R"}
+    assert abs(by_name["R_R"].value - MACHINE.R_R) < 0.02 * MACHINE.R_R
+    assert abs(by_name["R_R"].value - MACHINE.R_R) < 3 * by_name["R_R"].std + 0.005
+    assert abs(found.machine.R_R - MACHINE.R_R) < 0.02 * MACHINE.R_R
+    assert found.machine.L_M == MACHINE.L_M
+
+
+def test_a_speed_alone_tells_the_rotor_alone():
+    log, layout = speed_log(CONSTANT)
+    found = fluxobs.identify(log, MACHINE, free="R_R", **layout)
+    assert [p.name for p in found.parameters] == ["R_R"]
+    assert str(found).startswith("R_R = 2.09")
+
+
+def test_a_log_too_short_for_the_slip_says_so():
+    log, layout = speed_log(CONSTANT, 0.06)
+    with pytest.raises(FluxobsError, match=r"too few to tell R_R|never known"):
+        fluxobs.identify(log, MACHINE, free="R_R", **layout)
+
+
+def test_a_speed_is_no_position():
+    log, layout = speed_log(CONSTANT)
+    with pytest.raises(FluxobsError, match="truth speed_mech: kind induction has theta_e"):
+        fluxobs.estimate(log, MACHINE, **layout)

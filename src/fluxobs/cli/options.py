@@ -97,7 +97,8 @@ LAYOUT: dict[str, Any] = {
         typer.Option(
             metavar="CHANNEL=COLUMN",
             help="theta_e=COLUMN or theta_mech=COLUMN: true angle in radians; position=COLUMN: "
-            "true position of a levitated body in metres.",
+            "true position of a levitated body in metres; speed_mech=COLUMN: mechanical speed in "
+            "rad/s, which tells `identify` the R_R of an induction machine.",
         ),
     ],
 }

@@ -34,6 +34,7 @@ from .found_map import found_map
 from .pieces import SECONDS, Piece, pieces, smoothing_current, typical_length
 from .relations import SATURATION, Cage, Mapped, Relation, Saturating, linear
 from .report import figure, lines, write
+from .slip import resistance_from_speed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -166,10 +167,10 @@ def identify(
     free : str or sequence of str, optional
         Some of R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, R_R, L_M, inverter, lag;
         default: R_s, psi_f, inverter, if the machine has them. R_R and L_M of a cage show where its
-        flux changes. "map": how the machine saturates, the parameters
-        of :class:`AlgebraicSaturation`; the log has to move i_d and i_q.
+        flux changes; R_R also in the slip, if the log has the speed. "map": how the machine
+        saturates, the parameters of :class:`AlgebraicSaturation`; the log has to move i_d and i_q.
     layout : optional
-        As for :func:`fluxobs.read_log`.
+        As for :func:`fluxobs.read_log`. Only one truth is used: speed_mech, of a cage [rad/s].
 
     Raises
     ------
@@ -178,19 +179,26 @@ def identify(
     """
     given = rotating(as_machine(machine), "identification")
     names = read_free(free, given)
-    return identify_log(open_for(log, given, **layout), given, names)
+    also = ("speed_mech",) if given.flux_moves else ()
+    return identify_log(open_for(log, given, also, **layout), given, names)
 
 
 def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identification:
     """Identify from a log that is open, with names of free parameters that are checked."""
     lags = LAGS if "lag" in free else (0,)
     rotor = any(name in ROTOR for name in free)
+    slip: tuple[float, float] | None = None
+    if "R_R" in free and log.truth is not None and log.truth[0] == "speed_mech":
+        slip, rotor = resistance_from_speed(log, machine), False
+        free = tuple(name for name in free if name != "L_M")
     if rotor:  # a change of the flux tells both, or neither
         free = (*(name for name in free if name not in ROTOR), *ROTOR)
     seconds = MAP_SECONDS if MAP in free else ROTOR_SECONDS if rotor else SECONDS
     data, scales = pieces(log, machine, lags, seconds, moving=rotor)
     given, relation, prior = starting_values(machine, data), _relation(machine), {}
     names, held = _expanded(free, machine), _held(machine, scales)
+    if slip is not None:
+        names = tuple(name for name in names if name != "R_R")
     untold: dict[str, str] = {}
     if rotor:
         given |= {name: getattr(machine, name) for name in ROTOR}
@@ -230,6 +238,8 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
             raise FluxobsError(_told_nothing(log, free, untold))
     told = found_map(relation, after) if isinstance(relation, Saturating) else None
     internal = {name: INTERNAL.get(name, name) for name in free if name != MAP}
+    if slip is not None:
+        del internal["R_R"]
     untold = {name: untold[inner] for name, inner in internal.items() if inner in untold}
     found = [
         Parameter(
@@ -242,6 +252,8 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
         for name, inner in internal.items()
         if told is None or inner not in told.names
     ]
+    if slip is not None:
+        found.append(Parameter("R_R", UNITS["R_R"], _given(machine, "R_R", 0.0), *slip))
     smoothing = smoothing_current(machine, scales)
     changed = with_found(machine, in_the_file(found))
     if told is not None:

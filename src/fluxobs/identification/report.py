@@ -68,7 +68,8 @@ def _note(parameter: Parameter, found: Fitted) -> str:
 
 
 def _as_given(found: Fitted) -> str:
-    return "as given but for psi_f, which is fitted" if found.before.free else "as given"
+    name = found.machine.flux_name
+    return f"as given but for {name}, which is fitted" if found.before.free else "as given"
 
 
 def toml(found: Fitted) -> str:

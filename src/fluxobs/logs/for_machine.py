@@ -10,13 +10,15 @@ from .log import Log
 from .read import read_log
 
 
-def open_for(source: Any, machine: Machine, **layout: Any) -> Log:
+def open_for(source: Any, machine: Machine, also: tuple[str, ...] = (), **layout: Any) -> Log:
     """Open a log for a machine: with its frame by default, and a truth channel that it has.
 
     Parameters
     ----------
     source, layout
         See :func:`fluxobs.read_log`.
+    also : tuple of str
+        Further channels of truth that the caller can use.
 
     Raises
     ------
@@ -28,7 +30,7 @@ def open_for(source: Any, machine: Machine, **layout: Any) -> Log:
     log = read_log(source, default_frame=machine.frame, **layout)
     _check_frame(log.layout.frame, machine)
     known = machine.position_output.truths
-    if log.truth is not None and log.truth[0] not in known:
+    if log.truth is not None and log.truth[0] not in (*known, *also):
         raise RecordError(
             f"truth {log.truth[0]}: kind {machine.kind} has {' or '.join(reversed(known))}"
         )

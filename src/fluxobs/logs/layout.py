@@ -20,7 +20,7 @@ CHANNELS = tuple(
         + ["theta_e", "theta_mech", "position"]
     )
 )
-TRUTHS = ("theta_e", "theta_mech", "position")
+TRUTHS = ("theta_e", "theta_mech", "position", "speed_mech")
 #: Column name that means: ignore the existing column (for t).
 NO_COLUMN = "-"
 
@@ -53,7 +53,8 @@ class Layout(BaseModel):
         Channel → number.
     truth : dict
         {"theta_e": column} (electrical), {"theta_mech": column} (mechanical) or {"position":
-        column} [m] of a levitated body, for scoring.
+        column} [m] of a levitated body, for scoring; {"speed_mech": column} [rad/s], from which
+        `identify` tells R_R of an induction machine.
     start, stop : float, optional
         Only rows with start <= t <= stop [s].
     """

@@ -11,7 +11,7 @@ from .. import show
 from ..options import LogArgument, MachineOption, reads_logs, refuse_input_as_output
 
 
-@reads_logs("truth")
+@reads_logs()
 def identify(
     log: LogArgument,
     machine: MachineOption,
@@ -22,8 +22,8 @@ def identify(
         typer.Option(
             help="Parameters to fit, out of R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, "
             "R_R, L_M, inverter, lag. map: how the machine saturates. R_R, L_M: of a cage, if its "
-            "flux changes. Default R_s,psi_f,inverter, if the machine has them; the rest stays as "
-            "given."
+            "flux changes; or R_R with --truth speed_mech=COLUMN. Default R_s,psi_f,inverter, if "
+            "the machine has them; the rest stays as given."
         ),
     ] = None,
     report: Annotated[
