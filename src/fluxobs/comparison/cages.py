@@ -7,7 +7,7 @@ and covariances have no usual values; ours are right within a factor of a few.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
 
 from ..design.baselines.cage import (
     CageKalmanFilter,
@@ -16,26 +16,25 @@ from ..design.baselines.cage import (
     ReducedOrderObserver,
 )
 from ..machines import RotatingMachine
-from .catalogue import CATALOGUE, PLL, Entry, Gains, Setting
+from .catalogue import CATALOGUE, PLL, Entry, Gains, Setting, of
 
 #: Entries of the other catalogue that a cage shares: those which need no flux of a known length.
 SHARED = ("least squares", "voltage model, low-pass", "voltage model, high-pass")
 
 
-def _of(kind: Any) -> Any:
-    return lambda s, g: kind(s.motor, s.sample_time, **g)
+_BY_NAME = {entry.name: entry for entry in CATALOGUE}
 
 
 def _kalman(s: Setting, g: Gains) -> CageKalmanFilter:
-    noise = max(s.noise, 1e-3 * s.current)
-    return CageKalmanFilter(s.motor, s.sample_time, **g, current_noise=noise, speed_size=s.speed_e)
+    sizes = {"current_noise": s.filter_noise, "speed_size": s.speed_e}
+    return CageKalmanFilter(s.motor, s.sample_time, **g, **sizes)
 
 
 CAGES = [
-    *(entry for entry in CATALOGUE if entry.name in SHARED),
+    *(_BY_NAME[name] for name in SHARED),
     Entry(
         "hybrid (Gopinath, Jansen, Lorenz)",
-        _of(HybridFluxObserver),
+        of(HybridFluxObserver),
         lambda s: {"crossover": 0.03 * s.speed_e, "bandwidth": 4 * PLL},
         lambda s: {
             "crossover": [x * s.speed_e for x in (0.01, 0.03, 0.1, 0.3)],
@@ -44,7 +43,7 @@ CAGES = [
     ),
     Entry(
         "full-order, speed-adaptive (Kubota)",
-        _of(FullOrderObserver),
+        of(FullOrderObserver),
         lambda s: {"gain": 1.0, "bandwidth": 2 * PLL},
         lambda s: {
             "gain": [0.0, 0.3, 1.0, 3.0],
@@ -53,22 +52,14 @@ CAGES = [
     ),
     Entry(
         "reduced-order (Hinkkanen)",
-        _of(ReducedOrderObserver),
+        of(ReducedOrderObserver),
         lambda s: {"damping": 0.2, "bandwidth": PLL},
         lambda s: {
             "damping": [0.01, 0.03, 0.1, 0.2, 0.5, 1.0],
             "bandwidth": [PLL / 2, PLL, 2 * PLL],
         },
     ),
-    Entry(
-        "extended Kalman filter",
-        _kalman,
-        lambda s: {"voltage_noise": 0.01 * s.voltage, "acceleration": 30.0 * s.speed_e**0.5},
-        lambda s: {
-            "voltage_noise": [x * s.voltage for x in (1e-3, 1e-2, 1e-1, 1.0)],
-            "acceleration": [x * s.speed_e**0.5 for x in (3.0, 30.0, 300.0, 3000.0)],
-        },
-    ),
+    replace(_BY_NAME["extended Kalman filter"], build=_kalman),
 ]
 
 

@@ -72,6 +72,11 @@ class Setting:
     current_rows: Array
 
     @property
+    def filter_noise(self) -> float:
+        """Current noise of the Kalman filters [A], which needs to be above 0."""
+        return max(self.noise, 1e-3 * self.current)
+
+    @property
     def motor(self) -> Motor:
         return Motor.of(self.machine)
 
@@ -160,7 +165,7 @@ def _kalman(s: Setting, g: Gains, with_drift: bool) -> KalmanFilter:
         s.sample_time,
         g["voltage_noise"],
         g["acceleration"],
-        max(s.noise, 1e-3 * s.current),
+        s.filter_noise,
         s.speed_e,
         g.get("drift_walk", 0.0),
         s.drift_prior or 0.01 * s.voltage,
@@ -168,12 +173,14 @@ def _kalman(s: Setting, g: Gains, with_drift: bool) -> KalmanFilter:
     )
 
 
-def _entries() -> list[Entry]:
-    def of(
-        kind: Callable[..., Baseline], **fixed: Any
-    ) -> Callable[[Setting, Gains], Observer[Any, Any]]:
-        return lambda s, g: kind(s.motor, s.sample_time, **g, **fixed)
+def of(
+    kind: Callable[..., Baseline], **fixed: Any
+) -> Callable[[Setting, Gains], Observer[Any, Any]]:
+    """Constructor of a baseline from its gains and what does not change."""
+    return lambda s, g: kind(s.motor, s.sample_time, **g, **fixed)
 
+
+def _entries() -> list[Entry]:
     cutoffs = (0.03, 0.1, 0.3, 1.0)
     return [
         Entry(

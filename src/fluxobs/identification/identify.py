@@ -138,7 +138,10 @@ def read_free(free: str | Sequence[str] | None, machine: RotatingMachine) -> tup
     if MAP in words and any(word in machine.inductance_names for word in words):
         raise FluxobsError(f"free: {MAP} has the inductances in it; give it without them")
     if "psi_R" in words and any(word in ROTOR for word in words):
-        raise FluxobsError("free: psi_R, or R_R and L_M, for which the flux has to change")
+        raise FluxobsError(
+            "free: give psi_R, or R_R and L_M: psi_R shows while the rotor flux stands, the others "
+            "while it changes"
+        )
     for word in words:
         if word not in known:
             raise FluxobsError(f"free: kind {machine.kind} has no {word!r}{nearest(word, known)}")

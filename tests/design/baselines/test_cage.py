@@ -23,7 +23,7 @@ class Setting:
     """Sizes of the record."""
 
     motor, sample_time, speed_e = MOTOR, H, 314.0
-    voltage, current, noise = 283.0, 7.1, 0.02
+    voltage, current, filter_noise = 283.0, 7.1, 0.02
 
 
 @pytest.fixture(scope="module")

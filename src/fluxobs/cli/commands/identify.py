@@ -27,7 +27,7 @@ def identify(
         ),
     ] = None,
     report: Annotated[
-        Path | None, typer.Option(help="Picture of the residual: .png, .pdf or .svg.")
+        Path | None, typer.Option(help="Picture of the residual, and of a map: .png, .pdf, .svg.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite --out.")] = False,
 ) -> None:

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from ..drive.motor import CageMotor
 from ..drive.vectors import length, pair, unit
 from .base import Array, Baseline, Guess, PllState, angle, leaf, pll, pll_start
+from .kalman import corrected
 
 #: Rotor flux at the start, and the least that is divided by, over the rated one.
 LEAST = 1e-3
@@ -298,14 +299,7 @@ class CageKalmanFilter(CageBaseline):
         walk = h * self.acceleration**2
         P = F @ own.P @ F.T + jnp.diag(jnp.stack([volts, volts, volts, volts, walk]))
         H = jnp.array([[1.0, 0.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, -1.0, 0.0]]) / m.L_d
-        r = self.current_noise**2
-        S = H @ P @ H.T + r * jnp.eye(2)
-        det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
-        inverse = jnp.array([[S[1, 1], -S[0, 1]], [-S[1, 0], S[0, 0]]]) / det
-        K = P @ H.T @ inverse
-        x = x + K @ (pair(current) - H @ x)
-        left = jnp.eye(5) - K @ H
-        P = left @ P @ left.T + r * K @ K.T
+        x, P = corrected(x, P, H, pair(current) - H @ x, self.current_noise**2)
         psi = jax.lax.complex(x[2], x[3])
         guess = self.guess(psi, current, x[4] + self.slip_of(psi, current))
         return CageKalmanState(x, P), guess._replace(flux=jax.lax.complex(x[0], x[1]))

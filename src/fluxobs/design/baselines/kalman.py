@@ -18,6 +18,18 @@ class KalmanState(NamedTuple):
     P: Array
 
 
+def corrected(
+    x: Array, P: Array, H: Array, innovation: Array, variance: Array
+) -> tuple[Array, Array]:
+    """State and covariance after two measurements of one variance; Joseph's form."""
+    S = H @ P @ H.T + variance * jnp.eye(2)
+    det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
+    inverse = jnp.array([[S[1, 1], -S[0, 1]], [-S[1, 0], S[0, 0]]]) / det
+    K = P @ H.T @ inverse
+    left = jnp.eye(len(x)) - K @ H
+    return x + K @ innovation, left @ P @ left.T + variance * K @ K.T
+
+
 class KalmanFilter(Baseline):
     """States are flux, speed and position; the measurement is the current ``i(λ, θ)``; the speed
     is a random walk. Works for salient machines without change.
@@ -104,13 +116,6 @@ class KalmanFilter(Baseline):
         local = flux * jnp.conj(direction)
         by_angle = 1j * predicted + direction * jax.lax.complex(local.imag * d, -local.real * q)
         H = jnp.zeros((2, size)).at[:, :2].set(by_flux).at[:, 3].set(pair(by_angle))
-        r = self.current_noise**2
-        S = H @ P @ H.T + r * jnp.eye(2)
-        det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
-        inverse = jnp.array([[S[1, 1], -S[0, 1]], [-S[1, 0], S[0, 0]]]) / det
-        K = P @ H.T @ inverse
-        x = x + K @ pair(current - predicted)
+        x, P = corrected(x, P, H, pair(current - predicted), self.current_noise**2)
         x = x.at[3].set(wrap(x[3]))
-        left = jnp.eye(size) - K @ H
-        P = left @ P @ left.T + r * K @ K.T
         return KalmanState(x, P), Guess(x[3], x[2], jax.lax.complex(x[0], x[1]), x[3])
