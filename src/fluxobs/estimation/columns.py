@@ -96,8 +96,10 @@ def _immersed(
                 columns["noise_share"] = found.noise_share.max(axis=1)
             case "valid":
                 columns["valid"] = valid
-            case "current_bias" | "current_bias_std" if not biased:
+            case "current_bias" | "current_bias_std" | "current_bias_valid" if not biased:
                 pass
+            case "current_bias_valid":
+                columns["current_bias_valid"] = valid & found.current_bias_valid
             case _:
                 values = getattr(found, one.name).T
                 columns |= zip(one.columns(machine.ports), values, strict=True)

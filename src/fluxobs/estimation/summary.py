@@ -8,12 +8,9 @@ from ..checking.findings import Check
 from ..logs.record import lag_in_words
 from ..machines import RotatingMachine
 from ..observers import ImmersionObserver
+from ..observers.immersed import UNSEEN_BIAS
 from .learning import UNSEEN, learning_parts, parameters
 from .run import LogRun
-
-#: Nothing was learnt about a current bias whose standard deviation stays above this share of its
-#: prior; it disturbs the flux if it is not seen.
-UNSEEN_BIAS = 0.25
 
 
 def si(value: float, unit: str) -> str:

@@ -42,6 +42,9 @@ RESTART_POWER = 4.0
 #: A current bias beyond this many standard deviations of its prior is an artefact of noise. It
 #: corrupts the flux, which is then not valid.
 BIAS_LIMIT = 3.0
+#: Nothing was learnt about a current bias whose standard deviation stays above this share of its
+#: prior. Without data it is the prior's; where two ports hide one direction, 0.7 of it each.
+UNSEEN_BIAS = 0.25
 #: Samples between two re-injected rows of the prior, which take turns as in the compiled observer.
 EVERY = 2
 #: Mean current of the last interval from the last four samples, newest first: the cubic through
@@ -78,7 +81,16 @@ class ImmersionEstimate:
         metadata=output(
             "",
             "The flux is known: noise share below 0.1 and standard deviation below a twentieth of "
-            "the flux, per-unit, both for one memory without a missing sample",
+            "the flux, per-unit, both for one memory without a missing sample. Says nothing of the "
+            "current bias",
+            boolean=True,
+        )
+    )
+    current_bias_valid: NDArray[np.bool_] = field(
+        metadata=output(
+            "",
+            "The current bias is known too: valid, and every standard deviation below a "
+            "quarter of its prior",
             boolean=True,
         )
     )
@@ -446,6 +458,10 @@ class ImmersionObserver:
         )
         state = replace(state, known=state.known + 1 if known and state.missing == 0 else 0)
         innovation = state.last_innovation
+        valid = state.known * self.sample_time >= self.memory
+        seen = "current-bias" in immersion.unknowns and bool(
+            (bias_std < UNSEEN_BIAS * self.current_bias_prior).all()
+        )
         return state, ImmersionEstimate(
             flux,
             flux_std,
@@ -454,7 +470,8 @@ class ImmersionObserver:
             bias,
             bias_std,
             share,
-            np.asarray(state.known * self.sample_time >= self.memory),
+            np.asarray(valid),
+            np.asarray(valid and seen),
             np.zeros(len(immersion.relations)) if innovation is None else innovation,
         )
 

@@ -8,22 +8,21 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from ..design.analysis import GainStudy, excitation, over_gain
-from ..design.analysis.stability import proposition_2
+from ..design.analysis import over_gain
 from ..design.regression import Parametrisation, Regressors
 from ..design.regression.laws import (
-    FluxObserver,
+    ContinuousObserver,
     PrintedAdaptiveObserver,
     RepairedAdaptiveObserver,
-    run,
+    integrate_law,
 )
 from .pmsm import counter_example as trajectory
 
 Array = NDArray[np.float64]
 
 GAINS = tuple(10.0**k for k in range(-3, 5))
-#: Samples per period in the analysis; the runs take every THIN-th.
-SAMPLES, THIN = 2000, 1
+#: Samples a period of the multipliers, steps a period of the runs.
+SAMPLES, STEPS = 256, 4000
 PERIODS = 30
 
 
@@ -35,14 +34,15 @@ class CounterExample:
     ----------
     alpha : float
         Smallest eigenvalue of ``∫ Ψ Ψᵀ`` over a period; > 0 is persistently exciting.
-    study : GainStudy
+    gains, multipliers : ndarray
         Largest |Floquet multiplier| for each gain.
     errors : dict
         Law → |λ̂ - λ| at the end of each period.
     """
 
     alpha: float
-    study: GainStudy
+    gains: Array
+    multipliers: Array
     errors: dict[str, Array]
 
 
@@ -50,27 +50,24 @@ def study() -> CounterExample:
     """Computes the multipliers, and runs the printed and repaired laws from zero for 30 periods."""
     given = trajectory(SAMPLES)
     constants = Parametrisation(given.constraint, "voltage-bias", 1.0)
-    psi, _, _ = proposition_2(given.rows, constants)
-    alpha = excitation(np.asarray(psi), given.h, 2 * np.pi - given.h).alpha
-    multipliers = over_gain(given.rows, constants, given.h, GAINS)
+    psi = np.asarray(constants.psi_record(given.rows))
+    alpha = float(np.linalg.eigvalsh(given.h * psi.T @ psi)[0])
+    found = over_gain(psi, given.h, constants, GAINS)
 
-    # Repeat one period from row 1 on; row 0 equals the last row.
-    step = THIN * given.h
-    rows = Regressors(
-        *(jnp.tile(part[THIN::THIN], (PERIODS, *[1] * (part.ndim - 1))) for part in given.rows)
-    )
-    flux = np.tile(given.flux[THIN::THIN], (PERIODS, 1))
-    v = jnp.asarray(np.diff(flux, axis=0, prepend=flux[-1:]))
-    period = SAMPLES // THIN
+    # Two samples a step; the first of a period is the last of the one before.
+    fine = trajectory(2 * STEPS)
+    count = np.arange(2 * STEPS * PERIODS + 1) % (2 * STEPS)
+    rows = Regressors(*(jnp.asarray(np.asarray(part)[count]) for part in fine.rows))
+    y_m = jnp.asarray(fine.orbit.y_m[count])
 
-    def errors(observer: FluxObserver) -> Array:
-        found, _ = run(observer, step, v, rows)
-        error = np.linalg.norm(np.asarray(found) - flux, axis=1)
-        return np.asarray(np.r_[np.linalg.norm(flux[0]), error[period - 1 :: period]])
+    def errors(observer: ContinuousObserver) -> Array:
+        found, _ = integrate_law(observer, 2 * fine.h, y_m, rows)
+        return np.asarray(np.linalg.norm(np.asarray(found)[::STEPS] - fine.flux[0], axis=1))
 
     return CounterExample(
         alpha,
-        multipliers,
+        found.gains,
+        found.multipliers(2 * np.pi),
         {
             "printed, γ_a = 1": errors(PrintedAdaptiveObserver(1.0, constants)),
             "repaired, Γ = G = 1": errors(RepairedAdaptiveObserver(1.0, 1.0, constants)),

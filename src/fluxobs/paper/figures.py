@@ -37,6 +37,18 @@ COLOURS = {
     "DREM, finite time": ORANGE,
     "least squares": BLUE,
 }
+#: Curves that others cover are drawn first and wide, and those on top of them dashed.
+WIDE = {"linewidth": 3.5, "alpha": 0.5, "zorder": 1}
+DASHED = {"linestyle": "--", "zorder": 3}
+LINES: dict[str, dict[str, Any]] = {
+    "robust, printed gain": WIDE,
+    "robust, balanced gain, printed Φ": DASHED,
+    "adaptive, ten times the gain": WIDE,
+    "voltage model": WIDE,
+    "PEBO, least squares": DASHED,
+    "Riccati, memory 1 s": WIDE,
+    "DREM, finite time": DASHED,
+}
 
 
 def _new(columns: int, rows: int = 1) -> tuple[Figure, Any]:
@@ -69,7 +81,7 @@ def _courses(
         step = max(1, len(course.t) // POINTS)
         with np.errstate(invalid="ignore"):
             shown = np.maximum(values[::step], FLOOR)
-        axes.semilogy(course.t[::step], shown, color=COLOURS[name], label=name)
+        axes.semilogy(course.t[::step], shown, color=COLOURS[name], label=name, **LINES.get(name, {}))
     axes.axvline(jump, color=GREY, linewidth=0.6, linestyle=":")
     axes.set_xlim(0, courses["voltage model"].t[-1])
     axes.set_xlabel("t [s]    dotted: the biases jump")
@@ -103,6 +115,8 @@ def draw_scenarios(out: Path, runs: Sequence[ScenarioResult], formats: Sequence[
     _write(
         out,
         {
+            "figure_2": lambda: _figure_2(runs),
+            "figure_3": lambda: _figure_3(runs),
             "robust": lambda: _pair(runs, "Proposition 1", ROBUST, flux),
             "adaptive_flux": lambda: _pair(
                 runs, "Proposition 2 and its repair: flux", ADAPTIVE, flux
@@ -159,6 +173,47 @@ ADAPTIVE = (
 )
 
 
+def _as_printed(axes: Axes, course: ErrorCourse, values: Any, jump: float) -> None:
+    """One curve as the paper draws it: linear, from zero."""
+    axes.plot(course.t, values, color=BLUE)
+    axes.axvline(jump, color=GREY, linewidth=0.6, linestyle=":")
+    axes.set_xlim(0, course.t[-1])
+    axes.set_ylim(bottom=0)
+    axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 2))
+    axes.set_xlabel("t, sec")
+
+
+def _columns(runs: Sequence[ScenarioResult], printed: str, other: str) -> list[Any]:
+    """What to draw: the printed law on every scenario, and another on the last."""
+    return [(one, printed) for one in runs] + [(runs[-1], other)]
+
+
+def _figure_2(runs: Sequence[ScenarioResult]) -> Figure:
+    columns = _columns(runs, "robust, printed gain", "robust, balanced gain")
+    figure, axes = _new(len(columns))
+    figure.suptitle("As the paper's Figure 2: norm of the robust flux observer error", fontsize=10)
+    for panel, (one, name) in zip(axes[0], columns, strict=True):
+        course = one.courses[name]
+        _as_printed(panel, course, one.largest_flux * course.flux, one.jump)
+        panel.set_title(f"{one.scenario.name}: {name}")
+    axes[0, 0].set_ylabel("|λ̃|, Wb")
+    return figure
+
+
+def _figure_3(runs: Sequence[ScenarioResult]) -> Figure:
+    columns = _columns(runs, "adaptive, printed gain", "adaptive, repaired")
+    figure, axes = _new(len(columns), 2)
+    figure.suptitle("As the paper's Figure 3: adaptive flux observer", fontsize=10)
+    for column, (one, name) in enumerate(columns):
+        course = one.courses[name]
+        _as_printed(axes[0, column], course, one.largest_flux * course.flux, one.jump)
+        _as_printed(axes[1, column], course, course.parameters, one.jump)
+        axes[0, column].set_title(f"{one.scenario.name}: {name}")
+    axes[0, 0].set_ylabel("(a) |λ̃|, Wb")
+    axes[1, 0].set_ylabel("(b) |θ̃|")
+    return figure
+
+
 def _baselines(one: ScenarioResult) -> Figure:
     figure, axes = _new(1)
     names = [
@@ -208,7 +263,7 @@ def _motor(courses: dict[str, ErrorCourse]) -> Figure:
 def _counter(counter: CounterExample) -> Figure:
     figure, axes = _new(2)
     left, right = axes[0]
-    left.loglog(counter.study.gains, counter.study.growth, "o-", color=RED)
+    left.loglog(counter.gains, counter.multipliers, "o-", color=RED)
     left.axhline(1.0, color=GREY, linewidth=0.8)
     left.set_title("Proposition 2 as printed: unstable at every gain")
     left.set_xlabel("γ_a")

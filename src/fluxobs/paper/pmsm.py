@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..design.energies.integrate import volt_seconds
-from ..design.regression import FilteredRegression, Regressors
+from ..design.regression import FilteredRegression, Orbit, Regressors, periodic_regression
 from ..design.regression.filtered import filter_record, read_out_record
 from ..machines import SurfacePMSM, example
 from ..model.constraint import QuadraticConstraint
@@ -44,6 +45,27 @@ class MotorRecord:
         return self.machine.constraint
 
 
+def motor_signals(
+    machine: SurfacePMSM,
+    angle: Callable[[jax.Array], jax.Array],
+    i_q: Callable[[jax.Array], jax.Array],
+) -> Callable[[jax.Array], tuple[jax.Array, ...]]:
+    """Flux, its rate, current and electrical angle as functions of time, in closed form."""
+    L, psi = machine.L_s, machine.psi_f or 0.0
+
+    def current_at(time: jax.Array) -> jax.Array:
+        return i_q(time) * jnp.array([-jnp.sin(angle(time)), jnp.cos(angle(time))])
+
+    def flux_at(time: jax.Array) -> jax.Array:
+        return L * current_at(time) + psi * jnp.array([jnp.cos(angle(time)), jnp.sin(angle(time))])
+
+    def signals(time: jax.Array) -> tuple[jax.Array, ...]:
+        flux, rate = jax.jvp(flux_at, (time,), (jnp.ones_like(time),))
+        return flux, rate, current_at(time), angle(time)
+
+    return signals
+
+
 def motor_record(
     machine: SurfacePMSM,
     angle: Callable[[jax.Array], jax.Array],
@@ -55,18 +77,7 @@ def motor_record(
 ) -> MotorRecord:
     """Record of a motor with electrical angle and torque current as functions of time."""
     h = float(t[1] - t[0])
-    L, psi = machine.L_s, machine.psi_f or 0.0
-
-    def flux_at(time: jax.Array) -> jax.Array:
-        return L * current_at(time) + psi * jnp.array([jnp.cos(angle(time)), jnp.sin(angle(time))])
-
-    def current_at(time: jax.Array) -> jax.Array:
-        return i_q(time) * jnp.array([-jnp.sin(angle(time)), jnp.cos(angle(time))])
-
-    def signals(time: jax.Array) -> tuple[jax.Array, ...]:
-        flux, rate = jax.jvp(flux_at, (time,), (jnp.ones_like(time),))
-        return flux, rate, current_at(time), angle(time)
-
+    signals = motor_signals(machine, angle, i_q)
     # Start, middle and end of every interval.
     fine = jnp.asarray(t[:-1, None] + h * np.array([0.0, 0.5, 1.0]))
     flux, rate, current, theta_e = jax.jit(jax.vmap(jax.vmap(signals)))(fine)
@@ -115,31 +126,32 @@ def servo(quick: bool = False) -> MotorRecord:
     )
 
 
-def counter_example(samples: int = 16000) -> MotorRecord:
+class MotorOrbit(NamedTuple):
+    """One period of a motor without biases: what is measured, and its flux [Wb]."""
+
+    constraint: QuadraticConstraint
+    orbit: Orbit
+    flux: Array
+    rows: Regressors
+
+    @property
+    def h(self) -> float:
+        """Sample time [s]."""
+        return self.orbit.period / len(self.flux)
+
+
+def counter_example(samples: int = 256) -> MotorOrbit:
     """Erratum 6 in per-unit: Ψ is persistently exciting, Proposition 2 unstable at every gain.
 
-    θ_e = t + 0.8 sin t, L = 0.4, i_dq = (0, 0.5), ψ = 1, ν = 1, no bias. The record starts with
-    the filters in periodic steady state and lasts one period, 2π.
+    θ_e = t + 0.8 sin t, L = 0.4, i_dq = (0, 0.5), ψ = 1, ν = 1, no bias; one period, 2π, in steady
+    state.
     """
     machine = SurfacePMSM(R_s=0.05, L_s=0.4, n_p=1, psi_f=1.0)
-    periods = 8
-    t = np.array(np.arange(periods * samples + 1) * (2 * np.pi / samples), dtype=np.float64)
-    whole = motor_record(
-        machine,
-        lambda time: time + 0.8 * jnp.sin(time),
-        lambda time: 0.5 + 0 * time,
-        t,
-        1.0,
-        Steps(np.zeros((1, 2))),
-        Steps(np.zeros((1, 2))),
+    signals = motor_signals(
+        machine, lambda time: time + 0.8 * jnp.sin(time), lambda time: 0.5 + 0 * time
     )
-    last = slice(-samples - 1, None)
-    return replace(
-        whole,
-        **{
-            name: getattr(whole, name)[last]
-            for name in ("t", "theta_e", "flux", "current", "drift", "current_bias")
-        },
-        volt_seconds=whole.volt_seconds[last],
-        rows=Regressors(*(part[last] for part in whole.rows)),
-    )
+    t = jnp.arange(samples) * (2 * np.pi / samples)
+    flux, rate, current, _ = (np.asarray(part) for part in jax.vmap(signals)(t))
+    orbit = Orbit(2 * np.pi, rate, current)
+    rows = periodic_regression(machine.constraint, 1.0, orbit)
+    return MotorOrbit(machine.constraint, orbit, flux, rows)

@@ -8,15 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .levitation import SCENARIOS, LevitationScenario, record
-from .section_v import ErrorCourse, levitation_run
-from .studies import Excited, Noisy, Robust, excited, growth, mechanics, noisy, robust
+from .section_v import ErrorCourse, levitation_run, sizes
+from .stability import Growth, growth
+from .studies import (
+    Excited,
+    Found,
+    Noisy,
+    Robust,
+    excited,
+    mechanics,
+    noisy,
+    parameters,
+    robust,
+)
 
 Array = NDArray[np.float64]
 
-#: Gain factors on the printed matrix of Proposition 2.
-FACTORS = (0.01, 1.0, 10.0)
 #: Unknowns of the noise study, by scenario.
 NOISE: dict[str, tuple[tuple[str, ...], ...]] = {
+    "S1": (("drift",), ("drift", "current-bias")),
     "S3": (("drift",), ("drift", "current-bias")),
     "S5": (("drift",), ("drift", "current-bias")),
 }
@@ -38,8 +48,12 @@ class ScenarioResult:
         The first 5 s, thinned.
     tracking : float
         Rms position error to the reference [m].
-    exponents : dict
-        Gain factor → (Lyapunov exponent, uncertainty) [1/s]; empty in a quick run.
+    largest_flux : float
+        Largest |λ| [Wb], to which errors refer.
+    growth : Growth or None
+        Stability of Proposition 2; None in a quick run.
+    parameters : dict
+        "before" and "after" the jump → constant → what the least squares knows of it.
     mechanics : (float, float)
         Rms errors of position [m] and velocity [m/s], estimated from the flux.
     noise : dict
@@ -55,7 +69,9 @@ class ScenarioResult:
     flux: Array
     tracking: float
     excited: Excited
-    exponents: dict[str, tuple[float, float]]
+    largest_flux: float
+    growth: Growth | None
+    parameters: dict[str, dict[str, Found]]
     mechanics: tuple[float, float]
     robust: Robust | None
     noise: dict[str, Noisy]
@@ -78,7 +94,9 @@ def run_levitation(name: str, quick: bool = False) -> ScenarioResult:
         given.flux[part],
         float(np.sqrt(np.mean(error**2))),
         excited(one),
-        {} if quick else growth(one, FACTORS),
+        sizes(given)[0],
+        None if quick else growth(given, one.rows),
+        parameters(one),
         mechanics(one),
         robust(one) if name == MAIN else None,
         {" and ".join(unknowns): noisy(given, unknowns, 10.0, 0.5) for unknowns in wanted},

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,15 @@ from ..design.regression.laws import (
 from ..model.immersion import Immersion
 from ..observers import LeastSquaresObserver
 from ..observers.immersed import ImmersionEstimate, ImmersionObserver
-from .levitation import ADAPTIVE_GAIN, CORNER, ROBUST_GAIN, LevitationRecord, filtered
+from .converged import converged_run
+from .levitation import (
+    ADAPTIVE_GAIN,
+    CORNER,
+    ROBUST_GAIN,
+    FilteredRecord,
+    LevitationRecord,
+    filtered,
+)
 from .pmsm import SERVO_CORNER, MotorRecord
 
 Array = NDArray[np.float64]
@@ -55,21 +63,23 @@ class ErrorCourse:
         |λ̂ - λ| over the largest |λ|.
     constants : (rows,) ndarray or None
         |θ̂ - θ| over |θ|, per-unit; None if the observer estimates no constants.
+    parameters : (rows,) ndarray or None
+        |θ̂ - θ| as the paper's Figure 3 sums it, volts and webers alike: that of the drift, in V.
+    change : float or None
+        Largest change when the steps were last halved, over the largest error; None for an
+        observer that is sampled by its nature.
     """
 
     t: Array
     flux: Array
     constants: Array | None = None
+    parameters: Array | None = None
+    change: float | None = None
 
     def at(self, time: float) -> float:
         """Flux error at the first row at or after `time`; inf if it is not finite."""
         value = float(self.flux[min(int(np.searchsorted(self.t, time - 1e-9)), len(self.t) - 1)])
         return value if np.isfinite(value) else float("inf")
-
-    def rms(self, start: float, stop: float) -> float:
-        """Rms flux error over a span of time."""
-        inside = (self.t >= start) & (self.t <= stop)
-        return float(np.sqrt(np.mean(self.flux[inside] ** 2)))
 
     def first_below(self, level: float, since: float) -> float:
         """Time after `since` from which the error stays below `level`; inf if it never does.
@@ -82,6 +92,12 @@ class ErrorCourse:
         if len(late) == 0:
             return 0.0
         return float("inf") if late[-1] == len(times) - 1 else float(times[late[-1] + 1] - since)
+
+
+def rms(t: Array, error: Array, start: float, stop: float) -> float:
+    """Rms of an error over a span of time."""
+    inside = (t >= start) & (t <= stop)
+    return float(np.sqrt(np.mean(error[inside] ** 2)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,31 +118,38 @@ def sizes(given: LevitationRecord) -> tuple[float, Array]:
     return flux, np.r_[flux, flux, drift, drift, bias, bias, last]
 
 
-def _course(
-    given: LevitationRecord, found: tuple[jax.Array, jax.Array], constants: Parametrisation | None
-) -> ErrorCourse:
-    flux, size = np.asarray(found[0]), sizes(given)[0]
-    error = np.linalg.norm(flux - given.flux, axis=1) / size
-    if constants is None:
-        return ErrorCourse(given.t, error)
-    # Each constant has two values: before and after the jump.
+def _true_constants(given: LevitationRecord, constants: Parametrisation) -> Array:
+    """Constants at every row, (rows, n_θ): one value before the jump, one after."""
     before, after = (
         np.asarray(constants.constants(given.drift[k], given.current_bias[k])) for k in (0, -1)
     )
-    true = np.where((given.t > given.jump)[:, None], after, before)
+    return np.where((given.t > given.jump)[:, None], after, before)
+
+
+def _course(
+    given: LevitationRecord,
+    flux_error: Array,
+    error: Array | None = None,
+    true: Array | None = None,
+    change: float | None = None,
+) -> ErrorCourse:
+    """Course from the errors of flux and constants, (rows, n) and (rows, n_θ)."""
+    flux = np.linalg.norm(flux_error, axis=1) / sizes(given)[0]
+    if error is None or true is None:
+        return ErrorCourse(given.t, flux, change=change)
     # Relative errors of θ and of the block from the current bias; the last constant adds nothing.
     parts = [slice(0, 2), slice(2, 4)]
     share = [
-        np.linalg.norm((np.asarray(found[1]) - true)[:, part], axis=1)
-        / np.linalg.norm(true[:, part], axis=1).max()
+        np.linalg.norm(error[:, part], axis=1) / np.linalg.norm(true[:, part], axis=1).max()
         for part in parts
     ]
-    return ErrorCourse(given.t, error, np.hypot(*share))
+    return ErrorCourse(given.t, flux, np.hypot(*share), np.linalg.norm(error, axis=1), change)
 
 
 def levitation_run(given: LevitationRecord, all_observers: bool = True) -> LevitationRun:
     """Runs the paper's observers as printed and corrected, the repaired one, the least squares."""
-    rows, wrong = filtered(given)
+    regression, wrong = filtered(given)
+    rows = regression.rows
     h, v = given.h, jnp.asarray(given.volt_seconds)
     skip = round(RUN_IN / CORNER / h)
     printed = Parametrisation(given.constraint, "printed", CORNER)
@@ -136,41 +159,47 @@ def levitation_run(given: LevitationRecord, all_observers: bool = True) -> Levit
     nominal = Regressors(*(part[skip:jump] for part in rows))
     Gamma = balanced_gain(np.asarray(nominal.Phi_flux), FLUX_RATE)
 
-    def course(
-        observer: FluxObserver,
-        constants: Parametrisation | None = None,
-        regression: Regressors = rows,
-    ) -> ErrorCourse:
-        return _course(given, run(observer, h, v, regression, skip), constants)
+    def sampled(observer: FluxObserver, constants: Parametrisation | None = None) -> ErrorCourse:
+        flux, found = run(observer, h, v, rows, skip)
+        true = None if constants is None else _true_constants(given, constants)
+        error = None if true is None else np.asarray(found) - true
+        return _course(given, np.asarray(flux) - given.flux, error, true)
+
+    def robust(gain: Any, used: FilteredRecord = regression) -> ErrorCourse:
+        found = converged_run(given, used, gain, None, skip)
+        return _course(given, found.error, change=found.change)
+
+    def adaptive(factor: float, used: FilteredRecord = regression) -> ErrorCourse:
+        found = converged_run(given, used, factor * np.array(ADAPTIVE_GAIN), printed, skip)
+        true = _true_constants(given, printed)
+        return _course(given, found.error[:, :2], found.error[:, 2:], true, found.change)
 
     courses = {
-        "robust, printed gain": course(RobustObserver(ROBUST_GAIN, 2)),
-        "robust, balanced gain": course(RobustObserver(Gamma, 2)),
-        "robust, balanced gain, printed Φ": course(RobustObserver(Gamma, 2), None, wrong),
-        "adaptive, printed gain": course(PrintedAdaptiveObserver(ADAPTIVE_GAIN, printed), printed),
-        "adaptive, printed gain and Φ": course(
-            PrintedAdaptiveObserver(ADAPTIVE_GAIN, printed), printed, wrong
-        ),
-        "adaptive, ten times the gain": course(
-            PrintedAdaptiveObserver(10 * np.array(ADAPTIVE_GAIN), printed), printed
-        ),
-        "adaptive, repaired": course(
+        "robust, printed gain": robust(ROBUST_GAIN),
+        "robust, balanced gain": robust(Gamma),
+        "robust, balanced gain, printed Φ": robust(Gamma, wrong),
+        "adaptive, printed gain": adaptive(1.0),
+        "adaptive, printed gain and Φ": adaptive(1.0, wrong),
+        "adaptive, ten times the gain": adaptive(10.0),
+        "adaptive, repaired": sampled(
             balanced_repaired(nominal, structured, h, FLUX_RATE, CONSTANTS_RATE, round(2.0 / h)),
             structured,
         ),
-        "voltage model": course(VoltageModel(2)),
-        "PEBO, least squares": course(PEBO(2, "least-squares", Gamma)),
+        "voltage model": sampled(VoltageModel(2)),
+        "PEBO, least squares": sampled(PEBO(2, "least-squares", Gamma)),
     }
     if all_observers:
         size = sizes(given)[1]
         weight = float(np.sqrt(np.mean(np.square(nominal.Phi_flux)))) * size[0]
-        courses["Riccati, memory 1 s"] = course(
+        courses["Riccati, memory 1 s"] = sampled(
             RiccatiObserver(1.0, size, 1e-6 * weight, structured), structured
         )
         window = 3.0
         gramian = observability_gramian(nominal, structured, h, window, size)
         basis = size[:, None] * balanced_basis(gramian, window)
-        courses["DREM, finite time"] = course(DremObserver(1.0, 1.0, basis, structured), structured)
+        courses["DREM, finite time"] = sampled(
+            DremObserver(1.0, 1.0, basis, structured), structured
+        )
     estimate = least_squares(given)
     courses["least squares"] = _least_squares_course(given, estimate)
     return LevitationRun(given, rows, courses, estimate)
@@ -206,14 +235,13 @@ def least_squares(given: LevitationRecord) -> ImmersionEstimate:
 def _least_squares_course(given: LevitationRecord, estimate: ImmersionEstimate) -> ErrorCourse:
     rows, _ = thinned(given, LS_SAMPLE_TIME)
     error = np.linalg.norm(estimate.flux - given.flux[rows], axis=1) / sizes(given)[0]
+    wrong = (estimate.drift - given.drift[rows], estimate.current_bias - given.current_bias[rows])
     share = [
-        np.linalg.norm(found - true[rows], axis=1) / np.linalg.norm(true, axis=1).max()
-        for found, true in (
-            (estimate.drift, given.drift),
-            (estimate.current_bias, given.current_bias),
-        )
+        np.linalg.norm(one, axis=1) / np.linalg.norm(true, axis=1).max()
+        for one, true in zip(wrong, (given.drift, given.current_bias), strict=True)
     ]
-    return ErrorCourse(given.t[rows], error, np.hypot(*share))
+    parameters = np.linalg.norm(wrong[0], axis=1)
+    return ErrorCourse(given.t[rows], error, np.hypot(*share), parameters)
 
 
 def motor_courses(given: MotorRecord) -> dict[str, ErrorCourse]:

@@ -1,10 +1,9 @@
-"""Studies besides the error courses: excitation, stability, bound, scaling with bias, noise."""
+"""Studies besides the error courses: excitation, parameters, bound, scaling with bias, noise."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,15 +12,14 @@ from ..design.analysis import (
     bound_on_record,
     excitation,
     observability_gramian,
-    over_gain,
 )
 from ..design.regression import Parametrisation, Regressors
-from ..design.regression.laws import RobustObserver, run
 from ..model.immersion import Immersion
 from ..observers.immersed import ImmersionObserver
 from ..observers.levitation_tracker import LevitationTracker
 from ..synthetic.sensors import Sensor, Steps
-from .levitation import ADAPTIVE_GAIN, CORNER, LevitationRecord, filtered, measured
+from .converged import converged_run
+from .levitation import CORNER, LevitationRecord, filtered, measured
 from .section_v import FLUX_RATE, LS_SAMPLE_TIME, RUN_IN, LevitationRun, sizes, thinned
 
 Array = NDArray[np.float64]
@@ -42,11 +40,14 @@ class Excited:
         For Ψ with unknowns (λ, θ, δ_i, θᵀQ1θ), (pe2).
     observability : float
         For the observability Gramian, in which the drift moves the flux.
+    weakest : dict
+        Direction that this Gramian sees least: share of flux, drift and current bias, per-unit.
     """
 
     flux: float
     all_constants: float
     observability: float
+    weakest: dict[str, float]
 
 
 def _nominal(given: LevitationRun) -> tuple[Regressors, int, int]:
@@ -67,30 +68,63 @@ def excited(given: LevitationRun) -> Excited:
     full = excitation((psi / np.sqrt(np.mean(psi**2, axis=0)))[thin], 5 * h, WINDOW)
     gramian = observability_gramian(rows, constants, h, WINDOW, size)
     scale = 1 / np.sqrt(np.diag(gramian))
-    values = np.linalg.eigvalsh(scale[:, None] * gramian * scale)
-    return Excited(flux.ratio, full.ratio, float(max(values[0], 0) / values[-1]))
-
-
-def growth(given: LevitationRun, factors: tuple[float, ...]) -> dict[str, tuple[float, float]]:
-    """Largest Lyapunov exponent of Proposition 2 for each gain factor, and its uncertainty [1/s].
-
-    Uses 10 s before the jump, and every row, since high gains are stiff.
-    """
-    rows, _, _ = _nominal(given)
-    span = 2 * (min(round(10.0 / given.given.h), len(rows.y) - 1) // 2) + 1
-    constants = Parametrisation(given.given.constraint, "printed", CORNER)
-    study = over_gain(
-        Regressors(*(part[:span] for part in rows)),
-        constants,
-        given.given.h,
-        factors,
-        np.array(ADAPTIVE_GAIN),
-        periodic=False,
+    values, vectors = np.linalg.eigh(scale[:, None] * gramian * scale)
+    # Back to per-unit unknowns: how much of each is in the direction seen least.
+    weakest = np.abs(scale * vectors[:, 0])
+    weakest /= np.linalg.norm(weakest)
+    parts = {"flux": slice(0, 2), "drift": slice(2, 4), "current bias": slice(4, 6)}
+    return Excited(
+        flux.ratio,
+        full.ratio,
+        float(max(values[0], 0) / values[-1]),
+        {name: float(np.linalg.norm(weakest[part])) for name, part in parts.items()},
     )
-    return {
-        f"{gain:g}": (float(value), float(error))
-        for gain, value, error in zip(study.gains, study.growth, study.resolution, strict=True)
-    }
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the least squares knows of one constant at one time.
+
+    Attributes
+    ----------
+    true, estimate, std : (float, float)
+        [V] or [A].
+    known : bool
+        What the observer itself says: `valid`, for the current bias `current_bias_valid`.
+    """
+
+    true: tuple[float, float]
+    estimate: tuple[float, float]
+    std: tuple[float, float]
+    known: bool
+
+
+def parameters(given: LevitationRun) -> dict[str, dict[str, Found]]:
+    """Drift and current bias at the end of either span: "before" and "after" the jump."""
+    base, found = given.given, given.least_squares
+    rows, _ = thinned(base, LS_SAMPLE_TIME)
+    last = int(np.searchsorted(base.t[rows], base.jump - LS_SAMPLE_TIME / 2)) - 1
+
+    def pair(values: Array, row: int) -> tuple[float, float]:
+        return float(values[row, 0]), float(values[row, 1])
+
+    out = {}
+    for name, row in (("before", last), ("after", len(rows) - 1)):
+        out[name] = {
+            "drift": Found(
+                pair(base.drift[rows], row),
+                pair(found.drift, row),
+                pair(found.drift_std, row),
+                bool(found.valid[row]),
+            ),
+            "current bias": Found(
+                pair(base.current_bias[rows], row),
+                pair(found.current_bias, row),
+                pair(found.current_bias_std, row),
+                bool(found.current_bias_valid[row]),
+            ),
+        }
+    return out
 
 
 @dataclass(frozen=True)
@@ -120,11 +154,9 @@ def robust(given: LevitationRun) -> Robust:
     rms, largest = {}, 0.0
     for factor in (0.5, 1.0, 2.0):
         changed = measured(base.scenario, base.machine, base.trajectory, base.jump, factor)
-        rows, _ = filtered(changed)
-        found, _ = run(
-            RobustObserver(Gamma, 2), base.h, jnp.asarray(changed.volt_seconds), rows, skip
-        )
-        error = np.linalg.norm(np.asarray(found) - base.flux, axis=1)[late] / size
+        regression, _ = filtered(changed)
+        found = converged_run(changed, regression, Gamma, None, skip)
+        error = np.linalg.norm(found.error, axis=1)[late] / size
         rms[factor] = float(np.sqrt(np.mean(error**2)))
         if factor == 1.0:
             largest = float(error.max())

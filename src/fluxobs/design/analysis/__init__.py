@@ -3,7 +3,7 @@
 from .bounds import bound_on_record, decay_rate, robust_bound
 from .excitation import Excitation, excitation, persistency
 from .identifiability import compare_invisible, invisible_from_constraint, observability_gramian
-from .stability import GainStudy, floquet_multipliers, lyapunov_exponents, over_gain
+from .stability import GainStudy, floquet_multipliers, largest_exponent, over_gain, weighted_mean
 from .tuning import balanced_basis, balanced_gain, balanced_repaired
 
 __all__ = [
@@ -18,9 +18,10 @@ __all__ = [
     "excitation",
     "floquet_multipliers",
     "invisible_from_constraint",
-    "lyapunov_exponents",
+    "largest_exponent",
     "observability_gramian",
     "over_gain",
     "persistency",
     "robust_bound",
+    "weighted_mean",
 ]

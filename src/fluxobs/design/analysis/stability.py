@@ -1,25 +1,29 @@
 """Is an adaptive law stable along this trajectory? Remark 7 leaves the number to the reader.
 
 The error of Proposition 2 obeys ``χ' = (G_a - Γ Ψ Ψᵀ) χ``. On a periodic trajectory its Floquet
-multipliers decide stability, on any other its Lyapunov exponents.
+multipliers decide stability. On any other its largest Lyapunov exponent does, which a record of
+finite length only approaches. Both come with the uncertainty of the number.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
 
 from ...errors import ModelError
-from ..regression import Parametrisation, Regressors
+from ..regression import Parametrisation
 from ..regression.laws.base import positive_definite
+from ..regression.periodic import between
+from .flow import NODES, flow_growth, flow_product, flow_steps
 
 Array = NDArray[np.float64]
+
+#: Steps a period are doubled until no exponent changes by more than this share, or this often.
+CONVERGED, DOUBLINGS = 1e-5, 6
 
 
 class GainStudy(NamedTuple):
@@ -28,146 +32,172 @@ class GainStudy(NamedTuple):
     Attributes
     ----------
     gains : (k,) ndarray
-    growth : (k,) ndarray
-        Largest |Floquet multiplier| if the record is periodic, else largest Lyapunov exponent
-        [1/s].
-    resolution : (k,) ndarray
-        Change of `growth` when every second row is left out: if large, the record is too coarse for
-        the gain. NaN for an odd number of steps.
-    stable : (k,) ndarray of bool
+    exponent : (k,) ndarray
+        Largest growth rate [1/s]: of periodic trajectories ``ln |multiplier| / period``.
+    uncertainty : (k,) ndarray
+        Change of the exponent when the steps are halved and, without a period, when the record is.
     """
 
     gains: Array
-    growth: Array
-    resolution: Array
-    stable: NDArray[np.bool_]
+    exponent: Array
+    uncertainty: Array
+
+    @property
+    def stable(self) -> NDArray[np.bool_]:
+        """Where the exponent is below zero by more than its uncertainty."""
+        return self.exponent < -self.uncertainty
+
+    @property
+    def unstable(self) -> NDArray[np.bool_]:
+        """Where the exponent is above zero by more than its uncertainty."""
+        return self.exponent > self.uncertainty
+
+    def multipliers(self, period: float) -> Array:
+        """Largest |Floquet multiplier| for each gain."""
+        return np.asarray(np.exp(self.exponent * period))
 
 
-def proposition_2(
-    rows: Regressors, constants: Parametrisation, Gamma: Any = 1.0
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Ψ (rows, N), Γ (N, N) and G_a (N, N) of the printed adaptive observer along a record."""
-    psi = constants.psi_record(rows)
-    n, size = constants.n, psi.shape[1]
-    G_a = jnp.zeros((size, size)).at[:n, n : 2 * n].set(jnp.eye(n))
-    return psi, positive_definite("Gamma", Gamma, size), G_a
+def balanced_error_system(constants: Parametrisation, Gamma: Any) -> tuple[Array, Array]:
+    """G_a in coordinates in which Γ is the identity, and the root L of ``Γ = L Lᵀ``.
 
-
-def _steps(psi: jax.Array, Gamma: jax.Array, G_a: jax.Array, h: jax.Array) -> jax.Array:
-    """Transition matrix of each step, (rows - 1, N, N): exponential of the generator at its middle.
-
-    Each step uses one regressor: the mean of two products would contract a second direction, which
-    at high gain makes an unstable law look stable. Coordinates are scaled so that Γ is the identity
-    for any units of the constants; multipliers and exponents do not depend on the scaling.
+    There ψ = Lᵀ Ψ, and the units of the constants do not matter; nor do they to the exponents.
     """
-    root = jnp.linalg.cholesky(Gamma)
-    balanced = psi @ root
-    moved = jax.scipy.linalg.solve_triangular(root, G_a @ root, lower=True)
-    middle = (balanced[:-1] + balanced[1:]) / 2
-    generator = moved - jnp.einsum("ki,kj->kij", middle, middle)
-    return jnp.asarray(jax.scipy.linalg.expm(generator * h, max_squarings=48))
+    n, size = constants.n, constants.n + len(constants)
+    root = np.linalg.cholesky(np.asarray(positive_definite("Gamma", Gamma, size)))
+    G_a = np.zeros((size, size))
+    G_a[:n, n : 2 * n] = np.eye(n)
+    return np.linalg.solve(root, G_a @ root), root
 
 
-def _product(steps: jax.Array) -> jax.Array:
-    """Product of all steps in order of time."""
-
-    def body(product: jax.Array, step: jax.Array) -> tuple[jax.Array, None]:
-        return step @ product, None
-
-    return jnp.asarray(jax.lax.scan(body, jnp.eye(steps.shape[1]), steps)[0])
-
-
-def _logarithms(steps: jax.Array) -> jax.Array:
-    """Logarithmic growth of an orthonormal frame over all steps."""
-
-    def body(q: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array]:
-        q, r = jnp.linalg.qr(step @ q)
-        diagonal = jnp.abs(jnp.diag(r))
-        # Guard against a direction contracted to zero; NaN stays NaN.
-        return q, jnp.log(jnp.where(diagonal == 0, np.finfo(float).tiny, diagonal))
-
-    return jax.lax.scan(body, jnp.eye(steps.shape[1]), steps)[1].sum(axis=0)
-
-
-def floquet_multipliers(steps: jax.Array) -> Array:
-    """Eigenvalues of the product of all steps of a one-period record; largest first.
-
-    Parameters
-    ----------
-    steps : (rows, N, N) array
-        Transition matrices in order of time.
-    """
-    values = np.linalg.eigvals(np.asarray(_product(jnp.asarray(steps))))
+def floquet_multipliers(steps: ArrayLike) -> Array:
+    """Eigenvalues of the product of all steps of one period, (steps, N, N); largest first."""
+    values = np.linalg.eigvals(flow_product(np.asarray(steps, float)))
     return np.asarray(values[np.argsort(-np.abs(values))])
 
 
-def lyapunov_exponents(steps: jax.Array, h: float) -> Array:
-    """Mean exponential growth rates [1/s] over a record, h per step, by QR; largest first."""
-    return np.sort(np.asarray(_logarithms(jnp.asarray(steps))))[::-1] / (len(steps) * h)
+def weighted_mean(values: ArrayLike) -> float:
+    """Mean under the weight ``exp(-1/(s (1 - s)))``, s from 0 to 1 along the values.
+
+    Of a quasi-periodic signal it converges faster than any power of the length, where the plain
+    mean converges as one over the length (S. Das, Y. Saiki, E. Sander, J. A. Yorke, "Quantitative
+    quasiperiodicity", Nonlinearity 30, 2017, doi:10.1088/1361-6544/aa84c2).
+    """
+    given = np.asarray(values, float)
+    s = (np.arange(len(given)) + 0.5) / len(given)
+    weight = np.exp(-1 / (s * (1 - s)))
+    return float(weight @ given / weight.sum())
 
 
-@partial(jax.jit, static_argnames="periodic")
-def _growth(
-    psi: jax.Array, Gammas: jax.Array, G_a: jax.Array, h: jax.Array, periodic: bool
-) -> jax.Array:
-    """Monodromy matrix, or logarithms of growth, for each gain."""
-    grow = _product if periodic else _logarithms
-    return jnp.asarray(jax.lax.map(lambda Gamma: grow(_steps(psi, Gamma, G_a, h)), Gammas))
+def largest_exponent(steps: ArrayLike, h: float) -> tuple[float, float]:
+    """Largest Lyapunov exponent [1/s] of steps h long, and its change when the record is halved.
+
+    The first quarter lets the error turn into the direction that grows most.
+    """
+    growth = flow_growth(np.asarray(steps, float)) / h
+    used = growth[len(growth) // 4 :]
+    whole = weighted_mean(used)
+    return whole, abs(weighted_mean(used[len(used) // 2 :]) - whole)
+
+
+def _steps(N: Array, psi: Array, h: float) -> Array:
+    P, _ = flow_steps(N, psi, h)
+    if not np.isfinite(P).all():
+        raise ModelError(f"the transition over {h:g} s is not finite: is the regressor?")
+    return P
+
+
+def periodic_nodes(psi: Array, steps: int) -> Array:
+    """ψ of one period at the nodes of `steps` steps, (steps, 3, N)."""
+    return np.stack([between(psi, steps, shift) for shift in NODES], axis=1)
+
+
+def record_nodes(psi: Array, substeps: int) -> Array:
+    """ψ of a record at the nodes of `substeps` steps a row, by cubic splines, (steps, 3, N)."""
+    steps = (len(psi) - 1) * substeps
+    places = (np.arange(steps)[:, None] + NODES) / substeps
+    return np.asarray(CubicSpline(np.arange(len(psi)), psi)(places))
 
 
 def over_gain(
-    rows: Regressors,
-    constants: Parametrisation,
+    psi: ArrayLike,
     h: float,
+    constants: Parametrisation,
     gains: Sequence[float],
     Gamma: Any = 1.0,
     periodic: bool = True,
 ) -> GainStudy:
-    """Stability of Proposition 2 along a record for the gains γ Γ.
+    """Stability of Proposition 2 along a trajectory for the gains γ Γ.
 
     Parameters
     ----------
-    rows : Regressors
-        Leading axis time, h apart, fine enough for the trajectory; if `periodic`, exactly one
-        period, with the first row repeated at the end.
-    constants : Parametrisation
+    psi : (rows, n + n_θ) array_like
+        Ψ in steps of h. If `periodic`, one period in steady state that ends h before it repeats
+        (:func:`fluxobs.design.regression.periodic_regression`); else a record, the longer the
+        better, that resolves Ψ.
     h : float
         Sample time [s].
+    constants : Parametrisation
     gains : sequence of float
         Values of γ.
     Gamma : number, vector or matrix
         Γ, the shape of the gain.
     periodic : bool
-        Computes Floquet multipliers if true, else Lyapunov exponents.
+        Floquet multipliers if true, else the largest Lyapunov exponent.
 
     Raises
     ------
     ModelError
-        `periodic` is set, but the ends of the record differ.
+        Ψ is not finite, has the wrong width, or does not close where it should be periodic.
     """
-    psi, matrix, G_a = proposition_2(rows, constants, Gamma)
+    given = np.asarray(psi, float)
+    N, root = balanced_error_system(constants, Gamma)
+    if given.ndim != 2 or given.shape[1] != len(N) or len(given) < 8:
+        raise ModelError(f"psi must be (rows, {len(N)}), at least 8 rows, got {given.shape}")
+    if not np.isfinite(given).all():
+        raise ModelError(f"psi is not finite at row {int(np.argwhere(~np.isfinite(given))[0][0])}")
     if periodic:
-        gap = float(jnp.abs(psi[0] - psi[-1]).max() / jnp.abs(psi).max())
-        if gap > 1e-3:
-            raise ModelError(
-                f"not periodic: the regressor's ends differ by {gap:.2g} of its peak; give one "
-                f"period in steady state, or periodic=False"
-            )
-    Gammas = jnp.asarray(gains)[:, None, None] * matrix
-    growth = np.full((2, len(gains)), np.nan)
-    for coarse in (0, 1):
-        stride = 1 + coarse
-        if (len(psi) - 1) % stride == 0:
-            found = np.asarray(_growth(psi[::stride], Gammas, G_a, stride * h, periodic))
-            if not np.isfinite(found).all():
-                raise ModelError(f"gains {list(gains)}: the transition over {h:g} s is not finite")
-            if periodic:
-                growth[coarse] = np.abs(np.linalg.eigvals(found)).max(axis=1)
-            else:
-                growth[coarse] = found.max(axis=1) / ((len(psi) - 1) * h)
-    return GainStudy(
-        np.asarray(gains, float),
-        growth[0],
-        np.abs(growth[1] - growth[0]),
-        growth[0] < (1.0 if periodic else 0.0),
-    )
+        _closes(given)
+    one = _periodic if periodic else _along
+    found = [one(N, np.sqrt(gain) * given @ root, h) for gain in gains]
+    exponent, uncertainty = np.array(found).T
+    return GainStudy(np.asarray(gains, float), exponent, uncertainty)
+
+
+def _closes(psi: Array) -> None:
+    """Refuses a Ψ that jumps where the period starts again."""
+    jump = np.abs(psi[0] - 2 * psi[-1] + psi[-2])
+    inside = np.abs(np.diff(psi, n=2, axis=0)).max(axis=0)
+    worst = float((jump / np.maximum(inside, 1e-9 * np.abs(psi).max(axis=0))).max())
+    if worst > 10:
+        raise ModelError(
+            f"not periodic: where the period starts again the regressor bends {worst:.3g} times as "
+            f"much as inside; give one period in steady state, or periodic=False"
+        )
+
+
+def _doubled(exponent: Callable[[int], float], rows: int, size: float) -> tuple[float, float]:
+    """Exponent with the steps doubled until it stays, and its last change."""
+    value = exponent(rows)
+    change = np.inf
+    for doubling in range(1, DOUBLINGS + 1):
+        finer = exponent(rows * 2**doubling)
+        value, change = finer, abs(finer - value)
+        if change < CONVERGED * max(abs(finer), CONVERGED * size):
+            break
+    return value, change
+
+
+def _periodic(N: Array, psi: Array, h: float) -> tuple[float, float]:
+    period = h * len(psi)
+
+    def exponent(steps: int) -> float:
+        P = _steps(N, periodic_nodes(psi, steps), period / steps)
+        return float(np.log(np.abs(floquet_multipliers(P)[0])) / period)
+
+    return _doubled(exponent, len(psi), 1 / period)
+
+
+def _along(N: Array, psi: Array, h: float) -> tuple[float, float]:
+    coarse, short = largest_exponent(_steps(N, record_nodes(psi, 1), h), h)
+    fine, _ = largest_exponent(_steps(N, record_nodes(psi, 2), h / 2), h / 2)
+    return fine, short + abs(fine - coarse)

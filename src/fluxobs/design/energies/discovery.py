@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
+from typing import NamedTuple
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,10 +19,16 @@ from .system import ElectromechanicalSystem
 
 Array = NDArray[np.float64]
 
-#: A null space is accepted if the singular values fall by this factor at its edge, ...
-GAP = 1e6
-#: ... to below this share of the largest.
+#: A relation is exact if its singular value is below this share of the largest, ...
 FLOOR = 1e-9
+#: ... and the singular values fall by this factor at the edge of the null space.
+GAP = 1e10
+#: A relation whose singular value is below this share holds approximately: its machine, or the
+#: range it was sampled in, is next to one that has a relation. Machines without one are above 1e-3.
+NEAR = 1e-5
+#: If halving a range changes the size of an approximate relation by more than this, the range
+#: decides, else a parameter does.
+RANGE_DECIDES = 0.8
 #: Relative residual on other states above which a relation is rejected.
 HELD_OUT = 1e-9
 #: Coefficients below this share of the largest of a relation are rounding errors.
@@ -69,6 +78,21 @@ class Polynomial:
 
 
 @dataclass(frozen=True, eq=False)
+class Approximate:
+    """A relation that holds nearly.
+
+    Attributes
+    ----------
+    relation : Polynomial
+    size : float
+        Its rms value over that of the largest combination of the same monomials, each of rms one.
+    """
+
+    relation: Polynomial
+    size: float
+
+
+@dataclass(frozen=True, eq=False)
 class Discovery:
     """Relations between flux and current that hold at any position.
 
@@ -83,10 +107,14 @@ class Discovery:
         since every product with them would be a quadratic relation.
     higher : tuple of Polynomial
         Relations of degree 3 or 4 that do not follow from the quadratic ones; only on request.
+    approximate : tuple of Approximate
+        Relations that hold only nearly, or cannot be told from such; each with its size.
+    warning : str
+        What is doubtful, and what would decide it; empty if nothing is.
     margin : float
         Factor by which the singular values fall at the edge of the null space; a measure of
-        certainty. At least 1e6 if there is a null space, usually around 1e12. Otherwise the largest
-        factor between neighbours, which was too small.
+        certainty. At least 1e10 if there is a null space, usually around 1e13. Otherwise the
+        largest factor between neighbours, which was too small.
     smallest : float
         Smallest singular value over the largest; without relations, the distance from having one.
     residual : float
@@ -99,6 +127,8 @@ class Discovery:
     relations: tuple[QuadraticConstraint, ...]
     affine: tuple[Polynomial, ...]
     higher: tuple[Polynomial, ...]
+    approximate: tuple[Approximate, ...]
+    warning: str
     margin: float
     smallest: float
     residual: float
@@ -223,15 +253,27 @@ def discover_constraint(
     scale = np.where(scale > 0, scale, 1.0)  # a port without current: i = 0 is affine
     x, held_out = x[:size] / scale, x[size:] / scale
 
-    kept, affine = _without_affine(x, scale)
+    kept, affine, nearly = _without_affine(x, scale)
+    doubtful = _affine_exponents(x.shape[1]) if nearly else _exponents(x.shape[1], kept, 2)
+
+    def relative(of: ElectromechanicalSystem) -> Array:
+        flux, current, _ = _sample(of, size, seed)
+        columns = np.concatenate([flux[:, measured], current[:, measured]], axis=1)
+        return _null_space(_monomials(columns / scale, doubtful)).relative
+
     found: list[tuple[NDArray[np.int_], Array]] = []  # exponents, null vectors of each degree
     margin = smallest = 0.0
     for d in range(2, degree + 1):
         exponents = _exponents(x.shape[1], kept, d)
-        columns = _monomials(x, exponents)
-        null, gap, least = _null_space(columns)
+        space = _null_space(_monomials(x, exponents))
+        null = space.vectors
         if d == 2:
-            margin, smallest = gap, least
+            margin, smallest = space.margin, float(space.relative[-1])
+            # The square of a nearly affine relation would look exact.
+            if nearly:
+                null = null[:, :0]
+            else:
+                nearly = _approximate(space, exponents, scale)
         null = _beyond(null, exponents, found, d)
         if null.shape[1]:
             found.append((exponents, _reduced(null, _no_flux(exponents))))
@@ -264,6 +306,8 @@ def discover_constraint(
         tuple(quadratic),
         affine,
         tuple(higher),
+        nearly,
+        _doubt(system, nearly, relative) if nearly else "",
         margin,
         smallest,
         residual,
@@ -298,6 +342,10 @@ def _exponents(variables: int, kept: Sequence[int], degree: int) -> NDArray[np.i
     return np.array(rows)
 
 
+def _affine_exponents(variables: int) -> NDArray[np.int_]:
+    return np.vstack([np.eye(variables, dtype=int), np.zeros((1, variables), dtype=int)])
+
+
 def _monomials(x: Array, exponents: NDArray[np.int_]) -> Array:
     out = np.ones((len(x), len(exponents)))
     for j in range(x.shape[1]):
@@ -309,8 +357,17 @@ def _no_flux(exponents: NDArray[np.int_]) -> NDArray[np.bool_]:
     return np.asarray(exponents[:, : exponents.shape[1] // 2].sum(axis=1) == 0)
 
 
-def _null_space(columns: Array) -> tuple[Array, float, float]:
-    """Null vectors as columns, fall of the singular values at their edge, smallest of them."""
+class _NullSpace(NamedTuple):
+    """Exact null vectors and approximate ones as columns, and singular values over the largest."""
+
+    vectors: Array
+    near: Array
+    sizes: Array
+    margin: float
+    relative: Array
+
+
+def _null_space(columns: Array) -> _NullSpace:
     norms = np.sqrt(np.mean(columns**2, axis=0))
     norms = np.where(norms > 0, norms, 1.0)
     _, singular, vt = np.linalg.svd(columns / norms, full_matrices=False)
@@ -318,23 +375,88 @@ def _null_space(columns: Array) -> tuple[Array, float, float]:
     # Values below rounding all count as equal zeros.
     falls = relative[:-1] / np.maximum(relative[1:], np.finfo(float).eps)
     at = int(np.argmax(falls))
-    null = vt[:0] if falls[at] < GAP or relative[at + 1] > FLOOR else vt[at + 1 :]
-    return (null / norms).T, float(falls[at]), float(relative[-1])
+    exact = falls[at] >= GAP and relative[at + 1] <= FLOOR
+    low = np.flatnonzero(relative < NEAR)
+    low = low[low <= at] if exact else low
+    vectors = (vt / norms).T
+    return _NullSpace(
+        vectors[:, at + 1 :] if exact else vectors[:, :0],
+        vectors[:, low],
+        relative[low],
+        float(falls[at]),
+        relative,
+    )
 
 
-def _without_affine(x: Array, scale: Array) -> tuple[list[int], tuple[Polynomial, ...]]:
-    """Variables that remain after eliminating by the affine relations, and these relations."""
+def _approximate(
+    space: _NullSpace, exponents: NDArray[np.int_], scale: Array
+) -> tuple[Approximate, ...]:
+    out = []
+    for vector, size in zip(space.near.T, space.sizes, strict=True):
+        used = np.abs(vector) > ROUNDING * np.abs(vector).max()
+        coefficients = vector[used] / np.prod(scale ** exponents[used], axis=1)
+        out.append(
+            Approximate(Polynomial(exponents[used], coefficients / coefficients[0]), float(size))
+        )
+    return tuple(out)
+
+
+def _halved(system: ElectromechanicalSystem, name: str) -> ElectromechanicalSystem:
+    """The system with half the range of positions or fluxes, around the same middle."""
+    low, high = np.asarray(getattr(system, name))
+    bounds = np.array([3 * low + high, low + 3 * high]) / 4
+    return eqx.tree_at(lambda one: getattr(one, name), system, jnp.asarray(bounds))
+
+
+def _doubt(
+    system: ElectromechanicalSystem,
+    nearly: tuple[Approximate, ...],
+    relative: Callable[[ElectromechanicalSystem], Array],
+) -> str:
+    """What would decide about the approximate relations: a wider range, or another parameter.
+
+    `relative` gives the singular values of the monomials over the largest, for a system.
+    """
+    values = relative(system)
+    at = int(np.argmin(np.abs(values - nearly[0].size)))
+    change = {
+        name: relative(_halved(system, name))[at] / values[at]
+        for name in ("position_range", "flux_range")
+    }
+    if change["flux_range"] > 1 / RANGE_DECIDES:
+        remedy = "the fluxes are sampled far beyond what the position changes: narrow flux_range"
+    elif change["position_range"] < RANGE_DECIDES:
+        remedy = "the positions are sampled in too narrow a range: widen position_range"
+    else:
+        remedy = (
+            "a parameter is next to a value at which a relation appears or vanishes: move it away "
+            "from there"
+        )
+    sizes = ", ".join(f"{one.size:.1e}" for one in nearly)
+    number = "a relation" if len(nearly) == 1 else f"{len(nearly)} relations"
+    return (
+        f"{system.name}: {number} of size {sizes} (0 is exact) cannot be told from an approximate "
+        f"one; {remedy}"
+    )
+
+
+def _without_affine(
+    x: Array, scale: Array
+) -> tuple[list[int], tuple[Polynomial, ...], tuple[Approximate, ...]]:
+    """Variables that remain after eliminating by the affine relations, these, and nearly affine
+    ones."""
     variables = x.shape[1]
-    exponents = np.vstack([np.eye(variables, dtype=int), np.zeros((1, variables), dtype=int)])
-    null, _, _ = _null_space(_monomials(x, exponents))
-    null = _reduced(null, np.zeros(len(exponents), dtype=bool))
+    exponents = _affine_exponents(variables)
+    space = _null_space(_monomials(x, exponents))
+    null = _reduced(space.vectors, np.zeros(len(exponents), dtype=bool))
     gone, relations = [], []
     for vector in null.T:
         used = np.abs(vector) > ROUNDING * np.abs(vector).max()
         gone.append(int(np.argmax(used)))
         coefficients = vector[used] / np.prod(scale ** exponents[used], axis=1)
         relations.append(Polynomial(exponents[used], coefficients / coefficients[0]))
-    return [j for j in range(variables) if j not in gone], tuple(relations)
+    kept = [j for j in range(variables) if j not in gone]
+    return kept, tuple(relations), _approximate(space, exponents, scale)
 
 
 def _reduced(null: Array, last: NDArray[np.bool_]) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -29,6 +29,8 @@ class IdaPbc(eqx.Module):
         t → φ_2* [Wb], >= 0. At zero the shaped energy has no minimum: the loop is not stable.
     position_reference : callable
         t → q* [m].
+    form : {"corrected", "printed"}
+        Printed: the third term of z̃₂ as the paper has it, D (q - q*) (erratum 8).
 
     References
     ----------
@@ -43,6 +45,7 @@ class IdaPbc(eqx.Module):
     G: Any
     flux_reference: Callable[[Any], Any]
     position_reference: Callable[[Any], Any]
+    form: Literal["corrected", "printed"] = eqx.field(static=True, default="corrected")
 
     def __check_init__(self) -> None:
         if not (self.alpha > 0 > self.beta and self.R_a > 0 and self.G > 0):
@@ -61,10 +64,11 @@ class IdaPbc(eqx.Module):
         """z̃₂ of the paper; its third term is ``D (Θ - Θ*) = q - q*``."""
         phi_1, phi_2, q = self._references(t)
         D = self.machine.D
+        lever = D if self.form == "printed" else 1.0
         return jnp.asarray(
             D / (2 * self.alpha) * (flux[0] - phi_1)
             + D / (2 * self.beta) * (flux[1] - phi_2)
-            + (position - q)
+            + lever * (position - q)
             + self.R_a / D * momentum
         )
 

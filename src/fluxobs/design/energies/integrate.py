@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import matrix_balance
 
 from ...errors import ModelError
 from ..precision import real
@@ -54,23 +55,30 @@ class Trajectory:
         """Sample time [s]."""
         return float(self.t[1] - self.t[0])
 
-    def middle(self) -> tuple[Array, Array, Array]:
-        """Flux, flux rate and current halfway between samples, (rows - 1, n_E)."""
-        flux, rate = _hermite_middle(self.flux, self.flux_rate, self.h)
-        position, _ = _hermite_middle(self.position, self.velocity, self.h)
+    def inside(self, places: ArrayLike) -> tuple[Array, Array, Array]:
+        """Flux, flux rate and current inside each interval, (rows - 1, places, n_E).
+
+        `places` are shares of the interval from 0 to 1.
+        """
+        flux, rate = _hermite(self.flux, self.flux_rate, self.h, places)
+        position, _ = _hermite(self.position, self.velocity, self.h, places)
         current = _currents(self.system, jnp.asarray(flux), jnp.asarray(position))
         return flux, rate, np.asarray(current)
 
 
 @eqx.filter_jit
 def _currents(system: ElectromechanicalSystem, flux: jax.Array, position: jax.Array) -> jax.Array:
-    return jax.vmap(system.current)(flux, position)
+    return jax.vmap(jax.vmap(system.current))(flux, position)
 
 
-def _hermite_middle(value: Array, rate: Array, h: float) -> tuple[Array, Array]:
-    """Value and rate of the cubic Hermite interpolant in the middle of each interval."""
-    y0, y1, d0, d1 = value[:-1], value[1:], rate[:-1], rate[1:]
-    return (y0 + y1) / 2 + h * (d0 - d1) / 8, 1.5 * (y1 - y0) / h - (d0 + d1) / 4
+def _hermite(value: Array, rate: Array, h: float, places: ArrayLike) -> tuple[Array, Array]:
+    """Value and rate of the cubic Hermite interpolant inside each interval."""
+    s = np.asarray(places, float)[:, None]
+    y0, d0, d1 = value[:-1, None], h * rate[:-1, None], h * rate[1:, None]
+    rise = value[1:, None] - y0
+    inside = y0 + s * (d0 + s * (3 * rise - 2 * d0 - d1 + s * (d0 + d1 - 2 * rise)))
+    slope = d0 + s * (2 * (3 * rise - 2 * d0 - d1) + 3 * s * (d0 + d1 - 2 * rise))
+    return inside, slope / h
 
 
 def volt_seconds(flux: ArrayLike, h: float, drift: ArrayLike) -> Array:
@@ -173,6 +181,21 @@ def integrate(
     rate, current, velocity, voltage = (np.asarray(signal) for signal in signals)
     flux, position, momentum = (np.asarray(part) for part in saved)
     return Trajectory(system, times, flux, rate, current, position, velocity, momentum, voltage)
+
+
+def poles(system: ElectromechanicalSystem, control: Control, state: State) -> Array:
+    """Eigenvalues [1/s] of the closed loop linearised at a state, t = 0; rightmost first."""
+
+    def rate(x: jax.Array) -> jax.Array:
+        here = State(*jnp.split(x, cuts))
+        return jnp.concatenate(system.derivative(here, control(jnp.zeros(()), here)))
+
+    cuts = np.cumsum([system.n_E, system.n_M])
+    x = jnp.concatenate([jnp.asarray(part, float) for part in state])
+    jacobian = np.asarray(jax.jit(jax.jacfwd(rate))(x))
+    # States differ by many powers of ten.
+    values = np.linalg.eigvals(matrix_balance(jacobian)[0])
+    return np.asarray(values[np.argsort(-values.real)])
 
 
 @eqx.filter_jit

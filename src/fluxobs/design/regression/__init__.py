@@ -1,14 +1,18 @@
 """Lemma 1: the constraint as a linear regression, in continuous time and exact on samples."""
 
 from .filtered import FilteredRegression, Filters
+from .periodic import Orbit, between, periodic_regression
 from .regressors import Parametrisation, Regressors, residual
 from .sampled import SampledRegression
 
 __all__ = [
     "FilteredRegression",
     "Filters",
+    "Orbit",
     "Parametrisation",
     "Regressors",
     "SampledRegression",
+    "between",
+    "periodic_regression",
     "residual",
 ]

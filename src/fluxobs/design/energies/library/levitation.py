@@ -64,6 +64,27 @@ def maglev_2dof(machine: MagLev2DOF) -> ElectromechanicalSystem:
     )
 
 
+def maglev_as_printed(machine: MagLev2DOF) -> ElectromechanicalSystem:
+    """The paper's equations (hmaglev) and (sysmaglev) to the letter, for erratum 8.
+
+    Its energy lacks the force constants c and its input the 1/N: ``λ̇ = -R/(N c) i + u``. The
+    state is still called λ; the controller reads it as core flux, as the paper does.
+    """
+    k = jnp.array([machine.k_1, machine.k_2])
+    c = jnp.array([machine.c_1, machine.c_2])
+    g, sign = machine.g, jnp.array([-1.0, 1.0])
+    size = k * 0.5 / g  # half an ampere
+    return ElectromechanicalSystem(
+        lambda flux, position: jnp.sum(flux**2 * (g + sign * position[0]) / k) / 2,
+        inertia(machine.J / machine.D**2),
+        R=machine.resistance / (machine.N * c),
+        R_M=[0.0],
+        flux_range=(0.1 * size, 2 * size),
+        position_range=(-INSIDE * g, INSIDE * g),
+        name="MagLev as printed",
+    )
+
+
 def maglev_leakage(
     k: tuple[float, float] = (1e-5, 1.2e-5), g: float = 1e-3, leakage: float = 2e-3
 ) -> ElectromechanicalSystem:

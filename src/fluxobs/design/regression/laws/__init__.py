@@ -1,6 +1,6 @@
 """Observers on the paper's regression: printed, repaired, and those the paper argues against."""
 
-from .base import ContinuousObserver, FluxObserver, flow_gain, run
+from .base import ContinuousObserver, FluxObserver, flow_gain, integrate_law, run
 from .drem import DremObserver
 from .gradient import PrintedAdaptiveObserver, RepairedAdaptiveObserver, RobustObserver
 from .open_loop import PEBO, VoltageModel
@@ -17,5 +17,6 @@ __all__ = [
     "RobustObserver",
     "VoltageModel",
     "flow_gain",
+    "integrate_law",
     "run",
 ]

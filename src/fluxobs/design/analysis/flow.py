@@ -1,0 +1,120 @@
+"""Error of a gradient law, ``x' = N x + f + ψ (r - ψᵀx)``, integrated however stiff it is.
+
+The laws of the paper have this form, with ψ = Ψ scaled by the root of the gain. Their rates |ψ|²
+reach 10⁷ 1/s and more, while the result depends on how ψ turns. So the integrator must not resolve
+the rates, and must resolve ψ: Radau IIA with three stages, of order five, L-stable. The generator is
+constant but for a term of rank one, so that a step costs the solution of three linear equations.
+
+References
+----------
+E. Hairer, G. Wanner, *Solving Ordinary Differential Equations II*, Springer, 1996, section IV.5,
+doi:10.1007/978-3-642-05221-7.
+"""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+_ROOT = np.sqrt(6.0)
+#: Nodes of a step, and weights of the stages.
+NODES: Array = np.array([(4 - _ROOT) / 10, (4 + _ROOT) / 10, 1.0])
+_STAGES: Array = np.array(
+    [
+        [(88 - 7 * _ROOT) / 360, (296 - 169 * _ROOT) / 1800, (-2 + 3 * _ROOT) / 225],
+        [(296 + 169 * _ROOT) / 1800, (88 + 7 * _ROOT) / 360, (-2 - 3 * _ROOT) / 225],
+        [(16 - _ROOT) / 36, (16 + _ROOT) / 36, 1 / 9],
+    ]
+)
+
+
+#: Steps taken by one compiled call; records of any length share it.
+_BLOCK = 4096
+
+
+def flow_steps(
+    N: ArrayLike, psi: ArrayLike, h: float, r: ArrayLike | None = None, f: ArrayLike | None = None
+) -> tuple[Array, Array]:
+    """Transition P and input g of every step, ``x₊ = P x + g``.
+
+    Parameters
+    ----------
+    N : (k, k) array_like
+        Constant part of the generator [1/s].
+    psi : (steps, 3, k) array_like
+        ψ at the :data:`NODES` of each step.
+    h : float
+        Step [s].
+    r : (steps, 3) array_like, optional
+        Residual at the nodes; default zero.
+    f : (k,) array_like, optional
+        Constant input; default zero.
+
+    Returns
+    -------
+    P : (steps, k, k) ndarray
+    g : (steps, k) ndarray
+    """
+    generator, psi = np.asarray(N, float), np.asarray(psi, float)
+    k = len(generator)
+    residual = np.zeros(psi.shape[:2]) if r is None else np.asarray(r, float)
+    constant = np.zeros(k) if f is None else np.asarray(f, float)
+    # The stages without the term of rank one: X = M (1 ⊗ x) + h MA (...).
+    M = np.linalg.inv(np.eye(3 * k) - h * np.kron(_STAGES, generator))
+    MA = (M @ np.kron(_STAGES, np.eye(k))).reshape(3, k, 3, k)
+    start = M.reshape(3, k, 3, k).sum(axis=2)
+    pushed = h * np.einsum("ikjl,l->ik", MA, constant)
+    # e = r - ψᵀX at the stages.
+    moved = np.stack([psi[:, j] @ MA[:, :, j].reshape(3 * k, k).T for j in range(3)], axis=1)
+    moved = moved.reshape(len(psi), 3, 3, k).swapaxes(1, 2)
+    W = h * (moved @ psi[..., None])[..., 0]
+    right = np.empty((len(psi), 3, k + 1))
+    right[..., :k] = -(psi[:, :, None] @ start)[:, :, 0]
+    right[..., k] = residual - np.einsum("nik,ik->ni", psi, pushed)
+    e = np.linalg.solve(np.eye(3) + W, right)
+    change = h * (moved[:, 2].swapaxes(1, 2) @ e)
+    return start[2] + change[..., :k], pushed[2] + change[..., k]
+
+
+@jax.jit
+def _block(P: jax.Array, g: jax.Array, x: jax.Array) -> jax.Array:
+    def body(x: jax.Array, step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        x = step[0] @ x + step[1]
+        return x, x
+
+    return jax.lax.scan(body, x, (P, g))[1]  # type: ignore[no-any-return]
+
+
+def flow_states(P: Array, g: Array, x: Array) -> Array:
+    """States after every step, (steps, k), from x before the first."""
+    out = np.empty(g.shape)
+    for at in range(0, len(g), _BLOCK):
+        count = min(_BLOCK, len(g) - at)
+        part = np.zeros((_BLOCK, *P.shape[1:])), np.zeros((_BLOCK, g.shape[1]))
+        part[0][:count], part[1][:count] = P[at : at + count], g[at : at + count]
+        out[at : at + count] = _block(*part, x)[:count]
+        x = out[at + count - 1]
+    return out
+
+
+def flow_product(P: Array) -> Array:
+    """Product of all steps in order of time, (k, k)."""
+    while len(P) > 1:
+        odd = P[-1:] if len(P) % 2 else P[:0]
+        P = np.concatenate([P[1::2] @ P[: len(P) - len(odd) : 2], odd])
+    return P[0]
+
+
+def flow_growth(P: Array) -> Array:
+    """Logarithmic growth of a vector in every step, (steps,)."""
+    x = np.full(P.shape[1], P.shape[1] ** -0.5)
+    out = np.empty(len(P))
+    for k, step in enumerate(P):
+        x = step @ x
+        size = np.sqrt(x @ x)
+        out[k] = np.log(size)
+        x /= size
+    return out
