@@ -16,7 +16,13 @@ if _missing:
 
 from . import precision  # noqa: E402, F401  # before anything else: float64
 from .energies.blondel_park import BlondelPark, blondel_park  # noqa: E402
-from .energies.discovery import Discovery, check_constraint, discover_constraint  # noqa: E402
+from .energies.discovery import (  # noqa: E402
+    Discovery,
+    FeatureDiscovery,
+    check_constraint,
+    discover_constraint,
+    discover_in_features,
+)
 from .energies.integrate import Trajectory, integrate  # noqa: E402
 from .energies.system import (  # noqa: E402
     ElectromechanicalSystem,
@@ -30,12 +36,14 @@ __all__ = [
     "BlondelPark",
     "Discovery",
     "ElectromechanicalSystem",
+    "FeatureDiscovery",
     "Power",
     "State",
     "Trajectory",
     "blondel_park",
     "check_constraint",
     "discover_constraint",
+    "discover_in_features",
     "inertia",
     "integrate",
     "linear_magnetics",

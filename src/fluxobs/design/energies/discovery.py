@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from typing import NamedTuple
@@ -37,16 +37,19 @@ ROUNDING = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Polynomial:
-    """A relation ``Σ c_k Π x_j^e_kj = 0`` in x = (λ, i).
+    """A relation ``Σ c_k Π x_j^e_kj = 0`` in x = (λ, i), or in features.
 
     Attributes
     ----------
     exponents : (terms, 2n) ndarray of int
     coefficients : (terms,) ndarray
+    names : tuple of str
+        Of the variables; empty for λ1 … λn, i1 … in.
     """
 
     exponents: NDArray[np.int_]
     coefficients: Array
+    names: tuple[str, ...] = ()
 
     @property
     def degree(self) -> int:
@@ -65,7 +68,7 @@ class Polynomial:
 
     def __str__(self) -> str:
         n = self.exponents.shape[1] // 2
-        names = [f"λ{j + 1}" for j in range(n)] + [f"i{j + 1}" for j in range(n)]
+        names = self.names or tuple(f"{kind}{j + 1}" for kind in "λi" for j in range(n))
         out = []
         for exponents, coefficient in zip(self.exponents, self.coefficients, strict=True):
             factors = [
@@ -315,6 +318,106 @@ def discover_constraint(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class FeatureDiscovery:
+    """Relations between features of flux and current that hold at any position.
+
+    Attributes
+    ----------
+    relations : tuple of Polynomial
+        In the features, by their names; none follows from one of lower degree.
+    margin : float
+        Factor by which the singular values fall at the edge of the null space of the highest
+        degree; below 1e10 no relation is reported.
+    smallest : float
+        Smallest singular value over the largest.
+    """
+
+    relations: tuple[Polynomial, ...]
+    margin: float
+    smallest: float
+
+
+def discover_in_features(
+    system: ElectromechanicalSystem,
+    features: Mapping[str, Callable[[Array, Array], Array]],
+    degree: int = 2,
+    seed: int = 0,
+) -> FeatureDiscovery:
+    """Finds polynomial relations between functions of flux and current.
+
+    Saturation hides relations that a change of variables uncovers: with
+    ``z_k = -ln(1 - λ_k/ψ_s)`` the saturated switched reluctance machine obeys the relation of the
+    unsaturated one (docs/constraints.md).
+
+    Parameters
+    ----------
+    system : ElectromechanicalSystem
+    features : mapping of str to callable
+        Name → ``f(flux (states, n), current (states, n))`` → (states,), with NumPy. Only these
+        variables are used: name λ and i themselves if they belong.
+    degree : {1, 2, 3, 4}
+        Highest degree in the features.
+    seed : int
+        Seed of the random states.
+
+    Raises
+    ------
+    ModelError
+        Invalid degree, or a feature that is not finite or has the wrong shape.
+
+    Examples
+    --------
+    >>> from fluxobs.design.energies.library import affine_pair
+    >>> ratios = {"a": lambda f, i: f[:, 0] / i[:, 0], "b": lambda f, i: f[:, 1] / i[:, 1]}
+    >>> print(discover_in_features(affine_pair(), ratios, degree=1).relations[0])
+    +1 a +1 b -0.02 = 0
+    """
+    if degree not in (1, 2, 3, 4):
+        raise ModelError(f"degree must be 1, 2, 3 or 4, got {degree}")
+    names = tuple(features)
+    if not names:
+        raise ModelError("features: at least one is needed")
+    count = 40 * len(list(combinations_with_replacement(range(len(names) + 1), degree)))
+    flux, current, _ = _sample(system, count, seed)
+    columns = []
+    for name, feature in features.items():
+        with np.errstate(all="ignore"):
+            values = np.asarray(feature(flux, current), float)
+        if values.shape != (count,):
+            raise ModelError(f"feature {name} must return ({count},), got shape {values.shape}")
+        if not np.isfinite(values).all():
+            at = int(np.argmin(np.isfinite(values)))
+            raise ModelError(
+                f"feature {name} is not finite at flux {flux[at].round(6).tolist()}, current "
+                f"{current[at].round(6).tolist()}; see flux_range and position_range"
+            )
+        columns.append(values)
+    x = np.array(columns).T
+    scale = np.sqrt(np.mean(x**2, axis=0))
+    scale = np.where(scale > 0, scale, 1.0)
+    found: list[tuple[NDArray[np.int_], Array]] = []
+    relations = []
+    for d in range(1, degree + 1):
+        exponents = _exponents(len(names), range(len(names)), d, len(names))
+        space = _null_space(_monomials(x / scale, exponents))
+        null = _beyond(space.vectors, exponents, found, d)
+        if null.shape[1]:
+            null = _reduced(null, np.zeros(len(exponents), dtype=bool))
+            found.append((exponents, null))
+            relations += [_polynomial(vector, exponents, scale, names) for vector in null.T]
+    return FeatureDiscovery(tuple(relations), space.margin, float(space.relative[-1]))
+
+
+def _polynomial(
+    vector: Array, exponents: NDArray[np.int_], scale: Array, names: tuple[str, ...] = ()
+) -> Polynomial:
+    """Relation of a null vector in scaled variables; rounding dropped, first coefficient one."""
+    used = np.abs(vector) > ROUNDING * np.abs(vector).max()
+    coefficients = vector[used] / np.prod(scale ** exponents[used], axis=1)
+    return Polynomial(exponents[used], coefficients / coefficients[0], names)
+
+
 def _sample(system: ElectromechanicalSystem, count: int, seed: int) -> tuple[Array, Array, Array]:
     flux, position = system.random_states(np.random.default_rng(seed), count)
     current = np.asarray(jax.jit(jax.vmap(system.current))(flux, position))
@@ -328,8 +431,13 @@ def _sample(system: ElectromechanicalSystem, count: int, seed: int) -> tuple[Arr
     return np.asarray(flux), current, np.asarray(position)
 
 
-def _exponents(variables: int, kept: Sequence[int], degree: int) -> NDArray[np.int_]:
-    """Monomials up to a degree in the kept variables, sorted by degree in flux, then by degree."""
+def _exponents(
+    variables: int, kept: Sequence[int], degree: int, fluxes: int | None = None
+) -> NDArray[np.int_]:
+    """Monomials up to a degree in the kept variables, sorted by degree in flux, then by degree.
+
+    `fluxes` variables come first; by default half of them.
+    """
     rows = []
     for d in range(degree + 1):
         for factors in combinations_with_replacement(kept, d):
@@ -337,7 +445,7 @@ def _exponents(variables: int, kept: Sequence[int], degree: int) -> NDArray[np.i
             for factor in factors:
                 row[factor] += 1
             rows.append(row)
-    n = variables // 2
+    n = variables // 2 if fluxes is None else fluxes
     rows.sort(key=lambda row: (-row[:n].sum(), -row.sum(), tuple(-row)))
     return np.array(rows)
 
@@ -393,11 +501,7 @@ def _approximate(
 ) -> tuple[Approximate, ...]:
     out = []
     for vector, size in zip(space.near.T, space.sizes, strict=True):
-        used = np.abs(vector) > ROUNDING * np.abs(vector).max()
-        coefficients = vector[used] / np.prod(scale ** exponents[used], axis=1)
-        out.append(
-            Approximate(Polynomial(exponents[used], coefficients / coefficients[0]), float(size))
-        )
+        out.append(Approximate(_polynomial(vector, exponents, scale), float(size)))
     return tuple(out)
 
 
@@ -451,10 +555,8 @@ def _without_affine(
     null = _reduced(space.vectors, np.zeros(len(exponents), dtype=bool))
     gone, relations = [], []
     for vector in null.T:
-        used = np.abs(vector) > ROUNDING * np.abs(vector).max()
-        gone.append(int(np.argmax(used)))
-        coefficients = vector[used] / np.prod(scale ** exponents[used], axis=1)
-        relations.append(Polynomial(exponents[used], coefficients / coefficients[0]))
+        gone.append(int(np.argmax(np.abs(vector) > ROUNDING * np.abs(vector).max())))
+        relations.append(_polynomial(vector, exponents, scale))
     kept = [j for j in range(variables) if j not in gone]
     return kept, tuple(relations), _approximate(space, exponents, scale)
 
