@@ -37,28 +37,38 @@ ADAPTIVE_GAIN = (1e20, 1e20, 1e20, 1e20, 2e13, 2e13, 20.0)
 #: Our own choice, since the paper gives neither: G of the controller, initial flux of both cores
 #: [Wb], and modulation of the reference flux [rad/s].
 G_OF_PAPER, INITIAL_FLUX, MODULATION = 1e4, 1e-5, 7.0
+#: How fast offsets move in the study of moving offsets [rad/s]: with temperature, but faster.
+OFFSET_SPEED = 0.1
 #: Samples a second on a periodic orbit.
 SAMPLES = 2048 / (2 * np.pi)
 
 
-class PositionReference(eqx.Module):
-    """q_d(t) of the paper [m]."""
+def _fading(t: jax.Array, until: jax.Array) -> jax.Array:
+    """One until a time, then zero, over about a second."""
+    return jax.nn.sigmoid((until - t) * 10)
 
-    scale: float = 1.0
+
+class PositionReference(eqx.Module):
+    """q_d(t) of the paper [m]; at rest after `until` [s]."""
+
+    until: jax.Array
 
     def __call__(self, t: jax.Array) -> jax.Array:
-        return self.scale * 1e-5 * (6 * jnp.sin(10 * t) + 4 * jnp.sin(20 * t) + 6 * jnp.sin(15 * t))
+        swing = 6 * jnp.sin(10 * t) + 4 * jnp.sin(20 * t) + 6 * jnp.sin(15 * t)
+        return 1e-5 * swing * _fading(t, self.until)
 
 
 class BiasFlux(eqx.Module):
-    """``mean (1 + depth sin(speed t))`` [Wb]: the flux common to both coils."""
+    """``mean (1 + depth sin(speed t))`` [Wb]: flux common to both coils; constant after `until`."""
 
     mean: jax.Array
     depth: jax.Array
     speed: jax.Array
+    until: jax.Array
 
     def __call__(self, t: jax.Array) -> jax.Array:
-        return self.mean * (1 + self.depth * jnp.sin(self.speed * t))
+        swing = self.depth * jnp.sin(self.speed * t)
+        return self.mean * (1 + swing * _fading(t, self.until))
 
 
 @dataclass(frozen=True)
@@ -76,6 +86,8 @@ class LevitationScenario:
         Depth of modulation of the reference flux, at :data:`MODULATION`.
     initial_flux : float
         Initial flux of both cores [Wb]; NaN for the reference.
+    excited_until : float
+        Time at which the references come to rest [s].
     """
 
     name: str
@@ -85,6 +97,7 @@ class LevitationScenario:
     bias_current: float
     depth: float
     initial_flux: float
+    excited_until: float = 1e9
 
     @property
     def period(self) -> float:
@@ -151,7 +164,8 @@ class LevitationRecord:
     @property
     def reference(self) -> Array:
         """q_d(t) [m]."""
-        return np.asarray(PositionReference()(jnp.asarray(self.t)))
+        until = jnp.asarray(self.scenario.excited_until)
+        return np.asarray(PositionReference(until)(jnp.asarray(self.t)))
 
     @property
     def constraint(self) -> QuadraticConstraint:
@@ -171,14 +185,17 @@ def closed_loop(scenario: LevitationScenario) -> tuple[_Control, State, State]:
     machine, _ = benchmark()
     c = np.array([machine.c_1, machine.c_2])
     phi = machine.k_2 * scenario.bias_current / machine.g
+    until = jnp.asarray(scenario.excited_until)
     law = IdaPbc(
         machine,
         jnp.asarray(scenario.alpha),
         jnp.asarray(-scenario.alpha),
         jnp.asarray(R_A),
         jnp.asarray(scenario.G),
-        BiasFlux(jnp.asarray(phi), jnp.asarray(scenario.depth), jnp.asarray(MODULATION)),
-        PositionReference(),
+        BiasFlux(
+            jnp.asarray(phi), jnp.asarray(scenario.depth), jnp.asarray(MODULATION), until
+        ),
+        PositionReference(until),
     )
     start = phi if np.isnan(scenario.initial_flux) else scenario.initial_flux
     typical = machine.k_2 * 0.5 / machine.g
@@ -247,11 +264,16 @@ def measured(
     trajectory: Trajectory,
     jump: float,
     factor: float = 1.0,
+    swing: float = 0.0,
 ) -> LevitationRecord:
-    """Measures a trajectory, with the paper's biases times `factor`."""
+    """Measures a trajectory, with the paper's biases times `factor`.
+
+    `swing` moves every bias by this share of its size, at :data:`OFFSET_SPEED`.
+    """
     t, h = trajectory.t, trajectory.h
-    current_bias = factor * Steps(CURRENT_BIAS, np.array([jump])).at(t - h / 2)
-    voltage_bias = factor * Steps(VOLTAGE_BIAS, np.array([jump])).at(t - h / 2)
+    moving = (factor * (1 + swing * np.sin(OFFSET_SPEED * (t - h / 2))))[:, None]
+    current_bias = moving * Steps(CURRENT_BIAS, np.array([jump])).at(t - h / 2)
+    voltage_bias = moving * Steps(VOLTAGE_BIAS, np.array([jump])).at(t - h / 2)
     drift = current_bias @ machine.R.T - voltage_bias @ machine.B.T
     flux = trajectory.flux / np.array([machine.c_1, machine.c_2])
     return LevitationRecord(

@@ -187,21 +187,30 @@ class Noisy:
     valid: float
 
 
+def with_noise(given: LevitationRecord) -> tuple[Array, Array]:
+    """Currents and volt-seconds with 1 mA and 10 mV of white noise at 1 kHz, in converter steps of
+    0.5 mA and 5 mV."""
+    machine, h = given.machine, given.h
+    current_sensor = Sensor(Steps(np.zeros((1, 2))), noise=1e-3, quantum=5e-4)
+    voltage_sensor = Sensor(Steps(np.zeros((1, 2))), noise=1e-2, quantum=5e-3)
+    current = current_sensor.measure(given.t, given.current, seed=1)
+    voltage = given.trajectory.voltage
+    wrong_i = current - given.current
+    wrong_u = voltage_sensor.measure(given.t, voltage, seed=2) - voltage
+    mean_i = (wrong_i + np.roll(wrong_i, 1, axis=0)) / 2
+    v = given.volt_seconds + h * (wrong_u @ machine.B.T - mean_i @ machine.R.T)
+    v[0] = 0.0
+    return current, v
+
+
 def noisy(
     given: LevitationRecord, unknowns: tuple[str, ...], duration: float, memory: float
 ) -> Noisy:
-    """Adds 1 mA and 10 mV of white noise at 1 kHz and converter steps of 0.5 mA and 5 mV."""
+    """Least squares on the noisy record; `memory` and first `duration` in s."""
     rows = slice(0, round(duration / given.h) + 1)
     t, machine, h = given.t[rows], given.machine, given.h
-    current_sensor = Sensor(Steps(np.zeros((1, 2))), noise=1e-3, quantum=5e-4)
-    voltage_sensor = Sensor(Steps(np.zeros((1, 2))), noise=1e-2, quantum=5e-3)
-    current = current_sensor.measure(t, given.current[rows], seed=1)
-    voltage = given.trajectory.voltage[rows]
-    wrong_i = current - given.current[rows]
-    wrong_u = voltage_sensor.measure(t, voltage, seed=2) - voltage
-    mean_i = (wrong_i + np.roll(wrong_i, 1, axis=0)) / 2
-    v = given.volt_seconds[rows] + h * (wrong_u @ machine.B.T - mean_i @ machine.R.T)
-    v[0] = 0.0
+    current, v = with_noise(given)
+    current, v = current[rows], v[rows]
     typical = machine.k_2 * 0.5 / machine.g
     slope = float(np.hypot(machine.k_1, machine.k_2)) * typical
     # Voltage noise integrates into w over the memory, in addition to the current noise.

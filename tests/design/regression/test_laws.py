@@ -16,6 +16,7 @@ from fluxobs.design.regression import Parametrisation, Regressors
 from fluxobs.design.regression.laws import (
     PEBO,
     DremObserver,
+    GeneralisedPEBO,
     PrintedAdaptiveObserver,
     RepairedAdaptiveObserver,
     RiccatiObserver,
@@ -251,3 +252,67 @@ def test_parametrisation_lengths():
         len(Parametrisation(case.constraint, kind, 1.0))
         for kind in ("printed", "structured", "voltage-bias")
     ] == [7, 5, 3]
+
+
+def test_generalised_pebo_is_the_dense_least_squares():
+    """All rows in terms of the state at the start, weighted by forgetting, and the prior."""
+    rng = np.random.default_rng(4)
+    scale, beta, h = np.array([1.0, 1.0, 0.5, 0.5, 2.0]), 0.7, 0.05
+    observer = GeneralisedPEBO(CONSTANTS, scale, 0.1, forgetting=beta)
+    state, xi = observer.init(), np.zeros(2)
+    rows, values = [np.diag(1 / scale)], [np.zeros(5)]
+    for k in range(1, 31):
+        row, v = random_row(rng), rng.standard_normal(2)
+        state = observer.step(state, h, jnp.asarray(v), row)
+        xi = xi + v
+        psi = np.r_[row.Phi_flux, CONSTANTS.regressor(row)]
+        psi[2:4] += k * h * psi[:2]
+        information = np.vstack(rows) * scale
+        known = min(1.0, 1 / np.linalg.eigvalsh(information.T @ information)[0])
+        fade = np.exp(-beta * (1 - known) * h / 2)
+        rows = [fade * part for part in rows] + [np.sqrt(h) / 0.1 * psi[None]]
+        value = float(row.y - row.Phi_flux @ xi)
+        values = [fade * part for part in values] + [np.sqrt(h) / 0.1 * np.atleast_1d(value)]
+    start = np.linalg.lstsq(np.vstack(rows), np.concatenate(values), rcond=None)[0]
+    flux, constants = observer.estimate(state)
+    np.testing.assert_allclose(constants, start[2:], rtol=1e-9)
+    np.testing.assert_allclose(flux, xi + start[:2] + 30 * h * start[2:4], rtol=1e-9)
+
+
+def test_mixing_removes_the_start_from_the_least_squares():
+    """Excited for a while only: least squares keeps part of its start, the mixed estimate none."""
+    rng = np.random.default_rng(6)
+    theta = np.array([0.2, -0.1, 0.3])
+    observers = {
+        name: GeneralisedPEBO(CONSTANTS, np.ones(5), 1.0, name, 0.1, 50.0)
+        for name in ("least-squares", "least-squares-drem")
+    }
+    states = {name: observer.init() for name, observer in observers.items()}
+    flux, h = np.array([0.5, -0.4]), 0.05
+    for k in range(300):
+        row, v = random_row(rng), 0.1 * rng.standard_normal(2)
+        if k >= 60:  # no excitation any more
+            row = Regressors(*(0 * part for part in row))
+        flux = flux + v + h * theta[:2]
+        row = row._replace(y=row.Phi_flux @ flux + CONSTANTS.regressor(row) @ theta)
+        for name, observer in observers.items():
+            states[name] = observer.step(states[name], h, jnp.asarray(v), row)
+    errors = {
+        name: np.abs(np.asarray(observers[name].estimate(state)[0]) - flux).max()
+        for name, state in states.items()
+    }
+    assert errors["least-squares"] > 1e-2
+    assert errors["least-squares-drem"] < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"estimator": "median"}, "estimator must be one of least-squares, least-squares-drem"),
+        ({"forgetting": -1.0}, "forgetting must be zero or positive"),
+        ({"scale": np.ones(4)}, "scale must have shape"),
+    ],
+)
+def test_generalised_pebo_refuses(change, message):
+    with pytest.raises(ModelError, match=message):
+        GeneralisedPEBO(**({"constants": CONSTANTS, "scale": np.ones(5), "noise": 1.0} | change))

@@ -2,7 +2,12 @@
 
 from .bounds import bound_on_record, decay_rate, robust_bound
 from .excitation import Excitation, excitation, persistency
-from .identifiability import compare_invisible, invisible_from_constraint, observability_gramian
+from .identifiability import (
+    compare_invisible,
+    immersion_gramian,
+    invisible_from_constraint,
+    observability_gramian,
+)
 from .stability import GainStudy, floquet_multipliers, largest_exponent, over_gain, weighted_mean
 from .tuning import balanced_basis, balanced_gain, balanced_repaired
 
@@ -17,6 +22,7 @@ __all__ = [
     "decay_rate",
     "excitation",
     "floquet_multipliers",
+    "immersion_gramian",
     "invisible_from_constraint",
     "largest_exponent",
     "observability_gramian",

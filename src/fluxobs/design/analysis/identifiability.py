@@ -10,6 +10,7 @@ from scipy.linalg import subspace_angles
 
 from ...errors import ModelError
 from ...model.constraint import QuadraticConstraint, invisible_offsets
+from ...model.immersion import Immersion
 from ..regression import Parametrisation, Regressors
 
 Array = NDArray[np.float64]
@@ -53,6 +54,42 @@ def observability_gramian(
     if scale is not None:
         psi = psi * np.asarray(scale, float)
     return np.asarray(h * psi.T @ psi)
+
+
+def immersion_gramian(
+    immersion: Immersion,
+    h: float,
+    volt_seconds: ArrayLike,
+    current: ArrayLike,
+    scale: ArrayLike,
+) -> Array:
+    """``∫ F(s,t)ᵀ H(s)ᵀ H(s) F(s,t) ds`` of the immersion over a record, which ends at t.
+
+    Uniform observability, a lower bound for this Gramian over every window of one length, is what
+    the least squares needs; persistency of excitation of Ψ, which the paper asks for, is stronger.
+
+    Parameters
+    ----------
+    immersion : Immersion
+    h : float
+        Sample time [s].
+    volt_seconds, current : (rows, n) array_like
+        Of the interval that ends at each row [Wb]; [A].
+    scale : (size,) array_like
+        Size of each state.
+
+    Returns
+    -------
+    (size, size) ndarray
+    """
+    v, i = np.asarray(volt_seconds, float), np.asarray(current, float)
+    back = np.diag(np.asarray(scale, float))
+    total = np.zeros((immersion.size, immersion.size))
+    for k in range(len(v) - 1, -1, -1):
+        row = immersion.output_rows(i[k])[0] @ back
+        total += h * row.T @ row
+        back = immersion.transition(-h, -v[k]) @ back
+    return total
 
 
 def invisible_from_gramian(gramian: ArrayLike, tolerance: float = 1e-10) -> Array:

@@ -2,6 +2,7 @@
 
 from .base import ContinuousObserver, FluxObserver, flow_gain, integrate_law, run
 from .drem import DremObserver
+from .gpebo import GeneralisedPEBO
 from .gradient import PrintedAdaptiveObserver, RepairedAdaptiveObserver, RobustObserver
 from .open_loop import PEBO, VoltageModel
 from .riccati import RiccatiObserver
@@ -11,6 +12,7 @@ __all__ = [
     "ContinuousObserver",
     "DremObserver",
     "FluxObserver",
+    "GeneralisedPEBO",
     "PrintedAdaptiveObserver",
     "RepairedAdaptiveObserver",
     "RiccatiObserver",

@@ -50,7 +50,8 @@ class DremObserver(eqx.Module):
     ----------
     S. Aranovskiy, A. Bobtsov, R. Ortega, A. Pyrkin, "Performance enhancement of parameter
     estimators via dynamic regressor extension and mixing", IEEE Trans. Automatic Control 62
-    (2017), doi:10.1109/TAC.2016.2614889; R. Ortega et al., finite-time DREM, arXiv:2007.15224.
+    (2017), doi:10.1109/TAC.2016.2614889. Finite time: R. Ortega, A. Bobtsov, N. Nikolaev,
+    J. Schiffer, D. Dochain, Automatica 129 (2021), doi:10.1016/j.automatica.2021.109635.
     """
 
     gamma: float
