@@ -77,9 +77,7 @@ def test_saturation_is_observed_in_the_variables_that_undo_it():
     assert np.abs(run(saturated, 0.0, 1).flux - flux)[late].max() > 10
     assert np.abs(run(saturated, 0.0, 8).flux - flux)[late].max() < 0.01
     # The unsaturated relation, with the same slope at zero, is far off.
-    wrong = run(
-        lambda x, eta, i: (x @ jnp.stack(currents(i)) - 3 * PSI_S * A * jnp.prod(i))[None]
-    )
+    wrong = run(lambda x, eta, i: (x @ jnp.stack(currents(i)) - 3 * PSI_S * A * jnp.prod(i))[None])
     assert np.abs(wrong.flux - flux)[late].max() > 0.05 * 0.4
 
 

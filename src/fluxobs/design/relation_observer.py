@@ -3,7 +3,7 @@
 The immersion of the paper's quadratic relations is exact, but not every machine has one. This one
 takes the relation as it is, ``h(λ, η, i) = 0`` written in JAX, and linearises it at the estimate:
 
-* linear in λ with coefficients in i (switched reluctance): it is the Kalman filter, nothing is lost;
+* linear in λ with coefficients in i (switched reluctance): it is the Kalman filter, exact;
 * in features such as ``-ln(1 - λ/ψ_s)`` (saturation), or of any degree;
 * relations that move: η is what they move by, with its own equation (an induction machine's rotor
   flux obeys ``η' = -α η + R_R i_d``).

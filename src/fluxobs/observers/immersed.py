@@ -6,8 +6,8 @@ drift. This one is written to be read, and judges validity more simply.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -103,8 +103,7 @@ class ImmersionEstimate:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class ImmersionState:
+class ImmersionState(NamedTuple):
     """All that is remembered: information ``R x = z``, its part from noise, and a few samples."""
 
     R: Array
@@ -115,6 +114,7 @@ class ImmersionState:
     power: float = 1.0  # of the innovations
     correlation: float = 0.0  # of successive ones
     last_innovation: Array | None = None
+    last_normal: Array | None = None  # over its expected size
     samples: int = 0
     bad_voltages: int = 0
     bad_currents: int = 0
@@ -320,8 +320,7 @@ class ImmersionObserver:
             measured = self._measure(after, i)
             if measured is None:  # contradicts all before: treat it as missing
                 after = self._move(state, held, u, v)
-                after = replace(
-                    after,
+                after = after._replace(
                     contradictions=state.contradictions + 1,
                     outliers=state.outliers + 1,
                     known=0,
@@ -330,8 +329,7 @@ class ImmersionObserver:
                 after = measured
         if missing >= MISSING:
             after = self._emptied(after)
-        after = replace(
-            after,
+        after = after._replace(
             voltage=u,
             samples=state.samples + 1,
             bad_voltages=state.bad_voltages + no_voltage,
@@ -354,7 +352,7 @@ class ImmersionObserver:
         h, immersion = self.sample_time, self.immersion
         if state.samples == 0:
             # Assume that the current was the same before the first sample.
-            return replace(state, currents=np.tile(current, (4, 1)))
+            return state._replace(currents=np.tile(current, (4, 1)))
         currents = np.vstack([current, state.currents[:-1]])
         if v is None:
             v = h * (self.B @ voltage - self.R @ (QUADRATURE @ currents))
@@ -364,12 +362,12 @@ class ImmersionObserver:
         z = np.sqrt(rho) * (state.z + R @ immersion.known_input(v))
         R = np.sqrt(rho) * R
         noise = rho * back.T @ state.noise @ back + self._pretended(R)
-        return replace(state, R=R, z=z, noise=noise, currents=currents)
+        return state._replace(R=R, z=z, noise=noise, currents=currents)
 
     def _emptied(self, state: ImmersionState) -> ImmersionState:
         """The same state without its information."""
         fresh = self.init()
-        return replace(state, R=fresh.R, z=fresh.z, noise=fresh.noise, contradictions=0)
+        return state._replace(R=fresh.R, z=fresh.z, noise=fresh.noise, contradictions=0)
 
     def _measure(self, state: ImmersionState, current: Array) -> ImmersionState | None:
         """Take in the relations at this current, and re-inject one row of the prior.
@@ -387,22 +385,23 @@ class ImmersionObserver:
         if (innovation**2 > limit).any():
             if state.contradictions + 1 < CONTRADICTIONS:
                 return None
-            state = replace(
-                self._emptied(state),
+            state = self._emptied(state)._replace(
                 # The currents held meanwhile were not measured.
                 currents=np.tile(current, (4, 1)),
                 restarts=state.restarts + 1,
                 power=RESTART_POWER * max(state.power, 1.0),
             )
         else:
-            last = state.last_innovation
-            product = 0.0 if last is None else float(np.mean(innovation * last))
-            state = replace(
-                state,
-                power=rho * state.power + (1 - rho) * float(np.mean(innovation**2)),
+            # What the prior or a restart explains is not noise: judge by the expected size.
+            normal = innovation / np.sqrt(expected)
+            last = state.last_normal
+            product = 0.0 if last is None else float(np.mean(normal * last))
+            state = state._replace(
+                power=rho * state.power + (1 - rho) * float(np.mean(normal**2)),
                 correlation=rho * state.correlation + (1 - rho) * product,
+                last_normal=normal,
             )
-        state = replace(state, last_innovation=innovation)
+        state = state._replace(last_innovation=innovation)
         R, z = _absorb(state.R, state.z, rows, values)
         # Against wind-up: re-inject, row by row, what forgetting takes from the prior. Centred on
         # the estimate, it does not move it.
@@ -414,7 +413,7 @@ class ImmersionObserver:
             R, z = _absorb(R, z, row, weight * np.linalg.solve(R, z)[[j]])
         gain = self._row_noise / sigma[:, None, None]
         noise = state.noise + np.einsum("rij,rkj->ik", gain, gain)
-        return replace(state, R=R, z=z, noise=noise, contradictions=0)
+        return state._replace(R=R, z=z, noise=noise, contradictions=0)
 
     def _pretended(self, R: Array) -> Array:
         """Information that noise of the last volt-seconds has added to all past rows."""
@@ -456,7 +455,7 @@ class ImmersionObserver:
             and (np.abs(x[at["current_bias"]]) < BIAS_LIMIT * self._prior[at["current_bias"]]).all()
             and np.isfinite(x).all()
         )
-        state = replace(state, known=state.known + 1 if known and state.missing == 0 else 0)
+        state = state._replace(known=state.known + 1 if known and state.missing == 0 else 0)
         innovation = state.last_innovation
         valid = state.known * self.sample_time >= self.memory
         seen = "current-bias" in immersion.unknowns and bool(
@@ -525,7 +524,9 @@ class ImmersionObserver:
 def _absorb(R: Array, z: Array, rows: Array, values: Array) -> tuple[Array, Array]:
     """The triangle after taking in weighted rows."""
     n = len(R)
-    stacked = np.vstack([np.column_stack([R, z]), np.column_stack([rows, values])])
+    stacked = np.empty((n + len(rows), n + 1))
+    stacked[:n, :n], stacked[:n, n] = R, z
+    stacked[n:, :n], stacked[n:, n] = rows, values
     # LAPACK's rows may come out negative; the sign of a row means nothing.
     triangle: Any = np.linalg.qr(stacked, mode="r")
     return triangle[:n, :n], triangle[:n, n]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +12,14 @@ from ..errors import ObserverError
 from ..machines import MagLev2DOF
 
 Array = NDArray[np.float64]
+
+
+class TrackerState(NamedTuple):
+    """Position [m], velocity [m/s], and the last force [N]; None before the first sample."""
+
+    position: float = 0.0
+    velocity: float = 0.0
+    force: float | None = None
 
 
 @dataclass(frozen=True)
@@ -47,23 +56,29 @@ class LevitationTracker:
         flux, current : (rows, 2) array_like
             Estimated core fluxes [Wb], unbiased currents [A].
         """
-        m, h = self.machine, self.sample_time
-        phi = np.asarray(flux, float)
-        measured, _ = m.position(phi, np.asarray(current, float))
-        force = m.c_1 * phi[:, 0] ** 2 / (2 * m.k_1) - m.c_2 * phi[:, 1] ** 2 / (2 * m.k_2)
-        acceleration = np.nan_to_num(m.D**2 / m.J * force)  # zero where the flux is missing
-        # Double pole at e^{-h bandwidth} for a double integrator.
-        pole = np.exp(-h * self.bandwidth)
-        gain, gain_velocity = 1 - pole**2, (1 - pole) ** 2 / h
-        usable = np.isfinite(measured) & (np.abs(measured) < m.g)
-        q = measured[np.argmax(usable)] if usable.any() else 0.0
-        velocity, out = 0.0, np.empty((len(phi), 2))
+        phi, i = np.asarray(flux, float), np.asarray(current, float)
+        measured, _ = self.machine.position(phi, i)
+        usable = np.isfinite(measured) & (np.abs(measured) < self.machine.g)
+        start = measured[np.argmax(usable)] if usable.any() else 0.0
+        state, out = TrackerState(float(start), 0.0, None), np.empty((len(phi), 2))
         for k in range(len(phi)):
-            if k > 0:
-                push = (acceleration[k - 1] + acceleration[k]) / 2
-                q, velocity = q + h * velocity + h * h / 2 * push, velocity + h * push
-            if usable[k]:
-                error = measured[k] - q
-                q, velocity = q + gain * error, velocity + gain_velocity * error
-            out[k] = q, velocity
+            state = self.step(state, phi[k], i[k])
+            out[k] = state.position, state.velocity
         return out[:, 0], out[:, 1]
+
+    def step(self, state: TrackerState, flux: Array, current: Array) -> TrackerState:
+        """One sample: estimated core fluxes (2,) [Wb] and unbiased currents (2,) [A]."""
+        m, h = self.machine, self.sample_time
+        force = m.c_1 * flux[0] ** 2 / (2 * m.k_1) - m.c_2 * flux[1] ** 2 / (2 * m.k_2)
+        force = force if np.isfinite(force) else 0.0  # where the flux is missing
+        q, velocity = state.position, state.velocity
+        if state.force is not None:
+            push = m.D**2 / m.J * (state.force + force) / 2
+            q, velocity = q + h * velocity + h * h / 2 * push, velocity + h * push
+        measured, _ = m.position(flux, current)
+        if np.isfinite(measured) and abs(measured) < m.g:
+            # Double pole at e^{-h bandwidth} for a double integrator.
+            pole = np.exp(-h * self.bandwidth)
+            error = float(measured) - q
+            q, velocity = q + (1 - pole**2) * error, velocity + (1 - pole) ** 2 / h * error
+        return TrackerState(q, velocity, float(force))

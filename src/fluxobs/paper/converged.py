@@ -106,7 +106,8 @@ def _spans(
         )  # type: ignore[arg-type]
     )
     whole = np.asarray(joined.Phi_flux if constants is None else constants.psi_record(joined))
-    out, last = [], np.zeros(len(root))
+    out: list[_Span] = []
+    last = np.zeros(len(root))
     for row, rows, flux in (
         (0, slice(skip, jump + 1), given.flux[skip : jump + 1]),
         (-1, slice(jump + 1, None), given.flux[jump:]),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,7 +81,9 @@ def _courses(
         step = max(1, len(course.t) // POINTS)
         with np.errstate(invalid="ignore"):
             shown = np.maximum(values[::step], FLOOR)
-        axes.semilogy(course.t[::step], shown, color=COLOURS[name], label=name, **LINES.get(name, {}))
+        axes.semilogy(
+            course.t[::step], shown, color=COLOURS[name], label=name, **LINES.get(name, {})
+        )
     axes.axvline(jump, color=GREY, linewidth=0.6, linestyle=":")
     axes.set_xlim(0, courses["voltage model"].t[-1])
     axes.set_xlabel("t [s]    dotted: the biases jump")
@@ -141,6 +143,25 @@ def draw_motors(
     """Draws the figures of the PMSM cases."""
     figures = {"pmsm": lambda: _motor(motor), "counter_example": lambda: _counter(counter)}
     _write(out, figures, formats)
+
+
+def draw_scalar_gain(out: Path, found: Mapping[str, Any], formats: Sequence[str]) -> None:
+    """Draws the multipliers of Proposition 2 with a scalar gain on S5."""
+    _write(out, {"scalar_gain": lambda: _scalar_gain(found)}, formats)
+
+
+def _scalar_gain(found: Mapping[str, Any]) -> Figure:
+    figure, axes = _new(1)
+    panel = axes[0, 0]
+    colours = (RED, ORANGE, VIOLET)
+    for (unit, values), colour in zip(found["multipliers"].items(), colours, strict=True):
+        label = "all regressors of rms one" if unit == "1" else f"unit of the drift × {unit}"
+        panel.loglog(found["gains"], np.array(values) - 1, "o-", color=colour, label=label)
+    panel.set_title("S5, seven unknowns, scalar gain: unstable at every gain")
+    panel.set_xlabel("γ_a")
+    panel.set_ylabel("largest |Floquet multiplier| - 1")
+    panel.legend()
+    return figure
 
 
 def _write(out: Path, figures: dict[str, Callable[[], Figure]], formats: Sequence[str]) -> None:

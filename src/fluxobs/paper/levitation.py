@@ -108,8 +108,12 @@ class LevitationScenario:
 SCENARIOS = {
     scenario.name: scenario
     for scenario in (
-        LevitationScenario("S1", "the paper's, α = 10, no bias flux", 10.0, G_OF_PAPER, 0.0, 0.0, INITIAL_FLUX),
-        LevitationScenario("S2", "α = 10, 0.5 A of bias flux", 10.0, G_OF_PAPER, 0.5, 0.0, INITIAL_FLUX),
+        LevitationScenario(
+            "S1", "the paper's, α = 10, no bias flux", 10.0, G_OF_PAPER, 0.0, 0.0, INITIAL_FLUX
+        ),
+        LevitationScenario(
+            "S2", "α = 10, 0.5 A of bias flux", 10.0, G_OF_PAPER, 0.5, 0.0, INITIAL_FLUX
+        ),
         LevitationScenario("S3", "α = 0.01, 0.5 A of bias flux", 0.01, 5e3, 0.5, 0.0, np.nan),
         LevitationScenario(
             "S5", "α = 0.01, bias flux modulated ±30 %", 0.01, 5e3, 0.5, 0.3, np.nan
@@ -192,9 +196,7 @@ def closed_loop(scenario: LevitationScenario) -> tuple[_Control, State, State]:
         jnp.asarray(-scenario.alpha),
         jnp.asarray(R_A),
         jnp.asarray(scenario.G),
-        BiasFlux(
-            jnp.asarray(phi), jnp.asarray(scenario.depth), jnp.asarray(MODULATION), until
-        ),
+        BiasFlux(jnp.asarray(phi), jnp.asarray(scenario.depth), jnp.asarray(MODULATION), until),
         PositionReference(until),
     )
     start = phi if np.isnan(scenario.initial_flux) else scenario.initial_flux
@@ -243,7 +245,7 @@ def orbit(name: str) -> PeriodicOrbit:
         scale,
         position_limit=(-machine.g, machine.g),
         stiff=scenario.alpha > 1,
-        rtol=1e-9 if scenario.alpha > 1 else 1e-11,
+        rtol=1e-11,
     )
 
 

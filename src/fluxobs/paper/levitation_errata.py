@@ -46,7 +46,7 @@ def _constant(scenario: LevitationScenario, form: str) -> tuple[Control, State, 
     """Controller of a scenario with q* = 0, its equilibrium, and the law."""
     control, _, _ = closed_loop(scenario)
     machine, _ = benchmark()
-    law: Any = control.law  # type: ignore[attr-defined]
+    law: Any = control.law
     law = replace(law, position_reference=lambda t: jnp.zeros(()), form=form)
     flux = machine.k_2 * scenario.bias_current / machine.g
     state = State(jnp.full(2, flux), jnp.zeros(1), jnp.zeros(1))

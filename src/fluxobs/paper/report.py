@@ -79,12 +79,14 @@ def numbers(
     }
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Markdown table."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def _error(value: float) -> str:
+def error_text(value: float) -> str:
+    """A relative error with two digits."""
     if value < 1e-9:
         return "< 1e-9"
     if not value < DIVERGED:
@@ -97,11 +99,11 @@ def _time(value: float | None) -> str:
 
 
 def _courses(found: Mapping[str, Any]) -> str:
-    return _table(
+    return table(
         ["observer", "rms error before the jump", "at the end"]
         + [f"stays below {level:g} from … after the jump" for level in LEVELS],
         [
-            [name, _error(one["before"]), _error(one["end"])]
+            [name, error_text(one["before"]), error_text(one["end"])]
             + [_time(one["settled"][f"{level:g}"]) for level in LEVELS]
             for name, one in found.items()
         ],
@@ -120,7 +122,8 @@ def _claims(found: Mapping[str, Any]) -> str:
         [
             "Figure 2: the robust observer's error is bounded",
             f"with the printed gain it equals the voltage model (error ratio {integrator:.3f}); "
-            f"with a balanced gain bounded, {_error(one['robust, balanced gain']['before'])} rms",
+            "with a balanced gain bounded, "
+            f"{error_text(one['robust, balanced gain']['before'])} rms",
         ],
         [
             "its steady error depends on the size of the biases",
@@ -132,13 +135,13 @@ def _claims(found: Mapping[str, Any]) -> str:
         ],
         [
             "Figure 3: errors of flux and parameters converge to zero",
-            f"with the printed gains {_error(printed['before'])} before and "
-            f"{_error(printed['end'])} after the jump; below 2 % within "
+            f"with the printed gains {error_text(printed['before'])} before and "
+            f"{error_text(printed['end'])} after the jump; below 2 % within "
             f"{_time(printed['settled']['0.02'])}",
         ],
         [
             "(the same equations as printed, ν missing in Φ_λ)",
-            f"{_error(one['adaptive, printed gain and Φ']['end'])} at the end",
+            f"{error_text(one['adaptive, printed gain and Φ']['end'])} at the end",
         ],
         [
             "and converge again after the biases jump",
@@ -155,7 +158,7 @@ def _claims(found: Mapping[str, Any]) -> str:
             f"{len(multipliers)} gains",
         ],
     ]
-    return _table(["the paper", f"measured (scenario {MAIN})"], rows)
+    return table(["the paper", f"measured (scenario {MAIN})"], rows)
 
 
 def _scenario(name: str, one: Mapping[str, Any]) -> list[str]:
@@ -163,7 +166,8 @@ def _scenario(name: str, one: Mapping[str, Any]) -> list[str]:
         f"### {name}: {one['title']}",
         f"The position follows its reference to {1e6 * one['tracking']:.0f} µm rms; the reference "
         f"itself is {1e6 * one['reference']:.0f} µm rms. It is faster than the closed loop, whose "
-        f"law assumes constant references. The largest flux is {1e6 * one['largest_flux']:.3g} µWb.",
+        "law assumes constant references. The largest flux is "
+        f"{1e6 * one['largest_flux']:.3g} µWb.",
         _courses(one["courses"]),
     ]
 
@@ -173,7 +177,7 @@ def _excitation(scenarios: Mapping[str, Any]) -> list[str]:
         "## Excitation",
         "Ratio of smallest to largest eigenvalue over 2 s, per-unit, and the direction that the "
         "observability Gramian sees least.",
-        _table(
+        table(
             ["scenario", "Φ_λ (pe1)", "Ψ (pe2)", "observability", "seen least"],
             [
                 [
@@ -224,7 +228,7 @@ def _stability(scenarios: Mapping[str, Any]) -> list[str]:
         "unstable. Where the scenario settles to a periodic orbit, ln |largest Floquet multiplier| "
         "over the period, converged in the step to all digits shown. Without one, the largest "
         "Lyapunov exponent of the record, ± its change when record and step are halved.",
-        _table(["scenario", "period", *(f"γ × {factor}" for factor in factors)], rows),
+        table(["scenario", "period", *(f"γ × {factor}" for factor in factors)], rows),
     ]
 
 
@@ -245,22 +249,23 @@ def _parameters(scenarios: Mapping[str, Any]) -> list[str]:
                         _pair(found["true"], scale),
                         _pair(found["estimate"], scale),
                         _pair(found["std"], scale),
-                        "yes" if found["known"] else "no",
+                        f"{found['known']:.0%}",
                     ]
                 )
     return [
         "## The constants, by least squares",
         "The flux is right in every scenario; the constants are where the trajectory shows them. "
-        "*Known* is what the observer says by itself: `valid` for flux and drift, "
-        "`current_bias_valid` for the current bias.",
-        _table(["scenario", "constant", "true", "estimate", "std", "known"], rows),
+        "*Known* is the share of samples in which the observer itself says so, over the last fifth "
+        "of the span: `valid` for flux and drift, `current_bias_valid` for the current bias. std is "
+        "the median there.",
+        table(["scenario", "constant", "true", "estimate", "std", "known"], rows),
     ]
 
 
 def _mechanics(scenarios: Mapping[str, Any]) -> list[str]:
     return [
         "## Position and velocity from the flux",
-        _table(
+        table(
             ["scenario", "position, rms error", "velocity, rms error"],
             [
                 [
@@ -293,7 +298,7 @@ def _noise(scenarios: Mapping[str, Any]) -> list[str]:
         "1 mA and 10 mV of white noise at 1 kHz, converter steps of 0.5 mA and 5 mV, first "
         "10 s, memory 0.5 s. With little excitation the covariance alone claims far too much; "
         "the noise share, the part of the information that is only noise, shows it.",
-        _table(["", "rms error", "claimed by covariance", "noise share", "claimed valid"], rows),
+        table(["", "rms error", "claimed by covariance", "noise share", "claimed valid"], rows),
     ]
 
 
@@ -310,8 +315,8 @@ def _convergence(scenarios: Mapping[str, Any]) -> str:
     )
 
 
-def markdown(found: Mapping[str, Any]) -> str:
-    """The report."""
+def markdown(found: Mapping[str, Any], more: Sequence[str] = ()) -> str:
+    """The report; `more` are further sections."""
     scenarios: Mapping[str, Any] = found["scenarios"]
     errors = found["counter_example"]["errors"]
     parts = [
@@ -355,10 +360,6 @@ def markdown(found: Mapping[str, Any]) -> str:
         + "; ".join(f"{name}: {value:.1e}" for name, value in errors.items())
         + ".",
         "![counter-example](counter_example.png)",
-        *_deep(found.get("deep")),
+        *more,
     ]
     return "\n\n".join(parts) + "\n"
-
-
-def _deep(found: Mapping[str, Any] | None) -> list[str]:
-    return []

@@ -12,14 +12,11 @@ from typing import Any
 from ..errors import FluxobsError
 from . import counter_example
 from .counter_example import CounterExample
-from .figures import draw_motors, draw_scenarios
+from .figures import draw_motors, draw_scalar_gain, draw_scenarios
 from .pmsm import servo
 from .report import markdown, numbers
-from .scenario import MAIN, ScenarioResult, run_levitation
+from .scenario import MAIN, SHOWN, ScenarioResult, run_levitation
 from .section_v import ErrorCourse, motor_courses
-
-#: Scenarios in the figures: the paper's, and the well-posed one.
-SHOWN = ("S1", MAIN)
 
 
 def _motors(quick: bool) -> tuple[dict[str, ErrorCourse], CounterExample]:
@@ -29,6 +26,7 @@ def _motors(quick: bool) -> tuple[dict[str, ErrorCourse], CounterExample]:
 def reproduce(
     out: str | Path,
     quick: bool = False,
+    deep: bool = False,
     say: Callable[[str], Any] = lambda text: None,
     processes: int = 2,
 ) -> dict[str, Any]:
@@ -39,7 +37,10 @@ def reproduce(
     out : path
         Created if missing; files of the same names are replaced.
     quick : bool
-        Runs scenario S5 alone, 30 s with the jump at 15 s; no exponents, no noise, PNG only.
+        Runs scenario S5 alone, 30 s with the jump at 15 s; no stability, no noise, PNG only.
+    deep : bool
+        Also the long studies (minutes): Proposition 2 with a scalar gain, the line of observers
+        that followed, the levitation as printed, the loop closed.
     say : callable
         Called with a line of text after each part.
     processes : int
@@ -64,7 +65,7 @@ def reproduce(
     done: dict[str, ScenarioResult] = {}
     if processes == 1:
         for name in names:
-            done[name] = run_levitation(name, quick)
+            done[name] = run_levitation(name, quick, deep)
             say(f"{name}: {done[name].scenario.title}")
         motor, counter = _motors(quick)
     else:
@@ -72,10 +73,12 @@ def reproduce(
         with ProcessPoolExecutor(processes - 1, mp_context=get_context("spawn")) as pool:
             side = pool.submit(_motors, quick)
             away = {
-                name: pool.submit(run_levitation, name, quick) for name in names[:2] if not quick
+                name: pool.submit(run_levitation, name, quick, deep)
+                for name in names[:2]
+                if not quick
             }
             for name in [name for name in names if name not in away]:
-                done[name] = run_levitation(name, quick)
+                done[name] = run_levitation(name, quick, deep)
                 say(f"{name}: {done[name].scenario.title}")
             for name, job in away.items():
                 done[name] = job.result()
@@ -86,9 +89,16 @@ def reproduce(
     draw_scenarios(out, [one for one in runs if one.scenario.name in SHOWN], formats)
     draw_motors(out, motor, counter, formats)
     found = numbers(runs, motor, counter)
+    more: list[str] = []
+    if deep:
+        from . import deep as long
+
+        found["deep"] = long.study(say)
+        more = long.markdown(found["deep"])
+        draw_scalar_gain(out, found["deep"]["scalar_gain"], formats)
     try:
         (out / "numbers.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-        (out / "report.md").write_text(markdown(found), encoding="utf-8")
+        (out / "report.md").write_text(markdown(found, more), encoding="utf-8")
     except OSError as error:
         raise FluxobsError(f"{out}: cannot be written: {error.strerror}") from None
     return found

@@ -26,10 +26,12 @@ Array = NDArray[np.float64]
 
 #: Unknowns of the noise study, by scenario.
 NOISE: dict[str, tuple[tuple[str, ...], ...]] = {
-    "S1": (("drift",), ("drift", "current-bias")),
+    "S1": (("drift", "current-bias"),),
     "S3": (("drift",), ("drift", "current-bias")),
     "S5": (("drift",), ("drift", "current-bias")),
 }
+#: Scenarios in the figures and, unless deep, of the stability study: the paper's, the well-posed.
+SHOWN = ("S1", "S5")
 #: Scenario for judging the claims and studying the error of the robust observer.
 MAIN = "S5"
 
@@ -51,7 +53,7 @@ class ScenarioResult:
     largest_flux : float
         Largest |λ| [Wb], to which errors refer.
     growth : Growth or None
-        Stability of Proposition 2; None in a quick run.
+        Stability of Proposition 2; None in a quick run, and for S2 and S3 unless deep.
     parameters : dict
         "before" and "after" the jump → constant → what the least squares knows of it.
     mechanics : (float, float)
@@ -77,8 +79,11 @@ class ScenarioResult:
     noise: dict[str, Noisy]
 
 
-def run_levitation(name: str, quick: bool = False) -> ScenarioResult:
-    """Simulates one scenario, runs the observers and the studies."""
+def run_levitation(name: str, quick: bool = False, deep: bool = False) -> ScenarioResult:
+    """Simulates one scenario, runs the observers and the studies.
+
+    The orbits of S2 and S3 take most of a minute: only if `deep`.
+    """
     given = record(SCENARIOS[name], quick=quick)
     one = levitation_run(given, all_observers=name == MAIN and not quick)
     part = slice(0, round(5.0 / given.h), 5)
@@ -95,7 +100,7 @@ def run_levitation(name: str, quick: bool = False) -> ScenarioResult:
         float(np.sqrt(np.mean(error**2))),
         excited(one),
         sizes(given)[0],
-        None if quick else growth(given, one.rows),
+        growth(given, one.rows) if deep or (name in SHOWN and not quick) else None,
         parameters(one),
         mechanics(one),
         robust(one) if name == MAIN else None,

@@ -33,7 +33,7 @@ SCALAR_GAINS = tuple(10.0**k for k in range(-5, 7))
 #: Flux per second that the drift's unit stands for, over the one that gives its regressor rms one.
 UNITS = (1.0, 0.5, 0.3)
 #: Time left out at the start of each span: the filters, and the slow poles of the loop [s].
-SETTLED = 2.0
+AFTER_START = 2.0
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def growth(given: LevitationRecord, rows: Regressors) -> Growth:
         if has_orbit:
             psi, h = psi_on_orbit(name, segment)
         else:
-            inside = (given.t > start + SETTLED) & (given.t < stop - given.h / 2)
+            inside = (given.t > start + AFTER_START) & (given.t < stop - given.h / 2)
             used = Regressors(*(part[inside] for part in rows))
             psi, h = np.asarray(constants.psi_record(used)), given.h
         study = over_gain(psi, h, constants, FACTORS, np.array(ADAPTIVE_GAIN), has_orbit)

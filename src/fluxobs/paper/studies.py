@@ -83,20 +83,21 @@ def excited(given: LevitationRun) -> Excited:
 
 @dataclass(frozen=True)
 class Found:
-    """What the least squares knows of one constant at one time.
+    """What the least squares knows of one constant over the last fifth of a span.
 
     Attributes
     ----------
     true, estimate, std : (float, float)
-        [V] or [A].
-    known : bool
-        What the observer itself says: `valid`, for the current bias `current_bias_valid`.
+        At the end, at the end, and median [V] or [A].
+    known : float
+        Share of samples in which the observer itself says so: `valid`, for the current bias
+        `current_bias_valid`.
     """
 
     true: tuple[float, float]
     estimate: tuple[float, float]
     std: tuple[float, float]
-    known: bool
+    known: float
 
 
 def parameters(given: LevitationRun) -> dict[str, dict[str, Found]]:
@@ -109,19 +110,20 @@ def parameters(given: LevitationRun) -> dict[str, dict[str, Found]]:
         return float(values[row, 0]), float(values[row, 1])
 
     out = {}
-    for name, row in (("before", last), ("after", len(rows) - 1)):
+    for name, first, row in (("before", 0, last), ("after", last + 1, len(rows) - 1)):
+        late = slice(row - (row - first) // 5, row + 1)
         out[name] = {
             "drift": Found(
                 pair(base.drift[rows], row),
                 pair(found.drift, row),
-                pair(found.drift_std, row),
-                bool(found.valid[row]),
+                pair(np.median(found.drift_std[late], axis=0)[None], 0),
+                float(found.valid[late].mean()),
             ),
             "current bias": Found(
                 pair(base.current_bias[rows], row),
                 pair(found.current_bias, row),
-                pair(found.current_bias_std, row),
-                bool(found.current_bias_valid[row]),
+                pair(np.median(found.current_bias_std[late], axis=0)[None], 0),
+                float(found.current_bias_valid[late].mean()),
             ),
         }
     return out

@@ -200,6 +200,31 @@ def test_bad_features(features, degree, message):
         discover_in_features(switched_reluctance(), features, degree)
 
 
+def test_a_higher_relation_beside_a_quadratic_one():
+    """An affine pair and a choke that saturates, i = λ + λ³: one of each, and no products."""
+
+    def magnetic_energy(flux, position):
+        L = 10e-3 + jnp.array([0.5, -0.5]) * position[0]
+        return jnp.sum(flux[:2] ** 2 / L) / 2 + flux[2] ** 2 / 2 + flux[2] ** 4 / 4
+
+    system = ElectromechanicalSystem(
+        magnetic_energy,
+        inertia(0.1),
+        R=[1.0] * 3,
+        R_M=[0.0],
+        flux_range=(-np.array([0.01, 0.01, 1.0]), np.array([0.01, 0.01, 1.0])),
+        position_range=(-0.015, 0.015),
+    )
+    found = discover_constraint(system, degree=3)
+    assert len(found.relations) == 1
+    (cubic,) = found.higher
+    assert (cubic.degree, cubic.degree_in_flux) == (3, 3)
+    terms = dict(zip(map(tuple, cubic.exponents), cubic.coefficients, strict=True))
+    assert terms == pytest.approx(
+        {(0, 0, 3, 0, 0, 0): 1, (0, 0, 1, 0, 0, 0): 1, (0,) * 5 + (1,): -1}
+    )
+
+
 def test_products_of_quadratic_relations_are_not_reported_again():
     found = discover_constraint(surface_pmsm(), degree=3)
     assert len(found.relations) == 1
@@ -300,9 +325,7 @@ def test_near_degeneracy_is_said_with_its_size_and_what_decides(make, size, reme
 def test_an_approximate_relation_is_the_one_of_the_machine_nearby():
     """A saliency of 1e-5 is a surface machine to 1e-11: |λ - L i|² = ψ²."""
     (near,) = discover_constraint(interior_pmsm(L_d=0.5e-3 * (1 + 1e-5))).approximate
-    terms = dict(
-        zip(map(tuple, near.relation.exponents), near.relation.coefficients, strict=True)
-    )
+    terms = dict(zip(map(tuple, near.relation.exponents), near.relation.coefficients, strict=True))
     assert terms[(0, 2, 0, 0)] == pytest.approx(terms[(2, 0, 0, 0)])
     assert terms[(1, 0, 1, 0)] == pytest.approx(-2 * 0.5e-3, rel=1e-4)
     assert terms[(0, 0, 0, 0)] == pytest.approx(-(0.07**2), rel=1e-4)

@@ -16,6 +16,13 @@ def reproduce(
     quick: Annotated[
         bool, typer.Option("--quick", help="Only 30 s of one scenario: a quarter of the time.")
     ] = False,
+    deep: Annotated[
+        bool,
+        typer.Option(
+            "--deep",
+            help="Also the long studies: scalar gain, later observers, printed model, closed loop.",
+        ),
+    ] = False,
 ) -> None:
     """Reproduce Section V of the paper, as printed, corrected and beyond.
 
@@ -24,8 +31,9 @@ def reproduce(
     Needs the extra "design" (JAX).
     """
     # Compilation takes most of the time; this must be set before JAX is loaded.
-    os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+    if not deep:
+        os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
     from ...paper.reproduce import reproduce as run
 
-    run(out, quick, typer.echo)
+    run(out, quick, deep, typer.echo)
     typer.echo(f"Written: {out / 'report.md'}, numbers.json and figures")

@@ -1,9 +1,9 @@
 """Error of a gradient law, ``x' = N x + f + ψ (r - ψᵀx)``, integrated however stiff it is.
 
 The laws of the paper have this form, with ψ = Ψ scaled by the root of the gain. Their rates |ψ|²
-reach 10⁷ 1/s and more, while the result depends on how ψ turns. So the integrator must not resolve
-the rates, and must resolve ψ: Radau IIA with three stages, of order five, L-stable. The generator is
-constant but for a term of rank one, so that a step costs the solution of three linear equations.
+reach 10⁷ 1/s and more, while the result depends on how ψ turns. So the integrator must resolve ψ,
+and need not resolve the rates: Radau IIA with three stages, of order five, L-stable. The generator
+is constant but for a term of rank one: a step costs the solution of three linear equations.
 
 References
 ----------
@@ -85,7 +85,7 @@ def _block(P: jax.Array, g: jax.Array, x: jax.Array) -> jax.Array:
         x = step[0] @ x + step[1]
         return x, x
 
-    return jax.lax.scan(body, x, (P, g))[1]  # type: ignore[no-any-return]
+    return jax.lax.scan(body, x, (P, g))[1]
 
 
 def flow_states(P: Array, g: Array, x: Array) -> Array:
@@ -105,7 +105,14 @@ def flow_product(P: Array) -> Array:
     while len(P) > 1:
         odd = P[-1:] if len(P) % 2 else P[:0]
         P = np.concatenate([P[1::2] @ P[: len(P) - len(odd) : 2], odd])
-    return P[0]
+    return np.asarray(P[0])
+
+
+def flow_joined(P: Array, times: int) -> Array:
+    """Products of 2^times steps each; what does not fill the last one is dropped."""
+    for _ in range(times):
+        P = P[1::2] @ P[: 2 * (len(P) // 2) : 2]
+    return P
 
 
 def flow_growth(P: Array) -> Array:

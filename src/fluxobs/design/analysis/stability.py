@@ -18,12 +18,14 @@ from ...errors import ModelError
 from ..regression import Parametrisation
 from ..regression.laws.base import positive_definite
 from ..regression.periodic import between
-from .flow import NODES, flow_growth, flow_product, flow_steps
+from .flow import NODES, flow_growth, flow_joined, flow_product, flow_steps
 
 Array = NDArray[np.float64]
 
 #: Steps a period are doubled until no exponent changes by more than this share, or this often.
 CONVERGED, DOUBLINGS = 1e-5, 6
+#: Steps are joined by twos this often before the growth of a vector is followed.
+_JOINED = 4
 
 
 class GainStudy(NamedTuple):
@@ -66,7 +68,7 @@ def balanced_error_system(constants: Parametrisation, Gamma: Any) -> tuple[Array
     root = np.linalg.cholesky(np.asarray(positive_definite("Gamma", Gamma, size)))
     G_a = np.zeros((size, size))
     G_a[:n, n : 2 * n] = np.eye(n)
-    return np.linalg.solve(root, G_a @ root), root
+    return np.asarray(np.linalg.solve(root, G_a @ root)), np.asarray(root)
 
 
 def floquet_multipliers(steps: ArrayLike) -> Array:
@@ -93,7 +95,8 @@ def largest_exponent(steps: ArrayLike, h: float) -> tuple[float, float]:
 
     The first quarter lets the error turn into the direction that grows most.
     """
-    growth = flow_growth(np.asarray(steps, float)) / h
+    joined = flow_joined(np.asarray(steps, float), _JOINED)
+    growth = flow_growth(joined) / (2**_JOINED * h)
     used = growth[len(growth) // 4 :]
     whole = weighted_mean(used)
     return whole, abs(weighted_mean(used[len(used) // 2 :]) - whole)
@@ -167,7 +170,8 @@ def _closes(psi: Array) -> None:
     """Refuses a Ψ that jumps where the period starts again."""
     jump = np.abs(psi[0] - 2 * psi[-1] + psi[-2])
     inside = np.abs(np.diff(psi, n=2, axis=0)).max(axis=0)
-    worst = float((jump / np.maximum(inside, 1e-9 * np.abs(psi).max(axis=0))).max())
+    least = np.maximum(1e-9 * np.abs(psi).max(axis=0), np.finfo(float).tiny)
+    worst = float((jump / np.maximum(inside, least)).max())
     if worst > 10:
         raise ModelError(
             f"not periodic: where the period starts again the regressor bends {worst:.3g} times as "

@@ -509,7 +509,10 @@ def _halved(system: ElectromechanicalSystem, name: str) -> ElectromechanicalSyst
     """The system with half the range of positions or fluxes, around the same middle."""
     low, high = np.asarray(getattr(system, name))
     bounds = np.array([3 * low + high, low + 3 * high]) / 4
-    return eqx.tree_at(lambda one: getattr(one, name), system, jnp.asarray(bounds))
+    halved: ElectromechanicalSystem = eqx.tree_at(
+        lambda one: getattr(one, name), system, jnp.asarray(bounds)
+    )
+    return halved
 
 
 def _doubt(

@@ -87,8 +87,9 @@ def periodic_orbit(
         ]
         jacobian = np.array(slopes).T
         if np.abs(gap).max() < CLOSED:
-            return PeriodicOrbit(found, np.linalg.eigvals(jacobian))
-        x = x + np.linalg.solve(np.eye(len(x)) - jacobian, gap)
+            return PeriodicOrbit(found, np.linalg.eigvals(jacobian).astype(complex))
+        # Least squares: a multiplier of one leaves a direction open.
+        x = x + np.linalg.lstsq(np.eye(len(x)) - jacobian, gap, rcond=1e-12)[0]
     raise ModelError(
         f"{system.name}: no orbit of {period:g} s near the guess; after {_MOST} Newton steps its "
         f"ends still differ by {np.abs(gap).max():.2g} of the scale"

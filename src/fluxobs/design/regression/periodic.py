@@ -1,8 +1,8 @@
 """The regression of a periodic trajectory, in its steady state, to all digits.
 
 The filters of Lemma 1 are a cascade of lags driven by products of signals. In the periodic steady
-state every lag is a division in the frequency domain: no transient, no step. Between the samples the
-regression is the trigonometric interpolant.
+state every lag is a division in the frequency domain: no transient, no step. Between the samples
+the regression is the trigonometric interpolant.
 """
 
 from __future__ import annotations
@@ -40,9 +40,7 @@ class Orbit(NamedTuple):
     current: Array
 
 
-def periodic_regression(
-    constraint: QuadraticConstraint, corner: float, orbit: Orbit
-) -> Regressors:
+def periodic_regression(constraint: QuadraticConstraint, corner: float, orbit: Orbit) -> Regressors:
     """Lemma 1, corrected, in periodic steady state at the samples of one period.
 
     Parameters
@@ -77,7 +75,10 @@ def periodic_regression(
             )
     y_a = i @ constraint.Q2.T + constraint.E
     y_c = np.einsum("ki,ij,kj->k", i, constraint.Q3, i) + i @ constraint.C
-    dot = lambda a, b: np.einsum("ki,ki->k", a, b)  # noqa: E731
+
+    def dot(a: Array, b: Array) -> Array:
+        return np.asarray(np.einsum("ki,ki->k", a, b))
+
     xi1 = lag(nu * y_m)
     xi2 = lag(2 * nu * y_m @ Q1.T - nu**2 * y_a)
     xi3 = lag(nu * i)

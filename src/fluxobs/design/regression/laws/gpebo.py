@@ -37,8 +37,9 @@ class GeneralisedPEBO(eqx.Module):
 
     * by least squares, with or without forgetting: ``F⁻¹' = φφᵀ - β (1 - ‖F‖/‖F(0)‖) F⁻¹``; or
     * by least squares with a mixing step: the initial guess fades from the estimate exactly as
-      ``(I - z F F(0)⁻¹) ϑ = ϑ̂ - z F F(0)⁻¹ ϑ̂(0)``, z' = -β (1 - …) z, which is as many scalar regressions
-      ``Δ ϑ_j = Y_j``, each followed by a gradient. Excitation over one interval is enough.
+      ``(I - z F F(0)⁻¹) ϑ = ϑ̂ - z F F(0)⁻¹ ϑ̂(0)``, z' = -β (1 - …) z, which is as many scalar
+      regressions ``Δ ϑ_j = Y_j``, each followed by a gradient. Excitation over one interval is
+      enough.
 
     Parameters
     ----------
