@@ -256,8 +256,8 @@ def _parameters(scenarios: Mapping[str, Any]) -> list[str]:
         "## The constants, by least squares",
         "The flux is right in every scenario; the constants are where the trajectory shows them. "
         "*Known* is the share of samples in which the observer itself says so, over the last fifth "
-        "of the span: `valid` for flux and drift, `current_bias_valid` for the current bias. std is "
-        "the median there.",
+        "of the span: `valid` for flux and drift, `current_bias_valid` for the current bias. The "
+        "std is the median there.",
         table(["scenario", "constant", "true", "estimate", "std", "known"], rows),
     ]
 

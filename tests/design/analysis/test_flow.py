@@ -66,7 +66,7 @@ def turning(rate, speed, h, steps):
 
 @pytest.mark.parametrize("rate", [30.0, 1e4, 1e8])
 def test_exponent_of_a_turning_regressor(rate):
-    """Turning with ψ, the generator is constant: s² + rate s + ω² = 0. Steps need not resolve it."""
+    """Turning with ψ, the generator is constant: s² + rate s + ω² = 0, for any size of step."""
     speed, steps = 10.0, 400
     h = 2 * np.pi / speed / steps
     # The slow root, written without cancellation.
