@@ -8,8 +8,8 @@ import time
 from common import heading
 
 if __name__ == "__main__":
-    heading("fluxobs reproduce (targets 60 s, quick 15 s)")
-    for options in ([], ["--quick"]):
+    heading("fluxobs reproduce (targets 60 s, quick 15 s; --deep are the long studies)")
+    for options in ([], ["--quick"], ["--deep"]):
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()
             command = [sys.executable, "-m", "fluxobs", "reproduce", "--out", folder, *options]

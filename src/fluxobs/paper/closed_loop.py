@@ -219,7 +219,8 @@ def _plant(rig: Rig, h: float) -> Callable[[Any, Any], Any]:
             d = rate(x + dt * c, u)
             return x + dt / 6 * (a + 2 * b + 2 * c + d)
 
-        return jax.lax.fori_loop(0, SUBSTEPS, one, x)
+        end: jax.Array = jax.lax.fori_loop(0, SUBSTEPS, one, x)
+        return end
 
     compiled: Callable[[Any, Any], Any] = jax.jit(step)
     return compiled
