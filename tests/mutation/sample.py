@@ -3,9 +3,9 @@
     pip install cosmic-ray
     python tests/mutation/sample.py --count 60 --seed 1
 
-Work on a clean clone: every mutant is written into the source file and taken back. The operators are
-Cosmic Ray's; those on `|` are left out, since here it stands in annotations. Each mutant meets the
-tests of its folder, and stops at the first that fails.
+Work on a clean clone: every mutant is written into the source file and taken back. The operators
+are Cosmic Ray's; those on `|` are left out, since here it stands in annotations. Each mutant meets
+the tests of its folder, and stops at the first that fails.
 """
 
 import argparse

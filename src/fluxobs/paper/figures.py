@@ -231,7 +231,7 @@ def _figure_3(runs: Sequence[ScenarioResult]) -> Figure:
         _as_printed(axes[1, column], course, course.parameters, one.jump)
         axes[0, column].set_title(f"{one.scenario.name}: {name}")
     axes[0, 0].set_ylabel("(a) |λ̃|, Wb")
-    axes[1, 0].set_ylabel("(b) |θ̃|")
+    axes[1, 0].set_ylabel("(b) |θ̃|, V")
     return figure
 
 

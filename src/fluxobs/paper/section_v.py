@@ -64,7 +64,8 @@ class ErrorCourse:
     constants : (rows,) ndarray or None
         |θ̂ - θ| over |θ|, per-unit; None if the observer estimates no constants.
     parameters : (rows,) ndarray or None
-        |θ̂ - θ| as the paper's Figure 3 sums it, volts and webers alike: that of the drift, in V.
+        |θ̂_m - θ_m| [V]. The paper's Figure 3 sums volts, webers and their products; the drift is
+        all that shows.
     change : float or None
         Largest change when the steps were last halved, over the largest error; None for an
         observer that is sampled by its nature.
@@ -143,7 +144,9 @@ def _course(
         np.linalg.norm(error[:, part], axis=1) / np.linalg.norm(true[:, part], axis=1).max()
         for part in parts
     ]
-    return ErrorCourse(given.t, flux, np.hypot(*share), np.linalg.norm(error, axis=1), change)
+    return ErrorCourse(
+        given.t, flux, np.hypot(*share), np.linalg.norm(error[:, :2], axis=1), change
+    )
 
 
 def levitation_run(given: LevitationRecord, all_observers: bool = True) -> LevitationRun:
