@@ -92,6 +92,18 @@ def test_standard_deviations_cover_the_errors_under_noise():
     assert 0.5 < np.mean(squares) < 2.0
 
 
+def test_noise_of_the_voltage_is_in_the_standard_deviation():
+    """White noise of σ volts a sample walks the flux by h σ; told of it, the filter covers it."""
+    sigma, squares = 5.0, []
+    for seed in range(6):
+        flux, i, v = record(switched_reluctance(L_0), 0.08, seed, 0.02)
+        wrong = H * sigma * np.random.default_rng(100 + seed).standard_normal(v.shape)
+        found = RelationObserver(cubic, 3, H, 0.1, 0.1, 0.02, voltage_noise=sigma).run(v + wrong, i)
+        late = slice(ROWS // 2, None, 50)
+        squares.append(np.mean(((found.flux - flux) / found.flux_std)[late] ** 2))
+    assert 0.4 < np.mean(squares) < 2.0
+
+
 def test_a_moving_relation_carries_what_it_moves_by():
     """Induction machine: |λ - L_σ i|² = η² with η' = -α η + R_R i_d, from the wrong length."""
     L_sigma, R_R, L_M = 0.01, 2.1, 0.22
@@ -138,6 +150,8 @@ def test_a_moving_relation_carries_what_it_moves_by():
     assert np.abs(found.moving[late, 0] - eta[late]).max() < 0.01 * 0.66
     assert np.abs(found.flux - pair(flux))[late].max() < 0.004
     np.testing.assert_allclose(found.drift[-1], drift, atol=0.02)
+    assert found.moving_std.shape == (ROWS, 1)
+    assert found.moving_std[0, 0] > 0.1 > 30 * found.moving_std[-1, 0] > 0
     # A constant length is wrong by its whole swing.
     assert np.abs(run(None).flux - pair(flux))[late].max() > 0.02
 

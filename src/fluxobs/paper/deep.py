@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from . import closed_loop, later_line, levitation_errata
 from .report import course_numbers, error_text, table
 from .stability import scalar_gain
@@ -49,14 +51,16 @@ def _scalar(found: Mapping[str, Any]) -> list[str]:
         [f"× {unit}" if unit != "1" else "as they are", *(f"{value:.3g}" for value in multipliers)]
         for unit, multipliers in found["multipliers"].items()
     ]
-    worst = min(min(multipliers) for multipliers in found["multipliers"].values())
+    every = [value for multipliers in found["multipliers"].values() for value in multipliers]
+    limits = [multipliers[-1] for multipliers in found["multipliers"].values()]
     return [
         "## Proposition 2 is false on the paper's own example",
         "S5 with the paper's seven unknowns and a scalar gain, each unknown in the unit that makes "
         "the rms of its regressor one; Ψ is persistently exciting, smallest eigenvalue of its mean "
         f"square {found['alpha']:.1e}. Largest |Floquet multiplier| over the period, and the same "
-        f"with another unit for the drift. The least of all is {worst:.3f}: unstable at every "
-        "gain.",
+        f"with another unit for the drift, which the proposition leaves open. Unstable at "
+        f"{sum(value > 1 for value in every)} of {len(every)} gains; at the highest gain, from "
+        f"which the multiplier no longer changes, at least {min(limits):.3f}: no γ_min exists.",
         table(["unit of the drift", *(f"γ = {gain:.0e}" for gain in found["gains"])], rows),
     ]
 
@@ -120,20 +124,22 @@ def _time(value: float | None, otherwise: str) -> str:
     return otherwise if value is None else f"{value:.2f}"
 
 
+def _if_any(value: float) -> str:
+    """An error, or a dash where there was none: not handed over, or lost before."""
+    return error_text(value) if np.isfinite(value) else "–"
+
+
 def _loops(found: Mapping[str, Any]) -> list[str]:
     rows = [
         [
             rig,
-            name,
+            observer,
             _time(one["handed_over"], "never"),
             _time(one["lost"], "no"),
-            error_text(one["before"]),
-            error_text(one["after"]),
-            error_text(one["peak"]),
-            error_text(one["flux_error"]),
+            *(_if_any(one[name]) for name in ("before", "after", "peak", "flux_error")),
         ]
         for rig, observers in found.items()
-        for name, one in observers.items()
+        for observer, one in observers.items()
     ]
     return [
         "## The loop closed",

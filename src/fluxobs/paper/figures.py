@@ -153,13 +153,14 @@ def draw_scalar_gain(out: Path, found: Mapping[str, Any], formats: Sequence[str]
 def _scalar_gain(found: Mapping[str, Any]) -> Figure:
     figure, axes = _new(1)
     panel = axes[0, 0]
-    colours = (RED, ORANGE, VIOLET)
+    colours = (RED, ORANGE, VIOLET, GREY)
     for (unit, values), colour in zip(found["multipliers"].items(), colours, strict=True):
         label = "all regressors of rms one" if unit == "1" else f"unit of the drift × {unit}"
-        panel.loglog(found["gains"], np.array(values) - 1, "o-", color=colour, label=label)
-    panel.set_title("S5, seven unknowns, scalar gain: unstable at every gain")
+        panel.loglog(found["gains"], values, "o-", color=colour, label=label)
+    panel.axhline(1.0, color=GREY, linewidth=0.8)
+    panel.set_title("S5, the paper's seven unknowns, scalar gain")
     panel.set_xlabel("γ_a")
-    panel.set_ylabel("largest |Floquet multiplier| - 1")
+    panel.set_ylabel("largest |Floquet multiplier|")
     panel.legend()
     return figure
 

@@ -203,7 +203,7 @@ def _growth(value: float, error: float) -> str:
     if abs(value) <= error:
         return f"0 ± {error:.2g}"
     if error < 0.005 * abs(value):
-        return f"{value:+.2g}"
+        return f"{value:+.3g}"
     digits = max(0, 1 - int(np.floor(np.log10(error))))
     return f"{value:+.{digits}f} ± {error:.{digits}f}"
 

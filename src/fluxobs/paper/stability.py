@@ -30,8 +30,9 @@ Array = NDArray[np.float64]
 FACTORS = (0.01, 1.0, 10.0)
 #: Scalar gains of the counter-example on S5.
 SCALAR_GAINS = tuple(10.0**k for k in range(-5, 7))
-#: Flux per second that the drift's unit stands for, over the one that gives its regressor rms one.
-UNITS = (1.0, 0.5, 0.3)
+#: Units of the drift, over the one that gives its regressor rms one; the last is one unit of flux
+#: per second.
+UNITS = (1.0, 0.5, 0.3, 0.155)
 #: Time left out at the start of each span: the filters, and the slow poles of the loop [s].
 AFTER_START = 2.0
 
