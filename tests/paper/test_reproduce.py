@@ -16,6 +16,8 @@ from support.cli import fluxobs
 
 EXPECTED = Path(__file__).parents[1] / "expected" / "reproduce.json"
 FIGURES = (
+    "figure_2",
+    "figure_3",
     "robust",
     "adaptive_flux",
     "adaptive_parameters",
@@ -78,6 +80,12 @@ def test_the_same_to_the_last_digit():
         assert course.flux.tobytes() == other.courses[name].flux.tobytes(), name
     assert one.robust == other.robust
     assert one.mechanics == other.mechanics
+
+
+def test_quick_and_deep_exclude_each_other(tmp_path):
+    done = fluxobs("reproduce", "--quick", "--deep", "--out", "paper", folder=tmp_path)
+    assert done.returncode == 2
+    assert "exclude each other" in done.stderr
 
 
 def test_a_folder_that_cannot_be_made(tmp_path):

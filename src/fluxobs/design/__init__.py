@@ -24,6 +24,7 @@ from .energies.discovery import (  # noqa: E402
     discover_in_features,
 )
 from .energies.integrate import Trajectory, integrate  # noqa: E402
+from .energies.orbit import PeriodicOrbit, periodic_orbit  # noqa: E402
 from .energies.system import (  # noqa: E402
     ElectromechanicalSystem,
     Power,
@@ -31,13 +32,17 @@ from .energies.system import (  # noqa: E402
     inertia,
     linear_magnetics,
 )
+from .relation_observer import RelationEstimate, RelationObserver  # noqa: E402
 
 __all__ = [
     "BlondelPark",
     "Discovery",
     "ElectromechanicalSystem",
     "FeatureDiscovery",
+    "PeriodicOrbit",
     "Power",
+    "RelationEstimate",
+    "RelationObserver",
     "State",
     "Trajectory",
     "blondel_park",
@@ -47,4 +52,5 @@ __all__ = [
     "inertia",
     "integrate",
     "linear_magnetics",
+    "periodic_orbit",
 ]

@@ -412,13 +412,15 @@ class ImmersionObserver:
             row[0, j] = weight
             R, z = _absorb(R, z, row, weight * np.linalg.solve(R, z)[[j]])
         gain = self._row_noise / sigma[:, None, None]
-        noise = state.noise + np.einsum("rij,rkj->ik", gain, gain)
+        flat = gain.transpose(1, 0, 2).reshape(len(R), -1)
+        noise = state.noise + flat @ flat.T
         return state._replace(R=R, z=z, noise=noise, contradictions=0)
 
     def _pretended(self, R: Array) -> Array:
         """Information that noise of the last volt-seconds has added to all past rows."""
         moved = R @ self._volt_seconds_noise
-        return np.asarray((moved.transpose(0, 2, 1) @ moved).sum(axis=0))
+        stacked = moved.reshape(-1, len(R))
+        return np.asarray(stacked.T @ stacked)
 
     def _read_out(self, state: ImmersionState) -> tuple[ImmersionState, ImmersionEstimate]:
         immersion, at = self.immersion, self.immersion.slices
@@ -433,7 +435,7 @@ class ImmersionObserver:
         variance = level * np.diag(covariance) + max(1 - level, 0.0) * held
         std = np.sqrt(variance)
         # Share of each state's marginal information that comes from noise.
-        spread = np.einsum("ij,ik,kj->j", covariance, state.noise, covariance)
+        spread = (covariance * (state.noise @ covariance)).sum(axis=0)
         all_shares = spread / np.diag(covariance)
         share = all_shares[at["flux"]]
         n = immersion.n

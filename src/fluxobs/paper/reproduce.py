@@ -39,8 +39,8 @@ def reproduce(
     quick : bool
         Runs scenario S5 alone, 30 s with the jump at 15 s; no stability, no noise, PNG only.
     deep : bool
-        Also the long studies (minutes): Proposition 2 with a scalar gain, the line of observers
-        that followed, the levitation as printed, the loop closed.
+        Also the long studies (minutes): scenario S2, Proposition 2 with a scalar gain, the line of
+        observers that followed, the levitation as printed, the loop closed.
     say : callable
         Called with a line of text after each part.
     processes : int
@@ -54,14 +54,18 @@ def reproduce(
     Raises
     ------
     FluxobsError
-        The folder cannot be created or written.
+        The folder cannot be created or written, or `quick` and `deep` are both set.
     """
+    if quick and deep:
+        raise FluxobsError("quick and deep exclude each other: leave one out")
     out = Path(out)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FluxobsError(f"{out}: cannot be made: {error.strerror}") from None
-    names = (MAIN,) if quick else ("S1", "S2", "S3", MAIN)
+    names: tuple[str, ...] = (MAIN,) if quick else ("S1", "S3", MAIN)
+    if deep:
+        names = ("S1", "S2", "S3", MAIN)
     done: dict[str, ScenarioResult] = {}
     if processes == 1:
         for name in names:
@@ -74,8 +78,7 @@ def reproduce(
             side = pool.submit(_motors, quick)
             away = {
                 name: pool.submit(run_levitation, name, quick, deep)
-                for name in names[:2]
-                if not quick
+                for name in names[: len(names) // 2]
             }
             for name in [name for name in names if name not in away]:
                 done[name] = run_levitation(name, quick, deep)

@@ -24,12 +24,9 @@ from .studies import (
 
 Array = NDArray[np.float64]
 
-#: Unknowns of the noise study, by scenario.
-NOISE: dict[str, tuple[tuple[str, ...], ...]] = {
-    "S1": (("drift", "current-bias"),),
-    "S3": (("drift",), ("drift", "current-bias")),
-    "S5": (("drift",), ("drift", "current-bias")),
-}
+#: Scenarios of the noise study, and its unknowns.
+NOISY = ("S1", "S3", "S5")
+UNKNOWNS = ("drift", "current-bias")
 #: Scenarios in the figures and, unless deep, of the stability study: the paper's, the well-posed.
 SHOWN = ("S1", "S5")
 #: Scenario for judging the claims and studying the error of the robust observer.
@@ -58,8 +55,8 @@ class ScenarioResult:
         "before" and "after" the jump → constant → what the least squares knows of it.
     mechanics : (float, float)
         Rms errors of position [m] and velocity [m/s], estimated from the flux.
-    noise : dict
-        Unknowns → result of the least squares.
+    noise : Noisy or None
+        Result of the least squares; None in a quick run.
     """
 
     scenario: LevitationScenario
@@ -76,18 +73,17 @@ class ScenarioResult:
     parameters: dict[str, dict[str, Found]]
     mechanics: tuple[float, float]
     robust: Robust | None
-    noise: dict[str, Noisy]
+    noise: Noisy | None
 
 
 def run_levitation(name: str, quick: bool = False, deep: bool = False) -> ScenarioResult:
     """Simulates one scenario, runs the observers and the studies.
 
-    The orbits of S2 and S3 take most of a minute: only if `deep`.
+    The orbits of S2 and S3 take most of a minute: their stability only if `deep`.
     """
     given = record(SCENARIOS[name], quick=quick)
     one = levitation_run(given, all_observers=name == MAIN and not quick)
     part = slice(0, round(5.0 / given.h), 5)
-    wanted = () if quick else NOISE.get(name, ())
     error = given.trajectory.position[:, 0] - given.reference
     return ScenarioResult(
         given.scenario,
@@ -104,5 +100,5 @@ def run_levitation(name: str, quick: bool = False, deep: bool = False) -> Scenar
         parameters(one),
         mechanics(one),
         robust(one) if name == MAIN else None,
-        {" and ".join(unknowns): noisy(given, unknowns, 10.0, 0.5) for unknowns in wanted},
+        noisy(given, UNKNOWNS, 10.0, 0.5) if name in NOISY and not quick else None,
     )
