@@ -18,7 +18,7 @@ from ..design.energies.library import maglev_2dof
 from ..design.energies.orbit import PeriodicOrbit, periodic_orbit
 from ..design.energies.system import ElectromechanicalSystem, State
 from ..design.regression import FilteredRegression, Orbit, Regressors
-from ..design.regression.filtered import Filters, filter_record, read_out_record
+from ..design.regression.filtered import PLACES, Filters, filter_record, read_out_record
 from ..machines import MagLev2DOF, example
 from ..model.constraint import QuadraticConstraint
 from ..synthetic.sensors import Steps
@@ -303,17 +303,15 @@ class FilteredRecord(NamedTuple):
     after_jump: Regressors
 
 
-def filtered(given: LevitationRecord, substeps: int = 2) -> tuple[FilteredRecord, FilteredRecord]:
-    """Continuous regression: corrected, and with Φ_λ as printed; filter steps h / substeps."""
+def filtered(given: LevitationRecord) -> tuple[FilteredRecord, FilteredRecord]:
+    """Continuous regression at every row: corrected, and with Φ_λ as printed."""
     c = np.array([given.machine.c_1, given.machine.c_2])
-    _, rate, current = given.trajectory.inside(np.arange(2 * substeps + 1) / (2 * substeps))
-    # Signals at the start, middle and end of each substep, with the bias of its interval.
-    parts = np.arange(substeps)[:, None] * 2 + np.arange(3)
-    y_m = (rate / c - given.drift[1:, None])[:, parts].reshape(-1, 3, 2)
-    i_m = (current + given.current_bias[1:, None])[:, parts].reshape(-1, 3, 2)
+    _, rate, current = given.trajectory.inside(PLACES)
+    # With the bias of each interval, which jumps between two of them.
+    y_m = rate / c - given.drift[1:, None]
+    i_m = current + given.current_bias[1:, None]
     regression = FilteredRegression(given.constraint, CORNER)
-    fine = filter_record(regression, given.h / substeps, jnp.asarray(y_m), jnp.asarray(i_m))
-    filters = Filters(*(part[::substeps] for part in fine))
+    filters = filter_record(regression, given.h, y_m, i_m)
     jump = int(np.searchsorted(given.t, given.jump - given.h / 2))
     after = given.true_current[jump] + given.current_bias[jump + 1]
     measured_current = jnp.asarray(given.current)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..design.energies.integrate import volt_seconds
 from ..design.regression import FilteredRegression, Orbit, Regressors, periodic_regression
-from ..design.regression.filtered import filter_record, read_out_record
+from ..design.regression.filtered import PLACES, filter_record, read_out_record
 from ..machines import SurfacePMSM, example
 from ..model.constraint import QuadraticConstraint
 from ..synthetic.sensors import Steps
@@ -79,7 +79,7 @@ def motor_record(
     h = float(t[1] - t[0])
     signals = motor_signals(machine, angle, i_q)
     # Start, middle and end of every interval.
-    fine = jnp.asarray(t[:-1, None] + h * np.array([0.0, 0.5, 1.0]))
+    fine = jnp.asarray(t[:-1, None] + h * PLACES)
     flux, rate, current, theta_e = jax.jit(jax.vmap(jax.vmap(signals)))(fine)
 
     def at_samples(fine: jax.Array) -> Array:

@@ -135,7 +135,7 @@ def test_printed_regression_differs_and_the_corrected_one_holds():
 
     span = slice(1000, 14900)
     size = np.sqrt(np.mean(np.square(rows.y[span])))
-    assert np.abs(rest(rows)[span]).max() < 3e-7 * size  # of the filters' Runge-Kutta
+    assert np.abs(rest(rows)[span]).max() < 3e-8 * size  # of the parabolas in the filters
     assert np.sqrt(np.mean(rest(wrong)[span] ** 2)) > size
 
 

@@ -11,10 +11,15 @@ from typing import Literal, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.signal import lfilter
 
 from ...errors import ModelError
 from ...model.constraint import QuadraticConstraint
 from .regressors import Regressors
+
+Array = NDArray[np.float64]
 
 
 class Filters(NamedTuple):
@@ -104,21 +109,35 @@ class FilteredRegression(eqx.Module):
         )
 
 
-@eqx.filter_jit
+#: Places of the signals in an interval: start, middle, end.
+PLACES: Array = np.array([0.0, 0.5, 1.0])
+
+
+def _weights(z: float, until: float) -> Array:
+    """∫ e^{-z (until - τ)} p(τ) dτ from 0 to `until`, for the parabola p through :data:`PLACES`."""
+    nodes, weights = np.polynomial.legendre.leggauss(16)
+    tau = until * (nodes + 1) / 2
+    lagrange = np.array([(1 - tau) * (1 - 2 * tau), 4 * tau * (1 - tau), tau * (2 * tau - 1)])
+    return np.asarray(lagrange @ (np.exp(-z * (until - tau)) * weights) * until / 2)
+
+
 def filter_record(
     regression: FilteredRegression,
     h: float,
-    y_m: jax.Array,
-    current: jax.Array,
+    y_m: ArrayLike,
+    current: ArrayLike,
 ) -> Filters:
-    """Filters at every sample of a record, by fourth-order Runge-Kutta from zero.
+    """Filters at every sample of a record, from zero.
+
+    Every filter is a lag of what the ones before it give. It is integrated exactly for inputs that
+    are parabolas in each interval, so that nothing depends on ν h but how well these fit.
 
     Parameters
     ----------
     regression : FilteredRegression
     h : float
-        Sample time [s]; ν h up to about 0.1.
-    y_m, current : (rows - 1, 3, n) array
+        Sample time [s].
+    y_m, current : (rows - 1, 3, n) array_like
         Values at the start, middle and end of each interval, so that both may jump at samples.
 
     Returns
@@ -126,25 +145,41 @@ def filter_record(
     Filters
         With leading axis rows.
     """
-
-    def add(xi: Filters, rate: Filters, step: float) -> Filters:
-        return Filters(*(a + step * b for a, b in zip(xi, rate, strict=True)))
-
-    def body(xi: Filters, signals: tuple[jax.Array, jax.Array]) -> tuple[Filters, Filters]:
-        y, i = signals
-        k1 = regression.derivative(xi, y[0], i[0])
-        k2 = regression.derivative(add(xi, k1, h / 2), y[1], i[1])
-        k3 = regression.derivative(add(xi, k2, h / 2), y[1], i[1])
-        k4 = regression.derivative(add(xi, k3, h), y[2], i[2])
-        total = Filters(*(a + 2 * b + 2 * c + d for a, b, c, d in zip(k1, k2, k3, k4, strict=True)))
-        xi = add(xi, total, h / 6)
-        return xi, xi
-
-    start = regression.init()
-    _, rest = jax.lax.scan(body, start, (y_m, current))
-    return Filters(
-        *(jnp.concatenate([first[None], later]) for first, later in zip(start, rest, strict=True))
+    nu, z = regression.corner, regression.corner * h
+    Q1, Q2, Q3, E, C = (
+        np.asarray(getattr(regression, name)) for name in ("Q1", "Q2", "Q3", "E", "C")
     )
+    y, i = np.asarray(y_m, float), np.asarray(current, float)
+    whole, half = h * _weights(z, 1.0), h * _weights(z, 0.5)
+
+    def lag(signal: Array) -> Array:
+        """x of ``x' = -ν x + signal`` from zero, at the same places."""
+        pushed = np.tensordot(signal, whole, axes=(1, 0))
+        end = lfilter([1.0], [1.0, -np.exp(-z)], pushed, axis=0)
+        start = np.concatenate([np.zeros((1, *end.shape[1:])), end[:-1]])
+        middle = np.exp(-z / 2) * start + np.tensordot(signal, half, axes=(1, 0))
+        return np.stack([start, middle, end], axis=1)
+
+    def dot(a: Array, b: Array) -> Array:
+        return np.asarray(np.einsum("kji,kji->kj", a, b))
+
+    y_a = i @ Q2.T + E
+    y_c = dot(i @ Q3, i) + i @ C
+    xi1, xi2, xi3 = lag(nu * y), lag(2 * nu * y @ Q1.T - nu**2 * y_a), lag(nu * i)
+    xi4 = lag(xi2 + 2 * y @ Q1.T)
+    xi5 = lag(dot(y, xi2) + nu**2 * y_c)
+    inside = (
+        xi1,
+        xi2,
+        xi3,
+        xi4,
+        xi5,
+        lag(nu * xi4 - xi2),
+        lag(nu * xi1),
+        lag(nu * (i - xi3)),
+        lag(nu * xi5 - nu**2 * y_c + dot(y, nu * xi4 - xi2)),
+    )
+    return Filters(*(jnp.asarray(np.concatenate([part[:1, 0], part[:, 2]])) for part in inside))
 
 
 @eqx.filter_jit
