@@ -23,8 +23,7 @@ from ..design.energies.library.electrostatic import EPSILON_0
 from ..design.regression import Parametrisation, Regressors, SampledRegression
 from ..design.regression.laws import RepairedAdaptiveObserver
 from ..machines import MagLev2DOF
-from ..model.immersion import Immersion
-from ..observers.immersed import ImmersionObserver, ImmersionState
+from ..observers.immersed import ImmersionState
 from ..observers.levitation_tracker import LevitationTracker, TrackerState
 from .levitation import (
     CURRENT_BIAS,
@@ -35,13 +34,14 @@ from .levitation import (
     PositionReference,
     benchmark,
 )
+from .section_v import levitation_observer
 
 Array = NDArray[np.float64]
 
 #: Plant steps per sample.
 SUBSTEPS = 20
-#: The estimate takes over after this long without a break in its validity, in memories.
-TRUST = 2.0
+#: The estimate takes over after this long without a break in its validity, in units of the rig.
+TRUST = 1.0
 #: Standard deviation over flux below which the loop uses an estimate that is not valid yet.
 CERTAIN = 0.05
 #: Beyond this share of the gap the body is lost.
@@ -127,26 +127,13 @@ class FromLeastSquares:
     """
 
     def __init__(self, rig: Rig, h: float) -> None:
-        m, size = rig.machine, rig.typical
+        m = rig.machine
         bias = float(np.abs(rig.current_bias).max())
         drift = bias * m.resistance / m.N + float(np.abs(rig.voltage_bias).max()) / m.N
-        slope = float(np.hypot(m.k_1, m.k_2)) * size
-        current_noise, voltage_noise = rig.noise
-        memory = 0.1 * rig.unit if not current_noise else 0.5 * rig.unit
-        walk = 2 * m.g * size * voltage_noise / m.N * np.sqrt(h * memory)
-        floor = 1e-6 * m.g * size**2
-        self.observer = ImmersionObserver(
-            Immersion((m.constraint,), ("drift", "current-bias")),
-            m.R,
-            m.B,
-            h,
-            memory,
-            flux_base=np.full(2, size),
-            constraint_noise=np.array([max(floor, float(np.hypot(slope * current_noise, walk)))]),
-            drift_prior=np.full(2, 2 * drift),
-            current_bias_prior=np.full(2, 2 * bias),
-            current_noise=current_noise or None,
-            voltage_noise=voltage_noise,
+        memory = (0.5 if rig.noise[0] else 0.1) * rig.unit
+        bias_current = rig.typical * m.g / m.k_2
+        self.observer = levitation_observer(
+            m, h, memory, rig.noise, bias_current, 2 * drift, 2 * bias
         )
         self.state: ImmersionState = self.observer.init()
         self.h = h
@@ -168,7 +155,6 @@ class FromRepairedLaw:
     def __init__(self, rig: Rig, h: float, nominal: tuple[Array, Array]) -> None:
         m = rig.machine
         corner = 50.0 / rig.unit
-        self.h = h
         self.regression = SampledRegression(m.constraint, corner, h)
         constants = Parametrisation(m.constraint, "structured", corner)
         rows, _ = self.regression.run(*nominal)
@@ -243,7 +229,7 @@ def simulate(
     k, sign = np.array([m.k_1, m.k_2]), np.array([-1.0, 1.0])
     x = np.array([rig.typical, rig.typical, 0.0, 0.0])
     count, jump_at = round(stop * unit / h), round(jump * unit / h)
-    trusted, needed, known = None, round(TRUST * 0.5 * unit / h), 0
+    trusted, needed, known = None, round(TRUST * unit / h), 0
     track = TrackerState()
     path, target = np.full(count, np.nan), np.empty(count)
     wrong, size = np.full(count, np.nan), np.full(count, np.nan)

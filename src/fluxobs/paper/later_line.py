@@ -30,7 +30,6 @@ from ..design.regression.laws import (
     run,
 )
 from ..model.immersion import Immersion
-from ..observers.immersed import ImmersionObserver
 from .levitation import CORNER, SCENARIOS, LevitationRecord, benchmark, measured, record
 from .section_v import (
     CONSTANTS_RATE,
@@ -39,6 +38,7 @@ from .section_v import (
     RUN_IN,
     ErrorCourse,
     least_squares,
+    levitation_observer,
     sizes,
     thinned,
 )
@@ -93,29 +93,6 @@ def cases() -> list[Case]:
     ]
 
 
-def _noisy_immersion(case: Case) -> ImmersionObserver:
-    """Least squares told of the noise: 1 mA a sample, and what 10 mV at 1 kHz add up to."""
-    machine = case.given.machine
-    typical = machine.k_2 * 0.5 / machine.g
-    slope = float(np.hypot(machine.k_1, machine.k_2)) * typical
-    voltage_noise = 1e-2 * np.sqrt(case.given.h / LS_SAMPLE_TIME)
-    walk = 2 * machine.g * typical * voltage_noise / machine.N
-    walk *= np.sqrt(LS_SAMPLE_TIME * NOISE_MEMORY)
-    return ImmersionObserver(
-        Immersion((machine.constraint,), ("drift", "current-bias")),
-        machine.R,
-        machine.B,
-        LS_SAMPLE_TIME,
-        NOISE_MEMORY,
-        flux_base=np.full(2, typical),
-        constraint_noise=np.array([np.hypot(slope * 1e-3, walk)]),
-        drift_prior=np.full(2, 2e-5),
-        current_bias_prior=np.full(2, 5e-3),
-        current_noise=1e-3,
-        voltage_noise=voltage_noise,
-    )
-
-
 def courses(case: Case) -> dict[str, ErrorCourse]:
     """Error of the flux over its largest size, for every observer."""
     given, h = case.given, LS_SAMPLE_TIME
@@ -159,7 +136,10 @@ def courses(case: Case) -> dict[str, ErrorCourse]:
         for name, observer in observers.items()
     }
     if case.noise:
-        found = _noisy_immersion(case).run(current=case.current, volt_seconds=case.volt_seconds)
+        # 1 mA a sample, and what 10 mV at 1 kHz add up to.
+        told = (1e-3, 1e-2 * np.sqrt(given.h / h))
+        observer = levitation_observer(given.machine, h, NOISE_MEMORY, told)
+        found = observer.run(current=case.current, volt_seconds=case.volt_seconds)
     else:
         found = least_squares(given)
     out["least squares on the immersion"] = course(found.flux)

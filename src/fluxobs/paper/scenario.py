@@ -24,9 +24,8 @@ from .studies import (
 
 Array = NDArray[np.float64]
 
-#: Scenarios of the noise study, and its unknowns.
+#: Scenarios of the noise study.
 NOISY = ("S1", "S3", "S5")
-UNKNOWNS = ("drift", "current-bias")
 #: Scenarios in the figures and, unless deep, of the stability study: the paper's, the well-posed.
 SHOWN = ("S1", "S5")
 #: Scenario for judging the claims and studying the error of the robust observer.
@@ -100,5 +99,5 @@ def run_levitation(name: str, quick: bool = False, deep: bool = False) -> Scenar
         parameters(one),
         mechanics(one),
         robust(one) if name == MAIN else None,
-        noisy(given, UNKNOWNS, 10.0, 0.5) if name in NOISY and not quick else None,
+        noisy(given, 10.0, 0.5) if name in NOISY and not quick else None,
     )

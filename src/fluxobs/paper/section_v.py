@@ -26,6 +26,7 @@ from ..design.regression.laws import (
     VoltageModel,
     run,
 )
+from ..machines import MagLev2DOF
 from ..model.immersion import Immersion
 from ..observers import LeastSquaresObserver
 from ..observers.immersed import ImmersionEstimate, ImmersionObserver
@@ -216,21 +217,43 @@ def thinned(given: LevitationRecord, sample_time: float) -> tuple[NDArray[np.int
     return rows, np.diff(sums, axis=0, prepend=sums[:1])
 
 
-def least_squares(given: LevitationRecord) -> ImmersionEstimate:
-    """Runs the least squares with drift and current bias unknown, without noise."""
-    machine = given.machine
-    typical = machine.k_2 * 0.5 / machine.g
-    observer = ImmersionObserver(
+def levitation_observer(
+    machine: MagLev2DOF,
+    h: float,
+    memory: float,
+    noise: tuple[float, float] = (0.0, 0.0),
+    bias_current: float = 0.5,
+    drift_prior: float = 2e-5,
+    current_bias_prior: float = 5e-3,
+) -> ImmersionObserver:
+    """Least squares for drift and current bias on a pair of coils.
+
+    `noise` is that of a current [A] and of a mean voltage [V] a sample; `bias_current` [A] gives
+    the size of the flux.
+    """
+    size = machine.k_2 * bias_current / machine.g
+    current_noise, voltage_noise = noise
+    # Voltage noise integrates into w over the memory, in addition to the current noise.
+    walk = 2 * machine.g * size * voltage_noise / machine.N * np.sqrt(h * memory)
+    sensed = float(np.hypot(machine.constraint_noise(size, current_noise), walk))
+    return ImmersionObserver(
         Immersion((machine.constraint,), ("drift", "current-bias")),
         machine.R,
         machine.B,
-        LS_SAMPLE_TIME,
-        LS_MEMORY,
-        flux_base=np.full(2, typical),
-        constraint_noise=np.array([1e-6 * machine.g * typical**2]),
-        drift_prior=np.full(2, 1e-5),
-        current_bias_prior=np.full(2, 5e-3),
+        h,
+        memory,
+        flux_base=np.full(2, size),
+        constraint_noise=np.array([max(1e-6 * machine.g * size**2, sensed)]),
+        drift_prior=np.full(2, drift_prior),
+        current_bias_prior=np.full(2, current_bias_prior),
+        current_noise=current_noise or None,
+        voltage_noise=voltage_noise,
     )
+
+
+def least_squares(given: LevitationRecord) -> ImmersionEstimate:
+    """Runs the least squares with drift and current bias unknown, without noise."""
+    observer = levitation_observer(given.machine, LS_SAMPLE_TIME, LS_MEMORY, drift_prior=1e-5)
     rows, v = thinned(given, LS_SAMPLE_TIME)
     return observer.run(current=given.current[rows], volt_seconds=v)
 

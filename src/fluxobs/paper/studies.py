@@ -14,13 +14,19 @@ from ..design.analysis import (
     observability_gramian,
 )
 from ..design.regression import Parametrisation, Regressors
-from ..model.immersion import Immersion
-from ..observers.immersed import ImmersionObserver
 from ..observers.levitation_tracker import LevitationTracker
 from ..synthetic.sensors import Sensor, Steps
 from .converged import converged_run
 from .levitation import CORNER, LevitationRecord, filtered, measured
-from .section_v import FLUX_RATE, LS_SAMPLE_TIME, RUN_IN, LevitationRun, sizes, thinned
+from .section_v import (
+    FLUX_RATE,
+    LS_SAMPLE_TIME,
+    RUN_IN,
+    LevitationRun,
+    levitation_observer,
+    sizes,
+    thinned,
+)
 
 Array = NDArray[np.float64]
 
@@ -205,31 +211,13 @@ def with_noise(given: LevitationRecord) -> tuple[Array, Array]:
     return current, v
 
 
-def noisy(
-    given: LevitationRecord, unknowns: tuple[str, ...], duration: float, memory: float
-) -> Noisy:
+def noisy(given: LevitationRecord, duration: float, memory: float) -> Noisy:
     """Least squares on the noisy record; `memory` and first `duration` in s."""
     rows = slice(0, round(duration / given.h) + 1)
-    t, machine, h = given.t[rows], given.machine, given.h
+    t = given.t[rows]
     current, v = with_noise(given)
     current, v = current[rows], v[rows]
-    typical = machine.k_2 * 0.5 / machine.g
-    slope = float(np.hypot(machine.k_1, machine.k_2)) * typical
-    # Voltage noise integrates into w over the memory, in addition to the current noise.
-    walk = 2 * machine.g * typical * 1e-2 / machine.N * np.sqrt(h * memory)
-    observer = ImmersionObserver(
-        Immersion((machine.constraint,), unknowns),  # type: ignore[arg-type]
-        machine.R,
-        machine.B,
-        h,
-        memory,
-        flux_base=np.full(2, typical),
-        constraint_noise=np.array([np.hypot(slope * 1e-3, walk)]),
-        drift_prior=np.full(2, 2e-5),
-        current_bias_prior=np.full(2, 5e-3),
-        current_noise=1e-3,
-        voltage_noise=1e-2,
-    )
+    observer = levitation_observer(given.machine, given.h, memory, (1e-3, 1e-2))
     found = observer.run(current=current, volt_seconds=v)
     late = t >= 2.0
     size = sizes(given)[0]

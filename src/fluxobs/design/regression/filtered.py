@@ -6,6 +6,7 @@ regressor decays to zero, is omitted. ``form="printed"`` keeps the paper's Φ_λ
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -109,6 +110,46 @@ class FilteredRegression(eqx.Module):
         )
 
 
+def cascade(
+    regression: FilteredRegression, lag: Callable[[Array], Array], y_m: Array, current: Array
+) -> Filters:
+    """The nine filters, each a lag ``x' = -ν x + signal`` of what the ones before it give.
+
+    Parameters
+    ----------
+    regression : FilteredRegression
+    lag : callable
+        x from a signal of shape (...) or (..., n), leading axis time.
+    y_m, current : (..., n) ndarray
+    """
+    nu = regression.corner
+    Q1, Q2, Q3, E, C = (
+        np.asarray(getattr(regression, name)) for name in ("Q1", "Q2", "Q3", "E", "C")
+    )
+    y, i = y_m, current
+
+    def dot(a: Array, b: Array) -> Array:
+        return np.asarray(np.einsum("...i,...i", a, b))
+
+    y_a = i @ Q2.T + E
+    y_c = dot(i @ Q3, i) + i @ C
+    xi1, xi2, xi3 = lag(nu * y), lag(2 * nu * y @ Q1.T - nu**2 * y_a), lag(nu * i)
+    xi4 = lag(xi2 + 2 * y @ Q1.T)
+    xi5 = lag(dot(y, xi2) + nu**2 * y_c)
+    found = (
+        xi1,
+        xi2,
+        xi3,
+        xi4,
+        xi5,
+        lag(nu * xi4 - xi2),
+        lag(nu * xi1),
+        lag(nu * (i - xi3)),
+        lag(nu * xi5 - nu**2 * y_c + dot(y, nu * xi4 - xi2)),
+    )
+    return Filters(*found)  # type: ignore[arg-type]
+
+
 #: Places of the signals in an interval: start, middle, end.
 PLACES: Array = np.array([0.0, 0.5, 1.0])
 
@@ -145,10 +186,7 @@ def filter_record(
     Filters
         With leading axis rows.
     """
-    nu, z = regression.corner, regression.corner * h
-    Q1, Q2, Q3, E, C = (
-        np.asarray(getattr(regression, name)) for name in ("Q1", "Q2", "Q3", "E", "C")
-    )
+    z = regression.corner * h
     y, i = np.asarray(y_m, float), np.asarray(current, float)
     whole, half = h * _weights(z, 1.0), h * _weights(z, 0.5)
 
@@ -160,25 +198,7 @@ def filter_record(
         middle = np.exp(-z / 2) * start + np.tensordot(signal, half, axes=(1, 0))
         return np.stack([start, middle, end], axis=1)
 
-    def dot(a: Array, b: Array) -> Array:
-        return np.asarray(np.einsum("kji,kji->kj", a, b))
-
-    y_a = i @ Q2.T + E
-    y_c = dot(i @ Q3, i) + i @ C
-    xi1, xi2, xi3 = lag(nu * y), lag(2 * nu * y @ Q1.T - nu**2 * y_a), lag(nu * i)
-    xi4 = lag(xi2 + 2 * y @ Q1.T)
-    xi5 = lag(dot(y, xi2) + nu**2 * y_c)
-    inside = (
-        xi1,
-        xi2,
-        xi3,
-        xi4,
-        xi5,
-        lag(nu * xi4 - xi2),
-        lag(nu * xi1),
-        lag(nu * (i - xi3)),
-        lag(nu * xi5 - nu**2 * y_c + dot(y, nu * xi4 - xi2)),
-    )
+    inside = cascade(regression, lag, y, i)
     return Filters(*(jnp.asarray(np.concatenate([part[:1, 0], part[:, 2]])) for part in inside))
 
 

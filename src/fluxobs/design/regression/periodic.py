@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...errors import ModelError
 from ...model.constraint import QuadraticConstraint
+from .filtered import FilteredRegression, Filters, cascade, read_out_record
 from .regressors import Regressors
 
 Array = NDArray[np.float64]
@@ -56,13 +58,13 @@ def periodic_regression(constraint: QuadraticConstraint, corner: float, orbit: O
         The samples do not resolve a signal.
     """
     y_m, i = np.asarray(orbit.y_m, float), np.asarray(orbit.current, float)
-    nu, Q1 = corner, constraint.Q1
+    regression = FilteredRegression(constraint, corner)
     omega = 2 * np.pi * np.fft.rfftfreq(len(i), orbit.period / len(i))
 
     def lag(signal: Array) -> Array:
         """x of ``x' = -ν x + signal``."""
         spectrum = np.fft.rfft(signal, axis=0)
-        filtered = (spectrum.T / (1j * omega + nu)).T
+        filtered = (spectrum.T / (1j * omega + corner)).T
         return np.asarray(np.fft.irfft(filtered, len(i), axis=0))
 
     for name, signal in (("y_m", y_m), ("current", i)):
@@ -73,30 +75,9 @@ def periodic_regression(constraint: QuadraticConstraint, corner: float, orbit: O
                 f"{name}: {len(i)} samples a period do not resolve it; take more, and check that "
                 f"the period is {orbit.period:g} s"
             )
-    y_a = i @ constraint.Q2.T + constraint.E
-    y_c = np.einsum("ki,ij,kj->k", i, constraint.Q3, i) + i @ constraint.C
-
-    def dot(a: Array, b: Array) -> Array:
-        return np.asarray(np.einsum("ki,ki->k", a, b))
-
-    xi1 = lag(nu * y_m)
-    xi2 = lag(2 * nu * y_m @ Q1.T - nu**2 * y_a)
-    xi3 = lag(nu * i)
-    xi4 = lag(xi2 + 2 * y_m @ Q1.T)
-    xi5 = lag(dot(y_m, xi2) + nu**2 * y_c)
-    xi6 = lag(nu * xi4 - xi2)
-    xi7 = lag(nu * xi1)
-    xi8 = lag(nu * (i - xi3))
-    xi9 = lag(nu * xi5 - nu**2 * y_c + dot(y_m, nu * xi4 - xi2))
-    parts = (
-        xi5 - nu * y_c - xi9,
-        2 * xi2 + nu * y_a - nu * xi4,
-        2 * xi6,
-        xi1 - xi7,
-        nu * (i - xi3 - xi8),
-        np.full(len(i), 2 / nu),
-    )
-    return Regressors(*parts)  # type: ignore[arg-type]
+    filters = cascade(regression, lag, y_m, i)
+    rows = read_out_record(regression, Filters(*map(jnp.asarray, filters)), jnp.asarray(i))
+    return rows
 
 
 def between(signal: ArrayLike, count: int, shift: float) -> Array:
