@@ -14,13 +14,14 @@ def reproduce(
         Path("fluxobs-paper")
     ),
     quick: Annotated[
-        bool, typer.Option("--quick", help="Only 30 s of one scenario: a quarter of the time.")
+        bool, typer.Option("--quick", help="Only 30 s of one scenario: a third of the time.")
     ] = False,
     deep: Annotated[
         bool,
         typer.Option(
             "--deep",
-            help="Also the long studies: scalar gain, later observers, printed model, closed loop.",
+            help="Also the long studies, ten minutes: scenario S2, scalar gain, later observers, "
+            "printed model, closed loop.",
         ),
     ] = False,
 ) -> None:
