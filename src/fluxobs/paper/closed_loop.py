@@ -159,7 +159,7 @@ class FromRepairedLaw:
         constants = Parametrisation(m.constraint, "structured", corner)
         rows, _ = self.regression.run(*nominal)
         start = round(15 / corner / h)
-        part = Regressors(*(one[start:] for one in rows))
+        part = rows.part(slice(start, None))
         self.observer: RepairedAdaptiveObserver = balanced_repaired(
             part, constants, h, 8 / rig.unit, 2 / rig.unit, round(2 * rig.unit / h)
         )

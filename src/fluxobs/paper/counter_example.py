@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..design.analysis import over_gain
-from ..design.regression import Parametrisation, Regressors
+from ..design.regression import Parametrisation
 from ..design.regression.laws import (
     ContinuousObserver,
     PrintedAdaptiveObserver,
@@ -57,7 +57,7 @@ def study() -> CounterExample:
     # Two samples a step; the first of a period is the last of the one before.
     fine = trajectory(2 * STEPS)
     count = np.arange(2 * STEPS * PERIODS + 1) % (2 * STEPS)
-    rows = Regressors(*(jnp.asarray(np.asarray(part)[count]) for part in fine.rows))
+    rows = fine.rows.part(count)
     y_m = jnp.asarray(fine.orbit.y_m[count])
 
     def errors(observer: ContinuousObserver) -> Array:

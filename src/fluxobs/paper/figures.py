@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ GREEN, RED, VIOLET = "#3a8f4d", "#b4332e", "#7b5aa6"
 #: Points drawn per course.
 POINTS = 1000
 FLOOR = 1e-13
+_FLUX = "|λ̂ - λ| over largest |λ|"
 
 COLOURS = {
     "robust, printed gain": GREY,
@@ -111,45 +113,6 @@ def _pair(
     return figure
 
 
-def draw_scenarios(out: Path, runs: Sequence[ScenarioResult], formats: Sequence[str]) -> None:
-    """Draws the levitation figures, one panel per scenario; the baselines on the last scenario."""
-    flux = "|λ̂ - λ| over largest |λ|"
-    _write(
-        out,
-        {
-            "figure_2": lambda: _figure_2(runs),
-            "figure_3": lambda: _figure_3(runs),
-            "robust": lambda: _pair(runs, "Proposition 1", ROBUST, flux),
-            "adaptive_flux": lambda: _pair(
-                runs, "Proposition 2 and its repair: flux", ADAPTIVE, flux
-            ),
-            "adaptive_parameters": lambda: _pair(
-                runs,
-                "Proposition 2 and its repair: constants",
-                ADAPTIVE,
-                "errors of θ and δ_i over their sizes",
-                constants=True,
-            ),
-            "baselines": lambda: _baselines(runs[-1]),
-            "trajectories": lambda: _trajectories(runs),
-        },
-        formats,
-    )
-
-
-def draw_motors(
-    out: Path, motor: dict[str, ErrorCourse], counter: CounterExample, formats: Sequence[str]
-) -> None:
-    """Draws the figures of the PMSM cases."""
-    figures = {"pmsm": lambda: _motor(motor), "counter_example": lambda: _counter(counter)}
-    _write(out, figures, formats)
-
-
-def draw_scalar_gain(out: Path, found: Mapping[str, Any], formats: Sequence[str]) -> None:
-    """Draws the multipliers of Proposition 2 with a scalar gain on S5."""
-    _write(out, {"scalar_gain": lambda: _scalar_gain(found)}, formats)
-
-
 def _scalar_gain(found: Mapping[str, Any]) -> Figure:
     figure, axes = _new(1)
     panel = axes[0, 0]
@@ -163,21 +126,6 @@ def _scalar_gain(found: Mapping[str, Any]) -> Figure:
     panel.set_ylabel("largest |Floquet multiplier|")
     panel.legend()
     return figure
-
-
-def _write(out: Path, figures: dict[str, Callable[[], Figure]], formats: Sequence[str]) -> None:
-    """Writes every figure in every format."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    with plt.rc_context(STYLE):
-        for name, make in figures.items():
-            figure = make()
-            for ending in formats:
-                write(figure, out / f"{name}{ending}")
-            plt.close(figure)
 
 
 ROBUST = (
@@ -248,7 +196,7 @@ def _baselines(one: ScenarioResult) -> Figure:
     _courses(axes[0, 0], one.courses, names, one.jump)
     axes[0, 0].set_ylim(FLOOR, 1e3)
     axes[0, 0].set_title(f"{one.scenario.name}: the observers the paper argues against, and others")
-    axes[0, 0].set_ylabel("|λ̂ - λ| over largest |λ|")
+    axes[0, 0].set_ylabel(_FLUX)
     _legend(axes[0, 0])
     return figure
 
@@ -260,8 +208,8 @@ def _trajectories(runs: Sequence[ScenarioResult]) -> Figure:
         above.plot(one.t, 1e6 * one.position, color=BLUE, label="q")
         above.plot(one.t, 1e6 * one.reference, color=ORANGE, label="q_d")
         above.set_title(f"{one.scenario.name}: {one.scenario.title}")
-        below.plot(one.t, 1e6 * one.flux[:, 0], color=BLUE, label="φ_1")
-        below.plot(one.t, 1e6 * one.flux[:, 1], color=ORANGE, label="φ_2")
+        below.plot(one.t, 1e6 * one.flux[:, 0], color=BLUE, label="φ_1", **WIDE)
+        below.plot(one.t, 1e6 * one.flux[:, 1], color=ORANGE, label="φ_2", **DASHED)
         below.set_xlabel("t [s]")
         below.set_ylim(bottom=0)
         for panel in (above, below):
@@ -300,3 +248,59 @@ def _counter(counter: CounterExample) -> Figure:
     right.set_ylabel("|λ̂ - λ|")
     right.legend()
     return figure
+
+
+_SCENARIOS: dict[str, Callable[[Sequence[ScenarioResult]], Figure]] = {
+    "figure_2": _figure_2,
+    "figure_3": _figure_3,
+    "robust": partial(_pair, title="Proposition 1", names=ROBUST, what=_FLUX),
+    "adaptive_flux": partial(
+        _pair, title="Proposition 2 and its repair: flux", names=ADAPTIVE, what=_FLUX
+    ),
+    "adaptive_parameters": partial(
+        _pair,
+        title="Proposition 2 and its repair: constants",
+        names=ADAPTIVE,
+        what="errors of θ and δ_i over their sizes",
+        constants=True,
+    ),
+    "baselines": lambda runs: _baselines(runs[-1]),
+    "trajectories": _trajectories,
+}
+#: Names of the levitation figures.
+SCENARIO_FIGURES = tuple(_SCENARIOS)
+
+
+def draw_scenarios(
+    out: Path, runs: Sequence[ScenarioResult], formats: Sequence[str], names: Sequence[str]
+) -> None:
+    """Draws the named levitation figures, one panel a scenario; baselines of the last one."""
+    _write(out, {name: partial(_SCENARIOS[name], runs) for name in names}, formats)
+
+
+def draw_motors(
+    out: Path, motor: dict[str, ErrorCourse], counter: CounterExample, formats: Sequence[str]
+) -> None:
+    """Draws the figures of the PMSM cases."""
+    figures = {"pmsm": lambda: _motor(motor), "counter_example": lambda: _counter(counter)}
+    _write(out, figures, formats)
+
+
+def draw_scalar_gain(out: Path, found: Mapping[str, Any], formats: Sequence[str]) -> None:
+    """Draws the multipliers of Proposition 2 with a scalar gain on S5."""
+    _write(out, {"scalar_gain": lambda: _scalar_gain(found)}, formats)
+
+
+def _write(out: Path, figures: dict[str, Callable[[], Figure]], formats: Sequence[str]) -> None:
+    """Writes every figure in every format."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    with plt.rc_context(STYLE):
+        for name, make in figures.items():
+            figure = make()
+            for ending in formats:
+                write(figure, out / f"{name}{ending}")
+            plt.close(figure)

@@ -20,7 +20,7 @@ from ..design.analysis import (
     immersion_gramian,
     observability_gramian,
 )
-from ..design.regression import Parametrisation, Regressors, SampledRegression, residual
+from ..design.regression import Parametrisation, SampledRegression, residual
 from ..design.regression.laws import (
     PEBO,
     DremObserver,
@@ -102,7 +102,7 @@ def courses(case: Case) -> dict[str, ErrorCourse]:
     rows, _ = SampledRegression(given.constraint, CORNER, h).run(case.volt_seconds, case.current)
     skip = round(RUN_IN / CORNER / h)
     until = int(np.searchsorted(t, min(given.jump, given.scenario.excited_until) - h / 2))
-    nominal = Regressors(*(part[skip:until] for part in rows))
+    nominal = rows.part(slice(skip, until))
     constants = Parametrisation(given.constraint, "structured", CORNER)
     size = sizes(given)[1]
     Gamma = balanced_gain(np.asarray(nominal.Phi_flux), FLUX_RATE)

@@ -80,10 +80,10 @@ def motor_record(
     signals = motor_signals(machine, angle, i_q)
     # Start, middle and end of every interval.
     fine = jnp.asarray(t[:-1, None] + h * PLACES)
-    flux, rate, current, theta_e = jax.jit(jax.vmap(jax.vmap(signals)))(fine)
+    flux, rate, current, theta_e = map(np.asarray, jax.jit(jax.vmap(jax.vmap(signals)))(fine))
 
-    def at_samples(fine: jax.Array) -> Array:
-        return np.concatenate([np.asarray(fine[:, 0]), np.asarray(fine[-1:, 2])])
+    def at_samples(fine: Array) -> Array:
+        return np.concatenate([fine[:, 0], fine[-1:, 2]])
 
     delta = current_bias.at(t - h / 2)
     drift = delta @ machine.R.T - voltage_bias.at(t - h / 2) @ machine.B.T
@@ -151,7 +151,7 @@ def counter_example(samples: int = 256) -> MotorOrbit:
         machine, lambda time: time + 0.8 * jnp.sin(time), lambda time: 0.5 + 0 * time
     )
     t = jnp.arange(samples) * (2 * np.pi / samples)
-    flux, rate, current, _ = (np.asarray(part) for part in jax.vmap(signals)(t))
+    flux, rate, current, _ = (np.asarray(part) for part in jax.jit(jax.vmap(signals))(t))
     orbit = Orbit(2 * np.pi, rate, current)
     rows = periodic_regression(machine.constraint, 1.0, orbit)
     return MotorOrbit(machine.constraint, orbit, flux, rows)

@@ -3,24 +3,53 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, Self, TypeVar
 
 from ..errors import FluxobsError
 from . import counter_example
 from .counter_example import CounterExample
-from .figures import draw_motors, draw_scalar_gain, draw_scenarios
+from .figures import SCENARIO_FIGURES, draw_motors, draw_scalar_gain, draw_scenarios
 from .pmsm import servo
 from .report import markdown, numbers
 from .scenario import MAIN, SHOWN, ScenarioResult, run_levitation
 from .section_v import ErrorCourse, motor_courses
 
+P = ParamSpec("P")
+T = TypeVar("T")
 
-def _motors(quick: bool) -> tuple[dict[str, ErrorCourse], CounterExample]:
-    return motor_courses(servo(quick)), counter_example.study()
+
+class _Share:
+    """Gives work to other processes, which compile for themselves; with none, does it at once."""
+
+    def __init__(self, processes: int) -> None:
+        context = get_context("spawn")
+        self.pool = ProcessPoolExecutor(processes, context) if processes else None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self.pool:
+            self.pool.shutdown(cancel_futures=True)
+
+    def start(self, work: Callable[P, T], *given: P.args, **named: P.kwargs) -> Callable[[], T]:
+        """Starts work; the returned function waits for its result."""
+        if self.pool:
+            return self.pool.submit(work, *given, **named).result
+        result = work(*given, **named)
+        return lambda: result
+
+
+def _motors(
+    out: Path, quick: bool, formats: Sequence[str]
+) -> tuple[dict[str, ErrorCourse], CounterExample]:
+    motor, counter = motor_courses(servo(quick)), counter_example.study()
+    draw_motors(out, motor, counter, formats)
+    return motor, counter
 
 
 def reproduce(
@@ -66,31 +95,26 @@ def reproduce(
     names: tuple[str, ...] = (MAIN,) if quick else ("S1", "S3", MAIN)
     if deep:
         names = ("S1", "S2", "S3", MAIN)
-    done: dict[str, ScenarioResult] = {}
-    if processes == 1:
-        for name in names:
+    formats = (".png",) if quick else (".png", ".svg")
+    with _Share(processes - 1) as share:
+        side = share.start(_motors, out, quick, formats)
+        away = {
+            name: share.start(run_levitation, name, quick, deep)
+            for name in names[: len(names) // 2]
+        }
+        done: dict[str, ScenarioResult] = {}
+        for name in [name for name in names if name not in away]:
             done[name] = run_levitation(name, quick, deep)
             say(f"{name}: {done[name].scenario.title}")
-        motor, counter = _motors(quick)
-    else:
-        # Each process compiles for itself; this one takes a share of the work too.
-        with ProcessPoolExecutor(processes - 1, mp_context=get_context("spawn")) as pool:
-            side = pool.submit(_motors, quick)
-            away = {
-                name: pool.submit(run_levitation, name, quick, deep)
-                for name in names[: len(names) // 2]
-            }
-            for name in [name for name in names if name not in away]:
-                done[name] = run_levitation(name, quick, deep)
-                say(f"{name}: {done[name].scenario.title}")
-            for name, job in away.items():
-                done[name] = job.result()
-                say(f"{name}: {done[name].scenario.title}")
-            motor, counter = side.result()
-    runs = [done[name] for name in names]
-    formats = (".png",) if quick else (".png", ".svg")
-    draw_scenarios(out, [one for one in runs if one.scenario.name in SHOWN], formats)
-    draw_motors(out, motor, counter, formats)
+        for name, result in away.items():
+            done[name] = result()
+            say(f"{name}: {done[name].scenario.title}")
+        motor, counter = side()
+        runs = [done[name] for name in names]
+        shown = [one for one in runs if one.scenario.name in SHOWN]
+        half = share.start(draw_scenarios, out, shown, formats, SCENARIO_FIGURES[::2])
+        draw_scenarios(out, shown, formats, SCENARIO_FIGURES[1::2])
+        half()
     found = numbers(runs, motor, counter)
     more: list[str] = []
     if deep:

@@ -160,7 +160,7 @@ def levitation_run(given: LevitationRecord, all_observers: bool = True) -> Levit
     structured = Parametrisation(given.constraint, "structured", CORNER)
     jump = int(np.searchsorted(given.t, given.jump))
     # Gains come from the excitation before the jump; those of a design run would serve as well.
-    nominal = Regressors(*(part[skip:jump] for part in rows))
+    nominal = rows.part(slice(skip, jump))
     Gamma = balanced_gain(np.asarray(nominal.Phi_flux), FLUX_RATE)
 
     def sampled(observer: FluxObserver, constants: Parametrisation | None = None) -> ErrorCourse:
@@ -282,7 +282,7 @@ def motor_courses(given: MotorRecord) -> dict[str, ErrorCourse]:
     constants = Parametrisation(given.constraint, "voltage-bias", SERVO_CORNER)
     skip = round(RUN_IN / SERVO_CORNER / h)
     half = len(given.t) // 2
-    nominal = Regressors(*(part[skip:half] for part in rows))
+    nominal = rows.part(slice(skip, half))
     Gamma = balanced_gain(np.asarray(nominal.Phi_flux), 100.0)
     regressor = np.asarray(constants.psi_record(nominal))
 

@@ -82,7 +82,7 @@ def growth(given: LevitationRecord, rows: Regressors) -> Growth:
             psi, h = psi_on_orbit(name, segment)
         else:
             inside = (given.t > start + AFTER_START) & (given.t < stop - given.h / 2)
-            used = Regressors(*(part[inside] for part in rows))
+            used = rows.part(inside)
             psi, h = np.asarray(constants.psi_record(used)), given.h
         study = over_gain(psi, h, constants, FACTORS, np.array(ADAPTIVE_GAIN), has_orbit)
         parts.append(

@@ -59,7 +59,7 @@ class Excited:
 def _nominal(given: LevitationRun) -> tuple[Regressors, int, int]:
     skip = round(RUN_IN / CORNER / given.given.h) + round(1.0 / given.given.h)
     jump = int(np.searchsorted(given.given.t, given.given.jump))
-    return Regressors(*(part[skip:jump] for part in given.rows)), skip, jump
+    return given.rows.part(slice(skip, jump)), skip, jump
 
 
 def excited(given: LevitationRun) -> Excited:
@@ -169,7 +169,7 @@ def robust(given: LevitationRun) -> Robust:
         if factor == 1.0:
             largest = float(error.max())
     constants = Parametrisation(base.constraint, "structured", CORNER)
-    thin = Regressors(*(part[::5] for part in nominal))
+    thin = nominal.part(slice(None, None, 5))
     drift, bias = base.drift[0], base.current_bias[0]
     bound = bound_on_record(thin, constants, Gamma, 5 * base.h, WINDOW, 0.0, drift, bias, t=np.inf)
     return Robust(rms, float(bound / size), largest)

@@ -24,7 +24,7 @@ from fluxobs.design.analysis import (
 )
 from fluxobs.design.analysis.bounds import disturbance
 from fluxobs.design.analysis.identifiability import rank
-from fluxobs.design.regression import Parametrisation, Regressors, SampledRegression
+from fluxobs.design.regression import Parametrisation, SampledRegression
 from fluxobs.design.regression.laws import RobustObserver, run
 from fluxobs.model.immersion import Immersion
 from fluxobs.paper import counter_example as paper_case
@@ -118,7 +118,7 @@ def rotating_rows(speed):
     v = np.diff(flux, axis=0, prepend=flux[:1]) - h * drift
     relation = case().constraint
     rows, _ = SampledRegression(relation, 1.0, h).run(v, i)
-    return Regressors(*(part[1000:] for part in rows)), relation, h
+    return rows.part(slice(1000, None)), relation, h
 
 
 def test_constant_speed_is_not_exciting_but_observable():
@@ -144,7 +144,7 @@ def test_constraint_and_record_agree_on_what_is_invisible(name, kind):
     delta = given.current_bias if kind != "voltage-bias" else np.zeros(n)
     v = np.diff(flux, axis=0, prepend=flux[:1]) - h * given.drift
     rows, _ = SampledRegression(given.constraint, corner, h).run(v, current + delta)
-    rows = Regressors(*(part[2000:] for part in rows))
+    rows = rows.part(slice(2000, None))
     unknown = Parametrisation(given.constraint, kind, corner)
     psi = np.column_stack([rows.Phi_flux, unknown.record(rows)])
     scale = 1 / np.sqrt(np.mean(psi**2, axis=0))
@@ -201,7 +201,7 @@ def test_the_corrected_bound_holds(seed, spread):
 def test_bound_on_a_motor_record_contains_the_error():
     given = servo(quick=True)
     skip, half = round(15 / 200 / given.h), len(given.t) // 2
-    rows = Regressors(*(part[skip:half] for part in given.rows))
+    rows = given.rows.part(slice(skip, half))
     unknown = Parametrisation(given.constraint, "structured", 200.0)
     size = np.mean(np.square(rows.Phi_flux))
     Gamma = 20.0 / size * np.eye(2)
@@ -223,10 +223,10 @@ def test_the_disturbance_of_the_bound_is_that_of_the_error():
     given = servo(quick=True)
     at = len(given.t) // 4
     unknown = Parametrisation(given.constraint, "structured", 200.0)
-    rows = Regressors(*(part[at : at + 1] for part in given.rows))
+    rows = given.rows.part(slice(at, at + 1))
     Gamma = np.array([[30.0, 5.0], [5.0, 20.0]]) / np.mean(np.square(given.rows.Phi_flux))
     b = disturbance(rows, unknown, Gamma, given.drift[0], given.current_bias[0])[0]
-    one = Regressors(*(part[0] for part in rows))
+    one = rows.part(0)
     y_m = np.array([0.3, -0.2])
     rate = RobustObserver(Gamma, 2).derivative(jnp.asarray(given.flux[at]), jnp.asarray(y_m), one)
     np.testing.assert_allclose(b, np.asarray(rate) - (y_m + given.drift[0]), rtol=1e-5)

@@ -166,7 +166,7 @@ def test_adaptive_observers_converge_or_do_not():
     assert errors(printed)[given.t > 0.9].min() > 1.0
     half = len(given.t) // 2
     window = 0.2
-    before = Regressors(*(part[skip:half] for part in given.rows))
+    before = given.rows.part(slice(skip, half))
     size = np.r_[0.0125, 0.0125, 0.05, 0.05, 2 / 200 * 0.05**2]
     gramian = observability_gramian(before, constants, given.h, window, size)
     basis = size[:, None] * balanced_basis(gramian, window)

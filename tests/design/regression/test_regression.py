@@ -13,7 +13,6 @@ from fluxobs import ModelError, QuadraticConstraint
 from fluxobs.design.regression import (
     FilteredRegression,
     Parametrisation,
-    Regressors,
     SampledRegression,
     residual,
 )
@@ -27,7 +26,7 @@ VECTORS = Path(__file__).parents[2] / "vectors"
 
 def run_in(rows, first=20):
     """Rows after the filters' transient: e^{-νt} with νt > 30."""
-    return Regressors(*(part[first:] for part in rows))
+    return rows.part(slice(first, None))
 
 
 CORNERS = {"pmsm": 60.0, "synrm": 60.0, "maglev": 50.0, "three-port": 8.0}

@@ -95,7 +95,7 @@ def flow_states(P: Array, g: Array, x: Array) -> Array:
         count = min(_BLOCK, len(g) - at)
         part = np.zeros((_BLOCK, *P.shape[1:])), np.zeros((_BLOCK, g.shape[1]))
         part[0][:count], part[1][:count] = P[at : at + count], g[at : at + count]
-        out[at : at + count] = _block(*part, x)[:count]
+        out[at : at + count] = np.asarray(_block(*part, x))[:count]
         x = out[at + count - 1]
     return out
 

@@ -67,8 +67,8 @@ class Profile(eqx.Module):
         after = jnp.searchsorted(self.times, t, side="right")
         low = jnp.maximum(after - 1, 0)
         high = jnp.minimum(after, len(self.times) - 1)
-        span = self.times[high] - self.times[low]
-        share = jnp.where(span > 0, (t - self.times[low]) / jnp.where(span > 0, span, 1.0), 0.0)
+        span = self.times[high] - self.times[low]  # zero at the ends, where low is high
+        share = (t - self.times[low]) / jnp.where(span > 0, span, 1.0)
         if self.values.ndim == 2:
             share = share[..., None]
         return self.values[low] + share * (self.values[high] - self.values[low])

@@ -214,6 +214,7 @@ def _solve(
     def unscaled(state: State) -> State:
         return State(*(part * size for part, size in zip(state, sizes, strict=True)))
 
+    @jax.jit  # traced once, though the solver asks for it in many places
     def field(t: Any, scaled: State, _: Any) -> State:
         state = unscaled(scaled)
         rate = system.derivative(state, control(t, state), load)

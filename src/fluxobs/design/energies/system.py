@@ -143,8 +143,7 @@ class ElectromechanicalSystem(eqx.Module):
             ("mechanical_energy", self.mechanical_energy, position, momentum),
         ):
             try:
-                value = energy(one[0], other[0])
-                shape = jnp.shape(value)
+                shape = jnp.shape(jax.eval_shape(energy, one[0], other[0]))
                 if shape == ():
                     both = jax.jit(jax.vmap(jax.value_and_grad(energy, argnums=(0, 1))))(one, other)
             except (TypeError, ValueError, IndexError) as error:

@@ -27,6 +27,11 @@ class Regressors(NamedTuple):
     Phi_b: jax.Array  # (n,)
     phi_c: jax.Array  # ()
 
+    def part(self, rows: Any) -> Regressors:
+        """Rows of a record: slice, mask or numbers. Cut by NumPy, which compiles nothing."""
+        cut: Any = (np.asarray(one)[rows] for one in self)
+        return Regressors(*cut)
+
 
 Kind = Literal["printed", "structured", "voltage-bias"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

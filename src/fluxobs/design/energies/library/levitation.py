@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ....machines import MagLev2DOF
 from ..system import ElectromechanicalSystem, inertia, linear_magnetics
@@ -45,8 +46,8 @@ def maglev_2dof(machine: MagLev2DOF) -> ElectromechanicalSystem:
     force of Knospe's benchmark; momentum is p/D. ``λ̇ = -(c/N) R i + (c/N) u``.
     docs/theory.md, section 11.
     """
-    c, k = jnp.array([machine.c_1, machine.c_2]), jnp.array([machine.k_1, machine.k_2])
-    g, sign = machine.g, jnp.array([-1.0, 1.0])
+    c, k = np.array([machine.c_1, machine.c_2]), np.array([machine.k_1, machine.k_2])
+    g, sign = machine.g, np.array([-1.0, 1.0])
 
     def magnetic_energy(flux: jax.Array, position: jax.Array) -> jax.Array:
         return jnp.sum(flux**2 * (g + sign * position[0]) / (c * k)) / 2
@@ -57,7 +58,7 @@ def maglev_2dof(machine: MagLev2DOF) -> ElectromechanicalSystem:
         inertia(machine.J / machine.D**2),
         R=machine.resistance * c / machine.N,
         R_M=[0.0],
-        B=jnp.diag(c / machine.N),
+        B=np.diag(c / machine.N),
         flux_range=(0.1 * size, 2 * size),
         position_range=(-INSIDE * g, INSIDE * g),
         name="MagLev, opposed coils",
