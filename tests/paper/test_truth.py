@@ -15,7 +15,7 @@ from fluxobs.paper import levitation as lev
 from fluxobs.paper.converged import converged_run
 from fluxobs.paper.later_line import observability
 from fluxobs.paper.levitation import ADAPTIVE_GAIN, CORNER, SCENARIOS, filtered, measured, record
-from fluxobs.paper.section_v import levitation_run
+from fluxobs.paper.section_v import levitation_observer, levitation_run, sizes
 from fluxobs.paper.studies import parameters
 
 
@@ -219,9 +219,31 @@ def test_parameter_errors_start_at_their_size_and_end_at_zero():
         error = run.courses[name].flux[at] * np.linalg.norm(given.flux, axis=1).max()
         exact = np.linalg.norm(-given.flux[0] - 10.0 * given.drift[0])
         assert error == pytest.approx(exact, rel=1e-3), name
+    # Sizes that errors refer to: the largest entry of each constant, within a factor of two.
+    printed = Parametrisation(given.constraint, "printed", CORNER)
+    size = sizes(given)[1]
+    for name, part in (("θ", slice(0, 2)), ("θᵀQ1θ", slice(4, 5))):
+        both = [printed.constants(given.drift[k], given.current_bias[k])[part] for k in (0, -1)]
+        assert 0.5 < np.abs(both).max() / size[2:][part].max() < 2, name
     known = parameters(run)
     assert known["before"]["drift"].known > 0.9
     np.testing.assert_allclose(known["after"]["current bias"].estimate, [1e-3, 8e-4], rtol=1e-3)
+
+
+def test_noise_of_the_relation_by_monte_carlo():
+    """The least squares of the levitation weighs its relation by the scatter that noise gives it:
+    of the current at once, of the voltage summed over the memory."""
+    m, h, memory = example("maglev-knospe"), 1e-3, 0.5
+    noise, rng, count = (1e-3, 1e-2), np.random.default_rng(3), 4000
+    size = m.k_2 * 0.5 / m.g
+    flux = np.full((count, 2), size)
+    current = 0.5 + noise[0] * rng.standard_normal((count, 2))
+    volt_seconds = h * noise[1] * rng.standard_normal((count, round(memory / h), 2)) @ m.B.T
+    sensed = m.constraint.residual(flux, current).std()
+    drifted = m.constraint.residual(flux + volt_seconds.sum(axis=1), np.full((count, 2), 0.5)).std()
+    for given, scatter in (((noise[0], 0.0), sensed), ((0.0, noise[1]), drifted)):
+        sigma = levitation_observer(m, h, memory, given).constraint_noise[0]
+        assert sigma == pytest.approx(scatter, rel=0.5)
 
 
 def test_erratum_8_runs():

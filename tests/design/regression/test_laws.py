@@ -279,6 +279,31 @@ def test_generalised_pebo_is_the_dense_least_squares():
     np.testing.assert_allclose(flux, xi + start[:2] + 30 * h * start[2:4], rtol=1e-9)
 
 
+def test_mixed_estimates_follow_their_own_equation():
+    """``θ̂_j' = γ Δ (Y_j - Δ θ̂_j)`` with the mixed regression frozen over a step."""
+    rng = np.random.default_rng(9)
+    gamma, h, size = 3.0, 0.05, 5
+    observer = GeneralisedPEBO(
+        CONSTANTS, np.ones(size), 1.0, "least-squares-drem", forgetting=0.1, gamma=gamma
+    )
+    state = observer.init()
+    for _ in range(20):
+        before = np.asarray(state.mixed)
+        v = jnp.asarray(rng.standard_normal(2))
+        state = observer.step(state, h, v, random_row(rng))
+        share = np.eye(size) - float(state.left) * np.linalg.inv(state.M)
+        delta, start = np.linalg.det(share), np.linalg.solve(state.M, state.m)
+        Y = [
+            np.linalg.det(np.column_stack([*share.T[:j], start, *share.T[j + 1 :]]))
+            for j in range(size)
+        ]
+        rate = gamma * delta**2
+        exact = before * np.exp(-rate * h)
+        if delta > 1e-6:
+            exact = exact - np.expm1(-rate * h) * np.array(Y) / delta
+        np.testing.assert_allclose(state.mixed, exact, rtol=1e-6, atol=1e-9)
+
+
 def test_mixing_removes_the_start_from_the_least_squares():
     """Excited for a while only: least squares keeps part of its start, the mixed estimate none."""
     rng = np.random.default_rng(6)

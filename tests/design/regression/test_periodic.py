@@ -79,6 +79,13 @@ def test_too_few_samples_are_refused():
     _, y_m, current = sampled(t)
     with pytest.raises(ModelError, match="y_m: 16 samples a period do not resolve it"):
         periodic_regression(RELATION, CORNER, Orbit(PERIOD, y_m, current))
+    # Whatever the unit: small signals are as badly resolved, large ones as well.
+    for unit in (1e-6, 1e6):
+        with pytest.raises(ModelError, match="16 samples a period do not resolve it"):
+            periodic_regression(RELATION, CORNER, Orbit(PERIOD, unit * y_m, unit * current))
+    _, fine, fine_current = sampled(PERIOD * np.arange(256) / 256)
+    for unit in (1e-6, 1e6):
+        periodic_regression(RELATION, CORNER, Orbit(PERIOD, unit * fine, unit * fine_current))
     # And a period that is none.
     t = 0.9 * PERIOD * np.arange(256) / 256
     _, y_m, current = sampled(t)
