@@ -314,14 +314,13 @@ def filtered(given: LevitationRecord) -> tuple[FilteredRecord, FilteredRecord]:
     filters = filter_record(regression, given.h, y_m, i_m)
     jump = int(np.searchsorted(given.t, given.jump - given.h / 2))
     after = given.true_current[jump] + given.current_bias[jump + 1]
-    measured_current = jnp.asarray(given.current)
 
     def read(form: Literal["corrected", "printed"]) -> FilteredRecord:
         reader = FilteredRegression(given.constraint, CORNER, form)
-        at_jump = Filters(*(part[jump] for part in filters))
+        at_jump = Filters(*(part[[jump]] for part in filters))
         return FilteredRecord(
-            read_out_record(reader, filters, measured_current),
-            reader.read_out(at_jump, jnp.asarray(after)),
+            read_out_record(reader, filters, given.current),
+            read_out_record(reader, at_jump, after[None]).part(0),
         )
 
     return read("corrected"), read("printed")

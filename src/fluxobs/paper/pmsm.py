@@ -100,7 +100,7 @@ def motor_record(
         drift,
         delta,
         volt_seconds(at_samples(flux), h, drift),
-        read_out_record(regression, filters, jnp.asarray(measured)),
+        read_out_record(regression, filters, measured),
     )
 
 

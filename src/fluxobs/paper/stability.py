@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -66,7 +65,7 @@ def psi_on_orbit(name: str, segment: int) -> tuple[Array, float]:
     """Ψ of a scenario's periodic steady state, and its sample time."""
     measured, _ = measured_orbit(name, segment)
     rows = periodic_regression(benchmark()[0].constraint, CORNER, measured)
-    psi = np.asarray(printed_constants().psi_record(Regressors(*map(jnp.asarray, rows))))
+    psi = np.asarray(printed_constants().psi_record(rows))
     return psi, measured.period / len(psi)
 
 

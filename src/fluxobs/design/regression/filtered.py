@@ -7,7 +7,7 @@ regressor decays to zero, is omitted. ``form="printed"`` keeps the paper's Φ_λ
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -74,25 +74,27 @@ class FilteredRegression(eqx.Module):
         zero, scalar = jnp.zeros(len(self.E)), jnp.zeros(())
         return Filters(zero, zero, zero, zero, scalar, zero, zero, zero, scalar)
 
+    # With operators only, so that they also serve many rows at once and, from `_plain`, in NumPy.
+
     def known(self, current: jax.Array) -> tuple[jax.Array, jax.Array]:
         """y_a and y_c of the corollary (y_b is the current itself)."""
-        y_c = current @ self.Q3 @ current + self.C @ current
-        return self.Q2 @ current + self.E, y_c
+        y_c = _dot(current @ self.Q3, current) + current @ self.C
+        return current @ self.Q2.T + self.E, y_c
 
     def derivative(self, xi: Filters, y_m: jax.Array, current: jax.Array) -> Filters:
         """Time derivative, given ``y_m = -R i_m + B u_m`` [V] and the measured current [A]."""
-        nu, Q1 = self.corner, self.Q1
+        nu, pushed = self.corner, y_m @ self.Q1.T
         y_a, y_c = self.known(current)
         return Filters(
             -nu * xi.xi1 + nu * y_m,
-            -nu * xi.xi2 + 2 * nu * Q1 @ y_m - nu**2 * y_a,
+            -nu * xi.xi2 + 2 * nu * pushed - nu**2 * y_a,
             -nu * xi.xi3 + nu * current,
-            -nu * xi.xi4 + xi.xi2 + 2 * Q1 @ y_m,
-            -nu * xi.xi5 + y_m @ xi.xi2 + nu**2 * y_c,
+            -nu * xi.xi4 + xi.xi2 + 2 * pushed,
+            -nu * xi.xi5 + _dot(y_m, xi.xi2) + nu**2 * y_c,
             -nu * xi.xi6 + nu * xi.xi4 - xi.xi2,
             -nu * xi.xi7 + nu * xi.xi1,
             -nu * xi.xi8 + nu * (current - xi.xi3),
-            -nu * xi.xi9 + nu * xi.xi5 - nu**2 * y_c + y_m @ (nu * xi.xi4 - xi.xi2),
+            -nu * xi.xi9 + nu * xi.xi5 - nu**2 * y_c + _dot(y_m, nu * xi.xi4 - xi.xi2),
         )
 
     def read_out(self, xi: Filters, current: jax.Array) -> Regressors:
@@ -106,8 +108,22 @@ class FilteredRegression(eqx.Module):
             2 * xi.xi6,
             xi.xi1 - xi.xi7,
             nu * (current - xi.xi3 - xi.xi8),
-            jnp.asarray(2 / nu),
+            0 * y_c + 2 / nu,  # one for every row
         )
+
+
+def _dot(a: jax.Array, b: jax.Array) -> jax.Array:
+    return (a * b).sum(axis=-1)
+
+
+def _plain(regression: FilteredRegression) -> FilteredRegression:
+    """The same in NumPy: nothing is compiled for a new length of a record."""
+    plain: FilteredRegression = jax.tree.map(np.asarray, regression)
+    return plain
+
+
+#: Filters that need nothing but the signals, those that need the first, and the last.
+_CASCADE = (("xi1", "xi2", "xi3"), ("xi4", "xi5", "xi7", "xi8"), ("xi6", "xi9"))
 
 
 def cascade(
@@ -122,32 +138,16 @@ def cascade(
         x from a signal of shape (...) or (..., n), leading axis time.
     y_m, current : (..., n) ndarray
     """
-    nu = regression.corner
-    Q1, Q2, Q3, E, C = (
-        np.asarray(getattr(regression, name)) for name in ("Q1", "Q2", "Q3", "E", "C")
-    )
-    y, i = y_m, current
-
-    def dot(a: Array, b: Array) -> Array:
-        return np.asarray(np.einsum("...i,...i", a, b))
-
-    y_a = i @ Q2.T + E
-    y_c = dot(i @ Q3, i) + i @ C
-    xi1, xi2, xi3 = lag(nu * y), lag(2 * nu * y @ Q1.T - nu**2 * y_a), lag(nu * i)
-    xi4 = lag(xi2 + 2 * y @ Q1.T)
-    xi5 = lag(dot(y, xi2) + nu**2 * y_c)
-    found = (
-        xi1,
-        xi2,
-        xi3,
-        xi4,
-        xi5,
-        lag(nu * xi4 - xi2),
-        lag(nu * xi1),
-        lag(nu * (i - xi3)),
-        lag(nu * xi5 - nu**2 * y_c + dot(y, nu * xi4 - xi2)),
-    )
-    return Filters(*found)  # type: ignore[arg-type]
+    plain: Any = _plain(regression)
+    vector: Any = np.zeros(y_m.shape)
+    scalar: Any = np.zeros(y_m.shape[:-1])
+    xi = Filters(vector, vector, vector, vector, scalar, vector, vector, vector, scalar)
+    for names in _CASCADE:
+        # At zero of itself a filter's derivative is its signal.
+        signals = plain.derivative(xi, y_m, current)
+        found: dict[str, Any] = {name: lag(getattr(signals, name)) for name in names}
+        xi = xi._replace(**found)
+    return xi
 
 
 #: Places of the signals in an interval: start, middle, end.
@@ -199,12 +199,13 @@ def filter_record(
         return np.stack([start, middle, end], axis=1)
 
     inside = cascade(regression, lag, y, i)
-    return Filters(*(jnp.asarray(np.concatenate([part[:1, 0], part[:, 2]])) for part in inside))
+    samples: Any = (np.concatenate([part[:1, 0], part[:, 2]]) for part in inside)
+    return Filters(*samples)
 
 
-@eqx.filter_jit
 def read_out_record(
-    regression: FilteredRegression, filters: Filters, current: jax.Array
+    regression: FilteredRegression, filters: Filters, current: ArrayLike
 ) -> Regressors:
     """The regression at every sample, from the filters and measured currents (rows, n)."""
-    return jax.vmap(regression.read_out)(filters, current)
+    i: Any = np.asarray(current, float)
+    return _plain(regression).read_out(filters, i)

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...errors import ModelError
 from ...model.constraint import QuadraticConstraint
-from .filtered import FilteredRegression, Filters, cascade, read_out_record
+from .filtered import FilteredRegression, cascade, read_out_record
 from .regressors import Regressors
 
 Array = NDArray[np.float64]
@@ -76,8 +75,7 @@ def periodic_regression(constraint: QuadraticConstraint, corner: float, orbit: O
                 f"the period is {orbit.period:g} s"
             )
     filters = cascade(regression, lag, y_m, i)
-    rows = read_out_record(regression, Filters(*map(jnp.asarray, filters)), jnp.asarray(i))
-    return rows
+    return read_out_record(regression, filters, i)
 
 
 def between(signal: ArrayLike, count: int, shift: float) -> Array:
