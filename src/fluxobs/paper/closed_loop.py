@@ -22,6 +22,7 @@ from ..design.energies.ida_pbc import IdaPbc
 from ..design.energies.library.electrostatic import EPSILON_0
 from ..design.regression import Parametrisation, Regressors, SampledRegression
 from ..design.regression.laws import RepairedAdaptiveObserver
+from ..design.runge_kutta import runge_kutta_step
 from ..machines import MagLev2DOF
 from ..observers.immersed import ImmersionState
 from ..observers.levitation_tracker import LevitationTracker, TrackerState
@@ -79,6 +80,21 @@ class Rig:
     current_bias: Array
     voltage_bias: Array
     noise: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def start(self) -> Array:
+        """State (φ_1, φ_2, q, q̇) in the middle of the gap."""
+        return np.array([self.typical, self.typical, 0.0, 0.0])
+
+    def currents(self, x: Any) -> Any:
+        """True currents [A] of a state."""
+        m = self.machine
+        return x[:2] * (m.g + np.array([-1.0, 1.0]) * x[2]) / np.array([m.k_1, m.k_2])
+
+    def controller(self) -> Callable[[float, Any, Any, Any], Array]:
+        """Voltages from t, core fluxes, position and velocity."""
+        m, law = self.machine, jax.jit(lambda *state: self.law(*state))
+        return lambda t, phi, q, speed: np.asarray(law(t, phi, q, m.J / m.D * speed))
 
 
 @dataclass(frozen=True)
@@ -182,28 +198,21 @@ class FromRepairedLaw:
 
 
 def _plant(rig: Rig, h: float) -> Callable[[Any, Any], Any]:
-    """State (φ_1, φ_2, q, q̇) after h under held voltages; classical Runge-Kutta."""
+    """State (φ_1, φ_2, q, q̇) after h under held voltages."""
     m = rig.machine
     k, c = jnp.array([m.k_1, m.k_2]), jnp.array([m.c_1, m.c_2])
     sign, mass = jnp.array([-1.0, 1.0]), m.J / m.D**2
 
     def rate(x: jax.Array, u: jax.Array) -> jax.Array:
         phi, q, speed = x[:2], x[2], x[3]
-        current = phi * (m.g + sign * q) / k
         force = -sign @ (c * phi**2 / (2 * k)) - rig.stiffness * q - rig.damping * speed
         return jnp.concatenate(
-            [(u - m.resistance * current) / m.N, jnp.stack([speed, force / mass])]
+            [(u - m.resistance * rig.currents(x)) / m.N, jnp.stack([speed, force / mass])]
         )
 
     def step(x: jax.Array, u: jax.Array) -> jax.Array:
-        dt = h / SUBSTEPS
-
         def one(_: int, x: jax.Array) -> jax.Array:
-            a = rate(x, u)
-            b = rate(x + dt / 2 * a, u)
-            c = rate(x + dt / 2 * b, u)
-            d = rate(x + dt * c, u)
-            return x + dt / 6 * (a + 2 * b + 2 * c + d)
+            return runge_kutta_step(lambda x, _: rate(x, u), x, h / SUBSTEPS)
 
         end: jax.Array = jax.lax.fori_loop(0, SUBSTEPS, one, x)
         return end
@@ -224,10 +233,9 @@ def simulate(
     m, unit = rig.machine, rig.unit
     plant, estimator = _plant(rig, h), make(rig, h)
     tracker = LevitationTracker(m, h, 100.0 / unit)
-    control = jax.jit(lambda *state: rig.law(*state))
+    control = rig.controller()
     rng = np.random.default_rng(seed)
-    k, sign = np.array([m.k_1, m.k_2]), np.array([-1.0, 1.0])
-    x = np.array([rig.typical, rig.typical, 0.0, 0.0])
+    x = rig.start
     count, jump_at = round(stop * unit / h), round(jump * unit / h)
     trusted, needed, known = None, round(TRUST * unit / h), 0
     track = TrackerState()
@@ -238,7 +246,7 @@ def simulate(
     phi, q, speed = x[:2], x[2], x[3]
     for n in range(count):
         t = n * h
-        u = np.asarray(control(t, jnp.asarray(phi), q, m.J / m.D * speed))
+        u = control(t, phi, q, speed)
         before = x
         x = np.asarray(plant(x, u))
         if not np.isfinite(x).all() or abs(x[2]) > LOST * m.g:
@@ -248,7 +256,7 @@ def simulate(
         bias = rig.current_bias[segment]
         theta = m.R @ bias - m.B @ rig.voltage_bias[segment]
         noise_i, noise_u = (scale * rng.standard_normal(2) for scale in rig.noise)
-        current = x[:2] * (m.g + sign * x[2]) / k + bias + noise_i
+        current = rig.currents(x) + bias + noise_i
         v = x[:2] - before[:2] - h * theta + h * noise_u / m.N
         flux, found_bias, valid = estimator.step(v, current)
         track = tracker.step(track, flux, current - found_bias)
@@ -283,16 +291,12 @@ def simulate(
 
 def nominal_record(rig: Rig, h: float, duration: float = 15.0) -> tuple[Array, Array]:
     """Volt-seconds and currents of the loop on the true state without offsets: for tuning."""
-    m = rig.machine
-    plant, control = _plant(rig, h), jax.jit(lambda *state: rig.law(*state))
-    k, sign = np.array([m.k_1, m.k_2]), np.array([-1.0, 1.0])
-    x = np.array([rig.typical, rig.typical, 0.0, 0.0])
+    plant, control, x = _plant(rig, h), rig.controller(), rig.start
     v, i = [], []
     for n in range(round(duration * rig.unit / h)):
-        u = control(n * h, jnp.asarray(x[:2]), x[2], m.J / m.D * x[3])
-        before, x = x, np.asarray(plant(x, u))
+        before, x = x, np.asarray(plant(x, control(n * h, x[:2], x[2], x[3])))
         v.append(x[:2] - before[:2])
-        i.append(x[:2] * (m.g + sign * x[2]) / k)
+        i.append(rig.currents(x))
     return np.array(v), np.array(i)
 
 

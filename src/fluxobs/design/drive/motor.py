@@ -20,6 +20,7 @@ from ...errors import ModelError
 from ...machines import RotatingMachine, rotating
 from ...model.flux_map import CageMap, TableMap
 from ..precision import not_negative, positive, real
+from ..runge_kutta import runge_kutta_step
 from .flux_map import Map
 from .vectors import length, turn
 
@@ -341,13 +342,7 @@ class Plant(eqx.Module):
         h = duration / steps
 
         def step(_: Any, state: PlantState) -> PlantState:
-            k1 = self.rate(state, voltage, load)
-            k2 = self.rate(_along(state, k1, h / 2), voltage, load)
-            k3 = self.rate(_along(state, k2, h / 2), voltage, load)
-            k4 = self.rate(_along(state, k3, h), voltage, load)
-            rates = zip(k1, k2, k3, k4, strict=True)
-            mean = PlantState(*((a + 2 * b + 2 * c + d) / 6 for a, b, c, d in rates))
-            return _along(state, mean, h)
+            return runge_kutta_step(lambda state, _: self.rate(state, voltage, load), state, h)
 
         # A loop costs run time; many unrolled steps cost minutes of compilation.
         if steps <= UNROLLED:
@@ -356,7 +351,3 @@ class Plant(eqx.Module):
         else:
             state = jax.lax.fori_loop(0, steps, step, state)
         return state._replace(rotor=self.motor.settled(state.rotor))
-
-
-def _along(state: PlantState, rate: PlantState, h: Array) -> PlantState:
-    return PlantState(*(x + h * r for x, r in zip(state, rate, strict=True)))

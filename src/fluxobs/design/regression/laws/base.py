@@ -17,6 +17,7 @@ import numpy as np
 
 from ....errors import ModelError
 from ...precision import real
+from ...runge_kutta import Place, runge_kutta_step
 from .. import Regressors
 
 
@@ -115,20 +116,12 @@ def integrate_law(
         Likewise.
     """
 
-    def part(k: jax.Array) -> tuple[jax.Array, Regressors]:
-        return y_m[k], Regressors(*(one[k] for one in rows))
-
-    def add(state: Any, rate: Any, step: float) -> Any:
-        return jax.tree.map(lambda a, b: a + step * b, state, rate)
-
     def body(state: Any, k: jax.Array) -> tuple[Any, Any]:
-        rate = observer.derivative
-        k1 = rate(state, *part(2 * k))
-        k2 = rate(add(state, k1, h / 2), *part(2 * k + 1))
-        k3 = rate(add(state, k2, h / 2), *part(2 * k + 1))
-        k4 = rate(add(state, k3, h), *part(2 * k + 2))
-        total = jax.tree.map(lambda a, b, c, d: (a + 2 * b + 2 * c + d) / 6, k1, k2, k3, k4)
-        state = add(state, total, h)
+        def rate(state: Any, place: Place) -> Any:
+            at = 2 * k + place
+            return observer.derivative(state, y_m[at], Regressors(*(one[at] for one in rows)))
+
+        state = runge_kutta_step(rate, state, h)
         return state, observer.estimate(state)
 
     start = observer.init()
