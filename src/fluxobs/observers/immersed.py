@@ -232,7 +232,10 @@ class ImmersionObserver:
         pushes = h * np.hstack([self.voltage_noise * self.B, noise * self.R])
         # For each direction of v's noise, ∂F⁻¹ along it.
         object.__setattr__(self, "_volt_seconds_noise", np.tensordot(pushes.T, gain, axes=1))
-        object.__setattr__(self, "_row_noise", noise * self.immersion.row_gain())
+        # Information that the noise of a current adds with the rows of every sample.
+        by_current = noise * self.immersion.row_gain() / self.constraint_noise[:, None, None]
+        flat = by_current.transpose(1, 0, 2).reshape(self.immersion.size, -1)
+        object.__setattr__(self, "_row_noise", flat @ flat.T)
 
     def _prior_std(self) -> Array:
         """Prior standard deviation of every state."""
@@ -411,10 +414,7 @@ class ImmersionObserver:
             row = np.zeros((1, immersion.size))
             row[0, j] = weight
             R, z = _absorb(R, z, row, weight * np.linalg.solve(R, z)[[j]])
-        gain = self._row_noise / sigma[:, None, None]
-        flat = gain.transpose(1, 0, 2).reshape(len(R), -1)
-        noise = state.noise + flat @ flat.T
-        return state._replace(R=R, z=z, noise=noise, contradictions=0)
+        return state._replace(R=R, z=z, noise=state.noise + self._row_noise, contradictions=0)
 
     def _pretended(self, R: Array) -> Array:
         """Information that noise of the last volt-seconds has added to all past rows."""
