@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..design.analysis import (
-    balanced_basis,
     balanced_gain,
     balanced_repaired,
     immersion_gramian,
-    observability_gramian,
 )
 from ..design.regression import Parametrisation, SampledRegression, residual
 from ..design.regression.laws import (
@@ -35,10 +33,13 @@ from .section_v import (
     CONSTANTS_RATE,
     FLUX_RATE,
     LS_SAMPLE_TIME,
+    NUMERICAL,
     RUN_IN,
     ErrorCourse,
     least_squares,
     levitation_observer,
+    mixing_basis,
+    regression_size,
     sizes,
     thinned,
 )
@@ -46,12 +47,10 @@ from .studies import with_noise
 
 Array = NDArray[np.float64]
 
-#: Window in which the gains are balanced, and memory of the estimators that forget [s].
-WINDOW, MEMORY = 3.0, 1.0
+#: Memory of the estimators that forget [s].
+MEMORY = 1.0
 #: Memory of all estimators that forget under noise [s].
 NOISE_MEMORY = 0.5
-#: Share of the regression's size that counts as noise where there is none.
-NUMERICAL = 1e-6
 #: Time at which the references come to rest in the study of interval excitation [s].
 REST = 20.0
 
@@ -109,10 +108,9 @@ def courses(case: Case) -> dict[str, ErrorCourse]:
     rest = np.asarray(
         residual(nominal, given.constraint, flux[skip:until], given.drift[0], given.current_bias[0])
     )
-    weight = float(np.sqrt(np.mean(np.square(nominal.Phi_flux)))) * size[0]
-    noise = max(NUMERICAL * weight, float(np.sqrt(np.mean(rest**2) * h)) if case.noise else 0.0)
-    gramian = observability_gramian(nominal, constants, h, WINDOW, size)
-    basis = size[:, None] * balanced_basis(gramian, WINDOW)
+    least = NUMERICAL * regression_size(nominal, size)
+    noise = max(least, float(np.sqrt(np.mean(rest**2) * h)) if case.noise else 0.0)
+    basis = mixing_basis(nominal, constants, h, size)
     observers: dict[str, FluxObserver] = {
         "PEBO, least squares": PEBO(2, "least-squares", Gamma),
         "generalised PEBO, least squares": GeneralisedPEBO(constants, size, noise),

@@ -47,6 +47,10 @@ Array = NDArray[np.float64]
 RUN_IN = 15.0
 #: Rates of the balanced gains on the levitation [1/s].
 FLUX_RATE, CONSTANTS_RATE = 8.0, 2.0
+#: Window in which the basis of DREM is balanced [s].
+WINDOW = 3.0
+#: Share of the regression's size that counts as noise where there is none.
+NUMERICAL = 1e-6
 #: Sample time and memory of the least squares on the levitation [s]. Volt-seconds are exact over
 #: intervals of any length.
 LS_SAMPLE_TIME, LS_MEMORY = 1e-2, 0.1
@@ -194,19 +198,28 @@ def levitation_run(given: LevitationRecord, all_observers: bool = True) -> Levit
     }
     if all_observers:
         size = sizes(given)[1]
-        weight = float(np.sqrt(np.mean(np.square(nominal.Phi_flux)))) * size[0]
+        noise = NUMERICAL * regression_size(nominal, size)
         courses["Riccati, memory 1 s"] = sampled(
-            RiccatiObserver(1.0, size, 1e-6 * weight, structured), structured
+            RiccatiObserver(1.0, size, noise, structured), structured
         )
-        window = 3.0
-        gramian = observability_gramian(nominal, structured, h, window, size)
-        basis = size[:, None] * balanced_basis(gramian, window)
+        basis = mixing_basis(nominal, structured, h, size)
         courses["DREM, finite time"] = sampled(
             DremObserver(1.0, 1.0, basis, structured), structured
         )
     estimate = least_squares(given)
     courses["least squares"] = _least_squares_course(given, estimate)
     return LevitationRun(given, rows, courses, estimate)
+
+
+def regression_size(nominal: Regressors, size: Array) -> float:
+    """Size of the regression's y: what a flux of that size adds to it."""
+    return float(np.sqrt(np.mean(np.square(nominal.Phi_flux)))) * float(size[0])
+
+
+def mixing_basis(nominal: Regressors, constants: Parametrisation, h: float, size: Array) -> Array:
+    """Basis of the unknowns for DREM, balanced by the excitation in :data:`WINDOW`."""
+    gramian = observability_gramian(nominal, constants, h, WINDOW, size)
+    return np.asarray(size[:, None] * balanced_basis(gramian, WINDOW))
 
 
 def thinned(given: LevitationRecord, sample_time: float) -> tuple[NDArray[np.int_], Array]:

@@ -105,7 +105,7 @@ def largest_exponent(steps: ArrayLike, h: float) -> tuple[float, float]:
 def _steps(N: Array, psi: Array, h: float) -> Array:
     P, _ = flow_steps(N, psi, h)
     if not np.isfinite(P).all():
-        raise ModelError(f"the transition over {h:g} s is not finite: is the regressor?")
+        raise ModelError(f"the transition over {h:g} s is not finite: the gain is too large")
     return P
 
 

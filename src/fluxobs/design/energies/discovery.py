@@ -252,8 +252,7 @@ def discover_constraint(
     size = 40 * sum(1 for _ in combinations_with_replacement(range(2 * n + 1), degree))
     flux, current, _ = _sample(system, size + 500, seed)
     x = np.concatenate([flux[:, measured], current[:, measured]], axis=1)
-    scale = np.sqrt(np.mean(x**2, axis=0))
-    scale = np.where(scale > 0, scale, 1.0)  # a port without current: i = 0 is affine
+    scale = _rms(x)
     x, held_out = x[:size] / scale, x[size:] / scale
 
     kept, affine, nearly = _without_affine(x, scale)
@@ -394,8 +393,7 @@ def discover_in_features(
             )
         columns.append(values)
     x = np.array(columns).T
-    scale = np.sqrt(np.mean(x**2, axis=0))
-    scale = np.where(scale > 0, scale, 1.0)
+    scale = _rms(x)
     found: list[tuple[NDArray[np.int_], Array]] = []
     relations = []
     for d in range(1, degree + 1):
@@ -465,6 +463,12 @@ def _no_flux(exponents: NDArray[np.int_]) -> NDArray[np.bool_]:
     return np.asarray(exponents[:, : exponents.shape[1] // 2].sum(axis=1) == 0)
 
 
+def _rms(columns: Array) -> Array:
+    """Root mean square of each column; one for zeros, such as the current of an open port."""
+    size = np.sqrt(np.mean(columns**2, axis=0))
+    return np.where(size > 0, size, 1.0)
+
+
 class _NullSpace(NamedTuple):
     """Exact null vectors and approximate ones as columns, and singular values over the largest."""
 
@@ -476,8 +480,7 @@ class _NullSpace(NamedTuple):
 
 
 def _null_space(columns: Array) -> _NullSpace:
-    norms = np.sqrt(np.mean(columns**2, axis=0))
-    norms = np.where(norms > 0, norms, 1.0)
+    norms = _rms(columns)
     _, singular, vt = np.linalg.svd(columns / norms, full_matrices=False)
     relative = singular / singular[0]
     # Values below rounding all count as equal zeros.
@@ -499,10 +502,10 @@ def _null_space(columns: Array) -> _NullSpace:
 def _approximate(
     space: _NullSpace, exponents: NDArray[np.int_], scale: Array
 ) -> tuple[Approximate, ...]:
-    out = []
-    for vector, size in zip(space.near.T, space.sizes, strict=True):
-        out.append(Approximate(_polynomial(vector, exponents, scale), float(size)))
-    return tuple(out)
+    return tuple(
+        Approximate(_polynomial(vector, exponents, scale), float(size))
+        for vector, size in zip(space.near.T, space.sizes, strict=True)
+    )
 
 
 def _halved(system: ElectromechanicalSystem, name: str) -> ElectromechanicalSystem:

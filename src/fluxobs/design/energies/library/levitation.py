@@ -71,9 +71,8 @@ def maglev_as_printed(machine: MagLev2DOF) -> ElectromechanicalSystem:
     Its energy lacks the force constants c and its input the 1/N: ``λ̇ = -R/(N c) i + u``. The
     state is still called λ; the controller reads it as core flux, as the paper does.
     """
-    k = jnp.array([machine.k_1, machine.k_2])
-    c = jnp.array([machine.c_1, machine.c_2])
-    g, sign = machine.g, jnp.array([-1.0, 1.0])
+    c, k = np.array([machine.c_1, machine.c_2]), np.array([machine.k_1, machine.k_2])
+    g, sign = machine.g, np.array([-1.0, 1.0])
     size = k * 0.5 / g  # half an ampere
     return ElectromechanicalSystem(
         lambda flux, position: jnp.sum(flux**2 * (g + sign * position[0]) / k) / 2,
