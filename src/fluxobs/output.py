@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
@@ -37,14 +37,23 @@ def make_folder(path: str | Path) -> Path:
     return path
 
 
-def check_out(out: str | Path, log: Path) -> Path:
-    """Return the path if it can be written and is not the log itself; else raise FluxobsError."""
+def check_new(path: Path, endings: Sequence[str], force: bool, option: str = "--out") -> None:
+    """Raise FluxobsError if a file cannot be written, or exists and `force` is not given."""
+    if path.suffix.lower() not in endings:
+        words = f"{', '.join(endings[:-1])} or {endings[-1]}" if endings[1:] else endings[0]
+        raise FluxobsError(f"{path}: {option} must end in {words}")
+    check_place(path)
+    if path.exists() and not force:
+        raise FluxobsError(f"{path}: exists; give another name, or --force to overwrite it")
+
+
+def check_out(out: str | Path, log: Path, force: bool = False) -> Path:
+    """Return the path if it can be written, is new or may be overwritten, and is not the log
+    itself; else raise FluxobsError."""
     out = Path(out)
-    if out.suffix not in (".parquet", ".csv"):
-        raise FluxobsError(f"{out}: --out must end in .parquet or .csv")
-    check_place(out)
     if out.exists() and log.exists() and out.samefile(log):
         raise FluxobsError(f"{out}: --out is the log itself; give another name")
+    check_new(out, (".parquet", ".csv"), force)
     return out
 
 

@@ -114,7 +114,11 @@ CASES = {
     ),
     "zero off by 10": ({"angle": GOOD["angle"] + 0.175}, PMSM, {}, None, r"zero .* off by -9|-10"),
     "zero off by 40": ({"angle": GOOD["angle"] + 0.698}, PMSM, {}, None, r"zero .* off by -39|-40"),
-    "truth in degrees": ({"angle": np.degrees(GOOD["angle"])}, PMSM, {}, None, "in degrees"),
+    "truth in degrees": ({"angle": np.degrees(GOOD["angle"])}, PMSM, {}, None, None),
+    "truth not in radians": (
+        *({"angle": np.degrees(GOOD["angle"])}, PMSM, {"unit": {"theta_e": "rad"}}),
+        *(None, "--unit theta_e=deg"),
+    ),
     "i_a twice": ({"i_b": GOOD["i_a"]}, PMSM, {}, "i_a and i_b hold the same signal", None),
     "voltage is the current": (
         *(permuted("i", "abc") | {f"u_{p}": GOOD[f"i_{p}"] for p in "abc"}, PMSM, {}),
@@ -122,8 +126,8 @@ CASES = {
     ),
     "a reluctance machine": ({}, example("synrm-6kw7"), {}, "one with a magnet does", None),
     "angle in degrees": (
-        *(dq(np.degrees(THETA)), PMSM, {"frame": "dq", "lag": 0}),
-        *("theta_e wraps at 360: it seems to be in degrees", None),
+        *(dq(np.degrees(THETA)), PMSM, {"frame": "dq", "lag": 0, "unit": {"theta_e": "rad"}}),
+        *("theta_e wraps at 360: it seems not to be in radians", None),
     ),
     "dq as it should be": (dq(THETA), PMSM, {"frame": "dq", "lag": 0}, None, None),
     "duty in counts": (
@@ -149,8 +153,7 @@ def case(name, told):
     channel = "theta_mech" if layout.pop("mech", False) else "theta_e"
     columns = GOOD | changed if layout["frame"] in ("abc", "duty") else {"angle": GOOD["angle"]}
     columns = columns | changed
-    if told:
-        layout["truth"] = {channel: "angle"}
+    layout["truth"] = {channel: "angle"} if told else {"none": "-"}
     words = truth if told and truth is not None else silent
     return columns, machine, layout, words
 

@@ -72,7 +72,10 @@ def test_a_log_and_a_scenario(folder):
     [
         (["calm"], "'calm' is neither a file nor a scenario"),
         (["log.csv"], "a machine is needed for a log (log.csv): --machine"),
-        (["log.csv", "--machine", "pmsm-2kw2"], "can only be scored against a true angle"),
+        (
+            ["log.csv", "--machine", "pmsm-2kw2", "--truth", "none"],
+            "can only be scored against a true angle",
+        ),
         (["ideal", "--machine", "maglev-knospe"], "no drive is defined for 'maglev-knospe'"),
         (
             ["log.csv", "--machine", "pmsm-2kw2", "--truth", "theta_e=theta", "--settle", "9"],

@@ -109,7 +109,7 @@ def test_current_bias_of_a_reluctance_machine(folder):
     [
         (
             ["maglev.csv", "--machine", "servo-400w", "--unknowns", "drift,current-bias"],
-            "maglev.csv: no column",
+            "maglev.csv: currents and voltages are not found",
         ),
         (["maglev.csv", "--machine", "maglev-knospe", "--unknowns", "bias"], "unknown 'bias'"),
         (["maglev.csv", "--machine", "maglev-knospe", "--unknowns", ","], "give some of drift"),

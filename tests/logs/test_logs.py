@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fluxobs import Record, RecordError, SurfacePMSM
-from fluxobs.logs.formats import open_table
+from fluxobs.logs.formats import open_tables
 from fluxobs.logs.layout import Layout
-from fluxobs.logs.log import open_log
+from fluxobs.logs.read import read_log
 from fluxobs.logs.record import interval_rows, lag_in_words
 from fluxobs.model.frames import wrap
 
@@ -44,7 +44,7 @@ def csv(path, columns, delimiter=",", comma=False):
 
 
 def read(path, size=None, **layout):
-    log = open_log(open_table(path), Layout(**layout))
+    log = read_log(path, **layout)
     parts = list(log.aligned(**({} if size is None else {"size": size})))
     return log, *(
         None if parts[0][n] is None else np.concatenate([part[n] for part in parts])
@@ -198,7 +198,7 @@ def test_batches_change_no_number_in_the_rotor_frame(tmp_path):
 
 def test_record_from_log_is_aligned(tmp_path):
     np.savez(tmp_path / "log.npz", **PLAIN)
-    log = open_log(open_table(tmp_path / "log.npz"), Layout(lag=-0.5))
+    log = read_log(tmp_path / "log.npz", lag=-0.5)
     record, (part,) = log.to_record(), list(log.aligned())
     np.testing.assert_array_equal(record.interval_voltage(), part.voltage)
 
@@ -292,11 +292,11 @@ def test_what_is_wrong_and_where(tmp_path, edit, message):
 
 def test_no_file_and_no_parquet(tmp_path):
     with pytest.raises(RecordError, match="no such file"):
-        open_table(tmp_path / "log.csv")
+        open_tables(tmp_path / "log.csv")
     for name in ("log.parquet", "log.npz"):
         (tmp_path / name).write_text("hello")
         with pytest.raises(RecordError, match=r"not a readable"):
-            open_table(tmp_path / name)
+            open_tables(tmp_path / name)
 
 
 def test_text_in_a_parquet_column(tmp_path):
@@ -309,7 +309,7 @@ def test_text_in_a_parquet_column(tmp_path):
 def test_arrays_of_different_length(tmp_path):
     np.savez(tmp_path / "log.npz", **(PLAIN | {"u_beta": np.zeros(3)}))
     with pytest.raises(RecordError, match=r"differ in length.*u_beta 3"):
-        open_table(tmp_path / "log.npz")
+        open_tables(tmp_path / "log.npz")
 
 
 def test_sample_time(tmp_path):
@@ -323,12 +323,14 @@ def test_sample_time(tmp_path):
     check(read(bare, sample_time=H))
 
 
-def test_rounded_time_needs_a_sample_time(tmp_path):
+def test_rounded_time(tmp_path):
     columns = PLAIN | {"t": np.round(K * 1.3e-3, 3)}
     path = csv(tmp_path / "log.csv", columns)
-    with pytest.raises(RecordError, match="only rounded, --sample-time and --column"):
-        read(path)
-    check(read(path, sample_time=1.3e-3))
+    for given in ({}, {"sample_time": 1.3e-3}):
+        found = read(path, **given)
+        check(found)
+        assert found[0].sample_time == pytest.approx(1.3e-3, rel=1e-6)
+        assert any("rounded to 0.001 s" in note for note in found[0].notes)
 
 
 @pytest.mark.parametrize("lag", [199.5, -200, 1e9])

@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..logs.guess import DUTY_MOST, TURNS, turn_of
 from ..logs.log import Log
 from ..model.frames import PHASE_CURRENTS
 from .findings import Finding
@@ -20,21 +21,10 @@ ROWS = 20_000
 SAME = 1e-9
 #: Phase currents whose sum is more than this share of them do not belong together.
 SUM = 0.3
-#: A duty beyond this is no share of the DC link.
-DUTY_MOST = 1.5
 #: Whole numbers whose mean is more than so many times their standard deviation are raw counts.
 RAW_OFFSET = 3.0
 #: Fewer spikes than this are events.
 SPIKES = 3
-#: What an angle's wrap shows: (size of a full turn, its unit, the scale to radians).
-TURNS = (
-    (360.0, "degrees", "0.0174533"),
-    (1.0, "turns", "6.2831853"),
-    (65536.0, "counts of 65536", "9.58738e-5"),
-    (32768.0, "counts of 32768", "1.917476e-4"),
-    (16384.0, "counts of 16384", "3.834952e-4"),
-    (4096.0, "counts of 4096", "1.533981e-3"),
-)
 
 
 def columns(log: Log) -> list[Finding]:
@@ -65,7 +55,7 @@ def _name(channel: str, log: Log) -> str:
 
 def _repeated(signals: dict[str, Array], log: Log) -> list[Finding]:
     raw = {
-        name: (values - log.layout.offset.get(name, 0.0)) / log.layout.scale.get(name, 1.0)
+        name: (values - log.conversions[name][1]) / log.conversions[name][0]
         for name, values in signals.items()
     }
     out = []
@@ -155,27 +145,21 @@ def _counts(signals: dict[str, Array]) -> list[Finding]:
 
 def _angle(channels: dict[str, Array], log: Log) -> list[Finding]:
     out = []
-    truth = "" if log.truth is None else log.truth[0]
+    truth = "" if log.true is None else log.true.channel
     for key, name in (("theta_e", "theta_e"), ("truth", truth)):
-        if key not in channels or name == "position":
+        if key not in channels or not name.startswith("theta"):
             continue
-        steps = np.abs(np.diff(channels[key]))
-        steps = steps[np.isfinite(steps)]
-        if len(steps) == 0 or not steps.max() > 0:
-            continue
-        usual = float(np.median(steps))
-        for turn, unit, scale in TURNS:
-            wraps = np.abs(steps - turn) < max(0.1 * turn, 3 * usual)
-            if wraps.any() and steps.max() < 1.2 * turn and usual < 0.2 * turn:
-                out.append(
-                    Finding(
-                        "angle",
-                        f"{name} wraps at {turn:g}: it seems to be in {unit}, not in radians "
-                        f"(--scale {name}={scale})",
-                        False,
-                    )
+        unit = turn_of(channels[key])
+        if unit is not None:
+            turn = next(turn for turn, one in TURNS.items() if one == unit)
+            out.append(
+                Finding(
+                    "angle",
+                    f"{name} wraps at {turn:g}: it seems not to be in radians (--unit "
+                    f"{name}={unit})",
+                    False,
                 )
-                break
+            )
     return out
 
 

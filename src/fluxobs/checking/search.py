@@ -144,7 +144,7 @@ def check_log(
         return Check(tuple(seen), None, None, ("Mend that first; nothing else was tried.",))
     data = stretches(log, machine)
     search = Search(machine, data, measure_scales(log) if scales is None else scales)
-    tries = alternatives(machine, log.layout.frame)
+    tries = alternatives(machine, log.frame)
     best = given = search.attempt(AS_GIVEN, AS_GIVEN, 0.0)
     found: list[Mistake] = []
     instead: dict[str, tuple[str, ...]] = {}  # what may be in its place, by kind
@@ -176,13 +176,13 @@ def check_log(
     ]
     fits = _fits(best, machine)
     findings = [_scaled(one, best, machine, fits) for one in findings]
-    notes: tuple[str, ...] = (UNSEEN,)
-    if log.truth is not None and data.truth is not None:
+    true = log.true
+    notes = (UNSEEN,) if true is None or true.channel.startswith("speed") else ()
+    if true is not None and not true.guessed and true.angular and data.truth is not None:
         at = positions(data.current.shape[1])
         lags = {one.mistake.lag: one.fit for one in around if one.mistake.kind == "lag"}
         tried = {0: best.fit} | (lags if not found else {})
-        findings += truth(log.truth[0], machine, data, tried, at, log.layout.lag)
-        notes = ()
+        findings += truth(true.channel, machine, data, tried, at, log.layout.lag)
     return Check((*seen, *findings), given.fit.share, best.fit.share, notes, fits)
 
 

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from ..errors import FluxobsError
+from .commands.channels import channels
 from .commands.check import check
 from .commands.compare import compare
 from .commands.demo import demo
@@ -20,6 +21,7 @@ from .commands.estimate import estimate
 from .commands.export import export
 from .commands.identify import identify
 from .commands.machines import machines
+from .commands.presets import presets
 from .commands.reproduce import reproduce
 from .options import REPEATED
 
@@ -30,7 +32,7 @@ Flux, rotor position, speed and sensor drift from a drive's currents and voltage
 
     fluxobs demo
 
-**Your own log** (CSV, Parquet, npz), with a machine file or the name of a shipped machine:
+**Your own log** (CSV, MDF, MAT, TDMS, Parquet, …), with a machine file or the name of a shipped machine:
 
     fluxobs estimate LOG.csv --machine motor.toml --out estimates.parquet --report report.png
 
@@ -62,7 +64,11 @@ def _options(
     pass
 
 
-for command in (estimate, check, identify, compare, export, machines, demo, reproduce):
+COMMANDS = (
+    *(estimate, check, channels, identify, compare, export),
+    *(machines, presets, demo, reproduce),
+)
+for command in COMMANDS:
     app.command(name=command.__name__)(command)
 
 

@@ -23,9 +23,22 @@ MachineOption = Annotated[
 ]
 LogArgument = Annotated[
     Path,
-    typer.Argument(metavar="LOG", help="CSV (any delimiter), Parquet or npz; a column a channel."),
+    typer.Argument(
+        metavar="LOG",
+        help="Text as instruments write it (CSV, TXT, LVM, …, also .gz), Parquet, Arrow, npz, npy, "
+        "HDF5, MAT, MDF4, TDMS, ULog, Excel. `fluxobs channels LOG` shows what it holds.",
+    ),
 ]
 ReportOption = Annotated[Path | None, typer.Option(help="Picture: .png, .pdf or .svg.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")]
+QuietOption = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for scripts.")]
+SaveRecordOption = Annotated[
+    Path | None,
+    typer.Option(help="Record file to write, .toml: how the log was read, guesses included."),
+]
 PriorOption = Annotated[
     Pairs,
     typer.Option(
@@ -43,17 +56,26 @@ LAYOUT: dict[str, Any] = {
     "record": Annotated[
         Path | None, typer.Option(help="TOML with frame, lag, columns, …; options override it.")
     ],
+    "preset": Annotated[
+        str | None,
+        typer.Option(help="Record of a known tool; `fluxobs presets` lists them."),
+    ],
     "frame": Annotated[
         str | None,
         typer.Option(
             help="alphabeta (u_alpha u_beta i_alpha i_beta), abc (u_a … i_c; or two currents), "
             "line (u_ab u_bc), duty (d_a d_b d_c udc), dq (u_d u_q i_d i_q theta_e; a voltage is "
             "turned by the angle in the middle of the interval it acts over), ports (u_1 u_2 "
-            "i_1 i_2: maglev-2dof). Default alphabeta, or ports."
+            "i_1 i_2: maglev-2dof). Default: the first of these that the columns fill."
         ),
     ],
+    "currents": Annotated[
+        str | None,
+        typer.Option(help="Frame of the currents, if another: alphabeta, abc or dq."),
+    ],
     "sample_time": Annotated[
-        float | None, typer.Option(help="Seconds; needed if there is no column t.")
+        float | None,
+        typer.Option(help="Seconds; needed if neither a column nor the header says it."),
     ],
     "lag": Annotated[
         float | None,
@@ -80,6 +102,24 @@ LAYOUT: dict[str, Any] = {
             "column t.",
         ),
     ],
+    "unit": Annotated[
+        Pairs,
+        typer.Option(
+            "--unit",
+            "--units",
+            metavar="CHANNEL=UNIT",
+            help="As i_a=mA theta=deg speed=rpm t=ms; i, u, duty, theta, speed stand for all of "
+            "these. counts:4096 (of a turn, of full duty), ticks:170e6 (t, Hz), q8 (fixed point). "
+            "Default: the file's unit, or that in the name.",
+        ),
+    ],
+    "adc": Annotated[
+        Pairs,
+        typer.Option(
+            metavar="CHANNEL=BITS,RANGE,ZERO",
+            help="Raw counts: i=12,100,2048 are 12 bits that span 100 A, zero at 2048.",
+        ),
+    ],
     "scale": Annotated[
         Pairs, typer.Option(metavar="CHANNEL=NUMBER", help="A channel is scale · column + offset.")
     ],
@@ -96,15 +136,42 @@ LAYOUT: dict[str, Any] = {
         Pairs,
         typer.Option(
             metavar="CHANNEL=COLUMN",
-            help="theta_e=COLUMN or theta_mech=COLUMN: true angle in radians; position=COLUMN: "
-            "true position of a levitated body in metres; speed_mech=COLUMN: mechanical speed in "
-            "rad/s, which tells `identify` the R_R of an induction machine.",
+            help="What the estimate is scored by: theta_e or theta_mech=COLUMN: true angle; "
+            "sincos=SINE,COSINE; hall=A,B,C; speed_mech or speed_e=COLUMN (tells `identify` the "
+            "R_R of an induction machine); position=COLUMN of a levitated body. none: nothing, "
+            "even if a column looks like an angle.",
+        ),
+    ],
+    "fit_truth": Annotated[
+        bool | None,
+        typer.Option(
+            "--fit-truth/--truth-as-given",
+            help="Fit zero, direction, pole pairs, delay and eccentricity of the truth to the "
+            "estimate, and report them apart (default).",
+        ),
+    ],
+    "header": Annotated[
+        str | None,
+        typer.Option(metavar="NAMES", help='Names for a file without: "t,u_a,u_b,u_c,i_a,i_b".'),
+    ],
+    "join": Annotated[
+        list[str] | None,
+        typer.Option(metavar="FILE", help="A further file of the same run; may be repeated."),
+    ],
+    "align": Annotated[
+        str | None,
+        typer.Option(
+            help="How the times of joined files belong together: time (stamps; default), index "
+            "(row by row), auto (by what both saw)."
         ),
     ],
 }
 
 #: Options that may be followed by several NAME=VALUE.
-REPEATED = (*("--column", "--columns", "--scale", "--offset", "--truth", "--prior", "--priors"),)
+REPEATED = (
+    *("--column", "--columns", "--unit", "--units", "--adc", "--scale", "--offset", "--truth"),
+    *("--prior", "--priors"),
+)
 
 
 def reads_logs(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -137,7 +204,9 @@ def reads_logs(*without: str) -> Callable[[Callable[..., None]], Callable[..., N
 def layout_of(options: dict[str, Any]) -> dict[str, Any]:
     """The options that are given, as arguments of :func:`fluxobs.read_log`."""
     layout = {name: value for name, value in options.items() if value is not None}
-    for name in ("columns", "truth"):
+    if layout.get("truth") == ["none"]:
+        layout["truth"] = ["none=-"]
+    for name in ("columns", "truth", "unit", "adc"):
         if name in layout:
             layout[name] = pairs("column" if name == "columns" else name, layout[name])
     for name in ("scale", "offset"):

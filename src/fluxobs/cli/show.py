@@ -34,17 +34,23 @@ def table(rich_table: Any) -> None:
     Console(width=width).print(rich_table)
 
 
+#: Exit code after Ctrl-C, as shells have it: 128 and the number of the signal.
+INTERRUPTED = 130
+
+
 class Progress:
     """A bar on standard error, once a run has taken a second."""
 
     def __init__(self) -> None:
         self.started = time.monotonic()
         self.bar: Any = None
+        self.done = self.total = 0
 
     def __enter__(self) -> Self:
         return self
 
     def __call__(self, done: int, total: int) -> None:
+        self.done, self.total = done, total
         late = sys.stderr.isatty() and time.monotonic() - self.started > 1
         if self.bar is None and late and done < total:
             from rich.console import Console
@@ -62,6 +68,10 @@ class Progress:
         if self.bar is not None:
             self.bar.update(self.task, completed=done)
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if self.bar is not None:
             self.bar.stop()
+        if kind is not None and issubclass(kind, KeyboardInterrupt):
+            at = f" after {self.done} of {self.total} rows" if self.total else ""
+            typer.echo(f"Stopped by Ctrl-C{at}; no file was written or changed.", err=True)
+            raise SystemExit(INTERRUPTED) from None

@@ -36,7 +36,7 @@ class Rows:
     innovation : (rows,) ndarray, optional
         Only from the compiled observers.
     more : dict
-        For pictures and summary, but not written: truth, adapting.
+        For pictures and summary, but not written: truth, raw (the truth channel), adapting.
     """
 
     columns: dict[str, NDArray[Any]]
@@ -60,11 +60,18 @@ def rows_of(log: Log, machine: Machine, observer: AnyObserver, part: Aligned, fo
         innovation = None
     error = None
     if part.truth is not None and log.truth is not None:
+        more["raw"] = part.truth
+    if part.truth is not None and log.true is not None and is_position(log, machine):
         where = machine.position_output.name
-        more["truth"] = machine.true_position(log.truth[0], part.truth)
+        more["truth"] = machine.true_position(log.true.channel, part.truth)
         error = machine.position_error(columns[where], more["truth"])
         columns[f"{where}_error"] = error
     return Rows(columns, valid, error, innovation, more)
+
+
+def is_position(log: Log, machine: Machine) -> bool:
+    """Whether the truth of a log is the position itself, not a speed or Hall signals."""
+    return log.true is not None and log.true.channel in machine.position_output.truths
 
 
 def _compiled(

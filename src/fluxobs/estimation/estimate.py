@@ -23,6 +23,7 @@ from .learning import learn, learning_parts, needed
 from .prepare import prepare
 from .result import Result
 from .statistics import Statistics
+from .truth import TruthSamples
 
 
 def estimate(
@@ -30,6 +31,7 @@ def estimate(
     machine: Machine | str | Path,
     *,
     out: str | Path | None = None,
+    force: bool = False,
     unknowns: str | Sequence[str] = "auto",
     causal: bool = False,
     memory: float | None = None,
@@ -49,6 +51,8 @@ def estimate(
     machine : Machine, or a path, or the name of a shipped machine
     out : path, optional
         Ends in .parquet or .csv. Without it the estimates stay in memory.
+    force : bool
+        Overwrite `out` if it exists.
     unknowns : "auto", or str or sequence of {"drift", "resistance", "inverter", "asymmetry", \
             "current-bias"}
         Constant or slow unknowns. With resistance, inverter or asymmetry the adaptive observer
@@ -65,7 +69,7 @@ def estimate(
     progress : callable, optional
         Called with the number of rows done and the number of all rows.
     layout : optional
-        record, frame, sample_time, lag, udc, columns, scale, offset, truth, start, stop: as for
+        record, preset, frame, lag, columns, unit, truth, and more: as for
         :func:`fluxobs.read_log`.
 
     Returns
@@ -92,7 +96,7 @@ def estimate(
         memory = number("memory", memory, "s")
     chosen, stds = read_unknowns(unknowns), dict(priors or {})
     opened = open_for(log, machine, **layout)
-    path = None if out is None else check_out(out, opened.path)
+    path = None if out is None else check_out(out, opened.path, force)
     automatic, done, total = chosen == (AUTO,), 0, len(opened)
     if automatic:
         chosen = ALL if isinstance(machine, RotatingMachine) else ("drift",)
@@ -114,6 +118,8 @@ def estimate(
             if not needed(run.observer, learnt, plain):
                 chosen, stds, learnt, state, run = ("drift",), {}, None, None, plain
     statistics = Statistics(total)
+    if opened.true is not None and opened.layout.fit_truth and run.plain_outputs:
+        statistics.truth = TruthSamples(total, opened.true.channel)
     observer: LogObserver[Any, Any] = run.observer
     if state is None or causal:
         state = observer.init()

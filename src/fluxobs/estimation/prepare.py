@@ -58,6 +58,11 @@ class Prepared:
     scales: Scales
     batch: int = BATCH
 
+    @property
+    def plain_outputs(self) -> bool:
+        """Whether a compiled observer runs, whose estimates have an angle and its deviation."""
+        return not isinstance(self.observer, ImmersionObserver)
+
 
 def prepare(
     log: Log,

@@ -19,9 +19,11 @@ from ..machines import Machine, RotatingMachine, rotating
 from ..machines.written import machine_text, with_found, write_machine
 from ..output import check_out, write_rows
 from ..validation import nearest
+from .facts import facts
 from .learning import parameters
 from .run import LogRun
 from .summary import paragraph
+from .truth import TruthFit, fit_truth
 from .warnings import warnings
 
 if TYPE_CHECKING:
@@ -68,12 +70,25 @@ class Result(LogRun):
     @cached_property
     def summary(self) -> str:
         """What the run found, in one paragraph."""
-        return paragraph(self, self.checked)
+        return paragraph(self, self.checked, self.truth_fit)
 
     @cached_property
     def warnings(self) -> list[str]:
         """What should make a reader wary, one or two sentences each."""
         return warnings(self, self.checked)
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Summary and warnings as numbers and words that JSON can hold."""
+        return facts(self, self.warnings, self.truth_fit)
+
+    @cached_property
+    def truth_fit(self) -> TruthFit | None:
+        """What the truth channel is off by, fitted to the estimate; None without one."""
+        samples = self.statistics.truth
+        if samples is None or not isinstance(self.machine, RotatingMachine):
+            return None
+        return fit_truth(samples, self.machine)
 
     @cached_property
     def checked(self) -> Check | None:
@@ -174,7 +189,7 @@ class Result(LogRun):
             write(self.plot(), path)
             return
         table = self.estimates
-        write_rows(check_out(path, self.log.path), dict(table.schema), iter([table]))
+        write_rows(check_out(path, self.log.path, force=True), dict(table.schema), iter([table]))
 
     def __str__(self) -> str:
         return "\n".join([self.summary, *(f"Warning: {text}" for text in self.warnings)])

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .columns import Rows
+from .truth import TruthSamples
 
 Array = NDArray[np.float64]
 
@@ -50,6 +51,7 @@ class Statistics:
     error_squared: float = 0.0
     error_max: float = 0.0
     found: dict[str, float] = field(default_factory=dict)  # every column of the last adapting row
+    truth: TruthSamples | None = None
     thin: Series = field(default_factory=Series)
     detail: Series = field(default_factory=Series)
 
@@ -88,6 +90,8 @@ class Statistics:
             self.error += float(known.sum())
             self.error_squared += float((known**2).sum())
             self.error_max = max(self.error_max, float(np.abs(known).max(initial=0.0)))
+        if self.truth is not None and "raw" in rows.more:
+            self.truth.add(rows)
         self.rows += count
 
     def _add_settled(self, rows: Rows, first: int, count: int) -> None:

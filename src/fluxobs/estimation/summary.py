@@ -11,6 +11,7 @@ from ..observers import ImmersionObserver
 from ..observers.immersed import UNSEEN_BIAS
 from .learning import UNSEEN, learning_parts, parameters
 from .run import LogRun
+from .truth import TruthFit
 
 
 def si(value: float, unit: str) -> str:
@@ -21,7 +22,7 @@ def si(value: float, unit: str) -> str:
     return f"0 {unit}" if value == 0 else f"{value:.2g} {unit}"
 
 
-def paragraph(result: LogRun, found: Check | None) -> str:
+def paragraph(result: LogRun, found: Check | None, truth: TruthFit | None) -> str:
     """The summary of a run whose log was checked."""
     statistics, log = result.statistics, result.log
     head = (
@@ -43,7 +44,7 @@ def paragraph(result: LogRun, found: Check | None) -> str:
         *_current_bias(result),
         *_flux(result),
         *_parameters(result),
-        *_score(result),
+        *_score(result, truth),
         *([found.untold] if found is not None and found.untold else []),
     ]
     return " ".join(sentences)
@@ -147,10 +148,11 @@ def _choice(result: LogRun) -> list[str]:
     return ["Taken as unknown: the drift; the log does not ask for more."]
 
 
-def _score(result: LogRun) -> list[str]:
+def _score(result: LogRun, truth: TruthFit | None) -> list[str]:
     statistics, position = result.statistics, result.machine.position_output
-    if not statistics.scored:
-        return []
+    wrong = truth is not None and truth.wrong_turns
+    if not statistics.scored or wrong:
+        return _fitted(result, truth)
     mean, factor = statistics.error / statistics.scored, position.factor
     angle = position.unit == "°"
 
@@ -160,5 +162,22 @@ def _score(result: LogRun) -> list[str]:
     return [
         f"Against the true {'angle' if angle else 'position'}, on {statistics.scored} valid rows: "
         f"position error {told(statistics.rms_error)} rms, {told(statistics.error_max)} at most, "
-        f"mean {told(mean)}."
+        f"mean {told(mean)}.",
+        *_fitted(result, truth),
     ]
+
+
+def _fitted(result: LogRun, truth: TruthFit | None) -> list[str]:
+    """What the truth channel is off by, and what is left of the error without that."""
+    if truth is None or not truth.told:
+        return []
+    columns = "" if result.log.true is None else " ".join(result.log.true.columns)
+    text = f"Of the channel {truth.channel} ({columns}), fitted to the estimate: "
+    text += "; ".join(truth.words) + "."
+    if not np.isfinite(truth.rms):
+        return [text]
+    if truth.channel.startswith("speed"):
+        return [f"{text} The speeds differ by {truth.rms:.3g} rad/s rms, {truth.most:.3g} at most."]
+    left = f"{np.degrees(truth.rms):.2f}° rms, {np.degrees(truth.most):.2f}° at most"
+    what = "The edges scatter by" if truth.channel == "hall" else "Without these the error is"
+    return [f"{text} {what} {left}."]

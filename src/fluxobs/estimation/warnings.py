@@ -8,6 +8,7 @@ from ..checking.findings import Check
 from ..machines import RotatingMachine
 from ..model.flux_table import RECIPROCITY
 from ..observers import LeastSquaresObserver
+from .columns import is_position
 from .learning import doubtful
 from .run import LogRun
 from .summary import bias_is_seen, si
@@ -88,7 +89,9 @@ def _samples(result: LogRun) -> list[str]:
 
 def _truth(result: LogRun) -> list[str]:
     statistics = result.statistics
-    if result.log.truth is None or statistics.scored >= TRUTH_SHARE * statistics.valid:
+    if not is_position(result.log, result.machine):
+        return []
+    if statistics.scored >= TRUTH_SHARE * statistics.valid:
         return []
     return [
         f"The true angle is known on only {statistics.scored} of {statistics.valid} valid rows."

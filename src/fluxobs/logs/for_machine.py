@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from ..errors import RecordError
-from ..machines import Machine
+from ..machines import Machine, RotatingMachine
+from ..model.frames import Frame
+from .guess import ROTATING
 from .log import Log
 from .read import read_log
+
+#: Truths that score a rotor without being its angle.
+INDIRECT = ("speed_mech", "speed_e", "hall")
 
 
 def open_for(source: Any, machine: Machine, also: tuple[str, ...] = (), **layout: Any) -> Log:
@@ -27,10 +33,15 @@ def open_for(source: Any, machine: Machine, also: tuple[str, ...] = (), **layout
     """
     if layout.get("frame") is not None:  # before its columns are looked for
         _check_frame(layout["frame"], machine)
-    log = read_log(source, default_frame=machine.frame, **layout)
-    _check_frame(log.layout.frame, machine)
+    frames: tuple[Frame, ...] = ROTATING if machine.frame == "alphabeta" else (machine.frame,)
+    log = read_log(source, frames=frames, **layout)
+    _check_frame(log.frame, machine)
     known = machine.position_output.truths
+    if isinstance(machine, RotatingMachine):
+        known = (*known, *INDIRECT)
     if log.truth is not None and log.truth[0] not in (*known, *also):
+        if log.true is not None and log.true.guessed:
+            return replace(log, true=None)
         raise RecordError(
             f"truth {log.truth[0]}: kind {machine.kind} has {' or '.join(reversed(known))}"
         )

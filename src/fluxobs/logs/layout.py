@@ -1,44 +1,56 @@
-"""What the columns of a log mean: frame, channels, scale, offset, timing."""
+"""What the columns of a log mean: frame, channels, units, timing."""
 
 from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from ..errors import RecordError
-from ..model.frames import CURRENTS, FRAMES, PHASE_CURRENTS, VOLTAGES, Frame
+from ..model.frames import CURRENTS, FRAMES, VOLTAGES, Frame
 from ..validation import Number, Positive, complaints, nearest
+from . import units
 
 #: Every channel a log may have.
 CHANNELS = tuple(
     dict.fromkeys(
         ["t"]
         + [name for frame in FRAMES for name in VOLTAGES[frame] + CURRENTS[frame]]
-        + ["theta_e", "theta_mech", "position"]
+        + ["theta_e", "theta_mech", "position", "speed_mech", "speed_e"]
     )
 )
-TRUTHS = ("theta_e", "theta_mech", "position", "speed_mech")
+#: Channels of truth; hall and sincos are read from several columns, parted by commas.
+TRUTHS = ("theta_e", "theta_mech", "position", "speed_mech", "speed_e", "hall", "sincos")
+#: A truth that says: use none, even if there is a column like one.
+NO_TRUTH = "none"
 #: Column name that means: ignore the existing column (for t).
 NO_COLUMN = "-"
+#: Words for several channels, in `unit` and `adc`: their first letters.
+GROUPS = {"i": "i_", "u": "u_", "duty": "d_", "theta": "theta", "speed": "speed"}
+
+Align = Literal["time", "index", "auto"]
 
 
 class Layout(BaseModel):
     """How to read a log: the fields of a record TOML, and the options of the same names.
 
-    A channel's value is ``scale · column + offset``. A channel that is not named in `columns` is
-    read from the column of the same name. `columns` t = "-" ignores a column t.
+    A channel's value is ``scale · column + offset``, in SI. A channel that is not named in
+    `columns` is read from the column of the same name, or from the one whose name means it.
+    `columns` t = "-" ignores a column t.
 
     Parameters
     ----------
-    frame : str
+    frame : str, optional
         "alphabeta", "abc" (amplitude-invariant Clarke; two phase currents suffice), "line"
         (line-to-line voltages u_ab, u_bc), "duty" (duty cycles 0…1 and udc), "dq" (with theta_e,
-        the angle used for the rotation), "ports" (u_1 u_2 i_1 i_2, coils as they are).
+        the angle used for the rotation), "ports" (u_1 u_2 i_1 i_2, coils as they are). Default: the
+        first of these that the columns fill.
+    currents : str, optional
+        Frame of the currents, if it is not that of the voltages: "alphabeta", "abc" or "dq".
     sample_time : float, optional
-        [s]; needed if there is no column t.
+        [s]; needed if there is no column t, and the file does not say it.
     lag : float
         Interval over which a row's voltage acts, in samples: 0 from that row to the next, -1 one
         sample later, +1 one earlier; fractions allowed.
@@ -49,29 +61,58 @@ class Layout(BaseModel):
         DC-link voltage [V] if it has no column (frame "duty").
     columns : dict
         Channel → column name.
+    unit : dict
+        Channel, or i, u, duty, theta, speed for all of these → unit: mA, ms, deg, rpm, % …;
+        counts:4096 (of a turn, or of a duty of one); ticks:170e6 (t, of a clock in Hz); q8 (fixed
+        point with eight fractional bits). Default: the file's unit, or that in the column's name.
+    adc : dict
+        Channel, or i or u for all of them → "bits,range,zero" of its converter: the range [SI] that
+        all counts span, and the count at zero (default: half of them).
     scale, offset : dict
-        Channel → number.
+        Channel → number; a scale stands in place of a unit.
     truth : dict
-        {"theta_e": column} (electrical), {"theta_mech": column} (mechanical) or {"position":
-        column} [m] of a levitated body, for scoring; {"speed_mech": column} [rad/s], from which
-        `identify` tells R_R of an induction machine.
+        One of: {"theta_e": column} (electrical), {"theta_mech": column} (mechanical), {"sincos":
+        "column,column"} (sine and cosine of the mechanical angle), {"hall": "column,column,column"}
+        or {"hall": column} (its code, 1…6), {"speed_mech": column}, {"speed_e": column} [rad/s],
+        {"position": column} [m] of a levitated body; for scoring. {"none": "-"}: no truth, even if
+        a column looks like one.
+    fit_truth : bool
+        Whether zero, direction, pole pairs, lag and eccentricity of the truth are fitted to the
+        estimate, and reported apart.
     start, stop : float, optional
         Only rows with start <= t <= stop [s].
+    header : str, optional
+        Names of the columns, parted by commas, for a file without names.
+    note : str, optional
+        What a reader of the result should know; it is printed.
+    join : list of str
+        Further files with channels of the same run.
+    align : str
+        How their times belong together: "time" (their stamps; default), "index" (row by row),
+        "auto" (by what the files have in common).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
-    frame: Frame = "alphabeta"
+    frame: Frame | None = None
+    currents: Frame | None = None
     sample_time: Positive | None = None
     lag: Number = 0.0
     held: bool | None = None
     udc: Positive | None = None
     columns: dict[str, str] = {}
+    unit: dict[str, str] = {}
+    adc: dict[str, str] = {}
     scale: dict[str, Number] = {}
     offset: dict[str, Number] = {}
     truth: dict[str, str] = {}
+    fit_truth: bool = True
     start: Number | None = None
     stop: Number | None = None
+    header: str | None = None
+    note: str | None = None
+    join: list[str] = []
+    align: Align = "time"
 
     def __init__(self, **fields: Any) -> None:
         try:
@@ -81,35 +122,52 @@ class Layout(BaseModel):
 
     @model_validator(mode="after")
     def _known_channels(self) -> Self:
-        for field in ("columns", "scale", "offset"):
+        for field in ("columns", "scale", "offset", "unit", "adc"):
+            several = GROUPS if field in ("unit", "adc") else {}
+            known = [*CHANNELS, *several]
             for channel in getattr(self, field):
-                if channel not in CHANNELS:
+                if channel not in known:
                     raise ValueError(
-                        f"{field}: unknown channel {channel!r}{nearest(channel, CHANNELS)}"
+                        f"{field}: unknown channel {channel!r}{nearest(channel, known)}"
                     )
         for channel in self.truth:
-            if channel not in TRUTHS:
+            if channel not in (*TRUTHS, NO_TRUTH):
                 raise ValueError(f"truth must be one of {', '.join(TRUTHS)}, got {channel!r}")
-        if self.udc is not None and self.frame != "duty":
+        if self.udc is not None and self.frame not in ("duty", None):
             raise ValueError(f'udc belongs to frame "duty", not to "{self.frame}"')
         if len(self.truth) > 1:
             raise ValueError("truth: give one channel only")
+        for channel, unit in self.unit.items():
+            example = {"i": "i_a", "u": "u_a", "duty": "d_a", "theta": "theta_e"}.get(channel)
+            units.factor(example or {"speed": "speed_mech"}.get(channel, channel), unit)
+        for channel, given in self.adc.items():
+            units.adc(channel, given)
         return self
 
-    def required(self, available: list[str]) -> dict[str, str]:
-        """Channel → column for all channels that the frame needs or can use."""
-        channels = list(VOLTAGES[self.frame])
-        if self.frame == "duty" and self.udc is not None:
-            channels.remove("udc")
-        currents = list(CURRENTS[self.frame])
-        if tuple(currents) == PHASE_CURRENTS:
-            present = [name for name in currents if self.columns.get(name, name) in available]
-            currents = present if len(present) >= 2 else currents[:2]
-        if self.frame == "dq":
-            channels.append("theta_e")
-        if self.columns.get("t", "t") != NO_COLUMN and ("t" in self.columns or "t" in available):
-            channels.insert(0, "t")
-        return {name: self.columns.get(name, name) for name in channels + currents}
+    def of_channel(self, field: str, channel: str) -> str | None:
+        """What `unit` or `adc` says of a channel, by its name or by the word for its like."""
+        given: dict[str, str] = getattr(self, field)
+        if channel in given:
+            return given[channel]
+        return next(
+            (
+                given[word]
+                for word, start in GROUPS.items()
+                if word in given and channel.startswith(start)
+            ),
+            None,
+        )
+
+    def conversion(self, channel: str) -> tuple[float, float]:
+        """Scale and offset that turn a column into its channel, in SI."""
+        scale, offset = 1.0, 0.0
+        if (given := self.of_channel("adc", channel)) is not None:
+            scale, offset = units.adc(channel, given)
+        elif (unit := self.of_channel("unit", channel)) is not None:
+            scale = units.factor(channel, unit)
+        if channel in self.scale:
+            scale, offset = self.scale[channel], 0.0
+        return scale, offset + self.offset.get(channel, 0.0)
 
 
 def read_fields(path: str | Path) -> dict[str, Any]:
@@ -122,13 +180,21 @@ def read_fields(path: str | Path) -> dict[str, Any]:
     """
     path = Path(path)
     try:
-        fields = tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
         raise RecordError(f"{path}: not TOML: {error}") from None
+    return fields_from(text, str(path))
+
+
+def fields_from(text: str, where: str) -> dict[str, Any]:
+    """Fields of a record from the text of its TOML; RecordError if they are none."""
     try:
+        fields = tomllib.loads(text)
         Layout(**fields)
+    except tomllib.TOMLDecodeError as error:
+        raise RecordError(f"{where}: not TOML: {error}") from None
     except RecordError as error:
-        raise RecordError(f"{path}: {error}") from None
+        raise RecordError(f"{where}: {error}") from None
     return fields

@@ -1,9 +1,9 @@
-"""Open a log from a file, a record, or arrays."""
+"""Open a log from files, a record, or arrays."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +11,13 @@ import numpy as np
 
 from ..errors import RecordError, UsageError
 from ..model.frames import CURRENTS, VOLTAGES, Frame
-from .formats import open_table
+from .assemble import assemble
+from .formats import Table, open_tables
 from .formats.arrays import ArrayTable
-from .formats.table import Table
+from .guess import ROTATING
 from .layout import Layout, read_fields
-from .log import Log, open_log
+from .log import Log
+from .presets import preset_fields
 from .record import Record, alphabeta_rows
 
 #: What :func:`read_log` takes: a file; a log or a record; a mapping of channels (or columns) to
@@ -23,31 +25,43 @@ from .record import Record, alphabeta_rows
 Source = str | Path | Log | Record | Mapping[str, Any] | tuple[Any, Any]
 
 #: Fields of a layout that are mappings: options add to those of a record file.
-_MAPPINGS = ("columns", "scale", "offset", "truth")
+_MAPPINGS = ("columns", "scale", "offset", "truth", "unit", "adc")
+
+Files = list[tuple[Path, list[Table]]]
 
 
 def read_log(
     source: Any,
     *,
     record: str | Path | None = None,
+    preset: str | None = None,
     frame: Frame | None = None,
-    default_frame: Frame = "alphabeta",
+    frames: Sequence[Frame] = ROTATING,
     **layout: Any,
 ) -> Log:
-    """Open a log. Only its head is read at this point.
+    """Open a log. Only its head and its times are read at this point.
+
+    What is not said is guessed from the names, units and values of the columns; ``log.notes`` says
+    what was.
 
     Parameters
     ----------
     source : path, Log, Record, mapping of str to array, or (voltage, current)
-        A CSV (any delimiter), Parquet or npz file, or data in memory. A pair of arrays is as for
-        :class:`Record`: (rows, 2) in αβ, (rows, 3) of three phases, or (rows,) complex.
+        A file in one of the formats of :mod:`fluxobs.logs.formats`, or data in memory. A pair of
+        arrays is as for :class:`Record`: (rows, 2) in αβ, (rows, 3) of three phases, or (rows,)
+        complex.
     record : path, optional
         TOML with the fields of :class:`Layout`; arguments given here override it.
+    preset : str, optional
+        Name of a shipped record for the logs of a known tool; `record` overrides it.
     frame : str, optional
-    default_frame : str
-        Used if neither `record` nor `frame` gives a frame.
-    sample_time, lag, held, udc, columns, scale, offset, truth, start, stop : optional
-        Fields of :class:`Layout`. A number as the column of udc is a constant DC-link voltage.
+        Default: the first of `frames` that the columns fill.
+    frames : sequence of str
+        Frames to choose from.
+    layout : optional
+        Fields of :class:`Layout`: sample_time, lag, held, udc, columns, unit, adc, scale, offset,
+        truth, fit_truth, start, stop, header, join, align. A number as the column of udc is a
+        constant DC-link voltage.
 
     Returns
     -------
@@ -70,41 +84,58 @@ def read_log(
     """
     given = {name: value for name, value in layout.items() if value is not None}
     if isinstance(source, Log):
-        if given or record is not None or frame is not None:
+        if given or record is not None or frame is not None or preset is not None:
             raise UsageError(
-                f"{', '.join(given) or 'record or frame'}: the log is open already; give its "
-                f"layout to read_log"
+                f"{', '.join(given) or 'record, preset or frame'}: the log is open already; give "
+                f"its layout to read_log"
             )
         return source
-    fields = read_fields(record) if record is not None else {}
-    for name, value in given.items():
-        fields[name] = fields.get(name, {}) | dict(value) if name in _MAPPINGS else value
-    if layout.get("truth"):
-        fields["truth"] = dict(layout["truth"])  # there is only one truth: replace it
+    fields = preset_fields(preset) if preset is not None else {}
+    for more in (read_fields(record) if record is not None else {}, given):
+        for name, value in more.items():
+            fields[name] = fields.get(name, {}) | dict(value) if name in _MAPPINGS else value
+        if more.get("truth"):
+            fields["truth"] = dict(more["truth"])  # there is only one truth: replace it
     if frame is not None:
         fields["frame"] = frame
-    fields.setdefault("frame", default_frame)
-    table, fields = _table(source, fields)
-    _take_constant_udc(fields, table)
-    return open_log(table, Layout(**fields))
+    files, fields = _files(source, fields, frames[0])
+    _take_constant_udc(fields, files)
+    Layout(**fields)  # what the user gave, before anything is guessed
+    return assemble(files, fields, frames)
 
 
-def _table(source: Any, fields: dict[str, Any]) -> tuple[Table, dict[str, Any]]:
-    """The table, and the fields, completed by what the source itself says."""
+def _files(source: Any, fields: dict[str, Any], usual: Frame) -> tuple[Files, dict[str, Any]]:
+    """Files with their tables, and the fields, completed by what the source itself says."""
+    fields = dict(fields)
     if isinstance(source, str | Path):
-        return open_table(source), fields
+        header = _header(fields.get("header"))
+        paths = [Path(source), *(Path(one) for one in fields.get("join", []))]
+        return [(path, open_tables(path, header)) for path in paths], fields
+    if fields.get("join") or fields.get("header"):
+        raise UsageError("join and header are for files, not for data in memory")
     if isinstance(source, Record):
-        return _record_table(source, fields)
-    if isinstance(source, tuple | list) and len(source) == 2:
-        return _pair_table(source[0], source[1], fields)
-    if hasattr(source, "columns") and hasattr(source, "__getitem__"):  # a data frame
-        return ArrayTable({str(name): source[name] for name in source.columns}), fields
-    if isinstance(source, Mapping):
-        return ArrayTable(source), fields
-    raise RecordError(
-        f"a log is a file, a Record, a mapping of channels to arrays, or (voltage, current); got "
-        f"{type(source).__name__}"
-    )
+        table, fields = _record_table(source, fields, usual)
+    elif isinstance(source, tuple | list) and len(source) == 2:
+        table, fields = _pair_table(source[0], source[1], fields, usual)
+    elif hasattr(source, "columns") and hasattr(source, "__getitem__"):  # a data frame
+        table = ArrayTable({str(name): source[name] for name in source.columns})
+    elif isinstance(source, Mapping):
+        table = ArrayTable(source)
+    else:
+        raise RecordError(
+            f"a log is a file, a Record, a mapping of channels to arrays, or (voltage, current); "
+            f"got {type(source).__name__}"
+        )
+    return [(table.path, [table])], fields
+
+
+def _header(given: Any) -> list[str] | None:
+    if given is None:
+        return None
+    names = [name.strip() for name in str(given).split(",")]
+    if not all(names) or len(set(names)) < len(names):
+        raise RecordError(f"header {given!r}: expected different names, parted by commas")
+    return names
 
 
 def _channels(voltage: Any, current: Any, frame: Frame) -> dict[str, Any]:
@@ -112,41 +143,47 @@ def _channels(voltage: Any, current: Any, frame: Frame) -> dict[str, Any]:
     return dict(zip(names, (*voltage.T, *current.T), strict=True))
 
 
-def _record_table(source: Record, fields: dict[str, Any]) -> tuple[Table, dict[str, Any]]:
-    surplus = set(fields) - {"frame", "held", "start", "stop"}
-    if surplus or fields["frame"] not in ("alphabeta", "ports"):
+def _record_table(
+    source: Record, fields: dict[str, Any], usual: Frame
+) -> tuple[Table, dict[str, Any]]:
+    frame: Frame = fields.setdefault("frame", usual)
+    surplus = set(fields) - {"frame", "held", "start", "stop", "fit_truth"}
+    if surplus or frame not in ("alphabeta", "ports"):
         raise UsageError(
             f"{', '.join(sorted(surplus)) or 'frame'}: already fixed in a Record, which is in αβ"
         )
     fields = fields | {"sample_time": source.sample_time, "lag": source.lag}
-    channels = _channels(source.voltage, source.current, fields["frame"])
+    channels = _channels(source.voltage, source.current, frame)
     if source.theta_e is not None:
         channels["theta_e"] = source.theta_e
         fields["truth"] = {"theta_e": "theta_e"}
     return ArrayTable(channels, Path("record")), fields
 
 
-def _pair_table(voltage: Any, current: Any, fields: dict[str, Any]) -> tuple[Table, dict[str, Any]]:
-    if fields.get("frame") not in ("alphabeta", "ports"):
+def _pair_table(
+    voltage: Any, current: Any, fields: dict[str, Any], usual: Frame
+) -> tuple[Table, dict[str, Any]]:
+    frame: Frame = fields.setdefault("frame", usual)
+    if frame not in ("alphabeta", "ports"):
         raise UsageError(
-            f"frame {fields['frame']!r}: a pair (voltage, current) is in αβ, of three phases, or "
-            f"complex; for other frames give a mapping of channels to arrays"
+            f"frame {frame!r}: a pair (voltage, current) is in αβ, of three phases, or complex; "
+            f"for other frames give a mapping of channels to arrays"
         )
     if "sample_time" not in fields:
         raise UsageError("sample_time is missing: arrays without a time column need it [s]")
     u, i = alphabeta_rows("voltage", voltage), alphabeta_rows("current", current)
     if len(u) != len(i):
         raise RecordError(f"voltage and current must have as many rows, got {len(u)} and {len(i)}")
-    return ArrayTable(_channels(u, i, fields["frame"])), fields
+    return ArrayTable(_channels(u, i, frame)), fields
 
 
-def _take_constant_udc(fields: dict[str, Any], table: Table) -> None:
+def _take_constant_udc(fields: dict[str, Any], files: Files) -> None:
     """Take a udc column that is a number, and not a column's name, as a constant voltage."""
     columns = dict(fields.get("columns", {}))
     constant = columns.get("udc")
     if constant is None:
         return
-    if str(constant) in table.columns:
+    if any(str(constant) in table.columns for _, tables in files for table in tables):
         fields.pop("udc", None)
         return
     try:

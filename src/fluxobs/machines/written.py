@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ..errors import FluxobsError
-from ..output import check_place, write_text
+from ..output import check_new, write_text
 from .rotating import RotatingMachine
 
 #: What a parameter may change by until the next log, as a share of it: copper by heat, 40 K,
@@ -55,11 +54,7 @@ def machine_text(
 
 def check_machine_file(out: Path, force: bool, option: str = "--out") -> None:
     """Raise FluxobsError if a machine file cannot, or must not, be written."""
-    if out.suffix != ".toml":
-        raise FluxobsError(f"{out}: {option} must end in .toml")
-    check_place(out)
-    if out.exists() and not force:
-        raise FluxobsError(f"{out}: exists; give another name, or --force to overwrite it")
+    check_new(out, (".toml",), force, option)
 
 
 def write_machine(path: Path, text: str, force: bool) -> None:

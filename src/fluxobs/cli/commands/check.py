@@ -7,11 +7,17 @@ from typing import Any
 import typer
 
 from .. import show
-from ..options import LogArgument, MachineOption, reads_logs
+from ..options import JsonOption, LogArgument, MachineOption, QuietOption, reads_logs
 
 
 @reads_logs()
-def check(log: LogArgument, machine: MachineOption, layout: dict[str, Any]) -> None:
+def check(
+    log: LogArgument,
+    machine: MachineOption,
+    layout: dict[str, Any],
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
+) -> None:
     """Is a log what you think? Tries the usual mistakes.
 
     Looks at the columns first: one given twice, raw counts, an angle in degrees, spikes. Then tries

@@ -24,5 +24,6 @@ def demo(
     make_folder(out)
     estimates = out / "estimates.parquet"
     with show.Progress() as progress:
-        result = run(demo_log(), MACHINE, out=estimates, progress=progress)
-    show_result(result, MACHINE, estimates, out / "report.png")
+        result = run(demo_log(), MACHINE, out=estimates, force=True, progress=progress)
+    result.write(out / "report.png")
+    show_result(result, MACHINE, [estimates, out / "report.png"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,10 +11,14 @@ import typer
 
 from .. import show
 from ..options import (
+    ForceOption,
+    JsonOption,
     LogArgument,
     MachineOption,
     PriorOption,
+    QuietOption,
     ReportOption,
+    SaveRecordOption,
     numbers,
     reads_logs,
     refuse_input_as_output,
@@ -66,9 +72,10 @@ def estimate(
             "standard deviations that allow for heat."
         ),
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Overwrite the file of --save-machine.")
-    ] = False,
+    save_record: SaveRecordOption = None,
+    force: ForceOption = False,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Estimate flux, position, speed and drift of a recorded log.
 
@@ -85,12 +92,17 @@ def estimate(
     Example: fluxobs estimate LOG.csv --machine motor.toml --out estimates.parquet --lag -1
     """
     from ... import estimate as run
+    from ...logs.written import write_record
+    from ...output import check_new
 
     refuse_input_as_output(out, machine, layout.get("record"))
     if report is not None:
-        from ...plots import check_path
+        from ...plots import FORMATS, check_path
 
         check_path(report)
+        check_new(report, FORMATS, force, "--report")
+    if save_record is not None:
+        check_new(save_record, (".toml",), force, "--save-record")
     if save_machine is not None:
         from ...machines.written import check_machine_file
 
@@ -101,6 +113,7 @@ def estimate(
             log,
             machine,
             out=out,
+            force=force,
             unknowns=unknowns,
             causal=causal,
             memory=memory,
@@ -108,22 +121,38 @@ def estimate(
             progress=progress,
             **layout,
         )
+    written = [out]
     if save_machine is not None:
         result.write(save_machine, force=force)
-        typer.echo(f"Written: {save_machine}")
-    show_result(result, str(machine), out, report)
-
-
-def show_result(result: Result, machine: str, out: Path, report: Path | None) -> None:
-    """Print the summary, what was written, and how to export the same observer as firmware."""
-    show.summary(result.summary, result.warnings)
-    typer.echo(f"Written: {out}")
+        written.append(save_machine)
+    if save_record is not None:
+        write_record(result.log, save_record, force=force)
+        written.append(save_record)
     if report is not None:
         result.write(report)
-        typer.echo(f"Written: {report}")
-    command = result.export_command(machine)
+        written.append(report)
+    if as_json:
+        facts = result.facts | {"written": [str(path) for path in written]}
+        typer.echo(json.dumps(facts, indent=1, ensure_ascii=False))
+    elif quiet:
+        for warning in result.warnings:
+            typer.echo(f"Warning: {warning}", err=True)
+    else:
+        show_result(result, str(machine), written)
     if result.statistics.valid == 0:
         raise typer.Exit(NEVER_VALID)
+
+
+def show_result(result: Result, machine: str, written: Sequence[Path]) -> None:
+    """Print the summary, what was written, and how to export the same observer as firmware."""
+    for note in result.log.notes:
+        show.echo(f"Note: {note}.")
+    show.summary(result.summary, result.warnings)
+    for path in written:
+        typer.echo(f"Written: {path}")
+    if result.statistics.valid == 0:
+        return
+    command = result.export_command(machine)
     if command is not None:
         words = "The same in firmware"
         if result.adaptive is not None and not result.causal:

@@ -6,35 +6,81 @@ from importlib import import_module
 from pathlib import Path
 
 from ...errors import RecordError
-from .table import BATCH, Table, missing_column, read_rows
+from .table import BATCH, Said, Table, missing_column, read_rows
 
-#: Endings of files that are not text, each with its module and class. They are loaded when needed:
-#: start-up time counts. A new format is a class with the members of :class:`Table` and a line here.
+#: Endings of files that are not text, each with its module and function. They are loaded when
+#: needed: start-up time counts. A new format is a function that returns the tables of a file, one
+#: for each set of columns that share their times, and a line here.
 FORMATS = {
-    ".npz": ("npz", "NpzTable"),
-    ".parquet": ("parquet", "ParquetTable"),
-    ".pq": ("parquet", "ParquetTable"),
+    ".npz": ("npz", "open_npz"),
+    ".npy": ("npy", "open_npy"),
+    ".parquet": ("polars_files", "open_parquet"),
+    ".pq": ("polars_files", "open_parquet"),
+    ".feather": ("polars_files", "open_arrow"),
+    ".arrow": ("polars_files", "open_arrow"),
+    ".ipc": ("polars_files", "open_arrow"),
+    ".mf4": ("mdf", "open_mdf"),
+    ".mdf": ("mdf", "open_mdf"),
+    ".dat": ("mdf", "open_mdf"),
+    ".mat": ("mat", "open_mat"),
+    ".h5": ("hdf5", "open_hdf5"),
+    ".hdf5": ("hdf5", "open_hdf5"),
+    ".hdf": ("hdf5", "open_hdf5"),
+    ".tdms": ("tdms", "open_tdms"),
+    ".ulg": ("ulog", "open_ulog"),
+    ".xlsx": ("excel", "open_excel"),
+    ".xlsm": ("excel", "open_excel"),
+    ".xls": ("excel", "open_excel"),
+    ".ods": ("excel", "open_excel"),
 }
-TEXT = ("text", "TextTable")
+#: Formats whose columns may have no names.
+_NAMELESS = ("open_npy", "open_excel")
+#: What a file begins with, where its ending may say something else.
+_MAGIC = {b"MDF     ": ".mf4", b"UnFinMF ": ".mf4", b"\x89HDF\r\n": ".h5", b"PAR1": ".parquet"}
 
-__all__ = ["BATCH", "Table", "missing_column", "open_table", "read_rows"]
+__all__ = ["BATCH", "Said", "Table", "missing_column", "open_tables", "read_rows"]
 
 
-def open_table(path: str | Path) -> Table:
-    """Open the table in a file: .parquet, .npz, else delimited text.
+def open_tables(path: str | Path, header: list[str] | None = None) -> list[Table]:
+    """Open the tables in a file: by its ending, else as delimited text.
+
+    Parameters
+    ----------
+    path : path
+    header : list of str, optional
+        Names of the columns, for text or an array that has none.
 
     Raises
     ------
     RecordError
-        The file is missing, unreadable or empty.
+        The file is missing, unreadable or empty, or the library that reads it is.
     """
     path = Path(path)
     if path.is_dir():
         raise RecordError(f"{path}: this is a folder, not a log")
     if not path.exists():
         raise RecordError(f"{path}: no such file")
-    module, name = FORMATS.get(path.suffix.lower(), TEXT)
-    table: Table = getattr(import_module(f"{__name__}.{module}"), name)(path)
-    if not table.columns:
+    module, name = _format(path)
+    if name is None:
+        from .text import TextTable
+
+        tables: list[Table] = [TextTable(path, header)]
+    else:
+        options = {"header": header} if name in _NAMELESS else {}
+        tables = getattr(import_module(f"{__name__}.{module}"), name)(path, **options)
+    tables = [table for table in tables if table.columns]
+    if not tables:
         raise RecordError(f"{path}: it has no columns of numbers")
-    return table
+    return tables
+
+
+def _format(path: Path) -> tuple[str, str | None]:
+    ending = path.suffix.lower()
+    with path.open("rb") as file:
+        start = file.read(8)
+    magic = next((name for head, name in _MAGIC.items() if start.startswith(head)), None)
+    if ending == ".dat" and magic is None:  # text as well as MDF
+        return "text", None
+    if ending not in FORMATS and magic is not None:
+        ending = magic
+    return FORMATS.get(ending, ("text", None))

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from ...errors import RecordError
-from .table import BATCH, Columns
+from .table import BATCH, Columns, Table
 
 #: Stands for a path in messages.
 NAME = Path("arrays")
 
 
-class ArrayTable:
+class ArrayTable(Table):
     """Equally long columns of numbers.
 
     Raises
@@ -23,8 +23,6 @@ class ArrayTable:
     RecordError
         A column is not a vector of numbers, or columns differ in length.
     """
-
-    random_access = True
 
     def __init__(self, columns: Mapping[str, Any], path: Path = NAME) -> None:
         self.path = path
@@ -52,6 +50,3 @@ class ArrayTable:
         for start in range(first, last, size):
             stop = min(start + size, last)
             yield {name: self._arrays[name][start:stop] for name in names}
-
-    def place(self, row: int) -> str:
-        return f"row {row + 1}"

@@ -9,20 +9,19 @@ import numpy as np
 
 from ...errors import RecordError
 from .arrays import ArrayTable
+from .table import Table
 
 
-class NpzTable(ArrayTable):
+def open_npz(path: Path) -> list[Table]:
     """Equally long one-dimensional arrays of an .npz file; anything else in it is ignored."""
-
-    def __init__(self, path: Path) -> None:
-        try:
-            with np.load(path, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
-        except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
-            raise RecordError(f"{path}: not a readable .npz file: {error}") from None
-        numbers = {
-            name: array
-            for name, array in arrays.items()
-            if array.ndim == 1 and array.dtype.kind in "fiub"
-        }
-        super().__init__(numbers, path)
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
+        raise RecordError(f"{path}: not a readable .npz file: {error}") from None
+    numbers = {
+        name: array
+        for name, array in arrays.items()
+        if array.ndim == 1 and array.dtype.kind in "fiub"
+    }
+    return [ArrayTable(numbers, path)]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import difflib
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +20,52 @@ Columns = dict[str, Array]
 BATCH = 50_000
 
 
-class Table(Protocol):
-    """Named columns of numbers, read in batches so that files larger than memory can stream."""
+@dataclass(frozen=True)
+class Said:
+    """What a file says of itself, besides names and numbers.
+
+    Attributes
+    ----------
+    units : dict
+        Column → unit, as written.
+    time : str, optional
+        The column that holds the time.
+    sample_time : float, optional
+        [s], of a file whose header has the rate.
+    start : float
+        Time of the first row [s], where sample_time gives the rest.
+    notes : tuple of str
+        What a reader should know: lines left out, for example.
+    """
+
+    units: dict[str, str] = field(default_factory=dict)
+    time: str | None = None
+    sample_time: float | None = None
+    start: float = 0.0
+    notes: tuple[str, ...] = ()
+
+
+class Table(ABC):
+    """Named columns of numbers, read in batches so that files larger than memory can stream.
+
+    Attributes
+    ----------
+    path : Path
+    columns : list of str
+        A column in a group has the path "group/column".
+    rows : int
+    random_access : bool
+        Whether it can read rows in the middle without reading those before them.
+    said : Said
+    """
 
     path: Path
     columns: list[str]
     rows: int
-    random_access: bool  # can read rows in the middle without reading those before them
+    random_access: bool = True
+    said: Said = Said()
 
+    @abstractmethod
     def batches(
         self, names: Sequence[str], first: int, last: int, size: int = BATCH
     ) -> Iterator[Columns]:
@@ -34,11 +73,10 @@ class Table(Protocol):
 
         Raises RecordError with file, column and place if a value is not a number.
         """
-        ...
 
     def place(self, row: int) -> str:
         """Where a person finds that row in the file."""
-        ...
+        return f"row {row + 1}"
 
 
 def read_rows(table: Table, names: Sequence[str], first: int, last: int) -> Columns:
@@ -47,11 +85,13 @@ def read_rows(table: Table, names: Sequence[str], first: int, last: int) -> Colu
     return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 
-def missing_column(table: Table, name: str, channel: str, option: str) -> RecordError:
+def missing_column(
+    path: Path, columns: Sequence[str], name: str, channel: str, option: str
+) -> RecordError:
     """The error for a missing column; it names the nearest columns, or all of them."""
-    near = difflib.get_close_matches(name, table.columns, n=3, cutoff=0.4)
-    hint = f"nearest: {', '.join(near)}" if near else f"it has: {', '.join(table.columns)}"
+    near = difflib.get_close_matches(name, columns, n=3, cutoff=0.4)
+    hint = f"nearest: {', '.join(near)}" if near else f"it has: {', '.join(columns[:40])}"
     return RecordError(
-        f"{table.path}: no column {name!r} for the channel {channel}; {hint}. "
+        f"{path}: no column {name!r} for the channel {channel}; {hint}. "
         f"Name it with {option} {channel}=COLUMN"
     )

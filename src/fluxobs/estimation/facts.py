@@ -1,0 +1,70 @@
+"""What a run found, as plain numbers and words for scripts."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from .learning import parameters
+from .run import LogRun
+from .truth import TruthFit
+
+
+def facts(result: LogRun, warnings: list[str], truth: TruthFit | None) -> dict[str, Any]:
+    """The summary of a run as a mapping that JSON can hold; in SI, angles in radians."""
+    statistics, log = result.statistics, result.log
+    valid = statistics.valid
+    means = {name: total / valid for name, total in statistics.sums.items()} if valid else {}
+    first = statistics.first_valid
+    out: dict[str, Any] = {
+        "log": str(log.path),
+        "rows": statistics.rows,
+        "sample_time": log.sample_time,
+        "frame": log.frame,
+        "lag": log.layout.lag,
+        "columns": dict(log.names),
+        "unknowns": list(result.unknowns),
+        "valid_share": valid / statistics.rows,
+        "first_valid": None if first is None else first - statistics.start,
+        "drift": [means[f"drift_{port}"] for port in result.machine.ports] if means else None,
+        "parameters": _parameters(result),
+        "error": None,
+        "truth": None,
+        "notes": list(log.notes),
+        "warnings": warnings,
+    }
+    if statistics.scored:
+        out["error"] = {
+            "rows": statistics.scored,
+            "rms": statistics.rms_error,
+            "most": statistics.error_max,
+            "mean": statistics.error / statistics.scored,
+        }
+    if truth is not None:
+        out["truth"] = {
+            "channel": truth.channel,
+            "pole_pairs": truth.pole_pairs,
+            "parameters": {
+                one.name: {"value": one.value, "std": one.std, "unit": one.unit}
+                for one in truth.parameters
+            },
+            "rms": truth.rms if math.isfinite(truth.rms) else None,
+            "most": truth.most if math.isfinite(truth.most) else None,
+            "words": list(truth.words),
+        }
+    return out
+
+
+def _parameters(result: LogRun) -> dict[str, Any]:
+    if result.adaptive is None or result.learnt is None:
+        return {}
+    return {
+        one.name: {
+            "value": one.value,
+            "std": one.std,
+            "unit": one.unit,
+            "given": one.assumed,
+            "told": one.told,
+        }
+        for one in parameters(result.adaptive, result.learnt)
+    }

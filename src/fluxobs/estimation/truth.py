@@ -1,0 +1,416 @@
+"""The truth of a log, fitted to the estimate: what an encoder, a speed or Hall sensors are off by.
+
+An encoder's zero, direction and delay are seldom known, its disc is never centred, and the count of
+pole pairs may be another. All that is fitted to the estimated angle, with standard deviations, so
+that what is left is the error of the estimate in the drive's own operation. What is constant is
+ambiguous: a constant error of the estimate is in the zero, whose standard deviation allows for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machines import RotatingMachine
+from ..model.frames import wrap
+from .columns import Rows
+
+Array = NDArray[np.float64]
+
+#: Rows that are kept for a fit, evenly spread; Hall edges that are kept.
+KEPT, EDGES = 40_000, 200_000
+#: Rows over which turns are counted.
+SPAN = 32
+#: Blocks of rows whose errors are taken as independent of one another.
+BLOCKS = 40
+#: Errors beyond this many standard deviations count linearly (Huber's constant).
+HUBER = 1.345
+#: A ratio of turns this close to a whole number of pole pairs is it.
+WHOLE = 0.02
+#: Speeds must differ by this share of the largest to tell a delay from a zero.
+VARIED = 0.3
+#: What is more than this many standard deviations is told.
+TOLD = 3.0
+#: Turns of the shaft, and share of its circle, that eccentricity needs.
+TURNS, COVERED = 1.0, 0.9
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One parameter of a truth: value and standard deviation."""
+
+    name: str
+    value: float
+    std: float
+    unit: str
+
+    @property
+    def told(self) -> bool:
+        return abs(self.value) > TOLD * self.std
+
+
+@dataclass
+class TruthSamples:
+    """What a run keeps of its truth; its size is bounded."""
+
+    total: int
+    channel: str
+    rows: int = 0
+    parts: list[dict[str, Array]] = field(default_factory=list)
+    product: float = 0.0  # Σ of turned angles, estimated by true
+    square: float = 0.0
+    turned: float = 0.0  # by the channel, to and fro [rad]
+    edges: list[Array] = field(default_factory=list)
+    edge_count: int = 0
+    before: dict[str, float] = field(default_factory=dict)
+
+    def add(self, rows: Rows) -> None:
+        """Take in the next rows."""
+        columns, raw = rows.columns, rows.more["raw"]
+        count, good = len(raw), rows.valid & np.isfinite(raw)
+        stride = max(1, self.total // KEPT)
+        pick = np.arange(-self.rows % stride, count, stride)
+        pick = pick[good[pick]]
+        kept = {"raw": raw[pick], "row": (self.rows + pick).astype(float)}
+        for name in ("theta_e", "theta_e_std", "speed_e", "speed_mech"):
+            if name in columns:
+                kept[name] = np.array(columns[name][pick], float)
+        self.parts.append(kept)
+        if self.channel == "hall":
+            self._add_edges(columns["theta_e"], raw, good)
+        elif self.channel.startswith("theta"):
+            self._count_turns(columns["theta_e"], raw, good)
+        self.rows += count
+
+    def _count_turns(self, theta: Array, raw: Array, good: NDArray[np.bool_]) -> None:
+        whole = len(raw) // SPAN * SPAN
+        if not whole:
+            return
+        inside = good[:whole].reshape(-1, SPAN).all(axis=1)
+        est = wrap(np.diff(theta[:whole].reshape(-1, SPAN)[inside], axis=1)).sum(axis=1)
+        true = wrap(np.diff(raw[:whole].reshape(-1, SPAN)[inside], axis=1)).sum(axis=1)
+        self.product += float(est @ true)
+        self.square += float(true @ true)
+        self.turned += float(np.abs(true).sum())
+
+    def _add_edges(self, theta: Array, raw: Array, good: NDArray[np.bool_]) -> None:
+        if self.before:
+            theta = np.concatenate([[self.before["theta"]], theta])
+            raw = np.concatenate([[self.before["raw"]], raw])
+            good = np.concatenate([[self.before["good"] > 0], good])
+        at = np.flatnonzero((raw[1:] != raw[:-1]) & good[1:] & good[:-1])
+        if self.edge_count < EDGES and len(at):
+            moved = wrap(theta[at + 1] - theta[at])
+            middle = wrap(theta[at] + moved / 2)
+            self.edges.append(np.stack([raw[at], raw[at + 1], middle, np.sign(moved)]))
+            self.edge_count += len(at)
+        self.before = {"theta": theta[-1], "raw": raw[-1], "good": float(good[-1])}
+
+    def columns(self) -> dict[str, Array]:
+        if not self.parts:
+            return {}
+        return {name: np.concatenate([part[name] for part in self.parts]) for name in self.parts[0]}
+
+
+@dataclass(frozen=True, eq=False)
+class TruthFit:
+    """What was fitted to the truth, and what is left.
+
+    Attributes
+    ----------
+    channel : str
+    parameters : tuple of Fitted
+    pole_pairs : int
+        Of the truth, with the sign of its direction against the estimate's.
+    words : tuple of str
+        Clauses on what was found.
+    rms, most : float
+        Position error that is left [rad], or error of the speed [rad/s].
+    half_turn : bool
+        Whether the position is known up to half a turn.
+    known : mapping
+        What the fit subtracts: name in the design → value.
+    wrong_turns : bool
+        Whether pole pairs or direction are not as given.
+    """
+
+    channel: str
+    parameters: tuple[Fitted, ...]
+    pole_pairs: int
+    words: tuple[str, ...]
+    rms: float
+    most: float
+    half_turn: bool = False
+    known: Mapping[str, float] = field(default_factory=dict)
+    wrong_turns: bool = False
+
+    @property
+    def told(self) -> bool:
+        """Whether there is something to be said."""
+        return self.wrong_turns or not self.parameters or any(p.told for p in self.parameters)
+
+    def __getitem__(self, name: str) -> Fitted:
+        """A parameter by its name."""
+        return next(one for one in self.parameters if one.name == name)
+
+    def error(self, theta: Array, raw: Array, speed: Array) -> Array:
+        """Estimated less true angle, less what was fitted [rad]."""
+        e = _difference(theta, raw, self.pole_pairs, self.half_turn)
+        X, names = _design(raw, speed, tuple(self.known))
+        return _wrapped(e - X @ np.array([self.known[n] for n in names]), self.half_turn)
+
+
+def fit_truth(samples: TruthSamples, machine: RotatingMachine) -> TruthFit | None:
+    """Fit what the channel may be off by; None if there are too few rows for it."""
+    columns = samples.columns()
+    if not columns or len(columns["raw"]) < 10 * BLOCKS:
+        return None
+    if samples.channel == "hall":
+        return _fit_hall(samples)
+    if samples.channel.startswith("speed"):
+        return _fit_speed(samples.channel, columns, machine)
+    return _fit_angle(samples, columns, machine)
+
+
+# ---- an encoder ------------------------------------------------------------------------------
+
+
+def _difference(theta: Array, raw: Array, pairs: int, half_turn: bool) -> Array:
+    return _wrapped(theta - pairs * raw, half_turn)
+
+
+def _wrapped(e: Array, half_turn: bool) -> Array:
+    return wrap(2 * e) / 2 if half_turn else wrap(e)
+
+
+def _design(raw: Array, speed: Array, names: tuple[str, ...]) -> tuple[Array, tuple[str, ...]]:
+    columns = {
+        "zero": np.ones_like(raw),
+        "delay": speed,
+        "cos 1": np.cos(raw),
+        "sin 1": np.sin(raw),
+        "cos 2": np.cos(2 * raw),
+        "sin 2": np.sin(2 * raw),
+    }
+    return np.stack([columns[name] for name in names], axis=1), names
+
+
+def _fit_angle(
+    samples: TruthSamples, columns: Mapping[str, Array], machine: RotatingMachine
+) -> TruthFit | None:
+    theta, raw, speed = columns["theta_e"], columns["raw"], columns["speed_e"]
+    given = machine.n_p if samples.channel == "theta_mech" else 1
+    if not samples.square > 1.0:  # it hardly turns
+        return None
+    ratio = samples.product / samples.square
+    pairs = round(ratio)
+    words: list[str] = []
+    if pairs == 0 or abs(ratio / pairs - 1) > WHOLE:
+        words.append(
+            f"the channel turns {1 / ratio:.3g} times for a turn of the flux, which is no whole "
+            f"number of pole pairs: its unit is wrong, or it is no angle of this rotor"
+        )
+        return TruthFit(samples.channel, (), given, tuple(words), np.nan, np.nan, wrong_turns=True)
+    half = machine.half_turn_ambiguous
+    e = _difference(theta, raw, pairs, half)
+    turn = 2 if half else 1
+    centre = float(np.angle(np.exp(1j * turn * e).mean())) / turn
+    e = _wrapped(e - centre, half)
+    names = ["zero"]
+    if np.ptp(speed) > VARIED * float(np.abs(speed).max()):
+        names.append("delay")
+    covered = np.unique(np.floor(np.remainder(raw, 2 * np.pi) * 16 / np.pi)).size / 32
+    if samples.channel == "theta_mech" and covered >= COVERED:
+        names += ["cos 1", "sin 1", "cos 2", "sin 2"]
+    X, found = _design(raw, speed, tuple(names))
+    value, covariance, left = _robust(X, e, columns["row"])
+    left = _wrapped(left, half)
+    known = dict(zip(found, value, strict=True))
+    known["zero"] = float(known["zero"] + centre)
+    own = float(np.median(columns["theta_e_std"]))
+    # errors of the estimate repeat within a turn of the shaft
+    alike = float(np.mean(left**2)) / max(samples.turned / (2 * np.pi), 1.0)
+    covariance = covariance + alike * np.diag([float(name[:3] in ("cos", "sin")) for name in found])
+    parameters = _angle_parameters(known, covariance, list(found), own, pairs)
+    words += _angle_words(samples.channel, parameters, pairs, given, "delay" in known)
+    return TruthFit(
+        samples.channel,
+        tuple(parameters),
+        pairs,
+        tuple(words),
+        float(np.sqrt(np.mean(left**2))),
+        float(np.abs(left).max()),
+        half,
+        known,
+        pairs != given,
+    )
+
+
+def _robust(X: Array, y: Array, row: Array) -> tuple[Array, Array, Array]:
+    """Huber's fit; its covariance allows for errors that are alike within blocks of rows."""
+    scale = np.abs(X).max(axis=0) + 1e-300
+    A = X / scale
+    weight = np.ones(len(y))
+    for _ in range(6):
+        B = A * weight[:, None]
+        value = np.linalg.lstsq(B.T @ A, B.T @ y, rcond=1e-12)[0]
+        left = y - A @ value
+        size = 1.4826 * float(np.median(np.abs(left))) + 1e-12
+        weight = np.minimum(1.0, HUBER * size / (np.abs(left) + 1e-300))
+    inverse = np.linalg.pinv((A * weight[:, None]).T @ A, rcond=1e-12)
+    edges = np.linspace(row[0], row[-1] + 1, BLOCKS + 1)
+    block = np.searchsorted(edges, row, side="right") - 1
+    score = np.zeros((BLOCKS, A.shape[1]))
+    np.add.at(score, block, A * (weight * left)[:, None])
+    used = len(np.unique(block))
+    factor = used / max(used - A.shape[1], 1)
+    covariance = factor * inverse @ (score.T @ score) @ inverse
+    return value / scale, covariance / np.outer(scale, scale), left
+
+
+def _angle_parameters(
+    known: Mapping[str, float], covariance: Array, names: list[str], own: float, pairs: int
+) -> list[Fitted]:
+    std = np.sqrt(np.diag(covariance))
+    zero = float(wrap(np.array([known["zero"]]))[0])
+    out = [Fitted("zero", zero, float(np.hypot(std[0], own)), "rad")]
+    if "delay" in known:
+        out.append(Fitted("delay", known["delay"], float(std[names.index("delay")]), "s"))
+    for order in (1, 2):
+        if f"cos {order}" not in known:
+            continue
+        at = [names.index(f"cos {order}"), names.index(f"sin {order}")]
+        vector = np.array([known[f"cos {order}"], known[f"sin {order}"]])
+        size = float(np.hypot(*vector))
+        direction = vector / (size + 1e-300)
+        spread = float(np.sqrt(direction @ covariance[np.ix_(at, at)] @ direction))
+        # of the shaft, as an encoder is off by
+        out.append(Fitted(f"eccentricity {order}", size / abs(pairs), spread / abs(pairs), "rad"))
+    return out
+
+
+def _angle_words(
+    channel: str, parameters: list[Fitted], pairs: int, given: int, delayed: bool
+) -> list[str]:
+    out = []
+    if abs(pairs) != given:
+        what = f"{abs(pairs)} pole pairs fit, not {given}"
+        if channel == "theta_mech" and abs(pairs) == 1:
+            what += ": the channel is electrical (--truth theta_e=…)"
+        if channel == "theta_e":
+            what = f"the channel is mechanical, with {abs(pairs)} pole pairs (--truth theta_mech=…)"
+        out.append(what)
+    if pairs < 0:
+        out.append("it counts against the estimated angle")
+    for one in parameters:
+        value, std = np.degrees(one.value), np.degrees(one.std)
+        if one.name == "zero":
+            shaft = f", {value / abs(pairs):.2f}° of the shaft" if abs(pairs) > 1 else ""
+            out.append(f"zero {value:+.2f}° ± {std:.2g}° electrical{shaft}")
+        elif one.name == "delay" and one.told:
+            when = "late" if one.value > 0 else "early"
+            out.append(f"{1e6 * abs(one.value):.3g} ± {1e6 * one.std:.2g} µs {when}")
+        elif one.name.startswith("eccentricity") and one.told:
+            often = "once" if one.name.endswith("1") else "twice"
+            out.append(f"eccentricity {value:.2g}° ± {std:.1g}° of the shaft, {often} a turn")
+    if not delayed:
+        out.append("a delay cannot be told from the zero, for the speed hardly varies")
+    return out
+
+
+# ---- speed and Hall sensors ------------------------------------------------------------------
+
+
+def _fit_speed(
+    channel: str, columns: Mapping[str, Array], machine: RotatingMachine
+) -> TruthFit | None:
+    raw = columns["raw"]
+    if channel == "speed_e":
+        own = columns["speed_e"]
+    else:
+        own = columns.get("speed_mech", columns["speed_e"] / machine.n_p)
+    X = np.stack([raw, np.ones_like(raw)], axis=1)
+    if not np.ptp(raw) > VARIED * float(np.abs(raw).max()):
+        X = X[:, :1]
+    value, covariance, _ = _robust(X, own, columns["row"])
+    gain = Fitted("gain", float(value[0]), float(np.sqrt(covariance[0, 0])), "1")
+    error = own - raw
+    words = [f"estimated over given speed {gain.value:.4f} ± {gain.std:.1g}"]
+    likely = machine.n_p * gain.value
+    if (
+        channel == "speed_mech"
+        and abs(gain.value - 1) > 0.1
+        and abs(likely / round(likely) - 1) < (WHOLE)
+    ):
+        words.append(f"{round(likely)} pole pairs would fit, not {machine.n_p}")
+    rms = float(np.sqrt(np.mean(error**2)))
+    return TruthFit(channel, (gain,), 1, tuple(words), rms, float(np.abs(error).max()))
+
+
+#: Codes of three Hall sensors, 120° apart, in the order of a rotor that turns forward; a is bit 0.
+FORWARD = (1, 3, 2, 6, 4, 5)
+
+
+def _fit_hall(samples: TruthSamples) -> TruthFit | None:
+    if not samples.edges:
+        return None
+    start, end, angle, turned = np.concatenate(samples.edges, axis=1)
+    codes = set(map(int, np.unique(np.concatenate([start, end]))))
+    words = []
+    if codes & {0, 7}:
+        words.append(
+            "codes 0 or 7 occur: a wire is broken, one sensor is inverted, or they are 60° apart"
+        )
+    order = {code: n for n, code in enumerate(FORWARD)}
+    step = np.array(
+        [
+            (order.get(int(b), 99) - order.get(int(a), 99)) % 6
+            if {int(a), int(b)} <= set(order)
+            else 3
+            for a, b in zip(start, end, strict=True)
+        ]
+    )
+    neighbours = (step == 1) | (step == 5)
+    if neighbours.mean() < 0.9:
+        words.append(f"{1 - neighbours.mean():.0%} of the edges jump over a state")
+    direction = np.where(step == 1, 1.0, -1.0) * turned
+    if np.mean(direction[neighbours]) < 0:
+        words.append("the code turns against the estimate: two Hall wires are exchanged")
+    # an edge between two states, whichever way it is crossed
+    pairs = [tuple(sorted((int(a), int(b)))) for a, b in zip(start, end, strict=True)]
+    places: dict[Any, tuple[float, float]] = {}
+    left = []
+    for pair in sorted({pair for pair, ok in zip(pairs, neighbours, strict=True) if ok}):
+        mine = np.array([one == pair for one in pairs]) & neighbours
+        ways = [angle[mine & (turned == way)] for way in (1.0, -1.0)]
+        means = [np.exp(1j * way).mean() for way in ways if len(way) >= 3]
+        if not means:
+            continue
+        centre = float(np.angle(sum(means)))
+        scatter = wrap(angle[mine] - centre)
+        places[pair] = (centre, float(np.std(scatter) / np.sqrt(max(mine.sum(), 1))))
+        left.append(scatter)
+    if len(places) < 6:
+        words.append(f"only {len(places)} of six edges were seen")
+        if not places:
+            return TruthFit("hall", (), 1, tuple(words), np.nan, np.nan)
+    centres = np.array([place for place, _ in places.values()])
+    zero = float(np.angle(np.exp(6j * centres).mean())) / 6
+    off = wrap(6 * (centres - zero)) / 6
+    parameters = [
+        Fitted(f"edge {a}-{b}", centre, std, "rad") for (a, b), (centre, std) in places.items()
+    ]
+    listed = ", ".join(
+        f"{one.name[5:]} at {np.degrees(one.value):+.1f}° ± {np.degrees(one.std):.1g}°"
+        for one in parameters
+    )
+    worst = int(np.argmax(np.abs(off)))
+    words.append(f"Hall edges: {listed}")
+    words.append(f"against a spacing of 60° the worst is off by {np.degrees(off[worst]):+.1f}°")
+    errors = np.concatenate(left)
+    rms = float(np.sqrt(np.mean(errors**2)))
+    return TruthFit("hall", tuple(parameters), 1, tuple(words), rms, float(np.abs(errors).max()))

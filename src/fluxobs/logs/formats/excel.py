@@ -1,0 +1,52 @@
+"""Excel workbooks: each sheet is read as text, so that preambles and units are found as there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import polars as pl
+
+from ...errors import RecordError
+from .arrays import ArrayTable
+from .extras import library
+from .table import Table
+from .text.structure import find
+
+
+def open_excel(path: Path, header: list[str] | None = None) -> list[Table]:
+    """Tables of the sheets that have one; "sheet/column" if there are several."""
+    library("fastexcel", "excel", path)
+    try:
+        sheets = pl.read_excel(
+            path, sheet_id=0, has_header=False, infer_schema_length=0, drop_empty_rows=False
+        )
+    except Exception as error:  # the reader raises many kinds for a broken file
+        raise RecordError(f"{path}: not a readable workbook: {error}") from None
+    out: list[Table] = []
+    problems = []
+    for name, frame in sheets.items():
+        if frame.height == 0:
+            continue
+        try:
+            out.append(_sheet(path, f"{path}, sheet {name!r}", frame, header))
+        except RecordError as error:
+            problems.append(error)
+    if not out and problems:
+        raise problems[0]
+    return out
+
+
+def _sheet(path: Path, where: str, frame: pl.DataFrame, header: list[str] | None) -> Table:
+    lines = ["\t".join(cell or "" for cell in row) for row in frame.iter_rows()]
+    found = find(lines[:600], lines[600:800], where, header)
+    rows = frame.slice(found.first_line)
+    columns = {}
+    for n, name in enumerate(found.names):
+        if name is None:
+            continue
+        numbers = rows.to_series(n).cast(pl.Float64, strict=False)
+        if numbers.null_count() < rows.height:
+            columns[name] = numbers.fill_null(float("nan")).to_numpy()
+    table = ArrayTable(columns, path)
+    table.said = found.said
+    return table

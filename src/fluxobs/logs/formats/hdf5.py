@@ -1,0 +1,34 @@
+"""HDF5, and MATLAB files of version 7.3, which are HDF5 as well."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ...errors import RecordError
+from .extras import library
+from .nested import Found, tables
+from .table import Table
+
+#: MATLAB's own group, which holds what others refer to.
+_REFERENCES = "#refs#"
+
+
+def open_hdf5(path: Path, extra: str = "hdf5") -> list[Table]:
+    """Tables of the datasets of a file; a dataset in a group has the path "group/dataset"."""
+    h5py = library("h5py", extra, path)
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        raise RecordError(f"{path}: not a readable HDF5 file: {error}") from None
+    found = Found()
+
+    def visit(name: str, node: Any) -> None:
+        if isinstance(node, h5py.Dataset) and not name.startswith(_REFERENCES) and node.shape:
+            unit = next((node.attrs[k] for k in ("unit", "units", "Unit") if k in node.attrs), None)
+            if isinstance(unit, bytes):
+                unit = unit.decode("utf-8", errors="replace")
+            found.add(name, node, None if unit is None else str(unit))
+
+    file.visititems(visit)
+    return tables(path, found)

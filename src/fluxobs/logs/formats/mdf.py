@@ -1,0 +1,82 @@
+"""MDF (ASAM), by asammdf: a table for each channel group, whose channels share their time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import RecordError
+from .extras import library
+from .table import BATCH, Columns, Said, Table
+
+#: Data types of numbers: integers and floats in both byte orders.
+_NUMBERS = range(6)
+
+
+class MdfTable(Table):
+    """A channel group."""
+
+    def __init__(self, path: Path, mdf: Any, group: int, prefix: str) -> None:
+        self.path = path
+        self._mdf, self._group = mdf, group
+        content = mdf.groups[group]
+        self.rows = int(content.channel_group.cycles_nr)
+        self._index: dict[str, int] = {}
+        units: dict[str, str] = {}
+        master = mdf.masters_db.get(group)
+        time = None
+        for n, channel in enumerate(content.channels):
+            if channel.data_type not in _NUMBERS:
+                continue
+            name = f"{prefix}{channel.name}"
+            if name in self._index:
+                name = f"{name} {n}"
+            self._index[name] = n
+            unit = channel.unit or ("s" if n == master else "")
+            if unit:
+                units[name] = unit
+            if n == master:
+                time = name
+        self.columns = list(self._index)
+        self.said = Said(units, time)
+
+    def batches(
+        self, names: Sequence[str], first: int, last: int, size: int = BATCH
+    ) -> Iterator[Columns]:
+        channels = [(None, self._group, self._index[name]) for name in names]
+        for start in range(first, last, size):
+            try:
+                parts = self._mdf.select(
+                    channels,
+                    record_offset=start,
+                    record_count=min(size, last - start),
+                    copy_master=False,
+                )
+                yield {
+                    name: np.asarray(part.samples, dtype=float)
+                    for name, part in zip(names, parts, strict=True)
+                }
+            except (ValueError, TypeError) as error:
+                raise RecordError(
+                    f"{self.path}: a channel of {', '.join(names)} holds no numbers: {error}"
+                ) from None
+
+
+def open_mdf(path: Path) -> list[Table]:
+    """Tables of the channel groups that have rows."""
+    asammdf = library("asammdf", "mdf", path)
+    try:
+        mdf = asammdf.MDF(path)
+    except Exception as error:  # asammdf raises many kinds for a broken file
+        raise RecordError(f"{path}: not a readable MDF file: {error}") from None
+    groups = [n for n, group in enumerate(mdf.groups) if group.channel_group.cycles_nr]
+    if len(groups) == 1:
+        return [MdfTable(path, mdf, groups[0], "")]
+    names = [mdf.groups[n].channel_group.acq_name for n in groups]
+    return [
+        MdfTable(path, mdf, n, f"{name if name and names.count(name) == 1 else f'group {n}'}/")
+        for n, name in zip(groups, names, strict=True)
+    ]

@@ -1,0 +1,141 @@
+"""Nested data, as MATLAB and HDF5 files hold it: columns found by their paths, tables by length."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import RecordError
+from ..names import key, read_name
+from .table import BATCH, Array, Columns, Said, Table
+from .timing import INTERVAL, RATE, START
+
+#: A matrix has at most so many columns; more is an image, or rows and columns exchanged.
+MOST_COLUMNS = 256
+#: Sizes of fewer rows are parameters, not signals.
+LEAST_ROWS = 8
+
+
+@dataclass
+class Found:
+    """What a walk through a file has found.
+
+    Attributes
+    ----------
+    columns : dict
+        Path → (rows, how to read rows first … last - 1).
+    units : dict
+    numbers : dict
+        Path → single number.
+    """
+
+    columns: dict[str, tuple[int, Callable[[int, int], Any]]] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+    numbers: dict[str, float] = field(default_factory=dict)
+
+    def add(self, path: str, data: Any, unit: str | None = None) -> None:
+        """Take an array, or something that is sliced like one, with shape and dtype."""
+        shape, kind = tuple(data.shape), np.dtype(data.dtype)
+        if kind.names:
+            for name in kind.names:
+                self._column(f"{path}/{name}", len(data), _field(data, name), unit)
+        elif kind.kind not in "fiub":
+            return
+        elif int(np.prod(shape)) == 1:
+            self.numbers[path] = float(np.asarray(data[()]).ravel()[0])
+        elif len(shape) == 1 or (len(shape) == 2 and 1 in shape):
+            flat = len(shape) == 1
+            axis = 0 if flat else int(np.argmax(shape))
+            self._column(path, max(shape), _line(data, None if flat else axis, 0), unit)
+        elif len(shape) == 2 and min(shape) <= MOST_COLUMNS:
+            axis = int(np.argmax(shape))
+            for n in range(min(shape)):
+                self._column(f"{path}[{n}]", max(shape), _line(data, axis, n), unit)
+
+    def _column(
+        self, path: str, rows: int, read: Callable[[int, int], Any], unit: str | None
+    ) -> None:
+        if rows >= LEAST_ROWS:
+            self.columns[path] = (rows, read)
+            if unit:
+                self.units[path] = unit
+
+
+def _field(data: Any, name: str) -> Callable[[int, int], Any]:
+    return lambda first, last: data[first:last][name]
+
+
+def _line(data: Any, axis: int | None, n: int) -> Callable[[int, int], Any]:
+    if axis is None:
+        return lambda first, last: data[first:last]
+    if axis == 0:
+        return lambda first, last: data[first:last, n]
+    return lambda first, last: data[n, first:last]
+
+
+class NestedTable(Table):
+    """Columns of one length."""
+
+    def __init__(self, path: Path, found: Found, columns: Sequence[str]) -> None:
+        self.path = path
+        self.columns = list(columns)
+        self.rows = found.columns[columns[0]][0]
+        self._read = {name: found.columns[name][1] for name in columns}
+        interval, start = _timing(found.numbers)
+        units = {name: unit for name, unit in found.units.items() if name in self._read}
+        self.said = Said(units, None, interval, start)
+
+    def batches(
+        self, names: Sequence[str], first: int, last: int, size: int = BATCH
+    ) -> Iterator[Columns]:
+        for start in range(first, last, size):
+            stop = min(start + size, last)
+            try:
+                yield {name: _floats(self._read[name](start, stop)) for name in names}
+            except (OSError, ValueError, KeyError) as error:
+                raise RecordError(f"{self.path}: reading failed midway: {error}") from None
+
+
+def _floats(values: Any) -> Array:
+    return np.asarray(values, dtype=float).ravel()
+
+
+def _timing(numbers: Mapping[str, float]) -> tuple[float | None, float]:
+    """Sample time and start from single numbers with such names."""
+    interval, start = None, 0.0
+    for path, value in numbers.items():
+        word = key(path.rsplit("/", 1)[-1])
+        if word in INTERVAL and value > 0:
+            interval = value
+        elif word in RATE and value > 0 and interval is None:
+            interval = 1 / value
+        elif word in START or word == "tstart":
+            start = value
+    return interval, start
+
+
+def tables(path: Path, found: Found) -> list[Table]:
+    """Tables of columns of the same length; groups that have a time of their own are apart."""
+    by_length: dict[int, list[str]] = defaultdict(list)
+    for name, (rows, _) in found.columns.items():
+        by_length[rows].append(name)
+    out: list[Table] = []
+    for names in sorted(by_length.values(), key=len, reverse=True):
+        out += [NestedTable(path, found, part) for part in _parts(names)]
+    return out
+
+
+def _parts(names: list[str]) -> list[list[str]]:
+    groups: dict[str, list[str]] = defaultdict(list)
+    for name in names:
+        groups[name.rpartition("/")[0]].append(name)
+    timed = [g for g in groups.values() if any(read_name(name).channel == "t" for name in g)]
+    if len(timed) < 2:
+        return [names]
+    rest = [name for g in groups.values() if g not in timed for name in g]
+    return [*timed, *([rest] if rest else [])]

@@ -1,0 +1,76 @@
+"""Parquet, and Arrow (Feather) files, by Polars."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import polars as pl
+
+from ...errors import RecordError
+from .lazy import as_columns, frames
+from .table import BATCH, Columns, Table
+
+
+class FrameTable(Table):
+    """Columns of a file that Polars scans."""
+
+    def __init__(self, path: Path, scan: Callable[[Path], pl.LazyFrame], what: str) -> None:
+        self.path = path
+        try:
+            self._lazy = scan(path)
+            self._schema = self._lazy.collect_schema()
+            self.rows = int(self._lazy.select(pl.len()).collect().item())
+            self._lazy = self._lazy.with_columns(self._seconds())
+        except (pl.exceptions.PolarsError, OSError) as error:
+            raise RecordError(f"{path}: not a readable {what} file: {error}") from None
+        self.columns = list(self._schema.names())
+
+    def _seconds(self) -> list[pl.Expr]:
+        """Stamps as seconds since the first one."""
+        stamps = [name for name, kind in self._schema.items() if kind.is_temporal()]
+        if not stamps or not self.rows:
+            return []
+        first = self._lazy.select(stamps).head(1).collect()
+        found = []
+        for name in stamps:
+            nanoseconds = _nanoseconds(pl.col(name), self._schema[name])
+            found.append((nanoseconds - first.select(nanoseconds).item()) / 1e9)
+        return found
+
+    def batches(
+        self, names: Sequence[str], first: int, last: int, size: int = BATCH
+    ) -> Iterator[Columns]:
+        for name in names:
+            kind = self._schema[name]
+            if not (kind.is_numeric() or kind.is_temporal() or kind == pl.Boolean):
+                raise RecordError(f"{self.path}: column {name!r} holds {kind}, not numbers")
+        try:
+            for frame in frames(self._lazy, names, first, last, size):
+                yield as_columns(frame)
+        except pl.exceptions.PolarsError as error:
+            raise RecordError(f"{self.path}: reading failed midway: {error}") from None
+
+
+def _nanoseconds(column: pl.Expr, kind: pl.DataType) -> pl.Expr:
+    if kind == pl.Duration:
+        return column.dt.total_nanoseconds()
+    if kind == pl.Time:
+        return column.cast(pl.Int64)
+    return column.cast(pl.Datetime("ns")).dt.timestamp("ns")
+
+
+def open_parquet(path: Path) -> list[Table]:
+    """The table of a Parquet file."""
+    return [FrameTable(path, pl.scan_parquet, "Parquet")]
+
+
+def open_arrow(path: Path) -> list[Table]:
+    """The table of an Arrow file (Feather of version 2), or of an Arrow stream."""
+    try:
+        return [FrameTable(path, pl.scan_ipc, "Arrow")]
+    except RecordError:
+        with path.open("rb") as file:
+            if file.read(4) != b"\xff\xff\xff\xff":
+                raise
+    return [FrameTable(path, lambda p: pl.read_ipc_stream(p).lazy(), "Arrow stream")]

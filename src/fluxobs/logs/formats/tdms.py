@@ -1,0 +1,69 @@
+"""TDMS (National Instruments), by npTDMS: a table for all channels that share their times."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import RecordError
+from .extras import library
+from .table import BATCH, Columns, Said, Table
+
+
+class TdmsTable(Table):
+    """Channels of the same length, rate and start."""
+
+    def __init__(self, path: Path, channels: dict[str, Any]) -> None:
+        self.path = path
+        self._channels = channels
+        self.columns = list(channels)
+        one = next(iter(channels.values()))
+        self.rows = len(one)
+        units = {
+            name: str(channel.properties["unit_string"])
+            for name, channel in channels.items()
+            if channel.properties.get("unit_string")
+        }
+        increment = one.properties.get("wf_increment")
+        start = float(one.properties.get("wf_start_offset", 0.0))
+        self.said = Said(units, None, float(increment) if increment else None, start)
+
+    def batches(
+        self, names: Sequence[str], first: int, last: int, size: int = BATCH
+    ) -> Iterator[Columns]:
+        for start in range(first, last, size):
+            count = min(size, last - start)
+            part = {}
+            for name in names:
+                values = self._channels[name].read_data(start, count)
+                if values.dtype.kind == "M":  # stamps, as seconds since the first one
+                    origin = self._channels[name].read_data(0, 1)[0]
+                    values = (values - origin) / np.timedelta64(1, "s")
+                part[name] = np.asarray(values, dtype=float)
+            yield part
+
+
+def open_tdms(path: Path) -> list[Table]:
+    """Tables of the numeric channels; a channel has the path "group/channel" if groups differ."""
+    nptdms = library("nptdms", "tdms", path)
+    try:
+        file = nptdms.TdmsFile.open(path)
+    except Exception as error:  # npTDMS raises many kinds for a broken file
+        raise RecordError(f"{path}: not a readable TDMS file: {error}") from None
+    groups = [group for group in file.groups() if any(map(len, group.channels()))]
+    parts: dict[tuple[Any, ...], dict[str, Any]] = defaultdict(dict)
+    for group in groups:
+        prefix = f"{group.name}/" if len(groups) > 1 else ""
+        for channel in group.channels():
+            kind = np.dtype(channel.dtype).kind if channel.dtype is not None else ""
+            if len(channel) == 0 or kind not in "fiubM":
+                continue
+            about = channel.properties
+            when = (about.get("wf_increment"), about.get("wf_start_offset"))
+            own = group.name if not when[0] else ""
+            parts[(len(channel), *when, own)][f"{prefix}{channel.name}"] = channel
+    return [TdmsTable(path, channels) for channels in parts.values()]

@@ -1,0 +1,64 @@
+"""Cells of a line of text: how they are parted, and whether they are numbers."""
+
+from __future__ import annotations
+
+import csv
+import re
+
+#: Contents of a cell that mean a missing value.
+MISSING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "#n/a")
+#: Delimiters, the most distinctive first.
+DELIMITERS = ("\t", ";", "|", ",", " ")
+_DECIMAL_COMMA = re.compile(r"^\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*$")
+_NUMBER = re.compile(r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*$")
+#: Wall-clock stamps: what they look like, and the formats that read them.
+CLOCKS: tuple[tuple[re.Pattern[str], tuple[str, ...]], ...] = tuple(
+    (re.compile(pattern), formats)
+    for pattern, formats in (
+        (r"^\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d([.,]\d+)?$", ("%Y-%m-%d{}%H:%M:%S%.f",)),
+        (r"^\d{4}/\d\d/\d\d[ T]\d\d:\d\d:\d\d([.,]\d+)?$", ("%Y/%m/%d{}%H:%M:%S%.f",)),
+        (r"^\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d([.,]\d+)?(Z|[+-]\d\d:?\d\d)$", ("%+",)),
+        (r"^\d\d?\.\d\d?\.\d{4}[ T]\d\d:\d\d:\d\d([.,]\d+)?$", ("%d.%m.%Y{}%H:%M:%S%.f",)),
+        (
+            r"^\d\d?/\d\d?/\d{4}[ T]\d\d:\d\d:\d\d([.,]\d+)?$",
+            ("%d/%m/%Y{}%H:%M:%S%.f", "%m/%d/%Y{}%H:%M:%S%.f"),
+        ),
+        (r"^\d\d?:\d\d:\d\d([.,]\d+)?$", ("%H:%M:%S%.f",)),
+    )
+)
+
+
+def split(line: str, delimiter: str) -> list[str]:
+    """Cells of a line; quotes protect a delimiter, several spaces are one."""
+    line = line.rstrip("\r\n")
+    if delimiter == " ":
+        return line.split() if '"' not in line else _quoted(" ".join(line.split()), " ")
+    return _quoted(line, delimiter)
+
+
+def _quoted(line: str, delimiter: str) -> list[str]:
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+
+
+def has_decimal_comma(cell: str) -> bool:
+    """Whether a cell is a number with a decimal comma."""
+    return _DECIMAL_COMMA.match(cell) is not None
+
+
+def is_number(cell: str, comma: bool = True) -> bool:
+    """Whether a cell is a number; with a decimal comma too, if `comma`."""
+    return _NUMBER.match(cell) is not None or (comma and has_decimal_comma(cell))
+
+
+def is_missing(cell: str) -> bool:
+    """Whether a cell says that there is no value."""
+    return cell.strip().lower() in MISSING
+
+
+def clock_formats(cell: str) -> tuple[str, ...]:
+    """Formats in which a cell may be a wall-clock stamp; none if it is none."""
+    text = cell.strip()
+    for pattern, formats in CLOCKS:
+        if pattern.match(text):
+            return tuple(one.format("T" if "T" in text else " ") for one in formats)
+    return ()

@@ -1,0 +1,150 @@
+"""The bytes of a text file: encoding, ends, and a copy where it cannot be read in place."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import re
+import tempfile
+import weakref
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import IO, cast
+
+from ....errors import RecordError
+
+#: Bytes at either end that are looked at.
+END = 65536
+#: First lines of a file in which its structure is looked for; an instrument's preamble has a
+#: hundred lines at most, a repeated descriptor some more.
+HEAD_LINES = 600
+_CHUNK = 1 << 22
+
+
+def is_packed(path: Path) -> bool:
+    """Whether a file is compressed by gzip."""
+    return path.suffix.lower() == ".gz"
+
+
+def open_bytes(path: Path) -> IO[bytes]:
+    """Open a file for reading, decompressed."""
+    return cast(IO[bytes], gzip.open(path, "rb")) if is_packed(path) else path.open("rb")
+
+
+def encoding_of(path: Path) -> str:
+    """Encoding of a text file.
+
+    Raises
+    ------
+    RecordError
+        It is no text.
+    """
+    with open_bytes(path) as file:
+        head = file.read(END)
+    if head.startswith(b"\xef\xbb\xbf"):
+        return "utf-8-sig"
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    if b"\x00" in head:
+        odd, even = head[1::2].count(0), head[::2].count(0)
+        if max(odd, even) < 0.4 * len(head) / 2 or min(odd, even) > 0.1 * len(head) / 2:
+            raise RecordError(
+                f"{path}: this is not text, and its ending, {path.suffix or 'none'}, is not that "
+                f"of a known format. Save it as CSV, Parquet or npz"
+            )
+        return "utf-16-le" if odd > even else "utf-16-be"
+    try:
+        head[: len(head) - 4].decode("utf-8")
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8"
+
+
+def first_lines(path: Path, encoding: str) -> list[str]:
+    """The first lines, decoded."""
+    with open_bytes(path) as file:
+        if encoding.startswith("utf-16"):
+            return file.read(END * 4).decode(encoding, errors="replace").splitlines()[:HEAD_LINES]
+        return [_decoded(line, encoding) for line in islice(file, HEAD_LINES)]
+
+
+def further_lines(path: Path, encoding: str, places: int = 8) -> list[str]:
+    """A few complete lines from further down, where that costs nothing."""
+    if is_packed(path) or encoding.startswith("utf-16"):
+        return []
+    found: list[bytes] = []
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        if size < 2 * END:
+            return []
+        for n in range(1, places):
+            file.seek(size * n // places)
+            file.readline()
+            found += islice(file, 20)
+    return [_decoded(line, encoding) for line in found]
+
+
+def _decoded(line: bytes, encoding: str) -> str:
+    return line.decode(encoding, errors="replace").lstrip("\ufeff").rstrip("\r\n")
+
+
+def last_line(path: Path, encoding: str) -> str:
+    """The last line with content; empty for a file whose end costs reading all of it."""
+    if is_packed(path):
+        return ""
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(0, size - END) & ~1)
+        lines = file.read().decode(encoding.removesuffix("-sig"), errors="replace").splitlines()
+    return next((line for line in reversed(lines) if line.strip()), "")
+
+
+def repeats(path: Path, header: str, encoding: str) -> bool:
+    """Whether a line stands more than once in a file."""
+    wanted = b"\n" + header.encode(encoding.removesuffix("-sig"), errors="replace")
+    count, before = 0, b"\n"
+    with open_bytes(path) as file:
+        while chunk := file.read(_CHUNK):
+            piece = before + chunk.removeprefix(b"\xef\xbb\xbf") if count == 0 else before + chunk
+            count += piece.count(wanted)
+            if count > 1:
+                return True
+            before = piece[-len(wanted) + 1 :]
+    return False
+
+
+class Copy:
+    """A copy of a file's rows in plain UTF-8 text, which lives as long as this object.
+
+    Attributes
+    ----------
+    path : Path
+    left_out : list of int
+        Lines of the file, from 0, that are not in the copy.
+    """
+
+    def __init__(self, path: Path, encoding: str, first: int, spaces: bool, drop: frozenset[str]):
+        self.left_out: list[int] = []
+        with tempfile.NamedTemporaryFile(
+            "w", encoding="utf-8", suffix=".csv", prefix="fluxobs-", delete=False, newline="\n"
+        ) as out:
+            self.path = Path(out.name)
+            self._end = weakref.finalize(self, self.path.unlink, missing_ok=True)
+            for number, line in enumerate(_lines(path, encoding)):
+                if number < first:
+                    continue
+                text = line.rstrip("\r\n")
+                if not text.strip() or text in drop:
+                    self.left_out.append(number)
+                    continue
+                out.write((re.sub(r"\s+", " ", text.strip()) if spaces else text) + "\n")
+
+
+def _lines(path: Path, encoding: str) -> Iterator[str]:
+    with open_bytes(path) as file:
+        if encoding.startswith("utf-16"):
+            yield from io.TextIOWrapper(file, encoding, errors="replace")
+        else:
+            for line in file:
+                yield _decoded(line, encoding)

@@ -1,0 +1,223 @@
+"""A table in delimited text: any delimiter, decimal point or comma, any preamble."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import polars as pl
+
+from ....errors import RecordError
+from ..lazy import as_columns, frames
+from ..table import BATCH, Columns, Table
+from . import source
+from .cells import clock_formats, is_missing, split
+from .structure import Structure, find
+
+#: Column for cells beyond the header; lines that have them are refused.
+_SURPLUS = "surplus"
+
+
+class TextTable(Table):
+    """Columns of a delimited text file.
+
+    Parameters
+    ----------
+    path : Path
+        Compressed, if it ends in .gz.
+    header : list of str, optional
+        Names of the columns, for a file without or instead of its own.
+    """
+
+    random_access = False
+
+    def __init__(self, path: Path, header: list[str] | None = None) -> None:
+        self.path = path
+        try:
+            self._open(header)
+        except OSError as error:
+            words = error.strerror or str(error)
+            raise RecordError(f"{path}: cannot be read: {words}") from None
+
+    def _open(self, header: list[str] | None) -> None:
+        self._encoding = source.encoding_of(self.path)
+        lines = source.first_lines(self.path, self._encoding)
+        further = source.further_lines(self.path, self._encoding)
+        found = find(lines, further, str(self.path), header)
+        self.structure = found
+        self._index = {name: n for n, name in enumerate(found.names) if name is not None}
+        self.columns = list(self._index)
+        self._clocks = self._find_clocks(lines)
+        #: First stamp of each of them [ns]: seconds since then keep their digits.
+        self._origins: dict[str, int] = {}
+        notes = []
+        drop = self._repeated(found)
+        if drop:
+            notes.append("the header stands again further down; these lines are left out")
+        spaces = found.delimiter == " " and any(
+            line != " ".join(line.split()) for line in lines[found.first_line :]
+        )
+        self._copy: source.Copy | None = None
+        if drop or spaces or self._encoding.startswith("utf-16"):
+            self._copy = source.Copy(self.path, self._encoding, found.first_line, spaces, drop)
+        self._checked_length = False
+        self.rows = 10**18  # until they are counted
+        try:
+            # Counting lines needs no parsing of cells.
+            self.rows = int(self._scan().select(pl.len()).collect().item())
+        except pl.exceptions.NoDataError:
+            self.rows = 0
+        except pl.exceptions.PolarsError as error:
+            raise self._ragged(error) from None
+        last = split(source.last_line(self.path, self._encoding), found.delimiter)
+        if self.rows and len(last) < len(self._filled()):
+            self.rows -= 1
+            notes.append(
+                f"the last line is cut off after {len(last)} of {len(found.names)} cells; it is "
+                f"left out"
+            )
+        self.said = replace(found.said, notes=tuple(notes))
+
+    def _filled(self) -> list[str]:
+        """Columns up to the last one that is read."""
+        names = self.structure.names
+        last = max((n for n, name in enumerate(names) if name is not None), default=-1)
+        return [name or "" for name in names[: last + 1]]
+
+    def _repeated(self, found: Structure) -> frozenset[str]:
+        """Lines of the header, if they stand again below it."""
+        if not found.above or not source.repeats(self.path, found.above[0], self._encoding):
+            return frozenset()
+        return frozenset(found.above)
+
+    def _find_clocks(self, lines: list[str]) -> dict[str, tuple[str, ...]]:
+        """Columns of wall-clock stamps → formats that may read them."""
+        for line in lines[self.structure.first_line :]:
+            cells = split(line, self.structure.delimiter)
+            if len(cells) >= len(self.columns):
+                return {
+                    name: formats
+                    for name, n in self._index.items()
+                    if n < len(cells) and (formats := clock_formats(cells[n]))
+                }
+        return {}
+
+    def _scan(self, numbers: Sequence[str] = ()) -> pl.LazyFrame:
+        """All cells as text, but for those of `numbers`; columns are called 0, 1, …"""
+        wanted = {str(self._index[name]) for name in numbers if name not in self._clocks}
+        cells = [str(n) for n in range(len(self.structure.names))]
+        schema: dict[str, type[pl.DataType]] = {
+            cell: pl.Float64 if cell in wanted else pl.String for cell in cells
+        }
+        copied = self._copy is not None
+        return pl.scan_csv(
+            self._copy.path if self._copy is not None else self.path,
+            separator=self.structure.delimiter,
+            has_header=False,
+            skip_lines=0 if copied else self.structure.first_line,
+            schema=schema | {_SURPLUS: pl.String},
+            decimal_comma=self.structure.decimal_comma,
+            ignore_errors=True,
+            encoding="utf8-lossy",
+            missing_columns="insert",
+            glob=False,
+        )
+
+    def batches(
+        self, names: Sequence[str], first: int, last: int, size: int = BATCH
+    ) -> Iterator[Columns]:
+        row = first
+        cells = {name: str(self._index[name]) for name in names}
+        surplus = not self.structure.said.sample_time  # rows of instruments may end in delimiters
+        columns = [*cells.values(), *([_SURPLUS] if surplus else [])]
+        try:
+            for batch in frames(self._scan(names), columns, first, last, size):
+                if surplus and batch[_SURPLUS].null_count() < batch.height:
+                    beyond = batch[_SURPLUS].drop_nulls()
+                    if (beyond.str.strip_chars() != "").any():
+                        raise self._ragged("lines of different length")
+                frame = batch.select(
+                    self._stamps(name, batch[cell]) if name in self._clocks else batch[cell]
+                    for name, cell in cells.items()
+                )
+                frame.columns = list(cells)
+                for name in frame.columns:
+                    if frame[name].null_count():
+                        self._refuse_text(name, row, row + frame.height)
+                yield as_columns(frame)
+                row += frame.height
+        except pl.exceptions.PolarsError as error:
+            raise self._ragged(error) from None
+
+    def _stamps(self, name: str, text: pl.Series) -> pl.Series:
+        """Wall-clock stamps as seconds, since midnight or since 1970."""
+        dotted = text.str.strip_chars().str.replace(",", ".", literal=True)
+        for form in self._clocks[name]:
+            if form.startswith("%H"):
+                found = dotted.str.to_time(form, strict=False).cast(pl.Int64)
+            else:
+                stamps = dotted.str.to_datetime(form, time_unit="ns", strict=False)
+                found = stamps.cast(pl.Int64)
+            if found.null_count() == text.null_count():
+                break
+        origin = self._origins.setdefault(name, int(found.drop_nulls().head(1).sum()))
+        return (found - origin) / 1e9
+
+    def place(self, row: int) -> str:
+        """Where a person finds that row in the file."""
+        line = self.structure.first_line + row
+        if self._copy is not None:
+            for left_out in self._copy.left_out:
+                line += left_out <= line
+        return f"line {line + 1}"
+
+    def _line(self, row: int) -> str:
+        """The text of a row."""
+        path = self.path if self._copy is None else self._copy.path
+        at = row + (self.structure.first_line if self._copy is None else 0)
+        with source.open_bytes(path) as file:
+            return next(islice(file, at, None), b"").decode("utf-8", errors="replace")
+
+    def _refuse_text(self, name: str, first: int, last: int) -> None:
+        """A cell that did not parse is either empty or a mistake."""
+        cell = str(self._index[name])
+        cells = self._scan().select(cell).slice(first, last - first).collect()[cell]
+        for offset, text in enumerate(cells):
+            if text is None and not self._checked_length:
+                self._checked_length = True
+                self._refuse_short(first + offset)
+            if text is None or is_missing(text):
+                continue
+            number = text.strip().replace(",", ".") if self.structure.decimal_comma else text
+            try:
+                float(number)
+            except ValueError:
+                raise RecordError(
+                    f"{self.path}, {self.place(first + offset)}, column {name!r}: {text!r} is not "
+                    f"a number. Correct it, or leave the cell empty if the value is missing"
+                ) from None
+
+    def _refuse_short(self, row: int) -> None:
+        """A missing cell is either empty, or its line is too short."""
+        cells, width = len(split(self._line(row), self.structure.delimiter)), len(self._filled())
+        if cells < width:
+            raise RecordError(
+                f"{self.path}, {self.place(row)}: {cells} cells, the header has {width}. Complete "
+                f"the line or remove it"
+            )
+
+    def _ragged(self, error: object) -> RecordError:
+        """Find the first line with too many cells, to say more than the parser does."""
+        width, first = len(self.structure.names), self.structure.first_line
+        with source.open_bytes(self.path) as file:
+            for number, raw in enumerate(file):
+                if number >= first:
+                    line = raw.decode("utf-8", errors="replace")
+                    cells = len(split(line, self.structure.delimiter))
+                    if cells > width:
+                        return RecordError(
+                            f"{self.path}, line {number + 1}: {cells} cells, the header has {width}"
+                        )
+        return RecordError(f"{self.path}: cannot be read: {error}")
