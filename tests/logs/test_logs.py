@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from fluxobs import Record, RecordError, SurfacePMSM
 from fluxobs.logs.formats import open_tables
-from fluxobs.logs.layout import Layout
 from fluxobs.logs.read import read_log
 from fluxobs.logs.record import interval_rows, lag_in_words
 from fluxobs.model.frames import wrap
@@ -326,8 +325,8 @@ def test_sample_time(tmp_path):
 def test_rounded_time(tmp_path):
     columns = PLAIN | {"t": np.round(K * 1.3e-3, 3)}
     path = csv(tmp_path / "log.csv", columns)
-    for given in ({}, {"sample_time": 1.3e-3}):
-        found = read(path, **given)
+    for layout in ({}, {"sample_time": 1.3e-3}):
+        found = read(path, **layout)
         check(found)
         assert found[0].sample_time == pytest.approx(1.3e-3, rel=1e-6)
         assert any("rounded to 0.001 s" in note for note in found[0].notes)

@@ -32,7 +32,7 @@ Flux, rotor position, speed and sensor drift from a drive's currents and voltage
 
     fluxobs demo
 
-**Your own log** (CSV, MDF, MAT, TDMS, Parquet, …), with a machine file or the name of a shipped machine:
+**Your own log** (CSV, MDF, MAT, TDMS, …), with a machine file or the name of a shipped machine:
 
     fluxobs estimate LOG.csv --machine motor.toml --out estimates.parquet --report report.png
 

@@ -125,7 +125,10 @@ def _correlate(a: Array, b: Array, step: float) -> tuple[float, float, float, fl
     value = np.where(enough, cross / norm, -np.inf)
     order = np.argsort(lags)
     value, lags = value[order], lags[order]
-    at = int(np.argmax(value))
+    overlap = overlap[order]
+    # of peaks that are alike, as those of a periodic signal, the one with the most rows
+    at = int(np.argmax(np.where(value >= ALIKE * value.max(), overlap + value, 0)))
+    at = _summit(value, at)
     peak = float(value[at])
     offset = 0.0
     if 0 < at < len(value) - 1 and np.isfinite(value[[at - 1, at + 1]]).all():
@@ -134,7 +137,7 @@ def _correlate(a: Array, b: Array, step: float) -> tuple[float, float, float, fl
         offset = float((left - right) / (2 * bend)) if bend < 0 else 0.0
     else:
         bend = -1.0
-    rows = max(float(overlap[order][at]), 1.0)
+    rows = max(float(overlap[at]), 1.0)
     noise = max(1.0 - min(peak, 1.0) ** 2, 1e-12)
     std = step * float(np.sqrt(noise / (rows * max(-bend, 1e-12))))
     # another peak, beyond the valley beside this one
@@ -142,6 +145,13 @@ def _correlate(a: Array, b: Array, step: float) -> tuple[float, float, float, fl
     best = int(np.argmax(np.where(far, value, -np.inf)))
     second = step * float(lags[best]) if value[best] > ALIKE * peak else None
     return step * (float(lags[at]) + offset), peak, std, second
+
+
+def _summit(value: Array, at: int) -> int:
+    """The local maximum uphill of a place."""
+    while 0 < at < len(value) - 1 and max(value[at - 1], value[at + 1]) > value[at]:
+        at += 1 if value[at + 1] > value[at - 1] else -1
+    return at
 
 
 def _energy(x: Array, lags: np.ndarray, other: int) -> Array:

@@ -109,6 +109,8 @@ class Columns:
                 channel = exact if exact in _KNOWN else read.channel
                 if unit := said.units.get(column, read.unit):
                     self.units[name] = unit
+                if channel is None and unit and units.known(unit) == {"time"}:
+                    channel = "t"
                 if said.time is not None:
                     channel = "t" if column == said.time else None if channel == "t" else channel
                 if channel is not None:

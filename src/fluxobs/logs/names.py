@@ -89,6 +89,8 @@ _LETTERS = str.maketrans({"α": "alpha", "β": "beta", "θ": "theta", "ω": "ome
 #: "Ia [mA]", "Ia (mA)", "Ia {mA}", "Ia / mA", "Ia, mA", "Ia in mA".
 _BRACKETS = re.compile(r"^(.*?)\s*[\[({]\s*([^\[\](){}]*)\s*[\])}]\s*(.*)$")
 _BEHIND = re.compile(r"^(.*?)(?:\s*/\s*|\s*,\s*|\s+in\s+|\s+)([^\s/,]+)$")
+#: "in s", and "CH1V", as instruments write them.
+_IN, _SCOPE = re.compile(r"^()in\s+(\S+)$"), re.compile(r"^(CH\s?\d+)\s*([VA])$")
 #: "u_a_V", "theta_deg", "time-ms", "Ia.mA".
 _JOINED = re.compile(r"^(.*)[_\-.]([^_\-.]+)$")
 
@@ -126,7 +128,7 @@ def _fits(channel: str | None, unit: str) -> bool:
 def unit_in(column: str) -> tuple[str, str] | None:
     """A name without its unit, and the unit, if it has one in brackets or behind a slash."""
     name = leaf(column) if "/" not in column or column.count("/") > 1 else column
-    for pattern in (_BRACKETS, _BEHIND):
+    for pattern in (_BRACKETS, _IN, _SCOPE, _BEHIND):
         found = pattern.match(name.strip())
         if found and known(found[2]):
             tail = found[3] if pattern is _BRACKETS else ""

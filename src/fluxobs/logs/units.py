@@ -79,7 +79,14 @@ def known(unit: str) -> set[Quantity]:
     word = plain(unit)
     if not word or word in ("1", "-"):
         return set()
-    return {one for one, table in UNITS.items() if word in table}
+    return {one for one, table in UNITS.items() if _in(table, word) is not None}
+
+
+def _in(table: dict[str, float], word: str) -> float | None:
+    """The factor of a unit; long words, and SI letters, in any case."""
+    if word in table:
+        return table[word]
+    return table.get(word.lower()) if len(word) > 2 or word in ("S", "RAD") else None
 
 
 def factor(channel: str, unit: str) -> float:
@@ -93,8 +100,8 @@ def factor(channel: str, unit: str) -> float:
     kind, word = quantity(channel), plain(unit)
     if kind is None:
         raise RecordError(f"unit {channel}={unit}: the channel {channel} has no unit")
-    if word in UNITS[kind]:
-        return UNITS[kind][word]
+    if (found := _in(UNITS[kind], word)) is not None:
+        return found
     if fixed := _FIXED.match(word):
         return 0.5 ** int(fixed[1])
     name, colon, size = word.partition(":")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -17,8 +18,8 @@ from .table import BATCH, Columns, Said, Table
 class TdmsTable(Table):
     """Channels of the same length, rate and start."""
 
-    def __init__(self, path: Path, channels: dict[str, Any]) -> None:
-        self.path = path
+    def __init__(self, path: Path, channels: dict[str, Any], file: Any) -> None:
+        self.path, self._file = path, file
         self._channels = channels
         self.columns = list(channels)
         one = next(iter(channels.values()))
@@ -51,9 +52,15 @@ def open_tdms(path: Path) -> list[Table]:
     """Tables of the numeric channels; a channel has the path "group/channel" if groups differ."""
     nptdms = library("nptdms", "tdms", path)
     try:
-        file = nptdms.TdmsFile.open(path)
+        handle = path.open("rb")
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        file = nptdms.TdmsFile.open(handle)
     except Exception as error:  # npTDMS raises many kinds for a broken file
+        handle.close()
         raise RecordError(f"{path}: not a readable TDMS file: {error}") from None
+    weakref.finalize(file, handle.close)
     groups = [group for group in file.groups() if any(map(len, group.channels()))]
     parts: dict[tuple[Any, ...], dict[str, Any]] = defaultdict(dict)
     for group in groups:
@@ -66,4 +73,4 @@ def open_tdms(path: Path) -> list[Table]:
             when = (about.get("wf_increment"), about.get("wf_start_offset"))
             own = group.name if not when[0] else ""
             parts[(len(channel), *when, own)][f"{prefix}{channel.name}"] = channel
-    return [TdmsTable(path, channels) for channels in parts.values()]
+    return [TdmsTable(path, channels, file) for channels in parts.values()]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Iterator
 
 #: Contents of a cell that mean a missing value.
-MISSING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "#n/a")
+MISSING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "∞", "-∞", "#n/a")
 #: Delimiters, the most distinctive first.
 DELIMITERS = ("\t", ";", "|", ",", " ")
 _DECIMAL_COMMA = re.compile(r"^\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*$")
@@ -36,8 +37,12 @@ def split(line: str, delimiter: str) -> list[str]:
     return _quoted(line, delimiter)
 
 
+def _reader(line: str, delimiter: str) -> Iterator[list[str]]:
+    return csv.reader([line], delimiter=delimiter, skipinitialspace=delimiter != " ")
+
+
 def _quoted(line: str, delimiter: str) -> list[str]:
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+    return [cell.strip() for cell in next(_reader(line, delimiter), [])]
 
 
 def has_decimal_comma(cell: str) -> bool:

@@ -89,15 +89,17 @@ def _decoded(line: bytes, encoding: str) -> str:
     return line.decode(encoding, errors="replace").lstrip("\ufeff").rstrip("\r\n")
 
 
-def last_line(path: Path, encoding: str) -> str:
-    """The last line with content; empty for a file whose end costs reading all of it."""
+def last_line(path: Path, encoding: str) -> tuple[str, int]:
+    """The last line with content, and the blank lines below it; nothing is known of a file whose
+    end costs reading all of it."""
     if is_packed(path):
-        return ""
+        return "", 0
     with path.open("rb") as file:
         size = file.seek(0, 2)
         file.seek(max(0, size - END) & ~1)
         lines = file.read().decode(encoding.removesuffix("-sig"), errors="replace").splitlines()
-    return next((line for line in reversed(lines) if line.strip()), "")
+    blank = next((n for n, line in enumerate(reversed(lines)) if line.strip()), 0)
+    return (lines[-1 - blank] if lines else ""), blank
 
 
 def repeats(path: Path, header: str, encoding: str) -> bool:
@@ -144,7 +146,8 @@ class Copy:
 def _lines(path: Path, encoding: str) -> Iterator[str]:
     with open_bytes(path) as file:
         if encoding.startswith("utf-16"):
-            yield from io.TextIOWrapper(file, encoding, errors="replace")
+            with io.TextIOWrapper(file, encoding, errors="replace") as decoded:
+                yield from decoded
         else:
             for line in file:
                 yield _decoded(line, encoding)

@@ -26,7 +26,19 @@ NUMBER, EMPTY, CLOCK, TEXT = "nect"
 #: Lines that are looked at to see what a row is.
 SEEN = 200
 
-_UNIT_ROW = frozenset(["yunitlabel", "unit", "units", "verticalunits", "vunit", "einheit", "yunit"])
+#: Keys in front of a row of units, or of names; and of other rows between names and data.
+_UNIT_ROW = ("yunitlabel", "unit", "units", "verticalunits", "vertunits", "vunit", "yunit")
+_NAME_ROW = ("tracename", "tracenames", "signal", "signals", "name", "names", "channelname")
+_LABEL_ROW = ("label", "labels")
+_OTHER_ROW = ("hunit", "hoffset", "hresolution", "unitoffset", "unitscalefactor", "time")
+#: A line of its own between the header and the rows.
+_MARKS = ("data", "waveformdata", "timetags", "endofheader")
+#: Cells of metadata below the names, as "Unit: V".
+_BELOW = re.compile(r"^(Type|Unit|Interp|BlockPath|PortIndex|Enum)\s*:\s*(.*)$")
+#: Names that an instrument gives a channel, which its user's label replaces.
+_NUMBERED = re.compile(r"^(CH|C|Channel )\s?\d+$", re.IGNORECASE)
+#: Header cells that have no column below them.
+_NO_COLUMN = ("comment", "start", "increment")
 _FILLERS = frozenset(("sequence", "sample", "index", "number", "none", "unitless"))
 
 
@@ -81,7 +93,7 @@ def find(lines: list[str], further: list[str], where: str, header: list[str] | N
     )
     if _beside(lines, delimiter):
         return _tektronix(lines, delimiter, comma)
-    head = _Head(lines, first, delimiter, max(len(kinds), 1))
+    head = _Head(lines, first, delimiter, kinds)
     names = list(header) if header is not None else head.names(where)
     clocks = [n for n, kind in enumerate(kinds) if kind == CLOCK]
     kept = [
@@ -160,6 +172,8 @@ def _alike(kinds: str, usual: str) -> bool:
     """Whether a line is a row: the same numbers and texts, and perhaps empty cells."""
     if len(kinds) != len(usual) or not _is_row(kinds):
         return False
+    if usual.startswith(EMPTY) and kinds.startswith(TEXT):  # a key
+        return False
     return all(k in (EMPTY, u) or u == EMPTY for k, u in zip(kinds, usual, strict=True))
 
 
@@ -199,18 +213,33 @@ def _bare(line: str) -> str:
 class _Head:
     """What stands above the rows: names, units, preamble."""
 
-    def __init__(self, lines: list[str], first: int, delimiter: str, width: int):
-        self.lines, self.first, self.delimiter, self.width = lines, first, delimiter, width
+    def __init__(self, lines: list[str], first: int, delimiter: str, kinds: str):
+        self.lines, self.first, self.delimiter = lines, first, delimiter
+        self.kinds, self.width = kinds, max(len(kinds), 1)
         above = [n for n in range(first) if lines[n].strip()]
+        while above and self._is_mark(above[-1]):
+            above.pop()
+        below = []
+        while above and all(_BELOW.match(c) for c in self._cells(above[-1]) if c):
+            below.append(above.pop())
         self.units_line = self.names_line = -1
         if above and self._is_units(self._cells(above[-1])):
             self.units_line = above.pop()
+        self.keyed = self._keyed(above, _NAME_ROW)
         if above and self._is_names(self._cells(above[-1])):
-            self.names_line = above.pop()
-        self.preamble = above
+            cells = self._cells(above[-1])
+            keys = (*_UNIT_ROW, *_OTHER_ROW, *(_NAME_ROW if len(cells) > self.width else ()))
+            if key(cells[0]) not in keys or not self.keyed:
+                self.names_line = above.pop()
+                self.keyed = None
+        self.preamble, self._below = above, below
         self.sample_time, self.start = self._timing()
         used = (n for n in (self.names_line, self.units_line) if n >= 0)
         self.written = tuple(lines[n].rstrip("\r\n") for n in used)
+
+    def _is_mark(self, line: int) -> bool:
+        cells = [cell for cell in self._cells(line) if cell]
+        return not cells or (len(cells) == 1 and key(cells[0]) in _MARKS)
 
     def _cells(self, line: int) -> list[str]:
         """Cells of a header line: parted as the rows are, or otherwise if that fits better."""
@@ -223,6 +252,21 @@ class _Head:
             if len(other) == self.width:
                 return other
         return cells
+
+    def _keyed(self, above: list[int], keys: tuple[str, ...]) -> list[str] | None:
+        """Cells of the last row of the preamble with such a key in front, one a column."""
+        for n in reversed(above):
+            cells = self._cells(n)
+            if key(cells[0]) not in keys or sum(bool(cell) for cell in cells) < 2:
+                continue
+            while len(cells) > self.width and not cells[-1]:
+                cells.pop()
+            if len(cells) == self.width + 1:
+                return cells[1:]
+            if len(cells) == self.width:
+                # beside an empty cell, or above the time of all columns
+                return ["" if self.kinds[:1] == EMPTY else "Time [ms]", *cells[1:]]
+        return None
 
     def _is_units(self, cells: list[str]) -> bool:
         units = [cell for cell in cells if known(cell)]
@@ -239,6 +283,8 @@ class _Head:
 
     def names(self, where: str) -> list[str]:
         """Names of the columns; RecordError if there are none."""
+        if self.keyed is not None:
+            return [cell or f"column {n + 1}" for n, cell in enumerate(self.keyed)]
         if self.names_line < 0:
             row = self.lines[self.first].strip() if self.first < len(self.lines) else ""
             raise RecordError(
@@ -248,30 +294,46 @@ class _Head:
             )
         cells = self._cells(self.names_line)
         surplus = cells[self.width :]
-        if any(cell and "=" not in cell and key(cell) != "comment" for cell in surplus):
+        if any(cell and "=" not in cell and key(cell) not in _NO_COLUMN for cell in surplus):
             # rows that are too short are complained about when they are read
             return cells
         cells = cells[: self.width] + [""] * (self.width - len(cells))
-        return [cell or f"column {n + 1}" for n, cell in enumerate(cells)]
+        labels = self._labels()
+        return [
+            labels.get(n, cell) if _NUMBERED.match(cell) else cell or f"column {n + 1}"
+            for n, cell in enumerate(cells)
+        ]
+
+    def _labels(self) -> dict[int, str]:
+        """What the user of an instrument called its channels, by column."""
+        for n in self.preamble:
+            cells = self._cells(n)
+            if key(cells[0]) in _LABEL_ROW:
+                return {k: cell for k, cell in enumerate(cells) if k and cell}
+        return {}
 
     def units(self, names: list[str]) -> dict[str, str]:
         """Column → unit, from a row of units or from a line of the preamble."""
-        if self.units_line >= 0:
+        cells: list[str] = []
+        for n in self._below:
+            found = [_BELOW.match(cell) for cell in self._cells(n)]
+            if any(one and one[1] == "Unit" for one in found):
+                cells = [one[2] if one else "" for one in found]
+        if not cells and self.units_line >= 0:
             cells = self._cells(self.units_line)
-            return {name: cell for name, cell in zip(names, cells, strict=False) if known(cell)}
-        for n in self.preamble:
-            cells = [cell for cell in self._cells(n) if cell]
-            if len(cells) > 1 and key(cells[0]) in _UNIT_ROW and any(map(known, cells[1:])):
-                of = names[1:] if len(cells) - 1 < len(names) else names
-                return {a: b for a, b in zip(of, cells[1:], strict=False) if known(b)}
-        return {}
+        elif not cells:
+            cells = self._keyed(self.preamble, _UNIT_ROW) or []
+            if cells[:1] == ["Time [ms]"]:
+                cells[0] = ""
+        return {name: cell for name, cell in zip(names, cells, strict=False) if known(cell)}
 
     def _timing(self) -> tuple[float | None, float | None]:
         """Sample time and start that a preamble says."""
         interval = start = None
-        pairs = [pair for n in self.preamble for pair in _pairs(self.lines[n])]
+        comma = self.delimiter == ","
+        pairs = [pair for n in self.preamble for pair in _pairs(self.lines[n], comma)]
         if self.names_line >= 0:
-            pairs += _pairs(self.lines[self.names_line])
+            pairs += _pairs(self.lines[self.names_line], comma)
             if self.units_line >= 0:  # names "Start, Increment" over numbers in the row of units
                 cells = zip(
                     self._cells(self.names_line), self._cells(self.units_line), strict=False
@@ -289,11 +351,11 @@ class _Head:
         return interval, start
 
 
-def _pairs(line: str) -> list[tuple[str, str]]:
-    """Names and values of a preamble line: "a=1", "a: 1", "a,1", "a<tab>1"."""
-    parts = [part.strip().strip('"') for part in re.split(r"[\t;,]|\s=\s|=|:\s", _bare(line))]
-    parts = [part for part in parts if part]
-    return list(pairwise(parts))
+def _pairs(line: str, comma: bool) -> list[tuple[str, str]]:
+    """Names and values of a preamble line: "a=1", "a: 1", "a,1" (if commas part), "a<tab>1"."""
+    marks = r"[\t;,]|\s=\s|=|:\s?" if comma else r"[\t;]|\s=\s|=|:\s?"
+    parts = [part.strip().strip('"') for part in re.split(marks, _bare(line))]
+    return list(pairwise(part for part in parts if part))
 
 
 def _check_repeated(names: list[str | None], where: str, line: int) -> None:

@@ -71,11 +71,14 @@ class TextTable(Table):
             self.rows = 0
         except pl.exceptions.PolarsError as error:
             raise self._ragged(error) from None
-        last = split(source.last_line(self.path, self._encoding), found.delimiter)
-        if self.rows and len(last) < len(self._filled()):
+        end, blank = source.last_line(self.path, self._encoding)
+        last = split(end, found.delimiter)
+        if self._copy is None:
+            self.rows = max(0, self.rows - blank)
+        if self.rows and last != [] and len(last) < len(self._filled()):
             self.rows -= 1
             notes.append(
-                f"the last line is cut off after {len(last)} of {len(found.names)} cells; it is "
+                f"the last line is cut off after {len(last)} of {len(self._filled())} cells; it is "
                 f"left out"
             )
         self.said = replace(found.said, notes=tuple(notes))
