@@ -20,6 +20,7 @@ LAYERS = (
     ("checking",),
     ("synthetic", "estimation", "design"),
     ("identification", "deployment", "comparison"),
+    ("examination",),
     ("paper",),
     ("cli",),
 )

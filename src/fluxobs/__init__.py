@@ -32,11 +32,11 @@ from .model.immersion import Immersion
 from .observers import AdaptiveObserver, Estimate, ImmersionObserver, LeastSquaresObserver
 
 if TYPE_CHECKING:
-    from .checking.check import check
     from .comparison.compare import compare
     from .deployment.export import export
     from .estimation.estimate import estimate
     from .estimation.result import Result
+    from .examination.examine import check
     from .identification.identify import identify
     from .logs import Log, read_log
     from .synthetic.demo import demo_log
@@ -47,7 +47,7 @@ __version__ = version("fluxobs")
 _LATER = {
     "Log": "logs",
     "Result": "estimation.result",
-    "check": "checking.check",
+    "check": "examination.examine",
     "compare": "comparison.compare",
     "demo_log": "synthetic.demo",
     "estimate": "estimation.estimate",

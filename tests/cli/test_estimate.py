@@ -30,7 +30,8 @@ def folder(tmp_path):
 
 
 def estimate(folder, *more, log="log.csv", out="out.parquet"):
-    return fluxobs("estimate", log, "--machine", "motor.toml", "--out", out, *more, folder=folder)
+    given = ("estimate", log, "--machine", "motor.toml", "--out", out, "--force")
+    return fluxobs(*given, *more, folder=folder)
 
 
 def test_help_reads_well(tmp_path):

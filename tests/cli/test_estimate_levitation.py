@@ -125,7 +125,7 @@ def test_current_bias_of_a_reluctance_machine(folder):
         ),
         (
             ["synrm.parquet", "--machine", "synrm-6kw7", "--truth", "position=t"],
-            "has theta_mech or theta_e",
+            "theta_mech or theta_e",
         ),
     ],
 )

@@ -30,7 +30,7 @@ def folder(tmp_path_factory):
 
 
 def estimate(folder, *more, machine="motor.toml"):
-    arguments = ("log.parquet", "--machine", machine, "--out", "out.parquet", *more)
+    arguments = ("log.parquet", "--machine", machine, "--out", "out.parquet", "--force", *more)
     return fluxobs("estimate", *arguments, folder=folder)
 
 

@@ -17,7 +17,10 @@ from support.cli import fluxobs, process
 from support.records import course, log_columns
 
 ROOT = Path(__file__).parents[2]
-COMMANDS = ("estimate", "check", "identify", "compare", "export", "machines", "demo", "reproduce")
+COMMANDS = (
+    *("estimate", "check", "channels", "identify", "compare", "export"),
+    *("machines", "presets", "demo", "reproduce"),
+)
 
 
 def python(*arguments, **options):
@@ -42,7 +45,7 @@ def test_options_have_the_names_of_the_fields():
     """A field of the layout is an option and an argument of the same name."""
     text = python("fluxobs", "estimate", "--help", env={"COLUMNS": "200", "PATH": ""}).stdout
     for name in Layout.model_fields:
-        if name != "udc":  # --column udc=540
+        if name not in ("udc", "note"):  # --column udc=540
             assert f"--{name.replace('_', '-')}" in text, name
 
 
@@ -61,7 +64,7 @@ def test_both_names_of_an_option_do_the_same(tmp_path):
     assert tables[0].count("\n") == 2002
 
 
-@pytest.mark.parametrize("command", ["estimate", "check", "identify", "compare", "export"])
+@pytest.mark.parametrize("command", COMMANDS[:6])
 def test_help_shows_an_example(tmp_path, command):
     done = fluxobs(command, "--help", folder=tmp_path)
     assert done.returncode == 0

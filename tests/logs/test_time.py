@@ -230,7 +230,7 @@ def test_resampling_by_hand():
 def apart(tmp_path, shift=0.0, rate=1, start=0.0, common=False):
     """Currents in one file, voltages in another, whose clock differs."""
     t = T + start
-    u, i = signals(t)
+    i = signals(t)[1]
     pl.DataFrame({"t": t, "i_alpha": i.real, "i_beta": i.imag}).write_csv(tmp_path / "i.csv")
     fine = np.arange(-500 * rate, (ROWS + 500) * rate) * H / rate + start
     at = np.floor((fine - start + 1e-9) / H) * H + start  # held over a sample of the first file
@@ -255,7 +255,7 @@ def test_joined_row_by_row(tmp_path):
     pl.DataFrame({"t": T, "i_alpha": i.real, "i_beta": i.imag}).write_csv(tmp_path / "i.csv")
     pl.DataFrame({"t": 50 + T, "u_alpha": u.real, "u_beta": u.imag}).write_csv(tmp_path / "u.csv")
     join = [str(tmp_path / "u.csv")]
-    with pytest.raises(RecordError, match="runs from 50 s.*--align auto"):
+    with pytest.raises(RecordError, match=r"runs from 50 s.*--align auto"):
         read_log(tmp_path / "i.csv", join=join)
     _, _, found = rows_of(read_log(tmp_path / "i.csv", join=join, align="index"))
     np.testing.assert_allclose(found[1:, 0], u.real[:-1], atol=1e-9)

@@ -20,6 +20,7 @@ from .commands.demo import demo
 from .commands.estimate import estimate
 from .commands.export import export
 from .commands.identify import identify
+from .commands.machine import app as machine
 from .commands.machines import machines
 from .commands.presets import presets
 from .commands.reproduce import reproduce
@@ -70,6 +71,7 @@ COMMANDS = (
 )
 for command in COMMANDS:
     app.command(name=command.__name__)(command)
+app.add_typer(machine, name="machine")
 
 
 def spread(arguments: Iterable[str]) -> list[str]:

@@ -170,7 +170,7 @@ LAYOUT: dict[str, Any] = {
 #: Options that may be followed by several NAME=VALUE.
 REPEATED = (
     *("--column", "--columns", "--unit", "--units", "--adc", "--scale", "--offset", "--truth"),
-    *("--prior", "--priors"),
+    *("--prior", "--priors", "--set"),
 )
 
 

@@ -34,6 +34,26 @@ def table(rich_table: Any) -> None:
     Console(width=width).print(rich_table)
 
 
+def page(items: Iterable[Any]) -> None:
+    """Print the lines of an examination."""
+    from rich.table import Table
+
+    drawn = Table(box=None, pad_edge=False)
+    for title in ("what", "value", "verdict", ""):
+        drawn.add_column(title, overflow="fold")
+    colours = {"fine": "green", "look at it": "bold red", "cannot be told": "dim"}
+    for item in items:
+        verdict = f"[{colours[item.verdict]}]{item.verdict}[/]"
+        drawn.add_row(item.name, item.told, verdict, item.words.replace("[", "\\["))
+    typer.echo()
+    table(drawn)
+
+
+def interactive() -> bool:
+    """Whether somebody can answer a question."""
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
 #: Exit code after Ctrl-C, as shells have it: 128 and the number of the signal.
 INTERRUPTED = 130
 

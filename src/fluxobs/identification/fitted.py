@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from ..machines import RotatingMachine
 from .fit import Fit
@@ -78,6 +79,24 @@ class Fitted:
     rows: int
     source: str = ""
     map: FoundMap | None = None
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What was found, as JSON can hold it."""
+        return {
+            "rows": self.rows,
+            "lag": self.lag,
+            "parameters": {
+                one.name: {
+                    "value": one.value,
+                    "std": one.std,
+                    "given": one.given,
+                    "unit": one.unit,
+                }
+                for one in self.parameters
+            },
+            "untold": dict(self.untold),
+        }
 
     @property
     def found(self) -> dict[str, tuple[float, float]]:

@@ -12,6 +12,7 @@ from ..model.constraint import QuadraticConstraint
 from ..model.flux_map import CageMap, FluxMap
 from ..validation import NotNegative, Positive
 from .contract import Array, Position
+from .datasheet import from_datasheet
 from .rotating import RotatingMachine
 
 #: Parameters of the T-model, as a data sheet or a no-load and a locked-rotor test give them.
@@ -87,6 +88,7 @@ class InductionMachine(RotatingMachine):
         if not isinstance(given, dict):
             return given
         given = dict(given)
+        given = from_datasheet(given, cls.inductances, magnets=False)
         plate = given.pop("plate", None)
         if plate is not None:
             given = from_plate(plate) | given

@@ -17,6 +17,7 @@ from ..model.held import Held, held_share
 from ..model.inverter import SMOOTHING, InverterError
 from ..validation import NotNegative, Number, Positive
 from .contract import Array, Machine, Position, angle_std
+from .datasheet import from_datasheet
 from .saturation import Falling, FluxMapField, MapSource, chords, fitted, read_source
 
 #: The random walk of the flux by noise in the resistive drop is held to about the direct noise, if
@@ -240,7 +241,10 @@ class SynchronousMachine(RotatingMachine):
     @model_validator(mode="before")
     @classmethod
     def _from_map(cls, given: Any) -> Any:
-        if not isinstance(given, dict) or given.get("flux_map") is None:
+        if not isinstance(given, dict):
+            return given
+        given = from_datasheet(given, cls.inductances, cls.magnets)
+        if given.get("flux_map") is None:
             return given
         given = given | {"flux_map": read_source(given["flux_map"])}
         for name in cls._rated_inductances():

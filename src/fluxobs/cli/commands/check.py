@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+import json
+from typing import Annotated, Any
 
 import typer
 
 from .. import show
-from ..options import JsonOption, LogArgument, MachineOption, QuietOption, reads_logs
+from ..options import (
+    ForceOption,
+    JsonOption,
+    LogArgument,
+    MachineOption,
+    QuietOption,
+    ReportOption,
+    reads_logs,
+)
 
 
 @reads_logs()
@@ -15,6 +24,15 @@ def check(
     log: LogArgument,
     machine: MachineOption,
     layout: dict[str, Any],
+    cold_resistance: Annotated[
+        float | None,
+        typer.Option(help="Phase resistance at 20 °C [Ω], for the winding temperature."),
+    ] = None,
+    only_mistakes: Annotated[
+        bool, typer.Option("--mistakes", help="Only the usual mistakes, without the page.")
+    ] = False,
+    report: ReportOption = None,
+    force: ForceOption = False,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -27,13 +45,36 @@ def check(
     how surely, and what the log cannot tell. Exit code 1: something fits better than what was
     given.
 
+    Then comes the page on the drive: sampling, converters, offsets, R_s and winding temperature,
+    magnets, inverter, gains, lag, encoder or Hall sensors, each with value, standard deviation and
+    verdict: fine, look at it, or cannot be told from this log, and which test would tell.
+
     Example: fluxobs check LOG.csv --machine motor.toml --lag -1
     """
     from ... import check as run
+    from ...output import check_new
+    from ...plots import FORMATS
 
+    if report is not None:
+        check_new(report, FORMATS, force, "--report")
     with show.Progress() as progress:
-        found = run(log, machine, progress=progress, **layout)
-    for line in found.lines():
-        show.echo(line)
+        found = run(log, machine, cold_resistance=cold_resistance, progress=progress, **layout)
+        items = found.items if as_json or report or not (quiet or only_mistakes) else ()
+    if as_json:
+        typer.echo(json.dumps(found.facts, indent=1, ensure_ascii=False))
+    elif quiet:
+        for finding in found.mistakes:
+            typer.echo(str(finding))
+    else:
+        for note in found.log.notes if found.log is not None else ():
+            show.echo(f"Note: {note}.")
+        for line in found.lines():
+            show.echo(line)
+        if items:
+            show.page(items)
+    if report is not None:
+        found.write(report, force=force)
+        if not (quiet or as_json):
+            typer.echo(f"Written: {report}")
     if not found.sound:
         raise typer.Exit(1)

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from .. import show
-from ..options import LogArgument, MachineOption, reads_logs, refuse_input_as_output
+from ..options import (
+    ForceOption,
+    JsonOption,
+    LogArgument,
+    MachineOption,
+    QuietOption,
+    reads_logs,
+    refuse_input_as_output,
+)
 
 
 @reads_logs()
@@ -29,7 +38,9 @@ def identify(
     report: Annotated[
         Path | None, typer.Option(help="Picture of the residual, and of a map: .png, .pdf, .svg.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite --out.")] = False,
+    force: ForceOption = False,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Fit the machine's parameters and the inverter's error to a whole log.
 
@@ -42,18 +53,27 @@ def identify(
     """
     from ... import identify as run
     from ...machines.written import check_machine_file
+    from ...output import check_new
 
     refuse_input_as_output(out, log, layout.get("record"))
     check_machine_file(out, force)
     if report is not None:
-        from ...plots import check_path
+        from ...plots import FORMATS, check_path
 
         check_path(report)
-    found = run(log, machine, free=free, **layout)
+        check_new(report, FORMATS, force, "--report")
+    with show.Progress():
+        found = run(log, machine, free=free, **layout)
+        found.write(out, force=force)
+        if report is not None:
+            found.write(report)
+    if as_json:
+        typer.echo(json.dumps(found.facts | {"written": str(out)}, indent=1, ensure_ascii=False))
+        return
+    if quiet:
+        return
     for line in found.lines():
         show.echo(line)
-    found.write(out, force=force)
-    typer.echo(f"Written: {out}")
-    if report is not None:
-        found.write(report)
-        typer.echo(f"Written: {report}")
+    for path in (out, report):
+        if path is not None:
+            typer.echo(f"Written: {path}")

@@ -1,0 +1,1 @@
+"""An examination of a drive from an ordinary log: what a service engineer would ask."""

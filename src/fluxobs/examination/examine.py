@@ -1,0 +1,153 @@
+"""Is a log what its user thinks, and is the drive well?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..checking.findings import Check
+from ..checking.search import check_log
+from ..errors import FluxobsError
+from ..logs.for_machine import open_for
+from ..logs.log import Log
+from ..logs.read import Source
+from ..machines import Machine, RotatingMachine, as_machine, rotating
+from ..output import check_new
+from .drive import lag_item, learnt_items, run, truth_items
+from .item import Item
+from .signals import ROWS, channels_of, converters, offsets, rated_current, sampling
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Examination(Check):
+    """Result of :func:`fluxobs.check`: the mistakes, and on request the page on the drive.
+
+    Attributes
+    ----------
+    findings, residual_given, residual, notes, fits
+        See :class:`fluxobs.checking.findings.Check`.
+    log : Log
+    machine : RotatingMachine
+    cold_resistance : float, optional
+        Phase resistance at 20 °C [Ω].
+    """
+
+    log: Log | None = None
+    machine: RotatingMachine | None = None
+    cold_resistance: float | None = None
+
+    @cached_property
+    def items(self) -> tuple[Item, ...]:
+        """The page: a line a thing, with value, standard deviation and verdict; takes seconds."""
+        assert self.log is not None
+        assert self.machine is not None
+        log = replace(self.log, last=min(self.log.last, self.log.first + ROWS))
+        channels = channels_of(log)
+        rated = rated_current(self.machine, channels)
+        items = [*converters(channels, log, rated), *offsets(channels, log, rated)]
+        if any(finding.kind in ("columns", "angle", "machine") for finding in self.mistakes):
+            words = "the log is not read as it should be: see above"
+            items.append(Item("parameters of the drive", "cannot be told", words))
+            return (*sampling(log, 0.0), *items)
+        try:
+            result = run(log, self.machine)
+        except FluxobsError as error:
+            items.append(Item("parameters of the drive", "cannot be told", str(error)))
+            return (*sampling(log, 0.0), *items)
+        series = result.statistics.thin.columns()
+        known = series["valid"] > 0
+        speed = float(abs(series["speed_e"][known]).max()) if known.any() else 0.0
+        return (
+            *sampling(log, speed),
+            *items,
+            *learnt_items(result, self.cold_resistance),
+            lag_item(log, self.machine),
+            *truth_items(result),
+        )
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Findings and page as JSON can hold them."""
+        return {
+            "sound": self.sound,
+            "findings": [
+                {
+                    "kind": one.kind,
+                    "words": one.words,
+                    "as_given": one.as_given,
+                    "others": list(one.others),
+                    "sure": one.sure,
+                }
+                for one in self.findings
+            ],
+            "residual_given": _finite(self.residual_given),
+            "residual": _finite(self.residual),
+            "notes": [*self.notes, *(self.log.notes if self.log is not None else ())],
+            "items": [item.facts for item in self.items],
+        }
+
+    def plot(self) -> Figure:
+        """The page as a picture."""
+        from .picture import figure
+
+        return figure(self)
+
+    def write(self, path: str | Path, *, force: bool = False) -> None:
+        """Write the page as a picture; FluxobsError if the file exists and `force` is not given."""
+        from ..plots import FORMATS, write
+
+        path = Path(path)
+        check_new(path, FORMATS, force, "--report")
+        write(self.plot(), path)
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and abs(value) < float("inf") else None
+
+
+def check(
+    log: Source,
+    machine: Machine | str | Path,
+    *,
+    cold_resistance: float | None = None,
+    progress: Callable[[int, int], Any] | None = None,
+    **layout: Any,
+) -> Examination:
+    """Is a log what its user thinks? Try the usual mistakes on stretches of it.
+
+    They are the sign of the current, the phase order, the lag, the frame, and scales of the log or
+    of the machine file; with a true angle, also its zero, its direction, and n_p. Columns are
+    looked at first: repeated, raw counts, an angle in degrees, spikes.
+
+    ``.items`` of the result examines the drive: sensors, resistance and winding temperature,
+    magnets, inverter, lag, encoder, sampling, each with a verdict.
+
+    Parameters
+    ----------
+    log : path, Log, Record, mapping of str to array, or (voltage, current)
+        See :func:`fluxobs.read_log`.
+    machine : Machine, or a path, or the name of a shipped machine
+        A rotating one.
+    cold_resistance : float, optional
+        Phase resistance at 20 °C [Ω], for the winding temperature; default R_s of the machine.
+    progress : callable, optional
+        Called with the number of attempts made and the number of all attempts so far known.
+    layout : optional
+        As for :func:`fluxobs.read_log`.
+
+    Raises
+    ------
+    FluxobsError
+        The machine does not rotate, or the log has too few rows without a gap.
+    """
+    given = rotating(as_machine(machine), "the check of a log")
+    opened = open_for(log, given, **layout)
+    found = check_log(opened, given, progress)
+    own = {one.name: getattr(found, one.name) for one in fields(found)}
+    return Examination(**own, log=opened, machine=given, cold_resistance=cold_resistance)

@@ -1,0 +1,149 @@
+"""What a truth channel is off by is found, with its standard deviation, and nothing else is."""
+
+import numpy as np
+import pytest
+
+import fluxobs
+from fluxobs.synthetic.demo import LOG, MACHINE
+
+TABLE = np.genfromtxt(LOG, delimiter=",", names=True)
+H, N_P = 2e-4, 4
+GOOD = {name: TABLE[name] for name in ("t", "u_alpha", "u_beta", "i_alpha", "i_beta")}
+THETA = np.unwrap(TABLE["theta_e"])
+
+
+def fitted(channel, columns, **options):
+    layout = {"truth": {channel: ",".join(columns)}} | options
+    return fluxobs.estimate(GOOD | columns, MACHINE, unknowns="drift,resistance,inverter", **layout)
+
+
+def encoder(zero=0.0, delay=0.0, once=0.0, twice=0.0, direction=1, pairs=N_P):
+    t = np.arange(len(THETA)) * H
+    shaft = np.interp(t - delay, t, THETA) / pairs
+    off = zero + once * np.cos(shaft + 1.0) + twice * np.sin(2 * shaft)
+    return {"angle": np.mod(direction * (shaft - off), 2 * np.pi)}
+
+
+def degrees(one):
+    return np.degrees([one.value, one.std])
+
+
+def test_nothing_is_found_where_nothing_is():
+    result = fitted("theta_mech", encoder())
+    fit = result.truth_fit
+    assert fit.pole_pairs == N_P
+    assert not any(one.told for one in fit.parameters)
+    assert "fitted to the estimate" not in result.summary
+    assert np.degrees(fit.rms) < 0.1
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_an_encoder_in_all_its_faults(direction):
+    faults = {"zero": 0.3, "delay": 60e-6, "once": 0.02, "twice": 0.008}
+    fit = fitted("theta_mech", encoder(**faults, direction=direction)).truth_fit
+    assert fit.pole_pairs == direction * N_P
+    value, std = degrees(fit["zero"])
+    assert abs(np.angle(np.exp(1j * np.radians(value - np.degrees(N_P * 0.3))))) < 3 * np.radians(
+        std
+    )
+    assert abs(fit["delay"].value - 60e-6) < max(3 * fit["delay"].std, 1e-6)
+    for name, true in (("eccentricity 1", 0.02), ("eccentricity 2", 0.008)):
+        assert abs(fit[name].value - true) < 3 * fit[name].std + 1e-4
+        assert fit[name].std < 1e-3
+    assert np.degrees(fit.rms) < 0.15
+    words = " ".join(fit.words)
+    assert ("counts against" in words) == (direction < 0)
+    assert "late" in words
+    assert "once a turn" in words
+
+
+@pytest.mark.parametrize("pairs", [3, 5, 8])
+def test_pole_pairs_are_counted(pairs):
+    result = fitted("theta_mech", encoder(pairs=pairs))
+    assert result.truth_fit.pole_pairs == pairs
+    assert f"{pairs} pole pairs fit, not {N_P}" in result.summary
+    assert np.degrees(result.truth_fit.rms) < 0.15
+
+
+def test_an_electrical_angle_given_as_mechanical():
+    result = fitted("theta_mech", {"angle": np.mod(THETA, 2 * np.pi)})
+    assert "the channel is electrical" in result.summary
+
+
+def test_an_angle_that_is_none():
+    rng = np.random.default_rng(0)
+    noise = np.cumsum(rng.standard_normal(len(THETA)))
+    result = fitted("theta_mech", {"angle": np.mod(noise, 2 * np.pi)})
+    assert "no whole number of pole pairs" in result.summary
+
+
+def test_as_given_nothing_is_fitted():
+    result = fitted("theta_mech", encoder(zero=0.3), fit_truth=False)
+    assert result.truth_fit is None
+    assert "mean" in result.summary
+
+
+def test_the_standard_deviation_of_a_delay_covers_it():
+    """Over stretches of the log, the delay found is within three standard deviations."""
+    off = []
+    for start, stop in ((0.0, 0.7), (0.5, 1.2), (0.9, 1.6), (1.2, 2.0)):
+        fit = fitted("theta_mech", encoder(delay=60e-6), start=start, stop=stop).truth_fit
+        delay = fit["delay"]
+        off.append((delay.value - 60e-6) / max(delay.std, 2e-7))
+    assert np.abs(off).max() < 3.5
+
+
+def test_sine_and_cosine_of_an_encoder_in_counts():
+    shaft = THETA / N_P - 0.2
+    columns = {"s": 2048 + 900 * np.sin(shaft), "c": 2100 + 950 * np.cos(shaft)}
+    fit = fitted("sincos", columns).truth_fit
+    zero, std = degrees(fit["zero"])
+    assert abs(zero - np.degrees(0.2 * N_P)) < 3 * std
+    assert np.degrees(fit.rms) < 0.5
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("rpm", 30 / np.pi), ("rad/s", 1.0)])
+def test_speed(unit, factor):
+    speed = np.gradient(THETA, H) / N_P
+    layout = {"unit": {"speed": unit}}
+    result = fitted("speed_mech", {"n": factor * speed}, **layout)
+    gain = result.truth_fit["gain"]
+    assert abs(gain.value - 1) < 0.005
+    assert "rad/s rms" in result.summary
+    doubled = fitted("speed_mech", {"n": factor * speed / 2}, **layout)
+    assert "8 pole pairs would fit, not 4" in doubled.summary
+
+
+def hall(order="abc", zero=0.1, shift=0.0):
+    """Sensors at 0°, 120°, 240° of the flux; one of them is moved by `shift`."""
+    angle = THETA + zero
+    signals = {}
+    for n, name in enumerate("abc"):
+        at = np.mod(angle - 2 * n * np.pi / 3 - (shift if n == 1 else 0.0), 2 * np.pi)
+        signals[name] = (at < np.pi).astype(float)
+    return {f"hall_{new}": signals[old] for new, old in zip("abc", order, strict=True)}
+
+
+def test_hall_edges():
+    fit = fitted("hall", hall()).truth_fit
+    assert len(fit.parameters) == 6
+    places = np.sort([one.value for one in fit.parameters])
+    expected = np.sort(np.angle(np.exp(1j * (np.arange(6) * np.pi / 3 - 0.1))))
+    np.testing.assert_allclose(places, expected, atol=np.radians(1.0))
+    assert "exchanged" not in " ".join(fit.words)
+
+
+def test_a_hall_sensor_out_of_place():
+    fit = fitted("hall", hall(shift=np.radians(8))).truth_fit
+    worst = float(fit.words[-1].split("by ")[-1].rstrip("°"))
+    assert 4 < abs(worst) < 8  # against the zero that fits all six
+
+
+def test_hall_wires_exchanged():
+    fit = fitted("hall", hall("bac")).truth_fit
+    assert "two Hall wires are exchanged" in " ".join(fit.words)
+
+
+def test_a_hall_wire_broken():
+    columns = hall() | {"hall_b": np.zeros(len(THETA))}
+    assert "a wire is broken" in " ".join(fitted("hall", columns).truth_fit.words)
