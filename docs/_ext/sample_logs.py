@@ -44,14 +44,33 @@ def write_samples(folder: Path) -> None:
         folder / "drive.csv",
         ";",
         comma=True,
-        time_ms=1e3 * t,
-        Ua=ua,
-        Ub=ub,
-        Uc=uc,
-        Ia=1e3 * ia,
-        Ib=1e3 * ib,
-        encoder_deg=np.degrees(mechanical),
+        **{
+            "time [ms]": 1e3 * t,
+            "Ua [V]": ua,
+            "Ub [V]": ub,
+            "Uc [V]": uc,
+            "Ia [mA]": 1e3 * ia,
+            "Ib [mA]": 1e3 * ib,
+            "encoder [deg]": np.degrees(np.mod(mechanical + 0.35, 2 * np.pi)),
+        },
     )
+    _csv(
+        folder / "bare.csv",
+        ";",
+        A0=1e3 * t,
+        A1=ua,
+        A2=ub,
+        A3=uc,
+        A4=np.round(2048 + 40.96 * ia),
+        A5=np.round(2048 + 40.96 * ib),
+    )
+    scope = [f"{a:.7e}" for a in (t - 1.0)]
+    values = zip(scope, ia, ib, ua - ub, ub - uc, strict=True)
+    rows = ["x-axis,1,2,3,4", "second,Ampere,Ampere,Volt,Volt"]
+    rows += [f"{at},{a:.5f},{b:.5f},{c:.5f},{d:.5f}" for at, a, b, c, d in values]
+    (folder / "scope.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    _csv(folder / "currents.csv", t=t, i_a=ia, i_b=ib)
+    _csv(folder / "voltages.csv", t=t + 0.0131, u_a=ua, u_b=ub, u_c=uc, i_a=ia)
     _csv(folder / "line.csv", t=t, u_ab=ua - ub, u_bc=ub - uc, i_a=ia, i_b=ib, i_c=ic)
     udc = 48.0
     _csv(
@@ -76,3 +95,6 @@ def write_samples(folder: Path) -> None:
     for name in names:
         gaps[name][[2000, 2001, 5000]] = np.nan
     _csv(folder / "gaps.csv", t=t, **gaps)
+    keep = np.ones(len(t), bool)
+    keep[3000:3040] = keep[7000] = False
+    _csv(folder / "lost.csv", t=t[keep], **{name: table[name][keep] for name in names})

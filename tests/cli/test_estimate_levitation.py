@@ -94,12 +94,12 @@ def test_current_bias_of_a_levitation(folder):
 
 def test_current_bias_of_a_reluctance_machine(folder):
     done = fluxobs(
-        *("estimate", "synrm.parquet", "--machine", "synrm-6kw7", "--out", "out.parquet"),
+        *("estimate", "synrm.parquet", "--machine", "synrm-6kw7", "--out", "synrm-out.parquet"),
         *("--unknowns", "drift,current-bias", "--truth", "theta_e=theta"),
         folder=folder,
     )
     assert done.returncode == 3, done.stderr  # no row is valid
-    found = pl.read_parquet(folder / "out.parquet")
+    found = pl.read_parquet(folder / "synrm-out.parquet")
     assert {"theta_e", "theta_e_std", "current_bias_alpha", "theta_e_error"} <= set(found.columns)
     assert np.abs(found["theta_e_error"][-500:]).max() < np.radians(3)
 

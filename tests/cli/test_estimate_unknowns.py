@@ -131,8 +131,10 @@ def test_saves_what_was_learnt(folder):
     again = estimate(folder, machine="learnt.toml")
     assert again.returncode == 0, again.stderr
     assert "Warning" not in again.stdout
-    refused = estimate(folder, "--save-machine", "learnt.toml")
+    given = ("estimate", "log.parquet", "--machine", "motor.toml", "--out", "new.parquet")
+    refused = fluxobs(*given, "--save-machine", "learnt.toml", folder=folder)
     assert refused.returncode == 2
+    assert not (folder / "new.parquet").exists()
     assert "exists" in refused.stderr
     assert estimate(folder, "--save-machine", "learnt.toml", "--force").returncode == 0
     plain = estimate(folder, "--unknowns", "drift", "--save-machine", "none.toml")

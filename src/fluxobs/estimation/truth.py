@@ -232,9 +232,11 @@ def _fit_angle(
     known = dict(zip(found, value, strict=True))
     known["zero"] = float(known["zero"] + centre)
     own = float(np.median(columns["theta_e_std"]))
-    # errors of the estimate repeat within a turn of the shaft
-    alike = float(np.mean(left**2)) / max(samples.turned / (2 * np.pi), 1.0)
-    covariance = covariance + alike * np.diag([float(name[:3] in ("cos", "sin")) for name in found])
+    # Errors of the estimate repeat within a turn of the shaft, and may follow the speed.
+    square = float(np.mean(left**2))
+    alike = dict.fromkeys(names, square / max(samples.turned / (2 * np.pi), 1.0))
+    alike |= {"zero": 0.0, "delay": square / max(float(np.ptp(speed)), 1e-300) ** 2}
+    covariance = covariance + np.diag([alike[name] for name in found])
     parameters = _angle_parameters(known, covariance, list(found), own, pairs)
     words += _angle_words(samples.channel, parameters, pairs, given, "delay" in known)
     return TruthFit(

@@ -15,8 +15,11 @@ from .table import BATCH, Columns, Table
 class FrameTable(Table):
     """Columns of a file that Polars scans."""
 
-    def __init__(self, path: Path, scan: Callable[[Path], pl.LazyFrame], what: str) -> None:
+    def __init__(
+        self, path: Path, scan: Callable[[Path], pl.LazyFrame], what: str, mapped: bool = False
+    ) -> None:
         self.path = path
+        self._mapped = mapped  # each look maps the file, and keeps what it has touched
         try:
             self._lazy = scan(path)
             self._schema = self._lazy.collect_schema()
@@ -46,8 +49,10 @@ class FrameTable(Table):
             if not (kind.is_numeric() or kind.is_temporal() or kind == pl.Boolean):
                 raise RecordError(f"{self.path}: column {name!r} holds {kind}, not numbers")
         try:
-            for frame in frames(self._lazy, names, first, last, size):
-                yield as_columns(frame)
+            step = size if self._mapped else last - first
+            for start in range(first, last, max(1, step)):
+                for frame in frames(self._lazy, names, start, min(start + step, last), size):
+                    yield as_columns(frame)
         except pl.exceptions.PolarsError as error:
             raise RecordError(f"{self.path}: reading failed midway: {error}") from None
 
@@ -68,7 +73,7 @@ def open_parquet(path: Path) -> list[Table]:
 def open_arrow(path: Path) -> list[Table]:
     """The table of an Arrow file (Feather of version 2), or of an Arrow stream."""
     try:
-        return [FrameTable(path, pl.scan_ipc, "Arrow")]
+        return [FrameTable(path, pl.scan_ipc, "Arrow", mapped=True)]
     except RecordError:
         with path.open("rb") as file:
             if file.read(4) != b"\xff\xff\xff\xff":

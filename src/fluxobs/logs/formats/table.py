@@ -82,7 +82,7 @@ class Table(ABC):
 def read_rows(table: Table, names: Sequence[str], first: int, last: int) -> Columns:
     """Columns of rows first … last - 1 in one piece."""
     parts = list(table.batches(names, first, last))
-    return {name: np.concatenate([part[name] for part in parts]) for name in names}
+    return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in names}
 
 
 def missing_column(

@@ -19,7 +19,8 @@ END = 65536
 #: First lines of a file in which its structure is looked for; an instrument's preamble has a
 #: hundred lines at most, a repeated descriptor some more.
 HEAD_LINES = 600
-_CHUNK = 1 << 22
+#: Bytes that are parsed at once: some ten thousand rows.
+BLOCK = 1 << 22
 
 
 def is_packed(path: Path) -> bool:
@@ -107,13 +108,29 @@ def repeats(path: Path, header: str, encoding: str) -> bool:
     wanted = b"\n" + header.encode(encoding.removesuffix("-sig"), errors="replace")
     count, before = 0, b"\n"
     with open_bytes(path) as file:
-        while chunk := file.read(_CHUNK):
+        while chunk := file.read(BLOCK):
             piece = before + chunk.removeprefix(b"\xef\xbb\xbf") if count == 0 else before + chunk
             count += piece.count(wanted)
             if count > 1:
                 return True
             before = piece[-len(wanted) + 1 :]
     return False
+
+
+def blocks(path: Path, start: int) -> Iterator[bytes]:
+    """Whole lines of a file from a byte on, some megabytes at once."""
+    with open_bytes(path) as file:
+        file.seek(start)
+        rest = b""
+        while chunk := file.read(BLOCK):
+            end = chunk.rfind(b"\n") + 1
+            if end:
+                yield rest + chunk[:end]
+                rest = chunk[end:]
+            else:
+                rest += chunk
+        if rest:
+            yield rest
 
 
 class Copy:

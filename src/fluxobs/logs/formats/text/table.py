@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 
 from ....errors import RecordError
-from ..lazy import as_columns, frames
+from ..lazy import as_columns
 from ..table import BATCH, Columns, Table
 from . import source
 from .cells import clock_formats, is_missing, split
@@ -30,8 +32,6 @@ class TextTable(Table):
     header : list of str, optional
         Names of the columns, for a file without or instead of its own.
     """
-
-    random_access = False
 
     def __init__(self, path: Path, header: list[str] | None = None) -> None:
         self.path = path
@@ -63,14 +63,7 @@ class TextTable(Table):
         if drop or spaces or self._encoding.startswith("utf-16"):
             self._copy = source.Copy(self.path, self._encoding, found.first_line, spaces, drop)
         self._checked_length = False
-        self.rows = 10**18  # until they are counted
-        try:
-            # Counting lines needs no parsing of cells.
-            self.rows = int(self._scan().select(pl.len()).collect().item())
-        except pl.exceptions.NoDataError:
-            self.rows = 0
-        except pl.exceptions.PolarsError as error:
-            raise self._ragged(error) from None
+        self._find_blocks()
         end, blank = source.last_line(self.path, self._encoding)
         last = split(end, found.delimiter)
         if self._copy is None:
@@ -107,52 +100,93 @@ class TextTable(Table):
                 }
         return {}
 
-    def _scan(self, numbers: Sequence[str] = ()) -> pl.LazyFrame:
-        """All cells as text, but for those of `numbers`; columns are called 0, 1, …"""
+    def _find_blocks(self) -> None:
+        """Count the rows, and note where in the file every block of them begins."""
+        self._text = self.path if self._copy is None else self._copy.path
+        self.random_access = not source.is_packed(self._text)
+        skip = 0 if self._copy is not None else self.structure.first_line
+        at = 0
+        if skip:
+            with source.open_bytes(self._text) as file:
+                at = sum(len(line) for line in islice(file, skip))
+        self._starts, self._firsts, self.rows = [at], [0], 0
+        for block in source.blocks(self._text, at):
+            self.rows += block.count(b"\n") + (not block.endswith(b"\n"))
+            at += len(block)
+            self._starts.append(at)
+            self._firsts.append(self.rows)
+
+    def _parsed(self, block: bytes, numbers: Sequence[str]) -> pl.DataFrame:
+        """All cells of some lines as text, but for those of `numbers`; columns are 0, 1, …"""
         wanted = {str(self._index[name]) for name in numbers if name not in self._clocks}
         cells = [str(n) for n in range(len(self.structure.names))]
         schema: dict[str, type[pl.DataType]] = {
             cell: pl.Float64 if cell in wanted else pl.String for cell in cells
         }
-        copied = self._copy is not None
-        return pl.scan_csv(
-            self._copy.path if self._copy is not None else self.path,
-            separator=self.structure.delimiter,
-            has_header=False,
-            skip_lines=0 if copied else self.structure.first_line,
-            schema=schema | {_SURPLUS: pl.String},
-            decimal_comma=self.structure.decimal_comma,
-            ignore_errors=True,
-            encoding="utf8-lossy",
-            missing_columns="insert",
-            glob=False,
+        asked = {str(self._index[name]) for name in numbers} or set(cells)
+        return (
+            pl.scan_csv(
+                block,
+                separator=self.structure.delimiter,
+                has_header=False,
+                schema=schema | {_SURPLUS: pl.String},
+                decimal_comma=self.structure.decimal_comma,
+                ignore_errors=True,
+                encoding="utf8-lossy",
+                missing_columns="insert",
+            )
+            .select([*(cell for cell in cells if cell in asked), _SURPLUS])
+            .collect()
         )
+
+    def _blocks(self, first: int, last: int) -> Iterator[tuple[int, bytes]]:
+        """Blocks that hold these rows, each with the number of its first row."""
+        n = bisect_right(self._firsts, first) - 1 if self.random_access else 0
+        for block in source.blocks(self._text, self._starts[n]):
+            if self._firsts[n] >= last:
+                return
+            if self._firsts[n + 1] > first:
+                yield self._firsts[n], block
+            n += 1
 
     def batches(
         self, names: Sequence[str], first: int, last: int, size: int = BATCH
     ) -> Iterator[Columns]:
-        row = first
         cells = {name: str(self._index[name]) for name in names}
         surplus = not self.structure.said.sample_time  # rows of instruments may end in delimiters
-        columns = [*cells.values(), *([_SURPLUS] if surplus else [])]
+        left: Columns = {}
         try:
-            for batch in frames(self._scan(names), columns, first, last, size):
-                if surplus and batch[_SURPLUS].null_count() < batch.height:
-                    beyond = batch[_SURPLUS].drop_nulls()
+            for at, block in self._blocks(first, last):
+                parsed = self._parsed(block, names)
+                low, high = max(first - at, 0), min(last - at, parsed.height)
+                parsed = parsed.slice(low, high - low)
+                if surplus and parsed[_SURPLUS].null_count() < parsed.height:
+                    beyond = parsed[_SURPLUS].drop_nulls()
                     if (beyond.str.strip_chars() != "").any():
                         raise self._ragged("lines of different length")
-                frame = batch.select(
-                    self._stamps(name, batch[cell]) if name in self._clocks else batch[cell]
-                    for name, cell in cells.items()
+                frame = pl.DataFrame(
+                    {
+                        name: self._stamps(name, parsed[cell])
+                        if name in self._clocks
+                        else parsed[cell]
+                        for name, cell in cells.items()
+                    }
                 )
-                frame.columns = list(cells)
                 for name in frame.columns:
                     if frame[name].null_count():
-                        self._refuse_text(name, row, row + frame.height)
-                yield as_columns(frame)
-                row += frame.height
+                        self._refuse_text(name, block, at, low, high)
+                found = as_columns(frame)
+                if left:
+                    found = {n: np.concatenate([left[n], v]) for n, v in found.items()}
+                rows = len(next(iter(found.values())))
+                whole = rows // size * size
+                for cut in range(0, whole, size):
+                    yield {n: v[cut : cut + size] for n, v in found.items()}
+                left = {n: v[whole:] for n, v in found.items()} if whole < rows else {}
         except pl.exceptions.PolarsError as error:
             raise self._ragged(error) from None
+        if left:
+            yield left
 
     def _stamps(self, name: str, text: pl.Series) -> pl.Series:
         """Wall-clock stamps as seconds, since midnight or since 1970."""
@@ -176,21 +210,14 @@ class TextTable(Table):
                 line += left_out <= line
         return f"line {line + 1}"
 
-    def _line(self, row: int) -> str:
-        """The text of a row."""
-        path = self.path if self._copy is None else self._copy.path
-        at = row + (self.structure.first_line if self._copy is None else 0)
-        with source.open_bytes(path) as file:
-            return next(islice(file, at, None), b"").decode("utf-8", errors="replace")
-
-    def _refuse_text(self, name: str, first: int, last: int) -> None:
+    def _refuse_text(self, name: str, block: bytes, at: int, low: int, high: int) -> None:
         """A cell that did not parse is either empty or a mistake."""
-        cell = str(self._index[name])
-        cells = self._scan().select(cell).slice(first, last - first).collect()[cell]
-        for offset, text in enumerate(cells):
+        texts = self._parsed(block, [])[str(self._index[name])]
+        for row in range(low, high):
+            text = texts[row]
             if text is None and not self._checked_length:
                 self._checked_length = True
-                self._refuse_short(first + offset)
+                self._refuse_short(block.split(b"\n")[row], at + row)
             if text is None or is_missing(text):
                 continue
             number = text.strip().replace(",", ".") if self.structure.decimal_comma else text
@@ -198,13 +225,14 @@ class TextTable(Table):
                 float(number)
             except ValueError:
                 raise RecordError(
-                    f"{self.path}, {self.place(first + offset)}, column {name!r}: {text!r} is not "
-                    f"a number. Correct it, or leave the cell empty if the value is missing"
+                    f"{self.path}, {self.place(at + row)}, column {name!r}: {text!r} is not a "
+                    f"number. Correct it, or leave the cell empty if the value is missing"
                 ) from None
 
-    def _refuse_short(self, row: int) -> None:
+    def _refuse_short(self, line: bytes, row: int) -> None:
         """A missing cell is either empty, or its line is too short."""
-        cells, width = len(split(self._line(row), self.structure.delimiter)), len(self._filled())
+        text = line.decode("utf-8", errors="replace")
+        cells, width = len(split(text, self.structure.delimiter)), len(self._filled())
         if cells < width:
             raise RecordError(
                 f"{self.path}, {self.place(row)}: {cells} cells, the header has {width}. Complete "
