@@ -20,7 +20,7 @@ from ..model.frames import CURRENTS, PHASE_CURRENTS, VOLTAGES, Frame
 from . import units
 from .formats import Table, read_rows
 from .layout import GROUPS, NO_COLUMN, NO_TRUTH
-from .names import leaf, read_name
+from .names import Named, leaf, read_name
 from .resample import Array
 
 #: Rows that are looked at.
@@ -104,9 +104,9 @@ class Columns:
         for part in parts:
             said = part.table.said
             for name, column in part.columns.items():
-                read = read_name(name)
                 exact = leaf(name)
-                channel = exact if exact in _KNOWN else read.channel
+                read = Named(exact) if exact in _KNOWN else read_name(name)
+                channel = read.channel
                 if unit := said.units.get(column, read.unit):
                     self.units[name] = unit
                 if channel is None and unit and units.known(unit) == {"time"}:

@@ -8,6 +8,7 @@ reduced to letters and digits, and compared with one pattern a channel.
 from __future__ import annotations
 
 import re
+from functools import cache
 from typing import NamedTuple
 
 from .units import known, plain, quantity
@@ -39,7 +40,9 @@ _MORE = (
 )
 
 
+@cache
 def _patterns() -> dict[str, re.Pattern[str]]:
+    """One pattern a channel; made when the first name needs it."""
     found: dict[str, str] = {
         "t": "(?:t|time|times|timestamp|timestamps|zeit|temps|xaxis|xvalue|x|tout|elapsed"
         "|elapsedtime|relativetime|timesec|systemtime|datetime|date|clock|abstime)"
@@ -84,7 +87,6 @@ def _patterns() -> dict[str, re.Pattern[str]]:
     return {channel: re.compile(f"^{words}$") for channel, words in found.items()}
 
 
-_PATTERNS = _patterns()
 _LETTERS = str.maketrans({"α": "alpha", "β": "beta", "θ": "theta", "ω": "omega", "φ": "phi"})
 #: "Ia [mA]", "Ia (mA)", "Ia {mA}", "Ia / mA", "Ia, mA", "Ia in mA".
 _BRACKETS = re.compile(r"^(.*?)\s*[\[({]\s*([^\[\](){}]*)\s*[\])}]\s*(.*)$")
@@ -114,7 +116,7 @@ def key(name: str) -> str:
 
 def _match(name: str) -> str | None:
     word = key(name)
-    return next((one for one, pattern in _PATTERNS.items() if pattern.match(word)), None)
+    return next((one for one, pattern in _patterns().items() if pattern.match(word)), None)
 
 
 def _fits(channel: str | None, unit: str) -> bool:

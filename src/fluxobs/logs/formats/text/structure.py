@@ -24,7 +24,7 @@ from .cells import DELIMITERS, clock_formats, has_decimal_comma, is_missing, is_
 COMMENT = ("#", "%", "//", "!", "'")
 NUMBER, EMPTY, CLOCK, TEXT = "nect"
 #: Lines that are looked at to see what a row is.
-SEEN = 200
+SEEN = 80
 
 #: Keys in front of a row of units, or of names; and of other rows between names and data.
 _UNIT_ROW = ("yunitlabel", "unit", "units", "verticalunits", "vertunits", "vunit", "yunit")
@@ -179,23 +179,25 @@ def _alike(kinds: str, usual: str) -> bool:
 
 def _first_row(lines: list[str], delimiter: str, usual: str) -> int:
     """Index of the first line that is a row, as is the next one with content."""
-    rows = [_kinds(line, delimiter) for line in lines]
     content = [n for n, line in enumerate(lines) if line.strip()]
-    for at, n in enumerate(content):
-        after = content[at + 1] if at + 1 < len(content) else n
-        if _alike(rows[n], usual) and _alike(rows[after], usual):
-            # rows with a mistake in a cell are rows
-            while (
-                at > 0
-                and len(rows[content[at - 1]]) == len(usual)
-                and (
-                    2 * rows[content[at - 1]].count(NUMBER) > len(usual)
-                    and rows[content[at - 1]][0] == usual[0]
-                )
-            ):
-                at -= 1
-            return content[at]
+
+    def kinds(at: int) -> str:
+        return _kinds(lines[content[at]], delimiter)
+
+    for at in range(len(content)):
+        after = min(at + 1, len(content) - 1)
+        if not (_alike(kinds(at), usual) and _alike(kinds(after), usual)):
+            continue
+        while at > 0 and _with_a_mistake(kinds(at - 1), usual):
+            at -= 1
+        return content[at]
     return next((n + 1 for n, line in enumerate(lines) if _is_content(line)), len(lines))
+
+
+def _with_a_mistake(kinds: str, usual: str) -> bool:
+    """Whether a line is a row, but for a cell or two."""
+    mostly = 2 * kinds.count(NUMBER) > len(usual)
+    return len(kinds) == len(usual) and mostly and kinds[0] == usual[0]
 
 
 def _is_content(line: str) -> bool:

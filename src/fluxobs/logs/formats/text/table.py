@@ -104,6 +104,9 @@ class TextTable(Table):
         """Count the rows, and note where in the file every block of them begins."""
         self._text = self.path if self._copy is None else self._copy.path
         self.random_access = not source.is_packed(self._text)
+        packed = 1 if self.random_access else 8  # text is some eight times as large
+        self._small = packed * self._text.stat().st_size < source.KEPT
+        self._kept: Columns = {}
         skip = 0 if self._copy is not None else self.structure.first_line
         at = 0
         if skip:
@@ -152,6 +155,19 @@ class TextTable(Table):
     def batches(
         self, names: Sequence[str], first: int, last: int, size: int = BATCH
     ) -> Iterator[Columns]:
+        if not self._small:
+            yield from self._read(names, first, last, size)
+            return
+        wanted = [name for name in dict.fromkeys(names) if name not in self._kept]
+        if wanted:
+            parts = list(self._read(wanted, 0, self.rows, size))
+            none = [np.empty(0)]
+            self._kept |= {n: np.concatenate([p[n] for p in parts] or none) for n in wanted}
+        for start in range(first, last, size):
+            stop = min(start + size, last)
+            yield {name: self._kept[name][start:stop] for name in names}
+
+    def _read(self, names: Sequence[str], first: int, last: int, size: int) -> Iterator[Columns]:
         cells = {name: str(self._index[name]) for name in names}
         surplus = not self.structure.said.sample_time  # rows of instruments may end in delimiters
         left: Columns = {}
