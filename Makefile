@@ -26,7 +26,7 @@ $(READY): $(SOURCES)
 	@$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Python 3.11 or newer is needed"'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
-	$(BIN)/python -m pip install --quiet --group dev --editable ".[design]"
+	$(BIN)/python -m pip install --quiet --group dev --editable ".[all]"
 	@touch $(READY)
 
 check: lint warnings misra sanitize
@@ -84,7 +84,7 @@ fuzz:
 
 bench: $(READY)
 	@for script in accuracy measured speed startup paper hour long_run drive closed_loop validity \
-	        compare update_every adaptive random_drives stops jumps in_loop mistakes maps; do \
+	        compare update_every adaptive random_drives stops jumps in_loop mistakes maps readers; do \
 	    $(BIN)/python benchmarks/$$script.py || exit 1; \
 	done
 

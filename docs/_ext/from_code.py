@@ -112,12 +112,14 @@ class Options(Markdown):
     """A command of the program: its help, as the program itself says it."""
 
     required_arguments = 1
+    optional_arguments = 1  # a command of a group has two words
 
     def run(self) -> list[nodes.Node]:
         from fluxobs.cli.app import app
 
-        name = self.arguments[0]
-        command = typer.main.get_command(app).commands[name]  # type: ignore[attr-defined]
+        name, command = " ".join(self.arguments), typer.main.get_command(app)
+        for word in self.arguments:
+            command = command.commands[word]  # type: ignore[attr-defined]
         words = [
             f"[{p.metavar or p.name.upper()}]" if not p.required else (p.metavar or "LOG")
             for p in command.params

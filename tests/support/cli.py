@@ -43,7 +43,7 @@ class Done:
 def fluxobs(*arguments: object, folder: Path) -> Done:
     """`fluxobs ARGUMENTS` in a folder, by its entry point. An uncaught error goes to the test."""
     out, err, code = io.StringIO(), io.StringIO(), 0
-    before = signal.getsignal(signal.SIGTERM)
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
         with (
             mock.patch.object(sys, "argv", ["fluxobs", *map(str, arguments)]),
@@ -56,7 +56,8 @@ def fluxobs(*arguments: object, folder: Path) -> Done:
             except SystemExit as end:
                 code = end.code if isinstance(end.code, int) else int(end.code is not None)
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
     return Done(code, out.getvalue(), err.getvalue())
 
 

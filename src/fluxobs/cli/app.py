@@ -25,6 +25,7 @@ from .commands.machines import machines
 from .commands.presets import presets
 from .commands.reproduce import reproduce
 from .options import REPEATED
+from .show import Stopped
 
 HELP = """
 Flux, rotor position, speed and sensor drift from a drive's currents and voltages, both biased.
@@ -93,14 +94,22 @@ def spread(arguments: Iterable[str]) -> list[str]:
     return out
 
 
+def _stop(number: int, frame: object) -> None:
+    raise Stopped
+
+
 def main() -> None:
     """Entry point; unusable input ends with a message and exit code 2."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    signal.signal(signal.SIGINT, _stop)
     try:
         app(args=spread(sys.argv[1:]), prog_name="fluxobs")
+    except Stopped as end:
+        typer.echo(f"Stopped by Ctrl-C{end.where}; no file was written or changed.", err=True)
+        raise
     except FluxobsError as error:
         typer.echo(f"Error: {error}", err=True)
         raise SystemExit(2) from None

@@ -54,8 +54,12 @@ def interactive() -> bool:
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 
-#: Exit code after Ctrl-C, as shells have it: 128 and the number of the signal.
-INTERRUPTED = 130
+class Stopped(SystemExit):
+    """Ctrl-C; the exit code is that of shells, 128 and the number of the signal."""
+
+    def __init__(self, where: str = "") -> None:
+        super().__init__(130)
+        self.where = where
 
 
 class Progress:
@@ -91,7 +95,6 @@ class Progress:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if self.bar is not None:
             self.bar.stop()
-        if kind is not None and issubclass(kind, KeyboardInterrupt):
-            at = f" after {self.done} of {self.total} rows" if self.total else ""
-            typer.echo(f"Stopped by Ctrl-C{at}; no file was written or changed.", err=True)
-            raise SystemExit(INTERRUPTED) from None
+        if kind is not None and issubclass(kind, Stopped):
+            at = f" at {self.done / self.total:.0%}" if self.total else ""
+            raise Stopped(at) from None

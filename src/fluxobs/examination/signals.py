@@ -48,19 +48,10 @@ def sampling(log: Log, speed: float) -> list[Item]:
         words = "of the sample time, rms; a hardware timer has less than 1 %"
         out.append(Item("jitter of the stamps", "look at it", words, share, None, "%"))
     if speed > 0:
-        samples = 2 * np.pi / (speed * clock.sample_time)
-        words = "" if samples >= SAMPLES else f"at least {SAMPLES:g} are needed"
-        verdict = look_if(samples < SAMPLES)
-        out.append(
-            Item(
-                "samples an electrical period",
-                verdict,
-                words,
-                float(samples),
-                None,
-                "at most speed",
-            )
-        )
+        samples = float(2 * np.pi / (speed * clock.sample_time))
+        few = samples < SAMPLES
+        words = "at the highest speed" + (f"; at least {SAMPLES:g} are needed" if few else "")
+        out.append(Item("samples a period", look_if(few), words, samples, None, ""))
     return out
 
 
@@ -177,9 +168,8 @@ def _sum(current: Array, rated: float) -> list[Item]:
     for k, name in enumerate(("i_a", "i_b")):
         gain, error = 100 * float(solved[k]), 100 * float(spread[k])
         verdict = look_if(abs(gain) - 2 * error > 100 * GAIN)
-        out.append(
-            Item(f"gain of {name} over that of i_c", verdict, "", gain, error, "% too large")
-        )
+        words = "larger than that of i_c"
+        out.append(Item(f"gain of {name}", verdict, words, gain, error, "%"))
     return out
 
 

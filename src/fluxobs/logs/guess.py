@@ -231,8 +231,8 @@ def _nearest_frame(columns: Columns, frames: Sequence[Frame], fields: Mapping[st
     """The frame of which most channels are there: its first missing one will be named."""
 
     def share(frame: Frame) -> float:
-        needed = _needed(frame, columns, fields)
-        return sum(columns.has(channel) for channel in needed) / len(needed)
+        voltages, currents = VOLTAGES[frame][:3], CURRENTS[frame]
+        return sum(sum(map(columns.has, names)) / len(names) for names in (voltages, currents))
 
     best = max(frames, key=share)
     if share(best) > 0 or len(frames) == 1:

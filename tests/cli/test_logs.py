@@ -1,0 +1,306 @@
+"""Logs on the command line: what a newcomer gets wrong, and what the program then says."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import polars as pl
+import pytest
+
+from fluxobs.machines import example_text
+from fluxobs.synthetic.demo import LOG
+from support.cli import fluxobs
+
+DEMO = pl.read_csv(LOG)
+MACHINE = ("--machine", "servo-400w")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    DEMO.write_csv(tmp_path / "log.csv")
+    (tmp_path / "motor.toml").write_text(example_text("servo-400w"))
+    return tmp_path
+
+
+def estimate(folder, *more, log="log.csv"):
+    return fluxobs("estimate", log, *MACHINE, "--out", "out.parquet", *more, folder=folder)
+
+
+def test_channels_lists_what_is_there(folder):
+    done = fluxobs("channels", "log.csv", folder=folder)
+    assert done.returncode == 0
+    for word in ("u_alpha", "5000", "truth theta_e"):
+        assert word in done.stdout
+    facts = json.loads(fluxobs("channels", "log.csv", "--json", folder=folder).stdout)
+    assert [one["column"] for one in facts["channels"]] == DEMO.columns
+    assert facts["channels"][0]["sample_time"] == pytest.approx(2e-4)
+
+
+def test_channels_of_a_file_that_says_nothing(folder):
+    DEMO.rename(dict(zip(DEMO.columns, "ABCDEF", strict=True))).write_csv(folder / "x.csv")
+    done = fluxobs("channels", "x.csv", folder=folder)
+    assert done.returncode == 0
+    assert "--frame abc --column" in " ".join(done.stdout.split())
+
+
+def test_presets_are_listed_and_printed(folder):
+    names = fluxobs("presets", folder=folder).stdout
+    assert "vesc-sampled" in names
+    text = fluxobs("presets", "vesc-sampled", folder=folder).stdout
+    assert 'frame = "abc"' in text
+    refused = estimate(folder, "--preset", "px4")
+    assert refused.returncode == 2
+    assert "rpm, DC voltage and DC current only" in refused.stderr
+    unknown = estimate(folder, "--preset", "vesc-sample")
+    assert "did you mean 'vesc-sampled'" in unknown.stderr
+
+
+def test_nothing_is_overwritten_without_force(folder):
+    assert estimate(folder).returncode == 0
+    before = (folder / "out.parquet").stat().st_mtime_ns
+    again = estimate(folder)
+    assert again.returncode == 2
+    assert "out.parquet: exists; give another name, or --force" in again.stderr
+    assert (folder / "out.parquet").stat().st_mtime_ns == before
+    assert estimate(folder, "--force").returncode == 0
+    (folder / "r.png").write_text("mine")
+    report = estimate(folder, "--force", "--report", "r.png")
+    assert report.returncode == 0
+    (folder / "r.png").write_text("mine")
+    for option in ("--report", "--save-record"):
+        name = "r.png" if option == "--report" else "r.toml"
+        (folder / name).write_text("mine")
+        refused = fluxobs(
+            *("estimate", "log.csv", *MACHINE, "--out", "new.parquet", option, name), folder=folder
+        )
+        assert refused.returncode == 2
+        assert (folder / name).read_text() == "mine"
+        assert not (folder / "new.parquet").exists()
+
+
+def test_quiet_and_json(folder):
+    quiet = estimate(folder, "--quiet")
+    assert (quiet.returncode, quiet.stdout) == (0, "")
+    done = estimate(folder, "--json", "--force")
+    facts = json.loads(done.stdout)
+    assert facts["rows"] == 10_000
+    assert facts["valid_share"] > 0.98
+    assert facts["parameters"]["resistance"]["value"] == pytest.approx(0.36, rel=0.02)
+    assert facts["error"]["rms"] < np.radians(0.2)
+    assert facts["written"] == ["out.parquet"]
+    found = json.loads(fluxobs("check", "log.csv", *MACHINE, "--json", folder=folder).stdout)
+    assert found["sound"]
+    done = fluxobs("identify", "log.csv", *MACHINE, "--out", "m.toml", "--json", folder=folder)
+    assert json.loads(done.stdout)["parameters"]["R_s"]["std"] > 0
+
+
+def test_a_record_is_saved_and_read(folder):
+    renamed = DEMO.rename({"i_alpha": "Ialpha [A]", "t": "time [ms]"})
+    renamed.with_columns(pl.col("time [ms]") * 1e3).write_csv(folder / "r.csv")
+    done = estimate(folder, "--save-record", "r.toml", log="r.csv")
+    assert done.returncode == 0, done.stderr
+    assert "i_alpha = Ialpha [A] [A]" in " ".join(done.stdout.split())
+    again = estimate(folder, "--record", "r.toml", "--force", log="r.csv")
+    assert "are taken as" not in again.stdout
+
+
+def test_machine_new(folder):
+    done = fluxobs(
+        *("machine", "new", "--out", "new.toml", "--poles", "8", "--set", "R_line=0.72"),
+        *("L_line=1.2e-3", "K_t=0.1061", "rated_current_rms=8.5"),
+        folder=folder,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "K_t is taken as rms" in done.stdout
+    found = fluxobs(
+        *("estimate", "log.csv", "--machine", "new.toml", "--out", "e.parquet"), folder=folder
+    )
+    assert found.returncode == 0, found.stderr
+    wrong = fluxobs("machine", "new", "--out", "w.toml", "--set", "kvv=900", folder=folder)
+    assert wrong.returncode == 2
+    assert "did you mean 'kv'" in wrong.stderr
+
+
+@pytest.mark.parametrize("command", ["estimate", "check"])
+def test_control_c_says_where_it_stopped(folder, command):
+    many = pl.concat([DEMO] * 400).with_columns(t=pl.int_range(pl.len()) * 2e-4)
+    many.write_parquet(folder / "long.parquet")
+    out = ("--out", "x.parquet") if command == "estimate" else ()
+    arguments = [sys.executable, "-m", "fluxobs", command, "long.parquet", *MACHINE, *out]
+    with subprocess.Popen(arguments, cwd=folder, stderr=subprocess.PIPE, text=True) as running:
+        time.sleep(3.0)
+        running.send_signal(signal.SIGINT)
+        _, said = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert "Stopped by Ctrl-C" in said
+    assert "Traceback" not in said
+    assert not (folder / "x.parquet").exists()
+
+
+# ---- what a newcomer gets wrong --------------------------------------------------------------
+
+PHASES = {
+    f"{letter}_{p}": (
+        (DEMO[f"{letter}_alpha"].to_numpy() + 1j * DEMO[f"{letter}_beta"].to_numpy()) * turn
+    ).real
+    for letter in "ui"
+    for p, turn in zip("abc", np.exp(-2j * np.pi / 3 * np.arange(3)), strict=True)
+}
+T = DEMO["t"].to_numpy()
+
+
+#: A direct current through the winding: the voltage is the resistive drop.
+NOISE = np.random.default_rng(0).standard_normal((3, 3000))
+STANDING = {"t": T[:3000]}
+for n, p in enumerate("abc"):
+    STANDING[f"i_{p}"] = 3.0 * np.cos(2 * np.pi / 3 * n) + 0.02 * NOISE[n]
+    STANDING[f"u_{p}"] = np.full(3000, 0.36 * 3.0 * np.cos(2 * np.pi / 3 * n))
+
+
+def csv(folder, columns, **options):
+    pl.DataFrame(columns).write_csv(folder / "new.csv", **options)
+
+
+MISTAKES = {
+    "a folder": (None, ["."], 2, "this is a folder, not a log"),
+    "a name mistyped": (None, ["lgo.csv"], 2, "lgo.csv: no such file"),
+    "no header": (
+        lambda f: csv(f, DEMO, include_header=False),
+        ["new.csv"],
+        2,
+        'Name them with --header "t,u_a,…"',
+    ),
+    "names that say nothing": (
+        lambda f: csv(f, dict(zip("ABCDEF", DEMO, strict=True))),
+        ["new.csv"],
+        2,
+        "--frame abc --column u_a=…",
+    ),
+    "only currents": (
+        lambda f: csv(f, {"t": T} | {n: PHASES[n] for n in ("i_a", "i_b", "i_c")}),
+        ["new.csv"],
+        2,
+        "no column 'u_a' for the channel u_a",
+    ),
+    "no time": (
+        lambda f: csv(f, PHASES),
+        ["new.csv"],
+        2,
+        "no sample time: there is no column t. Give --sample-time",
+    ),
+    "a unit that is none": (None, ["log.csv", "--unit", "i=amps/s"], 2, "unknown unit"),
+    "a unit of something else": (
+        None,
+        ["log.csv", "--unit", "i_alpha=V"],
+        2,
+        "that is a unit of voltage, not of current",
+    ),
+    "a probe in volts": (
+        lambda f: csv(f, {"t": T} | {f"{n} [V]": v for n, v in PHASES.items()}),
+        ["new.csv"],
+        2,
+        "--scale i_a=AMPERES_PER_VOLT",
+    ),
+    "raw counts without --adc": (
+        lambda f: csv(
+            f,
+            {"t": T}
+            | {n: np.round(2048 + 100 * v) if n[0] == "i" else v for n, v in PHASES.items()},
+        ),
+        ["new.csv"],
+        3,
+        "raw converter counts",
+    ),
+    "counts of a converter mistyped": (None, ["log.csv", "--adc", "i=12"], 2, "BITS,RANGE,ZERO"),
+    "line voltages as phase voltages": (
+        lambda f: csv(
+            f,
+            {"t": T}
+            | PHASES
+            | {
+                "u_a": PHASES["u_a"] - PHASES["u_b"],
+                "u_b": PHASES["u_b"] - PHASES["u_c"],
+                "u_c": PHASES["u_c"] - PHASES["u_a"],
+            },
+        ),
+        ["new.csv"],
+        None,
+        "line to line",
+    ),
+    "currents out of the machine": (
+        lambda f: csv(f, {"t": T} | {n: -v if n[0] == "i" else v for n, v in PHASES.items()}),
+        ["new.csv"],
+        None,
+        "opposite sign",
+    ),
+    "phases exchanged": (
+        lambda f: csv(f, {"t": T} | PHASES | {"i_b": PHASES["i_c"], "i_c": PHASES["i_b"]}),
+        ["new.csv"],
+        None,
+        "phases b and c are exchanged",
+    ),
+    "a log at standstill": (
+        lambda f: csv(f, STANDING),
+        ["new.csv"],
+        3,
+        "at or near standstill the flux cannot be observed",
+    ),
+    "too slow a logger": (
+        lambda f: csv(f, DEMO.gather_every(10)),
+        ["new.csv", "--memory", "0.1"],
+        None,
+        "samples an electrical period",
+    ),
+    "a log of ten rows": (lambda f: csv(f, DEMO[:10]), ["new.csv"], 2, "are too few"),
+    "two recordings in one file": (
+        lambda f: csv(f, pl.concat([DEMO, DEMO])),
+        ["new.csv"],
+        2,
+        "time runs backwards",
+    ),
+    "a machine that is none": (None, ["log.csv", "--machine", "servo"], 2, "no such machine file"),
+    "files that do not overlap": (
+        lambda f: (
+            csv(f, {"t": T} | {n: PHASES[n] for n in ("i_a", "i_b")}),
+            pl.DataFrame({"t": T + 99.0} | {n: PHASES[n] for n in ("u_a", "u_b", "u_c")}).write_csv(
+                f / "u.csv"
+            ),
+        ),
+        ["new.csv", "--join", "u.csv"],
+        2,
+        "--align auto",
+    ),
+    "a spreadsheet as CSV": (
+        lambda f: (f / "new.csv").write_bytes(b"PK\x03\x04\x00\x00\x00\x00" * 100),
+        ["new.csv"],
+        2,
+        "this is not text",
+    ),
+    "a pole count for pole pairs": (
+        lambda f: (f / "m.toml").write_text(
+            example_text("servo-400w").replace("n_p = 4", "n_p = 8")
+        ),
+        ["log.csv", "--machine", "m.toml", "--truth", "none"],
+        0,
+        "n_p, without a true angle",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_newcomer_s_mistake_is_named(folder, name):
+    make, arguments, code, words = MISTAKES[name]
+    if make is not None:
+        make(folder)
+    log, *more = arguments
+    machine = () if "--machine" in more else MACHINE
+    done = fluxobs("estimate", log, *machine, "--out", "o.parquet", *more, folder=folder)
+    said = " ".join((done.stdout + done.stderr).split())
+    assert words in said, said
+    assert code is None or done.returncode == code, said
+    assert "Traceback" not in said
+    if done.returncode == 2:
+        assert not (folder / "o.parquet").exists()

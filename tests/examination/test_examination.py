@@ -1,0 +1,155 @@
+"""The page on the drive: what was put into a log is found, within its standard deviation, and a
+good drive is called good."""
+
+import json
+
+import numpy as np
+import pytest
+
+import fluxobs
+from fluxobs.examination.item import Item, judged
+from fluxobs.machines import example
+from fluxobs.synthetic.demo import LOG, MACHINE
+
+TABLE = np.genfromtxt(LOG, delimiter=",", names=True)
+GOOD = {name: TABLE[name] for name in TABLE.dtype.names}
+SERVO = example(MACHINE)
+TURNS = np.exp(-2j * np.pi / 3 * np.arange(3))
+
+
+def phases(letter):
+    z = GOOD[f"{letter}_alpha"] + 1j * GOOD[f"{letter}_beta"]
+    return {f"{letter}_{p}": (z * turn).real for p, turn in zip("abc", TURNS, strict=True)}
+
+
+def three_phases(**changed):
+    return {"t": GOOD["t"]} | phases("u") | phases("i") | changed
+
+
+def page(columns=GOOD, machine=SERVO, **layout):
+    found = fluxobs.check(columns, machine, **layout)
+    return found, {item.name: item for item in found.items}
+
+
+def test_a_good_drive_is_called_good():
+    found, items = page()
+    assert found.sound
+    assert {item.verdict for item in items.values()} <= {"fine", "cannot be told"}
+    for name, true in (
+        ("resistance of a phase", 0.36),
+        ("magnet flux", 0.0125),
+        ("inverter voltage", 0.15),
+        ("lag of the voltage", 0.0),
+        ("winding temperature", 20.0),
+    ):
+        item = items[name]
+        assert abs(item.value - true) < 3 * item.std + 0.01 * abs(true), item
+    assert "bridge off" in items["offsets of the current sensors"].words
+
+
+def test_a_warm_winding_and_weak_magnets():
+    """The machine file says what they were when cold and new."""
+    cold, new = 0.36 / (1 + 0.00393 * 90), 0.0125 / 0.85
+    _, items = page(machine=SERVO.with_values(R_s=cold, psi_f=new))
+    heat = items["winding temperature"]
+    assert abs(heat.value - 110) < 3 * heat.std
+    assert heat.std < 5
+    assert items["magnet flux"].verdict == "look at it"
+    assert "demagnetised" in items["magnet flux"].words
+    _, hot = page(machine=SERVO.with_values(R_s=0.36 / (1 + 0.00393 * 150)))
+    assert hot["winding temperature"].verdict == "look at it"
+    given = fluxobs.check(GOOD, SERVO, cold_resistance=cold)
+    assert abs(next(i for i in given.items if "temperature" in i.name).value - 110) < 8
+
+
+def test_offsets_at_rest():
+    """Half a second with the bridge off before the log: noise and the sensors' offsets."""
+    rng = np.random.default_rng(1)
+    rest = 2500
+    columns = {}
+    for name, values in GOOD.items():
+        before = np.zeros(rest)
+        if name.startswith("i_"):
+            offset = {"i_alpha": 0.15, "i_beta": -0.10}[name]
+            before = offset + 0.02 * rng.standard_normal(rest)
+        columns[name] = np.concatenate([before, values])
+    columns["t"] = np.arange(len(columns["t"])) * 2e-4
+    _, items = page(columns)
+    for name, offset in (("i_alpha", 0.15), ("i_beta", -0.10)):
+        item = items[f"offset of {name}"]
+        assert abs(item.value - offset) < 4 * item.std
+        assert item.verdict == ("look at it" if abs(offset) > 0.12 else "fine")
+
+
+def test_three_sensors_of_different_gain_and_offset():
+    columns = three_phases()
+    columns["i_a"] = 1.04 * columns["i_a"]
+    columns["i_b"] = columns["i_b"] + 0.5
+    _, items = page(columns)
+    gain = items["gain of i_a"]
+    assert abs(gain.value - 4.0) < 1.0
+    assert gain.verdict == "look at it"
+    assert items["gain of i_b"].verdict == "fine"
+    total = items["sum of the three offsets"]
+    assert abs(total.value - 0.5) < 0.05
+    assert total.verdict == "look at it"
+
+
+def test_clipping_and_coarse_steps():
+    columns = three_phases()
+    columns["i_a"] = np.clip(columns["i_a"], -6.0, 6.0)
+    columns["i_b"] = np.round(columns["i_b"] / 0.5) * 0.5
+    _, items = page(columns)
+    assert items["clipping"].verdict == "look at it"
+    assert "i_a" in items["clipping"].words
+    assert items["resolution of the currents"].verdict == "look at it"
+    assert items["resolution of the currents"].value == pytest.approx(0.5)
+
+
+def test_lost_samples_and_a_slow_logger():
+    keep = np.ones(len(GOOD["t"]), bool)
+    keep[[500, 501, 2000, 4000]] = False
+    _, items = page({name: values[keep] for name, values in GOOD.items()})
+    assert items["missing samples"].value == 4
+    assert items["missing samples"].verdict == "look at it"
+    slow = {name: values[::6] for name, values in GOOD.items()}
+    found = fluxobs.check(slow, SERVO)
+    period = next((i for i in found.items if i.name == "samples a period"), None)
+    assert period is None or period.verdict == "look at it"
+
+
+def test_an_encoder_off_its_axis():
+    shaft = np.unwrap(GOOD["theta_e"]) / SERVO.n_p
+    columns = {n: v for n, v in GOOD.items() if n != "theta_e"}
+    columns["encoder_deg"] = np.degrees(np.mod(shaft + 0.7 + 0.02 * np.cos(shaft), 2 * np.pi))
+    _, items = page(columns)
+    assert items["eccentricity, once a turn"].verdict == "look at it"
+    assert items["eccentricity, once a turn"].value == pytest.approx(np.degrees(0.02), rel=0.1)
+    assert items["encoder zero"].verdict == "fine"  # nobody knows it
+
+
+def test_what_is_read_wrongly_is_not_examined():
+    columns = GOOD | {"i_beta": GOOD["i_alpha"]}
+    found, items = page(columns)
+    assert not found.sound
+    assert items["parameters of the drive"].verdict == "cannot be told"
+
+
+def test_facts_are_json(tmp_path):
+    found, _ = page()
+    facts = json.loads(json.dumps(found.facts))
+    assert facts["sound"] is True
+    assert {"name", "verdict", "value", "std", "unit", "words"} == set(facts["items"][0])
+    found.write(tmp_path / "page.png")
+    with pytest.raises(fluxobs.FluxobsError, match="exists"):
+        found.write(tmp_path / "page.png")
+
+
+def test_verdicts():
+    assert judged(0.5, 0.1, 1.0) == "fine"
+    assert judged(1.5, 0.1, 1.0) == "look at it"
+    assert judged(1.1, 0.1, 1.0) == "fine"  # not beyond it by two standard deviations
+    assert judged(0.5, 0.9, 1.0) == "cannot be told"
+    assert judged(9.0, 0.9, 1.0) == "look at it"
+    assert Item("R", "fine", "", 0.35981, 0.0018, "Ω").told == "0.3598 ± 0.0018 Ω"
+    assert Item("n", "fine", "", 4.0, None, "rows").told == "4 rows"
