@@ -102,7 +102,7 @@ def test_a_record_is_saved_and_read(folder):
     renamed.with_columns(pl.col("time [ms]") * 1e3).write_csv(folder / "r.csv")
     done = estimate(folder, "--save-record", "r.toml", log="r.csv")
     assert done.returncode == 0, done.stderr
-    assert "i_alpha = Ialpha [A] [A]" in " ".join(done.stdout.split())
+    assert "i_alpha = Ialpha [A]" in " ".join(done.stdout.split())
     again = estimate(folder, "--record", "r.toml", "--force", log="r.csv")
     assert "are taken as" not in again.stdout
 

@@ -468,7 +468,8 @@ def _say(fields: Mapping[str, Any], columns: Columns, out: Guess) -> None:
         unit = out.fields.get("unit", {}).get(channel)
         told = unit is not None and channel not in fields.get("unit", {})
         plain = plain and name == channel and not told
-        words.append(f"{channel} = {name}" + (f" [{unit}]" if told else ""))
+        seen = told and units.plain(str(unit)) not in units.plain(name)
+        words.append(f"{channel} = {name}" + (f" [{unit}]" if seen else ""))
     truth = out.fields.get("truth", {})
     if truth and not fields.get("truth"):
         ((channel, name),) = truth.items()

@@ -14,18 +14,20 @@ from typing import NamedTuple
 from .units import known, plain, quantity
 
 _PHASES = {"a": "(?:a|u|1|l1)", "b": "(?:b|v|2|l2)", "c": "(?:c|w|3|l3)"}
+#: The same for currents and voltages, which also have the phases R S T.
+_RST = {"a": "(?:a|u|1|l1|r)", "b": "(?:b|v|2|l2|s)", "c": "(?:c|w|3|l3|t)"}
 _PAIRS = {
-    "ab": "(?:ab|uv|12|l12|l1l2)",
-    "bc": "(?:bc|vw|23|l23|l2l3)",
-    "ca": "(?:ca|wu|31|l31|l3l1)",
+    "ab": "(?:ab|uv|12|l12|l1l2|rs)",
+    "bc": "(?:bc|vw|23|l23|l2l3|st)",
+    "ca": "(?:ca|wu|31|l31|l3l1|tr)",
 }
 _AXES = {"alpha": "(?:alpha|alfa|alph|al)", "beta": "(?:beta|bet|be)", "d": "d", "q": "q"}
 _CURRENT = (
-    "(?:i|is|im|iph|imot|imotor|iphase|iinv|cur|curr|current|currents?phase|phasecurrent|strom|amps"
+    "(?:i|iabc|is|im|iph|imot|imotor|iphase|iinv|cur|curr|current|currents?phase|phasecurrent|strom|amps"
     "|statorcurrent|motorcurrent)"
 )
 _VOLTAGE = (
-    "(?:u|v|us|vs|um|vm|uph|vph|uphase|vphase|uinv|vinv|volt|volts|voltage|voltagephase"
+    "(?:u|v|uabc|vabc|us|vs|um|vm|uph|vph|uphase|vphase|uinv|vinv|volt|volts|voltage|voltagephase"
     "|phasevoltage|spannung|statorvoltage|motorvoltage)"
 )
 _DUTY = "(?:d|duty|duties|dutycycle|dc|pwm|pwmduty|m|modulation|dutyphase)"
@@ -48,7 +50,7 @@ def _patterns() -> dict[str, re.Pattern[str]]:
         "|elapsedtime|relativetime|timesec|systemtime|datetime|date|clock|abstime)"
     }
     for letter, word, start in (("i", _CURRENT, "current"), ("u", _VOLTAGE, "voltage")):
-        for phase, names in _PHASES.items():
+        for phase, names in _RST.items():
             found[f"{letter}_{phase}"] = (
                 f"(?:{word}{names}{_MORE}|(?:phase|ph)?{names}(?:phase)?{start}{_MORE}"
                 f"|(?:phase|ph){names}{letter}{_MORE})"
@@ -91,6 +93,8 @@ _LETTERS = str.maketrans({"α": "alpha", "β": "beta", "θ": "theta", "ω": "ome
 #: "Ia [mA]", "Ia (mA)", "Ia {mA}", "Ia / mA", "Ia, mA", "Ia in mA".
 _BRACKETS = re.compile(r"^(.*?)\s*[\[({]\s*([^\[\](){}]*)\s*[\])}]\s*(.*)$")
 _BEHIND = re.compile(r"^(.*?)(?:\s*/\s*|\s*,\s*|\s+in\s+|\s+)([^\s/,]+)$")
+#: Ends of paths that say nothing.
+_PORT = re.compile(r"^(out|in|value|values|data|signal)\d*$", re.IGNORECASE)
 #: "in s", and "CH1V", as instruments write them.
 _IN, _SCOPE = re.compile(r"^()in\s+(\S+)$"), re.compile(r"^(CH\s?\d+)\s*([VA])$")
 #: "u_a_V", "theta_deg", "time-ms", "Ia.mA".
@@ -105,8 +109,11 @@ class Named(NamedTuple):
 
 
 def leaf(column: str) -> str:
-    """The last part of a path such as "group/current/i_a"."""
-    return column.rsplit("/", 1)[-1]
+    """The last part of a path such as "group/current/i_a" that says something."""
+    parts = column.split("/")
+    while len(parts) > 1 and _PORT.match(parts[-1].strip()):
+        parts.pop()
+    return parts[-1]
 
 
 def key(name: str) -> str:

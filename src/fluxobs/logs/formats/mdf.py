@@ -14,6 +14,8 @@ from .table import BATCH, Columns, Said, Table
 
 #: Data types of numbers: integers and floats in both byte orders.
 _NUMBERS = range(6)
+#: Largest data block that is read at once [bytes].
+BLOCK = 1 << 22
 
 
 class MdfTable(Table):
@@ -65,6 +67,24 @@ class MdfTable(Table):
                 ) from None
 
 
+def _split(group: Any) -> None:
+    """Cut large uncompressed data blocks of a group into small ones: a block is read as a whole,
+    for every batch that is in it."""
+    blocks = list(group.get_data_blocks())
+    small = []
+    for info in blocks:
+        size = info.original_size or 0
+        plain = not (info.block_type or info.invalidation_block or info.block_limit)
+        if not plain or size <= BLOCK or info.compressed_size != size:
+            small.append(info)
+            continue
+        for start in range(0, size, BLOCK):
+            part = min(BLOCK, size - start)
+            small.append(type(info)(info.address + start, 0, part, part, 0))
+    if len(small) > len(blocks):
+        group.set_blocks_info(small)
+
+
 def open_mdf(path: Path) -> list[Table]:
     """Tables of the channel groups that have rows."""
     asammdf = library("asammdf", "mdf", path)
@@ -73,6 +93,8 @@ def open_mdf(path: Path) -> list[Table]:
     except Exception as error:  # asammdf raises many kinds for a broken file
         raise RecordError(f"{path}: not a readable MDF file: {error}") from None
     groups = [n for n, group in enumerate(mdf.groups) if group.channel_group.cycles_nr]
+    for n in groups:
+        _split(mdf.groups[n])
     if len(groups) == 1:
         return [MdfTable(path, mdf, groups[0], "")]
     names = [mdf.groups[n].channel_group.acq_name for n in groups]

@@ -14,7 +14,8 @@ def open_ulog(path: Path) -> list[Table]:
     """Tables of the topics: "topic/field", or "topic[1]/field" of a further instance."""
     pyulog = library("pyulog", "ulog", path)
     try:
-        data = pyulog.ULog(str(path)).data_list
+        with path.open("rb") as file:
+            data = pyulog.ULog(file).data_list
     except Exception as error:  # pyulog raises many kinds for a broken file
         raise RecordError(f"{path}: not a readable ULog file: {error}") from None
     out: list[Table] = []

@@ -24,6 +24,8 @@ CLOCKS: tuple[tuple[re.Pattern[str], tuple[str, ...]], ...] = tuple(
             r"^\d\d?/\d\d?/\d{4}[ T]\d\d:\d\d:\d\d([.,]\d+)?$",
             ("%d/%m/%Y{}%H:%M:%S%.f", "%m/%d/%Y{}%H:%M:%S%.f"),
         ),
+        (r"^\d\d?-[A-Za-z]{3}-\d\d[ T]\d\d:\d\d:\d\d([.,]\d+)?$", ("%d-%b-%y{}%H:%M:%S%.f",)),
+        (r"^\d\d?-[A-Za-z]{3}-\d{4}[ T]\d\d:\d\d:\d\d([.,]\d+)?$", ("%d-%b-%Y{}%H:%M:%S%.f",)),
         (r"^\d\d?:\d\d:\d\d([.,]\d+)?$", ("%H:%M:%S%.f",)),
     )
 )

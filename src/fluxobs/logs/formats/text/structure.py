@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from ....errors import RecordError
-from ...names import key
+from ...names import key, read_name
 from ...units import known
 from ..table import Said
 from ..timing import INTERVAL, RATE, START, interval_from, rate_from, seconds_from
@@ -361,12 +361,12 @@ def _pairs(line: str, comma: bool) -> list[tuple[str, str]]:
 
 
 def _check_repeated(names: list[str | None], where: str, line: int) -> None:
-    """Column names must differ; of several time columns the first is taken."""
+    """Names that mean a channel must differ; others, and further times, get a number."""
     for n, name in enumerate(names):
         if name is None or name not in names[:n]:
             continue
-        if key(name) in ("xvalue", "time", "times", "t", "comment", "name"):
-            names[n] = f"{name} {n + 1}"
+        if read_name(name).channel in (None, "t"):
+            names[n] = f"{name} (column {n + 1})"
             continue
         raise RecordError(
             f"{where}, line {line + 1}: the column {name!r} stands twice; column names must differ"

@@ -1,0 +1,163 @@
+"""Formats: paths of channels, batches, and what is said of broken or missing things."""
+
+import importlib
+import sys
+
+import numpy as np
+import polars as pl
+import pytest
+
+from fluxobs import RecordError
+from fluxobs.logs import read_log
+from fluxobs.logs.channels import list_channels
+from fluxobs.logs.formats import FORMATS, open_tables
+
+ROWS = 30_000
+T = np.arange(ROWS) * 1e-4
+SIGNALS = {name: np.cos(300 * T + n) for n, name in enumerate(("i_a", "i_b", "u_a", "u_b", "u_c"))}
+ENDINGS = (".parquet", ".csv", ".csv.gz", ".feather", ".mf4", ".tdms", ".h5", ".npy", ".npz")
+
+
+def write(path):
+    columns = {"t": T} | SIGNALS
+    ending = "".join(path.suffixes)
+    frame = pl.DataFrame(columns)
+    match ending:
+        case ".parquet":
+            frame.write_parquet(path)
+        case ".csv":
+            frame.write_csv(path)
+        case ".csv.gz":
+            import gzip
+
+            path.write_bytes(gzip.compress(frame.write_csv().encode()))
+        case ".feather":
+            frame.write_ipc(path)
+        case ".npz":
+            np.savez(path, **columns)
+        case ".npy":
+            out = np.zeros(ROWS, [(name, "f8") for name in columns])
+            for name, values in columns.items():
+                out[name] = values
+            np.save(path, out)
+        case ".mf4":
+            from asammdf import MDF, Signal
+
+            made = MDF(version="4.10")
+            made.append([Signal(v, T, name=n) for n, v in SIGNALS.items()], acq_name="drive")
+            made.save(path, overwrite=True)
+            made.close()
+        case ".tdms":
+            from nptdms import ChannelObject, TdmsWriter
+
+            with TdmsWriter(path) as writer:
+                about = {"wf_increment": 1e-4, "wf_start_offset": 0.0}
+                writer.write_segment(
+                    [ChannelObject("drive", n, v, about) for n, v in SIGNALS.items()]
+                )
+        case ".h5":
+            import h5py
+
+            with h5py.File(path, "w") as file:
+                for name, values in columns.items():
+                    file[name] = values
+    return path
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_batches_are_the_signals_wherever_they_are_cut(tmp_path, ending, monkeypatch):
+    if ending == ".mf4":  # a small file has one block: cut it as a large one is
+        monkeypatch.setattr("fluxobs.logs.formats.mdf.BLOCK", 1000)
+    if ".csv" in ending:
+        source = importlib.import_module("fluxobs.logs.formats.text.source")
+        monkeypatch.setattr(source, "BLOCK", 10_000)
+        monkeypatch.setattr(source, "KEPT", 0)
+    (table,) = open_tables(write(tmp_path / f"log{ending}"))
+    assert table.rows == ROWS
+    names = list(SIGNALS)
+    for first, last, size in ((0, ROWS, 7_000), (11_111, 11_200, 13), (ROWS - 5, ROWS, 100)):
+        parts = list(table.batches(names, first, last, size))
+        for name in names:
+            found = np.concatenate([part[name] for part in parts])
+            np.testing.assert_allclose(found, SIGNALS[name][first:last], atol=1e-12)
+    log = read_log(tmp_path / f"log{ending}")
+    assert log.sample_time == pytest.approx(1e-4)
+
+
+@pytest.mark.parametrize("ending", sorted(FORMATS))
+def test_a_broken_file_is_refused(tmp_path, ending):
+    path = tmp_path / f"log{ending}"
+    path.write_bytes(b"this is not what its ending says\x00\x01" * 50)
+    with pytest.raises(RecordError, match=r"log\."):
+        open_tables(path)
+
+
+@pytest.mark.parametrize(
+    ("ending", "module", "extra"),
+    [
+        (".mf4", "asammdf", "mdf"),
+        (".tdms", "nptdms", "tdms"),
+        (".ulg", "pyulog", "ulog"),
+        (".h5", "h5py", "hdf5"),
+        (".mat", "scipy.io", "mat"),
+        (".xlsx", "fastexcel", "excel"),
+    ],
+)
+def test_a_missing_library_is_named_with_its_extra(tmp_path, ending, module, extra, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, None)
+    (tmp_path / f"log{ending}").write_bytes(b"x")
+    with pytest.raises(RecordError, match=rf'pip install "fluxobs\[{extra}\]"'):
+        open_tables(tmp_path / f"log{ending}")
+
+
+def test_groups_of_one_name_are_told_by_their_paths(tmp_path):
+    import h5py
+
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        for group in ("left", "right"):
+            for name, values in SIGNALS.items():
+                file[f"{group}/{name}"] = values if group == "left" else 2 * values
+        file["t"] = T
+    columns = {name: f"right/{name}" for name in SIGNALS}
+    log = read_log(tmp_path / "log.h5", columns=columns)
+    (part,) = log.aligned()
+    np.testing.assert_allclose(part.current[:, 0], 2 * SIGNALS["i_a"])
+    listed = [one.column for one in list_channels(tmp_path / "log.h5").channels]
+    assert "left/u_c" in listed
+
+
+def test_the_end_of_a_path_suffices_where_it_is_unique(tmp_path):
+    import h5py
+
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        for n, (name, values) in enumerate(SIGNALS.items()):
+            file[f"run/adc{n}/{name}"] = values
+        file["run/clock"] = T
+    log = read_log(tmp_path / "log.h5", columns={"i_a": "adc0/i_a", "t": "clock"})
+    assert log.names["i_a"] == "run/adc0/i_a"
+
+
+def test_matrices_have_numbered_columns(tmp_path):
+    from scipy.io import savemat
+
+    matrix = np.stack([T, *SIGNALS.values()], axis=1)
+    savemat(tmp_path / "log.mat", {"data": matrix})
+    names = ("t", *SIGNALS)
+    columns = {name: f"data[{n}]" for n, name in enumerate(names)}
+    log = read_log(tmp_path / "log.mat", columns=columns)
+    (part,) = log.aligned()
+    assert part.current.shape == (ROWS, 2)
+    np.save(tmp_path / "log.npy", matrix)
+    with pytest.raises(RecordError, match=r'give them with --header "t,u_a'):
+        read_log(tmp_path / "log.npy")
+    assert len(read_log(tmp_path / "log.npy", header=",".join(names))) == ROWS
+    with pytest.raises(RecordError, match="2 names for 6 columns"):
+        read_log(tmp_path / "log.npy", header="t,i_a")
+
+
+def test_a_header_for_a_file_without(tmp_path):
+    pl.DataFrame({"t": T} | SIGNALS).write_csv(tmp_path / "log.txt", include_header=False)
+    log = read_log(tmp_path / "log.txt", header="t,i_a,i_b,u_a,u_b,u_c")
+    assert len(log) == ROWS
+    with pytest.raises(RecordError, match="expected different names"):
+        read_log(tmp_path / "log.txt", header="t,i_a,i_a")
