@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -89,9 +90,16 @@ def open_mdf(path: Path) -> list[Table]:
     """Tables of the channel groups that have rows."""
     asammdf = library("asammdf", "mdf", path)
     try:
-        mdf = asammdf.MDF(path)
+        # by its name the whole file would be read for every batch
+        handle = path.open("rb")
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        mdf = asammdf.MDF(handle)
     except Exception as error:  # asammdf raises many kinds for a broken file
+        handle.close()
         raise RecordError(f"{path}: not a readable MDF file: {error}") from None
+    weakref.finalize(mdf, handle.close)
     groups = [n for n, group in enumerate(mdf.groups) if group.channel_group.cycles_nr]
     for n in groups:
         _split(mdf.groups[n])

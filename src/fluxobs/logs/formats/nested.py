@@ -43,7 +43,7 @@ class Found:
         shape, kind = tuple(data.shape), np.dtype(data.dtype)
         if kind.names:
             for name in kind.names:
-                self._column(f"{path}/{name}", len(data), _field(data, name), unit)
+                self._column(f"{path}/{name}", len(data), field_of(data, name), unit)
         elif kind.kind not in "fiub":
             return
         elif int(np.prod(shape)) == 1:
@@ -51,11 +51,11 @@ class Found:
         elif len(shape) == 1 or (len(shape) == 2 and 1 in shape):
             flat = len(shape) == 1
             axis = 0 if flat else int(np.argmax(shape))
-            self._column(path, max(shape), _line(data, None if flat else axis, 0), unit)
+            self._column(path, max(shape), line_of(data, None if flat else axis, 0), unit)
         elif len(shape) == 2 and min(shape) <= MOST_COLUMNS:
             axis = int(np.argmax(shape))
             for n in range(min(shape)):
-                self._column(f"{path}[{n}]", max(shape), _line(data, axis, n), unit)
+                self._column(f"{path}[{n}]", max(shape), line_of(data, axis, n), unit)
 
     def _column(
         self, path: str, rows: int, read: Callable[[int, int], Any], unit: str | None
@@ -66,11 +66,13 @@ class Found:
                 self.units[path] = unit
 
 
-def _field(data: Any, name: str) -> Callable[[int, int], Any]:
+def field_of(data: Any, name: str) -> Callable[[int, int], Any]:
+    """How to read a field of a structured array."""
     return lambda first, last: data[first:last][name]
 
 
-def _line(data: Any, axis: int | None, n: int) -> Callable[[int, int], Any]:
+def line_of(data: Any, axis: int | None, n: int) -> Callable[[int, int], Any]:
+    """How to read column n of a matrix whose rows lie along an axis; None for a vector."""
     if axis is None:
         return lambda first, last: data[first:last]
     if axis == 0:

@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ...errors import RecordError
-from .nested import Found, tables
+from .nested import Found, field_of, line_of, tables
 from .table import Table
+
+
+class _Rows:
+    """An array in a file, mapped anew for every look: a map keeps all that it has touched."""
+
+    def __init__(self, path: Path, array: np.ndarray[Any, Any]) -> None:
+        self.path, self.shape, self.dtype = path, array.shape, array.dtype
+
+    def __len__(self) -> int:
+        return int(self.shape[0])
+
+    def __getitem__(self, rows: Any) -> Any:
+        return np.array(np.load(self.path, mmap_mode="r", allow_pickle=False)[rows])
 
 
 def open_npy(path: Path, header: list[str] | None = None) -> list[Table]:
@@ -19,8 +33,9 @@ def open_npy(path: Path, header: list[str] | None = None) -> list[Table]:
         raise RecordError(f"{path}: not a readable .npy file: {error}") from None
     found = Found()
     if array.dtype.names:
+        rows = _Rows(path, array)
         for name in array.dtype.names:
-            found.add(name, array[name])
+            found.columns[name] = (len(rows), field_of(rows, name))
     elif array.ndim == 2:
         width = min(array.shape)
         if header is None:
@@ -30,9 +45,9 @@ def open_npy(path: Path, header: list[str] | None = None) -> list[Table]:
             )
         if len(header) != width:
             raise RecordError(f"{path}: --header has {len(header)} names for {width} columns")
-        columns = array if array.shape[1] == width else array.T
+        rows, axis = _Rows(path, array), int(array.shape[1] != width)
         for n, name in enumerate(header):
-            found.add(name, columns[:, n])
+            found.columns[name] = (max(array.shape), line_of(rows, axis, n))
     else:
         raise RecordError(f"{path}: its array has shape {array.shape}, not rows and columns")
     return tables(path, found)
