@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ..observers import ImmersionObserver
 from ..plots import BLUE, GREY, ORANGE, STYLE, legend, new_figure
 from .run import LogRun
+from .truth import TruthFit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+#: At most about so many gaps are marked.
+MARKS = 200
+RED = "#c0392b"
 GREY_WORDS = "        grey: position not valid"
 #: Title and unit of each parameter that the adaptive observer finds.
 PARAMETERS = {
@@ -26,14 +30,15 @@ PARAMETERS = {
 }
 
 
-def figure(result: LogRun) -> Figure:
-    """Draw the picture; the immersed observer has its own panels."""
+def figure(result: LogRun, fit: TruthFit | None = None) -> Figure:
+    """Draw the picture; the immersed observer has its own panels. The error is that against the
+    truth, less what was fitted to it."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
         if isinstance(result.observer, ImmersionObserver):
             return _immersed(result)
-        return _compiled(result)
+        return _compiled(result, fit)
 
 
 def _title(result: LogRun) -> str:
@@ -45,15 +50,17 @@ def _title(result: LogRun) -> str:
     )
 
 
-def _compiled(result: LogRun) -> Figure:
+def _compiled(result: LogRun, fit: TruthFit | None) -> Figure:
     learnt = _learnt(result)
     figure = new_figure(figsize=(11, 10.5 if learnt else 8.5))
     layout = _layout(learnt)
     axes = figure.subplot_mosaic(layout, height_ratios=[1.2, *[1.0] * (len(layout) - 1)])
     whole = result.statistics.thin.columns()
     _locus(axes["locus"], whole)
-    _position(axes["position"], result.statistics.detail.columns())
-    _error(axes["error"], whole)
+    _position(axes["position"], _scored(result.statistics.detail.columns(), fit))
+    whole = _scored(whole, fit)
+    _error(axes["error"], whole, fit)
+    _gaps(axes["error"], result)
     _speed(axes["speed"], whole)
     _drift(axes["drift"], whole)
     for name in learnt:
@@ -67,7 +74,7 @@ def _compiled(result: LogRun) -> Figure:
     axes["drift"].set_xlabel("" if learnt else f"t [s]{GREY_WORDS}")
     for name in learnt:
         axes[name].set_xlabel(f"t [s]{GREY_WORDS if name == next(iter(learnt)) else ''}")
-    figure.suptitle(f"{_title(result)}{_numbers(result)}", fontsize=10)
+    figure.suptitle(f"{_title(result)}{_numbers(result, fit)}", fontsize=10)
     return figure
 
 
@@ -97,7 +104,7 @@ def _layout(learnt: dict[str, float]) -> Any:
     return rows
 
 
-def _numbers(result: LogRun) -> str:
+def _numbers(result: LogRun, fit: TruthFit | None) -> str:
     """Second line of the title."""
     statistics = result.statistics
     if not statistics.valid:
@@ -105,7 +112,8 @@ def _numbers(result: LogRun) -> str:
     psi = 1e3 * statistics.mean("psi_f")
     text = f"\nlag {result.log.layout.lag:g}  ·  |λ - L i| = {psi:.3g} mWb"
     if statistics.scored:
-        text += f"  ·  position error {np.degrees(statistics.rms_error):.2f}° rms on valid rows"
+        left = fit.rms if fit is not None and fit.angular else statistics.rms_error
+        text += f"  ·  position error {np.degrees(left):.2f}° rms on valid rows"
     return text
 
 
@@ -170,7 +178,24 @@ def _degrees_unjoined(angle: Array) -> Array:
     return np.asarray(out)
 
 
-def _error(axes: Axes, whole: dict[str, Array]) -> None:
+def _scored(series: dict[str, Array], fit: TruthFit | None) -> dict[str, Array]:
+    """The rows, with the truth and the error against it less what was fitted."""
+    if fit is None or not fit.angular or "raw" not in series:
+        return series
+    error = fit.error(series["theta_e"], series["raw"], series["speed_e"])
+    return series | {"theta_e_error": error, "truth": series["theta_e"] - error}
+
+
+def _gaps(axes: Axes, result: LogRun) -> None:
+    """Mark where the log lacks samples."""
+    at = result.log.clock.t[1:]
+    for n, t in enumerate(at[:: max(1, len(at) // MARKS)]):
+        axes.axvline(t, color=RED, linewidth=0.8, label="gap in the log" if n == 0 else None)
+    if len(at):
+        legend(axes)
+
+
+def _error(axes: Axes, whole: dict[str, Array], fit: TruthFit | None = None) -> None:
     t, band = whole["t"], 2 * np.degrees(_where_valid(whole, "theta_e_std"))
     axes.fill_between(t, -band, band, color=BLUE, alpha=0.18, linewidth=0, label="±2σ")
     if "theta_e_error" in whole:
@@ -181,7 +206,9 @@ def _error(axes: Axes, whole: dict[str, Array]) -> None:
         error = np.abs(np.degrees(_where_valid(whole, "theta_e_error")))
         limit = max(limit, np.nanpercentile(error, 99.5) if np.isfinite(error).any() else 0.0)
     axes.set_ylim(-1.4 * limit, 1.4 * limit)
-    axes.set_title("Position error" if "theta_e_error" in whole else "Uncertainty of the position")
+    title = "Position error" if "theta_e_error" in whole else "Uncertainty of the position"
+    less = fit is not None and fit.angular and fit.told
+    axes.set_title(title + (", less what was fitted to the truth" if less else ""))
     axes.set_ylabel("[°]")
     legend(axes)
 

@@ -164,7 +164,7 @@ class Result(LogRun):
         """The picture of the run, a matplotlib figure: flux, position, speed, drift, and more."""
         from .picture import figure  # matplotlib is loaded only where it is needed
 
-        return figure(self)
+        return figure(self, self.truth_fit)
 
     def write(self, path: str | Path, *, force: bool = False) -> None:
         """Write estimates to .parquet or .csv, the picture to .png, .pdf or .svg, or the machine

@@ -149,6 +149,11 @@ class TruthFit:
     wrong_turns: bool = False
 
     @property
+    def angular(self) -> bool:
+        """Whether an angle was fitted."""
+        return bool(self.known)
+
+    @property
     def told(self) -> bool:
         """Whether there is something to be said."""
         return self.wrong_turns or not self.parameters or any(p.told for p in self.parameters)
