@@ -250,6 +250,18 @@ def test_joined_by_their_stamps(tmp_path, rate):
     np.testing.assert_allclose(u[1:, 0], signals(T)[0].real[:-1], atol=1e-6)
 
 
+def test_joined_files_have_units_of_their_own(tmp_path):
+    u, i = signals(T)
+    one = {"t [ms]": 1e3 * T, "i_alpha [mA]": 1e3 * i.real, "i_beta [mA]": 1e3 * i.imag}
+    pl.DataFrame(one).write_csv(tmp_path / "i.csv")
+    other = {"time [us]": 1e6 * T, "u_alpha [mV]": 1e3 * u.real, "u_beta [mV]": 1e3 * u.imag}
+    pl.DataFrame(other).write_csv(tmp_path / "u.csv")
+    t, found, voltage = rows_of(read_log(tmp_path / "i.csv", join=[str(tmp_path / "u.csv")]))
+    np.testing.assert_allclose(t, T, atol=1e-9)
+    np.testing.assert_allclose(found[:, 0], i.real, atol=1e-9)
+    np.testing.assert_allclose(voltage[1:, 0], u.real[:-1], atol=1e-6)
+
+
 def test_joined_row_by_row(tmp_path):
     u, i = signals(T)
     pl.DataFrame({"t": T, "i_alpha": i.real, "i_beta": i.imag}).write_csv(tmp_path / "i.csv")

@@ -89,13 +89,13 @@ def assemble(
     timed = [_timed(base, found, layout, courses, scales, notes)]
     for part in needed[1:]:
         timed.append(_timed(part, found, layout, courses, scales, notes, beside=timed[0]))
+    plain = timed[0].table is base.table
     if len(timed) == 1:
-        table, (clock, plain) = timed[0].table, (timed[0].clock, timed[0].table is base.table)
+        table, clock = timed[0].table, timed[0].clock
         names = {channel: base.columns[name] for channel, name in names.items()}
         true = _renamed(true, base)
     else:
         table, clock = _joined(timed, layout, courses, scales, notes)
-        plain = False
     conversions = {channel: layout.conversion(channel) for channel in (*names, "udc")}
     if true is not None:
         conversions[true.channel] = layout.conversion(true.channel)
