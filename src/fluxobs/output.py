@@ -27,9 +27,14 @@ def check_place(path: Path) -> None:
         raise FluxobsError(f"{path}: the folder {path.parent} does not exist")
 
 
-def make_folder(path: str | Path) -> Path:
-    """Make the folder if it is missing; FluxobsError if that fails."""
+def make_folder(path: str | Path, result: str | None = None, force: bool = True) -> Path:
+    """Make the folder if it is missing; FluxobsError if that fails, or if a `result` of that name
+    is in it already and `force` is not given."""
     path = Path(path)
+    if result is not None and (path / result).exists() and not force:
+        raise FluxobsError(
+            f"{path / result}: exists; give another folder, or --force to overwrite it"
+        )
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

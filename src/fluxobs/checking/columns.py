@@ -136,8 +136,8 @@ def _counts(signals: dict[str, Array]) -> list[Finding]:
     return [
         Finding(
             "columns",
-            f"whole numbers about a large mean ({zero}): raw converter counts? Give --scale and "
-            f"--offset: a channel is scale · column + offset",
+            f"whole numbers about a large mean ({zero}): raw converter counts? Give --adc "
+            f"CHANNEL=BITS,RANGE,ZERO, as i=12,100,2048 for 12 bits that span 100 A",
             False,
         )
     ]

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from .. import show
-from ..options import reads_logs
+from ..options import ForceOption, reads_logs
 
 
 @reads_logs()
@@ -36,6 +36,7 @@ def compare(
     settle: Annotated[
         float, typer.Option(help="Seconds of a log that are not scored, while observers settle.")
     ] = 0.2,
+    force: ForceOption = False,
 ) -> None:
     """Run a log or a scenario through every known observer, and score them.
 
@@ -61,7 +62,7 @@ def compare(
     names = [n for r in records for n in (SCENARIOS if r == "all" else [r])]
     for name in names:
         check_comparable(name, machine)
-    make_folder(out)
+    make_folder(out, "scores.csv", force)
     comparisons = []
     for name in names:
         options = {} if name in SCENARIOS else layout

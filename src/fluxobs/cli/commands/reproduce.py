@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from ..options import ForceOption
+
 
 def reproduce(
     out: Annotated[Path, typer.Option(help="Folder for figures and report; made if missing.")] = (
@@ -24,6 +26,7 @@ def reproduce(
             "printed model, closed loop.",
         ),
     ] = False,
+    force: ForceOption = False,
 ) -> None:
     """Reproduce Section V of the paper, as printed, corrected and beyond.
 
@@ -34,7 +37,9 @@ def reproduce(
     # Compilation takes most of the time; this must be set before JAX is loaded.
     if not deep:
         os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+    from ...output import make_folder
     from ...paper.reproduce import reproduce as run
 
+    make_folder(out, "report.md", force)
     run(out, quick, deep, typer.echo)
     typer.echo(f"Written: {out / 'report.md'}, numbers.json and figures")
