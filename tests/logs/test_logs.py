@@ -101,6 +101,34 @@ def test_decimal_comma_that_comes_late(tmp_path):
     np.testing.assert_allclose(i[300:], I, atol=1e-9)
 
 
+@pytest.mark.parametrize("between", ["", "# a note", "%"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_lines_between_the_rows_are_left_out(tmp_path, between, end):
+    path = csv(tmp_path / "log.csv", PLAIN)
+    lines = path.read_text().splitlines()
+    lines = [*lines[:80], between, *lines[80:150], between, between, *lines[150:], ""]
+    path.write_bytes((end.join(lines) + end).encode())
+    found = read(path)
+    check(found)
+    assert len(found[0]) == ROWS
+    assert found[0].table.place(120) == "line 123"
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+def test_utf_16(tmp_path, encoding):
+    path = csv(tmp_path / "log.csv", PLAIN)
+    mark = "\ufeff" if encoding == "utf-16-be" else ""
+    path.write_bytes((mark + path.read_text()).encode(encoding))
+    found = read(path)
+    check(found)
+    assert len(found[0]) == ROWS
+
+
+def test_seconds_since_1970(tmp_path):
+    log = read_log(PLAIN | {"t": 1.795e9 + K * H})
+    assert log.sample_time == H
+
+
 def test_byte_order_mark_and_crlf(tmp_path):
     path = csv(tmp_path / "log.csv", PLAIN)
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))

@@ -247,7 +247,8 @@ class _Reader:
     ) -> Clock:
         h = self.given
         if h is None:
-            h = rounded_rate(mean, self.rounding / max(count, 1) if self.rounding else 0.0)
+            digits = 4 * np.finfo(float).eps * max(abs(self.t0), abs(after[-1]))
+            h = rounded_rate(mean, max(self.rounding, float(digits)) / max(count, 1))
         source = np.array(rows_at, np.int64)
         missing = np.array(skipped, np.int64)
         at = source + np.cumsum(np.minimum(missing, LONGEST_GAP))

@@ -19,6 +19,8 @@ END = 65536
 #: First lines of a file in which its structure is looked for; an instrument's preamble has a
 #: hundred lines at most, a repeated descriptor some more.
 HEAD_LINES = 600
+#: What lines between rows begin with, that are none.
+BETWEEN = ("#", "%")
 #: Bytes that are parsed at once: some ten thousand rows.
 BLOCK = 1 << 22
 #: Columns of a smaller file are parsed once, and kept: a run reads a log five times.
@@ -119,6 +121,12 @@ def repeats(path: Path, header: str, encoding: str) -> bool:
     return False
 
 
+def interrupted(block: bytes) -> bool:
+    """Whether there are blank lines or comments between the rows of a block."""
+    found = block.rstrip()
+    return any(mark in found for mark in (b"\n\n", b"\n\r\n", b"\n#", b"\n%"))
+
+
 def blocks(path: Path, start: int) -> Iterator[bytes]:
     """Whole lines of a file from a byte on, some megabytes at once."""
     with open_bytes(path) as file:
@@ -148,7 +156,7 @@ class Copy:
                 if number < first:
                     continue
                 text = line.rstrip("\r\n")
-                if not text.strip() or text in drop:
+                if not text.strip() or text in drop or text.startswith(BETWEEN):
                     self.left_out.append(number)
                     continue
                 out.write((re.sub(r"\s+", " ", text.strip()) if spaces else text) + "\n")

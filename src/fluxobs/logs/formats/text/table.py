@@ -64,7 +64,11 @@ class TextTable(Table):
             self._copy = source.Copy(self.path, self._encoding, found.first_line, spaces, drop)
         self._checked_length = False
         self._find_blocks()
-        end, blank = source.last_line(self.path, self._encoding)
+        if self._copy is None and self._interrupted:
+            self._copy = source.Copy(self.path, self._encoding, found.first_line, spaces, drop)
+            self._find_blocks()
+        encoding = self._encoding if self._copy is None else "utf-8"
+        end, blank = source.last_line(self._text, encoding)
         last = split(end, found.delimiter)
         if self._copy is None:
             self.rows = max(0, self.rows - blank)
@@ -113,8 +117,10 @@ class TextTable(Table):
             with source.open_bytes(self._text) as file:
                 at = sum(len(line) for line in islice(file, skip))
         self._starts, self._firsts, self.rows = [at], [0], 0
+        self._interrupted = False
         for block in source.blocks(self._text, at):
             self.rows += block.count(b"\n") + (not block.endswith(b"\n"))
+            self._interrupted = self._interrupted or source.interrupted(block)
             at += len(block)
             self._starts.append(at)
             self._firsts.append(self.rows)
@@ -267,4 +273,5 @@ class TextTable(Table):
                         return RecordError(
                             f"{self.path}, line {number + 1}: {cells} cells, the header has {width}"
                         )
-        return RecordError(f"{self.path}: cannot be read: {error}")
+        reason = str(error).split("\n")[0]
+        return RecordError(f"{self.path}: cannot be read: {reason}")
