@@ -115,6 +115,14 @@ def test_speed(unit, factor):
     assert "8 pole pairs would fit, not 4" in doubled.summary
 
 
+@pytest.mark.parametrize("channel", ["speed_mech", "theta_mech", "sincos", "hall"])
+def test_a_dead_sensor_is_no_crash(channel):
+    columns = {
+        name: np.zeros(len(THETA)) for name in {"sincos": "ab", "hall": "abc"}.get(channel, "a")
+    }
+    assert fitted(channel, columns).summary
+
+
 def hall(order="abc", zero=0.1, shift=0.0):
     """Sensors at 0°, 120°, 240° of the flux; one of them is moved by `shift`."""
     angle = THETA + zero

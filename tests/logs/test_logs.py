@@ -317,6 +317,15 @@ def test_what_is_wrong_and_where(tmp_path, edit, message):
     assert "log.csv" in str(caught.value)
 
 
+def test_a_quotation_mark_that_is_not_closed(tmp_path):
+    lines = csv(tmp_path / "log.csv", PLAIN).read_text().splitlines()
+    lines = [lines[0] + ",state", *(line + ",run" for line in lines[1:])]
+    lines[60] = lines[60].replace("run", '"disk')
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(RecordError, match="a quotation mark is not closed"):
+        read(tmp_path / "log.csv")
+
+
 def test_no_file_and_no_parquet(tmp_path):
     with pytest.raises(RecordError, match="no such file"):
         open_tables(tmp_path / "log.csv")

@@ -134,6 +134,35 @@ def test_gaps_become_missing_samples(tmp_path, size, kind):
     assert log.table.place(3000).endswith(str(3000 - 60 + (2 if kind == "csv" else 1)))
 
 
+@pytest.mark.parametrize("share", [0.005, 0.02, 0.05, 0.12])
+def test_single_samples_lost_at_random(share):
+    keep = np.random.default_rng(1).random(ROWS) > share
+    keep[[0, -1]] = True
+    log = read_log({name: values[keep] for name, values in columns(T).items()})
+    i = rows_of(log)[1]
+    assert log.sample_time == pytest.approx(H, rel=1e-6)
+    assert len(log) == ROWS
+    np.testing.assert_allclose(i[keep, 0], signals(T)[1].real[keep])
+    assert np.isnan(i[~keep]).all()
+
+
+@pytest.mark.parametrize("factor", [1.3, 1.01])
+def test_a_rate_that_changes_is_refused(factor):
+    t = T.copy()
+    t[2000:] = t[1999] + factor * H * np.arange(1, ROWS - 1999)
+    with pytest.raises(RecordError, match=r"the sample rate changes|not uniform"):
+        read_log(columns(T, t))
+
+
+def test_a_time_within_a_shortened_gap():
+    t = T.copy()
+    t[2000:] += 50.2
+    cut = read_log(columns(T, t), start=2.45)
+    assert np.isfinite(rows_of(cut)[1][:, 0]).sum() == ROWS - 2000
+    cut = read_log(columns(T, t), stop=2.45)
+    assert np.isfinite(rows_of(cut)[1][:, 0]).sum() == 2000
+
+
 def test_parts_of_a_log_with_gaps():
     keep = without_gaps()
     log = read_log({name: values[keep] for name, values in columns(T).items()})
@@ -248,6 +277,16 @@ def test_joined_by_their_stamps(tmp_path, rate):
     _, i, u = rows_of(log, size=333)
     np.testing.assert_allclose(i[:, 0], signals(T)[1].real, atol=1e-9)
     np.testing.assert_allclose(u[1:, 0], signals(T)[0].real[:-1], atol=1e-6)
+
+
+def test_a_channel_that_both_files_have_is_the_first_one_s(tmp_path):
+    u, i = signals(T)
+    first = {"t": T, "i_alpha": i.real, "i_beta": i.imag, "u_alpha": u.real, "u_beta": u.imag}
+    pl.DataFrame(first).write_csv(tmp_path / "a.csv")
+    slow = {"t": T[::5], "i_alpha": 0 * T[::5], "theta_e": np.mod(SPEED * T[::5], 6.28)}
+    pl.DataFrame(slow).write_csv(tmp_path / "b.csv")
+    log = read_log(tmp_path / "a.csv", join=[str(tmp_path / "b.csv")])
+    np.testing.assert_array_equal(rows_of(log)[1][:, 0], i.real)
 
 
 def test_joined_files_have_units_of_their_own(tmp_path):

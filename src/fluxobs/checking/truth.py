@@ -49,6 +49,8 @@ def truth(
     ratio = float(truly @ moved / (moved @ moved))
     if not abs(truly - ratio * moved).max() < CLOSE * np.abs(moved).max() + 0.5:
         return [Finding("truth", "the true angle does not follow the rotor", False)]
+    if not np.abs(truly).max() > 0:
+        return [Finding("truth", "the true angle stands still while the flux turns", False)]
     if abs(ratio - 1) > CLOSE:
         return [Finding("truth", _turns(ratio, channel, machine), False)]
 

@@ -209,14 +209,15 @@ def _fit_angle(
 ) -> TruthFit | None:
     theta, raw, speed = columns["theta_e"], columns["raw"], columns["speed_e"]
     given = machine.n_p if samples.channel == "theta_mech" else 1
-    if not samples.square > 1.0:  # it hardly turns
-        return None
+    if not samples.square > 1.0:
+        still = "the angle hardly turns, though the flux does"
+        return TruthFit(samples.channel, (), given, (still,), np.nan, np.nan, wrong_turns=True)
     ratio = samples.product / samples.square
     pairs = round(ratio)
     words: list[str] = []
     if pairs == 0 or abs(ratio / pairs - 1) > WHOLE:
         words.append(
-            f"the channel turns {1 / ratio:.3g} times for a turn of the flux, which is no whole "
+            f"the flux turns {ratio:.3g} times for a turn of the channel, which is no whole "
             f"number of pole pairs: its unit is wrong, or it is no angle of this rotor"
         )
         return TruthFit(samples.channel, (), given, tuple(words), np.nan, np.nan, wrong_turns=True)
@@ -336,6 +337,9 @@ def _fit_speed(
     channel: str, columns: Mapping[str, Array], machine: RotatingMachine
 ) -> TruthFit | None:
     raw = columns["raw"]
+    if not np.abs(raw).max() > 0:
+        still = "the speed is zero throughout"
+        return TruthFit(channel, (), 1, (still,), np.nan, np.nan, wrong_turns=True)
     if channel == "speed_e":
         own = columns["speed_e"]
     else:
@@ -351,7 +355,7 @@ def _fit_speed(
     if (
         channel == "speed_mech"
         and abs(gain.value - 1) > 0.1
-        and abs(likely / round(likely) - 1) < (WHOLE)
+        and abs(likely / max(round(likely), 1) - 1) < (WHOLE)
     ):
         words.append(f"{round(likely)} pole pairs would fit, not {machine.n_p}")
     rms = float(np.sqrt(np.mean(error**2)))

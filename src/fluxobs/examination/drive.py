@@ -143,8 +143,9 @@ def _gains(result: Result, learnt: Learnt) -> Item:
     )
 
 
-def lag_item(log: Log, machine: RotatingMachine) -> Item:
-    """The lag of the voltage, fitted with resistance, magnets and inverter."""
+def lag_item(log: Log, machine: RotatingMachine, as_given: bool) -> Item:
+    """The lag of the voltage, fitted with resistance, magnets and inverter; `as_given`: whether
+    the relation holds best with the lag that was given."""
     free = ["R_s", "inverter", "lag"]
     if machine.magnets:
         free.insert(1, machine.flux_name)
@@ -159,6 +160,12 @@ def lag_item(log: Log, machine: RotatingMachine) -> Item:
         return Item("lag of the voltage", "cannot be told", words)
     verdict = judged(lag.value, lag.std, LAG, given)
     words = f"read with --lag {given:g}"
+    if verdict == "look at it" and as_given:
+        words = (
+            f"a fit gives {lag.value:.2f}, but among whole lags the relation holds best with "
+            f"{given:g}: the log is too short, or too even, to tell"
+        )
+        return Item("lag of the voltage", "cannot be told", words)
     if verdict == "look at it":
         words += f"; try --lag {lag.value:.2f}"
     return Item("lag of the voltage", verdict, words, lag.value, lag.std, "samples")

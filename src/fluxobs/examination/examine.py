@@ -62,12 +62,13 @@ class Examination(Check):
             return (*sampling(log, 0.0), *items)
         series = result.statistics.thin.columns()
         known = series["valid"] > 0
+        lag = all(one.as_given for one in self.findings if one.kind == "lag")
         speed = float(abs(series["speed_e"][known]).max()) if known.any() else 0.0
         return (
             *sampling(log, speed),
             *items,
             *learnt_items(result, self.cold_resistance),
-            lag_item(log, self.machine),
+            lag_item(log, self.machine, lag),
             *truth_items(result),
         )
 

@@ -24,6 +24,8 @@ JITTER_GIVEN = 0.9
 ROUNDED = 0.2
 #: Steps within this of whole numbers of the rounding are not moved by it.
 WHOLE = 0.02
+#: A clock wanders by less than this share of the time.
+WANDERS = 1e-3
 #: A longer gap is shortened to so many rows; the time goes on correctly behind it.
 LONGEST_GAP = 10_000
 #: Where counters start again: at powers of two, in ticks, milli- or microseconds; clocks at 24 h.
@@ -94,7 +96,8 @@ class Clock:
         piece = max(0, int(np.searchsorted(self.t, t, side="right")) - 1)
         at = (t - self.t[piece]) / self.sample_time
         row = int(np.ceil(at - 1e-6)) if up else int(np.floor(at + 1e-6)) + 1
-        return int(np.clip(self.at[piece] + row, 0, self.rows))
+        end = self.at[piece + 1] if piece + 1 < len(self.at) else self.rows
+        return int(np.clip(self.at[piece] + row, 0, end))
 
     def uniform_rows(self, source: NDArray[np.int64]) -> NDArray[np.int64]:
         """Uniform rows of rows of the file."""
@@ -120,6 +123,8 @@ class _Reader:
         self._check_missing(head, 0)
         head = self._unwrapped(head, 0)
         self.rounding = rounding_of(head)
+        if self.rounding and not is_rounded(head, self.rounding):
+            self.rounding = 0.0  # stamps lie on a grid because the samples do
         steps = np.diff(head)
         if not np.median(steps) > 0 and not self.rounding > 0:
             self._backwards(head, 0, int(np.argmax(steps <= 0)))
@@ -252,7 +257,7 @@ class _Reader:
         source = np.array(rows_at, np.int64)
         missing = np.array(skipped, np.int64)
         at = source + np.cumsum(np.minimum(missing, LONGEST_GAP))
-        return Clock(
+        made = Clock(
             h,
             self.t0,
             int(self.table.rows + at[-1] - source[-1]),
@@ -265,6 +270,21 @@ class _Reader:
             np.concatenate(index) if index else np.zeros(0),
             self.wrap,
         )
+        self._check_rate(made)
+        return made
+
+    def _check_rate(self, made: Clock) -> None:
+        """Uniform times have to stay near the stamps."""
+        rows = np.arange(len(made.index)) * INDEXED
+        off = np.abs(made.index - made.times(made.uniform_rows(rows)))
+        at = int(np.argmax(off))
+        near = 2 * made.sample_time + made.rounding + WANDERS * float(np.ptp(made.index))
+        if off[at] > near:
+            raise RecordError(
+                f"{self._place(int(rows[at]))}: the sample rate changes: with steps of "
+                f"{made.sample_time:.6g} s on the mean, t is {off[at]:.3g} s away here. Cut the "
+                f"log where it changes (--from, --to)"
+            )
 
 
 def rounding_of(t: Array) -> float:
@@ -285,6 +305,21 @@ def rounding_of(t: Array) -> float:
             if np.abs(t / size - np.round(t / size)).max() < 1e-3:
                 return size
     return 0.0
+
+
+#: Rows of a window in which rounded stamps leave a line by no more than their rounding.
+WINDOW = 256
+
+
+def is_rounded(t: Array, size: float) -> bool:
+    """Whether stamps are rounded times of even samples, not times of samples with some missing:
+    their distance from a line stays within the rounding, in most windows."""
+    rows = min(WINDOW, len(t))
+    windows = t[: len(t) // rows * rows].reshape(-1, rows)
+    k = np.arange(rows) - (rows - 1) / 2
+    centred = windows - windows.mean(axis=1, keepdims=True)
+    left = centred - (centred @ k / (k @ k))[:, None] * k
+    return bool(np.mean(np.ptp(left, axis=1) <= 1.1 * size) >= 0.5)
 
 
 def rounded_rate(step: float, uncertain: float) -> float:

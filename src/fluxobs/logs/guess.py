@@ -115,7 +115,8 @@ class Columns:
                     channel = "t" if column == said.time else None if channel == "t" else channel
                 if channel is not None:
                     found = self.by_channel.setdefault(channel, [])
-                    found.insert(0 if exact == channel else len(found), name)
+                    first = sum(leaf(one) == channel for one in found)
+                    found.insert(first if exact == channel else len(found), name)
             self._by_file(part)
         for channel, name in given.items():
             self.by_channel[channel] = [self.resolve(name)]

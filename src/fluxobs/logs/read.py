@@ -93,6 +93,8 @@ def read_log(
     fields = preset_fields(preset) if preset is not None else {}
     for more in (read_fields(record) if record is not None else {}, given):
         for name, value in more.items():
+            if name in _MAPPINGS and not isinstance(value, Mapping):
+                raise UsageError(f"{name} must be a mapping of channels, got {value!r}")
             fields[name] = fields.get(name, {}) | dict(value) if name in _MAPPINGS else value
         if more.get("truth"):
             fields["truth"] = dict(more["truth"])  # there is only one truth: replace it

@@ -144,7 +144,8 @@ def adc(channel: str, given: str) -> tuple[float, float]:
         numbers = [float(part) for part in parts]
     except ValueError:
         numbers = []
-    if len(numbers) not in (2, 3) or not 1 <= numbers[0] <= 32 or numbers[0] % 1 or not numbers[1]:
+    fits = len(numbers) in (2, 3) and all(map(math.isfinite, numbers))
+    if not fits or not 1 <= numbers[0] <= 32 or numbers[0] % 1 or not numbers[1]:
         raise RecordError(
             f"adc {channel}={given}: expected BITS,RANGE or BITS,RANGE,ZERO: as 12,100,2048 for "
             f"12 bits that span 100 A, with zero at 2048 counts"

@@ -26,7 +26,7 @@ def open_mat(path: Path) -> list[Table]:
         content = matlab.loadmat(path, simplify_cells=True)
     except NotImplementedError:
         return open_hdf5(path, "mat")
-    except (ValueError, TypeError, OSError, EOFError) as error:
+    except Exception as error:  # SciPy raises many kinds for a broken file
         raise RecordError(f"{path}: not a readable MATLAB file: {error}") from None
     found = Found()
     _walk(found, "", {k: v for k, v in content.items() if not k.startswith("__")})

@@ -44,7 +44,10 @@ def _reader(line: str, delimiter: str) -> Iterator[list[str]]:
 
 
 def _quoted(line: str, delimiter: str) -> list[str]:
-    return [cell.strip() for cell in next(_reader(line, delimiter), [])]
+    try:
+        return [cell.strip() for cell in next(_reader(line, delimiter), [])]
+    except csv.Error:  # a line that is no line of a table
+        return [cell.strip() for cell in line.split(delimiter)]
 
 
 def has_decimal_comma(cell: str) -> bool:

@@ -180,6 +180,11 @@ class TextTable(Table):
         try:
             for at, block in self._blocks(first, last):
                 parsed = self._parsed(block, names)
+                if parsed.height != block.count(b"\n") + (not block.endswith(b"\n")):
+                    raise RecordError(
+                        f"{self.path}, after {self.place(at)}: a quotation mark is not closed in "
+                        f"its line. Close or remove it"
+                    )
                 low, high = max(first - at, 0), min(last - at, parsed.height)
                 parsed = parsed.slice(low, high - low)
                 if surplus and parsed[_SURPLUS].null_count() < parsed.height:
