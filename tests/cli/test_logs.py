@@ -46,6 +46,15 @@ def test_channels_of_a_file_that_says_nothing(folder):
     assert "--frame abc --column" in " ".join(done.stdout.split())
 
 
+def test_the_first_command_needs_a_log_and_a_machine(folder):
+    before = set(folder.iterdir())
+    done = fluxobs("estimate", "log.csv", *MACHINE, folder=folder)
+    assert done.returncode == 0
+    assert "The position is valid on 99.0% of the rows" in done.stdout
+    assert "The estimates are not written: --out FILE.parquet" in done.stdout
+    assert set(folder.iterdir()) == before
+
+
 def test_presets_are_listed_and_printed(folder):
     names = fluxobs("presets", folder=folder).stdout
     assert "vesc-sampled" in names

@@ -1,6 +1,7 @@
 """Formats: paths of channels, batches, and what is said of broken or missing things."""
 
 import importlib
+import json
 import sys
 
 import numpy as np
@@ -15,7 +16,10 @@ from fluxobs.logs.formats import FORMATS, open_tables
 ROWS = 30_000
 T = np.arange(ROWS) * 1e-4
 SIGNALS = {name: np.cos(300 * T + n) for n, name in enumerate(("i_a", "i_b", "u_a", "u_b", "u_c"))}
-ENDINGS = (".parquet", ".csv", ".csv.gz", ".feather", ".mf4", ".tdms", ".h5", ".npy", ".npz")
+ENDINGS = (
+    *(".parquet", ".csv", ".csv.gz", ".feather", ".json", ".jsonl", ".mf4", ".tdms", ".h5"),
+    *(".npy", ".npz"),
+)
 
 
 def write(path):
@@ -33,6 +37,10 @@ def write(path):
             path.write_bytes(gzip.compress(frame.write_csv().encode()))
         case ".feather":
             frame.write_ipc(path)
+        case ".json":
+            path.write_text(json.dumps({name: list(values) for name, values in columns.items()}))
+        case ".jsonl":
+            frame.write_ndjson(path)
         case ".npz":
             np.savez(path, **columns)
         case ".npy":
@@ -135,6 +143,15 @@ def test_the_end_of_a_path_suffices_where_it_is_unique(tmp_path):
         file["run/clock"] = T
     log = read_log(tmp_path / "log.h5", columns={"i_a": "adc0/i_a", "t": "clock"})
     assert log.names["i_a"] == "run/adc0/i_a"
+
+
+def test_rows_in_json(tmp_path):
+    rows = pl.DataFrame({"t": T[:100]} | {n: v[:100] for n, v in SIGNALS.items()})
+    (tmp_path / "log.json").write_text(rows.write_json())
+    (table,) = open_tables(tmp_path / "log.json")
+    assert table.rows == 100
+    (part,) = table.batches(["u_b"], 0, 100)
+    np.testing.assert_allclose(part["u_b"], SIGNALS["u_b"][:100], atol=1e-12)
 
 
 def test_matrices_have_numbered_columns(tmp_path):

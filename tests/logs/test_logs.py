@@ -101,7 +101,44 @@ def test_decimal_comma_that_comes_late(tmp_path):
     np.testing.assert_allclose(i[300:], I, atol=1e-9)
 
 
-@pytest.mark.parametrize("between", ["", "# a note", "%"])
+def test_decimal_comma_in_quotes(tmp_path):
+    path = csv(tmp_path / "log.csv", PLAIN, ";", comma=True)
+    head, *rows = path.read_text().splitlines()
+    quoted = ['"' + row.replace(";", '","') + '"' for row in rows]
+    path.write_text("\n".join([head.replace(";", ","), *quoted]) + "\n")
+    check(read(path))
+
+
+def test_a_comma_that_may_part_thousands_is_asked_about(tmp_path):
+    rows = [f'{k * H:.4f},"1,234",2,3,4' for k in range(50)]
+    (tmp_path / "log.csv").write_text("\n".join([",".join(PLAIN), *rows]))
+    with pytest.raises(RecordError, match="'1,234': does the comma part thousands"):
+        read(tmp_path / "log.csv")
+
+
+def test_a_typesetter_s_minus(tmp_path):
+    path = csv(tmp_path / "log.csv", PLAIN)
+    path.write_text(path.read_text().replace("-", "\u2212"), encoding="utf-8")
+    check(read(path))
+
+
+def test_a_preamble_without_end(tmp_path):
+    path = csv(tmp_path / "log.csv", PLAIN)
+    path.write_text("".join(f"Setting {k}: on\n" for k in range(900)) + path.read_text())
+    with pytest.raises(RecordError, match="no rows of numbers are found in its first 600 lines"):
+        read(path)
+
+
+@pytest.mark.parametrize("last", [",,,,", "   ", " , ,,,\n\n"])
+def test_a_last_line_without_values(tmp_path, last):
+    path = csv(tmp_path / "log.csv", PLAIN)
+    path.write_text(path.read_text() + last + "\n")
+    found = read(path)
+    check(found)
+    assert len(found[0]) == ROWS
+
+
+@pytest.mark.parametrize("between", ["", "   ", "# a note", "%"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_lines_between_the_rows_are_left_out(tmp_path, between, end):
     path = csv(tmp_path / "log.csv", PLAIN)
@@ -322,7 +359,7 @@ def test_a_quotation_mark_that_is_not_closed(tmp_path):
     lines = [lines[0] + ",state", *(line + ",run" for line in lines[1:])]
     lines[60] = lines[60].replace("run", '"disk')
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
-    with pytest.raises(RecordError, match="a quotation mark is not closed"):
+    with pytest.raises(RecordError, match="line 61: a quotation mark is not closed"):
         read(tmp_path / "log.csv")
 
 
@@ -367,6 +404,27 @@ def test_rounded_time(tmp_path):
         check(found)
         assert found[0].sample_time == pytest.approx(1.3e-3, rel=1e-6)
         assert any("rounded to 0.001 s" in note for note in found[0].notes)
+
+
+@pytest.mark.parametrize("one", ["unit", "adc"])
+def test_a_channel_has_one_conversion(one):
+    with pytest.raises(RecordError, match=f"i_alpha has both {one} and scale"):
+        read_log(
+            PLAIN,
+            **{one: {"i_alpha": {"unit": "mA", "adc": "12,100"}[one]}},
+            scale={"i_alpha": 2.0},
+        )
+
+
+def test_a_later_conversion_replaces_that_of_a_record(tmp_path):
+    record = tmp_path / "record.toml"
+    record.write_text('unit = { i_alpha = "mA", i_beta = "mA" }\n')
+    log = read_log(PLAIN, record=record, scale={"i_alpha": 2.0}, adc={"i_beta": "1,4,0"})
+    assert log.conversions["i_alpha"] == (2.0, 0.0)
+    assert log.conversions["i_beta"] == (2.0, 0.0)
+    of_all = read_log(PLAIN, unit={"i": "mA"}, adc={"i_beta": "1,4,0"})
+    assert of_all.conversions["i_alpha"] == (1e-3, 0.0)
+    assert of_all.conversions["i_beta"] == (2.0, 0.0)
 
 
 @pytest.mark.parametrize("lag", [199.5, -200, 1e9])

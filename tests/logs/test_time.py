@@ -90,6 +90,18 @@ def test_counters_that_start_again(wrap, scale, layout):
     assert any("starts again every" in note for note in log.notes)
 
 
+@pytest.mark.parametrize("missing", [1, 2, 9])
+def test_samples_lost_where_a_counter_starts_again(missing):
+    stamps = np.mod(np.round(1e6 * T) + 2**16 - 1000, 2**16)
+    at = int(np.flatnonzero(np.diff(stamps) < 0)[0])
+    keep = np.ones(ROWS, bool)
+    keep[at + 1 : at + 1 + missing] = False
+    log = read_log({n: v[keep] for n, v in columns(T, stamps).items()}, unit={"t": "us"})
+    assert len(log) == ROWS
+    assert log.clock.missing == missing
+    np.testing.assert_allclose(np.diff(rows_of(log)[0]), H, rtol=1e-6)
+
+
 def test_midnight(tmp_path):
     seconds = np.mod(86400 - 0.2 + T, 86400)
     stamps = [f"{int(s // 3600):02d}:{int(s // 60) % 60:02d}:{s % 60:09.6f}" for s in seconds]
@@ -310,6 +322,15 @@ def test_joined_row_by_row(tmp_path):
         read_log(tmp_path / "i.csv", join=join)
     _, _, found = rows_of(read_log(tmp_path / "i.csv", join=join, align="index"))
     np.testing.assert_allclose(found[1:, 0], u.real[:-1], atol=1e-9)
+
+
+def test_a_joined_file_needs_rows(tmp_path):
+    u, i = signals(T)
+    first = {"t": T, "i_alpha": i.real, "i_beta": i.imag, "u_alpha": u.real, "u_beta": u.imag}
+    pl.DataFrame(first).write_csv(tmp_path / "a.csv")
+    pl.DataFrame({"t": T[:2], "theta_e": T[:2]}).write_csv(tmp_path / "b.csv")
+    with pytest.raises(RecordError, match=r"b.csv: 2 rows; a file that is joined"):
+        read_log(tmp_path / "a.csv", join=[str(tmp_path / "b.csv")])
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.0123, -0.00437, 13.00005])

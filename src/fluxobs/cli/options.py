@@ -26,7 +26,7 @@ LogArgument = Annotated[
     typer.Argument(
         metavar="LOG",
         help="Text as instruments write it (CSV, TXT, LVM, …, also .gz), Parquet, Arrow, npz, npy, "
-        "HDF5, MAT, MDF4, TDMS, ULog, Excel. `fluxobs channels LOG` shows what it holds.",
+        "JSON, HDF5, MAT, MDF4, TDMS, ULog, Excel. `fluxobs channels LOG` shows what it holds.",
     ),
 ]
 ReportOption = Annotated[Path | None, typer.Option(help="Picture: .png, .pdf or .svg.")]

@@ -31,6 +31,7 @@ def estimate(
     machine: Machine | str | Path,
     *,
     out: str | Path | None = None,
+    keep: bool = True,
     force: bool = False,
     unknowns: str | Sequence[str] = "auto",
     causal: bool = False,
@@ -51,6 +52,8 @@ def estimate(
     machine : Machine, or a path, or the name of a shipped machine
     out : path, optional
         Ends in .parquet or .csv. Without it the estimates stay in memory.
+    keep : bool
+        If false, estimates that are not written are not kept either: for the summary alone.
     force : bool
         Overwrite `out` if it exists.
     unknowns : "auto", or str or sequence of {"drift", "resistance", "inverter", "asymmetry", \
@@ -138,10 +141,13 @@ def estimate(
     first = next(made)
     everything = chain([first], made)
     table = None
-    if path is None:
+    if path is not None:
+        write_rows(path, dict(first.schema), everything)
+    elif keep:
         table = pl.concat(everything)
     else:
-        write_rows(path, dict(first.schema), everything)
+        for _ in everything:
+            pass
     if isinstance(run.observer, AdaptiveObserver):
         learnt = run.observer.learnt(state)
     return Result(

@@ -54,7 +54,8 @@ class Result(LogRun):
         """One row per sample, one column per output, in SI; read from `path` if written there."""
         if self.table is not None:
             return self.table
-        assert self.path is not None
+        if self.path is None:
+            raise FluxobsError("the estimates were not kept: estimate with out=… or keep=True")
         read = pl.read_parquet if self.path.suffix == ".parquet" else pl.read_csv
         try:
             return read(self.path)

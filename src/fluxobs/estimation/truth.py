@@ -60,6 +60,7 @@ class TruthSamples:
     total: int
     channel: str
     rows: int = 0
+    known: int = 0  # valid rows on which the channel has a value
     parts: list[dict[str, Array]] = field(default_factory=list)
     product: float = 0.0  # Σ of turned angles, estimated by true
     square: float = 0.0
@@ -80,6 +81,7 @@ class TruthSamples:
             if name in columns:
                 kept[name] = np.array(columns[name][pick], float)
         self.parts.append(kept)
+        self.known += int(good.sum())
         if self.channel == "hall":
             self._add_edges(columns["theta_e"], raw, good)
         elif self.channel.startswith("theta"):

@@ -90,7 +90,11 @@ def _samples(result: LogRun) -> list[str]:
 def _truth(result: LogRun) -> list[str]:
     statistics = result.statistics
     if not is_position(result.log, result.machine):
-        return []
+        true, samples = result.log.true, statistics.truth
+        if true is None or samples is None or samples.known or not statistics.valid:
+            return []
+        codes = " (the codes of Hall sensors are whole numbers)" if true.channel == "hall" else ""
+        return [f"The truth, {' '.join(true.columns)}, has a value on no valid row{codes}."]
     if statistics.scored >= TRUTH_SHARE * statistics.valid:
         return []
     return [
@@ -120,6 +124,12 @@ def _validity(result: LogRun) -> list[str]:
     if statistics.valid >= VALID_SHARE * statistics.rows:
         return []
     still = result.scales.voltage < STANDING * machine.R_s * result.scales.current
+    missing = result.counts.bad_currents
+    if statistics.valid >= VALID_SHARE * (statistics.rows - missing):
+        return [
+            f"The position is valid on only {statistics.valid / statistics.rows:.1%} of the rows: "
+            f"{missing} rows have no current."
+        ]
     reason = (
         "the voltage is hardly more than the resistive drop; at or near standstill the flux "
         "cannot be observed"

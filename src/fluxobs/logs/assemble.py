@@ -130,6 +130,15 @@ def _truth(found: Guess, layout: Layout, guessed: bool) -> Truth | None:
     if channel not in ("sincos", "hall") or len(columns) == 1:
         return Truth(channel, columns, guessed)
     values = [part_of[one].read(one) for one in columns]
+    values = [np.where(np.isfinite(read), read, np.nan) for read in values]
+    empty = [one for one, read in zip(columns, values, strict=True) if np.isnan(read).all()]
+    if empty and guessed:
+        return None
+    if empty:
+        raise RecordError(
+            f"{part_of[empty[0]].table.path}: the column {empty[0]!r}, which --truth "
+            f"{channel}={name} asks for, holds no number"
+        )
     low = np.array([np.nanmin(v) for v in values])
     high = np.array([np.nanmax(v) for v in values])
     channel = "theta_mech" if channel == "sincos" else channel

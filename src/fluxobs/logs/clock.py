@@ -31,6 +31,9 @@ LONGEST_GAP = 10_000
 #: Where counters start again: at powers of two, in ticks, milli- or microseconds; clocks at 24 h.
 _BITS = (8, 10, 12, 16, 24, 32)
 WRAPS = (86400.0, *(2.0**n / unit for unit in (1.0, 1e3, 1e6, 1e9) for n in _BITS))
+#: The step over a wrap is at most so many sample times: some samples may be missing there, but a
+#: second log below the first is no wrap.
+WRAP_STEP = 16.5
 _HEAD = 65536
 _BATCH = 200_000
 #: Times of every so many rows are kept, to find rows where stamps jitter: fewer than half a turn of
@@ -183,7 +186,7 @@ class _Reader:
                     size
                     for size in sorted(self.scale * np.array(WRAPS) if self.scale != 1 else WRAPS)
                     if raw.max() <= size * (1 + 1e-9)
-                    and abs(steps[back[0]] + size - usual) <= 0.5 * usual
+                    and 0.5 <= (steps[back[0]] + size) / max(usual, 1e-300) <= WRAP_STEP
                 ),
                 0.0,
             )

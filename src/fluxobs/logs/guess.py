@@ -19,7 +19,7 @@ from ..errors import RecordError
 from ..model.frames import CURRENTS, PHASE_CURRENTS, VOLTAGES, Frame
 from . import units
 from .formats import Table, read_rows
-from .layout import GROUPS, NO_COLUMN, NO_TRUTH
+from .layout import CONVERTING, NO_COLUMN, NO_TRUTH, words_for
 from .names import Named, leaf, read_name
 from .resample import Array
 
@@ -351,10 +351,7 @@ _VALUES_SAY = {
 
 def _is_given(channel: str, fields: Mapping[str, Any]) -> bool:
     """Whether the user said a unit, a converter or a scale."""
-    words = [channel, *(word for word, start in GROUPS.items() if channel.startswith(start))]
-    return channel in fields.get("scale", {}) or any(
-        word in fields.get(option, {}) for option in ("unit", "adc") for word in words
-    )
+    return any(word in fields.get(given, {}) for given in CONVERTING for word in words_for(channel))
 
 
 def _unit_by_values(channel: str, values: Array) -> str | None:

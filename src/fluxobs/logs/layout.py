@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -29,6 +30,8 @@ NO_TRUTH = "none"
 NO_COLUMN = "-"
 #: Words for several channels, in `unit` and `adc`: their first letters.
 GROUPS = {"i": "i_", "u": "u_", "duty": "d_", "theta": "theta", "speed": "speed"}
+#: What turns a column into its channel; one of them for each.
+CONVERTING = ("unit", "adc", "scale")
 
 Align = Literal["time", "index", "auto"]
 
@@ -142,32 +145,31 @@ class Layout(BaseModel):
             units.factor(example or {"speed": "speed_mech"}.get(channel, channel), unit)
         for channel, given in self.adc.items():
             units.adc(channel, given)
+        for one, other in combinations(CONVERTING, 2):
+            for channel in getattr(self, one):
+                if channel in getattr(self, other):
+                    raise ValueError(f"{channel} has both {one} and {other}; give one of them")
         return self
-
-    def of_channel(self, field: str, channel: str) -> str | None:
-        """What `unit` or `adc` says of a channel, by its name or by the word for its like."""
-        given: dict[str, str] = getattr(self, field)
-        if channel in given:
-            return given[channel]
-        return next(
-            (
-                given[word]
-                for word, start in GROUPS.items()
-                if word in given and channel.startswith(start)
-            ),
-            None,
-        )
 
     def conversion(self, channel: str) -> tuple[float, float]:
         """Scale and offset that turn a column into its channel, in SI."""
         scale, offset = 1.0, 0.0
-        if (given := self.of_channel("adc", channel)) is not None:
-            scale, offset = units.adc(channel, given)
-        elif (unit := self.of_channel("unit", channel)) is not None:
-            scale = units.factor(channel, unit)
-        if channel in self.scale:
-            scale, offset = self.scale[channel], 0.0
+        for word in words_for(channel):
+            if word in self.scale:
+                scale = self.scale[word]
+            elif word in self.adc:
+                scale, offset = units.adc(channel, self.adc[word])
+            elif word in self.unit:
+                scale = units.factor(channel, self.unit[word])
+            else:
+                continue
+            break
         return scale, offset + self.offset.get(channel, 0.0)
+
+
+def words_for(channel: str) -> list[str]:
+    """Words under which a unit or a converter of a channel may be given: its name goes first."""
+    return [channel, *(word for word, start in GROUPS.items() if channel.startswith(start))]
 
 
 def read_fields(path: str | Path) -> dict[str, Any]:

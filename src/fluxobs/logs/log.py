@@ -92,7 +92,11 @@ class Truth:
         return self.channel.startswith("theta")
 
     def of(self, values: list[Array]) -> Array:
-        """The channel from its columns, in their own unit."""
+        """The channel from its columns, in their own unit; NaN where it is not known."""
+        values = [np.where(np.isfinite(value), value, np.nan) for value in values]
+        if self.channel == "hall" and len(values) == 1:
+            whole = values[0] == np.round(values[0])
+            return np.asarray(np.where(whole, values[0], np.nan))
         if self.channel == "hall" and len(values) == 3:
             level = [value > centre for value, centre in zip(values, self.centre, strict=True)]
             code = sum(bit.astype(float) * 2**n for n, bit in enumerate(level))

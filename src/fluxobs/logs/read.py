@@ -15,7 +15,7 @@ from .assemble import assemble
 from .formats import Table, open_tables
 from .formats.arrays import ArrayTable
 from .guess import ROTATING
-from .layout import Layout, read_fields
+from .layout import CONVERTING, Layout, read_fields
 from .log import Log
 from .presets import preset_fields
 from .record import Record, alphabeta_rows
@@ -96,6 +96,7 @@ def read_log(
             if name in _MAPPINGS and not isinstance(value, Mapping):
                 raise UsageError(f"{name} must be a mapping of channels, got {value!r}")
             fields[name] = fields.get(name, {}) | dict(value) if name in _MAPPINGS else value
+        _override(fields, more)
         if more.get("truth"):
             fields["truth"] = dict(more["truth"])  # there is only one truth: replace it
     if frame is not None:
@@ -104,6 +105,18 @@ def read_log(
     _take_constant_udc(fields, files)
     Layout(**fields)  # what the user gave, before anything is guessed
     return assemble(files, fields, frames)
+
+
+def _override(fields: dict[str, Any], more: Mapping[str, Any]) -> None:
+    """A unit, converter or scale that is given later replaces any of them that stood before."""
+    given = {channel: name for name in CONVERTING for channel in more.get(name, {})}
+    for name in CONVERTING:
+        if name in fields:
+            fields[name] = {
+                channel: value
+                for channel, value in fields[name].items()
+                if channel in more.get(name, {}) or channel not in given
+            }
 
 
 def _files(source: Any, fields: dict[str, Any], usual: Frame) -> tuple[Files, dict[str, Any]]:

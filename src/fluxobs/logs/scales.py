@@ -109,6 +109,8 @@ def measure_scales(log: Log) -> Scales:
         voltages.append(np.hypot(*part.voltage.T))
         noise.append(white_noise(part.current))
         voltage_noise.append(white_noise(part.voltage))
+    turned = np.concatenate(turning)
+    turned = turned[np.isfinite(turned)]
     i, u = np.concatenate(currents), np.concatenate(voltages)
     i, u = i[np.isfinite(i)], u[np.isfinite(u)]
     for what, values in (("current", i), ("voltage", u)):
@@ -124,5 +126,5 @@ def measure_scales(log: Log) -> Scales:
         float(np.percentile(u, 95)),
         float(np.median(noise)),
         float(np.median(voltage_noise)),
-        float(np.nanpercentile(np.concatenate(turning), 95)) / log.sample_time,
+        float(np.percentile(turned, 95)) / log.sample_time if len(turned) else 0.0,
     )

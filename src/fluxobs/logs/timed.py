@@ -75,6 +75,11 @@ def timed_part(
     scale, offset = _time_conversion(name, found, layout)
     column = part.columns[name]
     if table.rows < 3:
+        if beside is not None:
+            raise RecordError(
+                f"{table.path}: {table.rows} rows; a file that is joined by its times needs at "
+                f"least three"
+            )
         return Timed(part, table, even(table.rows, 1.0), name)
     given = layout.sample_time
     clock, typical, mean = measure(table, column, scale, offset, given)
@@ -124,7 +129,7 @@ def _times_in(part: Part) -> list[str]:
 
 def _time_conversion(name: str, found: Guess, layout: Layout) -> tuple[float, float]:
     """Scale and offset of a time column: the user's, or by its own unit."""
-    if name == found.channels.get("t") or layout.of_channel("unit", "t") is None:
+    if name == found.channels.get("t") or "t" not in layout.unit:
         scale, offset = layout.conversion("t")
         if name == found.channels.get("t") or "t" in layout.scale:
             return scale, offset

@@ -36,8 +36,13 @@ NEVER_VALID = 3
 def estimate(
     log: LogArgument,
     machine: MachineOption,
-    out: Annotated[Path, typer.Option(help="Where the estimates go, .parquet or .csv.")],
     layout: dict[str, Any],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Where the estimates go, .parquet or .csv. Without it only the summary is printed."
+        ),
+    ] = None,
     report: ReportOption = None,
     memory: Annotated[
         float | None,
@@ -79,10 +84,10 @@ def estimate(
 ) -> None:
     """Estimate flux, position, speed and drift of a recorded log.
 
-    Writes one row per sample, in SI units and electrical radians: t, flux_alpha, flux_beta, psi_f,
-    theta_e (directly from the flux), theta_e_tracked, speed_e, drift_alpha, drift_beta,
-    theta_e_std, valid; and theta_e_error if a truth is given. Prints a summary. Exit code 3: no row
-    is valid.
+    Prints a summary. With --out it writes one row per sample, in SI units and electrical radians:
+    t, flux_alpha, flux_beta, psi_f, theta_e (directly from the flux), theta_e_tracked, speed_e,
+    drift_alpha, drift_beta, theta_e_std, valid; and theta_e_error if a truth is given. Exit code 3:
+    no row is valid.
 
     With more than the drift among the unknowns it also writes resistance, inverter_voltage,
     psi_f of the magnet and drift, each with its standard deviation, and the other angle while two
@@ -95,7 +100,8 @@ def estimate(
     from ...logs.written import write_record
     from ...output import check_new
 
-    refuse_input_as_output(out, machine, layout.get("record"))
+    if out is not None:
+        refuse_input_as_output(out, machine, layout.get("record"))
     if report is not None:
         from ...plots import FORMATS, check_path
 
@@ -113,6 +119,7 @@ def estimate(
             log,
             machine,
             out=out,
+            keep=False,
             force=force,
             unknowns=unknowns,
             causal=causal,
@@ -121,7 +128,7 @@ def estimate(
             progress=progress,
             **layout,
         )
-    written = [out]
+    written = [] if out is None else [out]
     if save_machine is not None:
         result.write(save_machine, force=force)
         written.append(save_machine)
@@ -150,6 +157,8 @@ def show_result(result: Result, machine: str, written: Sequence[Path]) -> None:
     show.summary(result.summary, result.warnings)
     for path in written:
         typer.echo(f"Written: {path}")
+    if result.path is None:
+        typer.echo("The estimates are not written: --out FILE.parquet (or .csv) says where to.")
     if result.statistics.valid == 0:
         return
     command = result.export_command(machine)

@@ -1,4 +1,4 @@
-"""Parquet, and Arrow (Feather) files, by Polars."""
+"""Parquet, Arrow (Feather) and JSON files, by Polars."""
 
 from __future__ import annotations
 
@@ -79,3 +79,19 @@ def open_arrow(path: Path) -> list[Table]:
             if file.read(4) != b"\xff\xff\xff\xff":
                 raise
     return [FrameTable(path, lambda p: pl.read_ipc_stream(p).lazy(), "Arrow stream")]
+
+
+def open_json(path: Path) -> list[Table]:
+    """The table of a JSON file: an object of columns, or a list of rows; it is read at once."""
+    return [FrameTable(path, _json, "JSON table")]
+
+
+def open_json_lines(path: Path) -> list[Table]:
+    """The table of a file with a JSON object in every line."""
+    return [FrameTable(path, pl.scan_ndjson, "JSON lines")]
+
+
+def _json(path: Path) -> pl.LazyFrame:
+    found = pl.read_json(path)
+    columns = [name for name, kind in found.schema.items() if kind == pl.List]
+    return found.select(columns).explode(columns).lazy() if columns else found.lazy()

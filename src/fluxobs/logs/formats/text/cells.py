@@ -10,8 +10,12 @@ from collections.abc import Iterator
 MISSING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "∞", "-∞", "#n/a")
 #: Delimiters, the most distinctive first.
 DELIMITERS = ("\t", ";", "|", ",", " ")
-_DECIMAL_COMMA = re.compile(r"^\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*$")
-_NUMBER = re.compile(r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*$")
+#: A minus sign as typesetters have it.
+MINUS = "\u2212"
+_DECIMAL_COMMA = re.compile(rf"^\s*[-+{MINUS}]?\d+,\d+([eE][-+{MINUS}]?\d+)?\s*$")
+_NUMBER = re.compile(rf"^\s*[-+{MINUS}]?(\d+\.?\d*|\.\d+)([eE][-+{MINUS}]?\d+)?\s*$")
+#: A number in quotes whose comma may part thousands.
+_THOUSANDS = re.compile(r"^\s*[-+]?[1-9]\d{0,2}(,\d{3})+\s*$")
 #: Wall-clock stamps: what they look like, and the formats that read them.
 CLOCKS: tuple[tuple[re.Pattern[str], tuple[str, ...]], ...] = tuple(
     (re.compile(pattern), formats)
@@ -55,9 +59,14 @@ def has_decimal_comma(cell: str) -> bool:
     return _DECIMAL_COMMA.match(cell) is not None
 
 
-def is_number(cell: str, comma: bool = True) -> bool:
-    """Whether a cell is a number; with a decimal comma too, if `comma`."""
-    return _NUMBER.match(cell) is not None or (comma and has_decimal_comma(cell))
+def has_thousands(cell: str) -> bool:
+    """Whether the comma of a number may part thousands."""
+    return _THOUSANDS.match(cell) is not None
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number, with a point or a decimal comma."""
+    return _NUMBER.match(cell) is not None or has_decimal_comma(cell)
 
 
 def is_missing(cell: str) -> bool:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import IO, cast
 
 from ....errors import RecordError
+from .cells import MINUS
 
 #: Bytes at either end that are looked at.
 END = 65536
@@ -21,6 +22,8 @@ END = 65536
 HEAD_LINES = 600
 #: What lines between rows begin with, that are none.
 BETWEEN = ("#", "%")
+#: What a line holds that has no values.
+EMPTY = " \t\r\n,;|"
 #: Bytes that are parsed at once: some ten thousand rows.
 BLOCK = 1 << 22
 #: Columns of a smaller file are parsed once, and kept: a run reads a log five times.
@@ -95,15 +98,15 @@ def _decoded(line: bytes, encoding: str) -> str:
 
 
 def last_line(path: Path, encoding: str) -> tuple[str, int]:
-    """The last line with content, and the blank lines below it; nothing is known of a file whose
-    end costs reading all of it."""
+    """The last line with content, and the lines below it that are blank or but delimiters; nothing
+    is known of a file whose end costs reading all of it."""
     if is_packed(path):
         return "", 0
     with path.open("rb") as file:
         size = file.seek(0, 2)
         file.seek(max(0, size - END) & ~1)
         lines = file.read().decode(encoding.removesuffix("-sig"), errors="replace").splitlines()
-    blank = next((n for n, line in enumerate(reversed(lines)) if line.strip()), 0)
+    blank = next((n for n, line in enumerate(reversed(lines)) if line.strip(EMPTY)), 0)
     return (lines[-1 - blank] if lines else ""), blank
 
 
@@ -121,10 +124,15 @@ def repeats(path: Path, header: str, encoding: str) -> bool:
     return False
 
 
+_SPACES = re.compile(rb"\n +\r?\n")
+
+
 def interrupted(block: bytes) -> bool:
     """Whether there are blank lines or comments between the rows of a block."""
-    found = block.rstrip()
-    return any(mark in found for mark in (b"\n\n", b"\n\r\n", b"\n#", b"\n%"))
+    found = b"\n" + block.rstrip()
+    if any(mark in found for mark in (b"\n\n", b"\n\r\n", b"\n#", b"\n%")):
+        return True
+    return b"\n " in found and _SPACES.search(found) is not None
 
 
 def blocks(path: Path, start: int) -> Iterator[bytes]:
@@ -156,10 +164,11 @@ class Copy:
                 if number < first:
                     continue
                 text = line.rstrip("\r\n")
-                if not text.strip() or text in drop or text.startswith(BETWEEN):
+                if not text.strip(" ") or text in drop or text.startswith(BETWEEN):
                     self.left_out.append(number)
                     continue
-                out.write((re.sub(r"\s+", " ", text.strip()) if spaces else text) + "\n")
+                text = re.sub(r"\s+", " ", text.strip()) if spaces else text
+                out.write(text.replace(MINUS, "-") + "\n")
 
 
 def _lines(path: Path, encoding: str) -> Iterator[str]:

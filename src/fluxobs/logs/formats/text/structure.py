@@ -18,7 +18,15 @@ from ...names import key, read_name
 from ...units import known
 from ..table import Said
 from ..timing import INTERVAL, RATE, START, interval_from, rate_from, seconds_from
-from .cells import DELIMITERS, clock_formats, has_decimal_comma, is_missing, is_number, split
+from .cells import (
+    DELIMITERS,
+    clock_formats,
+    has_decimal_comma,
+    has_thousands,
+    is_missing,
+    is_number,
+    split,
+)
 
 #: At the head of a line that belongs to a header, or is a comment.
 COMMENT = ("#", "%", "//", "!", "'")
@@ -86,11 +94,20 @@ def find(lines: list[str], further: list[str], where: str, header: list[str] | N
     if not any(line.strip() for line in lines):
         raise RecordError(f"{where}: the file is empty; it needs a header line and rows of numbers")
     delimiter, kinds = _row_kind(lines, further)
+    if not kinds.strip(EMPTY) and len(lines) > SEEN:
+        raise RecordError(
+            f"{where}: no rows of numbers are found in its first {len(lines)} lines. Is this a "
+            f"log? If a longer preamble stands above the rows, remove it"
+        )
     first = _first_row(lines, delimiter, kinds)
     content = [line for line in [*lines[first:], *further] if line.strip()]
-    comma = delimiter != "," and any(
-        has_decimal_comma(cell) for line in content for cell in split(line, delimiter)
-    )
+    with_comma = [c for line in content for c in split(line, delimiter) if has_decimal_comma(c)]
+    comma = bool(with_comma)
+    if delimiter == "," and comma and all(map(has_thousands, with_comma)):
+        raise RecordError(
+            f"{where}: {with_comma[0]!r}: does the comma part thousands, or is it a decimal comma? "
+            f"Write numbers without the former; with the latter part columns by semicolons"
+        )
     if _beside(lines, delimiter):
         return _tektronix(lines, delimiter, comma)
     head = _Head(lines, first, delimiter, kinds)
@@ -143,10 +160,9 @@ def _row_kind(lines: list[str], further: list[str]) -> tuple[str, str]:
 
 
 def _kinds(line: str, delimiter: str) -> str:
-    comma = delimiter != ","
     return "".join(
         NUMBER
-        if is_number(cell, comma)
+        if is_number(cell)
         else EMPTY
         if is_missing(cell)
         else CLOCK

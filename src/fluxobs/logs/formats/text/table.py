@@ -15,7 +15,7 @@ from ....errors import RecordError
 from ..lazy import as_columns
 from ..table import BATCH, Columns, Table
 from . import source
-from .cells import clock_formats, is_missing, split
+from .cells import MINUS, clock_formats, is_missing, split
 from .structure import Structure, find
 
 #: Column for cells beyond the header; lines that have them are refused.
@@ -60,7 +60,8 @@ class TextTable(Table):
             line != " ".join(line.split()) for line in lines[found.first_line :]
         )
         self._copy: source.Copy | None = None
-        if drop or spaces or self._encoding.startswith("utf-16"):
+        minus = any(MINUS in line for line in [*lines[found.first_line :], *further])
+        if drop or spaces or minus or self._encoding.startswith("utf-16"):
             self._copy = source.Copy(self.path, self._encoding, found.first_line, spaces, drop)
         self._checked_length = False
         self._find_blocks()
@@ -70,8 +71,7 @@ class TextTable(Table):
         encoding = self._encoding if self._copy is None else "utf-8"
         end, blank = source.last_line(self._text, encoding)
         last = split(end, found.delimiter)
-        if self._copy is None:
-            self.rows = max(0, self.rows - blank)
+        self.rows = max(0, self.rows - blank)
         if self.rows and last != [] and len(last) < len(self._filled()):
             self.rows -= 1
             notes.append(
@@ -181,8 +181,10 @@ class TextTable(Table):
             for at, block in self._blocks(first, last):
                 parsed = self._parsed(block, names)
                 if parsed.height != block.count(b"\n") + (not block.endswith(b"\n")):
+                    lines = enumerate(block.split(b"\n"))
+                    open_ = next((n for n, line in lines if line.count(b'"') % 2), 0)
                     raise RecordError(
-                        f"{self.path}, after {self.place(at)}: a quotation mark is not closed in "
+                        f"{self.path}, {self.place(at + open_)}: a quotation mark is not closed in "
                         f"its line. Close or remove it"
                     )
                 low, high = max(first - at, 0), min(last - at, parsed.height)
