@@ -1,5 +1,7 @@
 """What a truth channel is off by is found, with its standard deviation, and nothing else is."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -156,3 +158,58 @@ def test_hall_wires_exchanged():
 def test_a_hall_wire_broken():
     columns = hall() | {"hall_b": np.zeros(len(THETA))}
     assert "a wire is broken" in " ".join(fitted("hall", columns).truth_fit.words)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("channel", ["theta_e", "speed_mech", "hall", "half a code"])
+def test_a_truth_without_values_is_said(channel):
+    values = np.full(len(THETA), 1.5 if channel == "half a code" else np.nan)
+    result = fitted({"half a code": "hall"}.get(channel, channel), {"a": values})
+    assert result.truth_fit is None
+    words = "known on only 0 of" if channel == "theta_e" else "has a value on no valid row"
+    assert any(words in warning for warning in result.warnings)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_infinite_angles_are_passed_over():
+    angle = encoder()["angle"]
+    angle[100:200] = np.inf
+    result = fitted("theta_mech", {"angle": angle})
+    assert result.truth_fit.pole_pairs == N_P
+    assert np.degrees(result.statistics.rms_error) < 0.1
+
+
+def test_sine_and_cosine_without_values():
+    lost = {"s": np.full(len(THETA), np.nan), "c": np.ones(len(THETA))}
+    with pytest.raises(fluxobs.RecordError, match="'s', which --truth sincos=s,c asks for, holds"):
+        fitted("sincos", lost)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_every_second_current_missing():
+    current = np.where(np.arange(len(THETA)) % 2, GOOD["i_alpha"], np.nan)
+    result = fluxobs.estimate(GOOD | {"i_alpha": current}, MACHINE, unknowns="drift")
+    assert any(": 5000 rows have no current" in warning for warning in result.warnings)
+    assert not any("nan" in warning for warning in result.warnings)
+
+
+@pytest.mark.parametrize(
+    ("after", "words"),
+    [
+        (lambda angle: angle[6000], r"from 1\.1\d+ to 2 s it stands still"),
+        (lambda angle: angle + 0.3, r"from 1\.\d+ to .* s it does not follow the flux, off by \d+"),
+    ],
+)
+def test_an_encoder_that_stops_or_slips(after, words):
+    angle = encoder()["angle"]
+    angle = np.mod(np.where(np.arange(len(THETA)) > 6000, after(angle), angle), 2 * np.pi)
+    result = fitted("theta_mech", {"angle": angle})
+    assert re.match(words, result.truth_fit.lost)
+    assert any(result.truth_fit.lost in warning for warning in result.warnings)
+
+
+def test_a_speed_that_drops_out():
+    speed = np.gradient(THETA, H) / N_P
+    result = fitted("speed_mech", {"w": np.where(np.arange(len(THETA)) > 6000, 0.0, speed)})
+    assert "of the largest speed" in result.truth_fit.lost
+    assert fitted("speed_mech", {"w": speed}).truth_fit.lost is None

@@ -76,7 +76,7 @@ class Result(LogRun):
     @cached_property
     def warnings(self) -> list[str]:
         """What should make a reader wary, one or two sentences each."""
-        return warnings(self, self.checked)
+        return warnings(self, self.checked, self.truth_fit)
 
     @property
     def facts(self) -> dict[str, Any]:

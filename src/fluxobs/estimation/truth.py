@@ -35,8 +35,12 @@ WHOLE = 0.02
 VARIED = 0.3
 #: What is more than this many standard deviations is told.
 TOLD = 3.0
-#: Turns of the shaft, and share of its circle, that eccentricity needs.
-TURNS, COVERED = 1.0, 0.9
+#: Share of the shaft's circle that eccentricity needs.
+COVERED = 0.9
+#: An error of the angle in a block of rows that no estimate explains [rad].
+LOST = np.radians(10.0)
+#: The same of a speed, as a share of the largest.
+LOST_SPEED = 0.1
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,7 @@ class TruthSamples:
         pick = np.arange(-self.rows % stride, count, stride)
         pick = pick[good[pick]]
         kept = {"raw": raw[pick], "row": (self.rows + pick).astype(float)}
-        for name in ("theta_e", "theta_e_std", "speed_e", "speed_mech"):
+        for name in ("t", "theta_e", "theta_e_std", "speed_e", "speed_mech"):
             if name in columns:
                 kept[name] = np.array(columns[name][pick], float)
         self.parts.append(kept)
@@ -138,6 +142,8 @@ class TruthFit:
         What the fit subtracts: name in the design → value.
     wrong_turns : bool
         Whether pole pairs or direction are not as given.
+    lost : str, optional
+        Where the channel does not follow the flux, though it does elsewhere.
     """
 
     channel: str
@@ -149,6 +155,7 @@ class TruthFit:
     half_turn: bool = False
     known: Mapping[str, float] = field(default_factory=dict)
     wrong_turns: bool = False
+    lost: str | None = None
 
     @property
     def angular(self) -> bool:
@@ -158,7 +165,8 @@ class TruthFit:
     @property
     def told(self) -> bool:
         """Whether there is something to be said."""
-        return self.wrong_turns or not self.parameters or any(p.told for p in self.parameters)
+        wrong = self.wrong_turns or self.lost is not None or not self.parameters
+        return wrong or any(p.told for p in self.parameters)
 
     def __getitem__(self, name: str) -> Fitted:
         """A parameter by its name."""
@@ -237,6 +245,7 @@ def _fit_angle(
     X, found = _design(raw, speed, tuple(names))
     value, covariance, left = _robust(X, e, columns["row"])
     left = _wrapped(left, half)
+    lost = _lost(columns, left)
     known = dict(zip(found, value, strict=True))
     known["zero"] = float(known["zero"] + centre)
     own = float(np.median(columns["theta_e_std"]))
@@ -247,6 +256,7 @@ def _fit_angle(
     covariance = covariance + np.diag([alike[name] for name in found])
     parameters = _angle_parameters(known, covariance, list(found), own, pairs)
     words += _angle_words(samples.channel, parameters, pairs, given, "delay" in known)
+    words += [] if lost is None else [lost]
     return TruthFit(
         samples.channel,
         tuple(parameters),
@@ -257,7 +267,32 @@ def _fit_angle(
         half,
         known,
         pairs != given,
+        lost,
     )
+
+
+def _lost(columns: Mapping[str, Array], left: Array) -> str | None:
+    """Words on where an angle does not follow the flux; None if it does everywhere."""
+    edges = np.linspace(columns["row"][0], columns["row"][-1] + 1, BLOCKS + 1)
+    at = np.searchsorted(edges, columns["row"], side="right") - 1
+    count = np.bincount(at, minlength=BLOCKS)
+    level = np.sqrt(np.bincount(at, left**2, minlength=BLOCKS) / np.maximum(count, 1))
+    usual = float(np.median(level[count > 0]))
+    if usual > LOST:
+        return f"it does not follow the flux: off by {np.degrees(usual):.3g}° rms"
+    bad = level > max(LOST, 4 * usual)
+    if not bad.any():
+        return None
+    first = int(np.argmax(bad))
+    last = first + int(np.argmin(np.append(bad[first:], False)))
+    inside = (at >= first) & (at < last)
+    within = (at >= min(first + 1, last - 1)) & (at < last)
+    turned = np.abs(wrap(np.diff(columns["raw"][within]))).sum()
+    what = "stands still" if turned < 0.1 else "does not follow the flux"
+    t = columns["t"][inside]
+    more = "" if last >= BLOCKS or not bad[last:].any() else ", and further on"
+    off = np.degrees(np.sqrt(np.mean(left[inside] ** 2)))
+    return f"from {t[0]:.4g} to {t[-1]:.4g} s it {what}, off by {off:.3g}° rms{more}"
 
 
 def _robust(X: Array, y: Array, row: Array) -> tuple[Array, Array, Array]:
@@ -360,8 +395,14 @@ def _fit_speed(
         and abs(likely / max(round(likely), 1) - 1) < (WHOLE)
     ):
         words.append(f"{round(likely)} pole pairs would fit, not {machine.n_p}")
-    rms = float(np.sqrt(np.mean(error**2)))
-    return TruthFit(channel, (gain,), 1, tuple(words), rms, float(np.abs(error).max()))
+    rms, most = float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
+    left = float(np.sqrt(np.mean((own - X @ value) ** 2)))
+    share = left / float(np.abs(raw).max())
+    lost = None
+    if share > LOST_SPEED:
+        lost = f"beyond its gain it differs by {share:.0%} of the largest speed, rms"
+        words.append(lost)
+    return TruthFit(channel, (gain,), 1, tuple(words), rms, most, lost=lost)
 
 
 #: Codes of three Hall sensors, 120° apart, in the order of a rotor that turns forward; a is bit 0.

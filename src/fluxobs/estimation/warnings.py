@@ -12,6 +12,7 @@ from .columns import is_position
 from .learning import doubtful
 from .run import LogRun
 from .summary import bias_is_seen, si
+from .truth import TruthFit
 
 #: Warn below this many samples per electrical period: the cubic through four currents then misses a
 #: percent of the resistive drop (benchmarks/accuracy.py).
@@ -27,7 +28,7 @@ TRUTH_SHARE = 0.99
 STANDING = 2.0
 
 
-def warnings(result: LogRun, found: Check | None) -> list[str]:
+def warnings(result: LogRun, found: Check | None, fit: TruthFit | None = None) -> list[str]:
     """The warnings of a run whose log was checked, the most important first."""
     if result.plain is None:
         return [*_samples(result), *_jumps(result), *_immersed_validity(result), *_bias(result)]
@@ -45,6 +46,7 @@ def warnings(result: LogRun, found: Check | None) -> list[str]:
         *mistakes,
         *_reciprocity(result),
         *_truth(result),
+        *([] if fit is None or fit.lost is None else [f"Of {fit.channel}: {fit.lost}."]),
         *_rate(result),
         *_validity(result),
         *(

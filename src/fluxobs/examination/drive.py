@@ -214,7 +214,10 @@ def truth_items(result: Result) -> list[Item]:
                 "eccentricity 2": "eccentricity, twice a turn",
             }[one.name]
             out.append(Item(label, verdict, words, float(degrees[0]), float(degrees[1]), "°"))
-    left = float(np.degrees(fit.rms)) if not fit.channel.startswith("speed") else fit.rms
-    unit = "°, rms" if not fit.channel.startswith("speed") else "rad/s, rms"
-    out.append(Item("what is left against it", "fine", "", left, None, unit))
+    left = "what is left against it"
+    if fit.channel.startswith("speed"):
+        value, unit = fit.rms, "rad/s, rms"
+    else:
+        value, unit = float(np.degrees(fit.rms)), "°, rms"
+    out.append(Item(left, look_if(fit.lost is not None), fit.lost or "", value, None, unit))
     return out
