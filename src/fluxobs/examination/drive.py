@@ -155,7 +155,7 @@ def lag_item(log: Log, machine: RotatingMachine, as_given: bool) -> Item:
     except FluxobsError as error:
         return Item("lag of the voltage", "cannot be told", str(error))
     lag = next((one for one in found.parameters if one.name == "lag"), None)
-    if lag is None or lag.std is None:
+    if lag is None or lag.std is None or not found.after.converged:
         words = "changes of speed would tell it, or a true angle (--truth)"
         return Item("lag of the voltage", "cannot be told", words)
     verdict = judged(lag.value, lag.std, LAG, given)

@@ -38,6 +38,11 @@ NO_GAIN = 1e-7
 NEARLY = 0.1
 #: Rows of a log that repeat one another's errors, against a prior: about an eighth of a turn.
 REPEATED = 20.0
+#: A lag is this close to a whole one where its derivative is taken from both sides [samples].
+NEAR_WHOLE = 0.05
+#: What goes with an inverter's voltage: how hard its sign is (shares of harder knees), and the
+#: currents' offsets [A], which shift it. They are fitted, with a prior, but are no result.
+UNCERTAIN = ("knee 1", "knee 2", "offset_alpha", "offset_beta")
 #: Number of stretches of a log whose sums of residuals are taken as independent.
 BLOCKS = 24
 
@@ -57,8 +62,8 @@ class Fit:
     own_covariance : (free, free) array
         Without that.
     alike : (free,) array
-        How far the others can imitate each parameter: the factor by which its variance exceeds
-        that with the others known.
+        How far the others, but for UNCERTAIN, can imitate each parameter: the factor by which its
+        variance exceeds that with the others known.
     current : (rows,) complex array
         Current in rotor coordinates, all pieces [A].
     residuals : list of (rows,) array
@@ -116,9 +121,15 @@ def evaluate(
     if said.to_start is not None:
         to_start = to_flux + np.stack([said.to_start.real, said.to_start.imag], axis=1)
     local = np.concatenate([to_start, to_flux * piece.t[:, None]], axis=1)
+    volts = values["inverter"]
     by_name = said.by_name | {
         "R_s": -_dot(to_flux, piece.charge),
-        "inverter": -_dot(to_flux, piece.inverter),
+        "inverter": -_dot(to_flux, _lost(piece, values)),
+        "knee 1": -volts * _dot(to_flux, piece.harder[0]),
+        "knee 2": -volts * _dot(to_flux, piece.harder[1]),
+        "offset_alpha": -volts * _dot(to_flux, piece.offset[0]),
+        "offset_beta": -volts * _dot(to_flux, piece.offset[1]),
+        "curve": -volts * _dot(to_flux, piece.curve),
         "lag": _dot(to_flux, slope),
     }
     columns = np.reshape([by_name[name] for name in free], (len(free), len(piece))).T
@@ -130,16 +141,43 @@ def _said(
 ) -> tuple[Rows, Array]:
     """What the relation says of a piece, and the derivative of its flux by the lag."""
     i, lag = piece.current, values["lag"]
-    low = int(np.clip(np.floor(lag), LAGS[0], LAGS[-1] - 1)) - LAGS[0]
-    share = lag - LAGS[0] - low
     if len(piece.voltage) == 1:
         u, slope = piece.voltage[0], np.zeros_like(i)
     else:
-        slope = piece.voltage[low + 1] - piece.voltage[low]
-        u = piece.voltage[low] + share * slope
-    flux = start + u - values["R_s"] * piece.charge - values["inverter"] * piece.inverter
+        u, slope = _lagging(piece.voltage, lag - LAGS[0])
+    flux = start + u - values["R_s"] * piece.charge
+    if values["inverter"]:
+        flux = flux - values["inverter"] * _lost(piece, values)
     flux = flux + drift * piece.t[:, None]
     return relation(flux @ ALPHA_BETA, i @ ALPHA_BETA, values), slope
+
+
+def _lagging(voltage: Array, lag: float) -> tuple[Array, Array]:
+    """∫ u dt at a lag, counted from the first one, and its derivative by the lag.
+
+    The integral is linear between whole lags. At one of them the derivative jumps: a vector that
+    turns is a chord on either side. Close to it, what lies on either side is mixed.
+    """
+    last = len(voltage) - 1
+    low = int(np.clip(np.floor(lag), 0, last - 1))
+    slope = voltage[low + 1] - voltage[low]
+    u = voltage[low] + (lag - low) * slope
+    at = int(np.clip(round(lag), 1, last - 1))
+    if abs(lag - at) < NEAR_WHOLE:
+        share = (1 + (lag - at) / NEAR_WHOLE) / 2
+        slope = share * (voltage[at + 1] - voltage[at]) + (1 - share) * (
+            voltage[at] - voltage[at - 1]
+        )
+    return u, slope
+
+
+def _lost(piece: Piece, values: Mapping[str, float]) -> Array:
+    """∫ of what the inverter loses, over V_d, with its knee and the currents' offsets [s]."""
+    found = piece.inverter
+    for name, change in zip(UNCERTAIN, (*piece.harder, *piece.offset), strict=True):
+        if values.get(name):
+            found = found + values[name] * change
+    return found
 
 
 def _with(values: Mapping[str, float], free: Sequence[str], step: Array) -> dict[str, float]:
@@ -282,6 +320,15 @@ def _believed(
     return rows
 
 
+def _alike(H: Array, among: Sequence[bool]) -> Array:
+    """How far those of the parameters that are results can imitate each other."""
+    some = np.flatnonzero(among)
+    size = np.sqrt(np.diag(H))[some] + 1e-300
+    out = np.ones(len(H))
+    out[some] = np.diag(np.linalg.pinv(H[np.ix_(some, some)] / np.outer(size, size), rcond=1e-12))
+    return out
+
+
 def _change(triangles: Sequence[Array], moves: Sequence[Any], step: Array) -> float:
     """Change of the residual by a step, rms over the rows of the triangles [Wb]."""
     changes = [
@@ -336,5 +383,5 @@ def _uncertainty(
     turned = inverse @ across * np.array([held[name] for name in considered])
     shift = model_error * inverse @ np.stack(shifts).T
     own = coloured * np.outer(larger, larger) + shift @ shift.T
-    alike = size**2 * np.diag(inverse)
+    alike = _alike(H, [name not in UNCERTAIN for name in names])
     return own + turned @ turned.T, own, alike, residuals

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import Delaunay, QhullError
 
 from ..machines import AlgebraicSaturation
 from .fit import Fit
@@ -71,6 +70,8 @@ class FoundMap:
 
     def inside(self, current: ArrayLike) -> NDArray[np.bool_]:
         """Whether the log has visited these currents, or their mirror image, (...)."""
+        from scipy.spatial import Delaunay, QhullError
+
         i = np.asarray(current, complex)
         corners = np.stack([self.visited.real, self.visited.imag], -1)
         try:
@@ -161,6 +162,8 @@ def found_map(relation: Saturating, found: Fit) -> FoundMap:
 
 def _corners(current: Complex) -> Complex:
     """Corners of the convex hull of the currents, without the outermost few."""
+    from scipy.spatial import ConvexHull, QhullError
+
     kept = current
     for angle in np.linspace(0, np.pi, 8, endpoint=False):
         along = (current * np.exp(-1j * angle)).real
@@ -168,8 +171,6 @@ def _corners(current: Complex) -> Complex:
         at = (kept * np.exp(-1j * angle)).real
         kept = kept[(at >= low) & (at <= high)]
     try:
-        from scipy.spatial import ConvexHull
-
         return np.asarray(kept[ConvexHull(np.stack([kept.real, kept.imag], -1)).vertices])
     except QhullError:
         return kept

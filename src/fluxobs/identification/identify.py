@@ -28,10 +28,10 @@ from ..machines.written import with_found
 from ..model.flux_map import TableMap
 from ..observers.adaptive import INDUCTANCE_SHARE, default_inverter_std, default_resistance_std
 from ..validation import nearest
-from .fit import Fit, fit
+from .fit import UNCERTAIN, Fit, fit
 from .fitted import ADVICE, UNITS, Fitted, Parameter, in_the_file
 from .found_map import found_map
-from .pieces import SECONDS, Piece, pieces, smoothing_current, typical_length
+from .pieces import HARDER, SECONDS, Piece, offset_std, pieces, smoothing_current, typical_length
 from .relations import SATURATION, Cage, Mapped, Relation, Saturating, linear
 from .report import figure, lines, write
 from .slip import resistance_from_speed
@@ -49,6 +49,8 @@ ALIKE_LIMIT = 100.0
 UNSURE = {"R_s": 0.15, "L_s": 0.2, "L_d": 0.2, "L_q": 0.2, "psi_f": 0.05, "inverter": 0.02}
 UNSURE |= {"R_R": 0.15, "L_M": 0.15}
 LAG_UNSURE = 0.25
+#: Nor is a lag if the held parameters may turn it by more [samples].
+LAG_HELD = 1.0
 #: L_s and L_d show only through the current along the flux; if that is below this share of the
 #: whole (rms), what the model leaves out decides their value.
 ALONG_LIMIT = 0.15
@@ -63,6 +65,11 @@ MODEL_ERROR = 0.0003
 #: Length of a piece for a map [s]: the drift has to stand for so long, since five parameters of
 #: saturation can imitate one that changes.
 MAP_SECONDS = 2.0
+#: Shares of the harder knees before the log: mean and standard deviation.
+KNEE = (0.0, 1.0)
+#: No curve of a loss is quite the model: this share of the rest that grows with the current,
+#: i (1 - |i| / I) / I, is considered, as the adaptive observer does (docs/theory.md, section 13).
+CURVE_SHARE = 0.15
 #: Order in which parameters are held if they cannot be told apart.
 HELD_FIRST = ("lag", "L_d", "L_q", "L_s", "L_M", "R_R", "inverter", "R_s", "psi_f")
 #: Parameters of a cage, which only changes of its flux tell; a piece for them lasts this long [s],
@@ -218,6 +225,10 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
         held |= {name: INDUCTANCE_SHARE * given[name] for name in ROTOR}
     elif relation is not linear:
         held = {name: std for name, std in held.items() if not name.startswith("L_")}
+    if "inverter" in names:
+        names = (*names, *UNCERTAIN)
+        offset = (0.0, offset_std(machine, scales))
+        prior = prior | dict(zip(UNCERTAIN, (KNEE, KNEE, offset, offset), strict=True))
     error = MODEL_ERROR * _typical_flux(data) if MAP in free else 0.0
     scale = ("psi_f",) if given["psi_f"] > 0 and not isinstance(relation, Cage) else ()
     before = fit(data, given, scale, relation=relation)
@@ -236,7 +247,8 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
             break
         doubtful = next(name for name in HELD_FIRST if name in doubts)
         untold[doubtful] = doubts[doubtful]
-        names = tuple(name for name in names if name not in untold)
+        gone = (*untold, *(UNCERTAIN if "inverter" in untold else ()))
+        names = tuple(name for name in names if name not in gone)
         if not names:
             raise FluxobsError(_told_nothing(log, free, untold))
     told = found_map(relation, after) if isinstance(relation, Saturating) else None
@@ -257,7 +269,7 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
     ]
     if slip is not None:
         found.append(Parameter("R_R", UNITS["R_R"], _given(machine, "R_R", 0.0), *slip))
-    smoothing = smoothing_current(machine, scales)
+    smoothing = smoothing_current(machine, scales) * _hardness(after)
     changed = with_found(machine, in_the_file(found))
     if told is not None:
         changed = _with_map(changed, told.model, scales)
@@ -349,6 +361,7 @@ def starting_values(machine: RotatingMachine, data: Sequence[Piece]) -> dict[str
         "psi_f": 0.0,
         "inverter": machine.inverter_voltage or 0.0,
         "lag": 0.0,
+        **dict.fromkeys(UNCERTAIN, 0.0),
     }
     if len(machine.inductance_names) == 1:
         values["L_s"] = L_q
@@ -367,6 +380,7 @@ def _held(machine: RotatingMachine, scales: Scales) -> dict[str, float]:
     return {
         "R_s": default_resistance_std(machine),
         "inverter": default_inverter_std(machine, rated, link),
+        "curve": CURVE_SHARE,
         **dict(zip(names, stds, strict=True)),
     }
 
@@ -393,6 +407,12 @@ def _start(given: dict[str, float], found: Fit, names: Sequence[str]) -> dict[st
     if "L_s" in names:
         values["L_d"] = values["L_q"] = values["L_s"]
     return values
+
+
+def _hardness(found: Fit) -> float:
+    """The knee that loses as much as those that were found, over the usual one."""
+    shares = [found.values[name] for name in UNCERTAIN[: len(HARDER)]]
+    return float(np.clip(1 - np.dot(shares, 1 - np.array(HARDER)), min(HARDER), 3.0))
 
 
 def _given(machine: RotatingMachine, name: str, lag: float) -> float | None:
@@ -432,20 +452,25 @@ def _doubts(found: Fit, voltage: float) -> dict[str, str]:
     doubts = {}
     mapped = SATURATION[0] in found.free
     for k, name in enumerate(found.free):
+        if name in UNCERTAIN:
+            continue
         if mapped and (name in SATURATION or name == "psi_f"):
             continue  # its prior decides what the log does not; the map's std says so
         std, value = float(found.own[k]), found.values[name]
         others = [
             (abs(found.covariance[k, j]) / (std * found.std(other) + 1e-300), other)
             for j, other in enumerate(found.free)
-            if j != k
+            if j != k and other not in UNCERTAIN
         ]
         if found.alike[k] > ALIKE_LIMIT:
-            partner = max(others)[1]
+            partner = max(others)[1] if others else "the others"
             doubts[name] = f"it acts like {partner} in this log"
+            if "lag" in found.free:  # which then helps them to
+                which = name if partner == "lag" else f"{name} and {partner} together"
+                doubts.setdefault("lag", f"it acts like {which} in this log")
         elif name == "lag":
             at_edge = not LAGS[0] + 0.01 < value < LAGS[-1] - 0.01
-            if at_edge or std > LAG_UNSURE:
+            if at_edge or std > LAG_UNSURE or found.std(name) > LAG_HELD:
                 doubts[name] = "no lag fits better than another"
         elif std > UNSURE[name] * (voltage if name == "inverter" else abs(value)):
             doubts[name] = f"it is known only to ± {std:.2g} {UNITS[name]}"
