@@ -356,6 +356,13 @@ def test_aligned_by_the_speed_of_both(tmp_path):
     assert ahead == pytest.approx(0.05, abs=3e-3)
 
 
+@pytest.mark.parametrize(("shift", "said"), [(0.0, False), (0.05, True)])
+def test_clocks_that_overlap_but_differ_are_told(tmp_path, shift, said):
+    apart(tmp_path, shift=shift)
+    log = read_log(tmp_path / "i.csv", join=[str(tmp_path / "u.csv")])
+    assert any("--align auto takes that into account" in note for note in log.notes) == said
+
+
 def test_one_channel_a_file(tmp_path):
     """As LeCroy writes it: "Time,Ampl" below a preamble, named by its file."""
     u, i = signals(T)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..errors import RecordError
@@ -17,10 +19,26 @@ ROWS = 200_000
 COMMON = ("i_a", "i_b", "i_c", "i_alpha", "i_beta", "u_a", "u_b", "udc", "speed_mech", "theta_e")
 #: A peak of the correlation below this says nothing.
 LEAST = 0.5
+#: Of files that are joined by time, a warning is due if their contents say otherwise with such a
+#: peak, and by so many standard deviations, and samples.
+CLEAR, SURE, FAR = 0.8, 10.0, 50.0
 #: Peaks that are this close to the largest may be it as well.
 ALIKE = 0.98
 
 Side = tuple[Part, Table, Clock]
+
+
+def doubt_of_time(base: Side, other: Side) -> str | None:
+    """A warning where the contents of two files say that their clocks differ; None otherwise."""
+    try:
+        found = _found(base, other)
+    except RecordError:
+        return None
+    least = max(SURE * found.std, (1.5 if found.common else FAR) * base[2].sample_time)
+    nearest = min(abs(found.shift), abs(found.second or found.shift))
+    if found.peak < CLEAR or nearest < least:
+        return None
+    return f"{found.words}, though both have times: --align auto takes that into account"
 
 
 def aligned_by_content(base: Side, other: Side) -> tuple[float, str]:
@@ -34,6 +52,32 @@ def aligned_by_content(base: Side, other: Side) -> tuple[float, str]:
     RecordError
         The files have nothing in common that changes.
     """
+    found = _found(base, other)
+    words = found.words
+    if found.peak < LEAST:
+        raise RecordError(
+            f"{other[0].table.path}: --align auto: {words}; that is too little to rely on. Join by "
+            f"--align time or index"
+        )
+    if found.second is not None:
+        words += f"; {found.second:+.6g} s fits nearly as well, so check the result"
+    return found.shift, words
+
+
+@dataclass(frozen=True)
+class _Found:
+    """How the clock of a file differs: shift and standard deviation [s], the peak of the
+    correlation, a second shift that fits as well, and whether a column is in both files."""
+
+    shift: float
+    std: float
+    peak: float
+    second: float | None
+    common: bool
+    words: str
+
+
+def _found(base: Side, other: Side) -> _Found:
     step = min(base[2].sample_time, other[2].sample_time)
     one, two = _signals(base), _signals(other)
     common = [channel for channel in COMMON if channel in one and channel in two]
@@ -53,14 +97,9 @@ def aligned_by_content(base: Side, other: Side) -> tuple[float, str]:
     shift, peak, std, second = _correlate(a, b, step)
     shift += ta - tb
     words = f"by {what} its clock is {-shift:+.7g} s ahead (± {std:.2g} s; correlation {peak:.3f})"
-    if peak < LEAST:
-        raise RecordError(
-            f"{other[0].table.path}: --align auto: {words}; that is too little to rely on. Join by "
-            f"--align time or index"
-        )
     if second is not None:
-        words += f"; {second + ta - tb:+.6g} s fits nearly as well, so check the result"
-    return shift, words
+        second += ta - tb
+    return _Found(shift, std, peak, second, bool(common), words)
 
 
 def _signals(side: Side) -> dict[str, Array]:

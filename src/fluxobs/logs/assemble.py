@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import RecordError
 from ..model.frames import Frame, alphabeta_current
 from . import units
-from .align import aligned_by_content
+from .align import aligned_by_content, doubt_of_time
 from .clock import Clock
 from .formats import Table, missing_column
 from .guess import Guess, Part, base_part, electrical_or_mechanical, guess, parts_of, turn_of
@@ -189,13 +189,13 @@ def _joined(
                 )
             tables.append(other.table)
             continue
-        shift = 0.0
+        shift, sides = 0.0, [(one.part, one.table, one.clock) for one in (base, other)]
         if layout.align == "auto":
-            shift, words = aligned_by_content(
-                (base.part, base.table, base.clock), (other.part, other.table, other.clock)
-            )
+            shift, words = aligned_by_content(*sides)
             notes.append(f"{other.part.table.path.name}: {words}")
         _check_overlap(base, other, shift)
+        if layout.align == "time" and (doubt := doubt_of_time(*sides)) is not None:
+            notes.append(f"{other.part.table.path.name}: {doubt}")
         tables.append(
             ResampledTable(
                 other.table,
