@@ -9,6 +9,7 @@ import polars as pl
 import pytest
 
 from fluxobs import check, read_log
+from fluxobs.checking.mistakes import Linear
 from fluxobs.machines import example, example_text
 from support.cli import fluxobs
 from support.records import COURSE_TIME, PMSM, course, driven, log_columns, profile
@@ -70,6 +71,44 @@ def test_names_the_mistake(tmp_path, columns, kind, words):
     assert not finding.as_given
     assert words in str(finding)
     assert [f.kind for f in found.findings if not f.as_given] == [kind]
+
+
+def three_phases(letter):
+    x, y = COLUMNS[f"{letter}_alpha"], COLUMNS[f"{letter}_beta"]
+    return {f"{letter}_{p}": x * c + y * s for p, c, s in zip("abc", *_AXES, strict=True)}
+
+
+_AXES = ((1.0, -0.5, -0.5), (0.0, SQRT3 / 2, -SQRT3 / 2))
+
+
+@pytest.mark.parametrize("phase", ["a", "b", "c"])
+@pytest.mark.parametrize("measured", ["ab", "bc", "ac", "abc"])
+def test_one_current_sensor_is_inverted(tmp_path, measured, phase):
+    if phase not in measured:
+        pytest.skip("has no sensor")
+    currents = {name: values for name, values in three_phases("i").items() if name[-1] in measured}
+    currents[f"i_{phase}"] = -currents[f"i_{phase}"]
+    columns = {"t": COLUMNS["t"]} | three_phases("u") | currents
+    found = check(log_of(tmp_path, columns), PMSM)
+    (finding,) = found.mistakes
+    assert f"i_{phase} has the opposite sign (--scale i_{phase}=-1)" in str(finding)
+
+
+def test_voltages_to_neutral_read_as_line_to_line(tmp_path):
+    u = three_phases("u")
+    columns = COLUMNS | {"u_ab": u["u_a"], "u_bc": u["u_b"]}
+    columns = {n: v for n, v in columns.items() if not n.startswith(("u_al", "u_be"))}
+    columns |= {n: v for n, v in three_phases("i").items() if n != "i_c"}
+    columns = {n: v for n, v in columns.items() if not n.startswith(("i_al", "i_be"))}
+    (finding,) = check(log_of(tmp_path, columns, frame="line"), PMSM).mistakes
+    assert "voltages are of phases a and b to neutral (--frame abc" in str(finding)
+
+
+def test_linear_maps_in_a_row():
+    rng = np.random.default_rng(0)
+    one, other = (Linear(*(rng.standard_normal(2) + 1j * rng.standard_normal(2))) for _ in "ab")
+    z = rng.standard_normal(5) + 1j * rng.standard_normal(5)
+    np.testing.assert_allclose(other.after(one)(z), other(one(z)))
 
 
 def test_a_resistance_line_to_line(tmp_path):

@@ -89,9 +89,18 @@ def _sum(signals: dict[str, Array]) -> list[Finding]:
     phases = np.stack([_smooth(signals[name]) for name in PHASE_CURRENTS])
     phases = phases[:, np.isfinite(phases).all(axis=0)]
     phases = phases - phases.mean(axis=1, keepdims=True)
-    share = float(np.sqrt(np.mean(phases.sum(axis=0) ** 2) / (np.mean(phases**2) + 1e-300)))
+
+    def sum_of(phases: Array) -> float:
+        power = np.mean(phases.sum(axis=0) ** 2) / (np.mean(phases**2) + 1e-300)
+        return float(np.sqrt(power))
+
+    share = sum_of(phases)
     if share < SUM:
         return []
+    for n, name in enumerate(PHASE_CURRENTS):
+        if sum_of(phases * np.where(np.arange(3) == n, -1.0, 1.0)[:, None]) < SUM:
+            words = f"{name} has the opposite sign (--scale {name}=-1): the sum is zero with that"
+            return [Finding("columns", words, False)]
     return [
         Finding(
             "columns",

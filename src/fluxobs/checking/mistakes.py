@@ -23,19 +23,39 @@ ODDS = 5.0
 
 @dataclass(frozen=True)
 class Linear:
-    """z → turn · z, or turn · conj(z); phases a and b taken as α and β are put right before."""
+    """z → turn · z + mirror · conj(z): any linear map of a vector."""
 
     turn: complex = 1.0
-    mirrored: bool = False
-    phases: bool = False
+    mirror: complex = 0.0
 
     def __call__(self, z: Complex) -> Complex:
-        if self.phases:
-            z = z.real + 1j * (z.real + 2 * z.imag) / np.sqrt(3)
-        return np.asarray(self.turn * (z.conj() if self.mirrored else z))
+        if not self.mirror:
+            return np.asarray(self.turn * z)
+        return np.asarray(self.turn * z + self.mirror * z.conj())
+
+    def after(self, first: Linear) -> Linear:
+        """Both, `first` before this one."""
+        return Linear(
+            self.turn * first.turn + self.mirror * first.mirror.conjugate(),
+            self.turn * first.mirror + self.mirror * first.turn.conjugate(),
+        )
 
 
 SAME = Linear()
+
+
+def _linear(matrix: Array) -> Linear:
+    """From a matrix that acts on (α, β)."""
+    (a, b), (c, d) = matrix
+    return Linear(complex(a + d, c - b) / 2, complex(a - d, c + b) / 2)
+
+
+#: Two of three phases → αβ, where the sum of all three is zero.
+_TWO = {
+    "ab": np.array([[1.0, 0.0], [1 / np.sqrt(3), 2 / np.sqrt(3)]]),
+    "bc": np.array([[-1.0, -1.0], [1 / np.sqrt(3), -1 / np.sqrt(3)]]),
+    "ac": np.array([[1.0, 0.0], [-1 / np.sqrt(3), -2 / np.sqrt(3)]]),
+}
 
 
 @dataclass(frozen=True)
@@ -105,9 +125,29 @@ def _scaled(words: str, voltage: float = 1.0, current: float = 1.0) -> Mistake:
     return Mistake("scale", words, resistance=ratio, inductance=ratio, flux=voltage)
 
 
-SIGN = [Mistake("sign", "the current has the opposite sign (scale it by -1)", Linear(-1.0))]
+#: Negated voltages do the same: the relation does not tell which, for it holds half a turn on.
+SIGN = [
+    Mistake(
+        "sign",
+        "currents and voltages have opposite signs (scale the current by -1; or the voltage if "
+        "that is negated, as by inverted duties: the angle is half a turn off else)",
+        Linear(-1.0),
+    )
+]
+
+
+def one_inverted(measured: str) -> list[Mistake]:
+    """One of two currents is inverted; `measured` are the phases that have a sensor, as "ab"."""
+    out = []
+    for n, phase in enumerate(measured):
+        turned = _TWO[measured] @ np.diag([-1.0 if k == n else 1.0 for k in range(2)])
+        words = f"i_{phase} has the opposite sign (--scale i_{phase}=-1)"
+        out.append(Mistake("sign", words, _linear(turned @ np.linalg.inv(_TWO[measured]))))
+    return out
+
+
 PHASES = [
-    Mistake("phases", f"the current's {words}", Linear(turn, mirrored))
+    Mistake("phases", f"the current's {words}", Linear(0.0, turn) if mirrored else Linear(turn))
     for words, mirrored, turn in (
         ("phases b and c are exchanged", True, 1.0),
         ("phases a and b are exchanged", True, _turn(120)),
@@ -122,10 +162,18 @@ FRAME = [
     Mistake(
         "frame",
         "phases a and b were given as α and β (--frame abc)",
-        Linear(phases=True),
-        Linear(phases=True),
+        _linear(_TWO["ab"]),
+        _linear(_TWO["ab"]),
     ),
-    Mistake("frame", "the currents of phases a and b were given as α and β", Linear(phases=True)),
+    Mistake("frame", "the currents of phases a and b were given as α and β", _linear(_TWO["ab"])),
+]
+#: Of what was read as u_ab and u_bc.
+NEUTRAL = [
+    Mistake(
+        "scale",
+        "voltages are of phases a and b to neutral (--frame abc --column u_a=… u_b=…)",
+        voltage=Linear(np.sqrt(3) * _turn(30)),
+    )
 ]
 #: Line voltages u_ab, u_bc, u_ca given as phase voltages lead those by 30° and are √3 as large.
 LINE = [
@@ -182,16 +230,10 @@ KINDS = tuple(RIGHT)
 
 def together(one: Mistake, other: Mistake) -> Mistake:
     """Both mistakes, put right; of one kind the other replaces the one."""
-    first, second = one.current, other.current
-    current = Linear(
-        second.turn * (first.turn.conjugate() if second.mirrored else first.turn),
-        first.mirrored != second.mirrored,
-        first.phases or second.phases,
-    )
     return replace(
         other,
-        current=current,
-        voltage=other.voltage if other.voltage != SAME else one.voltage,
+        current=other.current.after(one.current),
+        voltage=other.voltage.after(one.voltage),
         lag=one.lag + other.lag,
         resistance=one.resistance * other.resistance,
         inductance=one.inductance * other.inductance,

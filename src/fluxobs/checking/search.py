@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..logs.log import Log
 from ..logs.scales import Scales, measure_scales
 from ..machines import RotatingMachine
+from ..model.frames import PHASE_CURRENTS
 from ..model.inverter import SMOOTHING
 from .columns import columns
 from .findings import UNSEEN, Check, Finding
@@ -23,12 +24,15 @@ from .mistakes import (
     KINDS,
     LAG,
     LINE,
+    NEUTRAL,
     ODDS,
     PHASES,
     RIGHT,
+    SAME,
     SCALES,
     SIGN,
     Mistake,
+    one_inverted,
     together,
 )
 from .relation import INVERTER, MODEL, PSI, Fit, R, Relation, positions, rows
@@ -45,6 +49,8 @@ BAD = 0.2
 FIRST = ("columns", "angle")
 #: A parameter with a smaller standard deviation of its logarithm is told.
 KNOWN = 0.1
+#: A magnet flux that is n_p times too large to within this share says that the angle is mechanical.
+ALMOST = 0.05
 #: A voltage of more standard deviations is told.
 CLEAR = 3.0
 #: Mistakes that are looked for one upon another.
@@ -70,8 +76,34 @@ class Tried:
         return self.fit.misfit / level + self.fit.distance + self.odds
 
 
-def alternatives(machine: RotatingMachine, frame: str) -> list[Mistake]:
-    """Mistakes that are possible for this machine and frame, the simpler ones first."""
+@dataclass(frozen=True)
+class End:
+    """Where a search ends.
+
+    Attributes
+    ----------
+    given, best : Tried
+    found : list of Mistake
+    instead : dict
+        What may be in its place, by kind.
+    around : list of Tried
+        The best, and every other mistake upon it.
+    level : float
+        What misfits are divided by.
+    """
+
+    given: Tried
+    best: Tried
+    found: list[Mistake]
+    instead: dict[str, tuple[str, ...]]
+    around: list[Tried]
+    level: float
+
+
+def alternatives(machine: RotatingMachine, log: Log) -> list[Mistake]:
+    """Mistakes that are possible for this machine and log, the simpler ones first."""
+    frame = log.frame
+    measured = "".join(name[-1] for name in PHASE_CURRENTS if name in log.names)
     both = [
         replace(together(sign, phases), kind="phases", words=f"{phases.words}, and {sign.words}")
         for sign in SIGN
@@ -82,8 +114,9 @@ def alternatives(machine: RotatingMachine, frame: str) -> list[Mistake]:
         scales.remove(FACTOR[-1])
     file = [one for one in FILE if machine.magnets or not one.only_flux]
     frames = FRAME if frame == "alphabeta" else []
-    line = LINE if frame == "abc" else []
-    return [*file, *SIGN, *PHASES, *LAG, *frames, *line, *scales, *both]
+    line = {"abc": LINE, "line": NEUTRAL}.get(frame, [])
+    single = one_inverted(measured) if len(measured) == 2 else []
+    return [*file, *SIGN, *single, *PHASES, *LAG, *frames, *line, *scales, *both]
 
 
 class Search:
@@ -130,6 +163,33 @@ class Search:
         more = ODDS if mistake.kind else 0.0
         return Tried(mistake, whole, fit, odds + more, relation.data.size)
 
+    def run(self, tries: list[Mistake], progress: Callable[[int, int], Any] | None) -> End:
+        """Put right what explains the log best, one mistake upon another."""
+        best = given = self.attempt(AS_GIVEN, AS_GIVEN, 0.0)
+        found: list[Mistake] = []
+        instead: dict[str, tuple[str, ...]] = {}
+        while True:
+            around = [best]
+            for n, mistake in enumerate(tries):
+                if mistake.kind not in {one.kind for one in found}:
+                    around.append(self.attempt(best.whole, mistake, best.odds))
+                if progress is not None:
+                    progress(len(found) * len(tries) + n + 1, (len(found) + 1) * len(tries))
+            around = [self.again(one, around) for one in around]
+            best = around[0]
+            given = best if not found else given
+            share = min(one.fit.share for one in around)
+            level = max(1.0, (share / MODEL) ** 2)
+            least = min(one.cost(level) for one in around)
+            if best.cost(level) <= least or len(found) == DEEPEST:
+                return End(given, best, found, instead, around, level)
+            alike = [one for one in around[1:] if one.cost(level) < least + TOLD]
+            best = alike[0]  # the simplest
+            found.append(best.mistake)
+            instead[best.mistake.kind] = tuple(
+                dict.fromkeys(one.mistake.words for one in alike[1:])
+            )
+
 
 def check_log(
     log: Log,
@@ -142,42 +202,27 @@ def check_log(
     seen = columns(log)
     if any(finding.kind in FIRST for finding in seen):
         return Check(tuple(seen), None, None, ("Mend that first; nothing else was tried.",))
-    data = stretches(log, machine)
-    search = Search(machine, data, measure_scales(log) if scales is None else scales)
-    tries = alternatives(machine, log.frame)
-    best = given = search.attempt(AS_GIVEN, AS_GIVEN, 0.0)
-    found: list[Mistake] = []
-    instead: dict[str, tuple[str, ...]] = {}  # what may be in its place, by kind
-    while True:
-        around = [best]
-        for n, mistake in enumerate(tries):
-            if mistake.kind not in {one.kind for one in found}:
-                around.append(search.attempt(best.whole, mistake, best.odds))
-            if progress is not None:
-                progress(len(found) * len(tries) + n + 1, (len(found) + 1) * len(tries))
-        around = [search.again(one, around) for one in around]
-        best = around[0]
-        given = best if not found else given
-        share = min(one.fit.share for one in around)
-        level = max(1.0, (share / MODEL) ** 2)
-        least = min(one.cost(level) for one in around)
-        if best.cost(level) <= least or len(found) == DEEPEST:
-            break
-        alike = [one for one in around[1:] if one.cost(level) < least + TOLD]
-        best = alike[0]  # the simplest
-        found.append(best.mistake)
-        instead[best.mistake.kind] = tuple(dict.fromkeys(one.mistake.words for one in alike[1:]))
+    measured = measure_scales(log) if scales is None else scales
+    tries = alternatives(machine, log)
+    search = Search(machine, stretches(log, machine), measured)
+    end = search.run(tries, progress)
+    if (vectors := (end.best.whole.current, end.best.whole.voltage)) != (SAME, SAME):
+        # Wrong vectors choose stretches by an EMF that is none.
+        search = Search(machine, stretches(log, machine, *vectors), measured)
+        end = search.run(tries, progress)
+    given, best, found, around = end.given, end.best, end.found, end.around
     if not best.fit.share < BAD:
         return _nothing_fits(log, machine, search, seen, given)
     findings = [
-        _finding(kind, best, found, instead, around, level, log.layout.lag, machine.flux_name)
+        _finding(kind, end, log.layout.lag, machine.flux_name)
         for kind in KINDS
         if any(mistake.kind == kind for mistake in tries)
     ]
     fits = _fits(best, machine)
-    findings = [_scaled(one, best, machine, fits) for one in findings]
+    findings = [_scaled(one, best, machine, fits, log.current_frame) for one in findings]
     true = log.true
     notes = (UNSEEN,) if true is None or true.channel.startswith("speed") else ()
+    data = search.data
     if true is not None and not true.guessed and true.angular and data.truth is not None:
         at = positions(data.current.shape[1])
         lags = {one.mistake.lag: one.fit for one in around if one.mistake.kind == "lag"}
@@ -228,24 +273,17 @@ def _other_kind(machine: RotatingMachine, search: Search) -> str | None:
     return None
 
 
-def _finding(
-    kind: str,
-    best: Tried,
-    found: list[Mistake],
-    instead: dict[str, tuple[str, ...]],
-    around: list[Tried],
-    level: float,
-    lag: float,
-    flux_name: str,
-) -> Finding:
+def _finding(kind: str, end: End, lag: float, flux_name: str) -> Finding:
+    best, around, level = end.best, end.around, end.level
+
     def words(mistake: Mistake) -> str:
         if kind == "lag":
             return f"{lag + mistake.lag:+g}"
         return mistake.words.replace("psi_f", flux_name)
 
-    taken = next((mistake for mistake in found if mistake.kind == kind), None)
+    taken = next((mistake for mistake in end.found if mistake.kind == kind), None)
     if taken is not None:
-        return Finding(kind, words(taken), False, instead[kind])
+        return Finding(kind, words(taken), False, end.instead[kind])
     right = f"{lag:+g}" if kind == "lag" else RIGHT[kind]
     others = [one for one in around if one.mistake.kind == kind]
     cost = best.cost(level)
@@ -280,13 +318,17 @@ def _fits(best: Tried, machine: RotatingMachine) -> str:
     return "; ".join(parts)
 
 
-def _scaled(finding: Finding, best: Tried, machine: RotatingMachine, fits: str) -> Finding:
+def _scaled(
+    finding: Finding, best: Tried, machine: RotatingMachine, fits: str, frame: str
+) -> Finding:
     """Say of a finding on scales what fits."""
     if finding.kind != "scale":
         return finding
     words = finding.words
     if not finding.as_given and any(best.whole.loose):
         words = f"{words}: {_likely(best, machine)}"
+        if frame == "dq" and abs(np.exp(best.fit.values[PSI]) / machine.n_p - 1) < ALMOST:
+            words += f"; is theta_e the mechanical angle? Then --scale theta_e={machine.n_p}"
     parts = [fits, finding.sure]
     if best.fit.std[R] >= KNOWN:
         parts.append("steps of load or speed would show R_s")
@@ -298,7 +340,8 @@ def _likely(best: Tried, machine: RotatingMachine) -> str:
     values, loose = np.exp(best.fit.values), best.whole.loose
     k = min(np.flatnonzero(loose), key=lambda n: best.fit.std[n])
     if sum(loose) > 1:  # of voltages the parameters have the scale, of currents its inverse
-        return f"multiply them by about {1 / values[k] if loose[PSI] else values[k]:.3g}"
+        factor = 1 / values[k] if loose[PSI] else values[k]
+        return f"multiply them by about {factor:.3g}, or is the file that of another machine?"
     if k == PSI:
         return f"{values[k] * (machine.magnet_flux or 0.0):.3g} Wb fits"
     if k == R:

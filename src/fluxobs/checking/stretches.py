@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from ..model.held import without_kinks
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Change = Callable[[Complex], Complex]
 
 #: Lags of the voltage that are tried, relative to the given one [samples].
 LAGS = (-2, -1, 0, 1, 2)
@@ -52,6 +54,10 @@ class Stretches:
     current: Complex
     voltage: dict[int, Complex]
     truth: Array | None
+
+
+def _same(values: Complex) -> Complex:
+    return values
 
 
 def _complex(values: Array) -> Complex:
@@ -131,8 +137,13 @@ def _spread(features: Array) -> list[int]:
     return sorted(chosen)
 
 
-def stretches(log: Log, machine: RotatingMachine) -> Stretches:
-    """Cut stretches out of a log of a machine with about this resistance [Ω].
+def stretches(
+    log: Log, machine: RotatingMachine, current_as: Change = _same, voltage_as: Change = _same
+) -> Stretches:
+    """Cut stretches out of a log of a machine with about this resistance.
+
+    They are chosen as if the vectors were changed by `current_as` and `voltage_as`, but not
+    changed.
 
     Raises
     ------
@@ -147,8 +158,9 @@ def stretches(log: Log, machine: RotatingMachine) -> Stretches:
         current.append(_cleaned(part.current))
         voltage.append(without_kinks(_cleaned(part.voltage), share))
         truths.append(part.truth)
-    least = _resistance(voltage, current, machine.R_s)
-    emf = [u - least * i for u, i in zip(voltage, current, strict=True)]
+    right, right_u = [current_as(i) for i in current], [voltage_as(u) for u in voltage]
+    least = _resistance(right_u, right, machine.R_s)
+    emf = [u - least * i for u, i in zip(right_u, right, strict=True)]
     rows = _rows(emf, log.sample_time)
     places, features = [], []
     for k, i in enumerate(current):
@@ -158,8 +170,8 @@ def stretches(log: Log, machine: RotatingMachine) -> Stretches:
             if not good[max(0, first + LAGS[0]) : first + rows + LAGS[-1]].all():
                 continue
             cut = slice(first, first + rows)
-            u, size = emf[k][cut], float(np.abs(i[cut]).mean())
-            angle = np.vdot(u, i[cut]) / (np.abs(u).sum() + 1e-300)
+            u, size = emf[k][cut], float(np.abs(right[k][cut]).mean())
+            angle = np.vdot(u, right[k][cut]) / (np.abs(u).sum() + 1e-300)
             places.append((k, cut))
             features.append([float(np.abs(u).mean()), size, angle.real, angle.imag])
     if not places:
