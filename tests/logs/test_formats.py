@@ -145,6 +145,42 @@ def test_the_end_of_a_path_suffices_where_it_is_unique(tmp_path):
     assert log.names["i_a"] == "run/adc0/i_a"
 
 
+def test_matrices_and_objects_in_an_archive(tmp_path):
+    three = np.stack(list(SIGNALS.values())[2:], axis=1)
+    np.savez(tmp_path / "log.npz", t=T, iabc=three, uabc=three.T, note=np.array([None, "x"]))
+    (table,) = open_tables(tmp_path / "log.npz")
+    assert {"t", "iabc[0]", "uabc[2]"} <= set(table.columns)
+    (part,) = table.batches(["uabc[1]"], 0, 9)
+    np.testing.assert_array_equal(part["uabc[1]"], SIGNALS["u_b"][:9])
+
+
+def test_sheets_with_times_of_their_own(tmp_path):
+    pytest.importorskip("fastexcel")
+    from xlsxwriter import Workbook
+
+    head = {name: values[:200] for name, values in ({"t": T} | SIGNALS).items()}
+    with Workbook(tmp_path / "log.xlsx") as book:
+        for sheet, letter in (("I", "i"), ("U", "u")):
+            columns = {n: v for n, v in head.items() if n == "t" or n.startswith(letter)}
+            pl.DataFrame(columns).write_excel(book, sheet)
+    log = read_log(tmp_path / "log.xlsx")
+    assert log.names["i_a"] == "I/i_a"
+    part = next(log.aligned())
+    u_a, u_b, u_c = (SIGNALS[name][:200] for name in ("u_a", "u_b", "u_c"))
+    np.testing.assert_allclose(part.voltage[1:, 0], ((2 * u_a - u_b - u_c) / 3)[:-1], atol=1e-9)
+
+
+def test_groups_that_are_named_as_phases(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["time"] = T
+        for name, values in SIGNALS.items():
+            file[{"i": "currents", "u": "voltages"}[name[0]] + "/" + name[-1]] = values
+    log = read_log(tmp_path / "log.h5")
+    assert log.names["u_c"] == "voltages/c"
+    assert "i_a" not in log.layout.unit
+
+
 def test_rows_in_json(tmp_path):
     rows = pl.DataFrame({"t": T[:100]} | {n: v[:100] for n, v in SIGNALS.items()})
     (tmp_path / "log.json").write_text(rows.write_json())

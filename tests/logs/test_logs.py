@@ -309,6 +309,81 @@ def test_missing_values_become_nan(tmp_path):
     assert np.flatnonzero(np.isnan(i[:, 0])).tolist() == [19, 20, 21]
 
 
+# ---- what columns are taken for ---------------------------------------------------------------
+
+AB, BC = (np.array([[1.5, -np.sqrt(3) / 2], [0, np.sqrt(3)]]) @ U.T)[:2]
+T = {"t": K * H}
+
+
+def named(prefix, values):
+    return dict(zip((f"{prefix}{n}" for n in range(3)), values, strict=True))
+
+
+def test_columns_that_are_counted_from_zero():
+    check(read(T | named("u", phases(U)) | named("i", phases(I))))
+    bracketed = {f"vabc[{n}]": v for n, v in enumerate(phases(U))}
+    check(read(T | bracketed | {f"iabc[{n}]": v for n, v in enumerate(phases(I))}))
+
+
+def test_measured_currents_go_before_setpoints():
+    a, b, c = phases(I)
+    wanted = {"ia_ref": a + 1, "ib_cmd": b - 1, "i_c*": c}
+    columns = T | dict(zip(("ua", "ub", "uc"), phases(U), strict=True)) | wanted
+    check(read(columns | {"ia": a, "ib": b, "ic_meas": c}))
+    log = read_log({n: v for n, v in columns.items() if n != "i_c*"})
+    assert any("ia_ref is a setpoint by its name" in note for note in log.notes)
+
+
+@pytest.mark.parametrize("missing", ["ua", "ub", "uc"])
+def test_two_voltages_to_neutral(missing):
+    voltages = dict(zip(("ua", "ub", "uc"), phases(U), strict=True))
+    del voltages[missing]
+    found = read(T | voltages | dict(zip(("ia", "ib"), phases(I)[:2], strict=True)))
+    check(found)
+    assert any(f"u_{missing[1]} is taken as -(" in note for note in found[0].notes)
+
+
+@pytest.mark.parametrize(
+    "voltages",
+    [
+        {"uab": AB, "ubc": BC},
+        {"uab": AB, "uca": -AB - BC},
+        {"ubc": BC, "uca": -AB - BC},
+        {"uab": AB, "ubc": BC, "uca": -AB - BC},
+    ],
+)
+def test_two_line_voltages_of_three(voltages):
+    check(read(T | voltages | dict(zip(("ia", "ib"), phases(I)[:2], strict=True))))
+
+
+def test_duties_of_either_sign():
+    size = 1.2 * np.abs(phases(U)).max()
+    duties = {f"duty_{p}": v / size for p, v in zip("abc", phases(U), strict=True)}
+    columns = T | duties | {"vdc": np.full(ROWS, 2 * size)}
+    found = read(columns | dict(zip(("ia", "ib"), phases(I)[:2], strict=True)))
+    check(found)
+    assert sum("taken to be in -1..1" in note for note in found[0].notes) == 1
+
+
+def test_a_nameless_index_is_time(tmp_path):
+    path = csv(tmp_path / "log.csv", PLAIN)
+    path.write_text(path.read_text().replace("t,", ",", 1))
+    found = read(path)
+    check(found)
+    assert any("'column 1', which rises evenly, is taken for t" in n for n in found[0].notes)
+
+
+def test_all_that_is_missing_is_named():
+    columns = T | dict(zip(("ua", "ub", "uc"), phases(U), strict=True))
+    with pytest.raises(RecordError, match=r"no column .i_a. .*; i_b is missing too"):
+        read_log(columns)
+
+
+def test_stamps_that_stand(tmp_path):
+    with pytest.raises(RecordError, match="time runs backwards or stands still"):
+        read_log(PLAIN | {"t": np.full(ROWS, 1.7e9)})
+
+
 # ---- broken files --------------------------------------------------------------------------
 
 
@@ -380,9 +455,11 @@ def test_text_in_a_parquet_column(tmp_path):
 
 
 def test_arrays_of_different_length(tmp_path):
-    np.savez(tmp_path / "log.npz", **(PLAIN | {"u_beta": np.zeros(3)}))
+    np.savez(tmp_path / "log.npz", **(PLAIN | {"u_beta": np.zeros(150)}))
+    with pytest.raises(RecordError, match=r"u_beta have 150 rows and no times, where .* 200 rows"):
+        read_log(tmp_path / "log.npz")
     with pytest.raises(RecordError, match=r"differ in length.*u_beta 3"):
-        open_tables(tmp_path / "log.npz")
+        read_log(PLAIN | {"u_beta": np.zeros(3)})
 
 
 def test_sample_time(tmp_path):

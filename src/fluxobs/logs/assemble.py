@@ -85,11 +85,13 @@ def _check_columns(parts: Sequence[Part], found: Guess) -> None:
     path = parts[0].table.path
     truth = found.fields.get("truth", {})
     several = {channel: name for channel, name in truth.items() if name not in available}
+    missing = [c for c, name in found.channels.items() if name not in available]
     for option, wanted in (("--column", found.channels), ("--truth", truth)):
         for channel, name in wanted.items():
             for one in several.get(channel, name).split(",") if option == "--truth" else [name]:
                 if one.strip() not in available and name not in available:
-                    raise missing_column(path, available, one.strip(), channel, option)
+                    also = [c for c in missing if c != channel]
+                    raise missing_column(path, available, one.strip(), channel, option, also)
 
 
 def _decide_angle(found: Guess) -> None:

@@ -90,12 +90,16 @@ def list_channels(*paths: str | Path, header: str | None = None) -> Listing:
     taken: dict[str, str] = {}
     try:
         found = guess(parts, {}, ROTATING)
+        taken_from = found.columns.part_of
         taken = {name: channel for channel, name in found.channels.items()}
         columns, truth = found.columns, found.fields.get("truth", {})
         for channel, several in truth.items():
             for name in [several] if several in columns.part_of else several.split(","):
                 taken[name] = "true angle" if channel == "theta" else f"truth {channel}"
         notes += found.notes
+        missing = [channel for channel, name in found.channels.items() if name not in taken_from]
+        if missing:
+            notes.append(f"nothing is found for {', '.join(missing)}: --column {missing[0]}=COLUMN")
     except FluxobsError as error:
         notes.append(str(error))
     channels = [

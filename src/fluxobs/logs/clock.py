@@ -132,6 +132,8 @@ class _Reader:
         if not np.median(steps) > 0 and not self.rounding > 0:
             self._backwards(head, 0, int(np.argmax(steps <= 0)))
         self.step, self.typical = self._typical(steps)
+        if not self.step > 0:
+            self._backwards(head, 0, 0)
         share = (given or self.typical) / self.rounding if self.rounding else 0.0
         if abs(share - round(share)) < WHOLE and round(share) > 0:
             self.rounding = 0.0  # rounding moves no stamp

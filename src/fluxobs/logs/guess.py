@@ -7,7 +7,8 @@ guessed is said in `notes`, in words that the user can check.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from ..model.frames import CURRENTS, PHASE_CURRENTS, VOLTAGES, Frame
 from . import units
 from .formats import Table, read_rows
 from .layout import CONVERTING, NO_COLUMN, NO_TRUTH, words_for
-from .names import Named, leaf, read_name
+from .names import Named, is_setpoint, leaf, read_name
 from .resample import Array
 
 #: Rows that are looked at.
@@ -32,6 +33,8 @@ STEPS = (2e-5, 2e-2)
 #: Cosines of the angles between two phases, and how far noise and offsets move them.
 BETWEEN = {"phases": -0.5, "axes": 0.0}
 NEAR = 0.2
+#: A duty below minus this is one of −1 … 1.
+NEGATIVE = 0.02
 #: What an angle's wrap shows: size of a full turn → its unit.
 TURNS = {
     360.0: "deg",
@@ -101,11 +104,12 @@ class Columns:
         self.part_of = {name: part for part in parts for name in part.columns}
         self.units: dict[str, str] = {}
         self.by_channel: dict[str, list[str]] = {}
+        counted = _from_one(self.part_of)
         for part in parts:
             said = part.table.said
             for name, column in part.columns.items():
                 exact = leaf(name)
-                read = Named(exact) if exact in _KNOWN else read_name(name)
+                read = Named(exact) if exact in _KNOWN else read_name(counted.get(name, name))
                 channel = read.channel
                 if unit := said.units.get(column, read.unit):
                     self.units[name] = unit
@@ -118,6 +122,9 @@ class Columns:
                     first = sum(leaf(one) == channel for one in found)
                     found.insert(first if exact == channel else len(found), name)
             self._by_file(part)
+        for channel, names in self.by_channel.items():
+            if channel.startswith(("i_", "theta")):  # measured ones go first
+                names.sort(key=is_setpoint)
         for channel, name in given.items():
             self.by_channel[channel] = [self.resolve(name)]
 
@@ -145,6 +152,24 @@ class Columns:
         return self.by_channel.get(channel, [channel])[0]
 
 
+def _from_one(names: Iterable[str]) -> dict[str, str]:
+    """Names of three that are counted from zero, as x[0] x[1] x[2], counted from one."""
+    stems: dict[tuple[str, str], dict[int, str]] = {}
+    for name in names:
+        if found := _COUNTED.match(name):
+            stems.setdefault((found[1], found[3]), {})[int(found[2])] = name
+    return {
+        name: f"{stem}{n + 1}{rest}"
+        for (stem, rest), of in stems.items()
+        if set(of) == {0, 1, 2}
+        for n, name in of.items()
+    }
+
+
+#: Names of a column that has none, as of the index of a data frame.
+_NAMELESS = re.compile(r"^(column 1|unnamed: 0|index|)$", re.IGNORECASE)
+#: A name that ends in a digit, perhaps in brackets, perhaps before a unit.
+_COUNTED = re.compile(r"^(.*?)(\d)([\])]?(?:\s*[\[({/,].*)?)$")
 _KNOWN = (
     *("t", "theta_e", "theta_mech", "position", "speed_mech", "speed_e"),
     *dict.fromkeys(name for table in (VOLTAGES, CURRENTS) for v in table.values() for name in v),
@@ -199,6 +224,11 @@ def guess(parts: Sequence[Part], fields: Mapping[str, Any], frames: Sequence[Fra
 def _needed(frame: Frame, columns: Columns, fields: Mapping[str, Any]) -> list[str]:
     """Channels of a frame, with the third phase current if there is one."""
     voltages = [name for name in VOLTAGES[frame] if name != "udc" or "udc" not in fields]
+    if frame in ("abc", "line"):  # two of three will do
+        present = [name for name in voltages if columns.has(name)]
+        least = 2 if frame == "line" or len(present) >= 2 else 3
+        voltages = present if len(present) >= least else voltages[:least]
+        voltages = voltages[:2] if frame == "line" else voltages
     frame_of_currents = _current_frame(frame, columns, fields) or frame
     currents = list(CURRENTS[frame_of_currents])
     if tuple(currents) == PHASE_CURRENTS:
@@ -263,6 +293,21 @@ def _take_time(columns: Columns, fields: Mapping[str, Any], out: Guess) -> None:
         if columns.part_of.get(name) is base and not _is_index(base, name):
             out.channels["t"] = name
             return
+    for name, column in base.columns.items():
+        if _NAMELESS.match(leaf(column)) and _looks_like_time(base.read(name, rows=1000)):
+            columns.by_channel["t"] = [name]
+            out.channels["t"] = name
+            out.notes.append(f"{name!r}, which rises evenly, is taken for t (else --column t=-)")
+            return
+
+
+def _looks_like_time(values: Array) -> bool:
+    """Whether values rise by steps that are alike, and are no numbers of rows."""
+    steps = np.diff(values)
+    if len(steps) < 10 or not np.isfinite(steps).all() or not steps.min() > 0:
+        return False
+    usual = float(np.median(steps))
+    return bool(np.median(np.abs(steps - usual)) < 0.2 * usual and not (steps == 1).all())
 
 
 def _is_index(part: Part, name: str) -> bool:
@@ -336,7 +381,8 @@ def _take_units(columns: Columns, out: Guess) -> None:
             )
         elif found := _unit_by_values(channel, columns.part_of[name].read(name)):
             chosen[channel] = found
-            out.notes.append(_VALUES_SAY[kind].format(channel=channel, unit=found))
+            note = _VALUES_SAY[kind].format(channel=channel, unit=found)
+            out.notes += [note] if note not in out.notes else []
     if chosen:
         out.fields["unit"] = chosen
 
@@ -345,7 +391,8 @@ _VALUES_SAY = {
     "time": "t has no unit; by its steps it is taken to be in {unit} (else --unit t=…)",
     "angle": "{channel} has no unit; by its wraps it is taken to be in {unit} "
     "(else --unit {channel}=…)",
-    "duty": "{channel} has no unit; by its size it is taken to be in {unit} (else --unit duty=…)",
+    "duty": "duties have no unit; by their size they are taken to be in {unit} (else --unit "
+    "duty=…)",
 }
 
 
@@ -369,6 +416,8 @@ def _unit_by_values(channel: str, values: Array) -> str | None:
         return turn_of(values)
     elif kind == "duty":
         most = float(np.abs(values).max())
+        if most <= DUTY_MOST and values.min() < -NEGATIVE:
+            return "-1..1"
         return "%" if DUTY_MOST < most <= PERCENT else None
     return None
 
@@ -405,7 +454,7 @@ def _by_values(columns: Columns, frames: Sequence[Frame], out: Guess) -> Frame |
     chosen: dict[tuple[str | None, str | None, int], tuple[Frame, tuple[str, ...]]] = {
         ("axes", "axes", 2): ("alphabeta", VOLTAGES["alphabeta"]),
         ("phases", "phases", 3): ("abc", VOLTAGES["abc"]),
-        ("phases", "phases", 2): ("line", VOLTAGES["line"]),
+        ("phases", "phases", 2): ("line", VOLTAGES["line"][:2]),
     }
     found = chosen.get((*how, len(voltages)))
     if found is None:
@@ -461,7 +510,12 @@ def _say(fields: Mapping[str, Any], columns: Columns, out: Guess) -> None:
     words = []
     plain = True
     for channel, name in out.channels.items():
-        if channel in given:
+        if channel.startswith("i_") and is_setpoint(name):
+            out.notes.append(
+                f"{name} is a setpoint by its name, but the measured current is needed "
+                f"(else --column {channel}=COLUMN)"
+            )
+        if channel in given or name not in columns.part_of:
             continue
         unit = out.fields.get("unit", {}).get(channel)
         told = unit is not None and channel not in fields.get("unit", {})
@@ -473,8 +527,15 @@ def _say(fields: Mapping[str, Any], columns: Columns, out: Guess) -> None:
         ((channel, name),) = truth.items()
         what = "Hall signals" if channel == "hall" else "the true angle"
         out.notes.append(f"{name} is taken for {what}, to score the estimate (else --truth none)")
+    frame = out.fields["frame"]
+    phases = [name for name in VOLTAGES["abc"] if name in out.channels]
+    if frame == "abc" and len(phases) == 2 and all(map(columns.has, phases)):
+        (third,) = set(VOLTAGES["abc"]) - set(phases)
+        out.notes.append(
+            f"{third} is taken as -({phases[0]} + {phases[1]}), which is right for voltages from "
+            f"phase to neutral"
+        )
     if not plain:
-        frame = out.fields["frame"]
         out.notes.insert(0, f"columns are taken as {', '.join(words)}; frame {frame}")
 
 

@@ -23,12 +23,12 @@ _PAIRS = {
 }
 _AXES = {"alpha": "(?:alpha|alfa|alph|al)", "beta": "(?:beta|bet|be)", "d": "d", "q": "q"}
 _CURRENT = (
-    "(?:i|iabc|is|im|iph|imot|imotor|iphase|iinv|cur|curr|current|currents?phase|phasecurrent|strom|amps"
+    "(?:i|iabc|currents|is|im|iph|imot|imotor|iphase|iinv|cur|curr|current|currents?phase|(?:stator|motor)?phasecurrents?|strom|amps"
     "|statorcurrent|motorcurrent)"
 )
 _VOLTAGE = (
-    "(?:u|v|uabc|vabc|us|vs|um|vm|uph|vph|uphase|vphase|uinv|vinv|volt|volts|voltage|voltagephase"
-    "|phasevoltage|spannung|statorvoltage|motorvoltage)"
+    "(?:u|v|uabc|vabc|us|vs|um|vm|uph|vph|uphase|vphase|uinv|vinv|volt|volts|voltages?|voltagephase"
+    "|(?:stator|motor)?phasevoltages?|spannung|statorvoltage|motorvoltage)"
 )
 _DUTY = "(?:d|duty|duties|dutycycle|dc|pwm|pwmduty|m|modulation|dutyphase)"
 _ANGLE = "(?:theta|angle|phi|rho|pos|position|ang|angmes|winkel)"
@@ -38,8 +38,17 @@ _ELECTRICAL = "(?:e|el|ele|elec|electric|electrical)"
 #: Words after a name that do not change what it is.
 _MORE = (
     "(?:meas|measured|mes|m|fb|fbk|feedback|act|actual|filt|filtered|ref|cmd|command|set|setpoint"
-    "|sp|star|out|applied|n|0|s|phase|avg|mean|value|val|in)?"
+    "|sp|star|soll|ist|target|demand|out|applied|n|0|s|phase|avg|mean|value|val|in)?"
 )
+
+
+_SETPOINT = re.compile("(?:ref|reference|cmd|command|set|setpoint|sp|star|soll|target|demand)$")
+
+
+def is_setpoint(column: str) -> bool:
+    """Whether the name of a column says that it is asked for, not measured."""
+    parted = unit_in(column)
+    return _SETPOINT.search(key(leaf(column if parted is None else parted[0]))) is not None
 
 
 @cache
@@ -148,6 +157,9 @@ def unit_in(column: str) -> tuple[str, str] | None:
 def read_name(column: str) -> Named:
     """Channel and unit that a column's name says."""
     name, parted = leaf(column), unit_in(column)
+    group, _, last = column.rpartition("/")
+    if group and len(last) == 1:  # "voltages/a": a phase, not amperes
+        return Named(_match(f"{leaf(group)}_{last}"))
     if parted is not None and (_BRACKETS.match(name) or _match(name) is None):
         return Named(_match(leaf(parted[0])), parted[1])
     bare = _BRACKETS.match(name)  # "Current (phase A)"

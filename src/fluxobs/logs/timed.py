@@ -64,6 +64,12 @@ def timed_part(
         given = layout.sample_time or said.sample_time
         if given is None and beside is not None and table.rows == beside.part.table.rows:
             return Timed(part, table, beside.clock, None)
+        if given is None and beside is not None:
+            raise RecordError(
+                f"{table.path}: {', '.join(list(part.columns)[:4])} have {table.rows} rows and no "
+                f"times, where {beside.part.table.path} has {beside.part.table.rows} rows. Give "
+                f"columns of one length, or each its times"
+            )
         if given is None:
             raise RecordError(
                 f"{table.path}: no sample time: there is no column t. Give --sample-time, or "

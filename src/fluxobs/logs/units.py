@@ -28,7 +28,7 @@ UNITS: dict[Quantity, dict[str, float]] = {
     "current": _prefixed("A", "umk", "a", "amp", "amps", "ampere", "amperes", "Amp", "Amps")
     | {"Ampere": 1.0, "ma": 1e-3},
     "voltage": _prefixed("V", "umk", "v", "volt", "volts", "Volt", "Volts") | {"mv": 1e-3},
-    "duty": {"%": 0.01, "percent": 0.01, "1": 1.0, "pu": 1.0, "p.u.": 1.0, "-": 1.0},
+    "duty": {"-1..1": 0.5, "%": 0.01, "percent": 0.01, "1": 1.0, "pu": 1.0, "p.u.": 1.0, "-": 1.0},
     "angle": {
         **_prefixed("rad", "m", "radian", "radians"),
         **dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180),

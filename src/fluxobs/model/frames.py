@@ -15,11 +15,12 @@ Array = NDArray[np.float64]
 Frame = Literal["alphabeta", "abc", "line", "duty", "dq", "ports"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 
-#: Voltage channels of each frame, then its current channels.
+#: Voltage channels of each frame, then its current channels. Of three phases, whose sum is zero,
+#: two will do; of phase voltages only if they are to neutral.
 VOLTAGES: dict[Frame, tuple[str, ...]] = {
     "alphabeta": ("u_alpha", "u_beta"),
     "abc": ("u_a", "u_b", "u_c"),
-    "line": ("u_ab", "u_bc"),
+    "line": ("u_ab", "u_bc", "u_ca"),
     "duty": ("d_a", "d_b", "d_c", "udc"),
     "dq": ("u_d", "u_q"),
     "ports": ("u_1", "u_2"),
@@ -40,13 +41,10 @@ def clarke(a: Array, b: Array, c: Array) -> Array:
     return np.stack([(2 * a - b - c) / 3, (b - c) / np.sqrt(3)], axis=-1)
 
 
-def clarke_two_phases(values: dict[str, Array]) -> Array:
-    """Clarke transform of any two (or all) of three phases whose sum is zero."""
-    missing = [name for name in PHASE_CURRENTS if name not in values]
-    if missing:
-        (name,) = missing
-        values = values | {name: -np.sum(list(values.values()), axis=0)}
-    return clarke(*(values[name] for name in PHASE_CURRENTS))
+def three_phases(channels: dict[str, Array], names: tuple[str, ...]) -> list[Array]:
+    """Three phases from any two (or all) of them; their sum is zero."""
+    known = {name: channels[name] for name in names if name in channels}
+    return [known[name] if name in known else -np.sum(list(known.values()), 0) for name in names]
 
 
 def rotate(vector: Array, angle: Array) -> Array:
@@ -69,23 +67,23 @@ def angle_error(estimated: Array, true: Array, half_turn: bool = False) -> Array
 
 def native_voltage(frame: Frame, channels: dict[str, Array]) -> Array:
     """Voltage vector of each row: in αβ, except for dq, which is still to be rotated."""
-    u = [channels[name] for name in VOLTAGES[frame]]
+    names = VOLTAGES[frame]
     match frame:
         case "alphabeta" | "dq" | "ports":
-            return np.stack(u, axis=-1)
+            return np.stack([channels[name] for name in names], axis=-1)
         case "abc":
-            return clarke(*u)
+            return clarke(*three_phases(channels, names))
         case "line":
-            return np.stack([(2 * u[0] + u[1]) / 3, u[1] / np.sqrt(3)], axis=-1)
+            ab, bc, _ = three_phases(channels, names)
+            return np.stack([(2 * ab + bc) / 3, bc / np.sqrt(3)], axis=-1)
         case "duty":
-            return clarke(*u[:3]) * u[3][:, None]
+            return clarke(*(channels[name] for name in names[:3])) * channels["udc"][:, None]
 
 
 def alphabeta_current(frame: Frame, channels: dict[str, Array]) -> Array:
     """Current vector of each row in αβ."""
-    i = {name: channels[name] for name in CURRENTS[frame] if name in channels}
-    if frame in ("alphabeta", "ports"):
-        return np.stack(list(i.values()), axis=-1)
-    if frame == "dq":
-        return rotate(np.stack(list(i.values()), axis=-1), channels["theta_e"])
-    return clarke_two_phases(i)
+    names = CURRENTS[frame]
+    if names == PHASE_CURRENTS:
+        return clarke(*three_phases(channels, names))
+    current = np.stack([channels[name] for name in names], axis=-1)
+    return rotate(current, channels["theta_e"]) if frame == "dq" else current

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,14 @@ class ArrayTable(Table):
             sizes = ", ".join(f"{name} {len(array)}" for name, array in self._arrays.items())
             raise RecordError(f"{path}: the columns differ in length: {sizes}")
         self.rows = lengths.pop() if lengths else 0
+
+    def within(self, group: str) -> ArrayTable:
+        """The same with names of a group, "group/name"."""
+        made = ArrayTable({f"{group}/{name}": a for name, a in self._arrays.items()}, self.path)
+        units = {f"{group}/{name}": unit for name, unit in self.said.units.items()}
+        time = None if self.said.time is None else f"{group}/{self.said.time}"
+        made.said = replace(self.said, units=units, time=time)
+        return made
 
     def batches(
         self, names: Sequence[str], first: int, last: int, size: int = BATCH

@@ -22,21 +22,23 @@ def open_excel(path: Path, header: list[str] | None = None) -> list[Table]:
         )
     except Exception as error:  # the reader raises many kinds for a broken file
         raise RecordError(f"{path}: not a readable workbook: {error}") from None
-    out: list[Table] = []
+    found: dict[str, ArrayTable] = {}
     problems = []
     for name, frame in sheets.items():
         if frame.height == 0:
             continue
         try:
-            out.append(_sheet(path, f"{path}, sheet {name!r}", frame, header))
+            found[name] = _sheet(path, f"{path}, sheet {name!r}", frame, header)
         except RecordError as error:
             problems.append(error)
-    if not out and problems:
+    if not found and problems:
         raise problems[0]
-    return out
+    if len(found) > 1:
+        return [table.within(name) for name, table in found.items()]
+    return list(found.values())
 
 
-def _sheet(path: Path, where: str, frame: pl.DataFrame, header: list[str] | None) -> Table:
+def _sheet(path: Path, where: str, frame: pl.DataFrame, header: list[str] | None) -> ArrayTable:
     lines = ["\t".join(cell or "" for cell in row) for row in frame.iter_rows()]
     found = find(lines[:600], lines[600:800], where, header)
     rows = frame.slice(found.first_line)

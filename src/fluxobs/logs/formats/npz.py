@@ -1,4 +1,4 @@
-"""NumPy archives: one array per column."""
+"""NumPy archives: an array a column, or a matrix with several."""
 
 from __future__ import annotations
 
@@ -8,20 +8,21 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import RecordError
-from .arrays import ArrayTable
+from .nested import Found, tables
 from .table import Table
 
 
 def open_npz(path: Path) -> list[Table]:
-    """Equally long one-dimensional arrays of an .npz file; anything else in it is ignored."""
+    """The tables of an archive; objects and texts in it are ignored."""
+    found = Found()
     try:
         with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
+            for name in archive.files:
+                try:
+                    array = archive[name]
+                except ValueError:  # Python objects
+                    continue
+                found.add(name, array)
+    except (OSError, EOFError, ValueError, AttributeError, zipfile.BadZipFile) as error:
         raise RecordError(f"{path}: not a readable .npz file: {error}") from None
-    numbers = {
-        name: array
-        for name, array in arrays.items()
-        if array.ndim == 1 and array.dtype.kind in "fiub"
-    }
-    return [ArrayTable(numbers, path)]
+    return tables(path, found)

@@ -86,12 +86,19 @@ def read_rows(table: Table, names: Sequence[str], first: int, last: int) -> Colu
 
 
 def missing_column(
-    path: Path, columns: Sequence[str], name: str, channel: str, option: str
+    path: Path,
+    columns: Sequence[str],
+    name: str,
+    channel: str,
+    option: str,
+    also: Sequence[str] = (),
 ) -> RecordError:
-    """The error for a missing column; it names the nearest columns, or all of them."""
+    """The error for a missing column; it names the nearest columns, or all of them, and further
+    channels that are missing."""
     near = difflib.get_close_matches(name, columns, n=3, cutoff=0.4)
     hint = f"nearest: {', '.join(near)}" if near else f"it has: {', '.join(columns[:40])}"
     return RecordError(
         f"{path}: no column {name!r} for the channel {channel}; {hint}. "
         f"Name it with {option} {channel}=COLUMN"
+        + (f"; {' and '.join(also)} {'is' if len(also) == 1 else 'are'} missing too" * bool(also))
     )
