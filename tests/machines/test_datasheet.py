@@ -43,6 +43,21 @@ def test_a_constant_of_voltage_and_one_of_torque_are_the_same_magnets():
     )
 
 
+def test_block_commutation_turns_volts_into_torque():
+    """Power is conserved: DC volts between two terminals times the DC current."""
+    per_volt = 700.0  # rpm
+    of_torque = surface(K_t=60 / (2 * np.pi) / per_volt, K_t_of="dc")
+    assert of_torque.psi_f == pytest.approx(surface(kv=per_volt).psi_f, rel=1e-4)
+
+
+def test_a_power_alone_and_no_inductance():
+    fields = {"poles": 4, "kv": 900, "R_line": 0.1}
+    made = new_machine("surface-pmsm", fields | {"L_line": 3e-5, "rated_power": 90})
+    assert any("no use without" in a for a in made.assumed)
+    with pytest.raises(MachineError, match="Measure it between two terminals with an LCR meter"):
+        new_machine("surface-pmsm", fields)
+
+
 def test_windings_by_the_network_between_two_terminals():
     star, delta = 0.3, 0.9
     between_star, between_delta = 2 * star, 1 / (1 / delta + 1 / (2 * delta))

@@ -121,10 +121,18 @@ LAYOUT: dict[str, Any] = {
         ),
     ],
     "scale": Annotated[
-        Pairs, typer.Option(metavar="CHANNEL=NUMBER", help="A channel is scale · column + offset.")
+        Pairs,
+        typer.Option(
+            metavar="CHANNEL=NUMBER",
+            help="What turns a column into SI, in place of a unit: the channel is scale · column + "
+            "offset. -1 turns a sign.",
+        ),
     ],
     "offset": Annotated[
-        Pairs, typer.Option(metavar="CHANNEL=NUMBER", help="A channel is scale · column + offset.")
+        Pairs,
+        typer.Option(
+            metavar="CHANNEL=NUMBER", help="What is added to a channel after that, in SI."
+        ),
     ],
     "start": Annotated[
         float | None, typer.Option("--from", "--start", help="Seconds; use rows from then on.")

@@ -38,7 +38,7 @@ TOLD = 3.0
 #: Share of the shaft's circle that eccentricity needs.
 COVERED = 0.9
 #: An error of the angle in a block of rows that no estimate explains [rad].
-LOST = np.radians(10.0)
+LOST = np.radians(5.0)
 #: The same of a speed, as a share of the largest.
 LOST_SPEED = 0.1
 
@@ -277,7 +277,7 @@ def _lost(columns: Mapping[str, Array], left: Array) -> str | None:
     at = np.searchsorted(edges, columns["row"], side="right") - 1
     count = np.bincount(at, minlength=BLOCKS)
     level = np.sqrt(np.bincount(at, left**2, minlength=BLOCKS) / np.maximum(count, 1))
-    usual = float(np.median(level[count > 0]))
+    usual = float(np.quantile(level[count > 0], 0.25))  # most of the log may be lost
     if usual > LOST:
         return f"it does not follow the flux: off by {np.degrees(usual):.3g}° rms"
     bad = level > max(LOST, 4 * usual)

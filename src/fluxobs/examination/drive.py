@@ -199,7 +199,7 @@ def truth_items(result: Result) -> list[Item]:
             words = "positive: the encoder comes late"
             scale = 1e6
             limit = 0.5 * result.log.sample_time
-            verdict = judged(one.value, one.std, limit)
+            verdict = judged(one.value, one.std, limit) if fit.lost is None else "cannot be told"
             out.append(
                 Item("encoder delay", verdict, words, scale * one.value, scale * one.std, "µs")
             )
@@ -207,6 +207,7 @@ def truth_items(result: Result) -> list[Item]:
             degrees = np.degrees([one.value, one.std])
             zero = one.name == "zero"
             verdict = "fine" if zero else judged(one.value, one.std, ECCENTRIC)
+            verdict = verdict if zero or fit.lost is None else "cannot be told"
             words = "electrical, to be added to the channel" if zero else "of the shaft"
             label = {
                 "zero": "encoder zero",

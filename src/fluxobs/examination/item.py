@@ -40,6 +40,8 @@ class Item:
         if self.std is None or not self.std > 0:
             return f"{self.value:.4g} {self.unit}".strip()
         digits = max(0, 1 - math.floor(math.log10(self.std)))
+        if abs(self.value) < 1e-6 * self.std:
+            return f"0 ± {self.std:.2g} {self.unit}".strip()
         if digits > 6:
             return f"{self.value:.4g} ± {self.std:.2g} {self.unit}".strip()
         return f"{self.value:.{digits}f} ± {self.std:.{digits}f} {self.unit}".strip()

@@ -126,7 +126,7 @@ def offsets(channels: dict[str, Array], log: Log, rated: float) -> list[Item]:
 
 
 def _no_rest(test: str) -> Item:
-    words = f"the drive never rests in this log: {test}"
+    words = f"currents and voltages are never zero together in this log: {test}"
     return Item("offsets of the current sensors", "cannot be told", words)
 
 
@@ -151,7 +151,10 @@ def _at_rest(channels: dict[str, Array], log: Log, current: Array) -> NDArray[np
 
 
 def _sum(current: Array, rated: float) -> list[Item]:
-    """Three phase currents add up to nothing but their offsets; what follows them is a gain."""
+    """Three phase currents add up to nothing but their offsets; what follows them is a gain.
+
+    With gains g the sum is (1 - g_c/g_a) i_a + (1 - g_c/g_b) i_b of the measured currents.
+    """
     known = current[:, np.isfinite(current).all(axis=0)]
     if known.shape[1] < 100:
         return []
@@ -166,7 +169,12 @@ def _sum(current: Array, rated: float) -> list[Item]:
     verdict = look_if(abs(mean) - 2 * std > 2 * OFFSET * rated)
     out.append(Item("sum of the three offsets", verdict, "", mean, std, "A"))
     for k, name in enumerate(("i_a", "i_b")):
-        gain, error = 100 * float(solved[k]), 100 * float(spread[k])
+        ratio = 1 / (1 - float(solved[k]))
+        gain, error = 100 * (ratio - 1), 100 * float(spread[k]) * ratio**2
+        if ratio < 0:
+            words = f"it or i_c has the opposite sign: --scale {name}=-1, if i_c is right"
+            out.append(Item(f"gain of {name}", "look at it", words))
+            continue
         verdict = look_if(abs(gain) - 2 * error > 100 * GAIN)
         words = "larger than that of i_c"
         out.append(Item(f"gain of {name}", verdict, words, gain, error, "%"))

@@ -29,7 +29,7 @@ FIELDS = {
     "K_e": "V/krpm",
     "K_e_of": "line rms, line peak, phase rms or phase peak",
     "K_t": "Nm/A",
-    "K_t_of": "rms or peak",
+    "K_t_of": "rms, peak, or dc (per ampere of the DC link, with block commutation)",
     "rated_current_rms": "A",
     "rated_speed_rpm": "rpm",
     "rated_power": "W at the shaft",
@@ -41,7 +41,9 @@ VOLTAGES = {
     "phase peak": 1.0,
     "phase rms": math.sqrt(2),
 }
-CURRENTS = {"peak": 1.0, "rms": math.sqrt(2)}
+#: Of what K_t's ampere is → its share of a peak phase current. With block commutation two phases
+#: conduct, and K_t [Nm/A] is the peak voltage between two terminals over the speed, √3 n_p ψ.
+CURRENTS = {"peak": 1.0, "rms": math.sqrt(2), "dc": 2 / math.sqrt(3)}
 _OF = {"kv_of": VOLTAGES, "K_e_of": VOLTAGES, "K_t_of": CURRENTS}
 _USUAL = {"kv_of": "line peak", "K_e_of": "line rms", "K_t_of": "rms", "connection": "star"}
 _RPM = 2 * math.pi / 60
@@ -203,6 +205,8 @@ def _power(
         return
     power = _positive("rated_power", given.pop("rated_power"))
     speed, psi, n_p = out.get("rated_speed"), out.get("psi_f"), out.get("n_p")
+    if "rated_current" not in out and not speed:
+        say("rated_power is of no use without rated_speed_rpm, and is left out")
     if "rated_current" in out or not (magnets and speed and psi and n_p):
         return
     take("rated_current", power / speed / (1.5 * n_p * psi))

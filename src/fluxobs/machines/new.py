@@ -54,10 +54,14 @@ def new_machine(kind: str, fields: Mapping[str, Any]) -> New:
     if kind == "induction" and set(given) & set(PLATE):
         given["plate"] = {name: given.pop(name) for name in PLATE if name in given}
         assumed.append("leakage is 0.15 of the rated impedance, and the winding is a star")
+        assumed.append(
+            "all losses but the rotor's are taken as in the stator winding, so R_s is at most this"
+        )
     known = [*KINDS[kind].parameter_names(), *FIELDS, "plate", "R_r", "L_ls", "L_lr", "L_m"]
     for name in given:
         if name not in known:
             raise MachineError(f"unknown field {name!r}{nearest(name, known)}")
+    _check_inductance(kind, given)
     machine = rotating(machine_from({"kind": kind, **given}, source="new machine"))
     from_datasheet(given, machine.inductances, machine.magnets, assumed.append)
     if machine.rated_current is None:
@@ -65,3 +69,16 @@ def new_machine(kind: str, fields: Mapping[str, Any]) -> New:
     said = ", ".join(f"{name} = {value}" for name, value in fields.items())
     head = [f"Written by `fluxobs machine new` from {said}.", *assumed]
     return New(machine, machine_text(machine, head, {}), tuple(assumed))
+
+
+def _check_inductance(kind: str, given: Mapping[str, Any]) -> None:
+    """A missing inductance, which many datasheets lack, gets a remedy of its own."""
+    own = [name for name in KINDS[kind].parameter_names() if name.startswith("L_")]
+    if kind == "induction" or "flux_map" in given:
+        return
+    if not {*own, "L_line", "L_line_min", "L_line_max", "L_phase"} & set(given):
+        raise MachineError(
+            "no inductance is given. Measure it between two terminals with an LCR meter (L_line, "
+            "in H). To start with, L_line is R_line times 0.2 to 1 ms for a small motor, 2 to "
+            "10 ms for a servo motor; then add L_s_std, half of L_s"
+        )

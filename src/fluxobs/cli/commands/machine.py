@@ -86,7 +86,7 @@ def new(
     ask = show.interactive()
     if kind is None and ask:
         kind = typer.prompt("Kind of machine", default="surface-pmsm")
-    kind = kind or "surface-pmsm"
+    unasked, kind = kind is None, kind or "surface-pmsm"
     if poles is not None:
         given["poles"] = poles
     if pole_pairs is not None:
@@ -96,7 +96,7 @@ def new(
     made = new_machine(kind, given)
     write_machine(out, made.text, force)
     typer.echo(made.text, nl=False)
-    for line in made.assumed:
+    for line in [*(["kind is surface-pmsm (--kind)"] if unasked else []), *made.assumed]:
         show.echo(f"Assumed: {line}.")
     typer.echo(f"Written: {out}. `fluxobs check LOG --machine {out}` finds a √3 or a 2 too much.")
 
