@@ -121,7 +121,8 @@ def _parameters(result: LogRun) -> list[str]:
     told, untold = [], []
     for one in parameters(adaptive, learnt):
         if one.told:
-            value = f"{si(one.value, one.unit)} ± {si(one.std, one.unit)}"
+            held = one.value if abs(one.value) > 1e-6 * one.std else 0.0  # at a limit
+            value = f"{si(held, one.unit)} ± {si(one.std, one.unit)}"
             told.append(f"{one.name} {value} ({si(one.assumed, one.unit)} {sources[one.name]})")
         else:
             untold.append(one.name)

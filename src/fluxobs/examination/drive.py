@@ -47,7 +47,7 @@ def learnt_items(result: Result, cold_resistance: float | None) -> list[Item]:
     out = []
     resistance = found.get("resistance")
     if resistance is not None:
-        if resistance.told:
+        if resistance.told or resistance.std < 0.1 * resistance.value:  # the file knows it
             out += _resistance(resistance.value, resistance.std, result, cold_resistance)
         else:
             out.append(_untold("resistance", "log steps of load, or slow rotation with current"))
