@@ -64,9 +64,9 @@ LAYOUT: dict[str, Any] = {
         str | None,
         typer.Option(
             help="alphabeta (u_alpha u_beta i_alpha i_beta), abc (u_a … i_c; or two currents), "
-            "line (two of u_ab u_bc u_ca), duty (d_a d_b d_c udc), dq (u_d u_q i_d i_q theta_e; a voltage is "
-            "turned by the angle in the middle of the interval it acts over), ports (u_1 u_2 "
-            "i_1 i_2: maglev-2dof). Default: the first of these that the columns fill."
+            "line (two of u_ab u_bc u_ca), duty (d_a d_b d_c udc), dq (u_d u_q i_d i_q theta_e; a "
+            "voltage is turned by the angle in the middle of the interval it acts over), ports "
+            "(u_1 u_2 i_1 i_2: maglev-2dof). Default: the first of these that the columns fill."
         ),
     ],
     "currents": Annotated[

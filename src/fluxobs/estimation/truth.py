@@ -39,6 +39,8 @@ TOLD = 3.0
 COVERED = 0.9
 #: An error of the angle in a block of rows that no estimate explains [rad].
 LOST = np.radians(5.0)
+#: A step of the zero explains it, if less than this share of the squared error is left.
+SLIPPED = 0.1
 #: The same of a speed, as a share of the largest.
 LOST_SPEED = 0.1
 
@@ -246,6 +248,9 @@ def _fit_angle(
     value, covariance, left = _robust(X, e, columns["row"])
     left = _wrapped(left, half)
     lost = _lost(columns, left)
+    if lost is not None and (slip := _slip(X, e, columns, left)) is not None:
+        value, covariance, left, lost = slip
+        left = _wrapped(left, half)
     known = dict(zip(found, value, strict=True))
     known["zero"] = float(known["zero"] + centre)
     own = float(np.median(columns["theta_e_std"]))
@@ -269,6 +274,26 @@ def _fit_angle(
         pairs != given,
         lost,
     )
+
+
+def _slip(
+    X: Array, e: Array, columns: Mapping[str, Array], left: Array
+) -> tuple[Array, Array, Array, str] | None:
+    """The fit with a step of the zero where it helps most; None if it does not explain the rest."""
+    row, best = columns["row"], (np.inf, 0.0)
+    for at in np.linspace(row[0], row[-1], 4 * BLOCKS + 1)[1:-1]:
+        A = np.concatenate([X, (row > at)[:, None]], axis=1)
+        size = np.linalg.norm(A, axis=0) + 1e-300
+        solved = np.linalg.lstsq((A / size).T @ (A / size), (A / size).T @ e, rcond=1e-12)[0]
+        best = min(best, (float(np.sum((e - (A / size) @ solved) ** 2)), float(at)))
+    A = np.concatenate([X, (row > best[1])[:, None]], axis=1)
+    value, covariance, rest = _robust(A, e, row)
+    if not np.mean(rest**2) < SLIPPED * np.mean(left**2):
+        return None
+    step, std = np.degrees([value[-1], np.sqrt(covariance[-1, -1])])
+    t = float(columns["t"][np.searchsorted(row, best[1])])
+    words = f"at about {t:.3g} s its zero steps by {step:+.3g}° ± {std:.1g}° electrical: it slips"
+    return value[:-1], covariance[:-1, :-1], rest, words
 
 
 def _lost(columns: Mapping[str, Array], left: Array) -> str | None:

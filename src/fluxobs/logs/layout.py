@@ -47,9 +47,9 @@ class Layout(BaseModel):
     ----------
     frame : str, optional
         "alphabeta", "abc" (amplitude-invariant Clarke; two phase currents suffice), "line"
-        (two line-to-line voltages of u_ab, u_bc, u_ca), "duty" (duty cycles 0…1 and udc), "dq" (with theta_e,
-        the angle used for the rotation), "ports" (u_1 u_2 i_1 i_2, coils as they are). Default: the
-        first of these that the columns fill.
+        (two line-to-line voltages of u_ab, u_bc, u_ca), "duty" (duty cycles 0…1 and udc), "dq"
+        (with theta_e, the angle used for the rotation), "ports" (u_1 u_2 i_1 i_2, coils as they
+        are). Default: the first of these that the columns fill.
     currents : str, optional
         Frame of the currents, if it is not that of the voltages: "alphabeta", "abc" or "dq".
     sample_time : float, optional
