@@ -16,11 +16,10 @@
 #ifdef FO_SINGLE
 #define fo_abs fabsf
 #define fo_sqrt sqrtf
-#define fo_atan2 atan2f
+#define fo_atan2 fo_atan2_single
 #else
 #define fo_abs fabs
 #define fo_sqrt sqrt
-#define fo_atan2 atan2
 #endif
 
 #define ZERO ((fo_real)0)
@@ -121,6 +120,10 @@ static inline fo_real correlation(fo_real lag_one, fo_real power)
     const fo_real r = power > ZERO ? lag_one / power : ZERO;
     return !(r > ZERO) ? ZERO : r > CORRELATION_LIMIT ? CORRELATION_LIMIT : r;
 }
+
+/* Angle of (x, y), in (-pi, pi], to within four units in the last place; NaN if either is. C
+ * libraries differ in theirs: with this one every compiler and machine has the same bits. */
+fo_real fo_atan2(fo_real y, fo_real x);
 
 static inline fo_real dot(const fo_real a[FO_N], const fo_real b[FO_N])
 {

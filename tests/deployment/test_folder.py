@@ -12,6 +12,7 @@ import pytest
 import fluxobs
 from fluxobs import FluxobsError
 from fluxobs.deployment.c_source import hex_float
+from fluxobs.deployment.vectors import COLUMNS
 from support.firmware import COMPILERS, STRICT, make_test
 from support.records import MACHINES
 
@@ -38,7 +39,10 @@ def test_make_test_in_the_folder(tmp_path, compiler):
     ("name", "pattern"),
     [
         ("test/vectors.h", r"expected\[171\].*?\{(0x1\.[0-9a-f]{3})"),  # an expected flux
-        ("test/vectors.h", r"expected\[171\].*?, (0x1\.[0-9a-f]{3})[^,]*\},"),  # … or speed
+        (
+            "test/vectors.h",
+            r"expected\[171\].*?\{(?:[^,{]*, ){5}(-?0x1\.[0-9a-f]{3})",
+        ),  # … or speed
         ("test/vectors.h", r"samples\[SAMPLES\].*?FO_\((0x1\.[0-9a-f]{3})"),  # a measured voltage
         ("motor_observer.h", r"FO_SINGLE.*?(0x1\.[0-9a-f]{3})[0-9a-f]*p-?\d+f, /\* sample time"),
     ],
@@ -62,8 +66,10 @@ def test_the_last_digit_of_an_expected_angle_is_guarded(tmp_path, folders):
     lines = path.read_text().split("\n")
     row = next(n for n, line in enumerate(lines) if "expected[171]" in line) + 60
     cells = lines[row].split(", ")
-    value = float.fromhex(cells[9].removesuffix("f"))
-    cells[9] = hex_float(float(np.nextafter(np.float32(value), np.float32(9))), "single")
+    value = float.fromhex(cells[COLUMNS.index("theta_e")].removesuffix("f"))
+    cells[COLUMNS.index("theta_e")] = hex_float(
+        float(np.nextafter(np.float32(value), np.float32(9))), "single"
+    )
     lines[row] = ", ".join(cells)
     path.write_text("\n".join(lines))
     done = make_test(tmp_path / "motor")

@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 
 import fluxobs
-from fluxobs.deployment.vectors import expected
+from fluxobs.deployment.vectors import COLUMNS, expected
 from fluxobs.synthetic.demo import LOG
 from support.cli import fluxobs as command
 from support.firmware import (
@@ -90,10 +90,13 @@ def test_fused_multiply_adds_stay_within_the_documented_bound(folders, compiled,
     observer = fluxobs.LeastSquaresObserver.for_machine(MACHINES[name], sample_time=SAMPLE_TIME)
     for voltage, current in list(all_records(name))[:2]:
         fused, double = replayed(program, voltage, current), observer.run(voltage, current)
-        both = (fused[:, 8] > 0) & double.valid
+        both = (fused[:, COLUMNS.index("valid")] > 0) & double.valid
         assert both.sum() > 1000
         assert np.abs(fused[:, :2] - double.flux)[both].max() < 1e-4 * observer.flux_base
-        assert np.abs(wrapped_degrees(fused[:, 9] - double.theta_e))[both].max() < 0.05
+        assert (
+            np.abs(wrapped_degrees(fused[:, COLUMNS.index("theta_e")] - double.theta_e))[both].max()
+            < 0.05
+        )
 
 
 @pytest.mark.parametrize("precision", ["single", "double"])
@@ -122,7 +125,7 @@ def test_what_estimate_does_with_a_log_the_firmware_does(compiled, tmp_path):
     late = np.concatenate([[[np.nan, np.nan]], voltage[:-1]])  # lag 0: from its row to the next
     found = replayed(compiled.program(tmp_path / "motor", "gcc", "double"), late, current)
     estimate = pl.read_parquet(tmp_path / "e.parquet")
-    for column, name in ((0, "flux_alpha"), (2, "psi_f"), (9, "theta_e"), (11, "speed_e")):
+    for column, name in ((0, "flux_alpha"), (2, "psi_f"), (3, "theta_e"), (5, "speed_e")):
         np.testing.assert_array_equal(found[:, column], estimate[name].to_numpy())
 
 

@@ -15,10 +15,10 @@ int main(void)
         fo_estimate e;
         fo_step(&motor_observer, &state, u, i, &e);
         const double out[] = {
-            (double)e.flux[0],     (double)e.flux[1],    (double)e.psi_f,
-            (double)e.drift[0],    (double)e.drift[1],   (double)e.theta_e_std,
-            (double)e.innovation,  (double)e.noise_share, e.valid ? 1.0 : 0.0,
+            (double)e.flux[0],     (double)e.flux[1],         (double)e.psi_f,
             (double)e.theta_e,     (double)e.theta_e_tracked, (double)e.speed_e,
+            (double)e.drift[0],    (double)e.drift[1],        (double)e.theta_e_std,
+            (double)e.innovation,  (double)e.noise_share,     e.valid ? 1.0 : 0.0,
         };
         if (fwrite(out, sizeof out, 1, stdout) != 1) {
             return 1;

@@ -1,5 +1,6 @@
 """Parts of the adaptive observer in C, each against dense matrices."""
 
+import shutil
 import subprocess
 
 import pytest
@@ -17,3 +18,18 @@ def test_pieces_against_dense_matrices(tmp_path, precision):
     subprocess.run([*command, *sources, "-lm", "-o", program], check=True)
     done = subprocess.run([program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize("precision", ["-DFO_SINGLE", "-UFO_SINGLE"])
+def test_the_angle_has_the_same_bits_from_every_compiler(tmp_path, precision):
+    bits = set()
+    for compiler in filter(shutil.which, ("gcc", "clang")):
+        for level in ("-O0", "-O3"):
+            program = tmp_path / f"{compiler}{level}"
+            sources = [HARNESS / "angle.c", *(FIRMWARE / f for f in ("fluxobs.c", "fluxobs_map.c"))]
+            flags = ["-std=c99", level, "-ffp-contract=off", "-Werror", precision, f"-I{FIRMWARE}"]
+            subprocess.run([compiler, *flags, *sources, "-lm", "-o", program], check=True)
+            done = subprocess.run([program], capture_output=True, text=True, check=False)
+            assert done.returncode == 0, done.stdout
+            bits.add(done.stdout)
+    assert len(bits) == 1

@@ -14,7 +14,7 @@ from ..synthetic.firmware_record import firmware_record
 from .c_source import Precision
 from .costs import cost_table, read_costs
 from .header import Exported, bases, parameter_header, parameters, plain, settings
-from .vectors import COLUMNS, exact_columns, run, vectors_header
+from .vectors import COLUMNS, run, vectors_header
 
 SOURCES = ("fluxobs_real.h", "fluxobs.h", "fluxobs_internal.h", "fluxobs.c")
 #: Needed only by a machine with a flux map.
@@ -83,10 +83,9 @@ def contents(
         "ride": f"{1e3 * inside.flux_base / (2 * inside.drift_prior):.2g}",
         "slowest_rpm": f"{slowest / machine.n_p * 30 / math.pi:.3g}",
         "content": content,
-        "exact_columns": str(exact_columns(single)),
         "psi_f_column": str(COLUMNS.index("psi_f")),
         "valid_column": str(COLUMNS.index("valid")),
-        "speed_column": str(COLUMNS.index("speed_e")),
+        "angle_column": str(COLUMNS.index("theta_e")),
         "found": _found(adaptive),
         "outputs": _outputs(machine, adaptive),
         "columns": ", ".join(f'"{name}"' for name in COLUMNS),
@@ -118,7 +117,7 @@ def contents(
         "test/check.h": filled("check.h"),
         "test/check.c": filled("check.c"),
         "test/host_test.c": filled("host_test.c"),
-        "test/vectors.h": vectors_header(record, estimates, exact_columns(single)),
+        "test/vectors.h": vectors_header(record, estimates),
     }
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..observers import AdaptiveObserver, Estimate, LeastSquaresObserver, Output, outputs
+from ..observers import Estimate, LeastSquaresObserver, outputs
 from ..synthetic.firmware_record import FirmwareRecord
 from .c_source import PRECISIONS, Precision, hex_float, table
 from .header import Exported, plain
@@ -19,15 +19,8 @@ Array = NDArray[np.float64]
 EVERY = 9
 
 
-def _columns(exact: bool) -> list[Output]:
-    """Outputs of the plain observer that are, or are not, equal bit for bit on every platform."""
-    return [one for one in outputs(Estimate) if one.exact is exact]
-
-
-#: An expected row: the exact outputs, `valid` last, then the angles and the speed. test/check.c
-#: relies on this order.
-ORDER = (*_columns(exact=True), *_columns(exact=False))
-EXACT_COLUMNS = sum(2 if one.vector else 1 for one in _columns(exact=True))
+#: An expected row: the outputs of the plain observer.
+ORDER = outputs(Estimate)
 #: Names of the columns as C writes them.
 COLUMNS = tuple(
     name
@@ -87,15 +80,7 @@ def run(observer: Exported, record: FirmwareRecord, update_every: int) -> Estima
     return observer.run(volt_seconds=volt_seconds, current=record.current)
 
 
-def exact_columns(observer: Exported) -> int:
-    """How many columns are equal bit for bit everywhere: 0 if angles feed back into the filter."""
-    mapped = plain(observer).flux_map is not None
-    return 0 if mapped or isinstance(observer, AdaptiveObserver) else EXACT_COLUMNS
-
-
-def vectors_header(
-    record: FirmwareRecord, estimates: Mapping[Precision, Estimate], exact_count: int
-) -> str:
+def vectors_header(record: FirmwareRecord, estimates: Mapping[Precision, Estimate]) -> str:
     """The text of test/vectors.h: a record, and what :func:`run` returns for it."""
     inputs = np.concatenate([record.voltage, record.current], axis=1)
     samples = "\n".join(
@@ -107,10 +92,10 @@ def vectors_header(
         everything = expected(estimates[precision])
         rows = everything[EVERY - 1 :: EVERY]
         guard = checksum(inputs, rows, precision)
-        exact = checksum(everything[:, :exact_count], np.zeros(0), precision)
+        every = checksum(everything, np.zeros(0), precision)
         blocks.append(
             f"static const uint32_t expected_checksum = 0x{guard:08x}U;\n"
-            f"static const uint32_t exact_checksum = 0x{exact:08x}U;\n"
+            f"static const uint32_t every_checksum = 0x{every:08x}U;\n"
             f"static const fo_real expected[{len(rows)}][EXPECTED_COLUMNS] = {{\n"
             f"{table(rows, precision)}\n}};"
         )

@@ -81,9 +81,7 @@ class AdaptiveEstimate(Estimate):
         metadata=output("V", "Standard deviation of inverter_voltage")
     )
     theta_e_other: Array = field(
-        metadata=output(
-            "rad", "While two positions are in question, the less likely one", exact=False
-        )
+        metadata=output("rad", "While two positions are in question, the less likely one")
     )
     weight_other: Array = field(metadata=output("", "Weight of theta_e_other, up to ½"))
     adapting: NDArray[np.bool_] = field(

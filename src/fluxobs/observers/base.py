@@ -34,13 +34,10 @@ class Estimate:
         metadata=output(
             "rad",
             "Electrical position directly from the flux, in (-π, π]; always finite",
-            exact=False,
         )
     )
-    theta_e_tracked: Array = field(
-        metadata=output("rad", "Tracked position, in (-π, π]", exact=False)
-    )
-    speed_e: Array = field(metadata=output("rad/s", "Electrical speed", exact=False))
+    theta_e_tracked: Array = field(metadata=output("rad", "Tracked position, in (-π, π]"))
+    speed_e: Array = field(metadata=output("rad/s", "Electrical speed"))
     drift: Array = field(
         metadata=output(
             "V", "R δ_i - B δ_u, the rate at which the open-loop flux integral drifts", vector=True

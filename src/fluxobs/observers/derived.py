@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def _column(name: str, unit: str, about: str) -> Output:
-    return Output(name, unit, about, vector=False, boolean=False, in_files=True, exact=False)
+    return Output(name, unit, about, vector=False, boolean=False, in_files=True)
 
 
 #: Of every machine that turns.

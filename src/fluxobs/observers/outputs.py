@@ -31,9 +31,6 @@ class Output:
     boolean : bool
     in_files : bool
         Is a column of the files that an estimation writes.
-    exact : bool
-        Equal bit for bit in every firmware of the plain observer; angles are not, since every C
-        library has its own atan2.
     """
 
     name: str
@@ -42,7 +39,6 @@ class Output:
     vector: bool
     boolean: bool
     in_files: bool
-    exact: bool
 
     def columns(self, ports: Sequence[str]) -> tuple[str, ...]:
         """Names of its columns: ``flux`` gives ``flux_alpha``, ``flux_std`` ``flux_alpha_std``."""
@@ -59,10 +55,9 @@ def output(
     vector: bool = False,
     boolean: bool = False,
     in_files: bool = True,
-    exact: bool = True,
 ) -> dict[str, Any]:
     """The ``metadata`` of an estimate's field; arguments as for :class:`Output`."""
-    return {"output": (unit, about, vector, boolean, in_files, exact)}
+    return {"output": (unit, about, vector, boolean, in_files)}
 
 
 def outputs(estimate: type) -> tuple[Output, ...]:

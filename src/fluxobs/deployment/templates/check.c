@@ -7,7 +7,7 @@
 #include "@prefix@_observer.h"
 #include "vectors.h"
 
-enum { LENGTH = @psi_f_column@, EXACT_COLUMNS = @exact_columns@, VALID = @valid_column@, SPEED = @speed_column@ };
+enum { LENGTH = @psi_f_column@, VALID = @valid_column@, ANGLE = @angle_column@ };
 
 static const double TURN = 6.283185307179586;
 static @fo@_state state;
@@ -79,16 +79,12 @@ void check_replay(check_result *r)
     static const fo_gathered nothing = {{(fo_real)0, (fo_real)0}, {(fo_real)0, (fo_real)0}};
     fo_gathered gathered = nothing;
     @fo@_estimate e;
-    double speed_scale = 0.0, flux_scale = 0.0, scales[VALID] = {0.0};
+    double flux_scale = 0.0;
     uint32_t all = 0x811C9DC5U;
     *r = none;
     r->damaged = damaged();
     for (int row = 0; row < SAMPLES / EVERY; row++) {
-        speed_scale = larger(speed_scale, fabs((double)expected[row][SPEED]));
         flux_scale = larger(flux_scale, (double)expected[row][LENGTH]);
-        for (int column = 0; column < VALID; column++) {
-            scales[column] = larger(scales[column], fabs((double)expected[row][column]));
-        }
     }
     @fo@_reset(&@prefix@_observer, &state);
     for (int k = 0; k < SAMPLES; k++) {
@@ -96,7 +92,7 @@ void check_replay(check_result *r)
         const fo_real found[EXPECTED_COLUMNS] = {
 @found@
         };
-        for (int column = 0; column < EXACT_COLUMNS; column++) {
+        for (int column = 0; column < EXPECTED_COLUMNS; column++) {
             all = checksum(all, found[column]);
         }
         if ((k + 1) % EVERY != 0) {
@@ -105,21 +101,14 @@ void check_replay(check_result *r)
         const fo_real *right = expected[k / EVERY];
         int first = EXPECTED_COLUMNS;
         for (int column = EXPECTED_COLUMNS - 1; column >= 0; column--) {
-            double off = fabs((double)found[column] - (double)right[column]);
-            double limit = 0.0;
-            if (column < VALID && EXACT_COLUMNS == 0) {
-                limit = 1e-4 * scales[column];
-            } else if (column == SPEED) {
-                limit = (EXACT_COLUMNS == 0 ? 1e-4 : 1e-5) * speed_scale;
-            } else if (column > VALID) {
-                off = fabs(remainder(off, TURN));
-                limit = EXACT_COLUMNS == 0 ? 1e-4 : 1e-6;
-                r->angle_error = larger(r->angle_error, off);
-            }
+            const double off = fabs((double)found[column] - (double)right[column]);
             if (column < 2) {
                 r->flux_error = larger(r->flux_error, off / flux_scale);
             }
-            if (!(off <= limit)) {
+            if (column == ANGLE) {
+                r->angle_error = larger(r->angle_error, fabs(remainder(off, TURN)));
+            }
+            if (!(off <= 0.0)) {
                 first = column;
             }
         }
@@ -133,5 +122,5 @@ void check_replay(check_result *r)
         r->valid += found[VALID] != (fo_real)0 ? 1 : 0;
         r->rows++;
     }
-    r->between = r->wrong == 0 && all != exact_checksum;
+    r->between = r->wrong == 0 && all != every_checksum;
 }
