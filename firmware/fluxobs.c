@@ -28,10 +28,7 @@ fo_real fo_atan2(fo_real y, fo_real x)
     const fo_real up = fo_abs(y), along = fo_abs(x);
     const bool steep = up > along;
     const fo_real less = steep ? along : up, more = steep ? up : along;
-    if (!(more > ZERO)) {
-        return more;
-    }
-    fo_real from = ZERO, q = less / more;
+    fo_real from = ZERO, q = more > ZERO ? less / more : more; /* zero, or NaN */
     if (q > NEAR_BETWEEN) {
         from = PI / (fo_real)4;
         q = (less - more) / (more + less);
