@@ -192,6 +192,14 @@ class Result(LogRun):
         table = self.estimates
         write_rows(check_out(path, self.log.path, force=True), dict(table.schema), iter([table]))
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows: summary, warnings and picture."""
+        from ..html import bullets, paragraph, picture
+
+        notes = [*(f"Warning: {text}" for text in self.warnings), *self.log.notes]
+        shown = picture(self.plot(), self.summary)
+        return paragraph(self.summary) + bullets(notes) + shown
+
     def __str__(self) -> str:
         return "\n".join([self.summary, *(f"Warning: {text}" for text in self.warnings)])
 

@@ -93,6 +93,13 @@ class Examination(Check):
             "items": [item.facts for item in self.items],
         }
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows: findings and page."""
+        from ..html import bullets, table
+
+        rows = [(item.name, item.told, item.verdict, item.words) for item in self.items]
+        return bullets(self.lines()) + table(("what", "value", "verdict", ""), rows)
+
     def plot(self) -> Figure:
         """The page as a picture."""
         from .picture import figure

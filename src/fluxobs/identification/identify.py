@@ -101,6 +101,24 @@ class Identification(Fitted):
         """
         write(self, Path(path), force)
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the parameters, what the log cannot tell, and the picture."""
+        from ..html import bullets, picture, table
+
+        rows = [
+            (
+                one.name,
+                f"{one.value:.4g}" + ("" if one.std is None else f" ± {one.std:.2g}"),
+                one.unit,
+                "" if one.given is None else f"{one.given:.4g}",
+                self.untold.get(one.name, ""),
+            )
+            for one in self.parameters
+        ]
+        words = self.lines()[len(self.parameters) :]
+        shown = table(("parameter", "found", "unit", "given", "held because"), rows)
+        return shown + bullets(words) + picture(self.plot(), " ".join(words))
+
     def __str__(self) -> str:
         return "\n".join(self.lines())
 

@@ -44,6 +44,18 @@ class Position:
     title: str
 
 
+#: Units of parameters, by how their names begin.
+_UNITS = {"R_": "Ω", "L_": "H", "psi": "Wb", "rated_current": "A", "rated_speed": "rad/s"}
+_UNITS |= {"inverter_voltage": "V", "inverter_current": "A", "n_p": "pole pairs"}
+
+
+def unit_of(parameter: str) -> str:
+    """Unit of a parameter of a rotating machine; empty where its name does not say it."""
+    if parameter.endswith("_share"):
+        return ""
+    return next((unit for start, unit in _UNITS.items() if parameter.startswith(start)), "")
+
+
 class Machine(BaseModel):
     """An electromechanical machine with a quadratic relation between flux and current.
 
@@ -93,6 +105,14 @@ class Machine(BaseModel):
         """Values by their names in a machine file; None where not given."""
         fields = type(self).model_fields.items()
         return {field.alias or name: getattr(self, name) for name, field in fields}
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the parameters that are given."""
+        from ..html import table
+
+        given = {name: value for name, value in self.parameters().items() if value is not None}
+        rows = [(name, str(value), unit_of(name)) for name, value in given.items()]
+        return table(("parameter", "value", "unit"), rows, self.kind)
 
     # ---- the model --------------------------------------------------------------------
 

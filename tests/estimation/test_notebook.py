@@ -1,0 +1,73 @@
+"""What a notebook shows of results: complete, escaped, and the same numbers as the text."""
+
+from html.parser import HTMLParser
+
+import pytest
+
+import fluxobs
+from fluxobs.html import table
+
+VOID = ("img",)
+
+
+class Checked(HTMLParser):
+    """Refuses tags that are not closed in order; collects the text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.words, self.images = [], [], []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        if tag in VOID:
+            self.images.append(dict(attributes))
+        else:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+@pytest.fixture(scope="module")
+def log():
+    return fluxobs.demo_log()
+
+
+def test_a_result(log):
+    result = fluxobs.estimate(log, "servo-400w", unknowns="drift")
+    shown = Checked(result._repr_html_())
+    assert result.summary in shown.words
+    assert shown.images[0]["src"].startswith("data:image/png;base64,")
+    assert shown.images[0]["alt"] == result.summary
+
+
+def test_a_machine():
+    words = Checked(fluxobs.example("servo-400w")._repr_html_()).words
+    for name, value, unit in (("R_s", "0.36", "Ω"), ("n_p", "4", "pole pairs")):
+        at = words.index(name)
+        assert words[at : at + 3] == [name, value, unit]
+    assert "maglev-2dof" in Checked(fluxobs.example("maglev-knospe")._repr_html_()).words
+
+
+def test_an_identification(log):
+    found = fluxobs.identify(log, "servo-400w")
+    shown = Checked(found._repr_html_())
+    assert f"{found.parameters[0].value:.4g} ± {found.parameters[0].std:.2g}" in shown.words
+    assert any("Residual of the relation" in text for text in shown.words)
+
+
+def test_an_examination(log):
+    words = Checked(fluxobs.check(log, "servo-400w")._repr_html_()).words
+    assert "magnet flux" in words
+    assert "fine" in words
+
+
+def test_texts_are_escaped():
+    text = table(("<a>",), [("x & <b>",)], '"c"')
+    assert Checked(text).words == ['"c"', "<a>", "x & <b>"]
+    assert "<b>" not in text
