@@ -120,6 +120,35 @@ def test_write_a_picture(adaptive, tmp_path, ending, magic):
     assert (tmp_path / f"picture.{ending}").read_bytes().startswith(magic)
 
 
+@pytest.mark.parametrize(("style", "width"), [("one column", 3.5), ("two columns", 7.16)])
+def test_a_picture_for_a_paper(adaptive, style, width):
+    figure = adaptive.plot(style, ["error", "speed", "resistance"])
+    assert figure.get_figwidth() == width
+    assert figure.get_suptitle() == ""
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert titles == ["Uncertainty of the position", "Speed", "Resistance"]
+    assert len(adaptive.plot(style).axes) == 5
+    figure.draw_without_rendering()
+    for axes in figure.axes:  # nothing lies on anything else
+        if axes.get_legend() is not None:
+            assert (
+                not axes.get_legend()
+                .get_window_extent()
+                .overlaps(axes._left_title.get_window_extent())
+            )
+
+
+def test_panels_and_styles_that_are_none(adaptive):
+    for options, words in (
+        ({"style": "one colum"}, "did you mean 'one column'"),
+        ({"panels": ["eror"]}, "did you mean 'error'"),
+        ({"panels": []}, "give different ones of locus"),
+        ({"panels": ["speed", "speed"]}, "give different ones"),
+    ):
+        with pytest.raises(fluxobs.UsageError, match=words):
+            adaptive.plot(**options)
+
+
 def test_plot(plain, adaptive):
     for result, names in ((plain, "θ_e ω_e"), (adaptive, "θ_e ω_e Ω")):
         figure = result.plot()

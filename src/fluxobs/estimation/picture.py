@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import UsageError
 from ..observers import ImmersionObserver
 from ..plots import BLUE, GREY, ORANGE, STYLE, legend, new_figure
+from ..validation import nearest
 from .run import LogRun
 from .truth import TruthFit
 
@@ -18,6 +22,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+#: Figures of this width or less have short titles [inch].
+PRINTED = 8.0
 #: At most about so many gaps are marked.
 MARKS = 200
 RED = "#c0392b"
@@ -30,15 +36,48 @@ PARAMETERS = {
 }
 
 
-def figure(result: LogRun, fit: TruthFit | None = None) -> Figure:
+#: Panels of every run; further ones are those of PARAMETERS.
+PANELS = ("locus", "position", "error", "speed", "drift")
+
+
+@dataclass(frozen=True)
+class Paper:
+    """Size of a picture and of its rows [inch], panels abreast, and changes of the style."""
+
+    width: float
+    height: float
+    abreast: int
+    changes: Mapping[str, Any] = field(default_factory=dict)
+
+
+_PRINT = {"font.size": 7, "axes.titlesize": 7, "lines.linewidth": 0.7}
+_PRINT |= {"axes.linewidth": 0.5, "xtick.major.width": 0.5, "ytick.major.width": 0.5}
+#: Widths are those of a journal in two columns: 3.5 inch a column, 7.16 inch the page.
+STYLES = {
+    "screen": Paper(11.0, 2.0, 1),
+    "one column": Paper(3.5, 1.35, 1, _PRINT),
+    "two columns": Paper(7.16, 1.6, 2, _PRINT),
+}
+
+
+def figure(
+    result: LogRun,
+    fit: TruthFit | None = None,
+    style: str = "screen",
+    panels: Sequence[str] | None = None,
+) -> Figure:
     """Draw the picture; the immersed observer has its own panels. The error is that against the
-    truth, less what was fitted to it."""
+    truth, less what was fitted to it. Styles and panels: see :meth:`Result.plot`."""
     import matplotlib as mpl
 
-    with mpl.rc_context(STYLE):
+    if style not in STYLES:
+        raise UsageError(f"style: {style!r}{nearest(style, STYLES)}")
+    with mpl.rc_context(STYLE | STYLES[style].changes):
         if isinstance(result.observer, ImmersionObserver):
+            if panels is not None or style != "screen":
+                raise UsageError("style and panels: not for the observer of a current bias")
             return _immersed(result)
-        return _compiled(result, fit)
+        return _compiled(result, fit, style, panels)
 
 
 def _title(result: LogRun) -> str:
@@ -50,24 +89,17 @@ def _title(result: LogRun) -> str:
     )
 
 
-def _compiled(result: LogRun, fit: TruthFit | None) -> Figure:
+def _compiled(
+    result: LogRun, fit: TruthFit | None, style: str, panels: Sequence[str] | None
+) -> Figure:
     learnt = _learnt(result)
+    known = (*PANELS, *learnt)
+    if panels is not None or style != "screen":
+        return _chosen(result, fit, STYLES[style], PANELS if panels is None else panels, known)
     figure = new_figure(figsize=(11, 10.5 if learnt else 8.5))
     layout = _layout(learnt)
     axes = figure.subplot_mosaic(layout, height_ratios=[1.2, *[1.0] * (len(layout) - 1)])
-    whole = result.statistics.thin.columns()
-    _locus(axes["locus"], whole)
-    _position(axes["position"], _scored(result.statistics.detail.columns(), fit))
-    whole = _scored(whole, fit)
-    _error(axes["error"], whole, fit)
-    _gaps(axes["error"], result)
-    _speed(axes["speed"], whole)
-    _drift(axes["drift"], whole)
-    for name in learnt:
-        _parameter(axes[name], name, whole, learnt[name])
-    for name in ("error", "speed", "drift", *learnt):
-        _shade_unknown(axes[name], whole)
-        axes[name].set_xlim(whole["t"][0], whole["t"][-1])
+    _draw(axes, result, fit)
     axes["error"].set_xlabel("t [s]")
     axes["speed"].sharex(axes["drift"])
     axes["speed"].tick_params(labelbottom=False)
@@ -75,6 +107,56 @@ def _compiled(result: LogRun, fit: TruthFit | None) -> Figure:
     for name in learnt:
         axes[name].set_xlabel(f"t [s]{GREY_WORDS if name == next(iter(learnt)) else ''}")
     figure.suptitle(f"{_title(result)}{_numbers(result, fit)}", fontsize=10)
+    return figure
+
+
+def _draw(axes: Mapping[str, Axes], result: LogRun, fit: TruthFit | None) -> None:
+    """Fill the panels that there are."""
+    learnt, whole = _learnt(result), result.statistics.thin.columns()
+    detail, scored = result.statistics.detail.columns(), _scored(whole, fit)
+    for name, panel in axes.items():
+        match name:
+            case "locus":
+                _locus(panel, whole)
+                continue
+            case "position":
+                _position(panel, _scored(detail, fit))
+                continue
+            case "error":
+                _error(panel, scored, fit)
+                _gaps(panel, result)
+            case "speed":
+                _speed(panel, scored)
+            case "drift":
+                _drift(panel, scored)
+            case _:
+                _parameter(panel, name, scored, learnt[name])
+        _shade_unknown(panel, scored)
+        panel.set_xlim(scored["t"][0], scored["t"][-1])
+
+
+def _chosen(
+    result: LogRun,
+    fit: TruthFit | None,
+    paper: Paper,
+    panels: Sequence[str],
+    known: Sequence[str],
+) -> Figure:
+    """Some panels, below and beside one another, without a title."""
+    for name in panels:
+        if name not in known:
+            raise UsageError(f"panels: {name!r}{nearest(name, known)}")
+    if not panels or len(set(panels)) < len(panels):
+        raise UsageError(f"panels: give different ones of {', '.join(known)}")
+    rows: Any = [list(panels[n : n + paper.abreast]) for n in range(0, len(panels), paper.abreast)]
+    rows[-1] += [rows[-1][-1]] * (paper.abreast - len(rows[-1]))
+    heights = [paper.height * (1.6 if "locus" in row else 1.0) for row in rows]
+    figure = new_figure(figsize=(paper.width, sum(heights)))
+    axes = figure.subplot_mosaic(rows, height_ratios=heights)
+    _draw(axes, result, fit)
+    for panel in axes.values():
+        if not panel.get_xlabel():
+            panel.set_xlabel("t [s]")
     return figure
 
 
@@ -142,8 +224,14 @@ def _locus(axes: Axes, whole: dict[str, Array]) -> None:
     legend(axes, markerscale=5)
 
 
+def _set_title(axes: Axes, text: str, short: str) -> None:
+    """A title, shorter in print, where it has to leave room for the legend."""
+    figure: Any = axes.figure
+    axes.set_title(text if figure.get_figwidth() > PRINTED else short)
+
+
 def _position(axes: Axes, detail: dict[str, Array]) -> None:
-    axes.set_title("Position around the first valid row")
+    _set_title(axes, "Position around the first valid row", "Position at the start")
     axes.set_ylabel("θ_e [°]")
     if not detail:
         axes.text(0.5, 0.5, "the position was never known", ha="center", transform=axes.transAxes)
@@ -224,7 +312,11 @@ def _drift(axes: Axes, whole: dict[str, Array]) -> None:
     for name, color, label in (("drift_alpha", BLUE, "α"), ("drift_beta", ORANGE, "β")):
         axes.plot(whole["t"], 1e3 * _where_valid(whole, name), color=color, label=label)
     axes.axhline(0, color=GREY, linewidth=0.5)
-    axes.set_title("Drift: R δ_i - δ_u, what the sensors' offsets add to the flux per second")
+    _set_title(
+        axes,
+        "Drift: R δ_i - δ_u, what the sensors' offsets add to the flux per second",
+        "Drift R δ_i - δ_u, by offsets",
+    )
     axes.set_ylabel("[mV]")
     legend(axes)
 

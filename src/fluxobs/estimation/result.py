@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -161,11 +162,27 @@ class Result(LogRun):
             return machine
         return machine.with_values(inverter_current=float(f"{self.adaptive.inverter_current:.6g}"))
 
-    def plot(self) -> Figure:
-        """The picture of the run, a matplotlib figure: flux, position, speed, drift, and more."""
+    def plot(self, style: str = "screen", panels: Sequence[str] | None = None) -> Figure:
+        """The picture of the run, a matplotlib figure.
+
+        Parameters
+        ----------
+        style : {"screen", "one column", "two columns"}
+            For a paper: 3.5 or 7.16 inches wide, in 7 point, without a title.
+        panels : sequence of str, optional
+            Some of "locus" (flux and position vector), "position" (around the first valid row),
+            "error" (with ±2σ), "speed", "drift"; and of what was learnt "resistance",
+            "inverter_voltage", "psi_f". Default: all on the screen, the first five in a paper.
+
+        Raises
+        ------
+        UsageError
+            There is no such style or panel, or the observer of a current bias ran, which has its
+            own panels.
+        """
         from .picture import figure  # matplotlib is loaded only where it is needed
 
-        return figure(self, self.truth_fit)
+        return figure(self, self.truth_fit, style, panels)
 
     def write(self, path: str | Path, *, force: bool = False) -> None:
         """Write estimates to .parquet or .csv, the picture to .png, .pdf or .svg, or the machine
