@@ -110,13 +110,13 @@ class Identification(Fitted):
                 one.name,
                 f"{one.value:.4g}" + ("" if one.std is None else f" ± {one.std:.2g}"),
                 one.unit,
-                "" if one.given is None else f"{one.given:.4g}",
-                self.untold.get(one.name, ""),
+                "not given" if one.given is None else f"{one.given:.4g}",
+                f"held: {self.untold[one.name]}" if one.name in self.untold else "",
             )
             for one in self.parameters
         ]
         words = self.lines()[len(self.parameters) :]
-        shown = table(("parameter", "found", "unit", "given", "held because"), rows)
+        shown = table(("parameter", "found", "unit", "given", ""), rows)
         return shown + bullets(words) + picture(self.plot(), " ".join(words))
 
     def __str__(self) -> str:
