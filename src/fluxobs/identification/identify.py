@@ -57,8 +57,8 @@ ALONG_LIMIT = 0.15
 #: Standard deviations of a map before the log: of the inverse inductances, over themselves; and of
 #: what saturation adds to them.
 UNSURE_SLOPE, SATURATES = 0.5, 3.0
-#: No machine is the algebraic model: so much of the flux may be off, independently in each of the
-#: fit's stretches. Without a position the log tells the map's symmetry only weakly, and such errors
+#: No machine is the model: so much of the flux may be off, independently in each of the fit's
+#: stretches. Without a position the log tells the map's symmetry only weakly, and such errors
 #: grow some twentyfold. With this value a machine that is 0.2 % off the model is within three
 #: standard deviations (benchmarks/maps.py).
 MODEL_ERROR = 0.0003
@@ -247,7 +247,7 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
         names = (*names, *UNCERTAIN)
         offset = (0.0, offset_std(machine, scales))
         prior = prior | dict(zip(UNCERTAIN, (KNEE, KNEE, offset, offset), strict=True))
-    error = MODEL_ERROR * _typical_flux(data) if MAP in free else 0.0
+    error = MODEL_ERROR * _typical_flux(data)
     scale = ("psi_f",) if given["psi_f"] > 0 and not isinstance(relation, Cage) else ()
     before = fit(data, given, scale, relation=relation)
     nearest = _nearest_lag(data, given, names, relation, prior) if "lag" in names else None
