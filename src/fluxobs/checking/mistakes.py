@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model.frames import PHASE_CURRENTS, clarke, three_phases
 from .relation import Prior
 from .stretches import LAGS, Complex
 
@@ -50,12 +51,10 @@ def _linear(matrix: Array) -> Linear:
     return Linear(complex(a + d, c - b) / 2, complex(a - d, c + b) / 2)
 
 
-#: Two of three phases → αβ, where the sum of all three is zero.
-_TWO = {
-    "ab": np.array([[1.0, 0.0], [1 / np.sqrt(3), 2 / np.sqrt(3)]]),
-    "bc": np.array([[-1.0, -1.0], [1 / np.sqrt(3), -1 / np.sqrt(3)]]),
-    "ac": np.array([[1.0, 0.0], [-1 / np.sqrt(3), -2 / np.sqrt(3)]]),
-}
+def _two(measured: str) -> Array:
+    """The matrix that makes αβ of two of three phases, as "ab", whose sum is zero."""
+    unit = dict(zip((f"i_{phase}" for phase in measured), np.eye(2), strict=True))
+    return clarke(*three_phases(unit, PHASE_CURRENTS)).T
 
 
 @dataclass(frozen=True)
@@ -138,11 +137,10 @@ SIGN = [
 
 def one_inverted(measured: str) -> list[Mistake]:
     """One of two currents is inverted; `measured` are the phases that have a sensor, as "ab"."""
-    out = []
-    for n, phase in enumerate(measured):
-        turned = _TWO[measured] @ np.diag([-1.0 if k == n else 1.0 for k in range(2)])
+    out, two = [], _two(measured)
+    for phase, inverted in zip(measured, (np.diag([-1, 1]), np.diag([1, -1])), strict=True):
         words = f"i_{phase} has the opposite sign (--scale i_{phase}=-1)"
-        out.append(Mistake("sign", words, _linear(turned @ np.linalg.inv(_TWO[measured]))))
+        out.append(Mistake("sign", words, _linear(two @ inverted @ np.linalg.inv(two))))
     return out
 
 
@@ -162,10 +160,10 @@ FRAME = [
     Mistake(
         "frame",
         "phases a and b were given as α and β (--frame abc)",
-        _linear(_TWO["ab"]),
-        _linear(_TWO["ab"]),
+        _linear(_two("ab")),
+        _linear(_two("ab")),
     ),
-    Mistake("frame", "the currents of phases a and b were given as α and β", _linear(_TWO["ab"])),
+    Mistake("frame", "the currents of phases a and b were given as α and β", _linear(_two("ab"))),
 ]
 #: Of what was read as u_ab and u_bc.
 NEUTRAL = [

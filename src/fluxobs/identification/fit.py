@@ -121,19 +121,23 @@ def evaluate(
     if said.to_start is not None:
         to_start = to_flux + np.stack([said.to_start.real, said.to_start.imag], axis=1)
     local = np.concatenate([to_start, to_flux * piece.t[:, None]], axis=1)
-    volts = values["inverter"]
-    by_name = said.by_name | {
-        "R_s": -_dot(to_flux, piece.charge),
-        "inverter": -_dot(to_flux, _lost(piece, values)),
-        "knee 1": -volts * _dot(to_flux, piece.harder[0]),
-        "knee 2": -volts * _dot(to_flux, piece.harder[1]),
-        "offset_alpha": -volts * _dot(to_flux, piece.offset[0]),
-        "offset_beta": -volts * _dot(to_flux, piece.offset[1]),
-        "curve": -volts * _dot(to_flux, piece.curve),
-        "lag": _dot(to_flux, slope),
-    }
-    columns = np.reshape([by_name[name] for name in free], (len(free), len(piece))).T
-    return said.residual, local, columns
+    columns = [
+        said.by_name[name]
+        if name in said.by_name
+        else _dot(to_flux, slope if name == "lag" else _moved(piece, values, name))
+        for name in free
+    ]
+    return said.residual, local, np.reshape(columns, (len(free), len(piece))).T
+
+
+def _moved(piece: Piece, values: Mapping[str, float], name: str) -> Array:
+    """Derivative of the flux by a parameter of the voltage."""
+    if name == "R_s":
+        return -piece.charge
+    if name == "inverter":
+        return -_lost(piece, values)
+    change = piece.curve if name == "curve" else _uncertain(piece)[name]
+    return np.asarray(-values["inverter"] * change)
 
 
 def _said(
@@ -171,10 +175,15 @@ def _lagging(voltage: Array, lag: float) -> tuple[Array, Array]:
     return u, slope
 
 
+def _uncertain(piece: Piece) -> dict[str, Array]:
+    """What each of UNCERTAIN changes of what the inverter loses [s]."""
+    return dict(zip(UNCERTAIN, (*piece.harder, *piece.offset), strict=True))
+
+
 def _lost(piece: Piece, values: Mapping[str, float]) -> Array:
     """∫ of what the inverter loses, over V_d, with its knee and the currents' offsets [s]."""
     found = piece.inverter
-    for name, change in zip(UNCERTAIN, (*piece.harder, *piece.offset), strict=True):
+    for name, change in _uncertain(piece).items():
         if values.get(name):
             found = found + values[name] * change
     return found
