@@ -14,7 +14,7 @@ SAMPLE_TIME, NOISE = 5e-5, 0.005
 
 def main() -> None:
     heading("A step every M-th interrupt at 20 kHz, noise of 0.5 % of rated current")
-    build = next(b for b in read_costs()["builds"] if b["name"] == "Cortex-M4F, -O2")
+    build = next(b for b in read_costs()["plain"]["builds"] if b["name"] == "Cortex-M4F, -O2")
     print("    | M | instructions an interrupt, mean | servo-400w | pmsm-2kw2 |")
     print("    |---|---|---|---|")
     for every in (1, 2, 4, 8, 16):
