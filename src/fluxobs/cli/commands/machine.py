@@ -62,9 +62,9 @@ def new(
             "--set",
             metavar="NAME=VALUE",
             help="Any field of a machine file or of a datasheet: R_line=0.8 L_line=1.2e-3 kv=900 "
-            "kv_of='line rms' K_e=52 K_t=0.7 rated_current_rms=4 rated_speed_rpm=3000 …; for an "
-            "induction machine voltage=400 frequency=50 power=2200 current=5 speed=1436 "
-            "cos_phi=0.82 of its plate.",
+            "kv_of='line rms' K_e=52 K_t=0.7 (K_t_of=dc: with block commutation) "
+            "rated_current_rms=4 rated_speed_rpm=3000 …; for an induction machine voltage=400 "
+            "frequency=50 power=2200 current=5 speed=1436 cos_phi=0.82 of its plate.",
         ),
     ] = None,
     force: ForceOption = False,
