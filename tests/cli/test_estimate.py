@@ -97,7 +97,7 @@ def test_streamed_is_the_same_as_one_piece(folder, monkeypatch):
         batches.append(run.batch)
         return run
 
-    module = importlib.import_module("fluxobs.estimation.estimate")
+    module = importlib.import_module("fluxobs.estimation.passes")
     monkeypatch.setattr(module, "prepare", in_small_batches)
     assert estimate(folder, log="log.parquet", out="cut.parquet").returncode == 0
     assert set(batches) == {137}

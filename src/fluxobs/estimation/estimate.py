@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -11,19 +11,13 @@ import polars as pl
 
 from ..logs.for_machine import open_for
 from ..logs.read import Source
-from ..machines import Machine, RotatingMachine
+from ..machines import Machine
 from ..machines.files import as_machine
-from ..observers import AdaptiveObserver, LogObserver
-from ..observers.adaptive import Learnt
-from ..observers.unknowns import ALL, AUTO, read_unknowns
-from ..output import ahead, check_out, write_rows
+from ..observers.unknowns import read_unknowns
+from ..output import check_out, write_rows
 from ..validation import number
-from .columns import rows_of
-from .learning import learn, learning_parts, needed
-from .prepare import prepare
+from .passes import Passes
 from .result import Result
-from .statistics import Statistics
-from .truth import TruthSamples
 
 
 def estimate(
@@ -97,47 +91,11 @@ def estimate(
     machine = as_machine(machine)
     if memory is not None:
         memory = number("memory", memory, "s")
-    chosen, stds = read_unknowns(unknowns), dict(priors or {})
+    chosen = read_unknowns(unknowns)
     opened = open_for(log, machine, **layout)
     path = None if out is None else check_out(out, opened.path, force)
-    automatic, done, total = chosen == (AUTO,), 0, len(opened)
-    if automatic:
-        chosen = ALL if isinstance(machine, RotatingMachine) else ("drift",)
-    run = prepare(opened, machine, chosen, memory, stds)
-    learnt: Learnt | None = None
-    state: Any = None
-    if isinstance(run.observer, AdaptiveObserver) and (automatic or not causal):
-        ahead_of = sum(last - first for first, last in learning_parts(run.log))
-
-        def tell(rows: int) -> None:
-            nonlocal done
-            done += rows
-            if progress is not None:
-                progress(done, ahead_of + total)
-
-        state, learnt = learn(run, run.observer, tell)
-        if automatic:
-            plain = prepare(opened, machine, ("drift",), memory, {})
-            if not needed(run.observer, learnt, plain):
-                chosen, stds, learnt, state, run = ("drift",), {}, None, None, plain
-    statistics = Statistics(total)
-    if opened.true is not None and opened.layout.fit_truth and run.plain_outputs:
-        statistics.truth = TruthSamples(total, opened.true.channel)
-    observer: LogObserver[Any, Any] = run.observer
-    if state is None or causal:
-        state = observer.init()
-
-    def frames() -> Iterator[pl.DataFrame]:
-        nonlocal state
-        for part in ahead(run.log.aligned(size=run.batch)):
-            state, found = observer.resume(state, part.voltage, part.current)
-            rows = rows_of(run.log, machine, run.observer, part, found)
-            statistics.add(rows)
-            if progress is not None:
-                progress(done + statistics.rows, done + total)
-            yield pl.DataFrame(rows.columns)
-
-    made = frames()
+    passes = Passes.begun(opened, machine, chosen, memory, dict(priors or {}), causal, progress)
+    made = (pl.DataFrame(rows.columns) for rows in passes.rows(progress))
     first = next(made)
     everything = chain([first], made)
     table = None
@@ -148,20 +106,4 @@ def estimate(
     else:
         for _ in everything:
             pass
-    if isinstance(run.observer, AdaptiveObserver):
-        learnt = run.observer.learnt(state)
-    return Result(
-        run.log,
-        machine,
-        run.observer,
-        run.scales,
-        chosen,
-        stds,
-        statistics,
-        observer.counts(state),
-        learnt,
-        automatic,
-        causal,
-        table,
-        path,
-    )
+    return Result(**passes.found(), table=table, path=path)
