@@ -9,17 +9,13 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 
 from ....errors import RecordError
-from ..lazy import as_columns
-from ..table import BATCH, Columns, Table
+from ..table import BATCH, Array, Columns, Table
 from . import source
 from .cells import MINUS, clock_formats, is_missing, split
+from .parse import Cells, Ragged
 from .structure import Structure, find
-
-#: Column for cells beyond the header; lines that have them are refused.
-_SURPLUS = "surplus"
 
 
 class TextTable(Table):
@@ -125,29 +121,6 @@ class TextTable(Table):
             self._starts.append(at)
             self._firsts.append(self.rows)
 
-    def _parsed(self, block: bytes, numbers: Sequence[str]) -> pl.DataFrame:
-        """All cells of some lines as text, but for those of `numbers`; columns are 0, 1, …"""
-        wanted = {str(self._index[name]) for name in numbers if name not in self._clocks}
-        cells = [str(n) for n in range(len(self.structure.names))]
-        schema: dict[str, type[pl.DataType]] = {
-            cell: pl.Float64 if cell in wanted else pl.String for cell in cells
-        }
-        asked = {str(self._index[name]) for name in numbers} or set(cells)
-        return (
-            pl.scan_csv(
-                block,
-                separator=self.structure.delimiter,
-                has_header=False,
-                schema=schema | {_SURPLUS: pl.String},
-                decimal_comma=self.structure.decimal_comma,
-                ignore_errors=True,
-                encoding="utf8-lossy",
-                missing_columns="insert",
-            )
-            .select([*(cell for cell in cells if cell in asked), _SURPLUS])
-            .collect()
-        )
-
     def _blocks(self, first: int, last: int) -> Iterator[tuple[int, bytes]]:
         """Blocks that hold these rows, each with the number of its first row."""
         n = bisect_right(self._firsts, first) - 1 if self.random_access else 0
@@ -174,62 +147,50 @@ class TextTable(Table):
             yield {name: self._kept[name][start:stop] for name in names}
 
     def _read(self, names: Sequence[str], first: int, last: int, size: int) -> Iterator[Columns]:
-        cells = {name: str(self._index[name]) for name in names}
+        clocks = [self._index[name] for name in names if name in self._clocks]
+        numbers = [self._index[name] for name in names if name not in self._clocks]
         surplus = not self.structure.said.sample_time  # rows of instruments may end in delimiters
         left: Columns = {}
-        try:
-            for at, block in self._blocks(first, last):
-                parsed = self._parsed(block, names)
-                if parsed.height != block.count(b"\n") + (not block.endswith(b"\n")):
-                    lines = enumerate(block.split(b"\n"))
-                    open_ = next((n for n, line in lines if line.count(b'"') % 2), 0)
-                    raise RecordError(
-                        f"{self.path}, {self.place(at + open_)}: a quotation mark is not closed in "
-                        f"its line. Close or remove it"
-                    )
-                low, high = max(first - at, 0), min(last - at, parsed.height)
-                parsed = parsed.slice(low, high - low)
-                if surplus and parsed[_SURPLUS].null_count() < parsed.height:
-                    beyond = parsed[_SURPLUS].drop_nulls()
-                    if (beyond.str.strip_chars() != "").any():
-                        raise self._ragged("lines of different length")
-                frame = pl.DataFrame(
-                    {
-                        name: self._stamps(name, parsed[cell])
-                        if name in self._clocks
-                        else parsed[cell]
-                        for name, cell in cells.items()
-                    }
+        for at, block in self._blocks(first, last):
+            try:
+                parsed = Cells.of(block, self.structure, numbers, clocks)
+            except Ragged as error:
+                raise self._ragged(str(error)) from None
+            if parsed.rows != block.count(b"\n") + (not block.endswith(b"\n")):
+                lines = enumerate(block.split(b"\n"))
+                open_ = next((n for n, line in lines if line.count(b'"') % 2), 0)
+                raise RecordError(
+                    f"{self.path}, {self.place(at + open_)}: a quotation mark is not closed in "
+                    f"its line. Close or remove it"
                 )
-                for name in frame.columns:
-                    if frame[name].null_count():
-                        self._refuse_text(name, block, at, low, high)
-                found = as_columns(frame)
-                if left:
-                    found = {n: np.concatenate([left[n], v]) for n, v in found.items()}
-                rows = len(next(iter(found.values())))
-                whole = rows // size * size
-                for cut in range(0, whole, size):
-                    yield {n: v[cut : cut + size] for n, v in found.items()}
-                left = {n: v[whole:] for n, v in found.items()} if whole < rows else {}
-        except pl.exceptions.PolarsError as error:
-            raise self._ragged(error) from None
+            low, high = max(first - at, 0), min(last - at, parsed.rows)
+            parsed = parsed.between(low, high)
+            if surplus and parsed.surplus:
+                raise self._ragged("lines of different length")
+            found = {}
+            for name in names:
+                found[name], whole = self._column(parsed, name)
+                if not whole:
+                    self._refuse_text(name, block, at, low, high)
+            if left:
+                found = {n: np.concatenate([left[n], v]) for n, v in found.items()}
+            rows = len(next(iter(found.values())))
+            whole_parts = rows // size * size
+            for cut in range(0, whole_parts, size):
+                yield {n: v[cut : cut + size] for n, v in found.items()}
+            left = {n: v[whole_parts:] for n, v in found.items()} if whole_parts < rows else {}
         if left:
             yield left
 
-    def _stamps(self, name: str, text: pl.Series) -> pl.Series:
-        """Wall-clock stamps as seconds, since midnight or since 1970."""
-        dotted = text.str.strip_chars().str.replace(",", ".", literal=True)
-        for form in self._clocks[name]:
-            if form.startswith("%H"):
-                found = dotted.str.to_time(form, strict=False).cast(pl.Int64)
-            else:
-                stamps = dotted.str.to_datetime(form, time_unit="ns", strict=False)
-                found = stamps.cast(pl.Int64)
-            if found.null_count() == text.null_count():
-                break
-        origin = self._origins.setdefault(name, int(found.drop_nulls().head(1).sum()))
-        return (found - origin) / 1e9
+    def _column(self, parsed: Cells, name: str) -> tuple[Array, bool]:
+        """Numbers of a column, of a clock its seconds, and whether every cell has one."""
+        n = self._index[name]
+        if name not in self._clocks:
+            return parsed.number(n)
+        values, whole, origin = parsed.seconds(n, self._clocks[name], self._origins.get(name))
+        if origin is not None:
+            self._origins[name] = origin
+        return values, whole
 
     def place(self, row: int) -> str:
         """Where a person finds that row in the file."""
@@ -241,7 +202,8 @@ class TextTable(Table):
 
     def _refuse_text(self, name: str, block: bytes, at: int, low: int, high: int) -> None:
         """A cell that did not parse is either empty or a mistake."""
-        texts = self._parsed(block, [])[str(self._index[name])]
+        n = self._index[name]
+        texts = Cells.of(block, self.structure, [], [n]).text(n)
         for row in range(low, high):
             text = texts[row]
             if text is None and not self._checked_length:
@@ -268,7 +230,7 @@ class TextTable(Table):
                 f"the line or remove it"
             )
 
-    def _ragged(self, error: object) -> RecordError:
+    def _ragged(self, reason: str) -> RecordError:
         """Find the first line with too many cells, to say more than the parser does."""
         width, first = len(self.structure.names), self.structure.first_line
         with source.open_bytes(self.path) as file:
@@ -280,5 +242,4 @@ class TextTable(Table):
                         return RecordError(
                             f"{self.path}, line {number + 1}: {cells} cells, the header has {width}"
                         )
-        reason = str(error).split("\n")[0]
         return RecordError(f"{self.path}: cannot be read: {reason}")
