@@ -18,7 +18,7 @@
 #include <vector>
 
 extern "C" {
-#include "fluxobs_adaptive.h"
+#include "columns.h"
 #include "fluxobs_internal.h"
 }
 
@@ -125,45 +125,16 @@ nb::tuple run_lanes(const States &states, const Signals &source, const Signals &
 
 // ---- made from the lists of the C headers --------------------------------------------------
 
-// Columns of the numbers of an estimate, in the order of the list; `valid` is separate.
-#define COUNT_VECTOR(name) +FO_N
-#define COUNT_NUMBER(name) +1
-constexpr std::size_t COLUMNS = 0 FO_ESTIMATE_FIELDS(COUNT_VECTOR, COUNT_NUMBER);
-
-void write(const fo_estimate &e, double *row, std::size_t plane) {
-    std::size_t at = 0; // known when compiled: the columns' places are computed once a record
-#define PUT_VECTOR(name) \
-    for (int n = 0; n < FO_N; n++) row[plane * at++] = e.name[n];
-#define PUT_NUMBER(name) row[plane * at++] = e.name;
-    FO_ESTIMATE_FIELDS(PUT_VECTOR, PUT_NUMBER)
-}
-
-// What the adaptive observer adds: the member of fo_adaptive_estimate, and its name in Python.
-#define ADAPTIVE_ESTIMATE_FIELDS(X)                                                      \
-    X(drift_std, drift_std) X(psi_f, psi_f) X(psi_f_std, psi_f_std)                      \
-    X(resistance_error, resistance_error) X(resistance_std, resistance_std)              \
-    X(inverter_voltage, inverter_voltage) X(inverter_std, inverter_voltage_std)          \
-    X(theta_other, theta_e_other) X(weight_other, weight_other) X(adapting, adapting)
-#define COUNT_ONE(member, name) +1
-constexpr std::size_t ADAPTIVE_COLUMNS = COLUMNS ADAPTIVE_ESTIMATE_FIELDS(COUNT_ONE);
-
-void write(const fo_adaptive_estimate &e, double *row, std::size_t plane) {
-    write(e.position, row, plane);
-    std::size_t at = COLUMNS;
-#define PUT_ONE(member, name) row[plane * at++] = e.member;
-    ADAPTIVE_ESTIMATE_FIELDS(PUT_ONE)
-}
-
 // (name, components) of every column or group of them, in the order in which they are written.
 nb::list outputs(bool adaptive) {
     nb::list out;
     auto add = [&](const char *name, int components) { out.append(nb::make_tuple(name, components)); };
 #define NAME_VECTOR(name) add(#name, FO_N);
 #define NAME_NUMBER(name) add(#name, 1);
-#define NAME_ONE(member, name) add(#name, 1);
+#define NAME_MEMBER(member, name) add(#name, 1);
     FO_ESTIMATE_FIELDS(NAME_VECTOR, NAME_NUMBER)
     if (adaptive) {
-        ADAPTIVE_ESTIMATE_FIELDS(NAME_ONE)
+        ADAPTIVE_ESTIMATE_FIELDS(NAME_MEMBER)
     }
     return out;
 }
@@ -345,7 +316,7 @@ public:
                     fo_step_volt_seconds(&observer_, &state, u, i, &e);
                 else
                     fo_step(&observer_, &state, u, i, &e);
-                write(e, row, plane);
+                write_plain(&e, row, plane);
                 return e.valid;
             });
     }
@@ -409,7 +380,7 @@ public:
                     fo_adaptive_step_volt_seconds(&observer_, &state, u, i, &e);
                 else
                     fo_adaptive_step(&observer_, &state, u, i, &e);
-                write(e, row, plane);
+                write_adaptive(&e, row, plane);
                 return e.position.valid;
             });
     }

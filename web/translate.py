@@ -1,0 +1,883 @@
+"""Translates modules of the package into JavaScript, so that a browser runs the same program.
+
+The page has to read logs, prepare runs and find words exactly as the command line does, in some
+kilobytes. So no line of that is written twice: this program turns the modules' syntax trees into
+JavaScript that calls `runtime/` for what the two languages do differently (truth, equality,
+operators of arrays, keyword arguments, classes). It knows the part of Python that the package uses;
+anything else is an error that names file and line, never a guess.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+from collections.abc import Iterable, Sequence
+from functools import cache
+from pathlib import Path
+
+#: Words that are names in Python but not in JavaScript.
+RESERVED = set(
+    "arguments await case catch const debugger default delete do enum eval export extends function "
+    "implements instanceof interface let new null package private protected public static super "
+    "switch this throw true false typeof undefined var void".split()
+)
+#: Methods of strings, lists and bytes, which are no objects of ours: the runtime has them.
+METHODS = set(
+    "append count decode encode endswith extend find format hex index insert isalpha isdigit "
+    "isspace join lower lstrip partition pop removeprefix removesuffix remove replace reverse "
+    "rfind rpartition rsplit rstrip sort split splitlines startswith strip swapcase title "
+    "translate upper zfill is_integer copy".split()
+)
+OPERATORS = {
+    ast.Add: "add",
+    ast.Sub: "sub",
+    ast.Mult: "mul",
+    ast.Div: "div",
+    ast.FloorDiv: "floordiv",
+    ast.Mod: "mod",
+    ast.Pow: "pow",
+    ast.MatMult: "matmul",
+    ast.BitAnd: "and_",
+    ast.BitOr: "or_",
+    ast.BitXor: "xor",
+    ast.LShift: "lshift",
+    ast.RShift: "rshift",
+}
+COMPARISONS = {
+    ast.Eq: "eq",
+    ast.NotEq: "ne",
+    ast.Lt: "lt",
+    ast.LtE: "le",
+    ast.Gt: "gt",
+    ast.GtE: "ge",
+    ast.In: "in_",
+    ast.NotIn: "notin",
+}
+#: Names that the runtime defines in every module.
+BUILTINS = set(
+    "ArithmeticError BaseException Exception FileNotFoundError IndexError KeyError "
+    "NotImplementedError OSError OverflowError StopIteration TypeError UnicodeDecodeError "
+    "ValueError ZeroDivisionError KeyboardInterrupt abs all any bool bytes callable chr complex "
+    "dict enumerate filter float frozenset getattr hasattr int isinstance issubclass iter len list "
+    "map max min next object open ord pow print property classmethod staticmethod range repr "
+    "reversed round set setattr slice sorted str sum super tuple type zip".split()
+)
+
+
+class Unknown(SyntaxError):
+    """A construct that has no translation."""
+
+
+class Module:
+    """One module of the package.
+
+    Parameters
+    ----------
+    name : str
+        With dots.
+    source : Path
+        Folder of the package.
+    path : Path
+    modules : set of str
+        Names of all modules that are translated or replaced.
+    """
+
+    def __init__(self, name: str, source: Path, path: Path, modules: set[str]) -> None:
+        self.name, self.source, self.path, self.modules = name, source, path, modules
+        self.package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        self.tree = ast.parse(path.read_text(encoding="utf-8"))
+        self._temporaries = 0
+        self._scopes: list[set[str]] = []
+        self._classes: list[str] = []
+        self._self: list[str | None] = []
+        self._loops: list[str] = []  # labels to break to, where a loop has an else
+        self.imports: set[str] = set()
+
+    # ---- names ---------------------------------------------------------------------------
+
+    def fail(self, node: ast.AST, what: str) -> Unknown:
+        line = getattr(node, "lineno", 0)
+        return Unknown(f"{self.path}:{line}: no translation for {what}")
+
+    def known(self, name: str) -> bool:
+        return name in BUILTINS or any(name in scope for scope in self._scopes)
+
+    @staticmethod
+    def mangled(name: str) -> str:
+        return f"{name}$" if name in RESERVED else name
+
+    def temporary(self) -> str:
+        self._temporaries += 1
+        return f"$v{self._temporaries}"
+
+    def text(self) -> str:
+        """The module as JavaScript."""
+        names = assigned(self.tree.body) | defined(self.tree.body)
+        self._scopes.append(names | {"__package__", "__name__"})
+        self._self.append(None)
+        body = self.block(without_docstring(self.tree.body))
+        declared = ", ".join(sorted(self.mangled(n) for n in names))
+        exported = ", ".join(
+            self.mangled(n) if n == self.mangled(n) else f"{n}: {self.mangled(n)}"
+            for n in sorted(names)
+        )
+        let = f"let {declared};\n" if names else ""
+        return (
+            f"$module({json.dumps(self.name)}, ($m) => {{\n"
+            f"const __name__ = {json.dumps(self.name)}, __package__ = {json.dumps(self.package)};\n"
+            f"{let}{body}\n"
+            f"Object.assign($m, {{{exported}}});\n}});\n"
+        )
+
+    # ---- statements ----------------------------------------------------------------------
+
+    def block(self, statements: Iterable[ast.stmt]) -> str:
+        return "\n".join(filter(None, (self.statement(one) for one in statements)))
+
+    def statement(self, node: ast.stmt) -> str:
+        method = getattr(self, f"do_{type(node).__name__}", None)
+        if method is None:
+            raise self.fail(node, type(node).__name__)
+        return str(method(node))
+
+    def do_Expr(self, node: ast.Expr) -> str:
+        if isinstance(node.value, ast.Constant):
+            return ""
+        return f"{self.expr(node.value)};"
+
+    def do_Pass(self, node: ast.Pass) -> str:
+        return ""
+
+    def do_Break(self, node: ast.Break) -> str:
+        return f"break {self._loops[-1]};"
+
+    def do_Continue(self, node: ast.Continue) -> str:
+        return "continue;"
+
+    def do_Nonlocal(self, node: ast.Nonlocal) -> str:
+        return ""
+
+    def do_Assert(self, node: ast.Assert) -> str:
+        return f"$assert({self.test(node.test)});"
+
+    def do_Import(self, node: ast.Import) -> str:
+        out = []
+        for one in node.names:
+            self.imports.add(one.name)
+            out.append(
+                f"{self.mangled(one.asname or one.name.split('.')[0])} = $import({json.dumps(one.name)});"
+            )
+        return " ".join(out)
+
+    def absolute(self, node: ast.ImportFrom) -> str:
+        if node.level == 0:
+            return node.module or ""
+        parts = self.package.split(".")
+        base = parts[: len(parts) - node.level + 1]
+        return ".".join([*base, *([node.module] if node.module else [])])
+
+    def exports(self, package: str, name: str) -> bool:
+        """Whether a package itself defines a name, which then hides a module of that name."""
+        path = find(self.source, package)
+        return path is not None and name in names_of(path)
+
+    def do_ImportFrom(self, node: ast.ImportFrom) -> str:
+        source = self.absolute(node)
+        if source == "__future__":
+            return ""
+        out, plain = [], []
+        for one in node.names:
+            name = self.mangled(one.asname or one.name)
+            if f"{source}.{one.name}" in self.modules and not self.exports(source, one.name):
+                self.imports.add(f"{source}.{one.name}")
+                out.append(f"{name} = $import({json.dumps(f'{source}.{one.name}')});")
+            else:
+                plain.append(f"{one.name}: {name}")
+        if plain:
+            self.imports.add(source)
+            words = ", ".join(plain)
+            out.append(f"({{{words}}} = $import({json.dumps(source)}));")
+        return " ".join(out)
+
+    def do_Assign(self, node: ast.Assign) -> str:
+        if len(node.targets) == 1:
+            return self.assignment(node.targets[0], self.expr(node.value))
+        value = self.temporary()
+        return f"const {value} = {self.expr(node.value)}; " + " ".join(
+            self.assignment(target, value) for target in node.targets
+        )
+
+    def assignment(self, target: ast.expr, value: str) -> str:
+        match target:
+            case ast.Name(id=name):
+                return f"{self.place(name)} = {value};"
+            case ast.Attribute(value=of, attr=name):
+                return f"{self.expr(of)}.{name} = {value};"
+            case ast.Subscript(value=of, slice=index):
+                return f"$set({self.expr(of)}, {self.index(index)}, {value});"
+            case ast.Tuple(elts=parts) | ast.List(elts=parts):
+                names = [self.temporary() for _ in parts]
+                starred = [isinstance(part, ast.Starred) for part in parts]
+                if any(starred[:-1]):
+                    raise self.fail(target, "a starred name that is not the last")
+                left = ", ".join(
+                    f"...{n}" if star else n for n, star in zip(names, starred, strict=True)
+                )
+                inner = " ".join(
+                    self.assignment(part.value if isinstance(part, ast.Starred) else part, name)
+                    for part, name in zip(parts, names, strict=True)
+                )
+                most = "Infinity" if any(starred) else str(len(parts))
+                return f"{{ const [{left}] = $unpack({value}, {most}); {inner} }}"
+        raise self.fail(target, f"assignment to {type(target).__name__}")
+
+    def place(self, name: str) -> str:
+        """Where a name that is assigned lives: in a class body it is a member."""
+        return self.mangled(name)
+
+    def do_AnnAssign(self, node: ast.AnnAssign) -> str:
+        if node.value is None:
+            return ""
+        return self.assignment(node.target, self.expr(node.value))
+
+    def do_AugAssign(self, node: ast.AugAssign) -> str:
+        operator = f"$i{OPERATORS[type(node.op)].rstrip('_')}"
+        value = self.expr(node.value)
+        match node.target:
+            case ast.Name(id=name):
+                return f"{self.mangled(name)} = {operator}({self.mangled(name)}, {value});"
+            case ast.Attribute(value=of, attr=name):
+                place = f"{self.expr(of)}.{name}"
+                return f"{place} = {operator}({place}, {value});"
+            case ast.Subscript(value=of, slice=index):
+                whole, at = self.expr(of), self.index(index)
+                return f"$set({whole}, {at}, {operator}($get({whole}, {at}), {value}));"
+        raise self.fail(node, "this augmented assignment")
+
+    def do_Delete(self, node: ast.Delete) -> str:
+        out = []
+        for target in node.targets:
+            if not isinstance(target, ast.Subscript):
+                raise self.fail(node, "del of a name")
+            out.append(f"$del({self.expr(target.value)}, {self.index(target.slice)});")
+        return " ".join(out)
+
+    def do_Return(self, node: ast.Return) -> str:
+        return "return null;" if node.value is None else f"return {self.expr(node.value)};"
+
+    def do_Raise(self, node: ast.Raise) -> str:
+        return "throw $e;" if node.exc is None else f"throw $raised({self.expr(node.exc)});"
+
+    def do_If(self, node: ast.If) -> str:
+        if isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            return ""
+        out = f"if ({self.test(node.test)}) {{\n{self.block(node.body)}\n}}"
+        if node.orelse:
+            out += f" else {{\n{self.block(node.orelse)}\n}}"
+        return out
+
+    def do_While(self, node: ast.While) -> str:
+        return self.loop(f"while ({self.test(node.test)}) {{\n", node)
+
+    def do_For(self, node: ast.For) -> str:
+        item = self.temporary()
+        first = self.assignment(node.target, item)
+        return self.loop(f"for (const {item} of $iter({self.expr(node.iter)})) {{\n{first}\n", node)
+
+    def loop(self, head: str, node: ast.For | ast.While) -> str:
+        """A loop; what stands in its else runs unless it is broken off."""
+        self._loops.append(self.temporary() if node.orelse else "")
+        out = f"{head}{self.block(node.body)}\n}}"
+        label = self._loops.pop()
+        return f"{label}: {{\n{out}\n{self.block(node.orelse)}\n}}" if label else out
+
+    def do_With(self, node: ast.With) -> str:
+        opened = []
+        head = ""
+        for item in node.items:
+            name = self.temporary()
+            opened.append(name)
+            head += f"const {name} = $enter({self.expr(item.context_expr)}); "
+            if item.optional_vars is not None:
+                head += self.assignment(item.optional_vars, f"{name}.value")
+        tail = " ".join(f"{name}.exit();" for name in reversed(opened))
+        return f"{{ {head} try {{\n{self.block(node.body)}\n}} finally {{ {tail} }} }}"
+
+    def do_Try(self, node: ast.Try) -> str:
+        if node.orelse:
+            raise self.fail(node, "try … else")
+        out = f"try {{\n{self.block(node.body)}\n}}"
+        if node.handlers:
+            cases = []
+            for handler in node.handlers:
+                kind = "BaseException" if handler.type is None else self.expr(handler.type)
+                name = f"{self.mangled(handler.name)} = $e; " if handler.name else ""
+                cases.append(f"if ($caught($e, {kind})) {{ {name}\n{self.block(handler.body)}\n}}")
+            out += f" catch ($e) {{ {' else '.join(cases)} else throw $e; }}"
+        if node.finalbody:
+            out += f" finally {{\n{self.block(node.finalbody)}\n}}"
+        return out
+
+    def do_Match(self, node: ast.Match) -> str:
+        subject = self.temporary()
+        out, parts = f"const {subject} = {self.expr(node.subject)};\n", []
+        for case in node.cases:
+            test, bind = self.pattern(case.pattern, subject)
+            guard = f" && {self.test(case.guard)}" if case.guard else ""
+            bound = f"{bind}\n" if bind else ""
+            if bind and guard:
+                raise self.fail(node, "a guarded capture")
+            parts.append(f"if ({test}{guard}) {{\n{bound}{self.block(case.body)}\n}}")
+        return "{ " + out + " else ".join(parts) + " }"
+
+    def pattern(self, node: ast.pattern, subject: str) -> tuple[str, str]:
+        match node:
+            case ast.MatchValue(value=value):
+                return f"$eq({subject}, {self.expr(value)})", ""
+            case ast.MatchSingleton(value=value):
+                return f"{subject} === {json.dumps(value)}", ""
+            case ast.MatchOr(patterns=patterns):
+                tests = [self.pattern(one, subject) for one in patterns]
+                return "(" + " || ".join(test for test, _ in tests) + ")", ""
+            case ast.MatchAs(pattern=None, name=None):
+                return "true", ""
+            case ast.MatchAs(pattern=None, name=str(name)):
+                return "true", f"{self.mangled(name)} = {subject};"
+        raise self.fail(node, f"the pattern {type(node).__name__}")
+
+    # ---- functions -----------------------------------------------------------------------
+
+    def do_FunctionDef(self, node: ast.FunctionDef) -> str:
+        value = self.function(node, in_class=False)
+        for decorator in reversed(node.decorator_list):
+            value = f"{self.expr(decorator)}({value})"
+        return f"{self.mangled(node.name)} = {value};"
+
+    def function(self, node: ast.FunctionDef, in_class: bool) -> str:
+        arguments = node.args
+        positional = [*arguments.posonlyargs, *arguments.args]
+        static = any(isinstance(d, ast.Name) and d.id == "staticmethod" for d in node.decorator_list)
+        first = None
+        if in_class and not static:
+            first, positional = positional[0].arg, positional[1:]
+        names = {a.arg for a in (*positional, *arguments.kwonlyargs)}
+        names |= {a.arg for a in (arguments.vararg, arguments.kwarg) if a is not None}
+        free = nonlocal_names(node.body)
+        local = (assigned(node.body) | defined(node.body)) - names - free
+        self._scopes.append(local | names | ({first} if first else set()))
+        self._self.append(first if first else self._self[-1])
+        defaults = self.defaults(positional, arguments.defaults)
+        parameters = [
+            self.mangled(a.arg) + (f" = {d}" if d is not None else "")
+            for a, d in zip(positional, defaults, strict=True)
+        ]
+        if arguments.vararg:
+            parameters.append(self.mangled(arguments.vararg.arg))
+        for one, default in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True):
+            value = "" if default is None else f" = {self.expr(default)}"
+            parameters.append(self.mangled(one.arg) + value)
+        if arguments.kwarg:
+            parameters.append(self.mangled(arguments.kwarg.arg))
+        star = "*" if is_generator(node) else ""
+        head = f"const {self.mangled(first)} = this; " if first else ""
+        if local:
+            head += f"let {', '.join(sorted(map(self.mangled, local)))};\n"
+        body = self.block(without_docstring(node.body))
+        tail = "" if star or always_returns(node.body) else "\nreturn null;"
+        self._scopes.pop()
+        self._self.pop()
+        made = f"function{star} ({', '.join(parameters)}) {{ {head}{body}{tail} }}"
+        spec: dict[str, object] = {"p": [a.arg for a in positional]}
+        if arguments.vararg:
+            spec["v"] = 1
+        if arguments.kwonlyargs:
+            spec["k"] = [a.arg for a in arguments.kwonlyargs]
+        if arguments.kwarg:
+            spec["w"] = 1
+        if not in_class and self._self[-1] is not None:
+            pass  # closures see the const that holds self
+        return f"$def({made}, {json.dumps(node.name)}, {json.dumps(spec)})"
+
+    def defaults(self, names: Sequence[ast.arg], given: Sequence[ast.expr]) -> list[str | None]:
+        missing = len(names) - len(given)
+        return [None] * missing + [self.expr(one) for one in given]
+
+    # ---- classes -------------------------------------------------------------------------
+
+    def do_ClassDef(self, node: ast.ClassDef) -> str:
+        bases = ", ".join(self.expr(base) for base in node.bases)
+        members, annotations = [], []
+        own: set[str] = set()
+        self._classes.append(node.name)
+        for one in without_docstring(node.body):
+            match one:
+                case ast.FunctionDef(name=name):
+                    value = self.function(one, in_class=True)
+                    for decorator in reversed(one.decorator_list):
+                        value = f"{self.expr(decorator)}({value})"
+                    members.append(f"$c.{name} = {value};")
+                    own.add(name)
+                case ast.AnnAssign(target=ast.Name(id=name), annotation=note, value=value):
+                    kept = "ClassVar" not in ast.unparse(note)
+                    if kept:
+                        annotations.append(f"{name}: () => {self.expr(note)}")
+                    if value is not None:
+                        members.append(f"$c.{name} = {self.in_class(value, own)};")
+                        own.add(name)
+                case ast.Assign(targets=[ast.Name(id=name)], value=value):
+                    members.append(f"$c.{name} = {self.in_class(value, own)};")
+                    own.add(name)
+                case ast.If(test=ast.Name(id="TYPE_CHECKING")) | ast.Pass():
+                    pass
+                case _:
+                    raise self.fail(one, f"{type(one).__name__} in a class")
+        self._classes.pop()
+        body = "\n".join(members)
+        value = (
+            f"$class({json.dumps(node.name)}, [{bases}], ($c) => {{\n{body}\n}}, "
+            f"{{{', '.join(annotations)}}})"
+        )
+        name = self.mangled(node.name)
+        out = f"{name} = {value};"
+        for decorator in reversed(node.decorator_list):
+            out += f" {name} = {self.expr(decorator)}({name});"
+        return out
+
+    def in_class(self, value: ast.expr, own: set[str]) -> str:
+        """An expression that may name earlier members of the class."""
+        names = {n.id for n in ast.walk(value) if isinstance(n, ast.Name)} & own
+        if not names:
+            return self.expr(value)
+        self._scopes.append(names)
+        made = self.expr(value)
+        self._scopes.pop()
+        bound = ", ".join(sorted(names))
+        return f"(({{{bound}}}) => {made})($c)"
+
+    # ---- expressions ---------------------------------------------------------------------
+
+    def expr(self, node: ast.expr) -> str:
+        method = getattr(self, f"on_{type(node).__name__}", None)
+        if method is None:
+            raise self.fail(node, type(node).__name__)
+        return str(method(node))
+
+    def test(self, node: ast.expr) -> str:
+        """An expression of which only the truth is wanted."""
+        match node:
+            case ast.BoolOp(op=ast.And(), values=values):
+                return "(" + " && ".join(map(self.test, values)) + ")"
+            case ast.BoolOp(op=ast.Or(), values=values):
+                return "(" + " || ".join(map(self.test, values)) + ")"
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                return f"!{self.test(operand)}"
+            case ast.Compare(ops=[ast.Is() | ast.IsNot() | ast.In() | ast.NotIn()]):
+                return self.expr(node)
+            case ast.Call(func=ast.Name(id="isinstance" | "any" | "all" | "hasattr")):
+                return self.expr(node)
+        return f"$t({self.expr(node)})"
+
+    def on_Constant(self, node: ast.Constant) -> str:
+        value = node.value
+        if value is None or value is True or value is False:
+            return json.dumps(value)
+        if value is Ellipsis:
+            return "$ellipsis"
+        if isinstance(value, complex):
+            return f"$complex(0, {value.imag!r})"
+        if isinstance(value, bytes):
+            return f"$bytes({json.dumps(list(value))})"
+        if isinstance(value, str):
+            return json.dumps(value, ensure_ascii=False)
+        return repr(value)
+
+    def on_Name(self, node: ast.Name) -> str:
+        if not self.known(node.id):
+            raise self.fail(node, f"the name {node.id}, which is not defined")
+        return self.mangled(node.id)
+
+    def on_Attribute(self, node: ast.Attribute) -> str:
+        if node.attr == "__name__":
+            return f"$name({self.expr(node.value)})"
+        if node.attr in methods_of(self.source):  # taken along: it keeps its object
+            return f"$bound({self.expr(node.value)}, {json.dumps(node.attr)})"
+        return f"{self.expr(node.value)}.{node.attr}"
+
+    def on_JoinedStr(self, node: ast.JoinedStr) -> str:
+        parts = []
+        for part in node.values:
+            match part:
+                case ast.Constant(value=str(value)):
+                    parts.append(json.dumps(value, ensure_ascii=False))
+                case ast.FormattedValue(value=value, conversion=conversion, format_spec=spec):
+                    made = self.expr(value)
+                    made = f"repr({made})" if conversion == ord("r") else made
+                    if spec is None:
+                        parts.append(f"str({made})")
+                    else:
+                        parts.append(f"$format({made}, {self.expr(spec)})")
+        return "(" + " + ".join(['""', *parts]) + ")"
+
+    def sequence(self, parts: Iterable[ast.expr]) -> str:
+        return ", ".join(
+            f"...$iter({self.expr(part.value)})"
+            if isinstance(part, ast.Starred)
+            else self.expr(part)
+            for part in parts
+        )
+
+    def on_Tuple(self, node: ast.Tuple) -> str:
+        return f"$tuple([{self.sequence(node.elts)}])"
+
+    def on_List(self, node: ast.List) -> str:
+        return f"[{self.sequence(node.elts)}]"
+
+    def on_Set(self, node: ast.Set) -> str:
+        return f"set([{self.sequence(node.elts)}])"
+
+    def on_Dict(self, node: ast.Dict) -> str:
+        parts = []
+        for key, value in zip(node.keys, node.values, strict=True):
+            if key is None:
+                parts.append(f"...$items({self.expr(value)})")
+            else:
+                parts.append(f"[{self.expr(key)}, {self.expr(value)}]")
+        return f"$dict([{', '.join(parts)}])"
+
+    def on_IfExp(self, node: ast.IfExp) -> str:
+        return f"({self.test(node.test)} ? {self.expr(node.body)} : {self.expr(node.orelse)})"
+
+    def on_BoolOp(self, node: ast.BoolOp) -> str:
+        word = "$and" if isinstance(node.op, ast.And) else "$or"
+        *first, out = map(self.expr, node.values)
+        for value in reversed(first):
+            out = f"{word}({value}, () => {out})"
+        return out
+
+    def on_UnaryOp(self, node: ast.UnaryOp) -> str:
+        match node.op:
+            case ast.Not():
+                return f"!{self.test(node.operand)}"
+            case ast.USub():
+                if isinstance(node.operand, ast.Constant) and not isinstance(
+                    node.operand.value, complex
+                ):
+                    return f"-{node.operand.value!r}"
+                return f"$neg({self.expr(node.operand)})"
+            case ast.Invert():
+                return f"$invert({self.expr(node.operand)})"
+        return f"$pos({self.expr(node.operand)})"
+
+    def on_BinOp(self, node: ast.BinOp) -> str:
+        word = OPERATORS[type(node.op)]
+        return f"${word}({self.expr(node.left)}, {self.expr(node.right)})"
+
+    def on_Compare(self, node: ast.Compare) -> str:
+        if len(node.ops) == 1:
+            return self.comparison(
+                node.ops[0], node.left, node.comparators[0], self.expr(node.left)
+            )
+        # a < b < c: b is evaluated once
+        out, left_node, left = [], node.left, self.expr(node.left)
+        bound = []
+        for op, right in zip(node.ops, node.comparators, strict=True):
+            name = self.temporary()
+            bound.append(f"const {name} = {self.expr(right)};")
+            out.append((" ".join(bound), self.comparison_of(op, left, name, left_node, right)))
+            bound, left, left_node = [], name, right
+        steps = "".join(f"{b} if (!$t({c})) return false; " for b, c in out[:-1])
+        last_bound, last = out[-1]
+        return f"(() => {{ {steps}{last_bound} return {last}; }})()"
+
+    def comparison(self, op: ast.cmpop, left: ast.expr, right: ast.expr, text: str) -> str:
+        return self.comparison_of(op, text, self.expr(right), left, right)
+
+    def comparison_of(
+        self, op: ast.cmpop, left: str, right: str, left_node: ast.expr, right_node: ast.expr
+    ) -> str:
+        if isinstance(op, ast.Is | ast.IsNot):
+            none = isinstance(right_node, ast.Constant) and right_node.value is None
+            sign = "=" if isinstance(op, ast.Is) else "!"
+            if none:
+                return f"({left} {sign}= null)"
+            return f"({left} {sign}== {right})"
+        return f"${COMPARISONS[type(op)]}({left}, {right})"
+
+    def on_Call(self, node: ast.Call) -> str:
+        match node.func:
+            case ast.Name(id="super") if not node.args:
+                raise self.fail(node, "super() that is not super().name")
+            case ast.Attribute(value=ast.Call(func=ast.Name(id="super"), args=[]), attr=name):
+                owner, first = self._classes[-1], self._self[-1]
+                return f"$super({owner}, {first}, {json.dumps(name)})({self.arguments(node)})"
+            case ast.Attribute(value=of, attr=name) if name in METHODS:
+                arguments = self.arguments(node)
+                comma = ", " if arguments else ""
+                return f"$call({self.expr(of)}, {json.dumps(name)}{comma}{arguments})"
+            case ast.Attribute(value=of, attr=name) if name != "__name__":
+                return f"{self.expr(of)}.{name}({self.arguments(node)})"
+        return f"{self.expr(node.func)}({self.arguments(node)})"
+
+    def arguments(self, node: ast.Call) -> str:
+        parts = [self.sequence([one]) for one in node.args]
+        if node.keywords:
+            named = ", ".join(
+                f"...$named({self.expr(k.value)})"
+                if k.arg is None
+                else f"{json.dumps(k.arg)}: {self.expr(k.value)}"
+                for k in node.keywords
+            )
+            parts.append(f"$kw({{{named}}})")
+        return ", ".join(parts)
+
+    def on_Subscript(self, node: ast.Subscript) -> str:
+        return f"$get({self.expr(node.value)}, {self.index(node.slice)})"
+
+    def index(self, node: ast.expr) -> str:
+        match node:
+            case ast.Slice(lower=low, upper=high, step=step):
+                parts = [("null" if p is None else self.expr(p)) for p in (low, high, step)]
+                return f"slice({', '.join(parts)})"
+            case ast.Tuple(elts=parts):
+                return f"$tuple([{', '.join(map(self.index, parts))}])"
+        return self.expr(node)
+
+    def on_Slice(self, node: ast.Slice) -> str:
+        return self.index(node)
+
+    def on_Starred(self, node: ast.Starred) -> str:
+        raise self.fail(node, "a starred expression here")
+
+    def on_Lambda(self, node: ast.Lambda) -> str:
+        names = [a.arg for a in node.args.args]
+        if node.args.vararg or node.args.kwonlyargs or node.args.kwarg:
+            raise self.fail(node, "a lambda with such parameters")
+        defaults = self.defaults(node.args.args, node.args.defaults)
+        self._scopes.append(set(names))
+        body = self.expr(node.body)
+        self._scopes.pop()
+        parameters = [
+            self.mangled(n) + (f" = {d}" if d is not None else "")
+            for n, d in zip(names, defaults, strict=True)
+        ]
+        return f"(({', '.join(parameters)}) => {body})"
+
+    def on_NamedExpr(self, node: ast.NamedExpr) -> str:
+        assert isinstance(node.target, ast.Name)
+        return f"({self.mangled(node.target.id)} = {self.expr(node.value)})"
+
+    def on_Yield(self, node: ast.Yield) -> str:
+        return f"(yield {'null' if node.value is None else self.expr(node.value)})"
+
+    def on_YieldFrom(self, node: ast.YieldFrom) -> str:
+        return f"(yield* $iter({self.expr(node.value)}))"
+
+    # ---- comprehensions ------------------------------------------------------------------
+
+    def comprehension(self, generators: Sequence[ast.comprehension], inner: list[str]) -> str:
+        """Nested loops around what `inner` says, which is filled in the scope of their names."""
+        names = set()
+        for one in generators:
+            names |= targets(one.target)
+        head = []
+        first = self.expr(generators[0].iter)
+        self._scopes.append(names)
+        for n, one in enumerate(generators):
+            source = first if n == 0 else self.expr(one.iter)
+            item = self.temporary()
+            head.append(f"for (const {item} of $iter({source})) {{ ")
+            head.append(self.assignment(one.target, item) + " ")
+            head += [f"if (!{self.test(test)}) continue; " for test in one.ifs]
+        return f"let {', '.join(sorted(map(self.mangled, names)))}; " + "".join(head)
+
+    def loops(self, generators: Sequence[ast.comprehension], make: object) -> str:
+        head = self.comprehension(generators, [])
+        body = make()  # type: ignore[operator]
+        self._scopes.pop()
+        return f"{head}{body}{'}' * len(generators)}"
+
+    def on_ListComp(self, node: ast.ListComp) -> str:
+        text = self.loops(node.generators, lambda: f"$o.push({self.expr(node.elt)});")
+        return f"(() => {{ const $o = []; {text} return $o; }})()"
+
+    def on_SetComp(self, node: ast.SetComp) -> str:
+        text = self.loops(node.generators, lambda: f"$o.add({self.expr(node.elt)});")
+        return f"(() => {{ const $o = set(); {text} return $o; }})()"
+
+    def on_DictComp(self, node: ast.DictComp) -> str:
+        def pair() -> str:
+            return f"$set($o, {self.expr(node.key)}, {self.expr(node.value)});"
+
+        text = self.loops(node.generators, pair)
+        return f"(() => {{ const $o = $dict([]); {text} return $o; }})()"
+
+    def on_GeneratorExp(self, node: ast.GeneratorExp) -> str:
+        text = self.loops(node.generators, lambda: f"yield {self.expr(node.elt)};")
+        return f"(function* () {{ {text} }})()"
+
+
+# ---- what a piece of code assigns -------------------------------------------------------------
+
+
+def targets(node: ast.expr) -> set[str]:
+    """Names that an assignment to this binds."""
+    return {n.id for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+
+
+def walked(body: Iterable[ast.stmt]) -> Iterable[ast.AST]:
+    """All nodes of a function's own scope."""
+    todo: list[ast.AST] = list(body)
+    while todo:
+        node = todo.pop()
+        yield node
+        if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Lambda):
+            continue
+        for child in ast.iter_child_nodes(node):
+            if isinstance(node, ast.If) and _typing_only(node) and child is not node.test:
+                continue
+            todo.append(child)
+
+
+def _typing_only(node: ast.If) -> bool:
+    return isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+
+
+def _in_comprehension(body: Iterable[ast.stmt]) -> set[int]:
+    """Stores to loop names of comprehensions, which are their own."""
+    out = set()
+    for node in walked(body):
+        if isinstance(node, ast.ListComp | ast.SetComp | ast.DictComp | ast.GeneratorExp):
+            for one in node.generators:
+                out |= {id(n) for n in ast.walk(one.target)}
+    return out
+
+
+def assigned(body: Sequence[ast.stmt]) -> set[str]:
+    """Names that a scope assigns."""
+    apart = _in_comprehension(body)
+    out = set()
+    for node in walked(body):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) and id(node) not in apart:
+            out.add(node.id)
+        elif isinstance(node, ast.ExceptHandler) and node.name:
+            out.add(node.name)
+        elif isinstance(node, ast.MatchAs) and node.name:
+            out.add(node.name)
+        elif isinstance(node, ast.Import):
+            out |= {one.asname or one.name.split(".")[0] for one in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module != "__future__":
+            out |= {one.asname or one.name for one in node.names}
+    return out
+
+
+def defined(body: Sequence[ast.stmt]) -> set[str]:
+    """Functions and classes that a scope defines."""
+    return {n.name for n in walked(body) if isinstance(n, ast.FunctionDef | ast.ClassDef)}
+
+
+def nonlocal_names(body: Sequence[ast.stmt]) -> set[str]:
+    """Names that belong to an outer scope."""
+    return {name for n in walked(body) if isinstance(n, ast.Nonlocal) for name in n.names}
+
+
+def is_generator(node: ast.FunctionDef) -> bool:
+    """Whether a function yields."""
+    return any(isinstance(n, ast.Yield | ast.YieldFrom) for n in walked(node.body))
+
+
+def always_returns(body: Sequence[ast.stmt]) -> bool:
+    """Whether a function cannot run over its end, as far as its last statement shows."""
+    return bool(body) and isinstance(body[-1], ast.Return | ast.Raise)
+
+
+def without_docstring(body: list[ast.stmt]) -> list[ast.stmt]:
+    """A body without the text at its head."""
+    first = body[0] if body else None
+    if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
+        return body[1:] if isinstance(first.value.value, str) else body
+    return body
+
+
+@cache
+def names_of(path: Path) -> frozenset[str]:
+    """Names that a module defines or imports."""
+    body = ast.parse(path.read_text(encoding="utf-8")).body
+    return frozenset(assigned(body) | defined(body))
+
+
+@cache
+def methods_of(source: Path) -> frozenset[str]:
+    """Names of all methods in the package, properties excepted."""
+    out = set()
+    for path in source.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                functions = [one for one in node.body if isinstance(one, ast.FunctionDef)]
+                out |= {
+                    one.name
+                    for one in functions
+                    if not any("property" in ast.unparse(d) for d in one.decorator_list)
+                }
+    return frozenset(out)
+
+
+# ---- modules ----------------------------------------------------------------------------------
+
+
+def find(source: Path, name: str) -> Path | None:
+    """The file of a module of the package."""
+    if name.split(".")[0] != source.name:
+        return None
+    base = source.joinpath(*name.split(".")[1:])
+    for path in (base.with_suffix(".py"), base / "__init__.py"):
+        if path.is_file():
+            return path
+    return None
+
+
+def program(source: Path, roots: Sequence[str], replaced: set[str]) -> str:
+    """JavaScript of some modules and of all that they import.
+
+    Parameters
+    ----------
+    source : Path
+        Folder of the package.
+    roots : sequence of str
+        Names of modules.
+    replaced : set of str
+        Names of modules that the runtime has in JavaScript.
+
+    Raises
+    ------
+    Unknown
+        A module uses something that has no translation, or imports what is neither of the package
+        nor replaced.
+    """
+    every = {
+        ".".join(["fluxobs", *path.relative_to(source).with_suffix("").parts]).removesuffix(
+            ".__init__"
+        )
+        for path in source.rglob("*.py")
+    }
+    out: dict[str, str] = {}
+
+    def add(name: str, why: str) -> None:
+        if name in out or name in replaced:
+            return
+        path = find(source, name)
+        if path is None:
+            raise Unknown(f"{why} imports {name}, which has no counterpart")
+        out[name] = ""
+        module = Module(name, source, path, every | replaced)
+        try:
+            text = module.text()
+        except Unknown as error:
+            raise Unknown(f"{error} (wanted by {why})") from None
+        for wanted in sorted(module.imports):
+            add(wanted, name)
+        del out[name]
+        out[name] = text  # behind what it imports
+
+    for root in roots:
+        add(root, "the page")
+    return "".join(out.values())
