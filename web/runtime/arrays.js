@@ -242,9 +242,17 @@ function $binary(word, a, b) {
 
 function $elementwise(x, fn, kind = "f") {
   if (typeof x === "number" || typeof x === "boolean") { const y = fn(Number(x)); return kind === "b" ? Boolean(y) : y; }
-  const a = $as(x), [d] = a.flat(), out = $store(kind, d.length);
+  const a = $as(x), [d, im] = a.flat(), out = $store(kind, d.length);
+  if (im) throw TypeError("this function of complex numbers is not here");
   for (let n = 0; n < d.length; n++) out[n] = fn(d[n]);
   return $wrap(new NdArray(out, a.shape, kind));
+}
+
+// A real function of both parts of a complex array, or of a real one.
+function $parts(x, fn) {
+  const a = $as(x);
+  if (!a.im) return $elementwise(x, fn);
+  return $wrap(new NdArray($as($elementwise(a.real, fn)).flat()[0], a.shape, "c", $as($elementwise(a.imag, fn)).flat()[0]));
 }
 
 const $arrays = {
@@ -408,7 +416,8 @@ function $grouped(x, axis) {
 
 function $reduce(word, given, axis = null, keepdims = false, { initial } = {}) {
   const x = $as(given);
-  if ((word === "sum" || word === "mean") && x.im) {
+  if (x.im && word !== "sum" && word !== "mean") throw TypeError(`${word} of complex numbers`);
+  if (x.im) {
     const re = $as($reduce(word, x.real, axis, keepdims)), im = $as($reduce(word, x.imag, axis, keepdims));
     return $wrap(new NdArray(re.flat()[0], re.shape, "c", im.flat()[0]));
   }
@@ -436,7 +445,8 @@ for (const word of ["max", "min"])
 NdArray.prototype.mean = $fn("axis keepdims", function (axis = null, keepdims = false) { return $reduce("mean", this, axis, keepdims); });
 NdArray.prototype.std = $fn("axis", function (axis = null) {
   const off = $sub(this, $reduce("mean", this, axis, true));
-  return $np.sqrt($reduce("mean", $mul(off, off), axis));
+  const size = $np.abs(off);
+  return $np.sqrt($reduce("mean", $mul(size, size), axis));
 });
 NdArray.prototype.reshape = function (...shape) {
   const wanted = [...(shape.length === 1 && Array.isArray(shape[0]) ? shape[0] : shape)], at = wanted.indexOf(-1);
@@ -474,14 +484,18 @@ Object.assign($np, {
     for (let n = 0; n < d.length; n++) out[n] = d[n] - d[n] === 0 && (!im || im[n] - im[n] === 0) ? 1 : 0;
     return $wrap(new NdArray(out, a.shape, "b"));
   },
-  isnan: (x) => $elementwise(x, (v) => (v !== v ? 1 : 0), "b"),
+  isnan(x) {
+    const a = $as(x), [d, im] = a.flat(), out = new Uint8Array(d.length);
+    for (let n = 0; n < d.length; n++) out[n] = d[n] !== d[n] || (im && im[n] !== im[n]) ? 1 : 0;
+    return $wrap(new NdArray(out, a.shape, "b"));
+  },
   round: (x, digits = 0) => $elementwise(x, (v) => { const s = 10 ** digits, y = v * s, f = Math.floor(y), r = y - f; return (r > 0.5 || (r === 0.5 && f % 2 !== 0) ? f + 1 : f) / s; }),
   angle: (x) => { const a = $as(x, "c"), [d, im] = a.flat(), out = new Float64Array(d.length); for (let n = 0; n < d.length; n++) out[n] = Math.atan2(im[n], d[n]); return $wrap(new NdArray(out, a.shape, "f")); },
   maximum: (a, b) => $wrap($binary("max", a, b)), minimum: (a, b) => $wrap($binary("min", a, b)),
   hypot: (a, b) => $wrap($binary("hypot", a, b)), arctan2: (a, b) => $wrap($binary("atan2", a, b)),
   mod: (a, b) => $wrap($binary("mod", a, b)), remainder: (a, b) => $wrap($binary("mod", a, b)),
   clip: (x, low, high) => $np.minimum($np.maximum(x, low), high),
-  nan_to_num: $fn("x nan", (x, nan = 0) => $elementwise(x, (v) => (v !== v ? nan : v === Infinity ? Number.MAX_VALUE : v === -Infinity ? -Number.MAX_VALUE : v))),
+  nan_to_num: $fn("x nan", (x, nan = 0) => $parts(x, (v) => (v !== v ? nan : v === Infinity ? Number.MAX_VALUE : v === -Infinity ? -Number.MAX_VALUE : v))),
   isclose: $fn("a b rtol atol", (a, b, rtol = 1e-5, atol = 1e-8) => $le($np.abs($sub(a, b)), $add(atol, $mul(rtol, $np.abs(b))))),
   array_equal: (a, b) => { const x = $as(a), y = $as(b); return $alike(x.shape, y.shape) && $reduce("all", $binary("eq", x, y)); },
   iscomplexobj: (x) => x instanceof Complex || (x instanceof NdArray && x.kind === "c"),
@@ -609,6 +623,7 @@ Object.assign($np, {
     return new NdArray(out, a.shape, "f");
   }),
   interp: (x, xs, ys) => {
+    if ($as(ys).im) return $add($np.interp(x, xs, $as(ys).real), $mul(new Complex(0, 1), $np.interp(x, xs, $as(ys).imag)));
     const [at] = $as(xs).flat(), [of] = $as(ys).flat(), n = at.length;
     let k = 0;
     return $elementwise(x, (v) => {
@@ -692,7 +707,7 @@ Object.assign($np, {
   },
 });
 $np.intp = $np.int64;
-const $known = (x) => { const a = $as(x).ravel(); return a.at($np.isfinite(a).kind === "b" ? $elementwise(a, (v) => (v === v ? 1 : 0), "b") : a); };
+const $known = (x) => { const a = $as(x).ravel(); return a.at($invert($np.isnan(a))); };
 
 // ---- linear algebra -------------------------------------------------------------------------
 

@@ -277,7 +277,7 @@ const $mul = $operator("mul", (a, b) => a * b, (a, b) => {
   if (Array.isArray(b) && !Array.isArray(a)) [a, b] = [b, a];
   if (Array.isArray(a)) { const out = []; for (let n = 0; n < b; n++) out.push(...a); return out; }
 });
-const $div = $operator("div", (a, b) => { if (b === 0) throw ZeroDivisionError("division by zero"); return a / b; },
+const $div = $operator("div", (a, b) => a / b,
   (a, b) => (a && a.__truediv__ ? a.__truediv__(b) : undefined));
 const $floordiv = $operator("floordiv", (a, b) => Math.floor(a / b));
 const $mod = $operator("mod", (a, b) => a - b * Math.floor(a / b));
@@ -330,8 +330,28 @@ function $span(s, size) {
   return [first, Math.max(0, Math.ceil((last - first) / step)), step];
 }
 
-// Tuples are equal by their contents.
-const $keyOf = (key) => (Array.isArray(key) ? `\u0000(${key.map((k) => `${typeof k}:${$keyOf(k)}`).join("\u0001")})` : key === undefined ? null : typeof key === "boolean" ? Number(key) : key);
+// Keys are equal by their contents where Python's are: tuples, data classes, numbers.
+const $ids = new WeakMap();
+let $lastId = 0;
+function $keyOf(key) {
+  switch (typeof key) {
+    case "string": case "number": return key;
+    case "boolean": return Number(key);
+    case "undefined": return null;
+  }
+  if (key === null) return null;
+  if (Array.isArray(key)) return `\u0000(${key.map($inKey).join("\u0001")})`;
+  if (key instanceof Complex) return key.imag === 0 ? key.real : `\u0000${key.real}+${key.imag}j`;
+  if (key.constructor.$byFields) return `\u0000${key.constructor.$title}(${key.constructor.$fields.map((f) => $inKey(key[f.name])).join("\u0001")})`;
+  if (key instanceof Path) return `\u0000Path(${key.path})`;
+  return key;
+}
+function $inKey(part) {
+  const at = $keyOf(part);
+  if (at === null || typeof at !== "object" && typeof at !== "function") return `${typeof at}:${at}`;
+  if (!$ids.has(at)) $ids.set(at, ++$lastId);
+  return `object:${$ids.get(at)}`;
+}
 
 class Dict {
   constructor(pairs = []) { this.of = new Map(); for (const [k, v] of pairs) this.set(k, v); }

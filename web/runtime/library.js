@@ -183,6 +183,7 @@ function $dataclass(cls, { eq = true, order = false } = {}) {
     }, cls.$title, { p: taken.map((f) => f.name) });
   if (eq && !("__eq__" in cls.$own))
     cls.prototype.__eq__ = function (other) { return other != null && other.constructor === this.constructor && cls.$fields.every((f) => !f.compare || $t($eq(this[f.name], other[f.name]))); };
+  Object.defineProperty(cls, "$byFields", { value: eq, configurable: true });
   if (order) cls.prototype.valueOf = function () { throw TypeError("order of data classes"); };
   if (!cls.prototype.__repr__)
     cls.prototype.__repr__ = function () { return `${cls.$title}(${cls.$fields.map((f) => `${f.name}=${repr(this[f.name])}`).join(", ")})`; };
