@@ -30,15 +30,20 @@ class NdArray {
       const cut = (d) => (d && (this.offset !== 0 || d.length !== count) ? d.subarray(this.offset, this.offset + count) : d);
       return [cut(this.data), cut(this.im)];
     }
-    const at = $offsets(this.shape, this.strides, this.offset), out = new this.data.constructor(count), im = this.im ? new Float64Array(count) : null;
-    for (let n = 0; n < count; n++) out[n] = this.data[at[n]];
-    if (im) for (let n = 0; n < count; n++) im[n] = this.im[at[n]];
-    return [out, im];
+    return [$gathered(this.data, this, count), this.im ? $gathered(this.im, this, count) : null];
   }
   *[Symbol.iterator]() { for (let n = 0; n < this.shape[0]; n++) yield this.at(n); }
   at(index) { return $select(this, index, true); }
   put(index, value) { $put(this, index, value); }
-  assign(value) { if (this.ndim === 0) { $scatter(this, [this.offset], [], value); } else this.put($ellipsis, value); }
+  assign(value) {
+    if (value instanceof NdArray && value.data !== this.data && $alike(value.shape, this.shape) && this.contiguous && (this.im || !value.im)) {
+      const [d, im] = value.flat();
+      this.data.set(d, this.offset);
+      if (this.im) { if (im) this.im.set(im, this.offset); else this.im.fill(0, this.offset, this.offset + d.length); }
+      return;
+    }
+    if (this.ndim === 0) { $scatter(this, [this.offset], [], value); } else this.put($ellipsis, value);
+  }
   item() { const [d, im] = this.flat(); return this.kind === "b" ? Boolean(d[0]) : im ? new Complex(d[0], im[0]) : d[0]; }
   tolist() { return this.ndim === 0 ? this.item() : [...this].map((x) => (x instanceof NdArray ? x.tolist() : x)); }
   __str__() { return repr(this.tolist()).replaceAll(",", ""); }
@@ -59,6 +64,17 @@ const $rowMajor = (shape) => { const out = new Array(shape.length); let step = 1
 const $product = (shape) => shape.reduce((a, b) => a * b, 1);
 const $store = (kind, count) => (kind === "b" ? new Uint8Array(count) : new Float64Array(count));
 const $wrap = (x) => (x.ndim === 0 ? x.item() : x);
+
+// The elements of a view in order.
+function $gathered(data, { shape, strides, offset }, count) {
+  const out = new data.constructor(count), n = shape.length;
+  if (n === 0) { out[0] = data[offset]; return out; }
+  const rows = n > 1 ? shape[n - 2] : 1, cols = shape[n - 1], down = n > 1 ? strides[n - 2] : 0, right = strides[n - 1];
+  let k = 0;
+  for (const start of n > 2 ? $offsets(shape.slice(0, -2), strides.slice(0, -2), offset) : [offset])
+    for (let i = 0, row = start; i < rows; i++, row += down) for (let j = 0, at = row; j < cols; j++, at += right) out[k++] = data[at];
+  return out;
+}
 
 // Where the elements of a view lie.
 function $offsets(shape, strides, offset) {
@@ -281,6 +297,25 @@ const $isIndexArray = (x) => x instanceof NdArray || (Array.isArray(x) && x.cons
 
 // A view for numbers, slices, None and …; else positions in the data, and their shape.
 function $resolve(x, index) {
+  if (index instanceof Slice) index = $tuple([index]);
+  if (Array.isArray(index) && index.$t && index.every((p) => typeof p === "number" || p instanceof Slice)) { // the usual kind, quickly
+    const shape = [], strides = [];
+    let offset = x.offset, n = 0;
+    for (const p of index) {
+      const size = x.shape[n], by = x.strides[n++];
+      if (size === undefined) throw IndexError("too many indices for an array");
+      if (typeof p === "number") {
+        const at = p < 0 ? p + size : p;
+        if (!(at >= 0 && at < size)) throw IndexError(`index ${p} out of range of ${size}`);
+        offset += at * by;
+      } else {
+        const [first, count, step] = $span(p, size);
+        offset += first * by; shape.push(count); strides.push(step * by);
+      }
+    }
+    for (; n < x.ndim; n++) { shape.push(x.shape[n]); strides.push(x.strides[n]); }
+    return { view: new NdArray(x.data, shape, x.kind, x.im, strides, offset) };
+  }
   let parts = Array.isArray(index) && index.$t ? [...index] : [index];
   parts = parts.map((p) => ($isIndexArray(p) ? (Array.isArray(p) && p.length === 0 ? $as(p, "i") : $as(p)) : typeof p === "boolean" ? $as([p]) : p));
   const taken = parts.reduce((sum_, p) => sum_ + (p === null || p === $ellipsis ? 0 : p instanceof NdArray && p.kind === "b" ? p.ndim : 1), 0);
@@ -351,6 +386,17 @@ function $select(x, index) {
     if (!(n >= 0 && n < x.shape[0])) throw IndexError(`index ${index} out of range of ${x.shape[0]}`);
     const at = x.offset + n * x.strides[0];
     return x.kind === "b" ? Boolean(x.data[at]) : x.im ? new Complex(x.data[at], x.im[at]) : x.data[at];
+  }
+  if (x.ndim === 1 && index instanceof NdArray && index.ndim === 1 && x.strides[0] === 1 && !x.im) {
+    const [at] = index.flat(), { data, offset, shape: [size] } = x;
+    if (index.kind === "b" && at.length === size) {
+      let count = 0;
+      for (let n = 0; n < size; n++) count += at[n];
+      if (count === size) return new NdArray(data.slice(offset, offset + size), [size], x.kind);
+      const out = new data.constructor(count);
+      for (let n = 0, k = 0; n < size; n++) if (at[n]) out[k++] = data[offset + n];
+      return new NdArray(out, [count], x.kind);
+    }
   }
   const { view, positions, shape } = $resolve(x, index);
   if (view) return $wrap(view);
@@ -568,6 +614,11 @@ Object.assign($np, {
     let at = 0;
     for (const p of parts) {
       const [d, pi] = p.flat(), own = p.shape[along] * inner;
+      if (own < 8) { // short pieces are copied one by one
+        for (let n = 0, from = 0; n < outer; n++) for (let k = 0, to = n * whole + at; k < own; k++, from++, to++) { out[to] = d[from]; if (im && pi) im[to] = pi[from]; }
+        at += own;
+        continue;
+      }
       for (let n = 0; n < outer; n++) {
         out.set(d.subarray(n * own, (n + 1) * own), n * whole + at);
         if (im && pi) im.set(pi.subarray(n * own, (n + 1) * own), n * whole + at);
@@ -675,6 +726,14 @@ Object.assign($np, {
     const many = $shared(x.shape.slice(0, -2), y.shape.slice(0, -2)), count = $product(many);
     const [xd, xi] = $expanded(x, [...many, n, k]).flat(), [yd, yi] = $expanded(y, [...many, k, m]).flat();
     const out = new Float64Array(count * n * m), im = xi || yi ? new Float64Array(out.length) : null;
+    if (!im && n * m <= 256 && k > 4) { // small results: as dot products
+      for (let c = 0; c < count; c++) for (let i = 0; i < n; i++) for (let l = 0; l < m; l++) {
+        let sum_ = 0;
+        for (let j = 0, a = (c * n + i) * k, b = c * k * m + l; j < k; j++, a++, b += m) sum_ += xd[a] * yd[b];
+        out[(c * n + i) * m + l] = sum_;
+      }
+      return $wrap(new NdArray(out, [...many, ...(front ? [] : [n]), ...(back ? [] : [m])], "f"));
+    }
     for (let c = 0; c < count; c++) for (let i = 0; i < n; i++) for (let j = 0; j < k; j++) {
       const at = (c * n + i) * k + j, v = xd[at], w = xi ? xi[at] : 0, to = (c * n + i) * m, from = (c * k + j) * m;
       if (!im) for (let l = 0; l < m; l++) out[to + l] += v * yd[from + l]; else for (let l = 0; l < m; l++) { const r = yd[from + l], s = yi ? yi[from + l] : 0; out[to + l] += v * r - w * s; im[to + l] += v * s + w * r; }
@@ -695,6 +754,18 @@ Object.assign($np, {
     const out = [...named(right, dots)], every = [...out, ...new Set(letters.flat().filter((c) => !out.includes(c)))];
     const size = {};
     letters.forEach((own, n) => own.forEach((c, k) => { if (!(size[c] > 1)) size[c] = ops[n].shape[k]; }));
+    const plain = letters.every((own) => new Set(own).size === own.length);
+    if (ops.length === 2 && plain) { // a product of matrices
+      const [p, q] = letters, both = p.filter((c) => q.includes(c)), many = both.filter((c) => out.includes(c)), gone = both.filter((c) => !out.includes(c));
+      const [left_, right_] = [p.filter((c) => !both.includes(c)), q.filter((c) => !both.includes(c))], of = (list) => $product(list.map((c) => size[c]));
+      if ([...left_, ...right_].every((c) => out.includes(c))) {
+        const turned = (x, own, order) => x.transpose(...order.map((c) => own.indexOf(c)));
+        const x = turned($expanded(ops[0], p.map((c) => size[c])), p, [...many, ...left_, ...gone]).reshape(of(many), of(left_), of(gone));
+        const y = turned($expanded(ops[1], q.map((c) => size[c])), q, [...many, ...gone, ...right_]).reshape(of(many), of(gone), of(right_));
+        const order = [...many, ...left_, ...right_], made = $as($np.matmul(x, y)).reshape(...order.map((c) => size[c]));
+        return $wrap(order.length ? turned(made, order, out) : made.reshape([]));
+      }
+    }
     let product = null;
     letters.forEach((own, n) => {
       const shape = every.map((c) => (own.includes(c) ? size[c] : 1)), strides = every.map((c) => own.reduce((s, o, k) => s + (o === c && ops[n].shape[k] > 1 ? ops[n].strides[k] : 0), 0));
@@ -747,7 +818,7 @@ function $jacobi(x) {
     for (let p = 0; p < m; p++) for (let q = p + 1; q < m; q++) {
       let a = 0, b = 0, c = 0;
       for (let k = 0; k < n; k++) { a += U[p][k] * U[p][k]; b += U[q][k] * U[q][k]; c += U[p][k] * U[q][k]; }
-      if (Math.abs(c) <= 1e-16 * Math.sqrt(a * b) || c === 0) continue;
+      if (Math.abs(c) <= 4e-16 * Math.sqrt(a * b) || c === 0) continue;
       off = Math.max(off, Math.abs(c) / Math.sqrt(a * b));
       const z = (b - a) / (2 * c), t = Math.sign(z || 1) / (Math.abs(z) + Math.sqrt(1 + z * z)), cs = 1 / Math.sqrt(1 + t * t), sn = cs * t;
       for (const W of [U, V]) for (let k = 0; k < W[p].length; k++) { const v = W[p][k], w = W[q][k]; W[p][k] = cs * v - sn * w; W[q][k] = sn * v + cs * w; }

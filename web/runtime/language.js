@@ -768,7 +768,7 @@ const $byteMethods = {
   decode: $fn("b encoding errors", $decoded),
   startswith: (b, of) => (Array.isArray(of) ? of : [of]).some((one) => one.every((x, n) => b[n] === x)),
   endswith: (b, of) => of.every((x, n) => b[b.length - of.length + n] === x),
-  count: (b, of) => { let out = 0; for (let n = $bytesFind(b, of); n >= 0; n = $bytesFind(b, of, n + of.length)) out++; return out; },
+  count: (b, of) => { let out = 0; if (of.length === 1) return $countOf(b, of[0]); for (let n = $bytesFind(b, of); n >= 0; n = $bytesFind(b, of, n + of.length)) out++; return out; },
   find: (b, of, from = 0) => $bytesFind(b, of, from),
   removeprefix: (b, of) => ($byteMethods.startswith(b, of) ? b.subarray(of.length) : b),
   rstrip: (b) => { let n = b.length; while (n && [9, 10, 11, 12, 13, 32].includes(b[n - 1])) n--; return b.subarray(0, n); },

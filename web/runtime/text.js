@@ -1,81 +1,61 @@
 // Lines of delimited text as numbers: the counterpart of fluxobs/logs/formats/text/parse.py.
 
-const Ragged = $exception("Ragged", ValueError);
-const $tens = Float64Array.from({ length: 23 }, (_, n) => 10 ** n);
-const [TAB, NEWLINE, RETURN, SPACE, QUOTE, PLUS, COMMA, MINUS_SIGN, POINT] = [9, 10, 13, 32, 34, 43, 44, 45, 46];
+// How often a byte stands in a block.
+function $countOf(block, byte) {
+  const at = $wasm.allocate(Math.max(8, block.length));
+  $octets(at, block.length).set(block);
+  const out = $wasm.count_of(at, block.length, byte);
+  $wasm.release(at);
+  return out;
+}
 
-// The number in bytes a … b - 1, correctly rounded; undefined if it is none.
-function $numberIn(d, a, b, mark) {
-  while (a < b && (d[a] === SPACE || d[a] === TAB)) a++;
-  while (b > a && (d[b - 1] === SPACE || d[b - 1] === TAB)) b--;
-  let at = a, sign = 1, mantissa = 0, digits = 0, power = 0, seen = 0;
-  if (d[at] === MINUS_SIGN) { sign = -1; at++; } else if (d[at] === PLUS) at++;
-  let c = d[at];
-  for (; at < b && (c = d[at]) >= 48 && c <= 57; at++) { mantissa = mantissa * 10 + (c - 48); seen++; if (mantissa > 0) digits++; }
-  if (at < b && d[at] === mark) {
-    at++;
-    for (; at < b && (c = d[at]) >= 48 && c <= 57; at++) { mantissa = mantissa * 10 + (c - 48); seen++; power--; if (mantissa > 0) digits++; }
-  }
-  if (seen && at < b && (d[at] | 32) === 101) {
-    at++;
-    let up = 1, e = 0, any_ = false;
-    if (d[at] === MINUS_SIGN) { up = -1; at++; } else if (d[at] === PLUS) at++;
-    for (; at < b && (c = d[at]) >= 48 && c <= 57; at++) { e = e * 10 + (c - 48); any_ = true; }
-    if (!any_) return undefined;
-    power += up * e;
-  }
-  if (!seen || at < b) { // a word: nan, inf; or no number
-    const found = $number(String.fromCharCode(...d.subarray(a, b)));
-    return found === null || seen ? undefined : found;
-  }
-  if (digits <= 15 && power >= -22 && power <= 22) return sign * (power < 0 ? mantissa / $tens[-power] : mantissa * $tens[power]);
-  const text = String.fromCharCode(...d.subarray(a, b));
-  return Number(mark === COMMA ? text.replace(",", ".") : text);
+const Ragged = $exception("Ragged", ValueError);
+// The number in a text, correctly rounded; undefined if it is none.
+function $numberIn(text, comma) {
+  const found = $number(comma ? text.replace(",", ".") : text);
+  return found === null || (comma && text.includes(".")) ? undefined : found;
 }
 
 class Cells {
   constructor(rows, numbers, texts, extra) { this.rows = rows; this.numbers = numbers; this.texts = texts; this.extra = extra; }
 
   static of(block, structure, numbers, texts) {
-    const width = structure.names.length, mark = structure.decimal_comma ? COMMA : POINT, delimiter = structure.delimiter.charCodeAt(0);
-    let rows = 0;
-    for (let n = block.indexOf(NEWLINE); n >= 0; n = block.indexOf(NEWLINE, n + 1)) rows++;
-    if (block.length && block[block.length - 1] !== NEWLINE) rows++;
-    const values = new Map(numbers.map((n) => [n, new Float64Array(rows).fill(NaN)])), lost = new Map(numbers.map((n) => [n, []]));
-    const words = new Map(texts.map((n) => [n, new Array(rows).fill(null)])), extra = [];
-    const columns = Array.from({ length: width }, (_, n) => values.get(n)), wanted = Array.from({ length: width }, (_, n) => words.get(n));
-    const holes = Array.from({ length: width }, (_, n) => lost.get(n));
-    const last = Math.max(-1, ...numbers, ...texts), size = block.length;
-    let at = 0, row = 0;
-    while (at < size) {
-      let n = 0;
-      for (;;) {
-        let a = at, b, quoted = false;
-        if (block[at] === QUOTE) {
-          quoted = true;
-          for (at++; at < size && !(block[at] === QUOTE && block[at + 1] !== QUOTE); at++) if (block[at] === QUOTE) at++;
-          a++; b = at; at++;
-          while (at < size && block[at] !== delimiter && block[at] !== NEWLINE) at++;
-        } else {
-          while (at < size && block[at] !== delimiter && block[at] !== NEWLINE) at++;
-          b = at;
-          if (b > a && block[b - 1] === RETURN && (at >= size || block[at] === NEWLINE)) b--;
-        }
-        if (n < width) {
-          const into = columns[n], text = wanted[n];
-          if (into) { const v = b > a ? $numberIn(block, a, b, mark) : undefined; if (v === undefined) holes[n].push(row); else into[row] = v; }
-          if (text && (b > a || quoted)) { const t = $decoded(block.subarray(a, b), "utf-8", "replace"); text[row] = quoted ? t.replaceAll('""', '"') : t; }
-        } else if (n === width) { if ($strings.strip($decoded(block.subarray(a, b), "utf-8", "replace"))) extra.push(row); } else throw Ragged("a line with too many cells");
-        n++;
-        if (at >= size || block[at] === NEWLINE) { at++; break; }
-        at++;
-        if (at >= size) { n++; break; }
+    const width = structure.names.length, comma = structure.decimal_comma;
+    const rows = $countOf(block, 10) + (block.length && block[block.length - 1] !== 10 ? 1 : 0);
+    const slots = new Int32Array(width).fill(-1);
+    numbers.forEach((n, k) => { slots[n] = k; });
+    for (const n of texts) slots[n] = -2;
+    const memory = [], allocate = (size) => { const at = $wasm.allocate(Math.max(8, size)); memory.push(at); return at; };
+    try {
+      const text = allocate(block.length), at = allocate(4 * width), out = allocate(8 * rows * numbers.length), found = allocate(4);
+      let most = (texts.length + 1) * rows + 64, places, count;
+      do { // if more cells are to be looked at than is usual
+        places = allocate(16 * most);
+        $octets(text, block.length).set(block);
+        new Int32Array($wasm.memory.buffer, at, width).set(slots);
+        count = $wasm.part(text, block.length, structure.delimiter.charCodeAt(0), comma ? 44 : 46, width, at, out, rows, places, most, found);
+        most = (width + 2) * rows + 64;
+      } while (count < 0 && memory.length < 8);
+      if (count < 0) throw Ragged("a line with too many cells");
+      const values = numbers.map((_, k) => $numbers(out + 8 * rows * k, rows).slice()), holes = numbers.map(() => []);
+      const words = new Map(texts.map((n) => [n, new Array(rows).fill(null)])), extra = [];
+      const list = new Uint32Array($wasm.memory.buffer, places, 4 * count).slice(), done = new Uint32Array($wasm.memory.buffer, found, 1)[0];
+      for (let k = 0; k < list.length; k += 4) {
+        const [row, column, begin, end] = list.subarray(k, k + 4);
+        let word = $decoded(block.subarray(begin, end), "utf-8", "replace");
+        const quoted = word[0] === '"';
+        if (quoted) word = word.slice(1, word.lastIndexOf('"')).replaceAll('""', '"');
+        if (column > width && $strings.strip(word)) throw Ragged("a line with too many cells");
+        if (column === width) { if ($strings.strip(word)) extra.push(row); continue; }
+        if (column > width) continue;
+        const slot = slots[column];
+        if (slot === -2) { if (word || quoted) words.get(column)[row] = word; continue; }
+        const value = word ? $numberIn(word, comma) : undefined;
+        values[slot][row] = value ?? NaN;
+        if (value === undefined) holes[slot].push(row);
       }
-      for (; n <= last; n++) if (holes[n]) holes[n].push(row);
-      row++;
-    }
-    const short = row < rows; // a quotation mark went over the end of a line
-    return new Cells(short ? row : rows, new Map([...values].map(([n, v]) => [n, { values: v, holes: lost.get(n) }])), words, extra);
+      return new Cells(done, new Map(numbers.map((n, k) => [n, { values: values[k], holes: holes[k] }])), words, extra);
+    } finally { memory.forEach((one) => $wasm.release(one)); }
   }
 
   between(first, last) {

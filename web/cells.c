@@ -1,0 +1,121 @@
+/* Cells of delimited text as numbers, where that is simple: at most 15 digits and a small exponent,
+ * whose value one multiplication or division gives correctly rounded. All else is left to the host,
+ * by its place. */
+#include <stdint.h>
+
+#define EXPORT(name) __attribute__((export_name(#name))) name
+
+enum { MOST_DIGITS = 15, MOST_POWER = 22 };
+
+/* A cell that the host has to look at; its row, column, and bytes. */
+typedef struct {
+    uint32_t row, column, begin, end;
+} place;
+
+static const double tens[MOST_POWER + 1] = {1e0,  1e1,  1e2,  1e3,  1e4,  1e5,  1e6,  1e7,
+                                            1e8,  1e9,  1e10, 1e11, 1e12, 1e13, 1e14, 1e15,
+                                            1e16, 1e17, 1e18, 1e19, 1e20, 1e21, 1e22};
+
+static int is_digit(uint8_t c) { return c >= '0' && c <= '9'; }
+
+/* The number in begin .. end - 1; 0 if it is not that simple. */
+static int simple(const uint8_t *begin, const uint8_t *end, uint8_t mark, double *value)
+{
+    double mantissa = 0.0;
+    int sign = 1, digits = 0, power = 0, seen = 0;
+    while (begin < end && *begin == ' ') begin++;
+    while (end > begin && end[-1] == ' ') end--;
+    if (begin < end && (*begin == '-' || *begin == '+')) sign = *begin++ == '-' ? -1 : 1;
+    for (; begin < end && is_digit(*begin); begin++, seen = 1) {
+        mantissa = mantissa * 10.0 + (*begin - '0');
+        digits += mantissa > 0.0;
+    }
+    if (begin < end && *begin == mark)
+        for (begin++; begin < end && is_digit(*begin); begin++, seen = 1, power--) {
+            mantissa = mantissa * 10.0 + (*begin - '0');
+            digits += mantissa > 0.0;
+        }
+    if (!seen) return 0;
+    if (begin < end && (*begin | 32) == 'e') {
+        int up = 1, exponent = 0, any = 0;
+        begin++;
+        if (begin < end && (*begin == '-' || *begin == '+')) up = *begin++ == '-' ? -1 : 1;
+        for (; begin < end && is_digit(*begin) && exponent < 1000; begin++, any = 1)
+            exponent = exponent * 10 + (*begin - '0');
+        if (!any) return 0;
+        power += up * exponent;
+    }
+    if (begin != end || digits > MOST_DIGITS || power < -MOST_POWER || power > MOST_POWER) return 0;
+    *value = sign * (power < 0 ? mantissa / tens[-power] : mantissa * tens[power]);
+    return 1;
+}
+
+/* Part a block into columns of numbers, `rows` apart in `numbers`.
+ *
+ * slots[column] >= 0: the column's place in `numbers`; -1: nobody asks for it; -2: its places are
+ * wanted as text. Places go to `places`, at most `most` of them; those of columns from `width` on
+ * are surplus cells that are not empty. A line that ends early has its missing cells among them,
+ * with begin = end = its end. Returns the number of places, or -1 if they are too many; the rows
+ * that were found go to `found`. */
+int32_t EXPORT(part)(const uint8_t *block, uint32_t size, uint8_t delimiter, uint8_t mark,
+                     uint32_t width, const int32_t *slots, double *numbers, uint32_t rows,
+                     place *places, int32_t most, uint32_t *found)
+{
+    uint32_t at = 0, row = 0;
+    int32_t count = 0;
+    while (at < size && row < rows) {
+        uint32_t column = 0;
+        for (;;) {
+            const uint32_t begin = at;
+            uint32_t end;
+            int quoted = 0;
+            if (at < size && block[at] == '"') { /* to the next one that is not doubled */
+                quoted = 1;
+                for (at++; at < size; at++) {
+                    if (block[at] != '"') continue;
+                    if (at + 1 >= size || block[at + 1] != '"') break;
+                    at++;
+                }
+            }
+            while (at < size && block[at] != delimiter && block[at] != '\n') at++;
+            end = at;
+            if (end > begin && block[end - 1] == '\r' && (at >= size || block[at] == '\n')) end--;
+            const int32_t slot = column < width ? slots[column] : -2;
+            int wanted = slot == -2 && (column < width || end > begin);
+            if (slot >= 0 && (quoted || !simple(block + begin, block + end, mark,
+                                                numbers + (uint32_t)slot * rows + row)))
+                wanted = 1;
+            if (wanted) {
+                if (count >= most) return -1;
+                places[count++] = (place){row, column, begin, end};
+            }
+            column++;
+            if (at >= size) break;
+            if (block[at++] == '\n') break;
+            if (at >= size) { /* an empty cell at the very end */
+                if (column < width && slots[column] != -1) {
+                    if (count >= most) return -1;
+                    places[count++] = (place){row, column, at, at};
+                }
+                column++;
+                break;
+            }
+        }
+        for (; column < width; column++) {
+            if (slots[column] == -1) continue;
+            if (count >= most) return -1;
+            places[count++] = (place){row, column, at, at};
+        }
+        row++;
+    }
+    *found = row;
+    return count;
+}
+
+/* How often a byte stands in a block. */
+uint32_t EXPORT(count_of)(const uint8_t *block, uint32_t size, uint8_t byte)
+{
+    uint32_t n = 0;
+    for (uint32_t k = 0; k < size; k++) n += block[k] == byte;
+    return n;
+}
