@@ -70,8 +70,16 @@ def prepare(
     unknowns: tuple[str, ...],
     memory: float | None,
     priors: Mapping[str, float],
+    scales: Scales | None = None,
 ) -> Prepared:
     """Choose the observer for these unknowns, and all its settings.
+
+    Parameters
+    ----------
+    log, machine, unknowns, memory, priors
+        See :func:`fluxobs.estimate`.
+    scales : Scales, optional
+        Sizes of the log's signals; default: measured.
 
     Raises
     ------
@@ -80,22 +88,22 @@ def prepare(
     """
     check_adapted(machine, unknowns, priors)
     if isinstance(machine, RotatingMachine) and adapts(unknowns):
-        plain, scales = plain_for(log, machine, memory)
+        plain, scales = plain_for(log, machine, memory, scales)
         adaptive = _adaptive_observer(plain, machine, scales, unknowns, priors, memory, log.held)
         return Prepared(log, machine, adaptive, scales)
     log = log.less_inverter(machine.inverter)
     if isinstance(machine, RotatingMachine) and unknowns == ("drift",):
-        return Prepared(log, machine, *plain_for(log, machine, memory))
-    observer, scales = _immersed_for(log, machine, unknowns, memory)
+        return Prepared(log, machine, *plain_for(log, machine, memory, scales))
+    observer, scales = _immersed_for(log, machine, unknowns, memory, scales)
     return Prepared(log, machine, observer, scales, IMMERSED_BATCH)
 
 
 def plain_for(
-    log: Log, machine: RotatingMachine, memory: float | None = None
+    log: Log, machine: RotatingMachine, memory: float | None = None, scales: Scales | None = None
 ) -> tuple[LeastSquaresObserver, Scales]:
     """First pass over the log, and the plain observer chosen from machine and log."""
     _check_memory(log, machine, memory)
-    scales = measure_scales(log)
+    scales = measure_scales(log) if scales is None else scales
     psi_f = None
     if machine.flux_base(1.0) is None:
         psi_f = guess_psi_f(log, machine, scales, memory)
@@ -198,12 +206,16 @@ def _adaptive_observer(
 
 
 def _immersed_for(
-    log: Log, machine: Machine, unknowns: Sequence[Any], memory: float | None
+    log: Log,
+    machine: Machine,
+    unknowns: Sequence[Any],
+    memory: float | None,
+    scales: Scales | None,
 ) -> tuple[ImmersionObserver, Scales]:
     """First pass over the log, and the immersed observer chosen from machine and log."""
     _check_told_apart(machine, unknowns)
     memory = _check_memory(log, machine, memory)
-    scales = measure_scales(log)
+    scales = measure_scales(log) if scales is None else scales
     rated = machine.rated_current or scales.current
     base = machine.flux_base(rated)
     if base is None:
