@@ -72,11 +72,11 @@ class Again:
         lag = log.layout.lag
         if lag not in self._parts:
             parts = list(log.aligned())
-            columns = [
-                np.concatenate(one) for one in zip(*(part[:3] for part in parts), strict=True)
-            ]
+            whole = zip(*(part[:3] for part in parts), strict=True)
+            t, current, voltage = (np.concatenate(column) for column in whole)
             truth = [part.truth for part in parts if part.truth is not None]
             if len(self._parts) > 1:
                 self._parts.pop(next(iter(self._parts)))
-            self._parts[lag] = Aligned(*columns, np.concatenate(truth) if truth else None)
+            joined = np.concatenate(truth) if truth else None
+            self._parts[lag] = Aligned(t, current, voltage, joined)
         return self._parts[lag]
