@@ -1,0 +1,253 @@
+// Pictures of a run: panels that share their time axis and their cursor, and the locus of the flux.
+// Whatever the number of rows, a picture gets two points a pixel: the least and the most value.
+
+import uPlot from "uplot";
+
+const BLOCK = 64; // rows of which least and most are kept
+
+// Columns of a run, and their least and most values in blocks.
+export class View {
+  constructor(columns) {
+    this.columns = columns;
+    this.t = columns.t;
+    this.rows = columns.t.length;
+    this.blocks = new Map();
+  }
+  has(name) { return name in this.columns; }
+
+  // The row at or before a time.
+  row(time) {
+    let low = 0, high = this.rows;
+    while (high - low > 1) { const m = (low + high) >> 1; if (this.t[m] <= time) low = m; else high = m; }
+    return low;
+  }
+
+  pyramid(name) {
+    if (!this.blocks.has(name)) {
+      const d = this.columns[name], count = Math.ceil(this.rows / BLOCK), least = new Float64Array(count), most = new Float64Array(count);
+      for (let b = 0; b < count; b++) {
+        let low = Infinity, high = -Infinity;
+        for (let k = b * BLOCK, end = Math.min(k + BLOCK, this.rows); k < end; k++) { const v = d[k]; if (v < low) low = v; if (v > high) high = v; }
+        least[b] = low; most[b] = high;
+      }
+      this.blocks.set(name, [least, most]);
+    }
+    return this.blocks.get(name);
+  }
+
+  // Least and most of rows first … last - 1.
+  range(name, first, last) {
+    const d = this.columns[name];
+    let low = Infinity, high = -Infinity, k = first;
+    if (last - first > 4 * BLOCK) {
+      const [least, most] = this.pyramid(name), start = Math.ceil(first / BLOCK), end = Math.floor(last / BLOCK);
+      for (let b = start; b < end; b++) { if (least[b] < low) low = least[b]; if (most[b] > high) high = most[b]; }
+      for (; k < start * BLOCK; k++) { const v = d[k]; if (v < low) low = v; if (v > high) high = v; }
+      k = end * BLOCK;
+    }
+    for (; k < last; k++) { const v = d[k]; if (v < low) low = v; if (v > high) high = v; }
+    return [low, high];
+  }
+
+  // [x, ...ys] for a picture `width` pixels wide; `maps` turn values for the eye.
+  sample(names, from, to, width, maps = []) {
+    const first = Math.max(0, this.row(from) - 1), last = Math.min(this.rows, this.row(to) + 3), count = last - first;
+    if (count <= 3 * width) {
+      const x = Array.from(this.t.subarray(first, last));
+      return [x, ...names.map((name, n) => Array.from(this.columns[name].subarray(first, last), (v) => (v === v ? (maps[n] ? maps[n](v) : v) : null)))];
+    }
+    const x = new Array(2 * width), ys = names.map(() => new Array(2 * width)), edge = (p) => first + Math.floor((p * count) / width);
+    for (let p = 0; p < width; p++) {
+      const a = edge(p), b = Math.max(edge(p + 1), a + 1);
+      x[2 * p] = this.t[a]; x[2 * p + 1] = this.t[(a + b) >> 1];
+      names.forEach((name, n) => {
+        const [low, high] = this.range(name, a, b), map = maps[n] ?? ((v) => v);
+        ys[n][2 * p] = low === Infinity ? null : map(low);
+        ys[n][2 * p + 1] = high === -Infinity ? null : map(high);
+      });
+    }
+    return [x, ...ys];
+  }
+
+  // Count, mean, rms, least and most of a window, of rows where `valid` is set.
+  statistics(name, from, to) {
+    const first = this.row(from), last = this.row(to) + 1, d = this.columns[name], step = Math.max(1, Math.floor((last - first) / 200_000));
+    let n = 0, sum = 0, square = 0;
+    for (let k = first; k < last; k += step) { const v = d[k]; if (v === v) { n++; sum += v; square += v * v; } }
+    const [least, most] = this.range(name, first, last);
+    return { mean: sum / n, rms: Math.sqrt(square / n), least, most };
+  }
+}
+
+const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+// Shade where the position is not valid.
+function shade(view) {
+  return (u) => {
+    if (!view().has("valid")) return;
+    const { ctx, bbox } = u, { min, max } = u.scales.x, width = Math.max(1, Math.round(bbox.width / devicePixelRatio));
+    const [x, valid] = view().sample(["valid"], min, max, width);
+    ctx.save();
+    ctx.fillStyle = style("--invalid");
+    for (let k = 0; k < x.length - 1; k++) {
+      if (valid[k] !== 0) continue;
+      const left = Math.max(bbox.left, u.valToPos(x[k], "x", true)), right = Math.min(bbox.left + bbox.width, u.valToPos(x[k + 1], "x", true));
+      if (right > left) ctx.fillRect(left, bbox.top, Math.max(1, right - left), bbox.height);
+    }
+    ctx.restore();
+  };
+}
+
+// The panels of a run. `specs`: [{id, title, unit, series: [{name, label, color, dash, map, fill}]}]
+export class Panels {
+  constructor(box, { onWindow, onCursor }) {
+    this.box = box;
+    this.onWindow = onWindow;
+    this.onCursor = onCursor;
+    this.charts = [];
+    this.view = null;
+    this.busy = false;
+    new ResizeObserver(() => this.resize()).observe(box);
+  }
+  get width() { return Math.max(260, this.box.clientWidth); }
+
+  show(view, specs, keep = false) {
+    const same = keep && this.view && this.view.rows === view.rows && this.specs?.length === specs.length;
+    this.view = view;
+    this.specs = specs;
+    if (same) { this.refill(true); return; }
+    this.charts.forEach((one) => one.destroy());
+    this.box.replaceChildren();
+    this.full = [view.t[0], view.t[view.rows - 1]];
+    this.window = [...this.full];
+    const sync = uPlot.sync("time");
+    this.charts = specs.map((spec, n) => {
+      const holder = document.createElement("figure");
+      holder.className = "panel";
+      holder.tabIndex = 0;
+      holder.dataset.panel = spec.id;
+      holder.setAttribute("role", "img");
+      holder.addEventListener("keydown", (event) => this.key(event));
+      this.box.append(holder);
+      const chart = new uPlot({
+        width: this.width, height: spec.height ?? 150, title: "", legend: { show: true, live: true },
+        cursor: { sync: { key: sync.key }, drag: { x: true, y: false }, points: { size: 6 } },
+        select: { show: true }, scales: { x: { time: false, range: () => this.window }, y: { range: (u, low, high) => (low == null ? [-1, 1] : uPlot.rangeNum(low, high, 0.1, true)) } },
+        axes: [
+          { stroke: () => style("--ink"), grid: { stroke: () => style("--line"), width: 1 }, ticks: { stroke: () => style("--line") }, label: n === specs.length - 1 ? "Time in s" : undefined, labelSize: 18, size: n === specs.length - 1 ? 30 : 24, font: "11px system-ui", labelFont: "11px system-ui" },
+          { stroke: () => style("--ink"), grid: { stroke: () => style("--line"), width: 1 }, ticks: { stroke: () => style("--line") }, label: `${spec.title}${spec.unit ? ` in ${spec.unit}` : ""}`, labelSize: 18, size: 56, font: "11px system-ui", labelFont: "11px system-ui" },
+        ],
+        series: [{ label: "t", value: (u, v) => (v == null ? "" : `${v.toFixed(6)} s`) }, ...spec.series.map((s) => ({
+          label: s.label, stroke: () => style(s.color), width: s.width ?? 1.25, dash: s.dash, spanGaps: false, points: { show: (u, i) => u.data[0].length < u.width / 8, size: 4 },
+          value: () => this.at(s),
+        }))],
+        bands: (spec.bands ?? []).map((b) => ({ series: b, fill: () => style("--band") })),
+        hooks: { drawClear: [shade(() => this.view)], setSelect: [(u) => this.select(u)], setCursor: [(u) => { if (u.cursor.left >= 0 && !this.busy) this.cursor(u.posToVal(u.cursor.left, "x")); }] },
+      }, [[], ...spec.series.map(() => [])], holder);
+      chart.over.addEventListener("dblclick", () => this.zoom(...this.full));
+      return chart;
+    });
+    this.refill();
+  }
+
+  // The value at the cursor, of the row itself.
+  at({ name, map }) {
+    if (this.row == null || !this.view.has(name)) return "";
+    const v = this.view.columns[name][this.row];
+    return Number.isFinite(v) ? (map ? map(v) : v).toPrecision(5) : "";
+  }
+
+  refill(quick = false) {
+    const began = performance.now();
+    this.busy = true;
+    this.charts.forEach((chart, n) => {
+      const { series } = this.specs[n], width = Math.round(chart.width);
+      chart.setData(this.view.sample(series.map((s) => s.name), ...this.window, width, series.map((s) => s.map)), true);
+    });
+    this.busy = false;
+    this.drawn = performance.now() - began;
+    this.describe();
+    if (!quick || this.row != null) this.onWindow(...this.window);
+  }
+
+  describe() {
+    this.charts.forEach((chart, n) => {
+      const { title, unit, series } = this.specs[n], words = series.slice(0, 2).map((s) => {
+        const { least, most } = this.view.statistics(s.name, ...this.window), [a, b] = [least, most].map(s.map ?? ((v) => v));
+        return `${s.label} from ${a.toPrecision(3)} to ${b.toPrecision(3)} ${unit}`;
+      });
+      chart.root.parentElement.setAttribute("aria-label", `${title} over time, ${this.window[0].toPrecision(4)} to ${this.window[1].toPrecision(4)} s: ${words.join("; ")}. Arrow keys move the cursor, plus and minus zoom, Home shows all.`);
+    });
+  }
+
+  select(u) {
+    if (u.select.width < 3) return;
+    const from = u.posToVal(u.select.left, "x"), to = u.posToVal(u.select.left + u.select.width, "x");
+    this.charts.forEach((one) => one.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false));
+    this.zoom(from, to);
+  }
+
+  zoom(from, to) {
+    const least = 4 * Math.abs(this.view.t[1] - this.view.t[0] || 1e-6), middle = (from + to) / 2, half = Math.max(to - from, least) / 2;
+    this.window = [Math.max(this.full[0], middle - half), Math.min(this.full[1], middle + half)];
+    this.refill();
+  }
+
+  cursor(time) {
+    const row = Math.min(this.view.rows - 1, Math.max(0, Math.round(this.view.row(time + (this.view.t[1] - this.view.t[0]) / 2))));
+    if (row === this.row) return;
+    this.row = row;
+    this.onCursor(row);
+  }
+
+  // Move the cursor to a row, in all panels.
+  go(row) {
+    this.row = Math.min(this.view.rows - 1, Math.max(0, row));
+    const time = this.view.t[this.row];
+    if (time < this.window[0] || time > this.window[1]) { const half = (this.window[1] - this.window[0]) / 2; this.zoom(time - half, time + half); }
+    this.busy = true;
+    this.charts.forEach((one) => one.setCursor({ left: one.valToPos(time, "x"), top: 10 }));
+    this.busy = false;
+    this.onCursor(this.row);
+  }
+
+  key(event) {
+    const { view, window: [from, to] } = this, width = to - from, middle = (from + to) / 2;
+    const step = event.shiftKey ? 1 : Math.max(1, Math.round((view.row(to) - view.row(from)) / 200)), row = this.row ?? view.row(middle);
+    const keys = { ArrowRight: () => this.go(row + step), ArrowLeft: () => this.go(row - step), "+": () => this.zoom(view.t[row] - width / 4, view.t[row] + width / 4), "=": () => keys["+"](), "-": () => this.zoom(middle - width, middle + width), Home: () => this.zoom(...this.full) };
+    if (!keys[event.key]) return;
+    event.preventDefault();
+    keys[event.key]();
+  }
+
+  resize() { if (this.view) { this.charts.forEach((one) => one.setSize({ width: this.width, height: one.height })); this.refill(true); } }
+}
+
+// The flux in its plane, over the window, with the row at the cursor.
+export class Locus {
+  constructor(canvas) { this.canvas = canvas; }
+  draw(view, [from, to], ports, row) {
+    const [x, y] = ports.map((port) => view.columns[`flux_${port}`]);
+    const { canvas } = this, size = canvas.clientWidth, scale = devicePixelRatio, ctx = canvas.getContext("2d");
+    if (!x || !size) return;
+    canvas.width = canvas.height = size * scale;
+    const first = view.row(from), last = view.row(to) + 1, step = Math.max(1, Math.floor((last - first) / 6000));
+    let most = 1e-12;
+    for (let k = first; k < last; k += step) { const r = Math.max(Math.abs(x[k]), Math.abs(y[k])); if (r > most && r < Infinity) most = r; }
+    const at = (v, up) => ((up ? -v : v) / (1.15 * most) + 1) * (size / 2);
+    ctx.scale(scale, scale);
+    ctx.strokeStyle = style("--line");
+    ctx.beginPath(); ctx.moveTo(0, size / 2); ctx.lineTo(size, size / 2); ctx.moveTo(size / 2, 0); ctx.lineTo(size / 2, size); ctx.stroke();
+    ctx.fillStyle = style("--ink"); ctx.font = "11px system-ui";
+    ctx.fillText(`Flux λ in Wb; edge ${(1.15 * most).toPrecision(3)}`, 6, 14);
+    ctx.strokeStyle = style("--blue"); ctx.lineWidth = 1;
+    ctx.beginPath();
+    for (let k = first; k < last; k += step) { const [a, b] = [at(x[k]), at(y[k], true)]; if (k === first || !Number.isFinite(a)) ctx.moveTo(a, b); else ctx.lineTo(a, b); }
+    ctx.stroke();
+    if (row == null) return;
+    ctx.strokeStyle = ctx.fillStyle = style("--red"); ctx.lineWidth = 2;
+    ctx.beginPath(); ctx.moveTo(size / 2, size / 2); ctx.lineTo(at(x[row]), at(y[row], true)); ctx.stroke();
+    ctx.beginPath(); ctx.arc(at(x[row]), at(y[row], true), 4, 0, 2 * Math.PI); ctx.fill();
+    canvas.setAttribute("aria-label", `Flux locus; at the cursor ${x[row].toPrecision(4)} and ${y[row].toPrecision(4)} Wb`);
+  }
+}

@@ -1,0 +1,123 @@
+"""Builds the page: the package's modules translated, the observers as WebAssembly, one HTML file.
+
+Needs clang with lld and wasi-libc, and Node.js with npm; `make page` calls it.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+from translate import program
+
+WEB = Path(__file__).parent
+ROOT = WEB.parent
+PACKAGE = ROOT / "src" / "fluxobs"
+BUILD = ROOT / "build" / "page"
+CLANG = "clang --target=wasm32-wasi -O3 -ffp-contract=off -nostartfiles -Wl,--no-entry -Wl,--strip-all"
+#: Parts of the runtime, in order.
+RUNTIME = ("language", "arrays", "library", "core", "text", "npz")
+#: Modules that the page asks for; it gets what these import.
+ROOTS = (
+    "fluxobs.estimation.passes",
+    "fluxobs.estimation.explained",
+    "fluxobs.estimation.again",
+    "fluxobs.logs.for_machine",
+    "fluxobs.logs.channels",
+    "fluxobs.logs.formats.nested",
+    "fluxobs.logs.formats.text",
+    "fluxobs.machines",
+    "fluxobs.machines.new",
+)
+#: Modules of others, and of the package, that the runtime has.
+REPLACED = {
+    *"numpy numpy.typing scipy.interpolate pydantic".split(),
+    *"abc bisect collections collections.abc csv dataclasses difflib functools gzip importlib".split(),
+    *"importlib.resources io itertools math numbers os pathlib re shlex tempfile tomllib".split(),
+    *"typing weakref".split(),
+    *"fluxobs._core fluxobs._core_single fluxobs.html fluxobs.output".split(),
+    *"fluxobs.logs.formats.text.parse fluxobs.logs.formats.npy fluxobs.logs.formats.npz".split(),
+}
+#: Files of the package that its modules read.
+RESOURCES = ("machines/examples", "logs/presets")
+#: Rows of the demo log that the page carries.
+DEMO_ROWS = 2_000
+
+
+def wasm() -> bytes:
+    """The observers and the parser of text as a WebAssembly module."""
+    made = BUILD / "core.wasm"
+    sources = [WEB / "core.c", WEB / "cells.c", *sorted((ROOT / "firmware").glob("*.c"))]
+    includes = [f"-I{ROOT / 'firmware'}", f"-I{ROOT / 'binding'}"]
+    subprocess.run([*CLANG.split(), *includes, *map(str, sources), "-o", str(made)], check=True)
+    return made.read_bytes()
+
+
+def library() -> str:
+    """The runtime and the package as one JavaScript module."""
+    parts = ['import { parse as $toml } from "smol-toml";\n']
+    parts += [(WEB / "runtime" / f"{name}.js").read_text("utf-8") for name in RUNTIME]
+    parts.append(program(PACKAGE, ROOTS, REPLACED))
+    for folder in RESOURCES:
+        for path in sorted((PACKAGE / folder).iterdir()):
+            if path.suffix in (".toml", ".csv"):
+                text = json.dumps(path.read_text("utf-8"))
+                parts.append(f'$files.set("fluxobs/{folder}/{path.name}", $encoded({text}, "utf-8"));\n')
+    return "".join(parts)
+
+
+def bundled(entry: Path, style: str) -> str:
+    """A module and what it imports, as one small script."""
+    command = ["npx", "--no-install", "esbuild", str(entry), "--bundle", "--minify", f"--format={style}"]
+    command += ["--charset=utf8", "--legal-comments=none", "--target=es2022", "--log-level=warning"]
+    done = subprocess.run(command, cwd=WEB, check=True, capture_output=True)
+    return done.stdout.decode("utf-8")
+
+
+def packed(data: bytes) -> str:
+    """Compressed, as text."""
+    return base64.b64encode(gzip.compress(data, 9, mtime=0)).decode("ascii")
+
+
+def main() -> None:
+    BUILD.mkdir(parents=True, exist_ok=True)
+    if not (WEB / "node_modules").is_dir():
+        subprocess.run(["npm", "ci", "--no-audit", "--no-fund", "--silent"], cwd=WEB, check=True)
+    (BUILD / "library.mjs").write_text(
+        library() + "export { $import, $files, $load, $kw, $dict, $as, str, repr, format };\n", "utf-8"
+    )
+    worker = WEB / "app" / ".worker.mjs"
+    try:
+        worker.write_text(library() + (WEB / "app" / "worker.js").read_text("utf-8"), "utf-8")
+        code = bundled(worker, "iife")
+    finally:
+        worker.unlink(missing_ok=True)
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
+    style = (WEB / "node_modules" / "uplot" / "dist" / "uPlot.min.css").read_text("utf-8")
+    style += bundled(WEB / "app" / "style.css", "iife")
+    demo = (PACKAGE / "synthetic" / "demo_log.csv").read_bytes().split(b"\n")[: DEMO_ROWS + 1]
+    values = {
+        "style": style,
+        "version": version,
+        "worker": packed(code.encode("utf-8")),
+        "wasm": packed(wasm()),
+        "demo": packed(b"\n".join(demo) + b"\n"),
+        "script": bundled(WEB / "app" / "page.js", "esm").replace("</script", "<\\/script"),
+    }
+    page = (WEB / "app" / "page.html").read_text("utf-8")
+    for name, value in values.items():
+        page = page.replace("{{" + name + "}}", value)
+    out = PACKAGE / "web" / "page.html"
+    out.parent.mkdir(exist_ok=True)
+    out.write_text(page, "utf-8")
+    sizes = ", ".join(f"{name} {len(value) / 1000:.0f}" for name, value in values.items())
+    print(f"Written: {out.relative_to(ROOT)}, {len(page.encode()) / 1000:.0f} kB ({sizes})")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
