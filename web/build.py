@@ -5,7 +5,6 @@ Needs clang with lld and wasi-libc, and Node.js with npm; `make page` calls it.
 
 from __future__ import annotations
 
-import base64
 import gzip
 import json
 import subprocess
@@ -15,11 +14,15 @@ from pathlib import Path
 
 from translate import program
 
+from fluxobs.web.columns import as_text
+
 WEB = Path(__file__).parent
 ROOT = WEB.parent
 PACKAGE = ROOT / "src" / "fluxobs"
 BUILD = ROOT / "build" / "page"
-CLANG = "clang --target=wasm32-wasi -O3 -ffp-contract=off -nostartfiles -Wl,--no-entry -Wl,--strip-all"
+CLANG = (
+    "clang --target=wasm32-wasi -O3 -ffp-contract=off -nostartfiles -Wl,--no-entry -Wl,--strip-all"
+)
 #: Parts of the runtime, in order.
 RUNTIME = ("language", "arrays", "library", "core", "text", "npz")
 #: Modules that the page asks for; it gets what these import.
@@ -36,12 +39,35 @@ ROOTS = (
 )
 #: Modules of others, and of the package, that the runtime has.
 REPLACED = {
-    *"numpy numpy.typing scipy.interpolate pydantic".split(),
-    *"abc bisect collections collections.abc csv dataclasses difflib functools gzip importlib".split(),
-    *"importlib.resources io itertools math numbers os pathlib re shlex tempfile tomllib".split(),
-    *"typing weakref".split(),
-    *"fluxobs._core fluxobs._core_single fluxobs.html fluxobs.output".split(),
-    *"fluxobs.logs.formats.text.parse fluxobs.logs.formats.npy fluxobs.logs.formats.npz".split(),
+    *["numpy", "numpy.typing", "scipy.interpolate", "pydantic"],
+    *[
+        "abc",
+        "bisect",
+        "collections",
+        "collections.abc",
+        "csv",
+        "dataclasses",
+        "difflib",
+        "functools",
+        "gzip",
+        "importlib",
+    ],
+    *[
+        "importlib.resources",
+        "io",
+        "itertools",
+        "math",
+        "numbers",
+        "os",
+        "pathlib",
+        "re",
+        "shlex",
+        "tempfile",
+        "tomllib",
+    ],
+    *["typing", "weakref"],
+    *["fluxobs._core", "fluxobs._core_single", "fluxobs.html", "fluxobs.output"],
+    *["fluxobs.logs.formats.text.parse", "fluxobs.logs.formats.npy", "fluxobs.logs.formats.npz"],
 }
 #: Files of the package that its modules read.
 RESOURCES = ("machines/examples", "logs/presets")
@@ -67,21 +93,31 @@ def library() -> str:
         for path in sorted((PACKAGE / folder).iterdir()):
             if path.suffix in (".toml", ".csv"):
                 text = json.dumps(path.read_text("utf-8"))
-                parts.append(f'$files.set("fluxobs/{folder}/{path.name}", $encoded({text}, "utf-8"));\n')
+                parts.append(
+                    f'$files.set("fluxobs/{folder}/{path.name}", $encoded({text}, "utf-8"));\n'
+                )
     return "".join(parts)
 
 
 def bundled(entry: Path, style: str) -> str:
     """A module and what it imports, as one small script."""
-    command = ["npx", "--no-install", "esbuild", str(entry), "--bundle", "--minify", f"--format={style}"]
+    command = [
+        "npx",
+        "--no-install",
+        "esbuild",
+        str(entry),
+        "--bundle",
+        "--minify",
+        f"--format={style}",
+    ]
     command += ["--charset=utf8", "--legal-comments=none", "--target=es2022", "--log-level=warning"]
     done = subprocess.run(command, cwd=WEB, check=True, capture_output=True)
     return done.stdout.decode("utf-8")
 
 
 def packed(data: bytes) -> str:
-    """Compressed, as text."""
-    return base64.b64encode(gzip.compress(data, 9, mtime=0)).decode("ascii")
+    """Compressed, as text that a script element keeps."""
+    return as_text(gzip.compress(data, 9, mtime=0))
 
 
 def main() -> None:
@@ -89,7 +125,8 @@ def main() -> None:
     if not (WEB / "node_modules").is_dir():
         subprocess.run(["npm", "ci", "--no-audit", "--no-fund", "--silent"], cwd=WEB, check=True)
     (BUILD / "library.mjs").write_text(
-        library() + "export { $import, $files, $load, $kw, $dict, $as, str, repr, format };\n", "utf-8"
+        library() + "export { $import, $files, $load, $kw, $dict, $as, str, repr, format };\n",
+        "utf-8",
     )
     worker = WEB / "app" / ".worker.mjs"
     try:
@@ -101,21 +138,26 @@ def main() -> None:
     style = (WEB / "node_modules" / "uplot" / "dist" / "uPlot.min.css").read_text("utf-8")
     style += bundled(WEB / "app" / "style.css", "iife")
     demo = (PACKAGE / "synthetic" / "demo_log.csv").read_bytes().split(b"\n")[: DEMO_ROWS + 1]
-    values = {
+    shared = {
         "style": style,
         "version": version,
         "worker": packed(code.encode("utf-8")),
         "wasm": packed(wasm()),
-        "demo": packed(b"\n".join(demo) + b"\n"),
-        "script": bundled(WEB / "app" / "page.js", "esm").replace("</script", "<\\/script"),
     }
-    page = (WEB / "app" / "page.html").read_text("utf-8")
-    for name, value in values.items():
-        page = page.replace("{{" + name + "}}", value)
-    out = PACKAGE / "web" / "page.html"
-    out.parent.mkdir(exist_ok=True)
+    write("page", shared | {"demo": packed(b"\n".join(demo) + b"\n")})
+    write("report", shared)
+
+
+def write(name: str, values: dict[str, str]) -> None:
+    """Fill a template; what stands for a report's data is left."""
+    script = bundled(WEB / "app" / f"{name}.js", "esm").replace("</script", "<\\/script")
+    values = values | {"script": script}
+    page = (WEB / "app" / f"{name}.html").read_text("utf-8")
+    for key, value in values.items():
+        page = page.replace("{{" + key + "}}", value)
+    out = PACKAGE / "web" / f"{name}.html"
     out.write_text(page, "utf-8")
-    sizes = ", ".join(f"{name} {len(value) / 1000:.0f}" for name, value in values.items())
+    sizes = ", ".join(f"{key} {len(value.encode()) / 1000:.0f}" for key, value in values.items())
     print(f"Written: {out.relative_to(ROOT)}, {len(page.encode()) / 1000:.0f} kB ({sizes})")
 
 

@@ -17,16 +17,88 @@ from pathlib import Path
 
 #: Words that are names in Python but not in JavaScript.
 RESERVED = set(
-    "arguments await case catch const debugger default delete do enum eval export extends function "
-    "implements instanceof interface let new null package private protected public static super "
-    "switch this throw true false typeof undefined var void".split()
+    [
+        "arguments",
+        "await",
+        "case",
+        "catch",
+        "const",
+        "debugger",
+        "default",
+        "delete",
+        "do",
+        "enum",
+        "eval",
+        "export",
+        "extends",
+        "function",
+        "implements",
+        "instanceof",
+        "interface",
+        "let",
+        "new",
+        "null",
+        "package",
+        "private",
+        "protected",
+        "public",
+        "static",
+        "super",
+        "switch",
+        "this",
+        "throw",
+        "true",
+        "false",
+        "typeof",
+        "undefined",
+        "var",
+        "void",
+    ]
 )
 #: Methods of strings, lists and bytes, which are no objects of ours: the runtime has them.
 METHODS = set(
-    "append count decode encode endswith extend find format hex index insert isalpha isdigit "
-    "isspace join lower lstrip partition pop removeprefix removesuffix remove replace reverse "
-    "rfind rpartition rsplit rstrip sort split splitlines startswith strip swapcase title "
-    "translate upper zfill is_integer copy".split()
+    [
+        "append",
+        "count",
+        "decode",
+        "encode",
+        "endswith",
+        "extend",
+        "find",
+        "format",
+        "hex",
+        "index",
+        "insert",
+        "isalpha",
+        "isdigit",
+        "isspace",
+        "join",
+        "lower",
+        "lstrip",
+        "partition",
+        "pop",
+        "removeprefix",
+        "removesuffix",
+        "remove",
+        "replace",
+        "reverse",
+        "rfind",
+        "rpartition",
+        "rsplit",
+        "rstrip",
+        "sort",
+        "split",
+        "splitlines",
+        "startswith",
+        "strip",
+        "swapcase",
+        "title",
+        "translate",
+        "upper",
+        "zfill",
+        "is_integer",
+        "copy",
+    ]
 )
 OPERATORS = {
     ast.Add: "add",
@@ -55,12 +127,70 @@ COMPARISONS = {
 }
 #: Names that the runtime defines in every module.
 BUILTINS = set(
-    "ArithmeticError BaseException Exception FileNotFoundError IndexError KeyError "
-    "NotImplementedError OSError OverflowError StopIteration TypeError UnicodeDecodeError "
-    "ValueError ZeroDivisionError KeyboardInterrupt abs all any bool bytes callable chr complex "
-    "dict enumerate filter float frozenset getattr hasattr int isinstance issubclass iter len list "
-    "map max min next object open ord pow print property classmethod staticmethod range repr "
-    "reversed round set setattr slice sorted str sum super tuple type zip".split()
+    [
+        "ArithmeticError",
+        "BaseException",
+        "Exception",
+        "FileNotFoundError",
+        "IndexError",
+        "KeyError",
+        "NotImplementedError",
+        "OSError",
+        "OverflowError",
+        "StopIteration",
+        "TypeError",
+        "UnicodeDecodeError",
+        "ValueError",
+        "ZeroDivisionError",
+        "KeyboardInterrupt",
+        "abs",
+        "all",
+        "any",
+        "bool",
+        "bytes",
+        "callable",
+        "chr",
+        "complex",
+        "dict",
+        "enumerate",
+        "filter",
+        "float",
+        "frozenset",
+        "getattr",
+        "hasattr",
+        "int",
+        "isinstance",
+        "issubclass",
+        "iter",
+        "len",
+        "list",
+        "map",
+        "max",
+        "min",
+        "next",
+        "object",
+        "open",
+        "ord",
+        "pow",
+        "print",
+        "property",
+        "classmethod",
+        "staticmethod",
+        "range",
+        "repr",
+        "reversed",
+        "round",
+        "set",
+        "setattr",
+        "slice",
+        "sorted",
+        "str",
+        "sum",
+        "super",
+        "tuple",
+        "type",
+        "zip",
+    ]
 )
 
 
@@ -356,7 +486,9 @@ class Module:
     def function(self, node: ast.FunctionDef, in_class: bool) -> str:
         arguments = node.args
         positional = [*arguments.posonlyargs, *arguments.args]
-        static = any(isinstance(d, ast.Name) and d.id == "staticmethod" for d in node.decorator_list)
+        static = any(
+            isinstance(d, ast.Name) and d.id == "staticmethod" for d in node.decorator_list
+        )
         first = None
         if in_class and not static:
             first, positional = positional[0].arg, positional[1:]
@@ -721,7 +853,9 @@ class Module:
 
 def targets(node: ast.expr) -> set[str]:
     """Names that an assignment to this binds."""
-    return {n.id for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+    return {
+        n.id for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
+    }
 
 
 def walked(body: Iterable[ast.stmt]) -> Iterable[ast.AST]:
@@ -759,9 +893,9 @@ def assigned(body: Sequence[ast.stmt]) -> set[str]:
     for node in walked(body):
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) and id(node) not in apart:
             out.add(node.id)
-        elif isinstance(node, ast.ExceptHandler) and node.name:
-            out.add(node.name)
-        elif isinstance(node, ast.MatchAs) and node.name:
+        elif (isinstance(node, ast.ExceptHandler) and node.name) or (
+            isinstance(node, ast.MatchAs) and node.name
+        ):
             out.add(node.name)
         elif isinstance(node, ast.Import):
             out |= {one.asname or one.name.split(".")[0] for one in node.names}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
 BLUE, ORANGE, GREY = "#1f5fa8", "#d9762b", "#8a8a8a"
 FORMATS = (".png", ".pdf", ".svg")
+#: Reports that can be looked at without any program but a browser.
+HTML = ".html"
 STYLE: Any = {
     "font.size": 9,
     "axes.spines.top": False,
@@ -52,10 +55,10 @@ def write(figure: Figure, path: Path) -> None:
             temporary.unlink()
 
 
-def check_path(path: Path) -> None:
+def check_path(path: Path, formats: Sequence[str] = FORMATS) -> None:
     """Refuse a path early that could not be written at the end."""
-    if path.suffix.lower() not in FORMATS:
-        raise FluxobsError(f"{path}: --report must end in {', '.join(FORMATS)}")
+    if path.suffix.lower() not in formats:
+        raise FluxobsError(f"{path}: --report must end in {', '.join(formats)}")
     check_place(path)
 
 

@@ -1,10 +1,19 @@
 // The worker, as functions that return promises.
 
-export async function unpacked(id) {
-  const text = document.getElementById(id).textContent.trim();
-  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  return new Uint8Array(await new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer());
+// Bytes of text that has seven bits a character (fluxobs/web/columns.py), unpacked.
+const ESCAPED = [0, 13, 60];
+export async function unpack(text) {
+  const bytes = new Uint8Array(Math.floor((text.length * 7) / 8));
+  for (let n = 0, at = 0, hold = 0, bits = 0; n < text.length; n++) {
+    const code = text.charCodeAt(n);
+    hold = (hold << 7) | (code < 128 ? code : ESCAPED[code - 128]);
+    bits += 7;
+    if (bits >= 8) { bits -= 8; bytes[at++] = hold >> bits; hold &= (1 << bits) - 1; }
+  }
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
 }
+export const unpacked = (id) => unpack(document.getElementById(id).textContent);
 
 export async function start(onProgress = () => {}) {
   const source = new TextDecoder().decode(await unpacked("worker"));

@@ -22,31 +22,40 @@ export class View {
     return low;
   }
 
-  pyramid(name) {
-    if (!this.blocks.has(name)) {
+  // Least and most in blocks of rows; only of valid ones, if that is asked.
+  pyramid(name, known = false) {
+    const key = known ? `${name} if valid` : name, valid = known ? this.columns.valid : null;
+    if (!this.blocks.has(key)) {
       const d = this.columns[name], count = Math.ceil(this.rows / BLOCK), least = new Float64Array(count), most = new Float64Array(count);
       for (let b = 0; b < count; b++) {
         let low = Infinity, high = -Infinity;
-        for (let k = b * BLOCK, end = Math.min(k + BLOCK, this.rows); k < end; k++) { const v = d[k]; if (v < low) low = v; if (v > high) high = v; }
+        for (let k = b * BLOCK, end = Math.min(k + BLOCK, this.rows); k < end; k++) { if (valid && !valid[k]) continue; const v = d[k]; if (v < low) low = v; if (v > high) high = v; }
         least[b] = low; most[b] = high;
       }
-      this.blocks.set(name, [least, most]);
+      this.blocks.set(key, [least, most]);
     }
-    return this.blocks.get(name);
+    return this.blocks.get(key);
   }
 
   // Least and most of rows first … last - 1.
-  range(name, first, last) {
-    const d = this.columns[name];
+  range(name, first, last, known = false) {
+    const d = this.columns[name], valid = known ? this.columns.valid : null;
     let low = Infinity, high = -Infinity, k = first;
     if (last - first > 4 * BLOCK) {
-      const [least, most] = this.pyramid(name), start = Math.ceil(first / BLOCK), end = Math.floor(last / BLOCK);
+      const [least, most] = this.pyramid(name, known), start = Math.ceil(first / BLOCK), end = Math.floor(last / BLOCK);
       for (let b = start; b < end; b++) { if (least[b] < low) low = least[b]; if (most[b] > high) high = most[b]; }
-      for (; k < start * BLOCK; k++) { const v = d[k]; if (v < low) low = v; if (v > high) high = v; }
+      for (; k < start * BLOCK; k++) { if (valid && !valid[k]) continue; const v = d[k]; if (v < low) low = v; if (v > high) high = v; }
       k = end * BLOCK;
     }
-    for (; k < last; k++) { const v = d[k]; if (v < low) low = v; if (v > high) high = v; }
+    for (; k < last; k++) { if (valid && !valid[k]) continue; const v = d[k]; if (v < low) low = v; if (v > high) high = v; }
     return [low, high];
+  }
+
+  // Least and most of the valid rows of a window; of all rows where none is valid.
+  extent(name, from, to) {
+    const first = this.row(from), last = this.row(to) + 1;
+    if (this.has("valid")) { const found = this.range(name, first, last, true); if (found[0] <= found[1]) return found; }
+    return this.range(name, first, last);
   }
 
   // [x, ...ys] for a picture `width` pixels wide; `maps` turn values for the eye.
@@ -132,7 +141,7 @@ export class Panels {
       const chart = new uPlot({
         width: this.width, height: spec.height ?? 150, title: "", legend: { show: true, live: true },
         cursor: { sync: { key: sync.key }, drag: { x: true, y: false }, points: { size: 6 } },
-        select: { show: true }, scales: { x: { time: false, range: () => this.window }, y: { range: (u, low, high) => (low == null ? [-1, 1] : uPlot.rangeNum(low, high, 0.1, true)) } },
+        select: { show: true }, scales: { x: { time: false, range: () => this.window }, y: { range: () => this.scale(spec) } },
         axes: [
           { stroke: () => style("--ink"), grid: { stroke: () => style("--line"), width: 1 }, ticks: { stroke: () => style("--line") }, label: n === specs.length - 1 ? "Time in s" : undefined, labelSize: 18, size: n === specs.length - 1 ? 30 : 24, font: "11px system-ui", labelFont: "11px system-ui" },
           { stroke: () => style("--ink"), grid: { stroke: () => style("--line"), width: 1 }, ticks: { stroke: () => style("--line") }, label: `${spec.title}${spec.unit ? ` in ${spec.unit}` : ""}`, labelSize: 18, size: 56, font: "11px system-ui", labelFont: "11px system-ui" },
@@ -148,6 +157,13 @@ export class Panels {
       return chart;
     });
     this.refill();
+  }
+
+  // The range of a panel: of what is valid, so that a start does not hide the rest.
+  scale({ series }) {
+    let low = Infinity, high = -Infinity;
+    for (const { name, map } of series) for (const v of this.view.extent(name, ...this.window)) { const y = map ? map(v) : v; if (y < low) low = y; if (y > high) high = y; }
+    return low <= high && Number.isFinite(low) && Number.isFinite(high) ? uPlot.rangeNum(low, high, 0.1, true) : [-1, 1];
   }
 
   // The value at the cursor, of the row itself.
@@ -227,7 +243,11 @@ export class Panels {
 export class Locus {
   constructor(canvas) { this.canvas = canvas; }
   draw(view, [from, to], ports, row) {
-    const [x, y] = ports.map((port) => view.columns[`flux_${port}`]);
+    let [x, y] = ports.map((port) => view.columns[`flux_${port}`]), what = "Flux λ";
+    if (!x && view.has("theta_e") && view.has("psi_f")) { // a report without them has what they turn about
+      const { theta_e: angle, psi_f: length } = view.columns, made = (turn) => new Proxy(angle, { get: (_, k) => length[k] * turn(angle[k]) });
+      [x, y, what] = [made(Math.cos), made(Math.sin), "Vector λ − L i"];
+    }
     const { canvas } = this, size = canvas.clientWidth, scale = devicePixelRatio, ctx = canvas.getContext("2d");
     if (!x || !size) return;
     canvas.width = canvas.height = size * scale;
@@ -239,7 +259,7 @@ export class Locus {
     ctx.strokeStyle = style("--line");
     ctx.beginPath(); ctx.moveTo(0, size / 2); ctx.lineTo(size, size / 2); ctx.moveTo(size / 2, 0); ctx.lineTo(size / 2, size); ctx.stroke();
     ctx.fillStyle = style("--ink"); ctx.font = "11px system-ui";
-    ctx.fillText(`Flux λ in Wb; edge ${(1.15 * most).toPrecision(3)}`, 6, 14);
+    ctx.fillText(`${what} in Wb; edge ${(1.15 * most).toPrecision(3)}`, 6, 14);
     ctx.strokeStyle = style("--blue"); ctx.lineWidth = 1;
     ctx.beginPath();
     for (let k = first; k < last; k += step) { const [a, b] = [at(x[k]), at(y[k], true)]; if (k === first || !Number.isFinite(a)) ctx.moveTo(a, b); else ctx.lineTo(a, b); }
@@ -248,6 +268,6 @@ export class Locus {
     ctx.strokeStyle = ctx.fillStyle = style("--red"); ctx.lineWidth = 2;
     ctx.beginPath(); ctx.moveTo(size / 2, size / 2); ctx.lineTo(at(x[row]), at(y[row], true)); ctx.stroke();
     ctx.beginPath(); ctx.arc(at(x[row]), at(y[row], true), 4, 0, 2 * Math.PI); ctx.fill();
-    canvas.setAttribute("aria-label", `Flux locus; at the cursor ${x[row].toPrecision(4)} and ${y[row].toPrecision(4)} Wb`);
+    canvas.setAttribute("aria-label", `${what}, its locus; at the cursor ${x[row].toPrecision(4)} and ${y[row].toPrecision(4)} Wb`);
   }
 }

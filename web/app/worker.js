@@ -117,6 +117,26 @@ const actions = {
     };
   },
 
+  // The run of a report: the record that it carries, as it was read.
+  rerun({ columns, t, start, layout, machine, unknowns, causal, memory, priors }, progress) {
+    const { truth, ...fields } = layout, channels = Object.entries(columns).map(([name, values]) => [name === "truth" ? truth : name, new NdArray(values, [values.length], "f")]);
+    opened.machine = machineFrom(machine);
+    const { open_for } = $py("logs.for_machine"), { Again } = $py("estimation.again");
+    const given = Object.fromEntries(Object.entries(fields).filter(([, v]) => v !== null));
+    const log = open_for($dict(channels), opened.machine, $kw({ ...given, ...(truth ? { truth: $dict([[truth, truth]]) } : { truth: $dict([["none", "-"]]) }) }));
+    const { Passes } = $py("estimation.passes");
+    const passes = Passes.begun(log, opened.machine, $tuple([...unknowns]), memory, python(priors), causal, (done, of) => progress(done / of));
+    const kept = gather(len(log));
+    for (const rows of passes.rows((done, of) => progress(done / of))) kept.add(rows);
+    const found = $py("estimation.explained").ExplainedRun($kw(Object.fromEntries(passes.found().items())));
+    opened.log = log;
+    opened.run = found;
+    opened.makeAgain = () => Again(log, found.scales);
+    const out = kept.columns();
+    for (let k = 0; k < out.t.length; k++) out.t[k] = t ? t[k] : start + out.t[k];
+    return { columns: out };
+  },
+
   outputs() {
     const { outputs } = $py("observers.outputs"), { AdaptiveEstimate } = $py("observers.adaptive");
     return outputs(AdaptiveEstimate).map((one) => ({ name: one.name, unit: one.unit, about: one.about, vector: one.vector }));

@@ -29,7 +29,7 @@ class Passes:
     Attributes
     ----------
     run : Prepared
-    unknowns, priors, automatic, causal
+    unknowns, memory, priors, automatic, causal
         See :class:`fluxobs.estimation.run.LogRun`.
     state : Any
         In which the observer starts.
@@ -42,6 +42,7 @@ class Passes:
 
     run: Prepared
     unknowns: tuple[str, ...]
+    memory: float | None
     priors: Mapping[str, float]
     automatic: bool
     causal: bool
@@ -79,9 +80,9 @@ class Passes:
         if automatic:
             unknowns = ALL if isinstance(machine, RotatingMachine) else ("drift",)
         run = prepare(log, machine, unknowns, memory, priors)
-        made = cls(run, unknowns, priors, automatic, causal)
+        made = cls(run, unknowns, memory, priors, automatic, causal)
         if isinstance(run.observer, AdaptiveObserver) and (automatic or not causal):
-            made._learn(run.observer, log, memory, progress)
+            made._learn(run.observer, log, progress)
         total = len(log)
         made.statistics = Statistics(total)
         if log.true is not None and log.layout.fit_truth and made.run.plain_outputs:
@@ -90,9 +91,7 @@ class Passes:
             made.state = made.run.observer.init()
         return made
 
-    def _learn(
-        self, observer: AdaptiveObserver, log: Log, memory: float | None, progress: Progress | None
-    ) -> None:
+    def _learn(self, observer: AdaptiveObserver, log: Log, progress: Progress | None) -> None:
         """The first pass; what it learns is forgotten if the log does not ask for it."""
         of = sum(last - first for first, last in learning_parts(self.run.log)) + len(log)
 
@@ -103,7 +102,7 @@ class Passes:
 
         self.state, self.learnt = learn(self.run, observer, tell)
         if self.automatic:
-            plain = prepare(log, self.run.machine, ("drift",), memory, {})
+            plain = prepare(log, self.run.machine, ("drift",), self.memory, {})
             if not needed(observer, self.learnt, plain):
                 self.unknowns, self.priors, self.run = ("drift",), {}, plain
                 self.state = self.learnt = None
@@ -132,6 +131,7 @@ class Passes:
             "observer": run.observer,
             "scales": run.scales,
             "unknowns": self.unknowns,
+            "memory": self.memory,
             "priors": self.priors,
             "statistics": self.statistics,
             "counts": counts.counts(self.state),

@@ -34,7 +34,7 @@ class Result(ExplainedRun):
         The estimates, if they stayed in memory.
     path : Path, optional
         The file with the estimates, if there is one.
-    log, machine, observer, scales, unknowns, priors, statistics, counts, learnt, automatic, causal
+    log, machine, observer, scales, unknowns, memory, priors, statistics, counts, learnt, automatic, causal
         See :class:`fluxobs.estimation.run.LogRun`.
     """
 
@@ -82,16 +82,33 @@ class Result(ExplainedRun):
 
         return figure(self, self.truth_fit, style, panels)
 
-    def write(self, path: str | Path, *, force: bool = False) -> None:
-        """Write estimates to .parquet or .csv, the picture to .png, .pdf or .svg, or the machine
-        with what was learnt to .toml (over an existing file only with `force`).
+    def write(
+        self,
+        path: str | Path,
+        *,
+        force: bool = False,
+        data: bool = True,
+        command: str | None = None,
+    ) -> None:
+        """Write estimates to .parquet or .csv, the picture to .png, .pdf or .svg, a report that
+        recomputes to .html, or the machine with what was learnt to .toml.
+
+        Parameters
+        ----------
+        path : path
+        force : bool
+            Write a .toml over an existing file.
+        data : bool
+            Whether a report carries the record, if that is not too large.
+        command : str, optional
+            The command that a report shows.
 
         Raises
         ------
         FluxobsError
             The path has another ending, nothing was learnt, or the file cannot be written.
         """
-        from ..plots import FORMATS, write
+        from ..plots import FORMATS, HTML, write
 
         path = Path(path)
         if path.suffix.lower() == ".toml":
@@ -100,6 +117,11 @@ class Result(ExplainedRun):
             head = [f"Learnt from {self.log.path.name} by `fluxobs estimate`."]
             machine = rotating(self.machine_learnt)
             write_machine(path, machine_text(machine, head, self.found), force)
+            return
+        if path.suffix.lower() == HTML:
+            from .report import write_report
+
+            write_report(self, path, command=command, data=data)
             return
         if path.suffix.lower() in FORMATS:
             write(self.plot(), path)

@@ -28,6 +28,8 @@ class LogRun:
     scales : Scales
         Sizes of the log's signals.
     unknowns : tuple of str
+    memory : float, optional
+        As it was given [s]; the observer's own is ``observer.memory``.
     priors : mapping
     statistics : Statistics
         Counts and means over the rows.
@@ -46,6 +48,7 @@ class LogRun:
     observer: AnyObserver
     scales: Scales
     unknowns: tuple[str, ...]
+    memory: float | None
     priors: Mapping[str, float]
     statistics: Statistics
     counts: SampleCounts

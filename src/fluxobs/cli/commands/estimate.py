@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import shlex
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ...web import built
 from .. import show
 from ..options import (
     ForceOption,
@@ -78,6 +81,14 @@ def estimate(
         ),
     ] = None,
     save_record: SaveRecordOption = None,
+    no_data: Annotated[
+        bool,
+        typer.Option(
+            "--no-data",
+            help="Leave the record out of an .html report: it is then small, "
+            "shows only the estimates, and does not recompute.",
+        ),
+    ] = False,
     force: ForceOption = False,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
@@ -103,10 +114,12 @@ def estimate(
     if out is not None:
         refuse_input_as_output(out, machine, layout.get("record"))
     if report is not None:
-        from ...plots import FORMATS, check_path
+        from ...plots import FORMATS, HTML, check_path
 
-        check_path(report)
-        check_new(report, FORMATS, force, "--report")
+        check_path(report, (HTML, *FORMATS))
+        check_new(report, (HTML, *FORMATS), force, "--report")
+        if report.suffix.lower() == HTML:
+            built("report.html")  # or say now that it is missing
     if save_record is not None:
         check_new(save_record, (".toml",), force, "--save-record")
     if save_machine is not None:
@@ -119,7 +132,7 @@ def estimate(
             log,
             machine,
             out=out,
-            keep=False,
+            keep=report is not None and report.suffix.lower() == ".html",
             force=force,
             unknowns=unknowns,
             causal=causal,
@@ -136,7 +149,7 @@ def estimate(
         write_record(result.log, save_record, force=force)
         written.append(save_record)
     if report is not None:
-        result.write(report)
+        result.write(report, data=not no_data, command=shlex.join(["fluxobs", *sys.argv[1:]]))
         written.append(report)
     if as_json:
         facts = result.facts | {"written": [str(path) for path in written]}

@@ -1,0 +1,200 @@
+"""A report: one HTML file with the run, its pictures, and where it fits in, the record itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import web
+from ..checking.findings import Check
+from ..logs.log import Log
+from ..machines import Machine
+from ..observers import ImmersionObserver
+from ..output import write_text
+from ..web.columns import exact, flags, rounded
+from .result import Result
+from .run import LogRun
+
+#: A record of more text than this is left out: the report then shows, but does not recompute.
+MOST = 8_000_000
+#: Nor is a record of more rows: a reader would wait for more than a few seconds.
+MOST_ROWS = 1_000_000
+#: Columns of estimates that the pictures do not show.
+NOT_SHOWN = (
+    *("flux_alpha", "flux_beta", "theta_e_tracked", "theta_e_other"),
+    *("torque", "speed_mech", "speed_mech_std"),
+)
+
+
+def write_report(
+    result: Result, path: Path, *, command: str | None = None, data: bool = True
+) -> None:
+    """Write the report of a run.
+
+    Parameters
+    ----------
+    result : Result
+        With its estimates in memory or in a file.
+    path : Path
+        Ends in .html.
+    command : str, optional
+        The command that made it.
+    data : bool
+        Whether the record is inside, so that a reader can run it again with other parameters.
+
+    Raises
+    ------
+    FluxobsError
+        The file cannot be written, or this installation has no template.
+    """
+    template = web.built("report.html")
+    record = (
+        _record(result) if data and not isinstance(result.observer, ImmersionObserver) else None
+    )
+    found = {
+        "words": _words(result, command),
+        "found": _found(result),
+        "record": record,
+        "columns": None if record is not None else _columns(result),
+    }
+    write_text(path, web.with_data(template, found))
+
+
+def _words(result: Result, command: str | None) -> dict[str, Any]:
+    checked: Check | None = result.checked
+    findings = () if checked is None else checked.findings
+    return {
+        "log": result.log.path.name,
+        "machine": _machine_text(result.machine),
+        "summary": result.summary,
+        "warnings": result.warnings,
+        "notes": list(result.log.notes),
+        "taken": _taken(result.log),
+        "findings": [
+            {
+                "kind": one.kind,
+                "words": one.words,
+                "as_given": one.as_given,
+                "others": list(one.others),
+                "sure": one.sure,
+            }
+            for one in findings
+        ],
+        "check_notes": [] if checked is None else checked.lines()[len(findings) :],
+        "commands": [one for one in (command, result.export_command("MACHINE")) if one],
+        "parameters": _learnt(result),
+    }
+
+
+def _taken(log: Log) -> list[list[str]]:
+    """Channel, column, and what turns one into the other."""
+    out = []
+    for channel, column in log.names.items():
+        scale, offset = log.conversions.get(channel, (1.0, 0.0))
+        words = f"× {scale:.6g}" if scale != 1.0 else ""
+        words += f" + {offset:.6g}" if offset else ""
+        out.append([channel, column, words.strip()])
+    return out
+
+
+def _learnt(result: Result) -> list[list[str]]:
+    from .facts import facts
+
+    found: Mapping[str, Any] = facts(result, [], None)["parameters"]
+    return [
+        [name, f"{one['value']:.6g}", f"{2 * one['std']:.2g}", one["unit"], f"{one['given']:.6g}"]
+        for name, one in found.items()
+    ]
+
+
+def _found(result: Result) -> dict[str, Any]:
+    """What the pictures and the sliders ask for, as the page's worker tells it."""
+    machine, log = result.machine, result.log
+    where = machine.position_output
+    return {
+        "rows": result.statistics.rows,
+        "sample_time": log.sample_time,
+        "lag": log.layout.lag,
+        "unknowns": list(result.unknowns),
+        "adaptive": result.adaptive is not None,
+        "memory": result.observer.memory,
+        "ports": list(machine.ports),
+        "position": {
+            "name": where.name,
+            "unit": where.unit,
+            "factor": where.factor,
+            "title": where.title,
+        },
+        "parameters": {
+            "memory": machine.memory,
+            "values": {
+                name: value
+                for name, value in machine.parameters().items()
+                if value is None or isinstance(value, int | float)
+            },
+        },
+    }
+
+
+def _machine_text(machine: Machine) -> str:
+    """The parameters as a machine file has them."""
+    values = {name: v for name, v in machine.parameters().items() if v is not None}
+    rows = [f'kind = "{machine.kind}"']
+    for name, value in values.items():
+        if name == "flux_map":
+            rows += [f"# {name} = {value.text()}"]
+        else:
+            rows.append(f"{name} = {value!r}")
+    return "\n".join(rows) + "\n"
+
+
+def _record(result: LogRun) -> dict[str, Any] | None:
+    """The channels of the log with all that reading them again needs; None if they are too many."""
+    log = result.log
+    plain = isinstance(getattr(result.machine, "flux_map", None), type(None))
+    if len(log) > MOST_ROWS or not plain:
+        return None
+    parts = list(log.channels(log.first, log.last))
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    columns.pop("t", None)
+    true = None if log.true is None else log.true.channel
+    packed = {name: exact(values) for name, values in columns.items()}
+    if sum(len(one["data"]) for one in packed.values()) > MOST:
+        return None
+    rows = np.arange(log.first, log.last)
+    return {
+        "columns": packed,
+        "t": exact(log.clock.times(rows)) if len(log.clock.at) > 1 else None,
+        "start": float(log.clock.times(rows[:1])[0]),
+        "layout": {
+            "frame": log.frame,
+            "currents": log.layout.currents,
+            "sample_time": log.sample_time,
+            "lag": log.layout.lag,
+            "held": log.layout.held,
+            "truth": true,
+            "fit_truth": log.layout.fit_truth,
+        },
+        "unknowns": list(result.unknowns),
+        "causal": result.causal,
+        "memory": result.memory,
+        "priors": dict(result.priors),
+    }
+
+
+def _columns(result: Result) -> dict[str, Any]:
+    """The estimates, rounded below their own noise."""
+    table = result.estimates
+    out: dict[str, Any] = {}
+    for name in table.columns:
+        values = table[name].to_numpy()
+        if name == "valid":
+            out[name] = flags(values.astype(bool))
+        elif name == "t":
+            out[name] = exact(values.astype(float))
+        elif name not in NOT_SHOWN:
+            out[name] = rounded(values.astype(float))
+    return out

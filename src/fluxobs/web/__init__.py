@@ -1,0 +1,66 @@
+"""The page, and reports: HTML files that need nothing else, and compute in the browser.
+
+Both are built from `web/` in the project's root (`make page`): the package's own modules in
+JavaScript, and the firmware's source in WebAssembly.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ..errors import FluxobsError
+
+_FOLDER = Path(__file__).parent
+#: Where the data of a report goes.
+_DATA, _BLOCKS = "{{data}}", "{{blocks}}"
+
+
+def built(name: str) -> str:
+    """The text of a file that `make page` has built, "page.html" or "report.html".
+
+    Raises
+    ------
+    FluxobsError
+        It is not there: an installation from the sources, without `make page`.
+    """
+    path = _FOLDER / name
+    if not path.is_file():
+        raise FluxobsError(
+            f"{name} is not in this installation. Wheels have it; in a clone of the sources run "
+            f"`make page`, which needs clang, lld, wasi-libc and Node.js"
+        )
+    return path.read_text(encoding="utf-8")
+
+
+def with_data(template: str, data: Mapping[str, Any]) -> str:
+    """A template with its data, for a script in it to read.
+
+    Parameters
+    ----------
+    template : str
+    data : mapping
+        What JSON can hold. Texts under a key "data" go into a block of their own, one after the
+        other; (first, length) stands in their place.
+    """
+    blocks: list[str] = []
+    text = json.dumps(_apart(data, blocks), ensure_ascii=False, allow_nan=False)
+    for mark, value in ((_DATA, text.replace("</", "<\\/")), (_BLOCKS, "".join(blocks))):
+        template = template.replace(mark, value, 1)
+    return template
+
+
+def _apart(data: Any, blocks: list[str]) -> Any:
+    """The same, with its long texts moved to `blocks`."""
+    if isinstance(data, Mapping):
+        return {name: _moved(name, value, blocks) for name, value in data.items()}
+    return [_apart(one, blocks) for one in data] if isinstance(data, list) else data
+
+
+def _moved(name: str, value: Any, blocks: list[str]) -> Any:
+    if name != "data" or not isinstance(value, str):
+        return _apart(value, blocks)
+    blocks.append(value)
+    return [sum(map(len, blocks[:-1])), len(value)]
