@@ -88,7 +88,8 @@ def library() -> str:
     """The runtime and the package as one JavaScript module."""
     parts = ['import { parse as $toml } from "smol-toml";\n']
     parts += [(WEB / "runtime" / f"{name}.js").read_text("utf-8") for name in RUNTIME]
-    parts.append(program(PACKAGE, ROOTS, REPLACED))
+    host = "".join(parts) + (WEB / "app" / "worker.js").read_text("utf-8")
+    parts.append(program(PACKAGE, ROOTS, REPLACED, host))
     for folder in RESOURCES:
         for path in sorted((PACKAGE / folder).iterdir()):
             if path.suffix in (".toml", ".csv"):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
@@ -214,6 +215,7 @@ class Module:
 
     def __init__(self, name: str, source: Path, path: Path, modules: set[str]) -> None:
         self.name, self.source, self.path, self.modules = name, source, path, modules
+        self.live: set[str] | None = None  # words that are used; None: all
         self.package = name if path.name == "__init__.py" else name.rpartition(".")[0]
         self.tree = ast.parse(path.read_text(encoding="utf-8"))
         self._temporaries = 0
@@ -240,8 +242,13 @@ class Module:
         self._temporaries += 1
         return f"$v{self._temporaries}"
 
-    def text(self) -> str:
-        """The module as JavaScript."""
+    def text(self, live: set[str] | None = None) -> str:
+        """The module as JavaScript; with `live`, only definitions whose names are among it."""
+        self.live = live
+        if live is not None:
+            self.tree.body = kept(self.tree.body, live, set())
+            inside = words(self.tree.body)
+            self.tree.body = kept(self.tree.body, live, inside)
         names = assigned(self.tree.body) | defined(self.tree.body)
         self._scopes.append(names | {"__package__", "__name__"})
         self._self.append(None)
@@ -519,16 +526,11 @@ class Module:
         self._scopes.pop()
         self._self.pop()
         made = f"function{star} ({', '.join(parameters)}) {{ {head}{body}{tail} }}"
-        spec: dict[str, object] = {"p": [a.arg for a in positional]}
-        if arguments.vararg:
-            spec["v"] = 1
-        if arguments.kwonlyargs:
-            spec["k"] = [a.arg for a in arguments.kwonlyargs]
-        if arguments.kwarg:
-            spec["w"] = 1
-        if not in_class and self._self[-1] is not None:
-            pass  # closures see the const that holds self
-        return f"$def({made}, {json.dumps(node.name)}, {json.dumps(spec)})"
+        words = [a.arg for a in positional]
+        words += [f"*{a.arg}" for a in (arguments.vararg,) if a]
+        words += [f"={a.arg}" for a in arguments.kwonlyargs]
+        words += [f"**{a.arg}" for a in (arguments.kwarg,) if a]
+        return f"$def({made}, {json.dumps(' '.join(words))})"
 
     def defaults(self, names: Sequence[ast.arg], given: Sequence[ast.expr]) -> list[str | None]:
         missing = len(names) - len(given)
@@ -539,10 +541,13 @@ class Module:
     def do_ClassDef(self, node: ast.ClassDef) -> str:
         bases = ", ".join(self.expr(base) for base in node.bases)
         members, annotations = [], []
+        checked = node.name in models_of(self.source)
         own: set[str] = set()
         self._classes.append(node.name)
         for one in without_docstring(node.body):
             match one:
+                case ast.FunctionDef(name=name) if self.live is not None and not used(name, self.live):
+                    pass
                 case ast.FunctionDef(name=name):
                     value = self.function(one, in_class=True)
                     for decorator in reversed(one.decorator_list):
@@ -551,8 +556,10 @@ class Module:
                     own.add(name)
                 case ast.AnnAssign(target=ast.Name(id=name), annotation=note, value=value):
                     kept = "ClassVar" not in ast.unparse(note)
-                    if kept:
+                    if kept and checked:
                         annotations.append(f"{name}: () => {self.expr(note)}")
+                    elif kept:
+                        annotations.append(name)
                     if value is not None:
                         members.append(f"$c.{name} = {self.in_class(value, own)};")
                         own.add(name)
@@ -565,10 +572,8 @@ class Module:
                     raise self.fail(one, f"{type(one).__name__} in a class")
         self._classes.pop()
         body = "\n".join(members)
-        value = (
-            f"$class({json.dumps(node.name)}, [{bases}], ($c) => {{\n{body}\n}}, "
-            f"{{{', '.join(annotations)}}})"
-        )
+        notes = f"{{{', '.join(annotations)}}}" if checked else json.dumps(" ".join(annotations))
+        value = f"$class({json.dumps(node.name)}, [{bases}], ($c) => {{\n{body}\n}}, {notes})"
         name = self.mangled(node.name)
         out = f"{name} = {value};"
         for decorator in reversed(node.decorator_list):
@@ -940,6 +945,21 @@ def names_of(path: Path) -> frozenset[str]:
 
 
 @cache
+def models_of(source: Path) -> frozenset[str]:
+    """Names of the classes whose fields pydantic checks: their annotations mean something."""
+    bases: dict[str, set[str]] = {}
+    for path in source.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                own = {one.id for one in node.bases if isinstance(one, ast.Name)}
+                bases.setdefault(node.name, set()).update(own)
+    found = {"BaseModel"}
+    while more := {name for name, of in bases.items() if of & found} - found:
+        found |= more
+    return frozenset(found)
+
+
+@cache
 def methods_of(source: Path) -> frozenset[str]:
     """Names of all methods in the package, properties excepted."""
     out = set()
@@ -953,6 +973,93 @@ def methods_of(source: Path) -> frozenset[str]:
                     if not any("property" in ast.unparse(d) for d in one.decorator_list)
                 }
     return frozenset(out)
+
+
+# ---- what is used -----------------------------------------------------------------------------
+
+
+def used(name: str, live: set[str]) -> bool:
+    """Whether a definition may be used; Python itself uses names with two underscores."""
+    return name in live or name.startswith("__")
+
+
+def words(body: Iterable[ast.AST], live: set[str] | None = None) -> set[str]:
+    """Names, attributes and words in texts of some code, but for its annotations and imports.
+
+    Of classes only what all of them need, and those methods whose names are `live`.
+    """
+    out: set[str] = set()
+    todo = list(body)
+    while todo:
+        node = todo.pop()
+        match node:
+            case ast.Import() | ast.ImportFrom():
+                continue
+            case ast.Name(id=name) | ast.Attribute(attr=name) | ast.keyword(arg=str(name)):
+                out.add(name)
+            case ast.Constant(value=str(text)):
+                out |= set(text.replace(".", " ").split())
+            case ast.FunctionDef():
+                todo += [*node.body, *node.decorator_list, *node.args.defaults]
+                todo += [one for one in node.args.kw_defaults if one is not None]
+                continue
+            case ast.ClassDef():
+                todo += [*node.bases, *node.decorator_list]
+                for one in without_docstring(node.body):
+                    method = isinstance(one, ast.FunctionDef)
+                    if not method or live is None or used(one.name, live):
+                        todo.append(one)
+                continue
+            case ast.AnnAssign():
+                todo += [node.target, node.annotation, *([node.value] if node.value else [])]
+                continue
+        todo += ast.iter_child_nodes(node)
+    return out
+
+
+def kept(body: list[ast.stmt], live: set[str], inside: set[str]) -> list[ast.stmt]:
+    """Statements of a module that define something live, or do something; with `inside`, the words
+    of the module, only those imports that it uses."""
+    out: list[ast.stmt] = []
+    for one in body:
+        match one:
+            case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
+                names = {name}
+            case ast.Assign() | ast.AnnAssign():
+                names = assigned([one])
+            case ast.Import(names=aliases) | ast.ImportFrom(names=aliases) if inside:
+                aliases = [a for a in aliases if (a.asname or a.name.split(".")[0]) in inside | live]
+                if aliases:
+                    one.names = aliases
+                    out.append(one)
+                continue
+            case _:
+                names = set()
+        if not names or names & live:
+            out.append(one)
+    return out
+
+
+def alive(bodies: Iterable[list[ast.stmt]], roots: set[str]) -> set[str]:
+    """All words that are used, from some that are: by name alone, so rather too many than too few."""
+    live = set(roots)
+    todo = [one for body in bodies for one in without_docstring(body)]
+    while True:
+        before = len(live)
+        for one in todo:
+            match one:
+                case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
+                    taken = name in live
+                case ast.Assign() | ast.AnnAssign():
+                    taken = bool(assigned([one]) & live)
+                case ast.Import() | ast.ImportFrom():
+                    taken = False
+                case _:
+                    taken = True
+            if taken:
+                live |= words([one], live)
+        if len(live) == before:
+            return live
 
 
 # ---- modules ----------------------------------------------------------------------------------
@@ -969,8 +1076,8 @@ def find(source: Path, name: str) -> Path | None:
     return None
 
 
-def program(source: Path, roots: Sequence[str], replaced: set[str]) -> str:
-    """JavaScript of some modules and of all that they import.
+def program(source: Path, roots: Sequence[str], replaced: set[str], host: str) -> str:
+    """JavaScript of some modules and of all that they import, as far as it is used.
 
     Parameters
     ----------
@@ -980,6 +1087,8 @@ def program(source: Path, roots: Sequence[str], replaced: set[str]) -> str:
         Names of modules.
     replaced : set of str
         Names of modules that the runtime has in JavaScript.
+    host : str
+        The JavaScript that uses the program: whatever it names is kept.
 
     Raises
     ------
@@ -993,25 +1102,25 @@ def program(source: Path, roots: Sequence[str], replaced: set[str]) -> str:
         )
         for path in source.rglob("*.py")
     }
-    out: dict[str, str] = {}
+    modules: dict[str, Module] = {}
 
     def add(name: str, why: str) -> None:
-        if name in out or name in replaced:
+        if name in modules or name in replaced:
             return
         path = find(source, name)
         if path is None:
             raise Unknown(f"{why} imports {name}, which has no counterpart")
-        out[name] = ""
-        module = Module(name, source, path, every | replaced)
+        modules[name] = module = Module(name, source, path, every | replaced)
         try:
-            text = module.text()
+            module.text()
         except Unknown as error:
             raise Unknown(f"{error} (wanted by {why})") from None
         for wanted in sorted(module.imports):
             add(wanted, name)
-        del out[name]
-        out[name] = text  # behind what it imports
+        modules[name] = modules.pop(name)  # behind what it imports
 
     for root in roots:
         add(root, "the page")
-    return "".join(out.values())
+    live = alive((one.tree.body for one in modules.values()), set(re.findall(r"\w+", host)))
+    fresh = [Module(one.name, source, one.path, every | replaced) for one in modules.values()]
+    return "".join(one.text(live) for one in fresh)

@@ -22,8 +22,10 @@ class Kw { constructor(of) { this.of = of; } }
 const $kw = (of) => new Kw(of);
 const $named = (d) => d instanceof Dict ? Object.fromEntries($items(d)) : d;
 
-// spec: p positional names, v whether there is *args, k keyword-only names, w whether **kwargs.
-function $def(fn, name, { p, v, k = [], w }) {
+// Parameters by name: "a b *args =keyword_only **kwargs".
+function $def(fn, words) {
+  const names = words ? words.split(" ") : [], p = names.filter((n) => /^\w/.test(n)), k = names.filter((n) => n[0] === "=").map((n) => n.slice(1));
+  const v = names.some((n) => /^\*\w/.test(n)), w = names.some((n) => n.startsWith("**")), name = fn.name || "a function";
   const simple = !v && !k.length && !w;
   const out = function (...args) {
     const kw = args.length && args[args.length - 1] instanceof Kw ? args.pop().of : null;
@@ -48,12 +50,11 @@ function $def(fn, name, { p, v, k = [], w }) {
     return fn.apply(this, full);
   };
   out.$def = true;
-  Object.defineProperty(out, "name", { value: name });
   return out;
 }
 
 // A function of the runtime that takes keywords: names in order.
-const $fn = (names, fn) => $def(fn, fn.name || "function", { p: names.split(" ") });
+const $fn = (names, fn) => $def(fn, names);
 
 class Property { constructor(fn, cached) { this.fn = fn; this.cached = cached; } }
 class ClassMethod { constructor(fn) { this.fn = fn; } }
@@ -98,7 +99,7 @@ function $class(name, bases, body, notes) {
   cls.prototype = Object.create(parent.prototype, { constructor: { value: cls, writable: true, configurable: true } });
   cls.$isClass = true;
   cls.$title = name;
-  cls.$notes = notes ?? {};
+  cls.$notes = typeof notes === "string" ? Object.fromEntries(notes.split(" ").filter(Boolean).map((n) => [n, null])) : notes ?? {};
   cls.$own = {};
   body(cls.$own);
   for (const [key, value] of Object.entries(cls.$own)) $member(cls, key, value);
@@ -153,7 +154,7 @@ const callable = (x) => typeof x === "function";
 // ---- exceptions -------------------------------------------------------------------------------
 
 const BaseException = $class("BaseException", [], ($c) => {
-  $c.__str__ = $def(function () { return this.args.length ? str(this.args[0]) : ""; }, "__str__", { p: [] });
+  $c.__str__ = $def(function () { return this.args.length ? str(this.args[0]) : ""; }, "");
 }, {});
 Object.setPrototypeOf(BaseException.prototype, Error.prototype);
 BaseException.$new = (cls, args) => {

@@ -16,10 +16,10 @@ NamedTuple.$made = (cls) => {
     const out = $tuple(values.map((v, n) => (v === undefined ? cls.$own[names[n]] : v)));
     Object.setPrototypeOf(out, cls.prototype);
     return out;
-  }, cls.$title, { p: names });
+  }, names.join(" "));
   cls.$new = (_, args) => make(...args);
   names.forEach((name, n) => Object.defineProperty(cls.prototype, name, { get() { return this[n]; }, configurable: true }));
-  cls.prototype._replace = $def(function (changes) { return make(...names.map((name, n) => (changes.has(name) ? changes.get(name) : this[n]))); }, "_replace", { p: [], w: 1 });
+  cls.prototype._replace = $def(function (changes) { return make(...names.map((name, n) => (changes.has(name) ? changes.get(name) : this[n]))); }, "**changes");
   cls.prototype._asdict = function () { return $dict(names.map((name, n) => [name, this[n]])); };
 };
 $module("typing", ($m) => Object.assign($m, $types("Any", "ClassVar", "Generic", "Protocol", "Self", "IO", "Callable", "Iterator", "TypeAlias"), {
@@ -180,7 +180,7 @@ function $dataclass(cls, { eq = true, order = false } = {}) {
       for (const f of cls.$fields) if (!f.init && f.default_factory !== $missing) $define(this, f.name, f.default_factory());
       if (this.__post_init__) this.__post_init__();
       return null;
-    }, cls.$title, { p: taken.map((f) => f.name) });
+    }, taken.map((f) => f.name).join(" "));
   if (eq && !("__eq__" in cls.$own))
     cls.prototype.__eq__ = function (other) { return other != null && other.constructor === this.constructor && cls.$fields.every((f) => !f.compare || $t($eq(this[f.name], other[f.name]))); };
   Object.defineProperty(cls, "$byFields", { value: eq, configurable: true });
@@ -198,7 +198,7 @@ $module("dataclasses", ($m) => Object.assign($m, {
   replace: $def((of, changes) => {
     const values = Object.fromEntries(of.constructor.$fields.filter((f) => f.init).map((f) => [f.name, changes.has(f.name) ? changes.get(f.name) : of[f.name]]));
     return of.constructor($kw(values));
-  }, "replace", { p: ["of"], w: 1 }),
+  }, "of **changes"),
   asdict: (x) => $dict(x.constructor.$fields.map((f) => [f.name, x[f.name]])),
   is_dataclass: (x) => Boolean(x && x.$fields),
 }));
@@ -206,7 +206,7 @@ $module("dataclasses", ($m) => Object.assign($m, {
 // ---- pydantic -----------------------------------------------------------------------------------------
 
 const ValidationError = $class("ValidationError", [ValueError], ($c) => {
-  $c.errors = $def(function () { return this.args[0]; }, "errors", { p: [] });
+  $c.errors = $def(function () { return this.args[0]; }, "");
 }, {});
 class Validator { constructor(mode, fn) { this.mode = mode; this.fn = fn; } }
 class Constraint { constructor(of) { Object.assign(this, of); } }
@@ -298,16 +298,16 @@ const BaseModel = $class("BaseModel", [], ($c) => {
       throw ValidationError(errors);
     }
     return null;
-  }, "__init__", { p: [], w: 1 });
+  }, "**given");
   $c.model_dump = $def(function (exclude_defaults = false, exclude = null) {
     return $dict(this.constructor.model_fields.items().filter(([name, info]) => !(exclude && exclude.has(name)) && !(exclude_defaults && info.default !== $missing && $same(info.default, this[name]))).map(([name]) => [name, this[name]]));
-  }, "model_dump", { p: ["exclude_defaults", "exclude"] });
+  }, "exclude_defaults exclude");
   $c.model_copy = $def(function (update = null) {
     const out = Object.create(this.constructor.prototype);
     for (const name of this.constructor.model_fields) $define(out, name, update && update.has(name) ? update.get(name) : this[name]);
     return out;
-  }, "model_copy", { p: ["update"] });
-  $c.__eq__ = $def(function (other) { return other != null && other.constructor === this.constructor && [...this.constructor.model_fields].every((name) => $same(this[name], other[name])); }, "__eq__", { p: ["other"] });
+  }, "update");
+  $c.__eq__ = $def(function (other) { return other != null && other.constructor === this.constructor && [...this.constructor.model_fields].every((name) => $same(this[name], other[name])); }, "other");
 }, {});
 BaseModel.$made = (cls) => {
   const parent = Object.getPrototypeOf(cls);
@@ -352,25 +352,25 @@ class WrittenFile {
 }
 
 const Path = $class("Path", [], ($c) => {
-  $c.__init__ = $def(function (of) { this.path = str(of); return null; }, "__init__", { p: ["of"] });
-  $c.__str__ = $def(function () { return this.path; }, "__str__", { p: [] });
-  $c.__repr__ = $def(function () { return `PosixPath(${repr(this.path)})`; }, "__repr__", { p: [] });
-  $c.__eq__ = $def(function (other) { return other instanceof Path && other.path === this.path; }, "__eq__", { p: ["other"] });
-  $c.__truediv__ = $def(function (more) { return Path(`${this.path}/${str(more)}`); }, "__truediv__", { p: ["more"] });
+  $c.__init__ = $def(function (of) { this.path = str(of); return null; }, "of");
+  $c.__str__ = $def(function () { return this.path; }, "");
+  $c.__repr__ = $def(function () { return `PosixPath(${repr(this.path)})`; }, "");
+  $c.__eq__ = $def(function (other) { return other instanceof Path && other.path === this.path; }, "other");
+  $c.__truediv__ = $def(function (more) { return Path(`${this.path}/${str(more)}`); }, "more");
   $c.name = property(function () { return this.path.split("/").pop(); });
   $c.suffix = property(function () { const at = this.name.lastIndexOf("."); return at > 0 ? this.name.slice(at) : ""; });
   $c.stem = property(function () { return $strings.removesuffix(this.name, this.suffix); });
   $c.parent = property(function () { return Path(this.path.split("/").slice(0, -1).join("/") || "."); });
-  $c.exists = $def(function () { return $files.has(this.path); }, "exists", { p: [] });
-  $c.is_dir = $def(function () { return false; }, "is_dir", { p: [] });
+  $c.exists = $def(function () { return $files.has(this.path); }, "");
+  $c.is_dir = $def(function () { return false; }, "");
   $c.is_file = $c.exists;
-  $c.open = $def(function () { return new MemoryFile(this.read_bytes()); }, "open", { p: ["mode"] });
-  $c.read_bytes = $def(function () { if (!$files.has(this.path)) { const e = FileNotFoundError("no such file"); e.strerror = "No such file or directory"; throw e; } return $files.get(this.path); }, "read_bytes", { p: [] });
-  $c.read_text = $def(function () { return $decoded(this.read_bytes(), "utf-8"); }, "read_text", { p: ["encoding"] });
-  $c.stat = $def(function () { return { st_size: this.read_bytes().length }; }, "stat", { p: [] });
-  $c.iterdir = $def(function* () { for (const path of $files.keys()) if (path.startsWith(`${this.path}/`)) yield Path(path); }, "iterdir", { p: [] });
-  $c.unlink = $def(function () { $files.delete(this.path); return null; }, "unlink", { p: ["missing_ok"] });
-  $c.with_name = $def(function (name) { return $div(this.parent, name); }, "with_name", { p: ["name"] });
+  $c.open = $def(function () { return new MemoryFile(this.read_bytes()); }, "mode");
+  $c.read_bytes = $def(function () { if (!$files.has(this.path)) { const e = FileNotFoundError("no such file"); e.strerror = "No such file or directory"; throw e; } return $files.get(this.path); }, "");
+  $c.read_text = $def(function () { return $decoded(this.read_bytes(), "utf-8"); }, "encoding");
+  $c.stat = $def(function () { return { st_size: this.read_bytes().length }; }, "");
+  $c.iterdir = $def(function* () { for (const path of $files.keys()) if (path.startsWith(`${this.path}/`)) yield Path(path); }, "");
+  $c.unlink = $def(function () { $files.delete(this.path); return null; }, "missing_ok");
+  $c.with_name = $def(function (name) { return $div(this.parent, name); }, "name");
 }, {});
 $module("pathlib", ($m) => Object.assign($m, { Path }));
 $module("importlib", ($m) => Object.assign($m, { import_module: $import, resources: { files: (name) => Path(name.replaceAll(".", "/")) } }));

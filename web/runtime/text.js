@@ -97,3 +97,10 @@ $module("fluxobs.logs.formats.text.parse", ($m) => Object.assign($m, { Ragged, C
 // Nothing is read ahead, and nothing is written, in a page.
 $module("fluxobs.output", ($m) => Object.assign($m, { ahead: (parts) => parts, check_new: () => null, write_text: () => null }));
 $module("fluxobs.html", () => {});
+
+// Formats whose libraries have no counterpart here.
+for (const name of ["polars_files", "mdf", "mat", "hdf5", "tdms", "ulog", "excel"])
+  $module(`fluxobs.logs.formats.${name}`, ($m) => {
+    const refuse = (path) => { throw $import("fluxobs.errors").RecordError(`${str(path)}: the page does not read ${path.suffix} files. On the command line \`fluxobs estimate\` does; or save it as CSV or .npz`); };
+    for (const form of ["parquet", "arrow", "json", "json_lines", "mdf", "mat", "hdf5", "tdms", "ulog", "excel"]) $m[`open_${form}`] = refuse;
+  });

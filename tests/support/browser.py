@@ -1,0 +1,54 @@
+"""Pages in a browser, their columns, and what they asked for."""
+
+import numpy as np
+import pytest
+
+from fluxobs.errors import FluxobsError
+from fluxobs.web import built
+
+#: How long a page may take, on a machine with other work [ms].
+PATIENCE = 120_000
+
+
+class Window:
+    """A page in the browser, and all that it asked for and complained of."""
+
+    def __init__(self, page, path):
+        self.page, self.asked, self.complaints = page, [], []
+        page.set_default_timeout(PATIENCE)
+        page.on("request", lambda request: self.asked.append(request.url))
+        page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        page.goto(path.as_uri())
+
+    def js(self, code, *given):
+        return self.page.evaluate(code, *given)
+
+    def column(self, name):
+        """A column of what is drawn, with all its bits."""
+        text = self.js(
+            """(name) => {
+                const d = fluxobs.results.view.columns[name];
+                const bytes = new Uint8Array(d.buffer, d.byteOffset, d.byteLength);
+                let out = "";
+                for (const b of bytes) out += b.toString(16).padStart(2, "0");
+                return [d.constructor.name, out];
+            }""",
+            name,
+        )
+        kinds = {"Float64Array": "<f8", "Float32Array": "<f4", "Uint8Array": "u1"}
+        return np.frombuffer(bytes.fromhex(text[1]), kinds[text[0]])
+
+    def columns(self):
+        return self.js("() => Object.keys(fluxobs.results.view.columns)")
+
+    def silent(self):
+        """Nothing was asked for but the page itself and its own worker; nothing went wrong."""
+        assert not self.complaints
+        return [url for url in self.asked if not url.startswith(("file:", "blob:", "data:"))] == []
+
+
+def template(name):
+    try:
+        return built(name)
+    except FluxobsError as error:
+        pytest.skip(str(error))
