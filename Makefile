@@ -5,6 +5,7 @@
 # make fuzz   ten million samples of anything into the C sources, in either precision
 # make bench  the benchmarks, each with its number and the machine
 # make docs   the documentation, in build/docs
+# make page   the page and the template of reports, in src/fluxobs/web
 
 PYTHON ?= python3
 VENV := .venv
@@ -14,12 +15,18 @@ READY := $(VENV)/.ready-$(shell find src/fluxobs -name '*.py' | LC_ALL=C sort | 
 FIRMWARE := $(wildcard firmware/*.c)
 SOURCES := CMakeLists.txt pyproject.toml binding/core.cpp $(FIRMWARE) $(wildcard firmware/*.h)
 
-.PHONY: demo test check lint warnings misra sanitize pil fuzz bench docs clean
+# What builds the page. Without it `make test` skips the tests of page and reports.
+PAGE := src/fluxobs/web/page.html
+PAGE_TOOLS := $(and $(shell command -v clang),$(shell command -v wasm-ld),$(shell command -v npm))
+PAGE_SOURCES := $(wildcard web/*.py web/*.c web/*.json web/app/* web/runtime/*) binding/columns.h \
+    $(shell find src/fluxobs -name '*.py')
+
+.PHONY: demo test check lint warnings misra sanitize pil fuzz bench docs page clean
 
 demo: $(READY)
 	$(BIN)/fluxobs demo --out fluxobs-demo
 
-test: $(READY)
+test: $(READY) $(if $(PAGE_TOOLS),$(PAGE))
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
 $(READY): $(SOURCES)
@@ -28,6 +35,11 @@ $(READY): $(SOURCES)
 	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
 	$(BIN)/python -m pip install --quiet --group dev --editable ".[all]"
 	@touch $(READY)
+
+page: $(PAGE)
+
+$(PAGE): $(READY) $(PAGE_SOURCES) $(SOURCES)
+	$(BIN)/python web/build.py
 
 check: lint warnings misra sanitize
 

@@ -12,9 +12,8 @@ import sys
 import tomllib
 from pathlib import Path
 
-from translate import program
-
 from fluxobs.web.columns import as_text
+from translate import program
 
 WEB = Path(__file__).parent
 ROOT = WEB.parent

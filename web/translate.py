@@ -13,11 +13,21 @@ import ast
 import json
 import re
 from collections.abc import Iterable, Sequence
-from functools import cache
 from pathlib import Path
 
+from scopes import (
+    always_returns,
+    assigned,
+    defined,
+    is_generator,
+    nonlocal_names,
+    targets,
+    without_docstring,
+)
+from used import alive, kept, methods_of, models_of, names_of, used, words
+
 #: Words that are names in Python but not in JavaScript.
-RESERVED = set(
+RESERVED = frozenset(
     [
         "arguments",
         "await",
@@ -57,7 +67,7 @@ RESERVED = set(
     ]
 )
 #: Methods of strings, lists and bytes, which are no objects of ours: the runtime has them.
-METHODS = set(
+METHODS = frozenset(
     [
         "append",
         "count",
@@ -127,7 +137,7 @@ COMPARISONS = {
     ast.NotIn: "notin",
 }
 #: Names that the runtime defines in every module.
-BUILTINS = set(
+BUILTINS = frozenset(
     [
         "ArithmeticError",
         "BaseException",
@@ -302,7 +312,8 @@ class Module:
         for one in node.names:
             self.imports.add(one.name)
             out.append(
-                f"{self.mangled(one.asname or one.name.split('.')[0])} = $import({json.dumps(one.name)});"
+                f"{self.mangled(one.asname or one.name.split('.')[0])} = "
+                f"$import({json.dumps(one.name)});"
             )
         return " ".join(out)
 
@@ -546,7 +557,7 @@ class Module:
         self._classes.append(node.name)
         for one in without_docstring(node.body):
             match one:
-                case ast.FunctionDef(name=name) if self.live is not None and not used(name, self.live):
+                case ast.FunctionDef() if self.live is not None and not used(one, self.live):
                     pass
                 case ast.FunctionDef(name=name):
                     value = self.function(one, in_class=True)
@@ -851,215 +862,6 @@ class Module:
     def on_GeneratorExp(self, node: ast.GeneratorExp) -> str:
         text = self.loops(node.generators, lambda: f"yield {self.expr(node.elt)};")
         return f"(function* () {{ {text} }})()"
-
-
-# ---- what a piece of code assigns -------------------------------------------------------------
-
-
-def targets(node: ast.expr) -> set[str]:
-    """Names that an assignment to this binds."""
-    return {
-        n.id for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
-    }
-
-
-def walked(body: Iterable[ast.stmt]) -> Iterable[ast.AST]:
-    """All nodes of a function's own scope."""
-    todo: list[ast.AST] = list(body)
-    while todo:
-        node = todo.pop()
-        yield node
-        if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Lambda):
-            continue
-        for child in ast.iter_child_nodes(node):
-            if isinstance(node, ast.If) and _typing_only(node) and child is not node.test:
-                continue
-            todo.append(child)
-
-
-def _typing_only(node: ast.If) -> bool:
-    return isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
-
-
-def _in_comprehension(body: Iterable[ast.stmt]) -> set[int]:
-    """Stores to loop names of comprehensions, which are their own."""
-    out = set()
-    for node in walked(body):
-        if isinstance(node, ast.ListComp | ast.SetComp | ast.DictComp | ast.GeneratorExp):
-            for one in node.generators:
-                out |= {id(n) for n in ast.walk(one.target)}
-    return out
-
-
-def assigned(body: Sequence[ast.stmt]) -> set[str]:
-    """Names that a scope assigns."""
-    apart = _in_comprehension(body)
-    out = set()
-    for node in walked(body):
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) and id(node) not in apart:
-            out.add(node.id)
-        elif (isinstance(node, ast.ExceptHandler) and node.name) or (
-            isinstance(node, ast.MatchAs) and node.name
-        ):
-            out.add(node.name)
-        elif isinstance(node, ast.Import):
-            out |= {one.asname or one.name.split(".")[0] for one in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module != "__future__":
-            out |= {one.asname or one.name for one in node.names}
-    return out
-
-
-def defined(body: Sequence[ast.stmt]) -> set[str]:
-    """Functions and classes that a scope defines."""
-    return {n.name for n in walked(body) if isinstance(n, ast.FunctionDef | ast.ClassDef)}
-
-
-def nonlocal_names(body: Sequence[ast.stmt]) -> set[str]:
-    """Names that belong to an outer scope."""
-    return {name for n in walked(body) if isinstance(n, ast.Nonlocal) for name in n.names}
-
-
-def is_generator(node: ast.FunctionDef) -> bool:
-    """Whether a function yields."""
-    return any(isinstance(n, ast.Yield | ast.YieldFrom) for n in walked(node.body))
-
-
-def always_returns(body: Sequence[ast.stmt]) -> bool:
-    """Whether a function cannot run over its end, as far as its last statement shows."""
-    return bool(body) and isinstance(body[-1], ast.Return | ast.Raise)
-
-
-def without_docstring(body: list[ast.stmt]) -> list[ast.stmt]:
-    """A body without the text at its head."""
-    first = body[0] if body else None
-    if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
-        return body[1:] if isinstance(first.value.value, str) else body
-    return body
-
-
-@cache
-def names_of(path: Path) -> frozenset[str]:
-    """Names that a module defines or imports."""
-    body = ast.parse(path.read_text(encoding="utf-8")).body
-    return frozenset(assigned(body) | defined(body))
-
-
-@cache
-def models_of(source: Path) -> frozenset[str]:
-    """Names of the classes whose fields pydantic checks: their annotations mean something."""
-    bases: dict[str, set[str]] = {}
-    for path in source.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ClassDef):
-                own = {one.id for one in node.bases if isinstance(one, ast.Name)}
-                bases.setdefault(node.name, set()).update(own)
-    found = {"BaseModel"}
-    while more := {name for name, of in bases.items() if of & found} - found:
-        found |= more
-    return frozenset(found)
-
-
-@cache
-def methods_of(source: Path) -> frozenset[str]:
-    """Names of all methods in the package, properties excepted."""
-    out = set()
-    for path in source.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ClassDef):
-                functions = [one for one in node.body if isinstance(one, ast.FunctionDef)]
-                out |= {
-                    one.name
-                    for one in functions
-                    if not any("property" in ast.unparse(d) for d in one.decorator_list)
-                }
-    return frozenset(out)
-
-
-# ---- what is used -----------------------------------------------------------------------------
-
-
-def used(name: str, live: set[str]) -> bool:
-    """Whether a definition may be used; Python itself uses names with two underscores."""
-    return name in live or name.startswith("__")
-
-
-def words(body: Iterable[ast.AST], live: set[str] | None = None) -> set[str]:
-    """Names, attributes and words in texts of some code, but for its annotations and imports.
-
-    Of classes only what all of them need, and those methods whose names are `live`.
-    """
-    out: set[str] = set()
-    todo = list(body)
-    while todo:
-        node = todo.pop()
-        match node:
-            case ast.Import() | ast.ImportFrom():
-                continue
-            case ast.Name(id=name) | ast.Attribute(attr=name) | ast.keyword(arg=str(name)):
-                out.add(name)
-            case ast.Constant(value=str(text)):
-                out |= set(text.replace(".", " ").split())
-            case ast.FunctionDef():
-                todo += [*node.body, *node.decorator_list, *node.args.defaults]
-                todo += [one for one in node.args.kw_defaults if one is not None]
-                continue
-            case ast.ClassDef():
-                todo += [*node.bases, *node.decorator_list]
-                for one in without_docstring(node.body):
-                    method = isinstance(one, ast.FunctionDef)
-                    if not method or live is None or used(one.name, live):
-                        todo.append(one)
-                continue
-            case ast.AnnAssign():
-                todo += [node.target, node.annotation, *([node.value] if node.value else [])]
-                continue
-        todo += ast.iter_child_nodes(node)
-    return out
-
-
-def kept(body: list[ast.stmt], live: set[str], inside: set[str]) -> list[ast.stmt]:
-    """Statements of a module that define something live, or do something; with `inside`, the words
-    of the module, only those imports that it uses."""
-    out: list[ast.stmt] = []
-    for one in body:
-        match one:
-            case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
-                names = {name}
-            case ast.Assign() | ast.AnnAssign():
-                names = assigned([one])
-            case ast.Import(names=aliases) | ast.ImportFrom(names=aliases) if inside:
-                aliases = [a for a in aliases if (a.asname or a.name.split(".")[0]) in inside | live]
-                if aliases:
-                    one.names = aliases
-                    out.append(one)
-                continue
-            case _:
-                names = set()
-        if not names or names & live:
-            out.append(one)
-    return out
-
-
-def alive(bodies: Iterable[list[ast.stmt]], roots: set[str]) -> set[str]:
-    """All words that are used, from some that are: by name alone, so rather too many than too few."""
-    live = set(roots)
-    todo = [one for body in bodies for one in without_docstring(body)]
-    while True:
-        before = len(live)
-        for one in todo:
-            match one:
-                case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
-                    taken = name in live
-                case ast.Assign() | ast.AnnAssign():
-                    taken = bool(assigned([one]) & live)
-                case ast.Import() | ast.ImportFrom():
-                    taken = False
-                case _:
-                    taken = True
-            if taken:
-                live |= words([one], live)
-        if len(live) == before:
-            return live
 
 
 # ---- modules ----------------------------------------------------------------------------------

@@ -1,5 +1,7 @@
 """Pages in a browser, their columns, and what they asked for."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -22,6 +24,13 @@ class Window:
 
     def js(self, code, *given):
         return self.page.evaluate(code, *given)
+
+    def until(self, code):
+        """Wait until a function is true; the page's policy lets no text be evaluated in it."""
+        end = time.monotonic() + PATIENCE / 1000
+        while not self.js(code):
+            assert time.monotonic() < end, code
+            self.page.wait_for_timeout(20)
 
     def column(self, name):
         """A column of what is drawn, with all its bits."""

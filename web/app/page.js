@@ -76,7 +76,7 @@ zone.addEventListener("dragover", (event) => { event.preventDefault(); zone.clas
 zone.addEventListener("dragleave", () => zone.classList.remove("over"));
 addEventListener("dragover", (event) => event.preventDefault());
 addEventListener("drop", (event) => { event.preventDefault(); zone.classList.remove("over"); open([...event.dataTransfer.files]); });
-$("files").addEventListener("change", (event) => open([...event.target.files]));
+$("files").addEventListener("change", (event) => { const files = [...event.target.files]; event.target.value = ""; open(files); }); // the same file again is read again
 $("demo").addEventListener("click", async () => {
   $("example").value = "servo-400w";
   $("machine").value = state.known.examples["servo-400w"];

@@ -573,10 +573,10 @@ Object.assign($np, {
   broadcast_to: (x, shape) => $expanded($as(x), Array.isArray(shape) ? shape : [shape]),
 
   sum: $fn("x axis dtype keepdims", (x, axis = null, _ = null, keep = false) => $reduce("sum", x, axis, keep)), prod: $fn("x axis dtype", (x, axis = null) => $reduce("prod", x, axis)),
-  mean: $fn("x axis", (x, axis = null) => $reduce("mean", x, axis)), max: $fn("x axis", (x, axis = null) => $reduce("max", x, axis)),
-  min: $fn("x axis", (x, axis = null) => $reduce("min", x, axis)), all: $fn("x axis", (x, axis = null) => $reduce("all", x, axis)),
+  mean: $fn("x axis keepdims", (x, axis = null, keep = false) => $reduce("mean", x, axis, keep)), max: $fn("x axis keepdims initial", (x, axis = null, keep = false, initial = undefined) => $reduce("max", x, axis, keep, { initial })),
+  min: $fn("x axis keepdims", (x, axis = null, keep = false) => $reduce("min", x, axis, keep)), all: $fn("x axis", (x, axis = null) => $reduce("all", x, axis)),
   any: $fn("x axis", (x, axis = null) => $reduce("any", x, axis)),
-  median: $fn("x axis", (x, axis = null) => $reduce("median", x, axis)), std: $fn("x axis", (x, axis = null) => $as(x).std(axis)),
+  median: $fn("x axis keepdims", (x, axis = null, keep = false) => $reduce("median", x, axis, keep)), std: $fn("x axis", (x, axis = null) => $as(x).std(axis)),
   argmax: $fn("x axis", (x, axis = null) => $reduce("argmax", x, axis)), argmin: $fn("x axis", (x, axis = null) => $reduce("argmin", x, axis)),
   ptp: $fn("x axis", (x, axis = null) => $sub($reduce("max", x, axis), $reduce("min", x, axis))),
   percentile: $fn("x q axis", (x, q, axis = null) => $np.quantile(x, $div(q, 100), axis)),
@@ -638,7 +638,7 @@ Object.assign($np, {
   r_: { __getitem__: (parts) => $np.concatenate(parts.map((p) => $np.atleast_1d(p))) },
   delete: (x, at) => { const a = $as(x), drop = new Set($as(at).ravel().tolist().map((n) => (n < 0 ? n + a.shape[0] : n))), kept = []; for (let n = 0; n < a.shape[0]; n++) if (!drop.has(n)) kept.push(n); return a.at($as(kept, "i")); },
   repeat: $fn("x n axis", (x, n, axis = null) => { const a = $as(x), along = axis === null ? 0 : axis < 0 ? axis + a.ndim : axis, at = []; for (let k = 0; k < a.shape[along]; k++) for (let m = 0; m < n; m++) at.push(k); return a.at($tuple([...Array.from({ length: along }, () => new Slice(null, null, null)), $as(at, "i")])); }),
-  tile: (x, n) => $np.concatenate(Array.from({ length: n }, () => $as(x))),
+  tile: (x, reps) => { const [rows, cols] = Array.isArray(reps) ? reps : [1, reps], line = $np.concatenate(Array.from({ length: cols }, () => $as(x))); return Array.isArray(reps) ? $np.stack(Array.from({ length: rows }, () => line)) : line; },
   moveaxis: (x, from, to) => { const a = $as(x), order = a.shape.map((_, n) => n), [one] = order.splice(from < 0 ? from + a.ndim : from, 1); order.splice(to < 0 ? to + a.ndim : to, 0, one); return a.transpose(...order); },
   array_split: (x, parts) => { const n = len(x), out = []; let at = 0; for (let k = 0; k < parts; k++) { const size = Math.floor(n / parts) + (k < n % parts ? 1 : 0); out.push($get(x, new Slice(at, at + size, null))); at += size; } return out; },
   diff: $fn("x n axis prepend", (x, n = 1, axis = -1, prepend = undefined) => {
@@ -711,9 +711,19 @@ Object.assign($np, {
     for (let n = 0; n < i.length; n++) for (let k = 0; k < inner; k++) target.data[target.offset + i[n] * inner + k] += d[n * inner + k];
   } }),
   ix_: (...lists) => $tuple(lists.map((one, n) => $as(one).reshape(...lists.map((_, m) => (m === n ? -1 : 1))))),
+  kron: (a, b) => { const x = $as(a), y = $as(b), [n, m] = x.shape, [p, q] = y.shape; return $as($mul(x.reshape(n, 1, m, 1), y.reshape(1, p, 1, q))).reshape(n * p, m * q); },
+  tensordot: $fn("a b axes", (a, b) => { const x = $as(a), y = $as(b), k = y.shape[0]; return $as($np.matmul(x.reshape(-1, k), y.reshape(k, -1))).reshape(...x.shape.slice(0, -1), ...y.shape.slice(1)); }),
+  convolve: $fn("a b mode", (a, b) => {
+    if ($as(a).im) return $add($np.convolve($as(a).real, b), $mul(new Complex(0, 1), $np.convolve($as(a).imag, b)));
+    const [x] = $as(a).flat(), [y] = $as(b).flat(), n = Math.max(x.length, y.length), skip = Math.floor((Math.min(x.length, y.length) - 1) / 2), out = new Float64Array(n);
+    for (let k = 0; k < n; k++) { let s = 0; for (let j = Math.max(0, k + skip - x.length + 1); j < y.length && j <= k + skip; j++) s += y[j] * x[k + skip - j]; out[k] = s; }
+    return new NdArray(out, [n], "f");
+  }),
   outer: (a, b) => $mul($as(a).reshape(-1, 1), $as(b).reshape(1, -1)),
   vdot: (a, b) => $reduce("sum", $mul($as(a).ravel().conj(), $as(b).ravel())),
   trace: (x) => $reduce("sum", $np.diag(x)),
+  result_type: (...x) => (x.some((one) => $kind(one) === "c" || $kindOf(one) === "c") ? complex : float),
+  dtype: (x) => ({ names: null, kind: $kind(x) }),
   finfo: () => ({ eps: Number.EPSILON, max: Number.MAX_VALUE, tiny: 2 ** -1022 }),
   errstate: () => ({}),
   matmul(a, b) {
@@ -736,7 +746,7 @@ Object.assign($np, {
     }
     for (let c = 0; c < count; c++) for (let i = 0; i < n; i++) for (let j = 0; j < k; j++) {
       const at = (c * n + i) * k + j, v = xd[at], w = xi ? xi[at] : 0, to = (c * n + i) * m, from = (c * k + j) * m;
-      if (!im) for (let l = 0; l < m; l++) out[to + l] += v * yd[from + l]; else for (let l = 0; l < m; l++) { const r = yd[from + l], s = yi ? yi[from + l] : 0; out[to + l] += v * r - w * s; im[to + l] += v * s + w * r; }
+      if (!im) { if (v !== 0) for (let l = 0; l < m; l++) out[to + l] += v * yd[from + l]; } else for (let l = 0; l < m; l++) { const r = yd[from + l], s = yi ? yi[from + l] : 0; out[to + l] += v * r - w * s; im[to + l] += v * s + w * r; }
     }
     const shape = [...many, ...(front ? [] : [n]), ...(back ? [] : [m])];
     return $wrap(new NdArray(out, shape, im ? "c" : "f", im));
@@ -788,7 +798,15 @@ const LinAlgError = $exception("LinAlgError", ValueError);
 
 // A x = b for one matrix; b is rows of right-hand sides.
 function $solved(A, B) {
-  const n = A.length;
+  const n = A.length, low = A.every((row, i) => row.every((v, j) => j <= i || v === 0)), up = !low && A.every((row, i) => row.every((v, j) => j >= i || v === 0));
+  if ((low || up) && A.every((row, i) => row[i] !== 0)) { // triangles need no elimination
+    for (let step = 0; step < n; step++) {
+      const k = low ? step : n - 1 - step, own = B[k];
+      for (let j = 0; j < own.length; j++) own[j] /= A[k][k];
+      for (let i = low ? k + 1 : 0; i < (low ? n : k); i++) { const f = A[i][k], row = B[i]; if (f !== 0) for (let j = 0; j < row.length; j++) row[j] -= f * own[j]; }
+    }
+    return B;
+  }
   for (let k = 0; k < n; k++) {
     let at = k;
     for (let i = k + 1; i < n; i++) if (Math.abs(A[i][k]) > Math.abs(A[at][k])) at = i;
@@ -829,6 +847,93 @@ function $jacobi(x) {
   return [order.map((k) => (size[k] > 0 ? U[k].map((v) => v / size[k]) : U[k])), order.map((k) => size[k]), order.map((k) => V[k])];
 }
 
+// Householder's reduction of a symmetric matrix to three diagonals d, e; V becomes its rotation.
+function $tridiagonal(V, d, e) {
+  const n = V.length;
+  for (let j = 0; j < n; j++) d[j] = V[n - 1][j];
+  for (let i = n - 1; i > 0; i--) {
+    let scale = 0, h = 0;
+    for (let k = 0; k < i; k++) scale += Math.abs(d[k]);
+    if (scale === 0) {
+      e[i] = d[i - 1];
+      for (let j = 0; j < i; j++) { d[j] = V[i - 1][j]; V[i][j] = 0; V[j][i] = 0; }
+    } else {
+      for (let k = 0; k < i; k++) { d[k] /= scale; h += d[k] * d[k]; }
+      let f = d[i - 1], g = f > 0 ? -Math.sqrt(h) : Math.sqrt(h);
+      e[i] = scale * g; h -= f * g; d[i - 1] = f - g;
+      for (let j = 0; j < i; j++) e[j] = 0;
+      for (let j = 0; j < i; j++) {
+        f = d[j]; V[j][i] = f; g = e[j] + V[j][j] * f;
+        for (let k = j + 1; k < i; k++) { g += V[k][j] * d[k]; e[k] += V[k][j] * f; }
+        e[j] = g;
+      }
+      f = 0;
+      for (let j = 0; j < i; j++) { e[j] /= h; f += e[j] * d[j]; }
+      const hh = f / (h + h);
+      for (let j = 0; j < i; j++) e[j] -= hh * d[j];
+      for (let j = 0; j < i; j++) {
+        f = d[j]; g = e[j];
+        for (let k = j; k < i; k++) V[k][j] -= f * e[k] + g * d[k];
+        d[j] = V[i - 1][j]; V[i][j] = 0;
+      }
+    }
+    d[i] = h;
+  }
+  for (let i = 0; i < n - 1; i++) {
+    V[n - 1][i] = V[i][i]; V[i][i] = 1;
+    const h = d[i + 1];
+    if (h !== 0) {
+      for (let k = 0; k <= i; k++) d[k] = V[k][i + 1] / h;
+      const g = new Float64Array(i + 1);
+      for (let k = 0; k <= i; k++) { const row = V[k], w = row[i + 1]; for (let j = 0; j <= i; j++) g[j] += w * row[j]; }
+      for (let k = 0; k <= i; k++) { const row = V[k], w = d[k]; for (let j = 0; j <= i; j++) row[j] -= g[j] * w; }
+    }
+    for (let k = 0; k <= i; k++) V[k][i + 1] = 0;
+  }
+  for (let j = 0; j < n; j++) { d[j] = V[n - 1][j]; V[n - 1][j] = 0; }
+  if (n) V[n - 1][n - 1] = 1;
+  e[0] = 0;
+}
+
+// Eigenvalues d and vectors, columns of V, from three diagonals, by the QL algorithm.
+function $ql(V, d, e) {
+  const n = V.length;
+  // the rotations go over columns: the transpose has them as rows
+  const W = Array.from({ length: n }, (_, j) => Float64Array.from(V, (row) => row[j]));
+  for (let i = 1; i < n; i++) e[i - 1] = e[i];
+  if (n) e[n - 1] = 0;
+  let f = 0, most = 0;
+  for (let l = 0; l < n; l++) {
+    most = Math.max(most, Math.abs(d[l]) + Math.abs(e[l]));
+    let m = l;
+    while (m < n - 1 && Math.abs(e[m]) > Number.EPSILON * most) m++;
+    if (m > l) {
+      do {
+        let g = d[l], p = (d[l + 1] - g) / (2 * e[l]), r = Math.hypot(p, 1);
+        if (p < 0) r = -r;
+        d[l] = e[l] / (p + r); d[l + 1] = e[l] * (p + r);
+        const dl1 = d[l + 1], h = g - d[l], el1 = e[l + 1];
+        for (let i = l + 2; i < n; i++) d[i] -= h;
+        f += h; p = d[m];
+        let c = 1, c2 = 1, c3 = 1, s = 0, s2 = 0;
+        for (let i = m - 1; i >= l; i--) {
+          c3 = c2; c2 = c; s2 = s;
+          g = c * e[i]; const k = c * p;
+          r = Math.hypot(p, e[i]);
+          e[i + 1] = s * r; s = e[i] / r; c = p / r;
+          p = c * d[i] - s * g; d[i + 1] = k + s * (c * g + s * d[i]);
+          const a = W[i], b = W[i + 1];
+          for (let q = 0; q < n; q++) { const v = b[q]; b[q] = s * a[q] + c * v; a[q] = c * a[q] - s * v; }
+        }
+        p = (-s * s2 * c3 * el1 * e[l]) / dl1;
+        e[l] = s * p; d[l] = c * p;
+      } while (Math.abs(e[l]) > Number.EPSILON * most);
+    }
+    d[l] += f; e[l] = 0;
+  }
+  V.forEach((row, k) => { for (let j = 0; j < n; j++) row[j] = W[j][k]; });
+}
+
 function $batched(x, fn) {
   const a = $as(x);
   if (a.ndim <= 2) return fn(a, null);
@@ -839,7 +944,7 @@ function $batched(x, fn) {
 
 $np.linalg = {
   LinAlgError,
-  norm: $fn("x axis", (x, axis = null) => $np.sqrt($reduce("sum", $mul($np.abs(x), $np.abs(x)), axis))),
+  norm: $fn("x axis keepdims", (x, axis = null, keep = false) => $np.sqrt($reduce("sum", $mul($np.abs(x), $np.abs(x)), axis, keep))),
   solve(A, b) {
     const y = $as(b);
     const single = y.ndim === 1 && $as(A).ndim === 2;
@@ -878,20 +983,11 @@ $np.linalg = {
     return $tuple([found, null, s.filter((x) => x > least).length, $as(s, "f")]);
   }),
   eigh(A) {
-    const M = $rows(A), n = M.length, V = $rows($np.eye(n));
-    for (let sweep = 0; sweep < 60; sweep++) {
-      let off = 0, all_ = 0;
-      for (let p = 0; p < n; p++) for (let q = 0; q < n; q++) { all_ += M[p][q] ** 2; if (p !== q) off += M[p][q] ** 2; }
-      if (off <= 1e-30 * all_) break;
-      for (let p = 0; p < n; p++) for (let q = p + 1; q < n; q++) {
-        if (M[p][q] === 0) continue;
-        const z = (M[q][q] - M[p][p]) / (2 * M[p][q]), t = Math.sign(z || 1) / (Math.abs(z) + Math.sqrt(1 + z * z)), c = 1 / Math.sqrt(1 + t * t), s = c * t;
-        for (let k = 0; k < n; k++) { const a = M[p][k], b = M[q][k]; M[p][k] = c * a - s * b; M[q][k] = s * a + c * b; }
-        for (let k = 0; k < n; k++) { const a = M[k][p], b = M[k][q]; M[k][p] = c * a - s * b; M[k][q] = s * a + c * b; const v = V[k][p], w = V[k][q]; V[k][p] = c * v - s * w; V[k][q] = s * v + c * w; }
-      }
-    }
-    const order = M.map((_, k) => k).sort((a, b) => M[a][a] - M[b][b]);
-    return $tuple([$as(order.map((k) => M[k][k]), "f"), $fromRows(V.map((row) => order.map((k) => row[k])), n)]);
+    const V = $rows(A), n = V.length, d = new Float64Array(n), e = new Float64Array(n);
+    $tridiagonal(V, d, e);
+    $ql(V, d, e);
+    const order = Array.from(d, (_, k) => k).sort((p, q) => d[p] - d[q]);
+    return $tuple([$as(order.map((k) => d[k]), "f"), $fromRows(V.map((row) => order.map((k) => row[k])), n)]);
   },
   qr: $fn("A mode", (A, mode) => {
     if (mode !== "r") throw TypeError('qr gives "r" only');
@@ -910,6 +1006,31 @@ $np.linalg = {
     }
     return $fromRows(M.slice(0, Math.min(n, m)), m);
   }),
+};
+// Fourier's transform of a size that is a power of two, in place.
+function $fft(re, im, sign) {
+  const n = re.length;
+  if (n & (n - 1)) throw TypeError("the size of a transform must be a power of two");
+  for (let i = 1, j = 0; i < n; i++) { let bit = n >> 1; for (; j & bit; bit >>= 1) j ^= bit; j ^= bit; if (i < j) { [re[i], re[j]] = [re[j], re[i]]; [im[i], im[j]] = [im[j], im[i]]; } }
+  for (let size = 2; size <= n; size *= 2) for (let k = 0; k < size / 2; k++) {
+    const turn = (sign * 2 * Math.PI * k) / size, c = Math.cos(turn), s = Math.sin(turn);
+    for (let i = k; i < n; i += size) { const j = i + size / 2, a = re[j] * c - im[j] * s, b = re[j] * s + im[j] * c; re[j] = re[i] - a; im[j] = im[i] - b; re[i] += a; im[i] += b; }
+  }
+}
+$np.fft = {
+  rfft(x, size) {
+    const [d] = $as(x).flat(), re = new Float64Array(size), im = new Float64Array(size), half = size / 2 + 1;
+    re.set(d.subarray(0, size));
+    $fft(re, im, -1);
+    return new NdArray(re.slice(0, half), [half], "c", im.slice(0, half));
+  },
+  irfft(x, size) {
+    const [d, i] = $as(x, "c").flat(), re = new Float64Array(size), im = new Float64Array(size);
+    for (let k = 0; k <= size / 2; k++) { re[k] = d[k]; im[k] = i[k]; if (k && k < size / 2) { re[size - k] = d[k]; im[size - k] = -i[k]; } }
+    $fft(re, im, 1);
+    return new NdArray(re.map((v) => v / size), [size], "f");
+  },
+  fftfreq: (n, d) => new NdArray(Float64Array.from({ length: n }, (_, k) => (k < (n + 1) / 2 ? k : k - n) / (n * d)), [n], "f"),
 };
 $module("numpy", ($m) => Object.assign($m, $np));
 $module("numpy.typing", ($m) => Object.assign($m, { NDArray: new Type("NDArray"), ArrayLike: new Type("ArrayLike") }));

@@ -440,6 +440,7 @@ function $get(x, at) {
     return x[n];
   }
   if (x instanceof Type) return x.of(at);
+  if (typeof x === "number" || typeof x === "boolean" || x instanceof Complex) return $as(x).at(at); // an array without axes
   if (x && x.__getitem__) return x.__getitem__(at);
   if (typeof x === "function" && $isType(x)) return Object.assign(new Type($name(x), Array.isArray(at) ? at : [at], x.$test), { origin: x });
   throw TypeError(`${$name(type(x))} cannot be indexed`);
@@ -587,7 +588,7 @@ for (const kind of [Number, Boolean])
 for (const kind of [Number, Boolean])
   for (const [name, value] of Object.entries({
     any() { return $t(this.valueOf()); }, all() { return $t(this.valueOf()); }, item() { return this.valueOf(); }, sum() { return Number(this); },
-    astype(to) { return to(this.valueOf()); }, conj() { return Number(this); }, conjugate() { return Number(this); }, tolist() { return this.valueOf(); },
+    astype(to) { return $kind(to) === "i" ? Math.trunc(Number(this)) : $kind(to) === "b" ? $t(this.valueOf()) : Number(this); }, conj() { return Number(this); }, conjugate() { return Number(this); }, tolist() { return this.valueOf(); },
     max() { return Number(this); }, min() { return Number(this); }, mean() { return Number(this); }, is_integer() { return Number.isInteger(Number(this)); },
   })) Object.defineProperty(kind.prototype, name, { value, configurable: true, writable: true });
 

@@ -13,7 +13,7 @@ Object.setPrototypeOf(NamedTuple.prototype, Array.prototype);
 NamedTuple.$made = (cls) => {
   const names = Object.keys(cls.$notes);
   const make = $def(function (...values) {
-    const out = $tuple(values.map((v, n) => (v === undefined ? cls.$own[names[n]] : v)));
+    const out = $tuple(names.map((name, n) => (values[n] === undefined ? cls.$own[name] : values[n])));
     Object.setPrototypeOf(out, cls.prototype);
     return out;
   }, names.join(" "));
@@ -65,7 +65,7 @@ class Counter extends Dict {
   constructor(x = []) { super(); for (const one of $iter(x)) this.set(one, this.get(one, 0) + 1); }
   most_common(n = Infinity) { return this.items().sort((a, b) => b[1] - a[1]).slice(0, n); }
 }
-$module("collections", ($m) => Object.assign($m, { Counter: (x) => new Counter(x), defaultdict: (make) => { const d = new Dict(), get = d.get.bind(d); d.has = () => true; d.get = (k) => { if (get(k, undefined) === undefined) d.set(k, make()); return get(k); }; return d; } }));
+$module("collections", ($m) => Object.assign($m, { Counter: (x) => new Counter(x), defaultdict: (make) => { const d = new Dict(), get = d.get.bind(d); d.has = () => true; d.get = (k) => { if (!d.of.has($keyOf(k))) d.set(k, make()); return get(k); }; return d; } }));
 $module("bisect", ($m) => Object.assign($m, { bisect_right: (l, x) => { let low = 0, high = l.length; while (low < high) { const m = (low + high) >> 1; if (x < l[m]) high = m; else low = m + 1; } return low; } }));
 $module("shlex", ($m) => Object.assign($m, { quote: (s) => (/^[\w@%+=:,./-]+$/.test(s) ? s : `'${s.replaceAll("'", "'\"'\"'")}'`) }));
 $module("os", ($m) => Object.assign($m, { cpu_count: () => 1 }));

@@ -22,6 +22,7 @@ from .commands.export import export
 from .commands.identify import identify
 from .commands.machine import app as machine
 from .commands.machines import machines
+from .commands.page import page
 from .commands.presets import presets
 from .commands.reproduce import reproduce
 from .options import REPEATED
@@ -68,7 +69,7 @@ def _options(
 
 COMMANDS = (
     *(estimate, check, channels, identify, compare, export),
-    *(machines, presets, demo, reproduce),
+    *(machines, presets, page, demo, reproduce),
 )
 for command in COMMANDS:
     app.command(name=command.__name__)(command)

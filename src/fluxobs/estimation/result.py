@@ -34,7 +34,8 @@ class Result(ExplainedRun):
         The estimates, if they stayed in memory.
     path : Path, optional
         The file with the estimates, if there is one.
-    log, machine, observer, scales, unknowns, memory, priors, statistics, counts, learnt, automatic, causal
+    log, machine, observer, scales, unknowns, memory, priors, statistics, counts, learnt, \
+            automatic, causal
         See :class:`fluxobs.estimation.run.LogRun`.
     """
 

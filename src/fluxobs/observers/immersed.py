@@ -6,7 +6,7 @@ drift. This one is written to be read, and judges validity more simply.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -517,7 +517,7 @@ class ImmersionObserver:
             found.append(estimate)
         if not found:
             raise RecordError("the record has no rows")
-        names = ImmersionEstimate.__dataclass_fields__
+        names = [one.name for one in fields(ImmersionEstimate)]
         return state, ImmersionEstimate(
             **{name: np.array([getattr(row, name) for row in found]) for name in names}
         )

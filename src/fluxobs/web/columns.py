@@ -25,7 +25,7 @@ LARGEST = 2**30
 
 
 def exact(values: Array) -> dict[str, Any]:
-    """A column, bit for bit: as whole numbers over a power of ten where it is that, else as doubles.
+    """A column, bit for bit: whole numbers over a power of ten where it is that, else doubles.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def _whole(whole: NDArray[np.int64], size: float, divide: bool) -> dict[str, Any
     steps = np.diff(whole, prepend=0)
     zigzag = ((steps << 1) ^ (steps >> 63)).astype("<u4")
     planes = zigzag.view(np.uint8).reshape(-1, 4)
-    used = 4 - int(np.argmax(planes.any(axis=0)[::-1])) if planes.any() else 1
+    used = next((n for n in (4, 3, 2) if planes[:, n - 1].any()), 1)
     kind = "over" if divide else "times"
     data = _packed(planes[:, :used])
     return {"kind": kind, "size": size, "rows": len(whole), "planes": used, "data": data}

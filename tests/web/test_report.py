@@ -1,0 +1,76 @@
+"""A report recomputes what it was made from, shows what it carries, and asks nobody."""
+
+import numpy as np
+import pytest
+
+import fluxobs
+from fluxobs.estimation.report import write_report
+from support.browser import template
+from support.page_logs import written
+
+
+def opened(window, path):
+    one = window(path.read_text(encoding="utf-8"), viewport={"width": 1100, "height": 900})
+    one.page.wait_for_selector("body[data-done]")
+    return one
+
+
+@pytest.fixture
+def result():
+    template("report.html")
+    return fluxobs.estimate(fluxobs.demo_log().path, "servo-400w")
+
+
+def test_it_recomputes_the_run(result, window, tmp_path):
+    write_report(result, tmp_path / "r.html", command="fluxobs estimate log.csv")
+    one = opened(window, tmp_path / "r.html")
+    assert result.summary in one.page.inner_text("main")
+    assert "fluxobs estimate log.csv" in one.page.inner_text("#more")
+    for name in result.estimates.columns:
+        given, wanted = one.column(name).astype(float), result[name].astype(float)
+        np.testing.assert_allclose(given, wanted, rtol=0, atol=1e-9 * np.abs(wanted).max())
+
+
+def test_a_slider_shows_the_run_with_another_resistance(result, window, tmp_path):
+    write_report(result, tmp_path / "r.html")
+    one = opened(window, tmp_path / "r.html")
+    one.js(
+        """() => { const s = document.getElementById("slider-psi_f"); s.value = 0.5;
+                  s.dispatchEvent(new Event("input")); }"""
+    )
+    one.until("() => fluxobs.results.took > 0 && !fluxobs.results.running")
+    changed = result.machine.with_values(psi_f=result.machine.psi_f * 2**0.5)
+    path = fluxobs.demo_log().path
+    wanted = fluxobs.estimate(path, changed, unknowns=",".join(result.unknowns))
+    np.testing.assert_allclose(one.column("theta_e"), wanted["theta_e"], atol=1e-9)
+    one.page.click(".sliders button")
+    np.testing.assert_allclose(one.column("theta_e"), result["theta_e"], atol=1e-9)
+
+
+def test_without_data_it_shows_the_estimates(result, window, tmp_path):
+    write_report(result, tmp_path / "with.html")
+    write_report(result, tmp_path / "without.html", data=False)
+    one = opened(window, tmp_path / "without.html")
+    assert one.page.locator(".sliders input").count() == 0
+    assert "not in this file" in one.page.inner_text("#status")
+    for name in ("theta_e", "speed_e", "drift_alpha", "theta_e_error"):
+        noise = np.median(np.abs(np.diff(result[name], 3))) / 3
+        off = np.abs(one.column(name) - result[name])
+        assert off.max() <= max(noise / 2, 1e-6 * np.ptp(result[name])), name
+    assert (one.column("valid") == result["valid"]).all()
+
+
+def test_an_immersed_run_is_shown_too(window, tmp_path):
+    template("report.html")
+    result = fluxobs.estimate(written("maglev-knospe", tmp_path), "maglev-knospe")
+    write_report(result, tmp_path / "r.html")
+    one = opened(window, tmp_path / "r.html")
+    assert one.page.locator("figure").count() >= 2
+
+
+def test_names_in_a_log_cannot_run(result, window, tmp_path):
+    evil = "</script><script>document.body.dataset.evil = 1</script>"
+    write_report(result, tmp_path / "r.html", command=f"fluxobs estimate '{evil}'")
+    one = opened(window, tmp_path / "r.html")
+    assert one.js("() => document.body.dataset.evil") is None
+    assert evil in one.page.inner_text("#more")
