@@ -167,8 +167,9 @@ def main() -> None:
 
 def write(name: str, values: dict[str, str]) -> None:
     """Fill a template; what stands for a report's data is left."""
-    script = bundled(WEB / "app" / f"{name}.js", "esm").replace("</script", "<\\/script")
-    values = values | {"script": script}
+    app = bundled(WEB / "app" / f"{name}.js", "esm")
+    boot = bundled(WEB / "app" / "boot.js", "esm")
+    values = values | {"app": packed(app.encode("utf-8")), "boot": boot}
     page = (WEB / "app" / f"{name}.html").read_text("utf-8")
     for key, value in values.items():
         page = page.replace("{{" + key + "}}", value)
