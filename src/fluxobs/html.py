@@ -1,4 +1,4 @@
-"""Small pieces of HTML: what a notebook shows of a result."""
+"""Small pieces of HTML: what a notebook shows of a result, and documents made of them."""
 
 from __future__ import annotations
 
@@ -33,13 +33,51 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "")
 
 def picture(figure: Figure, words: str) -> str:
     """A figure as it is drawn, with words for who does not see it."""
-    import base64
     import io
 
     made = io.BytesIO()
     figure.savefig(made, format="png", dpi=90)
-    data = base64.b64encode(made.getvalue()).decode("ascii")
+    return image(made.getvalue(), words)
+
+
+def image(png: bytes, words: str) -> str:
+    """The bytes of a PNG file as a picture, with words for who does not see it."""
+    import base64
+
+    data = base64.b64encode(png).decode("ascii")
     return (
         f'<img alt="{escape(words, quote=True)}" style="max-width:100%" '
         f'src="data:image/png;base64,{data}">'
+    )
+
+
+#: Of a document; pictures are drawn on white, also where the rest is dark.
+_STYLE = """
+:root { color-scheme: light dark; }
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 1100px; margin: 0 auto; padding: 16px; }
+table { border-collapse: collapse; display: block; overflow-x: auto; }
+caption, th, td { text-align: left; padding: 2px 12px 2px 0; vertical-align: top; }
+th, td { border-bottom: 1px solid #8886; font-variant-numeric: tabular-nums; }
+img { background: #fff; } code { overflow-wrap: anywhere; }
+"""
+
+
+def document(title: str, *parts: str) -> str:
+    """A page of its own that asks for nothing from elsewhere.
+
+    Parameters
+    ----------
+    title : str
+        Plain text.
+    parts : str
+        HTML, from the functions above.
+    """
+    body = "\n".join(parts)
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
+        "style-src 'unsafe-inline'; img-src data:\">"
+        f"<title>{escape(title)}</title><style>{_STYLE}</style></head>"
+        f"<body><h1>{escape(title)}</h1>\n{body}\n</body></html>\n"
     )

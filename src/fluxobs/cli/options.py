@@ -29,7 +29,9 @@ LogArgument = Annotated[
         "JSON, HDF5, MAT, MDF4, TDMS, ULog, Excel. `fluxobs channels LOG` shows what it holds.",
     ),
 ]
-ReportOption = Annotated[Path | None, typer.Option(help="Picture: .png, .pdf or .svg.")]
+ReportOption = Annotated[
+    Path | None, typer.Option(help="Report: .html; or a picture: .png, .pdf, .svg.")
+]
 ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")]
 QuietOption = Annotated[
     bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .. import html
 from ..errors import FluxobsError
+from ..output import write_text
 from ..plots import BLUE, GREY, ORANGE, STYLE, write
 from .compare import LANES, Comparison, ObserverResult
 from .scoring import Score
@@ -79,44 +81,78 @@ def _degrees(value: float) -> str:
     return f"{value:.3f}°" if value < 1 else f"{value:.2f}°"
 
 
+#: Heads of the table; the first column names the observer.
+HEADS = (
+    *("observer", "usual\nrms [°]", "tuned\nrms [°]", "max\n[°]", "speed\n[rad/s]"),
+    *("flux\n[% ψ]", "settled\n[ms]", "lost\n[%]", "time\n[ns]"),
+)
+
+
+def _caption(comparison: Comparison) -> str:
+    return (
+        f"{comparison.about}. Gains as usually recommended, and tuned for this record; settled: "
+        f"first 50 ms below 10°; time: per sample in JAX, {LANES} settings at once"
+    )
+
+
+def cells(comparison: Comparison) -> list[list[str]]:
+    """The table's rows, best first."""
+    out = []
+    for result in sorted(comparison.results, key=lambda r: r.tuned.rms):
+        tuned = result.tuned
+        out.append(
+            [
+                result.name,
+                _number(np.degrees(result.recommended.rms)),
+                _number(np.degrees(tuned.rms)),
+                _number(np.degrees(tuned.worst)),
+                "" if tuned.speed is None else f"{tuned.speed:.2f}",
+                "" if tuned.flux is None else f"{100 * tuned.flux / comparison.psi:.2f}",
+                "never" if np.isnan(tuned.settled) else f"{1e3 * tuned.settled:.0f}",
+                f"{100 * tuned.lost:.1f}" if tuned.lost else "",
+                f"{1e9 * result.time:.0f}",
+            ]
+        )
+    return out
+
+
 def table(comparison: Comparison) -> Table:
     """Table for a terminal, best first."""
     from rich import box
     from rich.table import Table
 
-    caption = (
-        f"{comparison.about}. Gains as usually recommended, and tuned for this record; settled: "
-        f"first 50 ms below 10°; time: per sample in JAX, {LANES} settings at once"
-    )
-    out = Table(title=comparison.title, caption=caption, box=box.SIMPLE, expand=False)
-    out.add_column("observer", no_wrap=True)
-    for name in (
-        "usual\nrms [°]",
-        "tuned\nrms [°]",
-        "max\n[°]",
-        "speed\n[rad/s]",
-        "flux\n[% ψ]",
-        "settled\n[ms]",
-        "lost\n[%]",
-        "time\n[ns]",
-    ):
+    out = Table(title=comparison.title, caption=_caption(comparison), box=box.SIMPLE, expand=False)
+    out.add_column(HEADS[0], no_wrap=True)
+    for name in HEADS[1:]:
         out.add_column(name, justify="right", no_wrap=True)
-    for result in sorted(comparison.results, key=lambda r: r.tuned.rms):
-        tuned = result.tuned
-        style = "bold" if result.name.startswith(LEAST_SQUARES) else None
-        out.add_row(
-            result.name,
-            _number(np.degrees(result.recommended.rms)),
-            _number(np.degrees(tuned.rms)),
-            _number(np.degrees(tuned.worst)),
-            "" if tuned.speed is None else f"{tuned.speed:.2f}",
-            "" if tuned.flux is None else f"{100 * tuned.flux / comparison.psi:.2f}",
-            "never" if np.isnan(tuned.settled) else f"{1e3 * tuned.settled:.0f}",
-            f"{100 * tuned.lost:.1f}" if tuned.lost else "",
-            f"{1e9 * result.time:.0f}",
-            style=style,
-        )
+    for row in cells(comparison):
+        out.add_row(*row, style="bold" if row[0].startswith(LEAST_SQUARES) else None)
     return out
+
+
+def write_html(comparisons: Sequence[Comparison], pictures: Sequence[Path], path: Path) -> None:
+    """Write tables, verdicts and pictures as one page.
+
+    Parameters
+    ----------
+    comparisons : sequence of Comparison
+    pictures : sequence of Path
+        PNG files: one of each comparison, then perhaps that of all of them.
+    path : Path
+    """
+    parts = []
+    for comparison, picture in zip(comparisons, pictures, strict=False):
+        words = verdict(comparison)
+        parts += [
+            html.table(HEADS, cells(comparison), f"{comparison.title}. {_caption(comparison)}"),
+            html.paragraph(words),
+            html.image(picture.read_bytes(), words),
+        ]
+    for picture in pictures[len(comparisons) :]:
+        parts.append(
+            html.image(picture.read_bytes(), "Tuned errors of all observers on all records")
+        )
+    write_text(path, html.document("Observers compared", *parts))
 
 
 COLUMNS = (

@@ -15,7 +15,7 @@ from ..logs.for_machine import open_for
 from ..logs.log import Log
 from ..logs.read import Source
 from ..machines import Machine, RotatingMachine, as_machine, rotating
-from ..output import check_new
+from ..output import check_new, write_text
 from .drive import lag_item, learnt_items, run, truth_items
 from .item import Item
 from .signals import ROWS, channels_of, converters, offsets, rated_current, sampling
@@ -107,12 +107,21 @@ class Examination(Check):
         return figure(self)
 
     def write(self, path: str | Path, *, force: bool = False) -> None:
-        """Write the page as a picture; FluxobsError if the file exists and `force` is not given."""
-        from ..plots import FORMATS, write
+        """Write the page as a picture or .html; FluxobsError if the file exists and `force` is not
+        given."""
+        from ..html import document, picture
+        from ..plots import FORMATS, HTML, write
 
         path = Path(path)
-        check_new(path, FORMATS, force, "--report")
-        write(self.plot(), path)
+        check_new(path, (HTML, *FORMATS), force, "--report")
+        if path.suffix.lower() != HTML:
+            write(self.plot(), path)
+            return
+        name = "" if self.log is None else self.log.path.name
+        drawn = picture(self.plot(), "The verdicts of the table above, as a picture.")
+        write_text(
+            path, document(f"{name}: is it what it is taken for?", self._repr_html_(), drawn)
+        )
 
 
 def _finite(value: float | None) -> float | None:

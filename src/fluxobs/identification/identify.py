@@ -33,7 +33,7 @@ from .fitted import ADVICE, UNITS, Fitted, Parameter, in_the_file
 from .found_map import found_map
 from .pieces import HARDER, SECONDS, Piece, offset_std, pieces, smoothing_current, typical_length
 from .relations import SATURATION, Cage, Mapped, Relation, Saturating, linear
-from .report import figure, lines, write
+from .report import figure, html_of, lines, write
 from .slip import resistance_from_speed
 
 if TYPE_CHECKING:
@@ -103,21 +103,7 @@ class Identification(Fitted):
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the parameters, what the log cannot tell, and the picture."""
-        from ..html import bullets, picture, table
-
-        rows = [
-            (
-                one.name,
-                f"{one.value:.4g}" + ("" if one.std is None else f" ± {one.std:.2g}"),
-                one.unit,
-                "not given" if one.given is None else f"{one.given:.4g}",
-                f"held: {self.untold[one.name]}" if one.name in self.untold else "",
-            )
-            for one in self.parameters
-        ]
-        words = self.lines()[len(self.parameters) :]
-        shown = table(("parameter", "found", "unit", "given", ""), rows)
-        return shown + bullets(words) + picture(self.plot(), " ".join(words))
+        return html_of(self)
 
     def __str__(self) -> str:
         return "\n".join(self.lines())

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import FluxobsError
+from ..html import bullets, document, picture, table
 from ..machines.written import machine_text, write_machine
 from ..output import check_out, write_text
-from ..plots import BLUE, FORMATS, GREY, ORANGE, STYLE, legend, new_figure
+from ..plots import BLUE, FORMATS, GREY, HTML, ORANGE, STYLE, legend, new_figure
 from ..plots import write as save
 from .fitted import ADVICE, Fitted, Parameter
 from .found_map import FoundMap
@@ -81,9 +82,12 @@ def toml(found: Fitted) -> str:
 
 
 def write(found: Fitted, path: Path, force: bool) -> None:
-    """Write the machine file, the map's table or the picture; FluxobsError if it cannot be
-    written."""
-    if path.suffix.lower() in FORMATS:
+    """Write the machine file, the map's table, the picture or a report in HTML; FluxobsError if it
+    cannot be written."""
+    if path.suffix.lower() == HTML:
+        title = f"{Path(found.source).name}: the {found.machine.kind} that it shows"
+        write_text(path, document(title, html_of(found)))
+    elif path.suffix.lower() in FORMATS:
         save(figure(found), path)
     elif path.suffix.lower() == ".csv":
         if found.map is None:
@@ -91,6 +95,23 @@ def write(found: Fitted, path: Path, force: bool) -> None:
         write_text(check_out(path, Path(found.source)), found.map.csv())
     else:
         write_machine(path, toml(found), force)
+
+
+def html_of(found: Fitted) -> str:
+    """The parameters, what the log cannot tell, and the picture."""
+    rows = [
+        (
+            one.name,
+            f"{one.value:.4g}" + ("" if one.std is None else f" ± {one.std:.2g}"),
+            one.unit,
+            "not given" if one.given is None else f"{one.given:.4g}",
+            f"held: {found.untold[one.name]}" if one.name in found.untold else "",
+        )
+        for one in found.parameters
+    ]
+    words = lines(found)[len(found.parameters) :]
+    shown = table(("parameter", "found", "unit", "given", ""), rows)
+    return shown + bullets(words) + picture(figure(found), " ".join(words))
 
 
 def figure(found: Fitted) -> Figure:

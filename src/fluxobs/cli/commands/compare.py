@@ -42,8 +42,8 @@ def compare(
 
     Each observer runs with usual gains, and with the best of a grid for this very record.
 
-    Writes scores.csv, one picture per record, and summary.png for several records. Needs the extra
-    "design" (JAX).
+    Writes scores.csv, report.html, one picture per record, and summary.png for several records.
+    Needs the extra "design" (JAX).
 
     Example: fluxobs compare noise both-biases R-120
     """
@@ -63,16 +63,19 @@ def compare(
     for name in names:
         check_comparable(name, machine)
     make_folder(out, "scores.csv", force)
-    comparisons = []
+    comparisons, drawn = [], []
     for name in names:
         options = {} if name in SCENARIOS else layout
         found = run(name, machine, seed=seed, settle=settle, **options)
         comparisons.append(found)
         show.table(report.table(found))
         show.echo(report.verdict(found))
-        report.draw(found, out / f"{Path(found.title).stem}.png")
+        drawn.append(out / f"{Path(found.title).stem}.png")
+        report.draw(found, drawn[-1])
         report.write_csv(comparisons, out / "scores.csv")
     if len(comparisons) > 1:
-        report.draw_summary(comparisons, out / "summary.png")
+        drawn.append(out / "summary.png")
+        report.draw_summary(comparisons, drawn[-1])
+    report.write_html(comparisons, drawn, out / "report.html")
     pictures = "one picture per record" + (", summary.png" if len(comparisons) > 1 else "")
-    typer.echo(f"Written: {out / 'scores.csv'}, {pictures}")
+    typer.echo(f"Written: {out / 'scores.csv'}, report.html, {pictures}")
