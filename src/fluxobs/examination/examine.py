@@ -109,7 +109,7 @@ class Examination(Check):
     def write(self, path: str | Path, *, force: bool = False) -> None:
         """Write the page as a picture or .html; FluxobsError if the file exists and `force` is not
         given."""
-        from ..html import document, picture
+        from ..html import document
         from ..plots import FORMATS, HTML, write
 
         path = Path(path)
@@ -118,10 +118,8 @@ class Examination(Check):
             write(self.plot(), path)
             return
         name = "" if self.log is None else self.log.path.name
-        drawn = picture(self.plot(), "The verdicts of the table above, as a picture.")
-        write_text(
-            path, document(f"{name}: is it what it is taken for?", self._repr_html_(), drawn)
-        )
+        title = f"{name}: is it what it is taken for?"
+        write_text(path, document(title, self._repr_html_()))
 
 
 def _finite(value: float | None) -> float | None:

@@ -1,0 +1,67 @@
+"""What commands write for a browser: reports, and the page itself."""
+
+import re
+
+import pytest
+
+from fluxobs import demo_log
+from fluxobs.html import document, paragraph
+from support.browser import template
+from support.cli import fluxobs
+
+LOG = demo_log().path
+
+
+def stands_alone(text):
+    """A document that asks for nothing from elsewhere."""
+    assert text.startswith("<!doctype html>")
+    assert not re.findall(r'(?:src|href)="(?!data:)', text)
+    assert "default-src 'none'" in text
+
+
+def test_estimate_writes_a_report(tmp_path):
+    template("report.html")
+    run = ("estimate", LOG, "--machine", "servo-400w", "--report", "r.html")
+    done = fluxobs(*run, folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Written: r.html" in done.stdout
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    stands_alone(text)
+    assert "position error 0.07° rms" in text
+    again = fluxobs(*run, folder=tmp_path)
+    assert again.returncode == 2
+    assert "r.html" in again.stderr
+    bare = fluxobs(*run, "--force", "--no-data", folder=tmp_path)
+    assert bare.returncode == 0, bare.stderr
+    assert '"record": null' in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
+def test_the_page_is_written_once(tmp_path):
+    template("page.html")
+    done = fluxobs("page", "--out", "p.html", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    stands_alone((tmp_path / "p.html").read_text(encoding="utf-8"))
+    assert fluxobs("page", "--out", "p.html", folder=tmp_path).returncode == 2
+    wrong = fluxobs("page", "--out", "p.txt", folder=tmp_path)
+    assert wrong.returncode == 2
+    assert ".html" in wrong.stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (("check", LOG, "--machine", "servo-400w"), "winding temperature"),
+        (("identify", LOG, "--machine", "servo-400w", "--out", "f.toml"), "inverter"),
+    ],
+)
+def test_check_and_identify_write_html(tmp_path, command, words):
+    done = fluxobs(*command, "--report", "r.html", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    stands_alone(text)
+    assert words in text
+
+
+def test_words_of_a_log_are_words():
+    evil = "<script>alert(1)</script>"
+    assert "<script>" not in document(evil, paragraph(evil))
