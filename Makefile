@@ -105,7 +105,7 @@ $(VENV)/.docs: $(READY) pyproject.toml
 	@touch $(VENV)/.docs
 
 # -W: a warning is an error; -n: so is a reference to nothing. -E -a: pages run the code anew.
-docs: $(VENV)/.docs
+docs: $(VENV)/.docs $(PAGE)
 	$(BIN)/sphinx-build -b html -W --keep-going -n -E -a -j 2 -q docs build/docs
 	@echo "Written: build/docs/index.html"
 
