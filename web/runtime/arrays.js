@@ -398,6 +398,15 @@ function $select(x, index) {
       return new NdArray(out, [count], x.kind);
     }
   }
+  if (x.ndim === 2 && !x.im && index instanceof NdArray && index.ndim === 1 && index.kind !== "b" && x.contiguous) { // rows by their numbers
+    const [at] = index.flat(), [d] = x.flat(), [rows, cols] = x.shape, out = new d.constructor(at.length * cols);
+    for (let n = 0, to = 0; n < at.length; n++) {
+      const row = at[n] < 0 ? at[n] + rows : at[n];
+      if (!(row >= 0 && row < rows)) throw IndexError("index out of range");
+      for (let k = 0, from = row * cols; k < cols; k++) out[to++] = d[from++];
+    }
+    return new NdArray(out, [at.length, cols], x.kind);
+  }
   const { view, positions, shape } = $resolve(x, index);
   if (view) return $wrap(view);
   const out = new x.data.constructor(positions.length), im = x.im ? new Float64Array(positions.length) : null;
@@ -417,6 +426,13 @@ function $scatter(x, positions, shape, value) {
   for (let n = 0; n < positions.length; n++) { x.data[positions[n]] = d[n]; if (x.im) x.im[positions[n]] = im ? im[n] : 0; }
 }
 function $put(x, index, value) {
+  if (x.ndim === 2 && !x.im && index instanceof NdArray && index.kind === "b" && index.ndim === 1 && x.contiguous && value instanceof NdArray && value.ndim === 2 && value.shape[1] === x.shape[1]) { // rows of a mask
+    const [mask] = index.flat(), [d] = value.flat(), cols = x.shape[1];
+    if (mask.length === x.shape[0] && mask.reduce((a, b) => a + b, 0) === value.shape[0]) {
+      for (let n = 0, from = 0; n < mask.length; n++) if (mask[n]) for (let k = 0, to = x.offset + n * cols; k < cols; k++) x.data[to++] = d[from++];
+      return;
+    }
+  }
   const { view, positions, shape } = $resolve(x, index);
   if (view) $scatter(x, $offsets(view.shape, view.strides, view.offset), view.shape, value);
   else $scatter(x, positions, shape, value);
@@ -439,6 +455,25 @@ function $pairwise(d, from, n) {
   return $pairwise(d, from, half) + $pairwise(d, from + half, n - half);
 }
 
+// The k-th of some numbers in order, by Hoare's selection: it stands at k then, nothing larger
+// before it, nothing smaller behind it.
+function $nth(s, k) {
+  for (let low = 0, high = s.length - 1; low < high;) {
+    const a = s[low], b = s[(low + high) >> 1], c = s[high], pivot = a < b ? (b < c ? b : a < c ? c : a) : a < c ? a : b < c ? c : b;
+    let i = low, j = high;
+    while (i <= j) {
+      while (s[i] < pivot) i++;
+      while (s[j] > pivot) j--;
+      if (i <= j) { const v = s[i]; s[i++] = s[j]; s[j--] = v; }
+    }
+    if (k <= j) high = j;
+    else if (k >= i) low = i;
+    else break;
+  }
+  return s[k];
+}
+const $least = (s, from) => { let v = s[from]; for (let k = from + 1; k < s.length; k++) if (s[k] < v) v = s[k]; return v; };
+
 const $reducers = {
   sum: (d, from, n) => $pairwise(d, from, n),
   prod: (d, from, n) => { let s = 1; for (let k = 0; k < n; k++) s *= d[from + k]; return s; },
@@ -448,7 +483,7 @@ const $reducers = {
   all: (d, from, n) => { for (let k = 0; k < n; k++) if (!d[from + k]) return 0; return 1; },
   argmax: (d, from, n) => { let at = 0; for (let k = 0; k < n; k++) { if (d[from + k] !== d[from + k]) return k; if (d[from + k] > d[from + at]) at = k; } return at; },
   argmin: (d, from, n) => { let at = 0; for (let k = 0; k < n; k++) { if (d[from + k] !== d[from + k]) return k; if (d[from + k] < d[from + at]) at = k; } return at; },
-  median: (d, from, n) => { if (!n) return NaN; const s = d.slice(from, from + n); for (const v of s) if (v !== v) return NaN; s.sort(); return n % 2 ? s[(n - 1) / 2] : (s[n / 2 - 1] + s[n / 2]) / 2; },
+  median: (d, from, n) => { if (!n) return NaN; const s = d.slice(from, from + n); for (let k = 0; k < n; k++) if (s[k] !== s[k]) return NaN; const low = (n - 1) >> 1, v = $nth(s, low); return n % 2 ? v : (v + $least(s, low + 1)) / 2; },
 };
 
 // The axes moved to the end, as [data, groups, length, shape left].
@@ -583,10 +618,10 @@ Object.assign($np, {
   quantile: $fn("x q axis", (x, q, axis = null) => {
     const a = $as(x), qs = $as(q);
     if (axis !== null && a.ndim > 1) throw TypeError("quantile along an axis");
-    const s = a.flat()[0].slice().sort(), n = s.length;
+    const s = a.flat()[0].slice(), n = s.length, missing = s.some((v) => v !== v);
     return $elementwise(qs.ndim ? qs : qs.item(), (one) => {
-      if (!n || s[n - 1] !== s[n - 1]) return NaN;
-      const at = one * (n - 1), low = Math.floor(at), t = at - low, p = s[low], r = s[Math.min(low + 1, n - 1)];
+      if (!n || missing) return NaN;
+      const at = one * (n - 1), low = Math.floor(at), t = at - low, p = $nth(s, low), r = low + 1 < n ? $least(s, low + 1) : p;
       return t >= 0.5 ? r - (r - p) * (1 - t) : p + (r - p) * t;
     });
   }),
@@ -636,7 +671,7 @@ Object.assign($np, {
   block: (rows) => $np.concatenate(rows.map((row) => $np.concatenate(row, 1)), 0),
   append: (x, more) => $np.concatenate([$as(x).ravel(), $as(more).ravel()]),
   r_: { __getitem__: (parts) => $np.concatenate(parts.map((p) => $np.atleast_1d(p))) },
-  delete: (x, at) => { const a = $as(x), drop = new Set($as(at).ravel().tolist().map((n) => (n < 0 ? n + a.shape[0] : n))), kept = []; for (let n = 0; n < a.shape[0]; n++) if (!drop.has(n)) kept.push(n); return a.at($as(kept, "i")); },
+  delete: (x, at) => { if ($as(at).size === 0) return $as(x).copy(); const a = $as(x), drop = new Set($as(at).ravel().tolist().map((n) => (n < 0 ? n + a.shape[0] : n))), kept = []; for (let n = 0; n < a.shape[0]; n++) if (!drop.has(n)) kept.push(n); return a.at($as(kept, "i")); },
   repeat: $fn("x n axis", (x, n, axis = null) => { const a = $as(x), along = axis === null ? 0 : axis < 0 ? axis + a.ndim : axis, at = []; for (let k = 0; k < a.shape[along]; k++) for (let m = 0; m < n; m++) at.push(k); return a.at($tuple([...Array.from({ length: along }, () => new Slice(null, null, null)), $as(at, "i")])); }),
   tile: (x, reps) => { const [rows, cols] = Array.isArray(reps) ? reps : [1, reps], line = $np.concatenate(Array.from({ length: cols }, () => $as(x))); return Array.isArray(reps) ? $np.stack(Array.from({ length: rows }, () => line)) : line; },
   moveaxis: (x, from, to) => { const a = $as(x), order = a.shape.map((_, n) => n), [one] = order.splice(from < 0 ? from + a.ndim : from, 1); order.splice(to < 0 ? to + a.ndim : to, 0, one); return a.transpose(...order); },

@@ -759,11 +759,10 @@ function $decoded(b, encoding = "utf-8", errors = "strict") {
 }
 function $bytesFind(b, what, from = 0) {
   if (what.length === 1) return b.indexOf(what[0], from);
-  for (let n = b.indexOf(what[0], from); n >= 0 && n + what.length <= b.length; n = b.indexOf(what[0], n + 1)) {
-    let k = 1;
-    while (k < what.length && b[n + k] === what[k]) k++;
-    if (k === what.length) return n;
-  }
+  // the engine looks for one byte, best for one that is rarer than the end of a line
+  const at = Math.max(0, what.findIndex((c) => c !== 10)), fits = (n) => { for (let k = 0; k < what.length; k++) if (b[n + k] !== what[k]) return false; return true; };
+  if (what[at] === 10) { for (let n = from, last = b.length - what.length; n <= last; n++) if (b[n] === 10 && b[n + 1] === what[1] && fits(n)) return n; return -1; }
+  for (let n = b.indexOf(what[at], from + at); n >= 0; n = b.indexOf(what[at], n + 1)) if (n - at + what.length <= b.length && fits(n - at)) return n - at;
   return -1;
 }
 const $byteMethods = {
