@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
+#: The page, which git does not have, is in a wheel if it was built.
+BUILT = ROOT / "src" / "fluxobs" / "web" / "page.html"
 
 
 def test_firmware_sources_are_package_data():
@@ -43,6 +45,7 @@ def test_wheel_in_a_fresh_environment(tmp_path):
         "import fluxobs, fluxobs._core as core, pathlib, importlib.resources as r\n"
         f"assert pathlib.Path(core.__file__).is_relative_to({str(tmp_path)!r}), core.__file__\n"
         "assert (r.files('fluxobs') / 'firmware' / 'fluxobs.c').is_file()\n"
+        f"assert (r.files('fluxobs') / 'web' / 'page.html').is_file() == {BUILT.is_file()}\n"
         "from fluxobs.cli import main\n"
         "import sys; sys.argv = ['fluxobs', 'demo', '--out', 'results']; main()\n"
     )

@@ -34,8 +34,7 @@ class Result(ExplainedRun):
         The estimates, if they stayed in memory.
     path : Path, optional
         The file with the estimates, if there is one.
-    log, machine, observer, scales, unknowns, memory, priors, statistics, counts, learnt, \
-            automatic, causal
+    log, machine, observer, scales, unknowns, memory, priors, counts, learnt, automatic, causal
         See :class:`fluxobs.estimation.run.LogRun`.
     """
 
