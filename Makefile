@@ -47,6 +47,9 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	@if [ -x web/node_modules/.bin/prettier ]; then \
+	    cd web && npx --no-install prettier --check --log-level warn "runtime/*.js" "app/*.js" "app/*.css"; \
+	fi
 
 STRICT := -std=c99 -O2 -ffp-contract=off -Wall -Wextra -Wconversion -Wshadow -Wdouble-promotion \
           -Werror -pedantic

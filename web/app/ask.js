@@ -11,13 +11,25 @@ export async function start(onProgress = () => {}) {
   let last = 0;
   worker.onmessage = ({ data: { id, result, error, progress, stack } }) => {
     const one = waiting.get(id);
-    if (progress !== undefined) { onProgress(progress); return; }
+    if (progress !== undefined) {
+      onProgress(progress);
+      return;
+    }
     waiting.delete(id);
     if (error === undefined) one.resolve(result);
     else one.reject(Object.assign(new Error(error), { workerStack: stack }));
   };
-  worker.onerror = (event) => { for (const one of waiting.values()) one.reject(new Error(`the worker stopped: ${event.message}`)); waiting.clear(); };
-  const ask = (action, given, transfer = []) => new Promise((resolve, reject) => { const id = ++last; waiting.set(id, { resolve, reject }); worker.postMessage({ id, action, given }, transfer); });
+  worker.onerror = (event) => {
+    for (const one of waiting.values())
+      one.reject(new Error(`the worker stopped: ${event.message}`));
+    waiting.clear();
+  };
+  const ask = (action, given, transfer = []) =>
+    new Promise((resolve, reject) => {
+      const id = ++last;
+      waiting.set(id, { resolve, reject });
+      worker.postMessage({ id, action, given }, transfer);
+    });
   const wasm = await unpacked("wasm");
   await ask("start", { wasm });
   return ask;

@@ -8,7 +8,11 @@ async function unpack(text) {
     const code = text.charCodeAt(n);
     hold = (hold << 7) | (code < 128 ? code : ESCAPED[code - 128]);
     bits += 7;
-    if (bits >= 8) { bits -= 8; bytes[at++] = hold >> bits; hold &= (1 << bits) - 1; }
+    if (bits >= 8) {
+      bits -= 8;
+      bytes[at++] = hold >> bits;
+      hold &= (1 << bits) - 1;
+    }
   }
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
   return new Uint8Array(await new Response(stream).arrayBuffer());

@@ -13,24 +13,42 @@ export class View {
     this.rows = columns.t.length;
     this.blocks = new Map();
   }
-  has(name) { return name in this.columns; }
+  has(name) {
+    return name in this.columns;
+  }
 
   // The row at or before a time.
   row(time) {
-    let low = 0, high = this.rows;
-    while (high - low > 1) { const m = (low + high) >> 1; if (this.t[m] <= time) low = m; else high = m; }
+    let low = 0,
+      high = this.rows;
+    while (high - low > 1) {
+      const m = (low + high) >> 1;
+      if (this.t[m] <= time) low = m;
+      else high = m;
+    }
     return low;
   }
 
   // Least and most in blocks of rows; only of valid ones, if that is asked.
   pyramid(name, known = false) {
-    const key = known ? `${name} if valid` : name, valid = known ? this.columns.valid : null;
+    const key = known ? `${name} if valid` : name,
+      valid = known ? this.columns.valid : null;
     if (!this.blocks.has(key)) {
-      const d = this.columns[name], count = Math.ceil(this.rows / BLOCK), least = new Float64Array(count), most = new Float64Array(count);
+      const d = this.columns[name],
+        count = Math.ceil(this.rows / BLOCK),
+        least = new Float64Array(count),
+        most = new Float64Array(count);
       for (let b = 0; b < count; b++) {
-        let low = Infinity, high = -Infinity;
-        for (let k = b * BLOCK, end = Math.min(k + BLOCK, this.rows); k < end; k++) { if (valid && !valid[k]) continue; const v = d[k]; if (v < low) low = v; if (v > high) high = v; }
-        least[b] = low; most[b] = high;
+        let low = Infinity,
+          high = -Infinity;
+        for (let k = b * BLOCK, end = Math.min(k + BLOCK, this.rows); k < end; k++) {
+          if (valid && !valid[k]) continue;
+          const v = d[k];
+          if (v < low) low = v;
+          if (v > high) high = v;
+        }
+        least[b] = low;
+        most[b] = high;
       }
       this.blocks.set(key, [least, most]);
     }
@@ -39,38 +57,74 @@ export class View {
 
   // Least and most of rows first … last - 1.
   range(name, first, last, known = false) {
-    const d = this.columns[name], valid = known ? this.columns.valid : null;
-    let low = Infinity, high = -Infinity, k = first;
+    const d = this.columns[name],
+      valid = known ? this.columns.valid : null;
+    let low = Infinity,
+      high = -Infinity,
+      k = first;
     if (last - first > 4 * BLOCK) {
-      const [least, most] = this.pyramid(name, known), start = Math.ceil(first / BLOCK), end = Math.floor(last / BLOCK);
-      for (let b = start; b < end; b++) { if (least[b] < low) low = least[b]; if (most[b] > high) high = most[b]; }
-      for (; k < start * BLOCK; k++) { if (valid && !valid[k]) continue; const v = d[k]; if (v < low) low = v; if (v > high) high = v; }
+      const [least, most] = this.pyramid(name, known),
+        start = Math.ceil(first / BLOCK),
+        end = Math.floor(last / BLOCK);
+      for (let b = start; b < end; b++) {
+        if (least[b] < low) low = least[b];
+        if (most[b] > high) high = most[b];
+      }
+      for (; k < start * BLOCK; k++) {
+        if (valid && !valid[k]) continue;
+        const v = d[k];
+        if (v < low) low = v;
+        if (v > high) high = v;
+      }
       k = end * BLOCK;
     }
-    for (; k < last; k++) { if (valid && !valid[k]) continue; const v = d[k]; if (v < low) low = v; if (v > high) high = v; }
+    for (; k < last; k++) {
+      if (valid && !valid[k]) continue;
+      const v = d[k];
+      if (v < low) low = v;
+      if (v > high) high = v;
+    }
     return [low, high];
   }
 
   // Least and most of the valid rows of a window; of all rows where none is valid.
   extent(name, from, to) {
-    const first = this.row(from), last = this.row(to) + 1;
-    if (this.has("valid")) { const found = this.range(name, first, last, true); if (found[0] <= found[1]) return found; }
+    const first = this.row(from),
+      last = this.row(to) + 1;
+    if (this.has("valid")) {
+      const found = this.range(name, first, last, true);
+      if (found[0] <= found[1]) return found;
+    }
     return this.range(name, first, last);
   }
 
   // [x, ...ys] for a picture `width` pixels wide; `maps` turn values for the eye.
   sample(names, from, to, width, maps = []) {
-    const first = Math.max(0, this.row(from) - 1), last = Math.min(this.rows, this.row(to) + 3), count = last - first;
+    const first = Math.max(0, this.row(from) - 1),
+      last = Math.min(this.rows, this.row(to) + 3),
+      count = last - first;
     if (count <= 3 * width) {
       const x = Array.from(this.t.subarray(first, last));
-      return [x, ...names.map((name, n) => Array.from(this.columns[name].subarray(first, last), (v) => (v === v ? (maps[n] ? maps[n](v) : v) : null)))];
+      return [
+        x,
+        ...names.map((name, n) =>
+          Array.from(this.columns[name].subarray(first, last), (v) =>
+            v === v ? (maps[n] ? maps[n](v) : v) : null,
+          ),
+        ),
+      ];
     }
-    const x = new Array(2 * width), ys = names.map(() => new Array(2 * width)), edge = (p) => first + Math.floor((p * count) / width);
+    const x = new Array(2 * width),
+      ys = names.map(() => new Array(2 * width)),
+      edge = (p) => first + Math.floor((p * count) / width);
     for (let p = 0; p < width; p++) {
-      const a = edge(p), b = Math.max(edge(p + 1), a + 1);
-      x[2 * p] = this.t[a]; x[2 * p + 1] = this.t[(a + b) >> 1];
+      const a = edge(p),
+        b = Math.max(edge(p + 1), a + 1);
+      x[2 * p] = this.t[a];
+      x[2 * p + 1] = this.t[(a + b) >> 1];
       names.forEach((name, n) => {
-        const [low, high] = this.range(name, a, b), map = maps[n] ?? ((v) => v);
+        const [low, high] = this.range(name, a, b),
+          map = maps[n] ?? ((v) => v);
         ys[n][2 * p] = low === Infinity ? null : map(low);
         ys[n][2 * p + 1] = high === -Infinity ? null : map(high);
       });
@@ -80,9 +134,21 @@ export class View {
 
   // Count, mean, rms, least and most of a window, of rows where `valid` is set.
   statistics(name, from, to) {
-    const first = this.row(from), last = this.row(to) + 1, d = this.columns[name], step = Math.max(1, Math.floor((last - first) / 200_000));
-    let n = 0, sum = 0, square = 0;
-    for (let k = first; k < last; k += step) { const v = d[k]; if (v === v) { n++; sum += v; square += v * v; } }
+    const first = this.row(from),
+      last = this.row(to) + 1,
+      d = this.columns[name],
+      step = Math.max(1, Math.floor((last - first) / 200_000));
+    let n = 0,
+      sum = 0,
+      square = 0;
+    for (let k = first; k < last; k += step) {
+      const v = d[k];
+      if (v === v) {
+        n++;
+        sum += v;
+        square += v * v;
+      }
+    }
     const [least, most] = this.range(name, first, last);
     return { mean: sum / n, rms: Math.sqrt(square / n), least, most };
   }
@@ -94,13 +160,16 @@ const style = (name) => getComputedStyle(document.documentElement).getPropertyVa
 function shade(view) {
   return (u) => {
     if (!view().has("valid")) return;
-    const { ctx, bbox } = u, { min, max } = u.scales.x, width = Math.max(1, Math.round(bbox.width / devicePixelRatio));
+    const { ctx, bbox } = u,
+      { min, max } = u.scales.x,
+      width = Math.max(1, Math.round(bbox.width / devicePixelRatio));
     const [x, valid] = view().sample(["valid"], min, max, width);
     ctx.save();
     ctx.fillStyle = style("--invalid");
     for (let k = 0; k < x.length - 1; k++) {
       if (valid[k] !== 0) continue;
-      const left = Math.max(bbox.left, u.valToPos(x[k], "x", true)), right = Math.min(bbox.left + bbox.width, u.valToPos(x[k + 1], "x", true));
+      const left = Math.max(bbox.left, u.valToPos(x[k], "x", true)),
+        right = Math.min(bbox.left + bbox.width, u.valToPos(x[k + 1], "x", true));
       if (right > left) ctx.fillRect(left, bbox.top, Math.max(1, right - left), bbox.height);
     }
     ctx.restore();
@@ -118,13 +187,19 @@ export class Panels {
     this.busy = false;
     new ResizeObserver(() => this.resize()).observe(box);
   }
-  get width() { return Math.max(260, this.box.clientWidth); }
+  get width() {
+    return Math.max(260, this.box.clientWidth);
+  }
 
   show(view, specs, keep = false) {
-    const same = keep && this.view && this.view.rows === view.rows && this.specs?.length === specs.length;
+    const same =
+      keep && this.view && this.view.rows === view.rows && this.specs?.length === specs.length;
     this.view = view;
     this.specs = specs;
-    if (same) { this.refill(true); return; }
+    if (same) {
+      this.refill(true);
+      return;
+    }
     this.charts.forEach((one) => one.destroy());
     this.box.replaceChildren();
     this.full = [view.t[0], view.t[view.rows - 1]];
@@ -138,21 +213,66 @@ export class Panels {
       holder.setAttribute("role", "img");
       holder.addEventListener("keydown", (event) => this.key(event));
       this.box.append(holder);
-      const chart = new uPlot({
-        width: this.width, height: spec.height ?? 150, title: "", legend: { show: true, live: true },
-        cursor: { sync: { key: sync.key }, drag: { x: true, y: false }, points: { size: 6 } },
-        select: { show: true }, scales: { x: { time: false, range: () => this.window }, y: { range: () => this.scale(spec) } },
-        axes: [
-          { stroke: () => style("--ink"), grid: { stroke: () => style("--line"), width: 1 }, ticks: { stroke: () => style("--line") }, label: n === specs.length - 1 ? "Time in s" : undefined, labelSize: 18, size: n === specs.length - 1 ? 30 : 24, font: "11px system-ui", labelFont: "11px system-ui" },
-          { stroke: () => style("--ink"), grid: { stroke: () => style("--line"), width: 1 }, ticks: { stroke: () => style("--line") }, label: `${spec.title}${spec.unit ? ` in ${spec.unit}` : ""}`, labelSize: 18, size: 56, font: "11px system-ui", labelFont: "11px system-ui" },
-        ],
-        series: [{ label: "t", value: (u, v) => (v == null ? "" : `${v.toFixed(6)} s`) }, ...spec.series.map((s) => ({
-          label: s.label, stroke: () => style(s.color), width: s.width ?? 1.25, dash: s.dash, spanGaps: false, points: { show: (u, i) => u.data[0].length < u.width / 8, size: 4 },
-          value: () => this.at(s),
-        }))],
-        bands: (spec.bands ?? []).map((b) => ({ series: b, fill: () => style("--band") })),
-        hooks: { drawClear: [shade(() => this.view)], setSelect: [(u) => this.select(u)], setCursor: [(u) => { if (u.cursor.left >= 0 && !this.busy) this.cursor(u.posToVal(u.cursor.left, "x")); }] },
-      }, [[], ...spec.series.map(() => [])], holder);
+      const chart = new uPlot(
+        {
+          width: this.width,
+          height: spec.height ?? 150,
+          title: "",
+          legend: { show: true, live: true },
+          cursor: { sync: { key: sync.key }, drag: { x: true, y: false }, points: { size: 6 } },
+          select: { show: true },
+          scales: {
+            x: { time: false, range: () => this.window },
+            y: { range: () => this.scale(spec) },
+          },
+          axes: [
+            {
+              stroke: () => style("--ink"),
+              grid: { stroke: () => style("--line"), width: 1 },
+              ticks: { stroke: () => style("--line") },
+              label: n === specs.length - 1 ? "Time in s" : undefined,
+              labelSize: 18,
+              size: n === specs.length - 1 ? 30 : 24,
+              font: "11px system-ui",
+              labelFont: "11px system-ui",
+            },
+            {
+              stroke: () => style("--ink"),
+              grid: { stroke: () => style("--line"), width: 1 },
+              ticks: { stroke: () => style("--line") },
+              label: `${spec.title}${spec.unit ? ` in ${spec.unit}` : ""}`,
+              labelSize: 18,
+              size: 56,
+              font: "11px system-ui",
+              labelFont: "11px system-ui",
+            },
+          ],
+          series: [
+            { label: "t", value: (u, v) => (v == null ? "" : `${v.toFixed(6)} s`) },
+            ...spec.series.map((s) => ({
+              label: s.label,
+              stroke: () => style(s.color),
+              width: s.width ?? 1.25,
+              dash: s.dash,
+              spanGaps: false,
+              points: { show: (u, i) => u.data[0].length < u.width / 8, size: 4 },
+              value: () => this.at(s),
+            })),
+          ],
+          bands: (spec.bands ?? []).map((b) => ({ series: b, fill: () => style("--band") })),
+          hooks: {
+            drawClear: [shade(() => this.view)],
+            setSelect: [(u) => this.select(u)],
+            setCursor: [
+              (u) => {
+                if (u.cursor.left >= 0 && !this.busy) this.cursor(u.posToVal(u.cursor.left, "x"));
+              },
+            ],
+          },
+        },
+        [[], ...spec.series.map(() => [])],
+        holder,
+      );
       chart.over.addEventListener("dblclick", () => this.zoom(...this.full));
       return chart;
     });
@@ -161,9 +281,17 @@ export class Panels {
 
   // The range of a panel: of what is valid, so that a start does not hide the rest.
   scale({ series }) {
-    let low = Infinity, high = -Infinity;
-    for (const { name, map } of series) for (const v of this.view.extent(name, ...this.window)) { const y = map ? map(v) : v; if (y < low) low = y; if (y > high) high = y; }
-    return low <= high && Number.isFinite(low) && Number.isFinite(high) ? uPlot.rangeNum(low, high, 0.1, true) : [-1, 1];
+    let low = Infinity,
+      high = -Infinity;
+    for (const { name, map } of series)
+      for (const v of this.view.extent(name, ...this.window)) {
+        const y = map ? map(v) : v;
+        if (y < low) low = y;
+        if (y > high) high = y;
+      }
+    return low <= high && Number.isFinite(low) && Number.isFinite(high)
+      ? uPlot.rangeNum(low, high, 0.1, true)
+      : [-1, 1];
   }
 
   // The value at the cursor, of the row itself.
@@ -177,8 +305,17 @@ export class Panels {
     const began = performance.now();
     this.busy = true;
     this.charts.forEach((chart, n) => {
-      const { series } = this.specs[n], width = Math.round(chart.width);
-      chart.setData(this.view.sample(series.map((s) => s.name), ...this.window, width, series.map((s) => s.map)), true);
+      const { series } = this.specs[n],
+        width = Math.round(chart.width);
+      chart.setData(
+        this.view.sample(
+          series.map((s) => s.name),
+          ...this.window,
+          width,
+          series.map((s) => s.map),
+        ),
+        true,
+      );
     });
     this.busy = false;
     this.drawn = performance.now() - began;
@@ -188,29 +325,40 @@ export class Panels {
 
   describe() {
     this.charts.forEach((chart, n) => {
-      const { title, unit, series } = this.specs[n], words = series.slice(0, 2).map((s) => {
-        const { least, most } = this.view.statistics(s.name, ...this.window), [a, b] = [least, most].map(s.map ?? ((v) => v));
-        return `${s.label} from ${a.toPrecision(3)} to ${b.toPrecision(3)} ${unit}`;
-      });
-      chart.root.parentElement.setAttribute("aria-label", `${title} over time, ${this.window[0].toPrecision(4)} to ${this.window[1].toPrecision(4)} s: ${words.join("; ")}. Arrow keys move the cursor, plus and minus zoom, Home shows all.`);
+      const { title, unit, series } = this.specs[n],
+        words = series.slice(0, 2).map((s) => {
+          const { least, most } = this.view.statistics(s.name, ...this.window),
+            [a, b] = [least, most].map(s.map ?? ((v) => v));
+          return `${s.label} from ${a.toPrecision(3)} to ${b.toPrecision(3)} ${unit}`;
+        });
+      chart.root.parentElement.setAttribute(
+        "aria-label",
+        `${title} over time, ${this.window[0].toPrecision(4)} to ${this.window[1].toPrecision(4)} s: ${words.join("; ")}. Arrow keys move the cursor, plus and minus zoom, Home shows all.`,
+      );
     });
   }
 
   select(u) {
     if (u.select.width < 3) return;
-    const from = u.posToVal(u.select.left, "x"), to = u.posToVal(u.select.left + u.select.width, "x");
+    const from = u.posToVal(u.select.left, "x"),
+      to = u.posToVal(u.select.left + u.select.width, "x");
     this.charts.forEach((one) => one.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false));
     this.zoom(from, to);
   }
 
   zoom(from, to) {
-    const least = 4 * Math.abs(this.view.t[1] - this.view.t[0] || 1e-6), middle = (from + to) / 2, half = Math.max(to - from, least) / 2;
+    const least = 4 * Math.abs(this.view.t[1] - this.view.t[0] || 1e-6),
+      middle = (from + to) / 2,
+      half = Math.max(to - from, least) / 2;
     this.window = [Math.max(this.full[0], middle - half), Math.min(this.full[1], middle + half)];
     this.refill();
   }
 
   cursor(time) {
-    const row = Math.min(this.view.rows - 1, Math.max(0, Math.round(this.view.row(time + (this.view.t[1] - this.view.t[0]) / 2))));
+    const row = Math.min(
+      this.view.rows - 1,
+      Math.max(0, Math.round(this.view.row(time + (this.view.t[1] - this.view.t[0]) / 2))),
+    );
     if (row === this.row) return;
     this.row = row;
     this.onCursor(row);
@@ -220,7 +368,10 @@ export class Panels {
   go(row) {
     this.row = Math.min(this.view.rows - 1, Math.max(0, row));
     const time = this.view.t[this.row];
-    if (time < this.window[0] || time > this.window[1]) { const half = (this.window[1] - this.window[0]) / 2; this.zoom(time - half, time + half); }
+    if (time < this.window[0] || time > this.window[1]) {
+      const half = (this.window[1] - this.window[0]) / 2;
+      this.zoom(time - half, time + half);
+    }
     this.busy = true;
     this.charts.forEach((one) => one.setCursor({ left: one.valToPos(time, "x"), top: 10 }));
     this.busy = false;
@@ -228,46 +379,99 @@ export class Panels {
   }
 
   key(event) {
-    const { view, window: [from, to] } = this, width = to - from, middle = (from + to) / 2;
-    const step = event.shiftKey ? 1 : Math.max(1, Math.round((view.row(to) - view.row(from)) / 200)), row = this.row ?? view.row(middle);
-    const keys = { ArrowRight: () => this.go(row + step), ArrowLeft: () => this.go(row - step), "+": () => this.zoom(view.t[row] - width / 4, view.t[row] + width / 4), "=": () => keys["+"](), "-": () => this.zoom(middle - width, middle + width), Home: () => this.zoom(...this.full) };
+    const {
+        view,
+        window: [from, to],
+      } = this,
+      width = to - from,
+      middle = (from + to) / 2;
+    const step = event.shiftKey
+        ? 1
+        : Math.max(1, Math.round((view.row(to) - view.row(from)) / 200)),
+      row = this.row ?? view.row(middle);
+    const keys = {
+      ArrowRight: () => this.go(row + step),
+      ArrowLeft: () => this.go(row - step),
+      "+": () => this.zoom(view.t[row] - width / 4, view.t[row] + width / 4),
+      "=": () => keys["+"](),
+      "-": () => this.zoom(middle - width, middle + width),
+      Home: () => this.zoom(...this.full),
+    };
     if (!keys[event.key]) return;
     event.preventDefault();
     keys[event.key]();
   }
 
-  resize() { if (this.view) { this.charts.forEach((one) => one.setSize({ width: this.width, height: one.height })); this.refill(true); } }
+  resize() {
+    if (this.view) {
+      this.charts.forEach((one) => one.setSize({ width: this.width, height: one.height }));
+      this.refill(true);
+    }
+  }
 }
 
 // The flux in its plane, over the window, with the row at the cursor.
 export class Locus {
-  constructor(canvas) { this.canvas = canvas; }
+  constructor(canvas) {
+    this.canvas = canvas;
+  }
   draw(view, [from, to], ports, row) {
-    let [x, y] = ports.map((port) => view.columns[`flux_${port}`]), what = "Flux λ";
-    if (!x && view.has("theta_e") && view.has("psi_f")) { // a report without them has what they turn about
-      const { theta_e: angle, psi_f: length } = view.columns, made = (turn) => new Proxy(angle, { get: (_, k) => length[k] * turn(angle[k]) });
+    let [x, y] = ports.map((port) => view.columns[`flux_${port}`]),
+      what = "Flux λ";
+    if (!x && view.has("theta_e") && view.has("psi_f")) {
+      // a report without them has what they turn about
+      const { theta_e: angle, psi_f: length } = view.columns,
+        made = (turn) => new Proxy(angle, { get: (_, k) => length[k] * turn(angle[k]) });
       [x, y, what] = [made(Math.cos), made(Math.sin), "Vector λ − L i"];
     }
-    const { canvas } = this, size = canvas.clientWidth, scale = devicePixelRatio, ctx = canvas.getContext("2d");
+    const { canvas } = this,
+      size = canvas.clientWidth,
+      scale = devicePixelRatio,
+      ctx = canvas.getContext("2d");
     if (!x || !size) return;
     canvas.width = canvas.height = size * scale;
-    const first = view.row(from), last = view.row(to) + 1, step = Math.max(1, Math.floor((last - first) / 6000));
+    const first = view.row(from),
+      last = view.row(to) + 1,
+      step = Math.max(1, Math.floor((last - first) / 6000));
     let most = 1e-12;
-    for (let k = first; k < last; k += step) { const r = Math.max(Math.abs(x[k]), Math.abs(y[k])); if (r > most && r < Infinity) most = r; }
+    for (let k = first; k < last; k += step) {
+      const r = Math.max(Math.abs(x[k]), Math.abs(y[k]));
+      if (r > most && r < Infinity) most = r;
+    }
     const at = (v, up) => ((up ? -v : v) / (1.15 * most) + 1) * (size / 2);
     ctx.scale(scale, scale);
     ctx.strokeStyle = style("--line");
-    ctx.beginPath(); ctx.moveTo(0, size / 2); ctx.lineTo(size, size / 2); ctx.moveTo(size / 2, 0); ctx.lineTo(size / 2, size); ctx.stroke();
-    ctx.fillStyle = style("--ink"); ctx.font = "11px system-ui";
-    ctx.fillText(`${what} in Wb; edge ${(1.15 * most).toPrecision(3)}`, 6, 14);
-    ctx.strokeStyle = style("--blue"); ctx.lineWidth = 1;
     ctx.beginPath();
-    for (let k = first; k < last; k += step) { const [a, b] = [at(x[k]), at(y[k], true)]; if (k === first || !Number.isFinite(a)) ctx.moveTo(a, b); else ctx.lineTo(a, b); }
+    ctx.moveTo(0, size / 2);
+    ctx.lineTo(size, size / 2);
+    ctx.moveTo(size / 2, 0);
+    ctx.lineTo(size / 2, size);
+    ctx.stroke();
+    ctx.fillStyle = style("--ink");
+    ctx.font = "11px system-ui";
+    ctx.fillText(`${what} in Wb; edge ${(1.15 * most).toPrecision(3)}`, 6, 14);
+    ctx.strokeStyle = style("--blue");
+    ctx.lineWidth = 1;
+    ctx.beginPath();
+    for (let k = first; k < last; k += step) {
+      const [a, b] = [at(x[k]), at(y[k], true)];
+      if (k === first || !Number.isFinite(a)) ctx.moveTo(a, b);
+      else ctx.lineTo(a, b);
+    }
     ctx.stroke();
     if (row == null) return;
-    ctx.strokeStyle = ctx.fillStyle = style("--red"); ctx.lineWidth = 2;
-    ctx.beginPath(); ctx.moveTo(size / 2, size / 2); ctx.lineTo(at(x[row]), at(y[row], true)); ctx.stroke();
-    ctx.beginPath(); ctx.arc(at(x[row]), at(y[row], true), 4, 0, 2 * Math.PI); ctx.fill();
-    canvas.setAttribute("aria-label", `${what}, its locus; at the cursor ${x[row].toPrecision(4)} and ${y[row].toPrecision(4)} Wb`);
+    ctx.strokeStyle = ctx.fillStyle = style("--red");
+    ctx.lineWidth = 2;
+    ctx.beginPath();
+    ctx.moveTo(size / 2, size / 2);
+    ctx.lineTo(at(x[row]), at(y[row], true));
+    ctx.stroke();
+    ctx.beginPath();
+    ctx.arc(at(x[row]), at(y[row], true), 4, 0, 2 * Math.PI);
+    ctx.fill();
+    canvas.setAttribute(
+      "aria-label",
+      `${what}, its locus; at the cursor ${x[row].toPrecision(4)} and ${y[row].toPrecision(4)} Wb`,
+    );
   }
 }

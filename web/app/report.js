@@ -10,11 +10,13 @@ const began = performance.now();
 const blocks = $("blocks").textContent;
 async function column({ kind, size, rows, planes, data: [from, length], missing }) {
   const bytes = await unpack(blocks.substr(from, length));
-  if (kind === "flags") return Uint8Array.from({ length: rows }, (_, n) => (bytes[n >> 3] >> (n & 7)) & 1);
+  if (kind === "flags")
+    return Uint8Array.from({ length: rows }, (_, n) => (bytes[n >> 3] >> (n & 7)) & 1);
   const out = new Float64Array(rows);
   if (kind === "double") {
     const raw = new Uint8Array(out.buffer);
-    for (let plane = 0; plane < 8; plane++) for (let n = 0, from = plane * rows; n < rows; n++, from++) raw[8 * n + plane] = bytes[from];
+    for (let plane = 0; plane < 8; plane++)
+      for (let n = 0, from = plane * rows; n < rows; n++, from++) raw[8 * n + plane] = bytes[from];
     return out;
   }
   let whole = 0;
@@ -26,12 +28,39 @@ async function column({ kind, size, rows, planes, data: [from, length], missing 
     whole += (z >>> 1) ^ -(z & 1);
     out[n] = kind === "over" ? whole / size : whole * size;
   }
-  if (missing) { const gone = await column(missing); for (let n = 0; n < rows; n++) if (gone[n]) out[n] = NaN; }
+  if (missing) {
+    const gone = await column(missing);
+    for (let n = 0; n < rows; n++) if (gone[n]) out[n] = NaN;
+  }
   return out;
 }
-const unpackedColumns = async (packed) => Object.fromEntries(await Promise.all(Object.entries(packed).map(async ([name, one]) => [name, await column(one)])));
+const unpackedColumns = async (packed) =>
+  Object.fromEntries(
+    await Promise.all(Object.entries(packed).map(async ([name, one]) => [name, await column(one)])),
+  );
 
-const table = (caption, head, rows) => element("div", { className: "wide" }, element("table", {}, element("caption", { textContent: caption }), element("thead", {}, element("tr", {}, ...head.map((c) => element("th", { scope: "col", textContent: c })))), element("tbody", {}, ...rows.map((row) => element("tr", {}, ...row.map((c) => element("td", { textContent: c })))))));
+const table = (caption, head, rows) =>
+  element(
+    "div",
+    { className: "wide" },
+    element(
+      "table",
+      {},
+      element("caption", { textContent: caption }),
+      element(
+        "thead",
+        {},
+        element("tr", {}, ...head.map((c) => element("th", { scope: "col", textContent: c }))),
+      ),
+      element(
+        "tbody",
+        {},
+        ...rows.map((row) =>
+          element("tr", {}, ...row.map((c) => element("td", { textContent: c }))),
+        ),
+      ),
+    ),
+  );
 
 const { words, found, record, columns } = JSON.parse($("data").textContent);
 $("title").textContent = words.log;
@@ -43,22 +72,45 @@ const results = new Results($("results"), record ? (action, given) => ask(action
 $("words").replaceWith(results.words);
 results.explain(words);
 const more = [table("Channels", ["channel", "column", "scale and offset"], words.taken)];
-if (words.parameters.length) more.unshift(table("Parameters, as learnt from the log", ["parameter", "value", "± 2σ", "unit", "given"], words.parameters));
-more.push(element("h3", { textContent: "Machine" }), element("pre", {}, element("code", { textContent: words.machine })));
-if (words.notes.length) more.push(element("h3", { textContent: "Notes" }), element("ul", {}, ...words.notes.map((text) => element("li", { textContent: text }))));
-more.push(element("h3", { textContent: "Commands" }), ...words.commands.map((text) => element("p", {}, element("code", { textContent: text }))));
+if (words.parameters.length)
+  more.unshift(
+    table(
+      "Parameters, as learnt from the log",
+      ["parameter", "value", "± 2σ", "unit", "given"],
+      words.parameters,
+    ),
+  );
+more.push(
+  element("h3", { textContent: "Machine" }),
+  element("pre", {}, element("code", { textContent: words.machine })),
+);
+if (words.notes.length)
+  more.push(
+    element("h3", { textContent: "Notes" }),
+    element("ul", {}, ...words.notes.map((text) => element("li", { textContent: text }))),
+  );
+more.push(
+  element("h3", { textContent: "Commands" }),
+  ...words.commands.map((text) => element("p", {}, element("code", { textContent: text }))),
+);
 $("more").append(...more);
 
 try {
   if (record) {
-    ask = await start((share) => { $("progress").hidden = false; $("progress").value = share; });
-    const data = await unpackedColumns(record.columns), t = record.t ? await column(record.t) : null;
+    ask = await start((share) => {
+      $("progress").hidden = false;
+      $("progress").value = share;
+    });
+    const data = await unpackedColumns(record.columns),
+      t = record.t ? await column(record.t) : null;
     const made = await ask("rerun", { ...record, columns: data, t, machine: words.machine });
     results.show(found, made.columns);
-    $("status").textContent = "Computed here, from the record in this file: move a slider to see the same rows with other parameters.";
+    $("status").textContent =
+      "Computed here, from the record in this file: move a slider to see the same rows with other parameters.";
   } else {
     results.show(found, await unpackedColumns(columns));
-    $("status").textContent = "The record is not in this file, so that it does not recompute; curves are rounded to a sixteenth of their noise.";
+    $("status").textContent =
+      "The record is not in this file, so that it does not recompute; curves are rounded to a sixteenth of their noise.";
   }
 } catch (error) {
   $("status").textContent = error.message;
@@ -68,5 +120,13 @@ try {
 $("progress").hidden = true;
 document.body.dataset.milliseconds = (performance.now() - began).toFixed(0);
 document.body.dataset.done = "1";
-$("theme").addEventListener("click", () => { const dark = matchMedia("(prefers-color-scheme: dark)").matches; document.documentElement.dataset.theme = (document.documentElement.dataset.theme ?? (dark ? "dark" : "light")) === "dark" ? "light" : "dark"; results.panels.resize(); results.window(); });
+$("theme").addEventListener("click", () => {
+  const dark = matchMedia("(prefers-color-scheme: dark)").matches;
+  document.documentElement.dataset.theme =
+    (document.documentElement.dataset.theme ?? (dark ? "dark" : "light")) === "dark"
+      ? "light"
+      : "dark";
+  results.panels.resize();
+  results.window();
+});
 window.fluxobs = { results, found, words };

@@ -5,7 +5,8 @@ import { Locus, Panels, View } from "./plots.js";
 const deg = (v) => (v * 180) / Math.PI;
 export const element = (tag, attributes = {}, ...children) => {
   const out = Object.assign(document.createElement(tag), attributes);
-  for (const [name, value] of Object.entries(attributes)) if (name.includes("-") || name === "for" || name === "role") out.setAttribute(name, value);
+  for (const [name, value] of Object.entries(attributes))
+    if (name.includes("-") || name === "for" || name === "role") out.setAttribute(name, value);
   out.append(...children.filter((one) => one != null));
   return out;
 };
@@ -13,58 +14,185 @@ export const element = (tag, attributes = {}, ...children) => {
 // Numbers of three digits with an SI prefix.
 export function si(value, unit) {
   if (!Number.isFinite(value)) return "–";
-  for (const [size, prefix] of [[1, ""], [1e-3, "m"], [1e-6, "µ"], [1e-9, "n"]]) if (Math.abs(value) >= size) return `${Number((value / size).toPrecision(3))} ${prefix}${unit}`;
+  for (const [size, prefix] of [
+    [1, ""],
+    [1e-3, "m"],
+    [1e-6, "µ"],
+    [1e-9, "n"],
+  ])
+    if (Math.abs(value) >= size) return `${Number((value / size).toPrecision(3))} ${prefix}${unit}`;
   return `${value === 0 ? 0 : value.toPrecision(2)} ${unit}`;
 }
 
 // The panels that a run has.
 function panels(view, found) {
-  const { position } = found, [a, b] = found.ports, angle = position.unit === "°";
+  const { position } = found,
+    [a, b] = found.ports,
+    angle = position.unit === "°";
   const factor = (v) => v * position.factor;
-  const out = [{ id: "position", title: position.title, unit: position.unit, series: [
-    { name: position.name, label: "estimated", color: "--blue", map: factor },
-    ...(view.has("truth") ? [{ name: "truth", label: "true", color: "--orange", map: factor, dash: [6, 4] }] : []),
-  ] }];
-  const error = `${position.name}_error`, std = `${position.name}_std`;
-  if (view.has(error)) out.push({ id: "error", title: "Position error", unit: position.unit, bands: [[2, 3]], series: [
-    { name: error, label: "error", color: "--blue", map: factor },
-    ...(view.has(std) ? [{ name: std, label: "+2σ", color: "--grey", map: (v) => 2 * factor(v) }, { name: std, label: "−2σ", color: "--grey", map: (v) => -2 * factor(v) }] : []),
-  ] });
-  else if (view.has(std)) out.push({ id: "sigma", title: "Position σ", unit: position.unit, series: [{ name: std, label: "σ", color: "--blue", map: factor }] });
-  if (view.has("speed_e")) out.push({ id: "speed", title: "Electrical speed", unit: "rad/s", series: [{ name: "speed_e", label: "speed", color: "--blue" }] });
-  out.push({ id: "drift", title: "Drift", unit: "V", series: [{ name: `drift_${a}`, label: a === "alpha" ? "α" : a, color: "--blue" }, { name: `drift_${b}`, label: b === "beta" ? "β" : b, color: "--orange" }] });
-  for (const [name, title, unit] of [["resistance", "Resistance", "Ω"], ["inverter_voltage", "Inverter voltage", "V"], ["psi_f", found.adaptive ? "Magnet flux" : "Length of λ − L i", "Wb"]]) {
+  const out = [
+    {
+      id: "position",
+      title: position.title,
+      unit: position.unit,
+      series: [
+        { name: position.name, label: "estimated", color: "--blue", map: factor },
+        ...(view.has("truth")
+          ? [{ name: "truth", label: "true", color: "--orange", map: factor, dash: [6, 4] }]
+          : []),
+      ],
+    },
+  ];
+  const error = `${position.name}_error`,
+    std = `${position.name}_std`;
+  if (view.has(error))
+    out.push({
+      id: "error",
+      title: "Position error",
+      unit: position.unit,
+      bands: [[2, 3]],
+      series: [
+        { name: error, label: "error", color: "--blue", map: factor },
+        ...(view.has(std)
+          ? [
+              { name: std, label: "+2σ", color: "--grey", map: (v) => 2 * factor(v) },
+              { name: std, label: "−2σ", color: "--grey", map: (v) => -2 * factor(v) },
+            ]
+          : []),
+      ],
+    });
+  else if (view.has(std))
+    out.push({
+      id: "sigma",
+      title: "Position σ",
+      unit: position.unit,
+      series: [{ name: std, label: "σ", color: "--blue", map: factor }],
+    });
+  if (view.has("speed_e"))
+    out.push({
+      id: "speed",
+      title: "Electrical speed",
+      unit: "rad/s",
+      series: [{ name: "speed_e", label: "speed", color: "--blue" }],
+    });
+  out.push({
+    id: "drift",
+    title: "Drift",
+    unit: "V",
+    series: [
+      { name: `drift_${a}`, label: a === "alpha" ? "α" : a, color: "--blue" },
+      { name: `drift_${b}`, label: b === "beta" ? "β" : b, color: "--orange" },
+    ],
+  });
+  for (const [name, title, unit] of [
+    ["resistance", "Resistance", "Ω"],
+    ["inverter_voltage", "Inverter voltage", "V"],
+    ["psi_f", found.adaptive ? "Magnet flux" : "Length of λ − L i", "Wb"],
+  ]) {
     if (!view.has(name)) continue;
-    const own = `${name}_std`, bands = view.has(own);
-    if (bands) { view.columns[`${name} +`] = view.columns[name].map((v, k) => v + 2 * view.columns[own][k]); view.columns[`${name} -`] = view.columns[name].map((v, k) => v - 2 * view.columns[own][k]); }
-    out.push({ id: name, title, unit, bands: bands ? [[2, 3]] : [], series: [{ name, label: title.toLowerCase(), color: "--blue" }, ...(bands ? [{ name: `${name} +`, label: "+2σ", color: "--grey" }, { name: `${name} -`, label: "−2σ", color: "--grey" }] : [])] });
+    const own = `${name}_std`,
+      bands = view.has(own);
+    if (bands) {
+      view.columns[`${name} +`] = view.columns[name].map((v, k) => v + 2 * view.columns[own][k]);
+      view.columns[`${name} -`] = view.columns[name].map((v, k) => v - 2 * view.columns[own][k]);
+    }
+    out.push({
+      id: name,
+      title,
+      unit,
+      bands: bands ? [[2, 3]] : [],
+      series: [
+        { name, label: title.toLowerCase(), color: "--blue" },
+        ...(bands
+          ? [
+              { name: `${name} +`, label: "+2σ", color: "--grey" },
+              { name: `${name} -`, label: "−2σ", color: "--grey" },
+            ]
+          : []),
+      ],
+    });
   }
-  if (view.has("innovation")) out.push({ id: "residual", title: "Residual over its noise", unit: "", series: [{ name: "innovation", label: "residual", color: "--blue" }] });
+  if (view.has("innovation"))
+    out.push({
+      id: "residual",
+      title: "Residual over its noise",
+      unit: "",
+      series: [{ name: "innovation", label: "residual", color: "--blue" }],
+    });
   return out.map((one) => ({ ...one, angle }));
 }
 
 // Sliders: [name in the machine file, label, unit]
-const SLIDERS = [["R_s", "R_s", "Ω"], ["L_s", "L_s", "H"], ["L_d", "L_d", "H"], ["L_q", "L_q", "H"], ["L_sigma", "L_σ", "H"], ["R_R", "R_R", "Ω"], ["psi_f", "ψ_f", "Wb"], ["psi_R", "ψ_R", "Wb"], ["inverter_voltage", "Inverter voltage", "V"]];
+const SLIDERS = [
+  ["R_s", "R_s", "Ω"],
+  ["L_s", "L_s", "H"],
+  ["L_d", "L_d", "H"],
+  ["L_q", "L_q", "H"],
+  ["L_sigma", "L_σ", "H"],
+  ["R_R", "R_R", "Ω"],
+  ["psi_f", "ψ_f", "Wb"],
+  ["psi_R", "ψ_R", "Wb"],
+  ["inverter_voltage", "Inverter voltage", "V"],
+];
 
 export class Results {
   constructor(box, ask) {
     this.ask = ask;
     this.box = box;
     this.words = element("div", { className: "words" });
-    this.canvas = element("canvas", { className: "locus", role: "img", tabIndex: 0, "aria-label": "Flux locus" });
+    this.canvas = element("canvas", {
+      className: "locus",
+      role: "img",
+      tabIndex: 0,
+      "aria-label": "Flux locus",
+    });
     this.sliders = element("div", { className: "sliders" });
     this.charts = element("div", { className: "charts" });
     this.table = element("table", { className: "values" });
     this.note = element("p", { className: "note", role: "status", "aria-live": "polite" });
-    const reset = element("button", { type: "button", textContent: "Show all", onclick: () => this.panels.zoom(...this.panels.full) });
+    const reset = element("button", {
+      type: "button",
+      textContent: "Show all",
+      onclick: () => this.panels.zoom(...this.panels.full),
+    });
     box.replaceChildren(
       this.words,
-      element("section", { className: "picture" },
-        element("div", { className: "side" }, this.canvas, element("h3", { textContent: "Other parameters" }), this.sliders, this.note),
-        element("div", { className: "main" }, element("p", { className: "hint" }, "Drag over a picture to zoom; double click, or ", reset, ". Where the background is shaded the position is not valid."), this.charts)),
-      element("details", { open: false }, element("summary", { textContent: "Values at the cursor and in the window, as a table" }), this.table));
+      element(
+        "section",
+        { className: "picture" },
+        element(
+          "div",
+          { className: "side" },
+          this.canvas,
+          element("h3", { textContent: "Other parameters" }),
+          this.sliders,
+          this.note,
+        ),
+        element(
+          "div",
+          { className: "main" },
+          element(
+            "p",
+            { className: "hint" },
+            "Drag over a picture to zoom; double click, or ",
+            reset,
+            ". Where the background is shaded the position is not valid.",
+          ),
+          this.charts,
+        ),
+      ),
+      element(
+        "details",
+        { open: false },
+        element("summary", { textContent: "Values at the cursor and in the window, as a table" }),
+        this.table,
+      ),
+    );
     this.locus = new Locus(this.canvas);
-    this.panels = new Panels(this.charts, { onWindow: () => this.window(), onCursor: (row) => this.cursor(row) });
+    this.panels = new Panels(this.charts, {
+      onWindow: () => this.window(),
+      onCursor: (row) => this.cursor(row),
+    });
   }
 
   show(found, columns) {
@@ -90,61 +218,179 @@ export class Results {
   }
   cursor(row) {
     cancelAnimationFrame(this.frame);
-    this.frame = requestAnimationFrame(() => { this.locus.draw(this.view, this.panels.window, this.found.ports, row); this.values(); });
+    this.frame = requestAnimationFrame(() => {
+      this.locus.draw(this.view, this.panels.window, this.found.ports, row);
+      this.values();
+    });
   }
 
   values() {
-    const rows = this.panels.specs.flatMap((spec) => spec.series.filter((s) => !s.label.endsWith("2σ")).map((s) => [spec, s])).map(([spec, s]) => {
-      const map = s.map ?? ((v) => v), { mean, rms, least, most } = this.view.statistics(s.name, ...this.panels.window), row = this.panels.row;
-      const cells = [row == null ? NaN : this.view.columns[s.name][row], mean, rms, least, most].map((v) => (Number.isFinite(v) ? map(v).toPrecision(5) : "–"));
-      return element("tr", {}, element("th", { scope: "row", textContent: `${spec.title}, ${s.label}${spec.unit ? ` [${spec.unit}]` : ""}` }), ...cells.map((c) => element("td", { textContent: c })));
-    });
-    const head = element("tr", {}, ...["", this.panels.row == null ? "at the cursor" : `at ${this.view.t[this.panels.row].toFixed(6)} s`, "mean", "rms", "least", "most"].map((c) => element("th", { scope: "col", textContent: c })));
-    this.table.replaceChildren(element("caption", { textContent: `${this.panels.window.map((t) => t.toPrecision(5)).join(" to ")} s` }), element("thead", {}, head), element("tbody", {}, ...rows));
+    const rows = this.panels.specs
+      .flatMap((spec) => spec.series.filter((s) => !s.label.endsWith("2σ")).map((s) => [spec, s]))
+      .map(([spec, s]) => {
+        const map = s.map ?? ((v) => v),
+          { mean, rms, least, most } = this.view.statistics(s.name, ...this.panels.window),
+          row = this.panels.row;
+        const cells = [
+          row == null ? NaN : this.view.columns[s.name][row],
+          mean,
+          rms,
+          least,
+          most,
+        ].map((v) => (Number.isFinite(v) ? map(v).toPrecision(5) : "–"));
+        return element(
+          "tr",
+          {},
+          element("th", {
+            scope: "row",
+            textContent: `${spec.title}, ${s.label}${spec.unit ? ` [${spec.unit}]` : ""}`,
+          }),
+          ...cells.map((c) => element("td", { textContent: c })),
+        );
+      });
+    const head = element(
+      "tr",
+      {},
+      ...[
+        "",
+        this.panels.row == null
+          ? "at the cursor"
+          : `at ${this.view.t[this.panels.row].toFixed(6)} s`,
+        "mean",
+        "rms",
+        "least",
+        "most",
+      ].map((c) => element("th", { scope: "col", textContent: c })),
+    );
+    this.table.replaceChildren(
+      element("caption", {
+        textContent: `${this.panels.window.map((t) => t.toPrecision(5)).join(" to ")} s`,
+      }),
+      element("thead", {}, head),
+      element("tbody", {}, ...rows),
+    );
   }
 
   explain({ summary, warnings, findings, check_notes: notes, truth }) {
     this.words.replaceChildren(
       element("p", { className: "summary", textContent: summary }),
-      ...warnings.map((text) => element("p", { className: "warning", role: "alert", textContent: text })),
-      findings.length ? element("details", { className: "verdicts", open: findings.some((one) => !one.as_given) },
-        element("summary", { textContent: `Is the log what it is taken for? ${findings.every((one) => one.as_given) ? "As far as it tells, yes." : "Not in all."}` }),
-        element("table", {}, element("tbody", {}, ...findings.map((one) => element("tr", { className: one.as_given ? "good" : "bad" }, element("th", { scope: "row", textContent: one.kind }),
-          element("td", { textContent: one.as_given ? "as given" : "NOT as given" }), element("td", { textContent: [one.words, one.sure, one.others.length ? `not told from: ${one.others.join("; ")}` : ""].filter(Boolean).join(". ") }))))),
-        ...notes.map((text) => element("p", { textContent: text }))) : null,
+      ...warnings.map((text) =>
+        element("p", { className: "warning", role: "alert", textContent: text }),
+      ),
+      findings.length
+        ? element(
+            "details",
+            { className: "verdicts", open: findings.some((one) => !one.as_given) },
+            element("summary", {
+              textContent: `Is the log what it is taken for? ${findings.every((one) => one.as_given) ? "As far as it tells, yes." : "Not in all."}`,
+            }),
+            element(
+              "table",
+              {},
+              element(
+                "tbody",
+                {},
+                ...findings.map((one) =>
+                  element(
+                    "tr",
+                    { className: one.as_given ? "good" : "bad" },
+                    element("th", { scope: "row", textContent: one.kind }),
+                    element("td", { textContent: one.as_given ? "as given" : "NOT as given" }),
+                    element("td", {
+                      textContent: [
+                        one.words,
+                        one.sure,
+                        one.others.length ? `not told from: ${one.others.join("; ")}` : "",
+                      ]
+                        .filter(Boolean)
+                        .join(". "),
+                    }),
+                  ),
+                ),
+              ),
+            ),
+            ...notes.map((text) => element("p", { textContent: text })),
+          )
+        : null,
     );
     void truth;
   }
 
   makeSliders() {
-    const { values, memory } = this.found.parameters, given = Object.fromEntries(SLIDERS.filter(([name]) => name === "inverter_voltage" ? name in values : values[name] != null).map(([name]) => [name, values[name]]));
+    const { values, memory } = this.found.parameters,
+      given = Object.fromEntries(
+        SLIDERS.filter(([name]) =>
+          name === "inverter_voltage" ? name in values : values[name] != null,
+        ).map(([name]) => [name, values[name]]),
+      );
     const rows = [];
     const add = (key, label, unit, value, [low, high], logarithmic) => {
-      const id = `slider-${key}`, out = element("output", { for: id, textContent: si(value, unit) });
-      const to = logarithmic ? (x) => value * 2 ** x : (x) => x, from = logarithmic ? () => 0 : () => value;
-      const input = element("input", { id, type: "range", min: low, max: high, step: "any", value: from() });
-      input.addEventListener("input", () => { const v = to(Number(input.value)); out.textContent = key === "lag" ? `${v.toFixed(2)} samples` : si(v, unit); this.changed[key] = v; this.recompute(); });
+      const id = `slider-${key}`,
+        out = element("output", { for: id, textContent: si(value, unit) });
+      const to = logarithmic ? (x) => value * 2 ** x : (x) => x,
+        from = logarithmic ? () => 0 : () => value;
+      const input = element("input", {
+        id,
+        type: "range",
+        min: low,
+        max: high,
+        step: "any",
+        value: from(),
+      });
+      input.addEventListener("input", () => {
+        const v = to(Number(input.value));
+        out.textContent = key === "lag" ? `${v.toFixed(2)} samples` : si(v, unit);
+        this.changed[key] = v;
+        this.recompute();
+      });
       if (key === "lag") out.textContent = `${value.toFixed(2)} samples`;
-      rows.push(element("div", { className: "slider" }, element("label", { for: id, textContent: label }), input, out));
+      rows.push(
+        element(
+          "div",
+          { className: "slider" },
+          element("label", { for: id, textContent: label }),
+          input,
+          out,
+        ),
+      );
     };
     for (const [name, label, unit] of SLIDERS) {
       if (!(name in given)) continue;
-      if (name === "inverter_voltage") add(name, label, unit, given[name] ?? 0, [0, Math.max(2, 4 * (given[name] ?? 0))], false);
+      if (name === "inverter_voltage")
+        add(name, label, unit, given[name] ?? 0, [0, Math.max(2, 4 * (given[name] ?? 0))], false);
       else add(name, label, unit, given[name], [-1.5, 1.5], true);
     }
     add("memory", "Memory", "s", this.found.memory ?? memory, [-3, 3], true);
     add("lag", "Lag", "", this.found.lag, [this.found.lag - 2, this.found.lag + 2], false);
-    const back = element("button", { type: "button", textContent: "As given", onclick: () => { this.changed = {}; this.makeSliders(); this.swap(this.first); this.note.textContent = ""; } });
+    const back = element("button", {
+      type: "button",
+      textContent: "As given",
+      onclick: () => {
+        this.changed = {};
+        this.makeSliders();
+        this.swap(this.first);
+        this.note.textContent = "";
+      },
+    });
     this.sliders.replaceChildren(...rows, back);
   }
 
   // One run at a time; what is asked for meanwhile follows.
   async recompute() {
-    if (this.running) { this.waiting = true; return; }
+    if (this.running) {
+      this.waiting = true;
+      return;
+    }
     this.running = true;
-    const began = performance.now(), { memory, lag, ...changes } = this.changed;
+    const began = performance.now(),
+      { memory, lag, ...changes } = this.changed;
     try {
-      const { columns } = await this.ask("again", { changes, memory, lag, unknowns: this.found.unknowns });
+      const { columns } = await this.ask("again", {
+        changes,
+        memory,
+        lag,
+        unknowns: this.found.unknowns,
+      });
       this.swap(columns);
       this.took = performance.now() - began;
       this.note.textContent = this.judged(columns);
@@ -152,17 +398,35 @@ export class Results {
       this.note.textContent = error.message;
     }
     this.running = false;
-    if (this.waiting) { this.waiting = false; this.recompute(); }
+    if (this.waiting) {
+      this.waiting = false;
+      this.recompute();
+    }
   }
 
   // The run with these parameters, in a line.
   judged(columns) {
-    const valid = columns.valid, error = columns[`${this.found.position.name}_error`], { factor, unit } = this.found.position;
-    let known = 0, square = 0, scored = 0, residual = 0;
-    for (let k = 0; k < valid.length; k++) if (valid[k]) { known++; if (error && error[k] === error[k]) { scored++; square += error[k] ** 2; } if (columns.innovation) residual += columns.innovation[k] ** 2; }
+    const valid = columns.valid,
+      error = columns[`${this.found.position.name}_error`],
+      { factor, unit } = this.found.position;
+    let known = 0,
+      square = 0,
+      scored = 0,
+      residual = 0;
+    for (let k = 0; k < valid.length; k++)
+      if (valid[k]) {
+        known++;
+        if (error && error[k] === error[k]) {
+          scored++;
+          square += error[k] ** 2;
+        }
+        if (columns.innovation) residual += columns.innovation[k] ** 2;
+      }
     const parts = [`Valid on ${((100 * known) / valid.length).toFixed(1)} % of the rows`];
-    if (scored) parts.push(`error ${(factor * Math.sqrt(square / scored)).toPrecision(3)}${unit} rms`);
-    if (columns.innovation && known) parts.push(`residual ${Math.sqrt(residual / known).toPrecision(3)} of its noise`);
+    if (scored)
+      parts.push(`error ${(factor * Math.sqrt(square / scored)).toPrecision(3)}${unit} rms`);
+    if (columns.innovation && known)
+      parts.push(`residual ${Math.sqrt(residual / known).toPrecision(3)} of its noise`);
     return `${parts.join("; ")}.`;
   }
 }

@@ -3,15 +3,41 @@
 
 const $py = (name) => $import(`fluxobs.${name}`);
 // What is of Python → what can be sent.
-const plain = (x) => (x == null ? null : x instanceof Dict ? Object.fromEntries(x.items().map(([k, v]) => [k, plain(v)])) : x instanceof NdArray ? plain(x.tolist())
-  : Array.isArray(x) ? Array.from(x, plain) : x instanceof PySet ? [...x].map(plain) : typeof x === "object" || typeof x === "function" ? str(x) : x);
-const python = (x) => (Array.isArray(x) ? x.map(python) : x && typeof x === "object" ? $dict(Object.entries(x).map(([k, v]) => [k, python(v)])) : x);
+const plain = (x) =>
+  x == null
+    ? null
+    : x instanceof Dict
+      ? Object.fromEntries(x.items().map(([k, v]) => [k, plain(v)]))
+      : x instanceof NdArray
+        ? plain(x.tolist())
+        : Array.isArray(x)
+          ? Array.from(x, plain)
+          : x instanceof PySet
+            ? [...x].map(plain)
+            : typeof x === "object" || typeof x === "function"
+              ? str(x)
+              : x;
+const python = (x) =>
+  Array.isArray(x)
+    ? x.map(python)
+    : x && typeof x === "object"
+      ? $dict(Object.entries(x).map(([k, v]) => [k, python(v)]))
+      : x;
 
-const opened = { paths: [], log: null, machine: null, passes: null, run: null, again: null, columns: null };
+const opened = {
+  paths: [],
+  log: null,
+  machine: null,
+  passes: null,
+  run: null,
+  again: null,
+  columns: null,
+};
 
 // Columns as they are drawn: double precision as long as memory allows.
 const DOUBLE_ROWS = 3_000_000;
-const column = (values, rows) => (values instanceof Uint8Array ? values : rows > DOUBLE_ROWS ? Float32Array.from(values) : values);
+const column = (values, rows) =>
+  values instanceof Uint8Array ? values : rows > DOUBLE_ROWS ? Float32Array.from(values) : values;
 
 function gather(total) {
   const out = new Map();
@@ -22,7 +48,15 @@ function gather(total) {
       if (rows.innovation !== null) parts.push(["innovation", rows.innovation]);
       for (const [name, array] of parts) {
         const [d] = array.flat();
-        if (!out.has(name)) out.set(name, array.kind === "b" ? new Uint8Array(total) : name === "t" || total <= DOUBLE_ROWS ? new Float64Array(total) : new Float32Array(total));
+        if (!out.has(name))
+          out.set(
+            name,
+            array.kind === "b"
+              ? new Uint8Array(total)
+              : name === "t" || total <= DOUBLE_ROWS
+                ? new Float64Array(total)
+                : new Float32Array(total),
+          );
         out.get(name).set(d, at);
       }
       at += rows.valid.size;
@@ -30,7 +64,11 @@ function gather(total) {
     columns: () => Object.fromEntries(out),
   };
 }
-const columnsOf = (rows) => { const kept = gather(rows.valid.size); kept.add(rows); return kept.columns(); };
+const columnsOf = (rows) => {
+  const kept = gather(rows.valid.size);
+  kept.add(rows);
+  return kept.columns();
+};
 
 // A machine from the text of its file.
 function machineFrom(text) {
@@ -39,14 +77,22 @@ function machineFrom(text) {
   try {
     return machine_from(loads(text), "machine", Path("fluxobs/machines/examples"));
   } catch (e) {
-    if (isinstance(e, TOMLDecodeError)) throw $py("errors").MachineError(`machine: not TOML: ${str(e)}`);
+    if (isinstance(e, TOMLDecodeError))
+      throw $py("errors").MachineError(`machine: not TOML: ${str(e)}`);
     throw e;
   }
 }
 
 function layoutOf(options) {
   const { fields_from } = $py("logs.layout");
-  const layout = Object.fromEntries(Object.entries(options ?? {}).filter(([, v]) => v !== null && v !== "" && !(typeof v === "object" && !Array.isArray(v) && !Object.keys(v).length)));
+  const layout = Object.fromEntries(
+    Object.entries(options ?? {}).filter(
+      ([, v]) =>
+        v !== null &&
+        v !== "" &&
+        !(typeof v === "object" && !Array.isArray(v) && !Object.keys(v).length),
+    ),
+  );
   if (layout.record) {
     $files.set("record.toml", $encoded(layout.record, "utf-8"));
     fields_from(layout.record, "record.toml");
@@ -55,14 +101,26 @@ function layoutOf(options) {
   return Object.fromEntries(Object.entries(layout).map(([k, v]) => [k, python(v)]));
 }
 
-const settings = (given) => ({ unknowns: given.unknowns ?? "auto", memory: given.memory ?? null, causal: given.causal ?? false, priors: python(given.priors ?? {}) });
+const settings = (given) => ({
+  unknowns: given.unknowns ?? "auto",
+  memory: given.memory ?? null,
+  causal: given.causal ?? false,
+  priors: python(given.priors ?? {}),
+});
 
 const actions = {
   machines() {
-    const { example_names, example_text, KINDS } = $py("machines"), { unit_of } = $py("machines.contract"), { FIELDS } = $py("machines.datasheet");
+    const { example_names, example_text, KINDS } = $py("machines"),
+      { unit_of } = $py("machines.contract"),
+      { FIELDS } = $py("machines.datasheet");
     return {
       examples: Object.fromEntries(example_names().map((name) => [name, example_text(name)])),
-      kinds: Object.fromEntries(KINDS.items().map(([kind, cls]) => [kind, cls.parameter_names().map((name) => ({ name, unit: unit_of(name) }))])),
+      kinds: Object.fromEntries(
+        KINDS.items().map(([kind, cls]) => [
+          kind,
+          cls.parameter_names().map((name) => ({ name, unit: unit_of(name) })),
+        ]),
+      ),
       sheet: plain(FIELDS),
       presets: [...$py("logs.presets").preset_names()],
     };
@@ -89,46 +147,105 @@ const actions = {
 
   channels({ options }) {
     const layout = layoutOf(options);
-    const listing = $py("logs.channels").list_channels(...opened.paths, $kw(layout.header ? { header: layout.header } : {}));
-    return { channels: listing.channels.map((one) => ({ ...plain(one.facts) })), notes: plain(listing.notes) };
+    const listing = $py("logs.channels").list_channels(
+      ...opened.paths,
+      $kw(layout.header ? { header: layout.header } : {}),
+    );
+    return {
+      channels: listing.channels.map((one) => ({ ...plain(one.facts) })),
+      notes: plain(listing.notes),
+    };
   },
 
   estimate({ machine, options, ...given }, progress) {
-    const { open_for } = $py("logs.for_machine"), { Passes } = $py("estimation.passes"), { ExplainedRun } = $py("estimation.explained"), { Again } = $py("estimation.again");
+    const { open_for } = $py("logs.for_machine"),
+      { Passes } = $py("estimation.passes"),
+      { ExplainedRun } = $py("estimation.explained"),
+      { Again } = $py("estimation.again");
     const { read_unknowns } = $py("observers.unknowns");
     const { unknowns, memory, causal, priors } = settings(given);
     opened.machine = machineFrom(machine);
-    const join = opened.paths.slice(1), layout = layoutOf({ ...options, ...(join.length ? { join } : {}) });
+    const join = opened.paths.slice(1),
+      layout = layoutOf({ ...options, ...(join.length ? { join } : {}) });
     const log = open_for(opened.paths[0], opened.machine, $kw(layout));
     opened.log = log;
-    const passes = Passes.begun(log, opened.machine, read_unknowns(unknowns), memory, priors, causal, (done, of) => progress(done / of));
+    const passes = Passes.begun(
+      log,
+      opened.machine,
+      read_unknowns(unknowns),
+      memory,
+      priors,
+      causal,
+      (done, of) => progress(done / of),
+    );
     const kept = gather(len(log));
     for (const rows of passes.rows((done, of) => progress(done / of))) kept.add(rows);
     opened.run = ExplainedRun($kw(Object.fromEntries(passes.found().items())));
     opened.again = new Map();
     opened.makeAgain = () => Again(log, opened.run.scales);
-    const run = opened.run, machineNow = run.machine, taken = log.names.items();
+    const run = opened.run,
+      machineNow = run.machine,
+      taken = log.names.items();
     return {
-      columns: kept.columns(), rows: len(log), sample_time: log.sample_time, lag: log.layout.lag, frame: log.frame,
-      notes: plain(log.notes), columns_taken: Object.fromEntries(taken), truth: log.true === null ? null : plain(log.true.columns),
-      unknowns: plain(run.unknowns), adaptive: run.adaptive !== null, memory: run.observer.memory, automatic: run.automatic,
-      ports: plain(machineNow.ports), position: { name: machineNow.position_output.name, unit: machineNow.position_output.unit, factor: machineNow.position_output.factor, title: machineNow.position_output.title, half_turn: machineNow.half_turn_ambiguous },
-      outputs: actions.outputs(), kind: machineNow.kind,
+      columns: kept.columns(),
+      rows: len(log),
+      sample_time: log.sample_time,
+      lag: log.layout.lag,
+      frame: log.frame,
+      notes: plain(log.notes),
+      columns_taken: Object.fromEntries(taken),
+      truth: log.true === null ? null : plain(log.true.columns),
+      unknowns: plain(run.unknowns),
+      adaptive: run.adaptive !== null,
+      memory: run.observer.memory,
+      automatic: run.automatic,
+      ports: plain(machineNow.ports),
+      position: {
+        name: machineNow.position_output.name,
+        unit: machineNow.position_output.unit,
+        factor: machineNow.position_output.factor,
+        title: machineNow.position_output.title,
+        half_turn: machineNow.half_turn_ambiguous,
+      },
+      outputs: actions.outputs(),
+      kind: machineNow.kind,
     };
   },
 
   // The run of a report: the record that it carries, as it was read.
   rerun({ columns, t, start, layout, machine, unknowns, causal, memory, priors }, progress) {
-    const { truth, ...fields } = layout, channels = Object.entries(columns).map(([name, values]) => [name === "truth" ? truth : name, new NdArray(values, [values.length], "f")]);
+    const { truth, ...fields } = layout,
+      channels = Object.entries(columns).map(([name, values]) => [
+        name === "truth" ? truth : name,
+        new NdArray(values, [values.length], "f"),
+      ]);
     opened.machine = machineFrom(machine);
-    const { open_for } = $py("logs.for_machine"), { Again } = $py("estimation.again");
+    const { open_for } = $py("logs.for_machine"),
+      { Again } = $py("estimation.again");
     const given = Object.fromEntries(Object.entries(fields).filter(([, v]) => v !== null));
-    const log = open_for($dict(channels), opened.machine, $kw({ ...given, ...(truth ? { truth: $dict([[truth, truth]]) } : { truth: $dict([["none", "-"]]) }) }));
+    const log = open_for(
+      $dict(channels),
+      opened.machine,
+      $kw({
+        ...given,
+        ...(truth ? { truth: $dict([[truth, truth]]) } : { truth: $dict([["none", "-"]]) }),
+      }),
+    );
     const { Passes } = $py("estimation.passes");
-    const passes = Passes.begun(log, opened.machine, $tuple([...unknowns]), memory, python(priors), causal, (done, of) => progress(done / of));
+    const passes = Passes.begun(
+      log,
+      opened.machine,
+      $tuple([...unknowns]),
+      memory,
+      python(priors),
+      causal,
+      (done, of) => progress(done / of),
+    );
     const kept = gather(len(log));
     for (const rows of passes.rows((done, of) => progress(done / of))) kept.add(rows);
-    const found = $py("estimation.explained").ExplainedRun($kw(Object.fromEntries(passes.found().items())));
+    const found = $py("estimation.explained").ExplainedRun(
+      $kw(Object.fromEntries(passes.found().items())),
+    );
     opened.log = log;
     opened.run = found;
     opened.makeAgain = () => Again(log, found.scales);
@@ -138,18 +255,37 @@ const actions = {
   },
 
   outputs() {
-    const { outputs } = $py("observers.outputs"), { AdaptiveEstimate } = $py("observers.adaptive");
-    return outputs(AdaptiveEstimate).map((one) => ({ name: one.name, unit: one.unit, about: one.about, vector: one.vector }));
+    const { outputs } = $py("observers.outputs"),
+      { AdaptiveEstimate } = $py("observers.adaptive");
+    return outputs(AdaptiveEstimate).map((one) => ({
+      name: one.name,
+      unit: one.unit,
+      about: one.about,
+      vector: one.vector,
+    }));
   },
 
   // Summary, warnings and verdicts: what takes longer than the picture.
   explain() {
     const run = opened.run;
-    const found = run.checked, fit = run.truth_fit;
+    const found = run.checked,
+      fit = run.truth_fit;
     return {
-      summary: run.summary, warnings: plain(run.warnings), facts: plain(run.facts),
-      findings: found === null ? [] : found.findings.map((one) => ({ kind: one.kind, words: one.words, as_given: one.as_given, others: plain(one.others), sure: one.sure })),
-      check_notes: found === null ? [] : plain(found.lines().slice(found.findings.length)), fit: fit === null ? null : plain(fit.words),
+      summary: run.summary,
+      warnings: plain(run.warnings),
+      facts: plain(run.facts),
+      findings:
+        found === null
+          ? []
+          : found.findings.map((one) => ({
+              kind: one.kind,
+              words: one.words,
+              as_given: one.as_given,
+              others: plain(one.others),
+              sure: one.sure,
+            })),
+      check_notes: found === null ? [] : plain(found.lines().slice(found.findings.length)),
+      fit: fit === null ? null : plain(fit.words),
     };
   },
 
@@ -159,24 +295,49 @@ const actions = {
     if (opened.kept?.of !== opened.run) opened.kept = { of: opened.run, again: opened.makeAgain() };
     const machine = opened.run.machine.with_values($kw(changes ?? {}));
     const chosen = unknowns ?? plain(opened.run.unknowns);
-    const rows = opened.kept.again.rows(machine, $tuple([...chosen]), memory ?? null, python(priors ?? {}), lag ?? null);
+    const rows = opened.kept.again.rows(
+      machine,
+      $tuple([...chosen]),
+      memory ?? null,
+      python(priors ?? {}),
+      lag ?? null,
+    );
     return { columns: columnsOf(rows) };
   },
 
   // The machine file with what was learnt, or as it was given.
   machine_file() {
-    const { machine_text } = $py("machines.written"), run = opened.run, learnt = run.machine_learnt;
-    const found = run.found, names = opened.log.path.name;
-    return { text: machine_text(learnt, found.__len__() ? [`Learnt from ${names} by the page of fluxobs.`] : ["Written by the page of fluxobs."], found) };
+    const { machine_text } = $py("machines.written"),
+      run = opened.run,
+      learnt = run.machine_learnt;
+    const found = run.found,
+      names = opened.log.path.name;
+    return {
+      text: machine_text(
+        learnt,
+        found.__len__()
+          ? [`Learnt from ${names} by the page of fluxobs.`]
+          : ["Written by the page of fluxobs."],
+        found,
+      ),
+    };
   },
 
-  export_command({ machine }) { return { command: opened.run.export_command(machine), why: opened.run.firmware }; },
+  export_command({ machine }) {
+    return { command: opened.run.export_command(machine), why: opened.run.firmware };
+  },
 };
 
 let working = Promise.resolve();
 onmessage = ({ data: { id, action, given } }) => {
   working = working.then(async () => {
-    const progress = (share) => { const now = performance.now(); if (now - (progress.last ?? 0) > 100) { progress.last = now; postMessage({ id, progress: share }); } };
+    const progress = (share) => {
+      const now = performance.now();
+      if (now - (progress.last ?? 0) > 100) {
+        progress.last = now;
+        postMessage({ id, progress: share });
+      }
+    };
     try {
       if (action === "start") {
         $load(given.wasm);
@@ -189,7 +350,11 @@ onmessage = ({ data: { id, action, given } }) => {
       postMessage({ id, result }, arrays);
     } catch (e) {
       const known = isinstance(e, BaseException);
-      postMessage({ id, error: known ? str(e) : `This is a mistake in the page: ${e.message ?? e}`, stack: e.stack });
+      postMessage({
+        id,
+        error: known ? str(e) : `This is a mistake in the page: ${e.message ?? e}`,
+        stack: e.stack,
+      });
     }
   });
 };

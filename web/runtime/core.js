@@ -1,19 +1,40 @@
 // The observers in WebAssembly, as binding/core.cpp shows them to Python.
 
 let $wasm = null; // the module's exports
-const [CONFIG, ADAPTIVE_CONFIG, MAP, LEARNT, PLAIN, ADAPTIVE, STATE, ADAPTIVE_STATE, PLAIN_COLUMNS, ALL_COLUMNS] = Array(10).keys();
-const PLAIN_OUTPUTS = 4, ADAPTIVE_OUTPUTS = 5, THRESHOLDS = 6; // lists of fields beyond the first four
+const [
+  CONFIG,
+  ADAPTIVE_CONFIG,
+  MAP,
+  LEARNT,
+  PLAIN,
+  ADAPTIVE,
+  STATE,
+  ADAPTIVE_STATE,
+  PLAIN_COLUMNS,
+  ALL_COLUMNS,
+] = Array(10).keys();
+const PLAIN_OUTPUTS = 4,
+  ADAPTIVE_OUTPUTS = 5,
+  THRESHOLDS = 6; // lists of fields beyond the first four
 
-const $load = (binary) => { $wasm = new WebAssembly.Instance(new WebAssembly.Module(binary), {}).exports; };
+const $load = (binary) => {
+  $wasm = new WebAssembly.Instance(new WebAssembly.Module(binary), {}).exports;
+};
 const $numbers = (at, count) => new Float64Array($wasm.memory.buffer, at, count);
 const $octets = (at, count) => new Uint8Array($wasm.memory.buffer, at, count);
 
 // [{name, offset, count}] of a list
 function $fieldsOf(list) {
-  const view = new DataView($wasm.memory.buffer), out = [];
+  const view = new DataView($wasm.memory.buffer),
+    out = [];
   for (let at = $wasm.fields(list); view.getUint32(at, true); at += 12) {
-    const text = view.getUint32(at, true), bytes_ = $octets(text, 64);
-    out.push({ name: new TextDecoder().decode(bytes_.slice(0, bytes_.indexOf(0))), offset: view.getUint32(at + 4, true), count: view.getUint32(at + 8, true) });
+    const text = view.getUint32(at, true),
+      bytes_ = $octets(text, 64);
+    out.push({
+      name: new TextDecoder().decode(bytes_.slice(0, bytes_.indexOf(0))),
+      offset: view.getUint32(at + 4, true),
+      count: view.getUint32(at + 8, true),
+    });
   }
   return out;
 }
@@ -22,19 +43,32 @@ function $take(given, list) {
   const at = $wasm.allocate($wasm.size_of(list));
   for (const { name, offset, count } of $fieldsOf(list)) {
     const values = $as($get(given, name), "f").flat()[0];
-    if (values.length !== count) throw ValueError(`${name} has ${values.length} numbers, not ${count}`);
+    if (values.length !== count)
+      throw ValueError(`${name} has ${values.length} numbers, not ${count}`);
     $numbers(at + offset, count).set(values);
   }
   return at;
 }
 
-const $errors = ["", "sample_time must be positive, memory ten to a million samples", "bases, noises, limits and priors must be positive", "every parameter must be finite",
-  "sizes do not fit each other: check the units of resistance, inductance, flux, currents and sample time"];
-const $checked = (error) => { if (error) throw ValueError($errors[error]); };
+const $errors = [
+  "",
+  "sample_time must be positive, memory ten to a million samples",
+  "bases, noises, limits and priors must be positive",
+  "every parameter must be finite",
+  "sizes do not fit each other: check the units of resistance, inductance, flux, currents and sample time",
+];
+const $checked = (error) => {
+  if (error) throw ValueError($errors[error]);
+};
 
 class States {
-  constructor(bytes_) { this.bytes = bytes_; this.shape = $tuple([1, bytes_.length]); }
-  setflags() { return null; }
+  constructor(bytes_) {
+    this.bytes = bytes_;
+    this.shape = $tuple([1, bytes_.length]);
+  }
+  setflags() {
+    return null;
+  }
 }
 
 class Compiled {
@@ -44,24 +78,45 @@ class Compiled {
     this.columns = $wasm.size_of(adaptive ? ALL_COLUMNS : PLAIN_COLUMNS);
     this.bytes = $wasm.size_of(adaptive ? ADAPTIVE_STATE : STATE);
     this.observer = $wasm.allocate($wasm.size_of(adaptive ? ADAPTIVE : PLAIN));
-    if (!Compiled.gone) Compiled.gone = new FinalizationRegistry((held) => held.forEach((at) => $wasm.release(at)));
+    if (!Compiled.gone)
+      Compiled.gone = new FinalizationRegistry((held) => held.forEach((at) => $wasm.release(at)));
     this.held = [this.observer];
     Compiled.gone.register(this, this.held);
   }
   with(state, work) {
     const at = $wasm.allocate(this.bytes);
     if (state) $octets(at, this.bytes).set(state.bytes);
-    try { const out = work(at); return out === undefined ? new States($octets(at, this.bytes).slice()) : out; } finally { $wasm.release(at); }
+    try {
+      const out = work(at);
+      return out === undefined ? new States($octets(at, this.bytes).slice()) : out;
+    } finally {
+      $wasm.release(at);
+    }
   }
-  reset() { return this.with(null, (at) => { $wasm[`reset_${this.word}`](this.observer, at); }); }
+  reset() {
+    return this.with(null, (at) => {
+      $wasm[`reset_${this.word}`](this.observer, at);
+    });
+  }
   run(states, source, current, voltSeconds) {
-    const rows = current.shape[1], u = $wasm.allocate(16 * rows), i = $wasm.allocate(16 * rows), out = $wasm.allocate(8 * rows * this.columns), valid = $wasm.allocate(rows);
+    const rows = current.shape[1],
+      u = $wasm.allocate(16 * rows),
+      i = $wasm.allocate(16 * rows),
+      out = $wasm.allocate(8 * rows * this.columns),
+      valid = $wasm.allocate(rows);
     $numbers(u, 2 * rows).set(source.flat()[0]);
     $numbers(i, 2 * rows).set(current.flat()[0]);
-    const next_ = this.with(states, (at) => { $wasm[`run_${this.word}`](this.observer, at, u, i, rows, voltSeconds ? 1 : 0, out, valid); });
-    const columns = $numbers(out, rows * this.columns).slice(), known = $octets(valid, rows).slice();
+    const next_ = this.with(states, (at) => {
+      $wasm[`run_${this.word}`](this.observer, at, u, i, rows, voltSeconds ? 1 : 0, out, valid);
+    });
+    const columns = $numbers(out, rows * this.columns).slice(),
+      known = $octets(valid, rows).slice();
     [u, i, out, valid].forEach((at) => $wasm.release(at));
-    return $tuple([next_, new NdArray(columns, [this.columns, 1, rows], "f"), new NdArray(known, [1, rows], "b")]);
+    return $tuple([
+      next_,
+      new NdArray(columns, [this.columns, 1, rows], "f"),
+      new NdArray(known, [1, rows], "b"),
+    ]);
   }
   counters(states) {
     return this.with(states, (at) => {
@@ -82,9 +137,17 @@ class PlainCore extends Compiled {
     this.held.push(this.config);
     if (map.__len__()) {
       this.map = $take(map, MAP);
-      const table = $as(map.get("coefficients"), "f"), at = $wasm.allocate(8 * Math.max(1, table.size));
+      const table = $as(map.get("coefficients"), "f"),
+        at = $wasm.allocate(8 * Math.max(1, table.size));
       $numbers(at, table.size).set(table.flat()[0]);
-      $wasm.shape_map(this.map, map.get("kind"), map.get("magnets") ? 1 : 0, table.shape[0], table.shape[1], at);
+      $wasm.shape_map(
+        this.map,
+        map.get("kind"),
+        map.get("magnets") ? 1 : 0,
+        table.shape[0],
+        table.shape[1],
+        at,
+      );
       this.held.push(this.map, at);
     }
     $checked($wasm.make_plain(this.observer, this.config, this.map));
@@ -97,19 +160,32 @@ class AdaptiveCore extends Compiled {
     this.core = core; // keeps its configuration and its map
     const given = $take(config, ADAPTIVE_CONFIG);
     this.held.push(given);
-    $checked($wasm.make_adaptive(this.observer, core.config, given, config.get("projection"), core.map));
+    $checked(
+      $wasm.make_adaptive(this.observer, core.config, given, config.get("projection"), core.map),
+    );
   }
   learnt(states) {
     return this.with(states, (at) => {
       const to = $wasm.allocate($wasm.size_of(LEARNT));
       $wasm.learnt(this.observer, at, to);
-      const out = $dict($fieldsOf(LEARNT).map(({ name, offset, count }) => { const v = [...$numbers(to + offset, count)]; return [name, count === 1 ? v[0] : v]; }));
+      const out = $dict(
+        $fieldsOf(LEARNT).map(({ name, offset, count }) => {
+          const v = [...$numbers(to + offset, count)];
+          return [name, count === 1 ? v[0] : v];
+        }),
+      );
       $wasm.release(to);
       return out;
     });
   }
-  restart(states, frozen) { return this.with(states, (at) => { $wasm.restart(this.observer, at, frozen ? 1 : 0); }); }
-  restarts(states) { return this.with(states, (at) => $wasm.restarts(at)); }
+  restart(states, frozen) {
+    return this.with(states, (at) => {
+      $wasm.restart(this.observer, at, frozen ? 1 : 0);
+    });
+  }
+  restarts(states) {
+    return this.with(states, (at) => $wasm.restarts(at));
+  }
 }
 // map_for and frozen are keywords in Python
 AdaptiveCore.prototype.restart = $fn("states frozen", AdaptiveCore.prototype.restart);
@@ -119,8 +195,18 @@ const $coreModule = ($m) => {
   $m.Core = (config, map) => new PlainCore(config, map);
   $m.Adaptive = (core, config) => new AdaptiveCore(core, config);
   Object.defineProperty($m, "outputs", { get: () => $outputNames(PLAIN_OUTPUTS) });
-  Object.defineProperty($m, "thresholds", { get: () => { const names = $fieldsOf(THRESHOLDS), values = $numbers($wasm.thresholds(), names.length); return $dict(names.map(({ name }, n) => [name, values[n]])); } });
+  Object.defineProperty($m, "thresholds", {
+    get: () => {
+      const names = $fieldsOf(THRESHOLDS),
+        values = $numbers($wasm.thresholds(), names.length);
+      return $dict(names.map(({ name }, n) => [name, values[n]]));
+    },
+  });
   Object.defineProperty($m, "adaptive_outputs", { get: () => $outputNames(ADAPTIVE_OUTPUTS) });
 };
 $module("fluxobs._core", $coreModule);
-$module("fluxobs._core_single", ($m) => { $m.Core = $m.Adaptive = () => { throw ValueError("the page computes in double precision only"); }; });
+$module("fluxobs._core_single", ($m) => {
+  $m.Core = $m.Adaptive = () => {
+    throw ValueError("the page computes in double precision only");
+  };
+});
