@@ -110,7 +110,7 @@ try {
   } else {
     results.show(found, await unpackedColumns(columns));
     $("status").textContent =
-      "The record is not in this file, so that it does not recompute; curves are rounded to a sixteenth of their noise.";
+      "The record is not in this file, so that it does not recompute; curves are rounded to a quarter of their own noise.";
   }
 } catch (error) {
   $("status").textContent = error.message;
