@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +18,8 @@ BLUE, ORANGE, GREY = "#1f5fa8", "#d9762b", "#8a8a8a"
 FORMATS = (".png", ".pdf", ".svg")
 #: Reports that can be looked at without any program but a browser.
 HTML = ".html"
+#: What --report may write.
+REPORTS = (HTML, *FORMATS)
 STYLE: Any = {
     "font.size": 9,
     "axes.spines.top": False,
@@ -55,10 +56,10 @@ def write(figure: Figure, path: Path) -> None:
             temporary.unlink()
 
 
-def check_path(path: Path, formats: Sequence[str] = FORMATS) -> None:
+def check_path(path: Path) -> None:
     """Refuse a path early that could not be written at the end."""
-    if path.suffix.lower() not in formats:
-        raise FluxobsError(f"{path}: --report must end in {', '.join(formats)}")
+    if path.suffix.lower() not in REPORTS:
+        raise FluxobsError(f"{path}: --report must end in {', '.join(REPORTS)}")
     check_place(path)
 
 

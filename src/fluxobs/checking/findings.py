@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +34,17 @@ class Finding:
     as_given: bool
     others: tuple[str, ...] = ()
     sure: str = ""
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The same, for JSON."""
+        return {
+            "kind": self.kind,
+            "words": self.words,
+            "as_given": self.as_given,
+            "others": list(self.others),
+            "sure": self.sure,
+        }
 
     def __str__(self) -> str:
         told = [f"this log cannot tell that from: {'; '.join(self.others)}"] if self.others else []

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
-from ..logs.log import Aligned, Log
+from ..logs.log import Aligned, Log, joined, less_lost
 from ..logs.scales import Scales
 from ..machines import Machine
 from ..observers import AdaptiveObserver
@@ -56,9 +54,7 @@ class Again:
         run = prepare(log, machine, unknowns, memory, priors or {}, self.scales)
         part = self._aligned(log)
         if run.log.inverter is not None:
-            before = np.concatenate([part.current[:1], part.current[:-1]])
-            lost = run.log.inverter.lost(before, part.current)
-            part = part._replace(voltage=part.voltage - lost)
+            part = less_lost(part, run.log.inverter, part.current[:1])
         observer: Any = run.observer
         state = observer.init()
         if isinstance(observer, AdaptiveObserver):
@@ -71,12 +67,7 @@ class Again:
         """All rows with the voltages as commanded; those of the last two lags are kept."""
         lag = log.layout.lag
         if lag not in self._parts:
-            parts = list(log.aligned())
-            whole = zip(*(part[:3] for part in parts), strict=True)
-            t, current, voltage = (np.concatenate(column) for column in whole)
-            truth = [part.truth for part in parts if part.truth is not None]
             if len(self._parts) > 1:
                 self._parts.pop(next(iter(self._parts)))
-            joined = np.concatenate(truth) if truth else None
-            self._parts[lag] = Aligned(t, current, voltage, joined)
+            self._parts[lag] = joined(list(log.aligned()))
         return self._parts[lag]

@@ -11,7 +11,7 @@ import numpy as np
 from .. import web
 from ..checking.findings import Check
 from ..logs.log import Log
-from ..machines import Machine
+from ..machines.written import machine_text
 from ..observers import ImmersionObserver
 from ..output import write_text
 from ..web.columns import exact, flags, rounded
@@ -68,21 +68,12 @@ def _words(result: Result, command: str | None) -> dict[str, Any]:
     findings = () if checked is None else checked.findings
     return {
         "log": result.log.path.name,
-        "machine": _machine_text(result.machine),
+        "machine": machine_text(result.machine, [], {}),
         "summary": result.summary,
         "warnings": result.warnings,
         "notes": list(result.log.notes),
         "taken": _taken(result.log),
-        "findings": [
-            {
-                "kind": one.kind,
-                "words": one.words,
-                "as_given": one.as_given,
-                "others": list(one.others),
-                "sure": one.sure,
-            }
-            for one in findings
-        ],
+        "findings": [one.facts for one in findings],
         "check_notes": [] if checked is None else checked.lines()[len(findings) :],
         "commands": [one for one in (command, result.export_command("MACHINE")) if one],
         "parameters": _learnt(result),
@@ -101,9 +92,7 @@ def _taken(log: Log) -> list[list[str]]:
 
 
 def _learnt(result: Result) -> list[list[str]]:
-    from .facts import facts
-
-    found: Mapping[str, Any] = facts(result, [], None)["parameters"]
+    found: Mapping[str, Any] = result.facts["parameters"]
     return [
         [name, f"{one['value']:.6g}", f"{2 * one['std']:.2g}", one["unit"], f"{one['given']:.6g}"]
         for name, one in found.items()
@@ -139,23 +128,10 @@ def _found(result: Result) -> dict[str, Any]:
     }
 
 
-def _machine_text(machine: Machine) -> str:
-    """The parameters as a machine file has them."""
-    values = {name: v for name, v in machine.parameters().items() if v is not None}
-    rows = [f'kind = "{machine.kind}"']
-    for name, value in values.items():
-        if name == "flux_map":
-            rows += [f"# {name} = {value.text()}"]
-        else:
-            rows.append(f"{name} = {value!r}")
-    return "\n".join(rows) + "\n"
-
-
 def _record(result: LogRun) -> dict[str, Any] | None:
     """The channels of the log with all that reading them again needs; None if they are too many."""
     log = result.log
-    plain = isinstance(getattr(result.machine, "flux_map", None), type(None))
-    if len(log) > MOST_ROWS or not plain:
+    if len(log) > MOST_ROWS or getattr(result.machine, "flux_map", None) is not None:
         return None
     parts = list(log.channels(log.first, log.last))
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

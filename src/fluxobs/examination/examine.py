@@ -77,16 +77,7 @@ class Examination(Check):
         """Findings and page as JSON can hold them."""
         return {
             "sound": self.sound,
-            "findings": [
-                {
-                    "kind": one.kind,
-                    "words": one.words,
-                    "as_given": one.as_given,
-                    "others": list(one.others),
-                    "sure": one.sure,
-                }
-                for one in self.findings
-            ],
+            "findings": [one.facts for one in self.findings],
             "residual_given": _finite(self.residual_given),
             "residual": _finite(self.residual),
             "notes": [*self.notes, *(self.log.notes if self.log is not None else ())],
@@ -110,10 +101,10 @@ class Examination(Check):
         """Write the page as a picture or .html; FluxobsError if the file exists and `force` is not
         given."""
         from ..html import document
-        from ..plots import FORMATS, HTML, write
+        from ..plots import HTML, REPORTS, write
 
         path = Path(path)
-        check_new(path, (HTML, *FORMATS), force, "--report")
+        check_new(path, REPORTS, force, "--report")
         if path.suffix.lower() != HTML:
             write(self.plot(), path)
             return

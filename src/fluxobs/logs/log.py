@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -34,6 +34,21 @@ class Aligned(NamedTuple):
     current: Array
     voltage: Array
     truth: Array | None
+
+
+def joined(parts: Sequence[Aligned]) -> Aligned:
+    """Join pieces into one."""
+    t, current, voltage = (
+        np.concatenate(column) for column in zip(*(part[:3] for part in parts), strict=True)
+    )
+    truth = [part.truth for part in parts if part.truth is not None]
+    return Aligned(t, current, voltage, np.concatenate(truth) if truth else None)
+
+
+def less_lost(part: Aligned, inverter: InverterError, before: Array) -> Aligned:
+    """Rows less what the inverter loses; `before` is the current of the row before them, (1, 2)."""
+    currents = np.concatenate([before, part.current])
+    return part._replace(voltage=part.voltage - inverter.lost(currents[:-1], currents[1:]))
 
 
 # Time, current, angle in the middle of the interval ending now (frame dq), truth.
@@ -238,10 +253,8 @@ class Log:
             if self.inverter is None:
                 yield part
                 continue
-            joined = np.concatenate([part.current[:1] if before is None else before, part.current])
+            yield less_lost(part, self.inverter, part.current[:1] if before is None else before)
             before = part.current[-1:]
-            lost = self.inverter.lost(joined[:-1], joined[1:])
-            yield part._replace(voltage=part.voltage - lost)
 
     def _as_commanded(self, first: int | None, last: int | None, size: int) -> Iterator[Aligned]:
         first = self.first if first is None else first

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import RecordError
 from ..model.frames import wrap
-from .log import Aligned, Log
+from .log import Aligned, Log, joined
 
 Array = NDArray[np.float64]
 
@@ -48,13 +48,13 @@ class Scales:
 def excerpts(log: Log) -> Iterator[Aligned]:
     """Yield evenly spread pieces of a log, independent of its format; all of it if it is short."""
     if len(log) <= EXCERPTS * EXCERPT_ROWS:
-        yield _joined(list(log.aligned()))
+        yield joined(list(log.aligned()))
         return
     spacing = len(log) // EXCERPTS
     starts = [log.first + n * spacing for n in range(EXCERPTS)]
     if log.table.random_access:
         for start in starts:
-            yield _joined(list(log.aligned(start, start + EXCERPT_ROWS)))
+            yield joined(list(log.aligned(start, start + EXCERPT_ROWS)))
         return
     row, pieces = log.first, []
     for part in log.aligned():
@@ -65,18 +65,9 @@ def excerpts(log: Log) -> Iterator[Aligned]:
                 t, current, voltage = (column[low:high] for column in part[:3])
                 pieces.append(Aligned(t, current, voltage, truth))
                 if row + high == start + EXCERPT_ROWS:
-                    yield _joined(pieces)
+                    yield joined(pieces)
                     pieces = []
         row += len(part.t)
-
-
-def _joined(parts: list[Aligned]) -> Aligned:
-    """Join pieces into one."""
-    t, current, voltage = (
-        np.concatenate(column) for column in zip(*(part[:3] for part in parts), strict=True)
-    )
-    truth = [part.truth for part in parts if part.truth is not None]
-    return Aligned(t, current, voltage, np.concatenate(truth) if truth else None)
 
 
 def white_noise(signal: Array) -> float:

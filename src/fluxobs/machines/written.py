@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..output import check_new, write_text
+from .contract import Machine
 from .rotating import RotatingMachine
 
 #: What a parameter may change by until the next log, as a share of it: copper by heat, 40 K,
@@ -35,7 +36,7 @@ def with_found(
 
 
 def machine_text(
-    machine: RotatingMachine, head: Sequence[str], found: Mapping[str, tuple[float, float]]
+    machine: Machine, head: Sequence[str], found: Mapping[str, tuple[float, float]]
 ) -> str:
     """The text of a machine file: comment lines, then a parameter a line, with what was found."""
     rows = [*(f"# {line}" for line in head), f'kind = "{machine.kind}"']

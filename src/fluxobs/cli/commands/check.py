@@ -53,10 +53,10 @@ def check(
     """
     from ... import check as run
     from ...output import check_new
-    from ...plots import FORMATS, HTML
+    from ...plots import REPORTS
 
     if report is not None:
-        check_new(report, (HTML, *FORMATS), force, "--report")
+        check_new(report, REPORTS, force, "--report")
     with show.Progress() as progress:
         found = run(log, machine, cold_resistance=cold_resistance, progress=progress, **layout)
         items = found.items if as_json or report or not (quiet or only_mistakes) else ()

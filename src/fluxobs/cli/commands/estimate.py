@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ...web import built
 from .. import show
 from ..options import (
     ForceOption,
@@ -113,12 +112,14 @@ def estimate(
 
     if out is not None:
         refuse_input_as_output(out, machine, layout.get("record"))
+    html = report is not None and report.suffix.lower() == ".html"
     if report is not None:
-        from ...plots import FORMATS, HTML, check_path
+        from ...plots import REPORTS, check_path
+        from ...web import built
 
-        check_path(report, (HTML, *FORMATS))
-        check_new(report, (HTML, *FORMATS), force, "--report")
-        if report.suffix.lower() == HTML:
+        check_path(report)
+        check_new(report, REPORTS, force, "--report")
+        if html:
             built("report.html")  # or say now that it is missing
     if save_record is not None:
         check_new(save_record, (".toml",), force, "--save-record")
@@ -132,7 +133,7 @@ def estimate(
             log,
             machine,
             out=out,
-            keep=report is not None and report.suffix.lower() == ".html",
+            keep=html,
             force=force,
             unknowns=unknowns,
             causal=causal,

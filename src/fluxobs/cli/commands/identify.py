@@ -58,10 +58,10 @@ def identify(
     refuse_input_as_output(out, log, layout.get("record"))
     check_machine_file(out, force)
     if report is not None:
-        from ...plots import FORMATS, HTML, check_path
+        from ...plots import REPORTS, check_path
 
-        check_path(report, (HTML, *FORMATS))
-        check_new(report, (HTML, *FORMATS), force, "--report")
+        check_path(report)
+        check_new(report, REPORTS, force, "--report")
     with show.Progress():
         found = run(log, machine, free=free, **layout)
         found.write(out, force=force)
