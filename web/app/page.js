@@ -1,7 +1,7 @@
 // The page: a log is dropped, a machine chosen; estimates, verdicts and files come out.
 
 import { start, unpacked } from "./ask.js";
-import { Results, element } from "./results.js";
+import { Results, element, themed } from "./results.js";
 
 const $ = (id) => document.getElementById(id);
 const state = { files: [], known: null, found: null };
@@ -377,14 +377,6 @@ $("save-machine").addEventListener("click", async () => {
   }
 });
 $("copy").addEventListener("click", () => navigator.clipboard?.writeText($("command").textContent));
-$("theme").addEventListener("click", () => {
-  const dark = matchMedia("(prefers-color-scheme: dark)").matches;
-  document.documentElement.dataset.theme =
-    (document.documentElement.dataset.theme ?? (dark ? "dark" : "light")) === "dark"
-      ? "light"
-      : "dark";
-  results.panels.resize();
-  results.window();
-});
+themed($("theme"), results);
 document.body.dataset.ready = "1";
 window.fluxobs = { state, results, ask };

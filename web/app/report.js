@@ -1,7 +1,7 @@
 // A report: the words of a run, its pictures, and, where the record is inside, other runs of it.
 
 import { start, unpack } from "./ask.js";
-import { Results, element } from "./results.js";
+import { Results, element, themed } from "./results.js";
 
 const $ = (id) => document.getElementById(id);
 const began = performance.now();
@@ -120,13 +120,5 @@ try {
 $("progress").hidden = true;
 document.body.dataset.milliseconds = (performance.now() - began).toFixed(0);
 document.body.dataset.done = "1";
-$("theme").addEventListener("click", () => {
-  const dark = matchMedia("(prefers-color-scheme: dark)").matches;
-  document.documentElement.dataset.theme =
-    (document.documentElement.dataset.theme ?? (dark ? "dark" : "light")) === "dark"
-      ? "light"
-      : "dark";
-  results.panels.resize();
-  results.window();
-});
+themed($("theme"), results);
 window.fluxobs = { results, found, words };

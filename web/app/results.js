@@ -11,6 +11,17 @@ export const element = (tag, attributes = {}, ...children) => {
   return out;
 };
 
+// A button that turns light into dark and back.
+export function themed(button, results) {
+  button.addEventListener("click", () => {
+    const { dataset } = document.documentElement;
+    const dark = matchMedia("(prefers-color-scheme: dark)").matches;
+    dataset.theme = (dataset.theme ?? (dark ? "dark" : "light")) === "dark" ? "light" : "dark";
+    results.panels.resize();
+    results.window();
+  });
+}
+
 // Numbers of three digits with an SI prefix.
 export function si(value, unit) {
   if (!Number.isFinite(value)) return "–";
@@ -271,7 +282,7 @@ export class Results {
     );
   }
 
-  explain({ summary, warnings, findings, check_notes: notes, truth }) {
+  explain({ summary, warnings, findings, check_notes: notes }) {
     this.words.replaceChildren(
       element("p", { className: "summary", textContent: summary }),
       ...warnings.map((text) =>
@@ -313,7 +324,6 @@ export class Results {
           )
         : null,
     );
-    void truth;
   }
 
   makeSliders() {

@@ -24,21 +24,10 @@ const python = (x) =>
       ? $dict(Object.entries(x).map(([k, v]) => [k, python(v)]))
       : x;
 
-const opened = {
-  paths: [],
-  log: null,
-  machine: null,
-  passes: null,
-  run: null,
-  again: null,
-  columns: null,
-};
+const opened = { paths: [], log: null, run: null, kept: null };
 
 // Columns as they are drawn: double precision as long as memory allows.
 const DOUBLE_ROWS = 3_000_000;
-const column = (values, rows) =>
-  values instanceof Uint8Array ? values : rows > DOUBLE_ROWS ? Float32Array.from(values) : values;
-
 function gather(total) {
   const out = new Map();
   let at = 0;
@@ -84,7 +73,6 @@ function machineFrom(text) {
 }
 
 function layoutOf(options) {
-  const { fields_from } = $py("logs.layout");
   const layout = Object.fromEntries(
     Object.entries(options ?? {}).filter(
       ([, v]) =>
@@ -93,11 +81,6 @@ function layoutOf(options) {
         !(typeof v === "object" && !Array.isArray(v) && !Object.keys(v).length),
     ),
   );
-  if (layout.record) {
-    $files.set("record.toml", $encoded(layout.record, "utf-8"));
-    fields_from(layout.record, "record.toml");
-    layout.record = "record.toml";
-  }
   return Object.fromEntries(Object.entries(layout).map(([k, v]) => [k, python(v)]));
 }
 
@@ -107,6 +90,28 @@ const settings = (given) => ({
   causal: given.causal ?? false,
   priors: python(given.priors ?? {}),
 });
+
+// Run over a log; its columns. Page and report do it alike.
+function runOver(log, machine, unknowns, memory, priors, causal, progress) {
+  const share = (done, of) => progress(done / of);
+  const passes = $py("estimation.passes").Passes.begun(
+    log,
+    machine,
+    unknowns,
+    memory,
+    priors,
+    causal,
+    share,
+  );
+  const kept = gather(len(log));
+  for (const rows of passes.rows(share)) kept.add(rows);
+  opened.log = log;
+  opened.run = $py("estimation.explained").ExplainedRun(
+    $kw(Object.fromEntries(passes.found().items())),
+  );
+  opened.kept = null;
+  return kept.columns();
+}
 
 const actions = {
   machines() {
@@ -141,7 +146,7 @@ const actions = {
   open({ files }) {
     for (const { name, bytes: data } of files) $files.set(name, new Uint8Array(data));
     opened.paths = files.map((one) => one.name);
-    opened.log = opened.run = opened.again = null;
+    opened.log = opened.run = opened.kept = null;
     return {};
   },
 
@@ -158,36 +163,18 @@ const actions = {
   },
 
   estimate({ machine, options, ...given }, progress) {
-    const { open_for } = $py("logs.for_machine"),
-      { Passes } = $py("estimation.passes"),
-      { ExplainedRun } = $py("estimation.explained"),
-      { Again } = $py("estimation.again");
-    const { read_unknowns } = $py("observers.unknowns");
     const { unknowns, memory, causal, priors } = settings(given);
-    opened.machine = machineFrom(machine);
-    const join = opened.paths.slice(1),
+    const made = machineFrom(machine),
+      join = opened.paths.slice(1),
       layout = layoutOf({ ...options, ...(join.length ? { join } : {}) });
-    const log = open_for(opened.paths[0], opened.machine, $kw(layout));
-    opened.log = log;
-    const passes = Passes.begun(
-      log,
-      opened.machine,
-      read_unknowns(unknowns),
-      memory,
-      priors,
-      causal,
-      (done, of) => progress(done / of),
-    );
-    const kept = gather(len(log));
-    for (const rows of passes.rows((done, of) => progress(done / of))) kept.add(rows);
-    opened.run = ExplainedRun($kw(Object.fromEntries(passes.found().items())));
-    opened.again = new Map();
-    opened.makeAgain = () => Again(log, opened.run.scales);
+    const log = $py("logs.for_machine").open_for(opened.paths[0], made, $kw(layout));
+    const chosen = $py("observers.unknowns").read_unknowns(unknowns);
+    const columns = runOver(log, made, chosen, memory, priors, causal, progress);
     const run = opened.run,
       machineNow = run.machine,
       taken = log.names.items();
     return {
-      columns: kept.columns(),
+      columns,
       rows: len(log),
       sample_time: log.sample_time,
       lag: log.layout.lag,
@@ -207,7 +194,6 @@ const actions = {
         title: machineNow.position_output.title,
         half_turn: machineNow.half_turn_ambiguous,
       },
-      outputs: actions.outputs(),
       kind: machineNow.kind,
     };
   },
@@ -219,50 +205,19 @@ const actions = {
         name === "truth" ? truth : name,
         new NdArray(values, [values.length], "f"),
       ]);
-    opened.machine = machineFrom(machine);
-    const { open_for } = $py("logs.for_machine"),
-      { Again } = $py("estimation.again");
+    const made = machineFrom(machine);
     const given = Object.fromEntries(Object.entries(fields).filter(([, v]) => v !== null));
-    const log = open_for(
+    const log = $py("logs.for_machine").open_for(
       $dict(channels),
-      opened.machine,
+      made,
       $kw({
         ...given,
         ...(truth ? { truth: $dict([[truth, truth]]) } : { truth: $dict([["none", "-"]]) }),
       }),
     );
-    const { Passes } = $py("estimation.passes");
-    const passes = Passes.begun(
-      log,
-      opened.machine,
-      $tuple([...unknowns]),
-      memory,
-      python(priors),
-      causal,
-      (done, of) => progress(done / of),
-    );
-    const kept = gather(len(log));
-    for (const rows of passes.rows((done, of) => progress(done / of))) kept.add(rows);
-    const found = $py("estimation.explained").ExplainedRun(
-      $kw(Object.fromEntries(passes.found().items())),
-    );
-    opened.log = log;
-    opened.run = found;
-    opened.makeAgain = () => Again(log, found.scales);
-    const out = kept.columns();
+    const out = runOver(log, made, $tuple([...unknowns]), memory, python(priors), causal, progress);
     for (let k = 0; k < out.t.length; k++) out.t[k] = t ? t[k] : start + out.t[k];
     return { columns: out };
-  },
-
-  outputs() {
-    const { outputs } = $py("observers.outputs"),
-      { AdaptiveEstimate } = $py("observers.adaptive");
-    return outputs(AdaptiveEstimate).map((one) => ({
-      name: one.name,
-      unit: one.unit,
-      about: one.about,
-      vector: one.vector,
-    }));
   },
 
   // Summary, warnings and verdicts: what takes longer than the picture.
@@ -274,16 +229,7 @@ const actions = {
       summary: run.summary,
       warnings: plain(run.warnings),
       facts: plain(run.facts),
-      findings:
-        found === null
-          ? []
-          : found.findings.map((one) => ({
-              kind: one.kind,
-              words: one.words,
-              as_given: one.as_given,
-              others: plain(one.others),
-              sure: one.sure,
-            })),
+      findings: found === null ? [] : found.findings.map((one) => plain(one.facts)),
       check_notes: found === null ? [] : plain(found.lines().slice(found.findings.length)),
       fit: fit === null ? null : plain(fit.words),
     };
@@ -291,11 +237,10 @@ const actions = {
 
   // The same rows with other parameters.
   again({ changes, memory, lag, unknowns, priors }) {
-    opened.kept ??= null;
-    if (opened.kept?.of !== opened.run) opened.kept = { of: opened.run, again: opened.makeAgain() };
+    opened.kept ??= $py("estimation.again").Again(opened.log, opened.run.scales);
     const machine = opened.run.machine.with_values($kw(changes ?? {}));
     const chosen = unknowns ?? plain(opened.run.unknowns);
-    const rows = opened.kept.again.rows(
+    const rows = opened.kept.rows(
       machine,
       $tuple([...chosen]),
       memory ?? null,
@@ -321,10 +266,6 @@ const actions = {
         found,
       ),
     };
-  },
-
-  export_command({ machine }) {
-    return { command: opened.run.export_command(machine), why: opened.run.firmware };
   },
 };
 
