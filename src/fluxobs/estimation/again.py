@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..logs.log import Aligned, Log, joined, less_lost
+from ..logs.aligned import Aligned, joined, less_lost
+from ..logs.log import Log
 from ..logs.scales import Scales
 from ..machines import Machine
 from ..observers import AdaptiveObserver

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..logs.log import Aligned, Log
+from ..logs.aligned import Aligned
+from ..logs.log import Log
 from ..machines import Machine
 from ..observers import AdaptiveEstimate, Estimate, ImmersionEstimate, ImmersionObserver
 from ..observers.derived import derived

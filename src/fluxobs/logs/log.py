@@ -2,83 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordError
-from ..model.frames import Frame, alphabeta_current, native_voltage, rotate, wrap
+from ..model.frames import Frame
 from ..model.held import Held
 from ..model.inverter import InverterError
+from .aligned import Aligned, Aligning
 from .clock import Clock
 from .formats import BATCH, Table
 from .formats.table import Columns
 from .layout import Layout
-from .record import Record, check_lag, interval_rows
+from .record import Record, check_lag
 
 Array = NDArray[np.float64]
 
 MINIMUM_ROWS = 20
-
-
-class Aligned(NamedTuple):
-    """Rows of a log: time [s], current now, mean voltage over the interval ending now, and the
-    scaled truth channel: an electrical or mechanical angle [rad], or a position [m].
-    """
-
-    t: Array
-    current: Array
-    voltage: Array
-    truth: Array | None
-
-
-def joined(parts: Sequence[Aligned]) -> Aligned:
-    """Join pieces into one."""
-    t, current, voltage = (
-        np.concatenate(column) for column in zip(*(part[:3] for part in parts), strict=True)
-    )
-    truth = [part.truth for part in parts if part.truth is not None]
-    return Aligned(t, current, voltage, np.concatenate(truth) if truth else None)
-
-
-def less_lost(part: Aligned, inverter: InverterError, before: Array) -> Aligned:
-    """Rows less what the inverter loses; `before` is the current of the row before them, (1, 2)."""
-    currents = np.concatenate([before, part.current])
-    return part._replace(voltage=part.voltage - inverter.lost(currents[:-1], currents[1:]))
-
-
-# Time, current, angle in the middle of the interval ending now (frame dq), truth.
-_Piece = tuple[Array, Array, Array | None, Array | None]
-
-
-def _join(one: _Piece | None, other: _Piece) -> _Piece:
-    if one is None or len(one[0]) == 0:
-        return other
-    (t0, i0, m0, h0), (t1, i1, m1, h1) = one, other
-    return (
-        np.concatenate([t0, t1]),
-        np.concatenate([i0, i1]),
-        None if m0 is None or m1 is None else np.concatenate([m0, m1]),
-        None if h0 is None or h1 is None else np.concatenate([h0, h1]),
-    )
-
-
-def _split(piece: _Piece, at: int) -> tuple[_Piece, _Piece]:
-    t, i, m, h = piece
-    return (
-        (t[:at], i[:at], None if m is None else m[:at], None if h is None else h[:at]),
-        (t[at:], i[at:], None if m is None else m[at:], None if h is None else h[at:]),
-    )
-
-
-def _align(piece: _Piece, source: Array, lag: float, first: int, held: int) -> Aligned:
-    t, current, middle, truth = piece
-    voltage = interval_rows(source, lag, first, first + len(t), held)
-    return Aligned(t, current, voltage if middle is None else rotate(voltage, middle), truth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +150,9 @@ class Log:
         """The same log, with voltages that act `by` samples earlier."""
         return replace(self, layout=self.layout.model_copy(update={"lag": self.layout.lag + by}))
 
-    def _columns(self) -> list[str]:
+    @property
+    def columns(self) -> list[str]:
+        """Columns that are read."""
         return [*self.names.values(), *(() if self.true is None else self.true.columns)]
 
     def _scaled(self, channel: str, values: Array) -> Array:
@@ -214,23 +160,21 @@ class Log:
         values = values if scale == 1.0 else values * scale
         return values if offset == 0.0 else values + offset
 
-    def _channels(self, part: Columns) -> Columns:
+    def channels_of(self, part: Columns) -> tuple[Columns, Array | None]:
+        """Channels and true channel of some rows of its table, scaled, before any transform."""
         channels = {name: self._scaled(name, part[column]) for name, column in self.names.items()}
         if self.frame == "duty" and self.layout.udc is not None:
             link = np.full(len(next(iter(channels.values()))), self.layout.udc)
             channels["udc"] = self._scaled("udc", link)
-        return channels
-
-    def _truth(self, part: Columns) -> Array | None:
         if self.true is None:
-            return None
+            return channels, None
         values = self.true.of([part[column] for column in self.true.columns])
-        return self._scaled(self.true.channel, values)
+        return channels, self._scaled(self.true.channel, values)
 
     def channels(self, first: int, last: int) -> Iterator[Columns]:
         """Yield rows of the channels, scaled, before any transform; "truth" is the true angle."""
-        for part in self.table.batches(self._columns(), first, last, BATCH):
-            channels, truth = self._channels(part), self._truth(part)
+        for part in self.table.batches(self.columns, first, last, BATCH):
+            channels, truth = self.channels_of(part)
             yield channels if truth is None else channels | {"truth": truth}
 
     def _time(self, channels: Columns, row: int, count: int) -> Array:
@@ -248,45 +192,20 @@ class Log:
         RecordError
             A value is not a number; the message says where.
         """
-        before: Array | None = None
-        for part in self._as_commanded(first, last, size):
-            if self.inverter is None:
-                yield part
-                continue
-            yield less_lost(part, self.inverter, part.current[:1] if before is None else before)
-            before = part.current[-1:]
-
-    def _as_commanded(self, first: int | None, last: int | None, size: int) -> Iterator[Aligned]:
         first = self.first if first is None else first
         last = self.last if last is None else last
-        lag = self.layout.lag
-        source = np.empty((0, 2))  # voltages as recorded, rows held … row - 1
-        held = emitted = row = first
-        waiting: _Piece | None = None  # rows whose voltage may not have been read yet
-        previous_angle = np.nan
-        for part in self.table.batches(self._columns(), first, last, size):
-            channels = self._channels(part)
-            count = len(next(iter(channels.values())))
-            t = self._time(channels, row, count)
-            middle = None
-            if self.frame == "dq":
-                angle = np.r_[previous_angle, channels["theta_e"]]
-                middle = angle[:-1] + wrap(np.diff(angle)) / 2
-                previous_angle = float(angle[-1])
-            source = np.concatenate([source, native_voltage(self.frame, channels)])
-            row += count
-            current = alphabeta_current(self.current_frame, channels)
-            waiting = _join(waiting, (t, current, middle, self._truth(part)))
-            # Row k needs the voltage row at or above k - 1 + lag.
-            ready = min(row, row - int(np.ceil(lag - 1)))
-            if ready > emitted:
-                done, waiting = _split(waiting, ready - emitted)
-                yield _align(done, source, lag, emitted, held)
-                emitted = ready
-            keep = min(max(held, emitted - 1 + int(np.floor(lag))), row)
-            source, held = source[keep - held :], keep
-        if waiting is not None and row > emitted:
-            yield _align(waiting, source, lag, emitted, held)
+        aligning = self.aligning(first)
+        row = first
+        for part in self.table.batches(self.columns, first, last, size):
+            channels, truth = self.channels_of(part)
+            t = self._time(channels, row, len(next(iter(channels.values()))))
+            yield from aligning.add(t, channels, truth)
+            row += len(t)
+        yield from aligning.end()
+
+    def aligning(self, first: int = 0) -> Aligning:
+        """What aligns its rows, from that one on."""
+        return Aligning(self.frame, self.current_frame, self.layout.lag, self.inverter, first)
 
     def to_record(self) -> Record:
         """The whole log in memory; its voltages are aligned, so its lag is 0."""

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ..errors import RecordError
 from ..model.frames import wrap
-from .log import Aligned, Log, joined
+from .aligned import Aligned, joined
+from .log import Log
 
 Array = NDArray[np.float64]
 
