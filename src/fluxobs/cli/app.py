@@ -20,6 +20,7 @@ from .commands.demo import demo
 from .commands.estimate import estimate
 from .commands.export import export
 from .commands.identify import identify
+from .commands.live import live
 from .commands.machine import app as machine
 from .commands.machines import machines
 from .commands.page import page
@@ -69,7 +70,7 @@ def _options(
 
 COMMANDS = (
     *(estimate, check, channels, identify, compare, export),
-    *(machines, presets, page, demo, reproduce),
+    *(live, page, machines, presets, demo, reproduce),
 )
 for command in COMMANDS:
     app.command(name=command.__name__)(command)

@@ -115,6 +115,17 @@ def even(rows: int, sample_time: float, t0: float = 0.0) -> Clock:
     return Clock(sample_time, t0, rows, zero, zero, np.array([t0]), 0, 0.0, 0.0, index, 0.0)
 
 
+def longest_step(h: float, rounding: float) -> float:
+    """The longest step of stamps that is no gap [s], for a sample time and their rounding [s]."""
+    return GAP * h + (rounding if rounding >= ROUNDED * h else 0.0)
+
+
+def missing_steps(steps: Array, h: float, rounding: float) -> NDArray[np.int64]:
+    """Samples that are missing within each step of the stamps."""
+    lacking = np.maximum(1, np.round(steps / h) - 1)
+    return np.where(steps > longest_step(h, rounding), lacking, 0).astype(np.int64)
+
+
 class _Reader:
     """One pass over the time column."""
 
@@ -202,7 +213,6 @@ class _Reader:
     def clock(self) -> Clock:
         """Read all of it."""
         h = self.given or self.step
-        gap = GAP * h + (self.rounding if self.rounding >= ROUNDED * h else 0.0)
         slack = max(EVEN * h, 1.05 * self.rounding)
         limit = (JITTER if self.given is None else JITTER_GIVEN) * h
         rows_at, after, skipped = [0], [self.t0], [0]
@@ -221,11 +231,12 @@ class _Reader:
             index.append(tail[-row % INDEXED :: INDEXED])
             if self.rounding < ROUNDED * h and (steps <= 0).any():
                 self._backwards(whole, known, int(np.argmax(steps <= 0)))
-            gaps = np.flatnonzero(steps > gap)
+            lacking = missing_steps(steps, h, self.rounding)
+            gaps = np.flatnonzero(lacking)
             for n in gaps:
                 rows_at.append(known + int(n) + 1)
                 after.append(float(whole[n + 1]))
-                skipped.append(max(1, round(steps[n] / h) - 1))
+                skipped.append(int(lacking[n]))
             ordinary = np.delete(steps, gaps)
             off = np.abs(ordinary - (self.given or self.typical))
             total, count = total + float(ordinary.sum()), count + len(ordinary)

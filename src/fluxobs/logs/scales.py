@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,8 +95,13 @@ def measure_scales(log: Log) -> Scales:
     RecordError
         It has no finite current or voltage, or one of them is zero throughout.
     """
+    return scales_of(excerpts(log), log.sample_time, log.path)
+
+
+def scales_of(parts: Iterable[Aligned], sample_time: float, path: Path) -> Scales:
+    """The same, of some pieces of a log."""
     currents, voltages, noise, voltage_noise, turning = [], [], [], [], []
-    for part in excerpts(log):
+    for part in parts:
         turning.append(np.abs(wrap(np.diff(np.arctan2(part.current[:, 1], part.current[:, 0])))))
         currents.append(np.hypot(*part.current.T))
         voltages.append(np.hypot(*part.voltage.T))
@@ -107,10 +113,10 @@ def measure_scales(log: Log) -> Scales:
     i, u = i[np.isfinite(i)], u[np.isfinite(u)]
     for what, values in (("current", i), ("voltage", u)):
         if len(values) == 0:
-            raise RecordError(f"{log.table.path}: no row has a {what}; are the columns right?")
+            raise RecordError(f"{path}: no row has a {what}; are the columns right?")
         if not values.any():
             raise RecordError(
-                f"{log.table.path}: the {what} is zero in every row: nothing can be learnt "
+                f"{path}: the {what} is zero in every row: nothing can be learnt "
                 f"from it; are column and scale right?"
             )
     return Scales(
@@ -118,5 +124,5 @@ def measure_scales(log: Log) -> Scales:
         float(np.percentile(u, 95)),
         float(np.median(noise)),
         float(np.median(voltage_noise)),
-        float(np.percentile(turned, 95)) / log.sample_time if len(turned) else 0.0,
+        float(np.percentile(turned, 95)) / sample_time if len(turned) else 0.0,
     )

@@ -41,7 +41,7 @@ KNEE = 0.2  # A: the sign of a phase current is tanh(i / KNEE)
 SEED = 20261121
 
 
-def _smooth(t: Array, *knots: tuple[float, float]) -> Array:
+def smooth(t: Array, *knots: tuple[float, float]) -> Array:
     """Curve through the knots (time, value), with level ends and half cosines in between."""
     out = np.full_like(t, knots[0][1])
     for (t0, y0), (t1, y1) in pairwise(knots):
@@ -55,9 +55,9 @@ def generate() -> dict[str, Array]:
     machine = rotating(example(MACHINE))
     rows, parts = round(DURATION / SAMPLE_TIME), 16
     t = np.asarray(np.arange(rows * parts + 1) * SAMPLE_TIME / parts)
-    speed = _smooth(t, (0.0, 350.0), (0.3, 350.0), (0.6, 900.0), (1.0, 900.0), (1.5, -500.0))
-    i_q = _smooth(t, (0.3, 1.0), (0.4, 6.0), (0.6, 2.0), (0.8, 2.0), (0.81, 9.0), (1.0, 9.0))
-    i_q += _smooth(t, (1.0, 0.0), (1.1, -14.0), (1.5, -14.0), (1.6, -11.0))
+    speed = smooth(t, (0.0, 350.0), (0.3, 350.0), (0.6, 900.0), (1.0, 900.0), (1.5, -500.0))
+    i_q = smooth(t, (0.3, 1.0), (0.4, 6.0), (0.6, 2.0), (0.8, 2.0), (0.81, 9.0), (1.0, 9.0))
+    i_q += smooth(t, (1.0, 0.0), (1.1, -14.0), (1.5, -14.0), (1.6, -11.0))
     true = driven(machine, SAMPLE_TIME, speed, 1j * i_q, parts, theta0=0.8)
 
     command = vectors(true.voltage + inverter_loss(true.mean_current, INVERTER_VOLTAGE, KNEE))

@@ -182,6 +182,21 @@ class TextTable(Table):
         if left:
             yield left
 
+    def parsed(self, block: bytes) -> Columns:
+        """All columns of further lines, as a stream brings them; NaN where a cell is no number.
+
+        Raises
+        ------
+        Ragged
+            A line has too many cells.
+        """
+        numbers = [n for name, n in self._index.items() if name not in self._clocks]
+        clocks = [self._index[name] for name in self._clocks]
+        parsed = Cells.of(block, self.structure, numbers, clocks)
+        if parsed.surplus and not self.structure.said.sample_time:
+            raise Ragged("lines of different length")
+        return {name: self._column(parsed, name)[0] for name in self.columns}
+
     def _column(self, parsed: Cells, name: str) -> tuple[Array, bool]:
         """Numbers of a column, of a clock its seconds, and whether every cell has one."""
         n = self._index[name]

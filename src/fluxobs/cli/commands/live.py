@@ -1,0 +1,144 @@
+"""`fluxobs live`."""
+
+from __future__ import annotations
+
+import shlex
+import tempfile
+import webbrowser
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .. import show
+from ..options import ForceOption, PriorOption, numbers, reads_logs
+
+if TYPE_CHECKING:
+    from ...live import Watch
+    from ...live.sources import Source
+
+#: The machine of the demo.
+DEMO_MACHINE = "servo-400w"
+
+
+@reads_logs("start", "stop", "join", "align", "record", "fit_truth")
+def live(
+    layout: dict[str, Any],
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            help="A serial port (/dev/ttyACM0, COM3), udp:PORT, socket://HOST:PORT, a file that "
+            "is being written, or - for standard input. It sends lines of CSV, or the frames of "
+            "an exported observer's telemetry.c.",
+        ),
+    ] = "",
+    machine: Annotated[
+        Path | None,
+        typer.Option(help="TOML with kind, R_s, … in SI; or a name from `fluxobs machines`."),
+    ] = None,
+    text: Annotated[
+        bool, typer.Option("--text", help="Show it in the terminal, not in the browser.")
+    ] = False,
+    demo: Annotated[
+        bool, typer.Option("--demo", help="Stream a simulated servo motor, in real time.")
+    ] = False,
+    save: Annotated[
+        Path | None,
+        typer.Option(help="Record the rows as they come, .csv, for `fluxobs estimate`."),
+    ] = None,
+    baud: Annotated[int, typer.Option(help="Bits a second of a serial port.")] = 115200,
+    port: Annotated[int, typer.Option(help="Of the page; 0: any that is free.")] = 8765,
+    no_open: Annotated[
+        bool, typer.Option("--no-open", help="Do not open the browser, only say the address.")
+    ] = False,
+    memory: Annotated[
+        float | None, typer.Option(help="Seconds; memory of the least squares.")
+    ] = None,
+    unknowns: Annotated[
+        str,
+        typer.Option(help="As for `estimate`; auto (default): all that the observer finds."),
+    ] = "auto",
+    prior: PriorOption = None,
+    force: ForceOption = False,
+) -> None:
+    """Estimate a stream while it comes: position, speed, drift and parameters as they are now.
+
+    It opens a page in the browser, with strips of the last seconds; nothing leaves this computer.
+    With --text it shows the same in the terminal. Ctrl-C ends it.
+
+    Example: fluxobs live /dev/ttyACM0 --machine motor.toml --save run.csv
+    """
+    from ...errors import UsageError
+    from ...live import Watch
+    from ...live.recorder import Recorder
+    from ...live.sources import Demo, open_source
+    from ...machines.files import as_machine
+    from ...machines.written import machine_text
+    from ...output import check_new
+
+    if demo == bool(source):
+        raise UsageError("give a SOURCE or --demo: a serial port, udp:PORT, a file, or -")
+    if machine is None and not demo:
+        raise UsageError("--machine is missing: a machine file, or a name from `fluxobs machines`")
+    if save is not None:
+        check_new(save, (".csv",), force, "--save")
+    given = as_machine(machine or DEMO_MACHINE)
+    stream = Demo() if demo else open_source(source, baud)
+    settings: dict[str, Any] = {
+        "unknowns": unknowns,
+        "memory": memory,
+        "priors": numbers("prior", prior),
+    }
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="fluxobs-"))
+        watch = Watch(given, Path(folder) / stream.name, **settings, **layout)
+        if save is not None:
+            watch.record(stack.enter_context(Recorder(save)).add)
+        try:
+            if text:
+                _in_terminal(stream, watch)
+            else:
+                facts = {"machine": machine_text(given, [], {}), "options": layout, **settings}
+                _in_browser(stream, watch if save else None, port, not no_open, facts)
+        except show.Stopped:
+            pass
+    if save is not None and save.exists():
+        typer.echo(f"Written: {save}")
+        typer.echo(f"All of it at once: fluxobs estimate {shlex.quote(str(save))} …")
+
+
+def _in_terminal(stream: Source, watch: Watch) -> None:
+    from ...live.terminal import Terminal
+
+    with Terminal(watch, stream.name) as terminal:
+        try:
+            for data in stream.chunks():
+                for rows in watch.feed(data):
+                    terminal.add(rows)
+                terminal.draw()
+        finally:
+            terminal.draw(force=True)
+
+
+def _in_browser(
+    stream: Source, watch: Watch | None, port: int, opens: bool, facts: Mapping[str, Any]
+) -> None:
+    from ...live.serve import Server
+
+    server = Server(port, {"name": stream.name, **facts}, stream.patient)
+    opened = opens and webbrowser.open(server.url)
+    typer.echo(f"{'Opened' if opened else 'Open'}: {server.url} Ctrl-C ends it.")
+    while stream.patient and not server.watched.wait(0.1):
+        pass
+    try:
+        for data in stream.chunks():
+            if data:
+                server.send(data)
+            if watch is not None:
+                for _ in watch.feed(data):
+                    pass
+    finally:
+        server.end()

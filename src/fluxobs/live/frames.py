@@ -1,0 +1,153 @@
+"""The binary frame that an exported observer's telemetry sends (templates/telemetry.c).
+
+=======  ==========================================================================
+bytes    content
+=======  ==========================================================================
+0, 1     0xF1, 0x0B
+2        kind: "H" names the columns, "S" holds samples
+3        n, the length of the payload, 1 to 255
+4, 5     number of the first sample, modulo 65536, low byte first
+6 …      payload, n bytes
+then     CRC-16 of bytes 2 to 5 + n: polynomial 0x1021, start 0xFFFF, low byte first
+=======  ==========================================================================
+
+The payload of H is text, ``SAMPLE_TIME,NAME,NAME,…`` in seconds, as ``5e-05,i_alpha,i_beta``; that
+of S is one or more samples, each a float of four bytes, low byte first, per column. H comes first
+and again every now and then, so that a reader may begin anywhere.
+"""
+
+from __future__ import annotations
+
+from binascii import crc_hqx
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ..errors import RecordError
+from ..logs.formats.table import Columns
+from .part import Part
+
+MARK = b"\xf1\x0b"
+HEADER, SAMPLES = ord("H"), ord("S")
+_FRAMING = 8  # bytes of a frame besides its payload
+#: Samples from which a log is opened: its columns and sizes are guessed from them.
+HEAD_ROWS = 2000
+
+
+def frame(kind: int, number: int, payload: bytes) -> bytes:
+    """A frame, as the sender makes it."""
+    inner = bytes([kind, len(payload), number & 255, number >> 8 & 255]) + payload
+    check = crc_hqx(inner, 0xFFFF)
+    return MARK + inner + bytes([check & 255, check >> 8])
+
+
+def header_frame(sample_time: float, names: Sequence[str], number: int = 0) -> bytes:
+    """The frame that names the columns."""
+    return frame(HEADER, number, ",".join([repr(sample_time), *names]).encode("ascii"))
+
+
+class Frames:
+    """Rows from a stream of frames.
+
+    Attributes
+    ----------
+    damaged : int
+        Frames that were left out: their check failed, or their length.
+    """
+
+    def __init__(self) -> None:
+        self.damaged = 0
+        self.names: list[str] = []
+        self.sample_time = 0.0
+        self._rest = b""
+        self._row = 0  # number of the next sample, without its wraps
+        self._begun = False
+        self._parts: list[Part] = []
+        self._counted = 0
+        self._opened = False
+
+    def feed(self, data: bytes) -> list[Part]:
+        """Take bytes; return the rows that they complete, none before there are enough to begin."""
+        samples: list[bytes] = []
+        numbers: list[int] = []
+        for kind, number, payload in self._frames(data):
+            if kind == HEADER:
+                self._name(payload)
+            elif kind == SAMPLES and self.names:
+                if len(payload) % (4 * len(self.names)):
+                    self.damaged += 1
+                    continue
+                if not self._begun:
+                    self._row, self._begun = number, True
+                self._row += (number - self._row) & 0xFFFF
+                rows = len(payload) // (4 * len(self.names))
+                numbers += range(self._row, self._row + rows)
+                samples.append(payload)
+                self._row += rows
+        if samples:
+            values = np.frombuffer(b"".join(samples), "<f4").astype(float)
+            table = values.reshape(-1, len(self.names))
+            t = self.sample_time * np.array(numbers)
+            part = {"t": t, **{name: table[:, n] for n, name in enumerate(self.names)}}
+            self._parts.append(Part(part, b""))
+            self._counted += len(t)
+        if not self._opened and self._counted < HEAD_ROWS:
+            return []
+        self._opened = True
+        out, self._parts = self._parts, []
+        return out
+
+    def _frames(self, data: bytes) -> Iterator[tuple[int, int, bytes]]:
+        """Kind, number and payload of the frames that are complete and whole."""
+        data, at = self._rest + data, 0
+        while True:
+            found = data.find(MARK, at)
+            if found < 0:
+                at = max(at, len(data) - 1)  # the mark's first byte may be the last one here
+                break
+            at = found
+            if len(data) < at + 4:
+                break
+            end = at + _FRAMING + data[at + 3]
+            if len(data) < end:
+                break
+            inner = data[at + 2 : end - 2]
+            if crc_hqx(inner, 0xFFFF) != data[end - 2] + 256 * data[end - 1]:
+                self.damaged += 1
+                at += 1
+                continue
+            yield inner[0], inner[2] + 256 * inner[3], inner[4:]
+            at = end
+        self._rest = data[at:]
+
+    def _name(self, payload: bytes) -> None:
+        first, *names = payload.decode("ascii", errors="replace").split(",")
+        if names == self.names:
+            return
+        if self.names:
+            raise RecordError(
+                f"the columns of the stream changed from {','.join(self.names)} to "
+                f"{','.join(names)}; begin again"
+            )
+        try:
+            self.sample_time = float(first)
+        except ValueError:
+            raise RecordError(
+                f"the stream's header must begin with the sample time in s, got {first!r}"
+            ) from None
+        self.names = names
+
+    def source(self, parts: Sequence[Part]) -> Columns:
+        """What :func:`fluxobs.read_log` opens, from the first rows."""
+        names = ("t", *self.names)
+        return {name: np.concatenate([one.columns[name] for one in parts]) for name in names}
+
+    def recorded(self, part: Part, first: bool) -> bytes:
+        """Rows as lines of a recording, below their names if they are the first; nine digits are
+        all that four bytes hold."""
+        names = ("t", *self.names)
+        columns = [part.columns[name].tolist() for name in names]
+        lines = [",".join([f"{value:.9g}" for value in row]) for row in zip(*columns, strict=True)]
+        if first:
+            lines.insert(0, ",".join(names))
+        return "".join([line + "\n" for line in lines]).encode("ascii")

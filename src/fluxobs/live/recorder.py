@@ -1,0 +1,48 @@
+"""A stream, recorded: what has come is in the file, whatever ends the program."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import IO, Self
+
+from ..errors import FluxobsError
+
+
+class Recorder:
+    """Writes lines to a file, which is made when the first ones come.
+
+    Parameters
+    ----------
+    path : Path
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file: IO[bytes] | None = None
+        self._flushed = 0.0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def add(self, lines: bytes) -> None:
+        """Write lines; they are in the file within a second.
+
+        Raises
+        ------
+        FluxobsError
+            The file cannot be written.
+        """
+        try:
+            if self._file is None:
+                self._file = self.path.open("wb")
+            self._file.write(lines)
+            if time.monotonic() - self._flushed > 1:
+                self._flushed = time.monotonic()
+                self._file.flush()
+        except OSError as error:
+            raise FluxobsError(f"{self.path}: cannot be written: {error.strerror}") from None

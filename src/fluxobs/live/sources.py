@@ -1,0 +1,194 @@
+"""Where a stream comes from: a serial port, UDP, standard input, a file that grows, the demo."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import stat
+import sys
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from itertools import count, islice
+from pathlib import Path
+from typing import Any
+
+from ..errors import FluxobsError, RecordError
+
+#: Bytes that are taken at once.
+_CHUNK = 65536
+#: Seconds between looks at a file that grows, and for which a port is asked.
+_PAUSE, _LOOK = 0.02, 0.1
+#: Rows that the demo sends at once.
+_DEMO_ROWS = 50
+
+
+class Source(ABC):
+    """Bytes as they come.
+
+    Attributes
+    ----------
+    name : str
+    patient : bool
+        Whether what is not read waits: nothing is lost before somebody looks.
+    """
+
+    name: str
+    patient = False
+
+    @abstractmethod
+    def chunks(self) -> Iterator[bytes]:
+        """Yield what has come, b"" now and then if nothing does, until the stream ends."""
+
+
+class File(Source):
+    """A file from its beginning on, and what is written to it later; a pipe until it is closed."""
+
+    patient = True
+
+    def __init__(self, path: Path, follow: bool = True) -> None:
+        self.name, self.path, self.follow = path.name, path, follow
+
+    def chunks(self) -> Iterator[bytes]:
+        try:
+            with self.path.open("rb", buffering=0) as file:
+                pipe = stat.S_ISFIFO(os.fstat(file.fileno()).st_mode)
+                while True:
+                    data = file.read(_CHUNK) or b""
+                    yield data
+                    if data:
+                        continue
+                    if pipe or not self.follow:
+                        return
+                    if self.path.stat().st_size < file.tell():
+                        raise RecordError(f"{self.path}: the file became shorter while it was read")
+                    time.sleep(_PAUSE)
+        except OSError as error:
+            raise RecordError(f"{self.path}: cannot be read: {error.strerror}") from None
+
+
+class Input(Source):
+    """Standard input."""
+
+    name, patient = "standard input", True
+
+    def chunks(self) -> Iterator[bytes]:
+        while data := os.read(sys.stdin.fileno(), _CHUNK):
+            yield data
+
+
+class Datagrams(Source):
+    """UDP: whole lines or frames in each datagram."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self.name = f"udp:{port}"
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+        try:
+            self._socket.bind((host, port))
+        except OSError as error:
+            raise RecordError(f"udp:{port}: cannot be opened: {error.strerror}") from None
+        self._socket.settimeout(_LOOK)
+
+    def chunks(self) -> Iterator[bytes]:
+        with self._socket:
+            while True:
+                try:
+                    data = self._socket.recv(_CHUNK)
+                except TimeoutError:
+                    data = b""
+                yield data + self._waiting() if data else data
+
+    def _waiting(self) -> bytes:
+        """What else has come: many small pieces cost more than few large ones."""
+        out = bytearray()
+        self._socket.setblocking(False)
+        try:
+            while len(out) < _CHUNK:
+                out += self._socket.recv(_CHUNK)
+        except BlockingIOError:
+            pass
+        finally:
+            self._socket.settimeout(_LOOK)
+        return bytes(out)
+
+
+class Serial(Source):
+    """A serial port, or what else pyserial opens: socket://HOST:PORT, rfc2217://…"""
+
+    def __init__(self, port: str, baud: int) -> None:
+        try:
+            import serial
+        except ModuleNotFoundError:
+            raise FluxobsError(
+                f"{port}: serial ports need pyserial: pip install 'fluxobs[live]'"
+            ) from None
+        self.name = port.rpartition("/")[2] or port
+        self._failed: Any = serial.SerialException
+        try:
+            self._port: Any = serial.serial_for_url(port, baudrate=baud, timeout=_LOOK)
+        except (serial.SerialException, ValueError) as error:
+            raise RecordError(f"{port}: cannot be opened: {error}") from None
+
+    def chunks(self) -> Iterator[bytes]:
+        with self._port as port:
+            while True:
+                try:
+                    yield port.read(max(1, min(port.in_waiting, _CHUNK)))
+                except (self._failed, OSError) as error:
+                    raise RecordError(f"{self.name}: the port is gone: {error}") from None
+
+
+class Demo(Source):
+    """A simulated motor in real time."""
+
+    name, patient = "demo", True
+
+    def chunks(self) -> Iterator[bytes]:
+        from ..synthetic.demo import SAMPLE_TIME
+        from ..synthetic.endless import COLUMNS, endless
+
+        yield (",".join(COLUMNS) + "\n").encode()
+        began, rows = time.monotonic(), endless()
+        for sent in count(1):
+            some = islice(rows, _DEMO_ROWS)
+            yield "".join([",".join([f"{v:.6g}" for v in row]) + "\n" for row in some]).encode()
+            ahead = began + sent * _DEMO_ROWS * SAMPLE_TIME - time.monotonic()
+            if ahead > 0:
+                time.sleep(ahead)
+
+
+def open_source(text: str, baud: int) -> Source:
+    """Open what a user names.
+
+    Parameters
+    ----------
+    text : str
+        "-", "udp:PORT" or "udp:HOST:PORT", a serial port or a URL of pyserial, or a file.
+    baud : int
+        Of a serial port [1/s].
+
+    Raises
+    ------
+    FluxobsError
+        It is not there, or cannot be opened.
+    """
+    if text == "-":
+        return Input()
+    if found := re.fullmatch(r"udp:(?://)?(?:([^:]*):)?(\d+)", text):
+        host, port = found.groups()
+        if not 0 < int(port) < 65536:
+            raise FluxobsError(f"{text}: a port lies between 1 and 65535")
+        return Datagrams(host or "", int(port))
+    path = Path(text)
+    if re.fullmatch(r"COM\d+|\w[\w+.-]*://.*", text) or path.is_char_device():
+        return Serial(text, baud)
+    if path.is_dir():
+        raise RecordError(f"{text}: this is a folder")
+    if not path.exists():
+        raise RecordError(
+            f"{text}: no such file or port. A stream is a serial port, udp:PORT, socket://HOST:PORT,"
+            f" a file, or - for standard input"
+        )
+    return File(path)

@@ -1,0 +1,133 @@
+"""A stream in the terminal: the last values, and a strip of each."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import deque
+from typing import Any
+
+import numpy as np
+
+from ..estimation.columns import Rows
+from ..machines import Machine
+from .watch import Watch
+
+#: Seconds between two pictures on a terminal, and between two lines in a pipe.
+PICTURE, LINE = 0.1, 1.0
+_BLOCKS = "▁▂▃▄▅▆▇█"
+_STRIP = 40
+
+
+class Terminal:
+    """Shows a stream; on a pipe it prints a line a second.
+
+    Parameters
+    ----------
+    watch : Watch
+    name : str
+        Of the stream.
+    """
+
+    def __init__(self, watch: Watch, name: str) -> None:
+        self.watch, self.name = watch, name
+        self._last: dict[str, float] = {}
+        self._strips: dict[str, deque[float]] = {}
+        self._drawn = 0.0
+        self._live: Any = None
+        self._noted = False
+
+    def __enter__(self) -> Terminal:
+        if sys.stdout.isatty():
+            from rich.live import Live
+
+            self._live = Live(self._table(), refresh_per_second=1 / PICTURE)
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live is not None:
+            self._live.update(self._table())
+            self._live.stop()
+
+    def add(self, rows: Rows) -> None:
+        """Take estimates."""
+        for name, unit, factor in shown(self.watch.machine):
+            if name in rows.columns:
+                values = factor * np.asarray(rows.columns[name], dtype=float)
+                known = values[rows.valid] if name != "valid" else values
+                if len(known):
+                    self._last[f"{name} {unit}".strip()] = float(known[-1])
+        self._last["valid rows %"] = float(100 * np.mean(rows.valid))
+
+    def draw(self, force: bool = False) -> None:
+        """Show them, if it is time to."""
+        now = time.monotonic()
+        if now - self._drawn < (PICTURE if self._live is not None else LINE) and not force:
+            return
+        self._drawn = now
+        log = self.watch.log
+        if log is not None and not self._noted:
+            self._noted = True
+            self._print("; ".join([*log.notes, f"{1 / log.sample_time:.6g} rows a second"]) + ".")
+        for name, value in self._last.items():
+            self._strips.setdefault(name, deque(maxlen=_STRIP)).append(value)
+        if self._live is not None:
+            self._live.update(self._table())
+        elif self._last or self.watch.status.waiting:
+            values = [f"{name} {value:.4g}" for name, value in self._last.items()]
+            print(", ".join(values) or f"waiting: {self.watch.status.waiting}", flush=True)
+
+    def _print(self, text: str) -> None:
+        if self._live is not None:
+            self._live.console.print(text, markup=False)
+        else:
+            print(text, flush=True)
+
+    def _table(self) -> Any:
+        from rich.table import Table
+
+        status = self.watch.status
+        words = f"{status.rows} rows"
+        for count, what in (
+            (status.lost, "lost"),
+            (status.damaged, "damaged"),
+            (status.restarts, "restarts"),
+        ):
+            words += f", {count} {what}" if count else ""
+        if status.waiting:
+            words += f"; waiting: {status.waiting}"
+        drawn = Table(title=f"{self.name}: {words}", box=None, pad_edge=False, title_justify="left")
+        for title, justify in (("", "left"), ("now", "right"), ("", "left")):
+            drawn.add_column(title, justify=justify)  # type: ignore[arg-type]
+        for name, strip in self._strips.items():
+            drawn.add_row(name, f"{strip[-1]:.4g}", sparkline(list(strip)))
+        return drawn
+
+
+def shown(machine: Machine) -> list[tuple[str, str, float]]:
+    """Columns that a person wants to see, each with a unit and what turns it into that."""
+    where = machine.position_output
+    a, b = machine.ports
+    out = [
+        (where.name, where.unit, where.factor),
+        (f"{where.name}_std", where.unit, where.factor),
+        (f"{where.name}_error", where.unit, where.factor),
+        ("speed_e", "rad/s", 1.0),
+    ]
+    out += [(f"drift_{a}", "V", 1.0), (f"drift_{b}", "V", 1.0)]
+    out += [("resistance", "Ω", 1.0), ("inverter_voltage", "V", 1.0), ("psi_f", "Wb", 1.0)]
+    return out
+
+
+def sparkline(values: list[float]) -> str:
+    """Values as a strip of blocks, from the least to the most of them."""
+    known = [value for value in values if np.isfinite(value)]
+    if not known:
+        return ""
+    low, high = min(known), max(known)
+    size = (high - low) or 1.0
+    steps = len(_BLOCKS) - 1
+    return "".join(
+        _BLOCKS[round((v - low) / size * steps)] if np.isfinite(v) else " " for v in values
+    )

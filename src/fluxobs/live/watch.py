@@ -1,0 +1,226 @@
+"""The estimates of a stream, as its bytes come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import RecordError
+from ..estimation.columns import Rows, rows_of
+from ..estimation.prepare import Prepared, prepare
+from ..logs.aligned import Aligned, joined, less_lost
+from ..logs.for_machine import open_for
+from ..logs.formats.table import Columns
+from ..logs.log import Log
+from ..logs.scales import Scales, scales_of
+from ..machines import Machine, RotatingMachine
+from ..observers import LogObserver
+from ..observers.unknowns import ALL, AUTO, read_unknowns
+from .frames import MARK, Frames
+from .lines import Lines
+from .part import Part
+from .spaced import Spaced
+
+#: Sizes of the signals are measured over so much time [s].
+WINDOW = 1.0
+#: An observer chosen for signals that have grown by this factor is chosen anew. Its settings need
+#: sizes that are right within a factor of a few.
+GROWN = 2.0
+#: Bytes of a stream by which it is known as text or as frames.
+_FIRST = 512
+
+
+@dataclass(frozen=True)
+class Status:
+    """What has come.
+
+    Attributes
+    ----------
+    rows : int
+        Rows that were estimated.
+    valid : int
+        Those whose position is known.
+    lost : int
+        Samples that are missing, by their stamps.
+    damaged : int
+        Lines or frames that were no rows.
+    restarts : int
+        How often the sender began anew.
+    chosen : int
+        How often the observer was chosen: anew whenever the signals have grown.
+    waiting : str
+        What the observer waits for; "" once it runs.
+    """
+
+    rows: int
+    valid: int
+    lost: int
+    damaged: int
+    restarts: int
+    chosen: int
+    waiting: str
+
+
+class Watch:
+    """Runs the observer over a stream, as firmware would: it learns as it goes.
+
+    Parameters
+    ----------
+    machine : Machine
+    head : Path
+        A file in which the first lines of a stream of text are kept.
+    unknowns : str or sequence of str
+        As for :func:`fluxobs.estimate`; "auto" is all that the adaptive observer finds.
+    memory : float, optional
+        [s].
+    priors : mapping, optional
+    layout : optional
+        As for :func:`fluxobs.read_log`: frame, lag, columns, unit, sample_time, header, and more.
+
+    Attributes
+    ----------
+    log : Log, optional
+        The first rows, opened; None until there are enough.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        head: Path,
+        unknowns: Any = AUTO,
+        memory: float | None = None,
+        priors: Mapping[str, float] | None = None,
+        **layout: Any,
+    ) -> None:
+        chosen = read_unknowns(unknowns)
+        if chosen == (AUTO,):
+            chosen = ALL if isinstance(machine, RotatingMachine) else ("drift",)
+        self.machine, self.unknowns = machine, chosen
+        self.memory, self.priors = memory, dict(priors or {})
+        self.layout, self.head = layout, head
+        self.log: Log | None = None
+        self.run: Prepared | None = None
+        self._incoming: Lines | Frames | None = None
+        self._first = b""
+        self._scales: Scales | None = None
+        self._recent: list[Aligned] = []
+        self._state: Any = None
+        self._before: Any = None
+        self._rows = self._valid = self._chosen = 0
+        self._waiting = "the stream's first rows"
+        self._record: Callable[[bytes], Any] | None = None
+        self._headed = False
+
+    def record(self, to: Callable[[bytes], Any] | None) -> None:
+        """Call `to` with the lines of a CSV file of the rows from now on, names first; or stop."""
+        self._record, self._headed = to, False
+
+    def feed(self, data: bytes) -> Iterator[Rows]:
+        """Take bytes as they come; yield estimates.
+
+        Rows before the observer is chosen, for want of a current, are not estimated.
+
+        Raises
+        ------
+        FluxobsError
+            The stream cannot be read, or no observer fits; the message says what to change.
+        """
+        if self._incoming is None:
+            self._first += data
+            if len(self._first) < _FIRST:
+                return
+            framed = MARK in self._first
+            header = self.layout.get("header")
+            self._incoming = Frames() if framed else Lines(self.head, header)
+            data, self._first = self._first, b""
+        parts = self._incoming.feed(data)
+        if not parts:
+            return
+        if self.log is None:
+            self._open(parts)
+        for part in parts:
+            if self._record is not None:
+                self._record(self._incoming.recorded(part, not self._headed))
+                self._headed = True
+            columns = self._spaced.add(part.columns)
+            if len(columns["t"]):
+                yield from self._aligned(columns)
+
+    @property
+    def status(self) -> Status:
+        """What has come so far."""
+        damaged = 0 if self._incoming is None else self._incoming.damaged
+        lost, restarts = (0, 0) if self.log is None else (self._spaced.lost, self._spaced.restarts)
+        return Status(self._rows, self._valid, lost, damaged, restarts, self._chosen, self._waiting)
+
+    def _open(self, parts: list[Part]) -> None:
+        """Open the first rows as a log: what its columns are, and how far apart its rows."""
+        assert self._incoming is not None
+        source = self._incoming.source(parts)
+        given = dict(self.layout)
+        if isinstance(self._incoming, Frames):
+            given = {"sample_time": self._incoming.sample_time, **given}
+            given.pop("header", None)
+        log = open_for(source, self.machine, **given)
+        time = log.names.get("t")
+        scale, offset = log.layout.conversion("t")
+        # From here on its times are seconds already, and the time column has any name.
+        names = log.names | ({} if time is None else {"t": "t"})
+        conversions = {**log.conversions, "t": (1.0, 0.0)}
+        self._spaced = Spaced(log.clock, time, scale, offset)
+        self.log = replace(log, names=names, conversions=conversions)
+        self._aligning = self.log.aligning()
+
+    def _aligned(self, columns: Columns) -> Iterator[Rows]:
+        assert self.log is not None
+        channels, truth = self.log.channels_of(columns)
+        for aligned in self._aligning.add(columns["t"], channels, truth):
+            self._measure(aligned)
+            if self.run is not None:
+                yield self._estimated(aligned)
+
+    def _measure(self, part: Aligned) -> None:
+        """Choose the observer, at first and whenever the signals have grown."""
+        assert self.log is not None
+        h = self.log.sample_time
+        self._recent.append(part)
+        rows = sum(len(one.t) for one in self._recent)
+        if self.run is not None and rows * h < WINDOW:
+            return
+        try:
+            found = scales_of([joined(self._recent)], h, self.log.path)
+        except RecordError as error:  # nothing flows yet
+            self._waiting = str(error).partition(": ")[2]
+            if rows * h >= WINDOW:
+                self._recent = []
+            return
+        self._waiting = ""
+        if rows * h >= WINDOW:
+            self._recent = []
+        known = self._scales
+        if known is not None and not (
+            found.current > GROWN * known.current or found.voltage > GROWN * known.voltage
+        ):
+            return
+        self._scales = found
+        self.run = prepare(self.log, self.machine, self.unknowns, self.memory, self.priors, found)
+        self._state = self.run.observer.init()
+        self._before = None
+        self._chosen += 1
+
+    def _estimated(self, part: Aligned) -> Rows:
+        assert self.run is not None
+        run, before = self.run, self._before
+        self._before = part.current[-1:]
+        if run.log.inverter is not None:
+            part = less_lost(part, run.log.inverter, part.current[:1] if before is None else before)
+        observer: LogObserver[Any, Any] = run.observer
+        self._state, found = observer.resume(self._state, part.voltage, part.current)
+        rows = rows_of(run.log, self.machine, run.observer, part, found)
+        self._rows += len(rows.valid)
+        self._valid += int(np.count_nonzero(rows.valid))
+        return rows
