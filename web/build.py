@@ -29,6 +29,7 @@ ROOTS = (
     "fluxobs.estimation.passes",
     "fluxobs.estimation.explained",
     "fluxobs.estimation.again",
+    "fluxobs.live",
     "fluxobs.logs.for_machine",
     "fluxobs.logs.channels",
     "fluxobs.logs.formats.nested",
@@ -41,6 +42,7 @@ REPLACED = {
     *["numpy", "numpy.typing", "scipy.interpolate", "pydantic"],
     *[
         "abc",
+        "binascii",
         "bisect",
         "collections",
         "collections.abc",

@@ -13,14 +13,14 @@ PATIENCE = 120_000
 
 
 class Window:
-    """A page in the browser, and all that it asked for and complained of."""
+    """A page in the browser, by its path or address, and what it asked for and complained of."""
 
     def __init__(self, page, path):
-        self.page, self.asked, self.complaints = page, [], []
+        self.page, self.path, self.asked, self.complaints = page, path, [], []
         page.set_default_timeout(PATIENCE)
         page.on("request", lambda request: self.asked.append(request.url))
         page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        page.goto(path.as_uri())
+        page.goto(path if isinstance(path, str) else path.as_uri())
 
     def js(self, code, *given):
         return self.page.evaluate(code, *given)

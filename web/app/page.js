@@ -1,6 +1,8 @@
 // The page: a log is dropped, a machine chosen; estimates, verdicts and files come out.
 
 import { start, unpacked } from "./ask.js";
+import { Live, serial, socket } from "./live.js";
+import { Recent } from "./plots.js";
 import { Results, element, themed } from "./results.js";
 
 const $ = (id) => document.getElementById(id);
@@ -377,6 +379,32 @@ $("save-machine").addEventListener("click", async () => {
   }
 });
 $("copy").addEventListener("click", () => navigator.clipboard?.writeText($("command").textContent));
-themed($("theme"), results);
+
+// ---- a stream -------------------------------------------------------------------------------
+
+const live = new Live($("live-view"), (action, given, moved) => ask(action, given, moved), download);
+async function watch(open, given) {
+  try {
+    if (!given.machine.trim()) throw new Error("Choose the machine first, then watch the stream.");
+    const source = await open();
+    $("live-view").hidden = false;
+    say("");
+    await live.run(source, given);
+  } catch (error) {
+    if (error.name !== "NotFoundError") fail(error); // no port was chosen
+  }
+}
+$("serial-port").hidden = !navigator.serial;
+$("serial").addEventListener("click", () =>
+  watch(() => serial(Number($("baud").value)), { ...options(), machine: $("machine").value }),
+);
+const served = JSON.parse($("live").textContent);
+if (served) {
+  $("machine").value = served.machine;
+  document.querySelector("main").prepend($("live-view"));
+  watch(() => socket(`ws://${location.host}/stream`, served.name), served);
+}
+
+themed($("theme"), [results.panels, live.panels], () => results.window());
 document.body.dataset.ready = "1";
-window.fluxobs = { state, results, ask };
+window.fluxobs = { state, results, live, ask, Recent };

@@ -29,30 +29,32 @@ export class View {
     return low;
   }
 
-  // Least and most in blocks of rows; only of valid ones, if that is asked.
+  // Least and most in whole blocks of rows; only of valid ones, if that is asked.
   pyramid(name, known = false) {
     const key = known ? `${name} if valid` : name,
-      valid = known ? this.columns.valid : null;
-    if (!this.blocks.has(key)) {
-      const d = this.columns[name],
-        count = Math.ceil(this.rows / BLOCK),
-        least = new Float64Array(count),
-        most = new Float64Array(count);
-      for (let b = 0; b < count; b++) {
-        let low = Infinity,
-          high = -Infinity;
-        for (let k = b * BLOCK, end = Math.min(k + BLOCK, this.rows); k < end; k++) {
-          if (valid && !valid[k]) continue;
-          const v = d[k];
-          if (v < low) low = v;
-          if (v > high) high = v;
-        }
-        least[b] = low;
-        most[b] = high;
+      valid = known ? this.columns.valid : null,
+      d = this.columns[name],
+      size = Math.ceil(d.length / BLOCK);
+    if (!this.blocks.has(key))
+      this.blocks.set(key, {
+        least: new Float64Array(size),
+        most: new Float64Array(size),
+        count: 0,
+      });
+    const found = this.blocks.get(key);
+    for (const end = Math.floor(this.rows / BLOCK); found.count < end; found.count++) {
+      let low = Infinity,
+        high = -Infinity;
+      for (let k = found.count * BLOCK; k < (found.count + 1) * BLOCK; k++) {
+        if (valid && !valid[k]) continue;
+        const v = d[k];
+        if (v < low) low = v;
+        if (v > high) high = v;
       }
-      this.blocks.set(key, [least, most]);
+      found.least[found.count] = low;
+      found.most[found.count] = high;
     }
-    return this.blocks.get(key);
+    return found;
   }
 
   // Least and most of rows first … last - 1.
@@ -63,7 +65,7 @@ export class View {
       high = -Infinity,
       k = first;
     if (last - first > 4 * BLOCK) {
-      const [least, most] = this.pyramid(name, known),
+      const { least, most } = this.pyramid(name, known),
         start = Math.ceil(first / BLOCK),
         end = Math.floor(last / BLOCK);
       for (let b = start; b < end; b++) {
@@ -132,6 +134,14 @@ export class View {
     return [x, ...ys];
   }
 
+  // Where the position is valid: all panels ask for the same.
+  known(...asked) {
+    const key = [this.rows, this.t[0], ...asked].join();
+    if (this.asked !== key) this.valid = this.sample(["valid"], ...asked);
+    this.asked = key;
+    return this.valid;
+  }
+
   // Count, mean, rms, least and most of a window, of rows where `valid` is set.
   statistics(name, from, to) {
     const first = this.row(from),
@@ -154,7 +164,43 @@ export class View {
   }
 }
 
+// The last rows of a stream: columns that grow, and lose their oldest rows when they are full.
+export class Recent extends View {
+  constructor(names, flags, capacity) {
+    const columns = {};
+    for (const name of names)
+      columns[name] = new (flags.has(name) ? Uint8Array : Float64Array)(capacity);
+    super(columns);
+    this.capacity = capacity;
+    this.rows = 0;
+  }
+
+  append(columns) {
+    const count = columns.t.length;
+    if (this.rows + count > this.capacity) this.forget(this.capacity / 2);
+    for (const [name, values] of Object.entries(this.columns)) {
+      const given = columns[name].subarray(Math.max(0, count - this.capacity / 2));
+      values.set(given, this.rows);
+    }
+    this.rows += Math.min(count, this.capacity / 2);
+  }
+
+  // Keep at most so many rows, whole blocks of them.
+  forget(keep) {
+    const out = Math.ceil(Math.max(0, this.rows - keep) / BLOCK) * BLOCK;
+    for (const values of Object.values(this.columns)) values.copyWithin(0, out, this.rows);
+    for (const one of this.blocks.values()) {
+      one.least.copyWithin(0, out / BLOCK, one.count);
+      one.most.copyWithin(0, out / BLOCK, one.count);
+      one.count = Math.max(0, one.count - out / BLOCK);
+    }
+    this.rows = Math.max(0, this.rows - out);
+  }
+}
+
 const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+const tick = (v) => (v == null ? "" : String(Number(v.toPrecision(6))));
 
 // Shade where the position is not valid.
 function shade(view) {
@@ -162,8 +208,8 @@ function shade(view) {
     if (!view().has("valid")) return;
     const { ctx, bbox } = u,
       { min, max } = u.scales.x,
-      width = Math.max(1, Math.round(bbox.width / devicePixelRatio));
-    const [x, valid] = view().sample(["valid"], min, max, width);
+      width = Math.max(1, Math.round(bbox.width / devicePixelRatio / 2));
+    const [x, valid] = view().known(min, max, width);
     ctx.save();
     ctx.fillStyle = style("--invalid");
     for (let k = 0; k < x.length - 1; k++) {
@@ -174,6 +220,39 @@ function shade(view) {
     }
     ctx.restore();
   };
+}
+
+// A curve that goes up and down in every pixel is drawn as columns of pixels: to stroke it would take
+// longer than all else.
+const linear = uPlot.paths.linear();
+function steep(u, n) {
+  const y = u.data[n],
+    { min, max } = u.scales.y;
+  if (!y || y.length < u.width / 2) return false;
+  let way = 0;
+  for (let k = 1; k < y.length; k++) way += Math.abs(y[k] - y[k - 1]);
+  return (way / (max - min)) * u.bbox.height > 10 * u.bbox.width;
+}
+function columns(u, n) {
+  if (!steep(u, n)) return;
+  const { ctx, bbox } = u,
+    [x, y] = [u.data[0], u.data[n]],
+    right = bbox.left + bbox.width,
+    bottom = bbox.top + bbox.height;
+  ctx.save();
+  ctx.fillStyle = u.series[n].stroke();
+  ctx.globalAlpha = u.series[n].dash ? 0.5 : 1;
+  for (let k = 0; k + 1 < x.length; k += 2) {
+    if (y[k] == null || y[k + 1] == null) continue;
+    const at = Math.round(u.valToPos(x[k], "x", true)),
+      [a, b] = [y[k], y[k + 1]].map((v) => u.valToPos(v, "y", true)),
+      top = Math.max(bbox.top, Math.round(Math.min(a, b))),
+      end = Math.min(bottom, Math.round(Math.max(a, b))),
+      next = k + 2 < x.length ? Math.round(u.valToPos(x[k + 2], "x", true)) : at + 1;
+    if (at >= bbox.left && next <= right)
+      ctx.fillRect(at, top, Math.max(1, next - at), Math.max(1, end - top));
+  }
+  ctx.restore();
 }
 
 // The panels of a run. `specs`: [{id, title, unit, series: [{name, label, color, dash, map, fill}]}]
@@ -230,6 +309,7 @@ export class Panels {
               stroke: () => style("--ink"),
               grid: { stroke: () => style("--line"), width: 1 },
               ticks: { stroke: () => style("--line") },
+              values: (u, ticks) => ticks.map(tick),
               label: n === specs.length - 1 ? "Time in s" : undefined,
               labelSize: 18,
               size: n === specs.length - 1 ? 30 : 24,
@@ -240,6 +320,7 @@ export class Panels {
               stroke: () => style("--ink"),
               grid: { stroke: () => style("--line"), width: 1 },
               ticks: { stroke: () => style("--line") },
+              values: (u, ticks) => ticks.map(tick),
               label: `${spec.title}${spec.unit ? ` in ${spec.unit}` : ""}`,
               labelSize: 18,
               size: 56,
@@ -254,6 +335,7 @@ export class Panels {
               stroke: () => style(s.color),
               width: s.width ?? 1.25,
               dash: s.dash,
+              paths: (u, n, ...rest) => (steep(u, n) ? null : linear(u, n, ...rest)),
               spanGaps: false,
               points: { show: (u, i) => u.data[0].length < u.width / 8, size: 4 },
               value: () => this.at(s),
@@ -262,6 +344,7 @@ export class Panels {
           bands: (spec.bands ?? []).map((b) => ({ series: b, fill: () => style("--band") })),
           hooks: {
             drawClear: [shade(() => this.view)],
+            drawSeries: [columns],
             setSelect: [(u) => this.select(u)],
             setCursor: [
               (u) => {
@@ -301,12 +384,27 @@ export class Panels {
     return Number.isFinite(v) ? (map ? map(v) : v).toPrecision(5) : "";
   }
 
+  // Show these seconds, as a strip chart does; only those panels that are asked for.
+  roll(from, to, wanted) {
+    this.full = [this.view.t[0], this.view.t[this.view.rows - 1]];
+    this.window = [from, to];
+    this.fill(wanted, 2);
+  }
+
   refill(quick = false) {
     const began = performance.now();
+    this.fill();
+    this.drawn = performance.now() - began;
+    this.describe();
+    if (!quick || this.row != null) this.onWindow(...this.window);
+  }
+
+  fill(wanted = () => true, coarse = 1) {
     this.busy = true;
     this.charts.forEach((chart, n) => {
+      if (!wanted(this.specs[n])) return;
       const { series } = this.specs[n],
-        width = Math.round(chart.width);
+        width = Math.round(chart.width / coarse);
       chart.setData(
         this.view.sample(
           series.map((s) => s.name),
@@ -318,9 +416,6 @@ export class Panels {
       );
     });
     this.busy = false;
-    this.drawn = performance.now() - began;
-    this.describe();
-    if (!quick || this.row != null) this.onWindow(...this.window);
   }
 
   describe() {

@@ -120,5 +120,5 @@ try {
 $("progress").hidden = true;
 document.body.dataset.milliseconds = (performance.now() - began).toFixed(0);
 document.body.dataset.done = "1";
-themed($("theme"), results);
+themed($("theme"), [results.panels], () => results.window());
 window.fluxobs = { results, found, words };

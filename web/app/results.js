@@ -12,13 +12,13 @@ export const element = (tag, attributes = {}, ...children) => {
 };
 
 // A button that turns light into dark and back.
-export function themed(button, results) {
+export function themed(button, panels, then) {
   button.addEventListener("click", () => {
     const { dataset } = document.documentElement;
     const dark = matchMedia("(prefers-color-scheme: dark)").matches;
     dataset.theme = (dataset.theme ?? (dark ? "dark" : "light")) === "dark" ? "light" : "dark";
-    results.panels.resize();
-    results.window();
+    panels.forEach((one) => one.resize());
+    then();
   });
 }
 
@@ -35,8 +35,26 @@ export function si(value, unit) {
   return `${value === 0 ? 0 : value.toPrecision(2)} ${unit}`;
 }
 
+// Parameters that a run may estimate: [name, title, unit].
+const PARAMETERS = [
+  ["resistance", "Resistance", "Ω"],
+  ["inverter_voltage", "Inverter voltage", "V"],
+  ["psi_f", "Magnet flux", "Wb"],
+];
+
+// Adds the edges of a band of ± 2σ to columns that have a standard deviation.
+export function banded(columns) {
+  for (const [name] of PARAMETERS) {
+    const std = columns[`${name}_std`];
+    if (!std) continue;
+    columns[`${name} +`] = columns[name].map((v, k) => v + 2 * std[k]);
+    columns[`${name} -`] = columns[name].map((v, k) => v - 2 * std[k]);
+  }
+  return columns;
+}
+
 // The panels that a run has.
-function panels(view, found) {
+export function panels(view, found) {
   const { position } = found,
     [a, b] = found.ports,
     angle = position.unit === "°";
@@ -95,18 +113,10 @@ function panels(view, found) {
       { name: `drift_${b}`, label: b === "beta" ? "β" : b, color: "--orange" },
     ],
   });
-  for (const [name, title, unit] of [
-    ["resistance", "Resistance", "Ω"],
-    ["inverter_voltage", "Inverter voltage", "V"],
-    ["psi_f", found.adaptive ? "Magnet flux" : "Length of λ − L i", "Wb"],
-  ]) {
+  for (const [name, named, unit] of PARAMETERS) {
     if (!view.has(name)) continue;
-    const own = `${name}_std`,
-      bands = view.has(own);
-    if (bands) {
-      view.columns[`${name} +`] = view.columns[name].map((v, k) => v + 2 * view.columns[own][k]);
-      view.columns[`${name} -`] = view.columns[name].map((v, k) => v - 2 * view.columns[own][k]);
-    }
+    const bands = view.has(`${name} +`),
+      title = name === "psi_f" && !found.adaptive ? "Length of λ − L i" : named;
     out.push({
       id: name,
       title,
@@ -126,8 +136,8 @@ function panels(view, found) {
   if (view.has("innovation"))
     out.push({
       id: "residual",
-      title: "Residual over its noise",
-      unit: "",
+      title: "Residual",
+      unit: "σ",
       series: [{ name: "innovation", label: "residual", color: "--blue" }],
     });
   return out.map((one) => ({ ...one, angle }));
@@ -210,14 +220,14 @@ export class Results {
     this.found = found;
     this.first = columns;
     this.changed = {};
-    this.view = new View(columns);
+    this.view = new View(banded(columns));
     this.panels.show(this.view, panels(this.view, found));
     if (this.ask) this.makeSliders();
   }
 
   // Other columns of the same rows.
   swap(columns) {
-    this.view = new View(columns);
+    this.view = new View(banded(columns));
     this.panels.show(this.view, panels(this.view, this.found), true);
     this.window();
   }

@@ -24,7 +24,7 @@ const python = (x) =>
       ? $dict(Object.entries(x).map(([k, v]) => [k, python(v)]))
       : x;
 
-const opened = { paths: [], log: null, run: null, kept: null };
+const opened = { paths: [], log: null, run: null, kept: null, watch: null, recorded: [] };
 
 // Columns as they are drawn: double precision as long as memory allows.
 const DOUBLE_ROWS = 3_000_000;
@@ -113,6 +113,13 @@ function runOver(log, machine, unknowns, memory, priors, causal, progress) {
   return kept.columns();
 }
 
+// What pictures need to know of a machine.
+const facts = ({ ports, kind, position_output: { name, unit, factor, title } }) => ({
+  ports: plain(ports),
+  position: { name, unit, factor, title },
+  kind,
+});
+
 const actions = {
   machines() {
     const { example_names, example_text, KINDS } = $py("machines"),
@@ -171,7 +178,6 @@ const actions = {
     const chosen = $py("observers.unknowns").read_unknowns(unknowns);
     const columns = runOver(log, made, chosen, memory, priors, causal, progress);
     const run = opened.run,
-      machineNow = run.machine,
       taken = log.names.items();
     return {
       columns,
@@ -186,15 +192,7 @@ const actions = {
       adaptive: run.adaptive !== null,
       memory: run.observer.memory,
       automatic: run.automatic,
-      ports: plain(machineNow.ports),
-      position: {
-        name: machineNow.position_output.name,
-        unit: machineNow.position_output.unit,
-        factor: machineNow.position_output.factor,
-        title: machineNow.position_output.title,
-        half_turn: machineNow.half_turn_ambiguous,
-      },
-      kind: machineNow.kind,
+      ...facts(run.machine),
     };
   },
 
@@ -248,6 +246,38 @@ const actions = {
       lag ?? null,
     );
     return { columns: columnsOf(rows) };
+  },
+
+  // A stream: estimates of what comes from now on.
+  watch({ machine, options, ...given }) {
+    const { unknowns, memory, priors } = settings(given);
+    const { Watch } = $py("live"),
+      made = machineFrom(machine);
+    const layout = { ...layoutOf(options), unknowns, memory, priors };
+    opened.watch = Watch(made, Path("stream"), $kw(layout));
+    return { ...facts(made), adaptive: opened.watch.unknowns.length > 1 };
+  },
+
+  // Its next bytes; what they tell.
+  feed({ bytes: data }) {
+    const { watch, recorded } = opened,
+      parts = [...watch.feed(data)],
+      kept = gather(parts.reduce((sum, rows) => sum + rows.valid.size, 0));
+    for (const rows of parts) kept.add(rows);
+    const { rows, valid, lost, damaged, restarts, chosen, waiting } = watch.status,
+      log = watch.log;
+    return {
+      columns: kept.columns(),
+      status: { rows, valid, lost, damaged, restarts, chosen, waiting },
+      notes: log === null ? [] : [...plain(log.notes), `${1 / log.sample_time} rows a second`],
+      recorded: recorded.splice(0),
+    };
+  },
+
+  // Keep its rows as lines of CSV, or stop that.
+  record({ on }) {
+    opened.watch.record(on ? (lines) => void opened.recorded.push(lines) : null);
+    return {};
   },
 
   // The machine file with what was learnt, or as it was given.

@@ -1190,6 +1190,13 @@ Object.assign($np, {
   iscomplexobj: (x) => x instanceof Complex || (x instanceof NdArray && x.kind === "c"),
 
   array: $fn("x dtype", (x, dtype = null) => $as(x, $kind(dtype)).copy()),
+  frombuffer: (bytes_) => {
+    const view = new DataView(bytes_.buffer, bytes_.byteOffset, bytes_.length);
+    const out = Float64Array.from({ length: bytes_.length / 4 }, (_, n) =>
+      view.getFloat32(4 * n, true),
+    );
+    return new NdArray(out, [out.length], "f");
+  },
   asarray: $fn("x dtype", (x, dtype = null) => $as(x, $kind(dtype))),
   ascontiguousarray: $fn("x dtype", (x, dtype = null) => {
     const a = $as(x, $kind(dtype)),

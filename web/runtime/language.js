@@ -339,6 +339,8 @@ function $same(a, b) {
       : false;
   if (Array.isArray(a))
     return Array.isArray(b) && a.length === b.length && a.every((x, n) => $same(x, b[n]));
+  if (a instanceof Uint8Array)
+    return b instanceof Uint8Array && a.length === b.length && a.every((x, n) => x === b[n]);
   return false;
 }
 function $eq(a, b) {
@@ -423,6 +425,7 @@ const $mul = $operator(
   (a, b) => {
     if (typeof a === "string") return a.repeat(Math.max(0, Number(b)));
     if (typeof b === "string") return b.repeat(Math.max(0, Number(a)));
+    if (a instanceof Uint8Array) return $joined($bytes([]), new Array(Math.max(0, b)).fill(a));
     if (Array.isArray(b) && !Array.isArray(a)) [a, b] = [b, a];
     if (Array.isArray(a)) {
       const out = [];
@@ -1340,6 +1343,20 @@ function $bytesFind(b, what, from = 0) {
     if (n - at + what.length <= b.length && fits(n - at)) return n - at;
   return -1;
 }
+const $blank = [9, 10, 11, 12, 13, 32];
+function $joined(mark, parts) {
+  const out = new Uint8Array(
+    parts.reduce((sum, one) => sum + one.length, Math.max(0, parts.length - 1) * mark.length),
+  );
+  let at = 0;
+  parts.forEach((one, n) => {
+    if (n) out.set(mark, at);
+    at += n ? mark.length : 0;
+    out.set(one, at);
+    at += one.length;
+  });
+  return out;
+}
 const $byteMethods = {
   decode: $fn("b encoding errors", $decoded),
   startswith: (b, of) =>
@@ -1352,11 +1369,23 @@ const $byteMethods = {
     return out;
   },
   find: (b, of, from = 0) => $bytesFind(b, of, from),
+  rfind(b, of) {
+    for (let n = b.length - of.length; n >= 0; n--)
+      if (of.every((x, k) => b[n + k] === x)) return n;
+    return -1;
+  },
+  join: (b, parts) => $joined(b, [...$iter(parts)]),
+  isalpha: (b) => b.length > 0 && b.every((x) => (x | 32) >= 97 && (x | 32) <= 122),
   removeprefix: (b, of) => ($byteMethods.startswith(b, of) ? b.subarray(of.length) : b),
   rstrip: (b) => {
     let n = b.length;
-    while (n && [9, 10, 11, 12, 13, 32].includes(b[n - 1])) n--;
+    while (n && $blank.includes(b[n - 1])) n--;
     return b.subarray(0, n);
+  },
+  strip: (b) => {
+    const out = $byteMethods.rstrip(b),
+      first = out.findIndex((x) => !$blank.includes(x));
+    return out.subarray(Math.max(0, first));
   },
   split(b, mark) {
     const out = [];

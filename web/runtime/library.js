@@ -840,6 +840,9 @@ const Path = $class(
       }
       return $files.get(this.path);
     }, "");
+    $c.write_bytes = $def(function (data) {
+      $files.set(this.path, data);
+    }, "data");
     $c.read_text = $def(function () {
       return $decoded(this.read_bytes(), "utf-8");
     }, "encoding");
@@ -868,6 +871,18 @@ $module("importlib", ($m) =>
 );
 $module("importlib.resources", ($m) =>
   Object.assign($m, { files: (name) => Path(name.replaceAll(".", "/")) }),
+);
+$module("binascii", ($m) =>
+  Object.assign($m, {
+    crc_hqx(data, crc) {
+      for (const byte of data) {
+        crc ^= byte << 8;
+        for (let n = 0; n < 8; n++) crc = crc & 0x8000 ? (crc << 1) ^ 0x1021 : crc << 1;
+        crc &= 0xffff;
+      }
+      return crc;
+    },
+  }),
 );
 let $temporary = 0;
 $module("tempfile", ($m) =>

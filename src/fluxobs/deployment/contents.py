@@ -114,6 +114,8 @@ def contents(
         "README.md": filled("README.md"),
         "Makefile": filled("Makefile"),
         "example_isr.c": filled("example_isr.c"),
+        "telemetry.h": filled("telemetry.h"),
+        "telemetry.c": filled("telemetry.c"),
         "test/check.h": filled("check.h"),
         "test/check.c": filled("check.c"),
         "test/host_test.c": filled("host_test.c"),

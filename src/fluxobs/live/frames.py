@@ -11,9 +11,10 @@ bytes    content
 then     CRC-16 of bytes 2 to 5 + n: polynomial 0x1021, start 0xFFFF, low byte first
 =======  ==========================================================================
 
-The payload of H is text, ``SAMPLE_TIME,NAME,NAME,…`` in seconds, as ``5e-05,i_alpha,i_beta``; that
-of S is one or more samples, each a float of four bytes, low byte first, per column. H comes first
-and again every now and then, so that a reader may begin anywhere.
+The payload of H is text, ``SAMPLE_TIME,LAG,NAME,NAME,…`` in seconds and samples, as
+``5e-05,1,u_alpha,u_beta,i_alpha,i_beta``; that of S is one or more samples, each a float of four
+bytes, low byte first, per column. H comes first and again now and then, so that a reader may begin
+anywhere.
 """
 
 from __future__ import annotations
@@ -41,11 +42,6 @@ def frame(kind: int, number: int, payload: bytes) -> bytes:
     return MARK + inner + bytes([check & 255, check >> 8])
 
 
-def header_frame(sample_time: float, names: Sequence[str], number: int = 0) -> bytes:
-    """The frame that names the columns."""
-    return frame(HEADER, number, ",".join([repr(sample_time), *names]).encode("ascii"))
-
-
 class Frames:
     """Rows from a stream of frames.
 
@@ -58,7 +54,7 @@ class Frames:
     def __init__(self) -> None:
         self.damaged = 0
         self.names: list[str] = []
-        self.sample_time = 0.0
+        self.sample_time = self.lag = 0.0
         self._rest = b""
         self._row = 0  # number of the next sample, without its wraps
         self._begun = False
@@ -121,7 +117,8 @@ class Frames:
         self._rest = data[at:]
 
     def _name(self, payload: bytes) -> None:
-        first, *names = payload.decode("ascii", errors="replace").split(",")
+        time, lag, *names = [*payload.decode("ascii", errors="replace").split(","), ""]
+        names = names[:-1]
         if names == self.names:
             return
         if self.names:
@@ -130,17 +127,24 @@ class Frames:
                 f"{','.join(names)}; begin again"
             )
         try:
-            self.sample_time = float(first)
+            self.sample_time, self.lag = float(time), float(lag)
         except ValueError:
             raise RecordError(
-                f"the stream's header must begin with the sample time in s, got {first!r}"
+                f"the stream's header must begin with the sample time in s and the lag, as "
+                f"5e-05,1,u_alpha,…; got {time},{lag}"
             ) from None
         self.names = names
+
+    @property
+    def layout(self) -> dict[str, float]:
+        """What the stream says of itself."""
+        return {"sample_time": self.sample_time, "lag": self.lag}
 
     def source(self, parts: Sequence[Part]) -> Columns:
         """What :func:`fluxobs.read_log` opens, from the first rows."""
         names = ("t", *self.names)
-        return {name: np.concatenate([one.columns[name] for one in parts]) for name in names}
+        whole = {name: np.concatenate([one.columns[name] for one in parts]) for name in names}
+        return {name: values[:HEAD_ROWS] for name, values in whole.items()}
 
     def recorded(self, part: Part, first: bool) -> bytes:
         """Rows as lines of a recording, below their names if they are the first; nine digits are

@@ -11,7 +11,7 @@ from ..logs.formats.text.parse import Ragged
 from ..logs.formats.text.source import BETWEEN, interrupted
 from .part import Part
 
-#: Lines from which a log is opened: its columns and sizes are guessed from them.
+#: Lines from which a log is opened: its columns are guessed from them.
 HEAD_LINES = 2000
 MARKS = tuple(mark.encode() for mark in BETWEEN)
 
@@ -61,14 +61,14 @@ class Lines:
         lines = data.split(b"\n")[:-1]
         if self.header is None:
             lines = lines[_named_at(lines) :]
-        self.head.write_bytes(b"\n".join(lines) + b"\n")
+        self.head.write_bytes(b"".join([line + b"\n" for line in lines[:HEAD_LINES]]))
         names = None if self.header is None else [n.strip() for n in self.header.split(",")]
         self._table = TextTable(self.head, names)
         first = self._table.structure.first_line
-        self._above = b"\n".join([*lines[:first], b""])
+        self._above = b"".join([line + b"\n" for line in lines[:first]])
         if self.header is not None:
             self._above = self.header.encode("utf-8") + b"\n"
-        return b"\n".join(lines[first:]) + b"\n"
+        return b"".join([line + b"\n" for line in lines[first:]])
 
     def source(self, parts: Sequence[Part]) -> Path:
         """What :func:`fluxobs.read_log` opens."""

@@ -54,14 +54,15 @@ class Spaced:
         if len(stamp) == 0:
             return part | {"t": stamp}
         first = stamp[0] - h if self._before is None else self._before
-        steps = np.diff(np.concatenate([[first], stamp]))
-        self._before = float(stamp[-1])
-        steps = self._forward(steps)
-        t = first + self._ahead + np.cumsum(steps)
-        self._ahead += float(np.sum(steps)) - (self._before - first)
+        raw = np.diff(np.concatenate([[first], stamp]))
+        steps = self._forward(raw)
+        start = first + self._ahead
+        ahead = self._ahead + np.cumsum(steps - raw)
+        self._before, self._ahead = float(stamp[-1]), float(ahead[-1])
+        t = stamp + ahead
         missing = missing_steps(steps, h, self.clock.rounding)
         self.lost += int(missing.sum())
-        return self._filled(part, t, np.minimum(missing, LONGEST_GAP))
+        return _filled(part, start, t, np.minimum(missing, LONGEST_GAP))
 
     def _forward(self, steps: Array) -> Array:
         """Steps without those that go back: over a wrap of the counter, or a sender's restart."""
@@ -74,18 +75,18 @@ class Spaced:
         self.restarts += int((back & ~wrapped).sum())
         return np.where(wrapped, over, np.where(back, 2 * h, steps))
 
-    def _filled(self, part: Columns, t: Array, missing: NDArray[np.int64]) -> Columns:
-        """Rows of nothing where some are missing."""
-        if not missing.any():
-            return part | {"t": t}
-        at = np.arange(len(t)) + np.cumsum(missing)
-        rows = int(at[-1]) + 1
-        out = {}
-        for name, values in part.items():
-            whole = np.full(rows, np.nan)
-            whole[at] = values
-            out[name] = whole
-        before = np.concatenate([[-1], at])
-        start = t[0] - (missing[0] + 1) * self.clock.sample_time
-        out["t"] = np.interp(np.arange(rows), before, np.concatenate([[start], t]))
-        return out
+
+def _filled(part: Columns, start: float, t: Array, missing: NDArray[np.int64]) -> Columns:
+    """Rows of nothing where some are missing; `start` is the time of the row before."""
+    if not missing.any():
+        return part | {"t": t}
+    at = np.arange(len(t)) + np.cumsum(missing)
+    rows = int(at[-1]) + 1
+    out = {}
+    for name, values in part.items():
+        whole = np.full(rows, np.nan)
+        whole[at] = values
+        out[name] = whole
+    known = np.concatenate([[-1], at])
+    out["t"] = np.interp(np.arange(rows), known, np.concatenate([[start], t]))
+    return out

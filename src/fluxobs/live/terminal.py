@@ -36,6 +36,7 @@ class Terminal:
         self._drawn = 0.0
         self._live: Any = None
         self._noted = False
+        self._units = {name: unit for name, unit, _ in shown(watch.machine)}
 
     def __enter__(self) -> Terminal:
         if sys.stdout.isatty():
@@ -52,13 +53,13 @@ class Terminal:
 
     def add(self, rows: Rows) -> None:
         """Take estimates."""
-        for name, unit, factor in shown(self.watch.machine):
+        for name, _, factor in shown(self.watch.machine):
             if name in rows.columns:
                 values = factor * np.asarray(rows.columns[name], dtype=float)
-                known = values[rows.valid] if name != "valid" else values
+                known = values[rows.valid]
                 if len(known):
-                    self._last[f"{name} {unit}".strip()] = float(known[-1])
-        self._last["valid rows %"] = float(100 * np.mean(rows.valid))
+                    self._last[name] = float(known[-1])
+        self._last["valid"] = float(100 * np.mean(rows.valid))
 
     def draw(self, force: bool = False) -> None:
         """Show them, if it is time to."""
@@ -75,7 +76,7 @@ class Terminal:
         if self._live is not None:
             self._live.update(self._table())
         elif self._last or self.watch.status.waiting:
-            values = [f"{name} {value:.4g}" for name, value in self._last.items()]
+            values = [f"{name} {self._written(name)}" for name in self._last]
             print(", ".join(values) or f"waiting: {self.watch.status.waiting}", flush=True)
 
     def _print(self, text: str) -> None:
@@ -101,8 +102,12 @@ class Terminal:
         for title, justify in (("", "left"), ("now", "right"), ("", "left")):
             drawn.add_column(title, justify=justify)  # type: ignore[arg-type]
         for name, strip in self._strips.items():
-            drawn.add_row(name, f"{strip[-1]:.4g}", sparkline(list(strip)))
+            drawn.add_row(name, self._written(name), sparkline(list(strip)))
         return drawn
+
+    def _written(self, name: str) -> str:
+        unit = self._units.get(name, "%")
+        return f"{self._last[name]:.4g}{'' if unit in '°%' else ' '}{unit}"
 
 
 def shown(machine: Machine) -> list[tuple[str, str, float]]:

@@ -7,12 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..errors import RecordError
 from ..estimation.columns import Rows, rows_of
 from ..estimation.prepare import Prepared, prepare
-from ..logs.aligned import Aligned, joined, less_lost
+from ..logs.aligned import Aligned, between, joined, less_lost
 from ..logs.for_machine import open_for
 from ..logs.formats.table import Columns
 from ..logs.log import Log
@@ -20,7 +18,7 @@ from ..logs.scales import Scales, scales_of
 from ..machines import Machine, RotatingMachine
 from ..observers import LogObserver
 from ..observers.unknowns import ALL, AUTO, read_unknowns
-from .frames import MARK, Frames
+from .frames import HEAD_ROWS, MARK, Frames
 from .lines import Lines
 from .part import Part
 from .spaced import Spaced
@@ -108,6 +106,7 @@ class Watch:
         self._first = b""
         self._scales: Scales | None = None
         self._recent: list[Aligned] = []
+        self._left = HEAD_ROWS  # rows until the sizes of the signals are measured
         self._state: Any = None
         self._before: Any = None
         self._rows = self._valid = self._chosen = 0
@@ -163,7 +162,7 @@ class Watch:
         source = self._incoming.source(parts)
         given = dict(self.layout)
         if isinstance(self._incoming, Frames):
-            given = {"sample_time": self._incoming.sample_time, **given}
+            given = {**self._incoming.layout, **given}
             given.pop("header", None)
         log = open_for(source, self.machine, **given)
         time = log.names.get("t")
@@ -176,31 +175,32 @@ class Watch:
         self._aligning = self.log.aligning()
 
     def _aligned(self, columns: Columns) -> Iterator[Rows]:
+        """Align rows and estimate them. How many come at once changes no number."""
         assert self.log is not None
         channels, truth = self.log.channels_of(columns)
-        for aligned in self._aligning.add(columns["t"], channels, truth):
-            self._measure(aligned)
-            if self.run is not None:
-                yield self._estimated(aligned)
+        for part in self._aligning.add(columns["t"], channels, truth):
+            at = 0
+            while at < len(part.t):
+                piece = between(part, at, at + self._left)
+                at += len(piece.t)
+                self._left -= len(piece.t)
+                self._recent.append(piece)
+                if self.run is not None:
+                    yield self._estimated(piece)
+                if self._left == 0:
+                    yield from self._measured()
 
-    def _measure(self, part: Aligned) -> None:
+    def _measured(self) -> Iterator[Rows]:
         """Choose the observer, at first and whenever the signals have grown."""
         assert self.log is not None
-        h = self.log.sample_time
-        self._recent.append(part)
-        rows = sum(len(one.t) for one in self._recent)
-        if self.run is not None and rows * h < WINDOW:
-            return
+        h, recent = self.log.sample_time, joined(self._recent)
+        self._recent, self._left = [], max(1, round(WINDOW / h))
         try:
-            found = scales_of([joined(self._recent)], h, self.log.path)
+            found = scales_of([recent], h, self.log.path)
         except RecordError as error:  # nothing flows yet
             self._waiting = str(error).partition(": ")[2]
-            if rows * h >= WINDOW:
-                self._recent = []
             return
         self._waiting = ""
-        if rows * h >= WINDOW:
-            self._recent = []
         known = self._scales
         if known is not None and not (
             found.current > GROWN * known.current or found.voltage > GROWN * known.voltage
@@ -211,6 +211,8 @@ class Watch:
         self._state = self.run.observer.init()
         self._before = None
         self._chosen += 1
+        if known is None:
+            yield self._estimated(recent)
 
     def _estimated(self, part: Aligned) -> Rows:
         assert self.run is not None
@@ -222,5 +224,5 @@ class Watch:
         self._state, found = observer.resume(self._state, part.voltage, part.current)
         rows = rows_of(run.log, self.machine, run.observer, part, found)
         self._rows += len(rows.valid)
-        self._valid += int(np.count_nonzero(rows.valid))
+        self._valid += int(rows.valid.sum())
         return rows

@@ -27,6 +27,13 @@ class Aligned(NamedTuple):
     truth: Array | None
 
 
+def between(part: Aligned, first: int, last: int) -> Aligned:
+    """Rows first … last - 1 of a piece."""
+    truth = None if part.truth is None else part.truth[first:last]
+    t, current, voltage = (column[first:last] for column in part[:3])
+    return Aligned(t, current, voltage, truth)
+
+
 def joined(parts: Sequence[Aligned]) -> Aligned:
     """Join pieces into one."""
     t, current, voltage = (

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import RecordError
 from ..model.frames import wrap
-from .aligned import Aligned, joined
+from .aligned import Aligned, between, joined
 from .log import Log
 
 Array = NDArray[np.float64]
@@ -63,9 +63,7 @@ def excerpts(log: Log) -> Iterator[Aligned]:
         for start in starts:
             low, high = max(start - row, 0), min(start + EXCERPT_ROWS - row, len(part.t))
             if low < high:
-                truth = None if part.truth is None else part.truth[low:high]
-                t, current, voltage = (column[low:high] for column in part[:3])
-                pieces.append(Aligned(t, current, voltage, truth))
+                pieces.append(between(part, low, high))
                 if row + high == start + EXCERPT_ROWS:
                     yield joined(pieces)
                     pieces = []

@@ -94,7 +94,7 @@ def live(
     }
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="fluxobs-"))
-        watch = Watch(given, Path(folder) / stream.name, **settings, **layout)
+        watch = Watch(given, Path(folder) / "stream", **settings, **layout)
         if save is not None:
             watch.record(stack.enter_context(Recorder(save)).add)
         try:
@@ -107,7 +107,10 @@ def live(
             pass
     if save is not None and save.exists():
         typer.echo(f"Written: {save}")
-        typer.echo(f"All of it at once: fluxobs estimate {shlex.quote(str(save))} …")
+        words = ["fluxobs", "estimate", str(save), "--machine", str(machine or DEMO_MACHINE)]
+        if watch.log is not None and watch.log.layout.lag:
+            words += ["--lag", f"{watch.log.layout.lag:g}"]
+        typer.echo(f"All of it at once: {shlex.join(words)}")
 
 
 def _in_terminal(stream: Source, watch: Watch) -> None:

@@ -1,0 +1,76 @@
+"""`fluxobs live` in the terminal, and its mistakes; its page is in tests/web."""
+
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from fluxobs.synthetic.demo import LOG
+from support.cli import fluxobs
+
+LIVE = [sys.executable, "-m", "fluxobs", "live"]
+
+
+def test_a_pipe_in_the_terminal_and_its_recording(tmp_path):
+    saved = tmp_path / "run.csv"
+    done = subprocess.run(
+        [*LIVE, "-", "--machine", "servo-400w", "--text", "--save", saved],
+        input=LOG.read_bytes(),
+        capture_output=True,
+        timeout=120,
+    )
+    out = done.stdout.decode()
+    assert done.returncode == 0, done.stderr.decode()
+    assert "5000 rows a second" in out
+    last = next(line for line in reversed(out.splitlines()) if line.startswith("theta_e"))
+    assert re.search(r"resistance 0\.3[56]\d* Ω", last)
+    assert saved.read_bytes() == LOG.read_bytes()
+    assert f"fluxobs estimate {saved} --machine servo-400w" in out
+
+
+def test_ctrl_c_ends_the_demo_as_it_should(tmp_path):
+    saved = tmp_path / "demo.csv"
+    running = subprocess.Popen(
+        [*LIVE, "--demo", "--text", "--save", saved], stdout=subprocess.PIPE, text=True
+    )
+    end = time.monotonic() + 60
+    while not saved.exists() and time.monotonic() < end:
+        time.sleep(0.05)
+    time.sleep(1.5)
+    running.send_signal(signal.SIGINT)
+    out, _ = running.communicate(timeout=30)
+    assert running.returncode == 0
+    assert "Written" in out
+    assert saved.read_text().endswith("\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "SOURCE or --demo"),
+        (["x.csv", "--demo"], "SOURCE or --demo"),
+        (["x.csv"], "--machine is missing"),
+        (["x.csv", "--machine", "servo-400w"], "no such file or port"),
+        (["--demo", "--save", "log.txt"], ".csv"),
+        (["--demo", "--save", "there.csv"], "exists"),
+        (["--demo", "--text", "--unknowns", "sped"], "sped"),
+    ],
+)
+def test_mistakes_end_with_a_remedy(tmp_path, arguments, words):
+    (tmp_path / "there.csv").write_text("mine")
+    done = fluxobs("live", *arguments, folder=tmp_path)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert (tmp_path / "there.csv").read_text() == "mine"
+
+
+def test_a_stream_without_names_says_which_option_gives_them(tmp_path):
+    rows = LOG.read_bytes().split(b"\n", 1)[1]
+    done = subprocess.run(
+        [*LIVE, "-", "--machine", "servo-400w", "--text"], input=rows, capture_output=True
+    )
+    assert done.returncode == 2
+    assert b"--header" in done.stderr

@@ -1,0 +1,241 @@
+"""Bytes of a stream → rows: text and frames, whatever the pieces that they come in."""
+
+import subprocess
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import fluxobs
+from fluxobs.errors import RecordError
+from fluxobs.live.frames import HEAD_ROWS, HEADER, MARK, SAMPLES, Frames, frame
+from fluxobs.live.lines import HEAD_LINES, Lines
+from fluxobs.live.spaced import Spaced
+from fluxobs.logs.clock import even
+from support.records import MACHINES
+
+NAMES = ("u_alpha", "u_beta", "i_alpha", "i_beta")
+
+
+def whole(parts):
+    """Columns of all parts."""
+    return {name: np.concatenate([p.columns[name] for p in parts]) for name in parts[0].columns}
+
+
+def in_pieces(data, cuts):
+    return [data[a:b] for a, b in pairwise([0, *sorted(cuts), len(data)])]
+
+
+def framed(rows, first=65000, names=NAMES, again=1000):
+    """A stream of frames that names its columns every now and then."""
+    out = bytearray()
+    for n, row in enumerate(np.asarray(rows, "<f4")):
+        if n % again == 0:
+            out += frame(HEADER, first + n, ",".join(["0.0001", "1", *names]).encode())
+        out += frame(SAMPLES, first + n, row.tobytes())
+    return bytes(out)
+
+
+ROWS = np.random.default_rng(1).normal(size=(3 * HEAD_ROWS, 4)).astype("<f4")
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.integers(0, len(framed(ROWS))), max_size=30))
+def test_frames_come_in_any_pieces(cuts):
+    frames = Frames()
+    parts = [part for piece in in_pieces(framed(ROWS), cuts) for part in frames.feed(piece)]
+    found = whole(parts)
+    assert np.array_equal(np.stack([found[name] for name in NAMES], 1), ROWS.astype(float))
+    assert np.allclose(np.diff(found["t"]), 1e-4)  # over the wrap of the number
+    assert frames.damaged == 0
+    assert frames.layout == {"sample_time": 1e-4, "lag": 1.0}
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.tuples(st.integers(60, 60_000), st.integers(1, 255)), max_size=20))
+def test_damaged_frames_are_left_out_and_the_others_stay_at_their_times(damages):
+    data = bytearray(framed(ROWS))
+    for at, change in damages:
+        data[at] ^= change
+    frames = Frames()
+    found = whole(frames.feed(bytes(data)))
+    row = np.round(found["t"] / 1e-4).astype(int)
+    row -= row[-1] - (len(ROWS) - 1)
+    assert np.array_equal(found["i_beta"], ROWS[row, 3].astype(float))
+    assert len(ROWS) - len(row) <= 3 * len(damages)  # a length that grew swallows more than one
+
+
+def test_bytes_that_are_no_frames_are_passed_over():
+    data = b"boot\r\n" + MARK + b"x" + framed(ROWS) + MARK
+    found = whole(Frames().feed(data))
+    assert np.array_equal(found["u_beta"], ROWS[:, 1].astype(float))
+
+
+def test_samples_before_the_names_are_passed_over():
+    data = framed(ROWS, again=700)
+    found = whole(Frames().feed(data[data.index(MARK, 40) :]))
+    assert len(found["t"]) == len(ROWS) - 700
+
+
+@pytest.mark.parametrize(
+    ("second", "words"), [(b"1e-4,1,a,b", "changed"), (b"fast,1,a,b", "must begin with")]
+)
+def test_a_header_that_cannot_be_is_refused(second, words):
+    frames = Frames()
+    if words == "changed":
+        frames.feed(frame(HEADER, 0, b"1e-4,1,u,i"))
+    with pytest.raises(RecordError, match=words):
+        frames.feed(frame(HEADER, 0, second))
+
+
+@pytest.mark.slow
+def test_the_sender_in_an_export_is_understood(tmp_path):
+    fluxobs.export(MACHINES["servo-400w"], 5e-5, tmp_path / "motor")
+    main = tmp_path / "main.c"
+    main.write_text("""
+        #include <stdio.h>
+        #include "telemetry.h"
+        int main(void)
+        {
+            unsigned char out[TELEMETRY_MOST];
+            for (uint32_t k = 65000U; k < 70000U; k++) {
+                const float voltage[2] = {(float)k, -0.1f}, current[2] = {1e-30f, 3.5f};
+                if (k % 1000U == 0U) {
+                    (void)fwrite(out, 1, telemetry_names(out, k), stdout);
+                }
+                if (k % 7U != 0U) { /* some are lost */
+                    (void)fwrite(out, 1, telemetry_sample(out, k, voltage, current), stdout);
+                }
+            }
+            return 0;
+        }""")
+    options = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"]
+    sources = [main, tmp_path / "motor" / "telemetry.c"]
+    subprocess.run(
+        ["cc", *options, f"-I{tmp_path / 'motor'}", *sources, "-o", tmp_path / "send"], check=True
+    )
+    sent = subprocess.run([tmp_path / "send"], check=True, capture_output=True).stdout
+    frames = Frames()
+    found = whole(frames.feed(sent))
+    k = np.array([k for k in range(65000, 70000) if k % 7])
+    assert np.array_equal(found["u_alpha"], k)
+    assert np.allclose(found["t"], 5e-5 * k, rtol=1e-12)
+    assert set(found["u_beta"]) == {np.float32(-0.1)}
+    assert set(found["i_alpha"]) == {np.float32(1e-30)}
+    assert frames.layout == {"sample_time": 5e-5, "lag": 1.0}
+    assert frames.damaged == 0
+
+
+def lines_of(rows, header="t,u_alpha,u_beta,i_alpha,i_beta"):
+    return "".join([header + "\n", *(",".join(f"{v:.9g}" for v in row) + "\n" for row in rows)])
+
+
+TIMED = np.column_stack([1e-4 * np.arange(len(ROWS)), ROWS])
+TEXT = lines_of(TIMED).encode()
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.integers(0, len(TEXT)), max_size=20))
+def test_lines_come_in_any_pieces(tmp_path_factory, cuts):
+    lines = Lines(tmp_path_factory.mktemp("head") / "stream")
+    parts = [part for piece in in_pieces(TEXT, cuts) for part in lines.feed(piece)]
+    found = whole(parts)
+    assert np.array_equal(found["i_beta"], ROWS[:, 3].astype(float).round(9)) or np.allclose(
+        found["i_beta"], ROWS[:, 3], rtol=1e-8
+    )
+    assert b"".join([lines.recorded(p, n == 0) for n, p in enumerate(parts)]) == TEXT
+
+
+def test_a_stream_that_is_joined_on_its_way(tmp_path):
+    header, *rows = TEXT.decode().splitlines(keepends=True)
+    rows.insert(300, header)
+    joined = "".join(rows)[17:].encode()  # within a line
+    found = whole(Lines(tmp_path / "stream").feed(joined))
+    assert np.array_equal(found["t"], TIMED[300:, 0].round(12))
+
+
+def test_a_header_between_rows_comments_and_blank_lines_are_no_rows(tmp_path):
+    header, *rows = TEXT.decode().splitlines(keepends=True)
+    lines = Lines(tmp_path / "stream")
+    first = whole(lines.feed((header + "".join(rows[:HEAD_LINES])).encode()))
+    more = ["# hello\n", "\n", header, *rows[HEAD_LINES:], header]
+    found = whole(lines.feed("".join(more).encode()))
+    assert len(first["t"]) + len(found["t"]) == len(rows)
+    assert np.isfinite(found["t"]).all()
+    assert lines.damaged == 0
+
+
+def test_damaged_lines_are_counted_and_keep_their_place(tmp_path):
+    header, *rows = TEXT.decode().splitlines(keepends=True)
+    lines = Lines(tmp_path / "stream")
+    lines.feed((header + "".join(rows[:HEAD_LINES])).encode())
+    bad = ["1,2,3,4,5,6,7\n", 'x"y\n', "12.5\n", "\xff\xfe,1,2,3,4\n"]
+    found = whole(lines.feed("".join([*bad, *rows[-3:]]).encode("latin-1")))
+    assert len(found["t"]) == 7
+    assert np.isnan(found["i_beta"][:3]).all()
+    assert np.isfinite(found["i_beta"][-3:]).all()
+    assert lines.damaged == 3  # of the fourth one cell is no number
+
+
+def test_names_that_the_stream_does_not_have(tmp_path):
+    rows = TEXT.split(b"\n", 1)[1]
+    lines = Lines(tmp_path / "stream", "t, u_alpha, u_beta, i_alpha, i_beta")
+    parts = lines.feed(rows)
+    assert list(parts[0].columns) == ["t", *NAMES]
+    assert lines.recorded(parts[0], True).startswith(b"t, u_alpha, u_beta, i_alpha, i_beta\n")
+
+
+def spaced(stamps, clock=None):
+    """Rows at even times from stamps, in one piece and row by row: both must agree."""
+    clock = clock or even(100, 0.01)
+    one, other = (Spaced(clock, "t", 1.0, 0.0) for _ in range(2))
+    stamps = np.asarray(stamps, float)
+    values = np.arange(len(stamps), dtype=float)
+    found = one.add({"t": stamps, "i": values})
+    each = [{"t": stamps[k : k + 1], "i": values[k : k + 1]} for k in range(len(stamps))]
+    parts = [other.add(row) for row in each]
+    for name in ("t", "i"):
+        pieces = np.concatenate([part[name] for part in parts])
+        assert np.allclose(pieces, found[name], equal_nan=True)
+    assert (one.lost, one.restarts) == (other.lost, other.restarts)
+    return one, found
+
+
+def test_gaps_are_filled_with_rows_that_know_nothing():
+    made, found = spaced([0, 0.01, 0.02, 0.05, 0.06, 0.16])
+    assert np.allclose(np.diff(found["t"]), 0.01)
+    assert made.lost == 2 + 9
+    nan = np.nan
+    assert np.array_equal(found["i"], [0, 1, 2, nan, nan, 3, 4, *[nan] * 9, 5], equal_nan=True)
+
+
+def test_a_sender_that_begins_anew_goes_on_in_time():
+    made, found = spaced([5.0, 5.01, 5.02, 0.0, 0.01])
+    assert made.restarts == 1
+    assert np.allclose(found["t"], 5.0 + 0.01 * np.arange(6))
+    assert np.isnan(found["i"][3])
+
+
+def test_a_counter_that_wraps_goes_on():
+    stamps = 0.01 * np.arange(40) % 0.16
+    clock = even(100, 0.01)
+    clock = type(clock)(**{**vars(clock), "wrap": 0.16})
+    made, found = spaced(stamps, clock)
+    assert made.restarts == made.lost == 0
+    assert np.allclose(found["t"], 0.01 * np.arange(40))
+
+
+def test_a_long_gap_is_shortened():
+    made, found = spaced([0, 0.01, 1e4])
+    assert made.lost > 900_000
+    assert len(found["t"]) < 20_000
+    assert found["t"][-1] == pytest.approx(1e4)
+
+
+def test_rounded_stamps_make_no_gaps():
+    clock = even(100, 0.01)
+    clock = type(clock)(**{**vars(clock), "rounding": 0.05})
+    made, _ = spaced(np.floor(0.01 * np.arange(200) / 0.05) * 0.05, clock)
+    assert made.lost == made.restarts == 0

@@ -1,0 +1,216 @@
+"""Where a stream comes from, and where it goes to."""
+
+import os
+import socket
+import sys
+import threading
+import time
+from contextlib import closing
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
+
+import pytest
+
+from fluxobs.errors import FluxobsError
+from fluxobs.live.recorder import Recorder
+from fluxobs.live.sources import Demo, open_source
+
+
+def until(source, wanted, send=None):
+    """What a source brings, until `wanted` bytes have come; `send` is called once it listens."""
+    got = b""
+    end = time.monotonic() + 20
+    with closing(source.chunks()) as chunks:
+        for n, data in enumerate(chunks):
+            if n == 0 and send is not None:
+                threading.Thread(target=send).start()
+            got += data
+            assert time.monotonic() < end, len(got)
+            if len(got) >= wanted:
+                break
+    return got
+
+
+def test_a_file_that_grows(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"first\n")
+
+    def write():
+        for k in range(5):
+            time.sleep(0.03)
+            with path.open("ab") as file:
+                file.write(b"%d\n" % k)
+
+    source = open_source(str(path), 0)
+    assert source.patient
+    assert until(source, 16, write) == b"first\n0\n1\n2\n3\n4\n"
+
+
+def test_a_file_that_becomes_shorter_is_refused(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"first\n")
+    chunks = open_source(str(path), 0).chunks()
+    assert next(chunks) == b"first\n"
+    path.write_bytes(b"")
+    with pytest.raises(FluxobsError, match="became shorter"):
+        list(chunks)
+
+
+def test_a_pipe_ends_when_it_is_closed(tmp_path):
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    threading.Thread(target=lambda: path.write_bytes(b"a,b\n" * 50_000)).start()
+    assert b"".join(open_source(str(path), 0).chunks()) == b"a,b\n" * 50_000
+
+
+def test_datagrams():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("", 0))
+        port = free.getsockname()[1]
+    source = open_source(f"udp:{port}", 0)
+
+    def send():
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+            for k in range(100):
+                out.sendto(b"%04d\n" % k, ("127.0.0.1", port))
+
+    assert until(source, 500, send) == b"".join(b"%04d\n" % k for k in range(100))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pseudo terminals")
+def test_a_serial_port():
+    pytest.importorskip("serial")
+    import tty
+
+    here, there = os.openpty()
+    tty.setraw(here)
+    source = open_source(os.ttyname(there), 115200)
+    data = bytes(range(256)) * 4
+    assert until(source, len(data), lambda: os.write(here, data)) == data
+    os.close(here)
+    os.close(there)
+
+
+def test_the_demo_runs_in_real_time():
+    began = time.monotonic()
+    got = b""
+    for data in Demo().chunks():
+        got += data
+        if got.count(b"\n") > 1500:
+            break
+    assert 0.25 < time.monotonic() - began < 5  # 0.3 s, and the time to make the first cycle
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("nowhere.csv", "no such file or port"),
+        (".", "folder"),
+        ("udp:99999", "between 1 and 65535"),
+        ("COM77", "cannot be opened"),
+        ("socket://localhost:1", "cannot be opened"),
+    ],
+)
+def test_what_is_not_there(text, words):
+    pytest.importorskip("serial")
+    with pytest.raises(FluxobsError, match=words):
+        open_source(text, 115200)
+
+
+def test_a_recording_is_in_the_file_though_nobody_closed_it(tmp_path):
+    path = tmp_path / "run.csv"
+    with Recorder(path) as made:
+        assert not path.exists()
+        made.add(b"a\n1\n")
+        assert path.read_bytes() == b"a\n1\n"
+
+
+# ---- the server ------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def server():
+    pytest.importorskip("websockets")
+    from fluxobs.live.serve import Server
+    from fluxobs.web import built
+
+    try:
+        built("page.html")
+    except FluxobsError as error:
+        pytest.skip(str(error))
+    made = []
+
+    def make(patient=True, **settings):
+        made.append(Server(0, settings, patient))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.end()
+
+
+def connected(server, **options):
+    from websockets.sync.client import connect
+
+    address = server.url.replace("http", "ws") + "stream"
+    options.setdefault("origin", server.url.rstrip("/"))
+    return connect(address, compression=None, **options)
+
+
+def test_the_page_is_served_with_its_settings_and_may_ask_for_the_stream_alone(server):
+    one = server(name="</script><b>é")
+    with urlopen(one.url) as answer:
+        text = answer.read().decode("utf-8")
+    host = one.url.removeprefix("http://").rstrip("/")
+    assert f"connect-src ws://{host} " in text
+    assert '<script type="application/json" id="live">{"name": "<\\/script><b>é"}</script>' in text
+
+
+def refused(one, path, **headers):
+    with pytest.raises(HTTPError) as error:
+        urlopen(Request(one.url + path, headers=headers))
+    error.value.close()
+    return error.value.code
+
+
+def test_other_pages_cannot_read_it(server):
+    from websockets.exceptions import InvalidStatus
+
+    one = server()
+    assert refused(one, "", Host="evil.example") == 403  # a name that was turned to 127.0.0.1
+    assert refused(one, "secret") == 404
+    for origin in ("http://evil.example", None, "null"):
+        with pytest.raises(InvalidStatus, match="403"):
+            connected(one, origin=origin)
+
+
+def test_the_stream_arrives_whole(server):
+    one = server()
+    pieces = [bytes([k % 256]) * 1000 for k in range(3000)]
+    with connected(one) as page:
+        assert one.watched.wait(5)
+        threading.Thread(target=lambda: [*map(one.send, pieces), one.end()]).start()
+        assert b"".join(page) == b"".join(pieces)
+
+
+def test_a_page_that_comes_late_gets_the_head_and_whole_lines(server):
+    one = server()
+    one.send(b"t,u\n1,2\n3,")
+    with connected(one) as page:
+        time.sleep(0.2)
+        one.send(b"4\n5,6\n")
+        assert page.recv() == b"t,u\n1,2\n3,"
+        assert page.recv() == b"5,6\n"
+
+
+def test_a_page_that_is_too_slow_is_let_go_of_a_port(server, monkeypatch):
+    from fluxobs.live import serve
+
+    monkeypatch.setattr(serve, "_WAITING", 3)
+    one = server(patient=False)
+    with connected(one, max_queue=1) as page:
+        assert one.watched.wait(5)
+        for _ in range(3000):
+            one.send(b"x" * 100_000)
+        got = b"".join(page)
+    assert 0 < len(got) < 3000 * 100_000

@@ -1,0 +1,138 @@
+"""Estimates of a stream are those of a log that is estimated as it goes."""
+
+import numpy as np
+import pytest
+
+import fluxobs
+from fluxobs.errors import FluxobsError
+from fluxobs.live import Watch
+from fluxobs.live.frames import HEADER, SAMPLES, frame
+from fluxobs.synthetic.demo import LOG
+
+DEMO = LOG.read_bytes()
+
+
+def watched(watch, data, piece=5000):
+    """All that is estimated, as columns."""
+    rows = [r for k in range(0, len(data), piece) for r in watch.feed(data[k : k + piece])]
+    return {name: np.concatenate([r.columns[name] for r in rows]) for name in rows[0].columns}
+
+
+@pytest.fixture
+def watch(tmp_path):
+    def make(machine="servo-400w", **given):
+        return Watch(fluxobs.read_machine(machine), tmp_path / "stream", **given)
+
+    return make
+
+
+@pytest.mark.parametrize(("unknowns", "pieces"), [("auto", 333), ("drift", len(DEMO))])
+def test_the_estimates_of_a_log(watch, unknowns, pieces):
+    one, other = watch(unknowns=unknowns), watch(unknowns=unknowns)
+    found = watched(one, DEMO)
+    again = watched(other, DEMO, pieces)
+    for name in found:
+        assert np.array_equal(found[name], again[name], equal_nan=True), name
+    assert len(found["t"]) == one.status.rows == 10_000
+    log = fluxobs.estimate(
+        fluxobs.demo_log(),
+        "servo-400w",
+        unknowns=unknowns if unknowns != "auto" else one.unknowns,
+        causal=True,
+    )
+    # only the sizes of the signals, which a stream cannot know before, are others
+    known = found["valid"] & log["valid"]
+    assert known.sum() > 0.95 * log["valid"].sum()
+    off = np.abs(found["theta_e"] - log["theta_e"])[known]
+    assert (np.minimum(off, 2 * np.pi - off) < log["theta_e_std"][known]).all()
+    rms = [
+        np.degrees(np.sqrt(np.mean(e[known] ** 2)))
+        for e in (found["theta_e_error"], log["theta_e_error"])
+    ]
+    assert rms[0] < 1.3 * rms[1] + 0.05
+
+
+def test_missing_rows_are_bad_samples(watch):
+    header, *rows = DEMO.splitlines(keepends=True)
+    del rows[5000:5003], rows[7000:7060]
+    made = watch()
+    found = watched(made, header + b"".join(rows))
+    assert made.status.lost == 63
+    assert np.allclose(np.diff(found["t"]), 2e-4)
+    assert not found["valid"][5001]
+    error = np.degrees(np.abs(found["theta_e_error"][found["valid"]]))
+    assert error.max() < 1.5
+
+
+def test_it_waits_for_a_current(watch):
+    header, *rows = DEMO.splitlines(keepends=True)
+    still = [b"%.4f,0,0,0,0,0\n" % (2e-4 * k) for k in range(12_000)]
+    moved = [b"%.4f," % (2.4 + 2e-4 * k) + row.split(b",", 1)[1] for k, row in enumerate(rows)]
+    made = watch()
+    assert list(made.feed(header + b"".join(still))) == []
+    assert "current is zero" in made.status.waiting
+    found = watched(made, b"".join(moved))
+    assert made.status.waiting == ""
+    assert found["valid"][-100:].all()
+
+
+def test_a_signal_that_grows_gets_an_observer_that_fits(watch):
+    """From hardly turning to full speed: what was chosen for the start does not fit the rest."""
+    header, *rows = DEMO.splitlines(keepends=True)
+    table = np.array([[float(x) for x in row.split(b",")] for row in rows])
+    quiet = np.repeat(table[:1], 5000, 0)
+    quiet[:, 1:5] = 1e-3 * np.random.default_rng(1).normal(size=(5000, 4))
+    quiet[:, 0] = 2e-4 * np.arange(5000)
+    table[:, 0] += 1.0
+    data = header + b"".join(
+        b",".join(b"%.6g" % x for x in row) + b"\n" for row in np.concatenate([quiet, table])
+    )
+    made = watch()
+    found = watched(made, data)
+    assert made.status.chosen > 1
+    assert found["valid"][-4000:].mean() > 0.9
+    assert np.degrees(np.abs(found["theta_e_error"][found["valid"]])).max() < 3
+
+
+def test_a_recording_is_a_log(watch, tmp_path):
+    made, kept = watch(), []
+    for k in range(0, 300_000, 4000):
+        if k == 120_000:
+            made.record(kept.append)
+        for _ in made.feed(DEMO[k : k + 4000]):
+            pass
+    path = tmp_path / "kept.csv"
+    path.write_bytes(b"".join(kept))
+    log = fluxobs.read_log(path)
+    assert len(log) > 3000
+    rows = {line.split(b",")[0]: line for line in DEMO.splitlines()}
+    assert all(rows[line.split(b",")[0]] == line for line in path.read_bytes().splitlines())
+
+
+@pytest.mark.parametrize(
+    ("data", "given", "words"),
+    [
+        (DEMO.replace(b"u_alpha", b"foo", 1), {}, "u_alpha"),
+        (b"\n".join(line.split(b",", 1)[1] for line in DEMO.splitlines()), {}, "--sample-time"),
+        (DEMO.split(b"\n", 1)[1], {}, "header"),
+        (DEMO, {"unknowns": "speed"}, "unknown"),
+        (DEMO, {"memory": 1e-5}, "memory"),
+    ],
+)
+def test_what_cannot_be_estimated_is_said(watch, data, given, words):
+    with pytest.raises(FluxobsError, match=words):
+        watched(watch(**given), data)
+
+
+def test_a_stream_in_frames(watch):
+    rows = np.array([[float(x) for x in line.split(b",")] for line in DEMO.splitlines()[1:]])
+    names = b"2e-4,0,u_alpha,u_beta,i_alpha,i_beta,theta_e"
+    data = frame(HEADER, 0, names) + b"".join(
+        frame(SAMPLES, k, row[1:].astype("<f4").tobytes()) for k, row in enumerate(rows)
+    )
+    text, framed = watched(watch(), DEMO), watched(watch(), data)
+    assert np.allclose(text["t"], framed["t"])
+    off = np.abs(text["theta_e"] - framed["theta_e"])
+    off = np.minimum(off, 2 * np.pi - off)
+    both = text["valid"] & framed["valid"]
+    assert (off < text["theta_e_std"])[both].all()

@@ -1,0 +1,216 @@
+// A stream: bytes from a serial port or `fluxobs live`, their estimates as a strip chart.
+
+import { banded, element, panels } from "./results.js";
+import { Panels, Recent } from "./plots.js";
+
+const LONGEST = 60, // seconds that are kept
+  MOST = 1 << 21; // rows that are kept at most
+const QUICK = new Set(["position", "sigma", "error", "speed", "drift"]);
+const SPANS = [1, 2, 5, 10, 30, 60];
+
+// What a serial port sends, until it is closed.
+export async function serial(baudRate) {
+  const port = await navigator.serial.requestPort();
+  await port.open({ baudRate, bufferSize: 1 << 16 });
+  const reader = port.readable.getReader();
+  return {
+    name: "serial port",
+    async *pieces() {
+      for (let got = await reader.read(); !got.done; got = await reader.read()) yield got.value;
+    },
+    async close() {
+      await reader.cancel();
+      reader.releaseLock();
+      await port.close();
+    },
+  };
+}
+
+// What `fluxobs live` sends.
+export function socket(address, name) {
+  const made = new WebSocket(address),
+    waiting = [];
+  let wake = () => {},
+    ended = false;
+  made.binaryType = "arraybuffer";
+  made.onmessage = ({ data }) => {
+    waiting.push(new Uint8Array(data));
+    wake();
+  };
+  made.onclose = () => {
+    ended = true;
+    wake();
+  };
+  return {
+    name,
+    async *pieces() {
+      while (waiting.length || !ended) {
+        if (waiting.length) yield waiting.shift();
+        else await new Promise((resolve) => (wake = resolve));
+      }
+    },
+    close: () => made.close(),
+  };
+}
+
+function joined(pieces) {
+  const out = new Uint8Array(pieces.reduce((sum, one) => sum + one.length, 0));
+  let at = 0;
+  for (const one of pieces) {
+    out.set(one, at);
+    at += one.length;
+  }
+  return out;
+}
+
+export class Live {
+  constructor(box, ask, download) {
+    this.ask = ask;
+    this.download = download;
+    this.words = element("p", { className: "strong", role: "status", "aria-live": "off" });
+    this.notes = element("p", { className: "note" });
+    this.now = element("dl", { className: "now" });
+    this.charts = element("div", { className: "charts" });
+    const button = (textContent, onclick) =>
+      element("button", { type: "button", textContent, onclick });
+    this.hold = button("Hold", () => this.holding(!this.held));
+    this.record = button("Record", () => this.recording(!this.tape));
+    this.stop = button("Stop", () => this.source?.close());
+    this.span = element(
+      "select",
+      { id: "span" },
+      ...SPANS.map((s) => element("option", { value: s, textContent: `${s} s`, selected: s === 5 })),
+    );
+    box.replaceChildren(
+      this.words,
+      this.now,
+      element(
+        "p",
+        {},
+        this.hold,
+        " ",
+        this.record,
+        " ",
+        this.stop,
+        " ",
+        element("label", { className: "inline" }, "Time shown ", this.span),
+      ),
+      element(
+        "p",
+        { className: "hint" },
+        "Hold it to zoom and to read values. Where the background is shaded the position is not valid.",
+      ),
+      this.charts,
+      this.notes,
+    );
+    this.panels = new Panels(this.charts, { onWindow: () => {}, onCursor: () => {} });
+  }
+
+  // Estimate a stream until it ends.
+  async run(source, given) {
+    this.source = source;
+    this.view = null;
+    this.waiting = [];
+    this.tape = null;
+    this.holding(false);
+    this.frames = 0;
+    this.words.textContent = `${source.name}: waiting for its first rows`;
+    this.found = await this.ask("watch", given);
+    const reading = (async () => {
+      for await (const piece of source.pieces()) this.waiting.push(piece);
+      this.ended = true;
+    })();
+    this.ended = false;
+    try {
+      while (!this.ended || this.waiting.length) {
+        await Promise.race([new Promise(requestAnimationFrame), new Promise((r) => setTimeout(r, 100))]);
+        await this.step();
+      }
+      await reading;
+      this.say(true);
+      this.words.textContent += "; the stream has ended";
+    } finally {
+      await this.recording(false);
+      this.source = null;
+      source.close();
+    }
+  }
+
+  // What has come since the last picture, and the next picture.
+  async step() {
+    if (this.waiting.length) {
+      const bytes = joined(this.waiting.splice(0));
+      const { columns, status, notes, recorded } = await this.ask("feed", { bytes }, [bytes.buffer]);
+      this.tape?.push(...recorded);
+      this.status = status;
+      this.notes.textContent = notes.join(". ");
+      if (columns.t) this.add(banded(columns));
+    }
+    if (this.view && !this.held) this.draw();
+    this.say();
+  }
+
+  add(columns) {
+    if (!this.view) {
+      const h = columns.t[1] - columns.t[0] || 1e-3;
+      const rows = Math.min(MOST, Math.ceil(((2 * LONGEST) / h) / 128) * 128);
+      this.view = new Recent(Object.keys(columns), new Set(["valid"]), rows);
+      this.view.append(columns);
+      this.panels.show(this.view, panels(this.view, this.found));
+      return;
+    }
+    this.view.append(columns);
+  }
+
+  draw() {
+    const to = this.view.t[this.view.rows - 1];
+    // what moves slowly is drawn now and then
+    const slow = this.frames++ % 15 === 0;
+    this.panels.roll(to - Number(this.span.value), to, ({ id }) => slow || QUICK.has(id));
+  }
+
+  say(last = false) {
+    const { status: s, view } = this,
+      now = performance.now();
+    if (!s || (now - (this.said ?? 0) < 200 && !last)) return;
+    this.said = now;
+    const counts = [
+      [s.lost, "lost"],
+      [s.damaged, "damaged"],
+      [s.restarts, "restarts of the sender"],
+    ];
+    this.words.textContent = [
+      `${this.source?.name ?? ""}: ${s.rows} rows, ${((100 * s.valid) / Math.max(1, s.rows)).toFixed(1)} % valid`,
+      ...counts.filter(([n]) => n).map(([n, what]) => `${n} ${what}`),
+      ...(s.waiting ? [`waiting: ${s.waiting}`] : []),
+      ...(this.tape ? ["recording"] : []),
+    ].join(", ");
+    if (!view) return;
+    const row = view.rows - 1;
+    this.now.replaceChildren(
+      ...this.panels.specs.map(({ title, unit, series: [{ name, map = (v) => v }] }) =>
+        element(
+          "div",
+          {},
+          element("dt", { textContent: title }),
+          element("dd", { textContent: `${map(view.columns[name][row]).toPrecision(4)} ${unit}` }),
+        ),
+      ),
+    );
+  }
+
+  holding(on) {
+    this.held = on;
+    this.hold.textContent = on ? "Go on" : "Hold";
+    if (on && this.view) this.panels.refill(true);
+  }
+
+  // Keep what comes; at the end it is a file.
+  async recording(on) {
+    if (on === Boolean(this.tape)) return;
+    await this.ask("record", { on });
+    this.record.textContent = on ? "Save the recording" : "Record";
+    if (!on) this.download("stream.csv", this.tape, "text/csv");
+    this.tape = on ? [] : null;
+  }
+}
