@@ -3,7 +3,10 @@
 Needs `make page`, Chromium and playwright. Logs are the demo log, repeated with noise of its own.
 """
 
+import re
 import shutil
+import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -78,6 +81,26 @@ def slider(page) -> float:
     return float(np.median(took))
 
 
+def frames(browser) -> float:
+    """Pictures of a stream in a second; the simulator runs on the same processor."""
+    running = subprocess.Popen(
+        [sys.executable, "-m", "fluxobs", "live", "--demo", "--no-open", "--port", "0"],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    address = re.search(r"http\S+", running.stdout.readline()).group()
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.goto(address)
+    page.wait_for_timeout(6000)
+    before = page.evaluate("() => fluxobs.live.frames")
+    page.wait_for_timeout(5000)
+    found = (page.evaluate("() => fluxobs.live.frames") - before) / 5
+    page.close()
+    running.terminate()
+    running.wait()
+    return found
+
+
 def main() -> None:
     heading("page")
     folder = Path(tempfile.mkdtemp())
@@ -112,6 +135,8 @@ def main() -> None:
         size = (folder / "report.html").stat().st_size / 1e6
         print(f"report of 2 million rows: {size:.1f} MB, first picture after {waited:.1f} s")
         print(f"  zoom {zooms(page):.0f} ms at most")
+        page.close()
+        print(f"strip chart of fluxobs live --demo: {frames(browser):.0f} frames a second")
         browser.close()
     shutil.rmtree(folder)
 

@@ -19,7 +19,7 @@ LAYERS = (
     ("observers",),
     ("checking",),
     ("synthetic", "estimation", "design"),
-    ("identification", "deployment", "comparison"),
+    ("identification", "deployment", "comparison", "live"),
     ("examination",),
     ("paper",),
     ("cli",),

@@ -122,6 +122,8 @@ def test_the_adaptive_observer_in_the_folder(tmp_path, name, unknowns):
     assert isinstance(done.observer, fluxobs.AdaptiveObserver)
     assert {path.name for path in done.folder.glob("*.[ch]")} == {
         "example_isr.c",
+        "telemetry.c",
+        "telemetry.h",
         "fluxobs.c",
         "fluxobs.h",
         "fluxobs_adaptive.c",

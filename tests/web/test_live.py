@@ -109,7 +109,6 @@ def test_the_page_shows_what_the_library_estimates(served, tmp_path):
     said = page.js("() => document.querySelector('#live-view').textContent")
     assert "10000 rows" in said
     assert "5000 rows a second" in said
-    assert page.js("() => fluxobs.live.frames") > 3
 
 
 def test_it_can_be_held_and_zoomed(served):

@@ -96,7 +96,7 @@ def export(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     done = fluxobs.export("servo-400w", 1e-4, f"{folder}/servo")
     ...     sorted(path.name for path in done.folder.glob("*.h"))
-    ['fluxobs.h', 'fluxobs_internal.h', 'fluxobs_real.h', 'motor_observer.h']
+    ['fluxobs.h', 'fluxobs_internal.h', 'fluxobs_real.h', 'motor_observer.h', 'telemetry.h']
     """
     check_prefix(prefix)
     sample_time = number("sample_time", sample_time, "s")
