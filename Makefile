@@ -99,7 +99,7 @@ fuzz:
 
 bench: $(READY)
 	@for script in accuracy measured speed startup paper hour long_run drive closed_loop validity \
-	        compare update_every adaptive random_drives stops jumps in_loop mistakes maps identification readers page; do \
+	        compare update_every adaptive random_drives stops heat jumps in_loop mistakes maps identification readers page; do \
 	    $(BIN)/python benchmarks/$$script.py || exit 1; \
 	done
 

@@ -79,7 +79,9 @@ export class Live {
     this.span = element(
       "select",
       { id: "span" },
-      ...SPANS.map((s) => element("option", { value: s, textContent: `${s} s`, selected: s === 5 })),
+      ...SPANS.map((s) =>
+        element("option", { value: s, textContent: `${s} s`, selected: s === 5 }),
+      ),
     );
     box.replaceChildren(
       this.words,
@@ -123,7 +125,10 @@ export class Live {
     this.ended = false;
     try {
       while (!this.ended || this.waiting.length) {
-        await Promise.race([new Promise(requestAnimationFrame), new Promise((r) => setTimeout(r, 100))]);
+        await Promise.race([
+          new Promise(requestAnimationFrame),
+          new Promise((r) => setTimeout(r, 100)),
+        ]);
         await this.step();
       }
       await reading;
@@ -140,7 +145,9 @@ export class Live {
   async step() {
     if (this.waiting.length) {
       const bytes = joined(this.waiting.splice(0));
-      const { columns, status, notes, recorded } = await this.ask("feed", { bytes }, [bytes.buffer]);
+      const { columns, status, notes, recorded } = await this.ask("feed", { bytes }, [
+        bytes.buffer,
+      ]);
       this.tape?.push(...recorded);
       this.status = status;
       this.notes.textContent = notes.join(". ");
@@ -153,7 +160,7 @@ export class Live {
   add(columns) {
     if (!this.view) {
       const h = columns.t[1] - columns.t[0] || 1e-3;
-      const rows = Math.min(MOST, Math.ceil(((2 * LONGEST) / h) / 128) * 128);
+      const rows = Math.min(MOST, Math.ceil((2 * LONGEST) / h / 128) * 128);
       this.view = new Recent(Object.keys(columns), new Set(["valid"]), rows);
       this.view.append(columns);
       this.panels.show(this.view, panels(this.view, this.found));

@@ -382,7 +382,11 @@ $("copy").addEventListener("click", () => navigator.clipboard?.writeText($("comm
 
 // ---- a stream -------------------------------------------------------------------------------
 
-const live = new Live($("live-view"), (action, given, moved) => ask(action, given, moved), download);
+const live = new Live(
+  $("live-view"),
+  (action, given, moved) => ask(action, given, moved),
+  download,
+);
 async function watch(open, given) {
   try {
     if (!given.machine.trim()) throw new Error("Choose the machine first, then watch the stream.");

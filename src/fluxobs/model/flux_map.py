@@ -115,7 +115,7 @@ class FluxMap:
             0.0,
         )
         none: dict[str, Any] = {"coefficients": np.zeros((0, 0, 2))}
-        return {"kind": self.code, "magnets": self.magnets} | zeros | none | self.fields()
+        return {"kind": self.code, "magnets": bool(self.magnets)} | zeros | none | self.fields()
 
 
 @dataclass(frozen=True)

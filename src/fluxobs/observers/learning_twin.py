@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 BLOCK, BLOCK_MOST, MODEL = np.pi / 4, 0.3, 0.002
 INVERTER_UNMODELLED, KNEE_UNMODELLED, DRIFT_MEMORY = 0.05, 0.3, 100.0
 ROWS, CLIP, PROVEN, LEVEL_LEAST = 16.0, 25.0, 8.0, 0.02
-NEW_POINT, ROUND, DOUBT_LIMIT = 0.3, 16, 0.5
+NEW_POINT, ROUND, DOUBT_LIMIT, HEAT_WALK = 0.3, 16, 0.5, 0.1
 #: Order of the parameters; the curve comes last and is only considered.
 PSI, RESISTANCE, INVERTER, OFFSET, CURVE = 0, 1, 2, 4, 8
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -281,3 +281,4 @@ class LearningTwin:
         elif self.pulled == ROUND - 1:
             self.passed, self.since = min(self.since, 0.5), 0.0
             self.Q = self.Q / (1 - self.passed)
+            self.Q[RESISTANCE, RESISTANCE] += HEAT_WALK**2 * self.passed

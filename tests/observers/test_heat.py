@@ -1,0 +1,30 @@
+"""A winding that warms up: the resistance is followed, and its standard deviation holds."""
+
+from itertools import islice
+
+import numpy as np
+import pytest
+
+import fluxobs
+from fluxobs.synthetic import endless
+
+ROWS = 120_000  # 24 s
+
+
+@pytest.mark.parametrize(("warmer", "warming"), [(0.25, 40.0), (0.15, 100.0), (0.0, 1.0)])
+def test_heat_is_followed(monkeypatch, warmer, warming):
+    monkeypatch.setattr(endless, "WARMER", warmer)
+    monkeypatch.setattr(endless, "WARMING", warming)
+    rows = np.array(list(islice(endless.endless(), ROWS)))
+    log = dict(zip(endless.COLUMNS, rows.T, strict=True))
+    unknowns = ["drift", "resistance", "inverter"]
+    found = fluxobs.estimate(log, "servo-400w", unknowns=unknowns, causal=True)
+    cycle = log["t"] // endless.CYCLE * endless.CYCLE
+    true = 0.36 * (1 + warmer * (1 - np.exp(-cycle / warming)))
+    late = log["t"] % endless.CYCLE > 1.5  # it has seen the new resistance loaded
+    off = np.abs(found["resistance"] - true) / found["resistance_std"]
+    assert off[late].max() < 2.5
+    valid = found["valid"]
+    error = np.abs(found["theta_e_error"])[valid]
+    assert np.mean(error > 2 * found["theta_e_std"][valid]) < 0.001
+    assert np.degrees(np.sqrt(np.mean(error**2))) < 0.15
