@@ -401,9 +401,9 @@ static void walk_resistance(fo_adaptive_state *s, fo_real variance)
     s->d[psi] /= ONE + variance * tied * tied * s->d[psi] / step;
     s->d[r] /= step;
     s->z[psi] += tied * gain * s->z[r];
-    *over++ += tied * gain;
-    for (int j = r + 1; j < (int)FO_NA; j++) {
-        *over++ += tied * gain * *own++;
+    over[0] += tied * gain;
+    for (int j = 0; j < (int)FO_NA - 1 - r; j++) {
+        over[1 + j] += tied * gain * own[j];
     }
 }
 
