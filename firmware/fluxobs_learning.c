@@ -396,14 +396,14 @@ static void walk_resistance(fo_adaptive_state *s, fo_real variance)
     const int psi = FO_NF + (int)FO_PSI, r = FO_NF + (int)FO_RESISTANCE;
     fo_real *over = &s->U[FO_AT(FO_NA, psi, r)];
     const fo_real *own = &s->U[FO_AT(FO_NA, r, r + 1)];
-    const fo_real tied = *over, step = ONE + variance * s->d[r];
+    const fo_real share = over[0], step = ONE + variance * s->d[r];
     const fo_real gain = -variance * s->d[r] / step; /* of R's row in w's */
-    s->d[psi] /= ONE + variance * tied * tied * s->d[psi] / step;
+    s->d[psi] /= ONE + variance * share * share * s->d[psi] / step;
     s->d[r] /= step;
-    s->z[psi] += tied * gain * s->z[r];
-    over[0] += tied * gain;
+    s->z[psi] += share * gain * s->z[r];
+    over[0] += share * gain;
     for (int j = 0; j < (int)FO_NA - 1 - r; j++) {
-        over[1 + j] += tied * gain * own[j];
+        over[1 + j] += share * gain * own[j];
     }
 }
 
