@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import gzip
 import json
+import lzma
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 from fluxobs.web.columns import as_text
 from translate import program
 
@@ -124,9 +126,26 @@ def bundled(entry: Path, style: str) -> str:
     return done.stdout.decode("utf-8")
 
 
-def packed(data: bytes) -> str:
-    """Compressed, as text that a script element keeps."""
-    return as_text(gzip.compress(data, 9, mtime=0))
+def demo() -> bytes:
+    """The first rows of the demo log as app/demo.js reads them: a header, then second differences,
+    which are small, of whole numbers."""
+    names, *lines = (PACKAGE / "synthetic" / "demo_log.csv").read_text("utf-8").splitlines()
+    cells = [line.split(",") for line in lines[:DEMO_ROWS]]
+    digits = [len(cell.partition(".")[2]) for cell in cells[0]]
+    header = {"digits": dict(zip(names.split(","), digits, strict=True)), "rows": len(cells)}
+    text = json.dumps(header).encode("utf-8")
+    out = len(text).to_bytes(2, "little") + text
+    for column, places in zip(zip(*cells, strict=True), digits, strict=True):
+        whole = np.round(np.array(column, float) * 10**places).astype(np.int64)
+        twice = np.diff(np.concatenate([[0, 0], whole]), n=2).astype("<i4")
+        out += twice.view(np.uint8).reshape(-1, 4)[:, :3].T.tobytes()
+    return out
+
+
+def archived(data: bytes) -> str:
+    """As small as it gets, as text that a script element keeps."""
+    wanted = {"id": lzma.FILTER_LZMA1, "preset": 9 | lzma.PRESET_EXTREME, "pb": 0}
+    return as_text(lzma.compress(data, lzma.FORMAT_ALONE, filters=[wanted]))
 
 
 def main() -> None:
@@ -142,32 +161,32 @@ def main() -> None:
         code = bundled(worker, "iife")
     finally:
         worker.unlink(missing_ok=True)
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
     style = (WEB / "node_modules" / "uplot" / "dist" / "uPlot.min.css").read_text("utf-8")
     style += bundled(WEB / "app" / "style.css", "iife")
-    demo = (PACKAGE / "synthetic" / "demo_log.csv").read_bytes().split(b"\n")[: DEMO_ROWS + 1]
-    shared = {
-        "style": style,
-        "version": version,
-        "worker": packed(code.encode("utf-8")),
-        "wasm": packed(wasm()),
-    }
-    write("page", shared | {"demo": packed(b"\n".join(demo) + b"\n")})
-    write("report", shared)
+    shared = {"worker": code.encode("utf-8"), "style": style.encode("utf-8")}
+    write("page", shared | {"wasm": wasm(), "demo": demo()})
+    write("report", shared | {"wasm": wasm()})
 
 
-def write(name: str, values: dict[str, str]) -> None:
+def write(name: str, parts: dict[str, bytes]) -> None:
     """Fill a template; what stands for a report's data is left."""
-    app = bundled(WEB / "app" / f"{name}.js", "esm")
-    boot = bundled(WEB / "app" / "boot.js", "esm")
-    values = values | {"app": packed(app.encode("utf-8")), "boot": boot}
+    app = bundled(WEB / "app" / f"{name}.js", "esm").encode("utf-8")
+    parts = {"app": app, **parts}
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
+    decoder = bundled(WEB / "app" / "lzma.js", "esm").encode("utf-8")
+    values = {
+        "version": version,
+        "parts": json.dumps({part: len(data) for part, data in parts.items()}),
+        "lzma": as_text(gzip.compress(decoder, 9, mtime=0)),
+        "archive": archived(b"".join(parts.values())),
+        "boot": bundled(WEB / "app" / "boot.js", "esm"),
+    }
     page = (WEB / "app" / f"{name}.html").read_text("utf-8")
     for key, value in values.items():
         page = page.replace("{{" + key + "}}", value)
     out = PACKAGE / "web" / f"{name}.html"
     out.write_text(page, "utf-8")
-    sizes = ", ".join(f"{key} {len(value.encode()) / 1000:.0f}" for key, value in values.items())
-    print(f"Written: {out.relative_to(ROOT)}, {len(page.encode()) / 1000:.0f} kB ({sizes})")
+    print(f"Written: {out.relative_to(ROOT)}, {len(page.encode()) / 1000:.0f} kB")
 
 
 if __name__ == "__main__":

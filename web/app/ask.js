@@ -1,12 +1,10 @@
 // The worker, as functions that return promises.
 
-const unpack = window.unpack; // of boot.js
-export { unpack };
-export const unpacked = (id) => unpack(document.getElementById(id).textContent);
+export const { unpack, parts } = window; // of boot.js
 
 export async function start(onProgress = () => {}) {
-  const source = new TextDecoder().decode(await unpacked("worker"));
-  const worker = new Worker(URL.createObjectURL(new Blob([source], { type: "text/javascript" })));
+  const source = new Blob([parts.worker], { type: "text/javascript" });
+  const worker = new Worker(URL.createObjectURL(source));
   const waiting = new Map();
   let last = 0;
   worker.onmessage = ({ data: { id, result, error, progress, stack } }) => {
@@ -30,7 +28,6 @@ export async function start(onProgress = () => {}) {
       waiting.set(id, { resolve, reject });
       worker.postMessage({ id, action, given }, transfer);
     });
-  const wasm = await unpacked("wasm");
-  await ask("start", { wasm });
+  await ask("start", { wasm: parts.wasm });
   return ask;
 }

@@ -1,6 +1,7 @@
 // The page: a log is dropped, a machine chosen; estimates, verdicts and files come out.
 
-import { start, unpacked } from "./ask.js";
+import { parts, start } from "./ask.js";
+import { demoLog } from "./demo.js";
 import { Live, serial, socket } from "./live.js";
 import { Recent } from "./plots.js";
 import { Results, element, themed } from "./results.js";
@@ -148,7 +149,7 @@ $("files").addEventListener("change", (event) => {
 $("demo").addEventListener("click", async () => {
   $("example").value = "servo-400w";
   $("machine").value = state.known.examples["servo-400w"];
-  open([new File([await unpacked("demo-log")], "demo_log.csv")]);
+  open([new File([demoLog(parts.demo)], "demo_log.csv")]);
 });
 
 // ---- what is asked for ----------------------------------------------------------------------
