@@ -112,10 +112,23 @@ int32_t EXPORT(part)(const uint8_t *block, uint32_t size, uint8_t delimiter, uin
     return count;
 }
 
-/* How often a byte stands in a block. */
+/* How often a byte stands in a block. Sums of so few that a byte holds them take sixteen at once. */
 uint32_t EXPORT(count_of)(const uint8_t *block, uint32_t size, uint8_t byte)
 {
     uint32_t n = 0;
-    for (uint32_t k = 0; k < size; k++) n += block[k] == byte;
+    for (uint32_t first = 0; first < size; first += 240) {
+        const uint32_t last = size - first < 240 ? size : first + 240;
+        uint8_t some = 0;
+        for (uint32_t k = first; k < last; k++) some += block[k] == byte;
+        n += some;
+    }
     return n;
+}
+
+/* Whether two bytes stand side by side in a block. */
+uint32_t EXPORT(has_pair)(const uint8_t *block, uint32_t size, uint8_t one, uint8_t other)
+{
+    uint8_t found = 0;
+    for (uint32_t k = 0; k + 1 < size; k++) found |= (block[k] == one) & (block[k + 1] == other);
+    return found;
 }

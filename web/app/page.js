@@ -297,6 +297,11 @@ async function again() {
     state.found = { ...found, parameters: await ask("parameters", { machine }) };
     $("results").hidden = $("files-out").hidden = false;
     results.show(state.found, columns);
+    requestAnimationFrame(() =>
+      setTimeout(() => {
+        document.body.dataset.seconds = ((performance.now() - state.chosen) / 1000).toFixed(3);
+      }),
+    ); // when it is on the screen
     const seconds = (performance.now() - began) / 1000;
     $("taken").textContent = [
       ...found.notes,
@@ -305,11 +310,6 @@ async function again() {
     $("command").textContent = command(given);
     say(`Estimated and drawn in ${seconds.toFixed(2)} s. Checking …`);
     await list(given); // the same columns, as a table: it can wait
-    requestAnimationFrame(() =>
-      setTimeout(() => {
-        document.body.dataset.seconds = ((performance.now() - state.chosen) / 1000).toFixed(3);
-      }),
-    ); // when it is on the screen
     const explained = await ask("explain");
     if (mine !== turn) return;
     results.explain(explained);

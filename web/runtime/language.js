@@ -376,7 +376,8 @@ const $gt = $compared("gt", (o) => o > 0),
 
 function $in_(x, of) {
   if (typeof of === "string") return of.includes(x);
-  if (of instanceof Uint8Array) return $bytesFind(of, x) >= 0;
+  if (of instanceof Uint8Array)
+    return x.length === 2 && of.length > 4096 ? $hasPair(of, x) : $bytesFind(of, x) >= 0;
   if (of instanceof Dict || of instanceof PySet) return of.has(x);
   if (of != null && of.__contains__) return of.__contains__(x);
   for (const one of $iter(of)) if ($same(one, x)) return true;

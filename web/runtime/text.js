@@ -1,13 +1,16 @@
 // Lines of delimited text as numbers: the counterpart of fluxobs/logs/formats/text/parse.py.
 
-// How often a byte stands in a block.
-function $countOf(block, byte) {
+// What the parser says of a block of bytes.
+function $asked(block, question) {
   const at = $wasm.allocate(Math.max(8, block.length));
   $octets(at, block.length).set(block);
-  const out = $wasm.count_of(at, block.length, byte);
+  const out = question(at, block.length);
   $wasm.release(at);
   return out;
 }
+const $countOf = (block, byte) => $asked(block, (at, size) => $wasm.count_of(at, size, byte));
+const $hasPair = (block, [one, other]) =>
+  $asked(block, (at, size) => $wasm.has_pair(at, size, one, other)) > 0;
 
 const Ragged = $exception("Ragged", ValueError);
 // The number in a text, correctly rounded; undefined if it is none.

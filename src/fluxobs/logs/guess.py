@@ -362,6 +362,9 @@ def _take_units(columns: Columns, out: Guess) -> None:
     given = out.fields
     chosen = dict(given.get("unit", {}))
     truth = {} if "theta" in given.get("truth", {}) else given.get("truth", {})
+    named = [*out.channels.values(), *given.get("truth", {}).values()]
+    for part in columns.parts:
+        part.table.expect([part.columns[name] for name in named if name in part.columns])
     for channel, name in [*out.channels.items(), *truth.items()]:
         if name not in columns.part_of or _is_given(channel, given):
             continue

@@ -74,6 +74,10 @@ class Table(ABC):
         Raises RecordError with file, column and place if a value is not a number.
         """
 
+    def expect(self, names: Sequence[str]) -> None:  # noqa: B027  (most formats need not know)
+        """Columns that will all be read: a format that parses all of a file for one reads them
+        together."""
+
     def place(self, row: int) -> str:
         """Where a person finds that row in the file."""
         return f"row {row + 1}"

@@ -107,6 +107,7 @@ class TextTable(Table):
         packed = 1 if self.random_access else 8  # text is some eight times as large
         self._small = packed * self._text.stat().st_size < source.KEPT
         self._kept: Columns = {}
+        self._expected: list[str] = []
         skip = 0 if self._copy is not None else self.structure.first_line
         at = 0
         if skip:
@@ -131,6 +132,9 @@ class TextTable(Table):
                 yield self._firsts[n], block
             n += 1
 
+    def expect(self, names: Sequence[str]) -> None:
+        self._expected = list(names)
+
     def batches(
         self, names: Sequence[str], first: int, last: int, size: int = BATCH
     ) -> Iterator[Columns]:
@@ -139,6 +143,9 @@ class TextTable(Table):
             return
         wanted = [name for name in dict.fromkeys(names) if name not in self._kept]
         if wanted:
+            if any(name in self._expected for name in wanted):
+                more = [name for name in self._expected if name not in self._kept]
+                wanted = list(dict.fromkeys([*wanted, *more]))
             parts = list(self._read(wanted, 0, self.rows, size))
             none = [np.empty(0)]
             self._kept |= {n: np.concatenate([p[n] for p in parts] or none) for n in wanted}
