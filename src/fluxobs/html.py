@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from html import escape
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,6 +50,20 @@ def image(png: bytes, words: str) -> str:
         f'<img alt="{escape(words, quote=True)}" style="max-width:100%" '
         f'src="data:image/png;base64,{data}">'
     )
+
+
+def from_markdown(text: str, folder: Path) -> str:
+    """Markdown with tables; its pictures, PNG files in a folder, stand in it."""
+    from markdown_it import MarkdownIt
+
+    written = MarkdownIt("commonmark", {"html": False}).enable("table")
+
+    def embedded(renderer: Any, tokens: Any, at: int, options: Any, env: Any) -> str:
+        token = tokens[at]
+        return image((folder / str(token.attrs["src"])).read_bytes(), token.content)
+
+    written.add_render_rule("image", embedded)
+    return str(written.render(text))
 
 
 #: Of a document; pictures are drawn on white, also where the rest is dark.

@@ -62,6 +62,11 @@ def test_quick_run_writes_figures_report_and_the_committed_numbers(tmp_path):
     for name in FIGURES:
         assert (tmp_path / "paper" / f"{name}.png").stat().st_size > 10_000
         assert f"({name}.png)" in report
+    page = (tmp_path / "paper" / "report.html").read_text()
+    assert page.count("<img") == len(FIGURES)
+    assert page.count("<table>") == report.count("| --- |\n")
+    assert "src=\"data:" in page
+    assert ".png" not in page
     # What the report must be able to say.
     courses = found["scenarios"]["S5"]["courses"]
     assert courses["adaptive, repaired"]["settled"]["0.001"] < 10

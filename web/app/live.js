@@ -5,7 +5,7 @@ import { Panels, Recent } from "./plots.js";
 
 const LONGEST = 60, // seconds that are kept
   MOST = 1 << 21; // rows that are kept at most
-const QUICK = new Set(["position", "sigma", "error", "speed", "drift"]);
+const QUICK = new Set(["position", "speed", "drift"]);
 const SPANS = [1, 2, 5, 10, 30, 60];
 
 // What a serial port sends, until it is closed.
@@ -171,9 +171,14 @@ export class Live {
 
   draw() {
     const to = this.view.t[this.view.rows - 1];
-    // what moves slowly is drawn now and then
-    const slow = this.frames++ % 15 === 0;
-    this.panels.roll(to - Number(this.span.value), to, ({ id }) => slow || QUICK.has(id));
+    // with those that move quickly one of the others in each frame
+    const others = this.panels.specs.filter(({ id }) => !QUICK.has(id)),
+      next = others[this.frames++ % others.length];
+    this.panels.roll(
+      to - Number(this.span.value),
+      to,
+      (spec) => QUICK.has(spec.id) || spec === next,
+    );
   }
 
   say(last = false) {

@@ -9,6 +9,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, ParamSpec, Self, TypeVar
 
+from .. import html
 from ..errors import FluxobsError
 from . import counter_example
 from .counter_example import CounterExample
@@ -59,7 +60,7 @@ def reproduce(
     say: Callable[[str], Any] = lambda text: None,
     processes: int = 2,
 ) -> dict[str, Any]:
-    """Runs everything and writes ``report.md``, ``numbers.json`` and the figures to a folder.
+    """Runs everything; writes ``report.html``, ``report.md``, ``numbers.json`` and the figures.
 
     Parameters
     ----------
@@ -125,7 +126,10 @@ def reproduce(
         draw_scalar_gain(out, found["deep"]["scalar_gain"], formats)
     try:
         (out / "numbers.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-        (out / "report.md").write_text(markdown(found, more), encoding="utf-8")
+        title, _, text = markdown(found, more).partition("\n")
+        (out / "report.md").write_text(f"{title}\n{text}", encoding="utf-8")
+        page = html.document(title.removeprefix("# "), html.from_markdown(text, out))
+        (out / "report.html").write_text(page, encoding="utf-8")
     except OSError as error:
         raise FluxobsError(f"{out}: cannot be written: {error.strerror}") from None
     return found

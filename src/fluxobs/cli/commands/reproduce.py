@@ -30,7 +30,7 @@ def reproduce(
 ) -> None:
     """Reproduce Section V of the paper, as printed, corrected and beyond.
 
-    Writes report.md, numbers.json and figures (PNG, and SVG unless --quick).
+    Writes report.html (and .md), numbers.json and figures (PNG, and SVG unless --quick).
 
     Needs the extra "design" (JAX).
     """
@@ -42,4 +42,4 @@ def reproduce(
 
     make_folder(out, "report.md", force)
     run(out, quick, deep, typer.echo)
-    typer.echo(f"Written: {out / 'report.md'}, numbers.json and figures")
+    typer.echo(f"Written: {out / 'report.html'}, report.md, numbers.json and figures")
