@@ -32,6 +32,7 @@ ROOTS = (
     "fluxobs.estimation.passes",
     "fluxobs.estimation.explained",
     "fluxobs.estimation.again",
+    "fluxobs.estimation.shown",
     "fluxobs.live",
     "fluxobs.logs.for_machine",
     "fluxobs.logs.channels",

@@ -294,7 +294,7 @@ async function again() {
     const began = performance.now();
     const { columns, ...found } = await ask("estimate", { machine, ...given });
     if (mine !== turn) return;
-    state.found = { ...found, parameters: await ask("parameters", { machine }) };
+    state.found = found;
     $("results").hidden = $("files-out").hidden = false;
     results.show(state.found, columns);
     requestAnimationFrame(() =>

@@ -113,13 +113,6 @@ function runOver(log, machine, unknowns, memory, priors, causal, progress) {
   return kept.columns();
 }
 
-// What pictures need to know of a machine.
-const facts = ({ ports, kind, position_output: { name, unit, factor, title } }) => ({
-  ports: plain(ports),
-  position: { name, unit, factor, title },
-  kind,
-});
-
 const actions = {
   machines() {
     const { example_names, example_text, KINDS } = $py("machines"),
@@ -142,12 +135,6 @@ const actions = {
   sheet({ kind, fields }) {
     const made = $py("machines.new").new_machine(kind, python(fields));
     return { text: made.text, assumed: plain(made.assumed) };
-  },
-
-  // Numbers of a machine that a slider moves.
-  parameters({ machine }) {
-    const made = machineFrom(machine);
-    return { kind: made.kind, memory: made.memory, values: plain(made.parameters()) };
   },
 
   open({ files }) {
@@ -177,22 +164,10 @@ const actions = {
     const log = $py("logs.for_machine").open_for(opened.paths[0], made, $kw(layout));
     const chosen = $py("observers.unknowns").read_unknowns(unknowns);
     const columns = runOver(log, made, chosen, memory, priors, causal, progress);
-    const run = opened.run,
-      taken = log.names.items();
     return {
       columns,
-      rows: len(log),
-      sample_time: log.sample_time,
-      lag: log.layout.lag,
-      frame: log.frame,
       notes: plain(log.notes),
-      columns_taken: Object.fromEntries(taken),
-      truth: log.true === null ? null : plain(log.true.columns),
-      unknowns: plain(run.unknowns),
-      adaptive: run.adaptive !== null,
-      memory: run.observer.memory,
-      automatic: run.automatic,
-      ...facts(run.machine),
+      ...plain($py("estimation.shown").shown(opened.run)),
     };
   },
 
@@ -255,7 +230,10 @@ const actions = {
       made = machineFrom(machine);
     const layout = { ...layoutOf(options), unknowns, memory, priors };
     opened.watch = Watch(made, Path("stream"), $kw(layout));
-    return { ...facts(made), adaptive: opened.watch.unknowns.length > 1 };
+    return {
+      ...plain($py("estimation.shown").shown_machine(made)),
+      adaptive: opened.watch.unknowns.length > 1,
+    };
   },
 
   // Its next bytes; what they tell.

@@ -17,6 +17,7 @@ from ..output import write_text
 from ..web.columns import exact, flags, rounded
 from .result import Result
 from .run import LogRun
+from .shown import shown
 
 #: A record of more text than this is left out: the report then shows, but does not recompute.
 MOST = 8_000_000
@@ -56,7 +57,7 @@ def write_report(
     )
     found = {
         "words": _words(result, command),
-        "found": _found(result),
+        "found": shown(result),
         "record": record,
         "columns": None if record is not None else _columns(result),
     }
@@ -97,35 +98,6 @@ def _learnt(result: Result) -> list[list[str]]:
         [name, f"{one['value']:.6g}", f"{2 * one['std']:.2g}", one["unit"], f"{one['given']:.6g}"]
         for name, one in found.items()
     ]
-
-
-def _found(result: Result) -> dict[str, Any]:
-    """What the pictures and the sliders ask for, as the page's worker tells it."""
-    machine, log = result.machine, result.log
-    where = machine.position_output
-    return {
-        "rows": result.statistics.rows,
-        "sample_time": log.sample_time,
-        "lag": log.layout.lag,
-        "unknowns": list(result.unknowns),
-        "adaptive": result.adaptive is not None,
-        "memory": result.observer.memory,
-        "ports": list(machine.ports),
-        "position": {
-            "name": where.name,
-            "unit": where.unit,
-            "factor": where.factor,
-            "title": where.title,
-        },
-        "parameters": {
-            "memory": machine.memory,
-            "values": {
-                name: value
-                for name, value in machine.parameters().items()
-                if value is None or isinstance(value, int | float)
-            },
-        },
-    }
 
 
 def _record(result: LogRun) -> dict[str, Any] | None:
