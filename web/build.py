@@ -101,7 +101,10 @@ def wasm() -> bytes:
 
 def library() -> str:
     """The runtime and the package as one JavaScript module."""
-    parts = ['import { parse as $toml } from "smol-toml";\n']
+    parts = [
+        'import { parse as $toml } from "smol-toml";\n',
+        'import { unzipSync as $unzip } from "fflate";\n',
+    ]
     parts += [(WEB / "runtime" / f"{name}.js").read_text("utf-8") for name in RUNTIME]
     host = "".join(parts) + (WEB / "app" / "worker.js").read_text("utf-8")
     parts.append(program(PACKAGE, ROOTS, REPLACED, host))

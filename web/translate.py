@@ -24,7 +24,7 @@ from scopes import (
     targets,
     without_docstring,
 )
-from used import alive, kept, methods_of, models_of, names_of, used, words
+from used import alive, called_by_name, kept, methods_of, models_of, names_of, used, words
 
 #: Words that are names in Python but not in JavaScript.
 _RESERVED = """
@@ -99,6 +99,7 @@ class Module:
     def __init__(self, name: str, source: Path, path: Path, modules: set[str]) -> None:
         self.name, self.source, self.path, self.modules = name, source, path, modules
         self.live: set[str] | None = None  # words that are used; None: all
+        self.by_name: set[str] | None = None  # functions that get arguments by name; None: all
         self.package = name if path.name == "__init__.py" else name.rpartition(".")[0]
         self.tree = ast.parse(path.read_text(encoding="utf-8"))
         self._temporaries = 0
@@ -125,9 +126,10 @@ class Module:
         self._temporaries += 1
         return f"$v{self._temporaries}"
 
-    def text(self, live: set[str] | None = None) -> str:
-        """The module as JavaScript; with `live`, only definitions whose names are among it."""
-        self.live = live
+    def text(self, live: set[str] | None = None, by_name: set[str] | None = None) -> str:
+        """The module as JavaScript; with `live`, only definitions whose names are among it; with
+        `by_name`, names of arguments only for functions whose names are among that."""
+        self.live, self.by_name = live, by_name
         if live is not None:
             self.tree.body = kept(self.tree.body, live, set())
             inside = words(self.tree.body)
@@ -414,6 +416,9 @@ class Module:
         words += [f"*{a.arg}" for a in (arguments.vararg,) if a]
         words += [f"={a.arg}" for a in arguments.kwonlyargs]
         words += [f"**{a.arg}" for a in (arguments.kwarg,) if a]
+        plain = all(word[0] not in "*=" for word in words) and not node.name.startswith("__")
+        if plain and self.by_name is not None and node.name not in self.by_name:
+            return f"$def({made})"
         return f"$def({made}, {json.dumps(' '.join(words))})"
 
     def defaults(self, names: Sequence[ast.arg], given: Sequence[ast.expr]) -> list[str | None]:
@@ -797,5 +802,6 @@ def program(source: Path, roots: Sequence[str], replaced: set[str], host: str) -
     for root in roots:
         add(root, "the page")
     live = alive((one.tree.body for one in modules.values()), set(re.findall(r"\w+", host)))
+    by_name = called_by_name((one.tree for one in modules.values()), host)
     fresh = [Module(one.name, source, one.path, every | replaced) for one in modules.values()]
-    return "".join(one.text(live) for one in fresh)
+    return "".join(one.text(live, by_name) for one in fresh)

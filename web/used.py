@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -137,3 +138,17 @@ def alive(bodies: Iterable[list[ast.stmt]], roots: set[str]) -> set[str]:
                 live |= words([one], live)
         if len(live) == before:
             return live
+
+
+def called_by_name(trees: Iterable[ast.AST], host: str) -> set[str]:
+    """Names of functions that somebody calls with arguments by name; only these need to know the
+    names of their arguments."""
+    out = set(re.findall(r"(\w+)\s*\((?:[^()]|\([^()]*\))*\$kw\(", host))
+    for tree in trees:
+        for node in ast.walk(tree):
+            match node:
+                case ast.Call(func=ast.Name(id="partial"), args=[called, *_]):
+                    out |= words([called])
+                case ast.Call(func=ast.Name(id=name) | ast.Attribute(attr=name), keywords=[_, *_]):
+                    out.add(name)
+    return out

@@ -29,8 +29,12 @@ class Kw {
 const $kw = (of) => new Kw(of);
 const $named = (d) => (d instanceof Dict ? Object.fromEntries($items(d)) : d);
 
-// Parameters by name: "a b *args =keyword_only **kwargs".
+// Parameters by name: "a b *args =keyword_only **kwargs"; nothing where nobody names them.
 function $def(fn, words) {
+  if (words === undefined) {
+    fn.$def = true;
+    return fn;
+  }
   const names = words ? words.split(" ") : [],
     p = names.filter((n) => /^\w/.test(n)),
     k = names.filter((n) => n[0] === "=").map((n) => n.slice(1));
