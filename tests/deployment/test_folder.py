@@ -44,7 +44,7 @@ def test_make_test_in_the_folder(tmp_path, compiler):
             r"expected\[171\].*?\{(?:[^,{]*, ){5}(-?0x1\.[0-9a-f]{3})",
         ),  # … or speed
         ("test/vectors.h", r"samples\[SAMPLES\].*?FO_\((0x1\.[0-9a-f]{3})"),  # a measured voltage
-        ("motor_observer.h", r"FO_SINGLE.*?(0x1\.[0-9a-f]{3})[0-9a-f]*p-?\d+f, /\* sample time"),
+        ("motor_observer.h", r"FO_SINGLE.*?(0\.003)\d*f, /\* sample time"),
     ],
     ids=["flux", "speed", "sample", "parameter"],
 )
@@ -199,12 +199,26 @@ def test_two_machines_in_one_firmware(tmp_path):
     assert subprocess.run([tmp_path / "two"], check=False).returncode == 0
 
 
-def test_header_in_cpp(tmp_path, folders):
-    source = tmp_path / "main.cpp"
-    source.write_text('#include "motor_observer.h"\nint main() { return motor_observer.h > 1; }\n')
-    command = ["g++", "-std=c++17", "-Wall", "-Wextra", "-pedantic", "-Werror", "-DFO_SINGLE"]
-    folder = folders["servo-400w"]
-    subprocess.run([*command, f"-I{folder}", "-c", source, "-o", tmp_path / "main.o"], check=True)
+@pytest.mark.parametrize("compiler", ["g++", "clang++"])
+@pytest.mark.parametrize("standard", ["c++11", "c++14", "c++17", "c++20"])
+@pytest.mark.parametrize("kind", ["plain", "adaptive", "map"])
+def test_headers_in_cpp(tmp_path_factory, compiler, standard, kind):
+    if shutil.which(compiler) is None:
+        pytest.skip(f"{compiler} is missing")
+    folder = tmp_path_factory.mktemp("cpp") / "motor"
+    machine = "ipm-5kw6" if kind == "map" else "servo-400w"
+    unknowns = ADAPTIVE if kind == "adaptive" else "drift"
+    fluxobs.export(machine, 1e-4, folder, unknowns=unknowns)
+    source = folder.parent / "main.cpp"
+    member = "plain.h" if kind == "adaptive" else "h"
+    source.write_text(
+        '#include "motor_observer.h"\n#include "telemetry.h"\n'
+        f"int main() {{ return motor_observer.{member} > 1; }}\n"
+    )
+    options = [f"-std={standard}", "-Wall", "-Wextra", "-pedantic", "-Werror"]
+    for precision in ("-DFO_SINGLE", "-UFO_SINGLE"):
+        command = [compiler, *options, precision, f"-I{folder}", "-fsyntax-only", source]
+        subprocess.run(command, check=True)
 
 
 def test_fast_math_is_refused(folders, tmp_path):

@@ -65,7 +65,7 @@ def test_quick_run_writes_figures_report_and_the_committed_numbers(tmp_path):
     page = (tmp_path / "paper" / "report.html").read_text()
     assert page.count("<img") == len(FIGURES)
     assert page.count("<table>") == report.count("| --- |\n")
-    assert "src=\"data:" in page
+    assert 'src="data:' in page
     assert ".png" not in page
     # What the report must be able to say.
     courses = found["scenarios"]["S5"]["courses"]

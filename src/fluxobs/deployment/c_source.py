@@ -6,6 +6,8 @@ import re
 from collections.abc import Iterable
 from typing import Any, Literal
 
+import numpy as np
+
 Precision = Literal["single", "double"]
 PRECISIONS: tuple[Precision, ...] = ("single", "double")
 
@@ -23,13 +25,25 @@ def hex_float(value: float, precision: Precision = "double") -> str:
     return f"{mantissa}p{int(exponent)}" + ("f" if precision == "single" else "")
 
 
+def literal(value: float, precision: Precision = "double") -> str:
+    """The shortest decimal literal that a compiler reads back to the same number; C++ has none in
+    hexadecimal before 2017.
+
+    Examples
+    --------
+    >>> literal(0.1), literal(0.1, "single"), literal(2.0), literal(1e-30)
+    ('0.1', '0.1f', '2.0', '1e-30')
+    """
+    if precision == "double":
+        return repr(float(value))
+    return repr(float(str(np.float32(value)))) + "f"
+
+
 def initializer(value: Any, precision: Precision) -> str:
-    """A number as a literal, or a nested list of numbers as ``{0x1p+0, …}``."""
+    """A number as a literal, or a nested list of numbers as ``{1.0, …}``."""
     if isinstance(value, list):
         return "{" + ", ".join(initializer(item, precision) for item in value) + "}"
-    if isinstance(value, int):
-        return str(value)
-    return hex_float(float(value), precision)
+    return literal(float(value), precision)
 
 
 def table(rows: Iterable[Iterable[float]], precision: Precision) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from .. import _core
 from ..machines import FluxPoints, RotatingMachine
 from ..observers import AdaptiveObserver, LeastSquaresObserver
-from .c_source import PRECISIONS, Precision, hex_float, initializer
+from .c_source import PRECISIONS, Precision, initializer, literal
 
 #: Either observer, in one precision.
 Exported = LeastSquaresObserver | AdaptiveObserver
@@ -147,7 +147,7 @@ def _map(observer: Exported, precision: Precision, prefix: str) -> str:
     text, pointer = "", "NULL"
     if table.size:
         rows = ",\n".join(
-            "    " + ", ".join(hex_float(float(x), precision) for x in row)
+            "    " + ", ".join(literal(float(x), precision) for x in row)
             for row in table.reshape(table.shape[0], -1)
         )
         pointer = f"{name}_coefficients"
@@ -158,7 +158,7 @@ def _map(observer: Exported, precision: Precision, prefix: str) -> str:
     kind = ("FO_MAP_LINEAR", "FO_MAP_TABLE", "FO_MAP_CAGE")[fields.pop("kind")]
     magnets = "true" if fields.pop("magnets") else "false"
     numbers = "".join(
-        f"    {hex_float(float(value), precision)}, /* {key} */\n" for key, value in fields.items()
+        f"    {literal(float(value), precision)}, /* {key} */\n" for key, value in fields.items()
     )
     return (
         f"{text}static const fo_map {name} = {{\n    {kind}, {magnets}, {table.shape[0]}, "
@@ -171,7 +171,8 @@ def _initializers(observer: Exported, precision: Precision, prefix: str) -> str:
 
     def lines(values: Mapping[str, Any], meaning: Mapping[str, str]) -> str:
         return "\n".join(
-            f"    {initializer(value, precision)}, /* {meaning[name]} */"
+            f"    {value if isinstance(value, str) else initializer(value, precision)}, "
+            f"/* {meaning[name]} */"
             for name, value in values.items()
         )
 
@@ -180,7 +181,7 @@ def _initializers(observer: Exported, precision: Precision, prefix: str) -> str:
         inner += f"\n    &{prefix}_map, /* flux over current */"
     if not isinstance(observer, AdaptiveObserver):
         return inner
-    more = observer.parameters()
+    more = observer.parameters() | {"projection": f"FO_PROJECT_{observer.projection.upper()}"}
     if not observer.asymmetry_std > 0:  # the export leaves its two columns out
         more["std"] = [*more["std"][:6], more["std"][8]]
     return f"    {{\n{inner}\n    }},\n{lines(more, _core.adaptive_meanings)}"
