@@ -1,9 +1,15 @@
 """What an export writes, and the command."""
 
 import re
+import shlex
+
+import numpy as np
+import polars as pl
+import pytest
 
 import fluxobs
 from fluxobs.deployment.costs import cost_table, read_costs
+from fluxobs.machines import RotatingMachine, example, example_names
 from support.cli import fluxobs as command
 from support.records import MACHINES
 
@@ -66,3 +72,38 @@ def test_command_line(tmp_path):
     wrong = [*other, "--sample-time", "1e-4", "--unknowns", "drft"]
     assert "drift" in fluxobs_command(wrong, code=2)
     assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize("unknowns", ["drift", ADAPTIVE])
+@pytest.mark.parametrize(
+    ("sample_time", "every"),
+    [(2e-5, 1), (5e-5, 1), (1e-4, 1), (2e-4, 1), (2e-5, 4), (5e-5, 4), (1e-4, 4)],
+)
+def test_a_record_for_any_sample_time(tmp_path, sample_time, every, unknowns):
+    """Each shipped machine, at usual interrupts: the record has rows enough to know a position."""
+    for name in example_names():
+        if isinstance(example(name), RotatingMachine):
+            folder = tmp_path / name
+            done = fluxobs.export(name, sample_time, folder, unknowns=unknowns, update_every=every)
+            steps = done.observer.memory / (every * sample_time)
+            text = (folder / "test" / "vectors.h").read_text()
+            rows = int(re.search(r"SAMPLES = (\d+)", text).group(1))
+            assert rows >= min(3.5 * steps, 1540)
+
+
+def test_the_command_that_estimate_prints_exports_that_observer(tmp_path):
+    """A log at 20 kHz: what estimate recommends at its end works."""
+    t = 5e-5 * np.arange(20_000)
+    demo = pl.read_csv(fluxobs.demo_log().path)[:5000]  # as if it ran four times as fast
+    columns = {name: demo[name].to_numpy() for name in demo.columns}
+    old = columns.pop("t")
+    columns = {name: np.interp(t, old, values) for name, values in columns.items()}
+    columns.pop("theta_e")
+    pl.DataFrame({"t": t} | columns).write_csv(tmp_path / "log.csv")
+    said = command("estimate", "log.csv", "--machine", "servo-400w", folder=tmp_path).stdout
+    line = next(one for one in said.splitlines() if "fluxobs export" in one)
+    words = shlex.split(line[line.index("fluxobs export") :])[1:]
+    assert "--unknowns" in words
+    done = command(*words[:-1], "motor", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "motor" / "motor_observer.h").exists()

@@ -60,8 +60,8 @@ def contents(
         sources["fluxobs.h"] = sources["fluxobs.h"].replace(MAPPED, MAPPED[:-1] + "0")
     texts = tuple(sources.values())
     content, header = parameter_header(prefix, observers, machine, version, texts, update_every)
-    inside = plain(observers["single"])
-    record = firmware_record(machine, inside)
+    inside = plain(single)
+    record = firmware_record(machine, inside, _unsure(single, machine))
     estimates = {p: run(observer, record, update_every) for p, observer in observers.items()}
     if not estimates["single"].valid.any():
         raise FluxobsError(
@@ -121,6 +121,14 @@ def contents(
         "test/host_test.c": filled("host_test.c"),
         "test/vectors.h": vectors_header(record, estimates),
     }
+
+
+def _unsure(observer: Exported, machine: RotatingMachine) -> float:
+    """Voltage by which resistance and inverter may be off at the rated current [V]."""
+    if not isinstance(observer, AdaptiveObserver):
+        return 0.0
+    resistance = observer.resistance_std * (machine.rated_current or 0.0)
+    return math.hypot(resistance, 2 * observer.inverter_std)
 
 
 def _variant(template: str, update_every: int, adaptive: bool) -> str:
