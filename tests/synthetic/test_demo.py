@@ -1,7 +1,7 @@
 """The demonstration, and the replay of its log with committed expected outputs.
 
 A change of any number shows as a diff of tests/expected/demo.csv; where it is meant, write the file
-anew with ``python tests/synthetic/test_demo.py``.
+anew with ``PYTHONPATH=tests python tests/synthetic/test_demo.py``.
 """
 
 import io
