@@ -193,13 +193,17 @@ def test_the_stream_arrives_whole(server):
         assert b"".join(page) == b"".join(pieces)
 
 
-def test_a_page_that_comes_late_gets_the_head_and_whole_lines(server):
+@pytest.mark.parametrize(
+    "pieces", [[b"# rig 3\nt,u\n1,2\n3,"], [b"# rig 3\n", b"t,", b"u\n1,2", b"\n3,"]]
+)
+def test_a_page_that_comes_late_gets_the_names_and_whole_lines(server, pieces):
     one = server()
-    one.send(b"t,u\n1,2\n3,")
+    for piece in pieces:
+        one.send(piece)
     with connected(one) as page:
         time.sleep(0.2)
         one.send(b"4\n5,6\n")
-        assert page.recv() == b"t,u\n1,2\n3,"
+        assert page.recv() == b"# rig 3\nt,u\n"
         assert page.recv() == b"5,6\n"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import queue
+import re
 import threading
 from collections.abc import Mapping
 from http import HTTPStatus
@@ -14,8 +15,10 @@ from ..web import built
 
 #: Pieces of the stream that may wait for a slow browser; one that is slower yet is let go.
 _WAITING = 1000
-#: Bytes from the beginning of the stream that a browser gets first: they name its columns.
-_HEAD = 1 << 16
+#: What a row, or a frame, begins with.
+_ROW = re.compile(rb"^[-+.0-9\xf1]", re.MULTILINE)
+#: A preamble is shorter [bytes].
+_PREAMBLE = 1 << 16
 _CONNECT = "connect-src 'none'"
 _SETTINGS = '<script type="application/json" id="live">null</script>'
 
@@ -49,7 +52,8 @@ class Server:
             ) from None
         self.watched = threading.Event()
         self._patient = patient
-        self._head = b""
+        self._head = b""  # lines above the first row, while it has not come all that was sent
+        self._sent = self._rows = False
         self._browsers: set[_Browser] = set()
         self._lock = threading.Lock()
         try:
@@ -88,9 +92,9 @@ class Server:
         """Send the stream to a browser until either ends."""
         from websockets.exceptions import ConnectionClosed
 
-        one = _Browser(late=bool(self._head))
         with self._lock:
-            if self._head:
+            one = _Browser(late=self._sent)
+            if one.late:
                 one.waiting.put(self._head)
             self._browsers.add(one)
         self.watched.set()
@@ -108,8 +112,9 @@ class Server:
     def send(self, data: bytes) -> None:
         """Send what has come to all browsers."""
         with self._lock:
-            if len(self._head) < _HEAD:
-                self._head += data
+            self._sent = True
+            if not self._rows:
+                self._head, self._rows = _above(self._head + data)
             browsers = list(self._browsers)
         for one in browsers:
             one.take(data, self._patient)
@@ -123,6 +128,15 @@ class Server:
         for one in browsers:
             one.gone.wait(10)
         self._server.shutdown()
+
+
+def _above(first: bytes) -> tuple[bytes, bool]:
+    """Lines above the first row, which name the columns for a browser that comes late, and whether
+    that row has come. In frames the names come again."""
+    found = _ROW.search(first)
+    if found is None and len(first) < _PREAMBLE:
+        return first, False
+    return first[: found.start() if found else 0], True
 
 
 class _Browser:

@@ -25,8 +25,8 @@ from .spaced import Spaced
 
 #: Sizes of the signals are measured over so much time [s].
 WINDOW = 1.0
-#: An observer chosen for signals that have grown by this factor is chosen anew. Its settings need
-#: sizes that are right within a factor of a few.
+#: Its settings need sizes that are right within a factor of a few: it is chosen for signals so many
+#: times as large as the first ones, and anew when they are so many times as large as that.
 GROWN = 2.0
 #: Bytes of a stream by which it is known as text or as frames.
 _FIRST = 512
@@ -206,8 +206,9 @@ class Watch:
             found.current > GROWN * known.current or found.voltage > GROWN * known.voltage
         ):
             return
-        self._scales = found
-        self.run = prepare(self.log, self.machine, self.unknowns, self.memory, self.priors, found)
+        roomy = replace(found, current=GROWN * found.current, voltage=GROWN * found.voltage)
+        self._scales = roomy
+        self.run = prepare(self.log, self.machine, self.unknowns, self.memory, self.priors, roomy)
         self._state = self.run.observer.init()
         self._before = None
         self._chosen += 1

@@ -74,7 +74,8 @@ def firmware_record(
     emf = CLEAR * unsure / observer.flux_base  # as a speed [rad/s]
     slowest = PERIOD * max(1.0, USUAL / h)
     period = float(np.clip(2 * np.pi / max(emf * h, 1e-9), FASTEST, slowest))
-    speed = 2 * np.pi / (period * h) * np.interp(k, *zip(*SPEED, strict=True))
+    at, share = zip(*SPEED, strict=True)
+    speed = 2 * np.pi / (period * h) * np.interp(k, at, share)
     load = np.interp(k, (20, 60, LOAD_ROW, LOAD_ROW + 20), (0.0, 0.1, 0.1, 0.8))
     along: Array | float = machine.magnetizing_current / rated
     if not machine.magnets:
