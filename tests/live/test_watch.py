@@ -136,3 +136,17 @@ def test_a_stream_in_frames(watch):
     off = np.minimum(off, 2 * np.pi - off)
     both = text["valid"] & framed["valid"]
     assert (off < text["theta_e_std"])[both].all()
+
+
+def test_a_short_stream_is_estimated_when_it_ends(watch):
+    made = watch(lag=1)
+    data = b"".join(DEMO.splitlines(keepends=True)[:1001]).rstrip(b"\n")
+    assert list(made.feed(data)) == []
+    rows = list(made.feed(b"", last=True))
+    assert sum(len(one.valid) for one in rows) == made.status.rows == 1000
+
+
+def test_an_empty_stream_ends_in_peace(watch):
+    made = watch()
+    assert list(made.feed(b"", last=True)) == []
+    assert "first 2000 rows" in made.status.waiting

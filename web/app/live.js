@@ -132,6 +132,7 @@ export class Live {
         await this.step();
       }
       await reading;
+      await this.step(true);
       this.say(true);
       this.words.textContent += "; the stream has ended";
     } finally {
@@ -142,10 +143,10 @@ export class Live {
   }
 
   // What has come since the last picture, and the next picture.
-  async step() {
-    if (this.waiting.length) {
+  async step(last = false) {
+    if (this.waiting.length || last) {
       const bytes = joined(this.waiting.splice(0));
-      const { columns, status, notes, recorded } = await this.ask("feed", { bytes }, [
+      const { columns, status, notes, recorded } = await this.ask("feed", { bytes, last }, [
         bytes.buffer,
       ]);
       this.tape?.push(...recorded);

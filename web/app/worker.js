@@ -236,10 +236,10 @@ const actions = {
     };
   },
 
-  // Its next bytes; what they tell.
-  feed({ bytes: data }) {
+  // Its next bytes, or its last; what they tell.
+  feed({ bytes: data, last }) {
     const { watch, recorded } = opened,
-      parts = [...watch.feed(data)],
+      parts = [...watch.feed(data, last)],
       kept = gather(parts.reduce((sum, rows) => sum + rows.valid.size, 0));
     for (const rows of parts) kept.add(rows);
     const { rows, valid, lost, damaged, restarts, chosen, waiting } = watch.status,

@@ -62,8 +62,9 @@ class Frames:
         self._counted = 0
         self._opened = False
 
-    def feed(self, data: bytes) -> list[Part]:
-        """Take bytes; return the rows that they complete, none before there are enough to begin."""
+    def feed(self, data: bytes, last: bool = False) -> list[Part]:
+        """Take bytes; return the rows that they complete, none before there are enough to begin, or
+        the stream has ended."""
         samples: list[bytes] = []
         numbers: list[int] = []
         for kind, number, payload in self._frames(data):
@@ -87,7 +88,7 @@ class Frames:
             part = {"t": t, **{name: table[:, n] for n, name in enumerate(self.names)}}
             self._parts.append(Part(part, b""))
             self._counted += len(t)
-        if not self._opened and self._counted < HEAD_ROWS:
+        if not self._opened and self._counted < HEAD_ROWS and not last:
             return []
         self._opened = True
         out, self._parts = self._parts, []

@@ -39,10 +39,13 @@ class Lines:
         self._rest = b""
         self._table: TextTable | None = None
 
-    def feed(self, data: bytes) -> list[Part]:
-        """Take bytes; return the rows that they complete, none before there are enough to begin."""
+    def feed(self, data: bytes, last: bool = False) -> list[Part]:
+        """Take bytes; return the rows that they complete, none before there are enough to begin, or
+        the stream has ended."""
         data = self._rest + data
-        if self._table is None and data.count(b"\n") < HEAD_LINES:
+        if last and data and not data.endswith(b"\n"):
+            data += b"\n"
+        if self._table is None and (not data or (data.count(b"\n") < HEAD_LINES and not last)):
             self._rest = data
             return []
         end = data.rfind(b"\n") + 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ from ..estimation.columns import Rows, rows_of
 from ..estimation.prepare import Prepared, prepare
 from ..logs.aligned import Aligned, between, joined, less_lost
 from ..logs.for_machine import open_for
-from ..logs.formats.table import Columns
 from ..logs.log import Log
 from ..logs.scales import Scales, scales_of
 from ..machines import Machine, RotatingMachine
@@ -110,7 +109,7 @@ class Watch:
         self._state: Any = None
         self._before: Any = None
         self._rows = self._valid = self._chosen = 0
-        self._waiting = "the stream's first rows"
+        self._waiting = f"the stream's first {HEAD_ROWS} rows"
         self._record: Callable[[bytes], Any] | None = None
         self._headed = False
 
@@ -118,8 +117,8 @@ class Watch:
         """Call `to` with the lines of a CSV file of the rows from now on, names first; or stop."""
         self._record, self._headed = to, False
 
-    def feed(self, data: bytes) -> Iterator[Rows]:
-        """Take bytes as they come; yield estimates.
+    def feed(self, data: bytes, last: bool = False) -> Iterator[Rows]:
+        """Take bytes as they come, the last ones with `last`; yield estimates.
 
         Rows before the observer is chosen, for want of a current, are not estimated.
 
@@ -130,16 +129,14 @@ class Watch:
         """
         if self._incoming is None:
             self._first += data
-            if len(self._first) < _FIRST:
+            if len(self._first) < _FIRST and not last:
                 return
             framed = MARK in self._first
             header = self.layout.get("header")
             self._incoming = Frames() if framed else Lines(self.head, header)
             data, self._first = self._first, b""
-        parts = self._incoming.feed(data)
-        if not parts:
-            return
-        if self.log is None:
+        parts = self._incoming.feed(data, last)
+        if self.log is None and parts:
             self._open(parts)
         for part in parts:
             if self._record is not None:
@@ -147,7 +144,13 @@ class Watch:
                 self._headed = True
             columns = self._spaced.add(part.columns)
             if len(columns["t"]):
-                yield from self._aligned(columns)
+                assert self.log is not None
+                channels, truth = self.log.channels_of(columns)
+                yield from self._estimates(self._aligning.add(columns["t"], channels, truth))
+        if last and self.log is not None:
+            yield from self._estimates(self._aligning.end())
+            if self.run is None and self._recent:
+                yield from self._measured()
 
     @property
     def status(self) -> Status:
@@ -174,11 +177,9 @@ class Watch:
         self.log = replace(log, names=names, conversions=conversions)
         self._aligning = self.log.aligning()
 
-    def _aligned(self, columns: Columns) -> Iterator[Rows]:
-        """Align rows and estimate them. How many come at once changes no number."""
-        assert self.log is not None
-        channels, truth = self.log.channels_of(columns)
-        for part in self._aligning.add(columns["t"], channels, truth):
+    def _estimates(self, parts: Iterable[Aligned]) -> Iterator[Rows]:
+        """Estimate aligned rows. How many come at once changes no number."""
+        for part in parts:
             at = 0
             while at < len(part.t):
                 piece = between(part, at, at + self._left)

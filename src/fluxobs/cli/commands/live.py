@@ -122,6 +122,8 @@ def _in_terminal(stream: Source, watch: Watch) -> None:
                 for rows in watch.feed(data):
                     terminal.add(rows)
                 terminal.draw()
+            for rows in watch.feed(b"", last=True):
+                terminal.add(rows)
         finally:
             terminal.draw(force=True)
 
@@ -141,7 +143,8 @@ def _in_browser(
             if data:
                 server.send(data)
             if watch is not None:
-                for _ in watch.feed(data):
-                    pass
+                list(watch.feed(data))
+        if watch is not None:
+            list(watch.feed(b"", last=True))
     finally:
         server.end()
