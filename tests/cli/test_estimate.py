@@ -247,7 +247,7 @@ def test_bad_options_end_with_2_and_leave_nothing(folder, arguments, message):
         ("log.csv", "out.xlsx", "motor.toml", "must end in .parquet or .csv"),
         ("log.csv", "nowhere/out.csv", "motor.toml", "the folder nowhere does not exist"),
         ("log.csv", "log.csv", "motor.toml", "--out is the log itself"),
-        ("log.csv", "motor.toml", "motor.toml", "--out is one of the inputs"),
+        ("log.csv", "motor.toml", "motor.toml", "this is one of the inputs"),
         (".", "out.csv", "motor.toml", "this is a folder"),
         ("log.csv", "out.csv", "none.toml", "none.toml: no such machine file"),
     ],

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -65,6 +66,25 @@ def test_mistakes_end_with_a_remedy(tmp_path, arguments, words):
     assert done.returncode == 2
     assert words in done.stderr
     assert (tmp_path / "there.csv").read_text() == "mine"
+
+
+def test_the_log_itself_is_no_place_for_the_recording(tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_bytes(LOG.read_bytes())
+    given = ["log.csv", "--machine", "servo-400w", "--save", "log.csv", "--force"]
+    done = fluxobs("live", *given, folder=tmp_path)
+    assert done.returncode == 2
+    assert "one of the inputs" in done.stderr
+    assert log.read_bytes() == LOG.read_bytes()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a full disk")
+def test_a_full_disk_is_said(tmp_path):
+    (tmp_path / "run.csv").symlink_to("/dev/full")
+    given = ["-", "--machine", "servo-400w", "--text", "--save", tmp_path / "run.csv", "--force"]
+    done = subprocess.run([*LIVE, *given], input=LOG.read_bytes(), capture_output=True, timeout=120)
+    assert done.returncode == 2
+    assert b"run.csv: cannot be written: No space left" in done.stderr
 
 
 def test_a_stream_without_names_says_which_option_gives_them(tmp_path):

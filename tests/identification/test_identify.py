@@ -179,7 +179,7 @@ def test_command_line(rich, tmp_path):
     for more, out, words in (
         ((), "found.toml", "exists"),
         (("--force",), "found.txt", "must end in .toml"),
-        (("--force",), "log.parquet", "--out is one of the inputs"),
+        (("--force",), "log.parquet", "this is one of the inputs"),
         ((), "none/found.toml", "does not exist"),
         (("--report", "none/fit.png"), "x.toml", "does not exist"),
         (("--free", "R"), "x.toml", "did you mean 'R_s'"),

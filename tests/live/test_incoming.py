@@ -239,3 +239,17 @@ def test_rounded_stamps_make_no_gaps():
     clock = type(clock)(**{**vars(clock), "rounding": 0.05})
     made, _ = spaced(np.floor(0.01 * np.arange(200) / 0.05) * 0.05, clock)
     assert made.lost == made.restarts == 0
+
+
+def test_rows_that_come_twice_are_left_out():
+    made, found = spaced([0, 0.01, 0.01, 0.02, 0.02, 0.02, 0.03])
+    assert made.twice == 3
+    assert np.array_equal(found["i"], [0, 1, 3, 6])
+
+
+def test_columns_parted_by_several_spaces(tmp_path):
+    data = TEXT.replace(b",", b"   ").replace(b"\n", b"  \n ")
+    lines = Lines(tmp_path / "stream")
+    parts = [part for k in range(0, len(data), 50_001) for part in lines.feed(data[k : k + 50_001])]
+    assert np.allclose(whole(parts)["i_beta"][: len(ROWS)], ROWS[:, 3], rtol=1e-8)
+    assert lines.damaged == 0

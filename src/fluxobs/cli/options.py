@@ -251,4 +251,4 @@ def refuse_input_as_output(out: Path, *inputs: Path | None) -> None:
     """Raise FluxobsError if `out` is one of the input files."""
     for source in inputs:
         if source is not None and source.exists() and out.exists() and out.samefile(source):
-            raise FluxobsError(f"{out}: --out is one of the inputs; give another name")
+            raise FluxobsError(f"{out}: this is one of the inputs; give another name")

@@ -54,10 +54,12 @@ class Lines:
         block = self._rows_alone(block)
         if not block:
             return []
-        try:
-            return [self._part(block)]
-        except Ragged:
-            return [self._part(self._mended(block))]
+        if block.count(b'"') % 2 == 0:
+            try:
+                return [self._part(block)]
+            except Ragged:
+                pass
+        return [self._part(self._mended(block))]
 
     def _begun(self, data: bytes) -> bytes:
         """Find the structure of the first lines; return the rows among them."""
@@ -89,7 +91,10 @@ class Lines:
         return Part(columns, block)
 
     def _rows_alone(self, block: bytes) -> bytes:
-        """Without blank lines, comments, and a header that is sent again."""
+        """Without blank lines, comments and a header sent again; several spaces are one."""
+        assert self._table is not None
+        if self._table.structure.delimiter == " ":
+            block = b"".join([b" ".join(line.split()) + b"\n" for line in block.split(b"\n")[:-1]])
         head = [line.strip() for line in self._above.split(b"\n") if line.strip()]
         if not interrupted(block) and not any(line in block for line in head):
             return block

@@ -26,8 +26,11 @@ class Recorder:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._file is not None:
-            self._file.close()
+        try:
+            if self._file is not None:
+                self._file.close()
+        except OSError as error:
+            raise self._failed(error) from None
 
     def add(self, lines: bytes) -> None:
         """Write lines; they are in the file within a second.
@@ -45,4 +48,8 @@ class Recorder:
                 self._flushed = time.monotonic()
                 self._file.flush()
         except OSError as error:
-            raise FluxobsError(f"{self.path}: cannot be written: {error.strerror}") from None
+            raise self._failed(error) from None
+
+    def _failed(self, error: OSError) -> FluxobsError:
+        self._file = None
+        return FluxobsError(f"{self.path}: cannot be written: {error.strerror}")

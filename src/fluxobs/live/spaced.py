@@ -29,11 +29,13 @@ class Spaced:
         Samples that are missing, by their stamps.
     restarts : int
         How often time went back: the sender began anew.
+    twice : int
+        Rows with the stamp of the row before, which are left out.
     """
 
     def __init__(self, clock: Clock, time: str | None, scale: float, offset: float) -> None:
         self.clock, self.time, self.scale, self.offset = clock, time, scale, offset
-        self.lost = self.restarts = 0
+        self.lost = self.restarts = self.twice = 0
         self._rows = 0
         self._before: float | None = None  # stamp of the last row, as it came [s]
         self._ahead = 0.0  # what wraps and restarts have added to the stamps [s]
@@ -55,9 +57,15 @@ class Spaced:
             return part | {"t": stamp}
         first = stamp[0] - h if self._before is None else self._before
         raw = np.diff(np.concatenate([[first], stamp]))
+        if not self.clock.rounding and not raw.all():  # sent twice
+            once = raw != 0
+            self.twice += int((~once).sum())
+            part, stamp, raw = {name: v[once] for name, v in part.items()}, stamp[once], raw[once]
+            if len(stamp) == 0:
+                return part | {"t": stamp}
         steps = self._forward(raw)
         start = first + self._ahead
-        ahead = self._ahead + np.cumsum(steps - raw)
+        ahead = np.cumsum(np.concatenate([[self._ahead], steps - raw]))[1:]
         self._before, self._ahead = float(stamp[-1]), float(ahead[-1])
         t = stamp + ahead
         missing = missing_steps(steps, h, self.clock.rounding)

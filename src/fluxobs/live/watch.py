@@ -44,7 +44,7 @@ class Status:
     lost : int
         Samples that are missing, by their stamps.
     damaged : int
-        Lines or frames that were no rows.
+        Lines or frames that were no rows, or came twice.
     restarts : int
         How often the sender began anew.
     chosen : int
@@ -156,7 +156,10 @@ class Watch:
     def status(self) -> Status:
         """What has come so far."""
         damaged = 0 if self._incoming is None else self._incoming.damaged
-        lost, restarts = (0, 0) if self.log is None else (self._spaced.lost, self._spaced.restarts)
+        lost = restarts = 0
+        if self.log is not None:
+            lost, restarts = self._spaced.lost, self._spaced.restarts
+            damaged += self._spaced.twice
         return Status(self._rows, self._valid, lost, damaged, restarts, self._chosen, self._waiting)
 
     def _open(self, parts: list[Part]) -> None:

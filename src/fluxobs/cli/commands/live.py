@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .. import show
-from ..options import ForceOption, PriorOption, numbers, reads_logs
+from ..options import ForceOption, PriorOption, numbers, reads_logs, refuse_input_as_output
 
 if TYPE_CHECKING:
     from ...live import Watch
@@ -85,6 +85,7 @@ def live(
         raise UsageError("--machine is missing: a machine file, or a name from `fluxobs machines`")
     if save is not None:
         check_new(save, (".csv",), force, "--save")
+        refuse_input_as_output(save, Path(source), machine)
     given = as_machine(machine or DEMO_MACHINE)
     stream = Demo() if demo else open_source(source, baud)
     settings: dict[str, Any] = {
