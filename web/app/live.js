@@ -4,6 +4,7 @@ import { banded, element, panels } from "./results.js";
 import { Panels, Recent } from "./plots.js";
 
 const LONGEST = 60, // seconds that are kept
+  SILENT = 2000, // ms without rows, after which that is said
   MOST = 1 << 21; // rows that are kept at most
 const QUICK = new Set(["position", "speed", "drift"]);
 const SPANS = [1, 2, 5, 10, 30, 60];
@@ -152,7 +153,10 @@ export class Live {
       this.tape?.push(...recorded);
       this.status = status;
       this.notes.textContent = notes.join(". ");
-      if (columns.t) this.add(banded(columns));
+      if (columns.t?.length) {
+        this.add(banded(columns));
+        this.came = performance.now();
+      }
     }
     if (this.view && !this.held) this.draw();
     this.say();
@@ -196,6 +200,7 @@ export class Live {
       `${this.source?.name ?? ""}: ${s.rows} rows, ${((100 * s.valid) / Math.max(1, s.rows)).toFixed(1)} % valid`,
       ...counts.filter(([n]) => n).map(([n, what]) => `${n} ${what}`),
       ...(s.waiting ? [`waiting: ${s.waiting}`] : []),
+      ...(now - this.came > SILENT && !last ? ["no rows for more than 2 s"] : []),
       ...(this.tape ? ["recording"] : []),
     ].join(", ");
     if (!view) return;

@@ -124,7 +124,7 @@ class Serial(Source):
             raise FluxobsError(
                 f"{port}: serial ports need pyserial: pip install 'fluxobs[live]'"
             ) from None
-        self.name = port.rpartition("/")[2] or port
+        self.name = port
         self._failed: Any = serial.SerialException
         try:
             self._port: Any = serial.serial_for_url(port, baudrate=baud, timeout=_LOOK)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections import deque
@@ -13,8 +14,9 @@ from ..estimation.columns import Rows
 from ..machines import Machine
 from .watch import Watch
 
-#: Seconds between two pictures on a terminal, and between two lines in a pipe.
-PICTURE, LINE = 0.1, 1.0
+#: Seconds between two pictures on a terminal, and between two lines in a pipe; and without rows,
+#: after which that is said.
+PICTURE, LINE, SILENT = 0.1, 1.0, 2.0
 _BLOCKS = "▁▂▃▄▅▆▇█"
 _STRIP = 40
 
@@ -34,6 +36,8 @@ class Terminal:
         self._last: dict[str, float] = {}
         self._strips: dict[str, deque[float]] = {}
         self._drawn = 0.0
+        self._came = 0.0  # when the last rows came
+        self._line = ""
         self._live: Any = None
         self._noted = False
         self._units = {name: unit for name, unit, _ in shown(watch.machine)}
@@ -52,13 +56,14 @@ class Terminal:
             self._live.stop()
 
     def add(self, rows: Rows) -> None:
-        """Take estimates."""
+        """Take estimates; values of a row that is not valid are not shown."""
+        if not len(rows.valid):
+            return
+        self._came = time.monotonic()
         for name, _, factor in shown(self.watch.machine):
             if name in rows.columns:
                 values = factor * np.asarray(rows.columns[name], dtype=float)
-                known = values[rows.valid]
-                if len(known):
-                    self._last[name] = float(known[-1])
+                self._last[name] = float(values[-1]) if rows.valid[-1] else math.nan
         self._last["valid"] = float(100 * np.mean(rows.valid))
 
     def draw(self, force: bool = False) -> None:
@@ -66,18 +71,36 @@ class Terminal:
         now = time.monotonic()
         if now - self._drawn < (PICTURE if self._live is not None else LINE) and not force:
             return
-        self._drawn = now
         log = self.watch.log
         if log is not None and not self._noted:
             self._noted = True
             self._print("; ".join([*log.notes, f"{1 / log.sample_time:.6g} rows a second"]) + ".")
-        for name, value in self._last.items():
-            self._strips.setdefault(name, deque(maxlen=_STRIP)).append(value)
+        if self._came >= self._drawn:
+            for name, value in self._last.items():
+                self._strips.setdefault(name, deque(maxlen=_STRIP)).append(value)
+        self._drawn = now
         if self._live is not None:
             self._live.update(self._table())
-        elif self._last or self.watch.status.waiting:
-            values = [f"{name} {self._written(name)}" for name in self._last]
-            print(", ".join(values) or f"waiting: {self.watch.status.waiting}", flush=True)
+            return
+        line = ", ".join([f"{name} {self._written(name)}" for name in self._last] + self._said())
+        if line != self._line:
+            self._line = line
+            print(line, flush=True)
+
+    def _said(self) -> list[str]:
+        """What is to be said of the stream itself."""
+        status = self.watch.status
+        counted = (
+            (status.lost, "lost"),
+            (status.damaged, "damaged"),
+            (status.restarts, "restarts"),
+        )
+        said = [f"{count} {what}" for count, what in counted if count]
+        if status.waiting:
+            said.append(f"waiting: {status.waiting}")
+        if self._last and time.monotonic() - self._came > SILENT:
+            said.append(f"no rows for more than {SILENT:g} s")
+        return said
 
     def _print(self, text: str) -> None:
         if self._live is not None:
@@ -88,16 +111,7 @@ class Terminal:
     def _table(self) -> Any:
         from rich.table import Table
 
-        status = self.watch.status
-        words = f"{status.rows} rows"
-        for count, what in (
-            (status.lost, "lost"),
-            (status.damaged, "damaged"),
-            (status.restarts, "restarts"),
-        ):
-            words += f", {count} {what}" if count else ""
-        if status.waiting:
-            words += f"; waiting: {status.waiting}"
+        words = ", ".join([f"{self.watch.status.rows} rows", *self._said()])
         drawn = Table(title=f"{self.name}: {words}", box=None, pad_edge=False, title_justify="left")
         for title, justify in (("", "left"), ("now", "right"), ("", "left")):
             drawn.add_column(title, justify=justify)  # type: ignore[arg-type]
@@ -106,6 +120,8 @@ class Terminal:
         return drawn
 
     def _written(self, name: str) -> str:
+        if math.isnan(self._last[name]):
+            return "–"
         unit = self._units.get(name, "%")
         return f"{self._last[name]:.4g}{'' if unit in '°%' else ' '}{unit}"
 
