@@ -12,6 +12,8 @@ import fluxobs
 from fluxobs.errors import RecordError
 from fluxobs.live.frames import HEAD_ROWS, HEADER, MARK, SAMPLES, Frames, frame
 from fluxobs.live.lines import HEAD_LINES, Lines
+from fluxobs.live.order import Order, Ordered
+from fluxobs.live.part import Part
 from fluxobs.live.spaced import Spaced
 from fluxobs.logs.clock import even
 from support.records import MACHINES
@@ -22,6 +24,11 @@ NAMES = ("u_alpha", "u_beta", "i_alpha", "i_beta")
 def whole(parts):
     """Columns of all parts."""
     return {name: np.concatenate([p.columns[name] for p in parts]) for name in parts[0].columns}
+
+
+def unwrapped(t):
+    """Times of frames whose number wraps once."""
+    return np.where(t < t[0], t + 65536 * 1e-4, t)
 
 
 def in_pieces(data, cuts):
@@ -48,7 +55,7 @@ def test_frames_come_in_any_pieces(cuts):
     parts = [part for piece in in_pieces(framed(ROWS), cuts) for part in frames.feed(piece)]
     found = whole(parts)
     assert np.array_equal(np.stack([found[name] for name in NAMES], 1), ROWS.astype(float))
-    assert np.allclose(np.diff(found["t"]), 1e-4)  # over the wrap of the number
+    assert np.allclose(np.diff(unwrapped(found["t"])), 1e-4)
     assert frames.damaged == 0
     assert frames.layout == {"sample_time": 1e-4, "lag": 1.0}
 
@@ -61,7 +68,7 @@ def test_damaged_frames_are_left_out_and_the_others_stay_at_their_times(damages)
         data[at] ^= change
     frames = Frames()
     found = whole(frames.feed(bytes(data)))
-    row = np.round(found["t"] / 1e-4).astype(int)
+    row = np.round(unwrapped(found["t"]) / 1e-4).astype(int)
     row -= row[-1] - (len(ROWS) - 1)
     assert np.array_equal(found["i_beta"], ROWS[row, 3].astype(float))
     assert len(ROWS) - len(row) <= 3 * len(damages)  # a length that grew swallows more than one
@@ -121,7 +128,7 @@ def test_the_sender_in_an_export_is_understood(tmp_path):
     found = whole(frames.feed(sent))
     k = np.array([k for k in range(65000, 70000) if k % 7])
     assert np.array_equal(found["u_alpha"], k)
-    assert np.allclose(found["t"], 5e-5 * k, rtol=1e-12)
+    assert np.allclose(found["t"], 5e-5 * (k % 65536), rtol=1e-12)
     assert set(found["u_beta"]) == {np.float32(-0.1)}
     assert set(found["i_alpha"]) == {np.float32(1e-30)}
     assert frames.layout == {"sample_time": 5e-5, "lag": 1.0}
@@ -130,6 +137,12 @@ def test_the_sender_in_an_export_is_understood(tmp_path):
 
 def lines_of(rows, header="t,u_alpha,u_beta,i_alpha,i_beta"):
     return "".join([header + "\n", *(",".join(f"{v:.9g}" for v in row) + "\n" for row in rows)])
+
+
+def recorded(lines, parts):
+    """What is recorded of rows that are in order."""
+    ordered = [Ordered(p, p.columns["t"], np.zeros(p.rows)) for p in parts]
+    return b"".join([lines.recorded(one, "t", n == 0) for n, one in enumerate(ordered)])
 
 
 TIMED = np.column_stack([1e-4 * np.arange(len(ROWS)), ROWS])
@@ -145,14 +158,14 @@ def test_lines_come_in_any_pieces(tmp_path_factory, cuts):
     assert np.array_equal(found["i_beta"], ROWS[:, 3].astype(float).round(9)) or np.allclose(
         found["i_beta"], ROWS[:, 3], rtol=1e-8
     )
-    assert b"".join([lines.recorded(p, n == 0) for n, p in enumerate(parts)]) == TEXT
+    assert recorded(lines, parts) == TEXT
 
 
 def test_a_stream_that_is_joined_on_its_way(tmp_path):
     header, *rows = TEXT.decode().splitlines(keepends=True)
     rows.insert(300, header)
     joined = "".join(rows)[17:].encode()  # within a line
-    found = whole(Lines(tmp_path / "stream").feed(joined))
+    found = whole(Lines(tmp_path / "stream").feed(joined, last=True))
     assert np.array_equal(found["t"], TIMED[300:, 0].round(12))
 
 
@@ -184,67 +197,103 @@ def test_names_that_the_stream_does_not_have(tmp_path):
     lines = Lines(tmp_path / "stream", "t, u_alpha, u_beta, i_alpha, i_beta")
     parts = lines.feed(rows)
     assert list(parts[0].columns) == ["t", *NAMES]
-    assert lines.recorded(parts[0], True).startswith(b"t, u_alpha, u_beta, i_alpha, i_beta\n")
+    assert recorded(lines, parts).startswith(b"t, u_alpha, u_beta, i_alpha, i_beta\n")
 
 
 def spaced(stamps, clock=None):
     """Rows at even times from stamps, in one piece and row by row: both must agree."""
     clock = clock or even(100, 0.01)
-    one, other = (Spaced(clock, "t", 1.0, 0.0) for _ in range(2))
     stamps = np.asarray(stamps, float)
-    values = np.arange(len(stamps), dtype=float)
-    found = one.add({"t": stamps, "i": values})
-    each = [{"t": stamps[k : k + 1], "i": values[k : k + 1]} for k in range(len(stamps))]
-    parts = [other.add(row) for row in each]
-    for name in ("t", "i"):
-        pieces = np.concatenate([part[name] for part in parts])
-        assert np.allclose(pieces, found[name], equal_nan=True)
-    assert (one.lost, one.restarts) == (other.lost, other.restarts)
-    return one, found
+    rows = Part({"t": stamps, "i": np.arange(len(stamps), dtype=float)}, b"")
+    pieces = [rows.at(np.arange(len(stamps)) == k) for k in range(len(stamps))]
+    made = []
+    for parts in ([rows], pieces):
+        order, even_rows = Order(clock, "t", 1.0, 0.0), Spaced(clock)
+        ordered = [*(order.add(part) for part in parts), order.end()]
+        out = [even_rows.add(one.part.columns, one.t) for one in ordered if one.part.rows]
+        found = {name: np.concatenate([part[name] for part in out]) for name in ("t", "i")}
+        moved = np.concatenate([one.moved for one in ordered])
+        made.append((order, even_rows.lost, found, moved))
+    (one, lost, found, moved), (other, again, same, too) = made
+    assert np.array_equal(found["i"], same["i"], equal_nan=True)
+    assert np.array_equal(found["t"], same["t"])
+    assert np.array_equal(moved, too)
+    counts = (lost, one.restarts, one.left_out)
+    assert counts == (again, other.restarts, other.left_out)
+    return counts, found
+
+
+NAN = np.nan
 
 
 def test_gaps_are_filled_with_rows_that_know_nothing():
-    made, found = spaced([0, 0.01, 0.02, 0.05, 0.06, 0.16])
+    counts, found = spaced([0, 0.01, 0.02, 0.05, 0.06, 0.16])
     assert np.allclose(np.diff(found["t"]), 0.01)
-    assert made.lost == 2 + 9
-    nan = np.nan
-    assert np.array_equal(found["i"], [0, 1, 2, nan, nan, 3, 4, *[nan] * 9, 5], equal_nan=True)
+    assert counts == (2 + 9, 0, 0)
+    assert np.array_equal(found["i"], [0, 1, 2, NAN, NAN, 3, 4, *[NAN] * 9, 5], equal_nan=True)
 
 
 def test_a_sender_that_begins_anew_goes_on_in_time():
-    made, found = spaced([5.0, 5.01, 5.02, 0.0, 0.01])
-    assert made.restarts == 1
+    counts, found = spaced([5.0, 5.01, 5.02, 0.0, 0.01])
+    assert counts == (1, 1, 0)
     assert np.allclose(found["t"], 5.0 + 0.01 * np.arange(6))
     assert np.isnan(found["i"][3])
 
 
-def test_a_counter_that_wraps_goes_on():
-    stamps = 0.01 * np.arange(40) % 0.16
+@pytest.mark.parametrize(
+    ("stamps", "kept", "counts"),
+    [
+        ([0, 1, 1, 2, 2, 2, 3], [0, 1, 3, 6], (0, 0, 3)),  # twice
+        ([0, 1, 3, 2, 4, 5], [0, 1, 3, NAN, 4, 5], (1, 0, 1)),  # two exchanged: one is late
+        ([0, 1, 2, 3, 1, 4, 5], [0, 1, 2, 3, 5, 6], (0, 0, 1)),  # late
+        ([0, 1, 2, 1.8e21, 4, 5], [0, 1, 2, NAN, 4, 5], (1, 0, 1)),  # damaged
+        ([0, 1, 2, 30, 4, 5], [0, 1, 2, NAN, 4, 5], (1, 0, 1)),
+        ([0, 1, 2, NAN, 4, 5], [0, 1, 2, NAN, 4, 5], (1, 0, 1)),
+        ([70, 1, 2, 3], [1, 2, 3], (0, 0, 1)),  # the first of all
+        ([0, 1, 2, 30], [0, 1, 2, *[NAN] * 27, 3], (27, 0, 0)),  # a gap at the end
+        ([0, 1, 2, 3, 0], [0, 1, 2, 3], (0, 0, 1)),
+        ([0, 1, 2, 30, 32, 33], [0, 1, 2, *[NAN] * 27, 3, NAN, 4, 5], (28, 0, 0)),
+        ([0, 1, 2, 30, 0, 1, 2], [0, 1, 2, NAN, 4, 5, 6], (1, 1, 1)),
+        ([0, 1, 2, 1e8, 1e8 + 1, 1e8 + 2], [0, 1, 2, NAN, 3, 4, 5], (1, 1, 0)),
+    ],
+)
+def test_rows_out_of_order_are_left_out(stamps, kept, counts):
+    made, found = spaced(0.01 * np.array(stamps))
+    assert made == counts
+    assert np.array_equal(found["i"], kept, equal_nan=True)
+    assert np.allclose(np.diff(found["t"]), 0.01)
+
+
+def wrapping(wrap):
     clock = even(100, 0.01)
-    clock = type(clock)(**{**vars(clock), "wrap": 0.16})
-    made, found = spaced(stamps, clock)
-    assert made.restarts == made.lost == 0
+    return type(clock)(**{**vars(clock), "wrap": wrap})
+
+
+def test_a_counter_that_wraps_goes_on():
+    counts, found = spaced(0.01 * np.arange(40) % 0.16, wrapping(0.16))
+    assert counts == (0, 0, 0)
     assert np.allclose(found["t"], 0.01 * np.arange(40))
 
 
+def test_rows_out_of_order_where_a_counter_wraps():
+    number = np.array([14, 15, 15, 17, 16, 18, 19, 16, 20, 33, 34])
+    counts, found = spaced(0.01 * (number % 32), wrapping(0.32))
+    assert counts == (1 + 12, 0, 3)
+    assert np.allclose(found["t"], 0.01 * np.arange(14, 35))
+
+
 def test_a_long_gap_is_shortened():
-    made, found = spaced([0, 0.01, 1e4])
-    assert made.lost > 900_000
+    counts, found = spaced([0, 0.01, 1e4, 1e4 + 0.01])
+    assert counts[0] > 900_000
     assert len(found["t"]) < 20_000
-    assert found["t"][-1] == pytest.approx(1e4)
+    assert found["t"][-2] == pytest.approx(1e4)
 
 
 def test_rounded_stamps_make_no_gaps():
     clock = even(100, 0.01)
     clock = type(clock)(**{**vars(clock), "rounding": 0.05})
-    made, _ = spaced(np.floor(0.01 * np.arange(200) / 0.05) * 0.05, clock)
-    assert made.lost == made.restarts == 0
-
-
-def test_rows_that_come_twice_are_left_out():
-    made, found = spaced([0, 0.01, 0.01, 0.02, 0.02, 0.02, 0.03])
-    assert made.twice == 3
-    assert np.array_equal(found["i"], [0, 1, 3, 6])
+    counts, _ = spaced(np.floor(0.01 * np.arange(200) / 0.05) * 0.05, clock)
+    assert counts == (0, 0, 0)
 
 
 def test_columns_parted_by_several_spaces(tmp_path):

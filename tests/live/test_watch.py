@@ -114,7 +114,6 @@ def test_a_recording_is_a_log(watch, tmp_path):
     [
         (DEMO.replace(b"u_alpha", b"foo", 1), {}, "u_alpha"),
         (b"\n".join(line.split(b",", 1)[1] for line in DEMO.splitlines()), {}, "--sample-time"),
-        (DEMO.split(b"\n", 1)[1], {}, "header"),
         (DEMO, {"unknowns": "speed"}, "unknown"),
         (DEMO, {"memory": 1e-5}, "memory"),
     ],
@@ -150,3 +149,14 @@ def test_an_empty_stream_ends_in_peace(watch):
     made = watch()
     assert list(made.feed(b"", last=True)) == []
     assert "first 2000 rows" in made.status.waiting
+
+
+def test_names_that_come_later(watch):
+    header, rows = DEMO.split(b"\n", 1)
+    made = watch()
+    assert list(made.feed(rows)) == []
+    assert "a line that names the columns; there is none among 9990 lines" in made.status.waiting
+    with pytest.raises(FluxobsError, match="expected a header"):
+        list(watch().feed(rows, last=True))
+    found = [*made.feed(header + b"\n" + rows[:100_000]), *made.feed(rows[100_000:])]
+    assert sum(len(one.valid) for one in found) == 10_000

@@ -21,16 +21,23 @@ from __future__ import annotations
 
 from binascii import crc_hqx
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import RecordError
 from ..logs.formats.table import Columns
+from .lines import pieces
 from .part import Part
+
+if TYPE_CHECKING:
+    from .order import Ordered
 
 MARK = b"\xf1\x0b"
 HEADER, SAMPLES = ord("H"), ord("S")
 _FRAMING = 8  # bytes of a frame besides its payload
+#: Numbers of samples begin again here.
+WRAP = 1 << 16
 #: Samples from which a log is opened: its columns and sizes are guessed from them.
 HEAD_ROWS = 2000
 
@@ -56,8 +63,7 @@ class Frames:
         self.names: list[str] = []
         self.sample_time = self.lag = 0.0
         self._rest = b""
-        self._row = 0  # number of the next sample, without its wraps
-        self._begun = False
+        self._said = b""  # the header
         self._parts: list[Part] = []
         self._counted = 0
         self._opened = False
@@ -74,17 +80,13 @@ class Frames:
                 if len(payload) % (4 * len(self.names)):
                     self.damaged += 1
                     continue
-                if not self._begun:
-                    self._row, self._begun = number, True
-                self._row += (number - self._row) & 0xFFFF
                 rows = len(payload) // (4 * len(self.names))
-                numbers += range(self._row, self._row + rows)
+                numbers += [(number + k) % WRAP for k in range(rows)]
                 samples.append(payload)
-                self._row += rows
         if samples:
             values = np.frombuffer(b"".join(samples), "<f4").astype(float)
             table = values.reshape(-1, len(self.names))
-            t = self.sample_time * np.array(numbers)
+            t = self.sample_time * np.array(numbers, dtype=float)
             part = {"t": t, **{name: table[:, n] for n, name in enumerate(self.names)}}
             self._parts.append(Part(part, b""))
             self._counted += len(t)
@@ -118,14 +120,15 @@ class Frames:
         self._rest = data[at:]
 
     def _name(self, payload: bytes) -> None:
-        time, lag, *names = [*payload.decode("ascii", errors="replace").split(","), ""]
-        names = names[:-1]
-        if names == self.names:
+        if payload == self._said:
             return
+        text = payload.decode("ascii", errors="replace")
+        time, lag, *names = [*text.split(","), ""]
+        names = names[:-1]
         if self.names:
+            said = self._said.decode("ascii", errors="replace")
             raise RecordError(
-                f"the columns of the stream changed from {','.join(self.names)} to "
-                f"{','.join(names)}; begin again"
+                f"the header of the stream changed from {said} to {text}; begin again"
             )
         try:
             self.sample_time, self.lag = float(time), float(lag)
@@ -134,25 +137,46 @@ class Frames:
                 f"the stream's header must begin with the sample time in s and the lag, as "
                 f"5e-05,1,u_alpha,…; got {time},{lag}"
             ) from None
-        self.names = names
+        self.names, self._said = names, payload
+
+    @property
+    def waiting(self) -> str:
+        """What is to come before there are rows."""
+        if not self.names:
+            return "a frame that names the columns"
+        came = f", {self._counted} came" if self._counted else ""
+        return f"the stream's first {HEAD_ROWS} rows{came}"
 
     @property
     def layout(self) -> dict[str, float]:
         """What the stream says of itself."""
         return {"sample_time": self.sample_time, "lag": self.lag}
 
-    def source(self, parts: Sequence[Part]) -> Columns:
-        """What :func:`fluxobs.read_log` opens, from the first rows."""
+    @property
+    def wrap(self) -> float:
+        """What the time of samples wraps at [s]."""
+        return WRAP * self.sample_time
+
+    def sources(self, parts: Sequence[Part]) -> Iterator[Columns]:
+        """What :func:`fluxobs.read_log` may open: all first rows, or pieces of them."""
         names = ("t", *self.names)
         whole = {name: np.concatenate([one.columns[name] for one in parts]) for name in names}
-        return {name: values[:HEAD_ROWS] for name, values in whole.items()}
+        t = whole["t"][:HEAD_ROWS]
+        wraps = np.concatenate([[0], np.cumsum(np.diff(t) < -self.wrap / 2)])
+        first = {name: values[:HEAD_ROWS] for name, values in whole.items()}
+        first["t"] = t + self.wrap * wraps
+        yield first
+        for begin, end in pieces(len(t)):
+            yield {name: values[begin:end] for name, values in first.items()}
 
-    def recorded(self, part: Part, first: bool) -> bytes:
+    def recorded(self, rows: Ordered, time: str | None, first: bool) -> bytes:
         """Rows as lines of a recording, below their names if they are the first; nine digits are
         all that four bytes hold."""
-        names = ("t", *self.names)
-        columns = [part.columns[name].tolist() for name in names]
-        lines = [",".join([f"{value:.9g}" for value in row]) for row in zip(*columns, strict=True)]
+        columns = [rows.part.columns[name].tolist() for name in self.names]
+        table = zip(rows.t.tolist(), *columns, strict=True)
+        lines = [
+            ",".join([f"{t:.12g}", *[f"{value:.9g}" for value in values]]) for t, *values in table
+        ]
         if first:
-            lines.insert(0, ",".join(names))
+            lines.insert(0, ",".join(["t", *self.names]))
         return "".join([line + "\n" for line in lines]).encode("ascii")

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..logs.formats.table import Columns
 
 
@@ -12,3 +15,24 @@ class Part(NamedTuple):
 
     columns: Columns
     lines: bytes
+
+    @property
+    def rows(self) -> int:
+        """How many they are."""
+        return len(next(iter(self.columns.values()), ()))
+
+    def at(self, which: NDArray[np.bool_]) -> Part:
+        """Those of the rows for which `which` is true."""
+        columns = {name: values[which] for name, values in self.columns.items()}
+        if not self.lines:
+            return Part(columns, b"")
+        lines = self.lines.split(b"\n")
+        return Part(columns, b"".join([lines[int(k)] + b"\n" for k in np.flatnonzero(which)]))
+
+
+def joined(one: Part, other: Part) -> Part:
+    """The rows of both."""
+    columns = {
+        name: np.concatenate([values, other.columns[name]]) for name, values in one.columns.items()
+    }
+    return Part(columns, one.lines + other.lines)

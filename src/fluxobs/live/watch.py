@@ -19,6 +19,7 @@ from ..observers import LogObserver
 from ..observers.unknowns import ALL, AUTO, read_unknowns
 from .frames import HEAD_ROWS, MARK, Frames
 from .lines import Lines
+from .order import Order, Ordered
 from .part import Part
 from .spaced import Spaced
 
@@ -27,6 +28,8 @@ WINDOW = 1.0
 #: Its settings need sizes that are right within a factor of a few: it is chosen for signals so many
 #: times as large as the first ones, and anew when they are so many times as large as that.
 GROWN = 2.0
+#: Bytes that are kept of a stream in which there are no rows yet.
+_UNREAD = 1 << 26
 #: Bytes of a stream by which it is known as text or as frames.
 _FIRST = 512
 
@@ -44,7 +47,7 @@ class Status:
     lost : int
         Samples that are missing, by their stamps.
     damaged : int
-        Lines or frames that were no rows, or came twice.
+        Lines or frames that were no rows, and rows that came twice or late.
     restarts : int
         How often the sender began anew.
     chosen : int
@@ -109,13 +112,19 @@ class Watch:
         self._state: Any = None
         self._before: Any = None
         self._rows = self._valid = self._chosen = 0
-        self._waiting = f"the stream's first {HEAD_ROWS} rows"
+        self._waiting = ""
         self._record: Callable[[bytes], Any] | None = None
         self._headed = False
+        self._unread: list[bytes] = []
 
     def record(self, to: Callable[[bytes], Any] | None) -> None:
         """Call `to` with the lines of a CSV file of the rows from now on, names first; or stop."""
         self._record, self._headed = to, False
+
+    @property
+    def unread(self) -> bytes:
+        """While it is recorded: what came before there were rows, as it came."""
+        return b"".join(self._unread)
 
     def feed(self, data: bytes, last: bool = False) -> Iterator[Rows]:
         """Take bytes as they come, the last ones with `last`; yield estimates.
@@ -127,6 +136,10 @@ class Watch:
         FluxobsError
             The stream cannot be read, or no observer fits; the message says what to change.
         """
+        if self.log is None and self._record is not None and data:
+            self._unread.append(data)
+            while sum(map(len, self._unread)) > _UNREAD:
+                del self._unread[0]
         if self._incoming is None:
             self._first += data
             if len(self._first) < _FIRST and not last:
@@ -138,19 +151,28 @@ class Watch:
         parts = self._incoming.feed(data, last)
         if self.log is None and parts:
             self._open(parts)
+            self._unread = []
+        if self.log is None:
+            return
         for part in parts:
-            if self._record is not None:
-                self._record(self._incoming.recorded(part, not self._headed))
-                self._headed = True
-            columns = self._spaced.add(part.columns)
-            if len(columns["t"]):
-                assert self.log is not None
-                channels, truth = self.log.channels_of(columns)
-                yield from self._estimates(self._aligning.add(columns["t"], channels, truth))
-        if last and self.log is not None:
+            yield from self._ordered(self._order.add(part))
+        if last:
+            yield from self._ordered(self._order.end())
             yield from self._estimates(self._aligning.end())
             if self.run is None and self._recent:
                 yield from self._measured()
+
+    def _ordered(self, rows: Ordered) -> Iterator[Rows]:
+        """Record and estimate rows that are in order."""
+        assert self._incoming is not None
+        assert self.log is not None
+        if self._record is not None and rows.part.rows:
+            self._record(self._incoming.recorded(rows, self._order.time, not self._headed))
+            self._headed = True
+        columns = self._spaced.add(rows.part.columns, rows.t)
+        if len(columns["t"]):
+            channels, truth = self.log.channels_of(columns)
+            yield from self._estimates(self._aligning.add(columns["t"], channels, truth))
 
     @property
     def status(self) -> Status:
@@ -158,27 +180,53 @@ class Watch:
         damaged = 0 if self._incoming is None else self._incoming.damaged
         lost = restarts = 0
         if self.log is not None:
-            lost, restarts = self._spaced.lost, self._spaced.restarts
-            damaged += self._spaced.twice
-        return Status(self._rows, self._valid, lost, damaged, restarts, self._chosen, self._waiting)
+            lost, restarts = self._spaced.lost, self._order.restarts
+            damaged += self._order.left_out
+        return Status(self._rows, self._valid, lost, damaged, restarts, self._chosen, self._wait())
+
+    def _wait(self) -> str:
+        """What the observer waits for."""
+        if self.log is not None:
+            return self._waiting
+        return (
+            f"the stream's first {HEAD_ROWS} rows"
+            if self._incoming is None
+            else (self._incoming.waiting)
+        )
 
     def _open(self, parts: list[Part]) -> None:
         """Open the first rows as a log: what its columns are, and how far apart its rows."""
         assert self._incoming is not None
-        source = self._incoming.source(parts)
         given = dict(self.layout)
         if isinstance(self._incoming, Frames):
             given = {**self._incoming.layout, **given}
             given.pop("header", None)
-        log = open_for(source, self.machine, **given)
+        log = self._opened(parts, given)
         time = log.names.get("t")
         scale, offset = log.layout.conversion("t")
         # From here on its times are seconds already, and the time column has any name.
         names = log.names | ({} if time is None else {"t": "t"})
         conversions = {**log.conversions, "t": (1.0, 0.0)}
-        self._spaced = Spaced(log.clock, time, scale, offset)
+        clock = log.clock
+        if isinstance(self._incoming, Frames):
+            clock = replace(clock, wrap=self._incoming.wrap)
+        self._order = Order(clock, time, scale, offset)
+        self._spaced = Spaced(clock)
         self.log = replace(log, names=names, conversions=conversions)
         self._aligning = self.log.aligning()
+
+    def _opened(self, parts: list[Part], given: dict[str, Any]) -> Log:
+        """The first rows as a log; where time is not in order among them, a piece of them."""
+        assert self._incoming is not None
+        problem: RecordError | None = None
+        for source in self._incoming.sources(parts):
+            try:
+                return open_for(source, self.machine, **given)
+            except RecordError as error:
+                problem = problem or error
+        assert problem is not None
+        words = str(problem)
+        raise RecordError(words.replace(str(self.head), "the stream")) from None
 
     def _estimates(self, parts: Iterable[Aligned]) -> Iterator[Rows]:
         """Estimate aligned rows. How many come at once changes no number."""

@@ -93,7 +93,7 @@ def find(lines: list[str], further: list[str], where: str, header: list[str] | N
     """
     if not any(line.strip() for line in lines):
         raise RecordError(f"{where}: the file is empty; it needs a header line and rows of numbers")
-    delimiter, kinds = _row_kind(lines, further)
+    delimiter, kinds = row_kind(lines, further)
     if not kinds.strip(EMPTY) and len(lines) > SEEN:
         raise RecordError(
             f"{where}: no rows of numbers are found in its first {len(lines)} lines. Is this a "
@@ -135,13 +135,13 @@ def _wanted(name: str, head: _Head) -> bool:
     return bool(name) and head.sample_time is None
 
 
-def _row_kind(lines: list[str], further: list[str]) -> tuple[str, str]:
+def row_kind(lines: list[str], further: list[str]) -> tuple[str, str]:
     """Delimiter of the rows, and what each of their cells is."""
     sample = [line for line in lines if line.strip()]
     sample = [*sample[len(sample) // 2 :], *(line for line in further if line.strip())][-SEEN:]
     best: tuple[float, int, str, str] = (0.0, 0, ",", "")
     for delimiter in DELIMITERS:
-        rows = [_kinds(line, delimiter) for line in sample]
+        rows = [kinds_of(line, delimiter) for line in sample]
         rows = [row for row in rows if _is_row(row)]
         if not rows:
             continue
@@ -159,7 +159,7 @@ def _row_kind(lines: list[str], further: list[str]) -> tuple[str, str]:
     return delimiter, EMPTY * len(split(line, delimiter))
 
 
-def _kinds(line: str, delimiter: str) -> str:
+def kinds_of(line: str, delimiter: str) -> str:
     return "".join(
         NUMBER
         if is_number(cell)
@@ -184,7 +184,7 @@ def _usual(column: tuple[str, ...]) -> str:
     return Counter(full).most_common(1)[0][0] if full else EMPTY
 
 
-def _alike(kinds: str, usual: str) -> bool:
+def is_alike(kinds: str, usual: str) -> bool:
     """Whether a line is a row: the same numbers and texts, and perhaps empty cells."""
     if len(kinds) != len(usual) or not _is_row(kinds):
         return False
@@ -198,11 +198,11 @@ def _first_row(lines: list[str], delimiter: str, usual: str) -> int:
     content = [n for n, line in enumerate(lines) if line.strip()]
 
     def kinds(at: int) -> str:
-        return _kinds(lines[content[at]], delimiter)
+        return kinds_of(lines[content[at]], delimiter)
 
     for at in range(len(content)):
         after = min(at + 1, len(content) - 1)
-        if not (_alike(kinds(at), usual) and _alike(kinds(after), usual)):
+        if not (is_alike(kinds(at), usual) and is_alike(kinds(after), usual)):
             continue
         while at > 0 and _with_a_mistake(kinds(at - 1), usual):
             at -= 1

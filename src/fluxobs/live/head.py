@@ -1,0 +1,77 @@
+"""The first lines of a stream: names and rows, without what came damaged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..logs.formats.text.cells import is_number, split
+from ..logs.formats.text.source import BETWEEN
+from ..logs.formats.text.structure import is_alike, kinds_of, row_kind
+
+#: Characters of a text; the others come from a line that was cut or disturbed.
+_CONTROL = "".join([chr(code) for code in range(32) if chr(code) not in "\t\r"])
+
+
+def names_at(lines: Sequence[bytes], named: bool) -> int | None:
+    """Where to begin among the first lines of a stream: at 0 if names, or a preamble, stand above
+    the rows, or if they are `named` already; else at names further down, as a sender repeats them;
+    None if there are none."""
+    texts = [_text(line) for line in lines]
+    delimiter, usual = row_kind(texts, [])
+    rows = [is_alike(kinds_of(text, delimiter), usual) for text in texts]
+    if named or not any(rows):
+        return 0
+    above = rows.index(True)
+    if any(_may_be_names(text, delimiter) for text in texts[:above]):
+        return 0
+    for n in range(above, len(texts)):
+        if not rows[n] and _is_names(texts[n], delimiter, len(usual)):
+            return n
+    return None
+
+
+def whole(lines: Sequence[bytes]) -> tuple[list[bytes], int]:
+    """The first lines without those that are no rows, and how many these are. Names, units and
+    what stands above them are kept."""
+    texts = [_text(line) for line in lines]
+    delimiter, usual = row_kind(texts, [])
+    width = len(usual)
+    rows = [is_alike(kinds_of(text, delimiter), usual) for text in texts]
+    if not any(rows):
+        return list(lines), 0
+    above = rows.index(True)
+    named = [n for n in range(above) if _is_names(texts[n], delimiter, width)]
+    kept, damaged = [], 0
+    for n, line in enumerate(lines):
+        if n < above:
+            clean = texts[n] != "" and not set(texts[n]) & set(_CONTROL)
+            good = clean and (not named or n <= named[0] or _is_width(texts[n], delimiter, width))
+        else:
+            good = rows[n]
+        if good:
+            kept.append(line)
+        elif texts[n].strip() and not texts[n].startswith(BETWEEN):
+            damaged += not (n > above and named and texts[n].strip() == texts[named[0]].strip())
+    return kept, damaged
+
+
+def _text(line: bytes) -> str:
+    return line.decode("utf-8", errors="replace").rstrip("\r")
+
+
+def _may_be_names(text: str, delimiter: str) -> bool:
+    """Whether a line above the rows belongs there: not a row that was cut."""
+    cells = [cell for cell in split(text, delimiter) if cell]
+    numbers = sum(map(is_number, cells))
+    return len(cells) > 0 and 2 * numbers < len(cells) and not set(text) & set(_CONTROL)
+
+
+def _is_width(text: str, delimiter: str, width: int) -> bool:
+    return len(split(text, delimiter)) == width or text.startswith(BETWEEN)
+
+
+def _is_names(text: str, delimiter: str, width: int) -> bool:
+    """Whether a line has a name for each column."""
+    cells = split(text, delimiter)
+    named = [cell for cell in cells if cell[:1].isalpha() or cell[:1] == "_"]
+    return len(cells) == width and len(named) == width
