@@ -105,7 +105,10 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
-    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    for end in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, end, None)
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:  # not under nohup
+            signal.signal(number, lambda number, frame: sys.exit(128 + number))
     signal.signal(signal.SIGINT, _stop)
     try:
         app(args=spread(sys.argv[1:]), prog_name="fluxobs")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import IO, Self
 
@@ -20,7 +19,6 @@ class Recorder:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._file: IO[bytes] | None = None
-        self._flushed = 0.0
 
     def __enter__(self) -> Self:
         return self
@@ -33,7 +31,7 @@ class Recorder:
             raise self._failed(error) from None
 
     def add(self, lines: bytes) -> None:
-        """Write lines; they are in the file within a second.
+        """Write lines; they are in the file at once.
 
         Raises
         ------
@@ -44,9 +42,7 @@ class Recorder:
             if self._file is None:
                 self._file = self.path.open("wb")
             self._file.write(lines)
-            if time.monotonic() - self._flushed > 1:
-                self._flushed = time.monotonic()
-                self._file.flush()
+            self._file.flush()
         except OSError as error:
             raise self._failed(error) from None
 

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import queue
 import re
+import socket
 import threading
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from typing import Any
 
 from ..errors import FluxobsError
 from ..web import built
+from .frames import MARK
 
 #: Pieces of the stream that may wait for a slow browser; one that is slower yet is let go.
 _WAITING = 1000
+#: Seconds in which a browser has to take something.
+_PATIENCE = 3.0
 #: What a row, or a frame, begins with.
-_ROW = re.compile(rb"^[-+.0-9\xf1]", re.MULTILINE)
+_ROW = re.compile(rb"^[ \t]*[-+.0-9\xf1]", re.MULTILINE)
 #: A preamble is shorter [bytes].
 _PREAMBLE = 1 << 16
 _CONNECT = "connect-src 'none'"
@@ -54,6 +60,7 @@ class Server:
         self._patient = patient
         self._head = b""  # lines above the first row, while it has not come all that was sent
         self._sent = self._rows = False
+        self._whole = True  # whether the last line that was sent is complete
         self._browsers: set[_Browser] = set()
         self._lock = threading.Lock()
         try:
@@ -93,16 +100,17 @@ class Server:
         from websockets.exceptions import ConnectionClosed
 
         with self._lock:
-            one = _Browser(late=self._sent)
-            if one.late:
+            one = _Browser(connection, late=not self._whole)
+            if self._sent:
                 one.waiting.put(self._head)
             self._browsers.add(one)
         self.watched.set()
         try:
             while (data := one.waiting.get()) is not None:
                 connection.send(data)
+                one.taken += 1
             connection.close()
-        except ConnectionClosed:
+        except (ConnectionClosed, OSError):
             pass
         finally:
             with self._lock:
@@ -116,17 +124,18 @@ class Server:
             if not self._rows:
                 self._head, self._rows = _above(self._head + data)
             browsers = list(self._browsers)
+            self._whole = data.endswith(b"\n") or data.startswith(MARK)
         for one in browsers:
             one.take(data, self._patient)
 
-    def end(self) -> None:
-        """Send the rest: the stream has ended."""
+    def end(self, now: bool = False) -> None:
+        """End the stream: the browsers take the rest, unless it has to be `now`."""
         with self._lock:
             browsers = list(self._browsers)
         for one in browsers:
-            one.waiting.put(None)
-        for one in browsers:
-            one.gone.wait(10)
+            one.end()
+            if now or not one.moves_on(one.gone.is_set):
+                one.drop()
         self._server.shutdown()
 
 
@@ -142,18 +151,44 @@ def _above(first: bytes) -> tuple[bytes, bool]:
 class _Browser:
     """What waits for a browser. One that looks late begins at a whole line."""
 
-    def __init__(self, late: bool) -> None:
-        self.late = late
+    def __init__(self, connection: Any, late: bool) -> None:
+        self.connection, self.late = connection, late
+        self.taken, self.ended = 0, False
         self.gone = threading.Event()
         self.waiting: queue.Queue[bytes | None] = queue.Queue()
 
     def take(self, data: bytes, patient: bool) -> None:
+        """Let data wait for it; let the browser go if it is too slow: its page says so."""
+        if self.ended:
+            return
         if self.late:
-            data = data[data.find(b"\n") + 1 :] if b"\n" in data else b""
-            self.late = not data
-        while patient and self.waiting.qsize() > _WAITING and not self.gone.wait(0.01):
-            pass
-        if self.waiting.qsize() > _WAITING:
-            self.waiting.put(None)  # it is too slow: the page says that the stream has ended
+            at = data.find(b"\n") + 1
+            self.late = at == 0
+            data = data[at:] if at else b""
+        if self.waiting.qsize() > _WAITING and not (
+            patient and self.moves_on(lambda: self.waiting.qsize() <= _WAITING)
+        ):
+            self.end()
         elif data:
             self.waiting.put(data)
+
+    def end(self) -> None:
+        """Nothing comes after what waits."""
+        self.ended = True
+        self.waiting.put(None)
+
+    def moves_on(self, enough: Callable[[], bool]) -> bool:
+        """Wait until it has taken `enough`, or is gone; false if it stands still."""
+        taken, since = self.taken, time.monotonic()
+        while not enough() and not self.gone.wait(0.01):
+            if self.taken != taken:
+                taken, since = self.taken, time.monotonic()
+            elif time.monotonic() - since > _PATIENCE:
+                return False
+        return True
+
+    def drop(self) -> None:
+        """Close its connection, whatever it is doing."""
+        self.gone.set()
+        with contextlib.suppress(OSError):
+            self.connection.socket.shutdown(socket.SHUT_RDWR)

@@ -1,4 +1,4 @@
-"""Where a stream comes from: a serial port, UDP, standard input, a file that grows, the demo."""
+"""Where a stream comes from: a port, a network, standard input, a file that grows, the demo."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FluxobsError, RecordError
+from .frames import MARK
 
 #: Bytes that are taken at once.
 _CHUNK = 65536
@@ -61,8 +62,11 @@ class File(Source):
                         continue
                     if pipe or not self.follow:
                         return
-                    if self.path.stat().st_size < file.tell():
+                    now = self.path.stat()
+                    if now.st_size < file.tell():
                         raise RecordError(f"{self.path}: the file became shorter while it was read")
+                    if now.st_ino != os.fstat(file.fileno()).st_ino:
+                        raise RecordError(f"{self.path}: another file has taken its place")
                     time.sleep(_PAUSE)
         except OSError as error:
             raise RecordError(f"{self.path}: cannot be read: {error.strerror}") from None
@@ -74,12 +78,14 @@ class Input(Source):
     name, patient = "standard input", True
 
     def chunks(self) -> Iterator[bytes]:
+        if sys.stdin is None:
+            raise RecordError("standard input is closed")
         while data := os.read(sys.stdin.fileno(), _CHUNK):
             yield data
 
 
 class Datagrams(Source):
-    """UDP: whole lines or frames in each datagram."""
+    """UDP: whole lines or frames in each datagram; its end is a line's end too."""
 
     def __init__(self, host: str, port: int) -> None:
         self.name = f"udp:{port}"
@@ -95,7 +101,7 @@ class Datagrams(Source):
         with self._socket:
             while True:
                 try:
-                    data = self._socket.recv(_CHUNK)
+                    data = _ended(self._socket.recv(_CHUNK))
                 except TimeoutError:
                     data = b""
                 yield data + self._waiting() if data else data
@@ -106,7 +112,7 @@ class Datagrams(Source):
         self._socket.setblocking(False)
         try:
             while len(out) < _CHUNK:
-                out += self._socket.recv(_CHUNK)
+                out += _ended(self._socket.recv(_CHUNK))
         except BlockingIOError:
             pass
         finally:
@@ -114,8 +120,41 @@ class Datagrams(Source):
         return bytes(out)
 
 
+def _ended(datagram: bytes) -> bytes:
+    return datagram if datagram.startswith(MARK) or datagram.endswith(b"\n") else datagram + b"\n"
+
+
+class Connection(Source):
+    """A TCP connection, until the other side closes it."""
+
+    def __init__(self, name: str, host: str, port: int) -> None:
+        self.name = name
+        try:
+            self._socket = socket.create_connection((host, port), timeout=5)
+        except OSError as error:
+            words = error.strerror or str(error)
+            raise RecordError(f"{name}: cannot be opened: {words}") from None
+        self._socket.settimeout(_LOOK)
+
+    def chunks(self) -> Iterator[bytes]:
+        with self._socket:
+            while True:
+                try:
+                    data = self._socket.recv(_CHUNK)
+                except TimeoutError:
+                    yield b""
+                    continue
+                except OSError as error:
+                    raise RecordError(
+                        f"{self.name}: the connection broke: {error.strerror}"
+                    ) from None
+                if not data:
+                    return
+                yield data
+
+
 class Serial(Source):
-    """A serial port, or what else pyserial opens: socket://HOST:PORT, rfc2217://…"""
+    """A serial port, or what else pyserial opens, as rfc2217://HOST:PORT."""
 
     def __init__(self, port: str, baud: int) -> None:
         try:
@@ -136,8 +175,8 @@ class Serial(Source):
             while True:
                 try:
                     yield port.read(max(1, min(port.in_waiting, _CHUNK)))
-                except (self._failed, OSError) as error:
-                    raise RecordError(f"{self.name}: the port is gone: {error}") from None
+                except (self._failed, OSError):
+                    raise RecordError(f"{self.name}: the port is gone") from None
 
 
 class Demo(Source):
@@ -165,7 +204,8 @@ def open_source(text: str, baud: int) -> Source:
     Parameters
     ----------
     text : str
-        "-", "udp:PORT" or "udp:HOST:PORT", a serial port or a URL of pyserial, or a file.
+        "-", "udp:PORT" or "udp:HOST:PORT", "socket://HOST:PORT", a serial port or a URL of
+        pyserial, or a file.
     baud : int
         Of a serial port [1/s].
 
@@ -181,6 +221,8 @@ def open_source(text: str, baud: int) -> Source:
         if not 0 < int(port) < 65536:
             raise FluxobsError(f"{text}: a port lies between 1 and 65535")
         return Datagrams(host or "", int(port))
+    if found := re.fullmatch(r"socket://(.+):(\d+)", text):
+        return Connection(text, found[1], int(found[2]))
     path = Path(text)
     if re.fullmatch(r"COM\d+|\w[\w+.-]*://.*", text) or path.is_char_device():
         return Serial(text, baud)

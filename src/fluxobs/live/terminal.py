@@ -17,6 +17,8 @@ from .watch import Watch
 #: Seconds between two pictures on a terminal, and between two lines in a pipe; and without rows,
 #: after which that is said.
 PICTURE, LINE, SILENT = 0.1, 1.0, 2.0
+#: What helps if the position stays unknown.
+UNKNOWN = "not valid yet: if it stays so, record it (--save) and run `fluxobs check`"
 _BLOCKS = "▁▂▃▄▅▆▇█"
 _STRIP = 40
 
@@ -37,6 +39,7 @@ class Terminal:
         self._strips: dict[str, deque[float]] = {}
         self._drawn = 0.0
         self._came = 0.0  # when the last rows came
+        self._rows = self._valid = 0  # since the last picture
         self._line = ""
         self._live: Any = None
         self._noted = False
@@ -64,7 +67,8 @@ class Terminal:
             if name in rows.columns:
                 values = factor * np.asarray(rows.columns[name], dtype=float)
                 self._last[name] = float(values[-1]) if rows.valid[-1] else math.nan
-        self._last["valid"] = float(100 * np.mean(rows.valid))
+        self._rows += len(rows.valid)
+        self._valid += int(rows.valid.sum())
 
     def draw(self, force: bool = False) -> None:
         """Show them, if it is time to."""
@@ -75,7 +79,9 @@ class Terminal:
         if log is not None and not self._noted:
             self._noted = True
             self._print("; ".join([*log.notes, f"{1 / log.sample_time:.6g} rows a second"]) + ".")
-        if self._came >= self._drawn:
+        if self._rows:
+            self._last["valid"] = 100 * self._valid / self._rows
+            self._rows = self._valid = 0
             for name, value in self._last.items():
                 self._strips.setdefault(name, deque(maxlen=_STRIP)).append(value)
         self._drawn = now
@@ -96,6 +102,8 @@ class Terminal:
             (status.restarts, "restarts"),
         )
         said = [f"{count} {what}" for count, what in counted if count]
+        if status.rows and not status.valid:
+            said.append(UNKNOWN)
         if status.waiting:
             said.append(f"waiting: {status.waiting}")
         if self._last and time.monotonic() - self._came > SILENT:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import shlex
+import signal
 import tempfile
+import time
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 
+from ...errors import FluxobsError
 from .. import show
 from ..options import ForceOption, PriorOption, numbers, reads_logs, refuse_input_as_output
 
@@ -21,6 +25,8 @@ if TYPE_CHECKING:
 
 #: The machine of the demo.
 DEMO_MACHINE = "servo-400w"
+#: Seconds for which a stream that is recorded, and can wait, waits for a browser.
+UNWATCHED = 10.0
 
 
 @reads_logs("start", "stop", "join", "align", "record", "fit_truth")
@@ -50,7 +56,9 @@ def live(
         typer.Option(help="Record the rows as they come, .csv, for `fluxobs estimate`."),
     ] = None,
     baud: Annotated[int, typer.Option(help="Bits a second of a serial port.")] = 115200,
-    port: Annotated[int, typer.Option(help="Of the page; 0: any that is free.")] = 8765,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Of the page; 0: any that is free.")
+    ] = 8765,
     no_open: Annotated[
         bool, typer.Option("--no-open", help="Do not open the browser, only say the address.")
     ] = False,
@@ -93,59 +101,122 @@ def live(
         "memory": memory,
         "priors": numbers("prior", prior),
     }
+    problem: FluxobsError | None = None
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="fluxobs-"))
         watch = Watch(given, Path(folder) / "stream", **settings, **layout)
         if save is not None:
             watch.record(stack.enter_context(Recorder(save)).add)
+        stopping = stack.enter_context(_Stopping())
         try:
             if text:
-                _in_terminal(stream, watch)
+                _in_terminal(stream, watch, stopping)
             else:
                 facts = {"machine": machine_text(given, [], {}), "options": layout, **settings}
-                _in_browser(stream, watch if save else None, port, not no_open, facts)
+                taken = watch if save else None
+                _in_browser(stream, taken, port, not no_open, facts, stopping)
         except show.Stopped:
             pass
-    if save is not None and save.exists():
+        except FluxobsError as error:
+            problem = error
+    if save is not None:
+        _say_written(save, watch, str(machine or DEMO_MACHINE))
+    if problem is not None:
+        raise problem
+
+
+def _say_written(save: Path, watch: Watch, machine: str) -> None:
+    if watch.unread:
+        raw = next(
+            path
+            for n in count(1)
+            if not (path := save.with_name(f"{save.stem}{f'-{n}' if n > 1 else ''}.raw")).exists()
+        )
+        raw.write_bytes(watch.unread)
+        typer.echo(f"Written: {raw}, as it came: no rows were found in it")
+    elif save.exists():
         typer.echo(f"Written: {save}")
-        words = ["fluxobs", "estimate", str(save), "--machine", str(machine or DEMO_MACHINE)]
+        words = ["fluxobs", "estimate", str(save), "--machine", machine]
         if watch.log is not None and watch.log.layout.lag:
             words += ["--lag", f"{watch.log.layout.lag:g}"]
         typer.echo(f"All of it at once: {shlex.join(words)}")
 
 
-def _in_terminal(stream: Source, watch: Watch) -> None:
+class _Stopping:
+    """Ctrl-C ends a stream; while rows are estimated or sent, it waits until they are. A second
+    one does not wait."""
+
+    def __init__(self) -> None:
+        self.asked = self._waiting = False
+
+    def __enter__(self) -> Self:
+        self._before = signal.signal(signal.SIGINT, self._stop)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        signal.signal(signal.SIGINT, self._before)
+
+    def _stop(self, number: int, frame: object) -> None:
+        if self._waiting or self.asked:
+            raise show.Stopped
+        self.asked = True
+
+    def pieces(self, stream: Source) -> Iterator[tuple[bytes, bool]]:
+        """What a stream brings, and whether that was the last, also of one that is ended."""
+        chunks = stream.chunks()
+        try:
+            while not self.asked:
+                self._waiting = True
+                try:
+                    data = next(chunks, None)
+                finally:
+                    self._waiting = False
+                if data is None:
+                    break
+                yield data, False
+        except (FluxobsError, show.Stopped):
+            self.asked = True
+            yield b"", True
+            raise
+        yield b"", True
+
+
+def _in_terminal(stream: Source, watch: Watch, stopping: _Stopping) -> None:
     from ...live.terminal import Terminal
 
     with Terminal(watch, stream.name) as terminal:
         try:
-            for data in stream.chunks():
-                for rows in watch.feed(data):
+            for data, last in stopping.pieces(stream):
+                for rows in watch.feed(data, last):
                     terminal.add(rows)
-                terminal.draw()
-            for rows in watch.feed(b"", last=True):
-                terminal.add(rows)
+                if not last:
+                    terminal.draw()
         finally:
             terminal.draw(force=True)
 
 
 def _in_browser(
-    stream: Source, watch: Watch | None, port: int, opens: bool, facts: Mapping[str, Any]
+    stream: Source,
+    watch: Watch | None,
+    port: int,
+    opens: bool,
+    facts: Mapping[str, Any],
+    stopping: _Stopping,
 ) -> None:
     from ...live.serve import Server
 
     server = Server(port, {"name": stream.name, **facts}, stream.patient)
     opened = opens and webbrowser.open(server.url)
     typer.echo(f"{'Opened' if opened else 'Open'}: {server.url} Ctrl-C ends it.")
-    while stream.patient and not server.watched.wait(0.1):
-        pass
+    since = time.monotonic()
+    while stream.patient and not server.watched.wait(0.1) and not stopping.asked:
+        if watch is not None and time.monotonic() - since > UNWATCHED:
+            break
     try:
-        for data in stream.chunks():
+        for data, last in stopping.pieces(stream):
             if data:
                 server.send(data)
             if watch is not None:
-                list(watch.feed(data))
-        if watch is not None:
-            list(watch.feed(b"", last=True))
+                list(watch.feed(data, last))
     finally:
-        server.end()
+        server.end(now=stopping.asked)
