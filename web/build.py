@@ -111,11 +111,17 @@ def library() -> str:
     for folder in RESOURCES:
         for path in sorted((PACKAGE / folder).iterdir()):
             if path.suffix in (".toml", ".csv"):
-                text = json.dumps(path.read_text("utf-8"))
+                text = json.dumps(path.read_text("utf-8") if path.suffix == ".csv" else bare(path))
                 parts.append(
                     f'$files.set("fluxobs/{folder}/{path.name}", $encoded({text}, "utf-8"));\n'
                 )
     return "".join(parts)
+
+
+def bare(path: Path) -> str:
+    """A TOML file without the lines that are comments."""
+    lines = path.read_text("utf-8").splitlines(keepends=True)
+    return "".join([line for line in lines if not line.startswith("#")])
 
 
 def bundled(entry: Path, style: str) -> str:
@@ -189,7 +195,8 @@ def write(name: str, parts: dict[str, bytes]) -> None:
         "archive": archived(b"".join(parts.values())),
         "boot": bundled(WEB / "app" / "boot.js", "esm"),
     }
-    page = (WEB / "app" / f"{name}.html").read_text("utf-8")
+    lines = (WEB / "app" / f"{name}.html").read_text("utf-8").split("\n")
+    page = "\n".join([line.strip() for line in lines])
     for key, value in values.items():
         page = page.replace("{{" + key + "}}", value)
     out = PACKAGE / "web" / f"{name}.html"

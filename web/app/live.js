@@ -199,6 +199,9 @@ export class Live {
     this.words.textContent = [
       `${this.source?.name ?? ""}: ${s.rows} rows, ${((100 * s.valid) / Math.max(1, s.rows)).toFixed(1)} % valid`,
       ...counts.filter(([n]) => n).map(([n, what]) => `${n} ${what}`),
+      ...(s.rows && !s.valid
+        ? ["not valid yet: if it stays so, record it and check the recording"]
+        : []),
       ...(s.waiting ? [`waiting: ${s.waiting}`] : []),
       ...(now - this.came > SILENT && !last ? ["no rows for more than 2 s"] : []),
       ...(this.tape ? ["recording"] : []),

@@ -32,6 +32,8 @@ BRIDGED = 5
 #: A row that leaves the line between its neighbours by this many times what is usual, by so much of
 #: the signal, and by more than twice what these differ, is a spike.
 SPIKE, SPIKE_LEAST = 30.0, 0.5
+#: Values beyond are no measurements [A], [V]; squared they would be no numbers.
+ABSURD = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +68,7 @@ def _complex(values: Array) -> Complex:
 
 def _bridge(values: Complex) -> Complex:
     """Interpolate across short gaps; longer ones stay."""
-    values = np.where(np.isfinite(values), values, np.nan)
+    values = np.where(np.abs(values) < ABSURD, values, np.nan)
     bad = np.isnan(values)
     if not bad.any() or bad.all():
         return values

@@ -120,7 +120,10 @@ class Lines:
         lines, self.damaged = first_lines.whole(lines[at or 0 :])
         self.head.write_bytes(b"".join([line + b"\n" for line in lines]))
         names = None if self.header is None else [n.strip() for n in self.header.split(",")]
-        self._table = TextTable(self.head, names)
+        try:
+            self._table = TextTable(self.head, names)
+        except RecordError as error:
+            raise RecordError(str(error).replace(str(self.head), "the stream")) from None
         self._passed = 0
         first = self._table.structure.first_line
         _, kinds = row_kind([line.decode("utf-8", errors="replace") for line in lines[first:]], [])
@@ -166,7 +169,8 @@ class Lines:
     def _mended_cells(self, line: bytes, time: str | None, moved: float) -> bytes:
         structure = self._structure
         cells = split(line.decode("utf-8", errors="replace"), structure.delimiter)
-        for n, name in enumerate(structure.names[: len(cells)]):
+        cells += [""] * (len(structure.names) - len(cells))
+        for n, name in enumerate(structure.names):
             if name is None or is_missing(cells[n]):
                 continue
             if name == time and moved and is_number(cells[n]):

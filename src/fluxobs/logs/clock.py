@@ -139,15 +139,16 @@ class _Reader:
         self.rounding = rounding_of(head)
         if self.rounding and not is_rounded(head, self.rounding):
             self.rounding = 0.0  # stamps lie on a grid because the samples do
+        if given and self.rounding and _is_whole(given / self.rounding):
+            self.rounding = 0.0  # it moves no stamp
         steps = np.diff(head)
         if not np.median(steps) > 0 and not self.rounding > 0:
             self._backwards(head, 0, int(np.argmax(steps <= 0)))
         self.step, self.typical = self._typical(steps)
         if not self.step > 0:
             self._backwards(head, 0, 0)
-        share = (given or self.typical) / self.rounding if self.rounding else 0.0
-        if abs(share - round(share)) < WHOLE and round(share) > 0:
-            self.rounding = 0.0  # rounding moves no stamp
+        if given is None and self.rounding and _is_whole(self.typical / self.rounding):
+            self.rounding = 0.0
         self.mean = float(head[-1] - head[0]) / len(steps)
         self.given = given
         self.wrapped = 0.0
@@ -301,6 +302,10 @@ class _Reader:
                 f"{made.sample_time:.6g} s on the mean, t is {off[at]:.3g} s away here. Cut the "
                 f"log where it changes (--from, --to)"
             )
+
+
+def _is_whole(share: float) -> bool:
+    return abs(share - round(share)) < WHOLE and round(share) > 0
 
 
 def rounding_of(t: Array) -> float:

@@ -139,6 +139,8 @@ def _say_written(save: Path, watch: Watch, machine: str) -> None:
         words = ["fluxobs", "estimate", str(save), "--machine", machine]
         if watch.log is not None and watch.log.layout.lag:
             words += ["--lag", f"{watch.log.layout.lag:g}"]
+        if watch.log is not None and watch.status.lost:  # the rate is known from the first rows
+            words += ["--sample-time", f"{watch.log.sample_time:g}"]
         typer.echo(f"All of it at once: {shlex.join(words)}")
 
 
