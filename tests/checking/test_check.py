@@ -157,6 +157,7 @@ def test_without_a_magnet_its_flux_is_no_matter(tmp_path):
 def test_impossible_values_are_gaps(tmp_path):
     columns = {name: values.copy() for name, values in COLUMNS.items()}
     columns["i_alpha"][5000:5010] = np.inf
+    columns["i_beta"][7000] = 1e200
     columns["u_beta"][9000] = np.nan
     with warnings.catch_warnings():
         warnings.simplefilter("error")

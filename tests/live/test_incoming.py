@@ -302,3 +302,59 @@ def test_columns_parted_by_several_spaces(tmp_path):
     parts = [part for k in range(0, len(data), 50_001) for part in lines.feed(data[k : k + 50_001])]
     assert np.allclose(whole(parts)["i_beta"][: len(ROWS)], ROWS[:, 3], rtol=1e-8)
     assert lines.damaged == 0
+
+
+FIRST = TEXT.splitlines(keepends=True)
+
+
+def with_line(at, line):
+    return [*FIRST[:at], line, *FIRST[at:]]
+
+
+@pytest.mark.parametrize(
+    ("lines", "damaged", "missing"),
+    [
+        (with_line(1000, b"1,2\n"), 1, 0),
+        (with_line(1000, b"1,2,3,4,5,6,7\n"), 1, 0),
+        (with_line(1000, b"\x00\x01,\xff,,\n"), 1, 0),
+        ([*FIRST[:1000], FIRST[1000].replace(b",", b",b", 1), *FIRST[1001:]], 1, 1),
+        (with_line(0, b"boot \x00\x07\n"), 1, 0),
+        (with_line(1, b"WARN,overtemp,phase\n"), 1, 0),
+        (with_line(1000, b"WARN,overtemp,phase\n"), 1, 0),
+        (with_line(1000, FIRST[0]), 0, 0),
+        (with_line(1, b"s,V,V,A,A\n"), 0, 0),
+        ([b"# rig 3\n", b"# phases in order\n", *FIRST], 0, 0),
+    ],
+)
+def test_damaged_first_lines(tmp_path, lines, damaged, missing):
+    """They are left out, however the bytes come."""
+    for piece in (len(TEXT) + 1000, 7001):
+        made = Lines(tmp_path / "stream")
+        data = b"".join(lines)
+        parts = [p for k in range(0, len(data), piece) for p in made.feed(data[k : k + piece])]
+        found = whole(parts)
+        assert list(found) == ["t", *NAMES]
+        assert len(found["t"]) == len(ROWS) - missing
+        assert np.isfinite(found["i_beta"]).all()
+        assert made.damaged == damaged
+
+
+def test_lines_that_end_as_they_like(tmp_path):
+    for end in (b"\r", b"\r\n"):
+        made, data = Lines(tmp_path / "stream"), TEXT.replace(b"\n", end)
+        parts = [p for k in range(0, len(data), 5003) for p in made.feed(data[k : k + 5003])]
+        parts += made.feed(b"", last=True)
+        assert np.array_equal(whole(parts)["t"], TIMED[:, 0].round(9))
+
+
+def test_bytes_without_lines_are_refused(tmp_path):
+    with pytest.raises(RecordError, match="without the end of a line"):
+        Lines(tmp_path / "stream").feed(b"x" * 1_100_000)
+
+
+def test_other_columns_than_before_are_refused(tmp_path):
+    made = Lines(tmp_path / "stream")
+    made.feed(TEXT)
+    assert len(made.feed(b"a,b,c\n" + FIRST[1])) == 1  # no line of names
+    with pytest.raises(RecordError, match=r"changed from t,u_alpha,.* to t,i_alpha,"):
+        made.feed(b"t,i_alpha,i_beta,u_alpha,u_beta\n")

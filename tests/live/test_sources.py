@@ -77,6 +77,25 @@ def test_datagrams():
     assert until(source, 500, send) == b"".join(b"%04d\n" % k for k in range(100))
 
 
+def test_a_datagram_ends_a_line():
+    from fluxobs.live.frames import SAMPLES, frame
+    from fluxobs.live.sources import _ended
+
+    assert _ended(b"1,2") == _ended(b"1,2\n") == b"1,2\n"
+    sample = frame(SAMPLES, 0, b"1234")
+    assert _ended(sample) == sample
+
+
+def test_a_connection_ends_when_the_other_side_closes_it():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        source = open_source(f"socket://127.0.0.1:{server.getsockname()[1]}", 0)
+        there, _ = server.accept()
+        threading.Thread(target=lambda: (there.sendall(b"1,2\n" * 100_000), there.close())).start()
+        began = time.monotonic()
+        assert b"".join(source.chunks()) == b"1,2\n" * 100_000
+    assert time.monotonic() - began < 5
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="no pseudo terminals")
 def test_a_serial_port():
     pytest.importorskip("serial")
@@ -194,9 +213,14 @@ def test_the_stream_arrives_whole(server):
 
 
 @pytest.mark.parametrize(
-    "pieces", [[b"# rig 3\nt,u\n1,2\n3,"], [b"# rig 3\n", b"t,", b"u\n1,2", b"\n3,"]]
+    ("pieces", "rest"),
+    [
+        ([b"# rig 3\nt,u\n1,2\n3,"], b"5,6\n"),
+        ([b"# rig 3\n", b"t,", b"u\n1,2", b"\n3,"], b"5,6\n"),
+        ([b"# rig 3\nt,u\n  1,2\n"], b"4\n5,6\n"),
+    ],
 )
-def test_a_page_that_comes_late_gets_the_names_and_whole_lines(server, pieces):
+def test_a_page_that_comes_late_gets_the_names_and_whole_lines(server, pieces, rest):
     one = server()
     for piece in pieces:
         one.send(piece)
@@ -204,7 +228,7 @@ def test_a_page_that_comes_late_gets_the_names_and_whole_lines(server, pieces):
         time.sleep(0.2)
         one.send(b"4\n5,6\n")
         assert page.recv() == b"# rig 3\nt,u\n"
-        assert page.recv() == b"5,6\n"
+        assert page.recv() == rest
 
 
 def test_a_page_that_is_too_slow_is_let_go_of_a_port(server, monkeypatch):
@@ -218,3 +242,18 @@ def test_a_page_that_is_too_slow_is_let_go_of_a_port(server, monkeypatch):
             one.send(b"x" * 100_000)
         got = b"".join(page)
     assert 0 < len(got) < 3000 * 100_000
+
+
+def test_a_page_that_stands_still_does_not_hold_up_a_stream_that_waits(server, monkeypatch):
+    from fluxobs.live import serve
+
+    monkeypatch.setattr(serve, "_WAITING", 3)
+    monkeypatch.setattr(serve, "_PATIENCE", 0.2)
+    one = server()
+    with connected(one, max_queue=1):
+        assert one.watched.wait(5)
+        began = time.monotonic()
+        for _ in range(300):
+            one.send(b"x" * 100_000)
+        one.end()
+        assert time.monotonic() - began < 5

@@ -116,6 +116,8 @@ def test_a_recording_is_a_log(watch, tmp_path):
         (b"\n".join(line.split(b",", 1)[1] for line in DEMO.splitlines()), {}, "--sample-time"),
         (DEMO, {"unknowns": "speed"}, "unknown"),
         (DEMO, {"memory": 1e-5}, "memory"),
+        (DEMO, {"memory": np.nan}, "memory must be a positive"),
+        (DEMO, {"frame": "bogus"}, "frame"),
     ],
 )
 def test_what_cannot_be_estimated_is_said(watch, data, given, words):
@@ -160,3 +162,48 @@ def test_names_that_come_later(watch):
         list(watch().feed(rows, last=True))
     found = [*made.feed(header + b"\n" + rows[:100_000]), *made.feed(rows[100_000:])]
     assert sum(len(one.valid) for one in found) == 10_000
+
+
+FIRST, *LINES = DEMO.splitlines(keepends=True)
+
+
+def stamped(line, t):
+    return b"%.4f," % t + line.split(b",", 1)[1]
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        [*LINES[:6000], *(stamped(line, 2e-4 * k) for k, line in enumerate(LINES[6000:]))],
+        [*LINES[:5000], LINES[5001], LINES[5000], *LINES[5002:]],
+        [*LINES[:900], LINES[901], LINES[900], *LINES[902:]],
+        [*LINES[:5000], stamped(LINES[5000], 1e19), *LINES[5001:]],
+        [*LINES[:5000], LINES[5000].replace(b",", b",b", 2), *LINES[5001:]],
+        [*LINES[:5000], b"boot: reset by watchdog\n", b"1,2\n", b'x"y\n', *LINES[5000:]],
+        [*LINES[:5000], LINES[5000].rsplit(b",", 3)[0] + b"\n", *LINES[5001:]],
+    ],
+    ids=[*["restart", "exchanged", "early", "stamp", "cell", "text", "short"]],
+)
+def test_a_recording_of_a_stream_with_mistakes_is_a_log(watch, tmp_path, lines):
+    kept, data = [], FIRST + b"".join(lines)
+    made = watch()
+    made.record(kept.append)
+    found = watched(made, data)
+    list(made.feed(b"", last=True))
+    path = tmp_path / "kept.csv"
+    path.write_bytes(b"".join(kept))
+    log = fluxobs.read_log(path, sample_time=2e-4)
+    assert abs(len(log) - 10_000) <= 2
+    assert made.status.lost <= 2
+    error = np.degrees(np.abs(found["theta_e_error"][found["valid"]]))
+    assert error.max() < 6
+    assert found["valid"].mean() > 0.8
+
+
+def test_what_came_is_kept_until_there_are_rows(watch):
+    made = watch()
+    made.record(lambda lines: None)
+    list(made.feed(LINES[0] * 3000))
+    assert made.unread == LINES[0] * 3000
+    list(made.feed(DEMO))
+    assert made.unread == b""

@@ -401,3 +401,13 @@ def test_old_tektronix_files_with_the_preamble_beside(tmp_path):
     assert log.frame == "line"
     np.testing.assert_allclose(found[:, 0], i.real, atol=1e-6)
     np.testing.assert_allclose(voltage[1:, 1], u.imag[:-1], atol=1e-4)
+
+
+def test_samples_lost_here_and_there_with_a_sample_time_that_is_given():
+    """Single losses look like stamps that are rounded: the sample time decides."""
+    there = np.random.default_rng(1).random(ROWS) > 0.03
+    there[:100] = True
+    log = read_log({name: values[there] for name, values in columns(T).items()}, sample_time=H)
+    t, current, _ = rows_of(log)
+    assert np.allclose(t, T, atol=1e-9)
+    assert np.isnan(current[~there]).all()

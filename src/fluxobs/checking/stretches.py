@@ -66,9 +66,14 @@ def _complex(values: Array) -> Complex:
     return np.asarray(values[:, 0] + 1j * values[:, 1])
 
 
+def _measured(values: Complex) -> Complex:
+    """NaN where a value is no measurement."""
+    return np.where(np.abs(values) < ABSURD, values, np.nan)
+
+
 def _bridge(values: Complex) -> Complex:
     """Interpolate across short gaps; longer ones stay."""
-    values = np.where(np.abs(values) < ABSURD, values, np.nan)
+    values = _measured(values)
     bad = np.isnan(values)
     if not bad.any() or bad.all():
         return values
@@ -83,7 +88,7 @@ def _bridge(values: Complex) -> Complex:
 
 def without_spikes(values: Complex) -> tuple[Complex, int]:
     """Replace rows that leave their neighbours' line and come back; their number."""
-    values = np.where(np.isfinite(values), values, np.nan)
+    values = _measured(values)
     out = values.copy()
     off = values[1:-1] - (values[2:] + values[:-2]) / 2
     size = np.abs(off)

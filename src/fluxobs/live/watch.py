@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..errors import RecordError
+from ..errors import RecordError, UsageError
 from ..estimation.columns import Rows, rows_of
 from ..estimation.prepare import Prepared, prepare
 from ..logs.aligned import Aligned, between, joined, less_lost
 from ..logs.for_machine import open_for
+from ..logs.layout import Layout
 from ..logs.log import Log
 from ..logs.scales import Scales, scales_of
 from ..machines import Machine, RotatingMachine
@@ -99,6 +101,9 @@ class Watch:
         chosen = read_unknowns(unknowns)
         if chosen == (AUTO,):
             chosen = ALL if isinstance(machine, RotatingMachine) else ("drift",)
+        if memory is not None and not 0 < memory < math.inf:
+            raise UsageError(f"memory must be a positive number of seconds, got {memory}")
+        Layout(**{name: value for name, value in layout.items() if name != "preset"})
         self.machine, self.unknowns = machine, chosen
         self.memory, self.priors = memory, dict(priors or {})
         self.layout, self.head = layout, head
