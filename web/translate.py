@@ -76,6 +76,8 @@ object open ord pow print property classmethod staticmethod range repr reversed 
 setattr slice sorted str sum super tuple type zip
 """
 BUILTINS = frozenset(_BUILTINS.split())
+#: Modules whose names stand in annotations, for the most part.
+TYPES = ("typing", "numpy.typing", "collections.abc")
 
 
 class Unknown(SyntaxError):
@@ -108,6 +110,7 @@ class Module:
         self._self: list[str | None] = []
         self._loops: list[str] = []  # labels to break to, where a loop has an else
         self.imports: set[str] = set()
+        self._types: dict[str, str] = {}  # names for annotations: how they are imported
 
     # ---- names ---------------------------------------------------------------------------
 
@@ -138,6 +141,9 @@ class Module:
         self._scopes.append(names | {"__package__", "__name__"})
         self._self.append(None)
         body = self.block(without_docstring(self.tree.body))
+        spoken = {n for n in self._types if re.search(rf"(?<![\w$]){re.escape(n)}(?![\w$])", body)}
+        names -= set(self._types) - spoken
+        body = "".join([self._types[n] + "\n" for n in sorted(spoken)]) + body
         declared = ", ".join(sorted(self.mangled(n) for n in names))
         exported = ", ".join(
             self.mangled(n) if n == self.mangled(n) else f"{n}: {self.mangled(n)}"
@@ -211,6 +217,10 @@ class Module:
         out, plain = [], []
         for one in node.names:
             name = self.mangled(one.asname or one.name)
+            if source in TYPES:
+                self.imports.add(source)
+                self._types[name] = f"({{{one.name}: {name}}} = $import({json.dumps(source)}));"
+                continue
             if f"{source}.{one.name}" in self.modules and not self.exports(source, one.name):
                 self.imports.add(f"{source}.{one.name}")
                 out.append(f"{name} = $import({json.dumps(f'{source}.{one.name}')});")
