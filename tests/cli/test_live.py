@@ -26,7 +26,7 @@ def test_a_pipe_in_the_terminal_and_its_recording(tmp_path):
     out = done.stdout.decode()
     assert done.returncode == 0, done.stderr.decode()
     assert "5000 rows a second" in out
-    last = next(line for line in reversed(out.splitlines()) if line.startswith("theta_e"))
+    last = next(line for line in reversed(out.splitlines()) if line.startswith("t "))
     assert re.search(r"resistance 0\.3[56]\d* Ω", last)
     assert saved.read_bytes() == LOG.read_bytes()
     assert f"fluxobs estimate {saved} --machine servo-400w" in out

@@ -114,9 +114,7 @@ def test_the_demo_is_one_click(page):
     one.page.click("#demo")
     one.page.wait_for_selector("body[data-done]")
     assert "valid on" in one.page.inner_text(".summary")
-    assert one.page.inner_text("#command").startswith(
-        "fluxobs estimate demo_log.csv --machine servo"
-    )
+    assert one.page.inner_text("#command") == "fluxobs demo"
 
 
 def test_a_log_can_be_dropped(page):

@@ -101,7 +101,7 @@ export class Live {
       element(
         "p",
         { className: "hint" },
-        "Hold it to zoom and to read values. Where the background is shaded the position is not valid.",
+        "Hold stops the strips, to zoom and to read values. Where the background is shaded the position is not valid.",
       ),
       this.charts,
       this.notes,
@@ -116,6 +116,7 @@ export class Live {
     this.waiting = [];
     this.tape = null;
     this.holding(false);
+    this.stop.disabled = this.record.disabled = false;
     this.frames = 0;
     this.words.textContent = `${source.name}: waiting for its first rows`;
     this.found = await this.ask("watch", given);
@@ -138,6 +139,7 @@ export class Live {
       this.words.textContent += "; the stream has ended";
     } finally {
       await this.recording(false);
+      this.stop.disabled = this.record.disabled = true;
       this.source = null;
       source.close();
     }

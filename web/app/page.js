@@ -149,7 +149,7 @@ $("files").addEventListener("change", (event) => {
 $("demo").addEventListener("click", async () => {
   $("example").value = "servo-400w";
   $("machine").value = state.known.examples["servo-400w"];
-  open([new File([demoLog(parts.demo)], "demo_log.csv")]);
+  open([new File([demoLog(parts.demo)], DEMO)]);
 });
 
 // ---- what is asked for ----------------------------------------------------------------------
@@ -206,9 +206,11 @@ function options() {
   };
 }
 
+const DEMO = "demo-excerpt.csv"; // the first rows of it
 const quoted = (word) =>
   /^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\"'\"'")}'`;
 function command(given) {
+  if (state.files[0] === DEMO) return "fluxobs demo";
   const { options: o, unknowns, memory, causal } = given,
     words = [
       "fluxobs",
@@ -296,6 +298,7 @@ async function again() {
     if (mine !== turn) return;
     state.found = found;
     $("results").hidden = $("files-out").hidden = false;
+    results.explain({ summary: found.summary });
     results.show(state.found, columns);
     requestAnimationFrame(() =>
       setTimeout(() => {
@@ -357,7 +360,7 @@ function download(name, parts, type) {
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }
 $("save-csv").addEventListener("click", () => {
-  const { columns } = results.view,
+  const columns = results.first, // without the sliders
     drawn = (name) =>
       !/ [+-]$/.test(name) && !["truth", "raw", "innovation", "adapting"].includes(name),
     names = Object.keys(columns).filter(drawn),
@@ -407,6 +410,7 @@ const served = JSON.parse($("live").textContent);
 if (served) {
   $("machine").value = served.machine;
   document.querySelector("main").prepend($("live-view"));
+  document.body.classList.add("served");
   watch(() => socket(`ws://${location.host}/stream`, served.name), served);
 }
 

@@ -142,9 +142,10 @@ export class View {
     return this.valid;
   }
 
-  // Count, mean, rms, least and most of a window, of rows where `valid` is set.
+  // Mean, rms, least and most of the valid rows of a window.
   statistics(name, from, to) {
-    const first = this.row(from),
+    const { valid } = this.columns,
+      first = this.row(from),
       last = this.row(to) + 1,
       d = this.columns[name],
       step = Math.max(1, Math.floor((last - first) / 200_000));
@@ -153,13 +154,13 @@ export class View {
       square = 0;
     for (let k = first; k < last; k += step) {
       const v = d[k];
-      if (v === v) {
+      if (v === v && (!valid || valid[k])) {
         n++;
         sum += v;
         square += v * v;
       }
     }
-    const [least, most] = this.range(name, first, last);
+    const [least, most] = this.range(name, first, last, Boolean(valid));
     return { mean: sum / n, rms: Math.sqrt(square / n), least, most };
   }
 }
@@ -199,6 +200,9 @@ export class Recent extends View {
 }
 
 const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+// Steps of axes in degrees.
+const DEGREES = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 30, 90, 180];
 
 const tick = (v) => (v == null ? "" : String(Number(v.toPrecision(6))));
 
@@ -298,7 +302,12 @@ export class Panels {
           height: spec.height ?? 150,
           title: "",
           legend: { show: true, live: true },
-          cursor: { sync: { key: sync.key }, drag: { x: true, y: false }, points: { size: 6 } },
+          // a dot marks a row, where each row is drawn
+          cursor: {
+            sync: { key: sync.key },
+            drag: { x: true, y: false },
+            points: { size: (u) => (u.thinned ? 0 : 6) },
+          },
           select: { show: true },
           scales: {
             x: { time: false, range: () => this.window },
@@ -321,15 +330,17 @@ export class Panels {
               grid: { stroke: () => style("--line"), width: 1 },
               ticks: { stroke: () => style("--line") },
               values: (u, ticks) => ticks.map(tick),
+              space: 22,
+              ...(spec.unit === "°" ? { incrs: DEGREES } : {}),
               label: `${spec.title}${spec.unit ? ` in ${spec.unit}` : ""}`,
               labelSize: 18,
-              size: 56,
+              size: 72,
               font: "11px system-ui",
               labelFont: "11px system-ui",
             },
           ],
           series: [
-            { label: "t", value: (u, v) => (v == null ? "" : `${v.toFixed(6)} s`) },
+            { label: "t", value: (u) => this.time(u) },
             ...spec.series.map((s) => ({
               label: s.label,
               stroke: () => style(s.color),
@@ -338,7 +349,7 @@ export class Panels {
               paths: (u, n, ...rest) => (steep(u, n) ? null : linear(u, n, ...rest)),
               spanGaps: false,
               points: { show: (u, i) => u.data[0].length < u.width / 8, size: 4 },
-              value: () => this.at(s),
+              value: (u) => this.at(u, s),
             })),
           ],
           bands: (spec.bands ?? []).map((b) => ({ series: b, fill: () => style("--band") })),
@@ -348,7 +359,7 @@ export class Panels {
             setSelect: [(u) => this.select(u)],
             setCursor: [
               (u) => {
-                if (u.cursor.left >= 0 && !this.busy) this.cursor(u.posToVal(u.cursor.left, "x"));
+                if (u.cursor.left >= 0 && !this.busy) this.cursor(u);
               },
             ],
           },
@@ -377,10 +388,23 @@ export class Panels {
       : [-1, 1];
   }
 
-  // The value at the cursor, of the row itself.
-  at({ name, map }) {
-    if (this.row == null || !this.view.has(name)) return "";
-    const v = this.view.columns[name][this.row];
+  // The row under the cursor of a panel.
+  under(u) {
+    const { view } = this;
+    if (this.going || !(u.cursor.left >= 0)) return this.row;
+    const time = u.posToVal(u.cursor.left, "x") + (view.t[1] - view.t[0]) / 2;
+    return Math.min(view.rows - 1, Math.max(0, view.row(time)));
+  }
+
+  // Its time, and a value of it.
+  time(u) {
+    const row = this.under(u);
+    return row == null ? "" : `${this.view.t[row].toFixed(6)} s`;
+  }
+  at(u, { name, map }) {
+    const row = this.under(u);
+    if (row == null || !this.view.has(name)) return "";
+    const v = this.view.columns[name][row];
     return Number.isFinite(v) ? (map ? map(v) : v).toPrecision(5) : "";
   }
 
@@ -396,6 +420,8 @@ export class Panels {
     this.fill();
     this.drawn = performance.now() - began;
     this.describe();
+    const under = this.charts.find((one) => one.cursor.left >= 0);
+    if (under && !this.going) setTimeout(() => this.cursor(under)); // once its scales are those
     if (!quick || this.row != null) this.onWindow(...this.window);
   }
 
@@ -405,15 +431,14 @@ export class Panels {
       if (!wanted(this.specs[n])) return;
       const { series } = this.specs[n],
         width = Math.round(chart.width / coarse);
-      chart.setData(
-        this.view.sample(
-          series.map((s) => s.name),
-          ...this.window,
-          width,
-          series.map((s) => s.map),
-        ),
-        true,
+      const data = this.view.sample(
+        series.map((s) => s.name),
+        ...this.window,
+        width,
+        series.map((s) => s.map),
       );
+      chart.thinned = data[0].length === 2 * width;
+      chart.setData(data, true);
     });
     this.busy = false;
   }
@@ -449,11 +474,8 @@ export class Panels {
     this.refill();
   }
 
-  cursor(time) {
-    const row = Math.min(
-      this.view.rows - 1,
-      Math.max(0, Math.round(this.view.row(time + (this.view.t[1] - this.view.t[0]) / 2))),
-    );
+  cursor(u) {
+    const row = this.under(u);
     if (row === this.row) return;
     this.row = row;
     this.onCursor(row);
@@ -461,6 +483,7 @@ export class Panels {
 
   // Move the cursor to a row, in all panels.
   go(row) {
+    this.going = true;
     this.row = Math.min(this.view.rows - 1, Math.max(0, row));
     const time = this.view.t[this.row];
     if (time < this.window[0] || time > this.window[1]) {
@@ -469,8 +492,16 @@ export class Panels {
     }
     this.busy = true;
     this.charts.forEach((one) => one.setCursor({ left: one.valToPos(time, "x"), top: 10 }));
-    this.busy = false;
+    this.busy = this.going = false;
     this.onCursor(this.row);
+  }
+
+  // Zoom about the cursor, or the middle.
+  closer(factor) {
+    const [from, to] = this.window,
+      middle = this.row == null ? (from + to) / 2 : this.view.t[this.row],
+      half = (to - from) / 2 / factor;
+    this.zoom(middle - half, middle + half);
   }
 
   key(event) {
@@ -478,7 +509,6 @@ export class Panels {
         view,
         window: [from, to],
       } = this,
-      width = to - from,
       middle = (from + to) / 2;
     const step = event.shiftKey
         ? 1
@@ -487,9 +517,9 @@ export class Panels {
     const keys = {
       ArrowRight: () => this.go(row + step),
       ArrowLeft: () => this.go(row - step),
-      "+": () => this.zoom(view.t[row] - width / 4, view.t[row] + width / 4),
-      "=": () => keys["+"](),
-      "-": () => this.zoom(middle - width, middle + width),
+      "+": () => this.closer(2),
+      "=": () => this.closer(2),
+      "-": () => this.closer(0.5),
       Home: () => this.zoom(...this.full),
     };
     if (!keys[event.key]) return;

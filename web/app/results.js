@@ -123,7 +123,7 @@ export function panels(view, found) {
       unit,
       bands: bands ? [[2, 3]] : [],
       series: [
-        { name, label: title.toLowerCase(), color: "--blue" },
+        { name, label: title === named ? named.toLowerCase() : "length", color: "--blue" },
         ...(bands
           ? [
               { name: `${name} +`, label: "+2σ", color: "--grey" },
@@ -171,11 +171,15 @@ export class Results {
     this.charts = element("div", { className: "charts" });
     this.table = element("table", { className: "values" });
     this.note = element("p", { className: "note", role: "status", "aria-live": "polite" });
-    const reset = element("button", {
-      type: "button",
-      textContent: "Show all",
-      onclick: () => this.panels.zoom(...this.panels.full),
-    });
+    const button = (textContent, label, onclick) =>
+      element("button", { type: "button", textContent, "aria-label": label, onclick });
+    const zooms = [
+      button("+", "Zoom in", () => this.panels.closer(2)),
+      " ",
+      button("−", "Zoom out", () => this.panels.closer(0.5)),
+      " ",
+      button("Show all", "Show all", () => this.panels.zoom(...this.panels.full)),
+    ];
     box.replaceChildren(
       this.words,
       element(
@@ -195,9 +199,8 @@ export class Results {
           element(
             "p",
             { className: "hint" },
-            "Drag over a picture to zoom; double click, or ",
-            reset,
-            ". Where the background is shaded the position is not valid.",
+            ...zooms,
+            " Drag over a picture to zoom, double click to see all. Where the background is shaded the position is not valid.",
           ),
           this.charts,
         ),
@@ -252,19 +255,22 @@ export class Results {
         const map = s.map ?? ((v) => v),
           { mean, rms, least, most } = this.view.statistics(s.name, ...this.panels.window),
           row = this.panels.row;
+        const turns = spec.id === "position" && spec.unit === "°"; // its mean means nothing
         const cells = [
           row == null ? NaN : this.view.columns[s.name][row],
-          mean,
-          rms,
+          turns ? NaN : mean,
+          turns ? NaN : rms,
           least,
           most,
         ].map((v) => (Number.isFinite(v) ? map(v).toPrecision(5) : "–"));
+        const alone = spec.series.every((one) => one === s || one.label.endsWith("2σ")),
+          label = alone ? "" : `, ${s.label}`;
         return element(
           "tr",
           {},
           element("th", {
             scope: "row",
-            textContent: `${spec.title}, ${s.label}${spec.unit ? ` [${spec.unit}]` : ""}`,
+            textContent: `${spec.title}${label}${spec.unit ? ` [${spec.unit}]` : ""}`,
           }),
           ...cells.map((c) => element("td", { textContent: c })),
         );
@@ -285,14 +291,14 @@ export class Results {
     );
     this.table.replaceChildren(
       element("caption", {
-        textContent: `${this.panels.window.map((t) => t.toPrecision(5)).join(" to ")} s`,
+        textContent: `Valid rows from ${this.panels.window.map((t) => t.toPrecision(5)).join(" to ")} s`,
       }),
       element("thead", {}, head),
       element("tbody", {}, ...rows),
     );
   }
 
-  explain({ summary, warnings, findings, check_notes: notes }) {
+  explain({ summary, warnings = [], findings = [], check_notes: notes = [] }) {
     this.words.replaceChildren(
       element("p", { className: "summary", textContent: summary }),
       ...warnings.map((text) =>
@@ -321,9 +327,10 @@ export class Results {
                       textContent: [
                         one.words,
                         one.sure,
-                        one.others.length ? `not told from: ${one.others.join("; ")}` : "",
+                        one.others.length ? `Would fit as well: ${one.others.join("; ")}` : "",
                       ]
                         .filter(Boolean)
+                        .map((text) => text[0].toUpperCase() + text.slice(1))
                         .join(". "),
                     }),
                   ),
@@ -392,7 +399,14 @@ export class Results {
         this.note.textContent = "";
       },
     });
-    this.sliders.replaceChildren(...rows, back);
+    const learnt = this.found.adaptive
+      ? "What the log tells is learnt anew: R_s, ψ_f and the inverter's voltage are where it starts."
+      : null;
+    this.sliders.replaceChildren(
+      ...(learnt ? [element("p", { className: "note", textContent: learnt })] : []),
+      ...rows,
+      back,
+    );
   }
 
   // One run at a time; what is asked for meanwhile follows.

@@ -167,6 +167,7 @@ const actions = {
     return {
       columns,
       notes: plain(log.notes),
+      summary: $py("estimation.summary").paragraph(opened.run, null, null),
       ...plain($py("estimation.shown").shown(opened.run)),
     };
   },

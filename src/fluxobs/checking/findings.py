@@ -14,6 +14,11 @@ UNSEEN = (
 )
 
 
+def capital(text: str) -> str:
+    """A sentence with its first letter large."""
+    return text[:1].upper() + text[1:]
+
+
 @dataclass(frozen=True)
 class Finding:
     """The finding for one kind of mistake.
@@ -47,10 +52,10 @@ class Finding:
         }
 
     def __str__(self) -> str:
-        told = [f"this log cannot tell that from: {'; '.join(self.others)}"] if self.others else []
-        sure = ". ".join([*told, *([self.sure] if self.sure else [])])
+        told = [f"Would fit as well: {'; '.join(self.others)}"] if self.others else []
+        said = [self.words, *([self.sure] if self.sure else []), *told]
         mark = "" if self.as_given else "NOT as given: "
-        return f"{self.kind}: {mark}{self.words}" + (f" ({sure})" if sure else "")
+        return f"{self.kind}: {mark}" + ". ".join([said[0], *map(capital, said[1:])])
 
 
 @dataclass(frozen=True)

@@ -120,11 +120,12 @@ def table(comparison: Comparison) -> Table:
     """Table for a terminal, best first."""
     from rich import box
     from rich.table import Table
+    from rich.text import Text
 
     out = Table(title=comparison.title, caption=_caption(comparison), box=box.SIMPLE, expand=False)
     out.add_column(HEADS[0], no_wrap=True)
     for name in HEADS[1:]:
-        out.add_column(name, justify="right", no_wrap=True)
+        out.add_column(Text(name), justify="right", no_wrap=True)  # [ms] is no markup
     for row in cells(comparison):
         out.add_row(*row, style="bold" if row[0].startswith(LEAST_SQUARES) else None)
     return out
@@ -234,8 +235,8 @@ def _bars(axes: Axes, results: Sequence[ObserverResult], bound: float | None) ->
     if bound is not None:
         axes.axvline(np.degrees(bound), color="black", linewidth=0.8, linestyle=":")
         axes.plot([], [], ":", color="black", linewidth=0.8, label="bound for a raw angle")
-    for k, (value, other) in enumerate(zip(tuned, recommended, strict=True)):
-        axes.text(max(value, other), k, f"  {value:.2g}", va="center", fontsize=7)
+    for k, value in enumerate(tuned):
+        axes.text(least, k, f" {value:.2g}", va="center", color="white", fontsize=7)
     axes.set_xscale("log")
     axes.set_xlim(least, 2.5 * max(tuned.max(), recommended.max()))
     axes.set_yticks(at, [r.name for r in results], fontsize=8)

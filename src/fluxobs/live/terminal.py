@@ -66,7 +66,8 @@ class Terminal:
         for name, _, factor in shown(self.watch.machine):
             if name in rows.columns:
                 values = factor * np.asarray(rows.columns[name], dtype=float)
-                self._last[name] = float(values[-1]) if rows.valid[-1] else math.nan
+                known = rows.valid[-1] or name == "t"
+                self._last[name] = float(values[-1]) if known else math.nan
         self._rows += len(rows.valid)
         self._valid += int(rows.valid.sum())
 
@@ -139,6 +140,7 @@ def shown(machine: Machine) -> list[tuple[str, str, float]]:
     where = machine.position_output
     a, b = machine.ports
     out = [
+        ("t", "s", 1.0),
         (where.name, where.unit, where.factor),
         (f"{where.name}_std", where.unit, where.factor),
         (f"{where.name}_error", where.unit, where.factor),
