@@ -117,6 +117,41 @@ def test_the_demo_is_one_click(page):
     assert one.page.inner_text("#command") == "fluxobs demo"
 
 
+def test_values_at_the_cursor_are_of_one_row(page):
+    """Where rows are thinned to draw them, and after a zoom, too."""
+    one = page(viewport={"width": 1200, "height": 900})
+    one.page.click("#demo")
+    one.page.wait_for_selector("body[data-done]")
+    log = fluxobs.demo_log()
+    true = np.degrees(np.concatenate([part.truth for part in log.aligned()])[:2000])
+    panel = one.page.locator("figure[data-panel=position]")
+    panel.scroll_into_view_if_needed()
+    box = panel.bounding_box()
+
+    def check():
+        one.page.wait_for_timeout(100)
+        t, _, found = (value.inner_text() for value in panel.locator(".u-value").all())
+        row = round(float(t.removesuffix(" s")) / 2e-4)
+        assert float(found) == pytest.approx(true[row], abs=6e-3), t
+        return row
+
+    def move(share):
+        one.page.mouse.move(box["x"] + share * box["width"], box["y"] + 60)
+
+    rows = []
+    for share in (0.3, 0.6):
+        move(share)
+        rows.append(check())
+    one.page.mouse.down()
+    move(0.65)
+    one.page.mouse.up()
+    rows.append(check())
+    panel.focus()
+    one.page.keyboard.press("ArrowRight")
+    rows.append(check())
+    assert len(set(rows)) == 4
+
+
 def test_a_log_can_be_dropped(page):
     one = page()
     text = (corpus.FOLDER / "plain.csv").read_text()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -76,9 +78,15 @@ def _words(result: Result, command: str | None) -> dict[str, Any]:
         "taken": _taken(result.log),
         "findings": [one.facts for one in findings],
         "check_notes": [] if checked is None else checked.lines()[len(findings) :],
-        "commands": [one for one in (command, result.export_command("MACHINE")) if one],
+        "commands": [one for one in (command, result.export_command(_machine_in(command))) if one],
         "parameters": _learnt(result),
     }
+
+
+def _machine_in(command: str | None) -> str:
+    """What a command names as the machine."""
+    words = shlex.split(command or "")
+    return next((after for word, after in pairwise(words) if word == "--machine"), "MACHINE")
 
 
 def _taken(log: Log) -> list[list[str]]:
@@ -88,7 +96,9 @@ def _taken(log: Log) -> list[list[str]]:
         scale, offset = log.conversions.get(channel, (1.0, 0.0))
         words = f"× {scale:.6g}" if scale != 1.0 else ""
         words += f" + {offset:.6g}" if offset else ""
-        out.append([channel, column, words.strip()])
+        out.append([channel, column, words.strip() or "as it is"])
+    if log.true is not None:
+        out.append([log.true.channel, " ".join(log.true.columns), "true, for the score"])
     return out
 
 
