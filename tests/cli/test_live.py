@@ -94,3 +94,17 @@ def test_a_stream_without_names_says_which_option_gives_them(tmp_path):
     )
     assert done.returncode == 2
     assert b"--header" in done.stderr
+
+
+def test_what_came_before_there_were_rows_is_kept_as_it_came(tmp_path):
+    rows = LOG.read_bytes().split(b"\n", 1)[1]
+    done = subprocess.run(
+        [*LIVE, "-", "--machine", "servo-400w", "--text", "--save", tmp_path / "run.csv"],
+        input=rows,
+        capture_output=True,
+        timeout=120,
+    )
+    assert done.returncode == 2
+    assert "run.raw, as it came" in done.stdout.decode()
+    assert (tmp_path / "run.raw").read_bytes() == rows
+    assert not (tmp_path / "run.csv").exists()

@@ -1,7 +1,8 @@
 """Estimates of a stream while it comes: from a serial port, UDP, a pipe, or a file that grows.
 
-Bytes become rows (lines.py, frames.py), rows get even times (spaced.py), and :class:`.watch.Watch`
-estimates. The page runs the same modules on what a serial port or ``fluxobs live`` sends it.
+Bytes become rows (lines.py, frames.py), rows come into order (order.py) and get even times
+(spaced.py), and :class:`.watch.Watch` estimates. The page runs the same modules on what a serial
+port or ``fluxobs live`` sends it.
 """
 
 from .watch import Watch

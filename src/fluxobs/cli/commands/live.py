@@ -132,7 +132,10 @@ def _say_written(save: Path, watch: Watch, machine: str) -> None:
             for n in count(1)
             if not (path := save.with_name(f"{save.stem}{f'-{n}' if n > 1 else ''}.raw")).exists()
         )
-        raw.write_bytes(watch.unread)
+        try:
+            raw.write_bytes(watch.unread)
+        except OSError as error:
+            raise FluxobsError(f"{raw}: cannot be written: {error.strerror}") from None
         typer.echo(f"Written: {raw}, as it came: no rows were found in it")
     elif save.exists():
         typer.echo(f"Written: {save}")
