@@ -169,10 +169,11 @@ void fo_project(const fo_adaptive *a, const fo_adaptive_state *s, fo_candidate *
         least += weight * value * value;
     }
     /* Current noise in the rows adds noise psi^2 to the cost, which pulls psi to zero: subtract it.
-     * It is linear in the last unknown, and so moves nothing else in the triangle. */
-    const fo_real noise = info->noise[0];
-    const fo_real shift = noise / (TWO * m->d[M_SQUARE]);
-    least -= m->d[M_SQUARE] * shift * shift;
+     * It is linear in the last unknown, and so moves nothing else in the triangle. Nothing known of
+     * that unknown: nothing to move. */
+    const fo_real noise = info->noise[0], known = m->d[M_SQUARE];
+    const fo_real shift = known > ZERO ? noise / (TWO * known) : ZERO;
+    least -= known * shift * shift;
     m->z[M_SQUARE] += shift;
     c->cost = cost - noise * c->p[M_SQUARE];
 
