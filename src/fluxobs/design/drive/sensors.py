@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from ...errors import ModelError
-from ..precision import not_negative, positive
+from ..precision import not_negative, positive, real
 from .profile import Profile
 from .vectors import from_phases, phases
 
@@ -35,6 +35,8 @@ class Sensors(eqx.Module):
         Standard deviation of the sampling instant [s].
     dc_link_gain : float
         Measured DC-link voltage over the true one.
+    lag : float
+        Delay of the current sensors [s], well below a sample: they show i - lag di/dt.
     """
 
     offset: Profile
@@ -44,6 +46,7 @@ class Sensors(eqx.Module):
     range: Array
     jitter: Array
     dc_link_gain: Array
+    lag: Array
 
     def __init__(
         self,
@@ -54,20 +57,21 @@ class Sensors(eqx.Module):
         range: Any = 1e9,
         jitter: Any = 0.0,
         dc_link_gain: Any = 1.0,
+        lag: Any = 0.0,
     ) -> None:
         self.offset = Profile.of(offset)
         if self.offset.values.ndim != 2 or self.offset.values.shape[-1] != 2:
             raise ModelError("offset must be a pair (α, β), or a Profile of pairs")
         self.noise, self.gain = not_negative("noise", noise), positive("gain", gain, (3,))
         self.quantum, self.range = not_negative("quantum", quantum), positive("range", range)
-        self.jitter = not_negative("jitter", jitter)
+        self.jitter, self.lag = not_negative("jitter", jitter), real("lag", lag)
         self.dc_link_gain = positive("dc_link_gain", dc_link_gain)
 
     def measure(
         self, current: Array, slope: Array, offset: Array, noise: Array, late: Array
     ) -> Array:
         """Measured current vector; `slope` is di/dt, `noise` and `late` are standard normal."""
-        seen = current + self.jitter * late * slope + offset + self.noise * noise
+        seen = current + (self.jitter * late - self.lag) * slope + offset + self.noise * noise
         abc = jnp.clip(self.gain * phases(seen), -self.range, self.range)
         step = jnp.where(self.quantum > 0, self.quantum, 1.0)
         return from_phases(jnp.where(self.quantum > 0, step * jnp.round(abc / step), abc))

@@ -23,7 +23,7 @@ from .motor import Plant, PlantState
 from .profile import Profile
 from .sensorless import RUNNING, Sensorless, SensorlessState
 from .sensors import Sensors
-from .twin import Reading, SquareRootLeastSquares, TwinState
+from .twin import Reading
 from .vectors import length, limit, pair, turn, unit, vector
 
 Array = jax.Array
@@ -43,7 +43,8 @@ class Drive(eqx.Module):
     ----------
     plant, inverter, sensors, control
     observer : SquareRootLeastSquares, optional
-        Runs alongside; in the loop only with `sensorless`.
+        Runs alongside; in the loop only with `sensorless`. Or any other module with `sample_time`,
+        `init` and `step` whose readings have what :class:`Sensorless` and the control use.
     sensorless : Sensorless, optional
         If None, the controller uses an encoder.
     """
@@ -52,7 +53,7 @@ class Drive(eqx.Module):
     inverter: Inverter
     sensors: Sensors
     control: Control
-    observer: SquareRootLeastSquares | None = None
+    observer: Any = None
     sensorless: Sensorless | None = None
 
     @property
@@ -168,7 +169,7 @@ class _Loop(NamedTuple):
     control: ControlState
     acted: Array  # commanded voltage that acted until now
     pending: Array  # the one computed last
-    observer: TwinState | None
+    observer: Any
     sensorless: SensorlessState | None
     tripped: Array
 
@@ -255,16 +256,15 @@ def simulate_batch(
     for drive, course in pairs.values():
         check(drive, course)
     steps = max(substeps(drive, course) for drive, course in pairs.values())
-    batch = stack(list(zip(drives, courses, strict=True)))
-    lanes = len(drives)
+    both = list(zip(drives, courses, strict=True))
+    lanes, knots = len(drives), _knots(both)
     wanted = min(threads or len(os.sched_getaffinity(0)), lanes)
     edges = np.linspace(0, lanes, wanted + 1).astype(int)
 
     def part(k: int) -> Any:
         cut = slice(edges[k], edges[k + 1])
-        mine = jax.tree.map(lambda x: x[cut], batch)
         noise = _noise(list(seeds)[cut], rows)
-        return jax.tree.map(np.asarray, _simulate_many(mine, noise, steps, delay, keep))
+        return simulate_lanes(both[cut], noise, steps, keep, knots, delay)
 
     with ThreadPoolExecutor(wanted) as pool:
         parts = list(pool.map(part, range(wanted)))
@@ -277,8 +277,51 @@ def simulate_batch(
     return jax.tree.map(lambda *xs: np.concatenate(xs), *(part[1] for part in parts))
 
 
-def stack(items: Sequence[Any]) -> Any:
-    """Stacks pytrees of one structure along a new leading axis; pads profiles to one length."""
+def simulate_lanes(
+    lanes: Sequence[tuple[Drive, Course]],
+    noise: NDArray[np.float64],
+    steps: int,
+    keep: Callable[[Trace], Any],
+    knots: int,
+    delay: bool = True,
+) -> tuple[NDArray[np.bool_], Any]:
+    """Simulate checked drives at once, in this thread, with what a batch would choose given.
+
+    Parameters
+    ----------
+    lanes : sequence of (Drive, Course)
+    noise : (lanes, rows, 3) ndarray
+        Standard normal numbers.
+    steps : int
+        Integration steps per sample, at least :func:`substeps` of every lane.
+    keep : callable
+        See :func:`simulate_batch`.
+    knots : int
+        Profiles are padded to this length.
+
+    Returns
+    -------
+    finite : (lanes,) ndarray of bool
+        Whether the lane's last state is one.
+    kept
+        Output of `keep`, NumPy arrays (lanes, rows).
+    """
+    batch = stack(lanes, knots)
+    finite, kept = _simulate_many(batch, noise, steps, delay, keep)
+    return np.asarray(finite), jax.tree.map(np.asarray, kept)
+
+
+def _knots(lanes: Sequence[tuple[Drive, Course]]) -> int:
+    """Length of the longest profile of some drives."""
+    profiles = (
+        (d.sensors.offset, c.speed, c.load, c.dc_link, c.voltage_offset) for d, c in lanes
+    )
+    return max(len(one.times) for some in profiles for one in some)
+
+
+def stack(items: Sequence[Any], knots: int = 0) -> Any:
+    """Stacks pytrees of one structure along a new leading axis; pads profiles to one
+    length, at least to `knots`."""
     longest: dict[Any, int] = {}
     items = list(items)
 
@@ -293,7 +336,7 @@ def stack(items: Sequence[Any]) -> Any:
     for leaves in flat:
         for k, leaf in enumerate(leaves):
             if is_profile(leaf):
-                longest[k] = max(longest.get(k, 0), len(leaf.times))
+                longest[k] = max(longest.get(k, knots), len(leaf.times))
     shapes = jax.tree.structure(items[0], is_leaf=is_profile)
     padded = [
         jax.tree.unflatten(
@@ -328,7 +371,7 @@ def check(drive: Drive, course: Course) -> None:
         ("inverter", Inverter),
         ("sensors", Sensors),
         ("control", Control),
-        ("observer", SquareRootLeastSquares | None),
+        ("observer", eqx.Module | None),
         ("sensorless", Sensorless | None),
     ):
         part = getattr(drive, name, None)

@@ -1,0 +1,7 @@
+"""Campaigns: thousands of simulated drives within tolerances, and what observers make of them."""
+
+from .campaign import campaign
+from .dataset import Dataset, open_dataset
+from .specification import Specification, read_specification
+
+__all__ = ["Dataset", "Specification", "campaign", "open_dataset", "read_specification"]

@@ -1,0 +1,186 @@
+"""The folder of a campaign: its specification, and a Parquet file for every chunk of scenarios.
+
+A chunk's file is its checkpoint: a run does the chunks whose files are not there.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+import polars as pl
+
+from ..errors import FluxobsError
+from ..machines import as_machine
+from ..output import make_folder, write_text
+from .draws import total
+from .specification import Specification, hashed
+
+#: Files of a campaign's folder.
+MANIFEST, ROWS, TIMES, WORST = "campaign.json", "rows", "times.csv", "worst"
+#: Seconds of work in a chunk, about; and of a drive's or an observer's sample, about.
+CHUNK_TIME, SAMPLE_TIME = 10.0, 1.2e-6
+#: Largest number of batches in a chunk, for scenarios that cost nothing.
+MOST_BATCHES = 64
+#: A machine's scenarios are in at least this many chunks, so that workers end together.
+LEAST_CHUNKS = 16
+
+
+class Chunk(NamedTuple):
+    """Scenarios `first` to `last`, exclusive, of one machine."""
+
+    first: int
+    last: int
+
+    def __str__(self) -> str:
+        return f"scenarios {self.first} to {self.last - 1}"
+
+    @property
+    def file(self) -> str:
+        """Name of its file."""
+        return f"{self.first:08d}.parquet"
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A campaign and the folder of its results.
+
+    Attributes
+    ----------
+    folder : Path
+    specification : Specification
+    size : int
+        Scenarios of a chunk.
+    """
+
+    folder: Path
+    specification: Specification
+    size: int
+
+    def chunks(self) -> Iterator[Chunk]:
+        """All chunks, in order."""
+        per_machine = self.specification.scenarios
+        for start in range(0, total(self.specification), per_machine):
+            for first in range(start, start + per_machine, self.size):
+                yield Chunk(first, min(first + self.size, start + per_machine))
+
+    def missing(self) -> Iterator[Chunk]:
+        """Chunks without a file, in order."""
+        there = {path.name for path in (self.folder / ROWS).iterdir()}
+        return (chunk for chunk in self.chunks() if chunk.file not in there)
+
+    def scan(self) -> pl.LazyFrame:
+        """All rows that are there, lazily."""
+        return pl.scan_parquet(self.folder / ROWS / "*.parquet")
+
+    def rows(self) -> pl.DataFrame:
+        """All rows, by number and observer.
+
+        Raises
+        ------
+        FluxobsError
+            Chunks are missing.
+        """
+        lacking = sum(chunk.last - chunk.first for chunk in self.missing())
+        if lacking:
+            raise FluxobsError(
+                f"{self.folder}: {lacking} of {total(self.specification)} scenarios are missing; "
+                f"`fluxobs campaign {self.folder}` does them"
+            )
+        return self.scan().collect()
+
+
+def chunk_size(specification: Specification, lanes: int, sample_time: float) -> int:
+    """Scenarios of a chunk: whole batches, about ten seconds of work."""
+    rows = specification.course.duration / sample_time
+    each = rows * SAMPLE_TIME * (1 + len(specification.observers))
+    batches = min(CHUNK_TIME / (each * lanes), MOST_BATCHES)
+    batches = min(batches, specification.scenarios / lanes / LEAST_CHUNKS)
+    return lanes * max(1, int(batches))
+
+
+def fingerprint(specification: Specification) -> str:
+    """Stands for everything on which the rows depend."""
+    machines = [repr(as_machine(name)) for name in specification.machines]
+    return hashed("\n".join([version("fluxobs"), specification.canonical(), *machines]))
+
+
+def create(folder: str | Path, specification: Specification, size: int) -> Dataset:
+    """The dataset of a campaign in a folder: a new one, or the same one to go on with.
+
+    Raises
+    ------
+    FluxobsError
+        The folder holds another campaign, or something else.
+    """
+    folder = make_folder(folder)
+    place = folder / MANIFEST
+    told = {
+        "fluxobs": version("fluxobs"),
+        "fingerprint": fingerprint(specification),
+        "chunk": size,
+        "specification": json.loads(specification.canonical()),
+    }
+    if place.exists():
+        there = _manifest(place)
+        if there.get("fingerprint") != told["fingerprint"]:
+            changed = _difference(there, told)
+            raise FluxobsError(
+                f"{folder}: holds another campaign ({changed}); give another --out"
+            )
+        size = int(there["chunk"])
+    elif any(path.name != ".lock" for path in folder.iterdir()):
+        raise FluxobsError(f"{folder}: is not empty and holds no campaign; give another --out")
+    else:
+        (folder / ROWS).mkdir(exist_ok=True)
+        write_text(place, json.dumps(told, indent=1, ensure_ascii=False) + "\n")
+    make_folder(folder / ROWS)
+    return Dataset(folder, specification, size)
+
+
+def open_dataset(folder: str | Path) -> Dataset:
+    """The dataset in a folder.
+
+    Raises
+    ------
+    FluxobsError
+        There is none, or a machine file or fluxobs itself changed since.
+    """
+    folder = Path(folder)
+    place = folder / MANIFEST
+    if not place.exists():
+        raise FluxobsError(f"{folder}: holds no campaign ({MANIFEST} is missing)")
+    there = _manifest(place)
+    specification = Specification(**there["specification"])
+    if there["fingerprint"] != fingerprint(specification):
+        raise FluxobsError(
+            f"{folder}: made with fluxobs {there.get('fluxobs')} from machines as they were; this "
+            f"is fluxobs {version('fluxobs')}, or a machine file changed. Its rows can be read, "
+            f"not repeated"
+        )
+    return Dataset(folder, specification, int(there["chunk"]))
+
+
+def _manifest(place: Path) -> dict[str, object]:
+    try:
+        found: dict[str, object] = json.loads(place.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise FluxobsError(f"{place}: cannot be read: {error}") from None
+    return found
+
+
+def _difference(there: dict[str, object], now: dict[str, object]) -> str:
+    """What differs between two manifests, in words."""
+    if there.get("fluxobs") != now["fluxobs"]:
+        return f"made with fluxobs {there.get('fluxobs')}"
+    old, new = there.get("specification"), now["specification"]
+    assert isinstance(new, dict)
+    if isinstance(old, dict):
+        names = [name for name in new if old.get(name) != new[name]]
+        if names:
+            return f"its {', '.join(names)} differ"
+    return "a machine file changed"

@@ -1,0 +1,192 @@
+"""A scenario as a drive: the machine as it is, its inverter and sensors, and its course."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from ..design.drive import (
+    RATINGS,
+    Course,
+    Drive,
+    Inverter,
+    Mechanics,
+    Motor,
+    Plant,
+    Profile,
+    Rating,
+    Sensors,
+    encoder_drive,
+)
+from ..design.drive.motor import MappedMotor
+from ..errors import UsageError
+from ..machines import RotatingMachine, as_machine, rotating
+from .courses import course_of
+from .draws import Scenario
+from .quantities import PARAMETERS, QUANTITIES
+from .specification import Specification
+
+#: Change of a resistance by kelvin: copper (IEC 60228); of a cast aluminium cage; of the flux of
+#: NdFeB magnets (their data sheets: -0.09 to -0.12 %).
+COPPER, CAGE, MAGNET = 0.00393, 0.0040, -0.0011
+#: Temperature at which a machine file holds [°C].
+NOMINAL = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """The nominal drive of one machine of a campaign: what its observers and controller believe."""
+
+    name: str
+    machine: RotatingMachine
+    rated: Rating
+    nominal: Drive
+
+    @property
+    def current(self) -> float:
+        """Rated current [A peak]."""
+        assert self.machine.rated_current is not None
+        return self.machine.rated_current
+
+    @property
+    def voltage(self) -> float:
+        """Rated EMF [V]."""
+        return self.rated.speed_e * float(self.machine.flux_base(self.current) or 0.0)
+
+
+@lru_cache(maxsize=8)
+def _cell(name: str, given: tuple[tuple[str, float], ...]) -> Cell:
+    machine = rotating(as_machine(name), "a campaign")
+    if machine.rated_current is None:
+        raise UsageError(f"{name}: rated_current is missing: a campaign needs it")
+    values = dict(given)
+    if name in RATINGS:
+        values = vars(RATINGS[name]) | values
+    lacking = [field for field in Rating.__dataclass_fields__ if field not in values]
+    if lacking:
+        raise UsageError(
+            f"{name} is no shipped machine: [drive] must give its {', '.join(lacking)}"
+        )
+    rated = Rating(**values)
+    return Cell(name, machine, rated, encoder_drive(machine, rated))
+
+
+def cell_of(specification: Specification, name: str) -> Cell:
+    """The nominal drive of a machine; made once.
+
+    Raises
+    ------
+    FluxobsError
+        The machine lacks a value, or [drive] a rating.
+    """
+    given = specification.drive.model_dump(exclude_none=True)
+    return _cell(name, tuple(sorted(given.items())))
+
+
+def motor_of(machine: RotatingMachine, values: dict[str, float]) -> Motor:
+    """The motor of a scenario: the machine's, with its tolerances and at its temperature."""
+    warmer = values.get("temperature", NOMINAL) - NOMINAL
+    both = {"L": values.get("L", 1.0), "R": values.get("R", 1.0), "psi": values.get("psi", 1.0)}
+    factors = {name: values.get(name, 1.0) for name in PARAMETERS}
+    factors["R_s"] *= both["R"] * (1 + COPPER * warmer)
+    factors["R_R"] *= 1 + CAGE * warmer
+    factors["psi_f"] *= both["psi"] * (1 + MAGNET * warmer)
+    for name in ("L_s", "L_d", "L_q", "L_sigma", "L_M"):
+        factors[name] *= both["L"]
+    if not min(factors.values()) > 0:
+        raise UsageError("a parameter times its tolerance is not positive")
+    if machine.saturation is None:
+        for name, factor in factors.items():
+            if factor != 1.0:
+                machine = machine.scaled((name,), factor)
+        return Motor.of(machine)
+    # A flux map keeps its shape: the part of the magnets and the part of the currents scale.
+    motor = Motor.of(machine)
+    assert isinstance(motor, MappedMotor)
+    d, q = (factors[name] for name in machine.inductances)
+    shape = motor.map
+    coefficients = np.array(shape.coefficients)
+    psi = float(shape.psi)
+    coefficients[..., 0] = d * (coefficients[..., 0] - psi) + factors["psi_f"] * psi
+    coefficients[..., 1] *= q
+    scaled = {
+        "R_s": factors["R_s"] * motor.R_s,
+        "L_d": d * motor.L_d,
+        "L_q": q * motor.L_q,
+        "psi_f": factors["psi_f"] * motor.psi_f,
+    }
+    mapped = replace(
+        shape,
+        psi=np.asarray(factors["psi_f"] * psi),
+        L_d=np.asarray(d * shape.L_d),
+        L_q=np.asarray(q * shape.L_q),
+        coefficients=coefficients,
+    )
+    names = (*scaled, "map")
+    return eqx.tree_at(
+        lambda m: [getattr(m, name) for name in names], motor, [*scaled.values(), mapped]
+    )
+
+
+def drive_of(specification: Specification, scenario: Scenario) -> tuple[Drive, Course]:
+    """Drive and course of a scenario; the controller believes the machine file.
+
+    Raises
+    ------
+    FluxobsError
+        A value is impossible.
+    """
+    cell = cell_of(specification, scenario.machine)
+    table = specification.course
+    value = {name: one.neutral for name, one in QUANTITIES.items()} | scenario.values
+    for name, one in QUANTITIES.items():
+        if not value[name] > one.least:
+            raise UsageError(f"{name} = {value[name]:g} is impossible for a drive")
+    rated, current, h = cell.rated, cell.current, cell.rated.sample_time
+    top = rated.speed_e / cell.machine.n_p
+
+    def pair(name: str, size: float) -> np.ndarray:
+        return size * np.array([value[f"{name}_alpha"], value[f"{name}_beta"]])
+
+    start, change = pair("offset", current), pair("offset_change", current)
+    offset: Any = start
+    if change.any():
+        offset = Profile([0.0, table.duration], [start, start + change])
+    mechanics = Mechanics(
+        value["inertia"] * rated.J,
+        viscous=max(value["viscous"], 0.0) * rated.torque / top,
+        coulomb=max(value["coulomb"], 0.0) * rated.torque,
+        smoothing=1e-3 * top,
+    )
+    drive = replace(
+        cell.nominal,
+        plant=Plant(motor_of(cell.machine, scenario.values), mechanics),
+        inverter=Inverter(
+            dead_time=max(value["dead_time"], 0.0) * h,
+            drop=max(value["drop"], 0.0) * rated.dc_link,
+            smoothing=value["knee"] * current,
+        ),
+        sensors=Sensors(
+            offset=offset,
+            noise=max(value["noise"], 0.0) * current,
+            gain=[value["gain_a"], value["gain_b"], value["gain_c"]],
+            quantum=max(value["quantum"], 0.0) * current,
+            range=value["range"] * current,
+            jitter=max(value["jitter"], 0.0) * h,
+            lag=value["lag"] * h,
+            dc_link_gain=value["dc_link_gain"],
+        ),
+    )
+    speed, load = course_of(table, scenario)
+    course = Course(
+        Profile([t for t, _ in speed], [value["speed"] * x * top for _, x in speed]),
+        value["dc_link"] * rated.dc_link,
+        Profile([t for t, _ in load], [value["load"] * x * rated.torque for _, x in load]),
+        pair("voltage_offset", cell.voltage),
+        value["theta_e"],
+    )
+    return drive, course

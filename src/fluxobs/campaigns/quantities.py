@@ -1,0 +1,81 @@
+"""What can vary from drive to drive: the one list of names, units and neutral values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity of a drive.
+
+    Attributes
+    ----------
+    neutral : float
+        Its value if a specification does not name it.
+    unit, about : str
+    least : float
+        It cannot be below, or at, this.
+    """
+
+    neutral: float
+    unit: str
+    about: str
+    least: float = float("-inf")
+
+
+def _factor(about: str) -> Quantity:
+    return Quantity(1.0, "", f"factor on {about}", 0.0)
+
+
+def _share(about: str, least: float = float("-inf")) -> Quantity:
+    return Quantity(0.0, "", about, least)
+
+
+#: Quantities of every drive.
+QUANTITIES = {
+    "R": _factor("the stator resistance"),
+    "L": _factor("all inductances, those of a flux map included"),
+    "psi": _factor("the flux of the magnets; machines without have none to vary"),
+    "temperature": Quantity(
+        20.0, "°C", "of copper, cage and magnets; the machine file holds at 20 °C", -200.0
+    ),
+    "inertia": _factor("the inertia"),
+    "viscous": _share("viscous friction at rated speed, share of the rated torque", -1e-12),
+    "coulomb": _share("dry friction, share of the rated torque", -1e-12),
+    "speed": _factor("the speed of the course"),
+    "load": Quantity(1.0, "", "factor on the load of the course"),
+    "dc_link": _factor("the DC-link voltage"),
+    "theta_e": Quantity(0.0, "rad", "electrical angle of the rotor at the start"),
+    "dead_time": _share("dead time, share of the sample time", -1e-12),
+    "drop": _share("voltage drop of a switch or diode, share of the DC link", -1e-12),
+    "knee": Quantity(
+        0.02, "", "current over which the inverter's sign is smoothed, share of rated", 0.0
+    ),
+    "offset_alpha": _share("current offset, share of the rated current"),
+    "offset_beta": _share("current offset, share of the rated current"),
+    "offset_change_alpha": _share("what it changes by over the record, share of the rated current"),
+    "offset_change_beta": _share("what it changes by over the record, share of the rated current"),
+    "voltage_offset_alpha": _share("voltage offset, share of the rated EMF"),
+    "voltage_offset_beta": _share("voltage offset, share of the rated EMF"),
+    "gain_a": _factor("the current of phase a as measured"),
+    "gain_b": _factor("the current of phase b as measured"),
+    "gain_c": _factor("the current of phase c as measured"),
+    "dc_link_gain": _factor("the DC-link voltage as measured"),
+    "noise": _share("current noise (std of a component), share of the rated current", -1e-12),
+    "quantum": _share("step of the converter, share of the rated current", -1e-12),
+    "range": Quantity(1e6, "", "limit of the current sensors, share of the rated current", 0.0),
+    "jitter": _share("std of the sampling instant, share of the sample time", -1e-12),
+    "lag": _share("delay of the current sensors, share of the sample time"),
+}
+
+#: Words for several quantities, each of which is drawn for itself.
+TOGETHER = {
+    "offset": ("offset_alpha", "offset_beta"),
+    "offset_change": ("offset_change_alpha", "offset_change_beta"),
+    "voltage_offset": ("voltage_offset_alpha", "voltage_offset_beta"),
+    "gain": ("gain_a", "gain_b", "gain_c"),
+}
+
+#: Parameters of machine files that can vary by their names, as factors.
+PARAMETERS = ("R_s", "L_s", "L_d", "L_q", "psi_f", "R_R", "L_sigma", "L_M")

@@ -1,0 +1,335 @@
+"""The specification of a campaign: what is simulated, what varies, which observers, what passes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from ..errors import FluxobsError, UsageError
+from ..machines import as_machine, rotating
+from ..validation import NotNegative, Number, Positive, complaints, nearest
+from .distributions import Distribution, Given, correlator
+from .quantities import PARAMETERS, QUANTITIES, TOGETHER
+
+#: Names of the compiled observers; all others are those of the comparison.
+PLAIN, ADAPTIVE = "plain", "adaptive"
+#: Largest number of scenarios of a machine: their numbers have seven digits.
+MOST = 10_000_000
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class DriveTable(_Table):
+    """Ratings of the drive that the machine file does not hold; default those of a shipped machine.
+
+    Parameters
+    ----------
+    sample_time : float
+        [s].
+    speed_e : float
+        Rated electrical speed [rad/s].
+    torque : float
+        Rated torque [N m].
+    J : float
+        Inertia with the load [kg m²].
+    dc_link : float
+        [V].
+    """
+
+    sample_time: Positive | None = None
+    speed_e: Positive | None = None
+    torque: Positive | None = None
+    J: Positive | None = None
+    dc_link: Positive | None = None
+
+
+Knots = Annotated[list[tuple[NotNegative, Number]], Field(min_length=1)]
+Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
+
+
+class CourseTable(_Table):
+    """Speed and load over time, as shares of the rated values.
+
+    Parameters
+    ----------
+    duration : float
+        Length of a record [s].
+    score_from : float
+        The first part is not scored [s].
+    speed, load : list of [time, share], or "random"
+        Piecewise linear; equal times make a jump. "random": segments of random length.
+    speeds : [least, most]
+        Size of the speed in a random segment, uniform in the logarithm.
+    loads : [least, most]
+        Load in a random segment, uniform.
+    segment : [shortest, longest]
+        Length of a random segment [s].
+    stops, reversals : float
+        Share of the random segments that stand still; that reverse.
+    ramp : float
+        Time from zero to rated speed in a random course [s].
+    """
+
+    duration: Positive = 2.0
+    score_from: NotNegative = 0.3
+    speed: Knots | Literal["random"] = "random"
+    load: Knots | Literal["random"] = "random"
+    speeds: Range = [0.05, 1.0]
+    loads: Range = [-0.8, 0.8]
+    segment: Range = [0.3, 1.0]
+    stops: NotNegative = 0.1
+    reversals: NotNegative = 0.3
+    ramp: Positive = 0.4
+
+    @model_validator(mode="after")
+    def _possible(self) -> CourseTable:
+        if not self.score_from < self.duration:
+            raise ValueError(
+                f"score_from = {self.score_from:g} s: nothing of {self.duration:g} s is left"
+            )
+        for name in ("speeds", "segment"):
+            low, high = getattr(self, name)
+            if not 0 < low <= high:
+                raise ValueError(f"{name} = [least, most] must be positive and rise")
+        if not self.loads[0] <= self.loads[1]:
+            raise ValueError("loads = [least, most] must rise")
+        for name in ("stops", "reversals"):
+            if getattr(self, name) > 1:
+                raise ValueError(f"{name} is a share, at most 1")
+        for name in ("speed", "load"):
+            knots = getattr(self, name)
+            if knots != "random" and (np.diff([t for t, _ in knots]) < 0).any():
+                raise ValueError(f"{name}: times must not decrease")
+        return self
+
+
+def _named(given: Any) -> Any:
+    """An observer may be given by its name alone."""
+    return {"kind": given} if isinstance(given, str) else given
+
+
+class ObserverTable(_Table):
+    """One observer.
+
+    Parameters
+    ----------
+    kind : str
+        "plain", "adaptive", or a name of `fluxobs compare`.
+    name : str, optional
+        What rows and reports call it; default its kind.
+    memory : float, optional
+        Of plain and adaptive [s].
+    unknowns : list of str
+        Of the adaptive one: drift, resistance, inverter, asymmetry.
+    gains : mapping, optional
+        Of the others; default their usual ones.
+    machine : mapping
+        Factors on what this observer believes: R, L, psi.
+    """
+
+    kind: str
+    name: str = ""
+    memory: Positive | None = None
+    unknowns: tuple[str, ...] = ("drift", "resistance", "inverter")
+    gains: dict[str, Number] | None = None
+    machine: dict[str, Positive] = {}
+
+    @model_validator(mode="after")
+    def _own(self) -> ObserverTable:
+        compiled = self.kind in (PLAIN, ADAPTIVE)
+        if compiled and self.gains:
+            raise ValueError(f"{self.kind} has no gains; its one setting is memory")
+        if not compiled and self.memory is not None:
+            raise ValueError(f"memory is for plain and adaptive; {self.kind} has gains")
+        for key in self.machine:
+            if key not in ("R", "L", "psi"):
+                raise ValueError(f"machine: factors on R, L, psi; got {key!r}")
+        if not self.name:
+            object.__setattr__(self, "name", self.kind)
+        return self
+
+
+class GoodTable(_Table):
+    """When a scenario counts as good: all that is given must hold.
+
+    Parameters
+    ----------
+    rms, worst : float
+        Rms and largest position error on the scored valid rows [°].
+    valid : float
+        Share of the scored rows that are valid, at least.
+    first_valid : float
+        Time until the position is first valid, at most [s].
+    losses : int
+        Losses of the position, trips included, in the loop.
+    """
+
+    rms: Positive | None = 2.0
+    worst: Positive | None = None
+    valid: NotNegative | None = None
+    first_valid: Positive | None = None
+    losses: int | None = None
+
+
+class LimitTable(_Table):
+    """What the campaign must reach.
+
+    Parameters
+    ----------
+    good : float
+        Share of good scenarios, at least.
+    observer, machine : str, optional
+        Of this observer, on this machine; default every one.
+    """
+
+    good: Annotated[float, Field(ge=0, le=1)]
+    observer: str | None = None
+    machine: str | None = None
+
+
+Observers = Annotated[list[Annotated[ObserverTable, BeforeValidator(_named)]], Field(min_length=1)]
+
+
+class Specification(_Table):
+    """All of a campaign.
+
+    Parameters
+    ----------
+    name : str
+    machines : list of str
+        Shipped machines, or machine files (relative to the specification).
+    scenarios : int
+        Of each machine.
+    seed : int
+    loop : {"open", "closed"}
+        "open": a drive with an encoder makes the record, all observers see the same one. "closed":
+        each observer is in the loop of its own drive, on the same draws.
+    sampling : {"random", "sobol"}
+        How the unit cube is filled; grids are taken in either.
+    drive, course, vary, correlation, observers, good, limits
+        See the tables.
+    """
+
+    name: str = "campaign"
+    machines: Annotated[list[str], Field(min_length=1)]
+    scenarios: Annotated[int, Field(ge=1, le=MOST)]
+    seed: Annotated[int, Field(ge=0)] = 0
+    loop: Literal["open", "closed"] = "open"
+    sampling: Literal["random", "sobol"] = "random"
+    drive: DriveTable = DriveTable()
+    course: CourseTable = CourseTable()
+    vary: dict[str, Given] = {}
+    correlation: dict[str, Number] = {}
+    observers: Observers
+    good: GoodTable = GoodTable()
+    limits: list[LimitTable] = []
+
+    def __init__(self, **given: Any) -> None:
+        try:
+            super().__init__(**given)
+        except ValidationError as error:
+            raise UsageError(complaints(error, type(self).model_fields, "a campaign")) from None
+
+    @model_validator(mode="after")
+    def _together(self) -> Specification:
+        vary = {}
+        for name, one in self.vary.items():
+            if name not in (*QUANTITIES, *TOGETHER, *PARAMETERS):
+                known = (*QUANTITIES, *TOGETHER, *PARAMETERS)
+                raise ValueError(f"vary: unknown quantity {name!r}{nearest(name, known)}")
+            for part in TOGETHER.get(name, (name,)):
+                if part in vary:
+                    raise ValueError(f"vary: {part} is given twice")
+                vary[part] = one
+        # Nobody knows the angle at which a rotor stands.
+        vary.setdefault("theta_e", Distribution(uniform=[-np.pi, np.pi]))
+        object.__setattr__(self, "vary", vary)
+        names = [one.name for one in self.observers]
+        if len(set(names)) != len(names):
+            raise ValueError(f"observers need names of their own (name = …), got {names}")
+        if len(set(self.machines)) != len(self.machines):
+            raise ValueError("machines: one is named twice")
+        for limit in self.limits:
+            for what, word, known in (
+                ("observer", limit.observer, names),
+                ("machine", limit.machine, self.machines),
+            ):
+                if word is not None and word not in known:
+                    raise ValueError(f"limits: no {what} {word!r}{nearest(word, known)}")
+        if self.sampling == "sobol" and self.scenarios & (self.scenarios - 1):
+            least = 2 ** int(np.log2(self.scenarios))
+            raise ValueError(
+                f"scenarios = {self.scenarios}: Sobol' points are even only in powers of two; "
+                f"take {least} or {2 * least}"
+            )
+        return self
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Quantities that differ from drive to drive, in order: the axes of the unit cube."""
+        return tuple(name for name, one in self.vary.items() if one.varies and one.grid is None)
+
+    @property
+    def grids(self) -> tuple[str, ...]:
+        """Quantities with a grid."""
+        return tuple(name for name, one in self.vary.items() if one.grid is not None)
+
+    def canonical(self) -> str:
+        """JSON that is equal for equal campaigns."""
+        return json.dumps(self.model_dump(mode="json"), sort_keys=True, ensure_ascii=False)
+
+
+def hashed(text: str) -> str:
+    """Sixteen digits that stand for a text."""
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def read_specification(path: str | Path) -> Specification:
+    """A specification from a TOML file; its machine files are looked up beside it.
+
+    Raises
+    ------
+    FluxobsError
+        The file cannot be read, is not TOML, or something in it is unknown or impossible.
+    """
+    path = Path(path)
+    try:
+        given = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FluxobsError(f"{path}: cannot be read: {error.strerror}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise FluxobsError(f"{path}: not TOML: {error}") from None
+    machines = given.get("machines")
+    if isinstance(machines, list):
+        given["machines"] = [_beside(path, one) for one in machines]
+    try:
+        return Specification(**given)
+    except UsageError as error:
+        raise FluxobsError(f"{path}: {error}") from None
+
+
+def _beside(path: Path, machine: Any) -> Any:
+    if isinstance(machine, str) and machine.endswith(".toml"):
+        return str((path.parent / machine).resolve())
+    return machine
+
+
+def check(specification: Specification) -> None:
+    """Raises FluxobsError for what only machines and the catalogue of observers can tell."""
+    correlator(specification.varied, specification.correlation)
+    for name in specification.machines:
+        machine = rotating(as_machine(name), "a campaign")
+        has = [p for p in PARAMETERS if getattr(machine, p, None) is not None]
+        for quantity in specification.vary:
+            if quantity in PARAMETERS and quantity not in has:
+                raise UsageError(
+                    f"vary: {name} ({machine.kind}) has no {quantity}; it has {', '.join(has)}"
+                )

@@ -1,0 +1,94 @@
+"""Dask: a cluster of processes on this machine, or one that is there already."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
+from typing import Any, TypeVar
+
+from ..errors import FluxobsError
+from .compute import AHEAD, TRIES
+
+Task = TypeVar("Task")
+
+#: Seconds to wait for a scheduler, and for its first worker.
+PATIENCE = 30
+#: Seconds for which the number of workers is taken as known.
+FRESH = 2.0
+
+
+def in_cluster(
+    tasks: Iterable[Task], work: Callable[[Task], Any], workers: int, address: str | None
+) -> Iterator[tuple[Task, Any]]:
+    """See :func:`compute`; without an address a cluster of one thread per process is started."""
+    try:
+        import dask
+        from distributed import Client, LocalCluster, as_completed
+        from distributed.comm.core import CommClosedError
+        from distributed.scheduler import KilledWorker
+    except ImportError:
+        raise FluxobsError(
+            'a scheduler needs the extra "cluster": pip install "fluxobs[cluster]"'
+        ) from None
+    settings = {
+        "distributed.scheduler.allowed-failures": TRIES - 1,
+        "distributed.comm.timeouts.connect": PATIENCE,
+        "distributed.worker.daemon": True,
+    }
+    logging.getLogger("distributed").setLevel(logging.ERROR)
+    with ExitStack() as stack:
+        stack.enter_context(dask.config.set(settings))
+        if address is None:
+            cluster = LocalCluster(
+                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None
+            )
+            address = stack.enter_context(cluster).scheduler_address
+        try:
+            client = stack.enter_context(Client(address, timeout=PATIENCE, set_as_default=False))
+            client.wait_for_workers(1, timeout=PATIENCE)
+        except (OSError, TimeoutError) as error:
+            raise FluxobsError(f"{address}: no scheduler with workers there: {error}") from None
+        coming, under_way, done = iter(tasks), {}, as_completed(
+            loop=client.loop, with_results=True, raise_errors=False
+        )
+
+        asked, known = 0.0, workers
+
+        def there() -> int:
+            """Workers now; clusters grow and shrink, but asking takes a message."""
+            nonlocal asked, known
+            if time.monotonic() - asked > FRESH:
+                asked, known = time.monotonic(), max(1, len(client.ncores()))
+            return known
+
+        def hand_out() -> None:
+            for _ in range(AHEAD * there() - len(under_way)):
+                task = next(coming, None)
+                if task is None:
+                    return
+                future = client.submit(work, task, pure=False)
+                under_way[future.key] = task
+                done.add(future)
+
+        try:
+            hand_out()
+            for future, result in done:
+                task = under_way.pop(future.key)
+                if future.status == "error":
+                    problem = result[1] if isinstance(result, tuple) else future.exception()
+                    if isinstance(problem, KilledWorker):
+                        raise FluxobsError(
+                            f"{task}: its worker died {TRIES} times, as one does that has no "
+                            f"memory left; take fewer workers, or larger ones"
+                        )
+                    raise problem
+                if future.status != "finished":
+                    raise FluxobsError(f"{address}: the scheduler was lost; the same command resumes")
+                yield task, result
+                hand_out()
+        except (CommClosedError, OSError):
+            raise FluxobsError(
+                f"{address}: the scheduler was lost; the same command resumes"
+            ) from None

@@ -1,0 +1,77 @@
+"""A pool of processes on this machine, which survives the death of its workers."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, TypeVar
+
+from ..errors import FluxobsError
+from .compute import AHEAD, TRIES
+
+Task = TypeVar("Task")
+
+
+def _started() -> None:
+    """A worker leaves Ctrl-C to the driver, and ends with it: a killed driver tells nobody."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def in_pool(
+    tasks: Iterable[Task], work: Callable[[Task], Any], workers: int
+) -> Iterator[tuple[Task, Any]]:
+    """See :func:`compute`."""
+    coming = iter(tasks)
+    again: list[tuple[Task, int]] = []  # with how often each was tried
+    ended = False
+    while not ended or again:
+        pool = ProcessPoolExecutor(
+            workers, mp_context=multiprocessing.get_context("spawn"), initializer=_started
+        )
+        under_way: dict[Future[Any], tuple[Task, int]] = {}
+        try:
+            while True:
+                while len(under_way) < AHEAD * workers and (again or not ended):
+                    if again:
+                        task, tried = again.pop()
+                    else:
+                        try:
+                            task, tried = next(coming), 0
+                        except StopIteration:
+                            ended = True
+                            break
+                    try:
+                        under_way[pool.submit(work, task)] = (task, tried)
+                    except BrokenProcessPool:
+                        again.append((task, tried))
+                        raise
+                if not under_way:
+                    break
+                for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+                    task, tried = under_way[future]
+                    result = future.result()  # a broken pool leaves the task under way
+                    del under_way[future]
+                    yield task, result
+        except BrokenProcessPool:
+            again += [(task, tried + 1) for task, tried in under_way.values()]
+            for task, tried in again:
+                if tried >= TRIES:
+                    raise FluxobsError(
+                        f"{task}: its worker died {TRIES} times, as one does that has no memory "
+                        f"left; take fewer workers"
+                    ) from None
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
