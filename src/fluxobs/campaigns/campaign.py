@@ -11,9 +11,10 @@ from ..errors import FluxobsError
 from ..output import make_folder
 from . import dataset
 from .chunk import Work
-from .dataset import TIMES, Dataset
+from .dataset import TIMES, WORST, Chunk, Dataset
 from .draws import total
 from .specification import Specification, check, read_specification
+from .worst import Keep, lacking
 
 
 def campaign(
@@ -56,19 +57,31 @@ def campaign(
     folder = make_folder(out).resolve()
     with locked(folder):
         found = dataset.create(folder, given, _chunk_size(given))
-        count = total(given)
-        missing = sum(chunk.last - chunk.first for chunk in found.missing())
-        done = count - missing
-        progress(done, count)
-        if missing:
-            work = Work(str(folder), given.canonical())
-            with (folder / TIMES).open("a", encoding="utf-8") as times:
-                for chunk, seconds in compute(found.missing(), work, workers, scheduler):
-                    times.write(f"{chunk.first},{chunk.last},{seconds:.3f}\n")
-                    times.flush()
-                    done += chunk.last - chunk.first
-                    progress(done, count)
+        fill(found, Work(str(folder), given.canonical()), workers, scheduler, progress)
+        make_folder(folder / WORST)
+        keep = Keep(str(folder), given.canonical())
+        for _ in compute(lacking(found), keep, workers, scheduler):
+            pass
     return found
+
+
+def fill(
+    found: Dataset,
+    work: Callable[[Chunk], float],
+    workers: int | None,
+    scheduler: str,
+    progress: Callable[[int, int], Any],
+) -> None:
+    """Do the chunks of a dataset that are not there; `work` writes one and returns its seconds."""
+    count = total(found.specification)
+    done = count - found.lacking()
+    progress(done, count)
+    with (found.folder / TIMES).open("a", encoding="utf-8") as times:
+        for chunk, seconds in compute(found.missing(), work, workers, scheduler):
+            times.write(f"{chunk.first},{chunk.last},{seconds:.3f}\n")
+            times.flush()
+            done += chunk.last - chunk.first
+            progress(done, count)
 
 
 def _chunk_size(specification: Specification) -> int:

@@ -32,11 +32,12 @@ class Work:
         started = time.perf_counter()
         from .rows import rows_of
 
-        rows = rows_of(_specification(self.specification), chunk.first, chunk.last)
+        rows = rows_of(specification_of(self.specification), chunk.first, chunk.last)
         write_part(rows, Path(self.folder) / ROWS / chunk.file)
         return time.perf_counter() - started
 
 
 @lru_cache(maxsize=2)
-def _specification(text: str) -> Specification:
+def specification_of(text: str) -> Specification:
+    """The specification in a JSON text; read once."""
     return Specification(**Specification.model_validate_json(text).model_dump())

@@ -26,11 +26,15 @@ def most_knots(table: CourseTable) -> int:
     return max([2 * segments + 2, *given])
 
 
+def _between(rng: np.random.Generator, limits: list[float]) -> float:
+    return float(rng.uniform(limits[0], limits[1]))
+
+
 def _segments(table: CourseTable, rng: np.random.Generator) -> list[float]:
     """Starts of the random segments [s]."""
     starts = [0.0]
     while starts[-1] < table.duration:
-        starts.append(starts[-1] + rng.uniform(*table.segment))
+        starts.append(starts[-1] + _between(rng, table.segment))
     return starts[:-1]
 
 
@@ -39,7 +43,7 @@ def _speed(table: CourseTable, rng: np.random.Generator) -> Knots:
     knots, value, sign = [(0.0, 0.0)], 0.0, rng.choice([-1.0, 1.0])
     for k, start in enumerate(_segments(table, rng)):
         sign = -sign if rng.random() < table.reversals else sign
-        size = float(np.exp(rng.uniform(*np.log(table.speeds))))
+        size = float(np.exp(_between(rng, np.log(table.speeds).tolist())))
         stops = rng.random() < table.stops and k > 0  # the first segment starts the drive
         target = 0.0 if stops else float(sign * size)
         # The next segment may begin before the ramp ends: it goes on from there.
@@ -60,6 +64,6 @@ def _load(table: CourseTable, rng: np.random.Generator) -> Knots:
     knots, value = [(0.0, 0.0)], 0.0
     for start in _segments(table, rng)[1:]:
         knots.append((start, value))
-        value = float(rng.uniform(*table.loads))
+        value = _between(rng, table.loads)
         knots.append((start, value))
     return knots

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import polars as pl
 
@@ -73,6 +73,10 @@ class Dataset:
         there = {path.name for path in (self.folder / ROWS).iterdir()}
         return (chunk for chunk in self.chunks() if chunk.file not in there)
 
+    def lacking(self) -> int:
+        """Scenarios that are missing."""
+        return sum(chunk.last - chunk.first for chunk in self.missing())
+
     def scan(self) -> pl.LazyFrame:
         """All rows that are there, lazily."""
         return pl.scan_parquet(self.folder / ROWS / "*.parquet")
@@ -85,13 +89,17 @@ class Dataset:
         FluxobsError
             Chunks are missing.
         """
-        lacking = sum(chunk.last - chunk.first for chunk in self.missing())
+        self.check_complete()
+        return self.scan().collect()
+
+    def check_complete(self) -> None:
+        """Raise FluxobsError if chunks are missing."""
+        lacking = self.lacking()
         if lacking:
             raise FluxobsError(
                 f"{self.folder}: {lacking} of {total(self.specification)} scenarios are missing; "
                 f"`fluxobs campaign {self.folder}` does them"
             )
-        return self.scan().collect()
 
 
 def chunk_size(specification: Specification, lanes: int, sample_time: float) -> int:
@@ -129,9 +137,7 @@ def create(folder: str | Path, specification: Specification, size: int) -> Datas
         there = _manifest(place)
         if there.get("fingerprint") != told["fingerprint"]:
             changed = _difference(there, told)
-            raise FluxobsError(
-                f"{folder}: holds another campaign ({changed}); give another --out"
-            )
+            raise FluxobsError(f"{folder}: holds another campaign ({changed}); give another --out")
         size = int(there["chunk"])
     elif any(path.name != ".lock" for path in folder.iterdir()):
         raise FluxobsError(f"{folder}: is not empty and holds no campaign; give another --out")
@@ -165,20 +171,19 @@ def open_dataset(folder: str | Path) -> Dataset:
     return Dataset(folder, specification, int(there["chunk"]))
 
 
-def _manifest(place: Path) -> dict[str, object]:
+def _manifest(place: Path) -> dict[str, Any]:
     try:
-        found: dict[str, object] = json.loads(place.read_text(encoding="utf-8"))
+        found: dict[str, Any] = json.loads(place.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise FluxobsError(f"{place}: cannot be read: {error}") from None
     return found
 
 
-def _difference(there: dict[str, object], now: dict[str, object]) -> str:
+def _difference(there: dict[str, Any], now: dict[str, Any]) -> str:
     """What differs between two manifests, in words."""
     if there.get("fluxobs") != now["fluxobs"]:
         return f"made with fluxobs {there.get('fluxobs')}"
     old, new = there.get("specification"), now["specification"]
-    assert isinstance(new, dict)
     if isinstance(old, dict):
         names = [name for name in new if old.get(name) != new[name]]
         if names:

@@ -97,7 +97,7 @@ class Distribution(BaseModel):
         if self.fixed is not None:
             return np.full_like(u, self.fixed)
         if self.uniform is not None:
-            return self.uniform[0] + (self.uniform[1] - self.uniform[0]) * u
+            return np.asarray(self.uniform[0] + (self.uniform[1] - self.uniform[0]) * u)
         if self.log is not None:
             low, high = np.log(self.log)
             return np.asarray(np.exp(low + (high - low) * u))

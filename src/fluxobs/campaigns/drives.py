@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from ..design.drive import (
@@ -121,15 +122,16 @@ def motor_of(machine: RotatingMachine, values: dict[str, float]) -> Motor:
     }
     mapped = replace(
         shape,
-        psi=np.asarray(factors["psi_f"] * psi),
-        L_d=np.asarray(d * shape.L_d),
-        L_q=np.asarray(q * shape.L_q),
-        coefficients=coefficients,
+        psi=jnp.asarray(factors["psi_f"] * psi),
+        L_d=jnp.asarray(d * shape.L_d),
+        L_q=jnp.asarray(q * shape.L_q),
+        coefficients=jnp.asarray(coefficients),
     )
     names = (*scaled, "map")
-    return eqx.tree_at(
+    found: Motor = eqx.tree_at(
         lambda m: [getattr(m, name) for name in names], motor, [*scaled.values(), mapped]
     )
+    return found
 
 
 def drive_of(specification: Specification, scenario: Scenario) -> tuple[Drive, Course]:

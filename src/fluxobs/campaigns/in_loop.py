@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -22,6 +24,10 @@ Array = jax.Array
 #: Observers that do not judge themselves are trusted above this share of the speed up to which the
 #: start turns the current: half of it leaves their phase-locked loops time to lock.
 TRUSTED = 0.5
+#: The adaptive observer takes over at this standard deviation [rad]. Its own holds the errors of R
+#: and inverter, which at the speed of the start are several degrees; the plain one's does not, so
+#: that a small one is asked of it.
+READY = np.pi / 18
 
 
 class Seen(NamedTuple):
@@ -76,11 +82,9 @@ class Outside(eqx.Module):
 
     def step(self, sample: Array, voltage: Array, current: Array) -> tuple[Array, Seen]:
         """One sample of all lanes: voltage and current (2,) of each."""
-        shape = jax.ShapeDtypeStruct((5,), jnp.float64)
-        out = jax.pure_callback(
-            _call, shape, sample, voltage, current, vmap_method="broadcast_all"
-        )
-        return sample + 1, Seen(*(out[k] for k in range(4)), valid=out[4] > 0)
+        shape: Any = jax.eval_shape(lambda: jnp.zeros(5))
+        out = jax.pure_callback(_call, shape, sample, voltage, current, vmap_method="broadcast_all")
+        return sample + 1, Seen(out[0], out[1], out[2], out[3], out[4] > 0)
 
 
 class Unjudged(eqx.Module):
@@ -105,22 +109,26 @@ class Unjudged(eqx.Module):
         return state, Seen(out.theta_e_tracked, out.speed_e, self.psi_f, zero, trusted)
 
 
-def in_loop(one: Candidate, cell: Cell) -> Any:
+@contextmanager
+def in_loop(one: Candidate, cell: Cell) -> Iterator[Callable[[Drive], Drive]]:
     """What makes a drive of this cell sensorless: a function that puts the observer into its loop.
 
-    One batch at a time: the compiled observer's state belongs to the process.
+    One at a time: the state of a compiled observer belongs to the process.
     """
     usual: Drive = sensorless_drive(cell.machine, cell.rated, believed=one.believed)
     sensorless = usual.sensorless
     assert sensorless is not None
+    if one.adaptive:
+        sensorless = replace(sensorless, ready=real("ready", READY))
     if one.compiled:
-        _HOST.observer = one.observer
         observer: Any = Outside(real("sample_time", cell.rated.sample_time))
     else:
         psi = real("psi_f", cell.machine.flux_base(cell.current))
         observer = Unjudged(one.observer, psi, TRUSTED * sensorless.speed)
-
-    def equip(drive: Drive) -> Drive:
-        return replace(drive, observer=observer, sensorless=sensorless, control=usual.control)
-
-    return equip
+    _HOST.observer = one.observer if one.compiled else None
+    try:
+        yield lambda drive: replace(
+            drive, observer=observer, sensorless=sensorless, control=usual.control
+        )
+    finally:
+        _HOST.observer = _HOST.state = None

@@ -126,7 +126,9 @@ def check_observer(table: ObserverTable, cell: Cell) -> Entry | None:
     entries = {one.name: one for one in entries_for(cell.machine) if not one.least_squares}
     if table.kind not in entries:
         known = (PLAIN, ADAPTIVE, *entries)
-        raise UsageError(f"observers: {cell.name} has no {table.kind!r}{nearest(table.kind, known)}")
+        raise UsageError(
+            f"observers: {cell.name} has no {table.kind!r}{nearest(table.kind, known)}"
+        )
     if table.gains:
         gains = entries[table.kind].recommended(_setting(cell.machine, cell, NOISE * cell.current))
         for name in table.gains:

@@ -103,13 +103,14 @@ def _closed(
     """Every observer in the loop of its own drive."""
     lanes = lanes_for(specification, cell.rated.sample_time)
     for by in candidates:
-        for one in simulated(specification, drawn, lanes, in_loop(by, cell)):
-            found = None
-            if one.trace is not None:
-                trace = one.trace
-                std = trace.std if by.compiled else None
-                found = Found(trace.angle, trace.seen_speed, trace.valid, std, {})
-            yield one, by, found
+        with in_loop(by, cell) as equip:
+            for one in simulated(specification, drawn, lanes, equip):
+                found = None
+                if one.trace is not None:
+                    trace = one.trace
+                    std = trace.std if by.compiled else None
+                    found = Found(trace.angle, trace.seen_speed, trace.valid, std, {})
+                yield one, by, found
 
 
 def _batches(stream: Iterator[Simulated], size: int) -> Iterator[list[Simulated]]:
@@ -164,7 +165,7 @@ def _row(
     if one.trace is None or found is None:
         return row
     h, start = cell.rated.sample_time, specification.course.score_from
-    t = np.arange(len(one.trace.theta_e)) * h
+    t = np.asarray(np.arange(len(one.trace.theta_e)) * h, float)
     speed = true_speed(one.trace, cell.machine, h)
     row |= scores.measures(t, one.trace, speed, found, cell.machine, start)
     if specification.loop == "closed":

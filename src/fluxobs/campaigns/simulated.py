@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -135,10 +134,7 @@ def _batch(
     noise[len(members) :] = noise[0]
     finite, trace = simulate_lanes([(d, c) for _, d, c in filled], noise, steps, keep, knots)
     for k, (scenario, drive, _) in enumerate(members):
-        lane = jax.tree.map(lambda x: x[k], trace)
         if finite[k]:
-            yield Simulated(scenario, drive, lane, "")
+            yield Simulated(scenario, drive, Kept(*(part[k] for part in trace)), "")
         else:
             yield Simulated(scenario, drive, None, "the simulation ends without a number")
-
-

@@ -258,12 +258,12 @@ class Specification(_Table):
         if len(set(self.machines)) != len(self.machines):
             raise ValueError("machines: one is named twice")
         for limit in self.limits:
-            for what, word, known in (
+            for what, word, there in (
                 ("observer", limit.observer, names),
                 ("machine", limit.machine, self.machines),
             ):
-                if word is not None and word not in known:
-                    raise ValueError(f"limits: no {what} {word!r}{nearest(word, known)}")
+                if word is not None and word not in there:
+                    raise ValueError(f"limits: no {what} {word!r}{nearest(word, there)}")
         if self.sampling == "sobol" and self.scenarios & (self.scenarios - 1):
             least = 2 ** int(np.log2(self.scenarios))
             raise ValueError(

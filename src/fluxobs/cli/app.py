@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from ..errors import FluxobsError
+from .commands.campaign import campaign
 from .commands.channels import channels
 from .commands.check import check
 from .commands.compare import compare
@@ -40,8 +41,8 @@ Flux, rotor position, speed and sensor drift from a drive's currents and voltage
 
     fluxobs estimate LOG.csv --machine motor.toml --out estimates.parquet --report report.png
 
-`fluxobs COMMAND --help` has the options. Exit codes: 0 done, 1 `check` found a mistake, 2 unusable
-input, 3 the position is never valid.
+`fluxobs COMMAND --help` has the options. Exit codes: 0 done, 1 `check` found a mistake or
+`campaign` missed a limit, 2 unusable input, 3 the position is never valid.
 """
 
 app = typer.Typer(
@@ -69,7 +70,7 @@ def _options(
 
 
 COMMANDS = (
-    *(estimate, check, channels, identify, compare, export),
+    *(estimate, check, channels, identify, compare, campaign, export),
     *(live, page, machines, presets, demo, reproduce),
 )
 for command in COMMANDS:

@@ -50,8 +50,10 @@ def in_cluster(
             client.wait_for_workers(1, timeout=PATIENCE)
         except (OSError, TimeoutError) as error:
             raise FluxobsError(f"{address}: no scheduler with workers there: {error}") from None
-        coming, under_way, done = iter(tasks), {}, as_completed(
-            loop=client.loop, with_results=True, raise_errors=False
+        coming, under_way, done = (
+            iter(tasks),
+            {},
+            as_completed(loop=client.loop, with_results=True, raise_errors=False),
         )
 
         asked, known = 0.0, workers
@@ -85,7 +87,9 @@ def in_cluster(
                         )
                     raise problem
                 if future.status != "finished":
-                    raise FluxobsError(f"{address}: the scheduler was lost; the same command resumes")
+                    raise FluxobsError(
+                        f"{address}: the scheduler was lost; the same command resumes"
+                    )
                 yield task, result
                 hand_out()
         except (CommClosedError, OSError):

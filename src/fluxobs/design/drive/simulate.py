@@ -313,9 +313,7 @@ def simulate_lanes(
 
 def _knots(lanes: Sequence[tuple[Drive, Course]]) -> int:
     """Length of the longest profile of some drives."""
-    profiles = (
-        (d.sensors.offset, c.speed, c.load, c.dc_link, c.voltage_offset) for d, c in lanes
-    )
+    profiles = ((d.sensors.offset, c.speed, c.load, c.dc_link, c.voltage_offset) for d, c in lanes)
     return max(len(one.times) for some in profiles for one in some)
 
 

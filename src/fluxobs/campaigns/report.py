@@ -1,0 +1,261 @@
+"""The report of a campaign: text for a terminal, HTML with pictures."""
+
+from __future__ import annotations
+
+import shlex
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from .. import html
+from ..output import write_text
+from . import pictures, statistics
+from .dataset import WORST, Dataset
+from .draws import total
+from .specification import Specification
+from .statistics import Index, group, in_words
+from .worst import KEPT, stem, worst
+
+#: File of the HTML report.
+REPORT = "report.html"
+#: Pairs of tolerances that are shown for an observer.
+MATTER = 3
+
+
+def _degrees(value: float | None) -> str:
+    return "–" if value is None else f"{np.degrees(value):.2f}°"
+
+
+def _percent(value: float | None) -> str:
+    return "–" if value is None else f"{100 * value:.1f} %"
+
+
+def headline(found: Dataset) -> str:
+    """What the campaign is, in a sentence."""
+    s = found.specification
+    loop = "on the record of a drive with an encoder" if s.loop == "open" else "in the loop"
+    return (
+        f"{total(s)} scenarios of {s.course.duration:g} s, {len(s.machines)} "
+        f"machine{'s' if s.machines[1:] else ''}; every observer {loop}. Good: "
+        f"{in_words(s.good)}, from {s.course.score_from:g} s on. Intervals of "
+        f"{100 * statistics.CONFIDENCE:g} %."
+    )
+
+
+HEAD = ("machine", "observer", "good", "median rms", "99 % below", "worst valid", "valid")
+LOOP_HEAD = ("in the loop", "losses", "never in it")
+
+
+def summary_rows(found: Dataset, rows: pl.DataFrame) -> tuple[tuple[str, ...], list[list[str]]]:
+    """The table of observers on machines."""
+    s = found.specification
+    closed = s.loop == "closed"
+    out = []
+    for machine in s.machines:
+        for table in s.observers:
+            mine = group(rows, machine, table.name)
+            rms = mine["rms"]
+            line = [
+                _name(machine),
+                table.name,
+                str(statistics.yield_of(mine, s.good)),
+                _degrees(rms.median()),  # type: ignore[arg-type]
+                _degrees(rms.quantile(0.99, "higher")),
+                _degrees(mine["worst"].max()),  # type: ignore[arg-type]
+                _percent(mine["valid"].mean()),  # type: ignore[arg-type]
+            ]
+            if closed:
+                never = int(mine["handed_over"].is_null().sum())
+                line += [_percent(mine["in_loop"].mean()), str(mine["losses"].sum()), str(never)]  # type: ignore[arg-type]
+            out.append(line)
+    return HEAD + (LOOP_HEAD if closed else ()), out
+
+
+def _name(machine: str) -> str:
+    return Path(machine).stem if machine.endswith(".toml") else machine
+
+
+def against(specification: Specification, rows: pl.DataFrame) -> list[str]:
+    """Observers against each other on the same scenarios, in sentences."""
+    names = [table.name for table in specification.observers]
+    good = {
+        name: group(rows, None, name)
+        .sort("number")
+        .select(statistics.is_good(specification.good))
+        .to_series()
+        .to_numpy()
+        for name in names
+    }
+    best = max(names, key=lambda name: int(good[name].sum()))
+    out = []
+    for name in names:
+        if name != best:
+            only, lost = (
+                int((good[best] & ~good[name]).sum()),
+                int((good[name] & ~good[best]).sum()),
+            )
+            out.append(
+                f"{best} is good where {name} is not in {only} scenarios, the other way round in "
+                f"{lost}."
+            )
+    return out
+
+
+def failures(rows: pl.DataFrame) -> list[str]:
+    """Scenarios that could not be simulated, by what was wrong."""
+    failed = rows.filter(pl.col("failed").is_not_null()).unique("number")
+    if not len(failed):
+        return []
+    counted = failed.group_by("failed").agg(pl.len(), pl.col("number").min())
+    return [
+        f"{count} scenarios could not be simulated, and count as not good; {number} for example: "
+        f"{what}"
+        for what, count, number in counted.sort("len", descending=True).iter_rows()
+    ]
+
+
+def matters(found: Dataset, rows: pl.DataFrame) -> dict[tuple[str, str], list[Index]]:
+    """Indices of the quantities, by machine and observer."""
+    s = found.specification
+    quantities = tuple(name for name in s.vary if name in s.varied or name in s.grids)
+    return {
+        (machine, table.name): statistics.indices(group(rows, machine, table.name), quantities)
+        for machine in s.machines
+        for table in s.observers
+    }
+
+
+def told_indices(found: list[Index]) -> str:
+    """The largest indices in words."""
+    clear = [one for one in found if one.low > 0][:MATTER]
+    if not clear:
+        return "no single tolerance: it is their combination, the course, and noise"
+    words = [
+        f"{one.quantity} {100 * one.share:.0f} % ({100 * one.low:.0f} to {100 * one.high:.0f} %)"
+        for one in clear
+    ]
+    return ", ".join(words)
+
+
+def text(found: Dataset, rows: pl.DataFrame) -> tuple[Any, list[str]]:
+    """For a terminal: a rich table, and sentences."""
+    from rich.table import Table
+
+    head, lines = summary_rows(found, rows)
+    table = Table(box=None, pad_edge=False)
+    for k, name in enumerate(head):
+        table.add_column(name, justify="left" if k < 2 else "right", overflow="fold")
+    for line in lines:
+        table.add_row(*line)
+    s = found.specification
+    several = len(s.machines) > 1
+    sentences = [*failures(rows), *against(s, rows)]
+    for (machine, observer), indices in matters(found, rows).items():
+        where = f" on {_name(machine)}" if several else ""
+        sentences.append(
+            f"What the error of {observer}{where} varies with: {told_indices(indices)}."
+        )
+    for table_ in s.observers:
+        first = worst(rows.lazy(), table_.name).head(1)
+        if len(first):
+            row = first.row(0, named=True)
+            sentences.append(
+                f"Worst valid row of {table_.name}: {_degrees(row['worst'])} in scenario "
+                f"{row['number']}; `{_again(found, row['number'], table_.name)}` shows it."
+            )
+    return table, sentences
+
+
+def _again(found: Dataset, number: int | str, observer: str) -> str:
+    return shlex.join(
+        [
+            *("fluxobs", "campaign", str(found.folder), "--rerun", str(number)),
+            *("--observer", observer, "--report", "again.html"),
+        ]
+    )
+
+
+def write_html(found: Dataset, rows: pl.DataFrame) -> Path:
+    """Write report.html into the campaign's folder."""
+    s = found.specification
+    head, lines = summary_rows(found, rows)
+    indices = matters(found, rows)
+    verdicts = statistics.verdicts(s, rows)
+    parts = [
+        html.paragraph(headline(found)),
+        *([_verdicts(verdicts)] if verdicts else []),
+        html.bullets(failures(rows)),
+        html.table(head, lines),
+        html.bullets(against(s, rows)),
+        "<h2>Distribution of the position error</h2>",
+        html.picture(pictures.distribution(s, rows), "Share of scenarios below an rms error"),
+        "<h2>Which tolerance matters</h2>",
+        html.paragraph(
+            "Share of the variance of log(rms position error) that each quantity explains alone "
+            "(first-order Sobol' index), with its interval. The rest is due to quantities "
+            "together, to the course and to noise."
+        ),
+        html.picture(pictures.importance(s, indices), "Sobol' indices with intervals"),
+        *_pairs(found, rows, indices),
+        f"<h2>Worst {KEPT}</h2>",
+        *(_worst(found, rows, table.name) for table in s.observers),
+    ]
+    path = found.folder / REPORT
+    write_text(path, html.document(f"Campaign: {s.name}", *parts))
+    return path
+
+
+def _verdicts(verdicts: list[statistics.Verdict]) -> str:
+    word = "passed" if all(one.met for one in verdicts) else "not passed"
+    return f"<p><b>{escape(word.capitalize())}</b></p>" + html.bullets(map(str, verdicts))
+
+
+def _pairs(
+    found: Dataset, rows: pl.DataFrame, indices: dict[tuple[str, str], list[Index]]
+) -> list[str]:
+    out = ["<h2>Yield over pairs of tolerances</h2>"]
+    for (machine, observer), some in indices.items():
+        names = [one.quantity for one in some[:MATTER]]
+        mine = group(rows, machine, observer)
+        share = statistics.yield_of(mine, found.specification.good)
+        if len(names) < 2 or share.good in (0, share.of):
+            continue  # nothing to see: all are good, or none
+        pairs = [
+            statistics.pair(mine, found.specification.good, x, y)
+            for k, x in enumerate(names)
+            for y in names[k + 1 :]
+        ]
+        title = f"{observer} on {_name(machine)}"
+        out.append(html.picture(pictures.pairs(pairs, title), f"Yield over pairs, {title}"))
+    return out if out[1:] else []
+
+
+def _worst(found: Dataset, rows: pl.DataFrame, observer: str) -> str:
+    s = found.specification
+    lines = []
+    varied = [name for name in s.vary if s.vary[name].varies]
+    for row in worst(rows.lazy(), observer).iter_rows(named=True):
+        number = row["number"]
+        name = f"{WORST}/{stem(number, observer)}"
+        shown = found.folder / f"{name}.html"
+        link = f'<a href="{escape(name)}.html">{number}</a>' if shown.exists() else str(number)
+        cells = [
+            link,
+            escape(_name(row["machine"])),
+            _degrees(row["worst"]),
+            _degrees(row["rms"]),
+            _percent(row["valid"]),
+            *(f"{row[name]:.4g}" for name in varied),
+        ]
+        lines.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
+    head = ("scenario", "machine", "worst", "rms", "valid", *varied)
+    names = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
+    return (
+        f'<table style="white-space:nowrap"><caption>'
+        f"{escape(observer)}: <code>{escape(_again(found, 'NUMBER', observer))}"
+        f"</code></caption><thead><tr>{names}</tr></thead>"
+        f"<tbody>{''.join(lines)}</tbody></table>"
+    )

@@ -1,0 +1,83 @@
+"""The worst scenarios of a campaign, kept with their records."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import polars as pl
+
+from ..web import built
+from .chunk import specification_of
+from .dataset import WORST, Dataset
+from .specification import ADAPTIVE, PLAIN
+
+#: How many of each observer are kept.
+KEPT = 10
+
+
+class Worst(NamedTuple):
+    """Scenarios of one machine to keep with one observer."""
+
+    observer: str
+    numbers: tuple[int, ...]
+
+    def __str__(self) -> str:
+        return f"scenarios {', '.join(map(str, self.numbers))} with {self.observer}"
+
+
+def stem(number: int, observer: str) -> str:
+    """Name of the files of a scenario with an observer, without their endings."""
+    return f"{number:08d}-{re.sub(r'[^a-z0-9]+', '-', observer.lower()).strip('-')}"
+
+
+def worst(rows: pl.LazyFrame, observer: str) -> pl.DataFrame:
+    """The rows with the largest errors that an observer called valid, the largest first."""
+    mine = rows.filter((pl.col("observer") == observer) & pl.col("worst").is_not_null())
+    return mine.sort("worst", "number", descending=[True, False]).head(KEPT).collect()
+
+
+def lacking(found: Dataset) -> Iterator[Worst]:
+    """What is to be kept and is not there yet, by machine."""
+    for table in found.specification.observers:
+        kept = worst(found.scan(), table.name)
+        for machine in found.specification.machines:
+            numbers = kept.filter(pl.col("machine") == machine)["number"].to_list()
+            lack = [n for n in numbers if not _record(found.folder, n, table.name).exists()]
+            if lack:
+                yield Worst(table.name, tuple(lack))
+
+
+def _record(folder: Path, number: int, observer: str) -> Path:
+    return folder / WORST / f"{stem(number, observer)}.parquet"
+
+
+@dataclass(frozen=True)
+class Keep:
+    """The work of keeping some; as a function it is sent to the workers."""
+
+    folder: str
+    specification: str
+
+    def __call__(self, what: Worst) -> None:
+        """Simulate them again; write their records, and reports of those that fluxobs estimates."""
+        from .rerun import rerun, write_record
+
+        folder = Path(self.folder)
+        for one in rerun(specification_of(self.specification), what.numbers, what.observer):
+            if one.table.kind in (PLAIN, ADAPTIVE) and can_report():
+                name = f"{stem(one.number, what.observer)}.html"
+                one.estimate().write(folder / WORST / name)
+            write_record(one, _record(folder, one.number, what.observer))
+
+
+def can_report() -> bool:
+    """Whether interactive reports can be made: their template is built with the page."""
+    try:
+        built("report.html")
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,144 @@
+"""`fluxobs campaign`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ...errors import UsageError
+from .. import show
+from ..options import ForceOption
+
+if TYPE_CHECKING:
+    from ...campaigns import Dataset
+
+#: Exit code if a limit of the specification is missed.
+MISSED = 1
+
+
+def campaign(
+    what: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SPEC.toml|FOLDER",
+            help="A specification; or the folder of a campaign, to go on with it, show it, or "
+            "rerun a scenario of it.",
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the results; what is there already is not done again."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes; default one per processor.")
+    ] = None,
+    scheduler: Annotated[
+        str,
+        typer.Option(
+            help="local: Dask on this machine if it is installed, else a pool of processes; pool; "
+            "or the address of a Dask scheduler, tcp://host:8786."
+        ),
+    ] = "local",
+    rerun: Annotated[
+        int | None, typer.Option(min=0, help="Number of a scenario to simulate again, alone.")
+    ] = None,
+    observer: Annotated[
+        str | None, typer.Option(help="Observer of the rerun; default the first.")
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Interactive report of the rerun, .html.")
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option(help="Record of the rerun, .parquet, as a log.")
+    ] = None,
+    force: ForceOption = False,
+) -> None:
+    """Simulate thousands of drives within their tolerances, and say how many an observer is good
+    for.
+
+    Writes a dataset (a row per scenario and observer), report.html, and the worst scenarios with
+    their records. A run that was stopped or killed goes on where it was. Exit code 1: a limit of
+    the specification is missed. Needs the extra "design" (JAX); "cluster" for Dask.
+
+    Example: fluxobs campaign product.toml --out product
+    """
+    from ...campaigns import campaign as run
+    from ...campaigns import open_dataset
+
+    if rerun is not None:
+        if not what.is_dir():
+            raise UsageError("--rerun: give the folder of the campaign")
+        _again(open_dataset(what), rerun, observer, report, record, force)
+        return
+    for name, given in (("--observer", observer), ("--report", report), ("--record", record)):
+        if given is not None:
+            raise UsageError(f"{name} is for --rerun NUMBER")
+    if what.is_dir():
+        if out is not None:
+            raise UsageError(f"--out: {what} is the folder of the results already")
+        specification, out = open_dataset(what).specification, what
+    elif out is None:
+        raise UsageError("--out FOLDER is missing: where the results go")
+    else:
+        from ...campaigns import read_specification
+
+        specification = read_specification(what)
+    with show.Progress() as progress:
+        found = run(specification, out, workers=workers, scheduler=scheduler, progress=progress)
+    raise typer.Exit(_show(found))
+
+
+def _show(found: Dataset) -> int:
+    """Print and write the report; returns the exit code."""
+    from ...campaigns import report, statistics
+
+    rows = found.rows()
+    table, sentences = report.text(found, rows)
+    show.echo(report.headline(found))
+    show.table(table)
+    for sentence in sentences:
+        show.echo(sentence)
+    verdicts = statistics.verdicts(found.specification, rows)
+    for verdict in verdicts:
+        show.echo(f"Limit {verdict}.")
+    typer.echo(f"Written: {report.write_html(found, rows)}")
+    return 0 if all(verdict.met for verdict in verdicts) else MISSED
+
+
+def _again(
+    found: Dataset,
+    number: int,
+    observer: str | None,
+    report: Path | None,
+    record: Path | None,
+    force: bool,
+) -> None:
+    from ...campaigns.rerun import rerun, write_record
+    from ...output import check_new
+
+    if report is not None:
+        from ...web import built
+
+        check_new(report, (".html",), force, "--report")
+        built("report.html")
+    if record is not None:
+        check_new(record, (".parquet",), force, "--record")
+    one = rerun(found.specification, [number], observer)[0]
+    width = max(len(name) for name in one.row)
+    for name, value in one.row.items():
+        if value is not None:
+            typer.echo(
+                f"{name:{width}}  {value:.6g}"
+                if isinstance(value, float)
+                else f"{name:{width}}  {value}"
+            )
+    if record is not None:
+        write_record(one, record)
+        typer.echo(f"Written: {record}")
+    if report is not None:
+        result = one.estimate()
+        show.echo(result.summary)
+        result.write(report)
+        typer.echo(f"Written: {report}")
