@@ -11,7 +11,7 @@ ROOT = Path(fluxobs.__file__).parent
 #: From the ground up. A room may import those before it; rooms of one line do not know each other.
 LAYERS = (
     ("errors", "validation"),
-    ("output", "plots", "html", "web"),
+    ("output", "plots", "html", "web", "engine"),
     ("model",),
     ("machines",),
     ("logs",),
@@ -20,7 +20,7 @@ LAYERS = (
     ("checking",),
     ("synthetic", "estimation", "design"),
     ("identification", "deployment", "comparison", "live"),
-    ("examination",),
+    ("examination", "campaigns"),
     ("paper",),
     ("cli",),
 )
@@ -64,4 +64,4 @@ def test_jax_is_behind_a_wall():
     for path in FILES:
         here = path.relative_to(ROOT).parts[0].removesuffix(".py")
         if "design" in imports(path):
-            assert here in ("design", "comparison", "paper"), path
+            assert here in ("design", "comparison", "campaigns", "paper"), path

@@ -45,7 +45,8 @@ def complaints(error: ValidationError, fields: Iterable[str], what: str) -> str:
             case "greater_than":
                 out.append(f"{name} must be positive, got {given}")
             case "value_error":
-                out.append(problem["msg"].removeprefix("Value error, "))
+                message = problem["msg"].removeprefix("Value error, ")
+                out.append(f"{name}: {message}" if "." in name else message)
             case _:
                 message = problem["msg"][0].lower() + problem["msg"][1:]
                 out.append(f"{name}: {message}, got {given!r}")

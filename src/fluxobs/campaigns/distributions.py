@@ -104,7 +104,7 @@ class Distribution(BaseModel):
         listed = self.choice or self.grid
         if listed is not None:
             at = np.minimum((u * len(listed)).astype(int), len(listed) - 1)
-            return np.asarray(listed, float)[at]
+            return np.asarray(np.asarray(listed, float)[at])
         z = self._standard(u)
         if self.normal is not None:
             return self.normal[0] + self.normal[1] * z

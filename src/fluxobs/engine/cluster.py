@@ -50,12 +50,9 @@ def in_cluster(
             client.wait_for_workers(1, timeout=PATIENCE)
         except (OSError, TimeoutError) as error:
             raise FluxobsError(f"{address}: no scheduler with workers there: {error}") from None
-        coming, under_way, done = (
-            iter(tasks),
-            {},
-            as_completed(loop=client.loop, with_results=True, raise_errors=False),
-        )
-
+        coming = iter(tasks)
+        under_way: dict[str, Task] = {}
+        done = as_completed(loop=client.loop, with_results=True, raise_errors=False)
         asked, known = 0.0, workers
 
         def there() -> int:

@@ -1,0 +1,36 @@
+"""Work for the tests of the engine; other processes import it."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+from fluxobs.errors import FluxobsError
+
+
+def square(k: int) -> int:
+    return k * k
+
+
+def refuse_seven(k: int) -> int:
+    if k == 7:
+        raise FluxobsError("no room for 7")
+    return k
+
+
+def die_once(folder: str, k: int) -> int:
+    mark = Path(folder) / "died"
+    if k == 3 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return k
+
+
+def die(k: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return k
+
+
+def environment(names: tuple[str, ...]) -> list[str]:
+    return [os.environ.get(name, "") for name in names]
