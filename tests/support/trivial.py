@@ -1,6 +1,6 @@
 """A campaign whose scenarios cost nothing: for tests of what is around the simulation.
 
-    python -m support.trivial FOLDER SCENARIOS SCHEDULER WORKERS
+python -m support.trivial FOLDER SCENARIOS SCHEDULER WORKERS
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ def main() -> None:
     try:
         app(args=spread(sys.argv[1:]), prog_name="fluxobs")
     except Stopped as end:
-        typer.echo(f"Stopped by Ctrl-C{end.where}; no file was written or changed.", err=True)
+        typer.echo(f"Stopped by Ctrl-C{end.where}; {end.left}.", err=True)
         raise
     except FluxobsError as error:
         typer.echo(f"Error: {error}", err=True)

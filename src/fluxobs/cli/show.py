@@ -57,16 +57,23 @@ def interactive() -> bool:
 class Stopped(SystemExit):
     """Ctrl-C; the exit code is that of shells, 128 and the number of the signal."""
 
-    def __init__(self, where: str = "") -> None:
+    def __init__(self, where: str = "", left: str = "no file was written or changed") -> None:
         super().__init__(130)
-        self.where = where
+        self.where, self.left = where, left
 
 
 class Progress:
-    """A bar on standard error, once a run has taken a second."""
+    """A bar on standard error, once a run has taken a second.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    left : str, optional
+        What Ctrl-C leaves behind, in words.
+    """
+
+    def __init__(self, left: str | None = None) -> None:
         self.started = time.monotonic()
+        self.left = left
         self.bar: Any = None
         self.done = self.total = 0
 
@@ -97,4 +104,4 @@ class Progress:
             self.bar.stop()
         if kind is not None and issubclass(kind, Stopped):
             at = f" at {self.done / self.total:.0%}" if self.total else ""
-            raise Stopped(at) from None
+            raise (Stopped(at, self.left) if self.left else Stopped(at)) from None

@@ -73,5 +73,17 @@ def in_pool(
                         f"{task}: its worker died {TRIES} times, as one does that has no memory "
                         f"left; take fewer workers"
                     ) from None
+        except BaseException:
+            _end(pool)
+            raise
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _end(pool: ProcessPoolExecutor) -> None:
+    """End its workers at once: whoever stops a run does not wait for what they do."""
+    if hasattr(pool, "kill_workers"):  # from Python 3.14 on
+        pool.kill_workers()
+        return
+    for process in list((pool._processes or {}).values()):
+        process.kill()

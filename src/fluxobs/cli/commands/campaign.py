@@ -85,7 +85,7 @@ def campaign(
         from ...campaigns import read_specification
 
         specification = read_specification(what)
-    with show.Progress() as progress:
+    with show.Progress("what is done is kept, the same command goes on") as progress:
         found = run(specification, out, workers=workers, scheduler=scheduler, progress=progress)
     raise typer.Exit(_show(found))
 

@@ -1,0 +1,160 @@
+"""`fluxobs campaign`: from a specification to a report, and one scenario again."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from support.cli import fluxobs
+
+SPECIFICATION = """
+name = "trial"
+machines = ["servo-400w"]
+scenarios = 24
+observers = ["plain", "adaptive"]
+
+[course]
+duration = 0.4
+score_from = 0.1
+speeds = [0.3, 1.0]
+ramp = 0.1
+stops = 0.0
+
+[vary]
+R = { normal = [1.0, 0.1] }
+noise = 0.003
+
+[good]
+rms = 2.0
+
+[[limits]]
+good = 0.5
+observer = "adaptive"
+"""
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign that met its limit."""
+    folder = tmp_path_factory.mktemp("campaign")
+    (folder / "trial.toml").write_text(SPECIFICATION)
+    run = fluxobs(
+        *("campaign", folder / "trial.toml", "--out", folder / "out"),
+        *("--workers", "1", "--scheduler", "pool"),
+        folder=folder,
+    )
+    assert run.returncode == 0, run.stderr
+    assert "24 scenarios of 0.4 s, 1 machine; every observer on the record" in run.stdout
+    assert re.search(r"adaptive .*\d+\.\d % \(\d+\.\d to \d+\.\d %\)", run.stdout)
+    assert "Limit met: adaptive on servo-400w" in run.stdout
+    return folder
+
+
+def test_what_is_written(done):
+    out = done / "out"
+    rows = pl.read_parquet(out / "rows" / "*.parquet")
+    assert len(rows) == 48
+    assert rows["failed"].null_count() == 48
+    page = (out / "report.html").read_text()
+    assert "Campaign: trial" in page
+    assert "Passed" in page
+    assert page.count("data:image/png") >= 2
+    for link in re.findall(r'href="([^"]+)"', page):
+        assert (out / link).exists()
+    assert len(list((out / "worst").glob("*.parquet"))) == 20
+    times = (out / "times.csv").read_text().splitlines()
+    assert sum(int(line.split(",")[1]) - int(line.split(",")[0]) for line in times) == 24
+
+
+def test_what_is_done_is_not_done_again(done):
+    out = done / "out"
+    before = {path: path.stat().st_mtime_ns for path in (out / "rows").iterdir()}
+    run = fluxobs("campaign", out, folder=done)
+    assert run.returncode == 0, run.stderr
+    assert {path: path.stat().st_mtime_ns for path in (out / "rows").iterdir()} == before
+
+
+def test_a_missed_limit_is_exit_code_1(done):
+    from fluxobs.campaigns import open_dataset
+    from fluxobs.cli.commands.campaign import MISSED, _show
+
+    found = open_dataset(done / "out")
+    hard = [found.specification.limits[0].model_copy(update={"good": 1.0, "observer": "plain"})]
+    found.specification.limits[:] = hard
+    rows = found.rows().with_columns(rms=pl.lit(1.0))
+    for path in (found.folder / "rows").iterdir():
+        saved = path.read_bytes()
+        rows.write_parquet(path)
+        assert _show(found) == MISSED
+        path.write_bytes(saved)
+
+
+def test_a_scenario_again(done, tmp_path):
+    out = done / "out"
+    run = fluxobs(
+        *("campaign", out, "--rerun", "17", "--observer", "adaptive"),
+        *("--report", tmp_path / "r.html", "--record", tmp_path / "r.parquet"),
+        folder=tmp_path,
+    )
+    assert run.returncode == 0, run.stderr
+    rows = pl.read_parquet(out / "rows" / "*.parquet")
+    row = rows.filter((pl.col("number") == 17) & (pl.col("observer") == "adaptive"))
+    assert re.search(rf"^rms +{row['rms'][0]:.6g}$", run.stdout, re.MULTILINE)
+    assert "<html" in (tmp_path / "r.html").read_text()[:1000]
+    again = fluxobs(
+        *("estimate", tmp_path / "r.parquet", "--machine", "servo-400w"),
+        *("--truth", "theta_e=theta_e"),
+        folder=tmp_path,
+    )
+    assert again.returncode == 0, again.stderr
+    assert "Against the true angle" in again.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["campaign", "{folder}/trial.toml"], "--out FOLDER is missing"),
+        (["campaign", "{folder}/trial.toml", "--rerun", "3"], "give the folder of the campaign"),
+        (["campaign", "{folder}/out", "--rerun", "24"], "no scenario 24: they are 0 to 23"),
+        (["campaign", "{folder}/out", "--rerun", "2", "--observer", "ekf"], "plain, adaptive"),
+        (["campaign", "{folder}/out", "--report", "r.html"], "--report is for --rerun NUMBER"),
+        (["campaign", "{folder}/out", "--out", "x"], "is the folder of the results already"),
+        (["campaign", "{folder}"], "holds no campaign"),
+        (["campaign", "{folder}/other.toml", "--out", "{folder}/out"], "its name, seed differ"),
+        (["campaign", "{folder}/other.toml", "--out", "{folder}"], "is not empty"),
+        (["campaign", "{folder}/ekf.toml", "--out", "{folder}/n"], "servo-400w has no 'ekf'"),
+    ],
+)
+def test_mistakes(done, arguments, words):
+    (done / "other.toml").write_text(SPECIFICATION.replace('name = "trial"', "seed = 5"))
+    (done / "ekf.toml").write_text(SPECIFICATION.replace('"adaptive"', '"ekf"'))
+    run = fluxobs(*(one.format(folder=done) for one in arguments), folder=done)
+    assert run.returncode == 2
+    assert words in run.stderr
+
+
+def test_ctrl_c_keeps_what_is_done(tmp_path):
+    (tmp_path / "s.toml").write_text(SPECIFICATION.replace("24", "24000"))
+    command = [sys.executable, "-m", "fluxobs", "campaign", tmp_path / "s.toml"]
+    running = subprocess.Popen(
+        [*command, "--out", tmp_path / "o", "--scheduler", "pool", "--workers", "1"],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    end = time.monotonic() + 120
+    while not list(tmp_path.glob("o/rows/*.parquet")) and time.monotonic() < end:
+        time.sleep(0.1)
+    running.send_signal(signal.SIGINT)
+    asked = time.monotonic()
+    _, told = running.communicate(timeout=30)
+    assert running.returncode == 130
+    assert "the same command goes on" in told
+    assert time.monotonic() - asked < 5
+    assert list(tmp_path.glob("o/rows/*.parquet"))
