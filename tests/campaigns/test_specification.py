@@ -87,7 +87,7 @@ def test_what_is_wrong_is_named(given, words):
 
 
 def test_what_only_machines_can_tell():
-    with pytest.raises(UsageError, match="servo-400w .surface-pmsm. has no L_d; it has R_s, L_s"):
+    with pytest.raises(UsageError, match=r"servo-400w .surface-pmsm. has no L_d; it has R_s, L_s"):
         check(specification(vary={"L_d": {"uniform": [0.9, 1.1]}}))
 
 

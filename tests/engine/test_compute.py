@@ -10,10 +10,10 @@ from pathlib import Path
 
 import polars as pl
 import pytest
-from support import tasks
 
 from fluxobs.engine import compute, locked, write_part
 from fluxobs.errors import FluxobsError, UsageError
+from support import tasks
 
 SCHEDULERS = ["pool", "local"]
 

@@ -9,14 +9,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import polars as pl
 import pytest
-from support.trivial import SIZE, drive, specification
 
 from fluxobs.campaigns.dataset import ROWS, Dataset
+from support.trivial import SIZE, drive, specification
 
 TESTS = Path(__file__).parents[1]
 SCENARIOS = 20_000
@@ -51,10 +51,8 @@ def children(pid: int) -> list[int]:
 
 
 def kill(pid: int) -> None:
-    try:
+    with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
-    except ProcessLookupError:
-        pass
 
 
 def reference(folder: Path) -> pl.DataFrame:
@@ -131,10 +129,8 @@ def cluster(port: int) -> Iterator[tuple[subprocess.Popen[bytes], list[subproces
         yield scheduler, workers
     finally:
         for one in (scheduler, *workers):
-            try:
+            with suppress(ProcessLookupError):
                 os.killpg(one.pid, signal.SIGKILL)
-            except ProcessLookupError:
-                pass
             one.wait()
 
 

@@ -16,6 +16,9 @@ from .compute import AHEAD, TRIES
 
 Task = TypeVar("Task")
 
+#: Seconds after which the driver looks up from waiting. Another thread may have got its Ctrl-C.
+AWAKE = 0.5
+
 
 def _started() -> None:
     """A worker leaves Ctrl-C to the driver, and ends with it: a killed driver tells nobody."""
@@ -60,7 +63,7 @@ def in_pool(
                         raise
                 if not under_way:
                     break
-                for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+                for future in wait(under_way, AWAKE, FIRST_COMPLETED).done:
                     task, tried = under_way[future]
                     result = future.result()  # a broken pool leaves the task under way
                     del under_way[future]
