@@ -42,7 +42,7 @@ def in_cluster(
         stack.enter_context(dask.config.set(settings))
         if address is None:
             cluster = LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None
+                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0"
             )
             address = stack.enter_context(cluster).scheduler_address
         try:
