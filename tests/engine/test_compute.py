@@ -126,3 +126,8 @@ def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
     assert run.returncode == 1
     assert "a.parquet: cannot be written" in run.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_task_that_is_given_up_stops_no_other(scheduler: str) -> None:
+    found = dict(compute(range(8), tasks.die_at_three, 2, scheduler, lambda task: "lost"))
+    assert found == {k: "lost" if k == 3 else k for k in range(8)}

@@ -34,3 +34,7 @@ def die(k: int) -> int:
 
 def environment(names: tuple[str, ...]) -> list[str]:
     return [os.environ.get(name, "") for name in names]
+
+
+def die_at_three(k: int) -> int:
+    return die(k) if k == 3 else k

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from typing import Any, TypeVar
 
 from ..errors import FluxobsError
-from .compute import AHEAD, TRIES
+from .compute import AHEAD, TRIES, Lost
 
 Task = TypeVar("Task")
 
@@ -20,7 +20,11 @@ FRESH = 2.0
 
 
 def in_cluster(
-    tasks: Iterable[Task], work: Callable[[Task], Any], workers: int, address: str | None
+    tasks: Iterable[Task],
+    work: Callable[[Task], Any],
+    workers: int,
+    address: str | None,
+    lost: Lost,
 ) -> Iterator[tuple[Task, Any]]:
     """See :func:`compute`; without an address a cluster of one thread per process is started."""
     try:
@@ -77,12 +81,11 @@ def in_cluster(
                 task = under_way.pop(future.key)
                 if future.status == "error":
                     problem = result[1] if isinstance(result, tuple) else future.exception()
-                    if isinstance(problem, KilledWorker):
-                        raise FluxobsError(
-                            f"{task}: its worker died {TRIES} times, as one does that has no "
-                            f"memory left; take fewer workers, or larger ones"
-                        )
-                    raise problem
+                    if not isinstance(problem, KilledWorker):
+                        raise problem
+                    yield task, lost(task)
+                    hand_out()
+                    continue
                 if future.status != "finished":
                     raise FluxobsError(
                         f"{address}: the scheduler was lost; the same command resumes"

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
-from ..errors import UsageError
+from ..errors import FluxobsError, UsageError
 from .environment import for_workers
 
 Task = TypeVar("Task")
@@ -17,6 +17,8 @@ LOCAL, POOL = "local", "pool"
 AHEAD = 2
 #: How often a task is tried whose worker dies.
 TRIES = 5
+#: What to return for a task that is given up.
+Lost = Callable[[Any], Any]
 
 
 def processors() -> int:
@@ -29,6 +31,7 @@ def compute(
     work: Callable[[Task], Any],
     workers: int | None = None,
     scheduler: str = LOCAL,
+    lost: Lost | None = None,
 ) -> Iterator[tuple[Task, Any]]:
     """Do tasks in other processes; yields each with its result, in the order in which they end.
 
@@ -42,6 +45,8 @@ def compute(
         Processes on this machine; default one per processor.
     scheduler : str
         "local", "pool", or the address of a Dask scheduler (``tcp://host:8786``).
+    lost : callable, optional
+        Result of a task whose worker died five times; default, the run ends there.
 
     Raises
     ------
@@ -58,12 +63,20 @@ def compute(
         if scheduler == POOL or (scheduler == LOCAL and not _dask()):
             from .pool import in_pool
 
-            yield from in_pool(tasks, work, workers or processors())
+            yield from in_pool(tasks, work, workers or processors(), lost or give_up)
         else:
             from .cluster import in_cluster
 
             address = None if scheduler == LOCAL else scheduler
-            yield from in_cluster(tasks, work, workers or processors(), address)
+            yield from in_cluster(tasks, work, workers or processors(), address, lost or give_up)
+
+
+def give_up(task: Any) -> Any:
+    """End the run at a task that always kills its worker."""
+    raise FluxobsError(
+        f"{task}: its worker died {TRIES} times, as one does that has no memory left; take fewer "
+        f"workers"
+    )
 
 
 def _dask() -> bool:

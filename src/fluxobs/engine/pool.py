@@ -11,8 +11,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
 
-from ..errors import FluxobsError
-from .compute import AHEAD, TRIES
+from .compute import AHEAD, TRIES, Lost
 
 Task = TypeVar("Task")
 
@@ -34,9 +33,13 @@ def _started() -> None:
 
 
 def in_pool(
-    tasks: Iterable[Task], work: Callable[[Task], Any], workers: int
+    tasks: Iterable[Task], work: Callable[[Task], Any], workers: int, lost: Lost
 ) -> Iterator[tuple[Task, Any]]:
-    """See :func:`compute`."""
+    """See :func:`compute`.
+
+    A death does not tell whose task it was: all that were under way are done again, one at a time,
+    so that one that always kills its worker kills no others.
+    """
     coming = iter(tasks)
     again: list[tuple[Task, int]] = []  # with how often each was tried
     ended = False
@@ -47,7 +50,8 @@ def in_pool(
         under_way: dict[Future[Any], tuple[Task, int]] = {}
         try:
             while True:
-                while len(under_way) < AHEAD * workers and (again or not ended):
+                room = 1 if again else AHEAD * workers
+                while len(under_way) < room and (again or not ended):
                     if again:
                         task, tried = again.pop()
                     else:
@@ -61,26 +65,25 @@ def in_pool(
                     except BrokenProcessPool:
                         again.append((task, tried))
                         raise
+                    if tried:
+                        break
                 if not under_way:
                     break
                 for future in wait(under_way, AWAKE, FIRST_COMPLETED).done:
-                    task, tried = under_way[future]
                     result = future.result()  # a broken pool leaves the task under way
-                    del under_way[future]
+                    task, _ = under_way.pop(future)
                     yield task, result
         except BrokenProcessPool:
             again += [(task, tried + 1) for task, tried in under_way.values()]
-            for task, tried in again:
-                if tried >= TRIES:
-                    raise FluxobsError(
-                        f"{task}: its worker died {TRIES} times, as one does that has no memory "
-                        f"left; take fewer workers"
-                    ) from None
         except BaseException:
             _end(pool)
             raise
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+        given_up = [task for task, tried in again if tried >= TRIES]
+        again = [(task, tried) for task, tried in again if tried < TRIES]
+        for task in given_up:
+            yield task, lost(task)
 
 
 def _end(pool: ProcessPoolExecutor) -> None:
