@@ -20,7 +20,7 @@ LAYERS = (
     ("checking",),
     ("synthetic", "estimation", "design"),
     ("identification", "deployment", "comparison", "live"),
-    ("examination", "campaigns"),
+    ("examination", "campaigns", "fleets"),
     ("paper",),
     ("cli",),
 )

@@ -41,6 +41,22 @@ SaveRecordOption = Annotated[
     Path | None,
     typer.Option(help="Record file to write, .toml: how the log was read, guesses included."),
 ]
+DriveOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Of many: regular expression that finds the drive in a log's path; default its folder."
+    ),
+]
+WorkersOption = Annotated[
+    int | None, typer.Option(min=1, help="Processes; default one per processor.")
+]
+SchedulerOption = Annotated[
+    str,
+    typer.Option(
+        help="local: Dask on this machine if it is installed, else a pool of processes; pool; or "
+        "the address of a Dask scheduler, tcp://host:8786."
+    ),
+]
 PriorOption = Annotated[
     Pairs,
     typer.Option(

@@ -9,7 +9,7 @@ import typer
 
 from ...errors import UsageError
 from .. import show
-from ..options import ForceOption
+from ..options import ForceOption, SchedulerOption, WorkersOption
 
 if TYPE_CHECKING:
     from ...campaigns import Dataset
@@ -31,16 +31,8 @@ def campaign(
         Path | None,
         typer.Option(help="Folder of the results; what is there already is not done again."),
     ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes; default one per processor.")
-    ] = None,
-    scheduler: Annotated[
-        str,
-        typer.Option(
-            help="local: Dask on this machine if it is installed, else a pool of processes; pool; "
-            "or the address of a Dask scheduler, tcp://host:8786."
-        ),
-    ] = "local",
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = "local",
     rerun: Annotated[
         int | None, typer.Option(min=0, help="Number of a scenario to simulate again, alone.")
     ] = None,

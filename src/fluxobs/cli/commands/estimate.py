@@ -12,15 +12,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .. import show
+from ..many_logs import are_many, many, refuse
 from ..options import (
+    DriveOption,
     ForceOption,
     JsonOption,
-    LogArgument,
     MachineOption,
     PriorOption,
     QuietOption,
     ReportOption,
     SaveRecordOption,
+    SchedulerOption,
+    WorkersOption,
     numbers,
     reads_logs,
     refuse_input_as_output,
@@ -36,13 +39,22 @@ NEVER_VALID = 3
 
 @reads_logs()
 def estimate(
-    log: LogArgument,
+    logs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="LOG…",
+            help="Text as instruments write it (CSV, TXT, LVM, …, also .gz), Parquet, Arrow, npz, "
+            "npy, JSON, HDF5, MAT, MDF4, TDMS, ULog, Excel. `fluxobs channels LOG` shows what it "
+            'holds. Many: files, patterns, folders, s3://…, gs://…, http(s)://… (extra "cloud").',
+        ),
+    ],
     machine: MachineOption,
     layout: dict[str, Any],
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Where the estimates go, .parquet or .csv. Without it only the summary is printed."
+            help="Where the estimates go, .parquet or .csv. Without it only the summary is "
+            "printed. Of many logs: a folder, with a table of all."
         ),
     ] = None,
     report: ReportOption = None,
@@ -88,11 +100,18 @@ def estimate(
             "shows only the estimates, and does not recompute.",
         ),
     ] = False,
+    drive: DriveOption = None,
+    retry: Annotated[
+        str | None,
+        typer.Option(help="Of many: do `failed` ones again, or `all`, although nothing changed."),
+    ] = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = "local",
     force: ForceOption = False,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Estimate flux, position, speed and drift of a recorded log.
+    """Estimate flux, position, speed and drift of a recorded log, or of many.
 
     Prints a summary. With --out it writes one row per sample, in SI units and electrical radians:
     t, flux_alpha, flux_beta, psi_f, theta_e (directly from the flux), theta_e_tracked, speed_e,
@@ -104,8 +123,34 @@ def estimate(
     are in question. For a maglev-2dof, or with a current bias, it writes flux, position or theta_e,
     drift and current_bias with their standard deviations, noise_share and valid.
 
+    Of many logs each gets a file of estimates and a row in summary.parquet and summary.csv; one
+    that cannot be estimated is a row that says why, and exit code 1. What is done is not done again
+    while content, machine and settings stay. `{drive}` in --machine stands for a drive's name.
+    `fluxobs fleet DIR` follows the parameters over time.
+
     Example: fluxobs estimate LOG.csv --machine motor.toml --out estimates.parquet --lag -1
     """
+    given = {
+        "--report": report,
+        "--save-machine": save_machine,
+        "--save-record": save_record,
+        "--no-data": no_data or None,
+        "--join": layout.get("join"),
+    }
+    only_many = {"--drive": drive, "--retry": retry, "--workers": workers}
+    if are_many(logs, out):
+        refuse(given, "one log")
+        options = layout | {"unknowns": unknowns, "causal": causal, "memory": memory}
+        options |= {"priors": numbers("prior", prior)}
+        code = many(
+            *(logs, machine, out, drive, retry or "none", workers, scheduler),
+            options=options,
+            quiet=quiet,
+            as_json=as_json,
+        )
+        raise typer.Exit(code)
+    refuse(only_many, "many logs")
+    log = Path(logs[0])
     from ... import estimate as run
     from ...logs.written import write_record
     from ...output import check_new

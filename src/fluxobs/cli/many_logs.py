@@ -1,0 +1,122 @@
+"""Commands that take many logs: which are many, and what is printed of them."""
+
+from __future__ import annotations
+
+import glob
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import typer
+
+from ..errors import UsageError
+from . import show
+
+if TYPE_CHECKING:
+    from ..fleets import Fleet
+
+#: Exit code if some of many logs could not be estimated.
+SOME_FAILED = 1
+#: Rows that are printed.
+SHOWN = 20
+
+
+def are_many(logs: Sequence[str], out: Path | None) -> bool:
+    """Whether these are many logs, or one that is to be treated as one of many."""
+    if len(logs) > 1 or (out is not None and out.is_dir() and (out / "fleet.json").exists()):
+        return True
+    one = logs[0]
+    if "://" in one or Path(one).is_dir():
+        return True
+    return not Path(one).exists() and glob.has_magic(one)
+
+
+def refuse(options: Mapping[str, Any], purpose: str) -> None:
+    """Raise UsageError if one of these options is given."""
+    for name, value in options.items():
+        if value is not None:
+            raise UsageError(f"{name} is for {purpose}")
+
+
+def many(
+    logs: Sequence[str],
+    machine: Path,
+    out: Path | None,
+    drive: str | None,
+    retry: str,
+    workers: int | None,
+    scheduler: str,
+    *,
+    options: dict[str, Any],
+    quiet: bool,
+    as_json: bool,
+) -> int:
+    """Estimate many logs and print what came of it; returns the exit code."""
+    from ..fleets import estimate_many
+
+    if out is None:
+        raise UsageError("--out FOLDER is missing: where the results of many logs go")
+    if out.suffix in (".parquet", ".csv"):
+        raise UsageError(f"--out {out}: of many logs it is a folder")
+    chosen: Any = retry
+    asked: Literal["none", "failed", "all"] = chosen
+    with show.Progress("what is done is kept, the same command goes on") as progress:
+        fleet = estimate_many(
+            *(logs, machine, out),
+            drive=drive,
+            retry=asked,
+            workers=workers,
+            scheduler=scheduler,
+            progress=progress,
+            **{name: value for name, value in options.items() if value is not None},
+        )
+    failed = fleet.failed
+    if as_json:
+        facts = {"logs": len(fleet.table), "failed": failed["log"].to_list(), "out": str(out)}
+        typer.echo(json.dumps(facts, indent=1, ensure_ascii=False))
+    else:
+        _show(fleet, quiet)
+    return SOME_FAILED if len(failed) else 0
+
+
+def _show(fleet: Fleet, quiet: bool) -> None:
+    from rich.table import Table
+
+    from ..estimation.summary import si
+
+    failed = fleet.failed
+    good = len(fleet.table) - len(failed)
+    if not quiet:
+        drawn = Table(box=None, pad_edge=False)
+        for k, title in enumerate(("log", "rows", "valid", "R_s", "psi_f", "V_d", "error rms", "")):
+            drawn.add_column(title, justify="left" if k in (0, 7) else "right", overflow="fold")
+        for row in fleet.table.head(SHOWN).iter_rows(named=True):
+
+            def value(name: str, unit: str, row: dict[str, Any] = row) -> str:
+                if row[name] is None:
+                    return "–"
+                return f"{si(row[name], unit)} ± {si(row[f'{name}_std'], unit)}"
+
+            words = "failed" if row["failed"] else "look at it" if row["mistakes"] else ""
+            error = row["error_rms"]
+            drawn.add_row(
+                row["log"].replace("[", "\\["),
+                "–" if row["rows"] is None else str(row["rows"]),
+                "–" if row["valid"] is None else f"{row['valid']:.1%}",
+                value("resistance", "Ω"),
+                value("psi_f", "Wb"),
+                value("inverter_voltage", "V"),
+                "–" if error is None else f"{57.29577951308232 * error:.2f}°",
+                words,
+            )
+        show.table(drawn)
+        if len(fleet.table) > SHOWN:
+            show.echo(f"… and {len(fleet.table) - SHOWN} more.")
+        show.echo(f"{good} of {len(fleet.table)} logs estimated.")
+    for row in failed.head(SHOWN).iter_rows(named=True):
+        typer.echo(f"Failed: {row['failed']}", err=True)
+    if len(failed) > SHOWN:
+        typer.echo(f"… and {len(failed) - SHOWN} more that failed: summary.csv", err=True)
+    if not quiet:
+        typer.echo(f"Written: {fleet.folder}/summary.parquet, summary.csv, estimates/")

@@ -1,0 +1,270 @@
+"""Many logs: every one to its file and row, nothing done twice, nothing stopped by a bad one."""
+
+from __future__ import annotations
+
+import functools
+import http.server
+import json
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+import fluxobs
+from fluxobs.errors import FluxobsError, UsageError
+from fluxobs.fleets import estimate_many, one, open_fleet
+from fluxobs.fleets.one import COLUMNS, Settings, Work
+from fluxobs.fleets.sources import Source, sources
+from fluxobs.machines.files import example_text
+from fluxobs.synthetic.demo import LOG
+from support.cli import fluxobs as command
+
+HALF = 2500
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    """Two drives with a log each, and one that is none."""
+    folder = tmp_path / "logs"
+    lines = LOG.read_text().splitlines(keepends=True)
+    for name in ("a/run_2024-05-01.csv", "b/run_2024-06-02_1330.csv"):
+        place = folder / name
+        place.parent.mkdir(parents=True)
+        place.write_text("".join(lines[: HALF + 1]))
+    (folder / "b" / "bad.csv").write_text("x,y\n1,2\n3,4\n")
+    (folder / "b" / "notes.md").write_text("no log")
+    return folder
+
+
+def run(logs: Path, out: Path, machine: str = "servo-400w", **options) -> pl.DataFrame:
+    return estimate_many([logs], machine, out, workers=1, scheduler="pool", **options).table
+
+
+def stamps(out: Path) -> dict[str, int]:
+    return {
+        path.relative_to(out).as_posix(): path.stat().st_mtime_ns
+        for path in (out / "estimates").rglob("*.parquet")
+    }
+
+
+def test_every_log_gets_what_it_would_get_alone(logs, tmp_path):
+    table = run(logs, tmp_path / "out")
+    assert table["log"].to_list() == ["a/run_2024-05-01.csv", "b/bad.csv", table["log"][2]]
+    assert table["drive"].to_list() == ["a", "b", "b"]
+    assert table["time"][0] == datetime(2024, 5, 1, tzinfo=UTC)
+    assert table["time"][2] == datetime(2024, 6, 2, 13, 30, tzinfo=UTC)
+    alone = fluxobs.estimate(logs / "a" / "run_2024-05-01.csv", "servo-400w")
+    estimates = tmp_path / "out" / "estimates" / "a" / "run_2024-05-01.csv.parquet"
+    assert pl.read_parquet(estimates).equals(alone.estimates)
+    row = table.row(0, named=True)
+    assert row["rows"] == HALF
+    assert row["error_rms"] == alone.facts["error"]["rms"]
+    assert row["resistance"] == alone.facts["parameters"]["resistance"]["value"]
+    assert row["failed"] is None
+    assert "currents and voltages are not found" in table["failed"][1]
+    saved = pl.read_parquet(tmp_path / "out" / "summary.parquet")
+    assert saved.equals(table)
+    assert open_fleet(tmp_path / "out").table.equals(table)
+    assert (tmp_path / "out" / "summary.csv").read_text().count("\n") >= 4
+
+
+def test_what_is_done_is_done_again_only_if_something_changed(logs, tmp_path):
+    out, machine = tmp_path / "out", tmp_path / "motor.toml"
+    machine.write_text(example_text("servo-400w"))
+    options = {"machine": str(machine)}
+    table = run(logs, out, **options)
+    first = stamps(out)
+    assert run(logs, out, **options).equals(table)
+    assert stamps(out) == first
+    (logs / "a" / "run_2024-05-01.csv").touch()  # the same content, written again
+    assert run(logs, out, **options).equals(table)
+    assert stamps(out) == first
+    log = logs / "a" / "run_2024-05-01.csv"
+    log.write_text("".join(log.read_text().splitlines(keepends=True)[:2000]))
+    assert run(logs, out, **options)["rows"].to_list() == [1999, None, HALF]
+    second = stamps(out)
+    assert [name for name in first if first[name] != second[name]] == [
+        "estimates/a/run_2024-05-01.csv.parquet"
+    ]
+    run(logs, out, **options, memory=0.05)  # other settings
+    third = stamps(out)
+    assert not set(third.values()) & set(second.values())
+    machine.write_text(example_text("servo-400w").replace("R_s = 0.3", "R_s = 0.31"))
+    run(logs, out, **options, memory=0.05)
+    assert not set(stamps(out).values()) & set(third.values())
+
+
+def test_failed_ones_are_retried_if_asked(logs, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    run(logs, out)
+    note = out / "logs" / "b" / "bad.csv.json"
+    before = note.stat().st_mtime_ns
+    run(logs, out)
+    assert note.stat().st_mtime_ns == before
+    run(logs, out, retry="failed")
+    assert note.stat().st_mtime_ns > before
+    shutil.copy(logs / "a" / "run_2024-05-01.csv", logs / "b" / "bad.csv")  # mended
+    assert run(logs, out)["failed"].null_count() == 3
+
+
+def test_logs_of_earlier_runs_stay_in_the_table(logs, tmp_path):
+    out = tmp_path / "out"
+    run(logs, out)
+    table = estimate_many(
+        [logs / "a" / "*.csv"], "servo-400w", out, workers=1, scheduler="pool"
+    ).table
+    assert len(table) == 3
+    assert table["drive"].to_list() == ["a", "b", "b"]
+
+
+def work(tmp_path: Path) -> Work:
+    return Work(str(tmp_path / "out"), Settings("servo-400w", "{}"))
+
+
+def test_a_log_that_changes_meanwhile_is_a_row_that_says_so(logs, tmp_path, monkeypatch):
+    log = logs / "a" / "run_2024-05-01.csv"
+    real = one.estimate
+
+    def slow(place: Path, *given, **options):
+        result = real(place, *given, **options)
+        with log.open("a") as file:
+            file.write("0,0,0,0,0,0\n")
+        return result
+
+    monkeypatch.setattr(one, "estimate", slow)
+    row = work(tmp_path)(Source(str(log), "a/run.csv", "a"))
+    assert "changed while it was read" in row["failed"]
+    assert not (tmp_path / "out" / "estimates" / "a" / "run.csv.parquet").exists()
+
+
+def test_an_error_of_the_program_is_a_row_too(logs, tmp_path, monkeypatch):
+    def broken(*given, **options):
+        raise ZeroDivisionError("division by zero")
+
+    monkeypatch.setattr(one, "estimate", broken)
+    row = work(tmp_path)(Source(str(logs / "a" / "run_2024-05-01.csv"), "a/run.csv", "a"))
+    assert row["failed"].endswith("ZeroDivisionError: division by zero")
+
+
+def test_a_missing_log_is_a_row(tmp_path):
+    (tmp_path / "out").mkdir()
+    row = work(tmp_path)(Source(str(tmp_path / "gone.csv"), "gone.csv", ""))
+    assert row["failed"].endswith("gone.csv: no such file")
+    assert set(row) == set(COLUMNS)
+
+
+def test_a_full_disk_is_a_row(logs, tmp_path):
+    program = (
+        "import resource, signal, sys, json\n"
+        "from fluxobs.fleets.one import Settings, Work\n"
+        "from fluxobs.fleets.sources import Source\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (30000, 30000))\n"
+        "row = Work(sys.argv[1], Settings('servo-400w', '{}'))(Source(sys.argv[2], 'a.csv', ''))\n"
+        "print(json.dumps(row['failed']))\n"
+    )
+    (tmp_path / "out").mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", program, tmp_path / "out", logs / "a" / "run_2024-05-01.csv"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "cannot be written" in json.loads(done.stdout)
+    assert not list((tmp_path / "out" / "estimates").rglob("*.parquet"))
+
+
+def test_drive_and_time_from_the_name(logs):
+    found = sources([logs], r"logs/(\w)/")
+    assert [one.drive for one in found] == ["a", "b", "b"]
+    for name, wanted in (
+        ("20240517_143005.csv", datetime(2024, 5, 17, 14, 30, 5, tzinfo=UTC)),
+        ("unit7/2023/x-2024-12-31.mf4", datetime(2024, 12, 31, tzinfo=UTC)),
+        ("2024-01-02T03-04-05.csv", datetime(2024, 1, 2, 3, 4, 5, tzinfo=UTC)),
+    ):
+        assert Source("x", name, "").time() == wanted
+    assert Source("gone", "serial-123456789.csv", "").time() is None
+
+
+def test_nothing_meant(logs, tmp_path):
+    with pytest.raises(FluxobsError, match="no logs there"):
+        sources([logs / "c*.csv"])
+    with pytest.raises(UsageError, match="no regular expression"):
+        sources([logs], "(")
+    with pytest.raises(UsageError, match="finds no drive"):
+        sources([logs], "unit")
+    with pytest.raises(FluxobsError, match="is not empty and holds no such results"):
+        run(logs, logs)
+    with pytest.raises(FluxobsError, match="holds no summary"):
+        open_fleet(tmp_path)
+    with pytest.raises(FluxobsError, match="no such machine file"):
+        run(logs, tmp_path / "out", machine="servo-401w")
+    with pytest.raises(FluxobsError, match="nosuch"):
+        sources(["nosuch://bucket/x.csv"])
+
+
+def test_machines_by_drive(logs, tmp_path):
+    for drive in ("a", "b"):
+        shutil.copy(logs / "a" / "run_2024-05-01.csv", logs / "b" / "bad.csv")
+        (tmp_path / f"motor-{drive}.toml").write_text(example_text("servo-400w"))
+    (tmp_path / "motor-b.toml").unlink()
+    table = run(logs, tmp_path / "out", machine=str(tmp_path / "motor-{drive}.toml"))
+    assert table["failed"][0] is None
+    assert "motor-b.toml: no such machine file" in table["failed"][1]
+
+
+def test_logs_of_a_web_server(logs, tmp_path):
+    pytest.importorskip("aiohttp")
+    handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=str(logs))
+    handler.log_message = lambda *given: None  # type: ignore[attr-defined]
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        address = f"http://127.0.0.1:{server.server_address[1]}"
+        table = estimate_many(
+            [f"{address}/a/run_2024-05-01.csv", f"{address}/a/gone.csv"],
+            *("servo-400w", tmp_path / "out"),
+            workers=1,
+            scheduler="pool",
+        ).table
+        server.shutdown()
+    by_name = {row["log"]: row for row in table.iter_rows(named=True)}
+    assert by_name["run_2024-05-01.csv"]["rows"] == HALF
+    assert "cannot be fetched" in by_name["gone.csv"]["failed"]
+
+
+def test_the_command(logs, tmp_path):
+    pool = ("--scheduler", "pool", "--workers", "1")
+    done = command(
+        *("estimate", "logs", "--machine", "servo-400w", "--out", "o", *pool), folder=tmp_path
+    )
+    assert done.returncode == 1
+    assert "2 of 3 logs estimated" in done.stdout
+    assert "Failed: " in done.stderr
+    done = command(
+        *("estimate", "logs/a/*.csv", "--machine", "servo-400w", "--out", "o", *pool, "--json"),
+        folder=tmp_path,
+    )
+    assert json.loads(done.stdout)["logs"] == 3
+    for arguments, words in (
+        (["logs"], "--out FOLDER is missing"),
+        (["logs", "--out", "x.parquet"], "of many logs it is a folder"),
+        (["logs", "--out", "p", "--report", "r.html"], "--report is for one log"),
+        (["logs/a/run_2024-05-01.csv", "--retry", "failed"], "--retry is for many logs"),
+        (["logs", "--out", "p", "--retry", "some"], "none, failed or all"),
+    ):
+        done = command("estimate", *arguments, "--machine", "servo-400w", folder=tmp_path)
+        assert done.returncode == 2
+        assert words in done.stderr
+
+
+def test_time_is_not_spent_on_what_is_done(logs, tmp_path):
+    run(logs, tmp_path / "out")
+    started = time.perf_counter()
+    run(logs, tmp_path / "out")
+    assert time.perf_counter() - started < 1.0  # no process is started
