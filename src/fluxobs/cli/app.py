@@ -20,6 +20,7 @@ from .commands.compare import compare
 from .commands.demo import demo
 from .commands.estimate import estimate
 from .commands.export import export
+from .commands.fleet import fleet
 from .commands.identify import identify
 from .commands.live import live
 from .commands.machine import app as machine
@@ -41,8 +42,9 @@ Flux, rotor position, speed and sensor drift from a drive's currents and voltage
 
     fluxobs estimate LOG.csv --machine motor.toml --out estimates.parquet --report report.png
 
-`fluxobs COMMAND --help` has the options. Exit codes: 0 done, 1 `check` found a mistake or
-`campaign` missed a limit, 2 unusable input, 3 the position is never valid.
+`fluxobs COMMAND --help` has the options. Exit codes: 0 done, 1 `check` found a mistake,
+`campaign` or `fleet` a limit that is missed, one of many logs failed, 2 unusable input, 3 the
+position is never valid.
 """
 
 app = typer.Typer(
@@ -70,7 +72,7 @@ def _options(
 
 
 COMMANDS = (
-    *(estimate, check, channels, identify, compare, campaign, export),
+    *(estimate, check, channels, identify, fleet, compare, campaign, export),
     *(live, page, machines, presets, demo, reproduce),
 )
 for command in COMMANDS:
