@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,6 +70,9 @@ KNEE = (0.0, 1.0)
 #: No curve of a loss is quite the model: this share of the rest that grows with the current,
 #: i (1 - |i| / I) / I, is considered, as the adaptive observer does (docs/theory.md, section 13).
 CURVE_SHARE = 0.15
+#: Pieces of several logs that are fitted together, and of each at least: the fit takes some ten
+#: seconds and 150 megabytes then.
+POOLED, LEAST_EACH = 200, 2
 #: Order in which parameters are held if they cannot be told apart.
 HELD_FIRST = ("lag", "L_d", "L_q", "L_s", "L_M", "R_R", "inverter", "R_s", "psi_f")
 #: Parameters of a cage, which only changes of its flux tell; a piece for them lasts this long [s],
@@ -199,16 +202,36 @@ def identify(
 
 def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identification:
     """Identify from a log that is open, with names of free parameters that are checked."""
+    return identify_logs([log], machine, free)
+
+
+def identify_logs(
+    logs: Sequence[Log], machine: RotatingMachine, free: Sequence[str]
+) -> Identification:
+    """Identify one machine from logs that are open: from pieces of all of them.
+
+    Raises
+    ------
+    FluxobsError
+        Their lags differ, one of them has no usable piece, or together they do not tell any of the
+        free parameters.
+    """
+    log = logs[0]
+    if len({one.layout.lag for one in logs}) > 1:
+        raise FluxobsError("logs that are identified together need one lag: --lag")
+    more = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
+    source, where = f"{log.path.name}{more}", f"{log.path}{more}"
     lags = LAGS if "lag" in free else (0,)
     rotor = any(name in ROTOR for name in free)
     slip: tuple[float, float] | None = None
-    if "R_R" in free and log.truth is not None and log.truth[0] == "speed_mech":
-        slip, rotor = resistance_from_speed(log, machine), False
+    with_speed = [one for one in logs if one.truth is not None and one.truth[0] == "speed_mech"]
+    if "R_R" in free and with_speed:
+        slip, rotor = _weighted([resistance_from_speed(one, machine) for one in with_speed]), False
         free = tuple(name for name in free if name != "L_M")
     if rotor:  # a change of the flux tells both, or neither
         free = (*(name for name in free if name not in ROTOR), *ROTOR)
     seconds = MAP_SECONDS if MAP in free else ROTOR_SECONDS if rotor else SECONDS
-    data, scales = pieces(log, machine, lags, seconds, moving=rotor)
+    data, scales = _gathered(logs, machine, lags, seconds, rotor)
     given, relation, prior = starting_values(machine, data), _relation(machine), {}
     names, held = _expanded(free, machine), _held(machine, scales)
     if slip is not None:
@@ -219,12 +242,14 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
         untold = _standing_flux(data)
         names = tuple(name for name in names if name not in untold)
         if not names:
-            raise FluxobsError(_told_nothing(log, free, untold))
+            raise FluxobsError(_told_nothing(where, free, untold))
     if MAP in free:
         relation = Saturating(_first_model(machine, given))
         prior = _saturation_prior(relation.model, data)
         given |= {name: getattr(relation.model, name) for name in SATURATION}
     if rotor and not untold:
+        if len({one.sample_time for one in logs}) > 1:
+            raise FluxobsError(f"logs that tell {' and '.join(ROTOR)} need one sample time")
         relation = Cage(log.sample_time)
         held |= {name: INDUCTANCE_SHARE * given[name] for name in ROTOR}
     elif relation is not linear:
@@ -254,7 +279,7 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
         gone = (*untold, *(UNCERTAIN if "inverter" in untold else ()))
         names = tuple(name for name in names if name not in gone)
         if not names:
-            raise FluxobsError(_told_nothing(log, free, untold))
+            raise FluxobsError(_told_nothing(where, free, untold))
     told = found_map(relation, after) if isinstance(relation, Saturating) else None
     internal = {name: INTERNAL.get(name, name) for name in free if name != MAP}
     if slip is not None:
@@ -288,8 +313,8 @@ def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Ide
         after,
         data,
         smoothing,
-        len(log),
-        log.path.name,
+        sum(map(len, logs)),
+        source,
         told,
     )
 
@@ -436,9 +461,36 @@ def _unseen_inductances(found: Fit, data: Sequence[Piece]) -> dict[str, str]:
     return {name: why for name in ("L_s", "L_d") if name in found.free}
 
 
-def _told_nothing(log: Log, free: Sequence[str], untold: Mapping[str, str]) -> str:
+def _gathered(
+    logs: Sequence[Log],
+    machine: RotatingMachine,
+    lags: tuple[int, ...],
+    seconds: float,
+    rotor: bool,
+) -> tuple[list[Piece], Scales]:
+    """Pieces of all logs, evenly spread over each if they are many; the largest of their scales."""
+    most = max(POOLED // len(logs), LEAST_EACH)
+    data: list[Piece] = []
+    sizes = []
+    for log in logs:
+        found, scales = pieces(log, machine, lags, seconds, moving=rotor)
+        sizes.append(astuple(scales))
+        if len(logs) > 1 and len(found) > most:
+            found = [found[k] for k in np.linspace(0, len(found) - 1, most).round().astype(int)]
+        data += found
+    return data, Scales(*(max(values) for values in zip(*sizes, strict=True)))
+
+
+def _weighted(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Mean of values with standard deviations, and its own."""
+    weights = [1 / std**2 for _, std in values]
+    mean = sum(w * value for w, (value, _) in zip(weights, values, strict=True)) / sum(weights)
+    return mean, sum(weights) ** -0.5
+
+
+def _told_nothing(where: str, free: Sequence[str], untold: Mapping[str, str]) -> str:
     reasons = "; ".join(f"{name}: {why}" for name, why in untold.items())
-    return f"{log.path}: this log tells none of {', '.join(free)} ({reasons}). {ADVICE}."
+    return f"{where}: this log tells none of {', '.join(free)} ({reasons}). {ADVICE}."
 
 
 def _standing_flux(data: Sequence[Piece]) -> dict[str, str]:

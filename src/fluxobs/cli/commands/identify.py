@@ -8,13 +8,16 @@ from typing import Annotated, Any
 
 import typer
 
+from ...errors import UsageError
 from .. import show
+from ..many_logs import are_many
 from ..options import (
     ForceOption,
     JsonOption,
-    LogArgument,
     MachineOption,
     QuietOption,
+    SchedulerOption,
+    WorkersOption,
     reads_logs,
     refuse_input_as_output,
 )
@@ -22,7 +25,14 @@ from ..options import (
 
 @reads_logs()
 def identify(
-    log: LogArgument,
+    logs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="LOG…",
+            help="A log, as `fluxobs estimate` reads it; or many of one machine: files, patterns, "
+            "folders.",
+        ),
+    ],
     machine: MachineOption,
     out: Annotated[Path, typer.Option(help="Machine file to write, .toml.")],
     layout: dict[str, Any],
@@ -38,16 +48,21 @@ def identify(
     report: Annotated[
         Path | None, typer.Option(help="Picture of the residual, and of a map: .png, .pdf, .svg.")
     ] = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = "local",
     force: ForceOption = False,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Fit the machine's parameters and the inverter's error to a whole log.
+    """Fit the machine's parameters and the inverter's error to a whole log, or to many.
 
     Prints each parameter with its standard deviation, and says which ones the log cannot tell:
     they are held as given. `fluxobs estimate` reads the machine file written here, and subtracts
     the inverter's error (inverter_voltage) from the commanded voltages. A lag is not part of the
     file. If the log tells nothing, nothing is written (exit code 2).
+
+    Of many logs pieces are fitted together; each is fitted alone too, and those that disagree are
+    named, with what it may be: heat, ageing, another motor.
 
     Example: fluxobs identify LOG.csv --machine motor.toml --out found.toml --report fit.png
     """
@@ -55,25 +70,55 @@ def identify(
     from ...machines.written import check_machine_file
     from ...output import check_new
 
-    refuse_input_as_output(out, log, layout.get("record"))
+    paths = _paths(logs)
+    for path in paths:
+        refuse_input_as_output(out, path, layout.get("record"))
     check_machine_file(out, force)
     if report is not None:
         from ...plots import REPORTS, check_path
 
         check_path(report)
         check_new(report, REPORTS, force, "--report")
-    with show.Progress():
-        found = run(log, machine, free=free, **layout)
+    with show.Progress() as progress:
+        if len(paths) > 1:
+            from ...identification.pooled import identify_many
+
+            several = identify_many(
+                paths,
+                machine,
+                free=free,
+                workers=workers,
+                scheduler=scheduler,
+                progress=progress,
+                **layout,
+            )
+            facts, lines, found = several.facts, several.lines(), several.together
+        else:
+            found = run(paths[0], machine, free=free, **layout)
+            facts, lines = found.facts, found.lines()
         found.write(out, force=force)
         if report is not None:
             found.write(report)
     if as_json:
-        typer.echo(json.dumps(found.facts | {"written": str(out)}, indent=1, ensure_ascii=False))
+        typer.echo(json.dumps(facts | {"written": str(out)}, indent=1, ensure_ascii=False))
         return
     if quiet:
         return
-    for line in found.lines():
+    for line in lines:
         show.echo(line)
-    for path in (out, report):
-        if path is not None:
-            typer.echo(f"Written: {path}")
+    for place in (out, report):
+        if place is not None:
+            typer.echo(f"Written: {place}")
+
+
+def _paths(logs: list[str]) -> list[Path]:
+    """The files that are meant."""
+    if not are_many(logs, None):
+        return [Path(logs[0])]
+    from ...fleets.sources import sources
+
+    found = sources(logs)
+    for one in found:
+        if one.remote:
+            raise UsageError(f"{one}: identify takes files of this machine; fetch it first")
+    return [Path(one.address) for one in found]

@@ -1,0 +1,93 @@
+"""One machine from many logs, and the log that disagrees."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import polars as pl
+import pytest
+
+from fluxobs import FluxobsError, read_machine
+from fluxobs.identification.pooled import identify_many
+from fluxobs.machines.written import machine_text
+from support.cli import fluxobs
+from support.records import COURSE_TIME, PMSM, course, driven, log_columns, profile
+
+R_S, PSI_F = 1.1 * PMSM.R_s, 0.97 * PMSM.psi_f
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Six logs of one machine, one of them hot; a steady one; one of another motor; one of none."""
+    place = tmp_path_factory.mktemp("pooled")
+
+    def write(name, samples):
+        pl.DataFrame(log_columns(samples)).write_parquet(place / f"{name}.parquet")
+
+    for k in range(6):
+        R = R_S * (1.2 if k == 5 else 1 + 0.004 * (k - 2))
+        bias = 0.3 * np.exp(1j * k)
+        write(f"day{k}", course(R_s=R, psi_f=PSI_F, inverter=4.0, voltage_bias=bias, seed=k))
+    speed = profile((0, 236), (1.5, 236))
+    flat = np.full(len(speed), 4j)
+    write("steady", driven(PMSM, COURSE_TIME, speed, flat, R_s=R_S, psi_f=PSI_F, noise=0.02))
+    write("other", course(R_s=R_S, psi_f=0.8 * PMSM.psi_f, inverter=4.0))
+    write("still", driven(PMSM, COURSE_TIME, 0 * speed, flat, R_s=R_S, noise=0.02))
+    return place
+
+
+def together(folder, *names, **options):
+    paths = [folder / f"{name}.parquet" for name in names]
+    return identify_many(paths, PMSM, workers=1, scheduler="pool", **options)
+
+
+def test_the_machine_of_all_and_the_logs_that_disagree(folder):
+    names = [f"day{k}" for k in range(6)]
+    found = together(folder, *names, "steady", "other", "still")
+    values = {one.name: one for one in found.together.parameters}
+    assert values["R_s"].value == pytest.approx(1.03 * R_S, rel=0.05)  # the hot one is in it
+    assert {one.log for one in found.disagreeing} == {"day5.parquet", "other.parquet"}
+    hot, other = found.disagreeing
+    assert set(hot.apart) == {"R_s"}
+    assert hot.apart["R_s"][0] == pytest.approx(0.2 * R_S, rel=0.15)
+    assert "as copper +5" in hot.words or "as copper +4" in hot.words
+    assert "psi_f" in other.apart
+    assert "another motor" in other.words
+    still = found.alone[-1]
+    assert "still.parquet" in still.words
+    assert still.failed
+
+
+def test_logs_that_agree_are_within_what_they_say(folder):
+    found = together(folder, "day1", "day2", "day3")
+    assert "3 logs agree" in found.lines()
+    values = {one.name: one for one in found.together.parameters}
+    for name, true in (("R_s", R_S), ("psi_f", PSI_F), ("inverter", 4.0)):
+        assert abs(values[name].value - true) < 4 * values[name].std + 0.005 * true
+        assert values[name].std < 0.05 * true
+
+
+def test_no_log_of_any_use(folder):
+    with pytest.raises(FluxobsError, match="none of 2 logs tells anything"):
+        together(folder, "still", "still")
+
+
+def test_the_command(folder, tmp_path):
+    machine = tmp_path / "motor.toml"
+    machine.write_text(machine_text(PMSM, ["A motor."], {}))
+    done = fluxobs(
+        *("identify", folder / "day*.parquet", "--machine", machine, "--out", "found.toml"),
+        *("--workers", "1", "--scheduler", "pool"),
+        folder=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Unlike the others: day5.parquet: R_s = " in done.stdout
+    assert read_machine(tmp_path / "found.toml").R_s == pytest.approx(1.03 * R_S, rel=0.05)
+    done = fluxobs(
+        *("identify", folder / "day1.parquet", folder / "day2.parquet", "--machine", machine),
+        *("--out", "two.toml", "--json", "--scheduler", "pool"),
+        folder=tmp_path,
+    )
+    facts = json.loads(done.stdout)
+    assert [one["log"] for one in facts["logs"]] == ["day1.parquet", "day2.parquet"]
