@@ -21,9 +21,6 @@ from .observed import Candidate
 
 Array = jax.Array
 
-#: Observers that do not judge themselves are trusted above this share of the speed up to which the
-#: start turns the current: half of it leaves their phase-locked loops time to lock.
-TRUSTED = 0.5
 #: The adaptive observer takes over at this standard deviation [rad]. Its own holds the errors of R
 #: and inverter, which at the speed of the start are several degrees; the plain one's does not, so
 #: that a small one is asked of it.
@@ -104,7 +101,7 @@ class Unjudged(eqx.Module):
 
     def step(self, state: Any, voltage: Array, current: Array) -> tuple[Any, Seen]:
         state, out = self.observer.step(state, voltage, current)
-        trusted = out.valid & (jnp.abs(out.speed_e) > self.least)
+        trusted = jnp.abs(out.speed_e) > self.least
         zero = jnp.zeros(())
         return state, Seen(out.theta_e_tracked, out.speed_e, self.psi_f, zero, trusted)
 
@@ -124,7 +121,7 @@ def in_loop(one: Candidate, cell: Cell) -> Iterator[Callable[[Drive], Drive]]:
         observer: Any = Outside(real("sample_time", cell.rated.sample_time))
     else:
         psi = real("psi_f", cell.machine.flux_base(cell.current))
-        observer = Unjudged(one.observer, psi, TRUSTED * sensorless.speed)
+        observer = Unjudged(one.observer, psi, real("trusted", one.trusted))
     _HOST.observer = one.observer if one.compiled else None
     try:
         yield lambda drive: replace(

@@ -24,6 +24,9 @@ from .specification import ADAPTIVE, PLAIN, ObserverTable
 
 Array = NDArray[np.float64]
 
+#: Observers that do not judge themselves are trusted above this share of the rated speed, as
+#: firmware does: half of the speed to which a start usually turns the current.
+TRUSTED = 0.05
 #: Current noise that observers assume, as a share of the rated current, if nothing tells it: that
 #: of the plain observer.
 NOISE = 0.002
@@ -60,11 +63,14 @@ class Candidate:
     believed : RotatingMachine
     observer
         A compiled observer, or one that steps in JAX.
+    trusted : float
+        Electrical speed above which one that does not judge itself is trusted [rad/s].
     """
 
     table: ObserverTable
     believed: RotatingMachine
     observer: Any
+    trusted: float
 
     @property
     def compiled(self) -> bool:
@@ -90,7 +96,8 @@ def candidate(table: ObserverTable, cell: Cell, noise: float) -> Candidate:
         No such observer for this machine, or a gain that it does not have.
     """
     believed = believed_machine(cell.machine, table.machine)
-    return Candidate(table, believed, _built(table, believed, cell, noise))
+    built = _built(table, believed, cell, noise)
+    return Candidate(table, believed, built, TRUSTED * cell.rated.speed_e)
 
 
 def _built(table: ObserverTable, believed: RotatingMachine, cell: Cell, noise: float) -> Any:
@@ -179,8 +186,8 @@ def observe(
     """
     if not one.compiled:
         outputs = _stepped(one.observer, np.nan_to_num(voltage), current)
-        for theta, speed, valid in zip(*map(np.asarray, outputs), strict=True):
-            yield Found(theta, speed, valid, None, {})
+        for theta, speed in zip(*map(np.asarray, outputs), strict=True):
+            yield Found(theta, speed, np.abs(speed) > one.trusted, None, {})
         return
     for u, i, parameters in zip(voltage, current, true, strict=True):  # all at once: a gigabyte
         found = one.observer.run(u, i)
@@ -193,7 +200,7 @@ def _stepped(observer: Any, voltage: Array, current: Array) -> Any:
     def lane(voltage: Any, current: Any) -> Any:
         def body(state: Any, row: Any) -> Any:
             state, out = observer.step(state, *row)
-            return state, (out.theta_e, out.speed_e, out.valid)
+            return state, (out.theta_e, out.speed_e)
 
         return jax.lax.scan(body, observer.init(), (voltage, current))[1]
 

@@ -130,7 +130,8 @@ class ObserverTable(_Table):
     unknowns : list of str
         Of the adaptive one: drift, resistance, inverter, asymmetry.
     gains : mapping, optional
-        Of the others; default their usual ones.
+        Of the others; default their usual ones. They do not judge themselves: their position counts
+        as valid above 5 % of the rated speed.
     machine : mapping
         Factors on what this observer believes: R, L, psi.
     """
