@@ -32,16 +32,19 @@ class Scenario:
         Every quantity that is not neutral, by name.
     seed : int
         Of the campaign.
+    like : int, optional
+        The scenario whose course and noise it has; default its own.
     """
 
     number: int
     machine: str
     values: dict[str, float]
     seed: int
+    like: int | None = None
 
     def generator(self, stream: int) -> np.random.Generator:
         """Random numbers of one kind, the same wherever and whenever they are drawn."""
-        return generator(self.seed, self.number, stream)
+        return generator(self.seed, self.number if self.like is None else self.like, stream)
 
 
 def generator(seed: int, number: int, stream: int) -> np.random.Generator:
@@ -57,10 +60,10 @@ def total(specification: Specification) -> int:
 def scenarios(specification: Specification, first: int, last: int) -> list[Scenario]:
     """Scenarios `first` to `last`, exclusive, all of one machine."""
     machine = specification.machines[first // specification.scenarios]
-    points = _points(specification, first, last)
+    cube = points(specification, first, last)
     return [
         Scenario(number, machine, at_point(specification, point, number), specification.seed)
-        for number, point in zip(range(first, last), points, strict=True)
+        for number, point in zip(range(first, last), cube, strict=True)
     ]
 
 
@@ -79,7 +82,7 @@ def at_point(specification: Specification, point: Array, number: int = 0) -> dic
     }
 
 
-def _points(specification: Specification, first: int, last: int) -> Array:
+def points(specification: Specification, first: int, last: int) -> Array:
     """Points of the open unit cube, (scenarios, varied)."""
     varied = len(specification.varied)
     if not varied:

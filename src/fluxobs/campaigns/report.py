@@ -25,7 +25,8 @@ REPORT = "report.html"
 MATTER = 3
 
 
-def _degrees(value: float | None) -> str:
+def degrees(value: float | None) -> str:
+    """An angle in degrees."""
     return "–" if value is None else f"{np.degrees(value):.2f}°"
 
 
@@ -62,9 +63,9 @@ def summary_rows(found: Dataset, rows: pl.DataFrame) -> tuple[tuple[str, ...], l
                 _name(machine),
                 table.name,
                 str(statistics.yield_of(mine, s.good)),
-                _degrees(rms.median()),  # type: ignore[arg-type]
-                _degrees(rms.quantile(0.99, "higher")),
-                _degrees(mine["worst"].max()),  # type: ignore[arg-type]
+                degrees(rms.median()),  # type: ignore[arg-type]
+                degrees(rms.quantile(0.99, "higher")),
+                degrees(mine["worst"].max()),  # type: ignore[arg-type]
                 _percent(mine["valid"].mean()),  # type: ignore[arg-type]
             ]
             if closed:
@@ -163,7 +164,7 @@ def text(found: Dataset, rows: pl.DataFrame) -> tuple[Any, list[str]]:
         if len(first):
             row = first.row(0, named=True)
             sentences.append(
-                f"Worst valid row of {table_.name}: {_degrees(row['worst'])} in scenario "
+                f"Worst valid row of {table_.name}: {degrees(row['worst'])} in scenario "
                 f"{row['number']}; `{_again(found, row['number'], table_.name)}` shows it."
             )
     return table, sentences
@@ -245,8 +246,8 @@ def _worst(found: Dataset, rows: pl.DataFrame, observer: str) -> str:
         cells = [
             link,
             escape(_name(row["machine"])),
-            _degrees(row["worst"]),
-            _degrees(row["rms"]),
+            degrees(row["worst"]),
+            degrees(row["rms"]),
             _percent(row["valid"]),
             *(f"{row[name]:.4g}" for name in varied),
         ]

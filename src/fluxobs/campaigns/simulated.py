@@ -16,7 +16,7 @@ from ..design.drive import Course, Drive, Trace
 from ..design.drive.simulate import check, simulate_lanes, substeps
 from ..errors import FluxobsError
 from .courses import most_knots
-from .draws import NOISE, Scenario, generator
+from .draws import NOISE, Scenario
 from .drives import drive_of
 from .specification import Specification
 
@@ -130,7 +130,7 @@ def _batch(
     filled = members + members[:1] * (lanes - len(members))
     noise = np.empty((lanes, rows, 3))
     for k, (scenario, _, _) in enumerate(members):
-        generator(scenario.seed, scenario.number, NOISE).standard_normal(out=noise[k])
+        scenario.generator(NOISE).standard_normal(out=noise[k])
     noise[len(members) :] = noise[0]
     finite, trace = simulate_lanes([(d, c) for _, d, c in filled], noise, steps, keep, knots)
     for k, (scenario, drive, _) in enumerate(members):

@@ -37,8 +37,21 @@ def campaign(
         int | None, typer.Option(min=0, help="Number of a scenario to simulate again, alone.")
     ] = None,
     observer: Annotated[
-        str | None, typer.Option(help="Observer of the rerun; default the first.")
+        str | None, typer.Option(help="Observer of rerun or search; default the first.")
     ] = None,
+    search: Annotated[
+        str | None,
+        typer.Option(
+            metavar="worst|failures",
+            help="worst: look for the tolerances that break --observer (CMA-ES), from the worst "
+            "scenario so far. failures: how rare a scenario is that is not good (importance "
+            "sampling).",
+        ),
+    ] = None,
+    machine: Annotated[
+        str | None, typer.Option(help="Machine of the search; default the first.")
+    ] = None,
+    budget: Annotated[int, typer.Option(min=64, help="Scenarios of the search.")] = 1024,
     report: Annotated[
         Path | None, typer.Option(help="Interactive report of the rerun, .html.")
     ] = None,
@@ -64,9 +77,19 @@ def campaign(
             raise UsageError("--rerun: give the folder of the campaign")
         _again(open_dataset(what), rerun, observer, report, record, force)
         return
-    for name, given in (("--observer", observer), ("--report", report), ("--record", record)):
+    if search is not None:
+        if not what.is_dir():
+            raise UsageError("--search: give the folder of the campaign")
+        _search(open_dataset(what), search, machine, observer, budget)
+        return
+    for name, given, purpose in (
+        ("--observer", observer, "--rerun NUMBER or --search"),
+        ("--machine", machine, "--search"),
+        ("--report", report, "--rerun NUMBER"),
+        ("--record", record, "--rerun NUMBER"),
+    ):
         if given is not None:
-            raise UsageError(f"{name} is for --rerun NUMBER")
+            raise UsageError(f"{name} is for {purpose}")
     if what.is_dir():
         if out is not None:
             raise UsageError(f"--out: {what} is the folder of the results already")
@@ -134,3 +157,33 @@ def _again(
         show.echo(result.summary)
         result.write(report)
         typer.echo(f"Written: {report}")
+
+
+def _search(
+    found: Dataset, search: str, machine: str | None, observer: str | None, budget: int
+) -> None:
+    from ...campaigns.report import degrees
+    from ...campaigns.search import estimate_rare, find_worst
+    from ...campaigns.statistics import in_words
+
+    if search not in ("worst", "failures"):
+        raise UsageError(f"--search {search}: worst or failures")
+    s = found.specification
+    machine, observer = machine or s.machines[0], observer or s.observers[0].name
+    with show.Progress("nothing was written") as progress:
+        if search == "failures":
+            rare = estimate_rare(s, machine, observer, budget=budget, progress=progress)
+            show.echo(
+                f"Probability that a scenario of {observer} on {machine} is not good "
+                f"({in_words(s.good)}): {rare}."
+            )
+            return
+        worst = find_worst(s, machine, observer, found.rows(), budget=budget, progress=progress)
+    row = worst.row
+    show.echo(
+        f"Worst of {worst.tried} scenarios of {observer} on {machine}: {degrees(row['worst'])} on "
+        f"a valid row, {degrees(row['rms'])} rms, with course and noise of scenario {worst.like}:"
+    )
+    width = max(len(name) for name in worst.values)
+    for name, value in worst.values.items():
+        typer.echo(f"  {name:{width}}  {value:.6g}")
