@@ -108,6 +108,36 @@ class Outputs(Markdown):
         return self.parsed(table.split("\n"))
 
 
+class Quantities(Markdown):
+    """The table of what can vary in a campaign."""
+
+    def run(self) -> list[nodes.Node]:
+        from fluxobs.campaigns.quantities import PARAMETERS, QUANTITIES
+
+        lines = ["| quantity | of a drive that is not varied | meaning |", "|---|---|---|"]
+        for name, one in QUANTITIES.items():
+            neutral = f"{one.neutral:g} {one.unit}".rstrip()
+            lines.append(f"| `{name}` | {neutral} | {one.about} |")
+        names = ", ".join(f"`{name}`" for name in PARAMETERS)
+        lines.append(f"| {names} | 1 | factor on this parameter of the machine file |")
+        return self.parsed(lines)
+
+
+class Measures(Markdown):
+    """The table of a campaign's columns."""
+
+    def run(self) -> list[nodes.Node]:
+        from fluxobs.campaigns.scores import LOOP_MEASURES, MEASURES
+
+        lines = ["| column | meaning |", "|---|---|"]
+        lines.append("| `number`, `machine`, `observer` | the scenario, and who observed |")
+        lines.append("| what varies | as drawn |")
+        lines += [f"| `{name}` | {about} |" for name, about in MEASURES.items()]
+        lines += [f"| `{name}` | in the loop: {about} |" for name, about in LOOP_MEASURES.items()]
+        lines.append("| `failed` | why it could not be simulated |")
+        return self.parsed(lines)
+
+
 class Options(Markdown):
     """A command of the program: its help, as the program itself says it."""
 
@@ -309,6 +339,8 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("run", Run)
     app.add_directive("outputs", Outputs)
     app.add_directive("options", Options)
+    app.add_directive("quantities", Quantities)
+    app.add_directive("measures", Measures)
     app.add_directive("api", Api)
     app.connect("autodoc-skip-member", _skip)
     app.connect("autodoc-process-docstring", _before, priority=100)

@@ -32,6 +32,7 @@ from .model.immersion import Immersion
 from .observers import AdaptiveObserver, Estimate, ImmersionObserver, LeastSquaresObserver
 
 if TYPE_CHECKING:
+    from .campaigns.campaign import campaign
     from .comparison.compare import compare
     from .deployment.export import export
     from .estimation.estimate import estimate
@@ -43,10 +44,11 @@ if TYPE_CHECKING:
 
 __version__ = version("fluxobs")
 
-#: Loaded on first use: these import the readers of files, and compare imports JAX.
+#: Loaded on first use: these import the readers of files, and compare and campaign import JAX.
 _LATER = {
     "Log": "logs",
     "Result": "estimation.result",
+    "campaign": "campaigns.campaign",
     "check": "examination.examine",
     "compare": "comparison.compare",
     "demo_log": "synthetic.demo",
@@ -77,6 +79,7 @@ __all__ = [
     "SurfacePMSM",
     "SynchronousReluctance",
     "UsageError",
+    "campaign",
     "check",
     "compare",
     "demo_log",
