@@ -173,6 +173,7 @@ def test_measures_are_those_of_a_brute_force_sum():
     assert row["valid"] == pytest.approx(len(mine) / 400)
     assert row["first_valid"] == pytest.approx(t[list(valid).index(True)])
     assert row["covered"] == pytest.approx(sum(e <= 0.1 for e in mine) / len(mine))
+    assert row["wrong"] == 0.0
     assert row["speed_rms"] == pytest.approx(2.0)
     assert row["psi_f_z"] == 1.5
     assert row["lost"] == 0.0
@@ -193,3 +194,15 @@ def test_no_valid_row_tells_nothing():
 def test_observers_assume_the_noise_of_the_specification():
     assert rows_module.noise_of(specification(vary={"noise": {"uniform": [0.0, 0.02]}})) == 0.01
     assert rows_module.noise_of(specification(vary={})) == 0.001
+
+
+def test_sure_and_wrong_is_beyond_five_deviations_and_ten_degrees():
+    nothing = np.zeros(100)
+    true = Kept(*(nothing,) * len(Kept._fields))
+    error, std = nothing.copy(), np.full(100, np.radians(1.0))
+    error[10:13] = np.radians(9.0)  # nine deviations, but small
+    error[20:25] = np.radians(11.0)
+    error[30:40], std[30:40] = np.radians(40.0), np.radians(9.0)  # less than five
+    found = Found(error, nothing, nothing == 0, std, {})
+    row = measures(1e-3 * np.arange(100), true, nothing, found, example("servo-400w"), 0.0)
+    assert row["wrong"] == 0.05

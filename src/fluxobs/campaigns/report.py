@@ -46,7 +46,10 @@ def headline(found: Dataset) -> str:
     )
 
 
-HEAD = ("machine", "observer", "good", "median rms", "99 % below", "worst valid", "valid")
+HEAD = (
+    *("machine", "observer", "good", "median rms", "99 % below", "worst valid", "valid"),
+    "sure and wrong",
+)
 LOOP_HEAD = ("in the loop", "losses", "never in it")
 
 
@@ -67,12 +70,19 @@ def summary_rows(found: Dataset, rows: pl.DataFrame) -> tuple[tuple[str, ...], l
                 degrees(rms.quantile(0.99, "higher")),
                 degrees(mine["worst"].max()),  # type: ignore[arg-type]
                 _percent(mine["valid"].mean()),  # type: ignore[arg-type]
+                _wrong(mine),
             ]
             if closed:
                 never = int(mine["handed_over"].is_null().sum())
                 line += [_percent(mine["in_loop"].mean()), str(mine["losses"].sum()), str(never)]  # type: ignore[arg-type]
             out.append(line)
     return HEAD + (LOOP_HEAD if closed else ()), out
+
+
+def _wrong(rows: pl.DataFrame) -> str:
+    """How many scenarios have a row that is sure and wrong; nothing of who tells no std."""
+    wrong = rows["wrong"].drop_nulls()
+    return str(int((wrong > 0).sum())) if len(wrong) else "–"
 
 
 def _name(machine: str) -> str:

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 #: A position within this many standard deviations counts as covered.
 COVERED = 2.0
+#: Sure and wrong: an error beyond so many standard deviations, and beyond so much [rad].
+WRONG_STDS, WRONG = 5.0, np.radians(10.0)
 #: Columns of a row, beyond number, machine, observer and what was drawn; units in brackets.
 MEASURES = {
     "rms": "rms position error on the scored valid rows [rad]",
@@ -30,6 +32,7 @@ MEASURES = {
     "settled": "time until the error first stays below 10° for 50 ms [s]",
     "lost": "share of the scored valid rows with an error above 60°",
     "covered": "share of the scored valid rows within two standard deviations",
+    "wrong": "share of them that are sure and wrong: beyond five standard deviations and 10°",
     "speed_rms": "rms error of the electrical speed on the scored valid rows [rad/s]",
     "resistance_z": "error of R at the end, in its standard deviations",
     "psi_f_z": "error of the magnet flux at the end, in its standard deviations",
@@ -82,7 +85,9 @@ def measures(
         "speed_rms": _rms(np.nan_to_num(found.speed_e)[rows] - true_speed[rows]),
     }
     if found.theta_e_std is not None:
-        out["covered"] = float(np.mean(off <= COVERED * found.theta_e_std[rows]))
+        std = found.theta_e_std[rows]
+        out["covered"] = float(np.mean(off <= COVERED * std))
+        out["wrong"] = float(np.mean((off > WRONG_STDS * std) & (off > WRONG)))
     return out
 
 
