@@ -8,6 +8,8 @@ import numpy as np
 
 from fluxobs.synthetic.demo import LOG
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
 MOTOR = """\
 kind = "surface-pmsm"
 R_s = 0.36
@@ -31,6 +33,8 @@ def write_samples(folder: Path) -> None:
     text = LOG.read_text(encoding="utf-8")
     (folder / "log.csv").write_text(text, encoding="utf-8")
     (folder / "motor.toml").write_text(MOTOR, encoding="utf-8")
+    campaign = (EXAMPLES / "campaigns" / "small.toml").read_text(encoding="utf-8")
+    (folder / "small.toml").write_text(campaign, encoding="utf-8")
     guess = MOTOR.replace("0.36", "0.45")
     (folder / "guess.toml").write_text(guess, encoding="utf-8")
     table = np.genfromtxt(text.splitlines(), delimiter=",", names=True)
