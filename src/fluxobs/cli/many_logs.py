@@ -56,9 +56,11 @@ def many(
     from ..fleets import estimate_many
 
     if out is None:
-        raise UsageError("--out FOLDER is missing: where the results of many logs go")
+        what = f"{logs[0]} is a folder: " if Path(logs[0]).is_dir() else ""
+        raise UsageError(f"{what}--out FOLDER is missing: where the results of many logs go")
     if out.suffix in (".parquet", ".csv"):
-        raise UsageError(f"--out {out}: of many logs it is a folder")
+        what = f"{logs[0]}: this is a folder, not a log; " if Path(logs[0]).is_dir() else ""
+        raise UsageError(f"{what}--out {out}: of many logs it is a folder")
     chosen: Any = retry
     asked: Literal["none", "failed", "all"] = chosen
     with show.Progress("what is done is kept, the same command goes on") as progress:

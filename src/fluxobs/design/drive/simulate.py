@@ -257,6 +257,7 @@ def simulate_batch(
         check(drive, course)
     steps = max(substeps(drive, course) for drive, course in pairs.values())
     both = list(zip(drives, courses, strict=True))
+    _check_alike(both)
     lanes, knots = len(drives), _knots(both)
     wanted = min(threads or len(os.sched_getaffinity(0)), lanes)
     edges = np.linspace(0, lanes, wanted + 1).astype(int)
@@ -322,25 +323,18 @@ def stack(items: Sequence[Any], knots: int = 0) -> Any:
     length, at least to `knots`."""
     longest: dict[Any, int] = {}
     items = list(items)
-
-    def is_profile(node: Any) -> bool:
-        return isinstance(node, Profile)
-
-    flat = [jax.tree.leaves(item, is_leaf=is_profile) for item in items]
-    if len({jax.tree.structure(item, is_leaf=is_profile) for item in items}) != 1:
-        raise ModelError(
-            "a batch needs drives with the same parts: observer, sensorless, elastic coupling, …"
-        )
+    flat = [jax.tree.leaves(item, is_leaf=_is_profile) for item in items]
+    _check_alike(items)
     for leaves in flat:
         for k, leaf in enumerate(leaves):
-            if is_profile(leaf):
+            if _is_profile(leaf):
                 longest[k] = max(longest.get(k, knots), len(leaf.times))
-    shapes = jax.tree.structure(items[0], is_leaf=is_profile)
+    shapes = jax.tree.structure(items[0], is_leaf=_is_profile)
     padded = [
         jax.tree.unflatten(
             shapes,
             [
-                _padded(leaf, longest[k]) if is_profile(leaf) else leaf
+                _padded(leaf, longest[k]) if _is_profile(leaf) else leaf
                 for k, leaf in enumerate(leaves)
             ],
         )
@@ -348,6 +342,18 @@ def stack(items: Sequence[Any], knots: int = 0) -> Any:
     ]
     # Stack with NumPy: hundreds of small JAX arrays would take longer than the simulation.
     return jax.tree.map(lambda *parts: np.stack([np.asarray(part) for part in parts]), *padded)
+
+
+def _is_profile(node: Any) -> bool:
+    return isinstance(node, Profile)
+
+
+def _check_alike(items: Sequence[Any]) -> None:
+    """Raise ModelError unless all pytrees have one structure."""
+    if len({jax.tree.structure(item, is_leaf=_is_profile) for item in items}) != 1:
+        raise ModelError(
+            "a batch needs drives with the same parts: observer, sensorless, elastic coupling, …"
+        )
 
 
 def _padded(profile: Profile, length: int) -> Profile:
