@@ -115,8 +115,8 @@ def main(quick: bool) -> None:
             f"    {loop}: {wall:.1f} s on {WORKERS} workers, {1e3 * worked / count:.0f} ms of "
             f"computing a scenario; start, files and waiting {idle:.0f} % of the workers' time"
         )
-    heading(f"Dask: one and two workers on {3 * count} scenarios, start included (target 1.8)")
-    walls = [run("open", "local", workers, 3 * count)[0] for workers in (1, 2)]
+    heading(f"Dask: one and two workers on {2 * count} scenarios, start included (target 1.8)")
+    walls = [run("open", "local", workers, 2 * count)[0] for workers in (1, 2)]
     print(f"    {walls[0]:.1f} s and {walls[1]:.1f} s: {walls[0] / walls[1]:.2f} times")
     heading("The driver at scenarios that cost nothing (target 50 µs each, constant memory)")
     for scenarios in (10_000, 100_000, 1_000_000):

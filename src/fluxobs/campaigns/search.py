@@ -32,6 +32,8 @@ STEP = 0.7
 #: Share of the nominal distribution in the mixture that looks for failures, so that no weight is
 #: above its inverse; share of the worst that the mixture moves to.
 DEFENSIVE, ELITE = 0.3, 0.1
+#: Effective number of failures below which the estimate and its interval mean little.
+FEW = 10
 #: Largest number of moves towards the failures.
 MOVES = 6
 
@@ -204,9 +206,10 @@ class Rare:
         low, high = self.interval
         if not self.failures:
             return f"no failure among {self.tried} scenarios"
+        few = "" if self.effective >= FEW else "; too few to rely on: a larger --budget helps"
         return (
             f"{self.probability:.2g} ({low:.2g} to {high:.2g}), from {self.failures} failures, "
-            f"worth {self.effective:.0f}, among {self.tried} scenarios"
+            f"worth {self.effective:.0f}, among {self.tried} scenarios{few}"
         )
 
 
