@@ -426,45 +426,61 @@ static void follow_rotor(const fo_observer *o, const fo_state *s, fo_real i_d, f
     }
 }
 
+/* The current as a rotor in this direction sees it. */
+static void seen_by(const fo_real direction[FO_N], const fo_real current[FO_N], fo_real i[FO_N])
+{
+    const fo_real back[FO_N] = {direction[0], -direction[1]};
+    turned_by(current, back, i);
+}
+
+void fo_ask_map(const fo_observer *o, fo_real angle, const fo_real current[FO_N], fo_shape *f)
+{
+    const fo_map *map = o->map;
+    const fo_real over = ONE / o->flux_base;
+    fo_real direction[FO_N], i[FO_N];
+    fo_mapped at;
+    fo_direction(angle, direction);
+    seen_by(direction, current, i);
+    fo_map_at(map, i, f->rotor * o->flux_base, &at);
+    /* The relation holds for any share of the auxiliary flux; half of it needs no angle where a
+     * machine is linear and has no magnets, all of it where it has no saliency. */
+    const fo_real share = map->magnets ? ONE : ONE / TWO;
+    const fo_real psi = map->psi * over;
+    const fo_real a_d = at.auxiliary[0] * over, a_q = at.auxiliary[1] * over;
+    const fo_real lean = fo_abs(a_d) > SHORTEST_ACTIVE ? a_q / a_d : ZERO;
+    const fo_real beside[FO_N] = {at.flux[0] * over - a_d, at.flux[1] * over};
+    const fo_real centre[FO_N] = {at.flux[0] * over - share * a_d,
+                                  at.flux[1] * over - share * a_q};
+    const fo_real slope[FO_N] = {ONE, lean};
+    const fo_real by_current[FO_N] = {(at.by_d[0] + lean * at.by_d[1]) * over,
+                                      (at.by_q[0] + lean * at.by_q[1]) * over};
+    f->expected[0] = direction[0];
+    f->expected[1] = direction[1];
+    turned_by(beside, direction, f->away);
+    turned_by(centre, direction, f->centre);
+    turned_by(slope, direction, f->slope);
+    turned_by(by_current, direction, f->by_current);
+    f->active = map->kind == FO_MAP_CAGE ? a_d : fo_abs(a_d);
+    f->outside = at.outside;
+    if (map->kind != FO_MAP_CAGE) {
+        f->square = share * share * (a_d * a_d + a_q * a_q) - psi * psi;
+    }
+}
+
 /* Asks the map about the newest current, at the angle where the tracker expects the rotor. */
 static void shape(const fo_observer *o, fo_state *s)
 {
     fo_shape *f = &s->shape;
     const fo_real *current = s->current[0];
     if (mapped(o)) {
-        const fo_map *map = o->map;
-        const fo_real over = ONE / o->flux_base;
-        fo_real direction[FO_N], back[FO_N], i[FO_N];
-        fo_mapped at;
-        fo_direction(s->guided ? s->guide : expected_angle(o, &s->tracker), direction);
-        back[0] = direction[0];
-        back[1] = -direction[1];
-        turned_by(current, back, i);
-        if (map->kind == FO_MAP_CAGE) {
+        const fo_real angle = s->guided ? s->guide : expected_angle(o, &s->tracker);
+        if (o->map->kind == FO_MAP_CAGE) {
+            fo_real direction[FO_N], i[FO_N];
+            fo_direction(angle, direction);
+            seen_by(direction, current, i);
             follow_rotor(o, s, i[0], f);
         }
-        fo_map_at(map, i, f->rotor * o->flux_base, &at);
-        /* The relation holds for any share of the auxiliary flux; half of it needs no angle where a
-         * machine is linear and has no magnets, all of it where it has no saliency. */
-        const fo_real share = map->magnets ? ONE : ONE / TWO;
-        const fo_real psi = map->psi * over;
-        const fo_real a_d = at.auxiliary[0] * over, a_q = at.auxiliary[1] * over;
-        const fo_real lean = fo_abs(a_d) > SHORTEST_ACTIVE ? a_q / a_d : ZERO;
-        const fo_real beside[FO_N] = {at.flux[0] * over - a_d, at.flux[1] * over};
-        const fo_real centre[FO_N] = {at.flux[0] * over - share * a_d,
-                                      at.flux[1] * over - share * a_q};
-        const fo_real slope[FO_N] = {ONE, lean};
-        const fo_real by_current[FO_N] = {(at.by_d[0] + lean * at.by_d[1]) * over,
-                                          (at.by_q[0] + lean * at.by_q[1]) * over};
-        turned_by(beside, direction, f->away);
-        turned_by(centre, direction, f->centre);
-        turned_by(slope, direction, f->slope);
-        turned_by(by_current, direction, f->by_current);
-        f->active = map->kind == FO_MAP_CAGE ? a_d : fo_abs(a_d);
-        f->outside = at.outside;
-        if (map->kind != FO_MAP_CAGE) {
-            f->square = share * share * (a_d * a_d + a_q * a_q) - psi * psi;
-        }
+        fo_ask_map(o, angle, current, f);
     } else {
         for (int i = 0; i < FO_N; i++) {
             f->away[i] = o->L_position * current[i];

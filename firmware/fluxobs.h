@@ -124,6 +124,7 @@ typedef struct {
 
 /* What the machine's flux map says of the present current, in alpha and beta. */
 typedef struct {
+    fo_real expected[FO_N];   /* direction of the rotor that it was asked for             */
     fo_real away[FO_N];       /* position vector = flux - away                            */
     fo_real centre[FO_N];     /* |flux - centre|^2 - square does not change               */
     fo_real square;           /* less that of the map's magnet flux                       */

@@ -48,7 +48,6 @@ static bool numbers_in_range(const fo_adaptive *a, const fo_adaptive_config *c)
                 within(a->over_current[0], (fo_real)1e-9, high) &&
                 within(a->through_L, ZERO, (fo_real)1e6) && within(c->slow_memory, ZERO, high) &&
                 within(c->lag_std, ZERO, high) &&
-                within(a->inductance_std * a->plain.current_limit, ZERO, high) &&
                 within(c->inverter_voltage, ZERO, high) && within(a->psi, ZERO, (fo_real)1e3);
     for (int i = 0; i < FO_NP; i++) {
         good = good && within(a->std[i], ZERO, high);
@@ -73,6 +72,7 @@ fo_error fo_adaptive_init(fo_adaptive *a, const fo_config *config, const fo_adap
         const fo_real half = c->inverter_std / fo_sqrt(TWO);
         const fo_real stds[FO_NP] = {
             c->psi_f_std / psi, c->resistance_std, half, half, c->offset_std, c->offset_std,
+            c->L_d_std,         c->L_q_std,
 #if FO_ASYMMETRIC
             c->asymmetry_std,   c->asymmetry_std,
 #endif
@@ -88,7 +88,6 @@ fo_error fo_adaptive_init(fo_adaptive *a, const fo_config *config, const fo_adap
         a->over_current[0] = ONE / (HARD * c->inverter_current);
         a->over_current[1] = ONE / (SOFT * c->inverter_current);
         a->over_rated = ONE / (RATED * c->inverter_current);
-        a->inductance_std = c->inductance_std / psi;
         a->lag_std = c->lag_std;
         a->through_L = through_L * through_L;
         a->unmodelled = UNMODELLED * o->plausible;
@@ -236,6 +235,8 @@ static void integrate(const fo_adaptive *a, const fo_adaptive_state *s, bool com
         t->effect[FO_INVERTER + 1][i] = -std[FO_INVERTER + 1] * a->volt * s->signs[1][i];
         t->effect[FO_OFFSET][i] = std[FO_OFFSET] * a->volt * bend[i];
         t->effect[FO_OFFSET + 1][i] = std[FO_OFFSET + 1] * a->volt * bend[1 + i];
+        t->effect[FO_INDUCTANCE][i] = ZERO;
+        t->effect[FO_INDUCTANCE + 1][i] = ZERO;
         t->effect[FO_CURVE][i] =
             -std[FO_CURVE] * a->volt * volts * mean[i] * a->over_rated * (ONE - share);
     }
@@ -343,14 +344,11 @@ static void run(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
     plain = *e;
     const fo_real guard = e->position.theta_e;
     const bool known = e->position.valid;
-    fo_real x[FO_N];
-    const fo_real length = fo_learning_sample(a, s, t, measured, x);
+    const fo_real length = fo_learning_sample(a, s, t, measured);
     const fo_real square = length * length;
     if (square > ZERO) {
         const fo_real turned = fo_abs(s->tracker.speed) * o->sample_time;
         const fo_real step = turned < ONE ? turned : ONE;
-        s->x[0] = x[0] / length;
-        s->x[1] = x[1] / length;
         track(o, &s->tracker, s->theta);
         fo_learning_doubt(a, s, t, length, turned);
         const fo_real inverter = fo_learning_unmodelled(a, s) * o->h;
@@ -361,13 +359,10 @@ static void run(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         const fo_real noise = o->position_noise * s->plain.roughness;
         const fo_real variance =
             (s->across + since * since + noise) / square + s->exposed * s->exposed;
-        /* what leaves no trace at all */
-        const fo_real *i = s->plain.current[0];
-        const fo_real i_q = a->inductance_std * (s->x[0] * i[1] - s->x[1] * i[0]) / length;
-        const fo_real late = a->lag_std * s->tracker.speed;
+        const fo_real late = a->lag_std * s->tracker.speed; /* a lag leaves no trace at all */
         settle_tracker(o, &s->tracker, s->theta, fo_sqrt(variance));
         report(a, s, length, variance,
-               i_q * i_q + late * late + rippled(o, s->tracker.speed), e);
+               s->turned / square + late * late + rippled(o, s->tracker.speed), e);
         const bool off = known && fo_abs(wrap(s->theta - guard)) > DISAGREE;
         s->disagree = off ? s->disagree + step : known ? ZERO : s->disagree;
         report_parameters(a, s, e);
@@ -560,6 +555,8 @@ void fo_adaptive_learnt(const fo_adaptive *a, const fo_adaptive_state *s, fo_lea
         l->offset_std[i] = fo_learning_deviation(a, s, FO_OFFSET + i, 1, ZERO);
         l->asymmetry[i] = ZERO;
         l->asymmetry_std[i] = ZERO;
+        l->inductance_error[i] = fo_learning_value(a, s, FO_INDUCTANCE + i);
+        l->inductance_std[i] = fo_learning_deviation(a, s, FO_INDUCTANCE + i, 1, ZERO);
 #if FO_ASYMMETRIC
         l->asymmetry[i] = fo_learning_value(a, s, FO_ASYMMETRY + i);
         l->asymmetry_std[i] = fo_learning_deviation(a, s, FO_ASYMMETRY + i, 1, ZERO);

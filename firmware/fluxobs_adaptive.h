@@ -40,7 +40,8 @@ enum {
     FO_RESISTANCE,
     FO_INVERTER,
     FO_OFFSET = FO_INVERTER + 2,
-    FO_ASYMMETRY = FO_OFFSET + 2,
+    FO_INDUCTANCE = FO_OFFSET + 2,
+    FO_ASYMMETRY = FO_INDUCTANCE + 2,
 #if FO_ASYMMETRIC
     FO_CURVE = FO_ASYMMETRY + 2,
 #else
@@ -63,7 +64,8 @@ typedef enum {
  * information is projected. */
 #define FO_ADAPTIVE_CONFIG_FIELDS(NUMBER)                                                        \
     NUMBER(saliency)         /* L_d - L_position [H]                                          */ \
-    NUMBER(inductance_std)   /* std of the inductances [H]                                    */ \
+    NUMBER(L_d_std)          /* std of the inductance along d, a share of it [1], ...         */ \
+    NUMBER(L_q_std)          /* ... and of that along q                                       */ \
     NUMBER(lag_std)          /* std of the time by which a voltage comes late [s]             */ \
     NUMBER(psi_f)            /* magnet flux [Wb]; 0 without magnets, ...                      */ \
     NUMBER(psi_f_std)        /* ... and its std, 0 too                                        */ \
@@ -84,13 +86,13 @@ typedef struct {
 #define FO_ADAPTIVE_FIELDS(ARRAY, NUMBER)                                                        \
     NUMBER(saliency, "L_d - L_q, per ampere")                                                    \
     NUMBER(psi, "assumed magnet flux")                                                           \
-    ARRAY(std, FO_NP, "prior std: 1, ohm, volt, volt, ampere, ampere, 1, 1, volt per volt")      \
+    ARRAY(std, FO_NP, "prior std: 1, ohm, volt, volt, ampere, ampere, 1, 1, 1, 1, volt per "     \
+                      "volt")                                                                    \
     NUMBER(inverter_mean, "assumed loss of each part of the inverter [V]")                       \
     NUMBER(volt, "one volt over a sample")                                                       \
     ARRAY(over_current, 2, "1 / currents at which the parts of the inverter's loss saturate "    \
                            "[1/A]")                                                              \
     NUMBER(over_rated, "1 / current at which the rest of the loss is zero again [1/A]")          \
-    NUMBER(inductance_std, "std of the inductances, per ampere")                                 \
     NUMBER(lag_std, "std of the lag [s]")                                                        \
     NUMBER(through_L, "variance of a residual from current noise")                               \
     NUMBER(unmodelled, "voltage error that is in no model")                                      \
@@ -148,13 +150,19 @@ typedef struct {
     fo_real rows;                        /* since the start, at most those of two turns     */
     fo_real contradiction;               /* power of the innovations over their variance    */
     fo_real point[3], known_point;       /* operating point; rows taken there               */
-    fo_real across;                      /* variance across x at the last row               */
+    fo_real across;                      /* variance across x at the last row, L_q known, ... */
+    fo_real turning, made_q;             /* ... what L_q adds to it, and the current's flux */
+                                         /* across x there                                  */
+    fo_real turned;                      /* what L_q adds to it now                         */
     fo_real deviations[3];               /* of psi_f, resistance, inverter's loss           */
     fo_real unsure, unsure_at;           /* voltage by which the parameters may be off, and the */
                                          /* square of the current for which it was computed */
     fo_real doubt;                       /* that voltage over the EMF [rad]                 */
     fo_real exposed;                     /* turn by an unmodelled voltage error [rad]       */
     fo_real signs[2][FO_N], bend[3];     /* of the inverter's loss; its derivative          */
+#if FO_MAPPED
+    fo_shape shape;                      /* the map's answer at the filter's own angle      */
+#endif
     fo_real knee;                        /* how unsure the harder signs are, 0 to 1         */
     fo_real x[FO_N], theta;              /* direction of the position vector                */
     fo_real swept;                       /* before the filter runs, since one angle is the  */
@@ -187,7 +195,9 @@ typedef struct {
     VECTOR(offset)           /* of the measured current [A] */ \
     VECTOR(offset_std)                                         \
     VECTOR(asymmetry)        /* g in u' = u + g conj(u) [1] */ \
-    VECTOR(asymmetry_std)
+    VECTOR(asymmetry_std)                                      \
+    VECTOR(inductance_error) /* of L_d and L_q, shares [1]  */ \
+    VECTOR(inductance_std)
 
 typedef struct {
     FO_LEARNT_FIELDS(FO_VECTOR_FIELD, FO_NUMBER_FIELD)

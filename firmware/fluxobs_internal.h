@@ -17,6 +17,7 @@
 #define fo_abs fabsf
 #define fo_sqrt sqrtf
 #define fo_atan2 fo_atan2_single
+#define fo_ask_map fo_ask_map_single
 #else
 #define fo_abs fabs
 #define fo_sqrt sqrt
@@ -124,6 +125,11 @@ static inline fo_real correlation(fo_real lag_one, fo_real power)
 /* Angle of (x, y), in (-pi, pi], to within four units in the last place; NaN if either is. C
  * libraries differ in theirs: with this one every compiler and machine has the same bits. */
 fo_real fo_atan2(fo_real y, fo_real x);
+
+#if FO_MAPPED
+/* Asks the map about a current, for a rotor at this angle; a cage has the rotor flux of `f`. */
+void fo_ask_map(const fo_observer *o, fo_real angle, const fo_real current[FO_N], fo_shape *f);
+#endif
 
 static inline fo_real dot(const fo_real a[FO_N], const fo_real b[FO_N])
 {

@@ -81,33 +81,106 @@ fo_real fo_learning_unmodelled(const fo_adaptive *a, const fo_adaptive_state *s)
     return share * fo_sqrt(mean * mean + std * std) * a->volt / a->plain.h;
 }
 
-/* A component of what the position vector leaves of the flux, at a current without offset. */
-static fo_real away_of(const fo_adaptive *a, const fo_adaptive_state *s,
-                       const fo_real current[FO_N], int i)
+/* Asks the map at the filter's own angle: that of the guard may be another. A cage's says the same
+ * at any. */
+static void ask_map(const fo_adaptive *a, fo_adaptive_state *s)
 {
-    const fo_real L = a->plain.L_position;
-    fo_real found = L * current[i];
-    if (mapped(&a->plain)) {
-        found = away(&a->plain, &s->plain, i) - L * fo_learning_value(a, s, FO_OFFSET + i);
+#if FO_MAPPED
+    const fo_observer *o = &a->plain;
+    if (mapped(o) && s->running && !cage(o) && !s->plain.guided) {
+        fo_ask_map(o, expected_angle(o, &s->tracker), s->plain.current[0], &s->shape);
+    } else {
+        s->shape = s->plain.shape;
     }
-    return found;
+#else
+    (void)a;
+    (void)s;
+#endif
 }
 
-/* What a current along d adds to the length of the position vector. */
-static fo_real grown(const fo_adaptive *a, const fo_adaptive_state *s, fo_real i_d)
+/* The rotor as the filter sees it: its position vector, and what the current makes there. */
+typedef struct {
+    fo_real current[FO_N];    /* without offset                                              */
+    fo_real x[FO_N], length;  /* position vector                                             */
+    fo_real along[FO_N];      /* its direction                                               */
+    fo_real made[2];          /* flux of the current along and across it, with the L assumed */
+    fo_real grown;            /* what the current adds to its length                         */
+} place;
+
+/* The part of v across `along`, a unit vector. */
+static fo_real across(const fo_real along[FO_N], const fo_real v[FO_N])
 {
-    fo_real found = a->saliency * i_d;
+    return along[0] * v[1] - along[1] * v[0];
+}
+
+/* Finds the rotor, with what is learnt of the inductances. */
+static void find(const fo_adaptive *a, const fo_adaptive_state *s, place *at)
+{
+    const fo_observer *o = &a->plain;
+    const fo_real L_d = o->L_position + a->saliency, L_q = o->L_position;
+    const fo_real wrong_d = fo_learning_value(a, s, FO_INDUCTANCE);
+    const fo_real wrong_q = fo_learning_value(a, s, FO_INDUCTANCE + 1);
+    for (int i = 0; i < FO_N; i++) {
+        const fo_real offset = fo_learning_value(a, s, FO_OFFSET + i);
+        at->current[i] = s->plain.current[0][i] - offset;
+        at->x[i] = s->flux[i] - (L_q + wrong_q * L_q) * at->current[i];
+#if FO_MAPPED
+        if (mapped(o)) {
+            at->x[i] = s->flux[i] - (s->shape.away[i] - L_q * offset);
+        }
+#endif
+    }
+#if FO_MAPPED
+    const fo_shape *f = &s->shape;
+    if (mapped(o)) {
+        at->grown = f->active - o->map->psi / o->flux_base;
+        at->made[0] = dot(f->expected, f->away) + (cage(o) ? ZERO : at->grown);
+        at->made[1] = across(f->expected, f->away);
+        at->x[0] += wrong_q * at->made[1] * f->expected[1];
+        at->x[1] -= wrong_q * at->made[1] * f->expected[0];
+    }
+#endif
+    at->length = fo_sqrt(dot(at->x, at->x));
+    at->along[0] = at->x[0] / at->length;
+    at->along[1] = at->x[1] / at->length;
+#if FO_MAPPED
+    if (mapped(o)) { /* what the map says where it was asked is carried to this direction */
+        const fo_real off = across(f->expected, at->along) * at->length;
+        at->grown += wrong_d * at->made[0] - across(f->expected, f->slope) * off;
+    } else
+#endif
+    {
+        const fo_real i_d = dot(at->along, at->current);
+        at->made[0] = L_d * i_d;
+        at->made[1] = L_q * across(at->along, at->current);
+        at->grown = (a->saliency + wrong_d * L_d - wrong_q * L_q) * i_d;
+    }
+}
+
+/* How the residual answers to the flux, and, negative, to the current. */
+static void slopes(const fo_adaptive *a, const fo_adaptive_state *s, const place *at,
+                   fo_real slope[FO_N], fo_real by_current[FO_N])
+{
 #if FO_MAPPED
     if (mapped(&a->plain)) {
-        found = s->plain.shape.active - a->plain.map->psi / a->plain.flux_base;
-    }
+        const fo_shape *f = &s->shape;
+        for (int i = 0; i < FO_N; i++) {
+            slope[i] = f->slope[i];
+            by_current[i] = f->by_current[i];
+        }
+    } else
 #else
     (void)s;
 #endif
-    return found;
+    {
+        const fo_real i_d = dot(at->along, at->current);
+        for (int i = 0; i < FO_N; i++) {
+            const fo_real beside = at->current[i] - i_d * at->along[i];
+            slope[i] = at->along[i] - a->saliency / at->length * beside;
+            by_current[i] = a->plain.L_position * slope[i] + a->saliency * at->along[i];
+        }
+    }
 }
-
-static fo_real magnitude(const fo_real v[FO_N]) { return fo_sqrt(dot(v, v)); }
 
 /* Keeps one of the stds that are reported. */
 static void keep_deviation(const fo_adaptive *a, fo_adaptive_state *s, uint32_t n)
@@ -137,6 +210,8 @@ void fo_learning_forget(const fo_adaptive *a, fo_adaptive_state *s)
     s->unsure = ZERO;
     s->doubt = TWO;
 }
+
+static fo_real magnitude(const fo_real v[FO_N]) { return fo_sqrt(dot(v, v)); }
 
 /* Finds the voltage by which the parameters may be off at this current. */
 static void weigh_parameters(fo_adaptive_state *s, const fo_effects *t)
@@ -228,21 +303,20 @@ static void tied(const fo_real effect[FO_N], fo_real turned, fo_real tie[FO_N])
 void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate *c,
                        const fo_manifold *m, fo_real inflation, const fo_effects *t)
 {
-    const fo_real *current = s->plain.current[0];
     const fo_real psi = fo_sqrt(c->p[FO_NM - 1]), speed = a->plain.sample_time * s->tracker.speed;
     const fo_real h = a->plain.h; /* at least a radian a memory: slower, nothing tells the drift */
     const fo_real turned = fo_abs(speed) > h ? speed : speed < ZERO ? -h : h;
-    fo_real x[FO_N];
+    place at;
+    fo_real slope[FO_N], by_current[FO_N];
+    ask_map(a, s);
     for (int i = 0; i < FO_N; i++) {
         s->flux[i] = c->p[i];
         s->drift[i] = c->p[FO_N + i];
-        const fo_real inside[FO_N] = {current[0] - fo_learning_value(a, s, FO_OFFSET),
-                                      current[1] - fo_learning_value(a, s, FO_OFFSET + 1)};
-        x[i] = c->p[i] - away_of(a, s, inside, i);
     }
-    const fo_real length = magnitude(x);
+    find(a, s, &at);
+    slopes(a, s, &at, slope, by_current);
     if (a->std[FO_PSI] > ZERO && !s->frozen && !(fo_abs(s->p[FO_PSI]) > ZERO)) { /* new */
-        s->p[FO_PSI] = (length - grown(a, s, dot(x, current) / length) - a->psi) / a->std[FO_PSI];
+        s->p[FO_PSI] = (at.length - at.grown - a->psi) / a->std[FO_PSI];
     }
     const fo_real *known = m->U;
     for (int i = 0; i < (int)FO_NF; i++) {
@@ -262,26 +336,32 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
             if (j < (int)FO_OFFSET) {
                 tied(t->effect[j], turned, tie);
             }
-            row[j] = -(dot(tie, on) + by_psi * dot(tie, x) / length);
+            row[j] = -(dot(tie, on) + by_psi * dot(tie, at.along));
         }
         row[FO_PSI] = by_psi * a->std[FO_PSI];
+        row[FO_INDUCTANCE] = by_psi * a->std[FO_INDUCTANCE] * at.made[0];
+        row[FO_INDUCTANCE + 1] =
+            by_psi * a->std[FO_INDUCTANCE + 1] * at.made[1] * across(at.along, slope);
         s->d[i] = m->d[i] / inflation;
         s->z[i] = ZERO;
     }
-    step_flux(s, LOOSE * s->doubt * s->doubt * length * length);
+    step_flux(s, LOOSE * s->doubt * s->doubt * at.length * at.length);
     for (int i = FO_N; i < (int)FO_NF; i++) { /* as much, turning, for the drift */
         const fo_real loose = LOOSE * s->unsure * s->unsure / (h * h);
         s->d[i] /= ONE + s->d[i] * loose;
     }
     s->theta = c->theta;
-    s->x[0] = x[0] / length;
-    s->x[1] = x[1] / length;
+    s->x[0] = at.along[0];
+    s->x[1] = at.along[1];
     s->running = true;
     s->level = ONE;
     s->rows = ZERO;
     s->contradiction = ONE;
     s->known_point = ZERO;
-    s->across = c->variance * length * length;
+    s->across = c->variance * at.length * at.length;
+    const fo_real by_L_q = a->std[FO_INDUCTANCE + 1] * at.made[1];
+    s->turning = by_L_q * by_L_q;
+    s->made_q = at.made[1];
     s->exposed = ZERO;
     s->disagree = ZERO;
     clear_block(s);
@@ -289,50 +369,11 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
 
 /* ---- a sample --------------------------------------------------------------------------------- */
 
-/* x, without offset; returns its length. */
-static fo_real without_offset(const fo_adaptive *a, const fo_adaptive_state *s,
-                              fo_real current[FO_N], fo_real x[FO_N])
-{
-    for (int i = 0; i < FO_N; i++) {
-        current[i] = s->plain.current[0][i] - fo_learning_value(a, s, FO_OFFSET + i);
-        x[i] = s->flux[i] - away_of(a, s, current, i);
-    }
-    return magnitude(x);
-}
-
-/* How the residual answers to the flux, and, negative, to the current. */
-static void slopes(const fo_adaptive *a, const fo_adaptive_state *s, const fo_real along[FO_N],
-                   fo_real length, const fo_real current[FO_N], fo_real slope[FO_N],
-                   fo_real by_current[FO_N])
-{
-#if FO_MAPPED
-    if (mapped(&a->plain)) {
-        const fo_shape *f = &s->plain.shape;
-        for (int i = 0; i < FO_N; i++) {
-            slope[i] = f->slope[i];
-            by_current[i] = f->by_current[i];
-        }
-    } else
-#else
-    (void)s;
-#endif
-    {
-        const fo_real i_d = dot(along, current);
-        for (int i = 0; i < FO_N; i++) {
-            slope[i] = along[i] - a->saliency / length * (current[i] - i_d * along[i]);
-            by_current[i] = a->plain.L_position * slope[i] + a->saliency * along[i];
-        }
-    }
-}
-
 /* Adds the residual |x| - grown - psi_f of a sample to the block. */
-static void add(const fo_adaptive *a, const fo_adaptive_state *s, const fo_real x[FO_N],
-                fo_real length, const fo_real current[FO_N], fo_block *b)
+static void add(const fo_adaptive *a, const fo_adaptive_state *s, const place *at, fo_block *b)
 {
-    const fo_real along[FO_N] = {x[0] / length, x[1] / length};
-    const fo_real i_d = dot(along, current);
     fo_real slope[FO_N], by_current[FO_N];
-    slopes(a, s, along, length, current, slope, by_current);
+    slopes(a, s, at, slope, by_current);
     for (int i = 0; i < FO_N; i++) {
         b->slope[i] += slope[i];
         b->slope_time[i] += slope[i] * b->time;
@@ -342,8 +383,10 @@ static void add(const fo_adaptive *a, const fo_adaptive_state *s, const fo_real 
         b->along[j] += dot(slope, b->effect[j]);
     }
     b->along[FO_PSI] -= a->std[FO_PSI];
-    b->residual +=
-        length - grown(a, s, i_d) - (a->psi + fo_learning_value(a, s, FO_PSI));
+    b->along[FO_INDUCTANCE] -= a->std[FO_INDUCTANCE] * at->made[0];
+    b->along[FO_INDUCTANCE + 1] -=
+        a->std[FO_INDUCTANCE + 1] * at->made[1] * across(at->along, slope);
+    b->residual += at->length - at->grown - (a->psi + fo_learning_value(a, s, FO_PSI));
     b->samples++;
 }
 
@@ -369,11 +412,10 @@ static bool follow(fo_adaptive_state *s, const fo_real row[FO_NA], fo_real value
 }
 
 /* Counts the rows at the present operating point; returns their number. */
-static fo_real rows_here(const fo_adaptive *a, fo_adaptive_state *s, const fo_real x[FO_N],
-                         fo_real length, const fo_real current[FO_N], fo_real speed, fo_real share)
+static fo_real rows_here(const fo_adaptive *a, fo_adaptive_state *s, const place *at,
+                         fo_real speed, fo_real share)
 {
-    const fo_real now[3] = {dot(x, current) / length,
-                            (x[0] * current[1] - x[1] * current[0]) / length, speed};
+    const fo_real now[3] = {dot(at->along, at->current), across(at->along, at->current), speed};
     const fo_real before = fo_abs(s->point[2]) + fo_abs(speed);
     const fo_real scale[3] = {a->over_rated, a->over_rated, before > ZERO ? ONE / before : ZERO};
     fo_real moved = ZERO;
@@ -476,11 +518,32 @@ static void learn(const fo_adaptive *a, fo_adaptive_state *s, fo_real row[FO_NA]
     }
 }
 
+/* Finds the variance across the position vector: with L_q known, and what L_q adds. */
+static void judge_across(const fo_adaptive *a, fo_adaptive_state *s, const place *at)
+{
+    const int n = FO_NF + (int)FO_INDUCTANCE + 1; /* L_q */
+    fo_real direction[FO_NA] = {0}, turned[FO_NA];
+    direction[0] = -at->along[1];
+    direction[1] = at->along[0];
+    for (int i = 0; i < FO_N; i++) {
+        const fo_real by_offset = a->plain.L_position * a->std[FO_OFFSET + i];
+        direction[FO_NF + FO_OFFSET + i] = by_offset * direction[i];
+    }
+    const fo_real level = s->level > LEVEL_LEAST ? s->level : LEVEL_LEAST;
+    s->across = level * fo_variance(FO_NA, s->U, s->d, 0, FO_NF, direction);
+    s->across += fo_variance(FO_NA, s->U, s->d, FO_NF, n, direction);
+    (void)memcpy(turned, direction, sizeof turned);
+    turned[n] -= a->std[FO_INDUCTANCE + 1] * at->made[1];
+    const fo_real rest = fo_variance(FO_NA, s->U, s->d, n, FO_NA, direction);
+    s->across += rest;
+    s->turning = fo_variance(FO_NA, s->U, s->d, n, FO_NA, turned) - rest;
+    s->made_q = at->made[1];
+}
+
 /* Ends a block: takes in its row. */
 static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t, fo_real turned)
 {
     fo_block *b = &s->now.block;
-    const fo_observer *o = &a->plain;
     const fo_real share = turned < BLOCK ? turned / BLOCK : ONE;
     const fo_real step = a->unmodelled * b->time, inverter = b->unmodelled / b->time;
     const fo_real walk = step * step + b->unmodelled * b->unmodelled;
@@ -491,7 +554,7 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         s->d[FO_NF + FO_PSI] /= ONE + s->d[FO_NF + FO_PSI] * q;
     }
     forget_drift(a, s, b->time);
-    fo_real x[FO_N], current[FO_N];
+    place at;
     if (b->samples > 0U && share > (fo_real)1e-6) {
         const fo_real over = ONE / (fo_real)b->samples;
         fo_real row[FO_NA], value = -b->residual * over;
@@ -510,8 +573,9 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         if (surprise) {
             forget_drift(a, s, DRIFT_MEMORY); /* all of it */
         }
-        const fo_real length = without_offset(a, s, current, x), speed = turned / b->time;
-        const fo_real rows = rows_here(a, s, x, length, current, speed, share);
+        find(a, s, &at);
+        const fo_real speed = turned / b->time;
+        const fo_real rows = rows_here(a, s, &at, speed, share);
         const fo_real shape = speed > ZERO ? inverter / speed : ZERO;
         const bool ready =
             known && !surprise && !s->frozen && s->doubt < DOUBT_LIMIT && speed > ZERO;
@@ -522,17 +586,9 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         }
         learn(a, s, row, value, weight, b->time);
     }
-    const fo_real length = without_offset(a, s, current, x);
-    fo_real direction[FO_NA] = {0};
-    direction[0] = -x[1] / length;
-    direction[1] = x[0] / length;
-    for (int i = 0; i < FO_N; i++) {
-        direction[FO_NF + FO_OFFSET + i] = o->L_position * a->std[FO_OFFSET + i] * direction[i];
-    }
-    const fo_real level = s->level > LEVEL_LEAST ? s->level : LEVEL_LEAST;
-    s->across = level * fo_variance(FO_NA, s->U, s->d, 0, FO_NF, direction);
-    s->across += fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction);
-    s->theta = fo_atan2(x[1], x[0]);
+    find(a, s, &at);
+    judge_across(a, s, &at);
+    s->theta = fo_atan2(at.x[1], at.x[0]);
     clear_block(s);
     weigh_parameters(s, t);
     s->judged = s->judged < 2U ? s->judged + 1U : 0U;
@@ -553,11 +609,12 @@ static bool sound(const fo_adaptive_state *s)
 }
 
 fo_real fo_learning_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
-                           bool measured, fo_real x[FO_N])
+                           bool measured)
 {
     const fo_observer *o = &a->plain;
     fo_block *b = &s->now.block;
-    fo_real current[FO_N];
+    place at;
+    ask_map(a, s);
     for (int i = 0; i < FO_N; i++) {
         s->flux[i] += t->v[i] + o->h * s->drift[i];
         for (int j = FO_RESISTANCE; j < (int)FO_NP; j++) {
@@ -566,20 +623,24 @@ fo_real fo_learning_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_
     }
     b->time += o->h;
     b->unmodelled += o->h * fo_learning_unmodelled(a, s);
-    fo_real length = without_offset(a, s, current, x);
-    bool good = length * length > o->square_min / (fo_real)16;
+    find(a, s, &at);
+    bool good = at.length * at.length > o->square_min / (fo_real)16;
     if (good) {
         if (measured) {
-            add(a, s, x, length, current, b);
+            add(a, s, &at, b);
         }
-        const fo_real theta = fo_atan2(x[1], x[0]);
+        const fo_real theta = fo_atan2(at.x[1], at.x[0]);
         const fo_real turned = fo_abs(wrap(theta - b->theta));
         s->theta = theta;
         if (turned >= BLOCK || b->time >= BLOCK_MOST) {
             end(a, s, t, turned);
-            length = without_offset(a, s, current, x);
+            find(a, s, &at);
         }
-        good = sound(s) && length > ZERO;
+        const fo_real loaded = a->std[FO_INDUCTANCE + 1] * (at.made[1] - s->made_q);
+        s->turned = s->turning + loaded * loaded;
+        s->x[0] = at.along[0];
+        s->x[1] = at.along[1];
+        good = sound(s) && at.length > ZERO;
     }
-    return good ? length : ZERO;
+    return good ? at.length : ZERO;
 }

@@ -38,9 +38,9 @@ void fo_learning_start(const fo_adaptive *observer, fo_adaptive_state *state,
                        fo_real inflation, const fo_effects *effects);
 
 /* Moves the filter over an interval and, where that ends a block, takes in its row. Returns the
- * length of the position vector, which it leaves in `x`; 0 if its numbers have run away. */
+ * length of the position vector; 0 if its numbers have run away. */
 fo_real fo_learning_sample(const fo_adaptive *observer, fo_adaptive_state *state,
-                           const fo_effects *effects, bool measured, fo_real x[FO_N]);
+                           const fo_effects *effects, bool measured);
 
 /* Follows what share of the EMF the parameters may be off: the angle by which that may have turned
  * the flux, which adds up until the rotor has turned by a radian. */

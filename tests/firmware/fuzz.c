@@ -179,7 +179,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     const unsigned most = byte(&b);
     more_config.offset_std = (most & 1U) ? about(&b, 0.24) : (fo_real)0.24;
     more_config.asymmetry_std = (most & 2U) ? about(&b, 0.01) : (fo_real)0;
-    more_config.inductance_std = (most & 4U) ? about(&b, 0.05e-3) : (fo_real)0;
+    more_config.L_d_std = (most & 4U) ? about(&b, 0.1) : (fo_real)0;
+    more_config.L_q_std = (most & 4U) ? about(&b, 0.1) : (fo_real)0;
     more_config.lag_std = (most & 8U) ? about(&b, 1e-5) : (fo_real)0;
     more_config.slow_memory = (more & 64U) ? about(&b, 100.0) : (fo_real)100;
     more_config.projection = (fo_projection)(more % 2U);

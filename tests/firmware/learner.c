@@ -60,7 +60,6 @@ int main(void)
     const int rows = (int)next();
     for (int k = 0; k < rows; k++) {
         fo_effects t;
-        fo_real x[FO_N];
         for (int i = 0; i < FO_N; i++) {
             t.v[i] = next();
         }
@@ -77,10 +76,10 @@ int main(void)
         }
         s.plain.roughness = next();
         s.knee = next();
-        if (!(fo_learning_sample(&a, &s, &t, true, x) > 0.0)) {
+        if (!(fo_learning_sample(&a, &s, &t, true) > 0.0)) {
             return 1;
         }
-        double out[2 * FO_N + FO_CURVE + 3];
+        double out[2 * FO_N + FO_CURVE + 4];
         for (int i = 0; i < FO_N; i++) {
             out[i] = s.flux[i];
             out[FO_N + i] = s.drift[i];
@@ -91,6 +90,7 @@ int main(void)
         out[2 * FO_N + FO_CURVE] = s.level;
         out[2 * FO_N + FO_CURVE + 1] = s.contradiction;
         out[2 * FO_N + FO_CURVE + 2] = s.across;
+        out[2 * FO_N + FO_CURVE + 3] = s.turning;
         (void)fwrite(out, sizeof out, 1, stdout);
     }
     return 0;

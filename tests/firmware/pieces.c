@@ -243,15 +243,15 @@ static void check_derivatives(void)
         double two[2], derivative = 0.0;
         for (int side = 0; side < 2; side++) {
             fo_adaptive_state t = s;
-            fo_real x[FO_N], current[FO_N];
+            place at;
             const fo_real by = (fo_real)(side == 0 ? -step : step);
             if (n < FO_N) {
                 t.flux[n] += by;
             } else {
                 t.p[n - FO_N] += by;
             }
-            const fo_real length = without_offset(&a, &t, current, x);
-            add(&a, &t, x, length, current, &t.now.block);
+            find(&a, &t, &at);
+            add(&a, &t, &at, &t.now.block);
             two[side] = (double)t.now.block.residual;
             derivative += 0.5 * (double)(n < FO_N ? t.now.block.slope[n] : t.now.block.along[n - FO_N]);
         }

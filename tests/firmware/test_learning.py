@@ -11,8 +11,9 @@ import pytest
 from fluxobs.observers.learning_twin import CURVE, INVERTER, OFFSET, LearningTwin, Settings
 from support.firmware import FIRMWARE, HARNESS
 
+ASYMMETRY = 8
 ROWS, H = 6000, 0.004  # sample time over memory
-STD = np.array([0.2, 0.5, 0.1, 0.1, 0.03, 0.03, 0.01, 0.01, 0.02])
+STD = np.array([0.2, 0.5, 0.1, 0.1, 0.03, 0.03, 0.1, 0.1, 0.01, 0.01, 0.02])
 SETTINGS = Settings(
     h=H,
     L=0.3,
@@ -64,8 +65,8 @@ def record(settings, jump=0.0, at=12.0, stop=False, inverter=0.05, noise=0.01):
     )
     effect[:, OFFSET] = STD[OFFSET] * 0.2 * H
     effect[:, OFFSET + 1] = 1j * STD[OFFSET + 1] * 0.2 * H
-    effect[:, OFFSET + 2] = STD[OFFSET + 2] * np.diff(flux).conj()
-    effect[:, OFFSET + 3] = 1j * STD[OFFSET + 3] * np.diff(flux).conj()
+    effect[:, ASYMMETRY] = STD[ASYMMETRY] * np.diff(flux).conj()
+    effect[:, ASYMMETRY + 1] = 1j * STD[ASYMMETRY + 1] * np.diff(flux).conj()
     effect[:, CURVE] = -STD[CURVE] * H * mean * (1 - np.abs(mean))
     noisy = i[1:] + noise * (rng.standard_normal(ROWS) + 1j * rng.standard_normal(ROWS))
     knee = rng.uniform(0, 1, ROWS)
@@ -111,7 +112,7 @@ def test_c_is_its_twin(program, settings, changes):
     given = np.concatenate([numbers, samples.ravel()]).astype(float)
     done = subprocess.run([program], input=given.tobytes(), capture_output=True, check=False)
     assert done.returncode == 0
-    found = np.frombuffer(done.stdout).reshape(ROWS, 7 + CURVE)
+    found = np.frombuffer(done.stdout).reshape(ROWS, 8 + CURVE)
 
     twin = LearningTwin(settings, pairs(first), np.zeros(2), stds, theta)
     expected = np.empty_like(found)
@@ -119,6 +120,6 @@ def test_c_is_its_twin(program, settings, changes):
         learnt = twin.p @ pairs(effect[k])[:CURVE]
         volts = pairs(v[k]) + learnt
         f, p = twin.sample(volts, pairs(effect[k]), pairs(current[k]), 0.8, knee[k])
-        expected[k] = *f, *p, twin.level, twin.contradiction, twin.across
+        expected[k] = *f, *p, twin.level, twin.contradiction, twin.across, twin.turning
     np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
-    assert np.abs(found[-1, 4:-3]).max() > 0.1  # something was learnt
+    assert np.abs(found[-1, 4:-4]).max() > 0.1  # something was learnt

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from fluxobs import AdaptiveObserver, LeastSquaresObserver
-from fluxobs.machines import AlgebraicSaturation, SurfacePMSM, SynchronousReluctance, example
+from fluxobs.machines import (
+    AlgebraicSaturation,
+    FluxPoints,
+    SurfacePMSM,
+    SynchronousReluctance,
+    example,
+)
 from support.records import driven, profile, wrapped_degrees
 
 H = 1.25e-4
@@ -175,3 +181,37 @@ def test_the_adaptive_observer_learns_the_resistance_of_a_saturated_machine(fact
     error = errors(estimate, samples, half=True)
     assert np.abs(error[estimate.valid]).max() < 5.0
     assert rms(error[estimate.valid][-4000:]) < 0.2
+
+
+def scaled(machine, along_d, along_q):
+    """The machine with the flux that its currents make along d and along q multiplied."""
+    points = machine.flux_map
+    if points is None:
+        return machine.with_values(L_d=along_d * machine.L_d, L_q=along_q * machine.L_q)
+    psi, flux = machine.saturation.table.psi_f, points.flux
+    flux = psi + along_d * (flux.real - psi) + 1j * along_q * flux.imag
+    return machine.with_values(flux_map=FluxPoints(points.current, flux))
+
+
+@pytest.mark.parametrize("name", ["ipm-5kw6", "synrm-6kw7"])
+@pytest.mark.parametrize("along_d, along_q", [(1.06, 0.93), (0.94, 1.07)])
+def test_the_adaptive_observer_learns_the_inductances(name, along_d, along_q):
+    """L_q turns the position; where the machine is salient, the load's steps tell it."""
+    believed = example(name)
+    true = scaled(believed, along_d, along_q)
+    rated, top = believed.rated_current, 150.0
+    speed = profile((0, 0), (0.3, top), (1.2, top), (1.6, -top), (2.5, -top), (3, top / 3))
+    i_q = 0.7 * rated * profile((0, 0.2), (0.6, 0.2), (0.61, 1), (1.4, 1), (1.41, -1), (3, -0.4))
+    i_d = 0.3 * rated * np.sign(true.saliency) * profile((0, 1), (0.9, 1), (0.91, 2), (3, 2))
+    samples = driven(true, H, speed, i_d + 1j * i_q, R_s=1.2 * true.R_s, noise=0.002 * rated)
+    observer = AdaptiveObserver.for_machine(believed, sample_time=H)
+    state, estimate = observer.resume(observer.init(), samples.voltage, samples.current)
+    learnt = observer.learnt(state)
+    wrong = np.array([along_d, along_q]) - 1 - learnt.inductance_error
+    assert (np.abs(wrong) < 3 * np.array(learnt.inductance_std)).all()
+    assert learnt.inductance_std[1] < 0.3 * observer.L_q_std
+    error = errors(estimate, samples, half=not believed.magnets)
+    valid = estimate.valid
+    assert valid[-8000:].mean() > 0.9
+    assert rms(error[valid][-8000:]) < 1.0
+    assert np.mean(np.abs(np.radians(error)) < 2 * estimate.theta_e_std, where=valid) > 0.97

@@ -183,7 +183,7 @@ def _initializers(observer: Exported, precision: Precision, prefix: str) -> str:
         return inner
     more = observer.parameters() | {"projection": f"FO_PROJECT_{observer.projection.upper()}"}
     if not observer.asymmetry_std > 0:  # the export leaves its two columns out
-        more["std"] = [*more["std"][:6], more["std"][8]]
+        more["std"] = [*more["std"][:8], *more["std"][10:]]
     return f"    {{\n{inner}\n    }},\n{lines(more, _core.adaptive_meanings)}"
 
 

@@ -41,7 +41,7 @@ RESISTANCE_MOST = 10.0
 SLOW_MEMORY = 100.0
 #: The numbers of fo_adaptive_config, in the names of the C header.
 NUMBERS = (
-    *("saliency", "inductance_std", "lag_std", "psi_f", "psi_f_std", "resistance_std"),
+    *("saliency", "L_d_std", "L_q_std", "lag_std", "psi_f", "psi_f_std", "resistance_std"),
     *("inverter_voltage", "inverter_std", "inverter_current", "offset_std", "asymmetry_std"),
     "slow_memory",
 )
@@ -61,6 +61,8 @@ class Learnt:
     offset_std: tuple[float, float]
     asymmetry: tuple[float, float]
     asymmetry_std: tuple[float, float]
+    inductance_error: tuple[float, float]
+    inductance_std: tuple[float, float]
 
 
 @documented
@@ -145,9 +147,13 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         Standard deviation of the offset of a current component [A].
     asymmetry_std : float
         Standard deviation of both components of g in u' = u + g conj(u) [1].
-    inductance_std, lag_std : float
-        Standard deviations of the inductances [H], and of the time by which the voltages come late
-        [s]. Errors of these leave no residual; they are in the position's standard deviation.
+    L_d_std, L_q_std : float
+        Standard deviations of the inductances along d and q, as shares of them [1]. They are learnt
+        where they leave a trace: L_d where a current flows along d, L_q where the machine is
+        salient. L_q turns the position; what is not known of it is in the standard deviation.
+    lag_std : float
+        Standard deviation of the time by which the voltages come late [s]. An error of this leaves
+        no residual; it is in the position's standard deviation.
     slow_memory : float
         Time in which a parameter may change by a standard deviation [s].
     projection : {"start", "never"}
@@ -187,7 +193,8 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
     inverter_current: float
     offset_std: float = 0.0
     asymmetry_std: float = 0.0
-    inductance_std: float = 0.0
+    L_d_std: float = 0.0
+    L_q_std: float = 0.0
     lag_std: float = 0.0
     slow_memory: float = SLOW_MEMORY
     projection: Projection = "start"
@@ -294,8 +301,8 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             and 2 % of the DC link. A magnet flux known to 1 % speeds up the start and reveals the
             resistance at constant speed and load.
         asymmetry_std, offset_std, inductance_std, lag_std : float, optional
-            Default: 0.01; 2 % of the rated current [A]; the machine file's L_s_std, …, else 10 % of
-            the larger inductance [H]; 0.15 samples [s].
+            Default: 0.01; 2 % of the rated current [A]; the machine file's L_s_std, …, else 0.1, as
+            a share of each inductance [1]; 0.15 samples [s].
         dc_link : float, optional
             Voltage of the inverter's DC link [V].
         memory, speed_e, psi_f, rated_current, current_noise, drift_prior, held, precision
@@ -353,6 +360,12 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             "asymmetry": ASYMMETRY_STD,
         }
 
+        stds_of_L = machine.inductance_stds(INDUCTANCE_SHARE)
+        L_d_std, L_q_std = (
+            otherwise(inductance_std, stds_of_L[name] / L)
+            for name, L in zip(machine.inductances, machine.L_dq, strict=True)
+        )
+
         def believed(name: str) -> float:
             return otherwise(stds[name], defaults[name]) if name in unknowns else 0.0
 
@@ -367,9 +380,8 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             inverter_current=machine.inverter_current or SMOOTHING * rated,
             offset_std=otherwise(offset_std, OFFSET_SHARE * rated),
             asymmetry_std=believed("asymmetry"),
-            inductance_std=otherwise(
-                inductance_std, max(machine.inductance_stds(INDUCTANCE_SHARE).values())
-            ),
+            L_d_std=L_d_std,
+            L_q_std=L_q_std,
             lag_std=otherwise(lag_std, LAG_STD * sample_time),
             slow_memory=slow_memory,
             projection=projection,

@@ -30,7 +30,7 @@ INVERTER_UNMODELLED, KNEE_UNMODELLED, DRIFT_MEMORY = 0.05, 0.3, 100.0
 ROWS, CLIP, PROVEN, LEVEL_LEAST = 16.0, 25.0, 8.0, 0.02
 NEW_POINT, ROUND, DOUBT_LIMIT, HEAT_WALK = 0.3, 16, 0.5, 0.1
 #: Order of the parameters; the curve comes last and is only considered.
-PSI, RESISTANCE, INVERTER, OFFSET, CURVE = 0, 1, 2, 4, 8
+PSI, RESISTANCE, INVERTER, OFFSET, INDUCTANCE, CURVE = 0, 1, 2, 4, 6, 10
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
@@ -50,6 +50,18 @@ class Settings:
     unmodelled: float
     slow: float
     plausible: float
+
+
+@dataclass(frozen=True)
+class Place:
+    """The rotor as the filter sees it."""
+
+    i: Array  # current without offset
+    x: Array  # position vector
+    d: Array  # its direction
+    length: float
+    made: tuple[float, float]  # flux of the current along and across it, as assumed
+    grown: float  # what the current adds to its length
 
 
 @dataclass
@@ -82,7 +94,7 @@ class LearningTwin:
         self.block = Block(theta)
         self.level = self.contradiction = 1.0
         self.rows = self.known_point = self.since = self.passed = 0.0
-        self.across = 0.0
+        self.across = self.turning = 0.0
         self.point: Array = np.zeros(3)
         self.pulled = self.judged = 0
         self.loss_std = self._loss_std()
@@ -93,16 +105,16 @@ class LearningTwin:
         self, v: Array, effect: Array, current: Array, roughness: float, knee: float
     ) -> tuple[Array, Array]:
         """Take in an interval's volt-seconds, with what is learnt, what one std of each parameter
-        adds to them, (9, 2), and the measured current; return flux and parameters."""
+        adds to them, (11, 2), and the measured current; return flux and parameters."""
         a, b = self.a, self.block
         self.f[:2] += v + a.h * self.f[2:]
         b.effect[RESISTANCE:] += effect[RESISTANCE:]
         b.time += a.h
         share = INVERTER_UNMODELLED + KNEE_UNMODELLED * knee
         b.unmodelled += share * np.hypot(self._loss(), self.loss_std) * a.volt
-        i, x = self._position(current)
-        self._add(i, x)
-        turned = abs(float(wrap(np.arctan2(x[1], x[0]) - b.theta)))
+        at = self._find(current)
+        self._add(at)
+        turned = abs(float(wrap(np.arctan2(at.x[1], at.x[0]) - b.theta)))
         if turned >= BLOCK or b.time >= BLOCK_MOST:
             self._end(current, roughness, turned)
         return self.f.copy(), self.p.copy()
@@ -120,22 +132,29 @@ class LearningTwin:
         direction[CURVE] = a.std[CURVE] * self._loss()
         return float(np.sqrt(self._known(direction)))
 
-    def _position(self, current: Array) -> tuple[Array, Array]:
-        i = current - self.a.std[OFFSET : OFFSET + 2] * self.p[OFFSET : OFFSET + 2]
-        return i, self.f[:2] - self.a.L * i
-
-    def _add(self, i: Array, x: Array) -> None:
-        """Residual r = |x| - ΔL i_d - ψ and its derivatives, summed."""
-        a, b = self.a, self.block
+    def _find(self, current: Array) -> Place:
+        a, value = self.a, self.a.std[:CURVE] * self.p
+        i = current - value[OFFSET : OFFSET + 2]
+        wrong_d, wrong_q = value[INDUCTANCE : INDUCTANCE + 2]
+        L_d, L_q = a.L + a.saliency, a.L
+        x = self.f[:2] - L_q * (1 + wrong_q) * i
         length = float(np.hypot(*x))
         d = x / length
-        i_d = float(d @ i)
-        slope = d - a.saliency / length * (i - i_d * d)
-        b.residual += length - a.saliency * i_d - (a.psi + a.std[PSI] * self.p[PSI])
+        i_d, i_q = float(d @ i), float(J @ d @ i)
+        grown = (a.saliency + wrong_d * L_d - wrong_q * L_q) * i_d
+        return Place(i, x, d, length, (L_d * i_d, L_q * i_q), grown)
+
+    def _add(self, at: Place) -> None:
+        """Residual r = |x| - ΔL i_d - ψ and its derivatives, summed."""
+        a, b, d = self.a, self.block, at.d
+        slope = d - a.saliency / at.length * (at.i - (d @ at.i) * d)
+        b.residual += at.length - at.grown - (a.psi + a.std[PSI] * self.p[PSI])
         b.slope += slope
         b.slope_time += slope * b.time
         b.along += b.effect @ slope
         b.along[PSI] -= a.std[PSI]
+        b.along[INDUCTANCE] -= a.std[INDUCTANCE] * at.made[0]
+        b.along[INDUCTANCE + 1] -= a.std[INDUCTANCE + 1] * at.made[1] * (J @ d @ slope)
         offsets = a.L * slope + a.saliency * d
         b.along[OFFSET : OFFSET + 2] += a.std[OFFSET : OFFSET + 2] * offsets
         b.samples += 1
@@ -150,7 +169,7 @@ class LearningTwin:
         self._forget_drift(b.time)
         if share > 1e-6:
             n = b.samples
-            i, x = self._position(current)
+            at, speed = self._find(current), turned / b.time
             fast = np.concatenate([b.slope, b.slope_time - b.time * b.slope]) / n
             slow = b.along / n - b.effect @ fast[:2]
             value = -b.residual / n
@@ -159,28 +178,29 @@ class LearningTwin:
             surprise = self._follow(slow, value, information, share)
             if surprise:
                 self._forget_drift(DRIFT_MEMORY)
-            speed = turned / b.time
-            rows = self._rows_here(i, x, speed, share)
+            rows = self._rows_here(at, speed, share)
             if not surprise and speed > 0:
                 shape = inverter / speed
                 weight = 1 / ((rows / information + shape**2) * max(self.level, 1.0))
                 self._learn(slow, value, weight, b.time)
-        _, x = self._position(current)
-        self.across = self._across(x)
+        at = self._find(current)
+        self.across, self.turning = self._across(at)
         self.judged = (self.judged + 1) % 3
         if self.judged == 2:
             self.loss_std = self._loss_std()
-        self.block = Block(float(np.arctan2(x[1], x[0])))
+        self.block = Block(float(np.arctan2(at.x[1], at.x[0])))
 
-    def _across(self, x: Array) -> float:
-        """Variance of the position vector across its direction."""
+    def _across(self, at: Place) -> tuple[float, float]:
+        """Variance of the position vector across its direction, and what L_q adds to it."""
         a = self.a
-        across = J @ x / np.hypot(*x)
+        across = J @ at.d
         to_fast = np.concatenate([across, np.zeros(2)])
         to_slow = to_fast @ self.S
         to_slow[OFFSET : OFFSET + 2] += a.L * a.std[OFFSET : OFFSET + 2] * across
         level = max(self.level, LEVEL_LEAST)
-        return level * float(to_fast @ self.P @ to_fast) + self._known(to_slow)
+        known = self._known(to_slow)
+        to_slow[INDUCTANCE + 1] -= a.std[INDUCTANCE + 1] * at.made[1]
+        return level * float(to_fast @ self.P @ to_fast) + known, self._known(to_slow) - known
 
     def _carry(self, b: Block, walk: float) -> None:
         """To the end of the block: λ = λ + T θ + effect p, and a random step."""
@@ -230,10 +250,9 @@ class LearningTwin:
         self.contradiction += 2 / ROWS * share * (odd - self.contradiction)
         return surprise
 
-    def _rows_here(self, i: Array, x: Array, speed: float, share: float) -> float:
+    def _rows_here(self, at: Place, speed: float, share: float) -> float:
         """Rows at the present operating point (i_d, i_q, speed)."""
-        length = np.hypot(*x)
-        now = np.array([x @ i / length, (J @ x) @ i / length, speed])
+        now = np.array([at.d @ at.i, (J @ at.d) @ at.i, speed])
         before = abs(self.point[2]) + abs(speed)
         scale = np.array([self.a.over_rated] * 2 + [1 / before if before > 0 else 0.0])
         moved = float(np.sum(((now - self.point) * scale) ** 2))
