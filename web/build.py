@@ -23,7 +23,8 @@ ROOT = WEB.parent
 PACKAGE = ROOT / "src" / "fluxobs"
 BUILD = ROOT / "build" / "page"
 CLANG = (
-    "clang --target=wasm32-wasi -O3 -ffp-contract=off -nostartfiles -Wl,--no-entry -Wl,--strip-all"
+    "clang --target=wasm32-wasi -O3 -fno-unroll-loops -ffp-contract=off -nostartfiles "
+    "-Wl,--no-entry -Wl,--strip-all"
 )
 #: Parts of the runtime, in order.
 RUNTIME = ("language", "arrays", "library", "core", "text", "npz")

@@ -194,7 +194,7 @@ def scaled(machine, along_d, along_q):
 
 
 @pytest.mark.parametrize("name", ["ipm-5kw6", "synrm-6kw7"])
-@pytest.mark.parametrize("along_d, along_q", [(1.06, 0.93), (0.94, 1.07)])
+@pytest.mark.parametrize(("along_d", "along_q"), [(1.06, 0.93), (0.94, 1.07)])
 def test_the_adaptive_observer_learns_the_inductances(name, along_d, along_q):
     """L_q turns the position; where the machine is salient, the load's steps tell it."""
     believed = example(name)

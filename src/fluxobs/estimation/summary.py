@@ -126,6 +126,13 @@ def _parameters(result: LogRun) -> list[str]:
             told.append(f"{one.name} {value} ({si(one.assumed, one.unit)} {sources[one.name]})")
         else:
             untold.append(one.name)
+    priors = (adaptive.L_d_std, adaptive.L_q_std)
+    for n in range(2):
+        std = learnt.inductance_std[n]
+        if 0 < std <= UNSEEN * priors[n]:
+            L, off = machine.L_dq[n], learnt.inductance_error[n]
+            found = f"{si(L * (1 + off), 'H')} ± {si(L * std, 'H')}"
+            told.append(f"{machine.inductances[n]} {found} ({si(L, 'H')} given)")
     if adaptive.asymmetry_std > 0 and max(learnt.asymmetry_std) <= UNSEEN * adaptive.asymmetry_std:
         size, std = np.hypot(*learnt.asymmetry), max(learnt.asymmetry_std)
         told.append(f"asymmetry of the phases {100 * size:.2g} ± {100 * std:.1g} %")
