@@ -12,7 +12,7 @@ import pytest
 from fluxobs.campaigns import rows as rows_module
 from fluxobs.campaigns import simulated as simulated_module
 from fluxobs.campaigns.draws import Scenario, scenarios
-from fluxobs.campaigns.drives import COPPER, MAGNET, cell_of, drive_of, motor_of
+from fluxobs.campaigns.drives import cell_of, drive_of, motor_of
 from fluxobs.campaigns.in_loop import _HOST, in_loop
 from fluxobs.campaigns.observed import Found, candidate
 from fluxobs.campaigns.rows import rows_for, rows_of, schema
@@ -22,6 +22,7 @@ from fluxobs.campaigns.specification import Specification
 from fluxobs.design.drive.twin import SquareRootLeastSquares
 from fluxobs.errors import UsageError
 from fluxobs.machines import example
+from fluxobs.machines.heat import COPPER, NEODYMIUM
 
 VARY = {
     "R": {"normal": [1, 0.1]},
@@ -134,7 +135,7 @@ def test_temperature_and_tolerances_of_a_motor():
     assert float(motor.R_s) == pytest.approx(1.1 * (1 + 100 * COPPER) * machine.R_s)
     assert float(motor.L_d) == pytest.approx(0.9 * machine.L_d)
     assert float(motor.L_q) == pytest.approx(0.9 * 0.8 * machine.L_q)
-    assert float(motor.psi_f) == pytest.approx(1.05 * (1 + 100 * MAGNET) * machine.psi_f)
+    assert float(motor.psi_f) == pytest.approx(1.05 * (1 + 100 * NEODYMIUM) * machine.psi_f)
 
 
 def test_a_flux_map_keeps_its_shape():

@@ -40,7 +40,7 @@ def _segments(table: CourseTable, rng: np.random.Generator) -> list[float]:
 
 def _speed(table: CourseTable, rng: np.random.Generator) -> Knots:
     """Ramps to random speeds, with stops and reversals, from standstill."""
-    knots, value, sign = [(0.0, 0.0)], 0.0, rng.choice([-1.0, 1.0])
+    knots, sign = [(0.0, 0.0)], rng.choice([-1.0, 1.0])
     for k, start in enumerate(_segments(table, rng)):
         sign = -sign if rng.random() < table.reversals else sign
         size = float(np.exp(_between(rng, np.log(table.speeds).tolist())))
@@ -49,8 +49,7 @@ def _speed(table: CourseTable, rng: np.random.Generator) -> Knots:
         # The next segment may begin before the ramp ends: it goes on from there.
         now = _at(knots, start)
         knots = [knot for knot in knots if knot[0] < start] + [(start, now)]
-        value = target
-        knots.append((start + table.ramp * max(abs(value - now), 1e-3), value))
+        knots.append((start + table.ramp * max(abs(target - now), 1e-3), target))
     return knots
 
 

@@ -91,12 +91,10 @@ def points(specification: Specification, first: int, last: int) -> Array:
         from scipy.stats.qmc import Sobol
 
         sequence = Sobol(varied, seed=np.random.default_rng(specification.seed))
-        index = first % specification.scenarios
-        points = sequence.fast_forward(index).random(last - first) if index else None
-        if points is None:
-            # SciPy warns of a first draw that is no power of two.
-            whole = sequence.random(1 << (last - first - 1).bit_length())
-            points = whole[: last - first]
+        if first % specification.scenarios:
+            sequence.fast_forward(first % specification.scenarios)
+        count = last - first  # SciPy warns of a first draw that is no power of two
+        points = sequence.random(1 << (count - 1).bit_length())[:count]
     else:
         points = np.array(
             [

@@ -26,16 +26,11 @@ from ..design.drive import (
 from ..design.drive.motor import MappedMotor
 from ..errors import UsageError
 from ..machines import RotatingMachine, as_machine, rotating
+from ..machines.heat import CAGE, COLD, COPPER, NEODYMIUM
 from .courses import course_of
 from .draws import Scenario
 from .quantities import PARAMETERS, QUANTITIES
 from .specification import Specification
-
-#: Change of a resistance by kelvin: copper (IEC 60228); of a cast aluminium cage; of the flux of
-#: NdFeB magnets (their data sheets: -0.09 to -0.12 %).
-COPPER, CAGE, MAGNET = 0.00393, 0.0040, -0.0011
-#: Temperature at which a machine file holds [°C].
-NOMINAL = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +85,12 @@ def cell_of(specification: Specification, name: str) -> Cell:
 
 def motor_of(machine: RotatingMachine, values: dict[str, float]) -> Motor:
     """The motor of a scenario: the machine's, with its tolerances and at its temperature."""
-    warmer = values.get("temperature", NOMINAL) - NOMINAL
+    warmer = values.get("temperature", COLD) - COLD
     both = {"L": values.get("L", 1.0), "R": values.get("R", 1.0), "psi": values.get("psi", 1.0)}
     factors = {name: values.get(name, 1.0) for name in PARAMETERS}
     factors["R_s"] *= both["R"] * (1 + COPPER * warmer)
     factors["R_R"] *= 1 + CAGE * warmer
-    factors["psi_f"] *= both["psi"] * (1 + MAGNET * warmer)
+    factors["psi_f"] *= both["psi"] * (1 + NEODYMIUM * warmer)
     for name in ("L_s", "L_d", "L_q", "L_sigma", "L_M"):
         factors[name] *= both["L"]
     if not min(factors.values()) > 0:

@@ -18,7 +18,7 @@ from ..machines import RotatingMachine
 from .draws import scenarios, total
 from .drives import cell_of
 from .observed import Candidate, Found
-from .rows import rows_for, schema
+from .rows import record_of, rows_for, schema
 from .simulated import Simulated
 from .specification import ADAPTIVE, ObserverTable, Specification
 
@@ -109,7 +109,8 @@ def rerun(
         records: dict[int, tuple[Record, Candidate]] = {}
 
         def watch(one: Simulated, by: Candidate, found: Found, records: Any = records) -> None:
-            records[one.scenario.number] = _record(one, specification), by
+            h = cell_of(specification, one.scenario.machine).rated.sample_time
+            records[one.scenario.number] = record_of(one, h), by
 
         rows = pl.DataFrame(rows_for(alone, drawn, watch), schema=schema(specification))
         for row in rows.iter_rows(named=True):
@@ -118,17 +119,6 @@ def rerun(
             record, by = records[row["number"]]
             out.append(Rerun(row["number"], table, by.believed, record, row))
     return sorted(out, key=lambda one: one.number)
-
-
-def _record(one: Simulated, specification: Specification) -> Record:
-    trace = one.trace
-    assert trace is not None
-    h = cell_of(specification, one.scenario.machine).rated.sample_time
-
-    def pair(vector: Any) -> Any:
-        return np.stack([vector.real, vector.imag], axis=-1)
-
-    return Record(h, pair(trace.voltage), pair(trace.current), theta_e=np.asarray(trace.theta_e))
 
 
 def write_record(one: Rerun, path: Path) -> None:

@@ -9,14 +9,15 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from ..machines import RotatingMachine
+from ..comparison.scoring import true_speed
+from ..logs.record import Record
 from . import scores
 from .draws import Scenario, scenarios
 from .drives import Cell, cell_of
 from .in_loop import in_loop
 from .observed import NOISE, Candidate, Found, Parameters, candidate, observe
 from .quantities import QUANTITIES
-from .simulated import Kept, Simulated, lanes_for, simulated
+from .simulated import Simulated, lanes_for, simulated
 from .specification import Specification
 
 Array = NDArray[np.float64]
@@ -88,8 +89,9 @@ def _open(
         if not good:
             continue
         filled = good + good[:1] * (lanes - len(good))
-        voltage = np.stack([_interval_voltage(one) for one in filled])
-        current = np.stack([_pair(one.trace.current) for one in filled if one.trace is not None])
+        records = [record_of(one, cell.rated.sample_time) for one in filled]
+        voltage = np.stack([record.interval_voltage() for record in records])
+        current = np.stack([record.current for record in records])
         true = [true_parameters(one, cell) for one in good]
         for by in candidates:
             wanted = len(good) if by.compiled else lanes
@@ -124,14 +126,12 @@ def _batches(stream: Iterator[Simulated], size: int) -> Iterator[list[Simulated]
         yield batch
 
 
-def _pair(vector: Any) -> Array:
-    return np.stack([vector.real, vector.imag], axis=-1)
-
-
-def _interval_voltage(one: Simulated) -> Array:
-    """Mean voltage over the interval that ends at a row; NaN in the first."""
-    assert one.trace is not None
-    return np.vstack([np.full((1, 2), np.nan), _pair(one.trace.voltage)[:-1]])
+def record_of(one: Simulated, sample_time: float) -> Record:
+    """What a log of the drive would hold, with the true angle."""
+    trace = one.trace
+    assert trace is not None
+    theta_e = np.asarray(trace.theta_e)
+    return Record(sample_time, trace.voltage, trace.current, theta_e=theta_e)
 
 
 def true_parameters(one: Simulated, cell: Cell) -> Parameters:
@@ -141,13 +141,6 @@ def true_parameters(one: Simulated, cell: Cell) -> Parameters:
     link = one.scenario.values.get("dc_link", 1.0) * cell.rated.dc_link
     lost = float(inverter.dead_time) / cell.rated.sample_time * link + float(inverter.drop)
     return Parameters(float(motor.R_s), float(motor.psi_f), lost)
-
-
-def true_speed(trace: Kept, machine: RotatingMachine, h: float) -> Array:
-    """Speed of the position [rad/s electrical]: of the rotor, or of a cage's flux."""
-    if not machine.flux_moves:
-        return np.asarray(machine.n_p * trace.speed, float)
-    return np.asarray(np.gradient(np.unwrap(trace.theta_e), h), float)
 
 
 def _row(
@@ -165,8 +158,9 @@ def _row(
     if one.trace is None or found is None:
         return row
     h, start = cell.rated.sample_time, specification.course.score_from
-    t = np.asarray(np.arange(len(one.trace.theta_e)) * h, float)
-    speed = true_speed(one.trace, cell.machine, h)
+    theta_e = np.asarray(one.trace.theta_e)
+    t = np.asarray(np.arange(len(theta_e)) * h, float)
+    speed = true_speed(cell.machine, theta_e, one.trace.speed, h)
     row |= scores.measures(t, one.trace, speed, found, cell.machine, start)
     if specification.loop == "closed":
         row |= scores.loop_measures(t, one.trace, start)

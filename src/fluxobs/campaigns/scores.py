@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..comparison.scoring import HELD, LOST, SETTLED
+from ..comparison.scoring import LOST, settling_time
 from ..design.drive.sensorless import RUNNING
 from ..design.drive.simulate import UNFOLLOWED
 from ..machines import RotatingMachine
@@ -63,15 +63,13 @@ def measures(
     scored = t >= score_from
     rows = scored & found.valid
     off = error[rows]
-    held = max(1, round(HELD / t[1]))
-    good = np.concatenate([[0], np.cumsum(error < SETTLED)])
-    whole = good[held:] - good[:-held] == held
+    settled = settling_time(t, error)
     out: dict[str, Any] = dict.fromkeys(MEASURES)
     out |= {
         "rms_all": _rms(error[scored]),
         "valid": float(np.mean(found.valid[scored])),
         "first_valid": float(t[np.argmax(found.valid)]) if found.valid.any() else None,
-        "settled": float(t[np.argmax(whole)]) if whole.any() else None,
+        "settled": settled if np.isfinite(settled) else None,
     }
     out |= {f"{name}_z": value for name, value in found.errors.items()}
     if not len(off):

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from ..design.drive.simulate import Run, stack
+from ..design.drive.simulate import stack
 from ..design.drive.vectors import vector
 from ..errors import FluxobsError, RecordError, UsageError
 from ..estimation.prepare import LEAST_NOISE, VOLTAGE_OFFSET
@@ -29,7 +29,7 @@ from .bound import position_bound
 from .cages import entries_for
 from .catalogue import Entry, Gains, Setting
 from .scenarios import SCENARIOS, Scenario, believed_machine, run_scenario
-from .scoring import Score, Truth, score, scored_error
+from .scoring import Score, Truth, score, scored_error, true_speed
 
 Array = NDArray[np.float64]
 
@@ -303,7 +303,7 @@ def compare_scenario(
     truth = Truth(
         run.t,
         np.asarray(run.trace.theta_e),
-        _speed(run, machine),
+        true_speed(machine, run.trace.theta_e, run.trace.speed, run.sample_time),
         np.asarray(run.trace.flux),
         scenario.score_from,
         machine,
@@ -364,13 +364,6 @@ def compare_log(
     return compare_record(
         path.name, about, voltage, current, setting, truth, entries=entries, progress=progress
     )
-
-
-def _speed(run: Run, machine: RotatingMachine) -> NDArray[np.float64]:
-    """True speed of the position [rad/s]: of the rotor, or of a cage's flux."""
-    if not machine.flux_moves:
-        return np.asarray(machine.n_p * run.trace.speed, float)
-    return np.asarray(np.gradient(np.unwrap(run.trace.theta_e), run.sample_time), float)
 
 
 def _bound(scenario: Scenario, machine: RotatingMachine, setting: Setting, trace: Any) -> float:

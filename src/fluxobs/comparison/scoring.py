@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..machines import RotatingMachine
 
@@ -65,6 +65,24 @@ def scored_error(estimated: Array, truth: Truth) -> Array:
     return truth.machine.position_error(known, truth.theta_e)
 
 
+def settling_time(t: Array, error: Array) -> float:
+    """Time from which the size of an error first stays below 10° for 50 ms [s]; nan if never."""
+    held = max(1, round(HELD / (t[1] - t[0])))
+    good = np.concatenate([[0], np.cumsum(error < SETTLED)])
+    whole = good[held:] - good[:-held] == held
+    return float(t[np.argmax(whole)]) if whole.any() else float("nan")
+
+
+def true_speed(
+    machine: RotatingMachine, theta_e: ArrayLike, speed: ArrayLike, sample_time: float
+) -> Array:
+    """Electrical speed of the position [rad/s], of the rotor or of a cage's flux, from the position
+    and the mechanical speed."""
+    if not machine.flux_moves:
+        return machine.n_p * np.asarray(speed, float)
+    return np.asarray(np.gradient(np.unwrap(np.asarray(theta_e, float)), sample_time), float)
+
+
 def score(
     theta_e: Array,
     speed_e: Array,
@@ -76,10 +94,6 @@ def score(
     error = np.abs(scored_error(theta_e, truth))
     scored = truth.t >= truth.score_from
     claimed = np.ones(len(error), bool) if valid is None else valid
-    held = max(1, round(HELD / (truth.t[1] - truth.t[0])))
-    good = np.concatenate([[0], np.cumsum(error < SETTLED)])
-    whole = good[held:] - good[:-held] == held
-    settled = float(truth.t[np.argmax(whole)]) if whole.any() else float("nan")
 
     def rms(difference: NDArray[np.complex128] | Array) -> float:
         return float(np.sqrt(np.mean(np.abs(difference[scored]) ** 2)))
@@ -89,7 +103,7 @@ def score(
         float(error[scored].max()),
         None if truth.speed_e is None else rms(speed_e - truth.speed_e),
         None if truth.flux is None else rms(flux - truth.flux),
-        settled,
+        settling_time(truth.t, error),
         float(np.mean(error[scored] > LOST)),
         float(np.mean(claimed[scored])),
         float(error[scored & claimed].max(initial=0.0)),

@@ -11,12 +11,11 @@ from ..estimation.summary import mean_of
 from ..identification import identify
 from ..logs.log import Log
 from ..machines import RotatingMachine
+from ..machines.heat import COLD, COPPER
 from ..observers.adaptive import Learnt
 from ..observers.unknowns import ALL
 from .item import Item, judged, look_if
 
-#: Temperature coefficient of copper, referred to 20 °C [1/K] (IEC 60028: 0.00393).
-COPPER, COLD = 0.00393, 20.0
 #: A winding may be so warm [°C]; hotter is worth a look.
 WARM = 130.0
 #: A magnet's flux may differ from its plate by this share: heat, and spread of production.

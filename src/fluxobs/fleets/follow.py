@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import UsageError
 from ..estimation.summary import si
+from ..machines.heat import COPPER
 from ..validation import nearest
 from .changes import LEAST, Course, course_of
 
@@ -26,8 +27,6 @@ FOLLOWED = {
     "offset_alpha": ("offset_std", "A", "current offset α"),
     "offset_beta": ("offset_std", "A", "current offset β"),
 }
-#: Change of the resistance of copper by kelvin.
-COPPER = 0.00393
 #: A drive is unlike the others beyond this many standard deviations of their scatter.
 UNLIKE = 5.0
 #: Fewest drives among which one can be unlike the others.

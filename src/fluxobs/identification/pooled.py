@@ -14,13 +14,12 @@ from ..errors import FluxobsError
 from ..logs.for_machine import open_for
 from ..logs.read import Source
 from ..machines import Machine, as_machine, rotating
+from ..machines.heat import COPPER, NEODYMIUM
 from .identify import Identification, identify, identify_logs, read_free
 
 #: A log disagrees if a parameter is this many standard deviations from that of the others, and by
 #: this share of it: what is surely different but by less matters to nobody.
 DISAGREES, MATTERS = 4.0, 0.01
-#: Change of the resistance of copper, and of the flux of NdFeB magnets, by kelvin.
-COPPER, MAGNET = 0.00393, -0.0011
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ def _cause(one: Alone) -> str:
     if R is not None and psi is None:
         return f": as copper {R / COPPER:+.0f} K would"
     if R is not None and psi is not None and R * psi < 0:
-        return f": as heat would, copper {R / COPPER:+.0f} K and magnets {psi / MAGNET:+.0f} K"
+        return f": as heat would, copper {R / COPPER:+.0f} K and magnets {psi / NEODYMIUM:+.0f} K"
     if psi is not None:
         return ": another motor, or magnets that changed"
     return ""
