@@ -376,7 +376,9 @@ static void run(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         }
         const bool harm = !sound || s->disagree > DISAGREE_FOR ||
                           s->contradiction > CONTRADICTION_MOST ||
-                          fo_abs(s->p[FO_RESISTANCE]) > FAR;
+                          fo_abs(s->p[FO_RESISTANCE]) > FAR ||
+                          fo_abs(s->p[FO_INDUCTANCE]) > FAR ||
+                          fo_abs(s->p[FO_INDUCTANCE + 1]) > FAR;
         const bool lost = s->doubt > ONE ||
                           (s->rows > LOST_AFTER && !(variance < STD_LOST * STD_LOST));
         /* what little a filter has learnt that is lost within two turns is worth nothing */

@@ -105,7 +105,7 @@ typedef struct {
     fo_real along[FO_N];      /* its direction                                               */
     fo_real made[2];          /* flux of the current along and across it, with the L assumed */
     fo_real grown;            /* what the current adds to its length                         */
-} place;
+} sight;
 
 /* The part of v across `along`, a unit vector. */
 static fo_real across(const fo_real along[FO_N], const fo_real v[FO_N])
@@ -114,7 +114,7 @@ static fo_real across(const fo_real along[FO_N], const fo_real v[FO_N])
 }
 
 /* Finds the rotor, with what is learnt of the inductances. */
-static void find(const fo_adaptive *a, const fo_adaptive_state *s, place *at)
+static void look(const fo_adaptive *a, const fo_adaptive_state *s, sight *at)
 {
     const fo_observer *o = &a->plain;
     const fo_real L_d = o->L_position + a->saliency, L_q = o->L_position;
@@ -158,7 +158,7 @@ static void find(const fo_adaptive *a, const fo_adaptive_state *s, place *at)
 }
 
 /* How the residual answers to the flux, and, negative, to the current. */
-static void slopes(const fo_adaptive *a, const fo_adaptive_state *s, const place *at,
+static void slopes(const fo_adaptive *a, const fo_adaptive_state *s, const sight *at,
                    fo_real slope[FO_N], fo_real by_current[FO_N])
 {
 #if FO_MAPPED
@@ -306,14 +306,14 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
     const fo_real psi = fo_sqrt(c->p[FO_NM - 1]), speed = a->plain.sample_time * s->tracker.speed;
     const fo_real h = a->plain.h; /* at least a radian a memory: slower, nothing tells the drift */
     const fo_real turned = fo_abs(speed) > h ? speed : speed < ZERO ? -h : h;
-    place at;
+    sight at;
     fo_real slope[FO_N], by_current[FO_N];
     ask_map(a, s);
     for (int i = 0; i < FO_N; i++) {
         s->flux[i] = c->p[i];
         s->drift[i] = c->p[FO_N + i];
     }
-    find(a, s, &at);
+    look(a, s, &at);
     slopes(a, s, &at, slope, by_current);
     if (a->std[FO_PSI] > ZERO && !s->frozen && !(fo_abs(s->p[FO_PSI]) > ZERO)) { /* new */
         s->p[FO_PSI] = (at.length - at.grown - a->psi) / a->std[FO_PSI];
@@ -370,7 +370,7 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
 /* ---- a sample --------------------------------------------------------------------------------- */
 
 /* Adds the residual |x| - grown - psi_f of a sample to the block. */
-static void add(const fo_adaptive *a, const fo_adaptive_state *s, const place *at, fo_block *b)
+static void add(const fo_adaptive *a, const fo_adaptive_state *s, const sight *at, fo_block *b)
 {
     fo_real slope[FO_N], by_current[FO_N];
     slopes(a, s, at, slope, by_current);
@@ -412,7 +412,7 @@ static bool follow(fo_adaptive_state *s, const fo_real row[FO_NA], fo_real value
 }
 
 /* Counts the rows at the present operating point; returns their number. */
-static fo_real rows_here(const fo_adaptive *a, fo_adaptive_state *s, const place *at,
+static fo_real rows_here(const fo_adaptive *a, fo_adaptive_state *s, const sight *at,
                          fo_real speed, fo_real share)
 {
     const fo_real now[3] = {dot(at->along, at->current), across(at->along, at->current), speed};
@@ -519,7 +519,7 @@ static void learn(const fo_adaptive *a, fo_adaptive_state *s, fo_real row[FO_NA]
 }
 
 /* Finds the variance across the position vector: with L_q known, and what L_q adds. */
-static void judge_across(const fo_adaptive *a, fo_adaptive_state *s, const place *at)
+static void judge_across(const fo_adaptive *a, fo_adaptive_state *s, const sight *at)
 {
     const int n = FO_NF + (int)FO_INDUCTANCE + 1; /* L_q */
     fo_real direction[FO_NA] = {0}, turned[FO_NA];
@@ -554,7 +554,7 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         s->d[FO_NF + FO_PSI] /= ONE + s->d[FO_NF + FO_PSI] * q;
     }
     forget_drift(a, s, b->time);
-    place at;
+    sight at;
     if (b->samples > 0U && share > (fo_real)1e-6) {
         const fo_real over = ONE / (fo_real)b->samples;
         fo_real row[FO_NA], value = -b->residual * over;
@@ -573,7 +573,7 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         if (surprise) {
             forget_drift(a, s, DRIFT_MEMORY); /* all of it */
         }
-        find(a, s, &at);
+        look(a, s, &at);
         const fo_real speed = turned / b->time;
         const fo_real rows = rows_here(a, s, &at, speed, share);
         const fo_real shape = speed > ZERO ? inverter / speed : ZERO;
@@ -586,7 +586,7 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         }
         learn(a, s, row, value, weight, b->time);
     }
-    find(a, s, &at);
+    look(a, s, &at);
     judge_across(a, s, &at);
     s->theta = fo_atan2(at.x[1], at.x[0]);
     clear_block(s);
@@ -613,7 +613,7 @@ fo_real fo_learning_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_
 {
     const fo_observer *o = &a->plain;
     fo_block *b = &s->now.block;
-    place at;
+    sight at;
     ask_map(a, s);
     for (int i = 0; i < FO_N; i++) {
         s->flux[i] += t->v[i] + o->h * s->drift[i];
@@ -623,7 +623,7 @@ fo_real fo_learning_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_
     }
     b->time += o->h;
     b->unmodelled += o->h * fo_learning_unmodelled(a, s);
-    find(a, s, &at);
+    look(a, s, &at);
     bool good = at.length * at.length > o->square_min / (fo_real)16;
     if (good) {
         if (measured) {
@@ -634,7 +634,7 @@ fo_real fo_learning_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_
         s->theta = theta;
         if (turned >= BLOCK || b->time >= BLOCK_MOST) {
             end(a, s, t, turned);
-            find(a, s, &at);
+            look(a, s, &at);
         }
         const fo_real loaded = a->std[FO_INDUCTANCE + 1] * (at.made[1] - s->made_q);
         s->turned = s->turning + loaded * loaded;

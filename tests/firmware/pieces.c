@@ -243,14 +243,14 @@ static void check_derivatives(void)
         double two[2], derivative = 0.0;
         for (int side = 0; side < 2; side++) {
             fo_adaptive_state t = s;
-            place at;
+            sight at;
             const fo_real by = (fo_real)(side == 0 ? -step : step);
             if (n < FO_N) {
                 t.flux[n] += by;
             } else {
                 t.p[n - FO_N] += by;
             }
-            find(&a, &t, &at);
+            look(&a, &t, &at);
             add(&a, &t, &at, &t.now.block);
             two[side] = (double)t.now.block.residual;
             derivative += 0.5 * (double)(n < FO_N ? t.now.block.slope[n] : t.now.block.along[n - FO_N]);

@@ -53,7 +53,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Place:
+class Sight:
     """The rotor as the filter sees it."""
 
     i: Array  # current without offset
@@ -112,7 +112,7 @@ class LearningTwin:
         b.time += a.h
         share = INVERTER_UNMODELLED + KNEE_UNMODELLED * knee
         b.unmodelled += share * np.hypot(self._loss(), self.loss_std) * a.volt
-        at = self._find(current)
+        at = self._look(current)
         self._add(at)
         turned = abs(float(wrap(np.arctan2(at.x[1], at.x[0]) - b.theta)))
         if turned >= BLOCK or b.time >= BLOCK_MOST:
@@ -132,7 +132,7 @@ class LearningTwin:
         direction[CURVE] = a.std[CURVE] * self._loss()
         return float(np.sqrt(self._known(direction)))
 
-    def _find(self, current: Array) -> Place:
+    def _look(self, current: Array) -> Sight:
         a, value = self.a, self.a.std[:CURVE] * self.p
         i = current - value[OFFSET : OFFSET + 2]
         wrong_d, wrong_q = value[INDUCTANCE : INDUCTANCE + 2]
@@ -142,9 +142,9 @@ class LearningTwin:
         d = x / length
         i_d, i_q = float(d @ i), float(J @ d @ i)
         grown = (a.saliency + wrong_d * L_d - wrong_q * L_q) * i_d
-        return Place(i, x, d, length, (L_d * i_d, L_q * i_q), grown)
+        return Sight(i, x, d, length, (L_d * i_d, L_q * i_q), grown)
 
-    def _add(self, at: Place) -> None:
+    def _add(self, at: Sight) -> None:
         """Residual r = |x| - ΔL i_d - ψ and its derivatives, summed."""
         a, b, d = self.a, self.block, at.d
         slope = d - a.saliency / at.length * (at.i - (d @ at.i) * d)
@@ -169,7 +169,7 @@ class LearningTwin:
         self._forget_drift(b.time)
         if share > 1e-6:
             n = b.samples
-            at, speed = self._find(current), turned / b.time
+            at, speed = self._look(current), turned / b.time
             fast = np.concatenate([b.slope, b.slope_time - b.time * b.slope]) / n
             slow = b.along / n - b.effect @ fast[:2]
             value = -b.residual / n
@@ -183,14 +183,14 @@ class LearningTwin:
                 shape = inverter / speed
                 weight = 1 / ((rows / information + shape**2) * max(self.level, 1.0))
                 self._learn(slow, value, weight, b.time)
-        at = self._find(current)
+        at = self._look(current)
         self.across, self.turning = self._across(at)
         self.judged = (self.judged + 1) % 3
         if self.judged == 2:
             self.loss_std = self._loss_std()
         self.block = Block(float(np.arctan2(at.x[1], at.x[0])))
 
-    def _across(self, at: Place) -> tuple[float, float]:
+    def _across(self, at: Sight) -> tuple[float, float]:
         """Variance of the position vector across its direction, and what L_q adds to it."""
         a = self.a
         across = J @ at.d
@@ -250,7 +250,7 @@ class LearningTwin:
         self.contradiction += 2 / ROWS * share * (odd - self.contradiction)
         return surprise
 
-    def _rows_here(self, at: Place, speed: float, share: float) -> float:
+    def _rows_here(self, at: Sight, speed: float, share: float) -> float:
         """Rows at the present operating point (i_d, i_q, speed)."""
         now = np.array([at.d @ at.i, (J @ at.d) @ at.i, speed])
         before = abs(self.point[2]) + abs(speed)
