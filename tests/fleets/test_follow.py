@@ -47,6 +47,21 @@ def test_a_quiet_fleet_has_no_remarks():
     assert [one.remarks for one in found] == [()] * 16
 
 
+def test_a_steady_drift_crosses_the_limit_about_its_beginning():
+    found = follow(table(unit1=lambda k: (1.0, 1 - 4e-3 * k)), [read_limit("psi_f=5%")])
+    one = next(one for one in found if (one.drive, one.name) == ("unit1", "psi_f"))
+    assert one.first == pytest.approx(0.0125, rel=0.01)
+    assert one.limits == pytest.approx((0.95 * one.first, 1.05 * one.first))
+    assert one.crossed
+    assert "is beyond" in one.remarks[0]
+    assert not any("meets its limit" in text for text in one.remarks)
+
+
+def test_two_limits_of_one_parameter_are_refused():
+    with pytest.raises(UsageError, match="a parameter has two"):
+        follow(table(), [read_limit("psi_f=5%"), read_limit("psi_f=90%")])
+
+
 def test_heat_ageing_and_another_motor():
     found = {
         (one.drive, one.name): one

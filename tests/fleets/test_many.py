@@ -192,6 +192,17 @@ def test_drive_and_time_from_the_name(logs):
     assert Source("gone", "serial-123456789.csv", "").time() is None
 
 
+def test_a_name_stays_in_the_folder_of_the_results(logs, tmp_path, monkeypatch):
+    below = tmp_path / "x" / "y"
+    below.mkdir(parents=True)
+    (below / "c.csv").write_bytes(LOG.read_bytes())
+    monkeypatch.chdir(below)
+    direct = sources([logs])
+    assert sources(["../../logs"]) == direct
+    both = sources(["../../logs", below])
+    assert not any(".." in one.name for one in both)
+
+
 def test_nothing_meant(logs, tmp_path):
     with pytest.raises(FluxobsError, match="no logs there"):
         sources([logs / "c*.csv"])

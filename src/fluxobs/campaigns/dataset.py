@@ -79,7 +79,8 @@ class Dataset:
 
     def scan(self) -> pl.LazyFrame:
         """All rows that are there, lazily."""
-        return pl.scan_parquet(self.folder / ROWS / "*.parquet")
+        files = sorted((self.folder / ROWS).glob("*.parquet"))
+        return pl.scan_parquet(files, glob=False)  # a folder's name is no pattern
 
     def rows(self) -> pl.DataFrame:
         """All rows, by number and observer.

@@ -153,6 +153,7 @@ def told_indices(found: list[Index]) -> str:
 
 def text(found: Dataset, rows: pl.DataFrame) -> tuple[Any, list[str]]:
     """For a terminal: a rich table, and sentences."""
+    from rich.markup import escape as plain
     from rich.table import Table
 
     head, lines = summary_rows(found, rows)
@@ -160,7 +161,7 @@ def text(found: Dataset, rows: pl.DataFrame) -> tuple[Any, list[str]]:
     for k, name in enumerate(head):
         table.add_column(name, justify="left" if k < 2 else "right", overflow="fold")
     for line in lines:
-        table.add_row(*line)
+        table.add_row(*map(plain, line))
     s = found.specification
     several = len(s.machines) > 1
     sentences = [*failures(rows), *against(s, rows)]

@@ -158,6 +158,9 @@ class ObserverTable(_Table):
         return self
 
 
+Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+
+
 class GoodTable(_Table):
     """When a scenario counts as good: all that is given must hold.
 
@@ -175,9 +178,9 @@ class GoodTable(_Table):
 
     rms: Positive | None = 2.0
     worst: Positive | None = None
-    valid: NotNegative | None = None
+    valid: Share | None = None
     first_valid: Positive | None = None
-    losses: int | None = None
+    losses: Annotated[int, Field(ge=0)] | None = None
 
 
 class LimitTable(_Table):
@@ -191,7 +194,7 @@ class LimitTable(_Table):
         Of this observer, on this machine; default every one.
     """
 
-    good: Annotated[float, Field(ge=0, le=1)]
+    good: Share
     observer: str | None = None
     machine: str | None = None
 
@@ -249,6 +252,9 @@ class Specification(_Table):
             for part in TOGETHER.get(name, (name,)):
                 if part in vary:
                     raise ValueError(f"vary: {part} is given twice")
+                least = QUANTITIES[part].least if part in QUANTITIES else -np.inf
+                if one.fixed is not None and not one.fixed > least:
+                    raise ValueError(f"vary: {name} = {one.fixed:g} is impossible for a drive")
                 vary[part] = one
         # Nobody knows the angle at which a rotor stands.
         vary.setdefault("theta_e", Distribution(uniform=[-np.pi, np.pi]))
@@ -258,6 +264,8 @@ class Specification(_Table):
             raise ValueError(f"observers need names of their own (name = …), got {names}")
         if len(set(self.machines)) != len(self.machines):
             raise ValueError("machines: one is named twice")
+        if self.good.losses is not None and self.loop == "open":
+            raise ValueError('good.losses: only with loop = "closed" can an observer be lost')
         for limit in self.limits:
             for what, word, there in (
                 ("observer", limit.observer, names),

@@ -23,9 +23,13 @@ def locked(folder: Path) -> Iterator[None]:
     Raises
     ------
     FluxobsError
-        Another process works in it.
+        Another process works in it, or it cannot be written.
     """
-    with (folder / ".lock").open("w") as handle:
+    try:
+        lock = (folder / ".lock").open("w")
+    except OSError as error:
+        raise FluxobsError(f"{folder}: cannot be written: {error.strerror}") from None
+    with lock as handle:
         try:
             import fcntl
 

@@ -112,6 +112,11 @@ class Followed:
     crossed: bool
 
     @property
+    def first(self) -> float:
+        """What it was at the first log."""
+        return _began(np.array([when.timestamp() for when in self.times]), self.course)
+
+    @property
     def line(self) -> Array:
         """Level of the last segment, with its trend if it has one, at all times."""
         last = self.course.segments[-1]
@@ -129,6 +134,12 @@ class Followed:
         return FOLLOWED[self.name][1]
 
 
+def _began(t: Array, course: Course) -> float:
+    """Level at the first time: with one segment and a trend, where the trend began."""
+    trend = course.slope if course.drifts and len(course.segments) == 1 else 0.0
+    return course.segments[0].mean + trend * float(t[0] - np.mean(t))
+
+
 def follow(table: pl.DataFrame, limits: Sequence[Limit] = ()) -> list[Followed]:
     """Every parameter of every drive that its logs tell at least once.
 
@@ -137,8 +148,11 @@ def follow(table: pl.DataFrame, limits: Sequence[Limit] = ()) -> list[Followed]:
     table : DataFrame
         Of :class:`fluxobs.fleets.Fleet`.
     limits : sequence of Limit
+        At most one of each parameter.
     """
     by_name = {limit.name: limit for limit in limits}
+    if len(by_name) < len(limits):
+        raise UsageError("limits: a parameter has two; give LOW..HIGH in one")
     good = table.filter(pl.col("failed").is_null() & pl.col("time").is_not_null())
     found = []
     for name, (std, _, _) in FOLLOWED.items():
@@ -157,7 +171,7 @@ def _followed(mine: pl.DataFrame, name: str, std: str, limit: Limit | None) -> F
     values, stds = mine[name].to_numpy().astype(float), mine[std].to_numpy().astype(float)
     logs = mine["log"].to_list()
     course = course_of(t, values, stds)
-    bounds = None if limit is None else limit.of(course.segments[0].mean)
+    bounds = None if limit is None else limit.of(_began(t, course))
     remarks, crossed = [], False
     if bounds is not None:
         remarks = _beyond(name, logs, values, np.hypot(stds, course.scatter), bounds)

@@ -57,7 +57,7 @@ def write_html(fleet: Fleet, found: Sequence[Followed], path: Path) -> None:
             one.drive or "all logs",
             FOLLOWED[one.name][2],
             str(len(one.values)),
-            f"{one.course.segments[0].mean:.4g}",
+            f"{one.first:.4g}",
             f"{one.level:.4g}",
             one.unit,
             f"{one.course.scatter:.2g}",

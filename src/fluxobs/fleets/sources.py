@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import os
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -157,19 +158,19 @@ def _is_log(name: str) -> bool:
 
 
 def _local(given: str) -> list[str]:
-    path = Path(given)
+    path = Path(os.path.normpath(Path(given).absolute()))
     if path.is_dir():
         below = (one for one in path.rglob("*") if one.is_file() and _is_log(one.name))
         # The folder of a result holds tables, no logs.
         return [
-            one.absolute().as_posix()
+            one.as_posix()
             for one in below
             if not any((above / "fleet.json").exists() for above in one.parents)
         ]
     if path.exists() or not glob.has_magic(given):
-        return [path.absolute().as_posix()]  # a missing one is a row that says so
-    hits = (Path(one) for one in glob.glob(given, recursive=True))
-    return [one.absolute().as_posix() for one in hits if one.is_file()]
+        return [path.as_posix()]  # a missing one is a row that says so
+    hits = (Path(one) for one in glob.glob(str(path), recursive=True))
+    return [one.as_posix() for one in hits if one.is_file()]
 
 
 def _remote(given: str) -> list[str]:

@@ -62,7 +62,7 @@ def fleet(
                 "parameter": one.name,
                 "unit": one.unit,
                 "logs": len(one.values),
-                "first": one.course.segments[0].mean,
+                "first": one.first,
                 "now": one.level,
                 "scatter": one.course.scatter,
                 "crossed": one.crossed,
