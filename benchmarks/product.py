@@ -39,7 +39,7 @@ def table(folder: Path) -> None:
     print()
     for (machine, name), indices in matters(found, rows).items():
         if name in ("plain", "adaptive"):
-            print(f"{name} on {machine}: {told_indices(indices)}")
+            print(f"{name} on {machine}: {told_indices(indices, found.specification.scenarios)}")
 
 
 if __name__ == "__main__":

@@ -3,17 +3,32 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from numbers import Real
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from .errors import UsageError
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class Table(BaseModel):
+    """A table of a file that users write: frozen, and a misspelt key is an error that suggests."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known(cls, given: Any) -> Any:
+        if isinstance(given, Mapping):
+            for name in given:
+                if name not in cls.model_fields:
+                    raise ValueError(f"unknown field {name!r}{nearest(name, cls.model_fields)}")
+        return given
 
 
 def number(name: str, value: object, unit: str) -> float:
@@ -46,7 +61,7 @@ def complaints(error: ValidationError, fields: Iterable[str], what: str) -> str:
                 out.append(f"{name} must be positive, got {given}")
             case "value_error":
                 message = problem["msg"].removeprefix("Value error, ")
-                out.append(f"{name}: {message}" if "." in name else message)
+                out.append(message if not name or name in message else f"{name}: {message}")
             case _:
                 message = problem["msg"][0].lower() + problem["msg"][1:]
                 out.append(f"{name}: {message}, got {given!r}")

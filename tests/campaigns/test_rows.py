@@ -124,9 +124,12 @@ def test_a_scenario_that_cannot_be_is_a_row_that_says_so():
 
 
 def test_impossible_value_is_named():
-    s = specification(vary={"range": -1})
     with pytest.raises(UsageError, match="range = -1 is impossible"):
-        drive_of(s, scenarios(s, 0, 1)[0])
+        specification(vary={"range": -1})
+    s = specification(vary={"range": {"uniform": [-2, -1]}})
+    row = scenarios(s, 0, 1)[0]
+    with pytest.raises(UsageError, match=r"range = -1\.\d+ is impossible"):
+        drive_of(s, row)
 
 
 def test_temperature_and_tolerances_of_a_motor():

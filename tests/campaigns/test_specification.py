@@ -77,6 +77,12 @@ def test_impossible_correlations():
         ({"good": {"valid": 90}}, "good.valid: input should be less than or equal to 1"),
         ({"good": {"losses": 2}}, 'only with loop = "closed"'),
         ({"sampling": "sobol", "scenarios": 100}, "take 64 or 128"),
+        ({"vary": {"load": {"grid": [0.1, 0.5, 0.9]}}}, "has 3 places; take 63 or 66"),
+        ({"vary": {"load": {"grid": [0.1] * 65}}}, "has 65 places; take 65"),
+        (
+            {"vary": {"load": {"grid": [0.1, 0.5, 0.9]}}, "sampling": "sobol", "scenarios": 60},
+            "at each place of the grid; take 48 or 96",
+        ),
         ({"observers": ["plain", "plain"]}, "observers need names of their own"),
         ({"limits": [{"good": 0.9, "observer": "plan"}]}, "no observer 'plan'; did you mean"),
         ({"course": {"duration": 1, "score_from": 2}}, "nothing of 1 s is left"),
@@ -118,34 +124,40 @@ VARY = {
 
 @pytest.mark.parametrize("sampling", ["random", "sobol"])
 def test_a_scenario_depends_on_its_number_alone(sampling):
-    s = specification(vary=VARY, sampling=sampling, machines=["servo-400w", "pmsm-2kw2"])
-    for start in (0, 64):
-        whole = scenarios(s, start, start + 64)
+    machines = ["servo-400w", "pmsm-2kw2"]
+    s = specification(vary=VARY, sampling=sampling, machines=machines, scenarios=96)
+    for start in (0, 96):
+        whole = scenarios(s, start, start + 96)
         parts = [
             *scenarios(s, start, start + 1),
             *scenarios(s, start + 1, start + 38),
-            *scenarios(s, start + 38, start + 64),
+            *scenarios(s, start + 38, start + 96),
         ]
         assert parts == whole
-    assert len({one.values["R"] for one in scenarios(s, 0, 64)}) == 64
+    places = 3 if sampling == "sobol" else 1
+    assert len({one.values["R"] for one in scenarios(s, 0, 96)}) == 96 / places
 
 
 def test_machines_get_the_same_points_of_a_sequence_but_noise_of_their_own():
-    s = specification(vary=VARY, sampling="sobol", machines=["servo-400w", "pmsm-2kw2"])
-    first, second = scenarios(s, 3, 4)[0], scenarios(s, 67, 68)[0]
+    machines = ["servo-400w", "pmsm-2kw2"]
+    s = specification(vary=VARY, sampling="sobol", machines=machines, scenarios=96)
+    first, second = scenarios(s, 3, 4)[0], scenarios(s, 99, 100)[0]
     assert first.values["R"] == second.values["R"]
     streams = [one.generator(COURSE).random() for one in (first, second)]
     assert streams[0] != streams[1]
 
 
 def test_another_seed_draws_others():
-    one, other = (scenarios(specification(vary=VARY, seed=seed), 0, 1)[0] for seed in (0, 1))
+    one, other = (
+        scenarios(specification(vary=VARY, seed=seed, scenarios=3), 0, 1)[0] for seed in (0, 1)
+    )
     assert one.values["R"] != other.values["R"]
     assert one.generator(COURSE).random() != other.generator(COURSE).random()
 
 
 def test_grids_are_taken_in_turn():
-    s = specification(vary={"temperature": {"grid": [0, 100]}, "load": {"grid": [0.1, 0.5, 0.9]}})
+    vary = {"temperature": {"grid": [0, 100]}, "load": {"grid": [0.1, 0.5, 0.9]}}
+    s = specification(vary=vary, scenarios=12)
     drawn = [(one.values["temperature"], one.values["load"]) for one in scenarios(s, 0, 12)]
     assert drawn[:6] == [(t, x) for t in (0, 100) for x in (0.1, 0.5, 0.9)]
     assert drawn[6:] == drawn[:6]
@@ -154,6 +166,17 @@ def test_grids_are_taken_in_turn():
 def test_neutral_values_are_left_out():
     values = at_point(specification(vary={"R": 1, "L": 1.1}), np.array([0.5]))
     assert values == {"L": 1.1}
+
+
+def test_every_place_of_a_grid_sees_the_same_sobol_points():
+    vary = {"R": {"uniform": [0, 1]}, "temperature": {"grid": [0, 100]}}
+    s = specification(vary=vary, sampling="sobol")
+    cold, hot = (
+        [one.values["R"] for one in scenarios(s, 0, 64) if one.values["temperature"] == at]
+        for at in (0, 100)
+    )
+    assert cold == hot
+    assert [int(32 * value) for value in sorted(cold)] == list(range(32))
 
 
 def test_sobol_points_fill_every_slice():

@@ -11,11 +11,11 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from scipy.special import ndtr, ndtri
 
 from ..errors import UsageError
-from ..validation import Number
+from ..validation import Number, Table
 
 Array = NDArray[np.float64]
 
@@ -27,6 +27,8 @@ def _listed(given: Any) -> Any:
     """A number is a fixed value."""
     if isinstance(given, int | float) and not isinstance(given, bool):
         return {"fixed": given}
+    if not isinstance(given, Mapping | Distribution):
+        raise ValueError(f"give a number, or a table as {{ uniform = [0.9, 1.1] }}, got {given!r}")
     return given
 
 
@@ -34,7 +36,7 @@ Two = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Some = Annotated[list[Number], Field(min_length=1)]
 
 
-class Distribution(BaseModel):
+class Distribution(Table):
     """One distribution; exactly one of the fields but `within` is given.
 
     Parameters
@@ -48,12 +50,10 @@ class Distribution(BaseModel):
     choice : list of numbers
         Each as likely as the others.
     grid : list of numbers
-        Each with each of every other grid; the scenarios repeat the grid as often as they can.
+        Each with each of every other grid, in turn; the scenarios are a multiple of all places.
     within : [least, most], optional
         Cuts off a normal or lognormal distribution.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     fixed: Number | None = None
     uniform: Two | None = None
@@ -153,7 +153,7 @@ def correlator(names: Sequence[str], correlations: Mapping[str, float]) -> Array
     UsageError
         A name does not vary, or no joint distribution has these correlations.
     """
-    matrix = np.eye(len(names))
+    matrix, given = np.eye(len(names)), set()
     for pair, value in correlations.items():
         words = [word.strip() for word in pair.split(",")]
         if len(words) != 2 or words[0] == words[1]:
@@ -163,6 +163,9 @@ def correlator(names: Sequence[str], correlations: Mapping[str, float]) -> Array
                 raise UsageError(
                     f"correlation {pair!r}: {word!r} does not vary by a continuous distribution"
                 )
+        if frozenset(words) in given:
+            raise UsageError(f"correlation {pair!r}: it is given twice")
+        given.add(frozenset(words))
         if not -1 < value < 1:
             raise UsageError(f"correlation {pair!r} must be between -1 and 1, got {value:g}")
         at = tuple(names.index(word) for word in words)

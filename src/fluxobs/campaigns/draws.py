@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,11 +89,13 @@ def points(specification: Specification, first: int, last: int) -> Array:
     if specification.sampling == "sobol":
         from scipy.stats.qmc import Sobol
 
+        # All places of a grid share a point: half of an axis follows from an index's parity.
+        index = np.arange(first, last) % specification.scenarios // specification.places
         sequence = Sobol(varied, seed=np.random.default_rng(specification.seed))
-        if first % specification.scenarios:
-            sequence.fast_forward(first % specification.scenarios)
-        count = last - first  # SciPy warns of a first draw that is no power of two
-        points = sequence.random(1 << (count - 1).bit_length())[:count]
+        if index[0]:
+            sequence.fast_forward(int(index[0]))
+        count = int(index[-1] - index[0])  # SciPy warns of a first draw that is no power of two
+        points = sequence.random(1 << count.bit_length())[index - index[0]]
     else:
         points = np.array(
             [
@@ -110,6 +111,6 @@ def _grid(specification: Specification, index: int) -> dict[str, float]:
     lists = [specification.vary[name].grid or [] for name in specification.grids]
     if not lists:
         return {}
-    size = math.prod(len(one) for one in lists)
-    chosen = next(itertools.islice(itertools.product(*lists), index % size, None))
+    place = index % specification.places
+    chosen = next(itertools.islice(itertools.product(*lists), place, None))
     return dict(zip(specification.grids, chosen, strict=True))

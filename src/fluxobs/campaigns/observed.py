@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 #: Observers that do not judge themselves are trusted above this share of the rated speed, as
 #: firmware does: half of the speed to which a start usually turns the current.
 TRUSTED = 0.05
+#: Unknowns of the adaptive observer, unless its table names others.
+UNKNOWNS = ("drift", "resistance", "inverter")
 #: Current noise that observers assume, as a share of the rated current, if nothing tells it: that
 #: of the plain observer.
 NOISE = 0.002
@@ -111,8 +113,9 @@ def _built(table: ObserverTable, believed: RotatingMachine, cell: Cell, noise: f
     if table.kind == PLAIN:
         return LeastSquaresObserver.for_machine(believed, **usual)
     if table.kind == ADAPTIVE:
+        unknowns = table.unknowns or UNKNOWNS
         return AdaptiveObserver.for_machine(
-            believed, unknowns=table.unknowns, dc_link=cell.rated.dc_link, **usual
+            believed, unknowns=unknowns, dc_link=cell.rated.dc_link, **usual
         )
     setting = _setting(believed, cell, noise)
     entry = check_observer(table, cell)
@@ -125,10 +128,11 @@ def check_observer(table: ObserverTable, cell: Cell) -> Entry | None:
 
     Raises
     ------
-    UsageError
-        There is no such observer for this machine, or it has no such gain.
+    FluxobsError
+        There is no such observer for this machine, or it has no such gain or unknown.
     """
     if table.kind in (PLAIN, ADAPTIVE):
+        _built(table, believed_machine(cell.machine, table.machine), cell, NOISE * cell.current)
         return None
     entries = {one.name: one for one in entries_for(cell.machine) if not one.least_squares}
     if table.kind not in entries:

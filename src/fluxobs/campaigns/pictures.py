@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,7 +49,7 @@ def distribution(specification: Specification, rows: pl.DataFrame) -> Figure:
             xscale="log",
             xlabel="rms position error [°]",
             ylim=(0, 100),
-            title=Path(machine).stem if machine.endswith(".toml") else machine,
+            title=specification.called(machine),
         )
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("scenarios below [%]")
@@ -92,7 +91,7 @@ def importance(
         axis.set(
             xlabel="share of the variance [%]",
             xlim=(0, None),
-            title=Path(machine).stem if machine.endswith(".toml") else machine,
+            title=specification.called(machine),
         )
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=3, frameon=False, fontsize=8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from html import escape
 from pathlib import Path
@@ -15,12 +16,14 @@ from ..output import write_text
 from . import pictures, statistics
 from .dataset import WORST, Dataset
 from .draws import total
-from .specification import Specification
+from .specification import ADAPTIVE, PLAIN, ObserverTable, Specification
 from .statistics import Index, group, in_words
 from .worst import KEPT, stem, worst
 
 #: File of the HTML report.
 REPORT = "report.html"
+#: A number in a message.
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 #: Pairs of tolerances that are shown for an observer.
 MATTER = 3
 
@@ -63,7 +66,7 @@ def summary_rows(found: Dataset, rows: pl.DataFrame) -> tuple[tuple[str, ...], l
             mine = group(rows, machine, table.name)
             rms = mine["rms"]
             line = [
-                _name(machine),
+                s.called(machine),
                 table.name,
                 str(statistics.yield_of(mine, s.good)),
                 degrees(rms.median()),  # type: ignore[arg-type]
@@ -83,10 +86,6 @@ def _wrong(rows: pl.DataFrame) -> str:
     """How many scenarios have a row that is sure and wrong; nothing of who tells no std."""
     wrong = rows["wrong"].drop_nulls()
     return str(int((wrong > 0).sum())) if len(wrong) else "–"
-
-
-def _name(machine: str) -> str:
-    return Path(machine).stem if machine.endswith(".toml") else machine
 
 
 def against(specification: Specification, rows: pl.DataFrame) -> list[str]:
@@ -116,16 +115,42 @@ def against(specification: Specification, rows: pl.DataFrame) -> list[str]:
 
 
 def failures(rows: pl.DataFrame) -> list[str]:
-    """Scenarios that could not be simulated, by what was wrong."""
-    failed = rows.filter(pl.col("failed").is_not_null()).unique("number")
-    if not len(failed):
-        return []
-    counted = failed.group_by("failed").agg(pl.len(), pl.col("number").min())
+    """Scenarios that could not be simulated, by what was wrong but its numbers."""
+    failed = rows.filter(pl.col("failed").is_not_null()).unique("number").sort("number")
+    alike: dict[str, list[tuple[int, str]]] = {}
+    for number, what in failed.select("number", "failed").iter_rows():
+        alike.setdefault(NUMBER.sub("#", what), []).append((number, what))
     return [
-        f"{count} scenarios could not be simulated, and count as not good; {number} for example: "
-        f"{what}"
-        for what, count, number in counted.sort("len", descending=True).iter_rows()
+        f"{_count(len(some), 'scenario')} could not be simulated, and {_verb(some)} as not good; "
+        f"{some[0][0]} for example: {some[0][1]}"
+        for some in sorted(alike.values(), key=len, reverse=True)
     ]
+
+
+def _count(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def _verb(some: list[Any]) -> str:
+    return "counts" if len(some) == 1 else "count"
+
+
+def never_valid(found: Dataset, rows: pl.DataFrame) -> list[str]:
+    """What medians and percentiles leave out, in a sentence for each observer on each machine."""
+    s = found.specification
+    several = len(s.machines) > 1
+    out = []
+    for machine in s.machines:
+        for table in s.observers:
+            mine = group(rows, machine, table.name).filter(pl.col("failed").is_null())
+            never = mine["rms"].null_count()
+            if never:
+                where = f" on {s.called(machine)}" if several else ""
+                out.append(
+                    f"{table.name}{where} is never valid in {_count(never, 'scenario')}: median, "
+                    f"99 % and worst leave {'it' if never == 1 else 'them'} out."
+                )
+    return out
 
 
 def matters(found: Dataset, rows: pl.DataFrame) -> dict[tuple[str, str], list[Index]]:
@@ -139,8 +164,12 @@ def matters(found: Dataset, rows: pl.DataFrame) -> dict[tuple[str, str], list[In
     }
 
 
-def told_indices(found: list[Index]) -> str:
+def told_indices(found: list[Index], scenarios: int) -> str:
     """The largest indices in words."""
+    if scenarios < statistics.FEWEST:
+        return f"not told by fewer than {statistics.FEWEST} scenarios"
+    if not found:
+        return "nothing: it is the same in all scenarios, or no quantity varies"
     clear = [one for one in found if one.low > 0][:MATTER]
     if not clear:
         return "no single tolerance: it is their combination, the course, and noise"
@@ -164,11 +193,12 @@ def text(found: Dataset, rows: pl.DataFrame) -> tuple[Any, list[str]]:
         table.add_row(*map(plain, line))
     s = found.specification
     several = len(s.machines) > 1
-    sentences = [*failures(rows), *against(s, rows)]
+    sentences = [*failures(rows), *never_valid(found, rows), *against(s, rows)]
     for (machine, observer), indices in matters(found, rows).items():
-        where = f" on {_name(machine)}" if several else ""
+        where = f" on {s.called(machine)}" if several else ""
         sentences.append(
-            f"What the error of {observer}{where} varies with: {told_indices(indices)}."
+            f"What the error of {observer}{where} varies with: "
+            f"{told_indices(indices, s.scenarios)}."
         )
     for table_ in s.observers:
         first = worst(rows.lazy(), table_.name).head(1)
@@ -176,16 +206,19 @@ def text(found: Dataset, rows: pl.DataFrame) -> tuple[Any, list[str]]:
             row = first.row(0, named=True)
             sentences.append(
                 f"Worst valid row of {table_.name}: {degrees(row['worst'])} in scenario "
-                f"{row['number']}; `{_again(found, row['number'], table_.name)}` shows it."
+                f"{row['number']}; `{_again(found, row['number'], table_)}` shows it."
             )
     return table, sentences
 
 
-def _again(found: Dataset, number: int | str, observer: str) -> str:
+def _again(found: Dataset, number: int | str, table: ObserverTable) -> str:
+    """The command that simulates a scenario again, with what it writes of this observer."""
+    estimated = table.kind in (PLAIN, ADAPTIVE)
+    wanted = ("--report", "again.html") if estimated else ("--record", "again.parquet")
     return shlex.join(
         [
             *("fluxobs", "campaign", str(found.folder), "--rerun", str(number)),
-            *("--observer", observer, "--report", "again.html"),
+            *("--observer", table.name, *wanted),
         ]
     )
 
@@ -199,7 +232,7 @@ def write_html(found: Dataset, rows: pl.DataFrame) -> Path:
     parts = [
         html.paragraph(headline(found)),
         *([_verdicts(verdicts)] if verdicts else []),
-        html.bullets(failures(rows)),
+        html.bullets([*failures(rows), *never_valid(found, rows)]),
         html.table(head, lines),
         html.bullets(against(s, rows)),
         "<h2>Distribution of the position error</h2>",
@@ -210,10 +243,12 @@ def write_html(found: Dataset, rows: pl.DataFrame) -> Path:
             "(first-order Sobol' index), with its interval. The rest is due to quantities "
             "together, to the course and to noise."
         ),
-        html.picture(pictures.importance(s, indices), "Sobol' indices with intervals"),
+        html.picture(pictures.importance(s, indices), "Sobol' indices with intervals")
+        if any(indices.values())
+        else html.paragraph(f"Not told: {told_indices([], s.scenarios)}."),
         *_pairs(found, rows, indices),
         f"<h2>Worst {KEPT}</h2>",
-        *(_worst(found, rows, table.name) for table in s.observers),
+        *(_worst(found, rows, table) for table in s.observers),
     ]
     path = found.folder / REPORT
     write_text(path, html.document(f"Campaign: {s.name}", *parts))
@@ -240,23 +275,23 @@ def _pairs(
             for k, x in enumerate(names)
             for y in names[k + 1 :]
         ]
-        title = f"{observer} on {_name(machine)}"
+        title = f"{observer} on {found.specification.called(machine)}"
         out.append(html.picture(pictures.pairs(pairs, title), f"Yield over pairs, {title}"))
     return out if out[1:] else []
 
 
-def _worst(found: Dataset, rows: pl.DataFrame, observer: str) -> str:
+def _worst(found: Dataset, rows: pl.DataFrame, table: ObserverTable) -> str:
     s = found.specification
     lines = []
     varied = [name for name in s.vary if s.vary[name].varies]
-    for row in worst(rows.lazy(), observer).iter_rows(named=True):
+    for row in worst(rows.lazy(), table.name).iter_rows(named=True):
         number = row["number"]
-        name = f"{WORST}/{stem(number, observer)}"
+        name = f"{WORST}/{stem(s, number, table.name)}"
         shown = found.folder / f"{name}.html"
         link = f'<a href="{escape(name)}.html">{number}</a>' if shown.exists() else str(number)
         cells = [
             link,
-            escape(_name(row["machine"])),
+            escape(s.called(row["machine"])),
             degrees(row["worst"]),
             degrees(row["rms"]),
             _percent(row["valid"]),
@@ -267,7 +302,7 @@ def _worst(found: Dataset, rows: pl.DataFrame, observer: str) -> str:
     names = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
     return (
         f'<table style="white-space:nowrap"><caption>'
-        f"{escape(observer)}: <code>{escape(_again(found, 'NUMBER', observer))}"
+        f"{escape(table.name)}: <code>{escape(_again(found, 'NUMBER', table))}"
         f"</code></caption><thead><tr>{names}</tr></thead>"
         f"<tbody>{''.join(lines)}</tbody></table>"
     )

@@ -17,10 +17,10 @@ from ..logs.record import Record
 from ..machines import RotatingMachine
 from .draws import scenarios, total
 from .drives import cell_of
-from .observed import Candidate, Found
+from .observed import UNKNOWNS, Candidate, Found
 from .rows import record_of, rows_for, schema
 from .simulated import Simulated
-from .specification import ADAPTIVE, ObserverTable, Specification
+from .specification import ADAPTIVE, PLAIN, ObserverTable, Specification
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,14 +64,29 @@ class Rerun:
         """The record as a log, with the observer that has the same unknowns and learns as it goes.
 
         It takes its noise from the record, not from the specification.
+
+        Raises
+        ------
+        UsageError
+            The observer is none that :func:`fluxobs.estimate` runs.
         """
+        check_estimated(self.table)
         adaptive = self.table.kind == ADAPTIVE
         return estimate(
             self.record,
             self.machine,
-            unknowns=self.table.unknowns if adaptive else ("drift",),
+            unknowns=(self.table.unknowns or UNKNOWNS) if adaptive else ("drift",),
             causal=adaptive,
             memory=self.table.memory,
+        )
+
+
+def check_estimated(table: ObserverTable) -> None:
+    """Raise UsageError if :func:`fluxobs.estimate` does not run this observer."""
+    if table.kind not in (PLAIN, ADAPTIVE):
+        raise UsageError(
+            f"a report recomputes with {PLAIN} or {ADAPTIVE}, not with {table.name}: take their "
+            f"report, or --record"
         )
 
 
@@ -91,12 +106,7 @@ def rerun(
     UsageError
         There is no such scenario or observer.
     """
-    names = [table.name for table in specification.observers]
-    if observer is None:
-        observer = names[0]
-    if observer not in names:
-        raise UsageError(f"no observer {observer!r}: {', '.join(names)}")
-    table = specification.observers[names.index(observer)]
+    table = specification.observer(observer)
     alone = specification.model_copy(update={"observers": [table]})
     by_machine: dict[int, list[int]] = {}
     for number in sorted(set(numbers)):

@@ -1,19 +1,22 @@
 """The specification of a campaign: what is simulated, what varies, which observers, what passes."""
 
+# ruff: noqa: RUF012 (pydantic copies the defaults)
+
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, WrapValidator, model_validator
 
 from ..errors import FluxobsError, UsageError
 from ..machines import as_machine, rotating
-from ..validation import NotNegative, Number, Positive, complaints, nearest
+from ..validation import NotNegative, Number, Positive, Table, complaints, nearest
 from .distributions import Distribution, Given, correlator
 from .quantities import PARAMETERS, QUANTITIES, TOGETHER
 
@@ -23,11 +26,7 @@ PLAIN, ADAPTIVE = "plain", "adaptive"
 MOST = 10_000_000
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class DriveTable(_Table):
+class DriveTable(Table):
     """Ratings of the drive that the machine file does not hold; default those of a shipped machine.
 
     Parameters
@@ -51,11 +50,21 @@ class DriveTable(_Table):
     dc_link: Positive | None = None
 
 
+def _course(given: Any, read: Any) -> Any:
+    try:
+        return read(given)
+    except ValidationError:
+        raise ValueError(
+            f'give "random", or [[time in s, share of the rated value], …], got {given!r}'
+        ) from None
+
+
 Knots = Annotated[list[tuple[NotNegative, Number]], Field(min_length=1)]
+Random = Literal["random"]
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 
-class CourseTable(_Table):
+class CourseTable(Table):
     """Speed and load over time, as shares of the rated values.
 
     Parameters
@@ -80,8 +89,8 @@ class CourseTable(_Table):
 
     duration: Positive = 2.0
     score_from: NotNegative = 0.3
-    speed: Knots | Literal["random"] = "random"
-    load: Knots | Literal["random"] = "random"
+    speed: Annotated[Knots | Random, WrapValidator(_course)] = "random"
+    load: Annotated[Knots | Random, WrapValidator(_course)] = "random"
     speeds: Range = [0.05, 1.0]
     loads: Range = [-0.8, 0.8]
     segment: Range = [0.3, 1.0]
@@ -113,10 +122,12 @@ class CourseTable(_Table):
 
 def _named(given: Any) -> Any:
     """An observer may be given by its name alone."""
+    if not isinstance(given, str | dict | ObserverTable):
+        raise ValueError(f"give a name, or a table with kind = NAME, got {given!r}")
     return {"kind": given} if isinstance(given, str) else given
 
 
-class ObserverTable(_Table):
+class ObserverTable(Table):
     """One observer.
 
     Parameters
@@ -127,8 +138,8 @@ class ObserverTable(_Table):
         What rows and reports call it; default its kind.
     memory : float, optional
         Of plain and adaptive [s].
-    unknowns : list of str
-        Of the adaptive one: drift, resistance, inverter, asymmetry.
+    unknowns : list of str, optional
+        Of the adaptive one: drift, resistance, inverter, asymmetry; default the first three.
     gains : mapping, optional
         Of the others; default their usual ones. They do not judge themselves: their position counts
         as valid above 5 % of the rated speed.
@@ -139,7 +150,7 @@ class ObserverTable(_Table):
     kind: str
     name: str = ""
     memory: Positive | None = None
-    unknowns: tuple[str, ...] = ("drift", "resistance", "inverter")
+    unknowns: tuple[str, ...] | None = None
     gains: dict[str, Number] | None = None
     machine: dict[str, Positive] = {}
 
@@ -150,6 +161,8 @@ class ObserverTable(_Table):
             raise ValueError(f"{self.kind} has no gains; its one setting is memory")
         if not compiled and self.memory is not None:
             raise ValueError(f"memory is for plain and adaptive; {self.kind} has gains")
+        if self.kind != ADAPTIVE and self.unknowns is not None:
+            raise ValueError(f"unknowns is for adaptive, not for {self.kind}")
         for key in self.machine:
             if key not in ("R", "L", "psi"):
                 raise ValueError(f"machine: factors on R, L, psi; got {key!r}")
@@ -161,7 +174,7 @@ class ObserverTable(_Table):
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
 
-class GoodTable(_Table):
+class GoodTable(Table):
     """When a scenario counts as good: all that is given must hold.
 
     Parameters
@@ -183,7 +196,7 @@ class GoodTable(_Table):
     losses: Annotated[int, Field(ge=0)] | None = None
 
 
-class LimitTable(_Table):
+class LimitTable(Table):
     """What the campaign must reach.
 
     Parameters
@@ -202,7 +215,7 @@ class LimitTable(_Table):
 Observers = Annotated[list[Annotated[ObserverTable, BeforeValidator(_named)]], Field(min_length=1)]
 
 
-class Specification(_Table):
+class Specification(Table):
     """All of a campaign.
 
     Parameters
@@ -266,6 +279,11 @@ class Specification(_Table):
             raise ValueError("machines: one is named twice")
         if self.good.losses is not None and self.loop == "open":
             raise ValueError('good.losses: only with loop = "closed" can an observer be lost')
+        return self
+
+    @model_validator(mode="after")
+    def _limits_known(self) -> Specification:
+        names = [one.name for one in self.observers]
         for limit in self.limits:
             for what, word, there in (
                 ("observer", limit.observer, names),
@@ -273,11 +291,23 @@ class Specification(_Table):
             ):
                 if word is not None and word not in there:
                     raise ValueError(f"limits: no {what} {word!r}{nearest(word, there)}")
-        if self.sampling == "sobol" and self.scenarios & (self.scenarios - 1):
-            least = 2 ** int(np.log2(self.scenarios))
+        return self
+
+    @model_validator(mode="after")
+    def _sampled_evenly(self) -> Specification:
+        drives, left = divmod(self.scenarios, self.places)
+        if left:
+            least = drives * self.places
             raise ValueError(
-                f"scenarios = {self.scenarios}: Sobol' points are even only in powers of two; "
-                f"take {least} or {2 * least}"
+                f"scenarios = {self.scenarios}: the grid of {', '.join(self.grids)} has "
+                f"{self.places} places; "
+                f"take {f'{least} or ' if least else ''}{least + self.places}"
+            )
+        if self.sampling == "sobol" and drives & (drives - 1):
+            least = self.places * 2 ** int(np.log2(drives))
+            raise ValueError(
+                f"scenarios = {self.scenarios}: Sobol' points are even only in powers of two"
+                f"{' at each place of the grid' if self.grids else ''}; take {least} or {2 * least}"
             )
         return self
 
@@ -290,6 +320,25 @@ class Specification(_Table):
     def grids(self) -> tuple[str, ...]:
         """Quantities with a grid."""
         return tuple(name for name, one in self.vary.items() if one.grid is not None)
+
+    @property
+    def places(self) -> int:
+        """Number of places in the product of all grids; 1 without a grid."""
+        return math.prod(len(self.vary[name].grid or ()) for name in self.grids)
+
+    def observer(self, name: str | None = None) -> ObserverTable:
+        """The observer of a name, or the first; UsageError if there is none."""
+        for table in self.observers:
+            if name in (None, table.name):
+                return table
+        names = [table.name for table in self.observers]
+        raise UsageError(f"no observer {name!r}{nearest(str(name), names)}")
+
+    def called(self, machine: str) -> str:
+        """What reports call a machine: the name of its file, if there is one of that name."""
+        stems = [Path(one).stem for one in self.machines]
+        short = Path(machine).stem
+        return short if machine.endswith(".toml") and stems.count(short) == 1 else machine
 
     def canonical(self) -> str:
         """JSON that is equal for equal campaigns."""
@@ -319,6 +368,10 @@ def read_specification(path: str | Path) -> Specification:
     machines = given.get("machines")
     if isinstance(machines, list):
         given["machines"] = [_beside(path, one) for one in machines]
+    limits = given.get("limits")
+    for limit in limits if isinstance(limits, list) else []:
+        if isinstance(limit, dict) and "machine" in limit:
+            limit["machine"] = _beside(path, limit["machine"])
     try:
         return Specification(**given)
     except UsageError as error:

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 CONFIDENCE = 0.95
 #: Bins of a quantity for its index: at least so many rows each, at most so many bins.
 LEAST_IN_BIN, MOST_BINS = 20, 32
+#: Fewest scenarios from which indices are told.
+FEWEST = 4 * LEAST_IN_BIN
 #: Resamplings for the interval of an index.
 RESAMPLED = 200
 
@@ -121,7 +123,12 @@ def verdicts(specification: Specification, rows: pl.DataFrame) -> list[Verdict]:
                     yield machine, table.name
 
     return [
-        Verdict(machine, name, limit.good, yield_of(group(rows, machine, name), specification.good))
+        Verdict(
+            specification.called(machine),
+            name,
+            limit.good,
+            yield_of(group(rows, machine, name), specification.good),
+        )
         for limit in specification.limits
         for machine, name in asked(limit)
     ]
@@ -163,7 +170,7 @@ def indices(rows: pl.DataFrame, quantities: tuple[str, ...], seed: int = 0) -> l
     data: E. Plischke, Reliab. Eng. Syst. Saf. 95 (2010), doi:10.1016/j.ress.2009.11.005.
     """
     y = response(rows)
-    if len(y) < 4 * LEAST_IN_BIN or not np.var(y) > 0:
+    if len(y) < FEWEST or not np.var(y) > 0:
         return []
     rng = np.random.default_rng(seed)
     out = []

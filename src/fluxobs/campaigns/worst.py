@@ -13,7 +13,7 @@ import polars as pl
 from ..web import built
 from .chunk import specification_of
 from .dataset import WORST, Dataset
-from .specification import ADAPTIVE, PLAIN
+from .specification import ADAPTIVE, PLAIN, Specification
 
 #: How many of each observer are kept.
 KEPT = 10
@@ -29,9 +29,11 @@ class Worst(NamedTuple):
         return f"scenarios {', '.join(map(str, self.numbers))} with {self.observer}"
 
 
-def stem(number: int, observer: str) -> str:
+def stem(specification: Specification, number: int, observer: str) -> str:
     """Name of the files of a scenario with an observer, without their endings."""
-    return f"{number:08d}-{re.sub(r'[^a-z0-9]+', '-', observer.lower()).strip('-')}"
+    place = specification.observers.index(specification.observer(observer))
+    words = re.sub(r"[^a-z0-9]+", "-", observer.lower()).strip("-")
+    return f"{number:08d}-{place}-{words}"  # other names may have the same words
 
 
 def worst(rows: pl.LazyFrame, observer: str) -> pl.DataFrame:
@@ -46,13 +48,13 @@ def lacking(found: Dataset) -> Iterator[Worst]:
         kept = worst(found.scan(), table.name)
         for machine in found.specification.machines:
             numbers = kept.filter(pl.col("machine") == machine)["number"].to_list()
-            lack = [n for n in numbers if not _record(found.folder, n, table.name).exists()]
+            lack = [n for n in numbers if not _record(found, n, table.name).exists()]
             if lack:
                 yield Worst(table.name, tuple(lack))
 
 
-def _record(folder: Path, number: int, observer: str) -> Path:
-    return folder / WORST / f"{stem(number, observer)}.parquet"
+def _record(found: Dataset, number: int, observer: str) -> Path:
+    return found.folder / WORST / f"{stem(found.specification, number, observer)}.parquet"
 
 
 @dataclass(frozen=True)
@@ -66,12 +68,13 @@ class Keep:
         """Simulate them again; write their records, and reports of those that fluxobs estimates."""
         from .rerun import rerun, write_record
 
-        folder = Path(self.folder)
-        for one in rerun(specification_of(self.specification), what.numbers, what.observer):
+        specification = specification_of(self.specification)
+        for one in rerun(specification, what.numbers, what.observer):
+            name = stem(specification, one.number, what.observer)
+            place = Path(self.folder) / WORST / name
             if one.table.kind in (PLAIN, ADAPTIVE) and can_report():
-                name = f"{stem(one.number, what.observer)}.html"
-                one.estimate().write(folder / WORST / name)
-            write_record(one, _record(folder, one.number, what.observer))
+                one.estimate().write(place.with_suffix(".html"))
+            write_record(one, place.with_suffix(".parquet"))
 
 
 def can_report() -> bool:
