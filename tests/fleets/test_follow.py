@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 from datetime import UTC, datetime, timedelta
@@ -13,7 +14,9 @@ import pytest
 
 from fluxobs.errors import UsageError
 from fluxobs.fleets.follow import follow, read_limit
+from fluxobs.fleets.many import Fleet
 from fluxobs.fleets.one import COLUMNS
+from fluxobs.fleets.report import headline, picture
 from support.cli import fluxobs
 
 START = datetime(2024, 1, 1, tzinfo=UTC)
@@ -60,6 +63,26 @@ def test_a_steady_drift_crosses_the_limit_about_its_beginning():
 def test_two_limits_of_one_parameter_are_refused():
     with pytest.raises(UsageError, match="a parameter has two"):
         follow(table(), [read_limit("psi_f=5%"), read_limit("psi_f=90%")])
+
+
+def test_what_cannot_be_followed_is_left_out():
+    rows = table().with_columns(
+        psi_f=pl.when(pl.col("drive") == "unit3").then(float("nan")).otherwise(pl.col("psi_f")),
+        time=pl.when(pl.col("drive") == "unit5").then(None).otherwise(pl.col("time")),
+    )
+    found = follow(rows)
+    assert len(found) == 16 - 1 - 2
+    assert all(np.isfinite(one.values).all() for one in found)
+    fleet = Fleet(Path(), rows)
+    assert "30 logs have no time and are left out" in headline(fleet, found)
+
+
+def test_logs_within_seconds_are_drawn():
+    rows = table().filter(pl.col("drive") == "unit0")
+    close = rows.with_columns(
+        time=pl.lit(START) + pl.duration(milliseconds=pl.int_range(len(rows)))
+    )
+    picture(follow(close), "unit0").savefig(io.BytesIO())
 
 
 def test_heat_ageing_and_another_motor():
@@ -126,6 +149,9 @@ def test_the_command(tmp_path: Path):
     page = (tmp_path / "fleet.html").read_text()
     assert page.count("data:image/png") == 8
     assert "no columns" in page
+    done = fluxobs("fleet", tmp_path, "--limit", "inverter_voltage=0..2", folder=tmp_path)
+    assert done.returncode == 1
+    assert "Limit on inverter's voltage loss: no log tells it." in done.stdout
     done = fluxobs("fleet", tmp_path, "--json", folder=tmp_path)
     assert done.returncode == 0
     assert len(json.loads(done.stdout)["followed"]) == 16

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import http.server
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -109,8 +110,29 @@ def test_failed_ones_are_retried_if_asked(logs, tmp_path, monkeypatch):
     assert note.stat().st_mtime_ns == before
     run(logs, out, retry="failed")
     assert note.stat().st_mtime_ns > before
+    before = note.stat().st_mtime_ns
+    run(logs, out, memory=0.05)  # other settings may do it
+    assert note.stat().st_mtime_ns > before
     shutil.copy(logs / "a" / "run_2024-05-01.csv", logs / "b" / "bad.csv")  # mended
     assert run(logs, out)["failed"].null_count() == 3
+    estimates = out / "estimates" / "b" / "bad.csv.parquet"
+    assert estimates.exists()
+    (logs / "b" / "bad.csv").write_text("x,y\n1,2\n")  # broken again
+    assert run(logs, out)["failed"].null_count() == 2
+    assert not estimates.exists()
+
+
+def test_a_machine_file_that_is_mended_is_tried_again(logs, tmp_path):
+    out = tmp_path / "out"
+    for drive in ("a", "b"):
+        (tmp_path / f"{drive}.toml").write_text(example_text("servo-400w"))
+    (tmp_path / "b.toml").write_text("kind = 3")
+    good = [logs / "a" / "run_2024-05-01.csv", logs / "b" / "run_2024-06-02_1330.csv"]
+    options = {"workers": 1, "scheduler": "pool"}
+    machine = tmp_path / "{drive}.toml"
+    assert estimate_many(good, machine, out, **options).failed["drive"].to_list() == ["b"]
+    (tmp_path / "b.toml").write_text(example_text("servo-400w"))
+    assert not len(estimate_many(good, machine, out, **options).failed)
 
 
 def test_logs_of_earlier_runs_stay_in_the_table(logs, tmp_path):
@@ -201,6 +223,18 @@ def test_a_name_stays_in_the_folder_of_the_results(logs, tmp_path, monkeypatch):
     assert sources(["../../logs"]) == direct
     both = sources(["../../logs", below])
     assert not any(".." in one.name for one in both)
+    later = sources([below], root=f"{logs.as_posix()}/")  # elsewhere than those of the first run
+    assert later[0].name == f"@{below.as_posix()}/c.csv"
+    assert later[0].drive == "y"
+
+
+def test_what_lies_beside_logs_is_none(logs):
+    for name in ("README.txt", "license.txt", "a/notes.json", ".hidden.csv"):
+        (logs / name).write_text("words")
+    (logs / "a" / "link.csv").symlink_to(logs / "gone.csv")
+    os.mkfifo(logs / "a" / "pipe.csv")
+    names = [one.name for one in sources([logs])]
+    assert names == ["a/link.csv", "a/run_2024-05-01.csv", "b/bad.csv", "b/run_2024-06-02_1330.csv"]
 
 
 def test_nothing_meant(logs, tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import numpy as np
 import polars as pl
@@ -70,7 +71,23 @@ def test_logs_that_agree_are_within_what_they_say(folder):
 
 def test_no_log_of_any_use(folder):
     with pytest.raises(FluxobsError, match="none of 2 logs tells anything"):
-        together(folder, "still", "still")
+        together(folder, "still", "gone")
+
+
+def test_one_log_is_nothing_to_compare_with(folder, tmp_path):
+    found = together(folder, "day1", "still")
+    assert [one.log for one in found.failed] == ["still.parquet"]
+    assert found.lines()[-1] == "Only one log is left: there is nothing to compare it with"
+    copy = tmp_path / "copy.parquet"
+    shutil.copy(folder / "day1.parquet", copy)
+    days = [folder / "day1.parquet", copy]
+    with pytest.raises(FluxobsError, match="one log, and copies of it"):
+        identify_many(days, PMSM, workers=1, scheduler="pool")
+    days.append(folder / "day2.parquet")
+    found = identify_many(days, PMSM, workers=1, scheduler="pool")
+    assert found.twice == {str(copy): str(folder / "day1.parquet")}
+    assert [one.log for one in found.alone] == ["day1.parquet", "day2.parquet"]
+    assert f"{copy} is {folder}/day1.parquet again: it counts once" in found.lines()
 
 
 def test_the_command(folder, tmp_path):
@@ -84,10 +101,10 @@ def test_the_command(folder, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "Unlike the others: day5.parquet: R_s = " in done.stdout
     assert read_machine(tmp_path / "found.toml").R_s == pytest.approx(1.03 * R_S, rel=0.05)
+    two = (folder / "day1.parquet", folder / "still.parquet", "--machine", machine)
     done = fluxobs(
-        *("identify", folder / "day1.parquet", folder / "day2.parquet", "--machine", machine),
-        *("--out", "two.toml", "--json", "--scheduler", "pool"),
-        folder=tmp_path,
+        *("identify", *two, "--out", "two.toml", "--json", "--scheduler", "pool"), folder=tmp_path
     )
+    assert done.returncode == 1  # one of them tells nothing
     facts = json.loads(done.stdout)
-    assert [one["log"] for one in facts["logs"]] == ["day1.parquet", "day2.parquet"]
+    assert [one["log"] for one in facts["logs"]] == ["day1.parquet", "still.parquet"]

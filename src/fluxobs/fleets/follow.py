@@ -156,7 +156,8 @@ def follow(table: pl.DataFrame, limits: Sequence[Limit] = ()) -> list[Followed]:
     good = table.filter(pl.col("failed").is_null() & pl.col("time").is_not_null())
     found = []
     for name, (std, _, _) in FOLLOWED.items():
-        told = good.filter(pl.col(name).is_not_null() & (pl.col(std) > 0)).sort("drive", "time")
+        usable = pl.col(name).is_finite() & pl.col(std).is_finite() & (pl.col(std) > 0)
+        told = good.filter(usable).sort("drive", "time")
         some = [
             _followed(mine, name, std, by_name.get(name))
             for mine in told.partition_by("drive", maintain_order=True)
@@ -260,6 +261,25 @@ def _with(one: Followed, text: str) -> Followed:
 
 def _signed(value: float, unit: str) -> str:
     return f"{'+' if value > 0 else '-'}{si(abs(value), unit)}"
+
+
+def timeless(table: pl.DataFrame) -> str:
+    """How many logs have no time and are left out, in words; empty if all have one."""
+    count = len(table.filter(pl.col("failed").is_null() & pl.col("time").is_null()))
+    if not count:
+        return ""
+    words = "log has no time and is" if count == 1 else "logs have no time and are"
+    return f"{count} {words} left out: put the date into the name, 2024-05-17."
+
+
+def untold(found: Sequence[Followed], limits: Sequence[Limit]) -> list[str]:
+    """Limits of which no log tells whether they hold, in words."""
+    told = {one.name for one in found}
+    return [
+        f"limit on {FOLLOWED[limit.name][2]}: no log tells it"
+        for limit in limits
+        if limit.name not in told
+    ]
 
 
 def enough(table: pl.DataFrame) -> str:

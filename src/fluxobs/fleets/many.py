@@ -182,15 +182,17 @@ def _is_due(
         if retry == "all":
             kept.note.unlink(missing_ok=True)
         return True
-    if note["row"].get("failed") is not None:
-        return retry == "failed" or note["stamp"] != source.stamp()
-    if not kept.estimates.exists() or not note["stamp"] or note["stamp"] != source.stamp():
+    failed = note["row"].get("failed") is not None
+    if failed and retry == "failed":
+        return True
+    if not failed and not (kept.estimates.exists() and note["stamp"]):
         return True
     try:
         machine = machine_of(settings.machine_of(source))
     except FluxobsError:
-        return True
-    return bool(note["key"] != key_of(note["row"]["content"], settings, machine))
+        machine = None
+    key = key_of("" if failed else note["row"]["content"], settings, machine)
+    return bool(note["stamp"] != source.stamp() or note["key"] != key)
 
 
 def _lost(source: Source) -> dict[str, Any]:

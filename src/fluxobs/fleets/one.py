@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from importlib.metadata import version
@@ -17,6 +18,7 @@ from ..errors import FluxobsError
 from ..estimation import Result
 from ..estimation.estimate import estimate
 from ..estimation.learning import UNSEEN, parameters
+from ..hashing import content_of
 from ..machines import Machine, as_machine
 from ..output import write_text
 from .sources import Source
@@ -57,8 +59,6 @@ COLUMNS: dict[str, Any] = {
 }
 #: Names of the adaptive observer's parameters in the table.
 NAMES = {"magnet flux": "psi_f", "resistance": "resistance", "inverter": "inverter_voltage"}
-#: Bytes read at once.
-BLOCK = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Work:
         kept = Kept.of(Path(self.folder), source)
         stamp = source.stamp()
         row = begun(source)
-        content = None
+        machine = None
         try:
             machine = as_machine(self.settings.machine_of(source))
             row["machine"] = self.settings.machine_of(source)
@@ -111,7 +111,6 @@ class Work:
                     return kept.renewed(stamp)
                 row |= self._estimated(place, source, machine, kept)
                 if content_of(place) != content or source.stamp() != stamp:
-                    kept.estimates.unlink(missing_ok=True)
                     raise FluxobsError(
                         f"{source}: the log changed while it was read; estimate it again when it "
                         f"is complete"
@@ -119,11 +118,15 @@ class Work:
             row["content"] = content
             key = key_of(content, self.settings, machine)
         except FluxobsError as error:
-            row["failed"], key = str(error), ""
+            row["failed"] = str(error)
         except MemoryError:
-            row["failed"], key = f"{source}: no memory left; take fewer workers", ""
+            row["failed"] = f"{source}: no memory left; take fewer workers"
         except Exception as error:  # one log never stops the others
-            row["failed"], key = f"{source}: {type(error).__name__}: {error}", ""
+            row["failed"] = f"{source}: {type(error).__name__}: {error}"
+        if row["failed"] is not None:
+            key = key_of("", self.settings, machine)
+            with suppress(OSError):  # estimates of earlier content
+                kept.estimates.unlink(missing_ok=True)
         row["seconds"] = time.perf_counter() - started
         try:
             kept.write(row, stamp, key)
@@ -218,7 +221,7 @@ class Kept:
         return row
 
     def write(self, row: dict[str, Any], stamp: str, key: str) -> None:
-        """Write the note; a log with an empty key is not done."""
+        """Write the note."""
         when = row["time"]
         text = row | {"time": None if when is None else when.isoformat()}
         try:
@@ -237,27 +240,8 @@ def row_of(kept: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def content_of(place: Path) -> str:
-    """Hash of a file.
-
-    Raises
-    ------
-    FluxobsError
-        It cannot be read.
-    """
-    digest = hashlib.sha256()
-    try:
-        with place.open("rb") as file:
-            while block := file.read(BLOCK):
-                digest.update(block)
-    except FileNotFoundError:
-        raise FluxobsError(f"{place}: no such file") from None
-    except OSError as error:
-        raise FluxobsError(f"{place}: cannot be read: {error.strerror}") from None
-    return digest.hexdigest()
-
-
-def key_of(content: str, settings: Settings, machine: Machine) -> str:
-    """Stands for a log, its machine, the settings, and the program."""
+def key_of(content: str, settings: Settings, machine: Machine | None) -> str:
+    """Stands for a log, its machine, the settings, and the program; a log that failed has no
+    content, and no machine if that is what failed."""
     parts = (content, repr(machine), settings.options, version("fluxobs"))
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()

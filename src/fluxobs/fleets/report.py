@@ -12,12 +12,14 @@ import numpy as np
 from .. import html
 from ..output import write_text
 from ..plots import BLUE, GREY, ORANGE, STYLE, new_figure
-from .follow import FOLLOWED, Followed, enough
+from .follow import FOLLOWED, Followed, enough, timeless
 from .many import Fleet
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+#: Least time that a picture shows.
+SPAN = np.timedelta64(1, "D").astype("timedelta64[us]")
 #: Drives that are drawn: those with remarks first.
 DRAWN = 40
 
@@ -36,9 +38,9 @@ def headline(fleet: Fleet, found: Sequence[Followed]) -> str:
         f"{len(table)} logs of {drives} drive{'s' if drives != 1 else ''}{span}; {failed} could "
         f"not be estimated."
     )
-    lacking = enough(table)
     marked = len({one.drive for one in found if one.remarks})
-    return f"{text} {lacking}" if lacking else f"{text} {marked} drives with remarks."
+    words = f"{marked} drive{'s' if marked != 1 else ''} with remarks."
+    return " ".join(filter(None, (text, timeless(table), enough(table) or words)))
 
 
 def remarks(found: Sequence[Followed]) -> list[str]:
@@ -113,6 +115,9 @@ def picture(found: Sequence[Followed], drive: str) -> Figure:
         if one.limits is not None:
             for bound in one.limits:
                 axis.axhline(bound, color="black", lw=0.6, ls=":")
+        if when[-1] - when[0] < SPAN:
+            middle = when[0] + (when[-1] - when[0]) // 2
+            axis.set_xlim(middle - SPAN // 2, middle + SPAN // 2)
         axis.set_title(f"{FOLLOWED[one.name][2]} [{one.unit}]")
         locator: Any = AutoDateLocator(maxticks=5)  # type: ignore[no-untyped-call]
         axis.xaxis.set_major_locator(locator)

@@ -18,6 +18,10 @@ from ..logs.formats import FORMATS
 
 #: Endings of text logs; in a folder, files with other endings are no logs.
 TEXT = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".log", ".dat", ".gz")
+#: Names of texts that are no logs.
+WORDS = ("readme", "license", "licence", "changelog", "notes", "requirements")
+#: Begins the name of a log that is not in the folder which those of earlier runs shared.
+ELSEWHERE = "@/"
 #: A date in a name, with or without a time: 2024-05-17, 20240517_1430, 2024-05-17T14-30-05.
 DATE = re.compile(
     r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])"
@@ -137,10 +141,10 @@ def sources(
         root = shared(list(found))
     out = []
     for address in sorted(found):
-        # A name stays in the folder of the results, wherever its log is.
-        name = address.removeprefix(root).replace("://", "/").lstrip("/")
+        name = _name(address, root)
         if pattern is None:
-            whose = str(PurePosixPath(name).parent)
+            folder = PurePosixPath(name).parent
+            whose = folder.name if name.startswith(ELSEWHERE) else str(folder)
             whose = "" if whose == "." else whose
         else:
             hit = pattern.search(address)
@@ -151,16 +155,28 @@ def sources(
     return out
 
 
+def _name(address: str, root: str) -> str:
+    """A name stays in the folder of the results, wherever its log is."""
+    if address.startswith(root):
+        return address.removeprefix(root)
+    return ELSEWHERE + address.replace("://", "/").lstrip("/")
+
+
 def _is_log(name: str) -> bool:
     path = PurePosixPath(name.lower())
-    hidden = path.name.startswith(".")
+    hidden = path.name.startswith(".") or path.stem in WORDS
     return not hidden and (path.suffix in FORMATS or path.suffix in TEXT)
+
+
+def _is_there(path: Path) -> bool:
+    """A file, or a link to one that is missing: a row says so. A pipe would never end."""
+    return path.is_file() or (path.is_symlink() and not path.exists())
 
 
 def _local(given: str) -> list[str]:
     path = Path(os.path.normpath(Path(given).absolute()))
     if path.is_dir():
-        below = (one for one in path.rglob("*") if one.is_file() and _is_log(one.name))
+        below = (one for one in path.rglob("*") if _is_there(one) and _is_log(one.name))
         # The folder of a result holds tables, no logs.
         return [
             one.as_posix()

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..engine import LOCAL, compute
 from ..errors import FluxobsError
+from ..hashing import content_of
 from ..logs.for_machine import open_for
 from ..logs.read import Source
 from ..machines import Machine, as_machine, rotating
@@ -89,10 +90,18 @@ class Pooled:
         From pieces of all logs that have usable ones.
     alone : tuple of Alone
         Every log by itself, in the order given.
+    twice : dict
+        Logs that are not taken, as they have the content of another → that one.
     """
 
     together: Identification
     alone: tuple[Alone, ...]
+    twice: dict[str, str]
+
+    @property
+    def failed(self) -> tuple[Alone, ...]:
+        """Logs that tell nothing."""
+        return tuple(one for one in self.alone if one.failed)
 
     @property
     def machine(self) -> Machine:
@@ -115,17 +124,22 @@ class Pooled:
                     "apart": {name: list(pair) for name, pair in one.apart.items()},
                 }
                 for one in self.alone
-            ]
+            ],
+            "twice": self.twice,
         }
 
     def lines(self) -> list[str]:
         """The machine, then the logs that disagree or tell nothing."""
         out = self.together.lines()
-        failed = [one for one in self.alone if one.failed]
+        failed = self.failed
+        out += [f"{one} is {first} again: it counts once" for one, first in self.twice.items()]
         out += [f"Unlike the others: {one.words}" for one in self.disagreeing]
         out += [f"Of no use: {one.words}" for one in failed]
-        if not self.disagreeing and len(self.alone) - len(failed) > 1:
-            out.append(f"{len(self.alone) - len(failed)} logs agree")
+        useful = len(self.alone) - len(failed)
+        if useful == 1:
+            out.append("Only one log is left: there is nothing to compare it with")
+        elif not self.disagreeing:
+            out.append(f"{useful} logs agree")
         return out
 
 
@@ -144,7 +158,7 @@ def identify_many(
     Parameters
     ----------
     logs : sequence of paths
-        At least two.
+        At least two of different content; one that stands there twice counts once.
     machine, free, layout
         See :func:`fluxobs.identify`.
     workers, scheduler
@@ -155,30 +169,50 @@ def identify_many(
     Raises
     ------
     FluxobsError
-        No log is of any use, or together they do not tell the parameters.
+        There is one log only, none is of any use, or together they do not tell the parameters.
     """
     given = rotating(as_machine(machine), "identification")
     names = read_free(free, given)
-    total = len(logs) + 1
+    twice = copies(logs)
+    paths = [path for path in map(str, logs) if path not in twice]
+    if len(paths) < 2:
+        raise FluxobsError(f"{paths[0]}: one log, and copies of it; give others of this machine")
+    total = len(paths) + 1
     progress(0, total)
     work = _Each(given, names, dict(layout))
     found: dict[str, tuple[dict[str, tuple[float, float]], str]] = {}
-    for path, told in compute([str(one) for one in logs], work, workers, scheduler, _lost):
+    for path, told in compute(paths, work, workers, scheduler, _lost):
         found[path] = told
         progress(len(found), total)
     also = ("speed_mech",) if given.flux_moves else ()
-    useful: list[Source] = [path for path in map(str, logs) if found[path][0]]
+    useful: list[Source] = [path for path in paths if found[path][0]]
     if not useful:
         reasons = "; ".join(f"{Path(path).name}: {why}" for path, (_, why) in found.items())
-        raise FluxobsError(f"none of {len(logs)} logs tells anything ({reasons})")
+        raise FluxobsError(f"none of {len(paths)} logs tells anything ({reasons})")
     together = identify_logs([open_for(one, given, also, **layout) for one in useful], given, names)
     progress(total, total)
     told_by = {path: told for path, (told, _) in found.items()}
     alone = tuple(
         Alone(Path(path).name, told_by[path], found[path][1], _apart(path, told_by))
-        for path in map(str, logs)
+        for path in paths
     )
-    return Pooled(together, alone)
+    return Pooled(together, alone, twice)
+
+
+def copies(logs: Sequence[str | Path]) -> dict[str, str]:
+    """Logs that have the content of an earlier one → that one."""
+    first: dict[str, str] = {}
+    out = {}
+    for path in map(str, logs):
+        try:
+            content = content_of(Path(path))
+        except FluxobsError:  # its fit says so
+            continue
+        if content in first:
+            out[path] = first[content]
+        else:
+            first[content] = path
+    return out
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import typer
 from .. import show
 from ..options import ForceOption, JsonOption, QuietOption
 
-#: Exit code if a drive is beyond a limit.
+#: Exit code if a drive is beyond a limit, or none tells.
 CROSSED = 1
 
 
@@ -38,13 +38,14 @@ def fleet(
     """Follow the parameters of many drives over time: what changed, when, what is out of limits.
 
     A drive is the folder of its logs, or what `fluxobs estimate … --drive` found; a log's time is
-    the date in its name, else its file's. Exit code 1: a drive is beyond a limit.
+    the date in its name, else its file's. Exit code 1: a drive is beyond a limit, or no log tells
+    what a limit is on.
 
     Example: fluxobs fleet results --limit resistance=20% --limit psi_f=-5..5%
     """
     from ...fleets import open_fleet
     from ...fleets import report as reports
-    from ...fleets.follow import follow, read_limit
+    from ...fleets.follow import follow, read_limit, untold
     from ...output import check_new
 
     limits = [read_limit(text) for text in limit or []]
@@ -54,6 +55,7 @@ def fleet(
         check_new(report, (".html",), force, "--report")
     found = follow(found_fleet.table, limits)
     reports.write_html(found_fleet, found, place)
+    missing = untold(found, limits)
     crossed = any(one.crossed for one in found)
     if as_json:
         facts = [
@@ -70,11 +72,12 @@ def fleet(
             }
             for one in found
         ]
-        typer.echo(json.dumps({"followed": facts, "written": str(place)}, ensure_ascii=False))
+        told = {"followed": facts, "untold": missing, "written": str(place)}
+        typer.echo(json.dumps(told, ensure_ascii=False))
     elif not quiet:
         show.echo(reports.headline(found_fleet, found))
-        for text in reports.remarks(found):
+        for text in (*reports.remarks(found), *(f"{one.capitalize()}." for one in missing)):
             show.echo(text)
         typer.echo(f"Written: {place}")
-    if crossed:
+    if crossed or missing:
         raise typer.Exit(CROSSED)

@@ -10,7 +10,7 @@ import typer
 
 from ...errors import UsageError
 from .. import show
-from ..many_logs import are_many
+from ..many_logs import SOME_FAILED, are_many
 from ..options import (
     ForceOption,
     JsonOption,
@@ -62,7 +62,7 @@ def identify(
     file. If the log tells nothing, nothing is written (exit code 2).
 
     Of many logs pieces are fitted together; each is fitted alone too, and those that disagree are
-    named, with what it may be: heat, ageing, another motor.
+    named, with what it may be: heat, ageing, another motor. Exit code 1: one of many tells nothing.
 
     Example: fluxobs identify LOG.csv --machine motor.toml --out found.toml --report fit.png
     """
@@ -79,6 +79,7 @@ def identify(
 
         check_path(report)
         check_new(report, REPORTS, force, "--report")
+    some_failed = False
     with show.Progress() as progress:
         if len(paths) > 1:
             from ...identification.pooled import identify_many
@@ -93,6 +94,7 @@ def identify(
                 **layout,
             )
             facts, lines, found = several.facts, several.lines(), several.together
+            some_failed = bool(several.failed)
         else:
             found = run(paths[0], machine, free=free, **layout)
             facts, lines = found.facts, found.lines()
@@ -101,14 +103,14 @@ def identify(
             found.write(report)
     if as_json:
         typer.echo(json.dumps(facts | {"written": str(out)}, indent=1, ensure_ascii=False))
-        return
-    if quiet:
-        return
-    for line in lines:
-        show.echo(line)
-    for place in (out, report):
-        if place is not None:
-            typer.echo(f"Written: {place}")
+    elif not quiet:
+        for line in lines:
+            show.echo(line)
+        for place in (out, report):
+            if place is not None:
+                typer.echo(f"Written: {place}")
+    if some_failed:
+        raise typer.Exit(SOME_FAILED)
 
 
 def _paths(logs: list[str]) -> list[Path]:
