@@ -127,7 +127,7 @@ class Measures(Markdown):
     """The table of a campaign's columns."""
 
     def run(self) -> list[nodes.Node]:
-        from fluxobs.campaigns.scores import LOOP_MEASURES, MEASURES
+        from fluxobs.campaigns.columns import LOOP_MEASURES, MEASURES
 
         lines = ["| column | meaning |", "|---|---|"]
         lines.append("| `number`, `machine`, `observer` | the scenario, and who observed |")

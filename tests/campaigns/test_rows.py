@@ -11,11 +11,12 @@ import pytest
 
 from fluxobs.campaigns import rows as rows_module
 from fluxobs.campaigns import simulated as simulated_module
+from fluxobs.campaigns.columns import schema
 from fluxobs.campaigns.draws import Scenario, scenarios
 from fluxobs.campaigns.drives import cell_of, drive_of, motor_of
 from fluxobs.campaigns.in_loop import _HOST, in_loop
 from fluxobs.campaigns.observed import Found, candidate
-from fluxobs.campaigns.rows import rows_for, rows_of, schema
+from fluxobs.campaigns.rows import rows_for, rows_of
 from fluxobs.campaigns.scores import measures
 from fluxobs.campaigns.simulated import Kept, simulated
 from fluxobs.campaigns.specification import Specification

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import norm
 
 from fluxobs.campaigns import simulated as simulated_module
-from fluxobs.campaigns.rows import schema
+from fluxobs.campaigns.columns import schema
 from fluxobs.campaigns.search import estimate_rare, evaluator, find_worst
 from fluxobs.campaigns.specification import GoodTable, Specification
 from fluxobs.errors import FluxobsError, UsageError

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -65,7 +67,8 @@ def test_what_is_written(done):
     page = (out / "report.html").read_text()
     assert "Campaign: trial" in page
     assert "Passed" in page
-    assert page.count("data:image/png") >= 2
+    assert page.count("data:image/png") == 1
+    assert "fewer than 80 scenarios" in page
     for link in re.findall(r'href="([^"]+)"', page):
         assert (out / link).exists()
     assert len(list((out / "worst").glob("*.parquet"))) == 20
@@ -124,6 +127,11 @@ def test_a_scenario_again(done, tmp_path):
         (["campaign", "{folder}/trial.toml", "--rerun", "3"], "give the folder of the campaign"),
         (["campaign", "{folder}/out", "--rerun", "24"], "no scenario 24: they are 0 to 23"),
         (["campaign", "{folder}/out", "--rerun", "2", "--observer", "ekf"], "plain, adaptive"),
+        (["campaign", "{folder}/out", "--rerun", "2", "--out", "x"], "--out is for other than"),
+        (["campaign", "{folder}/out", "--rerun", "2", "--budget", "99"], "--budget is for other"),
+        (["campaign", "{folder}/out", "--search", "worst", "--workers", "2"], "--workers is for"),
+        (["campaign", "{folder}/out", "--search", "worst", "--force"], "--force is for other"),
+        (["campaign", "{folder}/out", "--force"], "--force is for --rerun NUMBER"),
         (["campaign", "{folder}/out", "--report", "r.html"], "--report is for --rerun NUMBER"),
         (["campaign", "{folder}/out", "--machine", "x"], "--machine is for --search"),
         (["campaign", "{folder}/out", "--search", "best"], "worst or failures"),
@@ -132,7 +140,10 @@ def test_a_scenario_again(done, tmp_path):
         (["campaign", "{folder}"], "holds no campaign"),
         (["campaign", "{folder}/other.toml", "--out", "{folder}/out"], "its name, seed differ"),
         (["campaign", "{folder}/other.toml", "--out", "{folder}"], "is not empty"),
-        (["campaign", "{folder}/ekf.toml", "--out", "{folder}/n"], "servo-400w has no 'ekf'"),
+        (
+            ["campaign", "{folder}/ekf.toml", "--out", "{folder}/n"],
+            "ekf.toml: observers: servo-400w has no 'ekf'",
+        ),
     ],
 )
 def test_mistakes(done, arguments, words):
@@ -141,6 +152,70 @@ def test_mistakes(done, arguments, words):
     run = fluxobs(*(one.format(folder=done) for one in arguments), folder=done)
     assert run.returncode == 2
     assert words in run.stderr
+
+
+@pytest.fixture
+def copy(done, tmp_path) -> Path:
+    """A finished campaign of a machine file, to be spoilt."""
+    shutil.copytree(done / "out", tmp_path / "out")
+    return tmp_path / "out"
+
+
+def test_a_spoilt_file_is_named_with_the_remedy(copy, tmp_path):
+    rows = sorted((copy / "rows").iterdir())[0]
+    whole = rows.read_bytes()
+    for spoilt in (b"", whole[:-7], whole[:100] + bytes(100) + whole[200:]):
+        rows.write_bytes(spoilt)
+        run = fluxobs("campaign", copy, folder=tmp_path)
+        assert run.returncode == 2
+        assert f"delete it, and `fluxobs campaign {copy}`" in run.stderr
+    pl.DataFrame({"x": [1]}).write_parquet(rows)
+    assert "its columns are not those of rows" in fluxobs("campaign", copy, folder=tmp_path).stderr
+    rows.unlink()
+    (copy / "rows" / "mine.parquet").write_bytes(b"")
+    assert fluxobs("campaign", copy, folder=tmp_path).returncode == 0
+    assert rows.read_bytes() == whole
+    for spoilt in ("{", "[]", "{}", '{"fluxobs": "1", "chunk": 0}'):
+        (copy / "campaign.json").write_text(spoilt)
+        run = fluxobs("campaign", copy, folder=tmp_path)
+        assert run.returncode == 2
+        assert re.search(r"campaign\.json: (cannot be read|is damaged)", run.stderr)
+
+
+def test_what_cannot_be_repeated_can_still_be_read(copy, tmp_path):
+    place = copy / "campaign.json"
+    told = json.loads(place.read_text())
+    told["machines"] = {"servo-400w": "0123456789abcdef"}  # as it was then
+    place.write_text(json.dumps(told))
+    run = fluxobs("campaign", copy, folder=tmp_path)
+    assert run.returncode == 0
+    assert "Warning: its rows cannot be repeated: servo-400w changed." in run.stderr
+    run = fluxobs("campaign", copy, "--rerun", "3", folder=tmp_path)
+    assert run.returncode == 2
+    assert "cannot be repeated: servo-400w changed" in run.stderr
+    sorted((copy / "rows").iterdir())[0].unlink()
+    run = fluxobs("campaign", copy, folder=tmp_path)
+    assert run.returncode == 2
+    assert "holds another campaign (servo-400w changed)" in run.stderr
+
+
+def test_only_what_estimate_runs_has_a_report(copy, tmp_path):
+    text = (copy / "campaign.json").read_text()
+    (copy / "campaign.json").write_text(text.replace('"kind": "plain"', '"kind": "ekf"'))
+    run = fluxobs("campaign", copy, "--rerun", "3", "--report", "r.html", folder=tmp_path)
+    assert run.returncode == 2
+    assert "take their report, or --record" in run.stderr
+
+
+def test_nothing_could_be_simulated(tmp_path):
+    course = "[course]\nload = [[0.0, 50.0]]"
+    (tmp_path / "s.toml").write_text(SPECIFICATION.partition("[[")[0].replace("[course]", course))
+    run = fluxobs(
+        *("campaign", "s.toml", "--out", "out", "--workers", "1", "--scheduler", "pool"),
+        folder=tmp_path,
+    )
+    assert "No scenario could be simulated." in run.stdout, run.stderr
+    assert run.returncode == 1
 
 
 def test_ctrl_c_keeps_what_is_done(tmp_path):

@@ -15,6 +15,7 @@ import polars as pl
 
 from fluxobs.campaigns import dataset
 from fluxobs.campaigns.campaign import fill
+from fluxobs.campaigns.columns import schema
 from fluxobs.campaigns.dataset import ROWS, Chunk, Dataset
 from fluxobs.campaigns.draws import POINT, generator
 from fluxobs.campaigns.specification import Specification
@@ -36,10 +37,9 @@ class Trivial:
         time.sleep(self.pause * random.random())
         numbers = range(chunk.first, self.rows + chunk.first if self.rows else chunk.last)
         values = [float(generator(1, number, POINT).random()) for number in numbers]
-        write_part(
-            pl.DataFrame({"number": list(numbers), "value": values}),
-            Path(self.folder) / ROWS / chunk.file,
-        )
+        rows = [{"number": n, "rms": value} for n, value in zip(numbers, values, strict=True)]
+        frame = pl.DataFrame(rows, schema=schema(specification(1)))
+        write_part(frame, Path(self.folder) / ROWS / chunk.file)
         return 0.0
 
 

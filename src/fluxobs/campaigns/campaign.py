@@ -50,13 +50,18 @@ def campaign(
         The specification is impossible; the folder holds something else, or is in use; a file
         cannot be written; the workers cannot be had.
     """
-    given = specification
-    if not isinstance(given, Specification):
-        given = read_specification(given)
-    check(given)
+    if isinstance(specification, Specification):
+        given = specification
+        size = _chunk_size(given)
+    else:
+        given = read_specification(specification)
+        try:
+            size = _chunk_size(given)
+        except FluxobsError as error:
+            raise FluxobsError(f"{specification}: {error}") from None
     folder = make_folder(out).resolve()
     with locked(folder):
-        found = dataset.create(folder, given, _chunk_size(given))
+        found = dataset.create(folder, given, size)
         fill(found, Work(str(folder), given.canonical()), workers, scheduler, progress)
         make_folder(folder / WORST)
         keep = Keep(str(folder), given.canonical())
@@ -76,7 +81,12 @@ def fill(
     count = total(found.specification)
     done = count - found.lacking()
     progress(done, count)
-    with (found.folder / TIMES).open("a", encoding="utf-8") as times:
+    place = found.folder / TIMES
+    try:
+        file = place.open("a", encoding="utf-8")
+    except OSError as error:
+        raise FluxobsError(f"{place}: cannot be written: {error.strerror}") from None
+    with file as times:
         for chunk, seconds in compute(found.missing(), work, workers, scheduler):
             times.write(f"{chunk.first},{chunk.last},{seconds:.3f}\n")
             times.flush()
@@ -90,6 +100,7 @@ def _chunk_size(specification: Specification) -> int:
     from .observed import check_observer
     from .simulated import lanes_for
 
+    check(specification)
     sizes = []
     for name in specification.machines:
         cell = cell_of(specification, name)

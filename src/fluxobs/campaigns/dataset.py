@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -17,6 +18,7 @@ import polars as pl
 from ..errors import FluxobsError
 from ..machines import as_machine
 from ..output import make_folder, write_text
+from .columns import schema
 from .draws import total
 from .specification import Specification, hashed
 
@@ -55,11 +57,14 @@ class Dataset:
     specification : Specification
     size : int
         Scenarios of a chunk.
+    changed : str
+        Why its rows cannot be repeated, in words; empty if they can.
     """
 
     folder: Path
     specification: Specification
     size: int
+    changed: str = ""
 
     def chunks(self) -> Iterator[Chunk]:
         """All chunks, in order."""
@@ -78,9 +83,37 @@ class Dataset:
         return sum(chunk.last - chunk.first for chunk in self.missing())
 
     def scan(self) -> pl.LazyFrame:
-        """All rows that are there, lazily."""
-        files = sorted((self.folder / ROWS).glob("*.parquet"))
+        """All rows that are there, lazily.
+
+        Raises
+        ------
+        FluxobsError
+            A file is damaged, or not of this campaign.
+        """
+        wanted = pl.Schema(schema(self.specification))
+        files = [self.folder / ROWS / chunk.file for chunk in self.chunks()]
+        files = [file for file in files if file.exists()]
+        for file in files:
+            try:
+                there = pl.read_parquet_schema(file)
+            except (OSError, pl.exceptions.PolarsError) as error:
+                raise FluxobsError(f"{file}: cannot be read: {error}; {self._mend}") from None
+            if there != dict(wanted):
+                raise FluxobsError(f"{file}: its columns are not those of rows; {self._mend}")
         return pl.scan_parquet(files, glob=False)  # a folder's name is no pattern
+
+    @contextmanager
+    def reading(self) -> Iterator[None]:
+        """Says so if a file turns out to be damaged while :meth:`scan` is collected."""
+        try:
+            yield
+        except (OSError, pl.exceptions.PolarsError) as error:
+            place = self.folder / ROWS
+            raise FluxobsError(f"{place}: a file is damaged: {error}; {self._mend}") from None
+
+    @property
+    def _mend(self) -> str:
+        return f"delete it, and `fluxobs campaign {self.folder}` makes it again"
 
     def rows(self) -> pl.DataFrame:
         """All rows, by number and observer.
@@ -88,10 +121,11 @@ class Dataset:
         Raises
         ------
         FluxobsError
-            Chunks are missing.
+            Chunks are missing or damaged.
         """
         self.check_complete()
-        return self.scan().collect()
+        with self.reading():
+            return self.scan().collect()
 
     def check_complete(self) -> None:
         """Raise FluxobsError if chunks are missing."""
@@ -112,10 +146,14 @@ def chunk_size(specification: Specification, lanes: int, sample_time: float) -> 
     return lanes * max(1, int(batches))
 
 
-def fingerprint(specification: Specification) -> str:
-    """Stands for everything on which the rows depend."""
-    machines = [repr(as_machine(name)) for name in specification.machines]
-    return hashed("\n".join([version("fluxobs"), specification.canonical(), *machines]))
+def manifest(specification: Specification, size: int) -> dict[str, Any]:
+    """Everything on which the rows depend, as JSON can hold it."""
+    return {
+        "fluxobs": version("fluxobs"),
+        "chunk": size,
+        "machines": {name: hashed(repr(as_machine(name))) for name in specification.machines},
+        "specification": json.loads(specification.canonical()),
+    }
 
 
 def create(folder: str | Path, specification: Specification, size: int) -> Dataset:
@@ -128,18 +166,13 @@ def create(folder: str | Path, specification: Specification, size: int) -> Datas
     """
     folder = make_folder(folder)
     place = folder / MANIFEST
-    told = {
-        "fluxobs": version("fluxobs"),
-        "fingerprint": fingerprint(specification),
-        "chunk": size,
-        "specification": json.loads(specification.canonical()),
-    }
+    told = manifest(specification, size)
     if place.exists():
         there = _manifest(place)
-        if there.get("fingerprint") != told["fingerprint"]:
-            changed = _difference(there, told)
+        changed = _difference(there, told)
+        if changed:
             raise FluxobsError(f"{folder}: holds another campaign ({changed}); give another --out")
-        size = int(there["chunk"])
+        size = there["chunk"]
     elif any(path.name != ".lock" for path in folder.iterdir()):
         raise FluxobsError(f"{folder}: is not empty and holds no campaign; give another --out")
     else:
@@ -155,38 +188,45 @@ def open_dataset(folder: str | Path) -> Dataset:
     Raises
     ------
     FluxobsError
-        There is none, or a machine file or fluxobs itself changed since.
+        There is none.
     """
     folder = Path(folder)
     place = folder / MANIFEST
     if not place.exists():
         raise FluxobsError(f"{folder}: holds no campaign ({MANIFEST} is missing)")
     there = _manifest(place)
-    specification = Specification(**there["specification"])
-    if there["fingerprint"] != fingerprint(specification):
+    try:
+        specification = Specification(**there["specification"])
+    except FluxobsError as error:
         raise FluxobsError(
-            f"{folder}: made with fluxobs {there.get('fluxobs')} from machines as they were; this "
-            f"is fluxobs {version('fluxobs')}, or a machine file changed. Its rows can be read, "
-            f"not repeated"
-        )
-    return Dataset(folder, specification, int(there["chunk"]))
+            f"{place}: made with fluxobs {there['fluxobs']}, this is {version('fluxobs')}: {error}"
+        ) from None
+    try:
+        changed = _difference(there, manifest(specification, there["chunk"]))
+    except FluxobsError as error:
+        changed = str(error)
+    return Dataset(folder, specification, there["chunk"], changed)
 
 
 def _manifest(place: Path) -> dict[str, Any]:
     try:
-        found: dict[str, Any] = json.loads(place.read_text(encoding="utf-8"))
+        found = json.loads(place.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise FluxobsError(f"{place}: cannot be read: {error}") from None
-    return found
+    kinds = {"fluxobs": str, "chunk": int, "machines": dict, "specification": dict}
+    whole = isinstance(found, dict) and all(isinstance(found.get(k), t) for k, t in kinds.items())
+    if not whole or found["chunk"] < 1:
+        raise FluxobsError(f"{place}: is damaged; begin again in another folder")
+    return dict(found)
 
 
 def _difference(there: dict[str, Any], now: dict[str, Any]) -> str:
-    """What differs between two manifests, in words."""
-    if there.get("fluxobs") != now["fluxobs"]:
-        return f"made with fluxobs {there.get('fluxobs')}"
-    old, new = there.get("specification"), now["specification"]
-    if isinstance(old, dict):
-        names = [name for name in new if old.get(name) != new[name]]
-        if names:
-            return f"its {', '.join(names)} differ"
-    return "a machine file changed"
+    """What differs between two manifests, in words; empty if nothing does."""
+    if there["fluxobs"] != now["fluxobs"]:
+        return f"made with fluxobs {there['fluxobs']}, this is {now['fluxobs']}"
+    old, new = there["specification"], now["specification"]
+    names = [name for name in new if old.get(name) != new[name]]
+    if names:
+        return f"its {', '.join(names)} differ"
+    machines = [name for name, one in now["machines"].items() if there["machines"].get(name) != one]
+    return f"{', '.join(machines)} changed" if machines else ""

@@ -15,10 +15,11 @@ from ..estimation import Result
 from ..estimation.estimate import estimate
 from ..logs.record import Record
 from ..machines import RotatingMachine
+from .columns import schema
 from .draws import scenarios, total
 from .drives import cell_of
 from .observed import UNKNOWNS, Candidate, Found
-from .rows import record_of, rows_for, schema
+from .rows import record_of, rows_for
 from .simulated import Simulated
 from .specification import ADAPTIVE, PLAIN, ObserverTable, Specification
 

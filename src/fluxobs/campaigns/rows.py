@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..comparison.scoring import true_speed
 from ..logs.record import Record
 from . import scores
+from .columns import schema
 from .draws import Scenario, scenarios
 from .drives import Cell, cell_of
 from .in_loop import in_loop
@@ -24,17 +25,6 @@ Array = NDArray[np.float64]
 
 #: Receives one observer on one scenario: for who wants the record, not the row.
 Watch = Callable[[Simulated, Candidate, Found], None]
-
-
-def schema(specification: Specification) -> dict[str, Any]:
-    """Columns of a campaign's rows."""
-    columns: dict[str, Any] = {"number": pl.Int64, "machine": pl.String, "observer": pl.String}
-    columns |= dict.fromkeys(specification.vary, pl.Float64)
-    columns |= dict.fromkeys(scores.MEASURES, pl.Float64)
-    if specification.loop == "closed":
-        columns |= dict.fromkeys(scores.LOOP_MEASURES, pl.Float64)
-        columns |= {"losses": pl.Int64, "tripped": pl.Boolean}
-    return columns | {"failed": pl.String}
 
 
 def rows_of(

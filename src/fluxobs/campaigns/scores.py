@@ -11,6 +11,7 @@ from ..comparison.scoring import LOST, settling_time
 from ..design.drive.sensorless import RUNNING
 from ..design.drive.simulate import UNFOLLOWED
 from ..machines import RotatingMachine
+from .columns import MEASURES
 from .observed import Found
 from .simulated import Kept
 
@@ -20,32 +21,6 @@ Array = NDArray[np.float64]
 COVERED = 2.0
 #: Sure and wrong: an error beyond so many standard deviations, and beyond so much [rad].
 WRONG_STDS, WRONG = 5.0, np.radians(10.0)
-#: Columns of a row, beyond number, machine, observer and what was drawn; units in brackets.
-MEASURES = {
-    "rms": "rms position error on the scored valid rows [rad]",
-    "p50": "median of its size there [rad]",
-    "p99": "99 % of the valid rows are within [rad]",
-    "worst": "largest position error there [rad]",
-    "rms_all": "rms position error on all scored rows [rad]",
-    "valid": "share of the scored rows that are valid",
-    "first_valid": "time until the position is first valid [s]",
-    "settled": "time until the error first stays below 10° for 50 ms [s]",
-    "lost": "share of the scored valid rows with an error above 60°",
-    "covered": "share of the scored valid rows within two standard deviations",
-    "wrong": "share of them that are sure and wrong: beyond five standard deviations and 10°",
-    "speed_rms": "rms error of the electrical speed on the scored valid rows [rad/s]",
-    "resistance_z": "error of R at the end, in its standard deviations",
-    "psi_f_z": "error of the magnet flux at the end, in its standard deviations",
-    "inverter_voltage_z": "error of the inverter's voltage at the end, in its standard deviations",
-}
-#: More columns of a drive with its observer in the loop.
-LOOP_MEASURES = {
-    "handed_over": "time at which the observer first took over [s]",
-    "in_loop": "share of the scored rows in the loop",
-    "losses": "how often the position was lost, a trip included",
-    "tripped": "whether the current tripped the drive",
-    "unfollowed": "share of the scored rows whose speed is off by a tenth of the largest reference",
-}
 
 
 def measures(

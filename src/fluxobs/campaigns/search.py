@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from ..errors import FluxobsError, UsageError
+from ..validation import nearest
+from .columns import schema
 from .draws import Scenario, at_point, points
-from .rows import rows_for, schema
+from .rows import rows_for
 from .specification import GoodTable, Specification
 from .statistics import CONFIDENCE, is_good
 
@@ -49,14 +51,11 @@ def evaluator(specification: Specification, machine: str, observer: str) -> Eval
     UsageError
         There is no such machine or observer, or nothing varies.
     """
-    names = [table.name for table in specification.observers]
-    if observer not in names:
-        raise UsageError(f"no observer {observer!r}: {', '.join(names)}")
+    table = specification.observer(observer)
     if machine not in specification.machines:
-        raise UsageError(f"no machine {machine!r}: {', '.join(specification.machines)}")
+        raise UsageError(f"no machine {machine!r}{nearest(machine, specification.machines)}")
     if not specification.varied:
         raise UsageError("nothing varies in this campaign: there is nothing to search")
-    table = specification.observers[names.index(observer)]
     alone = specification.model_copy(update={"observers": [table]})
 
     def evaluate(scores: Array, like: Sequence[int]) -> pl.DataFrame:

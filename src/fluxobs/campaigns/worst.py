@@ -45,7 +45,8 @@ def worst(rows: pl.LazyFrame, observer: str) -> pl.DataFrame:
 def lacking(found: Dataset) -> Iterator[Worst]:
     """What is to be kept and is not there yet, by machine."""
     for table in found.specification.observers:
-        kept = worst(found.scan(), table.name)
+        with found.reading():
+            kept = worst(found.scan(), table.name)
         for machine in found.specification.machines:
             numbers = kept.filter(pl.col("machine") == machine)["number"].to_list()
             lack = [n for n in numbers if not _record(found, n, table.name).exists()]

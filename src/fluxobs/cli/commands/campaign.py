@@ -7,15 +7,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ...engine import LOCAL
 from ...errors import UsageError
 from .. import show
+from ..many_logs import refuse
 from ..options import ForceOption, SchedulerOption, WorkersOption
 
 if TYPE_CHECKING:
-    from ...campaigns import Dataset
+    from ...campaigns import Dataset, Specification
 
-#: Exit code if a limit of the specification is missed.
+#: Exit code if a limit of the specification is missed, or nothing could be simulated.
 MISSED = 1
+#: Scenarios of a search.
+BUDGET = 1024
 
 
 def campaign(
@@ -32,7 +36,7 @@ def campaign(
         typer.Option(help="Folder of the results; what is there already is not done again."),
     ] = None,
     workers: WorkersOption = None,
-    scheduler: SchedulerOption = "local",
+    scheduler: SchedulerOption = LOCAL,
     rerun: Annotated[
         int | None, typer.Option(min=0, help="Number of a scenario to simulate again, alone.")
     ] = None,
@@ -51,7 +55,9 @@ def campaign(
     machine: Annotated[
         str | None, typer.Option(help="Machine of the search; default the first.")
     ] = None,
-    budget: Annotated[int, typer.Option(min=64, help="Scenarios of the search.")] = 1024,
+    budget: Annotated[
+        int | None, typer.Option(min=64, help="Scenarios of the search; default 1024.")
+    ] = None,
     report: Annotated[
         Path | None, typer.Option(help="Interactive report of the rerun, .html.")
     ] = None,
@@ -65,44 +71,63 @@ def campaign(
 
     Writes a dataset (a row per scenario and observer), report.html, and the worst scenarios with
     their records. A run that was stopped or killed goes on where it was. Exit code 1: a limit of
-    the specification is missed. Needs the extra "design" (JAX); "cluster" for Dask.
+    the specification is missed, or no scenario could be simulated. Needs the extra "design" (JAX);
+    "cluster" for Dask.
 
     Example: fluxobs campaign product.toml --out product
     """
+    run = {"--out": out, "--workers": workers, "--scheduler": _unusual(scheduler)}
+    again = {"--report": report, "--record": record, "--force": force or None}
+    search_only = {"--machine": machine, "--budget": budget}
+    if rerun is not None:
+        refuse({"--search": search} | run | search_only, "other than --rerun")
+        _again(_repeatable(what, "--rerun"), rerun, observer, report, record, force)
+    elif search is not None:
+        refuse(run | again, "other than --search")
+        _search(_repeatable(what, "--search"), search, machine, observer, budget or BUDGET)
+    else:
+        refuse(again, "--rerun NUMBER")
+        refuse(search_only, "--search")
+        refuse({"--observer": observer}, "--rerun NUMBER or --search")
+        raise typer.Exit(_run(what, out, workers, scheduler))
+
+
+def _unusual(scheduler: str) -> str | None:
+    """A scheduler, or None if it is the default."""
+    return None if scheduler == LOCAL else scheduler
+
+
+def _repeatable(folder: Path, option: str) -> Dataset:
+    """The campaign in a folder, if scenarios of it can be simulated again."""
+    from ...campaigns import open_dataset
+
+    if not folder.is_dir():
+        raise UsageError(f"{option}: give the folder of the campaign")
+    found = open_dataset(folder)
+    if found.changed:
+        raise UsageError(f"{option}: {folder} cannot be repeated: {found.changed}")
+    return found
+
+
+def _run(what: Path, out: Path | None, workers: int | None, scheduler: str) -> int:
+    """Do what is missing and show all; returns the exit code."""
     from ...campaigns import campaign as run
     from ...campaigns import open_dataset
 
-    if rerun is not None:
-        if not what.is_dir():
-            raise UsageError("--rerun: give the folder of the campaign")
-        _again(open_dataset(what), rerun, observer, report, record, force)
-        return
-    if search is not None:
-        if not what.is_dir():
-            raise UsageError("--search: give the folder of the campaign")
-        _search(open_dataset(what), search, machine, observer, budget)
-        return
-    for name, given, purpose in (
-        ("--observer", observer, "--rerun NUMBER or --search"),
-        ("--machine", machine, "--search"),
-        ("--report", report, "--rerun NUMBER"),
-        ("--record", record, "--rerun NUMBER"),
-    ):
-        if given is not None:
-            raise UsageError(f"{name} is for {purpose}")
+    specification: Path | Specification = what
     if what.is_dir():
         if out is not None:
             raise UsageError(f"--out: {what} is the folder of the results already")
-        specification, out = open_dataset(what).specification, what
+        there = open_dataset(what)
+        if there.changed and not there.lacking():
+            typer.echo(f"Warning: its rows cannot be repeated: {there.changed}.", err=True)
+            return _show(there)
+        specification, out = there.specification, what
     elif out is None:
         raise UsageError("--out FOLDER is missing: where the results go")
-    else:
-        from ...campaigns import read_specification
-
-        specification = read_specification(what)
     with show.Progress("what is done is kept, the same command goes on") as progress:
         found = run(specification, out, workers=workers, scheduler=scheduler, progress=progress)
-    raise typer.Exit(_show(found))
+    return _show(found)
 
 
 def _show(found: Dataset) -> int:
@@ -115,11 +140,14 @@ def _show(found: Dataset) -> int:
     show.table(table)
     for sentence in sentences:
         show.echo(sentence)
+    if rows["failed"].null_count() == 0:
+        show.echo("No scenario could be simulated.")
     verdicts = statistics.verdicts(found.specification, rows)
     for verdict in verdicts:
         show.echo(f"Limit {verdict}.")
     typer.echo(f"Written: {report.write_html(found, rows)}")
-    return 0 if all(verdict.met for verdict in verdicts) else MISSED
+    met = all(verdict.met for verdict in verdicts) and rows["failed"].null_count() > 0
+    return 0 if met else MISSED
 
 
 def _again(
@@ -130,12 +158,13 @@ def _again(
     record: Path | None,
     force: bool,
 ) -> None:
-    from ...campaigns.rerun import rerun, write_record
+    from ...campaigns.rerun import check_estimated, rerun, write_record
     from ...output import check_new
 
     if report is not None:
         from ...web import built
 
+        check_estimated(found.specification.observer(observer))
         check_new(report, (".html",), force, "--report")
         built("report.html")
     if record is not None:
