@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from fluxobs.campaigns.chunk import specification_of
 from fluxobs.campaigns.distributions import Distribution, correlated, correlator
 from fluxobs.campaigns.draws import COURSE, at_point, scenarios
 from fluxobs.campaigns.specification import Specification, check, read_specification
@@ -158,9 +159,16 @@ def test_another_seed_draws_others():
 def test_grids_are_taken_in_turn():
     vary = {"temperature": {"grid": [0, 100]}, "load": {"grid": [0.1, 0.5, 0.9]}}
     s = specification(vary=vary, scenarios=12)
-    drawn = [(one.values["temperature"], one.values["load"]) for one in scenarios(s, 0, 12)]
-    assert drawn[:6] == [(t, x) for t in (0, 100) for x in (0.1, 0.5, 0.9)]
+    drawn = [(one.values["load"], one.values["temperature"]) for one in scenarios(s, 0, 12)]
+    assert drawn[:6] == [(x, t) for x in (0.1, 0.5, 0.9) for t in (0, 100)]
     assert drawn[6:] == drawn[:6]
+
+
+def test_the_order_in_the_file_does_not_matter():
+    s = specification(vary=VARY, scenarios=3)
+    other = specification(vary=dict(reversed(VARY.items())), scenarios=3)
+    assert scenarios(other, 0, 3) == scenarios(s, 0, 3)
+    assert scenarios(specification_of(s.canonical()), 0, 3) == scenarios(s, 0, 3)
 
 
 def test_neutral_values_are_left_out():

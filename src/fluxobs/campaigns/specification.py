@@ -271,7 +271,8 @@ class Specification(Table):
                 vary[part] = one
         # Nobody knows the angle at which a rotor stands.
         vary.setdefault("theta_e", Distribution(uniform=[-np.pi, np.pi]))
-        object.__setattr__(self, "vary", vary)
+        # By name, as JSON has them: the axes of the unit cube are the same for all.
+        object.__setattr__(self, "vary", dict(sorted(vary.items())))
         names = [one.name for one in self.observers]
         if len(set(names)) != len(names):
             raise ValueError(f"observers need names of their own (name = …), got {names}")
