@@ -12,12 +12,15 @@ from .specification import Specification
 from .statistics import Index, Pair, group
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 #: Colours of the observers, in the order of the specification; more than these repeat.
 COLOURS = (GREY, BLUE, ORANGE, "#3a923a", "#8e5ea2", "#b3446c")
 #: Machines side by side.
 ABREAST = 4
+#: Widths of an observer's name in a legend, and of its bar [in].
+NAME, BAR = 2.2, 0.07
 
 
 def _axes(count: int, height: float) -> tuple[Figure, list]:  # type: ignore[type-arg]
@@ -31,6 +34,18 @@ def _axes(count: int, height: float) -> tuple[Figure, list]:  # type: ignore[typ
     for spare in axes[count:]:
         spare.set_visible(False)
     return figure, axes[:count]
+
+
+def _legend(figure: Figure, axis: Axes) -> None:
+    """Names of the observers above, as many abreast as there is room for."""
+    columns = max(1, int(figure.get_figwidth() / NAME))
+    figure.legend(
+        *axis.get_legend_handles_labels(),
+        loc="outside upper left",
+        ncols=columns,
+        frameon=False,
+        fontsize=8,
+    )
 
 
 def distribution(specification: Specification, rows: pl.DataFrame) -> Figure:
@@ -53,8 +68,7 @@ def distribution(specification: Specification, rows: pl.DataFrame) -> Figure:
         )
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("scenarios below [%]")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=3, frameon=False, fontsize=8)
+    _legend(figure, axes[0])
     return figure
 
 
@@ -62,7 +76,8 @@ def importance(
     specification: Specification, indices: dict[tuple[str, str], list[Index]], most: int = 8
 ) -> Figure:
     """Indices of the quantities as bars with intervals, by machine and observer."""
-    figure, axes = _axes(len(specification.machines), 3.0)
+    height = max(3.0, 1.0 + BAR * most * len(specification.observers))
+    figure, axes = _axes(len(specification.machines), height)
     for axis, machine in zip(axes, specification.machines, strict=True):
         mine = {name: found for (where, name), found in indices.items() if where == machine}
         largest: dict[str, float] = {}
@@ -93,8 +108,7 @@ def importance(
             xlim=(0, None),
             title=specification.called(machine),
         )
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=3, frameon=False, fontsize=8)
+    _legend(figure, axes[0])
     return figure
 
 
