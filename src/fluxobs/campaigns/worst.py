@@ -44,9 +44,10 @@ def worst(rows: pl.LazyFrame, observer: str) -> pl.DataFrame:
 
 def lacking(found: Dataset) -> Iterator[Worst]:
     """What is to be kept and is not there yet, by machine."""
+    rows = found.scan()
     for table in found.specification.observers:
         with found.reading():
-            kept = worst(found.scan(), table.name)
+            kept = worst(rows, table.name)
         for machine in found.specification.machines:
             numbers = kept.filter(pl.col("machine") == machine)["number"].to_list()
             lack = [n for n in numbers if not _record(found, n, table.name).exists()]
