@@ -216,7 +216,9 @@ def _manifest(place: Path) -> dict[str, Any]:
     kinds = {"fluxobs": str, "chunk": int, "machines": dict, "specification": dict}
     whole = isinstance(found, dict) and all(isinstance(found.get(k), t) for k, t in kinds.items())
     if not whole or found["chunk"] < 1:
-        raise FluxobsError(f"{place}: is damaged; begin again in another folder")
+        raise FluxobsError(
+            f"{place}: is damaged, or older than fluxobs {version('fluxobs')}; begin again in another folder"
+        )
     return dict(found)
 
 
