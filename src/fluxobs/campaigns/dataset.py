@@ -217,7 +217,8 @@ def _manifest(place: Path) -> dict[str, Any]:
     whole = isinstance(found, dict) and all(isinstance(found.get(k), t) for k, t in kinds.items())
     if not whole or found["chunk"] < 1:
         raise FluxobsError(
-            f"{place}: is damaged, or older than fluxobs {version('fluxobs')}; begin again in another folder"
+            f"{place}: is damaged, or older than fluxobs {version('fluxobs')}; begin again in "
+            f"another folder"
         )
     return dict(found)
 
