@@ -34,7 +34,8 @@ def rows(error: np.ndarray) -> pl.DataFrame:
 
 
 def test_the_worst_is_found():
-    top = np.array([1.5, -1.0, 0.5, 2.0])
+    peak = {"R": 1.5, "L": -1.0, "psi": 0.5, "temperature": 2.0}  # normal scores
+    top = np.array([peak[name] for name in specification().varied])
     seen = []
 
     def evaluate(scores, like):
