@@ -56,7 +56,7 @@ STRICT := -std=c99 -O2 -ffp-contract=off -Wall -Wextra -Wconversion -Wshadow -Wd
 COMPILERS ?= gcc clang
 
 warnings:
-	@for cc in $(COMPILERS); do for precision in "" -DFO_SINGLE; do \
+	@for cc in $(COMPILERS); do for precision in -DFO_SINGLE=0 -DFO_SINGLE=1; do \
 	    echo "$$cc $(STRICT) $$precision"; \
 	    for source in $(FIRMWARE); do \
 	        $$cc $(STRICT) $$precision -c $$source -o /dev/null || exit 1; \
@@ -65,14 +65,14 @@ warnings:
 
 misra:
 	@if ! command -v cppcheck >/dev/null; then echo "MISRA: skipped, cppcheck is missing"; else \
-	    for precision in -DFO_SINGLE -UFO_SINGLE; do \
+	    for precision in -DFO_SINGLE=1 -DFO_SINGLE=0; do \
 	        cppcheck --std=c99 --addon=misra --enable=warning,style,performance,portability \
 	            --suppressions-list=tests/firmware/misra.txt --error-exitcode=1 --quiet \
 	            $$precision $(FIRMWARE) || exit 1; \
 	    done && echo "MISRA C:2012: nothing but the deviations in tests/firmware/misra.txt"; fi
 
 sanitize:
-	@for precision in "" -DFO_SINGLE; do \
+	@for precision in -DFO_SINGLE=0 -DFO_SINGLE=1; do \
 	    gcc $(STRICT) -g -fsanitize=address,undefined,float-divide-by-zero \
 	        -fno-sanitize-recover=all $$precision \
 	        -Ifirmware tests/firmware/stress.c $(FIRMWARE) -lm -o build-stress \
@@ -86,7 +86,7 @@ FUZZ_STEPS ?= 10000000L
 # 1: the same inputs every time; 0: others every time, to look further.
 FUZZ_SEED ?= 1
 fuzz:
-	@for precision in -DFO_SINGLE -UFO_SINGLE; do \
+	@for precision in -DFO_SINGLE=1 -DFO_SINGLE=0; do \
 	    clang -std=c99 -g -O1 -fsanitize=fuzzer,address,undefined,float-divide-by-zero \
 	        -fno-sanitize-recover=all \
 	        $$precision -DFUZZ_STEPS=$(FUZZ_STEPS) -Ifirmware tests/firmware/fuzz.c \

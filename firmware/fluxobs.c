@@ -8,7 +8,7 @@
 
 /* (atan(q) / q - 1) / q^2 by powers of q^2, |q| <= 0.199: Chebyshev, relative error of atan(q) below
  * 8.1e-9, and 3.4e-19. */
-#ifdef FO_SINGLE
+#if FO_SINGLE
 static const fo_real ATAN[] = {(fo_real)-0.136489613386948304, (fo_real)0.199906407297515527,
                                (fo_real)-0.333333127793564512};
 #else
@@ -842,6 +842,10 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
                     const fo_real current[FO_N], fo_estimate *e)
 {
     interval t = {{ZERO, ZERO}, {ZERO, ZERO}, ZERO};
+    if (never_reset(s)) {
+        fo_reset(o, s);
+        s->restarts = 1U;
+    }
     const sample_quality of_source = quality(source, FLUX_STEP_LIMIT);
     const sample_quality of_current = quality(current, o->current_limit);
     const bool absurd = of_source == ABSURD || of_current == ABSURD;

@@ -15,9 +15,6 @@
 
 #include "fluxobs_real.h"
 
-/* 0 leaves flux maps out: less memory and time. An export does so for a machine without one. */
-#define FO_MAPPED 1
-
 #if FO_MAPPED
 #include "fluxobs_map.h"
 #endif
@@ -205,7 +202,8 @@ fo_error fo_init(fo_observer *observer, const fo_config *config);
 fo_error fo_use_map(fo_observer *observer, const fo_map *map);
 #endif
 
-/* Resets the state: nothing is known, all counters are 0. */
+/* Resets the state: nothing is known, all counters are 0. A step resets a state of zeros by itself,
+ * and counts that as a restart. */
 void fo_reset(const fo_observer *observer, fo_state *state);
 
 /* Processes one sample: the current now [A], the mean voltage over the interval ending now [V]. */

@@ -512,9 +512,18 @@ static void guide(const fo_adaptive *a, fo_adaptive_state *s)
 #endif
 }
 
+static void ready(const fo_adaptive *a, fo_adaptive_state *s)
+{
+    if (never_reset(&s->plain)) {
+        fo_adaptive_reset(a, s);
+        s->plain.restarts = 1U;
+    }
+}
+
 void fo_adaptive_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_real voltage[FO_N],
                       const fo_real current[FO_N], fo_adaptive_estimate *e)
 {
+    ready(a, s);
     const bad_samples before = bad_so_far(&s->plain);
     fo_real lost[FO_N], left[FO_N];
     known_loss(a, s, current, lost);
@@ -531,6 +540,7 @@ void fo_adaptive_step_volt_seconds(const fo_adaptive *a, fo_adaptive_state *s,
                                    const fo_real volt_seconds[FO_N], const fo_real current[FO_N],
                                    fo_adaptive_estimate *e)
 {
+    ready(a, s);
     const bad_samples before = bad_so_far(&s->plain);
     fo_real lost[FO_N], left[FO_N];
     known_loss(a, s, current, lost);

@@ -20,18 +20,25 @@
 extern "C" {
 #endif
 
-#ifdef FO_SINGLE
-#define fo_adaptive_init fo_adaptive_init_single
-#define fo_adaptive_reset fo_adaptive_reset_single
-#define fo_adaptive_step fo_adaptive_step_single
-#define fo_adaptive_step_volt_seconds fo_adaptive_step_volt_seconds_single
-#define fo_adaptive_learnt fo_adaptive_learnt_single
-#define fo_adaptive_restart fo_adaptive_restart_single
+#define fo_adaptive_config FO_NAME(fo_adaptive_config)
+#define fo_adaptive FO_NAME(fo_adaptive)
+#define fo_candidate FO_NAME(fo_candidate)
+#define fo_block FO_NAME(fo_block)
+#define fo_adaptive_state FO_NAME(fo_adaptive_state)
+#define fo_adaptive_estimate FO_NAME(fo_adaptive_estimate)
+#define fo_learnt FO_NAME(fo_learnt)
+#define fo_adaptive_init FO_NAME(fo_adaptive_init)
+#if FO_ASYMMETRIC
+#define fo_adaptive_reset FO_NAME(fo_adaptive_reset_asymmetric)
+#define fo_adaptive_step FO_NAME(fo_adaptive_step_asymmetric)
+#define fo_adaptive_step_volt_seconds FO_NAME(fo_adaptive_step_volt_seconds_asymmetric)
+#else
+#define fo_adaptive_reset FO_NAME(fo_adaptive_reset)
+#define fo_adaptive_step FO_NAME(fo_adaptive_step)
+#define fo_adaptive_step_volt_seconds FO_NAME(fo_adaptive_step_volt_seconds)
 #endif
-
-/* 0 leaves the asymmetry of the phases out: less memory and time, the same numbers as with
- * asymmetry_std = 0. An export does so where the asymmetry is not an unknown. */
-#define FO_ASYMMETRIC 1
+#define fo_adaptive_learnt FO_NAME(fo_adaptive_learnt)
+#define fo_adaptive_restart FO_NAME(fo_adaptive_restart)
 
 /* Order of the parameters. The inverter's loss is a sum of two: one grows within small currents,
  * one within larger ones. The last is never learnt: what the loss may differ from that sum. */

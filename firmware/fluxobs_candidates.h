@@ -7,11 +7,9 @@
 
 #include "fluxobs_adaptive.h"
 
-#ifdef FO_SINGLE
-#define fo_candidates_sow fo_candidates_sow_single
-#define fo_candidates_step fo_candidates_step_single
-#define fo_project fo_project_single
-#endif
+#define fo_candidates_sow FO_NAME(fo_candidates_sow)
+#define fo_candidates_step FO_NAME(fo_candidates_step)
+#define fo_project FO_NAME(fo_project)
 
 /* Information on the manifold, U (p - p0) = z. */
 typedef struct {

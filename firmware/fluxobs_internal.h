@@ -13,15 +13,16 @@
 #error "do not use -ffast-math: values that are not finite have to be detected"
 #endif
 
-#ifdef FO_SINGLE
+#if FO_SINGLE
 #define fo_abs fabsf
 #define fo_sqrt sqrtf
-#define fo_atan2 fo_atan2_single
-#define fo_ask_map fo_ask_map_single
 #else
 #define fo_abs fabs
 #define fo_sqrt sqrt
 #endif
+
+#define fo_atan2 FO_NAME(fo_atan2)
+#define fo_ask_map FO_NAME(fo_ask_map)
 
 #define ZERO ((fo_real)0)
 #define ONE ((fo_real)1)
@@ -211,6 +212,9 @@ static inline fo_real mean_current_24(fo_real i0, fo_real i1, fo_real i2, fo_rea
 {
     return (fo_real)9 * i0 + (fo_real)19 * i1 - (fo_real)5 * i2 + i3;
 }
+
+/* Is this a state of zeros, which nobody has reset? */
+static inline bool never_reset(const fo_state *s) { return s->roughness == ZERO; }
 
 static inline void stop_tracker(fo_tracker *t, fo_real theta)
 {

@@ -7,15 +7,13 @@
 
 #include "fluxobs_candidates.h"
 
-#ifdef FO_SINGLE
-#define fo_learning_forget fo_learning_forget_single
-#define fo_learning_start fo_learning_start_single
-#define fo_learning_sample fo_learning_sample_single
-#define fo_learning_doubt fo_learning_doubt_single
-#define fo_learning_unmodelled fo_learning_unmodelled_single
-#define fo_learning_value fo_learning_value_single
-#define fo_learning_deviation fo_learning_deviation_single
-#endif
+#define fo_learning_forget FO_NAME(fo_learning_forget)
+#define fo_learning_start FO_NAME(fo_learning_start)
+#define fo_learning_sample FO_NAME(fo_learning_sample)
+#define fo_learning_doubt FO_NAME(fo_learning_doubt)
+#define fo_learning_unmodelled FO_NAME(fo_learning_unmodelled)
+#define fo_learning_value FO_NAME(fo_learning_value)
+#define fo_learning_deviation FO_NAME(fo_learning_deviation)
 
 /* Share of the EMF that the parameters may be off, above which another angle explains the data as
  * well [1]: twice it, four stds, would turn the EMF round. */

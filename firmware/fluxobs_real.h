@@ -1,5 +1,5 @@
-/* The number type of all sources. FO_SINGLE, defined for all of them or for none, chooses single
- * precision. Each precision has its own function names, so that a mixture does not link.
+/* What is chosen for all sources: the number type, and what a machine does not need. Functions and
+ * types have names that tell it, so that a mixture does not link.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -10,19 +10,52 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#ifdef FO_SINGLE
+/* 1: single precision; 0: double. An export sets 1; -DFO_SINGLE=0 for all files overrules it. */
+#ifndef FO_SINGLE
+#define FO_SINGLE 0
+#endif
+
+/* 0 leaves flux maps out: less memory and time. An export does so for a machine without one. */
+#define FO_MAPPED 1
+
+/* 0 leaves the asymmetry of the phases out: less memory and time, the same numbers as with
+ * asymmetry_std = 0. An export does so where the asymmetry is not an unknown. */
+#define FO_ASYMMETRIC 1
+
+#if FO_SINGLE
 typedef float fo_real;
-#define fo_init fo_init_single
-#define fo_use_map fo_use_map_single
-#define fo_reset fo_reset_single
-#define fo_step fo_step_single
-#define fo_step_volt_seconds fo_step_volt_seconds_single
-#define fo_gather fo_gather_single
-#define fo_map_at fo_map_at_single
-#define fo_map_good fo_map_good_single
-#define fo_direction fo_direction_single
 #else
 typedef double fo_real;
 #endif
+
+#if FO_SINGLE && FO_MAPPED
+#define FO_NAME(name) name##_single_mapped
+#elif FO_SINGLE
+#define FO_NAME(name) name##_single
+#elif FO_MAPPED
+#define FO_NAME(name) name##_mapped
+#else
+#define FO_NAME(name) name
+#endif
+
+#define fo_config FO_NAME(fo_config)
+#define fo_observer FO_NAME(fo_observer)
+#define fo_information FO_NAME(fo_information)
+#define fo_tracker FO_NAME(fo_tracker)
+#define fo_shape FO_NAME(fo_shape)
+#define fo_state FO_NAME(fo_state)
+#define fo_estimate FO_NAME(fo_estimate)
+#define fo_gathered FO_NAME(fo_gathered)
+#define fo_map FO_NAME(fo_map)
+#define fo_mapped FO_NAME(fo_mapped)
+#define fo_init FO_NAME(fo_init)
+#define fo_use_map FO_NAME(fo_use_map)
+#define fo_reset FO_NAME(fo_reset)
+#define fo_step FO_NAME(fo_step)
+#define fo_step_volt_seconds FO_NAME(fo_step_volt_seconds)
+#define fo_gather FO_NAME(fo_gather)
+#define fo_map_at FO_NAME(fo_map_at)
+#define fo_map_good FO_NAME(fo_map_good)
+#define fo_direction FO_NAME(fo_direction)
 
 #endif

@@ -15,11 +15,9 @@
 /* Element (i, j), i < j, of a triangle of order n. */
 #define FO_AT(n, i, j) (FO_ROW((int)(n), (int)(i)) + (int)(j) - (int)(i) - 1)
 
-#ifdef FO_SINGLE
-#define fo_rotate fo_rotate_single
-#define fo_solve fo_solve_single
-#define fo_variance fo_variance_single
-#endif
+#define fo_rotate FO_NAME(fo_rotate)
+#define fo_solve FO_NAME(fo_solve)
+#define fo_variance FO_NAME(fo_variance)
 
 /* Takes in row'x = value with this much information, by Gentleman's rotations, into the rows first
  * to last - 1 of a triangle of order n. The row ends as what is left of it, with its value and

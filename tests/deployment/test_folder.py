@@ -13,7 +13,7 @@ import fluxobs
 from fluxobs import FluxobsError
 from fluxobs.deployment.c_source import hex_float
 from fluxobs.deployment.vectors import COLUMNS
-from support.firmware import COMPILERS, STRICT, make_test
+from support.firmware import COMPILERS, HARNESS, STRICT, make_test
 from support.records import MACHINES
 
 ADAPTIVE = ("drift", "resistance", "inverter")
@@ -44,7 +44,7 @@ def test_make_test_in_the_folder(tmp_path, compiler):
             r"expected\[171\].*?\{(?:[^,{]*, ){5}(-?0x1\.[0-9a-f]{3})",
         ),  # … or speed
         ("test/vectors.h", r"samples\[SAMPLES\].*?FO_\((0x1\.[0-9a-f]{3})"),  # a measured voltage
-        ("motor_observer.h", r"FO_SINGLE.*?(0\.003)\d*f, /\* sample time"),
+        ("motor_observer.c", r"FO_SINGLE.*?(0\.003)\d*f, /\* sample time"),
     ],
     ids=["flux", "speed", "sample", "parameter"],
 )
@@ -136,6 +136,7 @@ def test_the_adaptive_observer_in_the_folder(tmp_path, name, unknowns):
         "fluxobs_real.h",
         "fluxobs_triangle.c",
         "fluxobs_triangle.h",
+        "motor_observer.c",
         "motor_observer.h",
     }
     said = make_test(done.folder)
@@ -143,7 +144,7 @@ def test_the_adaptive_observer_in_the_folder(tmp_path, name, unknowns):
     for precision in ("single", "double"):
         assert f"{precision}: 171 of 171 rows as expected" in said.stdout
     strict = [*STRICT, f"-I{done.folder}", "-c", done.folder / "example_isr.c"]
-    subprocess.run(["gcc", *strict, "-DFO_SINGLE", "-o", tmp_path / "isr.o"], check=True)
+    subprocess.run(["gcc", *strict, "-o", tmp_path / "isr.o"], check=True)
 
 
 @pytest.mark.parametrize(
@@ -171,7 +172,7 @@ def test_precisions_do_not_mix(tmp_path, folders):
         "int main(void) { fo_state s; fo_reset(&motor_observer, &s); return 0; }\n"
     )
     made = []
-    for source, flags in ((main, ["-DFO_SINGLE"]), (folder / "fluxobs.c", [])):
+    for source, flags in ((main, []), (folder / "fluxobs.c", ["-DFO_SINGLE=0"])):
         made.append(tmp_path / f"{source.stem}.o")
         command = ["gcc", *flags, f"-I{folder}", "-c", source, "-o", made[-1]]
         subprocess.run(command, check=True)
@@ -183,7 +184,7 @@ def test_precisions_do_not_mix(tmp_path, folders):
 
 
 def test_two_machines_in_one_firmware(tmp_path):
-    for prefix, name in (("pump", "synrm-6kw7"), ("fan", "servo-400w")):
+    for prefix, name in (("pump", "ipm-2kw2"), ("fan", "servo-400w")):
         fluxobs.export(MACHINES[name], 1e-4, tmp_path / prefix, prefix=prefix)
     main = tmp_path / "main.c"
     main.write_text(
@@ -192,11 +193,23 @@ def test_two_machines_in_one_firmware(tmp_path):
         "    fo_reset(&fan_observer, &a);\n    fo_reset(&pump_observer, &b);\n"
         "    return fan_observer.flux_base > pump_observer.flux_base;\n}\n"
     )
-    includes = [f"-I{tmp_path / prefix}" for prefix in ("pump", "fan")]
-    sources = [main, tmp_path / "fan" / "fluxobs.c"]
-    command = ["gcc", *STRICT, *includes, *sources, "-lm", "-o", tmp_path / "two"]
-    subprocess.run(command, check=True)
+    pump, fan = tmp_path / "pump", tmp_path / "fan"
+    for kind in "hc":
+        shutil.copy(fan / f"fan_observer.{kind}", pump)
+
+    def build(folder):
+        sources = [main, *pump.glob("*_observer.c"), *folder.glob("fluxobs*.c")]
+        command = ["gcc", *STRICT, f"-I{pump}", *sources, "-lm"]
+        command += ["-o", tmp_path / "two"]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert build(pump).stderr == ""
     assert subprocess.run([tmp_path / "two"], check=False).returncode == 0
+
+    # The sources of the fan have no flux maps.
+    assert "fo_reset_single_mapped" in build(fan).stderr
+    shutil.copy(fan / "fluxobs_real.h", pump)
+    assert "theirs have FO_MAPPED 1" in build(pump).stderr
 
 
 @pytest.mark.parametrize("compiler", ["g++", "clang++"])
@@ -216,7 +229,7 @@ def test_headers_in_cpp(tmp_path_factory, compiler, standard, kind):
         f"int main() {{ return motor_observer.{member} > 1; }}\n"
     )
     options = [f"-std={standard}", "-Wall", "-Wextra", "-pedantic", "-Werror"]
-    for precision in ("-DFO_SINGLE", "-UFO_SINGLE"):
+    for precision in ("-DFO_SINGLE=1", "-DFO_SINGLE=0"):
         command = [compiler, *options, precision, f"-I{folder}", "-fsyntax-only", source]
         subprocess.run(command, check=True)
 
@@ -317,10 +330,21 @@ def test_a_flux_map_in_the_folder(tmp_path, name, unknowns):
     machine = MAPPED if name == "table" else fluxobs.example(name)
     done = fluxobs.export(machine, 1e-4, tmp_path / "motor", unknowns=unknowns)
     assert (done.folder / "fluxobs_map.c").exists()
-    header = (done.folder / "motor_observer.h").read_text()
-    assert "&motor_map" in header
-    assert str(tmp_path) not in header
+    parameters = (done.folder / "motor_observer.c").read_text()
+    assert "&motor_map" in parameters
+    assert str(tmp_path) not in parameters
     said = make_test(done.folder)
     assert said.returncode == 0, said.stdout + said.stderr
     strict = [*STRICT, f"-I{done.folder}", "-c", done.folder / "example_isr.c"]
-    subprocess.run(["gcc", *strict, "-DFO_SINGLE", "-o", tmp_path / "isr.o"], check=True)
+    subprocess.run(["gcc", *strict, "-o", tmp_path / "isr.o"], check=True)
+
+
+@pytest.mark.parametrize("unknowns", ["drift", ADAPTIVE])
+def test_a_state_of_zeros_resets_itself_and_says_so(tmp_path, unknowns):
+    folder = tmp_path / "motor"
+    fluxobs.export(MACHINES["servo-400w"], 1e-4, folder, unknowns=unknowns)
+    kind = [] if unknowns == "drift" else ["-DADAPTIVE"]
+    sources = [HARNESS / "zeros.c", *folder.glob("*obs*.c")]
+    command = ["gcc", "-std=c99", "-O1", *kind, f"-I{folder}", f"-I{folder}/test", *sources]
+    subprocess.run([*command, "-lm", "-o", tmp_path / "zeros"], check=True)
+    assert subprocess.run([tmp_path / "zeros"], check=False).returncode == 0

@@ -142,7 +142,8 @@ def test_the_example_interrupt_follows_a_drive(tmp_path, every):
     commanded[:-2] = data.voltage[2:]  # acts over the interval that ends two interrupts later
     program = tmp_path / "drive"
     sources = [HARNESS / "drive.c", folder / "example_isr.c", folder / "fluxobs.c"]
-    flags = [*STRICT, "-DFO_SINGLE", f"-I{folder}"]
+    sources += [folder / "motor_observer.c"]
+    flags = [*STRICT, f"-I{folder}"]
     subprocess.run(["gcc", *flags, *sources, "-lm", "-o", program], check=True)
     gates = np.ones((rows, 1))
     gates[5000:5500] = 0  # the command is zero then, and the rotor coasts

@@ -8,7 +8,7 @@ import pytest
 from support.firmware import FIRMWARE, HARNESS
 
 
-@pytest.mark.parametrize("precision", ["-DFO_SINGLE", "-UFO_SINGLE"])
+@pytest.mark.parametrize("precision", ["-DFO_SINGLE=1", "-DFO_SINGLE=0"])
 def test_pieces_against_dense_matrices(tmp_path, precision):
     """Triangles, transition, random step, derivatives, effects, start, the projection's minimum."""
     program = tmp_path / "pieces"
@@ -20,7 +20,7 @@ def test_pieces_against_dense_matrices(tmp_path, precision):
     assert done.returncode == 0, done.stdout
 
 
-@pytest.mark.parametrize("precision", ["-DFO_SINGLE", "-UFO_SINGLE"])
+@pytest.mark.parametrize("precision", ["-DFO_SINGLE=1", "-DFO_SINGLE=0"])
 def test_the_angle_has_the_same_bits_from_every_compiler(tmp_path, precision):
     bits = set()
     for compiler in filter(shutil.which, ("gcc", "clang")):

@@ -41,7 +41,7 @@ class Compiled:
 
     def observer(self, folder: Path, *command: str) -> Path:
         source = (folder / "fluxobs.c").read_bytes()
-        headers = tuple((folder / n).read_bytes() for n in ("fluxobs.h", "fluxobs_internal.h"))
+        headers = tuple((folder / n).read_bytes() for n in ("fluxobs_real.h", "fluxobs_internal.h"))
         key = (command, source, headers)
         if key not in self.objects:
             made = self.scratch / f"observer{len(self.objects)}.o"
@@ -55,11 +55,11 @@ class Compiled:
         """Of an exported folder; `extra` options go to all of its sources."""
         key = (folder, compiler, precision, *extra)
         if key not in self.programs:
-            single = ["-DFO_SINGLE"] if precision == "single" else []
-            command = [compiler, *STRICT, *single, *extra]
+            chosen = f"-DFO_SINGLE={int(precision == 'single')}"
+            command = [compiler, *STRICT, chosen, *extra]
             made = self.scratch / f"replay{len(self.programs)}"
             parts = [HARNESS / "replay.c", self.observer(folder, *command)]
-            parts += folder.glob("fluxobs_map.c")
+            parts += [*folder.glob("fluxobs_map.c"), *folder.glob("*_observer.c")]
             subprocess.run([*command, f"-I{folder}", *parts, "-lm", "-o", made], check=True)
             self.programs[key] = made
         return self.programs[key]

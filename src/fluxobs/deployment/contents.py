@@ -13,7 +13,7 @@ from ..observers import AdaptiveObserver, Estimate, outputs
 from ..synthetic.firmware_record import firmware_record
 from .c_source import Precision
 from .costs import cost_table, read_costs
-from .header import Exported, bases, parameter_header, parameters, plain, settings
+from .header import Exported, bases, parameter_files, parameters, plain, settings
 from .vectors import COLUMNS, run, vectors_header
 
 SOURCES = ("fluxobs_real.h", "fluxobs.h", "fluxobs_internal.h", "fluxobs.c")
@@ -32,6 +32,9 @@ ADAPTIVE_SOURCES = (
 ASYMMETRIC = "#define FO_ASYMMETRIC 1"
 #: What it changes if the machine needs no flux map, for the same reasons.
 MAPPED = "#define FO_MAPPED 1"
+#: What it changes so that the folder itself chooses single precision: build systems such as the
+#: Arduino IDE have no options for a library.
+DOUBLE = "#define FO_SINGLE 0"
 #: Angle by which a voltage error as large as the drift's prior may turn the flux while the position
 #: is valid [rad].
 VOLTAGE_LIMIT: float = _core.thresholds["VOLTAGE_LIMIT"]
@@ -51,15 +54,13 @@ def contents(
     names = (ADAPTIVE_SOURCES if adaptive else SOURCES) + (MAP_SOURCES if mapped else ())
     sources = {name: (installed / name).read_text(encoding="utf-8") for name in names}
     single = observers["single"]
+    _choose(sources, DOUBLE, 1)
     if isinstance(single, AdaptiveObserver) and not single.asymmetry_std > 0:
-        header = sources["fluxobs_adaptive.h"]
-        assert ASYMMETRIC in header
-        sources["fluxobs_adaptive.h"] = header.replace(ASYMMETRIC, ASYMMETRIC[:-1] + "0")
+        _choose(sources, ASYMMETRIC, 0)
     if not mapped:
-        assert MAPPED in sources["fluxobs.h"]
-        sources["fluxobs.h"] = sources["fluxobs.h"].replace(MAPPED, MAPPED[:-1] + "0")
+        _choose(sources, MAPPED, 0)
     texts = tuple(sources.values())
-    content, header = parameter_header(prefix, observers, machine, version, texts, update_every)
+    content, headers = parameter_files(prefix, observers, machine, version, texts, update_every)
     inside = plain(single)
     record = firmware_record(machine, inside, _unsure(single, machine))
     estimates = {p: run(observer, record, update_every) for p, observer in observers.items()}
@@ -95,7 +96,9 @@ def contents(
         "fo": "fo_adaptive" if adaptive else "fo",
         "plain": ".plain" if adaptive else "",
         "position": ".position" if adaptive else "",
-        "c_sources": " ".join(name for name in names if name.endswith(".c")),
+        "c_sources": " ".join(
+            [*(name for name in names if name.endswith(".c")), f"{prefix}_observer.c"]
+        ),
         "source_list": ", ".join(f"`{name}`" for name in names),
         "header": "fluxobs_adaptive.h" if adaptive else "fluxobs.h",
     }
@@ -110,7 +113,7 @@ def contents(
 
     return content, sources | {
         "LICENSE": (installed / "LICENSE").read_text(encoding="utf-8"),
-        f"{prefix}_observer.h": header,
+        **headers,
         "README.md": filled("README.md"),
         "Makefile": filled("Makefile"),
         "example_isr.c": filled("example_isr.c"),
@@ -121,6 +124,13 @@ def contents(
         "test/host_test.c": filled("host_test.c"),
         "test/vectors.h": vectors_header(record, estimates),
     }
+
+
+def _choose(sources: dict[str, str], line: str, value: int) -> None:
+    """Replace the value in a line ``#define NAME value`` of fluxobs_real.h."""
+    text = sources["fluxobs_real.h"]
+    assert text.count(line) == 1
+    sources["fluxobs_real.h"] = text.replace(line, f"{line[:-1]}{value}")
 
 
 def _unsure(observer: Exported, machine: RotatingMachine) -> float:

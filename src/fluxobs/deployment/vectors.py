@@ -113,7 +113,7 @@ def vectors_header(record: FirmwareRecord, estimates: Mapping[Precision, Estimat
 /* {", ".join(COLUMNS)} */
 enum {{ SAMPLES = {len(inputs)}, EVERY = {EVERY}, EXPECTED_COLUMNS = {len(COLUMNS)} }};
 
-#ifdef FO_SINGLE
+#if FO_SINGLE
 #define FO_(x) x##f
 #else
 #define FO_(x) x
@@ -125,7 +125,7 @@ static const fo_real samples[SAMPLES][4] = {{
 {samples}
 }};
 
-#ifdef FO_SINGLE
+#if FO_SINGLE
 {single}
 #else
 {double}

@@ -41,7 +41,7 @@ TOOLS = {
     "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
     "qemu-system-arm": "qemu-system-arm",
 }
-COMMON = ["-std=c99", "-DFO_SINGLE", "-ffp-contract=off", "-fno-math-errno", "-mthumb"]
+COMMON = ["-std=c99", "-ffp-contract=off", "-fno-math-errno", "-mthumb"]
 COMMON += ["-ffunction-sections", "-fdata-sections", "-Wall", "-Wextra", "-Werror"]
 SIZE = ["-Os", "-fno-tree-loop-distribute-patterns"]
 
@@ -86,6 +86,7 @@ def compile_for(build: Build, folder: Path, kind: str) -> tuple[Path, int]:
         subprocess.run(["arm-none-eabi-gcc", *flags, "-c", source, "-o", parts[-1]], check=True)
     subprocess.run(["arm-none-eabi-ld", "-r", *parts, "-o", observer], check=True)
     sources = [HERE / "startup.c", HERE / "main.c", folder / "test" / "check.c", *parts]
+    sources += [folder / "motor_observer.c"]
     link = ["-nostartfiles", "--specs=nano.specs", "-L", HERE, "-T", HERE / build.linker]
     link += ["-Wl,--gc-sections", "-Wl,--no-warn-rwx-segments", "-lm", "-o", program]
     subprocess.run(["arm-none-eabi-gcc", *flags, *sources, *link], check=True)

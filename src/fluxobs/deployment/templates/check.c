@@ -43,7 +43,7 @@ static uint32_t checksum(uint32_t before, fo_real number)
 {
     const fo_real value = number == number ? number : (fo_real)0;
     uint32_t sum = before;
-#ifdef FO_SINGLE
+#if FO_SINGLE
     uint32_t bits;
 #else
     uint64_t bits;

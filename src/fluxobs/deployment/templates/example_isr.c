@@ -6,16 +6,12 @@
  * gathered in between, so that none are lost.
 @always@
  * Copy this file under another name before you change it, so that the folder can be exported again.
- * The functions declared here are yours to write. Compile with -DFO_SINGLE.
+ * The functions declared here are yours to write.
  *
  *      t[k-1]               t[k]                 t[k+1]
  *        |  `acting` acts    |  `next` acts       |  what is commanded now acts
  *      interrupt           interrupt: i[k] sampled
  */
-#ifndef FO_SINGLE
-#error "define FO_SINGLE for the whole project: single precision"
-#endif
-
 #include <math.h>
 
 #include "@prefix@_observer.h"
