@@ -125,17 +125,27 @@ def plain_observer(
 ) -> LeastSquaresObserver:
     """Plain observer for a log; `scales` supplies what the machine does not."""
     rated = machine.rated_current or scales.current
+    speed_e = usual_speed(machine, scales, psi_f)
+    if memory is None:
+        usual = machine.memory_for(log.sample_time, speed_e)
+        memory = max(_in_short(usual), 10 * log.sample_time)
     chosen = LeastSquaresObserver.for_machine(
         machine,
         sample_time=log.sample_time,
         memory=memory,
-        speed_e=usual_speed(machine, scales, psi_f),
+        speed_e=speed_e,
         psi_f=psi_f,
         rated_current=rated,
-        current_noise=max(scales.current_noise, LEAST_NOISE * rated),
+        current_noise=_in_short(max(scales.current_noise, LEAST_NOISE * rated)),
         held=log.held,
     )
-    return replace(chosen, drift_prior=max(chosen.drift_prior, VOLTAGE_OFFSET * scales.voltage))
+    drift_prior = max(chosen.drift_prior, VOLTAGE_OFFSET * scales.voltage)
+    return replace(chosen, drift_prior=_in_short(drift_prior))
+
+
+def _in_short(measured: float) -> float:
+    """A setting to three digits: the command that exports the observer repeats it exactly."""
+    return float(f"{measured:.3g}")
 
 
 def guess_psi_f(log: Log, machine: RotatingMachine, scales: Scales, memory: float | None) -> float:
@@ -190,7 +200,7 @@ def _adaptive_observer(
         machine,
         sample_time=plain.sample_time,
         unknowns=unknowns,
-        memory=memory,
+        memory=plain.memory,
         speed_e=usual_speed(machine, scales, plain.flux_base),
         psi_f=plain.flux_base,
         rated_current=machine.rated_current or scales.current,
@@ -201,7 +211,7 @@ def _adaptive_observer(
         resistance_std=priors.get("resistance"),
         inverter_std=priors.get("inverter"),
         asymmetry_std=priors.get("asymmetry"),
-        dc_link=float(np.sqrt(3) * scales.voltage),  # at least
+        dc_link=_in_short(np.sqrt(3) * scales.voltage),  # at least
     )
 
 
