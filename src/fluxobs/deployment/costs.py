@@ -17,10 +17,10 @@ def read_costs() -> dict[str, Any]:
 
 def cost_table(costs: Mapping[str, Any]) -> str:
     """The costs as Markdown."""
-    head = "| | instructions, mean | most | code [bytes] | state [bytes] | stack [bytes] |"
+    head = "| | instructions, mean | most | bound | code [bytes] | state [bytes] | stack [bytes] |"
     rows = [
-        f"| {build['name']} | {build['mean']} | {build['most']} | {build['code']} "
-        f"| {build['state']} | {build['stack']} |"
+        f"| {build['name']} | {build['mean']} | {build['most']} | {build.get('bound') or ''} "
+        f"| {build['code']} | {build['state']} | {build['stack']} |"
         for build in costs["builds"]
     ]
-    return "\n".join([head, "|---|---|---|---|---|---|", *rows, "", f"{costs['compiler']}."])
+    return "\n".join([head, "|---|---|---|---|---|---|---|", *rows, "", f"{costs['compiler']}."])

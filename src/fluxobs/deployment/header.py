@@ -141,7 +141,7 @@ extern const {kind} {prefix}_observer;
     defined = f"""\
 #include "{prefix}_observer.h"
 
-{_needs(single)}{tables}/* Per-unit unless stated. Lives in flash: nothing is prepared at the start. */
+{_needs(single)}{tables}/* Per-unit unless stated. It lives in flash: nothing to prepare. */
 const {kind} {prefix}_observer = {{
 #if FO_SINGLE
 {constants["single"]}

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from longest import bound
 
 import fluxobs
 from fluxobs.deployment.costs import cost_table, read_costs
@@ -55,9 +56,11 @@ class Build:
     board: str
     clock: float  # of the SysTick timer [Hz]
     linker: str
+    hard: bool  # has a floating-point unit
 
 
 KINDS = {"plain": ("drift",), "adaptive": ("drift", "resistance", "inverter")}
+STEPS = {"plain": "fo_step_single", "adaptive": "fo_adaptive_step_single"}
 #: Of the first build: instructions of a sample, bytes. The adaptive observer has 2.7 times the
 #: instructions of the plain one; L_d and L_q, two more unknowns in its triangle, took 128 bytes of
 #: state and 120 of stack.
@@ -68,10 +71,11 @@ BUDGETS = {
 #: What a look-up in a table may add to a linear map [instructions].
 LOOK_UP = 300
 M4F = ["-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"]
+M0 = ["-mcpu=cortex-m0", "-O2"]
 BUILDS = (
-    Build("Cortex-M4F, -O2", [*M4F, "-O2"], "mps2-an386", 25e6, "m4f.ld"),
-    Build("Cortex-M4F, -Os", [*M4F, *SIZE], "mps2-an386", 25e6, "m4f.ld"),
-    Build("Cortex-M0, soft float, -O2", ["-mcpu=cortex-m0", "-O2"], "microbit", 16e6, "m0.ld"),
+    Build("Cortex-M4F, -O2", [*M4F, "-O2"], "mps2-an386", 25e6, "m4f.ld", True),
+    Build("Cortex-M4F, -Os", [*M4F, *SIZE], "mps2-an386", 25e6, "m4f.ld", True),
+    Build("Cortex-M0, soft float, -O2", M0, "microbit", 16e6, "m0.ld", False),
 )
 
 
@@ -156,6 +160,7 @@ def measure(kind: str, unknowns: tuple[str, ...], compiler: str) -> tuple[dict[s
                     "name": build.name,
                     "mean": round(float(instructions.mean())),
                     "most": int(instructions.max()),
+                    "bound": bound(program, build.board, STEPS[kind]) if build.hard else None,
                     "gather": int(gathering),
                     "code": code,
                     "state": said["state"],
