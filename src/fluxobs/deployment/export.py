@@ -1,4 +1,4 @@
-"""`fluxobs export`: the observer of one machine as C99, ready to compile into its firmware."""
+"""`fluxobs export`: the observer of one machine, for its firmware, simulation or browser."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from ..observers import AdaptiveObserver, LeastSquaresObserver
 from ..observers.unknowns import ALL, AUTO, adapts, read_unknowns
 from ..validation import number
 from .c_source import PRECISIONS
-from .contents import contents
+from .core import make_core
 from .folder import check_folder, write_folder
+from .forms import files_of
 from .settings import check_machine, check_prefix, check_times
 
 
@@ -26,6 +27,7 @@ class Export:
     Attributes
     ----------
     folder : Path
+    form : str
     prefix : str
         Prefix of the generated names.
     observer : LeastSquaresObserver or AdaptiveObserver
@@ -35,6 +37,7 @@ class Export:
     """
 
     folder: Path
+    form: str
     prefix: str
     observer: LeastSquaresObserver | AdaptiveObserver
     content: str
@@ -52,9 +55,10 @@ def export(
     priors: Mapping[str, float] | None = None,
     update_every: int = 1,
     prefix: str = "motor",
+    form: str = "c",
     force: bool = False,
 ) -> Export:
-    """Write the observer of a machine as a folder of C99.
+    """Write the observer of a machine as a folder: C99, or what a host makes of it.
 
     The same call writes the same bytes. The folder appears complete or not at all.
 
@@ -82,6 +86,8 @@ def export(
         More interrupts cost less computing time, but noise is averaged over fewer samples.
     prefix : str
         Prefix of the generated names, so that two machines fit into one firmware.
+    form : {"c"}
+        What is written around the same sources, parameters and record.
     force : bool
         Replace an earlier export in which nothing has been changed.
 
@@ -98,6 +104,7 @@ def export(
     ...     sorted(path.name for path in done.folder.glob("*.h"))
     ['fluxobs.h', 'fluxobs_internal.h', 'fluxobs_real.h', 'motor_observer.h', 'telemetry.h']
     """
+    files = files_of(form)
     check_prefix(prefix)
     sample_time = number("sample_time", sample_time, "s")
     chosen = read_unknowns(unknowns)
@@ -126,6 +133,6 @@ def export(
         )
         for precision in PRECISIONS
     }
-    content, files = contents(prefix, given, observers, update_every)
-    write_folder(folder, files)
-    return Export(folder, prefix, observers["single"], content)
+    core = make_core(prefix, given, observers, update_every)
+    write_folder(folder, files(core))
+    return Export(folder, form, prefix, observers["single"], core.content)

@@ -66,7 +66,7 @@ def _listing(contents: Mapping[str, bytes]) -> bytes:
     return "".join(f"{_digest(content)}  {name}\n" for name, content in contents.items()).encode()
 
 
-def write_folder(folder: Path, files: Mapping[str, str]) -> None:
+def write_folder(folder: Path, files: Mapping[str, str | bytes]) -> None:
     """Write all files or none: they are made beside the folder and moved there when complete.
 
     Raises
@@ -80,8 +80,11 @@ def write_folder(folder: Path, files: Mapping[str, str]) -> None:
         raise FluxobsError(f"{folder}: cannot be written: {error.strerror}") from None
 
 
-def _write(folder: Path, files: Mapping[str, str]) -> None:
-    contents = {name: text.encode() for name, text in files.items()}
+def _write(folder: Path, files: Mapping[str, str | bytes]) -> None:
+    contents = {
+        name: content.encode() if isinstance(content, str) else content
+        for name, content in files.items()
+    }
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".fluxobs-", dir=folder.parent) as scratch:
         made = Path(scratch) / "export"

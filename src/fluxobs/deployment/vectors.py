@@ -38,13 +38,16 @@ def expected(estimate: Estimate) -> Array:
     return np.stack(columns, axis=-1)
 
 
-def checksum(inputs: Array, rows: Array, precision: Precision) -> int:
+def inputs(record: FirmwareRecord) -> Array:
+    """Rows of (u_alpha, u_beta, i_alpha, i_beta) [V, A]."""
+    return np.concatenate([record.voltage, record.current], axis=1)
+
+
+def checksum(given: Array, rows: Array, precision: Precision) -> int:
     """FNV-1a over the numbers' bytes, least significant first; a missing number counts as 0."""
     kind = "<f4" if precision == "single" else "<f8"
     value = 0x811C9DC5
-    for byte in (
-        np.nan_to_num(np.concatenate([inputs.ravel(), rows.ravel()])).astype(kind).tobytes()
-    ):
+    for byte in np.nan_to_num(np.concatenate([given.ravel(), rows.ravel()])).astype(kind).tobytes():
         value = ((value ^ byte) * 0x01000193) & 0xFFFFFFFF
     return value
 
@@ -82,16 +85,16 @@ def run(observer: Exported, record: FirmwareRecord, update_every: int) -> Estima
 
 def vectors_header(record: FirmwareRecord, estimates: Mapping[Precision, Estimate]) -> str:
     """The text of test/vectors.h: a record, and what :func:`run` returns for it."""
-    inputs = np.concatenate([record.voltage, record.current], axis=1)
+    given = inputs(record)
     samples = "\n".join(
         "    {" + ", ".join(f"FO_({hex_float(x)})" if x == x else "FO_MISSING" for x in row) + "},"
-        for row in inputs
+        for row in given
     )
     blocks = []
     for precision in PRECISIONS:
         everything = expected(estimates[precision])
         rows = everything[EVERY - 1 :: EVERY]
-        guard = checksum(inputs, rows, precision)
+        guard = checksum(given, rows, precision)
         every = checksum(everything, np.zeros(0), precision)
         blocks.append(
             f"static const uint32_t expected_checksum = 0x{guard:08x}U;\n"
@@ -111,7 +114,7 @@ def vectors_header(record: FirmwareRecord, estimates: Mapping[Precision, Estimat
 #include "fluxobs.h"
 
 /* {", ".join(COLUMNS)} */
-enum {{ SAMPLES = {len(inputs)}, EVERY = {EVERY}, EXPECTED_COLUMNS = {len(COLUMNS)} }};
+enum {{ SAMPLES = {len(given)}, EVERY = {EVERY}, EXPECTED_COLUMNS = {len(COLUMNS)} }};
 
 #if FO_SINGLE
 #define FO_(x) x##f

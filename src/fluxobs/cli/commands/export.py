@@ -55,6 +55,15 @@ def export(
             help="Prefix of the generated names, so that two machines fit into one firmware."
         ),
     ] = "motor",
+    form: Annotated[
+        str,
+        typer.Option(
+            "--as",
+            help="c: C99 for any firmware; arduino: library for the Arduino IDE and PlatformIO; "
+            "fmu: simulation units, FMI 3.0 and 2.0; wasm: module for browsers and others; "
+            "simulink: S-function.",
+        ),
+    ] = "c",
     force: Annotated[bool, typer.Option("--force", help="Overwrite an earlier export.")] = False,
 ) -> None:
     """Write the observer for one machine as C99 that compiles into its firmware.
@@ -66,6 +75,7 @@ def export(
     Example: fluxobs export --machine motor.toml --sample-time 5e-5 --out firmware/motor
     """
     from ... import export as run
+    from ...deployment.forms import FORMS
 
     done = run(
         machine,
@@ -78,7 +88,9 @@ def export(
         priors=numbers("prior", prior),
         update_every=update_every,
         prefix=prefix,
+        form=form,
         force=force,
     )
     folder = shlex.quote(str(done.folder))
-    typer.echo(f"Written: {folder}, content {done.content}. Try: make -C {folder} test")
+    attempt = FORMS[form].attempt.format(folder=folder)
+    typer.echo(f"Written: {folder}, content {done.content}. Try: {attempt}")

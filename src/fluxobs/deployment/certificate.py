@@ -1,0 +1,66 @@
+"""The certificate of an export: what it holds, by hash, and what has been compared with what."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .c_source import Precision
+from .core import Core
+from .header import parameters, settings
+from .vectors import COLUMNS, expected, inputs
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def certificate(core: Core, form: str, check: str, compared: Sequence[dict[str, Any]] = ()) -> str:
+    """The text of certificate.json.
+
+    Parameters
+    ----------
+    core : Core
+    form : str
+        Form of the export.
+    check : str
+        How whoever has the export compares it with the expected outputs.
+    compared : sequence of dict
+        Comparisons made while it was written: what, with what, rows, how many differ.
+    """
+    given = inputs(core.record)
+    kinds: dict[Precision, str] = {"single": "<f4", "double": "<f8"}
+    outputs = {
+        name: {
+            "sha256": _digest(expected(core.estimates[name]).astype(kind).tobytes()),
+            "valid": int(core.estimates[name].valid.sum()),
+        }
+        for name, kind in kinds.items()
+    }
+    facts = {
+        "made_by": f"fluxobs {core.version}",
+        "form": form,
+        "prefix": core.prefix,
+        "content": core.content,
+        "machine": parameters(core.machine),
+        "settings": settings(core.single, core.update_every),
+        "sources": {name: _digest(text.encode()) for name, text in core.sources.items()},
+        "parameters": {name: _digest(text.encode()) for name, text in core.parameters.items()},
+        "record": {
+            "rows": len(given),
+            "columns": ["u_alpha [V]", "u_beta [V]", "i_alpha [A]", "i_beta [A]"],
+            "sha256": _digest(np.asarray(given, "<f8").tobytes()),
+        },
+        "expected": {
+            "by": f"the compiled observers of fluxobs {core.version}, built from these sources",
+            "columns": list(COLUMNS),
+            "precisions": outputs,
+        },
+        "compared": list(compared),
+        "check": check,
+    }
+    return json.dumps(facts, indent=1) + "\n"

@@ -1,0 +1,48 @@
+"""The forms of an export: what is written around the same C sources, parameters and record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from ...errors import FluxobsError
+
+if TYPE_CHECKING:
+    from ..core import Core
+
+
+@dataclass(frozen=True)
+class Form:
+    """One form; its module of this package has a function ``files``.
+
+    Attributes
+    ----------
+    about : str
+        For whom, in a line.
+    attempt : str
+        The command that tries it; ``{folder}`` is the export.
+    """
+
+    about: str
+    attempt: str
+
+
+FORMS = {
+    "c": Form("a folder of C99 for any firmware", "make -C {folder} test"),
+}
+
+
+def files_of(form: str) -> Callable[[Core], dict[str, str | bytes]]:
+    """What writes a form: from a core, relative path → content.
+
+    Raises
+    ------
+    FluxobsError
+        There is no form of this name.
+    """
+    if form not in FORMS:
+        raise FluxobsError(f"no form {form!r} of an export; there are {', '.join(FORMS)}")
+    files: Callable[[Core], dict[str, str | bytes]] = import_module(f".{form}", __name__).files
+    return files

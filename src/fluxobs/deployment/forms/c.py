@@ -1,0 +1,30 @@
+"""A folder of C99: the observer, its parameters, an example interrupt, a host test."""
+
+from __future__ import annotations
+
+from ..certificate import certificate
+from ..core import Core
+from ..templating import fill
+from ..vectors import vectors_header
+
+TEMPLATES = {
+    "README.md": "README.md",
+    "Makefile": "Makefile",
+    "example_isr.c": "example_isr.c",
+    "telemetry.h": "telemetry.h",
+    "telemetry.c": "telemetry.c",
+    "test/check.h": "check.h",
+    "test/check.c": "check.c",
+    "test/host_test.c": "host_test.c",
+}
+
+
+def files(core: Core) -> dict[str, str | bytes]:
+    """Relative path → content."""
+    return {
+        **core.code,
+        **{name: fill(core, f"c/{template}") for name, template in TEMPLATES.items()},
+        "LICENSE": core.licence,
+        "test/vectors.h": vectors_header(core.record, core.estimates),
+        "certificate.json": certificate(core, "c", "make test replays the record"),
+    }

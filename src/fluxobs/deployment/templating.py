@@ -1,0 +1,135 @@
+"""Templates: text with @words@, and lines that belong to some exports only."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from importlib import resources
+
+from .. import _core
+from ..machines import RotatingMachine
+from ..observers import Estimate, outputs
+from .core import Core
+from .costs import cost_table, read_costs
+from .header import Exported, bases, parameters, settings
+from .vectors import COLUMNS
+
+#: Angle by which a voltage error as large as the drift's prior may turn the flux while the position
+#: is valid [rad].
+VOLTAGE_LIMIT: float = _core.thresholds["VOLTAGE_LIMIT"]
+
+
+def fill(core: Core, template: str, more: Mapping[str, str] | None = None) -> str:
+    """The text of a template, ``c/README.md``, with the words of this export and `more` of them."""
+    folder = resources.files(__package__) / "templates"
+    text = _variant((folder / template).read_text(encoding="utf-8"), core)
+    for word, value in (words(core) | dict(more or {})).items():
+        text = text.replace(f"@{word}@", value)
+    return text
+
+
+def words(core: Core) -> dict[str, str]:
+    """What templates call @word@."""
+    inside, machine, adaptive = core.plain, core.machine, core.adaptive
+    costs = read_costs()["adaptive" if adaptive else "plain"]
+    slowest = inside.drift_prior / (VOLTAGE_LIMIT * inside.flux_base)
+    compiled = [name for name in core.code if name.endswith(".c")]
+    return {
+        "prefix": core.prefix,
+        "version": core.version,
+        "sample_time": f"{inside.sample_time / core.update_every:.9g}",
+        "step_time": f"{inside.sample_time:.9g}",
+        "steps": "" if core.update_every == 1 else f" (a step in every {core.update_every}th)",
+        "n_p": str(machine.n_p),
+        "drift_prior": f"{inside.drift_prior:.3g}",
+        "slowest": f"{slowest:.3g}",
+        "flux": f"{inside.flux_base:.3g}",
+        "ride": f"{1e3 * inside.flux_base / (2 * inside.drift_prior):.2g}",
+        "slowest_rpm": f"{slowest / machine.n_p * 30 / math.pi:.3g}",
+        "content": core.content,
+        "psi_f_column": str(COLUMNS.index("psi_f")),
+        "valid_column": str(COLUMNS.index("valid")),
+        "angle_column": str(COLUMNS.index("theta_e")),
+        "found": _found(adaptive),
+        "outputs": _outputs(machine, adaptive),
+        "columns": ", ".join(f'"{name}"' for name in COLUMNS),
+        "costs": cost_table(costs),
+        "parameters": str(costs["parameters"]),
+        "facts": _facts(machine, core.single, core.update_every),
+        "fo": "fo_adaptive" if adaptive else "fo",
+        "plain": ".plain" if adaptive else "",
+        "position": ".position" if adaptive else "",
+        "c_sources": " ".join(compiled),
+        "source_list": ", ".join(f"`{name}`" for name in core.sources),
+        "header": "fluxobs_adaptive.h" if adaptive else "fluxobs.h",
+    }
+
+
+def _variant(template: str, core: Core) -> str:
+    """Keep the lines for an observer stepped every interrupt or every few, plain or adaptive."""
+    every = core.update_every
+    marks = {"@every interrupt@": every == 1, "@every few@": every > 1}
+    marks |= {"@when plain@": not core.adaptive, "@when adaptive@": core.adaptive}
+    kept, keep = [], True
+    for line in template.split("\n"):
+        if line in marks or line == "@always@":
+            keep = marks.get(line, True)
+        elif keep:
+            kept.append(line)
+    return "\n".join(kept)
+
+
+def _member(name: str, adaptive: bool) -> str:
+    """An output as a member of the estimate; the adaptive observer has its own magnet flux."""
+    inner = adaptive and name.partition("[")[0] != "psi_f"
+    return f".position.{name}" if inner else f".{name}"
+
+
+def _found(adaptive: bool) -> str:
+    """The values that test/check.c compares, in the order of the columns."""
+    values = {name: f"e{_member(name, adaptive)}" for name in COLUMNS}
+    values["valid"] += " ? (fo_real)1 : (fo_real)0"
+    return "\n".join(f"            {value}," for value in values.values())
+
+
+#: What the adaptive observer adds: members, unit, meaning.
+_ADAPTIVE_OUTPUTS = (
+    ("`estimate.psi_f`, `psi_f_std`", "Wb", "the magnet's flux (not the active one)"),
+    ("`estimate.resistance_error`, `resistance_std`", "ohm", "true minus assumed"),
+    ("`estimate.inverter_voltage`, `inverter_std`", "V", "dead time and device drops of a phase"),
+    ("`estimate.drift_std`", "V", "standard deviation of a component of the drift"),
+    (
+        "`estimate.theta_other`, `weight_other`",
+        "rad, 1",
+        "while two angles are in question, the other one and its weight",
+    ),
+    ("`estimate.adapting`", "bool", "the filter for all of these runs"),
+)
+
+
+def _outputs(machine: RotatingMachine, adaptive: bool) -> str:
+    """The table of outputs, from the one list, as members of the C struct."""
+    more = {"speed_e": f"; divide by {machine.n_p} for the shaft"}
+    if machine.half_turn_ambiguous:
+        more["theta_e"] = "; the one 180 degrees away fits as well"
+    position = ".position" if adaptive else ""
+    rows = [
+        (
+            f"`estimate{position}.{one.name}{'[2]' if one.vector else ''}`",
+            "bool" if one.boolean else one.unit or "1",
+            one.about.rstrip(".") + more.get(one.name, ""),
+        )
+        for one in outputs(Estimate)
+    ]
+    rows += _ADAPTIVE_OUTPUTS if adaptive else ()
+    return "\n".join(f"| {member} | {unit} | {about} |" for member, unit, about in rows)
+
+
+def _facts(machine: RotatingMachine, observer: Exported, update_every: int) -> str:
+    rows = {
+        **parameters(machine),
+        **settings(observer, update_every),
+        **{f"per-unit base of {name}": value for name, value in bases(observer).items()},
+    }
+    lines = [f"| {name} | {value} |" for name, value in rows.items()]
+    return "\n".join(["| | |", "|---|---|", *lines])
