@@ -95,6 +95,25 @@ static fo_error check(const fo_config *c)
     return found;
 }
 
+/* Each row gives back what forgetting takes until its next turn, 1 - rho^period. */
+static fo_real reinjected(fo_real rho)
+{
+    fo_real left = ONE;
+    for (int i = 0; i < (int)REINJECT_PERIOD; i++) {
+        left *= rho;
+    }
+    return ONE - left;
+}
+
+/* Gains of the tracker for its pole. */
+static void set_tracker(fo_observer *o, fo_real pole)
+{
+    const fo_real gap = ONE - pole, h = o->sample_time;
+    o->track[0] = ONE - pole * pole * pole;
+    o->track[1] = (fo_real)1.5 * gap * gap * (ONE + pole) / h;
+    o->track[2] = gap * gap * gap / (h * h);
+}
+
 static void prepare(fo_observer *o, const fo_config *c)
 {
     const fo_real psi = c->flux_base;
@@ -125,12 +144,7 @@ static void prepare(fo_observer *o, const fo_config *c)
     o->noise_information = q2 / (fo_real)FO_N * c->current_noise * c->current_noise;
 
     o->plausible = drift_prior;
-    /* Each row gives back what forgetting takes until its next turn, 1 - rho^period. */
-    fo_real left = ONE;
-    for (int i = 0; i < (int)REINJECT_PERIOD; i++) {
-        left *= o->rho;
-    }
-    o->reinject = ONE - left;
+    o->reinject = reinjected(o->rho);
     o->flux_base = psi;
     o->drift_base = drift_base;
     o->current_limit = c->current_limit;
@@ -150,11 +164,7 @@ static void prepare(fo_observer *o, const fo_config *c)
     /* Fading-memory filter of second order, triple pole z: no lag at constant acceleration.
      * 1 / (1 + x + x^2/2) replaces exp(-x), so that the core needs no exp. */
     const fo_real x = c->tracker_bandwidth * c->sample_time;
-    const fo_real pole = ONE / (ONE + x + x * x / TWO);
-    const fo_real gap = ONE - pole;
-    o->track[0] = ONE - pole * pole * pole;
-    o->track[1] = (fo_real)1.5 * gap * gap * (ONE + pole) / c->sample_time;
-    o->track[2] = gap * gap * gap / (c->sample_time * c->sample_time);
+    set_tracker(o, ONE / (ONE + x + x * x / TWO));
 }
 
 /* Do the prepared numbers leave single precision enough room? Limits are far beyond any machine. */
@@ -225,7 +235,7 @@ static fo_real prior(const fo_state *s, int i)
 }
 
 /* Drops all information but the prior; the innovations start at their assumed level. */
-static void empty_information(const fo_observer *o, fo_state *s)
+static void empty_information(fo_state *s)
 {
     (void)memset(&s->info, 0, sizeof s->info);
     clear(s->x);
@@ -233,7 +243,7 @@ static void empty_information(const fo_observer *o, fo_state *s)
         s->info.d[i] = prior(s, i);
     }
     s->innovation = ZERO;
-    s->power = ONE / o->h;
+    s->power = ONE;
     s->lag_one = ZERO;
     s->noise_share = ONE;
     s->swept = ZERO;
@@ -241,9 +251,9 @@ static void empty_information(const fo_observer *o, fo_state *s)
     s->turn = 0U;
 }
 
-static void restart(const fo_observer *o, fo_state *s)
+static void restart(fo_state *s)
 {
-    empty_information(o, s);
+    empty_information(s);
     s->have_current = false;
     s->have_voltage = false;
     s->variance = VARIANCE_UNKNOWN; /* the carried flux is lost */
@@ -254,7 +264,7 @@ void fo_reset(const fo_observer *o, fo_state *s)
     (void)memset(s, 0, sizeof *s);
     s->drift_prior = ONE / (o->plausible * o->plausible);
     s->roughness = ONE;
-    restart(o, s);
+    restart(s);
 }
 
 /* The immersion's step over one interval, x <- F x + b: F depends on q, b is (input, v, 0, 0, 0).
@@ -535,8 +545,9 @@ static void measure(const fo_observer *o, fo_state *s, fo_real row[FO_NX], fo_re
 {
     const fo_real e = rotate_in(&s->info, row, rhs, ONE, S);
     const fo_real third0 = third_difference(s, 0), third1 = third_difference(s, 1);
-    s->power = o->rho * s->power + e * e;
-    s->lag_one = o->rho * s->lag_one + e * s->innovation;
+    const fo_real share = o->h * e;
+    s->power = o->rho * s->power + share * e;
+    s->lag_one = o->rho * s->lag_one + share * s->innovation;
     s->innovation = e;
     s->info.noise[0] += o->noise_information * s->roughness;
     s->rough += o->h * ((third0 * third0 + third1 * third1) * o->over_noise - s->rough);
@@ -575,7 +586,7 @@ static void widen_prior(fo_state *s, fo_real excess)
 
 /* Judges the position vector p by the information: the variance of its angle, and the share of the
  * flux information that is only noise. */
-static void judge(const fo_observer *o, fo_state *s, const fo_real p[FO_N], fo_real square)
+static void judge(fo_state *s, const fo_real p[FO_N], fo_real square)
 {
     /* A prior that is too tight makes the covariance too small by the same factor. */
     const fo_real *drift = &s->x[DRIFT];
@@ -588,7 +599,7 @@ static void judge(const fo_observer *o, fo_state *s, const fo_real p[FO_N], fo_r
     s->noise_share = (noise[0] - shared) * (across + along);
     /* The variance scales with the innovations' colour, and with their power over the assumed. */
     const fo_real r = correlation(s->lag_one, s->power);
-    s->inflation = o->h * s->power * (ONE + r) / (ONE - r);
+    s->inflation = s->power * (ONE + r) / (ONE - r);
     s->spread = s->inflation * across / square;
     if (excess > ONE) {
         s->spread *= excess;
@@ -656,7 +667,7 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     fo_real square = position(o, s, flux, p);
     if (!(square < RUNAWAY)) { /* or not a number; happens after a long rest */
         s->restarts++;
-        empty_information(o, s);
+        empty_information(s);
         square = position(o, s, flux, p);
     }
     fo_real theta = fo_atan2(p[1], p[0]);
@@ -666,7 +677,7 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     if ((s->turn & 1U) == 0U) {
         reinject_prior(o, s, (int)s->turn / 2);
     } else if (long_enough) {
-        judge(o, s, p, square);
+        judge(s, p, square);
     } else {
         s->noise_share = ONE;
     }
@@ -895,7 +906,7 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
             }
             predict(o, s, &t);
         } else {
-            empty_information(o, s); /* the past cannot be connected to this sample */
+            empty_information(s); /* the past cannot be connected to this sample */
         }
         if (measured) {
             measure(o, s, row, rhs);
@@ -904,7 +915,7 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
     s->consecutive_bad = bad ? s->consecutive_bad + 1U : 0U;
     if (absurd || (s->have_current && s->consecutive_bad > (uint32_t)FO_MAX_CONSECUTIVE_BAD)) {
         s->restarts++;
-        restart(o, s);
+        restart(s);
     }
     read_out(o, s, t.v, e);
     e->valid = e->valid && !bad;
@@ -958,4 +969,40 @@ void fo_gather(const fo_observer *o, fo_gathered *g, fo_real share, const fo_rea
     for (int i = 0; i < FO_N; i++) {
         g->volt_seconds[i] += scale * (dot(o->hB[i], voltage) - dot(o->hR[i], mean));
     }
+}
+
+void fo_stretch(const fo_observer *o, fo_real duration, fo_observer *stretched)
+{
+    const fo_real ratio = duration / o->sample_time;
+    /* The tracker's pole p, from its gains: 1.5 h track[2] / track[1] = (1 - p) / (1 + p). Its
+     * bandwidth stays: 1/p - 1 is proportional to the duration, to first order. */
+    const fo_real q = (fo_real)1.5 * o->sample_time * o->track[2] / o->track[1];
+    const fo_real over = TWO * q / (ONE - q); /* 1/p - 1 */
+    *stretched = *o;
+    stretched->sample_time = duration;
+    stretched->h = o->h * ratio;
+    stretched->rho = ONE - stretched->h;
+    stretched->reinject = reinjected(stretched->rho);
+    for (int i = 0; i < FO_N; i++) {
+        for (int j = 0; j < FO_N; j++) {
+            stretched->hR[i][j] = o->hR[i][j] * ratio;
+            stretched->hB[i][j] = o->hB[i][j] * ratio;
+        }
+    }
+    set_tracker(stretched, ONE / (ONE + over * ratio));
+}
+
+void fo_step_for(const fo_observer *o, fo_state *s, fo_real duration, const fo_real voltage[FO_N],
+                 const fo_real current[FO_N], fo_estimate *e)
+{
+    const bool usual = lasts_usually(o, duration);
+    fo_observer now;
+    fo_gathered g = {{ZERO, ZERO}, {s->current[0][0], s->current[0][1]}};
+    fo_real newest[FO_N] = {current[0], current[1]};
+    fo_stretch(o, usual ? duration : o->sample_time, &now);
+    fo_gather(&now, &g, ONE, voltage, current);
+    if (!usual) {
+        newest[0] = TWO * o->current_limit; /* absurd */
+    }
+    fo_step_volt_seconds(&now, s, g.volt_seconds, newest, e);
 }

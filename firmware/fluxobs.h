@@ -149,7 +149,7 @@ typedef struct {
     fo_real rough, roughness;            /* variance of current noise over the assumed; same >= 1 */
     fo_real exposed;                     /* turn by a plausible voltage error [flux base rad]    */
     fo_real innovation;                  /* last, normalised                                     */
-    fo_real power, lag_one;              /* fading sums over the innovations                     */
+    fo_real power, lag_one;              /* fading means: innovation squared, times the last one */
     fo_real noise_share, inflation, spread; /* as last judged; variance of the angle [rad^2]     */
     fo_real drift_prior;                 /* information; reduced if it proved too tight          */
     fo_real theta, swept;                /* of the least squares; rotation since known [rad]     */
@@ -226,6 +226,12 @@ typedef struct {
  * `share` of the observer's sample time. */
 void fo_gather(const fo_observer *observer, fo_gathered *gathered, fo_real share,
                const fo_real voltage[FO_N], const fo_real current[FO_N]);
+
+/* fo_step where interrupts come at uneven times: the interval that ends now has this duration [s]. One
+ * below a tenth or above ten of the sample time is absurd, and restarts the observer: gather several
+ * short ones. The current's mean is that of its ends: use fo_step where the period is constant. */
+void fo_step_for(const fo_observer *observer, fo_state *state, fo_real duration,
+                 const fo_real voltage[FO_N], const fo_real current[FO_N], fo_estimate *estimate);
 
 #ifdef __cplusplus
 }

@@ -355,7 +355,7 @@ static void run(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         const fo_real plausible = EXPOSED * o->plausible * o->h;
         s->exposed += (plausible + inverter) / length - s->exposed * step;
         /* since the last row, by what the parameters may be off */
-        const fo_real since = s->unsure * s->now.block.time / o->h;
+        const fo_real since = s->unsure * s->now.block.time;
         const fo_real noise = o->position_noise * s->plain.roughness;
         const fo_real variance =
             (s->across + since * since + noise) / square + s->exposed * s->exposed;
@@ -439,7 +439,7 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *
         fo_manifold information;
         fo_candidate c;
         c = s->now.start.candidates[0];
-        const fo_real power = s->plain.power * o->h;
+        const fo_real power = s->plain.power;
         for (int i = 0; i < FO_N; i++) {
             c.p[i] = s->plain.x[FLUX + i];
             c.p[FO_N + i] = s->plain.x[DRIFT + i];
@@ -551,6 +551,26 @@ void fo_adaptive_step_volt_seconds(const fo_adaptive *a, fo_adaptive_state *s,
     guide(a, s);
     fo_step_volt_seconds(&a->plain, &s->plain, left, current, &e->position);
     go_on(a, s, true, before, e);
+}
+
+void fo_adaptive_step_for(const fo_adaptive *a, fo_adaptive_state *s, fo_real duration,
+                          const fo_real voltage[FO_N], const fo_real current[FO_N],
+                          fo_adaptive_estimate *e)
+{
+    const fo_observer *o = &a->plain;
+    const bool usual = lasts_usually(o, duration);
+    const fo_real last[FO_N] = {s->plain.current[0][0], s->plain.current[0][1]};
+    fo_gathered g = {{ZERO, ZERO}, {last[0], last[1]}};
+    fo_real newest[FO_N] = {current[0], current[1]};
+    fo_adaptive now;
+    now = *a;
+    fo_stretch(o, usual ? duration : o->sample_time, &now.plain);
+    now.volt = a->volt * (now.plain.sample_time / o->sample_time);
+    fo_gather(&now.plain, &g, ONE, voltage, current);
+    if (!usual) {
+        newest[0] = TWO * o->current_limit; /* absurd */
+    }
+    fo_adaptive_step_volt_seconds(&now, s, g.volt_seconds, newest, e);
 }
 
 void fo_adaptive_learnt(const fo_adaptive *a, const fo_adaptive_state *s, fo_learnt *l)

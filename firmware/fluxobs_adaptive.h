@@ -32,10 +32,12 @@ extern "C" {
 #define fo_adaptive_reset FO_NAME(fo_adaptive_reset_asymmetric)
 #define fo_adaptive_step FO_NAME(fo_adaptive_step_asymmetric)
 #define fo_adaptive_step_volt_seconds FO_NAME(fo_adaptive_step_volt_seconds_asymmetric)
+#define fo_adaptive_step_for FO_NAME(fo_adaptive_step_for_asymmetric)
 #else
 #define fo_adaptive_reset FO_NAME(fo_adaptive_reset)
 #define fo_adaptive_step FO_NAME(fo_adaptive_step)
 #define fo_adaptive_step_volt_seconds FO_NAME(fo_adaptive_step_volt_seconds)
+#define fo_adaptive_step_for FO_NAME(fo_adaptive_step_for)
 #endif
 #define fo_adaptive_learnt FO_NAME(fo_adaptive_learnt)
 #define fo_adaptive_restart FO_NAME(fo_adaptive_restart)
@@ -210,7 +212,7 @@ typedef struct {
     FO_LEARNT_FIELDS(FO_VECTOR_FIELD, FO_NUMBER_FIELD)
 } fo_learnt;
 
-/* Like fo_init, fo_reset, fo_step and fo_step_volt_seconds. */
+/* Like fo_init, fo_reset, fo_step, fo_step_volt_seconds and fo_step_for. */
 fo_error fo_adaptive_init(fo_adaptive *observer, const fo_config *config,
                           const fo_adaptive_config *adaptive);
 void fo_adaptive_reset(const fo_adaptive *observer, fo_adaptive_state *state);
@@ -224,6 +226,9 @@ void fo_adaptive_step(const fo_adaptive *observer, fo_adaptive_state *state,
 void fo_adaptive_step_volt_seconds(const fo_adaptive *observer, fo_adaptive_state *state,
                                    const fo_real volt_seconds[FO_N], const fo_real current[FO_N],
                                    fo_adaptive_estimate *estimate);
+void fo_adaptive_step_for(const fo_adaptive *observer, fo_adaptive_state *state, fo_real duration,
+                          const fo_real voltage[FO_N], const fo_real current[FO_N],
+                          fo_adaptive_estimate *estimate);
 void fo_adaptive_learnt(const fo_adaptive *observer, const fo_adaptive_state *state,
                         fo_learnt *learnt);
 

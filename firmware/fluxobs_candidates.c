@@ -277,7 +277,7 @@ void fo_candidates_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_rea
     choice->weight = ONE / TWO;
     if (choice->found) {
         fo_candidate *c = &s->now.start.candidates[best];
-        const fo_real power = s->plain.power * a->plain.h;
+        const fo_real power = s->plain.power;
         const fo_real inflation = power > ONE ? power : ONE;
         fo_real x[FO_N], other = ZERO;
         position_of(a, s, c, x);

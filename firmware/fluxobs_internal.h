@@ -23,6 +23,7 @@
 
 #define fo_atan2 FO_NAME(fo_atan2)
 #define fo_ask_map FO_NAME(fo_ask_map)
+#define fo_stretch FO_NAME(fo_stretch)
 
 #define ZERO ((fo_real)0)
 #define ONE ((fo_real)1)
@@ -270,6 +271,15 @@ static inline void settle_tracker(const fo_observer *o, fo_tracker *t, fo_real t
         const bool follows = fo_abs(wrap(theta - t->angle)) < STD_LIMIT + (fo_real)3 * std;
         t->settled += follows ? o->h : TRACKER_OFF * o->h;
     }
+}
+
+/* The observer for an interval of this duration [s], which must be plausible. */
+void fo_stretch(const fo_observer *o, fo_real duration, fo_observer *stretched);
+
+/* Is the duration of an interval one that fo_step_for can take? */
+static inline bool lasts_usually(const fo_observer *o, fo_real duration)
+{
+    return within(duration, o->sample_time / (fo_real)10, o->sample_time * (fo_real)10);
 }
 
 #endif

@@ -214,13 +214,13 @@ void fo_learning_forget(const fo_adaptive *a, fo_adaptive_state *s)
 static fo_real magnitude(const fo_real v[FO_N]) { return fo_sqrt(dot(v, v)); }
 
 /* Finds the voltage by which the parameters may be off at this current. */
-static void weigh_parameters(fo_adaptive_state *s, const fo_effects *t)
+static void weigh_parameters(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t)
 {
     fo_real direction[FO_NA] = {0};
     for (int i = FO_RESISTANCE; i < FO_OFFSET; i++) {
         direction[FO_NF + i] = magnitude(t->effect[i]);
     }
-    s->unsure = fo_sqrt(fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction));
+    s->unsure = fo_sqrt(fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction)) / a->plain.h;
     s->unsure_at = dot(s->plain.current[0], s->plain.current[0]);
 }
 
@@ -228,10 +228,10 @@ void fo_learning_doubt(const fo_adaptive *a, fo_adaptive_state *s, const fo_effe
                        fo_real length, fo_real turned)
 {
     if (!s->running && s->turn % ROUND == 0U) {
-        weigh_parameters(s, t);
+        weigh_parameters(a, s, t);
     }
     const fo_real square = dot(s->plain.current[0], s->plain.current[0]);
-    fo_real unsure = s->unsure;
+    fo_real unsure = s->unsure * a->plain.h;
     if (square > s->unsure_at && s->unsure_at > ZERO) { /* it has grown since */
         unsure *= fo_sqrt(square / s->unsure_at);
     }
@@ -347,7 +347,7 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
     }
     step_flux(s, LOOSE * s->doubt * s->doubt * at.length * at.length);
     for (int i = FO_N; i < (int)FO_NF; i++) { /* as much, turning, for the drift */
-        const fo_real loose = LOOSE * s->unsure * s->unsure / (h * h);
+        const fo_real loose = LOOSE * s->unsure * s->unsure;
         s->d[i] /= ONE + s->d[i] * loose;
     }
     s->theta = c->theta;
@@ -590,7 +590,7 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
     judge_across(a, s, &at);
     s->theta = fo_atan2(at.x[1], at.x[0]);
     clear_block(s);
-    weigh_parameters(s, t);
+    weigh_parameters(a, s, t);
     s->judged = s->judged < 2U ? s->judged + 1U : 0U;
     keep_deviation(a, s, s->judged);
 }

@@ -54,6 +54,7 @@ typedef double fo_real;
 #define fo_step FO_NAME(fo_step)
 #define fo_step_volt_seconds FO_NAME(fo_step_volt_seconds)
 #define fo_gather FO_NAME(fo_gather)
+#define fo_step_for FO_NAME(fo_step_for)
 #define fo_map_at FO_NAME(fo_map_at)
 #define fo_map_good FO_NAME(fo_map_good)
 #define fo_direction FO_NAME(fo_direction)

@@ -465,12 +465,12 @@ static void check_start(void)
     conditional(&s, before);
     const double tight = 1.0 / (double)s.d[FO_N];
     s.doubt = (fo_real)0.5;
-    s.unsure = (fo_real)0.002;
+    s.unsure = (fo_real)0.002 / a.plain.h;
     fo_learning_start(&a, &s, &c, &m, (fo_real)2, &t);
     conditional(&s, after);
     const double wide[3] = {before[0] + 0.3 * 0.25, before[1], before[2] + 0.3 * 0.25};
     compare("start, doubt of the flux", after, wide, 3);
-    const double turning = (double)(s.unsure / a.plain.h);
+    const double turning = (double)s.unsure;
     const double loose = 1.0 / (double)s.d[FO_N], due = tight + 0.3 * turning * turning;
     compare("start, doubt of the drift", &loose, &due, 1);
 }
