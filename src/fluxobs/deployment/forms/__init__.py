@@ -31,6 +31,10 @@ class Form:
 
 FORMS = {
     "c": Form("a folder of C99 for any firmware", "make -C {folder} test"),
+    "arduino": Form(
+        "a library for the Arduino IDE and PlatformIO, with a sensor for SimpleFOC",
+        "the example SelfTest of {folder}",
+    ),
 }
 
 

@@ -5,6 +5,10 @@
 
 #include "@header@"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 typedef struct {
     int damaged;       /* the vectors are not those that were written */
     int rows;          /* compared */
@@ -20,5 +24,9 @@ typedef struct {
 /* Every output must be equal bit for bit. The sources use nothing of a C library that may round in
  * its own way, but the compiler must not fuse a multiplication and an addition: -ffp-contract=off. */
 void check_replay(check_result *result);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

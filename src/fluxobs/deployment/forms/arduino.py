@@ -1,0 +1,64 @@
+"""A library for the Arduino IDE and PlatformIO, with a sensor class for SimpleFOC."""
+
+from __future__ import annotations
+
+from ...errors import FluxobsError
+from ..certificate import certificate
+from ..core import Core
+from ..costs import read_costs
+from ..templating import VOLTAGE_LIMIT, fill
+from ..vectors import vectors_header
+
+TEMPLATES = {
+    "README.md": "arduino/README.md",
+    "library.properties": "arduino/library.properties",
+    "library.json": "arduino/library.json",
+    "src/FluxobsSensor.h": "arduino/FluxobsSensor.h",
+    "examples/SimpleFOC/SimpleFOC.ino": "arduino/SimpleFOC.ino",
+    "examples/SelfTest/SelfTest.ino": "arduino/SelfTest.ino",
+    "examples/SelfTest/check.h": "c/check.h",
+    "examples/SelfTest/check.c": "c/check.c",
+}
+
+
+def files(core: Core) -> dict[str, str | bytes]:
+    """Relative path → content.
+
+    Raises
+    ------
+    FluxobsError
+        The observer steps every few interrupts only.
+    """
+    if core.update_every > 1:
+        raise FluxobsError(
+            f"update_every {core.update_every}: an Arduino library steps at every call, each with "
+            f"its own duration; give the sample time of the loop"
+        )
+    words = _words(core)
+    vectors = vectors_header(core.record, core.estimates)
+    return {
+        **{f"src/{name}": text for name, text in core.code.items()},
+        **{name: fill(core, template, words) for name, template in TEMPLATES.items()},
+        "examples/SelfTest/vectors.h": vectors,
+        "LICENSE": core.licence,
+        "certificate.json": certificate(core, "arduino", "the example SelfTest replays the record"),
+    }
+
+
+def _words(core: Core) -> dict[str, str]:
+    inside, pairs = core.plain, core.machine.n_p
+    slowest = inside.drift_prior / (VOLTAGE_LIMIT * inside.flux_base) / pairs
+    fast, _, slow = read_costs()["adaptive" if core.adaptive else "plain"]["builds"]
+    rows = len(core.record.voltage)
+    return {
+        "fo_type": "fo_adaptive" if core.adaptive else "fo_observer",
+        "slowest_shaft": f"{slowest:.3g} rad/s",
+        "try_speed": f"{3 * slowest:.1f}",
+        "rated": f"{core.machine.rated_current or 1.0:.1f}",
+        "least_us": f"{1e5 * inside.sample_time:.4g}",
+        "most_us": f"{1e7 * inside.sample_time:.0f}",
+        "fast": str(fast["mean"]),
+        "slow": str(slow["mean"]),
+        "flash": str(round((16 * rows + 48 * rows / 9) / 1000 + 12)),
+        "url": "https://pypi.org/project/fluxobs/",
+    }

@@ -1,0 +1,106 @@
+"""The Arduino library: its sketches on this computer, its sensor in a simulated SimpleFOC drive."""
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import fluxobs
+from fluxobs import FluxobsError
+from support.records import MACHINES
+
+STUBS = Path(__file__).parent / "arduino"
+ADAPTIVE = "drift,resistance,inverter"
+CPP = ["g++", "-std=c++11", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror"]
+
+
+@pytest.fixture(scope="module", params=["drift", ADAPTIVE], ids=["plain", "adaptive"])
+def library(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("arduino") / "motor"
+    # as after an identification: at constant speed and load nothing tells them
+    priors = {"resistance": 0.02, "inverter": 0.05} if request.param == ADAPTIVE else None
+    fluxobs.export(
+        MACHINES["servo-400w"],
+        1e-4,
+        folder,
+        unknowns=request.param,
+        priors=priors,
+        form="arduino",
+    )
+    return folder
+
+
+def built(library, scratch, *sources):
+    """A program of C++ sources (or sketches) with the library's C sources."""
+    objects = []
+    example = library / "examples" / "SelfTest"
+    for source in [*library.glob("src/*.c"), example / "check.c"]:
+        objects.append(scratch / f"{source.stem}.o")
+        command = ["gcc", "-std=c99", "-O1", "-ffp-contract=off", f"-I{library}/src", "-c", source]
+        subprocess.run([*command, "-o", objects[-1]], check=True)
+    command = [*CPP, f"-I{STUBS}", f"-I{library}/src", f"-I{example}", "-include", "Arduino.h"]
+    program = scratch / "program"
+    named = [word for source in sources for word in ("-x", "c++", source)]
+    subprocess.run([*command, *named, "-x", "none", *objects, "-lm", "-o", program], check=True)
+    return program
+
+
+def test_the_self_test_replays_the_record(library, tmp_path):
+    main = tmp_path / "main.cpp"
+    main.write_text("uint32_t now_us = 0;\nSerialPort Serial;\nint main() { setup(); return 0; }\n")
+    sketch = library / "examples" / "SelfTest" / "SelfTest.ino"
+    program = built(library, tmp_path, sketch, main)
+    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    assert "Every output is equal bit for bit." in said
+    assert re.match(r"(\d+) of \1 rows", said)
+
+    source = library / "src" / "motor_observer.c"
+    changed = re.sub(r"(0\.003)(\d*)f, (/\* sample time)", r"0.0031\2f, \3", source.read_text())
+    copy = tmp_path / "changed"
+    shutil.copytree(library, copy)
+    (copy / "src" / "motor_observer.c").write_text(changed)
+    said = subprocess.run(
+        [built(copy, tmp_path, sketch, main)], capture_output=True, text=True, check=True
+    ).stdout
+    assert "FAILED" in said
+
+
+def test_the_simplefoc_sketch_compiles(library, tmp_path):
+    sketch = library / "examples" / "SimpleFOC" / "SimpleFOC.ino"
+    main = tmp_path / "main.cpp"
+    main.write_text("uint32_t now_us = 0;\nSerialPort Serial;\nint main() { setup(); loop(); }\n")
+    built(library, tmp_path, sketch, main)
+
+
+def test_a_simplefoc_drive_closes_its_loop_and_opens_it_again(library, tmp_path):
+    program = built(library, tmp_path, STUBS / "drive.cpp")
+    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    found = {name: float(value) for name, value in re.findall(r"([a-z ]+?) (-?[\d.e+-]+)", said)}
+    found = {name.strip(): value for name, value in found.items()}
+    assert 0.02 < found["handed over"] < 1.0
+    assert 1.8 < found["lost"] < 1.95  # the gates are off
+    assert found["closed"] > 0.4
+    assert found["worst"] < 0.08  # [rad], of the angle while it is valid
+    assert found["turns"] > 10
+
+
+def test_what_arduino_and_platformio_read(library):
+    properties = dict(
+        line.split("=", 1) for line in (library / "library.properties").read_text().splitlines()
+    )
+    assert properties["includes"] == "motor_observer.h"
+    described = json.loads((library / "library.json").read_text())
+    assert described["version"] == properties["version"] == fluxobs.__version__
+    for header in described["headers"]:
+        assert (library / "src" / header).exists()
+    assert re.fullmatch(r"[\w .-]+", properties["name"])
+
+
+def test_steps_every_few_interrupts_are_refused(tmp_path):
+    with pytest.raises(FluxobsError, match="update_every 4"):
+        fluxobs.export("servo-400w", 5e-5, tmp_path / "x", update_every=4, form="arduino")
+    with pytest.raises(FluxobsError, match="there are c, arduino"):
+        fluxobs.export("servo-400w", 5e-5, tmp_path / "x", form="sketch")
