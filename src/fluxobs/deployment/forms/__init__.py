@@ -35,6 +35,7 @@ FORMS = {
         "a library for the Arduino IDE and PlatformIO, with a sensor for SimpleFOC",
         "the example SelfTest of {folder}",
     ),
+    "fmu": Form("simulation units, FMI 3.0 and 2.0", "python {folder}/test/check.py"),
 }
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from ...errors import FluxobsError
 from ..certificate import certificate
 from ..core import Core
 from ..costs import read_costs
 from ..templating import VOLTAGE_LIMIT, fill
 from ..vectors import vectors_header
+from .variables import check_every_step
 
 TEMPLATES = {
     "README.md": "arduino/README.md",
@@ -29,11 +29,7 @@ def files(core: Core) -> dict[str, str | bytes]:
     FluxobsError
         The observer steps every few interrupts only.
     """
-    if core.update_every > 1:
-        raise FluxobsError(
-            f"update_every {core.update_every}: an Arduino library steps at every call, each with "
-            f"its own duration; give the sample time of the loop"
-        )
+    check_every_step(core, "an Arduino library")
     words = _words(core)
     vectors = vectors_header(core.record, core.estimates)
     return {

@@ -1,0 +1,303 @@
+"""Units for co-simulation, FMI 3.0 and 2.0: sources, and binaries for the usual systems.
+
+The standards: https://fmi-standard.org, versions 3.0 and 2.0.4.
+"""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import io
+import json
+import subprocess
+import sys
+import tempfile
+import uuid
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from ...errors import FluxobsError
+from ..certificate import certificate
+from ..core import Core
+from ..folder import write_folder
+from ..templating import fill
+from ..vectors import COLUMNS, expected, inputs
+from . import build
+from .variables import INPUTS, Variable, check_every_step, output_variables
+
+#: Name of a binary's folder in FMI 3.0 and in 2.0 → zig's name of the target, suffix.
+TARGETS = {
+    ("x86_64-linux", "linux64"): ("x86_64-linux-gnu.2.17", ".so"),
+    ("aarch64-linux", None): ("aarch64-linux-gnu.2.17", ".so"),
+    ("x86_64-windows", "win64"): ("x86_64-windows-gnu", ".dll"),
+    ("x86_64-darwin", "darwin64"): ("x86_64-macos", ".dylib"),
+    ("aarch64-darwin", None): ("aarch64-macos", ".dylib"),
+}
+#: Units in the base units of FMI.
+UNITS = {
+    "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
+    "A": {"A": 1},
+    "Wb": {"kg": 1, "m": 2, "s": -2, "A": -1},
+    "ohm": {"kg": 1, "m": 2, "s": -3, "A": -2},
+    "rad": {"rad": 1},
+    "rad/s": {"rad": 1, "s": -1},
+}
+UNIT_SOURCES = ("unit.h", "unit.c")
+#: The oldest date that a zip file can have: the same call writes the same bytes.
+DATE = (1980, 1, 1, 0, 0, 0)
+
+
+def files(core: Core) -> dict[str, str | bytes]:
+    """Relative path → content.
+
+    Raises
+    ------
+    FluxobsError
+        The observer steps every few interrupts only, or a compiler fails.
+    """
+    check_every_step(core, "a simulation unit")
+    if not build.has_zig() and not build.local_compiler():
+        raise FluxobsError(
+            "no C compiler for the units' binaries; `pip install 'fluxobs[fmu]'` brings one for "
+            "Linux, Windows and macOS"
+        )
+    identifier = f"fluxobs_{core.prefix}"
+    units: dict[str, bytes] = {}
+    built: set[str] = set()
+    for version in (3, 2):
+        sources = _sources(core, version)
+        binaries = _binaries(identifier, sources, version)
+        built |= binaries.keys()
+        units[f"{core.prefix}.fmi{version}.fmu"] = _packed(
+            {
+                "modelDescription.xml": _description(core, identifier, version, sources),
+                **_described_sources(identifier, sources, version),
+                **binaries,
+                "resources/certificate.json": certificate(core, "fmu", "see the export's README"),
+                "documentation/index.html": _page(core),
+            }
+        )
+    words = {"identifier": identifier, "binaries": ", ".join(sorted(_systems(built))) or "none"}
+    tests = {"test/record.csv": _record(core), "test/check.py": fill(core, "fmu/check.py", words)}
+    compared = _compared({**units, **tests})
+    check = "python test/check.py (needs PyPI's fmpy) replays the record with both units"
+    return {
+        **units,
+        **tests,
+        "README.md": fill(core, "fmu/README.md", words),
+        "LICENSE": core.licence,
+        "certificate.json": certificate(core, "fmu", check, compared),
+    }
+
+
+def _systems(paths: set[str]) -> set[str]:
+    names = {old: new for new, old in TARGETS}
+    return {names.get(part := path.split("/")[1], part) or part for path in paths}
+
+
+def _token(core: Core) -> str:
+    return "{" + str(uuid.uuid5(uuid.NAMESPACE_URL, f"fluxobs:{core.content}")) + "}"
+
+
+def _sources(core: Core, version: int) -> dict[str, str]:
+    """All C files of a unit."""
+    variables = output_variables(core)
+    values = "\n".join(
+        f"        e->{one.member}{' ? 1.0 : 0.0' if one.boolean else ''},"
+        if one.boolean
+        else f"        (double)e->{one.member},"
+        for one in variables
+    )
+    words = {"outputs": str(len(variables)), "values": values, "token": _token(core)}
+    names = (*UNIT_SOURCES, f"fmi{version}.c")
+    return core.code | {name: fill(core, f"fmu/{name}", words) for name in names}
+
+
+def _binaries(identifier: str, sources: Mapping[str, str], version: int) -> dict[str, bytes]:
+    """Path within the unit → library, for every system that can be built for here."""
+    found = {}
+    here = "-".join(build.host())
+    for (three, two), (target, suffix) in TARGETS.items():
+        folder = three if version == 3 else two
+        if folder is None:
+            continue
+        if build.has_zig():
+            compiler = build.zig(target)
+        elif three == here and (local := build.local_compiler()):
+            compiler = [*local, "-fPIC"]
+        else:
+            continue
+        libraries = [] if "windows" in target else ["-lm"]
+        made = build.compile_shared(compiler, sources, libraries)
+        found[f"binaries/{folder}/{identifier}{suffix}"] = made
+    return found
+
+
+def _described_sources(identifier: str, sources: Mapping[str, str], version: int) -> dict[str, str]:
+    """The sources in the unit; FMI 3.0 wants a description of how they are built."""
+    packed = {f"sources/{name}": text for name, text in sources.items()}
+    if version == 2:
+        return packed
+    root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
+    one = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=identifier)
+    group = ElementTree.SubElement(
+        one, "SourceFileSet", language="C99", compilerOptions="-ffp-contract=off"
+    )
+    for name in sorted(sources):
+        if name.endswith(".c"):
+            ElementTree.SubElement(group, "SourceFile", name=name)
+    ElementTree.SubElement(group, "PreprocessorDefinition", name="FO_SINGLE", value="0")
+    ElementTree.SubElement(one, "Library", name="m", external="true")
+    return packed | {"sources/buildDescription.xml": _text(root)}
+
+
+def _text(root: ElementTree.Element) -> str:
+    ElementTree.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, "unicode") + "\n"
+
+
+def _description(core: Core, identifier: str, version: int, sources: Mapping[str, str]) -> str:
+    """modelDescription.xml."""
+    token = "instantiationToken" if version == 3 else "guid"
+    root = ElementTree.Element(
+        "fmiModelDescription",
+        {
+            "fmiVersion": f"{version}.0",
+            "modelName": f"fluxobs observer for {core.prefix}",
+            token: _token(core),
+            "description": f"Flux, position and speed of an electrical machine; content "
+            f"{core.content}. A step takes the voltage of the last interval and the current at its "
+            f"end: outputs belong to the instant at which the inputs were set, and are read one "
+            f"communication step later.",
+            "generationTool": f"fluxobs {core.version}",
+            "license": "MIT",
+            "variableNamingConvention": "flat",
+        }
+        | ({"numberOfEventIndicators": "0"} if version == 2 else {}),
+    )
+    period = repr(core.plain.sample_time)
+    saves = "FMUState" if version == 3 else "FMUstate"
+    simulated = ElementTree.SubElement(
+        root,
+        "CoSimulation",
+        {
+            "modelIdentifier": identifier,
+            "canHandleVariableCommunicationStepSize": "false",
+            f"canGetAndSet{saves}": "true",
+            f"canSerialize{saves}": "true",
+        }
+        | ({"fixedInternalStepSize": period} if version == 3 else {}),
+    )
+    if version == 2:
+        listed = ElementTree.SubElement(simulated, "SourceFiles")
+        for name in sorted(sources):
+            if name.endswith(".c"):
+                ElementTree.SubElement(listed, "File", name=name)
+    units = ElementTree.SubElement(root, "UnitDefinitions")
+    for unit in ("s", *UNITS):
+        element = ElementTree.SubElement(units, "Unit", name=unit)
+        base = {name: str(power) for name, power in UNITS.get(unit, {"s": 1}).items()}
+        ElementTree.SubElement(element, "BaseUnit", base)
+    ElementTree.SubElement(root, "DefaultExperiment", stepSize=period)
+    variables = ElementTree.SubElement(root, "ModelVariables")
+    outputs = output_variables(core)
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    if version == 3:
+        clock = {"name": "time", "valueReference": "0", "causality": "independent"}
+        ElementTree.SubElement(
+            variables, "Float64", clock | {"variability": "continuous", "unit": "s"}
+        )
+        for number, one in enumerate((*INPUTS, *outputs), 1):
+            kind = "Boolean" if one.boolean else "Float64"
+            ElementTree.SubElement(variables, kind, _variable(one, number, version))
+        for number, _ in enumerate(outputs, 1 + len(INPUTS)):
+            ElementTree.SubElement(structure, "Output", valueReference=str(number), dependencies="")
+        for number, _ in enumerate(outputs, 1 + len(INPUTS)):
+            unknown = {"valueReference": str(number), "dependencies": ""}
+            ElementTree.SubElement(structure, "InitialUnknown", unknown)
+    else:
+        for number, one in enumerate((*INPUTS, *outputs), 1):
+            described = _variable(one, number, version)
+            inner: dict[str, str] = {
+                key: described.pop(key) for key in ("start", "unit") if key in described
+            }
+            element = ElementTree.SubElement(variables, "ScalarVariable", described)
+            ElementTree.SubElement(element, "Boolean" if one.boolean else "Real", inner)
+        listed = ElementTree.SubElement(structure, "Outputs")
+        for number, _ in enumerate(outputs, 1 + len(INPUTS)):
+            ElementTree.SubElement(listed, "Unknown", index=str(number), dependencies="")
+        first = ElementTree.SubElement(structure, "InitialUnknowns")
+        for number, _ in enumerate(outputs, 1 + len(INPUTS)):
+            ElementTree.SubElement(first, "Unknown", index=str(number), dependencies="")
+    return _text(root)
+
+
+def _variable(one: Variable, number: int, version: int) -> dict[str, str]:
+    given = not one.member
+    described = {"name": one.name, "valueReference": str(number), "description": one.about}
+    described["causality"] = "input" if given else "output"
+    described["variability"] = "discrete"
+    if given:
+        described["start"] = "0"
+    elif version == 2:
+        described["initial"] = "calculated"
+    if one.unit:
+        described["unit"] = one.unit
+    return described
+
+
+def _packed(content: Mapping[str, str | bytes]) -> bytes:
+    """A zip file with the same bytes each time."""
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, one in content.items():
+            entry = zipfile.ZipInfo(name, DATE)
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, one, zipfile.ZIP_DEFLATED)
+    return packed.getvalue()
+
+
+def _page(core: Core) -> str:
+    return (
+        f"<!DOCTYPE html><title>fluxobs: {core.prefix}</title><p>Observer of flux, position and "
+        f"speed, content {core.content}. Inputs and outputs are described in modelDescription.xml; "
+        f"resources/certificate.json says what they were compared with.</p>\n"
+    )
+
+
+def _record(core: Core) -> str:
+    """Inputs and expected outputs, every digit."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    names = [one.name for one in output_variables(core)][: len(COLUMNS)]
+    writer.writerow([*(one.name for one in INPUTS), *names])
+    for given, found in zip(inputs(core.record), expected(core.estimates["double"]), strict=True):
+        writer.writerow([*map(repr, given.tolist()), *map(repr, found.tolist())])
+    return text.getvalue()
+
+
+def _compared(made: Mapping[str, str | bytes]) -> list[dict[str, Any]]:
+    """What the check says of the units on this computer, if FMPy is installed."""
+    if importlib.util.find_spec("fmpy") is None:
+        return []
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "export"
+        write_folder(folder, made)
+        done = subprocess.run(
+            [sys.executable, str(folder / "test" / "check.py"), "--json"],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=600,
+        )
+    try:
+        found: list[dict[str, Any]] = json.loads(done.stdout)
+    except ValueError:
+        raise FluxobsError(f"the units do not run here: {done.stderr.strip()[-300:]}") from None
+    wrong = [one for one in found if one["different"]]
+    if wrong:
+        raise FluxobsError(f"{wrong[0]['what']}: {wrong[0]['different']} rows differ")
+    return found

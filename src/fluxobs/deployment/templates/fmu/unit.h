@@ -1,0 +1,57 @@
+/* An instance of the unit: the observer, its inputs, its estimate. Both versions of FMI share it.
+ *
+ * SPDX-License-Identifier: MIT
+ */
+#ifndef UNIT_H
+#define UNIT_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "@prefix@_observer.h"
+
+#ifdef _WIN32
+#define UNIT_EXPORT __declspec(dllexport)
+#else
+#define UNIT_EXPORT __attribute__((visibility("default")))
+#endif
+
+/* Value references: 0 is time, then the inputs, then the outputs. */
+enum { UNIT_INPUTS = 4, UNIT_OUTPUTS = @outputs@, UNIT_FIRST = 1 + UNIT_INPUTS };
+
+/* All that changes: saving, restoring and serialising it is copying it. */
+typedef struct {
+    double time;
+    fo_real input[UNIT_INPUTS]; /* u_alpha, u_beta, i_alpha, i_beta */
+    @fo@_state state;
+    @fo@_estimate estimate;
+} unit_data;
+
+typedef void (*unit_log)(void *unit, bool failed, const char *message);
+
+typedef struct {
+    unit_data data;
+    unit_log log;
+    void *environment;
+    void *callback;
+    char name[64];
+} unit;
+
+unit *unit_new(const char *name, const char *token, unit_log log, void *environment, void *callback);
+void unit_free(unit *u);
+void unit_reset(unit *u);
+
+/* Takes in the inputs at `time`; the estimate belongs to that instant, and is read a step later. */
+bool unit_step(unit *u, double time, double step);
+
+/* Values by reference; false, and a message, for a reference that is none. */
+bool unit_get(unit *u, uint32_t reference, double *value);
+bool unit_set(unit *u, uint32_t reference, double value);
+
+/* Copies of all that changes, with a checksum. */
+enum { UNIT_SAVED = (int)sizeof(unit_data) + 8 };
+void unit_save(const unit *u, unsigned char saved[UNIT_SAVED]);
+bool unit_restore(unit *u, const unsigned char saved[UNIT_SAVED]);
+
+#endif
