@@ -36,6 +36,8 @@ FORMS = {
         "the example SelfTest of {folder}",
     ),
     "fmu": Form("simulation units, FMI 3.0 and 2.0", "python {folder}/test/check.py"),
+    "wasm": Form("a WebAssembly module, for browsers and others", "node {folder}/test/check.mjs"),
+    "simulink": Form("an S-function as source, untested", "build.m and check.m in {folder}"),
 }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import platform
 import shutil
@@ -11,11 +12,13 @@ import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from ...errors import FluxobsError
+from ..folder import write_folder
 
 #: Double precision, the same bits everywhere.
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-DFO_SINGLE=0")
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-DFO_SINGLE=0")
 
 
 def has_zig() -> bool:
@@ -44,21 +47,35 @@ def host() -> tuple[str, str]:
 
 
 def compile_shared(
-    compiler: Sequence[str], files: Mapping[str, str], flags: Sequence[str] = ()
+    compiler: Sequence[str], files: Mapping[str, str], libraries: Sequence[str] = ()
 ) -> bytes:
     """A shared library of C sources.
 
     Raises
     ------
     FluxobsError
-        The compiler says that they do not compile, or cannot be run.
+        They do not compile, or the compiler cannot be run.
     """
+    return _compile(compiler, files, ["-fvisibility=hidden", "-shared"], libraries)
+
+
+def compile_wasm(compiler: Sequence[str], files: Mapping[str, str]) -> bytes:
+    """A WebAssembly module without imports; raises FluxobsError like :func:`compile_shared`."""
+    return _compile(compiler, files, ["-Wl,--strip-all"], [])
+
+
+def _compile(
+    compiler: Sequence[str],
+    files: Mapping[str, str],
+    flags: Sequence[str],
+    libraries: Sequence[str],
+) -> bytes:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")
         sources = sorted(name for name in files if name.endswith(".c"))
-        command = [*compiler, *FLAGS, *flags, "-shared", *sources, "-o", "made"]
+        command = [*compiler, *FLAGS, *flags, *sources, *libraries, "-o", "made"]
         try:
             done = subprocess.run(
                 command, cwd=folder, capture_output=True, text=True, check=False, timeout=600
@@ -69,3 +86,28 @@ def compile_shared(
             said = done.stderr.strip().splitlines()
             raise FluxobsError(f"{' '.join(compiler)}: {said[-1] if said else 'failed'}")
         return (folder / "made").read_bytes()
+
+
+def compared(made: Mapping[str, str | bytes], command: Sequence[str]) -> list[dict[str, Any]]:
+    """What the check of an export, run in its folder, says in JSON: for the certificate.
+
+    Raises
+    ------
+    FluxobsError
+        Something differs from the library's outputs, or does not run here.
+    """
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "export"
+        write_folder(folder, made)
+        done = subprocess.run(
+            list(command), cwd=folder, capture_output=True, text=True, check=False, timeout=600
+        )
+    try:
+        found: list[dict[str, Any]] = json.loads(done.stdout)
+    except ValueError:
+        said = (done.stdout + done.stderr).strip()
+        raise FluxobsError(f"what was built does not run here: {said[-300:]}") from None
+    for one in found:
+        if one["different"]:
+            raise FluxobsError(f"{one['what']}: {one['different']} rows differ from {one['with']}")
+    return found

@@ -5,28 +5,27 @@ The standards: https://fmi-standard.org, versions 3.0 and 2.0.4.
 
 from __future__ import annotations
 
-import csv
 import importlib.util
 import io
-import json
-import subprocess
 import sys
-import tempfile
 import uuid
 import zipfile
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 from ...errors import FluxobsError
 from ..certificate import certificate
 from ..core import Core
-from ..folder import write_folder
 from ..templating import fill
-from ..vectors import COLUMNS, expected, inputs
 from . import build
-from .variables import INPUTS, Variable, check_every_step, output_variables
+from .variables import (
+    INPUTS,
+    Variable,
+    c_values,
+    check_every_step,
+    output_variables,
+    record_csv,
+)
 
 #: Name of a binary's folder in FMI 3.0 and in 2.0 → zig's name of the target, suffix.
 TARGETS = {
@@ -81,8 +80,13 @@ def files(core: Core) -> dict[str, str | bytes]:
             }
         )
     words = {"identifier": identifier, "binaries": ", ".join(sorted(_systems(built))) or "none"}
-    tests = {"test/record.csv": _record(core), "test/check.py": fill(core, "fmu/check.py", words)}
-    compared = _compared({**units, **tests})
+    tests = {
+        "test/record.csv": record_csv(core),
+        "test/check.py": fill(core, "fmu/check.py", words),
+    }
+    command = [sys.executable, "test/check.py", "--json"]
+    installed = importlib.util.find_spec("fmpy") is not None
+    compared = build.compared({**units, **tests}, command) if installed else []
     check = "python test/check.py (needs PyPI's fmpy) replays the record with both units"
     return {
         **units,
@@ -105,12 +109,7 @@ def _token(core: Core) -> str:
 def _sources(core: Core, version: int) -> dict[str, str]:
     """All C files of a unit."""
     variables = output_variables(core)
-    values = "\n".join(
-        f"        e->{one.member}{' ? 1.0 : 0.0' if one.boolean else ''},"
-        if one.boolean
-        else f"        (double)e->{one.member},"
-        for one in variables
-    )
+    values = c_values(core, "double")
     words = {"outputs": str(len(variables)), "values": values, "token": _token(core)}
     names = (*UNIT_SOURCES, f"fmi{version}.c")
     return core.code | {name: fill(core, f"fmu/{name}", words) for name in names}
@@ -266,38 +265,3 @@ def _page(core: Core) -> str:
         f"speed, content {core.content}. Inputs and outputs are described in modelDescription.xml; "
         f"resources/certificate.json says what they were compared with.</p>\n"
     )
-
-
-def _record(core: Core) -> str:
-    """Inputs and expected outputs, every digit."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    names = [one.name for one in output_variables(core)][: len(COLUMNS)]
-    writer.writerow([*(one.name for one in INPUTS), *names])
-    for given, found in zip(inputs(core.record), expected(core.estimates["double"]), strict=True):
-        writer.writerow([*map(repr, given.tolist()), *map(repr, found.tolist())])
-    return text.getvalue()
-
-
-def _compared(made: Mapping[str, str | bytes]) -> list[dict[str, Any]]:
-    """What the check says of the units on this computer, if FMPy is installed."""
-    if importlib.util.find_spec("fmpy") is None:
-        return []
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch) / "export"
-        write_folder(folder, made)
-        done = subprocess.run(
-            [sys.executable, str(folder / "test" / "check.py"), "--json"],
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=600,
-        )
-    try:
-        found: list[dict[str, Any]] = json.loads(done.stdout)
-    except ValueError:
-        raise FluxobsError(f"the units do not run here: {done.stderr.strip()[-300:]}") from None
-    wrong = [one for one in found if one["different"]]
-    if wrong:
-        raise FluxobsError(f"{wrong[0]['what']}: {wrong[0]['different']} rows differ")
-    return found

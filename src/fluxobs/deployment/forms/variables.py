@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from dataclasses import dataclass
 
 from ...errors import FluxobsError
 from ...observers import Estimate, outputs
 from ..core import Core
+from ..vectors import COLUMNS, expected, inputs
 
 
 @dataclass(frozen=True)
@@ -83,3 +86,24 @@ def check_every_step(core: Core, form: str) -> None:
             f"update_every {core.update_every}: {form} steps at every call; leave it out, and give "
             f"the time between two calls as the sample time"
         )
+
+
+def c_values(core: Core, number: str) -> str:
+    """The outputs as values of an array in C, of an estimate ``e``."""
+    rows = (
+        f"e->{one.member} ? 1.0 : 0.0," if one.boolean else f"({number})e->{one.member},"
+        for one in output_variables(core)
+    )
+    return "\n".join(f"        {row}" for row in rows)
+
+
+def record_csv(core: Core) -> str:
+    """The record and its expected outputs in double precision, every digit."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    names = [one.name for one in output_variables(core)][: len(COLUMNS)]
+    writer.writerow([*(one.name for one in INPUTS), *names])
+    outputs_of = expected(core.estimates["double"])
+    for given, found in zip(inputs(core.record), outputs_of, strict=True):
+        writer.writerow([*map(repr, given.tolist()), *map(repr, found.tolist())])
+    return text.getvalue()

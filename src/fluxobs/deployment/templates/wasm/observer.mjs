@@ -1,0 +1,65 @@
+// The flux observer of one machine, for browsers, Node.js and Deno. Content @content@.
+//
+//   import { load } from "./@prefix@.mjs";
+//   const observer = await load();
+//   const { theta_e, speed_e, valid } = observer.step(u_alpha, u_beta, i_alpha, i_beta);
+//
+// SI units; the stationary frame, amplitude-invariant, per phase; the voltage is the mean over the
+// interval that ends at the current. A step is @step_time@ s. NaN is a missing sample.
+
+export const SAMPLE_TIME = @step_time@; // [s]
+export const OUTPUTS = @names@;
+const BOOLEAN = new Set(@booleans@);
+
+class Observer {
+  constructor(exports) {
+    this.exports = exports;
+    this.inputs = new Float64Array(exports.memory.buffer, exports.inputs(), 4);
+    this.outputs = new Float64Array(exports.memory.buffer, exports.outputs(), OUTPUTS.length);
+    this.reset();
+  }
+
+  // Nothing is known.
+  reset() {
+    this.exports.reset();
+  }
+
+  // Takes one sample in; returns the estimate, an object of the names in OUTPUTS.
+  step(u_alpha, u_beta, i_alpha, i_beta) {
+    this.inputs.set([u_alpha, u_beta, i_alpha, i_beta]);
+    this.exports.step();
+    const found = {};
+    OUTPUTS.forEach((name, k) => {
+      found[name] = BOOLEAN.has(name) ? this.outputs[k] > 0.5 : this.outputs[k];
+    });
+    return found;
+  }
+
+  // Everything that changes, as bytes for restore(), which takes those of the same module only.
+  save() {
+    const { memory, state, state_size } = this.exports;
+    return new Uint8Array(memory.buffer, state(), state_size()).slice();
+  }
+
+  restore(saved) {
+    const { memory, state, state_size } = this.exports;
+    if (saved.length !== state_size()) {
+      throw new Error(`a state of ${saved.length} bytes; this observer's has ${state_size()}`);
+    }
+    new Uint8Array(memory.buffer, state(), state_size()).set(saved);
+  }
+}
+
+// An observer; `module` may hold the bytes or a compiled module, if they are not beside this file.
+export async function load(module) {
+  let given = module;
+  if (given === undefined) {
+    const place = new URL("./@prefix@.wasm", import.meta.url);
+    given =
+      place.protocol === "file:"
+        ? await (await import("node:fs/promises")).readFile(place)
+        : await (await fetch(place)).arrayBuffer();
+  }
+  const made = await WebAssembly.instantiate(given, {});
+  return new Observer((made.instance ?? made).exports);
+}

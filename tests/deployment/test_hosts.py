@@ -1,0 +1,123 @@
+"""Exports for WebAssembly and Simulink: their records, and what all forms have in common."""
+
+import csv
+import hashlib
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fluxobs
+from fluxobs import FluxobsError
+from fluxobs.deployment.forms import FORMS, build
+from support.cli import fluxobs as command
+
+STAND_IN = Path(__file__).parent / "simulink"
+ADAPTIVE = "drift,resistance,inverter"
+STEP = 1e-4
+
+
+def record(folder):
+    with (folder / "test" / "record.csv").open() as text:
+        head, *rows = list(csv.reader(text))
+    return head, np.array([[float(cell) for cell in row] for row in rows])
+
+
+@pytest.fixture(scope="module", params=["drift", ADAPTIVE], ids=["plain", "adaptive"])
+def module(request, tmp_path_factory):
+    """The WebAssembly form, by whichever compiler is here."""
+    folder = tmp_path_factory.mktemp("wasm") / "motor"
+    try:
+        fluxobs.export("servo-400w", STEP, folder, unknowns=request.param, form="wasm")
+    except FluxobsError as error:
+        pytest.skip(str(error))
+    return folder
+
+
+def test_the_module_returns_the_numbers_of_the_library(module):
+    """In a runtime that knows nothing of JavaScript."""
+    wasmtime = pytest.importorskip("wasmtime")
+    store = wasmtime.Store()
+    compiled = wasmtime.Module.from_file(store.engine, str(module / "motor.wasm"))
+    assert not compiled.imports
+    of = wasmtime.Instance(store, compiled, []).exports(store)
+    memory = of["memory"]
+    given, found = of["inputs"](store), of["outputs"](store)
+    head, rows = record(module)
+    of["reset"](store)
+    results = []
+    for row in rows:
+        memory.write(store, row[:4].astype("<f8").tobytes(), given)
+        of["step"](store)
+        outputs = memory.read(store, found, found + 8 * (len(head) - 4))
+        results.append(np.frombuffer(outputs, "<f8"))
+    np.testing.assert_array_equal(np.array(results), rows[:, 4:])
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="no Node.js here")
+def test_the_module_in_javascript(module, tmp_path):
+    def check(folder):
+        ran = ["node", folder / "test" / "check.mjs"]
+        return subprocess.run(ran, capture_output=True, text=True, check=False)
+
+    said = check(module)
+    assert said.returncode == 0, said.stdout + said.stderr
+    compared = json.loads((module / "certificate.json").read_text())["compared"]
+    assert compared[0]["different"] == 0
+    assert compared[0]["by"].startswith("Node.js")
+    copy = tmp_path / "motor"
+    shutil.copytree(module, copy)
+    path = copy / "test" / "record.csv"
+    path.write_text(path.read_text().replace("0.00", "0.01", 1))
+    assert check(copy).returncode == 1
+
+
+@pytest.mark.parametrize("unknowns", ["drift", ADAPTIVE])
+def test_the_s_function_returns_the_numbers_of_the_library(tmp_path, unknowns):
+    folder = tmp_path / "motor"
+    fluxobs.export("servo-400w", STEP, folder, unknowns=unknowns, form="simulink")
+    flags = ["-std=c99", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-DFO_SINGLE=0"]
+    sources = sorted(folder.glob("*.c"))
+    program = tmp_path / "block"
+    includes = [f"-I{STAND_IN}", f"-I{folder}"]
+    subprocess.run(["gcc", *flags, *includes, *sources, "-lm", "-o", program], check=True)
+    head, rows = record(folder)
+    given = np.ascontiguousarray(rows[:, :4])
+    done = subprocess.run([program], input=given.tobytes(), capture_output=True, check=True)
+    found = np.frombuffer(done.stdout).reshape(len(rows), -1)
+    np.testing.assert_array_equal(found[:, : len(head) - 4], rows[:, 4:])
+    assert "Untested in MATLAB" in (folder / "README.md").read_text()
+    named = re.search(r"sources = \{(.*)\}", (folder / "build.m").read_text()).group(1)
+    others = {path.name for path in sources} - {"fluxobs_motor.c"}
+    assert set(re.findall(r"'(.*?)'", named)) == others
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_certificate_of_every_form(tmp_path, form, monkeypatch):
+    """Its hashes are those of the files; what is common to all forms agrees."""
+    monkeypatch.setattr(build, "has_zig", lambda: False)
+    if form == "wasm" and shutil.which("wasm-ld") is None:
+        pytest.skip("no compiler for WebAssembly")
+    fluxobs.export("servo-400w", STEP, tmp_path / "it", form=form)
+    fluxobs.export("servo-400w", STEP, tmp_path / "c")
+    said = json.loads((tmp_path / "it" / "certificate.json").read_text())
+    other = json.loads((tmp_path / "c" / "certificate.json").read_text())
+    assert said.pop("form") == form
+    for key in ("content", "sources", "parameters", "record", "expected", "machine", "settings"):
+        assert said[key] == other[key]
+    assert said["check"]
+    for name, digest in {**said["sources"], **said["parameters"]}.items():
+        for path in (tmp_path / "it").rglob(name):
+            assert hashlib.sha256(path.read_bytes()).hexdigest() == digest
+    for path in (tmp_path / "it").rglob("*"):
+        if path.is_file() and path.suffix not in (".fmu", ".wasm"):
+            assert not re.search(r"@\w+@|@when", path.read_text()), path
+
+
+def test_the_help_names_every_form(tmp_path):
+    said = " ".join(command("export", "--help", folder=tmp_path).stdout.replace("│", " ").split())
+    assert all(f"{form}:" in said for form in FORMS)
