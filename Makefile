@@ -1,6 +1,7 @@
 # make demo   the main job on a log shipped with the package: summary, estimates, picture
 # make test   all tests
 # make check  lint, types, and the C sources under every warning, MISRA and the sanitizers
+# make hosts  the observer in motulator's closed loop; needs Python 3.12
 # make pil    an exported firmware on emulated microcontrollers, its instructions counted
 # make fuzz   ten million samples of anything into the C sources, in either precision
 # make bench  the benchmarks, each with its number and the machine
@@ -21,7 +22,7 @@ PAGE_TOOLS := $(and $(shell command -v clang),$(shell command -v wasm-ld),$(shel
 PAGE_SOURCES := $(wildcard web/*.py web/*.c web/*.json web/app/* web/runtime/*) binding/columns.h \
     $(shell find src/fluxobs -name '*.py')
 
-.PHONY: demo test check lint warnings misra sanitize pil fuzz bench docs page clean
+.PHONY: demo test check lint warnings misra sanitize hosts pil fuzz bench docs page clean
 
 demo: $(READY)
 	$(BIN)/fluxobs demo --out fluxobs-demo
@@ -78,6 +79,17 @@ sanitize:
 	        -Ifirmware tests/firmware/stress.c $(FIRMWARE) -lm -o build-stress \
 	    && ./build-stress; status=$$?; rm -f build-stress; [ $$status -eq 0 ] || exit 1; \
 	done
+
+# Hosts that need another Python than the oldest: motulator's drives with our observer.
+HOSTS_PYTHON ?= $(shell for one in python3.13 python3.12 $$HOME/.pyenv/versions/3.1[23]*/bin/python3; \
+    do $$one -c '' 2>/dev/null && echo $$one && break; done)
+HOSTS := build/hosts
+
+hosts:
+	@if [ -z "$(HOSTS_PYTHON)" ]; then echo "hosts: skipped, they need Python 3.12"; else \
+	    $(HOSTS_PYTHON) -m venv $(HOSTS) \
+	    && $(HOSTS)/bin/python -m pip install --quiet "pytest>=8.3" "hypothesis>=6.100" ".[motulator]" \
+	    && $(HOSTS)/bin/python -m pytest --override-ini "filterwarnings=" tests/hosts; fi
 
 pil: $(READY)
 	$(BIN)/python tests/firmware/processor/replay.py

@@ -19,7 +19,7 @@ LAYERS = (
     ("observers",),
     ("checking",),
     ("synthetic", "estimation", "design"),
-    ("identification", "deployment", "comparison", "live"),
+    ("identification", "deployment", "comparison", "live", "hosts"),
     ("examination", "campaigns", "fleets"),
     ("paper",),
     ("cli",),

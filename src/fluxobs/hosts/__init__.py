@@ -1,0 +1,1 @@
+"""The observers inside other people's simulators."""

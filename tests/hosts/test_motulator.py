@@ -1,0 +1,114 @@
+"""In motulator's closed loop, beside its own observer: start, load step, reversal, dead time."""
+
+from math import pi
+
+import numpy as np
+import pytest
+
+pytest.importorskip("motulator", reason="motulator needs Python 3.12: make hosts")
+
+from motulator.common.model import Sensor
+from motulator.drive import model
+from motulator.drive.control import sm as control
+from motulator.drive.control.sm import SynchronousMachinePars
+
+import fluxobs
+from fluxobs import FluxobsError
+from fluxobs.hosts.motulator import machine_of, place
+
+#: The machines of motulator's own examples: a 2.2 kW PMSM and a 6.7 kW reluctance machine.
+PMSM = SynchronousMachinePars(n_p=3, R_s=3.6, L_d=0.036, L_q=0.051, psi_f=0.545)
+SYNRM = SynchronousMachinePars(n_p=2, R_s=0.54, L_d=0.0415, L_q=0.0062, psi_f=0.0)
+STEP = 125e-6
+RATED_SPEED, LOAD = 2 * pi * 75 / 3, 14.0  # mechanical [rad/s], [Nm]
+
+
+def speed_reference(t):
+    """Up in half a second, then reversed."""
+    return float(np.interp(t, [0.1, 0.6, 2.0, 3.0], [0.0, 1.0, 1.0, -1.0])) * 0.6 * RATED_SPEED
+
+
+def load(t):
+    return LOAD * ((t > 1.0) and (t < 1.6))
+
+
+def simulate(par, ours, dead_time=0.0, offset=0.0, psi_s_min=None, **settings):
+    """Time, errors of the electrical angle [degrees], speeds, and where ours was valid."""
+    sensor = Sensor(offset=[offset, -offset / 2, 0.0], std=0.02, rng=np.random.default_rng(1))
+    machine = model.SynchronousMachine(par, i_s_sensor=sensor)
+    mechanics = model.MechanicalSystem(J=0.015)
+    mechanics.set_external_load_torque(load)
+    drive = model.Drive(machine, mechanics, model.VoltageSourceConverter(u_dc=540.0, t_d=dead_time))
+    config = control.CurrentVectorControllerCfg(i_s_max=10.0, T_s=STEP, psi_s_min=psi_s_min)
+    vector = control.CurrentVectorController(par, config)
+    placed = place(vector, **settings) if ours else None
+    feedback, seen = vector.get_feedback, []
+
+    def watched(*arguments):
+        out = feedback(*arguments)
+        turn = 360.0 if par.psi_f else 180.0  # a rotor without magnets looks the same after half
+        ahead = np.degrees(out.theta_m - par.n_p * mechanics.out.theta_M)
+        off = (ahead + turn / 2) % turn - turn / 2
+        known = bool(placed.estimate.valid) if placed else True
+        seen.append((off, mechanics.out.w_M, out.w_M, known))
+        return out
+
+    vector.get_feedback = watched
+    speed = control.SpeedController(J=0.015, alpha_s=2 * pi * 4, tau_M_max=1.5 * LOAD)
+    system = control.VectorControlSystem(vector, speed)
+    system.set_speed_ref(speed_reference)
+    model.Simulation(drive, system, show_progress=False).simulate(t_stop=3.5)
+    off, true, told, valid = np.array(seen).T
+    return STEP * np.arange(len(off)), off, true, told, valid > 0
+
+
+ADAPTIVE = "drift,resistance,inverter"
+#: Parts of the course [s].
+PARTS = {"run up": (0.1, 0.6), "load": (1.0, 1.6), "reversal": (2.0, 3.0), "end": (3.0, 3.5)}
+
+
+def rms(t, off, part):
+    within = (t > PARTS[part][0]) & (t < PARTS[part][1])
+    return np.sqrt(np.mean(off[within] ** 2))
+
+
+@pytest.mark.parametrize("dead_time", [0.0, 2e-6])
+def test_a_pmsm_beside_motulators_own_observer(dead_time):
+    """Offsets of 50 mA, noise; a start from standstill, a load step, a reversal under no load."""
+    t, own, *_ = simulate(PMSM, False, dead_time, offset=0.05)
+    _, ours, true, told, valid = simulate(PMSM, True, dead_time, offset=0.05, unknowns=ADAPTIVE)
+    assert abs(true[-1] / (-0.6 * RATED_SPEED) - 1) < 0.01
+    assert valid[(t > 0.7) & (t < 2.0)].all()
+    assert valid[t > 3.0].all()
+    for part in ("load", "reversal", "end"):
+        assert rms(t, ours, part) < 0.5 * rms(t, own, part), part
+        assert rms(t, ours, part) < 1.0, part
+    assert np.abs(ours[valid]).max() < (10.0 if dead_time else 1.0)
+    assert abs(told - true)[valid & (t > 0.7)].max() < 0.1 * RATED_SPEED
+
+
+def test_a_reluctance_machine_with_dead_time():
+    """motulator's own observer loses it at the reversal; ours comes through."""
+    t, ours, true, _, valid = simulate(
+        SYNRM, True, 2e-6, offset=0.05, psi_s_min=0.3, unknowns=ADAPTIVE
+    )
+    assert abs(true[-1] / (-0.6 * RATED_SPEED) - 1) < 0.01
+    assert valid[(t > 0.8) & (t < 2.0)].all()
+    assert rms(t, ours, "load") < 0.6
+    assert rms(t, ours, "end") < 0.3
+
+
+def test_the_machine_and_what_does_not_fit():
+    assert isinstance(machine_of(SYNRM, 5.0), fluxobs.SynchronousReluctance)
+    assert isinstance(machine_of(PMSM, 5.0), fluxobs.InteriorPMSM)
+    same = SynchronousMachinePars(n_p=3, R_s=3.6, L_d=0.036, L_q=0.036, psi_f=0.545)
+    assert isinstance(machine_of(same, 5.0), fluxobs.SurfacePMSM)
+    with pytest.raises(FluxobsError, match="flux_map"):
+        machine_of(object(), 5.0)
+    config = control.CurrentVectorControllerCfg(i_s_max=10.0, sensorless=False)
+    with pytest.raises(FluxobsError, match="sensorless"):
+        place(control.CurrentVectorController(PMSM, config))
+    vector = control.CurrentVectorController(PMSM, control.CurrentVectorControllerCfg(i_s_max=10.0))
+    other = fluxobs.LeastSquaresObserver.for_machine(machine_of(PMSM, 5.0), sample_time=1e-4)
+    with pytest.raises(FluxobsError, match=r"0\.0001 s, the controller every 0\.000125"):
+        place(vector, observer=other)
