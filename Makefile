@@ -93,6 +93,7 @@ hosts:
 
 pil: $(READY)
 	$(BIN)/python tests/firmware/processor/replay.py
+	$(BIN)/python tests/firmware/processor/targets.py
 
 FUZZ_STEPS ?= 10000000L
 # 1: the same inputs every time; 0: others every time, to look further.
@@ -111,7 +112,7 @@ fuzz:
 
 bench: $(READY)
 	@for script in accuracy measured speed startup paper hour long_run drive closed_loop validity \
-	        compare update_every adaptive random_drives stops heat jumps in_loop mistakes maps identification readers page; do \
+	        compare update_every adaptive random_drives stops heat jumps in_loop endurance mistakes maps identification readers page; do \
 	    $(BIN)/python benchmarks/$$script.py || exit 1; \
 	done
 
