@@ -3,7 +3,8 @@
 import subprocess
 import sys
 import venv
-from importlib import resources
+import zipfile
+from importlib import metadata, resources
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,11 @@ import pytest
 ROOT = Path(__file__).parent.parent
 #: The page, which git does not have, is in a wheel if it was built.
 BUILT = ROOT / "src" / "fluxobs" / "web" / "page.html"
+
+
+#: Code, its types, templates of exports, logs and machines that are shipped, licence.
+KINDS = {".py", ".pyi", ".typed", ".so", ".pyd", ".c", ".h", ".toml", ".csv", ".json", ".html"}
+KINDS |= {".md", ".mjs", ".m", ".ino", ".properties", ".js", ".css", ""}
 
 
 def test_firmware_sources_are_package_data():
@@ -21,6 +27,20 @@ def test_firmware_sources_are_package_data():
         assert (folder / source.name).read_bytes() == source.read_bytes()
 
 
+def check_contents(wheel):
+    """What the package needs, and nothing else."""
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+    top = {name.split("/")[0] for name in names}
+    assert top == {"fluxobs", f"fluxobs-{metadata.version('fluxobs')}.dist-info"}
+    assert not [name for name in names if "__pycache__" in name or "/." in name]
+    inside = {name for name in names if name.startswith("fluxobs/")}
+    kinds = {Path(name).suffix for name in inside}
+    assert kinds <= KINDS, kinds - KINDS
+    for path in (ROOT / "src" / "fluxobs" / "deployment" / "templates").rglob("*.*"):
+        assert path.relative_to(ROOT / "src").as_posix() in inside
+
+
 @pytest.mark.slow
 def test_wheel_in_a_fresh_environment(tmp_path):
     """Builds the wheel, installs it without its dependencies, borrows those of this environment."""
@@ -29,6 +49,7 @@ def test_wheel_in_a_fresh_environment(tmp_path):
         [*pip, "-q", "-w", tmp_path, ROOT], check=True, cwd=tmp_path, capture_output=True
     )
     (wheel,) = tmp_path.glob("fluxobs-*.whl")
+    check_contents(wheel)
     venv.create(tmp_path / "env", with_pip=False)
     python = tmp_path / "env" / "bin" / "python"
     install = [sys.executable, "-m", "pip", "--python", python, "install", "-q", "--no-deps"]
