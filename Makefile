@@ -3,7 +3,7 @@
 # make check  lint, types, and the C sources under every warning, MISRA and the sanitizers
 # make hosts  the observer in motulator's closed loop; needs Python 3.12
 # make pil    an exported firmware on emulated microcontrollers, its instructions counted
-# make fuzz   ten million samples of anything into the C sources, in either precision
+# make fuzz   spoilt logs into the readers; ten million samples of anything into the C sources
 # make bench  the benchmarks, each with its number and the machine
 # make docs   the documentation, in build/docs
 # make page   the page and the template of reports, in src/fluxobs/web
@@ -96,9 +96,11 @@ pil: $(READY)
 	$(BIN)/python tests/firmware/processor/targets.py
 
 FUZZ_STEPS ?= 10000000L
+FUZZ_LOGS ?= 4000
 # 1: the same inputs every time; 0: others every time, to look further.
 FUZZ_SEED ?= 1
-fuzz:
+fuzz: $(READY)
+	$(BIN)/python tests/logs/fuzz_readers.py --cases $(FUZZ_LOGS) --seed $(FUZZ_SEED) 2>/dev/null
 	@for precision in -DFO_SINGLE=1 -DFO_SINGLE=0; do \
 	    clang -std=c99 -g -O1 -fsanitize=fuzzer,address,undefined,float-divide-by-zero \
 	        -fno-sanitize-recover=all \

@@ -17,4 +17,6 @@ NAMES = sorted(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_examples(name):
+    if name.startswith("fluxobs.hosts."):  # each needs its host
+        pytest.importorskip(name.rpartition(".")[2])
     assert doctest.testmod(importlib.import_module(name)).failed == 0

@@ -30,5 +30,8 @@ def open_hdf5(path: Path, extra: str = "hdf5") -> list[Table]:
                 unit = unit.decode("utf-8", errors="replace")
             found.add(name, node, None if unit is None else str(unit))
 
-    file.visititems(visit)
+    try:
+        file.visititems(visit)
+    except Exception as error:  # h5py raises many kinds for a broken file
+        raise RecordError(f"{path}: damaged: {error}") from None
     return tables(path, found)

@@ -9,6 +9,9 @@ import polars as pl
 
 from .table import Columns
 
+#: What Polars raises for a broken file; a panic is no Exception.
+BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError)
+
 
 def frames(
     lazy: pl.LazyFrame, names: Sequence[str], first: int, last: int, size: int

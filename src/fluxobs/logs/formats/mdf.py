@@ -66,6 +66,8 @@ class MdfTable(Table):
                 raise RecordError(
                     f"{self.path}: a channel of {', '.join(names)} holds no numbers: {error}"
                 ) from None
+            except Exception as error:  # asammdf raises many kinds for broken blocks
+                raise RecordError(f"{self.path}: damaged: {error!r}") from None
 
 
 def _split(group: Any) -> None:

@@ -29,7 +29,7 @@ def open_npy(path: Path, header: list[str] | None = None) -> list[Table]:
     """The table of an array, which stays in its file."""
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, EOFError, ValueError) as error:
+    except Exception as error:  # NumPy raises many kinds for a broken head, even SyntaxError
         raise RecordError(f"{path}: not a readable .npy file: {error}") from None
     found = Found()
     if array.dtype.names:

@@ -8,7 +8,7 @@ from pathlib import Path
 import polars as pl
 
 from ...errors import RecordError
-from .lazy import as_columns, frames
+from .lazy import BROKEN, as_columns, frames
 from .table import BATCH, Columns, Table
 
 
@@ -25,7 +25,7 @@ class FrameTable(Table):
             self._schema = self._lazy.collect_schema()
             self.rows = int(self._lazy.select(pl.len()).collect().item())
             self._lazy = self._lazy.with_columns(self._seconds())
-        except (pl.exceptions.PolarsError, OSError) as error:
+        except BROKEN as error:
             raise RecordError(f"{path}: not a readable {what} file: {error}") from None
         self.columns = list(self._schema.names())
 
@@ -53,7 +53,7 @@ class FrameTable(Table):
             for start in range(first, last, max(1, step)):
                 for frame in frames(self._lazy, names, start, min(start + step, last), size):
                     yield as_columns(frame)
-        except pl.exceptions.PolarsError as error:
+        except BROKEN as error:
             raise RecordError(f"{self.path}: reading failed midway: {error}") from None
 
 

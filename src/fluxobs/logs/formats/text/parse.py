@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from ..lazy import BROKEN
 from .structure import Structure
 
 Array = NDArray[np.float64]
@@ -60,7 +61,7 @@ class Cells:
         )
         try:
             return cls(scanned.select([*(str(n) for n in sorted(asked)), _SURPLUS]).collect())
-        except pl.exceptions.PolarsError as error:
+        except BROKEN as error:
             raise Ragged(str(error).split("\n")[0]) from None
 
     def between(self, first: int, last: int) -> Cells:

@@ -7,10 +7,11 @@ import io
 import re
 import tempfile
 import weakref
-from collections.abc import Iterator
+import zlib
+from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
-from typing import IO, cast
+from typing import IO, Any, cast
 
 from ....errors import RecordError
 from .cells import MINUS
@@ -35,9 +36,37 @@ def is_packed(path: Path) -> bool:
     return path.suffix.lower() == ".gz"
 
 
+class _Packed(gzip.GzipFile):
+    """A compressed file; one that is cut off or damaged ends in a RecordError."""
+
+    def _guarded(self, method: Callable[..., Any], *arguments: Any) -> Any:
+        try:
+            return method(*arguments)
+        except (zlib.error, EOFError, gzip.BadGzipFile) as error:
+            raise RecordError(f"{self.name}: damaged or cut off: {error}") from None
+
+    def read(self, size: int | None = -1) -> bytes:
+        return cast(bytes, self._guarded(super().read, size))
+
+    def read1(self, size: int = -1) -> bytes:
+        return cast(bytes, self._guarded(super().read1, size))
+
+    def readline(self, size: int | None = -1) -> bytes:
+        return cast(bytes, self._guarded(super().readline, size))
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        return cast(int, self._guarded(super().seek, offset, whence))
+
+
 def open_bytes(path: Path) -> IO[bytes]:
-    """Open a file for reading, decompressed."""
-    return cast(IO[bytes], gzip.open(path, "rb")) if is_packed(path) else path.open("rb")
+    """Open a file for reading, decompressed.
+
+    Raises
+    ------
+    RecordError
+        While it is read: its compressed bytes are damaged.
+    """
+    return cast(IO[bytes], _Packed(path, "rb")) if is_packed(path) else path.open("rb")
 
 
 def encoding_of(path: Path) -> str:
