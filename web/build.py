@@ -55,7 +55,6 @@ REPLACED = {
         "dataclasses",
         "difflib",
         "functools",
-        "gzip",
         "importlib",
     ],
     *[
@@ -73,7 +72,12 @@ REPLACED = {
     ],
     *["typing", "weakref"],
     *["fluxobs._core", "fluxobs._core_single", "fluxobs.html", "fluxobs.output"],
-    *["fluxobs.logs.formats.text.parse", "fluxobs.logs.formats.npy", "fluxobs.logs.formats.npz"],
+    *[
+        "fluxobs.logs.formats.text.packed",
+        "fluxobs.logs.formats.text.parse",
+        "fluxobs.logs.formats.npy",
+        "fluxobs.logs.formats.npz",
+    ],
 }
 #: Files of the package that its modules read.
 RESOURCES = ("machines/examples", "logs/presets")

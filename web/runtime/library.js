@@ -889,7 +889,9 @@ $module("tempfile", ($m) =>
   Object.assign($m, { NamedTemporaryFile: () => new WrittenFile(`/tmp/${$temporary++}.csv`) }),
 );
 // What is compressed is unpacked when it is opened.
-$module("gzip", ($m) => Object.assign($m, { open: (path) => path.open() }));
+$module("fluxobs.logs.formats.text.packed", ($m) =>
+  Object.assign($m, { open_packed: (path) => path.open() }),
+);
 $module("io", ($m) =>
   Object.assign($m, {
     TextIOWrapper: $fn("file encoding errors", (file, encoding) =>

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import gzip
 import io
 import re
 import tempfile
 import weakref
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO
 
 from ....errors import RecordError
 from .cells import MINUS
+from .packed import open_packed
 
 #: Bytes at either end that are looked at.
 END = 65536
@@ -36,28 +35,6 @@ def is_packed(path: Path) -> bool:
     return path.suffix.lower() == ".gz"
 
 
-class _Packed(gzip.GzipFile):
-    """A compressed file; one that is cut off or damaged ends in a RecordError."""
-
-    def _guarded(self, method: Callable[..., Any], *arguments: Any) -> Any:
-        try:
-            return method(*arguments)
-        except (zlib.error, EOFError, gzip.BadGzipFile) as error:
-            raise RecordError(f"{self.name}: damaged or cut off: {error}") from None
-
-    def read(self, size: int | None = -1) -> bytes:
-        return cast(bytes, self._guarded(super().read, size))
-
-    def read1(self, size: int = -1) -> bytes:
-        return cast(bytes, self._guarded(super().read1, size))
-
-    def readline(self, size: int | None = -1) -> bytes:
-        return cast(bytes, self._guarded(super().readline, size))
-
-    def seek(self, offset: int, whence: int = 0) -> int:
-        return cast(int, self._guarded(super().seek, offset, whence))
-
-
 def open_bytes(path: Path) -> IO[bytes]:
     """Open a file for reading, decompressed.
 
@@ -66,7 +43,7 @@ def open_bytes(path: Path) -> IO[bytes]:
     RecordError
         While it is read: its compressed bytes are damaged.
     """
-    return cast(IO[bytes], _Packed(path, "rb")) if is_packed(path) else path.open("rb")
+    return open_packed(path) if is_packed(path) else path.open("rb")
 
 
 def encoding_of(path: Path) -> str:
