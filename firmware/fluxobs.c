@@ -971,7 +971,8 @@ void fo_gather(const fo_observer *o, fo_gathered *g, fo_real share, const fo_rea
     }
 }
 
-void fo_stretch(const fo_observer *o, fo_real duration, fo_observer *stretched)
+/* The observer for an interval of this duration [s], which must be plausible. */
+static void stretch(const fo_observer *o, fo_real duration, fo_observer *stretched)
 {
     const fo_real ratio = duration / o->sample_time;
     /* The tracker's pole p, from its gains: 1.5 h track[2] / track[1] = (1 - p) / (1 + p). Its
@@ -992,17 +993,28 @@ void fo_stretch(const fo_observer *o, fo_real duration, fo_observer *stretched)
     set_tracker(stretched, ONE / (ONE + over * ratio));
 }
 
+void fo_uneven(const fo_observer *o, const fo_state *s, fo_real duration,
+               const fo_real voltage[FO_N], const fo_real current[FO_N], fo_observer *now,
+               fo_gathered *g)
+{
+    const bool usual =
+        within(duration, o->sample_time / (fo_real)10, o->sample_time * (fo_real)10);
+    stretch(o, usual ? duration : o->sample_time, now);
+    for (int i = 0; i < FO_N; i++) {
+        g->volt_seconds[i] = ZERO;
+        g->current[i] = s->current[0][i];
+    }
+    fo_gather(now, g, ONE, voltage, current);
+    if (!usual) {
+        g->current[0] = TWO * o->current_limit; /* absurd */
+    }
+}
+
 void fo_step_for(const fo_observer *o, fo_state *s, fo_real duration, const fo_real voltage[FO_N],
                  const fo_real current[FO_N], fo_estimate *e)
 {
-    const bool usual = lasts_usually(o, duration);
     fo_observer now;
-    fo_gathered g = {{ZERO, ZERO}, {s->current[0][0], s->current[0][1]}};
-    fo_real newest[FO_N] = {current[0], current[1]};
-    fo_stretch(o, usual ? duration : o->sample_time, &now);
-    fo_gather(&now, &g, ONE, voltage, current);
-    if (!usual) {
-        newest[0] = TWO * o->current_limit; /* absurd */
-    }
-    fo_step_volt_seconds(&now, s, g.volt_seconds, newest, e);
+    fo_gathered g;
+    fo_uneven(o, s, duration, voltage, current, &now, &g);
+    fo_step_volt_seconds(&now, s, g.volt_seconds, g.current, e);
 }

@@ -227,9 +227,10 @@ typedef struct {
 void fo_gather(const fo_observer *observer, fo_gathered *gathered, fo_real share,
                const fo_real voltage[FO_N], const fo_real current[FO_N]);
 
-/* fo_step where interrupts come at uneven times: the interval that ends now has this duration [s]. One
- * below a tenth or above ten of the sample time is absurd, and restarts the observer: gather several
- * short ones. The current's mean is that of its ends: use fo_step where the period is constant. */
+/* fo_step where interrupts come at uneven times: the interval that ends now has this duration [s].
+ * One below a tenth or above ten of the sample time is absurd, and restarts the observer: gather
+ * several short ones. The current's mean is that of its ends: use fo_step where the period is
+ * constant. */
 void fo_step_for(const fo_observer *observer, fo_state *state, fo_real duration,
                  const fo_real voltage[FO_N], const fo_real current[FO_N], fo_estimate *estimate);
 

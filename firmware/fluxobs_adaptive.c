@@ -557,20 +557,12 @@ void fo_adaptive_step_for(const fo_adaptive *a, fo_adaptive_state *s, fo_real du
                           const fo_real voltage[FO_N], const fo_real current[FO_N],
                           fo_adaptive_estimate *e)
 {
-    const fo_observer *o = &a->plain;
-    const bool usual = lasts_usually(o, duration);
-    const fo_real last[FO_N] = {s->plain.current[0][0], s->plain.current[0][1]};
-    fo_gathered g = {{ZERO, ZERO}, {last[0], last[1]}};
-    fo_real newest[FO_N] = {current[0], current[1]};
     fo_adaptive now;
+    fo_gathered g;
     now = *a;
-    fo_stretch(o, usual ? duration : o->sample_time, &now.plain);
-    now.volt = a->volt * (now.plain.sample_time / o->sample_time);
-    fo_gather(&now.plain, &g, ONE, voltage, current);
-    if (!usual) {
-        newest[0] = TWO * o->current_limit; /* absurd */
-    }
-    fo_adaptive_step_volt_seconds(&now, s, g.volt_seconds, newest, e);
+    fo_uneven(&a->plain, &s->plain, duration, voltage, current, &now.plain, &g);
+    now.volt = a->volt * (now.plain.sample_time / a->plain.sample_time);
+    fo_adaptive_step_volt_seconds(&now, s, g.volt_seconds, g.current, e);
 }
 
 void fo_adaptive_learnt(const fo_adaptive *a, const fo_adaptive_state *s, fo_learnt *l)

@@ -23,7 +23,7 @@
 
 #define fo_atan2 FO_NAME(fo_atan2)
 #define fo_ask_map FO_NAME(fo_ask_map)
-#define fo_stretch FO_NAME(fo_stretch)
+#define fo_uneven FO_NAME(fo_uneven)
 
 #define ZERO ((fo_real)0)
 #define ONE ((fo_real)1)
@@ -273,13 +273,10 @@ static inline void settle_tracker(const fo_observer *o, fo_tracker *t, fo_real t
     }
 }
 
-/* The observer for an interval of this duration [s], which must be plausible. */
-void fo_stretch(const fo_observer *o, fo_real duration, fo_observer *stretched);
-
-/* Is the duration of an interval one that fo_step_for can take? */
-static inline bool lasts_usually(const fo_observer *o, fo_real duration)
-{
-    return within(duration, o->sample_time / (fo_real)10, o->sample_time * (fo_real)10);
-}
+/* For an interval of this duration [s]: the observer, the interval's volt-seconds, and the current
+ * at its end. An implausible duration gives an absurd current. */
+void fo_uneven(const fo_observer *o, const fo_state *s, fo_real duration,
+               const fo_real voltage[FO_N], const fo_real current[FO_N], fo_observer *now,
+               fo_gathered *g);
 
 #endif

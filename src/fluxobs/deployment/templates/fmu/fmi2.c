@@ -2,13 +2,12 @@
  *
  * SPDX-License-Identifier: MIT
  */
-#include <stdlib.h>
 #include <string.h>
 
 #include "unit.h"
 
 typedef enum { OK = 0, WARNING, DISCARD, ERROR, FATAL } status;
-typedef unsigned int reference;
+typedef uint32_t reference;
 typedef void (*log_message)(void *environment, const char *name, status of, const char *category,
                             const char *message, ...);
 typedef struct {
@@ -80,20 +79,12 @@ UNIT_EXPORT status fmi2Reset(unit *u)
 
 UNIT_EXPORT status fmi2GetReal(unit *u, const reference of[], size_t count, double values[])
 {
-    bool good = true;
-    for (size_t k = 0; good && k < count; k++) {
-        good = unit_get(u, of[k], &values[k]);
-    }
-    return good ? OK : ERROR;
+    return unit_get_all(u, of, count, values) ? OK : ERROR;
 }
 
 UNIT_EXPORT status fmi2SetReal(unit *u, const reference of[], size_t count, const double values[])
 {
-    bool good = true;
-    for (size_t k = 0; good && k < count; k++) {
-        good = unit_set(u, of[k], values[k]);
-    }
-    return good ? OK : ERROR;
+    return unit_set_all(u, of, count, values) ? OK : ERROR;
 }
 
 UNIT_EXPORT status fmi2GetBoolean(unit *u, const reference of[], size_t count, int values[])
@@ -115,23 +106,18 @@ UNIT_EXPORT status fmi2DoStep(unit *u, double time, double step, int kept)
 
 UNIT_EXPORT status fmi2GetFMUstate(const unit *u, void **saved)
 {
-    *saved = *saved != NULL ? *saved : malloc((size_t)UNIT_SAVED);
-    if (*saved != NULL) {
-        unit_save(u, *saved);
-    }
-    return *saved != NULL ? OK : ERROR;
+    return unit_save(u, saved) ? OK : ERROR;
 }
 
 UNIT_EXPORT status fmi2SetFMUstate(unit *u, const void *saved)
 {
-    return saved != NULL && unit_restore(u, saved) ? OK : ERROR;
+    return unit_restore(u, saved) ? OK : ERROR;
 }
 
 UNIT_EXPORT status fmi2FreeFMUstate(void *u, void **saved)
 {
     (void)u;
-    free(*saved);
-    *saved = NULL;
+    unit_forget(saved);
     return OK;
 }
 
@@ -144,23 +130,14 @@ UNIT_EXPORT status fmi2SerializedFMUstateSize(void *u, const void *saved, size_t
 
 UNIT_EXPORT status fmi2SerializeFMUstate(void *u, const void *saved, char bytes[], size_t size)
 {
-    const bool good = saved != NULL && size >= (size_t)UNIT_SAVED;
     (void)u;
-    if (good) {
-        (void)memcpy(bytes, saved, (size_t)UNIT_SAVED);
-    }
-    return good ? OK : ERROR;
+    return unit_pack(saved, bytes, size) ? OK : ERROR;
 }
 
 UNIT_EXPORT status fmi2DeSerializeFMUstate(void *u, const char bytes[], size_t size, void **saved)
 {
     (void)u;
-    *saved = *saved != NULL ? *saved : malloc((size_t)UNIT_SAVED);
-    const bool good = *saved != NULL && size == (size_t)UNIT_SAVED;
-    if (good) {
-        (void)memcpy(*saved, bytes, (size_t)UNIT_SAVED);
-    }
-    return good ? OK : ERROR;
+    return unit_unpack(bytes, size, saved) ? OK : ERROR;
 }
 
 /* What the standard names and this unit does not have; the arguments are not looked at. */

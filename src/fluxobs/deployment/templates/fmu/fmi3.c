@@ -2,7 +2,6 @@
  *
  * SPDX-License-Identifier: MIT
  */
-#include <stdlib.h>
 #include <string.h>
 
 #include "unit.h"
@@ -72,21 +71,13 @@ UNIT_EXPORT status fmi3Reset(unit *u)
 UNIT_EXPORT status fmi3GetFloat64(unit *u, const reference of[], size_t count, double values[],
                                   size_t size)
 {
-    bool good = size == count;
-    for (size_t k = 0; good && k < count; k++) {
-        good = unit_get(u, of[k], &values[k]);
-    }
-    return good ? OK : ERROR;
+    return size == count && unit_get_all(u, of, count, values) ? OK : ERROR;
 }
 
 UNIT_EXPORT status fmi3SetFloat64(unit *u, const reference of[], size_t count,
                                   const double values[], size_t size)
 {
-    bool good = size == count;
-    for (size_t k = 0; good && k < count; k++) {
-        good = unit_set(u, of[k], values[k]);
-    }
-    return good ? OK : ERROR;
+    return size == count && unit_set_all(u, of, count, values) ? OK : ERROR;
 }
 
 UNIT_EXPORT status fmi3GetBoolean(unit *u, const reference of[], size_t count, bool values[],
@@ -113,23 +104,18 @@ UNIT_EXPORT status fmi3DoStep(unit *u, double time, double step, bool kept, bool
 
 UNIT_EXPORT status fmi3GetFMUState(const unit *u, void **saved)
 {
-    *saved = *saved != NULL ? *saved : malloc((size_t)UNIT_SAVED);
-    if (*saved != NULL) {
-        unit_save(u, *saved);
-    }
-    return *saved != NULL ? OK : ERROR;
+    return unit_save(u, saved) ? OK : ERROR;
 }
 
 UNIT_EXPORT status fmi3SetFMUState(unit *u, const void *saved)
 {
-    return saved != NULL && unit_restore(u, saved) ? OK : ERROR;
+    return unit_restore(u, saved) ? OK : ERROR;
 }
 
 UNIT_EXPORT status fmi3FreeFMUState(void *u, void **saved)
 {
     (void)u;
-    free(*saved);
-    *saved = NULL;
+    unit_forget(saved);
     return OK;
 }
 
@@ -140,27 +126,16 @@ UNIT_EXPORT status fmi3SerializedFMUStateSize(void *u, const void *saved, size_t
     return OK;
 }
 
-UNIT_EXPORT status fmi3SerializeFMUState(void *u, const void *saved, unsigned char bytes[],
-                                         size_t size)
+UNIT_EXPORT status fmi3SerializeFMUState(void *u, const void *saved, unsigned char bytes[], size_t size)
 {
-    const bool good = saved != NULL && size >= (size_t)UNIT_SAVED;
     (void)u;
-    if (good) {
-        (void)memcpy(bytes, saved, (size_t)UNIT_SAVED);
-    }
-    return good ? OK : ERROR;
+    return unit_pack(saved, bytes, size) ? OK : ERROR;
 }
 
-UNIT_EXPORT status fmi3DeserializeFMUState(void *u, const unsigned char bytes[], size_t size,
-                                           void **saved)
+UNIT_EXPORT status fmi3DeserializeFMUState(void *u, const unsigned char bytes[], size_t size, void **saved)
 {
     (void)u;
-    *saved = *saved != NULL ? *saved : malloc((size_t)UNIT_SAVED);
-    const bool good = *saved != NULL && size == (size_t)UNIT_SAVED;
-    if (good) {
-        (void)memcpy(*saved, bytes, (size_t)UNIT_SAVED);
-    }
-    return good ? OK : ERROR;
+    return unit_unpack(bytes, size, saved) ? OK : ERROR;
 }
 
 /* What the standard names and this unit does not have; the arguments are not looked at. */

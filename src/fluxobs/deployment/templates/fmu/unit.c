@@ -66,13 +66,31 @@ bool unit_get(unit *u, uint32_t reference, double *value)
     return good;
 }
 
-bool unit_set(unit *u, uint32_t reference, double value)
+static bool set(unit *u, uint32_t reference, double value)
 {
     const bool good = reference > 0U && reference < (uint32_t)UNIT_FIRST;
     if (good) {
         u->data.input[reference - 1U] = (fo_real)value;
     } else {
         u->log(u, true, "this variable is no input");
+    }
+    return good;
+}
+
+bool unit_get_all(unit *u, const uint32_t references[], size_t count, double values[])
+{
+    bool good = true;
+    for (size_t k = 0; good && k < count; k++) {
+        good = unit_get(u, references[k], &values[k]);
+    }
+    return good;
+}
+
+bool unit_set_all(unit *u, const uint32_t references[], size_t count, const double values[])
+{
+    bool good = true;
+    for (size_t k = 0; good && k < count; k++) {
+        good = set(u, references[k], values[k]);
     }
     return good;
 }
@@ -87,22 +105,62 @@ static uint64_t checksum(const unsigned char *bytes, size_t count)
     return sum;
 }
 
-void unit_save(const unit *u, unsigned char saved[UNIT_SAVED])
+/* Memory for a saved state, if there is none yet. */
+static bool has_memory(void **saved)
 {
-    (void)memcpy(saved, &u->data, sizeof u->data);
-    const uint64_t sum = checksum(saved, sizeof u->data);
-    (void)memcpy(&saved[sizeof u->data], &sum, sizeof sum);
+    *saved = *saved != NULL ? *saved : malloc((size_t)UNIT_SAVED);
+    return *saved != NULL;
 }
 
-bool unit_restore(unit *u, const unsigned char saved[UNIT_SAVED])
+bool unit_save(const unit *u, void **saved)
 {
-    uint64_t sum = 0;
-    (void)memcpy(&sum, &saved[sizeof u->data], sizeof sum);
-    const bool good = sum == checksum(saved, sizeof u->data);
+    const bool good = has_memory(saved);
     if (good) {
-        (void)memcpy(&u->data, saved, sizeof u->data);
+        unsigned char *bytes = *saved;
+        (void)memcpy(bytes, &u->data, sizeof u->data);
+        const uint64_t sum = checksum(bytes, sizeof u->data);
+        (void)memcpy(&bytes[sizeof u->data], &sum, sizeof sum);
+    }
+    return good;
+}
+
+bool unit_unpack(const void *bytes, size_t size, void **saved)
+{
+    const bool good = has_memory(saved) && size == (size_t)UNIT_SAVED;
+    if (good) {
+        (void)memcpy(*saved, bytes, size);
+    }
+    return good;
+}
+
+bool unit_pack(const void *saved, void *bytes, size_t size)
+{
+    const bool good = saved != NULL && size >= (size_t)UNIT_SAVED;
+    if (good) {
+        (void)memcpy(bytes, saved, (size_t)UNIT_SAVED);
+    }
+    return good;
+}
+
+bool unit_restore(unit *u, const void *saved)
+{
+    const unsigned char *bytes = saved;
+    uint64_t sum = 0;
+    if (saved == NULL) {
+        return false;
+    }
+    (void)memcpy(&sum, &bytes[sizeof u->data], sizeof sum);
+    const bool good = sum == checksum(bytes, sizeof u->data);
+    if (good) {
+        (void)memcpy(&u->data, bytes, sizeof u->data);
     } else {
         u->log(u, true, "the state to restore is not one that this unit has saved");
     }
     return good;
+}
+
+void unit_forget(void **saved)
+{
+    free(*saved);
+    *saved = NULL;
 }

@@ -47,11 +47,15 @@ bool unit_step(unit *u, double time, double step);
 
 /* Values by reference; false, and a message, for a reference that is none. */
 bool unit_get(unit *u, uint32_t reference, double *value);
-bool unit_set(unit *u, uint32_t reference, double value);
+bool unit_get_all(unit *u, const uint32_t references[], size_t count, double values[]);
+bool unit_set_all(unit *u, const uint32_t references[], size_t count, const double values[]);
 
-/* Copies of all that changes, with a checksum. */
+/* Copies of all that changes, with a checksum; the first two make memory where there is none. */
 enum { UNIT_SAVED = (int)sizeof(unit_data) + 8 };
-void unit_save(const unit *u, unsigned char saved[UNIT_SAVED]);
-bool unit_restore(unit *u, const unsigned char saved[UNIT_SAVED]);
+bool unit_save(const unit *u, void **saved);
+bool unit_unpack(const void *bytes, size_t size, void **saved);
+bool unit_pack(const void *saved, void *bytes, size_t size);
+bool unit_restore(unit *u, const void *saved);
+void unit_forget(void **saved);
 
 #endif
