@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
 from typing import Any
@@ -11,12 +10,9 @@ import numpy as np
 
 from .c_source import Precision
 from .core import Core
+from .folder import sha256
 from .header import parameters, settings
 from .vectors import COLUMNS, expected, inputs
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
 
 
 def certificate(core: Core, form: str, check: str, compared: Sequence[dict[str, Any]] = ()) -> str:
@@ -36,7 +32,7 @@ def certificate(core: Core, form: str, check: str, compared: Sequence[dict[str, 
     kinds: dict[Precision, str] = {"single": "<f4", "double": "<f8"}
     outputs = {
         name: {
-            "sha256": _digest(expected(core.estimates[name]).astype(kind).tobytes()),
+            "sha256": sha256(expected(core.estimates[name]).astype(kind).tobytes()),
             "valid": int(core.estimates[name].valid.sum()),
         }
         for name, kind in kinds.items()
@@ -48,12 +44,12 @@ def certificate(core: Core, form: str, check: str, compared: Sequence[dict[str, 
         "content": core.content,
         "machine": parameters(core.machine),
         "settings": settings(core.single, core.update_every),
-        "sources": {name: _digest(text.encode()) for name, text in core.sources.items()},
-        "parameters": {name: _digest(text.encode()) for name, text in core.parameters.items()},
+        "sources": {name: sha256(text.encode()) for name, text in core.sources.items()},
+        "parameters": {name: sha256(text.encode()) for name, text in core.parameters.items()},
         "record": {
             "rows": len(given),
             "columns": ["u_alpha [V]", "u_beta [V]", "i_alpha [A]", "i_beta [A]"],
-            "sha256": _digest(np.asarray(given, "<f8").tobytes()),
+            "sha256": sha256(np.asarray(given, "<f8").tobytes()),
         },
         "expected": {
             "by": f"the compiled observers of fluxobs {core.version}, built from these sources",

@@ -33,7 +33,7 @@ def _check(folder: Path, force: bool) -> None:
         raise FluxobsError(f"{folder}: exists; give another name, or --force to replace an export")
     for name, digests in _manifest(folder).items():
         path = folder / name
-        if _exists(path) and (path.is_symlink() or _digest(path.read_bytes()) not in digests):
+        if _exists(path) and (path.is_symlink() or sha256(path.read_bytes()) not in digests):
             raise FluxobsError(
                 f"{path}: changed since it was exported; move it away, and it will be written anew"
             )
@@ -43,7 +43,8 @@ def _exists(path: Path) -> bool:
     return path.exists() or path.is_symlink()
 
 
-def _digest(content: bytes) -> str:
+def sha256(content: bytes) -> str:
+    """Hash of a file's content."""
     return hashlib.sha256(content).hexdigest()
 
 
@@ -63,7 +64,7 @@ def _manifest(folder: Path) -> dict[str, set[str]]:
 
 
 def _listing(contents: Mapping[str, bytes]) -> bytes:
-    return "".join(f"{_digest(content)}  {name}\n" for name, content in contents.items()).encode()
+    return "".join(f"{sha256(content)}  {name}\n" for name, content in contents.items()).encode()
 
 
 def write_folder(folder: Path, files: Mapping[str, str | bytes]) -> None:

@@ -12,6 +12,7 @@ from ..observers import Estimate, outputs
 from .core import Core
 from .costs import cost_table, read_costs
 from .header import Exported, bases, parameters, settings
+from .variables import ADAPTIVE, output_variables
 from .vectors import COLUMNS
 
 #: Angle by which a voltage error as large as the drift's prior may turn the flux while the position
@@ -28,11 +29,16 @@ def fill(core: Core, template: str, more: Mapping[str, str] | None = None) -> st
     return text
 
 
+def slowest_speed(core: Core) -> float:
+    """Electrical speed above which the position is valid [rad/s], as far as voltage errors go."""
+    return core.plain.drift_prior / (VOLTAGE_LIMIT * core.plain.flux_base)
+
+
 def words(core: Core) -> dict[str, str]:
     """What templates call @word@."""
     inside, machine, adaptive = core.plain, core.machine, core.adaptive
     costs = read_costs()["adaptive" if adaptive else "plain"]
-    slowest = inside.drift_prior / (VOLTAGE_LIMIT * inside.flux_base)
+    slowest = slowest_speed(core)
     compiled = [name for name in core.code if name.endswith(".c")]
     return {
         "prefix": core.prefix,
@@ -50,7 +56,7 @@ def words(core: Core) -> dict[str, str]:
         "psi_f_column": str(COLUMNS.index("psi_f")),
         "valid_column": str(COLUMNS.index("valid")),
         "angle_column": str(COLUMNS.index("theta_e")),
-        "found": _found(adaptive),
+        "found": _found(core),
         "outputs": _outputs(machine, adaptive),
         "columns": ", ".join(f'"{name}"' for name in COLUMNS),
         "costs": cost_table(costs),
@@ -79,32 +85,13 @@ def _variant(template: str, core: Core) -> str:
     return "\n".join(kept)
 
 
-def _member(name: str, adaptive: bool) -> str:
-    """An output as a member of the estimate; the adaptive observer has its own magnet flux."""
-    inner = adaptive and name.partition("[")[0] != "psi_f"
-    return f".position.{name}" if inner else f".{name}"
-
-
-def _found(adaptive: bool) -> str:
+def _found(core: Core) -> str:
     """The values that test/check.c compares, in the order of the columns."""
-    values = {name: f"e{_member(name, adaptive)}" for name in COLUMNS}
-    values["valid"] += " ? (fo_real)1 : (fo_real)0"
-    return "\n".join(f"            {value}," for value in values.values())
-
-
-#: What the adaptive observer adds: members, unit, meaning.
-_ADAPTIVE_OUTPUTS = (
-    ("`estimate.psi_f`, `psi_f_std`", "Wb", "the magnet's flux (not the active one)"),
-    ("`estimate.resistance_error`, `resistance_std`", "ohm", "true minus assumed"),
-    ("`estimate.inverter_voltage`, `inverter_std`", "V", "dead time and device drops of a phase"),
-    ("`estimate.drift_std`", "V", "standard deviation of a component of the drift"),
-    (
-        "`estimate.theta_other`, `weight_other`",
-        "rad, 1",
-        "while two angles are in question, the other one and its weight",
-    ),
-    ("`estimate.adapting`", "bool", "the filter for all of these runs"),
-)
+    rows = (
+        f"e.{one.member} ? (fo_real)1 : (fo_real)0," if one.boolean else f"e.{one.member},"
+        for one in output_variables(core)[: len(COLUMNS)]
+    )
+    return "\n".join(f"            {row}" for row in rows)
 
 
 def _outputs(machine: RotatingMachine, adaptive: bool) -> str:
@@ -121,7 +108,12 @@ def _outputs(machine: RotatingMachine, adaptive: bool) -> str:
         )
         for one in outputs(Estimate)
     ]
-    rows += _ADAPTIVE_OUTPUTS if adaptive else ()
+    if adaptive:
+        rows.append(("`estimate.psi_f`", "Wb", "The magnet's flux (not the active one)"))
+        rows += [
+            (f"`estimate.{one.member}`", "bool" if one.boolean else one.unit or "1", one.about)
+            for one in ADAPTIVE
+        ]
     return "\n".join(f"| {member} | {unit} | {about} |" for member, unit, about in rows)
 
 

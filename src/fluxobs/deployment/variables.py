@@ -1,4 +1,4 @@
-"""Inputs and outputs of an exported observer, as hosts other than C name them."""
+"""Inputs and outputs of an exported observer, and how hosts other than C name them."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import csv
 import io
 from dataclasses import dataclass
 
-from ...errors import FluxobsError
-from ...observers import Estimate, outputs
-from ..core import Core
-from ..vectors import COLUMNS, expected, inputs
+from ..errors import FluxobsError
+from ..observers import Estimate, outputs
+from .core import Core
+from .vectors import COLUMNS, expected, inputs
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ INPUTS = (
     Variable("i_beta", "A", "The same along beta"),
 )
 #: What the adaptive observer adds.
-_MORE = (
+ADAPTIVE = (
     Variable("psi_f_std", "Wb", "Standard deviation of psi_f", member="psi_f_std"),
     Variable(
         "drift_std", "V", "Standard deviation of a component of the drift", member="drift_std"
@@ -76,7 +76,7 @@ def output_variables(core: Core) -> tuple[Variable, ...]:
         else:
             member = f"{inner}{one.name}"
             found.append(Variable(one.name, one.unit, about, one.boolean, member))
-    return (*found, *(_MORE if core.adaptive else ()))
+    return (*found, *(ADAPTIVE if core.adaptive else ()))
 
 
 def check_every_step(core: Core, form: str) -> None:

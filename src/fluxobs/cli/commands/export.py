@@ -66,11 +66,11 @@ def export(
     ] = "c",
     force: Annotated[bool, typer.Option("--force", help="Overwrite an earlier export.")] = False,
 ) -> None:
-    """Write the observer for one machine as C99 that compiles into its firmware.
+    """Write the observer for one machine as C99 for its firmware, or for another host.
 
-    The folder holds the sources, a header with the parameters, an example interrupt, and test
-    vectors with a host test: `make test` in it replays them. Sample by sample, it computes what
-    `fluxobs estimate` computes.
+    The folder holds the sources, the machine's parameters, an example interrupt, and test vectors
+    with a host test: `make test` in it replays them. Sample by sample, it computes what
+    `fluxobs estimate` computes. `--as` makes a library, a unit or a module of the same.
 
     Example: fluxobs export --machine motor.toml --sample-time 5e-5 --out firmware/motor
     """
@@ -92,5 +92,5 @@ def export(
         force=force,
     )
     folder = shlex.quote(str(done.folder))
-    attempt = FORMS[form].attempt.format(folder=folder)
+    attempt = FORMS[form].format(folder=folder)
     typer.echo(f"Written: {folder}, content {done.content}. Try: {attempt}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -13,31 +12,14 @@ if TYPE_CHECKING:
     from ..core import Core
 
 
-@dataclass(frozen=True)
-class Form:
-    """One form; its module of this package has a function ``files``.
-
-    Attributes
-    ----------
-    about : str
-        For whom, in a line.
-    attempt : str
-        The command that tries it; ``{folder}`` is the export.
-    """
-
-    about: str
-    attempt: str
-
-
+#: Form → the command, or the place, that tries an export in ``{folder}``. Each form is a module of
+#: this package with a function ``files``.
 FORMS = {
-    "c": Form("a folder of C99 for any firmware", "make -C {folder} test"),
-    "arduino": Form(
-        "a library for the Arduino IDE and PlatformIO, with a sensor for SimpleFOC",
-        "the example SelfTest of {folder}",
-    ),
-    "fmu": Form("simulation units, FMI 3.0 and 2.0", "python {folder}/test/check.py"),
-    "wasm": Form("a WebAssembly module, for browsers and others", "node {folder}/test/check.mjs"),
-    "simulink": Form("an S-function as source, untested", "build.m and check.m in {folder}"),
+    "c": "make -C {folder} test",
+    "arduino": "the example SelfTest of {folder}",
+    "fmu": "python {folder}/test/check.py",
+    "wasm": "node {folder}/test/check.mjs",
+    "simulink": "build.m and check.m in {folder}",
 }
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from ..certificate import certificate
 from ..core import Core
 from ..costs import read_costs
-from ..templating import VOLTAGE_LIMIT, fill
+from ..templating import fill, slowest_speed
+from ..variables import check_every_step
 from ..vectors import vectors_header
-from .variables import check_every_step
 
 TEMPLATES = {
     "README.md": "arduino/README.md",
@@ -42,8 +42,8 @@ def files(core: Core) -> dict[str, str | bytes]:
 
 
 def _words(core: Core) -> dict[str, str]:
-    inside, pairs = core.plain, core.machine.n_p
-    slowest = inside.drift_prior / (VOLTAGE_LIMIT * inside.flux_base) / pairs
+    sample_time = core.plain.sample_time
+    slowest = slowest_speed(core) / core.machine.n_p
     fast, _, slow = read_costs()["adaptive" if core.adaptive else "plain"]["builds"]
     rows = len(core.record.voltage)
     return {
@@ -51,10 +51,10 @@ def _words(core: Core) -> dict[str, str]:
         "slowest_shaft": f"{slowest:.3g} rad/s",
         "try_speed": f"{3 * slowest:.1f}",
         "rated": f"{core.machine.rated_current or 1.0:.1f}",
-        "least_us": f"{1e5 * inside.sample_time:.4g}",
-        "most_us": f"{1e7 * inside.sample_time:.0f}",
+        "least_us": f"{1e5 * sample_time:.4g}",
+        "most_us": f"{1e7 * sample_time:.0f}",
         "fast": str(fast["mean"]),
         "slow": str(slow["mean"]),
         "flash": str(round((16 * rows + 48 * rows / 9) / 1000 + 12)),
-        "url": "https://pypi.org/project/fluxobs/",
+        "url": "https://github.com/fluxobs/fluxobs",
     }

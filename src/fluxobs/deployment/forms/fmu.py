@@ -17,8 +17,7 @@ from ...errors import FluxobsError
 from ..certificate import certificate
 from ..core import Core
 from ..templating import fill
-from . import build
-from .variables import (
+from ..variables import (
     INPUTS,
     Variable,
     c_values,
@@ -26,6 +25,7 @@ from .variables import (
     output_variables,
     record_csv,
 )
+from . import build
 
 #: Name of a binary's folder in FMI 3.0 and in 2.0 → zig's name of the target, suffix.
 TARGETS = {
@@ -204,6 +204,7 @@ def _description(core: Core, identifier: str, version: int, sources: Mapping[str
     variables = ElementTree.SubElement(root, "ModelVariables")
     outputs = output_variables(core)
     structure = ElementTree.SubElement(root, "ModelStructure")
+    numbers = [str(number) for number, _ in enumerate(outputs, 1 + len(INPUTS))]
     if version == 3:
         clock = {"name": "time", "valueReference": "0", "causality": "independent"}
         ElementTree.SubElement(
@@ -212,11 +213,9 @@ def _description(core: Core, identifier: str, version: int, sources: Mapping[str
         for number, one in enumerate((*INPUTS, *outputs), 1):
             kind = "Boolean" if one.boolean else "Float64"
             ElementTree.SubElement(variables, kind, _variable(one, number, version))
-        for number, _ in enumerate(outputs, 1 + len(INPUTS)):
-            ElementTree.SubElement(structure, "Output", valueReference=str(number), dependencies="")
-        for number, _ in enumerate(outputs, 1 + len(INPUTS)):
-            unknown = {"valueReference": str(number), "dependencies": ""}
-            ElementTree.SubElement(structure, "InitialUnknown", unknown)
+        for kind in ("Output", "InitialUnknown"):
+            for n in numbers:
+                ElementTree.SubElement(structure, kind, valueReference=n, dependencies="")
     else:
         for number, one in enumerate((*INPUTS, *outputs), 1):
             described = _variable(one, number, version)
@@ -225,12 +224,10 @@ def _description(core: Core, identifier: str, version: int, sources: Mapping[str
             }
             element = ElementTree.SubElement(variables, "ScalarVariable", described)
             ElementTree.SubElement(element, "Boolean" if one.boolean else "Real", inner)
-        listed = ElementTree.SubElement(structure, "Outputs")
-        for number, _ in enumerate(outputs, 1 + len(INPUTS)):
-            ElementTree.SubElement(listed, "Unknown", index=str(number), dependencies="")
-        first = ElementTree.SubElement(structure, "InitialUnknowns")
-        for number, _ in enumerate(outputs, 1 + len(INPUTS)):
-            ElementTree.SubElement(first, "Unknown", index=str(number), dependencies="")
+        for kind in ("Outputs", "InitialUnknowns"):
+            listed = ElementTree.SubElement(structure, kind)
+            for n in numbers:
+                ElementTree.SubElement(listed, "Unknown", index=n, dependencies="")
     return _text(root)
 
 
@@ -263,5 +260,5 @@ def _page(core: Core) -> str:
     return (
         f"<!DOCTYPE html><title>fluxobs: {core.prefix}</title><p>Observer of flux, position and "
         f"speed, content {core.content}. Inputs and outputs are described in modelDescription.xml; "
-        f"resources/certificate.json says what they were compared with.</p>\n"
+        f"certificate.json beside the unit says what they were compared with.</p>\n"
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..certificate import certificate
 from ..core import Core
 from ..templating import fill
-from .variables import c_values, check_every_step, output_variables, record_csv
+from ..variables import c_values, check_every_step, output_variables, record_csv
 
 
 def files(core: Core) -> dict[str, str | bytes]:

@@ -9,8 +9,8 @@ from ...errors import FluxobsError
 from ..certificate import certificate
 from ..core import Core
 from ..templating import fill
+from ..variables import c_values, check_every_step, output_variables, record_csv
 from . import build
-from .variables import c_values, check_every_step, output_variables, record_csv
 
 
 def files(core: Core) -> dict[str, str | bytes]:
