@@ -3,6 +3,16 @@
 
 #include <string.h>
 
+/* Where speed is wanted, loops of few turns are written out, so that a row stays in registers:
+ * not in code for size, nor where each operation calls the emulation of a floating-point unit. */
+#if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__) && !defined(__SOFTFP__)
+#define WRITTEN_OUT 1
+#define FO_UNROLL _Pragma("GCC unroll 8")
+#else
+#define WRITTEN_OUT 0
+#define FO_UNROLL
+#endif
+
 /* Element (i, j), i < j, of a packed strict upper triangle. */
 #define AT(i, j) ((int)(i) * (2 * (int)FO_NX - (int)(i) - 3) / 2 + (int)(j) - 1)
 
@@ -319,28 +329,50 @@ static void predict(const fo_observer *o, fo_state *s, const interval *t)
     noise[0] = rho * noise[0];
 }
 
-/* Takes in row'x = value (the row is zero left of `first`) with this much information, by
- * Gentleman's rotations without roots. Returns the normalised innovation. */
-static fo_real rotate_in(fo_information *info, fo_real row[FO_NX], fo_real value,
-                         fo_real information, int first)
+/* A measurement row'x = rhs with this weight, as the rotations so far have left it. */
+typedef struct {
+    fo_real rhs, weight;
+} measurement;
+
+/* The rotation of row'x = rhs with row i, after which it is zero there: Gentleman's, without
+ * roots. */
+static inline void rotate(fo_information *info, int i, fo_real row[FO_NX], measurement *left)
 {
-    fo_real rhs = value, weight = information;
-    fo_real *u = &info->U[AT(first, first + 1)];
-    for (int i = first; i < FO_NX; i++) {
-        const fo_real pivot = row[i], weighted = weight * pivot, d = info->d[i];
-        const fo_real d_new = d + weighted * pivot, inverse = ONE / d_new;
-        const fo_real gain = weighted * inverse;
-        weight *= d * inverse;
-        info->d[i] = d_new;
-        for (int j = i + 1; j < FO_NX; j++) {
-            const fo_real left = row[j] - pivot * *u;
-            row[j] = left;
-            *u++ += gain * left;
-        }
-        rhs -= pivot * info->z[i];
-        info->z[i] += gain * rhs;
+    fo_real *u = &info->U[AT(i, i + 1)];
+    const fo_real pivot = row[i], weighted = left->weight * pivot, d = info->d[i];
+    const fo_real d_new = d + weighted * pivot, inverse = ONE / d_new;
+    const fo_real gain = weighted * inverse;
+    left->weight *= d * inverse;
+    info->d[i] = d_new;
+    FO_UNROLL
+    for (int j = i + 1; j < FO_NX; j++) {
+        row[j] -= pivot * u[j - i - 1];
+        u[j - i - 1] += gain * row[j];
     }
-    return fo_sqrt(weight) * rhs;
+    left->rhs -= pivot * info->z[i];
+    info->z[i] += gain * left->rhs;
+}
+
+/* Takes in row'x = value, which is zero left of `first`, with this much information. Returns the
+ * normalised innovation. */
+static fo_real rotate_in(fo_information *info, fo_real row[FO_NX], fo_real value,
+                                fo_real information, int first)
+{
+    measurement left = {value, information};
+#if WRITTEN_OUT
+    if (first == (int)S) {
+        FO_UNROLL
+        for (int i = 0; i < FO_NX; i++) {
+            rotate(info, i, row, &left);
+        }
+    } else
+#endif
+    {
+        for (int i = first; i < FO_NX; i++) {
+            rotate(info, i, row, &left);
+        }
+    }
+    return fo_sqrt(left.weight) * left.rhs;
 }
 
 typedef struct {
@@ -359,10 +391,12 @@ static variances flux_variances(const fo_information *info, const fo_real p[FO_N
     along[FLUX + 1] = p[1];
     across[FLUX] = -p[1];
     across[FLUX + 1] = p[0];
+    FO_UNROLL
     for (int i = FLUX; i < FO_NX; i++) {
         const fo_real inverse = ONE / info->d[i], a = along[i], b = across[i];
         found.along += a * a * inverse;
         found.across += b * b * inverse;
+        FO_UNROLL
         for (int j = i + 1; j < FO_NX; j++) {
             along[j] -= a * *u;
             across[j] -= b * *u;
@@ -385,8 +419,10 @@ static fo_real drift_across(const fo_information *info, const fo_real p[FO_N])
 static void solve(fo_state *s)
 {
     const fo_real *u = &s->info.U[FO_TRIANGLE];
+    FO_UNROLL
     for (int i = FO_NX - 1; i >= 0; i--) {
         fo_real sum = s->info.z[i];
+        FO_UNROLL
         for (int j = FO_NX - 1; j > i; j--) {
             u--;
             sum -= *u * s->x[j];
@@ -518,8 +554,8 @@ static fo_real relation(const fo_observer *o, const fo_state *s, fo_real row[FO_
 #endif
     {
         for (int i = 0; i < FO_N; i++) {
-            row[FLUX + i] = dot(o->row_Q2[i], current);
-            rhs -= current[i] * (o->row_C[i] + dot(o->row_Q3[i], current));
+            row[FLUX + i] = row_of(o->row_Q2, i, current);
+            rhs -= current[i] * plus_linear(row_of(o->row_Q3, i, current), o->row_C[i]);
         }
     }
     return rhs;
@@ -541,6 +577,7 @@ static bool contradicts(const fo_observer *o, const fo_state *s, const interval 
     return !(fo_abs(off) < OUTLIER_LIMIT * row[S]);
 }
 
+/* Takes in row'x = rhs; follows the power of the innovations, and the noise of the current. */
 static void measure(const fo_observer *o, fo_state *s, fo_real row[FO_NX], fo_real rhs)
 {
     const fo_real e = rotate_in(&s->info, row, rhs, ONE, S);
@@ -776,12 +813,12 @@ static void last_interval(const fo_observer *o, const fo_state *s, bool complete
                                   s->current[3][i]);
     }
     for (int i = 0; i < FO_N; i++) {
-        t->v[i] = s->source[i] - dot(o->hR[i], mean);
+        t->v[i] = s->source[i] - row_of(o->hR, i, mean);
     }
     for (int i = 0; i < FO_N; i++) {
-        t->q[i] = dot(o->Q1x2[i], t->v);
+        t->q[i] = row_of(o->Q1x2, i, t->v);
     }
-    t->input = dot(t->q, t->v) / TWO + dot(o->E, t->v);
+    t->input = plus_linear(dot(t->q, t->v) / TWO, dot(o->E, t->v));
 }
 
 /* Step of the position vector over the interval; the drift is negligible. */
@@ -921,6 +958,7 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
     e->valid = e->valid && !bad;
 }
 
+#if FO_HELD
 /* Volt-seconds of a voltage that is held over the sample: less what the kinks that its steps put
  * into the current add to the resistive drop. A cubic through the samples does not see them. */
 static void less_kinks(const fo_observer *o, fo_state *s, fo_real source[FO_N])
@@ -933,17 +971,20 @@ static void less_kinks(const fo_observer *o, fo_state *s, fo_real source[FO_N])
         source[i] = given - o->kink_now * s->kink[i] - o->kink_before * before;
     }
 }
+#endif
 
 void fo_step(const fo_observer *o, fo_state *s, const fo_real voltage[FO_N],
              const fo_real current[FO_N], fo_estimate *e)
 {
     fo_real source[FO_N];
     for (int i = 0; i < FO_N; i++) {
-        source[i] = dot(o->hB[i], voltage);
+        source[i] = row_of(o->hB, i, voltage);
     }
+#if FO_HELD
     if (o->kink_now != ZERO) {
         less_kinks(o, s, source);
     }
+#endif
     advance(o, s, source, false, current, e);
 }
 
@@ -967,7 +1008,7 @@ void fo_gather(const fo_observer *o, fo_gathered *g, fo_real share, const fo_rea
         g->current[i] = current[i];
     }
     for (int i = 0; i < FO_N; i++) {
-        g->volt_seconds[i] += scale * (dot(o->hB[i], voltage) - dot(o->hR[i], mean));
+        g->volt_seconds[i] += scale * (row_of(o->hB, i, voltage) - row_of(o->hR, i, mean));
     }
 }
 

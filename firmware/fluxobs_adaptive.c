@@ -226,7 +226,7 @@ static void integrate(const fo_adaptive *a, const fo_adaptive_state *s, bool com
     const fo_real share = fo_sqrt(dot(mean, mean)) * a->over_rated;
     const fo_real *std = a->std, *bend = s->bend;
     for (int i = 0; i < FO_N; i++) {
-        const fo_real drop = dot(a->plain.hR[i], mean_24);
+        const fo_real drop = row_of(a->plain.hR, i, mean_24);
         t->v[i] = s->plain.source[i] - (complete ? ZERO : drop);
         u[i] = s->plain.source[i] + (complete ? drop : ZERO);
         t->effect[FO_PSI][i] = ZERO;

@@ -138,6 +138,27 @@ static inline fo_real dot(const fo_real a[FO_N], const fo_real b[FO_N])
     return a[0] * b[0] + a[1] * b[1];
 }
 
+/* Row i of a matrix times a vector. */
+static inline fo_real row_of(const fo_real matrix[FO_N][FO_N], int i, const fo_real v[FO_N])
+{
+#if FO_ISOTROPIC
+    return matrix[0][0] * v[i];
+#else
+    return dot(matrix[i], v);
+#endif
+}
+
+/* A sum with a linear term of the relation, if it has any. */
+static inline fo_real plus_linear(fo_real sum, fo_real term)
+{
+#if FO_ISOTROPIC
+    (void)term;
+    return sum;
+#else
+    return sum + term;
+#endif
+}
+
 /* A component of what the position vector leaves of the flux: position vector = flux - this. */
 static inline fo_real away(const fo_observer *o, const fo_state *s, int i)
 {

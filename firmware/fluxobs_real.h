@@ -22,6 +22,14 @@
  * asymmetry_std = 0. An export does so where the asymmetry is not an unknown. */
 #define FO_ASYMMETRIC 1
 
+/* 1 takes the machine's matrices for numbers times the identity, and its relation for one without
+ * linear terms: less time, the same numbers. An export does so for every machine of this kind. */
+#define FO_ISOTROPIC 0
+
+/* 0 leaves out voltages that are held over a sample: less time, the same numbers as with
+ * kink_now = 0. An export does so where that is 0. */
+#define FO_HELD 1
+
 #if FO_SINGLE
 typedef float fo_real;
 #else

@@ -12,7 +12,7 @@ from ..machines import RotatingMachine
 from ..observers import AdaptiveObserver, Estimate, LeastSquaresObserver
 from ..synthetic.firmware_record import FirmwareRecord, firmware_record
 from .c_source import Precision
-from .header import Exported, parameter_files, plain
+from .header import Exported, isotropic, parameter_files, plain
 from .vectors import run
 
 SOURCES = ("fluxobs_real.h", "fluxobs.h", "fluxobs_internal.h", "fluxobs.c")
@@ -29,6 +29,9 @@ ADAPTIVE_SOURCES = (
 #: What an export changes in the sources if the asymmetry is not an unknown: it saves memory and
 #: time, and changes no number.
 ASYMMETRIC = "#define FO_ASYMMETRIC 1"
+#: What it changes for a machine whose matrices are numbers times the identity, and where no voltage
+#: is held, for the same reasons.
+ISOTROPIC, HELD = "#define FO_ISOTROPIC 0", "#define FO_HELD 1"
 #: What it changes if the machine needs no flux map, for the same reasons.
 MAPPED = "#define FO_MAPPED 1"
 #: What it changes so that the folder itself chooses single precision: build systems such as the
@@ -119,6 +122,10 @@ def make_core(
         _choose(sources, ASYMMETRIC, 0)
     if not mapped:
         _choose(sources, MAPPED, 0)
+    if isotropic(inside):
+        _choose(sources, ISOTROPIC, 1)
+    if not inside.held:
+        _choose(sources, HELD, 0)
     texts = tuple(sources.values())
     content, made = parameter_files(prefix, observers, machine, version, texts, update_every)
     record = firmware_record(machine, inside, _unsure(single, machine))

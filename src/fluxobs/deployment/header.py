@@ -23,6 +23,14 @@ def plain(observer: Exported) -> LeastSquaresObserver:
     return observer.plain if isinstance(observer, AdaptiveObserver) else observer
 
 
+def isotropic(observer: LeastSquaresObserver) -> bool:
+    """Whether its matrices are numbers times the identity, and its relation has no linear terms."""
+    c = observer.constraint
+    matrices = (c.Q1, c.Q2, c.Q3, observer.R, observer.B)
+    alike = all(np.array_equal(one, one[0, 0] * np.eye(2)) for one in matrices)
+    return alike and not c.E.any() and not c.C.any()
+
+
 def _adaptive_settings(o: AdaptiveObserver) -> dict[str, str]:
     return {
         "assumed magnet flux": f"{o.psi_f:.6g} +- {o.psi_f_std:.6g} Wb",
@@ -202,7 +210,7 @@ def _initializers(observer: Exported, precision: Precision, prefix: str) -> str:
         )
 
     inner = lines(plain(observer).parameters(), _core.meanings)
-    # An export may leave out what its machine does not need (contents.py). Beside another machine's
+    # An export may leave out what its machine does not need (core.py). Beside another machine's
     # it may be compiled with sources that have it.
     flux_map = "NULL" if plain(observer).flux_map is None else f"&{prefix}_map"
     inner += f"\n#if FO_MAPPED\n    {flux_map}, /* flux over current */\n#endif"
@@ -217,13 +225,19 @@ def _initializers(observer: Exported, precision: Precision, prefix: str) -> str:
 
 def _needs(observer: Exported) -> str:
     """Lines that refuse the sources of another export which lack what this machine needs."""
+    inside = plain(observer)
     asymmetric = isinstance(observer, AdaptiveObserver) and observer.asymmetry_std > 0
-    needed = ["FO_MAPPED"] if plain(observer).flux_map is not None else []
-    needed += ["FO_ASYMMETRIC"] if asymmetric else []
+    needed = {
+        "FO_MAPPED": (inside.flux_map is not None, 1),
+        "FO_ASYMMETRIC": (asymmetric, 1),
+        "FO_HELD": (inside.held > 0, 1),
+        "FO_ISOTROPIC": (not isotropic(inside), 0),
+    }
     return "".join(
-        f'#if !{name}\n#error "take the other sources of this export: theirs have {name} 1"\n'
-        f"#endif\n\n"
-        for name in needed
+        f'#if {name} != {value}\n#error "take the other sources of this export: theirs have '
+        f'{name} {value}"\n#endif\n\n'
+        for name, (needs, value) in needed.items()
+        if needs
     )
 
 

@@ -12,6 +12,7 @@ import re
 import subprocess
 import tempfile
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 #: Functions of the harness that call the step: where one of them goes on, the call has ended.
@@ -19,9 +20,21 @@ CALLERS = ("timed_step", "main", "step", "check_replay")
 NO_INSTRUCTION = (".word", ".short", ".byte")
 
 
-def _counts(trace: Path, entry: int) -> Counter[int]:
-    """Address → how often the instruction ran in that call in which it ran most."""
-    most: Counter[int] = Counter()
+def calls(program: Path, board: str, step: str) -> Iterator[Counter[int]]:
+    """Of every call of the function `step`: address → how often its instruction ran."""
+    symbols = ["arm-none-eabi-nm", program]
+    named = subprocess.run(symbols, check=True, capture_output=True, text=True).stdout
+    entry = int(re.search(rf"^([0-9a-f]+) . {step}$", named, re.MULTILINE)[1], 16) & ~1
+    with tempfile.TemporaryDirectory() as scratch:
+        trace = Path(scratch) / "trace"
+        command = ["qemu-system-arm", "-M", board, "-nographic", "-monitor", "none"]
+        command += ["-serial", "none", "-semihosting-config", "enable=on,target=native"]
+        command += ["-d", "exec,nochain,in_asm", "-D", trace, "-kernel", program]
+        subprocess.run(command, check=False, capture_output=True, timeout=300)
+        yield from _read(trace, entry)
+
+
+def _read(trace: Path, entry: int) -> Iterator[Counter[int]]:
     blocks: dict[int, list[int]] = {}  # address → those of its instructions
     functions: dict[int, str] = {}
     function, block = "", list[int]()
@@ -43,11 +56,10 @@ def _counts(trace: Path, entry: int) -> Counter[int]:
                     for first, times in call.items():
                         for address in blocks[first]:
                             ran[address] += times
-                    most |= ran
+                    yield ran
                     call = None
                 if call is not None:
                     call[at] += 1
-    return most
 
 
 def _instructions(program: Path) -> dict[str, set[int]]:
@@ -67,15 +79,8 @@ def _instructions(program: Path) -> dict[str, set[int]]:
 
 def bound(program: Path, board: str, step: str) -> int:
     """Instructions that a call of the function `step` has at most."""
-    symbols = ["arm-none-eabi-nm", program]
-    named = subprocess.run(symbols, check=True, capture_output=True, text=True).stdout
-    entry = int(re.search(rf"^([0-9a-f]+) . {step}$", named, re.MULTILINE)[1], 16) & ~1
-    with tempfile.TemporaryDirectory() as scratch:
-        trace = Path(scratch) / "trace"
-        command = ["qemu-system-arm", "-M", board, "-nographic", "-monitor", "none"]
-        command += ["-serial", "none", "-semihosting-config", "enable=on,target=native"]
-        command += ["-d", "exec,nochain,in_asm", "-D", trace, "-kernel", program]
-        subprocess.run(command, check=False, capture_output=True, timeout=300)
-        most = _counts(trace, entry)
+    most: Counter[int] = Counter()
+    for ran in calls(program, board, step):
+        most |= ran
     touched = (one for one in _instructions(program).values() if one & most.keys())
     return most.total() + sum(len(one - most.keys()) for one in touched)

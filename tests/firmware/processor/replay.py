@@ -15,15 +15,18 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import re
 import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import in_docs
 import numpy as np
 from longest import bound
 
@@ -57,6 +60,7 @@ class Build:
     clock: float  # of the SysTick timer [Hz]
     linker: str
     hard: bool  # has a floating-point unit
+    fused: bool = False  # the compiler may fuse multiplications and additions: last digits differ
 
 
 KINDS = {"plain": ("drift",), "adaptive": ("drift", "resistance", "inverter")}
@@ -65,23 +69,36 @@ STEPS = {"plain": "fo_step_single", "adaptive": "fo_adaptive_step_single"}
 #: instructions of the plain one; L_d and L_q, two more unknowns in its triangle, took 128 bytes of
 #: state and 120 of stack.
 BUDGETS = {
-    "plain": {"most": 2000, "state": 400, "stack": 256},
+    "plain": {"mean": 1300, "most": 1600, "state": 400, "stack": 256},
     "adaptive": {"mean": 4800, "state": 1200, "stack": 1040},
 }
+#: What a fused build may differ: share of the flux, angle [rad].
+FUSED = (1e-4, math.radians(0.05))
 #: What a look-up in a table may add to a linear map [instructions].
 LOOK_UP = 300
 M4F = ["-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"]
 M0 = ["-mcpu=cortex-m0", "-O2"]
 BUILDS = (
     Build("Cortex-M4F, -O2", [*M4F, "-O2"], "mps2-an386", 25e6, "m4f.ld", True),
+    Build(
+        "Cortex-M4F, -O2, fused",
+        [*M4F, "-O2", "-ffp-contract=fast"],
+        "mps2-an386",
+        25e6,
+        "m4f.ld",
+        True,
+        True,
+    ),
     Build("Cortex-M4F, -Os", [*M4F, *SIZE], "mps2-an386", 25e6, "m4f.ld", True),
     Build("Cortex-M0, soft float, -O2", M0, "microbit", 16e6, "m0.ld", False),
 )
 
 
-def compile_for(build: Build, folder: Path, kind: str) -> tuple[Path, int]:
+def compile_for(
+    build: Build, folder: Path, kind: str, more: Sequence[str] = ()
+) -> tuple[Path, int]:
     """The program, and the bytes of the observer in it: code and constants of its sources."""
-    flags = [*COMMON, *build.flags, "-I", folder, "-I", folder / "test", "-I", HERE]
+    flags = [*COMMON, *build.flags, *more, "-I", folder, "-I", folder / "test", "-I", HERE]
     flags += ["-DADAPTIVE"] if kind == "adaptive" else []
     observer, program = folder / "observer.o", folder / "program.elf"
     parts = []
@@ -132,6 +149,14 @@ def run(build: Build, program: Path) -> tuple[dict[str, int], np.ndarray, float]
     return said | {"rc": done.returncode}, counted[:-1], counted[-1]
 
 
+def as_expected(build: Build, said: dict[str, int]) -> bool:
+    """Whether every output is the library's: bit for bit, or if fused within its tolerances."""
+    if build.fused:
+        flux, angle = said["flux_error_e9"] / 1e9, said["angle_error_e9"] / 1e9
+        return not said["damaged"] and said["valid"] > 0 and flux < FUSED[0] and angle < FUSED[1]
+    return said["rc"] == 0 and not (said["wrong"] or said["damaged"] or said["between"])
+
+
 def measure(kind: str, unknowns: tuple[str, ...], compiler: str) -> tuple[dict[str, Any], bool]:
     """Costs of one kind of observer, and whether anything was not as it has to be."""
     costs: dict[str, Any] = {"compiler": compiler, "builds": []}
@@ -143,7 +168,7 @@ def measure(kind: str, unknowns: tuple[str, ...], compiler: str) -> tuple[dict[s
         for build in BUILDS:
             program, code = compile_for(build, folder, kind)
             said, instructions, gathering = run(build, program)
-            ok = said["rc"] == 0 and not (said["wrong"] or said["damaged"] or said["between"])
+            ok = as_expected(build, said)
             failed = failed or not ok
             print(
                 f"{kind}, {build.name}: {said['rows'] - said['wrong']} of {said['rows']} rows as "
@@ -242,16 +267,10 @@ def main() -> int:
     if options.update:
         target = ROOT / "src" / "fluxobs" / "deployment" / "costs.json"
         target.write_text(json.dumps(costs, indent=1) + "\n", encoding="utf-8")
-        docs = ROOT / "docs" / "firmware.md"
-        text = docs.read_text(encoding="utf-8")
         for kind, cost in costs.items():
-            start, end = f"<!-- costs: {kind} -->", f"<!-- /costs: {kind} -->"
-            before, _, rest = text.partition(start)
-            after = rest.partition(end)[2]
             table = f"{cost_table(cost)} The parameters, {cost['parameters']} bytes, stay in flash."
-            text = f"{before}{start}\n{table}\n{end}{after}"
-        docs.write_text(text, encoding="utf-8")
-        print(f"Written: {target} and {docs}")
+            in_docs.write(f"costs: {kind}", table)
+        print(f"Written: {target} and {in_docs.PAGE}")
     elif not failed and read_costs() != costs:
         print("These are not the costs that the package states; run with --update, and docs too")
         failed = read_costs()["plain"]["compiler"] == compiler  # another compiler, other numbers

@@ -20,9 +20,10 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+import in_docs
+
 import fluxobs
 
-ROOT = Path(__file__).resolve().parents[3]
 MACHINE, SAMPLE_TIME = "servo-400w", 1e-4
 KINDS = {"plain": "drift", "adaptive": "drift,resistance,inverter"}
 COMMON = ["-std=c99", "-Os", "-ffp-contract=off", "-fno-math-errno", "-ffunction-sections"]
@@ -181,15 +182,10 @@ def main() -> int:
     print(table)
     if missing:
         print(f"No compiler here for {', '.join(missing)}")
-    docs = ROOT / "docs" / "firmware.md"
-    text = docs.read_text(encoding="utf-8")
-    start, end = "<!-- targets -->", "<!-- /targets -->"
-    before, _, rest = text.partition(start)
-    now, _, after = rest.partition(end)
     if options.update and not missing:
-        docs.write_text(f"{before}{start}\n{table}\n{end}{after}", encoding="utf-8")
-        print(f"Written: {docs}")
-    elif not missing and now.strip() != table:
+        in_docs.write("targets", table)
+        print(f"Written: {in_docs.PAGE}")
+    elif not missing and in_docs.read("targets") != table:
         print("These are not the sizes in docs/firmware.md; run with --update")
     return 0
 

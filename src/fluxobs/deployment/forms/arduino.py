@@ -44,7 +44,7 @@ def files(core: Core) -> dict[str, str | bytes]:
 def _words(core: Core) -> dict[str, str]:
     sample_time = core.plain.sample_time
     slowest = slowest_speed(core) / core.machine.n_p
-    fast, _, slow = read_costs()["adaptive" if core.adaptive else "plain"]["builds"]
+    fast, *_, slow = read_costs()["adaptive" if core.adaptive else "plain"]["builds"]
     rows = len(core.record.voltage)
     return {
         "fo_type": "fo_adaptive" if core.adaptive else "fo_observer",

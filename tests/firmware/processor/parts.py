@@ -1,0 +1,130 @@
+"""Where the instructions and the bytes of the plain observer go, part by part.
+
+    python tests/firmware/processor/parts.py           # prints the table
+    python tests/firmware/processor/parts.py --update  # writes docs/firmware.md
+
+Instructions are those of a sample on the mean, on an emulated Cortex-M4F, -O2; bytes those of the
+code, -Os. The compiler's debugging information tells from which function of the source an
+instruction comes, inlined or not. A part's constants are not counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+import in_docs
+from longest import calls
+from replay import BUILDS, KINDS, MACHINE, MEMORY, SAMPLE_TIME, STEPS, compile_for
+
+import fluxobs
+
+#: Part → its functions, and what it buys.
+PARTS = {
+    "rotations": (
+        ("rotate", "rotate_in", "reinject_prior", "prior"),
+        "takes in the measurement and, every other sample, a row of the prior",
+    ),
+    "transition": (("predict",), "carries the information over the interval"),
+    "solution": (("solve",), "flux and drift of every sample"),
+    "certainty": (
+        ("flux_variances", "judge", "correlation", "widen_prior", "discount"),
+        "`theta_e_std`, share of noise, a prior that was too tight: without it nothing is valid",
+    ),
+    "measurement": (
+        ("last_interval", "mean_current_24", "row_of", "relation", "taken_in", "plus_linear")
+        + ("measure", "third_difference", "push_current", "dot", "clear", "fo_step_single"),
+        "volt-seconds, quadrature, the relation, noise of the current",
+    ),
+    "bad samples": (
+        ("advance", "quality", "contradicts", "leaps", "position_step", "ahead")
+        + ("empty_information", "restart", "fo_reset_single"),
+        "missing, absurd and contradicting samples; restarts",
+    ),
+    "angle and tracker": (
+        ("fo_atan2_single", "wrap", "track", "expected_step", "stop_tracker", "settle_tracker"),
+        "`theta_e`, `theta_e_tracked`, `speed_e`",
+    ),
+    "carrying": (("carry_on", "drift_across"), "the flux through a stop, and its growing doubt"),
+    "read-out": (("read_out", "position", "away"), "which flux is reported, `valid`, outputs"),
+}
+#: What a step does not use.
+OTHERS = ("check", "prepare", "in_range", "fo_init_single", "set_tracker", "reinjected", "within")
+OTHERS += ("not_finite", "stretch", "fo_uneven_single", "fo_gather_single")
+OTHERS += ("fo_step_volt_seconds_single", "fo_step_for_single", "memset")
+
+
+def functions(program: Path, addresses: Iterable[int]) -> list[str]:
+    """The function of the source from which each instruction comes."""
+    command = ["arm-none-eabi-addr2line", "-f", "-e", str(program)]
+    given = "\n".join(map(hex, addresses))
+    done = subprocess.run(command, input=given, check=True, capture_output=True, text=True)
+    return done.stdout.splitlines()[::2]
+
+
+def instructions(folder: Path) -> Counter[str]:
+    """Instructions of a sample on the mean, by function."""
+    build = BUILDS[0]
+    program, _ = compile_for(build, folder, "plain", ["-g"])
+    ran: Counter[int] = Counter()
+    steps = 0
+    for one in calls(program, build.board, STEPS["plain"]):
+        ran.update(one)
+        steps += 1
+    found: Counter[str] = Counter()
+    for name, times in zip(functions(program, ran), ran.values(), strict=True):
+        found[name] += times
+    return Counter({name: round(times / steps) for name, times in found.items()})
+
+
+def sizes(folder: Path) -> Counter[str]:
+    """Bytes by function."""
+    build = next(one for one in BUILDS if one.name.endswith("-Os"))
+    program, _ = compile_for(build, folder, "plain", ["-g"])
+    listing = subprocess.run(
+        ["arm-none-eabi-objdump", "-d", program], check=True, capture_output=True, text=True
+    ).stdout
+    pattern = r"^\s+([0-9a-f]+):\t([0-9a-f ]+)\t"
+    lines = re.findall(pattern, listing, re.MULTILINE)
+    bytes_of = {int(at, 16): len(code.replace(" ", "")) // 2 for at, code in lines}
+    found: Counter[str] = Counter()
+    for name, size in zip(functions(program, bytes_of), bytes_of.values(), strict=True):
+        found[name] += size
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--update", action="store_true", help="write docs/firmware.md")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "motor"
+        machine = fluxobs.read_machine(MACHINE)
+        fluxobs.export(machine, SAMPLE_TIME, folder, memory=MEMORY, unknowns=KINDS["plain"])
+        ran, size = instructions(folder), sizes(folder)
+    known = {name for names, _ in PARTS.values() for name in names} | set(OTHERS)
+    lost = {name for name, times in ran.items() if times > 0} - known
+    if lost:
+        print(f"FAILED: these belong to no part: {', '.join(sorted(lost))}")
+        return 1
+    rows = [
+        f"| {part} | {sum(ran[name] for name in names)} | {sum(size[name] for name in names)} "
+        f"| {buys} |"
+        for part, (names, buys) in PARTS.items()
+    ]
+    table = "\n".join(["| | instructions | bytes | what it buys |", "|---|---|---|---|", *rows])
+    print(table)
+    if options.update:
+        in_docs.write("parts", table)
+        print(f"Written: {in_docs.PAGE}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
