@@ -19,6 +19,9 @@
 
 extern "C" {
 #include "columns.h"
+#include "fluxobs_config.h"
+#include "fluxobs_keep.h"
+#include "fluxobs_seed.h"
 #include "fluxobs_internal.h"
 }
 
@@ -58,18 +61,20 @@ nb::ndarray<nb::numpy, T> owned(std::unique_ptr<T[]> data, std::initializer_list
     return nb::ndarray<nb::numpy, T>(data.release(), shape, owner);
 }
 
-void check(fo_error error) {
+// `field` is the one that is wrong, if it is known.
+void check(fo_error error, const char *field) {
+    const std::string where = field ? std::string(field) + ": " : std::string();
     switch (error) {
         case FO_OK: return;
         case FO_ERROR_SAMPLE_TIME:
-            throw std::invalid_argument("sample_time must be positive, memory ten to a million samples");
+            throw std::invalid_argument(where + "sample_time must be positive, memory ten to a million samples");
         case FO_ERROR_BASE:
-            throw std::invalid_argument("bases, noises, limits and priors must be positive");
+            throw std::invalid_argument(where + "bases, noises, limits and priors must be positive");
         case FO_ERROR_RANGE:
             throw std::invalid_argument(
-                "sizes do not fit each other: check the units of resistance, inductance, flux, "
+                where + "sizes do not fit each other: check the units of resistance, inductance, flux, "
                 "currents and sample time");
-        default: throw std::invalid_argument("every parameter must be finite");
+        default: throw std::invalid_argument(where + "every parameter must be finite");
     }
 }
 
@@ -189,6 +194,54 @@ private:
     std::size_t taken_ = 0;
 };
 
+// ---- configuration -----------------------------------------------------------------------------
+
+// The settings that a machine's sizes tell; those given are 0 where they are to be chosen.
+nb::dict choose(const nb::dict &sizes, double sample_time, double memory, double current_noise,
+                double drift_prior) {
+    fo_sizes of;
+    Fields fields(sizes);
+#define TAKE_SIZE(name) fields.number(#name, of.name);
+    FO_SIZES_FIELDS(TAKE_SIZE)
+    fields.end();
+    fo_config config;
+    std::memset(&config, 0, sizeof config);
+    config.sample_time = static_cast<fo_real>(sample_time);
+    config.memory = static_cast<fo_real>(memory);
+    config.current_noise = static_cast<fo_real>(current_noise);
+    config.drift_prior = static_cast<fo_real>(drift_prior);
+    fo_choose(&config, &of, FO_VOLTAGE_AUTO);
+    nb::dict out;
+#define ADD_POSITIVE(name, least, most) out[#name] = static_cast<double>(config.name);
+#define LEFT_OUT(name)
+    FO_CONFIG_FIELDS(LEFT_OUT, LEFT_OUT, LEFT_OUT, ADD_POSITIVE)
+    out["length_min"] = static_cast<double>(config.length_min);
+    return out;
+}
+
+std::pair<double, double> kink_weights(double share) {
+    fo_real weights[2];
+    fo_kink_weights(static_cast<fo_real>(share), weights);
+    return {weights[0], weights[1]};
+}
+
+// name -> value of the usual settings.
+nb::dict usual() {
+    nb::dict out;
+#define ADD_USUAL(name, value) out[#name] = static_cast<double>(value);
+    FO_USUAL(ADD_USUAL)
+    return out;
+}
+
+fo_seed seed_of(const nb::dict &given) {
+    fo_seed at;
+    Fields fields(given);
+#define TAKE_SEED(name) fields.number(#name, at.name);
+    FO_SEED_FIELDS(TAKE_SEED)
+    fields.end();
+    return at;
+}
+
 nb::tuple counts(const fo_state &state) {
     return nb::make_tuple(state.bad_voltages, state.bad_currents, state.absurd, state.outliers,
                           state.restarts, state.outside);
@@ -263,10 +316,10 @@ public:
 #define TAKE_POSITIVE(name, least, most) fields.number(#name, config_.name);
         FO_CONFIG_FIELDS(TAKE_MATRIX, TAKE_VECTOR, TAKE_NUMBER, TAKE_POSITIVE)
         fields.end();
-        check(fo_init(&observer_, &config_));
+        check(fo_init(&observer_, &config_), fo_wrong(&config_));
         if (map.size() > 0) {
             map_.take(map);
-            check(fo_use_map(&observer_, &map_.get()));
+            check(fo_use_map(&observer_, &map_.get()), "flux_map");
         }
     }
 
@@ -321,6 +374,17 @@ public:
             });
     }
 
+    // the state that starts at a known angle, one lane
+    nb::ndarray<nb::numpy, std::uint8_t> seed(const nb::dict &given, const Vector &current) const {
+        const fo_seed at = seed_of(given);
+        fo_real i[FO_N];
+        copy(i, current);
+        fo_state state;
+        std::memset(&state, 0, sizeof state);
+        fo_seed_state(&observer_, &state, &at, i);
+        return copies(state, 1);
+    }
+
     // (bad_voltages, bad_currents, absurd, outliers, restarts) of one lane
     static nb::tuple counters(const States &states, std::size_t lane) {
         return counts(lane_of<fo_state>(states, lane));
@@ -345,10 +409,10 @@ public:
         FO_ADAPTIVE_CONFIG_FIELDS(TAKE_CONFIG)
         c.projection = static_cast<fo_projection>(nb::cast<int>(fields.at("projection")));
         fields.end();
-        check(fo_adaptive_init(&observer_, &core.config(), &c));
+        check(fo_adaptive_init(&observer_, &core.config(), &c), fo_adaptive_wrong(&core.config(), &c));
         if (core.map()) {
             map_.share(*core.map());
-            check(fo_use_map(&observer_.plain, &map_.get()));
+            check(fo_use_map(&observer_.plain, &map_.get()), "flux_map");
         }
     }
     Adaptive(const Adaptive &) = delete;
@@ -383,6 +447,17 @@ public:
                 write_adaptive(&e, row, plane);
                 return e.position.valid;
             });
+    }
+
+    // `states` with what has been learnt, started at a known angle
+    nb::ndarray<nb::numpy, std::uint8_t> seed(const nb::dict &given, const Vector &current,
+                                              const States &states) const {
+        const fo_seed at = seed_of(given);
+        fo_real i[FO_N];
+        copy(i, current);
+        auto state = lane_of<fo_adaptive_state>(states, 0);
+        fo_adaptive_seed_state(&observer_, &state, &at, i);
+        return copies(state, 1);
     }
 
     // as in Core
@@ -431,6 +506,7 @@ NB_MODULE(FLUXOBS_MODULE, m) {
         .def("parameters", &Core::parameters)
         .def("reset", &Core::reset)
         .def("mapped", &Core::mapped)
+        .def("seed", &Core::seed)
         .def("run", &Core::run)
         .def_static("counters", &Core::counters);
     nb::class_<Adaptive>(m, "Adaptive")
@@ -440,6 +516,7 @@ NB_MODULE(FLUXOBS_MODULE, m) {
         .def("run", &Adaptive::run)
         .def_static("counters", &Adaptive::counters)
         .def("learnt", &Adaptive::learnt)
+        .def("seed", &Adaptive::seed)
         .def("restart", &Adaptive::restart)
         .def_static("restarts", &Adaptive::restarts);
     m.attr("outputs") = outputs(false);
@@ -447,6 +524,11 @@ NB_MODULE(FLUXOBS_MODULE, m) {
     m.attr("meanings") = meanings(false);
     m.attr("adaptive_meanings") = meanings(true);
     m.attr("thresholds") = thresholds();
+    m.def("choose", &choose, nb::arg("sizes"), nb::arg("sample_time"), nb::arg("memory") = 0.0,
+          nb::arg("current_noise") = 0.0, nb::arg("drift_prior") = 0.0);
+    m.def("kink_weights", &kink_weights, nb::arg("share"));
+    m.attr("usual") = usual();
+    m.attr("layout") = static_cast<int>(FO_LAYOUT);
     m.attr("state_bytes") = sizeof(fo_state);
     m.attr("adaptive_state_bytes") = sizeof(fo_adaptive_state);
 }

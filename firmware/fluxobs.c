@@ -4,12 +4,18 @@
 #include <string.h>
 
 /* Where speed is wanted, loops of few turns are written out, so that a row stays in registers:
- * not in code for size, nor where each operation calls the emulation of a floating-point unit. */
+ * not in code for size, nor where each operation calls the emulation of a floating-point unit.
+ * -DFO_WRITTEN_OUT overrules it; the numbers are the same. */
+#ifndef FO_WRITTEN_OUT
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__) && !defined(__SOFTFP__)
-#define WRITTEN_OUT 1
+#define FO_WRITTEN_OUT 1
+#else
+#define FO_WRITTEN_OUT 0
+#endif
+#endif
+#if FO_WRITTEN_OUT
 #define FO_UNROLL _Pragma("GCC unroll 8")
 #else
-#define WRITTEN_OUT 0
 #define FO_UNROLL
 #endif
 
@@ -67,41 +73,36 @@ static void clear(fo_real x[FO_NX])
 
 /* ---- configuration ------------------------------------------------------------------- */
 
-/* 0 if all numbers are finite. */
-static fo_real not_finite(const fo_real *x, int n)
+static bool is_finite(const fo_real *x, int n)
 {
     fo_real sum = ZERO;
     for (int i = 0; i < n; i++) {
         sum += x[i] - x[i];
     }
-    return sum;
+    return sum == ZERO;
 }
 
-#define MATRIX_NOT_FINITE(name) +not_finite(&c->name[0][0], FO_N * FO_N)
-#define VECTOR_NOT_FINITE(name) +not_finite(c->name, FO_N)
-#define NUMBER_NOT_FINITE(name) +not_finite(&c->name, 1)
-#define POSITIVE_NOT_FINITE(name, least, most) +not_finite(&c->name, 1)
+#define DEMAND_MATRIX(name) \
+    demand(&found, is_finite(&c->name[0][0], FO_N * FO_N), FO_ERROR_NOT_FINITE, #name);
+#define DEMAND_VECTOR(name) demand(&found, is_finite(c->name, FO_N), FO_ERROR_NOT_FINITE, #name);
+#define DEMAND_NUMBER(name) demand(&found, is_finite(&c->name, 1), FO_ERROR_NOT_FINITE, #name);
+#define DEMAND_FINITE(name, least, most) DEMAND_NUMBER(name)
 #define PASSED_OVER(name)
-#define IS_POSITIVE(name, least, most) &&(c->name > ZERO)
-#define IS_IN_RANGE(name, least, most) &&within(c->name, (fo_real)(least), (fo_real)(most))
+#define DEMAND_POSITIVE(name, least, most) \
+    demand(&found, c->name > ZERO, FO_ERROR_BASE, #name);
+#define DEMAND_RANGE(name, least, most)                                                    \
+    demand(&found, within(c->name, (fo_real)(least), (fo_real)(most)), FO_ERROR_RANGE, #name);
 
-static fo_error check(const fo_config *c)
+static finding check(const fo_config *c)
 {
-    fo_error found = FO_OK;
-    if (!(FO_CONFIG_FIELDS(MATRIX_NOT_FINITE, VECTOR_NOT_FINITE, NUMBER_NOT_FINITE,
-                           POSITIVE_NOT_FINITE) == ZERO)) {
-        found = FO_ERROR_NOT_FINITE;
-    } else if (!(c->sample_time > ZERO && /* ten to a million samples, up to rounding */
-                 c->memory >= (fo_real)9.99 * c->sample_time &&
-                 c->memory <= (fo_real)1.001e6 * c->sample_time)) {
-        found = FO_ERROR_SAMPLE_TIME;
-    } else if (!(true FO_CONFIG_FIELDS(PASSED_OVER, PASSED_OVER, PASSED_OVER, IS_POSITIVE))) {
-        found = FO_ERROR_BASE;
-    } else if (!(true FO_CONFIG_FIELDS(PASSED_OVER, PASSED_OVER, PASSED_OVER, IS_IN_RANGE))) {
-        found = FO_ERROR_RANGE;
-    } else {
-        /* nothing is wrong yet */
-    }
+    finding found = {FO_OK, NULL};
+    FO_CONFIG_FIELDS(DEMAND_MATRIX, DEMAND_VECTOR, DEMAND_NUMBER, DEMAND_FINITE)
+    demand(&found, c->sample_time > ZERO, FO_ERROR_SAMPLE_TIME, "sample_time");
+    demand(&found, /* ten to a million samples, up to rounding */
+           within(c->memory, (fo_real)9.99 * c->sample_time, (fo_real)1.001e6 * c->sample_time),
+           FO_ERROR_SAMPLE_TIME, "memory");
+    FO_CONFIG_FIELDS(PASSED_OVER, PASSED_OVER, PASSED_OVER, DEMAND_POSITIVE)
+    FO_CONFIG_FIELDS(PASSED_OVER, PASSED_OVER, PASSED_OVER, DEMAND_RANGE)
     return found;
 }
 
@@ -178,46 +179,59 @@ static void prepare(fo_observer *o, const fo_config *c)
 }
 
 /* Do the prepared numbers leave single precision enough room? Limits are far beyond any machine. */
-static bool in_range(const fo_observer *o)
+static finding check_prepared(const fo_observer *o)
 {
     const fo_real low = (fo_real)1e-12, high = (fo_real)1e12;
+    const fo_real thousand = (fo_real)1e3, million = (fo_real)1e6, most = (fo_real)1e24;
     const fo_real i = o->current_limit;
-    bool good = within(o->flux_base, low, high) && within(o->drift_base, low, high) &&
-                within(o->sample_time, low, high) && within(i, low, high) &&
-                within(o->plausible, (fo_real)1e-6, (fo_real)1e6) &&
-                within(o->row_s, (fo_real)1e-3, (fo_real)1e6) &&
-                within(o->kink_now, -ONE, ONE) && within(o->kink_before, -ONE, ONE) &&
-                within(o->L_position * i, -(fo_real)1e6, (fo_real)1e6) &&
-                within(o->square_min, ZERO, (fo_real)1e6) &&
-                within(o->position_noise, ZERO, (fo_real)1e6) &&
-                within(o->noise_information, ZERO, high) &&
-                within(o->over_noise * i * i, ZERO, (fo_real)1e24) &&
-                within(o->track[2], ZERO, (fo_real)1e24);
+    finding found = {FO_OK, NULL};
+    demand_size(&found, o->flux_base, low, high, "flux_base");
+    demand_size(&found, o->drift_base, low, high, "memory");
+    demand_size(&found, o->sample_time, low, high, "sample_time");
+    demand_size(&found, i, low, high, "current_limit");
     for (int n = 0; n < FO_N; n++) {
-        good = good && within(o->E[n], -(fo_real)1e3, (fo_real)1e3) &&
-               within(o->row_C[n] * i, -high, high);
+        demand_size(&found, o->E[n], -thousand, thousand, "E");
+        demand_size(&found, o->row_C[n] * i, -high, high, "C");
         for (int m = 0; m < FO_N; m++) {
-            good = good && within(o->Q1x2[n][m], -(fo_real)1e3, (fo_real)1e3) &&
-                   within(o->row_Q2[n][m] * i, -(fo_real)1e9, (fo_real)1e9) &&
-                   within(o->row_Q3[n][m] * i * i, -high, high) &&
-                   within(o->hR[n][m] * i, -(fo_real)1e3, (fo_real)1e3) &&
-                   within(o->hB[n][m], -high, high);
+            demand_size(&found, o->Q1x2[n][m], -thousand, thousand, "Q1");
+            demand_size(&found, o->row_Q2[n][m] * i, -(fo_real)1e9, (fo_real)1e9, "Q2");
+            demand_size(&found, o->row_Q3[n][m] * i * i, -high, high, "Q3");
+            demand_size(&found, o->hR[n][m] * i, -thousand, thousand, "R");
+            demand_size(&found, o->hB[n][m], -high, high, "B");
         }
     }
-    return good;
+    demand_size(&found, o->plausible, (fo_real)1e-6, million, "drift_prior");
+    demand_size(&found, o->row_s, (fo_real)1e-3, million, "constraint_noise");
+    demand_size(&found, o->kink_now, -ONE, ONE, "kink_now");
+    demand_size(&found, o->kink_before, -ONE, ONE, "kink_before");
+    demand_size(&found, o->L_position * i, -million, million, "L_position");
+    demand_size(&found, o->square_min, ZERO, million, "length_min");
+    demand_size(&found, o->position_noise, ZERO, million, "current_noise");
+    demand_size(&found, o->noise_information, ZERO, high, "current_noise");
+    demand_size(&found, o->over_noise * i * i, ZERO, most, "current_noise");
+    demand_size(&found, o->track[2], ZERO, most, "tracker_bandwidth");
+    return found;
 }
 
-fo_error fo_init(fo_observer *o, const fo_config *c)
+static finding prepare_checked(fo_observer *o, const fo_config *c)
 {
-    fo_error found = check(c);
-    if (found == FO_OK) {
+    finding found = check(c);
+    if (found.error == FO_OK) {
         prepare(o, c);
 #if FO_MAPPED
         o->map = NULL;
 #endif
-        found = in_range(o) ? FO_OK : FO_ERROR_RANGE;
+        found = check_prepared(o);
     }
     return found;
+}
+
+fo_error fo_init(fo_observer *o, const fo_config *c) { return prepare_checked(o, c).error; }
+
+const char *fo_wrong(const fo_config *c)
+{
+    fo_observer o;
+    return prepare_checked(&o, c).field;
 }
 
 #if FO_MAPPED
@@ -353,13 +367,11 @@ static inline void rotate(fo_information *info, int i, fo_real row[FO_NX], measu
     info->z[i] += gain * left->rhs;
 }
 
-/* Takes in row'x = value, which is zero left of `first`, with this much information. Returns the
- * normalised innovation. */
-static fo_real rotate_in(fo_information *info, fo_real row[FO_NX], fo_real value,
+static inline fo_real rotate_in(fo_information *info, fo_real row[FO_NX], fo_real value,
                                 fo_real information, int first)
 {
     measurement left = {value, information};
-#if WRITTEN_OUT
+#if FO_WRITTEN_OUT
     if (first == (int)S) {
         FO_UNROLL
         for (int i = 0; i < FO_NX; i++) {
@@ -373,6 +385,12 @@ static fo_real rotate_in(fo_information *info, fo_real row[FO_NX], fo_real value
         }
     }
     return fo_sqrt(left.weight) * left.rhs;
+}
+
+fo_real fo_rotate_in(fo_information *info, fo_real row[FO_NX], fo_real value, fo_real information,
+                     int first)
+{
+    return rotate_in(info, row, value, information, first);
 }
 
 typedef struct {

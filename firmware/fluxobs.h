@@ -189,11 +189,18 @@ typedef enum {
     FO_ERROR_SAMPLE_TIME,      /* sample time; memory below ten or above a million samples  */
     FO_ERROR_BASE,             /* a base, noise, prior or limit not positive                */
     FO_ERROR_NOT_FINITE,       /* a parameter is NaN or infinite                            */
-    FO_ERROR_RANGE             /* sizes that do not fit each other: a wrong unit, most likely */
+    FO_ERROR_RANGE,            /* sizes that do not fit each other: a wrong unit, most likely */
+    FO_ERROR_BUSY,             /* the interrupt has not yet taken the last configuration      */
+    FO_ERROR_OTHER,            /* of another machine, precision or kind of observer           */
+    FO_ERROR_DAMAGED           /* not what was packed: length, version or checksum is wrong   */
 } fo_error;
 
 /* Checks the configuration and prepares the observer, which may be used only after FO_OK. */
 fo_error fo_init(fo_observer *observer, const fo_config *config);
+
+/* Name of the first field for which fo_init refuses a configuration, null if it does not. Where
+ * sizes do not fit each other, that is the field in which a wrong unit is likeliest. */
+const char *fo_wrong(const fo_config *config);
 
 #if FO_MAPPED
 /* Gives the observer, after fo_init, a flux map, which has to live as long as the observer. The

@@ -41,61 +41,85 @@ static const fo_real DISAGREE_FOR = TWO * PI;
 
 /* ---- configuration -------------------------------------------------------------------- */
 
-static bool numbers_in_range(const fo_adaptive *a, const fo_adaptive_config *c)
+static void prepare_adaptive(fo_adaptive *a, const fo_config *config, const fo_adaptive_config *c)
 {
-    const fo_real high = (fo_real)1e9;
-    bool good = within(a->saliency * a->plain.current_limit, -(fo_real)1e6, (fo_real)1e6) &&
-                within(a->over_current[0], (fo_real)1e-9, high) &&
-                within(a->through_L, ZERO, (fo_real)1e6) && within(c->slow_memory, ZERO, high) &&
-                within(c->lag_std, ZERO, high) &&
-                within(c->inverter_voltage, ZERO, high) && within(a->psi, ZERO, (fo_real)1e3);
+    const fo_real psi = config->flux_base;
+    const fo_real through_L = (config->L_position + c->saliency) * config->current_noise / psi;
+    const fo_real half = c->inverter_std / fo_sqrt(TWO);
+    const fo_real stds[FO_NP] = {
+        c->psi_f_std / psi, c->resistance_std, half, half, c->offset_std, c->offset_std,
+        c->L_d_std,         c->L_q_std,
+#if FO_ASYMMETRIC
+        c->asymmetry_std,   c->asymmetry_std,
+#endif
+        CURVE_STD,
+    };
+    a->saliency = c->saliency / psi;
+    a->psi = c->psi_f / psi;
     for (int i = 0; i < FO_NP; i++) {
-        good = good && within(a->std[i], ZERO, high);
+        a->std[i] = stds[i];
     }
-    return good;
+    a->inverter_mean = c->inverter_voltage / TWO;
+    a->volt = config->sample_time / psi;
+    a->over_current[0] = ONE / (HARD * c->inverter_current);
+    a->over_current[1] = ONE / (SOFT * c->inverter_current);
+    a->over_rated = ONE / (RATED * c->inverter_current);
+    a->lag_std = c->lag_std;
+    a->through_L = through_L * through_L;
+    a->unmodelled = UNMODELLED * a->plain.plausible;
+    a->slow = config->memory / c->slow_memory;
+    a->projection = c->projection;
+}
+
+static finding check_adaptive(const fo_adaptive *a, const fo_adaptive_config *c)
+{
+    const fo_real high = (fo_real)1e9, million = (fo_real)1e6;
+    finding found = {FO_OK, NULL};
+    demand_size(&found, a->saliency * a->plain.current_limit, -million, million, "saliency");
+    demand_size(&found, a->over_current[0], (fo_real)1e-9, high, "inverter_current");
+    demand_size(&found, a->through_L, ZERO, million, "saliency");
+    demand_size(&found, c->slow_memory, ZERO, high, "slow_memory");
+    demand_size(&found, c->lag_std, ZERO, high, "lag_std");
+    demand_size(&found, c->inverter_voltage, ZERO, high, "inverter_voltage");
+    demand_size(&found, a->psi, ZERO, (fo_real)1e3, "psi_f");
+    demand_size(&found, a->std[FO_PSI], ZERO, high, "psi_f_std");
+    demand_size(&found, a->std[FO_RESISTANCE], ZERO, high, "resistance_std");
+    demand_size(&found, a->std[FO_INVERTER], ZERO, high, "inverter_std");
+    demand_size(&found, a->std[FO_OFFSET], ZERO, high, "offset_std");
+    demand_size(&found, a->std[FO_INDUCTANCE], ZERO, high, "L_d_std");
+    demand_size(&found, a->std[FO_INDUCTANCE + 1], ZERO, high, "L_q_std");
+#if FO_ASYMMETRIC
+    demand_size(&found, a->std[FO_ASYMMETRY], ZERO, high, "asymmetry_std");
+#endif
+    return found;
+}
+
+static finding examine_adaptive(fo_adaptive *a, const fo_config *config,
+                                const fo_adaptive_config *c)
+{
+    finding found = {fo_init(&a->plain, config), NULL};
+    if (found.error != FO_OK) {
+        found.field = fo_wrong(config);
+    }
+    demand(&found, c->inverter_current > ZERO, FO_ERROR_BASE, "inverter_current");
+    demand(&found, c->slow_memory > ZERO, FO_ERROR_BASE, "slow_memory");
+    demand_size(&found, c->inverter_current, (fo_real)1e-9, (fo_real)1e9, "inverter_current");
+    if (found.error == FO_OK) {
+        prepare_adaptive(a, config, c);
+        found = check_adaptive(a, c);
+    }
+    return found;
 }
 
 fo_error fo_adaptive_init(fo_adaptive *a, const fo_config *config, const fo_adaptive_config *c)
 {
-    fo_error found = fo_init(&a->plain, config);
-    if (found == FO_OK && !(c->inverter_current > ZERO && c->slow_memory > ZERO)) {
-        found = FO_ERROR_BASE;
-    }
-    if (found == FO_OK && !within(c->inverter_current, (fo_real)1e-9, (fo_real)1e9)) {
-        found = FO_ERROR_RANGE;
-    }
-    if (found == FO_OK) {
-        const fo_observer *o = &a->plain;
-        const fo_real psi = config->flux_base;
-        const fo_real through_L =
-            (config->L_position + c->saliency) * config->current_noise / psi;
-        const fo_real half = c->inverter_std / fo_sqrt(TWO);
-        const fo_real stds[FO_NP] = {
-            c->psi_f_std / psi, c->resistance_std, half, half, c->offset_std, c->offset_std,
-            c->L_d_std,         c->L_q_std,
-#if FO_ASYMMETRIC
-            c->asymmetry_std,   c->asymmetry_std,
-#endif
-            CURVE_STD,
-        };
-        a->saliency = c->saliency / psi;
-        a->psi = c->psi_f / psi;
-        for (int i = 0; i < FO_NP; i++) {
-            a->std[i] = stds[i];
-        }
-        a->inverter_mean = c->inverter_voltage / TWO;
-        a->volt = config->sample_time / psi;
-        a->over_current[0] = ONE / (HARD * c->inverter_current);
-        a->over_current[1] = ONE / (SOFT * c->inverter_current);
-        a->over_rated = ONE / (RATED * c->inverter_current);
-        a->lag_std = c->lag_std;
-        a->through_L = through_L * through_L;
-        a->unmodelled = UNMODELLED * o->plausible;
-        a->slow = config->memory / c->slow_memory;
-        a->projection = c->projection;
-        found = numbers_in_range(a, c) ? FO_OK : FO_ERROR_RANGE;
-    }
-    return found;
+    return examine_adaptive(a, config, c).error;
+}
+
+const char *fo_adaptive_wrong(const fo_config *config, const fo_adaptive_config *c)
+{
+    fo_adaptive a;
+    return examine_adaptive(&a, config, c).field;
 }
 
 void fo_adaptive_reset(const fo_adaptive *a, fo_adaptive_state *s)

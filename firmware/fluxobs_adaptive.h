@@ -28,6 +28,7 @@ extern "C" {
 #define fo_adaptive_estimate FO_NAME(fo_adaptive_estimate)
 #define fo_learnt FO_NAME(fo_learnt)
 #define fo_adaptive_init FO_NAME(fo_adaptive_init)
+#define fo_adaptive_wrong FO_NAME(fo_adaptive_wrong)
 #if FO_ASYMMETRIC
 #define fo_adaptive_reset FO_NAME(fo_adaptive_reset_asymmetric)
 #define fo_adaptive_step FO_NAME(fo_adaptive_step_asymmetric)
@@ -212,9 +213,10 @@ typedef struct {
     FO_LEARNT_FIELDS(FO_VECTOR_FIELD, FO_NUMBER_FIELD)
 } fo_learnt;
 
-/* Like fo_init, fo_reset, fo_step, fo_step_volt_seconds and fo_step_for. */
+/* Like fo_init, fo_wrong, fo_reset, fo_step, fo_step_volt_seconds and fo_step_for. */
 fo_error fo_adaptive_init(fo_adaptive *observer, const fo_config *config,
                           const fo_adaptive_config *adaptive);
+const char *fo_adaptive_wrong(const fo_config *config, const fo_adaptive_config *adaptive);
 void fo_adaptive_reset(const fo_adaptive *observer, fo_adaptive_state *state);
 
 /* Resets all but what has been learnt, as after a power cycle. If `frozen`, that stays as it is. */

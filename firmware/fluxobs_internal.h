@@ -24,6 +24,7 @@
 #define fo_atan2 FO_NAME(fo_atan2)
 #define fo_ask_map FO_NAME(fo_ask_map)
 #define fo_uneven FO_NAME(fo_uneven)
+#define fo_rotate_in FO_NAME(fo_rotate_in)
 
 #define ZERO ((fo_real)0)
 #define ONE ((fo_real)1)
@@ -128,6 +129,11 @@ static inline fo_real correlation(fo_real lag_one, fo_real power)
  * libraries differ in theirs: with this one every compiler and machine has the same bits. */
 fo_real fo_atan2(fo_real y, fo_real x);
 
+/* Takes in row'x = value, which is zero left of `first`, with this much information. Returns the
+ * normalised innovation. */
+fo_real fo_rotate_in(fo_information *info, fo_real row[FO_NX], fo_real value, fo_real information,
+                     int first);
+
 #if FO_MAPPED
 /* Asks the map about a current, for a rotor at this angle; a cage has the rotor flux of `f`. */
 void fo_ask_map(const fo_observer *o, fo_real angle, const fo_real current[FO_N], fo_shape *f);
@@ -209,6 +215,26 @@ static inline fo_real rippled(const fo_observer *o, fo_real speed)
 }
 
 static inline bool within(fo_real x, fo_real low, fo_real high) { return x >= low && x <= high; }
+
+/* The first field of a configuration that is wrong, and how. */
+typedef struct {
+    fo_error error;
+    const char *field;
+} finding;
+
+static inline void demand(finding *found, bool good, fo_error error, const char *field)
+{
+    if (found->error == FO_OK && !good) {
+        found->error = error;
+        found->field = field;
+    }
+}
+
+static inline void demand_size(finding *found, fo_real x, fo_real low, fo_real high,
+                               const char *field)
+{
+    demand(found, within(x, low, high), FO_ERROR_RANGE, field);
+}
 
 /* Wraps an angle that is within a turn and a half of zero. */
 static inline fo_real wrap(fo_real angle)

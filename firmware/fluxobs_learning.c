@@ -449,6 +449,14 @@ static void walk_resistance(fo_adaptive_state *s, fo_real variance)
     }
 }
 
+void fo_learning_warm(const fo_adaptive *a, fo_adaptive_state *s, fo_real stds)
+{
+    walk_resistance(s, stds * stds);
+    for (uint32_t n = 0U; n < 3U; n++) {
+        keep_deviation(a, s, n);
+    }
+}
+
 /* The parameters are forgotten towards their prior, one after the other, each every ROUND rows. */
 static void forget_parameters(const fo_adaptive *a, fo_adaptive_state *s, fo_real time)
 {

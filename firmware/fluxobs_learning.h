@@ -14,6 +14,7 @@
 #define fo_learning_unmodelled FO_NAME(fo_learning_unmodelled)
 #define fo_learning_value FO_NAME(fo_learning_value)
 #define fo_learning_deviation FO_NAME(fo_learning_deviation)
+#define fo_learning_warm FO_NAME(fo_learning_warm)
 
 /* Share of the EMF that the parameters may be off, above which another angle explains the data as
  * well [1]: twice it, four stds, would turn the EMF round. */
@@ -55,5 +56,8 @@ fo_real fo_learning_value(const fo_adaptive *observer, const fo_adaptive_state *
  * `curve` [their unit]. */
 fo_real fo_learning_deviation(const fo_adaptive *observer, const fo_adaptive_state *state, int n,
                               int count, fo_real curve);
+
+/* The resistance may have changed since it was learnt, by this std, in stds of its prior. */
+void fo_learning_warm(const fo_adaptive *observer, fo_adaptive_state *state, fo_real stds);
 
 #endif

@@ -16,19 +16,32 @@
 #endif
 
 /* 0 leaves flux maps out: less memory and time. An export does so for a machine without one. */
+#ifndef FO_MAPPED
 #define FO_MAPPED 1
+#endif
 
 /* 0 leaves the asymmetry of the phases out: less memory and time, the same numbers as with
  * asymmetry_std = 0. An export does so where the asymmetry is not an unknown. */
+#ifndef FO_ASYMMETRIC
 #define FO_ASYMMETRIC 1
+#endif
 
 /* 1 takes the machine's matrices for numbers times the identity, and its relation for one without
  * linear terms: less time, the same numbers. An export does so for every machine of this kind. */
+#ifndef FO_ISOTROPIC
 #define FO_ISOTROPIC 0
+#endif
 
 /* 0 leaves out voltages that are held over a sample: less time, the same numbers as with
  * kink_now = 0. An export does so where that is 0. */
+#ifndef FO_HELD
 #define FO_HELD 1
+#endif
+
+/* 0 where the plain observer is alone: configuration, seeds and what is kept then know no other. */
+#ifndef FO_ADAPTIVE
+#define FO_ADAPTIVE 1
+#endif
 
 #if FO_SINGLE
 typedef float fo_real;
@@ -57,6 +70,7 @@ typedef double fo_real;
 #define fo_map FO_NAME(fo_map)
 #define fo_mapped FO_NAME(fo_mapped)
 #define fo_init FO_NAME(fo_init)
+#define fo_wrong FO_NAME(fo_wrong)
 #define fo_use_map FO_NAME(fo_use_map)
 #define fo_reset FO_NAME(fo_reset)
 #define fo_step FO_NAME(fo_step)

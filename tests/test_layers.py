@@ -12,10 +12,10 @@ ROOT = Path(fluxobs.__file__).parent
 LAYERS = (
     ("errors", "validation"),
     ("output", "hashing", "plots", "html", "web", "engine"),
+    ("_core", "_core_single"),
     ("model",),
     ("machines",),
     ("logs",),
-    ("_core", "_core_single"),
     ("observers",),
     ("checking",),
     ("synthetic", "estimation", "design"),

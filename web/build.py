@@ -22,10 +22,7 @@ WEB = Path(__file__).parent
 ROOT = WEB.parent
 PACKAGE = ROOT / "src" / "fluxobs"
 BUILD = ROOT / "build" / "page"
-CLANG = (
-    "clang --target=wasm32-wasi -O3 -fno-unroll-loops -ffp-contract=off -nostartfiles "
-    "-Wl,--no-entry -Wl,--strip-all"
-)
+CLANG = "clang --target=wasm32-wasi -ffp-contract=off -nostartfiles -Wl,--no-entry -Wl,--strip-all"
 #: Parts of the runtime, in order.
 RUNTIME = ("language", "arrays", "library", "core", "text", "npz")
 #: Modules that the page asks for; it gets what these import.
@@ -96,11 +93,12 @@ def wasm() -> bytes:
     """The observers and the parser of text as a WebAssembly module."""
     made = BUILD / "core.wasm"
     text = BUILD / "cells.o"  # text alone takes sixteen bytes at once
-    command = [*CLANG.split(), "-msimd128", "-c", str(WEB / "cells.c"), "-o", str(text)]
+    command = [*CLANG.split(), "-O3", "-msimd128", "-c", str(WEB / "cells.c"), "-o", str(text)]
     subprocess.run([one for one in command if not one.startswith(("-Wl", "-nostart"))], check=True)
     sources = [WEB / "core.c", *sorted((ROOT / "firmware").glob("*.c")), text]
     includes = [f"-I{ROOT / 'firmware'}", f"-I{ROOT / 'binding'}"]
-    subprocess.run([*CLANG.split(), *includes, *map(str, sources), "-o", str(made)], check=True)
+    command = [*CLANG.split(), "-Oz", *includes, *map(str, sources), "-o", str(made)]
+    subprocess.run(command, check=True)
     return made.read_bytes()
 
 

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "columns.h"
+#include "fluxobs_config.h"
 #include "fluxobs_internal.h"
 
 #define EXPORT(name) __attribute__((export_name(#name))) name
@@ -24,6 +25,9 @@ typedef struct {
 #define VECTOR_OUTPUT(name) {#name, 0, FO_N},
 #define NUMBER_OUTPUT(name) {#name, 0, 1},
 #define MEMBER_OUTPUT(member, name) {#name, 0, 1},
+#define SIZE(name) PLACE(fo_sizes, name)
+#define USUAL(name, value) {#name, 0, 1},
+#define USUAL_VALUE(name, value) (double)(value),
 #define THRESHOLD(name) {#name, 0, 1},
 #define THRESHOLD_VALUE(name) (double)(name),
 
@@ -35,6 +39,9 @@ static const field plain_outputs[] = {FO_ESTIMATE_FIELDS(VECTOR_OUTPUT, NUMBER_O
 static const field adaptive_outputs[] = {
     FO_ESTIMATE_FIELDS(VECTOR_OUTPUT, NUMBER_OUTPUT) ADAPTIVE_ESTIMATE_FIELDS(MEMBER_OUTPUT){0, 0, 0}};
 static const field threshold_names[] = {FO_THRESHOLDS(THRESHOLD){0, 0, 0}};
+static const field sizes_fields[] = {FO_SIZES_FIELDS(SIZE){0, 0, 0}};
+static const field usual_names[] = {FO_USUAL(USUAL){0, 0, 0}};
+static const double usual_values[] = {FO_USUAL(USUAL_VALUE)};
 static const double threshold_values[] = {FO_THRESHOLDS(THRESHOLD_VALUE)};
 
 /* Lists end with a name of 0. */
@@ -42,20 +49,31 @@ const field *EXPORT(fields)(int of)
 {
     static const field *const lists[] = {config_fields, adaptive_fields, map_fields,
                                          learnt_fields, plain_outputs,   adaptive_outputs,
-                                         threshold_names};
+                                         threshold_names, sizes_fields,  usual_names};
     return lists[of];
 }
 
-const double *EXPORT(thresholds)(void) { return threshold_values; }
+const double *EXPORT(values)(int usual) { return usual ? usual_values : threshold_values; }
 
 uint32_t EXPORT(size_of)(int what)
 {
     static const uint32_t sizes[] = {sizeof(fo_config),   sizeof(fo_adaptive_config), sizeof(fo_map),
                                      sizeof(fo_learnt),   sizeof(fo_observer),        sizeof(fo_adaptive),
                                      sizeof(fo_state),    sizeof(fo_adaptive_state),  COLUMNS,
-                                     ADAPTIVE_COLUMNS};
+                                     ADAPTIVE_COLUMNS,    sizeof(fo_sizes)};
     return sizes[what];
 }
+
+void EXPORT(choose)(fo_config *config, const fo_sizes *sizes, double sample_time, double memory,
+                    double current_noise, double drift_prior)
+{
+    config->sample_time = sample_time;
+    config->memory = memory;
+    config->current_noise = current_noise;
+    config->drift_prior = drift_prior;
+    fo_choose(config, sizes, FO_VOLTAGE_AUTO);
+}
+void EXPORT(kink_weights)(double share, double weights[2]) { fo_kink_weights(share, weights); }
 
 void *EXPORT(allocate)(uint32_t bytes) { return calloc(1, bytes); }
 void EXPORT(release)(void *memory) { free(memory); }

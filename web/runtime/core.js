@@ -12,10 +12,13 @@ const [
   ADAPTIVE_STATE,
   PLAIN_COLUMNS,
   ALL_COLUMNS,
-] = Array(10).keys();
+  SIZES_BYTES,
+] = Array(11).keys();
 const PLAIN_OUTPUTS = 4,
   ADAPTIVE_OUTPUTS = 5,
-  THRESHOLDS = 6; // lists of fields beyond the first four
+  THRESHOLDS = 6,
+  SIZES = 7,
+  USUAL = 8; // lists of fields beyond the first four
 
 const $load = (binary) => {
   $wasm = new WebAssembly.Instance(new WebAssembly.Module(binary), {}).exports;
@@ -39,8 +42,8 @@ function $fieldsOf(list) {
   return out;
 }
 
-function $take(given, list) {
-  const at = $wasm.allocate($wasm.size_of(list));
+function $take(given, list, size = list) {
+  const at = $wasm.allocate($wasm.size_of(size));
   for (const { name, offset, count } of $fieldsOf(list)) {
     const values = $as($get(given, name), "f").flat()[0];
     if (values.length !== count)
@@ -49,6 +52,15 @@ function $take(given, list) {
   }
   return at;
 }
+
+// The fields of a list, from memory
+const $read = (at, list) =>
+  $dict(
+    $fieldsOf(list).map(({ name, offset, count }) => {
+      const v = [...$numbers(at + offset, count)];
+      return [name, count === 1 ? v[0] : v];
+    }),
+  );
 
 const $errors = [
   "",
@@ -168,12 +180,7 @@ class AdaptiveCore extends Compiled {
     return this.with(states, (at) => {
       const to = $wasm.allocate($wasm.size_of(LEARNT));
       $wasm.learnt(this.observer, at, to);
-      const out = $dict(
-        $fieldsOf(LEARNT).map(({ name, offset, count }) => {
-          const v = [...$numbers(to + offset, count)];
-          return [name, count === 1 ? v[0] : v];
-        }),
-      );
+      const out = $read(to, LEARNT);
       $wasm.release(to);
       return out;
     });
@@ -191,17 +198,34 @@ class AdaptiveCore extends Compiled {
 AdaptiveCore.prototype.restart = $fn("states frozen", AdaptiveCore.prototype.restart);
 
 const $outputNames = (list) => $fieldsOf(list).map(({ name, count }) => $tuple([name, count]));
+const $listed = (list) => {
+  const names = $fieldsOf(list),
+    values = $numbers($wasm.values(list === USUAL), names.length);
+  return $dict(names.map(({ name }, n) => [name, values[n]]));
+};
+const $choose = (sizes, ...given) => {
+  const of = $take(sizes, SIZES, SIZES_BYTES),
+    at = $wasm.allocate($wasm.size_of(CONFIG));
+  $wasm.choose(at, of, ...given);
+  const out = $read(at, CONFIG);
+  [of, at].forEach((one) => $wasm.release(one));
+  return out;
+};
+const $kinkWeights = (share) => {
+  const at = $wasm.allocate(16);
+  $wasm.kink_weights(share, at);
+  const out = $tuple([...$numbers(at, 2)]);
+  $wasm.release(at);
+  return out;
+};
 const $coreModule = ($m) => {
+  $m.choose = $choose;
+  $m.kink_weights = $kinkWeights;
+  Object.defineProperty($m, "usual", { get: () => $listed(USUAL) });
   $m.Core = (config, map) => new PlainCore(config, map);
   $m.Adaptive = (core, config) => new AdaptiveCore(core, config);
   Object.defineProperty($m, "outputs", { get: () => $outputNames(PLAIN_OUTPUTS) });
-  Object.defineProperty($m, "thresholds", {
-    get: () => {
-      const names = $fieldsOf(THRESHOLDS),
-        values = $numbers($wasm.thresholds(), names.length);
-      return $dict(names.map(({ name }, n) => [name, values[n]]));
-    },
-  });
+  Object.defineProperty($m, "thresholds", { get: () => $listed(THRESHOLDS) });
   Object.defineProperty($m, "adaptive_outputs", { get: () => $outputNames(ADAPTIVE_OUTPUTS) });
 };
 $module("fluxobs._core", $coreModule);

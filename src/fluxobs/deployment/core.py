@@ -26,6 +26,17 @@ ADAPTIVE_SOURCES = (
         for kind in ("h", "c")
     ),
 )
+#: What a firmware may use at run time: configuration, seeds, changes, what outlives a power cycle.
+RUNTIME_SOURCES = (
+    *(
+        f"fluxobs_{part}.{kind}"
+        for part in ("config", "seed", "retune", "keep")
+        for kind in ("h", "c")
+    ),
+    "fluxobs.hpp",
+)
+#: What an export changes if the plain observer is alone.
+ADAPTIVE = "#define FO_ADAPTIVE 1"
 #: What an export changes in the sources if the asymmetry is not an unknown: it saves memory and
 #: time, and changes no number.
 ASYMMETRIC = "#define FO_ASYMMETRIC 1"
@@ -53,8 +64,9 @@ class Core:
         Interrupts from one step of the observer to the next.
     version : str
         Of the library.
-    sources, parameters : dict of str
-        C, file name → text: the same for every machine, and this machine's.
+    sources, runtime, parameters : dict of str
+        C, file name → text: the same for every machine, what only firmware needs, and this
+        machine's.
     licence : str
     content : str
         Hash of sources and parameters.
@@ -69,6 +81,7 @@ class Core:
     update_every: int
     version: str
     sources: dict[str, str]
+    runtime: dict[str, str]
     parameters: dict[str, str]
     licence: str
     content: str
@@ -120,12 +133,15 @@ def make_core(
     _choose(sources, DOUBLE, 1)
     if isinstance(single, AdaptiveObserver) and not single.asymmetry_std > 0:
         _choose(sources, ASYMMETRIC, 0)
+    if not adaptive:
+        _choose(sources, ADAPTIVE, 0)
     if not mapped:
         _choose(sources, MAPPED, 0)
     if isotropic(inside):
         _choose(sources, ISOTROPIC, 1)
     if not inside.held:
         _choose(sources, HELD, 0)
+    runtime = {name: (installed / name).read_text(encoding="utf-8") for name in RUNTIME_SOURCES}
     texts = tuple(sources.values())
     content, made = parameter_files(prefix, observers, machine, version, texts, update_every)
     record = firmware_record(machine, inside, _unsure(single, machine))
@@ -144,6 +160,7 @@ def make_core(
         update_every,
         version,
         sources,
+        runtime,
         made,
         licence,
         content,

@@ -18,6 +18,16 @@ from .c_source import PRECISIONS, Precision, initializer, literal
 Exported = LeastSquaresObserver | AdaptiveObserver
 
 
+#: Place of the asymmetry among the parameters (FO_ASYMMETRY); one follows it.
+ASYMMETRY = 8
+
+
+def std_of(observer: AdaptiveObserver) -> list[float]:
+    """Prior standard deviations as an export has them: without an asymmetry that is known."""
+    std: list[float] = observer.parameters()["std"]
+    return std if observer.asymmetry_std > 0 else [*std[:ASYMMETRY], std[-1]]
+
+
 def plain(observer: Exported) -> LeastSquaresObserver:
     """The plain observer: the observer itself, or the one inside the adaptive observer."""
     return observer.plain if isinstance(observer, AdaptiveObserver) else observer
@@ -218,7 +228,9 @@ def _initializers(observer: Exported, precision: Precision, prefix: str) -> str:
         return inner
     more = observer.parameters() | {"projection": f"FO_PROJECT_{observer.projection.upper()}"}
     std = [initializer(value, precision) for value in more["std"]]
-    before, asymmetry, after = ", ".join(std[:8]), ", ".join(std[8:10]), ", ".join(std[10:])
+    before, asymmetry, after = (
+        ", ".join(part) for part in (std[:ASYMMETRY], std[ASYMMETRY:-1], std[-1:])
+    )
     more["std"] = f"{{{before},\n#if FO_ASYMMETRIC\n    {asymmetry},\n#endif\n    {after}}}"
     return f"    {{\n{inner}\n    }},\n{lines(more, _core.adaptive_meanings)}"
 

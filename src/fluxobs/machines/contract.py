@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from .. import _core
 from ..errors import MachineError
 from ..model.constraint import QuadraticConstraint
 from ..model.frames import Frame
@@ -79,7 +80,7 @@ class Machine(BaseModel):
     ports: ClassVar[tuple[str, str]] = ("alpha", "beta")
     position_output: ClassVar[Position]
     #: Memory of the least squares that suits most machines of this kind [s].
-    memory: ClassVar[float] = 0.03
+    memory: ClassVar[float] = _core.usual["MEMORY"]
     #: Whether the position half a turn away fits the relation as well.
     half_turn_ambiguous: ClassVar[bool] = False
     #: A position vector shorter than this share of the flux base gives no position.

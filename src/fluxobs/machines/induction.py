@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import model_validator
 
+from .. import _core
 from ..model.constraint import QuadraticConstraint
 from ..model.flux_map import CageMap, FluxMap
 from ..validation import NotNegative, Positive
@@ -23,12 +24,12 @@ PLATE = ("voltage", "frequency", "power", "current", "speed", "cos_phi")
 #: machines of 1 to 100 kW.
 LEAKAGE = 0.15
 #: Magnetizing over rated current, where nothing else is known: 0.3 (large) to 0.6 (small machines).
-MAGNETIZING = 0.45
+MAGNETIZING: float = _core.usual["MAGNETIZING"]
 #: Change of i_d below which the rotor flux is taken to stand, over the magnetizing current: five
 #: times what usual offsets of the currents (2 % of rated) do to it, less than any field weakening.
-STILL = 0.15
+STILL: float = _core.usual["STILL"]
 #: Std of an offset of the currents, over the rated current.
-OFFSET = 0.01
+OFFSET: float = _core.usual["CAGE_OFFSET"]
 
 
 class InductionMachine(RotatingMachine):

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
+from .. import _core
 from ..errors import FluxobsError, MachineError
 from ..model.constraint import QuadraticConstraint
 from ..model.flux_map import FluxMap, LinearMap
@@ -19,12 +20,6 @@ from ..validation import NotNegative, Number, Positive
 from .contract import Array, Machine, Position, angle_std
 from .datasheet import from_datasheet
 from .saturation import Falling, FluxMapField, MapSource, chords, fitted, read_source
-
-#: The random walk of the flux by noise in the resistive drop is held to about the direct noise, if
-#: the memory is this many times (L/R)² over the sample time (tests/observers/test_held.py)...
-WALK = 3.5
-#: ... but it holds a turn at the usual speed over this.
-SLOW = 4.0
 
 PolePairs = Annotated[int, Field(ge=1)]
 
@@ -59,7 +54,7 @@ class RotatingMachine(Machine):
     position_output = Position(
         "theta_e", ("theta_e", "theta_mech"), 180 / np.pi, "°", "Electrical angle"
     )
-    shortest = 0.25
+    shortest = _core.usual["SHORTEST"]
     #: Whether there are magnets; the parameter psi_f is their flux.
     magnets: ClassVar[bool] = False
     #: Names of the inductances along d and q; the same name twice if there is only one.
@@ -158,13 +153,35 @@ class RotatingMachine(Machine):
             Usual electrical speed [rad/s]; default that of rated_speed. If neither is known the
             memory is :attr:`memory`.
         """
+        return _core.choose(self.sizes(1.0, 1.0, speed_e), sample_time)["memory"]
+
+    def sizes(
+        self, flux_base: float, rated_current: float, speed_e: float | None = None
+    ) -> dict[str, float]:
+        """What the usual settings depend on, by the names of fo_sizes (firmware/fluxobs_config.h).
+
+        Parameters
+        ----------
+        flux_base : float
+            [Wb].
+        rated_current : float
+            [A].
+        speed_e : float, optional
+            Usual electrical speed [rad/s]; default that of rated_speed.
+        """
         if speed_e is None:
             speed_e = self.n_p * self.rated_speed if self.rated_speed else 0.0
-        if not speed_e > 0:
-            return self.memory
-        quiet = WALK * (self.transient_inductance / self.R_s) ** 2 / sample_time
-        least = max(10 * sample_time, 2 * np.pi * SLOW / speed_e)
-        return float(min(self.memory, max(quiet, least)))
+        return {
+            "resistance": self.R_s,
+            "inductance": self.transient_inductance,
+            "L_position": self.position_inductance,
+            "flux": flux_base,
+            "slope": self.constraint_noise(flux_base, 1.0),
+            "shortest": self.shortest,
+            "rated_current": rated_current,
+            "usual_memory": self.memory,
+            "speed_e": speed_e,
+        }
 
     def held_share(self, held: Held, sample_time: float) -> float:
         """R h/L if voltages are held over a sample [s], else 0; "auto": if it matters.

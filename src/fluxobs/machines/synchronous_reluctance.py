@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 from pydantic import model_validator
 
+from .. import _core
 from ..model.constraint import QuadraticConstraint
 from ..validation import NotNegative, Positive
 from .rotating import SynchronousMachine
@@ -33,7 +34,7 @@ class SynchronousReluctance(SynchronousMachine):
     kind = "synchronous-reluctance"
     inductances = ("L_d", "L_q")
     half_turn_ambiguous = True
-    shortest = 0.05  # its length depends on i_d
+    shortest = _core.usual["SHORTEST_SALIENT"]  # its length depends on i_d
     length_name = "Active flux (L_d - L_q) i_d"
 
     L_d: Positive
@@ -58,7 +59,8 @@ class SynchronousReluctance(SynchronousMachine):
         return QuadraticConstraint(one, -(self.L_d + self.L_q) * one, self.L_d * self.L_q * one)
 
     def flux_base(self, rated_current: float, psi_f: float | None = None) -> float | None:
-        return 0.5 * self.L_d * rated_current  # i_d is about half of a rated current
+        # i_d is about half of a rated current
+        return _core.usual["RELUCTANCE"] * self.L_d * rated_current
 
     def constraint_noise(self, flux_base: float, noise: float) -> float:
         # |∂w/∂i| = (L_d - L_q) |(L_d i_d, L_q i_q)| at the scale of the flux.

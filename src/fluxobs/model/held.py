@@ -7,21 +7,19 @@ What it misses is known from the steps: the response of the machine's own R and 
 
 from __future__ import annotations
 
-from math import exp, expm1
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import _core
 from ..errors import ObserverError
 
 AnyArray = NDArray[Any]
 
 #: Share R h/L from which kinks are counted in by default: with 14 samples a period, what is missed
 #: turns the flux by R h/L times two degrees.
-MATTERS = 0.15
-#: Below this share the response is taken to be a ramp, whose weights are 1/8 and -1/24.
-RAMP = 1e-2
+MATTERS: float = _core.usual["MATTERS"]
 #: Weights of the cubic through the last four samples for the last interval, newest first, times 24.
 CUBIC = (9, 19, -5, 1)
 
@@ -47,15 +45,10 @@ def kink_weights(share: float) -> tuple[float, float]:
 
     A step Δu at the start of an interval adds ``(1 - exp(-t R/L)) Δu/R`` to the current. Its mean
     over the last interval less the cubic's, over Δu/R, is the weight. Steps further back lie before
-    all four samples or at the oldest, where the cubic meets the response.
+    all four samples or at the oldest, where the cubic meets the response
+    (firmware/fluxobs_config.c).
     """
-    a = share
-    if a < RAMP:
-        return a / 8, -a / 24
-    one, two = -expm1(-a), -expm1(-2 * a)
-    now = (a - one) / a - CUBIC[0] / 24 * one
-    before = (a - exp(-a) * one) / a - (CUBIC[0] * two + CUBIC[1] * one) / 24
-    return now, before
+    return _core.kink_weights(share)
 
 
 def mean_current(current: AnyArray, axis: int = -1) -> AnyArray:

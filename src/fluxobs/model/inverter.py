@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import _core
 from .frames import clarke
 
 Array = NDArray[np.float64]
 
 #: The sign of a phase current is smoothed below this share of the current's size: near zero, the
 #: switches' capacitances determine the voltage, not the dead time.
-SMOOTHING = 0.05
+SMOOTHING: float = _core.usual["SMOOTHING"]
 
 
 def soft_sign(x: Array) -> Array:

@@ -31,14 +31,19 @@ PROJECTIONS: tuple[Projection, ...] = ("never", "start")
 
 #: Default standard deviations: of resistance, magnet flux and inductance, as shares of the values
 #: given; of the inverter's voltage, as a share of the rated resistive drop and of the DC link.
-RESISTANCE_SHARE, PSI_SHARE, INDUCTANCE_SHARE = 0.5, 0.25, 0.1
-INVERTER_SHARE, DC_LINK_SHARE = 0.25, 0.02
+RESISTANCE_SHARE: float = _core.usual["RESISTANCE_SHARE"]
+PSI_SHARE: float = _core.usual["PSI_SHARE"]
+INDUCTANCE_SHARE: float = _core.usual["INDUCTANCE_SHARE"]
+INVERTER_SHARE: float = _core.usual["INVERTER_SHARE"]
+DC_LINK_SHARE: float = _core.usual["DC_LINK_SHARE"]
 #: ... of a current offset, as a share of the rated current; of the asymmetry; of the lag [samples].
-OFFSET_SHARE, ASYMMETRY_STD, LAG_STD = 0.02, 0.01, 0.15
+OFFSET_SHARE: float = _core.usual["OFFSET_SHARE"]
+ASYMMETRY_STD: float = _core.usual["ASYMMETRY_STD"]
+LAG_STD: float = _core.usual["LAG_STD"]
 #: A standard deviation beyond this many times the resistance must have a wrong unit.
 RESISTANCE_MOST = 10.0
 #: Time in which a parameter may change by one standard deviation [s].
-SLOW_MEMORY = 100.0
+SLOW_MEMORY: float = _core.usual["SLOW_MEMORY"]
 #: The numbers of fo_adaptive_config, in the names of the C header.
 NUMBERS = (
     *("saliency", "L_d_std", "L_q_std", "lag_std", "psi_f", "psi_f_std", "resistance_std"),
@@ -419,3 +424,9 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         fields["resistance"] = self.resistance + fields.pop("resistance_error")
         adapting = fields.pop("adapting") > 0
         return AdaptiveEstimate(**fields, valid=valid, adapting=adapting)
+
+    def _seed(
+        self, given: dict[str, float], current: Array, state: CompiledState
+    ) -> NDArray[np.uint8]:
+        raw: NDArray[np.uint8] = self._core.seed(given, current, state.raw)
+        return raw

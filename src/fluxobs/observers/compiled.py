@@ -71,6 +71,62 @@ class CompiledObserver(Generic[Found]):
     def _estimate(self, columns: NDArray[np.float64], valid: NDArray[np.bool_]) -> Found:
         raise NotImplementedError
 
+    def seed(
+        self,
+        theta_e: float,
+        current: ArrayLike,
+        *,
+        theta_e_std: float,
+        speed_e: float = 0.0,
+        psi_f: float = 0.0,
+        psi_f_std: float = 0.0,
+        state: CompiledState | None = None,
+    ) -> CompiledState:
+        """State that starts at a known angle: from Hall sensors, an alignment, an encoder.
+
+        The angle is carried on from here, with a growing standard deviation, until the least
+        squares know better, after about half a turn. `valid` has to be earned as ever.
+
+        Parameters
+        ----------
+        theta_e, theta_e_std : float
+            Angle at the present sample, in (-π, π], and its standard deviation [rad]; 0.3 for a
+            sector of Hall sensors.
+        current : (2,) array_like
+            Of that sample [A].
+        speed_e : float
+            Electrical speed [rad/s].
+        psi_f, psi_f_std : float
+            Length of the position vector and its standard deviation [Wb]; 0: the flux base, a
+            quarter of it. Negative where the vector points backwards.
+        state : CompiledState, optional
+            For the adaptive observer: a state whose learning is kept.
+
+        Raises
+        ------
+        UsageError
+            A number is not finite, or the standard deviation not positive.
+        """
+        given = {
+            "theta_e": theta_e,
+            "theta_e_std": theta_e_std,
+            "speed_e": speed_e,
+            "psi_f": psi_f,
+            "psi_f_std": psi_f_std,
+        }
+        i = np.ascontiguousarray(current, dtype=float)
+        if i.shape != (2,) or not np.isfinite([*given.values(), *i]).all():
+            raise UsageError("a seed has finite numbers, and current has shape (2,)")
+        if not theta_e_std > 0:
+            raise UsageError(f"theta_e_std must be positive, got {theta_e_std:g} rad")
+        given["theta_e"] = float(np.angle(np.exp(1j * theta_e)))
+        return CompiledState(self._seed(given, i, state or self.init()), ())
+
+    def _seed(
+        self, given: dict[str, float], current: NDArray[np.float64], state: CompiledState
+    ) -> NDArray[np.uint8]:
+        raise NotImplementedError
+
     def init(self, batch: tuple[int, ...] = ()) -> CompiledState:
         """Initial state, in which nothing is known, for one record or a batch of that shape."""
         lanes = int(np.prod(batch, dtype=int))

@@ -19,24 +19,18 @@ from ..model.flux_map import FluxMap
 from ..model.held import Held, kink_weights
 from ..validation import number
 from .base import Estimate
-from .compiled import CompiledObserver, read_columns, wrapped
+from .compiled import CompiledObserver, CompiledState, read_columns, wrapped
 
 #: Usual memory [s]. One value suited every record tried, 75 to 5000 rad/s electrical. If it is much
 #: shorter, slow machines turn too little within it; if much longer, the quantities assumed constant
 #: (drift, inverter error, magnet flux) change within it.
-MEMORY = RotatingMachine.memory
+MEMORY: float = _core.usual["MEMORY"]
 #: Bandwidth of the tracker times the memory: it follows load steps that the memory only averages.
-TRACKER = 20.0
+TRACKER: float = _core.usual["TRACKER"]
 #: No real machine satisfies its relation better than to this share of its flux squared (saturation,
 #: slots, inverter). It is part of the assumed noise, where it balances prior against data; the
 #: innovations set the level of the reported standard deviations.
-MODEL_ERROR = 0.003
-#: Default noise of a current component, as a share of the rated current.
-CURRENT_NOISE = 0.002
-#: A current beyond this many rated currents is garbage, ...
-CURRENT_LIMIT = 20.0
-#: ... provided that its own flux, L i, is then beyond this many flux bases.
-CURRENT_FLUX_LIMIT = 5.0
+MODEL_ERROR: float = _core.usual["MODEL_ERROR"]
 #: Settings that are positive numbers, by the names of fo_config (firmware/fluxobs.h).
 POSITIVE = (
     "sample_time",
@@ -248,33 +242,20 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
                 f"psi_f is missing: give it in the machine ({machine.kind}) or to "
                 f"for_machine(…, psi_f=…) [Wb]; a rough value will do"
             )
-        # A tracker that follows load steps does not depend on why a memory is short.
-        tracked = machine.memory if memory is None else memory
-        memory = machine.memory_for(sample_time, speed_e) if memory is None else memory
-        noise = current_noise if current_noise is not None else CURRENT_NOISE * rated
-        if drift_prior is None:
-            drift_prior = max(0.03 * machine.R_s * rated, 0.1 * flux_base / memory)
+        # The firmware's own formulas (firmware/fluxobs_config.c); what is given stays.
+        given = {"memory": memory, "current_noise": current_noise, "drift_prior": drift_prior}
+        wanted = [value if value is not None and value > 0 else 0.0 for value in given.values()]
+        chosen = _core.choose(machine.sizes(flux_base, rated, speed_e), sample_time, *wanted)
+        chosen |= {name: value for name, value in given.items() if value is not None}
         return cls(
             constraint=machine.constraint,
             R=machine.R,
             B=machine.B,
             position_inductance=machine.position_inductance,
-            sample_time=sample_time,
-            memory=memory,
-            flux_base=flux_base,
-            constraint_noise=float(
-                np.hypot(machine.constraint_noise(flux_base, noise), MODEL_ERROR * flux_base**2)
-            ),
-            current_noise=noise,
-            current_limit=max(
-                CURRENT_LIMIT * rated, CURRENT_FLUX_LIMIT * flux_base / machine.position_inductance
-            ),
-            drift_prior=drift_prior,
-            length_min=machine.shortest * flux_base,
-            tracker_bandwidth=TRACKER / tracked,
             held=machine.held_share(held, sample_time),
             precision=precision,
             flux_map=machine.map_for(sample_time, flux_base),
+            **{name: chosen[name] for name in POSITIVE},
         )
 
     def parameters(self) -> dict[str, Any]:
@@ -284,3 +265,9 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
 
     def _estimate(self, columns: NDArray[np.float64], valid: NDArray[np.bool_]) -> Estimate:
         return Estimate(**read_columns(_core.outputs, columns), valid=valid)
+
+    def _seed(
+        self, given: dict[str, float], current: NDArray[np.float64], state: CompiledState
+    ) -> NDArray[np.uint8]:
+        raw: NDArray[np.uint8] = self._core.seed(given, current)
+        return raw

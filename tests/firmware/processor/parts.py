@@ -38,13 +38,34 @@ PARTS = {
         "`theta_e_std`, share of noise, a prior that was too tight: without it nothing is valid",
     ),
     "measurement": (
-        ("last_interval", "mean_current_24", "row_of", "relation", "taken_in", "plus_linear")
-        + ("measure", "third_difference", "push_current", "dot", "clear", "fo_step_single"),
+        (
+            "last_interval",
+            "mean_current_24",
+            "row_of",
+            "relation",
+            "taken_in",
+            "plus_linear",
+            "measure",
+            "third_difference",
+            "push_current",
+            "dot",
+            "clear",
+            "fo_step_single",
+        ),
         "volt-seconds, quadrature, the relation, noise of the current",
     ),
     "bad samples": (
-        ("advance", "quality", "contradicts", "leaps", "position_step", "ahead")
-        + ("empty_information", "restart", "fo_reset_single"),
+        (
+            "advance",
+            "quality",
+            "contradicts",
+            "leaps",
+            "position_step",
+            "ahead",
+            "empty_information",
+            "restart",
+            "fo_reset_single",
+        ),
         "missing, absurd and contradicting samples; restarts",
     ),
     "angle and tracker": (

@@ -33,7 +33,7 @@ def files(core: Core) -> dict[str, str | bytes]:
     words = _words(core)
     vectors = vectors_header(core.record, core.estimates)
     return {
-        **{f"src/{name}": text for name, text in core.code.items()},
+        **{f"src/{name}": text for name, text in (core.code | core.runtime).items()},
         **{name: fill(core, template, words) for name, template in TEMPLATES.items()},
         "examples/SelfTest/vectors.h": vectors,
         "LICENSE": core.licence,

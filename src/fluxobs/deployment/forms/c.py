@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..blob import blob
 from ..certificate import certificate
 from ..core import Core
 from ..templating import fill
@@ -23,6 +24,8 @@ def files(core: Core) -> dict[str, str | bytes]:
     """Relative path → content."""
     return {
         **core.code,
+        **{f"runtime/{name}": text for name, text in core.runtime.items()},
+        f"{core.prefix}_parameters.bin": blob(core.single),
         **{name: fill(core, f"c/{template}") for name, template in TEMPLATES.items()},
         "LICENSE": core.licence,
         "test/vectors.h": vectors_header(core.record, core.estimates),

@@ -1,0 +1,208 @@
+/* SPDX-License-Identifier: MIT */
+#include "fluxobs_config.h"
+
+#include "fluxobs_internal.h"
+
+#include <string.h>
+
+#define DECLARED(name, value) fo_real name;
+#define DEFINED(name, value) (fo_real)(value),
+static const struct {
+    FO_USUAL(DECLARED)
+} usual = {FO_USUAL(DEFINED)};
+
+static fo_real larger(fo_real a, fo_real b) { return a > b ? a : b; }
+static fo_real smaller(fo_real a, fo_real b) { return a < b ? a : b; }
+
+/* ---- settings --------------------------------------------------------------------------- */
+
+/* Noise of the current enters the flux directly, as L i, and through the resistive drop, as a random
+ * walk of its samples: R sqrt(h T) / (2 L) of the first. Where L/R is short, a shorter memory keeps
+ * the second below the first; but it must hold a turn at a quarter of the speed. */
+static fo_real memory_for(const fo_sizes *m, fo_real h)
+{
+    fo_real memory = m->usual_memory;
+    if (m->speed_e > ZERO) {
+        const fo_real constant = m->inductance / m->resistance;
+        const fo_real quiet = usual.WALK * (constant * constant) / h;
+        const fo_real least = larger((fo_real)10 * h, TWO * PI * usual.SLOW / m->speed_e);
+        memory = smaller(memory, larger(quiet, least));
+    }
+    return memory;
+}
+
+/* 1 - exp(-x), x >= 0, by its series where that is short, and 1 - exp(-2 x) = y (2 - y). */
+static fo_real fallen(fo_real x)
+{
+    fo_real part = x;
+    int halvings = 0;
+    for (int n = 0; n < 12; n++) {
+        if (part > (fo_real)0.25) {
+            part /= TWO;
+            halvings++;
+        }
+    }
+    fo_real y = ZERO;
+    for (int n = 12; n > 0; n--) {
+        y = part / (fo_real)n * (ONE - y);
+    }
+    for (; halvings > 0; halvings--) {
+        y *= TWO - y;
+    }
+    return y;
+}
+
+void fo_kink_weights(fo_real share, fo_real weights[2])
+{
+    const fo_real ramp = (fo_real)0.01, a = share;
+    if (a < ramp) { /* the response is a ramp */
+        weights[0] = a / (fo_real)8;
+        weights[1] = -a / (fo_real)24;
+    } else {
+        /* A step of the voltage adds (1 - exp(-t R/L)) / R to the current: its mean over the
+         * interval, less that of the cubic through the samples. */
+        const fo_real one = fallen(a), two = fallen(TWO * a);
+        weights[0] = (a - one) / a - (fo_real)9 / (fo_real)24 * one;
+        weights[1] = (a - (ONE - one) * one) / a -
+                     ((fo_real)9 * two + (fo_real)19 * one) / (fo_real)24;
+    }
+}
+
+void fo_choose(fo_config *c, const fo_sizes *m, fo_voltage voltage)
+{
+    const fo_real h = c->sample_time, flux = m->flux, square = flux * flux;
+    const fo_real share = m->resistance * h / m->inductance;
+    const bool held = voltage == FO_VOLTAGE_HELD || (voltage == FO_VOLTAGE_AUTO && share >= usual.MATTERS);
+    fo_real kinks[2];
+    /* A tracker that follows load steps does not depend on why a memory is short. */
+    c->tracker_bandwidth = usual.TRACKER / (c->memory > ZERO ? c->memory : m->usual_memory);
+    c->memory = c->memory > ZERO ? c->memory : memory_for(m, h);
+    c->current_noise = c->current_noise > ZERO ? c->current_noise : usual.CURRENT_NOISE * m->rated_current;
+    if (!(c->drift_prior > ZERO)) {
+        c->drift_prior = larger(usual.DRIFT_DROP * m->resistance * m->rated_current,
+                                usual.DRIFT_TURN * flux / c->memory);
+    }
+    const fo_real noise = m->slope * c->current_noise, model = usual.MODEL_ERROR * square;
+    fo_kink_weights(held ? share : ZERO, kinks);
+    c->flux_base = flux;
+    c->constraint_base = square;
+    c->constraint_noise = fo_sqrt(noise * noise + model * model);
+    c->current_limit =
+        larger(usual.CURRENT_LIMIT * m->rated_current, usual.CURRENT_FLUX * flux / m->L_position);
+    c->kink_now = kinks[0];
+    c->kink_before = kinks[1];
+    c->length_min = m->shortest * flux;
+}
+
+/* ---- machines --------------------------------------------------------------------------- */
+
+static fo_machine machine(fo_kind kind, fo_real R_s, fo_real L_d, fo_real L_q, fo_real psi,
+                          fo_real rated_current)
+{
+    const fo_machine m = {kind, R_s, L_d, L_q, psi, ZERO, ZERO, rated_current, ZERO};
+    return m;
+}
+
+fo_machine fo_pmsm(fo_real R_s, fo_real L_s, fo_real psi_f, fo_real rated_current)
+{
+    return machine(FO_MAGNETS, R_s, L_s, L_s, psi_f, rated_current);
+}
+
+fo_machine fo_ipmsm(fo_real R_s, fo_real L_d, fo_real L_q, fo_real psi_f, fo_real rated_current)
+{
+    return machine(FO_MAGNETS, R_s, L_d, L_q, psi_f, rated_current);
+}
+
+fo_machine fo_synrm(fo_real R_s, fo_real L_d, fo_real L_q, fo_real rated_current)
+{
+    return machine(FO_RELUCTANCE, R_s, L_d, L_q, ZERO, rated_current);
+}
+
+fo_machine fo_induction(fo_real R_s, fo_real R_R, fo_real L_sigma, fo_real L_M, fo_real psi_R,
+                        fo_real rated_current)
+{
+    fo_machine m = machine(FO_CAGE, R_s, L_sigma, L_sigma, psi_R, rated_current);
+    m.psi = psi_R > ZERO ? psi_R : usual.MAGNETIZING * L_M * rated_current;
+    m.R_R = R_R;
+    m.L_M = L_M;
+    return m;
+}
+
+static void sizes_of(const fo_machine *m, fo_sizes *s)
+{
+    const bool salient = m->kind == FO_RELUCTANCE; /* without magnets */
+    s->resistance = m->R_s;
+    s->inductance = TWO / (ONE / m->L_d + ONE / m->L_q);
+    s->L_position = m->L_q;
+    s->flux = salient ? usual.RELUCTANCE * m->L_d * m->rated_current : m->psi;
+    s->slope = (salient ? m->L_d - m->L_q : TWO * m->L_q) * s->flux;
+    s->shortest = salient ? usual.SHORTEST_SALIENT : usual.SHORTEST;
+    s->rated_current = m->rated_current;
+    s->usual_memory = usual.MEMORY;
+    s->speed_e = m->speed_e;
+}
+
+void fo_configure(fo_config *c, const fo_machine *m, fo_real sample_time)
+{
+    /* (flux - L_q i)'(flux - L i) is constant: L is L_q too, or L_d without magnets. */
+    const fo_real L = m->kind == FO_RELUCTANCE ? m->L_d : m->L_q;
+    fo_sizes sizes;
+    (void)memset(c, 0, sizeof *c);
+    c->sample_time = sample_time;
+    for (int i = 0; i < FO_N; i++) {
+        c->Q1[i][i] = ONE;
+        c->Q2[i][i] = -(L + m->L_q);
+        c->Q3[i][i] = L * m->L_q;
+        c->R[i][i] = m->R_s;
+        c->B[i][i] = ONE;
+    }
+    c->L_position = m->L_q;
+    sizes_of(m, &sizes);
+    fo_choose(c, &sizes, FO_VOLTAGE_AUTO);
+}
+
+#if FO_MAPPED
+bool fo_map_of(fo_map *map, const fo_machine *m, fo_real sample_time)
+{
+    const bool salient = m->kind == FO_MAGNETS && (m->L_d < m->L_q || m->L_d > m->L_q);
+    (void)memset(map, 0, sizeof *map);
+    map->kind = m->kind == FO_CAGE ? FO_MAP_CAGE : FO_MAP_LINEAR;
+    map->magnets = true;
+    map->L_d = m->L_d;
+    map->L_q = m->L_q;
+    if (m->kind == FO_CAGE) {
+        map->decay = m->R_R * sample_time / m->L_M;
+        map->still = usual.STILL * m->psi / m->L_M;
+        map->ripple = m->R_R * (usual.CAGE_OFFSET * m->rated_current) / m->psi;
+    } else {
+        map->psi = m->psi;
+    }
+    return salient || m->kind == FO_CAGE;
+}
+#endif
+
+#if FO_ADAPTIVE
+void fo_adaptive_choose(fo_adaptive_config *a, const fo_machine *m, fo_real sample_time,
+                        fo_real dc_link, uint32_t learn)
+{
+    const bool resistance = (learn & (uint32_t)FO_LEARN_RESISTANCE) != 0U;
+    const bool inverter = (learn & (uint32_t)FO_LEARN_INVERTER) != 0U;
+    const bool asymmetry = (learn & (uint32_t)FO_LEARN_ASYMMETRY) != 0U;
+    const fo_real drop = usual.INVERTER_SHARE * m->R_s * m->rated_current;
+    const fo_real psi = m->kind == FO_RELUCTANCE ? ZERO : m->psi;
+    a->saliency = m->L_d - m->L_q;
+    a->L_d_std = usual.INDUCTANCE_SHARE;
+    a->L_q_std = usual.INDUCTANCE_SHARE;
+    a->lag_std = usual.LAG_STD * sample_time;
+    a->psi_f = psi;
+    a->psi_f_std = usual.PSI_SHARE * psi;
+    a->resistance_std = resistance ? usual.RESISTANCE_SHARE * m->R_s : ZERO;
+    a->inverter_voltage = ZERO;
+    a->inverter_std = inverter ? larger(drop, usual.DC_LINK_SHARE * dc_link) : ZERO;
+    a->inverter_current = usual.SMOOTHING * m->rated_current;
+    a->offset_std = usual.OFFSET_SHARE * m->rated_current;
+    a->asymmetry_std = asymmetry ? usual.ASYMMETRY_STD : ZERO;
+    a->slow_memory = usual.SLOW_MEMORY;
+    a->projection = FO_PROJECT_START;
+}
+#endif

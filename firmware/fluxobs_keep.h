@@ -1,0 +1,86 @@
+/* fluxobs, what outlives a power cycle: an observer's parameters, and what it has learnt, as bytes
+ * with a checksum. The bytes are the same on every processor (least significant first).
+ *
+ * SPDX-License-Identifier: MIT
+ */
+#ifndef FLUXOBS_KEEP_H
+#define FLUXOBS_KEEP_H
+
+#include "fluxobs_real.h"
+
+#if FO_ADAPTIVE
+#include "fluxobs_adaptive.h"
+#else
+#include "fluxobs.h"
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define fo_pack FO_NAME(fo_pack)
+#define fo_unpack FO_NAME(fo_unpack)
+#if FO_ASYMMETRIC
+#define fo_adaptive_pack FO_NAME(fo_adaptive_pack_asymmetric)
+#define fo_adaptive_unpack FO_NAME(fo_adaptive_unpack_asymmetric)
+#define fo_adaptive_save FO_NAME(fo_adaptive_save_asymmetric)
+#define fo_adaptive_restore FO_NAME(fo_adaptive_restore_asymmetric)
+#else
+#define fo_adaptive_pack FO_NAME(fo_adaptive_pack)
+#define fo_adaptive_unpack FO_NAME(fo_adaptive_unpack)
+#define fo_adaptive_save FO_NAME(fo_adaptive_save)
+#define fo_adaptive_restore FO_NAME(fo_adaptive_restore)
+#endif
+
+/* Of the order of the numbers: changes when a field is added to an observer or to its state. */
+#define FO_LAYOUT 1U
+
+/* Bytes of a blob with so many numbers: its head, the numbers, a checksum. */
+#define FO_HEAD 12U
+#define FO_CHECKSUM 4U
+#define FO_BYTES(numbers) (FO_HEAD + (uint32_t)(numbers) * (uint32_t)sizeof(fo_real) + FO_CHECKSUM)
+
+/* Numbers of an observer without its map, and of what the adaptive one has besides. */
+#define FO_COUNT_MATRIX(name, meaning) +FO_N * FO_N
+#define FO_COUNT_ARRAY(name, size, meaning) +(size)
+#define FO_COUNT_NUMBER(name, meaning) +1
+enum { FO_NUMBERS = 0 FO_OBSERVER_FIELDS(FO_COUNT_MATRIX, FO_COUNT_ARRAY, FO_COUNT_NUMBER) };
+#define FO_PACKED_BYTES FO_BYTES(FO_NUMBERS)
+
+/* Writes the parameters: FO_PACKED_BYTES bytes. A motor that is chosen in the field is such a blob,
+ * made on a desk or by fo_init in another drive. A flux map is not in it: give the map to fo_use_map
+ * afterwards. */
+void fo_pack(const fo_observer *observer, uint8_t blob[FO_PACKED_BYTES]);
+
+/* Reads them. FO_ERROR_DAMAGED, FO_ERROR_OTHER: the observer is as it was. */
+fo_error fo_unpack(fo_observer *observer, const uint8_t *blob, uint32_t length);
+
+#if FO_ADAPTIVE
+enum {
+    FO_ADAPTIVE_NUMBERS = FO_NUMBERS FO_ADAPTIVE_FIELDS(FO_COUNT_ARRAY, FO_COUNT_NUMBER) + 1,
+    /* the parameters' part of the triangle, with weights, right-hand sides and values; a mark */
+    FO_SAVED_NUMBERS = FO_NP * (FO_NP - 1) / 2 + 3 * FO_NP + 1
+};
+#define FO_ADAPTIVE_PACKED_BYTES FO_BYTES(FO_ADAPTIVE_NUMBERS)
+#define FO_SAVED_BYTES FO_BYTES(FO_SAVED_NUMBERS)
+
+void fo_adaptive_pack(const fo_adaptive *observer, uint8_t blob[FO_ADAPTIVE_PACKED_BYTES]);
+fo_error fo_adaptive_unpack(fo_adaptive *observer, const uint8_t *blob, uint32_t length);
+
+/* Writes what has been learnt: magnet flux, resistance, the inverter's loss, offsets, inductances,
+ * asymmetry, and how sure they are. FO_SAVED_BYTES bytes. */
+void fo_adaptive_save(const fo_adaptive *observer, const fo_adaptive_state *state,
+                      uint8_t blob[FO_SAVED_BYTES]);
+
+/* Resets the state, and gives it what was saved by the same observer. The resistance may have
+ * changed since by this standard deviation [Ohm]: copper by 0.4 % a kelvin, 0.2 R for a motor that
+ * was warm. FO_ERROR_DAMAGED, FO_ERROR_OTHER: the state is reset and has learnt nothing. */
+fo_error fo_adaptive_restore(const fo_adaptive *observer, fo_adaptive_state *state,
+                             const uint8_t *blob, uint32_t length, fo_real resistance_std);
+#endif
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,150 @@
+/* SPDX-License-Identifier: MIT */
+#include "fluxobs_retune.h"
+
+#include "fluxobs_internal.h"
+#if FO_ADAPTIVE
+#include "fluxobs_learning.h"
+#endif
+
+/* Is the state of one good for the other? */
+static bool alike(const fo_observer *a, const fo_observer *b)
+{
+    return !(a->flux_base < b->flux_base) && !(a->flux_base > b->flux_base) && !(a->h < b->h) &&
+           !(a->h > b->h) && !(a->drift_base < b->drift_base) && !(a->drift_base > b->drift_base);
+}
+
+void fo_retunable_init(fo_retunable *r, const fo_observer *first)
+{
+    r->both[0] = *first;
+    r->active = 0U;
+    r->ready = 0U;
+}
+
+fo_error fo_retune(fo_retunable *r, const fo_config *config)
+{
+    const uint32_t active = r->active;
+    fo_error found = FO_ERROR_BUSY;
+    if (r->ready == active) {
+        fo_observer *spare = &r->both[1U - active];
+        found = fo_init(spare, config);
+        if (found == FO_OK && !alike(spare, &r->both[active])) {
+            found = FO_ERROR_OTHER;
+        }
+#if FO_MAPPED
+        spare->map = r->both[active].map;
+#endif
+        if (found == FO_OK) {
+            FO_BARRIER();
+            r->ready = 1U - active;
+        }
+    }
+    return found;
+}
+
+const fo_observer *fo_take(fo_retunable *r)
+{
+    const uint32_t ready = r->ready;
+    FO_BARRIER();
+    r->active = ready;
+    return &r->both[ready];
+}
+
+#if FO_ADAPTIVE
+void fo_adaptive_retunable_init(fo_adaptive_retunable *r, const fo_adaptive *first)
+{
+    r->both[0] = *first;
+    r->active = 0U;
+    r->ready = 0U;
+}
+
+static bool same_stds(const fo_adaptive *a, const fo_adaptive *b)
+{
+    bool same = true;
+    for (int i = 0; i < (int)FO_CURVE; i++) {
+        same = same && !(a->std[i] < b->std[i]) && !(a->std[i] > b->std[i]);
+    }
+    return same;
+}
+
+fo_error fo_adaptive_retune(fo_adaptive_retunable *r, const fo_config *config,
+                            const fo_adaptive_config *adaptive)
+{
+    const uint32_t active = r->active;
+    fo_error found = FO_ERROR_BUSY;
+    if (r->ready == active) {
+        fo_adaptive *spare = &r->both[1U - active];
+        found = fo_adaptive_init(spare, config, adaptive);
+        if (found == FO_OK && !(alike(&spare->plain, &r->both[active].plain) &&
+                                same_stds(spare, &r->both[active]))) {
+            found = FO_ERROR_OTHER;
+        }
+#if FO_MAPPED
+        spare->plain.map = r->both[active].plain.map;
+#endif
+        if (found == FO_OK) {
+            FO_BARRIER();
+            r->ready = 1U - active;
+        }
+    }
+    return found;
+}
+
+/* A parameter's assumed value grows by `more` stds: its error is less by as much. */
+static void move_mean(fo_adaptive_state *s, int n, fo_real more)
+{
+    const int at = FO_NF + n;
+    s->p[n] -= more;
+    for (int i = FO_NF; i < at; i++) { /* the rows that have it */
+        s->z[i] -= s->U[FO_AT(FO_NA, i, at)] * more;
+    }
+    s->z[at] -= more;
+}
+
+const fo_adaptive *fo_adaptive_take(fo_adaptive_retunable *r, fo_adaptive_state *s)
+{
+    const uint32_t ready = r->ready;
+    FO_BARRIER();
+    if (ready != r->active) {
+        const fo_adaptive *before = &r->both[r->active], *now = &r->both[ready];
+        const fo_real volt = now->volt, std = now->std[FO_RESISTANCE];
+        if (now->std[FO_PSI] > ZERO) {
+            move_mean(s, FO_PSI, (now->psi - before->psi) / now->std[FO_PSI]);
+        }
+        if (std > ZERO) {
+            const fo_real moved =
+                (fo_real)24 * (now->plain.hR[0][0] - before->plain.hR[0][0]) / volt;
+            move_mean(s, FO_RESISTANCE, moved / std);
+        }
+        for (int n = 0; n < 2 && now->std[FO_INVERTER] > ZERO; n++) {
+            const fo_real moved = now->inverter_mean - before->inverter_mean;
+            move_mean(s, FO_INVERTER + n, moved / now->std[FO_INVERTER]);
+        }
+    }
+    r->active = ready;
+    return &r->both[ready];
+}
+#endif
+
+void fo_publish(fo_snapshot *s, const fo_estimate *estimate)
+{
+    const uint32_t before = s->begun;
+    const uint32_t count = before < UINT32_MAX ? before + 1U : 1U; /* 0: none yet */
+    s->begun = count;
+    FO_BARRIER();
+    s->estimate = *estimate;
+    FO_BARRIER();
+    s->ended = count;
+}
+
+bool fo_read(const fo_snapshot *s, fo_estimate *estimate)
+{
+    bool whole = false;
+    for (int tries = 0; tries < 4 && !whole; tries++) {
+        const uint32_t before = s->ended;
+        FO_BARRIER();
+        *estimate = s->estimate;
+        FO_BARRIER();
+        whole = s->begun == before && before != 0U;
+    }
+    return whole;
+}

@@ -1,0 +1,106 @@
+/* fluxobs, changes while the drive runs: resistance, inverter voltage, magnet flux, limits; and an
+ * estimate that slower tasks read.
+ *
+ * A task prepares the changed observer beside the one in use; the interrupt takes it between two
+ * steps. The state is kept.
+ *
+ * SPDX-License-Identifier: MIT
+ */
+#ifndef FLUXOBS_RETUNE_H
+#define FLUXOBS_RETUNE_H
+
+#include "fluxobs_real.h"
+
+#if FO_ADAPTIVE
+#include "fluxobs_adaptive.h"
+#else
+#include "fluxobs.h"
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define fo_retunable FO_NAME(fo_retunable)
+#define fo_retunable_init FO_NAME(fo_retunable_init)
+#define fo_retune FO_NAME(fo_retune)
+#define fo_take FO_NAME(fo_take)
+#define fo_snapshot FO_NAME(fo_snapshot)
+#define fo_publish FO_NAME(fo_publish)
+#define fo_read FO_NAME(fo_read)
+#if FO_ASYMMETRIC
+#define fo_adaptive_retunable FO_NAME(fo_adaptive_retunable_asymmetric)
+#define fo_adaptive_retunable_init FO_NAME(fo_adaptive_retunable_init_asymmetric)
+#define fo_adaptive_retune FO_NAME(fo_adaptive_retune_asymmetric)
+#define fo_adaptive_take FO_NAME(fo_adaptive_take_asymmetric)
+#else
+#define fo_adaptive_retunable FO_NAME(fo_adaptive_retunable)
+#define fo_adaptive_retunable_init FO_NAME(fo_adaptive_retunable_init)
+#define fo_adaptive_retune FO_NAME(fo_adaptive_retune)
+#define fo_adaptive_take FO_NAME(fo_adaptive_take)
+#endif
+
+/* Keeps the order of memory accesses around it, for other cores too. */
+#ifndef FO_BARRIER
+#if defined(__GNUC__)
+#define FO_BARRIER() __atomic_thread_fence(__ATOMIC_SEQ_CST)
+#else
+#error "define FO_BARRIER for this compiler: a full memory barrier"
+#endif
+#endif
+
+/* ---- another configuration --------------------------------------------------------------- */
+
+/* The observer in use, and room for its successor. Treat it as opaque. */
+typedef struct {
+    fo_observer both[2];
+    volatile uint32_t active; /* only the interrupt writes it   */
+    volatile uint32_t ready;  /* only the task writes it        */
+} fo_retunable;
+
+/* Before the interrupt runs. `first` may be an export's observer. */
+void fo_retunable_init(fo_retunable *retunable, const fo_observer *first);
+
+/* In a task: prepares another configuration. Sample time, memory and flux base have to be those of
+ * the observer in use, since the state is in their units. FO_ERROR_BUSY: the interrupt has not yet
+ * taken the last one. */
+fo_error fo_retune(fo_retunable *retunable, const fo_config *config);
+
+/* In the interrupt, before its step: the observer to use from now on. */
+const fo_observer *fo_take(fo_retunable *retunable);
+
+#if FO_ADAPTIVE
+/* The same for the adaptive observer. What it has learnt stays true: where the assumed value moves,
+ * the error that it has found moves the other way. Standard deviations have to stay. */
+typedef struct {
+    fo_adaptive both[2];
+    volatile uint32_t active;
+    volatile uint32_t ready;
+} fo_adaptive_retunable;
+
+void fo_adaptive_retunable_init(fo_adaptive_retunable *retunable, const fo_adaptive *first);
+fo_error fo_adaptive_retune(fo_adaptive_retunable *retunable, const fo_config *config,
+                            const fo_adaptive_config *adaptive);
+const fo_adaptive *fo_adaptive_take(fo_adaptive_retunable *retunable, fo_adaptive_state *state);
+#endif
+
+/* ---- an estimate for slower tasks -------------------------------------------------------- */
+
+/* An estimate that the interrupt writes and tasks read. Zero it before use. */
+typedef struct {
+    fo_estimate estimate;
+    volatile uint32_t begun, ended; /* how often it has been written */
+} fo_snapshot;
+
+/* In the interrupt, after its step. */
+void fo_publish(fo_snapshot *snapshot, const fo_estimate *estimate);
+
+/* In a task: copies the last estimate whole. Returns false if there is none yet, or if interrupts
+ * came in between four times. */
+bool fo_read(const fo_snapshot *snapshot, fo_estimate *estimate);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

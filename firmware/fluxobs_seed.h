@@ -1,0 +1,60 @@
+/* fluxobs, a start from a known angle: from Hall sensors, an alignment, high-frequency injection, an
+ * encoder that is about to be left, another observer.
+ *
+ * SPDX-License-Identifier: MIT
+ */
+#ifndef FLUXOBS_SEED_H
+#define FLUXOBS_SEED_H
+
+#include "fluxobs_real.h"
+
+#if FO_ADAPTIVE
+#include "fluxobs_adaptive.h"
+#else
+#include "fluxobs.h"
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define fo_seed FO_NAME(fo_seed)
+#define fo_seed_state FO_NAME(fo_seed_state)
+#if FO_ASYMMETRIC
+#define fo_adaptive_seed_state FO_NAME(fo_adaptive_seed_state_asymmetric)
+#else
+#define fo_adaptive_seed_state FO_NAME(fo_adaptive_seed_state)
+#endif
+
+/* What is known at the present current sample. */
+#define FO_SEED_FIELDS(NUMBER)                                                                    \
+    NUMBER(theta_e)     /* in (-pi, pi] [rad]                                                 */ \
+    NUMBER(theta_e_std) /* of Hall sensors 0.3, a sector over the root of 12 [rad]            */ \
+    NUMBER(speed_e)     /* electrical [rad/s]; 0 at rest                                      */ \
+    NUMBER(psi_f)       /* magnet flux, or active flux: negative where the position vector    */ \
+                        /* points backwards; 0: the flux base [Wb]                            */ \
+    NUMBER(psi_f_std)   /* 0: a quarter of it [Wb]                                            */
+
+typedef struct {
+    FO_SEED_FIELDS(FO_NUMBER_FIELD)
+} fo_seed;
+
+/* Resets the state, and starts it at this angle and current [A]. The angle is carried on from here,
+ * with a growing standard deviation, until the least squares know better: about half a turn, in
+ * place of a whole one. `valid` has to be earned as ever: an angle that was wrong is corrected. Do
+ * not call it while an interrupt may step the same state. */
+void fo_seed_state(const fo_observer *observer, fo_state *state, const fo_seed *seed,
+                   const fo_real current[FO_N]);
+
+#if FO_ADAPTIVE
+/* The same for the adaptive observer, whose filter runs from the first sample. What it has learnt
+ * is kept. Start from fo_adaptive_reset, or from a state that has run. */
+void fo_adaptive_seed_state(const fo_adaptive *observer, fo_adaptive_state *state,
+                            const fo_seed *seed, const fo_real current[FO_N]);
+#endif
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,39 @@
+"""The parameters as bytes, which fo_unpack reads: another motor without reflashing."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import Any
+
+import numpy as np
+
+from .. import _core
+from ..observers import AdaptiveObserver
+from .header import Exported, plain, std_of
+
+#: What a blob is of, as firmware/fluxobs_keep.c has it.
+PLAIN, ADAPTIVE = 1, 2
+
+
+def blob(observer: Exported) -> bytes:
+    """What fo_pack, or fo_adaptive_pack, writes for an export of this observer.
+
+    A flux map is not in it.
+    """
+    single = plain(observer).precision == "single"
+    numbers = _flat(plain(observer).parameters())
+    kind, asymmetric = PLAIN, 0
+    if isinstance(observer, AdaptiveObserver):
+        kind, asymmetric = ADAPTIVE, int(observer.asymmetry_std > 0)
+        more = observer.parameters()
+        numbers += _flat(more | {"std": std_of(observer)})
+    size = 4 if single else 8
+    body = np.array(numbers, f"<f{size}").tobytes()
+    length = 12 + len(body) + 4
+    head = struct.pack("<2sHBBHI", b"FO", _core.layout, kind, size, asymmetric, length)
+    return head + body + struct.pack("<I", zlib.crc32(head + body))
+
+
+def _flat(parameters: dict[str, Any]) -> list[float]:
+    return [float(x) for value in parameters.values() for x in np.ravel(value)]

@@ -1,0 +1,116 @@
+/* In an exported folder: the blob beside it is the observer in the source, packing is undone by
+ * unpacking, any damaged byte is seen, and what was learnt comes back. Arguments: the blob. */
+#include <stdio.h>
+#include <string.h>
+
+#include "fluxobs_keep.h"
+#include "motor_observer.h"
+#include "vectors.h"
+
+static int failures = 0;
+
+static void demand_that(bool good, const char *what)
+{
+    if (!good) {
+        printf("%s\n", what);
+        failures++;
+    }
+}
+
+#ifdef ADAPTIVE
+#define OBSERVER fo_adaptive
+#define PACK fo_adaptive_pack
+#define UNPACK fo_adaptive_unpack
+#define BYTES FO_ADAPTIVE_PACKED_BYTES
+#define PLAIN_OF(o) (&(o).plain)
+#else
+#define OBSERVER fo_observer
+#define PACK fo_pack
+#define UNPACK fo_unpack
+#define BYTES FO_PACKED_BYTES
+#define PLAIN_OF(o) (&(o))
+#endif
+
+static uint8_t blob[4096], again[4096];
+
+static void check_parameters(const char *path)
+{
+    static OBSERVER read;
+    FILE *file = fopen(path, "rb");
+    const uint32_t length = file ? (uint32_t)fread(blob, 1, sizeof blob, file) : 0;
+    demand_that(length == BYTES, "the blob has another length");
+    demand_that(UNPACK(&read, blob, length) == FO_OK, "the blob is refused");
+#if FO_MAPPED
+    PLAIN_OF(read)->map = PLAIN_OF(motor_observer)->map;
+#endif
+    demand_that(memcmp(&read, &motor_observer, sizeof read) == 0, "other numbers than in the source");
+    PACK(&motor_observer, again);
+    demand_that(memcmp(blob, again, BYTES) == 0, "packing writes other bytes");
+    for (uint32_t n = 0; n < BYTES; n++) {
+        const OBSERVER before = read;
+        blob[n] ^= 0x10U;
+        demand_that(UNPACK(&read, blob, length) == FO_ERROR_DAMAGED, "damage is not seen");
+        demand_that(memcmp(&read, &before, sizeof read) == 0, "a refused blob was read");
+        blob[n] ^= 0x10U;
+    }
+    for (uint32_t n = 0; n < BYTES; n++) {
+        demand_that(UNPACK(&read, blob, n) == FO_ERROR_DAMAGED, "a part is taken for a whole");
+    }
+    if (file) {
+        fclose(file);
+    }
+}
+
+#ifdef ADAPTIVE
+static void check_learnt(void)
+{
+    static fo_adaptive_state state, restored;
+    static fo_adaptive other;
+    fo_adaptive_estimate e;
+    fo_learnt before, after;
+    const fo_real warm = (fo_real)0.2 * motor_observer.std[FO_RESISTANCE];
+    fo_adaptive_reset(&motor_observer, &state);
+    for (int k = 0; k < SAMPLES; k++) {
+        fo_adaptive_step(&motor_observer, &state, &samples[k][0], &samples[k][2], &e);
+    }
+    fo_adaptive_learnt(&motor_observer, &state, &before);
+    demand_that(before.resistance_std < motor_observer.std[FO_RESISTANCE], "nothing was learnt");
+    fo_adaptive_save(&motor_observer, &state, blob);
+    demand_that(fo_adaptive_restore(&motor_observer, &restored, blob, FO_SAVED_BYTES, 0) == FO_OK,
+                "what was saved is refused");
+    fo_adaptive_learnt(&motor_observer, &restored, &after);
+    demand_that(memcmp(&before, &after, sizeof before) == 0, "what was learnt is not restored");
+    fo_adaptive_restore(&motor_observer, &restored, blob, FO_SAVED_BYTES, warm);
+    fo_adaptive_learnt(&motor_observer, &restored, &after);
+    const fo_real wanted = before.resistance_std * before.resistance_std + warm * warm;
+    const fo_real found = after.resistance_std * after.resistance_std;
+    demand_that(found > (fo_real)0.999 * wanted && found < (fo_real)1.001 * wanted,
+                "heat does not widen the resistance");
+    for (uint32_t n = 0; n < FO_SAVED_BYTES; n++) {
+        blob[n] ^= 0x04U;
+        demand_that(fo_adaptive_restore(&motor_observer, &restored, blob, FO_SAVED_BYTES, 0) ==
+                        FO_ERROR_DAMAGED,
+                    "damage of what was learnt is not seen");
+        blob[n] ^= 0x04U;
+    }
+    fo_adaptive_learnt(&motor_observer, &restored, &after);
+    demand_that(after.resistance_error == 0 && after.resistance_std > before.resistance_std,
+                "a refused save has left something");
+    other = motor_observer;
+    other.volt *= (fo_real)1.0625;
+    demand_that(fo_adaptive_restore(&other, &restored, blob, FO_SAVED_BYTES, 0) == FO_ERROR_OTHER,
+                "another machine takes it");
+}
+#endif
+
+int main(int count, char **given)
+{
+    if (count != 2) {
+        return 2;
+    }
+    check_parameters(given[1]);
+#ifdef ADAPTIVE
+    check_learnt();
+#endif
+    return failures > 0 ? 1 : 0;
+}

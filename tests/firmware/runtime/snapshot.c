@@ -1,0 +1,47 @@
+/* A thread that writes estimates as an interrupt does, one that reads them: never a mixture. */
+#include <pthread.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "fluxobs_retune.h"
+
+enum { WRITES = 3000000 };
+static fo_snapshot shared;
+static volatile bool done;
+
+static void *interrupt(void *none)
+{
+    fo_estimate e;
+    memset(&e, 0, sizeof e);
+    for (int k = 1; k <= WRITES; k++) {
+        const fo_real x = (fo_real)(k % 1000);
+        e.flux[0] = e.flux[1] = e.psi_f = e.theta_e = e.speed_e = e.theta_e_std = e.noise_share = x;
+        fo_publish(&shared, &e);
+    }
+    done = true;
+    return none;
+}
+
+int main(void)
+{
+    pthread_t thread;
+    fo_estimate e;
+    long reads = 0, mixtures = 0;
+    if (fo_read(&shared, &e)) {
+        printf("there is an estimate before the first\n");
+        return 1;
+    }
+    pthread_create(&thread, NULL, interrupt, NULL);
+    while (!done) {
+        if (fo_read(&shared, &e)) {
+            const fo_real x = e.flux[0];
+            reads++;
+            mixtures += e.flux[1] != x || e.psi_f != x || e.theta_e != x || e.speed_e != x ||
+                        e.theta_e_std != x || e.noise_share != x;
+        }
+    }
+    pthread_join(thread, NULL);
+    const bool last = fo_read(&shared, &e) && e.psi_f == (fo_real)(WRITES % 1000);
+    printf("%ld reads, %ld mixtures\n", reads, mixtures);
+    return reads > 0 && mixtures == 0 && last ? 0 : 1;
+}

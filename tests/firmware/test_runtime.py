@@ -1,0 +1,174 @@
+"""What a firmware uses at run time: configuration, changes, blobs, snapshots, the C++ header."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fluxobs
+from fluxobs import _core
+from fluxobs.machines import InductionMachine, SynchronousReluctance, example
+from fluxobs.observers import AdaptiveObserver, LeastSquaresObserver
+from support.firmware import FIRMWARE, HARNESS, STRICT
+from support.records import MACHINES
+
+RUNTIME = HARNESS / "runtime"
+ADAPTIVE = "drift,resistance,inverter"
+ALL = ("drift", "resistance", "inverter", "asymmetry")
+
+
+def built(folder: Path, source: str, *flags: object) -> Path:
+    """A harness with all sources of the firmware."""
+    program = folder / Path(source).stem
+    sources = [RUNTIME / source, *sorted(FIRMWARE.glob("*.c"))]
+    command = ["gcc", *STRICT, *flags, f"-I{FIRMWARE}", *sources, "-lm"]
+    subprocess.run([*map(str, command), "-o", str(program)], check=True)
+    return program
+
+
+@pytest.fixture(scope="module")
+def configure(tmp_path_factory):
+    return built(tmp_path_factory.mktemp("configure"), "configure.c")
+
+
+def kind_of(machine):
+    if isinstance(machine, SynchronousReluctance):
+        return 2
+    if isinstance(machine, InductionMachine):
+        return 3
+    return 0 if machine.L_dq[0] == machine.L_dq[1] else 1
+
+
+def printed(program, machine, sample_time, dc_link):
+    L_d, L_q = machine.L_dq
+    speed = machine.n_p * machine.rated_speed if machine.rated_speed else 0.0
+    psi = machine.psi_R if kind_of(machine) == 3 else machine.magnet_flux
+    given = [machine.R_s, L_d, L_q, psi or 0.0, getattr(machine, "R_R", 0.0)]
+    given += [getattr(machine, "L_M", 0.0), machine.rated_current, speed, sample_time, dc_link]
+    command = [str(program), str(kind_of(machine)), *map(repr, given)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    lines = [line.split() for line in done.stdout.splitlines()]
+    return {name: [float.fromhex(x) for x in numbers] for name, *numbers in lines}
+
+
+UNSATURATED = ["servo-400w", "drone-900kv", "pmsm-2kw2", "ipm-2kw2", "synrm-6kw7", "induction-2kw2"]
+
+
+@pytest.mark.parametrize("sample_time", [2e-5, 1e-4, 2e-4])
+@pytest.mark.parametrize("name", UNSATURATED)
+def test_a_machine_in_c_is_the_one_in_python(configure, name, sample_time):
+    """The same bits: what is chosen, the map, and the adaptive observer's standard deviations."""
+    machine, dc_link = example(name), 300.0
+    assert machine.saturation is None
+    found = printed(configure, machine, sample_time, dc_link)
+    plain = LeastSquaresObserver.for_machine(machine, sample_time=sample_time)
+    adaptive = AdaptiveObserver.for_machine(
+        machine, sample_time=sample_time, unknowns=ALL, dc_link=dc_link
+    )
+    expected = adaptive.plain.parameters() | adaptive.parameters()
+    expected.pop("projection")
+    shares = expected.pop("std")  # from shares and back in Python: one unit in the last place
+    assert found.pop("std") == pytest.approx(shares, rel=1e-15)
+    for field, value in expected.items():
+        assert found.pop(field) == np.ravel(value).tolist(), field
+    fields = {} if plain.flux_map is None else plain.flux_map.core()
+    kept = {f"map_{field}": value for field, value in fields.items()}
+    assert found.keys() <= kept.keys()
+    assert bool(found) == (plain.flux_map is not None)
+    for field, value in found.items():
+        assert value == pytest.approx([kept[field]], rel=1e-15), field
+
+
+@pytest.mark.parametrize("precision", [0, 1])
+def test_the_wrong_field_is_named(tmp_path, precision):
+    program = built(tmp_path, "wrong.c", f"-DFO_SINGLE={precision}")
+    done = subprocess.run([program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_library_names_the_wrong_field():
+    observer = LeastSquaresObserver.for_machine(MACHINES["servo-400w"], sample_time=1e-4)
+    with pytest.raises(fluxobs.FluxobsError, match="R: sizes do not fit"):
+        LeastSquaresObserver(
+            **{
+                name: getattr(observer, name)
+                for name in observer.__dataclass_fields__
+                if name not in ("_core", "R")
+            },
+            R=1e9 * observer.R,
+        )
+
+
+@pytest.fixture(scope="module", params=["drift", ADAPTIVE, f"{ADAPTIVE},asymmetry"])
+def folder(request, tmp_path_factory):
+    made = tmp_path_factory.mktemp("runtime") / "motor"
+    fluxobs.export(MACHINES["servo-400w"], 1e-4, made, unknowns=request.param)
+    return made
+
+
+def run_in(folder: Path, source: str, *arguments: object, flags: tuple[str, ...] = ()) -> str:
+    """Compile a harness with everything in an exported folder, and run it."""
+    program = folder.parent / Path(source).stem
+    sources = [RUNTIME / source, *folder.glob("*obs*.c"), *(folder / "runtime").glob("*.c")]
+    includes = [f"-I{folder}", f"-I{folder / 'runtime'}", f"-I{folder / 'test'}"]
+    kind = ["-DADAPTIVE"] if (folder / "fluxobs_adaptive.h").exists() else []
+    command = ["gcc", *STRICT, *kind, *flags, *includes, *sources, "-lm", "-pthread"]
+    subprocess.run([*map(str, command), "-o", str(program)], check=True)
+    command = [str(program), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    return done.stdout
+
+
+def test_blobs_come_back_and_damage_is_seen(folder):
+    run_in(folder, "keep.c", folder / "motor_parameters.bin")
+
+
+def test_another_configuration_in_the_drive(folder):
+    machine = MACHINES["servo-400w"]
+    numbers = {
+        "MOTOR_R": machine.R_s,
+        "MOTOR_L": machine.L_s,
+        "MOTOR_PSI": machine.psi_f,
+        "MOTOR_I": machine.rated_current,
+    }
+    run_in(folder, "retune.c", flags=tuple(f"-D{name}={x!r}" for name, x in numbers.items()))
+
+
+def test_an_estimate_is_read_whole(folder):
+    run_in(folder, "snapshot.c", flags=("-O2",))
+
+
+def test_the_layout_has_a_number_of_its_own():
+    """Whoever adds a field to an observer gives FO_LAYOUT in fluxobs_keep.h another number, and
+    writes the names here: blobs of earlier versions are refused then."""
+    plain = list(_core.meanings)
+    more = list(_core.adaptive_meanings)
+    assert (_core.layout, len(plain), len(more)) == (1, 24, 12)
+    assert plain[:4] == ["Q1x2", "E", "row_Q2", "row_Q3"]
+    assert plain[-3:] == ["position_noise", "sample_time", "track"]
+    assert more[-3:] == ["unmodelled", "slow", "projection"]
+
+
+@pytest.mark.parametrize("compiler", ["g++", "clang++"])
+@pytest.mark.parametrize("standard", ["gnu++11", "c++20"])
+def test_the_cpp_header_steps_the_same_observer(folder, compiler, standard):
+    if shutil.which(compiler) is None:
+        pytest.skip(f"{compiler} is missing")
+    program = folder.parent / f"{compiler}-{standard}"
+    c_sources = [*folder.glob("*obs*.c"), *(folder / "runtime").glob("*.c")]
+    includes = [f"-I{folder}", f"-I{folder / 'runtime'}", f"-I{folder / 'test'}"]
+    kind = ["-DADAPTIVE"] if (folder / "fluxobs_adaptive.h").exists() else []
+    objects = []
+    for source in c_sources:
+        objects.append(folder.parent / f"{source.stem}.o")
+        command = ["gcc", *STRICT, *includes, "-c", source, "-o", objects[-1]]
+        subprocess.run(list(map(str, command)), check=True)
+    flags = [f"-std={standard}", "-O1", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
+    flags += ["-fno-exceptions", "-fno-rtti", *kind, *includes]
+    command = [compiler, *flags, RUNTIME / "wrapper.cpp", *objects, "-o", program]
+    subprocess.run(list(map(str, command)), check=True)
+    done = subprocess.run([program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
