@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from fluxobs.web.columns import as_text
+from libraries import libraries
 from translate import program
 
 WEB = Path(__file__).parent
@@ -183,6 +184,8 @@ def main() -> None:
     shared = {"worker": code.encode("utf-8"), "style": style.encode("utf-8")}
     write("page", shared | {"wasm": wasm(), "demo": demo()})
     write("report", shared | {"wasm": wasm()})
+    listed = json.dumps(libraries(), indent=1, ensure_ascii=False) + "\n"
+    (PACKAGE / "web" / "libraries.json").write_text(listed, "utf-8")
 
 
 def write(name: str, parts: dict[str, bytes]) -> None:
