@@ -1,22 +1,33 @@
-"""An installed wheel works outside the source tree and carries the firmware sources."""
+"""What is released: nothing but what belongs there, equal for equal sources, and it works alone."""
 
+import json
+import os
 import subprocess
 import sys
+import sysconfig
+import tarfile
+import time
+import tomllib
 import venv
 import zipfile
-from importlib import metadata, resources
+from importlib import machinery, resources
 from pathlib import Path
 
 import pytest
+from cyclonedx.schema import SchemaVersion
+from cyclonedx.validation.json import JsonStrictValidator
 
-ROOT = Path(__file__).parent.parent
-#: The page, which git does not have, is in a wheel if it was built.
-BUILT = ROOT / "src" / "fluxobs" / "web" / "page.html"
+from support.distributions import EPOCH, build, unpacked
 
-
-#: Code, its types, templates of exports, logs and machines that are shipped, licence.
-KINDS = {".py", ".pyi", ".typed", ".so", ".pyd", ".c", ".h", ".toml", ".csv", ".json", ".html"}
-KINDS |= {".md", ".mjs", ".m", ".ino", ".properties", ".js", ".css", ""}
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+NAMED = f"fluxobs-{PROJECT['project']['version']}"
+#: Built by `make page`; a release has them if they are there.
+PAGE = {
+    "src/fluxobs/web/page.html",
+    "src/fluxobs/web/report.html",
+    "src/fluxobs/web/libraries.json",
+}
 
 
 def test_firmware_sources_are_package_data():
@@ -27,49 +38,116 @@ def test_firmware_sources_are_package_data():
         assert (folder / source.name).read_bytes() == source.read_bytes()
 
 
-def check_contents(wheel):
-    """What the package needs, and nothing else."""
-    with zipfile.ZipFile(wheel) as archive:
-        names = archive.namelist()
-    top = {name.split("/")[0] for name in names}
-    assert top == {"fluxobs", f"fluxobs-{metadata.version('fluxobs')}.dist-info"}
-    assert not [name for name in names if "__pycache__" in name or "/." in name]
-    inside = {name for name in names if name.startswith("fluxobs/")}
-    kinds = {Path(name).suffix for name in inside}
-    assert kinds <= KINDS, kinds - KINDS
-    for path in (ROOT / "src" / "fluxobs" / "deployment" / "templates").rglob("*.*"):
-        assert path.relative_to(ROOT / "src").as_posix() in inside
+def in_sdist(sdist):
+    with tarfile.open(sdist) as archive:
+        assert all(member.isfile() for member in archive.getmembers())
+        names = archive.getnames()
+    assert {name.split("/")[0] for name in names} == {NAMED}
+    return {name.partition("/")[2] for name in names}
 
 
 @pytest.mark.slow
-def test_wheel_in_a_fresh_environment(tmp_path):
-    """Builds the wheel, installs it without its dependencies, borrows those of this environment."""
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel", "--no-deps"]
-    subprocess.run(
-        [*pip, "-q", "-w", tmp_path, ROOT], check=True, cwd=tmp_path, capture_output=True
+def test_an_sdist_holds_what_git_holds(built):
+    """And the page, and its own metadata."""
+    git = ["git", "-C", ROOT, "ls-files", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.run(git, capture_output=True, text=True)
+    if listed.returncode != 0:
+        pytest.skip("no repository here")
+    kept = {
+        name
+        for name in listed.stdout.splitlines()
+        if (ROOT / name).exists()
+        and not name.startswith(tuple(PROJECT["tool"]["scikit-build"]["sdist"]["exclude"]))
+    }
+    page = {name for name in PAGE if (ROOT / name).exists()}
+    assert in_sdist(built.sdist) == kept | page | {"PKG-INFO"}
+
+
+@pytest.mark.slow
+def test_a_wheel_holds_the_package_and_nothing_else(built):
+    sources = in_sdist(built.sdist)
+    with zipfile.ZipFile(built.wheel) as archive:
+        names = set(archive.namelist())
+        compiled = {name for name in names if name.endswith(tuple(machinery.EXTENSION_SUFFIXES))}
+        binaries = b"".join(archive.read(name) for name in compiled)
+        bill = archive.read(f"{NAMED}.dist-info/sboms/fluxobs.cdx.json").decode()
+        dates = {entry.date_time for entry in archive.infolist()}
+    package = {name.removeprefix("src/") for name in sources if name.startswith("src/fluxobs/")}
+    package -= {"fluxobs/web/libraries.json"}
+    firmware = {f"fluxobs/{name}" for name in sources if name.startswith("firmware/")}
+    about = ("METADATA", "RECORD", "WHEEL", "entry_points.txt", "licenses/LICENSE")
+    about += ("sboms/fluxobs.cdx.json",)
+    assert names - compiled == (
+        package
+        | firmware
+        | {"fluxobs/firmware/LICENSE"}
+        | {f"{NAMED}.dist-info/{name}" for name in about}
     )
-    (wheel,) = tmp_path.glob("fluxobs-*.whl")
-    check_contents(wheel)
+    assert {name.split(".")[0] for name in compiled} == {"fluxobs/_core", "fluxobs/_core_single"}
+    # Nothing of the computer that built it, and no time but the release's.
+    for place in (str(ROOT), str(built.wheel.parents[1]), str(Path.home()), sys.prefix, "/tmp/"):
+        assert place.encode() not in binaries, place
+    assert dates == {time.gmtime(EPOCH)[:6]}
+    check_bill(bill, page=sources >= PAGE)
+
+
+def check_bill(text, page):
+    """It is CycloneDX, and names all that is linked or bundled, with versions and licences."""
+    problem = JsonStrictValidator(SchemaVersion.V1_6).validate_str(text)
+    assert problem is None, problem
+    parts = {one["name"]: one for one in json.loads(text)["components"]}
+    wanted = {"nanobind", "robin-map"}
+    if page:
+        lock = json.loads((ROOT / "web" / "package-lock.json").read_text("utf-8"))["packages"]
+        for name in json.loads((ROOT / "web" / "package.json").read_text("utf-8"))["dependencies"]:
+            assert parts[name]["version"] == lock[f"node_modules/{name}"]["version"]
+            wanted.add(name)
+        wanted |= {"wasi-libc", "compiler-rt"}
+    assert set(parts) == wanted
+    for name in wanted - {"wasi-libc", "compiler-rt"}:
+        assert "opyright" in parts[name]["licenses"][0]["license"]["text"]["content"]
+    assert all(one.get("version") for name, one in parts.items() if name != "wasi-libc")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="a shell script stands in for git")
+def test_builds_are_equal_byte_for_byte_and_need_no_git(built, tmp_path):
+    """From the unpacked sdist, elsewhere, later, with other permissions, outside any repository."""
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    (tools / "git").write_text(f"#!/bin/sh\ntouch {tmp_path}/called\nexit 1\n")
+    (tools / "git").chmod(0o755)
+    folder = unpacked(built.sdist, tmp_path / "a folder with another and longer name")
+    path = os.pathsep.join([str(tools), os.environ["PATH"]])
+    again = build(folder, tmp_path / "dist", path=path, umask=0o077)
+    assert not (tmp_path / "called").exists(), "the build asks git"
+    assert again.sdist.read_bytes() == built.sdist.read_bytes()
+    assert again.wheel.name == built.wheel.name
+    assert again.wheel.read_bytes() == built.wheel.read_bytes()
+
+
+@pytest.mark.slow
+def test_a_wheel_in_a_fresh_environment(built, tmp_path):
+    """Installed without its dependencies, with those of this environment borrowed; no compiler."""
     venv.create(tmp_path / "env", with_pip=False)
-    python = tmp_path / "env" / "bin" / "python"
+    programs = tmp_path / "env" / ("Scripts" if os.name == "nt" else "bin")
+    python = next(programs.glob("python*"))
     install = [sys.executable, "-m", "pip", "--python", python, "install", "-q", "--no-deps"]
-    subprocess.run([*install, wheel], check=True, cwd=tmp_path)
-    here = subprocess.run(
-        [sys.executable, "-c", "import polars, sysconfig; print(sysconfig.get_path('purelib'))"],
-        check=True,
-        capture_output=True,
-        text=True,
-    ).stdout.strip()
-    site = next((tmp_path / "env").glob("lib/python*/site-packages"))
-    (site / "borrowed.pth").write_text(here + "\n")
+    subprocess.run([*install, built.wheel], check=True, cwd=tmp_path)
+    asked = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    site = subprocess.run([python, "-c", asked], check=True, capture_output=True, text=True)
+    borrowed = Path(site.stdout.strip()) / "borrowed.pth"
+    borrowed.write_text(sysconfig.get_path("purelib") + "\n")
+    variables = os.environ | {"PATH": str(programs)}
+    page = (ROOT / "src" / "fluxobs" / "web" / "page.html").is_file()
     script = (
         "import fluxobs, fluxobs._core as core, pathlib, importlib.resources as r\n"
         f"assert pathlib.Path(core.__file__).is_relative_to({str(tmp_path)!r}), core.__file__\n"
         "assert (r.files('fluxobs') / 'firmware' / 'fluxobs.c').is_file()\n"
-        f"assert (r.files('fluxobs') / 'web' / 'page.html').is_file() == {BUILT.is_file()}\n"
-        "from fluxobs.cli import main\n"
-        "import sys; sys.argv = ['fluxobs', 'demo', '--out', 'results']; main()\n"
+        f"assert (r.files('fluxobs') / 'web' / 'page.html').is_file() == {page}\n"
     )
-    done = subprocess.run([python, "-c", script], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    demo = [programs / "fluxobs", "demo", "--out", "results"]
+    for command in ([python, "-c", script], demo):
+        done = subprocess.run(command, cwd=tmp_path, env=variables, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
     assert (tmp_path / "results" / "report.png").exists()
