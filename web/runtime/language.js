@@ -1234,6 +1234,7 @@ const $strings = {
   },
   isdigit: (s) => /^\p{Nd}+$/u.test(s),
   isalpha: (s) => /^\p{L}+$/u.test(s),
+  isprintable: (s) => !/[\p{C}\p{Zl}\p{Zp}]/u.test(s),
   isspace: (s) => /^\s+$/u.test(s),
   encode: (s, encoding = "utf-8") => $encoded(s, encoding),
   translate: (s, d) => [...s].map((c) => (d.has(c) ? d.get(c) : c)).join(""),

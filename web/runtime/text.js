@@ -223,6 +223,10 @@ $module("fluxobs.output", ($m) =>
   Object.assign($m, { ahead: (parts) => parts, check_new: () => null, write_text: () => null }),
 );
 $module("fluxobs.html", () => {});
+// A page sees no files but its own.
+$module("fluxobs.named", ($m) =>
+  Object.assign($m, { beside: (folder, name) => $div(folder, name) }),
+);
 
 // Formats whose libraries have no counterpart here.
 for (const name of ["polars_files", "mdf", "mat", "hdf5", "tdms", "ulog", "excel"])

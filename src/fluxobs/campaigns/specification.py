@@ -15,7 +15,8 @@ import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, WrapValidator, model_validator
 
 from ..errors import FluxobsError, UsageError
-from ..machines import as_machine, rotating
+from ..machines import as_machine, example_names, rotating
+from ..named import beside
 from ..validation import NotNegative, Number, Positive, Table, complaints, nearest
 from .distributions import Distribution, Given, correlator
 from .quantities import PARAMETERS, QUANTITIES, TOGETHER
@@ -222,7 +223,7 @@ class Specification(Table):
     ----------
     name : str
     machines : list of str
-        Shipped machines, or machine files (relative to the specification).
+        Shipped machines, or machine files (in a specification's file: beside it, or below).
     scenarios : int
         Of each machine.
     seed : int
@@ -352,12 +353,13 @@ def hashed(text: str) -> str:
 
 
 def read_specification(path: str | Path) -> Specification:
-    """A specification from a TOML file; its machine files are looked up beside it.
+    """A specification from a TOML file; its machine files lie beside it, or in folders below.
 
     Raises
     ------
     FluxobsError
-        The file cannot be read, is not TOML, or something in it is unknown or impossible.
+        The file cannot be read, is not TOML, something in it is unknown or impossible, or a machine
+        file lies elsewhere.
     """
     path = Path(path)
     try:
@@ -367,22 +369,23 @@ def read_specification(path: str | Path) -> Specification:
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise FluxobsError(f"{path}: not TOML: {error}") from None
     machines = given.get("machines")
-    if isinstance(machines, list):
-        given["machines"] = [_beside(path, one) for one in machines]
     limits = given.get("limits")
-    for limit in limits if isinstance(limits, list) else []:
-        if isinstance(limit, dict) and "machine" in limit:
-            limit["machine"] = _beside(path, limit["machine"])
     try:
+        if isinstance(machines, list):
+            given["machines"] = [_found(path.parent, one, "machines") for one in machines]
+        for limit in limits if isinstance(limits, list) else []:
+            if isinstance(limit, dict) and "machine" in limit:
+                limit["machine"] = _found(path.parent, limit["machine"], "limits: machine")
         return Specification(**given)
-    except UsageError as error:
+    except FluxobsError as error:
         raise FluxobsError(f"{path}: {error}") from None
 
 
-def _beside(path: Path, machine: Any) -> Any:
-    if isinstance(machine, str) and machine.endswith(".toml"):
-        return str((path.parent / machine).resolve())
-    return machine
+def _found(folder: Path, machine: Any, field: str) -> Any:
+    """A shipped machine by its name, a machine file by its path."""
+    if not isinstance(machine, str) or machine in example_names():
+        return machine
+    return str(beside(folder, machine, field).resolve())
 
 
 def check(specification: Specification) -> None:

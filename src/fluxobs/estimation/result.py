@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import FluxobsError
 from ..machines import rotating
-from ..machines.written import machine_text, write_machine
+from ..machines.saving import write_machine
 from ..output import check_out, write_rows
 from ..validation import nearest
 from .explained import ExplainedRun
@@ -116,7 +116,7 @@ class Result(ExplainedRun):
                 raise FluxobsError(f"{path}: the log told no parameter; there is nothing to write")
             head = [f"Learnt from {self.log.path.name} by `fluxobs estimate`."]
             machine = rotating(self.machine_learnt)
-            write_machine(path, machine_text(machine, head, self.found), force)
+            write_machine(path, machine, head, self.found, force)
             return
         if path.suffix.lower() == HTML:
             from .report import write_report

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import FluxobsError
 from ..html import bullets, document, picture, table
-from ..machines.written import machine_text, write_machine
+from ..machines.saving import write_machine
 from ..output import check_out, write_text
 from ..plots import BLUE, FORMATS, GREY, HTML, ORANGE, STYLE, legend, new_figure
 from ..plots import write as save
@@ -73,12 +73,12 @@ def _as_given(found: Fitted) -> str:
     return f"as given but for {name}, which is fitted" if found.before.free else "as given"
 
 
-def toml(found: Fitted) -> str:
-    """The text of the machine file."""
+def _head(found: Fitted) -> list[str]:
+    """The first lines of the machine file."""
     head = [f"Identified from {found.source} by `fluxobs identify`."]
     if found.untold:
         head.append(f"The log did not tell {', '.join(found.untold)}: held as given.")
-    return machine_text(found.machine, head, found.found)
+    return head
 
 
 def write(found: Fitted, path: Path, force: bool) -> None:
@@ -94,7 +94,7 @@ def write(found: Fitted, path: Path, force: bool) -> None:
             raise FluxobsError(f"{path}: there is no map to write; identify with free = map")
         write_text(check_out(path, Path(found.source)), found.map.csv())
     else:
-        write_machine(path, toml(found), force)
+        write_machine(path, found.machine, _head(found), found.found, force)
 
 
 def html_of(found: Fitted) -> str:

@@ -9,8 +9,9 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
-from ..errors import RecordError
+from ..errors import FluxobsError, RecordError
 from ..model.frames import CURRENTS, FRAMES, VOLTAGES, Frame
+from ..named import beside
 from ..validation import Number, Positive, complaints, nearest
 from . import units
 
@@ -89,7 +90,7 @@ class Layout(BaseModel):
     note : str, optional
         What a reader of the result should know; it is printed.
     join : list of str
-        Further files with channels of the same run.
+        Further files with channels of the same run; in a record TOML beside it, or below.
     align : str
         How their times belong together: "time" (their stamps; default), "index" (row by row),
         "auto" (by what the files have in common).
@@ -187,7 +188,13 @@ def read_fields(path: str | Path) -> dict[str, Any]:
         raise RecordError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise RecordError(f"{path}: not TOML: {error}") from None
-    return fields_from(text, str(path))
+    fields = fields_from(text, str(path))
+    if "join" in fields:
+        try:
+            fields["join"] = [str(beside(path.parent, one, "join")) for one in fields["join"]]
+        except FluxobsError as error:
+            raise RecordError(f"{path}: {error}") from None
+    return fields
 
 
 def fields_from(text: str, where: str) -> dict[str, Any]:

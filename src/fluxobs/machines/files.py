@@ -8,7 +8,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from ..errors import MachineError
+from ..errors import FluxobsError, MachineError
+from ..named import beside
 from ..validation import nearest
 from .contract import Machine
 from .registry import KINDS
@@ -45,10 +46,13 @@ def machine_from(
 def read_machine(path: str | Path) -> Machine:
     """Machine from a TOML file, or one of the shipped examples by its name.
 
+    The table of its flux map lies beside the file, or in a folder below.
+
     Raises
     ------
     MachineError
-        There is no such file or example, it is not TOML, or its parameters are wrong.
+        There is no such file or example, it is not TOML, its parameters are wrong, or its table
+        lies elsewhere.
     """
     path = Path(path)
     if not path.exists() and not path.suffix and path.name in example_names():
@@ -68,6 +72,12 @@ def read_machine(path: str | Path) -> Machine:
         fields = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise MachineError(f"{path}: not TOML: {error}") from None
+    given = fields.get("flux_map")
+    if isinstance(given, str):
+        try:
+            beside(path.parent, given, "flux_map")
+        except FluxobsError as error:
+            raise MachineError(f"{path}: {error}") from None
     return machine_from(fields, source=str(path), folder=path.parent)
 
 

@@ -18,11 +18,16 @@ from .written import machine_text
 
 @dataclass(frozen=True)
 class New:
-    """A machine, the text of its file, and what was assumed for it."""
+    """A machine, the first lines of its file, and what was assumed for it."""
 
     machine: RotatingMachine
-    text: str
+    head: tuple[str, ...]
     assumed: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """Of its file."""
+        return machine_text(self.machine, self.head, {})
 
 
 def new_machine(kind: str, fields: Mapping[str, Any]) -> New:
@@ -67,8 +72,8 @@ def new_machine(kind: str, fields: Mapping[str, Any]) -> New:
     if machine.rated_current is None:
         assumed.append("rated_current is taken from each log; the firmware needs it")
     said = ", ".join(f"{name} = {value}" for name, value in fields.items())
-    head = [f"Written by `fluxobs machine new` from {said}.", *assumed]
-    return New(machine, machine_text(machine, head, {}), tuple(assumed))
+    head = (f"Written by `fluxobs machine new` from {said}.", *assumed)
+    return New(machine, head, tuple(assumed))
 
 
 def _check_inductance(kind: str, given: Mapping[str, Any]) -> None:

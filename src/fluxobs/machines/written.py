@@ -1,11 +1,9 @@
-"""Machine files with what a log told."""
+"""The text of machine files, with what a log told."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
-from ..output import check_new, write_text
 from .contract import Machine
 from .rotating import RotatingMachine
 
@@ -36,14 +34,23 @@ def with_found(
 
 
 def machine_text(
-    machine: Machine, head: Sequence[str], found: Mapping[str, tuple[float, float]]
+    machine: Machine,
+    head: Sequence[str],
+    found: Mapping[str, tuple[float, float]],
+    flux_map: str | None = None,
 ) -> str:
-    """The text of a machine file: comment lines, then a parameter a line, with what was found."""
-    rows = [*(f"# {line}" for line in head), f'kind = "{machine.kind}"']
+    """The text of a machine file: comment lines, then a parameter a line, with what was found.
+
+    `flux_map` is its value in TOML, if it is not to be as the machine has it.
+    """
+    rows = [*(f"# {_comment(line)}" for line in head), f'kind = "{machine.kind}"']
     values = {name: value for name, value in machine.parameters().items() if value is not None}
     stds = {name: values.pop(name) for name in list(values) if name.endswith("_std")}
     for name, value in values.items():
-        rows.append(f"{name} = {value!r}" if name != "flux_map" else f"{name} = {value.text()}")
+        if name != "flux_map":
+            rows.append(f"{name} = {value!r}")
+        else:
+            rows.append(f"{name} = {value.text() if flux_map is None else flux_map}")
         if name in found:
             rows[-1] += f"  # ± {found[name][1]:.2g} in this log"
         if f"{name}_std" in stds:
@@ -53,12 +60,6 @@ def machine_text(
     return "\n".join(rows) + "\n"
 
 
-def check_machine_file(out: Path, force: bool, option: str = "--out") -> None:
-    """Raise FluxobsError if a machine file cannot, or must not, be written."""
-    check_new(out, (".toml",), force, option)
-
-
-def write_machine(path: Path, text: str, force: bool) -> None:
-    """Write a machine file; FluxobsError if it exists and `force` is not given."""
-    check_machine_file(path, force)
-    write_text(path, text)
+def _comment(line: str) -> str:
+    """One line, whatever the name of a log that it quotes."""
+    return "".join(c if c.isprintable() else " " for c in line)

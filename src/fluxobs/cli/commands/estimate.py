@@ -169,7 +169,7 @@ def estimate(
     if save_record is not None:
         check_new(save_record, (".toml",), force, "--save-record")
     if save_machine is not None:
-        from ...machines.written import check_machine_file
+        from ...machines.saving import check_machine_file
 
         refuse_input_as_output(save_machine, log, layout.get("record"))
         check_machine_file(save_machine, force, "--save-machine")

@@ -67,7 +67,7 @@ def identify(
     Example: fluxobs identify LOG.csv --machine motor.toml --out found.toml --report fit.png
     """
     from ... import identify as run
-    from ...machines.written import check_machine_file
+    from ...machines.saving import check_machine_file
     from ...output import check_new
 
     paths = _paths(logs)

@@ -78,7 +78,7 @@ def new(
     """
     from ...machines.new import new_machine
     from ...machines.registry import KINDS
-    from ...machines.written import check_machine_file, write_machine
+    from ...machines.saving import check_machine_file, write_machine
     from ..options import pairs
 
     check_machine_file(out, force)
@@ -94,7 +94,7 @@ def new(
     if ask and kind in KINDS:
         _ask(kind, given)
     made = new_machine(kind, given)
-    write_machine(out, made.text, force)
+    write_machine(out, made.machine, made.head, {}, force)
     typer.echo(made.text, nl=False)
     for line in [*(["kind is surface-pmsm (--kind)"] if unasked else []), *made.assumed]:
         show.echo(f"Assumed: {line}.")

@@ -1,0 +1,54 @@
+"""Machine files are written, and the tables of their flux maps."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..output import check_new, write_text
+from .contract import Machine
+from .saturation import COLUMNS, FluxPoints
+from .written import machine_text
+
+
+def check_machine_file(out: Path, force: bool, option: str = "--out") -> None:
+    """Raise FluxobsError if a machine file cannot, or must not, be written."""
+    check_new(out, (".toml",), force, option)
+
+
+def write_machine(
+    path: Path,
+    machine: Machine,
+    head: Sequence[str],
+    found: Mapping[str, tuple[float, float]],
+    force: bool,
+) -> None:
+    """Write a machine file, and the table of its flux map beside it if that is not there already.
+
+    Raises
+    ------
+    FluxobsError
+        A file exists and `force` is not given, or cannot be written.
+    """
+    check_machine_file(path, force)
+    flux_map = None
+    if isinstance(points := getattr(machine, "flux_map", None), FluxPoints):
+        flux_map = json.dumps(_table(path, points, force), ensure_ascii=False)
+    write_text(path, machine_text(machine, head, found, flux_map))
+
+
+def _table(path: Path, points: FluxPoints, force: bool) -> str:
+    """Name of the table, as seen from the machine file."""
+    there, folder = Path(points.source).resolve(), path.parent.resolve()
+    if there.is_file() and there.is_relative_to(folder):
+        return there.relative_to(folder).as_posix()
+    copy = path.with_name(f"{path.stem}-map.csv")
+    check_new(copy, (".csv",), force)
+    i, psi = points.current, points.flux
+    rows = np.column_stack([i.real, i.imag, psi.real, psi.imag]).tolist()
+    lines = [COLUMNS, *(map(repr, row) for row in rows)]  # every digit
+    write_text(copy, "".join(",".join(line) + "\n" for line in lines))
+    return copy.name
