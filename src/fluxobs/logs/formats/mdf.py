@@ -11,6 +11,7 @@ import numpy as np
 
 from ...errors import RecordError
 from .extras import library
+from .formula import is_arithmetic
 from .table import BATCH, Columns, Said, Table
 
 #: Data types of numbers: integers and floats in both byte orders.
@@ -50,6 +51,8 @@ class MdfTable(Table):
         self, names: Sequence[str], first: int, last: int, size: int = BATCH
     ) -> Iterator[Columns]:
         channels = [(None, self._group, self._index[name]) for name in names]
+        for name in names:
+            self._check(name)
         for start in range(first, last, size):
             try:
                 parts = self._mdf.select(
@@ -68,6 +71,26 @@ class MdfTable(Table):
                 ) from None
             except Exception as error:  # asammdf raises many kinds for broken blocks
                 raise RecordError(f"{self.path}: damaged: {error!r}") from None
+
+    def _check(self, name: str) -> None:
+        """Raise RecordError if asammdf would have code evaluated for the channel."""
+        channel = self._mdf.groups[self._group].channels[self._index[name]]
+        for formula in _formulas(channel.conversion):
+            if not is_arithmetic(formula):
+                raise RecordError(
+                    f"{self.path}: channel {name} is converted by the formula {formula[:80]!r}, "
+                    f"which is not arithmetic of X1 alone; write its values without a formula"
+                )
+
+
+def _formulas(conversion: Any, depth: int = 0) -> Iterator[str]:
+    """The formulas of a conversion, and of those that it refers to."""
+    formula = getattr(conversion, "formula", None)
+    if formula:
+        yield formula.decode("latin-1") if isinstance(formula, bytes) else str(formula)
+    if depth < 8:  # a file may have them refer in a circle
+        for one in (getattr(conversion, "referenced_blocks", None) or {}).values():
+            yield from _formulas(one, depth + 1)
 
 
 def _split(group: Any) -> None:

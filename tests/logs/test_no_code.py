@@ -1,0 +1,184 @@
+"""A log is data: whatever its format can carry of code, reading it runs nothing."""
+
+import os
+import pickle
+
+import numpy as np
+import pytest
+
+from fluxobs import FluxobsError
+from fluxobs.logs import read_log
+from fluxobs.logs.formats.formula import is_arithmetic
+
+T = 1e-3 * np.arange(200)
+COLUMNS = {
+    "t": T,
+    "u_alpha": np.cos(T),
+    "u_beta": np.sin(T),
+    "i_alpha": np.cos(T),
+    "i_beta": np.sin(T),
+}
+
+
+class Trap:
+    """Makes a folder when it is unpickled."""
+
+    def __init__(self, mark):
+        self.mark = str(mark)
+
+    def __reduce__(self):
+        return os.mkdir, (self.mark,)
+
+
+@pytest.fixture
+def mark(tmp_path):
+    """What the trap makes; the trap works, and reading a log has not sprung it."""
+    path = tmp_path / "sprung"
+    pickle.loads(pickle.dumps(Trap(path)))
+    path.rmdir()
+    yield path
+    assert not path.exists()
+
+
+def trapped(mark):
+    return np.array([Trap(mark)] * len(T), dtype=object)
+
+
+def refused(path):
+    with pytest.raises(FluxobsError) as error:
+        read_log(path)
+    assert path.name in str(error.value)
+
+
+def test_an_array_of_objects(mark, tmp_path):
+    np.save(tmp_path / "log.npy", trapped(mark), allow_pickle=True)
+    refused(tmp_path / "log.npy")
+
+
+def test_an_array_with_a_field_of_objects(mark, tmp_path):
+    rows = np.zeros(len(T), [*((name, float) for name in COLUMNS), ("note", object)])
+    for name, values in COLUMNS.items():
+        rows[name] = values
+    rows["note"] = trapped(mark)
+    np.save(tmp_path / "log.npy", rows, allow_pickle=True)
+    refused(tmp_path / "log.npy")
+
+
+@pytest.mark.parametrize("name", ["log.npy", "log.npz"])
+def test_a_pickle_by_another_name(mark, tmp_path, name):
+    (tmp_path / name).write_bytes(pickle.dumps(Trap(mark)))
+    refused(tmp_path / name)
+
+
+def test_an_archive_with_a_channel_of_objects(mark, tmp_path):
+    np.savez(tmp_path / "log.npz", **COLUMNS | {"i_beta": trapped(mark)})
+    refused(tmp_path / "log.npz")
+
+
+def test_objects_beside_the_channels_are_left_alone(mark, tmp_path):
+    np.savez(tmp_path / "log.npz", **COLUMNS, notes=trapped(mark))
+    assert len(read_log(tmp_path / "log.npz")) == len(T)
+
+
+def test_a_pickle_in_hdf5(mark, tmp_path):
+    """As PyTables and pandas keep objects."""
+    h5py = pytest.importorskip("h5py")
+    data = np.void(pickle.dumps(Trap(mark)))
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        for name, values in COLUMNS.items():
+            file[name] = values
+        file["notes"] = data
+        file.attrs["notes"] = data
+        file["t"].attrs["units"] = data
+    assert len(read_log(tmp_path / "log.h5")) == len(T)
+
+
+def test_a_pickle_in_a_matlab_file(mark, tmp_path):
+    io = pytest.importorskip("scipy.io")
+    data = np.frombuffer(pickle.dumps(Trap(mark)), np.uint8)
+    io.savemat(tmp_path / "log.mat", COLUMNS | {"notes": data})
+    assert len(read_log(tmp_path / "log.mat")) == len(T)
+
+
+@pytest.mark.parametrize("version", ["3.30", "4.10"])
+def test_code_as_the_formula_of_an_mdf_channel(mark, tmp_path, version):
+    """asammdf has numexpr compute it, which refuses code, and then sympy, which does not."""
+    asammdf = pytest.importorskip("asammdf")
+    formula = f"__import__('os').mkdir('{mark}')"
+    eval(formula)
+    mark.rmdir()
+    with asammdf.MDF(version=version) as file:
+        file.append(
+            [
+                asammdf.Signal(values, T, name=name, conversion={"formula": formula})
+                for name, values in COLUMNS.items()
+                if name != "t"
+            ]
+        )
+        path = file.save(tmp_path / "log.mdf")
+    with pytest.raises(FluxobsError, match="by the formula") as error:
+        list(read_log(path).aligned())
+    assert path.name in str(error.value)
+
+
+def test_a_formula_in_a_sheet(mark, tmp_path):
+    """A sheet's values are read, its formulas are not."""
+    pytest.importorskip("fastexcel")
+    xlsxwriter = pytest.importorskip("xlsxwriter")
+    with xlsxwriter.Workbook(tmp_path / "log.xlsx") as book:
+        sheet = book.add_worksheet()
+        for n, (name, values) in enumerate(COLUMNS.items()):
+            sheet.write(0, n, name)
+            for k, value in enumerate(values):
+                sheet.write_formula(k + 1, n, f'=cmd|"/c mkdir {mark}"!A1', None, value)
+    assert len(read_log(tmp_path / "log.xlsx")) == len(T)
+
+
+@pytest.mark.parametrize(
+    "formula",
+    [
+        "__import__('os')",
+        "X1.__class__",
+        "[X1 for X1 in X1]",
+        "(lambda: X1)()",
+        "exec(X1)",
+        "X",
+        "exit()",
+        "sin",
+        "sin(X1, out=X1)",
+        "X1()",
+        "9**9**9",
+        "X1**9**9",
+        "'a' * X1",
+        "f'{X1}'",
+        "X1 if X1 else X1",
+        "X1; X1",
+        "True",
+        "(" * 5000,
+        "-" * 100_000 + "X1",
+        "",
+    ],
+)
+def test_a_formula_is_arithmetic(formula):
+    assert is_arithmetic(formula) == (formula == "X")
+
+
+@pytest.mark.parametrize("formula", ["2*X1 + 1", " -X1/3.5e-2", "sqrt(X**2 + 1) % 7", "abs(X1)"])
+def test_arithmetic_is_a_formula(formula):
+    assert is_arithmetic(formula)
+
+
+@pytest.mark.parametrize("version", ["3.30", "4.10"])
+def test_a_formula_of_an_mdf_channel_is_computed(tmp_path, version):
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version=version) as file:
+        file.append(
+            [
+                asammdf.Signal(values, T, name=name, conversion={"formula": "2*X + 1"})
+                for name, values in COLUMNS.items()
+                if name != "t"
+            ]
+        )
+        path = file.save(tmp_path / "log.mdf")
+    (log,) = read_log(path).aligned()
+    np.testing.assert_allclose(log.current[:, 0], 2 * np.cos(T) + 1)
