@@ -53,6 +53,18 @@ def table(rows: Iterable[Iterable[float]], precision: Precision) -> str:
     )
 
 
+def inert(text: str) -> str:
+    """A text of the user's as it may stand anywhere in an export: in a comment in C, in Markdown,
+    XML, JSON or a script.
+
+    Examples
+    --------
+    >>> inert("map, hot (2).csv"), inert('*/ "@x@"\\n')
+    ('map, hot (2).csv', '__ __x___')
+    """
+    return re.sub(r"[^A-Za-z0-9 ._+\-=,(){}]", "_", text)
+
+
 def is_identifier(name: str) -> bool:
     """Whether names in C, and a file name, can begin with it."""
     return re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,39}", name) is not None

@@ -108,13 +108,17 @@ def export(
     files = files_of(form)
     check_prefix(prefix)
     sample_time = number("sample_time", sample_time, "s")
+    memory = None if memory is None else number("memory", memory, "s")
     chosen = read_unknowns(unknowns)
     if chosen == (AUTO,):
         chosen = ALL
     given = check_machine(as_machine(machine), chosen, priors or {})
     check_times(given, sample_time, update_every, memory)
-    for name, value in (("current_noise", current_noise), ("drift_prior", drift_prior)):
-        if value is not None and not 0 < value < float("inf"):
+    for name, value, unit in (
+        ("current_noise", current_noise, "A"),
+        ("drift_prior", drift_prior, "V"),
+    ):
+        if value is not None and not 0 < number(name, value, unit) < float("inf"):
             raise FluxobsError(f"{name} must be positive and finite, got {value:g}")
     folder = Path(out).resolve()
     check_folder(folder, force)

@@ -12,7 +12,7 @@ import numpy as np
 from .. import _core
 from ..machines import FluxPoints, RotatingMachine
 from ..observers import AdaptiveObserver, LeastSquaresObserver
-from .c_source import PRECISIONS, Precision, initializer, literal
+from .c_source import PRECISIONS, Precision, inert, initializer, literal
 
 #: Either observer, in one precision.
 Exported = LeastSquaresObserver | AdaptiveObserver
@@ -267,4 +267,4 @@ def parameters(machine: RotatingMachine) -> dict[str, str]:
     if flux_map is None:
         return found
     given_as = flux_map.source if isinstance(flux_map, FluxPoints) else flux_map.text()
-    return found | {"flux_map": Path(given_as).name}
+    return found | {"flux_map": inert(Path(given_as).name)}

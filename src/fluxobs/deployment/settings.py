@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from numbers import Integral
 
 from ..errors import FluxobsError
 from ..machines import Machine, RotatingMachine
@@ -19,6 +20,8 @@ MOST_STEPS = 4000
 
 def check_prefix(prefix: str) -> None:
     """Raise FluxobsError if names in C cannot begin with this prefix."""
+    if not isinstance(prefix, str):
+        raise FluxobsError(f"prefix {prefix!r} is no text; 'motor' is")
     if not is_identifier(prefix) or prefix == "fo":  # fo_observer is a type
         near = identifier(prefix) if prefix != "fo" else "motor"
         raise FluxobsError(f"prefix {prefix!r} cannot begin names in C; {near!r} can")
@@ -81,11 +84,15 @@ def check_times(
             f"sample time {sample_time:g} s is not the period of a current control"
             + (f"; {', '.join(likely)}" if likely else "; give it in seconds, such as 1e-4")
         )
-    if update_every < 1:
-        raise FluxobsError(f"update_every {update_every}: at least 1, a step every interrupt")
+    if isinstance(update_every, bool) or not isinstance(update_every, Integral) or update_every < 1:
+        raise FluxobsError(
+            f"update_every {update_every!r}: a whole number, at least 1, a step every interrupt"
+        )
     step = update_every * sample_time
     memory = machine.memory_for(step) if memory is None else memory
     least, most = 10 * step, MOST_STEPS * step
+    if not math.isfinite(memory):
+        raise FluxobsError(f"memory {memory:g} s: it must be finite, up to {most:g} s")
     if memory > most * (1 + 1e-9):
         every = math.ceil(memory / (MOST_STEPS * sample_time))
         raise FluxobsError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from importlib import resources
 
@@ -24,9 +25,9 @@ def fill(core: Core, template: str, more: Mapping[str, str] | None = None) -> st
     """The text of a template, ``c/README.md``, with the words of this export and `more` of them."""
     folder = resources.files(__package__) / "templates"
     text = _variant((folder / template).read_text(encoding="utf-8"), core)
-    for word, value in (words(core) | dict(more or {})).items():
-        text = text.replace(f"@{word}@", value)
-    return text
+    values = words(core) | dict(more or {})
+    # In one pass: what a value holds is no word.
+    return re.sub(r"@(\w+)@", lambda word: values.get(word[1], word[0]), text)
 
 
 def slowest_speed(core: Core) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from ..errors import FluxobsError
 from ..machines import Machine, RotatingMachine
 from ..model.immersion import UNKNOWNS as IN_THE_IMMERSION
-from ..validation import nearest
+from ..validation import nearest, number
 
 #: Errors of the machine's parameters and of its inverter, found by the adaptive observer.
 ADAPTED = ("resistance", "inverter", "asymmetry")
@@ -67,7 +67,7 @@ def check_adapted(machine: Machine, unknowns: Sequence[str], priors: Mapping[str
     for name, std in priors.items():
         if name not in PRIORS:
             raise FluxobsError(f"prior: unknown {name!r}{nearest(name, PRIORS)}")
-        if not 0 <= std < float("inf"):
+        if not 0 <= number(f"prior {name}", std, "SI") < float("inf"):
             raise FluxobsError(f"prior {name}={std:g}: must be finite and not negative")
         if name in ADAPTED and name not in unknowns:
             raise FluxobsError(f"prior {name}: {name} is not among the unknowns")
