@@ -35,8 +35,8 @@ switch this throw true false typeof undefined var void
 RESERVED = frozenset(_RESERVED.split())
 #: Methods of strings, lists and bytes, which are no objects of ours: the runtime has them.
 _METHODS = """
-append count decode encode endswith extend find format hex index insert isalpha isdigit isspace
-join lower lstrip partition pop removeprefix removesuffix remove replace reverse rfind
+append count decode encode endswith extend find format hex index insert isalpha isdigit isprintable
+isspace join lower lstrip partition pop removeprefix removesuffix remove replace reverse rfind
 rpartition rsplit rstrip sort split splitlines startswith strip swapcase title translate upper
 zfill is_integer copy
 """
