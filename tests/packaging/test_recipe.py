@@ -39,6 +39,8 @@ def test_requirements():
         "pip",
         *map(as_conda, PYPROJECT["build-system"]["requires"]),
     ]
+    (crossed,) = (one["then"] for one in wanted["build"] if isinstance(one, dict))
+    assert {one for one in crossed if one.startswith("nanobind")} <= set(wanted["host"])
     cmake = PYPROJECT["tool"]["scikit-build"]["cmake"]["version"]
     assert f"cmake {cmake}" in wanted["build"]
     oldest = PROJECT["requires-python"].removeprefix(">=")
