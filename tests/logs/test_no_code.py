@@ -2,6 +2,7 @@
 
 import os
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -182,3 +183,13 @@ def test_a_formula_of_an_mdf_channel_is_computed(tmp_path, version):
         path = file.save(tmp_path / "log.mdf")
     (log,) = read_log(path).aligned()
     np.testing.assert_allclose(log.current[:, 0], 2 * np.cos(T) + 1)
+
+
+def test_formulas_are_found_wherever_a_conversion_refers_to_them():
+    """asammdf's conversions refer to others, or to texts."""
+    mdf = pytest.importorskip("fluxobs.logs.formats.mdf")
+    inner = SimpleNamespace(formula=b"exit()", referenced_blocks=None)
+    outer = SimpleNamespace(formula="", referenced_blocks={"text_0": b"on", "text_1": inner})
+    inner.referenced_blocks = {"default_addr": outer}
+    assert list(mdf._formulas(outer)) == ["exit()"]
+    assert list(mdf._formulas(None)) == []

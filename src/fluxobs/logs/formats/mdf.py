@@ -83,14 +83,18 @@ class MdfTable(Table):
                 )
 
 
-def _formulas(conversion: Any, depth: int = 0) -> Iterator[str]:
-    """The formulas of a conversion, and of those that it refers to."""
-    formula = getattr(conversion, "formula", None)
-    if formula:
-        yield formula.decode("latin-1") if isinstance(formula, bytes) else str(formula)
-    if depth < 8:  # a file may have them refer in a circle
-        for one in (getattr(conversion, "referenced_blocks", None) or {}).values():
-            yield from _formulas(one, depth + 1)
+def _formulas(conversion: Any) -> Iterator[str]:
+    """The formulas of a conversion, and of those that it refers to, be it in a circle."""
+    left, seen = [conversion], set[int]()
+    while left:
+        one = left.pop()
+        if id(one) in seen:
+            continue
+        seen.add(id(one))
+        formula = getattr(one, "formula", None)
+        if formula:
+            yield formula.decode("latin-1") if isinstance(formula, bytes) else str(formula)
+        left += (getattr(one, "referenced_blocks", None) or {}).values()
 
 
 def _split(group: Any) -> None:
