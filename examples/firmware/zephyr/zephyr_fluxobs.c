@@ -1,0 +1,103 @@
+/* fluxobs in a Zephyr application: a zero-latency interrupt at the end of the currents' conversion.
+ *
+ * Zephyr has no interface for a current control. Timer and ADC are those of an STM32F405, set up by the
+ * application: TIM1 counts up and down, repetition counter 1; three low-side shunts are sampled at its
+ * top. The functions declared here are yours to write. Such an interrupt must not call the kernel; a
+ * thread fetches the position by fluxobs_zephyr_get.
+ *
+ * The adaptive observer: fo_adaptive_state, fo_adaptive_estimate, fo_adaptive_reset and
+ * fo_adaptive_step; estimate.position in place of estimate; motor_observer.plain.sample_time.
+ *
+ * SPDX-License-Identifier: MIT
+ */
+#include <math.h>
+
+#include "motor_observer.h"
+#include "zephyr_declarations.h" /* in the firmware: zephyr/kernel.h, zephyr/irq.h, soc.h, stm32_ll_… */
+
+struct fluxobs_position {
+    float theta_e, speed_e; /* electrical [rad], [rad/s] */
+    bool valid;             /* or has been within PATIENCE */
+};
+
+void motor_control(const float current[2], float udc, const struct fluxobs_position *position);
+void fluxobs_zephyr_start(void);
+struct fluxobs_position fluxobs_zephyr_get(void);
+
+/* The interrupt computes in floating point: the processor has to save the registers of the thread. */
+BUILD_ASSERT(IS_ENABLED(CONFIG_FPU_SHARING) && IS_ENABLED(CONFIG_ZERO_LATENCY_IRQS), "see above");
+
+#define PATIENCE 0.01f                      /* how long the angle is trusted while not valid [s] */
+#define COUNTS_AT_ZERO 2048.0f              /* of the board: a shunt without current */
+#define AMPERES_PER_COUNT (-3.3f / 4096.0f / (0.005f * 10.0f)) /* sign: positive into the machine */
+#define VOLTS_PER_COUNT (3.3f / 4096.0f * 31.0f)
+/* Share of the period from a sample until its command acts. The timer takes new duties half a period
+ * after the sample; 1.0f if its update is at the sample, as with a repetition counter set off by one. */
+#ifndef ACTS_AFTER
+#define ACTS_AFTER 0.5f
+#endif
+
+static fo_state state;
+static fo_estimate estimate;
+static float before[2] = {NAN, NAN}; /* commanded two interrupts ago, alpha and beta [V] */
+static bool was_on;                  /* the gates in the last interrupt */
+static float since_valid = 1e9f;     /* [s] */
+static struct fluxobs_position shared;
+static atomic_t times; /* that `shared` has been written */
+
+static void to_alpha_beta(float a, float b, float c, float factor, float result[2])
+{
+    result[0] = factor * (2.0f * a - b - c) / 3.0f;
+    result[1] = factor * (b - c) * 0.57735027f;
+}
+
+ISR_DIRECT_DECLARE(fluxobs_adc_isr)
+{
+    float current[2], command[2], acting[2];
+    const float udc = VOLTS_PER_COUNT * LL_ADC_INJ_ReadConversionData12(ADC1, LL_ADC_INJ_RANK_2);
+    const bool on = LL_TIM_IsEnabledAllOutputs(TIM1) != 0;
+    LL_ADC_ClearFlag_JEOS(ADC1);
+    /* COUNTS_AT_ZERO drops out, as long as it is the same for all. */
+    to_alpha_beta(LL_ADC_INJ_ReadConversionData12(ADC1, LL_ADC_INJ_RANK_1) - COUNTS_AT_ZERO,
+                  LL_ADC_INJ_ReadConversionData12(ADC2, LL_ADC_INJ_RANK_1) - COUNTS_AT_ZERO,
+                  LL_ADC_INJ_ReadConversionData12(ADC3, LL_ADC_INJ_RANK_1) - COUNTS_AT_ZERO,
+                  AMPERES_PER_COUNT, current);
+
+    /* The duties of the last interrupt are still in the compare registers. */
+    to_alpha_beta((float)LL_TIM_OC_GetCompareCH1(TIM1), (float)LL_TIM_OC_GetCompareCH2(TIM1),
+                  (float)LL_TIM_OC_GetCompareCH3(TIM1),
+                  on && was_on ? udc / (float)LL_TIM_GetAutoReload(TIM1) : NAN, command);
+    for (int n = 0; n < 2; n++) {
+        acting[n] = ACTS_AFTER * before[n] + (1.0f - ACTS_AFTER) * command[n];
+        before[n] = command[n];
+    }
+    was_on = on;
+
+    fo_step(&motor_observer, &state, acting, current, &estimate);
+    since_valid = estimate.valid ? 0.0f : since_valid + motor_observer.sample_time;
+    shared.theta_e = estimate.theta_e_tracked;
+    shared.speed_e = estimate.speed_e;
+    shared.valid = since_valid < PATIENCE;
+    (void)atomic_inc(&times);
+    motor_control(current, udc, &shared); /* writes the new duties */
+    return 0;                             /* nothing to schedule */
+}
+
+void fluxobs_zephyr_start(void)
+{
+    fo_reset(&motor_observer, &state);
+    IRQ_DIRECT_CONNECT(ADC_IRQn, 0, fluxobs_adc_isr, IRQ_ZERO_LATENCY);
+    irq_enable(ADC_IRQn);
+}
+
+/* From a thread: the interrupt may come in between, never the other way round. */
+struct fluxobs_position fluxobs_zephyr_get(void)
+{
+    struct fluxobs_position copy;
+    atomic_val_t read;
+    do {
+        read = atomic_get(&times);
+        copy = shared;
+    } while (atomic_get(&times) != read);
+    return copy;
+}
