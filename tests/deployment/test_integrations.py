@@ -1,9 +1,11 @@
 """The examples for other firmwares: compiled for a Cortex-M4F, and run in a simulated drive."""
 
+import re
 import shutil
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -52,15 +54,29 @@ HOSTS = [
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     """The exported folder of a sample time: made once."""
-    made: dict[float, Path] = {}
+    made: dict[tuple[float, bool], Path] = {}
 
-    def folder(sample_time: float) -> Path:
-        if sample_time not in made:
-            made[sample_time] = tmp_path_factory.mktemp("exports") / "motor"
-            fluxobs.export(MACHINES["servo-400w"], sample_time, made[sample_time])
-        return made[sample_time]
+    def folder(sample_time: float, adaptive: bool = False) -> Path:
+        key = (sample_time, adaptive)
+        if key not in made:
+            made[key] = tmp_path_factory.mktemp("exports") / "motor"
+            # as after an identification: at constant speed and load nothing tells them
+            options: dict[str, Any] = {
+                "unknowns": "drift,resistance,inverter",
+                "priors": {"resistance": 0.02, "inverter": 0.05},
+            }
+            machine = MACHINES["servo-400w"]
+            fluxobs.export(machine, sample_time, made[key], **(options if adaptive else {}))
+        return made[key]
 
     return folder
+
+
+def as_adaptive(source):
+    """A shim changed as its first lines say."""
+    source = re.sub(r"\bfo_(state|estimate|reset|step)\b", r"fo_adaptive_\1", source)
+    source = re.sub(r"\bestimate\.", "estimate.position.", source)
+    return source.replace("motor_observer.sample_time", "motor_observer.plain.sample_time")
 
 
 def compile_object(source, out, folder, compilers, flags):
@@ -103,13 +119,19 @@ def test_it_compiles_for_a_cortex_m4f(host, exported, tmp_path):
 @pytest.fixture(scope="module")
 def drive(exported, tmp_path_factory):
     """Runs a host's drive: what its report says, by name."""
-    programs: dict[Host, Path] = {}
+    programs: dict[tuple[Host, bool], Path] = {}
 
-    def program(host: Host) -> Path:
+    def program(host: Host, adaptive: bool) -> Path:
         scratch = tmp_path_factory.mktemp("drive")
-        folder = exported(host.sample_time)
+        folder = exported(host.sample_time, adaptive)
         flags = ["-O1", *WARNINGS, *(f"-D{word}" for word in host.defines)]
-        sources = [*folder.glob("f*.c"), folder / "motor_observer.c", *host.shims, host.harness]
+        shims = host.shims
+        if adaptive:
+            for path in (EXAMPLES / host.name).glob("*_fluxobs.*"):
+                (scratch / path.name).write_text(as_adaptive(path.read_text()))
+            shims = [scratch / path.name for path in shims]
+            flags.append(f"-I{scratch}")
+        sources = [*folder.glob("f*.c"), folder / "motor_observer.c", *shims, host.harness]
         objects = [
             compile_object(source, scratch / f"{n}.o", folder, ("gcc", "g++"), flags)
             for n, source in enumerate(sources)
@@ -117,13 +139,15 @@ def drive(exported, tmp_path_factory):
         subprocess.run(["g++", *objects, "-lm", "-o", scratch / "program"], check=True)
         return scratch / "program"
 
-    def run(host: Host, direction: int, fault: str = "") -> dict[str, float]:
-        if host not in programs:
-            programs[host] = program(host)
-        said = subprocess.run(
-            [programs[host], str(direction), fault], capture_output=True, text=True, check=True
-        ).stdout.split()
-        print(host, direction, fault, *said)
+    def run(
+        host: Host, direction: int, fault: str = "", adaptive: bool = False
+    ) -> dict[str, float]:
+        key = (host, adaptive)
+        if key not in programs:
+            programs[key] = program(*key)
+        command = [programs[key], str(direction), fault]
+        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+        print(host, direction, fault, adaptive, *said)
         return {name: float(value) for name, value in zip(said[::2], said[1::2], strict=True)}
 
     return run
@@ -140,6 +164,15 @@ def test_the_host_gets_the_true_angle_and_speed(host, direction, drive):
     assert found["rms"] < 0.2
     assert found["worst"] < 3.0  # from the first sample that is trusted on
     assert found["speed"] < 0.01  # of the speed
+
+
+@pytest.mark.parametrize("host", HOSTS, ids=str)
+def test_the_adaptive_observer_as_the_first_lines_say(host, drive):
+    found = drive(host, 1, adaptive=True)
+    assert found["trusted"] == 1.0
+    assert found["off"] == 0
+    assert found["rms"] < 0.2
+    assert found["speed"] < 0.01
 
 
 @pytest.mark.parametrize("fault", ["later", "reversed", "swapped"])

@@ -1,7 +1,7 @@
 /* What mcsdk_fluxobs.c uses of ST's motor control SDK (X-CUBE-MCSDK 5.4.4): names, types and fields as
  * facts, a subset. MCLib/Any/Inc/: mc_type.h, speed_pos_fdbk.h, bus_voltage_sensor.h; generated:
  * drive_parameters.h, parameters_conversion.h, power_stage_parameters.h, mc_stm_types.h. The numbers
- * are those of one project and yours are others. The real structures have more fields.
+ * are an example; the Workbench generates yours. The real structures have more fields.
  *
  * SPDX-License-Identifier: MIT
  */

@@ -24,8 +24,7 @@ void motor_control(const float current[2], float udc, const struct fluxobs_posit
 void fluxobs_zephyr_start(void);
 struct fluxobs_position fluxobs_zephyr_get(void);
 
-/* The interrupt computes in floating point: the processor has to save the registers of the thread. */
-BUILD_ASSERT(IS_ENABLED(CONFIG_FPU_SHARING) && IS_ENABLED(CONFIG_ZERO_LATENCY_IRQS), "see above");
+BUILD_ASSERT(IS_ENABLED(CONFIG_FPU_SHARING), "the interrupt spoils the threads' registers");
 
 #define PATIENCE 0.01f                      /* how long the angle is trusted while not valid [s] */
 #define COUNTS_AT_ZERO 2048.0f              /* of the board: a shunt without current */
