@@ -14,7 +14,7 @@ BIN := $(VENV)/bin
 # The package is installed in editable mode, which knows its files by name: a new one asks for it anew.
 READY := $(VENV)/.ready-$(shell find src/fluxobs -name '*.py' | LC_ALL=C sort | cksum | cut -d ' ' -f 1)
 FIRMWARE := $(wildcard firmware/*.c)
-SOURCES := CMakeLists.txt pyproject.toml binding/core.cpp $(FIRMWARE) $(wildcard firmware/*.h)
+SOURCES := CMakeLists.txt pyproject.toml $(wildcard binding/*) $(FIRMWARE) $(wildcard firmware/*.h)
 
 # What builds the page. Without it `make test` skips the tests of page and reports.
 PAGE := src/fluxobs/web/page.html

@@ -1,17 +1,20 @@
-"""Time per sample of `run` with all its outputs, on one core; double, single, and a batch."""
+"""Time per sample of `run` with all its outputs, on one core: a record, and many together."""
 
 from __future__ import annotations
 
-import os
 import time
 
 import numpy as np
 from common import Drive, heading
+from numpy.typing import NDArray
 
 from fluxobs import LeastSquaresObserver
-from fluxobs.machines import example
+from fluxobs.campaigns.observed import TOGETHER
+from fluxobs.machines import SurfacePMSM, example
 
 ROWS, REPEATS = 200_000, 9
+LENGTHS, BATCH = (1_000, 16_000), 32
+Array = NDArray[np.float64]
 
 
 def main() -> None:
@@ -28,13 +31,37 @@ def main() -> None:
             observer.run(u, i)
             times.append((time.perf_counter() - started) / ROWS * 1e9)
         print(f"    {precision}: median {np.median(times):.0f} ns, best {min(times):.0f} ns")
-    observer = LeastSquaresObserver.for_machine(machine, sample_time=5e-5)
-    lanes = 8
-    both = np.broadcast_to(u, (lanes, *u.shape)), np.broadcast_to(i, (lanes, *i.shape))
-    started = time.perf_counter()
-    observer.run(*both)
-    each = (time.perf_counter() - started) / ROWS / lanes * 1e9
-    print(f"    batch of {lanes} on {os.cpu_count()} cores: {each:.0f} ns per sample and record")
+    together(machine, u, i)
+
+
+def together(machine: SurfacePMSM, u: Array, i: Array) -> None:
+    """Batches on one core, beside their records one after the other. The eleven outputs of long
+    records do not fit into the caches."""
+    heading("Batch of 32 records, one core (target 60 ns in double, 30 in single precision)")
+    rng = np.random.default_rng(1)
+    for rows in LENGTHS:
+        voltage = np.broadcast_to(u[:rows], (BATCH, rows, 2)).copy()
+        current = i[:rows] + 0.02 * rng.standard_normal(voltage.shape)
+        for precision in ("double", "single"):
+            observer = LeastSquaresObserver.for_machine(
+                machine, sample_time=5e-5, precision=precision
+            )
+            alone, batch = [], []
+            for _ in range(REPEATS):
+                started = time.perf_counter()
+                for lane in range(BATCH):
+                    observer.run(voltage[lane], current[lane])
+                alone.append(time.perf_counter() - started)
+                started = time.perf_counter()
+                for first in range(0, BATCH, TOGETHER):
+                    some = slice(first, first + TOGETHER)
+                    observer.run(voltage[some], current[some], threads=1)
+                batch.append(time.perf_counter() - started)
+            each, one = (1e9 * min(times) / BATCH / rows for times in (batch, alone))
+            print(
+                f"    {rows} rows, {precision}: {each:.0f} ns per sample and record, one by one "
+                f"{one:.0f} ns: {one / each:.1f} times"
+            )
 
 
 if __name__ == "__main__":

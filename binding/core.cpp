@@ -17,6 +17,8 @@
 #include <thread>
 #include <vector>
 
+#include "lanes.h"
+
 extern "C" {
 #include "columns.h"
 #include "fluxobs_config.h"
@@ -89,9 +91,11 @@ nb::ndarray<nb::numpy, std::uint8_t> copies(const State &state, std::size_t lane
 
 // (lanes, bytes), (lanes, rows, 2) twice -> states, columns (count, lanes, rows), valid. `step`
 // takes a state, source and current of a row, and where its columns begin; it returns `valid`.
-template <class State, class Step>
+// `together` takes so many lanes at once, their states, sources, currents, columns and `valid`.
+template <class State, class Step, class Together>
 nb::tuple run_lanes(const States &states, const Signals &source, const Signals &current,
-                    unsigned threads, std::size_t count, Step step) {
+                    unsigned threads, std::size_t count, Step step, std::size_t group,
+                    Together together) {
     const std::size_t lanes = current.shape(0), rows = current.shape(1), plane = lanes * rows;
     if (states.shape(0) != lanes || states.shape(1) != sizeof(State) || source.shape(0) != lanes ||
         source.shape(1) != rows)
@@ -102,23 +106,36 @@ nb::tuple run_lanes(const States &states, const Signals &source, const Signals &
     {
         nb::gil_scoped_release release;
         std::atomic<std::size_t> todo{0};
-        auto work = [&] {
-            for (std::size_t lane; (lane = todo.fetch_add(1)) < lanes;) {
-                State state;
-                std::memcpy(&state, states.data() + lane * sizeof state, sizeof state);
-                for (std::size_t k = lane * rows; k < (lane + 1) * rows; k++) {
-                    fo_real u[FO_N], i[FO_N];
-                    for (std::size_t n = 0; n < FO_N; n++) {
-                        u[n] = real(source.data()[FO_N * k + n]);
-                        i[n] = real(current.data()[FO_N * k + n]);
-                    }
-                    valid[k] = step(state, u, i, columns.get() + k, plane);
+        const std::size_t groups = group > 1 ? lanes / group : 0, left = lanes - groups * group;
+        auto alone = [&](std::size_t lane) {
+            State state;
+            std::memcpy(&state, states.data() + lane * sizeof state, sizeof state);
+            for (std::size_t k = lane * rows; k < (lane + 1) * rows; k++) {
+                fo_real u[FO_N], i[FO_N];
+                for (std::size_t n = 0; n < FO_N; n++) {
+                    u[n] = real(source.data()[FO_N * k + n]);
+                    i[n] = real(current.data()[FO_N * k + n]);
                 }
-                std::memcpy(next.get() + lane * sizeof state, &state, sizeof state);
+                valid[k] = step(state, u, i, columns.get() + k, plane);
+            }
+            std::memcpy(next.get() + lane * sizeof state, &state, sizeof state);
+        };
+        auto work = [&] {
+            for (std::size_t task; (task = todo.fetch_add(1)) < groups + left;) {
+                if (task < groups) {
+                    const std::size_t lane = task * group, first = lane * rows;
+                    std::vector<State> some(group);
+                    std::memcpy(some.data(), states.data() + lane * sizeof(State), group * sizeof(State));
+                    together(some.data(), source.data() + FO_N * first, current.data() + FO_N * first,
+                             rows, columns.get() + first, plane, valid.get() + first);
+                    std::memcpy(next.get() + lane * sizeof(State), some.data(), group * sizeof(State));
+                } else {
+                    alone(groups * group + task - groups);
+                }
             }
         };
         std::vector<std::thread> pool;
-        for (std::size_t i = 1; i < std::min<std::size_t>(threads, lanes); i++)
+        for (std::size_t i = 1; i < std::min<std::size_t>(threads, groups + left); i++)
             pool.emplace_back(work);
         work();
         for (auto &thread : pool) thread.join();
@@ -371,6 +388,11 @@ public:
                     fo_step(&observer_, &state, u, i, &e);
                 write_plain(&e, row, plane);
                 return e.valid;
+            },
+            !volt_seconds && !observer_.map && lanes_here() ? LANES : 1,
+            [&](fo_state *some, const double *u, const double *i, std::size_t rows, double *columns,
+                std::size_t plane, bool *valid) {
+                lanes_run(&observer_, some, u, i, rows, columns, plane, valid);
             });
     }
 
@@ -446,7 +468,8 @@ public:
                     fo_adaptive_step(&observer_, &state, u, i, &e);
                 write_adaptive(&e, row, plane);
                 return e.position.valid;
-            });
+            },
+            1, [](auto &&...) {});
     }
 
     // `states` with what has been learnt, started at a known angle
@@ -528,6 +551,7 @@ NB_MODULE(FLUXOBS_MODULE, m) {
           nb::arg("current_noise") = 0.0, nb::arg("drift_prior") = 0.0);
     m.def("kink_weights", &kink_weights, nb::arg("share"));
     m.attr("usual") = usual();
+    m.attr("lanes") = lanes_here() ? static_cast<int>(LANES) : 1;
     m.attr("layout") = static_cast<int>(FO_LAYOUT);
     m.attr("state_bytes") = sizeof(fo_state);
     m.attr("adaptive_state_bytes") = sizeof(fo_adaptive_state);

@@ -22,22 +22,7 @@
 /* Element (i, j), i < j, of a packed strict upper triangle. */
 #define AT(i, j) ((int)(i) * (2 * (int)FO_NX - (int)(i) - 3) / 2 + (int)(j) - 1)
 
-/* (atan(q) / q - 1) / q^2 by powers of q^2, |q| <= 0.199: Chebyshev, relative error of atan(q) below
- * 8.1e-9, and 3.4e-19. */
-#if FO_SINGLE
-static const fo_real ATAN[] = {(fo_real)-0.136489613386948304, (fo_real)0.199906407297515527,
-                               (fo_real)-0.333333127793564512};
-#else
-static const fo_real ATAN[] = {(fo_real)0.0511512517027116696, (fo_real)-0.0661865256931123838,
-                               (fo_real)0.0769072045419432437, (fo_real)-0.0909087985243087116,
-                               (fo_real)0.111111108177434445,  (fo_real)-0.142857142842660927,
-                               (fo_real)0.199999999999972729,  (fo_real)-0.333333333333333325};
-#endif
-/* An angle between, its tangent, which any fo_real holds, and where the next one is nearer [1]. */
-#define BETWEEN ((fo_real)0.392570135011828595166)
-#define TAN_BETWEEN ((fo_real)0.4140625)
-#define NEAR_ZERO ((fo_real)0.19884534)
-#define NEAR_BETWEEN ((fo_real)0.66808538)
+static const fo_real ATAN[] = FO_ATAN_SERIES;
 
 fo_real fo_atan2(fo_real y, fo_real x)
 {
@@ -45,12 +30,12 @@ fo_real fo_atan2(fo_real y, fo_real x)
     const bool steep = up > along;
     const fo_real less = steep ? along : up, more = steep ? up : along;
     fo_real from = ZERO, q = more > ZERO ? less / more : more; /* zero, or NaN */
-    if (q > NEAR_BETWEEN) {
+    if (q > FO_NEAR_BETWEEN) {
         from = PI / (fo_real)4;
         q = (less - more) / (more + less);
-    } else if (q > NEAR_ZERO) {
-        from = BETWEEN;
-        q = (less - TAN_BETWEEN * more) / (more + TAN_BETWEEN * less);
+    } else if (q > FO_NEAR_ZERO) {
+        from = FO_BETWEEN;
+        q = (less - FO_TAN_BETWEEN * more) / (more + FO_TAN_BETWEEN * less);
     } else { /* near the axis */
     }
     const fo_real square = q * q;

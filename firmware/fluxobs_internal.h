@@ -125,6 +125,25 @@ static inline fo_real correlation(fo_real lag_one, fo_real power)
     return !(r > ZERO) ? ZERO : r > CORRELATION_LIMIT ? CORRELATION_LIMIT : r;
 }
 
+/* (atan(q) / q - 1) / q^2 by powers of q^2, |q| <= 0.199: Chebyshev, relative error of atan(q) below
+ * 8.1e-9, and 3.4e-19. */
+#if FO_SINGLE
+#define FO_ATAN_SERIES                                                                       \
+    {(fo_real)-0.136489613386948304, (fo_real)0.199906407297515527,                          \
+     (fo_real)-0.333333127793564512}
+#else
+#define FO_ATAN_SERIES                                                                       \
+    {(fo_real)0.0511512517027116696, (fo_real)-0.0661865256931123838,                        \
+     (fo_real)0.0769072045419432437, (fo_real)-0.0909087985243087116,                        \
+     (fo_real)0.111111108177434445,  (fo_real)-0.142857142842660927,                         \
+     (fo_real)0.199999999999972729,  (fo_real)-0.333333333333333325}
+#endif
+/* An angle between, its tangent, which any fo_real holds, and where the next one is nearer [1]. */
+#define FO_BETWEEN ((fo_real)0.392570135011828595166)
+#define FO_TAN_BETWEEN ((fo_real)0.4140625)
+#define FO_NEAR_ZERO ((fo_real)0.19884534)
+#define FO_NEAR_BETWEEN ((fo_real)0.66808538)
+
 /* Angle of (x, y), in (-pi, pi], to within four units in the last place; NaN if either is. C
  * libraries differ in theirs: with this one every compiler and machine has the same bits. */
 fo_real fo_atan2(fo_real y, fo_real x);

@@ -1,0 +1,697 @@
+/* The good samples of fluxobs.c over lanes, without branches: what is computed stands in the order in
+ * which it stands there, so that rounding is the same. A lane whose sample is bad or contradicts what
+ * is known takes that step by fo_step. Tests compare every output and every byte of the states
+ * (tests/observers/test_lanes.py). */
+#include "lanes.h"
+
+extern "C" {
+#include "columns.h"
+#include "fluxobs_internal.h"
+}
+
+#if !defined(__GNUC__)
+
+bool lanes_here() { return false; }
+void lanes_run(const fo_observer *, fo_state *, const double *, const double *, size_t, double *,
+               size_t, bool *) {}
+
+#else
+
+#if defined(__AVX2__)
+#include <immintrin.h>
+#endif
+
+namespace {
+
+#if FO_SINGLE
+typedef int32_t whole;
+#else
+typedef int64_t whole;
+#endif
+typedef fo_real V __attribute__((vector_size(32)));
+typedef whole M __attribute__((vector_size(32))); /* a mask: all bits of a lane, or none */
+
+inline V select(M mask, V yes, V no) {
+#if defined(__AVX2__) && FO_SINGLE
+    return reinterpret_cast<V>(_mm256_blendv_ps(reinterpret_cast<__m256>(no), reinterpret_cast<__m256>(yes),
+                                                reinterpret_cast<__m256>(mask)));
+#elif defined(__AVX2__)
+    return reinterpret_cast<V>(_mm256_blendv_pd(reinterpret_cast<__m256d>(no), reinterpret_cast<__m256d>(yes),
+                                                reinterpret_cast<__m256d>(mask)));
+#else
+    return reinterpret_cast<V>((mask & reinterpret_cast<M>(yes)) | (~mask & reinterpret_cast<M>(no)));
+#endif
+}
+inline V all(fo_real x) { return V{} + x; }
+inline V size(V x) { /* without its sign bit, as fabs */
+    const M sign = (M{} + 1) << (8 * static_cast<int>(sizeof(whole)) - 1);
+    return reinterpret_cast<V>(reinterpret_cast<M>(x) & ~sign);
+}
+inline bool any(M mask) {
+#if defined(__AVX2__)
+    return !_mm256_testz_si256(reinterpret_cast<__m256i>(mask), reinterpret_cast<__m256i>(mask));
+#else
+    whole found = 0;
+    for (int k = 0; k < LANES; k++) found |= mask[k];
+    return found != 0;
+#endif
+}
+inline V root(V x) {
+#if defined(__AVX2__) && FO_SINGLE
+    return reinterpret_cast<V>(_mm256_sqrt_ps(reinterpret_cast<__m256>(x)));
+#elif defined(__AVX2__)
+    return reinterpret_cast<V>(_mm256_sqrt_pd(reinterpret_cast<__m256d>(x)));
+#else
+    V out = x;
+    for (int k = 0; k < LANES; k++) out[k] = fo_sqrt(x[k]);
+    return out;
+#endif
+}
+
+inline V inner(const V a[2], const V b[2]) { return a[0] * b[0] + a[1] * b[1]; }
+inline V inner(const fo_real a[2], const V b[2]) { return a[0] * b[0] + a[1] * b[1]; }
+
+inline V wrapped(V angle) {
+    const V low = select(angle <= -PI, angle + TWO * PI, angle);
+    return select(angle > PI, angle - TWO * PI, low);
+}
+
+constexpr fo_real FO_ATAN[] = FO_ATAN_SERIES;
+
+/* fo_atan2 */
+inline V angle_of(V y, V x) {
+    const V up = size(y), along = size(x);
+    const M steep = up > along;
+    const V less = select(steep, along, up), more = select(steep, up, along);
+    V q = select(more > ZERO, less / more, more);
+    const M between = q > FO_NEAR_BETWEEN, near = q > FO_NEAR_ZERO;
+    const V second = (less - more) / (more + less);
+    const V first = (less - FO_TAN_BETWEEN * more) / (more + FO_TAN_BETWEEN * less);
+    q = select(between, second, select(near, first, q));
+    const V from = select(between, all(PI / (fo_real)4), select(near, all(FO_BETWEEN), V{}));
+    const V square = q * q;
+    V series = all(FO_ATAN[0]);
+    for (size_t k = 1; k < sizeof FO_ATAN / sizeof FO_ATAN[0]; k++) series = FO_ATAN[k] + square * series;
+    V angle = from + (q + q * (square * series));
+    angle = select(steep, PI / TWO - angle, angle);
+    angle = select(x < ZERO, PI - angle, angle);
+    return select(y < ZERO, -angle, angle);
+}
+
+/* The numbers of fo_state that a good sample changes. */
+#define LANE_NUMBERS(X)                                                                        \
+    X(step) X(length) X(rough) X(roughness) X(exposed) X(innovation) X(power) X(lag_one)       \
+    X(noise_share) X(inflation) X(spread) X(drift_prior) X(theta) X(swept) X(variance)         \
+    X(growth) X(carried) X(carried_length) X(carried_off) X(tracker.angle) X(tracker.speed)    \
+    X(tracker.acceleration) X(tracker.settled)
+#define LANE_ARRAYS(X)                                                                         \
+    X(info.U, FO_TRIANGLE) X(info.d, FO_NX) X(info.z, FO_NX) X(info.noise, 3) X(x, FO_NX)      \
+    X(current[0], FO_N) X(current[1], FO_N) X(current[2], FO_N) X(current[3], FO_N)            \
+    X(source, FO_N) X(given, FO_N) X(kink, FO_N) X(flux, FO_N) X(drift, FO_N)
+
+struct Lanes {
+    struct {
+        V U[FO_TRIANGLE], d[FO_NX], z[FO_NX], noise[3];
+    } info;
+    V x[FO_NX], current[FO_HISTORY][FO_N], source[FO_N], given[FO_N], kink[FO_N];
+    V flux[FO_N], drift[FO_N];
+    V step, length, rough, roughness, exposed, innovation, power, lag_one, noise_share, inflation,
+        spread, drift_prior, theta, swept, variance, growth, carried, carried_length, carried_off;
+    struct {
+        V angle, speed, acceleration, settled;
+    } tracker;
+    M trusted, have_carried, lost, turn, restarts, consecutive_bad;
+};
+
+void put_in(Lanes &l, int k, const fo_state &s) {
+#define PUT_NUMBER_IN(name) l.name[k] = s.name;
+#define PUT_ARRAY_IN(name, count) \
+    for (int n = 0; n < (count); n++) l.name[n][k] = s.name[n];
+    LANE_NUMBERS(PUT_NUMBER_IN)
+    LANE_ARRAYS(PUT_ARRAY_IN)
+    l.trusted[k] = -static_cast<whole>(s.trusted);
+    l.have_carried[k] = -static_cast<whole>(s.have_carried);
+    l.lost[k] = -static_cast<whole>(s.tracker.lost);
+    l.turn[k] = static_cast<whole>(s.turn);
+    l.restarts[k] = 0;
+    l.consecutive_bad[k] = static_cast<whole>(s.consecutive_bad);
+}
+
+void take_out(const fo_observer &o, const Lanes &l, int k, fo_state &s) {
+#define TAKE_NUMBER_OUT(name) s.name = l.name[k];
+#define TAKE_ARRAY_OUT(name, count) \
+    for (int n = 0; n < (count); n++) s.name[n] = l.name[n][k];
+    LANE_NUMBERS(TAKE_NUMBER_OUT)
+    LANE_ARRAYS(TAKE_ARRAY_OUT)
+    s.trusted = l.trusted[k] != 0;
+    s.have_carried = l.have_carried[k] != 0;
+    s.tracker.lost = l.lost[k] != 0;
+    s.turn = static_cast<uint32_t>(l.turn[k]);
+    s.restarts += static_cast<uint32_t>(l.restarts[k]);
+    s.consecutive_bad = static_cast<uint32_t>(l.consecutive_bad[k]);
+#if FO_MAPPED
+    for (int n = 0; n < FO_N; n++) s.shape.away[n] = o.L_position * s.current[0][n];
+#else
+    (void)o;
+#endif
+}
+
+/* Can a state go on in a lane? */
+bool ordinary(const fo_state &s) { return !never_reset(&s) && s.have_current && s.have_voltage; }
+
+constexpr int at(int i, int j) { return i * (2 * FO_NX - i - 3) / 2 + j - 1; }
+
+struct Left {
+    V rhs, weight;
+};
+
+/* rotate of fluxobs.c */
+template <int I> inline void rotate(Lanes &l, V row[FO_NX], Left &left) {
+    const V pivot = row[I], weighted = left.weight * pivot, d = l.info.d[I];
+    const V d_new = d + weighted * pivot, inverse = ONE / d_new, gain = weighted * inverse;
+    left.weight *= d * inverse;
+    l.info.d[I] = d_new;
+#pragma GCC unroll 8
+    for (int j = I + 1; j < FO_NX; j++) {
+        row[j] -= pivot * l.info.U[at(I, j)];
+        l.info.U[at(I, j)] += gain * row[j];
+    }
+    left.rhs -= pivot * l.info.z[I];
+    l.info.z[I] += gain * left.rhs;
+}
+
+template <int I> inline void rotate_from(Lanes &l, V row[FO_NX], Left &left) {
+    if constexpr (I < FO_NX) {
+        rotate<I>(l, row, left);
+        rotate_from<I + 1>(l, row, left);
+    }
+}
+
+/* Prior information on state i. */
+inline V prior_of(const Lanes &l, int i) {
+    V prior = i < KAPPA ? all(ONE) : l.drift_prior;
+    if (i == KAPPA) prior /= (fo_real)4;
+    if (i == CC) prior *= prior;
+    return prior;
+}
+
+/* Row I of the prior comes back in the lanes `due`. */
+template <int I> void reinject_all(const fo_observer &o, Lanes &l) {
+    V row[FO_NX] = {};
+    row[I] = all(ONE);
+    Left left = {l.x[I], o.reinject * prior_of(l, I)};
+    rotate_from<I>(l, row, left);
+}
+
+template <int I> void reinject(const fo_observer &o, Lanes &l, M due) {
+    if (any(due)) {
+        const auto before = l.info;
+        reinject_all<I>(o, l);
+        for (int n = 0; n < FO_TRIANGLE; n++) l.info.U[n] = select(due, l.info.U[n], before.U[n]);
+        for (int n = 0; n < FO_NX; n++) {
+            l.info.d[n] = select(due, l.info.d[n], before.d[n]);
+            l.info.z[n] = select(due, l.info.z[n], before.z[n]);
+        }
+    }
+}
+
+/* As a rule the lanes are at the same turn. */
+inline void reinject_due(const fo_observer &o, Lanes &l, M turn) {
+    switch (any(turn != turn[0]) ? -1 : turn[0]) {
+        case 0: reinject_all<0>(o, l); break;
+        case 2: reinject_all<1>(o, l); break;
+        case 4: reinject_all<2>(o, l); break;
+        case 6: reinject_all<3>(o, l); break;
+        case 8: reinject_all<4>(o, l); break;
+        case 10: reinject_all<5>(o, l); break;
+        case 12: reinject_all<6>(o, l); break;
+        default:
+            reinject<0>(o, l, turn == 0);
+            reinject<1>(o, l, turn == 2);
+            reinject<2>(o, l, turn == 4);
+            reinject<3>(o, l, turn == 6);
+            reinject<4>(o, l, turn == 8);
+            reinject<5>(o, l, turn == 10);
+            reinject<6>(o, l, turn == 12);
+    }
+}
+
+/* predict of fluxobs.c */
+inline void predict(const fo_observer &o, Lanes &l, const V v[2], const V q[2], V input) {
+    const fo_real h = o.h, rho = o.rho, h2 = TWO * h;
+    V *u = l.info.U, *z = l.info.z;
+    {
+        const V flux0 = u[0] - q[0], flux1 = u[1] - q[1], kappa = u[2] - h;
+        u[3] -= h * u[0] + q[0] * kappa;
+        u[4] -= h * u[1] + q[1] * kappa;
+        u[5] -= h * (u[2] + kappa);
+        u[0] = flux0;
+        u[1] = flux1;
+        u[2] = kappa;
+        z[S] += input + flux0 * v[0] + flux1 * v[1];
+    }
+    {
+        const V flux1 = u[6], kappa = u[7];
+        u[8] -= h + q[0] * kappa;
+        u[9] -= h * flux1 + q[1] * kappa;
+        u[10] -= h2 * kappa;
+        z[FLUX] += v[0] + flux1 * v[1];
+    }
+    {
+        const V kappa = u[11];
+        u[12] -= q[0] * kappa;
+        u[13] -= h + q[1] * kappa;
+        u[14] -= h2 * kappa;
+        z[FLUX + 1] += v[1];
+    }
+    u[15] -= q[0];
+    u[16] -= q[1];
+    u[17] -= h2;
+    for (int i = 0; i < FO_NX; i++) l.info.d[i] *= rho;
+    V *noise = l.info.noise;
+    noise[2] = rho * (noise[2] - h * (TWO * noise[1] - h * noise[0]));
+    noise[1] = rho * (noise[1] - h * noise[0]);
+    noise[0] = rho * noise[0];
+}
+
+inline V third(const Lanes &l, int i) {
+    return l.current[0][i] - l.current[3][i] + (fo_real)3 * (l.current[2][i] - l.current[1][i]);
+}
+
+inline V vector_of(const fo_observer &o, const Lanes &l, const V flux[2], V p[2]) {
+    for (int i = 0; i < FO_N; i++) p[i] = flux[i] - o.L_position * l.current[0][i];
+    return inner(p, p);
+}
+
+/* judge of fluxobs.c in the lanes `due`, where the position vector is long enough. */
+inline void judge(Lanes &l, const V p[2], V square, M due, M long_enough) {
+    const M which = due & long_enough;
+    const V *u = &l.info.U[at(FLUX, FLUX + 1)], *drift = &l.x[DRIFT], *noise = l.info.noise;
+    const V excess = inner(drift, drift) * l.drift_prior;
+    V found_along = V{}, found_across = V{}, along[FO_NX] = {}, across[FO_NX] = {};
+    along[FLUX] = p[0];
+    along[FLUX + 1] = p[1];
+    across[FLUX] = -p[1];
+    across[FLUX + 1] = p[0];
+#pragma GCC unroll 8
+    for (int i = FLUX; i < FO_NX; i++) {
+        const V inverse = ONE / l.info.d[i], a = along[i], b = across[i];
+        found_along += a * a * inverse;
+        found_across += b * b * inverse;
+#pragma GCC unroll 8
+        for (int j = i + 1; j < FO_NX; j++, u++) {
+            along[j] -= a * *u;
+            across[j] -= b * *u;
+        }
+    }
+    const V over_across = found_across / square, over_along = found_along / square;
+    const V shared = select(noise[2] > ZERO, noise[1] * noise[1] / noise[2], V{});
+    const V share = (noise[0] - shared) * (over_across + over_along);
+    V r = select(l.power > ZERO, l.lag_one / l.power, V{});
+    r = select(r > ZERO, select(r > CORRELATION_LIMIT, all(CORRELATION_LIMIT), r), V{});
+    const V inflation = l.power * (ONE + r) / (ONE - r);
+    V spread = inflation * over_across / square;
+    const M tight = excess > ONE;
+    spread = select(tight, spread * excess, spread);
+    l.noise_share = select(due, select(long_enough, share, all(ONE)), l.noise_share);
+    l.inflation = select(which, inflation, l.inflation);
+    l.spread = select(which, spread, l.spread);
+    const M widened = which & tight & l.trusted & (size(l.swept) > SETTLED);
+    if (any(widened)) {
+        const V keep = select(widened, DISTRUST / excess, all(ONE));
+        l.drift_prior = select(widened, l.drift_prior / (WIDEN * excess), l.drift_prior);
+        for (int n = 0; n < FO_NX; n++) l.info.d[n] *= keep;
+        for (int n = 0; n < 3; n++) l.info.noise[n] *= keep;
+    }
+}
+
+/* carry_on of fluxobs.c, in the lanes `which`. */
+inline V carry_on(const fo_observer &o, Lanes &l, const V v[2], M which) {
+    V p[2], flux[2];
+    const M first = which & (l.carried == ZERO);
+    if (any(first)) {
+        const V square = vector_of(o, l, l.flux, p);
+        const V *u = l.info.U, *d = l.info.d;
+        const V a = p[0] + p[1] * u[at(DRIFT, DRIFT + 1)];
+        const V c = p[1] * u[at(DRIFT, CC)] - a * u[at(DRIFT + 1, CC)];
+        const V known = p[1] * p[1] / d[DRIFT] + a * a / d[DRIFT + 1] + c * c / d[CC];
+        const V growth = (l.inflation * (known / square) + o.plausible * o.plausible) / square;
+        l.growth = select(first, growth, l.growth);
+        l.carried_length = select(first, root(square), l.carried_length);
+        l.carried_off = select(first, V{}, l.carried_off);
+    }
+    l.carried = select(which, l.carried + o.h, l.carried);
+    for (int i = 0; i < FO_N; i++) flux[i] = l.flux[i] + v[i] + o.h * l.drift[i];
+    const V off = root(vector_of(o, l, flux, p)) / l.carried_length - ONE;
+    const V worse = select(off * off > l.carried_off, off * off, l.carried_off);
+    l.carried_off = select(which, worse, l.carried_off);
+    const V variance = l.variance + l.growth * l.carried * l.carried + l.carried_off;
+    const M on = which & (variance < VARIANCE_UNKNOWN);
+    for (int i = 0; i < FO_N; i++) l.flux[i] = select(on, flux[i], l.flux[i]);
+    return variance;
+}
+
+/* What a step gives, over lanes. */
+struct Found {
+    V flux[2], psi_f, theta_e, theta_e_tracked, speed_e, drift[2], theta_e_std, innovation, noise_share;
+    M valid;
+};
+
+/* A sample in the relation, before anything changes. */
+struct Sample {
+    V given[2], kink[2], source[2], current[2]; /* volt-seconds before and after the kinks */
+    V row[FO_NX], rhs;
+    V v[2], q[2], input;                        /* of the interval */
+    V length;                                   /* of the position vector's step */
+    M odd;                                      /* bad, or contradicts what is known */
+};
+
+inline void look_at(const fo_observer &o, const Lanes &l, const V voltage[2], const V current[2],
+                    Sample &s) {
+    V mean[2], moved[2];
+    for (int i = 0; i < FO_N; i++) s.source[i] = inner(o.hB[i], voltage);
+    M good = inner(s.source, s.source) <= FLUX_STEP_LIMIT * FLUX_STEP_LIMIT;
+    for (int i = 0; i < FO_N; i++) {
+        s.current[i] = current[i];
+        s.given[i] = l.given[i];
+        s.kink[i] = l.kink[i];
+    }
+    if (o.kink_now != ZERO) {
+        for (int i = 0; i < FO_N; i++) {
+            s.kink[i] = s.source[i] - l.given[i];
+            s.given[i] = s.source[i];
+            s.source[i] = s.source[i] - o.kink_now * s.kink[i] - o.kink_before * l.kink[i];
+        }
+        good &= inner(s.source, s.source) <= FLUX_STEP_LIMIT * FLUX_STEP_LIMIT;
+    }
+    good &= inner(current, current) <= o.current_limit * o.current_limit;
+
+    s.rhs = V{};
+    for (int n = 0; n < FO_NX; n++) s.row[n] = V{};
+    s.row[S] = all(o.row_s);
+    for (int i = 0; i < FO_N; i++) {
+        s.row[FLUX + i] = inner(o.row_Q2[i], current);
+        s.rhs -= current[i] * (inner(o.row_Q3[i], current) + o.row_C[i]);
+    }
+    for (int i = 0; i < FO_N; i++)
+        mean[i] = (fo_real)9 * current[i] + (fo_real)19 * l.current[0][i] -
+                  (fo_real)5 * l.current[1][i] + l.current[2][i];
+    for (int i = 0; i < FO_N; i++) s.v[i] = s.source[i] - inner(o.hR[i], mean);
+    for (int i = 0; i < FO_N; i++) s.q[i] = inner(o.Q1x2[i], s.v);
+    s.input = inner(s.q, s.v) / TWO + inner(o.E, s.v);
+
+    for (int i = 0; i < FO_N; i++) moved[i] = s.v[i] - o.L_position * (current[i] - l.current[0][i]);
+    s.length = root(inner(moved, moved));
+    const V usual =
+        TWO * l.step + STEP_LIMIT * l.length + STEP_NOISE * root(o.position_noise * l.roughness);
+    V off = s.rhs, free = l.x[S] + s.input + o.h * (l.x[KAPPA] + o.h * l.x[CC]);
+    for (int i = 0; i < FO_N; i++) {
+        const V flux = l.x[FLUX + i] + o.h * l.x[DRIFT + i];
+        free += s.q[i] * flux;
+        off -= s.row[FLUX + i] * (flux + s.v[i]);
+    }
+    off -= s.row[S] * free;
+    const M outlier = l.trusted & ((s.length > usual) | ~(size(off) < OUTLIER_LIMIT * s.row[S]));
+    s.odd = ~good | outlier;
+}
+
+/* Lanes whose numbers have run away start anew. */
+inline void start_anew(Lanes &l, M gone) {
+    for (int n = 0; n < FO_TRIANGLE; n++) l.info.U[n] = select(gone, V{}, l.info.U[n]);
+    for (int n = 0; n < 3; n++) l.info.noise[n] = select(gone, V{}, l.info.noise[n]);
+    for (int n = 0; n < FO_NX; n++) {
+        l.info.z[n] = select(gone, V{}, l.info.z[n]);
+        l.info.d[n] = select(gone, prior_of(l, n), l.info.d[n]);
+        l.x[n] = select(gone, V{}, l.x[n]);
+    }
+    l.innovation = select(gone, V{}, l.innovation);
+    l.power = select(gone, all(ONE), l.power);
+    l.lag_one = select(gone, V{}, l.lag_one);
+    l.noise_share = select(gone, all(ONE), l.noise_share);
+    l.swept = select(gone, V{}, l.swept);
+    l.trusted &= ~gone;
+    l.turn &= ~gone;
+    l.restarts -= gone; /* a mask is -1 */
+}
+
+/* track of fluxobs_internal.h; the lanes `stopped` stop it instead. */
+inline void track(const fo_observer &o, Lanes &l, V theta, M stopped) {
+    const fo_real h = o.sample_time;
+    auto &t = l.tracker;
+    const V turn_by = h * (t.speed + h * t.acceleration / TWO);
+    const V predicted = wrapped(t.angle + turn_by), error = wrapped(theta - predicted);
+    const M found = ~stopped & l.lost;
+    const M follows = ~stopped & ~l.lost & (size(turn_by) <= PI);
+    const M near = follows & (size(error) <= TRACKER_LOST);
+    const V turned = wrapped(theta - t.angle) / h;
+    l.lost = follows & ~near;
+    t.angle = select(near, wrapped(predicted + o.track[0] * error), theta);
+    t.speed = select(near, t.speed + (h * t.acceleration + o.track[1] * error),
+                     select(found, turned, V{}));
+    t.acceleration = select(near, t.acceleration + o.track[2] * error, V{});
+    t.settled = select(l.lost, V{}, t.settled);
+}
+
+/* The step of an ordinary sample. */
+inline void step(const fo_observer &o, Lanes &l, Sample &s, Found &e) {
+    V p[2];
+    for (int k = FO_HISTORY - 1; k > 0; k--)
+        for (int i = 0; i < FO_N; i++) l.current[k][i] = l.current[k - 1][i];
+    for (int i = 0; i < FO_N; i++) {
+        l.current[0][i] = s.current[i];
+        l.source[i] = s.source[i];
+        l.given[i] = s.given[i];
+        l.kink[i] = s.kink[i];
+    }
+    l.step = s.length;
+    l.consecutive_bad = M{};
+
+    predict(o, l, s.v, s.q, s.input);
+    Left left = {s.rhs, all(ONE)};
+    rotate_from<S>(l, s.row, left);
+    const V innovation = root(left.weight) * left.rhs, share = o.h * innovation;
+    const V third0 = third(l, 0), third1 = third(l, 1);
+    l.power = o.rho * l.power + share * innovation;
+    l.lag_one = o.rho * l.lag_one + share * l.innovation;
+    l.innovation = innovation;
+    l.info.noise[0] += o.noise_information * l.roughness;
+    l.rough += o.h * ((third0 * third0 + third1 * third1) * o.over_noise - l.rough);
+    l.roughness = select(l.rough > ONE, l.rough, all(ONE));
+
+    int element = FO_TRIANGLE - 1;
+#pragma GCC unroll 8
+    for (int i = FO_NX - 1; i >= 0; i--) {
+        V sum = l.info.z[i];
+#pragma GCC unroll 8
+        for (int j = FO_NX - 1; j > i; j--) sum -= l.info.U[element--] * l.x[j];
+        l.x[i] = sum;
+    }
+    V square = vector_of(o, l, &l.x[FLUX], p);
+    const M gone = ~(square < RUNAWAY); /* or not a number; happens after a long rest */
+    if (any(gone)) {
+        start_anew(l, gone);
+        square = vector_of(o, l, &l.x[FLUX], p);
+    }
+    const M turn = l.turn;
+    l.turn = turn + 1;
+    l.turn &= l.turn < static_cast<whole>(REINJECT_PERIOD);
+    V theta = angle_of(p[1], p[0]);
+    const M long_enough = square > o.square_min;
+    const M judging = (turn & 1) != 0;
+    if (any(~judging)) reinject_due(o, l, turn);
+    if (any(judging)) judge(l, p, square, judging, long_enough);
+    const M known = long_enough & (l.noise_share < SHARE_LIMIT);
+    l.swept = select(known, l.swept + wrapped(theta - l.theta), V{});
+    l.theta = theta;
+    const M trusted = known & (l.trusted | (size(l.swept) > SWEEP));
+
+    const V turned = size(l.tracker.speed) * o.sample_time;
+    l.exposed += o.h * o.plausible - l.exposed * select(turned < ONE, turned, all(ONE));
+    l.exposed = select(l.exposed < EXPOSED_MOST, l.exposed, all(EXPOSED_MOST));
+
+    V variance = l.spread + o.position_noise * l.roughness / square + ZERO;
+    l.variance = select(trusted, variance, l.variance);
+    l.carried = select(trusted, V{}, l.carried);
+    const M carrying = ~trusted & l.have_carried;
+    l.have_carried |= trusted;
+    variance = select(trusted, variance, all(VARIANCE_UNKNOWN));
+    for (int i = 0; i < FO_N; i++) {
+        e.flux[i] = l.x[FLUX + i];
+        e.drift[i] = l.x[DRIFT + i];
+        l.flux[i] = select(trusted, e.flux[i], l.flux[i]);
+        l.drift[i] = select(trusted, e.drift[i], l.drift[i]);
+    }
+    if (any(carrying)) {
+        const V carried = carry_on(o, l, s.v, carrying);
+        const M report = carrying & (~known | (carried < VARIANCE_UNKNOWN));
+        variance = select(carrying, carried, variance);
+        const V there = vector_of(o, l, l.flux, p);
+        square = select(report, there, square);
+        theta = select(report, angle_of(p[1], p[0]), theta);
+        for (int i = 0; i < FO_N; i++) {
+            e.flux[i] = select(report, l.flux[i], e.flux[i]);
+            e.drift[i] = select(report, l.drift[i], e.drift[i]);
+        }
+    }
+    const M lost = ~(variance < VARIANCE_UNKNOWN);
+    variance = select(lost, all(VARIANCE_UNKNOWN), variance);
+
+    track(o, l, theta, lost & ~known);
+    const auto &t = l.tracker;
+
+    l.length = root(square);
+    l.trusted = trusted;
+    e.theta_e_std = root(variance);
+    const M near = size(wrapped(theta - t.angle)) < STD_LIMIT + (fo_real)3 * e.theta_e_std;
+    const V settled = t.settled + select(near, all(o.h), all(TRACKER_OFF * o.h));
+    l.tracker.settled = select(trusted, select(t.settled < TRACKER_SETTLED, settled, t.settled), V{});
+
+    for (int i = 0; i < FO_N; i++) {
+        e.flux[i] *= o.flux_base;
+        e.drift[i] *= o.drift_base;
+    }
+    e.psi_f = l.length * o.flux_base;
+    e.theta_e = theta;
+    e.theta_e_tracked = t.angle;
+    e.speed_e = t.speed;
+    e.innovation = l.innovation;
+    e.noise_share = l.noise_share;
+    e.valid = trusted & (t.settled >= TRACKER_SETTLED) & (variance < STD_LIMIT * STD_LIMIT) &
+              (l.exposed < VOLTAGE_LIMIT * l.length);
+}
+
+/* A row of every record: [records][rows][2]. */
+inline void read(const double *from, size_t rows, size_t row, V to[2]) {
+#if defined(__AVX2__) && FO_SINGLE
+    __m128 pairs[4]; /* of records k and k + 1 */
+    for (int k = 0; k < 4; k++) {
+        const double *one = from + 2 * (static_cast<size_t>(2 * k) * rows + row);
+        const __m256d both = _mm256_insertf128_pd(_mm256_castpd128_pd256(_mm_loadu_pd(one)),
+                                                  _mm_loadu_pd(one + 2 * rows), 1);
+        pairs[k] = _mm256_cvtpd_ps(both);
+    }
+    for (int n = 0; n < 2; n++) {
+        const __m128 low = n ? _mm_shuffle_ps(pairs[0], pairs[1], 0xDD) : _mm_shuffle_ps(pairs[0], pairs[1], 0x88);
+        const __m128 high = n ? _mm_shuffle_ps(pairs[2], pairs[3], 0xDD) : _mm_shuffle_ps(pairs[2], pairs[3], 0x88);
+        to[n] = reinterpret_cast<V>(_mm256_set_m128(high, low));
+    }
+#else
+    for (int k = 0; k < LANES; k++)
+        for (int n = 0; n < 2; n++) {
+            const double x = from[2 * (static_cast<size_t>(k) * rows + row) + static_cast<size_t>(n)];
+            /* beyond its range a number of single precision is infinite */
+            const double most = sizeof(fo_real) < sizeof x ? 3.4028234663852886e38 : __builtin_inf();
+            to[n][k] = static_cast<fo_real>(x > most    ? __builtin_inf()
+                                            : x < -most ? -__builtin_inf()
+                                                        : x);
+        }
+#endif
+}
+
+/* Rows that are written together. A column of a record lies in pages of its own: one row at a time
+ * would ask for all these pages again and again. */
+constexpr size_t TILE = 64;
+
+/* Asks the memory for a part of what the next tile is written to: the processor's own guesses do not
+ * reach so many places at once. */
+inline void fetch(const double *next, size_t rows, size_t plane, size_t place) {
+    const double *at = next + (place % LANES) * rows + place / LANES * (64 / sizeof(double));
+    if (place / LANES < TILE * sizeof(double) / 64)
+        for (size_t n = 0; n < COLUMNS; n++) __builtin_prefetch(at + plane * n, 1);
+}
+
+/* A column's last rows, a record's `rows` numbers apart. */
+inline void write(const V tile[TILE], double *to, size_t rows, size_t count) {
+    size_t r = 0;
+#if defined(__AVX2__)
+    for (; r + 4 <= count; r += 4) { /* four rows of four records, turned round */
+        for (int first = 0; first < LANES; first += 4) {
+            __m256d of[4];
+            for (size_t n = 0; n < 4; n++) {
+#if FO_SINGLE
+                const __m256 row = reinterpret_cast<__m256>(tile[r + n]);
+                of[n] = _mm256_cvtps_pd(first ? _mm256_extractf128_ps(row, 1) : _mm256_castps256_ps128(row));
+#else
+                of[n] = reinterpret_cast<__m256d>(tile[r + n]);
+#endif
+            }
+            const __m256d a = _mm256_unpacklo_pd(of[0], of[1]), b = _mm256_unpackhi_pd(of[0], of[1]);
+            const __m256d c = _mm256_unpacklo_pd(of[2], of[3]), d = _mm256_unpackhi_pd(of[2], of[3]);
+            double *at = to + static_cast<size_t>(first) * rows + r;
+            _mm256_storeu_pd(at, _mm256_permute2f128_pd(a, c, 0x20));
+            _mm256_storeu_pd(at + rows, _mm256_permute2f128_pd(b, d, 0x20));
+            _mm256_storeu_pd(at + 2 * rows, _mm256_permute2f128_pd(a, c, 0x31));
+            _mm256_storeu_pd(at + 3 * rows, _mm256_permute2f128_pd(b, d, 0x31));
+        }
+    }
+#endif
+    for (; r < count; r++)
+        for (int k = 0; k < LANES; k++) to[static_cast<size_t>(k) * rows + r] = tile[r][k];
+}
+
+}  // namespace
+
+bool lanes_here() {
+#if defined(__x86_64__)
+    return __builtin_cpu_supports("avx2");
+#else
+    return true;
+#endif
+}
+
+void lanes_run(const fo_observer *observer, fo_state *states, const double *voltage,
+               const double *current, size_t rows, double *columns, size_t plane, bool *valid) {
+    const fo_observer &o = *observer;
+    Lanes now;
+    __builtin_memset(&now, 0, sizeof now);
+    V tile[COLUMNS][TILE]; /* of the last rows */
+    bool apart[LANES];     /* its state is in `states`, else in `now` */
+    for (int k = 0; k < LANES; k++) apart[k] = true;
+
+    for (size_t row = 0; row < rows; row++) {
+        V u[2], i[2];
+        Sample sample;
+        Found found;
+        read(voltage, rows, row, u);
+        read(current, rows, row, i);
+        look_at(o, now, u, i, sample);
+        for (int k = 0; k < LANES; k++) {
+            if (apart[k] || sample.odd[k] == 0) continue;
+            take_out(o, now, k, states[k]);
+            apart[k] = true;
+        }
+        step(o, now, sample, found);
+        const size_t place = row % TILE;
+        size_t count = 0;
+#define KEEP_VECTOR(name) \
+    for (int n = 0; n < FO_N; n++) tile[count++][place] = found.name[n];
+#define KEEP_NUMBER(name) tile[count++][place] = found.name;
+        FO_ESTIMATE_FIELDS(KEEP_VECTOR, KEEP_NUMBER)
+        for (int k = 0; k < LANES; k++) {
+            bool &known = valid[static_cast<size_t>(k) * rows + row];
+            known = found.valid[k] != 0;
+            if (!apart[k]) continue;
+            const fo_real voltage_of[2] = {u[0][k], u[1][k]}, current_of[2] = {i[0][k], i[1][k]};
+            fo_estimate e;
+            fo_step(observer, &states[k], voltage_of, current_of, &e);
+            known = e.valid;
+            count = 0;
+#define KEEP_VECTOR_OF(name) \
+    for (int n = 0; n < FO_N; n++) tile[count++][place][k] = e.name[n];
+#define KEEP_NUMBER_OF(name) tile[count++][place][k] = e.name;
+            FO_ESTIMATE_FIELDS(KEEP_VECTOR_OF, KEEP_NUMBER_OF)
+            if (ordinary(states[k])) {
+                put_in(now, k, states[k]);
+                apart[k] = false;
+            }
+        }
+        fetch(columns + row - place + TILE, rows, plane, place);
+        if (place == TILE - 1 || row == rows - 1)
+            for (size_t n = 0; n < COLUMNS; n++)
+                write(tile[n], columns + plane * n + row - place, rows, place + 1);
+    }
+    for (int k = 0; k < LANES; k++)
+        if (!apart[k]) take_out(o, now, k, states[k]);
+}
+
+#endif
