@@ -27,9 +27,6 @@ static const uint32_t SEARCHED = 6U;
 /* ... and none elsewhere may have more than this weight [1], the chance of a wrong start
  * (benchmark). */
 static const fo_real OTHER = (fo_real)0.01;
-/* Std of the angle below which the start may be decided: ten degrees [rad], where linearising is
- * good to a degree (benchmark, noise 2.5 %). */
-static const fo_real START_STD = PI / (fo_real)18;
 /* Share of the information that may come from noise at the start [1]: three times that of a valid
  * position, since the filter goes on judging (benchmark, noise 2.5 %). */
 static const fo_real START_SHARE = (fo_real)0.3;

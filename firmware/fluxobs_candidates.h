@@ -11,6 +11,10 @@
 #define fo_candidates_step FO_NAME(fo_candidates_step)
 #define fo_project FO_NAME(fo_project)
 
+/* Std of the angle below which the start may be decided: ten degrees [rad], where linearising is good
+ * to a degree (benchmarks/adaptive.py, the start; noise 2.5 %). */
+#define START_STD (PI / (fo_real)18)
+
 /* Information on the manifold, U (p - p0) = z. */
 typedef struct {
     fo_real U[FO_PACKED(FO_NM)];

@@ -14,6 +14,11 @@ static const fo_real LENGTH_SHARE = (fo_real)0.25;
  * and information without end leaves single precision. */
 static const fo_real STD_LEAST = (fo_real)1e-3;
 
+#if FO_ADAPTIVE
+/* Information that is next to nothing, and keeps the triangle regular [1 / flux bases^2]. */
+static const fo_real NOTHING = (fo_real)1e-6;
+#endif
+
 /* The seed, per-unit. */
 typedef struct {
     fo_real theta, std;          /* [rad] */
@@ -105,19 +110,15 @@ void fo_seed_state(const fo_observer *o, fo_state *s, const fo_seed *seed,
 }
 
 #if FO_ADAPTIVE
-void fo_adaptive_seed_state(const fo_adaptive *a, fo_adaptive_state *s, const fo_seed *seed,
-                            const fo_real current[FO_N])
+/* The filter starts there. */
+static void start_filter(const fo_adaptive *a, fo_adaptive_state *s, const start *seed,
+                         const fo_real current[FO_N])
 {
     start at;
     fo_candidate c;
     fo_manifold m;
     const fo_observer *o = &a->plain;
-    if (never_reset(&s->plain)) {
-        fo_adaptive_reset(a, s);
-    } else {
-        fo_adaptive_restart(a, s, s->frozen);
-    }
-    seed_plain(o, &s->plain, seed, current, &at);
+    at = *seed;
 
     /* What is learnt of the inductance and of the offsets is in the filter's flux. */
     const fo_real wrong = fo_learning_value(a, s, FO_INDUCTANCE + 1);
@@ -132,7 +133,7 @@ void fo_adaptive_seed_state(const fo_adaptive *a, fo_adaptive_state *s, const fo
     const fo_real known = o->plausible, twice = TWO * at.length * at.length_std;
     for (int i = 0; i < FO_N; i++) {
         c.p[i] = at.flux[i];
-        m.d[i] = STD_LEAST * STD_LEAST; /* next to nothing */
+        m.d[i] = NOTHING;
         m.d[FO_N + i] = ONE / (known * known);
     }
     c.p[FO_NM - 1] = at.length * at.length;
@@ -155,5 +156,24 @@ void fo_adaptive_seed_state(const fo_adaptive *a, fo_adaptive_state *s, const fo
     const fo_real loss = a->std[FO_INVERTER] * TWO;
     s->unsure = fo_sqrt(drop * drop + loss * loss) * a->volt / o->h;
     s->unsure_at = dot(current, current);
+}
+
+void fo_adaptive_seed_state(const fo_adaptive *a, fo_adaptive_state *s, const fo_seed *seed,
+                            const fo_real current[FO_N])
+{
+    start at;
+    if (never_reset(&s->plain)) {
+        fo_adaptive_reset(a, s);
+    } else {
+        fo_adaptive_restart(a, s, s->frozen);
+    }
+    seed_plain(&a->plain, &s->plain, seed, current, &at);
+    if (at.std < START_STD) {
+        start_filter(a, s, &at, current);
+    } else { /* too rough to learn from: positions all around are followed, the first from here */
+        s->x[0] = at.along[0];
+        s->x[1] = at.along[1];
+        fo_candidates_sow(a, s);
+    }
 }
 #endif

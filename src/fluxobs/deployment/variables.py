@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from ..errors import FluxobsError
 from ..observers import Estimate, outputs
+from .c_source import Precision
 from .core import Core
 from .vectors import COLUMNS, expected, inputs
 
@@ -97,13 +98,13 @@ def c_values(core: Core, number: str) -> str:
     return "\n".join(f"        {row}" for row in rows)
 
 
-def record_csv(core: Core) -> str:
-    """The record and its expected outputs in double precision, every digit."""
+def record_csv(core: Core, precision: Precision = "double") -> str:
+    """The record and its expected outputs in a precision, every digit."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     names = [one.name for one in output_variables(core)][: len(COLUMNS)]
     writer.writerow([*(one.name for one in INPUTS), *names])
-    outputs_of = expected(core.estimates["double"])
+    outputs_of = expected(core.estimates[precision])
     for given, found in zip(inputs(core.record), outputs_of, strict=True):
         writer.writerow([*map(repr, given.tolist()), *map(repr, found.tolist())])
     return text.getvalue()

@@ -85,7 +85,8 @@ class CompiledObserver(Generic[Found]):
         """State that starts at a known angle: from Hall sensors, an alignment, an encoder.
 
         The angle is carried on from here, with a growing standard deviation, until the least
-        squares know better, after about half a turn. `valid` has to be earned as ever.
+        squares know better, which they do earlier than without. `valid` has to be earned as ever.
+        The filter of an adaptive observer runs at once if the angle is known to ten degrees.
 
         Parameters
         ----------

@@ -19,6 +19,7 @@ FORMS = {
     "arduino": "the example SelfTest of {folder}",
     "fmu": "python {folder}/test/check.py",
     "wasm": "node {folder}/test/check.mjs",
+    "rust": "cargo test --manifest-path {folder}/Cargo.toml",
     "simulink": "build.m and check.m in {folder}",
 }
 

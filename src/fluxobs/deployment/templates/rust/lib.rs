@@ -1,0 +1,117 @@
+//! The flux observer of one machine: its position, speed and magnetic flux from currents and voltages
+//! that are biased. The C source of the fluxobs library, in single precision, behind a safe door: no
+//! allocation, no panic, `no_std`. Content @content@.
+//!
+//! SI units; the stationary frame, amplitude-invariant, per phase; current positive into the machine.
+//! A step takes the mean voltage over the interval that **ends** now and the current now, @step_time@ s
+//! after the last. NaN is a missing sample.
+//!
+//! ```
+//! let mut observer = @rust_crate@::Observer::new();
+//! let estimate = observer.step([0.0, 0.0], [0.1, 0.0]);
+//! assert!(!estimate.valid);
+//! ```
+#![no_std]
+
+/// Time from one step to the next [s].
+pub const SAMPLE_TIME: f32 = @step_time@;
+/// Pole pairs: the shaft's speed is `speed_e` over this.
+pub const POLE_PAIRS: u32 = @n_p@;
+
+const OUTPUTS: usize = @outputs@;
+
+/// What a step returns.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+@rust_fields@
+}
+
+impl Estimate {
+    fn of(x: &[f32; OUTPUTS]) -> Self {
+        Self {
+@rust_values@
+        }
+    }
+
+    /// All of it as numbers, in the order of the fields.
+    pub fn numbers(&self) -> [f32; OUTPUTS] {
+        [
+@rust_numbers@
+        ]
+    }
+}
+
+/// An angle that is known: of Hall sensors (`theta_e_std` 0.3 rad), an alignment, an encoder.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Seed {
+    /// In (-pi, pi] [rad].
+    pub theta_e: f32,
+    /// Its standard deviation [rad].
+    pub theta_e_std: f32,
+    /// Electrical speed [rad/s].
+    pub speed_e: f32,
+    /// Magnet flux or active flux [Wb]; 0: the assumed one.
+    pub psi_f: f32,
+    /// Its standard deviation [Wb]; 0: a quarter.
+    pub psi_f_std: f32,
+}
+
+/// Everything that changes: plain data, to be copied and stored.
+#[derive(Clone, Copy)]
+#[repr(C, align(8))]
+struct State([u8; @state_bytes@]);
+
+/// The observer of one motor.
+#[derive(Clone, Copy)]
+pub struct Observer {
+    state: State,
+}
+
+extern "C" {
+    fn fluxobs_@prefix@_reset(state: *mut State);
+    fn fluxobs_@prefix@_seed(state: *mut State, seed: *const f32, current: *const f32);
+    fn fluxobs_@prefix@_step(state: *mut State, u: *const f32, i: *const f32, out: *mut f32);
+}
+
+impl Default for Observer {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Observer {
+    /// Nothing is known.
+    pub fn new() -> Self {
+        let mut observer = Self { state: State([0; @state_bytes@]) };
+        observer.reset();
+        observer
+    }
+
+    /// Forgets everything; counters begin at 0.
+    pub fn reset(&mut self) {
+        // SAFETY: the state is as large as C wants it (csrc/door.c checks), aligned, and ours alone.
+        unsafe { fluxobs_@prefix@_reset(&mut self.state) }
+    }
+
+    /// Starts at a known angle and the present current [A]; `valid` has to be earned as ever.
+    pub fn seed(&mut self, at: &Seed, current: [f32; 2]) {
+        let seed = [at.theta_e, at.theta_e_std, at.speed_e, at.psi_f, at.psi_f_std];
+        // SAFETY: as in reset; C reads five and two numbers.
+        unsafe { fluxobs_@prefix@_seed(&mut self.state, seed.as_ptr(), current.as_ptr()) }
+    }
+
+    /// Takes one sample in: voltage of the interval that ends now [V], current now [A].
+    pub fn step(&mut self, voltage: [f32; 2], current: [f32; 2]) -> Estimate {
+        let mut out = [0.0; OUTPUTS];
+        // SAFETY: as in reset; C reads two numbers each and writes OUTPUTS.
+        unsafe {
+            fluxobs_@prefix@_step(
+                &mut self.state,
+                voltage.as_ptr(),
+                current.as_ptr(),
+                out.as_mut_ptr(),
+            )
+        }
+        Estimate::of(&out)
+    }
+}

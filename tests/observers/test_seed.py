@@ -1,0 +1,102 @@
+"""A start from a known angle: it helps, it is carried on, and a wrong one does no harm."""
+
+import numpy as np
+import pytest
+
+from fluxobs import UsageError
+from fluxobs.machines import example
+from fluxobs.observers import AdaptiveObserver, LeastSquaresObserver
+from fluxobs.synthetic.signals import driven, vectors
+
+H, ROWS, PARTS, START = 1e-4, 3500, 8, 0.7
+TOP = 2 * np.pi * 60
+
+
+def record(name):
+    """A run-up from rest under load: angle, voltage, current of rows 0 to ROWS."""
+    machine = example(name)
+    rated = machine.rated_current
+    along = 0.0 if machine.magnets else 0.5 * rated
+    rows = np.arange(ROWS * PARTS + 1) / PARTS
+    speed = np.interp(rows, (0, 200, 1500), (0, 0, TOP))
+    i_dq = np.full(rows.shape, along + 0.4j * rated)
+    true = driven(machine, H, speed, i_dq, PARTS, START)
+    noise = 0.002 * rated * np.random.default_rng(2).standard_normal((ROWS + 1, 2))
+    current = vectors(true.current) + noise + 0.01 * rated * np.array([1, -0.5])
+    active = 0.0 if machine.magnets else machine.saliency * along
+    return machine, true.theta_e, vectors(true.voltage), current, active
+
+
+def off(found, theta, machine):
+    degrees = np.degrees(np.angle(np.exp(1j * (found - theta))))
+    return (degrees + 90) % 180 - 90 if machine.half_turn_ambiguous else degrees
+
+
+def turned(valid, theta):
+    """Rotation until the first valid row [degrees]."""
+    assert valid.any()
+    return np.degrees(theta_sum(theta)[np.argmax(valid)])
+
+
+def theta_sum(theta):
+    return np.cumsum(np.abs(np.angle(np.exp(1j * np.diff(theta)))))
+
+
+@pytest.mark.parametrize("kind", [LeastSquaresObserver, AdaptiveObserver])
+@pytest.mark.parametrize("name", ["ipm-2kw2", "synrm-6kw7"])
+def test_a_known_angle_is_carried_on_and_makes_it_valid_earlier(name, kind):
+    machine, theta, u, i, active = record(name)
+    observer = kind.for_machine(machine, sample_time=H)
+    nothing = observer.run(u, i[1:])
+    state = observer.seed(START + 0.04, i[0], theta_e_std=0.05, psi_f=active)
+    found = observer.resume(state, u, i[1:])[1]
+    assert np.abs(off(found.theta_e[:400], theta[1:401], machine)).max() < 8
+    assert found.theta_e_std[0] < 0.06
+    assert turned(found.valid, theta) < turned(nothing.valid, theta) - 10
+    error = np.abs(off(found.theta_e, theta[1:], machine))
+    assert (error < np.maximum(3, 4 * np.degrees(found.theta_e_std)))[found.valid].all()
+
+
+@pytest.mark.parametrize("kind", [LeastSquaresObserver, AdaptiveObserver])
+@pytest.mark.parametrize("name", ["servo-400w", "ipm-2kw2", "synrm-6kw7"])
+def test_a_wrong_angle_is_never_valid(name, kind):
+    """By 90 degrees, said to be right to six."""
+    machine, theta, u, i, active = record(name)
+    observer = kind.for_machine(machine, sample_time=H)
+    state = observer.seed(START + np.pi / 2, i[0], theta_e_std=0.1, psi_f=active)
+    found = observer.resume(state, u, i[1:])[1]
+    error = np.abs(off(found.theta_e, theta[1:], machine))
+    assert error[0] > 80
+    assert not (found.valid & (error > 10)).any()
+    if kind is LeastSquaresObserver:
+        assert found.valid[-1]
+
+
+def test_the_filter_starts_where_the_angle_is_known_well_enough():
+    machine, _, u, i, _ = record("ipm-2kw2")
+    observer = AdaptiveObserver.for_machine(machine, sample_time=H)
+    for std, runs in ((0.05, True), (0.3, False)):
+        state = observer.seed(START, i[0], theta_e_std=std)
+        assert bool(observer.step(state, u[0], i[1])[1].adapting) is runs
+
+
+def test_what_was_learnt_is_kept():
+    machine, theta, u, i, _ = record("ipm-2kw2")
+    observer = AdaptiveObserver.for_machine(machine, sample_time=H)
+    state = observer.resume(observer.init(), u, i[1:])[0]
+    learnt = observer.learnt(state)
+    assert learnt.resistance_std < observer.resistance_std
+    again = observer.learnt(observer.seed(theta[-1], i[-1], theta_e_std=0.05, state=state))
+    assert again.resistance == learnt.resistance
+    assert again.inverter_voltage == learnt.inverter_voltage
+    assert again.psi_f == pytest.approx(learnt.psi_f, rel=1e-12)
+
+
+def test_seeds_that_make_no_sense_are_refused():
+    observer = LeastSquaresObserver.for_machine(example("servo-400w"), sample_time=H)
+    with pytest.raises(UsageError, match="theta_e_std must be positive"):
+        observer.seed(0.0, [0.0, 0.0], theta_e_std=0.0)
+    with pytest.raises(UsageError, match="finite"):
+        observer.seed(np.nan, [0.0, 0.0], theta_e_std=0.1)
+    with pytest.raises(UsageError, match="shape"):
+        observer.seed(0.0, [0.0, 0.0, 0.0], theta_e_std=0.1)
