@@ -73,10 +73,23 @@ static bool is_finite(const fo_real *x, int n)
 #define DEMAND_NUMBER(name) demand(&found, is_finite(&c->name, 1), FO_ERROR_NOT_FINITE, #name);
 #define DEMAND_FINITE(name, least, most) DEMAND_NUMBER(name)
 #define PASSED_OVER(name)
+#define PASSED_OVER_RANGE(name, least, most)
 #define DEMAND_POSITIVE(name, least, most) \
     demand(&found, c->name > ZERO, FO_ERROR_BASE, #name);
 #define DEMAND_RANGE(name, least, most)                                                    \
     demand(&found, within(c->name, (fo_real)(least), (fo_real)(most)), FO_ERROR_RANGE, #name);
+
+#if FO_ISOTROPIC
+/* Is it a number times the identity? */
+static bool is_number(const fo_real m[FO_N][FO_N])
+{
+    const fo_real off = fo_abs(m[0][1]) + fo_abs(m[1][0]) + fo_abs(m[0][0] - m[1][1]);
+    return !(off > ZERO);
+}
+#define DEMAND_IDENTITY(name) demand(&found, is_number(c->name), FO_ERROR_OTHER, #name);
+#define DEMAND_NOTHING(name) \
+    demand(&found, !(fo_abs(c->name[0]) + fo_abs(c->name[1]) > ZERO), FO_ERROR_OTHER, #name);
+#endif
 
 static finding check(const fo_config *c)
 {
@@ -88,6 +101,13 @@ static finding check(const fo_config *c)
            FO_ERROR_SAMPLE_TIME, "memory");
     FO_CONFIG_FIELDS(PASSED_OVER, PASSED_OVER, PASSED_OVER, DEMAND_POSITIVE)
     FO_CONFIG_FIELDS(PASSED_OVER, PASSED_OVER, PASSED_OVER, DEMAND_RANGE)
+    /* what these sources leave out (fluxobs_real.h) */
+#if FO_ISOTROPIC
+    FO_CONFIG_FIELDS(DEMAND_IDENTITY, DEMAND_NOTHING, PASSED_OVER, PASSED_OVER_RANGE)
+#endif
+#if !FO_HELD
+    demand(&found, !(fo_abs(c->kink_now) > ZERO), FO_ERROR_OTHER, "kink_now");
+#endif
     return found;
 }
 

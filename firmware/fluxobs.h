@@ -191,7 +191,8 @@ typedef enum {
     FO_ERROR_NOT_FINITE,       /* a parameter is NaN or infinite                            */
     FO_ERROR_RANGE,            /* sizes that do not fit each other: a wrong unit, most likely */
     FO_ERROR_BUSY,             /* the interrupt has not yet taken the last configuration      */
-    FO_ERROR_OTHER,            /* of another machine, precision or kind of observer           */
+    FO_ERROR_OTHER,            /* of another machine, precision or kind of observer, or not for */
+                               /* these sources: fluxobs_real.h leaves something out        */
     FO_ERROR_DAMAGED           /* not what was packed: length, version or checksum is wrong   */
 } fo_error;
 

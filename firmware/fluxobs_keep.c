@@ -69,7 +69,9 @@ static fo_real get_number(const uint8_t *at)
     float_bits one;
     one.bits = 0U;
     for (uint32_t n = 0U; n < (uint32_t)sizeof one; n++) {
-        one.bits |= (bit_pattern)at[n] << (8U * n);
+        const uint32_t shift = 8U * n;
+        const bit_pattern byte = at[n];
+        one.bits |= byte << shift;
     }
     return one.value;
 }
@@ -243,7 +245,7 @@ void fo_adaptive_save(const fo_adaptive *a, const fo_adaptive_state *s,
 }
 
 fo_error fo_adaptive_restore(const fo_adaptive *a, fo_adaptive_state *s, const uint8_t *blob,
-                             uint32_t length, fo_real resistance_std)
+                             uint32_t length, fo_real changed)
 {
     fo_error found = examine(blob, length, OF_SAVED, FO_SAVED_BYTES);
     fo_adaptive_reset(a, s);
@@ -261,7 +263,8 @@ fo_error fo_adaptive_restore(const fo_adaptive *a, fo_adaptive_state *s, const u
             (void)memcpy(&s->d[FO_NF], of.d, sizeof of.d);
             (void)memcpy(&s->z[FO_NF], of.z, sizeof of.z);
             (void)memcpy(&s->U[FO_ROW(FO_NA, FO_NF)], of.U, sizeof of.U);
-            fo_learning_warm(a, s, std > ZERO && resistance_std > ZERO ? resistance_std / std : ZERO);
+            const fo_real resistance = (fo_real)24 * a->plain.hR[0][0] / a->volt;
+            fo_learning_warm(a, s, std > ZERO ? changed * resistance / std : ZERO);
             fo_candidates_sow(a, s);
         }
     }

@@ -73,10 +73,10 @@ void fo_adaptive_save(const fo_adaptive *observer, const fo_adaptive_state *stat
                       uint8_t blob[FO_SAVED_BYTES]);
 
 /* Resets the state, and gives it what was saved by the same observer. The resistance may have
- * changed since by this standard deviation [Ohm]: copper by 0.4 % a kelvin, 0.2 R for a motor that
- * was warm. FO_ERROR_DAMAGED, FO_ERROR_OTHER: the state is reset and has learnt nothing. */
+ * changed since, with this standard deviation, as a share of it: copper by 0.4 % a kelvin, 0.2 for a
+ * motor that was warm. FO_ERROR_DAMAGED, FO_ERROR_OTHER: the state is reset and has learnt nothing. */
 fo_error fo_adaptive_restore(const fo_adaptive *observer, fo_adaptive_state *state,
-                             const uint8_t *blob, uint32_t length, fo_real resistance_std);
+                             const uint8_t *blob, uint32_t length, fo_real changed);
 #endif
 
 #ifdef __cplusplus

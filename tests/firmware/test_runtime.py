@@ -11,7 +11,7 @@ import fluxobs
 from fluxobs import _core
 from fluxobs.machines import InductionMachine, SynchronousReluctance, example
 from fluxobs.observers import AdaptiveObserver, LeastSquaresObserver
-from support.firmware import FIRMWARE, HARNESS, STRICT
+from support.firmware import FIRMWARE, HARNESS, ROOT, STRICT
 from support.records import MACHINES
 
 RUNTIME = HARNESS / "runtime"
@@ -139,6 +139,22 @@ def test_another_configuration_in_the_drive(folder):
 
 def test_an_estimate_is_read_whole(folder):
     run_in(folder, "snapshot.c", flags=("-O2",))
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "arm-none-eabi-gcc"])
+def test_the_example_compiles(folder, compiler):
+    if shutil.which(compiler) is None:
+        pytest.skip(f"{compiler} is missing")
+    if not (folder / "fluxobs_adaptive.h").exists():
+        pytest.skip("the example is for the adaptive observer")
+    source = ROOT / "examples" / "firmware" / "at_run_time" / "at_run_time.c"
+    command = [compiler, *STRICT, f"-I{folder}", f"-I{folder / 'runtime'}", "-c", source]
+    subprocess.run([*command, "-o", folder.parent / "example.o"], check=True)
+
+
+def test_sources_refuse_what_they_leave_out(folder):
+    """Held voltages, and matrices that are more than numbers."""
+    run_in(folder, "lacking.c")
 
 
 def test_the_layout_has_a_number_of_its_own():

@@ -106,19 +106,8 @@ def compile_for(
         parts.append(source.with_suffix(".o"))
         subprocess.run(["arm-none-eabi-gcc", *flags, "-c", source, "-o", parts[-1]], check=True)
     subprocess.run(["arm-none-eabi-ld", "-r", *parts, "-o", observer], check=True)
-    sources = [HERE / "startup.c", HERE / "main.c", folder / "test" / "check.c", *parts]
-    sources += [folder / "motor_observer.c"]
-    link = ["-nostartfiles", "--specs=nano.specs", "-L", HERE, "-T", HERE / build.linker]
-    link += ["-Wl,--gc-sections", "-Wl,--no-warn-rwx-segments", "-lm", "-o", program]
-    subprocess.run(["arm-none-eabi-gcc", *flags, *sources, *link], check=True)
-
-    def sizes(path: Path) -> dict[str, int]:
-        out = subprocess.run(
-            ["arm-none-eabi-nm", "-S", "-t", "d", path], check=True, capture_output=True, text=True
-        ).stdout
-        found = re.findall(r"^\d+ (\d+) [tTrRdD] (\S+)$", out, re.MULTILINE)
-        return {name: int(size) for size, name in found}
-
+    sources = [HERE / "main.c", folder / "test" / "check.c", *parts, folder / "motor_observer.c"]
+    link(build, flags, sources, program)
     linked = sizes(program)
     # Without what only those need who step every few interrupts.
     few = {
@@ -130,23 +119,46 @@ def compile_for(
     return program, sum(size for name, size in sizes(observer).items() if name in counted)
 
 
-def run(build: Build, program: Path) -> tuple[dict[str, int], np.ndarray, float]:
-    """What the program says: its numbers, the instructions of every step, and of gathering."""
+def link(build: Build, flags: Sequence[object], sources: Sequence[Path], program: Path) -> None:
+    """A program for the board."""
+    command = ["arm-none-eabi-gcc", *flags, HERE / "startup.c", *sources]
+    command += ["-nostartfiles", "--specs=nano.specs", "-L", HERE, "-T", HERE / build.linker]
+    command += ["-Wl,--gc-sections", "-Wl,--no-warn-rwx-segments", "-lm", "-o", program]
+    subprocess.run(command, check=True)
+
+
+def sizes(path: Path) -> dict[str, int]:
+    """Bytes of each function and constant."""
+    out = subprocess.run(
+        ["arm-none-eabi-nm", "-S", "-t", "d", path], check=True, capture_output=True, text=True
+    ).stdout
+    found = re.findall(r"^\d+ (\d+) [tTrRdD] (\S+)$", out, re.MULTILINE)
+    return {name: int(size) for size, name in found}
+
+
+def said_by(build: Build, program: Path) -> tuple[list[tuple[str, int]], int]:
+    """Names and numbers that the program prints, and its exit code."""
     command = ["qemu-system-arm", "-M", build.board, "-nographic", "-monitor", "none"]
     command += ["-serial", "none", "-semihosting-config", "enable=on,target=native"]
     command += ["-icount", "shift=10", "-kernel", str(program)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     lines = (done.stdout + done.stderr).split("\n")
     pairs = [line.split() for line in lines if re.fullmatch(r"\w+ -?\d+", line)]
-    ticks = np.array([int(value) for name, value in pairs if name.startswith("ticks")])
-    said = {name: int(value) for name, value in pairs if name != "ticks"}
-    if "parameters" not in said:
+    if not any(name == "parameters" for name, _ in pairs):
         raise SystemExit(f"{build.name}: the program did not end: {lines[-3:]}")
+    return [(name, int(value)) for name, value in pairs], done.returncode
+
+
+def run(build: Build, program: Path) -> tuple[dict[str, int], np.ndarray, float]:
+    """What the program says: its numbers, the instructions of every step, and of gathering."""
+    pairs, rc = said_by(build, program)
+    ticks = np.array([value for name, value in pairs if name.startswith("ticks")])
+    said = {name: value for name, value in pairs if name != "ticks"}
     per_instruction = build.clock * INSTRUCTION * 1e-9
     instructions = (ticks[1:] - ticks[0]) / per_instruction  # less those of reading the timer
     counted = np.round(instructions)
     assert np.abs(instructions - counted).max() < 0.1, "ticks do not tell instructions"
-    return said | {"rc": done.returncode}, counted[:-1], counted[-1]
+    return said | {"rc": rc}, counted[:-1], counted[-1]
 
 
 def as_expected(build: Build, said: dict[str, int]) -> bool:
@@ -246,6 +258,30 @@ def measure_maps() -> bool:
     return bool(table > LOOK_UP)
 
 
+def measure_configuring() -> bool:
+    """Prints what a motor chosen in the field costs before its first step; whether it failed."""
+    failed = False
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "motor"
+        fluxobs.export(fluxobs.read_machine(MACHINE), SAMPLE_TIME, folder)
+        sources = [folder / "fluxobs.c", folder / "runtime" / "fluxobs_config.c"]
+        for build in (BUILDS[0], BUILDS[2], BUILDS[3]):
+            program, own = folder / "configure.elf", set[str]()
+            flags = [*COMMON, *build.flags, f"-I{folder}", f"-I{folder / 'runtime'}", f"-I{HERE}"]
+            for source in sources:
+                made = source.with_suffix(".o")
+                subprocess.run(["arm-none-eabi-gcc", *flags, "-c", source, "-o", made], check=True)
+                own |= sizes(made).keys()
+            link(build, flags, [HERE / "configure.c", *sources], program)
+            pairs, rc = said_by(build, program)
+            ticks = dict(pairs)
+            count = (ticks["configuring"] - ticks["reading"]) / (build.clock * INSTRUCTION * 1e-9)
+            code = sum(size for name, size in sizes(program).items() if name in own)
+            print(f"fo_configure and fo_init, {build.name}: {count:.0f} instructions, {code} bytes")
+            failed = failed or rc != 0
+    return failed
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--update", action="store_true", help="write costs.json and docs")
@@ -264,6 +300,7 @@ def main() -> int:
         costs[kind], bad = measure(kind, unknowns, compiler)
         failed = failed or bad
     failed = measure_maps() or failed
+    failed = measure_configuring() or failed
     if options.update:
         target = ROOT / "src" / "fluxobs" / "deployment" / "costs.json"
         target.write_text(json.dumps(costs, indent=1) + "\n", encoding="utf-8")

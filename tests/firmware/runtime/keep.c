@@ -68,7 +68,8 @@ static void check_learnt(void)
     static fo_adaptive other;
     fo_adaptive_estimate e;
     fo_learnt before, after;
-    const fo_real warm = (fo_real)0.2 * motor_observer.std[FO_RESISTANCE];
+    const fo_real R = (fo_real)24 * motor_observer.plain.hR[0][0] / motor_observer.volt;
+    const fo_real warm = (fo_real)0.2 * R;
     fo_adaptive_reset(&motor_observer, &state);
     for (int k = 0; k < SAMPLES; k++) {
         fo_adaptive_step(&motor_observer, &state, &samples[k][0], &samples[k][2], &e);
@@ -80,7 +81,7 @@ static void check_learnt(void)
                 "what was saved is refused");
     fo_adaptive_learnt(&motor_observer, &restored, &after);
     demand_that(memcmp(&before, &after, sizeof before) == 0, "what was learnt is not restored");
-    fo_adaptive_restore(&motor_observer, &restored, blob, FO_SAVED_BYTES, warm);
+    fo_adaptive_restore(&motor_observer, &restored, blob, FO_SAVED_BYTES, (fo_real)0.2);
     fo_adaptive_learnt(&motor_observer, &restored, &after);
     const fo_real wanted = before.resistance_std * before.resistance_std + warm * warm;
     const fo_real found = after.resistance_std * after.resistance_std;

@@ -1,0 +1,107 @@
+/* What a drive does beside its interrupt: a motor that is chosen in the field, a start from Hall
+ * sensors, a winding that warms up, an estimate for slower tasks, what outlives a power cycle.
+ *
+ * For an export with --unknowns drift,resistance,inverter; without it the functions are those without
+ * `adaptive` in their names. The functions declared here are yours to write.
+ *
+ * SPDX-License-Identifier: MIT
+ */
+#include <math.h>
+
+#include "fluxobs_config.h"
+#include "fluxobs_keep.h"
+#include "fluxobs_retune.h"
+#include "fluxobs_seed.h"
+#include "motor_observer.h"
+
+const uint8_t *memory_read(uint32_t *length); /* 0 where nothing was stored */
+void memory_write(const uint8_t *bytes, uint32_t length);
+void complain(const char *field);
+float hall_angle(void); /* electrical, middle of the sector [rad] */
+bool hall_is_read(void);
+
+bool choose_motor(const uint8_t *blob, uint32_t length);
+bool describe_motor(float R_s, float L_s, float psi_f, float rated_current);
+void power_up(void);
+void control_interrupt(const float voltage[2], const float current[2]);
+void every_second(float winding_temperature);
+void control_speed(void);
+void power_down(void);
+
+static fo_adaptive observer;           /* the motor's parameters, in RAM */
+static fo_adaptive_retunable in_use;   /* ... and their successor        */
+static fo_adaptive_state state;
+static fo_adaptive_estimate estimate;
+static fo_snapshot shared;
+static fo_config config;               /* of the motor in use */
+static fo_adaptive_config adaptive;
+
+/* A motor that was exported on a desk: its motor_parameters.bin. */
+bool choose_motor(const uint8_t *blob, uint32_t length)
+{
+    return fo_adaptive_unpack(&observer, blob, length) == FO_OK;
+}
+
+/* A motor that is known by its data sheet only: the formulas of `fluxobs export`. */
+bool describe_motor(float R_s, float L_s, float psi_f, float rated_current)
+{
+    const fo_machine machine = fo_pmsm(R_s, L_s, psi_f, rated_current);
+    fo_configure(&config, &machine, motor_sample_time);
+    fo_adaptive_choose(&adaptive, &machine, motor_sample_time, 48.0f,
+                       (uint32_t)FO_LEARN_RESISTANCE + (uint32_t)FO_LEARN_INVERTER);
+    if (fo_adaptive_init(&observer, &config, &adaptive) != FO_OK) {
+        complain(fo_adaptive_wrong(&config, &adaptive)); /* "R": most likely a wrong unit */
+        return false;
+    }
+    return true;
+}
+
+/* Before the interrupt runs: what was learnt comes back. The winding may have cooled: its resistance
+ * may be off by a fifth. */
+void power_up(void)
+{
+    uint32_t length = 0;
+    const uint8_t *saved = memory_read(&length);
+    fo_adaptive_retunable_init(&in_use, &observer);
+    if (saved == NULL ||
+        fo_adaptive_restore(&observer, &state, saved, length, 0.2f) != FO_OK) {
+        fo_adaptive_reset(&observer, &state);
+    }
+}
+
+void control_interrupt(const float voltage[2], const float current[2])
+{
+    const fo_adaptive *now = fo_adaptive_take(&in_use, &state);
+    if (hall_is_read()) { /* once, at rest: a sector of 60 degrees has a std of 0.3 rad */
+        const fo_seed seed = {hall_angle(), 0.3f, 0.0f, 0.0f, 0.0f};
+        fo_adaptive_seed_state(now, &state, &seed, current);
+        return;
+    }
+    fo_adaptive_step(now, &state, voltage, current, &estimate);
+    fo_publish(&shared, &estimate.position);
+}
+
+/* The assumed resistance follows the winding's sensor; what has been learnt beyond it stays. */
+void every_second(float winding_temperature)
+{
+    fo_config warm = config;
+    const float copper = 1.0f + 0.0039f * (winding_temperature - 20.0f);
+    warm.R[0][0] = warm.R[1][1] = config.R[0][0] * copper;
+    (void)fo_adaptive_retune(&in_use, &warm, &adaptive); /* busy: the next second will do */
+}
+
+/* A task that is slower than the interrupt, and may be interrupted by it. */
+void control_speed(void)
+{
+    fo_estimate now;
+    if (fo_read(&shared, &now) && now.valid) {
+        /* now.speed_e / motor_pole_pairs */
+    }
+}
+
+void power_down(void)
+{
+    uint8_t saved[FO_SAVED_BYTES];
+    fo_adaptive_save(&observer, &state, saved);
+    memory_write(saved, FO_SAVED_BYTES);
+}
