@@ -81,12 +81,13 @@ static bool is_finite(const fo_real *x, int n)
 
 #if FO_ISOTROPIC
 /* Is it a number times the identity? */
-static bool is_number(const fo_real m[FO_N][FO_N])
+static bool is_number(fo_real aa, fo_real ab, fo_real ba, fo_real bb)
 {
-    const fo_real off = fo_abs(m[0][1]) + fo_abs(m[1][0]) + fo_abs(m[0][0] - m[1][1]);
-    return !(off > ZERO);
+    return !(fo_abs(ab) + fo_abs(ba) + fo_abs(aa - bb) > ZERO);
 }
-#define DEMAND_IDENTITY(name) demand(&found, is_number(c->name), FO_ERROR_OTHER, #name);
+#define DEMAND_IDENTITY(name)                                                                   \
+    demand(&found, is_number(c->name[0][0], c->name[0][1], c->name[1][0], c->name[1][1]),       \
+           FO_ERROR_OTHER, #name);
 #define DEMAND_NOTHING(name) \
     demand(&found, !(fo_abs(c->name[0]) + fo_abs(c->name[1]) > ZERO), FO_ERROR_OTHER, #name);
 #endif

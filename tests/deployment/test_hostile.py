@@ -74,6 +74,9 @@ def test_the_name_of_a_table_is_inert(tmp_path, monkeypatch, form, unknowns):
             json.loads(data)
         if path.endswith(".xml"):
             ElementTree.fromstring(data)
+        if path.endswith(".bin"):  # numbers alone
+            assert data == tame[path]
+            continue
         text = data.decode()
         named += text.count(inert(HOSTILE))
         if path == "MANIFEST" or path.endswith("certificate.json"):

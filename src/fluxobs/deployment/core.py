@@ -34,6 +34,7 @@ RUNTIME_SOURCES = (
         for kind in ("h", "c")
     ),
     "fluxobs.hpp",
+    "soft_float/soft_float.c",
 )
 #: What an export changes if the plain observer is alone.
 ADAPTIVE = "#define FO_ADAPTIVE 1"
@@ -141,7 +142,10 @@ def make_core(
         _choose(sources, ISOTROPIC, 1)
     if not inside.held:
         _choose(sources, HELD, 0)
-    runtime = {name: (installed / name).read_text(encoding="utf-8") for name in RUNTIME_SOURCES}
+    runtime = {
+        name.rpartition("/")[2]: (installed / name).read_text(encoding="utf-8")
+        for name in RUNTIME_SOURCES
+    }
     texts = tuple(sources.values())
     content, made = parameter_files(prefix, observers, machine, version, texts, update_every)
     record = firmware_record(machine, inside, _unsure(single, machine))

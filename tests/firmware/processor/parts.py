@@ -75,9 +75,18 @@ PARTS = {
     "carrying": (("carry_on", "drift_across"), "the flux through a stop, and its growing doubt"),
     "read-out": (("read_out", "position", "away"), "which flux is reported, `valid`, outputs"),
 }
+#: The lines of functions that a linker drops are said to begin at address 0, among the others.
+DEBUG = ("-g", "-Wl,--no-gc-sections")
 #: What a step does not use.
 OTHERS = ("check", "prepare", "in_range", "fo_init_single", "set_tracker", "reinjected", "within")
-OTHERS += ("not_finite", "stretch", "fo_uneven_single", "fo_gather_single")
+OTHERS += ("demand", "demand_size", "is_finite", "is_number", "check_prepared", "fo_wrong_single")
+OTHERS += (
+    "prepare_checked",
+    "fo_rotate_in_single",
+    "stretch",
+    "fo_uneven_single",
+    "fo_gather_single",
+)
 OTHERS += ("fo_step_volt_seconds_single", "fo_step_for_single", "memset")
 
 
@@ -92,7 +101,7 @@ def functions(program: Path, addresses: Iterable[int]) -> list[str]:
 def instructions(folder: Path) -> Counter[str]:
     """Instructions of a sample on the mean, by function."""
     build = BUILDS[0]
-    program, _ = compile_for(build, folder, "plain", ["-g"])
+    program, _ = compile_for(build, folder, "plain", DEBUG)
     ran: Counter[int] = Counter()
     steps = 0
     for one in calls(program, build.board, STEPS["plain"]):
@@ -107,7 +116,7 @@ def instructions(folder: Path) -> Counter[str]:
 def sizes(folder: Path) -> Counter[str]:
     """Bytes by function."""
     build = next(one for one in BUILDS if one.name.endswith("-Os"))
-    program, _ = compile_for(build, folder, "plain", ["-g"])
+    program, _ = compile_for(build, folder, "plain", DEBUG)
     listing = subprocess.run(
         ["arm-none-eabi-objdump", "-d", program], check=True, capture_output=True, text=True
     ).stdout

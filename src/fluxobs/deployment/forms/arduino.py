@@ -31,9 +31,11 @@ def files(core: Core) -> dict[str, str | bytes]:
     """
     check_every_step(core, "an Arduino library")
     words = _words(core)
+    code = core.code | core.runtime
+    del code["soft_float.c"]  # a library does not change the arithmetic of a sketch
     vectors = vectors_header(core.record, core.estimates)
     return {
-        **{f"src/{name}": text for name, text in (core.code | core.runtime).items()},
+        **{f"src/{name}": text for name, text in code.items()},
         **{name: fill(core, template, words) for name, template in TEMPLATES.items()},
         "examples/SelfTest/vectors.h": vectors,
         "LICENSE": core.licence,
