@@ -113,7 +113,7 @@ fuzz: $(READY)
 	done
 
 bench: $(READY)
-	@for script in accuracy measured speed startup paper hour long_run drive closed_loop validity \
+	@for script in accuracy measured speed startup seeds paper hour long_run drive closed_loop validity \
 	        compare update_every adaptive random_drives stops heat jumps in_loop endurance mistakes maps identification readers page; do \
 	    $(BIN)/python benchmarks/$$script.py || exit 1; \
 	done

@@ -69,6 +69,7 @@ void power_up(void)
     }
 }
 
+/* The interrupt of the current control. */
 void control_interrupt(const float voltage[2], const float current[2])
 {
     const fo_adaptive *now = fo_adaptive_take(&in_use, &state);
