@@ -206,18 +206,23 @@ fo_error fo_adaptive_unpack(fo_adaptive *a, const uint8_t *blob, uint32_t length
 
 /* ---- what has been learnt --------------------------------------------------------------- */
 
-/* A number that another observer's parameters do not have: their checksum, as a fo_real. */
+/* A number that observers with other units of what they learn do not have: a checksum. */
 static fo_real mark_of(const fo_adaptive *a)
 {
-    uint8_t blob[FO_ADAPTIVE_PACKED_BYTES];
-    fo_adaptive_pack(a, blob);
-    const uint32_t sum = get(&blob[FO_ADAPTIVE_PACKED_BYTES - FO_CHECKSUM], 4U) >> 8U;
+    uint8_t bytes[((uint32_t)FO_NP + 3U) * (uint32_t)sizeof(fo_real)];
+    cursor c = {bytes, NULL};
+    fo_real units[3] = {a->plain.flux_base, a->plain.drift_base, a->plain.sample_time};
+    fo_real stds[FO_NP];
+    (void)memcpy(stds, a->std, sizeof stds);
+    pass_all(&c, units, 3);
+    pass_all(&c, stds, (int)FO_NP);
+    const uint32_t sum = checksum(bytes, (uint32_t)sizeof bytes) >> 8U;
     return (fo_real)sum; /* 24 bits are exact */
 }
 
-/* The parameters' part of the triangle, and their values. */
+/* The parameters' part of the triangle, their values, and those that were assumed. */
 typedef struct {
-    fo_real p[FO_NP], d[FO_NP], z[FO_NP], U[FO_NP * (FO_NP - 1) / 2];
+    fo_real p[FO_NP], d[FO_NP], z[FO_NP], U[FO_NP * (FO_NP - 1) / 2], means[FO_MEANS];
 } part;
 
 static void pass_part(cursor *c, part *of)
@@ -226,6 +231,7 @@ static void pass_part(cursor *c, part *of)
     pass_all(c, of->d, (int)FO_NP);
     pass_all(c, of->z, (int)FO_NP);
     pass_all(c, of->U, (int)FO_NP * ((int)FO_NP - 1) / 2);
+    pass_all(c, of->means, (int)FO_MEANS);
 }
 
 void fo_adaptive_save(const fo_adaptive *a, const fo_adaptive_state *s,
@@ -238,6 +244,7 @@ void fo_adaptive_save(const fo_adaptive *a, const fo_adaptive_state *s,
     (void)memcpy(of.d, &s->d[FO_NF], sizeof of.d);
     (void)memcpy(of.z, &s->z[FO_NF], sizeof of.z);
     (void)memcpy(of.U, &s->U[FO_ROW(FO_NA, FO_NF)], sizeof of.U);
+    fo_learning_means(a, of.means);
     put_head(blob, OF_SAVED, FO_SAVED_BYTES);
     pass(&c, &mark);
     pass_part(&c, &of);
@@ -263,8 +270,8 @@ fo_error fo_adaptive_restore(const fo_adaptive *a, fo_adaptive_state *s, const u
             (void)memcpy(&s->d[FO_NF], of.d, sizeof of.d);
             (void)memcpy(&s->z[FO_NF], of.z, sizeof of.z);
             (void)memcpy(&s->U[FO_ROW(FO_NA, FO_NF)], of.U, sizeof of.U);
-            const fo_real resistance = (fo_real)24 * a->plain.hR[0][0] / a->volt;
-            fo_learning_warm(a, s, std > ZERO ? changed * resistance / std : ZERO);
+            fo_learning_warm(a, s, std > ZERO ? changed * of.means[1] / std : ZERO);
+            fo_learning_rebase(a, s, of.means);
             fo_candidates_sow(a, s);
         }
     }

@@ -58,8 +58,9 @@ fo_error fo_unpack(fo_observer *observer, const uint8_t *blob, uint32_t length);
 #if FO_ADAPTIVE
 enum {
     FO_ADAPTIVE_NUMBERS = FO_NUMBERS FO_ADAPTIVE_FIELDS(FO_COUNT_ARRAY, FO_COUNT_NUMBER) + 1,
-    /* the parameters' part of the triangle, with weights, right-hand sides and values; a mark */
-    FO_SAVED_NUMBERS = FO_NP * (FO_NP - 1) / 2 + 3 * FO_NP + 1
+    /* the parameters' part of the triangle, with weights, right-hand sides and values; the values
+     * assumed then; a mark */
+    FO_SAVED_NUMBERS = FO_NP * (FO_NP - 1) / 2 + 3 * FO_NP + 3 + 1
 };
 #define FO_ADAPTIVE_PACKED_BYTES FO_BYTES(FO_ADAPTIVE_NUMBERS)
 #define FO_SAVED_BYTES FO_BYTES(FO_SAVED_NUMBERS)
@@ -68,12 +69,12 @@ void fo_adaptive_pack(const fo_adaptive *observer, uint8_t blob[FO_ADAPTIVE_PACK
 fo_error fo_adaptive_unpack(fo_adaptive *observer, const uint8_t *blob, uint32_t length);
 
 /* Writes what has been learnt: magnet flux, resistance, the inverter's loss, offsets, inductances,
- * asymmetry, and how sure they are. FO_SAVED_BYTES bytes. */
+ * asymmetry, and how sure they are. FO_SAVED_BYTES bytes. The observer is the one in use now. */
 void fo_adaptive_save(const fo_adaptive *observer, const fo_adaptive_state *state,
                       uint8_t blob[FO_SAVED_BYTES]);
 
-/* Resets the state, and gives it what was saved by the same observer. The resistance may have
- * changed since, with this standard deviation, as a share of it: copper by 0.4 % a kelvin, 0.2 for a
+/* Resets the state, and gives it what was saved by an observer of the same bases and standard
+ * deviations; its assumed values may have been others. The resistance may have changed since, with this standard deviation, as a share of it: copper by 0.4 % a kelvin, 0.2 for a
  * motor that was warm. FO_ERROR_DAMAGED, FO_ERROR_OTHER: the state is reset and has learnt nothing. */
 fo_error fo_adaptive_restore(const fo_adaptive *observer, fo_adaptive_state *state,
                              const uint8_t *blob, uint32_t length, fo_real changed);

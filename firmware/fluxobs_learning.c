@@ -457,6 +457,37 @@ void fo_learning_warm(const fo_adaptive *a, fo_adaptive_state *s, fo_real stds)
     }
 }
 
+/* A parameter's assumed value grows by `more` stds: its error is less by as much. */
+static void move_mean(fo_adaptive_state *s, int n, fo_real more)
+{
+    const int at = FO_NF + n;
+    s->p[n] -= more;
+    for (int i = FO_NF; i < at; i++) { /* the rows that have it */
+        s->z[i] -= s->U[FO_AT(FO_NA, i, at)] * more;
+    }
+    s->z[at] -= more;
+}
+
+void fo_learning_means(const fo_adaptive *a, fo_real means[FO_MEANS])
+{
+    means[0] = a->psi;
+    means[1] = (fo_real)24 * a->plain.hR[0][0] / a->volt;
+    means[2] = a->inverter_mean;
+}
+
+void fo_learning_rebase(const fo_adaptive *a, fo_adaptive_state *s, const fo_real before[FO_MEANS])
+{
+    static const int places[FO_MEANS + 1] = {FO_PSI, FO_RESISTANCE, FO_INVERTER, FO_INVERTER + 1};
+    fo_real now[FO_MEANS];
+    fo_learning_means(a, now);
+    for (int i = 0; i < (int)FO_MEANS + 1; i++) {
+        const int n = places[i], mean = i < (int)FO_MEANS ? i : (int)FO_MEANS - 1;
+        if (a->std[n] > ZERO) {
+            move_mean(s, n, (now[mean] - before[mean]) / a->std[n]);
+        }
+    }
+}
+
 /* The parameters are forgotten towards their prior, one after the other, each every ROUND rows. */
 static void forget_parameters(const fo_adaptive *a, fo_adaptive_state *s, fo_real time)
 {

@@ -15,6 +15,8 @@
 #define fo_learning_value FO_NAME(fo_learning_value)
 #define fo_learning_deviation FO_NAME(fo_learning_deviation)
 #define fo_learning_warm FO_NAME(fo_learning_warm)
+#define fo_learning_means FO_NAME(fo_learning_means)
+#define fo_learning_rebase FO_NAME(fo_learning_rebase)
 
 /* Share of the EMF that the parameters may be off, above which another angle explains the data as
  * well [1]: twice it, four stds, would turn the EMF round. */
@@ -59,5 +61,14 @@ fo_real fo_learning_deviation(const fo_adaptive *observer, const fo_adaptive_sta
 
 /* The resistance may have changed since it was learnt, by this std, in stds of its prior. */
 void fo_learning_warm(const fo_adaptive *observer, fo_adaptive_state *state, fo_real stds);
+
+/* The assumed values that may be given anew: magnet flux, resistance [Ohm], half the inverter's
+ * loss [V]. */
+enum { FO_MEANS = 3 };
+void fo_learning_means(const fo_adaptive *observer, fo_real means[FO_MEANS]);
+
+/* What was learnt with other assumed values stays true: the errors move the other way. */
+void fo_learning_rebase(const fo_adaptive *observer, fo_adaptive_state *state,
+                        const fo_real before[FO_MEANS]);
 
 #endif

@@ -89,36 +89,14 @@ fo_error fo_adaptive_retune(fo_adaptive_retunable *r, const fo_config *config,
     return found;
 }
 
-/* A parameter's assumed value grows by `more` stds: its error is less by as much. */
-static void move_mean(fo_adaptive_state *s, int n, fo_real more)
-{
-    const int at = FO_NF + n;
-    s->p[n] -= more;
-    for (int i = FO_NF; i < at; i++) { /* the rows that have it */
-        s->z[i] -= s->U[FO_AT(FO_NA, i, at)] * more;
-    }
-    s->z[at] -= more;
-}
-
 const fo_adaptive *fo_adaptive_take(fo_adaptive_retunable *r, fo_adaptive_state *s)
 {
     const uint32_t ready = r->ready;
     FO_BARRIER();
     if (ready != r->active) {
-        const fo_adaptive *before = &r->both[r->active], *now = &r->both[ready];
-        const fo_real volt = now->volt, std = now->std[FO_RESISTANCE];
-        if (now->std[FO_PSI] > ZERO) {
-            move_mean(s, FO_PSI, (now->psi - before->psi) / now->std[FO_PSI]);
-        }
-        if (std > ZERO) {
-            const fo_real moved =
-                (fo_real)24 * (now->plain.hR[0][0] - before->plain.hR[0][0]) / volt;
-            move_mean(s, FO_RESISTANCE, moved / std);
-        }
-        for (int n = 0; n < 2 && now->std[FO_INVERTER] > ZERO; n++) {
-            const fo_real moved = now->inverter_mean - before->inverter_mean;
-            move_mean(s, FO_INVERTER + n, moved / now->std[FO_INVERTER]);
-        }
+        fo_real means[FO_MEANS];
+        fo_learning_means(&r->both[r->active], means);
+        fo_learning_rebase(&r->both[ready], s, means);
     }
     r->active = ready;
     return &r->both[ready];

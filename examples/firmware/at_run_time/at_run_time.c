@@ -100,9 +100,10 @@ void control_speed(void)
     }
 }
 
+/* When the interrupt no longer runs. */
 void power_down(void)
 {
     uint8_t saved[FO_SAVED_BYTES];
-    fo_adaptive_save(&observer, &state, saved);
+    fo_adaptive_save(fo_adaptive_take(&in_use, &state), &state, saved);
     memory_write(saved, FO_SAVED_BYTES);
 }

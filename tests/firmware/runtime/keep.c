@@ -97,8 +97,16 @@ static void check_learnt(void)
     fo_adaptive_learnt(&motor_observer, &restored, &after);
     demand_that(after.resistance_error == 0 && after.resistance_std > before.resistance_std,
                 "a refused save has left something");
+    other = motor_observer; /* another resistance is assumed by now */
+    other.plain.hR[0][0] *= (fo_real)1.25;
+    other.plain.hR[1][1] *= (fo_real)1.25;
+    demand_that(fo_adaptive_restore(&other, &restored, blob, FO_SAVED_BYTES, 0) == FO_OK,
+                "another resistance is refused");
+    fo_adaptive_learnt(&other, &restored, &after);
+    const fo_real off = before.resistance_error - (fo_real)0.25 * R - after.resistance_error;
+    demand_that(off * off < (fo_real)1e-10 * R * R, "the resistance has changed");
     other = motor_observer;
-    other.volt *= (fo_real)1.0625;
+    other.std[FO_RESISTANCE] *= (fo_real)1.0625;
     demand_that(fo_adaptive_restore(&other, &restored, blob, FO_SAVED_BYTES, 0) == FO_ERROR_OTHER,
                 "another machine takes it");
 }
