@@ -13,6 +13,7 @@ from fluxobs.machines import RotatingMachine, example
 from fluxobs.synthetic.signals import driven, vectors
 
 H, ROWS, TRIALS, PARTS = 1e-4, 4000, 12, 16
+MACHINES = ("ipm-2kw2", "ipm-5kw6", "synrm-6kw7", "servo-400w", "induction-2kw2")
 #: Electrical speed that a run-up of 0.13 s reaches [rad/s]; load [of rated current].
 TOP, LOAD = 2 * np.pi * 60, 0.4
 #: Name → error of the angle and its standard deviation as given [rad]; None: drawn with it.
@@ -63,7 +64,7 @@ def main() -> None:
     heading(f"Start at rest, {TRIALS} angles: rotation until valid (median, most) and worst error")
     print("    | machine | observer | start | valid after | worst | rows sure and wrong |")
     print("    |---|---|---|---|---|---|")
-    for name in ("servo-400w", "ipm-2kw2", "synrm-6kw7"):
+    for name in MACHINES:
         machine = example(name)
         assert isinstance(machine, RotatingMachine)
         for kind in (LeastSquaresObserver, AdaptiveObserver):

@@ -568,7 +568,12 @@ inline void read(const double *from, size_t rows, size_t row, V to[2]) {
         const double *one = from + 2 * (static_cast<size_t>(2 * k) * rows + row);
         const __m256d both = _mm256_insertf128_pd(_mm256_castpd128_pd256(_mm_loadu_pd(one)),
                                                   _mm_loadu_pd(one + 2 * rows), 1);
-        pairs[k] = _mm256_cvtpd_ps(both);
+        /* beyond its range a number of single precision is infinite, and not rounded to its largest */
+        const __m256d sign = _mm256_and_pd(both, _mm256_set1_pd(-0.0));
+        const __m256d most = _mm256_set1_pd(3.4028234663852886e38);
+        const __m256d beyond = _mm256_cmp_pd(_mm256_xor_pd(both, sign), most, _CMP_GT_OQ);
+        const __m256d endless = _mm256_or_pd(_mm256_set1_pd(__builtin_inf()), sign);
+        pairs[k] = _mm256_cvtpd_ps(_mm256_blendv_pd(both, endless, beyond));
     }
     for (int n = 0; n < 2; n++) {
         const __m128 low = n ? _mm_shuffle_ps(pairs[0], pairs[1], 0xDD) : _mm_shuffle_ps(pairs[0], pairs[1], 0x88);
@@ -685,7 +690,7 @@ void lanes_run(const fo_observer *observer, fo_state *states, const double *volt
                 apart[k] = false;
             }
         }
-        fetch(columns + row - place + TILE, rows, plane, place);
+        if (row - place + 2 * TILE <= rows) fetch(columns + row - place + TILE, rows, plane, place);
         if (place == TILE - 1 || row == rows - 1)
             for (size_t n = 0; n < COLUMNS; n++)
                 write(tile[n], columns + plane * n + row - place, rows, place + 1);

@@ -102,12 +102,13 @@ static finding check(const fo_config *c)
            FO_ERROR_SAMPLE_TIME, "memory");
     FO_CONFIG_FIELDS(PASSED_OVER, PASSED_OVER, PASSED_OVER, DEMAND_POSITIVE)
     FO_CONFIG_FIELDS(PASSED_OVER, PASSED_OVER, PASSED_OVER, DEMAND_RANGE)
+    demand(&found, c->R[0][0] >= ZERO && c->R[1][1] >= ZERO, FO_ERROR_RANGE, "R");
     /* what these sources leave out (fluxobs_real.h) */
 #if FO_ISOTROPIC
     FO_CONFIG_FIELDS(DEMAND_IDENTITY, DEMAND_NOTHING, PASSED_OVER, PASSED_OVER_RANGE)
 #endif
 #if !FO_HELD
-    demand(&found, !(fo_abs(c->kink_now) > ZERO), FO_ERROR_OTHER, "kink_now");
+    demand(&found, !(fo_abs(c->kink_now) > ZERO), FO_ERROR_OTHER, "R"); /* R h/L is large */
 #endif
     return found;
 }

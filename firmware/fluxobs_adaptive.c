@@ -103,6 +103,9 @@ static finding examine_adaptive(fo_adaptive *a, const fo_config *config,
     }
     demand(&found, c->inverter_current > ZERO, FO_ERROR_BASE, "inverter_current");
     demand(&found, c->slow_memory > ZERO, FO_ERROR_BASE, "slow_memory");
+#if !FO_ASYMMETRIC
+    demand(&found, !(c->asymmetry_std > ZERO), FO_ERROR_OTHER, "asymmetry_std");
+#endif
     demand_size(&found, c->inverter_current, (fo_real)1e-9, (fo_real)1e9, "inverter_current");
     if (found.error == FO_OK) {
         prepare_adaptive(a, config, c);
@@ -432,11 +435,12 @@ static void begin(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *
         if (choice.found && choice.weight < ONE / TWO) {
             e->theta_other = choice.other;
         }
+        s->seeded = s->seeded && !s->plain.trusted && q->theta_e_std < std_of(VARIANCE_UNKNOWN);
         if (s->plain.trusted) {
             fo_estimate inside;
             inside = *q;
             take_inside(s, &inside, e);
-        } else if (choice.found) {
+        } else if (choice.found && !s->seeded) {
             fo_real variance = choice.best.variance;
             const fo_real apart = wrap(choice.other - choice.best.theta);
             variance += choice.weight * apart * apart;

@@ -141,6 +141,7 @@ typedef struct {
     fo_state plain;
     bool running;                        /* the filter; else candidates are followed        */
     bool frozen;                         /* the parameters stay as they are                 */
+    bool seeded;                         /* the plain observer carries a seed on            */
     uint32_t turn;
     uint32_t restarts;                   /* of the filter, by its guard                     */
     union {                              /* before the filter runs, and while it does       */

@@ -34,7 +34,8 @@ static fo_real memory_for(const fo_sizes *m, fo_real h)
 /* 1 - exp(-x), x >= 0, by its series where that is short, and 1 - exp(-2 x) = y (2 - y). */
 static fo_real fallen(fo_real x)
 {
-    fo_real part = x;
+    const fo_real all = (fo_real)40; /* nothing is left of it */
+    fo_real part = x < all ? x : all;
     int halvings = 0;
     for (int n = 0; n < 12; n++) {
         if (part > (fo_real)0.25) {

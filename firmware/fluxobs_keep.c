@@ -100,14 +100,45 @@ static void pass_all(cursor *c, fo_real numbers[], int count)
     }
 }
 
-/* "FO", layout, content, bytes of a number, asymmetry, then the length. */
-static void put_head(uint8_t *blob, uint32_t of, uint32_t length)
+/* What an observer needs of the sources that run it. */
+#define NEEDS_ASYMMETRY 1U
+#define NEEDS_HELD 2U
+#define NEEDS_MAP 4U
+
+static uint32_t needs(const fo_observer *o)
+{
+    uint32_t found = 0U;
+    if (fo_abs(o->kink_now) > ZERO) {
+        found |= NEEDS_HELD;
+    }
+    if (mapped(o)) {
+        found |= NEEDS_MAP;
+    }
+    return found;
+}
+
+/* Do these sources leave any of it out? */
+static bool lacks(uint32_t needed)
+{
+    bool found = false;
+    (void)needed;
+#if !FO_HELD
+    found = found || (needed & NEEDS_HELD) != 0U;
+#endif
+#if !FO_MAPPED
+    found = found || (needed & NEEDS_MAP) != 0U;
+#endif
+    return found;
+}
+
+/* "FO", layout, content, bytes of a number, needs, then the length. */
+static void put_head(uint8_t *blob, uint32_t of, uint32_t needed, uint32_t length)
 {
     put(&blob[0], 0x4F46U, 2U);
     put(&blob[2], FO_LAYOUT, 2U);
     put(&blob[4], of, 1U);
     put(&blob[5], (uint32_t)sizeof(fo_real), 1U);
-    put(&blob[6], of == OF_PLAIN ? 0U : (uint32_t)FO_ASYMMETRIC, 2U);
+    put(&blob[6], needed, 2U);
     put(&blob[8], length, 4U);
 }
 
@@ -118,18 +149,21 @@ static void close_blob(uint8_t *blob, uint32_t length)
 
 static fo_error examine(const uint8_t *blob, uint32_t length, uint32_t of, uint32_t wanted)
 {
-    uint8_t head[FO_HEAD];
     const uint32_t least = FO_HEAD + FO_CHECKSUM;
     const uint32_t whole = length < least ? 0U : get(&blob[8], 4U);
     fo_error found = FO_OK;
-    put_head(head, of, wanted);
-    if (whole < least || whole > length || get(&blob[0], 2U) != get(&head[0], 2U) ||
+    if (whole < least || whole > length || get(&blob[0], 2U) != 0x4F46U ||
         get(&blob[whole - FO_CHECKSUM], 4U) != checksum(blob, whole - FO_CHECKSUM)) {
         found = FO_ERROR_DAMAGED;
-    } else if (memcmp(head, blob, sizeof head) != 0) {
-        found = FO_ERROR_OTHER;
     } else {
-        /* it is what it says */
+        uint8_t head[FO_HEAD];
+        const uint32_t needed = get(&blob[6], 2U);
+        const bool asymmetric = (needed & NEEDS_ASYMMETRY) != 0U;
+        put_head(head, of, needed, wanted);
+        if (memcmp(head, blob, sizeof head) != 0 || lacks(needed) ||
+            asymmetric != (FO_ASYMMETRIC == 1 && of != OF_PLAIN)) {
+            found = FO_ERROR_OTHER;
+        }
     }
     return found;
 }
@@ -153,7 +187,7 @@ void fo_pack(const fo_observer *o, uint8_t blob[FO_PACKED_BYTES])
     cursor c = {&blob[FO_HEAD], NULL};
     fo_observer copy;
     copy = *o;
-    put_head(blob, OF_PLAIN, FO_PACKED_BYTES);
+    put_head(blob, OF_PLAIN, needs(o), FO_PACKED_BYTES);
     pass_observer(&c, &copy);
     close_blob(blob, FO_PACKED_BYTES);
 }
@@ -186,7 +220,8 @@ void fo_adaptive_pack(const fo_adaptive *a, uint8_t blob[FO_ADAPTIVE_PACKED_BYTE
     cursor c = {&blob[FO_HEAD], NULL};
     fo_adaptive copy;
     copy = *a;
-    put_head(blob, OF_ADAPTIVE, FO_ADAPTIVE_PACKED_BYTES);
+    put_head(blob, OF_ADAPTIVE, needs(&a->plain) | (uint32_t)FO_ASYMMETRIC,
+             FO_ADAPTIVE_PACKED_BYTES);
     pass_adaptive(&c, &copy);
     close_blob(blob, FO_ADAPTIVE_PACKED_BYTES);
 }
@@ -234,18 +269,40 @@ static void pass_part(cursor *c, part *of)
     pass_all(c, of->means, (int)FO_MEANS);
 }
 
+/* Are they numbers that a filter has? */
+static bool usable_part(const part *of)
+{
+    fo_real sum = ZERO;
+    bool positive = true;
+    for (int i = 0; i < (int)FO_NP; i++) {
+        sum += of->p[i] + of->z[i] + of->d[i];
+        positive = positive && of->d[i] > ZERO;
+    }
+    for (int i = 0; i < (int)FO_NP * ((int)FO_NP - 1) / 2; i++) {
+        sum += of->U[i];
+    }
+    for (int i = 0; i < (int)FO_MEANS; i++) {
+        sum += of->means[i];
+    }
+    return positive && sum - sum == ZERO;
+}
+
 void fo_adaptive_save(const fo_adaptive *a, const fo_adaptive_state *s,
                       uint8_t blob[FO_SAVED_BYTES])
 {
     cursor c = {&blob[FO_HEAD], NULL};
     part of;
     fo_real mark = mark_of(a);
+    (void)memset(&of, 0, sizeof of);
     (void)memcpy(of.p, s->p, sizeof of.p);
     (void)memcpy(of.d, &s->d[FO_NF], sizeof of.d);
     (void)memcpy(of.z, &s->z[FO_NF], sizeof of.z);
     (void)memcpy(of.U, &s->U[FO_ROW(FO_NA, FO_NF)], sizeof of.U);
+    for (int i = 0; i < (int)FO_NP && never_reset(&s->plain); i++) { /* zeros: nothing is learnt */
+        of.d[i] = ONE;
+    }
     fo_learning_means(a, of.means);
-    put_head(blob, OF_SAVED, FO_SAVED_BYTES);
+    put_head(blob, OF_SAVED, (uint32_t)FO_ASYMMETRIC, FO_SAVED_BYTES);
     pass(&c, &mark);
     pass_part(&c, &of);
     close_blob(blob, FO_SAVED_BYTES);
@@ -263,7 +320,9 @@ fo_error fo_adaptive_restore(const fo_adaptive *a, fo_adaptive_state *s, const u
         part of;
         pass(&c, &mark);
         pass_part(&c, &of);
-        if (mark < expected || mark > expected) {
+        if (!usable_part(&of)) {
+            found = FO_ERROR_DAMAGED;
+        } else if (mark < expected || mark > expected) {
             found = FO_ERROR_OTHER;
         } else {
             (void)memcpy(s->p, of.p, sizeof of.p);

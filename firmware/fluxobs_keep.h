@@ -48,11 +48,12 @@ enum { FO_NUMBERS = 0 FO_OBSERVER_FIELDS(FO_COUNT_MATRIX, FO_COUNT_ARRAY, FO_COU
 #define FO_PACKED_BYTES FO_BYTES(FO_NUMBERS)
 
 /* Writes the parameters: FO_PACKED_BYTES bytes. A motor that is chosen in the field is such a blob,
- * made on a desk or by fo_init in another drive. A flux map is not in it: give the map to fo_use_map
- * afterwards. */
+ * made on a desk or by fo_init in another drive. A flux map is not in it, but that one is needed:
+ * give it to fo_use_map after unpacking. */
 void fo_pack(const fo_observer *observer, uint8_t blob[FO_PACKED_BYTES]);
 
-/* Reads them. FO_ERROR_DAMAGED, FO_ERROR_OTHER: the observer is as it was. */
+/* Reads them. FO_ERROR_DAMAGED; FO_ERROR_OTHER: another precision, another kind of observer, or one
+ * that needs what these sources leave out (fluxobs_real.h). Then the observer is as it was. */
 fo_error fo_unpack(fo_observer *observer, const uint8_t *blob, uint32_t length);
 
 #if FO_ADAPTIVE

@@ -451,21 +451,49 @@ static void walk_resistance(fo_adaptive_state *s, fo_real variance)
 
 void fo_learning_warm(const fo_adaptive *a, fo_adaptive_state *s, fo_real stds)
 {
-    walk_resistance(s, stds * stds);
+    const fo_real most = (fo_real)1e3; /* far more than the prior: nothing is left, or not a number */
+    const fo_real walk = fo_abs(stds) < most ? stds : most;
+    walk_resistance(s, walk * walk);
     for (uint32_t n = 0U; n < 3U; n++) {
         keep_deviation(a, s, n);
     }
 }
 
-/* A parameter's assumed value grows by `more` stds: its error is less by as much. */
+/* A parameter's assumed value grows by `more` stds. What the data say of it stays where it is; the
+ * prior goes along. With A the information, of which the prior is 1, and A p = b this is
+ * b <- b - (A - 1) more: z = U p loses `more` times its column, and b gains the prior's part. */
 static void move_mean(fo_adaptive_state *s, int n, fo_real more)
 {
     const int at = FO_NF + n;
-    s->p[n] -= more;
-    for (int i = FO_NF; i < at; i++) { /* the rows that have it */
+    fo_real gained[FO_NA] = {0}, before[FO_NA], after[FO_NA];
+    fo_solve(FO_NA, s->U, s->z, FO_NF, FO_NA, before);
+    for (int i = FO_NF; i < at; i++) {
         s->z[i] -= s->U[FO_AT(FO_NA, i, at)] * more;
     }
     s->z[at] -= more;
+    for (int j = at; j < (int)FO_NA && !s->frozen; j++) { /* U'd gained = more, in its place */
+        fo_real sum = j == at ? more : ZERO;
+        for (int i = at; i < j; i++) {
+            sum -= s->U[FO_AT(FO_NA, i, j)] * s->d[i] * gained[i];
+        }
+        gained[j] = sum / s->d[j];
+        s->z[j] += gained[j];
+    }
+    fo_solve(FO_NA, s->U, s->z, FO_NF, FO_NA, after);
+    for (int j = FO_NF; j < (int)FO_NA; j++) {
+        after[j] -= before[j];
+        if (j < (int)FO_NF + (int)FO_CURVE) { /* the curve is only considered */
+            s->p[j - (int)FO_NF] += after[j];
+        }
+    }
+    after[at] += more; /* what has changed of the values, not of the errors */
+    if (s->running) {
+        fo_solve(FO_NA, s->U, s->z, 0, FO_NF, after);
+        for (int i = 0; i < FO_N; i++) {
+            s->flux[i] += after[i];
+            s->drift[i] += after[FO_N + i];
+        }
+    }
 }
 
 void fo_learning_means(const fo_adaptive *a, fo_real means[FO_MEANS])

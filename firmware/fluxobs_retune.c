@@ -6,11 +6,14 @@
 #include "fluxobs_learning.h"
 #endif
 
-/* Is the state of one good for the other? */
+static bool equal(fo_real a, fo_real b) { return !(a < b) && !(a > b); }
+
+/* Is the state of one good for the other? It is in these units. */
 static bool alike(const fo_observer *a, const fo_observer *b)
 {
-    return !(a->flux_base < b->flux_base) && !(a->flux_base > b->flux_base) && !(a->h < b->h) &&
-           !(a->h > b->h) && !(a->drift_base < b->drift_base) && !(a->drift_base > b->drift_base);
+    return equal(a->flux_base, b->flux_base) && equal(a->h, b->h) &&
+           equal(a->drift_base, b->drift_base) && equal(a->Q1x2[0][0], b->Q1x2[0][0]) &&
+           equal(a->Q1x2[1][1], b->Q1x2[1][1]);
 }
 
 void fo_retunable_init(fo_retunable *r, const fo_observer *first)
@@ -57,13 +60,15 @@ void fo_adaptive_retunable_init(fo_adaptive_retunable *r, const fo_adaptive *fir
     r->ready = 0U;
 }
 
-static bool same_stds(const fo_adaptive *a, const fo_adaptive *b)
+/* The same for what has been learnt: errors of the inductances are not moved. */
+static bool alike_adaptive(const fo_adaptive *a, const fo_adaptive *b)
 {
-    bool same = true;
+    bool good = alike(&a->plain, &b->plain) && equal(a->saliency, b->saliency) &&
+                equal(a->plain.L_position, b->plain.L_position);
     for (int i = 0; i < (int)FO_CURVE; i++) {
-        same = same && !(a->std[i] < b->std[i]) && !(a->std[i] > b->std[i]);
+        good = good && equal(a->std[i], b->std[i]);
     }
-    return same;
+    return good;
 }
 
 fo_error fo_adaptive_retune(fo_adaptive_retunable *r, const fo_config *config,
@@ -74,8 +79,7 @@ fo_error fo_adaptive_retune(fo_adaptive_retunable *r, const fo_config *config,
     if (r->ready == active) {
         fo_adaptive *spare = &r->both[1U - active];
         found = fo_adaptive_init(spare, config, adaptive);
-        if (found == FO_OK && !(alike(&spare->plain, &r->both[active].plain) &&
-                                same_stds(spare, &r->both[active]))) {
+        if (found == FO_OK && !alike_adaptive(spare, &r->both[active])) {
             found = FO_ERROR_OTHER;
         }
 #if FO_MAPPED

@@ -14,6 +14,11 @@ static const fo_real LENGTH_SHARE = (fo_real)0.25;
  * and information without end leaves single precision. */
 static const fo_real STD_LEAST = (fo_real)1e-3;
 
+/* Std of an angle beyond which it is only carried on, and tells the least squares nothing: 20 degrees
+ * [rad]. Half a radian made 3 of 60 starts of an induction machine sure and wrong, up to 15 degrees
+ * (benchmarks/seeds.py has Hall sensors, 17 degrees). */
+static const fo_real ROUGH = (fo_real)0.35;
+
 #if FO_ADAPTIVE
 /* Information that is next to nothing, and keeps the triangle regular [1 / flux bases^2]. */
 static const fo_real NOTHING = (fo_real)1e-6;
@@ -58,18 +63,29 @@ static void face_forward(start *at)
 /* The rows that the seed is worth: across the position vector, and along it. */
 static void row_of_seed(const start *at, bool along, fo_real row[FO_N], fo_real *information)
 {
-    const fo_real std = along ? at->length_std : at->length * at->std;
+    const fo_real bent = at->length * at->std * at->std / TWO; /* a turn is no straight line */
+    const fo_real lengthwise = fo_sqrt(at->length_std * at->length_std + bent * bent);
+    const fo_real std = along ? lengthwise : at->length * at->std;
     row[0] = along ? at->along[0] : -at->along[1];
     row[1] = along ? at->along[1] : at->along[0];
     *information = ONE / (std * std);
 }
 
-/* The plain observer's start; says what it has started from. */
-static void seed_plain(const fo_observer *o, fo_state *s, const fo_seed *seed,
-                       const fo_real current[FO_N], start *at)
+/* Can an observer start from it? */
+static bool usable(const fo_observer *o, const fo_seed *seed, const start *at,
+                   const fo_real current[FO_N])
 {
-    fo_reset(o, s);
-    per_unit(o, seed, at);
+    const fo_real all = seed->theta_e + seed->theta_e_std + seed->speed_e + seed->psi_f +
+                        seed->psi_f_std;
+    return all - all == ZERO && seed->theta_e_std > ZERO && within(seed->theta_e, -TWO * PI, TWO * PI) &&
+           at->length * at->length > o->square_min &&
+           dot(current, current) <= o->current_limit * o->current_limit;
+}
+
+/* The plain observer's start. */
+static void begin_at(const fo_observer *o, fo_state *s, const fo_seed *seed,
+                     const fo_real current[FO_N], start *at)
+{
     face_forward(at);
     for (int k = 0; k < (int)FO_HISTORY; k++) {
         s->current[k][0] = current[0];
@@ -93,7 +109,7 @@ static void seed_plain(const fo_observer *o, fo_state *s, const fo_seed *seed,
         at->flux[i] = at->length * at->along[i] + away(o, s, i);
         s->flux[i] = at->flux[i];
     }
-    for (int along = 0; along < 2; along++) {
+    for (int along = 0; along < 2 && at->std < ROUGH; along++) {
         fo_real row[FO_NX] = {0}, information;
         row_of_seed(at, along == 1, &row[FLUX], &information);
         (void)fo_rotate_in(&s->info, row, dot(&row[FLUX], at->flux), information, (int)FLUX);
@@ -102,11 +118,24 @@ static void seed_plain(const fo_observer *o, fo_state *s, const fo_seed *seed,
     s->variance = at->std * at->std;
 }
 
+/* The same where it can be, else the state is only reset. Says what it has started from. */
+static bool seed_plain(const fo_observer *o, fo_state *s, const fo_seed *seed,
+                       const fo_real current[FO_N], start *at)
+{
+    fo_reset(o, s);
+    per_unit(o, seed, at);
+    const bool good = usable(o, seed, at, current);
+    if (good) {
+        begin_at(o, s, seed, current, at);
+    }
+    return good;
+}
+
 void fo_seed_state(const fo_observer *o, fo_state *s, const fo_seed *seed,
                    const fo_real current[FO_N])
 {
     start at;
-    seed_plain(o, s, seed, current, &at);
+    (void)seed_plain(o, s, seed, current, &at);
 }
 
 #if FO_ADAPTIVE
@@ -167,13 +196,15 @@ void fo_adaptive_seed_state(const fo_adaptive *a, fo_adaptive_state *s, const fo
     } else {
         fo_adaptive_restart(a, s, s->frozen);
     }
-    seed_plain(&a->plain, &s->plain, seed, current, &at);
-    if (at.std < START_STD) {
+    s->seeded = seed_plain(&a->plain, &s->plain, seed, current, &at);
+    if (s->seeded && at.std < START_STD && !mapped(&a->plain)) {
         start_filter(a, s, &at, current);
-    } else { /* too rough to learn from: positions all around are followed, the first from here */
+    } else if (s->seeded) { /* too rough to learn from: positions are followed, the first from here */
         s->x[0] = at.along[0];
         s->x[1] = at.along[1];
         fo_candidates_sow(a, s);
+    } else {
+        /* it starts from nothing */
     }
 }
 #endif

@@ -42,13 +42,15 @@ typedef struct {
 /* Resets the state, and starts it at this angle and current [A]. The angle is carried on from here,
  * with a growing standard deviation, until the least squares know better, which they do earlier
  * than without (benchmarks/seeds.py). `valid` has to be earned as ever: an angle that was wrong is
- * corrected. Do not call it while an interrupt may step the same state. */
+ * corrected. What cannot be (not finite, no positive standard deviation, an absurd current, a flux
+ * too short for a position) only resets the state. Do not call it while an interrupt may step the
+ * same state. */
 void fo_seed_state(const fo_observer *observer, fo_state *state, const fo_seed *seed,
                    const fo_real current[FO_N]);
 
 #if FO_ADAPTIVE
-/* The same for the adaptive observer. Where the angle is known to ten degrees its filter runs from
- * the first sample. What it has learnt is kept. */
+/* The same for the adaptive observer. Where the angle is known to ten degrees, and the machine needs
+ * no flux map, its filter runs from the first sample. What it has learnt is kept. */
 void fo_adaptive_seed_state(const fo_adaptive *observer, fo_adaptive_state *state,
                             const fo_seed *seed, const fo_real current[FO_N]);
 #endif

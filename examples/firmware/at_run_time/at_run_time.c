@@ -12,6 +12,7 @@
 #include "fluxobs_keep.h"
 #include "fluxobs_retune.h"
 #include "fluxobs_seed.h"
+#include "motor_config.h"
 #include "motor_observer.h"
 
 const uint8_t *memory_read(uint32_t *length); /* 0 where nothing was stored */
@@ -20,6 +21,7 @@ void complain(const char *field);
 float hall_angle(void); /* electrical, middle of the sector [rad] */
 bool hall_is_read(void);
 
+void usual_motor(void);
 bool choose_motor(const uint8_t *blob, uint32_t length);
 bool describe_motor(float R_s, float L_s, float psi_f, float rated_current);
 void power_up(void);
@@ -36,7 +38,8 @@ static fo_snapshot shared;
 static fo_config config;               /* of the motor in use */
 static fo_adaptive_config adaptive;
 
-/* A motor that was exported on a desk: its motor_parameters.bin. */
+/* A motor that was exported on a desk: its motor_parameters.bin. If it needs a flux map, give it to
+ * fo_use_map(&observer.plain, ...) here. */
 bool choose_motor(const uint8_t *blob, uint32_t length)
 {
     return fo_adaptive_unpack(&observer, blob, length) == FO_OK;
@@ -46,14 +49,22 @@ bool choose_motor(const uint8_t *blob, uint32_t length)
 bool describe_motor(float R_s, float L_s, float psi_f, float rated_current)
 {
     const fo_machine machine = fo_pmsm(R_s, L_s, psi_f, rated_current);
-    fo_configure(&config, &machine, motor_sample_time);
-    fo_adaptive_choose(&adaptive, &machine, motor_sample_time, 48.0f,
+    fo_configure(&config, &machine, motor_step_time);
+    fo_adaptive_choose(&adaptive, &machine, motor_step_time, 48.0f,
                        (uint32_t)FO_LEARN_RESISTANCE + (uint32_t)FO_LEARN_INVERTER);
     if (fo_adaptive_init(&observer, &config, &adaptive) != FO_OK) {
         complain(fo_adaptive_wrong(&config, &adaptive)); /* "R": most likely a wrong unit */
         return false;
     }
     return true;
+}
+
+/* The motor of this export. */
+void usual_motor(void)
+{
+    observer = motor_observer;
+    config = motor_config;
+    adaptive = motor_adaptive_config;
 }
 
 /* Before the interrupt runs: what was learnt comes back. The winding may have cooled: its resistance
@@ -82,13 +93,17 @@ void control_interrupt(const float voltage[2], const float current[2])
     fo_publish(&shared, &estimate.position);
 }
 
-/* The assumed resistance follows the winding's sensor; what has been learnt beyond it stays. */
+/* The assumed resistance follows the winding's sensor; what has been learnt beyond it stays. Only fields
+ * of the configuration in use are changed, not its bases: psi is adaptive.psi_f. */
 void every_second(float winding_temperature)
 {
     fo_config warm = config;
     const float copper = 1.0f + 0.0039f * (winding_temperature - 20.0f);
     warm.R[0][0] = warm.R[1][1] = config.R[0][0] * copper;
-    (void)fo_adaptive_retune(&in_use, &warm, &adaptive); /* busy: the next second will do */
+    const fo_error error = fo_adaptive_retune(&in_use, &warm, &adaptive);
+    if (error != FO_OK && error != FO_ERROR_BUSY) { /* busy: the next second will do */
+        complain("R");
+    }
 }
 
 /* A task that is slower than the interrupt, and may be interrupted by it. */

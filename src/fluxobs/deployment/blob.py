@@ -12,8 +12,9 @@ from .. import _core
 from ..observers import AdaptiveObserver
 from .header import Exported, plain, std_of
 
-#: What a blob is of, as firmware/fluxobs_keep.c has it.
+#: What a blob is of, and what its observer needs, as firmware/fluxobs_keep.c has it.
 PLAIN, ADAPTIVE = 1, 2
+ASYMMETRY, HELD, MAP = 1, 2, 4
 
 
 def blob(observer: Exported) -> bytes:
@@ -23,15 +24,16 @@ def blob(observer: Exported) -> bytes:
     """
     single = plain(observer).precision == "single"
     numbers = _flat(plain(observer).parameters())
-    kind, asymmetric = PLAIN, 0
+    kind = PLAIN
+    needs = HELD * bool(plain(observer).held) | MAP * (plain(observer).flux_map is not None)
     if isinstance(observer, AdaptiveObserver):
-        kind, asymmetric = ADAPTIVE, int(observer.asymmetry_std > 0)
+        kind, needs = ADAPTIVE, needs | ASYMMETRY * (observer.asymmetry_std > 0)
         more = observer.parameters()
         numbers += _flat(more | {"std": std_of(observer)})
     size = 4 if single else 8
     body = np.array(numbers, f"<f{size}").tobytes()
     length = 12 + len(body) + 4
-    head = struct.pack("<2sHBBHI", b"FO", _core.layout, kind, size, asymmetric, length)
+    head = struct.pack("<2sHBBHI", b"FO", _core.layout, kind, size, needs, length)
     return head + body + struct.pack("<I", zlib.crc32(head + body))
 
 

@@ -67,7 +67,9 @@ def words(core: Core) -> dict[str, str]:
         "plain": ".plain" if adaptive else "",
         "position": ".position" if adaptive else "",
         "c_sources": " ".join(compiled),
-        "runtime_sources": " ".join(name for name in core.runtime if name.endswith(".c")),
+        "runtime_sources": " ".join(
+            [*(name for name in core.runtime if name.endswith(".c")), f"{core.prefix}_config.c"]
+        ),
         "source_list": ", ".join(f"`{name}`" for name in core.sources),
         "header": "fluxobs_adaptive.h" if adaptive else "fluxobs.h",
     }

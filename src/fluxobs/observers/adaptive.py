@@ -235,11 +235,14 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             raise ObserverError("the adaptive observer needs a relation with Q1 = I, E = 0, C = 0")
         object.__setattr__(self, "_core", self._make_core())
 
+    def configuration(self) -> dict[str, Any]:
+        """The numbers of fo_adaptive_config (firmware/fluxobs_adaptive.h), in SI."""
+        config: dict[str, Any] = {name: getattr(self, name) for name in NUMBERS}
+        return config | {"projection": PROJECTIONS.index(self.projection)}
+
     def _make_core(self) -> Any:
         module = _core if self.plain.precision == "double" else _core_single
-        config: dict[str, Any] = {name: getattr(self, name) for name in NUMBERS}
-        config["projection"] = PROJECTIONS.index(self.projection)
-        return wrapped(module.Adaptive, self.plain._core, config)
+        return wrapped(module.Adaptive, self.plain._core, self.configuration())
 
     def __getstate__(self) -> dict[str, Any]:
         return {key: value for key, value in self.__dict__.items() if key != "_core"}

@@ -154,8 +154,8 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
             )
         object.__setattr__(self, "_core", self._make_core())
 
-    def _make_core(self) -> Any:
-        module = _core if self.precision == "double" else _core_single
+    def configuration(self) -> dict[str, Any]:
+        """The numbers and matrices of fo_config (firmware/fluxobs.h), in SI."""
         c = self.constraint
         size = np.abs(c.Q1).max()
         config = {
@@ -171,8 +171,12 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
             # Without λᵀQ1λ the mixed term sets the size; any positive number will do.
             "constraint_base": float(size) * self.flux_base**2 if size else self.constraint_noise,
         }
-        config |= {name: getattr(self, name) for name in POSITIVE}
-        return wrapped(module.Core, config, {} if self.flux_map is None else self.flux_map.core())
+        return config | {name: getattr(self, name) for name in POSITIVE}
+
+    def _make_core(self) -> Any:
+        module = _core if self.precision == "double" else _core_single
+        flux_map = {} if self.flux_map is None else self.flux_map.core()
+        return wrapped(module.Core, self.configuration(), flux_map)
 
     def __getstate__(self) -> dict[str, Any]:
         return {key: value for key, value in self.__dict__.items() if key != "_core"}

@@ -1,5 +1,6 @@
 /* In an exported folder: the blob beside it is the observer in the source, packing is undone by
  * unpacking, any damaged byte is seen, and what was learnt comes back. Arguments: the blob. */
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -104,7 +105,26 @@ static void check_learnt(void)
                 "another resistance is refused");
     fo_adaptive_learnt(&other, &restored, &after);
     const fo_real off = before.resistance_error - (fo_real)0.25 * R - after.resistance_error;
-    demand_that(off * off < (fo_real)1e-10 * R * R, "the resistance has changed");
+    const fo_real share = before.resistance_std / motor_observer.std[FO_RESISTANCE];
+    const fo_real most = R * ((fo_real)1e-5 + (fo_real)0.5 * share * share); /* the prior moves */
+    demand_that(off * off < most * most, "the resistance has changed");
+    fo_adaptive_restore(&motor_observer, &restored, blob, FO_SAVED_BYTES, (fo_real)INFINITY);
+    fo_adaptive_learnt(&motor_observer, &restored, &after);
+    demand_that(after.resistance_std > motor_observer.std[FO_RESISTANCE] &&
+                    after.resistance_std < (fo_real)1e4 * R && after.psi_f > 0,
+                "an endless change leaves nothing usable");
+    memset(&state, 0, sizeof state); /* as before the first step */
+    fo_adaptive_save(&motor_observer, &state, blob);
+    demand_that(fo_adaptive_restore(&motor_observer, &restored, blob, FO_SAVED_BYTES, 0) == FO_OK,
+                "a state of zeros cannot be saved");
+    fo_adaptive_learnt(&motor_observer, &restored, &after);
+    demand_that(after.resistance_std > (fo_real)0.99 * motor_observer.std[FO_RESISTANCE] &&
+                    after.resistance_std < (fo_real)1.01 * motor_observer.std[FO_RESISTANCE],
+                "a state of zeros was taken for knowledge");
+    for (int k = 0; k < SAMPLES; k++) { /* again, for what follows */
+        fo_adaptive_step(&motor_observer, &state, &samples[k][0], &samples[k][2], &e);
+    }
+    fo_adaptive_save(&motor_observer, &state, blob);
     other = motor_observer;
     other.std[FO_RESISTANCE] *= (fo_real)1.0625;
     demand_that(fo_adaptive_restore(&other, &restored, blob, FO_SAVED_BYTES, 0) == FO_ERROR_OTHER,

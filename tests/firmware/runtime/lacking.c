@@ -37,6 +37,6 @@ int main(void)
     refused(&config, "E");
     config = good;
     config.kink_now = (fo_real)0.02;
-    refused(&config, "kink_now");
+    refused(&config, "R"); /* large beside L over the sample time */
     return failures;
 }

@@ -5,6 +5,8 @@
 #include <string.h>
 
 #include "fluxobs_config.h"
+#include "motor_config.h"
+#include "motor_observer.h"
 #include "fluxobs_retune.h"
 #include "vectors.h"
 
@@ -74,12 +76,16 @@ static void check_adaptive(const fo_config *config, const fo_adaptive_config *ad
         const fo_adaptive *now = fo_adaptive_take(&r, &a);
         if (k == SAMPLES / 2) {
             fo_adaptive_learnt(now, &a, &after);
-            const fo_real tiny = (fo_real)1e-5;
+            /* the prior goes along: a value moves by its share of what is known */
+            const fo_real tiny = (fo_real)1e-5, std_R = before.resistance_std / one.std[FO_RESISTANCE];
+            const fo_real std_psi = before.psi_f_std / (one.std[FO_PSI] * one.plain.flux_base);
+            const fo_real std_V = before.inverter_std / (one.std[FO_INVERTER] * (fo_real)1.5);
             demand_that(fabs((double)(before.resistance_error - more - after.resistance_error)) <
-                            (double)(tiny * R), "the resistance has changed");
-            demand_that(fabs((double)(before.psi_f - after.psi_f)) < (double)(tiny * before.psi_f),
+                            (double)(tiny * R + more * std_R * std_R * 2), "the resistance has changed");
+            demand_that(fabs((double)(before.psi_f - after.psi_f)) < (double)((tiny + (fo_real)0.02 * std_psi * std_psi) * before.psi_f),
                         "the magnet flux has changed");
-            demand_that(fabs((double)(before.inverter_voltage - after.inverter_voltage)) < (double)tiny,
+            demand_that(fabs((double)(before.inverter_voltage - after.inverter_voltage)) <
+                            (double)(tiny + (fo_real)0.1 * std_V * std_V),
                         "the inverter's loss has changed");
             demand_that(before.resistance_std == after.resistance_std, "another std");
         }
@@ -93,20 +99,40 @@ static void check_adaptive(const fo_config *config, const fo_adaptive_config *ad
     }
     printf("angles differ by %.2g degrees at most\n", (double)off * 57.3);
     demand_that(off < (fo_real)0.01, "the position has changed");
+
+    /* before anything is learnt the new values hold */
+    fo_adaptive_retunable_init(&r, &one);
+    fo_adaptive_reset(&one, &a);
+    fo_adaptive_retune(&r, &hot, &changed);
+    const fo_adaptive *fresh = fo_adaptive_take(&r, &a);
+    fo_adaptive_learnt(fresh, &a, &after);
+    demand_that(after.resistance_error == 0 && after.psi_f > (fo_real)1.0099 * adaptive->psi_f,
+                "the new values do not hold");
+    hot.L_position *= (fo_real)1.1;
+    demand_that(fo_adaptive_retune(&r, &hot, &changed) == FO_ERROR_OTHER, "another L is taken");
 }
 #endif
 
 int main(void)
 {
-    fo_config config;
     const fo_machine m = fo_pmsm((fo_real)MOTOR_R, (fo_real)MOTOR_L, (fo_real)MOTOR_PSI, (fo_real)MOTOR_I);
+    fo_config config;
     fo_configure(&config, &m, (fo_real)1e-4);
     check_plain(&config);
+    check_plain(&motor_config);
 #if FO_ADAPTIVE
-    fo_adaptive_config adaptive;
-    fo_adaptive_choose(&adaptive, &m, (fo_real)1e-4, (fo_real)0,
-                       FO_LEARN_RESISTANCE | FO_LEARN_INVERTER);
-    check_adaptive(&config, &adaptive);
+    fo_adaptive made;
+    demand_that(fo_adaptive_init(&made, &motor_config, &motor_adaptive_config) == FO_OK &&
+                    made.std[FO_RESISTANCE] == motor_observer.std[FO_RESISTANCE] &&
+                    made.plain.hR[0][0] == motor_observer.plain.hR[0][0] &&
+                    made.plain.row_Q2[1][1] == motor_observer.plain.row_Q2[1][1],
+                "the exported configuration makes another observer");
+    check_adaptive(&motor_config, &motor_adaptive_config);
+#else
+    fo_observer made;
+    demand_that(fo_init(&made, &motor_config) == FO_OK &&
+                    memcmp(&made, &motor_observer, sizeof made) == 0,
+                "the exported configuration makes another observer");
 #endif
     return failures > 0 ? 1 : 0;
 }

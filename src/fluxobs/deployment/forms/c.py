@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ..blob import blob
 from ..certificate import certificate
+from ..configuration import configuration_files
 from ..core import Core
 from ..templating import fill
 from ..vectors import vectors_header
@@ -24,7 +25,10 @@ def files(core: Core) -> dict[str, str | bytes]:
     """Relative path → content."""
     return {
         **core.code,
-        **{f"runtime/{name}": text for name, text in core.runtime.items()},
+        **{
+            f"runtime/{name}": text
+            for name, text in (core.runtime | configuration_files(core.prefix, core.single)).items()
+        },
         f"{core.prefix}_parameters.bin": blob(core.single),
         **{name: fill(core, f"c/{template}") for name, template in TEMPLATES.items()},
         "LICENSE": core.licence,

@@ -1,14 +1,28 @@
 //! Compiles the C sources into a static library, with nothing but a C compiler: `CC_target`, `CC` or
-//! `cc`, likewise `AR` and `ar`. `CFLAGS` are added, such as those that choose a processor.
+//! `cc`, likewise `AR` and `ar`, with options if they have any. `CFLAGS_target` or `CFLAGS` are added,
+//! such as those that choose a processor.
 use std::{env, path::PathBuf, process::Command};
 
 const SOURCES: &[&str] = &[@rust_sources@];
 
-fn tool(name: &str, otherwise: &str) -> String {
+fn words(name: &str, otherwise: &str) -> Vec<String> {
     let target = env::var("TARGET").unwrap_or_default().replace('-', "_");
-    env::var(format!("{name}_{target}"))
+    let of_target = format!("{name}_{target}");
+    println!("cargo:rerun-if-env-changed={of_target}");
+    println!("cargo:rerun-if-env-changed={name}");
+    env::var(of_target)
         .or_else(|_| env::var(name))
         .unwrap_or_else(|_| otherwise.into())
+        .split_whitespace()
+        .map(String::from)
+        .collect()
+}
+
+fn tool(name: &str, otherwise: &str) -> Command {
+    let named = words(name, otherwise);
+    let mut command = Command::new(&named[0]);
+    command.args(&named[1..]);
+    command
 }
 
 fn run(command: &mut Command) {
@@ -21,17 +35,17 @@ fn main() {
     let mut objects = Vec::new();
     for source in SOURCES {
         let object = out.join(source).with_extension("o");
-        run(Command::new(tool("CC", "cc"))
+        run(tool("CC", "cc")
             .args(["-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC"])
             .args(["-ffunction-sections", "-fdata-sections", "-Icsrc"])
-            .args(env::var("CFLAGS").unwrap_or_default().split_whitespace())
+            .args(words("CFLAGS", ""))
             .arg("-c")
             .arg(format!("csrc/{source}"))
             .arg("-o")
             .arg(&object));
         objects.push(object);
     }
-    run(Command::new(tool("AR", "ar"))
+    run(tool("AR", "ar")
         .arg("crs")
         .arg(out.join("libfluxobs_@prefix@.a"))
         .args(&objects));

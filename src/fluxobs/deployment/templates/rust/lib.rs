@@ -42,7 +42,7 @@ impl Estimate {
 }
 
 /// An angle that is known: of Hall sensors (`theta_e_std` 0.3 rad), an alignment, an encoder.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seed {
     /// In (-pi, pi] [rad].
     pub theta_e: f32,
@@ -54,6 +54,13 @@ pub struct Seed {
     pub psi_f: f32,
     /// Its standard deviation [Wb]; 0: a quarter.
     pub psi_f_std: f32,
+}
+
+/// A sector of Hall sensors about zero; everything else is not known.
+impl Default for Seed {
+    fn default() -> Self {
+        Self { theta_e: 0.0, theta_e_std: 0.3, speed_e: 0.0, psi_f: 0.0, psi_f_std: 0.0 }
+    }
 }
 
 /// Everything that changes: plain data, to be copied and stored.
