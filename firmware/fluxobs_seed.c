@@ -109,10 +109,12 @@ static void begin_at(const fo_observer *o, fo_state *s, const fo_seed *seed,
         at->flux[i] = at->length * at->along[i] + away(o, s, i);
         s->flux[i] = at->flux[i];
     }
-    for (int along = 0; along < 2 && at->std < ROUGH; along++) {
-        fo_real row[FO_NX] = {0}, information;
-        row_of_seed(at, along == 1, &row[FLUX], &information);
-        (void)fo_rotate_in(&s->info, row, dot(&row[FLUX], at->flux), information, (int)FLUX);
+    if (at->std < ROUGH) {
+        for (int along = 0; along < 2; along++) {
+            fo_real row[FO_NX] = {0}, information;
+            row_of_seed(at, along == 1, &row[FLUX], &information);
+            (void)fo_rotate_in(&s->info, row, dot(&row[FLUX], at->flux), information, (int)FLUX);
+        }
     }
     s->have_carried = true; /* the flux is carried on from here */
     s->variance = at->std * at->std;

@@ -80,7 +80,7 @@ REPLACED = {
 #: Files of the package that its modules read.
 RESOURCES = ("machines/examples", "logs/presets")
 #: Rows of the demo log that the page carries.
-DEMO_ROWS = 2_000
+DEMO_ROWS = 1_900
 
 
 def install() -> None:

@@ -67,7 +67,7 @@ const $errors = [
   "sample_time must be positive, memory ten to a million samples",
   "bases, noises, limits and priors must be positive",
   "every parameter must be finite",
-  "sizes do not fit each other: check the units of resistance, inductance, flux, currents and sample time",
+  "sizes do not fit each other: check the units",
 ];
 const $checked = (error) => {
   if (error) throw ValueError($errors[error]);
