@@ -137,6 +137,14 @@ def test_another_configuration_in_the_drive(folder):
     run_in(folder, "retune.c", flags=tuple(f"-D{name}={x!r}" for name, x in numbers.items()))
 
 
+@pytest.mark.parametrize("unknowns", ["drift", ADAPTIVE])
+@pytest.mark.parametrize("name", ["servo-400w", "ipm-2kw2", "induction-2kw2"])
+def test_a_seed_that_cannot_be_resets(tmp_path, name, unknowns):
+    made = tmp_path / "motor"
+    fluxobs.export(name, 1e-4, made, unknowns=unknowns)
+    run_in(made, "seed.c", flags=("-fsanitize=undefined", "-fno-sanitize-recover=all"))
+
+
 def test_an_estimate_is_read_whole(folder):
     run_in(folder, "snapshot.c", flags=("-O2",))
 
