@@ -100,3 +100,11 @@ def test_seeds_that_make_no_sense_are_refused():
         observer.seed(np.nan, [0.0, 0.0], theta_e_std=0.1)
     with pytest.raises(UsageError, match="shape"):
         observer.seed(0.0, [0.0, 0.0, 0.0], theta_e_std=0.1)
+    with pytest.raises(UsageError, match="current must be finite"):
+        observer.seed(0.0, [0.0, np.inf], theta_e_std=0.1)
+    with pytest.raises(UsageError, match="theta_e must be a number"):
+        observer.seed("north", [0.0, 0.0], theta_e_std=0.1)
+    with pytest.raises(UsageError, match="psi_f_std must not be negative"):
+        observer.seed(0.0, [0.0, 0.0], theta_e_std=0.1, psi_f_std=-0.01)
+    with pytest.raises(UsageError, match="batch of shape"):
+        observer.seed(0.0, [0.0, 0.0], theta_e_std=0.1, state=observer.init((3,)))

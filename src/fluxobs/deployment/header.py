@@ -19,13 +19,13 @@ Exported = LeastSquaresObserver | AdaptiveObserver
 
 
 #: Place of the asymmetry among the parameters (FO_ASYMMETRY); one follows it.
-ASYMMETRY = 8
+ASYMMETRY_PLACE = 8
 
 
 def std_of(observer: AdaptiveObserver) -> list[float]:
     """Prior standard deviations as an export has them: without an asymmetry that is known."""
     std: list[float] = observer.parameters()["std"]
-    return std if observer.asymmetry_std > 0 else [*std[:ASYMMETRY], std[-1]]
+    return std if observer.asymmetry_std > 0 else [*std[:ASYMMETRY_PLACE], std[-1]]
 
 
 def plain(observer: Exported) -> LeastSquaresObserver:
@@ -229,7 +229,7 @@ def _initializers(observer: Exported, precision: Precision, prefix: str) -> str:
     more = observer.parameters() | {"projection": f"FO_PROJECT_{observer.projection.upper()}"}
     std = [initializer(value, precision) for value in more["std"]]
     before, asymmetry, after = (
-        ", ".join(part) for part in (std[:ASYMMETRY], std[ASYMMETRY:-1], std[-1:])
+        ", ".join(part) for part in (std[:ASYMMETRY_PLACE], std[ASYMMETRY_PLACE:-1], std[-1:])
     )
     more["std"] = f"{{{before},\n#if FO_ASYMMETRIC\n    {asymmetry},\n#endif\n    {after}}}"
     return f"    {{\n{inner}\n    }},\n{lines(more, _core.adaptive_meanings)}"

@@ -21,7 +21,7 @@ MOST_STEPS = 4000
 def check_prefix(prefix: str) -> None:
     """Raise FluxobsError if names in C cannot begin with this prefix."""
     if not isinstance(prefix, str):
-        raise FluxobsError(f"prefix {prefix!r} is no text; 'motor' is")
+        raise FluxobsError(f"prefix must be text, such as 'motor'; got {prefix!r}")
     if not is_identifier(prefix) or prefix == "fo":  # fo_observer is a type
         near = identifier(prefix) if prefix != "fo" else "motor"
         raise FluxobsError(f"prefix {prefix!r} cannot begin names in C; {near!r} can")

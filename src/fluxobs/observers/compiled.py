@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import ObserverError, RecordError, UsageError
 from ..logs.record import Record
+from ..validation import number
 from .base import Estimate, SampleCounts
 
 Found = TypeVar("Found", bound=Estimate)
@@ -106,21 +107,31 @@ class CompiledObserver(Generic[Found]):
         Raises
         ------
         UsageError
-            A number is not finite, or the standard deviation not positive.
+            A number is missing, not finite, or of the wrong sign; `state` is of a batch.
         """
         given = {
-            "theta_e": theta_e,
-            "theta_e_std": theta_e_std,
-            "speed_e": speed_e,
-            "psi_f": psi_f,
-            "psi_f_std": psi_f_std,
+            name: number(name, value, unit)
+            for name, value, unit in (
+                ("theta_e", theta_e, "rad"),
+                ("theta_e_std", theta_e_std, "rad"),
+                ("speed_e", speed_e, "rad/s"),
+                ("psi_f", psi_f, "Wb"),
+                ("psi_f_std", psi_f_std, "Wb"),
+            )
         }
         i = np.ascontiguousarray(current, dtype=float)
-        if i.shape != (2,) or not np.isfinite([*given.values(), *i]).all():
-            raise UsageError("a seed has finite numbers, and current has shape (2,)")
-        if not theta_e_std > 0:
+        if i.shape != (2,):
+            raise UsageError(f"current must have shape (2,), alpha and beta; got {i.shape}")
+        for name, values in {**given, "current": i}.items():
+            if not np.isfinite(np.asarray(values)).all():
+                raise UsageError(f"{name} must be finite, got {values}")
+        if not given["theta_e_std"] > 0:
             raise UsageError(f"theta_e_std must be positive, got {theta_e_std:g} rad")
-        given["theta_e"] = float(np.angle(np.exp(1j * theta_e)))
+        if given["psi_f_std"] < 0:
+            raise UsageError(f"psi_f_std must not be negative, got {psi_f_std:g} Wb")
+        if state is not None and state.batch:
+            raise UsageError(f"state must be of one record, got a batch of shape {state.batch}")
+        given["theta_e"] = float(np.angle(np.exp(1j * given["theta_e"])))
         return CompiledState(self._seed(given, i, state or self.init()), ())
 
     def _seed(
