@@ -92,6 +92,14 @@ def test_what_was_learnt_is_kept():
     assert again.psi_f == pytest.approx(learnt.psi_f, rel=1e-12)
 
 
+def test_an_estimate_of_another_observer_is_a_seed():
+    machine, _, u, i, _ = record("ipm-2kw2")
+    observer = LeastSquaresObserver.for_machine(machine, sample_time=H)
+    _, estimate = observer.step(observer.init(), u[0], i[1])
+    seeded = observer.seed(np.asarray(estimate.theta_e), i[1], theta_e_std=0.1)
+    assert seeded == observer.seed(float(estimate.theta_e), i[1], theta_e_std=0.1)
+
+
 def test_seeds_that_make_no_sense_are_refused():
     observer = LeastSquaresObserver.for_machine(example("servo-400w"), sample_time=H)
     with pytest.raises(UsageError, match="theta_e_std must be positive"):

@@ -110,7 +110,7 @@ class CompiledObserver(Generic[Found]):
             A number is missing, not finite, or of the wrong sign; `state` is of a batch.
         """
         given = {
-            name: number(name, value, unit)
+            name: number(name, np.asarray(value)[()], unit)  # also of an estimate: shape ()
             for name, value, unit in (
                 ("theta_e", theta_e, "rad"),
                 ("theta_e_std", theta_e_std, "rad"),
