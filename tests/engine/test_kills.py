@@ -22,18 +22,21 @@ TESTS = Path(__file__).parents[1]
 SCENARIOS = 20_000
 #: Kills of a run by itself on this machine; with those of a cluster there are more than twenty.
 KILLS = 16
+#: Seconds in which a run has to get on, on a slow machine too.
+PATIENCE = 120
 
 
-def started(*arguments: str) -> subprocess.Popen[bytes]:
-    """A Python program, in a group of its own."""
+def started(*arguments: str, said: Path | None = None) -> subprocess.Popen[bytes]:
+    """A Python program, in a group of its own; what it says of errors goes to a file."""
     environment = os.environ | {"PYTHONPATH": str(TESTS)}
-    return subprocess.Popen(
-        [sys.executable, *arguments],
-        env=environment,
-        start_new_session=True,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    with Path(said or os.devnull).open("wb") as errors:
+        return subprocess.Popen(
+            [sys.executable, *arguments],
+            env=environment,
+            start_new_session=True,
+            stdout=subprocess.DEVNULL,
+            stderr=errors,
+        )
 
 
 def children(pid: int) -> list[int]:
@@ -84,19 +87,29 @@ def done(folder: Path) -> int:
     return sum(1 for _ in place.glob("*.parquet")) if place.exists() else 0
 
 
+def wait_for_more(folder: Path, run: subprocess.Popen[bytes], said: Path) -> None:
+    """Wait until a run has written a file, or has done all that was missing."""
+    before, end = done(folder), time.monotonic() + PATIENCE
+    while done(folder) <= before and run.poll() is None and time.monotonic() < end:
+        time.sleep(0.02)
+    if time.monotonic() >= end:
+        os.killpg(run.pid, signal.SIGKILL)
+        run.wait()
+    assert run.poll() in (None, 0), said.read_text()
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_kills_of_driver_and_workers(tmp_path: Path) -> None:
-    rng, folder = random.Random(1), tmp_path / "killed"
+    rng, folder, said = random.Random(1), tmp_path / "killed", tmp_path / "said"
     folder.mkdir()
     interrupted = 0
     while interrupted < KILLS:
-        before = done(folder)
-        if before == SCENARIOS // SIZE:  # all done: begin once more with half of it
+        if done(folder) == SCENARIOS // SIZE:  # all done: begin once more with half of it
             for path in list((folder / ROWS).iterdir())[::2]:
                 path.unlink()
-        run = started("-m", "support.trivial", str(folder), str(SCENARIOS), "pool", "2")
-        while done(folder) <= before and run.poll() is None:
-            time.sleep(0.02)
+        trivial = ("-m", "support.trivial", str(folder), str(SCENARIOS), "pool", "2")
+        run = started(*trivial, said=said)
+        wait_for_more(folder, run, said)
         time.sleep(0.3 * rng.random())
         below = children(run.pid)
         if run.poll() is None:
@@ -121,7 +134,7 @@ def cluster(port: int) -> Iterator[tuple[subprocess.Popen[bytes], list[subproces
     workers = [
         started(
             *("-m", "distributed.cli.dask_worker", f"tcp://127.0.0.1:{port}"),
-            *("--nthreads", "1", "--no-dashboard", "--death-timeout", "10"),
+            *("--nthreads", "1", "--no-dashboard", "--death-timeout", str(PATIENCE)),
         )
         for _ in range(2)
     ]
@@ -145,23 +158,21 @@ def free_port() -> int:
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_kills_of_a_cluster(tmp_path: Path) -> None:
     pytest.importorskip("distributed")
-    rng, folder = random.Random(2), tmp_path / "killed"
+    rng, folder, said = random.Random(2), tmp_path / "killed", tmp_path / "said"
     folder.mkdir()
     for victim in ("driver", "worker", "scheduler", "worker", "scheduler"):
         port = free_port()
         with cluster(port) as (scheduler, workers):
-            before = done(folder)
             address = f"tcp://127.0.0.1:{port}"
-            run = started("-m", "support.trivial", str(folder), str(SCENARIOS), address, "2")
-            while done(folder) <= before and run.poll() is None:
-                time.sleep(0.02)
-            assert run.poll() is None or done(folder) == SCENARIOS // SIZE
+            trivial = ("-m", "support.trivial", str(folder), str(SCENARIOS), address, "2")
+            run = started(*trivial, said=said)
+            wait_for_more(folder, run, said)
             time.sleep(0.5 * rng.random())
             if victim == "driver":
                 kill(run.pid)
             elif victim == "scheduler":
                 kill(scheduler.pid)
-                run.wait(60)  # it notices, and says so
+                run.wait(PATIENCE)  # it notices, and says so
                 assert run.returncode != 0
             else:
                 kill(rng.choice(children(workers[0].pid) or [workers[0].pid]))

@@ -176,7 +176,6 @@ def create(folder: str | Path, specification: Specification, size: int) -> Datas
     elif any(path.name != ".lock" for path in folder.iterdir()):
         raise FluxobsError(f"{folder}: is not empty and holds no campaign; give another --out")
     else:
-        (folder / ROWS).mkdir(exist_ok=True)
         write_text(place, json.dumps(told, indent=1, ensure_ascii=False) + "\n")
     make_folder(folder / ROWS)
     return Dataset(folder, specification, size)
