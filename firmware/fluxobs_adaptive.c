@@ -381,11 +381,9 @@ static void run(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         const fo_real inverter = fo_learning_unmodelled(a, s) * o->h;
         const fo_real plausible = EXPOSED * o->plausible * o->h;
         s->exposed += (plausible + inverter) / length - s->exposed * step;
-        /* since the last row, by what the parameters may be off */
-        const fo_real since = s->unsure * s->now.block.time;
         const fo_real noise = o->position_noise * s->plain.roughness;
         const fo_real variance =
-            (s->across + since * since + noise) / square + s->exposed * s->exposed;
+            (s->across + fo_learning_since(s) + noise) / square + s->exposed * s->exposed;
         const fo_real late = a->lag_std * s->tracker.speed; /* a lag leaves no trace at all */
         settle_tracker(o, &s->tracker, s->theta, fo_sqrt(variance));
         report(a, s, length, variance,

@@ -161,7 +161,8 @@ typedef struct {
     fo_real rows;                        /* since the start, at most those of two turns     */
     fo_real contradiction;               /* power of the innovations over their variance    */
     fo_real point[3], known_point;       /* operating point; rows taken there               */
-    fo_real across;                      /* variance across x at the last row, L_q known, ... */
+    fo_real across, across_at;           /* variance across x, L_q known, at a time since   */
+                                         /* the last row [memories], ...                    */
     fo_real turning, made_q;             /* ... what L_q adds to it, and the current's flux */
                                          /* across x there                                  */
     fo_real turned;                      /* what L_q adds to it now                         */

@@ -37,6 +37,9 @@ static const fo_real NEW_POINT = (fo_real)0.3;
 static const fo_real LEAST = (fo_real)1e-6;
 /* Rows in which each parameter is forgotten once, and its prior comes back. */
 static const uint32_t ROUND = 16U;
+/* The position's variance is found anew between rows where what the parameters may have done since is
+ * more than this share of it: the std would be an eighth too large. */
+static const fo_real SINCE_MATTERS = (fo_real)0.25;
 /* Share of doubt's square that a start leaves to flux and drift. */
 static const fo_real LOOSE = (fo_real)0.3;
 
@@ -359,6 +362,7 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
     s->contradiction = ONE;
     s->known_point = ZERO;
     s->across = c->variance * at.length * at.length;
+    s->across_at = ZERO;
     const fo_real by_L_q = a->std[FO_INDUCTANCE + 1] * at.made[1];
     s->turning = by_L_q * by_L_q;
     s->made_q = at.made[1];
@@ -585,16 +589,29 @@ static void learn(const fo_adaptive *a, fo_adaptive_state *s, fo_real row[FO_NA]
     }
 }
 
-/* Finds the variance across the position vector: with L_q known, and what L_q adds. */
+fo_real fo_learning_since(const fo_adaptive_state *s)
+{
+    const fo_real off = s->unsure * (s->now.block.time - s->across_at);
+    return off * off;
+}
+
+/* Finds the variance across the position vector: with L_q known, and what L_q adds. Since the last row
+ * a drift has moved the flux for a while, and each parameter by its effect. At steady load the row has
+ * tied these to the flux, and they add next to nothing; what they may add after a change is all there. */
 static void judge_across(const fo_adaptive *a, fo_adaptive_state *s, const sight *at)
 {
+    const fo_block *b = &s->now.block;
     const int n = FO_NF + (int)FO_INDUCTANCE + 1; /* L_q */
     fo_real direction[FO_NA] = {0}, turned[FO_NA];
     direction[0] = -at->along[1];
     direction[1] = at->along[0];
     for (int i = 0; i < FO_N; i++) {
         const fo_real by_offset = a->plain.L_position * a->std[FO_OFFSET + i];
+        direction[FO_N + i] = b->time * direction[i];
         direction[FO_NF + FO_OFFSET + i] = by_offset * direction[i];
+    }
+    for (int j = FO_RESISTANCE; j < (int)FO_NP; j++) {
+        direction[FO_NF + j] += dot(direction, b->effect[j]);
     }
     const fo_real level = s->level > LEVEL_LEAST ? s->level : LEVEL_LEAST;
     s->across = level * fo_variance(FO_NA, s->U, s->d, 0, FO_NF, direction);
@@ -605,6 +622,7 @@ static void judge_across(const fo_adaptive *a, fo_adaptive_state *s, const sight
     s->across += rest;
     s->turning = fo_variance(FO_NA, s->U, s->d, n, FO_NA, turned) - rest;
     s->made_q = at->made[1];
+    s->across_at = b->time;
 }
 
 /* Ends a block: takes in its row. */
@@ -654,9 +672,9 @@ static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
         learn(a, s, row, value, weight, b->time);
     }
     look(a, s, &at);
-    judge_across(a, s, &at);
     s->theta = fo_atan2(at.x[1], at.x[0]);
     clear_block(s);
+    judge_across(a, s, &at);
     weigh_parameters(a, s, t);
     s->judged = s->judged < 2U ? s->judged + 1U : 0U;
     keep_deviation(a, s, s->judged);
@@ -702,6 +720,10 @@ fo_real fo_learning_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_
         if (turned >= BLOCK || b->time >= BLOCK_MOST) {
             end(a, s, t, turned);
             look(a, s, &at);
+        } else if (fo_learning_since(s) > SINCE_MATTERS * s->across) {
+            judge_across(a, s, &at);
+        } else {
+            /* the variance found last is good enough */
         }
         const fo_real loaded = a->std[FO_INDUCTANCE + 1] * (at.made[1] - s->made_q);
         s->turned = s->turning + loaded * loaded;

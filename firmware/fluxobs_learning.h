@@ -10,6 +10,7 @@
 #define fo_learning_forget FO_NAME(fo_learning_forget)
 #define fo_learning_start FO_NAME(fo_learning_start)
 #define fo_learning_sample FO_NAME(fo_learning_sample)
+#define fo_learning_since FO_NAME(fo_learning_since)
 #define fo_learning_doubt FO_NAME(fo_learning_doubt)
 #define fo_learning_unmodelled FO_NAME(fo_learning_unmodelled)
 #define fo_learning_value FO_NAME(fo_learning_value)
@@ -42,6 +43,9 @@ void fo_learning_start(const fo_adaptive *observer, fo_adaptive_state *state,
  * length of the position vector; 0 if its numbers have run away. */
 fo_real fo_learning_sample(const fo_adaptive *observer, fo_adaptive_state *state,
                            const fo_effects *effects, bool measured);
+
+/* Square of the flux by which the parameters may be off since the position's variance was found. */
+fo_real fo_learning_since(const fo_adaptive_state *state);
 
 /* Follows what share of the EMF the parameters may be off: the angle by which that may have turned
  * the flux, which adds up until the rotor has turned by a radian. */

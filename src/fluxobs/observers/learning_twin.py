@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 BLOCK, BLOCK_MOST, MODEL = np.pi / 4, 0.3, 0.002
 INVERTER_UNMODELLED, KNEE_UNMODELLED, DRIFT_MEMORY = 0.05, 0.3, 100.0
 ROWS, CLIP, PROVEN, LEVEL_LEAST = 16.0, 25.0, 8.0, 0.02
-NEW_POINT, ROUND, DOUBT_LIMIT, HEAT_WALK = 0.3, 16, 0.5, 0.1
+NEW_POINT, ROUND, DOUBT_LIMIT, HEAT_WALK, SINCE_MATTERS = 0.3, 16, 0.5, 0.1, 0.25
 #: Order of the parameters; the curve comes last and is only considered.
 PSI, RESISTANCE, INVERTER, OFFSET, INDUCTANCE, CURVE = 0, 1, 2, 4, 6, 10
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -94,7 +94,7 @@ class LearningTwin:
         self.block = Block(theta)
         self.level = self.contradiction = 1.0
         self.rows = self.known_point = self.since = self.passed = 0.0
-        self.across = self.turning = 0.0
+        self.across = self.across_at = self.turning = self.unsure = 0.0
         self.point: Array = np.zeros(3)
         self.pulled = self.judged = 0
         self.loss_std = self._loss_std()
@@ -117,6 +117,9 @@ class LearningTwin:
         turned = abs(float(wrap(np.arctan2(at.x[1], at.x[0]) - b.theta)))
         if turned >= BLOCK or b.time >= BLOCK_MOST:
             self._end(current, roughness, turned)
+            self.unsure = self._unsure(effect)
+        elif (self.unsure * (b.time - self.across_at)) ** 2 > SINCE_MATTERS * self.across:
+            self._judge(at)
         return self.f.copy(), self.p.copy()
 
     def _loss(self) -> float:
@@ -184,18 +187,28 @@ class LearningTwin:
                 weight = 1 / ((rows / information + shape**2) * max(self.level, 1.0))
                 self._learn(slow, value, weight, b.time)
         at = self._look(current)
-        self.across, self.turning = self._across(at)
         self.judged = (self.judged + 1) % 3
         if self.judged == 2:
             self.loss_std = self._loss_std()
         self.block = Block(float(np.arctan2(at.x[1], at.x[0])))
+        self._judge(at)
 
-    def _across(self, at: Sight) -> tuple[float, float]:
+    def _judge(self, at: Sight) -> None:
+        self.across, self.turning = self._across(at, self.block)
+        self.across_at = self.block.time
+
+    def _unsure(self, effect: Array) -> float:
+        """Voltage by which resistance and inverter may be off, after an interval like this."""
+        direction = np.zeros(CURVE + 1)
+        direction[RESISTANCE:OFFSET] = np.hypot(*effect[RESISTANCE:OFFSET].T)
+        return float(np.sqrt(self._known(direction))) / self.a.h
+
+    def _across(self, at: Sight, b: Block) -> tuple[float, float]:
         """Variance of the position vector across its direction, and what L_q adds to it."""
         a = self.a
         across = J @ at.d
-        to_fast = np.concatenate([across, np.zeros(2)])
-        to_slow = to_fast @ self.S
+        to_fast = np.concatenate([across, b.time * across])
+        to_slow = to_fast @ self.S + b.effect @ across
         to_slow[OFFSET : OFFSET + 2] += a.L * a.std[OFFSET : OFFSET + 2] * across
         level = max(self.level, LEVEL_LEAST)
         known = self._known(to_slow)
