@@ -115,8 +115,10 @@ fo_machine fo_synrm(fo_real R_s, fo_real L_d, fo_real L_q, fo_real rated_current
 fo_machine fo_induction(fo_real R_s, fo_real R_R, fo_real L_sigma, fo_real L_M, fo_real psi_R,
                         fo_real rated_current);
 
-/* The whole configuration of a machine, for fo_init. */
-void fo_configure(fo_config *config, const fo_machine *machine, fo_real sample_time);
+/* The whole configuration of a machine, for fo_init. Returns NULL, or the field of fo_machine that no
+ * machine has, or whose unit is most likely wrong ("sample_time" too; "psi or rated_current" where they
+ * cannot be told apart). The configuration is then zero, and fo_init refuses it. */
+const char *fo_configure(fo_config *config, const fo_machine *machine, fo_real sample_time);
 
 #if FO_MAPPED
 /* Its flux map, for fo_use_map. Returns false if the machine needs none: no magnets, or no

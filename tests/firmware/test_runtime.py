@@ -82,8 +82,9 @@ def test_a_machine_in_c_is_the_one_in_python(configure, name, sample_time):
 
 
 @pytest.mark.parametrize("precision", [0, 1])
-def test_the_wrong_field_is_named(tmp_path, precision):
-    program = built(tmp_path, "wrong.c", f"-DFO_SINGLE={precision}")
+@pytest.mark.parametrize("source", ["wrong.c", "machines.c"])
+def test_the_wrong_field_is_named(tmp_path, source, precision):
+    program = built(tmp_path, source, f"-DFO_SINGLE={precision}")
     done = subprocess.run([program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
 

@@ -35,13 +35,15 @@ static fo_adaptive_retunable in_use;   /* ... and their successor        */
 static fo_adaptive_state state;
 static fo_adaptive_estimate estimate;
 static fo_snapshot shared;
-static fo_config config;               /* of the motor in use */
+static fo_config config;               /* of the motor in use ...                */
 static fo_adaptive_config adaptive;
+static bool config_known;              /* ... which a blob does not contain      */
 
 /* A motor that was exported on a desk: its motor_parameters.bin. If it needs a flux map, give it to
  * fo_use_map(&observer.plain, ...) here. */
 bool choose_motor(const uint8_t *blob, uint32_t length)
 {
+    config_known = false;
     return fo_adaptive_unpack(&observer, blob, length) == FO_OK;
 }
 
@@ -49,13 +51,19 @@ bool choose_motor(const uint8_t *blob, uint32_t length)
 bool describe_motor(float R_s, float L_s, float psi_f, float rated_current)
 {
     const fo_machine machine = fo_pmsm(R_s, L_s, psi_f, rated_current);
-    fo_configure(&config, &machine, motor_step_time);
+    const char *wrong = fo_configure(&config, &machine, motor_step_time);
+    config_known = false;
+    if (wrong != NULL) {
+        complain(wrong); /* "R_s": it is in milliohms, or not above zero */
+        return false;
+    }
     fo_adaptive_choose(&adaptive, &machine, motor_step_time, 48.0f,
                        (uint32_t)FO_LEARN_RESISTANCE + (uint32_t)FO_LEARN_INVERTER);
     if (fo_adaptive_init(&observer, &config, &adaptive) != FO_OK) {
-        complain(fo_adaptive_wrong(&config, &adaptive)); /* "R": most likely a wrong unit */
+        complain(fo_adaptive_wrong(&config, &adaptive));
         return false;
     }
+    config_known = true;
     return true;
 }
 
@@ -65,6 +73,7 @@ void usual_motor(void)
     observer = motor_observer;
     config = motor_config;
     adaptive = motor_adaptive_config;
+    config_known = true;
 }
 
 /* Before the interrupt runs: what was learnt comes back. The winding may have cooled: its resistance
@@ -98,6 +107,9 @@ void control_interrupt(const float voltage[2], const float current[2])
 void every_second(float winding_temperature)
 {
     fo_config warm = config;
+    if (!config_known) {
+        return;
+    }
     const float copper = 1.0f + 0.0039f * (winding_temperature - 20.0f);
     warm.R[0][0] = warm.R[1][1] = config.R[0][0] * copper;
     const fo_error error = fo_adaptive_retune(&in_use, &warm, &adaptive);

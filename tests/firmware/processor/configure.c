@@ -9,7 +9,7 @@ static __attribute__((noinline)) fo_error configured(void)
 {
     fo_config config;
     const fo_machine machine = fo_pmsm(0.36f, 0.6e-3f, 12.5e-3f, 12.0f);
-    fo_configure(&config, &machine, 1e-4f);
+    (void)fo_configure(&config, &machine, 1e-4f);
     return fo_init(&observer, &config);
 }
 

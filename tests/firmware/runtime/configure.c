@@ -41,7 +41,11 @@ int main(int count, char **given)
                    : kind == 2 ? fo_synrm(x[0], x[1], x[2], x[6])
                                : fo_induction(x[0], x[4], x[2], x[5], x[3], x[6]);
     m.speed_e = x[7];
-    fo_configure(&config, &m, x[8]);
+    const char *wrong = fo_configure(&config, &m, x[8]);
+    if (wrong != NULL) {
+        printf("refused: %s\n", wrong);
+        return 1;
+    }
     fo_adaptive_choose(&adaptive, &m, x[8], x[9],
                        FO_LEARN_RESISTANCE | FO_LEARN_INVERTER | FO_LEARN_ASYMMETRY);
     if (fo_adaptive_init(&observer, &config, &adaptive) != FO_OK) {

@@ -21,7 +21,7 @@ int main(void)
 {
     fo_config good, config;
     const fo_machine m = fo_pmsm((fo_real)0.36, (fo_real)0.6e-3, (fo_real)12.5e-3, (fo_real)12);
-    fo_configure(&good, &m, (fo_real)1e-4);
+    (void)fo_configure(&good, &m, (fo_real)1e-4);
     if (FO_HELD || !FO_ISOTROPIC || fo_wrong(&good) != NULL) {
         printf("not the sources that were meant\n");
         failures++;

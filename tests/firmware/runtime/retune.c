@@ -117,7 +117,7 @@ int main(void)
 {
     const fo_machine m = fo_pmsm((fo_real)MOTOR_R, (fo_real)MOTOR_L, (fo_real)MOTOR_PSI, (fo_real)MOTOR_I);
     fo_config config;
-    fo_configure(&config, &m, (fo_real)1e-4);
+    (void)fo_configure(&config, &m, (fo_real)1e-4);
     check_plain(&config);
     check_plain(&motor_config);
 #if FO_ADAPTIVE

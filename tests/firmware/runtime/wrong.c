@@ -39,7 +39,7 @@ int main(void)
     fo_adaptive_config adaptive;
     fo_adaptive observer;
     const fo_machine m = fo_pmsm((fo_real)0.36, (fo_real)0.2e-3, (fo_real)12.5e-3, (fo_real)10.3);
-    fo_configure(&good, &m, (fo_real)1e-4);
+    (void)fo_configure(&good, &m, (fo_real)1e-4);
     if (fo_wrong(&good) != NULL) {
         printf("a good configuration has %s wrong\n", fo_wrong(&good));
         failures++;
