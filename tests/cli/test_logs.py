@@ -39,6 +39,21 @@ def test_channels_lists_what_is_there(folder):
     assert facts["channels"][0]["sample_time"] == pytest.approx(2e-4)
 
 
+def test_names_are_shown_as_they_are(folder):
+    """[mA] is no markup, and no name commands the terminal."""
+    names = ["t", "i_alpha [mA]", "[/x]", "x\x1b]0;title\x07"]
+    rows = ["0,1,2,3", "0.001,2,3,4", "0.002,3,4,5"]
+    (folder / "x.csv").write_text("\n".join([",".join(names), *rows]) + "\n")
+    done = fluxobs("channels", "x.csv", folder=folder)
+    assert done.returncode == 0
+    assert "i_alpha [mA]" in done.stdout
+    assert "[/x]" in done.stdout
+    assert "\x1b" not in done.stdout
+    done = fluxobs("estimate", "x.csv", "--machine", "servo-400w", folder=folder)
+    assert done.returncode == 2
+    assert "\x1b" not in done.stderr
+
+
 def test_channels_of_a_file_that_says_nothing(folder):
     DEMO.rename(dict(zip(DEMO.columns, "ABCDEF", strict=True))).write_csv(folder / "x.csv")
     done = fluxobs("channels", "x.csv", folder=folder)

@@ -47,6 +47,13 @@ def test_a_slider_shows_the_run_with_another_resistance(result, window, tmp_path
     np.testing.assert_allclose(one.column("theta_e"), result["theta_e"], atol=1e-9)
 
 
+def test_it_carries_the_licences_of_what_it_contains(result, window, tmp_path):
+    write_report(result, tmp_path / "r.html")
+    told = opened(window, tmp_path / "r.html").page.locator("footer pre").text_content()
+    for words in ("fflate: Copyright", "uplot: Copyright", "Permission is hereby granted"):
+        assert words in told
+
+
 def test_without_data_it_shows_the_estimates(result, window, tmp_path):
     write_report(result, tmp_path / "with.html")
     write_report(result, tmp_path / "without.html", data=False)
@@ -68,8 +75,15 @@ def test_an_immersed_run_is_shown_too(window, tmp_path):
     assert one.page.locator("figure").count() >= 2
 
 
-def test_names_in_a_log_cannot_run(result, window, tmp_path):
-    evil = "</script><script>document.body.dataset.evil = 1</script>"
+@pytest.mark.parametrize(
+    "evil",
+    [
+        "</script><script>document.body.dataset.evil = 1</script>",
+        "<!--<script>",  # after it a script would not end where it should
+        "{{blocks}} {{data}}",  # the template's own marks
+    ],
+)
+def test_names_in_a_log_cannot_run(result, window, tmp_path, evil):
     write_report(result, tmp_path / "r.html", command=f"fluxobs estimate '{evil}'")
     one = opened(window, tmp_path / "r.html")
     assert one.js("() => document.body.dataset.evil") is None

@@ -29,7 +29,7 @@ from .commands.page import page
 from .commands.presets import presets
 from .commands.reproduce import reproduce
 from .options import REPEATED
-from .show import Stopped
+from .show import Stopped, echo
 
 HELP = """
 Flux, rotor position, speed and sensor drift from a drive's currents and voltages, both biased.
@@ -119,5 +119,5 @@ def main() -> None:
         typer.echo(f"Stopped by Ctrl-C{end.where}; {end.left}.", err=True)
         raise
     except FluxobsError as error:
-        typer.echo(f"Error: {error}", err=True)
+        echo(f"Error: {error}", err=True)
         raise SystemExit(2) from None

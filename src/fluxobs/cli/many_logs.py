@@ -103,7 +103,7 @@ def _show(fleet: Fleet, quiet: bool) -> None:
             words = "failed" if row["failed"] else "look at it" if row["mistakes"] else ""
             error = row["error_rms"]
             drawn.add_row(
-                row["log"].replace("[", "\\["),
+                show.cell(row["log"]),
                 "–" if row["rows"] is None else str(row["rows"]),
                 "–" if row["valid"] is None else f"{row['valid']:.1%}",
                 value("resistance", "Ω"),
@@ -117,7 +117,7 @@ def _show(fleet: Fleet, quiet: bool) -> None:
             show.echo(f"… and {len(fleet.table) - SHOWN} more.")
         show.echo(f"{good} of {len(fleet.table)} logs estimated.")
     for row in failed.head(SHOWN).iter_rows(named=True):
-        typer.echo(f"Failed: {row['failed']}", err=True)
+        show.echo(f"Failed: {row['failed']}", err=True)
     if len(failed) > SHOWN:
         typer.echo(f"… and {len(failed) - SHOWN} more that failed: summary.csv", err=True)
     if not quiet:

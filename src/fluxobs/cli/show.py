@@ -12,11 +12,28 @@ from typing import Any, Self
 import typer
 
 
-def echo(text: str) -> None:
+#: Characters that command a terminal, but for the ends of lines and tabs.
+_COMMANDS = {n: f"\\x{n:02x}" for n in (*range(32), *range(127, 160)) if chr(n) not in "\n\t"}
+
+
+def visible(text: str) -> str:
+    """The same without commands to the terminal, which names in a log may contain."""
+    return text.translate(_COMMANDS)
+
+
+def echo(text: str, err: bool = False) -> None:
     """Print text, wrapped for a terminal, in one line for a pipe."""
-    if sys.stdout.isatty():
+    text = visible(text)
+    if not err and sys.stdout.isatty():
         text = textwrap.fill(text, min(shutil.get_terminal_size().columns, 100))
-    typer.echo(text)
+    typer.echo(text, err=err)
+
+
+def cell(text: str, style: str = "") -> Any:
+    """Text of a table as it is: [mA] in a name is no markup."""
+    from rich.text import Text
+
+    return Text(visible(text), style)
 
 
 def summary(paragraph: str, warnings: Iterable[str]) -> None:
@@ -43,8 +60,8 @@ def page(items: Iterable[Any]) -> None:
         drawn.add_column(title, overflow="fold")
     colours = {"fine": "green", "look at it": "bold red", "cannot be told": "dim"}
     for item in items:
-        verdict = f"[{colours[item.verdict]}]{item.verdict}[/]"
-        drawn.add_row(item.name, item.told, verdict, item.words.replace("[", "\\["))
+        verdict = cell(item.verdict, colours[item.verdict])
+        drawn.add_row(cell(item.name), cell(item.told), verdict, cell(item.words))
     typer.echo()
     table(drawn)
 

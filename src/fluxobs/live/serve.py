@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import queue
 import re
 import socket
@@ -14,7 +13,7 @@ from http import HTTPStatus
 from typing import Any
 
 from ..errors import FluxobsError
-from ..web import built
+from ..web import built, in_script
 from .frames import MARK
 
 #: Pieces of the stream that may wait for a slow browser; one that is slower yet is let go.
@@ -75,7 +74,7 @@ class Server:
         self._hosts = [f"localhost:{number}", f"127.0.0.1:{number}"]
         self.url = f"http://localhost:{number}/"
         allowed = " ".join([f"ws://{host}" for host in self._hosts])
-        data = json.dumps(dict(settings), ensure_ascii=False).replace("</", "<\\/")
+        data = in_script(dict(settings))
         self._text = built("page.html").replace(_CONNECT, f"connect-src {allowed}", 1)
         self._text = self._text.replace(_SETTINGS, _SETTINGS.replace("null", data, 1), 1)
         threading.Thread(target=self._server.serve_forever, daemon=True).start()

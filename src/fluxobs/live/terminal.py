@@ -119,9 +119,12 @@ class Terminal:
 
     def _table(self) -> Any:
         from rich.table import Table
+        from rich.text import Text
 
         words = ", ".join([f"{self.watch.status.rows} rows", *self._said()])
-        drawn = Table(title=f"{self.name}: {words}", box=None, pad_edge=False, title_justify="left")
+        drawn = Table(
+            title=Text(f"{self.name}: {words}"), box=None, pad_edge=False, title_justify="left"
+        )
         for title, justify in (("", "left"), ("now", "right"), ("", "left")):
             drawn.add_column(title, justify=justify)  # type: ignore[arg-type]
         for name, strip in self._strips.items():

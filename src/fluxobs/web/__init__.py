@@ -46,10 +46,18 @@ def with_data(template: str, data: Mapping[str, Any]) -> str:
         other; (first, length) stands in their place.
     """
     blocks: list[str] = []
-    text = json.dumps(_apart(data, blocks), ensure_ascii=False, allow_nan=False)
-    for mark, value in ((_DATA, text.replace("</", "<\\/")), (_BLOCKS, "".join(blocks))):
-        template = template.replace(mark, value, 1)
-    return template
+    text = in_script(_apart(data, blocks))
+    # each mark is looked for in the template alone: a name in the data may be such a mark
+    before, _, rest = template.partition(_DATA)
+    between, _, after = rest.partition(_BLOCKS)
+    return "".join([before, text, between, *blocks, after])
+
+
+def in_script(data: Any) -> str:
+    """Data as JSON for a script element. It has no "<", so that nothing in it can end the element
+    or begin a comment."""
+    text = json.dumps(data, ensure_ascii=False, allow_nan=False)
+    return text.replace("<", "\\u003c")
 
 
 def _apart(data: Any, blocks: list[str]) -> Any:

@@ -64,7 +64,7 @@ def check(
         typer.echo(json.dumps(found.facts, indent=1, ensure_ascii=False))
     elif quiet:
         for finding in found.mistakes:
-            typer.echo(str(finding))
+            typer.echo(show.visible(str(finding)))
     else:
         for note in found.log.notes if found.log is not None else ():
             show.echo(f"Note: {note}.")

@@ -202,7 +202,7 @@ def estimate(
         typer.echo(json.dumps(facts, indent=1, ensure_ascii=False))
     elif quiet:
         for warning in result.warnings:
-            typer.echo(f"Warning: {warning}", err=True)
+            show.echo(f"Warning: {warning}", err=True)
     else:
         show_result(result, str(machine), written)
     if result.statistics.valid == 0:
