@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from fluxobs.web.columns import as_text
-from libraries import libraries
+from libraries import libraries, notices
 from translate import program
 
 WEB = Path(__file__).parent
@@ -80,7 +80,7 @@ REPLACED = {
 #: Files of the package that its modules read.
 RESOURCES = ("machines/examples", "logs/presets")
 #: Rows of the demo log that the page carries.
-DEMO_ROWS = 1_900
+DEMO_ROWS = 1_300
 
 
 def install() -> None:
@@ -181,11 +181,13 @@ def main() -> None:
         worker.unlink(missing_ok=True)
     style = (WEB / "node_modules" / "uplot" / "dist" / "uPlot.min.css").read_text("utf-8")
     style += bundled(WEB / "app" / "style.css", "iife")
+    listed = libraries()
     shared = {"worker": code.encode("utf-8"), "style": style.encode("utf-8")}
+    shared["notices"] = notices(listed).encode("utf-8")
     write("page", shared | {"wasm": wasm(), "demo": demo()})
     write("report", shared | {"wasm": wasm()})
-    listed = json.dumps(libraries(), indent=1, ensure_ascii=False) + "\n"
-    (PACKAGE / "web" / "libraries.json").write_text(listed, "utf-8")
+    text = json.dumps(listed, indent=1, ensure_ascii=False) + "\n"
+    (PACKAGE / "web" / "libraries.json").write_text(text, "utf-8")
 
 
 def write(name: str, parts: dict[str, bytes]) -> None:

@@ -35,6 +35,7 @@ for (const [name, length] of Object.entries(JSON.parse(content("parts"))))
 const style = document.createElement("style");
 style.textContent = new TextDecoder().decode(parts.style);
 document.head.append(style);
+document.querySelector("footer pre").textContent = new TextDecoder().decode(parts.notices);
 document.body.hidden = false;
 
 window.unpack = unpack;
