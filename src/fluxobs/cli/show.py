@@ -11,7 +11,6 @@ from typing import Any, Self
 
 import typer
 
-
 #: Characters that command a terminal, but for the ends of lines and tabs.
 _COMMANDS = {n: f"\\x{n:02x}" for n in (*range(32), *range(127, 160)) if chr(n) not in "\n\t"}
 
