@@ -92,7 +92,7 @@ def test_the_s_function_returns_the_numbers_of_the_library(tmp_path, unknowns):
     np.testing.assert_array_equal(found[:, : len(head) - 4], rows[:, 4:])
     assert "Untested in MATLAB" in (folder / "README.md").read_text()
     named = re.search(r"sources = \{(.*)\}", (folder / "build.m").read_text()).group(1)
-    others = {path.name for path in sources} - {"fluxobs_motor.c"}
+    others = {path.name for path in sources} - {"motor_sfun.c"}
     assert set(re.findall(r"'(.*?)'", named)) == others
 
 

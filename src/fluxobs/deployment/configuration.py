@@ -22,7 +22,7 @@ def configuration_files(prefix: str, observer: Exported) -> dict[str, str]:
         more["projection"] = f"FO_PROJECT_{observer.projection.upper()}"
         declared.append(f"extern const fo_adaptive_config {prefix}_adaptive_config;")
         defined.append(_struct("fo_adaptive_config", f"{prefix}_adaptive_config", more))
-    guard = f"FLUXOBS_{prefix}_CONFIG_H"
+    guard = f"{prefix}_config_h"  # the library's end in a capital letter
     about = f"/* The configuration of {prefix}, in SI: fo_init makes its parameters of it. */\n"
     lines = "\n".join(declared)
     header = (

@@ -12,6 +12,7 @@ from ..machines import RotatingMachine
 from ..observers import AdaptiveObserver, Estimate, LeastSquaresObserver
 from ..synthetic.firmware_record import FirmwareRecord, firmware_record
 from .c_source import Precision
+from .folder import joined
 from .header import Exported, isotropic, parameter_files, plain
 from .vectors import run
 
@@ -107,7 +108,7 @@ class Core:
     @property
     def code(self) -> dict[str, str]:
         """All of C: file name → text."""
-        return self.sources | self.parameters
+        return joined(self.sources, self.parameters)
 
 
 def make_core(

@@ -7,11 +7,33 @@ import os
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TypeVar
 
 from ..errors import FluxobsError
 
 #: Lists what was written, so that another export may replace that and nothing else.
 MANIFEST = "MANIFEST"
+
+
+Content = TypeVar("Content")
+
+
+def joined(*parts: Mapping[str, Content]) -> dict[str, Content]:
+    """Relative path → content: the files of all parts, none of which replaces another.
+
+    Raises
+    ------
+    FluxobsError
+        Two files have one name, if only on a file system that knows no case.
+    """
+    found: dict[str, Content] = {}
+    names: set[str] = set()
+    for name, content in (item for part in parts for item in part.items()):
+        if name.casefold() in names:
+            raise FluxobsError(f"{name}: two files have this name; give another prefix")
+        names.add(name.casefold())
+        found[name] = content
+    return found
 
 
 def check_folder(folder: Path, force: bool) -> None:

@@ -124,7 +124,7 @@ def parameter_files(
     )
     adaptive = isinstance(single, AdaptiveObserver)
     kind, include = ("fo_adaptive", "fluxobs_adaptive") if adaptive else ("fo_observer", "fluxobs")
-    guard = f"FLUXOBS_{prefix}_H"
+    guard = f"{prefix}_observer_h"  # the library's end in a capital letter
     step = plain(single).sample_time
     declared = f"""\
 #ifndef {guard}

@@ -9,7 +9,7 @@ from numbers import Integral
 from ..errors import FluxobsError
 from ..machines import Machine, RotatingMachine
 from ..observers.unknowns import adapts, check_adapted
-from .c_source import identifier, is_identifier
+from .c_source import identifier, is_identifier, is_taken
 
 #: Plausible periods of a current control [s]; other numbers must be in another unit.
 PERIODS = (1e-6, 1e-2)
@@ -22,8 +22,9 @@ def check_prefix(prefix: str) -> None:
     """Raise FluxobsError if names in C cannot begin with this prefix."""
     if not isinstance(prefix, str):
         raise FluxobsError(f"prefix must be text, such as 'motor'; got {prefix!r}")
-    if not is_identifier(prefix) or prefix == "fo":  # fo_observer is a type
-        near = identifier(prefix) if prefix != "fo" else "motor"
+    if not is_identifier(prefix) or is_taken(prefix):
+        near = identifier(prefix)
+        near = "motor" if is_taken(near) else near
         raise FluxobsError(f"prefix {prefix!r} cannot begin names in C; {near!r} can")
 
 

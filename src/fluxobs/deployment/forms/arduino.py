@@ -5,6 +5,7 @@ from __future__ import annotations
 from ..certificate import certificate
 from ..core import Core
 from ..costs import read_costs
+from ..folder import joined
 from ..templating import fill, slowest_speed
 from ..variables import check_every_step
 from ..vectors import vectors_header
@@ -31,16 +32,19 @@ def files(core: Core) -> dict[str, str | bytes]:
     """
     check_every_step(core, "an Arduino library")
     words = _words(core)
-    code = core.code | core.runtime
+    code = joined(core.code, core.runtime)
     del code["soft_float.c"]  # a library does not change the arithmetic of a sketch
     vectors = vectors_header(core.record, core.estimates)
-    return {
-        **{f"src/{name}": text for name, text in code.items()},
-        **{name: fill(core, template, words) for name, template in TEMPLATES.items()},
-        "examples/SelfTest/vectors.h": vectors,
-        "LICENSE": core.licence,
-        "certificate.json": certificate(core, "arduino", "the example SelfTest replays the record"),
-    }
+    check = "the example SelfTest replays the record"
+    return joined(
+        {f"src/{name}": text for name, text in code.items()},
+        {name: fill(core, template, words) for name, template in TEMPLATES.items()},
+        {
+            "examples/SelfTest/vectors.h": vectors,
+            "LICENSE": core.licence,
+            "certificate.json": certificate(core, "arduino", check),
+        },
+    )
 
 
 def _words(core: Core) -> dict[str, str]:

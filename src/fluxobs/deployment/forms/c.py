@@ -6,6 +6,7 @@ from ..blob import blob
 from ..certificate import certificate
 from ..configuration import configuration_files
 from ..core import Core
+from ..folder import joined
 from ..templating import fill
 from ..vectors import vectors_header
 
@@ -23,15 +24,15 @@ TEMPLATES = {
 
 def files(core: Core) -> dict[str, str | bytes]:
     """Relative path → content."""
-    return {
-        **core.code,
-        **{
-            f"runtime/{name}": text
-            for name, text in (core.runtime | configuration_files(core.prefix, core.single)).items()
+    runtime = joined(core.runtime, configuration_files(core.prefix, core.single))
+    return joined(
+        core.code,
+        {f"runtime/{name}": text for name, text in runtime.items()},
+        {f"{core.prefix}_parameters.bin": blob(core.single)},
+        {name: fill(core, f"c/{template}") for name, template in TEMPLATES.items()},
+        {
+            "LICENSE": core.licence,
+            "test/vectors.h": vectors_header(core.record, core.estimates),
+            "certificate.json": certificate(core, "c", "make test replays the record"),
         },
-        f"{core.prefix}_parameters.bin": blob(core.single),
-        **{name: fill(core, f"c/{template}") for name, template in TEMPLATES.items()},
-        "LICENSE": core.licence,
-        "test/vectors.h": vectors_header(core.record, core.estimates),
-        "certificate.json": certificate(core, "c", "make test replays the record"),
-    }
+    )

@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 from ...errors import FluxobsError
 from ..certificate import certificate
 from ..core import Core
+from ..folder import joined
 from ..templating import fill
 from ..variables import (
     INPUTS,
@@ -71,13 +72,17 @@ def files(core: Core) -> dict[str, str | bytes]:
         binaries = _binaries(identifier, sources, version)
         built |= binaries.keys()
         units[f"{core.prefix}.fmi{version}.fmu"] = _packed(
-            {
-                "modelDescription.xml": _description(core, identifier, version, sources),
-                **_described_sources(identifier, sources, version),
-                **binaries,
-                "resources/certificate.json": certificate(core, "fmu", "see the export's README"),
-                "documentation/index.html": _page(core),
-            }
+            joined(
+                {"modelDescription.xml": _description(core, identifier, version, sources)},
+                _described_sources(identifier, sources, version),
+                binaries,
+                {
+                    "resources/certificate.json": certificate(
+                        core, "fmu", "see the export's README"
+                    ),
+                    "documentation/index.html": _page(core),
+                },
+            )
         )
     words = {"identifier": identifier, "binaries": ", ".join(sorted(_systems(built))) or "none"}
     tests = {
@@ -86,15 +91,14 @@ def files(core: Core) -> dict[str, str | bytes]:
     }
     command = [sys.executable, "test/check.py", "--json"]
     installed = importlib.util.find_spec("fmpy") is not None
-    compared = build.compared({**units, **tests}, command) if installed else []
+    compared = build.compared(joined(units, tests), command) if installed else []
     check = "python test/check.py (needs PyPI's fmpy) replays the record with both units"
-    return {
-        **units,
-        **tests,
+    about = {
         "README.md": fill(core, "fmu/README.md", words),
         "LICENSE": core.licence,
         "certificate.json": certificate(core, "fmu", check, compared),
     }
+    return joined(units, tests, about)
 
 
 def _systems(paths: set[str]) -> set[str]:
@@ -112,7 +116,7 @@ def _sources(core: Core, version: int) -> dict[str, str]:
     values = c_values(core, "double")
     words = {"outputs": str(len(variables)), "values": values, "token": _token(core)}
     names = (*UNIT_SOURCES, f"fmi{version}.c")
-    return core.code | {name: fill(core, f"fmu/{name}", words) for name in names}
+    return joined(core.code, {name: fill(core, f"fmu/{name}", words) for name in names})
 
 
 def _binaries(identifier: str, sources: Mapping[str, str], version: int) -> dict[str, bytes]:

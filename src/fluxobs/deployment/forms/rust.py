@@ -5,6 +5,7 @@ from __future__ import annotations
 from ... import _core_single
 from ..certificate import certificate
 from ..core import Core
+from ..folder import joined
 from ..templating import fill
 from ..variables import Variable, c_values, check_every_step, output_variables, record_csv
 
@@ -30,17 +31,16 @@ def files(core: Core) -> dict[str, str | bytes]:
     """
     check_every_step(core, "a crate")
     words = _words(core)
-    sources = core.code | {name: core.runtime[name] for name in SEED}
-    made: dict[str, str | bytes] = {
-        **{f"csrc/{name}": text for name, text in sources.items()},
-        **{name: fill(core, f"rust/{template}", words) for name, template in TEMPLATES.items()},
-        "tests/record.csv": record_csv(core, "single"),
-    }
-    return {
-        **made,
-        "LICENSE": core.licence,
-        "certificate.json": certificate(core, "rust", "cargo test replays the record"),
-    }
+    sources = joined(core.code, {name: core.runtime[name] for name in SEED})
+    return joined(
+        {f"csrc/{name}": text for name, text in sources.items()},
+        {name: fill(core, f"rust/{template}", words) for name, template in TEMPLATES.items()},
+        {
+            "tests/record.csv": record_csv(core, "single"),
+            "LICENSE": core.licence,
+            "certificate.json": certificate(core, "rust", "cargo test replays the record"),
+        },
+    )
 
 
 def _words(core: Core) -> dict[str, str]:

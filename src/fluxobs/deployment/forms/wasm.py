@@ -8,6 +8,7 @@ import shutil
 from ...errors import FluxobsError
 from ..certificate import certificate
 from ..core import Core
+from ..folder import joined
 from ..templating import fill
 from ..variables import c_values, check_every_step, output_variables, record_csv
 from . import build
@@ -29,7 +30,7 @@ def files(core: Core) -> dict[str, str | bytes]:
         "names": json.dumps([one.name for one in variables]),
         "booleans": json.dumps([one.name for one in variables if one.boolean]),
     }
-    sources = core.code | {"module.c": fill(core, "wasm/module.c", words)}
+    sources = joined(core.code, {"module.c": fill(core, "wasm/module.c", words)})
     made: dict[str, str | bytes] = {
         f"{core.prefix}.wasm": build.compile_wasm(_compiler(), sources),
         f"{core.prefix}.mjs": fill(core, "wasm/observer.mjs", words),
@@ -39,13 +40,15 @@ def files(core: Core) -> dict[str, str | bytes]:
     node = shutil.which("node")
     compared = build.compared(made, [node, "test/check.mjs", "--json"]) if node else []
     check = "node test/check.mjs replays the record"
-    return {
-        **made,
-        **{f"source/{name}": text for name, text in sources.items()},
-        "README.md": fill(core, "wasm/README.md", words),
-        "LICENSE": core.licence,
-        "certificate.json": certificate(core, "wasm", check, compared),
-    }
+    return joined(
+        made,
+        {f"source/{name}": text for name, text in sources.items()},
+        {
+            "README.md": fill(core, "wasm/README.md", words),
+            "LICENSE": core.licence,
+            "certificate.json": certificate(core, "wasm", check, compared),
+        },
+    )
 
 
 def _compiler() -> list[str]:

@@ -1,0 +1,65 @@
+"""A prefix never replaces a file of the library, nor one of its names or include guards."""
+
+import subprocess
+
+import pytest
+
+import fluxobs
+from fluxobs import FluxobsError
+from fluxobs.deployment.folder import joined
+from support.firmware import STRICT
+
+#: Words of the library's files and include guards, as a prefix could repeat them.
+LIKE_THE_LIBRARY = [
+    *("ADAPTIVE", "REAL", "SEED", "KEEP", "CONFIG", "RETUNE", "MAP", "INTERNAL"),
+    *("adaptive", "map", "telemetry", "unit", "focus"),
+]
+
+
+@pytest.mark.parametrize("unknowns", ["drift", "auto"])
+@pytest.mark.parametrize("prefix", LIKE_THE_LIBRARY)
+def test_a_prefix_that_is_also_a_word_of_the_library(tmp_path, prefix, unknowns):
+    """All headers together, and the machine's sources, with a flux map."""
+    folder = tmp_path / "motor"
+    fluxobs.export("ipm-5kw6", 1e-4, folder, unknowns=unknowns, prefix=prefix)
+    headers = [path.name for path in (*folder.glob("*.h"), *folder.glob("runtime/*.h"))]
+    every = tmp_path / "every.c"
+    every.write_text("".join(f'#include "{name}"\n' for name in sorted(headers)))
+    uses = tmp_path / "uses.c"
+    uses.write_text(
+        f'#include "{prefix}_config.h"\n#include "{prefix}_observer.h"\n'
+        f"int main(void) {{ return {prefix}_config.sample_time > 0 && &{prefix}_observer; }}\n"
+    )
+    sources = [every, uses, folder / f"{prefix}_observer.c", folder / f"runtime/{prefix}_config.c"]
+    flags = [*STRICT, "-Wno-address", f"-I{folder}", f"-I{folder}/runtime"]
+    subprocess.run(["gcc", *flags, "-fsyntax-only", *sources], check=True)
+
+
+@pytest.mark.parametrize("unknowns", ["drift", "auto"])
+def test_an_s_function_never_replaces_a_source(tmp_path, unknowns):
+    for prefix in ("motor", "adaptive", "map"):
+        fluxobs.export(
+            "ipm-5kw6", 1e-4, tmp_path / prefix, unknowns=unknowns, prefix=prefix, form="simulink"
+        )
+    count = {len([*folder.rglob("*")]) for folder in tmp_path.iterdir()}
+    assert len(count) == 1
+
+
+@pytest.mark.parametrize(
+    "prefix", ["fo", "FO", "fo_adaptive", "fo_use", "Fo_map", "fluxobs", "FLUXOBS", "fluxobs_seed"]
+)
+def test_the_library_s_own_prefixes_are_refused(tmp_path, prefix):
+    with pytest.raises(FluxobsError, match=f"prefix '{prefix}' cannot.*'motor' can"):
+        fluxobs.export("ipm-5kw6", 1e-4, tmp_path / "motor", unknowns="auto", prefix=prefix)
+    assert not (tmp_path / "motor").exists()
+
+
+def test_what_is_proposed_instead_is_accepted(tmp_path):
+    with pytest.raises(FluxobsError, match="'motor' can"):
+        fluxobs.export("servo-400w", 1e-4, tmp_path / "motor", prefix="fluxobs-axis")
+
+
+def test_two_files_of_one_name():
+    assert joined({"a": "1"}, {"b": b"2"}) == {"a": "1", "b": b"2"}
+    with pytest.raises(FluxobsError, match="two files have this name"):
+        joined({"a": "1"}, {"A": "2"})
