@@ -76,6 +76,29 @@ def test_the_module_in_javascript(module, tmp_path):
     assert check(copy).returncode == 1
 
 
+@pytest.mark.skipif(shutil.which("node") is None, reason="no Node.js here")
+def test_a_state_of_another_module_is_refused(module, tmp_path):
+    """One of the same size, of another machine; one of another size."""
+    said = json.loads((module / "certificate.json").read_text())
+    unknowns = ADAPTIVE if "resistance" in said["settings"]["unknowns"] else "drift"
+    fluxobs.export("pmsm-2kw2", STEP, tmp_path / "other", unknowns=unknowns, form="wasm")
+    script = tmp_path / "swap.mjs"
+    script.write_text(
+        f"import {{ load as one }} from {json.dumps((module / 'motor.mjs').as_uri())};\n"
+        'import { load as two } from "./other/motor.mjs";\n'
+        "const [mine, other] = [await one(), await two()];\n"
+        "mine.restore(mine.save());\n"
+        "for (const saved of [other.save(), new Uint8Array(3)]) {\n"
+        "  try { mine.restore(saved); console.log('taken'); }\n"
+        "  catch (error) { console.log(error.message); }\n"
+        "}\n"
+    )
+    done = subprocess.run(["node", script], capture_output=True, text=True, check=True)
+    first, second = done.stdout.splitlines()
+    assert "a state of another observer" in first
+    assert "a state of 3 bytes" in second
+
+
 @pytest.mark.parametrize("unknowns", ["drift", ADAPTIVE])
 def test_the_s_function_returns_the_numbers_of_the_library(tmp_path, unknowns):
     folder = tmp_path / "motor"
@@ -108,7 +131,8 @@ def test_the_certificate_of_every_form(tmp_path, form, monkeypatch):
     other = json.loads((tmp_path / "c" / "certificate.json").read_text())
     assert said.pop("form") == form
     for key in ("content", "sources", "parameters", "record", "expected", "machine", "settings"):
-        assert said[key] == other[key]
+        if (form, key) != ("fmu", "sources"):  # double precision is chosen in them
+            assert said[key] == other[key]
     assert said["check"]
     for name, digest in {**said["sources"], **said["parameters"]}.items():
         for path in (tmp_path / "it").rglob(name):

@@ -15,6 +15,10 @@ static @fo@_estimate estimate;
 
 EXPORT(inputs) double *inputs(void) { return input; }
 EXPORT(outputs) double *outputs(void) { return output; }
+/* Which machine this is of: a state of another one may have the same size. */
+EXPORT(content) const char *content(void) { return "@content@"; }
+EXPORT(content_size) int content_size(void) { return (int)sizeof "@content@" - 1; }
+
 EXPORT(state) void *state_bytes(void) { return &state; }
 EXPORT(state_size) int state_size(void) { return (int)sizeof state; }
 EXPORT(reset) void reset(void) { @fo@_reset(&@prefix@_observer, &state); }

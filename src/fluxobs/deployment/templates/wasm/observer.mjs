@@ -35,18 +35,36 @@ class Observer {
     return found;
   }
 
-  // Everything that changes, as bytes for restore(), which takes those of the same module only.
+  // Everything that changes, as bytes for restore(), which takes those of the same module only:
+  // the module's content, by which it is known, and the state.
   save() {
-    const { memory, state, state_size } = this.exports;
-    return new Uint8Array(memory.buffer, state(), state_size()).slice();
+    const content = this.content();
+    const saved = new Uint8Array(content.length + this.state().length);
+    saved.set(content);
+    saved.set(this.state(), content.length);
+    return saved;
   }
 
   restore(saved) {
-    const { memory, state, state_size } = this.exports;
-    if (saved.length !== state_size()) {
-      throw new Error(`a state of ${saved.length} bytes; this observer's has ${state_size()}`);
+    const content = this.content();
+    const size = content.length + this.state().length;
+    if (saved.length !== size) {
+      throw new Error(`a state of ${saved.length} bytes; this observer's has ${size}`);
     }
-    new Uint8Array(memory.buffer, state(), state_size()).set(saved);
+    if (!content.every((byte, k) => saved[k] === byte)) {
+      throw new Error("a state of another observer: save and restore need the same export");
+    }
+    this.state().set(saved.subarray(content.length));
+  }
+
+  content() {
+    const { memory, content, content_size } = this.exports;
+    return new Uint8Array(memory.buffer, content(), content_size());
+  }
+
+  state() {
+    const { memory, state, state_size } = this.exports;
+    return new Uint8Array(memory.buffer, state(), state_size());
   }
 }
 
