@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata, resources
 
 from ..errors import FluxobsError
@@ -109,6 +109,18 @@ class Core:
     def code(self) -> dict[str, str]:
         """All of C: file name → text."""
         return joined(self.sources, self.parameters)
+
+
+def in_double(core: Core) -> Core:
+    """The same with sources that are double precision without any option of the compiler.
+
+    For a host whose build may know no definitions: FMI 2.0 has no place for them.
+    """
+    sources = dict(core.sources)
+    name, text = "fluxobs_real.h", sources["fluxobs_real.h"]
+    chosen = f"{DOUBLE[:-1]}1"
+    assert text.count(chosen) == 1
+    return replace(core, sources=sources | {name: text.replace(chosen, DOUBLE)})
 
 
 def make_core(

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 from ...errors import FluxobsError
 from ..certificate import certificate
-from ..core import Core
+from ..core import Core, in_double
 from ..folder import joined
 from ..templating import fill
 from ..variables import (
@@ -64,6 +64,7 @@ def files(core: Core) -> dict[str, str | bytes]:
             "no C compiler for the units' binaries; `pip install 'fluxobs[fmu]'` brings one for "
             "Linux, Windows and macOS"
         )
+    core = in_double(core)
     identifier = f"fluxobs_{core.prefix}"
     units: dict[str, bytes] = {}
     built: set[str] = set()
