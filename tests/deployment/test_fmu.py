@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from ctypes import byref
 from xml.etree import ElementTree
 
 import pytest
@@ -16,6 +17,9 @@ from fluxobs.deployment.forms import build
 from support.records import MACHINES
 
 fmpy = pytest.importorskip("fmpy")
+fmi2 = pytest.importorskip("fmpy.fmi2")
+fmi3 = pytest.importorskip("fmpy.fmi3")
+addLoggerProxy = pytest.importorskip("fmpy.logging").addLoggerProxy
 ADAPTIVE = "drift,resistance,inverter"
 STEP = 1e-4
 
@@ -76,52 +80,174 @@ def test_the_sources_in_the_unit_compile_on_their_own(units, tmp_path):
     with zipfile.ZipFile(units / "motor.fmi3.fmu") as archive:
         archive.extractall(tmp_path)
     sources = sorted((tmp_path / "sources").glob("*.c"))
-    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-DFO_SINGLE=0", "-fPIC", "-shared"]
+    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared"]
     subprocess.run(["gcc", *strict, *sources, "-lm", "-o", tmp_path / "unit.so"], check=True)
 
 
-def test_what_a_unit_refuses(units):
-    """Another step size, another unit's token, a state that is damaged or not its own."""
-    from fmpy.fmi3 import FMU3Slave
+def test_the_sources_are_double_precision_without_any_option(units, tmp_path):
+    """Both units, each compiled from its archive: FMI 2.0 has no place for definitions."""
+    shutil.copytree(units, tmp_path / "motor")
+    for version in (2, 3):
+        path = tmp_path / "motor" / f"motor.fmi{version}.fmu"
+        with zipfile.ZipFile(path) as archive:
+            content = {name: archive.read(name) for name in archive.namelist()}
+            archive.extractall(tmp_path / "unit")
+        folder = tmp_path / "unit"
+        program = next(name for name in content if name.startswith("binaries/"))
+        options = ["-shared", "-fPIC", *(folder / "sources").glob("*.c"), f"-I{folder}/sources"]
+        subprocess.run(["gcc", *options, "-lm", "-o", folder / program], check=True)
+        content[program] = (folder / program).read_bytes()
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, one in content.items():
+                archive.writestr(name, one)
+        shutil.rmtree(folder)
+    said = check(tmp_path / "motor")
+    assert said.returncode == 0, said.stdout + said.stderr
 
-    path = units / "motor.fmi3.fmu"
-    description = fmpy.read_model_description(path)
-    folder = fmpy.extract(path)
-    said = []
 
-    def unit(token):
-        made = FMU3Slave(
-            guid=token,
-            unzipDirectory=folder,
+class Instance:
+    """A unit of either version of FMI, under one set of names, and what it says."""
+
+    def __init__(self, path, token=None):
+        description = fmpy.read_model_description(path)
+        self.three = description.fmiVersion == "3.0"
+        self.folder = fmpy.extract(path)
+        self.said = []
+        self.unit = (fmi3.FMU3Slave if self.three else fmi2.FMU2Slave)(
+            guid=token or description.guid,
+            unzipDirectory=self.folder,
             modelIdentifier=description.coSimulation.modelIdentifier,
             instanceName="x",
         )
-        made.instantiate(logMessage=fmpy.fmi3.fmi3LogMessageCallback(log))
-        return made
+        if self.three:
+            log = fmi3.fmi3LogMessageCallback(lambda e, s, c, message: self._add(message))
+            self.unit.instantiate(logMessage=log)
+        else:
+            kind = fmi2.fmi2CallbackLoggerTYPE
+            log = kind(lambda e, n, s, c, message, *more: self._add(message))
+            calls = fmi2.fmi2CallbackFunctions()
+            calls.logger = log
+            calls.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(fmi2.calloc)
+            calls.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmi2.free)
+            addLoggerProxy(byref(calls))
+            self.unit.instantiate(callbacks=calls)
 
-    def log(environment, status, category, message):
-        said.append(message.decode())
+    def _add(self, message):
+        self.said.append(message.decode())
 
+    def begin(self, start=0.0):
+        if self.three:
+            self.unit.enterInitializationMode(startTime=start)
+        else:
+            self.unit.setupExperiment(startTime=start)
+            self.unit.enterInitializationMode()
+        self.unit.exitInitializationMode()
+
+    def step(self, time, size=STEP):
+        self.unit.doStep(currentCommunicationPoint=time, communicationStepSize=size)
+
+    def save(self):
+        if self.three:
+            return self.unit.serializeFMUState(self.unit.getFMUState())
+        return self.unit.serializeFMUstate(self.unit.getFMUstate())
+
+    def restore(self, kept):
+        if self.three:
+            self.unit.setFMUState(self.unit.deserializeFMUState(kept))
+        else:
+            self.unit.setFMUstate(self.unit.deSerializeFMUstate(kept))
+
+    def refuses(self, call, *given, says):
+        before = len(self.said)
+        with pytest.raises(Exception, match=r"fmi[23]\w+ failed"):
+            call(*given)
+        return says in self.said[before]
+
+
+@pytest.fixture(params=[2, 3])
+def instance(request, units):
+    one = Instance(units / f"motor.fmi{request.param}.fmu")
+    yield one
+    one.unit.freeInstance()
+    shutil.rmtree(one.folder)
+
+
+def test_what_a_unit_refuses(units, instance):
+    """Another step size, another unit's token, a state that is damaged, an unknown variable."""
     with pytest.raises(Exception, match=r"[Ii]nstantiate"):
-        unit("{0}")
-    assert "token" in said[-1]
-    one = unit(description.guid)
-    one.enterInitializationMode()
-    one.exitInitializationMode()
-    with pytest.raises(Exception, match="fmi3DoStep"):
-        one.doStep(currentCommunicationPoint=0.0, communicationStepSize=2 * STEP)
-    assert "steps every 0.0001 s" in said[-1]
-    one.doStep(currentCommunicationPoint=0.0, communicationStepSize=STEP)
-    kept = bytearray(one.serializeFMUState(one.getFMUState()))
+        Instance(units / "motor.fmi3.fmu", token="{0}")
+    instance.begin()
+    assert instance.refuses(instance.step, 0.0, 2 * STEP, says="steps every 0.0001 s")
+    instance.step(0.0)
+    kept = bytearray(instance.save())
     kept[100] ^= 1
-    damaged = one.deserializeFMUState(bytes(kept))
-    with pytest.raises(Exception, match="fmi3SetFMUState"):
-        one.setFMUState(damaged)
-    assert "not one that this unit has saved" in said[-1]
-    with pytest.raises(Exception, match="fmi3SetFloat64"):
-        one.setFloat64([7], [1.0])
-    one.freeInstance()
-    shutil.rmtree(folder)
+    assert instance.refuses(instance.restore, bytes(kept), says="not one that this unit has saved")
+    put = instance.unit.setFloat64 if instance.three else instance.unit.setReal
+    assert instance.refuses(put, [7], [1.0], says="no input")
+
+
+def test_a_state_of_another_machine_is_refused(tmp_path, monkeypatch):
+    """Its bytes have the same size, and a good checksum."""
+    monkeypatch.setattr(build, "has_zig", lambda: False)
+    monkeypatch.setattr(build, "compared", lambda made, command: [])
+    for name in ("servo-400w", "pmsm-2kw2"):
+        fluxobs.export(name, STEP, tmp_path / name, form="fmu")
+    for version in (2, 3):
+        mine, other = (
+            Instance(tmp_path / name / f"motor.fmi{version}.fmu")
+            for name in ("servo-400w", "pmsm-2kw2")
+        )
+        mine.begin()
+        other.begin()
+        mine.restore(mine.save())
+        says = "not one that this unit has saved"
+        assert len(mine.save()) == len(other.save())
+        assert other.refuses(other.restore, mine.save(), says=says)
+
+
+def test_calls_out_of_order_are_refused(instance):
+    """A step before initialization and after termination; a mode that is not entered from here."""
+    unit = instance.unit
+    steps = "a step needs an instance that is initialized and not terminated"
+    assert instance.refuses(instance.step, 0.0, says=steps)
+    assert instance.refuses(unit.exitInitializationMode, says="needs initialization mode")
+    assert instance.refuses(unit.terminate, says="Terminate needs")
+    instance.begin()
+    assert instance.refuses(unit.enterInitializationMode, says="new or reset")
+    instance.step(0.0)
+    unit.terminate()
+    assert instance.refuses(instance.step, STEP, says=steps)
+    unit.reset()
+    assert instance.refuses(instance.step, 0.0, says=steps)
+    instance.begin()
+    instance.step(0.0)
+
+
+def test_no_step_is_left_out_or_repeated(instance):
+    """Time begins where it is told, goes back with a state, and may be rounded."""
+    instance.begin(5.0)
+    assert instance.refuses(instance.step, 0.0, says="begins at 5 s")
+    instance.step(5.0)
+    kept = instance.save()
+    instance.step(5.0 + STEP)
+    for time in (5.0 + STEP, 5.0 + 3 * STEP, float("nan")):
+        assert instance.refuses(instance.step, time, says="none may be left out or repeated")
+    instance.step(5.0 + 2 * STEP)
+    instance.restore(kept)
+    instance.step(5.0 + STEP)
+    instance.unit.reset()
+    instance.begin(100.0)  # as after 1e6 steps
+    total = 100.0
+    for n in range(1000):
+        instance.step(total if n % 2 else 100.0 + n * STEP)
+        total += STEP
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_usual_simulation(units, version):
+    path = units / f"motor.fmi{version}.fmu"
+    found = fmpy.simulate_fmu(str(path), stop_time=0.05, output_interval=STEP)
+    assert len(found) == 501
 
 
 def test_binaries_for_other_systems(tmp_path):

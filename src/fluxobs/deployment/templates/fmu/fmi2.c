@@ -62,14 +62,28 @@ UNIT_EXPORT void fmi2FreeInstance(void *u) { unit_free(u); }
 UNIT_EXPORT status fmi2SetupExperiment(unit *u, int tolerance, double size, double start, int stops,
                                        double stop)
 {
+    const bool good = unit_move(u, UNIT_NEW, UNIT_NEW, "fmi2SetupExperiment");
     (void)tolerance, (void)size, (void)stops, (void)stop;
-    u->data.time = start;
-    return OK;
+    if (good) {
+        u->data.time = start;
+    }
+    return good ? OK : ERROR;
 }
 
-UNIT_EXPORT status fmi2EnterInitializationMode(void *u) { return (void)u, OK; }
-UNIT_EXPORT status fmi2ExitInitializationMode(void *u) { return (void)u, OK; }
-UNIT_EXPORT status fmi2Terminate(void *u) { return (void)u, OK; }
+UNIT_EXPORT status fmi2EnterInitializationMode(unit *u)
+{
+    return unit_move(u, UNIT_NEW, UNIT_INITIALISING, "fmi2EnterInitializationMode") ? OK : ERROR;
+}
+
+UNIT_EXPORT status fmi2ExitInitializationMode(unit *u)
+{
+    return unit_move(u, UNIT_INITIALISING, UNIT_STEPPING, "fmi2ExitInitializationMode") ? OK : ERROR;
+}
+
+UNIT_EXPORT status fmi2Terminate(unit *u)
+{
+    return unit_move(u, UNIT_STEPPING, UNIT_ENDED, "fmi2Terminate") ? OK : ERROR;
+}
 
 UNIT_EXPORT status fmi2Reset(unit *u)
 {

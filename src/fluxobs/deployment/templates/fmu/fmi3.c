@@ -53,13 +53,24 @@ UNIT_EXPORT void fmi3FreeInstance(void *u) { unit_free(u); }
 UNIT_EXPORT status fmi3EnterInitializationMode(unit *u, bool tolerance, double size, double start,
                                                bool stops, double stop)
 {
+    const bool good = unit_move(u, UNIT_NEW, UNIT_INITIALISING, "fmi3EnterInitializationMode");
     (void)tolerance, (void)size, (void)stops, (void)stop;
-    u->data.time = start;
-    return OK;
+    if (good) {
+        u->data.time = start;
+    }
+    return good ? OK : ERROR;
 }
 
-UNIT_EXPORT status fmi3ExitInitializationMode(void *u) { return (void)u, OK; }
-UNIT_EXPORT status fmi3Terminate(void *u) { return (void)u, OK; }
+UNIT_EXPORT status fmi3ExitInitializationMode(unit *u)
+{
+    return unit_move(u, UNIT_INITIALISING, UNIT_STEPPING, "fmi3ExitInitializationMode") ? OK : ERROR;
+}
+
+UNIT_EXPORT status fmi3Terminate(unit *u)
+{
+    return unit_move(u, UNIT_STEPPING, UNIT_ENDED, "fmi3Terminate") ? OK : ERROR;
+}
+
 UNIT_EXPORT status fmi3EnterStepMode(void *u) { return (void)u, OK; }
 
 UNIT_EXPORT status fmi3Reset(unit *u)

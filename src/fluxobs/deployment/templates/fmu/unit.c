@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: MIT */
 #include "unit.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -30,19 +31,59 @@ void unit_reset(unit *u)
     u->data.estimate@position@.theta_e_std = (fo_real)1.8137993642342178; /* nothing is known */
 }
 
-bool unit_step(unit *u, double time, double step)
+/* Whether the instance is in a phase; a message for `call` if not. */
+static bool is_in(unit *u, unit_phase phase, const char *call)
+{
+    static const char *const NEEDS[] = {
+        "an instance that is new or reset", "initialization mode",
+        "an instance that is initialized and not terminated", "an instance that is terminated"};
+    const bool good = u->data.phase == (uint32_t)phase;
+    if (!good) {
+        char message[128];
+        (void)snprintf(message, sizeof message, "%s needs %s", call, NEEDS[phase]);
+        u->log(u, true, message);
+    }
+    return good;
+}
+
+bool unit_move(unit *u, unit_phase from, unit_phase to, const char *call)
+{
+    const bool good = is_in(u, from, call);
+    if (good) {
+        u->data.phase = (uint32_t)to;
+    }
+    return good;
+}
+
+/* Whether a step is as long as the observer's, and begins where the last one ended. Times may be
+ * multiples or sums of steps: they round. */
+static bool is_next(unit *u, double time, double step)
 {
     const double due = (double)@prefix@_observer@plain@.sample_time;
-    const bool good = fabs(step - due) <= 1e-6 * due;
+    const double rounding = 1e-3 * due + 4.0 * DBL_EPSILON * fabs(time);
+    const bool long_enough = fabs(step - due) <= 1e-6 * due;
+    const bool good = long_enough && fabs(time - u->data.time) <= rounding;
+    char message[160];
+    if (!long_enough) {
+        (void)snprintf(message, sizeof message,
+                       "communication step size %g s: this observer steps every @step_time@ s", step);
+        u->log(u, true, message);
+    } else if (!good) {
+        (void)snprintf(message, sizeof message,
+                       "communication point %.15g s: the next step begins at %.15g s; none may be "
+                       "left out or repeated", time, u->data.time);
+        u->log(u, true, message);
+    }
+    return good;
+}
+
+bool unit_step(unit *u, double time, double step)
+{
+    const bool good = is_in(u, UNIT_STEPPING, "a step") && is_next(u, time, step);
     if (good) {
         @fo@_step(&@prefix@_observer, &u->data.state, &u->data.input[0], &u->data.input[2],
                   &u->data.estimate);
         u->data.time = time + step;
-    } else {
-        char message[128];
-        (void)snprintf(message, sizeof message,
-                       "communication step size %g s: this observer steps every @step_time@ s", step);
-        u->log(u, true, message);
     }
     return good;
 }
@@ -95,14 +136,20 @@ bool unit_set_all(unit *u, const uint32_t references[], size_t count, const doub
     return good;
 }
 
-/* FNV-1a, 64 bit. */
-static uint64_t checksum(const unsigned char *bytes, size_t count)
+/* FNV-1a, 64 bit, going on from a sum. */
+static uint64_t hashed(uint64_t sum, const void *of, size_t count)
 {
-    uint64_t sum = 0xCBF29CE484222325U;
+    const unsigned char *bytes = of;
     for (size_t k = 0; k < count; k++) {
         sum = (sum ^ bytes[k]) * 0x100000001B3U;
     }
     return sum;
+}
+
+/* Of the token too: a state of another machine may have the same size, and is none of this one. */
+static uint64_t checksum(const void *data)
+{
+    return hashed(hashed(0xCBF29CE484222325U, TOKEN, sizeof TOKEN), data, sizeof(unit_data));
 }
 
 /* Memory for a saved state, if there is none yet. */
@@ -118,7 +165,7 @@ bool unit_save(const unit *u, void **saved)
     if (good) {
         unsigned char *bytes = *saved;
         (void)memcpy(bytes, &u->data, sizeof u->data);
-        const uint64_t sum = checksum(bytes, sizeof u->data);
+        const uint64_t sum = checksum(bytes);
         (void)memcpy(&bytes[sizeof u->data], &sum, sizeof sum);
     }
     return good;
@@ -150,7 +197,7 @@ bool unit_restore(unit *u, const void *saved)
         return false;
     }
     (void)memcpy(&sum, &bytes[sizeof u->data], sizeof sum);
-    const bool good = sum == checksum(bytes, sizeof u->data);
+    const bool good = sum == checksum(bytes);
     if (good) {
         (void)memcpy(&u->data, bytes, sizeof u->data);
     } else {

@@ -20,9 +20,13 @@
 /* Value references: 0 is time, then the inputs, then the outputs. */
 enum { UNIT_INPUTS = 4, UNIT_OUTPUTS = @outputs@, UNIT_FIRST = 1 + UNIT_INPUTS };
 
+/* Where an instance is in its life: UNIT_NEW follows a reset. */
+typedef enum { UNIT_NEW = 0, UNIT_INITIALISING, UNIT_STEPPING, UNIT_ENDED } unit_phase;
+
 /* All that changes: saving, restoring and serialising it is copying it. */
 typedef struct {
-    double time;
+    double time; /* at which the next step begins */
+    uint32_t phase; /* a unit_phase */
     fo_real input[UNIT_INPUTS]; /* u_alpha, u_beta, i_alpha, i_beta */
     @fo@_state state;
     @fo@_estimate estimate;
@@ -42,6 +46,9 @@ unit *unit_new(const char *name, const char *token, unit_log log, void *environm
 void unit_free(unit *u);
 void unit_reset(unit *u);
 
+/* From one phase to the next, for `call`; false, and a message, if the instance is in another. */
+bool unit_move(unit *u, unit_phase from, unit_phase to, const char *call);
+
 /* Takes in the inputs at `time`; the estimate belongs to that instant, and is read a step later. */
 bool unit_step(unit *u, double time, double step);
 
@@ -50,7 +57,7 @@ bool unit_get(unit *u, uint32_t reference, double *value);
 bool unit_get_all(unit *u, const uint32_t references[], size_t count, double values[]);
 bool unit_set_all(unit *u, const uint32_t references[], size_t count, const double values[]);
 
-/* Copies of all that changes, with a checksum; the first two make memory where there is none. */
+/* Copies of all that changes, with a checksum that is this machine's only; the first two make memory where there is none. */
 enum { UNIT_SAVED = (int)sizeof(unit_data) + 8 };
 bool unit_save(const unit *u, void **saved);
 bool unit_unpack(const void *bytes, size_t size, void **saved);
