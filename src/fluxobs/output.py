@@ -7,8 +7,9 @@ import tempfile
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TypeVar
+from typing import IO, TypeVar
 
 import polars as pl
 from polars.io.plugins import register_io_source
@@ -62,16 +63,32 @@ def check_out(out: str | Path, log: Path, force: bool = False) -> Path:
     return out
 
 
-def write_text(out: Path, text: str) -> None:
-    """Write a text file, complete or not at all; FluxobsError if it cannot be written."""
+@contextmanager
+def replacing(out: Path) -> Iterator[IO[bytes]]:
+    """A new file beside `out`, which becomes it at the end, or is removed if that is not reached.
+
+    Raises
+    ------
+    FluxobsError
+        It cannot be written.
+    """
     part_file = out.with_name(f".{out.name}.part")
     try:
-        part_file.write_text(text, encoding="utf-8")
+        part_file.unlink(missing_ok=True)  # of a killed run; or a link, which "x" never follows
+        with part_file.open("xb") as handle:
+            yield handle
         part_file.replace(out)
     except OSError as error:
         raise FluxobsError(f"{out}: cannot be written: {error.strerror}") from None
     finally:
-        part_file.unlink(missing_ok=True)
+        with suppress(OSError):
+            part_file.unlink()
+
+
+def write_text(out: Path, text: str) -> None:
+    """Write a text file, complete or not at all; FluxobsError if it cannot be written."""
+    with replacing(out) as handle:
+        handle.write(text.encode())
 
 
 def write_rows(out: Path, schema: Schema, frames: Iterator[pl.DataFrame]) -> None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .errors import FluxobsError
-from .output import check_place
+from .output import check_place, replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,17 +41,10 @@ def write(figure: Figure, path: Path) -> None:
     """Save a figure, complete or not at all, with the same bytes on every run."""
     import matplotlib as mpl
 
-    temporary = path.with_name(f".{path.name}.part{path.suffix}")
+    kind = path.suffix.lower()
     stamp: dict[str, Any] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-    try:
-        with mpl.rc_context({"svg.hashsalt": "fluxobs"}):
-            figure.savefig(temporary, dpi=130, metadata=stamp[path.suffix.lower()])
-        os.replace(temporary, path)
-    except OSError as error:
-        raise FluxobsError(f"{path}: cannot be written: {error.strerror}") from None
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
+    with replacing(path) as file, mpl.rc_context({"svg.hashsalt": "fluxobs"}):
+        figure.savefig(file, format=kind[1:], dpi=130, metadata=stamp[kind])
 
 
 def check_path(path: Path) -> None:

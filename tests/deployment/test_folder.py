@@ -12,6 +12,7 @@ import pytest
 import fluxobs
 from fluxobs import FluxobsError
 from fluxobs.deployment.c_source import hex_float
+from fluxobs.deployment.folder import check_folder, write_folder
 from fluxobs.deployment.vectors import COLUMNS
 from support.firmware import COMPILERS, HARNESS, STRICT, make_test
 from support.records import MACHINES
@@ -313,6 +314,61 @@ def test_nothing_is_overwritten_unasked(tmp_path, monkeypatch):
     (tmp_path / "empty").mkdir()
     fluxobs.export(machine, 1e-4, tmp_path / "empty")
     assert make_test(tmp_path / "empty").returncode == 0
+
+
+@pytest.mark.parametrize("force", [True, False])
+def test_a_listing_that_is_a_link_is_not_followed(tmp_path, force):
+    victim = tmp_path / "victim"
+    victim.write_text("")
+    (tmp_path / "motor").mkdir()
+    (tmp_path / "motor" / "MANIFEST").symlink_to("../victim")
+    with pytest.raises(FluxobsError, match="MANIFEST: is a link" if force else "--force"):
+        write(tmp_path / "motor", {"a": "1"}, force)
+    assert victim.read_text() == ""
+
+
+def test_a_folder_that_is_a_link_is_not_followed(tmp_path):
+    """Neither to delete what is listed in it, nor to write."""
+    victim = tmp_path / "victim"
+    victim.mkdir()
+    (victim / "file.txt").write_text("mine")
+    folder = tmp_path / "motor"
+    write(folder, {"a": "1", "sub/file.txt": "mine"})
+    shutil.rmtree(folder / "sub")
+    (folder / "sub").symlink_to("../victim")
+    for files in ({"a": "2"}, {"sub/file.txt": "2"}):
+        with pytest.raises(FluxobsError, match="sub: is a link"):
+            write(folder, files, force=True)
+        with pytest.raises(FluxobsError, match="sub: is a link"):
+            write_folder(folder, files)  # as if the link came after the check
+    assert (victim / "file.txt").read_text() == "mine"
+    assert (folder / "a").read_text() == "1"
+
+
+def test_a_listing_with_a_second_name_keeps_its_content(tmp_path):
+    folder = tmp_path / "motor"
+    write(folder, {"a": "1"})
+    os.link(folder / "MANIFEST", tmp_path / "other")
+    kept = (tmp_path / "other").read_text()
+    write(folder, {"a": "2"}, force=True)
+    assert (tmp_path / "other").read_text() == kept
+
+
+def test_no_empty_folder_is_left(tmp_path):
+    folder = tmp_path / "motor"
+    write(folder, {"a": "1", "runtime/x/b": "2", "test/c": "3"})
+    (folder / "test" / "notes").write_text("mine")
+    write(folder, {"examples/SelfTest/a": "1"}, force=True)
+    there = {str(path.relative_to(folder)) for path in folder.rglob("*")}
+    assert there == {
+        *("MANIFEST", "examples", "examples/SelfTest", "examples/SelfTest/a"),
+        *("test", "test/notes"),
+    }
+
+
+def write(folder, files, force=False):
+    check_folder(folder, force)
+    write_folder(folder, files)
 
 
 @pytest.mark.parametrize(

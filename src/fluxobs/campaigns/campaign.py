@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from ..engine import LOCAL, compute, locked
 from ..errors import FluxobsError
+from ..links import open_own
 from ..output import make_folder
 from . import dataset
 from .chunk import Work
@@ -81,12 +83,7 @@ def fill(
     count = total(found.specification)
     done = count - found.lacking()
     progress(done, count)
-    place = found.folder / TIMES
-    try:
-        file = place.open("a", encoding="utf-8")
-    except OSError as error:
-        raise FluxobsError(f"{place}: cannot be written: {error.strerror}") from None
-    with file as times:
+    with os.fdopen(open_own(found.folder / TIMES), "a", encoding="utf-8") as times:
         for chunk, seconds in compute(found.missing(), work, workers, scheduler):
             times.write(f"{chunk.first},{chunk.last},{seconds:.3f}\n")
             times.flush()

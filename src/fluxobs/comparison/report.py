@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import html
-from ..errors import FluxobsError
 from ..output import write_text
 from ..plots import BLUE, GREY, ORANGE, STYLE, write
 from .compare import LANES, Comparison, ObserverResult
@@ -199,10 +198,7 @@ def write_csv(comparisons: Sequence[Comparison], path: Path) -> None:
                         f"{1e9 * result.time:.0f}",
                     ]
                 )
-    try:
-        path.write_text(text.getvalue(), encoding="utf-8")
-    except OSError as error:
-        raise FluxobsError(f"{path}: cannot be written: {error.strerror}") from None
+    write_text(path, text.getvalue())
 
 
 def draw(comparison: Comparison, path: Path) -> None:

@@ -6,10 +6,12 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
 
 from ..errors import FluxobsError
+from ..links import refuse_link
 
 #: Lists what was written, so that another export may replace that and nothing else.
 MANIFEST = "MANIFEST"
@@ -54,11 +56,21 @@ def _check(folder: Path, force: bool) -> None:
     if not force:
         raise FluxobsError(f"{folder}: exists; give another name, or --force to replace an export")
     for name, digests in _manifest(folder).items():
-        path = folder / name
+        path = _within(folder, name)
         if _exists(path) and (path.is_symlink() or sha256(path.read_bytes()) not in digests):
             raise FluxobsError(
                 f"{path}: changed since it was exported; move it away, and it will be written anew"
             )
+
+
+def _within(folder: Path, name: str) -> Path:
+    """The path of a file of an export, which no link on the way leads elsewhere."""
+    path = folder / name
+    for parent in (folder / above for above in Path(name).parents[:-1]):
+        refuse_link(parent)
+        if _exists(parent) and not parent.is_dir():
+            raise FluxobsError(f"{parent}: is no folder of its own; move it away")
+    return path
 
 
 def _exists(path: Path) -> bool:
@@ -73,6 +85,7 @@ def sha256(content: bytes) -> str:
 def _manifest(folder: Path) -> dict[str, set[str]]:
     """What an earlier export wrote: name → SHA-256, or two of them if it was interrupted."""
     path = folder / MANIFEST
+    refuse_link(path)
     if not path.exists():
         raise FluxobsError(f"{folder}: no earlier export, so nothing in it is overwritten")
     found: dict[str, set[str]] = {}
@@ -121,18 +134,20 @@ def _write(folder: Path, files: Mapping[str, str | bytes]) -> None:
             os.replace(made, folder)
             return
         old = _manifest(folder)
-        for name in contents:
-            path = folder / name
+        for name in {**contents, **old}:
+            path = _within(folder, name)
             if name not in old and _exists(path):
                 raise FluxobsError(f"{path}: is no part of the earlier export; move it away")
-            if _exists(path.parent) and (path.parent.is_symlink() or not path.parent.is_dir()):
-                raise FluxobsError(f"{path.parent}: is no folder of its own; move it away")
         # While files are being replaced, either version of them is ours.
-        with (folder / MANIFEST).open("ab") as manifest:
-            manifest.write(_listing(contents))
+        both = Path(scratch) / MANIFEST
+        both.write_bytes((folder / MANIFEST).read_bytes() + _listing(contents))
+        os.replace(both, folder / MANIFEST)
         for name in contents:
-            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(made / name, folder / name)
         for name in old.keys() - contents.keys():
             (folder / name).unlink(missing_ok=True)
+            for above in Path(name).parents[:-1]:
+                with suppress(OSError):  # something else is in it
+                    (folder / above).rmdir()
         os.replace(made / MANIFEST, folder / MANIFEST)

@@ -11,6 +11,7 @@ from pathlib import Path
 import polars as pl
 
 from ..errors import FluxobsError
+from ..links import open_own, refuse_link
 
 #: Ending of files that are being written.
 UNFINISHED = ".unfinished"
@@ -23,13 +24,9 @@ def locked(folder: Path) -> Iterator[None]:
     Raises
     ------
     FluxobsError
-        Another process works in it, or it cannot be written.
+        Another process works in it, it cannot be written, or a link in it leads elsewhere.
     """
-    try:
-        lock = (folder / ".lock").open("w")
-    except OSError as error:
-        raise FluxobsError(f"{folder}: cannot be written: {error.strerror}") from None
-    with lock as handle:
+    with os.fdopen(open_own(folder / ".lock"), "wb") as handle:
         try:
             import fcntl
 
@@ -40,9 +37,19 @@ def locked(folder: Path) -> Iterator[None]:
             raise FluxobsError(
                 f"{folder}: another run works in this folder; wait for its end, or stop it"
             ) from None
-        for left in folder.rglob(f".*{UNFINISHED}"):
-            left.unlink(missing_ok=True)
+        _tidy(folder)
         yield
+
+
+def _tidy(folder: Path) -> None:
+    """Remove what a killed run left unfinished; refuse links to folders, through which results
+    would be written and removed elsewhere."""
+    for place, folders, files in os.walk(folder):
+        for name in folders:
+            refuse_link(Path(place, name))
+        for name in files:
+            if name.startswith(".") and name.endswith(UNFINISHED):
+                Path(place, name).unlink(missing_ok=True)
 
 
 def write_part(frame: pl.DataFrame, path: Path) -> None:

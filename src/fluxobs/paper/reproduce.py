@@ -11,6 +11,7 @@ from typing import Any, ParamSpec, Self, TypeVar
 
 from .. import html
 from ..errors import FluxobsError
+from ..output import write_text
 from . import counter_example
 from .counter_example import CounterExample
 from .figures import SCENARIO_FIGURES, draw_motors, draw_scalar_gain, draw_scenarios
@@ -124,12 +125,9 @@ def reproduce(
         found["deep"] = long.study(say)
         more = long.markdown(found["deep"])
         draw_scalar_gain(out, found["deep"]["scalar_gain"], formats)
-    try:
-        (out / "numbers.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-        title, _, text = markdown(found, more).partition("\n")
-        (out / "report.md").write_text(f"{title}\n{text}", encoding="utf-8")
-        page = html.document(title.removeprefix("# "), html.from_markdown(text, out))
-        (out / "report.html").write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise FluxobsError(f"{out}: cannot be written: {error.strerror}") from None
+    write_text(out / "numbers.json", json.dumps(found, indent=1) + "\n")
+    title, _, text = markdown(found, more).partition("\n")
+    write_text(out / "report.md", f"{title}\n{text}")
+    page = html.document(title.removeprefix("# "), html.from_markdown(text, out))
+    write_text(out / "report.html", page)
     return found

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ..logs import Log, read_log
 from ..machines import example, rotating
 from ..model.frames import wrap
+from ..output import write_text
 from .sensors import Sensor, Steps
 from .signals import driven, inverter_loss, vectors
 
@@ -95,7 +96,7 @@ def write(path: str | Path) -> None:
     for row in zip(*columns.values(), strict=True):
         cells = (f"{v:.{digits[n]}f}" for n, v in zip(columns, row, strict=True))
         lines.append(",".join(cells))
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(Path(path), "\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":
