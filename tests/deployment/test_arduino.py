@@ -92,8 +92,10 @@ def test_what_arduino_and_platformio_read(library):
         line.split("=", 1) for line in (library / "library.properties").read_text().splitlines()
     )
     assert properties["includes"] == "motor_observer.h"
+    assert not {"*", "avr", "megaavr"} & {*properties["architectures"].split(",")}
     described = json.loads((library / "library.json").read_text())
     assert described["version"] == properties["version"] == fluxobs.__version__
+    assert not {"*", "atmelavr", "atmelmegaavr"} & {*described["platforms"]}
     for header in described["headers"]:
         assert (library / "src" / header).exists()
     assert re.fullmatch(r"[\w .-]+", properties["name"])
@@ -104,3 +106,17 @@ def test_steps_every_few_interrupts_are_refused(tmp_path):
         fluxobs.export("servo-400w", 5e-5, tmp_path / "x", update_every=4, form="arduino")
     with pytest.raises(FluxobsError, match="there are c, arduino"):
         fluxobs.export("servo-400w", 5e-5, tmp_path / "x", form="sketch")
+
+
+@pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="avr-gcc is missing")
+def test_an_avr_is_refused_by_the_self_test_in_plain_words(library):
+    """The observer itself compiles there; the record does not fit."""
+    example = library / "examples" / "SelfTest"
+    command = ["avr-gcc", "-mmcu=atmega2560", "-std=c99", f"-I{library}/src", "-fsyntax-only"]
+    sources = [library / "src" / "fluxobs.c", library / "src" / "motor_observer.c"]
+    subprocess.run([*command, *sources], check=True, capture_output=True)
+    done = subprocess.run(
+        [*command, example / "check.c"], capture_output=True, text=True, check=False
+    )
+    assert "larger than an array can be on an AVR" in done.stderr.split("error:")[1]
+    assert "too slow" in (library / "README.md").read_text()

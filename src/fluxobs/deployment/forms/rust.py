@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from ... import _core_single
 from ..certificate import certificate
 from ..core import Core
@@ -45,7 +47,7 @@ def files(core: Core) -> dict[str, str | bytes]:
 
 def _words(core: Core) -> dict[str, str]:
     variables = output_variables(core)
-    crate = f"fluxobs_{core.prefix.lower()}"
+    crate = _snake_case(f"fluxobs_{core.prefix}")
     compiled = [name for name in core.code if name.endswith(".c")] + [SEED[1], "door.c"]
     bytes_of = _core_single.adaptive_state_bytes if core.adaptive else _core_single.state_bytes
     values = (
@@ -57,7 +59,7 @@ def _words(core: Core) -> dict[str, str]:
         for one in variables
     )
     return {
-        "crate": core.prefix.lower().replace("_", "-"),
+        "crate": crate.replace("_", "-"),
         "rust_crate": crate,
         "rust_sources": ", ".join(f'"{name}"' for name in compiled),
         "rust_fields": "\n".join(_field(one) for one in variables),
@@ -67,6 +69,17 @@ def _words(core: Core) -> dict[str, str]:
         "values": c_values(core, "fo_real"),
         "state_bytes": str(-(-bytes_of // 8) * 8),
     }
+
+
+def _snake_case(name: str) -> str:
+    """The name as the compiler of Rust wants a crate's: small letters, single underscores.
+
+    Examples
+    --------
+    >>> _snake_case("fluxobs_M__1_")
+    'fluxobs_m_1'
+    """
+    return re.sub("_+", "_", name.lower()).strip("_")
 
 
 def _field(one: Variable) -> str:

@@ -3,6 +3,10 @@
 #ifndef CHECK_H
 #define CHECK_H
 
+#ifdef __AVR__
+#error "the record is larger than an array can be on an AVR, which is too slow for the observer"
+#endif
+
 #include "@header@"
 
 #ifdef __cplusplus
