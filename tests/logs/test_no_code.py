@@ -122,6 +122,41 @@ def test_code_as_the_formula_of_an_mdf_channel(mark, tmp_path, version):
     assert path.name in str(error.value)
 
 
+@pytest.mark.parametrize("version", ["3.30", "4.10"])
+@pytest.mark.parametrize("hidden", [False, True])
+def test_code_as_the_formula_of_the_time(mark, tmp_path, version, hidden):
+    """asammdf converts the time with the channels of its group, whether it is asked for or not."""
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version=version) as file:
+        file.append([asammdf.Signal(v, T, name=k) for k, v in COLUMNS.items()])
+        (time,) = (channel for channel in file.groups[0].channels if channel.name == "time")
+        code = f"X1+0*(\"'\"!=(lambda:__import__('os').mkdir('{mark}'))()!=\"'\")"
+        if version.startswith("4"):
+            from asammdf.blocks.v4_blocks import ChannelConversion
+
+            time.conversion = ChannelConversion(conversion_type=3, formula=code)
+            time.data_type = 10 if hidden else time.data_type  # bytes, which are no column
+        else:
+            from asammdf.blocks.v2_v3_blocks import ChannelConversion
+
+            time.conversion = ChannelConversion(conversion_type=10, formula=code.encode())
+        path = file.save(tmp_path / "log.mdf")
+    with pytest.raises(FluxobsError, match="by the formula") as error:
+        list(read_log(path).aligned())
+    assert path.name in str(error.value)
+
+
+def test_code_as_the_formula_of_an_axis():
+    mdf = pytest.importorskip("fluxobs.logs.formats.mdf")
+    code = SimpleNamespace(formula="exit()", referenced_blocks=None)
+    array = SimpleNamespace(dims_nr=2, axis_conversion_0=None, axis_conversion_1=code)
+    group = SimpleNamespace(
+        channels=[SimpleNamespace(name="map", conversion=None)], channel_dependencies=[[array]]
+    )
+    with pytest.raises(FluxobsError, match="map, axis 1"):
+        mdf._check_formulas("log.mf4", SimpleNamespace(groups=[group]))
+
+
 def test_a_formula_in_a_sheet(mark, tmp_path):
     """A sheet's values are read, its formulas are not."""
     pytest.importorskip("fastexcel")
@@ -150,6 +185,14 @@ def test_a_formula_in_a_sheet(mark, tmp_path):
         "X1()",
         "9**9**9",
         "X1**9**9",
+        "(X1**2)**2",
+        "(1 + sin(X1**2))**2",
+        "X1**17",
+        "X1**-17.0",
+        "X1**1e9",
+        "9**9**9**9*X1",
+        "(" * 50 + "X1" + "**2)" * 50,
+        "+".join(["X1"] * 1000),
         "'a' * X1",
         "f'{X1}'",
         "X1 if X1 else X1",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterator, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -51,8 +52,6 @@ class MdfTable(Table):
         self, names: Sequence[str], first: int, last: int, size: int = BATCH
     ) -> Iterator[Columns]:
         channels = [(None, self._group, self._index[name]) for name in names]
-        for name in names:
-            self._check(name)
         for start in range(first, last, size):
             try:
                 parts = self._mdf.select(
@@ -72,15 +71,30 @@ class MdfTable(Table):
             except Exception as error:  # asammdf raises many kinds for broken blocks
                 raise RecordError(f"{self.path}: damaged: {error!r}") from None
 
-    def _check(self, name: str) -> None:
-        """Raise RecordError if asammdf would have code evaluated for the channel."""
-        channel = self._mdf.groups[self._group].channels[self._index[name]]
-        for formula in _formulas(channel.conversion):
-            if not is_arithmetic(formula):
-                raise RecordError(
-                    f"{self.path}: channel {name} is converted by the formula {formula[:80]!r}, "
-                    f"which is not arithmetic of X1 alone; write its values without a formula"
-                )
+
+def _check_formulas(path: Path, mdf: Any) -> None:
+    """Raise RecordError if a conversion in the file has a formula that is not arithmetic.
+
+    asammdf has code evaluated for a formula. It converts more than the channels asked for: the
+    time of their group, parts of a structure, axes of an array. So all of the file is checked.
+    """
+    for group in mdf.groups:
+        parts = getattr(group, "channel_dependencies", None) or ()
+        for channel, its in zip_longest(group.channels, parts):
+            _refuse_code(path, channel.name, channel.conversion)
+            for part in its if isinstance(its, list | tuple) else ():  # of MDF 4: arrays
+                for n in range(getattr(part, "dims_nr", 0)):
+                    axis = getattr(part, f"axis_conversion_{n}", None)
+                    _refuse_code(path, f"{channel.name}, axis {n},", axis)
+
+
+def _refuse_code(path: Path, name: str, conversion: Any) -> None:
+    for formula in _formulas(conversion):
+        if not is_arithmetic(formula):
+            raise RecordError(
+                f"{path}: channel {name} is converted by the formula {formula[:80]!r}, "
+                f"which is not short arithmetic of X1 alone; write its values without a formula"
+            )
 
 
 def _formulas(conversion: Any) -> Iterator[str]:
@@ -124,11 +138,13 @@ def open_mdf(path: Path) -> list[Table]:
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror}") from None
     try:
-        mdf = asammdf.MDF(handle)
+        # what frames of a bus hold is not read, and would be converted before it is checked
+        mdf = asammdf.MDF(handle, process_bus_logging=False)
     except Exception as error:  # asammdf raises many kinds for a broken file
         handle.close()
         raise RecordError(f"{path}: not a readable MDF file: {error}") from None
     weakref.finalize(mdf, handle.close)
+    _check_formulas(path, mdf)
     groups = [n for n, group in enumerate(mdf.groups) if group.channel_group.cycles_nr]
     for n in groups:
         _split(mdf.groups[n])
