@@ -58,7 +58,7 @@ def _allowed(node: ast.AST, called: bool) -> bool:
 def _is_small_power(power: ast.BinOp) -> bool:
     """Whether it is a power of X, by a small number, of something without powers."""
     exponent = power.right
-    if not isinstance(exponent, ast.Constant) or type(exponent.value) not in (int, float):
+    if not isinstance(exponent, ast.Constant) or not isinstance(exponent.value, int | float):
         return False
     base = list(ast.walk(power.left))
     return (

@@ -23,8 +23,15 @@ def open_hdf5(path: Path, extra: str = "hdf5") -> list[Table]:
         raise RecordError(f"{path}: not a readable HDF5 file: {error}") from None
     found = Found()
 
-    def visit(name: str, node: Any) -> None:
+    def visit(name: str | bytes, node: Any) -> None:
+        if isinstance(name, bytes):  # no UTF-8
+            name = name.decode("utf-8", errors="replace")
         if isinstance(node, h5py.Dataset) and not name.startswith(_REFERENCES) and node.shape:
+            if node.is_virtual or node.external:
+                raise RecordError(
+                    f"{path}: the values of {name} are kept in other files, which a log "
+                    f"must not have read. Copy them into this one"
+                )
             unit = next((node.attrs[k] for k in ("unit", "units", "Unit") if k in node.attrs), None)
             if isinstance(unit, bytes):
                 unit = unit.decode("utf-8", errors="replace")
@@ -32,6 +39,8 @@ def open_hdf5(path: Path, extra: str = "hdf5") -> list[Table]:
 
     try:
         file.visititems(visit)
+    except RecordError:
+        raise
     except Exception as error:  # h5py raises many kinds for a broken file
         raise RecordError(f"{path}: damaged: {error}") from None
     return tables(path, found)
