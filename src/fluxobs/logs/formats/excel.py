@@ -11,11 +11,14 @@ from .arrays import ArrayTable
 from .extras import library
 from .table import Table
 from .text.structure import find
+from .workbook import check_size
 
 
 def open_excel(path: Path, header: list[str] | None = None) -> list[Table]:
     """Tables of the sheets that have one; "sheet/column" if there are several."""
     library("fastexcel", "excel", path)
+    if path.suffix.lower() != ".xls":  # which is no zip file
+        check_size(path)
     try:
         sheets = pl.read_excel(
             path, sheet_id=0, has_header=False, infer_schema_length=0, drop_empty_rows=False
