@@ -1,6 +1,8 @@
 """Hostile logs: none reads other files, ends the program, blocks it, or fills the memory."""
 
+import struct
 import zipfile
+import zlib
 
 import numpy as np
 import pytest
@@ -142,3 +144,40 @@ def test_repeated_cells_of_an_open_document(tmp_path, cells):
             f"</table:table-row></table:table></x>",
         )
     refused(tmp_path / "log.ods", "1099511627776 cells up to the last")
+
+
+def nested_cells(depth):
+    """A MATLAB array of cells within each other, as in a file."""
+    head = struct.pack("<2I", 6, 8), struct.pack("<6I", 5, 8, 1, 1, 1, 0)
+    inner = head[0] + struct.pack("<2I", 6, 0) + head[1] + struct.pack("<2I2d", 9, 8, 1.0, 0)[:16]
+    for _ in range(depth):
+        inner = struct.pack("<2I", 14, len(inner)) + inner
+        inner = head[0] + struct.pack("<2I", 1, 0) + head[1] + inner
+    return struct.pack("<2I", 14, len(inner)) + inner
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_deeply_nested_cells_of_matlab(tmp_path, packed):
+    io = pytest.importorskip("scipy.io")
+    for name, depth in (("flat.mat", 100), ("deep.mat", 1000)):
+        io.savemat(tmp_path / name, COLUMNS, do_compression=packed)
+        element = nested_cells(depth)
+        if packed:
+            element = zlib.compress(element)
+            element = struct.pack("<2I", 15, len(element)) + element
+        with open(tmp_path / name, "ab") as file:
+            file.write(element)
+    assert len(read_log(tmp_path / "flat.mat")) == len(T)
+    refused(tmp_path / "deep.mat", "nested more than 200 times")
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_all_that_matlab_nests_is_followed(tmp_path, packed):
+    """Structs, cells, texts, complex and sparse matrices; the depth of none is mistaken."""
+    io = pytest.importorskip("scipy.io")
+    sparse = pytest.importorskip("scipy.sparse")
+    cells = np.empty((2, 3), dtype=object)
+    cells[:] = [["text", np.eye(3), {"a": 1.0, "name": "x"}], [1j, sparse.eye(4), np.zeros(0)]]
+    notes = {"cells": cells, "struct": {"deeper": {"cells": cells, "empty": {}}}}
+    io.savemat(tmp_path / "log.mat", {"notes": notes, **COLUMNS}, do_compression=packed)
+    assert len(read_log(tmp_path / "log.mat")) == len(T)
