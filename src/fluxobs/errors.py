@@ -4,6 +4,11 @@
 class FluxobsError(ValueError):
     """Base of all errors that a user can correct: each says what is wrong, where and the remedy."""
 
+    def __str__(self) -> str:
+        """The message; of what a file holds, and it quotes, no more than a person reads."""
+        text = super().__str__()
+        return text if len(text) < 4000 else f"{text[:2000]} … {text[-1000:]}"
+
 
 class MachineError(FluxobsError):
     """A machine's parameters are missing, unknown or impossible."""
