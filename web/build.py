@@ -69,7 +69,8 @@ REPLACED = {
         "tomllib",
     ],
     *["typing", "weakref"],
-    *["fluxobs._core", "fluxobs._core_single", "fluxobs.html", "fluxobs.named", "fluxobs.output"],
+    *["fluxobs._core", "fluxobs._core_single", "fluxobs.files", "fluxobs.html", "fluxobs.named"],
+    "fluxobs.output",
     *[
         "fluxobs.logs.formats.text.packed",
         "fluxobs.logs.formats.text.parse",

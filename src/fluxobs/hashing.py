@@ -6,6 +6,7 @@ import hashlib
 from pathlib import Path
 
 from .errors import FluxobsError
+from .files import check_regular
 
 #: Bytes read at once.
 BLOCK = 1 << 20
@@ -19,6 +20,7 @@ def content_of(place: Path) -> str:
     FluxobsError
         It cannot be read.
     """
+    check_regular(place, FluxobsError)
     digest = hashlib.sha256()
     try:
         with place.open("rb") as file:

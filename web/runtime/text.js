@@ -227,6 +227,14 @@ $module("fluxobs.html", () => {});
 $module("fluxobs.named", ($m) =>
   Object.assign($m, { beside: (folder, name) => $div(folder, name) }),
 );
+$module("fluxobs.files", ($m) => {
+  const { loads } = $import("tomllib");
+  Object.assign($m, {
+    check_regular: () => null,
+    parse_toml: (text) => loads(text),
+    read_toml: (path) => loads(path.read_text()),
+  });
+});
 
 // Formats whose libraries have no counterpart here.
 for (const name of ["polars_files", "mdf", "mat", "hdf5", "tdms", "ulog", "excel"])

@@ -7,7 +7,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,6 +14,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, WrapValidator, model_validator
 
 from ..errors import FluxobsError, UsageError
+from ..files import read_toml
 from ..machines import as_machine, example_names, rotating
 from ..named import beside
 from ..validation import NotNegative, Number, Positive, Table, complaints, nearest
@@ -362,12 +362,7 @@ def read_specification(path: str | Path) -> Specification:
         file lies elsewhere.
     """
     path = Path(path)
-    try:
-        given = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FluxobsError(f"{path}: cannot be read: {error.strerror}") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise FluxobsError(f"{path}: not TOML: {error}") from None
+    given = read_toml(path, FluxobsError)
     machines = given.get("machines")
     limits = given.get("limits")
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -10,6 +9,7 @@ from typing import Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from ..errors import FluxobsError, RecordError
+from ..files import parse_toml, read_toml
 from ..model.frames import CURRENTS, FRAMES, VOLTAGES, Frame
 from ..named import beside
 from ..validation import Number, Positive, complaints, nearest
@@ -182,13 +182,7 @@ def read_fields(path: str | Path) -> dict[str, Any]:
         The file cannot be read, or holds something that is not a field of :class:`Layout`.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise RecordError(f"{path}: not TOML: {error}") from None
-    fields = fields_from(text, str(path))
+    fields = _checked(read_toml(path, RecordError), str(path))
     if "join" in fields:
         try:
             fields["join"] = [str(beside(path.parent, one, "join")) for one in fields["join"]]
@@ -199,11 +193,12 @@ def read_fields(path: str | Path) -> dict[str, Any]:
 
 def fields_from(text: str, where: str) -> dict[str, Any]:
     """Fields of a record from the text of its TOML; RecordError if they are none."""
+    return _checked(parse_toml(text, where, RecordError), where)
+
+
+def _checked(fields: dict[str, Any], where: str) -> dict[str, Any]:
     try:
-        fields = tomllib.loads(text)
         Layout(**fields)
-    except tomllib.TOMLDecodeError as error:
-        raise RecordError(f"{where}: not TOML: {error}") from None
     except RecordError as error:
         raise RecordError(f"{where}: {error}") from None
     return fields

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FluxobsError, MachineError
+from ..files import read_toml
 from ..named import beside
 from ..validation import nearest
 from .contract import Machine
@@ -57,21 +58,12 @@ def read_machine(path: str | Path) -> Machine:
     path = Path(path)
     if not path.exists() and not path.suffix and path.name in example_names():
         return example(path.name)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
+    if not path.exists():
         raise MachineError(
             f"{path}: no such machine file, nor a shipped machine"
             f"{nearest(path.name, example_names())}"
-        ) from None
-    except OSError as error:
-        raise MachineError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise MachineError(f"{path}: not TOML: {error}") from None
-    try:
-        fields = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise MachineError(f"{path}: not TOML: {error}") from None
+        )
+    fields = read_toml(path, MachineError)
     given = fields.get("flux_map")
     if isinstance(given, str):
         try:

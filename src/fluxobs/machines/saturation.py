@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
 from ..errors import FluxobsError, MachineError, ModelError
+from ..files import check_regular
 from ..model.flux_table import FittedTable, fit_table
 from ..validation import NotNegative, Positive, complaints
 
@@ -71,6 +72,7 @@ class FluxPoints:
         MachineError
             The file cannot be read, a column is missing or a value is no number.
         """
+        check_regular(Path(path), MachineError)
         try:
             with open(path, newline="", encoding="utf-8-sig") as file:
                 lines = [line for line in file if line.strip() and not line.startswith("#")]

@@ -6,6 +6,7 @@ from importlib import import_module
 from pathlib import Path
 
 from ...errors import RecordError
+from ...files import check_regular
 from .table import BATCH, Said, Table, missing_column, read_rows
 
 #: Endings of files that are not text, each with its module and function. They are loaded when
@@ -63,6 +64,7 @@ def open_tables(path: str | Path, header: list[str] | None = None) -> list[Table
         raise RecordError(f"{path}: this is a folder, not a log")
     if not path.exists():
         raise RecordError(f"{path}: no such file")
+    check_regular(path, RecordError)
     module, name = _format(path)
     if name is None:
         from .text import TextTable
