@@ -1,6 +1,9 @@
 """Hostile logs: none reads other files, ends the program, blocks it, or fills the memory."""
 
+import contextlib
+import gzip
 import struct
+import time
 import zipfile
 import zlib
 
@@ -9,6 +12,7 @@ import pytest
 
 from fluxobs import FluxobsError
 from fluxobs.logs import read_log
+from fluxobs.logs.formats import open_tables
 
 T = 1e-3 * np.arange(200)
 COLUMNS = {
@@ -181,3 +185,49 @@ def test_all_that_matlab_nests_is_followed(tmp_path, packed):
     notes = {"cells": cells, "struct": {"deeper": {"cells": cells, "empty": {}}}}
     io.savemat(tmp_path / "log.mat", {"notes": notes, **COLUMNS}, do_compression=packed)
     assert len(read_log(tmp_path / "log.mat")) == len(T)
+
+
+HEAD = "t,u_alpha,u_beta,i_alpha,i_beta\n"
+ROWS = "".join(f"{n * 1e-3:.3f},1,2,3,4\n" for n in range(300))
+
+
+@pytest.mark.parametrize(
+    "above",
+    [
+        HEAD.replace("u_beta", "(" * 100_000),
+        HEAD.replace("u_beta", "[" * 100_000),
+        "Sample Interval,1" + " " * 100_000 + "!\n" + HEAD,
+        "Sample Interval" + "(" * 100_000 + ",1 ms\n" + HEAD,
+        "a" + " " * 100_000 + "b\n" + HEAD,
+        HEAD + "1" * 100_000 + "x,1,2,3,4\n",
+    ],
+)
+def test_text_is_looked_at_in_a_time_that_grows_with_its_length(tmp_path, above):
+    (tmp_path / "log.csv").write_text(above + ROWS)
+    before = time.process_time()
+    with contextlib.suppress(FluxobsError):
+        read_log(tmp_path / "log.csv")
+    assert time.process_time() - before < 3  # it was a minute
+
+
+def test_a_log_of_too_many_columns(tmp_path):
+    names = ",".join(f"c{n}" for n in range(50_000))
+    (tmp_path / "log.csv").write_text(names + ("\n" + ",".join(["1"] * 50_000)) * 3)
+    refused(tmp_path / "log.csv", "a row has 50000 cells, more than 10000")
+
+
+def test_many_columns_of_one_name_are_numbered(tmp_path):
+    names = ",".join(["x"] * 9_000)
+    (tmp_path / "log.csv").write_text(names + ("\n" + ",".join(["1"] * 9_000)) * 3)
+    (table,) = open_tables(tmp_path / "log.csv")
+    assert table.columns[-1] == "x (column 9000)"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("at", [0, 100, len(ROWS)])
+def test_a_line_without_end(tmp_path, encoding, packed, at):
+    text = (HEAD + ROWS[:at] + "1" * (9 << 20) + "\n" + ROWS[at:]).encode(encoding)
+    path = tmp_path / ("log.csv.gz" if packed else "log.csv")
+    path.write_bytes(gzip.compress(text, 1) if packed else text)
+    refused(path, "more than 1048576 characters|no header|is not a number")

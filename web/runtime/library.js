@@ -890,7 +890,12 @@ $module("tempfile", ($m) =>
 );
 // What is compressed is unpacked when it is opened.
 $module("fluxobs.logs.formats.text.packed", ($m) =>
-  Object.assign($m, { open_packed: (path) => path.open() }),
+  Object.assign($m, {
+    open_packed: (path) => path.open(),
+    *whole(lines) {
+      yield* lines;
+    },
+  }),
 );
 $module("io", ($m) =>
   Object.assign($m, {

@@ -20,7 +20,7 @@ INTERVAL = _words(
 RATE = _words("samplerate samplingrate samplingfrequency samplefrequency fs rate samplespersecond")
 START = _words("t0 xorigin x0 xorg hoffset xzero firstx start timeoffset horizoffset tstart")
 #: Value and unit: "1.0e-6 s", "2 MS/s", "10kHz".
-_VALUE = re.compile(r"^\s*([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*([a-zA-Zµμ/]*)\s*$")
+_VALUE = re.compile(r"^([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*([a-zA-Zµμ/]*)$")
 _RATES = {"": 1.0, "hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9}
 _RATES |= {"sa/s": 1.0, "ksa/s": 1e3, "msa/s": 1e6, "gsa/s": 1e9}
 _RATES |= {"s/s": 1.0, "ks/s": 1e3, "ms/s": 1e6, "gs/s": 1e9, "sps": 1.0, "ksps": 1e3}
@@ -28,7 +28,7 @@ _RATES |= {"s/s": 1.0, "ks/s": 1e3, "ms/s": 1e6, "gs/s": 1e9, "sps": 1.0, "ksps"
 
 def seconds_from(value: str, name: str) -> float | None:
     """A time [s] from its text; its unit stands behind it, or in brackets in the name."""
-    found = _VALUE.match(value)
+    found = _VALUE.match(value.strip())
     if not found:
         return None
     unit = plain(found[2]) or _in_brackets(name) or "s"
@@ -44,7 +44,7 @@ def interval_from(value: str, name: str) -> float | None:
 
 def rate_from(value: str, name: str) -> float | None:
     """A sample rate [Hz] from its text."""
-    found = _VALUE.match(value)
+    found = _VALUE.match(value.strip())
     if not found:
         return None
     factor = _RATES.get((found[2] or _in_brackets(name)).lower())
@@ -53,7 +53,7 @@ def rate_from(value: str, name: str) -> float | None:
 
 
 def _in_brackets(name: str) -> str:
-    found = re.search(r"[\[(](.*?)[\])]", name)
+    found = re.search(r"[\[(]([^\[()\]]*)[\])]", name)
     return plain(found[1]) if found else ""
 
 

@@ -13,7 +13,7 @@ DELIMITERS = ("\t", ";", "|", ",", " ")
 #: A minus sign as typesetters have it.
 MINUS = "\u2212"
 _DECIMAL_COMMA = re.compile(rf"^\s*[-+{MINUS}]?\d+,\d+([eE][-+{MINUS}]?\d+)?\s*$")
-_NUMBER = re.compile(rf"^\s*[-+{MINUS}]?(\d+\.?\d*|\.\d+)([eE][-+{MINUS}]?\d+)?\s*$")
+_NUMBER = re.compile(rf"^\s*[-+{MINUS}]?(\d+(\.\d*)?|\.\d+)([eE][-+{MINUS}]?\d+)?\s*$")
 #: A number in quotes whose comma may part thousands.
 _THOUSANDS = re.compile(r"^\s*[-+]?[1-9]\d{0,2}(,\d{3})+\s*$")
 #: Wall-clock stamps: what they look like, and the formats that read them.

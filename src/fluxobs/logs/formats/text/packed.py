@@ -1,14 +1,17 @@
-"""Text that is compressed by gzip."""
+"""Text as a stream: decompressed, in lines that fit into memory."""
 
 from __future__ import annotations
 
 import gzip
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any, AnyStr, cast
 
 from ....errors import RecordError
+
+#: Longest line: a log of the most columns has a hundred characters in each.
+LINE = 1 << 20
 
 
 class _Packed(gzip.GzipFile):
@@ -36,3 +39,19 @@ class _Packed(gzip.GzipFile):
 def open_packed(path: Path) -> IO[bytes]:
     """Open a compressed file for reading."""
     return cast(IO[bytes], _Packed(path, "rb"))
+
+
+def whole(file: IO[AnyStr], path: Path, most: int | None = None) -> Iterator[AnyStr]:
+    """Lines of a file, some more than `most` characters in all.
+
+    Raises
+    ------
+    RecordError
+        One is longer than memory may be.
+    """
+    size = 0
+    while (most is None or size <= most) and (line := file.readline(LINE)):
+        if len(line) == LINE:
+            raise RecordError(f"{path}: a line has more than {LINE} characters; this is no log")
+        size += len(line)
+        yield line

@@ -13,13 +13,15 @@ from typing import IO
 
 from ....errors import RecordError
 from .cells import MINUS
-from .packed import open_packed
+from .packed import open_packed, whole
 
 #: Bytes at either end that are looked at.
 END = 65536
 #: First lines of a file in which its structure is looked for; an instrument's preamble has a
 #: hundred lines at most, a repeated descriptor some more.
 HEAD_LINES = 600
+#: Bytes of them: a log of the most columns has some ten lines in these.
+HEAD = 1 << 22
 #: What lines between rows begin with, that are none.
 BETWEEN = ("#", "%")
 #: What a line holds that has no values.
@@ -80,7 +82,7 @@ def first_lines(path: Path, encoding: str) -> list[str]:
     with open_bytes(path) as file:
         if encoding.startswith("utf-16"):
             return file.read(END * 4).decode(encoding, errors="replace").splitlines()[:HEAD_LINES]
-        return [_decoded(line, encoding) for line in islice(file, HEAD_LINES)]
+        return [_decoded(line, encoding) for line in islice(whole(file, path, HEAD), HEAD_LINES)]
 
 
 def further_lines(path: Path, encoding: str, places: int = 8) -> list[str]:
@@ -94,8 +96,7 @@ def further_lines(path: Path, encoding: str, places: int = 8) -> list[str]:
             return []
         for n in range(1, places):
             file.seek(size * n // places)
-            file.readline()
-            found += islice(file, 20)
+            found += list(islice(whole(file, path), 21))[1:]  # the first of them is cut
     return [_decoded(line, encoding) for line in found]
 
 
@@ -146,7 +147,7 @@ def blocks(path: Path, start: int) -> Iterator[bytes]:
     with open_bytes(path) as file:
         file.seek(start)
         while chunk := file.read(BLOCK):
-            yield chunk + file.readline()
+            yield chunk + next(whole(file, path), b"")
 
 
 class Copy:
@@ -181,7 +182,7 @@ def _lines(path: Path, encoding: str) -> Iterator[str]:
     with open_bytes(path) as file:
         if encoding.startswith("utf-16"):
             with io.TextIOWrapper(file, encoding, errors="replace") as decoded:
-                yield from decoded
+                yield from whole(decoded, path)
         else:
-            for line in file:
+            for line in whole(file, path):
                 yield _decoded(line, encoding)

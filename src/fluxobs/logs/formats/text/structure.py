@@ -33,6 +33,8 @@ COMMENT = ("#", "%", "//", "!", "'")
 NUMBER, EMPTY, CLOCK, TEXT = "nect"
 #: Lines that are looked at to see what a row is.
 SEEN = 80
+#: Columns of a log; the widest has some hundred.
+MOST_COLUMNS = 10_000
 
 #: Keys in front of a row of units, or of names; and of other rows between names and data.
 _UNIT_ROW = ("yunitlabel", "unit", "units", "verticalunits", "vertunits", "vunit", "yunit")
@@ -94,6 +96,8 @@ def find(lines: list[str], further: list[str], where: str, header: list[str] | N
     if not any(line.strip() for line in lines):
         raise RecordError(f"{where}: the file is empty; it needs a header line and rows of numbers")
     delimiter, kinds = row_kind(lines, further)
+    if len(kinds) > MOST_COLUMNS:
+        raise RecordError(f"{where}: a row has {len(kinds)} cells, more than {MOST_COLUMNS}")
     if not kinds.strip(EMPTY) and len(lines) > SEEN:
         raise RecordError(
             f"{where}: no rows of numbers are found in its first {len(lines)} lines. Is this a "
@@ -265,8 +269,8 @@ class _Head:
         cells = split(bare, self.delimiter)
         if len(cells) == self.width or (len(cells) > self.width and self.delimiter != " "):
             return cells
-        for pattern in (r"\t+", r" {2,}", r"\s*,\s*", r"\s*;\s*"):
-            other = re.split(pattern, bare.strip())
+        for pattern in (r"\t+", r" {2,}", ",", ";"):
+            other = [cell.strip() for cell in re.split(pattern, bare.strip())]
             if len(other) == self.width:
                 return other
         return cells
@@ -358,7 +362,7 @@ class _Head:
                 )
                 pairs += [(a, b) for a, b in cells if is_number(b)]
         for name, value in pairs:
-            word = key(re.sub(r"\(.*?\)", "", name))
+            word = key(re.sub(r"\([^()]*\)", "", name))
             if word in INTERVAL and interval is None:
                 interval = interval_from(value, name)
             elif word in RATE and interval is None:
@@ -378,8 +382,10 @@ def _pairs(line: str, comma: bool) -> list[tuple[str, str]]:
 
 def _check_repeated(names: list[str | None], where: str, line: int) -> None:
     """Names that mean a channel must differ; others, and further times, get a number."""
+    seen: set[str] = set()
     for n, name in enumerate(names):
-        if name is None or name not in names[:n]:
+        if name is None or name not in seen:
+            seen.add(name or "")
             continue
         if read_name(name).channel in (None, "t"):
             names[n] = f"{name} (column {n + 1})"
