@@ -2,6 +2,7 @@
 
 import contextlib
 import gzip
+import io
 import struct
 import time
 import zipfile
@@ -162,9 +163,9 @@ def nested_cells(depth):
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_deeply_nested_cells_of_matlab(tmp_path, packed):
-    io = pytest.importorskip("scipy.io")
+    matlab = pytest.importorskip("scipy.io")
     for name, depth in (("flat.mat", 100), ("deep.mat", 1000)):
-        io.savemat(tmp_path / name, COLUMNS, do_compression=packed)
+        matlab.savemat(tmp_path / name, COLUMNS, do_compression=packed)
         element = nested_cells(depth)
         if packed:
             element = zlib.compress(element)
@@ -178,12 +179,12 @@ def test_deeply_nested_cells_of_matlab(tmp_path, packed):
 @pytest.mark.parametrize("packed", [False, True])
 def test_all_that_matlab_nests_is_followed(tmp_path, packed):
     """Structs, cells, texts, complex and sparse matrices; the depth of none is mistaken."""
-    io = pytest.importorskip("scipy.io")
+    matlab = pytest.importorskip("scipy.io")
     sparse = pytest.importorskip("scipy.sparse")
     cells = np.empty((2, 3), dtype=object)
     cells[:] = [["text", np.eye(3), {"a": 1.0, "name": "x"}], [1j, sparse.eye(4), np.zeros(0)]]
     notes = {"cells": cells, "struct": {"deeper": {"cells": cells, "empty": {}}}}
-    io.savemat(tmp_path / "log.mat", {"notes": notes, **COLUMNS}, do_compression=packed)
+    matlab.savemat(tmp_path / "log.mat", {"notes": notes, **COLUMNS}, do_compression=packed)
     assert len(read_log(tmp_path / "log.mat")) == len(T)
 
 
@@ -231,3 +232,54 @@ def test_a_line_without_end(tmp_path, encoding, packed, at):
     path = tmp_path / ("log.csv.gz" if packed else "log.csv")
     path.write_bytes(gzip.compress(text, 1) if packed else text)
     refused(path, "more than 1048576 characters|no header|is not a number")
+
+
+@pytest.mark.parametrize("ending", ["npy", "npz"])
+@pytest.mark.parametrize("kind", [[("a", float), ("b", float)], (float, 3), complex, "V8", "S5"])
+def test_a_field_that_is_no_number_is_no_column(tmp_path, ending, kind):
+    rows = np.zeros(200, [*((name, float) for name in COLUMNS), ("note", kind)])
+    for name, values in COLUMNS.items():
+        rows[name] = values
+    path = tmp_path / f"log.{ending}"
+    np.save(path, rows) if ending == "npy" else np.savez(path, log=rows)
+    (table,) = open_tables(path)
+    assert [name.removeprefix("log/") for name in table.columns] == list(COLUMNS)
+
+
+def test_a_member_that_nobody_asks_for_is_not_unpacked(tmp_path):
+    np.savez_compressed(tmp_path / "log.npz", **COLUMNS)
+    head = io.BytesIO()
+    fields = {"descr": "<f8", "fortran_order": False, "shape": (1 << 29,)}
+    np.lib.format.write_array_header_1_0(head, fields)
+    with zipfile.ZipFile(tmp_path / "log.npz", "a") as archive:
+        archive.writestr("notes.npy", head.getvalue())
+    log = read_log(tmp_path / "log.npz")
+    assert len(log) == len(T)
+    (table,) = [one for one in open_tables(tmp_path / "log.npz") if "notes" in one.columns]
+    with pytest.raises(FluxobsError, match=r"log\.npz: reading failed midway: "):
+        list(table.batches(["notes"], 0, 10))
+
+
+@pytest.mark.filterwarnings("ignore:Stored array in format 3.0")
+def test_fields_with_names_in_other_scripts(tmp_path):
+    np.savez(tmp_path / "log.npz", **COLUMNS, notes=np.zeros(200, [("Ω", float)]))
+    assert any("notes/Ω" in one.columns for one in open_tables(tmp_path / "log.npz"))
+
+
+def test_an_array_larger_than_memory(tmp_path):
+    head = io.BytesIO()
+    fields = {"descr": "<f8", "fortran_order": False, "shape": (1 << 50,)}
+    np.lib.format.write_array_header_1_0(head, fields)
+    with zipfile.ZipFile(tmp_path / "log.npz", "w") as archive:
+        archive.writestr("t.npy", head.getvalue())
+    refused(tmp_path / "log.npz", "is larger than memory may be")
+
+
+def test_counts_that_a_tdms_file_does_not_hold(tmp_path):
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter(tmp_path / "log.tdms") as file:
+        file.write_segment([nptdms.ChannelObject("g", k, v) for k, v in COLUMNS.items()])
+    content = (tmp_path / "log.tdms").read_bytes()
+    content = content.replace(struct.pack("<Q", 200), struct.pack("<Q", 1 << 50))
+    (tmp_path / "log.tdms").write_bytes(content)
+    refused(tmp_path / "log.tdms", "log.tdms: reading failed midway")

@@ -99,7 +99,7 @@ class NestedTable(Table):
             stop = min(start + size, last)
             try:
                 yield {name: _floats(self._read[name](start, stop)) for name in names}
-            except (OSError, ValueError, KeyError) as error:
+            except (OSError, ValueError, KeyError, TypeError) as error:
                 raise RecordError(f"{self.path}: reading failed midway: {error}") from None
 
 

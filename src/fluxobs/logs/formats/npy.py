@@ -25,6 +25,12 @@ class _Rows:
         return np.array(np.load(self.path, mmap_mode="r", allow_pickle=False)[rows])
 
 
+def numbers_of(kind: np.dtype[Any]) -> np.dtype[Any]:
+    """A type without its fields that hold no number or stamp a row."""
+    names = [name for name in kind.names or () if kind[name].kind in "fiubMm"]
+    return kind[names] if kind.names else kind
+
+
 def open_npy(path: Path, header: list[str] | None = None) -> list[Table]:
     """The table of an array, which stays in its file."""
     try:
@@ -34,7 +40,7 @@ def open_npy(path: Path, header: list[str] | None = None) -> list[Table]:
     found = Found()
     if array.dtype.names:
         rows = _Rows(path, array)
-        for name in array.dtype.names:
+        for name in numbers_of(array.dtype).names or ():
             found.columns[name] = (len(rows), field_of(rows, name))
     elif array.ndim == 2:
         width = min(array.shape)

@@ -2,26 +2,66 @@
 
 from __future__ import annotations
 
+import math
+import zipfile
+import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.lib import format as npy
 
 from ...errors import RecordError
 from .nested import Found, tables
+from .npy import numbers_of
 from .table import Table
+
+#: Most bytes of an array, which is unpacked into memory: a thousand million rows.
+LARGEST = 1 << 33
+#: Readers of the heads of an array, by the version of its format.
+_HEADS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+
+
+class _Member:
+    """An array of an archive, unpacked when it is first looked into: most are not asked for."""
+
+    def __init__(self, path: Path, name: str) -> None:
+        self._path, self._name = path, name
+        self._array: np.ndarray[Any, Any] | None = None
+        with zipfile.ZipFile(path) as archive, archive.open(name) as file:
+            version = npy.read_magic(file)
+            if version in _HEADS:
+                self.shape, _, self.dtype = _HEADS[version](file)
+        if version not in _HEADS:  # names of fields in other scripts
+            array = self[...]
+            self.shape, self.dtype = array.shape, array.dtype
+        if math.prod(self.shape) * self.dtype.itemsize > LARGEST:
+            raise ValueError(f"its array {name} of shape {self.shape} is larger than memory may be")
+
+    def __len__(self) -> int:
+        return int(self.shape[0])
+
+    def __getitem__(self, rows: Any) -> Any:
+        if self._array is None:
+            try:
+                with zipfile.ZipFile(self._path) as archive, archive.open(self._name) as file:
+                    self._array = npy.read_array(file, allow_pickle=False)
+            except (zlib.error, zipfile.BadZipFile, EOFError, MemoryError) as error:
+                raise ValueError(f"{self._name}: {error}") from None
+        return self._array[rows]
 
 
 def open_npz(path: Path) -> list[Table]:
     """The tables of an archive; objects and texts in it are ignored."""
     found = Found()
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            for name in archive.files:
-                try:
-                    array = archive[name]
-                except ValueError:  # Python objects
-                    continue
-                found.add(name, array)
+        with zipfile.ZipFile(path) as archive:
+            names = [name for name in archive.namelist() if name.endswith(".npy")]
+        for name in names:
+            member = _Member(path, name)
+            if not member.dtype.hasobject:
+                member.dtype = numbers_of(member.dtype)
+                found.add(name.removesuffix(".npy"), member)
     except Exception as error:  # zipfile, zlib and NumPy raise many kinds for a broken file
         raise RecordError(f"{path}: not a readable .npz file: {error}") from None
     return tables(path, found)

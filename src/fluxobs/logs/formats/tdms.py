@@ -12,7 +12,7 @@ import numpy as np
 
 from ...errors import RecordError
 from .extras import library
-from .table import BATCH, Columns, Said, Table
+from .table import BATCH, Array, Columns, Said, Table
 
 
 class TdmsTable(Table):
@@ -37,15 +37,19 @@ class TdmsTable(Table):
         self, names: Sequence[str], first: int, last: int, size: int = BATCH
     ) -> Iterator[Columns]:
         for start in range(first, last, size):
-            count = min(size, last - start)
-            part = {}
-            for name in names:
-                values = self._channels[name].read_data(start, count)
-                if values.dtype.kind == "M":  # stamps, as seconds since the first one
-                    origin = self._channels[name].read_data(0, 1)[0]
-                    values = (values - origin) / np.timedelta64(1, "s")
-                part[name] = np.asarray(values, dtype=float)
-            yield part
+            try:
+                yield {n: self._values(n, start, min(size, last - start)) for n in names}
+            except Exception as error:  # npTDMS raises many kinds for a broken file
+                raise RecordError(f"{self.path}: reading failed midway: {error}") from None
+
+    def _values(self, name: str, start: int, count: int) -> Array:
+        values = self._channels[name].read_data(start, count)
+        if values.dtype.kind == "M":  # stamps, as seconds since the first one
+            origin = self._channels[name].read_data(0, 1)[0]
+            values = (values - origin) / np.timedelta64(1, "s")
+        if len(values) < count:
+            raise ValueError(f"{name} ends before its {self.rows} values")
+        return np.asarray(values, dtype=float)
 
 
 def open_tdms(path: Path) -> list[Table]:
