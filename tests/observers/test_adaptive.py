@@ -420,3 +420,33 @@ def test_what_cannot_be():
     ):
         with pytest.raises(ValueError, match=field):
             replace(good, **{field: value})
+
+
+@pytest.mark.parametrize("h", [2e-5, 2e-4])
+@pytest.mark.parametrize(
+    ("name", "speed", "current"), [("servo-400w", 800, 6), ("pmsm-2kw2", 150, 6)]
+)
+def test_a_steady_load_does_not_make_valid_flicker(name, speed, current, h):
+    """Nothing tells R there, but the rows have tied it to the flux: between them the position is as
+    sure as at them. After a step of the load it is not, and the standard deviation says so."""
+    machine, rows = MACHINES[name], int(1.2 / h)
+    load = np.where(np.arange(rows + 1) < 0.8 * rows, current, 1.5 * current)
+    samples = driven(
+        machine,
+        h,
+        np.full(rows + 1, float(speed)),
+        1j * load,
+        noise=0.002 * machine.rated_current,
+        R_s=1.2 * machine.R_s,
+    )
+    observer = AdaptiveObserver.for_machine(machine, sample_time=h, unknowns=BOTH)
+    found = observer.run(samples.voltage, samples.current)
+    steady = slice(rows // 2, int(0.8 * rows))
+    assert found.valid[steady].all()
+    std = np.degrees(found.theta_e_std)
+    assert std[steady].max() < 1.2 * std[steady].min()
+    off = np.abs(errors(found, samples))
+    assert (off < 3 * std)[found.valid].all()
+    # the step says how much of the voltage is R i: until the rows have it, the angle may be off
+    after = slice(int(0.8 * rows) + 1, int(0.8 * rows) + int(0.5 / speed / h))
+    assert std[after].max() > 1.1 * std[steady].max()
