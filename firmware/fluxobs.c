@@ -7,7 +7,7 @@
  * not in code for size, nor where each operation calls the emulation of a floating-point unit.
  * -DFO_WRITTEN_OUT overrules it; the numbers are the same. */
 #ifndef FO_WRITTEN_OUT
-#if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__) && !defined(__SOFTFP__)
+#if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__) && !defined(__SOFTFP__) && !defined(__AVR__)
 #define FO_WRITTEN_OUT 1
 #else
 #define FO_WRITTEN_OUT 0

@@ -24,6 +24,9 @@ typedef union {
     bit_pattern bits;
 } float_bits;
 
+/* A blob has all bits of a number: where a double has 32, FO_SINGLE has to be 1. */
+typedef char fo_numbers_fill_their_bits[sizeof(fo_real) == sizeof(bit_pattern) ? 1 : -1];
+
 /* ---- bytes ------------------------------------------------------------------------------ */
 
 static void put(uint8_t *at, uint32_t value, uint32_t bytes)

@@ -75,10 +75,11 @@ static void row_of_seed(const start *at, bool along, fo_real row[FO_N], fo_real 
 static bool usable(const fo_observer *o, const fo_seed *seed, const start *at,
                    const fo_real current[FO_N])
 {
+    const fo_real square = at->length * at->length, most = (fo_real)1e3; /* flux bases */
     const fo_real all = seed->theta_e + seed->theta_e_std + seed->speed_e + seed->psi_f +
                         seed->psi_f_std;
     return all - all == ZERO && seed->theta_e_std > ZERO && within(seed->theta_e, -TWO * PI, TWO * PI) &&
-           at->length * at->length > o->square_min &&
+           square > o->square_min && square < most * most &&
            dot(current, current) <= o->current_limit * o->current_limit;
 }
 
