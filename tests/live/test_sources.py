@@ -182,7 +182,8 @@ def test_the_page_is_served_with_its_settings_and_may_ask_for_the_stream_alone(s
         text = answer.read().decode("utf-8")
     host = one.url.removeprefix("http://").rstrip("/")
     assert f"connect-src ws://{host} " in text
-    assert '<script type="application/json" id="live">{"name": "\\u003c/script>\\u003cb>é"}</script>' in text
+    settings = '{"name": "\\u003c/script>\\u003cb>é"}'
+    assert f'<script type="application/json" id="live">{settings}</script>' in text
 
 
 def refused(one, path, **headers):
