@@ -600,9 +600,9 @@ fo_real fo_learning_since(const fo_adaptive_state *s)
  * tied these to the flux, and they add next to nothing; what they may add after a change is all there. */
 static void judge_across(const fo_adaptive *a, fo_adaptive_state *s, const sight *at)
 {
+    enum { L_Q = (int)FO_NF + (int)FO_INDUCTANCE + 1, REST = (int)FO_NA - L_Q };
     const fo_block *b = &s->now.block;
-    const int n = FO_NF + (int)FO_INDUCTANCE + 1; /* L_q */
-    fo_real direction[FO_NA] = {0}, turned[FO_NA];
+    fo_real direction[FO_NA] = {0}, rest[REST];
     direction[0] = -at->along[1];
     direction[1] = at->along[0];
     for (int i = 0; i < FO_N; i++) {
@@ -615,12 +615,13 @@ static void judge_across(const fo_adaptive *a, fo_adaptive_state *s, const sight
     }
     const fo_real level = s->level > LEVEL_LEAST ? s->level : LEVEL_LEAST;
     s->across = level * fo_variance(FO_NA, s->U, s->d, 0, FO_NF, direction);
-    s->across += fo_variance(FO_NA, s->U, s->d, FO_NF, n, direction);
-    (void)memcpy(turned, direction, sizeof turned);
-    turned[n] -= a->std[FO_INDUCTANCE + 1] * at->made[1];
-    const fo_real rest = fo_variance(FO_NA, s->U, s->d, n, FO_NA, direction);
-    s->across += rest;
-    s->turning = fo_variance(FO_NA, s->U, s->d, n, FO_NA, turned) - rest;
+    s->across += fo_variance(FO_NA, s->U, s->d, FO_NF, L_Q, direction);
+    (void)memcpy(rest, &direction[L_Q], sizeof rest);
+    const fo_real known = fo_variance(FO_NA, s->U, s->d, L_Q, FO_NA, direction);
+    s->across += known;
+    (void)memcpy(&direction[L_Q], rest, sizeof rest);
+    direction[L_Q] -= a->std[FO_INDUCTANCE + 1] * at->made[1];
+    s->turning = fo_variance(FO_NA, s->U, s->d, L_Q, FO_NA, direction) - known;
     s->made_q = at->made[1];
     s->across_at = b->time;
 }
