@@ -97,9 +97,7 @@ static finding check(const fo_config *c)
     finding found = {FO_OK, NULL};
     FO_CONFIG_FIELDS(DEMAND_MATRIX, DEMAND_VECTOR, DEMAND_NUMBER, DEMAND_FINITE)
     demand(&found, c->sample_time > ZERO, FO_ERROR_SAMPLE_TIME, "sample_time");
-    demand(&found, /* ten to a million samples, up to rounding */
-           within(c->memory, (fo_real)9.99 * c->sample_time, (fo_real)1.001e6 * c->sample_time),
-           FO_ERROR_SAMPLE_TIME, "memory");
+    demand(&found, memory_fits(c->memory, c->sample_time), FO_ERROR_SAMPLE_TIME, "memory");
     FO_CONFIG_FIELDS(PASSED_OVER, PASSED_OVER, PASSED_OVER, DEMAND_POSITIVE)
     FO_CONFIG_FIELDS(PASSED_OVER, PASSED_OVER, PASSED_OVER, DEMAND_RANGE)
     demand(&found, c->R[0][0] >= ZERO && c->R[1][1] >= ZERO, FO_ERROR_RANGE, "R");

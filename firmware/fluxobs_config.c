@@ -146,37 +146,24 @@ static void sizes_of(const fo_machine *m, fo_sizes *s)
 /* ---- numbers that no machine has ---------------------------------------------------------- */
 
 static bool positive(fo_real x) { return x > ZERO && x - x == ZERO; }
-static bool beyond(fo_real x, fo_real least, fo_real most) { return !(x >= least && x <= most); }
 static fo_real unusual(fo_real ratio) { return ratio > ONE ? ratio : ONE / ratio; }
 
-/* The first number that is not what its symbol can be; NULL if there is none. */
-static const char *impossible(const fo_machine *m, fo_real sample_time)
+/* Demands of each number what its symbol can be. */
+static void demand_possible(finding *found, const fo_machine *m, fo_real sample_time)
 {
-    const bool has_cage = m->kind == FO_CAGE;
-    const struct {
-        const char *name;
-        bool good;
-    } numbers[] = {
-        {"kind", has_cage || m->kind == FO_RELUCTANCE || m->kind == FO_MAGNETS},
-        {"R_s", positive(m->R_s)},
-        {"L_d", positive(m->L_d)},
-        {"L_q", positive(m->L_q)},
-        {"psi", m->kind == FO_RELUCTANCE || positive(m->psi)},
-        {"R_R", !has_cage || positive(m->R_R)},
-        {"L_M", !has_cage || positive(m->L_M)},
-        {"rated_current", positive(m->rated_current)},
-        {"speed_e", m->speed_e >= ZERO && m->speed_e - m->speed_e == ZERO},
-        {"L_d", m->kind != FO_RELUCTANCE || m->L_d > m->L_q},
-        {"sample_time", /* the memory is ten to a million samples */
-         !beyond(usual.MEMORY / sample_time, (fo_real)9.99, (fo_real)1.001e6)},
-    };
-    const char *wrong = NULL;
-    for (size_t n = 0U; n < sizeof numbers / sizeof numbers[0]; n++) {
-        if (wrong == NULL && !numbers[n].good) {
-            wrong = numbers[n].name;
-        }
-    }
-    return wrong;
+    const bool has_cage = m->kind == FO_CAGE, salient = m->kind == FO_RELUCTANCE;
+    const bool known = has_cage || salient || m->kind == FO_MAGNETS;
+    demand(found, known, FO_ERROR_OTHER, "kind");
+    demand(found, positive(m->R_s), FO_ERROR_BASE, "R_s");
+    demand(found, positive(m->L_d), FO_ERROR_BASE, "L_d");
+    demand(found, positive(m->L_q), FO_ERROR_BASE, "L_q");
+    demand(found, salient || positive(m->psi), FO_ERROR_BASE, "psi");
+    demand(found, !has_cage || positive(m->R_R), FO_ERROR_BASE, "R_R");
+    demand(found, !has_cage || positive(m->L_M), FO_ERROR_BASE, "L_M");
+    demand(found, positive(m->rated_current), FO_ERROR_BASE, "rated_current");
+    demand(found, m->speed_e >= ZERO && m->speed_e - m->speed_e == ZERO, FO_ERROR_BASE, "speed_e");
+    demand(found, !salient || m->L_d > m->L_q, FO_ERROR_RANGE, "L_d");
+    demand(found, memory_fits(usual.MEMORY, sample_time), FO_ERROR_SAMPLE_TIME, "sample_time");
 }
 
 /* Limits that motors from grams to megawatts keep: L/R [s], L i / psi, and R i / psi [rad/s], the speed
@@ -188,37 +175,41 @@ static const fo_real DROP_SPEED[3] = {(fo_real)0.01, (fo_real)100, (fo_real)2e4}
 static const fo_real RATIO = (fo_real)50, MAGNETIZING_RATIO = (fo_real)1000;
 static const fo_real ROTOR_CONSTANT[2] = {(fo_real)1e-3, (fo_real)100};
 
-/* The number with the wrong unit, most likely; NULL if all sizes fit each other. A wrong R changes the
- * first and the last of three ratios, a wrong L the first two, a wrong psi or current the last two: that
+/* The number whose unit is wrong, most likely, where a ratio is beyond its limits. A wrong R changes the
+ * first and the last of the three, a wrong L the first two, a wrong psi or current the last two: that
  * is wrong which leaves the third as it usually is. */
-static const char *unfit(const fo_machine *m, const fo_sizes *s)
+static const char *suspect(const fo_machine *m, fo_real time, fo_real flux, fo_real speed)
+{
+    const fo_real resistance = unusual(flux / LOAD_FLUX[1]);
+    const fo_real inductance = unusual(speed / DROP_SPEED[1]);
+    const fo_real scale = unusual(time / TIME_CONSTANT[1]);
+    const char *wrong = inductance <= scale ? "L_q" : "psi or rated_current";
+    if (m->kind == FO_RELUCTANCE) { /* its flux is L i itself */
+        wrong = "R_s or L_d and L_q";
+    } else if (resistance <= inductance && resistance <= scale) {
+        wrong = "R_s";
+    } else {
+        /* L, or the scale */
+    }
+    return wrong;
+}
+
+/* Demands that the sizes fit each other. */
+static void demand_fit(finding *found, const fo_machine *m, const fo_sizes *s)
 {
     const fo_real time = m->L_q / m->R_s, flux = m->L_q * m->rated_current / s->flux;
     const fo_real speed = m->R_s * m->rated_current / s->flux;
-    const char *wrong = NULL;
     if (m->kind == FO_CAGE) {
-        const bool ratio = beyond(m->L_M / m->L_q, ONE, MAGNETIZING_RATIO);
-        const bool constant = beyond(m->L_M / m->R_R, ROTOR_CONSTANT[0], ROTOR_CONSTANT[1]);
-        wrong = ratio && constant ? "L_M" : constant ? "R_R" : NULL;
+        const bool ratio = within(m->L_M / m->L_q, ONE, MAGNETIZING_RATIO);
+        const bool constant = within(m->L_M / m->R_R, ROTOR_CONSTANT[0], ROTOR_CONSTANT[1]);
+        demand(found, constant, FO_ERROR_RANGE, ratio ? "R_R" : "L_M");
     }
-    if (wrong == NULL && (beyond(time, TIME_CONSTANT[0], TIME_CONSTANT[2]) ||
-                          beyond(flux, LOAD_FLUX[0], LOAD_FLUX[2]) ||
-                          beyond(speed, DROP_SPEED[0], DROP_SPEED[2]))) {
-        const fo_real resistance = unusual(flux / LOAD_FLUX[1]);
-        const fo_real inductance = unusual(speed / DROP_SPEED[1]);
-        const fo_real scale = unusual(time / TIME_CONSTANT[1]);
-        if (m->kind == FO_RELUCTANCE) { /* its flux is L i itself */
-            wrong = "R_s or L_d and L_q";
-        } else if (resistance <= inductance && resistance <= scale) {
-            wrong = "R_s";
-        } else {
-            wrong = inductance <= scale ? "L_q" : "psi or rated_current";
-        }
-    }
-    if (wrong == NULL && beyond(m->L_d / m->L_q, ONE / RATIO, RATIO)) {
-        wrong = "L_d";
-    }
-    return wrong;
+    demand(found,
+           within(time, TIME_CONSTANT[0], TIME_CONSTANT[2]) &&
+               within(flux, LOAD_FLUX[0], LOAD_FLUX[2]) &&
+               within(speed, DROP_SPEED[0], DROP_SPEED[2]),
+           FO_ERROR_RANGE, suspect(m, time, flux, speed));
+    demand_size(found, m->L_d / m->L_q, ONE / RATIO, RATIO, "L_d");
 }
 
 static void configure(fo_config *c, const fo_machine *m, const fo_sizes *sizes)
@@ -238,18 +229,19 @@ static void configure(fo_config *c, const fo_machine *m, const fo_sizes *sizes)
 
 const char *fo_configure(fo_config *c, const fo_machine *m, fo_real sample_time)
 {
-    const char *wrong = impossible(m, sample_time);
+    finding found = {FO_OK, NULL};
     (void)memset(c, 0, sizeof *c);
-    if (wrong == NULL) {
+    demand_possible(&found, m, sample_time);
+    if (found.error == FO_OK) { /* else ratios have no meaning */
         fo_sizes sizes;
         sizes_of(m, &sizes);
-        wrong = unfit(m, &sizes);
-        if (wrong == NULL) {
+        demand_fit(&found, m, &sizes);
+        if (found.error == FO_OK) {
             c->sample_time = sample_time;
             configure(c, m, &sizes);
         }
     }
-    return wrong;
+    return found.field;
 }
 
 #if FO_MAPPED

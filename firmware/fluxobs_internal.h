@@ -249,6 +249,12 @@ static inline void demand(finding *found, bool good, fo_error error, const char 
     }
 }
 
+/* Is the memory ten to a million samples, up to rounding? */
+static inline bool memory_fits(fo_real memory, fo_real sample_time)
+{
+    return within(memory, (fo_real)9.99 * sample_time, (fo_real)1.001e6 * sample_time);
+}
+
 static inline void demand_size(finding *found, fo_real x, fo_real low, fo_real high,
                                const char *field)
 {
