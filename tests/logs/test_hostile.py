@@ -14,15 +14,9 @@ import pytest
 from fluxobs import FluxobsError
 from fluxobs.logs import read_log
 from fluxobs.logs.formats import open_tables
+from support.records import SMALL_LOG as COLUMNS
 
-T = 1e-3 * np.arange(200)
-COLUMNS = {
-    "t": T,
-    "u_alpha": np.cos(T),
-    "u_beta": np.sin(T),
-    "i_alpha": np.cos(T),
-    "i_beta": np.sin(T),
-}
+T = COLUMNS["t"]
 
 
 def refused(path, words, **options):

@@ -24,6 +24,15 @@ PMSM = MACHINES["pmsm-2kw2"]
 COURSE_TIME = 1.25e-4
 #: Integration steps of a sample, for :func:`driven`.
 PARTS = 16
+_T = 1e-3 * np.arange(200)
+#: Channels of a small log, for tests of what else a file may hold.
+SMALL_LOG = {
+    "t": _T,
+    "u_alpha": np.cos(_T),
+    "u_beta": np.sin(_T),
+    "i_alpha": np.cos(_T),
+    "i_beta": np.sin(_T),
+}
 
 
 def wrapped_degrees(angle: Array) -> Array:

@@ -30,8 +30,8 @@ def channels(
 
     listing = list_channels(log, *(join or []), header=header)
     if as_json:
-        every = [one.facts for one in listing.channels]
-        typer.echo(json.dumps({"channels": every, "notes": listing.notes}, indent=1))
+        facts = [one.facts for one in listing.channels]
+        typer.echo(json.dumps({"channels": facts, "notes": listing.notes}, indent=1))
         return
     from rich.table import Table
 
@@ -42,8 +42,8 @@ def channels(
         rate = "" if one.sample_time is None else f"{1 / one.sample_time:.6g}"
         span = "" if one.low != one.low else f"{one.low:.4g} … {one.high:.4g}"
         first = ", ".join(f"{value:.4g}" for value in one.first)
-        facts = (one.column, one.unit, rate, str(one.rows), span, first, one.taken_for)
-        table.add_row(*map(show.cell, facts))
+        row = (one.column, one.unit, rate, str(one.rows), span, first, one.taken_for)
+        table.add_row(*map(show.cell, row))
     show.table(table)
     for note in listing.notes:
         show.echo(f"Note: {note}")

@@ -29,8 +29,8 @@ def open_hdf5(path: Path, extra: str = "hdf5") -> list[Table]:
         if isinstance(node, h5py.Dataset) and not name.startswith(_REFERENCES) and node.shape:
             if node.is_virtual or node.external:
                 raise RecordError(
-                    f"{path}: the values of {name} are kept in other files, which a log "
-                    f"must not have read. Copy them into this one"
+                    f"{path}: the values of {name} are kept in other files, which are "
+                    f"not read for a log; copy them into this one"
                 )
             unit = next((node.attrs[k] for k in ("unit", "units", "Unit") if k in node.attrs), None)
             if isinstance(unit, bytes):

@@ -87,15 +87,17 @@ class _Elements:
                 raise struct.error("an element is cut off")
             size -= len(taken)
 
-    def _sized(self) -> tuple[int, bool]:
-        """Bytes of the element that follows, and whether they are in the second half of its tag."""
+    def _sized(self) -> tuple[int, int]:
+        """Bytes of the element that follows, and with what pads them; four fit into its tag."""
         (kind,) = self.words(1)
-        return (kind >> 16, True) if kind >> 16 else (self.words(1)[0], False)
+        if kind >> 16:
+            return kind >> 16, 4
+        (size,) = self.words(1)
+        return size, size + -size % 8
 
     def element(self, most: int = 0) -> bytes:
         """The beginning of an element, which is passed over."""
-        size, small = self._sized()
-        padded = 4 if small else size + -size % 8
+        size, padded = self._sized()
         found = self.take(min(most, padded))
         self._skip(padded - len(found))
         return found[:size]
@@ -126,6 +128,6 @@ class _Elements:
         if kind == _OBJECT:
             self.element()  # its class
         length = int.from_bytes(self.element(4), "little" if self._order == "<" else "big")
-        size, small = self._sized()
-        self._skip(4 if small else size + -size % 8)
+        size, padded = self._sized()
+        self._skip(padded)
         return size // length if length else 0

@@ -25,10 +25,10 @@ _HEADS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 class _Member:
     """An array of an archive, unpacked when it is first looked into: most are not asked for."""
 
-    def __init__(self, path: Path, name: str) -> None:
+    def __init__(self, path: Path, archive: zipfile.ZipFile, name: str) -> None:
         self._path, self._name = path, name
         self._array: np.ndarray[Any, Any] | None = None
-        with zipfile.ZipFile(path) as archive, archive.open(name) as file:
+        with archive.open(name) as file:
             version = npy.read_magic(file)
             if version in _HEADS:
                 self.shape, _, self.dtype = _HEADS[version](file)
@@ -56,12 +56,13 @@ def open_npz(path: Path) -> list[Table]:
     found = Found()
     try:
         with zipfile.ZipFile(path) as archive:
-            names = [name for name in archive.namelist() if name.endswith(".npy")]
-        for name in names:
-            member = _Member(path, name)
-            if not member.dtype.hasobject:
-                member.dtype = numbers_of(member.dtype)
-                found.add(name.removesuffix(".npy"), member)
+            for name in archive.namelist():
+                if not name.endswith(".npy"):
+                    continue
+                member = _Member(path, archive, name)
+                if not member.dtype.hasobject:
+                    member.dtype = numbers_of(member.dtype)
+                    found.add(name.removesuffix(".npy"), member)
     except Exception as error:  # zipfile, zlib and NumPy raise many kinds for a broken file
         raise RecordError(f"{path}: not a readable .npz file: {error}") from None
     return tables(path, found)

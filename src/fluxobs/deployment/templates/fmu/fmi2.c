@@ -62,12 +62,8 @@ UNIT_EXPORT void fmi2FreeInstance(void *u) { unit_free(u); }
 UNIT_EXPORT status fmi2SetupExperiment(unit *u, int tolerance, double size, double start, int stops,
                                        double stop)
 {
-    const bool good = unit_move(u, UNIT_NEW, UNIT_NEW, "fmi2SetupExperiment");
     (void)tolerance, (void)size, (void)stops, (void)stop;
-    if (good) {
-        u->data.time = start;
-    }
-    return good ? OK : ERROR;
+    return unit_begin(u, UNIT_NEW, start, "fmi2SetupExperiment") ? OK : ERROR;
 }
 
 UNIT_EXPORT status fmi2EnterInitializationMode(unit *u)

@@ -53,12 +53,8 @@ UNIT_EXPORT void fmi3FreeInstance(void *u) { unit_free(u); }
 UNIT_EXPORT status fmi3EnterInitializationMode(unit *u, bool tolerance, double size, double start,
                                                bool stops, double stop)
 {
-    const bool good = unit_move(u, UNIT_NEW, UNIT_INITIALISING, "fmi3EnterInitializationMode");
     (void)tolerance, (void)size, (void)stops, (void)stop;
-    if (good) {
-        u->data.time = start;
-    }
-    return good ? OK : ERROR;
+    return unit_begin(u, UNIT_INITIALISING, start, "fmi3EnterInitializationMode") ? OK : ERROR;
 }
 
 UNIT_EXPORT status fmi3ExitInitializationMode(unit *u)

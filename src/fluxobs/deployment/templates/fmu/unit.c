@@ -55,6 +55,15 @@ bool unit_move(unit *u, unit_phase from, unit_phase to, const char *call)
     return good;
 }
 
+bool unit_begin(unit *u, unit_phase to, double start, const char *call)
+{
+    const bool good = unit_move(u, UNIT_NEW, to, call);
+    if (good) {
+        u->data.time = start;
+    }
+    return good;
+}
+
 /* Whether a step is as long as the observer's, and begins where the last one ended. Times may be
  * multiples or sums of steps: they round. */
 static bool is_next(unit *u, double time, double step)

@@ -49,6 +49,9 @@ void unit_reset(unit *u);
 /* From one phase to the next, for `call`; false, and a message, if the instance is in another. */
 bool unit_move(unit *u, unit_phase from, unit_phase to, const char *call);
 
+/* The same from a new instance, whose first step begins at `start`. */
+bool unit_begin(unit *u, unit_phase to, double start, const char *call);
+
 /* Takes in the inputs at `time`; the estimate belongs to that instant, and is read a step later. */
 bool unit_step(unit *u, double time, double step);
 

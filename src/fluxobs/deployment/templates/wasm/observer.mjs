@@ -58,13 +58,16 @@ class Observer {
   }
 
   content() {
-    const { memory, content, content_size } = this.exports;
-    return new Uint8Array(memory.buffer, content(), content_size());
+    return this.bytes("content");
   }
 
   state() {
-    const { memory, state, state_size } = this.exports;
-    return new Uint8Array(memory.buffer, state(), state_size());
+    return this.bytes("state");
+  }
+
+  bytes(name) {
+    const { memory, [name]: address, [`${name}_size`]: size } = this.exports;
+    return new Uint8Array(memory.buffer, address(), size());
   }
 }
 

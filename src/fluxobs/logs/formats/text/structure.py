@@ -382,10 +382,10 @@ def _pairs(line: str, comma: bool) -> list[tuple[str, str]]:
 
 def _check_repeated(names: list[str | None], where: str, line: int) -> None:
     """Names that mean a channel must differ; others, and further times, get a number."""
-    seen: set[str] = set()
+    seen: set[str | None] = set()
     for n, name in enumerate(names):
         if name is None or name not in seen:
-            seen.add(name or "")
+            seen.add(name)
             continue
         if read_name(name).channel in (None, "t"):
             names[n] = f"{name} (column {n + 1})"
