@@ -25,7 +25,8 @@ def check_prefix(prefix: str) -> None:
     if not is_identifier(prefix) or is_taken(prefix):
         near = identifier(prefix)
         near = "motor" if is_taken(near) else near
-        raise FluxobsError(f"prefix {prefix!r} cannot begin names in C; {near!r} can")
+        why = ": the library's begin so" if is_taken(prefix) else ""
+        raise FluxobsError(f"prefix {prefix!r} cannot begin names in C{why}; {near!r} can")
 
 
 def check_machine(

@@ -97,7 +97,9 @@ def find(lines: list[str], further: list[str], where: str, header: list[str] | N
         raise RecordError(f"{where}: the file is empty; it needs a header line and rows of numbers")
     delimiter, kinds = row_kind(lines, further)
     if len(kinds) > MOST_COLUMNS:
-        raise RecordError(f"{where}: a row has {len(kinds)} cells, more than {MOST_COLUMNS}")
+        raise RecordError(
+            f"{where}: a row has {len(kinds)} cells, more than {MOST_COLUMNS}; keep those needed"
+        )
     if not kinds.strip(EMPTY) and len(lines) > SEEN:
         raise RecordError(
             f"{where}: no rows of numbers are found in its first {len(lines)} lines. Is this a "
