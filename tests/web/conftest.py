@@ -4,7 +4,8 @@ import shutil
 
 import pytest
 
-from support.browser import Window, template
+from fluxobs.web import built
+from support.browser import Window
 
 playwright = pytest.importorskip("playwright.sync_api")
 
@@ -31,7 +32,7 @@ def window(browser, tmp_path):
         if "<" in str(name_or_text):
             path.write_text(name_or_text, encoding="utf-8")
         else:
-            path.write_text(template(name_or_text), encoding="utf-8")
+            path.write_text(built(name_or_text), encoding="utf-8")
         context = browser.new_context(offline=True, accept_downloads=True, **options)
         opened.append((context, Window(context.new_page(), path)))
         return opened[-1][1]

@@ -12,7 +12,7 @@ from fluxobs.web.columns import as_text, exact, flags, rounded
 
 
 def bytes_of(text):
-    """The way back from text, as in web/app/ask.js."""
+    """The way back from text, as in web/app/report.js."""
     other = {0x80: 0, 0x81: 13, 0x82: 60}
     sevens = np.array([other.get(ord(c), ord(c)) for c in text], np.uint8)
     bits = np.unpackbits(sevens[:, None], axis=1)[:, 1:].ravel()

@@ -9,9 +9,8 @@ import pytest
 from fluxobs.live import Watch
 from fluxobs.machines import example, example_text
 from fluxobs.synthetic.demo import LOG
+from fluxobs.web import built
 from support.browser import Window
-
-pytest.importorskip("websockets")
 
 DEMO = LOG.read_bytes()
 MACHINE = "servo-400w"
@@ -42,14 +41,8 @@ PORT = """
 @pytest.fixture
 def served(browser):
     """A page that `fluxobs live` serves; it asks for nothing but itself and the stream."""
-    from fluxobs.errors import FluxobsError
     from fluxobs.live.serve import Server
-    from fluxobs.web import built
 
-    try:
-        built("page.html")
-    except FluxobsError as error:
-        pytest.skip(str(error))
     opened = []
 
     def make(**settings):
@@ -158,11 +151,12 @@ def test_the_oldest_rows_make_room(window):
         assert min(last + 1, 448) <= rows <= 1024
 
 
-def test_a_serial_port(browser, window, tmp_path):
-    page = window("page.html")  # only to skip where it is not built
+def test_a_serial_port(browser, tmp_path):
+    path = tmp_path / "page.html"
+    path.write_text(built("page.html"), encoding="utf-8")
     context = browser.new_context(accept_downloads=True)
     context.add_init_script(PORT)
-    page = Window(context.new_page(), page.path)
+    page = Window(context.new_page(), path)
     page.until("() => document.body.dataset.ready")
     page.page.click("#serial")
     assert "Choose the machine" in page.js("() => document.getElementById('status').textContent")

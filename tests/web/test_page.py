@@ -12,7 +12,8 @@ import pytest
 import fluxobs
 from fluxobs.machines.files import example_text
 from fluxobs.machines.new import new_machine
-from support.browser import Window, template
+from fluxobs.web import built
+from support.browser import Window
 from support.page_logs import written
 
 _SPEC = importlib.util.spec_from_file_location(
@@ -76,7 +77,7 @@ def equal(one, expected, rounding=ROUNDING):
 def shared(browser, tmp_path_factory):
     """One page for all logs of the corpus: to open it takes longer than to estimate."""
     path = tmp_path_factory.mktemp("page") / "page.html"
-    path.write_text(template("page.html"), encoding="utf-8")
+    path.write_text(built("page.html"), encoding="utf-8")
     context = browser.new_context(offline=True)
     one = Window(context.new_page(), path)
     one.page.wait_for_selector("body[data-ready]")

@@ -5,7 +5,6 @@ import pytest
 
 import fluxobs
 from fluxobs.estimation.report import write_report
-from support.browser import template
 from support.page_logs import written
 
 
@@ -17,7 +16,6 @@ def opened(window, path):
 
 @pytest.fixture
 def result():
-    template("report.html")
     return fluxobs.estimate(fluxobs.demo_log().path, "servo-400w")
 
 
@@ -68,7 +66,6 @@ def test_without_data_it_shows_the_estimates(result, window, tmp_path):
 
 
 def test_an_immersed_run_is_shown_too(window, tmp_path):
-    template("report.html")
     result = fluxobs.estimate(written("maglev-knospe", tmp_path), "maglev-knospe")
     write_report(result, tmp_path / "r.html")
     one = opened(window, tmp_path / "r.html")

@@ -1,7 +1,6 @@
 // The page: a log is dropped, a machine chosen; estimates, verdicts and files come out.
 
 import { parts, start } from "./ask.js";
-import { demoLog } from "./demo.js";
 import { Live, serial, socket } from "./live.js";
 import { Recent } from "./plots.js";
 import { Results, element, themed } from "./results.js";
@@ -149,7 +148,7 @@ $("files").addEventListener("change", (event) => {
 $("demo").addEventListener("click", async () => {
   $("example").value = "servo-400w";
   $("machine").value = state.known.examples["servo-400w"];
-  open([new File([demoLog(parts.demo)], DEMO)]);
+  open([new File([parts.demo], DEMO)]);
 });
 
 // ---- what is asked for ----------------------------------------------------------------------

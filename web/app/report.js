@@ -6,10 +6,27 @@ import { Results, element, themed } from "./results.js";
 const $ = (id) => document.getElementById(id);
 const began = performance.now();
 
+// Bytes of text that has seven bits a character (fluxobs/web/columns.py).
+const ESCAPED = [0, 13, 60];
+function bytesOf(text) {
+  const out = new Uint8Array(Math.floor((text.length * 7) / 8));
+  for (let n = 0, at = 0, hold = 0, bits = 0; n < text.length; n++) {
+    const code = text.charCodeAt(n);
+    hold = (hold << 7) | (code < 128 ? code : ESCAPED[code - 128]);
+    bits += 7;
+    if (bits >= 8) {
+      bits -= 8;
+      out[at++] = hold >> bits;
+      hold &= (1 << bits) - 1;
+    }
+  }
+  return out;
+}
+
 // A column as fluxobs/web/columns.py packs it.
 const blocks = $("blocks").textContent;
 async function column({ kind, size, rows, planes, data: [from, length], missing }) {
-  const bytes = await unpack(blocks.substr(from, length));
+  const bytes = await unpack(bytesOf(blocks.substr(from, length)));
   if (kind === "flags")
     return Uint8Array.from({ length: rows }, (_, n) => (bytes[n >> 3] >> (n & 7)) & 1);
   const out = new Float64Array(rows);

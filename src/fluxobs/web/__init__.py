@@ -24,13 +24,13 @@ def built(name: str) -> str:
     Raises
     ------
     FluxobsError
-        It is not there: an installation from the sources, without `make page`.
+        It is not there: an editable installation, before `make page`.
     """
     path = _FOLDER / name
     if not path.is_file():
         raise FluxobsError(
-            f"{name} is not in this installation. Wheels have it; in a clone of the sources run "
-            f"`make page`, which needs clang, lld, wasi-libc and Node.js"
+            f"{name} is missing: this installation is editable. Run `make page`, or `pip install "
+            f"--group page` and `python web/build.py`, in {_FOLDER.parents[2]}"
         )
     return path.read_text(encoding="utf-8")
 

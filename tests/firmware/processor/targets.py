@@ -126,11 +126,21 @@ def measure_module(folder: Path, kind: str) -> int:
     """Bytes of a WebAssembly module with fo_reset and fo_step."""
     fo = "fo_adaptive" if kind == "adaptive" else "fo"
     module = folder / "module.wasm"
-    flags = ["-std=c99", "-Os", "-ffp-contract=off", f"-I{folder}", "-nostartfiles"]
-    flags += ["-Wl,--no-entry", "-Wl,--strip-all"]
+    flags = ["-std=c99", "-Os", "-ffp-contract=off", f"-I{folder}", "-mexec-model=reactor", "-s"]
     flags += [f"-Wl,--export={fo}_{name}_single" for name in ("step", "reset")]
     sources = sorted(folder.glob("fluxobs*.c"))
-    _run("clang", "--target=wasm32-wasi", *flags, *sources, "-o", module)
+    _run(
+        sys.executable,
+        "-m",
+        "ziglang",
+        "cc",
+        "-target",
+        "wasm32-wasi",
+        *flags,
+        *sources,
+        "-o",
+        module,
+    )
     return module.stat().st_size
 
 
@@ -172,11 +182,8 @@ def main() -> int:
                 for what in ("code", "state", "parameters", "stack")
             ]
             rows.append(f"| {target.name} | {' | '.join(cells)} | {target.note} |")
-        if shutil.which("clang") and shutil.which("wasm-ld"):
-            modules = [str(measure_module(Path(scratch) / kind, kind)) for kind in KINDS]
-            rows.append(f"| wasm32 | {' / '.join(modules)} | | | | |")
-        else:
-            missing.append("wasm32")
+        modules = [str(measure_module(Path(scratch) / kind, kind)) for kind in KINDS]
+        rows.append(f"| wasm32 | {' / '.join(modules)} | | | | |")
     head = "| plain / adaptive | code [bytes] | state | parameters | stack | |"
     table = "\n".join([head, "|---|---|---|---|---|---|", *rows])
     print(table)

@@ -61,7 +61,7 @@ def files(core: Core) -> dict[str, str | bytes]:
     check_every_step(core, "a simulation unit")
     if not build.has_zig() and not build.local_compiler():
         raise FluxobsError(
-            "no C compiler for the units' binaries; `pip install 'fluxobs[fmu]'` brings one for "
+            "no C compiler for the units' binaries: run `pip install ziglang`, which compiles for "
             "Linux, Windows and macOS"
         )
     core = in_double(core)

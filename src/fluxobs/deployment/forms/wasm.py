@@ -52,12 +52,6 @@ def files(core: Core) -> dict[str, str | bytes]:
 
 
 def _compiler() -> list[str]:
-    if build.has_zig():
-        return [*build.zig("wasm32-wasi"), "-mexec-model=reactor"]
-    clang = shutil.which("clang")
-    if clang and shutil.which("wasm-ld"):
-        return [clang, "--target=wasm32-wasi", "-nostartfiles", "-Wl,--no-entry"]
-    raise FluxobsError(
-        "no compiler for WebAssembly; `pip install 'fluxobs[fmu]'` brings one, or install clang, "
-        "lld and wasi-libc"
-    )
+    if not build.has_zig():
+        raise FluxobsError("no compiler for WebAssembly: run `pip install ziglang`")
+    return [*build.zig("wasm32-wasi"), "-mexec-model=reactor"]
