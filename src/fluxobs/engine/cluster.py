@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import Any, TypeVar
 
 from ..errors import FluxobsError
@@ -26,7 +26,11 @@ def in_cluster(
     address: str | None,
     lost: Lost,
 ) -> Iterator[tuple[Task, Any]]:
-    """See :func:`compute`; without an address a cluster of one thread per process is started."""
+    """See :func:`compute`; without an address a cluster of one thread per process is started.
+
+    Dask counts a death against every task that the worker had, those that waited too. A task that
+    is given up so is tried again when no other is under way: then the death is its own.
+    """
     try:
         import dask
         from distributed import Client, LocalCluster, as_completed
@@ -44,7 +48,8 @@ def in_cluster(
     logging.getLogger("distributed").setLevel(logging.ERROR)
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(settings))
-        if address is None:
+        own = address is None
+        if own:
             cluster = LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0"
             )
@@ -54,8 +59,12 @@ def in_cluster(
             client.wait_for_workers(1, timeout=PATIENCE)
         except (OSError, TimeoutError) as error:
             raise FluxobsError(f"{address}: no scheduler with workers there: {error}") from None
+        if own:
+            stack.callback(_all_back, client, workers)
         coming = iter(tasks)
         under_way: dict[str, Task] = {}
+        suspects: list[Task] = []
+        alone: set[str] = set()  # keys of suspects that are tried again
         done = as_completed(loop=client.loop, with_results=True, raise_errors=False)
         asked, known = 0.0, workers
 
@@ -66,14 +75,20 @@ def in_cluster(
                 asked, known = time.monotonic(), max(1, len(client.ncores()))
             return known
 
+        def submit(task: Task) -> str:
+            future = client.submit(work, task, pure=False)
+            under_way[future.key] = task
+            done.add(future)
+            return str(future.key)
+
         def hand_out() -> None:
             for _ in range(AHEAD * there() - len(under_way)):
                 task = next(coming, None)
                 if task is None:
-                    return
-                future = client.submit(work, task, pure=False)
-                under_way[future.key] = task
-                done.add(future)
+                    break
+                submit(task)
+            if not under_way and suspects:
+                alone.add(submit(suspects.pop()))
 
         try:
             hand_out()
@@ -83,7 +98,10 @@ def in_cluster(
                     problem = result[1] if isinstance(result, tuple) else future.exception()
                     if not isinstance(problem, KilledWorker):
                         raise problem
-                    yield task, lost(task)
+                    if future.key in alone:
+                        yield task, lost(task)
+                    else:
+                        suspects.append(task)
                     hand_out()
                     continue
                 if future.status != "finished":
@@ -96,3 +114,9 @@ def in_cluster(
             raise FluxobsError(
                 f"{address}: the scheduler was lost; the same command resumes"
             ) from None
+
+
+def _all_back(client: Any, workers: int) -> None:
+    """Wait until workers that died are replaced: Dask cannot end one that is just being started."""
+    with suppress(TimeoutError, OSError):
+        client.wait_for_workers(workers, timeout=PATIENCE)
