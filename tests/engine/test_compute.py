@@ -50,6 +50,23 @@ def test_a_task_that_always_kills_its_worker_ends_the_run(scheduler: str) -> Non
         list(compute([3], tasks.die, 1, scheduler))
 
 
+def test_a_run_ends_when_no_worker_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its only worker dies and is not replaced."""
+    pytest.importorskip("distributed")
+    import distributed
+
+    from fluxobs.engine import cluster
+
+    async def gone(nanny: distributed.Nanny, exitcode: int) -> None:
+        await nanny.close()
+
+    monkeypatch.setattr(cluster, "ABANDONED", 1)
+    monkeypatch.setattr(cluster, "PATIENCE", 2)
+    monkeypatch.setattr(distributed.Nanny, "_on_worker_exit", gone)
+    with pytest.raises(FluxobsError, match="no worker is left; the same command resumes"):
+        list(compute([3], tasks.die, 1))
+
+
 def test_tasks_are_taken_as_workers_become_free() -> None:
     taken = 0
 

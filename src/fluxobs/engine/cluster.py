@@ -15,6 +15,8 @@ Task = TypeVar("Task")
 
 #: Seconds to wait for a scheduler, and for its first worker.
 PATIENCE = 30
+#: Seconds for which tasks wait when no worker is left: Dask may fail to replace one that died.
+ABANDONED = 60
 #: Seconds for which the number of workers is taken as known.
 FRESH = 2.0
 
@@ -35,13 +37,14 @@ def in_cluster(
         import dask
         from distributed import Client, LocalCluster, as_completed
         from distributed.comm.core import CommClosedError
-        from distributed.scheduler import KilledWorker
+        from distributed.scheduler import KilledWorker, NoWorkerError
     except ImportError:
         raise FluxobsError(
             'a scheduler needs the extra "cluster": pip install "fluxobs[cluster]"'
         ) from None
     settings = {
         "distributed.scheduler.allowed-failures": TRIES - 1,
+        "distributed.scheduler.no-workers-timeout": f"{ABANDONED}s",
         "distributed.comm.timeouts.connect": PATIENCE,
         "distributed.worker.daemon": True,
     }
@@ -96,6 +99,10 @@ def in_cluster(
                 task = under_way.pop(future.key)
                 if future.status == "error":
                     problem = result[1] if isinstance(result, tuple) else future.exception()
+                    if isinstance(problem, NoWorkerError):
+                        raise FluxobsError(
+                            f"{address}: no worker is left; the same command resumes"
+                        )
                     if not isinstance(problem, KilledWorker):
                         raise problem
                     if future.key in alone:
