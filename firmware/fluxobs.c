@@ -296,6 +296,31 @@ void fo_reset(const fo_observer *o, fo_state *s)
     restart(s);
 }
 
+/* Weights of a state are positive, its noises finite and no larger than the inputs can make them. A
+ * recursion would keep any other number, and the observer would stay invalid without a restart; the
+ * rest of a state lasts a few samples. */
+bool fo_damaged(const fo_observer *o, const fo_state *s)
+{
+    bool damaged = false;
+    if (s->turn <= 1U) { /* 1 after a restart in the last step */
+        const fo_real kept[] = {s->info.noise[0], s->info.noise[1], s->info.noise[2], s->power,
+                                s->lag_one, s->swept, s->variance, s->tracker.speed,
+                                s->tracker.angle, s->tracker.acceleration, s->tracker.settled};
+        const fo_real swing = (fo_real)16 * o->current_limit; /* of a third difference, and more */
+        const fo_real roughest = ONE + swing * swing * o->over_noise;
+        const fo_real drift = WIDEN * FLUX_STEP_LIMIT / o->h; /* all of a step, and widened */
+        const fo_real tightest = TWO / (o->plausible * o->plausible);
+        damaged = !is_finite(kept, (int)(sizeof kept / sizeof kept[0])) ||
+                  !is_finite(s->info.d, FO_NX) || !within(s->rough, ZERO, roughest) ||
+                  !within(s->roughness, ONE, roughest) ||
+                  !within(s->drift_prior, ONE / (drift * drift), tightest);
+        for (int i = 0; i < FO_NX; i++) {
+            damaged = damaged || !(s->info.d[i] > ZERO);
+        }
+    }
+    return damaged;
+}
+
 /* The immersion's step over one interval, x <- F x + b: F depends on q, b is (input, v, 0, 0, 0).
  * docs/theory.md, section 4. Per-unit. */
 typedef struct {
@@ -777,7 +802,7 @@ static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], f
     } else {
         /* nothing better is known */
     }
-    const bool lost = !(variance < VARIANCE_UNKNOWN);
+    const bool lost = !(variance >= ZERO && variance < VARIANCE_UNKNOWN);
     if (lost) {
         variance = VARIANCE_UNKNOWN;
     }
@@ -913,9 +938,10 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
                     const fo_real current[FO_N], fo_estimate *e)
 {
     interval t = {{ZERO, ZERO}, {ZERO, ZERO}, ZERO};
-    if (never_reset(s)) {
+    if (fo_damaged(o, s)) {
+        const uint32_t restarts = s->restarts;
         fo_reset(o, s);
-        s->restarts = 1U;
+        s->restarts = restarts + 1U;
     }
     const sample_quality of_source = quality(source, FLUX_STEP_LIMIT);
     const sample_quality of_current = quality(current, o->current_limit);

@@ -540,9 +540,10 @@ static void guide(const fo_adaptive *a, fo_adaptive_state *s)
 
 static void ready(const fo_adaptive *a, fo_adaptive_state *s)
 {
-    if (never_reset(&s->plain)) {
+    if (fo_damaged(&a->plain, &s->plain)) {
+        const uint32_t restarts = s->plain.restarts;
         fo_adaptive_reset(a, s);
-        s->plain.restarts = 1U;
+        s->plain.restarts = restarts + 1U;
     }
 }
 

@@ -289,6 +289,11 @@ static inline fo_real mean_current_24(fo_real i0, fo_real i1, fo_real i2, fo_rea
 /* Is this a state of zeros, which nobody has reset? */
 static inline bool never_reset(const fo_state *s) { return s->roughness == ZERO; }
 
+/* Is this no state of the observer? Asked once in a round of re-injections: of zeros, and of memory
+ * that something else has overwritten. */
+#define fo_damaged FO_NAME(fo_damaged)
+bool fo_damaged(const fo_observer *o, const fo_state *s);
+
 static inline void stop_tracker(fo_tracker *t, fo_real theta)
 {
     t->angle = theta;

@@ -1,0 +1,25 @@
+"""The observer's memory is overwritten while it runs: it says nothing wrong, and recovers."""
+
+import subprocess
+
+import pytest
+
+import fluxobs
+from support.firmware import HARNESS
+from support.records import SERVO
+
+#: Rows that may be valid and wrong, and samples until all are right again, of 1e-4 s. The worst is
+#: a number of the least squares that becomes zero, which leaves a state as good as any other.
+LIMITS = {"MOST_WRONG": 60, "MOST_LATE": 1500, "L_S": SERVO.L_s, "R_S": SERVO.R_s}
+
+
+@pytest.mark.parametrize("single", [0, 1])
+def test_overwritten_memory(tmp_path, single):
+    folder = tmp_path / "motor"
+    fluxobs.export(SERVO, 1e-4, folder)
+    values = [f"-D{name}={value}" for name, value in LIMITS.items()]
+    command = ["gcc", "-std=c99", "-O1", f"-DFO_SINGLE={single}", *values]
+    command += [f"-I{folder}", f"-I{folder}/test", HARNESS / "damage.c", *folder.glob("*obs*.c")]
+    subprocess.run([*command, "-lm", "-o", tmp_path / "damage"], check=True)
+    done = subprocess.run([tmp_path / "damage"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
