@@ -17,6 +17,6 @@ NAMES = sorted(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_examples(name):
-    if name.startswith("fluxobs.hosts."):  # each needs its host
-        pytest.importorskip(name.rpartition(".")[2])
+    if name == "fluxobs.hosts.motulator":
+        pytest.importorskip("motulator", reason="another Python: motulator needs 3.12")
     assert doctest.testmod(importlib.import_module(name)).failed == 0

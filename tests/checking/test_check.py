@@ -81,11 +81,11 @@ def three_phases(letter):
 _AXES = ((1.0, -0.5, -0.5), (0.0, SQRT3 / 2, -SQRT3 / 2))
 
 
-@pytest.mark.parametrize("phase", ["a", "b", "c"])
-@pytest.mark.parametrize("measured", ["ab", "bc", "ac", "abc"])
+@pytest.mark.parametrize(
+    ("measured", "phase"),
+    [(measured, phase) for measured in ("ab", "bc", "ac", "abc") for phase in measured],
+)
 def test_one_current_sensor_is_inverted(tmp_path, measured, phase):
-    if phase not in measured:
-        pytest.skip("has no sensor")
     currents = {name: values for name, values in three_phases("i").items() if name[-1] in measured}
     currents[f"i_{phase}"] = -currents[f"i_{phase}"]
     columns = {"t": COLUMNS["t"]} | three_phases("u") | currents

@@ -108,7 +108,7 @@ def test_steps_every_few_interrupts_are_refused(tmp_path):
         fluxobs.export("servo-400w", 5e-5, tmp_path / "x", form="sketch")
 
 
-@pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="avr-gcc is missing")
+@pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="no cross compiler: avr-gcc")
 def test_an_avr_is_refused_by_the_self_test_in_plain_words(library):
     """The observer itself compiles there; the record does not fit."""
     example = library / "examples" / "SelfTest"

@@ -102,9 +102,9 @@ def test_it_compiles_for_a_cortex_m4f(host, exported, tmp_path):
     compilers = ("arm-none-eabi-gcc", "arm-none-eabi-g++")
     for compiler in compilers:
         if not shutil.which(compiler):
-            pytest.skip(f"{compiler} is missing")
+            pytest.skip(f"no cross compiler: {compiler}")
     if host.name == "odrive" and not has_header(compilers[1], "optional"):
-        pytest.skip("libstdc++-arm-none-eabi-newlib is missing")
+        pytest.skip("no cross compiler: libstdc++-arm-none-eabi-newlib")
     cpu = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"]
     flags = [*cpu, "-O2", *WARNINGS, *(f"-D{word}" for word in host.defines)]
     folder = exported(host.sample_time)

@@ -10,7 +10,7 @@ import fluxobs
 CARGO = shutil.which("cargo")
 
 
-@pytest.mark.skipif(CARGO is None, reason="cargo is missing")
+@pytest.mark.skipif(CARGO is None, reason="no cross compiler: cargo")
 @pytest.mark.parametrize(
     ("machine", "unknowns"),
     [
@@ -32,7 +32,7 @@ def test_the_crate_replays_its_record(tmp_path, machine, unknowns):
     assert "warning" not in done.stderr
 
 
-@pytest.mark.skipif(CARGO is None, reason="cargo is missing")
+@pytest.mark.skipif(CARGO is None, reason="no cross compiler: cargo")
 def test_another_number_is_found(tmp_path):
     folder = fluxobs.export("servo-400w", 1e-4, tmp_path / "crate", form="rust").folder
     record = folder / "tests" / "record.csv"

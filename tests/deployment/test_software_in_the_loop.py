@@ -86,7 +86,7 @@ def test_single_precision_within_the_documented_bound(folders, compiled, name):
 @pytest.mark.skipif("fma" not in CPU, reason="this processor has no fused multiply-add")
 @pytest.mark.parametrize("name", MACHINES)
 def test_fused_multiply_adds_stay_within_the_documented_bound(folders, compiled, name):
-    program = compiled.program(folders[name], "gcc", "single", ["-ffp-contract=fast", "-mfma"])
+    program = compiled.program(folders[name], ["gcc"], "single", ["-ffp-contract=fast", "-mfma"])
     observer = fluxobs.LeastSquaresObserver.for_machine(MACHINES[name], sample_time=SAMPLE_TIME)
     for voltage, current in list(all_records(name))[:2]:
         fused, double = replayed(program, voltage, current), observer.run(voltage, current)
@@ -102,7 +102,7 @@ def test_fused_multiply_adds_stay_within_the_documented_bound(folders, compiled,
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_sanitizers_over_all_records(folders, compiled, precision):
     for name in MACHINES:
-        program = compiled.program(folders[name], "gcc", precision, SANITIZERS)
+        program = compiled.program(folders[name], ["gcc"], precision, SANITIZERS)
         for voltage, current in all_records(name):
             assert np.isfinite(replayed(program, voltage, current)).all()
 

@@ -1,11 +1,10 @@
 """Parts of the adaptive observer in C, each against dense matrices."""
 
-import shutil
 import subprocess
 
 import pytest
 
-from support.firmware import FIRMWARE, HARNESS
+from support.firmware import COMPILERS, FIRMWARE, HARNESS
 
 
 @pytest.mark.parametrize("precision", ["-DFO_SINGLE=1", "-DFO_SINGLE=0"])
@@ -23,12 +22,14 @@ def test_pieces_against_dense_matrices(tmp_path, precision):
 @pytest.mark.parametrize("precision", ["-DFO_SINGLE=1", "-DFO_SINGLE=0"])
 def test_the_angle_has_the_same_bits_from_every_compiler(tmp_path, precision):
     bits = set()
-    for compiler in filter(shutil.which, ("gcc", "clang")):
+    for compiler in COMPILERS:
         for level in ("-O0", "-O3"):
-            program = tmp_path / f"{compiler}{level}"
+            program = tmp_path / f"{compiler.id}{level}"
             sources = [HARNESS / "angle.c", *(FIRMWARE / f for f in ("fluxobs.c", "fluxobs_map.c"))]
             flags = ["-std=c99", level, "-ffp-contract=off", "-Werror", precision, f"-I{FIRMWARE}"]
-            subprocess.run([compiler, *flags, *sources, "-lm", "-o", program], check=True)
+            subprocess.run(
+                [*compiler.values[0], *flags, *sources, "-lm", "-o", program], check=True
+            )
             done = subprocess.run([program], capture_output=True, text=True, check=False)
             assert done.returncode == 0, done.stdout
             bits.add(done.stdout)

@@ -1,6 +1,5 @@
 """What a firmware uses at run time: configuration, changes, blobs, snapshots, the C++ header."""
 
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import fluxobs
 from fluxobs import _core
 from fluxobs.machines import InductionMachine, SynchronousReluctance, example
 from fluxobs.observers import AdaptiveObserver, LeastSquaresObserver
-from support.firmware import FIRMWARE, HARNESS, ROOT, STRICT
+from support.firmware import CPP_COMPILERS, FIRMWARE, HARNESS, ROOT, STRICT, cross_compiler
 from support.records import MACHINES
 
 RUNTIME = HARNESS / "runtime"
@@ -150,12 +149,9 @@ def test_an_estimate_is_read_whole(folder):
     run_in(folder, "snapshot.c", flags=("-O2",))
 
 
-@pytest.mark.parametrize("compiler", ["gcc", "arm-none-eabi-gcc"])
+@pytest.mark.parametrize("compiler", ["gcc", cross_compiler("arm-none-eabi-gcc")])
+@pytest.mark.parametrize("folder", [ADAPTIVE], indirect=True)
 def test_the_example_compiles(folder, compiler):
-    if shutil.which(compiler) is None:
-        pytest.skip(f"{compiler} is missing")
-    if not (folder / "fluxobs_adaptive.h").exists():
-        pytest.skip("the example is for the adaptive observer")
     source = ROOT / "examples" / "firmware" / "at_run_time" / "at_run_time.c"
     command = [compiler, *STRICT, f"-I{folder}", f"-I{folder / 'runtime'}", "-c", source]
     subprocess.run([*command, "-o", folder.parent / "example.o"], check=True)
@@ -177,12 +173,10 @@ def test_the_layout_has_a_number_of_its_own():
     assert more[-3:] == ["unmodelled", "slow", "projection"]
 
 
-@pytest.mark.parametrize("compiler", ["g++", "clang++"])
+@pytest.mark.parametrize("compiler", CPP_COMPILERS)
 @pytest.mark.parametrize("standard", ["gnu++11", "c++20"])
 def test_the_cpp_header_steps_the_same_observer(folder, compiler, standard):
-    if shutil.which(compiler) is None:
-        pytest.skip(f"{compiler} is missing")
-    program = folder.parent / f"{compiler}-{standard}"
+    program = folder.parent / f"{Path(compiler[-1]).name}-{standard}"
     c_sources = [*folder.glob("*obs*.c"), *(folder / "runtime").glob("*.c")]
     includes = [f"-I{folder}", f"-I{folder / 'runtime'}", f"-I{folder / 'test'}"]
     kind = ["-DADAPTIVE"] if (folder / "fluxobs_adaptive.h").exists() else []
@@ -193,7 +187,7 @@ def test_the_cpp_header_steps_the_same_observer(folder, compiler, standard):
         subprocess.run(list(map(str, command)), check=True)
     flags = [f"-std={standard}", "-O1", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
     flags += ["-fno-exceptions", "-fno-rtti", *kind, *includes]
-    command = [compiler, *flags, RUNTIME / "wrapper.cpp", *objects, "-o", program]
+    command = [*compiler, *flags, RUNTIME / "wrapper.cpp", *objects, "-o", program]
     subprocess.run(list(map(str, command)), check=True)
     done = subprocess.run([program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout

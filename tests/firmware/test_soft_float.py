@@ -12,6 +12,6 @@ def test_every_result_has_the_same_bits(tmp_path, compiler):
     program = tmp_path / "soft_float"
     sources = [HARNESS / "soft_float.c", FIRMWARE / "soft_float" / "soft_float.c"]
     flags = [one for one in STRICT if one != "-Wconversion"]
-    subprocess.run([compiler, *flags, *sources, "-o", program], check=True)
+    subprocess.run([*compiler, *flags, *sources, "-o", program], check=True)
     done = subprocess.run([program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout

@@ -5,7 +5,7 @@ from math import pi
 import numpy as np
 import pytest
 
-pytest.importorskip("motulator", reason="motulator needs Python 3.12: make hosts")
+pytest.importorskip("motulator", reason="another Python: motulator needs 3.12 (make hosts)")
 
 from motulator.common.model import Sensor
 from motulator.drive import model

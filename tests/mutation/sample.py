@@ -1,30 +1,42 @@
-"""Share of one-line errors in design/ and paper/ that the tests catch, on a random sample.
+"""Share of one-line errors that the tests catch, on a random sample of them.
 
-    pip install cosmic-ray
-    python tests/mutation/sample.py --count 60 --seed 1
+    pip install cosmic-ray libclang ninja cmake nanobind
+    python tests/mutation/sample.py --count 150 --seed 1
 
-Work on a clean clone: every mutant is written into the source file and taken back. The operators
-are Cosmic Ray's; those on `|` are left out, since here it stands in annotations. Each mutant meets
-the tests of its folder, and stops at the first that fails.
+Work on a clean clone: every mutant is written into the source file and taken back. An expression is
+drawn first, then one of its mutants, so that expressions with many mutants do not prevail. A mutant
+meets the tests of its room only, and these stop at the first that fails. `--part 1/2` and `--part
+2/2`, in two clones, share the work. Mutants that change nothing computable are listed with their
+reason in equivalent.txt and left out.
 """
 
+from __future__ import annotations
+
 import argparse
+import os
 import random
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 
-from cosmic_ray.commands import init
-from cosmic_ray.mutating import mutate_and_test
-from cosmic_ray.testing import TestOutcome
-from cosmic_ray.work_db import WorkDB, use_db
+from c_mutants import CMutant, c_mutants
+from python_mutants import PythonMutant, python_mutants
+from scipy.stats import binomtest
 
 ROOT = Path(__file__).parents[2]
-SOURCES = ROOT / "src" / "fluxobs"
-#: Folder or file under src/fluxobs → tests that guard it, the quickest first.
+#: Room, or file, under src/fluxobs → tests that guard it, the quickest first.
 TESTS = {
+    "estimation": "tests/estimation",
+    "observers": "tests/observers tests/contract/test_observers.py",
+    "logs": "tests/logs",
+    "identification": "tests/identification",
+    "checking": "tests/checking",
+    "machines": "tests/machines tests/contract/test_machines.py",
+    "live": "tests/live",
+    "campaigns": "tests/campaigns",
+    "fleets": "tests/fleets",
+    "firmware": "tests/observers tests/firmware tests/contract/test_observers.py",
     "design/analysis": "tests/design/analysis tests/design/regression tests/paper",
     "design/regression": "tests/design/regression tests/design/analysis tests/paper",
     "design/energies": "tests/design/energies tests/paper",
@@ -34,56 +46,84 @@ TESTS = {
     "design/drive": "tests/design/drive",
     "paper": "tests/paper tests/design/energies/test_levitation.py tests/design/analysis",
 }
+#: The C sources are not under src/fluxobs.
+FIRMWARE = "firmware"
+PRODUCT = tuple(TESTS)[: tuple(TESTS).index(FIRMWARE) + 1]
+#: Longest that the tests of a mutant may take [s]; a mutant that hangs is caught.
 LIMIT = 900.0
+EQUIVALENT = Path(__file__).with_name("equivalent.txt")
 
 
-def mutants() -> list[tuple[str, object]]:
-    """Every mutation with the tests that guard its file."""
-    out = []
-    with tempfile.TemporaryDirectory() as folder:
-        for number, (part, tests) in enumerate(TESTS.items()):
-            where = SOURCES / part
-            files = sorted(where.rglob("*.py")) if where.is_dir() else [where]
-            with use_db(Path(folder) / f"{number}.sqlite", WorkDB.Mode.create) as db:
-                init([path.relative_to(ROOT) for path in files], db, {})
-                out += [
-                    (tests, mutation)
-                    for item in db.work_items
-                    for mutation in item.mutations
-                    if "BitOr" not in mutation.operator_name
-                ]
-    return out
+def drawn(rooms: list[str], count: int, seed: int) -> list[tuple[str, PythonMutant | CMutant]]:
+    """A random sample of expressions, and of each one of its mutants."""
+    sites: dict[object, list[tuple[str, PythonMutant | CMutant]]] = {}
+    for room in rooms:
+        for mutant in c_mutants() if room == FIRMWARE else python_mutants(room):
+            sites.setdefault(mutant.site, []).append((room, mutant))
+    print(f"{sum(map(len, sites.values()))} mutants of {len(sites)} expressions", flush=True)
+    draw = random.Random(seed)
+    reasons = equivalent()
+    sample = [draw.choice(sites[site]) for site in draw.sample(list(sites), len(sites))]
+    return [(room, one) for room, one in sample if described(one) not in reasons][:count]
+
+
+def described(mutant: PythonMutant | CMutant) -> str:
+    """File, changed line without its indentation, and change; line numbers do not last."""
+    path = mutant.path.resolve()
+    line = path.read_text("utf-8").splitlines()[mutant.line - 1].strip()
+    return f"{path.relative_to(ROOT).as_posix()} | {line} | {mutant.name}"
+
+
+def equivalent() -> set[str]:
+    """Mutants that change nothing computable: lines of the file that begin without a space."""
+    lines = EQUIVALENT.read_text("utf-8").splitlines() if EQUIVALENT.exists() else []
+    return {line for line in lines if line and not line.startswith((" ", "#"))}
+
+
+def verdict(room: str, mutant: PythonMutant | CMutant) -> str:
+    """ "caught" or "SURVIVED"; "invalid" if it does not compile."""
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider"]
+    variables = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}
+    try:
+        with mutant.applied():
+            done = subprocess.run(
+                [*command, *TESTS[room].split()],
+                cwd=ROOT,
+                env=variables,
+                capture_output=True,
+                timeout=LIMIT,
+                check=False,
+            )
+    except subprocess.TimeoutExpired:
+        return "caught"
+    except subprocess.CalledProcessError:
+        return "invalid"
+    return "caught" if done.returncode else "SURVIVED"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--count", type=int, default=150)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--folders", nargs="*", default=list(TESTS), choices=list(TESTS))
-    chosen = parser.parse_args()
-    dirty = subprocess.run(["git", "diff", "--quiet"], cwd=ROOT, check=False).returncode
-    if dirty:
+    parser.add_argument("--part", default="1/1", help="k/n: every n-th of them, from the k-th")
+    parser.add_argument("--rooms", nargs="*", default=list(PRODUCT), choices=list(TESTS))
+    options = parser.parse_args()
+    if subprocess.run(["git", "diff", "--quiet"], cwd=ROOT, check=False).returncode:
         sys.exit("the clone has changes: commit or stash them first")
-    for part in set(TESTS) - set(chosen.folders):
-        del TESTS[part]
-    every = mutants()
-    random.seed(chosen.seed)
-    sample = random.sample(every, min(chosen.count, len(every)))
-    print(f"{len(sample)} of {len(every)} mutants")
-    caught = 0
-    for k, (tests, mutation) in enumerate(sample, 1):
+    first, step = map(int, options.part.split("/"))
+    sample = drawn(options.rooms, options.count, options.seed)[first - 1 :: step]
+    verdicts = []
+    for number, (room, mutant) in enumerate(sample, 1):
         begin = time.monotonic()
-        command = f"{sys.executable} -m pytest -x -q -p no:cacheprovider {tests}"
-        result = mutate_and_test([mutation], command, LIMIT)
-        killed = result.test_outcome != TestOutcome.SURVIVED
-        caught += killed
-        place = f"{mutation.module_path}:{mutation.start_pos[0]}"
-        name = mutation.operator_name.removeprefix("core/")
-        verdict = "caught" if killed else "SURVIVED"
-        print(f"{k:3d} {verdict:8s} {time.monotonic() - begin:5.0f} s  {place} {name}", flush=True)
-    n, p = len(sample), caught / len(sample)
-    half = 1.96 * (p * (1 - p) / n) ** 0.5
-    print(f"caught {caught} of {n}: {p:.0%} ± {half:.0%}")
+        text = described(mutant)
+        verdicts.append(verdict(room, mutant))
+        seconds = time.monotonic() - begin
+        print(f"{number:3d} {verdicts[-1]:8s} {seconds:4.0f} s  {mutant.line}: {text}", flush=True)
+    caught = verdicts.count("caught")
+    count = len(verdicts) - verdicts.count("invalid")
+    interval = binomtest(caught, count).proportion_ci()
+    print(f"caught {caught} of {count}: {caught / count:.0%}, with 95 % between", end=" ")
+    print(f"{interval.low:.0%} and {interval.high:.0%}")
 
 
 if __name__ == "__main__":

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pytest
+from _pytest.mark import ParameterSet
 
 ROOT = Path(__file__).parents[2]
 #: The C sources, and the programs that test them.
@@ -21,10 +23,18 @@ SANITIZERS = [
     "-fsanitize=address,undefined,float-divide-by-zero",
     "-fno-sanitize-recover=all",
 ]
-COMPILERS = [
-    pytest.param(name, marks=pytest.mark.skipif(not shutil.which(name), reason=f"no {name} here"))
-    for name in ("gcc", "clang")
-]
+_ZIG = (sys.executable, "-m", "ziglang")
+#: Commands of two compilers; PyPI's ziglang is Clang.
+COMPILERS = [pytest.param(("gcc",), id="gcc"), pytest.param((*_ZIG, "cc"), id="clang")]
+CPP_COMPILERS = [pytest.param(("g++",), id="g++"), pytest.param((*_ZIG, "cc"), id="clang++")]
+
+
+def cross_compiler(name: str) -> ParameterSet:
+    """A parameter: the name of a compiler that may be missing."""
+    missing = shutil.which(name) is None
+    return pytest.param(
+        name, marks=pytest.mark.skipif(missing, reason=f"no cross compiler: {name}")
+    )
 
 
 @dataclass
@@ -50,13 +60,13 @@ class Compiled:
         return self.objects[key]
 
     def program(
-        self, folder: Path, compiler: str, precision: str, extra: Sequence[str] = ()
+        self, folder: Path, compiler: Sequence[str], precision: str, extra: Sequence[str] = ()
     ) -> Path:
         """Of an exported folder; `extra` options go to all of its sources."""
-        key = (folder, compiler, precision, *extra)
+        key = (folder, *compiler, precision, *extra)
         if key not in self.programs:
             chosen = f"-DFO_SINGLE={int(precision == 'single')}"
-            command = [compiler, *STRICT, chosen, *extra]
+            command = [*compiler, *STRICT, chosen, *extra]
             made = self.scratch / f"replay{len(self.programs)}"
             parts = [HARNESS / "replay.c", self.observer(folder, *command)]
             parts += [*folder.glob("fluxobs_map.c"), *folder.glob("*_observer.c")]

@@ -14,7 +14,7 @@ playwright = pytest.importorskip("playwright.sync_api")
 def browser():
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")
     if chromium is None:
-        pytest.skip("Chromium is missing")
+        pytest.skip("no browser: chromium")
     with playwright.sync_playwright() as started:
         options = ["--no-sandbox", "--disable-gpu"]
         made = started.chromium.launch(executable_path=chromium, args=options)

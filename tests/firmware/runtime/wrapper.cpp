@@ -1,6 +1,6 @@
 /* In an exported folder: the class of fluxobs.hpp beside the C functions, sample by sample. */
-#include <cstdio>
-#include <cstring>
+#include <stdio.h>
+#include <string.h>
 
 #include "fluxobs.hpp"
 #include "motor_observer.h"
@@ -32,16 +32,16 @@ int main() {
         const fo_real *row = samples[k];
         (void)motor.step({row[0], row[1]}, {row[2], row[3]});
         step(state, row, e);
-        if (std::memcmp(&motor.position().flux, &position(e).flux, sizeof e) == 0 ||
+        if (memcmp(&motor.position().flux, &position(e).flux, sizeof e) == 0 ||
             motor.position().theta_e == position(e).theta_e) {
             valid += motor.position().valid ? 1 : 0;
         } else {
-            std::printf("sample %d differs\n", k);
+            printf("sample %d differs\n", k);
             return 1;
         }
     }
     if (motor.counts().restarts == 0U || valid == 0) {
-        std::printf("%d valid\n", valid);
+        printf("%d valid\n", valid);
         return 1;
     }
     fo_seed at = {};

@@ -1,0 +1,139 @@
+"""One-line errors in the C sources: operators, comparisons, conditions, constants."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from clang.cindex import Cursor, CursorKind, Index, TokenKind, TranslationUnit
+
+ROOT = Path(__file__).parents[2]
+FIRMWARE = ROOT / "firmware"
+BUILD = ROOT / "build" / "mutants"
+#: Where the installed package keeps compiled modules and the sources that it exports.
+PACKAGE = Path(sysconfig.get_path("purelib")) / "fluxobs"
+#: Binary operator → what an error makes of it.
+SWAPS = {
+    "+": "-*", "-": "+*", "*": "+/", "/": "*-",
+    "<": ("<=", ">"), "<=": ("<", ">"), ">": (">=", "<"), ">=": (">", "<"),
+    "==": ("!=",), "!=": ("==",), "&&": ("||",), "||": ("&&",),
+    "+=": ("-=",), "-=": ("+=",), "*=": ("/=",), "/=": ("*=",),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class CMutant:
+    """Bytes of a source file, and what replaces them."""
+
+    path: Path
+    line: int
+    name: str
+    site: tuple[object, ...]
+    start: int
+    end: int
+    text: str
+
+    @contextmanager
+    def applied(self) -> Iterator[None]:
+        """The compiled package holds the error inside.
+
+        Raises
+        ------
+        subprocess.CalledProcessError
+            It does not compile.
+        """
+        original = self.path.read_bytes()
+        try:
+            self.path.write_bytes(
+                original[: self.start] + self.text.encode() + original[self.end :]
+            )
+            install()
+            yield
+        finally:
+            self.path.write_bytes(original)
+            install()
+
+
+def install() -> None:
+    """Compile the sources as they are into the installed package."""
+    if not BUILD.exists():
+        nanobind = subprocess.run(
+            [sys.executable, "-m", "nanobind", "--cmake_dir"],
+            check=True, capture_output=True, text=True,
+        )  # fmt: skip
+        configure = ["cmake", "-S", ROOT, "-B", BUILD, "-G", "Ninja"]
+        configure += [f"-DPython_EXECUTABLE={sys.executable}"]
+        configure += [f"-Dnanobind_DIR={nanobind.stdout.strip()}"]
+        subprocess.run(configure, check=True, capture_output=True)
+    subprocess.run(["cmake", "--build", BUILD], check=True, capture_output=True)
+    for module in BUILD.glob("_core*.*"):
+        if module.suffix in (".so", ".pyd"):
+            # A new file: the old one may be mapped by a process that still runs.
+            shutil.copy(module, PACKAGE / f".{module.name}")
+            os.replace(PACKAGE / f".{module.name}", PACKAGE / module.name)
+    for source in FIRMWARE.glob("*.[ch]"):
+        shutil.copy(source, PACKAGE / "firmware" / source.name)
+
+
+def c_mutants(pattern: str = "*.c") -> list[CMutant]:
+    """All errors in the firmware's sources, their functions and the constants defined in them."""
+    mutants = []
+    index = Index.create()
+    for path in sorted(FIRMWARE.glob(pattern)):
+        unit = index.parse(
+            str(path),
+            args=["-std=c99", f"-I{FIRMWARE}", "-DFO_SINGLE=0"],
+            options=TranslationUnit.PARSE_DETAILED_PROCESSING_RECORD,
+        )
+        for cursor in unit.cursor.walk_preorder():
+            if cursor.location.file is not None and Path(cursor.location.file.name) == path:
+                mutants += _of_cursor(path, cursor)
+    return list({(mutant.path, mutant.start, mutant.text): mutant for mutant in mutants}.values())
+
+
+def _of_cursor(path: Path, cursor: Cursor) -> Iterator[CMutant]:
+    tokens = list(cursor.get_tokens())
+    match cursor.kind:
+        case CursorKind.BINARY_OPERATOR | CursorKind.COMPOUND_ASSIGNMENT_OPERATOR:
+            left = next(cursor.get_children())
+            after = [
+                token for token in tokens if token.extent.start.offset >= left.extent.end.offset
+            ]
+            operator = next((token for token in after if token.spelling in SWAPS), None)
+            for text in SWAPS[operator.spelling] if operator else ():
+                yield _mutant(path, operator, text)
+        case CursorKind.UNARY_OPERATOR if tokens and tokens[0].spelling in ("!", "-"):
+            yield _mutant(path, tokens[0], " ")
+        case CursorKind.INTEGER_LITERAL | CursorKind.FLOATING_LITERAL if tokens:
+            yield from _of_number(path, tokens[0])
+        case CursorKind.MACRO_DEFINITION:
+            for token in tokens[1:]:
+                yield from _of_number(path, token)
+
+
+def _of_number(path: Path, token: object) -> Iterator[CMutant]:
+    """One more and one less, as for Python."""
+    if token.kind is not TokenKind.LITERAL or not re.fullmatch(
+        r"(\d+\.?\d*(?:[eE][-+]?\d+)?)[uUfFlL]*", token.spelling
+    ):
+        return
+    number, suffix = re.fullmatch(r"([\d.eE+-]+)([uUfFlL]*)", token.spelling).groups()
+    for step in (1, -1):
+        changed = float(number) + step if re.search("[.eE]", number) else int(number) + step
+        yield _mutant(
+            path, token, f"({changed!r}{suffix})" if changed < 0 else f"{changed!r}{suffix}"
+        )
+
+
+def _mutant(path: Path, token: object, text: str) -> CMutant:
+    start, end = token.extent.start, token.extent.end
+    name = f"{token.spelling} -> {text.strip() or 'nothing'}"
+    return CMutant(path, start.line, name, (path, start.offset), start.offset, end.offset, text)
