@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 
 from fluxobs.checking.mistakes import AS_GIVEN, FACTOR, FILE, SIGN, together
-from fluxobs.checking.relation import INVERTER, PSI, L, Prior, R, Relation, rows
+from fluxobs.checking.relation import (
+    INDEPENDENT,
+    INVERTER,
+    MODEL,
+    PSI,
+    L,
+    Prior,
+    R,
+    Relation,
+    rows,
+)
 from fluxobs.checking.stretches import Stretches, stretches, without_spikes
 from fluxobs.logs import read_log
 from support.records import CURRENTS, MACHINES, PMSM, course, log_columns, steady
@@ -92,3 +102,22 @@ def test_spikes_are_rows_that_come_back():
     assert found == 2
     np.testing.assert_allclose(mended, clean, atol=1e-4)
     assert without_spikes(stepped)[1] == without_spikes(clean)[1] == 0
+
+
+@pytest.mark.parametrize("off", [0.0, 0.02, 0.3])
+def test_the_misfit_is_hubers_loss_of_pairs(data, off):
+    """Of the positions that it states: squares of near residuals, straight lines of far ones."""
+    at = relation(PMSM, data)
+    values = np.array([0.0, 0.0, off, 0.0])
+    start = np.zeros((len(data.current), 1), complex)
+    point = at._evaluate(values, start + PMSM.psi_f, start, PMSM.psi_f, LOOSE)
+    residual = np.abs(point.position) - PMSM.psi_f * np.exp(off)
+    size = np.sqrt(np.mean(np.abs(point.position) ** 2))
+    std = np.hypot(MODEL * size, PMSM.L_s * 0.02)
+    one, other = residual[:, 0::2] / std, residual[:, 1::2] / std
+    mean = np.abs(one + other) / 2
+    loss = np.where(mean > 1.345, 2 * 1.345 * mean - 1.345**2, one * other)
+    assert (mean > 1.345).any()
+    assert point.misfit == pytest.approx(2 * loss.sum() * INDEPENDENT / residual.shape[1])
+    offset = values @ LOOSE.precision @ values
+    assert point.cost == pytest.approx(point.misfit + offset)

@@ -6,7 +6,6 @@ import pytest
 
 from fluxobs import demo_log
 from fluxobs.html import document, paragraph
-from support.browser import template
 from support.cli import fluxobs
 
 LOG = demo_log().path
@@ -20,7 +19,6 @@ def stands_alone(text):
 
 
 def test_estimate_writes_a_report(tmp_path):
-    template("report.html")
     run = ("estimate", LOG, "--machine", "servo-400w", "--report", "r.html")
     done = fluxobs(*run, folder=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -37,7 +35,6 @@ def test_estimate_writes_a_report(tmp_path):
 
 
 def test_the_page_is_written_once(tmp_path):
-    template("page.html")
     done = fluxobs("page", "--out", "p.html", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     stands_alone((tmp_path / "p.html").read_text(encoding="utf-8"))

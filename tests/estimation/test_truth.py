@@ -214,3 +214,19 @@ def test_a_speed_that_drops_out():
     result = fitted("speed_mech", {"w": np.where(np.arange(len(THETA)) > 6000, 0.0, speed)})
     assert "of the largest speed" in result.truth_fit.lost
     assert fitted("speed_mech", {"w": speed}).truth_fit.lost is None
+
+
+def test_errors_that_repeat_within_a_turn_are_in_the_standard_deviations():
+    """Rows of a turn are not independent: an error that no parameter explains, three times a turn,
+    counts once a turn, and against the delay once for the whole range of speed."""
+    faults = encoder(zero=0.1, once=0.01, delay=50e-6)
+    shaft = THETA / N_P
+    faults["angle"] = np.mod(faults["angle"] + 0.02 * np.cos(3 * shaft), 2 * np.pi)
+    fit = fitted("theta_mech", faults).truth_fit
+    assert fit.rms == pytest.approx(N_P * 0.02 / np.sqrt(2), rel=0.05)
+    turns = np.abs(np.diff(shaft)).sum() / (2 * np.pi)
+    speeds = np.ptp(np.gradient(THETA, H))
+    assert fit["eccentricity 1"].std > 0.9 * fit.rms / np.sqrt(turns) / N_P
+    assert fit["eccentricity 1"].std < 3 * fit.rms / np.sqrt(turns) / N_P
+    assert fit["delay"].std > 0.9 * fit.rms / speeds
+    assert fit["delay"].std < 3 * fit.rms / speeds

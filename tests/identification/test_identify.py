@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 from fluxobs import FluxobsError, identify, read_log
-from fluxobs.identification.fit import UNCERTAIN, evaluate
+from fluxobs.identification.fit import UNCERTAIN, _believed, evaluate
 from fluxobs.identification.identify import read_free
 from fluxobs.identification.pieces import pieces
 from fluxobs.machines import example, example_text, read_machine
@@ -190,3 +190,10 @@ def test_command_line(rich, tmp_path):
         assert words in failed.stderr
     assert (tmp_path / "found.toml").read_text() == written
     assert not (tmp_path / "x.toml").exists()
+
+
+def test_twenty_rows_count_as_one_against_a_prior():
+    """They repeat one another's errors: the prior's row is that much heavier."""
+    rows = _believed({"R_s": (0.4, 0.05), "L_q": (1.0, 0.1)}, ["psi_f", "R_s"])
+    found = rows({"psi_f": 1.0, "R_s": 0.5})
+    np.testing.assert_allclose(found, np.sqrt(20) * np.array([[0.0, 1 / 0.05, 2.0]]))

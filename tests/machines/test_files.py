@@ -73,3 +73,12 @@ def test_unreadable_files(tmp_path, text, message):
         path.write_text(text)
     with pytest.raises(MachineError, match=message):
         read_machine(path)
+
+
+def test_the_transient_inductance_is_the_mean_over_directions():
+    """A voltage step in a direction n raises the current along it by n'L⁻¹n per second."""
+    machine = example("ipm-2kw2")
+    n = np.array([np.cos(a := np.linspace(0, np.pi, 360, endpoint=False)), np.sin(a)])
+    rise = np.einsum("ik,ij,jk->k", n, np.diag(1 / np.array(machine.L_dq)), n)
+    assert machine.transient_inductance == pytest.approx(1 / rise.mean(), rel=1e-12)
+    assert machine.transient_inductance < 0.99 * np.mean(machine.L_dq)

@@ -439,3 +439,27 @@ def test_what_is_refused(change, message):
     }
     with pytest.raises(ValueError, match=message):
         ImmersionObserver(**(fields | change))
+
+
+@pytest.mark.parametrize("assumed", [1.0, 100.0])
+def test_what_no_row_tells_is_as_uncertain_as_the_prior(assumed):
+    """At rest the drift cannot be seen: however small the innovations are, beside noise that was
+    assumed too large, its standard deviation stays that of the prior."""
+    machine = MACHINES["servo-400w"]
+    h, rows, prior = 2e-4, 600, 0.5
+    observer = ImmersionObserver(
+        Immersion(machine.constraint),
+        machine.R,
+        machine.B,
+        h,
+        0.02,
+        np.full(2, machine.psi_f),
+        np.array([assumed * 1e-3 * machine.psi_f**2]),
+        prior,
+    )
+    i = np.tile([3.0, 1.0], (rows, 1))
+    found = observer.run(i @ machine.R.T, i)
+    assert not found.valid.any()
+    across = np.linalg.norm(found.drift_std[-1])  # one direction is seen: along the flux
+    assert 0.5 * prior < across < 2 * prior
+    assert found.flux_std[-1].max() > 0.3 * machine.psi_f

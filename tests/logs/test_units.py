@@ -1,0 +1,31 @@
+"""Units that are read off values: limits, and what lies just beyond them."""
+
+import numpy as np
+import pytest
+
+from fluxobs.logs.guess import TURNS, turn_of
+
+
+@pytest.mark.parametrize(("turn", "unit"), TURNS.items())
+@pytest.mark.parametrize("share", [0.01, 0.09, 0.15, 0.19])
+def test_an_angle_wraps_at_its_turn(turn, unit, share):
+    """However fast it turns, below a fifth of a turn a sample."""
+    assert turn_of(np.mod(share * turn * np.arange(200), turn)) == unit
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_an_angle_that_turns_by_more_in_a_sample_says_nothing(turn):
+    assert turn_of(np.mod(0.21 * turn * np.arange(200), turn)) is None
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_an_angle_that_does_not_wrap_says_nothing(turn):
+    assert turn_of(0.004 * turn * np.arange(200)) is None
+    assert turn_of(np.zeros(200)) is None
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_jumps_beyond_a_turn_are_no_wraps(turn):
+    angle = np.mod(0.05 * turn * np.arange(200), turn)
+    angle[100:] += 1.3 * turn
+    assert turn_of(angle) is None
