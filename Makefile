@@ -1,5 +1,6 @@
 # make demo   the main job on a log shipped with the package: summary, estimates, picture
-# make test   all tests
+# make test   the tests
+# make slow   the tests that take long and rarely break
 # make check  lint, types, and the C sources under every warning, MISRA and the sanitizers
 # make hosts  the observer in motulator's closed loop; needs Python 3.12
 # make pil    an exported firmware on emulated microcontrollers, its instructions counted
@@ -20,13 +21,16 @@ PAGE := src/fluxobs/web/page.html
 PAGE_SOURCES := $(wildcard web/*.py web/*.c web/*.json web/app/* web/runtime/*) binding/columns.h \
     $(shell find src/fluxobs -name '*.py')
 
-.PHONY: demo test check lint warnings misra sanitize hosts pil fuzz bench docs page clean
+.PHONY: demo test slow check lint warnings misra sanitize hosts pil fuzz bench docs page clean
 
 demo: $(READY) $(PAGE)
 	$(BIN)/fluxobs demo --out fluxobs-demo
 
 test: $(READY) $(PAGE)
 	$(BIN)/python -m pytest -n auto --dist worksteal
+
+slow: $(READY) $(PAGE)
+	$(BIN)/python -m pytest -n auto --dist worksteal -m slow
 
 $(READY): $(SOURCES)
 	@$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Python 3.11 or newer is needed"'
