@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -15,6 +14,7 @@ import polars as pl
 from polars.io.plugins import register_io_source
 
 from .errors import FluxobsError
+from .locks import is_at, lock
 
 Part = TypeVar("Part")
 Schema = dict[str, pl.DataType | type[pl.DataType]]
@@ -49,7 +49,7 @@ def check_new(path: Path, endings: Sequence[str], force: bool, option: str = "--
         words = f"{', '.join(endings[:-1])} or {endings[-1]}" if endings[1:] else endings[0]
         raise FluxobsError(f"{path}: {option} must end in {words}")
     check_place(path)
-    if path.exists() and not force:
+    if os.path.lexists(path) and not force:
         raise FluxobsError(f"{path}: exists; give another name, or --force to overwrite it")
 
 
@@ -64,25 +64,89 @@ def check_out(out: str | Path, log: Path, force: bool = False) -> Path:
 
 
 @contextmanager
-def replacing(out: Path) -> Iterator[IO[bytes]]:
+def replacing(out: Path, force: bool = True) -> Iterator[IO[bytes]]:
     """A new file beside `out`, which becomes it at the end, or is removed if that is not reached.
+
+    Parameters
+    ----------
+    out : Path
+    force : bool
+        Whether it may replace a file that is there at the end.
 
     Raises
     ------
     FluxobsError
-        It cannot be written.
+        It cannot be written, or another run is writing it.
     """
-    part_file = out.with_name(f".{out.name}.part")
+    unfinished = out.with_name(f".{out.name}.part")
     try:
-        part_file.unlink(missing_ok=True)  # of a killed run; or a link, which "x" never follows
-        with part_file.open("xb") as handle:
+        with _claimed(unfinished, out) as handle:
             yield handle
-        part_file.replace(out)
+            handle.flush()
+            if not is_at(handle.fileno(), unfinished):  # only without locks
+                raise _busy(out)
+            if not force and os.path.lexists(out):
+                raise FluxobsError(
+                    f"{out}: exists, and was made during this run; give another name, or --force "
+                    f"to overwrite it"
+                )
+            if os.name == "nt":  # Windows moves no open file
+                handle.close()
+            unfinished.replace(out)
     except OSError as error:
-        raise FluxobsError(f"{out}: cannot be written: {error.strerror}") from None
+        raise FluxobsError(f"{out}: cannot be written: {error.strerror or error}") from None
+
+
+@contextmanager
+def _claimed(unfinished: Path, out: Path) -> Iterator[IO[bytes]]:
+    """The unfinished file of this run, made anew and locked; it is gone at the end."""
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+    while True:
+        _remove_left(unfinished, out)
+        with suppress(FileExistsError):  # another run was faster: it is asked again
+            handle = os.fdopen(os.open(unfinished, flags, 0o666), "wb")
+            if lock(handle.fileno()) and is_at(handle.fileno(), unfinished):
+                break
+            handle.close()
+    try:
+        yield handle
     finally:
-        with suppress(OSError):
-            part_file.unlink()
+        try:
+            if os.name == "nt":  # Windows removes no open file
+                handle.close()
+            if os.name == "nt" or is_at(handle.fileno(), unfinished):
+                unfinished.unlink(missing_ok=True)
+        finally:
+            handle.close()
+
+
+def _remove_left(unfinished: Path, out: Path) -> None:
+    """Remove what a killed run left, or a link, through which nothing is written.
+
+    Raises
+    ------
+    FluxobsError
+        The run that writes it still goes on.
+    """
+    if os.name == "nt" or unfinished.is_symlink():  # Windows removes no file that is open
+        unfinished.unlink(missing_ok=True)
+        return
+    try:
+        # Without waiting: it may be a pipe.
+        left = os.open(unfinished, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except FileNotFoundError:
+        return
+    try:
+        if not lock(left):
+            raise _busy(out)
+        if is_at(left, unfinished):
+            unfinished.unlink()
+    finally:
+        os.close(left)
+
+
+def _busy(out: Path) -> FluxobsError:
+    return FluxobsError(f"{out}: another run is writing this file; wait for its end, or stop it")
 
 
 def write_text(out: Path, text: str) -> None:
@@ -91,13 +155,16 @@ def write_text(out: Path, text: str) -> None:
         handle.write(text.encode())
 
 
-def write_rows(out: Path, schema: Schema, frames: Iterator[pl.DataFrame]) -> None:
+def write_rows(
+    out: Path, schema: Schema, frames: Iterator[pl.DataFrame], force: bool = True
+) -> None:
     """Stream frames into .parquet or .csv; `out` appears only when all are written.
 
     Raises
     ------
     FluxobsError
-        Making a frame raised it, or the file cannot be written.
+        Making a frame raised it, the file cannot be written, another run is writing it, or it
+        appeared meanwhile and `force` is not given.
     """
     failure: FluxobsError | None = None
     stop = threading.Event()
@@ -112,35 +179,25 @@ def write_rows(out: Path, schema: Schema, frames: Iterator[pl.DataFrame]) -> Non
         except FluxobsError as problem:  # Polars would wrap it: raised below
             failure = problem
 
-    try:
-        handle, name = tempfile.mkstemp(suffix=".part", prefix=f".{out.name}.", dir=out.parent)
-    except OSError as error:
-        raise FluxobsError(f"{out}: cannot be written: {error.strerror}") from None
-    os.close(handle)
-    part_file = Path(name)
-    try:
-        lazy = register_io_source(lambda columns, predicate, n, size: rows(), schema=schema)
-        _sink(lazy, part_file, out.suffix, stop)
+    lazy = register_io_source(lambda columns, predicate, n, size: rows(), schema=schema)
+    with replacing(out, force) as handle:
+        try:
+            _sink(lazy, handle, out.suffix, stop)
+        except pl.exceptions.PolarsError as error:
+            raise FluxobsError(f"{out}: cannot be written: {error}") from None
         if failure is not None:
             raise failure
-        part_file.chmod(0o666 & ~_umask())
-        part_file.replace(out)
-    except (OSError, pl.exceptions.PolarsError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise FluxobsError(f"{out}: cannot be written: {reason}") from None
-    finally:
-        part_file.unlink(missing_ok=True)
 
 
-def _sink(lazy: pl.LazyFrame, path: Path, suffix: str, stop: threading.Event) -> None:
+def _sink(lazy: pl.LazyFrame, file: IO[bytes], suffix: str, stop: threading.Event) -> None:
     """Write in another thread, so that an interrupt reaches this one and ends the writing."""
     with ThreadPoolExecutor(max_workers=1) as writer:
         if suffix == ".csv":
-            job = writer.submit(lazy.sink_csv, path)
+            job = writer.submit(lazy.sink_csv, file)
         else:
             job = writer.submit(
                 lazy.sink_parquet,
-                path,
+                file,
                 compression="zstd",
                 compression_level=1,
                 statistics=False,
@@ -159,9 +216,3 @@ def ahead(parts: Iterator[Part]) -> Iterator[Part]:
         while (part := coming.result()) is not None:
             coming = reader.submit(next, parts, None)
             yield part
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -12,6 +12,7 @@ import polars as pl
 
 from ..errors import FluxobsError
 from ..links import open_own, refuse_link
+from ..locks import lock
 
 #: Ending of files that are being written.
 UNFINISHED = ".unfinished"
@@ -27,16 +28,10 @@ def locked(folder: Path) -> Iterator[None]:
         Another process works in it, it cannot be written, or a link in it leads elsewhere.
     """
     with os.fdopen(open_own(folder / ".lock"), "wb") as handle:
-        try:
-            import fcntl
-
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except ImportError:  # Windows: files are still whole or not there
-            pass
-        except OSError:
+        if not lock(handle.fileno()):
             raise FluxobsError(
                 f"{folder}: another run works in this folder; wait for its end, or stop it"
-            ) from None
+            )
         _tidy(folder)
         yield
 

@@ -100,7 +100,7 @@ def estimate(
     everything = chain([first], made)
     table = None
     if path is not None:
-        write_rows(path, dict(first.schema), everything)
+        write_rows(path, dict(first.schema), everything, force)
     elif keep:
         table = pl.concat(everything)
     else:
