@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
@@ -78,13 +77,40 @@ def test_the_log_itself_is_no_place_for_the_recording(tmp_path):
     assert log.read_bytes() == LOG.read_bytes()
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a full disk")
-def test_a_full_disk_is_said(tmp_path):
-    (tmp_path / "run.csv").symlink_to("/dev/full")
-    given = ["-", "--machine", "servo-400w", "--text", "--save", tmp_path / "run.csv", "--force"]
-    done = subprocess.run([*LIVE, *given], input=LOG.read_bytes(), capture_output=True, timeout=120)
-    assert done.returncode == 2
-    assert b"run.csv: cannot be written: No space left" in done.stderr
+def test_the_second_run_of_one_name_harms_no_recording(tmp_path):
+    given = [*LIVE, "-", "--machine", "servo-400w", "--text", "--save", tmp_path / "run.csv"]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    lines = LOG.read_bytes().splitlines(keepends=True)
+    with subprocess.Popen(given, **pipes) as first:
+        first.stdin.write(b"".join(lines[:3000]))
+        first.stdin.flush()
+        end = time.monotonic() + 60
+        while not (tmp_path / "run.csv").exists() and time.monotonic() < end:
+            time.sleep(0.05)
+        for more in ([], ["--force"]):
+            done = fluxobs(*given[3:], *more, folder=tmp_path)
+            assert done.returncode == 2
+            assert "Written" not in done.stdout
+        out, err = first.communicate(b"".join(lines[3000:]), timeout=120)
+    assert first.returncode == 0, err
+    assert b"Written" in out
+    assert (tmp_path / "run.csv").read_bytes() == LOG.read_bytes()
+
+
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_to_end_loses_nothing_that_came(tmp_path, end):
+    rows = LOG.read_bytes().split(b"\n", 1)[1][:4000]  # it takes so few at once
+    given = [*LIVE, "-", "--machine", "servo-400w", "--text", "--save", tmp_path / "run.csv"]
+    with subprocess.Popen(given, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as running:
+        running.stdin.write(rows)
+        running.stdin.flush()
+        while b"waiting" not in running.stdout.readline():
+            pass
+        running.send_signal(end)
+        running.stdin.close()
+        running.wait(timeout=60)
+    assert [path.name for path in tmp_path.iterdir()] == ["run.raw"]
+    assert (tmp_path / "run.raw").read_bytes() == rows
 
 
 def test_a_stream_without_names_says_which_option_gives_them(tmp_path):

@@ -12,7 +12,6 @@ from urllib.request import Request, urlopen
 import pytest
 
 from fluxobs.errors import FluxobsError
-from fluxobs.live.recorder import Recorder
 from fluxobs.live.sources import Demo, open_source
 
 
@@ -134,14 +133,6 @@ def test_what_is_not_there(text, words):
     pytest.importorskip("serial")
     with pytest.raises(FluxobsError, match=words):
         open_source(text, 115200)
-
-
-def test_a_recording_is_in_the_file_though_nobody_closed_it(tmp_path):
-    path = tmp_path / "run.csv"
-    with Recorder(path) as made:
-        assert not path.exists()
-        made.add(b"a\n1\n")
-        assert path.read_bytes() == b"a\n1\n"
 
 
 # ---- the server ------------------------------------------------------------------------------

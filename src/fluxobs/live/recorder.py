@@ -2,31 +2,73 @@
 
 from __future__ import annotations
 
+import os
+from io import FileIO
+from itertools import count
 from pathlib import Path
-from typing import IO, Self
+from typing import Self
 
 from ..errors import FluxobsError
+from ..links import open_own
+from ..locks import lock
 
 
 class Recorder:
-    """Writes lines to a file, which is made when the first ones come.
+    """Writes lines to a file that is its own from the start: made anew, or locked.
+
+    What was in the file before stays until the first lines come. A new file in which nothing was
+    written is removed.
 
     Parameters
     ----------
     path : Path
+    force : bool
+        Whether a file that exists may be overwritten.
+
+    Attributes
+    ----------
+    written : bool
+        Whether lines have come.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._file: IO[bytes] | None = None
+    def __init__(self, path: Path, force: bool = False) -> None:
+        self.path, self.force = path, force
+        self.written = False
+        self._file: FileIO
 
     def __enter__(self) -> Self:
+        """Open the file.
+
+        Raises
+        ------
+        FluxobsError
+            It exists and `force` is not given, is a link, belongs to another run, or cannot be
+            written.
+        """
+        if self.path.exists() and not self.path.is_file():
+            raise FluxobsError(f"{self.path}: is no regular file; give another name")
+        self._made = not (self.force and os.path.lexists(self.path))
+        try:
+            if self._made:
+                self._file = self.path.open("xb", buffering=0)
+            else:
+                self._file = os.fdopen(open_own(self.path), "wb", buffering=0)
+        except FileExistsError:
+            raise FluxobsError(
+                f"{self.path}: exists; give another name, or --force to overwrite it"
+            ) from None
+        except OSError as error:
+            raise self._failed(error) from None
+        if not lock(self._file.fileno()):
+            self._file.close()
+            raise FluxobsError(f"{self.path}: another run records into it; give another name")
         return self
 
     def __exit__(self, *_: object) -> None:
         try:
-            if self._file is not None:
-                self._file.close()
+            self._file.close()
+            if self._made and not self.written:
+                self.path.unlink(missing_ok=True)
         except OSError as error:
             raise self._failed(error) from None
 
@@ -39,13 +81,35 @@ class Recorder:
             The file cannot be written.
         """
         try:
-            if self._file is None:
-                self._file = self.path.open("wb")
-            self._file.write(lines)
-            self._file.flush()
+            if not self.written:
+                self._file.truncate(0)
+            self.written = True
+            rest = memoryview(lines)
+            while rest:
+                rest = rest[self._file.write(rest) :]
         except OSError as error:
             raise self._failed(error) from None
 
     def _failed(self, error: OSError) -> FluxobsError:
-        self._file = None
         return FluxobsError(f"{self.path}: cannot be written: {error.strerror}")
+
+
+def save_raw(path: Path, data: bytes) -> Path:
+    """Write bytes beside a recording, to the first name that is free: run.raw, run-2.raw, …
+
+    Raises
+    ------
+    FluxobsError
+        They cannot be written.
+    """
+    for n in count(1):
+        raw = path.with_name(f"{path.stem}{f'-{n}' if n > 1 else ''}.raw")
+        try:
+            with raw.open("xb") as file:
+                file.write(data)
+            return raw
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise FluxobsError(f"{raw}: cannot be written: {error.strerror}") from None
+    raise AssertionError("numbers never end")

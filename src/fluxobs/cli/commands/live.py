@@ -9,7 +9,6 @@ import time
 import webbrowser
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -102,11 +101,13 @@ def live(
         "priors": numbers("prior", prior),
     }
     problem: FluxobsError | None = None
+    recorder = None if save is None else Recorder(save, force)
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="fluxobs-"))
         watch = Watch(given, Path(folder) / "stream", **settings, **layout)
-        if save is not None:
-            watch.record(stack.enter_context(Recorder(save)).add)
+        if recorder is not None:
+            watch.record(stack.enter_context(recorder).add)
+            stack.callback(_keep_unread, recorder.path, watch)
         stopping = stack.enter_context(_Stopping())
         try:
             if text:
@@ -119,32 +120,29 @@ def live(
             pass
         except FluxobsError as error:
             problem = error
-    if save is not None:
-        _say_written(save, watch, str(machine or DEMO_MACHINE))
+    if recorder is not None and recorder.written:
+        _say_written(recorder.path, watch, str(machine or DEMO_MACHINE))
     if problem is not None:
         raise problem
 
 
-def _say_written(save: Path, watch: Watch, machine: str) -> None:
+def _keep_unread(save: Path, watch: Watch) -> None:
+    """Write what came before there were rows, whatever ends the stream."""
+    from ...live.recorder import save_raw
+
     if watch.unread:
-        raw = next(
-            path
-            for n in count(1)
-            if not (path := save.with_name(f"{save.stem}{f'-{n}' if n > 1 else ''}.raw")).exists()
-        )
-        try:
-            raw.write_bytes(watch.unread)
-        except OSError as error:
-            raise FluxobsError(f"{raw}: cannot be written: {error.strerror}") from None
+        raw = save_raw(save, watch.unread)
         typer.echo(f"Written: {raw}, as it came: no rows were found in it")
-    elif save.exists():
-        typer.echo(f"Written: {save}")
-        words = ["fluxobs", "estimate", str(save), "--machine", machine]
-        if watch.log is not None and watch.log.layout.lag:
-            words += ["--lag", f"{watch.log.layout.lag:g}"]
-        if watch.log is not None and watch.status.lost:  # the rate is known from the first rows
-            words += ["--sample-time", f"{watch.log.sample_time:g}"]
-        typer.echo(f"All of it at once: {shlex.join(words)}")
+
+
+def _say_written(save: Path, watch: Watch, machine: str) -> None:
+    typer.echo(f"Written: {save}")
+    words = ["fluxobs", "estimate", str(save), "--machine", machine]
+    if watch.log is not None and watch.log.layout.lag:
+        words += ["--lag", f"{watch.log.layout.lag:g}"]
+    if watch.log is not None and watch.status.lost:  # the rate is known from the first rows
+        words += ["--sample-time", f"{watch.log.sample_time:g}"]
+    typer.echo(f"All of it at once: {shlex.join(words)}")
 
 
 class _Stopping:
@@ -179,7 +177,7 @@ class _Stopping:
                 if data is None:
                     break
                 yield data, False
-        except (FluxobsError, show.Stopped):
+        except (FluxobsError, SystemExit):  # also by Ctrl-C, or a signal to end
             self.asked = True
             yield b"", True
             raise

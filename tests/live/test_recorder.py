@@ -1,0 +1,107 @@
+"""A recording is its own from the start, and what was there before is not lost."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from fluxobs.errors import FluxobsError
+from fluxobs.live.recorder import Recorder, save_raw
+
+
+def record(path, lines=b"a\n1\n", **options):
+    with Recorder(path, **options) as recorder:
+        recorder.add(lines)
+
+
+def test_it_is_in_the_file_though_nobody_closed_it(tmp_path):
+    path = tmp_path / "run.csv"
+    with Recorder(path) as recorder:
+        recorder.add(b"a\n1\n")
+        assert path.read_bytes() == b"a\n1\n"
+        recorder.add(b"2\n")
+        assert path.read_bytes() == b"a\n1\n2\n"
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_two_recordings_do_not_share_a_file(tmp_path, force):
+    path = tmp_path / "run.csv"
+    with Recorder(path, force=force) as first:
+        first.add(b"first\n")
+        words = "another run records into it" if force else "exists; give another name, or --force"
+        with pytest.raises(FluxobsError, match=f"run.csv: {words}"):
+            record(path, force=force)
+        first.add(b"goes on\n")
+    assert path.read_bytes() == b"first\ngoes on\n"
+
+
+def test_a_file_that_is_made_after_the_start(tmp_path):
+    path = tmp_path / "run.csv"
+    with Recorder(path) as recorder:
+        with pytest.raises(FileExistsError):
+            path.open("x")
+        recorder.add(b"a\n")
+    with pytest.raises(FluxobsError, match="exists"):
+        record(path)
+    record(path, b"b\n", force=True)
+    assert path.read_bytes() == b"b\n"
+
+
+def test_nothing_to_record_leaves_things_as_they_were(tmp_path):
+    with Recorder(tmp_path / "new.csv"):
+        pass
+    (tmp_path / "old.csv").write_bytes(b"mine")
+    with Recorder(tmp_path / "old.csv", force=True):
+        pass
+    assert [path.name for path in tmp_path.iterdir()] == ["old.csv"]
+    assert (tmp_path / "old.csv").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("force", [False, True])
+@pytest.mark.parametrize("there", [False, True])
+def test_no_link_is_followed(tmp_path, force, there):
+    victim, path = tmp_path / "victim", tmp_path / "run.csv"
+    if there:
+        victim.write_text("mine")
+    path.symlink_to(victim)
+    with pytest.raises(FluxobsError, match="is a link" if force else "exists"):
+        record(path, force=force)
+    assert victim.exists() == there
+    assert not there or victim.read_text() == "mine"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+def test_a_pipe_is_no_place(tmp_path):
+    """It would wait for a reader."""
+    os.mkfifo(tmp_path / "run.csv")
+    with pytest.raises(FluxobsError, match="is no regular file"):
+        record(tmp_path / "run.csv", force=True)
+
+
+def test_bytes_as_they_came_go_to_the_next_free_name(tmp_path):
+    (tmp_path / "run.raw").symlink_to("nowhere")
+    (tmp_path / "run-2.raw").write_bytes(b"mine")
+    assert save_raw(tmp_path / "run.csv", b"x") == tmp_path / "run-3.raw"
+    assert (tmp_path / "run-3.raw").read_bytes() == b"x"
+    assert (tmp_path / "run-2.raw").read_bytes() == b"mine"
+    assert not (tmp_path / "nowhere").exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limits of files")
+def test_a_full_disk_keeps_what_fits(tmp_path):
+    program = (
+        "import resource, signal, sys\n"
+        "from pathlib import Path\n"
+        "from fluxobs.live.recorder import Recorder\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (25, 25))\n"
+        "with Recorder(Path(sys.argv[1])) as recorder:\n"
+        "    recorder.add(b'0123456789' * 2)\n"
+        "    recorder.add(b'0123456789')\n"
+    )
+    path = tmp_path / "run.csv"
+    given = [sys.executable, "-c", program, path]
+    done = subprocess.run(given, capture_output=True, text=True, check=False)
+    assert "run.csv: cannot be written: File too large" in done.stderr
+    assert path.read_bytes() == b"0123456789012345678901234"
