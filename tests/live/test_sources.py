@@ -62,18 +62,78 @@ def test_a_pipe_ends_when_it_is_closed(tmp_path):
     assert b"".join(open_source(str(path), 0).chunks()) == b"a,b\n" * 50_000
 
 
-def test_datagrams():
+def free_port():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("", 0))
-        port = free.getsockname()[1]
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
+def sender():
+    return socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+
+def test_datagrams():
+    port = free_port()
     source = open_source(f"udp:{port}", 0)
 
     def send():
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        with sender() as out:
             for k in range(100):
                 out.sendto(b"%04d\n" % k, ("127.0.0.1", port))
 
     assert until(source, 500, send) == b"".join(b"%04d\n" % k for k in range(100))
+
+
+def test_datagrams_of_another_sender_are_left_out_and_counted(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("fluxobs.live.sources.time.monotonic", lambda: now[0])
+    port = free_port()
+    source = open_source(f"udp:{port}", 0)
+    chunks = source.chunks()
+    with sender() as drive, sender() as stray, closing(chunks):
+
+        def taken(seconds, *datagrams):
+            """What is taken of datagrams of an address each; the last is one of the drive's."""
+            now[0] += seconds
+            for out, data in datagrams:
+                out.sendto(data, ("127.0.0.1", port))
+            return b"".join(next(chunks) for _ in range(4))
+
+        stray.bind(("127.0.0.1", 0))
+        assert taken(0, (stray, b""), (drive, b"t,u"), (drive, b"0,1")) == b"t,u\n0,1\n"
+        assert source.ignored == 0, "an empty datagram is of nobody"
+        assert taken(4, (stray, b"x,y,z"), (drive, b"1,1"), (stray, b"\xf1")) == b"1,1\n"
+        assert source.ignored == 2
+        # The drive is silent: another port of the same host is the drive that started again.
+        assert taken(6, (stray, b"0,2"), (drive, b"2,1")) == b"0,2\n"
+        assert source.ignored == 3
+
+
+def test_another_host_never_takes_over(monkeypatch):
+    from fluxobs.live.sources import Datagrams
+
+    come = [(b"0,1", ("10.0.0.1", 5)), (b"x", ("10.0.0.2", 5)), (b"1,1", ("10.0.0.1", 6))]
+    now = [100.0]
+    monkeypatch.setattr("fluxobs.live.sources.time.monotonic", lambda: now[0])
+    source = Datagrams("127.0.0.1", free_port())
+    with source._socket:
+        monkeypatch.setattr(source, "_socket", type("", (), {"recvfrom": lambda *_: come.pop(0)})())
+        got = []
+        while come:
+            got.append(source._received())
+            now[0] += 100
+    assert got == [b"0,1\n", b"", b"1,1\n"]
+
+
+@pytest.mark.parametrize(
+    ("place", "address"),
+    [("", "127.0.0.1"), (":", "127.0.0.1"), ("0.0.0.0:", "0.0.0.0"), ("//127.0.0.2:", "127.0.0.2")],
+)
+def test_datagrams_come_from_this_computer_unless_an_address_is_given(place, address):
+    port = free_port()
+    source = open_source(f"udp:{place}{port}", 0)
+    with source._socket as own:
+        assert own.getsockname() == (address, port)
 
 
 def test_a_datagram_ends_a_line():
@@ -125,6 +185,10 @@ def test_the_demo_runs_in_real_time():
         ("nowhere.csv", "no such file or port"),
         (".", "folder"),
         ("udp:99999", "between 1 and 65535"),
+        ("udp:a..b:5000", "cannot be opened"),
+        ("udp:192.0.2.1:5000", "udp:192.0.2.1:5000: cannot be opened"),
+        ("socket://localhost:99999", "between 1 and 65535"),
+        ("socket://a..b:5000", "cannot be opened"),
         ("COM77", "cannot be opened"),
         ("socket://localhost:1", "cannot be opened"),
     ],

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fluxobs.estimation.columns import Rows
+from fluxobs.live.sources import Demo
 from fluxobs.live.terminal import Terminal
 from fluxobs.live.watch import Watch
 from fluxobs.machines import example
@@ -22,7 +23,8 @@ def rows(theta, valid):
 
 
 def test_lines_of_a_stream(tmp_path, capsys, at):
-    terminal = Terminal(Watch(example("servo-400w"), tmp_path / "stream"), "it")
+    source = Demo()
+    terminal = Terminal(Watch(example("servo-400w"), tmp_path / "stream"), source)
 
     def line(seconds, *come):
         at[0] += seconds
@@ -43,3 +45,5 @@ def test_lines_of_a_stream(tmp_path, capsys, at):
     found = line(1, rows(np.radians(7), False))
     assert found.startswith("theta_e –, speed_e –, valid 0%"), "a value that is not valid is none"
     assert silent not in found
+    source.ignored = 3
+    assert ", 3 of other senders" in line(1)

@@ -21,6 +21,10 @@ from .frames import MARK
 _CHUNK = 65536
 #: Seconds between looks at a file that grows, and for which a port is asked.
 _PAUSE, _LOOK = 0.02, 0.1
+#: Where datagrams are taken from if no address says so: this computer alone.
+_LOOPBACK = "127.0.0.1"
+#: Seconds after which a sender that is silent may be one that starts again.
+_SILENCE = 5.0
 #: Rows that the demo sends at once.
 _DEMO_ROWS = 50
 
@@ -33,10 +37,13 @@ class Source(ABC):
     name : str
     patient : bool
         Whether what is not read waits: nothing is lost before somebody looks.
+    ignored : int
+        Datagrams of other senders, which were left out.
     """
 
     name: str
     patient = False
+    ignored = 0
 
     @abstractmethod
     def chunks(self) -> Iterator[bytes]:
@@ -85,26 +92,47 @@ class Input(Source):
 
 
 class Datagrams(Source):
-    """UDP: whole lines or frames in each datagram; its end is a line's end too."""
+    """UDP: whole lines or frames in each datagram; its end is a line's end too.
+
+    It keeps to the sender of the first datagram. After a silence, another port of the same host
+    takes over: a sender that starts again gets another one.
+    """
 
     def __init__(self, host: str, port: int) -> None:
-        self.name = f"udp:{port}"
+        self.name = f"udp:{host}:{port}"
+        self._sender: tuple[str, int] | None = None
+        self._heard = 0.0  # when it spoke last
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
         try:
             self._socket.bind((host, port))
-        except OSError as error:
-            raise RecordError(f"udp:{port}: cannot be opened: {error.strerror}") from None
+        except (OSError, UnicodeError) as error:  # the latter: no name of a host
+            self._socket.close()
+            raise _unopened(self.name, error) from None
         self._socket.settimeout(_LOOK)
 
     def chunks(self) -> Iterator[bytes]:
         with self._socket:
             while True:
                 try:
-                    data = _ended(self._socket.recv(_CHUNK))
+                    data = self._received()
                 except TimeoutError:
                     data = b""
                 yield data + self._waiting() if data else data
+
+    def _received(self) -> bytes:
+        """The next datagram; nothing if it is of another sender."""
+        data, sender = self._socket.recvfrom(_CHUNK)
+        if not data:
+            return data
+        now, before = time.monotonic(), self._sender
+        if before is None or (sender[0] == before[0] and now - self._heard > _SILENCE):
+            self._sender = sender
+        elif sender != before:
+            self.ignored += 1
+            return b""
+        self._heard = now
+        return _ended(data)
 
     def _waiting(self) -> bytes:
         """What else has come: many small pieces cost more than few large ones."""
@@ -112,7 +140,7 @@ class Datagrams(Source):
         self._socket.setblocking(False)
         try:
             while len(out) < _CHUNK:
-                out += _ended(self._socket.recv(_CHUNK))
+                out += self._received()
         except BlockingIOError:
             pass
         finally:
@@ -131,9 +159,8 @@ class Connection(Source):
         self.name = name
         try:
             self._socket = socket.create_connection((host, port), timeout=5)
-        except OSError as error:
-            words = error.strerror or str(error)
-            raise RecordError(f"{name}: cannot be opened: {words}") from None
+        except (OSError, UnicodeError) as error:  # the latter: no name of a host
+            raise _unopened(name, error) from None
         self._socket.settimeout(_LOOK)
 
     def chunks(self) -> Iterator[bytes]:
@@ -198,14 +225,25 @@ class Demo(Source):
                 time.sleep(ahead)
 
 
+def _unopened(name: str, error: Exception) -> RecordError:
+    return RecordError(f"{name}: cannot be opened: {getattr(error, 'strerror', None) or error}")
+
+
+def _port(text: str, number: str) -> int:
+    if not 0 < int(number) < 65536:
+        raise FluxobsError(f"{text}: a port lies between 1 and 65535")
+    return int(number)
+
+
 def open_source(text: str, baud: int) -> Source:
     """Open what a user names.
 
     Parameters
     ----------
     text : str
-        "-", "udp:PORT" or "udp:HOST:PORT", "socket://HOST:PORT", a serial port or a URL of
-        pyserial, or a file.
+        "-", "udp:PORT" (of this computer's own programs), "udp:ADDRESS:PORT" (sent to one of its
+        addresses; 0.0.0.0: to any), "socket://HOST:PORT", a serial port or a URL of pyserial, or
+        a file.
     baud : int
         Of a serial port [1/s].
 
@@ -216,13 +254,10 @@ def open_source(text: str, baud: int) -> Source:
     """
     if text == "-":
         return Input()
-    if found := re.fullmatch(r"udp:(?://)?(?:([^:]*):)?(\d+)", text):
-        host, port = found.groups()
-        if not 0 < int(port) < 65536:
-            raise FluxobsError(f"{text}: a port lies between 1 and 65535")
-        return Datagrams(host or "", int(port))
-    if found := re.fullmatch(r"socket://(.+):(\d+)", text):
-        return Connection(text, found[1], int(found[2]))
+    if found := re.fullmatch(r"udp:(?://)?(?:([^:]*):)?([0-9]{1,9})", text):
+        return Datagrams(found[1] or _LOOPBACK, _port(text, found[2]))
+    if found := re.fullmatch(r"socket://(.+):([0-9]{1,9})", text):
+        return Connection(text, found[1], _port(text, found[2]))
     path = Path(text)
     if re.fullmatch(r"COM\d+|\w[\w+.-]*://.*", text) or path.is_char_device():
         return Serial(text, baud)

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..estimation.columns import Rows
 from ..machines import Machine
+from .sources import Source
 from .watch import Watch
 
 #: Seconds between two pictures on a terminal, and between two lines in a pipe; and without rows,
@@ -29,12 +30,11 @@ class Terminal:
     Parameters
     ----------
     watch : Watch
-    name : str
-        Of the stream.
+    source : Source
     """
 
-    def __init__(self, watch: Watch, name: str) -> None:
-        self.watch, self.name = watch, name
+    def __init__(self, watch: Watch, source: Source) -> None:
+        self.watch, self.source = watch, source
         self._last: dict[str, float] = {}
         self._strips: dict[str, deque[float]] = {}
         self._drawn = 0.0
@@ -101,6 +101,7 @@ class Terminal:
             (status.lost, "lost"),
             (status.damaged, "damaged"),
             (status.restarts, "restarts"),
+            (self.source.ignored, "of other senders"),
         )
         said = [f"{count} {what}" for count, what in counted if count]
         if status.rows and not status.valid:
@@ -123,7 +124,10 @@ class Terminal:
 
         words = ", ".join([f"{self.watch.status.rows} rows", *self._said()])
         drawn = Table(
-            title=Text(f"{self.name}: {words}"), box=None, pad_edge=False, title_justify="left"
+            title=Text(f"{self.source.name}: {words}"),
+            box=None,
+            pad_edge=False,
+            title_justify="left",
         )
         for title, justify in (("", "left"), ("now", "right"), ("", "left")):
             drawn.add_column(title, justify=justify)  # type: ignore[arg-type]

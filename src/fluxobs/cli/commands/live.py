@@ -35,8 +35,9 @@ def live(
         str,
         typer.Argument(
             metavar="SOURCE",
-            help="A serial port (/dev/ttyACM0, COM3), udp:PORT, socket://HOST:PORT, a file that "
-            "is being written, or - for standard input. It sends lines of CSV, or the frames of "
+            help="A serial port (/dev/ttyACM0, COM3), udp:PORT (from this computer; "
+            "udp:0.0.0.0:PORT: from others too), socket://HOST:PORT, a file that is being "
+            "written, or - for standard input. It sends lines of CSV, or the frames of "
             "an exported observer's telemetry.c.",
         ),
     ] = "",
@@ -187,7 +188,7 @@ class _Stopping:
 def _in_terminal(stream: Source, watch: Watch, stopping: _Stopping) -> None:
     from ...live.terminal import Terminal
 
-    with Terminal(watch, stream.name) as terminal:
+    with Terminal(watch, stream) as terminal:
         try:
             for data, last in stopping.pieces(stream):
                 for rows in watch.feed(data, last):
@@ -215,8 +216,12 @@ def _in_browser(
     while stream.patient and not server.watched.wait(0.1) and not stopping.asked:
         if watch is not None and time.monotonic() - since > UNWATCHED:
             break
+    said = False
     try:
         for data, last in stopping.pieces(stream):
+            if stream.ignored and not said:
+                said = True
+                typer.echo("Datagrams of other senders are left out: the first one is taken.")
             if data:
                 server.send(data)
             if watch is not None:
