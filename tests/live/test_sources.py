@@ -259,6 +259,33 @@ def test_other_pages_cannot_read_it(server):
             connected(one, origin=origin)
 
 
+@pytest.mark.parametrize(
+    ("path", "headers", "status"),
+    [
+        ("/", ["Host: {host}"], 200),
+        ("/", [], 400),
+        ("/", ["Host: {host}", "Host: {host}"], 400),
+        ("/", ["Host: {host}", "Host: evil.example"], 400),
+        ("/stream", ["Host: {host}", "Origin: http://{host}", "Origin: http://evil.example"], 400),
+        ("/stream", ["Host: {host}"], 403),
+    ],
+)
+def test_headers_that_no_browser_sends(monkeypatch, caplog, path, headers, status):
+    pytest.importorskip("websockets")
+    from fluxobs.live import serve
+
+    monkeypatch.setattr(serve, "built", lambda name: "<html>")
+    one = serve.Server(0, {}, patient=True)
+    host = one.url.removeprefix("http://").rstrip("/")
+    with socket.create_connection(("localhost", int(host.partition(":")[2]))) as client:
+        lines = [f"GET {path} HTTP/1.1", *headers, "", ""]
+        client.sendall("\r\n".join(lines).format(host=host).encode())
+        answer = client.makefile("rb").read()
+    one.end()
+    assert answer.startswith(b"HTTP/1.1 %d " % status)
+    assert not caplog.records
+
+
 def test_the_stream_arrives_whole(server):
     one = server()
     pieces = [bytes([k % 256]) * 1000 for k in range(3000)]

@@ -81,10 +81,13 @@ class Server:
 
     def _page(self, connection: Any, request: Any) -> Any:
         """Answer what is no WebSocket; None if it is one."""
-        if request.headers.get("Host") not in self._hosts:
+        hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
+        if len(hosts) != 1 or len(origins) > 1:
+            return connection.respond(HTTPStatus.BAD_REQUEST, "one Host, and at most one Origin\n")
+        if hosts[0] not in self._hosts:
             return connection.respond(HTTPStatus.FORBIDDEN, "localhost only\n")
         if request.path == "/stream":
-            if request.headers.get("Origin") in [f"http://{host}" for host in self._hosts]:
+            if origins and origins[0] in [f"http://{host}" for host in self._hosts]:
                 return None
             return connection.respond(HTTPStatus.FORBIDDEN, "only for the page served here\n")
         if request.path != "/":
