@@ -10,7 +10,7 @@ import fluxobs
 ROOT = Path(fluxobs.__file__).parent
 #: From the ground up. A room may import those before it; rooms of one line do not know each other.
 LAYERS = (
-    ("errors", "validation"),
+    ("errors", "validation", "texts"),
     ("named", "files", "links", "locks"),
     ("output", "hashing", "plots", "html", "web", "engine"),
     ("_core", "_core_single"),

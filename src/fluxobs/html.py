@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from html import escape
+from html import escape as _escaped
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .texts import visible
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+def escape(text: str, quote: bool = True) -> str:
+    """Plain text as HTML; what is no character is shown as its code."""
+    return _escaped(visible(text), quote)
 
 
 def paragraph(text: str) -> str:

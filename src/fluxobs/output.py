@@ -152,7 +152,8 @@ def _busy(out: Path) -> FluxobsError:
 def write_text(out: Path, text: str) -> None:
     """Write a text file, complete or not at all; FluxobsError if it cannot be written."""
     with replacing(out) as handle:
-        handle.write(text.encode())
+        # The name of a file may have bytes that are no character.
+        handle.write(text.encode(errors="backslashreplace"))
 
 
 def write_rows(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from .errors import FluxobsError
 from .output import check_place, replacing
+from .texts import visible
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,6 +46,11 @@ def write(figure: Figure, path: Path) -> None:
     stamp: dict[str, Any] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     with replacing(path) as file, mpl.rc_context({"svg.hashsalt": "fluxobs"}):
         figure.savefig(file, format=kind[1:], dpi=130, metadata=stamp[kind])
+
+
+def plain(text: str) -> str:
+    """A text of others as a label: no formula, and no character that cannot be drawn."""
+    return visible(text).replace("$", r"\$")
 
 
 def check_path(path: Path) -> None:

@@ -1,6 +1,7 @@
 """Logs on the command line: what a newcomer gets wrong, and what the program then says."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -12,7 +13,7 @@ import pytest
 
 from fluxobs.machines import example_text
 from fluxobs.synthetic.demo import LOG
-from support.cli import fluxobs
+from support.cli import fluxobs, process
 
 DEMO = pl.read_csv(LOG)
 MACHINE = ("--machine", "servo-400w")
@@ -52,6 +53,37 @@ def test_names_are_shown_as_they_are(folder):
     done = fluxobs("estimate", "x.csv", "--machine", "servo-400w", folder=folder)
     assert done.returncode == 2
     assert "\x1b" not in done.stderr
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are text there")
+def test_any_name_of_a_log_is_read_and_shown(folder):
+    """No text, a formula, a command to the terminal, the end of a comment."""
+    log = os.fsdecode(b"\x1b[31m$\\frac$\ncaf\xe9.csv")
+    shown = "\\x1b[31m$\\frac$\ncaf\\xe9.csv"
+    (folder / log).write_text(DEMO.head(2500).write_csv())
+    given = (log, "--machine", "servo-400w")
+    saved = ("--save-record", f"{log}.toml", "--save-machine", f"{log}-m.toml")
+    done = process("estimate", *given, *saved, "--report", "run.png", folder=folder)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert f"Written: {shown}.toml" in done.stdout
+    assert "\x1b" not in done.stdout
+    read = ("--record", f"{log}.toml", "--machine", f"{log}-m.toml", "--out", f"{log}.csv")
+    facts = json.loads(fluxobs("estimate", log, *read, "--json", folder=folder).stdout)
+    assert facts["rows"] == 2500
+    assert facts["written"] == [f"{log}.csv"]
+    (folder / log).write_text(DEMO.head(1000).write_csv())  # the rest takes longer
+    for arguments in (
+        ("check", *given, "--report", "check.svg"),
+        ("identify", *given, "--out", "found.toml", "--report", "identify.html"),
+        ("channels", log),
+    ):
+        done = fluxobs(*arguments, folder=folder)
+        assert done.returncode in (0, 1)
+        assert "\x1b" not in done.stdout
+    assert shown in (folder / "identify.html").read_text(encoding="utf-8")
+    done = fluxobs("estimate", f"{log}gone", *given[1:], folder=folder)
+    assert done.returncode == 2
+    assert f"{shown}gone: no such file" in done.stderr
 
 
 def test_channels_of_a_file_that_says_nothing(folder):

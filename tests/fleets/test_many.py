@@ -228,6 +228,34 @@ def test_a_name_stays_in_the_folder_of_the_results(logs, tmp_path, monkeypatch):
     assert later[0].drive == "y"
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are text there")
+def test_names_that_are_no_text_or_command_a_terminal(logs, tmp_path):
+    out = tmp_path / "out"
+    good, bad = logs / "a" / "run_2024-05-01.csv", logs / "b" / "bad.csv"
+    drive = logs / os.fsdecode(b"dr\xe9\x1b[31m")
+    drive.mkdir()
+    shutil.copy(good, drive / os.fsdecode(b"caf\xe9.csv"))
+    shutil.copy(bad, drive / os.fsdecode(b"\x9b\xff.csv"))
+    shutil.copy(good, drive / "e\x1b]0;title\x07.csv")
+    for _ in range(2):  # made, and taken from the notes
+        table = run(logs, out)
+        rows = {row["log"]: row for row in table.iter_rows(named=True)}
+        shown = r"dr\xe9\x1b[31m"
+        assert len(rows) == 6
+        assert rows["a/run_2024-05-01.csv"]["rows"] == HALF
+        assert rows[rf"{shown}/caf\xe9.csv"]["rows"] == HALF
+        assert rows[rf"{shown}/e\x1b]0;title\x07.csv"]["rows"] == HALF
+        failed = rows[rf"{shown}/\x9b\xff.csv"]["failed"]
+        assert rf"{shown}/\x9b\xff.csv: currents and voltages are not found" in failed
+        assert rows[rf"{shown}/caf\xe9.csv"]["drive"] == shown
+    assert b"\x1b" not in (out / "summary.csv").read_bytes()
+    done = command("fleet", out, folder=tmp_path)
+    assert done.returncode == 0
+    page = (out / "fleet.html").read_text()
+    assert shown in page
+    assert "\x1b" not in page
+
+
 def test_what_lies_beside_logs_is_none(logs):
     for name in ("README.txt", "license.txt", "a/notes.json", ".hidden.csv"):
         (logs / name).write_text("words")
@@ -238,8 +266,11 @@ def test_what_lies_beside_logs_is_none(logs):
 
 
 def test_nothing_meant(logs, tmp_path):
-    with pytest.raises(FluxobsError, match="no logs there"):
+    with pytest.raises(FluxobsError, match="as a pattern it matches none"):
         sources([logs / "c*.csv"])
+    (logs / "empty").mkdir()
+    with pytest.raises(FluxobsError, match="no logs there"):
+        sources([logs / "empty"])
     with pytest.raises(UsageError, match="no regular expression"):
         sources([logs], "(")
     with pytest.raises(UsageError, match="finds no drive"):
@@ -302,6 +333,9 @@ def test_the_command(logs, tmp_path):
         (["logs", "--out", "p", "--report", "r.html"], "--report is for one log"),
         (["logs/a/run_2024-05-01.csv", "--retry", "failed"], "--retry is for many logs"),
         (["logs", "--out", "p", "--retry", "some"], "none, failed or all"),
+        (["logs/a/run [1].csv"], "run [1].csv: no such file, and as a pattern it matches none"),
+        (["logs/a/run [1].csv", "--out", "p"], "run [1].csv: no such file"),
+        (["logs/a/gone.csv", "logs/a/run [1].csv", "--out", "p"], "run [1].csv: no such file"),
     ):
         done = command("estimate", *arguments, "--machine", "servo-400w", folder=tmp_path)
         assert done.returncode == 2

@@ -47,3 +47,5 @@ def test_lines_of_a_stream(tmp_path, capsys, at):
     assert silent not in found
     source.ignored = 3
     assert ", 3 of other senders" in line(1)
+    source.name = "\x1b[31mcaf\udce9.csv"
+    assert str(terminal._table().title).startswith(r"\x1b[31mcaf\xe9.csv: 0 rows")

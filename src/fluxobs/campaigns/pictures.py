@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from ..plots import BLUE, GREY, ORANGE, STYLE, new_figure
+from ..plots import BLUE, GREY, ORANGE, STYLE, new_figure, plain
 from .specification import Specification
 from .statistics import Index, Pair, group
 
@@ -57,14 +57,16 @@ def distribution(specification: Specification, rows: pl.DataFrame) -> Figure:
             error = np.sort(np.degrees(mine.drop_nulls().to_numpy()))
             share = np.arange(1, len(error) + 1) / max(len(mine), 1)
             colour = COLOURS[k % len(COLOURS)]
-            axis.plot(error, 100 * share, color=colour, label=table.name, drawstyle="steps-post")
+            axis.plot(
+                error, 100 * share, color=colour, label=plain(table.name), drawstyle="steps-post"
+            )
         if specification.good.rms is not None:
             axis.axvline(specification.good.rms, color="black", lw=0.6, ls=":")
         axis.set(
             xscale="log",
             xlabel="rms position error [°]",
             ylim=(0, 100),
-            title=specification.called(machine),
+            title=plain(specification.called(machine)),
         )
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("scenarios below [%]")
@@ -99,14 +101,14 @@ def importance(
                 xerr=100 * np.abs(np.array([share - low, high - share])).reshape(2, -1),
                 color=COLOURS[k % len(COLOURS)],
                 error_kw={"lw": 0.7},
-                label=list(mine)[k],
+                label=plain(list(mine)[k]),
             )
         axis.set_yticks([j + 0.4 - width / 2 for j in range(len(names))], names)
         axis.invert_yaxis()
         axis.set(
             xlabel="share of the variance [%]",
             xlim=(0, None),
-            title=specification.called(machine),
+            title=plain(specification.called(machine)),
         )
     _legend(figure, axes[0])
     return figure
@@ -115,7 +117,7 @@ def importance(
 def pairs(found: list[Pair], title: str) -> Figure:
     """Yield in cells of two quantities, with the number of scenarios."""
     figure, axes = _axes(len(found), 2.9)
-    figure.suptitle(title, fontsize=9)
+    figure.suptitle(plain(title), fontsize=9)
     for axis, one in zip(axes, found, strict=True):
         share = np.full(one.of.shape, np.nan)
         np.divide(100 * one.good, one.of, out=share, where=one.of > 0)

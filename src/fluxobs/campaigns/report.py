@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,9 @@ import numpy as np
 import polars as pl
 
 from .. import html
+from ..html import escape
 from ..output import write_text
+from ..texts import visible
 from . import pictures, statistics
 from .dataset import WORST, Dataset
 from .draws import total
@@ -190,7 +191,7 @@ def text(found: Dataset, rows: pl.DataFrame) -> tuple[Any, list[str]]:
     for k, name in enumerate(head):
         table.add_column(name, justify="left" if k < 2 else "right", overflow="fold")
     for line in lines:
-        table.add_row(*map(plain, line))
+        table.add_row(*(plain(visible(cell)) for cell in line))
     s = found.specification
     several = len(s.machines) > 1
     sentences = [*failures(rows), *never_valid(found, rows), *against(s, rows)]

@@ -107,7 +107,7 @@ def main() -> None:
     """Entry point; unusable input ends with a message and exit code 2."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")
+            stream.reconfigure(errors="backslashreplace")
     for end in ("SIGTERM", "SIGHUP"):
         number = getattr(signal, end, None)
         if number is not None and signal.getsignal(number) is signal.SIG_DFL:  # not under nohup

@@ -23,13 +23,23 @@ SHOWN = 20
 
 
 def are_many(logs: Sequence[str], out: Path | None) -> bool:
-    """Whether these are many logs, or one that is to be treated as one of many."""
+    """Whether these are many logs, or one that is to be treated as one of many.
+
+    Raises
+    ------
+    UsageError
+        Nothing has this name, which might also be a pattern, or matches it.
+    """
     if len(logs) > 1 or (out is not None and out.is_dir() and (out / "fleet.json").exists()):
         return True
     one = logs[0]
     if "://" in one or Path(one).is_dir():
         return True
-    return not Path(one).exists() and glob.has_magic(one)
+    if Path(one).exists() or not glob.has_magic(one):
+        return False
+    if not glob.glob(one, recursive=True):
+        raise UsageError(f"{one}: no such file, and as a pattern it matches none")
+    return True
 
 
 def refuse(options: Mapping[str, Any], purpose: str) -> None:
@@ -119,6 +129,6 @@ def _show(fleet: Fleet, quiet: bool) -> None:
     for row in failed.head(SHOWN).iter_rows(named=True):
         show.echo(f"Failed: {row['failed']}", err=True)
     if len(failed) > SHOWN:
-        typer.echo(f"… and {len(failed) - SHOWN} more that failed: summary.csv", err=True)
+        show.say(f"… and {len(failed) - SHOWN} more that failed: summary.csv", err=True)
     if not quiet:
-        typer.echo(f"Written: {fleet.folder}/summary.parquet, summary.csv, estimates/")
+        show.say(f"Written: {fleet.folder}/summary.parquet, summary.csv, estimates/")

@@ -11,13 +11,12 @@ from typing import Any, Self
 
 import typer
 
-#: Characters that command a terminal, but for the ends of lines and tabs.
-_COMMANDS = {n: f"\\x{n:02x}" for n in (*range(32), *range(127, 160)) if chr(n) not in "\n\t"}
+from ..texts import visible
 
 
-def visible(text: str) -> str:
-    """The same without commands to the terminal, which names in a log may contain."""
-    return text.translate(_COMMANDS)
+def say(text: str, err: bool = False) -> None:
+    """Print text as it is, for paths and commands: it is not wrapped."""
+    typer.echo(visible(text), err=err)
 
 
 def echo(text: str, err: bool = False) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from .. import html
 from ..output import write_text
-from ..plots import BLUE, GREY, ORANGE, STYLE, write
+from ..plots import BLUE, GREY, ORANGE, STYLE, plain, write
 from .compare import LANES, Comparison, ObserverResult
 from .scoring import Score
 
@@ -214,7 +214,9 @@ def draw(comparison: Comparison, path: Path) -> None:
         bars, course = figure.subplots(1, 2, width_ratios=[1, 1.2])
         _bars(bars, results, comparison.bound)
         _course(course, comparison)
-        figure.suptitle(f"{comparison.title}  ·  {comparison.setting.machine.kind}", fontsize=10)
+        figure.suptitle(
+            f"{plain(comparison.title)}  ·  {comparison.setting.machine.kind}", fontsize=10
+        )
         write(figure, path)
         plt.close(figure)
 

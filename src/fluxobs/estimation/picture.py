@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import UsageError
 from ..observers import ImmersionObserver
-from ..plots import BLUE, GREY, ORANGE, STYLE, legend, new_figure
+from ..plots import BLUE, GREY, ORANGE, STYLE, legend, new_figure, plain
 from ..validation import nearest
 from .run import LogRun
 from .truth import TruthFit
@@ -84,8 +84,8 @@ def _title(result: LogRun) -> str:
     statistics = result.statistics
     share = statistics.valid / statistics.rows
     return (
-        f"{result.log.path.name}  ·  {result.machine.kind}  ·  position valid on {share:.1%} of "
-        f"{statistics.rows} rows"
+        f"{plain(result.log.path.name)}  ·  {result.machine.kind}  ·  position valid on "
+        f"{share:.1%} of {statistics.rows} rows"
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING
 
-from ..plots import STYLE, new_figure
+from ..plots import STYLE, new_figure, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,19 +34,19 @@ def figure(page: Examination) -> Figure:
         axes.set_ylim(total, 0)
         name = page.log.path.name if page.log is not None else ""
         kind = page.machine.kind if page.machine is not None else ""
-        axes.set_title(f"Examination of {name}  ·  {kind}", loc="left")
+        axes.set_title(f"Examination of {plain(name)}  ·  {kind}", loc="left")
         at = 1.0
         for line in mistakes:
-            axes.text(0, at, line, color=COLOURS["look at it"], va="center", fontsize=8)
+            axes.text(0, at, plain(line), color=COLOURS["look at it"], va="center", fontsize=8)
             at += 1
         for x, title in ((0, "what"), (0.24, "value"), (0.42, "verdict"), (0.54, "")):
             axes.text(x, at, title, va="center", weight="bold", fontsize=8)
         at += 1
         for what, told, verdict, words in rows:
-            axes.text(0, at, what, va="center", fontsize=8)
-            axes.text(0.24, at, told, va="center", fontsize=8)
+            axes.text(0, at, plain(what), va="center", fontsize=8)
+            axes.text(0.24, at, plain(told), va="center", fontsize=8)
             axes.text(0.42, at, verdict, va="center", fontsize=8, color=COLOURS[verdict])
             for line in words:
-                axes.text(0.54, at, line, va="center", fontsize=8)
+                axes.text(0.54, at, plain(line), va="center", fontsize=8)
                 at += 1
     return drawn

@@ -16,7 +16,7 @@ from ..errors import FluxobsError, UsageError
 from ..machines import Machine, as_machine
 from ..machines.files import example_names
 from ..output import make_folder, write_rows, write_text
-from .one import COLUMNS, ESTIMATES, LOGS, Kept, Settings, Work, begun, key_of, row_of
+from .one import COLUMNS, ESTIMATES, LOGS, Kept, Settings, Work, begun, key_of, readable, row_of
 from .sources import Source, shared, sources
 
 #: Files of a result: marks the folder; the summary table, twice.
@@ -104,7 +104,7 @@ def estimate_many(
             fresh[source.name] = row
             done += 1
             progress(done, len(meant))
-        rows = list(_rows(folder, meant, fresh))
+        rows = [readable(row) for row in _rows(folder, meant, fresh)]
         table = pl.DataFrame(rows, schema=COLUMNS, orient="row")
         write_part(table, folder / TABLE)
         write_rows(folder / TEXT, dict(table.schema), iter([table]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -21,6 +22,7 @@ from ..estimation.learning import UNSEEN, parameters
 from ..hashing import content_of
 from ..machines import Machine, as_machine
 from ..output import write_text
+from ..texts import visible
 from .sources import Source
 
 #: Folders of a result: estimates, and what is known of each log.
@@ -144,6 +146,11 @@ class Work:
         options = json.loads(self.settings.options)
         result = estimate(place, machine, out=kept.estimates, force=True, **options)
         return told(result)
+
+
+def readable(row: Mapping[str, Any]) -> dict[str, Any]:
+    """A row as a person reads it: a name in it commands no terminal, and is text."""
+    return {key: visible(value) if isinstance(value, str) else value for key, value in row.items()}
 
 
 def begun(source: Source) -> dict[str, Any]:

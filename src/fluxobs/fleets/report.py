@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import html
 from ..output import write_text
-from ..plots import BLUE, GREY, ORANGE, STYLE, new_figure
+from ..plots import BLUE, GREY, ORANGE, STYLE, new_figure, plain
 from .follow import FOLLOWED, Followed, enough, timeless
 from .many import Fleet
 
@@ -102,7 +102,7 @@ def picture(found: Sequence[Followed], drive: str) -> Figure:
     with mpl.rc_context(STYLE):
         figure = new_figure(figsize=(min(3.2 * len(found) + 0.5, 16.5), 2.3))
         axes = figure.subplots(1, len(found), squeeze=False)[0]
-    figure.suptitle(drive or "all logs", fontsize=9, x=0.01, ha="left")
+    figure.suptitle(plain(drive) or "all logs", fontsize=9, x=0.01, ha="left")
     for axis, one in zip(axes, found, strict=True):
         when = np.array([t.replace(tzinfo=None) for t in one.times], dtype="datetime64[us]")
         axis.errorbar(

@@ -135,7 +135,9 @@ def sources(
     for one in given:
         addresses = _remote(str(one)) if "://" in str(one) else _local(str(one))
         if not addresses:
-            raise FluxobsError(f"{one}: no logs there")
+            magic = glob.has_magic(str(one))
+            words = "no such file, and as a pattern it matches none" if magic else "no logs there"
+            raise FluxobsError(f"{one}: {words}")
         found |= dict.fromkeys(addresses)
     if root is None:
         root = shared(list(found))

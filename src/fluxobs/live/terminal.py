@@ -12,6 +12,7 @@ import numpy as np
 
 from ..estimation.columns import Rows
 from ..machines import Machine
+from ..texts import visible
 from .sources import Source
 from .watch import Watch
 
@@ -124,7 +125,7 @@ class Terminal:
 
         words = ", ".join([f"{self.watch.status.rows} rows", *self._said()])
         drawn = Table(
-            title=Text(f"{self.source.name}: {words}"),
+            title=Text(visible(f"{self.source.name}: {words}")),
             box=None,
             pad_edge=False,
             title_justify="left",

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from ..machines.written import comment
 from ..output import check_new, write_text
 from .layout import NO_COLUMN
 from .log import Log
@@ -20,8 +21,8 @@ def record_text(log: Log) -> str:
     fields["frame"] = log.frame
     fields["lag"] = layout.lag
     rows = [
-        f"# How {log.path.name} is read: `fluxobs estimate LOG --record THIS.toml`",
-        *(f"# {note}" for note in log.notes),
+        f"# How {comment(log.path.name)} is read: `fluxobs estimate LOG --record THIS.toml`",
+        *(f"# {comment(note)}" for note in log.notes),
         *(f"{name} = {_value(value)}" for name, value in sorted(fields.items())),
     ]
     columns = dict(log.names)
@@ -43,7 +44,9 @@ def record_text(log: Log) -> str:
 
 
 def _value(value: Any) -> str:
-    return str(value).lower() if isinstance(value, bool) else json.dumps(value, ensure_ascii=False)
+    if isinstance(value, bool):
+        return str(value).lower()
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # TOML has no bare one
 
 
 def write_record(log: Log, path: str | Path, *, force: bool = False) -> None:

@@ -43,7 +43,7 @@ def machine_text(
 
     `flux_map` is its value in TOML, if it is not to be as the machine has it.
     """
-    rows = [*(f"# {_comment(line)}" for line in head), f'kind = "{machine.kind}"']
+    rows = [*(f"# {comment(line)}" for line in head), f'kind = "{machine.kind}"']
     values = {name: value for name, value in machine.parameters().items() if value is not None}
     stds = {name: values.pop(name) for name in list(values) if name.endswith("_std")}
     for name, value in values.items():
@@ -60,6 +60,6 @@ def machine_text(
     return "\n".join(rows) + "\n"
 
 
-def _comment(line: str) -> str:
+def comment(line: str) -> str:
     """One line, whatever the name of a log that it quotes."""
     return "".join(c if c.isprintable() else " " for c in line)

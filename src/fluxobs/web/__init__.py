@@ -57,6 +57,8 @@ def in_script(data: Any) -> str:
     """Data as JSON for a script element. It has no "<", so that nothing in it can end the element
     or begin a comment."""
     text = json.dumps(data, ensure_ascii=False, allow_nan=False)
+    # halves of characters, as the name of a file may have, are escaped: no page can hold them
+    text = text.encode(errors="backslashreplace").decode()
     return text.replace("<", "\\u003c")
 
 

@@ -120,7 +120,7 @@ def _run(what: Path, out: Path | None, workers: int | None, scheduler: str) -> i
             raise UsageError(f"--out: {what} is the folder of the results already")
         there = open_dataset(what)
         if there.changed and not there.lacking():
-            typer.echo(f"Warning: its rows cannot be repeated: {there.changed}.", err=True)
+            show.say(f"Warning: its rows cannot be repeated: {there.changed}.", err=True)
             return _show(there)
         specification, out = there.specification, what
     elif out is None:
@@ -145,7 +145,7 @@ def _show(found: Dataset) -> int:
     verdicts = statistics.verdicts(found.specification, rows)
     for verdict in verdicts:
         show.echo(f"Limit {verdict}.")
-    typer.echo(f"Written: {report.write_html(found, rows)}")
+    show.say(f"Written: {report.write_html(found, rows)}")
     met = all(verdict.met for verdict in verdicts) and rows["failed"].null_count() > 0
     return 0 if met else MISSED
 
@@ -173,19 +173,19 @@ def _again(
     width = max(len(name) for name in one.row)
     for name, value in one.row.items():
         if value is not None:
-            typer.echo(
+            show.say(
                 f"{name:{width}}  {value:.6g}"
                 if isinstance(value, float)
                 else f"{name:{width}}  {value}"
             )
     if record is not None:
         write_record(one, record)
-        typer.echo(f"Written: {record}")
+        show.say(f"Written: {record}")
     if report is not None:
         result = one.estimate()
         show.echo(result.summary)
         result.write(report)
-        typer.echo(f"Written: {report}")
+        show.say(f"Written: {report}")
 
 
 def _search(
@@ -215,4 +215,4 @@ def _search(
     )
     width = max(len(name) for name in worst.values)
     for name, value in worst.values.items():
-        typer.echo(f"  {name:{width}}  {value:.6g}")
+        show.say(f"  {name:{width}}  {value:.6g}")

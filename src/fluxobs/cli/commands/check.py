@@ -64,7 +64,7 @@ def check(
         typer.echo(json.dumps(found.facts, indent=1, ensure_ascii=False))
     elif quiet:
         for finding in found.mistakes:
-            typer.echo(show.visible(str(finding)))
+            show.say(str(finding))
     else:
         for note in found.log.notes if found.log is not None else ():
             show.echo(f"Note: {note}.")
@@ -75,6 +75,6 @@ def check(
     if report is not None:
         found.write(report, force=force)
         if not (quiet or as_json):
-            typer.echo(f"Written: {report}")
+            show.say(f"Written: {report}")
     if not found.sound:
         raise typer.Exit(1)

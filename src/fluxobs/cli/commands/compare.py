@@ -52,7 +52,7 @@ def compare(
     if "list" in records:
         width = max(len(name) for name in SCENARIOS)
         for scenario in SCENARIOS.values():
-            typer.echo(f"{scenario.name:{width}}  {scenario.about}")
+            show.say(f"{scenario.name:{width}}  {scenario.about}")
         return
     from ...comparison import report
     from ...comparison.compare import check_comparable
@@ -78,4 +78,4 @@ def compare(
         report.draw_summary(comparisons, drawn[-1])
     report.write_html(comparisons, drawn, out / "report.html")
     pictures = "one picture per record" + (", summary.png" if len(comparisons) > 1 else "")
-    typer.echo(f"Written: {out / 'scores.csv'}, report.html, {pictures}")
+    show.say(f"Written: {out / 'scores.csv'}, report.html, {pictures}")

@@ -215,7 +215,7 @@ def show_result(result: Result, machine: str, written: Sequence[Path]) -> None:
         show.echo(f"Note: {note}.")
     show.summary(result.summary, result.warnings)
     for path in written:
-        typer.echo(f"Written: {path}")
+        show.say(f"Written: {path}")
     if result.path is None:
         typer.echo("The estimates are not written: --out FILE.parquet (or .csv) says where to.")
     if result.statistics.valid == 0:
@@ -225,6 +225,6 @@ def show_result(result: Result, machine: str, written: Sequence[Path]) -> None:
         words = "The same in firmware"
         if result.adaptive is not None and not result.causal:
             words += ", which learns as it goes"
-        typer.echo(f"{words}: {command}")
+        show.say(f"{words}: {command}")
     elif result.firmware is not None:
-        typer.echo(result.firmware)
+        show.say(result.firmware)

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from .. import show
 from ..options import MachineOption, PriorOption, numbers
 
 
@@ -93,4 +94,4 @@ def export(
     )
     folder = shlex.quote(str(done.folder))
     attempt = FORMS[form].format(folder=folder)
-    typer.echo(f"Written: {folder}, content {done.content}. Try: {attempt}")
+    show.say(f"Written: {folder}, content {done.content}. Try: {attempt}")

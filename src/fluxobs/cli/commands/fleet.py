@@ -78,6 +78,6 @@ def fleet(
         show.echo(reports.headline(found_fleet, found))
         for text in (*reports.remarks(found), *(f"{one.capitalize()}." for one in missing)):
             show.echo(text)
-        typer.echo(f"Written: {place}")
+        show.say(f"Written: {place}")
     if crossed or missing:
         raise typer.Exit(CROSSED)

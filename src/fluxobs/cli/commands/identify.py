@@ -108,7 +108,7 @@ def identify(
             show.echo(line)
         for place in (out, report):
             if place is not None:
-                typer.echo(f"Written: {place}")
+                show.say(f"Written: {place}")
     if some_failed:
         raise typer.Exit(SOME_FAILED)
 

@@ -133,17 +133,17 @@ def _keep_unread(save: Path, watch: Watch) -> None:
 
     if watch.unread:
         raw = save_raw(save, watch.unread)
-        typer.echo(f"Written: {raw}, as it came: no rows were found in it")
+        show.say(f"Written: {raw}, as it came: no rows were found in it")
 
 
 def _say_written(save: Path, watch: Watch, machine: str) -> None:
-    typer.echo(f"Written: {save}")
+    show.say(f"Written: {save}")
     words = ["fluxobs", "estimate", str(save), "--machine", machine]
     if watch.log is not None and watch.log.layout.lag:
         words += ["--lag", f"{watch.log.layout.lag:g}"]
     if watch.log is not None and watch.status.lost:  # the rate is known from the first rows
         words += ["--sample-time", f"{watch.log.sample_time:g}"]
-    typer.echo(f"All of it at once: {shlex.join(words)}")
+    show.say(f"All of it at once: {shlex.join(words)}")
 
 
 class _Stopping:
@@ -211,7 +211,7 @@ def _in_browser(
 
     server = Server(port, {"name": stream.name, **facts}, stream.patient)
     opened = opens and webbrowser.open(server.url)
-    typer.echo(f"{'Opened' if opened else 'Open'}: {server.url} Ctrl-C ends it.")
+    show.say(f"{'Opened' if opened else 'Open'}: {server.url} Ctrl-C ends it.")
     since = time.monotonic()
     while stream.patient and not server.watched.wait(0.1) and not stopping.asked:
         if watch is not None and time.monotonic() - since > UNWATCHED:

@@ -98,7 +98,7 @@ def new(
     typer.echo(made.text, nl=False)
     for line in [*(["kind is surface-pmsm (--kind)"] if unasked else []), *made.assumed]:
         show.echo(f"Assumed: {line}.")
-    typer.echo(f"Written: {out}. `fluxobs check LOG --machine {out}` finds a √3 or a 2 too much.")
+    show.say(f"Written: {out}. `fluxobs check LOG --machine {out}` finds a √3 or a 2 too much.")
 
 
 def _value(text: str) -> Any:

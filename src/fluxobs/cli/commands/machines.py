@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import typer
 
+from .. import show
+
 
 def machines() -> None:
     """List the machines that come with the package; any name works as --machine."""
@@ -17,5 +19,5 @@ def machines() -> None:
             for key, value in machine.parameters().items()
             if value is not None
         )
-        typer.echo(f"{name}\n    {machine.kind}: {values}\n    {title}")
+        show.say(f"{name}\n    {machine.kind}: {values}\n    {title}")
     typer.echo("\nSI units; R and L are per phase (star), psi_f and rated_current are peak values.")

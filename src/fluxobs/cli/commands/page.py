@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from .. import show
 from ..options import ForceOption
 
 
@@ -35,11 +36,11 @@ def page(
     if out is not None:
         check_new(out, (HTML,), force, "--out")
         write_text(out, text)
-        typer.echo(f"Written: {out}")
+        show.say(f"Written: {out}")
         return
     path = Path(tempfile.mkdtemp(prefix="fluxobs-")) / "page.html"
     write_text(path, text)
     if webbrowser.open(path.as_uri()):
-        typer.echo(f"Opened: {path}")
+        show.say(f"Opened: {path}")
     else:
-        typer.echo(f"No browser was found. Open {path} in one")
+        show.say(f"No browser was found. Open {path} in one")

@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from .. import show
+
 
 def presets(
     name: Annotated[str | None, typer.Argument(help="Print this one, to start your own.")] = None,
@@ -22,4 +24,4 @@ def presets(
     names = preset_names()
     width = max(map(len, names))
     for one in names:
-        typer.echo(f"{one:{width}}  {preset_text(one).splitlines()[0].removeprefix('# ')}")
+        show.say(f"{one:{width}}  {preset_text(one).splitlines()[0].removeprefix('# ')}")

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from .. import show
 from ..options import ForceOption
 
 
@@ -42,4 +43,4 @@ def reproduce(
 
     make_folder(out, "report.md", force)
     run(out, quick, deep, typer.echo)
-    typer.echo(f"Written: {out / 'report.html'}, report.md, numbers.json and figures")
+    show.say(f"Written: {out / 'report.html'}, report.md, numbers.json and figures")
