@@ -7,6 +7,7 @@ import pytest
 import fluxobs
 from fluxobs import FluxobsError
 from fluxobs.deployment.folder import joined
+from fluxobs.deployment.settings import check_prefix
 from support.firmware import STRICT
 
 #: Words of the library's files and include guards, as a prefix could repeat them.
@@ -52,6 +53,29 @@ def test_the_library_s_own_prefixes_are_refused(tmp_path, prefix):
     with pytest.raises(FluxobsError, match=f"prefix '{prefix}' cannot.*'motor' can"):
         fluxobs.export("ipm-5kw6", 1e-4, tmp_path / "motor", unknowns="auto", prefix=prefix)
     assert not (tmp_path / "motor").exists()
+
+
+@pytest.mark.parametrize(
+    ("prefix", "words"),
+    [
+        *((word, "it is a keyword") for word in ("int", "while", "class", "xor", "char8_t")),
+        *((word, "it is a keyword") for word in ("constexpr", "fn", "Self", "yield", "typeof")),
+        *((word, "two underscores") for word in ("a__b", "axis_")),
+        *((word, "must be a letter, then") for word in ("_Motor", "__axis", "1st", "", "é")),
+        *((word, "device of Windows") for word in ("con", "NUL", "com1")),
+    ],
+)
+def test_names_that_are_not_the_user_s_to_give(tmp_path, prefix, words):
+    with pytest.raises(FluxobsError, match=f"^prefix '{prefix}' cannot begin .* {words}") as error:
+        fluxobs.export("servo-400w", 1e-4, tmp_path / "motor", prefix=prefix)
+    assert not (tmp_path / "motor").exists()
+    near = str(error.value).split("'")[-2]
+    check_prefix(near)
+
+
+@pytest.mark.parametrize("prefix", ["Int", "main", "errno", "final_drive", "console", "a" * 40])
+def test_names_that_only_resemble_those(prefix):
+    check_prefix(prefix)
 
 
 def test_what_is_proposed_instead_is_accepted(tmp_path):

@@ -65,22 +65,6 @@ def inert(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9 ._+\-=,(){}]", "_", text)
 
 
-def is_identifier(name: str) -> bool:
-    """Whether names in C, and a file name, can begin with it."""
-    return re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,39}", name) is not None
-
-
-def is_taken(name: str) -> bool:
-    """Whether it begins like the names and files of the library; some file systems know no case.
-
-    Examples
-    --------
-    >>> is_taken("fo"), is_taken("FO_map"), is_taken("fluxobs"), is_taken("focus")
-    (True, True, True, False)
-    """
-    return re.match(r"fo(_|$)|fluxobs", name, re.IGNORECASE) is not None
-
-
 def identifier(text: str) -> str:
     """The nearest identifier: ``servo-400w`` becomes ``servo_400w``."""
     name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_") or "motor"

@@ -9,7 +9,8 @@ from numbers import Integral
 from ..errors import FluxobsError
 from ..machines import Machine, RotatingMachine
 from ..observers.unknowns import adapts, check_adapted
-from .c_source import identifier, is_identifier, is_taken
+from .c_source import identifier
+from .reserved import why_refused
 
 #: Plausible periods of a current control [s]; other numbers must be in another unit.
 PERIODS = (1e-6, 1e-2)
@@ -22,11 +23,11 @@ def check_prefix(prefix: str) -> None:
     """Raise FluxobsError if names in C cannot begin with this prefix."""
     if not isinstance(prefix, str):
         raise FluxobsError(f"prefix must be text, such as 'motor'; got {prefix!r}")
-    if not is_identifier(prefix) or is_taken(prefix):
+    why = why_refused(prefix)
+    if why is not None:
         near = identifier(prefix)
-        near = "motor" if is_taken(near) else near
-        why = ": the library's begin so" if is_taken(prefix) else ""
-        raise FluxobsError(f"prefix {prefix!r} cannot begin names in C{why}; {near!r} can")
+        near = "motor" if why_refused(near) else near
+        raise FluxobsError(f"prefix {prefix!r} cannot begin names in C: {why}; {near!r} can")
 
 
 def check_machine(
