@@ -137,6 +137,26 @@ def test_nothing_is_overwritten_without_force(folder):
         assert not (folder / "new.parquet").exists()
 
 
+@pytest.mark.parametrize("command", ["estimate", "identify"])
+def test_what_is_made_while_a_command_runs_is_kept(folder, monkeypatch, command):
+    import fluxobs as library
+
+    run = getattr(library, command)
+
+    def slow(*given, **options):
+        (folder / "r.png").write_text("mine")
+        return run(*given, **options)
+
+    monkeypatch.setattr(library, command, slow)
+    (folder / "log.csv").write_text(DEMO.head(1000).write_csv())
+    out = "out.parquet" if command == "estimate" else "found.toml"
+    given = (command, "log.csv", *MACHINE, "--out", out, "--report", "r.png")
+    refused = fluxobs(*given, folder=folder)
+    assert refused.returncode == 2
+    assert "r.png: exists" in refused.stderr
+    assert (folder / "r.png").read_text() == "mine"
+
+
 def test_quiet_and_json(folder):
     quiet = estimate(folder, "--quiet")
     assert (quiet.returncode, quiet.stdout) == (0, "")

@@ -179,11 +179,13 @@ def _again(
                 else f"{name:{width}}  {value}"
             )
     if record is not None:
+        check_new(record, (".parquet",), force, "--record")  # once more: the run took a while
         write_record(one, record)
         show.say(f"Written: {record}")
     if report is not None:
         result = one.estimate()
         show.echo(result.summary)
+        check_new(report, (".html",), force, "--report")
         result.write(report)
         show.say(f"Written: {report}")
 

@@ -154,12 +154,12 @@ def estimate(
     from ... import estimate as run
     from ...logs.written import write_record
     from ...output import check_new
+    from ...plots import REPORTS, check_path
 
     if out is not None:
         refuse_input_as_output(out, machine, layout.get("record"))
     html = report is not None and report.suffix.lower() == ".html"
     if report is not None:
-        from ...plots import REPORTS, check_path
         from ...web import built
 
         check_path(report)
@@ -195,6 +195,7 @@ def estimate(
         write_record(result.log, save_record, force=force)
         written.append(save_record)
     if report is not None:
+        check_new(report, REPORTS, force, "--report")  # once more: the run took a while
         result.write(report, data=not no_data, command=shlex.join(["fluxobs", *sys.argv[1:]]))
         written.append(report)
     if as_json:

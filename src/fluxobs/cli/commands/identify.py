@@ -69,14 +69,13 @@ def identify(
     from ... import identify as run
     from ...machines.saving import check_machine_file
     from ...output import check_new
+    from ...plots import REPORTS, check_path
 
     paths = _paths(logs)
     for path in paths:
         refuse_input_as_output(out, path, layout.get("record"))
     check_machine_file(out, force)
     if report is not None:
-        from ...plots import REPORTS, check_path
-
         check_path(report)
         check_new(report, REPORTS, force, "--report")
     some_failed = False
@@ -100,6 +99,7 @@ def identify(
             facts, lines = found.facts, found.lines()
         found.write(out, force=force)
         if report is not None:
+            check_new(report, REPORTS, force, "--report")  # once more: the run took a while
             found.write(report)
     if as_json:
         typer.echo(json.dumps(facts | {"written": str(out)}, indent=1, ensure_ascii=False))
