@@ -138,6 +138,7 @@ def test_a_scenario_again(done, tmp_path):
         (["campaign", "{folder}/out", "--search", "worst", "--machine", "x"], "no machine"),
         (["campaign", "{folder}/out", "--out", "x"], "is the folder of the results already"),
         (["campaign", "{folder}"], "holds no campaign"),
+        (["campaign", "{folder}/trial.toml", "--out", "o\udce9"], "not UTF-8"),
         (["campaign", "{folder}/other.toml", "--out", "{folder}/out"], "its name, seed differ"),
         (["campaign", "{folder}/other.toml", "--out", "{folder}"], "is not empty"),
         (

@@ -1,5 +1,7 @@
 """What an estimation returns, written, drawn and told."""
 
+import sys
+
 import numpy as np
 import polars as pl
 import pytest
@@ -37,6 +39,13 @@ def adaptive():
 def columns_of(estimate):
     *names, valid = [name for one in in_files(estimate) for name in one.columns(PORTS)]
     return [*names, *(one.name for one in derived_outputs(SERVO)), valid]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are text there")
+@pytest.mark.parametrize("name", ["out [1].parquet", "out [1].csv", "out\udce9.parquet"])
+def test_estimates_in_a_file_of_any_name(tmp_path, name):
+    result = fluxobs.estimate(COLUMNS, SERVO, unknowns="drift", out=tmp_path / name)
+    assert result.estimates.height == ROWS
 
 
 def test_columns_are_those_of_the_one_list(plain, adaptive):

@@ -249,6 +249,7 @@ def test_names_that_are_no_text_or_command_a_terminal(logs, tmp_path):
         assert rf"{shown}/\x9b\xff.csv: currents and voltages are not found" in failed
         assert rows[rf"{shown}/caf\xe9.csv"]["drive"] == shown
     assert b"\x1b" not in (out / "summary.csv").read_bytes()
+    out = out.rename(tmp_path / "o\udce9 [1]")
     done = command("fleet", out, folder=tmp_path)
     assert done.returncode == 0
     page = (out / "fleet.html").read_text()

@@ -164,6 +164,7 @@ def create(folder: str | Path, specification: Specification, size: int) -> Datas
     FluxobsError
         The folder holds another campaign, or something else.
     """
+    _check_text(Path(folder))
     folder = make_folder(folder)
     place = folder / MANIFEST
     told = manifest(specification, size)
@@ -190,6 +191,7 @@ def open_dataset(folder: str | Path) -> Dataset:
         There is none.
     """
     folder = Path(folder)
+    _check_text(folder)
     place = folder / MANIFEST
     if not place.exists():
         raise FluxobsError(f"{folder}: holds no campaign ({MANIFEST} is missing)")
@@ -205,6 +207,14 @@ def open_dataset(folder: str | Path) -> Dataset:
     except FluxobsError as error:
         changed = str(error)
     return Dataset(folder, specification, there["chunk"], changed)
+
+
+def _check_text(folder: Path) -> None:
+    """Raise FluxobsError if Polars cannot read in the folder: it takes names that are text."""
+    try:
+        str(folder.resolve()).encode()
+    except UnicodeEncodeError:
+        raise FluxobsError(f"{folder}: this name is not UTF-8; give another folder") from None
 
 
 def _manifest(place: Path) -> dict[str, Any]:

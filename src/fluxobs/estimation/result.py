@@ -50,7 +50,8 @@ class Result(ExplainedRun):
             raise FluxobsError("the estimates were not kept: estimate with out=… or keep=True")
         read = pl.read_parquet if self.path.suffix == ".parquet" else pl.read_csv
         try:
-            return read(self.path)
+            with self.path.open("rb") as file:  # Polars takes a name for a pattern, and for text
+                return read(file)
         except (OSError, pl.exceptions.PolarsError) as error:
             raise FluxobsError(f"{self.path}: the estimates cannot be read: {error}") from None
 

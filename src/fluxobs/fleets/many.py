@@ -125,7 +125,8 @@ def open_fleet(folder: str | Path) -> Fleet:
             f"{folder}: holds no {TABLE}; `fluxobs estimate LOGS… --out {folder}` makes it"
         )
     try:
-        return Fleet(Path(folder), pl.read_parquet(place))
+        with place.open("rb") as file:  # Polars takes a name for a pattern, and for text
+            return Fleet(Path(folder), pl.read_parquet(file))
     except (OSError, pl.exceptions.PolarsError) as error:
         raise FluxobsError(f"{place}: cannot be read: {error}") from None
 
