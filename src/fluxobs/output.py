@@ -81,20 +81,26 @@ def replacing(out: Path, force: bool = True) -> Iterator[IO[bytes]]:
     unfinished = out.with_name(f".{out.name}.part")
     try:
         with _claimed(unfinished, out) as handle:
+            _check_missing(out, force)
             yield handle
             handle.flush()
             if not is_at(handle.fileno(), unfinished):  # only without locks
                 raise _busy(out)
-            if not force and os.path.lexists(out):
-                raise FluxobsError(
-                    f"{out}: exists, and was made during this run; give another name, or --force "
-                    f"to overwrite it"
-                )
+            _check_missing(out, force)
             if os.name == "nt":  # Windows moves no open file
                 handle.close()
             unfinished.replace(out)
     except OSError as error:
         raise FluxobsError(f"{out}: cannot be written: {error.strerror or error}") from None
+
+
+def _check_missing(out: Path, force: bool) -> None:
+    """Raise FluxobsError if somebody has made the file since the run began."""
+    if not force and os.path.lexists(out):
+        raise FluxobsError(
+            f"{out}: exists, and was made during this run; give another name, or --force to "
+            f"overwrite it"
+        )
 
 
 @contextmanager
