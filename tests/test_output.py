@@ -49,7 +49,7 @@ def test_nobody_writes_into_the_unfinished_file_of_a_run_that_goes_on(tmp_path):
             lambda: write_text(out, "second\n"),
             lambda: write_rows(out, SCHEMA, iter([FRAME])),
         ):
-            with pytest.raises(FluxobsError, match=r"out\.csv: another run is writing this file"):
+            with pytest.raises(FluxobsError, match=r"out\.csv: another run is writing it"):
                 write()
         assert not out.exists()
     assert out.read_bytes() == b"first\n"

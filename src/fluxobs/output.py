@@ -78,9 +78,9 @@ def replacing(out: Path, force: bool = True) -> Iterator[IO[bytes]]:
     FluxobsError
         It cannot be written, or another run is writing it.
     """
-    unfinished = out.with_name(f".{out.name}.part")
+    unfinished = _unfinished(out)
     try:
-        with _claimed(unfinished, out) as handle:
+        with claimed(out) as handle:
             _check_missing(out, force)
             yield handle
             handle.flush()
@@ -103,9 +103,20 @@ def _check_missing(out: Path, force: bool) -> None:
         )
 
 
+def _unfinished(out: Path) -> Path:
+    return out.with_name(f".{out.name}.part")
+
+
 @contextmanager
-def _claimed(unfinished: Path, out: Path) -> Iterator[IO[bytes]]:
-    """The unfinished file of this run, made anew and locked; it is gone at the end."""
+def claimed(out: Path) -> Iterator[IO[bytes]]:
+    """The unfinished file of an output, made anew and locked for this run; it is gone at the end.
+
+    Raises
+    ------
+    FluxobsError
+        Another run is writing this output.
+    """
+    unfinished = _unfinished(out)
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
     while True:
         _remove_left(unfinished, out)
@@ -152,7 +163,7 @@ def _remove_left(unfinished: Path, out: Path) -> None:
 
 
 def _busy(out: Path) -> FluxobsError:
-    return FluxobsError(f"{out}: another run is writing this file; wait for its end, or stop it")
+    return FluxobsError(f"{out}: another run is writing it; wait for its end, or stop it")
 
 
 def write_text(out: Path, text: str) -> None:

@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from fluxobs import FluxobsError
 from fluxobs.deployment.c_source import hex_float
 from fluxobs.deployment.folder import check_folder, write_folder
 from fluxobs.deployment.vectors import COLUMNS
+from fluxobs.output import claimed
 from support.firmware import COMPILERS, CPP_COMPILERS, HARNESS, STRICT, make_test
 from support.records import MACHINES
 
@@ -350,6 +352,32 @@ def test_a_listing_with_a_second_name_keeps_its_content(tmp_path):
     kept = (tmp_path / "other").read_text()
     write(folder, {"a": "2"}, force=True)
     assert (tmp_path / "other").read_text() == kept
+
+
+def test_what_a_killed_export_left_is_gone_after_the_next(tmp_path):
+    program = (
+        "import os, sys\n"
+        "from unittest import mock\n"
+        "import fluxobs\n"
+        "with mock.patch('os.replace', lambda *given: os._exit(9)):\n"
+        "    fluxobs.export('servo-400w', 1e-4, sys.argv[1])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program, tmp_path / "motor"], check=False)
+    assert done.returncode == 9
+    assert not (tmp_path / "motor").exists()
+    assert list(tmp_path.iterdir())
+    fluxobs.export("servo-400w", 1e-4, tmp_path / "motor")
+    assert [path.name for path in tmp_path.iterdir()] == ["motor"]
+
+
+def test_two_exports_into_one_folder_at_a_time(tmp_path):
+    victim = tmp_path / "victim"
+    victim.mkdir()
+    (tmp_path / ".motor.unfinished").symlink_to("victim")
+    with claimed(tmp_path / "motor"), pytest.raises(FluxobsError, match="another run is writing"):
+        fluxobs.export("servo-400w", 1e-4, tmp_path / "motor")
+    fluxobs.export("servo-400w", 1e-4, tmp_path / "motor")
+    assert not list(victim.iterdir())
 
 
 def test_no_empty_folder_is_left(tmp_path):

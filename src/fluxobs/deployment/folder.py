@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
-from collections.abc import Mapping
-from contextlib import suppress
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
 from ..errors import FluxobsError
 from ..links import refuse_link
+from ..output import claimed
 
 #: Lists what was written, so that another export may replace that and nothing else.
 MANIFEST = "MANIFEST"
@@ -102,6 +103,26 @@ def _listing(contents: Mapping[str, bytes]) -> bytes:
     return "".join(f"{sha256(content)}  {name}\n" for name, content in contents.items()).encode()
 
 
+@contextmanager
+def _scratch(folder: Path) -> Iterator[Path]:
+    """A folder beside another, for this run alone; one that a killed run left is removed."""
+    scratch = folder.with_name(f".{folder.name}.unfinished")
+    with claimed(folder):
+        try:
+            _remove(scratch)
+            scratch.mkdir()
+            yield scratch
+        finally:
+            _remove(scratch)
+
+
+def _remove(scratch: Path) -> None:
+    if scratch.is_symlink():
+        scratch.unlink()
+    elif scratch.exists():
+        shutil.rmtree(scratch)
+
+
 def write_folder(folder: Path, files: Mapping[str, str | bytes]) -> None:
     """Write all files or none: they are made beside the folder and moved there when complete.
 
@@ -122,8 +143,8 @@ def _write(folder: Path, files: Mapping[str, str | bytes]) -> None:
         for name, content in files.items()
     }
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".fluxobs-", dir=folder.parent) as scratch:
-        made = Path(scratch) / "export"
+    with _scratch(folder) as scratch:
+        made = scratch / "export"
         for name, content in [*contents.items(), (MANIFEST, _listing(contents))]:
             path = made / name
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -139,7 +160,7 @@ def _write(folder: Path, files: Mapping[str, str | bytes]) -> None:
             if name not in old and _exists(path):
                 raise FluxobsError(f"{path}: is no part of the earlier export; move it away")
         # While files are being replaced, either version of them is ours.
-        both = Path(scratch) / MANIFEST
+        both = scratch / MANIFEST
         both.write_bytes((folder / MANIFEST).read_bytes() + _listing(contents))
         os.replace(both, folder / MANIFEST)
         for name in contents:

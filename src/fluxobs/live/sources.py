@@ -23,6 +23,8 @@ _CHUNK = 65536
 _PAUSE, _LOOK = 0.02, 0.1
 #: Where datagrams are taken from if no address says so: this computer alone.
 _LOOPBACK = "127.0.0.1"
+#: Datagrams that are taken at once.
+_ATONCE = 4096
 #: Seconds after which a sender that is silent may be one that starts again.
 _SILENCE = 5.0
 #: Rows that the demo sends at once.
@@ -139,8 +141,10 @@ class Datagrams(Source):
         out = bytearray()
         self._socket.setblocking(False)
         try:
-            while len(out) < _CHUNK:
+            for _ in range(_ATONCE):  # others may send without end
                 out += self._received()
+                if len(out) >= _CHUNK:
+                    break
         except BlockingIOError:
             pass
         finally:
