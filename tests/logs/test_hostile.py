@@ -5,6 +5,7 @@ import gzip
 import io
 import struct
 import time
+import tracemalloc
 import zipfile
 import zlib
 
@@ -226,6 +227,40 @@ def test_a_line_without_end(tmp_path, encoding, packed, at):
     path = tmp_path / ("log.csv.gz" if packed else "log.csv")
     path.write_bytes(gzip.compress(text, 1) if packed else text)
     refused(path, "more than 1048576 characters|no header|is not a number")
+
+
+def packed_rows(path, row, megabytes):
+    """A compressed log of one row many times, of so many unpacked megabytes."""
+    block = gzip.compress(row * ((1 << 20) // len(row)))
+    path.write_bytes(gzip.compress((HEAD + ROWS).encode()) + block * megabytes)
+    return path
+
+
+def test_a_small_file_that_unpacks_to_a_gigabyte(tmp_path):
+    path = packed_rows(tmp_path / "log.csv.gz", b"0,1,2,3,4\n", 1024)
+    refused(path, "unpacks to more than 4........ bytes, and to more than 200 times its size")
+
+
+def test_short_rows_are_read_in_little_memory(tmp_path):
+    (table,) = open_tables(packed_rows(tmp_path / "log.csv.gz", b"0,1,2,3,4\n", 80))
+    tracemalloc.start()
+    rows = sum(len(part["t"]) for part in table.batches(table.columns, 0, table.rows))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert rows == table.rows > 8_000_000
+    assert peak < 100 << 20  # kept as numbers they are 335 MB, and were 670
+
+
+def test_lines_without_rows_are_not_kept_in_memory(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(HEAD + ROWS + "\n" * 500_000 + ROWS)
+    tracemalloc.start()
+    (table,) = open_tables(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10 << 20  # a number for each of them are 20 MB
+    assert table.place(299) == "line 301"
+    assert table.place(300) == "line 500302"
 
 
 @pytest.mark.parametrize("ending", ["npy", "npz"])

@@ -12,10 +12,17 @@ from ....errors import RecordError
 
 #: Longest line: a log of the most columns has a hundred characters in each.
 LINE = 1 << 20
+#: More bytes than these may unpack to so many times the size of a file: rows whose time goes on
+#: pack to a twentieth, rows that repeat to a thousandth.
+PLENTY, RATIO = 1 << 28, 200
 
 
 class _Packed(gzip.GzipFile):
-    """A compressed file; one that is cut off or damaged ends in a RecordError."""
+    """A compressed file; one that is cut off, damaged or a bomb ends in a RecordError."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "rb")
+        self._most = max(PLENTY, RATIO * path.stat().st_size)
 
     def _guarded(self, method: Callable[..., Any], *arguments: Any) -> Any:
         try:
@@ -23,14 +30,23 @@ class _Packed(gzip.GzipFile):
         except (zlib.error, EOFError, gzip.BadGzipFile) as error:
             raise RecordError(f"{self.name}: damaged or cut off: {error}") from None
 
+    def _content(self, method: Callable[..., Any], size: int | None) -> bytes:
+        content: bytes = self._guarded(method, size)
+        if self.tell() > self._most:
+            raise RecordError(
+                f"{self.name}: it unpacks to more than {self._most} bytes, and to more than "
+                f"{RATIO} times its size: its rows repeat. If it is a log, unpack it with gunzip"
+            )
+        return content
+
     def read(self, size: int | None = -1) -> bytes:
-        return cast(bytes, self._guarded(super().read, size))
+        return self._content(super().read, size)
 
     def read1(self, size: int = -1) -> bytes:
-        return cast(bytes, self._guarded(super().read1, size))
+        return self._content(super().read1, size)
 
     def readline(self, size: int | None = -1) -> bytes:
-        return cast(bytes, self._guarded(super().readline, size))
+        return self._content(super().readline, size)
 
     def seek(self, offset: int, whence: int = 0) -> int:
         return cast(int, self._guarded(super().seek, offset, whence))
@@ -38,7 +54,7 @@ class _Packed(gzip.GzipFile):
 
 def open_packed(path: Path) -> IO[bytes]:
     """Open a compressed file for reading."""
-    return cast(IO[bytes], _Packed(path, "rb"))
+    return cast(IO[bytes], _Packed(path))
 
 
 def whole(file: IO[AnyStr], path: Path, most: int | None = None) -> Iterator[AnyStr]:

@@ -30,6 +30,8 @@ EMPTY = " \t\r\n,;|"
 BLOCK = 1 << 22
 #: Columns of a smaller file are parsed once, and kept: a run reads a log five times.
 KEPT = 1 << 26
+#: Most bytes of these columns: cells of one character are eight times as large as numbers.
+KEPT_NUMBERS = 1 << 28
 
 
 def is_packed(path: Path) -> bool:
@@ -156,26 +158,32 @@ class Copy:
     Attributes
     ----------
     path : Path
-    left_out : list of int
-        Lines of the file, from 0, that are not in the copy.
     """
 
     def __init__(self, path: Path, encoding: str, first: int, spaces: bool, drop: frozenset[str]):
-        self.left_out: list[int] = []
+        self._source, self._encoding, self._first, self._drop = path, encoding, first, drop
         with tempfile.NamedTemporaryFile(
             "w", encoding="utf-8", suffix=".csv", prefix="fluxobs-", delete=False, newline="\n"
         ) as out:
             self.path = Path(out.name)
             self._end = weakref.finalize(self, self.path.unlink, missing_ok=True)
-            for number, line in enumerate(_lines(path, encoding)):
-                if number < first:
-                    continue
-                text = line.rstrip("\r\n")
-                if not text.strip(" ") or text in drop or text.startswith(BETWEEN):
-                    self.left_out.append(number)
-                    continue
+            for _, text in self._rows():
                 text = re.sub(r"\s+", " ", text.strip()) if spaces else text
                 out.write(text.replace(MINUS, "-") + "\n")
+
+    def _rows(self) -> Iterator[tuple[int, str]]:
+        """Rows of the file, each with the number of its line."""
+        for number, line in enumerate(_lines(self._source, self._encoding)):
+            text = line.rstrip("\r\n")
+            blank = not text.strip(" ")
+            if number >= self._first and not (
+                blank or text in self._drop or text.startswith(BETWEEN)
+            ):
+                yield number, text
+
+    def line(self, row: int) -> int:
+        """Line of the file, from 0, in which a row of the copy stands."""
+        return next((number for number, _ in islice(self._rows(), row, None)), self._first + row)
 
 
 def _lines(path: Path, encoding: str) -> Iterator[str]:

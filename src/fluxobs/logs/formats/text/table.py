@@ -104,8 +104,6 @@ class TextTable(Table):
         """Count the rows, and note where in the file every block of them begins."""
         self._text = self.path if self._copy is None else self._copy.path
         self.random_access = not source.is_packed(self._text)
-        packed = 1 if self.random_access else 8  # text is some eight times as large
-        self._small = packed * self._text.stat().st_size < source.KEPT
         self._kept: Columns = {}
         self._expected: list[str] = []
         skip = 0 if self._copy is not None else self.structure.first_line
@@ -121,6 +119,8 @@ class TextTable(Table):
             at += len(block)
             self._starts.append(at)
             self._firsts.append(self.rows)
+        numbers = 8 * self.rows * len(self.columns)
+        self._small = at < source.KEPT and numbers < source.KEPT_NUMBERS
 
     def _blocks(self, first: int, last: int) -> Iterator[tuple[int, bytes]]:
         """Blocks that hold these rows, each with the number of its first row."""
@@ -216,11 +216,8 @@ class TextTable(Table):
 
     def place(self, row: int) -> str:
         """Where a person finds that row in the file."""
-        line = self.structure.first_line + row
-        if self._copy is not None:
-            for left_out in self._copy.left_out:
-                line += left_out <= line
-        return f"line {line + 1}"
+        copy = self._copy
+        return f"line {1 + (self.structure.first_line + row if copy is None else copy.line(row))}"
 
     def _refuse_text(self, name: str, block: bytes, at: int, low: int, high: int) -> None:
         """A cell that did not parse is either empty or a mistake."""
