@@ -2,6 +2,7 @@
 
 import os
 import pickle
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from fluxobs.logs.formats.formula import is_arithmetic
 from support.records import SMALL_LOG as COLUMNS
 
 T = COLUMNS["t"]
+CORPUS = Path(__file__).parent / "corpus"
 
 
 class Trap:
@@ -162,6 +164,15 @@ def test_a_formula_in_a_sheet(mark, tmp_path):
             for k, value in enumerate(values):
                 sheet.write_formula(k + 1, n, f'=cmd|"/c mkdir {mark}"!A1', None, value)
     assert len(read_log(tmp_path / "log.xlsx")) == len(T)
+
+
+def test_modules_beside_a_workbook(mark, tmp_path, monkeypatch):
+    """A workbook is read in a process of its own, which imports nothing from the folder."""
+    pytest.importorskip("fastexcel")
+    for name in ("fluxobs", "json", "polars", "fastexcel"):
+        (tmp_path / f"{name}.py").write_text(f"import os\nos.mkdir({str(mark)!r})\n")
+    monkeypatch.chdir(tmp_path)
+    assert len(read_log(CORPUS / "workbook.xlsx"))
 
 
 @pytest.mark.parametrize(

@@ -23,22 +23,39 @@ _CONTENT = ("v", "f", "is")
 _UNREADABLE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError)
 
 
-def check_size(path: Path) -> None:
-    """Raise RecordError if a workbook, .xlsx or .ods, would not fit into memory."""
+def unpacked_size(path: Path) -> int:
+    """Bytes of all parts of a workbook, .xlsx or .ods; RecordError if memory does not hold them."""
+    try:
+        with zipfile.ZipFile(path) as book:
+            size = sum(part.file_size for part in book.infolist())
+    except _UNREADABLE as error:
+        raise _unreadable(path, error) from None
+    if size > BYTES:
+        raise _too_large(path, f"{size} bytes", BYTES)
+    return size
+
+
+def check_cells(path: Path) -> None:
+    """Raise RecordError if the cells of a workbook, .xlsx or .ods, would not fit into memory."""
     extent: Callable[[], _Extent] = _OpenExtent if path.suffix.lower() == ".ods" else _Extent
     try:
         with zipfile.ZipFile(path) as book:
-            parts = book.infolist()
-            size = sum(part.file_size for part in parts)
-            cells = 0 if size > BYTES else sum(_cells(book, part, extent()) for part in parts)
+            cells = sum(_cells(book, part, extent()) for part in book.infolist())
     except (*_UNREADABLE, expat.ExpatError) as error:
-        raise RecordError(f"{path}: not a readable workbook: {error}") from None
-    if size > BYTES or cells > CELLS:
-        what = f"{size} bytes" if size > BYTES else f"{cells} cells up to the last one with content"
-        raise RecordError(
-            f"{path}: it has {what}, more than {BYTES if size > BYTES else CELLS}. Remove what "
-            f"stands apart from the table, or save the sheet as CSV"
-        )
+        raise _unreadable(path, error) from None
+    if cells > CELLS:
+        raise _too_large(path, f"{cells} cells up to the last one with content", CELLS)
+
+
+def _unreadable(path: Path, error: Exception) -> RecordError:
+    return RecordError(f"{path}: not a readable workbook: {error}")
+
+
+def _too_large(path: Path, what: str, most: int) -> RecordError:
+    return RecordError(
+        f"{path}: it has {what}, more than {most}. Remove what stands apart from the table, or "
+        f"save the sheet as CSV"
+    )
 
 
 def _cells(book: zipfile.ZipFile, part: zipfile.ZipInfo, extent: _Extent) -> int:
