@@ -1,4 +1,4 @@
-"""Files that people give: regular ones, and TOML of theirs."""
+"""Files that people give: regular ones, what they may unpack to, and TOML of theirs."""
 
 from __future__ import annotations
 
@@ -13,6 +13,14 @@ from .errors import FluxobsError
 MOST = 1 << 15
 #: Tables and lists within each other.
 DEEPEST = 50
+#: Every file may unpack to so many bytes, and to so many times its size: rows whose time goes on
+#: pack to a twentieth, rows that repeat to a thousandth.
+PLENTY, RATIO = 1 << 28, 200
+
+
+def most_unpacked(path: Path) -> int:
+    """Most bytes that a compressed file may unpack to; a bomb has more."""
+    return max(PLENTY, RATIO * path.stat().st_size)
 
 
 def check_regular(path: Path, error: type[FluxobsError]) -> None:

@@ -265,6 +265,50 @@ def test_all_that_matlab_nests_is_followed(tmp_path, packed):
     assert len(read_log(tmp_path / "log.mat")) == len(T)
 
 
+def element(kind, content):
+    return struct.pack("<2I", kind, len(content)) + content + bytes(-len(content) % 8)
+
+
+def array_head(kind, *sizes):
+    """The head of an array of a MATLAB file."""
+    shape = element(5, struct.pack("<2I", *sizes))
+    return element(6, struct.pack("<2I", kind, 0)) + shape + element(1, b"notes")
+
+
+def packed_array(path, head, content, times=1):
+    """A MATLAB file with the channels, and a packed array whose content is so many times this."""
+    matlab = pytest.importorskip("scipy.io")
+    matlab.savemat(path, COLUMNS)
+    packer = zlib.compressobj(1)
+    body = [struct.pack("<2I", 14, len(head) + len(content) * times) + head]
+    packed = b"".join(packer.compress(one) for one in [*body, *[content] * times])
+    with path.open("ab") as file:
+        file.write(element(15, packed + packer.flush()))
+    assert path.stat().st_size < 2 << 20
+    return path
+
+
+EMPTY = struct.pack("<2I", 14, 0)
+NO_FIELDS = element(5, struct.pack("<I", 8)) + element(1, b"")
+MEGABYTE = bytes(1 << 20)
+
+
+@pytest.mark.parametrize(
+    ("head", "content", "times"),
+    [
+        (array_head(6, 1 << 25, 1) + struct.pack("<2I", 9, 1 << 28), MEGABYTE, 256),
+        (array_head(4, 1, 1 << 25) + struct.pack("<2I", 16, 1 << 25), MEGABYTE, 32),
+        (array_head(6 | 0x800, 1, 1 << 24), element(2, MEGABYTE * 16), 2),
+        (array_head(1, 1, 1 << 18), EMPTY * (1 << 10), 1 << 8),
+        (array_head(2, 1 << 16, 1 << 16), NO_FIELDS, 1),
+    ],
+    ids=["numbers", "text", "complex", "cells", "structs"],
+)
+def test_a_small_matlab_file_that_is_large_in_memory(tmp_path, head, content, times):
+    path = packed_array(tmp_path / "log.mat", head, content, times)
+    refused(path, "it unpacks to more than 256 MB")
+
+
 HEAD = "t,u_alpha,u_beta,i_alpha,i_beta\n"
 ROWS = "".join(f"{n * 1e-3:.3f},1,2,3,4\n" for n in range(300))
 

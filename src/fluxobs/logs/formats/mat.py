@@ -11,7 +11,7 @@ import numpy as np
 from ...errors import RecordError
 from .extras import library
 from .hdf5 import open_hdf5
-from .mat_depth import check_depth
+from .mat_size import check_size
 from .nested import Found, tables
 from .table import Table
 
@@ -24,7 +24,7 @@ def open_mat(path: Path) -> list[Table]:
     """Tables of the arrays of a file; a field of a struct has the path "struct/field"."""
     matlab = library("scipy.io", "mat", path)
     try:
-        check_depth(path)
+        check_size(path)
         content = matlab.loadmat(path, simplify_cells=True)
     except NotImplementedError:
         return open_hdf5(path, "mat")

@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import IO, Any, AnyStr, cast
 
 from ....errors import RecordError
+from ....files import RATIO, most_unpacked
 
 #: Longest line: a log of the most columns has a hundred characters in each.
 LINE = 1 << 20
-#: More bytes than these may unpack to so many times the size of a file: rows whose time goes on
-#: pack to a twentieth, rows that repeat to a thousandth.
-PLENTY, RATIO = 1 << 28, 200
 
 
 class _Packed(gzip.GzipFile):
@@ -22,7 +20,7 @@ class _Packed(gzip.GzipFile):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "rb")
-        self._most = max(PLENTY, RATIO * path.stat().st_size)
+        self._most = most_unpacked(path)
 
     def _guarded(self, method: Callable[..., Any], *arguments: Any) -> Any:
         try:
