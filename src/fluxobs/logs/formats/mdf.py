@@ -13,6 +13,7 @@ import numpy as np
 from ...errors import RecordError
 from .extras import library
 from .formula import is_arithmetic
+from .mdf_blocks import check_blocks
 from .table import BATCH, Columns, Said, Table
 
 #: Data types of numbers: integers and floats in both byte orders.
@@ -133,10 +134,13 @@ def open_mdf(path: Path) -> list[Table]:
     """Tables of the channel groups that have rows."""
     asammdf = library("asammdf", "mdf", path)
     try:
+        check_blocks(path)
         # by its name the whole file would be read for every batch
         handle = path.open("rb")
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise RecordError(f"{path}: not a readable MDF file: {error}") from None
     try:
         # what frames of a bus hold is not read, and would be converted before it is checked
         mdf = asammdf.MDF(handle, process_bus_logging=False)

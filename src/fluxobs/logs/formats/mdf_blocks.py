@@ -1,0 +1,178 @@
+"""How the blocks of an MDF file refer to one another, before asammdf follows them.
+
+asammdf reads a chain of blocks to its end, which a circle does not have. It makes a text, and a
+conversion in a conversion, anew for each reference to it: two references at each of thirty levels
+are a thousand million conversions.
+"""
+
+from __future__ import annotations
+
+import mmap
+import struct
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from pathlib import Path
+from typing import ClassVar
+
+from ...files import PLENTY
+
+#: Bytes of memory that a conversion counts for besides its own: 64 000 take asammdf a second.
+CONVERSION = 4000
+
+Content = mmap.mmap | bytes
+
+
+class _Layout(ABC):
+    """Blocks of a version of MDF.
+
+    Attributes
+    ----------
+    first : int
+        Address of the head.
+    children : dict
+        Kind of a block → which of its links lead on: to the next block, or to a first one.
+    conversion : bytes
+        Kind of a conversion.
+    texts : tuple of bytes
+        Kinds of texts.
+    """
+
+    first = 64
+    children: ClassVar[dict[bytes, tuple[int, ...]]]
+    conversion: ClassVar[bytes]
+    texts: ClassVar[tuple[bytes, ...]]
+
+    def __init__(self, content: Content) -> None:
+        self.content = content
+
+    def kind(self, address: int) -> bytes:
+        """Kind of the block at an address; empty outside of the file."""
+        return self.content[address : address + len(self.conversion)]
+
+    @abstractmethod
+    def size(self, address: int) -> int:
+        """Length of a block [bytes]."""
+
+    @abstractmethod
+    def links(self, address: int) -> tuple[int, ...]:
+        """Addresses that a block refers to; 0 where it refers to none."""
+
+
+class _Version4(_Layout):
+    children: ClassVar = {
+        b"##HD": (0, 1, 3, 4),
+        b"##FH": (0,),
+        b"##AT": (0,),
+        b"##EV": (0,),
+        b"##DG": (0, 1, 2),
+        b"##CG": (0, 1),
+        b"##CN": (0, 1),
+        b"##CA": (0,),
+        b"##HL": (0,),
+        b"##DL": (0,),
+        b"##LD": (0,),
+    }
+    conversion = b"##CC"
+    texts = (b"##TX", b"##MD")
+    _inverse = 3
+
+    def size(self, address: int) -> int:
+        (size,) = struct.unpack_from("<Q", self.content, address + 8)
+        return min(int(size), len(self.content))
+
+    def links(self, address: int) -> tuple[int, ...]:
+        (count,) = struct.unpack_from("<Q", self.content, address + 16)
+        count = min(count, (len(self.content) - address - 24) // 8)
+        links = struct.unpack_from(f"<{count}Q", self.content, address + 24)
+        if self.kind(address) == self.conversion:  # the inverse is not read, and refers back
+            return links[: self._inverse] + links[self._inverse + 1 :]
+        return links
+
+
+class _Version3(_Layout):
+    children: ClassVar = {b"HD": (0,), b"DG": (0, 1), b"CG": (0, 1), b"CN": (0,)}
+    conversion = b"CC"
+    texts = (b"TX",)
+    _counts: ClassVar = {b"HD": 3, b"DG": 2, b"CG": 3, b"CN": 5}
+    #: Places of the texts of a conversion of ranges to texts: a default, and one for each range.
+    _ranges, _texts, _range = 12, 62, 20
+
+    def size(self, address: int) -> int:
+        (size,) = struct.unpack_from("<H", self.content, address + 2)
+        return int(size)
+
+    def links(self, address: int) -> tuple[int, ...]:
+        kind = self.kind(address)
+        if kind == self.conversion:
+            how, count = struct.unpack_from("<2H", self.content, address + 42)
+            first, end = address + self._texts, len(self.content) - 3
+            places = range(first, min(first + self._range * count, end), self._range)
+            texts = (struct.unpack_from("<I", self.content, place) for place in places)
+            return tuple(text for (text,) in texts) if how == self._ranges else ()
+        return struct.unpack_from(f"<{self._counts.get(kind, 0)}I", self.content, address + 4)
+
+
+def check_blocks(path: Path) -> None:
+    """Raise ValueError if asammdf would not come to an end with the blocks of a file, or take far
+    more memory than they do."""
+    with path.open("rb") as file:
+        version = file.read(16)[8:9]
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            try:
+                _follow((_Version4 if version >= b"4" else _Version3)(content))
+            except struct.error as error:
+                raise ValueError(f"damaged: {error}") from None
+
+
+def _follow(blocks: _Layout) -> None:
+    left, seen = [blocks.first], {blocks.first}
+    most = PLENTY + len(blocks.content)
+    conversions: dict[int, int] = {}
+    texts = 0
+    while left:
+        address = left.pop()
+        links, kind = blocks.links(address), blocks.kind(address)
+        for child in (links[n] for n in blocks.children.get(kind, ()) if n < len(links)):
+            if blocks.kind(child) not in blocks.children:
+                continue
+            if child in seen:
+                raise ValueError("its blocks refer to one another in a circle, or twice")
+            seen.add(child)
+            left.append(child)
+        for link in links:
+            if blocks.kind(link) in blocks.texts:
+                texts += blocks.size(link)
+            elif blocks.kind(link) == blocks.conversion and link not in conversions:
+                _add_conversion(blocks, link, conversions)
+                texts += conversions[link]
+        if texts > most:
+            raise ValueError(f"its texts and conversions take more than {most >> 20} MB")
+
+
+def _add_conversion(blocks: _Layout, address: int, sizes: dict[int, int]) -> None:
+    """Find how many bytes a conversion takes, with all that it refers to, each time anew."""
+    opened: list[tuple[int, Iterator[int]]] = [(address, iter(blocks.links(address)))]
+    inside, own = {address}, {address: CONVERSION + blocks.size(address)}
+    while opened:
+        address, links = opened[-1]
+        for link in links:
+            kind = blocks.kind(link)
+            if kind in blocks.texts:
+                own[address] += blocks.size(link)
+            elif kind != blocks.conversion:
+                continue
+            elif link in inside:
+                raise ValueError("its conversions refer to one another in a circle")
+            elif link in sizes:
+                own[address] += sizes[link]
+            else:
+                opened.append((link, iter(blocks.links(link))))
+                inside.add(link)
+                own[link] = CONVERSION + blocks.size(link)
+                break
+        else:
+            opened.pop()
+            inside.remove(address)
+            sizes[address] = own[address]
+            if opened:
+                own[opened[-1][0]] += sizes[address]
