@@ -430,6 +430,23 @@ def test_an_array_larger_than_memory(tmp_path):
     refused(tmp_path / "log.npz", "is larger than memory may be")
 
 
+def test_an_archive_that_unpacks_to_far_more_than_its_size(tmp_path):
+    np.savez_compressed(tmp_path / "log.npz", **COLUMNS)
+    head = io.BytesIO()
+    fields = {"descr": "<f8", "fortran_order": False, "shape": (35 << 20,)}
+    np.lib.format.write_array_header_1_0(head, fields)
+    with (
+        zipfile.ZipFile(
+            tmp_path / "log.npz", "a", zipfile.ZIP_DEFLATED, compresslevel=1
+        ) as archive,
+        archive.open("notes.npy", "w") as file,
+    ):
+        file.write(head.getvalue())
+        for _ in range(8 * 35):
+            file.write(MEGABYTE)
+    refused(tmp_path / "log.npz", "it unpacks to 2936.* bytes, more than 268435456")
+
+
 def test_counts_that_a_tdms_file_does_not_hold(tmp_path):
     nptdms = pytest.importorskip("nptdms")
     with nptdms.TdmsWriter(tmp_path / "log.tdms") as file:

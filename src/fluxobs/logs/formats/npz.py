@@ -12,6 +12,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from ...errors import RecordError
+from ...files import most_unpacked
 from .nested import Found, tables
 from .npy import numbers_of
 from .table import Table
@@ -56,6 +57,9 @@ def open_npz(path: Path) -> list[Table]:
     found = Found()
     try:
         with zipfile.ZipFile(path) as archive:
+            size, most = sum(one.file_size for one in archive.infolist()), most_unpacked(path)
+            if size > most:
+                raise ValueError(f"it unpacks to {size} bytes, more than {most}; use numpy.savez")
             for name in archive.namelist():
                 if not name.endswith(".npy"):
                     continue
