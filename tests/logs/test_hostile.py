@@ -11,6 +11,7 @@ import zipfile
 import zlib
 
 import numpy as np
+import polars as pl
 import pytest
 
 from fluxobs import FluxobsError
@@ -428,6 +429,30 @@ def test_an_array_larger_than_memory(tmp_path):
     with zipfile.ZipFile(tmp_path / "log.npz", "w") as archive:
         archive.writestr("t.npy", head.getvalue())
     refused(tmp_path / "log.npz", "is larger than memory may be")
+
+
+@pytest.mark.parametrize("name", ["log.parquet", "log.arrow"])
+def test_columns_that_unpack_to_far_more_than_their_file(tmp_path, name):
+    write = "write_parquet" if name.endswith("parquet") else "write_ipc"
+    rows = 7 << 20
+    frame = pl.DataFrame({name: np.zeros(rows, np.float32) for name in COLUMNS})
+    getattr(frame, write)(tmp_path / name, compression="zstd")
+    assert (tmp_path / name).stat().st_size < 1 << 18
+    (table,) = open_tables(tmp_path / name)
+    with pytest.raises(FluxobsError, match=rf"{name}: columns .* unpack to 29.* bytes"):
+        list(table.batches(table.columns, 0, rows))
+    assert len(next(table.batches(["t"], 0, rows))["t"])  # it fits
+
+
+def test_a_large_compressed_batch_is_unpacked_once(tmp_path):
+    rows = 1 << 21
+    frame = pl.DataFrame({"t": np.arange(rows) * 1e-4, "x": np.sin(np.arange(rows))})
+    frame.write_ipc(tmp_path / "log.arrow", compression="zstd", record_batch_size=rows)
+    (table,) = open_tables(tmp_path / "log.arrow")
+    before = time.process_time()
+    parts = list(table.batches(["t", "x"], 0, rows, 10_000))
+    assert time.process_time() - before < 2  # it was 10: once for each of 200 batches
+    np.testing.assert_array_equal(np.concatenate([part["x"] for part in parts]), frame["x"])
 
 
 def test_an_archive_that_unpacks_to_far_more_than_its_size(tmp_path):

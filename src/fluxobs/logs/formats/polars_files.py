@@ -8,6 +8,7 @@ from pathlib import Path
 import polars as pl
 
 from ...errors import RecordError
+from ...files import most_unpacked
 from .lazy import BROKEN, as_columns, frames
 from .table import BATCH, Columns, Table
 
@@ -19,7 +20,6 @@ class FrameTable(Table):
         self, path: Path, scan: Callable[[Path], pl.LazyFrame], what: str, mapped: bool = False
     ) -> None:
         self.path = path
-        self._mapped = mapped  # each look maps the file, and keeps what it has touched
         try:
             self._lazy = scan(path)
             self._schema = self._lazy.collect_schema()
@@ -28,6 +28,14 @@ class FrameTable(Table):
         except BROKEN as error:
             raise RecordError(f"{path}: not a readable {what} file: {error}") from None
         self.columns = list(self._schema.names())
+        self._most = most_unpacked(path)
+        # each look maps the file, and keeps what it has touched, or unpacks batches anew
+        self._mapped = mapped and self._plain_size() <= path.stat().st_size
+
+    def _plain_size(self) -> int:
+        """Bytes of the columns of numbers, not compressed."""
+        numbers = [pl.Series(dtype=kind) for kind in self._schema.values() if kind.is_numeric()]
+        return self.rows * sum(int(column.to_numpy().dtype.itemsize) for column in numbers)
 
     def _seconds(self) -> list[pl.Expr]:
         """Stamps as seconds since the first one."""
@@ -48,6 +56,11 @@ class FrameTable(Table):
             kind = self._schema[name]
             if not (kind.is_numeric() or kind.is_temporal() or kind == pl.Boolean):
                 raise RecordError(f"{self.path}: column {name!r} holds {kind}, not numbers")
+        if (unpacked := 8 * (last - first) * len(set(names))) > self._most:
+            raise RecordError(
+                f"{self.path}: columns {', '.join(names)} unpack to {unpacked} bytes, more than "
+                f"{self._most}: their values repeat. If it is a log, save it as .npy"
+            )
         try:
             step = size if self._mapped else last - first
             for start in range(first, last, max(1, step)):
