@@ -20,6 +20,7 @@ from fluxobs.logs.formats import open_tables
 from support.records import SMALL_LOG as COLUMNS
 
 T = COLUMNS["t"]
+MEGABYTE = bytes(1 << 20)
 
 
 def refused(path, words, **options):
@@ -73,6 +74,68 @@ def test_a_dataset_whose_name_is_no_text(hdf5):
         file["i_beta"] = COLUMNS["i_beta"]
         file[b"x\xff\xfe"] = T
     assert len(read_log(hdf5)) == len(T)
+
+
+def with_chunks(path, chunk, packed=None, rows=None, **options):
+    """The HDF5 file with i_beta in chunks of so many rows, the first of them these bytes."""
+    import h5py
+
+    with h5py.File(path, "a") as file:
+        rows = len(T) if rows is None else rows
+        data = file.create_dataset("i_beta", (rows,), "f8", chunks=(chunk,), **options)
+        if packed is None:
+            data[: len(T)] = COLUMNS["i_beta"]
+        else:
+            data.id.write_direct_chunk((0,), packed)
+
+
+def zeros(megabytes):
+    packer = zlib.compressobj(1)
+    return b"".join(packer.compress(MEGABYTE) for _ in range(megabytes)) + packer.flush()
+
+
+def test_a_chunk_that_unpacks_to_more_than_it_has(hdf5):
+    with_chunks(hdf5, 200, zeros(300), compression="gzip")
+    refused(hdf5, "a chunk of /i_beta unpacks to more than 1600 bytes")
+
+
+def test_a_chunk_that_memory_does_not_hold(hdf5, monkeypatch):
+    monkeypatch.setattr("fluxobs.logs.formats.hdf5.CHUNK", 1000)
+    with_chunks(hdf5, 200, compression="gzip")
+    refused(hdf5, "/i_beta has chunks of 1600 bytes")
+
+
+def test_a_dataset_that_is_compressed_twice(hdf5):
+    h5py = pytest.importorskip("h5py")
+    twice = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    twice.set_chunk((len(T),))
+    twice.set_deflate(9)
+    twice.set_deflate(9)
+    with h5py.File(hdf5, "a") as file:
+        space = h5py.h5s.create_simple((len(T),))
+        h5py.h5d.create(file.id, b"i_beta", h5py.h5t.IEEE_F64LE, space, twice)
+        file["i_beta"][:] = COLUMNS["i_beta"]
+    refused(hdf5, "/i_beta is compressed twice")
+
+
+def test_rows_that_no_file_holds(hdf5):
+    with_chunks(hdf5, 1000, rows=1 << 40)
+    (table,) = [one for one in open_tables(hdf5) if "i_beta" in one.columns]
+    with pytest.raises(FluxobsError, match="i_beta unpacks to 8796093022208 bytes"):
+        list(table.batches(["i_beta"], 0, 10))
+
+
+def test_a_large_chunk_is_unpacked_once(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    rows = 1 << 21
+    values = np.sin(np.arange(rows))
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file.create_dataset("x", data=values, chunks=(rows,), compression="gzip")
+    (table,) = open_tables(tmp_path / "log.h5")
+    before = time.process_time()
+    parts = list(table.batches(["x"], 0, rows, 10_000))
+    assert time.process_time() - before < 2  # once for each of 200 batches it is 20
+    np.testing.assert_array_equal(np.concatenate([part["x"] for part in parts]), values)
 
 
 def workbook(path, far=None, blank=False):
@@ -291,7 +354,6 @@ def packed_array(path, head, content, times=1):
 
 EMPTY = struct.pack("<2I", 14, 0)
 NO_FIELDS = element(5, struct.pack("<I", 8)) + element(1, b"")
-MEGABYTE = bytes(1 << 20)
 
 
 @pytest.mark.parametrize(

@@ -2,16 +2,81 @@
 
 from __future__ import annotations
 
+import math
+import zlib
 from pathlib import Path
 from typing import Any
 
 from ...errors import RecordError
+from ...files import most_unpacked
 from .extras import library
 from .nested import Found, tables
 from .table import Table
 
 #: MATLAB's own group, which holds what others refer to.
 _REFERENCES = "#refs#"
+#: Most bytes of a chunk, which is unpacked as a whole; usual ones have a million.
+CHUNK = 1 << 28
+#: HDF5 unpacks a chunk to whatever comes out of it: a thousand times its size at most. A larger one
+#: is unpacked here first, up to the size that it should have.
+PACKED_CHUNK = 1 << 20
+#: Filters that do not compress, or not to less than the values need: shuffle, checksum, n bits.
+_DEFLATE, _PLAIN = 1, (2, 3, 5, 6)
+
+
+class _Dataset:
+    """A dataset, examined before its values are unpacked for the first time."""
+
+    def __init__(self, h5py: Any, file: Any, data: Any, most: int) -> None:
+        self.shape, self.dtype = data.shape, data.dtype
+        self._chunk = math.prod(data.chunks) * self.dtype.itemsize if data.chunks else 0
+        if PACKED_CHUNK < self._chunk <= CHUNK:  # else it is unpacked anew for every batch in it
+            name = h5py.h5i.get_name(data.id)
+            data.id.close()
+            access = h5py.h5p.create(h5py.h5p.DATASET_ACCESS)
+            access.set_chunk_cache(521, self._chunk, 1.0)
+            data = h5py.Dataset(h5py.h5d.open(file.id, name, access))
+        self._data, self._most, self._examined = data, most, False
+
+    def __len__(self) -> int:
+        return int(self.shape[0])
+
+    def __getitem__(self, rows: Any) -> Any:
+        if not self._examined:
+            self._examine()
+            self._examined = True
+        return self._data[rows]
+
+    def _examine(self) -> None:
+        """Raise ValueError if more comes out of it than it says, or far more than its file has."""
+        size = math.prod(self.shape) * self.dtype.itemsize
+        if size > self._most:
+            raise ValueError(f"{self._data.name} unpacks to {size} bytes, more than {self._most}")
+        if not self._chunk:
+            return
+        if self._chunk > CHUNK:
+            raise ValueError(
+                f"{self._data.name} has chunks of {self._chunk} bytes, which are unpacked as a "
+                f"whole; write it with smaller ones"
+            )
+        created = self._data.id.get_create_plist()
+        filters = [created.get_filter(n)[0] for n in range(created.get_nfilters())]
+        if len([one for one in filters if one not in _PLAIN]) > 1:
+            raise ValueError(f"{self._data.name} is compressed twice")
+        large: list[Any] = []
+        self._data.id.chunk_iter(lambda one: large.append(one) if one.size > PACKED_CHUNK else None)
+        if _DEFLATE in filters:
+            for one in large:
+                self._unpack(one.chunk_offset)
+
+    def _unpack(self, offset: tuple[int, ...]) -> None:
+        _, packed = self._data.id.read_direct_chunk(offset)
+        unpack = zlib.decompressobj()
+        unpack.decompress(packed, self._chunk)
+        if unpack.unconsumed_tail and unpack.decompress(unpack.unconsumed_tail, 1):
+            raise ValueError(
+                f"a chunk of {self._data.name} unpacks to more than {self._chunk} bytes"
+            )
 
 
 def open_hdf5(path: Path, extra: str = "hdf5") -> list[Table]:
@@ -22,6 +87,7 @@ def open_hdf5(path: Path, extra: str = "hdf5") -> list[Table]:
     except OSError as error:
         raise RecordError(f"{path}: not a readable HDF5 file: {error}") from None
     found = Found()
+    most = most_unpacked(path)
 
     def visit(name: str | bytes, node: Any) -> None:
         if isinstance(name, bytes):  # no UTF-8
@@ -35,7 +101,7 @@ def open_hdf5(path: Path, extra: str = "hdf5") -> list[Table]:
             unit = next((node.attrs[k] for k in ("unit", "units", "Unit") if k in node.attrs), None)
             if isinstance(unit, bytes):
                 unit = unit.decode("utf-8", errors="replace")
-            found.add(name, node, None if unit is None else str(unit))
+            found.add(name, _Dataset(h5py, file, node, most), None if unit is None else str(unit))
 
     try:
         file.visititems(visit)
