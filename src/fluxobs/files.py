@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,11 @@ from .errors import FluxobsError
 MOST = 1 << 15
 #: Tables and lists within each other.
 DEEPEST = 50
+#: Libraries unpack a block of a file to whatever comes out of it: a thousand times its size, by
+#: zlib. A larger one is unpacked before, up to the size that it should have.
+PACKED_BLOCK = 1 << 20
+#: Most bytes of a block, which is unpacked as a whole; usual ones have a few million.
+BLOCK = 1 << 28
 #: Every file may unpack to so many bytes, and to so many times its size: rows whose time goes on
 #: pack to a twentieth, rows that repeat to a thousandth.
 PLENTY, RATIO = 1 << 28, 200
@@ -21,6 +27,14 @@ PLENTY, RATIO = 1 << 28, 200
 def most_unpacked(path: Path) -> int:
     """Most bytes that a compressed file may unpack to; a bomb has more."""
     return max(PLENTY, RATIO * path.stat().st_size)
+
+
+def check_deflated(packed: bytes, size: int, what: str) -> None:
+    """Raise ValueError if a stream of zlib unpacks to more bytes than the file says."""
+    unpack = zlib.decompressobj()
+    unpack.decompress(packed, max(size, 1))  # 0 is no limit
+    if unpack.unconsumed_tail and unpack.decompress(unpack.unconsumed_tail, 1):
+        raise ValueError(f"{what} unpacks to more than the {size} bytes that it should have")
 
 
 def check_regular(path: Path, error: type[FluxobsError]) -> None:

@@ -96,11 +96,11 @@ def zeros(megabytes):
 
 def test_a_chunk_that_unpacks_to_more_than_it_has(hdf5):
     with_chunks(hdf5, 200, zeros(300), compression="gzip")
-    refused(hdf5, "a chunk of /i_beta unpacks to more than 1600 bytes")
+    refused(hdf5, "a chunk of /i_beta unpacks to more than the 1600 bytes")
 
 
 def test_a_chunk_that_memory_does_not_hold(hdf5, monkeypatch):
-    monkeypatch.setattr("fluxobs.logs.formats.hdf5.CHUNK", 1000)
+    monkeypatch.setattr("fluxobs.logs.formats.hdf5.BLOCK", 1000)
     with_chunks(hdf5, 200, compression="gzip")
     refused(hdf5, "/i_beta has chunks of 1600 bytes")
 
@@ -550,6 +550,31 @@ def mdf(path, version="4.10"):
     with asammdf.MDF(version=version) as file:
         file.append([asammdf.Signal(v, T, name=k) for k, v in COLUMNS.items() if k != "t"])
         return file.save(path)
+
+
+@pytest.mark.parametrize("sorted_", [True, False])
+def test_a_block_of_mdf_that_unpacks_to_more_than_it_has(tmp_path, sorted_):
+    path = mdf(tmp_path / "log.mf4")
+    content = path.read_bytes()
+    content += bytes(-len(content) % 8)
+    packed = zeros(300)
+    about = struct.pack("<2s2BI2Q", b"DT", 0, 0, 0, 40 * len(T), len(packed))
+    block = struct.pack("<4s4x2Q", b"##DZ", 24 + len(about + packed), 0) + about + packed
+    with_links(path, content + block, {(b"##DG", 0, 2): len(content)})
+    if not sorted_:
+        with path.open("r+b") as file:
+            file.seek(content.index(b"##DG") + 24 + 8 * 4)
+            file.write(b"\x01")
+    refused(path, "a block of data unpacks to more than the 8000 bytes")
+
+
+def test_rows_that_an_mdf_file_does_not_hold(tmp_path):
+    path = mdf(tmp_path / "log.mf4")
+    content = bytearray(path.read_bytes())
+    at = content.index(b"##CG")
+    struct.pack_into("<Q", content, at + 24 + 8 * content[at + 16] + 8, 1 << 50)
+    path.write_bytes(content)
+    refused(path, "its rows have 45035996273704960 bytes, more than 268435456")
 
 
 def conversion(*links):

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import math
-import zlib
 from pathlib import Path
 from typing import Any
 
 from ...errors import RecordError
-from ...files import most_unpacked
+from ...files import BLOCK, PACKED_BLOCK, check_deflated, most_unpacked
 from .extras import library
 from .nested import Found, tables
 from .table import Table
 
 #: MATLAB's own group, which holds what others refer to.
 _REFERENCES = "#refs#"
-#: Most bytes of a chunk, which is unpacked as a whole; usual ones have a million.
-CHUNK = 1 << 28
-#: HDF5 unpacks a chunk to whatever comes out of it: a thousand times its size at most. A larger one
-#: is unpacked here first, up to the size that it should have.
-PACKED_CHUNK = 1 << 20
 #: Filters that do not compress, or not to less than the values need: shuffle, checksum, n bits.
 _DEFLATE, _PLAIN = 1, (2, 3, 5, 6)
 
@@ -30,7 +24,7 @@ class _Dataset:
     def __init__(self, h5py: Any, file: Any, data: Any, most: int) -> None:
         self.shape, self.dtype = data.shape, data.dtype
         self._chunk = math.prod(data.chunks) * self.dtype.itemsize if data.chunks else 0
-        if PACKED_CHUNK < self._chunk <= CHUNK:  # else it is unpacked anew for every batch in it
+        if PACKED_BLOCK < self._chunk <= BLOCK:  # else it is unpacked anew for every batch in it
             name = h5py.h5i.get_name(data.id)
             data.id.close()
             access = h5py.h5p.create(h5py.h5p.DATASET_ACCESS)
@@ -54,7 +48,7 @@ class _Dataset:
             raise ValueError(f"{self._data.name} unpacks to {size} bytes, more than {self._most}")
         if not self._chunk:
             return
-        if self._chunk > CHUNK:
+        if self._chunk > BLOCK:
             raise ValueError(
                 f"{self._data.name} has chunks of {self._chunk} bytes, which are unpacked as a "
                 f"whole; write it with smaller ones"
@@ -64,19 +58,11 @@ class _Dataset:
         if len([one for one in filters if one not in _PLAIN]) > 1:
             raise ValueError(f"{self._data.name} is compressed twice")
         large: list[Any] = []
-        self._data.id.chunk_iter(lambda one: large.append(one) if one.size > PACKED_CHUNK else None)
+        self._data.id.chunk_iter(lambda one: large.append(one) if one.size > PACKED_BLOCK else None)
         if _DEFLATE in filters:
             for one in large:
-                self._unpack(one.chunk_offset)
-
-    def _unpack(self, offset: tuple[int, ...]) -> None:
-        _, packed = self._data.id.read_direct_chunk(offset)
-        unpack = zlib.decompressobj()
-        unpack.decompress(packed, self._chunk)
-        if unpack.unconsumed_tail and unpack.decompress(unpack.unconsumed_tail, 1):
-            raise ValueError(
-                f"a chunk of {self._data.name} unpacks to more than {self._chunk} bytes"
-            )
+                _, packed = self._data.id.read_direct_chunk(one.chunk_offset)
+                check_deflated(packed, self._chunk, f"a chunk of {self._data.name}")
 
 
 def open_hdf5(path: Path, extra: str = "hdf5") -> list[Table]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import weakref
+import zlib
 from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 from pathlib import Path
@@ -11,13 +12,16 @@ from typing import Any
 import numpy as np
 
 from ...errors import RecordError
+from ...files import most_unpacked
 from .extras import library
 from .formula import is_arithmetic
-from .mdf_blocks import check_blocks
+from .mdf_blocks import check_blocks, check_packed
 from .table import BATCH, Columns, Said, Table
 
 #: Data types of numbers: integers and floats in both byte orders.
 _NUMBERS = range(6)
+#: Kinds of data blocks that zlib unpacks, the second of them transposed.
+_DEFLATED = (1, 2)
 #: Largest data block that is read at once [bytes].
 BLOCK = 1 << 22
 
@@ -48,11 +52,36 @@ class MdfTable(Table):
                 time = name
         self.columns = list(self._index)
         self.said = Said(units, time)
+        self._examined = False
+
+    def _examine(self) -> None:
+        """Raise ValueError if the rows would take far more memory than the file has."""
+        group = self._mdf.groups[self._group]
+        size, most = (
+            self.rows * max(1, group.channel_group.samples_byte_nr),
+            most_unpacked(self.path),
+        )
+        if size > most:
+            raise ValueError(f"its rows have {size} bytes, more than {most}")
+        check_packed(
+            self.path,
+            (
+                (one.address, one.compressed_size if one.block_type in _DEFLATED else 0, size)
+                for one in group.get_data_blocks()
+                if one.block_type and (size := one.original_size or 0)
+            ),
+        )
 
     def batches(
         self, names: Sequence[str], first: int, last: int, size: int = BATCH
     ) -> Iterator[Columns]:
         channels = [(None, self._group, self._index[name]) for name in names]
+        try:
+            if not self._examined:
+                self._examine()
+        except (ValueError, zlib.error) as error:
+            raise RecordError(f"{self.path}: damaged: {error}") from None
+        self._examined = True
         for start in range(first, last, size):
             try:
                 parts = self._mdf.select(

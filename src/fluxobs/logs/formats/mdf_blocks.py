@@ -10,11 +10,11 @@ from __future__ import annotations
 import mmap
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import ClassVar
 
-from ...files import PLENTY
+from ...files import BLOCK, PACKED_BLOCK, PLENTY, check_deflated
 
 #: Bytes of memory that a conversion counts for besides its own: 64 000 take asammdf a second.
 CONVERSION = 4000
@@ -119,12 +119,51 @@ def check_blocks(path: Path) -> None:
         version = file.read(16)[8:9]
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
             try:
-                _follow((_Version4 if version >= b"4" else _Version3)(content))
+                if version < b"4":
+                    _follow(_Version3(content))
+                    return
+                blocks = _Version4(content)
+                check_packed(path, _packed_and_unsorted(blocks, _follow(blocks)))
             except struct.error as error:
                 raise ValueError(f"damaged: {error}") from None
 
 
-def _follow(blocks: _Layout) -> None:
+def check_packed(path: Path, blocks: Iterable[tuple[int, int, int]]) -> None:
+    """Raise ValueError if blocks of data are too large, or larger than they say.
+
+    Parameters
+    ----------
+    path : path
+    blocks : iterable of (int, int, int)
+        Address of its bytes, how many there are (0 if it is not zlib that unpacks them), and to how
+        many they unpack.
+    """
+    with path.open("rb") as file:
+        for address, packed, size in blocks:
+            if size > BLOCK:
+                raise ValueError(
+                    f"a block of data unpacks to {size} bytes, more than {BLOCK}; write smaller "
+                    f"ones"
+                )
+            if packed > PACKED_BLOCK:
+                file.seek(address)
+                check_deflated(file.read(packed), size, "a block of data")
+
+
+def _packed_and_unsorted(blocks: _Version4, seen: set[int]) -> Iterator[tuple[int, int, int]]:
+    """Compressed blocks of a file with rows that asammdf sorts, and unpacks, when it is opened."""
+    groups = (address for address in seen if blocks.kind(address) == b"##DG")
+    if not any(blocks.content[address + 24 + 8 * 4] for address in groups):
+        return
+    for address in seen:
+        for link in blocks.links(address):
+            if blocks.kind(link) == b"##DZ":
+                size, packed = struct.unpack_from("<2Q", blocks.content, link + 32)
+                yield link + 48, packed if blocks.content[link + 26] < 2 else 0, size
+
+
+def _follow(blocks: _Layout) -> set[int]:
+    """Follow all blocks; returns the addresses of those that refer to others."""
     left, seen = [blocks.first], {blocks.first}
     most = PLENTY + len(blocks.content)
     conversions: dict[int, int] = {}
@@ -147,6 +186,7 @@ def _follow(blocks: _Layout) -> None:
                 texts += conversions[link]
         if texts > most:
             raise ValueError(f"its texts and conversions take more than {most >> 20} MB")
+    return seen
 
 
 def _add_conversion(blocks: _Layout, address: int, sizes: dict[int, int]) -> None:
