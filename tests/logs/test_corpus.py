@@ -19,7 +19,19 @@ SIGNALS = corpus.run()
 ROUNDING = dict.fromkeys(("mesc.csv", "odrive.csv", "moteus.npz", "vesc-sampled.csv"), 0.01)
 TOLERANCE = 5e-4
 #: Formats whose files hold the date of their making, or compressed bytes.
-NOT_TEXT = (".mf4", ".tdms", ".mat", ".h5", ".xlsx", ".parquet", ".feather", ".npz", ".npy", ".gz")
+NOT_TEXT = (
+    ".mf4",
+    ".tdms",
+    ".mat",
+    ".h5",
+    ".xlsx",
+    ".xls",
+    ".parquet",
+    ".feather",
+    ".npz",
+    ".npy",
+    ".gz",
+)
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import gzip
 import struct
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -543,6 +544,17 @@ def workbook_xlsx(r: dict[str, Array], path: Path) -> None:
             sheet.write_column(4, n, values)
 
 
+def workbook_xls(r: dict[str, Array], path: Path) -> None:
+    """The same as Excel 97 wrote it, without title and units."""
+    sys.path.append(str(Path(__file__).parents[1]))
+    from support.biff import old_workbook
+
+    names = ["t", "u_a", "u_b", "u_c", "i_a", "i_b"]
+    heads = [(0, n, name) for n, name in enumerate(names)]
+    rows = [(k + 1, n, float(r[name][k])) for k in range(ROWS) for n, name in enumerate(names)]
+    path.write_bytes(old_workbook(1, [*heads, *rows]))
+
+
 def npz(r: dict[str, Array], path: Path) -> None:
     """NumPy archive with three phases."""
     np.savez(path, **{n: r[n] for n in ["t", "u_a", "u_b", "u_c", "i_a", "i_b", "i_c"]})
@@ -561,7 +573,7 @@ for _layout in (
     *(inverter_trace_csv, controller_trace_csv, vesc_sampled_csv, mesc_csv, moteus_npz),
     *(odrive_csv, motulator_npz, gym_electric_motor_csv, csv_gz, npy, parquet, feather),
     *(matlab_mat, simulink_mat, dspace_mat, matlab_v73_mat, hdf5_h5, mdf_mf4, labview_tdms),
-    *(px4_ulg, workbook_xlsx, npz),
+    *(px4_ulg, workbook_xlsx, workbook_xls, npz),
 ):
     _name = _layout.__name__
     _stem, _, _ending = _name.rpartition("_")
