@@ -291,7 +291,8 @@ onmessage = ({ data: { id, action, given } }) => {
     try {
       if (action === "start") {
         $load(given.wasm);
-        $py("logs.formats.text.source").KEPT = 2 ** 30; // a page keeps what it has read
+        const source = $py("logs.formats.text.source"); // a page keeps what it has read
+        source.KEPT = source.KEPT_NUMBERS = 2 ** 30;
         postMessage({ id, result: {} });
         return;
       }

@@ -175,15 +175,17 @@ class Copy:
         """Rows of the file, each with the number of its line."""
         for number, line in enumerate(_lines(self._source, self._encoding)):
             text = line.rstrip("\r\n")
-            blank = not text.strip(" ")
-            if number >= self._first and not (
-                blank or text in self._drop or text.startswith(BETWEEN)
-            ):
+            if number < self._first or not text.strip(" "):
+                continue
+            if text not in self._drop and not text.startswith(BETWEEN):
                 yield number, text
 
     def line(self, row: int) -> int:
         """Line of the file, from 0, in which a row of the copy stands."""
-        return next((number for number, _ in islice(self._rows(), row, None)), self._first + row)
+        for n, (number, _) in enumerate(self._rows()):
+            if n == row:
+                return number
+        return self._first + row
 
 
 def _lines(path: Path, encoding: str) -> Iterator[str]:
