@@ -605,3 +605,20 @@ def test_a_text_that_many_ranges_use_in_an_old_mdf_file(tmp_path):
     content += head + text * count + struct.pack("<2sH", b"TX", 0xFFFF) + b"x" * 0xFFFB
     path.write_bytes(content)
     refused(path, "its texts and conversions take more than 257 MB")
+
+
+@pytest.mark.parametrize(
+    "types",
+    [
+        ["a:b[60000] x;", "b:c[60000] x;", "c:float x;"],
+        ["a:" + "float[60000] x;" * 4000],
+        ["a:a x;"],
+    ],
+)
+def test_fields_of_fields_in_a_flight_log(tmp_path, types):
+    pytest.importorskip("pyulog")
+    content = b"ULog\x01\x12\x35\x01" + bytes(8)
+    for kind, body in [*((b"F", one.encode()) for one in types), (b"A", b"\0\0\0a")]:
+        content += struct.pack("<H", len(body)) + kind + body
+    (tmp_path / "log.ulg").write_bytes(content)
+    refused(tmp_path / "log.ulg", "its topics have more than 262144 fields|recursion")

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from ...errors import RecordError
 from .arrays import ArrayTable
 from .extras import library
 from .table import Said, Table
+
+#: Most fields of all topics; a flight has some ten thousand.
+FIELDS = 1 << 18
 
 
 def open_ulog(path: Path) -> list[Table]:
@@ -15,7 +19,7 @@ def open_ulog(path: Path) -> list[Table]:
     pyulog = library("pyulog", "ulog", path)
     try:
         with path.open("rb") as file:
-            data = pyulog.ULog(file).data_list
+            data = _bounded(pyulog)(file).data_list
     except Exception as error:  # pyulog raises many kinds for a broken file
         raise RecordError(f"{path}: not a readable ULog file: {error}") from None
     out: list[Table] = []
@@ -26,3 +30,31 @@ def open_ulog(path: Path) -> list[Table]:
         table.said = Said({time: "us"}, time)
         out.append(table)
     return out
+
+
+def _bounded(pyulog: Any) -> Any:
+    """pyulog's reader, which counts the fields of topics before it lists them.
+
+    A field may be an array of sixty thousand of a type that has such a field itself.
+    """
+    fields, usual = 0, pyulog.ULog._MessageAddLogged
+
+    def list_fields(topic: Any, types: Any) -> None:
+        nonlocal fields
+        fields += _fields(types, topic.message_name, pyulog.ULog._UNPACK_TYPES, {})
+        if fields > FIELDS:  # pyulog goes on after a ValueError
+            raise MemoryError(f"its topics have more than {FIELDS} fields")
+        usual._parse_format(topic, types)
+
+    made = type("Topic", (usual,), {"_parse_format": list_fields})
+    return type("Reader", (pyulog.ULog,), {"_MessageAddLogged": made})
+
+
+def _fields(types: Any, name: str, plain: Any, known: dict[str, int]) -> int:
+    """How many fields a type has, with those of the types in it."""
+    if name not in known:
+        known[name] = sum(
+            max(count, 1) * (1 if kind in plain else _fields(types, kind, plain, known))
+            for kind, count, _ in types[name].fields
+        )
+    return known[name]
