@@ -451,6 +451,9 @@ def test_columns_that_unpack_to_far_more_than_their_file(tmp_path, name):
     with pytest.raises(FluxobsError, match=rf"{name}: columns .* unpack to 29.* bytes"):
         list(table.batches(table.columns, 0, rows))
     assert len(next(table.batches(["t"], 0, rows))["t"])  # it fits
+    frame = frame.select(pl.from_epoch(pl.col(name).cast(pl.Int64)) for name in COLUMNS)
+    getattr(frame, write)(tmp_path / name, compression="zstd")
+    refused(tmp_path / name, "columns .* unpack to 29.* bytes")
 
 
 def test_a_large_compressed_batch_is_unpacked_once(tmp_path):

@@ -20,6 +20,7 @@ class FrameTable(Table):
         self, path: Path, scan: Callable[[Path], pl.LazyFrame], what: str, mapped: bool = False
     ) -> None:
         self.path = path
+        self._most = most_unpacked(path)
         try:
             self._lazy = scan(path)
             self._schema = self._lazy.collect_schema()
@@ -28,9 +29,17 @@ class FrameTable(Table):
         except BROKEN as error:
             raise RecordError(f"{path}: not a readable {what} file: {error}") from None
         self.columns = list(self._schema.names())
-        self._most = most_unpacked(path)
         # each look maps the file, and keeps what it has touched, or unpacks batches anew
         self._mapped = mapped and self._plain_size() <= path.stat().st_size
+
+    def _check_size(self, names: Sequence[str]) -> None:
+        """Raise RecordError if columns, which may be unpacked as a whole, are far larger than their
+        file."""
+        if (unpacked := 8 * self.rows * len(set(names))) > self._most:
+            raise RecordError(
+                f"{self.path}: columns {', '.join(names)} unpack to {unpacked} bytes, more than "
+                f"{self._most}: their values repeat. If it is a log, save it as .npy"
+            )
 
     def _plain_size(self) -> int:
         """Bytes of the columns of numbers, not compressed."""
@@ -42,6 +51,7 @@ class FrameTable(Table):
         stamps = [name for name, kind in self._schema.items() if kind.is_temporal()]
         if not stamps or not self.rows:
             return []
+        self._check_size(stamps)
         first = self._lazy.select(stamps).head(1).collect()
         found = []
         for name in stamps:
@@ -56,11 +66,7 @@ class FrameTable(Table):
             kind = self._schema[name]
             if not (kind.is_numeric() or kind.is_temporal() or kind == pl.Boolean):
                 raise RecordError(f"{self.path}: column {name!r} holds {kind}, not numbers")
-        if (unpacked := 8 * (last - first) * len(set(names))) > self._most:
-            raise RecordError(
-                f"{self.path}: columns {', '.join(names)} unpack to {unpacked} bytes, more than "
-                f"{self._most}: their values repeat. If it is a log, save it as .npy"
-            )
+        self._check_size(names)
         try:
             step = size if self._mapped else last - first
             for start in range(first, last, max(1, step)):
