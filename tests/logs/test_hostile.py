@@ -17,6 +17,8 @@ import pytest
 from fluxobs import FluxobsError
 from fluxobs.logs import read_log
 from fluxobs.logs.formats import open_tables
+from fluxobs.logs.formats.apart import read_apart
+from fluxobs.logs.formats.excel import read_sheets
 from support.biff import old_workbook
 from support.records import SMALL_LOG as COLUMNS
 
@@ -216,6 +218,12 @@ def test_cells_far_apart_in_an_old_workbook(tmp_path):
     (tmp_path / "log.xls").write_bytes(content)
     assert len(content) < 6_000
     refused(tmp_path / "log.xls", "reading it ended with .* more than 1024 MB of memory")
+
+
+def test_a_workbook_that_takes_too_long(tmp_path):
+    path = workbook(tmp_path / "log.xlsx")
+    with pytest.raises(FluxobsError, match=r"log\.xlsx: reading it took more than 0.01 s"):
+        read_apart(read_sheets, path, None, 1 << 30, 0.01)
 
 
 def test_entities_in_a_workbook(tmp_path):
@@ -467,21 +475,30 @@ def test_a_large_compressed_batch_is_unpacked_once(tmp_path):
     np.testing.assert_array_equal(np.concatenate([part["x"] for part in parts]), frame["x"])
 
 
+def with_zeros(path, name, megabytes, head=b""):
+    """A zip file with one more member, of zeros."""
+    with (
+        zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open(name, "w") as file,
+    ):
+        file.write(head)
+        for _ in range(megabytes):
+            file.write(MEGABYTE)
+    return path
+
+
 def test_an_archive_that_unpacks_to_far_more_than_its_size(tmp_path):
     np.savez_compressed(tmp_path / "log.npz", **COLUMNS)
     head = io.BytesIO()
     fields = {"descr": "<f8", "fortran_order": False, "shape": (35 << 20,)}
     np.lib.format.write_array_header_1_0(head, fields)
-    with (
-        zipfile.ZipFile(
-            tmp_path / "log.npz", "a", zipfile.ZIP_DEFLATED, compresslevel=1
-        ) as archive,
-        archive.open("notes.npy", "w") as file,
-    ):
-        file.write(head.getvalue())
-        for _ in range(8 * 35):
-            file.write(MEGABYTE)
-    refused(tmp_path / "log.npz", "it unpacks to 2936.* bytes, more than 268435456")
+    path = with_zeros(tmp_path / "log.npz", "notes.npy", 8 * 35, head.getvalue())
+    refused(path, "it unpacks to 2936.* bytes, more than 268435456")
+
+
+def test_a_workbook_that_unpacks_to_far_more_than_its_size(tmp_path):
+    path = with_zeros(workbook(tmp_path / "log.xlsx"), "xl/worksheets/sheet2.xml", 8 * 35)
+    refused(path, "it has 2936.* bytes, more than 268435456")
 
 
 def test_counts_that_a_tdms_file_does_not_hold(tmp_path):

@@ -30,7 +30,7 @@ _ENVIRONMENT = {"POLARS_MAX_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "RUST_BA
 
 
 def read_apart(
-    reader: Reader, path: Path, header: list[str] | None, memory: int
+    reader: Reader, path: Path, header: list[str] | None, memory: int, seconds: float
 ) -> list[ArrayTable]:
     """Tables of a file, read by a function of a module.
 
@@ -41,19 +41,27 @@ def read_apart(
     header : list of str, optional
     memory : int
         Most bytes that the process may allocate, where the system can limit it.
+    seconds : float
+        After which the process is stopped.
 
     Raises
     ------
     RecordError
-        The reader raises one, or its process ends before it answers.
+        The reader raises one, or its process ends before it answers, or is stopped.
     """
     asked = [reader.__module__, reader.__qualname__, str(path), header, memory]
-    done = subprocess.run(  # -P: nothing is imported from the folder of the log
-        [sys.executable, "-P", "-c", _CHILD],
-        input=json.dumps(asked).encode(),
-        capture_output=True,
-        env=os.environ | _ENVIRONMENT,
-    )
+    try:
+        done = subprocess.run(  # -P: nothing is imported from the folder of the log
+            [sys.executable, "-P", "-c", _CHILD],
+            input=json.dumps(asked).encode(),
+            capture_output=True,
+            env=os.environ | _ENVIRONMENT,
+            timeout=seconds,
+        )
+    except subprocess.TimeoutExpired:
+        raise RecordError(
+            f"{path}: reading it took more than {seconds:.3g} s. Save its table alone, as CSV"
+        ) from None
     end = done.stdout.find(b"\n") + 1
     if done.returncode or not end:
         raise RecordError(

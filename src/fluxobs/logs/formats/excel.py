@@ -18,18 +18,19 @@ from .workbook import check_cells, unpacked_size
 #: with content in its last cell included, and for each byte of an unpacked part. A cell takes 80
 #: bytes, and has 32 as XML.
 LEAST, PER_BYTE = 1 << 30, 4
-#: A cell of .xls has six bytes.
-PER_BYTE_XLS = 24
+#: Its time, likewise [s]; ten million bytes take a second.
+LEAST_TIME, TIME_PER_BYTE = 60.0, 1e-6
+#: Bytes of XML for a byte of .xls, of which a cell has six.
+XLS = 6
 
 
 def open_excel(path: Path, header: list[str] | None = None) -> list[Table]:
     """Tables of the sheets that have one; "sheet/column" if there are several."""
     library("fastexcel", "excel", path)
-    if path.suffix.lower() == ".xls":  # which is no zip file
-        size = PER_BYTE_XLS * path.stat().st_size
-    else:
-        size = PER_BYTE * unpacked_size(path)
-    return [*read_apart(read_sheets, path, header, LEAST + size)]
+    packed = path.suffix.lower() != ".xls"
+    size = unpacked_size(path) if packed else XLS * path.stat().st_size
+    memory, seconds = LEAST + PER_BYTE * size, LEAST_TIME + TIME_PER_BYTE * size
+    return [*read_apart(read_sheets, path, header, memory, seconds)]
 
 
 def read_sheets(path: Path, header: list[str] | None) -> list[ArrayTable]:

@@ -11,6 +11,7 @@ from typing import IO, Any
 from xml.parsers import expat
 
 from ...errors import RecordError
+from ...files import most_unpacked
 
 #: Most cells of all sheets together, up to the last row and column with content: the longest sheet
 #: that Excel has, with 32 columns, which takes a gigabyte.
@@ -30,8 +31,9 @@ def unpacked_size(path: Path) -> int:
             size = sum(part.file_size for part in book.infolist())
     except _UNREADABLE as error:
         raise _unreadable(path, error) from None
-    if size > BYTES:
-        raise _too_large(path, f"{size} bytes", BYTES)
+    most = min(BYTES, most_unpacked(path))
+    if size > most:
+        raise _too_large(path, f"{size} bytes", most)
     return size
 
 
