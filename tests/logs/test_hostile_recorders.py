@@ -1,0 +1,154 @@
+"""Hostile files of recorders (MDF, TDMS, ULog): their blocks and counts lead to an end."""
+
+import struct
+
+import pytest
+
+from fluxobs.logs.formats import open_tables
+from support.hostile import refused, zeros
+from support.records import SMALL_LOG as COLUMNS
+
+T = COLUMNS["t"]
+
+
+def test_counts_that_a_tdms_file_does_not_hold(tmp_path):
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter(tmp_path / "log.tdms") as file:
+        file.write_segment([nptdms.ChannelObject("g", k, v) for k, v in COLUMNS.items()])
+    content = (tmp_path / "log.tdms").read_bytes()
+    content = content.replace(struct.pack("<Q", 200), struct.pack("<Q", 1 << 50))
+    (tmp_path / "log.tdms").write_bytes(content)
+    refused(tmp_path / "log.tdms", "log.tdms: reading failed midway")
+
+
+def mdf(path, version="4.10"):
+    """An MDF file with the channels; whoever changes it finds its blocks by their names."""
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version=version) as file:
+        file.append([asammdf.Signal(v, T, name=k) for k, v in COLUMNS.items() if k != "t"])
+        return file.save(path)
+
+
+@pytest.mark.parametrize("sorted_", [True, False])
+def test_a_block_of_mdf_that_unpacks_to_more_than_it_has(tmp_path, sorted_):
+    path = mdf(tmp_path / "log.mf4")
+    content = path.read_bytes()
+    content += bytes(-len(content) % 8)
+    packed = zeros(300)
+    about = struct.pack("<2s2BI2Q", b"DT", 0, 0, 0, 40 * len(T), len(packed))
+    block = struct.pack("<4s4x2Q", b"##DZ", 24 + len(about + packed), 0) + about + packed
+    with_links(path, content + block, {(b"##DG", 0, 2): len(content)})
+    if not sorted_:
+        with path.open("r+b") as file:
+            file.seek(content.index(b"##DG") + 24 + 8 * 4)
+            file.write(b"\x01")
+    refused(path, "a block of data unpacks to more than the 8000 bytes")
+
+
+def test_rows_that_an_mdf_file_does_not_hold(tmp_path):
+    path = mdf(tmp_path / "log.mf4")
+    content = bytearray(path.read_bytes())
+    at = content.index(b"##CG")
+    struct.pack_into("<Q", content, at + 24 + 8 * content[at + 16] + 8, 1 << 50)
+    path.write_bytes(content)
+    refused(path, "its rows have 45035996273704960 bytes, more than 268435456")
+
+
+def conversion(*links):
+    """A conversion of MDF 4 that refers to these blocks, where the value is 0 and elsewhere."""
+    body = struct.pack(f"<{4 + len(links)}Q", 0, 0, 0, 0, *links)
+    values = struct.pack("<2B3H3d", 7, 0, 0, len(links), 1, 0, 0, 0)
+    return struct.pack("<4s4x2Q", b"##CC", 24 + len(body + values), 4 + len(links)) + body + values
+
+
+def with_links(path, content, places):
+    """Replace links of an MDF file: number of its block, of the link → address."""
+    content = bytearray(content)
+    for (kind, number, link), address in places.items():
+        at = -1
+        for _ in range(number + 1):
+            at = content.index(kind, at + 1)
+        struct.pack_into("<Q", content, at + 24 + 8 * link, address)
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("depth", "words"), [(30, "conversions take more than 256 MB"), (5, None), (0, "circle")]
+)
+def test_conversions_that_refer_to_others_twice(tmp_path, depth, words):
+    path = mdf(tmp_path / "log.mf4")
+    content = path.read_bytes()
+    content += bytes(-len(content) % 8)
+    first = len(content)
+    blocks = [conversion(0, 0)] if depth else [conversion(first, first)]
+    for _ in range(depth):
+        last = first + sum(map(len, blocks[:-1]))
+        blocks.append(conversion(last, last))
+    address = first + sum(map(len, blocks[:-1]))
+    with_links(path, content + b"".join(blocks), {(b"##CN", 1, 4): address})
+    if words:
+        refused(path, words)
+    else:
+        open_tables(path)
+
+
+def test_a_long_text_that_many_conversions_use(tmp_path):
+    path = mdf(tmp_path / "log.mf4")
+    content = path.read_bytes()
+    content += bytes(-len(content) % 8)
+    text = struct.pack("<4s4x2Q", b"##TX", 24 + (1 << 20), 0) + b"x" * (1 << 20)
+    block = conversion(*[len(content)] * 1000)
+    places = {(b"##CN", 1, 4): len(content + text)}
+    with_links(path, content + text + block, places)
+    refused(path, "its texts and conversions take more than 257 MB")
+
+
+@pytest.mark.parametrize("kind", [b"##CN", b"##CG", b"##DG", b"##FH"])
+def test_blocks_in_a_circle(tmp_path, kind):
+    path = mdf(tmp_path / "log.mf4")
+    content = path.read_bytes()
+    with_links(path, content, {(kind, 0, 0): content.index(kind)})
+    refused(path, "refer to one another in a circle")
+
+
+def test_channels_in_a_circle_in_an_old_mdf_file(tmp_path):
+    path = mdf(tmp_path / "log.mdf", "3.30")
+    content = bytearray(path.read_bytes())
+    (group,) = struct.unpack_from("<I", content, 64 + 4)
+    (first,) = struct.unpack_from("<I", content, group + 8)
+    (channel,) = struct.unpack_from("<I", content, first + 8)
+    struct.pack_into("<I", content, channel + 4, channel)
+    path.write_bytes(content)
+    refused(path, "refer to one another in a circle")
+
+
+def test_a_text_that_many_ranges_use_in_an_old_mdf_file(tmp_path):
+    path = mdf(tmp_path / "log.mdf", "3.30")
+    content = bytearray(path.read_bytes())
+    (group,) = struct.unpack_from("<I", content, 64 + 4)
+    (first,) = struct.unpack_from("<I", content, group + 8)
+    (channel,) = struct.unpack_from("<I", content, first + 8)
+    struct.pack_into("<I", content, channel + 8, len(content))
+    count = 60_000
+    text = struct.pack("<2dI", 0, 0, len(content) + 46 + 20 * count)
+    head = struct.pack("<2s2H2d20s2H", b"CC", 0xFFFF, 0, 0, 0, b"", 12, count)
+    content += head + text * count + struct.pack("<2sH", b"TX", 0xFFFF) + b"x" * 0xFFFB
+    path.write_bytes(content)
+    refused(path, "its texts and conversions take more than 257 MB")
+
+
+@pytest.mark.parametrize(
+    "types",
+    [
+        ["a:b[60000] x;", "b:c[60000] x;", "c:float x;"],
+        ["a:" + "float[60000] x;" * 4000],
+        ["a:a x;"],
+    ],
+)
+def test_fields_of_fields_in_a_flight_log(tmp_path, types):
+    pytest.importorskip("pyulog")
+    content = b"ULog\x01\x12\x35\x01" + bytes(8)
+    for kind, body in [*((b"F", one.encode()) for one in types), (b"A", b"\0\0\0a")]:
+        content += struct.pack("<H", len(body)) + kind + body
+    (tmp_path / "log.ulg").write_bytes(content)
+    refused(tmp_path / "log.ulg", "its topics have more than 262144 fields|recursion")
