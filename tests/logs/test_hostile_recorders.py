@@ -2,8 +2,10 @@
 
 import struct
 
+import numpy as np
 import pytest
 
+from fluxobs.logs import read_log
 from fluxobs.logs.formats import open_tables
 from support.hostile import refused, zeros
 from support.records import SMALL_LOG as COLUMNS
@@ -109,6 +111,43 @@ def test_blocks_in_a_circle(tmp_path, kind):
     content = path.read_bytes()
     with_links(path, content, {(kind, 0, 0): content.index(kind)})
     refused(path, "refer to one another in a circle")
+
+
+@pytest.mark.parametrize("version", ["4.00", "4.20"])
+@pytest.mark.parametrize("compression", [0, 2])
+def test_all_that_mdf_nests_is_followed(tmp_path, version, compression):
+    """Texts, conversions to texts, structures and arrays; none is mistaken for a circle."""
+    asammdf = pytest.importorskip("asammdf")
+    columns = [
+        asammdf.Signal(
+            np.array([b"x" * (n % 9) for n in range(len(T))]), T, name="notes", encoding="utf-8"
+        ),
+        asammdf.Signal(
+            np.zeros(len(T), "u1"),
+            T,
+            name="mode",
+            conversion={"val_0": 0, "text_0": b"off", "default": b"on"},
+        ),
+        asammdf.Signal(np.rec.fromarrays([T, T], names=["p", "q"]), T, name="pair"),
+        asammdf.Signal(np.rec.fromarrays([np.ones((len(T), 3, 2))], names=["map"]), T, name="map"),
+    ]
+    with asammdf.MDF(version=version) as file:
+        file.append([asammdf.Signal(v, T, name=k) for k, v in COLUMNS.items() if k != "t"])
+        for one in columns:
+            file.append([one])
+        path = file.save(tmp_path / "log.mf4", compression=compression)
+    assert len(read_log(path)) == len(T)
+
+
+def test_the_values_of_texts_in_a_circle(tmp_path):
+    path = mdf(tmp_path / "log.mf4")
+    content = path.read_bytes()
+    content += bytes(-len(content) % 8)
+    block = struct.pack("<4s4x3QB3xIQ", b"##DL", 48, 1, len(content), 1, 0, 0)
+    for channels in (1, 2):  # two channels may share their list
+        places = {(b"##CN", n, 5): len(content) for n in range(channels)}
+        with_links(path, content + block, places)
+        refused(path, "refer to one another in a circle")
 
 
 def test_channels_in_a_circle_in_an_old_mdf_file(tmp_path):

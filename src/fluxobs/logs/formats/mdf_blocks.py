@@ -31,6 +31,10 @@ class _Layout(ABC):
         Address of the head.
     children : dict
         Kind of a block → which of its links lead on: to the next block, or to a first one.
+    lists : tuple of bytes
+        Kinds of lists of data, which channels may share.
+    data : dict
+        Kind of a block → which of its links may lead to such a list.
     conversion : bytes
         Kind of a conversion.
     texts : tuple of bytes
@@ -39,6 +43,8 @@ class _Layout(ABC):
 
     first = 64
     children: ClassVar[dict[bytes, tuple[int, ...]]]
+    lists: ClassVar[tuple[bytes, ...]] = ()
+    data: ClassVar[dict[bytes, tuple[int, ...]]] = {}
     conversion: ClassVar[bytes]
     texts: ClassVar[tuple[bytes, ...]]
 
@@ -72,6 +78,8 @@ class _Version4(_Layout):
         b"##DL": (0,),
         b"##LD": (0,),
     }
+    lists = (b"##HL", b"##DL", b"##LD")
+    data: ClassVar = {b"##CN": (5,)}
     conversion = b"##CC"
     texts = (b"##TX", b"##MD")
     _inverse = 3
@@ -178,6 +186,10 @@ def _follow(blocks: _Layout) -> set[int]:
                 raise ValueError("its blocks refer to one another in a circle, or twice")
             seen.add(child)
             left.append(child)
+        for data in (links[n] for n in blocks.data.get(kind, ()) if n < len(links)):
+            if data not in seen and blocks.kind(data) in blocks.lists:
+                seen.add(data)
+                left.append(data)
         for link in links:
             if blocks.kind(link) in blocks.texts:
                 texts += blocks.size(link)
