@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import os
 import sys
 
 import numpy as np
@@ -89,6 +90,16 @@ def test_batches_are_the_signals_wherever_they_are_cut(tmp_path, ending, monkeyp
             found = np.concatenate([part[name] for part in parts])
             np.testing.assert_allclose(found, SIGNALS[name][first:last], atol=1e-12)
     log = read_log(tmp_path / f"log{ending}")
+    assert log.sample_time == pytest.approx(1e-4)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="another system: names are text there")
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_name_that_is_no_text_is_read(tmp_path, ending):
+    path = tmp_path / os.fsdecode(b"caf\xe9" + ending.encode())
+    write(tmp_path / f"log{ending}").rename(path)
+    log = read_log(path)
+    assert len(log) == ROWS
     assert log.sample_time == pytest.approx(1e-4)
 
 

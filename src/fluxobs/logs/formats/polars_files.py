@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -13,16 +14,19 @@ from .lazy import BROKEN, as_columns, frames
 from .table import BATCH, Columns, Table
 
 
+Source = Path | io.BytesIO
+
+
 class FrameTable(Table):
     """Columns of a file that Polars scans."""
 
     def __init__(
-        self, path: Path, scan: Callable[[Path], pl.LazyFrame], what: str, mapped: bool = False
+        self, path: Path, scan: Callable[[Source], pl.LazyFrame], what: str, mapped: bool = False
     ) -> None:
         self.path = path
         self._most = most_unpacked(path)
         try:
-            self._lazy = scan(path)
+            self._lazy = scan(_source(path))
             self._schema = self._lazy.collect_schema()
             self.rows = int(self._lazy.select(pl.len()).collect().item())
             self._lazy = self._lazy.with_columns(self._seconds())
@@ -84,6 +88,15 @@ def _nanoseconds(column: pl.Expr, kind: pl.DataType) -> pl.Expr:
     return column.cast(pl.Datetime("ns")).dt.timestamp("ns")
 
 
+def _source(path: Path) -> Source:
+    """The path, or its content: Polars opens no name that is not UTF-8."""
+    try:
+        str(path).encode("utf-8")
+    except UnicodeEncodeError:
+        return io.BytesIO(path.read_bytes())
+    return path
+
+
 def open_parquet(path: Path) -> list[Table]:
     """The table of a Parquet file."""
     return [FrameTable(path, pl.scan_parquet, "Parquet")]
@@ -110,7 +123,7 @@ def open_json_lines(path: Path) -> list[Table]:
     return [FrameTable(path, pl.scan_ndjson, "JSON lines")]
 
 
-def _json(path: Path) -> pl.LazyFrame:
+def _json(path: Source) -> pl.LazyFrame:
     found = pl.read_json(path)
     columns = [name for name, kind in found.schema.items() if kind == pl.List]
     return found.select(columns).explode(columns).lazy() if columns else found.lazy()
