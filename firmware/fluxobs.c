@@ -296,27 +296,33 @@ void fo_reset(const fo_observer *o, fo_state *s)
     restart(s);
 }
 
+/* Zero if a number is finite, else not a number. */
+static inline fo_real self_difference(fo_real x) { return x - x; }
+
 /* Weights of a state are positive, its noises finite and no larger than the inputs can make them. A
  * recursion would keep any other number, and the observer would stay invalid without a restart; the
  * rest of a state lasts a few samples. */
 bool fo_damaged(const fo_observer *o, const fo_state *s)
 {
-    bool damaged = false;
-    if (s->turn <= 1U) { /* 1 after a restart in the last step */
-        const fo_real kept[] = {s->info.noise[0], s->info.noise[1], s->info.noise[2], s->power,
-                                s->lag_one, s->swept, s->variance, s->tracker.speed,
-                                s->tracker.angle, s->tracker.acceleration, s->tracker.settled};
-        const fo_real swing = (fo_real)16 * o->current_limit; /* of a third difference, and more */
-        const fo_real roughest = ONE + swing * swing * o->over_noise;
-        const fo_real drift = WIDEN * FLUX_STEP_LIMIT / o->h; /* all of a step, and widened */
-        const fo_real tightest = TWO / (o->plausible * o->plausible);
-        damaged = !is_finite(kept, (int)(sizeof kept / sizeof kept[0])) ||
-                  !is_finite(s->info.d, FO_NX) || !within(s->rough, ZERO, roughest) ||
-                  !within(s->roughness, ONE, roughest) ||
-                  !within(s->drift_prior, ONE / (drift * drift), tightest);
+    bool damaged = s->roughness == ZERO;
+    if (s->turn == 1U) { /* so it is after a restart in the last step, too */
+        const fo_tracker *t = &s->tracker;
+        fo_real sum = self_difference(s->power) + self_difference(s->lag_one) + self_difference(s->swept) +
+                      self_difference(t->angle) + self_difference(t->speed) + self_difference(t->acceleration);
         for (int i = 0; i < FO_NX; i++) {
+            sum += self_difference(s->info.d[i]);
             damaged = damaged || !(s->info.d[i] > ZERO);
         }
+        for (int i = 0; i < 3; i++) {
+            sum += self_difference(s->info.noise[i]);
+        }
+        /* A third difference of currents, and a drift that takes all of a step and was widened. */
+        const fo_real swing = (fo_real)16 * o->current_limit;
+        const fo_real drift = WIDEN * FLUX_STEP_LIMIT, loosest = s->drift_prior * drift * drift;
+        damaged = damaged || sum != ZERO ||
+                  !within(s->rough, ZERO, ONE + swing * swing * o->over_noise) ||
+                  !(loosest >= o->h * o->h) ||
+                  !(s->drift_prior * o->plausible * o->plausible <= TWO);
     }
     return damaged;
 }
