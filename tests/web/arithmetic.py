@@ -52,8 +52,8 @@ def clipped(array, bounds):
     return np.clip(array, low, high)
 
 
-def squares(array):
-    return np.square(array), array**2
+def squares(numbers):
+    return np.square(numbers), numbers**2
 
 
 def powers(pair):
@@ -75,8 +75,13 @@ def bits(integer_pair):
     return a & b, a | b, a ^ b, ~a
 
 
-def signs(array):
-    return np.abs(array), np.sign(array), abs(array)
+def signs(numbers):
+    return np.abs(numbers), np.sign(numbers), abs(numbers)
+
+
+def sizes_of_logicals(logicals):
+    a, _ = logicals
+    return np.abs(a), abs(a)
 
 
 def negative(numbers):
@@ -110,12 +115,16 @@ def complex_exponential(turning):
     return np.exp(turning)
 
 
-def rounded(array):
-    return np.floor(array), np.ceil(array)
+def rounded(floats):
+    return np.floor(floats), np.ceil(floats)
 
 
 def rounded_to(floats, digits):
-    return np.round(floats, digits), np.round(floats)
+    return np.round(floats, digits), np.round(floats), floats.round(digits)
+
+
+def rounded_integers(integers):
+    return np.round(integers), np.sign(integers)
 
 
 def known(array):
@@ -159,7 +168,7 @@ def same(pair):
 
 
 def added_in_place(floats):
-    out = floats.copy()
+    out = floats.copy().reshape(-1)
     out += 1.5
     out *= 2
     out -= 0.25
@@ -215,12 +224,12 @@ def unit(few, dtype):
     return np.eye(few, dtype=dtype)
 
 
-def ranges(integer, few, whole):
-    return np.arange(few), np.arange(integer, integer + few), np.arange(few, dtype=float)
+def ranges(few, whole):
+    return np.arange(few), np.arange(whole, whole + few), np.arange(few, dtype=float)
 
 
 def stepped(moderate_number, few):
-    return np.arange(moderate_number, moderate_number + few, 0.25)
+    return np.arange(moderate_number, moderate_number + few, 0.1)
 
 
 def spaced(moderate_number, other_number, few):
@@ -245,7 +254,7 @@ def shaped(array):
 
 def reshaped(reshape):
     array, shape = reshape
-    return array.reshape(shape), array.reshape(*shape)
+    return array.reshape(shape)
 
 
 def turned(turn):
@@ -264,7 +273,13 @@ def spread(broadcast):
 
 
 def listed(array):
+    array.setflags(write=True)
     return array.tolist()
+
+
+def quiet(floats):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        return 1 / floats
 
 
 def joined(pieces):
@@ -278,7 +293,7 @@ def stacked(equals):
 
 
 def stacked_flat(vectors):
-    return np.hstack(vectors), np.append(vectors[0], vectors[1]), np.r_[vectors[0], vectors[1], 2.0]
+    return np.hstack(vectors), np.append(vectors[0], vectors[1]), np.r_[vectors[0], vectors[1], 2.5]
 
 
 def stacked_rows(equal_vectors):
@@ -307,8 +322,8 @@ def parts(vector, few):
     return np.array_split(vector, few)
 
 
-def differences(along):
-    array, axis = along
+def differences(along_axis):
+    array, axis = along_axis
     return np.diff(array, axis=axis)
 
 
@@ -351,10 +366,30 @@ def indexed(selection):
     return array[index]
 
 
+def sliced(vector, bounds):
+    low, high = bounds
+    return vector[slice(low, high)], vector[slice(None, high)]
+
+
 def assigned(selection, moderate_number):
     array, index = selection
     out = array.astype(float)
     out[index] = moderate_number
+    return out
+
+
+def assigned_whole(selection, moderate_number):
+    array, index = selection
+    whole, logical = np.zeros(array.shape, int), np.zeros(array.shape, bool)
+    whole[index] = moderate_number
+    logical[index] = moderate_number
+    return whole, logical
+
+
+def assigned_rows(broadcast):
+    array, shape = broadcast
+    out = np.zeros(shape)
+    out[...] = array
     return out
 
 
@@ -383,6 +418,11 @@ def total(along):
 
 def flat_total(run):
     return np.sum(run), run.sum(), np.mean(run)
+
+
+def total_of_rows(moderate):
+    out = moderate.reshape(-1, 1)
+    return np.sum(out, axis=0), np.sum(out, axis=1)
 
 
 def mean(along):
@@ -418,8 +458,8 @@ def largest(along):
     )
 
 
-def spans(along):
-    array, axis = along
+def spans(along_numbers):
+    array, axis = along_numbers
     return np.ptp(array, axis=axis)
 
 
@@ -433,8 +473,8 @@ def positions_of_extremes(along_one):
     return np.argmax(array), np.argmin(array), np.argmax(array, axis), np.argmin(array, axis)
 
 
-def medians(along):
-    array, axis = along
+def medians(filled_along):
+    array, axis = filled_along
     return np.median(array), np.median(array, axis=axis), np.median(array, axis, keepdims=True)
 
 
@@ -458,13 +498,13 @@ def deviation_of_the_known(moderate):
     return np.nanstd(moderate)
 
 
-def running(along):
-    array, axis = along
+def running(along_one):
+    array, axis = along_one
     return np.cumsum(array, axis=axis), np.cumsum(array)
 
 
-def sorted_positions(run):
-    return np.argsort(run)
+def sorted_positions(run, distinct_run):
+    return np.abs(run)[np.argsort(np.abs(run))], np.argsort(distinct_run)
 
 
 def places(search):
@@ -499,6 +539,11 @@ def interpolated(points):
 
 def matrix_product(factors_of_product):
     a, b = factors_of_product
+    return a @ b
+
+
+def integer_matrix_product(integer_factors):
+    a, b = integer_factors
     return a @ b
 
 
@@ -658,11 +703,19 @@ def roots_of_numbers(number):
 
 
 def whole(number):
-    return int(number), bool(number)
+    return int(number)
 
 
-def rounded_number(number, digits):
-    return round(number, digits), round(number)
+def truth(number):
+    return bool(number)
+
+
+def rounded_number(float_number, digits):
+    return round(float_number, digits)
+
+
+def rounded_whole(float_number):
+    return round(float_number)
 
 
 def complex_numbers(number, other):
@@ -721,8 +774,8 @@ def kinds_of_numbers(number, flag, text):
 # ---- text --------------------------------------------------------------------
 
 
-def formatted(number, spec):
-    return f"{number:{spec}}"
+def formatted(float_number, spec):
+    return f"{float_number:{spec}}"
 
 
 def formatted_integer(integer, integer_spec):
@@ -809,10 +862,6 @@ def cases_of_letters(text):
     return text.lower(), text.upper()
 
 
-def titled(text):
-    return text.title()
-
-
 def classes_of_letters(text):
     return text.isalpha(), text.isprintable()
 
@@ -837,8 +886,12 @@ def encoded(text):
     return text.encode(), text.encode("utf-8"), text.encode("utf-16-le"), text.encode().decode()
 
 
-def encoded_narrow(text):
-    return text.encode("latin-1")
+def encoded_narrow(text, encoding):
+    return text.encode(encoding)
+
+
+def encoded_anyhow(text, encoding):
+    return text.encode(encoding, errors="replace")
 
 
 def close_words(text, texts):
@@ -901,7 +954,11 @@ def decoded_strictly(octets):
 
 
 def decoded_windows(octets):
-    return octets.decode("cp1252", errors="replace")
+    return octets.decode("cp1252", errors="replace"), octets.decode("ascii", errors="replace")
+
+
+def decoded_narrow(octets, encoding):
+    return octets.decode(encoding)
 
 
 def decoded_wide(octets):
@@ -942,8 +999,8 @@ def parts_of_bytes(octets, part):
     )
 
 
-def checksum(octets, position):
-    return binascii.crc_hqx(octets, position)
+def checksum(octets, few):
+    return binascii.crc_hqx(octets, few)
 
 
 # ---- lists, dictionaries, sets -----------------------------------------------
@@ -1117,6 +1174,28 @@ def iterated(items, texts, few):
     )
 
 
+def errors(texts, items, octets, position):
+    out = []
+    for text in [*texts, "1", "a"]:
+        try:
+            out.append({"a": 1}[text] + int(text))
+        except (KeyError, NotImplementedError) as error:
+            out.append(isinstance(error, ValueError))
+        except ValueError:
+            out.append("value")
+    try:
+        out.append(octets.decode() + items[position])
+    except UnicodeDecodeError:
+        out.append("bytes")
+    except (OSError, csv.Error):
+        out.append("file")
+    except TypeError:
+        out.append("type")
+    except IndexError:
+        out.append("index")
+    return out
+
+
 def zipped_strictly(items, texts):
     return list(zip(items, texts, strict=True))
 
@@ -1185,8 +1264,12 @@ class Record:
         return 3 * x
 
 
+@dataclass(frozen=True, eq=False)
 class Child(Record):
-    pass
+    own: float = 0.0
+
+    def __post_init__(self):
+        object.__setattr__(self, "own", 2 * self.x)
 
 
 @lru_cache(maxsize=4)
@@ -1199,14 +1282,15 @@ def _halved(x):
     return x / 2
 
 
-def classes(fraction, other):
+def classes(fraction, other_fraction):
+    name = "x"
     record = Record.of(fraction)
-    changed = replace(record, x=other, hidden=5.0)
-    plain = Plain(fraction)._replace(y=other)
+    changed = replace(record, x=other_fraction, hidden=5.0)
+    plain = Plain(fraction)._replace(y=other_fraction)
     return (
         record.twice,
         record.count,
-        Record.thrice(other),
+        Record.thrice(other_fraction),
         [one.name for one in fields(record)],
         [one.metadata.get("unit") for one in fields(record)],
         changed.x,
@@ -1215,17 +1299,19 @@ def classes(fraction, other):
         record == changed,
         issubclass(Child, Record),
         isinstance(Child(1.0), Record),
-        getattr(record, str("x")),
+        Child(1.0) == Child(1.0),
+        Child(other_fraction).own,
+        getattr(record, name),
         getattr(record, "none", None),
         hasattr(record, "rows"),
         {record.x: 1}[fraction],
         plain,
         plain.x,
-        plain == (fraction, other),
-        partial(_added, fraction)(other),
+        plain == (fraction, other_fraction),
+        partial(_added, fraction)(other_fraction),
         _doubled(fraction),
         _doubled(fraction),
-        _halved(other),
+        _halved(other_fraction),
     )
 
 

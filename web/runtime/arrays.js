@@ -192,6 +192,15 @@ function $offsets(shape, strides, offset) {
   return out;
 }
 
+const $rank = { b: 0, i: 1, f: 2, c: 3 };
+// A number as an integer, as processors of the family x86 convert it.
+const $cut = (v) => (Math.abs(v) < 2 ** 63 ? Math.trunc(v) + 0 : -(2 ** 63));
+// Results of integers, in place: none is beyond what a double tells from its neighbours.
+function $whole(out, name) {
+  for (let n = 0; n < out.length; n++) out[n] = $exact(out[n], name) + 0;
+  return out;
+}
+
 function $kindOf(x) {
   if (x instanceof NdArray) return x.kind;
   if (typeof x === "boolean") return "b";
@@ -206,7 +215,7 @@ function $as(x, kind = null) {
     const [d, im] = x.flat();
     if (kind === "b")
       return new NdArray(
-        Uint8Array.from(d, (v, n) => (v || (im && im[n]) ? 1 : 0)),
+        Uint8Array.from(d, (v, n) => (v !== 0 || (im && im[n] !== 0) ? 1 : 0)),
         x.shape,
         "b",
       );
@@ -217,19 +226,18 @@ function $as(x, kind = null) {
         "c",
         im ?? new Float64Array(x.size),
       );
-    if (kind === "i") return new NdArray(Float64Array.from(d, Math.trunc), x.shape, "i");
+    if (kind === "i") return new NdArray(Float64Array.from(d, $cut), x.shape, "i");
     return new NdArray(x.kind === "b" ? Float64Array.from(d) : d, x.shape, kind);
   }
   if (x instanceof Float64Array) return new NdArray(x, [x.length], kind ?? "f");
   const shape = [],
     leaves = [];
   let found = "i";
-  const order = { b: 0, i: 1, f: 2, c: 3 };
   let seen = null;
   const walk = (y, depth) => {
     if (y instanceof NdArray) {
       if (shape.length < depth + y.ndim) shape.push(...y.shape.slice(shape.length - depth));
-      seen = seen === null || order[y.kind] > order[seen] ? y.kind : seen;
+      seen = seen === null || $rank[y.kind] > $rank[seen] ? y.kind : seen;
       const [d, im] = y.flat();
       for (let n = 0; n < d.length; n++) leaves.push(im ? new Complex(d[n], im[n]) : d[n]);
       return;
@@ -245,7 +253,7 @@ function $as(x, kind = null) {
       return;
     }
     const own =
-      typeof y === "boolean" ? "b" : y instanceof Complex ? "c" : Number.isInteger(y) ? "i" : "f";
+      typeof y === "boolean" ? "b" : y instanceof Complex ? "c" : Number.isSafeInteger(y) && !Object.is(y, -0) ? "i" : "f";
     if (typeof y === "string" || y == null) {
       const value = typeof y === "string" ? float(y) : NaN;
       seen = "f";
@@ -254,7 +262,7 @@ function $as(x, kind = null) {
     }
     if (typeof y !== "number" && typeof y !== "boolean" && !(y instanceof Complex))
       throw TypeError("an array holds numbers");
-    seen = seen === null || order[own] > order[seen] ? own : seen;
+    seen = seen === null || $rank[own] > $rank[seen] ? own : seen;
     leaves.push(y);
   };
   walk(x, 0);
@@ -265,9 +273,8 @@ function $as(x, kind = null) {
     if (v instanceof Complex) {
       data[n] = v.real;
       if (im) im[n] = v.imag;
-    } else data[n] = Number(v);
+    } else data[n] = found === "b" ? Number(v) !== 0 : found === "i" ? $cut(Number(v)) : Number(v);
   });
-  if (found === "i") for (let n = 0; n < data.length; n++) data[n] = Math.trunc(data[n]);
   return new NdArray(data, shape, found, im);
 }
 
@@ -307,6 +314,8 @@ const $alike = (a, b) => a.length === b.length && a.every((x, n) => x === b[n]);
 function $expanded(x, shape) {
   if ($alike(x.shape, shape)) return x;
   const missing = shape.length - x.ndim;
+  if (missing < 0 || x.shape.some((size, n) => size !== 1 && size !== shape[missing + n]))
+    throw ValueError(`an array of shape ${repr(x.shape)} does not go into ${repr($tuple([...shape]))}`);
   const strides = shape.map((size, n) =>
     n < missing || (x.shape[n - missing] === 1 && size !== 1) ? 0 : x.strides[n - missing],
   );
@@ -329,18 +338,14 @@ const $loops = {
     for (let k = 0; k < n; k++) o[k] = x[k * p] / y[k * q];
   },
   floordiv(n, x, p, y, q, o) {
-    for (let k = 0; k < n; k++) o[k] = Math.floor(x[k * p] / y[k * q]);
+    for (let k = 0; k < n; k++) o[k] = $down(x[k * p], y[k * q]);
   },
   mod(n, x, p, y, q, o) {
-    for (let k = 0; k < n; k++) {
-      const b = y[k * q],
-        r = x[k * p] % b;
-      o[k] = r !== 0 && r < 0 !== b < 0 ? r + b : r;
-    }
+    for (let k = 0; k < n; k++) o[k] = $left(x[k * p], y[k * q]);
   },
   pow(n, x, p, y, q, o) {
     if (q === 0 && y[0] === 2) for (let k = 0; k < n; k++) o[k] = x[k * p] * x[k * p];
-    else for (let k = 0; k < n; k++) o[k] = x[k * p] ** y[k * q];
+    else for (let k = 0; k < n; k++) o[k] = $powered(x[k * p], y[k * q]);
   },
   max(n, x, p, y, q, o) {
     for (let k = 0; k < n; k++) {
@@ -412,31 +417,24 @@ function $complexLoop(word, n, x, xi, p, y, yi, q, o, oi) {
         oi[k] = b - d;
         break;
       case "mul":
-        if (!yi) {
-          o[k] = a * c;
-          oi[k] = b * c;
-        } else if (!xi) {
-          o[k] = a * c;
-          oi[k] = a * d;
-        } else {
-          o[k] = a * c - b * d;
-          oi[k] = a * d + b * c;
-        }
+        o[k] = a * c - b * d;
+        oi[k] = a * d + b * c;
         break;
       case "div":
-        if (!yi || d === 0) {
-          o[k] = a / c;
-          oi[k] = b / c;
+        // as NumPy, which multiplies by an inverse
+        if (c === 0 && d === 0) {
+          o[k] = a / Math.abs(c);
+          oi[k] = b / Math.abs(c);
         } else if (Math.abs(c) >= Math.abs(d)) {
           const r = d / c,
-            s = c + d * r;
-          o[k] = (a + b * r) / s;
-          oi[k] = (b - a * r) / s;
+            s = 1 / (c + d * r);
+          o[k] = (a + b * r) * s;
+          oi[k] = (b - a * r) * s;
         } else {
           const r = c / d,
-            s = c * r + d;
-          o[k] = (a * r + b) / s;
-          oi[k] = (b * r - a) / s;
+            s = 1 / (c * r + d);
+          o[k] = (a * r + b) * s;
+          oi[k] = (b * r - a) * s;
         }
         break;
       case "pow": {
@@ -470,6 +468,20 @@ function $complexLoop(word, n, x, xi, p, y, yi, q, o, oi) {
 
 const $logical = new Set(["lt", "le", "gt", "ge", "eq", "ne"]);
 
+// Where integers need another way than floats.
+const $integers = {
+  ...$bitwise,
+  floordiv: (a, b) => (b === 0 ? 0 : $down(a, b)),
+  mod: (a, b) => (b === 0 ? 0 : $left(a, b)),
+  pow: (a, b) => {
+    if (b < 0) throw ValueError("integers to negative integer powers");
+    if (Math.abs(a) < 2) return a === -1 ? 1 - 2 * (b % 2) : b === 0 ? 1 : a;
+    let out = 1;
+    for (let n = 0; n < b && Math.abs(out) < 2 ** 53; n++) out *= a;
+    return out;
+  },
+};
+
 function $binary(word, a, b) {
   if (typeof a === "string" || typeof b === "string" || a == null || b == null) {
     if (word === "eq" || word === "ne") return word === "ne";
@@ -490,20 +502,20 @@ function $binary(word, a, b) {
     return new NdArray(out, shape, kind, im);
   }
   let kind = "f";
+  const logical = x.kind === "b" && y.kind === "b";
   if ($logical.has(word)) kind = "b";
-  else if (word === "and" || word === "or" || word === "xor")
-    kind = x.kind === "b" && y.kind === "b" ? "b" : "i";
-  else if (
-    word !== "div" &&
-    word !== "hypot" &&
-    word !== "atan2" &&
-    x.kind !== "f" &&
-    y.kind !== "f"
-  )
-    kind = (word === "max" || word === "min") && x.kind === "b" && y.kind === "b" ? "b" : "i";
+  else if (!["div", "hypot", "atan2"].includes(word) && x.kind !== "f" && y.kind !== "f")
+    kind = logical && !["floordiv", "mod", "pow"].includes(word) ? "b" : "i";
+  if (logical && word === "sub") throw TypeError("no operator sub of logical arrays");
+  if ($bitwise[word] && kind === "f") throw TypeError(`no operator ${word} of floats`);
   const out = $store(kind, n);
+  if (kind === "i" && $integers[word]) {
+    for (let k = 0; k < n; k++) out[k] = $integers[word](xd[k * p], yd[k * q]);
+    return new NdArray($whole(out, word), shape, kind);
+  }
   if (!$loops[word]) throw TypeError(`no operator ${word} of arrays`);
-  $loops[word](n, xd, p, yd, q, out);
+  $loops[kind === "b" && word === "add" ? "or" : word](n, xd, p, yd, q, out);
+  if (kind === "i" && word !== "max" && word !== "min") $whole(out, word);
   return new NdArray(out, shape, kind);
 }
 
@@ -539,10 +551,12 @@ const $arrays = {
   binary: (word, a, b) => $wrap($binary(word, a, b)),
   complexScalar: (word, a, b) => $binary(word, a, b).item(),
   unary(word, x) {
-    if (word === "invert")
-      return $elementwise(x, x.kind === "b" ? (v) => (v ? 0 : 1) : (v) => ~v, x.kind);
+    if (word === "invert" && (x.kind === "b" || x.kind === "i"))
+      return $elementwise(x, x.kind === "b" ? (v) => (v ? 0 : 1) : (v) => $exact(-v - 1, word), x.kind);
+    if (word === "invert" || (word === "neg" && x.kind === "b"))
+      throw TypeError(`no operator ${word} of arrays of ${x.kind}`);
     if (word === "neg") {
-      if (!x.im) return $elementwise(x, (v) => -v, x.kind === "b" ? "f" : x.kind);
+      if (!x.im) return $elementwise(x, x.kind === "i" ? (v) => 0 - v : (v) => -v, x.kind);
       const [d, im] = x.flat();
       return new NdArray(
         d.map((v) => -v),
@@ -559,7 +573,7 @@ const $arrays = {
         "f",
       );
     }
-    return $elementwise(x, Math.abs, x.kind === "i" ? "i" : "f");
+    return $elementwise(x, Math.abs, x.kind);
   },
   matmul(a, b) {
     if (a && a.__matmul__) return a.__matmul__(b);
@@ -788,8 +802,8 @@ function $select(x, index) {
 }
 
 function $scatter(x, positions, shape, value) {
-  const v = $as(value);
-  if (v.size === 1) {
+  const v = $as(value, x.kind === "i" || x.kind === "b" ? x.kind : null);
+  if (v.size === 1 && v.ndim <= shape.length) {
     const [d, im] = v.flat();
     for (let n = 0; n < positions.length; n++) {
       x.data[positions[n]] = d[0];
@@ -927,11 +941,11 @@ const $reducers = {
     return s;
   },
   any: (d, from, n) => {
-    for (let k = 0; k < n; k++) if (d[from + k]) return 1;
+    for (let k = 0; k < n; k++) if (d[from + k] !== 0) return 1;
     return 0;
   },
   all: (d, from, n) => {
-    for (let k = 0; k < n; k++) if (!d[from + k]) return 0;
+    for (let k = 0; k < n; k++) if (d[from + k] === 0) return 0;
     return 1;
   },
   argmax: (d, from, n) => {
@@ -985,9 +999,10 @@ function $reduce(word, given, axis = null, keepdims = false, { initial } = {}) {
   const x = $as(given);
   if (x.im && word !== "sum" && word !== "mean") throw TypeError(`${word} of complex numbers`);
   if (x.im) {
-    const re = $as($reduce(word, x.real, axis, keepdims)),
-      im = $as($reduce(word, x.imag, axis, keepdims));
-    return $wrap(new NdArray(re.flat()[0], re.shape, "c", im.flat()[0]));
+    const re = $as($reduce("sum", x.real, axis, keepdims)),
+      im = $as($reduce("sum", x.imag, axis, keepdims)),
+      out = new NdArray(re.flat()[0], re.shape, "c", im.flat()[0]);
+    return word === "sum" ? $wrap(out) : $div(out, x.size / re.size);
   }
   const {
     flat: [d],
@@ -1028,6 +1043,11 @@ function $reduce(word, given, axis = null, keepdims = false, { initial } = {}) {
             : v
         : v;
   }
+  if (kind === "i" && (word === "sum" || word === "prod")) {
+    $whole(out, word);
+    // what is summed on the way must be exact, too
+    if (word === "sum" && x.kind === "i") $exact($pairwise(d.map(Math.abs), 0, d.length), word);
+  }
   const whole = keepdims ? x.shape.map((size, n) => (axes.includes(n) ? 1 : size)) : shape;
   return $wrap(new NdArray(out, whole, kind));
 }
@@ -1054,7 +1074,7 @@ NdArray.prototype.std = $fn("axis", function (axis = null) {
 NdArray.prototype.reshape = function (...shape) {
   const wanted = [...(shape.length === 1 && Array.isArray(shape[0]) ? shape[0] : shape)],
     at = wanted.indexOf(-1);
-  if (at >= 0) wanted[at] = this.size / wanted.reduce((a, b) => a * (b === -1 ? 1 : b), 1) || 0;
+  if (at >= 0) wanted[at] = this.size / wanted.reduce((a, b) => a * (b === -1 ? 1 : b), 1);
   if ($product(wanted) !== this.size)
     throw ValueError(`an array of ${this.size} cannot have the shape ${repr($tuple(wanted))}`);
   if (this.contiguous) return new NdArray(this.data, wanted, this.kind, this.im, null, this.offset);
@@ -1112,8 +1132,7 @@ Object.assign($np, {
   degrees: $one((x) => x * (180 / Math.PI)),
   radians: $one((x) => x * (Math.PI / 180)),
   square: (x) => $mul(x, x),
-  sign: $one((x) => (x > 0 ? 1 : x < 0 ? -1 : x)),
-  rint: $one((x) => round(x)),
+  sign: (x) => $elementwise(x, (v) => (v > 0 ? 1 : v < 0 ? -1 : v + 0), x.kind === "i" ? "i" : "f"),
   exp(x) {
     if (!(x instanceof Complex) && !(x instanceof NdArray && x.im))
       return $elementwise(x, Math.exp);
@@ -1124,7 +1143,7 @@ Object.assign($np, {
     for (let n = 0; n < d.length; n++) {
       const s = Math.exp(d[n]);
       re[n] = s * Math.cos(im[n]);
-      out[n] = s * Math.sin(im[n]);
+      out[n] = im[n] === 0 ? im[n] : s * Math.sin(im[n]);
     }
     return $wrap(new NdArray(re, a.shape, "c", out));
   },
@@ -1150,13 +1169,9 @@ Object.assign($np, {
     return $wrap(new NdArray(out, a.shape, "b"));
   },
   round: (x, digits = 0) =>
-    $elementwise(x, (v) => {
-      const s = 10 ** digits,
-        y = v * s,
-        f = Math.floor(y),
-        r = y - f;
-      return (r > 0.5 || (r === 0.5 && f % 2 !== 0) ? f + 1 : f) / s;
-    }),
+    x.kind === "i"
+      ? x.copy()
+      : $elementwise(x, digits ? (v) => $rint(v * 10 ** digits) / 10 ** digits : $rint),
   angle: (x) => {
     const a = $as(x, "c"),
       [d, im] = a.flat(),
@@ -1176,9 +1191,10 @@ Object.assign($np, {
       v !== v ? nan : v === Infinity ? Number.MAX_VALUE : v === -Infinity ? -Number.MAX_VALUE : v,
     ),
   ),
-  isclose: $fn("a b rtol atol", (a, b, rtol = 1e-5, atol = 1e-8) =>
-    $le($np.abs($sub(a, b)), $add(atol, $mul(rtol, $np.abs(b)))),
-  ),
+  isclose: $fn("a b rtol atol", (a, b, rtol = 1e-5, atol = 1e-8) => {
+    const near = $le($np.abs($sub(a, b)), $add(atol, $mul(rtol, $np.abs(b))));
+    return $or_($and_(near, $np.isfinite(b)), $eq(a, b));
+  }),
   array_equal: (a, b) => {
     const x = $as(a),
       y = $as(b);
@@ -1198,7 +1214,7 @@ Object.assign($np, {
   ascontiguousarray: $fn("x dtype", (x, dtype = null) => {
     const a = $as(x, $kind(dtype)),
       [d, im] = a.flat();
-    return new NdArray(d, a.shape, a.kind, im);
+    return new NdArray(d, a.ndim ? a.shape : [1], a.kind, im);
   }),
   atleast_1d: (x) => {
     const a = $as(x);
@@ -1223,28 +1239,29 @@ Object.assign($np, {
   zeros_like: (x) => $np.full($as(x).shape, 0, $as(x).dtype),
   ones_like: (x) => $np.full($as(x).shape, 1, $as(x).dtype),
   full_like: (x, v) => $np.full($as(x).shape, v, $as(x).dtype),
-  eye: (n) => {
-    const out = $np.zeros([n, n]);
-    for (let k = 0; k < n; k++) out.data[k * (n + 1)] = 1;
-    return out;
-  },
+  eye: $fn("n dtype", (n, dtype = null) => $as($np.diag($np.ones(n)), $kind(dtype))),
   diag: (x) => {
     const a = $as(x);
     if (a.ndim === 1) {
       const n = a.size,
-        out = $np.zeros([n, n]),
-        [d] = a.flat();
-      for (let k = 0; k < n; k++) out.data[k * (n + 1)] = d[k];
+        out = $np.zeros([n, n], a.dtype),
+        [d, im] = a.flat();
+      for (let k = 0; k < n; k++) {
+        out.data[k * (n + 1)] = d[k];
+        if (im) out.im[k * (n + 1)] = im[k];
+      }
       return out;
     }
+    if (a.ndim !== 2) throw ValueError(`diag: an array of ${a.ndim} axes`);
     const n = Math.min(...a.shape);
     return new NdArray(a.data, [n], a.kind, a.im, [a.strides[0] + a.strides[1]], a.offset);
   },
   arange: $fn("a b step dtype", (a, b = null, step = 1, dtype = null) => {
     const [from, to] = b === null ? [0, a] : [a, b],
       n = Math.max(0, Math.ceil((to - from) / step)),
+      by = from + step - from, // as NumPy, which looks at its first two
       out = new Float64Array(n);
-    for (let k = 0; k < n; k++) out[k] = from + k * step;
+    for (let k = 0; k < n; k++) out[k] = k ? from + k * by : from;
     return new NdArray(
       out,
       [n],
@@ -1253,8 +1270,8 @@ Object.assign($np, {
   }),
   linspace: (a, b, n = 50) => {
     const out = new Float64Array(n),
-      step = (b - a) / (n - 1);
-    for (let k = 0; k < n; k++) out[k] = a + k * step;
+      step = (b - a) / Math.max(1, n - 1);
+    for (let k = 0; k < n; k++) out[k] = k * step + a;
     if (n > 1) out[n - 1] = b;
     return new NdArray(out, [n], "f");
   },
@@ -1281,7 +1298,10 @@ Object.assign($np, {
   std: $fn("x axis", (x, axis = null) => $as(x).std(axis)),
   argmax: $fn("x axis", (x, axis = null) => $reduce("argmax", x, axis)),
   argmin: $fn("x axis", (x, axis = null) => $reduce("argmin", x, axis)),
-  ptp: $fn("x axis", (x, axis = null) => $sub($reduce("max", x, axis), $reduce("min", x, axis))),
+  ptp: $fn("x axis", (x, axis = null) => {
+    const [high, low] = ["max", "min"].map((word) => $as($reduce(word, x, axis), $as(x).kind));
+    return $wrap($binary("sub", high, low));
+  }),
   percentile: $fn("x q axis", (x, q, axis = null) => $np.quantile(x, $div(q, 100), axis)),
   quantile: $fn("x q axis", (x, q, axis = null) => {
     const a = $as(x),
@@ -1290,8 +1310,10 @@ Object.assign($np, {
     const s = a.flat()[0].slice(),
       n = s.length,
       missing = s.some((v) => v !== v);
+    if (!n) throw IndexError("quantile of nothing");
     return $elementwise(qs.ndim ? qs : qs.item(), (one) => {
-      if (!n || missing) return NaN;
+      if (!(one >= 0 && one <= 1)) throw ValueError("a quantile is between 0 and 1");
+      if (missing) return NaN;
       const at = one * (n - 1),
         low = Math.floor(at),
         t = at - low,
@@ -1313,7 +1335,7 @@ Object.assign($np, {
   flatnonzero: (x) => {
     const [d] = $as(x).flat(),
       out = [];
-    for (let n = 0; n < d.length; n++) if (d[n]) out.push(n);
+    for (let n = 0; n < d.length; n++) if (d[n] !== 0) out.push(n);
     return new NdArray(Float64Array.from(out), [out.length], "i");
   },
   where: (mask, a, b) => {
@@ -1423,7 +1445,7 @@ Object.assign($np, {
     return a.at($as(kept, "i"));
   },
   repeat: $fn("x n axis", (x, n, axis = null) => {
-    const a = $as(x),
+    const a = axis === null ? $as(x).ravel() : $as(x),
       along = axis === null ? 0 : axis < 0 ? axis + a.ndim : axis,
       at = [];
     for (let k = 0; k < a.shape[along]; k++) for (let m = 0; m < n; m++) at.push(k);
@@ -1432,9 +1454,10 @@ Object.assign($np, {
     );
   }),
   tile: (x, reps) => {
-    const [rows, cols] = Array.isArray(reps) ? reps : [1, reps],
-      line = $np.concatenate(Array.from({ length: cols }, () => $as(x)));
-    return Array.isArray(reps) ? $np.stack(Array.from({ length: rows }, () => line)) : line;
+    const a = $as(x).ravel(),
+      [rows, cols] = Array.isArray(reps) ? reps : [1, reps],
+      line = a.at($np.mod($np.arange(cols * a.size), a.size));
+    return Array.isArray(reps) ? $np.repeat(line.reshape(1, -1), rows, 0) : line;
   },
   moveaxis: (x, from, to) => {
     const a = $as(x),
@@ -1446,6 +1469,7 @@ Object.assign($np, {
   array_split: (x, parts) => {
     const n = len(x),
       out = [];
+    if (!(parts > 0)) throw ValueError("array_split: there must be one part at least");
     let at = 0;
     for (let k = 0; k < parts; k++) {
       const size = Math.floor(n / parts) + (k < n % parts ? 1 : 0);
@@ -1478,7 +1502,8 @@ Object.assign($np, {
           ),
         ),
       );
-    for (let k = 0; k < n; k++) a = $as($sub(cut(1, null), cut(null, -1)));
+    for (let k = 0; k < n; k++)
+      a = $as((a.kind === "b" ? $ne : $sub)(cut(1, null), cut(null, -1)));
     return a;
   }),
   cumsum: $fn("x axis", (x, axis = null) => {
@@ -1499,6 +1524,7 @@ Object.assign($np, {
           out[at] += out[at - inner];
           if (oi) oi[at] += oi[at - inner];
         }
+    if (kind === "i") $whole(out, "cumsum");
     return new NdArray(out, a.shape, kind, oi);
   }),
   unwrap: $fn("x axis", (x, axis = -1) => {
@@ -1532,6 +1558,7 @@ Object.assign($np, {
       n = at.length;
     let k = 0;
     return $elementwise(x, (v) => {
+      if (n === 1) return of[0];
       if (v !== v) return NaN;
       if (v <= at[0]) return of[0];
       if (v >= at[n - 1]) return of[n - 1];
@@ -1547,6 +1574,7 @@ Object.assign($np, {
         k = low;
       }
       while (at[k + 1] <= v) k++;
+      if (at[k] === v) return of[k];
       const slope = (of[k + 1] - of[k]) / (at[k + 1] - at[k]);
       return slope * (v - at[k]) + of[k];
     });
@@ -1561,7 +1589,7 @@ Object.assign($np, {
           high = d.length;
         while (low < high) {
           const m = (low + high) >> 1;
-          if (d[m] < x || (right && d[m] === x)) low = m + 1;
+          if (right ? !$less(x, d[m]) : $less(d[m], x)) low = m + 1;
           else high = m;
         }
         return low;
@@ -1572,7 +1600,9 @@ Object.assign($np, {
   argsort: $fn("x kind", (x) => {
     const [d] = $as(x).flat();
     return $as(
-      Array.from(d, (_, n) => n).sort((p, q) => d[p] - d[q] || p - q),
+      Array.from(d, (_, n) => n).sort((p, q) =>
+        $less(d[p], d[q]) ? -1 : $less(d[q], d[p]) ? 1 : p - q,
+      ),
       "i",
     );
   }),
@@ -1596,7 +1626,7 @@ Object.assign($np, {
     for (let n = 0; n < d.length; n++) most = Math.max(most, d[n] + 1);
     const out = new Float64Array(most);
     for (let n = 0; n < d.length; n++) out[d[n]] += w ? w[n] : 1;
-    return new NdArray(out, [most], w ? "f" : "i");
+    return new NdArray(out, [most], w && d.length ? "f" : "i");
   }),
   add: Object.assign((a, b) => $add(a, b), {
     at(target, index, value) {
@@ -1610,7 +1640,7 @@ Object.assign($np, {
     },
   }),
   ix_: (...lists) =>
-    $tuple(lists.map((one, n) => $as(one).reshape(...lists.map((_, m) => (m === n ? -1 : 1))))),
+    $tuple(lists.map((one, n) => $as(one, len(one) ? null : "i").reshape(...lists.map((_, m) => (m === n ? -1 : 1))))),
   kron: (a, b) => {
     const x = $as(a),
       y = $as(b),
@@ -1669,7 +1699,9 @@ Object.assign($np, {
     const [xd, xi] = $expanded(x, [...many, n, k]).flat(),
       [yd, yi] = $expanded(y, [...many, k, m]).flat();
     const out = new Float64Array(count * n * m),
-      im = xi || yi ? new Float64Array(out.length) : null;
+      im = xi || yi ? new Float64Array(out.length) : null,
+      kind = x.kind === "f" || y.kind === "f" ? "f" : "i",
+      shape = [...many, ...(front ? [] : [n]), ...(back ? [] : [m])];
     if (!im && n * m <= 256 && k > 4) {
       // small results: as dot products
       for (let c = 0; c < count; c++)
@@ -1680,7 +1712,8 @@ Object.assign($np, {
               sum_ += xd[a] * yd[b];
             out[(c * n + i) * m + l] = sum_;
           }
-      return $wrap(new NdArray(out, [...many, ...(front ? [] : [n]), ...(back ? [] : [m])], "f"));
+      if (kind === "i") $whole(out, "matmul");
+      return $wrap(new NdArray(out, shape, kind));
     }
     for (let c = 0; c < count; c++)
       for (let i = 0; i < n; i++)
@@ -1691,7 +1724,7 @@ Object.assign($np, {
             to = (c * n + i) * m,
             from = (c * k + j) * m;
           if (!im) {
-            if (v !== 0) for (let l = 0; l < m; l++) out[to + l] += v * yd[from + l];
+            for (let l = 0; l < m; l++) out[to + l] += v * yd[from + l];
           } else
             for (let l = 0; l < m; l++) {
               const r = yd[from + l],
@@ -1700,8 +1733,8 @@ Object.assign($np, {
               im[to + l] += v * s + w * r;
             }
         }
-    const shape = [...many, ...(front ? [] : [n]), ...(back ? [] : [m])];
-    return $wrap(new NdArray(out, shape, im ? "c" : "f", im));
+    if (!im && kind === "i") $whole(out, "matmul");
+    return $wrap(new NdArray(out, shape, im ? "c" : kind, im));
   },
   einsum(spec, ...given) {
     let [left, right] = spec.replaceAll(" ", "").split("->");
@@ -1781,6 +1814,8 @@ Object.assign($np, {
   },
 });
 $np.intp = $np.int64;
+// The order of numbers in which NaN is last.
+const $less = (a, b) => a < b || (b !== b && a === a);
 const $known = (x) => {
   const a = $as(x).ravel();
   return a.at($invert($np.isnan(a)));
@@ -2219,7 +2254,7 @@ $np.fft = {
   },
   fftfreq: (n, d) =>
     new NdArray(
-      Float64Array.from({ length: n }, (_, k) => (k < (n + 1) / 2 ? k : k - n) / (n * d)),
+      Float64Array.from({ length: n }, (_, k) => (2 * k < n ? k : k - n) * (1 / (n * d))),
       [n],
       "f",
     ),

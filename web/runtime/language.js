@@ -337,6 +337,7 @@ function $same(a, b) {
   if (a === b) return true;
   if (a == null || b == null) return a == b;
   if (a.__eq__ && typeof a !== "number") return $t(a.__eq__(b));
+  if (b instanceof Complex) return b.__eq__(a);
   if (typeof a !== "object" || typeof b !== "object")
     return typeof a === "boolean" || typeof b === "boolean"
       ? Number(a) === Number(b) && typeof a !== "string" && typeof b !== "string"
@@ -398,7 +399,8 @@ function $operator(word, number, other) {
     const done = other ? other(a, b) : undefined;
     if (done !== undefined) return done;
     if (a instanceof Complex || b instanceof Complex) return $arrays.complexScalar(word, a, b);
-    if (typeof a === "boolean" || typeof b === "boolean") return number(Number(a), Number(b));
+    if ([a, b].every((x) => typeof x === "number" || typeof x === "boolean"))
+      return number(Number(a), Number(b));
     throw TypeError(`unsupported operands for ${word}: ${$name(type(a))} and ${$name(type(b))}`);
   };
 }
@@ -444,9 +446,25 @@ const $div = $operator(
   (a, b) => a / b,
   (a, b) => (a && a.__truediv__ ? a.__truediv__(b) : undefined),
 );
-const $floordiv = $operator("floordiv", (a, b) => Math.floor(a / b));
-const $mod = $operator("mod", (a, b) => a - b * Math.floor(a / b));
-const $pow = $operator("pow", (a, b) => a ** b);
+// What is left of a division that is rounded down, and its quotient, as NumPy has them.
+function $left(a, b) {
+  const left = a % b;
+  if (left === 0) return b < 0 ? -0 : 0;
+  return b < 0 !== left < 0 ? left + b : left;
+}
+function $down(a, b) {
+  if (b === 0) return a / b;
+  const left = a % b,
+    quotient = (a - left) / b - (left !== 0 && b < 0 !== left < 0 ? 1 : 0),
+    down = Math.floor(quotient);
+  if (quotient === 0) return Math.sign(a) * Math.sign(b) * 0;
+  return quotient - down > 0.5 ? down + 1 : down;
+}
+const $floordiv = $operator("floordiv", $down);
+const $mod = $operator("mod", $left);
+// As in C, where 1 and, with an infinite exponent, -1 have powers, too.
+const $powered = (a, b) => (a === 1 || (a === -1 && Math.abs(b) === Infinity) ? 1 : a ** b);
+const $pow = $operator("pow", $powered);
 const $matmul = (a, b) => $arrays.matmul(a, b);
 const $bits = (word, number) =>
   $operator(word, number, (a, b) => {
@@ -455,9 +473,26 @@ const $bits = (word, number) =>
     if (word === "or" && a instanceof Dict) return $dict([...$items(a), ...$items(b)]);
     if (word === "or" && $isType(a) && $isType(b)) return new Type("union", [a, b]);
   });
-const $and_ = $bits("and", (a, b) => a & b),
-  $or_ = $bits("or", (a, b) => a | b),
-  $xor = $bits("xor", (a, b) => a ^ b);
+// Of whole numbers of any size: the engine's own have 32 bits.
+const $wide = (short, long) => (a, b) =>
+  (a | 0) === a && (b | 0) === b ? short(a, b) : Number(long(BigInt(a), BigInt(b)));
+const $bitwise = {
+  and: $wide(
+    (a, b) => a & b,
+    (a, b) => a & b,
+  ),
+  or: $wide(
+    (a, b) => a | b,
+    (a, b) => a | b,
+  ),
+  xor: $wide(
+    (a, b) => a ^ b,
+    (a, b) => a ^ b,
+  ),
+};
+const $and_ = $bits("and", $bitwise.and),
+  $or_ = $bits("or", $bitwise.or),
+  $xor = $bits("xor", $bitwise.xor);
 const $lshift = (a, b) => a * 2 ** b,
   $rshift = (a, b) => Math.floor(a / 2 ** b);
 const $neg = (x) =>
@@ -470,12 +505,15 @@ const $neg = (x) =>
         : -Number(x);
 const $pos = (x) => x;
 const $invert = (x) =>
-  $isArray(x) ? $arrays.unary("invert", x) : typeof x === "boolean" ? !x : ~x;
+  $isArray(x) ? $arrays.unary("invert", x) : typeof x === "boolean" ? !x : -x - 1;
 
 // In place: what is an object stays that object.
 const $inplace = (operate) => (a, b) => {
   if ($isArray(a)) {
-    a.assign(operate(a, b));
+    const out = operate(a, b);
+    if ($isArray(out) && $rank[out.kind] > $rank[a.kind])
+      throw TypeError(`an array of ${a.kind} cannot become one of ${out.kind} in place`);
+    a.assign(out);
     return a;
   }
   return operate(a, b);
@@ -669,6 +707,7 @@ class PySet {
     return null;
   }
   pop() {
+    if (!this.of.size) throw KeyError("pop from an empty set");
     const [k, x] = this.of.entries().next().value;
     this.of.delete(k);
     return x;
@@ -734,7 +773,8 @@ function $get(x, at) {
         return Array.isArray(x) && x.constructor !== Array ? $tuple(Array.from(out)) : out;
       }
       const out = Array.from({ length: count }, (_, n) => x[first + n * step]);
-      return typeof x === "string" ? out.join("") : out;
+      if (typeof x === "string") return out.join("");
+      return x instanceof Uint8Array ? $bytes(out) : x.$t ? $tuple(out) : out;
     }
     const n = at < 0 ? at + x.length : Number(at);
     if (!(n >= 0 && n < x.length)) throw IndexError("index out of range");
@@ -870,14 +910,17 @@ const abs = (x) =>
       : x instanceof Complex
         ? Math.hypot(x.real, x.imag)
         : Math.abs(Number(x));
+// To the nearest whole number, ties to even.
+function $rint(x) {
+  const down = Math.floor(x),
+    left = x - down;
+  if (!(left > 0)) return x; // whole, not finite
+  return left > 0.5 || (left === 0.5 && down % 2 !== 0) ? (down === -1 ? -0 : down + 1) : down;
+}
 function round(x, digits = null) {
-  const size = digits ? 10 ** digits : 1,
-    y = x * size;
-  if (!Number.isFinite(y)) return x;
-  if (digits) return Number(format(x, `.${digits}f`));
-  const down = Math.floor(y),
-    left = y - down;
-  return (left > 0.5 || (left === 0.5 && down % 2 !== 0) ? down + 1 : down) / size;
+  x = Number(x);
+  if (digits !== null) return Number.isFinite(x) ? Number(format(x, `.${digits}f`)) : x;
+  return int($rint(x));
 }
 const list = (x = []) => [...$iter(x)];
 list.$test = (x) => Array.isArray(x) && !x.$t;
@@ -886,16 +929,18 @@ tuple.$test = (x) => Array.isArray(x) && Boolean(x.$t);
 tuple.$made = undefined;
 const bool = (x = false) => $t(x);
 bool.$test = (x) => typeof x === "boolean";
-const $number = (text) =>
-  /^\s*[-+]?(\d+(_?\d)*\.?(\d+(_?\d)*)?|\.\d+(_?\d)*)([eE][-+]?\d+)?\s*$/.test(text)
+const $number = (given) => {
+  const text = $strings.strip(given);
+  return /^[-+]?(\d(_?\d)*\.?(\d(_?\d)*)?|\.\d(_?\d)*)([eE][-+]?\d(_?\d)*)?$/.test(text)
     ? Number(text.replaceAll("_", ""))
-    : /^\s*[-+]?inf(inity)?\s*$/i.test(text)
-      ? text.trim()[0] === "-"
+    : /^[-+]?inf(inity)?$/i.test(text)
+      ? text[0] === "-"
         ? -Infinity
         : Infinity
-      : /^\s*[-+]?nan\s*$/i.test(text)
+      : /^[-+]?nan$/i.test(text)
         ? NaN
         : null;
+};
 function float(x = 0) {
   if (typeof x === "number") return x;
   if (typeof x === "boolean") return Number(x);
@@ -910,18 +955,23 @@ function float(x = 0) {
 float.$test = (x) => typeof x === "number";
 function int(x = 0, base = 10) {
   if (typeof x === "string") {
-    const text = x.trim().replaceAll("_", "");
-    if (
-      !/^[-+]?[0-9a-zA-Z]+$/.test(text) ||
-      Number.isNaN(parseInt(text, base)) ||
-      (base === 10 && !/^[-+]?\d+$/.test(text))
-    )
+    const head = { 2: "(?:0b_?)?", 8: "(?:0o_?)?", 16: "(?:0x_?)?" }[base] ?? "",
+      found = new RegExp(`^([-+]?)${head}([0-9a-z]+(?:_[0-9a-z]+)*)$`, "i").exec($strings.strip(x)),
+      digits = found?.[2].replaceAll("_", "");
+    if (!found || [...digits].some((c) => !(parseInt(c, 36) < base)))
       throw ValueError(`invalid literal for int(): ${repr(x)}`);
-    return parseInt(text, base);
+    return $exact(found[1] === "-" ? -parseInt(digits, base) : parseInt(digits, base), "int()") + 0;
   }
   const value = float(x);
-  if (!Number.isFinite(value)) throw ValueError("cannot convert to an integer");
+  if (Number.isNaN(value)) throw ValueError("cannot convert NaN to an integer");
+  if (!Number.isFinite(value)) throw OverflowError("cannot convert infinity to an integer");
   return Math.trunc(value) + 0;
+}
+// Integers are doubles: one of 2**53 or more may stand for its neighbour.
+function $exact(x, name) {
+  if (x >= 2 ** 53 || x <= -(2 ** 53))
+    throw OverflowError(`${name}: integers of 2**53 and more are not exact here`);
+  return x;
 }
 int.$test = (x) => (typeof x === "number" && Number.isInteger(x)) || typeof x === "boolean";
 class Complex {
@@ -1065,7 +1115,15 @@ function repr(x) {
         .replaceAll("\\", "\\\\")
         .replaceAll("\n", "\\n")
         .replaceAll("\r", "\\r")
-        .replaceAll("\t", "\\t");
+        .replaceAll("\t", "\\t")
+        .replace($hidden, (c) => {
+          const code = c.codePointAt(0).toString(16);
+          return code.length < 3
+            ? `\\x${code.padStart(2, "0")}`
+            : code.length < 5
+              ? `\\u${code.padStart(4, "0")}`
+              : `\\U${code.padStart(8, "0")}`;
+        });
       return mark + (mark === "'" ? body.replaceAll("'", "\\'") : body) + mark;
     }
     case "number":
@@ -1094,97 +1152,119 @@ function repr(x) {
   return `<${$name(type(x))}>`;
 }
 
-// As Python rounds: ties to even, where a tie can be told.
+// Texts of x ≥ 0 as Python rounds them, ties to even. A hundred digits tell a tie.
+const $halved = (long, keep) =>
+  /^50*$/.test(long.slice(keep)) && /[02468]\.?$/.test(long.slice(0, keep));
 function $fixed(x, digits) {
-  const size = 10 ** digits,
-    y = Math.abs(x) * size,
-    down = Math.floor(y);
-  if (digits < 16 && y < 2 ** 50 && y - down === 0.5 && y / size === Math.abs(x) && down % 2 === 0)
-    x = Math.sign(x) * (down / size);
-  return x.toFixed(digits);
+  if (x >= 1e21) return BigInt(x) + (digits ? `.${"0".repeat(digits)}` : "");
+  const long = x.toFixed(100),
+    keep = long.length - 100 + digits;
+  return $halved(long, keep) ? long.slice(0, digits ? keep : keep - 1) : x.toFixed(digits);
 }
-function $general(x, digits, keep) {
-  if (x === 0) return Object.is(x, -0) ? "-0" : "0";
+// [digits, power of ten]
+function $scientific(x, digits) {
+  const [long, power] = x.toExponential(100).split("e");
+  if ($halved(long, 2 + digits)) return [long.slice(0, digits ? 2 + digits : 1), Number(power)];
+  const [short, at] = x.toExponential(digits).split("e");
+  return [short, Number(at)];
+}
+const $power = ([digits, at]) =>
+  `${digits}e${at < 0 ? "-" : "+"}${String(Math.abs(at)).padStart(2, "0")}`;
+// `plain`: without a letter, where a float shows that it is one.
+function $general(x, digits, plain) {
   const p = digits || 1,
-    [, power] = x.toExponential(p - 1).split("e"),
-    at = Number(power);
-  const trimmed = (t) => (keep || !t.includes(".") ? t : t.replace(/0+$/, "").replace(/\.$/, ""));
-  if (at >= -4 && at < p) return trimmed($fixed(x, p - 1 - at));
-  const [m] = x.toExponential(p - 1).split("e");
-  return `${trimmed(m)}e${at < 0 ? "-" : "+"}${String(Math.abs(at)).padStart(2, "0")}`;
+    [long, at] = $scientific(x, p - 1),
+    trimmed = (t) => (t.includes(".") ? t.replace(/\.?0+$/, "") : t);
+  if (at < -4 || at >= p - (plain ? 1 : 0)) return $power([trimmed(long), at]);
+  const text = trimmed($fixed(x, p - 1 - at));
+  return plain && !text.includes(".") ? `${text}.0` : text;
+}
+function $unsigned(x, kind, digits) {
+  if (!Number.isFinite(x)) return Number.isNaN(x) ? "nan" : "inf";
+  switch (kind?.toLowerCase()) {
+    case "f":
+      return $fixed(x, digits ?? 6);
+    case "%":
+      return `${$fixed(x * 100, digits ?? 6)}%`;
+    case "e":
+      return $power($scientific(x, digits ?? 6));
+    case "g":
+      return $general(x, digits ?? 6, false);
+    case undefined:
+      return digits === null ? $float(x) : $general(x, digits, true);
+  }
+  if (!Number.isInteger(x)) throw ValueError(`the format ${kind} is for integers`);
+  return BigInt(x).toString({ d: 10, b: 2, x: 16 }[kind.toLowerCase()]);
 }
 function format(x, spec = "") {
-  const [, fill, align, sign, hash, zero, width, comma, precision, kind] =
-    /^(?:(.)?([<>=^]))?([-+ ])?(#)?(0)?(\d+)?([,_])?(?:\.(\d+))?([a-zA-Z%])?$/u.exec(spec) ?? [];
-  let text;
-  const digits = precision === undefined ? null : Number(precision);
+  const [all_, given, align, sign, zero, width, comma, precision, kind] =
+    /^(?:(.)?([<>=^]))?([-+ ])?(0)?(\d+)?([,_])?(?:\.(\d+))?([bdeEfFgGsxX%])?$/su.exec(spec) ?? [];
+  if (all_ === undefined) throw ValueError(`no format ${repr(spec)} here`);
   if ($isArray(x) && x.size === 1) x = x.item();
-  if (typeof x === "number" || (typeof x === "boolean" && kind)) {
+  const number = typeof x === "number" || (typeof x === "boolean" && spec !== ""),
+    digits = precision === undefined ? null : Number(precision),
+    fill = given ?? (zero ? "0" : " "),
+    to = align ?? (number ? (zero && given === undefined ? "=" : ">") : "<"),
+    room = Number(width ?? 0);
+  let head = "",
+    text;
+  if (number) {
     x = Number(x);
-    const size = Math.abs(x);
-    if (!Number.isFinite(x)) text = Number.isNaN(x) ? "nan" : "inf";
-    else if (kind === "f" || kind === "F") text = $fixed(size, digits ?? 6);
-    else if (kind === "%") text = `${$fixed(size * 100, digits ?? 6)}%`;
-    else if (kind === "e") text = size.toExponential(digits ?? 6).replace(/e([-+])(\d)$/, "e$10$2");
-    else if (kind === "g" || kind === "G") text = $general(size, digits ?? 6, false);
-    else if (kind === "d") text = String(size);
-    else if (kind === "b" || kind === "x" || kind === "X")
-      text = size.toString(kind === "b" ? 2 : 16);
-    else text = digits === null ? $float(size) : $general(size, digits, false);
+    text = $unsigned(Math.abs(x), kind, digits);
+    if (/[A-Z]/.test(kind ?? "")) text = text.toUpperCase();
+    if (x < 0 || (Object.is(x, -0) && (kind ? !/[bdx]/i.test(kind) : digits !== null))) head = "-";
+    else if (sign === "+" || sign === " ") head = sign;
     if (comma) {
-      const [whole, rest] = text.split(".");
-      text = whole.replace(/\B(?=(\d{3})+$)/g, comma) + (rest === undefined ? "" : `.${rest}`);
+      let [, whole, rest] = /^(\d*)(.*)$/.exec(text);
+      const grouped = () => whole.replace(/\B(?=(\d{3})+$)/g, comma);
+      if (whole && to === "=" && fill === "0")
+        while ((head + grouped() + rest).length < room) whole = `0${whole}`;
+      text = grouped() + rest;
     }
-    const head =
-      (x < 0 || Object.is(x, -0)) && !Number.isNaN(x)
-        ? "-"
-        : sign === "+"
-          ? "+"
-          : sign === " "
-            ? " "
-            : "";
-    if (zero && width) text = text.padStart(Number(width) - head.length, "0");
-    text = head + text;
   } else {
+    if (to === "=" || sign || comma || (kind && kind !== "s"))
+      throw ValueError(`the format ${repr(spec)} is for numbers`);
     text = str(x);
     if (digits !== null) text = text.slice(0, digits);
   }
-  if (!width) return text;
-  const room = Number(width),
-    to = align ?? (typeof x === "number" ? ">" : "<"),
-    by = fill ?? " ";
-  if (to === "<") return text.padEnd(room, by);
-  if (to === ">" || to === "=") return text.padStart(room, by);
-  const left = Math.floor((room - text.length) / 2);
-  return by.repeat(Math.max(0, left)) + text + by.repeat(Math.max(0, room - text.length - left));
+  if (to === "=") return head + text.padStart(room - head.length, fill);
+  text = head + text;
+  if (to === "<") return text.padEnd(room, fill);
+  if (to === ">") return text.padStart(room, fill);
+  return text.padStart(text.length + Math.floor(Math.max(0, room - text.length) / 2), fill).padEnd(room, fill);
 }
 const $format = format;
 
+// What Python takes for white space, and what it does not print.
+const $space = "[\\t-\\r\\x1c-\\x20\\x85\\xa0\\u1680\\u2000-\\u200a\\u2028\\u2029\\u202f\\u205f\\u3000]",
+  $hidden = /(?! )[\p{C}\p{Z}]/gu,
+  $spaces = new RegExp(`${$space}+`),
+  $before = new RegExp(`^${$space}+`),
+  $behind = new RegExp(`${$space}+$`);
 const $escaped = (chars) => chars.replace(/[\\\]^-]/g, "\\$&");
 const $strings = {
   strip: (s, of) => $strings.lstrip($strings.rstrip(s, of), of),
   lstrip: (s, of) =>
     of == null
-      ? s.replace(/^[\s\x1c-\x1f\x85]+/u, "")
+      ? s.replace($before, "")
       : s.replace(new RegExp(`^[${$escaped(of)}]+`, "u"), ""),
   rstrip: (s, of) =>
     of == null
-      ? s.replace(/[\s\x1c-\x1f\x85]+$/u, "")
+      ? s.replace($behind, "")
       : s.replace(new RegExp(`[${$escaped(of)}]+$`, "u"), ""),
   split(s, mark = null, most = -1) {
     if (mark === null) {
-      const t = $strings.strip(s);
-      if (!t) return [];
-      if (most < 0) return t.split(/\s+/u);
+      let rest = $strings.lstrip(s);
+      if (!rest) return [];
+      if (most < 0) return $strings.rstrip(rest).split($spaces);
       const out = [];
-      let rest = t;
-      while (out.length < most) {
-        const found = /\s+/u.exec(rest);
+      while (rest && out.length < most) {
+        const found = $spaces.exec(rest);
         if (!found) break;
         out.push(rest.slice(0, found.index));
         rest = rest.slice(found.index + found[0].length);
       }
-      return [...out, rest];
+      return rest ? [...out, rest] : out;
     }
     const parts = s.split(mark);
     return most < 0 || parts.length <= most + 1
@@ -1219,8 +1299,8 @@ const $strings = {
   title: (s) => s.replace(/\p{L}+/gu, (w) => w[0].toUpperCase() + w.slice(1).toLowerCase()),
   replace: (s, a, b, most = -1) => {
     if (most < 0) return s.replaceAll(a, () => b);
-    for (let n = 0; n < most; n++) s = s.replace(a, () => b);
-    return s;
+    const parts = $strings.split(s, a, most);
+    return parts.join(b);
   },
   removeprefix: (s, of) => (s.startsWith(of) ? s.slice(of.length) : s),
   removesuffix: (s, of) => (of && s.endsWith(of) ? s.slice(0, -of.length) : s),
@@ -1234,24 +1314,19 @@ const $strings = {
   },
   isdigit: (s) => /^\p{Nd}+$/u.test(s),
   isalpha: (s) => /^\p{L}+$/u.test(s),
-  isprintable: (s) => !/[\p{C}\p{Zl}\p{Zp}]/u.test(s),
-  isspace: (s) => /^\s+$/u.test(s),
-  encode: (s, encoding = "utf-8") => $encoded(s, encoding),
+  isprintable: (s) => s.search($hidden) < 0,
+  isspace: (s) => s !== "" && !$strings.strip(s),
+  encode: (s, encoding = "utf-8", errors) => $encoded(s, encoding, errors),
   translate: (s, d) => [...s].map((c) => (d.has(c) ? d.get(c) : c)).join(""),
   zfill: (s, n) => s.padStart(n, "0"),
   format(s, ...args) {
     const kw = args.length && args[args.length - 1] instanceof Kw ? args.pop().of : {};
     let at = 0;
-    return s.replace(/\{\{|\}\}|\{([^{}:!]*)(?:!r)?(?::([^{}]*))?\}/g, (all_, name, spec) =>
-      all_ === "{{"
-        ? "{"
-        : all_ === "}}"
-          ? "}"
-          : format(
-              name === "" ? args[at++] : /^\d+$/.test(name) ? args[Number(name)] : kw[name],
-              spec ?? "",
-            ),
-    );
+    return s.replace(/\{\{|\}\}|\{([^{}:!]*)(!r)?(?::([^{}]*))?\}/g, (all_, name, quoted, spec) => {
+      if (all_ === "{{" || all_ === "}}") return all_[0];
+      const x = name === "" ? args[at++] : /^\d+$/.test(name) ? args[Number(name)] : kw[name];
+      return format(quoted ? repr(x) : x, spec ?? "");
+    });
   },
 };
 const $lists = {
@@ -1268,7 +1343,7 @@ const $lists = {
     return null;
   },
   pop: (l, n = -1) => {
-    if (!l.length) throw IndexError("pop from an empty list");
+    if (!(n >= -l.length && n < l.length)) throw IndexError("pop index out of range");
     return l.splice(n < 0 ? n + l.length : n, 1)[0];
   },
   remove: (l, x) => {
@@ -1300,7 +1375,9 @@ const $lists = {
 const $bytes = (values) => Uint8Array.from(values);
 const bytes = (x = []) => Uint8Array.from($iter(x));
 bytes.$test = (x) => x instanceof Uint8Array;
-function $encoded(s, encoding) {
+// What cp1252 has for the bytes 0x80 to 0x9f; where it has nothing, the engine keeps the byte.
+const $euro = new TextDecoder("windows-1252").decode(Uint8Array.from({ length: 32 }, (_, n) => 128 + n));
+function $encoded(s, encoding, errors = "strict") {
   const name = encoding.toLowerCase();
   if (name === "utf-16-le" || name === "utf-16-be") {
     const out = new Uint8Array(2 * s.length),
@@ -1308,14 +1385,35 @@ function $encoded(s, encoding) {
     for (let n = 0; n < s.length; n++) view.setUint16(2 * n, s.charCodeAt(n), name === "utf-16-le");
     return out;
   }
-  return new TextEncoder().encode(s);
+  if (name === "utf-8") return new TextEncoder().encode(s);
+  if (!["ascii", "latin-1", "cp1252"].includes(name))
+    throw NotImplementedError(`encode: no ${encoding} here`);
+  return Uint8Array.from([...s], (c) => {
+    const code = c.codePointAt(0),
+      at = name === "cp1252" && !/[\x80-\x9f]/.test(c) ? $euro.indexOf(c) : -1;
+    if (at >= 0) return 128 + at;
+    if (code < 128 || (code < 256 && (name === "latin-1" || (name === "cp1252" && code > 159))))
+      return code;
+    if (errors === "strict") throw ValueError(`'${encoding}' has no ${repr(c)}`);
+    return 63;
+  });
 }
+const $bytewise = {
+  ascii: (wide) => wide.replace(/[^\0-\x7f]/g, "\ufffd"),
+  cp1252: (wide) => wide.replace(/[\x80-\x9f]/g, "\ufffd"),
+  "latin-1": (wide) =>
+    wide.replace(/[^\0-\xff]/g, (c) => String.fromCharCode(128 + $euro.indexOf(c))),
+};
 function $decoded(b, encoding = "utf-8", errors = "strict") {
   const name = encoding.toLowerCase().replace(/-sig$/, "");
+  if ($bytewise[name]) {
+    const out = $bytewise[name](new TextDecoder("windows-1252").decode(b));
+    if (errors === "strict" && out.includes("\ufffd"))
+      throw UnicodeDecodeError(`'${encoding}' cannot decode these bytes`);
+    return out;
+  }
   const label =
     {
-      cp1252: "windows-1252",
-      "latin-1": "windows-1252",
       "utf-16": b[0] === 0xfe ? "utf-16be" : "utf-16le",
       "utf-16-le": "utf-16le",
       "utf-16-be": "utf-16be",

@@ -87,7 +87,7 @@ $module("math", ($m) =>
     inf: Infinity,
     nan: NaN,
     e: Math.E,
-    isfinite: (x) => Number.isFinite(x),
+    isfinite: (x) => Number.isFinite(Number(x)),
     isnan: (x) => x !== x,
     sqrt: (x) => {
       if (x < 0) throw ValueError("math domain error");
@@ -255,43 +255,50 @@ $module("csv", ($m) =>
     reader: $fn(
       "lines delimiter skipinitialspace",
       function* (lines, delimiter = ",", skip = false) {
-        for (const line of $iter(lines)) {
+        const more = $iter(lines)[Symbol.iterator]();
+        for (let got = more.next(); !got.done; got = more.next()) {
           const out = [];
-          let at = 0;
-          for (;;) {
+          let line = got.value,
+            at = 0;
+          const ended = () => at >= line.length || line[at] === "\n" || line[at] === "\r";
+          while (!ended() || out.length) {
             if (skip) while (line[at] === " ") at++;
             let cell = "";
             if (line[at] === '"') {
               at++;
-              for (; at < line.length; at++) {
-                if (line[at] === '"') {
-                  if (line[at + 1] === '"') at++;
-                  else {
-                    at++;
-                    break;
-                  }
+              for (;;) {
+                if (at === line.length) {
+                  const { done, value } = more.next();
+                  if (done) break;
+                  line += value; // a cell of several lines
+                } else {
+                  if (line[at] === '"' && line[++at] !== '"') break;
+                  cell += line[at++];
                 }
-                cell += line[at];
               }
             }
-            while (at < line.length && line[at] !== delimiter) cell += line[at++];
+            while (!ended() && line[at] !== delimiter) cell += line[at++];
             out.push(cell);
-            if (at >= line.length) break;
+            if (ended()) break;
             at++;
           }
-          yield line === "" ? [] : out;
+          yield out;
         }
       },
     ),
     DictReader: $fn("lines skipinitialspace", function* (lines, skip = false) {
       let names = null;
       for (const row of $import("csv").reader(
-        [...lines].map((l) => l.replace(/[\r\n]+$/, "")),
+        lines,
         ",",
         skip,
       )) {
         if (names === null) names = row;
-        else yield $dict(names.map((name, n) => [name, row[n] ?? null]));
+        else if (row.length) {
+          const out = $dict(names.map((name, n) => [name, row[n] ?? null]));
+          if (row.length > names.length) out.set(null, row.slice(names.length));
+          yield out;
+        }
       }
     }),
   }),
@@ -358,16 +365,47 @@ class Match {
     return this.group(n);
   }
 }
+// Python's expressions as JavaScript's: what its classes hold, and where a line or a text ends.
+function $translated(source, bytes, lines) {
+  const sets = {
+    d: bytes ? "0-9" : "\\p{Nd}",
+    s: bytes ? " \\t-\\r" : $space.slice(1, -1),
+    w: bytes ? "a-zA-Z0-9_" : "\\p{L}\\p{N}_",
+  };
+  let inside = false;
+  return source.replace(/\\(.)|\(\?P<|[.^$[\]]/gsu, (found, letter, at) => {
+    if (letter !== undefined) {
+      const set = sets[letter.toLowerCase()],
+        not = letter !== letter.toLowerCase();
+      if (set && inside && not) throw NotImplementedError(`re: no ${found} in a class here`);
+      if (set) return inside ? set : `[${not ? "^" : ""}${set}]`;
+      if (letter === "Z") return "(?![\\s\\S])";
+      return /[\^$\\.*+?()[\]{}|/bBnrtfv0-9x]/.test(letter) || (inside && letter === "-")
+        ? found
+        : `\\u{${letter.codePointAt(0).toString(16)}}`;
+    }
+    if (found === "(?P<") return "(?<";
+    if (inside) {
+      if (found === "]" && !/\[\^?$/.test(source.slice(0, at))) inside = false;
+      return found === "[" || found === "]" && inside ? `\\${found}` : found;
+    }
+    if (found === "[") inside = true;
+    if (found === "]") return "\\]";
+    if (found === "^") return lines ? "(?<![^\\n])" : found;
+    if (found === ".") return "[^\\n]";
+    if (found === "$") return lines ? "(?=\\n|(?![\\s\\S]))" : "(?=\\n?(?![\\s\\S]))";
+    return found;
+  });
+}
 class Pattern {
   constructor(source, flags = "") {
-    this.source = typeof source === "string" ? source : $decoded(source, "latin-1");
-    const text = this.source
-      .replaceAll("(?P<", "(?<")
-      .replace(/\$(?=$|\||\))/g, "(?=\\n?$)")
-      .replaceAll("(?=\\n?(?=\\n?$))", "(?=\\n?$)");
-    this.anywhere = new RegExp(text, flags);
-    this.head = new RegExp(text, `${flags}y`);
-    this.every = new RegExp(text, `${flags}g`);
+    this.bytes = typeof source !== "string";
+    this.source = this.bytes ? $decoded(source, "latin-1") : source;
+    const text = $translated(this.source, this.bytes, flags.includes("m"));
+    const own = `${flags.replace("m", "")}u`;
+    this.anywhere = new RegExp(text, own);
+    this.head = new RegExp(text, `${own}y`);
+    this.every = new RegExp(text, `${own}g`);
   }
   text(s) {
     return typeof s === "string" ? s : $decoded(s, "latin-1");
@@ -382,8 +420,8 @@ class Pattern {
     return found ? new Match(found) : null;
   }
   fullmatch(s) {
-    const found = this.match(s);
-    return found && found.end() === s.length ? found : null;
+    const found = new RegExp(`(?:${this.head.source})(?![\\s\\S])`, this.head.flags).exec(this.text(s));
+    return found ? new Match(found) : null;
   }
   sub(by, s) {
     return s.replace(
@@ -392,7 +430,7 @@ class Pattern {
     );
   }
   split(s) {
-    return s.split(this.every);
+    return s.split(this.every).map((x) => x ?? null);
   }
   findall(s) {
     return [...s.matchAll(this.every)].map((f) =>
@@ -403,7 +441,7 @@ class Pattern {
 $module("re", ($m) => {
   const compile = (source, flags = "") =>
     source instanceof Pattern ? source : new Pattern(source, flags);
-  Object.assign($m, { compile, IGNORECASE: "i", Pattern, Match });
+  Object.assign($m, { compile, IGNORECASE: "i", MULTILINE: "m", Pattern, Match });
   for (const name of ["match", "search", "fullmatch", "split", "findall"])
     $m[name] = (p, s) => compile(p)[name](s);
   $m.sub = (p, by, s) => compile(p).sub(by, s);
@@ -814,7 +852,7 @@ const Path = $class(
     });
     $c.suffix = property(function () {
       const at = this.name.lastIndexOf(".");
-      return at > 0 ? this.name.slice(at) : "";
+      return at > 0 && at < this.name.length - 1 ? this.name.slice(at) : "";
     });
     $c.stem = property(function () {
       return $strings.removesuffix(this.name, this.suffix);
