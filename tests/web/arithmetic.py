@@ -47,9 +47,9 @@ def extremes(pair):
     return np.maximum(a, b), np.minimum(a, b)
 
 
-def clipped(array, bounds):
+def clipped(real, bounds):
     low, high = bounds
-    return np.clip(array, low, high)
+    return np.clip(real, low, high)
 
 
 def squares(numbers):
@@ -135,8 +135,8 @@ def filled(floats):
     return np.nan_to_num(floats), np.nan_to_num(floats, nan=2.5)
 
 
-def roots(floats):
-    return np.sqrt(floats)
+def roots(numbers):
+    return np.sqrt(numbers)
 
 
 def elementary(floats):
@@ -189,6 +189,10 @@ def masked_in_place(logicals):
 
 def arrays_of(items):
     return np.array(items), np.asarray(items), np.array(items, dtype=float)
+
+
+def array_of_ragged(ragged):
+    return np.array(ragged, dtype=float)
 
 
 def array_of_rows(rows):
@@ -401,10 +405,29 @@ def assigned_part(selection):
     return out
 
 
+def assigned_values(selection, values):
+    array, index = selection
+    out = array.astype(float)
+    out[index] = values
+    return out
+
+
+def overlapping(vector):
+    out = np.asarray(vector, dtype=complex)
+    out[1:] = out[:-1]
+    other = np.array(vector)
+    other[:] = other[::-1]
+    parts = np.array(vector, dtype=complex)
+    parts.imag = parts.real
+    parts.real += 1
+    return out, other, parts
+
+
 def added_at(accumulation):
     target, at, values = accumulation
     out = target.copy()
     np.add.at(out, at, values)
+    np.add.at(out[::-1], at, 1)
     return out
 
 
@@ -434,8 +457,20 @@ def integer_totals(integers):
     return np.sum(integers), integers.sum(), np.cumsum(integers)
 
 
-def complex_totals(turning):
-    return np.sum(turning), np.mean(turning)
+def complex_totals(turning_along):
+    array, axis = turning_along
+    return np.sum(array, axis), np.mean(array, axis=axis), np.mean(array)
+
+
+def complex_runs(turning_vector):
+    return (
+        np.cumsum(turning_vector),
+        np.diff(turning_vector),
+        np.std(turning_vector),
+        np.vdot(turning_vector, turning_vector[::-1]),
+        np.isfinite(turning_vector),
+        np.r_[turning_vector, turning_vector.conj()],
+    )
 
 
 def product(factors):
@@ -534,6 +569,11 @@ def interpolated(points):
     return np.interp(at, x, y)
 
 
+def interpolated_between(complex_points):
+    at, x, y = complex_points
+    return np.interp(at, x, y)
+
+
 # ---- arrays: products --------------------------------------------------------
 
 
@@ -578,8 +618,11 @@ def vector_products(moderate_vector):
     return np.outer(moderate_vector, moderate_vector), np.vdot(moderate_vector, moderate_vector)
 
 
-def folded(moderate_vector, kernel):
-    return np.convolve(moderate_vector, kernel, mode="same")
+def folded(moderate_vector, turning_vector, kernel):
+    return (
+        np.convolve(moderate_vector, kernel, mode="same"),
+        np.convolve(turning_vector, kernel, mode="same"),
+    )
 
 
 def norms(matrix):
@@ -594,6 +637,10 @@ def solved(matrix, other_matrix):
         np.linalg.solve(matrix, vector),
         np.linalg.inv(matrix),
         np.linalg.inv(both),
+        np.linalg.solve(both, np.stack([other_matrix, matrix])),
+        np.linalg.pinv(both),
+        np.linalg.pinv(matrix[:2]),
+        np.linalg.svd(matrix[:2])[1],
     )
 
 
@@ -616,6 +663,13 @@ def least_squares(tall):
     return x, rank, sizes, cut, np.linalg.pinv(A), np.linalg.pinv(A, rcond=1e-10)
 
 
+def deficient(tall):
+    A, b = tall
+    A = A[:, [0, 1, 1]]
+    x, _, rank, _ = np.linalg.lstsq(A, b, rcond=1e-12)
+    return x, rank, np.linalg.pinv(A, rcond=1e-12)
+
+
 def singular(few):
     return np.linalg.solve(np.zeros((few + 1, few + 1)), np.ones(few + 1))
 
@@ -624,10 +678,13 @@ def indefinite(few):
     return np.linalg.cholesky(-np.eye(few + 1))
 
 
-def transformed(signal):
-    size = len(signal)
-    spectrum = np.fft.rfft(signal, size)
-    return spectrum, np.fft.irfft(spectrum, size), np.fft.fftfreq(size, 0.1)
+def transformed(moderate_vector, size):
+    spectrum = np.fft.rfft(moderate_vector, size)
+    return spectrum, np.fft.irfft(spectrum, size)
+
+
+def frequencies(few):
+    return np.fft.fftfreq(few + 1, 0.1), np.fft.fftfreq(few + 1, 1 / (few + 1))
 
 
 def splines(knots, moderate_vector):
@@ -918,6 +975,16 @@ def matched(text):
             if match is not None:
                 out.append((match.group(), match.groups(), match.start(), match.end(), match[1]))
     return out
+
+
+def matched_by_the_package(usual):
+    pattern, text = usual
+    out = []
+    compiled = re.compile(pattern)
+    for match in (compiled.match(text), compiled.search(text)):
+        if match is not None:
+            out.append((match.group(), match.groups(), match.start(), match.end()))
+    return out, compiled.split(text)
 
 
 def matched_bytes(octets):

@@ -62,7 +62,7 @@ for await (const line of createInterface({ input: process.stdin })) {
   } catch (e) {
     const kinds = [];
     for (let c = e.constructor; c && c.$title; c = Object.getPrototypeOf(c)) kinds.push(c.$title);
-    out = { error: kinds, text: kinds.length ? e.message : String(e.stack) };
+    out = { error: [...kinds, "Error"], text: kinds.length ? e.message : String(e.stack) };
   }
   process.stdout.write(`${JSON.stringify(out)}\n`);
 }

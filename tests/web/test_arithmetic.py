@@ -22,6 +22,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from fluxobs.logs import guess, names, units
+from fluxobs.logs.formats import timing
+from fluxobs.logs.formats.text import cells, structure
+
 HERE = Path(__file__).parent
 WEB = HERE.parents[1] / "web"
 sys.path.append(str(WEB))
@@ -51,7 +55,9 @@ EXACT = 2**53
 SPECIAL = [0.0, -0.0, np.nan, np.inf, -np.inf, 0.5, -0.5, 1.5, 2.5, 1e308, -1e308]
 SPECIAL += [5e-324, 1e22, 0.1, 2.675, 1e16, 123456.5]
 small = st.integers(-3, 3)
-whole_numbers = st.one_of(
+whole_numbers = st.one_of(small, st.integers(-(2**50), 2**50), st.sampled_from([0, 1, 2]))
+whole_numbers |= st.integers(1 - EXACT, EXACT - 1) | st.sampled_from([EXACT, -EXACT])
+numbers = st.one_of(
     small, small, small, st.integers(-EXACT, EXACT), st.sampled_from([EXACT, 1 - EXACT])
 )
 numbers = st.one_of(
@@ -62,9 +68,11 @@ complex_values = st.builds(complex, moderate_numbers, moderate_numbers)
 letters = st.sampled_from(
     "aAbz019 ,;:.-_+/\\'\"()[]{}\n\r\t\x0b\x1c\x1f\x85\xa0\u2028\ufeff%µΩßéǅ³٣²−ſK中\x00"
 )
+#: JavaScript counts characters above 0xFFFF twice, and knows characters that Python does not.
+characters = st.characters(exclude_categories=["Cs", "Cn"], max_codepoint=0xFFFF)
 texts = st.one_of(
     st.text(letters, max_size=8),
-    st.text(st.characters(exclude_categories=["Cs", "Cn"], max_codepoint=0xFFFF), max_size=5),
+    st.text(characters, max_size=5),
     st.from_regex(r"\A(Ia|u_a|CH|x)? ?[\[(/]?(V|A|mA)?[\])]?[0-9]{0,2}\Z"),
     st.from_regex(r"\A[-+ ]?[0-9]{0,3}[.,]?[0-9]{0,3}(e[-+]?[0-9])?\Z"),
     st.sampled_from(
@@ -112,6 +120,10 @@ def summable(shape=None):
     return st.one_of(floats(shape, summable_numbers), integers(shape), logicals(shape))
 
 
+def arrays(shape=None):
+    return st.one_of(reals(shape), turning(shape))
+
+
 def moderate(shape=None):
     return floats(shape, moderate_numbers)
 
@@ -145,7 +157,7 @@ def along(draw, arrays, many=True, least=0):
 def axes(draw):
     shape = draw(shapes.filter(len))
     axis = st.integers(-len(shape), len(shape) - 1)
-    return draw(reals(shape)), draw(axis), draw(axis)
+    return draw(arrays(shape)), draw(axis), draw(axis)
 
 
 @st.composite
@@ -156,7 +168,7 @@ def reshapes(draw):
         sizes[draw(st.integers(0, len(sizes) - 1))] = -1
     elif draw(st.booleans()):
         sizes.insert(draw(st.integers(0, len(sizes))), 1)
-    return draw(reals(shape)), tuple(sizes)
+    return draw(arrays(shape)), tuple(sizes)
 
 
 @st.composite
@@ -168,7 +180,7 @@ def pieces(draw, equal=False):
         own = list(shape)
         if not equal:
             own[axis] = draw(st.integers(0, 3))
-        out.append(draw(reals(tuple(own))))
+        out.append(draw(arrays(tuple(own))))
     return out, axis
 
 
@@ -210,9 +222,9 @@ def searches(draw):
 
 
 @st.composite
-def tables(draw):
+def tables(draw, elements):
     x = sorted(draw(st.lists(st.integers(-5, 5), min_size=1, max_size=6, unique=True)))
-    y = draw(st.lists(moderate_numbers, min_size=len(x), max_size=len(x)))
+    y = draw(st.lists(elements, min_size=len(x), max_size=len(x)))
     at = st.one_of(st.integers(-6, 6).map(float), st.floats(-6, 6), st.just(np.nan))
     return draw(floats(elements=at)), np.array(x, float), np.array(y)
 
@@ -249,7 +261,7 @@ def quadratics(draw):
 @st.composite
 def accumulations(draw):
     rows, width = draw(st.integers(1, 4)), draw(st.sampled_from([(), (2,)]))
-    at = draw(st.lists(st.integers(0, rows - 1), max_size=5))
+    at = draw(st.lists(st.integers(-rows, rows - 1), max_size=5))
     values = draw(moderate((len(at), *width)))
     return draw(moderate((rows, *width))), np.array(at, np.int64), values
 
@@ -321,10 +333,21 @@ numerals = st.one_of(
     ),
 )
 
+
+def _patterns():
+    """The expressions of the modules that read names and cells of logs."""
+    modules = [names, structure, cells, guess, units, timing]
+    out = [x for module in modules for x in vars(module).values() if isinstance(x, re.Pattern)]
+    return sorted({x.pattern for x in (*out, *names._patterns().values())})
+
+
+PATTERNS = _patterns()
+
 #: What the functions of arithmetic.py get, by the names of their parameters.
 ARGUMENTS = {
     "pair": pairs(reals),
-    "array": reals(),
+    "array": arrays(),
+    "real": reals(),
     "floats": floats(),
     "integers": integers(),
     "numbers": st.one_of(floats(), integers()),
@@ -354,7 +377,7 @@ ARGUMENTS = {
     "other_number": moderate_numbers,
     "reshape": reshapes(),
     "turn": shapes.flatmap(
-        lambda s: st.tuples(reals(s), st.permutations(range(len(s))).map(tuple))
+        lambda s: st.tuples(arrays(s), st.permutations(range(len(s))).map(tuple))
     ),
     "move": axes(),
     "broadcast": shapes.flatmap(
@@ -368,7 +391,7 @@ ARGUMENTS = {
     "other_matrix": matrices(),
     "tall": st.tuples(matrices(5, 3), moderate((5,))),
     "removal": st.integers(1, 6).flatmap(
-        lambda n: st.tuples(reals((n,)), st.lists(st.integers(-n, n - 1), max_size=3))
+        lambda n: st.tuples(reals((1, n)), st.lists(st.integers(-n - 1, n), max_size=3))
     ),
     "repetition": st.tuples(shapes.filter(len), st.integers(0, 3), st.booleans()).flatmap(
         lambda a: st.tuples(
@@ -377,10 +400,18 @@ ARGUMENTS = {
             st.integers(-len(a[0]), len(a[0]) - 1) if a[2] else st.none(),
         )
     ),
-    "vector": vectors.flatmap(reals),
+    "vector": vectors.flatmap(arrays),
+    "turning_vector": st.integers(1, 6).flatmap(lambda n: turning((n,))),
+    "turning_along": along(turning, many=False),
+    "values": vectors.flatmap(moderate),
+    "ragged": st.lists(st.lists(small, max_size=3), max_size=3),
+    "size": st.sampled_from([2, 4, 8, 16]),
+    "usual": st.sampled_from(PATTERNS).flatmap(
+        lambda p: st.tuples(st.just(p), st.one_of(texts, st.from_regex(p, alphabet=characters)))
+    ),
     "moderate_vector": st.integers(1, 6).flatmap(lambda n: moderate((n,))),
     "kernel": st.integers(1, 4).flatmap(lambda n: moderate((n,))),
-    "choice": shapes.flatmap(lambda s: st.tuples(logicals(s), reals(s), reals(s[1:]))),
+    "choice": shapes.flatmap(lambda s: st.tuples(logicals(s), arrays(s), arrays(s[1:]))),
     "positions": st.lists(few, max_size=4),
     "floats_32": st.lists(st.floats(width=32), max_size=4).map(
         lambda x: struct.pack(f"<{len(x)}f", *x)
@@ -399,17 +430,17 @@ ARGUMENTS = {
     "encoding": st.sampled_from(["utf-8", "latin-1", "cp1252", "ascii", "utf-16-le"]),
     "shares": st.lists(st.sampled_from([0.0, 0.1, 0.25, 0.5, 0.9, 1.0]), min_size=1, max_size=3),
     "search": searches(),
-    "counted": st.lists(few, max_size=6).flatmap(
+    "counted": st.lists(st.one_of(few, few, small), max_size=6).flatmap(
         lambda w: st.tuples(st.just(np.array(w, np.int64)), moderate((len(w),)))
     ),
     "angles": st.sampled_from([(1,), (5,), (2, 4), (0,)]).flatmap(
         lambda s: floats(s, st.one_of(st.floats(-10, 10), st.sampled_from([np.pi, -np.pi, 0.0])))
     ),
-    "points": tables(),
+    "points": tables(moderate_numbers),
+    "complex_points": tables(complex_values),
     "factors_of_product": factors(),
     "quadratic": quadratics(),
     "batches": moderate((2, 3, 3)),
-    "signal": st.sampled_from([2, 4, 8, 16]).flatmap(lambda n: moderate((n,))),
     "knots": st.just(np.array([0, 0, 0, 0, 0.25, 0.5, 0.75, 1, 1, 1, 1])),
     "flag": st.booleans(),
     "other_flag": st.booleans(),
@@ -643,8 +674,11 @@ SUMS = {
     **dict.fromkeys(["total", "mean", "total_of_rows", "complex_totals", "running", "splines"], 1),
     **dict.fromkeys(["deviations", "deviation_of_the_known", "sums_of_the_known", "counts"], 1),
     **dict.fromkeys(["added_at", "matrix_product", "complex_product", "folded", "transformed"], 1),
-    **dict.fromkeys(["product", "norms", "summed_indices", "complex_matrix_product"], 1),
+    **dict.fromkeys(
+        ["interpolated_between", "product", "norms", "summed_indices", "complex_matrix_product"], 1
+    ),
     **dict.fromkeys(["products", "vector_products"], 2),
+    **dict.fromkeys(["complex_runs", "deficient"], 2),
     **dict.fromkeys(["summed_batches", "solved", "factored", "spectrum", "least_squares"], 3),
 }
 #: Cases in which NumPy may give either zero for 0 and -0.
@@ -709,6 +743,7 @@ def off(js, py, places, bound):
 
 def fault(node, name, args):
     """What is wrong with Node's result of a case: nothing, a refusal, or what differs."""
+    answer = node(name, args)
     error = expected = None
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -716,7 +751,6 @@ def fault(node, name, args):
             expected = CASES[name](*args)
     except Exception as raised:
         error = raised
-    answer = node(name, args)
     if error is not None:
         kinds = [kind.__name__ for kind in type(error).__mro__]
         kinds += UNFIT if UNFIT & set(kinds) else []

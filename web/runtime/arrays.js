@@ -220,14 +220,9 @@ function $as(x, kind = null) {
         "b",
       );
     if (kind === "c")
-      return new NdArray(
-        x.kind === "b" ? Float64Array.from(d) : d,
-        x.shape,
-        "c",
-        im ?? new Float64Array(x.size),
-      );
+      return new NdArray(Float64Array.from(d), x.shape, "c", new Float64Array(x.size));
     if (kind === "i") return new NdArray(Float64Array.from(d, $cut), x.shape, "i");
-    return new NdArray(x.kind === "b" ? Float64Array.from(d) : d, x.shape, kind);
+    return new NdArray(Float64Array.from(d), x.shape, kind);
   }
   if (x instanceof Float64Array) return new NdArray(x, [x.length], kind ?? "f");
   const shape = [],
@@ -532,18 +527,13 @@ function $elementwise(x, fn, kind = "f") {
   return $wrap(new NdArray(out, a.shape, kind));
 }
 
+// The complex array of two parts.
+const $joint = (re, im) =>
+  $wrap(new NdArray($as(re).flat()[0], $as(re).shape, "c", $as(im).flat()[0]));
 // A real function of both parts of a complex array, or of a real one.
 function $parts(x, fn) {
   const a = $as(x);
-  if (!a.im) return $elementwise(x, fn);
-  return $wrap(
-    new NdArray(
-      $as($elementwise(a.real, fn)).flat()[0],
-      a.shape,
-      "c",
-      $as($elementwise(a.imag, fn)).flat()[0],
-    ),
-  );
+  return a.im ? $joint($elementwise(a.real, fn), $elementwise(a.imag, fn)) : $elementwise(x, fn);
 }
 
 const $arrays = {
@@ -802,8 +792,9 @@ function $select(x, index) {
 }
 
 function $scatter(x, positions, shape, value) {
-  const v = $as(value, x.kind === "i" || x.kind === "b" ? x.kind : null);
-  if (v.size === 1 && v.ndim <= shape.length) {
+  let v = $as(value, x.kind === "i" || x.kind === "b" ? x.kind : null);
+  if (v.data === x.data) v = v.copy(); // they may overlap
+  if (v.size === 1) {
     const [d, im] = v.flat();
     for (let n = 0; n < positions.length; n++) {
       x.data[positions[n]] = d[0];
@@ -999,10 +990,9 @@ function $reduce(word, given, axis = null, keepdims = false, { initial } = {}) {
   const x = $as(given);
   if (x.im && word !== "sum" && word !== "mean") throw TypeError(`${word} of complex numbers`);
   if (x.im) {
-    const re = $as($reduce("sum", x.real, axis, keepdims)),
-      im = $as($reduce("sum", x.imag, axis, keepdims)),
-      out = new NdArray(re.flat()[0], re.shape, "c", im.flat()[0]);
-    return word === "sum" ? $wrap(out) : $div(out, x.size / re.size);
+    const [re, im] = [x.real, x.imag].map((part) => $reduce("sum", part, axis, keepdims)),
+      out = $joint(re, im);
+    return word === "sum" ? out : $div(out, x.size / $as(re).size);
   }
   const {
     flat: [d],
@@ -1306,7 +1296,7 @@ Object.assign($np, {
   quantile: $fn("x q axis", (x, q, axis = null) => {
     const a = $as(x),
       qs = $as(q);
-    if (axis !== null && a.ndim > 1) throw TypeError("quantile along an axis");
+    if (axis !== null && a.ndim > 1) throw NotImplementedError("quantile: no axis here");
     const s = a.flat()[0].slice(),
       n = s.length,
       missing = s.some((v) => v !== v);
@@ -1333,9 +1323,9 @@ Object.assign($np, {
   nanmedian: (x) => $reduce("median", $known(x)),
 
   flatnonzero: (x) => {
-    const [d] = $as(x).flat(),
+    const [d] = $as(x, "b").flat(),
       out = [];
-    for (let n = 0; n < d.length; n++) if (d[n] !== 0) out.push(n);
+    for (let n = 0; n < d.length; n++) if (d[n]) out.push(n);
     return new NdArray(Float64Array.from(out), [out.length], "i");
   },
   where: (mask, a, b) => {
@@ -1432,17 +1422,10 @@ Object.assign($np, {
   append: (x, more) => $np.concatenate([$as(x).ravel(), $as(more).ravel()]),
   r_: { __getitem__: (parts) => $np.concatenate(parts.map((p) => $np.atleast_1d(p))) },
   delete: (x, at) => {
-    if ($as(at).size === 0) return $as(x).copy();
-    const a = $as(x),
-      drop = new Set(
-        $as(at)
-          .ravel()
-          .tolist()
-          .map((n) => (n < 0 ? n + a.shape[0] : n)),
-      ),
-      kept = [];
-    for (let n = 0; n < a.shape[0]; n++) if (!drop.has(n)) kept.push(n);
-    return a.at($as(kept, "i"));
+    const a = $as(x).ravel(),
+      kept = $np.full(a.size, true);
+    kept.put($as(at, "i"), false);
+    return a.at(kept);
   },
   repeat: $fn("x n axis", (x, n, axis = null) => {
     const a = axis === null ? $as(x).ravel() : $as(x),
@@ -1533,7 +1516,7 @@ Object.assign($np, {
       out = new Float64Array(d.length),
       turn = 2 * Math.PI,
       size = a.shape[a.ndim - 1];
-    if (axis !== -1 && axis !== a.ndim - 1) throw TypeError("unwrap goes along the last axis");
+    if (axis !== -1 && axis !== a.ndim - 1) throw NotImplementedError("unwrap: the last axis alone here");
     let off = 0;
     for (let n = 0; n < d.length; n++) {
       if (n % size === 0) off = 0;
@@ -1549,9 +1532,9 @@ Object.assign($np, {
   }),
   interp: (x, xs, ys) => {
     if ($as(ys).im)
-      return $add(
+      return $joint(
         $np.interp(x, xs, $as(ys).real),
-        $mul(new Complex(0, 1), $np.interp(x, xs, $as(ys).imag)),
+        $np.where($and_($np.isnan(x), $as(xs).size > 1), 0, $np.interp(x, xs, $as(ys).imag)),
       );
     const [at] = $as(xs).flat(),
       [of] = $as(ys).flat(),
@@ -1623,20 +1606,21 @@ Object.assign($np, {
     const [d] = $as(x).flat(),
       [w] = weights === null ? [null] : $as(weights).flat();
     let most = minlength;
-    for (let n = 0; n < d.length; n++) most = Math.max(most, d[n] + 1);
+    for (let n = 0; n < d.length; n++) {
+      if (!(d[n] >= 0)) throw ValueError(`bincount: ${d[n]} is negative`);
+      most = Math.max(most, d[n] + 1);
+    }
     const out = new Float64Array(most);
     for (let n = 0; n < d.length; n++) out[d[n]] += w ? w[n] : 1;
     return new NdArray(out, [most], w && d.length ? "f" : "i");
   }),
   add: Object.assign((a, b) => $add(a, b), {
     at(target, index, value) {
-      const [i] = $as(index).flat(),
-        v = $as(value),
-        inner = $product(target.shape.slice(1)),
-        [d] = $expanded(v, [i.length, ...target.shape.slice(1)]).flat();
-      for (let n = 0; n < i.length; n++)
-        for (let k = 0; k < inner; k++)
-          target.data[target.offset + i[n] * inner + k] += d[n * inner + k];
+      const { positions, shape } = $resolve(target, $as(index)),
+        [d] = $expanded($as(value), shape).flat();
+      positions.forEach((at, n) => {
+        target.data[at] += d[n];
+      });
     },
   }),
   ix_: (...lists) =>
@@ -1659,10 +1643,7 @@ Object.assign($np, {
   }),
   convolve: $fn("a b mode", (a, b) => {
     if ($as(a).im)
-      return $add(
-        $np.convolve($as(a).real, b),
-        $mul(new Complex(0, 1), $np.convolve($as(a).imag, b)),
-      );
+      return $joint($np.convolve($as(a).real, b), $np.convolve($as(a).imag, b));
     const [x] = $as(a).flat(),
       [y] = $as(b).flat(),
       n = Math.max(x.length, y.length),
@@ -2123,7 +2104,7 @@ $np.linalg = {
     const a = $as(x);
     if (a.shape[0] < a.shape[1]) {
       const [u, s, v] = $jacobi($np.vstack([a, $np.zeros([a.shape[1] - a.shape[0], a.shape[1]])]));
-      return $tuple([null, $as(s.slice(0, a.shape[0])), $fromRows(v, a.shape[1]), u]);
+      return $tuple([null, $as(s.slice(0, a.shape[0]), "f"), $fromRows(v, a.shape[1]), u]);
     }
     const [u, s, v] = $jacobi(a);
     return $tuple([$fromRows(u, a.shape[0]).T, $as(s, "f"), $fromRows(v, a.shape[1])]);
@@ -2168,7 +2149,7 @@ $np.linalg = {
     ]);
   },
   qr: $fn("A mode", (A, mode) => {
-    if (mode !== "r") throw TypeError('qr gives "r" only');
+    if (mode !== "r") throw NotImplementedError('qr: gives "r" alone here');
     const M = $rows(A),
       n = M.length,
       m = n ? M[0].length : 0;
@@ -2197,7 +2178,7 @@ $np.linalg = {
 // Fourier's transform of a size that is a power of two, in place.
 function $fft(re, im, sign) {
   const n = re.length;
-  if (n & (n - 1)) throw TypeError("the size of a transform must be a power of two");
+  if (n & (n - 1)) throw NotImplementedError("fft: the size must be a power of two here");
   for (let i = 1, j = 0; i < n; i++) {
     let bit = n >> 1;
     for (; j & bit; bit >>= 1) j ^= bit;

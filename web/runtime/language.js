@@ -929,8 +929,11 @@ tuple.$test = (x) => Array.isArray(x) && Boolean(x.$t);
 tuple.$made = undefined;
 const bool = (x = false) => $t(x);
 bool.$test = (x) => typeof x === "boolean";
+// A number's text; among ASCII, fewer characters are white space around numbers than elsewhere.
+const $bare = (text) =>
+  /[^\0-\x7f]/.test(text) ? $strings.strip(text) : text.replace(/^[\t-\r ]+|[\t-\r ]+$/g, "");
 const $number = (given) => {
-  const text = $strings.strip(given);
+  const text = $bare(given);
   return /^[-+]?(\d(_?\d)*\.?(\d(_?\d)*)?|\.\d(_?\d)*)([eE][-+]?\d(_?\d)*)?$/.test(text)
     ? Number(text.replaceAll("_", ""))
     : /^[-+]?inf(inity)?$/i.test(text)
@@ -956,7 +959,7 @@ float.$test = (x) => typeof x === "number";
 function int(x = 0, base = 10) {
   if (typeof x === "string") {
     const head = { 2: "(?:0b_?)?", 8: "(?:0o_?)?", 16: "(?:0x_?)?" }[base] ?? "",
-      found = new RegExp(`^([-+]?)${head}([0-9a-z]+(?:_[0-9a-z]+)*)$`, "i").exec($strings.strip(x)),
+      found = new RegExp(`^([-+]?)${head}([0-9a-z]+(?:_[0-9a-z]+)*)$`, "i").exec($bare(x)),
       digits = found?.[2].replaceAll("_", "");
     if (!found || [...digits].some((c) => !(parseInt(c, 36) < base)))
       throw ValueError(`invalid literal for int(): ${repr(x)}`);
@@ -1180,12 +1183,11 @@ function $general(x, digits, plain) {
   return plain && !text.includes(".") ? `${text}.0` : text;
 }
 function $unsigned(x, kind, digits) {
+  if (kind === "%") return `${$unsigned(x * 100, "f", digits)}%`;
   if (!Number.isFinite(x)) return Number.isNaN(x) ? "nan" : "inf";
   switch (kind?.toLowerCase()) {
     case "f":
       return $fixed(x, digits ?? 6);
-    case "%":
-      return `${$fixed(x * 100, digits ?? 6)}%`;
     case "e":
       return $power($scientific(x, digits ?? 6));
     case "g":

@@ -120,7 +120,7 @@ $module("itertools", ($m) =>
     },
     *combinations(x, n) {
       const l = [...$iter(x)];
-      if (n !== 2) throw TypeError("pairs only");
+      if (n !== 2) throw NotImplementedError("combinations: pairs alone here");
       for (let a = 0; a < l.length; a++)
         for (let b = a + 1; b < l.length; b++) yield $tuple([l[a], l[b]]);
     },
