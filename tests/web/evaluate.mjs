@@ -48,7 +48,8 @@ function $answer(x) {
   }
   if (Array.isArray(x)) return { [x.$t ? "t" : "l"]: Array.from(x, $answer) };
   if (x instanceof Uint8Array) return { o: Buffer.from(x).toString("hex") };
-  if (x instanceof Dict) return { m: x.items().map((pair) => pair.map($answer)) };
+  if (x instanceof Dict)
+    return { m: x.items().map((pair) => pair.map($answer)) };
   if (x instanceof PySet) return { s: [...x].map($answer) };
   throw new Error(`no way to answer ${repr(x)}`);
 }
@@ -58,11 +59,17 @@ for await (const line of createInterface({ input: process.stdin })) {
   const { name, args } = JSON.parse(line);
   let out;
   try {
-    out = { value: $answer($import("arithmetic")[name](...args.map($received))) };
+    out = {
+      value: $answer($import("arithmetic")[name](...args.map($received))),
+    };
   } catch (e) {
     const kinds = [];
-    for (let c = e.constructor; c && c.$title; c = Object.getPrototypeOf(c)) kinds.push(c.$title);
-    out = { error: [...kinds, "Error"], text: kinds.length ? e.message : String(e.stack) };
+    for (let c = e.constructor; c && c.$title; c = Object.getPrototypeOf(c))
+      kinds.push(c.$title);
+    out = {
+      error: [...kinds, "Error"],
+      text: kinds.length ? e.message : String(e.stack),
+    };
   }
   process.stdout.write(`${JSON.stringify(out)}\n`);
 }

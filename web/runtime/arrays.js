@@ -248,7 +248,13 @@ function $as(x, kind = null) {
       return;
     }
     const own =
-      typeof y === "boolean" ? "b" : y instanceof Complex ? "c" : Number.isSafeInteger(y) && !Object.is(y, -0) ? "i" : "f";
+      typeof y === "boolean"
+        ? "b"
+        : y instanceof Complex
+          ? "c"
+          : Number.isSafeInteger(y) && !Object.is(y, -0)
+            ? "i"
+            : "f";
     if (typeof y === "string" || y == null) {
       const value = typeof y === "string" ? float(y) : NaN;
       seen = "f";
@@ -310,7 +316,9 @@ function $expanded(x, shape) {
   if ($alike(x.shape, shape)) return x;
   const missing = shape.length - x.ndim;
   if (missing < 0 || x.shape.some((size, n) => size !== 1 && size !== shape[missing + n]))
-    throw ValueError(`an array of shape ${repr(x.shape)} does not go into ${repr($tuple([...shape]))}`);
+    throw ValueError(
+      `an array of shape ${repr(x.shape)} does not go into ${repr($tuple([...shape]))}`,
+    );
   const strides = shape.map((size, n) =>
     n < missing || (x.shape[n - missing] === 1 && size !== 1) ? 0 : x.strides[n - missing],
   );
@@ -542,7 +550,11 @@ const $arrays = {
   complexScalar: (word, a, b) => $binary(word, a, b).item(),
   unary(word, x) {
     if (word === "invert" && (x.kind === "b" || x.kind === "i"))
-      return $elementwise(x, x.kind === "b" ? (v) => (v ? 0 : 1) : (v) => $exact(-v - 1, word), x.kind);
+      return $elementwise(
+        x,
+        x.kind === "b" ? (v) => (v ? 0 : 1) : (v) => $exact(-v - 1, word),
+        x.kind,
+      );
     if (word === "invert" || (word === "neg" && x.kind === "b"))
       throw TypeError(`no operator ${word} of arrays of ${x.kind}`);
     if (word === "neg") {
@@ -1485,8 +1497,7 @@ Object.assign($np, {
           ),
         ),
       );
-    for (let k = 0; k < n; k++)
-      a = $as((a.kind === "b" ? $ne : $sub)(cut(1, null), cut(null, -1)));
+    for (let k = 0; k < n; k++) a = $as((a.kind === "b" ? $ne : $sub)(cut(1, null), cut(null, -1)));
     return a;
   }),
   cumsum: $fn("x axis", (x, axis = null) => {
@@ -1516,7 +1527,8 @@ Object.assign($np, {
       out = new Float64Array(d.length),
       turn = 2 * Math.PI,
       size = a.shape[a.ndim - 1];
-    if (axis !== -1 && axis !== a.ndim - 1) throw NotImplementedError("unwrap: the last axis alone here");
+    if (axis !== -1 && axis !== a.ndim - 1)
+      throw NotImplementedError("unwrap: the last axis alone here");
     let off = 0;
     for (let n = 0; n < d.length; n++) {
       if (n % size === 0) off = 0;
@@ -1624,7 +1636,11 @@ Object.assign($np, {
     },
   }),
   ix_: (...lists) =>
-    $tuple(lists.map((one, n) => $as(one, len(one) ? null : "i").reshape(...lists.map((_, m) => (m === n ? -1 : 1))))),
+    $tuple(
+      lists.map((one, n) =>
+        $as(one, len(one) ? null : "i").reshape(...lists.map((_, m) => (m === n ? -1 : 1))),
+      ),
+    ),
   kron: (a, b) => {
     const x = $as(a),
       y = $as(b),
@@ -1642,8 +1658,7 @@ Object.assign($np, {
     );
   }),
   convolve: $fn("a b mode", (a, b) => {
-    if ($as(a).im)
-      return $joint($np.convolve($as(a).real, b), $np.convolve($as(a).imag, b));
+    if ($as(a).im) return $joint($np.convolve($as(a).real, b), $np.convolve($as(a).imag, b));
     const [x] = $as(a).flat(),
       [y] = $as(b).flat(),
       n = Math.max(x.length, y.length),

@@ -1233,12 +1233,15 @@ function format(x, spec = "") {
   text = head + text;
   if (to === "<") return text.padEnd(room, fill);
   if (to === ">") return text.padStart(room, fill);
-  return text.padStart(text.length + Math.floor(Math.max(0, room - text.length) / 2), fill).padEnd(room, fill);
+  return text
+    .padStart(text.length + Math.floor(Math.max(0, room - text.length) / 2), fill)
+    .padEnd(room, fill);
 }
 const $format = format;
 
 // What Python takes for white space, and what it does not print.
-const $space = "[\\t-\\r\\x1c-\\x20\\x85\\xa0\\u1680\\u2000-\\u200a\\u2028\\u2029\\u202f\\u205f\\u3000]",
+const $space =
+    "[\\t-\\r\\x1c-\\x20\\x85\\xa0\\u1680\\u2000-\\u200a\\u2028\\u2029\\u202f\\u205f\\u3000]",
   $hidden = /(?! )[\p{C}\p{Z}]/gu,
   $spaces = new RegExp(`${$space}+`),
   $before = new RegExp(`^${$space}+`),
@@ -1247,13 +1250,9 @@ const $escaped = (chars) => chars.replace(/[\\\]^-]/g, "\\$&");
 const $strings = {
   strip: (s, of) => $strings.lstrip($strings.rstrip(s, of), of),
   lstrip: (s, of) =>
-    of == null
-      ? s.replace($before, "")
-      : s.replace(new RegExp(`^[${$escaped(of)}]+`, "u"), ""),
+    of == null ? s.replace($before, "") : s.replace(new RegExp(`^[${$escaped(of)}]+`, "u"), ""),
   rstrip: (s, of) =>
-    of == null
-      ? s.replace($behind, "")
-      : s.replace(new RegExp(`[${$escaped(of)}]+$`, "u"), ""),
+    of == null ? s.replace($behind, "") : s.replace(new RegExp(`[${$escaped(of)}]+$`, "u"), ""),
   split(s, mark = null, most = -1) {
     if (mark === null) {
       let rest = $strings.lstrip(s);
@@ -1378,7 +1377,9 @@ const $bytes = (values) => Uint8Array.from(values);
 const bytes = (x = []) => Uint8Array.from($iter(x));
 bytes.$test = (x) => x instanceof Uint8Array;
 // What cp1252 has for the bytes 0x80 to 0x9f; where it has nothing, the engine keeps the byte.
-const $euro = new TextDecoder("windows-1252").decode(Uint8Array.from({ length: 32 }, (_, n) => 128 + n));
+const $euro = new TextDecoder("windows-1252").decode(
+  Uint8Array.from({ length: 32 }, (_, n) => 128 + n),
+);
 function $encoded(s, encoding, errors = "strict") {
   const name = encoding.toLowerCase();
   if (name === "utf-16-le" || name === "utf-16-be") {
@@ -1387,6 +1388,7 @@ function $encoded(s, encoding, errors = "strict") {
     for (let n = 0; n < s.length; n++) view.setUint16(2 * n, s.charCodeAt(n), name === "utf-16-le");
     return out;
   }
+  if (name === "utf-16") return $encoded(`\ufeff${s}`, "utf-16-le");
   if (name === "utf-8") return new TextEncoder().encode(s);
   if (!["ascii", "latin-1", "cp1252"].includes(name))
     throw NotImplementedError(`encode: no ${encoding} here`);

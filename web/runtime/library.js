@@ -288,11 +288,7 @@ $module("csv", ($m) =>
     ),
     DictReader: $fn("lines skipinitialspace", function* (lines, skip = false) {
       let names = null;
-      for (const row of $import("csv").reader(
-        lines,
-        ",",
-        skip,
-      )) {
+      for (const row of $import("csv").reader(lines, ",", skip)) {
         if (names === null) names = row;
         else if (row.length) {
           const out = $dict(names.map((name, n) => [name, row[n] ?? null]));
@@ -387,7 +383,7 @@ function $translated(source, bytes, lines) {
     if (found === "(?P<") return "(?<";
     if (inside) {
       if (found === "]" && !/\[\^?$/.test(source.slice(0, at))) inside = false;
-      return found === "[" || found === "]" && inside ? `\\${found}` : found;
+      return found === "[" || (found === "]" && inside) ? `\\${found}` : found;
     }
     if (found === "[") inside = true;
     if (found === "]") return "\\]";
@@ -420,7 +416,9 @@ class Pattern {
     return found ? new Match(found) : null;
   }
   fullmatch(s) {
-    const found = new RegExp(`(?:${this.head.source})(?![\\s\\S])`, this.head.flags).exec(this.text(s));
+    const found = new RegExp(`(?:${this.head.source})(?![\\s\\S])`, this.head.flags).exec(
+      this.text(s),
+    );
     return found ? new Match(found) : null;
   }
   sub(by, s) {
