@@ -1,7 +1,8 @@
 """What the translated modules ask of Python and NumPy, as functions that both languages run.
 
 `test_arithmetic.py` translates this file, and calls each function here and in Node.js. The name of
-a parameter says which arguments it gets: see `ARGUMENTS` there.
+a parameter says which arguments it gets: see `ARGUMENTS` there. JavaScript has one kind of numbers,
+and takes a whole one for an integer: where that is seen, arguments are fractions.
 """
 
 from __future__ import annotations
@@ -408,7 +409,8 @@ def assigned_part(selection):
 def assigned_values(selection, values):
     array, index = selection
     out = array.astype(float)
-    out[index] = values
+    if np.shape(out[index]) != ():
+        out[index] = values
     return out
 
 
