@@ -185,7 +185,7 @@ def masked_in_place(logicals):
     return out
 
 
-# ---- arrays: made, and made anew ---------------------------------------------
+# ---- arrays: new, and of other shapes ----------------------------------------
 
 
 def arrays_of(items):
@@ -217,7 +217,7 @@ def like(array):
     return np.zeros_like(array), np.ones_like(array), np.full_like(array, 1)
 
 
-def made(shape, dtype):
+def blank(shape, dtype):
     return np.zeros(shape, dtype=dtype), np.ones(shape, dtype), np.empty(shape, dtype).shape
 
 
@@ -323,7 +323,7 @@ def tiled(vector, few):
     return np.tile(vector, (few, 1)), np.tile(vector, few)
 
 
-def parts(vector, few):
+def split_arrays(vector, few):
     return np.array_split(vector, few)
 
 
@@ -363,7 +363,7 @@ def kinds(array):
     )
 
 
-# ---- arrays: parts of them ---------------------------------------------------
+# ---- arrays: indices ---------------------------------------------------------
 
 
 def indexed(selection):
@@ -419,10 +419,10 @@ def overlapping(vector):
     out[1:] = out[:-1]
     other = np.array(vector)
     other[:] = other[::-1]
-    parts = np.array(vector, dtype=complex)
-    parts.imag = parts.real
-    parts.real += 1
-    return out, other, parts
+    halves = np.array(vector, dtype=complex)
+    halves.imag = halves.real
+    halves.real += 1
+    return out, other, halves
 
 
 def added_at(accumulation):
@@ -909,7 +909,7 @@ def searched(text, mark, few):
     )
 
 
-def found(text, mark):
+def index_of_mark(text, mark):
     return text.index(mark)
 
 
@@ -933,8 +933,8 @@ def connected(text, texts, few):
     return text.join(texts), text + "x", text * few, len(text), list(text), text < "b", text == "a"
 
 
-def parts_of_text(text, part):
-    return text[part], text[::-1]
+def cuts_of_text(text, cut):
+    return text[cut], text[::-1]
 
 
 def letter(text, position):
@@ -1052,9 +1052,9 @@ def counted_bytes(octets, octet_pair):
     return octets.count(octet_pair)
 
 
-def parts_of_bytes(octets, part):
+def cuts_of_bytes(octets, cut):
     return (
-        octets[part],
+        octets[cut],
         octets.strip(),
         octets.rstrip(),
         octets.isalpha(),
@@ -1109,26 +1109,26 @@ def list_pop(items, position):
     return out.pop(position), out
 
 
-def list_part(items, part):
-    return items[part], tuple(items)[part], list(reversed(items)), len(items), items == items[::-1]
+def list_cuts(items, cut):
+    return items[cut], tuple(items)[cut], list(reversed(items)), len(items), items == items[::-1]
 
 
 def list_item(items, position):
     return items[position]
 
 
-def list_assigned(items, position, part):
+def list_assigned(items, position):
     out = list(items)
     out[position] = "x"
     del out[0]
     return out
 
 
-def list_deleted(items, short_part):
+def list_deleted(items, short_cut):
     out = list(items)
-    del out[short_part]
+    del out[short_cut]
     other = list(items)
-    other[short_part] = ["a", "b"]
+    other[short_cut] = ["a", "b"]
     return out, other
 
 
@@ -1360,8 +1360,8 @@ def classes(fraction, other_fraction):
         record.twice,
         record.count,
         Record.thrice(other_fraction),
-        [one.name for one in fields(record)],
-        [one.metadata.get("unit") for one in fields(record)],
+        [slot.name for slot in fields(record)],
+        [slot.metadata.get("unit") for slot in fields(record)],
         changed.x,
         changed.hidden,
         record == Record(fraction, [fraction], 9.0),

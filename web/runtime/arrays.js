@@ -1330,8 +1330,8 @@ Object.assign($np, {
   },
   nansum: (x) => $reduce("sum", $known(x)),
   nanstd: (x) => $known(x).std(),
-  nanmax: (x) => $reduce("max", $known(x)),
-  nanmin: (x) => $reduce("min", $known(x)),
+  nanmax: (x) => $knownMost("max", x),
+  nanmin: (x) => $knownMost("min", x),
   nanmedian: (x) => $reduce("median", $known(x)),
 
   flatnonzero: (x) => {
@@ -1815,6 +1815,10 @@ const $less = (a, b) => a < b || (b !== b && a === a);
 const $known = (x) => {
   const a = $as(x).ravel();
   return a.at($invert($np.isnan(a)));
+};
+const $knownMost = (word, x) => {
+  const known = $known(x);
+  return known.size || !$as(x).size ? $reduce(word, known) : NaN;
 };
 
 // ---- linear algebra -------------------------------------------------------------------------

@@ -959,11 +959,11 @@ float.$test = (x) => typeof x === "number";
 function int(x = 0, base = 10) {
   if (typeof x === "string") {
     const head = { 2: "(?:0b_?)?", 8: "(?:0o_?)?", 16: "(?:0x_?)?" }[base] ?? "",
-      found = new RegExp(`^([-+]?)${head}([0-9a-z]+(?:_[0-9a-z]+)*)$`, "i").exec($bare(x)),
-      digits = found?.[2].replaceAll("_", "");
-    if (!found || [...digits].some((c) => !(parseInt(c, 36) < base)))
+      match = new RegExp(`^([-+]?)${head}([0-9a-z]+(?:_[0-9a-z]+)*)$`, "i").exec($bare(x)),
+      digits = match?.[2].replaceAll("_", "");
+    if (!match || [...digits].some((c) => !(parseInt(c, 36) < base)))
       throw ValueError(`invalid literal for int(): ${repr(x)}`);
-    return $exact(found[1] === "-" ? -parseInt(digits, base) : parseInt(digits, base), "int()") + 0;
+    return $exact(match[1] === "-" ? -parseInt(digits, base) : parseInt(digits, base), "int()") + 0;
   }
   const value = float(x);
   if (Number.isNaN(value)) throw ValueError("cannot convert NaN to an integer");

@@ -369,28 +369,28 @@ function $translated(source, bytes, lines) {
     w: bytes ? "a-zA-Z0-9_" : "\\p{L}\\p{N}_",
   };
   let inside = false;
-  return source.replace(/\\(.)|\(\?P<|[.^$[\]]/gsu, (found, letter, at) => {
+  return source.replace(/\\(.)|\(\?P<|[.^$[\]]/gsu, (token, letter, at) => {
     if (letter !== undefined) {
       const set = sets[letter.toLowerCase()],
         not = letter !== letter.toLowerCase();
-      if (set && inside && not) throw NotImplementedError(`re: no ${found} in a class here`);
+      if (set && inside && not) throw NotImplementedError(`re: no ${token} in a class here`);
       if (set) return inside ? set : `[${not ? "^" : ""}${set}]`;
       if (letter === "Z") return "(?![\\s\\S])";
       return /[\^$\\.*+?()[\]{}|/bBnrtfv0-9x]/.test(letter) || (inside && letter === "-")
-        ? found
+        ? token
         : `\\u{${letter.codePointAt(0).toString(16)}}`;
     }
-    if (found === "(?P<") return "(?<";
+    if (token === "(?P<") return "(?<";
     if (inside) {
-      if (found === "]" && !/\[\^?$/.test(source.slice(0, at))) inside = false;
-      return found === "[" || (found === "]" && inside) ? `\\${found}` : found;
+      if (token === "]" && !/\[\^?$/.test(source.slice(0, at))) inside = false;
+      return token === "[" || (token === "]" && inside) ? `\\${token}` : token;
     }
-    if (found === "[") inside = true;
-    if (found === "]") return "\\]";
-    if (found === "^") return lines ? "(?<![^\\n])" : found;
-    if (found === ".") return "[^\\n]";
-    if (found === "$") return lines ? "(?=\\n|(?![\\s\\S]))" : "(?=\\n?(?![\\s\\S]))";
-    return found;
+    if (token === "[") inside = true;
+    if (token === "]") return "\\]";
+    if (token === "^") return lines ? "(?<![^\\n])" : token;
+    if (token === ".") return "[^\\n]";
+    if (token === "$") return lines ? "(?=\\n|(?![\\s\\S]))" : "(?=\\n?(?![\\s\\S]))";
+    return token;
   });
 }
 class Pattern {
@@ -428,7 +428,13 @@ class Pattern {
     );
   }
   split(s) {
-    return s.split(this.every).map((x) => x ?? null);
+    const out = [];
+    let at = 0;
+    for (const match of s.matchAll(this.every)) {
+      out.push(s.slice(at, match.index), ...match.slice(1).map((x) => x ?? null));
+      at = match.index + match[0].length;
+    }
+    return [...out, s.slice(at)];
   }
   findall(s) {
     return [...s.matchAll(this.every)].map((f) =>
