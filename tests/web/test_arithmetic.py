@@ -325,8 +325,9 @@ text_specs = st.builds(
 few = st.integers(0, 5)
 fractions = numbers.filter(lambda x: x == x and not x.is_integer())
 some_ordered = st.lists(numbers.filter(lambda x: x == x), min_size=1, max_size=5)
+#: Digits of other scripts are an error in the browser.
 numerals = st.one_of(
-    texts,
+    texts.filter(lambda text: not re.search("(?![0-9])\\d", text)),
     st.integers(-(10**20), 10**20).map(str),
     st.floats().map(str),
     st.sampled_from(
@@ -790,7 +791,7 @@ def examples(case, most):
 def test_results_are_equal(node, name):
     refusals = []
 
-    @examples(CASES[name], 25)
+    @examples(CASES[name], 20)
     def check(args):
         wrong = fault(node, name, args)
         refusals.append(wrong == "refused")

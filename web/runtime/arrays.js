@@ -1531,14 +1531,16 @@ Object.assign($np, {
       throw NotImplementedError("unwrap: the last axis alone here");
     let off = 0;
     for (let n = 0; n < d.length; n++) {
-      if (n % size === 0) off = 0;
-      else {
+      if (n % size === 0) {
+        off = 0;
+        out[n] = d[n];
+      } else {
         const step = d[n] - d[n - 1];
         let m = step + Math.PI - turn * Math.floor((step + Math.PI) / turn) - Math.PI;
         if (m === -Math.PI && step > 0) m = Math.PI;
         if (!(Math.abs(step) < Math.PI)) off += m - step;
+        out[n] = d[n] + off;
       }
-      out[n] = d[n] + off;
     }
     return new NdArray(out, a.shape, "f");
   }),
