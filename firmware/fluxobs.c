@@ -307,8 +307,10 @@ bool fo_damaged(const fo_observer *o, const fo_state *s)
     bool damaged = s->roughness == ZERO;
     if (s->turn == 1U) { /* so it is after a restart in the last step, too */
         const fo_tracker *t = &s->tracker;
-        fo_real sum = self_difference(s->power) + self_difference(s->lag_one) + self_difference(s->swept) +
-                      self_difference(t->angle) + self_difference(t->speed) + self_difference(t->acceleration);
+        fo_real sum = self_difference(s->power) + self_difference(s->lag_one) +
+                      self_difference(s->swept) + self_difference(t->angle) +
+                      self_difference(t->speed) + self_difference(t->acceleration) +
+                      self_difference(t->settled);
         for (int i = 0; i < FO_NX; i++) {
             sum += self_difference(s->info.d[i]);
             damaged = damaged || !(s->info.d[i] > ZERO);

@@ -71,7 +71,7 @@ STEPS = {"plain": "fo_step_single", "adaptive": "fo_adaptive_step_single"}
 #: state and 120 of stack.
 BUDGETS = {
     "plain": {"mean": 1300, "most": 1600, "state": 400, "stack": 256},
-    "adaptive": {"mean": 4800, "state": 1200, "stack": 1040},
+    "adaptive": {"mean": 4800, "state": 1200, "stack": 1048},
 }
 #: What a fused build may differ: share of the flux, angle [rad].
 FUSED = (1e-4, math.radians(0.05))
