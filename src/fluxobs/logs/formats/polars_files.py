@@ -13,7 +13,6 @@ from ...files import most_unpacked
 from .lazy import BROKEN, as_columns, frames
 from .table import BATCH, Columns, Table
 
-
 Source = Path | io.BytesIO
 
 
