@@ -21,7 +21,7 @@ CARGO = shutil.which("cargo")
 )
 def test_the_crate_replays_its_record(tmp_path, machine, unknowns):
     folder = fluxobs.export(
-        machine, 1e-4, tmp_path / "crate", unknowns=unknowns, form="rust", prefix="M__1_"
+        machine, 1e-4, tmp_path / "crate", unknowns=unknowns, form="rust", prefix="M_1"
     ).folder
     done = subprocess.run(
         [CARGO, "test", "--offline"], cwd=folder, capture_output=True, text=True, check=False

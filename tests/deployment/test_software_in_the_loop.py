@@ -123,7 +123,7 @@ def test_what_estimate_does_with_a_log_the_firmware_does(compiled, tmp_path):
     voltage = table.select("u_alpha", "u_beta").to_numpy()
     current = table.select("i_alpha", "i_beta").to_numpy()
     late = np.concatenate([[[np.nan, np.nan]], voltage[:-1]])  # lag 0: from its row to the next
-    found = replayed(compiled.program(tmp_path / "motor", "gcc", "double"), late, current)
+    found = replayed(compiled.program(tmp_path / "motor", ["gcc"], "double"), late, current)
     estimate = pl.read_parquet(tmp_path / "e.parquet")
     for column, name in ((0, "flux_alpha"), (2, "psi_f"), (3, "theta_e"), (5, "speed_e")):
         np.testing.assert_array_equal(found[:, column], estimate[name].to_numpy())
