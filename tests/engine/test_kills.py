@@ -98,6 +98,7 @@ def wait_for_more(folder: Path, run: subprocess.Popen[bytes], said: Path) -> Non
     assert run.poll() in (None, 0), said.read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_kills_of_driver_and_workers(tmp_path: Path) -> None:
     rng, folder, said = random.Random(1), tmp_path / "killed", tmp_path / "said"
@@ -155,6 +156,7 @@ def free_port() -> int:
         return int(one.getsockname()[1])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_kills_of_a_cluster(tmp_path: Path) -> None:
     pytest.importorskip("distributed")

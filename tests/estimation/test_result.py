@@ -229,6 +229,7 @@ def test_a_long_log_is_learnt_from_in_parts(tmp_path, monkeypatch):
     assert 4 * whole.learnt.resistance_std > parts.learnt.resistance_std
 
 
+@pytest.mark.slow
 def test_a_map_that_is_not_reciprocal_is_warned_of():
     """Rotate the fluxes of a measured map against its currents by 10 degrees."""
     machine = fluxobs.example("ipm-5kw6")

@@ -47,6 +47,7 @@ def test_a_good_drive_is_called_good():
     assert "bridge off" in items["offsets of the current sensors"].words
 
 
+@pytest.mark.slow
 def test_a_warm_winding_and_weak_magnets():
     """The machine file says what they were when cold and new."""
     cold, new = 0.36 / (1 + 0.00393 * 90), 0.0125 / 0.85

@@ -101,7 +101,14 @@ def test_the_library_names_the_wrong_field():
         )
 
 
-@pytest.fixture(scope="module", params=["drift", ADAPTIVE, f"{ADAPTIVE},asymmetry"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        "drift",
+        pytest.param(ADAPTIVE, marks=pytest.mark.slow),
+        f"{ADAPTIVE},asymmetry",
+    ],
+)
 def folder(request, tmp_path_factory):
     made = tmp_path_factory.mktemp("runtime") / "motor"
     fluxobs.export(MACHINES["servo-400w"], 1e-4, made, unknowns=request.param)
@@ -150,7 +157,7 @@ def test_an_estimate_is_read_whole(folder):
 
 
 @pytest.mark.parametrize("compiler", ["gcc", cross_compiler("arm-none-eabi-gcc")])
-@pytest.mark.parametrize("folder", [ADAPTIVE], indirect=True)
+@pytest.mark.parametrize("folder", [f"{ADAPTIVE},asymmetry"], indirect=True)
 def test_the_example_compiles(folder, compiler):
     source = ROOT / "examples" / "firmware" / "at_run_time" / "at_run_time.c"
     command = [compiler, *STRICT, f"-I{folder}", f"-I{folder / 'runtime'}", "-c", source]

@@ -101,6 +101,7 @@ def test_what_is_done_is_done_again_only_if_something_changed(logs, tmp_path):
     assert not set(stamps(out).values()) & set(third.values())
 
 
+@pytest.mark.slow
 def test_failed_ones_are_retried_if_asked(logs, tmp_path, monkeypatch):
     out = tmp_path / "out"
     run(logs, out)
@@ -122,6 +123,7 @@ def test_failed_ones_are_retried_if_asked(logs, tmp_path, monkeypatch):
     assert not estimates.exists()
 
 
+@pytest.mark.slow
 def test_a_machine_file_that_is_mended_is_tried_again(logs, tmp_path):
     out = tmp_path / "out"
     for drive in ("a", "b"):

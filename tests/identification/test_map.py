@@ -53,6 +53,7 @@ def test_fluxes_in_the_visited_region_and_their_standard_deviations(found):
     assert not found.map.inside(20 + 5j)
 
 
+@pytest.mark.slow
 def test_the_machine_file_and_the_table_serve_the_next_log(found, log, tmp_path):
     found.write(tmp_path / "found.toml")
     found.write(tmp_path / "map.csv")

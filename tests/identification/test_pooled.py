@@ -90,6 +90,7 @@ def test_one_log_is_nothing_to_compare_with(folder, tmp_path):
     assert f"{copy} is {folder}/day1.parquet again: it counts once" in found.lines()
 
 
+@pytest.mark.slow
 def test_the_command(folder, tmp_path):
     machine = tmp_path / "motor.toml"
     machine.write_text(machine_text(PMSM, ["A motor."], {}))

@@ -34,6 +34,7 @@ def power(system, state, voltage, load):
     return system.power(state, voltage, load)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), name=st.sampled_from(sorted(SYSTEMS)))
 def test_power_balance(seed, name):
