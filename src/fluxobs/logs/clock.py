@@ -251,7 +251,7 @@ class _Reader:
             raise RecordError(
                 f"{self._place(worst_row)}: samples are not uniform: a step of {worst_step:.6g} s "
                 f"where {self.typical:.6g} s is expected (the worst place). Steps may differ by "
-                f"{JITTER:.0%}, and gaps are whole samples. Export a simulation at a fixed step; "
+                f"{limit / h:.0%}, and gaps are whole samples. Export a simulation at a fixed step; "
                 f"if t is only rounded, --sample-time and --column t=- ignore it"
             )
         jitter = float(np.sqrt(square / max(count, 1) / 2)) if worst > slack else 0.0
