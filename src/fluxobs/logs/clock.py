@@ -251,8 +251,8 @@ class _Reader:
             raise RecordError(
                 f"{self._place(worst_row)}: samples are not uniform: a step of {worst_step:.6g} s "
                 f"where {self.typical:.6g} s is expected (the worst place). Steps may differ by "
-                f"{limit / h:.0%}, and gaps are whole samples. Export a simulation at a fixed step; "
-                f"if t is only rounded, --sample-time and --column t=- ignore it"
+                f"{limit / h:.0%}, and gaps are whole samples. Export a simulation at a fixed "
+                f"step; if t is only rounded, --sample-time and --column t=- ignore it"
             )
         jitter = float(np.sqrt(square / max(count, 1) / 2)) if worst > slack else 0.0
         return self._made(rows_at, after, skipped, total / max(count, 1), count, jitter, index)
