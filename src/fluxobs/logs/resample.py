@@ -33,6 +33,7 @@ def resample(course: Course, s: Array, values: Array, t: Array, step: float) -> 
     ----------
     course : str
     s, values : (m,) ndarray
+        Two samples at least.
     t : (n,) ndarray
     step : float
         Sample time of the result [s].
@@ -59,7 +60,7 @@ def _unwrapped(angle: Array) -> Array:
 
 def _held_mean(s: Array, values: Array, start: Array, stop: Array) -> Array:
     """Mean over [start, stop] of a signal that holds each value until the next."""
-    last = s[-1] + (s[-1] - s[-2] if len(s) > 1 else np.inf)
+    last = s[-1] + (s[-1] - s[-2])
     known = np.isfinite(values)
     edges = np.append(s, last)
     length = np.diff(edges)
