@@ -1,0 +1,176 @@
+"""By how much two clocks differ: correlations beside brute force, and the vectors that turn."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fluxobs.errors import RecordError
+from fluxobs.logs.align import (
+    _correlate,
+    _energy,
+    _summit,
+    _turning,
+    _width,
+    aligned_by_content,
+    doubt_of_time,
+)
+from fluxobs.logs.clock import even
+from fluxobs.logs.formats.arrays import ArrayTable
+from fluxobs.logs.guess import parts_of
+
+H = 1e-3
+RNG = np.random.default_rng(2)
+
+
+def smooth(rows, width=20):
+    return np.convolve(RNG.normal(size=rows + width - 1), np.hanning(width), mode="valid")
+
+
+WAVE = smooth(4000)
+WAVE -= WAVE.mean()
+
+
+@pytest.mark.parametrize("lag", [-700, -1, 0, 5, 1500])
+def test_the_shift_of_a_signal(lag):
+    """Also if both are cut, and not equally long."""
+    a, b = WAVE[1000:3000], WAVE[1000 + lag : 2500 + lag]
+    shift, peak, std, second = _correlate(a, b, H)
+    assert shift == pytest.approx(lag * H, abs=0.01 * H)
+    assert peak == pytest.approx(1.0)
+    assert std < 1e-5
+    assert second is None
+
+
+def test_a_correlation_is_that_of_the_rows_that_overlap():
+    """Beside the sums themselves."""
+    noisy = WAVE[100:900] + RNG.normal(0, 2.0, 800)
+    shift, peak, _, _ = _correlate(WAVE[:700], noisy, H)
+    at = round(shift / H)
+    assert at == 100
+    x, y = WAVE[100:700], noisy[:600]
+    assert peak == pytest.approx(x @ y / np.sqrt((x @ x) * (y @ y)))
+
+
+def test_energies_of_what_overlaps():
+    x, other = RNG.normal(size=7), 5
+    lags = np.arange(-8, 10)
+    rows = np.arange(7)
+    expected = [(x[(rows >= lag) & (rows < lag + other)] ** 2).sum() for lag in lags]
+    np.testing.assert_allclose(_energy(x, lags, other), expected, atol=1e-12)
+
+
+def test_a_shift_between_samples_is_that_of_the_parabola():
+    k = np.arange(3000.0)
+    a = np.exp(-(((k - 1500) / 40) ** 2))
+    b = np.exp(-(((k - 1500.3) / 40) ** 2))
+    shift, _, _, _ = _correlate(a - a.mean(), b - b.mean(), H)
+    assert shift == pytest.approx(-0.3 * H, abs=0.01 * H)
+
+
+def test_the_standard_deviation_of_a_shift_covers_it():
+    off, stds = [], []
+    for _ in range(40):
+        a = WAVE[:2000] + RNG.normal(0, 0.5, 2000)
+        b = WAVE[:2000] + RNG.normal(0, 0.5, 2000)
+        shift, _, std, _ = _correlate(a, b, H)
+        off.append(shift)
+        stds.append(std)
+    assert np.median(stds) / np.std(off) == pytest.approx(1.0, abs=0.6)
+
+
+def test_a_periodic_signal_has_a_second_shift():
+    """Of shifts that fit alike, the one with the most rows is taken."""
+    k = np.arange(2000)
+    wave = np.sin(2 * np.pi * k / 250)
+    shift, peak, _, second = _correlate(wave, np.roll(wave, -30), H)
+    assert shift == pytest.approx(30 * H, abs=H)
+    assert peak > 0.99
+    assert abs(second - shift) == pytest.approx(250 * H, abs=5 * H)
+
+
+def test_at_least_a_quarter_of_the_shorter_one_has_to_overlap():
+    for rows, there in ((620, True), (580, False)):
+        a, b = RNG.normal(0, 1.0, 2400), WAVE[:2400].copy()
+        a[:rows] = WAVE[2400 - rows : 2400]
+        shift, _, _, _ = _correlate(a, b, H)
+        assert (abs(shift + (2400 - rows) * H) < H) == there
+
+
+def test_uphill_and_to_the_half():
+    hill = np.array([0.0, 1.0, 2.0, 4.0, 3.0, 1.9, 1.0, 5.0])
+    assert [_summit(hill, at) for at in (1, 2, 3, 4, 5)] == [3, 3, 3, 3, 3]
+    assert [_summit(hill, at) for at in (0, 7)] == [0, 7]
+    assert _width(hill, 3) == 2
+    assert _width(np.ones(5), 2) == 5
+
+
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("names", ["alphabeta", "abc", "line", "duty"])
+def test_the_speed_of_a_vector_in_any_frame(names, way):
+    k = np.arange(600)
+    z = 3 * np.exp(0.05j * way * k)
+    a, b, c = (z[:, None] * np.exp(-2j * np.pi / 3 * np.arange(3))).real.T
+    signals = {
+        "alphabeta": {"i_alpha": z.real, "i_beta": z.imag},
+        "abc": {"u_a": a, "u_b": b},
+        "line": {"u_ab": a - b, "u_bc": b - c},
+        "duty": {"d_a": 0.5 + a / 9, "d_b": 0.5 + b / 9, "d_c": 0.5 + c / 9},
+    }[names]
+    speed = _turning(signals, even(600, H))
+    np.testing.assert_allclose(speed[:-1], way * 0.05 / H, rtol=1e-9)
+    assert speed[-1] == 0.0
+
+
+def test_without_a_vector_nothing_turns():
+    assert _turning({"u_a": np.ones(30)}, even(30, H)).tolist() == [0.0] * 30
+
+
+def side(name, columns):
+    table = ArrayTable(columns, Path(name))
+    (part,) = parts_of([(table.path, [table])])
+    return part, table, even(len(next(iter(columns.values()))), H)
+
+
+def test_a_clock_is_ahead_by_what_both_saw():
+    base, other = side("one", {"i_a": WAVE[:3000]}), side("two", {"i_a": WAVE[40:3040]})
+    shift, words = aligned_by_content(base, other)
+    assert shift == pytest.approx(0.04, abs=1e-5)
+    assert "by the column i_a of both files its clock is -0.04" in words
+    assert "correlation 1.000" in words
+
+
+@pytest.mark.parametrize(("share", "enough"), [(0.56, True), (0.44, False)])
+def test_a_correlation_of_a_half_is_needed(share, enough):
+    noise = smooth(3000)
+    mixed = share * WAVE[:3000] / WAVE[:3000].std()
+    mixed += np.sqrt(1 - share**2) * noise / noise.std()
+    sides = side("one", {"i_a": WAVE[:3000]}), side("two", {"i_a": mixed})
+    if enough:
+        assert aligned_by_content(*sides)[0] == pytest.approx(0.0, abs=5 * H)
+    else:
+        with pytest.raises(RecordError, match="that is too little to rely on"):
+            aligned_by_content(*sides)
+
+
+@pytest.mark.parametrize(("rows", "told"), [(0, False), (1, False), (2, True), (-2, True)])
+def test_a_column_of_both_files_tells_two_samples(rows, told):
+    base, other = side("one", {"i_a": WAVE[9:3009]}), side("two", {"i_a": WAVE[9 + rows :][:3000]})
+    doubt = doubt_of_time(base, other)
+    assert (doubt is not None) == told
+    assert doubt is None or "though both have times" in doubt
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.85, True), (0.74, False)])
+def test_a_doubt_needs_a_clear_correlation(share, told):
+    noise = smooth(3000)
+    mixed = share * WAVE[30:3030] / WAVE.std() + np.sqrt(1 - share**2) * noise / noise.std()
+    sides = side("one", {"i_a": WAVE[:3000]}), side("two", {"i_a": mixed})
+    assert (doubt_of_time(*sides) is not None) == told
+
+
+def test_files_that_saw_nothing_change():
+    sides = side("one", {"i_a": np.ones(100)}), side("two", {"i_a": WAVE[:100]})
+    assert doubt_of_time(*sides) is None
+    with pytest.raises(RecordError, match="two: --align auto finds nothing that both files saw"):
+        aligned_by_content(*sides)
