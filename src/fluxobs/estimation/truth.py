@@ -257,7 +257,9 @@ def _fit_angle(
     # Errors of the estimate repeat within a turn of the shaft, and may follow the speed.
     square = float(np.mean(left**2))
     alike = dict.fromkeys(names, square / max(samples.turned / (2 * np.pi), 1.0))
-    alike |= {"zero": 0.0, "delay": square / max(float(np.ptp(speed)), 1e-300) ** 2}
+    alike["zero"] = 0.0
+    if "delay" in alike:
+        alike["delay"] = square / float(np.ptp(speed)) ** 2
     covariance = covariance + np.diag([alike[name] for name in found])
     parameters = _angle_parameters(known, covariance, list(found), own, pairs)
     words += _angle_words(samples.channel, parameters, pairs, given, "delay" in known)
