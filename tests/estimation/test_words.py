@@ -1,0 +1,430 @@
+"""Summary, warnings and choices of a run, from runs in closed form; limits from both sides."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import fluxobs
+from fluxobs.estimation import learning, prepare, warnings
+from fluxobs.estimation.learning import Parameter, doubtful, learning_parts, needed, parameters
+from fluxobs.estimation.prepare import guess_psi_f, plain_observer, usual_speed
+from fluxobs.estimation.report import _machine_in, _taken
+from fluxobs.estimation.statistics import Statistics
+from fluxobs.estimation.summary import _score, paragraph, si
+from fluxobs.logs.for_machine import open_for
+from fluxobs.logs.scales import Scales
+from fluxobs.machines import example
+from fluxobs.observers import AdaptiveObserver
+from support.records import SERVO, log_columns, steady
+
+H, ROWS = 1e-4, 3000
+SAMPLES = steady(SERVO, H, 500.0, ROWS, 6j, 0.15 - 0.1j, -0.1 + 0.05j, 0.02)
+SCALES = Scales(
+    current=6.0, voltage=8.0, current_noise=0.02, voltage_noise=0.1, current_speed=500.0
+)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return fluxobs.estimate(log_columns(SAMPLES), SERVO, unknowns="drift")
+
+
+@pytest.fixture(scope="module")
+def log(run):
+    return run.log
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        *(
+            (1.0, "1 V"),
+            (0.999, "999 mV"),
+            (1e-3, "1 mV"),
+            (9.99e-4, "999 µV"),
+            (-2.5e-6, "-2.5 µV"),
+        ),
+        *((1e-9, "1 nV"), (9.94e-10, "9.9e-10 V"), (0.0, "0 V"), (1234.5, "1.23e+03 V")),
+    ],
+)
+def test_numbers_with_prefixes(value, words):
+    assert si(value, "V") == words
+
+
+# ---- the summary ----------------------------------------------------------------------------
+
+
+def changed(run, counts=None, **statistics):
+    """The run with other counts."""
+    counts = replace(run.counts, **(counts or {}))
+    fields = {
+        name: getattr(run, name)
+        for name in ("log", "machine", "observer", "scales", "unknowns", "memory", "priors")
+    }
+    fields |= {"learnt": None, "automatic": False, "causal": False, "counts": counts}
+    return fluxobs.estimation.explained.ExplainedRun(
+        **fields, statistics=replace(run.statistics, **statistics)
+    )
+
+
+def test_the_numbers_of_a_summary(run):
+    valid = 1500
+    means = {"drift_alpha": 0.03, "drift_beta": -0.04, "psi_f": 0.0125}
+    told = changed(
+        run,
+        rows=3000,
+        valid=valid,
+        start=1.0,
+        first_valid=1.0125,
+        sums={name: valid * value for name, value in means.items()},
+        scored=1000,
+        error=1000 * np.radians(0.5),
+        error_squared=1000 * np.radians(2.0) ** 2,
+        error_max=np.radians(7.25),
+    )
+    assert paragraph(told, None, None) == (
+        "3000 samples, 0.3 s at 10000 Hz; each row's voltage is taken to act from that row's "
+        "sample to the next (lag 0). The position is valid on 50.0% of the rows, first 12.5 mV "
+        "after the start. The flux integral would drift by (+0.03, -0.04) V in αβ: as much as a "
+        "voltage offset of 50 mV, or a current offset of 139 mA through R_s. Magnet flux: 12.5 "
+        "mWb. Against the true angle, on 1000 valid rows: position error 2.00° rms, 7.25° at "
+        "most, mean 0.50°."
+    ).replace("12.5 mV after", "12.5 ms after")
+    assert "never known" in paragraph(changed(run, first_valid=None), None, None)
+
+
+def test_a_score_against_a_truth_with_wrong_turns_is_left_out(run):
+    told = changed(run, scored=10, error=0.0, error_squared=0.0, error_max=0.0)
+    assert _score(told, None)
+    assert not _score(told, SimpleNamespace(wrong_turns=True, told=False))
+    assert not _score(changed(run, scored=0), None)
+
+
+# ---- warnings -------------------------------------------------------------------------------
+
+
+def test_rows_that_were_bad_are_counted(run):
+    counts = {"bad_currents": 3, "outliers": 2, "restarts": 4}
+    (words,) = warnings._samples(changed(run, counts))
+    assert words == (
+        "Number of rows without a current (bridged): 3, that contradict the others (ignored): 2; "
+        "the observer started anew 4 ×."
+    )
+    assert warnings._samples(changed(run, {"restarts": 4})) == []
+
+
+def seen_at(run, speed):
+    columns = {"speed_e": np.full(10, speed), "valid": np.ones(10)}
+    thin = SimpleNamespace(columns=lambda: columns)
+    return SimpleNamespace(
+        log=run.log, scales=SCALES, statistics=SimpleNamespace(thin=thin), machine=run.machine
+    )
+
+
+@pytest.mark.parametrize(("period", "warned"), [(8.05, False), (7.95, True)])
+@pytest.mark.parametrize("way", [1, -1])
+def test_eight_samples_a_period(run, period, warned, way):
+    found = warnings._rate(seen_at(run, way * 2 * np.pi / (period * H)))
+    assert bool(found) == warned
+    if warned:
+        assert "Only 7.9 samples an electrical period at 7903 rad/s: at least 8 are" in found[0]
+        assert "a sample rate of 10063 Hz or more" in found[0]
+
+
+def test_without_a_position_the_speed_of_the_current_counts(run):
+    result = seen_at(run, 1e6)
+    result.statistics.thin.columns = lambda: {"speed_e": np.ones(3), "valid": np.zeros(3)}
+    assert warnings._rate(result) == []
+    result.scales = replace(SCALES, current_speed=2e4)
+    assert "at 2e+04 rad/s" in warnings._rate(result)[0]
+    result.scales = replace(SCALES, current_speed=0.0)
+    assert warnings._rate(result) == []
+
+
+@pytest.mark.parametrize(("valid", "warned"), [(1500, False), (1499, True)])
+def test_half_of_the_rows_must_be_valid(run, valid, warned):
+    assert bool(warnings._validity(changed(run, rows=3000, valid=valid))) == warned
+
+
+@pytest.mark.parametrize(("drops", "still"), [(1.99, True), (2.01, False)])
+def test_a_voltage_of_two_resistive_drops_means_standstill(run, drops, still):
+    result = changed(run, rows=3000, valid=300)
+    scales = replace(SCALES, voltage=drops * SERVO.R_s * SCALES.current)
+    (words,) = warnings._validity(replace(result, scales=scales))
+    assert words.startswith("The position is valid on only 10.0% of the rows: ")
+    assert ("standstill" in words) == still
+    assert ("check R_s" in words) != still
+
+
+@pytest.mark.parametrize(("missing", "blamed"), [(1000, True), (999, False)])
+def test_rows_without_a_current_explain_what_is_not_valid(run, missing, blamed):
+    result = changed(run, {"bad_currents": missing}, rows=3000, valid=1000)
+    (words,) = warnings._validity(result)
+    assert words.startswith("The position is valid on only 33.3% of the rows")
+    assert (f"{missing} rows have no current" in words) == blamed
+
+
+@pytest.mark.parametrize(("scored", "warned"), [(990, False), (989, True)])
+def test_a_truth_that_is_known_on_few_rows(run, scored, warned, monkeypatch):
+    monkeypatch.setattr(warnings, "is_position", lambda *_: True)
+    found = warnings._truth(changed(run, valid=1000, scored=scored))
+    expected = f"The true angle is known on only {scored} of 1000 valid rows."
+    assert found == ([expected] if warned else [])
+
+
+@pytest.mark.parametrize(("memories", "short"), [(3.01, False), (2.99, True)])
+def test_a_log_must_last_three_memories(run, memories, short):
+    rows = round(memories * run.observer.memory / H)
+    found = warnings.warnings(changed(run, rows=rows), None)
+    assert any("too short to settle: at least 3 memories" in words for words in found) == short
+
+
+def residual_of(run, share):
+    """A run whose residual is this share of the flux squared."""
+    flux = 0.0125
+    rms = share * flux**2 / run.plain.constraint_noise
+    changes = {"valid": 100, "sums": {"psi_f": 100 * flux}, "settled": 50}
+    return changed(run, **changes, innovation=50 * rms**2)
+
+
+@pytest.mark.parametrize(("share", "warned"), [(0.0099, False), (0.0101, True)])
+def test_a_residual_of_one_percent(run, share, warned):
+    result = replace(residual_of(run, share), scales=replace(SCALES, current_noise=0.0))
+    found = warnings._residual(result, run.plain, None)
+    assert bool(found) == warned
+    if warned:
+        assert "more than noise explains, 1.0% of the flux squared" in found[0]
+    assert not warnings._residual(changed(run, valid=0), run.plain, None)
+
+
+@pytest.mark.parametrize(("times", "doubted"), [(2.99, False), (3.01, True)])
+def test_a_residual_of_three_times_the_noise(times, doubted):
+    """Noise of a current times twice its inductance and the flux, of each component."""
+    flux, noise = 0.0125, 0.5
+    share = SERVO.constraint_noise(flux, noise) / flux**2
+    assert share > 0.01
+    scales = replace(SCALES, current_noise=noise)
+    assert doubtful(times * share, SERVO, flux, scales) == doubted
+    assert doubtful(np.nan, SERVO, flux, scales)
+
+
+# ---- what a log tells -----------------------------------------------------------------------
+
+
+def test_half_of_a_prior_is_told():
+    parameter = Parameter("resistance", "Ω", 1.0, prior=0.2, value=1.1, std=0.1)
+    assert parameter.told
+    assert not replace(parameter, std=0.101).told
+
+
+class Long:
+    def __init__(self, rows, random_access=True):
+        self.first, self.last = 7, 7 + rows
+        self.table = SimpleNamespace(random_access=random_access)
+
+    def __len__(self):
+        return self.last - self.first
+
+
+def test_a_log_of_twelve_million_rows_is_learnt_from_whole():
+    assert learning_parts(Long(12_000_000)) == [(7, 12_000_007)]
+    assert learning_parts(Long(99_000_000, False)) == [(7, 99_000_007)]
+    parts = np.array(learning_parts(Long(23_000_000)))
+    np.testing.assert_array_equal(parts[:, 0], 7 + 2_000_000 * np.arange(12))
+    np.testing.assert_array_equal(parts[:, 1] - parts[:, 0], 1_000_000)
+    assert len(learning_parts(Long(12_000_001))) == 12
+
+
+ADAPTIVE = AdaptiveObserver.for_machine(
+    SERVO, sample_time=H, unknowns=("drift", "resistance", "inverter")
+)
+
+
+def learnt(resistance=(0.0, 0.01), inverter=(0.0, 0.01)):
+    """What was learnt: off by so many of so large standard deviations, as shares of the prior."""
+    r_std = resistance[1] * ADAPTIVE.resistance_std
+    v_std = inverter[1] * ADAPTIVE.inverter_std
+    return SimpleNamespace(
+        psi_f=SERVO.psi_f,
+        psi_f_std=1e-9,
+        resistance=ADAPTIVE.resistance + resistance[0] * r_std,
+        resistance_std=r_std,
+        inverter_voltage=ADAPTIVE.inverter_voltage + inverter[0] * v_std,
+        inverter_std=v_std,
+    )
+
+
+@pytest.mark.parametrize(
+    ("resistance", "inverter", "fits", "expected"),
+    [
+        ((0, 0.01), (0, 0.01), True, False),
+        ((0, 0.01), (0, 0.01), False, True),
+        ((2.99, 0.01), (-2.99, 0.01), True, False),
+        ((3.01, 0.01), (0, 0.01), True, True),
+        ((-3.01, 0.01), (0, 0.01), True, True),
+        ((0, 0.01), (3.01, 0.01), True, True),
+        ((9, 0.51), (9, 0.51), False, False),
+        ((0, 0.49), (0, 0.9), False, True),
+    ],
+)
+def test_when_a_log_asks_for_more(resistance, inverter, fits, expected, monkeypatch):
+    monkeypatch.setattr(learning, "_fits", lambda _: fits)
+    assert needed(ADAPTIVE, learnt(resistance, inverter), None) == expected
+
+
+def test_only_unknown_parameters_are_listed():
+    listed = parameters(ADAPTIVE, learnt())
+    assert [(one.name, one.unit) for one in listed] == [
+        *(("magnet flux", "Wb"), ("resistance", "Ω"), ("inverter", "V"))
+    ]
+    assert listed[1].assumed == SERVO.R_s
+    fixed = replace(ADAPTIVE, inverter_std=0.0)
+    assert [one.name for one in parameters(fixed, learnt())] == ["magnet flux", "resistance"]
+
+
+def test_noise_explains_a_residual_or_does_not(run, log):
+    """Of a machine as it is, and of one with a magnet as found but a resistance far off."""
+    for machine, fits in ((SERVO, True), (SERVO.with_values(R_s=3 * SERVO.R_s), False)):
+        prepared = prepare.prepare(log, machine, ("drift",), None, {})
+        assert learning._fits(prepared) == fits
+
+
+# ---- settings -------------------------------------------------------------------------------
+
+
+def test_settings_that_a_log_gives(log):
+    observer = plain_observer(log, SERVO, SCALES, 0.0123)
+    assert observer.memory == 0.0123
+    assert observer.current_noise == 0.02
+    assert observer.drift_prior >= 0.01 * SCALES.voltage
+    loud = plain_observer(log, SERVO, replace(SCALES, voltage=123.456), 0.0123)
+    assert loud.drift_prior == 1.23
+    quiet = plain_observer(log, SERVO, replace(SCALES, current_noise=1e-9), 0.0123)
+    assert quiet.current_noise == pytest.approx(1e-4 * SERVO.rated_current)
+    unrated = SERVO.with_values(rated_current=None)
+    quiet = plain_observer(log, unrated, replace(SCALES, current_noise=1e-9), 0.0123)
+    assert quiet.current_noise == pytest.approx(1e-4 * SCALES.current)
+    fine = plain_observer(log, SERVO, replace(SCALES, current_noise=0.0234567), 0.0123)
+    assert fine.current_noise == 0.0235
+
+
+def test_a_memory_is_ten_samples_at_least(log):
+    slow = replace(log, clock=replace(log.clock, sample_time=5e-3))
+    assert plain_observer(slow, SERVO, SCALES, None).memory >= 10 * 5e-3
+    usual = plain_observer(log, SERVO, SCALES, None).memory
+    assert usual == float(f"{SERVO.memory_for(H, 500.0):.3g}")
+
+
+@pytest.mark.parametrize(("rows", "fits"), [(10, True), (9.99, False)])
+def test_a_memory_that_is_given_has_ten_rows(log, rows, fits):
+    if fits:
+        assert prepare._check_memory(log, SERVO, rows * H) == rows * H
+    else:
+        with pytest.raises(fluxobs.FluxobsError, match=r"too short: at least ten samples, 0.001 s"):
+            prepare._check_memory(log, SERVO, rows * H)
+
+
+def test_a_log_too_slow_for_the_usual_memory(log):
+    assert prepare._check_memory(log, SERVO, None) == SERVO.memory
+    slow = replace(log, clock=replace(log.clock, sample_time=SERVO.memory / 9.99))
+    with pytest.raises(fluxobs.RecordError, match="is too slow for a memory of"):
+        prepare._check_memory(slow, SERVO, None)
+
+
+def test_the_usual_speed():
+    """That of the currents, but no more than the voltage over the flux."""
+    base = SERVO.flux_base(SCALES.current)
+    assert usual_speed(SERVO, SCALES, None) == 500.0
+    slow = replace(SCALES, voltage=100 * base)
+    assert usual_speed(SERVO, slow, None) == pytest.approx(100.0)
+    unknown = SERVO.with_values(psi_f=None)
+    assert usual_speed(unknown, replace(SCALES, voltage=0.01), None) == 500.0
+
+
+@pytest.mark.parametrize("psi_f", [0.004, 0.0125, 0.12])
+def test_a_magnet_is_guessed_from_the_log(psi_f):
+    machine = SERVO.with_values(psi_f=psi_f)
+    samples = steady(machine, H, 500.0, 3000, 6j, noise=0.02)
+    log = fluxobs.read_log(log_columns(samples))
+    unknown = machine.with_values(psi_f=None)
+    assert guess_psi_f(log, unknown, SCALES, None) == pytest.approx(psi_f, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "most"),
+    [("inverter", 8.0), ("psi_f", 0.0125)],
+)
+def test_priors_that_are_no_standard_deviations(log, name, most):
+    unknowns = ("drift", "resistance", "inverter")
+    prepare.prepare(log, SERVO, unknowns, None, {name: 0.99 * most}, SCALES)
+    with pytest.raises(fluxobs.FluxobsError, match=f"prior {name}=.*, {most:.3g}$"):
+        prepare.prepare(log, SERVO, unknowns, None, {name: 1.01 * most}, SCALES)
+
+
+def test_the_observer_of_a_levitation():
+    """Its sizes follow from the machine's, and from those of the log."""
+    machine = example("maglev-knospe")
+    rows = 400
+    wave = np.stack([1 + 0.1 * np.sin(0.1 * np.arange(rows)), np.ones(rows)], axis=1)
+    log = open_for((wave, wave), machine, sample_time=1e-4)
+    scales = replace(SCALES, current=2.0, voltage=5.0, current_noise=0.0)
+    rated = machine.rated_current or 2.0
+    for unknowns in (("drift",), ("drift", "current-bias")):
+        run = prepare.prepare(log, machine, unknowns, None, {}, scales)
+        assert run.batch == 2000
+        observer = run.observer
+        assert observer.current_noise == pytest.approx(1e-4 * rated)
+        np.testing.assert_allclose(observer.current_bias_prior, 0.02 * rated)
+        drift = 0.01 * 5.0 * np.abs(machine.B).max()
+        if "current-bias" in unknowns:
+            drift = max(drift, 0.02 * rated * np.abs(machine.R).max())
+        np.testing.assert_allclose(observer.drift_prior, drift)
+        np.testing.assert_allclose(observer.flux_base, machine.flux_base(rated))
+
+
+# ---- statistics and reports -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [640, 10_000])
+@pytest.mark.parametrize("first", [100, 1500, 5000, 8999])
+def test_rows_for_a_picture(size, first):
+    """Every second of 9000, and those from 1000 before to 2000 behind the first valid row."""
+    statistics = Statistics(9000)
+    t = np.arange(9000.0)
+    for begin in range(0, 9000, size):
+        part = t[begin : begin + size]
+        statistics.add(
+            SimpleNamespace(
+                columns={"t": part}, valid=part >= first, error=None, innovation=None, more={}
+            )
+        )
+    np.testing.assert_array_equal(statistics.thin.columns()["t"], t[::2])
+    held = statistics.detail.columns()["t"]
+    assert held[-1] == min(first + 1999, 8999)
+    begun = max(0, first - 1000)
+    assert held[0] == (begun if size == 10_000 else max(begun, first // size * size))
+    np.testing.assert_array_equal(np.diff(held), 1)
+
+
+def test_the_machine_of_a_command():
+    assert _machine_in("fluxobs estimate log --machine 'my motor.toml' --lag -1") == "my motor.toml"
+    assert _machine_in("fluxobs estimate log") == "MACHINE"
+    assert _machine_in(None) == "MACHINE"
+
+
+def test_what_columns_are_taken_for():
+    conversions = {"i_a": (1e-3, 0.0), "i_b": (1e-3, -0.5), "u_a": (1.0, 2.0)}
+    log = SimpleNamespace(
+        names={"i_a": "Ia", "i_b": "Ib", "u_a": "Ua", "u_b": "Ub"},
+        conversions=conversions,
+        true=SimpleNamespace(channel="hall", columns=("x", "y")),
+    )
+    assert _taken(log) == [
+        ["i_a", "Ia", "× 0.001"],
+        ["i_b", "Ib", "× 0.001 + -0.5"],
+        ["u_a", "Ua", "+ 2"],
+        ["u_b", "Ub", "as it is"],
+        ["hall", "x y", "true, for the score"],
+    ]
