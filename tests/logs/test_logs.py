@@ -11,6 +11,7 @@ from fluxobs.logs.formats import open_tables
 from fluxobs.logs.read import read_log
 from fluxobs.logs.record import interval_rows, lag_in_words
 from fluxobs.model.frames import wrap
+from fluxobs.model.inverter import InverterError
 
 ROWS, H = 200, 1e-3
 K = np.arange(ROWS)
@@ -526,3 +527,20 @@ def test_unusable_record(arguments, message):
     good = {"sample_time": 1e-3, "voltage": np.zeros((9, 2)), "current": np.zeros((9, 2))}
     with pytest.raises(RecordError, match=message):
         Record(**(good | arguments))
+
+
+@pytest.mark.parametrize("size", [1, 7, 64, ROWS])
+def test_what_the_inverter_loses_in_any_batches(size):
+    """Of the current before and after each interval; before the first row, of its own."""
+    error = InverterError(0.8, 0.3)
+    log = read_log(PLAIN)
+    parts = list(log.less_inverter(error).aligned(size=size))
+    before = np.concatenate([I[:1], I[:-1]])
+    lost = np.concatenate([part.voltage for part in log.aligned()]) - error.lost(before, I)
+    np.testing.assert_allclose(np.concatenate([p.voltage for p in parts]), lost, atol=1e-12)
+
+
+@pytest.mark.parametrize("wrong", [["x"] * 30, {"a": 1}])
+def test_records_of_what_is_no_number(wrong):
+    with pytest.raises(RecordError, match="voltage must hold numbers"):
+        Record(H, wrong, np.zeros(30, complex))
