@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 
 import fluxobs
-from fluxobs.estimation import learning, prepare, warnings
+from fluxobs.estimation import learning, prepare, report, warnings
 from fluxobs.estimation.learning import Parameter, doubtful, learning_parts, needed, parameters
 from fluxobs.estimation.prepare import guess_psi_f, plain_observer, usual_speed
-from fluxobs.estimation.report import _machine_in, _taken
+from fluxobs.estimation.report import _columns, _machine_in, _taken
 from fluxobs.estimation.statistics import Statistics
 from fluxobs.estimation.summary import _score, paragraph, si
 from fluxobs.logs.for_machine import open_for
 from fluxobs.logs.scales import Scales
 from fluxobs.machines import example
 from fluxobs.observers import AdaptiveObserver
+from fluxobs.observers.adaptive import DC_LINK_SHARE
+from fluxobs.web.columns import exact, flags, rounded
 from support.records import SERVO, log_columns, steady
 
 H, ROWS = 1e-4, 3000
@@ -428,3 +430,61 @@ def test_what_columns_are_taken_for():
         ["u_b", "Ub", "as it is"],
         ["hall", "x y", "true, for the score"],
     ]
+
+
+@pytest.mark.parametrize("rated", [3.0, 12.0, 30.0])
+def test_without_a_rated_current_that_of_the_log_counts(log, rated):
+    """And one that is given counts whatever the log."""
+    unknowns = ("drift", "resistance", "inverter")
+    observers = [
+        prepare.prepare(log, machine, unknowns, 0.02, {}, replace(SCALES, current=current)).observer
+        for machine, current in (
+            (SERVO.with_values(rated_current=None), rated),
+            (SERVO.with_values(rated_current=rated), 6.0),
+            (SERVO.with_values(rated_current=rated), 7.0),
+        )
+    ]
+    assert observers[0].inverter_std == observers[1].inverter_std == observers[2].inverter_std
+    assert observers[0].inverter_current == observers[1].inverter_current
+    assert observers[1].inverter_current == observers[2].inverter_current
+    usual = prepare.prepare(log, SERVO, unknowns, 0.02, {}, SCALES).observer.inverter_current
+    assert observers[1].inverter_current == pytest.approx(usual * rated / SERVO.rated_current)
+
+
+def test_the_dc_link_of_a_log_is_the_line_voltage_at_least(log):
+    """Where the drop at the rated current is small, the inverter's prior is a share of it."""
+    unknowns = ("drift", "inverter")
+    found = [
+        prepare.prepare(
+            log, SERVO.with_values(R_s=1e-3), unknowns, 0.02, {}, replace(SCALES, voltage=voltage)
+        ).observer.inverter_std
+        for voltage in (100.0, 200.0)
+    ]
+    assert found[1] == pytest.approx(2 * found[0], rel=0.01)
+    assert found[0] == pytest.approx(DC_LINK_SHARE * 100 * np.sqrt(3), rel=0.005)
+
+
+def test_the_columns_of_a_report(run):
+    """Flags for what is valid, times exactly, and no column that no picture shows."""
+    columns = _columns(run)
+    assert set(columns) == set(run.estimates.columns) - set(report.NOT_SHOWN)
+    assert columns["valid"] == flags(run["valid"])
+    assert columns["t"] == exact(run["t"])
+    assert columns["theta_e_std"] == rounded(run["theta_e_std"])
+
+
+@pytest.mark.parametrize(("limit", "there"), [(ROWS, True), (ROWS - 1, False)])
+def test_the_record_of_a_report_has_at_most_so_many_rows(run, monkeypatch, limit, there):
+    monkeypatch.setattr(report, "MOST_ROWS", limit)
+    record = report._record(run)
+    assert (record is not None) == there
+    if record is not None:
+        assert record["start"] == run["t"][0]
+        assert record["t"] is None
+        assert set(record["columns"]) == {"u_alpha", "u_beta", "i_alpha", "i_beta"}
+        assert record["columns"]["i_alpha"] == exact(SAMPLES.current[:, 0])
+        size = sum(len(one["data"]) for one in record["columns"].values())
+        monkeypatch.setattr(report, "MOST", size)
+        assert report._record(run) is not None
+        monkeypatch.setattr(report, "MOST", size - 1)
+        assert report._record(run) is None
