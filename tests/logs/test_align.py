@@ -3,9 +3,10 @@
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
-from fluxobs.errors import RecordError
+from fluxobs import RecordError, read_log
 from fluxobs.logs.align import (
     _correlate,
     _energy,
@@ -176,3 +177,15 @@ def test_files_that_saw_nothing_change():
     assert doubt_of_time(*sides) is None
     with pytest.raises(RecordError, match="two: --align auto finds nothing that both files saw"):
         aligned_by_content(*sides)
+
+
+@pytest.mark.parametrize("options", [{"align": "index"}, {"columns": {"t": "-"}, "sample_time": H}])
+def test_row_by_row_the_times_of_the_other_file_are_not_read(tmp_path, options):
+    """They may run backwards."""
+    k = np.arange(50.0)
+    pl.DataFrame({"t": H * k, "i_alpha": k, "i_beta": k}).write_csv(tmp_path / "i.csv")
+    pl.DataFrame({"t": -H * k, "u_alpha": 2 * k, "u_beta": k}).write_csv(tmp_path / "u.csv")
+    log = read_log(tmp_path / "i.csv", join=[str(tmp_path / "u.csv")], **options)
+    (part,) = log.aligned()
+    np.testing.assert_allclose(part.voltage[1:, 0], 2 * k[:-1], atol=1e-9)
+    assert log.sample_time == pytest.approx(H)

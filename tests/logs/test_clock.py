@@ -211,3 +211,11 @@ def test_a_wrap_may_lose_sixteen_samples(lost, joined):
     else:
         with pytest.raises(RecordError, match="time runs backwards"):
             read_log(log(t))
+
+
+def test_the_place_where_time_runs_backwards():
+    t = H * np.arange(50)
+    t[20:] -= 0.0055
+    words = r"row 21: time runs backwards or stands still, 0\.019 s then 0\.0145 s"
+    with pytest.raises(RecordError, match=words):
+        read_log(log(t))
