@@ -303,3 +303,18 @@ def test_parts_of_names():
     assert unit_in("i/A") == ("i", "A")
     assert unit_in("group/sub/i [A]") == ("i", "A")
     assert unit_in("i_a") is None
+
+
+@pytest.mark.parametrize("given", [None, "abc", "alphabeta"])
+def test_currents_in_a_frame_of_their_own(given):
+    """That which is filled, or the one that is given."""
+    voltages = {"u_alpha": 10 * Z.real, "u_beta": 10 * Z.imag}
+    currents = {"i_a": CURRENTS["i_a"], "i_b": CURRENTS["i_b"]}
+    if given == "alphabeta":
+        with pytest.raises(RecordError, match="no column 'i_alpha'"):
+            read_log(T | voltages | currents, currents=given)
+    else:
+        log = read_log(T | voltages | currents, currents=given)
+        assert (log.frame, log.current_frame) == ("alphabeta", "abc")
+        (part,) = log.aligned()
+        np.testing.assert_allclose(part.current, np.stack([Z.real, Z.imag], 1), atol=1e-12)
