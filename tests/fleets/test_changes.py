@@ -6,10 +6,14 @@ from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
+from scipy import optimize, stats
 
 from fluxobs.fleets.changes import (
     FALSE_ALARM,
     LEAST,
+    Course,
+    _is_line,
+    _segment,
     change_points,
     course_of,
     penalty,
@@ -109,3 +113,151 @@ def test_few_values_have_a_level_and_no_more(n):
 def test_all_logs_of_one_moment():
     found = course_of(np.zeros(10), np.linspace(0, 1, 10), np.full(10, 0.3))
     assert found.slope == 0.0
+
+
+def scatter_by_root_finding(t, values, stds):
+    """What makes the median of the normalised second differences that of a squared normal."""
+    numbers = []
+    for k in range(1, len(t) - 1):
+        share = (t[k] - t[k - 1]) / (t[k + 1] - t[k - 1])
+        weights = np.array([share - 1, 1.0, -share])
+        numbers.append((weights @ values[k - 1 : k + 2], weights**2 @ stds[k - 1 : k + 2] ** 2))
+        numbers[-1] += (weights @ weights,)
+    off, known, gain = np.array(numbers).T
+
+    def excess(variance):
+        return np.median(off**2 / (known + gain * variance)) - stats.chi2(1).median()
+
+    return np.sqrt(optimize.brentq(excess, 0.0, 100.0, xtol=1e-14))
+
+
+@pytest.mark.parametrize("n", [5, 6, 41])
+def test_scatter_is_that_of_the_median_of_second_differences(n):
+    rng = np.random.default_rng(n)
+    t, stds = np.cumsum(rng.uniform(0.2, 3.0, n)), rng.uniform(0.1, 0.3, n)
+    values = 2 * t + rng.standard_normal(n)
+    assert scatter_of(t, values, stds) == pytest.approx(
+        scatter_by_root_finding(t, values, stds), rel=2e-4
+    )
+
+
+def test_equal_times_compare_a_value_with_the_mean_of_its_neighbours():
+    values = np.array([0.0, 2.0, 1.0, 4.0, 0.0, 1.0])
+    assert scatter_of(np.zeros(6), values, np.full(6, 0.1)) == pytest.approx(
+        scatter_by_root_finding(np.arange(6.0), values, np.full(6, 0.1)), rel=2e-4
+    )
+
+
+def test_five_values_tell_a_scatter_and_a_trend_four_do_not():
+    values = np.array([0.0, 3.0, 1.0, 5.0, 2.0])
+    t, stds = np.arange(5.0), np.full(5, 0.1)
+    assert scatter_of(t, values, stds) > 1.0
+    assert scatter_of(t[:4], values[:4], stds[:4]) == 0.0
+    assert trend(t, t, stds**2)[0] == pytest.approx(1.0)
+    assert trend(t[:4], t[:4], stds[:4] ** 2) == (0.0, np.inf)
+
+
+def test_second_differences_as_large_as_their_stds_are_no_scatter():
+    """Zigzag by ±a: the second difference is 2a, its variance 1.5 std²."""
+    a = np.sqrt(stats.chi2(1).median() * 1.5) / 2
+    zigzag = a * (-1.0) ** np.arange(9)
+    assert scatter_of(np.arange(9.0), 0.999 * zigzag, np.ones(9)) == 0.0
+    more = scatter_of(np.arange(9.0), 1.1 * zigzag, np.ones(9))
+    assert more == pytest.approx(np.sqrt(1.1**2 - 1), rel=1e-3)
+
+
+@pytest.mark.parametrize("n", [8, 30, 100])
+def test_a_change_must_gain_what_chance_exceeds_once_in_a_hundred_series(n):
+    """Student's t on both sides, over n places for the change; 0.37 n degrees of freedom, the
+    efficiency of the median absolute deviation."""
+    freedom = max(2.0, 0.37 * (n - 2))
+    assert 2 * n * stats.t(freedom).sf(np.sqrt(penalty(n))) == pytest.approx(0.01)
+
+
+def test_the_shortest_series_have_a_penalty():
+    assert penalty(0) == penalty(2)
+    assert 4 * stats.t(2).sf(np.sqrt(penalty(2))) == pytest.approx(0.01)
+    assert penalty(3) > penalty(2)
+
+
+def test_a_change_needs_three_values_on_each_side():
+    step = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
+    assert change_points(step, np.full(6, 1e-6)) == [0, 3, 6]
+    assert change_points(step[1:], np.full(5, 1e-6)) == [0, 5]
+
+
+@pytest.mark.parametrize(("factor", "edges"), [(0.99, [0, 12]), (1.01, [0, 6, 12])])
+def test_a_change_is_worth_its_penalty(factor, edges):
+    """A step of d between two halves of n/2 values gains n d²/4."""
+    step = factor * np.sqrt(4 * penalty(12) / 12)
+    assert change_points(step * (np.arange(12) >= 6), np.ones(12)) == edges
+
+
+def test_two_changes_are_not_found_at_the_price_of_one():
+    """Three levels 0, d, 0 of 6 values each gain 4 d² by two changes."""
+    values = np.repeat([0.0, 1.0, 0.0], 6)
+    step = np.sqrt(2 * penalty(18) / 4)
+    assert change_points(0.99 * step * values, np.ones(18)) == [0, 18]
+    assert change_points(1.01 * step * values, np.ones(18)) == [0, 6, 12, 18]
+
+
+def test_a_line_must_explain_what_steps_explain():
+    t = np.arange(12.0)
+    variance = np.linspace(0.5, 2.0, 12)
+    for noise in np.linspace(0.0, 4.0, 9):
+        values = t + noise * np.where(t < 6, -1.0, 1.0)
+        edges = [0, 6, 12]
+        w = np.sqrt(1 / variance)
+        line = np.polynomial.Polynomial.fit(t, values, 1, w=w)
+        slope_left = np.sum((w * (values - line(t))) ** 2)
+        step_left = sum(
+            np.sum((w[k] * (values[k] - np.average(values[k], weights=w[k] ** 2))) ** 2)
+            for k in (slice(0, 6), slice(6, 12))
+        )
+        assert _is_line(t, values, variance, edges) == (slope_left <= step_left)
+
+
+def test_each_step_of_a_staircase_costs_a_penalty():
+    """Against three steps, a line has two penalties in hand."""
+    t = np.arange(16.0)
+    values = np.repeat([0.0, 1.0, 2.0, 3.0], 4)
+    line = np.polynomial.Polynomial.fit(t, values, 1)
+    left = np.sum((values - line(t)) ** 2)
+    for factor, is_line in ((0.99, True), (1.01, False)):
+        size = factor * np.sqrt(2 * penalty(16) / left)
+        assert _is_line(t, size * values, np.ones(16), [0, 4, 8, 12, 16]) == is_line
+
+
+def test_a_trend_counts_from_four_deviations_on():
+    for slope, drifts in ((3.9, False), (4.1, True), (-3.9, False), (-4.1, True)):
+        assert Course((), 0.0, slope, 1.0).drifts == drifts
+
+
+def test_levels_and_jumps_have_the_std_of_weighted_means():
+    values = np.array([1.0, 2.0, 4.0, 41.0, 42.0, 44.0])
+    stds = np.array([1.0, 2.0, 1.0, 2.0, 2.0, 1.0]) * 0.5
+    first, second = (_segment(values, stds**2, *edges) for edges in ((0, 3), (3, 6)))
+    assert first.mean == pytest.approx((1 + 2 / 4 + 4) / 2.25)
+    assert first.std == pytest.approx(0.5 / np.sqrt(2.25))
+    assert second.std == pytest.approx(0.5 / np.sqrt(1.5))
+    ((at, by, std),) = Course((first, second), 0.0, 0.0, 1.0).jumps
+    assert at == 3
+    assert by == pytest.approx(second.mean - first.mean)
+    assert std == pytest.approx(0.5 * np.sqrt(1 / 2.25 + 1 / 1.5))
+
+
+def test_the_trend_is_that_of_the_last_segment():
+    t = np.arange(16.0)
+    values = np.where(t < 8, 0.1 * (-1) ** t, 50.0 + 0.2 * t)
+    found = course_of(t, values, np.full(16, 1.0))
+    assert [segment.last for segment in found.segments] == [8, 16]
+    assert found.slope == pytest.approx(0.2)
+    assert found.slope_std == pytest.approx(1 / np.sqrt(42.0))
+
+
+def test_the_scatter_widens_the_stds():
+    rng = np.random.default_rng(9)
+    t, values, stds = np.arange(30.0), rng.standard_normal(30), np.full(30, 0.4)
+    found = course_of(t, values, stds)
+    assert found.scatter == scatter_of(t, values, stds) > 0.5
+    assert found.segments[0].std == pytest.approx(np.hypot(0.4, found.scatter) / np.sqrt(30))

@@ -100,8 +100,8 @@ def scatter_of(t: Array, values: Array, stds: Array) -> float:
     off = values[1:-1] - (1 - share) * values[:-2] - share * values[2:]
     gain = 1 + (1 - share) ** 2 + share**2
     known = stds[1:-1] ** 2 + (1 - share) ** 2 * stds[:-2] ** 2 + share**2 * stds[2:] ** 2
-    # The median of a squared standard normal number is 0.4549.
-    low, high = 0.0, float(np.max(off**2))
+    # The median of a squared standard normal number is 0.4549; no gain is below 1.5.
+    low, high = 0.0, float(np.max(off**2)) / (1.5 * 0.4549)
     if np.median(off**2 / known) <= 0.4549:
         return 0.0
     for _ in range(60):  # what makes the median right: bisection, it falls with the scatter
