@@ -9,7 +9,15 @@ from scipy import stats
 
 from fluxobs.campaigns import statistics
 from fluxobs.campaigns.specification import GoodTable, Specification
-from fluxobs.campaigns.statistics import Yield, indices, is_good, pair, verdicts, yield_of
+from fluxobs.campaigns.statistics import (
+    Verdict,
+    Yield,
+    indices,
+    is_good,
+    pair,
+    verdicts,
+    yield_of,
+)
 
 
 @pytest.mark.parametrize(("good", "of"), [(0, 10), (10, 10), (987, 1000), (1, 7)])
@@ -123,3 +131,160 @@ def test_words():
     assert statistics.in_words(table) == (
         "2° rms, 10° at most, valid on 90 % of the rows, never lost"
     )
+
+
+@pytest.mark.parametrize(
+    ("field", "column", "limit", "best", "worst"),
+    [
+        ("rms", "rms", 2.0, np.radians(1.99), np.radians(2.01)),
+        ("worst", "worst", 2.0, np.radians(1.99), np.radians(2.01)),
+        ("valid", "valid", 0.75, 0.75, 0.749),
+        ("first_valid", "first_valid", 0.5, 0.5, 0.501),
+        ("losses", "losses", 1, 1, 2),
+        ("losses", "losses", 0, 0, 1),
+    ],
+)
+def test_a_limit_of_good_from_both_sides(field, column, limit, best, worst):
+    table = GoodTable(**{"rms": None} | {field: limit})
+    frame = rows(**{column: [best, worst, None]})
+    assert frame.select(is_good(table)).to_series().to_list() == [True, False, False]
+    failed = rows(**{column: [best], "failed": ["no number"]})
+    assert not failed.select(is_good(table)).item()
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"rms": 2}, "2° rms"),
+        ({"worst": 10}, "10° at most"),
+        ({"valid": 0.9}, "valid on 90 % of the rows"),
+        ({"first_valid": 0.25}, "valid after 0.25 s"),
+        ({"losses": 3}, "lost 3 times at most"),
+        ({}, "ever valid"),
+    ],
+)
+def test_each_limit_in_words(given, words):
+    assert statistics.in_words(GoodTable(**{"rms": None} | given)) == words
+
+
+def test_a_yield_in_words():
+    exact = stats.binomtest(37, 40).proportion_ci(0.95, "exact")
+    words = f"92.5 % ({100 * exact.low:.1f} to {100 * exact.high:.1f} %)"
+    assert str(Yield(37, 40)) == words
+
+
+@pytest.mark.parametrize(
+    ("wanted", "sure"), [(0.795, True), (0.80, False), (0.98, False), (0.986, True)]
+)
+def test_a_verdict_is_sure_outside_of_the_interval(wanted, sure):
+    """37 of 40 have the exact interval 79.6 to 98.4 %."""
+    verdict = Verdict("m", "o", wanted, Yield(37, 40))
+    assert verdict.met == (wanted < 0.925)
+    word = "met" if wanted < 0.925 else "missed"
+    assert str(verdict).startswith(f"{word}: o on m: 92.5 % (79.6 to 98.4 %), wanted ")
+    assert f"wanted {100 * wanted:g} %" in str(verdict)
+    assert ("too few scenarios" in str(verdict)) != sure
+
+
+def test_a_limit_that_is_just_reached_is_met():
+    assert Verdict("m", "o", 0.5, Yield(1, 2)).met
+
+
+def test_rows_of_machine_and_observer():
+    frame = rows(machine=["a", "a", "b"], observer=["x", "y", "x"])
+    for machine, observer, count in (
+        *((None, None, 3), ("a", None, 2), (None, "x", 2)),
+        *(("a", "x", 1), ("b", "y", 0)),
+    ):
+        assert len(statistics.group(frame, machine, observer)) == count
+
+
+def test_an_observer_that_never_is_valid_has_the_error_of_an_unknown_angle():
+    """Uniform over a turn: π/√3 rms. Below 1e-6 rad nothing is told apart."""
+    found = statistics.response(rows(rms=[None, 0.01, 1e-6, 1e-9]))
+    uniform = np.sqrt(np.mean(np.linspace(-np.pi, np.pi, 100_001) ** 2))
+    np.testing.assert_allclose(10**found, [uniform, 0.01, 1e-6, 1e-6], rtol=1e-4)
+
+
+def by_bins(x, y, bins):
+    """ε² of one-way analysis of variance (Kelley), over bins of equally many rows."""
+    groups = np.array_split(y[np.argsort(x, kind="stable")], bins)
+    f = stats.f_oneway(*groups).statistic
+    between, within = bins - 1, len(y) - bins
+    return between * (f - 1) / (between * f + within)
+
+
+@pytest.mark.parametrize(("n", "bins"), [(80, 4), (100, 5), (640, 32), (2560, 32)])
+def test_an_index_is_the_effect_size_of_an_analysis_of_variance(n, bins):
+    rng = np.random.default_rng(n)
+    x = rng.permutation(n).astype(float)
+    y = np.sin(4 * x / n) + rng.standard_normal(n)
+    assert statistics._first_order(x, y) == pytest.approx(by_bins(x, y, bins))
+
+
+def test_few_rows_have_two_bins():
+    x, y = np.arange(30.0), np.random.default_rng(4).standard_normal(30)
+    assert statistics._first_order(x, y) == pytest.approx(by_bins(x, y, 2))
+
+
+def test_as_many_values_as_bins_are_the_bins():
+    """Three values of unequal numbers; a fourth makes four bins of equally many rows."""
+    rng = np.random.default_rng(5)
+    x = np.repeat([0.0, 1.0, 2.0, 3.0], [10, 20, 20, 30])
+    y = x + rng.standard_normal(80)
+    f = stats.f_oneway(*(y[x == value] for value in range(4))).statistic
+    assert statistics._first_order(x, y) == pytest.approx(3 * (f - 1) / (3 * f + 76))
+    more = x.copy()
+    more[0] = -1.0
+    assert statistics._first_order(more, y) == pytest.approx(by_bins(more, y, 4))
+
+
+def frame_of(n, seed=0):
+    rng = np.random.default_rng(seed)
+    a, b = rng.random((2, n))
+    return pl.DataFrame({"a": a, "b": b, "c": 1.0, "rms": 10 ** (a - 2 * b)})
+
+
+def test_eighty_rows_tell_indices_fewer_do_not():
+    assert indices(frame_of(79), ("a", "b")) == []
+    assert [one.quantity for one in indices(frame_of(80), ("a", "b"))] == ["b", "a"]
+
+
+def test_what_does_not_vary_has_no_index():
+    assert {one.quantity for one in indices(frame_of(80), ("a", "b", "c"))} == {"a", "b"}
+    assert indices(frame_of(80).with_columns(rms=0.1), ("a", "b")) == []
+
+
+def test_the_interval_is_that_of_two_hundred_resamplings_about_the_estimate():
+    frame = frame_of(200)
+    x, y = frame["a"].to_numpy(), np.log10(frame["rms"].to_numpy())
+    rng = np.random.default_rng(11)
+    picks = [rng.integers(200, size=200) for _ in range(200)]
+    again = np.array([by_bins(x[pick], y[pick], 10) for pick in picks])
+    (found,) = indices(frame, ("a",), seed=11)
+    share = by_bins(x, y, 10)
+    assert found.share == pytest.approx(share)
+    low, high = np.percentile(again - again.mean() + share, [2.5, 97.5])
+    assert (found.low, found.high) == pytest.approx((low, high))
+
+
+def test_an_index_is_not_negative():
+    rng = np.random.default_rng(1)
+    frame = pl.DataFrame({"a": rng.random(80), "rms": 10 ** rng.random(80)})
+    x, y = frame["a"].to_numpy(), np.log10(frame["rms"].to_numpy())
+    assert by_bins(x, y, 4) < 0  # of this seed
+    (found,) = indices(frame, ("a",))
+    assert found.share == 0.0
+    assert found.low == 0.0
+
+
+@pytest.mark.parametrize(("n", "cells"), [(10, 2), (269, 2), (270, 3), (1920, 8), (4000, 8)])
+def test_cells_of_a_pair_hold_about_thirty_rows(n, cells):
+    a, b = np.random.default_rng(n).random((2, n))
+    frame = rows(a=a, b=b, rms=np.full(n, 0.001))
+    found = pair(frame, GoodTable(), "a", "b")
+    assert (found.x, found.y) == ("a", "b")
+    assert found.of.shape == found.good.shape == (cells, cells)
+    np.testing.assert_allclose(found.x_edges, np.percentile(a, np.linspace(0, 100, cells + 1)))
+    np.testing.assert_allclose(found.y_edges, np.percentile(b, np.linspace(0, 100, cells + 1)))
+    assert found.of.sum() == n
