@@ -6,14 +6,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
 from fluxobs.campaigns.chunk import specification_of
+from fluxobs.campaigns.courses import course_of, most_knots
 from fluxobs.campaigns.distributions import Distribution, correlated, correlator
-from fluxobs.campaigns.draws import COURSE, at_point, scenarios
-from fluxobs.campaigns.specification import Specification, check, read_specification
+from fluxobs.campaigns.draws import (
+    COURSE,
+    NOISE,
+    POINT,
+    Scenario,
+    at_point,
+    points,
+    scenarios,
+    total,
+)
+from fluxobs.campaigns.specification import (
+    CourseTable,
+    Specification,
+    check,
+    read_specification,
+)
 from fluxobs.errors import FluxobsError, UsageError
 
 U = (np.arange(100_000) + 0.5) / 100_000
@@ -46,6 +61,7 @@ def test_choice_and_grid_take_each_value_as_often():
         assert np.ptp(counts) <= 1
 
 
+@settings(max_examples=15, deadline=None)
 @given(st.floats(-0.95, 0.95))
 def test_normal_scores_have_the_correlation(r):
     rng = np.random.default_rng(0)
@@ -192,3 +208,297 @@ def test_sobol_points_fill_every_slice():
     for name in ("R", "L"):
         values = sorted(one.values[name] for one in scenarios(s, 0, 64))
         assert [int(64 * value) for value in values] == list(range(64))
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({}, "give one of fixed, .*, got none"),
+        ({"fixed": 1, "choice": [1]}, "got fixed, choice"),
+        ({"uniform": [1, 1]}, r"uniform = \[least, most\] must rise"),
+        ({"log": [2, 2]}, r"log = \[least, most\] must rise"),
+        ({"log": [0, 2]}, r"log = \[least, most\] must be positive"),
+        ({"normal": [0, 0]}, "normal: the standard deviation must be positive, got 0"),
+        ({"lognormal": [1, -1]}, "lognormal: the standard deviation must be positive, got -1"),
+        ({"lognormal": [0, 1]}, "lognormal: the median must be positive, got 0"),
+        ({"normal": [0, 1], "within": [1, 1]}, r"within = \[least, most\] must rise"),
+        ({"uniform": [0, 1], "within": [0, 1]}, "within is for normal and lognormal"),
+        ({"normal": [0, 1], "within": [6.0, 9.0]}, "leaves nothing"),
+        ({"lognormal": [1, 0.5], "within": [-2.0, 0.0]}, "leaves nothing"),
+    ],
+)
+def test_distributions_that_are_none(given, words):
+    with pytest.raises(ValueError, match=words):
+        Distribution(**given)
+
+
+def test_distributions_that_just_are():
+    """The normal tail beyond 5.99 is 1.05e-9: more than nothing."""
+    Distribution(normal=[0, 1], within=[5.99, 20])
+    Distribution(log=[1e-9, 1])
+    assert Distribution(normal=[-1, 1e-9]).at(np.array([0.5])) == -1
+
+
+@pytest.mark.parametrize("within", [[1.0, 5.0], [-1.0, 3.0], [0.0, 3.0]])
+def test_a_lognormal_is_cut_off(within):
+    low, high = (np.log(x / 2) / 0.5 if x > 0 else -np.inf for x in within)
+    cut = stats.truncnorm(low, high, 0, 0.5)
+    found = Distribution(lognormal=[2, 0.5], within=within).at(U)
+    np.testing.assert_allclose(found, 2 * np.exp(cut.ppf(U)), rtol=1e-6)
+
+
+def test_a_cut_off_is_not_left_by_rounding():
+    found = Distribution(normal=[0, 1], within=[-0.1, 0.3]).at(np.array([0.0, 1.0]))
+    assert found == pytest.approx([-0.1, 0.3], abs=1e-12)
+    assert -0.1 <= found[0] < found[1] <= 0.3
+
+
+def test_the_last_place_of_a_list_holds_its_end():
+    assert Distribution(choice=[1, 2]).at(np.array([0.0, 0.499, 0.5, 1.0])).tolist() == [1, 1, 2, 2]
+    assert Distribution(fixed=3).at(U[:2]).tolist() == [3, 3]
+
+
+def test_only_a_fixed_value_is_equal_in_all_drives():
+    assert not Distribution(fixed=0).varies
+    assert Distribution(choice=[1]).varies
+
+
+@pytest.mark.parametrize("given", [True, "1", [1, 2], None])
+def test_what_is_no_distribution(given):
+    with pytest.raises(UsageError, match="give a number, or a table"):
+        specification(vary={"R": given})
+
+
+@pytest.mark.parametrize(
+    ("correlations", "words"),
+    [
+        ({"a": 0.5}, "name two quantities"),
+        ({"a, b, c": 0.5}, "name two quantities"),
+        ({"a, a": 0.5}, "name two quantities"),
+        ({"a, b": 0.5, "b, a": 0.5}, "'b, a': it is given twice"),
+        ({"a, b": 1.0}, "must be between -1 and 1, got 1"),
+        ({"a, b": -1.0}, "must be between -1 and 1, got -1"),
+    ],
+)
+def test_correlations_that_are_none(correlations, words):
+    with pytest.raises(UsageError, match=words):
+        correlator(["a", "b", "c"], correlations)
+
+
+def test_the_factor_gives_the_correlations():
+    factor = correlator(["a", "b", "c"], {"a, b": 0.999, "c ,b": -0.01})
+    wanted = [[1, 0.999, 0], [0.999, 1, -0.01], [0, -0.01, 1]]
+    np.testing.assert_allclose(factor @ factor.T, wanted, atol=1e-12)
+
+
+def test_correlated_quantities_of_a_drive():
+    """Normal scores z of a point; b = r a + √(1 − r²) z."""
+    vary = {"L": {"normal": [0, 1]}, "R": {"normal": [0, 1]}, "theta_e": 0.0}
+    s = specification(vary=vary, correlation={"R, L": 0.6})
+    values = at_point(s, stats.norm.cdf([0.5, 2.0]))
+    assert values == pytest.approx({"L": 0.5, "R": 0.6 * 0.5 + 0.8 * 2.0})
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"score_from": 2.0}, "score_from = 2 s: nothing of 2 s is left"),
+        ({"speeds": [0.0, 1.0]}, "speeds = .* must be positive and rise"),
+        ({"speeds": [0.6, 0.5]}, "speeds = .* must be positive and rise"),
+        ({"segment": [0.0, 1.0]}, "segment = .* must be positive and rise"),
+        ({"loads": [0.1, 0.0]}, "loads = .* must rise"),
+        ({"stops": 1.01}, "stops is a share, at most 1"),
+        ({"reversals": 1.01}, "reversals is a share, at most 1"),
+        ({"stops": -0.1}, "stops: input should be greater"),
+        ({"load": [[0, 0], [1, 1], [0.5, 1]]}, "load: times must not decrease"),
+        ({"load": "rundom"}, "give .random., or"),
+        ({"speed": [[0, 1, 2]]}, "give .random., or"),
+        ({"speed": []}, "give .random., or"),
+    ],
+)
+def test_courses_that_cannot_be(given, words):
+    with pytest.raises(UsageError, match=words):
+        specification(course=given)
+
+
+def test_courses_at_their_limits():
+    specification(
+        course={
+            "score_from": 1.999,
+            "speeds": [0.5, 0.5],
+            "segment": [0.5, 0.5],
+            "loads": [0.3, 0.3],
+            "stops": 1.0,
+            "reversals": 1.0,
+            "load": [[0, 0], [0, 1]],
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"kind": "plain", "unknowns": ["drift"]}, "unknowns is for adaptive, not for plain"),
+        ({"kind": "ekf", "unknowns": ["drift"]}, "unknowns is for adaptive, not for ekf"),
+        ({"kind": "ekf", "memory": 0.1}, "memory is for plain and adaptive; ekf has gains"),
+        ({"kind": "adaptive", "gains": {"x": 1}}, "adaptive has no gains"),
+        ({"kind": "plain", "machine": {"J": 1.1}}, "factors on R, L, psi; got 'J'"),
+        (3, "give a name, or a table"),
+    ],
+)
+def test_observers_that_cannot_be(given, words):
+    with pytest.raises(UsageError, match=words):
+        specification(observers=[given])
+
+
+def test_observers_with_all_they_have():
+    plain, adaptive, other = specification(
+        observers=[
+            {"kind": "plain", "memory": 0.1, "machine": {"R": 1.1, "L": 0.9, "psi": 1.2}},
+            {"kind": "adaptive", "memory": 0.1, "unknowns": ["drift"], "name": "mine"},
+            {"kind": "ekf", "gains": {"q": 1.0}},
+        ]
+    ).observers
+    assert (plain.name, adaptive.name, other.name) == ("plain", "mine", "ekf")
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"scenarios": 10_000_001}, "scenarios: input should be less than or equal to 10000000"),
+        ({"seed": -1}, "seed: input should be greater than or equal to 0"),
+        ({"machines": ["servo-400w", "servo-400w"]}, "machines: one is named twice"),
+        ({"limits": [{"good": 1.1}]}, "good: input should be less than or equal to 1"),
+        ({"limits": [{"good": 0.9, "machine": "servo"}]}, "limits: no machine 'servo'"),
+        ({"good": {"losses": -1}}, "losses: input should be greater than or equal to 0"),
+        ({"vary": {"R": 0}}, "R = 0 is impossible"),
+        ({"vary": {"temperature": -200}}, "temperature = -200 is impossible"),
+        ({"vary": {"range": 0}}, "range = 0 is impossible"),
+        ({"vary": {"knee": 0}}, "knee = 0 is impossible"),
+        ({"sampling": "sobol", "scenarios": 3}, "powers of two; take 2 or 4"),
+        ({"vary": {"load": {"grid": [1, 2, 3]}}, "scenarios": 3, "sampling": "random"}, None),
+        ({"vary": {"load": {"grid": [1, 2, 3]}}, "scenarios": 2}, "has 3 places; take 3$"),
+        ({"vary": {"load": {"grid": [1, 2, 3]}}, "scenarios": 5}, "has 3 places; take 3 or 6"),
+        ({"loop": "closed", "good": {"losses": 0}}, None),
+        ({"vary": {"temperature": -199}}, None),
+        ({"scenarios": 10_000_000}, None),
+        ({"sampling": "sobol", "scenarios": 1}, None),
+    ],
+)
+def test_campaigns_at_their_limits(given, words):
+    if words is None:
+        specification(**given)
+    else:
+        with pytest.raises(UsageError, match=words):
+            specification(**given)
+
+
+@pytest.mark.parametrize("name", ["viscous", "coulomb", "dead_time", "drop", "noise", "quantum"])
+def test_what_may_be_zero_but_not_negative(name):
+    specification(vary={name: 0})
+    with pytest.raises(UsageError, match=f"{name} = -0.001 is impossible"):
+        specification(vary={name: -1e-3})
+
+
+def test_usual_values():
+    s = specification()
+    assert s.vary["theta_e"].uniform == [-np.pi, np.pi]
+    assert (s.seed, s.loop, s.sampling, s.good.rms) == (0, "open", "random", 2.0)
+    assert s.places == 1
+
+
+def test_words_for_several_quantities_and_names_of_observers():
+    s = specification(vary={"gain": {"uniform": [0.9, 1.1]}}, observers=["plain", "adaptive"])
+    assert s.varied == ("gain_a", "gain_b", "gain_c", "theta_e")
+    assert s.observer().name == "plain"
+    assert s.observer("adaptive").kind == "adaptive"
+    with pytest.raises(UsageError, match="no observer 'adaptve'; did you mean 'adaptive'"):
+        s.observer("adaptve")
+
+
+def test_machine_files_are_called_by_their_names_if_these_differ():
+    s = specification(machines=["servo-400w", "/a/m.toml", "/b/m.toml", "/b/n.toml"])
+    assert [s.called(one) for one in s.machines] == ["servo-400w", "/a/m.toml", "/b/m.toml", "n"]
+
+
+def test_a_scenario_has_the_course_and_noise_that_it_borrows():
+    drawn = scenarios(specification(scenarios=3), 0, 3)
+    lent = Scenario(0, "servo-400w", {}, seed=0, like=2)
+    for stream in (COURSE, NOISE):
+        assert lent.generator(stream).random() == drawn[2].generator(stream).random()
+    first = [drawn[0].generator(stream).random() for stream in (POINT, COURSE, NOISE)]
+    assert len(set(first)) == 3
+
+
+def test_all_scenarios():
+    s = specification(machines=["servo-400w", "pmsm-2kw2"], scenarios=5)
+    assert total(s) == 10
+    assert [one.machine for one in scenarios(s, 5, 7)] == ["pmsm-2kw2"] * 2
+    assert points(specification(vary={"theta_e": 0.0}), 3, 7).shape == (4, 0)
+
+
+def courses(count=300, **table):
+    table = CourseTable(**table)
+    drawn = [Scenario(k, "servo-400w", {}, seed=0) for k in range(count)]
+    return [course_of(table, one) for one in drawn]
+
+
+def test_given_courses_are_taken():
+    speed, load = [(0.0, 0.0), (1.0, 0.5)], [(0.0, 0.3)]
+    assert courses(1, speed=speed, load=load) == [(speed, load)]
+
+
+def test_random_courses_keep_their_limits():
+    table = {"speeds": [0.1, 0.6], "loads": [-0.3, 0.5], "segment": [0.4, 0.7], "ramp": 0.2}
+    reached, loads, lengths = [], [], []
+    for speed, load in courses(**table):
+        t, x = np.array(speed).T
+        assert t[0] == x[0] == 0
+        assert (np.diff(t) >= 0).all()
+        slopes = np.diff(x)[np.diff(t) > 0] / np.diff(t)[np.diff(t) > 0]
+        assert np.abs(slopes).max() == pytest.approx(1 / 0.2, rel=1e-9)
+        reached.append(abs(x[1]))
+        times, torques = np.array(load).T
+        assert load[0] == (0.0, 0.0)
+        assert (times[1::2] == times[2::2]).all()  # steps
+        assert (torques[1::2] == torques[:-1:2]).all()
+        assert times[-1] < 2.0
+        assert 2.0 - times[-1] <= 0.7
+        lengths += [times[1], *np.diff(times[1::2])]
+        loads += [*torques[2::2]]
+    assert stats.kstest(reached, stats.loguniform(0.1, 0.6).cdf).pvalue > 1e-3
+    assert stats.kstest(loads, stats.uniform(-0.3, 0.8).cdf).pvalue > 1e-3
+    assert stats.kstest(lengths, stats.uniform(0.4, 0.3).cdf).statistic < 0.1
+    assert max(len(knots) for pair in courses(**table) for knots in pair) <= most_knots(
+        CourseTable(**table)
+    )
+
+
+def targets(**table):
+    """Speeds at the ends of all segments but the first, and the first; segments longer than a
+    ramp."""
+    given = {"segment": [0.5, 0.5], "ramp": 0.01, "speeds": [0.5, 1.0], "load": [[0, 0]]}
+    ends = [np.array(speed)[1::2, 1] for speed, _ in courses(**given | table)]
+    return np.array(ends)
+
+
+def test_shares_of_stops_and_reversals():
+    first, *later = targets(stops=0.25, reversals=0.0).T
+    assert (first != 0).all()
+    assert (first > 0).mean() == pytest.approx(0.5, abs=0.1)
+    assert np.mean(np.equal(later, 0)) == pytest.approx(0.25, abs=0.04)
+    signs = np.sign(targets(stops=0.0, reversals=0.2))
+    assert signs.shape == (300, 4)
+    assert np.mean(signs[:, 1:] != signs[:, :-1]) == pytest.approx(0.2, abs=0.04)
+
+
+def test_a_drive_that_stops_in_every_segment_starts():
+    speeds = targets(stops=1.0)
+    assert (np.abs(speeds[:, 0]) >= 0.5).all()
+    assert (speeds[:, 1:] == 0).all()
+
+
+def test_knots_that_no_course_exceeds():
+    assert most_knots(CourseTable(duration=2.0, segment=[0.5, 1.0])) == 2 * 5 + 2
+    many = [[0.01 * k, 0.0] for k in range(50)]
+    assert most_knots(CourseTable(load=many)) == 50
