@@ -119,7 +119,8 @@ def picture(found: Sequence[Followed], drive: str) -> Figure:
             middle = when[0] + (when[-1] - when[0]) // 2
             axis.set_xlim(middle - SPAN // 2, middle + SPAN // 2)
         axis.set_title(f"{FOLLOWED[one.name][2]} [{one.unit}]")
-        locator: Any = AutoDateLocator(maxticks=5)  # type: ignore[no-untyped-call]
+        # With two ticks at least, there is an interval for every length; else three days warn.
+        locator: Any = AutoDateLocator(minticks=2, maxticks=5)  # type: ignore[no-untyped-call]
         axis.xaxis.set_major_locator(locator)
         axis.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
         axis.tick_params(labelsize=7)
