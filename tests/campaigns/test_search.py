@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import polars as pl
 import pytest
+from scipy import optimize
 from scipy.stats import norm
 
 from fluxobs.campaigns import simulated as simulated_module
 from fluxobs.campaigns.columns import schema
-from fluxobs.campaigns.search import estimate_rare, evaluator, find_worst
+from fluxobs.campaigns.search import Rare, estimate_rare, evaluator, find_worst
 from fluxobs.campaigns.specification import GoodTable, Specification
 from fluxobs.errors import FluxobsError, UsageError
 
@@ -129,3 +130,149 @@ def test_points_are_simulated_with_the_course_they_borrow(monkeypatch):
     found = run(np.zeros((3, 4)), [5, 5, 6])
     assert found["number"].to_list() == [0, 1, 2]
     assert found["rms_all"][0] == found["rms_all"][1] != found["rms_all"][2]
+
+
+@pytest.mark.parametrize(
+    ("rare", "low", "high"),
+    [
+        (Rare(0.1, 0.02, 50, 100, 40.0), 0.1 - 0.0392, 0.1 + 0.0392),
+        (Rare(0.01, 0.02, 50, 100, 40.0), 0.0, 0.0492),
+        (Rare(0.99, 0.02, 50, 100, 40.0), 0.9508, 1.0),
+    ],
+)
+def test_interval_of_a_rare_failure(rare, low, high):
+    assert rare.interval == pytest.approx((low, high), abs=1e-6)
+
+
+@pytest.mark.parametrize(("effective", "few"), [(9.9, True), (10.0, False)])
+def test_a_rare_failure_in_words(effective, few):
+    text = str(Rare(0.0123, 0.001, 50, 100, effective))
+    assert text.startswith("0.012 (0.01 to 0.014), from 50 failures, worth 10, among 100 scenarios")
+    assert text.endswith("a larger --budget helps") == few
+
+
+def watched(error, s=None, **options):
+    """Scores and borrowed courses of every generation, and what is estimated."""
+    seen = []
+
+    def evaluate(scores, like):
+        seen.append((scores, list(like)))
+        return rows(error(scores))
+
+    done = []
+    found = estimate_rare(
+        s or specification(),
+        *("servo-400w", "plain"),
+        evaluate=evaluate,
+        progress=lambda k, of: done.append((k, of)),
+        **options,
+    )
+    assert (
+        found.tried == sum(len(scores) for scores, _ in seen) == sum(len(like) for _, like in seen)
+    )
+    assert done[-1] == (options["budget"], options["budget"])
+    return seen, found
+
+
+def test_moves_take_half_of_the_budget_and_courses_of_their_own():
+    seen, found = watched(lambda scores: np.full(len(scores), 1e-3), budget=2400)
+    assert [len(scores) for scores, _ in seen] == [200] * 6 + [1200]
+    numbers = [k for _, like in seen for k in like]
+    assert numbers == list(range(64, 64 + 2400))
+    assert (found.failures, found.effective) == (0, 0.0)
+    two = specification(machines=["pmsm-2kw2", "servo-400w"])
+    seen, _ = watched(lambda scores: np.full(len(scores), 1e-3), two, budget=100)
+    assert [len(scores) for scores, _ in seen] == [64] * 7
+    assert seen[0][1][0] == 128
+
+
+def test_what_often_fails_needs_one_move():
+    seen, found = watched(lambda scores: np.ones(len(scores)), budget=1200)
+    assert [len(scores) for scores, _ in seen] == [100, 1100]
+    assert found.failures == 1100
+    assert found.probability == pytest.approx(1.0, abs=4 * found.std)
+
+
+@pytest.mark.parametrize(("share", "moves"), [(0.10, 6), (0.11, 1)])
+def test_moves_end_when_more_than_a_tenth_fails(share, moves):
+    def error(scores):
+        failing = np.arange(len(scores)) < share * len(scores) - 1e-9
+        return np.where(failing, 1.0, 1e-3)
+
+    seen, _ = watched(error, budget=1200)
+    assert len(seen) == moves + 1
+
+
+def test_samples_are_a_mixture_whose_weights_make_the_estimate():
+    """Failures lie beyond 2.5 on the first axis. The densities of the mixture are SciPy's."""
+    seen, found = watched(lambda x: np.exp(x[:, 0] - 2.5), budget=4000, good=ONE_RADIAN)
+    last = seen[-1][0]
+    fails = last[:, 0] > 2.5
+    *_, before = [scores for scores, _ in seen[:-1]]
+    moved = last[last @ before.mean(0) > 6.0]
+    assert len(moved) > 100
+    centre = optimize.minimize(
+        lambda mean: -np.sum(np.log(mixture(last, mean))), before.mean(0), method="BFGS"
+    ).x
+    assert 2.0 < centre[0] < 3.3
+    weight = norm.pdf(last).prod(1) / mixture(last, centre)
+    assert weight.max() <= 1 / 0.3
+    assert found.probability == pytest.approx(np.mean(weight * fails), rel=0.1)
+    assert found.std == pytest.approx(np.std(weight * fails) / np.sqrt(len(last)), rel=0.1)
+    worth = np.sum(weight[fails]) ** 2 / np.sum(weight[fails] ** 2)
+    assert found.effective == pytest.approx(worth, rel=0.1)
+    assert found.failures == fails.sum()
+
+
+ONE_RADIAN = GoodTable(rms=float(np.degrees(1.0)))
+
+
+def mixture(scores, mean):
+    return 0.3 * norm.pdf(scores).prod(1) + 0.7 * norm.pdf(scores - mean).prod(1)
+
+
+def test_failures_far_out_are_not_followed_beyond_four_deviations():
+    seen, _ = watched(lambda x: np.exp(x[:, 0] - 30.0), budget=4000, good=ONE_RADIAN)
+    lengths = [np.linalg.norm(scores.mean(0)) for scores, _ in seen[:-1]]
+    assert lengths[-1] == pytest.approx(4.0, abs=0.3)
+    assert max(lengths) < 4.3
+
+
+def test_the_search_begins_within_seven_tenths_of_a_deviation():
+    seen, done = [], []
+
+    def evaluate(scores, like):
+        seen.append(scores)
+        assert set(like) == {64}
+        return rows(np.exp(-np.sum((scores - 9.0) ** 2, axis=1) / 100))
+
+    s = specification(machines=["pmsm-2kw2", "servo-400w"])
+    found = find_worst(
+        s,
+        *("servo-400w", "plain"),
+        budget=1280,
+        measure="rms",
+        evaluate=evaluate,
+        progress=lambda k, of: done.append((k, of)),
+    )
+    assert {len(scores) for scores in seen} == {64}
+    assert seen[0].std() == pytest.approx(0.7, abs=0.1)
+    assert np.abs(seen[0].mean()) < 0.2
+    assert np.abs(np.concatenate(seen)).max() <= 4.0
+    assert found.like == 64
+    assert done[0] == (64, 1280)
+    assert found.history[0] < found.history[-1] == max(found.history)
+    assert found.row["rms"] == max(found.history)
+
+
+def test_of_equal_errors_the_likely_one_is_preferred():
+    """A ridge of equal errors along the second axis: the search stays near its middle."""
+    seen = []
+
+    def evaluate(scores, like):
+        seen.append(scores)
+        return rows(np.exp(-((scores[:, 0] - 1.0) ** 2)))
+
+    find_worst(specification(), "servo-400w", "plain", budget=2560, evaluate=evaluate)
+    assert np.abs(seen[-1].mean(0)[1:]).max() < 0.3
+    assert seen[-1].mean(0)[0] == pytest.approx(1.0, abs=0.1)
