@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
@@ -465,3 +466,38 @@ def test_a_stamp_is_size_and_time(tmp_path):
     log.write_text("four")
     assert Source(str(log), "a", "").stamp() == f"4 {log.stat().st_mtime_ns}"
     assert Source(str(tmp_path / "gone"), "a", "").stamp() == ""
+
+
+def test_a_row_says_the_mistakes_that_a_log_has():
+    from fluxobs.fleets.one import told
+
+    facts = {
+        "rows": 200,
+        "sample_time": 0.01,
+        "lag": 1,
+        "unknowns": ("drift", "resistance"),
+        "valid_share": 0.5,
+        "first_valid": 0.2,
+        "warnings": [],
+        "drift": (0.1, 0.2),
+        "error": {"rms": 0.3, "most": 0.4},
+    }
+    for mistakes, words in (((), None), (("late", "swapped"), "late\nswapped")):
+        checked = SimpleNamespace(mistakes=mistakes)
+        row = told(SimpleNamespace(facts=facts, checked=checked, adaptive=None, learnt=None))
+        assert row.get("mistakes") == words
+        assert row["duration"] == 2.0
+        assert row["warnings"] is None
+        assert row["unknowns"] == "drift,resistance"
+        assert (row["drift_alpha"], row["drift_beta"]) == (0.1, 0.2)
+        assert (row["error_rms"], row["error_most"]) == (0.3, 0.4)
+    plain = SimpleNamespace(
+        facts=facts | {"drift": None, "error": None, "warnings": ["a", "b"]},
+        checked=None,
+        adaptive=None,
+        learnt=None,
+    )
+    row = told(plain)
+    assert "drift_alpha" not in row
+    assert "error_rms" not in row
+    assert row["warnings"] == "a\nb"

@@ -358,3 +358,22 @@ def test_other_columns_than_before_are_refused(tmp_path):
     assert len(made.feed(b"a,b,c\n" + FIRST[1])) == 1  # no line of names
     with pytest.raises(RecordError, match=r"changed from t,u_alpha,.* to t,i_alpha,"):
         made.feed(b"t,i_alpha,i_beta,u_alpha,u_beta\n")
+
+
+def test_several_samples_of_a_frame_are_numbered_modulo_65536():
+    names = frame(HEADER, 0, b"0.5,1,u,i")
+    some = np.arange(8, dtype="<f4").tobytes()
+    (part,) = Frames().feed(names + frame(SAMPLES, 65534, some), last=True)
+    assert part.columns["t"].tolist() == [32767.0, 32767.5, 0.0, 0.5]
+    assert part.columns["u"].tolist() == [0, 2, 4, 6]
+    assert part.columns["i"].tolist() == [1, 3, 5, 7]
+
+
+def test_each_damaged_frame_is_counted_once():
+    names, good = frame(HEADER, 0, b"0.5,1,u,i"), frame(SAMPLES, 1, bytes(8))
+    wrong = good[:-1] + bytes([good[-1] ^ 1])
+    frames = Frames()
+    short = frame(SAMPLES, 2, bytes(12))  # one and a half samples
+    parts = frames.feed(names + wrong + good + short + wrong + short, last=True)
+    assert frames.damaged == 4
+    assert whole(parts)["t"].tolist() == [0.5]
