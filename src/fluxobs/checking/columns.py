@@ -120,7 +120,8 @@ def _duty(signals: dict[str, Array]) -> list[Finding]:
     most = float(np.nanmax(np.concatenate(duties))) if duties else 0.0
     if most <= DUTY_MOST:
         return []
-    full = next((n for n in (100.0, 1000.0, *(2.0**k for k in range(8, 17))) if most <= n), most)
+    scales = (100.0, 1000.0, *(2.0**k for k in range(8, 17)))
+    full = min((scale for scale in scales if most <= scale), default=most)
     return [
         Finding(
             "columns",
