@@ -161,10 +161,19 @@ def test_whole_numbers_about_a_large_mean(mean, blamed):
     assert all("raw converter counts" in text and f"(i_a about {mean})" in text for text in said)
 
 
-def test_what_is_not_whole_is_no_count():
-    halves = 100.5 + np.round(10 * np.cos(PHASE))
-    assert findings({"i_a": halves}) == []
-    assert findings({"i_a": 100 + np.round(10 * np.cos(PHASE))})[0].startswith("columns: whole")
+def test_whole_numbers_that_hardly_change():
+    (text,) = findings({"i_a": 100.0 + (PHASE > 1)})
+    assert "raw converter counts" in text
+    assert findings({"i_a": np.full(ROWS, 100.0)}) == [
+        "columns: i_a never changes: is it the right column?"
+    ]
+
+
+@pytest.mark.parametrize("fraction", [0.3, 0.7])
+def test_what_is_not_whole_is_no_count(fraction):
+    whole = 100 + np.round(10 * np.cos(PHASE))
+    assert findings({"i_a": whole + fraction}) == []
+    assert findings({"i_a": whole})[0].startswith("columns: whole")
     assert findings({"i_a": np.full(ROWS, np.nan), "i_b": np.cos(PHASE)}) == []
 
 
@@ -193,7 +202,7 @@ def test_a_true_speed_is_no_angle_and_an_angle_may_follow_another():
 def test_spikes_are_told_from_three_on(count, blamed):
     spiked = waves()
     spiked["i_beta"][500 : 500 + 100 * count : 100] += 30.0
-    said = findings(spiked | {"d_a": spiked["i_beta"] / 100})
+    said = findings({"d_a": spiked["i_beta"] / 100, **spiked})
     assert len(said) == blamed
     for text in said:
         assert text.startswith(
