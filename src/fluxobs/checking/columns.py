@@ -138,7 +138,7 @@ def _counts(signals: dict[str, Array]) -> list[Finding]:
     for name, values in signals.items():
         known = values[np.isfinite(values)]
         whole = len(known) > 0 and bool((known == np.round(known)).all())
-        if whole and abs(known.mean()) is not RAW_OFFSET * known.std() > 0:
+        if whole and abs(known.mean()) > RAW_OFFSET * known.std() > 0:
             raw.append((name, float(known.mean())))
     if not raw:
         return []
