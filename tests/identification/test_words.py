@@ -1,0 +1,244 @@
+"""What an identification says; which logs disagree, with limits from both sides; R_R of a slip."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fluxobs import FluxobsError
+from fluxobs.identification import report, slip
+from fluxobs.identification.fitted import Parameter, in_the_file
+from fluxobs.identification.pooled import Alone, Pooled, _apart
+from support.records import PMSM
+
+
+def apart(value, others, std=0.03):
+    told = {str(k): {"R_s": pair} for k, pair in enumerate(others)}
+    return _apart("x", told | {"x": {"R_s": (value, std)}})
+
+
+@pytest.mark.parametrize(("sigmas", "disagrees"), [(3.9, False), (4.1, True), (-4.1, True)])
+def test_four_standard_deviations_disagree(sigmas, disagrees):
+    """Of the log's own, what the median of four others is sure to, and what they scatter by."""
+    others = [(1.0, 0.02), (1.01, 0.02), (0.99, 0.08), (1.0, 0.01)]
+    own = np.sqrt(0.03**2 + (1.4826 * 0.005) ** 2 + (0.02 / 2) ** 2)
+    found = apart(1 + sigmas * own, others)
+    assert ("R_s" in found) == disagrees
+    for by, size in found.values():
+        assert by == pytest.approx(sigmas * own)
+        assert size == pytest.approx(abs(sigmas))
+
+
+@pytest.mark.parametrize(("share", "disagrees"), [(0.0095, False), (0.0105, True), (-0.0105, True)])
+def test_less_than_a_hundredth_matters_to_nobody(share, disagrees):
+    others = [(-2.0, 1e-6)] * 3
+    assert bool(apart(-2.0 * (1 + share), others, std=1e-6)) == disagrees
+
+
+def test_only_parameters_that_others_tell_are_compared():
+    told = {"x": {"L_s": (1.0, 0.1), "R_s": (9.0, 0.1)}, "a": {"R_s": (1.0, 0.1)}}
+    assert set(_apart("x", told)) == {"R_s"}
+
+
+def alone(told, apart, failed=""):
+    return Alone("day.csv", {n: (v, 0.1) for n, v in told.items()}, failed, apart)
+
+
+def test_by_how_much_a_log_is_off():
+    one = alone({"R_s": 1.2, "inverter": 2.0}, {"R_s": (0.2, 5.4), "inverter": (2.0, 4.6)})
+    assert one.words == (
+        "day.csv: R_s = 1.2, 5 standard deviations off (+20.0 %); "
+        "inverter = 2, 5 standard deviations off: as copper +51 K would"
+    )
+    assert alone({}, {}, "no").words == "day.csv: alone it tells nothing: no"
+
+
+@pytest.mark.parametrize(
+    ("told", "by", "cause"),
+    [
+        ({"R_s": 1.2}, {"R_s": 0.2}, ": as copper +51 K would"),
+        (
+            {"R_s": 1.2, "psi_f": 1.0},
+            {"R_s": 0.2},
+            ": as copper +51 K would, the magnets as they were; or a contact",
+        ),
+        (
+            {"R_s": 1.2, "psi_f": 0.945},
+            {"R_s": 0.2, "psi_f": -0.055},
+            ": as heat would, copper +51 K and magnets +50 K",
+        ),
+        (
+            {"R_s": 0.9, "psi_f": 1.1},
+            {"R_s": -0.1, "psi_f": 0.1},
+            ": as heat would, copper -25 K and magnets -91 K",
+        ),
+        (
+            {"R_s": 1.2, "psi_f": 1.1},
+            {"R_s": 0.2, "psi_f": 0.1},
+            ": another motor, or magnets that changed",
+        ),
+        ({"psi_f": 1.1}, {"psi_f": 0.1}, ": another motor, or magnets that changed"),
+        (
+            {"R_s": 1.2, "L_s": 2.0},
+            {"R_s": 0.2, "L_s": 1.0},
+            ": another motor, or another saturation",
+        ),
+        ({"inverter": 2.0}, {"inverter": 1.0}, ""),
+    ],
+)
+def test_what_a_difference_may_come_from(told, by, cause):
+    """Copper's resistance grows by 0.393 % per kelvin, magnets lose 0.11 %."""
+    one = alone(told, {name: (value, 6.0) for name, value in by.items()})
+    assert one.words.endswith(cause or "standard deviations off (+100.0 %)")
+
+
+def pooled(*logs, twice=()):
+    together = SimpleNamespace(lines=lambda: ["machine"], facts={"rows": 7}, machine=PMSM)
+    return Pooled(together, logs, dict(twice))
+
+
+GOOD = alone({"R_s": 1.0}, {})
+BAD = alone({}, {}, "no turn")
+HOT = alone({"R_s": 1.2}, {"R_s": (0.2, 6.0)})
+
+
+def test_many_logs_in_lines():
+    assert pooled(GOOD, GOOD).lines() == ["machine", "2 logs agree"]
+    assert pooled(GOOD, GOOD, BAD).lines()[1:] == [f"Of no use: {BAD.words}", "2 logs agree"]
+    assert pooled(GOOD, HOT).lines()[1:] == [f"Unlike the others: {HOT.words}"]
+    left = "Only one log is left: there is nothing to compare it with"
+    assert pooled(GOOD, BAD).lines()[-1] == left
+    assert pooled(GOOD, GOOD, twice={"b": "a"}.items()).lines()[1] == (
+        "b is a again: it counts once"
+    )
+
+
+def test_many_logs_as_facts():
+    facts = pooled(HOT, BAD).facts
+    assert facts["rows"] == 7
+    assert facts["logs"] == [
+        {
+            "log": "day.csv",
+            "told": {"R_s": [1.2, 0.1]},
+            "failed": None,
+            "apart": {"R_s": [0.2, 6.0]},
+        },
+        {"log": "day.csv", "told": {}, "failed": "no turn", "apart": {}},
+    ]
+
+
+PARAMETERS = [
+    Parameter("R_s", "Ω", 1.0, 1.23456, 0.0123),
+    Parameter("inverter", "V", None, 0.5, 0.1),
+    Parameter("lag", "samples", 0.0, 0.251, 0.01),
+    Parameter("L_s", "H", 0.02, 0.02, None),
+]
+
+
+def fitted(used=99, psi_f=0.5, free=("psi_f",), converged=True):
+    piece = type("", (), {"__len__": lambda _: used, "start": np.array([0.3, 0.4])})()
+    other = type("", (), {"__len__": lambda _: 0, "start": np.array([0.0, 1.5])})()
+
+    def fit(rms, free):
+        values = {"psi_f": psi_f}
+        return SimpleNamespace(rms=lambda: rms, values=values, free=free, converged=converged)
+
+    return SimpleNamespace(
+        parameters=PARAMETERS,
+        untold={"L_s": "no current along d"},
+        map=None,
+        pieces=[piece, other],
+        rows=100,
+        before=fit(0.01, free),
+        after=fit(0.005, ("R_s",)),
+        machine=PMSM,
+        inverter_current=0.125,
+        source="a.csv",
+    )
+
+
+def test_a_report_in_lines():
+    lines = report.lines(fitted())
+    assert lines[:4] == [
+        "R_s = 1.235 ± 0.012 Ω (given 1)",
+        "inverter = 0.5 ± 0.1 V (not given), its sign smoothed at inverter_current = 0.125 A",
+        "lag = 0.251 ± 0.01 samples (given 0); not part of a machine file: give --lag 0.25",
+        "L_s held at 0.02 H: no current along d",
+    ]
+    assert lines[4].startswith("This log cannot tell L_s: held as given.")
+    residual = "Residual of the relation: 2.00% of the flux as given but for psi_f, which is "
+    assert lines[5:] == [residual + "fitted, 1.00% as found"]
+
+
+def test_the_residual_of_a_machine_without_magnets():
+    """Over the mean flux at the starts of the pieces, here of 0.5 and 1.5 Wb."""
+    lines = report.lines(fitted(psi_f=0.0, free=()))
+    assert lines[-1] == "Residual of the relation: 1.00% of the flux as given, 0.50% as found"
+
+
+@pytest.mark.parametrize(("used", "said"), [(99, False), (98, True)])
+def test_rows_that_were_not_used(used, said):
+    lines = report.lines(fitted(used=used))
+    assert any(line.startswith(f"{used} of 100 rows were used") for line in lines) == said
+
+
+def test_a_fit_that_did_not_converge_warns():
+    assert report.lines(fitted(converged=False))[-1].startswith("Warning: the fit did not converge")
+
+
+def test_what_goes_into_the_machine_file():
+    assert in_the_file(PARAMETERS) == {"R_s": (1.23456, 0.0123), "inverter_voltage": (0.5, 0.1)}
+
+
+def rotor_resistance(monkeypatch, rows=480, q=3.0, noise=0.0, rated=20.0, spoil=0):
+    """From rows at rotor angles, with a slip of R_R i_q/ψ, where R_R is 1.7 Ω and ψ 0.8 Wb."""
+    rng = np.random.default_rng(0)
+    theta = 0.1 * np.arange(rows)
+    load = q * np.linspace(1.0, 2.0, rows) * np.where(np.arange(rows) % 2, 1.0, -1.0)
+    i = (4.0 + 1j * load) * np.exp(1j * theta)
+    speed = 100 + np.linspace(0, 1, rows)
+    valid = np.arange(rows) >= spoil
+    slips = 1.7 * load / 0.8 + noise * rng.standard_normal(rows)
+    found = SimpleNamespace(
+        theta_e=theta, valid=valid, speed_e=2 * speed + slips, psi_f=np.full(rows, 0.8)
+    )
+    part = SimpleNamespace(truth=speed, voltage=None, current=np.stack([i.real, i.imag], axis=1))
+    observer = SimpleNamespace(run=lambda voltage, current: found)
+    scales = SimpleNamespace(current=20.0)
+    monkeypatch.setattr(slip, "plain_for", lambda log, machine: (observer, scales))
+    monkeypatch.setattr(slip, "excerpts", lambda log: [part])
+    machine = SimpleNamespace(rated_current=rated, n_p=2)
+    return slip.resistance_from_speed(SimpleNamespace(path="a.csv"), machine), load, slips
+
+
+def test_the_rotor_resistance_of_a_slip(monkeypatch):
+    (value, std), _, _ = rotor_resistance(monkeypatch)
+    assert value == pytest.approx(1.7)
+    assert std < 1e-12
+
+
+def test_its_standard_deviation_is_the_scatter_of_24_stretches(monkeypatch):
+    (value, std), load, slips = rotor_resistance(monkeypatch, noise=1.0)
+    x, y = (load / 0.8).reshape(24, -1), slips.reshape(24, -1)
+    assert value == pytest.approx((x * y).sum() / (x * x).sum())
+    scores = (x * (y - value * x)).sum(axis=1)
+    assert std == pytest.approx(np.sqrt(24 / 23 * (scores**2).sum()) / (x * x).sum())
+
+
+@pytest.mark.parametrize(("q", "rated", "told"), [(2.01, 20.0, True), (0.99, 20.0, False)])
+def test_rows_with_a_tenth_of_the_rated_current_tell(monkeypatch, q, rated, told):
+    for given in (rated, None):
+        if told:
+            assert rotor_resistance(monkeypatch, q=q, rated=given)[0][0] == pytest.approx(1.7)
+        else:
+            with pytest.raises(FluxobsError, match="known on 0 rows"):
+                rotor_resistance(monkeypatch, q=q, rated=given)
+
+
+@pytest.mark.parametrize(("spoil", "told"), [(240, True), (241, False)])
+def test_ten_rows_a_stretch_are_enough(monkeypatch, spoil, told):
+    if told:
+        assert rotor_resistance(monkeypatch, spoil=spoil)[0][0] == pytest.approx(1.7)
+    else:
+        with pytest.raises(FluxobsError, match="known on 239 rows"):
+            rotor_resistance(monkeypatch, spoil=spoil)
