@@ -126,6 +126,14 @@ def test_without_a_turn_or_an_angle_nothing_is_said():
     assert words(np.full_like(THETA, np.nan)) == []
 
 
+@pytest.mark.parametrize(("square", "told"), [(0.97, False), (1.03, True)])
+def test_a_turn_of_a_radian_tells(square, told):
+    """The squares of what the stretches turn by, together."""
+    moved = (THETA[:, AT[-1]] - THETA[:, 0]) ** 2
+    small = np.sqrt(square / moved.sum()) * THETA
+    assert bool(words(small, theta=small)) == told
+
+
 def test_half_a_turn_is_no_error_where_the_flux_does_not_tell_it():
     assert "fits to 0.0°" in words(THETA + np.pi, machine=SYNRM)[0]
     assert "is off by" in words(THETA + np.pi, machine=PMSM)[0]

@@ -46,7 +46,7 @@ ROUNDS = 3
 TURNED = np.pi / 2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Prior:
     """Normal prior of ln R, ln L, ln ψ over the machine file's, and of V_d over the voltage."""
 

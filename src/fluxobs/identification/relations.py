@@ -27,7 +27,7 @@ LARGEST = 0.3
 STEP = 1e-4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Rows:
     """What a relation says of rows.
 

@@ -1,0 +1,44 @@
+"""Results do not change after they are made, and those of arrays are compared as objects."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+import pkgutil
+from types import ModuleType
+
+import pytest
+
+
+def dataclasses_of(room: ModuleType) -> list[type]:
+    """All dataclasses that the modules of a package define."""
+    names = [f"{room.__name__}.{module.name}" for module in pkgutil.iter_modules(room.__path__)]
+    classes = [
+        kind
+        for name in names
+        for _, kind in inspect.getmembers(importlib.import_module(name), inspect.isclass)
+        if kind.__module__ == name and dataclasses.is_dataclass(kind)
+    ]
+    assert classes
+    return classes
+
+
+def holds_arrays(kind: type) -> bool:
+    """Whether a field is an array, or a list or mapping of arrays."""
+    words = ("Array", "Complex", "NDArray")
+    return any(word in str(field.type) for field in dataclasses.fields(kind) for word in words)
+
+
+def check_frozen(kind: type) -> None:
+    """No field can be set."""
+    blank = object.__new__(kind)
+    for field in dataclasses.fields(kind):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(blank, field.name, None)
+
+
+def check_compared_as_object(kind: type) -> None:
+    """== would ask an array for its truth."""
+    blank, other = object.__new__(kind), object.__new__(kind)
+    assert len({blank, other}) == 2
