@@ -13,13 +13,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from clang.cindex import Cursor, CursorKind, Index, TokenKind, TranslationUnit
+import ziglang
+from clang.cindex import Cursor, CursorKind, Diagnostic, Index, Token, TokenKind, TranslationUnit
 
 ROOT = Path(__file__).parents[2]
 FIRMWARE = ROOT / "firmware"
 BUILD = ROOT / "build" / "mutants"
 #: Where the installed package keeps compiled modules and the sources that it exports.
 PACKAGE = Path(sysconfig.get_path("purelib")) / "fluxobs"
+#: libclang comes without <stdbool.h> and the like; a source without them loses what uses them.
+HEADERS = Path(ziglang.__file__).parent / "lib" / "include"
 #: Binary operator → what an error makes of it.
 SWAPS = {
     "+": "-*", "-": "+*", "*": "+/", "/": "*-",
@@ -64,7 +67,7 @@ class CMutant:
 
 def install() -> None:
     """Compile the sources as they are into the installed package."""
-    if not BUILD.exists():
+    if not (BUILD / "build.ninja").exists():
         nanobind = subprocess.run(
             [sys.executable, "-m", "nanobind", "--cmake_dir"],
             check=True, capture_output=True, text=True,
@@ -83,23 +86,32 @@ def install() -> None:
         shutil.copy(source, PACKAGE / "firmware" / source.name)
 
 
-def c_mutants(pattern: str = "*.c") -> list[CMutant]:
-    """All errors in the firmware's sources, their functions and the constants defined in them."""
+def c_mutants(pattern: str = "*.[ch]") -> list[CMutant]:
+    """All errors in the firmware's sources, their functions and the constants defined in them.
+
+    Raises
+    ------
+    ValueError
+        Clang does not understand a source, and would leave out what it does not.
+    """
     mutants = []
     index = Index.create()
     for path in sorted(FIRMWARE.glob(pattern)):
         unit = index.parse(
             str(path),
-            args=["-std=c99", f"-I{FIRMWARE}", "-DFO_SINGLE=0"],
+            args=["-std=c99", f"-I{FIRMWARE}", f"-isystem{HEADERS}", "-DFO_SINGLE=0"],
             options=TranslationUnit.PARSE_DETAILED_PROCESSING_RECORD,
         )
+        errors = [str(d) for d in unit.diagnostics if d.severity >= Diagnostic.Error]
+        if errors:
+            raise ValueError("; ".join(errors))
         for cursor in unit.cursor.walk_preorder():
             if cursor.location.file is not None and Path(cursor.location.file.name) == path:
-                mutants += _of_cursor(path, cursor)
+                mutants += _of_cursor(cursor)
     return list({(mutant.path, mutant.start, mutant.text): mutant for mutant in mutants}.values())
 
 
-def _of_cursor(path: Path, cursor: Cursor) -> Iterator[CMutant]:
+def _of_cursor(cursor: Cursor) -> Iterator[CMutant]:
     tokens = list(cursor.get_tokens())
     match cursor.kind:
         case CursorKind.BINARY_OPERATOR | CursorKind.COMPOUND_ASSIGNMENT_OPERATOR:
@@ -109,31 +121,38 @@ def _of_cursor(path: Path, cursor: Cursor) -> Iterator[CMutant]:
             ]
             operator = next((token for token in after if token.spelling in SWAPS), None)
             for text in SWAPS[operator.spelling] if operator else ():
-                yield _mutant(path, operator, text)
+                yield _mutant(operator, text)
         case CursorKind.UNARY_OPERATOR if tokens and tokens[0].spelling in ("!", "-"):
-            yield _mutant(path, tokens[0], " ")
+            yield _mutant(tokens[0], " ")
         case CursorKind.INTEGER_LITERAL | CursorKind.FLOATING_LITERAL if tokens:
-            yield from _of_number(path, tokens[0])
+            yield from _of_number(tokens[0])
         case CursorKind.MACRO_DEFINITION:
             for token in tokens[1:]:
-                yield from _of_number(path, token)
+                yield from _of_number(token)
 
 
-def _of_number(path: Path, token: object) -> Iterator[CMutant]:
+def _of_number(token: Token) -> Iterator[CMutant]:
     """One more and one less, as for Python."""
-    if token.kind is not TokenKind.LITERAL or not re.fullmatch(
-        r"(\d+\.?\d*(?:[eE][-+]?\d+)?)[uUfFlL]*", token.spelling
-    ):
+    number = re.fullmatch(
+        r"(?P<integer>0[xX][\da-fA-F]+|\d+)[uUlL]*"
+        r"|(?P<real>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)[fFlL]?",
+        token.spelling,
+    )
+    if token.kind is not TokenKind.LITERAL or number is None:
         return
-    number, suffix = re.fullmatch(r"([\d.eE+-]+)([uUfFlL]*)", token.spelling).groups()
-    for step in (1, -1):
-        changed = float(number) + step if re.search("[.eE]", number) else int(number) + step
-        yield _mutant(
-            path, token, f"({changed!r}{suffix})" if changed < 0 else f"{changed!r}{suffix}"
-        )
+    digits = number[number.lastgroup]
+    value = int(digits, 0) if number.lastgroup == "integer" else float(digits)
+    suffix = token.spelling.removeprefix(digits)
+    for changed in (value + 1, value - 1):
+        if changed != value:  # beyond 2^53 they are equal
+            yield _mutant(
+                token, f"({changed!r}{suffix})" if changed < 0 else f"{changed!r}{suffix}"
+            )
 
 
-def _mutant(path: Path, token: object, text: str) -> CMutant:
+def _mutant(token: Token, text: str) -> CMutant:
+    """A macro's argument is in the file where it stands, not where the macro is used."""
     start, end = token.extent.start, token.extent.end
+    path = Path(start.file.name)
     name = f"{token.spelling} -> {text.strip() or 'nothing'}"
     return CMutant(path, start.line, name, (path, start.offset), start.offset, end.offset, text)
