@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import sysconfig
@@ -61,8 +62,19 @@ class CMutant:
             install()
             yield
         finally:
-            self.path.write_bytes(original)
-            install()
+            with undisturbed():
+                self.path.write_bytes(original)
+                install()
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """An interrupt waits for the end; the compiler inherits this."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def install() -> None:

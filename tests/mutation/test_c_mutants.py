@@ -1,6 +1,8 @@
 """The one-line errors in C are where they say, and are taken back."""
 
 import contextlib
+import os
+import signal
 
 import pytest
 
@@ -65,6 +67,21 @@ def test_an_interrupt_takes_the_error_back(mutants):
             assert mutant.path.read_bytes() != original
             raise KeyboardInterrupt
         assert mutant.path.read_bytes() == original
+
+
+def test_an_interrupt_waits_for_the_sources_to_be_compiled_again(mutants, monkeypatch):
+    installed = []
+
+    def install():
+        if installed:
+            os.kill(os.getpid(), signal.SIGINT)
+        installed.append(mutants[0].path.read_bytes())
+
+    monkeypatch.setattr(c_mutants, "install", install)
+    original = mutants[0].path.read_bytes()
+    with pytest.raises(KeyboardInterrupt), mutants[0].applied():
+        pass
+    assert installed[1:] == [original]
 
 
 def test_a_source_that_clang_does_not_understand_is_named(mutants, tmp_path):
