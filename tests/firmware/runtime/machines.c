@@ -49,8 +49,69 @@ static void impossible(const char *motor, const fo_machine *m, size_t offset, co
     set(motor, m, offset, (fo_real)-0.5, field);
 }
 
+/* The machine whose number is just within its limit is taken; just beyond, `field` is named. */
+static void both_sides(const fo_machine *m, size_t offset, bool most, const char *field)
+{
+    const fo_real little = (fo_real)1e-4;
+    times("within a limit", m, offset, most ? 1 - little : 1 + little, NULL);
+    times("beyond a limit", m, offset, most ? 1 + little : 1 - little, field);
+}
+
+static void check_limits(void)
+{
+    const fo_machine magnets[] = {
+        /* R_s, L, psi, current: one ratio at its least or most */
+        fo_pmsm(1, (fo_real)2e-6, 1, 2000),          /* L/R of 2 us */
+        fo_pmsm(1, 5, 1, 1),                         /* and of 5 s */
+        fo_pmsm(1, (fo_real)3e-3, 1, 1 / (fo_real)3), /* L i of a thousandth of psi */
+        fo_pmsm(1, (fo_real)0.03, 1, 50 / (fo_real)0.03), /* and of 50 times */
+        fo_pmsm((fo_real)0.01, (fo_real)0.01, 1, 1), /* R i of psi at 0.01 rad/s */
+        fo_pmsm(1, (fo_real)1e-4, 1, (fo_real)2e4),  /* and at 20 000 */
+    };
+    both_sides(&magnets[2], AT(rated_current), false, "psi or rated_current");
+    both_sides(&magnets[3], AT(rated_current), true, "psi or rated_current");
+    both_sides(&magnets[4], AT(R_s), false, "R_s");
+    both_sides(&magnets[5], AT(R_s), true, "R_s");
+    both_sides(&magnets[1], AT(R_s), false, "R_s");
+    fo_machine scaled = magnets[0];
+    for (int side = -1; side <= 1; side += 2) {
+        scaled.L_q = magnets[0].L_q * (1 + (fo_real)1e-4 * (fo_real)side);
+        scaled.L_d = scaled.L_q;
+        expect("L/R", &scaled, H, side < 0 ? "L_q" : NULL);
+    }
+    fo_machine salient = fo_ipmsm((fo_real)3.6, (fo_real)36e-3, (fo_real)36e-3, (fo_real)0.545, 6);
+    salient.L_d = 50 * salient.L_q;
+    both_sides(&salient, AT(L_d), true, "L_d");
+    salient.L_d = salient.L_q / 50;
+    both_sides(&salient, AT(L_d), false, "L_d");
+    fo_machine cage = fo_induction((fo_real)3.7, (fo_real)2.24, (fo_real)21e-3, (fo_real)0.224, 1, 7);
+    cage.R_R = cage.L_M * 1000;
+    both_sides(&cage, AT(R_R), true, "R_R");
+    cage.R_R = cage.L_M / 100;
+    both_sides(&cage, AT(R_R), false, "R_R");
+    /* of a ratio to L_sigma that no machine has, L_M is the cause */
+    cage.L_M = cage.L_q;
+    cage.R_R = cage.L_M * 2000;
+    expect("L_M as L_sigma", &cage, H, "R_R");
+    cage.L_M *= (fo_real)0.999;
+    expect("L_M below L_sigma", &cage, H, "L_M");
+    cage.L_M = cage.L_q * (fo_real)999;
+    cage.R_R = cage.L_M * 2000;
+    expect("L_M below 1000 L_sigma", &cage, H, "R_R");
+    cage.L_M = cage.L_q * (fo_real)1001;
+    cage.R_R = cage.L_M * 2000;
+    expect("L_M beyond 1000 L_sigma", &cage, H, "L_M");
+    const fo_machine servo = fo_pmsm((fo_real)0.36, (fo_real)0.6e-3, (fo_real)0.0125, 12);
+    /* the usual memory, 30 ms, is 9.99 to 1.001e6 samples */
+    expect("long samples", &servo, (fo_real)3.002e-3, NULL);
+    expect("longer samples", &servo, (fo_real)3.004e-3, "sample_time");
+    expect("short samples", &servo, (fo_real)2.998e-8, NULL);
+    expect("shorter samples", &servo, (fo_real)2.996e-8, "sample_time");
+}
+
 int main(void)
 {
+    check_limits();
     const fo_real k = (fo_real)1000;
     const struct {
         const char *name;
