@@ -32,7 +32,7 @@ def errors(observer, samples):
     return wrapped_degrees(estimate.theta_e - samples.theta), estimate
 
 
-@pytest.mark.parametrize("share", [1e-4, 0.005, 0.0101, 0.1, 0.25, 1.0])
+@pytest.mark.parametrize("share", [1e-4, 0.005, 0.0099, 0.0101, 0.1, 0.25, 1.0, 3.0, 20.0, 50.0])
 def test_weights_are_what_the_cubic_misses(share):
     def response(t):
         return 1 - np.exp(-share * t)

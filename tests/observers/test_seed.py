@@ -116,3 +116,57 @@ def test_seeds_that_make_no_sense_are_refused():
         observer.seed(0.0, [0.0, 0.0], theta_e_std=0.1, psi_f_std=-0.01)
     with pytest.raises(UsageError, match="batch of shape"):
         observer.seed(0.0, [0.0, 0.0], theta_e_std=0.1, state=observer.init((3,)))
+
+
+SERVO, CURRENT = example("servo-400w"), np.array([3.0, -4.0])
+
+
+def first(observer, theta, current=CURRENT, **given):
+    """The estimate one sample after a seed; the voltage keeps the current at rest."""
+    state = observer.seed(theta, current, **{"theta_e_std": 0.1} | given)
+    return observer.step(state, SERVO.R_s * np.asarray(current), current)[1]
+
+
+@pytest.mark.parametrize("psi_f", [0.0, 0.02, -0.02])
+@pytest.mark.parametrize("theta", [-6.2, -3.1, -1.0, 0.0, 0.4, 2.0, 3.1, 4.0, 6.2])
+def test_the_flux_is_that_of_the_angle(theta, psi_f):
+    observer = LeastSquaresObserver.for_machine(SERVO, sample_time=H)
+    found = first(observer, theta, psi_f=psi_f)
+    vector = (psi_f or observer.flux_base) * np.exp(1j * theta)
+    flux = vector + SERVO.L_s * complex(*CURRENT)
+    assert complex(*found.flux) == pytest.approx(flux, rel=1e-3)
+    assert found.theta_e == pytest.approx(np.angle(vector), abs=1e-3)
+    assert found.psi_f == pytest.approx(abs(vector), rel=1e-3)
+    assert found.theta_e_std == pytest.approx(0.1, rel=1e-3)
+
+
+def test_limits_of_a_seed_from_both_sides():
+    observer = LeastSquaresObserver.for_machine(SERVO, sample_time=H)
+    little, most = 1e-6, observer.current_limit * CURRENT / np.linalg.norm(CURRENT)
+    for inside, beyond in (
+        (
+            {"psi_f": observer.length_min * (1 + little)},
+            {"psi_f": observer.length_min * (1 - little)},
+        ),
+        (
+            {"psi_f": 1e3 * observer.flux_base * (1 - little)},
+            {"psi_f": 1e3 * observer.flux_base * (1 + little)},
+        ),
+        ({"current": most * (1 - little)}, {"current": most * (1 + little)}),
+    ):
+        assert first(observer, 0.5, **inside).theta_e_std < 0.2
+        assert first(observer, 0.5, **beyond).theta_e_std > 1.8
+
+
+@pytest.mark.parametrize("kind", [LeastSquaresObserver, AdaptiveObserver])
+def test_what_a_seed_leaves_open_is_as_usual(kind):
+    observer = kind.for_machine(SERVO, sample_time=H)
+    usual = 0.0125
+
+    def seed(**given):
+        return observer.seed(0.5, CURRENT, **{"theta_e_std": 0.1} | given)
+
+    assert seed() == seed(psi_f=usual, psi_f_std=0.25 * usual)
+    assert seed(psi_f=2 * usual) == seed(psi_f=2 * usual, psi_f_std=0.5 * usual)
+    assert seed() != seed(psi_f_std=0.26 * usual)
+    assert seed(theta_e_std=1e-9) == seed(theta_e_std=1e-3) != seed(theta_e_std=1.001e-3)

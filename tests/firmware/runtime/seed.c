@@ -38,6 +38,19 @@ static int follows(const fo_seed *seed, const fo_real current[2])
     return endless == 0 && valid > 0;
 }
 
+/* An unknown angle is uniform over a turn. */
+static const fo_real UNKNOWN = (fo_real)1.8;
+
+/* The angle's standard deviation one sample after a seed. */
+static fo_real std_after(const fo_seed *seed)
+{
+    const fo_real still[2] = {0, 0};
+    any_estimate e;
+    SEED(&motor_observer, &state, seed, still);
+    STEP(&motor_observer, &state, &samples[0][0], &samples[0][2], &e);
+    return e POSITION.theta_e_std;
+}
+
 int main(void)
 {
     const fo_real bad[] = {(fo_real)NAN, (fo_real)INFINITY, (fo_real)-INFINITY, (fo_real)1e30};
@@ -63,12 +76,19 @@ int main(void)
     }
     fo_seed unsure = good;
     unsure.theta_e_std = (fo_real)0; /* as a structure of zeros has it */
-    SEED(&motor_observer, &state, &unsure, still);
-    any_estimate e;
-    STEP(&motor_observer, &state, &samples[0][0], &samples[0][2], &e);
-    if (!(e POSITION.theta_e_std > (fo_real)1.8)) {
+    if (!(std_after(&unsure) > UNKNOWN)) {
         printf("a seed without a standard deviation is believed\n");
         failures++;
+    }
+    for (int side = -1; side <= 1; side += 2) { /* an angle of more than a turn is no angle */
+        fo_seed turn = good;
+        turn.theta_e = (fo_real)side * (fo_real)6.2831;
+        const bool inside = std_after(&turn) < (fo_real)0.2;
+        turn.theta_e = (fo_real)side * (fo_real)6.2833;
+        if (!inside || !(std_after(&turn) > UNKNOWN)) {
+            printf("the limit of the angle is not a turn\n");
+            failures++;
+        }
     }
     return failures > 0;
 }
