@@ -499,8 +499,107 @@ static void check_tracker(void)
     }
 }
 
+static void demand_that(bool good, const char *what, double at)
+{
+    if (!good) {
+        printf("%s at %.17g\n", what, at);
+        failed = 1;
+    }
+}
+
+/* Elementary functions, each within the error that its comment states. */
+static void check_functions(void)
+{
+    const double rounding = sizeof(fo_real) == sizeof(float) ? 4e-7 : 0.0;
+    for (int n = -4000; n <= 4000; n++) {
+        const double x = n / 500.0; /* -8 to 8 */
+        const fo_real y = (fo_real)x;
+        demand_that(n == 0 || fabs((double)soft_sign(y) - tanh(x)) < 0.00141, "soft_sign", x);
+        if (fabs(x) <= (double)PI) {
+            fo_real at[2];
+            fo_direction(y, at);
+            demand_that(fabs((double)at[0] - cos(x)) < 5e-9 + rounding, "cosine", x);
+            demand_that(fabs((double)at[1] - sin(x)) < 5e-9 + rounding, "sine", x);
+        }
+        if (fabs(x) < 1.5) {
+            const fo_real v[FO_N] = {(fo_real)0.6, (fo_real)-0.8};
+            fo_real turned[FO_N];
+            turn(v, y, turned);
+            const double off = hypot((double)turned[0] - 0.6 * cos(x) - 0.8 * sin(x),
+                                     (double)turned[1] + 0.8 * cos(x) - 0.6 * sin(x));
+            demand_that(off <= 1e-3 * fabs(x) + rounding, "turn", x);
+        }
+    }
+    demand_that(wrap(PI) == PI, "wrap", (double)PI);
+    demand_that(wrap(-PI) == PI, "wrap", -(double)PI);
+    demand_that(fabs((double)wrap((fo_real)4) - 4.0 + 2.0 * (double)PI) < 1e-6, "wrap", 4.0);
+    demand_that(fabs((double)wrap((fo_real)-4) + 4.0 - 2.0 * (double)PI) < 1e-6, "wrap", -4.0);
+    /* the mean of t^k from -1 to 0, from samples at 0, -1, -2, -3 */
+    for (int k = 0; k <= 3; k++) {
+        const double mean = pow(-1.0, k) / (k + 1);
+        const fo_real found = mean_current_24((fo_real)pow(0.0, k), (fo_real)pow(-1.0, k),
+                                              (fo_real)pow(-2.0, k), (fo_real)pow(-3.0, k));
+        demand_that(fabs((double)found - 24.0 * mean) < 1e-5, "mean current of power", k);
+    }
+    demand_that(correlation((fo_real)0.5, TWO) == (fo_real)0.25, "correlation", 0.25);
+    demand_that(correlation(-ONE, TWO) == ZERO, "correlation", -0.5);
+    demand_that(correlation(ONE, ZERO) == ZERO, "correlation without power", 0.0);
+    demand_that(correlation(TWO, TWO) == (fo_real)0.98, "correlation", 1.0);
+}
+
+/* The voltage that is lost: signs of the phases as a vector, and its derivative. */
+static void check_direction(void)
+{
+    const double root = sqrt(3.0) / 2.0, over = 0.8, volts = 1.7;
+    const double axes[3][2] = {{1.0, 0.0}, {-0.5, root}, {-0.5, -root}};
+    for (int n = 0; n < 12; n++) {
+        const double angle = 0.1 + n * (double)PI / 6.0, i[2] = {2 * cos(angle), 2 * sin(angle)};
+        const fo_real current[FO_N] = {(fo_real)i[0], (fo_real)i[1]};
+        fo_real signs[FO_N], bend[3] = {ZERO, ZERO, ZERO};
+        double sum[2] = {0.0, 0.0}, slope[3] = {0.0, 0.0, 0.0}, squares = 0.0;
+        const fo_real unsure = direction(current, (fo_real)over, (fo_real)volts, signs, bend);
+        for (int k = 0; k < 3; k++) {
+            const double sign = tanh(over * (axes[k][0] * i[0] + axes[k][1] * i[1]));
+            const double steep = volts * over * (1.0 - sign * sign);
+            squares += sign * sign / 3.0;
+            for (int m = 0; m < 2; m++) {
+                sum[m] += 2.0 / 3.0 * sign * axes[k][m];
+                slope[2 * m] += 2.0 / 3.0 * steep * axes[k][m] * axes[k][m];
+            }
+            slope[1] += 2.0 / 3.0 * steep * axes[k][0] * axes[k][1];
+        }
+        for (int m = 0; m < 2; m++) {
+            demand_that(fabs((double)signs[m] - sum[m]) < 0.003, "signs", angle);
+        }
+        for (int m = 0; m < 3; m++) {
+            demand_that(fabs((double)bend[m] - slope[m]) < 0.01, "bend", angle);
+        }
+        demand_that(fabs((double)unsure - 1.0 + squares) < 0.004, "unsure", angle);
+    }
+}
+
+/* A tracker that is near for a tenth of the memory has settled; while it is not, a thirtieth of the
+ * time counts. Near is within 3 degrees and three standard deviations. */
+static void check_settling(void)
+{
+    static fo_observer o;
+    o.h = (fo_real)0.03;
+    const double limit = (double)PI / 60.0 + 0.3;
+    fo_tracker t = {(fo_real)1, ZERO, ZERO, ZERO, false};
+    settle_tracker(&o, &t, (fo_real)(1.0 + limit - 1e-5), (fo_real)0.1);
+    demand_that(t.settled == o.h, "near", limit);
+    settle_tracker(&o, &t, (fo_real)(1.0 - limit - 1e-5), (fo_real)0.1);
+    demand_that(fabs((double)t.settled - 0.031) < 1e-7, "not near", limit);
+    t.settled = (fo_real)0.1;
+    settle_tracker(&o, &t, ONE, ZERO);
+    demand_that(t.settled == (fo_real)0.1, "settled", 0.1);
+}
+
 int main(void)
 {
+    check_functions();
+    check_direction();
+    check_settling();
     for (int times = 0; times < 20; times++) {
         check_rotation();
         check_step_flux();
