@@ -117,9 +117,20 @@ def c_mutants(pattern: str = "*.[ch]") -> list[CMutant]:
         errors = [str(d) for d in unit.diagnostics if d.severity >= Diagnostic.Error]
         if errors:
             raise ValueError("; ".join(errors))
-        for cursor in unit.cursor.walk_preorder():
-            if cursor.location.file is not None and Path(cursor.location.file.name) == path:
-                mutants += _of_cursor(cursor)
+        cursors = [
+            cursor
+            for cursor in unit.cursor.walk_preorder()
+            if cursor.location.file is not None and Path(cursor.location.file.name) == path
+        ]
+        # An array parameter is a pointer: its size changes nothing.
+        sizes = [cursor.extent for cursor in cursors if cursor.kind is CursorKind.PARM_DECL]
+        mutants += [
+            mutant
+            for cursor in cursors
+            for mutant in _of_cursor(cursor)
+            if mutant.path != path
+            or not any(size.start.offset <= mutant.start < size.end.offset for size in sizes)
+        ]
     return list({(mutant.path, mutant.start, mutant.text): mutant for mutant in mutants}.values())
 
 

@@ -21,7 +21,7 @@ SOURCE = """\
 #include <stdbool.h>
 #define VALUE(name, value) value,
 static const double limits[] = {LIMITS(VALUE)};
-bool above(double x, unsigned n)
+bool above(double x, unsigned n, const char letters[8])
 {
     const bool high = x > limits[1];
     return high && !(n == MASK);
