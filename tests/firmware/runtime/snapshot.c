@@ -43,5 +43,16 @@ int main(void)
     pthread_join(thread, NULL);
     const bool last = fo_read(&shared, &e) && e.psi_f == (fo_real)(WRITES % 1000);
     printf("%ld reads, %ld mixtures\n", reads, mixtures);
-    return reads > 0 && mixtures == 0 && last ? 0 : 1;
+    /* a count that is at its end goes on from 1, as 0 says that there is no estimate */
+    const uint32_t ends[2][2] = {{UINT32_MAX, 1U}, {UINT32_MAX - 1U, UINT32_MAX}};
+    bool counts = true;
+    for (int n = 0; n < 2; n++) {
+        shared.begun = ends[n][0];
+        e.psi_f = (fo_real)n;
+        fo_publish(&shared, &e);
+        counts = counts && fo_read(&shared, &e) && e.psi_f == (fo_real)n && shared.ended == ends[n][1];
+    }
+    shared.begun = 7U; /* a writer is at work */
+    counts = counts && !fo_read(&shared, &e);
+    return reads > 0 && mixtures == 0 && last && counts ? 0 : 1;
 }
