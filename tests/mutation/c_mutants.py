@@ -69,12 +69,19 @@ class CMutant:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """An interrupt waits for the end; the compiler inherits this."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    """An interrupt waits for the end."""
+    arrived: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _: arrived.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in arrived:
+            signal.raise_signal(number)
 
 
 def install() -> None:
@@ -88,7 +95,9 @@ def install() -> None:
         configure += [f"-DPython_EXECUTABLE={sys.executable}"]
         configure += [f"-Dnanobind_DIR={nanobind.stdout.strip()}"]
         subprocess.run(configure, check=True, capture_output=True)
-    subprocess.run(["cmake", "--build", BUILD], check=True, capture_output=True)
+    # In a session of its own: the terminal's interrupt would end it.
+    build = ["cmake", "--build", BUILD]
+    subprocess.run(build, check=True, capture_output=True, start_new_session=True)
     for module in BUILD.glob("_core*.*"):
         if module.suffix in (".so", ".pyd"):
             # A new file: the old one may be mapped by a process that still runs.
@@ -139,11 +148,11 @@ def _of_cursor(cursor: Cursor) -> Iterator[CMutant]:
     match cursor.kind:
         case CursorKind.BINARY_OPERATOR | CursorKind.COMPOUND_ASSIGNMENT_OPERATOR:
             left = next(cursor.get_children())
-            after = [
-                token for token in tokens if token.extent.start.offset >= left.extent.end.offset
-            ]
-            operator = next((token for token in after if token.spelling in SWAPS), None)
-            for text in SWAPS[operator.spelling] if operator else ():
+            end = left.extent.end.offset
+            after = (token for token in tokens if token.extent.start.offset >= end)
+            # An assignment is no operator that changes; what follows it is found by itself.
+            operator = next((token for token in after if token.spelling in {"=", *SWAPS}), None)
+            for text in SWAPS.get(operator.spelling, ()) if operator else ():
                 yield _mutant(operator, text)
         case CursorKind.UNARY_OPERATOR if tokens and tokens[0].spelling in ("!", "-"):
             yield _mutant(tokens[0], " ")

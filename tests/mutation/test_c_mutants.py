@@ -24,6 +24,8 @@ static const double limits[] = {LIMITS(VALUE)};
 bool above(double x, unsigned n, const char letters[8])
 {
     const bool high = x > limits[1];
+    char first;
+    first = *letters;
     return high && !(n == MASK);
 }
 """
@@ -51,9 +53,9 @@ def test_every_error_is_where_it_says(mutants):
         "source.c:7 > -> <",
         "source.c:7 1 -> 2",
         "source.c:7 1 -> 0",
-        "source.c:8 && -> ||",
-        "source.c:8 ! -> nothing",
-        "source.c:8 == -> !=",
+        "source.c:10 && -> ||",
+        "source.c:10 ! -> nothing",
+        "source.c:10 == -> !=",
     }
     for mutant in mutants:
         original = mutant.path.read_bytes()
