@@ -149,9 +149,10 @@ def _of_cursor(cursor: Cursor) -> Iterator[CMutant]:
         case CursorKind.BINARY_OPERATOR | CursorKind.COMPOUND_ASSIGNMENT_OPERATOR:
             left = next(cursor.get_children())
             end = left.extent.end.offset
-            after = (token for token in tokens if token.extent.start.offset >= end)
-            # An assignment is no operator that changes; what follows it is found by itself.
-            operator = next((token for token in after if token.spelling in {"=", *SWAPS}), None)
+            after = [token for token in tokens if token.extent.start.offset >= end]
+            # After "=" stands a sign or a star of its own.
+            pairs = zip([None, *(token.spelling for token in after)], after, strict=False)
+            operator = next((b for a, b in pairs if a != "=" and b.spelling in SWAPS), None)
             for text in SWAPS.get(operator.spelling, ()) if operator else ():
                 yield _mutant(operator, text)
         case CursorKind.UNARY_OPERATOR if tokens and tokens[0].spelling in ("!", "-"):
