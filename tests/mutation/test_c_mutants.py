@@ -6,8 +6,6 @@ import signal
 
 import pytest
 
-pytest.importorskip("clang")
-
 from mutation import c_mutants
 
 HEADER = """\
