@@ -56,7 +56,9 @@ def frame(s: Specification, drawn: list[Scenario]) -> pl.DataFrame:
     return pl.DataFrame(rows_for(s, drawn), schema=schema(s)).sort("number", "observer")
 
 
-@pytest.mark.parametrize("machine", ["servo-400w", "ipm-5kw6"])
+@pytest.mark.parametrize(
+    "machine", ["servo-400w", pytest.param("ipm-5kw6", marks=pytest.mark.slow)]
+)
 def test_rows_do_not_depend_on_what_they_are_simulated_with(machine):
     s = specification(machines=[machine])
     whole = rows_of(s, 0, 20).sort("number", "observer")  # more than one batch
@@ -80,6 +82,7 @@ def test_rows_in_the_loop_do_not_depend_on_what_they_are_simulated_with():
     assert hinkkanen["in_loop"].max() > 0.1
 
 
+@pytest.mark.slow
 def test_the_compiled_observer_in_the_loop_is_its_twin():
     """The call out of the simulation hands over what the twin in JAX computes inside of it."""
     s = specification(loop="closed", observers=["plain"], vary={"noise": 0.002})

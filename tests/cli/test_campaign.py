@@ -172,15 +172,21 @@ def test_a_spoilt_file_is_named_with_the_remedy(copy, tmp_path):
         assert f"delete it, and `fluxobs campaign {copy}`" in run.stderr
     pl.DataFrame({"x": [1]}).write_parquet(rows)
     assert "its columns are not those of rows" in fluxobs("campaign", copy, folder=tmp_path).stderr
-    rows.unlink()
-    (copy / "rows" / "mine.parquet").write_bytes(b"")
-    assert fluxobs("campaign", copy, folder=tmp_path).returncode == 0
-    assert rows.read_bytes() == whole
     for spoilt in ("{", "[]", "{}", '{"fluxobs": "1", "chunk": 0}'):
         (copy / "campaign.json").write_text(spoilt)
         run = fluxobs("campaign", copy, folder=tmp_path)
         assert run.returncode == 2
         assert re.search(r"campaign\.json: (cannot be read|is damaged)", run.stderr)
+
+
+@pytest.mark.slow
+def test_rows_that_were_deleted_are_computed_again(copy, tmp_path):
+    rows = sorted((copy / "rows").iterdir())[0]
+    whole = rows.read_bytes()
+    rows.unlink()
+    (copy / "rows" / "mine.parquet").write_bytes(b"")
+    assert fluxobs("campaign", copy, folder=tmp_path).returncode == 0
+    assert rows.read_bytes() == whole
 
 
 def test_what_cannot_be_repeated_can_still_be_read(copy, tmp_path):
@@ -219,6 +225,7 @@ def test_nothing_could_be_simulated(tmp_path):
     assert run.returncode == 1
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_is_done(tmp_path):
     (tmp_path / "s.toml").write_text(SPECIFICATION.replace("24", "24000"))
     command = [sys.executable, "-m", "fluxobs", "campaign", tmp_path / "s.toml"]

@@ -37,6 +37,7 @@ def test_the_list_needs_nothing_else(folder):
     assert "dead time" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_log_and_a_scenario(folder):
     done = fluxobs(
         "compare",

@@ -250,6 +250,7 @@ def test_a_usual_simulation(units, version):
     assert len(found) == 501
 
 
+@pytest.mark.slow
 def test_binaries_for_other_systems(tmp_path):
     pytest.importorskip("ziglang")
     for name in ("a", "b"):

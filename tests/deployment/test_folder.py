@@ -101,7 +101,7 @@ def test_a_change_of_the_observer_shows(tmp_path, was, becomes):
     assert "FAILED" in done.stdout
 
 
-@pytest.mark.parametrize("every", [2, 5])
+@pytest.mark.parametrize("every", [pytest.param(2, marks=pytest.mark.slow), 5])
 def test_make_test_where_volt_seconds_are_gathered(tmp_path, every):
     fluxobs.export(MACHINES["servo-400w"], 5e-5, tmp_path / "motor", update_every=every)
     done = make_test(tmp_path / "motor")
@@ -117,7 +117,7 @@ def test_make_test_where_volt_seconds_are_gathered(tmp_path, every):
     [
         ("servo-400w", ADAPTIVE),
         ("ipm-2kw2", ("drift", "resistance")),
-        ("synrm-6kw7", ADAPTIVE),
+        pytest.param("synrm-6kw7", ADAPTIVE, marks=pytest.mark.slow),
     ],
 )
 def test_the_adaptive_observer_in_the_folder(tmp_path, name, unknowns):
@@ -401,8 +401,8 @@ def write(folder, files, force=False):
     ("name", "unknowns"),
     [
         ("table", "drift"),
-        ("table", "drift,resistance,inverter"),
-        ("induction-2kw2", "drift"),
+        pytest.param("table", "drift,resistance,inverter", marks=pytest.mark.slow),
+        pytest.param("induction-2kw2", "drift", marks=pytest.mark.slow),
         ("induction-2kw2", "drift,resistance,inverter"),
         ("ipm-2kw2", "drift"),
     ],

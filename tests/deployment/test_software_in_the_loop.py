@@ -99,7 +99,7 @@ def test_fused_multiply_adds_stay_within_the_documented_bound(folders, compiled,
         )
 
 
-@pytest.mark.parametrize("precision", ["single", "double"])
+@pytest.mark.parametrize("precision", ["single", pytest.param("double", marks=pytest.mark.slow)])
 def test_sanitizers_over_all_records(folders, compiled, precision):
     for name in MACHINES:
         program = compiled.program(folders[name], ["gcc"], precision, SANITIZERS)

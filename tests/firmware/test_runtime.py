@@ -145,7 +145,9 @@ def test_another_configuration_in_the_drive(folder):
 
 
 @pytest.mark.parametrize("unknowns", ["drift", ADAPTIVE])
-@pytest.mark.parametrize("name", ["servo-400w", "ipm-2kw2", "induction-2kw2"])
+@pytest.mark.parametrize(
+    "name", ["servo-400w", pytest.param("ipm-2kw2", marks=pytest.mark.slow), "induction-2kw2"]
+)
 def test_a_seed_that_cannot_be_resets(tmp_path, name, unknowns):
     made = tmp_path / "motor"
     fluxobs.export(name, 1e-4, made, unknowns=unknowns)
@@ -181,7 +183,7 @@ def test_the_layout_has_a_number_of_its_own():
 
 
 @pytest.mark.parametrize("compiler", CPP_COMPILERS)
-@pytest.mark.parametrize("standard", ["gnu++11", "c++20"])
+@pytest.mark.parametrize("standard", ["gnu++11", pytest.param("c++20", marks=pytest.mark.slow)])
 def test_the_cpp_header_steps_the_same_observer(folder, compiler, standard):
     program = folder.parent / f"{Path(compiler[-1]).name}-{standard}"
     c_sources = [*folder.glob("*obs*.c"), *(folder / "runtime").glob("*.c")]

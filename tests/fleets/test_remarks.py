@@ -328,6 +328,7 @@ def test_crossed_limits_are_told_first():
     assert remarks(found) == ["all logs: z.", "a: x.", "a: y."]
 
 
+@pytest.mark.slow
 def test_a_report_draws_forty_drives_those_with_remarks_first(tmp_path, monkeypatch):
     drawn = []
 

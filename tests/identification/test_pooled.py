@@ -43,6 +43,7 @@ def together(folder, *names, **options):
     return identify_many(paths, PMSM, workers=1, scheduler="pool", **options)
 
 
+@pytest.mark.slow
 def test_the_machine_of_all_and_the_logs_that_disagree(folder):
     names = [f"day{k}" for k in range(6)]
     found = together(folder, *names, "steady", "other", "still")

@@ -142,7 +142,9 @@ def test_current_bias_alone():
     np.testing.assert_allclose(found.drift[-1], machine.R_s * np.array([0.2, -0.1]), atol=1e-6)
 
 
-@pytest.mark.parametrize("make", [wound_field, doubly_fed, four_pole_bearing])
+@pytest.mark.parametrize(
+    "make", [pytest.param(wound_field, marks=pytest.mark.slow), doubly_fed, four_pole_bearing]
+)
 def test_several_relations(make):
     """Vector output: relations discovered from the energies, any number of ports."""
     system = make()

@@ -14,8 +14,6 @@ from importlib import machinery, resources
 from pathlib import Path
 
 import pytest
-from cyclonedx.schema import SchemaVersion
-from cyclonedx.validation.json import JsonStrictValidator
 
 from support.distributions import EPOCH, build, unpacked
 
@@ -100,6 +98,9 @@ def test_a_wheel_holds_the_package_and_nothing_else(built):
 
 def check_bill(text):
     """It is CycloneDX, and names all that is linked or bundled, with versions and licences."""
+    from cyclonedx.schema import SchemaVersion  # they take three seconds to load
+    from cyclonedx.validation.json import JsonStrictValidator
+
     problem = JsonStrictValidator(SchemaVersion.V1_6).validate_str(text)
     assert problem is None, problem
     parts = {one["name"]: one for one in json.loads(text)["components"]}

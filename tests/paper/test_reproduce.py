@@ -53,6 +53,7 @@ def compare(found, expected, path=""):
         assert found == expected, path
 
 
+@pytest.mark.slow
 def test_quick_run_writes_figures_report_and_the_committed_numbers(tmp_path):
     done = fluxobs("reproduce", "--quick", "--out", "paper", folder=tmp_path)
     assert done.returncode == 0, done.stderr

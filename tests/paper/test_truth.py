@@ -53,6 +53,7 @@ def test_periodic_orbit_is_where_the_record_settles():
     np.testing.assert_allclose(spline(phase), given.trajectory.flux[k], rtol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("segment", "expected"), [(0, 0.00815), (1, 0.01703)])
 def test_growth_on_the_orbit_against_another_solver(segment, expected):
     """Printed gains: the monodromy by LSODA from the regressor's spline."""

@@ -191,7 +191,13 @@ def records(tmp_path_factory):
     return {name: written(name, tmp_path_factory.mktemp("logs")) for name, _ in MACHINES}
 
 
-@pytest.mark.parametrize(("name", "unknowns"), MACHINES)
+@pytest.mark.parametrize(
+    ("name", "unknowns"),
+    [
+        pytest.param(*pair, marks=pytest.mark.slow) if pair[0] == "synrm-6kw7-saturated" else pair
+        for pair in MACHINES
+    ],
+)
 def test_every_machine_and_observer_gives_what_the_library_gives(shared, records, name, unknowns):
     estimated(shared, records[name], example_text(name), unknowns=unknowns, preset="")
     said = shared.page.inner_text("#status")
@@ -265,7 +271,7 @@ def test_keys_alone_lead_from_the_demo_to_a_single_sample(page):
     assert "Arrow keys" in one.js("() => document.activeElement.getAttribute('aria-label')")
 
 
-@pytest.mark.parametrize("scheme", ["dark", "light"])
+@pytest.mark.parametrize("scheme", ["dark", pytest.param("light", marks=pytest.mark.slow)])
 def test_a_phone_shows_all_of_it(page, scheme):
     one = page(viewport={"width": 400, "height": 800}, color_scheme=scheme)
     one.page.click("#demo")

@@ -60,6 +60,7 @@ def test_machines_get_the_observers_that_are_made_for_them():
     assert entries_for(example("ipm-5kw6")) is CATALOGUE
 
 
+@pytest.mark.slow
 def test_under_offsets_the_least_squares_is_the_best():
     found = compare_scenario(scenario("both-biases"), "induction-2kw2")
     best = {result.name: result.tuned.rms for result in found.results}

@@ -211,6 +211,7 @@ def test_switching_and_averaged_inverter_agree_over_a_period(current):
     assert complex(mean) == pytest.approx(120 * np.exp(1.1j) - lost - 0.05 * current, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_switching_drive_runs_as_the_averaged_one():
     """Same course; pulses centred in the sample, so that sampled currents have no ripple."""
     given = {"dead_time": 1e-6, "drop": 1.0, "smoothing": 0.2}

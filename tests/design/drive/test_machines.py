@@ -56,7 +56,10 @@ def test_each_machine_has_its_motor():
     assert type(Motor.of(example("pmsm-2kw2"))) is Motor
 
 
-@pytest.mark.parametrize("name", MOTORS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow) if "map" in name else name for name in MOTORS],
+)
 def test_power_balance(name):
     """What goes in is copper loss, friction, loss in the cage, and what is stored."""
     motor = MOTORS[name]
@@ -176,6 +179,7 @@ def test_sensorless_from_standstill_through_a_loaded_reversal():
     assert np.sqrt(np.mean(error**2)) < 0.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", [{}, {"R_R": 1.2}, {"R_R": 0.8}, {"R_s": 1.2}, {"R_s": 0.8}])
 def test_sensorless_with_wrong_resistances_and_offsets(wrong):
     believed = CAGE
@@ -191,6 +195,7 @@ def test_sensorless_with_wrong_resistances_and_offsets(wrong):
     assert abs(trace.speed[-1] - 1.5 * BASE) < limit * BASE
 
 
+@pytest.mark.slow
 def test_a_drive_with_a_map_follows():
     machine, rated = example("ipm-5kw6"), rating("ipm-5kw6")
     base = rated.speed_e / machine.n_p

@@ -72,7 +72,7 @@ def test_hand_over_waits_until_the_observer_is_sure(drive):
         assert np.abs(position_error(run)[k]) < 5.0
 
 
-@pytest.mark.parametrize("load", [0.0, 0.5])
+@pytest.mark.parametrize("load", [pytest.param(0.0, marks=pytest.mark.slow), 0.5])
 def test_standstill_is_loss_of_excitation_and_is_said(drive, load):
     """Stopped for good: the position cannot be known, and the drive says so before it is wrong."""
     speed = ((0, 0), (0.2, 0), (0.7, 0.3), (0.9, 0.3), (1.1, 0.0))
@@ -92,6 +92,7 @@ def test_standstill_is_loss_of_excitation_and_is_said(drive, load):
     assert np.abs(position_error(run)[valid]).max() < 5.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_a_wrong_resistance_at_a_stop_under_load_ends_in_a_loss_that_is_said(factor):
     """The drop that is taken wrongly lies across the flux: neither residual nor length shows it.

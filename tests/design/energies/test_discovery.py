@@ -63,7 +63,19 @@ def test_every_machine_is_in_the_table():
     assert {make.__name__ for make in LIBRARY} == set(EXPECTED)
 
 
-@pytest.mark.parametrize("make", LIBRARY, ids=lambda make: make.__name__)
+#: These take long, as they have many fluxes or relations.
+LONG = {"wound_field", "doubly_fed", "five_phase_pmsm", "saturated_switched_reluctance"}
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        pytest.param(
+            make, id=make.__name__, marks=pytest.mark.slow if make.__name__ in LONG else ()
+        )
+        for make in LIBRARY
+    ],
+)
 def test_relations_and_transformability(make):
     count, hidden, transformable = EXPECTED[make.__name__]
     system = make()

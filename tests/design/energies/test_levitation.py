@@ -75,6 +75,7 @@ def closed_loop(law, start, duration=1.0, **options):
     )
 
 
+@pytest.mark.slow
 def test_both_solvers_agree_and_relations_hold_between_samples():
     implicit = closed_loop(controller(position=5e-5), TYPICAL)
     explicit = closed_loop(controller(position=5e-5), TYPICAL, stiff=False)

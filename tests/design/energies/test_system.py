@@ -3,6 +3,7 @@
 import runpy
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import equinox as eqx
@@ -26,7 +27,10 @@ from fluxobs.design.energies.library import (
 )
 
 ROOT = Path(__file__).parents[3]
-SYSTEMS = {make.__name__: make() for make in LIBRARY}
+SYSTEMS = {make.__name__: make for make in LIBRARY}
+
+
+made = cache(lambda name: SYSTEMS[name]())
 
 
 @eqx.filter_jit
@@ -39,7 +43,7 @@ def power(system, state, voltage, load):
 @given(seed=st.integers(0, 2**32 - 1), name=st.sampled_from(sorted(SYSTEMS)))
 def test_power_balance(seed, name):
     """Stored = supplied - dissipated, at any state, for every machine of the library."""
-    system, rng = SYSTEMS[name], np.random.default_rng(seed)
+    system, rng = made(name), np.random.default_rng(seed)
     flux, position = (part[0] for part in system.random_states(rng, 1))
     scale = np.abs(np.asarray(system.current(flux, position))).max()
     state = State(flux, position, jnp.asarray(rng.standard_normal(system.n_M)))

@@ -40,7 +40,13 @@ def continuous(name, form="corrected"):
     return case, run_in(rows), flux[20:]
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name == "three-port" else name
+        for name in CASES
+    ],
+)
 def test_continuous_regression_is_exact_after_the_transient(name):
     case, rows, flux = continuous(name)
     rest = residual(rows, case.constraint, flux, case.drift, case.current_bias)
