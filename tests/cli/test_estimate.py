@@ -183,7 +183,7 @@ def test_a_short_log_is_called_short(folder):
 @pytest.mark.parametrize("name", ["SIGINT", pytest.param("SIGTERM", marks=pytest.mark.slow)])
 def test_interrupted_leaves_nothing(folder, name):
     log = pl.read_parquet(folder / "log.parquet")
-    many = pl.concat([log] * 2000).with_columns(t=pl.int_range(pl.len()) * H)
+    many = pl.concat([log] * 800).with_columns(t=pl.int_range(pl.len()) * H)
     many.write_parquet(folder / "log.parquet")
     before = sorted(folder.iterdir())
     command = [sys.executable, "-m", "fluxobs", "estimate", "log.parquet"]

@@ -80,6 +80,7 @@ def test_every_command_has_help(tmp_path, command):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_priors_is_prior(tmp_path):
     tables = []
     for name in ("--prior", "--priors"):

@@ -186,6 +186,7 @@ def test_what_a_unit_refuses(units, instance):
     assert instance.refuses(put, [7], [1.0], says="no input")
 
 
+@pytest.mark.slow
 def test_a_state_of_another_machine_is_refused(tmp_path, monkeypatch):
     """Its bytes have the same size, and a good checksum."""
     monkeypatch.setattr(build, "has_zig", lambda: False)

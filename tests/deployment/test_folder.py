@@ -116,7 +116,7 @@ def test_make_test_where_volt_seconds_are_gathered(tmp_path, every):
     ("name", "unknowns"),
     [
         ("servo-400w", ADAPTIVE),
-        ("ipm-2kw2", ("drift", "resistance")),
+        pytest.param("ipm-2kw2", ("drift", "resistance"), marks=pytest.mark.slow),
         pytest.param("synrm-6kw7", ADAPTIVE, marks=pytest.mark.slow),
     ],
 )
@@ -402,8 +402,8 @@ def write(folder, files, force=False):
     [
         ("table", "drift"),
         pytest.param("table", "drift,resistance,inverter", marks=pytest.mark.slow),
-        pytest.param("induction-2kw2", "drift", marks=pytest.mark.slow),
-        ("induction-2kw2", "drift,resistance,inverter"),
+        ("induction-2kw2", "drift"),
+        pytest.param("induction-2kw2", "drift,resistance,inverter", marks=pytest.mark.slow),
         ("ipm-2kw2", "drift"),
     ],
 )

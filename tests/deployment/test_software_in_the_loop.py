@@ -99,7 +99,8 @@ def test_fused_multiply_adds_stay_within_the_documented_bound(folders, compiled,
         )
 
 
-@pytest.mark.parametrize("precision", ["single", pytest.param("double", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", ["single", "double"])
 def test_sanitizers_over_all_records(folders, compiled, precision):
     for name in MACHINES:
         program = compiled.program(folders[name], ["gcc"], precision, SANITIZERS)

@@ -117,6 +117,7 @@ def test_clipping_and_coarse_steps():
     assert items["resolution of the currents"].value == pytest.approx(0.5)
 
 
+@pytest.mark.slow
 def test_lost_samples_and_a_slow_logger():
     keep = np.ones(len(GOOD["t"]), bool)
     keep[[500, 501, 2000, 4000]] = False

@@ -75,6 +75,7 @@ def test_no_log_of_any_use(folder):
         together(folder, "still", "gone")
 
 
+@pytest.mark.slow
 def test_one_log_is_nothing_to_compare_with(folder, tmp_path):
     found = together(folder, "day1", "still")
     assert [one.log for one in found.failed] == ["still.parquet"]

@@ -80,6 +80,7 @@ def test_quick_run_writes_figures_report_and_the_committed_numbers(tmp_path):
     assert rms["2"] / rms["1"] == pytest.approx(2, rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_same_to_the_last_digit():
     one, other = run_levitation("S5", quick=True), run_levitation("S5", quick=True)
     for name, course in one.courses.items():

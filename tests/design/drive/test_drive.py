@@ -477,6 +477,7 @@ def test_a_record_is_as_logged():
     assert np.abs(np.diff(trace.flux)).max() > 1e-2 * float(motor.psi_f)
 
 
+@pytest.mark.slow
 def test_a_batch_is_what_its_lanes_are_alone():
     d = drive(sensors=Sensors(noise=0.05))
     courses = [

@@ -110,6 +110,7 @@ def test_a_wrong_resistance_at_a_stop_under_load_ends_in_a_loss_that_is_said(fac
     assert not run.trace.reading.valid[at - 100 : at].any()
 
 
+@pytest.mark.slow
 def test_biases_that_jump_do_not_stop_the_drive(drive):
     volts = Profile([0, 1.2, 1.2], [(2.2, 0.0), (2.2, 0.0), (-2.2, 0.0)])
     run = simulate(

@@ -64,7 +64,14 @@ def test_every_machine_is_in_the_table():
 
 
 #: These take long, as they have many fluxes or relations.
-LONG = {"wound_field", "doubly_fed", "five_phase_pmsm", "saturated_switched_reluctance"}
+LONG = {
+    "wound_field",
+    "three_coils",
+    "four_pole_bearing",
+    "doubly_fed",
+    "five_phase_pmsm",
+    "saturated_switched_reluctance",
+}
 
 
 @pytest.mark.parametrize(

@@ -53,6 +53,7 @@ def test_continuous_regression_is_exact_after_the_transient(name):
     assert np.abs(rest).max() < 1e-10 * np.sqrt(np.mean(rows.y**2))
 
 
+@pytest.mark.slow
 def test_printed_forms_fail_by_what_the_errata_say():
     case, rows, flux = continuous("pmsm")
     _, wrong, _ = continuous("pmsm", "printed")
