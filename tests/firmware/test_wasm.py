@@ -1,16 +1,15 @@
 """The exported sources as WebAssembly: the same bits as the library, without any import."""
 
 import subprocess
-import sys
 
 import pytest
 import wasmtime
 
 import fluxobs
+from fluxobs.deployment.forms.build import zig
 from support.firmware import HARNESS
 
-ZIG = [sys.executable, "-m", "ziglang", "cc", "-target", "wasm32-wasi", "-mexec-model=reactor"]
-ZIG += ["-O3", "-ffp-contract=off", "-s"]
+COMMAND = [*zig("wasm32-wasi"), "-mexec-model=reactor", "-O3", "-ffp-contract=off"]
 EXPORTS = {
     "servo-400w": {"unknowns": "drift"},
     "servo-400w, learning": {"unknowns": "drift,resistance,inverter,asymmetry"},
@@ -27,7 +26,7 @@ def test_every_output_has_the_same_bits_in_webassembly(tmp_path, name, precision
     sources = [*folder.glob("*obs*.c"), folder / "test" / "check.c", HARNESS / "wasm.c"]
     includes = [f"-I{folder}", f"-I{folder / 'test'}"]
     made = tmp_path / "motor.wasm"
-    subprocess.run([*ZIG, precision, *includes, *sources, "-o", made], check=True)
+    subprocess.run([*COMMAND, precision, *includes, *sources, "-o", made], check=True)
     store = wasmtime.Store()
     module = wasmtime.Module.from_file(store.engine, str(made))
     assert not module.imports

@@ -6,6 +6,7 @@ import dataclasses
 import importlib
 import inspect
 import pkgutil
+from collections.abc import Callable
 from types import ModuleType
 
 import pytest
@@ -30,15 +31,20 @@ def holds_arrays(kind: type) -> bool:
     return any(word in str(field.type) for field in dataclasses.fields(kind) for word in words)
 
 
-def check_frozen(kind: type) -> None:
-    """No field can be set."""
-    blank = object.__new__(kind)
-    for field in dataclasses.fields(kind):
-        with pytest.raises(dataclasses.FrozenInstanceError):
-            setattr(blank, field.name, None)
+def frozen_tests(room: ModuleType) -> tuple[Callable[[type], None], Callable[[type], None]]:
+    """Two tests of a package's dataclasses, to be named `test_…` where they are to run."""
+    classes = dataclasses_of(room)
 
+    @pytest.mark.parametrize("kind", classes)
+    def no_field_can_be_set(kind: type) -> None:
+        blank = object.__new__(kind)
+        for field in dataclasses.fields(kind):
+            with pytest.raises(dataclasses.FrozenInstanceError):
+                setattr(blank, field.name, None)
 
-def check_compared_as_object(kind: type) -> None:
-    """== would ask an array for its truth."""
-    blank, other = object.__new__(kind), object.__new__(kind)
-    assert len({blank, other}) == 2
+    @pytest.mark.parametrize("kind", [kind for kind in classes if holds_arrays(kind)])
+    def compared_as_an_object(kind: type) -> None:
+        blank, other = object.__new__(kind), object.__new__(kind)
+        assert len({blank, other}) == 2  # == would ask an array for its truth
+
+    return no_field_can_be_set, compared_as_an_object

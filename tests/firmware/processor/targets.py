@@ -23,6 +23,7 @@ from pathlib import Path
 import in_docs
 
 import fluxobs
+from fluxobs.deployment.forms.build import zig
 
 MACHINE, SAMPLE_TIME = "servo-400w", 1e-4
 KINDS = {"plain": "drift", "adaptive": "drift,resistance,inverter"}
@@ -126,21 +127,10 @@ def measure_module(folder: Path, kind: str) -> int:
     """Bytes of a WebAssembly module with fo_reset and fo_step."""
     fo = "fo_adaptive" if kind == "adaptive" else "fo"
     module = folder / "module.wasm"
-    flags = ["-std=c99", "-Os", "-ffp-contract=off", f"-I{folder}", "-mexec-model=reactor", "-s"]
+    flags = ["-std=c99", "-Os", "-ffp-contract=off", f"-I{folder}", "-mexec-model=reactor"]
     flags += [f"-Wl,--export={fo}_{name}_single" for name in ("step", "reset")]
     sources = sorted(folder.glob("fluxobs*.c"))
-    _run(
-        sys.executable,
-        "-m",
-        "ziglang",
-        "cc",
-        "-target",
-        "wasm32-wasi",
-        *flags,
-        *sources,
-        "-o",
-        module,
-    )
+    _run(*zig("wasm32-wasi"), *flags, *sources, "-o", module)
     return module.stat().st_size
 
 
