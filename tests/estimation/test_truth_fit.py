@@ -360,3 +360,14 @@ def test_hall_codes_that_are_none():
     assert "only 4 of six edges were seen" in fit.words
     assert "against" in fitted("hall", -theta, code).words[0]
     assert fitted("hall", theta, np.full(ROWS, 3.0)) is None
+
+
+@pytest.mark.parametrize(("machine", "turn"), [(SERVO, 1), (SYNRM, 2)])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_zero_where_errors_wrap(machine, turn, sign):
+    """Half a turn, and a quarter for a machine that looks alike after half a turn."""
+    zero, noise = sign * np.pi / turn, 0.05 * np.random.default_rng(0).standard_normal(ROWS)
+    fit = fitted("theta_e", SHAFT * SERVO.n_p + zero + noise, SHAFT * SERVO.n_p, machine)
+    off = turn * (fit["zero"].value - zero)
+    assert abs(np.angle(np.exp(1j * off))) / turn < 0.005
+    assert fit.rms == pytest.approx(0.05, rel=0.05)

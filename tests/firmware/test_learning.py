@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fluxobs.observers.learning_twin import CURVE, INVERTER, OFFSET, LearningTwin, Settings
 from support.firmware import FIRMWARE, HARNESS
+from support.learning_twin import CURVE, INVERTER, OFFSET, LearningTwin, Settings
 
 ASYMMETRY = 8
 ROWS, H = 6000, 0.004  # sample time over memory

@@ -45,6 +45,22 @@ def test_a_file_that_grows(tmp_path):
     assert until(source, 16, write) == b"first\n0\n1\n2\n3\n4\n"
 
 
+def test_nothing_new_is_asked_for_at_least_ten_times_a_second(tmp_path, monkeypatch):
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"first\n")
+    pauses = []
+    monkeypatch.setattr("fluxobs.live.sources.time.sleep", pauses.append)
+    chunks = open_source(str(path), 0).chunks()
+    for _ in range(4):
+        next(chunks)
+    assert len(pauses) == 2
+    with closing(open_source(f"udp:{free_port()}", 0).chunks()) as chunks:
+        begin = time.monotonic()
+        assert next(chunks) == b""
+        pauses.append(time.monotonic() - begin)
+    assert all(0.001 < pause < 0.5 for pause in pauses)
+
+
 def test_a_file_that_becomes_shorter_is_refused(tmp_path):
     path = tmp_path / "log.csv"
     path.write_bytes(b"first\n")

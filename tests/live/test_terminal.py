@@ -5,7 +5,7 @@ import pytest
 
 from fluxobs.estimation.columns import Rows
 from fluxobs.live.sources import Demo
-from fluxobs.live.terminal import Terminal
+from fluxobs.live.terminal import Terminal, shown, sparkline
 from fluxobs.live.watch import Watch
 from fluxobs.machines import example
 
@@ -49,3 +49,55 @@ def test_lines_of_a_stream(tmp_path, capsys, at):
     assert ", 3 of other senders" in line(1)
     source.name = "\x1b[31mcaf\udce9.csv"
     assert str(terminal._table().title).startswith(r"\x1b[31mcaf\xe9.csv: 0 rows")
+
+
+def test_a_table_has_values_and_their_course(tmp_path, at):
+    terminal = Terminal(Watch(example("servo-400w"), tmp_path / "stream"), Demo())
+    for theta in (10.0, 20.0, 45.0):
+        at[0] += 1.0
+        terminal.add(rows(np.radians(theta), True))
+        terminal.draw(force=True)
+    name, now, course = (list(column.cells) for column in terminal._table().columns)
+    assert name == ["theta_e", "speed_e", "valid"]
+    assert now == ["45°", "10 rad/s", "100%"]
+    assert course == ["▁▃█", "▁▁▁", "▁▁▁"]
+    assert [column.justify for column in terminal._table().columns] == ["left", "right", "left"]
+
+
+@pytest.mark.parametrize(
+    ("values", "strip"),
+    [
+        ([], ""),
+        ([np.nan], ""),
+        ([3.0], "▁"),
+        ([0, 1, 2, 3, 4, 5, 6, 7], "▁▂▃▄▅▆▇█"),
+        ([7.0, np.nan, 0.0], "█ ▁"),
+        ([-1.0, np.inf, 1.0], "▁ █"),
+    ],
+)
+def test_a_strip_of_blocks(values, strip):
+    assert sparkline(values) == strip
+
+
+def test_strips_are_forty_long(tmp_path, at):
+    terminal = Terminal(Watch(example("servo-400w"), tmp_path / "stream"), Demo())
+    for _ in range(50):
+        terminal.add(rows(0.1, True))
+        terminal.draw(force=True)
+    assert {len(strip) for strip in terminal._strips.values()} == {40}
+
+
+def test_what_a_person_wants_to_see():
+    servo, levitation = (shown(example(name)) for name in ("servo-400w", "maglev-knospe"))
+    assert servo[:3] == [
+        ("t", "s", 1.0),
+        *((name, "°", pytest.approx(180 / np.pi)) for name in ("theta_e", "theta_e_std")),
+    ]
+    assert servo[5:7] == [("drift_alpha", "V", 1.0), ("drift_beta", "V", 1.0)]
+    assert levitation[1] == ("position", " µm", 1e6)
+    assert levitation[5:7] == [("drift_1", "V", 1.0), ("drift_2", "V", 1.0)]
+    assert servo[7:] == [
+        ("resistance", "Ω", 1.0),
+        ("inverter_voltage", "V", 1.0),
+        ("psi_f", "Wb", 1.0),
+    ]

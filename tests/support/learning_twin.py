@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.frames import wrap
+from fluxobs.model.frames import wrap
 
 Array = NDArray[np.float64]
 

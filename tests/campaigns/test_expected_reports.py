@@ -1,0 +1,92 @@
+"""A campaign's report for drawn rows, word by word and line by line."""
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from fluxobs import html
+from fluxobs.campaigns import report
+from fluxobs.campaigns.columns import schema
+from fluxobs.campaigns.dataset import Dataset
+from fluxobs.campaigns.specification import Specification
+from support.expected import check
+
+MACHINES = ("servo-400w", "pmsm-2kw2", "ipm-2kw2", "synrm-6kw7", "induction-2kw2")
+OBSERVERS = ("plain", "adaptive", "gradient (Ortega, Lee)")
+
+
+def drawn(s):
+    """Rows with errors that depend on R and gain; of the last observer some never valid."""
+    rng, rows = np.random.default_rng(3), []
+    for k, machine in enumerate(s.machines):
+        for number in range(k * s.scenarios, (k + 1) * s.scenarios):
+            R, gain, noise = rng.uniform(-1, 1, 3)
+            for j, table in enumerate(s.observers):
+                rms = np.radians(1 + j + k) * np.exp(
+                    R + 0.5 * gain * (j + 1) + 0.2 * noise + R * gain
+                )
+                row = {"number": number, "machine": machine, "observer": table.name}
+                row |= dict.fromkeys(s.vary, 0.5) | {"R": 1 + 0.2 * R, "gain_a": 1 + 0.01 * gain}
+                row |= {"rms": rms, "worst": 3 * rms, "valid": 0.9 + 0.1 * noise}
+                row |= {"first_valid": 0.1, "wrong": 0.02 * (rms > 0.3)}
+                if j == 2:
+                    row["wrong"] = None
+                    if number % 7 == 0:
+                        row |= dict.fromkeys(("rms", "worst", "first_valid")) | {"valid": 0.0}
+                if s.loop == "closed":
+                    row |= {"handed_over": 0.2 if number % 5 else None, "in_loop": 0.5 + 0.4 * R}
+                    row |= {"losses": int(number % 11 == 0), "tripped": number % 13 == 0}
+                rows.append(row)
+    rows[0] |= dict.fromkeys(("rms", "worst", "valid"), None)
+    rows[0]["failed"] = "a torque of 12.5 Nm cannot be held"
+    return pl.DataFrame(rows, schema=schema(s))
+
+
+def campaign(machines, scenarios, **more):
+    s = Specification(
+        name="product",
+        machines=list(machines),
+        scenarios=scenarios,
+        observers=list(OBSERVERS),
+        course={"duration": 2.0, "score_from": 0.25},
+        vary={"R": {"uniform": [0.8, 1.2]}, "gain_a": {"uniform": [0.99, 1.01]}, "noise": 0.003},
+        good={"rms": 4.0, "valid": 0.8},
+        limits=[{"good": 0.6, "observer": "adaptive"}, {"good": 0.99, "observer": "plain"}],
+        **more,
+    )
+    return Dataset(Path("out"), s, 16)
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("pairs", campaign(MACHINES[:1], 400)),
+        ("one_machine", campaign(MACHINES[:1], 120)),
+        ("in_the_loop", campaign(MACHINES[:2], 90, loop="closed")),
+        ("five_machines", campaign(MACHINES, 20)),
+    ],
+)
+def test_the_report(name, found, monkeypatch, tmp_path):
+    pictures = []
+
+    def noted(figure, alt):
+        pictures.append({"alt": alt, "figure": figure})
+        return f"[picture {len(pictures)}]"
+
+    monkeypatch.setattr(html, "picture", noted)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").mkdir()
+    rows = drawn(found.specification)
+    table, sentences = report.text(found, rows)
+    columns = [(str(column.header), column.justify, list(column.cells)) for column in table.columns]
+    page = report.write_html(found, rows).read_text("utf-8").partition("<h1")[2]
+    shown = {
+        "headline": report.headline(found),
+        "terminal": columns,
+        "sentences": sentences,
+        "page": page.splitlines(),
+        "pictures": pictures,
+    }
+    check(f"campaigns/{name}", shown)

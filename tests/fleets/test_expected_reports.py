@@ -1,0 +1,63 @@
+"""A fleet's report, from the table of its logs: remarks, page and pictures as they were."""
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import polars as pl
+
+from fluxobs import html
+from fluxobs.fleets.follow import follow, read_limit, untold
+from fluxobs.fleets.many import Fleet
+from fluxobs.fleets.one import COLUMNS
+from fluxobs.fleets.report import headline, remarks, write_html
+from support.expected import check
+
+START = datetime(2025, 3, 1, tzinfo=UTC)
+
+
+def table():
+    """Six drives: one warms, one has a jump of its magnet, one ages, one is unlike the others."""
+    rng, rows = np.random.default_rng(5), []
+    for d, drive in enumerate("abcdef"):
+        for k in range(12):
+            R = 1.0 + 0.003 * rng.standard_normal()
+            psi = 0.1 + 1e-4 * rng.standard_normal()
+            R += 0.01 * k if drive == "b" else 0.25 if drive == "e" else 0.0
+            psi -= 0.004 if drive == "c" and k > 6 else 4e-4 * k if drive == "d" else 0.0
+            rows.append(
+                {
+                    "log": f"{drive}/day{k:02d}.csv",
+                    "drive": drive,
+                    "time": START + timedelta(days=3 * k + d / 8),
+                    "resistance": R,
+                    "resistance_std": 0.003,
+                    "psi_f": psi,
+                    "psi_f_std": 1e-4,
+                    "valid": 0.95,
+                }
+            )
+    rows.append({"log": "g/x.csv", "drive": "g", "failed": "g/x.csv: no columns of currents"})
+    return pl.DataFrame(rows, schema=COLUMNS)
+
+
+def test_the_report(tmp_path, monkeypatch):
+    pictures = []
+
+    def noted(figure, alt):
+        pictures.append({"alt": alt, "figure": figure})
+        return f"[picture {len(pictures)}]"
+
+    monkeypatch.setattr(html, "picture", noted)
+    fleet = Fleet(tmp_path, table())
+    limits = [read_limit("resistance=20%"), read_limit("psi_f=0.09..0.11")]
+    found = follow(fleet.table, limits)
+    write_html(fleet, found, tmp_path / "fleet.html")
+    page = (tmp_path / "fleet.html").read_text("utf-8").partition("<h1")[2]
+    shown = {
+        "headline": headline(fleet, found),
+        "remarks": remarks(found),
+        "untold": untold(found, limits),
+        "page": page.splitlines(),
+        "pictures": pictures,
+    }
+    check("fleets/report", shown)

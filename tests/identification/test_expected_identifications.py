@@ -1,0 +1,82 @@
+"""Everything that identifications say and show: values, deviations, lines, tables, pictures."""
+
+import numpy as np
+import pytest
+
+import fluxobs
+from fluxobs.identification.report import html_of
+from fluxobs.machines import SynchronousReluctance, example
+from fluxobs.synthetic.demo import LOG
+from observers.test_cage import MACHINE, RAMPS, H, record
+from observers.test_maps import MODEL, reluctance_record
+from support.expected import check
+from support.records import COURSE_TIME, PMSM, course, driven, log_columns, profile
+
+PICTURE = "data:image/png"
+
+
+class Exact(SynchronousReluctance):
+    """The reluctance machine itself, not the splines through its map."""
+
+    def flux_dq(self, current):
+        return MODEL.flux(current)
+
+
+def by_default():
+    return fluxobs.identify(LOG, "servo-400w")
+
+
+def all_but_the_map():
+    samples = course(R_s=1.3 * PMSM.R_s, psi_f=0.9 * PMSM.psi_f, inverter=4.0, smoothing=0.2)
+    free = ("R_s", "L_s", "psi_f", "inverter", "lag")
+    return fluxobs.identify(log_columns(samples), PMSM, free=free)
+
+
+def a_salient_machine():
+    machine = example("ipm-2kw2")
+    speed = profile((0, 0), (0.3, 200), (0.9, 200), (1.2, -200), (1.6, -200))
+    load = profile(
+        (0, 1), (0.5, 1), (0.51, 5), (0.8, 5), (0.81, 2), (1.3, 2), (1.31, -4), (1.6, -4)
+    )
+    true = {"R_s": 1.1 * machine.R_s, "inverter": 2.0, "smoothing": 0.2, "noise": 0.02}
+    samples = driven(machine, COURSE_TIME, speed, -1.0 + 1j * load, **true)
+    return fluxobs.identify(log_columns(samples), machine, free="R_s,psi_f,inverter")
+
+
+def how_it_saturates():
+    given = {"n_p": 2, "rated_current": 22.0, "L_d": 0.047, "L_q": 0.0085}
+    start = SynchronousReluctance(
+        R_s=0.69, inverter_voltage=0.0, inverter_voltage_std=0.01, **given
+    )
+    columns = log_columns(reluctance_record(machine=Exact(R_s=0.63, **given)))
+    return fluxobs.identify(columns, start, free="R_s,map")
+
+
+def a_rotor():
+    voltage, current, _, _ = record(RAMPS)
+    log = fluxobs.read_log((voltage, current), sample_time=H, lag=1.0)
+    return fluxobs.identify(log, MACHINE.scaled(["R_R"], 1.5), free="R_s,R_R")
+
+
+IDENTIFICATIONS = (by_default, all_but_the_map, a_salient_machine, how_it_saturates, a_rotor)
+
+
+@pytest.mark.parametrize("make", IDENTIFICATIONS, ids=lambda make: make.__name__)
+def test_what_an_identification_says_and_shows(make, tmp_path):
+    found = make()
+    page, _, rest = html_of(found).partition(PICTURE)
+    shown = {
+        "lines": found.lines(),
+        "page": page,
+        "alt": rest.partition("alt=")[2],
+        "facts": found.facts,
+        "values": {name: float(value) for name, value in found.after.values.items()},
+        "std": dict(zip(found.after.free, np.sqrt(np.diag(found.after.covariance)), strict=True)),
+        "alike": found.after.alike,
+        "picture": found.plot(),
+    }
+    if found.map is not None:
+        found.write(tmp_path / "map.csv")
+        shown["table"] = (tmp_path / "map.csv").read_text().splitlines()[::7]
+    # The iteration ends within a share of the deviations, with another rounding elsewhere.
+    check(f"identification/{make.__name__}", shown, share=1e-3)
