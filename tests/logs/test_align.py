@@ -189,3 +189,13 @@ def test_row_by_row_the_times_of_the_other_file_are_not_read(tmp_path, options):
     (part,) = log.aligned()
     np.testing.assert_allclose(part.voltage[1:, 0], 2 * k[:-1], atol=1e-9)
     assert log.sample_time == pytest.approx(H)
+
+
+def test_notes_on_times_name_the_second_file(tmp_path):
+    k = np.delete(np.arange(300.0), range(100, 110))
+    for name, channel in (("i", "i"), ("u", "u")):
+        columns = {"t": H * k, f"{channel}_alpha": np.cos(k), f"{channel}_beta": np.sin(k)}
+        pl.DataFrame(columns).write_csv(tmp_path / f"{name}.csv")
+    log = read_log(tmp_path / "i.csv", join=[str(tmp_path / "u.csv")], align="time")
+    gaps = [note for note in log.notes if "1 gap" in note]
+    assert [note.partition("t has")[0] for note in gaps] == ["", "u.csv: "]
