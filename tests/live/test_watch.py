@@ -207,3 +207,19 @@ def test_what_came_is_kept_until_there_are_rows(watch):
     assert made.unread == LINES[0] * 3000
     list(made.feed(DEMO))
     assert made.unread == b""
+
+
+@pytest.mark.parametrize("grown", ["u", "i"])
+@pytest.mark.parametrize(("factor", "chosen"), [(3.4, 1), (4.8, 2)])
+def test_four_times_the_first_signals_ask_for_another_observer(watch, grown, factor, chosen):
+    """It is chosen for twice what it saw, and anew beyond twice that."""
+    t = 2e-4 * np.arange(15_000)
+    vector = np.exp(1j * 300 * t)
+    large = np.where(t > 1.5, factor, 1.0)
+    sizes = {name: (large if name == grown else 1.0) for name in ("u", "i")}
+    voltage, current = 4 * sizes["u"] * 1j * vector, 2 * sizes["i"] * vector
+    table = np.stack([t, voltage.real, voltage.imag, current.real, current.imag], axis=1)
+    lines = ["t,u_alpha,u_beta,i_alpha,i_beta", *(",".join(f"{x:.7g}" for x in r) for r in table)]
+    made = watch(unknowns="drift")
+    watched(made, "\n".join(lines).encode() + b"\n")
+    assert made.status.chosen == chosen

@@ -318,3 +318,44 @@ def test_currents_in_a_frame_of_their_own(given):
         assert (log.frame, log.current_frame) == ("alphabeta", "abc")
         (part,) = log.aligned()
         np.testing.assert_allclose(part.current, np.stack([Z.real, Z.imag], 1), atol=1e-12)
+
+
+# ---- true angles of several columns ---------------------------------------------------------
+
+
+def test_sine_and_cosine_are_centred_and_scaled():
+    columns = {"s": 100 + 20 * np.sin(0.1 * K), "c": -50 + 30 * np.cos(0.1 * K)}
+    true = read_log(T | AXES | columns, truth={"sincos": "s, c"}).true
+    assert (true.channel, true.columns, true.guessed) == ("theta_mech", ("s", "c"), False)
+    np.testing.assert_allclose(true.centre, [100, -50], atol=0.1)
+    np.testing.assert_allclose(true.size, [20, 30], atol=0.1)
+    values = [columns["s"], columns["c"]]
+    np.testing.assert_allclose(np.unwrap(true.of(values)), 0.1 * K, atol=0.01)
+
+
+def test_three_hall_sensors_are_levels_one_column_is_their_code():
+    states = {f"h{k}": 5.0 * (np.cos(0.1 * K - 2 * np.pi / 3 * k) > 0) for k in range(3)}
+    true = read_log(T | AXES | states, truth={"hall": "h0,h1,h2"}).true
+    assert (true.channel, true.columns) == ("hall", ("h0", "h1", "h2"))
+    np.testing.assert_allclose(true.centre, 2.5)
+    np.testing.assert_allclose(true.size, 2.5)
+    code = {"code": 1 + K % 6.0}
+    true = read_log(T | AXES | code, truth={"hall": "code"}).true
+    assert (true.channel, true.columns) == ("hall", ("code",))
+    np.testing.assert_array_equal(true.centre, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("truth", "words"),
+    [
+        ({"sincos": "s"}, "truth sincos=s: 2 columns are needed, parted by commas"),
+        ({"hall": "s,c"}, "truth hall=s,c: 1 or 3 columns are needed"),
+        ({"theta_e": "s,c"}, "truth theta_e=s,c: 1 columns are needed"),
+        ({"sincos": "s,gone"}, "the column 'gone', which --truth sincos=s,gone asks for, holds no"),
+    ],
+)
+def test_columns_that_are_no_truth(truth, words):
+    columns = {"s": np.sin(0.1 * K), "c": np.cos(0.1 * K), "gone": np.full(len(K), np.nan)}
+    with pytest.raises(RecordError) as told:
+        read_log(T | AXES | columns, truth=truth)
+    assert words in str(told.value)

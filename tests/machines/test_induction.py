@@ -7,6 +7,7 @@ import pytest
 
 from fluxobs import MachineError
 from fluxobs.machines import InductionMachine, example
+from fluxobs.machines.induction import MAGNETIZING, OFFSET, STILL
 
 MACHINE = example("induction-2kw2")
 T_MODEL = {"R_r": 2.4, "L_ls": 0.011, "L_lr": 0.013, "L_m": 0.23}
@@ -98,3 +99,19 @@ def test_scales_without_a_rated_flux():
 def test_refusals(given, message):
     with pytest.raises(MachineError, match=message):
         InductionMachine(**({"R_s": 3.7, "n_p": 2} | given))
+
+
+@pytest.mark.parametrize("rated", [5.0, None])
+def test_the_map_of_a_cage(rated):
+    """Its thresholds are shares of the magnetizing and of the rated current."""
+    machine = InductionMachine(
+        R_s=3.7, n_p=2, R_R=2.1, L_sigma=0.021, L_M=0.224, rated_current=rated
+    )
+    cage = machine.map_for(1e-4, 0.9)
+    assert (cage.L_sigma, cage.L_M, cage.R_R) == (0.021, 0.224, 2.1)
+    assert (cage.sample_time, cage.psi_R) == (1e-4, 0.9)
+    magnetizing = 0.9 / 0.224
+    assert cage.still == pytest.approx(STILL * magnetizing)
+    assert cage.offset == pytest.approx(OFFSET * (rated or magnetizing / MAGNETIZING))
+    assert 0 < STILL < 0.2
+    assert 0 < OFFSET < 0.05

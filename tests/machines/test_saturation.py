@@ -133,3 +133,13 @@ def test_a_model_needs_a_range_and_a_magnet_its_flux():
         SynchronousReluctance(R_s=1.0, n_p=2, flux_map=model)
     with pytest.raises(MachineError, match="psi_f is missing"):
         InteriorPMSM(R_s=1.0, n_p=2, rated_current=5.0, flux_map=model)
+
+
+def test_without_further_parameters_nothing_saturates():
+    plain = AlgebraicSaturation(a_d0=20.0, a_q0=50.0)
+    np.testing.assert_allclose(plain.current([0.5 + 0.1j, -0.2j]), [10 + 5j, -10j], atol=1e-12)
+    along_d = AlgebraicSaturation(a_d0=20.0, a_q0=50.0, a_dd=3.0, a_qq=7.0, a_dq=11.0)
+    d, q = 0.5, 0.3  # exponents 5, 1, 1, 0
+    i_d = (20 + 3 * d**5 + 11 / 2 * d * q**2) * d
+    i_q = (50 + 7 * q + 11 / 3 * d**3) * q
+    np.testing.assert_allclose(along_d.current([d + 1j * q]), [i_d + 1j * i_q])
