@@ -70,6 +70,7 @@ def test_rows_do_not_depend_on_what_they_are_simulated_with(machine):
     assert again.equals(whole.filter(pl.col("number").is_in(order)))
 
 
+@pytest.mark.slow
 def test_rows_in_the_loop_do_not_depend_on_what_they_are_simulated_with():
     s = specification(loop="closed", observers=["adaptive", "speed-adaptive (Hinkkanen)"])
     s = s.model_copy(update={"course": s.course.model_copy(update={"duration": 0.5})})

@@ -200,7 +200,7 @@ def test_machine_new(folder):
     assert "did you mean 'kv'" in wrong.stderr
 
 
-@pytest.mark.parametrize("command", ["estimate", "check"])
+@pytest.mark.parametrize("command", ["estimate", pytest.param("check", marks=pytest.mark.slow)])
 def test_control_c_says_where_it_stopped(folder, command):
     many = pl.concat([DEMO] * 400).with_columns(t=pl.int_range(pl.len()) * 2e-4)
     many.write_parquet(folder / "long.parquet")

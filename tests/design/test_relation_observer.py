@@ -51,6 +51,7 @@ def test_a_relation_linear_in_flux_is_observed_exactly():
     np.testing.assert_allclose(found.drift[-1], DRIFT, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_saturation_is_observed_in_the_variables_that_undo_it():
     system = saturated_switched_reluctance(PSI_S, A)
     flux, i, v = record(system, 0.4)

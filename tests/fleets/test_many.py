@@ -230,6 +230,7 @@ def test_a_name_stays_in_the_folder_of_the_results(logs, tmp_path, monkeypatch):
     assert later[0].drive == "y"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text there")
 def test_names_that_are_no_text_or_command_a_terminal(logs, tmp_path):
     out = tmp_path / "out"

@@ -44,6 +44,7 @@ def main():
     return record(SCENARIOS["S5"], quick=True)
 
 
+@pytest.mark.slow
 def test_periodic_orbit_is_where_the_record_settles():
     found, given = lev.orbit("S5").trajectory, main()
     assert np.abs(lev.orbit("S5").multipliers).max() < 1e-6

@@ -58,7 +58,7 @@ def test_each_machine_has_its_motor():
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=pytest.mark.slow) if "map" in name else name for name in MOTORS],
+    [pytest.param(name, marks=pytest.mark.slow) if "," in name else name for name in MOTORS],
 )
 def test_power_balance(name):
     """What goes in is copper loss, friction, loss in the cage, and what is stored."""
@@ -166,6 +166,7 @@ def test_field_orientation_with_an_encoder():
     assert trace.torque[-100:].mean() == pytest.approx(0.5 * RATED.torque, rel=0.05)
 
 
+@pytest.mark.slow
 def test_sensorless_from_standstill_through_a_loaded_reversal():
     drive = sensorless_drive(CAGE, RATED, offset=(0.13, 0.18), noise=0.02)
     speed = [(0, 0), (0.2, 0.1), (0.6, 0.1), (1.0, 0.8), (1.6, 0.8), (2.6, -0.8), (3.0, -0.8)]

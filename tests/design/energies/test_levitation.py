@@ -90,6 +90,7 @@ def test_both_solvers_agree_and_relations_hold_between_samples():
     np.testing.assert_allclose(simpson, end, atol=1e-12 * np.abs(implicit.flux).max())
 
 
+@pytest.mark.slow
 def test_leaving_the_air_gap_says_when_and_where():
     with pytest.raises(ModelError, match=r"left \(-0.00033, 0.00033\) after t = 0\.\d+ s, posit"):
         closed_loop(controller(position=2e-3), TYPICAL, duration=2.0)

@@ -203,6 +203,7 @@ def test_riccati_is_the_dense_weighted_least_squares():
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_drem_is_exact_as_soon_as_its_formula_applies():
     """Finite time: not asymptotically, but once 1 - w > 0.1, up to rounding."""
     rng = np.random.default_rng(2)

@@ -86,6 +86,7 @@ def test_the_constant_of_y_b_has_a_vanishing_regressor():
     assert np.abs(Phi_b[-1]).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_redundancy_of_the_printed_parametrisation():
     """Erratum 5: Φ_λ = 2 Q1 Φ_a + Q2 Φ_b, so that (s, -2 Q1 s, -Q2ᵀ s) is never seen."""
     case, rows, _ = continuous("three-port")

@@ -12,6 +12,8 @@ from .table import Said, Table
 
 #: Most fields of all topics; a flight has some ten thousand.
 FIELDS = 1 << 18
+#: Most types one within the other; a type that holds itself has no end.
+DEPTH = 32
 
 
 def open_ulog(path: Path) -> list[Table]:
@@ -41,7 +43,7 @@ def _bounded(pyulog: Any) -> Any:
 
     def list_fields(topic: Any, types: Any) -> None:
         nonlocal fields
-        fields += _fields(types, topic.message_name, pyulog.ULog._UNPACK_TYPES, {})
+        fields += _fields(types, topic.message_name, pyulog.ULog._UNPACK_TYPES, {}, DEPTH)
         if fields > FIELDS:  # pyulog goes on after a ValueError
             raise MemoryError(f"its topics have more than {FIELDS} fields")
         usual._parse_format(topic, types)
@@ -50,11 +52,13 @@ def _bounded(pyulog: Any) -> Any:
     return type("Reader", (pyulog.ULog,), {"_MessageAddLogged": made})
 
 
-def _fields(types: Any, name: str, plain: Any, known: dict[str, int]) -> int:
-    """How many fields a type has, with those of the types in it."""
+def _fields(types: Any, name: str, plain: Any, known: dict[str, int], depth: int) -> int:
+    """How many fields a type has, with those of the types in it, at most `depth` levels."""
+    if depth == 0:
+        raise MemoryError(f"more than {DEPTH} of its types lie one within the other")
     if name not in known:
         known[name] = sum(
-            max(count, 1) * (1 if kind in plain else _fields(types, kind, plain, known))
+            max(count, 1) * (1 if kind in plain else _fields(types, kind, plain, known, depth - 1))
             for kind, count, _ in types[name].fields
         )
     return known[name]
