@@ -30,7 +30,7 @@ POINTS = 61
 Exponent = Annotated[float, Field(ge=0, le=20, allow_inf_nan=False)]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FluxPoints:
     """Points of a flux map, on a grid or scattered.
 
@@ -54,6 +54,9 @@ class FluxPoints:
             value = np.array(getattr(self, name), complex).ravel()
             value.setflags(write=False)
             object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        return f"{len(self.current)} points of {Path(self.source).name}"
 
     @classmethod
     def from_columns(
