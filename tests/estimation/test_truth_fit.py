@@ -8,6 +8,8 @@ import pytest
 
 from fluxobs.estimation import truth
 from fluxobs.estimation.truth import (
+    BLOCKS,
+    LOST,
     Fitted,
     TruthSamples,
     _lost,
@@ -371,3 +373,15 @@ def test_a_zero_where_errors_wrap(machine, turn, sign):
     off = turn * (fit["zero"].value - zero)
     assert abs(np.angle(np.exp(1j * off))) / turn < 0.005
     assert fit.rms == pytest.approx(0.05, rel=0.05)
+
+
+def test_blocks_of_one_row_or_none():
+    """Each is judged by the rows that it has."""
+    row = np.delete(np.arange(BLOCKS), [3, 7])
+    columns = {"row": row, "t": 0.5 * row, "raw": 0.2 * row}
+    left = np.zeros(len(row))
+    assert _lost(columns, left) is None
+    left[row == 5] = 1.1 * LOST
+    assert _lost(columns, left).startswith("from 2.5 to 2.5 s it stands still, off by")
+    left[row == 5] = 0.9 * LOST
+    assert _lost(columns, left) is None

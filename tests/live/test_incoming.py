@@ -377,3 +377,12 @@ def test_each_damaged_frame_is_counted_once():
     parts = frames.feed(names + wrong + good + short + wrong + short, last=True)
     assert frames.damaged == 4
     assert whole(parts)["t"].tolist() == [0.5]
+
+
+def test_rows_are_kept_until_there_are_enough_to_begin():
+    names = frame(HEADER, 0, b"0.5,1,u,i")
+    rows = [frame(SAMPLES, k, bytes(8)) for k in range(HEAD_ROWS + 1)]
+    frames = Frames()
+    assert frames.feed(names + b"".join(rows[: HEAD_ROWS - 1])) == []
+    assert len(whole(frames.feed(rows[HEAD_ROWS - 1]))["t"]) == HEAD_ROWS
+    assert len(whole(frames.feed(rows[HEAD_ROWS]))["t"]) == 1

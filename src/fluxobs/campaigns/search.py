@@ -263,7 +263,7 @@ def estimate_rare(
         rows, failed = drawn(scores)
         size = rows["rms"].fill_null(np.inf).to_numpy()
         worst = failed if failed.mean() > ELITE else size >= np.quantile(size, 1 - ELITE)
-        weight = np.exp(-scores[worst] @ mean + mean @ mean / 2)
+        weight = np.exp(-scores[worst] @ mean)  # ratio of the densities, but for a factor
         mean = np.average(scores[worst], axis=0, weights=weight)
         length = float(np.linalg.norm(mean))
         mean = mean * min(1.0, BOUND / max(length, 1e-12))
