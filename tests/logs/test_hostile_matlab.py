@@ -73,6 +73,19 @@ def packed_array(path, head, content, times=1):
     return path
 
 
+@pytest.mark.parametrize("packed", [False, True])
+def test_an_object_of_matlab_s_own_is_passed_over(tmp_path, packed):
+    """Three texts, and an array of numbers; a string or a datetime is one."""
+    matlab = pytest.importorskip("scipy.io")
+    matlab.savemat(tmp_path / "log.mat", COLUMNS)
+    texts = b"".join(element(1, text) for text in (b"notes", b"MCOS", b"string"))
+    numbers = element(14, array_head(13, 1, 6) + element(6, bytes(24)))
+    made = element(14, element(6, struct.pack("<2I", 17, 0)) + texts + numbers)
+    with (tmp_path / "log.mat").open("ab") as file:
+        file.write(element(15, zlib.compress(made)) if packed else made)
+    assert len(read_log(tmp_path / "log.mat")) == len(T)
+
+
 EMPTY = struct.pack("<2I", 14, 0)
 NO_FIELDS = element(5, struct.pack("<I", 8)) + element(1, b"")
 

@@ -411,7 +411,10 @@ def replace_cell(line, column, text):
         (lambda s: "", "the file is empty"),
         (lambda s: s.splitlines()[0], "0 rows of data are too few"),
         (lambda s: "\n".join(s.splitlines()[:10]), "9 rows of data are too few"),
-        (lambda s: "\n".join(s.splitlines()[1:]), r"line 1: expected .* found numbers: '0,10,0,0.5403"),
+        (
+            lambda s: "\n".join(s.splitlines()[1:]),
+            r"line 1: expected .* found numbers: '0,10,0,0.5403",
+        ),
         (lambda s: s.replace("u_beta", "u_bata", 1), "no column 'u_beta'.*nearest: u_bata"),
         (lambda s: s.replace("u_beta", "u_alpha", 1), "line 1: the column 'u_alpha' stands twice"),
         (replace_cell(42, 3, "off"), "line 42, column 'i_alpha': 'off' is not a number"),
