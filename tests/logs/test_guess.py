@@ -359,3 +359,12 @@ def test_columns_that_are_no_truth(truth, words):
     with pytest.raises(RecordError) as told:
         read_log(T | AXES | columns, truth=truth)
     assert words in str(told.value)
+
+
+@pytest.mark.parametrize(("count", "named"), [(39, 40), (45, 40), (10, 11)])
+def test_at_most_forty_columns_are_named_where_nothing_is_found(count, named):
+    columns = T | {f"signal {n}": np.sin(K + n) for n in range(count)}
+    with pytest.raises(RecordError) as told:
+        read_log(columns)
+    words = str(told.value).partition("among its columns: ")[2].partition(". Name them")[0]
+    assert len(words.split(", ")) == named
