@@ -10,7 +10,15 @@ import fluxobs
 from fluxobs import _core
 from fluxobs.machines import InductionMachine, SynchronousReluctance, example
 from fluxobs.observers import AdaptiveObserver, LeastSquaresObserver
-from support.firmware import CPP_COMPILERS, FIRMWARE, HARNESS, ROOT, STRICT, cross_compiler
+from support.firmware import (
+    CPP_COMPILERS,
+    FIRMWARE,
+    HARNESS,
+    ROOT,
+    STRICT,
+    cross_compiler,
+    make_test,
+)
 from support.records import MACHINES
 
 RUNTIME = HARNESS / "runtime"
@@ -152,6 +160,14 @@ def test_a_seed_that_cannot_be_resets(tmp_path, name, unknowns):
     made = tmp_path / "motor"
     fluxobs.export(name, 1e-4, made, unknowns=unknowns)
     run_in(made, "seed.c", flags=("-fsanitize=undefined", "-fno-sanitize-recover=all"))
+
+
+def test_the_adaptive_observer_stays_within_its_arrays(tmp_path):
+    fluxobs.export("ipm-2kw2", 1e-4, tmp_path / "motor", unknowns=f"{ADAPTIVE},asymmetry")
+    done = make_test(
+        tmp_path / "motor", "CFLAGS=-O1 -fsanitize=undefined -fno-sanitize-recover=all"
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_an_estimate_is_read_whole(folder):

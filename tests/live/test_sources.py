@@ -356,3 +356,19 @@ def test_a_page_that_stands_still_does_not_hold_up_a_stream_that_waits(server, m
             one.send(b"x" * 100_000)
         one.end()
         assert time.monotonic() - began < 5
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_page_is_waited_for_while_it_moves(server, monkeypatch, moves):
+    from fluxobs.live import serve
+
+    monkeypatch.setattr(serve, "_PATIENCE", 0.3)
+    page = serve._Browser(None, late=False)
+    began = time.monotonic()
+
+    def enough():
+        page.taken += moves
+        return time.monotonic() - began > 0.8
+
+    assert page.moves_on(enough) == moves
+    assert 0.3 < time.monotonic() - began < 2.0

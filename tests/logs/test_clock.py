@@ -219,3 +219,21 @@ def test_the_place_where_time_runs_backwards():
     words = r"row 21: time runs backwards or stands still, 0\.019 s then 0\.0145 s"
     with pytest.raises(RecordError, match=words):
         read_log(log(t))
+
+
+def log_at(stamps, **given):
+    k = np.arange(len(stamps))
+    axes = {"u_alpha": np.cos(k), "u_beta": np.sin(k), "i_alpha": np.sin(k), "i_beta": np.cos(k)}
+    return read_log({"t": stamps} | axes, **given)
+
+
+def test_a_given_sample_time_is_confirmed_by_the_mean_or_by_the_usual_step():
+    """A gap moves the one, rounding the other."""
+    gap = 4e-4 * np.concatenate([np.arange(300), np.arange(420, 900)])
+    assert log_at(gap, sample_time=4e-4).sample_time == pytest.approx(4e-4)
+    rounded = np.round(4e-4 * np.arange(2001), 3)
+    assert log_at(rounded, sample_time=4e-4).sample_time == pytest.approx(4e-4)
+    for stamps in (gap, rounded):
+        for wrong in (8e-4, 2e-4):
+            with pytest.raises(RecordError, match=f"but --sample-time is {wrong:g} s"):
+                log_at(stamps, sample_time=wrong)

@@ -225,3 +225,19 @@ def test_a_header_for_a_file_without(tmp_path):
     assert len(log) == ROWS
     with pytest.raises(RecordError, match="expected different names"):
         read_log(tmp_path / "log.txt", header="t,i_a,i_a")
+
+
+@pytest.mark.parametrize(
+    ("columns", "step"),
+    [
+        ({"i_a": range(9), "u_a": range(9)}, None),
+        ({"t": [0.0, 0.5], "i_a": [1, 2]}, None),
+        ({"t": [0.0, 0.5, 1.0], "i_a": [1, 2, 3]}, 0.5),
+        ({"t [ms]": [0.0, 2.0, 4.0, 6.0], "i_a": [1, 2, 3, 4]}, 2e-3),
+        ({"t": [3.0, 2.0, 1.0], "i_a": [1, 2, 3]}, None),
+    ],
+)
+def test_the_sample_time_of_a_channel(tmp_path, columns, step):
+    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
+    for channel in list_channels(tmp_path / "log.csv").channels:
+        assert channel.sample_time == (step if step is None else pytest.approx(step))

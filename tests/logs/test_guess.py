@@ -8,6 +8,7 @@ import pytest
 from fluxobs import RecordError, read_log
 from fluxobs.logs import units
 from fluxobs.logs.guess import electrical_or_mechanical, turn_of
+from fluxobs.logs.log import Truth
 from fluxobs.logs.names import is_setpoint, leaf, read_name, unit_in
 
 K = np.arange(400)
@@ -368,3 +369,10 @@ def test_at_most_forty_columns_are_named_where_nothing_is_found(count, named):
         read_log(columns)
     words = str(told.value).partition("among its columns: ")[2].partition(". Name them")[0]
     assert len(words.split(", ")) == named
+
+
+def test_a_truth_of_one_column_is_not_scaled():
+    true = Truth("theta_e", ("angle",))
+    np.testing.assert_array_equal(true.centre, [0.0, 0.0])
+    np.testing.assert_array_equal(true.size, [1.0, 1.0])
+    assert not true.guessed

@@ -114,7 +114,7 @@ def verdict(room: str, mutant: PythonMutant | CMutant) -> str:
             return "SURVIVED" if passes(room) else "caught"
     except subprocess.TimeoutExpired:
         return "caught"
-    except subprocess.CalledProcessError:
+    except (subprocess.CalledProcessError, AttributeError):  # Cosmic Ray fails on `except (A, B)`
         return "invalid"
 
 

@@ -30,7 +30,7 @@ POINTS = 61
 Exponent = Annotated[float, Field(ge=0, le=20, allow_inf_nan=False)]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class FluxPoints:
     """Points of a flux map, on a grid or scattered.
 
