@@ -6,12 +6,11 @@ import numpy as np
 import polars as pl
 import pytest
 
-from fluxobs import html
 from fluxobs.campaigns import report
 from fluxobs.campaigns.columns import schema
 from fluxobs.campaigns.dataset import Dataset
 from fluxobs.campaigns.specification import Specification
-from support.expected import check
+from support.expected import check, pictures_of_reports
 
 MACHINES = ("servo-400w", "pmsm-2kw2", "ipm-2kw2", "synrm-6kw7", "induction-2kw2")
 OBSERVERS = ("plain", "adaptive", "gradient (Ortega, Lee)")
@@ -69,13 +68,7 @@ def campaign(machines, scenarios, **more):
     ],
 )
 def test_the_report(name, found, monkeypatch, tmp_path):
-    pictures = []
-
-    def noted(figure, alt):
-        pictures.append({"alt": alt, "figure": figure})
-        return f"[picture {len(pictures)}]"
-
-    monkeypatch.setattr(html, "picture", noted)
+    pictures = pictures_of_reports(monkeypatch)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "out").mkdir()
     rows = drawn(found.specification)

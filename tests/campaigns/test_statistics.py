@@ -200,7 +200,7 @@ def test_rows_of_machine_and_observer():
 
 
 def test_an_observer_that_never_is_valid_has_the_error_of_an_unknown_angle():
-    """Uniform over a turn: π/√3 rms. Below 1e-6 rad nothing is told apart."""
+    """A uniform error over a turn has π/√3 rms. Errors below 1e-6 rad count as equal."""
     found = statistics.response(rows(rms=[None, 0.01, 1e-6, 1e-9]))
     uniform = np.sqrt(np.mean(np.linspace(-np.pi, np.pi, 100_001) ** 2))
     np.testing.assert_allclose(10**found, [uniform, 0.01, 1e-6, 1e-6], rtol=1e-4)

@@ -1,4 +1,4 @@
-"""What a search says once it has ended: thresholds from both sides, numbers in closed form."""
+"""Findings of a finished search: thresholds from both sides, numbers in closed form."""
 
 from types import SimpleNamespace
 

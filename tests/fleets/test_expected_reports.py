@@ -5,12 +5,11 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import polars as pl
 
-from fluxobs import html
 from fluxobs.fleets.follow import follow, read_limit, untold
 from fluxobs.fleets.many import Fleet
 from fluxobs.fleets.one import COLUMNS
 from fluxobs.fleets.report import headline, remarks, write_html
-from support.expected import check
+from support.expected import check, pictures_of_reports
 
 START = datetime(2025, 3, 1, tzinfo=UTC)
 
@@ -41,13 +40,7 @@ def table():
 
 
 def test_the_report(tmp_path, monkeypatch):
-    pictures = []
-
-    def noted(figure, alt):
-        pictures.append({"alt": alt, "figure": figure})
-        return f"[picture {len(pictures)}]"
-
-    monkeypatch.setattr(html, "picture", noted)
+    pictures = pictures_of_reports(monkeypatch)
     fleet = Fleet(tmp_path, table())
     limits = [read_limit("resistance=20%"), read_limit("psi_f=0.09..0.11")]
     found = follow(fleet.table, limits)

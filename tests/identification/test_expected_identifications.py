@@ -5,21 +5,15 @@ import pytest
 
 import fluxobs
 from fluxobs.identification.report import html_of
-from fluxobs.machines import SynchronousReluctance, example
+from fluxobs.machines import example
 from fluxobs.synthetic.demo import LOG
+from identification.test_map import START, TRUE
 from observers.test_cage import MACHINE, RAMPS, H, record
-from observers.test_maps import MODEL, reluctance_record
+from observers.test_maps import reluctance_record
 from support.expected import check
 from support.records import COURSE_TIME, PMSM, course, driven, log_columns, profile
 
 PICTURE = "data:image/png"
-
-
-class Exact(SynchronousReluctance):
-    """The reluctance machine itself, not the splines through its map."""
-
-    def flux_dq(self, current):
-        return MODEL.flux(current)
 
 
 def by_default():
@@ -44,12 +38,8 @@ def a_salient_machine():
 
 
 def how_it_saturates():
-    given = {"n_p": 2, "rated_current": 22.0, "L_d": 0.047, "L_q": 0.0085}
-    start = SynchronousReluctance(
-        R_s=0.69, inverter_voltage=0.0, inverter_voltage_std=0.01, **given
-    )
-    columns = log_columns(reluctance_record(machine=Exact(R_s=0.63, **given)))
-    return fluxobs.identify(columns, start, free="R_s,map")
+    columns = log_columns(reluctance_record(machine=TRUE))
+    return fluxobs.identify(columns, START, free="R_s,map")
 
 
 def a_rotor():

@@ -212,7 +212,7 @@ def test_what_came_is_kept_until_there_are_rows(watch):
 @pytest.mark.parametrize("grown", ["u", "i"])
 @pytest.mark.parametrize(("factor", "chosen"), [(3.4, 1), (4.8, 2)])
 def test_four_times_the_first_signals_ask_for_another_observer(watch, grown, factor, chosen):
-    """It is chosen for twice what it saw, and anew beyond twice that."""
+    """The observer is chosen for twice the measured signals, and again beyond twice that."""
     t = 2e-4 * np.arange(15_000)
     vector = np.exp(1j * 300 * t)
     large = np.where(t > 1.5, factor, 1.0)

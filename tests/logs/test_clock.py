@@ -203,7 +203,7 @@ def test_a_sample_time_that_is_given_must_agree(share, agrees):
 
 @pytest.mark.parametrize(("lost", "joined"), [(14, True), (17, False)])
 def test_a_wrap_may_lose_sixteen_samples(lost, joined):
-    """A longer step over the start of a counter is none."""
+    """A longer step is not taken for the wrap of a counter."""
     rows = np.delete(np.arange(300), slice(150, 150 + lost))
     t = np.mod(rows * 1e-4 + (2**16 / 1e6 - 0.01505), 2**16 / 1e6)
     if joined:

@@ -534,7 +534,7 @@ def test_unusable_record(arguments, message):
 
 @pytest.mark.parametrize("size", [1, 7, 64, ROWS])
 def test_what_the_inverter_loses_in_any_batches(size):
-    """Of the current before and after each interval; before the first row, of its own."""
+    """The loss follows from the currents at both ends; the first row counts twice."""
     error = InverterError(0.8, 0.3)
     log = read_log(PLAIN)
     parts = list(log.less_inverter(error).aligned(size=size))

@@ -95,7 +95,7 @@ def install() -> None:
         configure += [f"-DPython_EXECUTABLE={sys.executable}"]
         configure += [f"-Dnanobind_DIR={nanobind.stdout.strip()}"]
         subprocess.run(configure, check=True, capture_output=True)
-    # In a session of its own: the terminal's interrupt would end it.
+    # In a separate session: an interrupt from the terminal would end it.
     build = ["cmake", "--build", BUILD]
     subprocess.run(build, check=True, capture_output=True, start_new_session=True)
     for module in BUILD.glob("_core*.*"):
@@ -150,7 +150,7 @@ def _of_cursor(cursor: Cursor) -> Iterator[CMutant]:
             left = next(cursor.get_children())
             end = left.extent.end.offset
             after = [token for token in tokens if token.extent.start.offset >= end]
-            # After "=" stands a sign or a star of its own.
+            # After "=" a sign or a star is a unary operator.
             pairs = zip([None, *(token.spelling for token in after)], after, strict=False)
             operator = next((b for a, b in pairs if a != "=" and b.spelling in SWAPS), None)
             for text in SWAPS.get(operator.spelling, ()) if operator else ():

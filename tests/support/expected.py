@@ -14,8 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+
+from fluxobs import html
 
 FOLDER = Path(__file__).parents[1] / "expected"
 #: A number in a text.
@@ -82,6 +85,18 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     return value
+
+
+def pictures_of_reports(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """Collect the figures of HTML reports, which hold a numbered mark in place of each."""
+    pictures: list[dict[str, Any]] = []
+
+    def collect(figure: Figure, alt: str) -> str:
+        pictures.append({"alt": alt, "figure": figure})
+        return f"[picture {len(pictures)}]"
+
+    monkeypatch.setattr(html, "picture", collect)
+    return pictures
 
 
 def described(figure: Figure) -> dict[str, Any]:

@@ -60,7 +60,7 @@ static void both_sides(const fo_machine *m, size_t offset, bool most, const char
 static void check_limits(void)
 {
     const fo_machine magnets[] = {
-        /* R_s, L, psi, current: one ratio at its least or most */
+        /* R_s, L, psi, current: each ratio at its lower or upper limit */
         fo_pmsm(1, (fo_real)2e-6, 1, 2000),          /* L/R of 2 us */
         fo_pmsm(1, 5, 1, 1),                         /* and of 5 s */
         fo_pmsm(1, (fo_real)3e-3, 1, 1 / (fo_real)3), /* L i of a thousandth of psi */
