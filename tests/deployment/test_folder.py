@@ -101,7 +101,8 @@ def test_a_change_of_the_observer_shows(tmp_path, was, becomes):
     assert "FAILED" in done.stdout
 
 
-@pytest.mark.parametrize("every", [pytest.param(2, marks=pytest.mark.slow), 5])
+@pytest.mark.slow
+@pytest.mark.parametrize("every", [2, 5])
 def test_make_test_where_volt_seconds_are_gathered(tmp_path, every):
     fluxobs.export(MACHINES["servo-400w"], 5e-5, tmp_path / "motor", update_every=every)
     done = make_test(tmp_path / "motor")

@@ -18,6 +18,10 @@ from support import tasks
 SCHEDULERS = ["pool", "local"]
 
 
+#: A worker that dies takes Dask seconds to replace.
+DYING = [pytest.param(s, marks=pytest.mark.slow if s == "local" else ()) for s in SCHEDULERS]
+
+
 @pytest.fixture(params=SCHEDULERS)
 def scheduler(request: pytest.FixtureRequest) -> str:
     if request.param == "local":
@@ -45,6 +49,7 @@ def test_a_task_that_kills_its_worker_once_is_done_again(scheduler: str, tmp_pat
     assert (tmp_path / "died").exists()
 
 
+@pytest.mark.parametrize("scheduler", DYING, indirect=True)
 def test_a_task_that_always_kills_its_worker_ends_the_run(scheduler: str) -> None:
     with pytest.raises(FluxobsError, match="its worker died 5 times"):
         list(compute([3], tasks.die, 1, scheduler))
@@ -145,6 +150,7 @@ def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("scheduler", DYING, indirect=True)
 def test_a_task_that_is_given_up_stops_no_other(scheduler: str) -> None:
     found = dict(compute(range(8), tasks.die_at_three, 2, scheduler, lambda task: "lost"))
     assert found == {k: "lost" if k == 3 else k for k in range(8)}

@@ -154,7 +154,12 @@ def test_another_configuration_in_the_drive(folder):
 
 @pytest.mark.parametrize("unknowns", ["drift", ADAPTIVE])
 @pytest.mark.parametrize(
-    "name", ["servo-400w", "ipm-2kw2", pytest.param("induction-2kw2", marks=pytest.mark.slow)]
+    "name",
+    [
+        "ipm-2kw2",
+        pytest.param("servo-400w", marks=pytest.mark.slow),
+        pytest.param("induction-2kw2", marks=pytest.mark.slow),
+    ],
 )
 def test_a_seed_that_cannot_be_resets(tmp_path, name, unknowns):
     made = tmp_path / "motor"

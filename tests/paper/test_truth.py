@@ -88,6 +88,7 @@ def test_growth_on_the_orbit_against_another_solver(segment, expected):
     assert np.log(largest) / (2 * np.pi) == pytest.approx(study.exponent[0], rel=3e-3)
 
 
+@pytest.mark.slow
 def test_scalar_gain_is_unstable_at_every_gain_and_its_limit():
     found = stability.scalar_gain()
     assert found.alpha == pytest.approx(6.43e-5, rel=0.01)

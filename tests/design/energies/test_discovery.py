@@ -71,6 +71,8 @@ LONG = {
     "doubly_fed",
     "five_phase_pmsm",
     "saturated_switched_reluctance",
+    "switched_reluctance",
+    "interior_pmsm",
 }
 
 

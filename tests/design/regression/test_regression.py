@@ -32,6 +32,10 @@ def run_in(rows, first=20):
 CORNERS = {"pmsm": 60.0, "synrm": 60.0, "maglev": 50.0, "three-port": 8.0}
 
 
+#: Their filters take seconds to integrate.
+LONG = {"three-port", "pmsm", "synrm"}
+
+
 @cache
 def continuous(name, form="corrected"):
     case, corner = CASES[name](), CORNERS[name]
@@ -42,10 +46,7 @@ def continuous(name, form="corrected"):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=pytest.mark.slow) if name == "three-port" else name
-        for name in CASES
-    ],
+    [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in CASES],
 )
 def test_continuous_regression_is_exact_after_the_transient(name):
     case, rows, flux = continuous(name)
