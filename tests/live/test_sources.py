@@ -349,7 +349,7 @@ def test_a_page_that_stands_still_does_not_hold_up_a_stream_that_waits(server, m
     monkeypatch.setattr(serve, "_WAITING", 3)
     monkeypatch.setattr(serve, "_PATIENCE", 0.2)
     one = server()
-    with connected(one, max_queue=1):
+    with connected(one, max_queue=1, close_timeout=1):
         assert one.watched.wait(5)
         began = time.monotonic()
         for _ in range(300):

@@ -86,7 +86,18 @@ def shared(browser, tmp_path_factory):
     context.close()
 
 
-@pytest.mark.parametrize("name", [n for n in corpus.LAYOUTS if n.endswith(READ)])
+#: One log of each reader; the others are slow.
+FEW_LOGS = {"plain.csv", "german-excel.csv", "simulink-inspector.csv", "moteus.npz"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in FEW_LOGS else pytest.mark.slow)
+        for name in corpus.LAYOUTS
+        if name.endswith(READ)
+    ],
+)
 def test_every_log_gives_what_the_library_gives(shared, name):
     options = {"preset": corpus.PRESETS.get(name, "")}
     own = {"preset": options["preset"]} if options["preset"] else {}
@@ -185,25 +196,25 @@ MACHINES = [
 ]
 
 
-@pytest.fixture(scope="module")
-def records(tmp_path_factory):
-    """A run of each machine as the firmware's test has it, in a file."""
-    return {name: written(name, tmp_path_factory.mktemp("logs")) for name, _ in MACHINES}
+#: The others are slow.
+FEW_MACHINES = {MACHINES[0], MACHINES[1], MACHINES[2], MACHINES[4]}
 
 
 @pytest.mark.parametrize(
     ("name", "unknowns"),
     [
-        pytest.param(*pair, marks=pytest.mark.slow) if pair[0] == "synrm-6kw7-saturated" else pair
+        pytest.param(*pair, marks=() if pair in FEW_MACHINES else pytest.mark.slow)
         for pair in MACHINES
     ],
 )
-def test_every_machine_and_observer_gives_what_the_library_gives(shared, records, name, unknowns):
-    estimated(shared, records[name], example_text(name), unknowns=unknowns, preset="")
+def test_every_machine_and_observer_gives_what_the_library_gives(shared, tmp_path, name, unknowns):
+    record = written(name, tmp_path)
+    options = {"unknowns": unknowns, "preset": "", "sample-time": ""}
+    estimated(shared, record, example_text(name), **options)
     said = shared.page.inner_text("#status")
     shared.page.locator("#unknowns").evaluate("e => { e.value = 'auto' }")
     assert said.startswith("Estimated"), said
-    expected = fluxobs.estimate(records[name], name, unknowns=unknowns)
+    expected = fluxobs.estimate(record, name, unknowns=unknowns)
     equal(shared, expected, MAPPED.get(name, ROUNDING))
 
 
