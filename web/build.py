@@ -17,12 +17,13 @@ import os
 import subprocess
 import sys
 import tomllib
+from functools import partial
 from pathlib import Path
 
 from libraries import libraries, notices
 from translate import program
 
-WEB = Path(__file__).parent
+WEB = Path(__file__).resolve().parent
 ROOT = WEB.parent
 PACKAGE = ROOT / "src" / "fluxobs"
 BUILD = ROOT / "build" / "page"
@@ -123,15 +124,17 @@ def install() -> None:
 
 def wasm() -> bytes:
     """The observers and the parser of text as a WebAssembly module."""
+    # Zig's key for its C library has a path relative to the folder that it runs in, if that folder
+    # holds zig: in BUILD, it is the one of an export anywhere else.
+    run = partial(subprocess.run, check=True, cwd=BUILD)
     compiler = [sys.executable, *COMPILER.split()]
     includes = [f"-I{ROOT / 'firmware'}", f"-I{ROOT / 'binding'}"]
     objects = []
     for source in [WEB / "core.c", WEB / "cells.c", *sorted((ROOT / "firmware").glob("*.c"))]:
-        objects.append(str(BUILD / f"{source.stem}.o"))
-        command = [*compiler, "-msimd128", *includes, "-c", str(source), "-o", objects[-1]]
-        subprocess.run(command, check=True)
+        objects.append(f"{source.stem}.o")
+        run([*compiler, "-msimd128", *includes, "-c", str(source), "-o", objects[-1]])
     module = BUILD / "core.wasm"
-    subprocess.run([*compiler, *objects, "-o", str(module)], check=True)
+    run([*compiler, *objects, "-o", module.name])
     return module.read_bytes()
 
 
