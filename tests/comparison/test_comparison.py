@@ -177,6 +177,7 @@ def both_biases():
     return compare_scenario(scenario("both-biases"), "pmsm-2kw2", entries=FEW)
 
 
+@pytest.mark.slow
 def test_the_least_squares_is_at_the_bound_where_others_have_a_bias(both_biases):
     ours = both_biases.result("least squares").tuned
     assert ours.rms / both_biases.bound < 1.05
@@ -187,6 +188,7 @@ def test_the_least_squares_is_at_the_bound_where_others_have_a_bias(both_biases)
         assert result.tuned.rms <= result.recommended.rms
 
 
+@pytest.mark.slow
 def test_report(both_biases, tmp_path):
     text = report.verdict(both_biases)
     assert "times the Cramér-Rao bound" in text

@@ -78,7 +78,11 @@ def test_command_line(tmp_path):
 @pytest.mark.parametrize("unknowns", ["drift", ADAPTIVE])
 @pytest.mark.parametrize(
     ("sample_time", "every"),
-    [(2e-5, 1), (5e-5, 1), (1e-4, 1), (2e-4, 1), (2e-5, 4), (5e-5, 4), (1e-4, 4)],
+    [(1e-4, 1), (2e-5, 4)]
+    + [
+        pytest.param(*rates, marks=pytest.mark.slow)
+        for rates in [(2e-5, 1), (5e-5, 1), (2e-4, 1), (5e-5, 4), (1e-4, 4)]
+    ],
 )
 def test_a_record_for_any_sample_time(tmp_path, sample_time, every, unknowns):
     """Each shipped machine, at usual interrupts: the record has rows enough to know a position."""

@@ -24,7 +24,9 @@ ADAPTIVE = "drift,resistance,inverter"
 STEP = 1e-4
 
 
-@pytest.fixture(scope="module", params=["drift", ADAPTIVE, "map"])
+@pytest.fixture(
+    scope="module", params=["drift", ADAPTIVE, pytest.param("map", marks=pytest.mark.slow)]
+)
 def units(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("fmu") / "motor"
     machine = "ipm-5kw6" if request.param == "map" else "servo-400w"

@@ -29,7 +29,10 @@ MAPPED = fluxobs.SynchronousReluctance(
 )
 
 
-@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize(
+    "compiler",
+    [COMPILERS[0], pytest.param(COMPILERS[1].values[0], id="clang", marks=pytest.mark.slow)],
+)
 def test_make_test_in_the_folder(tmp_path, compiler):
     fluxobs.export(MACHINES["servo-400w"], 1e-4, tmp_path / "servo", prefix="servo")
     done = make_test(tmp_path / "servo", f"CC={' '.join(compiler)}")
@@ -403,9 +406,9 @@ def write(folder, files, force=False):
     [
         ("table", "drift"),
         pytest.param("table", "drift,resistance,inverter", marks=pytest.mark.slow),
-        ("induction-2kw2", "drift"),
+        pytest.param("induction-2kw2", "drift", marks=pytest.mark.slow),
         pytest.param("induction-2kw2", "drift,resistance,inverter", marks=pytest.mark.slow),
-        ("ipm-2kw2", "drift"),
+        pytest.param("ipm-2kw2", "drift", marks=pytest.mark.slow),
     ],
 )
 def test_a_flux_map_in_the_folder(tmp_path, name, unknowns):

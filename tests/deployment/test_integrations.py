@@ -166,6 +166,7 @@ def test_the_host_gets_the_true_angle_and_speed(host, direction, drive):
     assert found["speed"] < 0.01  # of the speed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("host", HOSTS, ids=str)
 def test_the_adaptive_observer_as_the_first_lines_say(host, drive):
     found = drive(host, 1, adaptive=True)

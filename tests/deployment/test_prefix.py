@@ -18,7 +18,13 @@ LIKE_THE_LIBRARY = [
 
 
 @pytest.mark.parametrize("unknowns", ["drift", "auto"])
-@pytest.mark.parametrize("prefix", LIKE_THE_LIBRARY)
+@pytest.mark.parametrize(
+    "prefix",
+    [
+        pytest.param(p, marks=pytest.mark.slow if k > 3 else ())
+        for k, p in enumerate(LIKE_THE_LIBRARY)
+    ],
+)
 def test_a_prefix_that_is_also_a_word_of_the_library(tmp_path, prefix, unknowns):
     """All headers together, and the machine's sources, with a flux map."""
     folder = tmp_path / "motor"

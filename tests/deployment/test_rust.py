@@ -15,7 +15,7 @@ CARGO = shutil.which("cargo")
     ("machine", "unknowns"),
     [
         ("servo-400w", "drift"),
-        ("ipm-2kw2", "drift"),
+        pytest.param("ipm-2kw2", "drift", marks=pytest.mark.slow),
         ("synrm-6kw7", "drift,resistance,inverter,asymmetry"),
     ],
 )

@@ -72,6 +72,7 @@ LONG = {
     "five_phase_pmsm",
     "saturated_switched_reluctance",
     "switched_reluctance",
+    "surface_pmsm",
     "interior_pmsm",
 }
 

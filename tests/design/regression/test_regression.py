@@ -144,7 +144,9 @@ def test_sampled_regression_is_exact_from_the_first_sample(seed, a):
 
 
 @pytest.mark.parametrize("kind", ["printed", "structured"])
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in CASES]
+)
 def test_parametrisations_explain_y(name, kind):
     case, rows, flux = continuous(name)
     constants = Parametrisation(case.constraint, kind, CORNERS[name])
