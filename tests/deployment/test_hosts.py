@@ -1,4 +1,4 @@
-"""Exports for WebAssembly and Simulink: their records, and what all forms have in common."""
+"""The export for WebAssembly and its record, and what all forms have in common."""
 
 import csv
 import hashlib
@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ import fluxobs
 from fluxobs.deployment.forms import FORMS, build
 from support.cli import fluxobs as command
 
-STAND_IN = Path(__file__).parent / "simulink"
 ADAPTIVE = "drift,resistance,inverter"
 STEP = 1e-4
 
@@ -91,26 +89,6 @@ def test_a_state_of_another_module_is_refused(module, tmp_path):
     first, second = done.stdout.splitlines()
     assert "a state of another observer" in first
     assert "a state of 3 bytes" in second
-
-
-@pytest.mark.parametrize("unknowns", ["drift", ADAPTIVE])
-def test_the_s_function_returns_the_numbers_of_the_library(tmp_path, unknowns):
-    folder = tmp_path / "motor"
-    fluxobs.export("servo-400w", STEP, folder, unknowns=unknowns, form="simulink")
-    flags = ["-std=c99", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-DFO_SINGLE=0"]
-    sources = sorted(folder.glob("*.c"))
-    program = tmp_path / "block"
-    includes = [f"-I{STAND_IN}", f"-I{folder}"]
-    subprocess.run(["gcc", *flags, *includes, *sources, "-lm", "-o", program], check=True)
-    head, rows = record(folder)
-    given = np.ascontiguousarray(rows[:, :4])
-    done = subprocess.run([program], input=given.tobytes(), capture_output=True, check=True)
-    found = np.frombuffer(done.stdout).reshape(len(rows), -1)
-    np.testing.assert_array_equal(found[:, : len(head) - 4], rows[:, 4:])
-    assert "Untested in MATLAB" in (folder / "README.md").read_text()
-    named = re.search(r"sources = \{(.*)\}", (folder / "build.m").read_text()).group(1)
-    others = {path.name for path in sources} - {"motor_sfun.c"}
-    assert set(re.findall(r"'(.*?)'", named)) == others
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -42,16 +42,6 @@ def test_a_prefix_that_is_also_a_word_of_the_library(tmp_path, prefix, unknowns)
     subprocess.run(["gcc", *flags, "-fsyntax-only", *sources], check=True)
 
 
-@pytest.mark.parametrize("unknowns", ["drift", "auto"])
-def test_an_s_function_never_replaces_a_source(tmp_path, unknowns):
-    for prefix in ("motor", "adaptive", "map"):
-        fluxobs.export(
-            "ipm-5kw6", 1e-4, tmp_path / prefix, unknowns=unknowns, prefix=prefix, form="simulink"
-        )
-    count = {len([*folder.rglob("*")]) for folder in tmp_path.iterdir()}
-    assert len(count) == 1
-
-
 @pytest.mark.parametrize(
     "prefix", ["fo", "FO", "fo_adaptive", "fo_use", "Fo_map", "fluxobs", "FLUXOBS", "fluxobs_seed"]
 )

@@ -35,7 +35,6 @@ RUNTIME_SOURCES = (
         for kind in ("h", "c")
     ),
     "fluxobs.hpp",
-    "soft_float/soft_float.c",
 )
 #: What an export changes if the plain observer is alone.
 ADAPTIVE = "#define FO_ADAPTIVE 1"
@@ -156,7 +155,7 @@ def make_core(
     if not inside.held:
         _choose(sources, HELD, 0)
     runtime = {
-        name.rpartition("/")[2]: (installed / name).read_text(encoding="utf-8")
+        name: (installed / name).read_text(encoding="utf-8")
         for name in RUNTIME_SOURCES
     }
     texts = tuple(sources.values())

@@ -86,9 +86,9 @@ def export(
         More interrupts cost less computing time, but noise is averaged over fewer samples.
     prefix : str
         Prefix of the generated names, so that two machines fit into one firmware.
-    form : {"c", "arduino", "fmu", "wasm", "rust", "simulink"}
+    form : {"c", "arduino", "fmu", "wasm", "rust"}
         What is written around the same sources, parameters and record: C99 for any firmware, a
-        library, simulation units, a WebAssembly module, a Rust crate, an S-function.
+        library, simulation units, a WebAssembly module, a Rust crate.
     force : bool
         Replace an earlier export in which nothing has been changed.
 

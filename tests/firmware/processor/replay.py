@@ -60,7 +60,6 @@ class Build:
     clock: float  # of the SysTick timer [Hz]
     linker: str
     hard: bool  # has a floating-point unit
-    soft: bool = False  # the export's soft_float.c in place of the compiler's routines
     fused: bool = False  # the compiler may fuse multiplications and additions: last digits differ
 
 
@@ -91,7 +90,6 @@ BUILDS = (
         fused=True,
     ),
     Build("Cortex-M4F, -Os", [*M4F, *SIZE], "mps2-an386", 25e6, "m4f.ld", True),
-    Build("Cortex-M0, soft_float.c, -O2", M0, "microbit", 16e6, "m0.ld", False, soft=True),
     Build("Cortex-M0, soft float, -O2", M0, "microbit", 16e6, "m0.ld", False),
 )
 
@@ -109,10 +107,6 @@ def compile_for(
         subprocess.run(["arm-none-eabi-gcc", *flags, "-c", source, "-o", parts[-1]], check=True)
     subprocess.run(["arm-none-eabi-ld", "-r", *parts, "-o", observer], check=True)
     sources = [HERE / "main.c", folder / "test" / "check.c", *parts, folder / "motor_observer.c"]
-    if build.soft:
-        sources.append(folder / "soft_float.o")
-        command = ["arm-none-eabi-gcc", *flags, "-Os", "-c", folder / "runtime" / "soft_float.c"]
-        subprocess.run([*command, "-o", sources[-1]], check=True)
     link(build, flags, sources, program)
     linked = sizes(program)
     # Without what only those need who step every few interrupts.

@@ -62,7 +62,7 @@ def export(
             "--as",
             help="c: C99 for any firmware; arduino: library for the Arduino IDE and PlatformIO; "
             "fmu: simulation units, FMI 3.0 and 2.0; wasm: module for browsers and others; "
-            "rust: crate without dependencies; simulink: S-function.",
+            "rust: crate without dependencies.",
         ),
     ] = "c",
     force: Annotated[bool, typer.Option("--force", help="Overwrite an earlier export.")] = False,

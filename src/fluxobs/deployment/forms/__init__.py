@@ -20,7 +20,6 @@ FORMS = {
     "fmu": "python {folder}/test/check.py",
     "wasm": "node {folder}/test/check.mjs",
     "rust": "cargo test --manifest-path {folder}/Cargo.toml",
-    "simulink": "build.m and check.m in {folder}",
 }
 
 

@@ -33,7 +33,6 @@ def files(core: Core) -> dict[str, str | bytes]:
     check_every_step(core, "an Arduino library")
     words = _words(core)
     code = joined(core.code, core.runtime)
-    del code["soft_float.c"]  # a library does not change the arithmetic of a sketch
     vectors = vectors_header(core.record, core.estimates)
     check = "the example SelfTest replays the record"
     return joined(
