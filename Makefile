@@ -7,7 +7,7 @@
 # make fuzz   spoilt logs into the readers; ten million samples of anything into the C sources
 # make bench  the benchmarks, each with its number and the machine
 # make docs   the documentation, in build/docs
-# make page   the page and the template of reports, in src/fluxobs/web
+# make page   the page and the template of reports, in src/fluxobs/page
 
 PYTHON ?= python3
 VENV := .venv
@@ -17,7 +17,7 @@ READY := $(VENV)/.ready-$(shell find src/fluxobs -name '*.py' | LC_ALL=C sort | 
 FIRMWARE := $(wildcard firmware/*.c)
 SOURCES := CMakeLists.txt pyproject.toml $(wildcard binding/*) $(FIRMWARE) $(wildcard firmware/*.h)
 
-PAGE := src/fluxobs/web/page.html
+PAGE := src/fluxobs/page/page.html
 PAGE_SOURCES := $(wildcard web/*.py web/*.c web/*.json web/app/* web/runtime/*) binding/columns.h \
     $(shell find src/fluxobs -name '*.py')
 

@@ -19,7 +19,8 @@ from common import MEASURED, Array, degrees_error, heading
 
 from fluxobs import AdaptiveObserver
 from fluxobs.comparison.scenarios import believed_machine
-from fluxobs.design.drive import (
+from fluxobs.machines import InteriorPMSM, example
+from fluxobs.simulation.drive import (
     Course,
     Inverter,
     Profile,
@@ -28,7 +29,6 @@ from fluxobs.design.drive import (
     rating,
     simulate_batch,
 )
-from fluxobs.machines import InteriorPMSM, example
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 from support.records import driven, steady

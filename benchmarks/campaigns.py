@@ -20,7 +20,7 @@ from common import heading
 from fluxobs.campaigns import Specification, campaign, dataset
 from fluxobs.campaigns.campaign import fill
 from fluxobs.campaigns.dataset import TIMES, Chunk, Dataset, chunk_size
-from fluxobs.engine import locked
+from fluxobs.core.engine import locked
 
 SCENARIOS, WORKERS = 1000, 2
 

@@ -6,7 +6,8 @@ import numpy as np
 from common import degrees_error, heading
 
 from fluxobs.comparison.scenarios import believed_machine
-from fluxobs.design.drive import (
+from fluxobs.machines import RotatingMachine, example
+from fluxobs.simulation.drive import (
     Course,
     Profile,
     Rating,
@@ -15,7 +16,6 @@ from fluxobs.design.drive import (
     sensorless_drive,
     simulate,
 )
-from fluxobs.machines import RotatingMachine, example
 
 MACHINE = "pmsm-2kw2"
 

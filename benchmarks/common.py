@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fluxobs.machines import RotatingMachine
-from fluxobs.model.frames import angle_error, wrap
-from fluxobs.synthetic.signals import steady, vectors
+from fluxobs.machines.model.frames import angle_error, wrap
+from fluxobs.simulation.closed_form.signals import steady, vectors
 
 Array = NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 """The table of docs/constraints.md: the relations that every machine of the library satisfies."""
 
-from fluxobs.design import blondel_park, discover_constraint
-from fluxobs.design.energies.library import LIBRARY, doubly_fed
+from fluxobs.research import blondel_park, discover_constraint
+from fluxobs.research.energies.library import LIBRARY, doubly_fed
 
 
 def row(name: str, system: object, **options: object) -> str:

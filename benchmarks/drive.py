@@ -7,7 +7,8 @@ import time
 import numpy as np
 from common import heading
 
-from fluxobs.design.drive import (
+from fluxobs.machines import example
+from fluxobs.simulation.drive import (
     Course,
     Profile,
     Trace,
@@ -17,7 +18,6 @@ from fluxobs.design.drive import (
     simulate,
     simulate_batch,
 )
-from fluxobs.machines import example
 
 MACHINE, RATED = example("pmsm-2kw2"), rating("pmsm-2kw2")
 LANES, DURATION = 256, 1.0

@@ -17,7 +17,7 @@ from common import degrees_error, heading
 
 from fluxobs import AdaptiveObserver, LeastSquaresObserver
 from fluxobs.machines import example
-from fluxobs.synthetic.signals import vectors
+from fluxobs.simulation.closed_form.signals import vectors
 
 RATE, BATCH = 20_000, 1_200_000  # a batch is a minute
 MACHINE = example("servo-400w")

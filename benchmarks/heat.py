@@ -1,6 +1,7 @@
 """A winding that warms up while it drives: is its resistance followed, and is the promise kept?
 
-The demonstration motor (fluxobs.synthetic.endless) runs 40 s; its resistance rises exponentially.
+The demonstration motor (fluxobs.simulation.closed_form.endless) runs 40 s; its
+resistance rises exponentially.
 """
 
 from itertools import islice
@@ -9,7 +10,7 @@ import numpy as np
 from common import heading
 
 import fluxobs
-from fluxobs.synthetic import endless
+from fluxobs.simulation.closed_form import endless
 
 SECONDS = 40
 COLD = 0.36  # Ω

@@ -17,8 +17,8 @@ from common import heading
 
 import fluxobs
 from fluxobs.machines import example, rotating
-from fluxobs.synthetic.sensors import Sensor, Steps
-from fluxobs.synthetic.signals import driven, inverter_loss, vectors
+from fluxobs.simulation.closed_form.sensors import Sensor, Steps
+from fluxobs.simulation.closed_form.signals import driven, inverter_loss, vectors
 
 #: Machines, with a rated speed each [rad/s, electrical].
 MACHINES = {"servo-400w": 900.0, "pmsm-2kw2": 600.0, "ipm-2kw2": 600.0}

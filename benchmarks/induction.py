@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from fluxobs.design.drive import Course, Profile, rating, sensorless_drive, simulate
-from fluxobs.design.drive.sensorless import RUNNING
 from fluxobs.machines import example
-from fluxobs.model.frames import wrap
+from fluxobs.machines.model.frames import wrap
+from fluxobs.simulation.drive import Course, Profile, rating, sensorless_drive, simulate
+from fluxobs.simulation.drive.sensorless import RUNNING
 
 MACHINE, RATED = example("induction-2kw2"), rating("induction-2kw2")
 BASE = RATED.speed_e / MACHINE.n_p

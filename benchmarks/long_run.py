@@ -12,7 +12,7 @@ from common import degrees_error, heading
 
 from fluxobs import LeastSquaresObserver
 from fluxobs.machines import SurfacePMSM, example
-from fluxobs.synthetic.signals import vectors
+from fluxobs.simulation.closed_form.signals import vectors
 
 RATE, BATCH = 20_000, 1_200_000  # a batch is a minute
 

@@ -21,7 +21,7 @@ from fluxobs.machines import (
     SynchronousReluctance,
     example,
 )
-from fluxobs.model.flux_table import mirrored
+from fluxobs.machines.model.flux_table import mirrored
 from fluxobs.observers.derived import derived
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))

@@ -19,7 +19,7 @@ from playwright.sync_api import sync_playwright
 import fluxobs
 from fluxobs.estimation.report import write_report
 from fluxobs.machines.files import example_text
-from fluxobs.web import built
+from fluxobs.page import built
 
 PATIENCE = 300_000
 

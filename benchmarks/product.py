@@ -15,7 +15,7 @@ import numpy as np
 from fluxobs.campaigns import open_dataset, pictures
 from fluxobs.campaigns.report import headline, matters, told_indices
 from fluxobs.campaigns.statistics import group, yield_of
-from fluxobs.plots import write
+from fluxobs.core.plots import write
 
 
 def table(folder: Path) -> None:

@@ -19,7 +19,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from fluxobs import AdaptiveObserver, SurfacePMSM
 from fluxobs.machines import RotatingMachine, example
-from fluxobs.synthetic.signals import Complex, between_rows, driven, vectors
+from fluxobs.simulation.closed_form.signals import Complex, between_rows, driven, vectors
 
 DURATION, PARTS = 6.0, 4
 #: Machine, sample time [s], rated electrical speed [rad/s].

@@ -10,7 +10,7 @@ from common import heading
 
 from fluxobs import AdaptiveObserver, LeastSquaresObserver
 from fluxobs.machines import RotatingMachine, example
-from fluxobs.synthetic.signals import driven, vectors
+from fluxobs.simulation.closed_form.signals import driven, vectors
 
 H, ROWS, TRIALS, PARTS = 1e-4, 4000, 12, 16
 MACHINES = ("ipm-2kw2", "ipm-5kw6", "synrm-6kw7", "servo-400w", "induction-2kw2")

@@ -18,7 +18,7 @@ from random_drives import DURATION, course
 
 from fluxobs import AdaptiveObserver, LeastSquaresObserver
 from fluxobs.machines import example
-from fluxobs.synthetic.signals import between_rows, driven, vectors
+from fluxobs.simulation.closed_form.signals import between_rows, driven, vectors
 
 H, RATED, PARTS = 5e-5, 1257.0, 4
 MACHINE = example("servo-400w")

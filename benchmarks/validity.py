@@ -9,7 +9,8 @@ from common import degrees_error, heading
 
 from fluxobs import LeastSquaresObserver
 from fluxobs.comparison.scenarios import believed_machine
-from fluxobs.design.drive import (
+from fluxobs.machines import example
+from fluxobs.simulation.drive import (
     Course,
     Inverter,
     Profile,
@@ -18,8 +19,7 @@ from fluxobs.design.drive import (
     rating,
     simulate_batch,
 )
-from fluxobs.design.drive.twin import SquareRootLeastSquares
-from fluxobs.machines import example
+from fluxobs.simulation.drive.twin import SquareRootLeastSquares
 
 LANES, DURATION = 16, 2.5
 

@@ -7,12 +7,7 @@ currents, torque, dynamics and the relation that the flux observers need follow 
 import jax.numpy as jnp
 import numpy as np
 
-from fluxobs.design import (
-    ElectromechanicalSystem,
-    discover_constraint,
-    inertia,
-    linear_magnetics,
-)
+from fluxobs.research import ElectromechanicalSystem, discover_constraint, inertia, linear_magnetics
 
 axes = np.radians([0, 120, 240, 30, 150, 270])  # magnetic axes of the six phases
 inductance = 0.2e-3 * np.eye(6) + 1e-3 * np.cos(axes[:, None] - axes)  # leakage + air gap [H]

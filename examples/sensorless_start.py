@@ -12,9 +12,17 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from fluxobs.design.drive import Course, Profile, rating, rpm, sensorless_drive, simulate, to_rpm
+from fluxobs.core.plots import BLUE, GREY, ORANGE, STYLE, write
 from fluxobs.machines import example
-from fluxobs.plots import BLUE, GREY, ORANGE, STYLE, write
+from fluxobs.simulation.drive import (
+    Course,
+    Profile,
+    rating,
+    rpm,
+    sensorless_drive,
+    simulate,
+    to_rpm,
+)
 
 machine, rated = example("pmsm-2kw2"), rating("pmsm-2kw2")
 # The current sensors are off by a few percent and noisy; the voltage is biased too.

@@ -19,7 +19,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 #: What of others is in page and reports; `make page` writes it beside them.
-PAGE = ROOT / "src" / "fluxobs" / "web" / "libraries.json"
+PAGE = ROOT / "src" / "fluxobs" / "page" / "libraries.json"
 
 
 def nanobind(version: str) -> dict[str, Any]:

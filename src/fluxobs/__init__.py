@@ -27,8 +27,8 @@ from .machines import (
     example,
     read_machine,
 )
-from .model.constraint import QuadraticConstraint
-from .model.immersion import Immersion
+from .machines.model.constraint import QuadraticConstraint
+from .machines.model.immersion import Immersion
 from .observers import AdaptiveObserver, Estimate, ImmersionObserver, LeastSquaresObserver
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from .examination.examine import check
     from .identification.identify import identify
     from .logs import Log, read_log
-    from .synthetic.demo import demo_log
+    from .simulation.closed_form.demo import demo_log
 
 __version__ = version("fluxobs")
 
@@ -51,7 +51,7 @@ _LATER = {
     "campaign": "campaigns.campaign",
     "check": "examination.examine",
     "compare": "comparison.compare",
-    "demo_log": "synthetic.demo",
+    "demo_log": "simulation.closed_form.demo",
     "estimate": "estimation.estimate",
     "export": "deployment.export",
     "identify": "identification.identify",

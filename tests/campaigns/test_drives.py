@@ -237,7 +237,7 @@ def trace(**given) -> Kept:
 
 
 def test_what_a_loop_did():
-    from fluxobs.design.drive.sensorless import RUNNING
+    from fluxobs.simulation.drive.sensorless import RUNNING
 
     mode = np.full(ROWS, RUNNING)
     mode[:20] = mode[50:60] = RUNNING - 1  # started, lost once

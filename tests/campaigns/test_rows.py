@@ -20,10 +20,10 @@ from fluxobs.campaigns.rows import rows_for, rows_of
 from fluxobs.campaigns.scores import measures
 from fluxobs.campaigns.simulated import Kept, simulated
 from fluxobs.campaigns.specification import Specification
-from fluxobs.design.drive.twin import SquareRootLeastSquares
 from fluxobs.errors import UsageError
 from fluxobs.machines import example
 from fluxobs.machines.heat import COPPER, NEODYMIUM
+from fluxobs.simulation.drive.twin import SquareRootLeastSquares
 
 VARY = {
     "R": {"normal": [1, 0.1]},

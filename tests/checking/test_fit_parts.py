@@ -15,9 +15,9 @@ from fluxobs.checking.relation import (
     positions,
     rows,
 )
-from fluxobs.checking.stretches import Stretches
+from fluxobs.checking.segments import Stretches
 from fluxobs.machines import example
-from fluxobs.model.inverter import inverter_direction
+from fluxobs.machines.model.inverter import inverter_direction
 from support.records import PMSM
 
 H = 1e-4

@@ -17,7 +17,7 @@ from fluxobs.checking.relation import (
     Relation,
     rows,
 )
-from fluxobs.checking.stretches import Stretches, stretches, without_spikes
+from fluxobs.checking.segments import Stretches, stretches, without_spikes
 from fluxobs.logs import read_log
 from support.records import CURRENTS, MACHINES, PMSM, course, log_columns, steady
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fluxobs.checking.stretches import (
+from fluxobs.checking.segments import (
     _bridge,
     _cleaned,
     _resistance,

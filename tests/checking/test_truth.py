@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fluxobs.checking.findings import UNSEEN, Check, Finding
-from fluxobs.checking.stretches import Stretches
+from fluxobs.checking.segments import Stretches
 from fluxobs.checking.truth import truth
 from fluxobs.machines import example
 

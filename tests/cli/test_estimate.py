@@ -11,8 +11,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from fluxobs.estimation.prepare import prepare
 from fluxobs.machines import example_text
+from fluxobs.observers.for_log import prepare
 from support.cli import COLUMNS, fluxobs
 from support.records import SERVO, log_columns, steady
 
@@ -97,7 +97,7 @@ def test_streamed_is_the_same_as_one_piece(folder, monkeypatch):
         batches.append(run.batch)
         return run
 
-    module = importlib.import_module("fluxobs.estimation.passes")
+    module = importlib.import_module("fluxobs.estimation.two_passes")
     monkeypatch.setattr(module, "prepare", in_small_batches)
     assert estimate(folder, log="log.parquet", out="cut.parquet").returncode == 0
     assert set(batches) == {137}

@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 
 from fluxobs.machines import example, example_text
-from fluxobs.paper.levitation import SCENARIOS, record
+from fluxobs.research.paper.levitation import SCENARIOS, record
 from support.cli import fluxobs
 from support.records import steady
 

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from fluxobs import demo_log
-from fluxobs.html import document, paragraph
+from fluxobs.core.html import document, paragraph
 from support.cli import fluxobs
 
 LOG = demo_log().path

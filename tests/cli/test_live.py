@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from fluxobs.synthetic.demo import LOG
+from fluxobs.simulation.closed_form.demo import LOG
 from support.cli import fluxobs
 
 LIVE = [sys.executable, "-m", "fluxobs", "live"]

@@ -12,7 +12,7 @@ import polars as pl
 import pytest
 
 from fluxobs.machines import example_text
-from fluxobs.synthetic.demo import LOG
+from fluxobs.simulation.closed_form.demo import LOG
 from support.cli import fluxobs, process
 
 DEMO = pl.read_csv(LOG)

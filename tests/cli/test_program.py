@@ -12,7 +12,7 @@ import pytest
 
 import fluxobs as library
 from fluxobs.logs import Layout
-from fluxobs.synthetic.demo import LOG
+from fluxobs.simulation.closed_form.demo import LOG
 from support.cli import fluxobs, process
 from support.records import course, log_columns
 

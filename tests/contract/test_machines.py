@@ -9,6 +9,7 @@ import pytest
 
 import fluxobs
 from fluxobs import FluxobsError, MachineError, QuadraticConstraint
+from fluxobs.core.validation import Positive
 from fluxobs.machines import (
     KINDS,
     Machine,
@@ -20,10 +21,9 @@ from fluxobs.machines import (
     machine_from,
 )
 from fluxobs.machines.contract import angle_std
-from fluxobs.model.frames import Frame, angle_error, wrap
-from fluxobs.model.immersion import Immersion
-from fluxobs.synthetic.demo import LOG
-from fluxobs.validation import Positive
+from fluxobs.machines.model.frames import Frame, angle_error, wrap
+from fluxobs.machines.model.immersion import Immersion
+from fluxobs.simulation.closed_form.demo import LOG
 from support.records import SERVO, log_columns, steady
 
 H = 1e-4

@@ -21,7 +21,6 @@ import pytest
 from fluxobs import AdaptiveObserver, FluxobsError, Immersion, LeastSquaresObserver
 from fluxobs.comparison.catalogue import CATALOGUE
 from fluxobs.comparison.compare import setting_for
-from fluxobs.design.drive.twin import SquareRootLeastSquares
 from fluxobs.observers import (
     AdaptiveEstimate,
     Estimate,
@@ -31,6 +30,7 @@ from fluxobs.observers import (
     Observer,
     outputs,
 )
+from fluxobs.simulation.drive.twin import SquareRootLeastSquares
 from support.records import CURRENTS, MACHINES, Samples, steady
 
 H, SPEED = 1e-4, 500.0

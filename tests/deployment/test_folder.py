@@ -12,10 +12,10 @@ import pytest
 
 import fluxobs
 from fluxobs import FluxobsError
+from fluxobs.core.output import claimed
 from fluxobs.deployment.c_source import hex_float
 from fluxobs.deployment.folder import check_folder, write_folder
 from fluxobs.deployment.vectors import COLUMNS
-from fluxobs.output import claimed
 from support.firmware import COMPILERS, CPP_COMPILERS, HARNESS, STRICT, make_test
 from support.records import MACHINES
 

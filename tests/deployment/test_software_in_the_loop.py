@@ -11,7 +11,7 @@ import pytest
 
 import fluxobs
 from fluxobs.deployment.vectors import COLUMNS, expected
-from fluxobs.synthetic.demo import LOG
+from fluxobs.simulation.closed_form.demo import LOG
 from support.cli import fluxobs as command
 from support.firmware import (
     COMPILERS,

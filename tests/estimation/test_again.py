@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fluxobs
-from fluxobs.estimation.again import Again
+from fluxobs.estimation.rerun import Again
 from fluxobs.logs.for_machine import open_for
 from fluxobs.logs.scales import measure_scales
 from fluxobs.machines import example

@@ -8,7 +8,7 @@ import pytest
 
 import fluxobs
 from fluxobs.estimation.columns import _immersed
-from fluxobs.estimation.facts import facts
+from fluxobs.estimation.result_data import facts
 from fluxobs.estimation.truth import Fitted, TruthFit
 from fluxobs.logs.aligned import Aligned
 from fluxobs.observers import ImmersionEstimate

@@ -9,7 +9,7 @@ import pytest
 
 import fluxobs
 from fluxobs import FluxobsError, MachineError, ObserverError, RecordError, UsageError
-from fluxobs.synthetic.demo import LOG
+from fluxobs.simulation.closed_form.demo import LOG
 from support.records import SERVO, steady
 
 H = 1e-4

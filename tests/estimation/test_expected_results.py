@@ -6,7 +6,7 @@ import pytest
 import fluxobs
 from fluxobs.estimation.report import _words
 from fluxobs.machines import example
-from fluxobs.synthetic.demo import LOG
+from fluxobs.simulation.closed_form.demo import LOG
 from support.expected import check
 from support.records import PMSM, SERVO, course, log_columns, steady
 

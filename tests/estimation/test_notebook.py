@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 import pytest
 
 import fluxobs
-from fluxobs.html import table
+from fluxobs.core.html import table
 
 VOID = ("img",)
 

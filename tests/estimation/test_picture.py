@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
+from fluxobs.core.plots import new_figure
 from fluxobs.estimation import picture
 from fluxobs.estimation.truth import Fitted, TruthFit
-from fluxobs.plots import new_figure
 
 T = np.linspace(0.0, 1.0, 200)
 VALID = (T > 0.2).astype(float)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import fluxobs
-from fluxobs.synthetic.demo import LOG, MACHINE
+from fluxobs.simulation.closed_form.demo import LOG, MACHINE
 
 TABLE = np.genfromtxt(LOG, delimiter=",", names=True)
 H, N_P = 2e-4, 4

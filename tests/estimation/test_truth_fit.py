@@ -18,7 +18,7 @@ from fluxobs.estimation.truth import (
     fit_truth,
 )
 from fluxobs.machines import example
-from fluxobs.model.frames import wrap
+from fluxobs.machines.model.frames import wrap
 
 SERVO, SYNRM = example("servo-400w"), example("synrm-6kw7")
 H, ROWS = 1e-3, 4000

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 import fluxobs
-from fluxobs.estimation import learning, prepare, report, warnings
+from fluxobs.estimation import learning, report, warnings
 from fluxobs.estimation.learning import Parameter, doubtful, learning_parts, needed, parameters
-from fluxobs.estimation.prepare import guess_psi_f, plain_observer, usual_speed
 from fluxobs.estimation.report import _columns, _machine_in, _taken
 from fluxobs.estimation.statistics import Statistics
 from fluxobs.estimation.summary import _score, paragraph, si
@@ -17,8 +16,10 @@ from fluxobs.logs.for_machine import open_for
 from fluxobs.logs.scales import Scales
 from fluxobs.machines import example
 from fluxobs.observers import AdaptiveObserver
+from fluxobs.observers import for_log as prepare
 from fluxobs.observers.adaptive import DC_LINK_SHARE
-from fluxobs.web.columns import exact, flags, rounded
+from fluxobs.observers.for_log import guess_psi_f, plain_observer, usual_speed
+from fluxobs.page.columns import exact, flags, rounded
 from support.records import SERVO, log_columns, steady
 
 H, ROWS = 1e-4, 3000
@@ -66,7 +67,7 @@ def changed(run, counts=None, **statistics):
         for name in ("log", "machine", "observer", "scales", "unknowns", "memory", "priors")
     }
     fields |= {"learnt": None, "automatic": False, "causal": False, "counts": counts}
-    return fluxobs.estimation.explained.ExplainedRun(
+    return fluxobs.estimation.explanation.ExplainedRun(
         **fields, statistics=replace(run.statistics, **statistics)
     )
 

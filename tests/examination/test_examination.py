@@ -9,7 +9,7 @@ import pytest
 import fluxobs
 from fluxobs.examination.item import Item, judged
 from fluxobs.machines import example
-from fluxobs.synthetic.demo import LOG, MACHINE
+from fluxobs.simulation.closed_form.demo import LOG, MACHINE
 
 TABLE = np.genfromtxt(LOG, delimiter=",", names=True)
 GOOD = {name: TABLE[name] for name in TABLE.dtype.names}

@@ -5,9 +5,9 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import polars as pl
 
+from fluxobs.fleets.batch import Fleet
 from fluxobs.fleets.follow import follow, read_limit, untold
-from fluxobs.fleets.many import Fleet
-from fluxobs.fleets.one import COLUMNS
+from fluxobs.fleets.log_task import COLUMNS
 from fluxobs.fleets.report import headline, remarks, write_html
 from support.expected import check, pictures_of_reports
 

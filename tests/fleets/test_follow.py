@@ -13,9 +13,9 @@ import polars as pl
 import pytest
 
 from fluxobs.errors import UsageError
+from fluxobs.fleets.batch import Fleet
 from fluxobs.fleets.follow import follow, read_limit
-from fluxobs.fleets.many import Fleet
-from fluxobs.fleets.one import COLUMNS
+from fluxobs.fleets.log_task import COLUMNS
 from fluxobs.fleets.report import headline, picture
 from support.cli import fluxobs
 

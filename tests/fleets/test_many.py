@@ -19,11 +19,11 @@ import pytest
 
 import fluxobs
 from fluxobs.errors import FluxobsError, UsageError
-from fluxobs.fleets import estimate_many, one, open_fleet
-from fluxobs.fleets.one import COLUMNS, Settings, Work
+from fluxobs.fleets import estimate_many, log_task, open_fleet
+from fluxobs.fleets.log_task import COLUMNS, Settings, Work
 from fluxobs.fleets.sources import Source, sources
 from fluxobs.machines.files import example_text
-from fluxobs.synthetic.demo import LOG
+from fluxobs.simulation.closed_form.demo import LOG
 from support.cli import fluxobs as command
 
 HALF = 2500
@@ -153,7 +153,7 @@ def work(tmp_path: Path) -> Work:
 
 def test_a_log_that_changes_meanwhile_is_a_row_that_says_so(logs, tmp_path, monkeypatch):
     log = logs / "a" / "run_2024-05-01.csv"
-    real = one.estimate
+    real = log_task.estimate
 
     def slow(place: Path, *given, **options):
         result = real(place, *given, **options)
@@ -161,7 +161,7 @@ def test_a_log_that_changes_meanwhile_is_a_row_that_says_so(logs, tmp_path, monk
             file.write("0,0,0,0,0,0\n")
         return result
 
-    monkeypatch.setattr(one, "estimate", slow)
+    monkeypatch.setattr(log_task, "estimate", slow)
     row = work(tmp_path)(Source(str(log), "a/run.csv", "a"))
     assert "changed while it was read" in row["failed"]
     assert not (tmp_path / "out" / "estimates" / "a" / "run.csv.parquet").exists()
@@ -171,7 +171,7 @@ def test_an_error_of_the_program_is_a_row_too(logs, tmp_path, monkeypatch):
     def broken(*given, **options):
         raise ZeroDivisionError("division by zero")
 
-    monkeypatch.setattr(one, "estimate", broken)
+    monkeypatch.setattr(log_task, "estimate", broken)
     row = work(tmp_path)(Source(str(logs / "a" / "run_2024-05-01.csv"), "a/run.csv", "a"))
     assert row["failed"].endswith("ZeroDivisionError: division by zero")
 
@@ -186,7 +186,7 @@ def test_a_missing_log_is_a_row(tmp_path):
 def test_a_full_disk_is_a_row(logs, tmp_path):
     program = (
         "import resource, signal, sys, json\n"
-        "from fluxobs.fleets.one import Settings, Work\n"
+        "from fluxobs.fleets.log_task import Settings, Work\n"
         "from fluxobs.fleets.sources import Source\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (30000, 30000))\n"

@@ -12,6 +12,7 @@ import polars as pl
 import pytest
 
 from fluxobs.errors import UsageError
+from fluxobs.fleets.batch import Fleet
 from fluxobs.fleets.changes import Course, Segment
 from fluxobs.fleets.follow import (
     FOLLOWED,
@@ -28,8 +29,7 @@ from fluxobs.fleets.follow import (
     timeless,
     untold,
 )
-from fluxobs.fleets.many import Fleet
-from fluxobs.fleets.one import COLUMNS
+from fluxobs.fleets.log_task import COLUMNS
 from fluxobs.fleets.report import DRAWN, headline, picture, remarks, write_html
 from fluxobs.fleets.sources import ELSEWHERE, Source, shared, sources
 
@@ -470,7 +470,7 @@ def test_a_stamp_is_size_and_time(tmp_path):
 
 
 def test_a_row_says_the_mistakes_that_a_log_has():
-    from fluxobs.fleets.one import told
+    from fluxobs.fleets.log_task import told
 
     facts = {
         "rows": 200,

@@ -6,7 +6,7 @@ import pytest
 import fluxobs
 from fluxobs.identification.report import html_of
 from fluxobs.machines import example
-from fluxobs.synthetic.demo import LOG
+from fluxobs.simulation.closed_form.demo import LOG
 from identification.test_map import START, TRUE
 from observers.test_cage import MACHINE, RAMPS, H, record
 from observers.test_maps import reluctance_record

@@ -9,9 +9,9 @@ import pytest
 from fluxobs import FluxobsError, identify, read_log
 from fluxobs.identification.fit import UNCERTAIN, _believed, evaluate
 from fluxobs.identification.identify import read_free
-from fluxobs.identification.pieces import pieces
+from fluxobs.identification.segments import pieces
 from fluxobs.machines import example, example_text, read_machine
-from fluxobs.synthetic.demo import LOG
+from fluxobs.simulation.closed_form.demo import LOG
 from support.cli import fluxobs
 from support.records import COURSE_TIME, PMSM, course, driven, log_columns, profile
 

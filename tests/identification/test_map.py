@@ -8,7 +8,7 @@ import pytest
 import fluxobs
 from fluxobs import FluxobsError
 from fluxobs.machines import AlgebraicSaturation, SynchronousReluctance, read_machine
-from fluxobs.synthetic.signals import between_rows, driven_cage, vectors
+from fluxobs.simulation.closed_form.signals import between_rows, driven_cage, vectors
 from observers.test_cage import BIAS, CONSTANT, MACHINE, RAMPS, VOLTAGE_BIAS, H
 from observers.test_maps import MODEL, reluctance_record
 from support.records import log_columns, profile, white

@@ -11,7 +11,7 @@ import pytest
 
 from fluxobs import FluxobsError, read_machine
 from fluxobs.identification.pooled import identify_many
-from fluxobs.machines.written import machine_text
+from fluxobs.machines.file_text import machine_text
 from support.cli import fluxobs
 from support.records import COURSE_TIME, PMSM, course, driven, log_columns, profile
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fluxobs import FluxobsError
-from fluxobs.identification import report, slip
-from fluxobs.identification.fitted import Parameter, in_the_file
+from fluxobs.identification import report, rotor_resistance
+from fluxobs.identification.fit_result import Parameter, in_the_file
 from fluxobs.identification.pooled import Alone, Pooled, _apart
 from support.records import PMSM
 
@@ -190,7 +190,7 @@ def test_what_goes_into_the_machine_file():
     assert in_the_file(PARAMETERS) == {"R_s": (1.23456, 0.0123), "inverter_voltage": (0.5, 0.1)}
 
 
-def rotor_resistance(monkeypatch, rows=480, q=3.0, noise=0.0, rated=20.0, spoil=0):
+def learnt_rotor_resistance(monkeypatch, rows=480, q=3.0, noise=0.0, rated=20.0, spoil=0):
     """From rows at rotor angles, with a slip of R_R i_q/ψ, where R_R is 1.7 Ω and ψ 0.8 Wb."""
     rng = np.random.default_rng(0)
     theta = 0.1 * np.arange(rows)
@@ -205,20 +205,24 @@ def rotor_resistance(monkeypatch, rows=480, q=3.0, noise=0.0, rated=20.0, spoil=
     part = SimpleNamespace(truth=speed, voltage=None, current=np.stack([i.real, i.imag], axis=1))
     observer = SimpleNamespace(run=lambda voltage, current: found)
     scales = SimpleNamespace(current=20.0)
-    monkeypatch.setattr(slip, "plain_for", lambda log, machine: (observer, scales))
-    monkeypatch.setattr(slip, "excerpts", lambda log: [part])
+    monkeypatch.setattr(rotor_resistance, "plain_for", lambda log, machine: (observer, scales))
+    monkeypatch.setattr(rotor_resistance, "excerpts", lambda log: [part])
     machine = SimpleNamespace(rated_current=rated, n_p=2)
-    return slip.resistance_from_speed(SimpleNamespace(path="a.csv"), machine), load, slips
+    return (
+        rotor_resistance.resistance_from_speed(SimpleNamespace(path="a.csv"), machine),
+        load,
+        slips,
+    )
 
 
 def test_the_rotor_resistance_of_a_slip(monkeypatch):
-    (value, std), _, _ = rotor_resistance(monkeypatch)
+    (value, std), _, _ = learnt_rotor_resistance(monkeypatch)
     assert value == pytest.approx(1.7)
     assert std < 1e-12
 
 
 def test_its_standard_deviation_is_the_scatter_of_24_stretches(monkeypatch):
-    (value, std), load, slips = rotor_resistance(monkeypatch, noise=1.0)
+    (value, std), load, slips = learnt_rotor_resistance(monkeypatch, noise=1.0)
     x, y = (load / 0.8).reshape(24, -1), slips.reshape(24, -1)
     assert value == pytest.approx((x * y).sum() / (x * x).sum())
     scores = (x * (y - value * x)).sum(axis=1)
@@ -229,16 +233,18 @@ def test_its_standard_deviation_is_the_scatter_of_24_stretches(monkeypatch):
 def test_rows_with_a_tenth_of_the_rated_current_tell(monkeypatch, q, rated, told):
     for given in (rated, None):
         if told:
-            assert rotor_resistance(monkeypatch, q=q, rated=given)[0][0] == pytest.approx(1.7)
+            assert learnt_rotor_resistance(monkeypatch, q=q, rated=given)[0][0] == pytest.approx(
+                1.7
+            )
         else:
             with pytest.raises(FluxobsError, match="known on 0 rows"):
-                rotor_resistance(monkeypatch, q=q, rated=given)
+                learnt_rotor_resistance(monkeypatch, q=q, rated=given)
 
 
 @pytest.mark.parametrize(("spoil", "told"), [(240, True), (241, False)])
 def test_ten_rows_a_stretch_are_enough(monkeypatch, spoil, told):
     if told:
-        assert rotor_resistance(monkeypatch, spoil=spoil)[0][0] == pytest.approx(1.7)
+        assert learnt_rotor_resistance(monkeypatch, spoil=spoil)[0][0] == pytest.approx(1.7)
     else:
         with pytest.raises(FluxobsError, match="known on 239 rows"):
-            rotor_resistance(monkeypatch, spoil=spoil)
+            learnt_rotor_resistance(monkeypatch, spoil=spoil)

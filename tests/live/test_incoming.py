@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 import fluxobs
 from fluxobs.errors import RecordError
+from fluxobs.live.even_rows import Spaced
 from fluxobs.live.frames import HEAD_ROWS, HEADER, MARK, SAMPLES, Frames, frame
 from fluxobs.live.lines import HEAD_LINES, Lines
-from fluxobs.live.order import Order, Ordered
-from fluxobs.live.part import Part
-from fluxobs.live.spaced import Spaced
+from fluxobs.live.reorder import Order, Ordered
+from fluxobs.live.rows import Part
 from fluxobs.logs.clock import even
 from support.records import MACHINES
 

@@ -222,7 +222,7 @@ def test_what_is_not_there(text, words):
 def server():
     pytest.importorskip("websockets")
     from fluxobs.live.serve import Server
-    from fluxobs.web import built
+    from fluxobs.page import built
 
     try:
         built("page.html")

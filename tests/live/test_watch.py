@@ -7,7 +7,7 @@ import fluxobs
 from fluxobs.errors import FluxobsError
 from fluxobs.live import Watch
 from fluxobs.live.frames import HEADER, SAMPLES, frame
-from fluxobs.synthetic.demo import LOG
+from fluxobs.simulation.closed_form.demo import LOG
 
 DEMO = LOG.read_bytes()
 

@@ -100,6 +100,45 @@ def test_at_least_a_quarter_of_the_shorter_one_has_to_overlap():
         assert (abs(shift + (2400 - rows) * H) < H) == there
 
 
+@pytest.mark.parametrize("lag", [40, 90, 99])
+def test_a_short_file_late_in_a_long_one(lag):
+    """Shifts beyond half of the transform's length."""
+    shift, peak, _, _ = _correlate(WAVE[:128], WAVE[lag : lag + 28], H)
+    assert shift == pytest.approx(lag * H, abs=0.1 * H)
+    assert peak == pytest.approx(1.0)
+    shift, _, _, _ = _correlate(WAVE[lag : lag + 28], WAVE[:128], H)
+    assert shift == pytest.approx(-lag * H, abs=0.1 * H)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_peak_at_the_edge_of_what_may_overlap_is_taken_as_it_is(sign):
+    """Beside it on one side is nothing: no parabola. The summit is where a quarter ends."""
+    a, b = RNG.normal(0, 0.1, (2, 400))
+    a[:101], b[299:] = 1.0 + np.arange(101), 1.0 + np.arange(101)
+    a, b = (a, b) if sign > 0 else (b, a)
+    shift, peak, std, _ = _correlate(a, b, H)
+    assert shift == pytest.approx(-sign * 299 * H, abs=1e-12)
+    assert peak == pytest.approx(1.0)
+    assert std == pytest.approx(H * np.sqrt(1e-12 / 101))
+
+
+@pytest.mark.parametrize("lag", [0, 300])
+def test_where_nothing_happens_nothing_fits(lag):
+    """A current is zero before the start: those sums are rounding errors."""
+    a, b = np.zeros(2000), np.zeros(2000)
+    a[1200:1700], b[1200 - lag : 1700 - lag] = WAVE[:500], WAVE[:500]
+    shift, peak, _, second = _correlate(a, b, H)
+    assert shift == pytest.approx(lag * H, abs=0.1 * H)
+    assert peak == pytest.approx(1.0)
+    assert second is None
+
+
+@pytest.mark.parametrize("rows", [2, 3, 4])
+def test_a_few_rows_have_a_shift(rows):
+    a = np.array([1.0, -1.0, 2.0, -2.0])[:rows]
+    assert _correlate(a, a, H)[0] == pytest.approx(0.0, abs=0.5 * H)
+
+
 def test_uphill_and_to_the_half():
     hill = np.array([0.0, 1.0, 2.0, 4.0, 3.0, 1.9, 1.0, 5.0])
     assert [_summit(hill, at) for at in (1, 2, 3, 4, 5)] == [3, 3, 3, 3, 3]
@@ -133,6 +172,15 @@ def side(name, columns):
     table = ArrayTable(columns, Path(name))
     (part,) = parts_of([(table.path, [table])])
     return part, table, even(len(next(iter(columns.values()))), H)
+
+
+def test_of_several_columns_of_both_files_the_first_channel_is_compared():
+    """Of those in COMMON's order; the other one says something else."""
+    base = side("one", {"i_b": WAVE[:3000], "i_a": WAVE[500:3500]})
+    other = side("two", {"i_b": WAVE[90:3090], "i_a": WAVE[540:3540]})
+    shift, words = aligned_by_content(base, other)
+    assert shift == pytest.approx(0.04, abs=1e-5)
+    assert "by the column i_a of both files" in words
 
 
 def test_a_clock_is_ahead_by_what_both_saw():

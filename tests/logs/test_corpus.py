@@ -67,7 +67,7 @@ def test_the_files_are_what_is_written(name, tmp_path):
 def test_every_guess_is_said_and_can_be_saved(name, tmp_path):
     """A record that was saved reads the file in the same way, with nothing left to guess."""
     from fluxobs.logs import read_log
-    from fluxobs.logs.written import write_record
+    from fluxobs.logs.record_files import write_record
 
     options = {"preset": corpus.PRESETS[name]} if name in corpus.PRESETS else {}
     if name == "moteus.npz":

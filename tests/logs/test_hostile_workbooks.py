@@ -7,8 +7,8 @@ import pytest
 
 from fluxobs import FluxobsError
 from fluxobs.logs import read_log
-from fluxobs.logs.formats.apart import read_apart
 from fluxobs.logs.formats.excel import read_sheets
+from fluxobs.logs.formats.isolated import read_apart
 from support.biff import old_workbook
 from support.hostile import refused, with_zeros
 from support.records import SMALL_LOG as COLUMNS

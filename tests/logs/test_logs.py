@@ -10,8 +10,8 @@ from fluxobs import Record, RecordError, SurfacePMSM
 from fluxobs.logs.formats import open_tables
 from fluxobs.logs.read import read_log
 from fluxobs.logs.record import interval_rows, lag_in_words
-from fluxobs.model.frames import wrap
-from fluxobs.model.inverter import InverterError
+from fluxobs.machines.model.frames import wrap
+from fluxobs.machines.model.inverter import InverterError
 
 ROWS, H = 200, 1e-3
 K = np.arange(ROWS)

@@ -3,8 +3,8 @@
     python tests/logs/write_corpus.py
 
 Each function is a layout; its docstring says where its facts are from. The run is made by
-`fluxobs.synthetic`: the machine is "servo-400w", sampled at 5 kHz, and the voltage of a row acts
-until the next row.
+`fluxobs.simulation.closed_form`: the machine is "servo-400w", sampled at 5 kHz, and the voltage of
+a row acts until the next row.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 import polars as pl
 
 from fluxobs.machines import example, rotating
-from fluxobs.synthetic.signals import driven
+from fluxobs.simulation.closed_form.signals import driven
 
 FOLDER = Path(__file__).with_name("corpus")
 MACHINE, SAMPLE_TIME, ROWS = "servo-400w", 2e-4, 600

@@ -39,14 +39,15 @@ TESTS = {
     "campaigns": "tests/campaigns",
     "fleets": "tests/fleets",
     "firmware": "tests/observers tests/firmware tests/contract/test_observers.py",
-    "design/analysis": "tests/design/analysis tests/design/regression tests/paper",
-    "design/regression": "tests/design/regression tests/design/analysis tests/paper",
-    "design/energies": "tests/design/energies tests/paper",
-    "design/relation_observer.py": "tests/design/test_relation_observer.py",
-    "design/precision.py": "tests/design/energies tests/design/regression",
-    "design/baselines": "tests/design/baselines",
-    "design/drive": "tests/design/drive",
-    "paper": "tests/paper tests/design/energies/test_levitation.py tests/design/analysis",
+    "research/analysis": "tests/research/analysis tests/research/regression tests/research/paper",
+    "research/regression": "tests/research/regression tests/research/analysis tests/research/paper",
+    "research/energies": "tests/research/energies tests/research/paper",
+    "research/relation_observer.py": "tests/research/test_relation_observer.py",
+    "simulation/precision.py": "tests/research/energies tests/research/regression",
+    "comparison/baselines": "tests/comparison/baselines",
+    "simulation/drive": "tests/simulation/drive",
+    "research/paper": "tests/research/paper tests/research/energies/test_levitation.py "
+    "tests/research/analysis",
 }
 #: The C sources are not under src/fluxobs.
 FIRMWARE = "firmware"

@@ -8,7 +8,7 @@ import pytest
 from fluxobs import AdaptiveObserver, LeastSquaresObserver
 from fluxobs.machines import example
 from fluxobs.observers.derived import derived
-from fluxobs.synthetic.signals import between_rows, driven_cage, vectors
+from fluxobs.simulation.closed_form.signals import between_rows, driven_cage, vectors
 from support.records import profile, white, wrapped_degrees
 
 H = 1.25e-4

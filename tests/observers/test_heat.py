@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import fluxobs
-from fluxobs.synthetic import endless
+from fluxobs.simulation.closed_form import endless
 
 ROWS = 120_000  # 24 s
 

@@ -9,7 +9,7 @@ from scipy.integrate import quad
 import fluxobs
 from fluxobs import AdaptiveObserver, LeastSquaresObserver, ObserverError
 from fluxobs.machines import SurfacePMSM, example
-from fluxobs.model.held import CUBIC, kink_weights, mean_current, without_kinks
+from fluxobs.machines.model.held import CUBIC, kink_weights, mean_current, without_kinks
 from support.records import held, wrapped_degrees
 
 #: A motor of a multirotor, R h/L = 0.25, and its speed with 14 samples a period.

@@ -11,18 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fluxobs import Immersion, ImmersionObserver, LeastSquaresObserver, QuadraticConstraint
-from fluxobs.design import discover_constraint
-from fluxobs.design.energies.library import (
+from fluxobs.observers import ImmersionEstimate
+from fluxobs.research import discover_constraint
+from fluxobs.research.energies.library import (
     differential_actuator,
     differential_relation,
     doubly_fed,
     four_pole_bearing,
     wound_field,
 )
-from fluxobs.observers import ImmersionEstimate
-from fluxobs.paper.levitation import SCENARIOS, record
-from fluxobs.paper.section_v import LS_SAMPLE_TIME, least_squares, thinned
-from fluxobs.paper.studies import noisy
+from fluxobs.research.paper.levitation import SCENARIOS, record
+from fluxobs.research.paper.section_v import LS_SAMPLE_TIME, least_squares, thinned
+from fluxobs.research.paper.studies import noisy
 from support.records import CURRENTS, MACHINES, steady
 
 

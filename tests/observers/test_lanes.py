@@ -6,7 +6,7 @@ import pytest
 from fluxobs import _core, _core_single
 from fluxobs.machines import example
 from fluxobs.observers import LeastSquaresObserver
-from fluxobs.synthetic.signals import driven, vectors
+from fluxobs.simulation.closed_form.signals import driven, vectors
 
 H, ROWS = 1e-4, 3000
 FIELDS = ("flux", "psi_f", "theta_e", "theta_e_tracked", "speed_e", "drift", "theta_e_std")

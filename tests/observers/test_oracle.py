@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fluxobs import LeastSquaresObserver
-from fluxobs.model.immersion import Immersion
+from fluxobs.machines.model.immersion import Immersion
 from support.records import CURRENTS, MACHINES, steady
 
 X = np.longdouble

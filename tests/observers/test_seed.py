@@ -6,7 +6,7 @@ import pytest
 from fluxobs import UsageError
 from fluxobs.machines import example
 from fluxobs.observers import AdaptiveObserver, LeastSquaresObserver
-from fluxobs.synthetic.signals import driven, vectors
+from fluxobs.simulation.closed_form.signals import driven, vectors
 
 H, ROWS, PARTS, START = 1e-4, 3500, 8, 0.7
 TOP = 2 * np.pi * 60

@@ -22,9 +22,9 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 NAMED = f"fluxobs-{PROJECT['project']['version']}"
 #: Built in a clone, and not in git.
 PAGE = {
-    "src/fluxobs/web/page.html",
-    "src/fluxobs/web/report.html",
-    "src/fluxobs/web/libraries.json",
+    "src/fluxobs/page/page.html",
+    "src/fluxobs/page/report.html",
+    "src/fluxobs/page/libraries.json",
 }
 
 
@@ -78,7 +78,7 @@ def test_a_wheel_holds_the_package_and_nothing_else(built):
         bill = archive.read(f"{NAMED}.dist-info/sboms/fluxobs.cdx.json").decode()
         dates = {entry.date_time for entry in archive.infolist()}
     package = {name.removeprefix("src/") for name in sources if name.startswith("src/fluxobs/")}
-    package -= {"fluxobs/web/libraries.json"}
+    package -= {"fluxobs/page/libraries.json"}
     firmware = {f"fluxobs/{name}" for name in sources if name.startswith("firmware/")}
     about = ("METADATA", "RECORD", "WHEEL", "entry_points.txt", "licenses/LICENSE")
     about += ("sboms/fluxobs.cdx.json",)
@@ -149,7 +149,7 @@ def test_a_wheel_in_a_fresh_environment(built, tmp_path):
         "import fluxobs, fluxobs._core as core, pathlib, importlib.resources as r\n"
         f"assert pathlib.Path(core.__file__).is_relative_to({str(tmp_path)!r}), core.__file__\n"
         "assert (r.files('fluxobs') / 'firmware' / 'fluxobs.c').is_file()\n"
-        "assert (r.files('fluxobs') / 'web' / 'page.html').is_file()\n"
+        "assert (r.files('fluxobs') / 'page' / 'page.html').is_file()\n"
     )
     demo = [programs / "fluxobs", "demo", "--out", "results"]
     for command in ([python, "-c", script], demo):

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 # The package has a function of this name.
-module = importlib.import_module("fluxobs.design.drive.simulate")
+module = importlib.import_module("fluxobs.simulation.drive.simulate")
 Profile = module.Profile
 
 #: Rows of a run, and knots of a profile, that are compiled for; a run takes the next of them.

@@ -18,7 +18,7 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from fluxobs import html
+from fluxobs.core import html
 
 FOLDER = Path(__file__).parents[1] / "expected"
 #: A number in a text.

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fluxobs.model.frames import wrap
+from fluxobs.machines.model.frames import wrap
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ import polars as pl
 
 from fluxobs import LeastSquaresObserver
 from fluxobs.machines import RotatingMachine, example
-from fluxobs.paper.levitation import SCENARIOS, record
-from fluxobs.synthetic.firmware_record import firmware_record
+from fluxobs.research.paper.levitation import SCENARIOS, record
+from fluxobs.simulation.closed_form.firmware_record import firmware_record
 
 SAMPLE_TIME = 1e-4
 

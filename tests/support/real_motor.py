@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fluxobs.machines import RotatingMachine
-from fluxobs.synthetic.signals import vectors
+from fluxobs.simulation.closed_form.signals import vectors
 from support.records import Samples, white
 
 Array = NDArray[np.float64]

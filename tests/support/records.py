@@ -1,4 +1,4 @@
-"""Records for the tests: the closed-form signals of fluxobs.synthetic, then spoilt."""
+"""Records for the tests: the closed-form signals of fluxobs.simulation.closed_form, then spoilt."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fluxobs.machines import RotatingMachine, SurfacePMSM, example
-from fluxobs.synthetic import signals
-from fluxobs.synthetic.signals import Signals, between_rows, inverter_loss, vectors
+from fluxobs.simulation.closed_form import signals
+from fluxobs.simulation.closed_form.signals import Signals, between_rows, inverter_loss, vectors
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from fluxobs import QuadraticConstraint
-from fluxobs.design import precision  # noqa: F401  # float64
-from fluxobs.design.regression import FilteredRegression
+from fluxobs.research.regression import FilteredRegression
+from fluxobs.simulation import precision  # noqa: F401  # float64
 
 
 @dataclass(frozen=True)

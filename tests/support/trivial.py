@@ -19,7 +19,7 @@ from fluxobs.campaigns.columns import schema
 from fluxobs.campaigns.dataset import ROWS, Chunk, Dataset
 from fluxobs.campaigns.draws import POINT, generator
 from fluxobs.campaigns.specification import Specification
-from fluxobs.engine import locked, write_part
+from fluxobs.core.engine import locked, write_part
 
 #: Scenarios of a chunk.
 SIZE = 50

@@ -6,7 +6,7 @@ import { Results, element, themed } from "./results.js";
 const $ = (id) => document.getElementById(id);
 const began = performance.now();
 
-// Bytes of text that has seven bits a character (fluxobs/web/columns.py).
+// Bytes of text that has seven bits a character (fluxobs/page/columns.py).
 const ESCAPED = [0, 13, 60];
 function bytesOf(text) {
   const out = new Uint8Array(Math.floor((text.length * 7) / 8));
@@ -23,7 +23,7 @@ function bytesOf(text) {
   return out;
 }
 
-// A column as fluxobs/web/columns.py packs it.
+// A column as fluxobs/page/columns.py packs it.
 const blocks = $("blocks").textContent;
 async function column({ kind, size, rows, planes, data: [from, length], missing }) {
   const bytes = await unpack(bytesOf(blocks.substr(from, length)));

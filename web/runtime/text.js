@@ -219,15 +219,15 @@ $module("fluxobs.logs.formats.text.parse", ($m) =>
 );
 
 // Nothing is read ahead, and nothing is written, in a page.
-$module("fluxobs.output", ($m) =>
+$module("fluxobs.core.output", ($m) =>
   Object.assign($m, { ahead: (parts) => parts, check_new: () => null, write_text: () => null }),
 );
-$module("fluxobs.html", () => {});
+$module("fluxobs.core.html", () => {});
 // A page sees no files but its own.
-$module("fluxobs.named", ($m) =>
+$module("fluxobs.core.references", ($m) =>
   Object.assign($m, { beside: (folder, name) => $div(folder, name) }),
 );
-$module("fluxobs.files", ($m) => {
+$module("fluxobs.core.input_files", ($m) => {
   const { loads } = $import("tomllib");
   Object.assign($m, {
     check_regular: () => null,

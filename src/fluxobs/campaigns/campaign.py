@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ..engine import LOCAL, compute, locked
+from ..core.engine import LOCAL, compute, locked
+from ..core.output import make_folder
+from ..core.symlinks import open_own
 from ..errors import FluxobsError
-from ..links import open_own
-from ..output import make_folder
 from . import dataset
 from .chunk import Work
 from .dataset import TIMES, WORST, Chunk, Dataset

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from ..engine import write_part
+from ..core.engine import write_part
 from .dataset import ROWS, Chunk
 from .specification import Specification
 

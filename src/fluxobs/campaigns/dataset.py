@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 
 import polars as pl
 
+from ..core.output import make_folder, write_text
 from ..errors import FluxobsError
 from ..machines import as_machine
-from ..output import make_folder, write_text
 from .columns import schema
 from .draws import total
 from .specification import Specification, hashed

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 from scipy.special import ndtr, ndtri
 
+from ..core.validation import Number, Table
 from ..errors import UsageError
-from ..validation import Number, Table
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..design.drive import (
+from ..errors import UsageError
+from ..machines import RotatingMachine, as_machine, rotating
+from ..machines.heat import CAGE, COLD, COPPER, NEODYMIUM
+from ..simulation.drive import (
     RATINGS,
     Course,
     Drive,
@@ -23,10 +26,7 @@ from ..design.drive import (
     Sensors,
     encoder_drive,
 )
-from ..design.drive.motor import MappedMotor
-from ..errors import UsageError
-from ..machines import RotatingMachine, as_machine, rotating
-from ..machines.heat import CAGE, COLD, COPPER, NEODYMIUM
+from ..simulation.drive.motor import MappedMotor
 from .courses import course_of
 from .draws import Scenario
 from .quantities import PARAMETERS, QUANTITIES

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from ..design.drive import Drive, sensorless_drive
-from ..design.precision import real
 from ..observers.compiled import CompiledObserver, CompiledState
+from ..simulation.drive import Drive, sensorless_drive
+from ..simulation.precision import real
 from .drives import Cell
 from .observed import Candidate
 

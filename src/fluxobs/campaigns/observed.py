@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from ..comparison.cages import entries_for
 from ..comparison.catalogue import Entry, Setting
 from ..comparison.scenarios import believed_machine
+from ..core.validation import nearest
 from ..errors import UsageError
 from ..machines import RotatingMachine
 from ..observers import AdaptiveEstimate, AdaptiveObserver, LeastSquaresObserver
-from ..validation import nearest
 from .drives import Cell
 from .specification import ADAPTIVE, PLAIN, ObserverTable
 
@@ -171,7 +171,7 @@ def _setting(believed: RotatingMachine, cell: Cell, noise: float) -> Setting:
 def nominal_record(cell: Cell) -> tuple[Array, Array]:
     """Voltage and current of the nominal drive, (rows, 2) each, on which the regression's observers
     balance their gains: to half speed, load, reversal."""
-    from ..design.drive import Course, Profile, simulate
+    from ..simulation.drive import Course, Profile, simulate
 
     top = cell.rated.speed_e / cell.machine.n_p
     course = Course(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from ..plots import BLUE, GREY, ORANGE, STYLE, new_figure, plain
+from ..core.plots import BLUE, GREY, ORANGE, STYLE, new_figure, plain
 from .specification import Specification
 from .statistics import Index, Pair, group
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from .. import html
-from ..html import escape
-from ..output import write_text
-from ..texts import visible
+from ..core import html
+from ..core.html import escape
+from ..core.output import write_text
+from ..core.printable import visible
 from . import pictures, statistics
 from .dataset import WORST, Dataset
 from .draws import total

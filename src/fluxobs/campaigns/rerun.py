@@ -134,6 +134,6 @@ def rerun(
 
 def write_record(one: Rerun, path: Path) -> None:
     """Write the record as a Parquet file, whole or not at all."""
-    from ..engine import write_part
+    from ..core.engine import write_part
 
     write_part(one.frame, path)

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..comparison.scoring import LOST, settling_time
-from ..design.drive.sensorless import RUNNING
-from ..design.drive.simulate import UNFOLLOWED
 from ..machines import RotatingMachine
+from ..simulation.drive.sensorless import RUNNING
+from ..simulation.drive.simulate import UNFOLLOWED
 from .columns import MEASURES
 from .observed import Found
 from .simulated import Kept

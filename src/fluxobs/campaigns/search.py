@@ -15,8 +15,8 @@ import polars as pl
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from ..core.validation import nearest
 from ..errors import FluxobsError, UsageError
-from ..validation import nearest
 from .columns import schema
 from .draws import Scenario, at_point, points
 from .rows import rows_for

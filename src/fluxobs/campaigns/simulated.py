@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..design.drive import Course, Drive, Trace
-from ..design.drive.simulate import check, simulate_lanes, substeps
 from ..errors import FluxobsError
+from ..simulation.drive import Course, Drive, Trace
+from ..simulation.drive.simulate import check, simulate_lanes, substeps
 from .courses import most_knots
 from .draws import NOISE, Scenario
 from .drives import drive_of

@@ -13,11 +13,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, WrapValidator, model_validator
 
+from ..core.input_files import read_toml
+from ..core.references import beside
+from ..core.validation import NotNegative, Number, Positive, Table, complaints, nearest
 from ..errors import FluxobsError, UsageError
-from ..files import read_toml
 from ..machines import as_machine, example_names, rotating
-from ..named import beside
-from ..validation import NotNegative, Number, Positive, Table, complaints, nearest
 from .distributions import Distribution, Given, correlator
 from .quantities import PARAMETERS, QUANTITIES, TOGETHER
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import polars as pl
 
-from ..web import built
+from ..page import built
 from .chunk import specification_of
 from .dataset import WORST, Dataset
 from .specification import ADAPTIVE, PLAIN, Specification

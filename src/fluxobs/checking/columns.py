@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from ..logs.guess import DUTY_MOST, TURNS, turn_of
 from ..logs.log import Log
-from ..model.frames import PHASE_CURRENTS
+from ..machines.model.frames import PHASE_CURRENTS
 from .findings import Finding
-from .stretches import without_spikes
+from .segments import without_spikes
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.frames import PHASE_CURRENTS, clarke, three_phases
+from ..machines.model.frames import PHASE_CURRENTS, clarke, three_phases
 from .relation import Prior
-from .stretches import LAGS, Complex
+from .segments import LAGS, Complex
 
 Array = NDArray[np.float64]
 

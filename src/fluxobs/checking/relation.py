@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machines import RotatingMachine
-from ..model.held import mean_current
-from ..model.inverter import inverter_direction
-from .stretches import Complex, Stretches
+from ..machines.model.held import mean_current
+from ..machines.model.inverter import inverter_direction
+from .segments import Complex, Stretches
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ..logs.log import Log
 from ..logs.scales import Scales, measure_scales
 from ..machines import RotatingMachine
-from ..model.frames import PHASE_CURRENTS
-from ..model.inverter import SMOOTHING
+from ..machines.model.frames import PHASE_CURRENTS
+from ..machines.model.inverter import SMOOTHING
 from .columns import columns
 from .findings import UNSEEN, Check, Finding
 from .mistakes import (
@@ -36,7 +36,7 @@ from .mistakes import (
     together,
 )
 from .relation import INVERTER, MODEL, PSI, Fit, R, Relation, positions, rows
-from .stretches import Stretches, stretches
+from .segments import Stretches, stretches
 from .truth import truth
 
 Array = NDArray[np.float64]

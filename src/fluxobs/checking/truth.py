@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machines import RotatingMachine
-from ..model.frames import wrap
+from ..machines.model.frames import wrap
 from .findings import Finding
 from .relation import Fit
-from .stretches import Stretches
+from .segments import Stretches
 
 Array = NDArray[np.float64]
 

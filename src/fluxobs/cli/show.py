@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import typer
 
-from ..texts import visible
+from ..core.printable import visible
 
 
 def say(text: str, err: bool = False) -> None:

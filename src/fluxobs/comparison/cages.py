@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ..design.baselines.cage import (
+from ..machines import RotatingMachine
+from .baselines.cage import (
     CageKalmanFilter,
     FullOrderObserver,
     HybridFluxObserver,
     ReducedOrderObserver,
 )
-from ..machines import RotatingMachine
 from .catalogue import CATALOGUE, PLL, Entry, Gains, Setting, of
 
 #: Entries of the other catalogue that a cage shares: those which need no flux of a known length.

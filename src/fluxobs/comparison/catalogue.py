@@ -17,8 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..design.analysis import balanced_basis
-from ..design.baselines import (
+from ..machines import RotatingMachine
+from ..observers import LeastSquaresObserver, Observer
+from ..observers.plain import MEMORY, TRACKER
+from ..research.analysis import balanced_basis
+from ..research.regression import Parametrisation, SampledRegression
+from ..research.regression.laws import PEBO, DremObserver
+from ..simulation.drive import Motor
+from ..simulation.drive.twin import SquareRootLeastSquares
+from .baselines import (
     Baseline,
     ClampedIntegrator,
     ExtendedEmf,
@@ -29,13 +36,6 @@ from ..design.baselines import (
     SlidingMode,
     SpeedAdaptiveObserver,
 )
-from ..design.drive import Motor
-from ..design.drive.twin import SquareRootLeastSquares
-from ..design.regression import Parametrisation, SampledRegression
-from ..design.regression.laws import PEBO, DremObserver
-from ..machines import RotatingMachine
-from ..observers import LeastSquaresObserver, Observer
-from ..observers.plain import MEMORY, TRACKER
 
 Array = NDArray[np.float64]
 

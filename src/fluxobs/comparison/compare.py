@@ -15,16 +15,16 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from ..design.drive.simulate import stack
-from ..design.drive.vectors import vector
 from ..errors import FluxobsError, RecordError, UsageError
-from ..estimation.prepare import LEAST_NOISE, VOLTAGE_OFFSET
 from ..logs.for_machine import open_for
 from ..logs.log import Log
 from ..logs.read import Source
 from ..logs.scales import white_noise
 from ..machines import Machine, RotatingMachine, as_machine, rotating
 from ..observers import Observer
+from ..observers.for_log import LEAST_NOISE, VOLTAGE_OFFSET
+from ..simulation.drive.simulate import stack
+from ..simulation.drive.vectors import vector
 from .bound import position_bound
 from .cages import entries_for
 from .catalogue import Entry, Gains, Setting

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .. import html
-from ..output import write_text
-from ..plots import BLUE, GREY, ORANGE, STYLE, plain, write
+from ..core import html
+from ..core.output import write_text
+from ..core.plots import BLUE, GREY, ORANGE, STYLE, plain, write
 from .compare import LANES, Comparison, ObserverResult
 from .scoring import Score
 

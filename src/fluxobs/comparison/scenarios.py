@@ -8,16 +8,25 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from ..design.drive import Course, Inverter, Profile, Rating, Run, encoder_drive, rating, simulate
 from ..errors import ModelError
 from ..machines import RotatingMachine, example, rotating
+from ..simulation.drive import (
+    Course,
+    Inverter,
+    Profile,
+    Rating,
+    Run,
+    encoder_drive,
+    rating,
+    simulate,
+)
 
 #: Current noise of all scenarios but the ideal one, as a share of the rated current.
 NOISE = 1 / 300
 
 
 #: Phase current over the rated one at which the simulated inverter's smoothed sign reaches three
-#: quarters. On purpose sharper than the 5 % that the observers assume (model/inverter.py).
+#: quarters. On purpose sharper than the 5 % that the observers assume (machines/model/inverter.py).
 KNEE = 0.02
 
 

@@ -10,7 +10,7 @@ from importlib import metadata, resources
 from ..errors import FluxobsError
 from ..machines import RotatingMachine
 from ..observers import AdaptiveObserver, Estimate, LeastSquaresObserver
-from ..synthetic.firmware_record import FirmwareRecord, firmware_record
+from ..simulation.closed_form.firmware_record import FirmwareRecord, firmware_record
 from .c_source import Precision
 from .folder import joined
 from .header import Exported, isotropic, parameter_files, plain
@@ -154,10 +154,7 @@ def make_core(
         _choose(sources, ISOTROPIC, 1)
     if not inside.held:
         _choose(sources, HELD, 0)
-    runtime = {
-        name: (installed / name).read_text(encoding="utf-8")
-        for name in RUNTIME_SOURCES
-    }
+    runtime = {name: (installed / name).read_text(encoding="utf-8") for name in RUNTIME_SOURCES}
     texts = tuple(sources.values())
     content, made = parameter_files(prefix, observers, machine, version, texts, update_every)
     record = firmware_record(machine, inside, _unsure(single, machine))

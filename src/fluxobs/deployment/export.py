@@ -8,11 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from ..core.validation import number
 from ..errors import FluxobsError
 from ..machines import Machine, as_machine
 from ..observers import AdaptiveObserver, LeastSquaresObserver
 from ..observers.unknowns import ALL, AUTO, adapts, read_unknowns
-from ..validation import number
 from .c_source import PRECISIONS
 from .core import make_core
 from .folder import check_folder, write_folder

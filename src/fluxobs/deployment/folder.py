@@ -10,9 +10,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
+from ..core.output import claimed
+from ..core.symlinks import refuse_link
 from ..errors import FluxobsError
-from ..links import refuse_link
-from ..output import claimed
 
 #: Lists what was written, so that another export may replace that and nothing else.
 MANIFEST = "MANIFEST"

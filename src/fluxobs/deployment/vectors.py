@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..observers import Estimate, LeastSquaresObserver, outputs
-from ..synthetic.firmware_record import FirmwareRecord
+from ..simulation.closed_form.firmware_record import FirmwareRecord
 from .c_source import PRECISIONS, Precision, hex_float, table
 from .header import Exported, plain
 

@@ -13,8 +13,8 @@ from ..logs.log import Log
 from ..machines import Machine
 from ..observers import AdaptiveEstimate, Estimate, ImmersionEstimate, ImmersionObserver
 from ..observers.derived import derived
+from ..observers.for_log import AnyObserver
 from ..observers.outputs import in_files
-from .prepare import AnyObserver
 
 Array = NDArray[np.float64]
 

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from ..core.output import ahead
 from ..logs.log import Log
 from ..logs.scales import Scales, excerpts
 from ..machines import RotatingMachine
 from ..observers import AdaptiveObserver, LeastSquaresObserver
 from ..observers.adaptive import Learnt
 from ..observers.compiled import CompiledState
-from ..output import ahead
-from .prepare import Prepared
+from ..observers.for_log import Prepared
 
 #: Nothing was learnt about a parameter whose standard deviation stays above this share of its
 #: prior. At a half, three quarters of the estimate's information come from the record.

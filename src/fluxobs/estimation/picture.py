@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.plots import BLUE, GREY, ORANGE, STYLE, legend, new_figure, plain
+from ..core.validation import nearest
 from ..errors import UsageError
 from ..observers import ImmersionObserver
-from ..plots import BLUE, GREY, ORANGE, STYLE, legend, new_figure, plain
-from ..validation import nearest
 from .run import LogRun
 from .truth import TruthFit
 

@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from .. import web
+from .. import page as web
 from ..checking.findings import Check
+from ..core.output import write_text
 from ..logs.log import Log
-from ..machines.written import machine_text
+from ..machines.file_text import machine_text
 from ..observers import ImmersionObserver
-from ..output import write_text
-from ..web.columns import exact, flags, rounded
+from ..page.columns import exact, flags, rounded
+from .plot_data import shown
 from .result import Result
 from .run import LogRun
-from .shown import shown
 
 #: A record of more text than this is left out: the report then shows, but does not recompute.
 MOST = 8_000_000

@@ -11,12 +11,12 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from ..core.output import check_out, write_rows
+from ..core.validation import nearest
 from ..errors import FluxobsError
 from ..machines import rotating
 from ..machines.saving import write_machine
-from ..output import check_out, write_rows
-from ..validation import nearest
-from .explained import ExplainedRun
+from .explanation import ExplainedRun
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -109,7 +109,7 @@ class Result(ExplainedRun):
         FluxobsError
             The path has another ending, nothing was learnt, or the file cannot be written.
         """
-        from ..plots import FORMATS, HTML, write
+        from ..core.plots import FORMATS, HTML, write
 
         path = Path(path)
         if path.suffix.lower() == ".toml":
@@ -132,7 +132,7 @@ class Result(ExplainedRun):
 
     def _repr_html_(self) -> str:
         """What a notebook shows: summary, warnings and picture."""
-        from ..html import bullets, paragraph, picture
+        from ..core.html import bullets, paragraph, picture
 
         notes = [*(f"Warning: {text}" for text in self.warnings), *self.log.notes]
         shown = picture(self.plot(), self.summary)

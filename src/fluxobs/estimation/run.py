@@ -10,7 +10,7 @@ from ..logs.scales import Scales
 from ..machines import Machine, RotatingMachine, rotating
 from ..observers import AdaptiveObserver, LeastSquaresObserver, SampleCounts
 from ..observers.adaptive import Learnt
-from .prepare import AnyObserver
+from ..observers.for_log import AnyObserver
 from .statistics import Statistics
 
 

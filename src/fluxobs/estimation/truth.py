@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machines import RotatingMachine
-from ..model.frames import wrap
+from ..machines.model.frames import wrap
 from .columns import Rows
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..checking.findings import Check
 from ..machines import RotatingMachine
-from ..model.flux_table import RECIPROCITY
+from ..machines.model.flux_table import RECIPROCITY
 from ..observers import LeastSquaresObserver
 from .columns import is_position
 from .learning import doubtful

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from ..checking.findings import Check
 from ..checking.search import check_log
+from ..core.output import check_new, write_text
 from ..errors import FluxobsError
 from ..logs.for_machine import open_for
 from ..logs.log import Log
 from ..logs.read import Source
 from ..machines import Machine, RotatingMachine, as_machine, rotating
-from ..output import check_new, write_text
 from .drive import lag_item, learnt_items, run, truth_items
 from .item import Item
 from .signals import ROWS, channels_of, converters, offsets, rated_current, sampling
@@ -86,7 +86,7 @@ class Examination(Check):
 
     def _repr_html_(self) -> str:
         """What a notebook shows: findings and page."""
-        from ..html import bullets, table
+        from ..core.html import bullets, table
 
         rows = [(item.name, item.told, item.verdict, item.words) for item in self.items]
         return bullets(self.lines()) + table(("what", "value", "verdict", ""), rows)
@@ -100,8 +100,8 @@ class Examination(Check):
     def write(self, path: str | Path, *, force: bool = False) -> None:
         """Write the page as a picture or .html; FluxobsError if the file exists and `force` is not
         given."""
-        from ..html import document
-        from ..plots import HTML, REPORTS, write
+        from ..core.html import document
+        from ..core.plots import HTML, REPORTS, write
 
         path = Path(path)
         check_new(path, REPORTS, force, "--report")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING
 
-from ..plots import STYLE, new_figure, plain
+from ..core.plots import STYLE, new_figure, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..logs.log import Log
 from ..machines import RotatingMachine
-from ..model.frames import CURRENTS, PHASE_CURRENTS
+from ..machines.model.frames import CURRENTS, PHASE_CURRENTS
 from .item import Item, look_if
 
 Array = NDArray[np.float64]

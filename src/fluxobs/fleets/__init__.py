@@ -1,5 +1,5 @@
 """Many logs: estimated, identified together, and followed over time."""
 
-from .many import Fleet, estimate_many, open_fleet
+from .batch import Fleet, estimate_many, open_fleet
 
 __all__ = ["Fleet", "estimate_many", "open_fleet"]

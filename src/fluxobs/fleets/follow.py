@@ -11,10 +11,10 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from ..core.validation import nearest
 from ..errors import UsageError
 from ..estimation.summary import si
 from ..machines.heat import COPPER
-from ..validation import nearest
 from .changes import LEAST, Course, course_of
 
 Array = NDArray[np.float64]

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .. import html
-from ..output import write_text
-from ..plots import BLUE, GREY, ORANGE, STYLE, new_figure, plain
+from ..core import html
+from ..core.output import write_text
+from ..core.plots import BLUE, GREY, ORANGE, STYLE, new_figure, plain
+from .batch import Fleet
 from .follow import FOLLOWED, Followed, enough, timeless
-from .many import Fleet
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checking.stretches import LAGS
+from ..checking.segments import LAGS
 from ..observers.immersed import CORRELATION_LIMIT
-from .pieces import Piece
 from .relations import SATURATION, Relation, Rows, linear
+from .segments import Piece
 
 Array = NDArray[np.float64]
 

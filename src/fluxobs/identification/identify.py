@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checking.stretches import LAGS
+from ..checking.segments import LAGS
+from ..core.validation import nearest
 from ..errors import FluxobsError
 from ..logs.for_machine import open_for
 from ..logs.log import Log
@@ -24,17 +25,16 @@ from ..machines import (
     as_machine,
     rotating,
 )
-from ..machines.written import with_found
-from ..model.flux_map import TableMap
+from ..machines.file_text import with_found
+from ..machines.model.flux_map import TableMap
 from ..observers.adaptive import INDUCTANCE_SHARE, default_inverter_std, default_resistance_std
-from ..validation import nearest
 from .fit import UNCERTAIN, Fit, fit
-from .fitted import ADVICE, UNITS, Fitted, Parameter, in_the_file
-from .found_map import found_map
-from .pieces import HARDER, SECONDS, Piece, offset_std, pieces, smoothing_current, typical_length
+from .fit_result import ADVICE, UNITS, Fitted, Parameter, in_the_file
+from .map_fit import found_map
 from .relations import SATURATION, Cage, Mapped, Relation, Saturating, linear
 from .report import figure, html_of, lines, write
-from .slip import resistance_from_speed
+from .rotor_resistance import resistance_from_speed
+from .segments import HARDER, SECONDS, Piece, offset_std, pieces, smoothing_current, typical_length
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ..engine import LOCAL, compute
+from ..core.engine import LOCAL, compute
+from ..core.hashing import content_of
 from ..errors import FluxobsError
-from ..hashing import content_of
 from ..logs.for_machine import open_for
 from ..logs.read import Source
 from ..machines import Machine, as_machine, rotating
@@ -162,7 +162,7 @@ def identify_many(
     machine, free, layout
         See :func:`fluxobs.identify`.
     workers, scheduler
-        For the fits of each log alone; see :func:`fluxobs.engine.compute`.
+        For the fits of each log alone; see :func:`fluxobs.core.engine.compute`.
     progress : callable
         Called with the number of fits done, and of all.
 

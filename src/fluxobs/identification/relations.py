@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machines import AlgebraicSaturation
-from ..model.flux_map import FluxMap
+from ..machines.model.flux_map import FluxMap
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.html import bullets, document, picture, table
+from ..core.output import check_out, write_text
+from ..core.plots import BLUE, FORMATS, GREY, HTML, ORANGE, STYLE, legend, new_figure
+from ..core.plots import write as save
 from ..errors import FluxobsError
-from ..html import bullets, document, picture, table
 from ..machines.saving import write_machine
-from ..output import check_out, write_text
-from ..plots import BLUE, FORMATS, GREY, HTML, ORANGE, STYLE, legend, new_figure
-from ..plots import write as save
-from .fitted import ADVICE, Fitted, Parameter
-from .found_map import FoundMap
+from .fit_result import ADVICE, Fitted, Parameter
+from .map_fit import FoundMap
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,7 +1,7 @@
 """Estimates of a stream while it comes: from a serial port, UDP, a pipe, or a file that grows.
 
-Bytes become rows (lines.py, frames.py), rows come into order (order.py) and get even times
-(spaced.py), and :class:`.watch.Watch` estimates. The page runs the same modules on what a serial
+Bytes become rows (lines.py, frames.py), rows come into order (reorder.py) and get even times
+(even_rows.py), and :class:`.watch.Watch` estimates. The page runs the same modules on what a serial
 port or ``fluxobs live`` sends it.
 """
 

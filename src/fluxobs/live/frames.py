@@ -28,10 +28,10 @@ import numpy as np
 from ..errors import RecordError
 from ..logs.formats.table import Columns
 from .lines import pieces
-from .part import Part
+from .rows import Part
 
 if TYPE_CHECKING:
-    from .order import Ordered
+    from .reorder import Ordered
 
 MARK = b"\xf1\x0b"
 HEADER, SAMPLES = ord("H"), ord("S")

@@ -15,11 +15,11 @@ from ..logs.formats.text.cells import is_missing, is_number, split
 from ..logs.formats.text.parse import Ragged
 from ..logs.formats.text.source import BETWEEN, interrupted
 from ..logs.formats.text.structure import Structure, row_kind
-from . import head as first_lines
-from .part import Part
+from . import header as first_lines
+from .rows import Part
 
 if TYPE_CHECKING:
-    from .order import Ordered
+    from .reorder import Ordered
 
 #: Lines from which a log is opened: its columns are guessed from them.
 HEAD_LINES = 2000

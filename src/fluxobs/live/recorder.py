@@ -8,9 +8,9 @@ from itertools import count
 from pathlib import Path
 from typing import Self
 
+from ..core.locks import lock
+from ..core.symlinks import open_own
 from ..errors import FluxobsError
-from ..links import open_own
-from ..locks import lock
 
 
 class Recorder:

@@ -13,7 +13,7 @@ from http import HTTPStatus
 from typing import Any
 
 from ..errors import FluxobsError
-from ..web import built, in_script
+from ..page import built, in_script
 from .frames import MARK
 
 #: Pieces of the stream that may wait for a slow browser; one that is slower yet is let go.

@@ -216,8 +216,8 @@ class Demo(Source):
     name, patient = "demo", True
 
     def chunks(self) -> Iterator[bytes]:
-        from ..synthetic.demo import SAMPLE_TIME
-        from ..synthetic.endless import COLUMNS, endless
+        from ..simulation.closed_form.demo import SAMPLE_TIME
+        from ..simulation.closed_form.endless import COLUMNS, endless
 
         yield (",".join(COLUMNS) + "\n").encode()
         began, rows = time.monotonic(), endless()

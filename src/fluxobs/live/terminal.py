@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from ..core.printable import visible
 from ..estimation.columns import Rows
 from ..machines import Machine
-from ..texts import visible
 from .sources import Source
 from .watch import Watch
 

@@ -10,7 +10,6 @@ from typing import Any
 
 from ..errors import RecordError, UsageError
 from ..estimation.columns import Rows, rows_of
-from ..estimation.prepare import Prepared, prepare
 from ..logs.aligned import Aligned, between, joined, less_lost
 from ..logs.for_machine import open_for
 from ..logs.layout import Layout
@@ -18,12 +17,13 @@ from ..logs.log import Log
 from ..logs.scales import Scales, scales_of
 from ..machines import Machine, RotatingMachine
 from ..observers import LogObserver
+from ..observers.for_log import Prepared, prepare
 from ..observers.unknowns import ALL, AUTO, read_unknowns
+from .even_rows import Spaced
 from .frames import HEAD_ROWS, MARK, Frames
 from .lines import Lines
-from .order import Order, Ordered
-from .part import Part
-from .spaced import Spaced
+from .reorder import Order, Ordered
+from .rows import Part
 
 #: Sizes of the signals are measured over so much time [s].
 WINDOW = 1.0

@@ -156,12 +156,14 @@ def _correlate(a: Array, b: Array, step: float) -> tuple[float, float, float, fl
     """Shift of b's times that fits a, its correlation, its standard deviation; a second one."""
     size = 1 << int(np.ceil(np.log2(len(a) + len(b))))
     cross = np.fft.irfft(np.fft.rfft(a, size) * np.fft.rfft(b, size).conj(), size)
-    lags = np.fft.fftfreq(size, 1.0 / size).astype(int)
-    keep = (lags > -len(b) // 1) & (lags < len(a))
+    lags = np.arange(size)
+    lags[len(a) :] -= size  # of negative shifts; those below -len(b) do not overlap
     overlap = np.minimum(len(a), lags + len(b)) - np.maximum(0, lags)
-    enough = keep & (overlap > 0.25 * min(len(a), len(b)))
-    norm = np.sqrt(_energy(a, lags, len(b)) * _energy(b, -lags, len(a))) + 1e-300
-    value = np.where(enough, cross / norm, -np.inf)
+    norm = np.sqrt(_energy(a, lags, len(b)) * _energy(b, -lags, len(a)))
+    # Where nothing happens in what overlaps, the sums are rounding errors of the transform.
+    happens = norm > 1e-9 * np.sqrt((a @ a) * (b @ b))
+    enough = happens & (overlap > 0.25 * min(len(a), len(b)))
+    value = np.where(enough, cross / np.where(happens, norm, 1.0), -np.inf)
     order = np.argsort(lags)
     value, lags = value[order], lags[order]
     overlap = overlap[order]

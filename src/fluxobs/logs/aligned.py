@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.frames import Frame, alphabeta_current, native_voltage, rotate, wrap
-from ..model.inverter import InverterError
+from ..machines.model.frames import Frame, alphabeta_current, native_voltage, rotate, wrap
+from ..machines.model.inverter import InverterError
 from .formats.table import Columns
 from .record import interval_rows
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import RecordError
-from ..model.frames import Frame, alphabeta_current
+from ..machines.model.frames import Frame, alphabeta_current
 from . import units
 from .align import aligned_by_content, doubt_of_time
 from .clock import Clock

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..errors import RecordError
 from ..machines import Machine, RotatingMachine
-from ..model.frames import Frame
+from ..machines.model.frames import Frame
 from .guess import ROTATING
 from .log import Log
 from .read import read_log

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordError
-from ..model.frames import CURRENTS, PHASE_CURRENTS, VOLTAGES, Frame
+from ..machines.model.frames import CURRENTS, PHASE_CURRENTS, VOLTAGES, Frame
 from . import units
 from .formats import Table, read_rows
 from .layout import CONVERTING, NO_COLUMN, NO_TRUTH, words_for

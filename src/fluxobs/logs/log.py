@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordError
-from ..model.frames import Frame
-from ..model.held import Held
-from ..model.inverter import InverterError
+from ..machines.model.frames import Frame
+from ..machines.model.held import Held
+from ..machines.model.inverter import InverterError
 from .aligned import Aligned, Aligning
 from .clock import Clock
 from .formats import BATCH, Table
@@ -137,7 +137,7 @@ class Log:
 
     @property
     def held(self) -> Held:
-        """Whether its voltages are held over a sample (:mod:`fluxobs.model.held`)."""
+        """Whether its voltages are held over a sample (:mod:`fluxobs.machines.model.held`)."""
         if self.layout.held is not None:
             return self.layout.held
         return "auto" if self.layout.lag == round(self.layout.lag) else False

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import RecordError, UsageError
-from ..model.frames import CURRENTS, VOLTAGES, Frame
+from ..machines.model.frames import CURRENTS, VOLTAGES, Frame
 from .assemble import assemble
 from .formats import Table, open_tables
 from .formats.arrays import ArrayTable

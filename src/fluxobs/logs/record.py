@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import RecordError
-from ..model.frames import clarke
+from ..machines.model.frames import clarke
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordError
-from ..model.frames import wrap
+from ..machines.model.frames import wrap
 from .aligned import Aligned, between, joined
 from .log import Log
 

@@ -6,8 +6,8 @@ import math
 import re
 from typing import Literal
 
+from ..core.validation import nearest
 from ..errors import RecordError
-from ..validation import nearest
 
 #: What a channel measures.
 Quantity = Literal["time", "current", "voltage", "duty", "angle", "speed", "length"]

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from .. import _core
+from ..core.validation import Positive, complaints
 from ..errors import MachineError
-from ..model.constraint import QuadraticConstraint
-from ..model.frames import Frame
-from ..model.inverter import InverterError
-from ..validation import Positive, complaints
+from .model.constraint import QuadraticConstraint
+from .model.frames import Frame
+from .model.inverter import InverterError
 
 Array = NDArray[np.float64]
 
@@ -109,7 +109,7 @@ class Machine(BaseModel):
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the parameters that are given."""
-        from ..html import table
+        from ..core.html import table
 
         given = {name: value for name, value in self.parameters().items() if value is not None}
         rows = [(name, str(value), unit_of(name)) for name, value in given.items()]

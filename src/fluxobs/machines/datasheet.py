@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from ..validation import nearest
+from ..core.validation import nearest
 
 #: Fields of a datasheet, with their units.
 FIELDS = {

@@ -8,10 +8,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from ..core.input_files import read_toml
+from ..core.references import beside
+from ..core.validation import nearest
 from ..errors import FluxobsError, MachineError
-from ..files import read_toml
-from ..named import beside
-from ..validation import nearest
 from .contract import Machine
 from .registry import KINDS
 

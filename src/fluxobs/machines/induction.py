@@ -9,11 +9,11 @@ import numpy as np
 from pydantic import model_validator
 
 from .. import _core
-from ..model.constraint import QuadraticConstraint
-from ..model.flux_map import CageMap, FluxMap
-from ..validation import NotNegative, Positive
+from ..core.validation import NotNegative, Positive
 from .contract import Array, Position
 from .datasheet import from_datasheet
+from .model.constraint import QuadraticConstraint
+from .model.flux_map import CageMap, FluxMap
 from .rotating import RotatingMachine
 
 #: Parameters of the T-model, as a data sheet or a no-load and a locked-rotor test give them.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..validation import NotNegative, Positive
+from ..core.validation import NotNegative, Positive
 from .rotating import MagnetMachine
 
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from ..model.constraint import QuadraticConstraint
-from ..validation import Positive
+from ..core.validation import Positive
 from .contract import Machine, Position
+from .model.constraint import QuadraticConstraint
 
 Array = NDArray[np.float64]
 

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from ..core.validation import nearest
 from ..errors import MachineError
-from ..validation import nearest
 from .datasheet import FIELDS, from_datasheet
+from .file_text import machine_text
 from .files import machine_from
 from .induction import PLATE
 from .registry import KINDS
 from .rotating import RotatingMachine, rotating
-from .written import machine_text
 
 
 @dataclass(frozen=True)

@@ -9,16 +9,16 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from .. import _core
+from ..core.validation import NotNegative, Number, Positive
 from ..errors import FluxobsError, MachineError
-from ..model.constraint import QuadraticConstraint
-from ..model.flux_map import FluxMap, LinearMap
-from ..model.flux_table import FittedTable
-from ..model.frames import angle_error, wrap
-from ..model.held import Held, held_share
-from ..model.inverter import SMOOTHING, InverterError
-from ..validation import NotNegative, Number, Positive
 from .contract import Array, Machine, Position, angle_std
 from .datasheet import from_datasheet
+from .model.constraint import QuadraticConstraint
+from .model.flux_map import FluxMap, LinearMap
+from .model.flux_table import FittedTable
+from .model.frames import angle_error, wrap
+from .model.held import Held, held_share
+from .model.inverter import SMOOTHING, InverterError
 from .saturation import Falling, FluxMapField, MapSource, chords, fitted, read_source
 
 PolePairs = Annotated[int, Field(ge=1)]

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
+from ..core.input_files import check_regular
+from ..core.validation import NotNegative, Positive, complaints
 from ..errors import FluxobsError, MachineError, ModelError
-from ..files import check_regular
-from ..model.flux_table import FittedTable, fit_table
-from ..validation import NotNegative, Positive, complaints
+from .model.flux_table import FittedTable, fit_table
 
 Complex = NDArray[np.complex128]
 

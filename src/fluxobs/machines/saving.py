@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..output import check_new, write_text
+from ..core.output import check_new, write_text
 from .contract import Machine
+from .file_text import machine_text
 from .saturation import COLUMNS, FluxPoints
-from .written import machine_text
 
 
 def check_machine_file(out: Path, force: bool, option: str = "--out") -> None:

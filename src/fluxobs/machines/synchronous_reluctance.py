@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import model_validator
 
 from .. import _core
-from ..model.constraint import QuadraticConstraint
-from ..validation import NotNegative, Positive
+from ..core.validation import NotNegative, Positive
+from .model.constraint import QuadraticConstraint
 from .rotating import SynchronousMachine
 
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from .. import _core, _core_single
 from ..errors import ObserverError
 from ..machines import RotatingMachine, rotating
-from ..model.flux_map import LinearMap
-from ..model.held import Held
-from ..model.inverter import SMOOTHING
+from ..machines.model.flux_map import LinearMap
+from ..machines.model.held import Held
+from ..machines.model.inverter import SMOOTHING
 from .base import Estimate
 from .compiled import CompiledObserver, CompiledState, read_columns, wrapped
 from .outputs import documented, output

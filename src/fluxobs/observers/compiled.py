@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.validation import number
 from ..errors import ObserverError, RecordError, UsageError
 from ..logs.record import Record
-from ..validation import number
 from .base import Estimate, SampleCounts
 
 Found = TypeVar("Found", bound=Estimate)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..errors import ObserverError, RecordError, UsageError
 from ..logs.record import Record
-from ..model.immersion import Immersion
+from ..machines.model.immersion import Immersion
 from .base import SampleCounts
 from .outputs import documented, output
 

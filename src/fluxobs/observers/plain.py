@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core, _core_single
+from ..core.validation import number
 from ..errors import ObserverError
 from ..machines import RotatingMachine, rotating
-from ..model.constraint import QuadraticConstraint
-from ..model.flux_map import FluxMap
-from ..model.held import Held, kink_weights
-from ..validation import number
+from ..machines.model.constraint import QuadraticConstraint
+from ..machines.model.flux_map import FluxMap
+from ..machines.model.held import Held, kink_weights
 from .base import Estimate
 from .compiled import CompiledObserver, CompiledState, read_columns, wrapped
 

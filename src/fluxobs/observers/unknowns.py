@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from ..core.validation import nearest, number
 from ..errors import FluxobsError
 from ..machines import Machine, RotatingMachine
-from ..model.immersion import UNKNOWNS as IN_THE_IMMERSION
-from ..validation import nearest, number
+from ..machines.model.immersion import UNKNOWNS as IN_THE_IMMERSION
 
 #: Errors of the machine's parameters and of its inverter, found by the adaptive observer.
 ADAPTED = ("resistance", "inverter", "asymmetry")

@@ -33,7 +33,7 @@ from longest import bound
 import fluxobs
 from fluxobs.deployment.costs import cost_table, read_costs
 from fluxobs.machines import AlgebraicSaturation, SynchronousReluctance
-from fluxobs.synthetic.firmware_record import firmware_record
+from fluxobs.simulation.closed_form.firmware_record import firmware_record
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]

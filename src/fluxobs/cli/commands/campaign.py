@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...engine import LOCAL
+from ...core.engine import LOCAL
 from ...errors import UsageError
 from .. import show
 from ..many_logs import refuse
@@ -159,10 +159,10 @@ def _again(
     force: bool,
 ) -> None:
     from ...campaigns.rerun import check_estimated, rerun, write_record
-    from ...output import check_new
+    from ...core.output import check_new
 
     if report is not None:
-        from ...web import built
+        from ...page import built
 
         check_estimated(found.specification.observer(observer))
         check_new(report, (".html",), force, "--report")

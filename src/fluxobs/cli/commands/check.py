@@ -52,8 +52,8 @@ def check(
     Example: fluxobs check LOG.csv --machine motor.toml --lag -1
     """
     from ... import check as run
-    from ...output import check_new
-    from ...plots import REPORTS
+    from ...core.output import check_new
+    from ...core.plots import REPORTS
 
     if report is not None:
         check_new(report, REPORTS, force, "--report")

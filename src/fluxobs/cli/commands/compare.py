@@ -57,7 +57,7 @@ def compare(
     from ...comparison import report
     from ...comparison.compare import check_comparable
     from ...comparison.compare import compare as run
-    from ...output import make_folder
+    from ...core.output import make_folder
 
     names = [n for r in records for n in (SCENARIOS if r == "all" else [r])]
     for name in names:

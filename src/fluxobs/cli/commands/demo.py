@@ -18,8 +18,8 @@ def demo(
 ) -> None:
     """Run the main job on a log that comes with the package."""
     from ... import estimate as run
-    from ...output import make_folder
-    from ...synthetic.demo import MACHINE, demo_log
+    from ...core.output import make_folder
+    from ...simulation.closed_form.demo import MACHINE, demo_log
 
     make_folder(out)
     estimates = out / "estimates.parquet"

@@ -152,15 +152,15 @@ def estimate(
     refuse(only_many, "many logs")
     log = Path(logs[0])
     from ... import estimate as run
-    from ...logs.written import write_record
-    from ...output import check_new
-    from ...plots import REPORTS, check_path
+    from ...core.output import check_new
+    from ...core.plots import REPORTS, check_path
+    from ...logs.record_files import write_record
 
     if out is not None:
         refuse_input_as_output(out, machine, layout.get("record"))
     html = report is not None and report.suffix.lower() == ".html"
     if report is not None:
-        from ...web import built
+        from ...page import built
 
         check_path(report)
         check_new(report, REPORTS, force, "--report")

@@ -43,10 +43,10 @@ def fleet(
 
     Example: fluxobs fleet results --limit resistance=20% --limit psi_f=-5..5%
     """
+    from ...core.output import check_new
     from ...fleets import open_fleet
     from ...fleets import report as reports
     from ...fleets.follow import follow, read_limit, untold
-    from ...output import check_new
 
     limits = [read_limit(text) for text in limit or []]
     found_fleet = open_fleet(folder)

@@ -67,9 +67,9 @@ def identify(
     Example: fluxobs identify LOG.csv --machine motor.toml --out found.toml --report fit.png
     """
     from ... import identify as run
+    from ...core.output import check_new
+    from ...core.plots import REPORTS, check_path
     from ...machines.saving import check_machine_file
-    from ...output import check_new
-    from ...plots import REPORTS, check_path
 
     paths = _paths(logs)
     for path in paths:

@@ -79,13 +79,13 @@ def live(
 
     Example: fluxobs live /dev/ttyACM0 --machine motor.toml --save run.csv
     """
+    from ...core.output import check_new
     from ...errors import UsageError
     from ...live import Watch
     from ...live.recorder import Recorder
     from ...live.sources import Demo, open_source
+    from ...machines.file_text import machine_text
     from ...machines.files import as_machine
-    from ...machines.written import machine_text
-    from ...output import check_new
 
     if demo == bool(source):
         raise UsageError("give a SOURCE or --demo: a serial port, udp:PORT, a file, or -")

@@ -23,14 +23,14 @@ def page(
     One HTML file that works offline: drop a log, choose the machine, see what `fluxobs estimate`
     and `fluxobs check` say of it, and move parameters. Nothing leaves the computer.
 
-    Example: fluxobs page --out fluxobs.html
+    Example: fluxobs page --out fluxobs.core.html
     """
     import tempfile
     import webbrowser
 
-    from ...output import check_new, write_text
-    from ...plots import HTML
-    from ...web import built
+    from ...core.output import check_new, write_text
+    from ...core.plots import HTML
+    from ...page import built
 
     text = built("page.html")
     if out is not None:

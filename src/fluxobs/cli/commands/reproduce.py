@@ -38,8 +38,8 @@ def reproduce(
     # Compilation takes most of the time; this must be set before JAX is loaded.
     if not deep:
         os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
-    from ...output import make_folder
-    from ...paper.reproduce import reproduce as run
+    from ...core.output import make_folder
+    from ...research.paper.reproduce import reproduce as run
 
     make_folder(out, "report.md", force)
     run(out, quick, deep, typer.echo)

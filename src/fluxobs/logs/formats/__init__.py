@@ -5,8 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
+from ...core.input_files import check_regular
 from ...errors import RecordError
-from ...files import check_regular
 from .table import BATCH, Said, Table, missing_column, read_rows
 
 #: Endings of files that are not text, each with its module and function. They are loaded when

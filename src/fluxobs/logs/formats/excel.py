@@ -7,9 +7,9 @@ from pathlib import Path
 import polars as pl
 
 from ...errors import RecordError
-from .apart import read_apart
 from .arrays import ArrayTable
 from .extras import library
+from .isolated import read_apart
 from .table import Table
 from .text.structure import find
 from .workbook import check_cells, unpacked_size

@@ -6,8 +6,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+from ...core.input_files import BLOCK, PACKED_BLOCK, check_deflated, most_unpacked
 from ...errors import RecordError
-from ...files import BLOCK, PACKED_BLOCK, check_deflated, most_unpacked
 from .extras import library
 from .nested import Found, tables
 from .table import Table

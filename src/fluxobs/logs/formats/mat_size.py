@@ -13,7 +13,7 @@ import zlib
 from pathlib import Path
 from typing import IO
 
-from ...files import most_unpacked
+from ...core.input_files import most_unpacked
 
 #: Cells and structs within each other; those that MATLAB and Simulink write have some ten.
 DEEPEST = 200

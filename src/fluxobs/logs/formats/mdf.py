@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from ...core.input_files import most_unpacked
 from ...errors import RecordError
-from ...files import most_unpacked
 from .extras import library
 from .formula import is_arithmetic
 from .mdf_blocks import check_blocks, check_packed

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import ClassVar
 
-from ...files import BLOCK, PACKED_BLOCK, PLENTY, check_deflated
+from ...core.input_files import BLOCK, PACKED_BLOCK, PLENTY, check_deflated
 
 #: Bytes of memory that a conversion counts for besides its own: 64 000 take asammdf a second.
 CONVERSION = 4000

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 
+from ...core.input_files import most_unpacked
 from ...errors import RecordError
-from ...files import most_unpacked
 from .nested import Found, tables
 from .npy import numbers_of
 from .table import Table

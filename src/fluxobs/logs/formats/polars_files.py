@@ -8,8 +8,8 @@ from pathlib import Path
 
 import polars as pl
 
+from ...core.input_files import most_unpacked
 from ...errors import RecordError
-from ...files import most_unpacked
 from .lazy import BROKEN, as_columns, frames
 from .table import BATCH, Columns, Table
 

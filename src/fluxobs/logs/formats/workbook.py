@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import IO, Any
 from xml.parsers import expat
 
+from ...core.input_files import most_unpacked
 from ...errors import RecordError
-from ...files import most_unpacked
 
 #: Most cells of all sheets together, up to the last row and column with content: the longest sheet
 #: that Excel has, with 32 columns, which takes a gigabyte.

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any, AnyStr, cast
 
+from ....core.input_files import RATIO, most_unpacked
 from ....errors import RecordError
-from ....files import RATIO, most_unpacked
 
 #: Longest line: a log of the most columns has a hundred characters in each.
 LINE = 1 << 20

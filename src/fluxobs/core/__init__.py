@@ -1,0 +1,1 @@
+"""What every room builds on: input, output, names, processes and pictures."""

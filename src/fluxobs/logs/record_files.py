@@ -1,0 +1,62 @@
+"""Record files: what a log was read as, in TOML, to be read so again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from ..core.output import check_new, write_text
+from ..machines.file_text import comment
+from .layout import NO_COLUMN
+from .log import Log
+
+_MAPPINGS = ("columns", "unit", "adc", "scale", "offset", "truth")
+
+
+def record_text(log: Log) -> str:
+    """The text of a record TOML: all that was given, and all that was guessed."""
+    layout = log.layout
+    fields = layout.model_dump(exclude_defaults=True, exclude={*_MAPPINGS, "join", "note"})
+    fields["frame"] = log.frame
+    fields["lag"] = layout.lag
+    rows = [
+        f"# How {comment(log.path.name)} is read: `fluxobs estimate LOG --record THIS.toml`",
+        *(f"# {comment(note)}" for note in log.notes),
+        *(f"{name} = {_value(value)}" for name, value in sorted(fields.items())),
+    ]
+    columns = dict(log.names)
+    if "t" not in columns and layout.columns.get("t") == NO_COLUMN:
+        columns["t"] = NO_COLUMN
+    used = {"t", *columns, "udc", *([] if log.true is None else [log.true.channel])}
+    tables = {
+        "columns": columns,
+        "truth": {} if log.true is None else dict([log.truth or ("", "")]),
+    }
+    for name in ("unit", "adc", "scale", "offset"):
+        given = getattr(layout, name)
+        tables[name] = {key: given[key] for key in given if key in used or len(key) < 6}
+    for name, table in tables.items():
+        if table:
+            inside = ", ".join(f"{key} = {_value(value)}" for key, value in table.items())
+            rows.append(f"{name} = {{ {inside} }}")
+    return "\n".join(rows) + "\n"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # TOML has no bare one
+
+
+def write_record(log: Log, path: str | Path, *, force: bool = False) -> None:
+    """Write a record file.
+
+    Raises
+    ------
+    FluxobsError
+        It does not end in .toml, exists and `force` is not given, or cannot be written.
+    """
+    path = Path(path)
+    check_new(path, (".toml",), force, "--save-record")
+    write_text(path, record_text(log))

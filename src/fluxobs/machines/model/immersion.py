@@ -1,0 +1,217 @@
+"""The exact linear system behind the observers, for any number of ports and relations.
+
+State ``x = (s_1 … s_r, λ, κ_1 … κ_r, θ, c_1 … c_r, δ)`` with one ``(s, κ, c)`` per relation and ::
+
+    s = λᵀQ1λ + Eᵀλ + d - λᵀQ2δ + δᵀQ3δ - Cᵀδ    κ = θᵀ(2 Q1 λ - Q2 δ + E)    c = θᵀQ1θ
+
+θ is the drift, ``λ̇ = y_m + θ``. δ is the current bias, left out unless it is unknown. If it is the
+only unknown, ``θ = R δ`` and θ is left out. With the volt-seconds ``v = ∫ y_m dt`` of a sample the
+transition is exact at any sampling rate: nothing is discretised. See docs/theory.md, section 4, for
+the derivation. The C core is the case of one relation, two ports and unknown drift.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...errors import ModelError
+from .constraint import QuadraticConstraint, invisible_offsets
+
+Array = NDArray[np.floating]
+
+Unknown = Literal["drift", "current-bias"]
+UNKNOWNS: tuple[Unknown, ...] = get_args(Unknown)
+
+
+@dataclass(frozen=True, eq=False)
+class Immersion:
+    """Linear time-varying system whose state contains flux, drift and current bias.
+
+    Parameters
+    ----------
+    relations : QuadraticConstraint, or a tuple of several
+        All with the same number n of ports.
+    unknowns : tuple of {"drift", "current-bias"}
+        The unknown constants.
+    R : (n, n) array_like, optional
+        Resistance [Ω]; needed if the current bias is the only unknown.
+
+    Raises
+    ------
+    ModelError
+        Relations differ in size, `unknowns` is empty or has an unknown word, or R is missing.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> pmsm = QuadraticConstraint(np.eye(2), -2e-3 * np.eye(2), 1e-6 * np.eye(2))
+    >>> Immersion(pmsm).size, Immersion(pmsm, ("drift", "current-bias")).size
+    (7, 9)
+    """
+
+    relations: tuple[QuadraticConstraint, ...]
+    unknowns: tuple[Unknown, ...] = ("drift",)
+    R: Array | None = None
+    #: Where the state holds s, flux, kappa, drift, c and current_bias.
+    slices: dict[str, slice] = field(init=False, repr=False)
+    size: int = field(init=False, repr=False)
+    _stack: dict[str, Array] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        given = self.relations
+        chosen = (given,) if isinstance(given, QuadraticConstraint) else tuple(given)
+        if not chosen or len({relation.n for relation in chosen}) != 1:
+            raise ModelError("relations: at least one is needed, all with the same number of ports")
+        wanted = set(self.unknowns)
+        if not wanted or wanted - set(UNKNOWNS):
+            raise ModelError(
+                f"unknowns must be some of {', '.join(UNKNOWNS)}, got {', '.join(sorted(wanted))}"
+            )
+        if wanted == {"current-bias"} and self.R is None:
+            raise ModelError("R is missing: with current-bias alone, the drift is R times the bias")
+        set_field = partial(object.__setattr__, self)
+        set_field("relations", chosen)
+        set_field("unknowns", tuple(name for name in UNKNOWNS if name in wanted))
+        set_field("R", None if self.R is None else np.asarray(self.R, float))
+        stack = {
+            name: np.stack([getattr(relation, name) for relation in chosen])
+            for name in ("Q1", "Q2", "Q3", "E", "C")
+        }
+        set_field("_stack", stack)
+        n, r = chosen[0].n, len(chosen)
+        drift = n if "drift" in wanted else 0
+        bias = n if "current-bias" in wanted else 0
+        at, slices = 0, {}
+        for name, length in zip(
+            ("s", "flux", "kappa", "drift", "c", "current_bias"),
+            (r, n, r, drift, r, bias),
+            strict=True,
+        ):
+            slices[name] = slice(at, at + length)
+            at += length
+        set_field("slices", slices)
+        set_field("size", at)
+
+    @property
+    def n(self) -> int:
+        """Number of electrical ports."""
+        return self.relations[0].n
+
+    def lift(
+        self, flux: ArrayLike, drift: ArrayLike | None = None, current_bias: ArrayLike | None = None
+    ) -> Array:
+        """State that belongs to flux [Wb], drift [V] and current bias [A], each (n,).
+
+        If the current bias is the only unknown, the drift is R times it and must not be given.
+        """
+        x = np.asarray(flux)
+        zero = np.zeros(self.n, dtype=x.dtype)
+        delta = zero if current_bias is None else np.asarray(current_bias)
+        if self.unknowns == ("current-bias",):
+            if drift is not None or self.R is None:
+                raise ModelError("do not give the drift: here it is R times the current bias")
+            theta = self.R @ delta
+        else:
+            theta = zero if drift is None else np.asarray(drift)
+        parts: dict[str, list[Array]] = {"s": [], "kappa": [], "c": []}
+        for relation in self.relations:
+            Q1, Q2, Q3, E, C = (getattr(relation, name) for name in ("Q1", "Q2", "Q3", "E", "C"))
+            free = x @ Q1 @ x + E @ x + relation.d
+            parts["s"].append(free - x @ Q2 @ delta + delta @ Q3 @ delta - C @ delta)
+            parts["kappa"].append(theta @ (2 * Q1 @ x - Q2 @ delta + E))
+            parts["c"].append(theta @ Q1 @ theta)
+        out = np.zeros(self.size, dtype=np.result_type(x, theta, delta, float))
+        out[self.slices["flux"]] = x
+        for name, values in parts.items():
+            out[self.slices[name]] = values
+        if "drift" in self.unknowns:
+            out[self.slices["drift"]] = theta
+        if "current-bias" in self.unknowns:
+            out[self.slices["current_bias"]] = delta
+        return out
+
+    def transition(self, h: float, volt_seconds: ArrayLike) -> Array:
+        """F(h, v) of ``x₊ = F x + input``; unit upper triangular; ``F(h, v)⁻¹ = F(-h, -v)``.
+
+        Parameters
+        ----------
+        h : float
+            Sample time [s].
+        volt_seconds : (n,) array_like
+            ∫ (-R i_m + B u_m) dt over the sample [Wb].
+
+        Returns
+        -------
+        (size, size) ndarray
+        """
+        v = np.asarray(volt_seconds)
+        at, Q1, Q2 = self.slices, self._stack["Q1"], self._stack["Q2"]
+        q = 2 * Q1 @ v  # (r, n): row k is (2 Q1_k v)ᵀ
+        one = np.eye(len(self.relations))
+        F = np.eye(self.size, dtype=np.result_type(v, float))
+        F[at["s"], at["flux"]], F[at["s"], at["kappa"]], F[at["s"], at["c"]] = (
+            q,
+            h * one,
+            h * h * one,
+        )
+        F[at["kappa"], at["c"]] = 2 * h * one
+        if "drift" in self.unknowns:
+            F[at["flux"], at["drift"]] = h * np.eye(self.n)
+            F[at["s"], at["drift"]], F[at["kappa"], at["drift"]] = h * q, q
+            if "current-bias" in self.unknowns:
+                F[at["s"], at["current_bias"]] = -v @ Q2
+        else:
+            assert self.R is not None
+            F[at["flux"], at["current_bias"]] = h * self.R
+            F[at["s"], at["current_bias"]] = h * q @ self.R - v @ Q2
+            F[at["kappa"], at["current_bias"]] = q @ self.R
+        return F
+
+    def known_input(self, volt_seconds: ArrayLike) -> Array:
+        """What v adds to the state: ``(vᵀQ1v + Eᵀv, v, 0, 0, 0, 0)``."""
+        v = np.asarray(volt_seconds)
+        out = np.zeros(self.size, dtype=np.result_type(v, float))
+        out[self.slices["s"]] = self._stack["Q1"] @ v @ v + self._stack["E"] @ v
+        out[self.slices["flux"]] = v
+        return out
+
+    def output_rows(self, current: ArrayLike) -> tuple[Array, Array]:
+        """Rows H, (r, size), and values y, (r,), of ``y = H x``: the relations at i_m."""
+        i = np.asarray(current)
+        rows = np.zeros((len(self.relations), self.size), dtype=np.result_type(i, float))
+        rows[:, self.slices["s"]] = np.eye(len(self.relations))
+        rows[:, self.slices["flux"]] = self._stack["Q2"] @ i
+        Q3i = self._stack["Q3"] @ i
+        if "current-bias" in self.unknowns:
+            rows[:, self.slices["current_bias"]] = -2 * Q3i
+        return rows, -(Q3i @ i + self._stack["C"] @ i)
+
+    def row_gain(self) -> Array:
+        """∂H/∂i_m, shape (r, size, n): how current noise enters the rows."""
+        gain = np.zeros((len(self.relations), self.size, self.n))
+        gain[:, self.slices["flux"]] = self._stack["Q2"]
+        if "current-bias" in self.unknowns:
+            gain[:, self.slices["current_bias"]] = -2 * self._stack["Q3"]
+        return gain
+
+    def transition_gain(self) -> Array:
+        """∂F(-h, -v)/∂v as h → 0, shape (n, size, size): how noise of v enters past rows."""
+        zero = np.zeros(self.n)
+        return np.stack(
+            [self.transition(0.0, -unit) - self.transition(0.0, zero) for unit in np.eye(self.n)]
+        )
+
+    def invisible(self) -> Array:
+        """Constant offsets (r, s) of flux [Wb] and current [A] that no record can reveal.
+
+        Returns
+        -------
+        (2n, k) ndarray
+            See :func:`fluxobs.machines.model.constraint.invisible_offsets`.
+        """
+        return invisible_offsets(self.relations, self.unknowns, self.R)

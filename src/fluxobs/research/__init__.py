@@ -1,0 +1,45 @@
+"""The paper's mathematics: machines as energies, relations, regression, observers, analysis.
+
+Needs the extra "design" (JAX, equinox, diffrax).
+"""
+
+from ..simulation import precision  # noqa: F401  # before anything else: float64
+from .energies.blondel_park import BlondelPark, blondel_park
+from .energies.discovery import (
+    Discovery,
+    FeatureDiscovery,
+    check_constraint,
+    discover_constraint,
+    discover_in_features,
+)
+from .energies.integrate import Trajectory, integrate
+from .energies.orbit import PeriodicOrbit, periodic_orbit
+from .energies.system import (
+    ElectromechanicalSystem,
+    Power,
+    State,
+    inertia,
+    linear_magnetics,
+)
+from .relation_observer import RelationEstimate, RelationObserver
+
+__all__ = [
+    "BlondelPark",
+    "Discovery",
+    "ElectromechanicalSystem",
+    "FeatureDiscovery",
+    "PeriodicOrbit",
+    "Power",
+    "RelationEstimate",
+    "RelationObserver",
+    "State",
+    "Trajectory",
+    "blondel_park",
+    "check_constraint",
+    "discover_constraint",
+    "discover_in_features",
+    "inertia",
+    "integrate",
+    "linear_magnetics",
+    "periodic_orbit",
+]

@@ -1,0 +1,184 @@
+"""Which unknowns can be told apart: predicted from the constraint, checked on a record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import subspace_angles
+
+from ...errors import ModelError
+from ...machines.model.constraint import QuadraticConstraint, invisible_offsets
+from ...machines.model.immersion import Immersion
+from ..regression import Parametrisation, Regressors
+
+Array = NDArray[np.float64]
+
+
+def observability_gramian(
+    rows: Regressors,
+    constants: Parametrisation,
+    h: float,
+    window: float,
+    scale: ArrayLike | None = None,
+) -> Array:
+    """``∫ F(s,t)ᵀ Ψ Ψᵀ F(s,t) ds`` over the last window of a record, which ends at t.
+
+    The system is λ' = θ, y = Ψᵀ(λ, θ, …). The drift moves the flux, which makes more directions
+    visible than Ψ alone excites: at constant speed the Ψ of a PMSM has rank 3 of 5, while this
+    Gramian is regular.
+
+    Parameters
+    ----------
+    rows : Regressors
+        Leading axis time.
+    constants : Parametrisation
+    h, window : float
+        Sample time, length of the window [s].
+    scale : (n + n_θ,) array_like, optional
+        Size of each unknown.
+
+    Returns
+    -------
+    (N, N) ndarray
+    """
+    count = round(window / h)
+    if not 1 <= count <= len(rows.y):
+        raise ModelError(f"a window of {window:g} s does not fit {len(rows.y)} rows of {h:g} s")
+    psi = np.array(constants.psi_record(rows))[-count:]
+    n = constants.n
+    age = h * np.arange(count - 1, -1, -1)
+    # Row s in terms of the state at t: λ(s) = λ(t) - (t - s) θ.
+    psi[:, n : 2 * n] -= age[:, None] * psi[:, :n]
+    if scale is not None:
+        psi = psi * np.asarray(scale, float)
+    return np.asarray(h * psi.T @ psi)
+
+
+def immersion_gramian(
+    immersion: Immersion,
+    h: float,
+    volt_seconds: ArrayLike,
+    current: ArrayLike,
+    scale: ArrayLike,
+) -> Array:
+    """``∫ F(s,t)ᵀ H(s)ᵀ H(s) F(s,t) ds`` of the immersion over a record, which ends at t.
+
+    Uniform observability, a lower bound for this Gramian over every window of one length, is what
+    the least squares needs; persistency of excitation of Ψ, which the paper asks for, is stronger.
+
+    Parameters
+    ----------
+    immersion : Immersion
+    h : float
+        Sample time [s].
+    volt_seconds, current : (rows, n) array_like
+        Of the interval that ends at each row [Wb]; [A].
+    scale : (size,) array_like
+        Size of each state.
+
+    Returns
+    -------
+    (size, size) ndarray
+    """
+    v, i = np.asarray(volt_seconds, float), np.asarray(current, float)
+    back = np.diag(np.asarray(scale, float))
+    total = np.zeros((immersion.size, immersion.size))
+    for k in range(len(v) - 1, -1, -1):
+        row = immersion.output_rows(i[k])[0] @ back
+        total += h * row.T @ row
+        back = immersion.transition(-h, -v[k]) @ back
+    return total
+
+
+def invisible_from_gramian(gramian: ArrayLike, tolerance: float = 1e-10) -> Array:
+    """Directions invisible in a record, (N, k): eigenvalue at most `tolerance` of the largest."""
+    values, vectors = np.linalg.eigh(np.asarray(gramian, float))
+    return np.asarray(vectors[:, values <= tolerance * values[-1]])
+
+
+def invisible_from_constraint(constraint: QuadraticConstraint, constants: Parametrisation) -> Array:
+    """Directions in (λ, constants) that are invisible in every record, (N, k).
+
+    With the current bias as an unknown, they are the null space of the Hessian, read as offsets
+    (r, s) of flux and bias. The printed parametrisation, if it has the y_b block, adds
+    (s, 0, -2 Q1 s, -Q2ᵀ s): it has more constants than the biases can produce (erratum 5).
+    """
+    n, size = constants.n, constants.n + len(constants)
+    columns = []
+    if constants.kind == "structured":
+        for column in constraint.invisible_offsets().T:
+            direction = np.zeros(size)
+            # An offset s of i_m - δ is an offset -s of δ.
+            direction[:n], direction[2 * n : 3 * n] = column[:n], -column[n:]
+            columns.append(direction)
+    elif constants.kind == "printed":
+        for s in np.eye(n) if constants.with_b else []:
+            direction = np.zeros(size)
+            direction[:n] = s
+            direction[2 * n : 3 * n] = -2 * constraint.Q1 @ s
+            direction[3 * n : 4 * n] = -constraint.Q2.T @ s
+            columns.append(direction)
+        if not constants.with_b:
+            # The same identity with Q3 = 0: the null space of Q2ᵀ.
+            _, singular, vt = np.linalg.svd(constraint.Q2.T)
+            for s in vt[singular <= 1e-9 * max(singular[0], 1e-300)]:
+                direction = np.zeros(size)
+                direction[:n], direction[2 * n : 3 * n] = s, -2 * constraint.Q1 @ s
+                columns.append(direction)
+    else:
+        for column in invisible_offsets([constraint], ("drift",)).T:
+            columns.append(np.r_[column[:n], np.zeros(size - n)])
+    return np.array(columns).T if columns else np.empty((size, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class InvisibleComparison:
+    """Invisible directions, predicted from the constraint and found on a record.
+
+    Attributes
+    ----------
+    predicted, found : (N, k) ndarray
+    angle : float
+        Largest principal angle between the two [rad]; NaN if their dimensions differ.
+    """
+
+    predicted: Array
+    found: Array
+    angle: float
+
+    @property
+    def agree(self) -> bool:
+        """Whether the record shows every direction that the constraint makes visible."""
+        return self.predicted.shape == self.found.shape and not self.angle > 1e-3
+
+
+def compare_invisible(
+    constraint: QuadraticConstraint,
+    rows: Regressors,
+    constants: Parametrisation,
+    h: float,
+    window: float,
+    scale: ArrayLike,
+    tolerance: float = 1e-10,
+) -> InvisibleComparison:
+    """Compares the prediction from the constraint with the observability Gramian of a record."""
+    sizes = np.asarray(scale, float)
+    found = invisible_from_gramian(
+        observability_gramian(rows, constants, h, window, sizes), tolerance
+    )
+    predicted = invisible_from_constraint(constraint, constants) / sizes[:, None]
+    if predicted.shape != found.shape:
+        angle = float("nan")
+    elif found.shape[1] == 0:
+        angle = 0.0
+    else:
+        angle = float(np.max(subspace_angles(predicted, found)))
+    return InvisibleComparison(predicted, found, angle)
+
+
+def rank(gramian: ArrayLike, tolerance: float = 1e-10) -> int:
+    """Number of visible directions."""
+    values = np.linalg.eigvalsh(np.asarray(gramian, float))
+    return int((values > tolerance * values[-1]).sum())

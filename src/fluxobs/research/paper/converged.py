@@ -1,0 +1,135 @@
+"""Runs of the paper's two laws, converged in the step: their gains make them stiff beyond measure.
+
+With the printed gains rates reach 10⁵ 1/s and more, while the errors of interest live for seconds.
+The error, not the estimate, is integrated: it obeys a linear equation, whose steps need not resolve
+the rates (:mod:`fluxobs.research.analysis.flow`). Between the rows the regressor is a cubic spline.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..analysis.flow import flow_states, flow_steps
+from ..analysis.stability import balanced_error_system, record_nodes
+from ..regression import Parametrisation, Regressors
+from ..regression.laws.base import positive_definite
+from .levitation import FilteredRecord, LevitationRecord
+
+Array = NDArray[np.float64]
+
+#: Substeps of a row are doubled until no error moves by more than this share of the largest one.
+CONVERGED, MOST_SUBSTEPS = 1e-3, 16
+
+
+class ConvergedRun(NamedTuple):
+    """Errors at every row.
+
+    Attributes
+    ----------
+    error : (rows, N) ndarray
+        Of flux [Wb] and, for the adaptive law, constants.
+    change : float
+        Largest change when the substeps were last doubled, over the largest error.
+    """
+
+    error: Array
+    change: float
+
+
+class _Span(NamedTuple):
+    """Rows between jumps: ψ and residual in balanced coordinates, constant input, true state."""
+
+    psi: Array
+    r: Array
+    f: Array
+    jump: Array  # what the error changes by at its start
+
+
+def converged_run(
+    given: LevitationRecord,
+    regression: FilteredRecord,
+    Gamma: Any,
+    constants: Parametrisation | None,
+    skip: int,
+) -> ConvergedRun:
+    """Error of Proposition 2, or of Proposition 1 if `constants` is None, from zero estimates.
+
+    The regression is used from row `skip` on, as in
+    :func:`fluxobs.research.regression.laws.run`; until then the estimate integrates volt-seconds.
+    """
+    n = given.flux.shape[1]
+    if constants is None:
+        root = np.linalg.cholesky(np.asarray(positive_definite("Gamma", Gamma, n)))
+        N = np.zeros((n, n))
+    else:
+        N, root = balanced_error_system(constants, Gamma)
+    spans = _spans(given, regression, constants, root, skip)
+    error = np.empty((len(given.t), len(root)))
+    theta = np.zeros(len(root) - n) if constants is None else _constants(given, constants, 0)
+    integrated = np.cumsum(given.volt_seconds[: skip + 1], axis=0)
+    error[: skip + 1] = np.column_stack(
+        [integrated - given.flux[: skip + 1], np.tile(-theta, (skip + 1, 1))]
+    )
+    start = np.linalg.solve(root, error[skip])
+    before = _run(N, spans, start, given.h, 1)
+    change, substeps = np.inf, 1
+    while change > CONVERGED and substeps < MOST_SUBSTEPS:
+        substeps *= 2
+        after = _run(N, spans, start, given.h, substeps)
+        moved, size = np.abs((after - before) @ root.T), np.abs(after @ root.T)
+        finite = np.isfinite(size).all(axis=1)
+        change = float((moved[finite] / size[finite].max(axis=0)).max())
+        before = after
+    error[skip + 1 :] = before @ root.T
+    return ConvergedRun(error, change)
+
+
+def _constants(given: LevitationRecord, constants: Parametrisation, row: int) -> Array:
+    return np.asarray(constants.constants(given.drift[row], given.current_bias[row]))
+
+
+def _spans(
+    given: LevitationRecord,
+    regression: FilteredRecord,
+    constants: Parametrisation | None,
+    root: Array,
+    skip: int,
+) -> list[_Span]:
+    jump = int(np.searchsorted(given.t, given.jump - given.h / 2))
+    joined = Regressors(
+        *(
+            np.concatenate([np.asarray(part)[: jump + 1], [one], np.asarray(part)[jump + 1 :]])
+            for part, one in zip(regression.rows, regression.after_jump, strict=True)
+        )  # type: ignore[arg-type]
+    )
+    whole = np.asarray(joined.Phi_flux if constants is None else constants.psi_record(joined))
+    out: list[_Span] = []
+    last = np.zeros(len(root))
+    for row, rows, flux in (
+        (0, slice(skip, jump + 1), given.flux[skip : jump + 1]),
+        (-1, slice(jump + 1, None), given.flux[jump:]),
+    ):
+        psi = whole[rows]
+        theta = np.zeros(0) if constants is None else _constants(given, constants, row)
+        true = np.column_stack([flux, np.tile(theta, (len(flux), 1))])
+        r = np.asarray(joined.y)[rows] - np.einsum("ki,ki->k", psi, true)
+        f = np.zeros(len(root)) if constants is not None else -given.drift[row]
+        here = np.concatenate([np.zeros(flux.shape[1]), theta])
+        moved = np.zeros(len(root)) if not out else np.linalg.solve(root, last - here)
+        out.append(_Span(psi @ root, r, np.linalg.solve(root, f), moved))
+        last = here
+    return out
+
+
+def _run(N: Array, spans: list[_Span], x: Array, h: float, substeps: int) -> Array:
+    out = []
+    for span in spans:
+        nodes = record_nodes(np.column_stack([span.psi, span.r]), substeps)
+        P, g = flow_steps(N, nodes[..., :-1], h / substeps, nodes[..., -1], span.f)
+        states = flow_states(P, g, x + span.jump)[substeps - 1 :: substeps]
+        out.append(states)
+        x = states[-1]
+    return np.concatenate(out)

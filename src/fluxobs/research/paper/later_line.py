@@ -1,0 +1,194 @@
+"""The line of observers that followed the paper, beside ours, on its own example.
+
+All get the same samples and, but for the immersion, the same regression, exact on samples. Gains
+and weights are the best we know to choose: balanced by the excitation before the jump, the weight
+of the data by the true residual of the regression.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from ...machines.model.immersion import Immersion
+from ..analysis import balanced_gain, balanced_repaired, immersion_gramian
+from ..regression import Parametrisation, SampledRegression, residual
+from ..regression.laws import (
+    PEBO,
+    DremObserver,
+    FluxObserver,
+    GeneralisedPEBO,
+    RiccatiObserver,
+    run,
+)
+from .levitation import CORNER, SCENARIOS, LevitationRecord, benchmark, measured, record
+from .section_v import (
+    CONSTANTS_RATE,
+    FLUX_RATE,
+    LS_SAMPLE_TIME,
+    NUMERICAL,
+    RUN_IN,
+    ErrorCourse,
+    least_squares,
+    levitation_observer,
+    mixing_basis,
+    regression_size,
+    sizes,
+    thinned,
+)
+from .studies import with_noise
+
+Array = NDArray[np.float64]
+
+#: Memory of the estimators that forget [s].
+MEMORY = 1.0
+#: Memory of all estimators that forget under noise [s].
+NOISE_MEMORY = 0.5
+#: Time at which the references come to rest in the study of interval excitation [s].
+REST = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What the observers are given, sampled at :data:`LS_SAMPLE_TIME`."""
+
+    title: str
+    given: LevitationRecord
+    current: Array
+    volt_seconds: Array
+    noise: bool = False
+
+
+def cases() -> list[Case]:
+    """S1, S3 (weakly excited) and S5; S5 with noise, moving offsets, and excited for a while."""
+
+    def case(title: str, given: LevitationRecord) -> Case:
+        rows, v = thinned(given, LS_SAMPLE_TIME)
+        return Case(title, given, given.current[rows], v)
+
+    plain = {name: record(SCENARIOS[name]) for name in ("S1", "S3", "S5")}
+    main = plain["S5"]
+    current, v = with_noise(main)
+    rows, sums = thinned(replace(main, volt_seconds=v), LS_SAMPLE_TIME)
+    machine, _ = benchmark()
+    never = float(main.t[-1]) + 1.0
+    moving = measured(main.scenario, machine, main.trajectory, never, swing=0.5)
+    rest = record(replace(SCENARIOS["S5"], excited_until=REST))
+    rest = measured(rest.scenario, machine, rest.trajectory, never)
+    return [
+        case("S1", plain["S1"]),
+        case("S3", plain["S3"]),
+        case("S5", main),
+        Case("S5, noise", main, current[rows], sums, noise=True),
+        case("S5, offsets move ± 50 %", moving),
+        case(f"S5, at rest from {REST:g} s", rest),
+    ]
+
+
+def courses(case: Case) -> dict[str, ErrorCourse]:
+    """Error of the flux over its largest size, for every observer."""
+    given, h = case.given, LS_SAMPLE_TIME
+    memory = NOISE_MEMORY if case.noise else MEMORY
+    at, _ = thinned(given, h)
+    flux, t = given.flux[at], given.t[at]
+    rows, _ = SampledRegression(given.constraint, CORNER, h).run(case.volt_seconds, case.current)
+    skip = round(RUN_IN / CORNER / h)
+    until = int(np.searchsorted(t, min(given.jump, given.scenario.excited_until) - h / 2))
+    nominal = rows.part(slice(skip, until))
+    constants = Parametrisation(given.constraint, "structured", CORNER)
+    size = sizes(given)[1]
+    Gamma = balanced_gain(np.asarray(nominal.Phi_flux), FLUX_RATE)
+    rest = np.asarray(
+        residual(nominal, given.constraint, flux[skip:until], given.drift[0], given.current_bias[0])
+    )
+    least = NUMERICAL * regression_size(nominal, size)
+    noise = max(least, float(np.sqrt(np.mean(rest**2) * h)) if case.noise else 0.0)
+    basis = mixing_basis(nominal, constants, h, size)
+    observers: dict[str, FluxObserver] = {
+        "PEBO, least squares": PEBO(2, "least-squares", Gamma),
+        "generalised PEBO, least squares": GeneralisedPEBO(constants, size, noise),
+        "generalised PEBO, LS + DREM, forgetting": GeneralisedPEBO(
+            constants, size, noise, "least-squares-drem", 1 / memory, 10.0
+        ),
+        "DREM, Kreisselmeier's extension": DremObserver(1.0, memory, basis, constants, 1.0),
+        "DREM, finite time": DremObserver(1.0, memory, basis, constants),
+        "Riccati": RiccatiObserver(memory, size, noise, constants),
+        "adaptive, repaired": balanced_repaired(
+            nominal, constants, h, FLUX_RATE, CONSTANTS_RATE, round(2.0 / h)
+        ),
+    }
+    v = jnp.asarray(case.volt_seconds)
+
+    def course(found: Array) -> ErrorCourse:
+        return ErrorCourse(t, np.linalg.norm(found - flux, axis=1) / sizes(given)[0])
+
+    out = {
+        name: course(np.asarray(run(observer, h, v, rows, skip)[0]))
+        for name, observer in observers.items()
+    }
+    if case.noise:
+        # 1 mA a sample, and what 10 mV at 1 kHz add up to.
+        told = (1e-3, 1e-2 * np.sqrt(given.h / h))
+        observer = levitation_observer(given.machine, h, NOISE_MEMORY, told)
+        found = observer.run(current=case.current, volt_seconds=case.volt_seconds)
+    else:
+        found = least_squares(given)
+    out["least squares on the immersion"] = course(found.flux)
+    return out
+
+
+@dataclass(frozen=True)
+class Observability:
+    """Uniform observability of the immersion along a scenario, before the jump.
+
+    Attributes
+    ----------
+    least : float
+        Smallest eigenvalue over the largest of the Gramian, scaled to a unit diagonal, in the worst
+        window of :data:`MEMORY`.
+    flux_std : float
+        Standard deviation of the flux in the worst window for 1 mA of current noise at 100 Hz, over
+        the flux; the current bias is unknown within 5 mA.
+    """
+
+    least: float
+    flux_std: float
+
+
+def observability(given: LevitationRecord) -> Observability:
+    """Gramian in successive windows."""
+    machine, h = given.machine, LS_SAMPLE_TIME
+    immersion = Immersion((machine.constraint,), ("drift", "current-bias"))
+    at, v = thinned(given, h)
+    flux = sizes(given)[0]
+    relation = machine.constraint
+    drift, bias = float(np.abs(given.drift[0]).max()), 5e-3
+    steep = 2 * machine.g * flux
+    scale = np.ones(immersion.size)
+    for name, value in (
+        ("s", machine.g * flux**2),
+        ("flux", flux),
+        ("kappa", steep * drift),
+        ("drift", drift),
+        ("c", machine.g * drift**2),
+        ("current_bias", bias),
+    ):
+        scale[immersion.slices[name]] = value
+    noise = 1e-3 * float(np.linalg.norm(relation.Q2 @ np.full(2, flux))) * np.sqrt(h)
+    count = round(MEMORY / h)
+    least, worst = np.inf, 0.0
+    first, last = round(2.0 / h), int(np.searchsorted(given.t[at], given.jump))
+    for start in range(first, last - count, count):
+        part = slice(start, start + count)
+        gramian = immersion_gramian(immersion, h, v[part], given.current[at][part], scale)
+        unit = 1 / np.sqrt(np.diag(gramian))
+        values = np.linalg.eigvalsh(unit[:, None] * gramian * unit)
+        least = min(least, float(max(values[0], 0.0) / values[-1]))
+        information = gramian / noise**2 + np.eye(immersion.size)
+        std = np.sqrt(np.diag(np.linalg.inv(information))[immersion.slices["flux"]])
+        size = np.sqrt(np.mean(np.square(given.flux[at][part])))
+        worst = max(worst, float(np.linalg.norm(std) * flux / np.sqrt(2) / size))
+    return Observability(least, worst)

@@ -1,0 +1,318 @@
+"""Runs every observer on the same record; relative errors over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from ...machines import MagLev2DOF
+from ...machines.model.immersion import Immersion
+from ...observers import LeastSquaresObserver
+from ...observers.immersed import ImmersionEstimate, ImmersionObserver
+from ..analysis import balanced_basis, balanced_gain, balanced_repaired, observability_gramian
+from ..regression import Parametrisation, Regressors
+from ..regression.laws import (
+    PEBO,
+    DremObserver,
+    FluxObserver,
+    PrintedAdaptiveObserver,
+    RiccatiObserver,
+    RobustObserver,
+    VoltageModel,
+    run,
+)
+from .converged import converged_run
+from .levitation import (
+    ADAPTIVE_GAIN,
+    CORNER,
+    ROBUST_GAIN,
+    FilteredRecord,
+    LevitationRecord,
+    filtered,
+)
+from .pmsm import SERVO_CORNER, MotorRecord
+
+Array = NDArray[np.float64]
+
+#: Start of use, times 1/ν: the filters' transient has decayed to e^{-15}.
+RUN_IN = 15.0
+#: Rates of the balanced gains on the levitation [1/s].
+FLUX_RATE, CONSTANTS_RATE = 8.0, 2.0
+#: Window in which the basis of DREM is balanced [s].
+WINDOW = 3.0
+#: Share of the regression's size that counts as noise where there is none.
+NUMERICAL = 1e-6
+#: Sample time and memory of the least squares on the levitation [s]. Volt-seconds are exact over
+#: intervals of any length.
+LS_SAMPLE_TIME, LS_MEMORY = 1e-2, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorCourse:
+    """Errors of an observer over time.
+
+    Attributes
+    ----------
+    t : (rows,) ndarray
+        [s].
+    flux : (rows,) ndarray
+        |λ̂ - λ| over the largest |λ|.
+    constants : (rows,) ndarray or None
+        |θ̂ - θ| over |θ|, per-unit; None if the observer estimates no constants.
+    parameters : (rows,) ndarray or None
+        |θ̂_m - θ_m| [V]. The paper's Figure 3 sums volts, webers and their products; the drift is
+        all that shows.
+    change : float or None
+        Largest change when the steps were last halved, over the largest error; None for an
+        observer that is sampled by its nature.
+    """
+
+    t: Array
+    flux: Array
+    constants: Array | None = None
+    parameters: Array | None = None
+    change: float | None = None
+
+    def at(self, time: float) -> float:
+        """Flux error at the first row at or after `time`; inf if it is not finite."""
+        value = float(self.flux[min(int(np.searchsorted(self.t, time - 1e-9)), len(self.t) - 1)])
+        return value if np.isfinite(value) else float("inf")
+
+    def first_below(self, level: float, since: float) -> float:
+        """Time after `since` from which the error stays below `level`; inf if it never does.
+
+        Only rows up to `since` plus half the record count: until the next jump or the end.
+        """
+        inside = (self.t >= since) & (self.t <= since + self.t[-1] / 2 - 1e-9)
+        late = np.flatnonzero(~(self.flux[inside] < level))
+        times = self.t[inside]
+        if len(late) == 0:
+            return 0.0
+        return float("inf") if late[-1] == len(times) - 1 else float(times[late[-1] + 1] - since)
+
+
+def rms(t: Array, error: Array, start: float, stop: float) -> float:
+    """Rms of an error over a span of time."""
+    inside = (t >= start) & (t <= stop)
+    return float(np.sqrt(np.mean(error[inside] ** 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class LevitationRun:
+    """A record, its regression, and the error courses of all observers by name."""
+
+    given: LevitationRecord
+    rows: Regressors
+    courses: dict[str, ErrorCourse]
+    least_squares: ImmersionEstimate
+
+
+def sizes(given: LevitationRecord) -> tuple[float, Array]:
+    """Size of the flux, and of (λ, θ, δ_i, 2/ν θᵀQ1θ)."""
+    flux = float(np.linalg.norm(given.flux, axis=1).max())
+    drift, bias = np.abs(given.drift).max(), np.abs(given.current_bias).max()
+    last = 2 / CORNER * given.machine.g * drift**2
+    return flux, np.r_[flux, flux, drift, drift, bias, bias, last]
+
+
+def _true_constants(given: LevitationRecord, constants: Parametrisation) -> Array:
+    """Constants at every row, (rows, n_θ): one value before the jump, one after."""
+    before, after = (
+        np.asarray(constants.constants(given.drift[k], given.current_bias[k])) for k in (0, -1)
+    )
+    return np.where((given.t > given.jump)[:, None], after, before)
+
+
+def _course(
+    given: LevitationRecord,
+    flux_error: Array,
+    error: Array | None = None,
+    true: Array | None = None,
+    change: float | None = None,
+) -> ErrorCourse:
+    """Course from the errors of flux and constants, (rows, n) and (rows, n_θ)."""
+    flux = np.linalg.norm(flux_error, axis=1) / sizes(given)[0]
+    if error is None or true is None:
+        return ErrorCourse(given.t, flux, change=change)
+    # Relative errors of θ and of the block from the current bias; the last constant adds nothing.
+    parts = [slice(0, 2), slice(2, 4)]
+    share = [
+        np.linalg.norm(error[:, part], axis=1) / np.linalg.norm(true[:, part], axis=1).max()
+        for part in parts
+    ]
+    return ErrorCourse(
+        given.t, flux, np.hypot(*share), np.linalg.norm(error[:, :2], axis=1), change
+    )
+
+
+def levitation_run(given: LevitationRecord, all_observers: bool = True) -> LevitationRun:
+    """Runs the paper's observers as printed and corrected, the repaired one, the least squares."""
+    regression, wrong = filtered(given)
+    rows = regression.rows
+    h, v = given.h, jnp.asarray(given.volt_seconds)
+    skip = round(RUN_IN / CORNER / h)
+    printed = Parametrisation(given.constraint, "printed", CORNER)
+    structured = Parametrisation(given.constraint, "structured", CORNER)
+    jump = int(np.searchsorted(given.t, given.jump))
+    # Gains come from the excitation before the jump; those of a design run would serve as well.
+    nominal = rows.part(slice(skip, jump))
+    Gamma = balanced_gain(np.asarray(nominal.Phi_flux), FLUX_RATE)
+
+    def sampled(observer: FluxObserver, constants: Parametrisation | None = None) -> ErrorCourse:
+        flux, found = run(observer, h, v, rows, skip)
+        true = None if constants is None else _true_constants(given, constants)
+        error = None if true is None else np.asarray(found) - true
+        return _course(given, np.asarray(flux) - given.flux, error, true)
+
+    def robust(gain: Any, used: FilteredRecord = regression) -> ErrorCourse:
+        found = converged_run(given, used, gain, None, skip)
+        return _course(given, found.error, change=found.change)
+
+    def adaptive(factor: float, used: FilteredRecord = regression) -> ErrorCourse:
+        found = converged_run(given, used, factor * np.array(ADAPTIVE_GAIN), printed, skip)
+        true = _true_constants(given, printed)
+        return _course(given, found.error[:, :2], found.error[:, 2:], true, found.change)
+
+    courses = {
+        "robust, printed gain": robust(ROBUST_GAIN),
+        "robust, balanced gain": robust(Gamma),
+        "robust, balanced gain, printed Φ": robust(Gamma, wrong),
+        "adaptive, printed gain": adaptive(1.0),
+        "adaptive, printed gain and Φ": adaptive(1.0, wrong),
+        "adaptive, ten times the gain": adaptive(10.0),
+        "adaptive, repaired": sampled(
+            balanced_repaired(nominal, structured, h, FLUX_RATE, CONSTANTS_RATE, round(2.0 / h)),
+            structured,
+        ),
+        "voltage model": sampled(VoltageModel(2)),
+        "PEBO, least squares": sampled(PEBO(2, "least-squares", Gamma)),
+    }
+    if all_observers:
+        size = sizes(given)[1]
+        noise = NUMERICAL * regression_size(nominal, size)
+        courses["Riccati, memory 1 s"] = sampled(
+            RiccatiObserver(1.0, size, noise, structured), structured
+        )
+        basis = mixing_basis(nominal, structured, h, size)
+        courses["DREM, finite time"] = sampled(
+            DremObserver(1.0, 1.0, basis, structured), structured
+        )
+    estimate = least_squares(given)
+    courses["least squares"] = _least_squares_course(given, estimate)
+    return LevitationRun(given, rows, courses, estimate)
+
+
+def regression_size(nominal: Regressors, size: Array) -> float:
+    """Size of the regression's y: what a flux of that size adds to it."""
+    return float(np.sqrt(np.mean(np.square(nominal.Phi_flux)))) * float(size[0])
+
+
+def mixing_basis(nominal: Regressors, constants: Parametrisation, h: float, size: Array) -> Array:
+    """Basis of the unknowns for DREM, balanced by the excitation in :data:`WINDOW`."""
+    gramian = observability_gramian(nominal, constants, h, WINDOW, size)
+    return np.asarray(size[:, None] * balanced_basis(gramian, WINDOW))
+
+
+def thinned(given: LevitationRecord, sample_time: float) -> tuple[NDArray[np.int_], Array]:
+    """Row numbers, and the volt-seconds between those rows: summed, so nothing is lost."""
+    step = round(sample_time / given.h)
+    rows = np.arange(0, len(given.t), step)
+    sums = np.cumsum(given.volt_seconds, axis=0)[rows]
+    return rows, np.diff(sums, axis=0, prepend=sums[:1])
+
+
+def levitation_observer(
+    machine: MagLev2DOF,
+    h: float,
+    memory: float,
+    noise: tuple[float, float] = (0.0, 0.0),
+    bias_current: float = 0.5,
+    drift_prior: float = 2e-5,
+    current_bias_prior: float = 5e-3,
+) -> ImmersionObserver:
+    """Least squares for drift and current bias on a pair of coils.
+
+    `noise` is that of a current [A] and of a mean voltage [V] a sample; `bias_current` [A] gives
+    the size of the flux.
+    """
+    size = machine.k_2 * bias_current / machine.g
+    current_noise, voltage_noise = noise
+    # Voltage noise integrates into w over the memory, in addition to the current noise.
+    walk = 2 * machine.g * size * voltage_noise / machine.N * np.sqrt(h * memory)
+    sensed = float(np.hypot(machine.constraint_noise(size, current_noise), walk))
+    return ImmersionObserver(
+        Immersion((machine.constraint,), ("drift", "current-bias")),
+        machine.R,
+        machine.B,
+        h,
+        memory,
+        flux_base=np.full(2, size),
+        constraint_noise=np.array([max(1e-6 * machine.g * size**2, sensed)]),
+        drift_prior=np.full(2, drift_prior),
+        current_bias_prior=np.full(2, current_bias_prior),
+        current_noise=current_noise or None,
+        voltage_noise=voltage_noise,
+    )
+
+
+def least_squares(given: LevitationRecord) -> ImmersionEstimate:
+    """Runs the least squares with drift and current bias unknown, without noise."""
+    observer = levitation_observer(given.machine, LS_SAMPLE_TIME, LS_MEMORY, drift_prior=1e-5)
+    rows, v = thinned(given, LS_SAMPLE_TIME)
+    return observer.run(current=given.current[rows], volt_seconds=v)
+
+
+def _least_squares_course(given: LevitationRecord, estimate: ImmersionEstimate) -> ErrorCourse:
+    rows, _ = thinned(given, LS_SAMPLE_TIME)
+    error = np.linalg.norm(estimate.flux - given.flux[rows], axis=1) / sizes(given)[0]
+    wrong = (estimate.drift - given.drift[rows], estimate.current_bias - given.current_bias[rows])
+    share = [
+        np.linalg.norm(one, axis=1) / np.linalg.norm(true, axis=1).max()
+        for one, true in zip(wrong, (given.drift, given.current_bias), strict=True)
+    ]
+    parameters = np.linalg.norm(wrong[0], axis=1)
+    return ErrorCourse(given.t[rows], error, np.hypot(*share), parameters)
+
+
+def motor_courses(given: MotorRecord) -> dict[str, ErrorCourse]:
+    """Runs the observers on a PMSM with both biases; errors of the active flux λ - L i over ψ.
+
+    A current bias cannot be told from an offset (λ, i) + (L s, s), which leaves λ̂ - L i_m
+    unchanged; so only the drift is unknown.
+    """
+    h, v, rows = given.h, jnp.asarray(given.volt_seconds), given.rows
+    psi, L = given.machine.psi_f or 1.0, given.machine.L_s
+    true = given.flux - L * (given.current - given.current_bias)
+    constants = Parametrisation(given.constraint, "voltage-bias", SERVO_CORNER)
+    skip = round(RUN_IN / SERVO_CORNER / h)
+    half = len(given.t) // 2
+    nominal = rows.part(slice(skip, half))
+    Gamma = balanced_gain(np.asarray(nominal.Phi_flux), 100.0)
+    regressor = np.asarray(constants.psi_record(nominal))
+
+    def course(flux: object) -> ErrorCourse:
+        error = np.linalg.norm(np.asarray(flux) - L * given.current - true, axis=1) / psi
+        return ErrorCourse(given.t, error)
+
+    def of(observer: FluxObserver) -> ErrorCourse:
+        return course(run(observer, h, v, rows, skip)[0])
+
+    production = LeastSquaresObserver.for_machine(given.machine, sample_time=h)
+    return {
+        "voltage model": of(VoltageModel(2)),
+        "PEBO, least squares": of(PEBO(2, "least-squares", Gamma)),
+        "robust, balanced gain": of(RobustObserver(Gamma, 2)),
+        "adaptive, printed law": of(
+            PrintedAdaptiveObserver(balanced_gain(regressor, 100.0), constants)
+        ),
+        "adaptive, repaired": of(
+            balanced_repaired(nominal, constants, h, 100.0, 30.0, round(0.2 / h))
+        ),
+        "least squares": course(
+            production.run(current=given.current, volt_seconds=given.volt_seconds).flux
+        ),
+    }

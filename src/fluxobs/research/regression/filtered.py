@@ -1,0 +1,211 @@
+"""Lemma 1 of the paper in continuous time: nine filters, for any number of ports.
+
+Two corrections (docs/errata.md): y_a in Φ_λ has the factor ν, and the constant entry of y_b, whose
+regressor decays to zero, is omitted. ``form="printed"`` keeps the paper's Φ_λ, to show the error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.signal import lfilter
+
+from ...errors import ModelError
+from ...machines.model.constraint import QuadraticConstraint
+from .regressors import Regressors
+
+Array = NDArray[np.float64]
+
+
+class Filters(NamedTuple):
+    """ξ1 … ξ9 of the paper; ξ5 and ξ9 are scalars, the others are vectors (n,)."""
+
+    xi1: jax.Array
+    xi2: jax.Array
+    xi3: jax.Array
+    xi4: jax.Array
+    xi5: jax.Array
+    xi6: jax.Array
+    xi7: jax.Array
+    xi8: jax.Array
+    xi9: jax.Array
+
+
+class FilteredRegression(eqx.Module):
+    """The paper's filters and regression, ``g ↔ ν p²/(p + ν)²`` applied to the constraint.
+
+    Parameters
+    ----------
+    constraint : QuadraticConstraint
+    corner : float
+        ν [rad/s], > 0. The regression holds up to a transient e^{-νt}(1 + νt).
+    form : {"corrected", "printed"}
+    """
+
+    Q1: jax.Array
+    Q2: jax.Array
+    Q3: jax.Array
+    E: jax.Array
+    C: jax.Array
+    corner: float
+    form: Literal["corrected", "printed"] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        constraint: QuadraticConstraint,
+        corner: float,
+        form: Literal["corrected", "printed"] = "corrected",
+    ) -> None:
+        if not corner > 0:
+            raise ModelError(f"corner must be positive, got {corner}")
+        for name in ("Q1", "Q2", "Q3", "E", "C"):
+            setattr(self, name, jnp.asarray(getattr(constraint, name)))
+        self.corner = float(corner)
+        self.form = form
+
+    def init(self) -> Filters:
+        """All filters at zero."""
+        zero, scalar = jnp.zeros(len(self.E)), jnp.zeros(())
+        return Filters(zero, zero, zero, zero, scalar, zero, zero, zero, scalar)
+
+    # With operators only, so that they also serve many rows at once and, from `_plain`, in NumPy.
+
+    def known(self, current: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """y_a and y_c of the corollary (y_b is the current itself)."""
+        y_c = _dot(current @ self.Q3, current) + current @ self.C
+        return current @ self.Q2.T + self.E, y_c
+
+    def derivative(self, xi: Filters, y_m: jax.Array, current: jax.Array) -> Filters:
+        """Time derivative, given ``y_m = -R i_m + B u_m`` [V] and the measured current [A]."""
+        nu, pushed = self.corner, y_m @ self.Q1.T
+        y_a, y_c = self.known(current)
+        return Filters(
+            -nu * xi.xi1 + nu * y_m,
+            -nu * xi.xi2 + 2 * nu * pushed - nu**2 * y_a,
+            -nu * xi.xi3 + nu * current,
+            -nu * xi.xi4 + xi.xi2 + 2 * pushed,
+            -nu * xi.xi5 + _dot(y_m, xi.xi2) + nu**2 * y_c,
+            -nu * xi.xi6 + nu * xi.xi4 - xi.xi2,
+            -nu * xi.xi7 + nu * xi.xi1,
+            -nu * xi.xi8 + nu * (current - xi.xi3),
+            -nu * xi.xi9 + nu * xi.xi5 - nu**2 * y_c + _dot(y_m, nu * xi.xi4 - xi.xi2),
+        )
+
+    def read_out(self, xi: Filters, current: jax.Array) -> Regressors:
+        """The regression at this instant."""
+        nu = self.corner
+        y_a, y_c = self.known(current)
+        scale = 1.0 if self.form == "printed" else nu
+        return Regressors(
+            xi.xi5 - nu * y_c - xi.xi9,
+            2 * xi.xi2 + scale * y_a - nu * xi.xi4,
+            2 * xi.xi6,
+            xi.xi1 - xi.xi7,
+            nu * (current - xi.xi3 - xi.xi8),
+            0 * y_c + 2 / nu,  # one for every row
+        )
+
+
+def _dot(a: jax.Array, b: jax.Array) -> jax.Array:
+    return (a * b).sum(axis=-1)
+
+
+def _plain(regression: FilteredRegression) -> FilteredRegression:
+    """The same in NumPy: nothing is compiled for a new length of a record."""
+    plain: FilteredRegression = jax.tree.map(np.asarray, regression)
+    return plain
+
+
+#: Filters that need nothing but the signals, those that need the first, and the last.
+_CASCADE = (("xi1", "xi2", "xi3"), ("xi4", "xi5", "xi7", "xi8"), ("xi6", "xi9"))
+
+
+def cascade(
+    regression: FilteredRegression, lag: Callable[[Array], Array], y_m: Array, current: Array
+) -> Filters:
+    """The nine filters, each a lag ``x' = -ν x + signal`` of what the ones before it give.
+
+    Parameters
+    ----------
+    regression : FilteredRegression
+    lag : callable
+        x from a signal of shape (...) or (..., n), leading axis time.
+    y_m, current : (..., n) ndarray
+    """
+    plain: Any = _plain(regression)
+    vector: Any = np.zeros(y_m.shape)
+    scalar: Any = np.zeros(y_m.shape[:-1])
+    xi = Filters(vector, vector, vector, vector, scalar, vector, vector, vector, scalar)
+    for names in _CASCADE:
+        # At zero of itself a filter's derivative is its signal.
+        signals = plain.derivative(xi, y_m, current)
+        found: dict[str, Any] = {name: lag(getattr(signals, name)) for name in names}
+        xi = xi._replace(**found)
+    return xi
+
+
+#: Places of the signals in an interval: start, middle, end.
+PLACES: Array = np.array([0.0, 0.5, 1.0])
+
+
+def _weights(z: float, until: float) -> Array:
+    """∫ e^{-z (until - τ)} p(τ) dτ from 0 to `until`, for the parabola p through :data:`PLACES`."""
+    nodes, weights = np.polynomial.legendre.leggauss(16)
+    tau = until * (nodes + 1) / 2
+    lagrange = np.array([(1 - tau) * (1 - 2 * tau), 4 * tau * (1 - tau), tau * (2 * tau - 1)])
+    return np.asarray(lagrange @ (np.exp(-z * (until - tau)) * weights) * until / 2)
+
+
+def filter_record(
+    regression: FilteredRegression,
+    h: float,
+    y_m: ArrayLike,
+    current: ArrayLike,
+) -> Filters:
+    """Filters at every sample of a record, from zero.
+
+    Every filter is a lag of what the ones before it give. It is integrated exactly for inputs that
+    are parabolas in each interval, so that nothing depends on ν h but how well these fit.
+
+    Parameters
+    ----------
+    regression : FilteredRegression
+    h : float
+        Sample time [s].
+    y_m, current : (rows - 1, 3, n) array_like
+        Values at the start, middle and end of each interval, so that both may jump at samples.
+
+    Returns
+    -------
+    Filters
+        With leading axis rows.
+    """
+    z = regression.corner * h
+    y, i = np.asarray(y_m, float), np.asarray(current, float)
+    whole, half = h * _weights(z, 1.0), h * _weights(z, 0.5)
+
+    def lag(signal: Array) -> Array:
+        """x of ``x' = -ν x + signal`` from zero, at the same places."""
+        pushed = np.tensordot(signal, whole, axes=(1, 0))
+        end = lfilter([1.0], [1.0, -np.exp(-z)], pushed, axis=0)
+        start = np.concatenate([np.zeros((1, *end.shape[1:])), end[:-1]])
+        middle = np.exp(-z / 2) * start + np.tensordot(signal, half, axes=(1, 0))
+        return np.stack([start, middle, end], axis=1)
+
+    inside = cascade(regression, lag, y, i)
+    samples: Any = (np.concatenate([part[:1, 0], part[:, 2]]) for part in inside)
+    return Filters(*samples)
+
+
+def read_out_record(
+    regression: FilteredRegression, filters: Filters, current: ArrayLike
+) -> Regressors:
+    """The regression at every sample, from the filters and measured currents (rows, n)."""
+    i: Any = np.asarray(current, float)
+    return _plain(regression).read_out(filters, i)

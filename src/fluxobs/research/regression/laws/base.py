@@ -1,0 +1,131 @@
+"""Common parts of the observers on the regression: continuous and sampled form, and a runner.
+
+``derivative(state, y_m, row)`` is the law as published, for an ODE solver. ``step(state, h,
+volt_seconds, row)`` is for samples: it moves the state by the known volt-seconds, then applies the
+exact solution of the gradient flow for a constant regressor. That is stable at any gain, however
+stiff the law.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ....errors import ModelError
+from ....simulation.precision import real
+from ....simulation.runge_kutta import Place, runge_kutta_step
+from .. import Regressors
+
+
+class FluxObserver(Protocol):
+    """Observer with frozen parameters and explicit state."""
+
+    def init(self) -> Any: ...
+
+    def step(self, state: Any, h: float, volt_seconds: jax.Array, row: Regressors) -> Any: ...
+
+    def estimate(self, state: Any) -> tuple[jax.Array, jax.Array]:
+        """Flux (n,) and estimated constants (n_θ,); n_θ may be zero."""
+        ...
+
+
+class ContinuousObserver(FluxObserver, Protocol):
+    """Observer published as a differential equation."""
+
+    def derivative(self, state: Any, y_m: jax.Array, row: Regressors) -> Any: ...
+
+
+def positive_definite(name: str, value: Any, size: int) -> jax.Array:
+    """Gain matrix of a given size from a number, a vector (its diagonal) or a matrix.
+
+    Raises
+    ------
+    ModelError
+        Not symmetric positive definite; the message names the least eigenvalue.
+    """
+    plain = np.asarray(real(name, value))
+    if plain.shape not in ((), (size,), (size, size)):
+        raise ModelError(
+            f"{name} must be a number, ({size},) or ({size}, {size}), got {plain.shape}"
+        )
+    if plain.ndim < 2:
+        plain = plain * np.eye(size)
+    if not np.allclose(plain, plain.T, rtol=1e-12, atol=0):
+        raise ModelError(f"{name} must be symmetric, got {plain.tolist()}")
+    # Check per-unit: the scales of flux and constants differ by twenty powers of ten.
+    scale = np.sqrt(np.abs(np.diag(plain)))
+    least = np.linalg.eigvalsh(plain / np.outer(scale, scale)).min() if scale.all() else 0.0
+    if not (least > 0 and (np.diag(plain) > 0).all()):
+        raise ModelError(
+            f"{name} must be positive definite, got least eigenvalue {least:g} "
+            "after scaling its diagonal to one"
+        )
+    return jnp.asarray(plain)
+
+
+def flow_gain(q: jax.Array, h: float) -> jax.Array:
+    """``(1 - e^{-qh})/q``, the effect of a gradient flow of rate q over h; h at q = 0."""
+    safe = jnp.where(q > 0, q, 1.0)
+    return jnp.where(q > 0, -jnp.expm1(-safe * h) / safe, h)
+
+
+@eqx.filter_jit
+def run(
+    observer: FluxObserver, h: float, volt_seconds: jax.Array, rows: Regressors, skip: Any = 0
+) -> tuple[jax.Array, jax.Array]:
+    """Flux (rows, n) and constants (rows, n_θ) over a record, from `observer.init()`.
+
+    Row k's volt-seconds belong to the interval that ends at row k. The regression is not used for
+    the first `skip` rows (transient of its filters).
+    """
+    count = len(rows.y)
+
+    def body(state: Any, sample: Any) -> tuple[Any, Any]:
+        k, v, row = sample
+        use = jnp.where(k >= skip, 1.0, 0.0)
+        row = Regressors(*(use * part for part in row))
+        state = observer.step(state, h, jnp.where(k > 0, v, 0.0), row)
+        return state, observer.estimate(state)
+
+    samples = (jnp.arange(count), volt_seconds, rows)
+    _, found = jax.lax.scan(body, observer.init(), samples)
+    return found  # type: ignore[no-any-return]
+
+
+@eqx.filter_jit
+def integrate_law(
+    observer: ContinuousObserver, h: float, y_m: jax.Array, rows: Regressors
+) -> tuple[jax.Array, jax.Array]:
+    """Flux and constants of the law as a differential equation, by fourth-order Runge-Kutta.
+
+    For laws that are not stiff, h times their rate below one; (steps + 1, n) and (steps + 1, n_θ)
+    from `observer.init()`.
+
+    Parameters
+    ----------
+    observer : ContinuousObserver
+    h : float
+        Step [s].
+    y_m : (2 steps + 1, n) array
+        Every half step.
+    rows : Regressors
+        Likewise.
+    """
+
+    def body(state: Any, k: jax.Array) -> tuple[Any, Any]:
+        def rate(state: Any, place: Place) -> Any:
+            at = 2 * k + place
+            return observer.derivative(state, y_m[at], Regressors(*(one[at] for one in rows)))
+
+        state = runge_kutta_step(rate, state, h)
+        return state, observer.estimate(state)
+
+    start = observer.init()
+    _, found = jax.lax.scan(body, start, jnp.arange((len(y_m) - 1) // 2))
+    return jax.tree.map(  # type: ignore[no-any-return]
+        lambda first, later: jnp.concatenate([first[None], later]), observer.estimate(start), found
+    )

@@ -1,0 +1,98 @@
+"""The regression of a periodic trajectory, in its steady state, to all digits.
+
+The filters of Lemma 1 are a cascade of lags driven by products of signals. In the periodic steady
+state every lag is a division in the frequency domain: no transient, no step. Between the samples
+the regression is the trigonometric interpolant.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...errors import ModelError
+from ...machines.model.constraint import QuadraticConstraint
+from .filtered import FilteredRegression, cascade, read_out_record
+from .regressors import Regressors
+
+Array = NDArray[np.float64]
+
+#: Share of a signal's power that the highest tenth of its harmonics may have.
+RESOLVED = 1e-12
+
+
+class Orbit(NamedTuple):
+    """One period of what the observer measures; uniform samples, the last one period - h.
+
+    Attributes
+    ----------
+    period : float
+        [s].
+    y_m : (samples, n) ndarray
+        ``-R i_m + B u_m`` [V].
+    current : (samples, n) ndarray
+        Measured current [A].
+    """
+
+    period: float
+    y_m: Array
+    current: Array
+
+
+def periodic_regression(constraint: QuadraticConstraint, corner: float, orbit: Orbit) -> Regressors:
+    """Lemma 1, corrected, in periodic steady state at the samples of one period.
+
+    Parameters
+    ----------
+    constraint : QuadraticConstraint
+    corner : float
+        ν of the filters [rad/s].
+    orbit : Orbit
+
+    Raises
+    ------
+    ModelError
+        The samples do not resolve a signal.
+    """
+    y_m, i = np.asarray(orbit.y_m, float), np.asarray(orbit.current, float)
+    regression = FilteredRegression(constraint, corner)
+    omega = 2 * np.pi * np.fft.rfftfreq(len(i), orbit.period / len(i))
+
+    def lag(signal: Array) -> Array:
+        """x of ``x' = -ν x + signal``."""
+        spectrum = np.fft.rfft(signal, axis=0)
+        filtered = (spectrum.T / (1j * omega + corner)).T
+        return np.asarray(np.fft.irfft(filtered, len(i), axis=0))
+
+    for name, signal in (("y_m", y_m), ("current", i)):
+        power = np.abs(np.fft.rfft(signal, axis=0)) ** 2
+        high = power[-max(1, len(power) // 10) :].sum(axis=0)
+        if (high > RESOLVED * power.sum(axis=0)).any():
+            raise ModelError(
+                f"{name}: {len(i)} samples a period do not resolve it; take more, and check that "
+                f"the period is {orbit.period:g} s"
+            )
+    filters = cascade(regression, lag, y_m, i)
+    return read_out_record(regression, filters, i)
+
+
+def between(signal: ArrayLike, count: int, shift: float) -> Array:
+    """Trigonometric interpolant of one period at `count` uniform points, from `shift` of a step on.
+
+    Parameters
+    ----------
+    signal : (samples, ...) array_like
+    count : int
+        Number of points a period, at least `samples`.
+    shift : float
+        Place of the first point, in steps of period/count.
+    """
+    given = np.asarray(signal, float)
+    spectrum = np.fft.rfft(given, axis=0)
+    if len(given) % 2 == 0:
+        spectrum[-1] /= 2 if count > len(given) else 1
+    harmonics = np.arange(len(spectrum))
+    turned = (spectrum.T * np.exp(2j * np.pi * harmonics * shift / count)).T
+    return np.asarray(np.fft.irfft(turned, count, axis=0) * (count / len(given)))

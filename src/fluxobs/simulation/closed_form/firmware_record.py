@@ -1,0 +1,102 @@
+"""A short record that takes the observer through everything it can meet, for its tests in C.
+
+It is in closed form, quantised by converters: a start from rest at an unknown angle, a run-up, a
+voltage offset beyond its prior, a load step, samples that are missing, contradictory or absurd, a
+stop through which the flux is carried, and a reversal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...machines import RotatingMachine
+from ...machines.model.frames import wrap
+from ...observers import LeastSquaresObserver
+from .signals import driven, vectors
+
+Array = NDArray[np.float64]
+
+#: Samples per electrical period at full speed: so many, more if a sample is shorter than USUAL [s],
+#: fewer where the EMF has to be larger.
+PERIOD, FASTEST, USUAL = 36, 12, 1e-4
+#: The EMF is so many times the voltage by which resistance and inverter may be off: half of that is
+#: the least at which a position is valid.
+CLEAR = 4.0
+#: (row, share of full speed), linear in between. The stop is long enough that an observer with a
+#: memory of 50 samples carries the flux through it.
+SPEED = ((0, 0.0), (40, 0.0), (140, 1.0), (660, 1.0), (740, 0.0), (1280, 0.0), (1380, -0.8))
+#: After that row it runs on without load for a memory of more samples: a valid position takes three
+#: memories, and all that follows shall meet one.
+CRUISE_ROW, MEMORY, MEMORIES = 140, 300, 3.5
+LOAD_ROW, ABSURD_ROW = 220, 380
+MISSING_CURRENT_ROW, MISSING_VOLTAGE_ROW, SPIKE_ROW = 280, 300, 320
+ROWS = 1540
+#: Bits of the current converter; its range is two rated currents either way.
+BITS = 12
+START_ANGLE = 2.0
+#: Parts into which an interval is divided to integrate the current.
+PARTS = 16
+
+
+@dataclass(frozen=True)
+class FirmwareRecord:
+    """Rows as an interrupt sees them: the current, and the voltage of the interval that ends there.
+
+    Single precision represents all values exactly.
+    """
+
+    voltage: Array  # (rows, 2) [V]
+    current: Array  # (rows, 2) [A]
+    theta_e: Array  # (rows,) the true angle [rad]
+
+
+def firmware_record(
+    machine: RotatingMachine, observer: LeastSquaresObserver, unsure: float = 0.0
+) -> FirmwareRecord:
+    """The record for a machine, with currents from a tenth of the rated one to all of it.
+
+    Parameters
+    ----------
+    machine : RotatingMachine
+    observer : LeastSquaresObserver
+        Whose sample time, memory and drift prior the record suits.
+    unsure : float
+        Voltage by which resistance and inverter may be off [V].
+    """
+    h, rated = observer.sample_time, machine.rated_current
+    assert rated is not None
+    longer = max(0, round(MEMORIES * (observer.memory / h - MEMORY)))
+    rows = np.arange((ROWS + longer) * PARTS + 1) / PARTS
+    k = rows - np.clip(rows - CRUISE_ROW, 0, longer)  # as if it were not longer
+    emf = CLEAR * unsure / observer.flux_base  # as a speed [rad/s]
+    slowest = PERIOD * max(1.0, USUAL / h)
+    period = float(np.clip(2 * np.pi / max(emf * h, 1e-9), FASTEST, slowest))
+    at, share = zip(*SPEED, strict=True)
+    speed = 2 * np.pi / (period * h) * np.interp(k, at, share)
+    load = np.interp(k, (20, 60, LOAD_ROW, LOAD_ROW + 20), (0.0, 0.1, 0.1, 0.8))
+    along: Array | float = machine.magnetizing_current / rated
+    if not machine.magnets:
+        along = 0.5 * np.minimum(1, k / 40)
+    i_dq = rated * (along + 1j * load)
+    true = driven(machine, h, speed, np.asarray(i_dq, complex), PARTS, START_ANGLE)
+
+    bias = 0.01 * rated * (1 - 0.5j)
+    step = 2.0 ** np.ceil(np.log2(4 * rated / 2**BITS))
+    measured = np.round(vectors(true.current[1:] + bias) / step) * step
+    measured[ABSURD_ROW + longer] = 1e6 * rated
+    measured[MISSING_CURRENT_ROW + longer] = np.nan
+    # A spike that turns the position vector by a radian and keeps its length.
+    L = machine.position_inductance
+    x = (true.flux - L * true.current)[SPIKE_ROW + longer + 1]
+    measured[SPIKE_ROW + longer] += vectors(x * (1 - np.exp(1j)) / L)
+    applied = vectors(true.voltage + 1.5 * observer.drift_prior)
+    unknown = MISSING_VOLTAGE_ROW + longer
+    applied[unknown : unknown + 2] = np.nan
+    return FirmwareRecord(_single(applied), _single(measured), wrap(true.theta_e[1:]))
+
+
+def _single(x: Array) -> Array:
+    return x.astype(np.float32).astype(float)

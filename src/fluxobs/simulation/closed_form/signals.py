@@ -1,0 +1,186 @@
+"""True signals of a rotating machine in closed form: no integration error accumulates.
+
+Position and currents are prescribed. The flux linkage follows from the machine, and the mean
+voltage over each interval from the change of the flux and the integral of the current. The demo
+log, the firmware's test record, tests and benchmarks are all made here. The effects of sensors and
+inverter are added afterwards (sensors.py, :func:`inverter_loss`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...machines import InductionMachine, RotatingMachine
+from ...machines.model.frames import clarke
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+AnyComplex = NDArray[np.complexfloating]
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """Space vectors α + j β at rows + 1 instants and over the rows intervals between them.
+
+    Attributes
+    ----------
+    sample_time : float
+        [s].
+    theta_e : (rows + 1,) ndarray
+        Electrical angle, unwrapped [rad].
+    flux, current : (rows + 1,) complex ndarray
+        [Wb], [A].
+    mean_current, voltage : (rows,) complex ndarray
+        Means over the intervals [A], [V]: ``voltage = R_s mean_current + Δflux / sample_time``.
+    """
+
+    sample_time: float
+    theta_e: Array
+    flux: Complex
+    current: Complex
+    mean_current: Complex
+    voltage: Complex
+
+    @property
+    def volt_seconds(self) -> Complex:
+        """∫ (u - R_s i) dt over the intervals [Wb]."""
+        return np.diff(self.flux)
+
+
+def steady(
+    machine: RotatingMachine,
+    sample_time: float,
+    speed: ArrayLike,
+    rows: int,
+    i_dq: complex,
+    theta0: float = 0.0,
+) -> Signals:
+    """Constant current in rotor coordinates [A]; speed [rad/s] constant in each interval.
+
+    `speed` is one number, or one per row. Every integral is exact.
+    """
+    omega = np.broadcast_to(np.asarray(speed, float), (rows,)).copy()
+    if np.ndim(speed) == 0:  # a sum over millions of rows would lose digits
+        theta = theta0 + omega[0] * sample_time * np.arange(rows + 1)
+    else:
+        theta = theta0 + np.concatenate([[0.0], np.cumsum(omega * sample_time)])
+    turn = np.exp(1j * theta)
+    moving = np.abs(omega) > 1e-9  # else the quotient below is 0/0
+    safe = np.where(moving, omega, 1.0)
+    means = np.where(moving, np.diff(turn) / (1j * safe * sample_time), turn[1:])
+    flux = complex(machine.flux_dq(i_dq)) * turn
+    return _signals(machine, sample_time, theta, flux, i_dq * turn, i_dq * means)
+
+
+def driven(
+    machine: RotatingMachine,
+    sample_time: float,
+    speed: Array,
+    i_dq: AnyComplex,
+    parts: int,
+    theta0: float = 0.0,
+) -> Signals:
+    """Any course of speed [rad/s] and current in rotor coordinates [A].
+
+    Both are given at rows · parts + 1 instants, `parts` (even) per sample. The trapezoidal rule
+    integrates the angle, exactly if the speed is linear between the instants. Simpson's rule
+    integrates the current, to some 1e-9 of it at 36 samples per period and 16 parts.
+    """
+    h = sample_time / parts
+    theta = theta0 + np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * h)])
+    turn = np.exp(1j * theta)
+    current = i_dq * turn
+    flux = machine.flux_dq(i_dq) * turn
+    means = interval_means(current, parts)
+    return _signals(machine, sample_time, theta[::parts], flux[::parts], current[::parts], means)
+
+
+def driven_cage(
+    machine: InductionMachine,
+    sample_time: float,
+    speed: Array,
+    psi: Array,
+    i_q: Array,
+    parts: int,
+    theta0: float = 0.0,
+) -> tuple[Signals, Array]:
+    """Any course of an induction machine: what its rotor flux does is prescribed.
+
+    Parameters
+    ----------
+    machine : InductionMachine
+    sample_time : float
+        [s].
+    speed, psi, i_q : (rows parts + 1,) ndarray
+        Speed of the rotor flux [rad/s electrical], its length [Wb], current across it [A].
+    parts : int
+        Instants per sample, even.
+    theta0 : float
+        First angle of the rotor flux [rad].
+
+    Returns
+    -------
+    signals : Signals
+        Its theta_e is the angle of the rotor flux. i_d follows from psi and its derivative.
+    mechanical : (rows + 1,) ndarray
+        Speed of the shaft [rad/s].
+    """
+    h = sample_time / parts
+    theta = theta0 + np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * h)])
+    i_d = (np.gradient(psi, h) + machine.R_R / machine.L_M * psi) / machine.R_R
+    i_dq = i_d + 1j * i_q
+    turn = np.exp(1j * theta)
+    current = i_dq * turn
+    flux = (psi + machine.L_sigma * i_dq) * turn
+    means = interval_means(current, parts)
+    mechanical = (speed - machine.R_R * i_q / psi) / machine.n_p
+    true = _signals(machine, sample_time, theta[::parts], flux[::parts], current[::parts], means)
+    return true, mechanical[::parts]
+
+
+def interval_means(values: AnyComplex, parts: int) -> Complex:
+    """Means over intervals of `parts` (even) steps each, by Simpson's rule, (rows,)."""
+    weights = np.tile([2.0, 4.0], parts // 2) / (3 * parts)
+    weights[0] /= 2
+    inner = values[:-1].reshape(-1, parts) @ weights
+    return np.asarray(inner + values[parts::parts] / (3 * parts))
+
+
+def between_rows(values: ArrayLike, parts: int) -> NDArray[np.generic]:
+    """Interpolate linearly between rows, ``parts`` values per sample, for :func:`driven`."""
+    rows = np.asarray(values)
+    at, k = np.arange(len(rows)), np.arange((len(rows) - 1) * parts + 1) / parts
+    if np.iscomplexobj(rows):
+        return np.asarray(np.interp(k, at, rows.real) + 1j * np.interp(k, at, rows.imag))
+    return np.asarray(np.interp(k, at, rows))
+
+
+def inverter_loss(current: AnyComplex, voltage: float, knee: float) -> Complex:
+    """Voltage lost to dead time and device drops: `voltage` per phase [V], against its current.
+
+    The sign of a phase current is ``tanh(i / knee)``, knee in ampere.
+    """
+    phases = ((current * np.exp(-2j * np.pi / 3 * k)).real for k in range(3))
+    direction = clarke(*(np.tanh(phase / knee) for phase in phases))
+    return np.asarray(voltage * (direction @ [1, 1j]))
+
+
+def vectors(z: AnyComplex) -> Array:
+    """α and β of complex numbers, (..., 2)."""
+    return np.stack([np.real(z), np.imag(z)], axis=-1)
+
+
+def _signals(
+    machine: RotatingMachine,
+    sample_time: float,
+    theta: Array,
+    flux: AnyComplex,
+    current: AnyComplex,
+    mean_current: AnyComplex,
+) -> Signals:
+    voltage = np.diff(flux) / sample_time + machine.R_s * mean_current
+    vectors = (np.asarray(z, complex) for z in (flux, current, mean_current, voltage))
+    return Signals(sample_time, theta, *vectors)

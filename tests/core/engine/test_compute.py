@@ -1,0 +1,156 @@
+"""Tasks in other processes: results, errors, deaths, and the folder they work in."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from fluxobs.core.engine import compute, locked, write_part
+from fluxobs.errors import FluxobsError, UsageError
+from support import tasks
+
+SCHEDULERS = ["pool", "local"]
+
+
+#: A worker that dies takes Dask seconds to replace.
+DYING = [pytest.param(s, marks=pytest.mark.slow if s == "local" else ()) for s in SCHEDULERS]
+
+
+@pytest.fixture(params=SCHEDULERS)
+def scheduler(request: pytest.FixtureRequest) -> str:
+    if request.param == "local":
+        pytest.importorskip("distributed")
+    return str(request.param)
+
+
+def test_every_task_once(scheduler: str) -> None:
+    found = sorted(compute(range(50), tasks.square, 2, scheduler))
+    assert found == [(k, k * k) for k in range(50)]
+
+
+def test_no_tasks(scheduler: str) -> None:
+    assert list(compute([], tasks.square, 2, scheduler)) == []
+
+
+def test_an_error_of_the_work_is_the_drivers(scheduler: str) -> None:
+    with pytest.raises(FluxobsError, match="no room for 7"):
+        list(compute(range(10), tasks.refuse_seven, 2, scheduler))
+
+
+def test_a_task_that_kills_its_worker_once_is_done_again(scheduler: str, tmp_path: Path) -> None:
+    work = partial(tasks.die_once, str(tmp_path))
+    assert sorted(compute(range(6), work, 2, scheduler)) == [(k, k) for k in range(6)]
+    assert (tmp_path / "died").exists()
+
+
+@pytest.mark.parametrize("scheduler", DYING, indirect=True)
+def test_a_task_that_always_kills_its_worker_ends_the_run(scheduler: str) -> None:
+    with pytest.raises(FluxobsError, match="its worker died 5 times"):
+        list(compute([3], tasks.die, 1, scheduler))
+
+
+def test_a_run_ends_when_no_worker_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its only worker dies and is not replaced."""
+    pytest.importorskip("distributed")
+    import distributed
+
+    from fluxobs.core.engine import cluster
+
+    async def gone(nanny: distributed.Nanny, exitcode: int) -> None:
+        await nanny.close()
+
+    monkeypatch.setattr(cluster, "ABANDONED", 1)
+    monkeypatch.setattr(cluster, "PATIENCE", 2)
+    monkeypatch.setattr(distributed.Nanny, "_on_worker_exit", gone)
+    with pytest.raises(FluxobsError, match="no worker is left; the same command resumes"):
+        list(compute([3], tasks.die, 1))
+
+
+def test_tasks_are_taken_as_workers_become_free() -> None:
+    taken = 0
+
+    def coming():
+        nonlocal taken
+        for k in range(100):
+            taken += 1
+            yield k
+
+    for done, _ in enumerate(compute(coming(), tasks.square, 2, "pool"), 1):
+        assert taken <= done + 2 * 2
+
+
+def test_workers_have_one_thread_and_a_cache() -> None:
+    names = ("OMP_NUM_THREADS", "POLARS_MAX_THREADS", "JAX_COMPILATION_CACHE_DIR")
+    before = dict(os.environ)
+    ((_, found),) = compute([names], tasks.environment, 1, "pool")
+    assert found[1] == "1"
+    assert found[2]
+    assert dict(os.environ) == before
+
+
+def test_scheduler_is_a_word_or_an_address() -> None:
+    with pytest.raises(UsageError, match="tcp://host:8786"):
+        list(compute([1], tasks.square, 1, "loca"))
+    with pytest.raises(UsageError, match="workers must be at least 1"):
+        list(compute([1], tasks.square, 0))
+
+
+def test_no_scheduler_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    from fluxobs.core.engine import cluster
+
+    monkeypatch.setattr(cluster, "PATIENCE", 1)
+    with pytest.raises(FluxobsError, match="no scheduler with workers there"):
+        list(compute([1], tasks.square, 1, "tcp://127.0.0.1:9"))
+
+
+def test_one_run_at_a_time_in_a_folder(tmp_path: Path) -> None:
+    left = tmp_path / "rows" / ".00.parquet.abc.unfinished"
+    left.parent.mkdir()
+    left.write_text("half")
+    with locked(tmp_path):
+        assert not left.exists()
+        with pytest.raises(FluxobsError, match="another run works"), locked(tmp_path):
+            pass
+    with locked(tmp_path):
+        pass
+
+
+def test_a_file_is_whole_or_not_there(tmp_path: Path) -> None:
+    frame = pl.DataFrame({"a": [1.5, 2.5]})
+    write_part(frame, tmp_path / "a.parquet")
+    assert pl.read_parquet(tmp_path / "a.parquet").equals(frame)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.parquet"]
+
+
+def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
+    program = (
+        "import resource, signal, sys, polars as pl, random\n"
+        "from pathlib import Path\n"
+        "from fluxobs.core.engine import write_part\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))\n"
+        "frame = pl.DataFrame({'a': [random.random() for _ in range(100000)]})\n"
+        "try:\n"
+        "    write_part(frame, Path(sys.argv[1]) / 'a.parquet')\n"
+        "except ValueError as error:\n"
+        "    sys.exit(str(error))\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 1
+    assert "a.parquet: cannot be written" in run.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("scheduler", DYING, indirect=True)
+def test_a_task_that_is_given_up_stops_no_other(scheduler: str) -> None:
+    found = dict(compute(range(8), tasks.die_at_three, 2, scheduler, lambda task: "lost"))
+    assert found == {k: "lost" if k == 3 else k for k in range(8)}

@@ -1,0 +1,36 @@
+"""Names of others command nothing and are text, where a person or a program reads them."""
+
+import json
+
+import pytest
+
+from fluxobs.core import html, plots
+from fluxobs.core.printable import visible
+from fluxobs.page import in_script
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("é Ω 😀\tx\ny", "é Ω 😀\tx\ny"),
+        ("\x1b[31m \x9b2J \x7f \r", r"\x1b[31m \x9b2J \x7f \x0d"),
+        ("caf\udce9 \ud83d", r"caf\xe9 \ud83d"),
+    ],
+)
+def test_what_a_person_sees(text, shown):
+    assert visible(text) == shown
+    assert html.escape(text) == shown
+    assert shown.encode()
+
+
+def test_a_label_is_no_formula():
+    figure = plots.new_figure()
+    title = figure.suptitle(plots.plain("$\\frac$ caf\udce9 $"))
+    figure.canvas.draw()
+    assert title.get_text() == r"\$\frac\$ caf\xe9 \$"
+
+
+def test_data_of_a_page_keep_a_name_that_is_no_text():
+    text = in_script({"name": "caf\udce9</script>"})
+    assert text.encode() == rb'{"name": "caf\udce9\u003c/script>"}'
+    assert json.loads(text) == {"name": "caf\udce9</script>"}

@@ -1,0 +1,250 @@
+"""Stability, excitation, identifiability and bounds, each against an independent figure."""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from fluxobs import ModelError
+from fluxobs.machines.model.immersion import Immersion
+from fluxobs.research.analysis import (
+    bound_on_record,
+    compare_invisible,
+    decay_rate,
+    excitation,
+    immersion_gramian,
+    observability_gramian,
+    over_gain,
+    persistency,
+    robust_bound,
+)
+from fluxobs.research.analysis.bounds import disturbance
+from fluxobs.research.analysis.identifiability import rank
+from fluxobs.research.paper import counter_example as paper_case
+from fluxobs.research.paper.pmsm import counter_example, servo
+from fluxobs.research.regression import Parametrisation, SampledRegression
+from fluxobs.research.regression.laws import RobustObserver, run
+from support.trajectories import CASES
+
+
+@cache
+def case():
+    return counter_example(256)
+
+
+def constants():
+    return Parametrisation(case().constraint, "voltage-bias", 1.0)
+
+
+def regressor():
+    return np.asarray(constants().psi_record(case().rows))
+
+
+def test_erratum_6_persistently_excited_and_unstable_at_every_gain():
+    given, psi = case(), regressor()
+    assert np.linalg.eigvalsh(given.h * psi.T @ psi)[0] == pytest.approx(0.26, abs=0.005)
+    study = over_gain(psi, given.h, constants(), paper_case.GAINS)
+    expected = [1.147, 1.504, 2.882, 6.854, 9.698, 10.163, 10.212, 10.217]
+    np.testing.assert_allclose(study.multipliers(2 * np.pi), expected, atol=6e-4)
+    assert study.uncertainty.max() < 1e-4
+    assert study.unstable.all()
+
+
+@pytest.mark.parametrize("gain", [0.01, 1.0, 100.0])
+def test_multipliers_against_an_ode_solver(gain):
+    """Integrated by another library, from the regressor's Fourier series."""
+    psi = regressor()
+    spectrum = np.fft.rfft(psi, axis=0)[:60] * 2 / len(psi)
+    spectrum[0] /= 2
+    k = np.arange(60)
+    G_a = np.zeros((5, 5))
+    G_a[:2, 2:4] = np.eye(2)
+
+    def field(time, flat):
+        row = np.real(np.exp(1j * k * time) @ spectrum)
+        return ((G_a - gain * np.outer(row, row)) @ flat.reshape(5, 5)).ravel()
+
+    end = solve_ivp(
+        field, (0, 2 * np.pi), np.eye(5).ravel(), method="DOP853", rtol=1e-8, atol=1e-10
+    ).y[:, -1]
+    largest = np.abs(np.linalg.eigvals(end.reshape(5, 5))).max()
+    found = over_gain(psi, case().h, constants(), [gain]).multipliers(2 * np.pi)[0]
+    assert found == pytest.approx(largest, rel=1e-6)
+
+
+def test_the_repaired_law_converges_where_the_printed_one_cannot():
+    found = paper_case.study().errors
+    assert found["printed, γ_a = 1"][-1] > 1e6
+    assert found["repaired, Γ = G = 1"][-1] < 1e-7
+    assert found["repaired, Γ = 100, G = 1"][-1] == pytest.approx(1.73e-3, rel=0.02)
+
+
+def test_the_growth_of_the_printed_law_is_its_multiplier():
+    """Run for 30 periods by another integrator. The multipliers are a pair, 6.854 ∠ ±46.3°, so
+    that single periods differ: compare the mean."""
+    errors = paper_case.study().errors["printed, γ_a = 1"]
+    assert (errors[-1] / errors[1]) ** (1 / 29) == pytest.approx(6.854, rel=5e-3)
+
+
+def test_gram_of_a_sine():
+    """∫ over one period of (cos, sin)(cos, sin)ᵀ is half the period times I."""
+    t = np.arange(3001) * 1e-3
+    signal = np.stack([np.cos(2 * np.pi * t), np.sin(2 * np.pi * t)], axis=1)
+    found = excitation(signal, 1e-3, 1.0)
+    np.testing.assert_allclose([found.alpha, found.ratio], [0.5, 1.0], rtol=1e-6)
+    # Too short a window sees one direction only; per-unit scaling is a scaling of the columns.
+    table = persistency(signal, 1e-3, [0.05, 1.0])
+    assert table[0][2] < 0.02 < table[1][2]
+    scaled = excitation(signal, 1e-3, 1.0, scale=[2.0, 1.0])
+    np.testing.assert_allclose(scaled.ratio, 0.25, rtol=1e-6)
+    with pytest.raises(ModelError, match="a window of 5 s does not fit"):
+        excitation(signal, 1e-3, 5.0)
+
+
+def rotating_rows(speed):
+    """PMSM at constant speed and current, voltage bias only, exact samples."""
+    L, psi, h = 0.4, 1.0, 0.02
+    k = np.arange(1500)
+    angle = speed * h * k
+    axis = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    i = 0.5 * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    flux = L * i + psi * axis
+    drift = np.array([0.1, -0.2])
+    v = np.diff(flux, axis=0, prepend=flux[:1]) - h * drift
+    relation = case().constraint
+    rows, _ = SampledRegression(relation, 1.0, h).run(v, i)
+    return rows.part(slice(1000, None)), relation, h
+
+
+def test_constant_speed_is_not_exciting_but_observable():
+    """Rank 3 of 5 for Ψ, 5 of 5 for the pair in which the flux moves with the drift."""
+    rows, relation, h = rotating_rows(1.0)
+    unknown = Parametrisation(relation, "voltage-bias", 1.0)
+    psi = np.column_stack([rows.Phi_flux, unknown.record(rows)])
+    assert np.linalg.matrix_rank(psi.T @ psi, tol=1e-8 * len(psi)) == 3
+    gramian = observability_gramian(rows, unknown, h, 9.0)
+    assert rank(gramian) == 5
+
+
+@pytest.mark.parametrize("kind", ["structured", "printed", "voltage-bias"])
+@pytest.mark.parametrize("name", sorted(CASES))
+def test_constraint_and_record_agree_on_what_is_invisible(name, kind):
+    """Predicted from the Hessian, found in the observability Gramian of an exciting record."""
+    given = CASES[name]()
+    corner = {"pmsm": 60.0, "synrm": 60.0, "maglev": 50.0, "three-port": 8.0}[name]
+    h, n = 0.05 / corner, given.constraint.n
+    t = jnp.arange(6000) * h
+    flux = np.asarray(jax.jit(jax.vmap(given.flux))(t))
+    current = np.asarray(jax.jit(jax.vmap(given.current))(t))
+    delta = given.current_bias if kind != "voltage-bias" else np.zeros(n)
+    v = np.diff(flux, axis=0, prepend=flux[:1]) - h * given.drift
+    rows, _ = SampledRegression(given.constraint, corner, h).run(v, current + delta)
+    rows = rows.part(slice(2000, None))
+    unknown = Parametrisation(given.constraint, kind, corner)
+    psi = np.column_stack([rows.Phi_flux, unknown.record(rows)])
+    scale = 1 / np.sqrt(np.mean(psi**2, axis=0))
+    found = compare_invisible(given.constraint, rows, unknown, h, 3999 * h, scale, tolerance=1e-13)
+    assert found.agree, (found.predicted.shape, found.found.shape, found.angle)
+
+
+def test_erratum_7_printed_constants_are_violated_at_the_start():
+    """Φ constant, Γ φ² = 100, T = 0.01, b = 0: the intended m_r is 0.41, but |λ̃(0)| = |λ̃(0)|."""
+    phi, Gamma, T = 1.0, 100.0, 0.01
+    eta = decay_rate([[Gamma]], T, phi**2 * T, phi)
+    printed = np.exp(eta * T) / eta * np.sqrt(Gamma) * phi
+    assert printed == pytest.approx(0.41, abs=0.005)
+    t = np.linspace(0, 0.1, 50)
+    error = np.exp(-Gamma * phi**2 * t)
+    assert printed < error[0]
+    assert (robust_bound([[Gamma]], T, phi**2 * T, phi, 1.0, 0.0, t) >= error).all()
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), spread=st.floats(1.0, 10.0))
+def test_the_corrected_bound_holds(seed, spread):
+    """Random regressors, gains and disturbances, simulated by exact steps."""
+    rng = np.random.default_rng(seed)
+    h, count = 0.01, 2000
+    phase = rng.uniform(0, 2 * np.pi, 3)
+    t = np.arange(count) * h
+    phi = np.stack([np.cos(3 * t + phase[0]), np.sin(3 * t + phase[1])], axis=1)
+    phi += 0.3 * np.sin(7 * t + phase[2])[:, None]
+    turn = np.linalg.qr(rng.standard_normal((2, 2)))[0]
+    Gamma = turn @ np.diag([1.0, spread]) @ turn.T
+    window = 2.2
+    found = excitation(phi, h, window)
+    push = rng.standard_normal(2)
+    error, errors = rng.standard_normal(2), []
+    start = np.linalg.norm(error)
+    for row in phi:
+        errors.append(np.linalg.norm(error))
+        direction = Gamma @ row
+        rate = row @ direction
+        error = error - direction * (1 - np.exp(-rate * h)) / rate * (row @ error) + h * push
+    bound = robust_bound(
+        Gamma,
+        window,
+        found.alpha,
+        np.linalg.norm(phi, axis=1).max(),
+        start,
+        np.linalg.norm(push),
+        t,
+    )
+    assert (np.array(errors) <= 1.02 * bound).all()
+
+
+def test_bound_on_a_motor_record_contains_the_error():
+    given = servo(quick=True)
+    skip, half = round(15 / 200 / given.h), len(given.t) // 2
+    rows = given.rows.part(slice(skip, half))
+    unknown = Parametrisation(given.constraint, "structured", 200.0)
+    size = np.mean(np.square(rows.Phi_flux))
+    Gamma = 20.0 / size * np.eye(2)
+    flux, _ = run(
+        RobustObserver(Gamma, 2), given.h, jnp.asarray(given.volt_seconds[skip:half]), rows
+    )
+    error = np.linalg.norm(np.asarray(flux) - given.flux[skip:half], axis=1)
+    bound = bound_on_record(
+        rows, unknown, Gamma, given.h, 0.05, error[0], given.drift[0], given.current_bias[0]
+    )
+    assert (error <= bound).all()
+    # Doubling the disturbance doubles its steady part.
+    one, two = (robust_bound(Gamma, 0.05, 1e-4, 0.1, 0.0, b, np.inf) for b in (1.0, 2.0))
+    assert two == pytest.approx(2 * one)
+
+
+def test_the_disturbance_of_the_bound_is_that_of_the_error():
+    """λ̃' = -Γ Φ Φᵀ λ̃ + b: b is the rate of the error while the estimate is right."""
+    given = servo(quick=True)
+    at = len(given.t) // 4
+    unknown = Parametrisation(given.constraint, "structured", 200.0)
+    rows = given.rows.part(slice(at, at + 1))
+    Gamma = np.array([[30.0, 5.0], [5.0, 20.0]]) / np.mean(np.square(given.rows.Phi_flux))
+    b = disturbance(rows, unknown, Gamma, given.drift[0], given.current_bias[0])[0]
+    one = rows.part(0)
+    y_m = np.array([0.3, -0.2])
+    rate = RobustObserver(Gamma, 2).derivative(jnp.asarray(given.flux[at]), jnp.asarray(y_m), one)
+    np.testing.assert_allclose(b, np.asarray(rate) - (y_m + given.drift[0]), rtol=1e-5)
+
+
+def test_uniform_observability_of_the_immersion():
+    """The Gramian of the rows, each carried to the end by its own transition, summed by hand."""
+    rng = np.random.default_rng(3)
+    relation = case().constraint
+    immersion = Immersion((relation,), ("drift",))
+    v, i = rng.standard_normal((2, 6, 2))
+    scale, h = 1 + rng.random(immersion.size), 0.1
+    total = np.zeros((immersion.size, immersion.size))
+    for k in range(6):
+        forward = np.eye(immersion.size)
+        for later in range(k + 1, 6):
+            forward = immersion.transition(h, v[later]) @ forward
+        row = immersion.output_rows(i[k])[0] @ np.linalg.inv(forward) * scale
+        total += h * row.T @ row
+    found = immersion_gramian(immersion, h, v, i, scale)
+    np.testing.assert_allclose(found, total, atol=1e-9 * np.abs(total).max())

@@ -1,0 +1,407 @@
+"""Relations found from energies alone, and the two properties of every machine in the library."""
+
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fluxobs import ModelError, QuadraticConstraint, SurfacePMSM, SynchronousReluctance
+from fluxobs.machines import example
+from fluxobs.machines.model.constraint import invisible_offsets
+from fluxobs.research import (
+    ElectromechanicalSystem,
+    blondel_park,
+    check_constraint,
+    discover_constraint,
+    discover_in_features,
+    inertia,
+    linear_magnetics,
+)
+from fluxobs.research.energies.discovery import relative_residual
+from fluxobs.research.energies.library import (
+    LIBRARY,
+    differential_relation,
+    doubly_fed,
+    interior_pmsm,
+    knospe,
+    maglev_1dof,
+    maglev_biased,
+    saturated_switched_reluctance,
+    surface_pmsm,
+    switched_reluctance,
+    synchronous_reluctance,
+    wound_field,
+)
+
+ROOT = Path(__file__).parents[3]
+
+#: Machine → quadratic relations, directions invisible to them, Blondel-Park transformable.
+EXPECTED = {
+    "surface_pmsm": (1, 2, True),
+    "interior_pmsm": (0, None, True),
+    "synchronous_reluctance": (1, 0, True),
+    "five_phase_pmsm": (4, 4, True),
+    "wound_field": (2, 0, True),
+    "doubly_fed": (6, 0, True),
+    "maglev_1dof": (0, None, False),
+    "knospe": (1, 0, False),
+    "maglev_leakage": (1, 0, False),
+    "maglev_biased": (1, 0, False),
+    "four_pole_bearing": (2, 0, False),
+    "three_coils": (3, 0, False),
+    "affine_pair": (1, 0, False),
+    "switched_reluctance": (0, None, False),
+    "saturated_switched_reluctance": (0, None, False),
+    "differential_actuator": (1, 0, False),
+}
+
+
+def test_every_machine_is_in_the_table():
+    assert {make.__name__ for make in LIBRARY} == set(EXPECTED)
+
+
+#: These take long, as they have many fluxes or relations.
+LONG = {
+    "wound_field",
+    "three_coils",
+    "four_pole_bearing",
+    "doubly_fed",
+    "five_phase_pmsm",
+    "saturated_switched_reluctance",
+    "switched_reluctance",
+    "surface_pmsm",
+    "interior_pmsm",
+}
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        pytest.param(
+            make, id=make.__name__, marks=pytest.mark.slow if make.__name__ in LONG else ()
+        )
+        for make in LIBRARY
+    ],
+)
+def test_relations_and_transformability(make):
+    count, hidden, transformable = EXPECTED[make.__name__]
+    system = make()
+    found = discover_constraint(system)
+    assert len(found.relations) == count
+    if count:
+        assert found.margin > 1e9
+        assert found.residual < 1e-12
+        assert found.invisible.shape[1] == hidden
+        assert check_constraint(system, found.relations, seed=7) < 1e-12
+    else:
+        assert found.margin < 1e3  # far from a null space: sure that there is none
+        assert found.smallest > 1e-4
+    park = blondel_park(system)
+    assert park.transformable == transformable
+    assert np.all(park.residual < 1e-12 if transformable else park.residual > 0.1)
+
+
+def proportional(found: QuadraticConstraint, expected: QuadraticConstraint) -> None:
+    """The same relation up to a factor."""
+
+    def terms(c):
+        return np.concatenate([c.Q1.ravel(), c.Q2.ravel(), c.Q3.ravel(), c.E, c.C, [c.d]])
+
+    a, b = terms(found), terms(expected)
+    factor = a[np.argmax(np.abs(b))] / b[np.argmax(np.abs(b))]
+    np.testing.assert_allclose(a, factor * b, rtol=1e-9, atol=1e-9 * np.abs(a[a != 0]).min())
+
+
+def test_the_relations_found_are_those_known():
+    (found,) = discover_constraint(surface_pmsm(L_s=1e-3, psi_f=0.02)).relations
+    proportional(found, SurfacePMSM(R_s=1, L_s=1e-3, n_p=4, psi_f=0.02).constraint)
+    (found,) = discover_constraint(synchronous_reluctance()).relations
+    proportional(found, SynchronousReluctance(R_s=1, L_d=0.05, L_q=0.01, n_p=2).constraint)
+    machine = example("maglev-knospe")
+    c = np.diag([machine.c_1, machine.c_2])
+    core = machine.constraint  # in core fluxes φ; the system's are c φ
+    (found,) = discover_constraint(knospe()).relations
+    inverse = np.linalg.inv(c)
+    proportional(
+        found, QuadraticConstraint(inverse @ core.Q1 @ inverse, inverse @ core.Q2, core.Q3)
+    )
+    (found,) = discover_constraint(LIBRARY[-1]()).relations
+    proportional(found, differential_relation())
+
+
+def test_magnet_bias_needs_the_linear_term():
+    k, g, magnet = 1e-5, 1e-3, 0.8
+    (found,) = discover_constraint(maglev_biased(k, g, magnet)).relations
+    swap = np.array([[0.0, 1.0], [1.0, 0.0]])
+    proportional(
+        found,
+        QuadraticConstraint(g * swap, -k * swap, np.zeros((2, 2)), E=-k * magnet * np.ones(2)),
+    )
+
+
+def test_wound_field_relations_of_the_theory():
+    """(λ-L_q i)ᵀ(λ-L_d i) = ΔL P i_F + M² i_F² and ΔL P² + M² P i_F = M² (λ-L_q i)ᵀi, f = 1."""
+    L_d, L_q, L_F, M = 8e-3, 5e-3, 0.6, 0.05
+    system = wound_field(L_d, L_q, L_F, M)
+    flux, position = system.random_states(np.random.default_rng(2), 500)
+    i = np.asarray(jax.vmap(system.current)(flux, position))
+    x, i_s, i_F = np.asarray(flux)[:, :2], i[:, :2], i[:, 2]
+    P = np.asarray(flux)[:, 2] - L_F * i_F
+    first = np.sum((x - L_q * i_s) * (x - L_d * i_s), axis=1)
+    np.testing.assert_allclose(
+        first, (L_d - L_q) * P * i_F + M**2 * i_F**2, atol=1e-10 * np.abs(first).max()
+    )
+    second = M**2 * np.sum((x - L_q * i_s) * i_s, axis=1)
+    np.testing.assert_allclose(
+        second, (L_d - L_q) * P**2 + M**2 * P * i_F, atol=1e-10 * np.abs(second).max()
+    )
+    # Both lie in the span of those found.
+    for relation in discover_constraint(system).relations:
+        assert relative_residual(relation, np.asarray(flux), i).max() < 1e-12
+
+
+def test_cage_machine_has_none():
+    """Rotor ports unmeasured: what is left says nothing."""
+    found = discover_constraint(doubly_fed(), ports=(0, 1))
+    assert not found
+    assert found.smallest > 1e-3
+
+
+def test_higher_degrees_are_flagged_by_their_degree_in_flux():
+    found = discover_constraint(switched_reluctance(L_0=10e-3), degree=3)
+    (linear,) = [relation for relation in found.higher if relation.degree_in_flux == 1]
+    # λ1 i2 i3 + λ2 i1 i3 + λ3 i1 i2 = 3 L_0 i1 i2 i3
+    assert linear.degree == 3
+    np.testing.assert_allclose(np.sort(linear.coefficients), [-0.03, 1, 1, 1], rtol=1e-9)
+    (quartic,) = discover_constraint(interior_pmsm(), degree=4).higher
+    assert (quartic.degree, quartic.degree_in_flux) == (4, 4)
+    for make in (maglev_1dof, saturated_switched_reluctance):
+        assert not discover_constraint(make(), degree=4).higher
+
+
+def phases(variable, names):
+    """Features of three phases, by name."""
+    return {name: (lambda x, i, k=k: variable(x, i)[:, k]) for k, name in enumerate(names)}
+
+
+def test_saturation_uncovered_by_features():
+    """z = -ln(1 - λ/ψ_s) obeys the relation of the unsaturated machine: z = i (a + b cos) there."""
+    psi_s, a, b = 0.5, 0.05, 0.03
+    features = phases(lambda x, i: -np.log(1 - x / psi_s), ("z1", "z2", "z3"))
+    features |= phases(lambda x, i: i, ("i1", "i2", "i3"))
+    found = discover_in_features(saturated_switched_reluctance(psi_s, a, b), features, degree=3)
+    assert found.margin > 1e10
+    quadratic, linear = found.relations
+    assert str(linear) == "+1 z1 i2 i3 +1 z2 i1 i3 +1 z3 i1 i2 -0.15 i1 i2 i3 = 0"
+    np.testing.assert_allclose(linear.coefficients, [1, 1, 1, -3 * a], rtol=1e-9)
+    # Σ L_j L_k = 3 a² - ¾ b², for L_k = a + b cos(q - 2πk/3).
+    np.testing.assert_allclose(
+        quadratic.coefficients, [1, 1, 1, -(3 * a**2 - 0.75 * b**2)], rtol=1e-9
+    )
+    # Another saturation flux undoes nothing.
+    wrong = phases(lambda x, i: -np.log(1 - x / 0.6), ("z1", "z2", "z3"))
+    assert not discover_in_features(
+        saturated_switched_reluctance(psi_s, a, b), features | wrong, degree=3
+    ).relations
+
+
+@pytest.mark.parametrize(
+    ("features", "degree", "message"),
+    [
+        ({}, 2, "at least one is needed"),
+        ({"x": lambda x, i: x}, 2, r"feature x must return \(.*\), got shape"),
+        ({"x": lambda x, i: np.log(-x[:, 0])}, 2, "feature x is not finite at flux"),
+        ({"x": lambda x, i: x[:, 0]}, 5, "degree must be 1, 2, 3 or 4"),
+    ],
+)
+def test_bad_features(features, degree, message):
+    with pytest.raises(ModelError, match=message):
+        discover_in_features(switched_reluctance(), features, degree)
+
+
+def test_a_higher_relation_beside_a_quadratic_one():
+    """An affine pair and a choke that saturates, i = λ + λ³: one of each, and no products."""
+
+    def magnetic_energy(flux, position):
+        L = 10e-3 + jnp.array([0.5, -0.5]) * position[0]
+        return jnp.sum(flux[:2] ** 2 / L) / 2 + flux[2] ** 2 / 2 + flux[2] ** 4 / 4
+
+    system = ElectromechanicalSystem(
+        magnetic_energy,
+        inertia(0.1),
+        R=[1.0] * 3,
+        R_M=[0.0],
+        flux_range=(-np.array([0.01, 0.01, 1.0]), np.array([0.01, 0.01, 1.0])),
+        position_range=(-0.015, 0.015),
+    )
+    found = discover_constraint(system, degree=3)
+    assert len(found.relations) == 1
+    (cubic,) = found.higher
+    assert (cubic.degree, cubic.degree_in_flux) == (3, 3)
+    terms = dict(zip(map(tuple, cubic.exponents), cubic.coefficients, strict=True))
+    assert terms == pytest.approx(
+        {(0, 0, 3, 0, 0, 0): 1, (0, 0, 1, 0, 0, 0): 1, (0,) * 5 + (1,): -1}
+    )
+
+
+def test_products_of_quadratic_relations_are_not_reported_again():
+    found = discover_constraint(surface_pmsm(), degree=3)
+    assert len(found.relations) == 1
+    assert not found.higher
+
+
+def test_check_names_residual_and_place():
+    right = SurfacePMSM(R_s=1, L_s=0.6e-3, n_p=4, psi_f=0.0125).constraint
+    assert check_constraint(surface_pmsm(), right) < 1e-12
+    wrong = SurfacePMSM(R_s=1, L_s=0.7e-3, n_p=4, psi_f=0.0125).constraint
+    with pytest.raises(ModelError, match=r"does not hold: residual .* at flux \[.*position"):
+        check_constraint(surface_pmsm(), wrong)
+    with pytest.raises(ModelError, match="the relation has 2 ports, the system 4"):
+        check_constraint(doubly_fed(), right)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"degree": 5}, "degree must be 2, 3 or 4"),
+        ({"ports": (0, 7)}, "ports must be some of"),
+        ({"ports": (0, 0)}, "each once"),
+    ],
+)
+def test_bad_arguments(arguments, message):
+    with pytest.raises(ModelError, match=message):
+        discover_constraint(surface_pmsm(), **arguments)
+
+
+def not_everywhere(flux, position):
+    """A PMSM whose energy is no number beyond 2.5 rad."""
+    axis = jnp.array([jnp.cos(position[0]), jnp.sin(position[0])])
+    hole = jnp.sqrt(2.5 - position[0])
+    return jnp.sum((flux - 0.5 * axis) ** 2) * hole / hole
+
+
+def test_currents_that_are_no_numbers_pass_nothing():
+    with pytest.raises(ModelError, match="magnetic_energy or its gradient is not finite"):
+        ElectromechanicalSystem(not_everywhere, inertia(1.0), R=[1.0, 1.0], R_M=[0.0])
+    narrow = ElectromechanicalSystem(
+        not_everywhere, inertia(1.0), R=[1.0, 1.0], R_M=[0.0], position_range=(-1.0, 1.0)
+    )
+    wide = eqx.tree_at(lambda system: system.position_range, narrow, jnp.array([[-4.0], [4.0]]))
+    nothing = QuadraticConstraint(np.eye(2), np.zeros((2, 2)), np.zeros((2, 2)))
+    for call in (lambda: check_constraint(wide, nothing), lambda: discover_constraint(wide)):
+        with pytest.raises(ModelError, match="the current is not finite at flux"):
+            call()
+
+
+def test_a_badly_scaled_system_is_doubted_rather_than_misread():
+    system = ElectromechanicalSystem(
+        linear_magnetics(
+            lambda q: 1e-3 * jnp.eye(2),
+            lambda q: 0.05 * jnp.array([jnp.cos(q[0]), jnp.sin(q[0])]),
+        ),
+        inertia(1.0),
+        R=[1.0, 1.0],
+        R_M=[0.0],
+        flux_range=(-1000.0, 1000.0),
+    )
+    found = discover_constraint(system)
+    assert not found
+    assert "narrow flux_range" in found.warning
+
+
+def one_coil(travel):
+    """λ = k i/(g - q) with q up to a share of the gap."""
+    k, g = 1e-5, 1e-3
+    return ElectromechanicalSystem(
+        linear_magnetics(lambda q: jnp.diag(jnp.array([k / (g - q[0])]))),
+        inertia(0.5),
+        R=[1.0],
+        R_M=[0.0],
+        flux_range=(1e-3, 1e-2),
+        position_range=(-travel * g, travel * g),
+    )
+
+
+@pytest.mark.parametrize(
+    ("make", "size", "remedy"),
+    [
+        (lambda: interior_pmsm(L_d=0.5e-3 * (1 + 1e-5)), 6.5e-12, "move it away"),
+        (lambda: synchronous_reluctance(L_d=0.01 * (1 + 1e-7)), 2.5e-8, "move it away"),
+        (lambda: one_coil(1e-6), 2.4e-7, "widen position_range"),
+    ],
+)
+def test_near_degeneracy_is_said_with_its_size_and_what_decides(make, size, remedy):
+    """A saliency of 1e-5, of 1e-7, and a coil that hardly moves have relations that nearly hold."""
+    found = discover_constraint(make())
+    assert not found.relations
+    assert found.approximate[0].size == pytest.approx(size, rel=0.5)
+    assert remedy in found.warning
+    # Away from there the doubt is gone.
+    for clear in (interior_pmsm(), one_coil(0.8)):
+        assert discover_constraint(clear).warning == ""
+
+
+def test_an_approximate_relation_is_the_one_of_the_machine_nearby():
+    """A saliency of 1e-5 is a surface machine to 1e-11: |λ - L i|² = ψ²."""
+    (near,) = discover_constraint(interior_pmsm(L_d=0.5e-3 * (1 + 1e-5))).approximate
+    terms = dict(zip(map(tuple, near.relation.exponents), near.relation.coefficients, strict=True))
+    assert terms[(0, 2, 0, 0)] == pytest.approx(terms[(2, 0, 0, 0)])
+    assert terms[(1, 0, 1, 0)] == pytest.approx(-2 * 0.5e-3, rel=1e-4)
+    assert terms[(0, 0, 0, 0)] == pytest.approx(-(0.07**2), rel=1e-4)
+
+
+def test_a_port_without_current_and_one_that_position_does_not_touch():
+    """Their affine relations go first; the rest is found, and is still transformable."""
+
+    def magnetic_energy(flux, position):
+        axis = jnp.array([jnp.cos(position[0]), jnp.sin(position[0])])
+        return jnp.sum((flux[:2] - axis) ** 2) / 2 + 30 * flux[2] ** 2
+
+    system = ElectromechanicalSystem(magnetic_energy, inertia(1.0), R=[1.0] * 4, R_M=[0.0])
+    found = discover_constraint(system)
+    assert len(found.relations) == 1
+    assert len(found.affine) == 2
+    assert blondel_park(system).transformable
+
+
+def test_pairs_of_very_different_size_are_judged_alike():
+    """Two opposed pairs, the second a millionth of the first: nothing is invisible."""
+    swap = np.array([[0.0, 1.0], [1.0, 0.0]])
+    blocks = [(1e-3 * swap, -1e-5 * k * swap) for k in (1.0, 1e-6)]
+    relations = []
+    for k, (Q1, Q2) in enumerate(blocks):
+        big1, big2 = np.zeros((4, 4)), np.zeros((4, 4))
+        part = slice(2 * k, 2 * k + 2)
+        big1[part, part], big2[part, part] = Q1, Q2
+        relations.append(QuadraticConstraint(big1, big2, np.zeros((4, 4))))
+    assert invisible_offsets(relations).shape == (8, 0)
+
+
+def test_a_machine_is_no_system():
+    with pytest.raises(ModelError, match="a system of energies is needed, got SurfacePMSM"):
+        discover_constraint(example("servo-400w"))
+    with pytest.raises(ModelError, match="no relation to check"):
+        check_constraint(surface_pmsm(), ())
+
+
+def test_stacked_relations_see_more():
+    relations = discover_constraint(doubly_fed()).relations
+    alone = [invisible_offsets([relation]).shape[1] for relation in relations]
+    assert max(alone) > invisible_offsets(relations).shape[1] == 0
+
+
+def test_blondel_park_is_the_matrix_identity():
+    """U of the interior PMSM satisfies L′ = U L - L U and μ′ = U μ."""
+    L_d, L_q, psi, n_p = 0.2e-3, 0.5e-3, 0.07, 4
+    U = blondel_park(interior_pmsm()).U[0]
+    angle = 0.7
+    cos, sin = np.cos(n_p * angle), np.sin(n_p * angle)
+    turn = np.array([[cos, -sin], [sin, cos]])
+    slope = n_p * np.array([[-sin, -cos], [cos, -sin]])
+    L = turn @ np.diag([L_d, L_q]) @ turn.T
+    dL = slope @ np.diag([L_d, L_q]) @ turn.T + turn @ np.diag([L_d, L_q]) @ slope.T
+    np.testing.assert_allclose(U @ L - L @ U, dL, atol=1e-12)
+    np.testing.assert_allclose(U @ turn[:, 0] * psi, slope[:, 0] * psi, atol=1e-12)

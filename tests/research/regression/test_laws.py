@@ -1,0 +1,344 @@
+"""The paper's observers and those around it, against their own definitions."""
+
+from functools import cache
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fluxobs import ModelError, QuadraticConstraint
+from fluxobs.research.analysis import balanced_basis, balanced_gain, observability_gramian
+from fluxobs.research.paper.pmsm import servo
+from fluxobs.research.regression import Parametrisation, Regressors
+from fluxobs.research.regression.laws import (
+    PEBO,
+    DremObserver,
+    GeneralisedPEBO,
+    PrintedAdaptiveObserver,
+    RepairedAdaptiveObserver,
+    RiccatiObserver,
+    RobustObserver,
+    VoltageModel,
+    flow_gain,
+    run,
+)
+from support.trajectories import pmsm
+
+RELATION = QuadraticConstraint(np.eye(2), -0.8 * np.eye(2), 0.16 * np.eye(2), d=-1.0)
+CONSTANTS = Parametrisation(RELATION, "voltage-bias", 1.0)
+
+
+def random_row(rng, n=2):
+    vectors = [jnp.asarray(rng.standard_normal(n)) for _ in range(4)]
+    return Regressors(jnp.asarray(rng.standard_normal()), *vectors, jnp.asarray(2.0))
+
+
+def observers(rng):
+    A = rng.standard_normal((5, 5))
+    return {
+        "robust": RobustObserver([1.0, 2.0], 2),
+        "adaptive": PrintedAdaptiveObserver(A @ A.T + np.eye(5), CONSTANTS),
+        "repaired": RepairedAdaptiveObserver([1.0, 2.0], [0.5, 1.0, 3.0], CONSTANTS),
+        "voltage model": VoltageModel(2),
+    }
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_short_step_is_the_differential_equation(seed):
+    """(step(h) - state)/h tends to derivative, for every law published as one."""
+    rng = np.random.default_rng(seed)
+    row, y_m = random_row(rng), jnp.asarray(rng.standard_normal(2))
+    for name, observer in observers(rng).items():
+        state = jax.tree.map(
+            lambda part: jnp.asarray(rng.standard_normal(part.shape)), observer.init()
+        )
+        rate = observer.derivative(state, y_m, row)
+        errors = []
+        for h in (1e-4, 1e-5):
+            moved = observer.step(state, h, h * y_m, row)
+            change = jax.tree.map(lambda a, b, step=h: (a - b) / step, moved, state)
+            pairs = zip(jax.tree.leaves(change), jax.tree.leaves(rate), strict=True)
+            errors.append(max(float(jnp.abs(a - b).max()) for a, b in pairs))
+        assert errors[1] < 0.2 * errors[0] + 1e-8, name
+
+
+def test_step_is_the_exact_flow_of_a_constant_regressor():
+    """At any gain: stiff laws need no small step."""
+    row = random_row(np.random.default_rng(0))._replace(Phi_flux=jnp.array([0.6, -0.8]))
+    observer, start, h = RobustObserver([30.0, 40.0], 2), jnp.array([1.0, 2.0]), 0.3
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(lambda t, x, _: observer.derivative(x, jnp.zeros(2), row)),
+        diffrax.Dopri8(),
+        0.0,
+        h,
+        1e-4,
+        start,
+        stepsize_controller=diffrax.PIDController(rtol=1e-11, atol=1e-12),
+    )
+    np.testing.assert_allclose(
+        observer.step(start, h, jnp.zeros(2), row), solution.ys[0], rtol=1e-8
+    )
+    huge = RobustObserver(1e20, 2).step(start, h, jnp.zeros(2), row)
+    assert float(abs(row.y - row.Phi_flux @ huge)) < 1e-10
+    assert float(flow_gain(jnp.asarray(0.0), 0.3)) == 0.3
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_repaired_error_is_a_cascade(seed):
+    """η = λ̃ - U θ̃ obeys η' = -Γ Φ Φᵀ η, whatever θ̃ and G are; in steps, exactly."""
+    rng = np.random.default_rng(seed)
+    observer = observers(rng)["repaired"]
+    flux, theta = rng.standard_normal(2), rng.standard_normal(3)
+    state = observer.init()._replace(
+        flux=jnp.asarray(rng.standard_normal(2)), constants=jnp.asarray(rng.standard_normal(3))
+    )
+    eta = (
+        np.asarray(state.flux) - flux - np.asarray(state.U) @ (np.asarray(state.constants) - theta)
+    )
+    h = 0.2
+    for _ in range(10):
+        row, v = random_row(rng), rng.standard_normal(2)
+        flux = flux + v + h * theta[:2]
+        y = row.Phi_flux @ flux + CONSTANTS.regressor(row) @ theta
+        row = row._replace(y=y)
+        state = observer.step(state, h, jnp.asarray(v), row)
+        direction = observer.Gamma @ row.Phi_flux
+        gain = flow_gain(row.Phi_flux @ direction, h)
+        eta = eta - np.asarray(gain * direction) * float(row.Phi_flux @ eta)
+        error = np.asarray(state.constants) - theta
+        found = np.asarray(state.flux) - flux - np.asarray(state.U) @ error
+        np.testing.assert_allclose(found, eta, atol=1e-9 * (1 + np.abs(np.asarray(state.U)).max()))
+
+
+@cache
+def record():
+    return servo(quick=True)
+
+
+def parts():
+    given = record()
+    return given, jnp.asarray(given.volt_seconds), round(15 / 200 / given.h)
+
+
+def errors(flux):
+    """Of the active flux λ - L i, over ψ: free of the current bias."""
+    given = record()
+    shift = given.machine.L_s * given.current_bias
+    return np.linalg.norm(np.asarray(flux) - given.flux - shift, axis=1) / given.machine.psi_f
+
+
+def test_pebo_with_a_gradient_is_proposition_1_with_unbounded_signals():
+    given, v, skip = parts()
+    Gamma = balanced_gain(np.asarray(given.rows.Phi_flux)[skip:], 50.0)
+    pebo, _ = run(PEBO(2, "gradient", Gamma), given.h, v, given.rows, skip)
+    robust, _ = run(RobustObserver(Gamma, 2), given.h, v, given.rows, skip)
+    np.testing.assert_allclose(pebo, robust, atol=1e-9 * np.abs(given.flux).max())
+
+
+def test_open_loop_integration_drifts_and_least_squares_pebo_with_it():
+    given, v, skip = parts()
+    drifting, _ = run(VoltageModel(2), given.h, v, given.rows, skip)
+    k = np.searchsorted(given.t, [0.5, 0.9])
+    growth = np.linalg.norm(
+        np.asarray(drifting)[k[1]]
+        - np.asarray(drifting)[k[0]]
+        - given.flux[k[1]]
+        + given.flux[k[0]]
+    )
+    assert growth == pytest.approx(0.4 * np.linalg.norm(given.drift[0]), rel=1e-3)
+    found, _ = run(PEBO(2), given.h, v, given.rows, skip)
+    assert errors(found)[k[1]] > 1.3 * errors(found)[np.searchsorted(given.t, 0.3)]
+
+
+def test_adaptive_observers_converge_or_do_not():
+    given, v, skip = parts()
+    constants = Parametrisation(given.constraint, "voltage-bias", 200.0)
+    psi = np.column_stack([given.rows.Phi_flux, constants.record(given.rows)])[skip:]
+    printed, _ = run(
+        PrintedAdaptiveObserver(balanced_gain(psi, 100.0), constants), given.h, v, given.rows, skip
+    )
+    assert errors(printed)[given.t > 0.9].min() > 1.0
+    half = len(given.t) // 2
+    window = 0.2
+    before = given.rows.part(slice(skip, half))
+    size = np.r_[0.0125, 0.0125, 0.05, 0.05, 2 / 200 * 0.05**2]
+    gramian = observability_gramian(before, constants, given.h, window, size)
+    basis = size[:, None] * balanced_basis(gramian, window)
+    for observer in (
+        DremObserver(100.0, 0.05, basis, constants),
+        RiccatiObserver(0.05, size, 1e-3 * 0.0125, constants),
+    ):
+        found, theta = run(observer, given.h, v, given.rows, skip)
+        late = (given.t > 0.7) & (given.t < given.t[half])
+        assert errors(found)[late].max() < 1e-5, type(observer).__name__
+        np.testing.assert_allclose(np.asarray(theta)[half - 1][:2], given.drift[0], rtol=1e-3)
+
+
+def test_riccati_is_the_dense_weighted_least_squares():
+    rng = np.random.default_rng(5)
+    observer = RiccatiObserver(0.3, [1.0, 1.0, 0.5, 0.5, 2.0], 0.1, CONSTANTS)
+    h, state = 0.05, observer.init()
+    rows = [np.diag(1 / np.asarray(observer.scale))]
+    values = [np.zeros(5)]
+    back = np.eye(5)
+    back[:2, 2:4] = -h * np.eye(2)
+    fade = np.exp(-h / 0.6)
+    for _ in range(40):
+        row, v = random_row(rng), rng.standard_normal(2)
+        state = observer.step(state, h, jnp.asarray(v), row)
+        moved = np.vstack(rows) @ back
+        values = [fade * (np.concatenate(values) + moved[:, :2] @ v)]
+        rows = [fade * moved]
+        psi = np.r_[row.Phi_flux, CONSTANTS.regressor(row)]
+        rows.append(np.sqrt(h) / 0.1 * psi[None])
+        values.append(np.sqrt(h) / 0.1 * np.atleast_1d(row.y))
+    expected = np.linalg.lstsq(np.vstack(rows), np.concatenate(values), rcond=None)[0]
+    found = np.concatenate(observer.estimate(state))
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_drem_is_exact_as_soon_as_its_formula_applies():
+    """Finite time: not asymptotically, but once 1 - w > 0.1, up to rounding."""
+    rng = np.random.default_rng(2)
+    theta = np.array([0.2, -0.1, 0.3])
+    observer = DremObserver(1.0, 1.0, np.eye(5), CONSTANTS)
+    flux, h, state, seen = np.array([0.5, -0.4]), 0.05, observer.init(), []
+    for _ in range(400):
+        row, v = random_row(rng), 0.1 * rng.standard_normal(2)
+        flux = flux + v + h * theta[:2]
+        row = row._replace(y=row.Phi_flux @ flux + CONSTANTS.regressor(row) @ theta)
+        state = observer.step(state, h, jnp.asarray(v), row)
+        if 1 - float(state.left) > 0.1:
+            found, constants = observer.estimate(state)
+            seen.append(max(np.abs(found - flux).max(), np.abs(constants - theta).max()))
+    assert 0 < len(seen) < 400
+    assert max(seen) < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: RobustObserver(-1.0, 2), "Gamma must be positive definite"),
+        (lambda: RobustObserver([[1.0, 2.0], [2.0, 1.0]], 2), "least eigenvalue -1"),
+        (lambda: RobustObserver([[1.0, 0.5], [0.0, 1.0]], 2), "Gamma must be symmetric"),
+        (lambda: PrintedAdaptiveObserver([1.0, 2.0], CONSTANTS), r"Gamma must be a number, \(5,\)"),
+        (lambda: RepairedAdaptiveObserver(1.0, 0.0, CONSTANTS), "G must be positive definite"),
+        (lambda: RobustObserver(np.float32(1.0), 2), "Gamma is float32"),
+        (lambda: RobustObserver(np.nan, 2), "Gamma must be finite"),
+        (lambda: RiccatiObserver(0.0, np.ones(5), 1.0, CONSTANTS), "memory must be positive"),
+        (lambda: DremObserver(1.0, 1.0, np.ones(4), CONSTANTS), r"basis must be \(5,\)"),
+        (lambda: DremObserver(1.0, 1.0, np.ones(5), CONSTANTS, 0.0), "finite must lie in"),
+        (lambda: PEBO(2, "median"), "estimator must be least-squares or gradient"),
+    ],
+)
+def test_what_is_refused(build, message):
+    with pytest.raises((ModelError, ValueError), match=message):
+        build()
+
+
+def test_gains_of_very_different_units_are_positive_definite():
+    PrintedAdaptiveObserver([1e20, 1e20, 1e20, 1e20, 20.0], CONSTANTS)
+
+
+def test_parametrisation_lengths():
+    case = pmsm()
+    assert [
+        len(Parametrisation(case.constraint, kind, 1.0))
+        for kind in ("printed", "structured", "voltage-bias")
+    ] == [7, 5, 3]
+
+
+def test_generalised_pebo_is_the_dense_least_squares():
+    """All rows in terms of the state at the start, weighted by forgetting, and the prior."""
+    rng = np.random.default_rng(4)
+    scale, beta, h = np.array([1.0, 1.0, 0.5, 0.5, 2.0]), 0.7, 0.05
+    observer = GeneralisedPEBO(CONSTANTS, scale, 0.1, forgetting=beta)
+    state, xi = observer.init(), np.zeros(2)
+    rows, values = [np.diag(1 / scale)], [np.zeros(5)]
+    for k in range(1, 31):
+        row, v = random_row(rng), rng.standard_normal(2)
+        state = observer.step(state, h, jnp.asarray(v), row)
+        xi = xi + v
+        psi = np.r_[row.Phi_flux, CONSTANTS.regressor(row)]
+        psi[2:4] += k * h * psi[:2]
+        information = np.vstack(rows) * scale
+        known = min(1.0, 1 / np.linalg.eigvalsh(information.T @ information)[0])
+        fade = np.exp(-beta * (1 - known) * h / 2)
+        rows = [fade * part for part in rows] + [np.sqrt(h) / 0.1 * psi[None]]
+        value = float(row.y - row.Phi_flux @ xi)
+        values = [fade * part for part in values] + [np.sqrt(h) / 0.1 * np.atleast_1d(value)]
+    start = np.linalg.lstsq(np.vstack(rows), np.concatenate(values), rcond=None)[0]
+    flux, constants = observer.estimate(state)
+    np.testing.assert_allclose(constants, start[2:], rtol=1e-9)
+    np.testing.assert_allclose(flux, xi + start[:2] + 30 * h * start[2:4], rtol=1e-9)
+
+
+def test_mixed_estimates_follow_their_own_equation():
+    """``θ̂_j' = γ Δ (Y_j - Δ θ̂_j)`` with the mixed regression frozen over a step."""
+    rng = np.random.default_rng(9)
+    gamma, h, size = 3.0, 0.05, 5
+    observer = GeneralisedPEBO(
+        CONSTANTS, np.ones(size), 1.0, "least-squares-drem", forgetting=0.1, gamma=gamma
+    )
+    state = observer.init()
+    for _ in range(20):
+        before = np.asarray(state.mixed)
+        v = jnp.asarray(rng.standard_normal(2))
+        state = observer.step(state, h, v, random_row(rng))
+        share = np.eye(size) - float(state.left) * np.linalg.inv(state.M)
+        delta, start = np.linalg.det(share), np.linalg.solve(state.M, state.m)
+        Y = [
+            np.linalg.det(np.column_stack([*share.T[:j], start, *share.T[j + 1 :]]))
+            for j in range(size)
+        ]
+        rate = gamma * delta**2
+        exact = before * np.exp(-rate * h)
+        if delta > 1e-6:
+            exact = exact - np.expm1(-rate * h) * np.array(Y) / delta
+        np.testing.assert_allclose(state.mixed, exact, rtol=1e-6, atol=1e-9)
+
+
+def test_mixing_removes_the_start_from_the_least_squares():
+    """Excited for a while only: least squares keeps part of its start, the mixed estimate none."""
+    rng = np.random.default_rng(6)
+    theta = np.array([0.2, -0.1, 0.3])
+    observers = {
+        name: GeneralisedPEBO(CONSTANTS, np.ones(5), 1.0, name, 0.1, 50.0)
+        for name in ("least-squares", "least-squares-drem")
+    }
+    states = {name: observer.init() for name, observer in observers.items()}
+    flux, h = np.array([0.5, -0.4]), 0.05
+    for k in range(300):
+        row, v = random_row(rng), 0.1 * rng.standard_normal(2)
+        if k >= 60:  # no excitation any more
+            row = Regressors(*(0 * part for part in row))
+        flux = flux + v + h * theta[:2]
+        row = row._replace(y=row.Phi_flux @ flux + CONSTANTS.regressor(row) @ theta)
+        for name, observer in observers.items():
+            states[name] = observer.step(states[name], h, jnp.asarray(v), row)
+    errors = {
+        name: np.abs(np.asarray(observers[name].estimate(state)[0]) - flux).max()
+        for name, state in states.items()
+    }
+    assert errors["least-squares"] > 1e-2
+    assert errors["least-squares-drem"] < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"estimator": "median"}, "estimator must be one of least-squares, least-squares-drem"),
+        ({"forgetting": -1.0}, "forgetting must be zero or positive"),
+        ({"scale": np.ones(4)}, "scale must have shape"),
+    ],
+)
+def test_generalised_pebo_refuses(change, message):
+    with pytest.raises(ModelError, match=message):
+        GeneralisedPEBO(**({"constants": CONSTANTS, "scale": np.ones(5), "noise": 1.0} | change))

@@ -1,0 +1,75 @@
+"""The demonstration, and the replay of its log with committed expected outputs.
+
+A change of any number shows as a diff of tests/expected/demo.csv; where it is meant, write the file
+anew with ``PYTHONPATH=tests python tests/simulation/closed_form/test_demo.py``.
+"""
+
+import io
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from fluxobs import estimate
+from fluxobs.simulation.closed_form.demo import LOG, MACHINE, demo_log, generate, write
+from support.cli import fluxobs
+
+EXPECTED = Path(__file__).parents[2] / "expected" / "demo.csv"
+EVERY = 50
+
+
+def replay(folder):
+    result = estimate(demo_log(), MACHINE, out=folder / "out.parquet")
+    return result, pl.read_parquet(folder / "out.parquet")
+
+
+def test_shipped_log_is_the_generated_one(tmp_path):
+    write(tmp_path / "log.csv")
+    made, shipped = (
+        pl.read_csv(source) for source in (tmp_path / "log.csv", io.StringIO(LOG.read_text()))
+    )
+    assert made.columns == shipped.columns == list(generate())
+    # Another libm may round the last digit of a quantised value the other way.
+    for name, step in (("i_alpha", 0.011), ("u_beta", 0.0051), ("theta_e", 1.1e-5), ("t", 0)):
+        assert (made[name] - shipped[name]).abs().max() <= step
+
+
+def test_replay_gives_the_committed_numbers(tmp_path):
+    _, found = replay(tmp_path)
+    expected = pl.read_csv(EXPECTED)
+    found = found.gather_every(EVERY)
+    assert found.columns == expected.columns
+    for name in expected.columns:
+        a, b = found[name].to_numpy(), expected[name].to_numpy()
+        if name == "valid":
+            np.testing.assert_array_equal(a, b)
+        else:
+            np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-9, err_msg=name)
+
+
+def test_demo_shows_what_it_should(tmp_path):
+    result, found = replay(tmp_path)
+    seen = result.statistics
+    assert seen.valid > 0.9 * seen.rows
+    assert seen.error_max < np.radians(15)  # through zero, with a dead-time error
+    settled = found.filter(pl.col("valid") & (pl.col("t") > 0.2) & (pl.col("t") < 1.0))
+    assert settled["theta_e_error"].abs().max() < np.radians(2)
+
+
+def test_demo_command_writes_both_files(tmp_path):
+    done = fluxobs("demo", "--out", "results", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert sorted(p.name for p in (tmp_path / "results").iterdir()) == [
+        "estimates.parquet",
+        "report.png",
+    ]
+    assert "as the log tells them: drift, resistance, inverter" in done.stdout
+    assert "Warning" not in done.stdout
+
+
+if __name__ == "__main__":
+    import tempfile
+
+    EXPECTED.parent.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        replay(Path(folder))[1].gather_every(EVERY).write_csv(EXPECTED)
