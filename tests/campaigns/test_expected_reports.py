@@ -5,11 +5,13 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from matplotlib.container import BarContainer
 
-from fluxobs.campaigns import report
+from fluxobs.campaigns import pictures, report
 from fluxobs.campaigns.columns import schema
 from fluxobs.campaigns.dataset import Dataset
 from fluxobs.campaigns.specification import Specification
+from fluxobs.campaigns.statistics import Index
 from support.expected import check, pictures_of_reports
 
 MACHINES = ("servo-400w", "pmsm-2kw2", "ipm-2kw2", "synrm-6kw7", "induction-2kw2")
@@ -58,6 +60,25 @@ def campaign(machines, scenarios, **more):
     return Dataset(Path("out"), s, 16)
 
 
+def test_quantities_are_shown_by_their_largest_share():
+    """Of any observer, the largest first, and no more than asked for."""
+    s = campaign(MACHINES[:1], 400).specification
+    shares = {
+        "plain": {"R": -0.02, "L_s": 0.1, "noise": -0.01},
+        "adaptive": {"R": 0.7, "psi_f": 0.3},
+    }
+    indices = {
+        (MACHINES[0], name): [Index(quantity, x, x - 0.01, x + 0.01) for quantity, x in of.items()]
+        for name, of in shares.items()
+    }
+    for most in (5, 3):
+        (axis,) = pictures.importance(s, indices, most).axes
+        labels = [label.get_text() for label in axis.get_yticklabels()]
+        assert labels == ["R", "psi_f", "L_s", "noise"][:most]
+        bars = [bar for bar in axis.containers if isinstance(bar, BarContainer)]
+        assert sorted(round(one) for bar in bars for one in bar.datavalues)[-2:] == [30, 70]
+
+
 @pytest.mark.parametrize(
     ("name", "found"),
     [
@@ -68,7 +89,7 @@ def campaign(machines, scenarios, **more):
     ],
 )
 def test_the_report(name, found, monkeypatch, tmp_path):
-    pictures = pictures_of_reports(monkeypatch)
+    drawings = pictures_of_reports(monkeypatch)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "out").mkdir()
     rows = drawn(found.specification)
@@ -80,6 +101,6 @@ def test_the_report(name, found, monkeypatch, tmp_path):
         "terminal": columns,
         "sentences": sentences,
         "page": page.splitlines(),
-        "pictures": pictures,
+        "pictures": drawings,
     }
     check(f"campaigns/{name}", shown)

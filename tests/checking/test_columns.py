@@ -161,6 +161,11 @@ def test_whole_numbers_about_a_large_mean(mean, blamed):
     assert all("raw converter counts" in text and f"(i_a about {mean})" in text for text in said)
 
 
+def test_a_column_without_a_number_is_no_count():
+    said = findings({"i_a": np.full(ROWS, np.nan), "i_b": np.cos(PHASE)})
+    assert not any("converter" in text for text in said)
+
+
 def test_whole_numbers_that_hardly_change():
     (text,) = findings({"i_a": 100.0 + (PHASE > 1)})
     assert "raw converter counts" in text

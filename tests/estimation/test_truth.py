@@ -1,11 +1,14 @@
 """What a truth channel is off by is found, with its standard deviation, and nothing else is."""
 
 import re
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 import fluxobs
+from fluxobs.estimation.truth import FORWARD, TruthSamples, _fit_hall
+from fluxobs.machines.model.frames import wrap
 from fluxobs.simulation.closed_form.demo import LOG, MACHINE
 
 TABLE = np.genfromtxt(LOG, delimiter=",", names=True)
@@ -153,6 +156,20 @@ def test_a_hall_sensor_out_of_place():
 def test_hall_wires_exchanged():
     fit = fitted("hall", hall("bac")).truth_fit
     assert "two Hall wires are exchanged" in " ".join(fit.words)
+
+
+def test_hall_edges_are_between_those_of_both_directions():
+    """A sensor with hysteresis, seen thirty times forwards and six times backwards."""
+    edges = []
+    for k, (a, b) in enumerate(pairwise([*FORWARD, FORWARD[0]])):
+        true = np.pi / 3 * k
+        edges += 30 * [(a, b, true + 0.02, 1.0)] + 6 * [(b, a, true - 0.02, -1.0)]
+    samples = TruthSamples(1, "hall", edges=[np.transpose(edges)])
+    fit = _fit_hall(samples)
+    off = [wrap(6 * one.value) / 6 for one in fit.parameters]
+    np.testing.assert_allclose(off, 0.0, atol=1e-9)
+    assert fit.rms == pytest.approx(0.02)
+    assert not any("against" in words and "turns" in words for words in fit.words)
 
 
 def test_a_hall_wire_broken():

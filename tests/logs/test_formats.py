@@ -181,6 +181,30 @@ def test_sheets_with_times_of_their_own(tmp_path):
     np.testing.assert_allclose(part.voltage[1:, 0], ((2 * u_a - u_b - u_c) / 3)[:-1], atol=1e-9)
 
 
+def test_sheets_without_a_table(tmp_path):
+    """Excel adds empty ones: they are passed over, as a sheet with a title alone is."""
+    pytest.importorskip("fastexcel")
+    from xlsxwriter import Workbook
+
+    table = pl.DataFrame({name: values[:200] for name, values in ({"t": T} | SIGNALS).items()})
+    path = tmp_path / "log.xlsx"
+    with Workbook(path) as book:
+        for row in ([], ["Test bench 3"]):
+            book.add_worksheet().write_row(0, 0, row)
+        table.write_excel(book, "Data")
+    log = read_log(path)
+    assert len(log) == 200
+    for row, words in (
+        ([], "log.xlsx: all sheets are empty"),
+        (["a", "b"], "no columns of numbers"),
+    ):
+        with Workbook(path) as book:
+            book.add_worksheet()
+            book.add_worksheet().write_row(0, 0, row)
+        with pytest.raises(RecordError, match=words):
+            read_log(path)
+
+
 def test_groups_that_are_named_as_phases(tmp_path):
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "log.h5", "w") as file:

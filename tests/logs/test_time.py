@@ -143,7 +143,10 @@ def test_gaps_become_missing_samples(tmp_path, size, kind):
     np.testing.assert_allclose(u[1:, 0][keep[:-1]], signals(T)[0].real[:-1][keep[:-1]])
     assert np.isnan(u[1:][~keep[:-1]]).all()
     assert any("4 gaps, in which 63 samples are missing" in note for note in log.notes)
-    assert log.table.place(3000).endswith(str(3000 - 60 + (2 if kind == "csv" else 1)))
+    ahead = 2 if kind == "csv" else 1
+    assert log.table.place(3000).endswith(str(3000 - 60 + ahead))
+    for at, before in ((700, 699), (2000, 1996), (2056, 1996), (2057, 1997)):  # in and after gaps
+        assert log.table.place(at).endswith(str(before + ahead)), at
 
 
 @pytest.mark.parametrize("share", [0.005, 0.02, 0.05, 0.12])
@@ -164,6 +167,15 @@ def test_a_rate_that_changes_is_refused(factor):
     t[2000:] = t[1999] + factor * H * np.arange(1, ROWS - 1999)
     with pytest.raises(RecordError, match=r"the sample rate changes|not uniform"):
         read_log(columns(T, t))
+
+
+def test_the_longest_gap_is_named_with_its_place():
+    """Not the one after the longest stretch."""
+    keep = np.ones(ROWS, bool)
+    keep[1000:1090], keep[3500:3507] = False, False
+    log = read_log({name: values[keep] for name, values in columns(T).items()})
+    longest = f"the longest is {90 * H:.3g} s before t = {1090 * H:.6g} s"
+    assert any(longest in note for note in log.notes), log.notes
 
 
 def test_a_time_within_a_shortened_gap():

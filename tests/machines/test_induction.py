@@ -67,6 +67,11 @@ def test_scales_without_a_rated_flux():
         ({"R_R": 2.0, "L_sigma": 0.02}, "L_M is missing"),
         ({"R_r": 2.0, "L_ls": 0.01, "L_m": 0.2}, "L_lr is missing"),
         (T_MODEL | {"R_r": -1.0}, "R_r must be a positive number"),
+        (T_MODEL | {"R_r": -0.5}, "R_r must be a positive number"),
+        (T_MODEL | {"R_r": 0.0}, "R_r must be a positive number, got 0.0"),
+        (T_MODEL | {"R_r": float("inf")}, "R_r must be a positive number"),
+        (T_MODEL | {"R_r": True}, "R_r must be a positive number"),
+        (T_MODEL | {"R_r": "1"}, "R_r must be a positive number"),
         ({"plate": {"voltage": 400}}, "plate has voltage, frequency, power"),
         (
             {

@@ -424,6 +424,11 @@ def test_noise_beyond_what_is_assumed_does_not_restart_for_ever():
         ({"memory": 5e-4}, "memory must be at least ten samples, 0.001 s here"),
         ({"sample_time": np.nan}, "sample_time must be positive"),
         ({"R": np.eye(3)}, "R must have 2 rows"),
+        *(
+            ({name: value}, f"{name} must be a number >= 0, got {value}")
+            for name in ("current_noise", "voltage_noise")
+            for value in (-1e-9, np.inf, np.nan)
+        ),
     ],
 )
 def test_what_is_refused(change, message):

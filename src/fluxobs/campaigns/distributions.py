@@ -10,14 +10,12 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 from scipy.special import ndtr, ndtri
 
+from ..core.arrays import Array
 from ..core.validation import Number, Table
 from ..errors import UsageError
-
-Array = NDArray[np.float64]
 
 #: Kinds of distributions, by the word that gives their numbers.
 KINDS = ("fixed", "uniform", "log", "normal", "lognormal", "choice", "grid")

@@ -6,13 +6,11 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from .distributions import correlated, correlator
 from .quantities import QUANTITIES
 from .specification import Specification
-
-Array = NDArray[np.float64]
 
 #: Streams of random numbers of one scenario.
 POINT, COURSE, NOISE = 0, 1, 2

@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from numpy.typing import NDArray
 
 from ..observers.compiled import CompiledObserver, CompiledState
@@ -18,8 +19,6 @@ from ..simulation.drive import Drive, sensorless_drive
 from ..simulation.precision import real
 from .drives import Cell
 from .observed import Candidate
-
-Array = jax.Array
 
 #: The adaptive observer takes over at this standard deviation [rad]. Its own holds the errors of R
 #: and inverter, which at the speed of the start are several degrees; the plain one's does not, so

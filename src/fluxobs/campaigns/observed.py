@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 from ..comparison.cages import entries_for
 from ..comparison.catalogue import Entry, Setting
 from ..comparison.scenarios import believed_machine
+from ..core.arrays import Array
 from ..core.validation import nearest
 from ..errors import UsageError
 from ..machines import RotatingMachine
 from ..observers import AdaptiveEstimate, AdaptiveObserver, LeastSquaresObserver
 from .drives import Cell
 from .specification import ADAPTIVE, PLAIN, ObserverTable
-
-Array = NDArray[np.float64]
 
 #: Observers that do not judge themselves are trusted above this share of the rated speed, as
 #: firmware does: half of the speed to which a start usually turns the current.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -82,11 +83,10 @@ def importance(
     figure, axes = _axes(len(specification.machines), height)
     for axis, machine in zip(axes, specification.machines, strict=True):
         mine = {name: found for (where, name), found in indices.items() if where == machine}
-        largest: dict[str, float] = {}
-        for found in mine.values():
-            for one in found:
-                largest[one.quantity] = max(largest.get(one.quantity, 0.0), one.share)
-        names = sorted(largest, key=lambda name: -largest[name])[:most]
+        shares: dict[str, list[float]] = {}
+        for index in itertools.chain.from_iterable(mine.values()):
+            shares.setdefault(index.quantity, []).append(index.share)
+        names = sorted(shares, key=lambda name: -max(shares[name]))[:most]
         width = 0.8 / max(len(mine), 1)
         for k, (_, found) in enumerate(mine.items()):
             by = {one.quantity: one for one in found}

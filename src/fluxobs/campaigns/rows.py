@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from ..comparison.scoring import true_speed
 from ..logs.record import Record
@@ -20,8 +19,6 @@ from .observed import NOISE, Candidate, Found, Parameters, candidate, observe
 from .quantities import QUANTITIES
 from .simulated import Simulated, lanes_for, simulated
 from .specification import Specification
-
-Array = NDArray[np.float64]
 
 #: Receives one observer on one scenario: for who wants the record, not the row.
 Watch = Callable[[Simulated, Candidate, Found], None]

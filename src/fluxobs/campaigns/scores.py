@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..comparison.scoring import LOST, settling_time
+from ..core.arrays import Array
 from ..machines import RotatingMachine
 from ..simulation.drive.sensorless import RUNNING
 from ..simulation.drive.simulate import UNFOLLOWED
 from .columns import MEASURES
 from .observed import Found
 from .simulated import Kept
-
-Array = NDArray[np.float64]
 
 #: A position within this many standard deviations counts as covered.
 COVERED = 2.0

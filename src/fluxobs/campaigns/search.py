@@ -15,6 +15,7 @@ import polars as pl
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from ..core.arrays import Array
 from ..core.validation import nearest
 from ..errors import FluxobsError, UsageError
 from .columns import schema
@@ -22,8 +23,6 @@ from .draws import Scenario, at_point, points
 from .rows import rows_for
 from .specification import GoodTable, Specification
 from .statistics import CONFIDENCE, is_good
-
-Array = NDArray[np.float64]
 
 #: Scenarios of a generation: one batch.
 GENERATION = 64

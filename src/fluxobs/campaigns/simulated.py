@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import FluxobsError
 from ..simulation.drive import Course, Drive, Trace
@@ -19,8 +18,6 @@ from .courses import most_knots
 from .draws import NOISE, Scenario
 from .drives import drive_of
 from .specification import Specification
-
-Array = NDArray[np.float64]
 
 #: Drives simulated at once: 64 fill the vector units, and leave nothing over in them. In the loop a
 #: call from the compiled loop to the observers costs as much as 80 drives: more at once.

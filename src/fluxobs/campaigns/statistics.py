@@ -10,9 +10,8 @@ import polars as pl
 from numpy.typing import NDArray
 from scipy.stats import beta
 
+from ..core.arrays import Array
 from .specification import GoodTable, LimitTable, Specification
-
-Array = NDArray[np.float64]
 
 #: All intervals are of this confidence.
 CONFIDENCE = 0.95

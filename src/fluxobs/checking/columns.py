@@ -5,15 +5,13 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..logs.guess import DUTY_MOST, TURNS, turn_of
 from ..logs.log import Log
 from ..machines.model.frames import PHASE_CURRENTS
 from .findings import Finding
 from .segments import without_spikes
-
-Array = NDArray[np.float64]
 
 #: Rows that are looked at, from the middle of the log.
 ROWS = 20_000

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..machines.model.frames import PHASE_CURRENTS, clarke, three_phases
 from .relation import Prior
 from .segments import LAGS, Complex
-
-Array = NDArray[np.float64]
 
 #: Spread of what a machine file says: of ln R (hot copper), ln L (saturation), ln ψ (heat); of V_d,
 #: which it seldom says, as a share of the voltage.

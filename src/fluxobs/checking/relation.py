@@ -18,12 +18,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..machines import RotatingMachine
 from ..machines.model.held import mean_current
 from ..machines.model.inverter import inverter_direction
 from .segments import Complex, Stretches
-
-Array = NDArray[np.float64]
 
 #: Order of the parameters.
 R, L, PSI, INVERTER = range(4)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..logs.log import Log
 from ..logs.scales import Scales, measure_scales
@@ -38,8 +37,6 @@ from .mistakes import (
 from .relation import INVERTER, MODEL, PSI, Fit, R, Relation, positions, rows
 from .segments import Stretches, stretches
 from .truth import truth
-
-Array = NDArray[np.float64]
 
 #: Explanations whose costs differ by less are not told apart: two standard deviations.
 TOLD = 4.0

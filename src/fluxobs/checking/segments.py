@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..errors import FluxobsError
 from ..logs.log import Log
 from ..logs.scales import excerpts
 from ..machines import RotatingMachine
 from ..machines.model.held import without_kinks
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Change = Callable[[Complex], Complex]
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..machines import RotatingMachine
 from ..machines.model.frames import wrap
 from .findings import Finding
 from .relation import Fit
 from .segments import Stretches
-
-Array = NDArray[np.float64]
 
 #: A turn of the truth within this share of what a mistake explains is explained by it.
 CLOSE = 0.1

@@ -10,9 +10,8 @@ docs/theory.md, section 12.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ..core.arrays import Array
 
 
 def position_bound(

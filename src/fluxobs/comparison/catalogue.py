@@ -15,8 +15,8 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..machines import RotatingMachine
 from ..observers import LeastSquaresObserver, Observer
 from ..observers.plain import MEMORY, TRACKER
@@ -36,8 +36,6 @@ from .baselines import (
     SlidingMode,
     SpeedAdaptiveObserver,
 )
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

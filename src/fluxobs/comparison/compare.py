@@ -13,8 +13,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..errors import FluxobsError, RecordError, UsageError
 from ..logs.for_machine import open_for
 from ..logs.log import Log
@@ -30,8 +30,6 @@ from .cages import entries_for
 from .catalogue import Entry, Gains, Setting
 from .scenarios import SCENARIOS, Scenario, believed_machine, run_scenario
 from .scoring import Score, Truth, score, scored_error, true_speed
-
-Array = NDArray[np.float64]
 
 #: Number of gain sets that every observer runs at once; equal, so that run times compare.
 LANES = 24

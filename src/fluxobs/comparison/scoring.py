@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.arrays import Array
 from ..machines import RotatingMachine
-
-Array = NDArray[np.float64]
 
 #: Settled: error below SETTLED [rad] for HELD [s]. Lost: error above LOST [rad].
 SETTLED, HELD, LOST = np.radians(10.0), 0.05, np.radians(60.0)

@@ -6,14 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..observers import Estimate, LeastSquaresObserver, outputs
 from ..simulation.closed_form.firmware_record import FirmwareRecord
 from .c_source import PRECISIONS, Precision, hex_float, table
 from .header import Exported, plain
-
-Array = NDArray[np.float64]
 
 #: Samples from one expected row to the next: coprime to the round in which samples take turns.
 EVERY = 9

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..logs.aligned import Aligned
 from ..logs.log import Log
 from ..machines import Machine
@@ -15,8 +16,6 @@ from ..observers import AdaptiveEstimate, Estimate, ImmersionEstimate, Immersion
 from ..observers.derived import derived
 from ..observers.for_log import AnyObserver
 from ..observers.outputs import in_files
-
-Array = NDArray[np.float64]
 
 #: A position from the immersed observer's flux is not valid if its standard deviation is larger:
 #: 3°, or this share of the gap, as in the compiled observer (STD_LIMIT).

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..core.plots import BLUE, GREY, ORANGE, STYLE, legend, new_figure, plain
 from ..core.validation import nearest
 from ..errors import UsageError
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 #: Figures of this width or less have short titles [inch].
 PRINTED = 8.0

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from .columns import Rows
 from .truth import TruthSamples
-
-Array = NDArray[np.float64]
 
 #: Rows of the thinned-out log, and of the piece around the first valid row shown in full: as many
 #: as a picture can show, and a few megabytes.

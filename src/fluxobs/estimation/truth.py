@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..machines import RotatingMachine
 from ..machines.model.frames import wrap
 from .columns import Rows
-
-Array = NDArray[np.float64]
 
 #: Rows that are kept for a fit, evenly spread; Hall edges that are kept.
 KEPT, EDGES = 40_000, 200_000

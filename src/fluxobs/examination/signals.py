@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..logs.log import Log
 from ..machines import RotatingMachine
 from ..machines.model.frames import CURRENTS, PHASE_CURRENTS
 from .item import Item, look_if
-
-Array = NDArray[np.float64]
 
 #: Rows that are looked at.
 ROWS = 1_000_000

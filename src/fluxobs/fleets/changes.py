@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ..core.arrays import Array
 
 #: Fewest values on each side of a change, and fewest for a trend.
 LEAST, LEAST_FOR_TREND = 3, 5

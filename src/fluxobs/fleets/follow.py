@@ -9,15 +9,13 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..core.validation import nearest
 from ..errors import UsageError
 from ..estimation.summary import si
 from ..machines.heat import COPPER
 from .changes import LEAST, Course, course_of
-
-Array = NDArray[np.float64]
 
 #: What is followed: its standard deviation's column, its unit, its words.
 FOLLOWED = {

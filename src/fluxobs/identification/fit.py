@@ -19,11 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checking.segments import LAGS
+from ..core.arrays import Array
 from ..observers.immersed import CORRELATION_LIMIT
 from .relations import SATURATION, Relation, Rows, linear
 from .segments import Piece
-
-Array = NDArray[np.float64]
 
 #: Huber's constant: 95 % of the efficiency of least squares under normal noise.
 HUBER = 1.345

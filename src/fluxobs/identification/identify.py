@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..checking.segments import LAGS
 from ..core.validation import nearest
@@ -39,7 +38,6 @@ from .segments import HARDER, SECONDS, Piece, offset_std, pieces, smoothing_curr
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 #: If the others imitate a parameter this well (its variance is larger by this factor), what the
 #: model leaves out decides its value: the log does not tell it.

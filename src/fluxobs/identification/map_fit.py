@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.arrays import Array
 from ..machines import AlgebraicSaturation
 from .fit import Fit
 from .relations import SATURATION, Saturating
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: Share of the rows that the visited region leaves out on each side: single samples are no visit.

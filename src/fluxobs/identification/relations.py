@@ -13,10 +13,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..machines import AlgebraicSaturation
 from ..machines.model.flux_map import FluxMap
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: Rounds in which an angle is refined: each takes an error to the square of it, or nearly.

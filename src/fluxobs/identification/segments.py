@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..errors import FluxobsError
 from ..logs.log import Log
 from ..logs.scales import Scales, excerpts
@@ -18,8 +19,6 @@ from ..machines.model.inverter import SMOOTHING, inverter_direction
 from ..observers import LeastSquaresObserver
 from ..observers.adaptive import OFFSET_SHARE
 from ..observers.for_log import plain_for
-
-Array = NDArray[np.float64]
 
 #: A piece, over which the drift is taken as constant, lasts this many turns, at least this long
 #: [s], and is no shorter than this many rows.

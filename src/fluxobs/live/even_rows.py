@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..logs.clock import LONGEST_GAP, Clock, missing_steps
 from ..logs.formats.table import Columns
-
-Array = NDArray[np.float64]
 
 
 class Spaced:

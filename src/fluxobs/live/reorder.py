@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..logs.clock import Clock, longest_step
 from .rows import Part, joined
-
-Array = NDArray[np.float64]
 
 #: A stamp that is farther ahead [s] tells nothing: the sender began anew.
 _FARTHEST = 86400.0
@@ -120,7 +118,7 @@ class Order:
         added: list[tuple[float, float]] = []
         stamps = [float(one) for one in stamp]
         repeat = self.clock.rounding > 0
-        held = -1
+        held: int | None = None
         k = 0
 
         def accept(row: int) -> None:
@@ -131,7 +129,7 @@ class Order:
         while k < len(stamps):
             now, before = stamps[k], self._before
             since = None if before is None else self._step(now, before)
-            if held < 0:
+            if held is None:
                 if since is not None and (since > 0 or repeat) and 0 <= since <= self._longest:
                     accept(k)
                 elif since == 0:
@@ -147,11 +145,11 @@ class Order:
                 k += 1
             elif onward < 0 or (went_back and since is not None and since > 0):
                 self.left_out += 1
-                held = -1
+                held = None
             else:
                 accept(held)
-                held = -1
-        if held >= 0:
+                held = None
+        if held is not None:
             self._held = part.at(np.arange(len(stamps)) == held)
         kept = np.zeros(len(stamps), dtype=bool)
         for row in rows:

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..errors import RecordError
 from .clock import Clock
 from .formats import Table, read_rows
 from .guess import Part
 from .names import read_name
-from .resample import Array, resample
+from .resample import resample
 
 #: Rows of each file that are compared.
 ROWS = 200_000

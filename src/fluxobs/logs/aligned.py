@@ -6,14 +6,12 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..machines.model.frames import Frame, alphabeta_current, native_voltage, rotate, wrap
 from ..machines.model.inverter import InverterError
 from .formats.table import Columns
 from .record import interval_rows
-
-Array = NDArray[np.float64]
 
 
 class Aligned(NamedTuple):

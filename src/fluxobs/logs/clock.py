@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..errors import RecordError
 from .formats import Table, read_rows
-
-Array = NDArray[np.float64]
 
 #: A step of so many sample times is a gap.
 GAP = 1.6

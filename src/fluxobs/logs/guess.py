@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..errors import RecordError
 from ..machines.model.frames import CURRENTS, PHASE_CURRENTS, VOLTAGES, Frame
 from . import units
 from .formats import Table, read_rows
 from .layout import CONVERTING, NO_COLUMN, NO_TRUTH, words_for
 from .names import Named, is_setpoint, leaf, read_name
-from .resample import Array
 
 #: Rows that are looked at.
 ROWS = 20_000

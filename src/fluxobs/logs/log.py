@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..errors import RecordError
 from ..machines.model.frames import Frame
 from ..machines.model.held import Held
@@ -19,8 +19,6 @@ from .formats import BATCH, Table
 from .formats.table import Columns
 from .layout import Layout
 from .record import Record, check_lag
-
-Array = NDArray[np.float64]
 
 MINIMUM_ROWS = 20
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..core.arrays import Array
 from ..errors import RecordError
 from ..machines.model.frames import clarke
-
-Array = NDArray[np.float64]
-
 
 #: Sample times of record and observer may differ by this share: clocks are not more accurate.
 SAMPLE_TIME_TOLERANCE = 1e-3

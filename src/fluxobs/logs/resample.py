@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ..core.arrays import Array
 
 #: How a channel goes on between its samples: a command is held until the next one, an angle wraps,
 #: a state jumps.

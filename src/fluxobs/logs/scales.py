@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..errors import RecordError
 from ..machines.model.frames import wrap
 from .aligned import Aligned, between, joined
 from .log import Log
-
-Array = NDArray[np.float64]
 
 #: At most this much of a log is examined, evenly spread.
 EXCERPTS, EXCERPT_ROWS = 64, 16384

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..errors import RecordError
 from . import units
 from .clock import Clock, even, measure
@@ -15,7 +16,7 @@ from .formats import Table
 from .guess import Guess, Part
 from .layout import NO_COLUMN, Layout
 from .names import read_name
-from .resample import Array, Course
+from .resample import Course
 from .uniform import FilledTable, ResampledTable
 
 #: A sample time in a header is believed if the stamps agree within this share of it.

@@ -9,8 +9,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from .clock import INDEXED, Clock
-from .formats.table import BATCH, Array, Columns, Table
+from .formats.table import BATCH, Columns, Table
 from .resample import Course, resample
 
 #: Rows of the file beyond those in between that a resampled row may need.

@@ -9,17 +9,16 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from .. import _core
+from ..core.arrays import Array
 from ..core.validation import Positive, complaints
 from ..errors import MachineError
 from .model.constraint import QuadraticConstraint
 from .model.frames import Frame
 from .model.inverter import InverterError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ import numpy as np
 from pydantic import model_validator
 
 from .. import _core
+from ..core.arrays import Array
 from ..core.validation import NotNegative, Positive
-from .contract import Array, Position
+from .contract import Position
 from .datasheet import from_datasheet
 from .model.constraint import QuadraticConstraint
 from .model.flux_map import CageMap, FluxMap

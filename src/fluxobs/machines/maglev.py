@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 
+from ..core.arrays import Array
 from ..core.validation import Positive
 from .contract import Machine, Position
 from .model.constraint import QuadraticConstraint
-
-Array = NDArray[np.float64]
 
 
 class MagLev2DOF(Machine):

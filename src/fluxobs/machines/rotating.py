@@ -9,9 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from .. import _core
+from ..core.arrays import Array
 from ..core.validation import NotNegative, Number, Positive
 from ..errors import FluxobsError, MachineError
-from .contract import Array, Machine, Position, angle_std
+from .contract import Machine, Position, angle_std
 from .datasheet import from_datasheet
 from .model.constraint import QuadraticConstraint
 from .model.flux_map import FluxMap, LinearMap

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core, _core_single
+from ..core.arrays import Array
 from ..errors import ObserverError
 from ..machines import RotatingMachine, rotating
 from ..machines.model.flux_map import LinearMap
@@ -22,8 +23,6 @@ from .compiled import CompiledObserver, CompiledState, read_columns, wrapped
 from .outputs import documented, output
 from .plain import LeastSquaresObserver
 from .unknowns import ADAPTED
-
-Array = NDArray[np.float64]
 
 #: When the immersion is projected: see :class:`AdaptiveObserver`.
 Projection = Literal["never", "start"]

@@ -8,9 +8,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.arrays import Array
 from .outputs import documented, output
-
-Array = NDArray[np.float64]
 
 
 @documented

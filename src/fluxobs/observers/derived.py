@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..machines import InductionMachine, Machine, RotatingMachine
 from .base import Estimate
 from .outputs import Output
-
-Array = NDArray[np.float64]
 
 
 def _column(name: str, unit: str, about: str) -> Output:

@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
+from ..core.arrays import Array
 from ..errors import ObserverError, RecordError, UsageError
 from ..logs.record import Record
 from ..machines.model.immersion import Immersion
 from .base import SampleCounts
 from .outputs import documented, output
-
-Array = NDArray[np.float64]
 
 #: Share of the flux information that may come from noise, as in the compiled observer.
 NOISE_SHARE_LIMIT: float = _core.thresholds["SHARE_LIMIT"]

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..core.arrays import Array
 from ..errors import ObserverError
 from ..machines import MagLev2DOF
-
-Array = NDArray[np.float64]
 
 
 class TrackerState(NamedTuple):

@@ -18,12 +18,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..errors import ModelError
 from ..simulation.precision import not_negative, positive, real
 
-Array = NDArray[np.float64]
 Relation = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
 Motion = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
 

@@ -6,9 +6,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from ...simulation.drive.vectors import turn
-from .base import Array, Baseline, Guess, PllState, angle, leaf, pll, pll_start
+from .base import Baseline, Guess, PllState, angle, leaf, pll, pll_start
 
 
 def _lag(fade: Array, turned: Array) -> Array:

@@ -7,13 +7,12 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from ...simulation.drive.motor import Motor
 from ...simulation.drive.twin import wrap
 from ...simulation.drive.vectors import pair, vector
 from ...simulation.precision import real
-
-Array = jax.Array
 
 
 class Guess(NamedTuple):

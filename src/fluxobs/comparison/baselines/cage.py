@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from ...simulation.drive.motor import CageMotor
 from ...simulation.drive.vectors import length, pair, unit
-from .base import Array, Baseline, Guess, PllState, angle, leaf, pll, pll_start
+from .base import Baseline, Guess, PllState, angle, leaf, pll, pll_start
 from .kalman import corrected
 
 #: Rotor flux at the start, and the least that is divided by, over the rated one.

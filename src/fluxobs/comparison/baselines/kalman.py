@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from ...simulation.drive.twin import wrap
 from ...simulation.drive.vectors import pair, turn
-from .base import Array, Baseline, Guess, leaf
+from .base import Baseline, Guess, leaf
 
 
 class KalmanState(NamedTuple):

@@ -6,12 +6,13 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from ...machines.model.constraint import QuadraticConstraint
 from ...research.regression import SampledRegression
 from ...research.regression.sampled import Moments
 from ...simulation.drive.vectors import pair, vector
-from .base import Array, Baseline, Guess, PllState, angle, leaf, pll, pll_start
+from .base import Baseline, Guess, PllState, angle, leaf, pll, pll_start
 
 
 class RegressionState(NamedTuple):

@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from ...simulation.drive.twin import wrap
 from ...simulation.drive.vectors import turn
-from .base import Array, Baseline, Guess, leaf, pll_gains
+from .base import Baseline, Guess, leaf, pll_gains
 
 
 class SpeedAdaptiveState(NamedTuple):

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import Array
 
-from .base import Array, Baseline, Guess, PllState, angle, leaf, pll, pll_start
+from .base import Baseline, Guess, PllState, angle, leaf, pll, pll_start
 
 
 class VoltageModelState(NamedTuple):

@@ -39,7 +39,12 @@ def read_sheets(path: Path, header: list[str] | None) -> list[ArrayTable]:
         check_cells(path)
     try:
         sheets = pl.read_excel(
-            path, sheet_id=0, has_header=False, infer_schema_length=0, drop_empty_rows=False
+            path,
+            sheet_id=0,
+            has_header=False,
+            infer_schema_length=0,
+            drop_empty_rows=False,
+            raise_if_empty=False,
         )
     except Exception as error:  # the reader raises many kinds for a broken file
         raise RecordError(f"{path}: not a readable workbook: {error}") from None
@@ -52,8 +57,8 @@ def read_sheets(path: Path, header: list[str] | None) -> list[ArrayTable]:
             found[name] = _sheet(path, f"{path}, sheet {name!r}", frame, header)
         except RecordError as error:
             problems.append(error)
-    if not found and problems:
-        raise problems[0]
+    if not found:
+        raise problems[0] if problems else RecordError(f"{path}: all sheets are empty")
     if len(found) > 1:
         return [table.within(name) for name, table in found.items()]
     return list(found.values())

@@ -74,7 +74,7 @@ def read_apart(
         raise RecordError(answered)
     tables = []
     for names, rows, said in answered:
-        values = np.frombuffer(done.stdout, float, len(names) * rows, end).reshape(-1, rows)
+        values = np.frombuffer(done.stdout, float, len(names) * rows, end).reshape(len(names), rows)
         end += values.nbytes
         table = ArrayTable(dict(zip(names, values, strict=True)), path)
         table.said = Said(**said | {"notes": tuple(said["notes"])})

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ...core.arrays import Array
 from ...errors import RecordError
 from ..names import key, read_name
-from .table import BATCH, Array, Columns, Said, Table
+from .table import BATCH, Columns, Said, Table
 from .timing import INTERVAL, RATE, START
 
 #: A matrix has at most so many columns; more is an image, or rows and columns exchanged.

@@ -9,11 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from ...errors import RecordError
 
-Array = NDArray[np.float64]
 Columns = dict[str, Array]
 
 #: Default rows per batch: small enough that memory is reused rather than mapped anew.

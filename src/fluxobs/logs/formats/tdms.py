@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ...core.arrays import Array
 from ...errors import RecordError
 from .extras import library
-from .table import BATCH, Array, Columns, Said, Table
+from .table import BATCH, Columns, Said, Table
 
 
 class TdmsTable(Table):

@@ -6,11 +6,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ...core.arrays import Array
 from ...errors import ModelError
-
-Array = NDArray[np.float64]
 
 
 def _frozen(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -15,9 +15,9 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...core.arrays import Array
 from ...errors import ModelError
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: What a table says of each of its axes.

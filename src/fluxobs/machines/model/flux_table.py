@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...core.arrays import Array
 from ...errors import ModelError
 from .flux_map import DEGREE, TableMap, basis
-
-Array = NDArray[np.float64]
 
 #: Intervals of a table in each direction: 6 KB in single precision.
 INTERVALS = 24

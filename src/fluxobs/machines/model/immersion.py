@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...errors import ModelError
 from .constraint import QuadraticConstraint, invisible_offsets
 
-Array = NDArray[np.floating]
+FloatArray = NDArray[np.floating]
 
 Unknown = Literal["drift", "current-bias"]
 UNKNOWNS: tuple[Unknown, ...] = get_args(Unknown)
@@ -56,11 +56,11 @@ class Immersion:
 
     relations: tuple[QuadraticConstraint, ...]
     unknowns: tuple[Unknown, ...] = ("drift",)
-    R: Array | None = None
+    R: FloatArray | None = None
     #: Where the state holds s, flux, kappa, drift, c and current_bias.
     slices: dict[str, slice] = field(init=False, repr=False)
     size: int = field(init=False, repr=False)
-    _stack: dict[str, Array] = field(init=False, repr=False)
+    _stack: dict[str, FloatArray] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         given = self.relations
@@ -104,7 +104,7 @@ class Immersion:
 
     def lift(
         self, flux: ArrayLike, drift: ArrayLike | None = None, current_bias: ArrayLike | None = None
-    ) -> Array:
+    ) -> FloatArray:
         """State that belongs to flux [Wb], drift [V] and current bias [A], each (n,).
 
         If the current bias is the only unknown, the drift is R times it and must not be given.
@@ -118,7 +118,7 @@ class Immersion:
             theta = self.R @ delta
         else:
             theta = zero if drift is None else np.asarray(drift)
-        parts: dict[str, list[Array]] = {"s": [], "kappa": [], "c": []}
+        parts: dict[str, list[FloatArray]] = {"s": [], "kappa": [], "c": []}
         for relation in self.relations:
             Q1, Q2, Q3, E, C = (getattr(relation, name) for name in ("Q1", "Q2", "Q3", "E", "C"))
             free = x @ Q1 @ x + E @ x + relation.d
@@ -135,7 +135,7 @@ class Immersion:
             out[self.slices["current_bias"]] = delta
         return out
 
-    def transition(self, h: float, volt_seconds: ArrayLike) -> Array:
+    def transition(self, h: float, volt_seconds: ArrayLike) -> FloatArray:
         """F(h, v) of ``x₊ = F x + input``; unit upper triangular; ``F(h, v)⁻¹ = F(-h, -v)``.
 
         Parameters
@@ -172,7 +172,7 @@ class Immersion:
             F[at["kappa"], at["current_bias"]] = q @ self.R
         return F
 
-    def known_input(self, volt_seconds: ArrayLike) -> Array:
+    def known_input(self, volt_seconds: ArrayLike) -> FloatArray:
         """What v adds to the state: ``(vᵀQ1v + Eᵀv, v, 0, 0, 0, 0)``."""
         v = np.asarray(volt_seconds)
         out = np.zeros(self.size, dtype=np.result_type(v, float))
@@ -180,7 +180,7 @@ class Immersion:
         out[self.slices["flux"]] = v
         return out
 
-    def output_rows(self, current: ArrayLike) -> tuple[Array, Array]:
+    def output_rows(self, current: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Rows H, (r, size), and values y, (r,), of ``y = H x``: the relations at i_m."""
         i = np.asarray(current)
         rows = np.zeros((len(self.relations), self.size), dtype=np.result_type(i, float))
@@ -191,7 +191,7 @@ class Immersion:
             rows[:, self.slices["current_bias"]] = -2 * Q3i
         return rows, -(Q3i @ i + self._stack["C"] @ i)
 
-    def row_gain(self) -> Array:
+    def row_gain(self) -> FloatArray:
         """∂H/∂i_m, shape (r, size, n): how current noise enters the rows."""
         gain = np.zeros((len(self.relations), self.size, self.n))
         gain[:, self.slices["flux"]] = self._stack["Q2"]
@@ -199,14 +199,14 @@ class Immersion:
             gain[:, self.slices["current_bias"]] = -2 * self._stack["Q3"]
         return gain
 
-    def transition_gain(self) -> Array:
+    def transition_gain(self) -> FloatArray:
         """∂F(-h, -v)/∂v as h → 0, shape (n, size, size): how noise of v enters past rows."""
         zero = np.zeros(self.n)
         return np.stack(
             [self.transition(0.0, -unit) - self.transition(0.0, zero) for unit in np.eye(self.n)]
         )
 
-    def invisible(self) -> Array:
+    def invisible(self) -> FloatArray:
         """Constant offsets (r, s) of flux [Wb] and current [A] that no record can reveal.
 
         Returns

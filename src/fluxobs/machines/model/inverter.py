@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import _core
+from ...core.arrays import Array
 from .frames import clarke
-
-Array = NDArray[np.float64]
 
 #: The sign of a phase current is smoothed below this share of the current's size: near zero, the
 #: switches' capacitances determine the voltage, not the dead time.

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ...core.arrays import Array
 from ..regression import Parametrisation, Regressors
 from ..regression.laws.base import positive_definite
 from .excitation import excitation
-
-Array = NDArray[np.float64]
 
 
 def decay_rate(Gamma: ArrayLike, window: float, alpha: float, Phi_max: float) -> float:

@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import jax
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from ...core.arrays import Array
 
 _ROOT = np.sqrt(6.0)
 #: Nodes of a step, and weights of the stages.

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import subspace_angles
 
+from ...core.arrays import Array
 from ...errors import ModelError
 from ...machines.model.constraint import QuadraticConstraint, invisible_offsets
 from ...machines.model.immersion import Immersion
 from ..regression import Parametrisation, Regressors
-
-Array = NDArray[np.float64]
 
 
 def observability_gramian(

@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
+from ...core.arrays import Array
 from ...errors import ModelError
 from ..regression import Parametrisation
 from ..regression.laws.base import positive_definite
 from ..regression.periodic import between
 from .flow import NODES, flow_growth, flow_joined, flow_product, flow_steps
-
-Array = NDArray[np.float64]
 
 #: Steps a period are doubled until no exponent changes by more than this share, or this often.
 CONVERGED, DOUBLINGS = 1e-5, 6

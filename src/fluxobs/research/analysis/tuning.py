@@ -13,14 +13,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ...core.arrays import Array
 from ...errors import ModelError
 from ..regression import Parametrisation, Regressors
 from ..regression.laws.gradient import RepairedAdaptiveObserver, sensitivity_step
-
-Array = NDArray[np.float64]
-
 
 #: Directions excited less than this share of the strongest get no higher gain.
 LEAST = 1e-10

@@ -15,11 +15,9 @@ from dataclasses import dataclass
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from .system import ElectromechanicalSystem
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,11 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from ...errors import ModelError
 from ...machines.model.constraint import QuadraticConstraint, invisible_offsets
 from .system import ElectromechanicalSystem
-
-Array = NDArray[np.float64]
 
 #: A relation is exact if its singular value is below this share of the largest, ...
 FLOOR = 1e-9

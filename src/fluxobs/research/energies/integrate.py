@@ -11,14 +11,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import matrix_balance
 
+from ...core.arrays import Array
 from ...errors import ModelError
 from ...simulation.precision import real
 from .system import ElectromechanicalSystem, State
 
-Array = NDArray[np.float64]
 Control = Callable[[Any, State], jax.Array]
 
 

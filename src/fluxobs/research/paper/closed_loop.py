@@ -15,8 +15,8 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from ...machines import MagLev2DOF
 from ...observers.immersed import ImmersionState
 from ...observers.levitation_tracker import LevitationTracker, TrackerState
@@ -36,8 +36,6 @@ from .levitation import (
     benchmark,
 )
 from .section_v import levitation_observer
-
-Array = NDArray[np.float64]
 
 #: Plant steps per sample.
 SUBSTEPS = 20

@@ -10,15 +10,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from ..analysis.flow import flow_states, flow_steps
 from ..analysis.stability import balanced_error_system, record_nodes
 from ..regression import Parametrisation, Regressors
 from ..regression.laws.base import positive_definite
 from .levitation import FilteredRecord, LevitationRecord
-
-Array = NDArray[np.float64]
 
 #: Substeps of a row are doubled until no error moves by more than this share of the largest one.
 CONVERGED, MOST_SUBSTEPS = 1e-3, 16

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from ..analysis import over_gain
 from ..regression import Parametrisation
 from ..regression.laws import (
@@ -17,8 +17,6 @@ from ..regression.laws import (
     integrate_law,
 )
 from .pmsm import counter_example as trajectory
-
-Array = NDArray[np.float64]
 
 GAINS = tuple(10.0**k for k in range(-3, 5))
 #: Samples a period of the multipliers, steps a period of the runs.

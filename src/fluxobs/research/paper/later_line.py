@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from ...machines.model.immersion import Immersion
 from ..analysis import balanced_gain, balanced_repaired, immersion_gramian
 from ..regression import Parametrisation, SampledRegression, residual
@@ -40,8 +40,6 @@ from .section_v import (
     thinned,
 )
 from .studies import with_noise
-
-Array = NDArray[np.float64]
 
 #: Memory of the estimators that forget [s].
 MEMORY = 1.0

@@ -10,8 +10,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from ...machines import MagLev2DOF, example
 from ...machines.model.constraint import QuadraticConstraint
 from ...simulation.closed_form.sensors import Steps
@@ -22,8 +22,6 @@ from ..energies.orbit import PeriodicOrbit, periodic_orbit
 from ..energies.system import ElectromechanicalSystem, State
 from ..regression import FilteredRegression, Orbit, Regressors
 from ..regression.filtered import PLACES, Filters, filter_record, read_out_record
-
-Array = NDArray[np.float64]
 
 #: Values from the paper.
 CORNER = 50.0

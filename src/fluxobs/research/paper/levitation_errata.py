@@ -9,15 +9,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from ..energies.ida_pbc import IdaPbc
 from ..energies.integrate import Control, poles
 from ..energies.library import maglev_as_printed
 from ..energies.system import State
 from .levitation import SCENARIOS, LevitationScenario, benchmark, closed_loop
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,16 +9,14 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from ...machines import SurfacePMSM, example
 from ...machines.model.constraint import QuadraticConstraint
 from ...simulation.closed_form.sensors import Steps
 from ..energies.integrate import volt_seconds
 from ..regression import FilteredRegression, Orbit, Regressors, periodic_regression
 from ..regression.filtered import PLACES, filter_record, read_out_record
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from .levitation import SCENARIOS, LevitationScenario, record
 from .section_v import ErrorCourse, levitation_run, sizes
 from .stability import Growth, growth
@@ -21,8 +21,6 @@ from .studies import (
     parameters,
     robust,
 )
-
-Array = NDArray[np.float64]
 
 #: Scenarios of the noise study.
 NOISY = ("S1", "S3", "S5")

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from ...machines import MagLev2DOF
 from ...machines.model.immersion import Immersion
 from ...observers import LeastSquaresObserver
@@ -35,8 +36,6 @@ from .levitation import (
     filtered,
 )
 from .pmsm import SERVO_CORNER, MotorRecord
-
-Array = NDArray[np.float64]
 
 #: Start of use, times 1/ν: the filters' transient has decayed to e^{-15}.
 RUN_IN = 15.0

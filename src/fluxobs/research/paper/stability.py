@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from ..analysis import excitation, over_gain
 from ..regression import Parametrisation, Regressors, periodic_regression
 from .levitation import (
@@ -22,8 +22,6 @@ from .levitation import (
     measured_orbit,
     orbit,
 )
-
-Array = NDArray[np.float64]
 
 #: Gain factors on the printed matrix of Proposition 2.
 FACTORS = (0.01, 1.0, 10.0)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from ...observers.levitation_tracker import LevitationTracker
 from ...simulation.closed_form.sensors import Sensor, Steps
 from ..analysis import balanced_gain, bound_on_record, excitation, observability_gramian
@@ -22,8 +22,6 @@ from .section_v import (
     sizes,
     thinned,
 )
-
-Array = NDArray[np.float64]
 
 #: Window of the excitation [s]: three periods of the slowest component of the reference.
 WINDOW = 2.0

@@ -13,14 +13,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
+from ...core.arrays import Array
 from ...errors import ModelError
 from ...machines.model.constraint import QuadraticConstraint
 from .regressors import Regressors
-
-Array = NDArray[np.float64]
 
 
 class Filters(NamedTuple):

@@ -10,14 +10,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ...core.arrays import Array
 from ...errors import ModelError
 from ...machines.model.constraint import QuadraticConstraint
 from .filtered import FilteredRegression, cascade, read_out_record
 from .regressors import Regressors
-
-Array = NDArray[np.float64]
 
 #: Share of a signal's power that the highest tenth of its harmonics may have.
 RESOLVED = 1e-12

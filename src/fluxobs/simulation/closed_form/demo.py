@@ -16,16 +16,14 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from ...core.output import write_text
 from ...logs import Log, read_log
 from ...machines import example, rotating
 from ...machines.model.frames import wrap
 from .sensors import Sensor, Steps
 from .signals import driven, inverter_loss, vectors
-
-Array = NDArray[np.float64]
 
 #: The shipped log.
 LOG = Path(__file__).with_name("demo_log.csv")

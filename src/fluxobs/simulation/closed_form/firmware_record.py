@@ -10,14 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from ...machines import RotatingMachine
 from ...machines.model.frames import wrap
 from ...observers import LeastSquaresObserver
 from .signals import driven, vectors
-
-Array = NDArray[np.float64]
 
 #: Samples per electrical period at full speed: so many, more if a sample is shorter than USUAL [s],
 #: fewer where the EMF has to be larger.

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...core.arrays import Array
 from ...machines import InductionMachine, RotatingMachine
 from ...machines.model.frames import clarke
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 AnyComplex = NDArray[np.complexfloating]
 

@@ -8,13 +8,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from ...errors import ModelError
 from ..precision import not_negative, positive, real
 from .motor import LEAST_FLUX, CageMotor, Motor
 from .vectors import ROOT3, length, limit
-
-Array = jax.Array
 
 #: Of a cage: bandwidth of the rotor flux [rad/s], 1.6 times its own; the share of the voltage
 #: that its EMF may take, the rest being for leakage and load steps; the share of the current limit

@@ -7,10 +7,9 @@ from typing import Any, Self
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from ...machines.model.flux_map import DEGREE, CageMap, FluxMap, TableMap
-
-Array = jax.Array
 
 #: Newton steps from the chord to the flux of a current: the residual is then rounding.
 NEWTON = 8

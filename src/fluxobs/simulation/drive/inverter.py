@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
+from jax import Array
 
 from ...errors import ModelError
 from ..precision import not_negative, positive
 from .vectors import from_phases, phases
-
-Array = jax.Array
 
 
 class Inverter(eqx.Module):

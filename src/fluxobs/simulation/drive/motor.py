@@ -15,6 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from ...errors import ModelError
 from ...machines import RotatingMachine, rotating
@@ -23,8 +24,6 @@ from ..precision import not_negative, positive, real
 from ..runge_kutta import runge_kutta_step
 from .flux_map import Map
 from .vectors import length, turn
-
-Array = jax.Array
 
 #: Largest number of integration steps per sample to unroll; more run in a loop.
 UNROLLED = 4

@@ -8,12 +8,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from ..precision import real
 from .twin import Reading
 from .vectors import length, turn, unit
-
-Array = jax.Array
 
 #: Modes: open-loop rotation of the current vector (I/f), and control with the observer's angle.
 STARTING, RUNNING = 0, 1

@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
+from jax import Array
 
 from ...errors import ModelError
 from ..precision import not_negative, positive, real
 from .profile import Profile
 from .vectors import from_phases, phases
-
-Array = jax.Array
 
 
 class Sensors(eqx.Module):

@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from numpy.typing import NDArray
 
 from ...errors import ModelError
@@ -25,8 +26,6 @@ from .sensorless import RUNNING, Sensorless, SensorlessState
 from .sensors import Sensors
 from .twin import Reading
 from .vectors import length, limit, pair, turn, unit, vector
-
-Array = jax.Array
 
 #: Trip current over the current limit.
 TRIP = 3.0

@@ -15,6 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from ... import _core
 from ...machines.model.held import kink_weights
@@ -32,8 +33,6 @@ PERIOD = int(C.REINJECT_PERIOD)
 #: Columns of the information triangle: s, flux, kappa, drift, c, and the right side.
 S, FLUX, KAPPA, DRIFT, CC, Z = 0, slice(1, 3), 3, slice(4, 6), 6, 7
 PRIOR_POWER = np.array([0, 0, 0, 1, 1, 1, 2])
-
-Array = jax.Array
 
 
 class Shape(NamedTuple):

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from typing import Self
 
-import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
+from ....core.arrays import Array
 from ..lazy import BROKEN
 from .structure import Structure
-
-Array = NDArray[np.float64]
 
 #: Column for cells beyond the header; lines that have them are refused.
 _SURPLUS = "surplus"

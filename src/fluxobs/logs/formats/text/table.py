@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ....core.arrays import Array
 from ....errors import RecordError
-from ..table import BATCH, Array, Columns, Table
+from ..table import BATCH, Columns, Table
 from . import source
 from .cells import MINUS, clock_formats, is_missing, split
 from .parse import Cells, Ragged
