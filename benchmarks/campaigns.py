@@ -49,11 +49,11 @@ def run(loop: str, scheduler: str, workers: int, scenarios: int = SCENARIOS) -> 
     s = specification(loop, scenarios)
     with tempfile.TemporaryDirectory() as folder:
         found = dataset.create(Path(folder) / "out", s, _size(s))
-        from fluxobs.campaigns.chunk import Work
+        from fluxobs.campaigns.chunk import ChunkTask
 
         started = time.perf_counter()
         with locked(found.folder):
-            work = Work(str(found.folder), s.canonical())
+            work = ChunkTask(str(found.folder), s.canonical())
             fill(found, work, workers, scheduler, lambda done, total: None)
         wall = time.perf_counter() - started
         lines = (found.folder / TIMES).read_text().splitlines()

@@ -12,7 +12,7 @@ from fluxobs.campaigns import simulated as simulated_module
 from fluxobs.campaigns.dataset import Chunk, Dataset, chunk_size
 from fluxobs.campaigns.draws import Scenario
 from fluxobs.campaigns.drives import cell_of, drive_of, motor_of
-from fluxobs.campaigns.observed import Candidate, Found, Parameters, _errors, candidate
+from fluxobs.campaigns.observed import Candidate, ObservedRecord, Parameters, _errors, candidate
 from fluxobs.campaigns.quantities import PARAMETERS
 from fluxobs.campaigns.rows import _batches, noise_of, true_parameters
 from fluxobs.campaigns.scores import loop_measures, measures
@@ -264,7 +264,7 @@ def test_a_loop_that_never_began_at_standstill():
 
 
 def scored(error, valid=True, std=1.0, start=0.0):
-    found = Found(
+    found = ObservedRecord(
         error, np.full(ROWS, np.nan), np.full(ROWS, valid), None if std is None else std + 0 * T, {}
     )
     return measures(T, trace(), np.full(ROWS, 2.0), found, example("servo-400w"), start)

@@ -15,7 +15,7 @@ from fluxobs.campaigns.columns import schema
 from fluxobs.campaigns.draws import Scenario, scenarios
 from fluxobs.campaigns.drives import cell_of, drive_of, motor_of
 from fluxobs.campaigns.in_loop import _HOST, in_loop
-from fluxobs.campaigns.observed import Found, candidate
+from fluxobs.campaigns.observed import ObservedRecord, candidate
 from fluxobs.campaigns.rows import rows_for, rows_of
 from fluxobs.campaigns.scores import measures
 from fluxobs.campaigns.simulated import Kept, simulated
@@ -173,7 +173,9 @@ def test_measures_are_those_of_a_brute_force_sum():
     std = np.full(rows, 0.05)
     nothing = np.zeros(rows)
     true = Kept(*(nothing,) * len(Kept._fields))._replace(theta_e=theta)
-    found = Found(np.angle(np.exp(1j * (theta + error))), nothing + 3.0, valid, std, {"psi_f": 1.5})
+    found = ObservedRecord(
+        np.angle(np.exp(1j * (theta + error))), nothing + 3.0, valid, std, {"psi_f": 1.5}
+    )
     row = measures(t, true, nothing + 1.0, found, example("servo-400w"), 0.1)
     mine = [abs(e) for e, v, at in zip(error, valid, t, strict=True) if v and at >= 0.1]
     assert row["rms"] == pytest.approx(np.sqrt(sum(e * e for e in mine) / len(mine)))
@@ -191,7 +193,7 @@ def test_measures_are_those_of_a_brute_force_sum():
 def test_no_valid_row_tells_nothing():
     nothing = np.zeros(100)
     true = Kept(*(nothing,) * len(Kept._fields))
-    found = Found(nothing + 3.0, nothing, nothing > 0, nothing, {})
+    found = ObservedRecord(nothing + 3.0, nothing, nothing > 0, nothing, {})
     row = measures(1e-3 * np.arange(100), true, nothing, found, example("servo-400w"), 0.0)
     assert row["valid"] == 0.0
     assert row["rms"] is None
@@ -212,6 +214,6 @@ def test_sure_and_wrong_is_beyond_five_deviations_and_ten_degrees():
     error[10:13] = np.radians(9.0)  # nine deviations, but small
     error[20:25] = np.radians(11.0)
     error[30:40], std[30:40] = np.radians(40.0), np.radians(9.0)  # less than five
-    found = Found(error, nothing, nothing == 0, std, {})
+    found = ObservedRecord(error, nothing, nothing == 0, std, {})
     row = measures(1e-3 * np.arange(100), true, nothing, found, example("servo-400w"), 0.0)
     assert row["wrong"] == 0.05

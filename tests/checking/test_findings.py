@@ -7,7 +7,7 @@ import pytest
 
 from fluxobs.checking.findings import Finding
 from fluxobs.checking.mistakes import AS_GIVEN, FACTOR, FILE, LAG, PHASES, SCALES, SIGN, Mistake
-from fluxobs.checking.relation import Fit
+from fluxobs.checking.relation import RelationFit
 from fluxobs.checking.search import (
     End,
     Tried,
@@ -27,7 +27,7 @@ TOLD = np.full(4, 0.05)
 
 def fit(misfit=10.0, share=0.01, values=(0, 0, 0, 0), std=TOLD, distance=0.0):
     position = np.full((2, 4), 0.3j)
-    return Fit(misfit, distance, share, np.array(values, float), np.array(std), position)
+    return RelationFit(misfit, distance, share, np.array(values, float), np.array(std), position)
 
 
 def tried(mistake=AS_GIVEN, whole=None, **given):

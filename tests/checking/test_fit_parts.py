@@ -9,8 +9,8 @@ from fluxobs.checking.relation import (
     L,
     Prior,
     R,
-    Relation,
-    Rows,
+    RelationResidual,
+    SegmentRows,
     _start,
     positions,
     rows,
@@ -115,13 +115,13 @@ def record(machine, i_dq=2 + 3j, inverter=0.0, noise=0.0, speeds=(200.0, -300.0,
     at = positions(600)
     i = i + noise * (RNG.standard_normal(i.shape) + 1j * RNG.standard_normal(i.shape))
     cut = [values[:, at] for values in (t, i, voltage, charge, sign)]
-    return Rows(*cut, size), turn[:, at], flux[:, :1]
+    return SegmentRows(*cut, size), turn[:, at], flux[:, :1]
 
 
 @pytest.mark.parametrize("machine", [PMSM, IPM, SYNRM, example("ipm-5kw6")])
 def test_the_right_parameters_leave_nothing(machine):
     data, turn, _ = record(machine)
-    fit = Relation(machine, data, 0.0).fit(TIGHT, np.zeros(4))
+    fit = RelationResidual(machine, data, 0.0).fit(TIGHT, np.zeros(4))
     assert fit.share < 2e-3
     np.testing.assert_allclose(fit.values, 0.0, atol=0.02)
     off = np.angle(fit.position / turn)
@@ -133,7 +133,7 @@ def test_parameters_that_are_off():
     data, _, _ = record(PMSM, inverter=0.03)
     scaled = PMSM.with_values(R_s=PMSM.R_s / 1.1, L_s=PMSM.L_s / 0.95, psi_f=PMSM.psi_f / 1.05)
     loose = Prior(np.zeros(4), 1e-6 * np.eye(4))
-    fit = Relation(scaled, data, 0.0).fit(loose, np.zeros(4))
+    fit = RelationResidual(scaled, data, 0.0).fit(loose, np.zeros(4))
     values = [np.log(1.1), np.log(0.95), np.log(1.05), 0.03]
     np.testing.assert_allclose(fit.values, values, atol=2e-3)
 
@@ -161,7 +161,7 @@ def full_step(at, found, prior):
 
 def point(machine, prior=TIGHT):
     data, _, _ = record(machine, noise=0.05)
-    at = Relation(machine, data, 0.05)
+    at = RelationResidual(machine, data, 0.05)
     values = np.array([0.05, -0.04, 0.03, 0.01])
     shape = (len(data.t), 1)
     rng = np.random.default_rng(2)
@@ -204,7 +204,7 @@ def test_how_the_length_answers(name):
     """The derivatives by the flux and by the inductances, by differences."""
     machine = example(name)
     data, _, start = record(machine)
-    at = Relation(machine, data, 0.0)
+    at = RelationResidual(machine, data, 0.0)
     psi = machine.magnet_flux
     values = np.zeros(4) if at.table else np.array([0.0, 0.05, 0.0, 0.0])
     flux = at._integral(values) + start
@@ -227,13 +227,13 @@ def test_how_the_length_answers(name):
 @pytest.mark.parametrize(("turned", "known"), [(88.0, False), (92.0, True)])
 def test_less_than_a_quarter_of_a_turn_tells_nothing(turned, known):
     data, _, _ = record(PMSM, speeds=(np.radians(turned) / (599 * H),) * 3)
-    fit = Relation(PMSM, data, 0.0).fit(TIGHT, np.zeros(4))
+    fit = RelationResidual(PMSM, data, 0.0).fit(TIGHT, np.zeros(4))
     assert np.isfinite(fit.share) == np.isfinite(fit.misfit) == known
 
 
 def test_a_fit_is_a_minimum_and_the_inverter_takes_no_less_than_nothing():
     data, _, _ = record(PMSM, inverter=-0.02, noise=0.05)
-    at = Relation(PMSM, data, 0.05)
+    at = RelationResidual(PMSM, data, 0.05)
     fit = at.fit(TIGHT, np.zeros(4))
     assert fit.values[INVERTER] == 0.0
     assert np.all(fit.std[[R, L, PSI, INVERTER]] <= [0.2501, 0.1508, 0.0801, 0.1001])

@@ -14,7 +14,7 @@ from fluxobs.checking.relation import (
     L,
     Prior,
     R,
-    Relation,
+    RelationResidual,
     rows,
 )
 from fluxobs.checking.segments import Stretches, stretches, without_spikes
@@ -31,7 +31,7 @@ def data():
 
 
 def relation(machine, data):
-    return Relation(machine, rows(data, data.voltage[0], data.current, 0.3), 0.02)
+    return RelationResidual(machine, rows(data, data.voltage[0], data.current, 0.3), 0.02)
 
 
 def test_finds_what_is_off(data):
@@ -46,7 +46,9 @@ def test_finds_what_is_off(data):
 
 def test_derivatives_are_those_of_the_residual(data, monkeypatch):
     monkeypatch.setattr("fluxobs.checking.relation.HUBER", 1e9)
-    found = Relation(MACHINES["ipm-2kw2"], rows(data, data.voltage[0], data.current, 0.3), 0.0)
+    found = RelationResidual(
+        MACHINES["ipm-2kw2"], rows(data, data.voltage[0], data.current, 0.3), 0.0
+    )
     values = np.array([0.1, -0.1, 0.05, 0.02])
     first = np.full((len(data.current), 1), 0.3 + 0.2j)
     slope = np.full((len(data.current), 1), 0.1 - 0.2j)
@@ -78,7 +80,7 @@ def test_noise_moves_nothing(name):
     voltage = np.stack([part.voltage @ [1, 1j] for part in parts])
     noisy = Stretches(1e-4, current, {0: voltage}, None)
     loose = Prior(np.zeros(4), np.diag([1.0, 1.0, 1.0, 100.0]))
-    fit = Relation(machine, rows(noisy, voltage, current, 0.3), 0.1).fit(loose, np.zeros(4))
+    fit = RelationResidual(machine, rows(noisy, voltage, current, 0.3), 0.1).fit(loose, np.zeros(4))
     assert abs(fit.values[L]) < 4 * fit.std[L] + 0.02
     assert abs(fit.values[R]) < 4 * fit.std[R] + 0.02
 

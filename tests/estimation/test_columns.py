@@ -9,7 +9,7 @@ import pytest
 import fluxobs
 from fluxobs.estimation.columns import _immersed
 from fluxobs.estimation.result_data import facts
-from fluxobs.estimation.truth import Fitted, TruthFit
+from fluxobs.estimation.truth import TruthFit, TruthParameter
 from fluxobs.logs.aligned import Aligned
 from fluxobs.observers import ImmersionEstimate
 from support.records import SERVO, log_columns, steady
@@ -108,7 +108,7 @@ def test_facts_are_the_numbers_of_a_run(run):
         error_squared=40 * 0.09,
         error_max=0.7,
     )
-    zero = Fitted("zero", 0.3, 0.1, "rad")
+    zero = TruthParameter("zero", 0.3, 0.1, "rad")
     fit = TruthFit("theta_e", (zero,), -3, ("words",), 0.25, np.nan)
     told = facts(replace(run, statistics=counted), ["a warning"], fit)
     assert (told["rows"], told["valid_share"], told["first_valid"]) == (200, 0.25, 0.5)

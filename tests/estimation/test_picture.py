@@ -8,7 +8,7 @@ from matplotlib.colors import to_hex
 
 from fluxobs.core.plots import new_figure
 from fluxobs.estimation import picture
-from fluxobs.estimation.truth import Fitted, TruthFit
+from fluxobs.estimation.truth import TruthFit, TruthParameter
 
 T = np.linspace(0.0, 1.0, 200)
 VALID = (T > 0.2).astype(float)
@@ -130,7 +130,7 @@ def test_an_error_that_is_never_known(axes):
 
 
 def fit(value, std=0.01):
-    zero = Fitted("zero", value, std, "rad")
+    zero = TruthParameter("zero", value, std, "rad")
     return TruthFit("theta_e", (zero,), 1, (), 0.01, 0.02, known={"zero": value})
 
 
@@ -147,7 +147,7 @@ def test_errors_are_against_the_fitted_truth():
     np.testing.assert_allclose(scored["theta_e_error"], 0.01 * np.cos(T), atol=1e-12)
     np.testing.assert_allclose(scored["truth"], SERIES["theta_e"] - 0.01 * np.cos(T), atol=1e-12)
     assert picture._scored(SERIES, fit(0.3)) is SERIES
-    speed = TruthFit("speed_e", (Fitted("gain", 1.0, 0.1, "1"),), 1, (), 0.0, 0.0)
+    speed = TruthFit("speed_e", (TruthParameter("gain", 1.0, 0.1, "1"),), 1, (), 0.0, 0.0)
     assert picture._scored(SERIES | {"raw": raw}, speed)["theta_e_error"] is SERIES["theta_e_error"]
 
 

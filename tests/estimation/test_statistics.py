@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fluxobs.estimation.columns import Rows
+from fluxobs.estimation.columns import EstimateRows
 from fluxobs.estimation.statistics import Statistics
 
 ROWS = 5000
@@ -19,7 +19,7 @@ def run(valid, size):
     for first in range(0, ROWS, size):
         part = slice(first, first + size)
         columns = {"t": T[part], "flux_alpha": FLUX[part]}
-        statistics.add(Rows(columns, valid[part], ERROR[part], INNOVATION[part], {}))
+        statistics.add(EstimateRows(columns, valid[part], ERROR[part], INNOVATION[part], {}))
     return statistics
 
 

@@ -10,7 +10,7 @@ from fluxobs.estimation import truth
 from fluxobs.estimation.truth import (
     BLOCKS,
     LOST,
-    Fitted,
+    TruthParameter,
     TruthSamples,
     _lost,
     _robust,
@@ -155,7 +155,7 @@ def test_a_fit_needs_ten_rows_a_block(channel):
 
 @pytest.mark.parametrize(("value", "told"), [(2.99, False), (3.01, True), (-3.01, True)])
 def test_three_standard_deviations_are_told(value, told):
-    assert Fitted("zero", value, 1.0, "rad").told == told
+    assert TruthParameter("zero", value, 1.0, "rad").told == told
 
 
 # ---- rows that are kept ---------------------------------------------------------------------

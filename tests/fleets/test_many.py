@@ -20,7 +20,7 @@ import pytest
 import fluxobs
 from fluxobs.errors import FluxobsError, UsageError
 from fluxobs.fleets import estimate_many, log_task, open_fleet
-from fluxobs.fleets.log_task import COLUMNS, Settings, Work
+from fluxobs.fleets.log_task import COLUMNS, LogTask, Settings
 from fluxobs.fleets.sources import Source, sources
 from fluxobs.machines.files import example_text
 from fluxobs.simulation.closed_form.demo import LOG
@@ -147,8 +147,8 @@ def test_logs_of_earlier_runs_stay_in_the_table(logs, tmp_path):
     assert table["drive"].to_list() == ["a", "b", "b"]
 
 
-def work(tmp_path: Path) -> Work:
-    return Work(str(tmp_path / "out"), Settings("servo-400w", "{}"))
+def work(tmp_path: Path) -> LogTask:
+    return LogTask(str(tmp_path / "out"), Settings("servo-400w", "{}"))
 
 
 def test_a_log_that_changes_meanwhile_is_a_row_that_says_so(logs, tmp_path, monkeypatch):

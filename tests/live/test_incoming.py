@@ -14,7 +14,7 @@ from fluxobs.live.even_rows import Spaced
 from fluxobs.live.frames import HEAD_ROWS, HEADER, MARK, SAMPLES, Frames, frame
 from fluxobs.live.lines import HEAD_LINES, Lines
 from fluxobs.live.reorder import Order, Ordered
-from fluxobs.live.rows import Part
+from fluxobs.live.rows import StreamRows
 from fluxobs.logs.clock import even
 from support.records import MACHINES
 
@@ -204,7 +204,7 @@ def spaced(stamps, clock=None):
     """Rows at even times from stamps, in one piece and row by row: both must agree."""
     clock = clock or even(100, 0.01)
     stamps = np.asarray(stamps, float)
-    rows = Part({"t": stamps, "i": np.arange(len(stamps), dtype=float)}, b"")
+    rows = StreamRows({"t": stamps, "i": np.arange(len(stamps), dtype=float)}, b"")
     pieces = [rows.at(np.arange(len(stamps)) == k) for k in range(len(stamps))]
     made = []
     for parts in ([rows], pieces):

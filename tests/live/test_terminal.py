@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fluxobs.estimation.columns import Rows
+from fluxobs.estimation.columns import EstimateRows
 from fluxobs.live.sources import Demo
 from fluxobs.live.terminal import Terminal, shown, sparkline
 from fluxobs.live.watch import Watch
@@ -19,7 +19,7 @@ def at(monkeypatch):
 
 def rows(theta, valid):
     columns = {"theta_e": np.array([theta]), "speed_e": np.array([10.0])}
-    return Rows(columns, np.array([valid]), None, None, {})
+    return EstimateRows(columns, np.array([valid]), None, None, {})
 
 
 def test_lines_of_a_stream(tmp_path, capsys, at):

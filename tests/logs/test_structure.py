@@ -8,7 +8,7 @@ import pytest
 from fluxobs import RecordError
 from fluxobs.logs.formats import timing
 from fluxobs.logs.formats.formula import is_arithmetic
-from fluxobs.logs.formats.nested import Found, tables
+from fluxobs.logs.formats.nested import Contents, tables
 from fluxobs.logs.formats.text import structure
 from fluxobs.logs.formats.text.cells import clock_formats, is_missing, is_number, split
 
@@ -172,7 +172,7 @@ def test_what_a_cell_is():
 
 
 def test_columns_of_nested_data():
-    found = Found()
+    found = Contents()
     matrix = np.arange(30.0).reshape(10, 3)
     for name, data in {
         "line": np.arange(10.0),
@@ -212,7 +212,7 @@ def test_columns_of_nested_data():
     ],
 )
 def test_the_sample_time_of_nested_data(numbers, interval, start):
-    found = Found({"x": (10, lambda first, last: np.zeros(last - first))}, {}, numbers)
+    found = Contents({"x": (10, lambda first, last: np.zeros(last - first))}, {}, numbers)
     (table,) = tables(Path("log"), found)
     assert (table.said.sample_time, table.said.start) == (interval, start)
 
@@ -222,11 +222,11 @@ def test_groups_with_times_of_their_own_are_tables():
         return rows, lambda first, last: np.zeros(last - first)
 
     names = ["a/time", "a/x", "b/time", "b/y", "c/z"]
-    found = Found({name: column(10) for name in names} | {"d/w": column(20)})
+    found = Contents({name: column(10) for name in names} | {"d/w": column(20)})
     assert [table.columns for table in tables(Path("log"), found)] == [
         *(["a/time", "a/x"], ["b/time", "b/y"], ["c/z"], ["d/w"])
     ]
-    found = Found({name: column(10) for name in ("a/time", "a/x", "c/z")})
+    found = Contents({name: column(10) for name in ("a/time", "a/x", "c/z")})
     assert [table.columns for table in tables(Path("log"), found)] == [["a/time", "a/x", "c/z"]]
 
 

@@ -81,8 +81,8 @@ function $unzipped(b) {
 
 $module("fluxobs.logs.formats.npz", ($m) => {
   $m.open_npz = (path) => {
-    const { Found, tables } = $import("fluxobs.logs.formats.nested"),
-      found = Found();
+    const { Contents, tables } = $import("fluxobs.logs.formats.nested"),
+      found = Contents();
     try {
       for (const [name, data] of $unzipped(path.read_bytes())) {
         const made = $npy(data, path),

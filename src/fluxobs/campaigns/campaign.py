@@ -12,7 +12,7 @@ from ..core.output import make_folder
 from ..core.symlinks import open_own
 from ..errors import FluxobsError
 from . import dataset
-from .chunk import Work
+from .chunk import ChunkTask
 from .dataset import TIMES, WORST, Chunk, Dataset
 from .draws import total
 from .specification import Specification, check, read_specification
@@ -64,7 +64,7 @@ def campaign(
     folder = make_folder(out).resolve()
     with locked(folder):
         found = dataset.create(folder, given, size)
-        fill(found, Work(str(folder), given.canonical()), workers, scheduler, progress)
+        fill(found, ChunkTask(str(folder), given.canonical()), workers, scheduler, progress)
         make_folder(folder / WORST)
         keep = Keep(str(folder), given.canonical())
         for _ in compute(lacking(found), keep, workers, scheduler):

@@ -13,7 +13,7 @@ from .specification import Specification
 
 
 @dataclass(frozen=True)
-class Work:
+class ChunkTask:
     """The work on a chunk; as a function it is sent to the workers.
 
     Attributes

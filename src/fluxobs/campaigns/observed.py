@@ -35,7 +35,7 @@ TOGETHER = 16
 NOISE = 0.002
 
 
-class Found(NamedTuple):
+class ObservedRecord(NamedTuple):
     """What an observer found on one record, (rows,) each; no std where it does not tell one.
 
     `errors` are those of the parameters on the last valid row, in standard deviations, by name.
@@ -184,7 +184,7 @@ def nominal_record(cell: Cell) -> tuple[Array, Array]:
 
 def observe(
     one: Candidate, voltage: Array, current: Array, true: Sequence[Parameters]
-) -> Iterator[Found]:
+) -> Iterator[ObservedRecord]:
     """Run an observer over records of equal length, (lanes, rows, 2) each; yields lane by lane.
 
     Row k's voltage is the mean over the interval that ends there; the first is NaN.
@@ -192,7 +192,7 @@ def observe(
     if not one.compiled:
         outputs = _stepped(one.observer, np.nan_to_num(voltage), current)
         for theta, speed in zip(*map(np.asarray, outputs), strict=True):
-            yield Found(theta, speed, np.abs(speed) > one.trusted, None, {})
+            yield ObservedRecord(theta, speed, np.abs(speed) > one.trusted, None, {})
         return
     if not one.adaptive:
         for first in range(0, len(voltage), TOGETHER):
@@ -200,12 +200,12 @@ def observe(
             all_of = one.observer.run(voltage[some], current[some], threads=1)  # of this process
             lanes = (all_of.theta_e, all_of.speed_e, all_of.valid, all_of.theta_e_std)
             for theta_e, speed_e, valid, std in zip(*lanes, strict=True):
-                yield Found(theta_e, speed_e, valid, std, {})
+                yield ObservedRecord(theta_e, speed_e, valid, std, {})
         return
     for u, i, parameters in zip(voltage, current, true, strict=True):  # all at once: a gigabyte
         found = one.observer.run(u, i)
         errors = _errors(one, found, parameters)
-        yield Found(found.theta_e, found.speed_e, found.valid, found.theta_e_std, errors)
+        yield ObservedRecord(found.theta_e, found.speed_e, found.valid, found.theta_e_std, errors)
 
 
 @eqx.filter_jit

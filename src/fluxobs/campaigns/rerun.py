@@ -18,7 +18,7 @@ from ..machines import RotatingMachine
 from .columns import schema
 from .draws import scenarios, total
 from .drives import cell_of
-from .observed import UNKNOWNS, Candidate, Found
+from .observed import UNKNOWNS, Candidate, ObservedRecord
 from .rows import record_of, rows_for
 from .simulated import Simulated
 from .specification import ADAPTIVE, PLAIN, ObserverTable, Specification
@@ -119,7 +119,9 @@ def rerun(
         drawn = [scenarios(specification, number, number + 1)[0] for number in some]
         records: dict[int, tuple[Record, Candidate]] = {}
 
-        def watch(one: Simulated, by: Candidate, found: Found, records: Any = records) -> None:
+        def watch(
+            one: Simulated, by: Candidate, found: ObservedRecord, records: Any = records
+        ) -> None:
             h = cell_of(specification, one.scenario.machine).rated.sample_time
             records[one.scenario.number] = record_of(one, h), by
 

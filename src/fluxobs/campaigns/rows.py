@@ -15,13 +15,13 @@ from .columns import schema
 from .draws import Scenario, scenarios
 from .drives import Cell, cell_of
 from .in_loop import in_loop
-from .observed import NOISE, Candidate, Found, Parameters, candidate, observe
+from .observed import NOISE, Candidate, ObservedRecord, Parameters, candidate, observe
 from .quantities import QUANTITIES
 from .simulated import Simulated, lanes_for, simulated
 from .specification import Specification
 
 #: Receives one observer on one scenario: for who wants the record, not the row.
-Watch = Callable[[Simulated, Candidate, Found], None]
+Watch = Callable[[Simulated, Candidate, ObservedRecord], None]
 
 
 def rows_of(
@@ -62,7 +62,7 @@ def noise_of(specification: Specification) -> float:
     return max(middle, NOISE / 2)
 
 
-Observed = Iterator[tuple[Simulated, Candidate, Found | None]]
+Observed = Iterator[tuple[Simulated, Candidate, ObservedRecord | None]]
 
 
 def _open(
@@ -98,7 +98,7 @@ def _closed(
                 if one.trace is not None:
                     trace = one.trace
                     std = trace.std if by.compiled else None
-                    found = Found(trace.angle, trace.seen_speed, trace.valid, std, {})
+                    found = ObservedRecord(trace.angle, trace.seen_speed, trace.valid, std, {})
                 yield one, by, found
 
 
@@ -131,7 +131,11 @@ def true_parameters(one: Simulated, cell: Cell) -> Parameters:
 
 
 def _row(
-    specification: Specification, one: Simulated, by: Candidate, found: Found | None, cell: Cell
+    specification: Specification,
+    one: Simulated,
+    by: Candidate,
+    found: ObservedRecord | None,
+    cell: Cell,
 ) -> dict[str, Any]:
     row: dict[str, Any] = {
         "number": one.scenario.number,

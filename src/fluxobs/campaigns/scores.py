@@ -12,7 +12,7 @@ from ..machines import RotatingMachine
 from ..simulation.drive.sensorless import RUNNING
 from ..simulation.drive.simulate import UNFOLLOWED
 from .columns import MEASURES
-from .observed import Found
+from .observed import ObservedRecord
 from .simulated import Kept
 
 #: A position within this many standard deviations counts as covered.
@@ -25,7 +25,7 @@ def measures(
     t: Array,
     true: Kept,
     true_speed: Array,
-    found: Found,
+    found: ObservedRecord,
     machine: RotatingMachine,
     score_from: float,
 ) -> dict[str, Any]:

@@ -54,7 +54,7 @@ class Prior:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class SegmentRows:
     """Rows of stretches, integrated; (stretches, 2 PAIRS) complex arrays, starting at zero."""
 
     t: Array
@@ -66,7 +66,7 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class RelationFit:
     """What fits best.
 
     Attributes
@@ -101,7 +101,7 @@ def _swapped(values: Array) -> Array:
     return values.reshape(len(values), -1, 2)[..., ::-1].reshape(values.shape)
 
 
-def rows(data: Stretches, voltage: Complex, current: Complex, smoothing: float) -> Rows:
+def rows(data: Stretches, voltage: Complex, current: Complex, smoothing: float) -> SegmentRows:
     """Integrate stretches; `smoothing` is that of the inverter's sign [A]."""
     h, count = data.sample_time, current.shape[1]
     mean: Complex = mean_current(current)
@@ -114,7 +114,7 @@ def rows(data: Stretches, voltage: Complex, current: Complex, smoothing: float) 
         return np.asarray((total - total[:, :1])[:, at])
 
     t = np.broadcast_to(h * at, (len(current), len(at)))
-    return Rows(
+    return SegmentRows(
         np.asarray(t, float),
         current[:, at],
         integral(voltage),
@@ -167,10 +167,10 @@ class _Position(NamedTuple):
     by_scale: Array
 
 
-class Relation:
+class RelationResidual:
     """The relation of one machine on one set of rows."""
 
-    def __init__(self, machine: RotatingMachine, data: Rows, noise: float):
+    def __init__(self, machine: RotatingMachine, data: SegmentRows, noise: float):
         self.data = data
         self.noise = noise
         self.R = machine.R_s
@@ -224,7 +224,7 @@ class Relation:
         """How far the position vector of these parameters is from a circle, squared."""
         return _start(self._without_start(values), self.data.t)[2]
 
-    def fit(self, prior: Prior, values: Array) -> Fit:
+    def fit(self, prior: Prior, values: Array) -> RelationFit:
         """Fit from these values on."""
         d = self.data
         values = np.array(values, float)
@@ -261,7 +261,7 @@ class Relation:
         misfit = best.misfit if np.isfinite(share) else np.inf
         covariance = np.linalg.pinv(self._information(best)[0] + prior.precision)
         std = np.sqrt(np.diag(covariance))
-        return Fit(misfit, best.cost - best.misfit, share, values, std, best.position)
+        return RelationFit(misfit, best.cost - best.misfit, share, values, std, best.position)
 
     def _evaluate(
         self, values: Array, first: Complex, slope: Complex, base: float | Array, prior: Prior

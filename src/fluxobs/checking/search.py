@@ -34,7 +34,7 @@ from .mistakes import (
     one_inverted,
     together,
 )
-from .relation import INVERTER, MODEL, PSI, Fit, R, Relation, positions, rows
+from .relation import INVERTER, MODEL, PSI, R, RelationFit, RelationResidual, positions, rows
 from .segments import Stretches, stretches
 from .truth import truth
 
@@ -65,7 +65,7 @@ class Tried:
 
     mistake: Mistake
     whole: Mistake  # with those that were found before
-    fit: Fit
+    fit: RelationFit
     odds: float
     size: float  # of the voltage [V]
 
@@ -123,7 +123,7 @@ class Search:
         self.machine, self.data, self.scales = machine, data, scales
         rated = machine.rated_current or scales.current
         self.smoothing = machine.inverter_current or SMOOTHING * rated
-        self.relations: dict[Any, Relation] = {}
+        self.relations: dict[Any, RelationResidual] = {}
 
     def again(self, tried: Tried, others: list[Tried]) -> Tried:
         """Fit once more from where the best of the others with the same vectors ended."""
@@ -136,7 +136,7 @@ class Search:
         worse = found.misfit + found.distance >= tried.fit.misfit + tried.fit.distance
         return tried if worse else replace(tried, fit=found)
 
-    def _given(self, relation: Relation) -> float:
+    def _given(self, relation: RelationResidual) -> float:
         return (self.machine.inverter_voltage or 0.0) / (relation.data.size + 1e-300)
 
     def attempt(self, before: Mistake, mistake: Mistake, odds: float) -> Tried:
@@ -150,7 +150,7 @@ class Search:
                 whole.current(self.data.current),
                 self.smoothing,
             )
-            self.relations[key] = Relation(self.machine, made, self.scales.current_noise)
+            self.relations[key] = RelationResidual(self.machine, made, self.scales.current_noise)
         relation = self.relations[key]
         prior = whole.prior(self._given(relation))
         start, direction = prior.mean, np.array([*whole.loose, 0.0])

@@ -9,7 +9,7 @@ from ..core.arrays import Array
 from ..machines import RotatingMachine
 from ..machines.model.frames import wrap
 from .findings import Finding
-from .relation import Fit
+from .relation import RelationFit
 from .segments import Stretches
 
 #: A turn of the truth within this share of what a mistake explains is explained by it.
@@ -28,7 +28,7 @@ def truth(
     channel: str,
     machine: RotatingMachine,
     data: Stretches,
-    fits: dict[int, Fit],
+    fits: dict[int, RelationFit],
     at: NDArray[np.intp],
     lag: float,
 ) -> list[Finding]:
@@ -53,11 +53,11 @@ def truth(
     if abs(ratio - 1) > CLOSE:
         return [Finding("truth", _turns(ratio, channel, machine), False)]
 
-    def error(fit: Fit) -> Array:
+    def error(fit: RelationFit) -> Array:
         off = wrap(np.angle(fit.position[good]) - true)
         return wrap(2 * off) / 2 if machine.half_turn_ambiguous else off
 
-    def rms(fit: Fit) -> float:
+    def rms(fit: RelationFit) -> float:
         return float(np.sqrt(np.mean(error(fit) ** 2)))
 
     best = min((n for n in fits if np.isfinite(fits[n].share)), key=lambda n: rms(fits[n]))

@@ -97,7 +97,7 @@ class Comparison:
         return min(self.results, key=lambda result: result.tuned.rms)
 
 
-class _Found(NamedTuple):
+class _Outputs(NamedTuple):
     """Outputs of an observer, JAX or NumPy arrays of leading shape (lanes, rows)."""
 
     theta_e: Any
@@ -107,17 +107,17 @@ class _Found(NamedTuple):
     valid: Any
 
 
-def _lane(observer: Observer[Any, Any], voltage: jax.Array, current: jax.Array) -> _Found:
-    def body(state: Any, row: tuple[jax.Array, jax.Array]) -> tuple[Any, _Found]:
+def _lane(observer: Observer[Any, Any], voltage: jax.Array, current: jax.Array) -> _Outputs:
+    def body(state: Any, row: tuple[jax.Array, jax.Array]) -> tuple[Any, _Outputs]:
         state, out = observer.step(state, *row)
         angles = out.theta_e, out.theta_e_tracked
-        return state, _Found(*angles, out.speed_e, vector(out.flux), out.valid)
+        return state, _Outputs(*angles, out.speed_e, vector(out.flux), out.valid)
 
     return jax.lax.scan(body, observer.init(), (voltage, current))[1]
 
 
 @eqx.filter_jit
-def _lanes(observers: Any, voltage: jax.Array, current: jax.Array) -> _Found:
+def _lanes(observers: Any, voltage: jax.Array, current: jax.Array) -> _Outputs:
     return jax.vmap(_lane, in_axes=(0, None, None))(observers, voltage, current)
 
 
@@ -205,7 +205,7 @@ def compare_record(
 
 
 def _best(
-    name: str, gains: list[Gains], found: _Found, angles: list[Any], truth: Truth, seconds: float
+    name: str, gains: list[Gains], found: _Outputs, angles: list[Any], truth: Truth, seconds: float
 ) -> ObserverResult:
     """Scores the first angle with the first gains, and the best of all angles and gains."""
     choices = [(angle, k) for angle in angles for k in range(len(gains))]

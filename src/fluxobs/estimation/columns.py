@@ -23,7 +23,7 @@ POSITION_STD = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class EstimateRows:
     """Rows of a run.
 
     Attributes
@@ -46,7 +46,9 @@ class Rows:
     more: dict[str, Array]
 
 
-def rows_of(log: Log, machine: Machine, observer: AnyObserver, part: Aligned, found: Any) -> Rows:
+def rows_of(
+    log: Log, machine: Machine, observer: AnyObserver, part: Aligned, found: Any
+) -> EstimateRows:
     """Make columns of what `observer` returned for `part` of a log."""
     more: dict[str, Array] = {}
     if isinstance(found, Estimate):
@@ -66,7 +68,7 @@ def rows_of(log: Log, machine: Machine, observer: AnyObserver, part: Aligned, fo
         more["truth"] = machine.true_position(log.true.channel, part.truth)
         error = machine.position_error(columns[where], more["truth"])
         columns[f"{where}_error"] = error
-    return Rows(columns, valid, error, innovation, more)
+    return EstimateRows(columns, valid, error, innovation, more)
 
 
 def is_position(log: Log, machine: Machine) -> bool:

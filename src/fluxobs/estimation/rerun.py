@@ -11,7 +11,7 @@ from ..logs.scales import Scales
 from ..machines import Machine
 from ..observers import AdaptiveObserver
 from ..observers.for_log import prepare
-from .columns import Rows, rows_of
+from .columns import EstimateRows, rows_of
 
 
 class Again:
@@ -38,7 +38,7 @@ class Again:
         memory: float | None = None,
         priors: Mapping[str, float] | None = None,
         lag: float | None = None,
-    ) -> Rows:
+    ) -> EstimateRows:
         """The estimates of all rows.
 
         Parameters

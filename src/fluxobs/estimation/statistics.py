@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..core.arrays import Array
-from .columns import Rows
+from .columns import EstimateRows
 from .truth import TruthSamples
 
 #: Rows of the thinned-out log, and of the piece around the first valid row shown in full: as many
@@ -21,7 +21,7 @@ class Series:
 
     parts: list[dict[str, Array]] = field(default_factory=list)
 
-    def add(self, rows: Rows, keep: slice) -> None:
+    def add(self, rows: EstimateRows, keep: slice) -> None:
         columns = {**rows.columns, **rows.more}
         self.parts.append({name: np.array(v[keep], float) for name, v in columns.items()})
 
@@ -62,7 +62,7 @@ class Statistics:
         """Rms error of the position over the scored rows."""
         return float(np.sqrt(self.error_squared / self.scored))
 
-    def add(self, rows: Rows) -> None:
+    def add(self, rows: EstimateRows) -> None:
         """Take in the next rows."""
         t, valid = rows.columns["t"], rows.valid
         count = len(t)
@@ -92,7 +92,7 @@ class Statistics:
             self.truth.add(rows)
         self.rows += count
 
-    def _add_settled(self, rows: Rows, first: int, count: int) -> None:
+    def _add_settled(self, rows: EstimateRows, first: int, count: int) -> None:
         """Add all rows from the first valid one on: a residual can itself make a row invalid."""
         since = max(0, first - self.rows)
         self.settled += count - since

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..core.arrays import Array
 from ..machines import RotatingMachine
 from ..machines.model.frames import wrap
-from .columns import Rows
+from .columns import EstimateRows
 
 #: Rows that are kept for a fit, evenly spread; Hall edges that are kept.
 KEPT, EDGES = 40_000, 200_000
@@ -45,7 +45,7 @@ LOST_SPEED = 0.1
 
 
 @dataclass(frozen=True)
-class Fitted:
+class TruthParameter:
     """One parameter of a truth: value and standard deviation."""
 
     name: str
@@ -74,7 +74,7 @@ class TruthSamples:
     edge_count: int = 0
     before: dict[str, float] = field(default_factory=dict)
 
-    def add(self, rows: Rows) -> None:
+    def add(self, rows: EstimateRows) -> None:
         """Take in the next rows."""
         columns, raw = rows.columns, rows.more["raw"]
         count, good = len(raw), rows.valid & np.isfinite(raw)
@@ -130,7 +130,7 @@ class TruthFit:
     Attributes
     ----------
     channel : str
-    parameters : tuple of Fitted
+    parameters : tuple of TruthParameter
     pole_pairs : int
         Of the truth, with the sign of its direction against the estimate's.
     words : tuple of str
@@ -148,7 +148,7 @@ class TruthFit:
     """
 
     channel: str
-    parameters: tuple[Fitted, ...]
+    parameters: tuple[TruthParameter, ...]
     pole_pairs: int
     words: tuple[str, ...]
     rms: float
@@ -169,7 +169,7 @@ class TruthFit:
         wrong = self.wrong_turns or self.lost is not None or not self.parameters
         return wrong or any(p.told for p in self.parameters)
 
-    def __getitem__(self, name: str) -> Fitted:
+    def __getitem__(self, name: str) -> TruthParameter:
         """A parameter by its name."""
         return next(one for one in self.parameters if one.name == name)
 
@@ -345,12 +345,12 @@ def _robust(X: Array, y: Array, row: Array) -> tuple[Array, Array, Array]:
 
 def _angle_parameters(
     known: Mapping[str, float], covariance: Array, names: list[str], own: float, pairs: int
-) -> list[Fitted]:
+) -> list[TruthParameter]:
     std = np.sqrt(np.diag(covariance))
     zero = float(wrap(np.array([known["zero"]]))[0])
-    out = [Fitted("zero", zero, float(np.hypot(std[0], own)), "rad")]
+    out = [TruthParameter("zero", zero, float(np.hypot(std[0], own)), "rad")]
     if "delay" in known:
-        out.append(Fitted("delay", known["delay"], float(std[names.index("delay")]), "s"))
+        out.append(TruthParameter("delay", known["delay"], float(std[names.index("delay")]), "s"))
     for order in (1, 2):
         if f"cos {order}" not in known:
             continue
@@ -360,12 +360,14 @@ def _angle_parameters(
         direction = vector / (size + 1e-300)
         spread = float(np.sqrt(direction @ covariance[np.ix_(at, at)] @ direction))
         # of the shaft, as an encoder is off by
-        out.append(Fitted(f"eccentricity {order}", size / abs(pairs), spread / abs(pairs), "rad"))
+        out.append(
+            TruthParameter(f"eccentricity {order}", size / abs(pairs), spread / abs(pairs), "rad")
+        )
     return out
 
 
 def _angle_words(
-    channel: str, parameters: list[Fitted], pairs: int, given: int, delayed: bool
+    channel: str, parameters: list[TruthParameter], pairs: int, given: int, delayed: bool
 ) -> list[str]:
     out = []
     if abs(pairs) != given:
@@ -411,7 +413,7 @@ def _fit_speed(
     if not np.ptp(raw) > VARIED * float(np.abs(raw).max()):
         X = X[:, :1]
     value, covariance, _ = _robust(X, own, columns["row"])
-    gain = Fitted("gain", float(value[0]), float(np.sqrt(covariance[0, 0])), "1")
+    gain = TruthParameter("gain", float(value[0]), float(np.sqrt(covariance[0, 0])), "1")
     error = own - raw
     words = [f"estimated over given speed {gain.value:.4f} ± {gain.std:.1g}"]
     likely = machine.n_p * gain.value
@@ -482,7 +484,8 @@ def _fit_hall(samples: TruthSamples) -> TruthFit | None:
     zero = float(np.angle(np.exp(6j * centres).mean())) / 6
     off = wrap(6 * (centres - zero)) / 6
     parameters = [
-        Fitted(f"edge {a}-{b}", centre, std, "rad") for (a, b), (centre, std) in places.items()
+        TruthParameter(f"edge {a}-{b}", centre, std, "rad")
+        for (a, b), (centre, std) in places.items()
     ]
     listed = ", ".join(
         f"{one.name[5:]} at {np.degrees(one.value):+.1f}° ± {np.degrees(one.std):.1g}°"

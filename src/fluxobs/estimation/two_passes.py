@@ -13,7 +13,7 @@ from ..observers import AdaptiveObserver, LogObserver
 from ..observers.adaptive import Learnt
 from ..observers.for_log import Prepared, prepare
 from ..observers.unknowns import ALL, AUTO
-from .columns import Rows, rows_of
+from .columns import EstimateRows, rows_of
 from .learning import learn, learning_parts, needed
 from .statistics import Statistics
 from .truth import TruthSamples
@@ -107,7 +107,7 @@ class Passes:
                 self.unknowns, self.priors, self.run = ("drift",), {}, plain
                 self.state = self.learnt = None
 
-    def rows(self, progress: Progress | None = None) -> Iterator[Rows]:
+    def rows(self, progress: Progress | None = None) -> Iterator[EstimateRows]:
         """Make the estimates, batch by batch."""
         run, observer = self.run, self.run.observer
         steps: LogObserver[Any, Any] = observer

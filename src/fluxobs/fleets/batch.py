@@ -21,8 +21,8 @@ from .log_task import (
     ESTIMATES,
     LOGS,
     Kept,
+    LogTask,
     Settings,
-    Work,
     begun,
     key_of,
     readable,
@@ -110,7 +110,7 @@ def estimate_many(
         done = len(meant) - len(todo)
         progress(done, len(meant))
         fresh: dict[str, dict[str, Any]] = {}
-        work = Work(str(folder), settings)
+        work = LogTask(str(folder), settings)
         for source, row in compute(todo, work, workers, scheduler, _lost):
             fresh[source.name] = row
             done += 1

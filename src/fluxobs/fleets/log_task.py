@@ -83,7 +83,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Work:
+class LogTask:
     """The work on a log; as a function it is sent to the workers.
 
     Attributes

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..checking.segments import LAGS
 from ..core.arrays import Array
 from ..observers.immersed import CORRELATION_LIMIT
-from .relations import SATURATION, Relation, Rows, linear
+from .relations import SATURATION, Linearisation, ResidualFunction, linear
 from .segments import Piece
 
 #: Huber's constant: 95 % of the efficiency of least squares under normal noise.
@@ -47,7 +47,7 @@ BLOCKS = 24
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class ParameterFit:
     """Parameters that fit best, and how sure they are.
 
     Attributes
@@ -111,7 +111,7 @@ def evaluate(
     start: Array,
     drift: Array,
     free: Sequence[str],
-    relation: Relation = linear,
+    relation: ResidualFunction = linear,
 ) -> tuple[Array, Array, Array]:
     """Residual (rows,), its derivatives by (λ₀, θ), (rows, 4), and by the free parameters."""
     said, slope = _said(piece, values, start, drift, relation)
@@ -140,8 +140,12 @@ def _moved(piece: Piece, values: Mapping[str, float], name: str) -> Array:
 
 
 def _said(
-    piece: Piece, values: Mapping[str, float], start: Array, drift: Array, relation: Relation
-) -> tuple[Rows, Array]:
+    piece: Piece,
+    values: Mapping[str, float],
+    start: Array,
+    drift: Array,
+    relation: ResidualFunction,
+) -> tuple[Linearisation, Array]:
     """What the relation says of a piece, and the derivative of its flux by the lag."""
     i, lag = piece.current, values["lag"]
     if len(piece.voltage) == 1:
@@ -226,10 +230,10 @@ def fit(
     free: Sequence[str],
     local: Sequence[tuple[Array, Array]] | None = None,
     held: Mapping[str, float] | None = None,
-    relation: Relation = linear,
+    relation: ResidualFunction = linear,
     prior: Mapping[str, tuple[float, float]] | None = None,
     model_error: float = 0.0,
-) -> Fit:
+) -> ParameterFit:
     """Find the best parameters, from a start that is right within a factor of two or so.
 
     Parameters
@@ -244,7 +248,7 @@ def fit(
     held : mapping of str to float, optional
         Standard deviations of parameters; of those that are not free, what they may turn the others
         by is in the covariance.
-    relation : Relation
+    relation : ResidualFunction
         Default: constant inductances.
     prior : mapping of str to (float, float), optional
         Mean and standard deviation of free parameters before the log.
@@ -304,7 +308,7 @@ def fit(
     covariance, own, alike, residuals = _uncertainty(
         data, values, here, names, held or {}, relation, believed(values)[:, :-1], model_error
     )
-    return Fit(
+    return ParameterFit(
         values, names, covariance, own, alike, np.concatenate(current), residuals, here, converged
     )
 
@@ -351,7 +355,7 @@ def _uncertainty(
     local: Sequence[tuple[Array, Array]],
     names: Sequence[str],
     held: Mapping[str, float],
-    relation: Relation,
+    relation: ResidualFunction,
     believed: Array,
     model_error: float,
 ) -> tuple[Array, Array, Array, list[Array]]:

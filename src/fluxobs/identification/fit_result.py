@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..machines import RotatingMachine
-from .fit import Fit
+from .fit import ParameterFit
 from .map_fit import FoundMap
 from .segments import Piece
 
@@ -41,7 +41,7 @@ def in_the_file(parameters: Iterable[Parameter]) -> dict[str, tuple[float, float
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FittedParameters:
     """Parameters of a log.
 
     Attributes
@@ -54,7 +54,7 @@ class Fitted:
         Name → why this log cannot tell it.
     lag : float
         Voltage lag that fits best [samples]; as given unless free.
-    before, after : Fit
+    before, after : ParameterFit
         The fit as given, in which only the flux of magnets is fitted, and the final fit.
     inverter_current : float
         Current at which the inverter's sign is smoothed [A].
@@ -72,8 +72,8 @@ class Fitted:
     parameters: list[Parameter]
     untold: dict[str, str]
     lag: float
-    before: Fit
-    after: Fit
+    before: ParameterFit
+    after: ParameterFit
     pieces: list[Piece]
     inverter_current: float
     rows: int

@@ -27,10 +27,10 @@ from ..machines import (
 from ..machines.file_text import with_found
 from ..machines.model.flux_map import TableMap
 from ..observers.adaptive import INDUCTANCE_SHARE, default_inverter_std, default_resistance_std
-from .fit import UNCERTAIN, Fit, fit
-from .fit_result import ADVICE, UNITS, Fitted, Parameter, in_the_file
+from .fit import UNCERTAIN, ParameterFit, fit
+from .fit_result import ADVICE, UNITS, FittedParameters, Parameter, in_the_file
 from .map_fit import found_map
-from .relations import SATURATION, Cage, Mapped, Relation, Saturating, linear
+from .relations import SATURATION, Cage, Mapped, ResidualFunction, Saturating, linear
 from .report import figure, html_of, lines, write
 from .rotor_resistance import resistance_from_speed
 from .segments import HARDER, SECONDS, Piece, offset_std, pieces, smoothing_current, typical_length
@@ -81,8 +81,8 @@ FLUX_CHANGES = 0.15
 
 
 @dataclass(frozen=True, eq=False)
-class Identification(Fitted):
-    """Result of :func:`identify`; its attributes are those of :class:`Fitted`."""
+class Identification(FittedParameters):
+    """Result of :func:`identify`; its attributes are those of :class:`FittedParameters`."""
 
     def lines(self) -> list[str]:
         """One parameter per line, then what the log cannot tell, then the residual."""
@@ -326,7 +326,7 @@ def _expanded(free: Sequence[str], machine: RotatingMachine) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _relation(machine: RotatingMachine) -> Relation:
+def _relation(machine: RotatingMachine) -> ResidualFunction:
     """The relation of a machine file."""
     table = _table(machine)
     return linear if table is None else Mapped(table, machine.magnet_flux or 0.0)
@@ -416,9 +416,9 @@ def _nearest_lag(
     data: Sequence[Piece],
     given: dict[str, float],
     free: Sequence[str],
-    relation: Relation,
+    relation: ResidualFunction,
     prior: Mapping[str, tuple[float, float]],
-) -> Fit:
+) -> ParameterFit:
     """The fit at the best integer lag: a step from far away would leave the range of lags."""
     names = [name for name in free if name != "lag"]
     fits = [
@@ -428,7 +428,7 @@ def _nearest_lag(
     return min(fits, key=lambda found: found.rms())
 
 
-def _start(given: dict[str, float], found: Fit, names: Sequence[str]) -> dict[str, float]:
+def _start(given: dict[str, float], found: ParameterFit, names: Sequence[str]) -> dict[str, float]:
     """Free parameters as found, held ones as given."""
     values = given | {name: found.values[name] for name in names}
     if "L_s" in names:
@@ -436,7 +436,7 @@ def _start(given: dict[str, float], found: Fit, names: Sequence[str]) -> dict[st
     return values
 
 
-def _hardness(found: Fit) -> float:
+def _hardness(found: ParameterFit) -> float:
     """The knee that loses as much as those that were found, over the usual one."""
     shares = [found.values[name] for name in UNCERTAIN[: len(HARDER)]]
     return float(np.clip(1 - np.dot(shares, 1 - np.array(HARDER)), min(HARDER), 3.0))
@@ -449,7 +449,7 @@ def _given(machine: RotatingMachine, name: str, lag: float) -> float | None:
     return value
 
 
-def _unseen_inductances(found: Fit, data: Sequence[Piece]) -> dict[str, str]:
+def _unseen_inductances(found: ParameterFit, data: Sequence[Piece]) -> dict[str, str]:
     """Inductances along the flux, if hardly any current flows along it."""
     current = np.concatenate([piece.current for piece in data])
     share = float(np.sqrt(np.mean(found.current.real**2) / np.mean(np.sum(current**2, axis=1))))
@@ -501,7 +501,7 @@ def _standing_flux(data: Sequence[Piece]) -> dict[str, str]:
     return dict.fromkeys(ROTOR, why)
 
 
-def _doubts(found: Fit, voltage: float) -> dict[str, str]:
+def _doubts(found: ParameterFit, voltage: float) -> dict[str, str]:
     """Parameters that the log does not tell → why."""
     doubts = {}
     mapped = SATURATION[0] in found.free

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.arrays import Array
 from ..machines import AlgebraicSaturation
-from .fit import Fit
+from .fit import ParameterFit
 from .relations import SATURATION, Saturating
 
 Complex = NDArray[np.complex128]
@@ -147,7 +147,7 @@ HELD = 1.5
 FLAT = 0.3
 
 
-def found_map(relation: Saturating, found: Fit) -> FoundMap:
+def found_map(relation: Saturating, found: ParameterFit) -> FoundMap:
     """The map of a fit with free saturation."""
     names: Sequence[str] = [n for n in found.free if n in SATURATION or n == "psi_f"]
     places = [found.free.index(name) for name in names]

@@ -28,7 +28,7 @@ STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class Linearisation:
     """What a relation says of rows.
 
     Attributes
@@ -52,15 +52,17 @@ class Rows:
     to_start: Complex | None = None
 
 
-class Relation(Protocol):
+class ResidualFunction(Protocol):
     """How flux and current fit together."""
 
-    def __call__(self, flux: Complex, current: Complex, values: Mapping[str, float]) -> Rows:
+    def __call__(
+        self, flux: Complex, current: Complex, values: Mapping[str, float]
+    ) -> Linearisation:
         """Residual and derivatives at these values [Wb], [A], of all rows."""
         ...
 
 
-def linear(flux: Complex, current: Complex, values: Mapping[str, float]) -> Rows:
+def linear(flux: Complex, current: Complex, values: Mapping[str, float]) -> Linearisation:
     """Constant inductances: ``|x| - ψ - (L_d - L_q) i_d``, x = λ - L_q i."""
     x = flux - values["L_q"] * current
     length = np.abs(x)
@@ -75,7 +77,7 @@ def linear(flux: Complex, current: Complex, values: Mapping[str, float]) -> Rows
         "L_d": -i_d,
         "L_q": i_d - by_current,
     }
-    return Rows(
+    return Linearisation(
         length - values["psi_f"] - saliency * i_d, to_flux, by_name, current * direction.conj()
     )
 
@@ -90,14 +92,16 @@ class Mapped:
     flux_map: FluxMap
     psi_f: float
 
-    def __call__(self, flux: Complex, current: Complex, values: Mapping[str, float]) -> Rows:
+    def __call__(
+        self, flux: Complex, current: Complex, values: Mapping[str, float]
+    ) -> Linearisation:
         x, i, a = self.flux_map.position_vector(flux, current, values["L_q"])
         length = np.abs(x)
         direction = x / length
         residual = length - np.abs(a.real) - (values["psi_f"] - self.psi_f)
         lean = a.imag / np.where(np.abs(a.real) > 1e-9, a.real, np.inf)
         to_flux = direction * (1 + 1j * lean)
-        return Rows(residual, to_flux, {"psi_f": -np.ones(len(current))}, i)
+        return Linearisation(residual, to_flux, {"psi_f": -np.ones(len(current))}, i)
 
 
 #: Parameters of the algebraic model that a log may tell.
@@ -132,7 +136,9 @@ class Saturating:
         g = 1j * i - ((-dd * q + dq * d) + 1j * (-dq * q + qq * d))
         return slopes, g, current - i
 
-    def __call__(self, flux: Complex, current: Complex, values: Mapping[str, float]) -> Rows:
+    def __call__(
+        self, flux: Complex, current: Complex, values: Mapping[str, float]
+    ) -> Linearisation:
         model = self.with_values(values)
         x = flux - values["L_q"] * current
         direction = x / np.abs(x)
@@ -168,7 +174,7 @@ class Saturating:
             "a_dq": by(cross),
             "psi_f": by(-(model.a_d0 + (S + 1) * model.a_dd * magnet**S) * np.ones_like(psi)),
         }
-        return Rows(residual, to_flux, by_name, current * direction.conj())
+        return Linearisation(residual, to_flux, by_name, current * direction.conj())
 
 
 @dataclass(frozen=True)
@@ -178,7 +184,9 @@ class Cage:
 
     sample_time: float
 
-    def __call__(self, flux: Complex, current: Complex, values: Mapping[str, float]) -> Rows:
+    def __call__(
+        self, flux: Complex, current: Complex, values: Mapping[str, float]
+    ) -> Linearisation:
         x = flux - values["L_q"] * current
         length = np.abs(x)
         direction = x / length
@@ -195,7 +203,7 @@ class Cage:
         left = np.exp(-R_R / L_M * self.sample_time * np.arange(len(x)))
         by_name["L_s"] = -i.real + left * i.real[0]
         residual = length - self._flux(i.real, first, R_R, L_M)
-        return Rows(residual, direction, by_name, i, -left * direction[0])
+        return Linearisation(residual, direction, by_name, i, -left * direction[0])
 
     def _flux(self, i_d: Array, first: float, R_R: float, L_M: float) -> Array:
         """The flux from a first one on; i_d is linear between the rows."""

@@ -13,7 +13,7 @@ from ..core.plots import BLUE, FORMATS, GREY, HTML, ORANGE, STYLE, legend, new_f
 from ..core.plots import write as save
 from ..errors import FluxobsError
 from ..machines.saving import write_machine
-from .fit_result import ADVICE, Fitted, Parameter
+from .fit_result import ADVICE, FittedParameters, Parameter
 from .map_fit import FoundMap
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def lines(found: Fitted) -> list[str]:
+def lines(found: FittedParameters) -> list[str]:
     """One parameter per line, then what the log cannot tell, then the residual."""
     out = []
     for p in found.parameters:
@@ -54,13 +54,13 @@ def lines(found: Fitted) -> list[str]:
     return out
 
 
-def _flux(found: Fitted) -> float:
+def _flux(found: FittedParameters) -> float:
     """The flux to which residuals are related: the magnet's, or the mean of the start [Wb]."""
     lengths = [np.linalg.norm(piece.start) for piece in found.pieces]
     return found.after.values["psi_f"] or float(np.mean(lengths))
 
 
-def _note(parameter: Parameter, found: Fitted) -> str:
+def _note(parameter: Parameter, found: FittedParameters) -> str:
     if parameter.name == "inverter":
         return f", its sign smoothed at inverter_current = {found.inverter_current:.3g} A"
     if parameter.name == "lag":
@@ -68,12 +68,12 @@ def _note(parameter: Parameter, found: Fitted) -> str:
     return ""
 
 
-def _as_given(found: Fitted) -> str:
+def _as_given(found: FittedParameters) -> str:
     name = found.machine.flux_name
     return f"as given but for {name}, which is fitted" if found.before.free else "as given"
 
 
-def _head(found: Fitted) -> list[str]:
+def _head(found: FittedParameters) -> list[str]:
     """The first lines of the machine file."""
     head = [f"Identified from {found.source} by `fluxobs identify`."]
     if found.untold:
@@ -81,7 +81,7 @@ def _head(found: Fitted) -> list[str]:
     return head
 
 
-def write(found: Fitted, path: Path, force: bool) -> None:
+def write(found: FittedParameters, path: Path, force: bool) -> None:
     """Write the machine file, the map's table, the picture or a report in HTML; FluxobsError if it
     cannot be written."""
     if path.suffix.lower() == HTML:
@@ -97,7 +97,7 @@ def write(found: Fitted, path: Path, force: bool) -> None:
         write_machine(path, found.machine, _head(found), found.found, force)
 
 
-def html_of(found: Fitted) -> str:
+def html_of(found: FittedParameters) -> str:
     """The parameters, what the log cannot tell, and the picture."""
     rows = [
         (
@@ -114,7 +114,7 @@ def html_of(found: Fitted) -> str:
     return shown + bullets(words) + picture(figure(found), " ".join(words))
 
 
-def figure(found: Fitted) -> Figure:
+def figure(found: FittedParameters) -> Figure:
     """Draw the residual over time, before and after the fit."""
     import matplotlib as mpl
 
@@ -162,7 +162,7 @@ def _map(along_d: Axes, along_q: Axes, told: FoundMap) -> None:
     )
 
 
-def _residuals(axes: Axes, found: Fitted) -> None:
+def _residuals(axes: Axes, found: FittedParameters) -> None:
     size = _flux(found)
     styles = ((found.before, _as_given(found), ORANGE), (found.after, "as identified", BLUE))
     for fitted, label, colour in styles:

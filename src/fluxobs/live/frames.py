@@ -28,7 +28,7 @@ import numpy as np
 from ..errors import RecordError
 from ..logs.formats.table import Columns
 from .lines import pieces
-from .rows import Part
+from .rows import StreamRows
 
 if TYPE_CHECKING:
     from .reorder import Ordered
@@ -64,11 +64,11 @@ class Frames:
         self.sample_time = self.lag = 0.0
         self._rest = b""
         self._said = b""  # the header
-        self._parts: list[Part] = []
+        self._parts: list[StreamRows] = []
         self._counted = 0
         self._opened = False
 
-    def feed(self, data: bytes, last: bool = False) -> list[Part]:
+    def feed(self, data: bytes, last: bool = False) -> list[StreamRows]:
         """Take bytes; return the rows that they complete, none before there are enough to begin, or
         the stream has ended."""
         samples: list[bytes] = []
@@ -88,7 +88,7 @@ class Frames:
             table = values.reshape(-1, len(self.names))
             t = self.sample_time * np.array(numbers, dtype=float)
             part = {"t": t, **{name: table[:, n] for n, name in enumerate(self.names)}}
-            self._parts.append(Part(part, b""))
+            self._parts.append(StreamRows(part, b""))
             self._counted += len(t)
         if not self._opened and self._counted < HEAD_ROWS and not last:
             return []
@@ -157,7 +157,7 @@ class Frames:
         """What the time of samples wraps at [s]."""
         return WRAP * self.sample_time
 
-    def sources(self, parts: Sequence[Part]) -> Iterator[Columns]:
+    def sources(self, parts: Sequence[StreamRows]) -> Iterator[Columns]:
         """What :func:`fluxobs.read_log` may open: all first rows, or pieces of them."""
         names = ("t", *self.names)
         whole = {name: np.concatenate([one.columns[name] for one in parts]) for name in names}

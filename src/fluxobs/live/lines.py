@@ -16,7 +16,7 @@ from ..logs.formats.text.parse import Ragged
 from ..logs.formats.text.source import BETWEEN, interrupted
 from ..logs.formats.text.structure import Structure, row_kind
 from . import header as first_lines
-from .rows import Part
+from .rows import StreamRows
 
 if TYPE_CHECKING:
     from .reorder import Ordered
@@ -67,7 +67,7 @@ class Lines:
         lines = self._rest.count(b"\n")
         return f"the stream's first {HEAD_LINES} rows" + (f", {lines} came" if lines else "")
 
-    def feed(self, data: bytes, last: bool = False) -> list[Part]:
+    def feed(self, data: bytes, last: bool = False) -> list[StreamRows]:
         """Take bytes; return the rows that they complete, none before there are enough to begin, or
         the stream has ended.
 
@@ -139,7 +139,7 @@ class Lines:
         assert self._table is not None
         return self._table.structure
 
-    def sources(self, parts: Sequence[Part]) -> Iterator[Path]:
+    def sources(self, parts: Sequence[StreamRows]) -> Iterator[Path]:
         """What :func:`fluxobs.read_log` may open: all first lines, or pieces of them."""
         lines = self.head.read_bytes().split(b"\n")[:-1]
         first = self._structure.first_line
@@ -180,12 +180,12 @@ class Lines:
                 cells[n] = ""
         return structure.delimiter.join(cells).encode("utf-8")
 
-    def _part(self, block: bytes) -> Part:
+    def _part(self, block: bytes) -> StreamRows:
         assert self._table is not None
         columns = self._table.parsed(block)
         if len(next(iter(columns.values()))) != block.count(b"\n"):
             raise Ragged("a quotation mark is open")
-        return Part(columns, block)
+        return StreamRows(columns, block)
 
     def _rows_alone(self, block: bytes) -> bytes:
         """Without blank lines, comments and a header sent again; several spaces are one."""

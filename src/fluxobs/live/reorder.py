@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.arrays import Array
 from ..logs.clock import Clock, longest_step
-from .rows import Part, joined
+from .rows import StreamRows, joined
 
 #: A stamp that is farther ahead [s] tells nothing: the sender began anew.
 _FARTHEST = 86400.0
@@ -21,7 +21,7 @@ class Ordered(NamedTuple):
 
     Attributes
     ----------
-    part : Part
+    part : StreamRows
         The rows, as they came.
     t : (rows,) ndarray
         Their times, which increase [s].
@@ -29,7 +29,7 @@ class Ordered(NamedTuple):
         What restarts of the sender have added to the stamps [s].
     """
 
-    part: Part
+    part: StreamRows
     t: Array
     moved: Array
 
@@ -62,11 +62,11 @@ class Order:
         self.clock, self.time, self.scale, self.offset = clock, time, scale, offset
         self.restarts = self.left_out = 0
         self._rows = 0
-        self._held: Part | None = None  # the row in question
+        self._held: StreamRows | None = None  # the row in question
         self._before: float | None = None  # stamp of the last row, as it came [s]
         self._ahead = self._moved = 0.0  # what wraps and restarts, and these alone, have added [s]
 
-    def add(self, part: Part) -> Ordered:
+    def add(self, part: StreamRows) -> Ordered:
         """The next rows."""
         if self._held is not None:
             part, self._held = joined(self._held, part), None
@@ -93,7 +93,7 @@ class Order:
         held, self._held = self._held, None
         none = np.zeros(0)
         if held is None:
-            return Ordered(Part({}, b""), none, none)
+            return Ordered(StreamRows({}, b""), none, none)
         stamp = float(held.columns[str(self.time)][0]) * self.scale + self.offset
         if self._before is not None and self._step(stamp, self._before) < 0:
             self.left_out += 1
@@ -112,7 +112,7 @@ class Order:
             step += wrap if step < 0 else -wrap
         return step
 
-    def _judged(self, part: Part, stamp: Array) -> Ordered:
+    def _judged(self, part: StreamRows, stamp: Array) -> Ordered:
         """Rows one by one."""
         rows: list[int] = []
         added: list[tuple[float, float]] = []

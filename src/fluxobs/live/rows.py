@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..logs.formats.table import Columns
 
 
-class Part(NamedTuple):
+class StreamRows(NamedTuple):
     """Some rows: their columns as they were sent, and their lines if the stream is text."""
 
     columns: Columns
@@ -21,18 +21,18 @@ class Part(NamedTuple):
         """How many they are."""
         return len(next(iter(self.columns.values()), ()))
 
-    def at(self, which: NDArray[np.bool_]) -> Part:
+    def at(self, which: NDArray[np.bool_]) -> StreamRows:
         """Those of the rows for which `which` is true."""
         columns = {name: values[which] for name, values in self.columns.items()}
         if not self.lines:
-            return Part(columns, b"")
+            return StreamRows(columns, b"")
         lines = self.lines.split(b"\n")
-        return Part(columns, b"".join([lines[int(k)] + b"\n" for k in np.flatnonzero(which)]))
+        return StreamRows(columns, b"".join([lines[int(k)] + b"\n" for k in np.flatnonzero(which)]))
 
 
-def joined(one: Part, other: Part) -> Part:
+def joined(one: StreamRows, other: StreamRows) -> StreamRows:
     """The rows of both."""
     columns = {
         name: np.concatenate([values, other.columns[name]]) for name, values in one.columns.items()
     }
-    return Part(columns, one.lines + other.lines)
+    return StreamRows(columns, one.lines + other.lines)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..core.printable import visible
-from ..estimation.columns import Rows
+from ..estimation.columns import EstimateRows
 from ..machines import Machine
 from .sources import Source
 from .watch import Watch
@@ -59,7 +59,7 @@ class Terminal:
             self._live.update(self._table())
             self._live.stop()
 
-    def add(self, rows: Rows) -> None:
+    def add(self, rows: EstimateRows) -> None:
         """Take estimates; values of a row that is not valid are not shown."""
         if not len(rows.valid):
             return

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import RecordError, UsageError
-from ..estimation.columns import Rows, rows_of
+from ..estimation.columns import EstimateRows, rows_of
 from ..logs.aligned import Aligned, between, joined, less_lost
 from ..logs.for_machine import open_for
 from ..logs.layout import Layout
@@ -23,7 +23,7 @@ from .even_rows import Spaced
 from .frames import HEAD_ROWS, MARK, Frames
 from .lines import Lines
 from .reorder import Order, Ordered
-from .rows import Part
+from .rows import StreamRows
 
 #: Sizes of the signals are measured over so much time [s].
 WINDOW = 1.0
@@ -131,7 +131,7 @@ class Watch:
         """While it is recorded: what came before there were rows, as it came."""
         return b"".join(self._unread)
 
-    def feed(self, data: bytes, last: bool = False) -> Iterator[Rows]:
+    def feed(self, data: bytes, last: bool = False) -> Iterator[EstimateRows]:
         """Take bytes as they come, the last ones with `last`; yield estimates.
 
         Rows before the observer is chosen, for want of a current, are not estimated.
@@ -167,7 +167,7 @@ class Watch:
             if self.run is None and self._recent:
                 yield from self._measured()
 
-    def _ordered(self, rows: Ordered) -> Iterator[Rows]:
+    def _ordered(self, rows: Ordered) -> Iterator[EstimateRows]:
         """Record and estimate rows that are in order."""
         assert self._incoming is not None
         assert self.log is not None
@@ -199,7 +199,7 @@ class Watch:
             else (self._incoming.waiting)
         )
 
-    def _open(self, parts: list[Part]) -> None:
+    def _open(self, parts: list[StreamRows]) -> None:
         """Open the first rows as a log: what its columns are, and how far apart its rows."""
         assert self._incoming is not None
         given = dict(self.layout)
@@ -220,7 +220,7 @@ class Watch:
         self.log = replace(log, names=names, conversions=conversions)
         self._aligning = self.log.aligning()
 
-    def _opened(self, parts: list[Part], given: dict[str, Any]) -> Log:
+    def _opened(self, parts: list[StreamRows], given: dict[str, Any]) -> Log:
         """The first rows as a log; where time is not in order among them, a piece of them."""
         assert self._incoming is not None
         problem: RecordError | None = None
@@ -233,7 +233,7 @@ class Watch:
         words = str(problem)
         raise RecordError(words.replace(str(self.head), "the stream")) from None
 
-    def _estimates(self, parts: Iterable[Aligned]) -> Iterator[Rows]:
+    def _estimates(self, parts: Iterable[Aligned]) -> Iterator[EstimateRows]:
         """Estimate aligned rows. How many come at once changes no number."""
         for part in parts:
             at = 0
@@ -247,7 +247,7 @@ class Watch:
                 if self._left == 0:
                     yield from self._measured()
 
-    def _measured(self) -> Iterator[Rows]:
+    def _measured(self) -> Iterator[EstimateRows]:
         """Choose the observer, at first and whenever the signals have grown."""
         assert self.log is not None
         h, recent = self.log.sample_time, joined(self._recent)
@@ -272,7 +272,7 @@ class Watch:
         if known is None:
             yield self._estimated(recent)
 
-    def _estimated(self, part: Aligned) -> Rows:
+    def _estimated(self, part: Aligned) -> EstimateRows:
         assert self.run is not None
         run, before = self.run, self._before
         self._before = part.current[-1:]

@@ -10,7 +10,7 @@ from ..core.arrays import Array
 from ..errors import RecordError
 from .clock import Clock
 from .formats import Table, read_rows
-from .guess import Part
+from .guess import NamedTable
 from .names import read_name
 from .resample import resample
 
@@ -26,7 +26,7 @@ CLEAR, SURE, FAR = 0.8, 10.0, 50.0
 #: Peaks that are this close to the largest may be it as well.
 ALIKE = 0.98
 
-Side = tuple[Part, Table, Clock]
+Side = tuple[NamedTable, Table, Clock]
 
 
 def doubt_of_time(base: Side, other: Side) -> str | None:

@@ -14,7 +14,7 @@ from . import units
 from .align import aligned_by_content, doubt_of_time
 from .clock import Clock
 from .formats import Table, missing_column
-from .guess import Guess, Part, base_part, electrical_or_mechanical, guess, parts_of, turn_of
+from .guess import Guess, NamedTable, base_part, electrical_or_mechanical, guess, parts_of, turn_of
 from .layout import Layout
 from .log import Log, Truth, rows_between
 from .resample import Course, course_of
@@ -80,7 +80,7 @@ def _of_file(path: Path, table: Table, files: int) -> list[str]:
     return [f"{path.name}: {note}" if files > 1 else note for note in table.said.notes]
 
 
-def _check_columns(parts: Sequence[Part], found: Guess) -> None:
+def _check_columns(parts: Sequence[NamedTable], found: Guess) -> None:
     available = list(found.columns.part_of)
     path = parts[0].table.path
     truth = found.fields.get("truth", {})
@@ -147,7 +147,7 @@ def _truth(found: Guess, layout: Layout, guessed: bool) -> Truth | None:
     return Truth(channel, columns, guessed, (high + low) / 2, np.maximum(high - low, 1e-300) / 2)
 
 
-def _renamed(true: Truth | None, part: Part) -> Truth | None:
+def _renamed(true: Truth | None, part: NamedTable) -> Truth | None:
     if true is None:
         return None
     columns = tuple(part.columns[name] for name in true.columns)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import FluxobsError
 from .formats import Table, open_tables, read_rows
-from .guess import ROTATING, Columns, Part, guess, parts_of
+from .guess import ROTATING, Columns, NamedTable, guess, parts_of
 from .names import read_name
 from .units import factor
 
@@ -110,7 +110,7 @@ def list_channels(*paths: str | Path, header: str | None = None) -> Listing:
     return Listing(tuple(channels), tuple(notes))
 
 
-def _channel(part: Part, name: str, columns: Columns, taken_for: str) -> Channel:
+def _channel(part: NamedTable, name: str, columns: Columns, taken_for: str) -> Channel:
     table, column = part.table, part.columns[name]
     unit = columns.units.get(name, "")
     rows = min(ROWS, table.rows)
@@ -124,7 +124,7 @@ def _channel(part: Part, name: str, columns: Columns, taken_for: str) -> Channel
     return Channel(name, unit, table.rows, _sample_time(part, columns), low, high, first, taken_for)
 
 
-def _sample_time(part: Part, columns: Columns) -> float | None:
+def _sample_time(part: NamedTable, columns: Columns) -> float | None:
     table: Table = part.table
     if table.said.sample_time is not None:
         return table.said.sample_time

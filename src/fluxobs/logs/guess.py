@@ -50,7 +50,7 @@ DUTY_MOST, PERCENT = 1.5, 100.0
 
 
 @dataclass(frozen=True)
-class Part:
+class NamedTable:
     """A table of the log, and the names by which its columns are known."""
 
     table: Table
@@ -62,7 +62,7 @@ class Part:
         return read_rows(self.table, [self.columns[name]], first, last)[self.columns[name]]
 
 
-def parts_of(files: Sequence[tuple[Path, list[Table]]]) -> list[Part]:
+def parts_of(files: Sequence[tuple[Path, list[Table]]]) -> list[NamedTable]:
     """Name the columns of all tables: as they are, or "file/column" where files share a name."""
     count: dict[str, int] = {}
     for _, tables in files:
@@ -70,7 +70,7 @@ def parts_of(files: Sequence[tuple[Path, list[Table]]]) -> list[Part]:
             for name in table.columns:
                 count[name] = count.get(name, 0) + 1
     return [
-        Part(table, {n if count[n] == 1 else f"{path.stem}/{n}": n for n in table.columns})
+        NamedTable(table, {n if count[n] == 1 else f"{path.stem}/{n}": n for n in table.columns})
         for path, tables in files
         for table in tables
     ]
@@ -99,7 +99,7 @@ class Guess:
 class Columns:
     """All columns of a log, and what their names and units say."""
 
-    def __init__(self, parts: Sequence[Part], given: Mapping[str, str]) -> None:
+    def __init__(self, parts: Sequence[NamedTable], given: Mapping[str, str]) -> None:
         self.parts = parts
         self.part_of = {name: part for part in parts for name in part.columns}
         self.units: dict[str, str] = {}
@@ -128,7 +128,7 @@ class Columns:
         for channel, name in given.items():
             self.by_channel[channel] = [self.resolve(name)]
 
-    def _by_file(self, part: Part) -> None:
+    def _by_file(self, part: NamedTable) -> None:
         """The only value of a file may be named by the file."""
         times = self.by_channel.get("t", [])
         values = [name for name in part.columns if name not in times]
@@ -176,7 +176,7 @@ _KNOWN = (
 )
 
 
-def guess(parts: Sequence[Part], fields: Mapping[str, Any], frames: Sequence[Frame]) -> Guess:
+def guess(parts: Sequence[NamedTable], fields: Mapping[str, Any], frames: Sequence[Frame]) -> Guess:
     """Complete the fields of a layout.
 
     Parameters
@@ -310,7 +310,7 @@ def _looks_like_time(values: Array) -> bool:
     return bool(np.median(np.abs(steps - usual)) < 0.2 * usual and not (steps == 1).all())
 
 
-def _is_index(part: Part, name: str) -> bool:
+def _is_index(part: NamedTable, name: str) -> bool:
     """Whether a column only counts rows, where the file says the sample time."""
     if part.table.said.sample_time is None:
         return False
@@ -318,7 +318,7 @@ def _is_index(part: Part, name: str) -> bool:
     return bool(len(head) > 1 and (np.diff(head) == 1).all())
 
 
-def base_part(columns: Columns, channels: Mapping[str, str]) -> Part:
+def base_part(columns: Columns, channels: Mapping[str, str]) -> NamedTable:
     """The part that has the first current."""
     name = next((one for channel, one in channels.items() if channel.startswith("i_")), "")
     return columns.part_of.get(name, columns.parts[0])

@@ -13,7 +13,7 @@ from ..errors import RecordError
 from . import units
 from .clock import Clock, even, measure
 from .formats import Table
-from .guess import Guess, Part
+from .guess import Guess, NamedTable
 from .layout import NO_COLUMN, Layout
 from .names import read_name
 from .resample import Course
@@ -34,7 +34,7 @@ class Timed:
 
     Attributes
     ----------
-    part : Part
+    part : NamedTable
     table : Table
         Its columns, uniform.
     clock : Clock
@@ -42,14 +42,14 @@ class Timed:
         Column of the time, if there is one.
     """
 
-    part: Part
+    part: NamedTable
     table: Table
     clock: Clock
     time: str | None
 
 
 def timed_part(
-    part: Part,
+    part: NamedTable,
     found: Guess,
     layout: Layout,
     courses: Mapping[str, Course],
@@ -116,12 +116,12 @@ def timed_part(
     return Timed(part, FilledTable(table, clock, column), clock, name)
 
 
-def own(of: Mapping[str, Value], part: Part) -> dict[str, Value]:
+def own(of: Mapping[str, Value], part: NamedTable) -> dict[str, Value]:
     """What is known of columns, by their names in the table of a part."""
     return {part.columns[name]: value for name, value in of.items() if name in part.columns}
 
 
-def _time_of(part: Part, found: Guess, layout: Layout, other: bool) -> str | None:
+def _time_of(part: NamedTable, found: Guess, layout: Layout, other: bool) -> str | None:
     if not other:
         return found.channels.get("t")
     if layout.align == "index" or layout.columns.get("t") == NO_COLUMN:
@@ -130,7 +130,7 @@ def _time_of(part: Part, found: Guess, layout: Layout, other: bool) -> str | Non
     return next((name for name in names if name in part.columns), None)
 
 
-def _times_in(part: Part) -> list[str]:
+def _times_in(part: NamedTable) -> list[str]:
     return [name for name in part.columns if read_name(name).channel == "t"]
 
 
@@ -169,7 +169,7 @@ def _time_notes(clock: Clock) -> list[str]:
 
 
 def _stamps_are_true(
-    part: Part, found: Guess, column: str, scale: float, offset: float, clock: Clock
+    part: NamedTable, found: Guess, column: str, scale: float, offset: float, clock: Clock
 ) -> bool:
     """Whether samples were taken at their jittering stamps: currents are smoother then."""
     names = [n for c, n in found.channels.items() if c.startswith("i_") and n in part.columns]

@@ -83,7 +83,7 @@ class FilledTable(Table):
         return out
 
 
-class Rows:
+class SequentialReader:
     """Rows of a table read once, in order; the last ones are kept for who comes back a little."""
 
     def __init__(self, table: Table, names: Sequence[str], first: int, size: int) -> None:
@@ -163,7 +163,9 @@ class ResampledTable(Table):
         stamps = [] if self.time is None else [self.time[0]]
         wanted = [name for name in names if name not in stamps]
         low, _ = self._needed(self.clock.times(np.array([first])))
-        rows = Rows(self.table, [*wanted, *stamps], min(max(0, low), self.table.rows), size)
+        rows = SequentialReader(
+            self.table, [*wanted, *stamps], min(max(0, low), self.table.rows), size
+        )
         for cut in range(first, last, size):
             t = self.clock.times(np.arange(cut, min(cut + size, last)))
             at, part = rows.get(*self._needed(t))

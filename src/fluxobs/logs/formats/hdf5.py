@@ -9,7 +9,7 @@ from typing import Any
 from ...core.input_files import BLOCK, PACKED_BLOCK, check_deflated, most_unpacked
 from ...errors import RecordError
 from .extras import library
-from .nested import Found, tables
+from .nested import Contents, tables
 from .table import Table
 
 #: MATLAB's own group, which holds what others refer to.
@@ -72,7 +72,7 @@ def open_hdf5(path: Path, extra: str = "hdf5") -> list[Table]:
         file = h5py.File(path, "r")
     except OSError as error:
         raise RecordError(f"{path}: not a readable HDF5 file: {error}") from None
-    found = Found()
+    found = Contents()
     most = most_unpacked(path)
 
     def visit(name: str | bytes, node: Any) -> None:

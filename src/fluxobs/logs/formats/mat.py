@@ -12,7 +12,7 @@ from ...errors import RecordError
 from .extras import library
 from .hdf5 import open_hdf5
 from .mat_size import check_size
-from .nested import Found, tables
+from .nested import Contents, tables
 from .table import Table
 
 #: Fields of a signal that carries its own name: of dSPACE ControlDesk, and of Simulink's
@@ -30,7 +30,7 @@ def open_mat(path: Path) -> list[Table]:
         return open_hdf5(path, "mat")
     except Exception as error:  # SciPy raises many kinds for a broken file
         raise RecordError(f"{path}: not a readable MATLAB file: {error}") from None
-    found = Found()
+    found = Contents()
     _walk(found, "", {k: v for k, v in content.items() if not k.startswith("__")})
     if not found.columns and "None" in content:  # an object of a class
         raise RecordError(
@@ -41,7 +41,7 @@ def open_mat(path: Path) -> list[Table]:
     return tables(path, found)
 
 
-def _walk(found: Found, path: str, node: Any) -> None:
+def _walk(found: Contents, path: str, node: Any) -> None:
     if isinstance(node, Mapping):
         for name, data, unit in _NAMED:
             if data in node and isinstance(node.get(name), str) and node[name]:

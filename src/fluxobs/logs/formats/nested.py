@@ -23,7 +23,7 @@ LEAST_ROWS = 8
 
 
 @dataclass
-class Found:
+class Contents:
     """What a walk through a file has found.
 
     Attributes
@@ -84,7 +84,7 @@ def line_of(data: Any, axis: int | None, n: int) -> Callable[[int, int], Any]:
 class NestedTable(Table):
     """Columns of one length."""
 
-    def __init__(self, path: Path, found: Found, columns: Sequence[str]) -> None:
+    def __init__(self, path: Path, found: Contents, columns: Sequence[str]) -> None:
         self.path = path
         self.columns = list(columns)
         self.rows = found.columns[columns[0]][0]
@@ -122,7 +122,7 @@ def _timing(numbers: Mapping[str, float]) -> tuple[float | None, float]:
     return interval, start
 
 
-def tables(path: Path, found: Found) -> list[Table]:
+def tables(path: Path, found: Contents) -> list[Table]:
     """Tables of columns of the same length; groups that have a time of their own are apart."""
     by_length: dict[int, list[str]] = defaultdict(list)
     for name, (rows, _) in found.columns.items():

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from ...errors import RecordError
-from .nested import Found, field_of, line_of, tables
+from .nested import Contents, field_of, line_of, tables
 from .table import Table
 
 
-class _Rows:
+class _MappedArray:
     """An array in a file, mapped anew for every look: a map keeps all that it has touched."""
 
     def __init__(self, path: Path, array: np.ndarray[Any, Any]) -> None:
@@ -37,9 +37,9 @@ def open_npy(path: Path, header: list[str] | None = None) -> list[Table]:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except Exception as error:  # NumPy raises many kinds for a broken head, even SyntaxError
         raise RecordError(f"{path}: not a readable .npy file: {error}") from None
-    found = Found()
+    found = Contents()
     if array.dtype.names:
-        rows = _Rows(path, array)
+        rows = _MappedArray(path, array)
         for name in numbers_of(array.dtype).names or ():
             found.columns[name] = (len(rows), field_of(rows, name))
     elif array.ndim == 2:
@@ -51,7 +51,7 @@ def open_npy(path: Path, header: list[str] | None = None) -> list[Table]:
             )
         if len(header) != width:
             raise RecordError(f"{path}: --header has {len(header)} names for {width} columns")
-        rows, axis = _Rows(path, array), int(array.shape[1] != width)
+        rows, axis = _MappedArray(path, array), int(array.shape[1] != width)
         for n, name in enumerate(header):
             found.columns[name] = (max(array.shape), line_of(rows, axis, n))
     else:

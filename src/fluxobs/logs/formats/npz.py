@@ -13,7 +13,7 @@ from numpy.lib import format as npy
 
 from ...core.input_files import most_unpacked
 from ...errors import RecordError
-from .nested import Found, tables
+from .nested import Contents, tables
 from .npy import numbers_of
 from .table import Table
 
@@ -54,7 +54,7 @@ class _Member:
 
 def open_npz(path: Path) -> list[Table]:
     """The tables of an archive; objects and texts in it are ignored."""
-    found = Found()
+    found = Contents()
     try:
         with zipfile.ZipFile(path) as archive:
             size, most = sum(one.file_size for one in archive.infolist()), most_unpacked(path)

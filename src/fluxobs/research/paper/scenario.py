@@ -11,8 +11,8 @@ from .levitation import SCENARIOS, LevitationScenario, record
 from .section_v import ErrorCourse, levitation_run, sizes
 from .stability import Growth, growth
 from .studies import (
+    ConstantEstimate,
     Excited,
-    Found,
     Noisy,
     Robust,
     excited,
@@ -67,7 +67,7 @@ class ScenarioResult:
     excited: Excited
     largest_flux: float
     growth: Growth | None
-    parameters: dict[str, dict[str, Found]]
+    parameters: dict[str, dict[str, ConstantEstimate]]
     mechanics: tuple[float, float]
     robust: Robust | None
     noise: Noisy | None

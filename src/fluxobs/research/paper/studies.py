@@ -81,7 +81,7 @@ def excited(given: LevitationRun) -> Excited:
 
 
 @dataclass(frozen=True)
-class Found:
+class ConstantEstimate:
     """What the least squares knows of one constant over the last fifth of a span.
 
     Attributes
@@ -99,7 +99,7 @@ class Found:
     known: float
 
 
-def parameters(given: LevitationRun) -> dict[str, dict[str, Found]]:
+def parameters(given: LevitationRun) -> dict[str, dict[str, ConstantEstimate]]:
     """Drift and current bias at the end of either span: "before" and "after" the jump."""
     base, found = given.given, given.least_squares
     rows, _ = thinned(base, LS_SAMPLE_TIME)
@@ -112,13 +112,13 @@ def parameters(given: LevitationRun) -> dict[str, dict[str, Found]]:
     for name, first, row in (("before", 0, last), ("after", last + 1, len(rows) - 1)):
         late = slice(row - (row - first) // 5, row + 1)
         out[name] = {
-            "drift": Found(
+            "drift": ConstantEstimate(
                 pair(base.drift[rows], row),
                 pair(found.drift, row),
                 pair(np.median(found.drift_std[late], axis=0)[None], 0),
                 float(found.valid[late].mean()),
             ),
-            "current bias": Found(
+            "current bias": ConstantEstimate(
                 pair(base.current_bias[rows], row),
                 pair(found.current_bias, row),
                 pair(np.median(found.current_bias_std[late], axis=0)[None], 0),
