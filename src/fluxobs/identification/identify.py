@@ -194,8 +194,7 @@ def identify(
     """
     given = rotating(as_machine(machine), "identification")
     names = read_free(free, given)
-    also = ("speed_mech",) if given.flux_moves else ()
-    return identify_log(open_for(log, given, also, **layout), given, names)
+    return identify_log(open_for(log, given, **layout), given, names)
 
 
 def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identification:

@@ -184,12 +184,11 @@ def identify_many(
     for path, told in compute(paths, work, workers, scheduler, _lost):
         found[path] = told
         progress(len(found), total)
-    also = ("speed_mech",) if given.flux_moves else ()
     useful: list[Source] = [path for path in paths if found[path][0]]
     if not useful:
         reasons = "; ".join(f"{Path(path).name}: {why}" for path, (_, why) in found.items())
         raise FluxobsError(f"none of {len(paths)} logs tells anything ({reasons})")
-    together = identify_logs([open_for(one, given, also, **layout) for one in useful], given, names)
+    together = identify_logs([open_for(one, given, **layout) for one in useful], given, names)
     progress(total, total)
     told_by = {path: told for path, (told, _) in found.items()}
     alone = tuple(

@@ -16,15 +16,13 @@ from .read import read_log
 INDIRECT = ("speed_mech", "speed_e", "hall")
 
 
-def open_for(source: Any, machine: Machine, also: tuple[str, ...] = (), **layout: Any) -> Log:
+def open_for(source: Any, machine: Machine, **layout: Any) -> Log:
     """Open a log for a machine: with its frame by default, and a truth channel that it has.
 
     Parameters
     ----------
     source, layout
         See :func:`fluxobs.read_log`.
-    also : tuple of str
-        Further channels of truth that the caller can use.
 
     Raises
     ------
@@ -39,7 +37,7 @@ def open_for(source: Any, machine: Machine, also: tuple[str, ...] = (), **layout
     known = machine.position_output.truths
     if isinstance(machine, RotatingMachine):
         known = (*known, *INDIRECT)
-    if log.truth is not None and log.truth[0] not in (*known, *also):
+    if log.truth is not None and log.truth[0] not in known:
         if log.true is not None and log.true.guessed:
             return replace(log, true=None)
         raise RecordError(

@@ -154,7 +154,7 @@ def _split(group: Any) -> None:
             continue
         for start in range(0, size, BLOCK):
             part = min(BLOCK, size - start)
-            small.append(type(info)(info.address + start, 0, part, part, 0))
+            small.append(type(info)(info.address + start, info.block_type, part, part, info.param))
     if len(small) > len(blocks):
         group.set_blocks_info(small)
 
