@@ -357,7 +357,7 @@ def test_a_magnet_is_guessed_from_the_log(psi_f):
 
 @pytest.mark.parametrize(
     ("name", "most"),
-    [("inverter", 8.0), ("psi_f", 0.0125)],
+    [("inverter", 8.0), ("psi_f", 0.0125), ("resistance", 10 * 0.36)],
 )
 def test_priors_that_are_no_standard_deviations(log, name, most):
     unknowns = ("drift", "resistance", "inverter")

@@ -7,7 +7,9 @@ import pytest
 
 from fluxobs import RecordError, read_log
 from fluxobs.logs import units
-from fluxobs.logs.guess import electrical_or_mechanical, turn_of
+from fluxobs.logs.formats.arrays import ArrayTable
+from fluxobs.logs.formats.table import Said
+from fluxobs.logs.guess import NamedTable, _is_index, electrical_or_mechanical, turn_of
 from fluxobs.logs.log import Truth
 from fluxobs.logs.names import is_setpoint, leaf, read_name, unit_in
 
@@ -295,6 +297,25 @@ def test_what_a_name_says(column, channel, unit):
 )
 def test_setpoints(column, setpoint):
     assert is_setpoint(column) == setpoint
+
+
+@pytest.mark.parametrize(
+    ("values", "sample_time", "counts"),
+    [
+        ([4.0, 5.0], 1e-4, True),
+        ([4.0, 5.0, 6.0], 1e-4, True),
+        ([4.0, 5.0, 6.0], None, False),  # the file does not say the sample time: it may be t
+        ([4.0], 1e-4, False),
+        ([], 1e-4, False),
+        ([4.0, 5.0, 7.0], 1e-4, False),
+        ([5.0, 4.0], 1e-4, False),
+        ([4.0, 4.0], 1e-4, False),
+    ],
+)
+def test_a_column_that_counts_rows(values, sample_time, counts):
+    table = ArrayTable({"n": values})
+    table.said = Said(sample_time=sample_time)
+    assert _is_index(NamedTable(table, {"n": "n"}), "n") == counts
 
 
 def test_parts_of_names():

@@ -240,4 +240,7 @@ def test_formulas_are_found_wherever_a_conversion_refers_to_them():
     outer = SimpleNamespace(formula="", referenced_blocks={"text_0": b"on", "text_1": inner})
     inner.referenced_blocks = {"default_addr": outer}
     assert list(mdf._formulas(outer)) == ["exit()"]
+    last = SimpleNamespace(formula="2*X", referenced_blocks=None)
+    both = SimpleNamespace(formula="", referenced_blocks={"0": last, "1": outer, "2": outer})
+    assert sorted(mdf._formulas(both)) == ["2*X", "exit()"]  # those after one that was seen, too
     assert list(mdf._formulas(None)) == []

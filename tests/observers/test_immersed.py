@@ -307,6 +307,17 @@ def test_nothing_is_valid_while_samples_are_missing(rows):
     assert np.isfinite(found.flux_std).all()
 
 
+@pytest.mark.parametrize(("rows", "lost"), [(3, False), (4, True)])
+def test_three_missing_samples_are_bridged_and_more_cost_what_is_known(rows, lost):
+    def gap(current):
+        current[3000 : 3000 + rows] = np.nan
+
+    _, found, _ = motor(gap)
+    growth = found.flux_std[3000 + rows].max() / found.flux_std[2999].max()
+    assert (growth > 1000) == lost
+    assert (growth < 1.1) == (not lost)
+
+
 @pytest.mark.parametrize("size", [10.0, 1e3, 1e6])
 def test_a_spike_is_passed_over(size):
     def spike(current):

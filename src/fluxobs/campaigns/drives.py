@@ -51,7 +51,9 @@ class Cell:
     @property
     def voltage(self) -> float:
         """Rated EMF [V]."""
-        return self.rated.speed_e * float(self.machine.flux_base(self.current) or 0.0)
+        flux = self.machine.flux_base(self.current)
+        assert flux is not None  # or it cannot be simulated
+        return self.rated.speed_e * flux
 
 
 @lru_cache(maxsize=8)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -103,13 +104,7 @@ def _closed(
 
 
 def _batches(stream: Iterator[Simulated], size: int) -> Iterator[list[Simulated]]:
-    batch: list[Simulated] = []
-    for one in stream:
-        batch.append(one)
-        if len(batch) == size:
-            yield batch
-            batch = []
-    if batch:
+    while batch := list(islice(stream, size)):
         yield batch
 
 
