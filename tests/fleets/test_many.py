@@ -186,11 +186,11 @@ def test_a_missing_log_is_a_row(tmp_path):
 def test_a_full_disk_is_a_row(logs, tmp_path):
     program = (
         "import resource, signal, sys, json\n"
-        "from fluxobs.fleets.log_task import Settings, Work\n"
+        "from fluxobs.fleets.log_task import LogTask, Settings\n"
         "from fluxobs.fleets.sources import Source\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (30000, 30000))\n"
-        "row = Work(sys.argv[1], Settings('servo-400w', '{}'))(Source(sys.argv[2], 'a.csv', ''))\n"
+        "row = LogTask(sys.argv[1], Settings('servo-400w', '{}'))(Source(sys.argv[2], 'a.csv', ''))\n"
         "print(json.dumps(row['failed']))\n"
     )
     (tmp_path / "out").mkdir()

@@ -94,7 +94,7 @@ const settings = (given) => ({
 // Run over a log; its columns. Page and report do it alike.
 function runOver(log, machine, unknowns, memory, priors, causal, progress) {
   const share = (done, of) => progress(done / of);
-  const passes = $py("estimation.passes").Passes.begun(
+  const passes = $py("estimation.two_passes").Passes.begun(
     log,
     machine,
     unknowns,
@@ -106,7 +106,7 @@ function runOver(log, machine, unknowns, memory, priors, causal, progress) {
   const kept = gather(len(log));
   for (const rows of passes.rows(share)) kept.add(rows);
   opened.log = log;
-  opened.run = $py("estimation.explained").ExplainedRun(
+  opened.run = $py("estimation.explanation").ExplainedRun(
     $kw(Object.fromEntries(passes.found().items())),
   );
   opened.kept = null;
@@ -168,7 +168,7 @@ const actions = {
       columns,
       notes: plain(log.notes),
       summary: $py("estimation.summary").paragraph(opened.run, null, null),
-      ...plain($py("estimation.shown").shown(opened.run)),
+      ...plain($py("estimation.plot_data").shown(opened.run)),
     };
   },
 
@@ -211,7 +211,7 @@ const actions = {
 
   // The same rows with other parameters.
   again({ changes, memory, lag, unknowns, priors }) {
-    opened.kept ??= $py("estimation.again").Again(opened.log, opened.run.scales);
+    opened.kept ??= $py("estimation.rerun").Again(opened.log, opened.run.scales);
     const machine = opened.run.machine.with_values($kw(changes ?? {}));
     const chosen = unknowns ?? plain(opened.run.unknowns);
     const rows = opened.kept.rows(
@@ -232,7 +232,7 @@ const actions = {
     const layout = { ...layoutOf(options), unknowns, memory, priors };
     opened.watch = Watch(made, Path("stream"), $kw(layout));
     return {
-      ...plain($py("estimation.shown").shown_machine(made)),
+      ...plain($py("estimation.plot_data").shown_machine(made)),
       adaptive: opened.watch.unknowns.length > 1,
     };
   },
@@ -261,7 +261,7 @@ const actions = {
 
   // The machine file with what was learnt, or as it was given.
   machine_file() {
-    const { machine_text } = $py("machines.written"),
+    const { machine_text } = $py("machines.file_text"),
       run = opened.run,
       learnt = run.machine_learnt;
     const found = run.found,
