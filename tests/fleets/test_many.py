@@ -190,7 +190,8 @@ def test_a_full_disk_is_a_row(logs, tmp_path):
         "from fluxobs.fleets.sources import Source\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (30000, 30000))\n"
-        "row = LogTask(sys.argv[1], Settings('servo-400w', '{}'))(Source(sys.argv[2], 'a.csv', ''))\n"
+        "task = LogTask(sys.argv[1], Settings('servo-400w', '{}'))\n"
+        "row = task(Source(sys.argv[2], 'a.csv', ''))\n"
         "print(json.dumps(row['failed']))\n"
     )
     (tmp_path / "out").mkdir()
