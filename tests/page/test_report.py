@@ -65,6 +65,7 @@ def test_without_data_it_shows_the_estimates(result, window, tmp_path):
     assert (one.column("valid") == result["valid"]).all()
 
 
+@pytest.mark.slow
 def test_an_immersed_run_is_shown_too(window, tmp_path):
     result = fluxobs.estimate(written("maglev-knospe", tmp_path), "maglev-knospe")
     write_report(result, tmp_path / "r.html")
