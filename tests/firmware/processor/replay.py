@@ -265,7 +265,7 @@ def measure_configuring() -> bool:
         folder = Path(scratch) / "motor"
         fluxobs.export(fluxobs.read_machine(MACHINE), SAMPLE_TIME, folder)
         sources = [folder / "fluxobs.c", folder / "runtime" / "fluxobs_config.c"]
-        for build in (one for one in BUILDS if not (one.fused or one.soft)):
+        for build in (one for one in BUILDS if not one.fused):
             program, own = folder / "configure.elf", set[str]()
             flags = [*COMMON, *build.flags, f"-I{folder}", f"-I{folder / 'runtime'}", f"-I{HERE}"]
             for source in sources:
