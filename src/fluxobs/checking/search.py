@@ -44,11 +44,11 @@ TOLD = 4.0
 BAD = 0.2
 #: Findings that leave nothing to be tried.
 FIRST = ("columns", "angle")
-#: A parameter with a smaller standard deviation of its logarithm is told.
+#: A parameter is identifiable if its logarithm has a smaller standard deviation.
 KNOWN = 0.1
 #: A magnet flux that is n_p times too large to within this share says that the angle is mechanical.
 ALMOST = 0.05
-#: A voltage of more standard deviations is told.
+#: An inverter voltage is identifiable beyond this many standard deviations.
 CLEAR = 3.0
 #: Mistakes that are looked for one upon another.
 DEEPEST = 3

@@ -44,7 +44,7 @@ def check_regular(path: Path, error: type[FluxobsError]) -> None:
 
 
 def read_toml(path: Path, error: type[FluxobsError]) -> dict[str, Any]:
-    """Contents of a TOML file; raises `error` if it is none, or cannot be read."""
+    """Parse a TOML file; raise `error` if it is malformed or cannot be read."""
     check_regular(path, error)
     try:
         with path.open("rb") as file:
@@ -61,7 +61,7 @@ def read_toml(path: Path, error: type[FluxobsError]) -> dict[str, Any]:
 
 
 def parse_toml(text: str, where: str, error: type[FluxobsError]) -> dict[str, Any]:
-    """Contents of TOML; raises `error` if it is none, or has what no file needs."""
+    """Parse TOML; raise `error` if it is malformed or nested too deeply."""
     try:
         found = tomllib.loads(text)
         _check_values(found)

@@ -32,7 +32,7 @@ HUBER = 1.345
 WHOLE = 0.02
 #: Speeds must differ by this share of the largest to tell a delay from a zero.
 VARIED = 0.3
-#: What is more than this many standard deviations is told.
+#: A parameter is reported if it exceeds this many standard deviations.
 TOLD = 3.0
 #: Share of the shaft's circle that eccentricity needs.
 COVERED = 0.9

@@ -25,14 +25,14 @@ from .lines import Lines
 from .reorder import Order, Ordered
 from .rows import StreamRows
 
-#: Sizes of the signals are measured over so much time [s].
+#: The scales of the signals are measured over this time [s].
 WINDOW = 1.0
-#: Its settings need sizes that are right within a factor of a few: it is chosen for signals so many
-#: times as large as the first ones, and anew when they are so many times as large as that.
+#: The observer is chosen for signals larger than the first ones by this factor, and again when a
+#: signal exceeds that scale by it. Its settings need a scale right within a factor of a few.
 GROWN = 2.0
-#: Bytes that are kept of a stream in which there are no rows yet.
+#: Bytes kept of a stream until its first row.
 _UNREAD = 1 << 26
-#: Bytes of a stream by which it is known as text or as frames.
+#: The first bytes of a stream decide whether it is text or frames.
 _FIRST = 512
 
 

@@ -75,7 +75,7 @@ def is_missing(cell: str) -> bool:
 
 
 def clock_formats(cell: str) -> tuple[str, ...]:
-    """Formats in which a cell may be a wall-clock stamp; none if it is none."""
+    """Formats in which a cell may be a wall-clock stamp; empty for other cells."""
     text = cell.strip()
     for pattern, formats in CLOCKS:
         if pattern.match(text):
