@@ -11,7 +11,7 @@ from fluxobs.estimation import learning, report, warnings
 from fluxobs.estimation.learning import Parameter, doubtful, learning_parts, needed, parameters
 from fluxobs.estimation.report import _columns, _machine_in, _taken
 from fluxobs.estimation.statistics import Statistics
-from fluxobs.estimation.summary import _score, paragraph, si
+from fluxobs.estimation.summary import _parameters, _score, paragraph, si
 from fluxobs.logs.for_machine import open_for
 from fluxobs.logs.scales import Scales
 from fluxobs.machines import example
@@ -275,6 +275,16 @@ def learnt(resistance=(0.0, 0.01), inverter=(0.0, 0.01)):
 def test_when_a_log_asks_for_more(resistance, inverter, fits, expected, monkeypatch):
     monkeypatch.setattr(learning, "_fits", lambda _: fits)
     assert needed(ADAPTIVE, learnt(resistance, inverter), None) == expected
+
+
+@pytest.mark.parametrize(("std", "listed"), [(0.0, False), (1e-3, True), (0.02, True)])
+def test_an_inductance_is_listed_if_it_was_learnt(std, listed):
+    """One that is taken as exact has no standard deviation."""
+    run = fluxobs.estimate(fluxobs.demo_log(), "servo-400w", unknowns="drift,resistance")
+    learnt = replace(run.learnt, inductance_error=(0.05, 0.0), inductance_std=(std, std))
+    (text,) = _parameters(replace(run, learnt=learnt))
+    assert ("L_s 630 µH ± " in text) == listed
+    assert ("600 µH given" in text) == listed
 
 
 def test_only_unknown_parameters_are_listed():

@@ -42,6 +42,11 @@ def test_names_and_units_above_the_rows(head, names, units):
     assert found.first_line == len(head.splitlines())
 
 
+def test_units_of_a_third_of_the_columns_are_no_row_of_units():
+    with pytest.raises(RecordError, match="expected a header"):
+        find("t,a,b\ns")
+
+
 @pytest.mark.parametrize(
     ("row", "names", "units"),
     [
