@@ -172,11 +172,8 @@ def bundled(entry: Path, style: str) -> str:
 
 def demo() -> str:
     """The first rows of the demo log."""
-    lines = (
-        (PACKAGE / "simulation" / "closed_form" / "demo_log.csv")
-        .read_text("utf-8")
-        .splitlines(keepends=True)
-    )
+    log = PACKAGE / "simulation" / "closed_form" / "demo_log.csv"
+    lines = log.read_text("utf-8").splitlines(keepends=True)
     return "".join(lines[: 1 + DEMO_ROWS])
 
 

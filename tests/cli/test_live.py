@@ -1,4 +1,4 @@
-"""`fluxobs live` in the terminal, and its mistakes; its page is in tests/web."""
+"""`fluxobs live` in the terminal, and its mistakes; its page is in tests/page."""
 
 import re
 import signal

@@ -23,7 +23,7 @@ def page(
     One HTML file that works offline: drop a log, choose the machine, see what `fluxobs estimate`
     and `fluxobs check` say of it, and move parameters. Nothing leaves the computer.
 
-    Example: fluxobs page --out fluxobs.core.html
+    Example: fluxobs page --out fluxobs.html
     """
     import tempfile
     import webbrowser
