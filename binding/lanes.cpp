@@ -1,6 +1,6 @@
-/* The good samples of fluxobs.c over lanes, without branches: what is computed stands in the order in
- * which it stands there, so that rounding is the same. A lane whose sample is bad or contradicts what
- * is known takes that step by fo_step. Tests compare every output and every byte of the states
+/* The good samples of fluxobs.c over lanes, without branches: what is computed stands in the order
+ * in which it stands there, so that rounding is the same. A lane whose sample is bad or contradicts
+ * what is known takes that step by fo_step. Tests compare every output and every byte of the states
  * (tests/observers/test_lanes.py). */
 #include "lanes.h"
 
@@ -33,13 +33,16 @@ typedef whole M __attribute__((vector_size(32))); /* a mask: all bits of a lane,
 
 inline V select(M mask, V yes, V no) {
 #if defined(__AVX2__) && FO_SINGLE
-    return reinterpret_cast<V>(_mm256_blendv_ps(reinterpret_cast<__m256>(no), reinterpret_cast<__m256>(yes),
+    return reinterpret_cast<V>(_mm256_blendv_ps(reinterpret_cast<__m256>(no),
+                                                reinterpret_cast<__m256>(yes),
                                                 reinterpret_cast<__m256>(mask)));
 #elif defined(__AVX2__)
-    return reinterpret_cast<V>(_mm256_blendv_pd(reinterpret_cast<__m256d>(no), reinterpret_cast<__m256d>(yes),
+    return reinterpret_cast<V>(_mm256_blendv_pd(reinterpret_cast<__m256d>(no),
+                                                reinterpret_cast<__m256d>(yes),
                                                 reinterpret_cast<__m256d>(mask)));
 #else
-    return reinterpret_cast<V>((mask & reinterpret_cast<M>(yes)) | (~mask & reinterpret_cast<M>(no)));
+    return reinterpret_cast<V>((mask & reinterpret_cast<M>(yes)) |
+                               (~mask & reinterpret_cast<M>(no)));
 #endif
 }
 inline V all(fo_real x) { return V{} + x; }
@@ -91,7 +94,8 @@ inline V angle_of(V y, V x) {
     const V from = select(between, all(PI / (fo_real)4), select(near, all(FO_BETWEEN), V{}));
     const V square = q * q;
     V series = all(FO_ATAN[0]);
-    for (size_t k = 1; k < sizeof FO_ATAN / sizeof FO_ATAN[0]; k++) series = FO_ATAN[k] + square * series;
+    for (size_t k = 1; k < sizeof FO_ATAN / sizeof FO_ATAN[0]; k++)
+        series = FO_ATAN[k] + square * series;
     V angle = from + (q + q * (square * series));
     angle = select(steep, PI / TWO - angle, angle);
     angle = select(x < ZERO, PI - angle, angle);
@@ -100,27 +104,29 @@ inline V angle_of(V y, V x) {
 
 /* The numbers of fo_state that a good sample changes. */
 #define LANE_NUMBERS(X)                                                                        \
-    X(step) X(length) X(rough) X(roughness) X(exposed) X(innovation) X(power) X(lag_one)       \
-    X(noise_share) X(inflation) X(spread) X(drift_prior) X(theta) X(swept) X(variance)         \
-    X(growth) X(carried) X(carried_length) X(carried_off) X(tracker.angle) X(tracker.speed)    \
-    X(tracker.acceleration) X(tracker.settled)
+    X(step) X(length) X(noise_ratio) X(noise_inflation) X(voltage_turn) X(innovation)          \
+    X(power) X(lag_one) X(noise_share) X(inflation) X(angle_variance) X(drift_prior) X(theta)  \
+    X(rotation) X(variance) X(variance_growth) X(open_loop_time) X(open_loop_length)           \
+    X(open_loop_error) X(tracker.angle) X(tracker.speed) X(tracker.acceleration)               \
+    X(tracker.settled)
 #define LANE_ARRAYS(X)                                                                         \
     X(info.U, FO_TRIANGLE) X(info.d, FO_NX) X(info.z, FO_NX) X(info.noise, 3) X(x, FO_NX)      \
     X(current[0], FO_N) X(current[1], FO_N) X(current[2], FO_N) X(current[3], FO_N)            \
-    X(source, FO_N) X(given, FO_N) X(kink, FO_N) X(flux, FO_N) X(drift, FO_N)
+    X(source, FO_N) X(held_source, FO_N) X(source_step, FO_N) X(flux, FO_N) X(drift, FO_N)
 
 struct Lanes {
     struct {
         V U[FO_TRIANGLE], d[FO_NX], z[FO_NX], noise[3];
     } info;
-    V x[FO_NX], current[FO_HISTORY][FO_N], source[FO_N], given[FO_N], kink[FO_N];
+    V x[FO_NX], current[FO_HISTORY][FO_N], source[FO_N], held_source[FO_N], source_step[FO_N];
     V flux[FO_N], drift[FO_N];
-    V step, length, rough, roughness, exposed, innovation, power, lag_one, noise_share, inflation,
-        spread, drift_prior, theta, swept, variance, growth, carried, carried_length, carried_off;
+    V step, length, noise_ratio, noise_inflation, voltage_turn, innovation, power, lag_one,
+        noise_share, inflation, angle_variance, drift_prior, theta, rotation, variance,
+        variance_growth, open_loop_time, open_loop_length, open_loop_error;
     struct {
         V angle, speed, acceleration, settled;
     } tracker;
-    M trusted, have_carried, lost, turn, restarts, consecutive_bad;
+    M trusted, have_trusted_flux, lost, round_index, restarts, consecutive_bad;
 };
 
 void put_in(Lanes &l, int k, const fo_state &s) {
@@ -130,9 +136,9 @@ void put_in(Lanes &l, int k, const fo_state &s) {
     LANE_NUMBERS(PUT_NUMBER_IN)
     LANE_ARRAYS(PUT_ARRAY_IN)
     l.trusted[k] = -static_cast<whole>(s.trusted);
-    l.have_carried[k] = -static_cast<whole>(s.have_carried);
+    l.have_trusted_flux[k] = -static_cast<whole>(s.have_trusted_flux);
     l.lost[k] = -static_cast<whole>(s.tracker.lost);
-    l.turn[k] = static_cast<whole>(s.turn);
+    l.round_index[k] = static_cast<whole>(s.round_index);
     l.restarts[k] = 0;
     l.consecutive_bad[k] = static_cast<whole>(s.consecutive_bad);
 }
@@ -144,20 +150,20 @@ void take_out(const fo_observer &o, const Lanes &l, int k, fo_state &s) {
     LANE_NUMBERS(TAKE_NUMBER_OUT)
     LANE_ARRAYS(TAKE_ARRAY_OUT)
     s.trusted = l.trusted[k] != 0;
-    s.have_carried = l.have_carried[k] != 0;
+    s.have_trusted_flux = l.have_trusted_flux[k] != 0;
     s.tracker.lost = l.lost[k] != 0;
-    s.turn = static_cast<uint32_t>(l.turn[k]);
+    s.round_index = static_cast<uint32_t>(l.round_index[k]);
     s.restarts += static_cast<uint32_t>(l.restarts[k]);
     s.consecutive_bad = static_cast<uint32_t>(l.consecutive_bad[k]);
 #if FO_MAPPED
-    for (int n = 0; n < FO_N; n++) s.shape.away[n] = o.L_position * s.current[0][n];
+    for (int n = 0; n < FO_N; n++) s.map_point.armature_flux[n] = o.L_position * s.current[0][n];
 #else
     (void)o;
 #endif
 }
 
 /* Can a state go on in a lane? */
-bool ordinary(const fo_state &s) { return !never_reset(&s) && s.have_current && s.have_voltage; }
+bool ordinary(const fo_state &s) { return !is_never_reset(&s) && s.have_current && s.have_voltage; }
 
 constexpr int at(int i, int j) { return i * (2 * FO_NX - i - 3) / 2 + j - 1; }
 
@@ -315,8 +321,8 @@ inline void judge(Lanes &l, const V p[2], V square, M due, M long_enough) {
     spread = select(tight, spread * excess, spread);
     l.noise_share = select(due, select(long_enough, share, all(ONE)), l.noise_share);
     l.inflation = select(which, inflation, l.inflation);
-    l.spread = select(which, spread, l.spread);
-    const M widened = which & tight & l.trusted & (size(l.swept) > SETTLED);
+    l.angle_variance = select(which, spread, l.angle_variance);
+    const M widened = which & tight & l.trusted & (size(l.rotation) > SETTLED);
     if (any(widened)) {
         const V keep = select(widened, DISTRUST / excess, all(ONE));
         l.drift_prior = select(widened, l.drift_prior / (WIDEN * excess), l.drift_prior);
@@ -326,26 +332,28 @@ inline void judge(Lanes &l, const V p[2], V square, M due, M long_enough) {
 }
 
 /* carry_on of fluxobs.c, in the lanes `which`. */
-inline V carry_on(const fo_observer &o, Lanes &l, const V v[2], M which) {
+inline V integrate_open_loop(const fo_observer &o, Lanes &l, const V v[2], M which) {
     V p[2], flux[2];
-    const M first = which & (l.carried == ZERO);
+    const M first = which & (l.open_loop_time == ZERO);
     if (any(first)) {
         const V square = vector_of(o, l, l.flux, p);
         const V *u = l.info.U, *d = l.info.d;
         const V a = p[0] + p[1] * u[at(DRIFT, DRIFT + 1)];
         const V c = p[1] * u[at(DRIFT, CC)] - a * u[at(DRIFT + 1, CC)];
         const V known = p[1] * p[1] / d[DRIFT] + a * a / d[DRIFT + 1] + c * c / d[CC];
-        const V growth = (l.inflation * (known / square) + o.plausible * o.plausible) / square;
-        l.growth = select(first, growth, l.growth);
-        l.carried_length = select(first, root(square), l.carried_length);
-        l.carried_off = select(first, V{}, l.carried_off);
+        const V growth =
+            (l.inflation * (known / square) + o.drift_prior_std * o.drift_prior_std) / square;
+        l.variance_growth = select(first, growth, l.variance_growth);
+        l.open_loop_length = select(first, root(square), l.open_loop_length);
+        l.open_loop_error = select(first, V{}, l.open_loop_error);
     }
-    l.carried = select(which, l.carried + o.h, l.carried);
+    l.open_loop_time = select(which, l.open_loop_time + o.h, l.open_loop_time);
     for (int i = 0; i < FO_N; i++) flux[i] = l.flux[i] + v[i] + o.h * l.drift[i];
-    const V off = root(vector_of(o, l, flux, p)) / l.carried_length - ONE;
-    const V worse = select(off * off > l.carried_off, off * off, l.carried_off);
-    l.carried_off = select(which, worse, l.carried_off);
-    const V variance = l.variance + l.growth * l.carried * l.carried + l.carried_off;
+    const V off = root(vector_of(o, l, flux, p)) / l.open_loop_length - ONE;
+    const V worse = select(off * off > l.open_loop_error, off * off, l.open_loop_error);
+    l.open_loop_error = select(which, worse, l.open_loop_error);
+    const V variance =
+        l.variance + l.variance_growth * l.open_loop_time * l.open_loop_time + l.open_loop_error;
     const M on = which & (variance < VARIANCE_UNKNOWN);
     for (int i = 0; i < FO_N; i++) l.flux[i] = select(on, flux[i], l.flux[i]);
     return variance;
@@ -353,17 +361,19 @@ inline V carry_on(const fo_observer &o, Lanes &l, const V v[2], M which) {
 
 /* What a step gives, over lanes. */
 struct Found {
-    V flux[2], psi_f, theta_e, theta_e_tracked, speed_e, drift[2], theta_e_std, innovation, noise_share;
+    V flux[2], psi_f, theta_e, theta_e_tracked, speed_e, drift[2], theta_e_std, innovation,
+        noise_share;
     M valid;
 };
 
-/* A sample in the relation, before anything changes. */
+/* A sample and its measurement row, before the state changes. */
 struct Sample {
-    V given[2], kink[2], source[2], current[2]; /* volt-seconds before and after the kinks */
+    V held_source[2], source_step[2]; /* volt-seconds of a held voltage, and their step */
+    V source[2], current[2];          /* volt-seconds without kinks */
     V row[FO_NX], rhs;
-    V v[2], q[2], input;                        /* of the interval */
-    V length;                                   /* of the position vector's step */
-    M odd;                                      /* bad, or contradicts what is known */
+    V v[2], q[2], input;              /* of the interval */
+    V length;                         /* of the position vector's step */
+    M irregular;                      /* a bad sample or an outlier: left to the scalar step */
 };
 
 inline void look_at(const fo_observer &o, const Lanes &l, const V voltage[2], const V current[2],
@@ -373,14 +383,15 @@ inline void look_at(const fo_observer &o, const Lanes &l, const V voltage[2], co
     M good = inner(s.source, s.source) <= FLUX_STEP_LIMIT * FLUX_STEP_LIMIT;
     for (int i = 0; i < FO_N; i++) {
         s.current[i] = current[i];
-        s.given[i] = l.given[i];
-        s.kink[i] = l.kink[i];
+        s.held_source[i] = l.held_source[i];
+        s.source_step[i] = l.source_step[i];
     }
     if (o.kink_now != ZERO) {
         for (int i = 0; i < FO_N; i++) {
-            s.kink[i] = s.source[i] - l.given[i];
-            s.given[i] = s.source[i];
-            s.source[i] = s.source[i] - o.kink_now * s.kink[i] - o.kink_before * l.kink[i];
+            s.source_step[i] = s.source[i] - l.held_source[i];
+            s.held_source[i] = s.source[i];
+            s.source[i] =
+                s.source[i] - o.kink_now * s.source_step[i] - o.kink_before * l.source_step[i];
         }
         good &= inner(s.source, s.source) <= FLUX_STEP_LIMIT * FLUX_STEP_LIMIT;
     }
@@ -400,10 +411,11 @@ inline void look_at(const fo_observer &o, const Lanes &l, const V voltage[2], co
     for (int i = 0; i < FO_N; i++) s.q[i] = inner(o.Q1x2[i], s.v);
     s.input = inner(s.q, s.v) / TWO + inner(o.E, s.v);
 
-    for (int i = 0; i < FO_N; i++) moved[i] = s.v[i] - o.L_position * (current[i] - l.current[0][i]);
+    for (int i = 0; i < FO_N; i++)
+        moved[i] = s.v[i] - o.L_position * (current[i] - l.current[0][i]);
     s.length = root(inner(moved, moved));
-    const V usual =
-        TWO * l.step + STEP_LIMIT * l.length + STEP_NOISE * root(o.position_noise * l.roughness);
+    const V usual = TWO * l.step + STEP_LIMIT * l.length +
+                    STEP_NOISE * root(o.position_noise * l.noise_inflation);
     V off = s.rhs, free = l.x[S] + s.input + o.h * (l.x[KAPPA] + o.h * l.x[CC]);
     for (int i = 0; i < FO_N; i++) {
         const V flux = l.x[FLUX + i] + o.h * l.x[DRIFT + i];
@@ -412,7 +424,7 @@ inline void look_at(const fo_observer &o, const Lanes &l, const V voltage[2], co
     }
     off -= s.row[S] * free;
     const M outlier = l.trusted & ((s.length > usual) | ~(size(off) < OUTLIER_LIMIT * s.row[S]));
-    s.odd = ~good | outlier;
+    s.irregular = ~good | outlier;
 }
 
 /* Lanes whose numbers have run away start anew. */
@@ -428,9 +440,9 @@ inline void start_anew(Lanes &l, M gone) {
     l.power = select(gone, all(ONE), l.power);
     l.lag_one = select(gone, V{}, l.lag_one);
     l.noise_share = select(gone, all(ONE), l.noise_share);
-    l.swept = select(gone, V{}, l.swept);
+    l.rotation = select(gone, V{}, l.rotation);
     l.trusted &= ~gone;
-    l.turn &= ~gone;
+    l.round_index &= ~gone;
     l.restarts -= gone; /* a mask is -1 */
 }
 
@@ -460,8 +472,8 @@ inline void step(const fo_observer &o, Lanes &l, Sample &s, Found &e) {
     for (int i = 0; i < FO_N; i++) {
         l.current[0][i] = s.current[i];
         l.source[i] = s.source[i];
-        l.given[i] = s.given[i];
-        l.kink[i] = s.kink[i];
+        l.held_source[i] = s.held_source[i];
+        l.source_step[i] = s.source_step[i];
     }
     l.step = s.length;
     l.consecutive_bad = M{};
@@ -474,9 +486,9 @@ inline void step(const fo_observer &o, Lanes &l, Sample &s, Found &e) {
     l.power = o.rho * l.power + share * innovation;
     l.lag_one = o.rho * l.lag_one + share * l.innovation;
     l.innovation = innovation;
-    l.info.noise[0] += o.noise_information * l.roughness;
-    l.rough += o.h * ((third0 * third0 + third1 * third1) * o.over_noise - l.rough);
-    l.roughness = select(l.rough > ONE, l.rough, all(ONE));
+    l.info.noise[0] += o.noise_information * l.noise_inflation;
+    l.noise_ratio += o.h * ((third0 * third0 + third1 * third1) * o.over_noise - l.noise_ratio);
+    l.noise_inflation = select(l.noise_ratio > ONE, l.noise_ratio, all(ONE));
 
     int element = FO_TRIANGLE - 1;
 #pragma GCC unroll 8
@@ -492,28 +504,30 @@ inline void step(const fo_observer &o, Lanes &l, Sample &s, Found &e) {
         start_anew(l, gone);
         square = vector_of(o, l, &l.x[FLUX], p);
     }
-    const M turn = l.turn;
-    l.turn = turn + 1;
-    l.turn &= l.turn < static_cast<whole>(REINJECT_PERIOD);
+    const M turn = l.round_index;
+    l.round_index = turn + 1;
+    l.round_index &= l.round_index < static_cast<whole>(REINJECT_PERIOD);
     V theta = angle_of(p[1], p[0]);
     const M long_enough = square > o.square_min;
     const M judging = (turn & 1) != 0;
     if (any(~judging)) reinject_due(o, l, turn);
     if (any(judging)) judge(l, p, square, judging, long_enough);
     const M known = long_enough & (l.noise_share < SHARE_LIMIT);
-    l.swept = select(known, l.swept + wrapped(theta - l.theta), V{});
+    l.rotation = select(known, l.rotation + wrapped(theta - l.theta), V{});
     l.theta = theta;
-    const M trusted = known & (l.trusted | (size(l.swept) > SWEEP));
+    const M trusted = known & (l.trusted | (size(l.rotation) > SWEEP));
 
     const V turned = size(l.tracker.speed) * o.sample_time;
-    l.exposed += o.h * o.plausible - l.exposed * select(turned < ONE, turned, all(ONE));
-    l.exposed = select(l.exposed < EXPOSED_MOST, l.exposed, all(EXPOSED_MOST));
+    l.voltage_turn +=
+        o.h * o.drift_prior_std - l.voltage_turn * select(turned < ONE, turned, all(ONE));
+    l.voltage_turn =
+        select(l.voltage_turn < VOLTAGE_TURN_MAX, l.voltage_turn, all(VOLTAGE_TURN_MAX));
 
-    V variance = l.spread + o.position_noise * l.roughness / square + ZERO;
+    V variance = l.angle_variance + o.position_noise * l.noise_inflation / square + ZERO;
     l.variance = select(trusted, variance, l.variance);
-    l.carried = select(trusted, V{}, l.carried);
-    const M carrying = ~trusted & l.have_carried;
-    l.have_carried |= trusted;
+    l.open_loop_time = select(trusted, V{}, l.open_loop_time);
+    const M carrying = ~trusted & l.have_trusted_flux;
+    l.have_trusted_flux |= trusted;
     variance = select(trusted, variance, all(VARIANCE_UNKNOWN));
     for (int i = 0; i < FO_N; i++) {
         e.flux[i] = l.x[FLUX + i];
@@ -522,7 +536,7 @@ inline void step(const fo_observer &o, Lanes &l, Sample &s, Found &e) {
         l.drift[i] = select(trusted, e.drift[i], l.drift[i]);
     }
     if (any(carrying)) {
-        const V carried = carry_on(o, l, s.v, carrying);
+        const V carried = integrate_open_loop(o, l, s.v, carrying);
         const M report = carrying & (~known | (carried < VARIANCE_UNKNOWN));
         variance = select(carrying, carried, variance);
         const V there = vector_of(o, l, l.flux, p);
@@ -544,7 +558,8 @@ inline void step(const fo_observer &o, Lanes &l, Sample &s, Found &e) {
     e.theta_e_std = root(variance);
     const M near = size(wrapped(theta - t.angle)) < STD_LIMIT + (fo_real)3 * e.theta_e_std;
     const V settled = t.settled + select(near, all(o.h), all(TRACKER_OFF * o.h));
-    l.tracker.settled = select(trusted, select(t.settled < TRACKER_SETTLED, settled, t.settled), V{});
+    l.tracker.settled =
+        select(trusted, select(t.settled < TRACKER_SETTLED, settled, t.settled), V{});
 
     for (int i = 0; i < FO_N; i++) {
         e.flux[i] *= o.flux_base;
@@ -557,7 +572,7 @@ inline void step(const fo_observer &o, Lanes &l, Sample &s, Found &e) {
     e.innovation = l.innovation;
     e.noise_share = l.noise_share;
     e.valid = trusted & (t.settled >= TRACKER_SETTLED) & (variance < STD_LIMIT * STD_LIMIT) &
-              (l.exposed < VOLTAGE_LIMIT * l.length);
+              (l.voltage_turn < VOLTAGE_LIMIT * l.length);
 }
 
 /* A row of every record: [records][rows][2]. */
@@ -568,7 +583,8 @@ inline void read(const double *from, size_t rows, size_t row, V to[2]) {
         const double *one = from + 2 * (static_cast<size_t>(2 * k) * rows + row);
         const __m256d both = _mm256_insertf128_pd(_mm256_castpd128_pd256(_mm_loadu_pd(one)),
                                                   _mm_loadu_pd(one + 2 * rows), 1);
-        /* beyond its range a number of single precision is infinite, and not rounded to its largest */
+        /* beyond its range a number of single precision is infinite, and not rounded to its
+         * largest */
         const __m256d sign = _mm256_and_pd(both, _mm256_set1_pd(-0.0));
         const __m256d most = _mm256_set1_pd(3.4028234663852886e38);
         const __m256d beyond = _mm256_cmp_pd(_mm256_xor_pd(both, sign), most, _CMP_GT_OQ);
@@ -576,16 +592,20 @@ inline void read(const double *from, size_t rows, size_t row, V to[2]) {
         pairs[k] = _mm256_cvtpd_ps(_mm256_blendv_pd(both, endless, beyond));
     }
     for (int n = 0; n < 2; n++) {
-        const __m128 low = n ? _mm_shuffle_ps(pairs[0], pairs[1], 0xDD) : _mm_shuffle_ps(pairs[0], pairs[1], 0x88);
-        const __m128 high = n ? _mm_shuffle_ps(pairs[2], pairs[3], 0xDD) : _mm_shuffle_ps(pairs[2], pairs[3], 0x88);
+        const __m128 low =
+            n ? _mm_shuffle_ps(pairs[0], pairs[1], 0xDD) : _mm_shuffle_ps(pairs[0], pairs[1], 0x88);
+        const __m128 high =
+            n ? _mm_shuffle_ps(pairs[2], pairs[3], 0xDD) : _mm_shuffle_ps(pairs[2], pairs[3], 0x88);
         to[n] = reinterpret_cast<V>(_mm256_set_m128(high, low));
     }
 #else
     for (int k = 0; k < LANES; k++)
         for (int n = 0; n < 2; n++) {
-            const double x = from[2 * (static_cast<size_t>(k) * rows + row) + static_cast<size_t>(n)];
+            const double x =
+                from[2 * (static_cast<size_t>(k) * rows + row) + static_cast<size_t>(n)];
             /* beyond its range a number of single precision is infinite */
-            const double most = sizeof(fo_real) < sizeof x ? 3.4028234663852886e38 : __builtin_inf();
+            const double most =
+                sizeof(fo_real) < sizeof x ? 3.4028234663852886e38 : __builtin_inf();
             to[n][k] = static_cast<fo_real>(x > most    ? __builtin_inf()
                                             : x < -most ? -__builtin_inf()
                                                         : x);
@@ -597,8 +617,8 @@ inline void read(const double *from, size_t rows, size_t row, V to[2]) {
  * would ask for all these pages again and again. */
 constexpr size_t TILE = 64;
 
-/* Asks the memory for a part of what the next tile is written to: the processor's own guesses do not
- * reach so many places at once. */
+/* Asks the memory for a part of what the next tile is written to: the processor's own guesses do
+ * not reach so many places at once. */
 inline void fetch(const double *next, size_t rows, size_t plane, size_t place) {
     const double *at = next + (place % LANES) * rows + place / LANES * (64 / sizeof(double));
     if (place / LANES < TILE * sizeof(double) / 64)
@@ -615,13 +635,16 @@ inline void write(const V tile[TILE], double *to, size_t rows, size_t count) {
             for (size_t n = 0; n < 4; n++) {
 #if FO_SINGLE
                 const __m256 row = reinterpret_cast<__m256>(tile[r + n]);
-                of[n] = _mm256_cvtps_pd(first ? _mm256_extractf128_ps(row, 1) : _mm256_castps256_ps128(row));
+                of[n] = _mm256_cvtps_pd(first ? _mm256_extractf128_ps(row, 1)
+                                              : _mm256_castps256_ps128(row));
 #else
                 of[n] = reinterpret_cast<__m256d>(tile[r + n]);
 #endif
             }
-            const __m256d a = _mm256_unpacklo_pd(of[0], of[1]), b = _mm256_unpackhi_pd(of[0], of[1]);
-            const __m256d c = _mm256_unpacklo_pd(of[2], of[3]), d = _mm256_unpackhi_pd(of[2], of[3]);
+            const __m256d a = _mm256_unpacklo_pd(of[0], of[1]),
+                          b = _mm256_unpackhi_pd(of[0], of[1]);
+            const __m256d c = _mm256_unpacklo_pd(of[2], of[3]),
+                          d = _mm256_unpackhi_pd(of[2], of[3]);
             double *at = to + static_cast<size_t>(first) * rows + r;
             _mm256_storeu_pd(at, _mm256_permute2f128_pd(a, c, 0x20));
             _mm256_storeu_pd(at + rows, _mm256_permute2f128_pd(b, d, 0x20));
@@ -661,7 +684,7 @@ void lanes_run(const fo_observer *observer, fo_state *states, const double *volt
         read(current, rows, row, i);
         look_at(o, now, u, i, sample);
         for (int k = 0; k < LANES; k++) {
-            if (apart[k] || sample.odd[k] == 0) continue;
+            if (apart[k] || sample.irregular[k] == 0) continue;
             take_out(o, now, k, states[k]);
             apart[k] = true;
         }

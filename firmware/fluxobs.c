@@ -3,9 +3,9 @@
 
 #include <string.h>
 
-/* Where speed is wanted, loops of few turns are written out, so that a row stays in registers:
- * not in code for size, nor where each operation calls the emulation of a floating-point unit.
- * -DFO_WRITTEN_OUT overrules it; the numbers are the same. */
+/* Compiled for speed, short loops are unrolled, so that a row stays in registers; not where code
+ * size counts, nor where a library emulates floating point. -DFO_WRITTEN_OUT overrides the choice;
+ * the numbers are the same. */
 #ifndef FO_WRITTEN_OUT
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__) && !defined(__SOFTFP__) && !defined(__AVR__)
 #define FO_WRITTEN_OUT 1
@@ -36,7 +36,8 @@ fo_real fo_atan2(fo_real y, fo_real x)
     } else if (q > FO_NEAR_ZERO) {
         from = FO_BETWEEN;
         q = (less - FO_TAN_BETWEEN * more) / (more + FO_TAN_BETWEEN * less);
-    } else { /* near the axis */
+    } else {
+        /* near the axis */
     }
     const fo_real square = q * q;
     fo_real series = ATAN[0];
@@ -49,7 +50,7 @@ fo_real fo_atan2(fo_real y, fo_real x)
     return y < ZERO ? -angle : angle;
 }
 
-static void clear(fo_real x[FO_NX])
+static void set_zero(fo_real x[FO_NX])
 {
     for (int i = 0; i < FO_NX; i++) {
         x[i] = ZERO;
@@ -68,57 +69,58 @@ static bool is_finite(const fo_real *x, int n)
 }
 
 #define DEMAND_MATRIX(name) \
-    demand(&found, is_finite(&c->name[0][0], FO_N * FO_N), FO_ERROR_NOT_FINITE, #name);
-#define DEMAND_VECTOR(name) demand(&found, is_finite(c->name, FO_N), FO_ERROR_NOT_FINITE, #name);
-#define DEMAND_NUMBER(name) demand(&found, is_finite(&c->name, 1), FO_ERROR_NOT_FINITE, #name);
+    demand(&error, is_finite(&c->name[0][0], FO_N * FO_N), FO_ERROR_NOT_FINITE, #name);
+#define DEMAND_VECTOR(name) demand(&error, is_finite(c->name, FO_N), FO_ERROR_NOT_FINITE, #name);
+#define DEMAND_NUMBER(name) demand(&error, is_finite(&c->name, 1), FO_ERROR_NOT_FINITE, #name);
 #define DEMAND_FINITE(name, least, most) DEMAND_NUMBER(name)
 #define PASSED_OVER(name)
 #define PASSED_OVER_RANGE(name, least, most)
 #define DEMAND_POSITIVE(name, least, most) \
-    demand(&found, c->name > ZERO, FO_ERROR_BASE, #name);
+    demand(&error, c->name > ZERO, FO_ERROR_BASE, #name);
 #define DEMAND_RANGE(name, least, most)                                                    \
-    demand(&found, within(c->name, (fo_real)(least), (fo_real)(most)), FO_ERROR_RANGE, #name);
+    demand(&error, within(c->name, (fo_real)(least), (fo_real)(most)), FO_ERROR_RANGE, #name);
 
 #if FO_ISOTROPIC
-/* Is it a number times the identity? */
-static bool is_number(fo_real aa, fo_real ab, fo_real ba, fo_real bb)
+/* Is the matrix a number times the identity? */
+static bool is_scalar(fo_real aa, fo_real ab, fo_real ba, fo_real bb)
 {
     return !(fo_abs(ab) + fo_abs(ba) + fo_abs(aa - bb) > ZERO);
 }
 #define DEMAND_IDENTITY(name)                                                                   \
-    demand(&found, is_number(c->name[0][0], c->name[0][1], c->name[1][0], c->name[1][1]),       \
+    demand(&error, is_scalar(c->name[0][0], c->name[0][1], c->name[1][0], c->name[1][1]),       \
            FO_ERROR_OTHER, #name);
 #define DEMAND_NOTHING(name) \
-    demand(&found, !(fo_abs(c->name[0]) + fo_abs(c->name[1]) > ZERO), FO_ERROR_OTHER, #name);
+    demand(&error, !(fo_abs(c->name[0]) + fo_abs(c->name[1]) > ZERO), FO_ERROR_OTHER, #name);
 #endif
 
-static finding check(const fo_config *c)
+static field_error check_config(const fo_config *c)
 {
-    finding found = {FO_OK, NULL};
+    field_error error = {FO_OK, NULL};
     FO_CONFIG_FIELDS(DEMAND_MATRIX, DEMAND_VECTOR, DEMAND_NUMBER, DEMAND_FINITE)
-    demand(&found, c->sample_time > ZERO, FO_ERROR_SAMPLE_TIME, "sample_time");
-    demand(&found, memory_fits(c->memory, c->sample_time), FO_ERROR_SAMPLE_TIME, "memory");
+    demand(&error, c->sample_time > ZERO, FO_ERROR_SAMPLE_TIME, "sample_time");
+    demand(&error, memory_fits(c->memory, c->sample_time), FO_ERROR_SAMPLE_TIME, "memory");
     FO_CONFIG_FIELDS(PASSED_OVER, PASSED_OVER, PASSED_OVER, DEMAND_POSITIVE)
     FO_CONFIG_FIELDS(PASSED_OVER, PASSED_OVER, PASSED_OVER, DEMAND_RANGE)
-    demand(&found, c->R[0][0] >= ZERO && c->R[1][1] >= ZERO, FO_ERROR_RANGE, "R");
-    /* what these sources leave out (fluxobs_real.h) */
+    demand(&error, c->R[0][0] >= ZERO && c->R[1][1] >= ZERO, FO_ERROR_RANGE, "R");
+    /* features that these sources leave out (fluxobs_real.h) */
 #if FO_ISOTROPIC
     FO_CONFIG_FIELDS(DEMAND_IDENTITY, DEMAND_NOTHING, PASSED_OVER, PASSED_OVER_RANGE)
 #endif
 #if !FO_HELD
-    demand(&found, !(fo_abs(c->kink_now) > ZERO), FO_ERROR_OTHER, "R"); /* R h/L is large */
+    demand(&error, !(fo_abs(c->kink_now) > ZERO), FO_ERROR_OTHER, "R"); /* R h/L is large */
 #endif
-    return found;
+    return error;
 }
 
-/* Each row gives back what forgetting takes until its next turn, 1 - rho^period. */
-static fo_real reinjected(fo_real rho)
+/* Share of the prior that a re-injection gives back: what forgetting takes in a round, 1 -
+ * rho^period. */
+static fo_real reinjection_share(fo_real rho)
 {
-    fo_real left = ONE;
+    fo_real kept = ONE;
     for (int i = 0; i < (int)REINJECT_PERIOD; i++) {
-        left *= rho;
+        kept *= rho;
     }
-    return ONE - left;
+    return ONE - kept;
 }
 
 /* Gains of the tracker for its pole. */
@@ -159,8 +161,8 @@ static void prepare(fo_observer *o, const fo_config *c)
     o->rho = ONE - o->h;
     o->noise_information = q2 / (fo_real)FO_N * c->current_noise * c->current_noise;
 
-    o->plausible = drift_prior;
-    o->reinject = reinjected(o->rho);
+    o->drift_prior_std = drift_prior;
+    o->reinject = reinjection_share(o->rho);
     o->flux_base = psi;
     o->drift_base = drift_base;
     o->current_limit = c->current_limit;
@@ -183,55 +185,56 @@ static void prepare(fo_observer *o, const fo_config *c)
     set_tracker(o, ONE / (ONE + x + x * x / TWO));
 }
 
-/* Do the prepared numbers leave single precision enough room? Limits are far beyond any machine. */
-static finding check_prepared(const fo_observer *o)
+/* Are the prepared numbers within the range of single precision? Limits are far beyond any
+ * machine. */
+static field_error check_prepared(const fo_observer *o)
 {
     const fo_real low = (fo_real)1e-12, high = (fo_real)1e12;
     const fo_real thousand = (fo_real)1e3, million = (fo_real)1e6, most = (fo_real)1e24;
     const fo_real i = o->current_limit;
-    finding found = {FO_OK, NULL};
-    demand_size(&found, o->flux_base, low, high, "flux_base");
-    demand_size(&found, o->drift_base, low, high, "memory");
-    demand_size(&found, o->sample_time, low, high, "sample_time");
-    demand_size(&found, i, low, high, "current_limit");
+    field_error error = {FO_OK, NULL};
+    demand_size(&error, o->flux_base, low, high, "flux_base");
+    demand_size(&error, o->drift_base, low, high, "memory");
+    demand_size(&error, o->sample_time, low, high, "sample_time");
+    demand_size(&error, i, low, high, "current_limit");
     for (int n = 0; n < FO_N; n++) {
-        demand_size(&found, o->E[n], -thousand, thousand, "E");
-        demand_size(&found, o->row_C[n] * i, -high, high, "C");
+        demand_size(&error, o->E[n], -thousand, thousand, "E");
+        demand_size(&error, o->row_C[n] * i, -high, high, "C");
         for (int m = 0; m < FO_N; m++) {
-            demand_size(&found, o->Q1x2[n][m], -thousand, thousand, "Q1");
-            demand_size(&found, o->row_Q2[n][m] * i, -(fo_real)1e9, (fo_real)1e9, "Q2");
-            demand_size(&found, o->row_Q3[n][m] * i * i, -high, high, "Q3");
-            demand_size(&found, o->hR[n][m] * i, -thousand, thousand, "R");
-            demand_size(&found, o->hB[n][m], -high, high, "B");
+            demand_size(&error, o->Q1x2[n][m], -thousand, thousand, "Q1");
+            demand_size(&error, o->row_Q2[n][m] * i, -(fo_real)1e9, (fo_real)1e9, "Q2");
+            demand_size(&error, o->row_Q3[n][m] * i * i, -high, high, "Q3");
+            demand_size(&error, o->hR[n][m] * i, -thousand, thousand, "R");
+            demand_size(&error, o->hB[n][m], -high, high, "B");
         }
     }
-    demand_size(&found, o->plausible, (fo_real)1e-6, million, "drift_prior");
-    demand_size(&found, o->row_s, (fo_real)1e-3, million, "constraint_noise");
-    demand_size(&found, o->kink_now, -ONE, ONE, "kink_now");
-    demand_size(&found, o->kink_before, -ONE, ONE, "kink_before");
-    demand_size(&found, o->L_position * i, -million, million, "L_position");
-    demand_size(&found, o->square_min, ZERO, million, "length_min");
-    demand_size(&found, o->position_noise, ZERO, million, "current_noise");
-    demand_size(&found, o->noise_information, ZERO, high, "current_noise");
-    demand_size(&found, o->over_noise * i * i, ZERO, most, "current_noise");
-    demand_size(&found, o->track[2], ZERO, most, "tracker_bandwidth");
-    return found;
+    demand_size(&error, o->drift_prior_std, (fo_real)1e-6, million, "drift_prior");
+    demand_size(&error, o->row_s, (fo_real)1e-3, million, "constraint_noise");
+    demand_size(&error, o->kink_now, -ONE, ONE, "kink_now");
+    demand_size(&error, o->kink_before, -ONE, ONE, "kink_before");
+    demand_size(&error, o->L_position * i, -million, million, "L_position");
+    demand_size(&error, o->square_min, ZERO, million, "length_min");
+    demand_size(&error, o->position_noise, ZERO, million, "current_noise");
+    demand_size(&error, o->noise_information, ZERO, high, "current_noise");
+    demand_size(&error, o->over_noise * i * i, ZERO, most, "current_noise");
+    demand_size(&error, o->track[2], ZERO, most, "tracker_bandwidth");
+    return error;
 }
 
-static finding prepare_checked(fo_observer *o, const fo_config *c)
+static field_error prepare_checked(fo_observer *o, const fo_config *c)
 {
-    finding found = check(c);
-    if (found.error == FO_OK) {
+    field_error error = check_config(c);
+    if (error.code == FO_OK) {
         prepare(o, c);
 #if FO_MAPPED
         o->map = NULL;
 #endif
-        found = check_prepared(o);
+        error = check_prepared(o);
     }
-    return found;
+    return error;
 }
 
-fo_error fo_init(fo_observer *o, const fo_config *c) { return prepare_checked(o, c).error; }
+fo_error fo_init(fo_observer *o, const fo_config *c) { return prepare_checked(o, c).code; }
 
 const char *fo_wrong(const fo_config *c)
 {
@@ -250,8 +253,8 @@ fo_error fo_use_map(fo_observer *o, const fo_map *map)
 
 /* ---- square-root information filter -------------------------------------------------- */
 
-/* Prior information on state i. */
-static fo_real prior(const fo_state *s, int i)
+/* Prior information on element i of the state. */
+static fo_real prior_information(const fo_state *s, int i)
 {
     fo_real information = i < KAPPA ? ONE : s->drift_prior;
     if (i == KAPPA) {
@@ -263,68 +266,68 @@ static fo_real prior(const fo_state *s, int i)
     return information;
 }
 
-/* Drops all information but the prior; the innovations start at their assumed level. */
-static void empty_information(fo_state *s)
+/* Resets the information to the prior, and the power of the innovations to the assumed one. */
+static void reset_information(fo_state *s)
 {
     (void)memset(&s->info, 0, sizeof s->info);
-    clear(s->x);
+    set_zero(s->x);
     for (int i = 0; i < FO_NX; i++) {
-        s->info.d[i] = prior(s, i);
+        s->info.d[i] = prior_information(s, i);
     }
     s->innovation = ZERO;
     s->power = ONE;
     s->lag_one = ZERO;
     s->noise_share = ONE;
-    s->swept = ZERO;
+    s->rotation = ZERO;
     s->trusted = false;
-    s->turn = 0U;
+    s->round_index = 0U;
 }
 
 static void restart(fo_state *s)
 {
-    empty_information(s);
+    reset_information(s);
     s->have_current = false;
     s->have_voltage = false;
-    s->variance = VARIANCE_UNKNOWN; /* the carried flux is lost */
+    s->variance = VARIANCE_UNKNOWN; /* the integrated flux is lost */
 }
 
 void fo_reset(const fo_observer *o, fo_state *s)
 {
     (void)memset(s, 0, sizeof *s);
-    s->drift_prior = ONE / (o->plausible * o->plausible);
-    s->roughness = ONE;
+    s->drift_prior = ONE / (o->drift_prior_std * o->drift_prior_std);
+    s->noise_inflation = ONE;
     restart(s);
 }
 
-/* Zero if a number is finite, else not a number. */
-static inline fo_real self_difference(fo_real x) { return x - x; }
+/* Zero if x is finite, else NaN. */
+static inline fo_real zero_if_finite(fo_real x) { return x - x; }
 
-/* Weights of a state are positive, its noises finite and no larger than the inputs can make them. A
+/* Weights of a state are positive, its noises finite and no larger than the inputs allow. The
  * recursion would keep any other number, and the observer would stay invalid without a restart; the
- * rest of a state lasts a few samples. */
+ * rest of a state is replaced within a few samples. */
 bool fo_damaged(const fo_observer *o, const fo_state *s)
 {
-    bool damaged = s->roughness == ZERO;
-    if (s->turn == 1U) { /* so it is after a restart in the last step, too */
+    bool damaged = s->noise_inflation == ZERO;
+    if (s->round_index == 1U) { /* also after a restart in the last step */
         const fo_tracker *t = &s->tracker;
-        fo_real sum = self_difference(s->power) + self_difference(s->lag_one) +
-                      self_difference(s->swept) + self_difference(t->angle) +
-                      self_difference(t->speed) + self_difference(t->acceleration) +
-                      self_difference(t->settled);
+        fo_real sum = zero_if_finite(s->power) + zero_if_finite(s->lag_one) +
+                      zero_if_finite(s->rotation) + zero_if_finite(t->angle) +
+                      zero_if_finite(t->speed) + zero_if_finite(t->acceleration) +
+                      zero_if_finite(t->settled);
         for (int i = 0; i < FO_NX; i++) {
-            sum += self_difference(s->info.d[i]);
+            sum += zero_if_finite(s->info.d[i]);
             damaged = damaged || !(s->info.d[i] > ZERO);
         }
         for (int i = 0; i < 3; i++) {
-            sum += self_difference(s->info.noise[i]);
+            sum += zero_if_finite(s->info.noise[i]);
         }
-        /* A third difference of currents, and a drift that takes all of a step and was widened. */
-        const fo_real swing = (fo_real)16 * o->current_limit;
-        const fo_real drift = WIDEN * FLUX_STEP_LIMIT, loosest = s->drift_prior * drift * drift;
+        /* Largest third difference of currents; largest drift, with a widened prior. */
+        const fo_real current_max = (fo_real)16 * o->current_limit;
+        const fo_real drift = WIDEN * FLUX_STEP_LIMIT, least = s->drift_prior * drift * drift;
         damaged = damaged || sum != ZERO ||
-                  !within(s->rough, ZERO, ONE + swing * swing * o->over_noise) ||
-                  !(loosest >= o->h * o->h) ||
-                  !(s->drift_prior * o->plausible * o->plausible <= TWO);
+                  !within(s->noise_ratio, ZERO, ONE + current_max * current_max * o->over_noise) ||
+                  !(least >= o->h * o->h) ||
+                  !(s->drift_prior * o->drift_prior_std * o->drift_prior_std <= TWO);
     }
     return damaged;
 }
@@ -373,62 +376,63 @@ static void predict(const fo_observer *o, fo_state *s, const interval *t)
     for (int i = 0; i < FO_NX; i++) {
         s->info.d[i] *= rho;
     }
-    /* The information from noise alone is carried and forgotten in the same way; it is about
-     * (flux, drift), alike in both components. */
+    /* The information from noise alone is propagated and forgotten in the same way; it is the same
+     * for both components of (flux, drift). */
     fo_real *noise = s->info.noise;
     noise[2] = rho * (noise[2] - h * (TWO * noise[1] - h * noise[0]));
     noise[1] = rho * (noise[1] - h * noise[0]);
     noise[0] = rho * noise[0];
 }
 
-/* A measurement row'x = rhs with this weight, as the rotations so far have left it. */
+/* Right-hand side and weight of a row'x = rhs, after the rotations so far. */
 typedef struct {
     fo_real rhs, weight;
 } measurement;
 
-/* The rotation of row'x = rhs with row i, after which it is zero there: Gentleman's, without
- * roots. */
-static inline void rotate(fo_information *info, int i, fo_real row[FO_NX], measurement *left)
+/* Gentleman's square-root-free rotation of row'x = rhs with row i of the factor: it makes row[i]
+ * zero. */
+static inline void rotate_row(fo_information *info, int i, fo_real row[FO_NX], measurement *m)
 {
     fo_real *u = &info->U[AT(i, i + 1)];
-    const fo_real pivot = row[i], weighted = left->weight * pivot, d = info->d[i];
+    const fo_real pivot = row[i], weighted = m->weight * pivot, d = info->d[i];
     const fo_real d_new = d + weighted * pivot, inverse = ONE / d_new;
     const fo_real gain = weighted * inverse;
-    left->weight *= d * inverse;
+    m->weight *= d * inverse;
     info->d[i] = d_new;
     FO_UNROLL
     for (int j = i + 1; j < FO_NX; j++) {
         row[j] -= pivot * u[j - i - 1];
         u[j - i - 1] += gain * row[j];
     }
-    left->rhs -= pivot * info->z[i];
-    info->z[i] += gain * left->rhs;
+    m->rhs -= pivot * info->z[i];
+    info->z[i] += gain * m->rhs;
 }
 
-static inline fo_real rotate_in(fo_information *info, fo_real row[FO_NX], fo_real value,
+/* Adds row'x = value, whose elements before `first` are zero. Returns the normalised innovation. */
+static inline fo_real add_row(fo_information *info, fo_real row[FO_NX], fo_real value,
                                 fo_real information, int first)
 {
-    measurement left = {value, information};
+    measurement m = {value, information};
 #if FO_WRITTEN_OUT
     if (first == (int)S) {
         FO_UNROLL
         for (int i = 0; i < FO_NX; i++) {
-            rotate(info, i, row, &left);
+            rotate_row(info, i, row, &m);
         }
     } else
 #endif
     {
         for (int i = first; i < FO_NX; i++) {
-            rotate(info, i, row, &left);
+            rotate_row(info, i, row, &m);
         }
     }
-    return fo_sqrt(left.weight) * left.rhs;
+    return fo_sqrt(m.weight) * m.rhs;
 }
 
-fo_real fo_rotate_in(fo_information *info, fo_real row[FO_NX], fo_real value, fo_real information,
+fo_real fo_add_row(fo_information *info, fo_real row[FO_NX], fo_real value, fo_real information,
                      int first)
 {
-    return rotate_in(info, row, value, information, first);
+    return add_row(info, row, value, information, first);
 }
 
 typedef struct {
@@ -439,10 +443,10 @@ typedef struct {
 static variances flux_variances(const fo_information *info, const fo_real p[FO_N])
 {
     const fo_real *u = &info->U[AT(FLUX, FLUX + 1)];
-    variances found = {ZERO, ZERO};
+    variances sum = {ZERO, ZERO};
     fo_real along[FO_NX], across[FO_NX];
-    clear(along);
-    clear(across);
+    set_zero(along);
+    set_zero(across);
     along[FLUX] = p[0];
     along[FLUX + 1] = p[1];
     across[FLUX] = -p[1];
@@ -450,8 +454,8 @@ static variances flux_variances(const fo_information *info, const fo_real p[FO_N
     FO_UNROLL
     for (int i = FLUX; i < FO_NX; i++) {
         const fo_real inverse = ONE / info->d[i], a = along[i], b = across[i];
-        found.along += a * a * inverse;
-        found.across += b * b * inverse;
+        sum.along += a * a * inverse;
+        sum.across += b * b * inverse;
         FO_UNROLL
         for (int j = i + 1; j < FO_NX; j++) {
             along[j] -= a * *u;
@@ -459,11 +463,11 @@ static variances flux_variances(const fo_information *info, const fo_real p[FO_N
             u++;
         }
     }
-    return found;
+    return sum;
 }
 
-/* The same for the drift, across p only. */
-static fo_real drift_across(const fo_information *info, const fo_real p[FO_N])
+/* Variance of the drift across p, times |p|^2. */
+static fo_real drift_variance_across(const fo_information *info, const fo_real p[FO_N])
 {
     const fo_real *u = info->U, *d = info->d;
     const fo_real a = p[0] + p[1] * u[AT(DRIFT, DRIFT + 1)];
@@ -489,7 +493,7 @@ static void solve(fo_state *s)
 
 /* ---- measurement ---------------------------------------------------------------------- */
 
-/* Third difference of the current: removes what is smooth, and has 20 times the noise variance. */
+/* Third difference of the current: without its smooth part, with 20 times the noise variance. */
 static fo_real third_difference(const fo_state *s, int i)
 {
     return s->current[0][i] - s->current[3][i] +
@@ -497,111 +501,115 @@ static fo_real third_difference(const fo_state *s, int i)
 }
 
 #if FO_MAPPED
-static void turned_by(const fo_real v[FO_N], const fo_real direction[FO_N], fo_real turned[FO_N])
-{
+/* v in the frame whose d axis is `direction`, turned to alpha, beta. */
+static void rotate_vector(const fo_real v[FO_N], const fo_real direction[FO_N],
+                          fo_real turned[FO_N]) {
     turned[0] = direction[0] * v[0] - direction[1] * v[1];
     turned[1] = direction[1] * v[0] + direction[0] * v[1];
 }
 
-/* A cage's rotor flux follows i_d: it grows in the ratio in which the current that would keep it
- * does, d(magnetizing)/dt = (i_d - magnetizing) R_R / L_M. An offset of the currents is a ripple of
- * i_d: small differences count for little. */
-static void follow_rotor(const fo_observer *o, const fo_state *s, fo_real i_d, fo_shape *f)
-{
+/* Predicts a cage's rotor flux from i_d. Its magnetizing current follows d(magnetizing)/dt = (i_d -
+ * magnetizing) R_R / L_M, and the flux is proportional to it. A current offset makes i_d ripple:
+ * small differences have little weight. */
+static void predict_rotor_flux(const fo_observer *o, const fo_state *s, fo_real i_d,
+                               fo_map_point *f) {
     const fo_map *map = o->map;
-    const fo_shape *b = &s->before;
-    f->rotor = b->rotor;
+    const fo_map_point *b = &s->previous_point;
+    f->rotor_flux = b->rotor_flux;
     f->square = b->square;
-    const bool known = s->trusted || s->guided;
-    f->magnetizing = known ? b->magnetizing : ZERO;
-    if (f->magnetizing > map->still) {
-        const fo_real off = i_d - f->magnetizing, square = off * off;
-        const fo_real grown = map->decay * off * square / (square + map->still * map->still);
-        const fo_real ratio = grown / f->magnetizing;
-        f->magnetizing += grown;
-        f->rotor += ratio * s->length;
+    const bool known = s->trusted || s->has_external_angle;
+    f->magnetizing_current = known ? b->magnetizing_current : ZERO;
+    if (f->magnetizing_current > map->still) {
+        const fo_real difference = i_d - f->magnetizing_current;
+        const fo_real square = difference * difference;
+        const fo_real growth =
+            map->decay * difference * square / (square + map->still * map->still);
+        const fo_real ratio = growth / f->magnetizing_current;
+        f->magnetizing_current += growth;
+        f->rotor_flux += ratio * s->length;
         f->square += TWO * ratio * s->length * s->length;
     } else if (known) {
-        f->magnetizing = i_d;
+        f->magnetizing_current = i_d;
     } else {
-        /* its angle is not known */
+        /* the angle is unknown */
     }
 }
 
-/* The current as a rotor in this direction sees it. */
-static void seen_by(const fo_real direction[FO_N], const fo_real current[FO_N], fo_real i[FO_N])
-{
+/* The current in the frame of a rotor in this direction. */
+static void to_rotor_frame(const fo_real direction[FO_N], const fo_real current[FO_N],
+                           fo_real i[FO_N]) {
     const fo_real back[FO_N] = {direction[0], -direction[1]};
-    turned_by(current, back, i);
+    rotate_vector(current, back, i);
 }
 
-void fo_ask_map(const fo_observer *o, fo_real angle, const fo_real current[FO_N], fo_shape *f)
-{
+void fo_linearise_map(const fo_observer *o, fo_real angle, const fo_real current[FO_N],
+                      fo_map_point *f) {
     const fo_map *map = o->map;
     const fo_real over = ONE / o->flux_base;
     fo_real direction[FO_N], i[FO_N];
-    fo_mapped at;
+    fo_mapped answer;
     fo_direction(angle, direction);
-    seen_by(direction, current, i);
-    fo_map_at(map, i, f->rotor * o->flux_base, &at);
+    to_rotor_frame(direction, current, i);
+    fo_map_at(map, i, f->rotor_flux * o->flux_base, &answer);
     /* The relation holds for any share of the auxiliary flux; half of it needs no angle where a
      * machine is linear and has no magnets, all of it where it has no saliency. */
     const fo_real share = map->magnets ? ONE : ONE / TWO;
     const fo_real psi = map->psi * over;
-    const fo_real a_d = at.auxiliary[0] * over, a_q = at.auxiliary[1] * over;
-    const fo_real lean = fo_abs(a_d) > SHORTEST_ACTIVE ? a_q / a_d : ZERO;
-    const fo_real beside[FO_N] = {at.flux[0] * over - a_d, at.flux[1] * over};
-    const fo_real centre[FO_N] = {at.flux[0] * over - share * a_d,
-                                  at.flux[1] * over - share * a_q};
-    const fo_real slope[FO_N] = {ONE, lean};
-    const fo_real by_current[FO_N] = {(at.by_d[0] + lean * at.by_d[1]) * over,
-                                      (at.by_q[0] + lean * at.by_q[1]) * over};
-    f->expected[0] = direction[0];
-    f->expected[1] = direction[1];
-    turned_by(beside, direction, f->away);
-    turned_by(centre, direction, f->centre);
-    turned_by(slope, direction, f->slope);
-    turned_by(by_current, direction, f->by_current);
-    f->active = map->kind == FO_MAP_CAGE ? a_d : fo_abs(a_d);
-    f->outside = at.outside;
+    const fo_real a_d = answer.auxiliary[0] * over, a_q = answer.auxiliary[1] * over;
+    const fo_real slope = fo_abs(a_d) > ACTIVE_FLUX_MIN ? a_q / a_d : ZERO;
+    const fo_real armature[FO_N] = {answer.flux[0] * over - a_d, answer.flux[1] * over};
+    const fo_real centre[FO_N] = {answer.flux[0] * over - share * a_d,
+                                  answer.flux[1] * over - share * a_q};
+    const fo_real by_flux[FO_N] = {ONE, slope};
+    const fo_real by_current[FO_N] = {(answer.by_d[0] + slope * answer.by_d[1]) * over,
+                                      (answer.by_q[0] + slope * answer.by_q[1]) * over};
+    f->direction[0] = direction[0];
+    f->direction[1] = direction[1];
+    rotate_vector(armature, direction, f->armature_flux);
+    rotate_vector(centre, direction, f->centre);
+    rotate_vector(by_flux, direction, f->by_flux);
+    rotate_vector(by_current, direction, f->by_current);
+    f->active_flux = map->kind == FO_MAP_CAGE ? a_d : fo_abs(a_d);
+    f->outside = answer.outside;
     if (map->kind != FO_MAP_CAGE) {
         f->square = share * share * (a_d * a_d + a_q * a_q) - psi * psi;
     }
 }
 
-/* Asks the map about the newest current, at the angle where the tracker expects the rotor. */
-static void shape(const fo_observer *o, fo_state *s)
+/* Linearises the map at the newest current and at the tracker's predicted angle. */
+static void linearise_map(const fo_observer *o, fo_state *s)
 {
-    fo_shape *f = &s->shape;
+    fo_map_point *f = &s->map_point;
     const fo_real *current = s->current[0];
-    if (mapped(o)) {
-        const fo_real angle = s->guided ? s->guide : expected_angle(o, &s->tracker);
+    if (has_map(o)) {
+        const fo_real angle =
+            s->has_external_angle ? s->external_angle : predicted_angle(o, &s->tracker);
         if (o->map->kind == FO_MAP_CAGE) {
             fo_real direction[FO_N], i[FO_N];
             fo_direction(angle, direction);
-            seen_by(direction, current, i);
-            follow_rotor(o, s, i[0], f);
+            to_rotor_frame(direction, current, i);
+            predict_rotor_flux(o, s, i[0], f);
         }
-        fo_ask_map(o, angle, current, f);
+        fo_linearise_map(o, angle, current, f);
     } else {
         for (int i = 0; i < FO_N; i++) {
-            f->away[i] = o->L_position * current[i];
+            f->armature_flux[i] = o->L_position * current[i];
         }
     }
 }
 #endif
 
-/* The measurement 0 = s + (Q2 i)'flux + i'Q3 i + C'i, divided by its noise: row'x = the value
- * returned. With a map, 0 = s - 2 centre'flux + |centre|^2 - square. */
-static fo_real relation(const fo_observer *o, const fo_state *s, fo_real row[FO_NX])
+/* Measurement row 0 = s + (Q2 i)'flux + i'Q3 i + C'i, divided by its noise; with a map, 0 = s - 2
+ * centre'flux + |centre|^2 - square. Returns the right-hand side of row'x = rhs. */
+static fo_real measurement_row(const fo_observer *o, const fo_state *s, fo_real row[FO_NX])
 {
     const fo_real *current = s->current[0];
     fo_real rhs = ZERO;
-    clear(row);
+    set_zero(row);
     row[S] = o->row_s;
 #if FO_MAPPED
-    if (mapped(o)) {
-        const fo_shape *f = &s->shape;
+    if (has_map(o)) {
+        const fo_map_point *f = &s->map_point;
         for (int i = 0; i < FO_N; i++) {
             row[FLUX + i] = -TWO * o->row_s * f->centre[i];
         }
@@ -611,138 +619,145 @@ static fo_real relation(const fo_observer *o, const fo_state *s, fo_real row[FO_
     {
         for (int i = 0; i < FO_N; i++) {
             row[FLUX + i] = row_of(o->row_Q2, i, current);
-            rhs -= current[i] * plus_linear(row_of(o->row_Q3, i, current), o->row_C[i]);
+            rhs -= current[i] * add_linear(row_of(o->row_Q3, i, current), o->row_C[i]);
         }
     }
     return rhs;
 }
 
-/* Is the measurement far from what the estimate before the interval predicts? */
-static bool contradicts(const fo_observer *o, const fo_state *s, const interval *t,
+/* Is the innovation against the prediction from the last estimate larger than any noise? */
+static bool is_outlier(const fo_observer *o, const fo_state *s, const interval *t,
                         const fo_real row[FO_NX], fo_real rhs)
 {
     const fo_real h = o->h, *x = s->x;
-    fo_real off = rhs;
-    fo_real free = x[S] + t->input + h * (x[KAPPA] + h * x[CC]);
+    fo_real innovation = rhs;
+    fo_real s_predicted = x[S] + t->input + h * (x[KAPPA] + h * x[CC]);
     for (int i = 0; i < FO_N; i++) {
         const fo_real flux = x[FLUX + i] + h * x[DRIFT + i];
-        free += t->q[i] * flux;
-        off -= row[FLUX + i] * (flux + t->v[i]);
+        s_predicted += t->q[i] * flux;
+        innovation -= row[FLUX + i] * (flux + t->v[i]);
     }
-    off -= row[S] * free;
-    return !(fo_abs(off) < OUTLIER_LIMIT * row[S]);
+    innovation -= row[S] * s_predicted;
+    return !(fo_abs(innovation) < OUTLIER_LIMIT * row[S]);
 }
 
-/* Takes in row'x = rhs; follows the power of the innovations, and the noise of the current. */
-static void measure(const fo_observer *o, fo_state *s, fo_real row[FO_NX], fo_real rhs)
+/* Measurement update by row'x = rhs; updates the power of the innovations and of the current
+ * noise. */
+static void update_measurement(const fo_observer *o, fo_state *s, fo_real row[FO_NX], fo_real rhs)
 {
-    const fo_real e = rotate_in(&s->info, row, rhs, ONE, S);
+    const fo_real e = add_row(&s->info, row, rhs, ONE, S);
     const fo_real third0 = third_difference(s, 0), third1 = third_difference(s, 1);
     const fo_real share = o->h * e;
     s->power = o->rho * s->power + share * e;
     s->lag_one = o->rho * s->lag_one + share * s->innovation;
     s->innovation = e;
-    s->info.noise[0] += o->noise_information * s->roughness;
-    s->rough += o->h * ((third0 * third0 + third1 * third1) * o->over_noise - s->rough);
-    s->roughness = s->rough > ONE ? s->rough : ONE;
+    s->info.noise[0] += o->noise_information * s->noise_inflation;
+    s->noise_ratio += o->h * ((third0 * third0 + third1 * third1) * o->over_noise - s->noise_ratio);
+    s->noise_inflation = s->noise_ratio > ONE ? s->noise_ratio : ONE;
 }
 
-/* ---- read-out ------------------------------------------------------------------------- */
+/* ---- certainty ------------------------------------------------------------------------ */
 
 /* Position vector x = flux - L i; returns |x|^2. */
-static fo_real position(const fo_observer *o, const fo_state *s, const fo_real flux[FO_N],
+static fo_real position_vector(const fo_observer *o, const fo_state *s, const fo_real flux[FO_N],
                         fo_real p[FO_N])
 {
     for (int i = 0; i < FO_N; i++) {
-        p[i] = flux[i] - away(o, s, i);
+        p[i] = flux[i] - armature_flux(o, s, i);
     }
     return dot(p, p);
 }
 
-/* Gives all that is known less weight. */
-static void discount(fo_state *s, fo_real keep)
+/* Scales all information by this factor, below one. */
+static void discount_information(fo_state *s, fo_real factor)
 {
     for (int i = 0; i < FO_NX; i++) {
-        s->info.d[i] *= keep;
+        s->info.d[i] *= factor;
     }
     for (int i = 0; i < 3; i++) {
-        s->info.noise[i] *= keep;
+        s->info.noise[i] *= factor;
     }
 }
 
-/* A wrong prior is forgotten slowly: widens it, and gives its effect so far little weight. */
-static void widen_prior(fo_state *s, fo_real excess)
+/* Widens a drift prior that proved too tight, and discounts the information gathered with it:
+ * forgetting alone would remove its effect slowly. */
+static void widen_drift_prior(fo_state *s, fo_real excess)
 {
     s->drift_prior /= WIDEN * excess;
-    discount(s, DISTRUST / excess);
+    discount_information(s, DISTRUST / excess);
 }
 
-/* Judges the position vector p by the information: the variance of its angle, and the share of the
- * flux information that is only noise. */
-static void judge(fo_state *s, const fo_real p[FO_N], fo_real square)
+/* Updates the variance of the angle of the position vector p, and the share of the flux information
+ * that is noise. */
+static void update_variances(fo_state *s, const fo_real p[FO_N], fo_real square)
 {
-    /* A prior that is too tight makes the covariance too small by the same factor. */
+    /* A drift prior that is too tight makes the covariance too small by this factor. */
     const fo_real *drift = &s->x[DRIFT];
     const fo_real excess = dot(drift, drift) * s->drift_prior;
     const variances flux = flux_variances(&s->info, p);
     const fo_real across = flux.across / square, along = flux.along / square;
-    /* Information on the flux from noise alone, if the drift is unknown. */
+    /* Information on the flux from noise alone, with the drift eliminated. */
     const fo_real *noise = s->info.noise;
     const fo_real shared = noise[2] > ZERO ? noise[1] * noise[1] / noise[2] : ZERO;
     s->noise_share = (noise[0] - shared) * (across + along);
-    /* The variance scales with the innovations' colour, and with their power over the assumed. */
+    /* The variance scales with the correlation of the innovations, and with their power over the
+     * assumed one. */
     const fo_real r = correlation(s->lag_one, s->power);
     s->inflation = s->power * (ONE + r) / (ONE - r);
-    s->spread = s->inflation * across / square;
+    s->angle_variance = s->inflation * across / square;
     if (excess > ONE) {
-        s->spread *= excess;
-        if (s->trusted && fo_abs(s->swept) > SETTLED) {
-            widen_prior(s, excess);
+        s->angle_variance *= excess;
+        if (s->trusted && fo_abs(s->rotation) > SETTLED) {
+            widen_drift_prior(s, excess);
         }
     }
 }
 
-/* Re-injects one prior row, centred on the estimate: it bounds the standard deviations and moves
- * nothing. */
+/* Re-injects one row of the prior, centred on the estimate: it bounds the standard deviations and
+ * does not move the estimate. */
 static void reinject_prior(const fo_observer *o, fo_state *s, int i)
 {
     fo_real row[FO_NX];
-    clear(row);
+    set_zero(row);
     row[i] = ONE;
-    (void)rotate_in(&s->info, row, s->x[i], o->reinject * prior(s, i), i);
+    (void)add_row(&s->info, row, s->x[i], o->reinject * prior_information(s, i), i);
 }
 
-/* Carries the last trusted flux on by integration; returns the variance of its angle. The variance
- * grows with the uncertainty of the drift and with a voltage error as large as the drift's prior. A
- * change in the length of the position vector, which should be constant, shows a larger error and
- * adds to it. Once the angle is unknown, the flux stays where it is. */
-static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N])
+/* Integrates the last trusted flux in open loop; returns the variance of its angle. The variance
+ * grows with the uncertainty of the drift, with a voltage error of the drift's prior std, and with
+ * the change in length of the position vector, which should be constant. Once the angle is unknown,
+ * the flux stays. */
+static fo_real integrate_open_loop(const fo_observer *o, fo_state *s, const fo_real v[FO_N])
 {
     fo_real p[FO_N], flux[FO_N];
-    if (s->carried == ZERO) {
-        const fo_real square = position(o, s, s->flux, p);
-        const fo_real across = drift_across(&s->info, p) / square;
-        s->growth = (s->inflation * across + o->plausible * o->plausible) / square;
-        s->carried_length = fo_sqrt(square);
+    if (s->open_loop_time == ZERO) {
+        const fo_real square = position_vector(o, s, s->flux, p);
+        const fo_real across = drift_variance_across(&s->info, p) / square;
+        s->variance_growth =
+            (s->inflation * across + o->drift_prior_std * o->drift_prior_std) / square;
+        s->open_loop_length = fo_sqrt(square);
 #if FO_MAPPED
-        s->carried_length -= mapped(o) ? s->shape.active : ZERO;
+        s->open_loop_length -= has_map(o) ? s->map_point.active_flux : ZERO;
 #endif
-        s->carried_off = ZERO;
+        s->open_loop_error = ZERO;
     }
-    s->carried += o->h;
+    s->open_loop_time += o->h;
     for (int i = 0; i < FO_N; i++) {
         flux[i] = s->flux[i] + v[i] + o->h * s->drift[i];
     }
-    fo_real usual = s->carried_length;
+    fo_real expected = s->open_loop_length;
 #if FO_MAPPED
-    if (mapped(o)) { /* the map says what it should be */
-        usual += s->shape.active;
-        usual = usual > SHORTEST_ACTIVE ? usual : SHORTEST_ACTIVE;
+    if (has_map(o)) { /* the map gives the present length */
+        expected += s->map_point.active_flux;
+        expected = expected > ACTIVE_FLUX_MIN ? expected : ACTIVE_FLUX_MIN;
     }
 #endif
-    const fo_real off = fo_sqrt(position(o, s, flux, p)) / usual - ONE;
-    s->carried_off = off * off > s->carried_off ? off * off : s->carried_off;
-    const fo_real variance = s->variance + s->growth * s->carried * s->carried + s->carried_off;
+    const fo_real change = fo_sqrt(position_vector(o, s, flux, p)) / expected - ONE;
+    s->open_loop_error =
+        change * change > s->open_loop_error ? change * change : s->open_loop_error;
+    const fo_real variance = s->variance +
+                             s->variance_growth * s->open_loop_time * s->open_loop_time +
+                             s->open_loop_error;
     if (variance < VARIANCE_UNKNOWN) {
         s->flux[0] = flux[0];
         s->flux[1] = flux[1];
@@ -750,118 +765,170 @@ static fo_real carry_on(const fo_observer *o, fo_state *s, const fo_real v[FO_N]
     return variance;
 }
 
-/* Decides which flux is reported: that of the least squares while it is trusted or nothing better
- * is known, else the last trusted one, carried on. See docs/theory.md, section 6. */
-static void read_out(const fo_observer *o, fo_state *s, const fo_real v[FO_N], fo_estimate *e)
+/* ---- estimate ------------------------------------------------------------------------- */
+
+/* Flux, drift and position vector that a sample reports. */
+typedef struct {
+    const fo_real *flux, *drift;
+    fo_real theta, square; /* angle and square of the position vector */
+    fo_real variance;      /* of the angle                            */
+} solution;
+
+/* Solves for the state; resets the information if the numbers have run away, as after a long
+ * rest. */
+static void solve_state(const fo_observer *o, fo_state *s, fo_real p[FO_N], solution *r)
 {
-    fo_real p[FO_N];
     solve(s);
-    const fo_real *flux = &s->x[FLUX], *drift = &s->x[DRIFT];
-    fo_real square = position(o, s, flux, p);
-    if (!(square < RUNAWAY)) { /* or not a number; happens after a long rest */
+    r->flux = &s->x[FLUX];
+    r->drift = &s->x[DRIFT];
+    r->square = position_vector(o, s, r->flux, p);
+    if (!(r->square < RUNAWAY)) { /* or NaN */
         s->restarts++;
-        empty_information(s);
-        square = position(o, s, flux, p);
+        reset_information(s);
+        r->square = position_vector(o, s, r->flux, p);
     }
-    fo_real theta = fo_atan2(p[1], p[0]);
+    r->theta = fo_atan2(p[1], p[0]);
+}
 
-    const bool long_enough = square > o->square_min;
-
-    if ((s->turn & 1U) == 0U) {
-        reinject_prior(o, s, (int)s->turn / 2);
-    } else if (long_enough) {
-        judge(s, p, square);
+/* The turn of this sample in its round: re-injects a row of the prior, or updates the variances. */
+static void take_turn(const fo_observer *o, fo_state *s, const fo_real p[FO_N], fo_real square)
+{
+    if ((s->round_index & 1U) == 0U) {
+        reinject_prior(o, s, (int)s->round_index / 2);
+    } else if (square > o->square_min) {
+        update_variances(s, p, square);
     } else {
         s->noise_share = ONE;
     }
-    s->turn = s->turn + 1U < (uint32_t)REINJECT_PERIOD ? s->turn + 1U : 0U;
+    s->round_index = s->round_index + 1U < (uint32_t)REINJECT_PERIOD ? s->round_index + 1U : 0U;
+}
 
-    const bool known = long_enough && s->noise_share < SHARE_LIMIT;
-    s->swept = known ? s->swept + wrap(theta - s->theta) : ZERO;
-    s->theta = theta;
-    const bool trusted = known && (s->trusted || fo_abs(s->swept) > SWEEP);
-
-    /* The turn of the flux by a voltage error adds up until the rotor has turned by about a radian.
-     * It is bounded, so that it is forgotten soon after a stop. */
+/* Turn of the flux by a voltage error of the drift's prior std: it accumulates until the rotor has
+ * turned by about a radian, and is bounded, so that a stop does not count for long after it. */
+static void update_voltage_turn(const fo_observer *o, fo_state *s)
+{
     const fo_real turned = fo_abs(s->tracker.speed) * o->sample_time;
-    s->exposed += o->h * o->plausible - s->exposed * (turned < ONE ? turned : ONE);
-    s->exposed = s->exposed < EXPOSED_MOST ? s->exposed : EXPOSED_MOST;
+    s->voltage_turn += o->h * o->drift_prior_std - s->voltage_turn * (turned < ONE ? turned : ONE);
+    s->voltage_turn = s->voltage_turn < VOLTAGE_TURN_MAX ? s->voltage_turn : VOLTAGE_TURN_MAX;
+}
 
-    fo_real variance = VARIANCE_UNKNOWN;
+/* Selects the flux to report: that of the least squares while it is trusted or nothing better is
+ * known, else the last trusted one, integrated. See docs/theory.md, section 6. */
+static void select_flux(const fo_observer *o, fo_state *s, const fo_real v[FO_N], bool known,
+                        bool trusted, solution *r)
+{
+    r->variance = VARIANCE_UNKNOWN;
     if (trusted) {
-        /* The covariance across p, and the current noise in p. */
-        variance = s->spread + o->position_noise * s->roughness / square +
-                   rippled(o, s->tracker.speed);
-        s->variance = variance;
-        s->carried = ZERO;
-        s->have_carried = true;
+        r->variance = s->angle_variance + o->position_noise * s->noise_inflation / r->square +
+                      cage_ripple_variance(o, s->tracker.speed);
+        s->variance = r->variance;
+        s->open_loop_time = ZERO;
+        s->have_trusted_flux = true;
         for (int i = 0; i < FO_N; i++) {
-            s->flux[i] = flux[i];
-            s->drift[i] = drift[i];
+            s->flux[i] = r->flux[i];
+            s->drift[i] = r->drift[i];
         }
-    } else if (s->have_carried) {
-        variance = carry_on(o, s, v);
-        if (!known || variance < VARIANCE_UNKNOWN) {
-            flux = s->flux;
-            drift = s->drift;
-            square = position(o, s, flux, p);
-            theta = fo_atan2(p[1], p[0]);
+    } else if (s->have_trusted_flux) {
+        r->variance = integrate_open_loop(o, s, v);
+        if (!known || r->variance < VARIANCE_UNKNOWN) {
+            fo_real p[FO_N];
+            r->flux = s->flux;
+            r->drift = s->drift;
+            r->square = position_vector(o, s, r->flux, p);
+            r->theta = fo_atan2(p[1], p[0]);
         }
     } else {
         /* nothing better is known */
     }
-    const bool lost = !(variance >= ZERO && variance < VARIANCE_UNKNOWN);
+}
+
+/* Tracks the reported angle; with an unknown angle the tracker stops. */
+static void track_solution(const fo_observer *o, fo_state *s, bool known, solution *r)
+{
+    const bool lost = !(r->variance >= ZERO && r->variance < VARIANCE_UNKNOWN);
     if (lost) {
-        variance = VARIANCE_UNKNOWN;
+        r->variance = VARIANCE_UNKNOWN;
     }
     if (lost && !known) {
-        stop_tracker(&s->tracker, theta);
+        stop_tracker(&s->tracker, r->theta);
     } else {
-        track(o, &s->tracker, theta);
+        track(o, &s->tracker, r->theta);
     }
-    s->length = fo_sqrt(square);
-#if FO_MAPPED
-    if (mapped(o)) {
-        if (trusted && !s->trusted) {
-            discount(s, DISTRUST); /* its rows asked the map at wrong angles */
-        }
-        s->before = s->shape;
-        s->outside += trusted && s->shape.outside ? 1U : 0U;
-    }
-#endif
-    s->trusted = trusted;
-    e->theta_e_std = fo_sqrt(variance);
-    if (trusted) {
-        settle_tracker(o, &s->tracker, theta, e->theta_e_std);
-    } else {
-        s->tracker.settled = ZERO;
-    }
+    s->length = fo_sqrt(r->square);
+}
 
+#if FO_MAPPED
+/* Stores the map's linearisation for the next sample. */
+static void finish_map(const fo_observer *o, fo_state *s, bool trusted)
+{
+    if (has_map(o)) {
+        if (trusted && !s->trusted) {
+            discount_information(s, DISTRUST); /* its rows were linearised at wrong angles */
+        }
+        s->previous_point = s->map_point;
+        s->outside += trusted && s->map_point.outside ? 1U : 0U;
+    }
+}
+#endif
+
+/* Writes the estimate; the tracker has settled or not. */
+static void write_estimate(const fo_observer *o, const fo_state *s, const solution *r,
+                           fo_estimate *e)
+{
     for (int i = 0; i < FO_N; i++) {
-        e->flux[i] = flux[i] * o->flux_base;
-        e->drift[i] = drift[i] * o->drift_base;
+        e->flux[i] = r->flux[i] * o->flux_base;
+        e->drift[i] = r->drift[i] * o->drift_base;
     }
     e->psi_f = s->length * o->flux_base;
-    e->theta_e = theta;
+    e->theta_e = r->theta;
     e->theta_e_tracked = s->tracker.angle;
     e->speed_e = s->tracker.speed;
     e->innovation = s->innovation;
     e->noise_share = s->noise_share;
-    /* A slow turn by a voltage error of plausible size leaves no trace in the innovations. */
-    e->valid = trusted && s->tracker.settled >= TRACKER_SETTLED &&
-               variance < STD_LIMIT * STD_LIMIT && s->exposed < VOLTAGE_LIMIT * s->length;
+    /* The slow turn by a voltage error of plausible size does not show in the innovations. */
+    e->valid = s->trusted && s->tracker.settled >= TRACKER_SETTLED &&
+               r->variance < STD_LIMIT * STD_LIMIT && s->voltage_turn < VOLTAGE_LIMIT * s->length;
 #if FO_MAPPED
-    if (mapped(o)) { /* the map was asked where the tracker expected the rotor */
-        const bool near = fo_abs(wrap(theta - s->tracker.angle)) < STD_LIMIT;
-        e->valid = e->valid && near && !s->shape.outside;
+    if (has_map(o)) { /* it was linearised where the tracker predicted the rotor */
+        const bool near = fo_abs(wrap(r->theta - s->tracker.angle)) < STD_LIMIT;
+        e->valid = e->valid && near && !s->map_point.outside;
     }
 #endif
 }
 
+/* The estimate after a sample, whose volt-seconds are v. */
+static void finish_estimate(const fo_observer *o, fo_state *s, const fo_real v[FO_N],
+                            fo_estimate *e) {
+    fo_real p[FO_N];
+    solution r;
+    solve_state(o, s, p, &r);
+    const bool long_enough = r.square > o->square_min;
+    take_turn(o, s, p, r.square);
+    const bool known = long_enough && s->noise_share < SHARE_LIMIT;
+    s->rotation = known ? s->rotation + wrap(r.theta - s->theta) : ZERO;
+    s->theta = r.theta;
+    const bool trusted = known && (s->trusted || fo_abs(s->rotation) > SWEEP);
+    update_voltage_turn(o, s);
+    select_flux(o, s, v, known, trusted, &r);
+    track_solution(o, s, known, &r);
+#if FO_MAPPED
+    finish_map(o, s, trusted);
+#endif
+    s->trusted = trusted;
+    e->theta_e_std = fo_sqrt(r.variance);
+    if (trusted) {
+        settle_tracker(o, &s->tracker, r.theta, e->theta_e_std);
+    } else {
+        s->tracker.settled = ZERO;
+    }
+    write_estimate(o, s, &r, e);
+}
+
 /* ---- samples -------------------------------------------------------------------------- */
 
-/* Subtracts the resistive drop, unless the source's volt-seconds are `complete`. */
-static void last_interval(const fo_observer *o, const fo_state *s, bool complete, interval *t)
+/* Integrates the last interval: subtracts the resistive drop, unless the volt-seconds are
+ * `complete`. */
+static void integrate_interval(const fo_observer *o, const fo_state *s, bool complete, interval *t)
 {
     fo_real mean[FO_N] = {0};
     for (int i = 0; i < FO_N && !complete; i++) {
@@ -874,37 +941,38 @@ static void last_interval(const fo_observer *o, const fo_state *s, bool complete
     for (int i = 0; i < FO_N; i++) {
         t->q[i] = row_of(o->Q1x2, i, t->v);
     }
-    t->input = plus_linear(dot(t->q, t->v) / TWO, dot(o->E, t->v));
+    t->input = add_linear(dot(t->q, t->v) / TWO, dot(o->E, t->v));
 }
 
-/* Step of the position vector over the interval; the drift is negligible. */
-static fo_real position_step(const fo_observer *o, const fo_state *s, const fo_real v[FO_N])
+/* Length of the step of the position vector over the interval; the drift is negligible. */
+static fo_real position_step_length(const fo_observer *o, const fo_state *s, const fo_real v[FO_N])
 {
     fo_real step[FO_N];
     for (int i = 0; i < FO_N; i++) {
         step[i] = v[i] - o->L_position * (s->current[0][i] - s->current[1][i]);
 #if FO_MAPPED
-        if (mapped(o)) {
-            step[i] = v[i] - (s->shape.away[i] - s->before.away[i]);
+        if (has_map(o)) {
+            step[i] = v[i] - (s->map_point.armature_flux[i] - s->previous_point.armature_flux[i]);
         }
 #endif
     }
     return fo_sqrt(dot(step, step));
 }
 
-static bool leaps(const fo_observer *o, const fo_state *s, fo_real step)
+/* Is that step longer than motion and noise explain? */
+static bool position_jumps(const fo_observer *o, const fo_state *s, fo_real step)
 {
     return step > TWO * s->step + STEP_LIMIT * s->length +
-                      STEP_NOISE * fo_sqrt(o->position_noise * s->roughness);
+                      STEP_NOISE * fo_sqrt(o->position_noise * s->noise_inflation);
 }
 
-/* The newest current in the relation; it has changed. */
-static fo_real taken_in(const fo_observer *o, fo_state *s, fo_real row[FO_NX])
+/* Measurement row of the newest current, with the map linearised there. */
+static fo_real row_of_newest_current(const fo_observer *o, fo_state *s, fo_real row[FO_NX])
 {
 #if FO_MAPPED
-    shape(o, s);
+    linearise_map(o, s);
 #endif
-    return relation(o, s, row);
+    return measurement_row(o, s, row);
 }
 
 static void push_current(fo_state *s, fo_real i0, fo_real i1)
@@ -917,9 +985,9 @@ static void push_current(fo_state *s, fo_real i0, fo_real i1)
     s->current[0][1] = i1;
 }
 
-/* Predicts a missing vector: it goes on turning with the rotor, if that is known, by the angle
- * whose half has the tangent speed * sample_time / 2. */
-static void ahead(const fo_observer *o, const fo_state *s, const fo_real before[FO_N],
+/* Predicts a missing vector: it turns with the rotor, if the rotor is known, by the angle whose
+ * half has the tangent speed * sample_time / 2. */
+static void extrapolate(const fo_observer *o, const fo_state *s, const fo_real before[FO_N],
                   fo_real now[FO_N])
 {
     const fo_real half = s->trusted ? s->tracker.speed * o->sample_time / TWO : ZERO;
@@ -932,27 +1000,27 @@ static void ahead(const fo_observer *o, const fo_state *s, const fo_real before[
 
 typedef enum { GOOD, MISSING, ABSURD } sample_quality;
 
-static sample_quality quality(const fo_real x[FO_N], fo_real limit)
+static sample_quality classify(const fo_real x[FO_N], fo_real limit)
 {
-    sample_quality found = GOOD;
+    sample_quality quality = GOOD;
     if (!(dot(x, x) <= limit * limit)) { /* x - x is not 0 where x is not finite */
-        found = (x[0] - x[0]) + (x[1] - x[1]) == ZERO ? ABSURD : MISSING;
+        quality = (x[0] - x[0]) + (x[1] - x[1]) == ZERO ? ABSURD : MISSING;
     }
-    return found;
+    return quality;
 }
 
-/* One sample; `source` in per-unit volt-seconds, complete or still to lose the resistive drop. */
-static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N], bool complete,
-                    const fo_real current[FO_N], fo_estimate *e)
-{
+/* Processes one sample; `source` in per-unit volt-seconds, `complete` or without the resistive
+ * drop. */
+static void process_sample(const fo_observer *o, fo_state *s, const fo_real source[FO_N],
+                           bool complete, const fo_real current[FO_N], fo_estimate *e) {
     interval t = {{ZERO, ZERO}, {ZERO, ZERO}, ZERO};
     if (fo_damaged(o, s)) {
         const uint32_t restarts = s->restarts;
         fo_reset(o, s);
         s->restarts = restarts + 1U;
     }
-    const sample_quality of_source = quality(source, FLUX_STEP_LIMIT);
-    const sample_quality of_current = quality(current, o->current_limit);
+    const sample_quality of_source = classify(source, FLUX_STEP_LIMIT);
+    const sample_quality of_current = classify(current, o->current_limit);
     const bool absurd = of_source == ABSURD || of_current == ABSURD;
     bool measured = of_current == GOOD, bad = of_current == MISSING;
 
@@ -970,7 +1038,7 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
     if (!absurd && (measured || s->have_current)) {
         fo_real row[FO_NX], newest[FO_N] = {current[0], current[1]};
         if (!measured) {
-            ahead(o, s, s->current[0], newest);
+            extrapolate(o, s, s->current[0], newest);
         }
         for (int times = s->have_current ? 1 : (int)FO_HISTORY; times > 0; times--) {
             push_current(s, newest[0], newest[1]);
@@ -980,30 +1048,30 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
             s->source[0] = source[0];
             s->source[1] = source[1];
         } else {
-            ahead(o, s, s->source, s->source);
+            extrapolate(o, s, s->source, s->source);
         }
         s->have_current = true;
-        const fo_real rhs = taken_in(o, s, row);
+        const fo_real rhs = row_of_newest_current(o, s, row);
         if (s->have_voltage) {
-            last_interval(o, s, complete, &t);
-            const fo_real step = position_step(o, s, t.v);
+            integrate_interval(o, s, complete, &t);
+            const fo_real step = position_step_length(o, s, t.v);
             if (measured && s->trusted &&
-                (leaps(o, s, step) || contradicts(o, s, &t, row, rhs))) {
+                (position_jumps(o, s, step) || is_outlier(o, s, &t, row, rhs))) {
                 s->outliers++; /* treat it as missing */
                 measured = false;
                 bad = true;
-                ahead(o, s, s->current[1], s->current[0]);
-                (void)taken_in(o, s, row);
-                last_interval(o, s, complete, &t);
+                extrapolate(o, s, s->current[1], s->current[0]);
+                (void)row_of_newest_current(o, s, row);
+                integrate_interval(o, s, complete, &t);
             } else {
                 s->step = step;
             }
             predict(o, s, &t);
         } else {
-            empty_information(s); /* the past cannot be connected to this sample */
+            reset_information(s); /* no voltage connects the past to this sample */
         }
         if (measured) {
-            measure(o, s, row, rhs);
+            update_measurement(o, s, row, rhs);
         }
     }
     s->consecutive_bad = bad ? s->consecutive_bad + 1U : 0U;
@@ -1011,21 +1079,22 @@ static void advance(const fo_observer *o, fo_state *s, const fo_real source[FO_N
         s->restarts++;
         restart(s);
     }
-    read_out(o, s, t.v, e);
+    finish_estimate(o, s, t.v, e);
     e->valid = e->valid && !bad;
 }
 
 #if FO_HELD
-/* Volt-seconds of a voltage that is held over the sample: less what the kinks that its steps put
- * into the current add to the resistive drop. A cubic through the samples does not see them. */
-static void less_kinks(const fo_observer *o, fo_state *s, fo_real source[FO_N])
+/* A voltage that is held over the sample steps between samples, and each step puts a kink into the
+ * current. The cubic through the current samples misses it: subtracts its part of the resistive
+ * drop. */
+static void subtract_kinks(const fo_observer *o, fo_state *s, fo_real source[FO_N])
 {
-    const bool good = quality(source, FLUX_STEP_LIMIT) == GOOD;
+    const bool good = classify(source, FLUX_STEP_LIMIT) == GOOD;
     for (int i = 0; i < FO_N && good; i++) {
-        const fo_real given = source[i], before = s->have_voltage ? s->kink[i] : ZERO;
-        s->kink[i] = s->have_voltage ? given - s->given[i] : ZERO;
-        s->given[i] = given;
-        source[i] = given - o->kink_now * s->kink[i] - o->kink_before * before;
+        const fo_real held = source[i], before = s->have_voltage ? s->source_step[i] : ZERO;
+        s->source_step[i] = s->have_voltage ? held - s->held_source[i] : ZERO;
+        s->held_source[i] = held;
+        source[i] = held - o->kink_now * s->source_step[i] - o->kink_before * before;
     }
 }
 #endif
@@ -1039,10 +1108,10 @@ void fo_step(const fo_observer *o, fo_state *s, const fo_real voltage[FO_N],
     }
 #if FO_HELD
     if (o->kink_now != ZERO) {
-        less_kinks(o, s, source);
+        subtract_kinks(o, s, source);
     }
 #endif
-    advance(o, s, source, false, current, e);
+    process_sample(o, s, source, false, current, e);
 }
 
 void fo_step_volt_seconds(const fo_observer *o, fo_state *s, const fo_real volt_seconds[FO_N],
@@ -1052,7 +1121,7 @@ void fo_step_volt_seconds(const fo_observer *o, fo_state *s, const fo_real volt_
     for (int i = 0; i < FO_N; i++) {
         source[i] = volt_seconds[i] / o->flux_base;
     }
-    advance(o, s, source, true, current, e);
+    process_sample(o, s, source, true, current, e);
 }
 
 void fo_gather(const fo_observer *o, fo_gathered *g, fo_real share, const fo_real voltage[FO_N],
@@ -1069,41 +1138,41 @@ void fo_gather(const fo_observer *o, fo_gathered *g, fo_real share, const fo_rea
     }
 }
 
-/* The observer for an interval of this duration [s], which must be plausible. */
-static void stretch(const fo_observer *o, fo_real duration, fo_observer *stretched)
+/* The observer with this sample time [s], which must be plausible. */
+static void scale_to_duration(const fo_observer *o, fo_real duration, fo_observer *scaled)
 {
     const fo_real ratio = duration / o->sample_time;
     /* The tracker's pole p, from its gains: 1.5 h track[2] / track[1] = (1 - p) / (1 + p). Its
      * bandwidth stays: 1/p - 1 is proportional to the duration, to first order. */
     const fo_real q = (fo_real)1.5 * o->sample_time * o->track[2] / o->track[1];
     const fo_real over = TWO * q / (ONE - q); /* 1/p - 1 */
-    *stretched = *o;
-    stretched->sample_time = duration;
-    stretched->h = o->h * ratio;
-    stretched->rho = ONE - stretched->h;
-    stretched->reinject = reinjected(stretched->rho);
+    *scaled = *o;
+    scaled->sample_time = duration;
+    scaled->h = o->h * ratio;
+    scaled->rho = ONE - scaled->h;
+    scaled->reinject = reinjection_share(scaled->rho);
     for (int i = 0; i < FO_N; i++) {
         for (int j = 0; j < FO_N; j++) {
-            stretched->hR[i][j] = o->hR[i][j] * ratio;
-            stretched->hB[i][j] = o->hB[i][j] * ratio;
+            scaled->hR[i][j] = o->hR[i][j] * ratio;
+            scaled->hB[i][j] = o->hB[i][j] * ratio;
         }
     }
-    set_tracker(stretched, ONE / (ONE + over * ratio));
+    set_tracker(scaled, ONE / (ONE + over * ratio));
 }
 
 void fo_uneven(const fo_observer *o, const fo_state *s, fo_real duration,
                const fo_real voltage[FO_N], const fo_real current[FO_N], fo_observer *now,
                fo_gathered *g)
 {
-    const bool usual =
+    const bool plausible =
         within(duration, o->sample_time / (fo_real)10, o->sample_time * (fo_real)10);
-    stretch(o, usual ? duration : o->sample_time, now);
+    scale_to_duration(o, plausible ? duration : o->sample_time, now);
     for (int i = 0; i < FO_N; i++) {
         g->volt_seconds[i] = ZERO;
         g->current[i] = s->current[0][i];
     }
     fo_gather(now, g, ONE, voltage, current);
-    if (!usual) {
+    if (!plausible) {
         g->current[0] = TWO * o->current_limit; /* absurd */
     }
 }

@@ -81,7 +81,7 @@ typedef struct {
     NUMBER(h, "sample time / memory")                                       \
     NUMBER(rho, "forgetting factor of a sample")                            \
     NUMBER(reinject, "share of the prior re-injected per turn")             \
-    NUMBER(plausible, "prior std of the drift")                             \
+    NUMBER(drift_prior_std, "prior std of the drift")                       \
     NUMBER(noise_information, "information from current noise, per sample") \
     NUMBER(flux_base, "[Wb]")                                               \
     NUMBER(drift_base, "[V]")                                               \
@@ -103,65 +103,73 @@ typedef struct {
 #endif
 } fo_observer;
 
-/* U x = z with weights d, U unit upper triangular, x = (s, flux, kappa, drift, c) per-unit: the
- * square-root information R x = sqrt(d) z, R = sqrt(d) U, without its roots. */
+/* Square-root-free information factor: U x = z with weights d, U unit upper triangular, x = (s,
+ * flux, kappa, drift, c) per-unit. The information matrix is U' diag(d) U. */
 typedef struct {
     fo_real U[FO_TRIANGLE];
     fo_real d[FO_NX];
     fo_real z[FO_NX];
-    fo_real noise[3];              /* its part from noise alone: (flux, flux-drift, drift) */
+    fo_real noise[3];              /* information from noise alone: flux, flux-drift, drift   */
 } fo_information;
 
-/* Follows the angle of the flux. */
+/* Tracks the angle of the flux. */
 typedef struct {
-    fo_real angle, speed, acceleration;  /* [rad, rad/s, rad/s^2] */
-    fo_real settled;                     /* how long it has been near [memories] */
-    bool lost;                           /* takes its speed from the next angle */
+    fo_real angle, speed, acceleration;  /* [rad, rad/s, rad/s^2]                      */
+    fo_real settled;                     /* time for which its error was small [memories] */
+    bool lost;                           /* it takes its speed from the next angle      */
 } fo_tracker;
 
-/* What the machine's flux map says of the present current, in alpha and beta. */
+/* The flux map, linearised at the present current and at an assumed rotor angle; in alpha, beta. */
 typedef struct {
-    fo_real expected[FO_N];   /* direction of the rotor that it was asked for             */
-    fo_real away[FO_N];       /* position vector = flux - away                            */
-    fo_real centre[FO_N];     /* |flux - centre|^2 - square does not change               */
-    fo_real square;           /* less that of the map's magnet flux                       */
-    fo_real active;           /* length of the position vector; of a cage, its growth     */
-    fo_real slope[FO_N];      /* change of the length less `active` with the flux, ...    */
-    fo_real by_current[FO_N]; /* ... and, negative, with the current                      */
-    fo_real rotor;            /* growth of a cage's flux so far                           */
-    fo_real magnetizing;      /* the current that would keep it [A]; 0: unknown           */
-    bool outside;             /* the current is outside the map                           */
-} fo_shape;
+    fo_real direction[FO_N];     /* assumed direction of the rotor                            */
+    fo_real armature_flux[FO_N]; /* position vector = flux - armature_flux                    */
+    fo_real centre[FO_N];        /* |flux - centre|^2 - square is constant                    */
+    fo_real square;              /* less that of the map's magnet flux                        */
+    fo_real active_flux;         /* length of the position vector; of a cage, its growth      */
+    fo_real by_flux[FO_N];       /* gradient of that length less active_flux: by the flux ... */
+    fo_real by_current[FO_N];    /* ... and, negative, by the current                         */
+    fo_real rotor_flux;          /* growth of a cage's flux so far                            */
+    fo_real magnetizing_current; /* that would sustain a cage's flux [A]; 0: unknown          */
+    bool outside;                /* the current is outside the map                            */
+} fo_map_point;
 
 /* Everything that changes. Plain data: copy it, store it, restore it. Per-unit unless stated. */
 typedef struct {
-    bool have_current, have_voltage;     /* seen since the last restart                          */
-    bool trusted, have_carried;          /* the least squares is trusted now; once was           */
-    uint32_t turn;                       /* in re-injecting the prior and judging                */
+    bool have_current, have_voltage;     /* received since the last restart                      */
+    bool trusted;                        /* the least squares determines the flux                */
+    bool have_trusted_flux;              /* it once did: that flux is integrated since           */
+    uint32_t round_index;                /* in the round of prior re-injections                  */
     uint32_t consecutive_bad;
     uint32_t bad_voltages, bad_currents, absurd, outliers, restarts; /* counted since fo_reset   */
     fo_information info;
     fo_real x[FO_NX];                    /* solution of info                                     */
     fo_real current[FO_HISTORY][FO_N];   /* newest first [A]                                     */
     fo_real source[FO_N];                /* last good volt-seconds                               */
-    fo_real given[FO_N], kink[FO_N];     /* before kinks were taken from them; their last step   */
-    fo_real step, length;                /* of the position vector: last step, |flux - L i|      */
-    fo_real rough, roughness;            /* variance of current noise over the assumed; same >= 1 */
-    fo_real exposed;                     /* turn by a plausible voltage error [flux base rad]    */
+    fo_real held_source[FO_N];           /* volt-seconds of a held voltage, ...                  */
+    fo_real source_step[FO_N];           /* ... and their last step                              */
+    fo_real step, length;                /* of the position vector: last step; its length        */
+    fo_real noise_ratio;                 /* variance of the current noise over the assumed one   */
+    fo_real noise_inflation;             /* the same, at least 1                                 */
+    fo_real voltage_turn;                /* turn by a voltage error of the drift's prior std     */
+                                         /* [flux base rad]                                      */
     fo_real innovation;                  /* last, normalised                                     */
-    fo_real power, lag_one;              /* fading means: innovation squared, times the last one */
-    fo_real noise_share, inflation, spread; /* as last judged; variance of the angle [rad^2]     */
+    fo_real power, lag_one;              /* fading means of its square and its lag-one product   */
+    fo_real noise_share;                 /* share of the flux information that is noise          */
+    fo_real inflation, angle_variance;   /* of the covariance; of the angle [rad^2]              */
     fo_real drift_prior;                 /* information; reduced if it proved too tight          */
-    fo_real theta, swept;                /* of the least squares; rotation since known [rad]     */
-    fo_real flux[FO_N], drift[FO_N];     /* last trusted, carried on while nothing is known      */
-    fo_real variance, growth;            /* of the carried angle: start; per memory^2 [rad^2]    */
-    fo_real carried;                     /* how long it has been carried [memories]              */
-    fo_real carried_length, carried_off; /* of the position vector: at its start, largest change */
+    fo_real theta, rotation;             /* of the least squares; rotation since known [rad]     */
+    fo_real flux[FO_N], drift[FO_N];     /* last trusted; the flux is integrated from there      */
+    fo_real variance, variance_growth;   /* of the integrated angle: at its start [rad^2]; per   */
+                                         /* memory^2                                             */
+    fo_real open_loop_time;              /* of that integration [memories]                       */
+    fo_real open_loop_length;            /* of the position vector at its start                  */
+    fo_real open_loop_error;             /* largest square of the relative change of that length */
     fo_tracker tracker;
 #if FO_MAPPED
-    fo_shape shape, before;              /* of this sample and the last                          */
-    bool guided;                         /* the map is asked at this angle [rad], ...            */
-    fo_real guide;                       /* ... not at the one which the tracker expects         */
+    fo_map_point map_point;              /* of this sample ...                                   */
+    fo_map_point previous_point;         /* ... and of the last                                  */
+    bool has_external_angle;             /* the map is linearised at this angle [rad], ...       */
+    fo_real external_angle;              /* ... not at the one that the tracker predicts         */
     uint32_t outside;                    /* trusted samples outside the map, since fo_reset      */
 #endif
 } fo_state;

@@ -8,36 +8,37 @@
 
 /* ---- thresholds: unit, reason, and what fixed them --------------------------------------- */
 
-/* The two parts of the inverter's loss saturate at these multiples of the current given: with both
- * and a resistance, any curve is met to within a few percent of the loss [1]. */
+/* The inverter's loss is modelled by two soft signs that saturate at these multiples of the given
+ * current: with both and a resistance, any curve is met to within a few percent of the loss [1]. */
 static const fo_real HARD = (fo_real)0.2;
 static const fo_real SOFT = (fo_real)1.2;
-/* The rest, i (1 - |i| / I) / I with I this multiple, which is rated current by default [1] ... */
+/* The curve, a considered parameter: i (1 - |i| / I) with I this multiple of the given current,
+ * which is rated current by default [1] ... */
 static const fo_real RATED = (fo_real)20;
-/* ... and its std, of the loss [1]: at most a quarter of it, 4 % of the loss. */
+/* ... and its std, relative to the loss [1]: at most a quarter of it, 4 % of the loss. */
 static const fo_real CURVE_STD = (fo_real)0.15;
-/* A voltage error of this share of the drift's prior is in no model [1]: it limits for how long the
- * filter trusts the voltage, ... */
+/* Voltage error that no parameter describes, relative to the drift's prior std [1]: it limits for
+ * how long the filter trusts the voltage. */
 static const fo_real UNMODELLED = (fo_real)0.1;
-/* ... and, as a slow turn by it leaves no trace in the residual, this one a valid position [1]. */
-static const fo_real EXPOSED = (fo_real)0.05;
-/* Std of the angle above which linearising makes no sense: 30 degrees [rad]. */
+/* The same for a valid position [1]: the slow turn that it makes does not show in the residual. */
+static const fo_real VOLTAGE_TURN = (fo_real)0.05;
+/* Std of the angle above which the linearisation fails: 30 degrees [rad]. */
 static const fo_real STD_LOST = PI / (fo_real)6;
-/* Std of an angle, with what inductance and lag may turn it, above which it is not valid: 10
- * degrees [rad]. */
+/* Std of a valid angle, errors of inductance and lag included: 10 degrees [rad]. */
 static const fo_real STD_ALL = PI / (fo_real)18;
-/* Rows of the filter before its position is valid, and before it may be lost for its std [1]. */
+/* Rows of the filter before its position is valid, and before its std may stop it [1]. */
 static const fo_real PROVEN_AFTER = (fo_real)4;
 static const fo_real LOST_AFTER = (fo_real)2;
-/* Rows within which a filter that is lost has learnt nothing worth keeping: two turns [1]. */
-static const fo_real EARLY = (fo_real)16;
-/* The filter is wrong if it contradicts what has been learnt by this power [1], ten stds, ... */
-static const fo_real CONTRADICTION_MOST = (fo_real)100;
-/* ... learns a resistance that is this many stds off its prior [1], ... */
-static const fo_real FAR = (fo_real)4;
-/* ... or differs from its guard by 20 degrees for a turn [rad, rad]. */
-static const fo_real DISAGREE = PI / (fo_real)9;
-static const fo_real DISAGREE_FOR = TWO * PI;
+/* If the filter loses the position within this many rows, two turns, its parameters are reset
+ * [1]. */
+static const fo_real EARLY_ROWS = (fo_real)16;
+/* The filter is wrong if the power of its innovations exceeds this [1], ten stds, ... */
+static const fo_real INNOVATION_POWER_MAX = (fo_real)100;
+/* ... if a parameter is this many stds from its prior [1], ... */
+static const fo_real PARAMETER_STDS_MAX = (fo_real)4;
+/* ... or if it differs from its guard by 20 degrees for a turn [rad, rad]. */
+static const fo_real DISAGREEMENT = PI / (fo_real)9;
+static const fo_real DISAGREEMENT_TURN = TWO * PI;
 
 /* ---- configuration -------------------------------------------------------------------- */
 
@@ -66,72 +67,72 @@ static void prepare_adaptive(fo_adaptive *a, const fo_config *config, const fo_a
     a->over_rated = ONE / (RATED * c->inverter_current);
     a->lag_std = c->lag_std;
     a->through_L = through_L * through_L;
-    a->unmodelled = UNMODELLED * a->plain.plausible;
+    a->unmodelled = UNMODELLED * a->plain.drift_prior_std;
     a->slow = config->memory / c->slow_memory;
     a->projection = c->projection;
 }
 
-static finding check_adaptive(const fo_adaptive *a, const fo_adaptive_config *c)
+static field_error check_adaptive(const fo_adaptive *a, const fo_adaptive_config *c)
 {
     const fo_real high = (fo_real)1e9, million = (fo_real)1e6;
-    finding found = {FO_OK, NULL};
-    demand_size(&found, a->saliency * a->plain.current_limit, -million, million, "saliency");
-    demand_size(&found, a->over_current[0], (fo_real)1e-9, high, "inverter_current");
-    demand_size(&found, a->through_L, ZERO, million, "saliency");
-    demand_size(&found, c->slow_memory, ZERO, high, "slow_memory");
-    demand_size(&found, c->lag_std, ZERO, high, "lag_std");
-    demand_size(&found, c->inverter_voltage, ZERO, high, "inverter_voltage");
-    demand_size(&found, a->psi, ZERO, (fo_real)1e3, "psi_f");
-    demand_size(&found, a->std[FO_PSI], ZERO, high, "psi_f_std");
-    demand_size(&found, a->std[FO_RESISTANCE], ZERO, high, "resistance_std");
-    demand_size(&found, a->std[FO_INVERTER], ZERO, high, "inverter_std");
-    demand_size(&found, a->std[FO_OFFSET], ZERO, high, "offset_std");
-    demand_size(&found, a->std[FO_INDUCTANCE], ZERO, high, "L_d_std");
-    demand_size(&found, a->std[FO_INDUCTANCE + 1], ZERO, high, "L_q_std");
+    field_error error = {FO_OK, NULL};
+    demand_size(&error, a->saliency * a->plain.current_limit, -million, million, "saliency");
+    demand_size(&error, a->over_current[0], (fo_real)1e-9, high, "inverter_current");
+    demand_size(&error, a->through_L, ZERO, million, "saliency");
+    demand_size(&error, c->slow_memory, ZERO, high, "slow_memory");
+    demand_size(&error, c->lag_std, ZERO, high, "lag_std");
+    demand_size(&error, c->inverter_voltage, ZERO, high, "inverter_voltage");
+    demand_size(&error, a->psi, ZERO, (fo_real)1e3, "psi_f");
+    demand_size(&error, a->std[FO_PSI], ZERO, high, "psi_f_std");
+    demand_size(&error, a->std[FO_RESISTANCE], ZERO, high, "resistance_std");
+    demand_size(&error, a->std[FO_INVERTER], ZERO, high, "inverter_std");
+    demand_size(&error, a->std[FO_OFFSET], ZERO, high, "offset_std");
+    demand_size(&error, a->std[FO_INDUCTANCE], ZERO, high, "L_d_std");
+    demand_size(&error, a->std[FO_INDUCTANCE + 1], ZERO, high, "L_q_std");
 #if FO_ASYMMETRIC
-    demand_size(&found, a->std[FO_ASYMMETRY], ZERO, high, "asymmetry_std");
+    demand_size(&error, a->std[FO_ASYMMETRY], ZERO, high, "asymmetry_std");
 #endif
-    return found;
+    return error;
 }
 
-static finding examine_adaptive(fo_adaptive *a, const fo_config *config,
+static field_error prepare_adaptive_checked(fo_adaptive *a, const fo_config *config,
                                 const fo_adaptive_config *c)
 {
-    finding found = {fo_init(&a->plain, config), NULL};
-    if (found.error != FO_OK) {
-        found.field = fo_wrong(config);
+    field_error error = {fo_init(&a->plain, config), NULL};
+    if (error.code != FO_OK) {
+        error.field = fo_wrong(config);
     }
-    demand(&found, c->inverter_current > ZERO, FO_ERROR_BASE, "inverter_current");
-    demand(&found, c->slow_memory > ZERO, FO_ERROR_BASE, "slow_memory");
+    demand(&error, c->inverter_current > ZERO, FO_ERROR_BASE, "inverter_current");
+    demand(&error, c->slow_memory > ZERO, FO_ERROR_BASE, "slow_memory");
 #if !FO_ASYMMETRIC
-    demand(&found, !(c->asymmetry_std > ZERO), FO_ERROR_OTHER, "asymmetry_std");
+    demand(&error, !(c->asymmetry_std > ZERO), FO_ERROR_OTHER, "asymmetry_std");
 #endif
-    demand_size(&found, c->inverter_current, (fo_real)1e-9, (fo_real)1e9, "inverter_current");
-    if (found.error == FO_OK) {
+    demand_size(&error, c->inverter_current, (fo_real)1e-9, (fo_real)1e9, "inverter_current");
+    if (error.code == FO_OK) {
         prepare_adaptive(a, config, c);
-        found = check_adaptive(a, c);
+        error = check_adaptive(a, c);
     }
-    return found;
+    return error;
 }
 
 fo_error fo_adaptive_init(fo_adaptive *a, const fo_config *config, const fo_adaptive_config *c)
 {
-    return examine_adaptive(a, config, c).error;
+    return prepare_adaptive_checked(a, config, c).code;
 }
 
 const char *fo_adaptive_wrong(const fo_config *config, const fo_adaptive_config *c)
 {
     fo_adaptive a;
-    return examine_adaptive(&a, config, c).field;
+    return prepare_adaptive_checked(&a, config, c).field;
 }
 
 void fo_adaptive_reset(const fo_adaptive *a, fo_adaptive_state *s)
 {
     (void)memset(s, 0, sizeof *s);
     fo_reset(&a->plain, &s->plain);
-    fo_learning_forget(a, s);
+    fo_learning_reset(a, s);
     s->x[0] = ONE;
-    fo_candidates_sow(a, s);
+    fo_candidates_place(a, s);
 }
 
 void fo_adaptive_restart(const fo_adaptive *a, fo_adaptive_state *s, bool frozen)
@@ -143,14 +144,14 @@ void fo_adaptive_restart(const fo_adaptive *a, fo_adaptive_state *s, bool frozen
     (void)memcpy(s->d, before.d, sizeof s->d);
     (void)memcpy(s->z, before.z, sizeof s->z);
     (void)memcpy(s->p, before.p, sizeof s->p);
-    (void)memcpy(s->deviations, before.deviations, sizeof s->deviations);
+    (void)memcpy(s->reported_std, before.reported_std, sizeof s->reported_std);
     s->frozen = frozen;
-    fo_candidates_sow(a, s);
+    fo_candidates_place(a, s);
 }
 
 /* ---- the inverter --------------------------------------------------------------------- */
 
-/* tanh(x) to within 0.0014: its Pade approximant, clipped where that reaches 1. */
+/* tanh(x) to within 0.0014: its Pade approximant, clipped where it reaches 1. */
 static fo_real soft_sign(fo_real x)
 {
     const fo_real square = x * x;
@@ -162,39 +163,41 @@ static fo_real soft_sign(fo_real x)
     return sign;
 }
 
-/* Amplitude-invariant vector of the signs of the phase currents; adds its derivative (alpha alpha,
- * alpha beta, beta beta) by the current, times `volts`. Returns how unsure they are, 0 to 1. */
-static fo_real direction(const fo_real current[FO_N], fo_real over, fo_real volts,
-                      fo_real signs[FO_N], fo_real bend[3])
+/* Amplitude-invariant vector of the soft signs of the phase currents. Adds its derivative by the
+ * current (alpha alpha, alpha beta, beta beta) times `volts` to `gradient`. Returns how soft the
+ * signs are, 0 to 1. */
+static fo_real soft_signs(const fo_real current[FO_N], fo_real over, fo_real volts,
+                      fo_real signs[FO_N], fo_real gradient[3])
 {
     const fo_real half = current[0] / TWO, root = (fo_real)0.8660254037844386 * current[1];
     const fo_real phases[3] = {soft_sign(current[0] * over), soft_sign((root - half) * over),
                                soft_sign((-root - half) * over)};
-    fo_real steep[3];
+    fo_real slope[3];
     for (int i = 0; i < 3; i++) {
-        steep[i] = volts * over * (ONE - phases[i] * phases[i]);
+        slope[i] = volts * over * (ONE - phases[i] * phases[i]);
     }
     signs[0] = (TWO * phases[0] - phases[1] - phases[2]) / (fo_real)3;
     signs[1] = (phases[1] - phases[2]) * (fo_real)0.5773502691896258;
-    bend[0] += ((fo_real)4 * steep[0] + steep[1] + steep[2]) / (fo_real)6;
-    bend[1] += (steep[2] - steep[1]) * (fo_real)0.2886751345948129;
-    bend[2] += (steep[1] + steep[2]) / TWO;
-    return ONE - (phases[0] * phases[0] + phases[1] * phases[1] + phases[2] * phases[2]) / (fo_real)3;
+    gradient[0] += ((fo_real)4 * slope[0] + slope[1] + slope[2]) / (fo_real)6;
+    gradient[1] += (slope[2] - slope[1]) * (fo_real)0.2886751345948129;
+    gradient[2] += (slope[1] + slope[2]) / TWO;
+    return ONE -
+           (phases[0] * phases[0] + phases[1] * phases[1] + phases[2] * phases[2]) / (fo_real)3;
 }
 
-/* Voltage of each part of the inverter's loss. */
-static fo_real part(const fo_adaptive *a, const fo_adaptive_state *s, int n)
+/* Estimated voltage of a part of the inverter's loss [V]. */
+static fo_real inverter_loss_part(const fo_adaptive *a, const fo_adaptive_state *s, int n)
 {
     return a->inverter_mean + fo_learning_value(a, s, FO_INVERTER + n);
 }
 
-/* What has been learnt about the interval that ends with this current: the voltage lost beyond the
- * assumed resistance, without the asymmetry. Keeps the signs. */
-static void known_loss(const fo_adaptive *a, fo_adaptive_state *s, const fo_real current[FO_N],
-                       fo_real lost[FO_N])
+/* Voltage lost in the interval that ends with this current, beyond the assumed resistance, by the
+ * estimates of resistance error and inverter; the asymmetry is not included. Stores the signs. */
+static void predicted_loss(const fo_adaptive *a, fo_adaptive_state *s, const fo_real current[FO_N],
+                       fo_real loss[FO_N])
 {
     const fo_state *q = &s->plain;
-    fo_real mean[FO_N], inside[FO_N];
+    fo_real mean[FO_N], without_offset[FO_N];
     for (int i = 0; i < FO_N; i++) {
         mean[i] = current[i];
         if (q->have_current) {
@@ -204,46 +207,46 @@ static void known_loss(const fo_adaptive *a, fo_adaptive_state *s, const fo_real
         }
     }
     if (!(dot(mean, mean) <= a->plain.current_limit * a->plain.current_limit)) {
-        mean[0] = q->current[0][0]; /* not a number, or absurd */
+        mean[0] = q->current[0][0]; /* not finite, or absurd */
         mean[1] = q->current[0][1];
     }
     for (int i = 0; i < FO_N; i++) {
-        inside[i] = mean[i] - fo_learning_value(a, s, FO_OFFSET + i);
-        lost[i] = fo_learning_value(a, s, FO_RESISTANCE) * mean[i];
+        without_offset[i] = mean[i] - fo_learning_value(a, s, FO_OFFSET + i);
+        loss[i] = fo_learning_value(a, s, FO_RESISTANCE) * mean[i];
     }
-    (void)memset(s->bend, 0, sizeof s->bend);
+    (void)memset(s->sign_gradient, 0, sizeof s->sign_gradient);
     for (int n = 0; n < 2; n++) {
-        const fo_real volts = part(a, s, n);
-        const fo_real unsure = direction(inside, a->over_current[n], volts, s->signs[n], s->bend);
-        s->knee = n == 0 ? unsure : s->knee;
+        const fo_real volts = inverter_loss_part(a, s, n);
+        const fo_real softness =
+            soft_signs(without_offset, a->over_current[n], volts, s->signs[n], s->sign_gradient);
+        s->knee = n == 0 ? softness : s->knee;
         for (int i = 0; i < FO_N; i++) {
-            lost[i] += volts * s->signs[n][i];
+            loss[i] += volts * s->signs[n][i];
         }
     }
 }
 
 /* u + g conj(u) */
-static void straighten(const fo_adaptive *a, const fo_adaptive_state *s, const fo_real u[FO_N],
-                       fo_real straight[FO_N])
-{
-    straight[0] = u[0];
-    straight[1] = u[1];
+static void correct_asymmetry(const fo_adaptive *a, const fo_adaptive_state *s,
+                              const fo_real u[FO_N], fo_real corrected[FO_N]) {
+    corrected[0] = u[0];
+    corrected[1] = u[1];
 #if FO_ASYMMETRIC
     const fo_real g0 = fo_learning_value(a, s, FO_ASYMMETRY);
     const fo_real g1 = fo_learning_value(a, s, FO_ASYMMETRY + 1);
-    straight[0] += g0 * u[0] + g1 * u[1];
-    straight[1] += g1 * u[0] - g0 * u[1];
+    corrected[0] += g0 * u[0] + g1 * u[1];
+    corrected[1] += g1 * u[0] - g0 * u[1];
 #else
     (void)a;
     (void)s;
 #endif
 }
 
-/* Volt-seconds of the last interval, and what one std of each parameter adds to them. */
-static void integrate(const fo_adaptive *a, const fo_adaptive_state *s, bool complete,
-                      fo_effects *t)
+/* Volt-seconds of the last interval, and their sensitivity to one prior std of each parameter. */
+static void integrate_interval(const fo_adaptive *a, const fo_adaptive_state *s, bool complete,
+                      fo_interval *t)
 {
-    const fo_real volts = part(a, s, 0) + part(a, s, 1);
+    const fo_real volts = inverter_loss_part(a, s, 0) + inverter_loss_part(a, s, 1);
     fo_real mean[FO_N], mean_24[FO_N], u[FO_N];
     for (int i = 0; i < FO_N; i++) {
         mean_24[i] = mean_current_24(s->plain.current[0][i], s->plain.current[1][i],
@@ -251,27 +254,27 @@ static void integrate(const fo_adaptive *a, const fo_adaptive_state *s, bool com
         mean[i] = mean_24[i] / (fo_real)24;
     }
     const fo_real share = fo_sqrt(dot(mean, mean)) * a->over_rated;
-    const fo_real *std = a->std, *bend = s->bend;
+    const fo_real *std = a->std, *gradient = s->sign_gradient;
     for (int i = 0; i < FO_N; i++) {
         const fo_real drop = row_of(a->plain.hR, i, mean_24);
         t->v[i] = s->plain.source[i] - (complete ? ZERO : drop);
         u[i] = s->plain.source[i] + (complete ? drop : ZERO);
-        t->effect[FO_PSI][i] = ZERO;
-        t->effect[FO_RESISTANCE][i] = -std[FO_RESISTANCE] * a->volt * mean[i];
-        t->effect[FO_INVERTER][i] = -std[FO_INVERTER] * a->volt * s->signs[0][i];
-        t->effect[FO_INVERTER + 1][i] = -std[FO_INVERTER + 1] * a->volt * s->signs[1][i];
-        t->effect[FO_OFFSET][i] = std[FO_OFFSET] * a->volt * bend[i];
-        t->effect[FO_OFFSET + 1][i] = std[FO_OFFSET + 1] * a->volt * bend[1 + i];
-        t->effect[FO_INDUCTANCE][i] = ZERO;
-        t->effect[FO_INDUCTANCE + 1][i] = ZERO;
-        t->effect[FO_CURVE][i] =
+        t->sensitivity[FO_PSI][i] = ZERO;
+        t->sensitivity[FO_RESISTANCE][i] = -std[FO_RESISTANCE] * a->volt * mean[i];
+        t->sensitivity[FO_INVERTER][i] = -std[FO_INVERTER] * a->volt * s->signs[0][i];
+        t->sensitivity[FO_INVERTER + 1][i] = -std[FO_INVERTER + 1] * a->volt * s->signs[1][i];
+        t->sensitivity[FO_OFFSET][i] = std[FO_OFFSET] * a->volt * gradient[i];
+        t->sensitivity[FO_OFFSET + 1][i] = std[FO_OFFSET + 1] * a->volt * gradient[1 + i];
+        t->sensitivity[FO_INDUCTANCE][i] = ZERO;
+        t->sensitivity[FO_INDUCTANCE + 1][i] = ZERO;
+        t->sensitivity[FO_CURVE][i] =
             -std[FO_CURVE] * a->volt * volts * mean[i] * a->over_rated * (ONE - share);
     }
 #if FO_ASYMMETRIC
-    t->effect[FO_ASYMMETRY][0] = std[FO_ASYMMETRY] * u[0];
-    t->effect[FO_ASYMMETRY][1] = -std[FO_ASYMMETRY] * u[1];
-    t->effect[FO_ASYMMETRY + 1][0] = std[FO_ASYMMETRY + 1] * u[1];
-    t->effect[FO_ASYMMETRY + 1][1] = std[FO_ASYMMETRY + 1] * u[0];
+    t->sensitivity[FO_ASYMMETRY][0] = std[FO_ASYMMETRY] * u[0];
+    t->sensitivity[FO_ASYMMETRY][1] = -std[FO_ASYMMETRY] * u[1];
+    t->sensitivity[FO_ASYMMETRY + 1][0] = std[FO_ASYMMETRY + 1] * u[1];
+    t->sensitivity[FO_ASYMMETRY + 1][1] = std[FO_ASYMMETRY + 1] * u[0];
 #else
     (void)u;
 #endif
@@ -279,37 +282,40 @@ static void integrate(const fo_adaptive *a, const fo_adaptive_state *s, bool com
 
 /* ---- the filter, guarded -------------------------------------------------------------- */
 
-/* Lets the filter go; what was learnt stays, unless it did harm. */
-static void stop(const fo_adaptive *a, fo_adaptive_state *s, bool harm)
+/* Stops the filter and places new candidates. The parameters keep their estimates unless the filter
+ * was wrong. */
+static void stop_filter(const fo_adaptive *a, fo_adaptive_state *s, bool wrong)
 {
-    if (harm) {
+    if (wrong) {
         s->restarts++;
     }
-    if (harm && !s->frozen) {
-        fo_learning_forget(a, s);
+    if (wrong && !s->frozen) {
+        fo_learning_reset(a, s);
     }
-    fo_candidates_sow(a, s);
+    fo_candidates_place(a, s);
 }
 
 /* Std of an angle with this variance: at most that of an unknown one. */
-static fo_real std_of(fo_real variance)
+static fo_real capped_std(fo_real variance)
 {
     return fo_sqrt(variance < VARIANCE_UNKNOWN ? variance : VARIANCE_UNKNOWN);
 }
 
-/* Writes what the estimate says about the parameters. */
-static void report_parameters(const fo_adaptive *a, const fo_adaptive_state *s,
+/* Writes the parameters into the estimate. */
+static void write_parameters(const fo_adaptive *a, const fo_adaptive_state *s,
                               fo_adaptive_estimate *e)
 {
-    e->psi_f_std = s->deviations[0] * a->plain.flux_base;
+    e->psi_f_std = s->reported_std[0] * a->plain.flux_base;
     e->resistance_error = fo_learning_value(a, s, FO_RESISTANCE);
-    e->resistance_std = s->deviations[1];
-    e->inverter_voltage = part(a, s, 0) + part(a, s, 1);
-    e->inverter_std = s->deviations[2];
+    e->resistance_std = s->reported_std[1];
+    e->inverter_voltage = inverter_loss_part(a, s, 0) + inverter_loss_part(a, s, 1);
+    e->inverter_std = s->reported_std[2];
 }
 
-/* Writes the estimate of the filter, with this position vector and the variance of its angle. */
-static void report(const fo_adaptive *a, const fo_adaptive_state *s, fo_real length,
+/* Writes the filter's estimate: its position vector has this length, its angle this variance;
+ * `fixed` is the variance by errors that a measurement does not reduce: of L_q, of the lag, of a
+ * cage's ripple. */
+static void write_filter_estimate(const fo_adaptive *a, const fo_adaptive_state *s, fo_real length,
                    fo_real variance, fo_real fixed, fo_adaptive_estimate *e)
 {
     const fo_observer *o = &a->plain;
@@ -323,26 +329,26 @@ static void report(const fo_adaptive *a, const fo_adaptive_state *s, fo_real len
     q->theta_e = s->theta;
     q->theta_e_tracked = s->tracker.angle;
     q->speed_e = s->tracker.speed;
-    /* what may be unmodelled is a bound: its std is that over the root of three */
-    q->theta_e_std = std_of(all - TWO / (fo_real)3 * s->exposed * s->exposed);
+    /* the turn by an unmodelled voltage is a bound: its std is a root of three smaller */
+    q->theta_e_std = capped_std(all - TWO / (fo_real)3 * s->voltage_turn * s->voltage_turn);
     q->noise_share = ZERO;
     q->valid = s->rows > PROVEN_AFTER && s->tracker.settled >= TRACKER_SETTLED &&
-               s->doubt < DOUBT_LIMIT && variance < STD_LIMIT * STD_LIMIT &&
+               s->emf_ratio < EMF_RATIO_LIMIT && variance < STD_LIMIT * STD_LIMIT &&
                all < STD_ALL * STD_ALL;
     e->psi_f = (a->psi + fo_learning_value(a, s, FO_PSI)) * o->flux_base;
 #if FO_MAPPED
-    if (cage(o)) {
-        e->psi_f += s->plain.shape.active * o->flux_base;
+    if (has_cage_map(o)) {
+        e->psi_f += s->plain.map_point.active_flux * o->flux_base;
     }
 #endif
-    const fo_real known = fo_sqrt(s->d[FO_N]) * o->plausible; /* over what the prior knew */
-    e->drift_std = o->plausible * o->drift_base / (known > ONE ? known : ONE);
+    const fo_real gain = fo_sqrt(s->d[FO_N]) * o->drift_prior_std; /* prior std over std */
+    e->drift_std = o->drift_prior_std * o->drift_base / (gain > ONE ? gain : ONE);
     e->theta_other = q->theta_e;
     e->weight_other = ZERO;
 }
 
 /* Are all numbers of an estimate finite? */
-static bool finite_numbers(const fo_adaptive_estimate *e)
+static bool is_finite_estimate(const fo_adaptive_estimate *e)
 {
     const fo_estimate *q = &e->position;
     const fo_real sum = q->flux[0] + q->flux[1] + q->drift[0] + q->drift[1] + q->psi_f +
@@ -352,131 +358,171 @@ static bool finite_numbers(const fo_adaptive_estimate *e)
     return sum - sum == ZERO;
 }
 
-/* The position of the observer inside, which takes the parameters for known. */
-static void take_inside(const fo_adaptive_state *s, const fo_estimate *inside,
+/* The plain observer's position; its std does not include the parameters, so their part is
+ * added. */
+static void use_plain_estimate(const fo_adaptive_state *s, const fo_estimate *plain,
                         fo_adaptive_estimate *e)
 {
     fo_estimate *q = &e->position;
-    *q = *inside;
-    q->theta_e_std = std_of(inside->theta_e_std * inside->theta_e_std + s->doubt * s->doubt);
-    q->valid = inside->valid && q->theta_e_std < STD_LIMIT;
+    *q = *plain;
+    q->theta_e_std =
+        capped_std(plain->theta_e_std * plain->theta_e_std + s->emf_ratio * s->emf_ratio);
+    q->valid = plain->valid && q->theta_e_std < STD_LIMIT;
 }
 
-/* A sample while the filter runs. */
-static void run(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t, bool measured,
-                fo_adaptive_estimate *e)
+/* Writes the estimate after a step of the filter; returns the variance of its angle without errors
+ * of inductance and lag. */
+static fo_real report_step(const fo_adaptive *a, fo_adaptive_state *s, fo_real length,
+                           fo_real step, fo_adaptive_estimate *e)
 {
     const fo_observer *o = &a->plain;
+    const fo_real square = length * length;
+    const fo_real inverter = fo_learning_unmodelled_voltage(a, s) * o->h;
+    const fo_real other = VOLTAGE_TURN * o->drift_prior_std * o->h;
+    s->voltage_turn += (other + inverter) / length - s->voltage_turn * step;
+    const fo_real noise = o->position_noise * s->plain.noise_inflation;
+    const fo_real variance =
+        (s->variance_across + fo_learning_variance_growth(s) + noise) / square +
+        s->voltage_turn * s->voltage_turn;
+    const fo_real late = a->lag_std * s->tracker.speed; /* no residual shows a lag */
+    settle_tracker(o, &s->tracker, s->theta, fo_sqrt(variance));
+    write_filter_estimate(
+        a, s, length, variance,
+        s->variance_by_L_q_now / square + late * late + cage_ripple_variance(o, s->tracker.speed),
+        e);
+    return variance;
+}
+
+/* Does the filter contradict its guard, its model or its prior? */
+static bool is_wrong(const fo_adaptive_state *s)
+{
+    return s->disagreement > DISAGREEMENT_TURN || s->innovation_power > INNOVATION_POWER_MAX ||
+           fo_abs(s->p[FO_RESISTANCE]) > PARAMETER_STDS_MAX ||
+           fo_abs(s->p[FO_INDUCTANCE]) > PARAMETER_STDS_MAX ||
+           fo_abs(s->p[FO_INDUCTANCE + 1]) > PARAMETER_STDS_MAX;
+}
+
+/* A sample while the filter runs; `e` holds the estimate of the plain observer, its guard. */
+static void run_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t,
+                       bool measured, fo_adaptive_estimate *e)
+{
     fo_adaptive_estimate plain;
     plain = *e;
-    const fo_real guard = e->position.theta_e;
-    const bool known = e->position.valid;
-    const fo_real length = fo_learning_sample(a, s, t, measured);
-    const fo_real square = length * length;
-    if (square > ZERO) {
-        const fo_real turned = fo_abs(s->tracker.speed) * o->sample_time;
+    const fo_real length = fo_learning_step(a, s, t, measured);
+    if (length * length > ZERO) {
+        const fo_real turned = fo_abs(s->tracker.speed) * a->plain.sample_time;
         const fo_real step = turned < ONE ? turned : ONE;
-        track(o, &s->tracker, s->theta);
-        fo_learning_doubt(a, s, t, length, turned);
-        const fo_real inverter = fo_learning_unmodelled(a, s) * o->h;
-        const fo_real plausible = EXPOSED * o->plausible * o->h;
-        s->exposed += (plausible + inverter) / length - s->exposed * step;
-        const fo_real noise = o->position_noise * s->plain.roughness;
-        const fo_real variance =
-            (s->across + fo_learning_since(s) + noise) / square + s->exposed * s->exposed;
-        const fo_real late = a->lag_std * s->tracker.speed; /* a lag leaves no trace at all */
-        settle_tracker(o, &s->tracker, s->theta, fo_sqrt(variance));
-        report(a, s, length, variance,
-               s->turned / square + late * late + rippled(o, s->tracker.speed), e);
-        const bool off = known && fo_abs(wrap(s->theta - guard)) > DISAGREE;
-        s->disagree = off ? s->disagree + step : known ? ZERO : s->disagree;
-        report_parameters(a, s, e);
-        const bool sound = finite_numbers(e);
-        if (!sound) {
+        track(&a->plain, &s->tracker, s->theta);
+        fo_learning_update_emf_ratio(a, s, t, length, turned);
+        const fo_real variance = report_step(a, s, length, step, e);
+        const bool guarded = plain.position.valid;
+        const bool differs =
+            guarded && fo_abs(wrap(s->theta - plain.position.theta_e)) > DISAGREEMENT;
+        s->disagreement = differs ? s->disagreement + step : guarded ? ZERO : s->disagreement;
+        write_parameters(a, s, e);
+        const bool is_finite = is_finite_estimate(e);
+        if (!is_finite) {
             *e = plain;
-        } else if (known && !(s->rows > PROVEN_AFTER)) {
-            take_inside(s, &plain.position, e);
+        } else if (guarded && !(s->rows > PROVEN_AFTER)) {
+            use_plain_estimate(s, &plain.position, e);
         } else {
             /* the filter's own position */
         }
-        const bool harm = !sound || s->disagree > DISAGREE_FOR ||
-                          s->contradiction > CONTRADICTION_MOST ||
-                          fo_abs(s->p[FO_RESISTANCE]) > FAR ||
-                          fo_abs(s->p[FO_INDUCTANCE]) > FAR ||
-                          fo_abs(s->p[FO_INDUCTANCE + 1]) > FAR;
-        const bool lost = s->doubt > ONE ||
+        const bool wrong = !is_finite || is_wrong(s);
+        const bool lost = s->emf_ratio > ONE ||
                           (s->rows > LOST_AFTER && !(variance < STD_LOST * STD_LOST));
-        /* what little a filter has learnt that is lost within two turns is worth nothing */
-        const bool early = lost && s->rows < EARLY &&
-                           s->deviations[1] > a->std[FO_RESISTANCE] / TWO;
-        if (harm || lost) {
-            stop(a, s, harm || early);
+        const bool early = lost && s->rows < EARLY_ROWS &&
+                           s->reported_std[1] > a->std[FO_RESISTANCE] / TWO;
+        if (wrong || lost) {
+            stop_filter(a, s, wrong || early);
         }
     } else {
-        stop(a, s, true);
+        stop_filter(a, s, true);
     }
 }
 
 /* ---- the start ------------------------------------------------------------------------ */
 
-static void begin(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
-                  fo_adaptive_estimate *e)
+/* Writes the best candidate's position; its variance includes the weight of the second best. */
+static void write_candidate(const fo_adaptive *a, const fo_adaptive_state *s,
+                            const fo_choice *choice, fo_estimate *q)
 {
-    const fo_observer *o = &a->plain;
+    const fo_candidate *best = &choice->best;
+    const fo_real apart = wrap(choice->second_theta - best->theta);
+    const fo_real variance = best->variance + choice->second_weight * apart * apart;
+    q->theta_e = best->theta;
+    q->theta_e_tracked = s->tracker.angle;
+    q->speed_e = s->tracker.speed;
+    q->theta_e_std = capped_std(variance);
+    for (int i = 0; i < FO_N; i++) {
+        q->flux[i] = best->p[i] * a->plain.flux_base;
+        q->drift[i] = best->p[FO_N + i] * a->plain.drift_base;
+    }
+    q->psi_f = fo_sqrt(best->p[2 * FO_N]) * a->plain.flux_base;
+    q->valid = false;
+}
+
+/* Fits the candidates; starts the filter at the best once it is decided and has turned far
+ * enough. */
+static void start_from_candidates(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t,
+                                  fo_adaptive_estimate *e)
+{
     fo_estimate *q = &e->position;
     fo_choice choice;
-    fo_learning_doubt(a, s, t, s->plain.length,
-                      s->plain.trusted ? fo_abs(s->plain.tracker.speed) * o->sample_time : ZERO);
-    if (a->projection != FO_PROJECT_NEVER) {
-        fo_candidates_step(a, s, t->v, &choice);
-        e->weight_other = choice.weight;
-        if (choice.found && choice.weight < ONE / TWO) {
-            e->theta_other = choice.other;
-        }
-        s->seeded = s->seeded && !s->plain.trusted && q->theta_e_std < std_of(VARIANCE_UNKNOWN);
-        if (s->plain.trusted) {
-            fo_estimate inside;
-            inside = *q;
-            take_inside(s, &inside, e);
-        } else if (choice.found && !s->seeded) {
-            fo_real variance = choice.best.variance;
-            const fo_real apart = wrap(choice.other - choice.best.theta);
-            variance += choice.weight * apart * apart;
-            q->theta_e = choice.best.theta;
-            q->theta_e_tracked = s->tracker.angle;
-            q->speed_e = s->tracker.speed;
-            q->theta_e_std = std_of(variance);
-            for (int i = 0; i < FO_N; i++) {
-                q->flux[i] = choice.best.p[i] * o->flux_base;
-                q->drift[i] = choice.best.p[FO_N + i] * o->drift_base;
-            }
-            q->psi_f = fo_sqrt(choice.best.p[2 * FO_N]) * o->flux_base;
-            q->valid = false;
-        } else {
-            /* nothing is known */
-        }
-        const bool one = choice.found && choice.weight < ONE / TWO;
-        s->swept = one ? s->swept + wrap(choice.best.theta - s->theta) : ZERO;
-        s->theta = choice.found ? choice.best.theta : s->theta;
-        if (choice.decided && s->doubt < DOUBT_LIMIT && fo_abs(s->swept) > SWEEP) {
-            fo_learning_start(a, s, &choice.best, &choice.information, choice.inflation, t);
-        }
-    } else if (s->plain.trusted && s->doubt < DOUBT_LIMIT) {
-        fo_manifold information;
-        fo_candidate c;
-        c = s->now.start.candidates[0];
-        const fo_real power = s->plain.power;
-        for (int i = 0; i < FO_N; i++) {
-            c.p[i] = s->plain.x[FLUX + i];
-            c.p[FO_N + i] = s->plain.x[DRIFT + i];
-        }
-        s->tracker = s->plain.tracker;
-        fo_project(a, s, &c, &information);
-        if (c.variance < STD_LOST * STD_LOST) {
-            fo_learning_start(a, s, &c, &information, power > ONE ? power : ONE, t);
-        }
+    fo_candidates_step(a, s, t->v, &choice);
+    const bool likely = choice.has_best && choice.second_weight < ONE / TWO;
+    e->weight_other = choice.second_weight;
+    if (likely) {
+        e->theta_other = choice.second_theta;
+    }
+    s->seeded = s->seeded && !s->plain.trusted && q->theta_e_std < capped_std(VARIANCE_UNKNOWN);
+    if (s->plain.trusted) {
+        fo_estimate plain;
+        plain = *q;
+        use_plain_estimate(s, &plain, e);
+    } else if (choice.has_best && !s->seeded) {
+        write_candidate(a, s, &choice, q);
     } else {
-        /* it waits */
+        /* the estimate stays that of the plain observer */
+    }
+    s->rotation = likely ? s->rotation + wrap(choice.best.theta - s->theta) : ZERO;
+    s->theta = choice.has_best ? choice.best.theta : s->theta;
+    if (choice.decided && s->emf_ratio < EMF_RATIO_LIMIT && fo_abs(s->rotation) > SWEEP) {
+        fo_learning_start(a, s, &choice.best, &choice.information, choice.inflation, t);
+    }
+}
+
+/* Starts the filter from the plain observer's solution. */
+static void start_from_plain(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t)
+{
+    fo_manifold information;
+    fo_candidate c;
+    c = s->now.start.candidates[0];
+    const fo_real power = s->plain.power;
+    for (int i = 0; i < FO_N; i++) {
+        c.p[i] = s->plain.x[FLUX + i];
+        c.p[FO_N + i] = s->plain.x[DRIFT + i];
+    }
+    s->tracker = s->plain.tracker;
+    fo_gauss_newton_step(a, s, &c, &information);
+    if (c.variance < STD_LOST * STD_LOST) {
+        fo_learning_start(a, s, &c, &information, power > ONE ? power : ONE, t);
+    }
+}
+
+/* A sample before the filter runs. */
+static void run_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t,
+                      fo_adaptive_estimate *e)
+{
+    const fo_real turned =
+        s->plain.trusted ? fo_abs(s->plain.tracker.speed) * a->plain.sample_time : ZERO;
+    fo_learning_update_emf_ratio(a, s, t, s->plain.length, turned);
+    if (a->projection != FO_PROJECT_NEVER) {
+        start_from_candidates(a, s, t, e);
+    } else if (s->plain.trusted && s->emf_ratio < EMF_RATIO_LIMIT) {
+        start_from_plain(a, s, t);
+    } else {
+        /* it waits for the plain observer */
     }
 }
 
@@ -486,59 +532,59 @@ typedef struct {
     uint32_t voltages, currents;
 } bad_samples;
 
-static bad_samples bad_so_far(const fo_state *q)
+static bad_samples count_bad_samples(const fo_state *q)
 {
-    const bad_samples found = {q->bad_voltages, q->bad_currents + q->outliers};
-    return found;
+    const bad_samples count = {q->bad_voltages, q->bad_currents + q->outliers};
+    return count;
 }
 
-/* After the plain observer's step: the rest of the sample. */
-static void go_on(const fo_adaptive *a, fo_adaptive_state *s, bool complete, bad_samples before,
-                  fo_adaptive_estimate *e)
-{
-    const bad_samples now = bad_so_far(&s->plain);
+/* The rest of a sample, after the plain observer's step. */
+static void finish_sample(const fo_adaptive *a, fo_adaptive_state *s, bool complete,
+                          bad_samples before, fo_adaptive_estimate *e) {
+    const bad_samples now = count_bad_samples(&s->plain);
     const bool measured = now.currents == before.currents;
     e->theta_other = e->position.theta_e;
     e->weight_other = e->position.valid ? ZERO : ONE / TWO;
     e->psi_f = e->position.psi_f;
-    e->drift_std = a->plain.plausible * a->plain.drift_base;
+    e->drift_std = a->plain.drift_prior_std * a->plain.drift_base;
     if (s->plain.have_current && s->plain.have_voltage) {
-        fo_effects t;
-        integrate(a, s, complete, &t);
+        fo_interval t;
+        integrate_interval(a, s, complete, &t);
         e->adapting = s->running;
         if (s->running) {
-            run(a, s, &t, measured, e);
+            run_filter(a, s, &t, measured, e);
         } else {
-            begin(a, s, &t, e);
+            run_start(a, s, &t, e);
         }
     } else {
         e->adapting = false;
         if (!s->plain.have_current && s->running) {
-            stop(a, s, false);
+            stop_filter(a, s, false);
         }
-        s->doubt = TWO;
+        s->emf_ratio = TWO;
     }
-    s->turn++;
-    if (!e->adapting || !s->running) { /* else it is done, and nothing has changed since */
-        report_parameters(a, s, e);
+    s->sample_index++;
+    if (!e->adapting || !s->running) { /* else run_filter has written them */
+        write_parameters(a, s, e);
     }
     e->position.valid = e->position.valid && measured && now.voltages == before.voltages;
 }
 
-/* While the filter runs and the guard has no position of its own, the map is asked at the filter's
- * angle; else at the guard's, which must not depend on what it guards. */
-static void guide(const fo_adaptive *a, fo_adaptive_state *s)
+/* Chooses the angle at which the plain observer linearises the map: the filter's while it runs and
+ * the plain observer has no position; else its own, since a guard must not depend on what it
+ * guards. */
+static void set_map_angle(const fo_adaptive *a, fo_adaptive_state *s)
 {
 #if FO_MAPPED
-    s->plain.guided = s->running && !s->plain.trusted;
-    s->plain.guide = expected_angle(&a->plain, &s->tracker);
+    s->plain.has_external_angle = s->running && !s->plain.trusted;
+    s->plain.external_angle = predicted_angle(&a->plain, &s->tracker);
 #else
     (void)a;
     (void)s;
 #endif
 }
 
-static void ready(const fo_adaptive *a, fo_adaptive_state *s)
+static void reset_if_damaged(const fo_adaptive *a, fo_adaptive_state *s)
 {
     if (fo_damaged(&a->plain, &s->plain)) {
         const uint32_t restarts = s->plain.restarts;
@@ -550,34 +596,34 @@ static void ready(const fo_adaptive *a, fo_adaptive_state *s)
 void fo_adaptive_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_real voltage[FO_N],
                       const fo_real current[FO_N], fo_adaptive_estimate *e)
 {
-    ready(a, s);
-    const bad_samples before = bad_so_far(&s->plain);
-    fo_real lost[FO_N], left[FO_N];
-    known_loss(a, s, current, lost);
-    straighten(a, s, voltage, left);
+    reset_if_damaged(a, s);
+    const bad_samples before = count_bad_samples(&s->plain);
+    fo_real loss[FO_N], corrected[FO_N];
+    predicted_loss(a, s, current, loss);
+    correct_asymmetry(a, s, voltage, corrected);
     for (int i = 0; i < FO_N; i++) {
-        left[i] -= lost[i];
+        corrected[i] -= loss[i];
     }
-    guide(a, s);
-    fo_step(&a->plain, &s->plain, left, current, &e->position);
-    go_on(a, s, false, before, e);
+    set_map_angle(a, s);
+    fo_step(&a->plain, &s->plain, corrected, current, &e->position);
+    finish_sample(a, s, false, before, e);
 }
 
 void fo_adaptive_step_volt_seconds(const fo_adaptive *a, fo_adaptive_state *s,
                                    const fo_real volt_seconds[FO_N], const fo_real current[FO_N],
                                    fo_adaptive_estimate *e)
 {
-    ready(a, s);
-    const bad_samples before = bad_so_far(&s->plain);
-    fo_real lost[FO_N], left[FO_N];
-    known_loss(a, s, current, lost);
-    straighten(a, s, volt_seconds, left);
+    reset_if_damaged(a, s);
+    const bad_samples before = count_bad_samples(&s->plain);
+    fo_real loss[FO_N], corrected[FO_N];
+    predicted_loss(a, s, current, loss);
+    correct_asymmetry(a, s, volt_seconds, corrected);
     for (int i = 0; i < FO_N; i++) {
-        left[i] -= a->plain.sample_time * lost[i];
+        corrected[i] -= a->plain.sample_time * loss[i];
     }
-    guide(a, s);
-    fo_step_volt_seconds(&a->plain, &s->plain, left, current, &e->position);
-    go_on(a, s, true, before, e);
+    set_map_angle(a, s);
+    fo_step_volt_seconds(&a->plain, &s->plain, corrected, current, &e->position);
+    finish_sample(a, s, true, before, e);
 }
 
 void fo_adaptive_step_for(const fo_adaptive *a, fo_adaptive_state *s, fo_real duration,
@@ -596,21 +642,21 @@ void fo_adaptive_learnt(const fo_adaptive *a, const fo_adaptive_state *s, fo_lea
 {
     const fo_real base = a->plain.flux_base;
     l->psi_f = (a->psi + fo_learning_value(a, s, FO_PSI)) * base;
-    l->psi_f_std = fo_learning_deviation(a, s, FO_PSI, 1, ZERO) * base;
+    l->psi_f_std = fo_learning_std(a, s, FO_PSI, 1, ZERO) * base;
     l->resistance_error = fo_learning_value(a, s, FO_RESISTANCE);
-    l->resistance_std = fo_learning_deviation(a, s, FO_RESISTANCE, 1, ZERO);
-    l->inverter_voltage = part(a, s, 0) + part(a, s, 1);
-    l->inverter_std = fo_learning_deviation(a, s, FO_INVERTER, 2, l->inverter_voltage);
+    l->resistance_std = fo_learning_std(a, s, FO_RESISTANCE, 1, ZERO);
+    l->inverter_voltage = inverter_loss_part(a, s, 0) + inverter_loss_part(a, s, 1);
+    l->inverter_std = fo_learning_std(a, s, FO_INVERTER, 2, l->inverter_voltage);
     for (int i = 0; i < FO_N; i++) {
         l->offset[i] = fo_learning_value(a, s, FO_OFFSET + i);
-        l->offset_std[i] = fo_learning_deviation(a, s, FO_OFFSET + i, 1, ZERO);
+        l->offset_std[i] = fo_learning_std(a, s, FO_OFFSET + i, 1, ZERO);
         l->asymmetry[i] = ZERO;
         l->asymmetry_std[i] = ZERO;
         l->inductance_error[i] = fo_learning_value(a, s, FO_INDUCTANCE + i);
-        l->inductance_std[i] = fo_learning_deviation(a, s, FO_INDUCTANCE + i, 1, ZERO);
+        l->inductance_std[i] = fo_learning_std(a, s, FO_INDUCTANCE + i, 1, ZERO);
 #if FO_ASYMMETRIC
         l->asymmetry[i] = fo_learning_value(a, s, FO_ASYMMETRY + i);
-        l->asymmetry_std[i] = fo_learning_deviation(a, s, FO_ASYMMETRY + i, 1, ZERO);
+        l->asymmetry_std[i] = fo_learning_std(a, s, FO_ASYMMETRY + i, 1, ZERO);
 #endif
     }
 }

@@ -114,72 +114,80 @@ typedef struct {
     fo_projection projection;
 } fo_adaptive;
 
-/* A position followed at the start. */
+/* A candidate: one hypothesis of flux and drift at the start. */
 typedef struct {
-    fo_real p[FO_NM];        /* flux, drift, square of the magnet flux */
-    fo_real cost, least;     /* misfit to the information, of it and of its end */
-    fo_real variance;        /* of its angle [rad^2]                   */
-    fo_real theta;           /* angle at its last turn [rad]           */
-    uint32_t age;            /* turns since it was sown                */
+    fo_real p[FO_NM];        /* flux, drift, square of the magnet flux           */
+    fo_real cost;            /* misfit to the information                        */
+    fo_real predicted_cost;  /* the same after the next Gauss-Newton step        */
+    fo_real variance;        /* of its angle [rad^2]                             */
+    fo_real theta;           /* angle after its last step [rad]                  */
+    uint32_t age;            /* steps since it was placed                        */
 } fo_candidate;
 
-/* Sums over the samples since the last row of the fast filter. */
+/* Sums over the samples since the last measurement row of the filter. */
 typedef struct {
     uint32_t samples;
     fo_real time;                     /* [memories]                                         */
     fo_real theta;                    /* angle at its start [rad]                           */
-    fo_real effect[FO_NP][FO_N];      /* of each parameter on the flux                      */
-    fo_real unmodelled;               /* voltage error that is in no model, integrated      */
+    fo_real sensitivity[FO_NP][FO_N]; /* of the flux to each parameter                      */
+    fo_real unmodelled;               /* voltage error outside the model, integrated        */
     fo_real residual;                 /* |x| - saliency i_d - psi_f, summed                 */
-    fo_real slope[FO_N];              /* its derivative by the flux, summed, ...            */
-    fo_real slope_time[FO_N];         /* ... and times the time                             */
-    fo_real along[FO_NP];             /* its derivative by each parameter, summed           */
+    fo_real by_flux[FO_N];            /* its derivative by the flux, summed, ...            */
+    fo_real by_flux_time[FO_N];       /* ... and times the time                             */
+    fo_real by_parameter[FO_NP];      /* its derivative by each parameter, summed           */
 } fo_block;
 
 /* Everything that changes. Plain data: copy it, store it, restore it. */
 typedef struct {
     fo_state plain;
-    bool running;                        /* the filter; else candidates are followed        */
-    bool frozen;                         /* the parameters stay as they are                 */
-    bool seeded;                         /* the plain observer carries a seed on            */
-    uint32_t turn;
+    bool running;                        /* the filter; else candidates are fitted          */
+    bool frozen;                         /* the parameters are not updated                  */
+    bool seeded;                         /* the plain observer integrates from a seed       */
+    uint32_t sample_index;
     uint32_t restarts;                   /* of the filter, by its guard                     */
     union {                              /* before the filter runs, and while it does       */
         struct {
             fo_candidate candidates[FO_CANDIDATES];
-            uint32_t searched;           /* candidates that ended at the best one           */
-            int32_t best;                /* index of that one                               */
+            uint32_t confirmations;      /* candidates that converged to the best one       */
+            int32_t best;                /* index of the best one                           */
         } start;
         fo_block block;
     } now;
-    fo_real U[FO_PACKED(FO_NA)], d[FO_NA], z[FO_NA]; /* flux, drift: about their estimates; */
-                                         /* parameters: from their prior mean, in its stds  */
+    /* Information factor. Flux and drift: about their estimates. Parameters: about their prior
+     * mean, in their prior stds. */
+    fo_real U[FO_PACKED(FO_NA)], d[FO_NA], z[FO_NA];
     fo_real flux[FO_N], drift[FO_N], p[FO_NP]; /* the estimates                             */
-    uint32_t pulled, judged;             /* turns in forgetting, and in judging             */
-    fo_real since, passed;               /* share forgotten in this round, and in the last  */
-    fo_real level;                       /* power of what the fast filter leaves            */
-    fo_real rows;                        /* since the start, at most those of two turns     */
-    fo_real contradiction;               /* power of the innovations over their variance    */
-    fo_real point[3], known_point;       /* operating point; rows taken there               */
-    fo_real across, across_at;           /* variance across x, L_q known, at a time since   */
-                                         /* the last row [memories], ...                    */
-    fo_real turning, made_q;             /* ... what L_q adds to it, and the current's flux */
-                                         /* across x there                                  */
-    fo_real turned;                      /* what L_q adds to it now                         */
-    fo_real deviations[3];               /* of psi_f, resistance, inverter's loss           */
-    fo_real unsure, unsure_at;           /* voltage by which the parameters may be off, and the */
-                                         /* square of the current for which it was computed */
-    fo_real doubt;                       /* that voltage over the EMF [rad]                 */
-    fo_real exposed;                     /* turn by an unmodelled voltage error [rad]       */
-    fo_real signs[2][FO_N], bend[3];     /* of the inverter's loss; its derivative          */
+    uint32_t reinject_index;             /* parameter whose prior is re-injected next       */
+    uint32_t report_index;               /* std that is updated next                        */
+    fo_real forgotten;                   /* share of information forgotten in this round ...*/
+    fo_real forgotten_before;            /* ... and in the last                             */
+    fo_real noise_level;                 /* power of the filter's innovations over the      */
+                                         /* assumed one                                     */
+    fo_real rows;                        /* measurement rows since the start                */
+    fo_real innovation_power;            /* power of the parameters' innovations over their */
+                                         /* variance                                        */
+    fo_real operating_point[3];          /* i_d, i_q [A], electrical step per memory        */
+    fo_real rows_at_point;               /* rows taken there                                */
+    fo_real variance_across;             /* of the flux across x, L_q known, ...            */
+    fo_real variance_time;               /* ... at this time since the last row [memories]  */
+    fo_real variance_by_L_q;             /* what the error of L_q adds to it, ...           */
+    fo_real armature_flux_q;             /* ... at this armature flux, ...                  */
+    fo_real variance_by_L_q_now;         /* ... and at the present one                      */
+    fo_real reported_std[3];             /* of psi_f, resistance, inverter's loss           */
+    fo_real voltage_std;                 /* of the voltage, from the parameters, at ...     */
+    fo_real voltage_std_square;          /* ... this square of the current [A^2]            */
+    fo_real emf_ratio;                   /* that voltage over the EMF, accumulated [rad]    */
+    fo_real voltage_turn;                /* turn by an unmodelled voltage error [rad]       */
+    fo_real signs[2][FO_N];              /* of the phase currents, soft: inverter's loss    */
+    fo_real sign_gradient[3];            /* its derivative by the current                   */
 #if FO_MAPPED
-    fo_shape shape;                      /* the map's answer at the filter's own angle      */
+    fo_map_point map_point;              /* the map at the filter's own angle               */
 #endif
-    fo_real knee;                        /* how unsure the harder signs are, 0 to 1         */
+    fo_real knee;                        /* how soft the harder signs are now, 0 to 1       */
     fo_real x[FO_N], theta;              /* direction of the position vector                */
-    fo_real swept;                       /* before the filter runs, since one angle is the  */
-                                         /* likely one [rad]                                */
-    fo_real disagree;                    /* turn for which it differs from the guard [rad]  */
+    fo_real rotation;                    /* before the filter runs: since one candidate is  */
+                                         /* likely [rad]                                    */
+    fo_real disagreement;                /* turn while it differs from the guard [rad]      */
     fo_tracker tracker;
 } fo_adaptive_state;
 

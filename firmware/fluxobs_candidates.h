@@ -7,40 +7,41 @@
 
 #include "fluxobs_adaptive.h"
 
-#define fo_candidates_sow FO_NAME(fo_candidates_sow)
+#define fo_candidates_place FO_NAME(fo_candidates_place)
 #define fo_candidates_step FO_NAME(fo_candidates_step)
-#define fo_project FO_NAME(fo_project)
+#define fo_gauss_newton_step FO_NAME(fo_gauss_newton_step)
 
-/* Std of the angle below which the start may be decided: ten degrees [rad], where linearising is good
- * to a degree (benchmarks/adaptive.py, the start; noise 2.5 %). */
+/* Std of the angle below which the filter may start: ten degrees [rad], where its linearisation is
+ * good to a degree (benchmarks/adaptive.py, the start; noise 2.5 %). */
 #define START_STD (PI / (fo_real)18)
 
-/* Information on the manifold, U (p - p0) = z. */
+/* Information factor on the manifold, U (p - p0) = z. */
 typedef struct {
     fo_real U[FO_PACKED(FO_NM)];
     fo_real d[FO_NM];
     fo_real z[FO_NM];
 } fo_manifold;
 
-/* The result of the start. */
+/* The candidates after a sample. */
 typedef struct {
     fo_candidate best;
-    fo_manifold information; /* at its last turn, if that was this one    */
-    bool found;              /* else nothing here means anything          */
-    bool decided;            /* the start is, and this was best's turn    */
-    fo_real inflation;       /* of its covariance                         */
-    fo_real other, weight;   /* angle and weight of the second best       */
+    fo_manifold information; /* of the best, if this was its turn              */
+    bool has_best;           /* false: no candidate has converged              */
+    bool decided;            /* the filter may start from the best             */
+    fo_real inflation;       /* of its covariance                              */
+    fo_real second_theta, second_weight; /* of the second best [rad], 0 to 1/2 */
 } fo_choice;
 
-/* Sows candidates all around, the first at the last known position. */
-void fo_candidates_sow(const fo_adaptive *observer, fo_adaptive_state *state);
+/* Places candidates a quarter of a turn apart, the first at the last known position. */
+void fo_candidates_place(const fo_adaptive *observer, fo_adaptive_state *state);
 
-/* Processes one sample with these volt-seconds: it is one candidate's turn. */
+/* Processes one sample with these volt-seconds: all candidates are integrated, one takes its
+ * step. */
 void fo_candidates_step(const fo_adaptive *observer, fo_adaptive_state *state,
                         const fo_real v[FO_N], fo_choice *choice);
 
-/* One Gauss-Newton step of a candidate towards the best fit to the information. */
-void fo_project(const fo_adaptive *observer, const fo_adaptive_state *state,
-                fo_candidate *candidate, fo_manifold *information);
+/* One Gauss-Newton step of a candidate towards the best fit to the plain observer's information. */
+void fo_gauss_newton_step(const fo_adaptive *observer, const fo_adaptive_state *state,
+                          fo_candidate *candidate, fo_manifold *information);
 
 #endif

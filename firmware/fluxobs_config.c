@@ -16,9 +16,9 @@ static fo_real smaller(fo_real a, fo_real b) { return a < b ? a : b; }
 
 /* ---- settings --------------------------------------------------------------------------- */
 
-/* Noise of the current enters the flux directly, as L i, and through the resistive drop, as a random
- * walk of its samples: R sqrt(h T) / (2 L) of the first. Where L/R is short, a shorter memory keeps
- * the second below the first; but it must hold a turn at a quarter of the speed. */
+/* Noise of the current enters the flux directly, as L i, and through the resistive drop, as a
+ * random walk of its samples: R sqrt(h T) / (2 L) of the first. Where L/R is short, a shorter
+ * memory keeps the second below the first; but it must hold a turn at a quarter of the speed. */
 static fo_real memory_for(const fo_sizes *m, fo_real h)
 {
     fo_real memory = m->usual_memory;
@@ -31,8 +31,8 @@ static fo_real memory_for(const fo_sizes *m, fo_real h)
     return memory;
 }
 
-/* 1 - exp(-x), x >= 0, by its series where that is short, and 1 - exp(-2 x) = y (2 - y). */
-static fo_real fallen(fo_real x)
+/* 1 - exp(-x), x >= 0: by its series for small x, doubled by 1 - exp(-2 x) = y (2 - y). */
+static fo_real one_minus_exp(fo_real x)
 {
     const fo_real all = (fo_real)40; /* nothing is left of it */
     fo_real part = x < all ? x : all;
@@ -62,7 +62,7 @@ void fo_kink_weights(fo_real share, fo_real weights[2])
     } else {
         /* A step of the voltage adds (1 - exp(-t R/L)) / R to the current: its mean over the
          * interval, less that of the cubic through the samples. */
-        const fo_real one = fallen(a), two = fallen(TWO * a);
+        const fo_real one = one_minus_exp(a), two = one_minus_exp(TWO * a);
         weights[0] = (a - one) / a - (fo_real)9 / (fo_real)24 * one;
         weights[1] = (a - (ONE - one) * one) / a -
                      ((fo_real)9 * two + (fo_real)19 * one) / (fo_real)24;
@@ -73,12 +73,14 @@ void fo_choose(fo_config *c, const fo_sizes *m, fo_voltage voltage)
 {
     const fo_real h = c->sample_time, flux = m->flux, square = flux * flux;
     const fo_real share = m->resistance * h / m->inductance;
-    const bool held = voltage == FO_VOLTAGE_HELD || (voltage == FO_VOLTAGE_AUTO && share >= usual.MATTERS);
+    const bool held =
+        voltage == FO_VOLTAGE_HELD || (voltage == FO_VOLTAGE_AUTO && share >= usual.MATTERS);
     fo_real kinks[2];
     /* A tracker that follows load steps does not depend on why a memory is short. */
     c->tracker_bandwidth = usual.TRACKER / (c->memory > ZERO ? c->memory : m->usual_memory);
     c->memory = c->memory > ZERO ? c->memory : memory_for(m, h);
-    c->current_noise = c->current_noise > ZERO ? c->current_noise : usual.CURRENT_NOISE * m->rated_current;
+    c->current_noise =
+        c->current_noise > ZERO ? c->current_noise : usual.CURRENT_NOISE * m->rated_current;
     if (!(c->drift_prior > ZERO)) {
         c->drift_prior = larger(usual.DRIFT_DROP * m->resistance * m->rated_current,
                                 usual.DRIFT_TURN * flux / c->memory);
@@ -129,7 +131,7 @@ fo_machine fo_induction(fo_real R_s, fo_real R_R, fo_real L_sigma, fo_real L_M, 
     return m;
 }
 
-static void sizes_of(const fo_machine *m, fo_sizes *s)
+static void set_sizes(const fo_machine *m, fo_sizes *s)
 {
     const bool salient = m->kind == FO_RELUCTANCE; /* without magnets */
     s->resistance = m->R_s;
@@ -143,31 +145,31 @@ static void sizes_of(const fo_machine *m, fo_sizes *s)
     s->speed_e = m->speed_e;
 }
 
-/* ---- numbers that no machine has ---------------------------------------------------------- */
+/* ---- implausible numbers ------------------------------------------------------------------ */
 
 static bool positive(fo_real x) { return x > ZERO && x - x == ZERO; }
-static fo_real unusual(fo_real ratio) { return ratio > ONE ? ratio : ONE / ratio; }
+static fo_real ratio_above_one(fo_real ratio) { return ratio > ONE ? ratio : ONE / ratio; }
 
-/* Demands of each number what its symbol can be. */
-static void demand_possible(finding *found, const fo_machine *m, fo_real sample_time)
+/* Demands that each number is possible for its symbol. */
+static void demand_possible(field_error *error, const fo_machine *m, fo_real sample_time)
 {
     const bool has_cage = m->kind == FO_CAGE, salient = m->kind == FO_RELUCTANCE;
     const bool known = has_cage || salient || m->kind == FO_MAGNETS;
-    demand(found, known, FO_ERROR_OTHER, "kind");
-    demand(found, positive(m->R_s), FO_ERROR_BASE, "R_s");
-    demand(found, positive(m->L_d), FO_ERROR_BASE, "L_d");
-    demand(found, positive(m->L_q), FO_ERROR_BASE, "L_q");
-    demand(found, salient || positive(m->psi), FO_ERROR_BASE, "psi");
-    demand(found, !has_cage || positive(m->R_R), FO_ERROR_BASE, "R_R");
-    demand(found, !has_cage || positive(m->L_M), FO_ERROR_BASE, "L_M");
-    demand(found, positive(m->rated_current), FO_ERROR_BASE, "rated_current");
-    demand(found, m->speed_e >= ZERO && m->speed_e - m->speed_e == ZERO, FO_ERROR_BASE, "speed_e");
-    demand(found, !salient || m->L_d > m->L_q, FO_ERROR_RANGE, "L_d");
-    demand(found, memory_fits(usual.MEMORY, sample_time), FO_ERROR_SAMPLE_TIME, "sample_time");
+    demand(error, known, FO_ERROR_OTHER, "kind");
+    demand(error, positive(m->R_s), FO_ERROR_BASE, "R_s");
+    demand(error, positive(m->L_d), FO_ERROR_BASE, "L_d");
+    demand(error, positive(m->L_q), FO_ERROR_BASE, "L_q");
+    demand(error, salient || positive(m->psi), FO_ERROR_BASE, "psi");
+    demand(error, !has_cage || positive(m->R_R), FO_ERROR_BASE, "R_R");
+    demand(error, !has_cage || positive(m->L_M), FO_ERROR_BASE, "L_M");
+    demand(error, positive(m->rated_current), FO_ERROR_BASE, "rated_current");
+    demand(error, m->speed_e >= ZERO && m->speed_e - m->speed_e == ZERO, FO_ERROR_BASE, "speed_e");
+    demand(error, !salient || m->L_d > m->L_q, FO_ERROR_RANGE, "L_d");
+    demand(error, memory_fits(usual.MEMORY, sample_time), FO_ERROR_SAMPLE_TIME, "sample_time");
 }
 
-/* Limits that motors from grams to megawatts keep: L/R [s], L i / psi, and R i / psi [rad/s], the speed
- * at which the EMF is the rated resistive drop. What is usual is in the middle of each. */
+/* Limits that motors from grams to megawatts keep: L/R [s], L i / psi, and R i / psi [rad/s], the
+ * speed at which the EMF is the rated resistive drop. What is usual is in the middle of each. */
 static const fo_real TIME_CONSTANT[3] = {(fo_real)2e-6, (fo_real)3e-3, (fo_real)5};
 static const fo_real LOAD_FLUX[3] = {(fo_real)1e-3, (fo_real)0.3, (fo_real)50};
 static const fo_real DROP_SPEED[3] = {(fo_real)0.01, (fo_real)100, (fo_real)2e4};
@@ -175,14 +177,14 @@ static const fo_real DROP_SPEED[3] = {(fo_real)0.01, (fo_real)100, (fo_real)2e4}
 static const fo_real RATIO = (fo_real)50, MAGNETIZING_RATIO = (fo_real)1000;
 static const fo_real ROTOR_CONSTANT[2] = {(fo_real)1e-3, (fo_real)100};
 
-/* The number whose unit is wrong, most likely, where a ratio is beyond its limits. A wrong R changes the
- * first and the last of the three, a wrong L the first two, a wrong psi or current the last two: that
- * is wrong which leaves the third as it usually is. */
-static const char *suspect(const fo_machine *m, fo_real time, fo_real flux, fo_real speed)
-{
-    const fo_real resistance = unusual(flux / LOAD_FLUX[1]);
-    const fo_real inductance = unusual(speed / DROP_SPEED[1]);
-    const fo_real scale = unusual(time / TIME_CONSTANT[1]);
+/* The number whose unit is wrong, most likely, where a ratio is beyond its limits. A wrong R
+ * changes the first and the last of the three, a wrong L the first two, a wrong psi or current the
+ * last two: that is wrong which leaves the third as it usually is. */
+static const char *likeliest_unit_error(const fo_machine *m, fo_real time, fo_real flux,
+                                        fo_real speed) {
+    const fo_real resistance = ratio_above_one(flux / LOAD_FLUX[1]);
+    const fo_real inductance = ratio_above_one(speed / DROP_SPEED[1]);
+    const fo_real scale = ratio_above_one(time / TIME_CONSTANT[1]);
     const char *wrong = inductance <= scale ? "L_q" : "psi or rated_current";
     if (m->kind == FO_RELUCTANCE) { /* its flux is L i itself */
         wrong = "R_s or L_d and L_q";
@@ -195,21 +197,21 @@ static const char *suspect(const fo_machine *m, fo_real time, fo_real flux, fo_r
 }
 
 /* Demands that the sizes fit each other. */
-static void demand_fit(finding *found, const fo_machine *m, const fo_sizes *s)
+static void demand_fit(field_error *error, const fo_machine *m, const fo_sizes *s)
 {
     const fo_real time = m->L_q / m->R_s, flux = m->L_q * m->rated_current / s->flux;
     const fo_real speed = m->R_s * m->rated_current / s->flux;
     if (m->kind == FO_CAGE) {
         const bool ratio = within(m->L_M / m->L_q, ONE, MAGNETIZING_RATIO);
         const bool constant = within(m->L_M / m->R_R, ROTOR_CONSTANT[0], ROTOR_CONSTANT[1]);
-        demand(found, constant, FO_ERROR_RANGE, ratio ? "R_R" : "L_M");
+        demand(error, constant, FO_ERROR_RANGE, ratio ? "R_R" : "L_M");
     }
-    demand(found,
+    demand(error,
            within(time, TIME_CONSTANT[0], TIME_CONSTANT[2]) &&
                within(flux, LOAD_FLUX[0], LOAD_FLUX[2]) &&
                within(speed, DROP_SPEED[0], DROP_SPEED[2]),
-           FO_ERROR_RANGE, suspect(m, time, flux, speed));
-    demand_size(found, m->L_d / m->L_q, ONE / RATIO, RATIO, "L_d");
+           FO_ERROR_RANGE, likeliest_unit_error(m, time, flux, speed));
+    demand_size(error, m->L_d / m->L_q, ONE / RATIO, RATIO, "L_d");
 }
 
 static void configure(fo_config *c, const fo_machine *m, const fo_sizes *sizes)
@@ -229,19 +231,19 @@ static void configure(fo_config *c, const fo_machine *m, const fo_sizes *sizes)
 
 const char *fo_configure(fo_config *c, const fo_machine *m, fo_real sample_time)
 {
-    finding found = {FO_OK, NULL};
+    field_error error = {FO_OK, NULL};
     (void)memset(c, 0, sizeof *c);
-    demand_possible(&found, m, sample_time);
-    if (found.error == FO_OK) { /* else ratios have no meaning */
+    demand_possible(&error, m, sample_time);
+    if (error.code == FO_OK) { /* else ratios have no meaning */
         fo_sizes sizes;
-        sizes_of(m, &sizes);
-        demand_fit(&found, m, &sizes);
-        if (found.error == FO_OK) {
+        set_sizes(m, &sizes);
+        demand_fit(&error, m, &sizes);
+        if (error.code == FO_OK) {
             c->sample_time = sample_time;
             configure(c, m, &sizes);
         }
     }
-    return found.field;
+    return error.field;
 }
 
 #if FO_MAPPED

@@ -89,8 +89,9 @@ typedef enum {
  * current_noise, drift_prior; and those that follow from them and the sizes. */
 void fo_choose(fo_config *config, const fo_sizes *sizes, fo_voltage voltage);
 
-/* Share of the last step of a held voltage, and of the one before it, in what the cubic through four
- * current samples misses of the resistive drop; `share` is R h/L (docs/theory.md, section 5). */
+/* Share of the last step of a held voltage, and of the one before it, in what the cubic through
+ * four current samples misses of the resistive drop; `share` is R h/L (docs/theory.md, section
+ * 5). */
 void fo_kink_weights(fo_real share, fo_real weights[2]);
 
 /* ---- machines --------------------------------------------------------------------------- */
@@ -115,9 +116,9 @@ fo_machine fo_synrm(fo_real R_s, fo_real L_d, fo_real L_q, fo_real rated_current
 fo_machine fo_induction(fo_real R_s, fo_real R_R, fo_real L_sigma, fo_real L_M, fo_real psi_R,
                         fo_real rated_current);
 
-/* The whole configuration of a machine, for fo_init. Returns NULL, or the field of fo_machine that no
- * machine has, or whose unit is most likely wrong ("sample_time" too; "psi or rated_current" where they
- * cannot be told apart). The configuration is then zero, and fo_init refuses it. */
+/* The whole configuration of a machine, for fo_init. Returns NULL, or the field of fo_machine that
+ * no machine has, or whose unit is most likely wrong ("sample_time" too; "psi or rated_current"
+ * where they cannot be told apart). The configuration is then zero, and fo_init refuses it. */
 const char *fo_configure(fo_config *config, const fo_machine *machine, fo_real sample_time);
 
 #if FO_MAPPED

@@ -22,9 +22,9 @@
 #endif
 
 #define fo_atan2 FO_NAME(fo_atan2)
-#define fo_ask_map FO_NAME(fo_ask_map)
+#define fo_linearise_map FO_NAME(fo_linearise_map)
 #define fo_uneven FO_NAME(fo_uneven)
-#define fo_rotate_in FO_NAME(fo_rotate_in)
+#define fo_add_row FO_NAME(fo_add_row)
 
 #define ZERO ((fo_real)0)
 #define ONE ((fo_real)1)
@@ -34,11 +34,10 @@
 /* Order of the immersion's state. */
 enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
 
-/* ---- thresholds ------------------------------------------------------------------------
- * Those of the plain observer: what each is, its unit, the reason for its value, and the test that
- * fails at half or at twice of it; "not sharp" where none does. The list at the end names them for
- * the library's binding, from which the twin and the readable observer read them. Tests without a
- * folder are in tests/observers/test_accuracy.py. */
+/* ---- thresholds ------------------------------------------------------------------------ Of the
+ * plain observer: each with its unit, its reason, and the test that fails at half or at twice its
+ * value ("not sharp": no test does). The list at the end names them for the binding. Tests without
+ * a folder are in tests/observers/test_accuracy.py. */
 
 /* Share of the flux information that may be noise before the flux is called unknown [1]. Noise in
  * the rows shortens an estimate by its share: a tenth, in one direction only, turns the flux by up
@@ -51,19 +50,19 @@ enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
 #define VOLTAGE_LIMIT (PI / (fo_real)22.5)
 /* Upper bound of that angle [rad]: ten times VOLTAGE_LIMIT, since a wrong flux may be long; a
  * larger one would be remembered for long after a stop (not sharp). */
-#define EXPOSED_MOST (PI / (fo_real)2.25)
+#define VOLTAGE_TURN_MAX (PI / (fo_real)2.25)
 /* A larger change of the flux in one sample is an error [flux bases]: twice what eight samples per
  * period need, with a magnet flux twice as large as its base (half:
  * tests/observers/test_bad_samples.py,
  * test_a_spike_in_the_voltage_restarts_once_the_currents_contradict). */
 #define FLUX_STEP_LIMIT ((fo_real)4)
-/* A measurement that is off what is known by more than this is rejected [constraint bases]: the
- * relation's own size. STEP_LIMIT deals with smaller ones (half:
+/* A measurement whose innovation exceeds this is rejected [constraint bases]: the size of the
+ * relation itself. STEP_LIMIT deals with smaller ones (half:
  * test_exact_without_noise_from_volt_seconds, twice: test_drift_jump_is_followed). */
 #define OUTLIER_LIMIT ((fo_real)1)
-/* So is one in which the position vector moves by more than the sum of twice its last step, this
- * share of its length [1] and this many stds of noise [1]: a current spike can leave its length
- * unchanged. 0.15 turns it by 9 degrees; six stds occur once in 10^9 samples (twice of either:
+/* So is a measurement that moves the position vector by more than twice its last step, this share
+ * of its length [1] and this many stds of noise [1] together: a current spike may not change its
+ * length. 0.15 turns it by 9 degrees; six stds occur once in 10^9 samples (twice of either:
  * tests/observers/test_bad_samples.py, test_spikes_of_any_size_and_direction_do_not_mislead). */
 #define STEP_LIMIT ((fo_real)0.15)
 #define STEP_NOISE ((fo_real)6)
@@ -73,29 +72,29 @@ enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
 /* The prior's variance then becomes this many times the square of that drift [1]: a std of twice
  * the drift, so that it is ordinary from then on (not sharp). */
 #define WIDEN ((fo_real)4)
-/* Weight that the past then keeps, over the square of that excess [1]: enough to keep the matrix
- * regular, too little to be believed (not sharp). With a flux map, the weight of what was known
- * before the position was (all of it: starts up to 8 degrees off). */
+/* Factor on the past information then, over the square of that excess [1]: enough to keep the
+ * matrix regular, too little to matter (not sharp). With a flux map, the factor on the information
+ * from before the position was known (at 1, starts are wrong by up to 8 degrees). */
 #define DISTRUST ((fo_real)0.01)
 /* Rotation at a known flux before the position is trusted: half a turn [rad]. A flux that is wrong
  * by its drift shows within that (twice:
  * test_never_valid_at_standstill_and_one_period_is_enough_after). */
 #define SWEEP PI
-/* Std of the position above which it is not valid: 3 degrees [rad], so that five stds are within
- * 15 degrees (half: test_random_machines). */
+/* Largest std of a valid position: 3 degrees [rad], five stds are within 15 degrees (half:
+ * test_random_machines). */
 #define STD_LIMIT (PI / (fo_real)60)
-/* Time for which the tracker has to be that near before a position is valid [memories]; and the
- * share of the time that counts while it is not near [1]. Under a quick ripple of the speed a
- * tracker may never come near; thanks to the share, that delays a valid position by at most three
- * memories (not sharp: half and twice delay a valid position by less than a memory). */
+/* Time for which the tracker's error must be below that before a position is valid [memories]; and
+ * the share of the time that counts while the error is larger [1]. Under a quick ripple of the
+ * speed a tracker's error may stay larger; with the share, that delays a valid position by at most
+ * three memories (not sharp: half and twice delay a valid position by less than a memory). */
 #define TRACKER_SETTLED ((fo_real)0.1)
 #define TRACKER_OFF ((fo_real)(1.0 / 30.0))
-/* A tracker that is off by more than this restarts: 60 degrees [rad]. Beyond 90 it can lock onto a
+/* A tracker with a larger error restarts: 60 degrees [rad]. Beyond 90 it can lock onto a
  * speed that is a quarter of a turn per sample too fast (twice: tests/firmware/pieces.c). */
 #define TRACKER_LOST (PI / (fo_real)3)
 /* Variance of an unknown angle: uniform over a turn [rad^2]. Not tuned. */
 #define VARIANCE_UNKNOWN (PI * PI / (fo_real)3)
-/* Square of a position vector [flux bases] beyond which its numbers have run away: a hundred times
+/* Square of a position vector above which the numbers have diverged [flux bases]: a hundred times
  * any flux, and far within single precision (not sharp; tests/firmware/fuzz.c). */
 #define RUNAWAY ((fo_real)1e4)
 /* Cap on the correlation of successive innovations [1]: it inflates a variance by
@@ -105,18 +104,18 @@ enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
 /* Bad samples in a row that are bridged before a restart [1]. */
 #define MAX_CONSECUTIVE_BAD ((fo_real)FO_MAX_CONSECUTIVE_BAD)
 /* Length of a round [samples]. Samples take turns: one re-injects a row of the prior, the next
- * judges the certainty. */
+ * updates the variances. */
 #define REINJECT_PERIOD ((fo_real)(2 * FO_NX))
 
-/* Active flux below which the slope of its length means nothing: a thousandth [flux bases], far
+/* Active flux below which the gradient of its length is undefined: a thousandth [flux bases], far
  * below the shortest usable one. Not tuned. */
-#define SHORTEST_ACTIVE ((fo_real)0.001)
+#define ACTIVE_FLUX_MIN ((fo_real)0.001)
 
 #define FO_THRESHOLDS(X)                                                                     \
-    X(SHARE_LIMIT) X(VOLTAGE_LIMIT) X(EXPOSED_MOST) X(FLUX_STEP_LIMIT) X(OUTLIER_LIMIT)      \
+    X(SHARE_LIMIT) X(VOLTAGE_LIMIT) X(VOLTAGE_TURN_MAX) X(FLUX_STEP_LIMIT) X(OUTLIER_LIMIT)      \
     X(STEP_LIMIT) X(STEP_NOISE) X(SETTLED) X(WIDEN) X(DISTRUST) X(SWEEP) X(STD_LIMIT)        \
     X(TRACKER_SETTLED) X(TRACKER_OFF) X(TRACKER_LOST) X(VARIANCE_UNKNOWN) X(RUNAWAY)         \
-    X(CORRELATION_LIMIT) X(MAX_CONSECUTIVE_BAD) X(REINJECT_PERIOD) X(SHORTEST_ACTIVE)
+    X(CORRELATION_LIMIT) X(MAX_CONSECUTIVE_BAD) X(REINJECT_PERIOD) X(ACTIVE_FLUX_MIN)
 
 /* Lag-one correlation of innovations with these sums, between 0 and CORRELATION_LIMIT. */
 static inline fo_real correlation(fo_real lag_one, fo_real power)
@@ -125,8 +124,8 @@ static inline fo_real correlation(fo_real lag_one, fo_real power)
     return !(r > ZERO) ? ZERO : r > CORRELATION_LIMIT ? CORRELATION_LIMIT : r;
 }
 
-/* (atan(q) / q - 1) / q^2 by powers of q^2, |q| <= 0.199: Chebyshev, relative error of atan(q) below
- * 8.1e-9, and 3.4e-19. */
+/* (atan(q) / q - 1) / q^2 by powers of q^2, |q| <= 0.199: Chebyshev, relative error of atan(q)
+ * below 8.1e-9, and 3.4e-19. */
 #if FO_SINGLE
 #define FO_ATAN_SERIES                                                                       \
     {(fo_real)-0.136489613386948304, (fo_real)0.199906407297515527,                          \
@@ -138,24 +137,26 @@ static inline fo_real correlation(fo_real lag_one, fo_real power)
      (fo_real)0.111111108177434445,  (fo_real)-0.142857142842660927,                         \
      (fo_real)0.199999999999972729,  (fo_real)-0.333333333333333325}
 #endif
-/* An angle between, its tangent, which any fo_real holds, and where the next one is nearer [1]. */
+/* Expansion points of the arc tangent besides 0 and pi/4: an angle, its tangent (exact in any
+ * fo_real), and the tangents at which the next point is nearer [1]. */
 #define FO_BETWEEN ((fo_real)0.392570135011828595166)
 #define FO_TAN_BETWEEN ((fo_real)0.4140625)
 #define FO_NEAR_ZERO ((fo_real)0.19884534)
 #define FO_NEAR_BETWEEN ((fo_real)0.66808538)
 
-/* Angle of (x, y), in (-pi, pi], to within four units in the last place; NaN if either is. C
- * libraries differ in theirs: with this one every compiler and machine has the same bits. */
+/* Angle of (x, y), in (-pi, pi], to within four units in the last place; NaN if either is NaN. The
+ * same bits with every compiler and on every processor, unlike the atan2 of C libraries. */
 fo_real fo_atan2(fo_real y, fo_real x);
 
-/* Takes in row'x = value, which is zero left of `first`, with this much information. Returns the
- * normalised innovation. */
-fo_real fo_rotate_in(fo_information *info, fo_real row[FO_NX], fo_real value, fo_real information,
+/* Adds row'x = value with this information to the factor; the row's elements before `first` are
+ * zero. Returns the normalised innovation. */
+fo_real fo_add_row(fo_information *info, fo_real row[FO_NX], fo_real value, fo_real information,
                      int first);
 
 #if FO_MAPPED
-/* Asks the map about a current, for a rotor at this angle; a cage has the rotor flux of `f`. */
-void fo_ask_map(const fo_observer *o, fo_real angle, const fo_real current[FO_N], fo_shape *f);
+/* Linearises the map at a current and a rotor angle; a cage's rotor flux is that of `f`. */
+void fo_linearise_map(const fo_observer *o, fo_real angle, const fo_real current[FO_N],
+                      fo_map_point *f);
 #endif
 
 static inline fo_real dot(const fo_real a[FO_N], const fo_real b[FO_N])
@@ -173,8 +174,8 @@ static inline fo_real row_of(const fo_real matrix[FO_N][FO_N], int i, const fo_r
 #endif
 }
 
-/* A sum with a linear term of the relation, if it has any. */
-static inline fo_real plus_linear(fo_real sum, fo_real term)
+/* Adds a linear term of the relation, if it has any. */
+static inline fo_real add_linear(fo_real sum, fo_real term)
 {
 #if FO_ISOTROPIC
     (void)term;
@@ -184,18 +185,18 @@ static inline fo_real plus_linear(fo_real sum, fo_real term)
 #endif
 }
 
-/* A component of what the position vector leaves of the flux: position vector = flux - this. */
-static inline fo_real away(const fo_observer *o, const fo_state *s, int i)
+/* A component of the armature flux: position vector = flux - armature flux. */
+static inline fo_real armature_flux(const fo_observer *o, const fo_state *s, int i)
 {
 #if FO_MAPPED
     (void)o;
-    return s->shape.away[i];
+    return s->map_point.armature_flux[i];
 #else
     return o->L_position * s->current[0][i];
 #endif
 }
 
-static inline bool mapped(const fo_observer *o)
+static inline bool has_map(const fo_observer *o)
 {
 #if FO_MAPPED
     return o->map != NULL;
@@ -205,8 +206,8 @@ static inline bool mapped(const fo_observer *o)
 #endif
 }
 
-/* Does its flux move by itself, as a cage's? */
-static inline bool cage(const fo_observer *o)
+/* Does the rotor flux follow the current, as a cage's? */
+static inline bool has_cage_map(const fo_observer *o)
 {
 #if FO_MAPPED
     return o->map != NULL && o->map->kind == FO_MAP_CAGE;
@@ -216,13 +217,13 @@ static inline bool cage(const fo_observer *o)
 #endif
 }
 
-/* Variance of a cage's angle by an offset of the currents, which makes its flux ripple [rad^2]: the
- * flux is a low-pass of the current. */
-static inline fo_real rippled(const fo_observer *o, fo_real speed)
+/* Variance of a cage's angle by a current offset, which makes its flux ripple [rad^2]: the flux is
+ * the low-passed current. */
+static inline fo_real cage_ripple_variance(const fo_observer *o, fo_real speed)
 {
     fo_real variance = ZERO;
 #if FO_MAPPED
-    if (cage(o)) {
+    if (has_cage_map(o)) {
         const fo_real corner = o->map->decay / o->sample_time;
         variance = o->map->ripple * o->map->ripple / (speed * speed + corner * corner);
     }
@@ -235,17 +236,17 @@ static inline fo_real rippled(const fo_observer *o, fo_real speed)
 
 static inline bool within(fo_real x, fo_real low, fo_real high) { return x >= low && x <= high; }
 
-/* The first field of a configuration that is wrong, and how. */
+/* The first wrong field of a configuration. */
 typedef struct {
-    fo_error error;
+    fo_error code;
     const char *field;
-} finding;
+} field_error;
 
-static inline void demand(finding *found, bool good, fo_error error, const char *field)
+static inline void demand(field_error *first, bool good, fo_error code, const char *field)
 {
-    if (found->error == FO_OK && !good) {
-        found->error = error;
-        found->field = field;
+    if (first->code == FO_OK && !good) {
+        first->code = code;
+        first->field = field;
     }
 }
 
@@ -255,20 +256,20 @@ static inline bool memory_fits(fo_real memory, fo_real sample_time)
     return within(memory, (fo_real)9.99 * sample_time, (fo_real)1.001e6 * sample_time);
 }
 
-static inline void demand_size(finding *found, fo_real x, fo_real low, fo_real high,
+static inline void demand_size(field_error *first, fo_real x, fo_real low, fo_real high,
                                const char *field)
 {
-    demand(found, within(x, low, high), FO_ERROR_RANGE, field);
+    demand(first, within(x, low, high), FO_ERROR_RANGE, field);
 }
 
-/* Wraps an angle that is within a turn and a half of zero. */
+/* Wraps an angle between -3 pi and 3 pi to (-pi, pi]. */
 static inline fo_real wrap(fo_real angle)
 {
     return angle > PI ? angle - TWO * PI : angle <= -PI ? angle + TWO * PI : angle;
 }
 
-/* Turns a vector by an angle below 1.5 rad, to within 1e-3 of the angle: by the one whose half has
- * this tangent. */
+/* Turns a vector by an angle below 1.5 rad, to within 1e-3 of the angle; the tangent of half of it
+ * is approximated. */
 static inline void turn(const fo_real v[FO_N], fo_real angle, fo_real turned[FO_N])
 {
     const fo_real half = angle / TWO, square = half * half;
@@ -280,17 +281,17 @@ static inline void turn(const fo_real v[FO_N], fo_real angle, fo_real turned[FO_
     turned[1] = sine * v0 + cosine * v1;
 }
 
-/* 24 times the mean current of the last interval: the cubic through four samples, newest first. */
+/* 24 times the mean current of the last interval, from the cubic through four samples, newest
+ * first. */
 static inline fo_real mean_current_24(fo_real i0, fo_real i1, fo_real i2, fo_real i3)
 {
     return (fo_real)9 * i0 + (fo_real)19 * i1 - (fo_real)5 * i2 + i3;
 }
 
-/* Is this a state of zeros, which nobody has reset? */
-static inline bool never_reset(const fo_state *s) { return s->roughness == ZERO; }
+/* Is this a state of zeros, on which fo_reset was never called? */
+static inline bool is_never_reset(const fo_state *s) { return s->noise_inflation == ZERO; }
 
-/* Is this no state of the observer? Asked once in a round of re-injections: of zeros, and of memory
- * that something else has overwritten. */
+/* Is this not a state of the observer: zeros, or overwritten memory? Checked once in a round. */
 #define fo_damaged FO_NAME(fo_damaged)
 bool fo_damaged(const fo_observer *o, const fo_state *s);
 
@@ -302,25 +303,25 @@ static inline void stop_tracker(fo_tracker *t, fo_real theta)
     t->lost = false;
 }
 
-/* Angle by which the tracker expects the rotor to turn in a sample. */
-static inline fo_real expected_step(const fo_observer *o, const fo_tracker *t)
+/* Rotation in a sample that the tracker predicts. */
+static inline fo_real predicted_step(const fo_observer *o, const fo_tracker *t)
 {
     const fo_real h = o->sample_time;
     return h * (t->speed + h * t->acceleration / TWO);
 }
 
-/* The angle at which it expects the rotor now. */
-static inline fo_real expected_angle(const fo_observer *o, const fo_tracker *t)
+/* Rotor angle that the tracker predicts for this sample. */
+static inline fo_real predicted_angle(const fo_observer *o, const fo_tracker *t)
 {
-    const fo_real step = expected_step(o, t);
+    const fo_real step = predicted_step(o, t);
     return fo_abs(step) <= PI ? wrap(t->angle + step) : t->angle;
 }
 
 static inline void track(const fo_observer *o, fo_tracker *t, fo_real theta)
 {
     const fo_real h = o->sample_time;
-    const fo_real step = expected_step(o, t);
-    if (t->lost) { /* its angle is that of the sample before */
+    const fo_real step = predicted_step(o, t);
+    if (t->lost) { /* its angle is that of the last sample */
         const fo_real turned = wrap(theta - t->angle);
         stop_tracker(t, theta);
         t->speed = turned / h;
@@ -331,20 +332,21 @@ static inline void track(const fo_observer *o, fo_tracker *t, fo_real theta)
             t->angle = wrap(predicted + o->track[0] * error);
             t->speed += h * t->acceleration + o->track[1] * error;
             t->acceleration += o->track[2] * error;
-        } else { /* else it could lock onto a speed at which the errors of four samples cancel */
+        } else { /* it could lock onto a speed at which the errors of four samples cancel */
             stop_tracker(t, theta);
             t->lost = true;
             t->settled = ZERO;
         }
-    } else { /* faster than the samples can show */
+    } else { /* more than half a turn in a sample */
         stop_tracker(t, theta);
     }
 }
 
-/* The tracker starts from rest, whatever the speed: counts how long it has been near. */
+/* Adds to the time for which the tracker's error was small: it starts from rest, whatever the
+ * speed. */
 static inline void settle_tracker(const fo_observer *o, fo_tracker *t, fo_real theta, fo_real std)
 {
-    if (t->settled < TRACKER_SETTLED) { /* else it stays settled */
+    if (t->settled < TRACKER_SETTLED) { /* once settled it stays so */
         const bool follows = fo_abs(wrap(theta - t->angle)) < STD_LIMIT + (fo_real)3 * std;
         t->settled += follows ? o->h : TRACKER_OFF * o->h;
     }

@@ -8,10 +8,10 @@
 
 #include <string.h>
 
-/* What a blob is of. */
-#define OF_PLAIN 1U
-#define OF_ADAPTIVE 2U
-#define OF_SAVED 3U
+/* Content of a blob. */
+#define CONTENT_PLAIN 1U
+#define CONTENT_ADAPTIVE 2U
+#define CONTENT_SAVED 3U
 
 /* A number and its bits. */
 #if FO_SINGLE
@@ -24,19 +24,19 @@ typedef union {
     bit_pattern bits;
 } float_bits;
 
-/* A blob has all bits of a number: where a double has 32, FO_SINGLE has to be 1. */
+/* A blob stores all bits of a number: if double has 32 bits, FO_SINGLE must be 1. */
 typedef char fo_numbers_fill_their_bits[sizeof(fo_real) == sizeof(bit_pattern) ? 1 : -1];
 
 /* ---- bytes ------------------------------------------------------------------------------ */
 
-static void put(uint8_t *at, uint32_t value, uint32_t bytes)
+static void put_bytes(uint8_t *at, uint32_t value, uint32_t bytes)
 {
     for (uint32_t n = 0U; n < bytes; n++) {
         at[n] = (uint8_t)((value >> (8U * n)) & 0xFFU);
     }
 }
 
-static uint32_t get(const uint8_t *at, uint32_t bytes)
+static uint32_t get_bytes(const uint8_t *at, uint32_t bytes)
 {
     uint32_t value = 0U;
     for (uint32_t n = 0U; n < bytes; n++) {
@@ -45,7 +45,7 @@ static uint32_t get(const uint8_t *at, uint32_t bytes)
     return value;
 }
 
-/* CRC-32 of IEEE 802.3, bit by bit: it is short, and in no hurry. */
+/* CRC-32 of IEEE 802.3, bit by bit: short code, and it need not be fast. */
 static uint32_t checksum(const uint8_t *bytes, uint32_t length)
 {
     uint32_t sum = 0xFFFFFFFFU;
@@ -60,32 +60,32 @@ static uint32_t checksum(const uint8_t *bytes, uint32_t length)
 
 static void put_number(uint8_t *at, fo_real value)
 {
-    float_bits one;
-    one.value = value;
-    for (uint32_t n = 0U; n < (uint32_t)sizeof one; n++) {
-        at[n] = (uint8_t)((one.bits >> (8U * n)) & (bit_pattern)0xFFU);
+    float_bits number;
+    number.value = value;
+    for (uint32_t n = 0U; n < (uint32_t)sizeof number; n++) {
+        at[n] = (uint8_t)((number.bits >> (8U * n)) & (bit_pattern)0xFFU);
     }
 }
 
 static fo_real get_number(const uint8_t *at)
 {
-    float_bits one;
-    one.bits = 0U;
-    for (uint32_t n = 0U; n < (uint32_t)sizeof one; n++) {
+    float_bits number;
+    number.bits = 0U;
+    for (uint32_t n = 0U; n < (uint32_t)sizeof number; n++) {
         const uint32_t shift = 8U * n;
         const bit_pattern byte = at[n];
-        one.bits |= byte << shift;
+        number.bits |= byte << shift;
     }
-    return one.value;
+    return number.value;
 }
 
-/* A blob that is written or read, number by number. */
+/* Position in a blob that is written or read; one of the two is null. */
 typedef struct {
     uint8_t *write;
     const uint8_t *read;
 } cursor;
 
-static void pass(cursor *c, fo_real *number)
+static void transfer(cursor *c, fo_real *number)
 {
     if (c->write != NULL) {
         put_number(c->write, *number);
@@ -96,93 +96,93 @@ static void pass(cursor *c, fo_real *number)
     }
 }
 
-static void pass_all(cursor *c, fo_real numbers[], int count)
+static void transfer_all(cursor *c, fo_real numbers[], int count)
 {
     for (int n = 0; n < count; n++) {
-        pass(c, &numbers[n]);
+        transfer(c, &numbers[n]);
     }
 }
 
-/* What an observer needs of the sources that run it. */
-#define NEEDS_ASYMMETRY 1U
-#define NEEDS_HELD 2U
-#define NEEDS_MAP 4U
+/* Features that an observer needs of the sources that run it. */
+#define FEATURE_ASYMMETRY 1U
+#define FEATURE_HELD 2U
+#define FEATURE_MAP 4U
 
-static uint32_t needs(const fo_observer *o)
+static uint32_t features_of(const fo_observer *o)
 {
-    uint32_t found = 0U;
+    uint32_t result = 0U;
     if (fo_abs(o->kink_now) > ZERO) {
-        found |= NEEDS_HELD;
+        result |= FEATURE_HELD;
     }
-    if (mapped(o)) {
-        found |= NEEDS_MAP;
+    if (has_map(o)) {
+        result |= FEATURE_MAP;
     }
-    return found;
+    return result;
 }
 
-/* Do these sources leave any of it out? */
-static bool lacks(uint32_t needed)
+/* Do these sources leave out any of these features? */
+static bool lacks_feature(uint32_t features)
 {
-    bool found = false;
-    (void)needed;
+    bool result = false;
+    (void)features;
 #if !FO_HELD
-    found = found || (needed & NEEDS_HELD) != 0U;
+    result = result || (features & FEATURE_HELD) != 0U;
 #endif
 #if !FO_MAPPED
-    found = found || (needed & NEEDS_MAP) != 0U;
+    result = result || (features & FEATURE_MAP) != 0U;
 #endif
-    return found;
+    return result;
 }
 
-/* "FO", layout, content, bytes of a number, needs, then the length. */
-static void put_head(uint8_t *blob, uint32_t of, uint32_t needed, uint32_t length)
+/* Head: "FO", version, content, bytes of a number, features, length. */
+static void put_head(uint8_t *blob, uint32_t of, uint32_t features, uint32_t length)
 {
-    put(&blob[0], 0x4F46U, 2U);
-    put(&blob[2], FO_LAYOUT, 2U);
-    put(&blob[4], of, 1U);
-    put(&blob[5], (uint32_t)sizeof(fo_real), 1U);
-    put(&blob[6], needed, 2U);
-    put(&blob[8], length, 4U);
+    put_bytes(&blob[0], 0x4F46U, 2U);
+    put_bytes(&blob[2], FO_LAYOUT, 2U);
+    put_bytes(&blob[4], of, 1U);
+    put_bytes(&blob[5], (uint32_t)sizeof(fo_real), 1U);
+    put_bytes(&blob[6], features, 2U);
+    put_bytes(&blob[8], length, 4U);
 }
 
 static void close_blob(uint8_t *blob, uint32_t length)
 {
-    put(&blob[length - FO_CHECKSUM], checksum(blob, length - FO_CHECKSUM), 4U);
+    put_bytes(&blob[length - FO_CHECKSUM], checksum(blob, length - FO_CHECKSUM), 4U);
 }
 
-static fo_error examine(const uint8_t *blob, uint32_t length, uint32_t of, uint32_t wanted)
+static fo_error check_blob(const uint8_t *blob, uint32_t length, uint32_t of, uint32_t wanted)
 {
     const uint32_t least = FO_HEAD + FO_CHECKSUM;
-    const uint32_t whole = length < least ? 0U : get(&blob[8], 4U);
-    fo_error found = FO_OK;
-    if (whole < least || whole > length || get(&blob[0], 2U) != 0x4F46U ||
-        get(&blob[whole - FO_CHECKSUM], 4U) != checksum(blob, whole - FO_CHECKSUM)) {
-        found = FO_ERROR_DAMAGED;
+    const uint32_t whole = length < least ? 0U : get_bytes(&blob[8], 4U);
+    fo_error result = FO_OK;
+    if (whole < least || whole > length || get_bytes(&blob[0], 2U) != 0x4F46U ||
+        get_bytes(&blob[whole - FO_CHECKSUM], 4U) != checksum(blob, whole - FO_CHECKSUM)) {
+        result = FO_ERROR_DAMAGED;
     } else {
         uint8_t head[FO_HEAD];
-        const uint32_t needed = get(&blob[6], 2U);
-        const bool asymmetric = (needed & NEEDS_ASYMMETRY) != 0U;
-        put_head(head, of, needed, wanted);
-        if (memcmp(head, blob, sizeof head) != 0 || lacks(needed) ||
-            asymmetric != (FO_ASYMMETRIC == 1 && of != OF_PLAIN)) {
-            found = FO_ERROR_OTHER;
+        const uint32_t features = get_bytes(&blob[6], 2U);
+        const bool asymmetric = (features & FEATURE_ASYMMETRY) != 0U;
+        put_head(head, of, features, wanted);
+        if (memcmp(head, blob, sizeof head) != 0 || lacks_feature(features) ||
+            asymmetric != (FO_ASYMMETRIC == 1 && of != CONTENT_PLAIN)) {
+            result = FO_ERROR_OTHER;
         }
     }
-    return found;
+    return result;
 }
 
 /* ---- parameters ------------------------------------------------------------------------- */
 
-#define PASS_MATRIX(name, meaning)               \
+#define TRANSFER_MATRIX(name, meaning)               \
     for (int row = 0; row < FO_N; row++) {       \
-        pass_all(c, o->name[row], FO_N);         \
+        transfer_all(c, o->name[row], FO_N);         \
     }
-#define PASS_ARRAY(name, size, meaning) pass_all(c, o->name, (size));
-#define PASS_NUMBER(name, meaning) pass(c, &o->name);
+#define TRANSFER_ARRAY(name, size, meaning) transfer_all(c, o->name, (size));
+#define TRANSFER_NUMBER(name, meaning) transfer(c, &o->name);
 
-static void pass_observer(cursor *c, fo_observer *o)
+static void transfer_observer(cursor *c, fo_observer *o)
 {
-    FO_OBSERVER_FIELDS(PASS_MATRIX, PASS_ARRAY, PASS_NUMBER)
+    FO_OBSERVER_FIELDS(TRANSFER_MATRIX, TRANSFER_ARRAY, TRANSFER_NUMBER)
 }
 
 void fo_pack(const fo_observer *o, uint8_t blob[FO_PACKED_BYTES])
@@ -190,31 +190,31 @@ void fo_pack(const fo_observer *o, uint8_t blob[FO_PACKED_BYTES])
     cursor c = {&blob[FO_HEAD], NULL};
     fo_observer copy;
     copy = *o;
-    put_head(blob, OF_PLAIN, needs(o), FO_PACKED_BYTES);
-    pass_observer(&c, &copy);
+    put_head(blob, CONTENT_PLAIN, features_of(o), FO_PACKED_BYTES);
+    transfer_observer(&c, &copy);
     close_blob(blob, FO_PACKED_BYTES);
 }
 
 fo_error fo_unpack(fo_observer *o, const uint8_t *blob, uint32_t length)
 {
-    const fo_error found = examine(blob, length, OF_PLAIN, FO_PACKED_BYTES);
-    if (found == FO_OK) {
+    const fo_error result = check_blob(blob, length, CONTENT_PLAIN, FO_PACKED_BYTES);
+    if (result == FO_OK) {
         cursor c = {NULL, &blob[FO_HEAD]};
-        pass_observer(&c, o);
+        transfer_observer(&c, o);
 #if FO_MAPPED
         o->map = NULL;
 #endif
     }
-    return found;
+    return result;
 }
 
 #if FO_ADAPTIVE
-static void pass_adaptive(cursor *c, fo_adaptive *o)
+static void transfer_adaptive(cursor *c, fo_adaptive *o)
 {
     fo_real projection = o->projection == FO_PROJECT_START ? ONE : ZERO;
-    pass_observer(c, &o->plain);
-    FO_ADAPTIVE_FIELDS(PASS_ARRAY, PASS_NUMBER)
-    pass(c, &projection);
+    transfer_observer(c, &o->plain);
+    FO_ADAPTIVE_FIELDS(TRANSFER_ARRAY, TRANSFER_NUMBER)
+    transfer(c, &projection);
     o->projection = projection > ZERO ? FO_PROJECT_START : FO_PROJECT_NEVER;
 }
 
@@ -223,57 +223,58 @@ void fo_adaptive_pack(const fo_adaptive *a, uint8_t blob[FO_ADAPTIVE_PACKED_BYTE
     cursor c = {&blob[FO_HEAD], NULL};
     fo_adaptive copy;
     copy = *a;
-    put_head(blob, OF_ADAPTIVE, needs(&a->plain) | (uint32_t)FO_ASYMMETRIC,
+    put_head(blob, CONTENT_ADAPTIVE, features_of(&a->plain) | (uint32_t)FO_ASYMMETRIC,
              FO_ADAPTIVE_PACKED_BYTES);
-    pass_adaptive(&c, &copy);
+    transfer_adaptive(&c, &copy);
     close_blob(blob, FO_ADAPTIVE_PACKED_BYTES);
 }
 
 fo_error fo_adaptive_unpack(fo_adaptive *a, const uint8_t *blob, uint32_t length)
 {
-    const fo_error found = examine(blob, length, OF_ADAPTIVE, FO_ADAPTIVE_PACKED_BYTES);
-    if (found == FO_OK) {
+    const fo_error result = check_blob(blob, length, CONTENT_ADAPTIVE, FO_ADAPTIVE_PACKED_BYTES);
+    if (result == FO_OK) {
         cursor c = {NULL, &blob[FO_HEAD]};
-        pass_adaptive(&c, a);
+        transfer_adaptive(&c, a);
 #if FO_MAPPED
         a->plain.map = NULL;
 #endif
     }
-    return found;
+    return result;
 }
 
 /* ---- what has been learnt --------------------------------------------------------------- */
 
-/* A number that observers with other units of what they learn do not have: a checksum. */
-static fo_real mark_of(const fo_adaptive *a)
+/* Checksum of the units of the learnt parameters, as a number: observers with other units differ in
+ * it. */
+static fo_real unit_checksum(const fo_adaptive *a)
 {
     uint8_t bytes[((uint32_t)FO_NP + 3U) * (uint32_t)sizeof(fo_real)];
     cursor c = {bytes, NULL};
     fo_real units[3] = {a->plain.flux_base, a->plain.drift_base, a->plain.sample_time};
     fo_real stds[FO_NP];
     (void)memcpy(stds, a->std, sizeof stds);
-    pass_all(&c, units, 3);
-    pass_all(&c, stds, (int)FO_NP);
+    transfer_all(&c, units, 3);
+    transfer_all(&c, stds, (int)FO_NP);
     const uint32_t sum = checksum(bytes, (uint32_t)sizeof bytes) >> 8U;
     return (fo_real)sum; /* 24 bits are exact */
 }
 
-/* The parameters' part of the triangle, their values, and those that were assumed. */
+/* The parameters' part of the factor, their estimates, and their prior means. */
 typedef struct {
-    fo_real p[FO_NP], d[FO_NP], z[FO_NP], U[FO_NP * (FO_NP - 1) / 2], means[FO_MEANS];
-} part;
+    fo_real p[FO_NP], d[FO_NP], z[FO_NP], U[FO_NP * (FO_NP - 1) / 2], means[FO_PRIOR_MEANS];
+} learnt_numbers;
 
-static void pass_part(cursor *c, part *of)
+static void transfer_learnt(cursor *c, learnt_numbers *of)
 {
-    pass_all(c, of->p, (int)FO_NP);
-    pass_all(c, of->d, (int)FO_NP);
-    pass_all(c, of->z, (int)FO_NP);
-    pass_all(c, of->U, (int)FO_NP * ((int)FO_NP - 1) / 2);
-    pass_all(c, of->means, (int)FO_MEANS);
+    transfer_all(c, of->p, (int)FO_NP);
+    transfer_all(c, of->d, (int)FO_NP);
+    transfer_all(c, of->z, (int)FO_NP);
+    transfer_all(c, of->U, (int)FO_NP * ((int)FO_NP - 1) / 2);
+    transfer_all(c, of->means, (int)FO_PRIOR_MEANS);
 }
 
-/* Are they numbers that a filter has? */
-static bool usable_part(const part *of)
+/* Are all finite, and the weights positive? */
+static bool is_plausible(const learnt_numbers *of)
 {
     fo_real sum = ZERO;
     bool positive = true;
@@ -284,7 +285,7 @@ static bool usable_part(const part *of)
     for (int i = 0; i < (int)FO_NP * ((int)FO_NP - 1) / 2; i++) {
         sum += of->U[i];
     }
-    for (int i = 0; i < (int)FO_MEANS; i++) {
+    for (int i = 0; i < (int)FO_PRIOR_MEANS; i++) {
         sum += of->means[i];
     }
     return positive && sum - sum == ZERO;
@@ -294,49 +295,49 @@ void fo_adaptive_save(const fo_adaptive *a, const fo_adaptive_state *s,
                       uint8_t blob[FO_SAVED_BYTES])
 {
     cursor c = {&blob[FO_HEAD], NULL};
-    part of;
-    fo_real mark = mark_of(a);
-    (void)memset(&of, 0, sizeof of);
-    (void)memcpy(of.p, s->p, sizeof of.p);
-    (void)memcpy(of.d, &s->d[FO_NF], sizeof of.d);
-    (void)memcpy(of.z, &s->z[FO_NF], sizeof of.z);
-    (void)memcpy(of.U, &s->U[FO_ROW(FO_NA, FO_NF)], sizeof of.U);
-    for (int i = 0; i < (int)FO_NP && never_reset(&s->plain); i++) { /* zeros: nothing is learnt */
-        of.d[i] = ONE;
+    learnt_numbers learnt;
+    fo_real units_checksum = unit_checksum(a);
+    (void)memset(&learnt, 0, sizeof learnt);
+    (void)memcpy(learnt.p, s->p, sizeof learnt.p);
+    (void)memcpy(learnt.d, &s->d[FO_NF], sizeof learnt.d);
+    (void)memcpy(learnt.z, &s->z[FO_NF], sizeof learnt.z);
+    (void)memcpy(learnt.U, &s->U[FO_ROW(FO_NA, FO_NF)], sizeof learnt.U);
+    for (int i = 0; i < (int)FO_NP && is_never_reset(&s->plain); i++) { /* the prior */
+        learnt.d[i] = ONE;
     }
-    fo_learning_means(a, of.means);
-    put_head(blob, OF_SAVED, (uint32_t)FO_ASYMMETRIC, FO_SAVED_BYTES);
-    pass(&c, &mark);
-    pass_part(&c, &of);
+    fo_learning_prior_means(a, learnt.means);
+    put_head(blob, CONTENT_SAVED, (uint32_t)FO_ASYMMETRIC, FO_SAVED_BYTES);
+    transfer(&c, &units_checksum);
+    transfer_learnt(&c, &learnt);
     close_blob(blob, FO_SAVED_BYTES);
 }
 
 fo_error fo_adaptive_restore(const fo_adaptive *a, fo_adaptive_state *s, const uint8_t *blob,
                              uint32_t length, fo_real changed)
 {
-    fo_error found = examine(blob, length, OF_SAVED, FO_SAVED_BYTES);
+    fo_error result = check_blob(blob, length, CONTENT_SAVED, FO_SAVED_BYTES);
     fo_adaptive_reset(a, s);
-    if (found == FO_OK) {
+    if (result == FO_OK) {
         cursor c = {NULL, &blob[FO_HEAD]};
-        const fo_real std = a->std[FO_RESISTANCE], expected = mark_of(a);
-        fo_real mark = ZERO;
-        part of;
-        pass(&c, &mark);
-        pass_part(&c, &of);
-        if (!usable_part(&of)) {
-            found = FO_ERROR_DAMAGED;
-        } else if (mark < expected || mark > expected) {
-            found = FO_ERROR_OTHER;
+        const fo_real std = a->std[FO_RESISTANCE], expected = unit_checksum(a);
+        fo_real units_checksum = ZERO;
+        learnt_numbers learnt;
+        transfer(&c, &units_checksum);
+        transfer_learnt(&c, &learnt);
+        if (!is_plausible(&learnt)) {
+            result = FO_ERROR_DAMAGED;
+        } else if (units_checksum < expected || units_checksum > expected) {
+            result = FO_ERROR_OTHER;
         } else {
-            (void)memcpy(s->p, of.p, sizeof of.p);
-            (void)memcpy(&s->d[FO_NF], of.d, sizeof of.d);
-            (void)memcpy(&s->z[FO_NF], of.z, sizeof of.z);
-            (void)memcpy(&s->U[FO_ROW(FO_NA, FO_NF)], of.U, sizeof of.U);
-            fo_learning_warm(a, s, std > ZERO ? changed * of.means[1] / std : ZERO);
-            fo_learning_rebase(a, s, of.means);
-            fo_candidates_sow(a, s);
+            (void)memcpy(s->p, learnt.p, sizeof learnt.p);
+            (void)memcpy(&s->d[FO_NF], learnt.d, sizeof learnt.d);
+            (void)memcpy(&s->z[FO_NF], learnt.z, sizeof learnt.z);
+            (void)memcpy(&s->U[FO_ROW(FO_NA, FO_NF)], learnt.U, sizeof learnt.U);
+            fo_learning_widen_resistance(a, s, std > ZERO ? changed * learnt.means[1] / std : ZERO);
+            fo_learning_move_prior_means(a, s, learnt.means);
+            fo_candidates_place(a, s);
         }
     }
-    return found;
+    return result;
 }
 #endif

@@ -1,7 +1,7 @@
-/* fluxobs, what outlives a power cycle: an observer's parameters, and what it has learnt, as bytes
- * with a checksum. The bytes are the same on every processor (least significant first).
+/* fluxobs, storage: the parameters of an observer and what it has learnt, as bytes with a checksum,
+ * for flash or EEPROM. The bytes are the same on every processor (least significant first).
  *
- * SPDX-License-Identifier: MIT
+ * * SPDX-License-Identifier: MIT
  */
 #ifndef FLUXOBS_KEEP_H
 #define FLUXOBS_KEEP_H
@@ -32,35 +32,36 @@ extern "C" {
 #define fo_adaptive_restore FO_NAME(fo_adaptive_restore)
 #endif
 
-/* Of the order of the numbers: changes when a field is added to an observer or to its state. */
+/* Version of the blobs: changes when a field is added to an observer or to its state. */
 #define FO_LAYOUT 1U
 
-/* Bytes of a blob with so many numbers: its head, the numbers, a checksum. */
+/* Bytes of a blob with this many numbers: head, numbers, checksum. */
 #define FO_HEAD 12U
 #define FO_CHECKSUM 4U
 #define FO_BYTES(numbers) (FO_HEAD + (uint32_t)(numbers) * (uint32_t)sizeof(fo_real) + FO_CHECKSUM)
 
-/* Numbers of an observer without its map, and of what the adaptive one has besides. */
+/* Numbers of an observer without its map; the adaptive observer has more, below. */
 #define FO_COUNT_MATRIX(name, meaning) +FO_N * FO_N
 #define FO_COUNT_ARRAY(name, size, meaning) +(size)
 #define FO_COUNT_NUMBER(name, meaning) +1
 enum { FO_NUMBERS = 0 FO_OBSERVER_FIELDS(FO_COUNT_MATRIX, FO_COUNT_ARRAY, FO_COUNT_NUMBER) };
 #define FO_PACKED_BYTES FO_BYTES(FO_NUMBERS)
 
-/* Writes the parameters: FO_PACKED_BYTES bytes. A motor that is chosen in the field is such a blob,
- * made on a desk or by fo_init in another drive. A flux map is not in it, but that one is needed:
- * give it to fo_use_map after unpacking. */
+/* Writes the parameters: FO_PACKED_BYTES bytes. A motor chosen in the field is such a blob,
+ * made on a PC or by fo_init in another drive. A flux map is not included: call fo_use_map
+ * after unpacking. */
 void fo_pack(const fo_observer *observer, uint8_t blob[FO_PACKED_BYTES]);
 
-/* Reads them. FO_ERROR_DAMAGED; FO_ERROR_OTHER: another precision, another kind of observer, or one
- * that needs what these sources leave out (fluxobs_real.h). Then the observer is as it was. */
+/* Reads the parameters. FO_ERROR_DAMAGED: length, version or checksum is wrong. FO_ERROR_OTHER:
+ * another precision, another kind of observer, or a feature that these sources leave out
+ * (fluxobs_real.h). On an error the observer stays as it was. */
 fo_error fo_unpack(fo_observer *observer, const uint8_t *blob, uint32_t length);
 
 #if FO_ADAPTIVE
 enum {
     FO_ADAPTIVE_NUMBERS = FO_NUMBERS FO_ADAPTIVE_FIELDS(FO_COUNT_ARRAY, FO_COUNT_NUMBER) + 1,
-    /* the parameters' part of the triangle, with weights, right-hand sides and values; the values
-     * assumed then; a mark */
+    /* the parameters' part of the factor, with weights, right-hand sides and estimates; their prior
+     * means; a checksum of the units */
     FO_SAVED_NUMBERS = FO_NP * (FO_NP - 1) / 2 + 3 * FO_NP + 3 + 1
 };
 #define FO_ADAPTIVE_PACKED_BYTES FO_BYTES(FO_ADAPTIVE_NUMBERS)
@@ -69,14 +70,15 @@ enum {
 void fo_adaptive_pack(const fo_adaptive *observer, uint8_t blob[FO_ADAPTIVE_PACKED_BYTES]);
 fo_error fo_adaptive_unpack(fo_adaptive *observer, const uint8_t *blob, uint32_t length);
 
-/* Writes what has been learnt: magnet flux, resistance, the inverter's loss, offsets, inductances,
- * asymmetry, and how sure they are. FO_SAVED_BYTES bytes. The observer is the one in use now. */
+/* Writes what has been learnt: magnet flux, resistance, inverter loss, offsets, inductances,
+ * asymmetry, and their covariance. FO_SAVED_BYTES bytes. `observer` is the one in use now. */
 void fo_adaptive_save(const fo_adaptive *observer, const fo_adaptive_state *state,
                       uint8_t blob[FO_SAVED_BYTES]);
 
-/* Resets the state, and gives it what was saved by an observer of the same bases and standard
- * deviations; its assumed values may have been others. The resistance may have changed since, with this standard deviation, as a share of it: copper by 0.4 % a kelvin, 0.2 for a
- * motor that was warm. FO_ERROR_DAMAGED, FO_ERROR_OTHER: the state is reset and has learnt nothing. */
+/* Resets the state and restores what an observer of the same bases and standard deviations has
+ * saved; its prior means may differ. `changed` is the std of the change of the resistance since
+ * then, as a share of it: copper changes by 0.4 % a kelvin; 0.2 for a motor that was warm.
+ * FO_ERROR_DAMAGED, FO_ERROR_OTHER: the state is reset, with the parameters at their prior. */
 fo_error fo_adaptive_restore(const fo_adaptive *observer, fo_adaptive_state *state,
                              const uint8_t *blob, uint32_t length, fo_real changed);
 #endif

@@ -7,49 +7,51 @@
 
 /* ---- thresholds: unit, reason, and what fixed them --------------------------------------- */
 
-/* Rotation for which residuals are averaged to one row: an eighth of a turn [rad]. What a model
- * leaves is a function of the angle, with harmonics up to the sixth: rows of less than that repeat
- * the same error, and must not count as new information. */
+/* Rotation over which residuals are averaged to one measurement row: an eighth of a turn [rad].
+ * Model errors are functions of the angle with harmonics up to the sixth: rows of shorter blocks
+ * would repeat the same error and count as new information. */
 static const fo_real BLOCK = PI / (fo_real)4;
-/* A slower rotor ends a block after this time; its row weighs by its share of BLOCK [memories]. */
-static const fo_real BLOCK_MOST = (fo_real)0.3;
-/* Std of a row that no noise explains: no machine satisfies its relation better [flux bases]. */
+/* A slower rotor ends a block after this time; the row's weight is its share of BLOCK
+ * [memories]. */
+static const fo_real BLOCK_MAX = (fo_real)0.3;
+/* Std of a row from model errors: no machine satisfies its relation better [flux bases]. */
 static const fo_real MODEL = (fo_real)0.002;
-/* Of the inverter's voltage, this share is in no model: the curve of its loss. */
+/* Share of the inverter's voltage that the model of its loss does not describe [1]. */
 static const fo_real INVERTER_UNMODELLED = (fo_real)0.05;
-/* Where a current is within the harder sign's knee, so much more is. */
+/* The same, in addition, where a current is within the knee of the harder sign [1]. */
 static const fo_real KNEE_UNMODELLED = (fo_real)0.3;
-/* Time in which a drift that was known is half forgotten [memories]. */
+/* Time in which half of the information on a drift is forgotten [memories]. */
 static const fo_real DRIFT_MEMORY = (fo_real)100;
-/* Rows over which powers are averaged: two turns. */
+/* Rows over which powers are averaged: two turns [1]. */
 static const fo_real ROWS = (fo_real)16;
-/* A power beyond this many times the average before is clipped to it, and the drift is opened anew:
- * five stds. */
+/* A power above this multiple of its average is clipped, and the drift returns to its prior: five
+ * stds [1]. */
 static const fo_real CLIP = (fo_real)25;
-/* Rows after which that average means something. */
-static const fo_real PROVEN = (fo_real)8;
-/* Lower bound of that power for the flux: a fiftieth, a seventh of the std. */
-static const fo_real LEVEL_LEAST = (fo_real)0.02;
-/* Rows at one operating point repeat the same error: the n-th counts 1/n. Current, of rated, or
- * speed, of itself, that differ by this share make a new one. */
+/* Rows after which that average is meaningful [1]. */
+static const fo_real LEVEL_ROWS = (fo_real)8;
+/* Lower bound of that power for the flux: a fiftieth, a seventh of the std [1]. */
+static const fo_real NOISE_LEVEL_MIN = (fo_real)0.02;
+/* Rows at one operating point repeat the same error: the n-th counts 1/n. A current that differs by
+ * this share of the rated one, or a speed by this share of itself, makes a new point [1]. */
 static const fo_real NEW_POINT = (fo_real)0.3;
-/* Least information on the flux [1 / flux bases^2]: a thousand times any flux. */
-static const fo_real LEAST = (fo_real)1e-6;
-/* Rows in which each parameter is forgotten once, and its prior comes back. */
-static const uint32_t ROUND = 16U;
-/* The position's variance is found anew between rows where what the parameters may have done since is
- * more than this share of it: the std would be an eighth too large. */
-static const fo_real SINCE_MATTERS = (fo_real)0.25;
-/* Share of doubt's square that a start leaves to flux and drift. */
-static const fo_real LOOSE = (fo_real)0.3;
+/* Least information on the flux [1 / flux bases^2]: a std of a thousand times any flux. */
+static const fo_real INFORMATION_MIN = (fo_real)1e-6;
+/* Rows of a round, in which each parameter is forgotten and its prior re-injected once [1]. */
+static const uint32_t FORGETTING_ROUND = 16U;
+/* Between rows the position's variance is recomputed where the parameters may have added more than
+ * this share to it [1]: the std would be an eighth too small. */
+static const fo_real GROWTH_MAX = (fo_real)0.25;
+/* Share of the square of the parameter-to-EMF ratio by which a start inflates flux and drift
+ * [1]. */
+static const fo_real START_SHARE_OF_EMF_RATIO = (fo_real)0.3;
 
-/* Share of its flux by which a cage may walk off what i_d says, in a memory: an offset of 2 % of
- * rated current moves it by 4 % within its time constant, three to thirty memories. Without it
- * valid rows were 10 degrees off (tests/observers/test_cage.py). */
+/* Process noise of a cage's flux against the model of i_d, as a share of it in a memory [1]: an
+ * offset of 2 % of rated current moves it by 4 % within its time constant, three to thirty
+ * memories. Without it valid rows were 10 degrees off (tests/observers/test_cage.py). */
 static const fo_real CAGE_WALK = (fo_real)0.01;
-/* Share of its prior std by which heat may walk the resistance in the slow memory: 5 % of R_s in
- * 100 s by default. Forgetting alone leaves it where it was learnt, ever surer: while copper warmed
- * by 11 % in 40 s the estimate ended 26 of its stds off (tests/observers/test_heat.py). */
+/* Process noise of the resistance by heat, as a share of its prior std in a slow memory [1]: 5 % of
+ * R_s in 100 s by default. With forgetting alone the estimate stays, and its std shrinks: while
+ * copper warmed by 11 % in 40 s the estimate ended 26 stds off (tests/observers/test_heat.py). */
 static const fo_real HEAT_WALK = (fo_real)0.1;
 
 /* ---- parameters --------------------------------------------------------------------------- */
@@ -59,7 +61,7 @@ fo_real fo_learning_value(const fo_adaptive *a, const fo_adaptive_state *s, int 
     return a->std[n] * s->p[n];
 }
 
-fo_real fo_learning_deviation(const fo_adaptive *a, const fo_adaptive_state *s, int n, int count,
+fo_real fo_learning_std(const fo_adaptive *a, const fo_adaptive_state *s, int n, int count,
                               fo_real curve)
 {
     fo_real direction[FO_NA] = {0};
@@ -67,33 +69,33 @@ fo_real fo_learning_deviation(const fo_adaptive *a, const fo_adaptive_state *s, 
         direction[FO_NF + i] = a->std[i];
     }
     direction[FO_NF + FO_CURVE] += a->std[FO_CURVE] * curve;
-    return fo_sqrt(fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction));
+    return fo_sqrt(fo_marginal_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction));
 }
 
-/* Present loss of both parts of the inverter [V]. */
-static fo_real loss(const fo_adaptive *a, const fo_adaptive_state *s)
+/* Present estimate of the inverter's voltage loss, both parts [V]. */
+static fo_real inverter_loss(const fo_adaptive *a, const fo_adaptive_state *s)
 {
     return TWO * a->inverter_mean + fo_learning_value(a, s, FO_INVERTER) +
            fo_learning_value(a, s, FO_INVERTER + 1);
 }
 
-fo_real fo_learning_unmodelled(const fo_adaptive *a, const fo_adaptive_state *s)
+fo_real fo_learning_unmodelled_voltage(const fo_adaptive *a, const fo_adaptive_state *s)
 {
     const fo_real share = INVERTER_UNMODELLED + KNEE_UNMODELLED * s->knee;
-    const fo_real mean = loss(a, s), std = s->deviations[2];
+    const fo_real mean = inverter_loss(a, s), std = s->reported_std[2];
     return share * fo_sqrt(mean * mean + std * std) * a->volt / a->plain.h;
 }
 
-/* Asks the map at the filter's own angle: that of the guard may be another. A cage's says the same
- * at any. */
-static void ask_map(const fo_adaptive *a, fo_adaptive_state *s)
+/* Linearises the map at the filter's own angle: the guard's may differ. A cage's map does not
+ * depend on the angle. */
+static void linearise_map(const fo_adaptive *a, fo_adaptive_state *s)
 {
 #if FO_MAPPED
     const fo_observer *o = &a->plain;
-    if (mapped(o) && s->running && !cage(o) && !s->plain.guided) {
-        fo_ask_map(o, expected_angle(o, &s->tracker), s->plain.current[0], &s->shape);
+    if (has_map(o) && s->running && !has_cage_map(o) && !s->plain.has_external_angle) {
+        fo_linearise_map(o, predicted_angle(o, &s->tracker), s->plain.current[0], &s->map_point);
     } else {
-        s->shape = s->plain.shape;
+        s->map_point = s->plain.map_point;
     }
 #else
     (void)a;
@@ -101,23 +103,24 @@ static void ask_map(const fo_adaptive *a, fo_adaptive_state *s)
 #endif
 }
 
-/* The rotor as the filter sees it: its position vector, and what the current makes there. */
+/* The position vector, and what the relation needs to be linearised there. */
 typedef struct {
-    fo_real current[FO_N];    /* without offset                                              */
-    fo_real x[FO_N], length;  /* position vector                                             */
-    fo_real along[FO_N];      /* its direction                                               */
-    fo_real made[2];          /* flux of the current along and across it, with the L assumed */
-    fo_real grown;            /* what the current adds to its length                         */
-} sight;
+    fo_real current[FO_N];      /* offset removed                                            */
+    fo_real x[FO_N], length;    /* position vector                                           */
+    fo_real direction[FO_N];    /* its direction: the d axis                                 */
+    fo_real armature_flux[2];   /* flux of the current along d and q, by the inductances     */
+                                /* assumed                                                   */
+    fo_real length_by_current;  /* part of the length that the current makes: saliency       */
+} linearisation_point;
 
-/* The part of v across `along`, a unit vector. */
-static fo_real across(const fo_real along[FO_N], const fo_real v[FO_N])
+/* Component of v across `along`, a unit vector. */
+static fo_real component_across(const fo_real along[FO_N], const fo_real v[FO_N])
 {
     return along[0] * v[1] - along[1] * v[0];
 }
 
-/* Finds the rotor, with what is learnt of the inductances. */
-static void look(const fo_adaptive *a, const fo_adaptive_state *s, sight *at)
+/* Position vector at the present current, with the estimates of the inductances. */
+static void linearise(const fo_adaptive *a, const fo_adaptive_state *s, linearisation_point *point)
 {
     const fo_observer *o = &a->plain;
     const fo_real L_d = o->L_position + a->saliency, L_q = o->L_position;
@@ -125,50 +128,52 @@ static void look(const fo_adaptive *a, const fo_adaptive_state *s, sight *at)
     const fo_real wrong_q = fo_learning_value(a, s, FO_INDUCTANCE + 1);
     for (int i = 0; i < FO_N; i++) {
         const fo_real offset = fo_learning_value(a, s, FO_OFFSET + i);
-        at->current[i] = s->plain.current[0][i] - offset;
-        at->x[i] = s->flux[i] - (L_q + wrong_q * L_q) * at->current[i];
+        point->current[i] = s->plain.current[0][i] - offset;
+        point->x[i] = s->flux[i] - (L_q + wrong_q * L_q) * point->current[i];
 #if FO_MAPPED
-        if (mapped(o)) {
-            at->x[i] = s->flux[i] - (s->shape.away[i] - L_q * offset);
+        if (has_map(o)) {
+            point->x[i] = s->flux[i] - (s->map_point.armature_flux[i] - L_q * offset);
         }
 #endif
     }
 #if FO_MAPPED
-    const fo_shape *f = &s->shape;
-    if (mapped(o)) {
-        at->grown = f->active - o->map->psi / o->flux_base;
-        at->made[0] = dot(f->expected, f->away) + (cage(o) ? ZERO : at->grown);
-        at->made[1] = across(f->expected, f->away);
-        at->x[0] += wrong_q * at->made[1] * f->expected[1];
-        at->x[1] -= wrong_q * at->made[1] * f->expected[0];
+    const fo_map_point *f = &s->map_point;
+    if (has_map(o)) {
+        point->length_by_current = f->active_flux - o->map->psi / o->flux_base;
+        point->armature_flux[0] = dot(f->direction, f->armature_flux) +
+                                  (has_cage_map(o) ? ZERO : point->length_by_current);
+        point->armature_flux[1] = component_across(f->direction, f->armature_flux);
+        point->x[0] += wrong_q * point->armature_flux[1] * f->direction[1];
+        point->x[1] -= wrong_q * point->armature_flux[1] * f->direction[0];
     }
 #endif
-    at->length = fo_sqrt(dot(at->x, at->x));
-    at->along[0] = at->x[0] / at->length;
-    at->along[1] = at->x[1] / at->length;
+    point->length = fo_sqrt(dot(point->x, point->x));
+    point->direction[0] = point->x[0] / point->length;
+    point->direction[1] = point->x[1] / point->length;
 #if FO_MAPPED
-    if (mapped(o)) { /* what the map says where it was asked is carried to this direction */
-        const fo_real off = across(f->expected, at->along) * at->length;
-        at->grown += wrong_d * at->made[0] - across(f->expected, f->slope) * off;
+    if (has_map(o)) { /* from the direction at which the map is linearised to the present one */
+        const fo_real off = component_across(f->direction, point->direction) * point->length;
+        point->length_by_current +=
+            wrong_d * point->armature_flux[0] - component_across(f->direction, f->by_flux) * off;
     } else
 #endif
     {
-        const fo_real i_d = dot(at->along, at->current);
-        at->made[0] = L_d * i_d;
-        at->made[1] = L_q * across(at->along, at->current);
-        at->grown = (a->saliency + wrong_d * L_d - wrong_q * L_q) * i_d;
+        const fo_real i_d = dot(point->direction, point->current);
+        point->armature_flux[0] = L_d * i_d;
+        point->armature_flux[1] = L_q * component_across(point->direction, point->current);
+        point->length_by_current = (a->saliency + wrong_d * L_d - wrong_q * L_q) * i_d;
     }
 }
 
-/* How the residual answers to the flux, and, negative, to the current. */
-static void slopes(const fo_adaptive *a, const fo_adaptive_state *s, const sight *at,
-                   fo_real slope[FO_N], fo_real by_current[FO_N])
-{
+/* Gradients of the residual by the flux and, negative, by the current. */
+static void residual_gradients(const fo_adaptive *a, const fo_adaptive_state *s,
+                               const linearisation_point *point, fo_real by_flux[FO_N],
+                               fo_real by_current[FO_N]) {
 #if FO_MAPPED
-    if (mapped(&a->plain)) {
-        const fo_shape *f = &s->shape;
+    if (has_map(&a->plain)) {
+        const fo_map_point *f = &s->map_point;
         for (int i = 0; i < FO_N; i++) {
-            slope[i] = f->slope[i];
+            by_flux[i] = f->by_flux[i];
             by_current[i] = f->by_current[i];
         }
     } else
@@ -176,28 +181,28 @@ static void slopes(const fo_adaptive *a, const fo_adaptive_state *s, const sight
     (void)s;
 #endif
     {
-        const fo_real i_d = dot(at->along, at->current);
+        const fo_real i_d = dot(point->direction, point->current);
         for (int i = 0; i < FO_N; i++) {
-            const fo_real beside = at->current[i] - i_d * at->along[i];
-            slope[i] = at->along[i] - a->saliency / at->length * beside;
-            by_current[i] = a->plain.L_position * slope[i] + a->saliency * at->along[i];
+            const fo_real beside = point->current[i] - i_d * point->direction[i];
+            by_flux[i] = point->direction[i] - a->saliency / point->length * beside;
+            by_current[i] = a->plain.L_position * by_flux[i] + a->saliency * point->direction[i];
         }
     }
 }
 
-/* Keeps one of the stds that are reported. */
-static void keep_deviation(const fo_adaptive *a, fo_adaptive_state *s, uint32_t n)
+/* Updates one of the three reported stds; a row updates one, since each costs a substitution. */
+static void update_reported_std(const fo_adaptive *a, fo_adaptive_state *s, uint32_t n)
 {
     if (n == 0U) {
-        s->deviations[0] = fo_learning_deviation(a, s, FO_PSI, 1, ZERO);
+        s->reported_std[0] = fo_learning_std(a, s, FO_PSI, 1, ZERO);
     } else if (n == 1U) {
-        s->deviations[1] = fo_learning_deviation(a, s, FO_RESISTANCE, 1, ZERO);
+        s->reported_std[1] = fo_learning_std(a, s, FO_RESISTANCE, 1, ZERO);
     } else {
-        s->deviations[2] = fo_learning_deviation(a, s, FO_INVERTER, 2, loss(a, s));
+        s->reported_std[2] = fo_learning_std(a, s, FO_INVERTER, 2, inverter_loss(a, s));
     }
 }
 
-void fo_learning_forget(const fo_adaptive *a, fo_adaptive_state *s)
+void fo_learning_reset(const fo_adaptive *a, fo_adaptive_state *s)
 {
     (void)memset(s->U, 0, sizeof s->U);
     for (int i = 0; i < FO_NA; i++) {
@@ -208,276 +213,291 @@ void fo_learning_forget(const fo_adaptive *a, fo_adaptive_state *s)
         s->p[i] = ZERO;
     }
     for (uint32_t n = 0U; n < 3U; n++) {
-        keep_deviation(a, s, n);
+        update_reported_std(a, s, n);
     }
-    s->unsure = ZERO;
-    s->doubt = TWO;
+    s->voltage_std = ZERO;
+    s->emf_ratio = TWO;
 }
 
 static fo_real magnitude(const fo_real v[FO_N]) { return fo_sqrt(dot(v, v)); }
 
-/* Finds the voltage by which the parameters may be off at this current. */
-static void weigh_parameters(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t)
+/* Std of the voltage at this current, from the errors of the parameters. */
+static void update_voltage_std(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t)
 {
     fo_real direction[FO_NA] = {0};
     for (int i = FO_RESISTANCE; i < FO_OFFSET; i++) {
-        direction[FO_NF + i] = magnitude(t->effect[i]);
+        direction[FO_NF + i] = magnitude(t->sensitivity[i]);
     }
-    s->unsure = fo_sqrt(fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction)) / a->plain.h;
-    s->unsure_at = dot(s->plain.current[0], s->plain.current[0]);
+    s->voltage_std =
+        fo_sqrt(fo_marginal_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction)) / a->plain.h;
+    s->voltage_std_square = dot(s->plain.current[0], s->plain.current[0]);
 }
 
-void fo_learning_doubt(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
+void fo_learning_update_emf_ratio(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t,
                        fo_real length, fo_real turned)
 {
-    if (!s->running && s->turn % ROUND == 0U) {
-        weigh_parameters(a, s, t);
+    if (!s->running && s->sample_index % FORGETTING_ROUND == 0U) {
+        update_voltage_std(a, s, t);
     }
     const fo_real square = dot(s->plain.current[0], s->plain.current[0]);
-    fo_real unsure = s->unsure * a->plain.h;
-    if (square > s->unsure_at && s->unsure_at > ZERO) { /* it has grown since */
-        unsure *= fo_sqrt(square / s->unsure_at);
+    fo_real flux_std = s->voltage_std * a->plain.h;
+    if (square > s->voltage_std_square && s->voltage_std_square > ZERO) { /* it has grown */
+        flux_std *= fo_sqrt(square / s->voltage_std_square);
     }
-    const fo_real gone = turned < ONE ? turned : ONE;
-    const fo_real doubt = s->doubt + (length > ZERO ? unsure / length : ONE) - s->doubt * gone;
-    s->doubt = doubt < TWO ? doubt : TWO;
-    if (!(a->std[FO_RESISTANCE] + a->std[FO_INVERTER] > ZERO)) { /* all of it is known */
-        s->doubt = ZERO;
+    const fo_real decay = turned < ONE ? turned : ONE;
+    const fo_real growth = length > ZERO ? flux_std / length : ONE;
+    const fo_real ratio = s->emf_ratio + growth - s->emf_ratio * decay;
+    s->emf_ratio = ratio < TWO ? ratio : TWO;
+    if (!(a->std[FO_RESISTANCE] + a->std[FO_INVERTER] > ZERO)) { /* both are known */
+        s->emf_ratio = ZERO;
     }
 }
 
-/* ---- the triangle: rows of flux and drift above those of the parameters ---------------------- */
+/* ---- prediction: the information factor over a block
+ * ------------------------------------------ */
 
-/* Lets the flux take a random step of this variance: the information L on it, given the rest,
- * becomes (1 / L + variance)^-1, and what it says about the rest stays. */
-static void step_flux(fo_adaptive_state *s, fo_real variance)
+/* Adds process noise of this variance to both components of the flux: the information L on the flux
+ * becomes (1 / L + variance)^-1; that on the other unknowns, with the flux eliminated, stays. */
+static void add_flux_process_noise(fo_adaptive_state *s, fo_real variance)
 {
     fo_real *first = &s->U[0], *second = &s->U[FO_ROW(FO_NA, 1)];
     const fo_real u = first[0], d0 = s->d[0], d1 = s->d[1];
-    /* written out for U'dU, so that nothing cancels */
+    /* the two rows written out, without a difference of large numbers */
     const fo_real a = ONE + variance * d0, b = ONE + variance * d1, square = d0 * u * u;
     const fo_real det = a * b + variance * square, u_new = u / b;
     const fo_real m0 = d0 * b / det, m1 = d1 * (a + square * variance / b) / det;
-    s->d[0] = m0 > LEAST ? m0 : LEAST;
-    s->d[1] = m1 > LEAST ? m1 : LEAST;
+    s->d[0] = m0 > INFORMATION_MIN ? m0 : INFORMATION_MIN;
+    s->d[1] = m1 > INFORMATION_MIN ? m1 : INFORMATION_MIN;
     first[0] = u_new;
     for (int j = 1; j < FO_NA - 1; j++) {
         first[j] += (u_new - u) * second[j - 1];
     }
 }
 
-/* Carries the triangle to the end of the block: flux there = flux + time drift + effect p. */
-static void carry(fo_adaptive_state *s, const fo_block *b)
+/* Propagates the factor to the end of the block: flux there = flux + time drift + sensitivity p. */
+static void propagate(fo_adaptive_state *s, const fo_block *b)
 {
     for (int i = 0; i < FO_N; i++) {
-        const fo_real on[FO_N] = {i == 0 ? ONE : ZERO, i == 0 ? s->U[0] : ONE};
+        const fo_real by_flux[FO_N] = {i == 0 ? ONE : ZERO, i == 0 ? s->U[0] : ONE};
         fo_real *row = &s->U[FO_AT(FO_NA, i, FO_N)]; /* from the drift on */
         for (int j = 0; j < FO_N; j++) {
-            row[j] -= b->time * on[j];
+            row[j] -= b->time * by_flux[j];
         }
         for (int j = 0; j < FO_NP; j++) {
-            row[FO_N + j] -= dot(on, b->effect[j]);
+            row[FO_N + j] -= dot(by_flux, b->sensitivity[j]);
         }
     }
 }
 
-/* The drift is forgotten towards its prior. */
+/* Forgets the drift towards its prior. */
 static void forget_drift(const fo_adaptive *a, fo_adaptive_state *s, fo_real time)
 {
-    const fo_real share = time / DRIFT_MEMORY, prior = ONE / (a->plain.plausible * a->plain.plausible);
+    const fo_real share = time / DRIFT_MEMORY,
+                  prior = ONE / (a->plain.drift_prior_std * a->plain.drift_prior_std);
     for (int i = FO_N; i < (int)FO_NF; i++) {
         s->d[i] += share * (prior - s->d[i]);
     }
 }
 
-static void clear_block(fo_adaptive_state *s)
+static void reset_block(fo_adaptive_state *s)
 {
     (void)memset(&s->now.block, 0, sizeof s->now.block);
     s->now.block.theta = s->theta;
 }
 
-/* How steady states tie an error of a parameter to the flux: effect / (j turned). */
-static void tied(const fo_real effect[FO_N], fo_real turned, fo_real tie[FO_N])
+/* Flux error that an error of a parameter makes in steady state: sensitivity / (j turned). */
+static void steady_state_coupling(const fo_real sensitivity[FO_N], fo_real turned,
+                                  fo_real coupling[FO_N])
 {
-    tie[0] = effect[1] / turned;
-    tie[1] = -effect[0] / turned;
+    coupling[0] = sensitivity[1] / turned;
+    coupling[1] = -sensitivity[0] / turned;
 }
 
 void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate *c,
-                       const fo_manifold *m, fo_real inflation, const fo_effects *t)
+                       const fo_manifold *m, fo_real inflation, const fo_interval *t)
 {
     const fo_real psi = fo_sqrt(c->p[FO_NM - 1]), speed = a->plain.sample_time * s->tracker.speed;
-    const fo_real h = a->plain.h; /* at least a radian a memory: slower, nothing tells the drift */
+    /* at least a radian a memory: below, the drift is unidentifiable */
+    const fo_real h = a->plain.h;
     const fo_real turned = fo_abs(speed) > h ? speed : speed < ZERO ? -h : h;
-    sight at;
-    fo_real slope[FO_N], by_current[FO_N];
-    ask_map(a, s);
+    linearisation_point point;
+    fo_real by_flux[FO_N], by_current[FO_N];
+    linearise_map(a, s);
     for (int i = 0; i < FO_N; i++) {
         s->flux[i] = c->p[i];
         s->drift[i] = c->p[FO_N + i];
     }
-    look(a, s, &at);
-    slopes(a, s, &at, slope, by_current);
-    if (a->std[FO_PSI] > ZERO && !s->frozen && !(fo_abs(s->p[FO_PSI]) > ZERO)) { /* new */
-        s->p[FO_PSI] = (at.length - at.grown - a->psi) / a->std[FO_PSI];
+    linearise(a, s, &point);
+    residual_gradients(a, s, &point, by_flux, by_current);
+    if (a->std[FO_PSI] > ZERO && !s->frozen && !(fo_abs(s->p[FO_PSI]) > ZERO)) { /* first start */
+        s->p[FO_PSI] = (point.length - point.length_by_current - a->psi) / a->std[FO_PSI];
     }
-    const fo_real *known = m->U;
+    const fo_real *element = m->U;
     for (int i = 0; i < (int)FO_NF; i++) {
-        fo_real on[FO_NM] = {0}; /* the row of the manifold */
-        on[i] = ONE;
+        fo_real row_m[FO_NM] = {0}; /* row i of the manifold's factor */
+        row_m[i] = ONE;
         for (int j = i + 1; j < (int)FO_NM; j++) {
-            on[j] = *known;
-            known++;
+            row_m[j] = *element;
+            element++;
         }
         for (int j = i + 1; j < (int)FO_NF; j++) {
-            s->U[FO_AT(FO_NA, i, j)] = on[j];
+            s->U[FO_AT(FO_NA, i, j)] = row_m[j];
         }
         fo_real *row = &s->U[FO_AT(FO_NA, i, FO_NF)]; /* the parameters */
-        const fo_real by_psi = TWO * psi * on[FO_NM - 1]; /* the manifold has its square */
+        const fo_real by_psi = TWO * psi * row_m[FO_NM - 1]; /* p has the square of psi */
         for (int j = 0; j < (int)FO_NP; j++) {
-            fo_real tie[FO_N] = {0};
+            fo_real coupling[FO_N] = {0};
             if (j < (int)FO_OFFSET) {
-                tied(t->effect[j], turned, tie);
+                steady_state_coupling(t->sensitivity[j], turned, coupling);
             }
-            row[j] = -(dot(tie, on) + by_psi * dot(tie, at.along));
+            row[j] = -(dot(coupling, row_m) + by_psi * dot(coupling, point.direction));
         }
         row[FO_PSI] = by_psi * a->std[FO_PSI];
-        row[FO_INDUCTANCE] = by_psi * a->std[FO_INDUCTANCE] * at.made[0];
-        row[FO_INDUCTANCE + 1] =
-            by_psi * a->std[FO_INDUCTANCE + 1] * at.made[1] * across(at.along, slope);
+        row[FO_INDUCTANCE] = by_psi * a->std[FO_INDUCTANCE] * point.armature_flux[0];
+        row[FO_INDUCTANCE + 1] = by_psi * a->std[FO_INDUCTANCE + 1] * point.armature_flux[1] *
+                                 component_across(point.direction, by_flux);
         s->d[i] = m->d[i] / inflation;
         s->z[i] = ZERO;
     }
-    step_flux(s, LOOSE * s->doubt * s->doubt * at.length * at.length);
-    for (int i = FO_N; i < (int)FO_NF; i++) { /* as much, turning, for the drift */
-        const fo_real loose = LOOSE * s->unsure * s->unsure;
-        s->d[i] /= ONE + s->d[i] * loose;
+    add_flux_process_noise(
+        s, START_SHARE_OF_EMF_RATIO * s->emf_ratio * s->emf_ratio * point.length * point.length);
+    for (int i = FO_N; i < (int)FO_NF; i++) { /* and the drift by that of its voltage */
+        const fo_real variance = START_SHARE_OF_EMF_RATIO * s->voltage_std * s->voltage_std;
+        s->d[i] /= ONE + s->d[i] * variance;
     }
     s->theta = c->theta;
-    s->x[0] = at.along[0];
-    s->x[1] = at.along[1];
+    s->x[0] = point.direction[0];
+    s->x[1] = point.direction[1];
     s->running = true;
-    s->level = ONE;
+    s->noise_level = ONE;
     s->rows = ZERO;
-    s->contradiction = ONE;
-    s->known_point = ZERO;
-    s->across = c->variance * at.length * at.length;
-    s->across_at = ZERO;
-    const fo_real by_L_q = a->std[FO_INDUCTANCE + 1] * at.made[1];
-    s->turning = by_L_q * by_L_q;
-    s->made_q = at.made[1];
-    s->exposed = ZERO;
-    s->disagree = ZERO;
-    clear_block(s);
+    s->innovation_power = ONE;
+    s->rows_at_point = ZERO;
+    s->variance_across = c->variance * point.length * point.length;
+    s->variance_time = ZERO;
+    const fo_real by_L_q = a->std[FO_INDUCTANCE + 1] * point.armature_flux[1];
+    s->variance_by_L_q = by_L_q * by_L_q;
+    s->armature_flux_q = point.armature_flux[1];
+    s->voltage_turn = ZERO;
+    s->disagreement = ZERO;
+    reset_block(s);
 }
 
-/* ---- a sample --------------------------------------------------------------------------------- */
+/* ---- measurement
+ * ------------------------------------------------------------------------------ */
 
-/* Adds the residual |x| - grown - psi_f of a sample to the block. */
-static void add(const fo_adaptive *a, const fo_adaptive_state *s, const sight *at, fo_block *b)
-{
-    fo_real slope[FO_N], by_current[FO_N];
-    slopes(a, s, at, slope, by_current);
+/* Adds a sample's residual |x| - length_by_current - psi_f and its gradients to the block. */
+static void add_sample(const fo_adaptive *a, const fo_adaptive_state *s,
+                       const linearisation_point *point, fo_block *b) {
+    fo_real by_flux[FO_N], by_current[FO_N];
+    residual_gradients(a, s, point, by_flux, by_current);
     for (int i = 0; i < FO_N; i++) {
-        b->slope[i] += slope[i];
-        b->slope_time[i] += slope[i] * b->time;
-        b->along[FO_OFFSET + i] += a->std[FO_OFFSET + i] * by_current[i];
+        b->by_flux[i] += by_flux[i];
+        b->by_flux_time[i] += by_flux[i] * b->time;
+        b->by_parameter[FO_OFFSET + i] += a->std[FO_OFFSET + i] * by_current[i];
     }
     for (int j = FO_RESISTANCE; j < (int)FO_NP; j++) {
-        b->along[j] += dot(slope, b->effect[j]);
+        b->by_parameter[j] += dot(by_flux, b->sensitivity[j]);
     }
-    b->along[FO_PSI] -= a->std[FO_PSI];
-    b->along[FO_INDUCTANCE] -= a->std[FO_INDUCTANCE] * at->made[0];
-    b->along[FO_INDUCTANCE + 1] -=
-        a->std[FO_INDUCTANCE + 1] * at->made[1] * across(at->along, slope);
-    b->residual += at->length - at->grown - (a->psi + fo_learning_value(a, s, FO_PSI));
+    b->by_parameter[FO_PSI] -= a->std[FO_PSI];
+    b->by_parameter[FO_INDUCTANCE] -= a->std[FO_INDUCTANCE] * point->armature_flux[0];
+    b->by_parameter[FO_INDUCTANCE + 1] -= a->std[FO_INDUCTANCE + 1] * point->armature_flux[1] *
+                                          component_across(point->direction, by_flux);
+    b->residual +=
+        point->length - point->length_by_current - (a->psi + fo_learning_value(a, s, FO_PSI));
     b->samples++;
 }
 
-/* What is left of a row for the parameters: follows its power, and how far that contradicts what
- * has been learnt. Returns whether it is a surprise, as after a jump of the drift. */
-static bool follow(fo_adaptive_state *s, const fo_real row[FO_NA], fo_real value,
-                   fo_real information, fo_real share)
+/* Tests the innovation of a row, flux and drift eliminated, against its variance; averages its
+ * power. Returns whether it is an outlier, as after a jump of the drift. */
+static bool test_innovation(fo_adaptive_state *s, const fo_real row[FO_NA], fo_real innovation,
+                            fo_real information, fo_real share)
 {
     fo_real direction[FO_NA];
     (void)memcpy(direction, row, sizeof direction);
-    const fo_real square = value * value;
+    const fo_real square = innovation * innovation;
     const fo_real power = information * square, noise = ONE / information;
-    const fo_real known = fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction);
-    const fo_real odd = square / (noise + known);
+    const fo_real by_parameters = fo_marginal_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction);
+    const fo_real ratio = square / (noise + by_parameters);
     s->rows += share;
     const fo_real gain = share / (s->rows + ONE < ROWS ? s->rows + ONE : ROWS);
-    const fo_real usual = s->level > LEVEL_LEAST ? s->level : LEVEL_LEAST;
-    const bool surprise = s->rows > PROVEN && square > CLIP * (usual * noise + known);
-    s->level += gain * ((power < CLIP * s->level ? power : CLIP * s->level) - s->level);
-    const fo_real most = CLIP * (ONE + s->contradiction);
-    s->contradiction += TWO / ROWS * share * ((odd < most ? odd : most) - s->contradiction);
-    return surprise;
+    const fo_real level = s->noise_level > NOISE_LEVEL_MIN ? s->noise_level : NOISE_LEVEL_MIN;
+    const bool outlier =
+        s->rows > LEVEL_ROWS && square > CLIP * (level * noise + by_parameters);
+    const fo_real power_max = CLIP * s->noise_level;
+    s->noise_level += gain * ((power < power_max ? power : power_max) - s->noise_level);
+    const fo_real ratio_max = CLIP * (ONE + s->innovation_power);
+    s->innovation_power +=
+        TWO / ROWS * share * ((ratio < ratio_max ? ratio : ratio_max) - s->innovation_power);
+    return outlier;
 }
 
-/* Counts the rows at the present operating point; returns their number. */
-static fo_real rows_here(const fo_adaptive *a, fo_adaptive_state *s, const sight *at,
-                         fo_real speed, fo_real share)
-{
-    const fo_real now[3] = {dot(at->along, at->current), across(at->along, at->current), speed};
-    const fo_real before = fo_abs(s->point[2]) + fo_abs(speed);
-    const fo_real scale[3] = {a->over_rated, a->over_rated, before > ZERO ? ONE / before : ZERO};
+/* Counts the row at the present operating point; returns the number of rows there, at least 1. */
+static fo_real count_rows_at_point(const fo_adaptive *a, fo_adaptive_state *s,
+                                   const linearisation_point *point, fo_real speed, fo_real share) {
+    const fo_real now[3] = {dot(point->direction, point->current),
+                            component_across(point->direction, point->current), speed};
+    const fo_real speeds = fo_abs(s->operating_point[2]) + fo_abs(speed);
+    const fo_real scale[3] = {a->over_rated, a->over_rated, speeds > ZERO ? ONE / speeds : ZERO};
     fo_real moved = ZERO;
     for (int i = 0; i < 3; i++) {
-        const fo_real off = (now[i] - s->point[i]) * scale[i];
-        moved += off * off;
+        const fo_real change = (now[i] - s->operating_point[i]) * scale[i];
+        moved += change * change;
     }
-    s->known_point = s->known_point / (ONE + moved / (NEW_POINT * NEW_POINT) * s->known_point) + share;
-    const fo_real gain = s->known_point > ONE ? ONE / s->known_point : ONE;
+    s->rows_at_point =
+        s->rows_at_point / (ONE + moved / (NEW_POINT * NEW_POINT) * s->rows_at_point) + share;
+    const fo_real gain = s->rows_at_point > ONE ? ONE / s->rows_at_point : ONE;
     for (int i = 0; i < 3; i++) {
-        s->point[i] += gain * (now[i] - s->point[i]);
+        s->operating_point[i] += gain * (now[i] - s->operating_point[i]);
     }
-    return s->known_point > ONE ? s->known_point : ONE;
+    return s->rows_at_point > ONE ? s->rows_at_point : ONE;
 }
 
-/* The resistance takes a random step of this variance; what is known of the others stays. The step w
- * joins the unknowns (R was x - w) and is eliminated again, with the rows that have R in them. */
-static void walk_resistance(fo_adaptive_state *s, fo_real variance)
+/* Adds process noise of this variance to the resistance; the information on the other parameters,
+ * with the resistance eliminated, stays. Its random step w is an unknown, R before was R - w, that
+ * is eliminated from the rows which contain R. */
+static void add_resistance_process_noise(fo_adaptive_state *s, fo_real variance)
 {
     const int psi = FO_NF + (int)FO_PSI, r = FO_NF + (int)FO_RESISTANCE;
-    fo_real *over = &s->U[FO_AT(FO_NA, psi, r)];
-    const fo_real *own = &s->U[FO_AT(FO_NA, r, r + 1)];
-    const fo_real share = over[0], step = ONE + variance * s->d[r];
-    const fo_real gain = -variance * s->d[r] / step; /* of R's row in w's */
+    fo_real *row_psi = &s->U[FO_AT(FO_NA, psi, r)];
+    const fo_real *row_r = &s->U[FO_AT(FO_NA, r, r + 1)];
+    const fo_real share = row_psi[0], step = ONE + variance * s->d[r];
+    const fo_real gain = -variance * s->d[r] / step; /* of the row of R in that of w */
     s->d[psi] /= ONE + variance * share * share * s->d[psi] / step;
     s->d[r] /= step;
     s->z[psi] += share * gain * s->z[r];
-    over[0] += share * gain;
+    row_psi[0] += share * gain;
     for (int j = 0; j < (int)FO_NA - 1 - r; j++) {
-        over[1 + j] += share * gain * own[j];
+        row_psi[1 + j] += share * gain * row_r[j];
     }
 }
 
-void fo_learning_warm(const fo_adaptive *a, fo_adaptive_state *s, fo_real stds)
+void fo_learning_widen_resistance(const fo_adaptive *a, fo_adaptive_state *s, fo_real stds)
 {
-    const fo_real most = (fo_real)1e3; /* far more than the prior: nothing is left, or not a number */
-    const fo_real walk = fo_abs(stds) < most ? stds : most;
-    walk_resistance(s, walk * walk);
+    const fo_real limit = (fo_real)1e3; /* the prior is negligible; also instead of NaN */
+    const fo_real std = fo_abs(stds) < limit ? stds : limit;
+    add_resistance_process_noise(s, std * std);
     for (uint32_t n = 0U; n < 3U; n++) {
-        keep_deviation(a, s, n);
+        update_reported_std(a, s, n);
     }
 }
 
-/* A parameter's assumed value grows by `more` stds. What the data say of it stays where it is; the
- * prior goes along. With A the information, of which the prior is 1, and A p = b this is
- * b <- b - (A - 1) more: z = U p loses `more` times its column, and b gains the prior's part. */
-static void move_mean(fo_adaptive_state *s, int n, fo_real more)
+/* Moves the prior mean of a parameter by `shift` stds. What the data determine stays where it is;
+ * what the prior determines moves along. With A the information matrix, of which the prior is 1,
+ * and A p = b, this is b <- b - (A - 1) shift: z = U p loses `shift` times its column, and b gains
+ * the part of the prior. */
+static void move_prior_mean(fo_adaptive_state *s, int n, fo_real shift)
 {
-    const int at = FO_NF + n;
+    const int column = FO_NF + n;
     fo_real gained[FO_NA] = {0}, before[FO_NA], after[FO_NA];
     fo_solve(FO_NA, s->U, s->z, FO_NF, FO_NA, before);
-    for (int i = FO_NF; i < at; i++) {
-        s->z[i] -= s->U[FO_AT(FO_NA, i, at)] * more;
+    for (int i = FO_NF; i < column; i++) {
+        s->z[i] -= s->U[FO_AT(FO_NA, i, column)] * shift;
     }
-    s->z[at] -= more;
-    for (int j = at; j < (int)FO_NA && !s->frozen; j++) { /* U'd gained = more, in its place */
-        fo_real sum = j == at ? more : ZERO;
-        for (int i = at; i < j; i++) {
+    s->z[column] -= shift;
+    for (int j = column; j < (int)FO_NA && !s->frozen; j++) { /* U'd gained = shift e_n */
+        fo_real sum = j == column ? shift : ZERO;
+        for (int i = column; i < j; i++) {
             sum -= s->U[FO_AT(FO_NA, i, j)] * s->d[i] * gained[i];
         }
         gained[j] = sum / s->d[j];
@@ -486,11 +506,11 @@ static void move_mean(fo_adaptive_state *s, int n, fo_real more)
     fo_solve(FO_NA, s->U, s->z, FO_NF, FO_NA, after);
     for (int j = FO_NF; j < (int)FO_NA; j++) {
         after[j] -= before[j];
-        if (j < (int)FO_NF + (int)FO_CURVE) { /* the curve is only considered */
+        if (j < (int)FO_NF + (int)FO_CURVE) { /* the curve is a considered parameter */
             s->p[j - (int)FO_NF] += after[j];
         }
     }
-    after[at] += more; /* what has changed of the values, not of the errors */
+    after[column] += shift; /* change of the values, not of the errors */
     if (s->running) {
         fo_solve(FO_NA, s->U, s->z, 0, FO_NF, after);
         for (int i = 0; i < FO_N; i++) {
@@ -500,83 +520,91 @@ static void move_mean(fo_adaptive_state *s, int n, fo_real more)
     }
 }
 
-void fo_learning_means(const fo_adaptive *a, fo_real means[FO_MEANS])
+void fo_learning_prior_means(const fo_adaptive *a, fo_real means[FO_PRIOR_MEANS])
 {
     means[0] = a->psi;
     means[1] = (fo_real)24 * a->plain.hR[0][0] / a->volt;
     means[2] = a->inverter_mean;
 }
 
-void fo_learning_rebase(const fo_adaptive *a, fo_adaptive_state *s, const fo_real before[FO_MEANS])
-{
-    static const int places[FO_MEANS + 1] = {FO_PSI, FO_RESISTANCE, FO_INVERTER, FO_INVERTER + 1};
-    fo_real now[FO_MEANS];
-    fo_learning_means(a, now);
-    for (int i = 0; i < (int)FO_MEANS + 1; i++) {
-        const int n = places[i], mean = i < (int)FO_MEANS ? i : (int)FO_MEANS - 1;
+void fo_learning_move_prior_means(const fo_adaptive *a, fo_adaptive_state *s,
+                                  const fo_real before[FO_PRIOR_MEANS]) {
+    static const int places[FO_PRIOR_MEANS + 1] = {FO_PSI, FO_RESISTANCE, FO_INVERTER,
+                                                   FO_INVERTER + 1};
+    fo_real now[FO_PRIOR_MEANS];
+    fo_learning_prior_means(a, now);
+    for (int i = 0; i < (int)FO_PRIOR_MEANS + 1; i++) {
+        const int n = places[i], mean = i < (int)FO_PRIOR_MEANS ? i : (int)FO_PRIOR_MEANS - 1;
         if (a->std[n] > ZERO) {
-            move_mean(s, n, (now[mean] - before[mean]) / a->std[n]);
+            move_prior_mean(s, n, (now[mean] - before[mean]) / a->std[n]);
         }
     }
 }
 
-/* The parameters are forgotten towards their prior, one after the other, each every ROUND rows. */
+/* Forgets the parameters towards their prior: in a round of rows all information fades once, and
+ * the prior of each parameter is re-injected once. */
 static void forget_parameters(const fo_adaptive *a, fo_adaptive_state *s, fo_real time)
 {
-    s->since += time * a->slow;
-    s->pulled = s->pulled + 1U < ROUND ? s->pulled + 1U : 0U;
-    if (s->pulled < (uint32_t)FO_CURVE) {
-        const int n = FO_NF + (int)s->pulled;
-        fo_real unit[FO_NA] = {0}, mean = ZERO, prior = s->passed;
-        unit[n] = ONE;
-        fo_rotate(FO_NA, s->U, s->d, s->z, n, FO_NF + FO_CURVE, unit, &mean, &prior);
-    } else if (s->pulled == ROUND - 1U) {
-        s->passed = s->since < ONE / TWO ? s->since : ONE / TWO;
+    s->forgotten += time * a->slow;
+    s->reinject_index = s->reinject_index + 1U < FORGETTING_ROUND ? s->reinject_index + 1U : 0U;
+    if (s->reinject_index < (uint32_t)FO_CURVE) {
+        const int n = FO_NF + (int)s->reinject_index;
+        fo_real row[FO_NA] = {0}, mean = ZERO, information = s->forgotten_before;
+        row[n] = ONE;
+        fo_add_row_to(FO_NA, s->U, s->d, s->z, n, FO_NF + FO_CURVE, row, &mean, &information);
+    } else if (s->reinject_index == FORGETTING_ROUND - 1U) {
+        s->forgotten_before = s->forgotten < ONE / TWO ? s->forgotten : ONE / TWO;
         for (int j = 0; j < (int)FO_CURVE; j++) {
-            s->d[FO_NF + j] *= ONE - s->passed;
+            s->d[FO_NF + j] *= ONE - s->forgotten_before;
         }
-        walk_resistance(s, HEAT_WALK * HEAT_WALK * s->passed);
-        s->since = ZERO;
+        add_resistance_process_noise(s, HEAT_WALK * HEAT_WALK * s->forgotten_before);
+        s->forgotten = ZERO;
     } else {
-        /* it rests */
+        /* a row of the round without work */
     }
 }
 
-/* The parameters learn from what is left of a row; then all is solved. */
-static void learn(const fo_adaptive *a, fo_adaptive_state *s, fo_real row[FO_NA], fo_real value,
-                  fo_real information, fo_real time)
+/* Moves a solution of the parameters to the most likely one with an inverter loss of zero where the
+ * loss is negative: no inverter adds voltage. */
+static void constrain_inverter_loss(const fo_adaptive *a, const fo_adaptive_state *s,
+                                    fo_real x[FO_NA]) {
+    const fo_real volts = TWO * a->inverter_mean + a->std[FO_INVERTER] * x[FO_NF + FO_INVERTER] +
+                          a->std[FO_INVERTER + 1] * x[FO_NF + FO_INVERTER + 1];
+    if (volts < ZERO) {
+        fo_real direction[FO_NA] = {0}, y[FO_NA] = {0};
+        direction[FO_NF + FO_INVERTER] = a->std[FO_INVERTER];
+        direction[FO_NF + FO_INVERTER + 1] = a->std[FO_INVERTER + 1];
+        const fo_real variance = fo_marginal_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction);
+        for (int j = FO_NF; j < FO_NA; j++) { /* the direction is now y, U'y = direction */
+            y[j] = direction[j] / s->d[j];
+        }
+        fo_solve(FO_NA, s->U, y, FO_NF, FO_NA, direction);
+        for (int j = FO_NF; j < (int)FO_NF + (int)FO_CURVE; j++) {
+            x[j] -= direction[j] * volts / variance;
+        }
+    }
+}
+
+/* Measurement update of the parameters by a row from which flux and drift are eliminated. */
+static void update_parameters(const fo_adaptive *a, fo_adaptive_state *s, fo_real row[FO_NA],
+                              fo_real innovation, fo_real information)
 {
-    fo_real before[FO_NP], x[FO_NA];
-    for (int j = 0; j < FO_NP; j++) {
-        before[j] = s->p[j];
+    fo_real rhs = innovation, weight = information, x[FO_NA];
+    for (int j = 0; j < FO_NP; j++) { /* from the prior mean */
+        rhs += row[FO_NF + j] * s->p[j];
     }
-    if (information > ZERO) {
-        fo_real rhs = value, weight = information;
-        for (int j = 0; j < FO_NP; j++) { /* from the prior mean */
-            rhs += row[FO_NF + j] * s->p[j];
-        }
-        fo_rotate(FO_NA, s->U, s->d, s->z, FO_NF, FO_NF + FO_CURVE, row, &rhs, &weight);
-        fo_solve(FO_NA, s->U, s->z, FO_NF, FO_NA, x);
-        const fo_real volts = TWO * a->inverter_mean + a->std[FO_INVERTER] * x[FO_NF + FO_INVERTER] +
-                              a->std[FO_INVERTER + 1] * x[FO_NF + FO_INVERTER + 1];
-        if (volts < ZERO) { /* no inverter adds voltage: the likeliest without */
-            fo_real direction[FO_NA] = {0}, y[FO_NA] = {0};
-            direction[FO_NF + FO_INVERTER] = a->std[FO_INVERTER];
-            direction[FO_NF + FO_INVERTER + 1] = a->std[FO_INVERTER + 1];
-            const fo_real variance = fo_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction);
-            for (int j = FO_NF; j < FO_NA; j++) { /* the direction is now y, U'y = direction */
-                y[j] = direction[j] / s->d[j];
-            }
-            fo_solve(FO_NA, s->U, y, FO_NF, FO_NA, direction);
-            for (int j = FO_NF; j < (int)FO_NF + (int)FO_CURVE; j++) {
-                x[j] -= direction[j] * volts / variance;
-            }
-        }
-        for (int j = 0; j < (int)FO_CURVE; j++) { /* the curve is only considered */
-            s->p[j] = x[FO_NF + j];
-        }
-        forget_parameters(a, s, time);
+    fo_add_row_to(FO_NA, s->U, s->d, s->z, FO_NF, FO_NF + FO_CURVE, row, &rhs, &weight);
+    fo_solve(FO_NA, s->U, s->z, FO_NF, FO_NA, x);
+    constrain_inverter_loss(a, s, x);
+    for (int j = 0; j < (int)FO_CURVE; j++) { /* the curve is a considered parameter */
+        s->p[j] = x[FO_NF + j];
     }
+}
+
+/* Flux and drift of the row, given the change of the parameters; re-linearises about them. */
+static void update_flux(fo_adaptive_state *s, const fo_real before[FO_NP])
+{
+    fo_real x[FO_NA];
     for (int j = 0; j < FO_NP; j++) {
         x[FO_NF + j] = s->p[j] - before[j];
     }
@@ -589,102 +617,133 @@ static void learn(const fo_adaptive *a, fo_adaptive_state *s, fo_real row[FO_NA]
     }
 }
 
-fo_real fo_learning_since(const fo_adaptive_state *s)
+fo_real fo_learning_variance_growth(const fo_adaptive_state *s)
 {
-    const fo_real off = s->unsure * (s->now.block.time - s->across_at);
-    return off * off;
+    const fo_real std = s->voltage_std * (s->now.block.time - s->variance_time);
+    return std * std;
 }
 
-/* Finds the variance across the position vector: with L_q known, and what L_q adds. Since the last row
- * a drift has moved the flux for a while, and each parameter by its effect. At steady load the row has
- * tied these to the flux, and they add next to nothing; what they may add after a change is all there. */
-static void judge_across(const fo_adaptive *a, fo_adaptive_state *s, const sight *at)
-{
-    enum { L_Q = (int)FO_NF + (int)FO_INDUCTANCE + 1, REST = (int)FO_NA - L_Q };
+/* Marginal variance of the flux across the position vector: with L_q known, and the part of L_q.
+ * Since the last row the drift has moved the flux by its time, and each parameter by its
+ * sensitivity. At steady load the row has correlated these with the flux, and they add next to
+ * nothing; after a change of load they add all that they can. */
+static void update_marginal_variance(const fo_adaptive *a, fo_adaptive_state *s,
+                                     const linearisation_point *point) {
+    enum { L_Q = (int)FO_NF + (int)FO_INDUCTANCE + 1, TAIL = (int)FO_NA - L_Q };
     const fo_block *b = &s->now.block;
-    fo_real direction[FO_NA] = {0}, rest[REST];
-    direction[0] = -at->along[1];
-    direction[1] = at->along[0];
+    fo_real direction[FO_NA] = {0}, tail[TAIL];
+    direction[0] = -point->direction[1];
+    direction[1] = point->direction[0];
     for (int i = 0; i < FO_N; i++) {
         const fo_real by_offset = a->plain.L_position * a->std[FO_OFFSET + i];
         direction[FO_N + i] = b->time * direction[i];
         direction[FO_NF + FO_OFFSET + i] = by_offset * direction[i];
     }
     for (int j = FO_RESISTANCE; j < (int)FO_NP; j++) {
-        direction[FO_NF + j] += dot(direction, b->effect[j]);
+        direction[FO_NF + j] += dot(direction, b->sensitivity[j]);
     }
-    const fo_real level = s->level > LEVEL_LEAST ? s->level : LEVEL_LEAST;
-    s->across = level * fo_variance(FO_NA, s->U, s->d, 0, FO_NF, direction);
-    s->across += fo_variance(FO_NA, s->U, s->d, FO_NF, L_Q, direction);
-    (void)memcpy(rest, &direction[L_Q], sizeof rest);
-    const fo_real known = fo_variance(FO_NA, s->U, s->d, L_Q, FO_NA, direction);
-    s->across += known;
-    (void)memcpy(&direction[L_Q], rest, sizeof rest);
-    direction[L_Q] -= a->std[FO_INDUCTANCE + 1] * at->made[1];
-    s->turning = fo_variance(FO_NA, s->U, s->d, L_Q, FO_NA, direction) - known;
-    s->made_q = at->made[1];
-    s->across_at = b->time;
+    const fo_real level = s->noise_level > NOISE_LEVEL_MIN ? s->noise_level : NOISE_LEVEL_MIN;
+    s->variance_across = level * fo_marginal_variance(FO_NA, s->U, s->d, 0, FO_NF, direction);
+    s->variance_across += fo_marginal_variance(FO_NA, s->U, s->d, FO_NF, L_Q, direction);
+    (void)memcpy(tail, &direction[L_Q], sizeof tail);
+    const fo_real with_L_q_known = fo_marginal_variance(FO_NA, s->U, s->d, L_Q, FO_NA, direction);
+    s->variance_across += with_L_q_known;
+    (void)memcpy(&direction[L_Q], tail, sizeof tail);
+    direction[L_Q] -= a->std[FO_INDUCTANCE + 1] * point->armature_flux[1];
+    s->variance_by_L_q =
+        fo_marginal_variance(FO_NA, s->U, s->d, L_Q, FO_NA, direction) - with_L_q_known;
+    s->armature_flux_q = point->armature_flux[1];
+    s->variance_time = b->time;
 }
 
-/* Ends a block: takes in its row. */
-static void end(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t, fo_real turned)
+/* Time update over the block, with the process noise of what no parameter describes. */
+static void predict_block(const fo_adaptive *a, fo_adaptive_state *s, const fo_block *b)
 {
-    fo_block *b = &s->now.block;
-    const fo_real share = turned < BLOCK ? turned / BLOCK : ONE;
-    const fo_real step = a->unmodelled * b->time, inverter = b->unmodelled / b->time;
-    const fo_real walk = step * step + b->unmodelled * b->unmodelled;
-    carry(s, b);
-    step_flux(s, walk);
-    if (cage(&a->plain)) {
+    const fo_real step = a->unmodelled * b->time;
+    propagate(s, b);
+    add_flux_process_noise(s, step * step + b->unmodelled * b->unmodelled);
+    if (has_cage_map(&a->plain)) {
         const fo_real q = CAGE_WALK * CAGE_WALK * b->time / (a->std[FO_PSI] * a->std[FO_PSI]);
         s->d[FO_NF + FO_PSI] /= ONE + s->d[FO_NF + FO_PSI] * q;
     }
     forget_drift(a, s, b->time);
-    sight at;
-    if (b->samples > 0U && share > (fo_real)1e-6) {
-        const fo_real over = ONE / (fo_real)b->samples;
-        fo_real row[FO_NA], value = -b->residual * over;
-        for (int i = 0; i < FO_N; i++) {
-            row[i] = b->slope[i] * over;
-            row[FO_N + i] = b->slope_time[i] * over - b->time * row[i];
-        }
-        for (int j = 0; j < FO_NP; j++) {
-            row[FO_NF + j] = b->along[j] * over - dot(row, b->effect[j]);
-        }
-        fo_real information =
-            share / (MODEL * MODEL + a->through_L * s->plain.roughness * over);
-        fo_rotate(FO_NA, s->U, s->d, s->z, 0, FO_NF, row, &value, &information);
-        const bool known = information > ZERO;
-        const bool surprise = known && follow(s, row, value, information, share);
-        if (surprise) {
-            forget_drift(a, s, DRIFT_MEMORY); /* all of it */
-        }
-        look(a, s, &at);
-        const fo_real speed = turned / b->time;
-        const fo_real rows = rows_here(a, s, &at, speed, share);
-        const fo_real shape = speed > ZERO ? inverter / speed : ZERO;
-        const bool ready =
-            known && !surprise && !s->frozen && s->doubt < DOUBT_LIMIT && speed > ZERO;
-        const fo_real level = s->level > ONE ? s->level : ONE;
-        fo_real weight = ZERO;
-        if (ready) {
-            weight = ONE / ((rows / information + shape * shape) * level);
-        }
-        learn(a, s, row, value, weight, b->time);
+}
+
+/* Regressor of the block's averaged residual, for flux and drift at its end; returns minus that
+ * residual, the innovation. */
+static fo_real block_row(const fo_block *b, fo_real row[FO_NA])
+{
+    const fo_real over = ONE / (fo_real)b->samples;
+    for (int i = 0; i < FO_N; i++) {
+        row[i] = b->by_flux[i] * over;
+        row[FO_N + i] = b->by_flux_time[i] * over - b->time * row[i];
     }
-    look(a, s, &at);
-    s->theta = fo_atan2(at.x[1], at.x[0]);
-    clear_block(s);
-    judge_across(a, s, &at);
-    weigh_parameters(a, s, t);
-    s->judged = s->judged < 2U ? s->judged + 1U : 0U;
-    keep_deviation(a, s, s->judged);
+    for (int j = 0; j < FO_NP; j++) {
+        row[FO_NF + j] = b->by_parameter[j] * over - dot(row, b->sensitivity[j]);
+    }
+    return -b->residual * over;
+}
+
+/* Measurement update by the block's row: of flux and drift first, then of the parameters. Its
+ * weight is its `share` of a full block. */
+static void update_measurement(const fo_adaptive *a, fo_adaptive_state *s, fo_real turned,
+                               fo_real share)
+{
+    const fo_block *b = &s->now.block;
+    const fo_real over = ONE / (fo_real)b->samples;
+    linearisation_point point;
+    fo_real row[FO_NA], before[FO_NP];
+    fo_real innovation = block_row(b, row);
+    fo_real information =
+        share / (MODEL * MODEL + a->through_L * s->plain.noise_inflation * over);
+    fo_add_row_to(FO_NA, s->U, s->d, s->z, 0, FO_NF, row, &innovation, &information);
+    const bool informative = information > ZERO;
+    const bool outlier = informative && test_innovation(s, row, innovation, information, share);
+    if (outlier) {
+        forget_drift(a, s, DRIFT_MEMORY); /* all of it */
+    }
+    linearise(a, s, &point);
+    const fo_real speed = turned / b->time, unmodelled = b->unmodelled / b->time;
+    const fo_real rows = count_rows_at_point(a, s, &point, speed, share);
+    const fo_real shape = speed > ZERO ? unmodelled / speed : ZERO;
+    const fo_real level = s->noise_level > ONE ? s->noise_level : ONE;
+    for (int j = 0; j < FO_NP; j++) {
+        before[j] = s->p[j];
+    }
+    if (informative && !outlier && !s->frozen && s->emf_ratio < EMF_RATIO_LIMIT && speed > ZERO) {
+        const fo_real weight = ONE / ((rows / information + shape * shape) * level);
+        if (weight > ZERO) {
+            update_parameters(a, s, row, innovation, weight);
+            forget_parameters(a, s, b->time);
+        }
+    }
+    update_flux(s, before);
+}
+
+/* Ends a block: prediction over it, measurement update, and the variances of the new estimate. */
+static void finish_block(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t,
+                         fo_real turned)
+{
+    const fo_block *b = &s->now.block;
+    const fo_real share = turned < BLOCK ? turned / BLOCK : ONE;
+    linearisation_point point;
+    predict_block(a, s, b);
+    if (b->samples > 0U && share > (fo_real)1e-6) {
+        update_measurement(a, s, turned, share);
+    }
+    linearise(a, s, &point);
+    s->theta = fo_atan2(point.x[1], point.x[0]);
+    reset_block(s);
+    update_marginal_variance(a, s, &point);
+    update_voltage_std(a, s, t);
+    s->report_index = s->report_index < 2U ? s->report_index + 1U : 0U;
+    update_reported_std(a, s, s->report_index);
 }
 
 /* Is the estimate finite, and the flux one that a machine can have? */
-static bool sound(const fo_adaptive_state *s)
+static bool is_plausible(const fo_adaptive_state *s)
 {
-    fo_real sum = s->level + s->contradiction + s->across;
+    fo_real sum = s->noise_level + s->innovation_power + s->variance_across;
     for (int i = 0; i < FO_NP; i++) {
         sum += s->p[i];
     }
@@ -694,43 +753,44 @@ static bool sound(const fo_adaptive_state *s)
     return sum - sum == ZERO && dot(s->flux, s->flux) < RUNAWAY;
 }
 
-fo_real fo_learning_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_effects *t,
+fo_real fo_learning_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t,
                            bool measured)
 {
     const fo_observer *o = &a->plain;
     fo_block *b = &s->now.block;
-    sight at;
-    ask_map(a, s);
+    linearisation_point point;
+    linearise_map(a, s);
     for (int i = 0; i < FO_N; i++) {
         s->flux[i] += t->v[i] + o->h * s->drift[i];
         for (int j = FO_RESISTANCE; j < (int)FO_NP; j++) {
-            b->effect[j][i] += t->effect[j][i];
+            b->sensitivity[j][i] += t->sensitivity[j][i];
         }
     }
     b->time += o->h;
-    b->unmodelled += o->h * fo_learning_unmodelled(a, s);
-    look(a, s, &at);
-    bool good = at.length * at.length > o->square_min / (fo_real)16;
-    if (good) {
+    b->unmodelled += o->h * fo_learning_unmodelled_voltage(a, s);
+    linearise(a, s, &point);
+    bool plausible = point.length * point.length > o->square_min / (fo_real)16;
+    if (plausible) {
         if (measured) {
-            add(a, s, &at, b);
+            add_sample(a, s, &point, b);
         }
-        const fo_real theta = fo_atan2(at.x[1], at.x[0]);
+        const fo_real theta = fo_atan2(point.x[1], point.x[0]);
         const fo_real turned = fo_abs(wrap(theta - b->theta));
         s->theta = theta;
-        if (turned >= BLOCK || b->time >= BLOCK_MOST) {
-            end(a, s, t, turned);
-            look(a, s, &at);
-        } else if (fo_learning_since(s) > SINCE_MATTERS * s->across) {
-            judge_across(a, s, &at);
+        if (turned >= BLOCK || b->time >= BLOCK_MAX) {
+            finish_block(a, s, t, turned);
+            linearise(a, s, &point);
+        } else if (fo_learning_variance_growth(s) > GROWTH_MAX * s->variance_across) {
+            update_marginal_variance(a, s, &point);
         } else {
-            /* the variance found last is good enough */
+            /* the last variance still holds */
         }
-        const fo_real loaded = a->std[FO_INDUCTANCE + 1] * (at.made[1] - s->made_q);
-        s->turned = s->turning + loaded * loaded;
-        s->x[0] = at.along[0];
-        s->x[1] = at.along[1];
-        good = sound(s) && at.length > ZERO;
+        const fo_real change =
+            a->std[FO_INDUCTANCE + 1] * (point.armature_flux[1] - s->armature_flux_q);
+        s->variance_by_L_q_now = s->variance_by_L_q + change * change;
+        s->x[0] = point.direction[0];
+        s->x[1] = point.direction[1];
+        plausible = is_plausible(s) && point.length > ZERO;
     }
-    return good ? at.length : ZERO;
+    return plausible ? point.length : ZERO;
 }

@@ -6,7 +6,7 @@
 enum { D = 0, Q = 1, ORDER = 3 };
 
 /* sin(x), |x| <= pi/2. Abramowitz and Stegun, 4.3.97. */
-static fo_real rising(fo_real x)
+static fo_real sine(fo_real x)
 {
     const fo_real s = x * x;
     return x * (ONE + s * ((fo_real)-.1666666664 +
@@ -19,21 +19,21 @@ void fo_direction(fo_real angle, fo_real direction[2])
 {
     const fo_real size = fo_abs(angle);
     const fo_real folded = size > PI / TWO ? PI - size : size;
-    const fo_real up = rising(folded);
-    direction[0] = rising(PI / TWO - size);
+    const fo_real up = sine(folded);
+    direction[0] = sine(PI / TWO - size);
     direction[1] = angle < ZERO ? -up : up;
 }
 
-/* Where a current is in a table: the first of its three coefficients, and the weights of the first
- * and the last against the middle one, for the value and for its derivative. */
+/* Cell of a current in the table: index of the first of three coefficients, and the weights of the
+ * first and the last against the middle one, for the value and for its derivative. */
 typedef struct {
     int32_t first;
     fo_real low, high, slope_low, slope_high;
-} place;
+} cell;
 
-/* Returns how far outside the table the current is [A]. */
-static fo_real find(fo_real current, fo_real least, fo_real most, fo_real over, int32_t nodes,
-                    place *p)
+/* Locates a current in one axis of the table; returns its distance outside the table [A]. */
+static fo_real locate(fo_real current, fo_real least, fo_real most, fo_real over, int32_t nodes,
+                    cell *p)
 {
     const fo_real inside = !(current > least) ? least : current > most ? most : current;
     const fo_real at = (inside - least) * over;
@@ -49,22 +49,22 @@ static fo_real find(fo_real current, fo_real least, fo_real most, fo_real over, 
     return current - inside;
 }
 
-static fo_real value(const place *p, fo_real low, fo_real middle, fo_real high)
+static fo_real value(const cell *p, fo_real low, fo_real middle, fo_real high)
 {
     return middle + p->low * (low - middle) + p->high * (high - middle);
 }
 
-static fo_real slope(const place *p, fo_real low, fo_real middle, fo_real high)
+static fo_real slope(const cell *p, fo_real low, fo_real middle, fo_real high)
 {
     return p->slope_low * (low - middle) + p->slope_high * (high - middle);
 }
 
-static void look_up(const fo_map *map, const fo_real current[2], fo_mapped *at)
+static void evaluate_table(const fo_map *map, const fo_real current[2], fo_mapped *answer)
 {
-    place d, q;
-    const fo_real off[2] = {
-        find(current[D], map->least_d, map->most_d, map->over_d, map->nodes_d, &d),
-        find(current[Q], map->least_q, map->most_q, map->over_q, map->nodes_q, &q)};
+    cell d, q;
+    const fo_real beyond[2] = {
+        locate(current[D], map->least_d, map->most_d, map->over_d, map->nodes_d, &d),
+        locate(current[Q], map->least_q, map->most_q, map->over_q, map->nodes_q, &q)};
     const fo_real *c = &map->coefficients[2 * (d.first * map->nodes_q + q.first)];
     for (int n = 0; n < 2; n++) {
         const fo_real *low = &c[n], *middle = &low[2 * map->nodes_q];
@@ -72,36 +72,38 @@ static void look_up(const fo_map *map, const fo_real current[2], fo_mapped *at)
         const fo_real along[ORDER] = {value(&q, low[0], low[2], low[4]),
                                       value(&q, middle[0], middle[2], middle[4]),
                                       value(&q, high[0], high[2], high[4])};
-        at->flux[n] = value(&d, along[0], along[1], along[2]);
-        at->by_d[n] = slope(&d, along[0], along[1], along[2]);
-        at->by_q[n] = value(&d, slope(&q, low[0], low[2], low[4]),
+        answer->flux[n] = value(&d, along[0], along[1], along[2]);
+        answer->by_d[n] = slope(&d, along[0], along[1], along[2]);
+        answer->by_q[n] = value(&d, slope(&q, low[0], low[2], low[4]),
                             slope(&q, middle[0], middle[2], middle[4]),
                             slope(&q, high[0], high[2], high[4]));
     }
-    at->outside = !(off[D] == ZERO && off[Q] == ZERO);
-    if (at->outside) {
+    answer->outside = !(beyond[D] == ZERO && beyond[Q] == ZERO);
+    if (answer->outside) {
         for (int n = 0; n < 2; n++) {
-            at->flux[n] += off[D] * at->by_d[n] + off[Q] * at->by_q[n];
+            answer->flux[n] += beyond[D] * answer->by_d[n] + beyond[Q] * answer->by_q[n];
         }
     }
 }
 
-void fo_map_at(const fo_map *map, const fo_real current[2], fo_real rotor_flux, fo_mapped *at)
+void fo_map_at(const fo_map *map, const fo_real current[2], fo_real rotor_flux, fo_mapped *answer)
 {
     if (map->kind == FO_MAP_TABLE) {
-        look_up(map, current, at);
+        evaluate_table(map, current, answer);
     } else {
         const fo_real psi = map->kind == FO_MAP_CAGE ? rotor_flux : map->psi;
-        at->by_d[D] = map->L_d;
-        at->by_d[Q] = ZERO;
-        at->by_q[D] = ZERO;
-        at->by_q[Q] = map->L_q;
-        at->flux[D] = psi + map->L_d * current[D];
-        at->flux[Q] = map->L_q * current[Q];
-        at->outside = false;
+        answer->by_d[D] = map->L_d;
+        answer->by_d[Q] = ZERO;
+        answer->by_q[D] = ZERO;
+        answer->by_q[Q] = map->L_q;
+        answer->flux[D] = psi + map->L_d * current[D];
+        answer->flux[Q] = map->L_q * current[Q];
+        answer->outside = false;
     }
-    at->auxiliary[D] = at->flux[D] + at->by_d[Q] * current[Q] - at->by_q[Q] * current[D];
-    at->auxiliary[Q] = at->flux[Q] - at->by_d[D] * current[Q] + at->by_q[D] * current[D];
+    answer->auxiliary[D] =
+        answer->flux[D] + answer->by_d[Q] * current[Q] - answer->by_q[Q] * current[D];
+    answer->auxiliary[Q] =
+        answer->flux[Q] - answer->by_d[D] * current[Q] + answer->by_q[D] * current[D];
 }
 
 static bool finite_number(fo_real x) { return x - x == ZERO; }

@@ -31,7 +31,7 @@ typedef enum {
     NUMBER(L_d)      /* linear; of a cage, its leakage inductance [H]                        */ \
     NUMBER(L_q)                                                                                 \
     NUMBER(decay)    /* cage: share of its flux that decays in a sample, R_R h / L_M         */ \
-    NUMBER(still)    /* cage: change of i_d below which its flux is taken to stand [A]       */ \
+    NUMBER(still)    /* cage: change of i_d below which its flux is taken as constant [A]     */ \
     NUMBER(ripple)   /* cage: rate at which a current offset turns its flux [rad/s]          */ \
     NUMBER(least_d)  /* table: lowest i_d [A], ...                                           */ \
     NUMBER(most_d)   /* ... highest, ...                                                     */ \
@@ -62,7 +62,7 @@ typedef struct {
 /* Evaluates the map at a current in rotor coordinates [A]; a cage has this rotor flux [Wb]. */
 void fo_map_at(const fo_map *map, const fo_real current[2], fo_real rotor_flux, fo_mapped *at);
 
-/* Is the map one that can be evaluated? */
+/* Is the map well formed: finite, and its table consistent? */
 bool fo_map_good(const fo_map *map);
 
 /* Cosine and sine of an angle in (-pi, pi], to within 2e-9. */

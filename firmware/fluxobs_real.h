@@ -1,7 +1,7 @@
-/* What is chosen for all sources: the number type, and what a machine does not need. Functions and
- * types have names that tell it, so that a mixture does not link.
+/* Compile-time choices for all sources: the number type, and features that a machine does not need.
+ * The names of functions and types depend on them, so that a mixture does not link.
  *
- * SPDX-License-Identifier: MIT
+ * * SPDX-License-Identifier: MIT
  */
 #ifndef FLUXOBS_REAL_H
 #define FLUXOBS_REAL_H
@@ -63,7 +63,7 @@ typedef double fo_real;
 #define fo_observer FO_NAME(fo_observer)
 #define fo_information FO_NAME(fo_information)
 #define fo_tracker FO_NAME(fo_tracker)
-#define fo_shape FO_NAME(fo_shape)
+#define fo_map_point FO_NAME(fo_map_point)
 #define fo_state FO_NAME(fo_state)
 #define fo_estimate FO_NAME(fo_estimate)
 #define fo_gathered FO_NAME(fo_gathered)

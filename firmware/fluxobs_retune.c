@@ -8,8 +8,8 @@
 
 static bool equal(fo_real a, fo_real b) { return !(a < b) && !(a > b); }
 
-/* Is the state of one good for the other? It is in these units. */
-static bool alike(const fo_observer *a, const fo_observer *b)
+/* Do both observers have the same units of the state? */
+static bool same_units(const fo_observer *a, const fo_observer *b)
 {
     return equal(a->flux_base, b->flux_base) && equal(a->h, b->h) &&
            equal(a->drift_base, b->drift_base) && equal(a->Q1x2[0][0], b->Q1x2[0][0]) &&
@@ -26,22 +26,22 @@ void fo_retunable_init(fo_retunable *r, const fo_observer *first)
 fo_error fo_retune(fo_retunable *r, const fo_config *config)
 {
     const uint32_t active = r->active;
-    fo_error found = FO_ERROR_BUSY;
+    fo_error result = FO_ERROR_BUSY;
     if (r->ready == active) {
         fo_observer *spare = &r->both[1U - active];
-        found = fo_init(spare, config);
-        if (found == FO_OK && !alike(spare, &r->both[active])) {
-            found = FO_ERROR_OTHER;
+        result = fo_init(spare, config);
+        if (result == FO_OK && !same_units(spare, &r->both[active])) {
+            result = FO_ERROR_OTHER;
         }
 #if FO_MAPPED
         spare->map = r->both[active].map;
 #endif
-        if (found == FO_OK) {
+        if (result == FO_OK) {
             FO_BARRIER();
             r->ready = 1U - active;
         }
     }
-    return found;
+    return result;
 }
 
 const fo_observer *fo_take(fo_retunable *r)
@@ -60,10 +60,10 @@ void fo_adaptive_retunable_init(fo_adaptive_retunable *r, const fo_adaptive *fir
     r->ready = 0U;
 }
 
-/* The same for what has been learnt: errors of the inductances are not moved. */
-static bool alike_adaptive(const fo_adaptive *a, const fo_adaptive *b)
+/* The same for the learnt parameters; prior means of the inductances cannot be moved. */
+static bool same_learnt_units(const fo_adaptive *a, const fo_adaptive *b)
 {
-    bool good = alike(&a->plain, &b->plain) && equal(a->saliency, b->saliency) &&
+    bool good = same_units(&a->plain, &b->plain) && equal(a->saliency, b->saliency) &&
                 equal(a->plain.L_position, b->plain.L_position);
     for (int i = 0; i < (int)FO_CURVE; i++) {
         good = good && equal(a->std[i], b->std[i]);
@@ -75,22 +75,22 @@ fo_error fo_adaptive_retune(fo_adaptive_retunable *r, const fo_config *config,
                             const fo_adaptive_config *adaptive)
 {
     const uint32_t active = r->active;
-    fo_error found = FO_ERROR_BUSY;
+    fo_error result = FO_ERROR_BUSY;
     if (r->ready == active) {
         fo_adaptive *spare = &r->both[1U - active];
-        found = fo_adaptive_init(spare, config, adaptive);
-        if (found == FO_OK && !alike_adaptive(spare, &r->both[active])) {
-            found = FO_ERROR_OTHER;
+        result = fo_adaptive_init(spare, config, adaptive);
+        if (result == FO_OK && !same_learnt_units(spare, &r->both[active])) {
+            result = FO_ERROR_OTHER;
         }
 #if FO_MAPPED
         spare->plain.map = r->both[active].plain.map;
 #endif
-        if (found == FO_OK) {
+        if (result == FO_OK) {
             FO_BARRIER();
             r->ready = 1U - active;
         }
     }
-    return found;
+    return result;
 }
 
 const fo_adaptive *fo_adaptive_take(fo_adaptive_retunable *r, fo_adaptive_state *s)
@@ -98,9 +98,9 @@ const fo_adaptive *fo_adaptive_take(fo_adaptive_retunable *r, fo_adaptive_state 
     const uint32_t ready = r->ready;
     FO_BARRIER();
     if (ready != r->active) {
-        fo_real means[FO_MEANS];
-        fo_learning_means(&r->both[r->active], means);
-        fo_learning_rebase(&r->both[ready], s, means);
+        fo_real means[FO_PRIOR_MEANS];
+        fo_learning_prior_means(&r->both[r->active], means);
+        fo_learning_move_prior_means(&r->both[ready], s, means);
     }
     r->active = ready;
     return &r->both[ready];

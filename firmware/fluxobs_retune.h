@@ -62,7 +62,7 @@ typedef struct {
 void fo_retunable_init(fo_retunable *retunable, const fo_observer *first);
 
 /* In a task: prepares another configuration. Sample time, memory, Q1, flux_base and constraint_base
- * have to be those of the observer in use, since the state is in their units: change a copy of its
+ * must be those of the observer in use, since they are the units of the state: change a copy of its
  * configuration. FO_ERROR_BUSY: the interrupt has not yet taken the last one. */
 fo_error fo_retune(fo_retunable *retunable, const fo_config *config);
 
@@ -70,9 +70,9 @@ fo_error fo_retune(fo_retunable *retunable, const fo_config *config);
 const fo_observer *fo_take(fo_retunable *retunable);
 
 #if FO_ADAPTIVE
-/* The same for the adaptive observer. What it has learnt stays true: where the assumed value moves,
- * the error that it has found moves the other way; where nothing has been learnt, the new value
- * holds. Standard deviations and inductances have to stay. psi_f may change, flux_base may not. */
+/* The same for the adaptive observer. Where a prior mean moves, the estimated error moves the other
+ * way, so that the estimate stays; what the data have not determined follows the new prior mean.
+ * Standard deviations and inductances must stay. psi_f may change, flux_base may not. */
 typedef struct {
     fo_adaptive both[2];
     volatile uint32_t active;

@@ -1,7 +1,7 @@
-/* fluxobs, a start from a known angle: from Hall sensors, an alignment, high-frequency injection, an
- * encoder that is about to be left, another observer.
+/* fluxobs, seeds: a start from a known angle, from Hall sensors, an alignment, high-frequency
+ * injection, an encoder before it is switched off, or another observer.
  *
- * SPDX-License-Identifier: MIT
+ * * SPDX-License-Identifier: MIT
  */
 #ifndef FLUXOBS_SEED_H
 #define FLUXOBS_SEED_H
@@ -26,7 +26,7 @@ extern "C" {
 #define fo_adaptive_seed_state FO_NAME(fo_adaptive_seed_state)
 #endif
 
-/* What is known at the present current sample. */
+/* Angle, speed and flux at the present current sample, with standard deviations. */
 #define FO_SEED_FIELDS(NUMBER)                                                                    \
     NUMBER(theta_e)     /* in (-pi, pi] [rad]                                                 */ \
     NUMBER(theta_e_std) /* of Hall sensors 0.3, a sector over the root of 12 [rad]            */ \
@@ -39,18 +39,18 @@ typedef struct {
     FO_SEED_FIELDS(FO_NUMBER_FIELD)
 } fo_seed;
 
-/* Resets the state, and starts it at this angle and current [A]. The angle is carried on from here,
- * with a growing standard deviation, until the least squares know better, which they do earlier
- * than without (benchmarks/seeds.py). `valid` has to be earned as ever: an angle that was wrong is
- * corrected. What cannot be (not finite, no positive standard deviation, an absurd current, a flux
- * too short for a position) only resets the state. Do not call it while an interrupt may step the
- * same state. */
+/* Resets the state, and starts it at this angle and current [A]. The angle is integrated from here,
+ * with a growing standard deviation, until the least squares determines the flux; with a seed it
+ * does so earlier (benchmarks/seeds.py). `valid` needs the same evidence as without a seed, so that
+ * a wrong angle is corrected. An unusable seed (not finite, no positive standard deviation, an
+ * absurd current, a flux too short for a position) only resets the state. Do not call this while an
+ * interrupt may step the same state. */
 void fo_seed_state(const fo_observer *observer, fo_state *state, const fo_seed *seed,
                    const fo_real current[FO_N]);
 
 #if FO_ADAPTIVE
-/* The same for the adaptive observer. Where the angle is known to ten degrees, and the machine needs
- * no flux map, its filter runs from the first sample. What it has learnt is kept. */
+/* The same for the adaptive observer. Its filter runs from the first sample if the angle is known
+ * to ten degrees and the machine needs no flux map. The parameters keep their estimates. */
 void fo_adaptive_seed_state(const fo_adaptive *observer, fo_adaptive_state *state,
                             const fo_seed *seed, const fo_real current[FO_N]);
 #endif

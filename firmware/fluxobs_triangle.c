@@ -3,7 +3,7 @@
 
 #include "fluxobs_internal.h"
 
-void fo_rotate(int n, fo_real U[], fo_real d[], fo_real z[], int first, int last, fo_real row[],
+void fo_add_row_to(int n, fo_real U[], fo_real d[], fo_real z[], int first, int last, fo_real row[],
                fo_real *value, fo_real *information)
 {
     fo_real rhs = *value, weight = *information;
@@ -16,9 +16,9 @@ void fo_rotate(int n, fo_real U[], fo_real d[], fo_real z[], int first, int last
             d[i] = d_new;
             row[i] = ZERO;
             for (int j = i + 1; j < n; j++) {
-                const fo_real left = row[j] - pivot * *u;
-                row[j] = left;
-                *u++ += gain * left;
+                const fo_real reduced = row[j] - pivot * *u;
+                row[j] = reduced;
+                *u++ += gain * reduced;
             }
             rhs -= pivot * z[i];
             z[i] += gain * rhs;
@@ -42,15 +42,15 @@ void fo_solve(int n, const fo_real U[], const fo_real z[], int first, int last, 
     }
 }
 
-fo_real fo_variance(int n, const fo_real U[], const fo_real d[], int first, int last,
+fo_real fo_marginal_variance(int n, const fo_real U[], const fo_real d[], int first, int last,
                     fo_real direction[])
 {
-    const fo_real least = (fo_real)1e-30; /* rounding may leave nothing at all */
+    const fo_real d_min = (fo_real)1e-30; /* rounding may leave zero */
     fo_real sum = ZERO;
     const fo_real *u = &U[FO_ROW(n, first)];
     for (int i = first; i < last; i++) {
         const fo_real y = direction[i];
-        sum += y * y / (d[i] > least ? d[i] : least);
+        sum += y * y / (d[i] > d_min ? d[i] : d_min);
         for (int j = i + 1; j < n; j++) {
             direction[j] -= y * *u++;
         }

@@ -1,8 +1,7 @@
-/* Triangles of least squares: U x = z with weights d, U unit upper triangular, packed row by row
- * without its diagonal: the square-root information R x = sqrt(d) z, R = sqrt(d) U, without its
- * roots. Not for users.
+/* Square-root-free least squares: U x = z with weights d, U unit upper triangular, packed row by
+ * row without its diagonal; the information matrix is U' diag(d) U. Not for users.
  *
- * SPDX-License-Identifier: MIT
+ * * SPDX-License-Identifier: MIT
  */
 #ifndef FLUXOBS_TRIANGLE_H
 #define FLUXOBS_TRIANGLE_H
@@ -12,26 +11,27 @@
 /* Elements of the strict upper triangle of order n, and those before row i. */
 #define FO_PACKED(n) ((n) * ((n) - 1) / 2)
 #define FO_ROW(n, i) ((i) * (2 * (n) - (i) - 1) / 2)
-/* Element (i, j), i < j, of a triangle of order n. */
+/* Index of element (i, j), i < j, of a factor of order n. */
 #define FO_AT(n, i, j) (FO_ROW((int)(n), (int)(i)) + (int)(j) - (int)(i) - 1)
 
-#define fo_rotate FO_NAME(fo_rotate)
+#define fo_add_row_to FO_NAME(fo_add_row_to)
 #define fo_solve FO_NAME(fo_solve)
-#define fo_variance FO_NAME(fo_variance)
+#define fo_marginal_variance FO_NAME(fo_marginal_variance)
 
-/* Takes in row'x = value with this much information, by Gentleman's rotations, into the rows first
- * to last - 1 of a triangle of order n. The row ends as what is left of it, with its value and
- * information: zero before `last`, unless that is n. The weights must be positive where the row is
- * not zero. */
-void fo_rotate(int n, fo_real U[], fo_real d[], fo_real z[], int first, int last, fo_real row[],
+/* Adds row'x = value with this information to the rows first .. last - 1 of a factor of order n, by
+ * Gentleman's rotations. On return the row, its value and its information are what these rows do
+ * not contain: for last < n, a row on the unknowns from `last` on. Weights must be positive where
+ * the row is not zero. */
+void fo_add_row_to(int n, fo_real U[], fo_real d[], fo_real z[], int first, int last, fo_real row[],
                fo_real *value, fo_real *information);
 
-/* Solves the rows first to last - 1 of U x = z for x, given what follows in x. */
+/* Solves the rows first .. last - 1 of U x = z for x, given the later elements of x. */
 void fo_solve(int n, const fo_real U[], const fo_real z[], int first, int last, fo_real x[]);
 
-/* Variance of direction'x over the rows first to last - 1: the sum of y^2 / d, U'y = direction. The
- * direction ends as what is left of it, for the rows that follow. */
-fo_real fo_variance(int n, const fo_real U[], const fo_real d[], int first, int last,
+/* Part of the variance of direction'x from the rows first .. last - 1: the sum of y^2 / d, U'y =
+ * direction. On return the direction is that for the later rows; the parts add up to the marginal
+ * variance. */
+fo_real fo_marginal_variance(int n, const fo_real U[], const fo_real d[], int first, int last,
                     fo_real direction[]);
 
 #endif

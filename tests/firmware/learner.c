@@ -35,12 +35,12 @@ int main(void)
     a.through_L = next();
     a.unmodelled = next();
     a.slow = next();
-    a.plain.plausible = next();
+    a.plain.drift_prior_std = next();
     a.plain.square_min = 0.0;
     for (int i = 0; i < FO_NP; i++) {
         a.std[i] = next();
     }
-    fo_learning_forget(&a, &s);
+    fo_learning_reset(&a, &s);
     for (int i = 0; i < FO_N; i++) {
         s.flux[i] = next();
     }
@@ -54,29 +54,29 @@ int main(void)
     s.theta = next();
     s.now.block.theta = s.theta;
     s.running = true;
-    s.doubt = 0.0;
-    s.level = 1.0;
-    s.contradiction = 1.0;
+    s.emf_ratio = 0.0;
+    s.noise_level = 1.0;
+    s.innovation_power = 1.0;
     const int rows = (int)next();
     for (int k = 0; k < rows; k++) {
-        fo_effects t;
+        fo_interval t;
         for (int i = 0; i < FO_N; i++) {
             t.v[i] = next();
         }
         for (int j = 0; j < FO_NP; j++) {
             for (int i = 0; i < FO_N; i++) {
-                t.effect[j][i] = next();
+                t.sensitivity[j][i] = next();
             }
         }
         for (int i = 0; i < FO_N; i++) { /* the parameters learnt correct the volt-seconds */
             for (int j = FO_RESISTANCE; j < (int)FO_CURVE; j++) {
-                t.v[i] += s.p[j] * t.effect[j][i];
+                t.v[i] += s.p[j] * t.sensitivity[j][i];
             }
             s.plain.current[0][i] = next();
         }
-        s.plain.roughness = next();
+        s.plain.noise_inflation = next();
         s.knee = next();
-        if (!(fo_learning_sample(&a, &s, &t, true) > 0.0)) {
+        if (!(fo_learning_step(&a, &s, &t, true) > 0.0)) {
             return 1;
         }
         double out[2 * FO_N + FO_CURVE + 4];
@@ -87,10 +87,10 @@ int main(void)
         for (int j = 0; j < FO_CURVE; j++) {
             out[2 * FO_N + j] = s.p[j];
         }
-        out[2 * FO_N + FO_CURVE] = s.level;
-        out[2 * FO_N + FO_CURVE + 1] = s.contradiction;
-        out[2 * FO_N + FO_CURVE + 2] = s.across;
-        out[2 * FO_N + FO_CURVE + 3] = s.turning;
+        out[2 * FO_N + FO_CURVE] = s.noise_level;
+        out[2 * FO_N + FO_CURVE + 1] = s.innovation_power;
+        out[2 * FO_N + FO_CURVE + 2] = s.variance_across;
+        out[2 * FO_N + FO_CURVE + 3] = s.variance_by_L_q;
         (void)fwrite(out, sizeof out, 1, stdout);
     }
     return 0;

@@ -113,7 +113,7 @@ static void check_rotation(void)
         given[i] = (double)row[i];
         rhs[i] += 1.3 * given[i] * 0.7;
     }
-    fo_rotate(N, U, d, z, 0, M, row, &value, &information);
+    fo_add_row_to(N, U, d, z, 0, M, row, &value, &information);
     expand(N, N, U, d, after);
     for (int i = 0; i < N; i++) { /* rotated rows, and the row that is left */
         for (int j = 0; j < N; j++) {
@@ -128,7 +128,7 @@ static void check_rotation(void)
             failed = 1;
         }
     }
-    fo_rotate(N, U, d, z, M, N, row, &value, &information);
+    fo_add_row_to(N, U, d, z, M, N, row, &value, &information);
     expand(N, N, U, d, after);
     compare("rotation", after, all, N * N);
     fo_solve(N, U, z, 0, N, x);
@@ -150,8 +150,8 @@ static void check_rotation(void)
             variance += given[i] * inverse[i * N + j] * given[j];
         }
     }
-    double found = (double)fo_variance(N, U, d, 0, M, direction);
-    found += (double)fo_variance(N, U, d, M, N, direction);
+    double found = (double)fo_marginal_variance(N, U, d, 0, M, direction);
+    found += (double)fo_marginal_variance(N, U, d, M, N, direction);
     compare("variance", &found, &variance, 1);
 }
 
@@ -166,14 +166,14 @@ static void check_step_flux(void)
     invert(FO_NA, before, P);
     P[0] += 0.4;
     P[FO_NA + 1] += 0.4;
-    step_flux(&s, (fo_real)0.4);
+    add_flux_process_noise(&s, (fo_real)0.4);
     expand(FO_NA, FO_NA, s.U, s.d, after);
     invert(FO_NA, after, Q);
     compare("step of the flux", Q, P, FO_NA * FO_NA);
 }
 
 /* The transition to the end of a block: P <- F P F'. */
-static void check_carry(void)
+static void check_propagation(void)
 {
     fo_adaptive_state s;
     static double info[FO_NA * FO_NA], P[FO_NA * FO_NA], F[FO_NA * FO_NA], Q[FO_NA * FO_NA];
@@ -188,8 +188,8 @@ static void check_carry(void)
     for (int i = 0; i < FO_N; i++) {
         F[i * FO_NA + FO_N + i] = (double)s.now.block.time;
         for (int j = 0; j < FO_NP; j++) {
-            s.now.block.effect[j][i] = (fo_real)uniform();
-            F[i * FO_NA + FO_NF + j] = (double)s.now.block.effect[j][i];
+            s.now.block.sensitivity[j][i] = (fo_real)uniform();
+            F[i * FO_NA + FO_NF + j] = (double)s.now.block.sensitivity[j][i];
         }
     }
     expand(FO_NA, FO_NA, s.U, s.d, info);
@@ -204,7 +204,7 @@ static void check_carry(void)
             }
         }
     }
-    carry(&s, &s.now.block);
+    propagate(&s, &s.now.block);
     expand(FO_NA, FO_NA, s.U, s.d, info);
     invert(FO_NA, info, Q);
     compare("transition", Q, sought, FO_NA * FO_NA);
@@ -243,17 +243,17 @@ static void check_derivatives(void)
         double two[2], derivative = 0.0;
         for (int side = 0; side < 2; side++) {
             fo_adaptive_state t = s;
-            sight at;
+            linearisation_point at;
             const fo_real by = (fo_real)(side == 0 ? -step : step);
             if (n < FO_N) {
                 t.flux[n] += by;
             } else {
                 t.p[n - FO_N] += by;
             }
-            look(&a, &t, &at);
-            add(&a, &t, &at, &t.now.block);
+            linearise(&a, &t, &at);
+            add_sample(&a, &t, &at, &t.now.block);
             two[side] = (double)t.now.block.residual;
-            derivative += 0.5 * (double)(n < FO_N ? t.now.block.slope[n] : t.now.block.along[n - FO_N]);
+            derivative += 0.5 * (double)(n < FO_N ? t.now.block.by_flux[n] : t.now.block.by_parameter[n - FO_N]);
         }
         const double found = (two[1] - two[0]) / (2.0 * step);
         if (!(fabs(found - derivative) < 2e-3 * (1.0 + fabs(found)))) {
@@ -263,9 +263,8 @@ static void check_derivatives(void)
     }
 }
 
-/* What one std of each parameter adds to an interval's volt-seconds is the difference that it
- * makes. */
-static void check_effects(void)
+/* The sensitivities of an interval's volt-seconds are their differences by each parameter. */
+static void check_sensitivities(void)
 {
     static fo_adaptive a;
     static fo_adaptive_state s;
@@ -283,11 +282,11 @@ static void check_effects(void)
         double found[FO_N], effect[FO_N] = {0.0, 0.0};
         for (int side = 0; side < 2; side++) {
             fo_adaptive_state t = s;
-            fo_effects e;
+            fo_interval e;
             fo_real lost[FO_N], left[FO_N];
             t.p[j] += (fo_real)(side == 0 ? -step : step);
-            known_loss(&a, &t, i, lost);
-            straighten(&a, &t, u, left);
+            predicted_loss(&a, &t, i, lost);
+            correct_asymmetry(&a, &t, u, left);
             for (int n = 0; n < FO_N; n++) { /* as the plain observer takes it in */
                 t.plain.source[n] = a.volt * (left[n] - lost[n]);
                 found[n] = side == 0 ? -(double)t.plain.source[n]
@@ -295,13 +294,13 @@ static void check_effects(void)
             }
             t.plain.source[0] = a.volt * u[0]; /* by the voltage as measured */
             t.plain.source[1] = a.volt * u[1];
-            integrate(&a, &t, false, &e);
-            effect[0] += 0.5 * (double)e.effect[j][0];
-            effect[1] += 0.5 * (double)e.effect[j][1];
+            integrate_interval(&a, &t, false, &e);
+            effect[0] += 0.5 * (double)e.sensitivity[j][0];
+            effect[1] += 0.5 * (double)e.sensitivity[j][1];
         }
         for (int n = 0; n < FO_N; n++) {
             if (!(fabs(found[n] - effect[n]) < 2e-3 * (1e-3 + fabs(found[n])))) {
-                printf("effect %d: %g, is %g\n", j, effect[n], found[n]);
+                printf("sensitivity %d: %g, is %g\n", j, effect[n], found[n]);
                 failed = 1;
             }
         }
@@ -316,11 +315,11 @@ static void check_no_gain(void)
     fo_real row[FO_NA] = {ZERO};
     simple(&a);
     memset(&s, 0, sizeof s);
-    fo_learning_forget(&a, &s);
+    fo_learning_reset(&a, &s);
     row[FO_NF + FO_INVERTER] = ONE;
     row[FO_NF + FO_RESISTANCE] = (fo_real)0.5;
-    learn(&a, &s, row, -ONE, (fo_real)3, ZERO);
-    const double volts = (double)loss(&a, &s);
+    update_parameters(&a, &s, row, -ONE, (fo_real)3);
+    const double volts = (double)inverter_loss(&a, &s);
     if (!(fabs(volts) < 1e-4 && s.p[FO_RESISTANCE] < ZERO)) {
         printf("inverter: gains %g V\n", -volts);
         failed = 1;
@@ -378,7 +377,7 @@ static void check_projection(void)
     c.p[1] = (fo_real)-0.6;
     c.p[4] = ONE;
     for (int k = 0; k < 60; k++) {
-        fo_project(&a, &s, &c, &m);
+        fo_gauss_newton_step(&a, &s, &c, &m);
     }
     double p[FO_NM];
     for (int i = 0; i < FO_NM; i++) {
@@ -421,20 +420,20 @@ static void check_start(void)
     static fo_adaptive_state s;
     fo_manifold m;
     fo_candidate c;
-    fo_effects t;
+    fo_interval t;
     simple(&a);
-    a.plain.plausible = ONE;
+    a.plain.drift_prior_std = ONE;
     memset(&s, 0, sizeof s);
     memset(&c, 0, sizeof c);
     memset(&m, 0, sizeof m);
     memset(&t, 0, sizeof t);
-    fo_learning_forget(&a, &s);
-    s.doubt = ZERO;
+    fo_learning_reset(&a, &s);
+    s.emf_ratio = ZERO;
     s.tracker.speed = (fo_real)300;
     random_triangle(FO_NM, m.U, m.d, m.z);
     c.p[0] = ONE;
     c.p[4] = (fo_real)1.44;
-    t.effect[FO_RESISTANCE][1] = (fo_real)-0.02;
+    t.sensitivity[FO_RESISTANCE][1] = (fo_real)-0.02;
     fo_learning_start(&a, &s, &c, &m, (fo_real)2, &t);
     static double found[FO_NA * FO_NA], given[FO_NM * FO_NM];
     expand(FO_NA, FO_NF, s.U, s.d, found);
@@ -464,13 +463,13 @@ static void check_start(void)
     double before[3], after[3];
     conditional(&s, before);
     const double tight = 1.0 / (double)s.d[FO_N];
-    s.doubt = (fo_real)0.5;
-    s.unsure = (fo_real)0.002 / a.plain.h;
+    s.emf_ratio = (fo_real)0.5;
+    s.voltage_std = (fo_real)0.002 / a.plain.h;
     fo_learning_start(&a, &s, &c, &m, (fo_real)2, &t);
     conditional(&s, after);
     const double wide[3] = {before[0] + 0.3 * 0.25, before[1], before[2] + 0.3 * 0.25};
     compare("start, doubt of the flux", after, wide, 3);
-    const double turning = (double)s.unsure;
+    const double turning = (double)s.voltage_std;
     const double loose = 1.0 / (double)s.d[FO_N], due = tight + 0.3 * turning * turning;
     compare("start, doubt of the drift", &loose, &due, 1);
 }
@@ -549,7 +548,7 @@ static void check_functions(void)
 }
 
 /* The voltage that is lost: signs of the phases as a vector, and its derivative. */
-static void check_direction(void)
+static void check_soft_signs(void)
 {
     const double root = sqrt(3.0) / 2.0, over = 0.8, volts = 1.7;
     const double axes[3][2] = {{1.0, 0.0}, {-0.5, root}, {-0.5, -root}};
@@ -558,7 +557,7 @@ static void check_direction(void)
         const fo_real current[FO_N] = {(fo_real)i[0], (fo_real)i[1]};
         fo_real signs[FO_N], bend[3] = {ZERO, ZERO, ZERO};
         double sum[2] = {0.0, 0.0}, slope[3] = {0.0, 0.0, 0.0}, squares = 0.0;
-        const fo_real unsure = direction(current, (fo_real)over, (fo_real)volts, signs, bend);
+        const fo_real unsure = soft_signs(current, (fo_real)over, (fo_real)volts, signs, bend);
         for (int k = 0; k < 3; k++) {
             const double sign = tanh(over * (axes[k][0] * i[0] + axes[k][1] * i[1]));
             const double steep = volts * over * (1.0 - sign * sign);
@@ -599,14 +598,14 @@ static void check_settling(void)
 int main(void)
 {
     check_functions();
-    check_direction();
+    check_soft_signs();
     check_settling();
     for (int times = 0; times < 20; times++) {
         check_rotation();
         check_step_flux();
-        check_carry();
+        check_propagation();
         check_derivatives();
-        check_effects();
+        check_sensitivities();
         check_no_gain();
         check_projection();
         check_start();
