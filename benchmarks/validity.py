@@ -19,7 +19,7 @@ from fluxobs.simulation.drive import (
     rating,
     simulate_batch,
 )
-from fluxobs.simulation.drive.twin import SquareRootLeastSquares
+from fluxobs.simulation.drive.loop_observer import LoopObserver
 
 LANES, DURATION = 16, 2.5
 
@@ -48,7 +48,7 @@ def main() -> None:
                 sample_time=rated.sample_time,
                 current_noise=0.003 * I_n,
             )
-            observer = SquareRootLeastSquares.of(compiled)
+            observer = LoopObserver.of(compiled)
             drives, courses = [], []
             for lane in range(LANES):
                 rng = np.random.default_rng(lane)

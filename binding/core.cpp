@@ -18,6 +18,9 @@
 #include <vector>
 
 #include "lanes.h"
+#include "numbers.h"
+#include "parameters.h"
+#include "xla.h"
 
 extern "C" {
 #include "columns.h"
@@ -47,14 +50,6 @@ void copy(fo_real (&target)[FO_N][FO_N], const Matrix &source) {
 
 void copy(fo_real (&target)[FO_N], const Vector &source) {
     for (std::size_t i = 0; i < FO_N; i++) target[i] = static_cast<fo_real>(source(i));
-}
-
-// Beyond the range of single precision a number is infinite; the cast alone would be undefined.
-fo_real real(double x) {
-    constexpr double most = std::numeric_limits<fo_real>::max();
-    if (std::abs(x) > most)
-        return std::copysign(std::numeric_limits<fo_real>::infinity(), static_cast<fo_real>(x < 0 ? -1 : 1));
-    return static_cast<fo_real>(x);
 }
 
 template <class T>
@@ -87,6 +82,15 @@ nb::ndarray<nb::numpy, std::uint8_t> copies(const State &state, std::size_t lane
     for (std::size_t i = 0; i < lanes; i++)
         std::memcpy(raw.get() + i * sizeof state, &state, sizeof state);
     return owned(std::move(raw), {lanes, sizeof state});
+}
+
+// The observer and its flux map as bytes, an argument of the calls in xla.cpp.
+template <class Observer>
+nb::ndarray<nb::numpy, std::uint8_t> image_of(const Observer &observer, const fo_map *map) {
+    const std::vector<char> bytes = Parameters<Observer>::bytes(observer, map);
+    auto raw = std::make_unique<std::uint8_t[]>(bytes.size());
+    std::memcpy(raw.get(), bytes.data(), bytes.size());
+    return owned(std::move(raw), {bytes.size()});
 }
 
 // (lanes, bytes), (lanes, rows, 2) twice -> states, columns (count, lanes, rows), valid. `step`
@@ -407,6 +411,8 @@ public:
         return copies(state, 1);
     }
 
+    nb::ndarray<nb::numpy, std::uint8_t> image() const { return image_of(observer_, observer_.map); }
+
     // (bad_voltages, bad_currents, absurd, outliers, restarts) of one lane
     static nb::tuple counters(const States &states, std::size_t lane) {
         return counts(lane_of<fo_state>(states, lane));
@@ -483,6 +489,10 @@ public:
         return copies(state, 1);
     }
 
+    nb::ndarray<nb::numpy, std::uint8_t> image() const {
+        return image_of(observer_, observer_.plain.map);
+    }
+
     // as in Core
     static nb::tuple counters(const States &states, std::size_t lane) {
         return counts(lane_of<fo_adaptive_state>(states, lane).plain);
@@ -531,12 +541,14 @@ NB_MODULE(FLUXOBS_MODULE, m) {
         .def("mapped", &Core::mapped)
         .def("seed", &Core::seed)
         .def("run", &Core::run)
+        .def("image", &Core::image)
         .def_static("counters", &Core::counters);
     nb::class_<Adaptive>(m, "Adaptive")
         .def(nb::init<const Core &, const nb::dict &>(), nb::arg("core"), nb::arg("config"))
         .def("parameters", &Adaptive::parameters)
         .def("reset", &Adaptive::reset)
         .def("run", &Adaptive::run)
+        .def("image", &Adaptive::image)
         .def_static("counters", &Adaptive::counters)
         .def("learnt", &Adaptive::learnt)
         .def("seed", &Adaptive::seed)
@@ -552,6 +564,8 @@ NB_MODULE(FLUXOBS_MODULE, m) {
     m.def("kink_weights", &kink_weights, nb::arg("share"));
     m.attr("usual") = usual();
     m.attr("lanes") = lanes_here() ? static_cast<int>(LANES) : 1;
+    m.attr("xla_step") = nb::capsule(reinterpret_cast<void *>(&xla_step));
+    m.attr("xla_adaptive_step") = nb::capsule(reinterpret_cast<void *>(&xla_adaptive_step));
     m.attr("layout") = static_cast<int>(FO_LAYOUT);
     m.attr("state_bytes") = sizeof(fo_state);
     m.attr("adaptive_state_bytes") = sizeof(fo_adaptive_state);

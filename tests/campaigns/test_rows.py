@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import jax.numpy as jnp
 import numpy as np
 import polars as pl
@@ -13,17 +11,15 @@ from fluxobs.campaigns import rows as rows_module
 from fluxobs.campaigns import simulated as simulated_module
 from fluxobs.campaigns.columns import schema
 from fluxobs.campaigns.draws import Scenario, scenarios
-from fluxobs.campaigns.drives import cell_of, drive_of, motor_of
-from fluxobs.campaigns.in_loop import _HOST, in_loop
-from fluxobs.campaigns.observed import ObservedRecord, candidate
+from fluxobs.campaigns.drives import drive_of, motor_of
+from fluxobs.campaigns.observed import ObservedRecord
 from fluxobs.campaigns.rows import rows_for, rows_of
 from fluxobs.campaigns.scores import measures
-from fluxobs.campaigns.simulated import Kept, simulated
+from fluxobs.campaigns.simulated import Kept
 from fluxobs.campaigns.specification import Specification
 from fluxobs.errors import UsageError
 from fluxobs.machines import example
 from fluxobs.machines.heat import COPPER, NEODYMIUM
-from fluxobs.simulation.drive.twin import SquareRootLeastSquares
 
 VARY = {
     "R": {"normal": [1, 0.1]},
@@ -81,40 +77,6 @@ def test_rows_in_the_loop_do_not_depend_on_what_they_are_simulated_with():
     hinkkanen = whole.filter(pl.col("observer") != "adaptive")
     assert (hinkkanen["handed_over"] > 0.1).all()
     assert hinkkanen["in_loop"].max() > 0.1
-
-
-@pytest.mark.slow
-def test_the_compiled_observer_in_the_loop_is_its_twin():
-    """The call out of the simulation hands over what the twin in JAX computes inside of it."""
-    s = specification(loop="closed", observers=["plain"], vary={"noise": 0.002})
-    cell = cell_of(s, "servo-400w")
-    by = candidate(s.observers[0], cell, 0.002 * cell.current)
-    drawn = scenarios(s, 0, 3)
-    with in_loop(by, cell) as equip:
-        outside = {one.scenario.number: one.trace for one in simulated(s, drawn, 8, equip)}
-        twin = SquareRootLeastSquares.of(by.observer)
-        inside = {
-            one.scenario.number: one.trace
-            for one in simulated(s, drawn, 8, lambda drive: replace(equip(drive), observer=twin))
-        }
-    for number, trace in outside.items():
-        other = inside[number]
-        assert trace is not None
-        assert other is not None
-        np.testing.assert_array_equal(trace.mode, other.mode)
-        np.testing.assert_allclose(trace.speed, other.speed, atol=1e-6 * np.ptp(other.speed))
-
-
-def test_a_sample_left_out_is_noticed():
-    _HOST.observer = candidate(
-        specification().observers[0], cell_of(specification(), "servo-400w"), 0.01
-    ).observer
-    try:
-        _HOST.step(np.zeros(2), np.zeros((2, 2)), np.zeros((2, 2)))
-        with pytest.raises(RuntimeError, match="sample 2 of a simulation came when 1 was due"):
-            _HOST.step(np.full(2, 2), np.zeros((2, 2)), np.zeros((2, 2)))
-    finally:
-        _HOST.observer = None
 
 
 def test_a_scenario_that_cannot_be_is_a_row_that_says_so():

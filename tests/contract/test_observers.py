@@ -30,7 +30,7 @@ from fluxobs.observers import (
     Observer,
     outputs,
 )
-from fluxobs.simulation.drive.twin import SquareRootLeastSquares
+from fluxobs.simulation.drive.loop_observer import LoopObserver
 from support.records import CURRENTS, MACHINES, Samples, steady
 
 H, SPEED = 1e-4, 500.0
@@ -66,9 +66,9 @@ def immersed(name: str, unknowns: tuple[str, ...]) -> ImmersionObserver:
     )
 
 
-def twin() -> SquareRootLeastSquares:
+def twin() -> LoopObserver:
     compiled = LeastSquaresObserver.for_machine(MACHINES["servo-400w"], sample_time=H)
-    return SquareRootLeastSquares.of(compiled)
+    return LoopObserver.of(compiled)
 
 
 def baseline(entry: Any) -> Observer[Any, Any]:

@@ -93,14 +93,13 @@ def _closed(
     """Every observer in the loop of its own drive."""
     lanes = lanes_for(specification, cell.rated.sample_time)
     for by in candidates:
-        with in_loop(by, cell) as equip:
-            for one in simulated(specification, drawn, lanes, equip):
-                found = None
-                if one.trace is not None:
-                    trace = one.trace
-                    std = trace.std if by.compiled else None
-                    found = ObservedRecord(trace.angle, trace.seen_speed, trace.valid, std, {})
-                yield one, by, found
+        for one in simulated(specification, drawn, lanes, in_loop(by, cell)):
+            found = None
+            if one.trace is not None:
+                trace = one.trace
+                std = trace.std if by.compiled else None
+                found = ObservedRecord(trace.angle, trace.seen_speed, trace.valid, std, {})
+            yield one, by, found
 
 
 def _batches(stream: Iterator[Simulated], size: int) -> Iterator[list[Simulated]]:

@@ -24,7 +24,7 @@ from ..research.analysis import balanced_basis
 from ..research.regression import Parametrisation, SampledRegression
 from ..research.regression.laws import PEBO, DremObserver
 from ..simulation.drive import Motor
-from ..simulation.drive.twin import SquareRootLeastSquares
+from ..simulation.drive.loop_observer import LoopObserver
 from .baselines import (
     Baseline,
     ClampedIntegrator,
@@ -103,7 +103,7 @@ class Entry:
 PLL = 2 * np.pi * 40
 
 
-def _least_squares(s: Setting, g: Gains) -> SquareRootLeastSquares:
+def _least_squares(s: Setting, g: Gains) -> LoopObserver:
     compiled = LeastSquaresObserver.for_machine(
         s.machine,
         sample_time=s.sample_time,
@@ -115,7 +115,7 @@ def _least_squares(s: Setting, g: Gains) -> SquareRootLeastSquares:
         compiled = replace(compiled, drift_prior=max(compiled.drift_prior, s.drift_prior))
     if "tracker" in g:
         compiled = replace(compiled, tracker_bandwidth=g["tracker"])
-    return SquareRootLeastSquares.of(compiled)
+    return LoopObserver.of(compiled)
 
 
 def _memories(s: Setting) -> list[float]:

@@ -32,7 +32,7 @@ from fluxobs.simulation.drive import (
     to_rms,
     to_rpm,
 )
-from fluxobs.simulation.drive.twin import SquareRootLeastSquares
+from fluxobs.simulation.drive.loop_observer import LoopObserver
 from fluxobs.simulation.drive.vectors import from_phases, phases, turn
 
 H = 1.25e-4
@@ -425,7 +425,7 @@ def test_impossible_values_are_named():
     with pytest.raises(ModelError, match=r"drive.sensorless needs a drive.observer"):
         simulate(replace(drive(), sensorless=Sensorless(5.0, 40.0, 80.0)), Course(1.0, 540.0), 0.1)
     other = LeastSquaresObserver.for_machine(example("pmsm-2kw2"), sample_time=1e-3)
-    slow = replace(drive(), observer=SquareRootLeastSquares.of(other))
+    slow = replace(drive(), observer=LoopObserver.of(other))
     with pytest.raises(ModelError, match=r"the observer's sample time, 0.001 s, is not the dr"):
         simulate(slow, Course(1.0, 540.0), 0.1)
     with pytest.raises(ModelError, match="psi_f is missing"):

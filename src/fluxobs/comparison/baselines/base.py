@@ -10,8 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from ...simulation.drive.motor import Motor
-from ...simulation.drive.twin import wrap
-from ...simulation.drive.vectors import pair, vector
+from ...simulation.drive.vectors import pair, vector, wrap
 from ...simulation.precision import real
 
 

@@ -9,8 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from ...simulation.drive.twin import wrap
-from ...simulation.drive.vectors import pair, turn
+from ...simulation.drive.vectors import pair, turn, wrap
 from .base import Baseline, Guess, leaf
 
 

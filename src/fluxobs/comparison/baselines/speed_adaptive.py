@@ -8,8 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from ...simulation.drive.twin import wrap
-from ...simulation.drive.vectors import turn
+from ...simulation.drive.vectors import turn, wrap
 from .base import Baseline, Guess, leaf, pll_gains
 
 

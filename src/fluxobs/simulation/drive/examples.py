@@ -13,11 +13,11 @@ from ...observers import LeastSquaresObserver
 from ...observers.plain import MEMORY, TRACKER
 from .control import CageControl, Control
 from .inverter import Inverter
+from .loop_observer import LoopObserver
 from .motor import CageMotor, Mechanics, Motor, Plant
 from .sensorless import Sensorless
 from .sensors import Sensors
 from .simulate import Drive
-from .twin import SquareRootLeastSquares
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def sensorless_drive(
     return replace(
         drive,
         control=_control(Motor.of(taken), machine, rated, speed_bandwidth=speed_bandwidth),
-        observer=SquareRootLeastSquares.of(compiled),
+        observer=LoopObserver.of(compiled),
         sensorless=Sensorless.for_drive(
             _start_current(taken), rated.speed_e, ride=ride, speed=start_speed
         ),

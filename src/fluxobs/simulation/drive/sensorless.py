@@ -11,7 +11,7 @@ import numpy as np
 from jax import Array
 
 from ..precision import real
-from .twin import Reading
+from .loop_observer import Reading
 from .vectors import length, turn, unit
 
 #: Modes: open-loop rotation of the current vector (I/f), and control with the observer's angle.

@@ -20,11 +20,11 @@ from ...logs.record import Record
 from ..precision import real
 from .control import Control, ControlState
 from .inverter import Inverter
+from .loop_observer import Reading
 from .motor import Plant, PlantState
 from .profile import Profile
 from .sensorless import RUNNING, Sensorless, SensorlessState
 from .sensors import Sensors
-from .twin import Reading
 from .vectors import length, limit, pair, turn, unit, vector
 
 #: Trip current over the current limit.
@@ -41,7 +41,7 @@ class Drive(eqx.Module):
     Parameters
     ----------
     plant, inverter, sensors, control
-    observer : SquareRootLeastSquares, optional
+    observer : LoopObserver, optional
         Runs alongside; in the loop only with `sensorless`. Or any other module with `sample_time`,
         `init` and `step` whose readings have what :class:`Sensorless` and the control use.
     sensorless : Sensorless, optional
@@ -379,7 +379,7 @@ def check(drive: Drive, course: Course) -> None:
     ):
         part = getattr(drive, name, None)
         if not isinstance(part, kind):
-            advice = "; make it with SquareRootLeastSquares.of(…)" if name == "observer" else ""
+            advice = "; make it with LoopObserver.of(…)" if name == "observer" else ""
             raise ModelError(f"drive.{name} is a {type(part).__name__}{advice}")
     for name, dimensions in (("speed", 1), ("load", 1), ("dc_link", 1), ("voltage_offset", 2)):
         if getattr(course, name).values.ndim != dimensions:

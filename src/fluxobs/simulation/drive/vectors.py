@@ -69,6 +69,11 @@ def unit(z: Array) -> Array:
     return z / jnp.maximum(length(z), 1e-300)
 
 
+def wrap(angle: Array) -> Array:
+    """Wrap an angle into (-π, π]."""
+    return angle - 2 * np.pi * jnp.ceil((angle - np.pi) / (2 * np.pi))
+
+
 def limit(z: Array, most: Array) -> Array:
     """Limits the length of a vector; keeps its direction."""
     return z * jnp.minimum(1.0, most / jnp.maximum(length(z), 1e-300))
