@@ -1,18 +1,18 @@
-# make demo   the main job on a log shipped with the package: summary, estimates, picture
-# make test   the tests
-# make slow   the tests that take long and rarely break
-# make check  lint, types, and the C sources under every warning, MISRA and the sanitizers
+# make demo   estimates of a shipped log: summary, table, picture
+# make test   the tests, without the slow ones
+# make slow   the tests that take long and rarely fail
+# make check  lint, types, and the C sources with all warnings, MISRA and the sanitizers
 # make hosts  the observer in motulator's closed loop; needs Python 3.12
-# make pil    an exported firmware on emulated microcontrollers, its instructions counted
-# make fuzz   spoilt logs into the readers; ten million samples of anything into the C sources
-# make bench  the benchmarks, each with its number and the machine
+# make pil    exported firmware on emulated microcontrollers, with instruction counts
+# make fuzz   corrupted logs for the readers; ten million arbitrary samples for the C sources
+# make bench  the benchmarks; each prints its numbers and the computer
 # make docs   the documentation, in build/docs
-# make page   the page and the template of reports, in src/fluxobs/page
+# make page   the page and the report template, in src/fluxobs/page
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# The package is installed in editable mode, which knows its files by name: a new one asks for it anew.
+# An editable installation lists the package's files by name: a new file requires reinstallation.
 READY := $(VENV)/.ready-$(shell find src/fluxobs -name '*.py' | LC_ALL=C sort | cksum | cut -d ' ' -f 1)
 FIRMWARE := $(wildcard firmware/*.c)
 SOURCES := CMakeLists.txt pyproject.toml $(wildcard binding/*) $(FIRMWARE) $(wildcard firmware/*.h)
@@ -71,7 +71,7 @@ misra:
 	        cppcheck --std=c99 --addon=misra --enable=warning,style,performance,portability \
 	            --suppressions-list=tests/firmware/misra.txt --error-exitcode=1 --quiet \
 	            $$precision '-DFO_BARRIER()=' $(FIRMWARE) || exit 1; \
-	    done && echo "MISRA C:2012: nothing but the deviations in tests/firmware/misra.txt"; fi
+	    done && echo "MISRA C:2012: only the deviations in tests/firmware/misra.txt"; fi
 
 sanitize:
 	@for precision in -DFO_SINGLE=0 -DFO_SINGLE=1; do \
@@ -81,9 +81,9 @@ sanitize:
 	    && ./build-stress; status=$$?; rm -f build-stress; [ $$status -eq 0 ] || exit 1; \
 	done
 
-# Hosts that need another Python than the oldest: motulator's drives with our observer.
-HOSTS_PYTHON ?= $(shell for one in python3.13 python3.12 $$HOME/.pyenv/versions/3.1[23]*/bin/python3; \
-    do $$one -c '' 2>/dev/null && echo $$one && break; done)
+# Hosts that need a newer Python than the oldest supported one: motulator with our observer.
+HOSTS_PYTHON ?= $(shell for python in python3.13 python3.12 $$HOME/.pyenv/versions/3.1[23]*/bin/python3; \
+    do $$python -c '' 2>/dev/null && echo $$python && break; done)
 HOSTS := build/hosts
 
 hosts:
@@ -98,7 +98,7 @@ pil: $(READY)
 
 FUZZ_STEPS ?= 10000000L
 FUZZ_LOGS ?= 4000
-# 1: the same inputs every time; 0: others every time, to look further.
+# 1: the same inputs in every run; 0: random inputs.
 FUZZ_SEED ?= 1
 fuzz: $(READY)
 	$(BIN)/python tests/logs/fuzz_readers.py --cases $(FUZZ_LOGS) --seed $(FUZZ_SEED) 2>/dev/null
@@ -123,7 +123,7 @@ $(VENV)/.docs: $(READY) pyproject.toml
 	$(BIN)/python -m pip install --quiet --group docs
 	@touch $(VENV)/.docs
 
-# -W: a warning is an error; -n: so is a reference to nothing. -E -a: pages run the code anew.
+# -W: warnings are errors; -n: broken references are warnings; -E -a: rebuild all pages and rerun their code.
 docs: $(VENV)/.docs $(PAGE)
 	$(BIN)/sphinx-build -b html -W --keep-going -n -E -a -j 2 -q docs build/docs
 	@echo "Written: build/docs/index.html"
