@@ -49,7 +49,8 @@ _DEFAULTS = {"kv_of": "line peak", "K_e_of": "line rms", "K_t_of": "rms", "conne
 _RPM = 2 * math.pi / 60
 
 
-def _positive(name: str, value: object) -> float:
+def _check_positive(name: str, value: object) -> float:
+    """Return a positive finite number as float; raise ValueError for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
         raise ValueError(f"{name} must be a positive number [{FIELDS[name]}], got {value!r}")
     return float(value)
@@ -101,7 +102,7 @@ def from_datasheet(
         parameters[name] = float(f"{value:.6g}")
 
     if "poles" in sheet:
-        poles = _positive("poles", sheet.pop("poles"))
+        poles = _check_positive("poles", sheet.pop("poles"))
         if poles % 2:
             raise ValueError(f"poles must be even, got {poles:g}: n_p counts pairs")
         store("n_p", poles / 2)
@@ -112,7 +113,7 @@ def from_datasheet(
         ("rated_speed_rpm", "rated_speed", _RPM),
     ):
         if name in sheet:
-            store(parameter, factor * _positive(name, sheet.pop(name)))
+            store(parameter, factor * _check_positive(name, sheet.pop(name)))
     _convert_magnets(sheet, parameters, store, note, magnets)
     _convert_power(sheet, parameters, store, note, magnets)
     return parameters
@@ -135,12 +136,12 @@ def _convert_windings(
         share = 1.0 if connection == "star" else 1 / 3
     sheet.pop("connection", None)
     if "R_line" in sheet:
-        store("R_s", _positive("R_line", sheet.pop("R_line")) / 2)
+        store("R_s", _check_positive("R_line", sheet.pop("R_line")) / 2)
     if "R_phase" in sheet:
-        store("R_s", share * _positive("R_phase", sheet.pop("R_phase")))
+        store("R_s", share * _check_positive("R_phase", sheet.pop("R_phase")))
     for name, factor in (("L_line", 0.5), ("L_phase", share)):
         if name in sheet:
-            value = factor * _positive(name, sheet.pop(name))
+            value = factor * _check_positive(name, sheet.pop(name))
             for inductance in names:
                 store(inductance, value)
             if len(names) > 1:
@@ -150,7 +151,9 @@ def _convert_windings(
         raise ValueError("L_line_min and L_line_max belong together: give both or neither")
     if low is None or high is None:
         return
-    smaller, larger = sorted((_positive("L_line_min", low) / 2, _positive("L_line_max", high) / 2))
+    smaller, larger = sorted(
+        (_check_positive("L_line_min", low) / 2, _check_positive("L_line_max", high) / 2)
+    )
     if len(names) == 1:
         store(names[0], (smaller + larger) / 2)
         note(f"{names[0]} is half the mean of L_line_min and L_line_max")
@@ -186,7 +189,7 @@ def _convert_magnets(
     if not isinstance(n_p, int) or n_p < 1:
         raise ValueError(f"{names[0]} needs n_p, the pole pairs, or poles")
     name = names[0]
-    value = _positive(name, sheet.pop(name))
+    value = _check_positive(name, sheet.pop(name))
     quantity = _take_choice(sheet, f"{name}_of", _CHOICES[f"{name}_of"], note)
     if name == "kv":
         store("psi_f", VOLTAGES[quantity] / (value * _RPM * n_p))
@@ -206,7 +209,7 @@ def _convert_power(
     """Store the rated current from power and speed, unless it is given."""
     if "rated_power" not in sheet:
         return
-    power = _positive("rated_power", sheet.pop("rated_power"))
+    power = _check_positive("rated_power", sheet.pop("rated_power"))
     speed, psi, n_p = parameters.get("rated_speed"), parameters.get("psi_f"), parameters.get("n_p")
     if "rated_current" not in parameters and not speed:
         note("rated_power is ignored: it needs rated_speed_rpm")

@@ -97,7 +97,9 @@ class InductionMachine(RotatingMachine):
         if len(missing) < len(T_MODEL):
             if missing:
                 raise ValueError(f"the T-model needs {', '.join(T_MODEL)}: {missing[0]} is missing")
-            values |= from_t_model(**{name: _positive(name, values.pop(name)) for name in T_MODEL})
+            values |= from_t_model(
+                **{name: _check_positive(name, values.pop(name)) for name in T_MODEL}
+            )
         return values
 
     @property
@@ -155,7 +157,7 @@ def from_plate(plate: object) -> dict[str, Any]:
     """Estimate all parameters roughly from the rating plate."""
     if not isinstance(plate, Mapping) or set(plate) != set(PLATE):
         raise ValueError(f"plate needs {', '.join(PLATE)} [V rms, Hz, W, A rms, rpm, 1]")
-    V, f, P, I_rms, n, cos_phi = (_positive(f"plate.{name}", plate[name]) for name in PLATE)
+    V, f, P, I_rms, n, cos_phi = (_check_positive(f"plate.{name}", plate[name]) for name in PLATE)
     if not cos_phi < 1:
         raise ValueError(f"plate.cos_phi must be below 1, got {cos_phi:g}")
     n_p = int(60 * f / n)
@@ -190,7 +192,8 @@ def from_plate(plate: object) -> dict[str, Any]:
     return {name: float(f"{value:.4g}") for name, value in values.items()} | {"n_p": n_p}
 
 
-def _positive(name: str, value: object) -> float:
+def _check_positive(name: str, value: object) -> float:
+    """Return a positive finite number as float; raise ValueError for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
         raise ValueError(f"{name} must be a positive number, got {value!r}")
     return float(value)

@@ -82,8 +82,8 @@ class MagLev2DOF(Machine):
     def position(self, flux: ArrayLike, current: ArrayLike) -> tuple[Array, Array]:
         """Return the displacement q [m] and the length of the flux vector [Wb].
 
-        Each coil gives an equation for ``φ_k q``; least squares combines both. Without
-        flux q is undefined.
+        Each coil gives an equation for ``φ_k q``; least squares combines both.
+        Without flux q is undefined.
 
         Parameters
         ----------

@@ -303,7 +303,7 @@ class SynchronousMachine(RotatingMachine):
         Raises
         ------
         MachineError
-            The map is physically impossible.
+            The map is implausible, or a parameter that it needs is missing.
         """
         source: MapSource | FallingInductances | None = self.flux_map
         rated = {name: getattr(self, name, None) for name in self._rated_inductances()}

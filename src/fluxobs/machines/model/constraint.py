@@ -12,8 +12,8 @@ from ...core.arrays import Array
 from ...errors import ModelError
 
 
-def _frozen(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return a read-only array of this shape; raise ModelError if it is not finite."""
+def _freeze(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Return a read-only copy; raise ModelError unless it has this shape and is finite."""
     array = np.array(value, dtype=float)
     if array.shape != shape:
         raise ModelError(f"{name} must have shape {shape}, got {array.shape}")
@@ -67,16 +67,16 @@ class QuadraticConstraint:
     def __post_init__(self) -> None:
         n = len(np.atleast_1d(self.Q1))
         for name in ("Q1", "Q2", "Q3"):
-            matrix = _frozen(name, getattr(self, name), (n, n))
+            matrix = _freeze(name, getattr(self, name), (n, n))
             if name != "Q2":
-                matrix = _frozen(name, (matrix + matrix.T) / 2, (n, n))
+                matrix = _freeze(name, (matrix + matrix.T) / 2, (n, n))
             object.__setattr__(self, name, matrix)
         for name in ("E", "C"):
             value = getattr(self, name)
             object.__setattr__(
-                self, name, _frozen(name, np.zeros(n) if np.size(value) == 0 else value, (n,))
+                self, name, _freeze(name, np.zeros(n) if np.size(value) == 0 else value, (n,))
             )
-        object.__setattr__(self, "d", float(_frozen("d", self.d, ())))
+        object.__setattr__(self, "d", float(_freeze("d", self.d, ())))
 
     @property
     def n(self) -> int:
@@ -144,7 +144,7 @@ def invisible_offsets(
     """
     n, unknown = relations[0].n, set(unknowns)
     hessians = np.stack([relation.hessian() for relation in relations])
-    # Flux and current differ in size: balance rows and columns before finding the rank.
+    # Ports, fluxes and currents differ in size: balance rows and columns before finding the rank.
     scale = np.ones(2 * n)
     for _ in range(20):
         largest = np.abs(scale[:, None] * hessians * scale).max(axis=(0, 1))

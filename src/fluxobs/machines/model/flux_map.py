@@ -63,7 +63,7 @@ class FluxMap:
     def position_vector(
         self, flux: ArrayLike, current: ArrayLike, L_q: float
     ) -> tuple[Complex, Complex, Complex]:
-        """Return position vectors λ - e^{jφ}(F - a_d), φ being their own angle, (...).
+        """Return position vectors λ - e^{jφ}(F - a_d), where φ is their angle, (...).
 
         Parameters
         ----------
@@ -275,9 +275,9 @@ class TableMap(FluxMap):
 
 
 def weights(x: Array, span: Array, intervals: int) -> tuple[NDArray[np.int64], Array, Array]:
-    """Return the values and derivatives of the three splines at x in `span`, (..., 3).
+    """Return the first of the three splines at x in `span`, their values and derivatives.
 
-    Before them, the index of the first spline, (...).
+    The shapes are (...), (..., 3) and (..., 3).
     """
     per_unit = intervals / (span[1] - span[0])
     scaled = (x - span[0]) * per_unit

@@ -10,8 +10,8 @@ from ... import _core
 from ...core.arrays import Array
 from .frames import clarke
 
-#: The sign of a phase current is smoothed below this share of the rated current: near zero the
-#: switches' capacitances, not the dead time, determine the voltage.
+#: The sign of a phase current is smoothed below this share of the current's scale: near zero
+#: the switches' capacitances, not the dead time, determine the voltage.
 SMOOTHING: float = _core.usual["SMOOTHING"]
 
 

@@ -93,9 +93,11 @@ def firmware_record(
     applied = vectors(true.voltage + 1.5 * observer.drift_prior)
     missing = MISSING_VOLTAGE_ROW + longer
     applied[missing : missing + 2] = np.nan
-    return FirmwareRecord(_single(applied), _single(measured), wrap(true.theta_e[1:]))
+    return FirmwareRecord(
+        _round_to_single(applied), _round_to_single(measured), wrap(true.theta_e[1:])
+    )
 
 
-def _single(x: Array) -> Array:
+def _round_to_single(x: Array) -> Array:
     """Round to single precision."""
     return x.astype(np.float32).astype(float)

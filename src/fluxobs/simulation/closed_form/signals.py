@@ -73,7 +73,7 @@ def steady(
     divisor = np.where(moving, omega, 1.0)
     means = np.where(moving, np.diff(turn) / (1j * divisor * sample_time), turn[1:])
     flux = complex(machine.flux_dq(i_dq)) * turn
-    return _signals(machine, sample_time, theta, flux, i_dq * turn, i_dq * means)
+    return _with_voltage(machine, sample_time, theta, flux, i_dq * turn, i_dq * means)
 
 
 def driven(
@@ -96,7 +96,9 @@ def driven(
     current = i_dq * turn
     flux = machine.flux_dq(i_dq) * turn
     means = interval_means(current, parts)
-    return _signals(machine, sample_time, theta[::parts], flux[::parts], current[::parts], means)
+    return _with_voltage(
+        machine, sample_time, theta[::parts], flux[::parts], current[::parts], means
+    )
 
 
 def driven_cage(
@@ -138,7 +140,9 @@ def driven_cage(
     flux = (psi + machine.L_sigma * i_dq) * turn
     means = interval_means(current, parts)
     mechanical = (speed - machine.R_R * i_q / psi) / machine.n_p
-    true = _signals(machine, sample_time, theta[::parts], flux[::parts], current[::parts], means)
+    true = _with_voltage(
+        machine, sample_time, theta[::parts], flux[::parts], current[::parts], means
+    )
     return true, mechanical[::parts]
 
 
@@ -174,7 +178,7 @@ def vectors(z: AnyComplex) -> Array:
     return np.stack([np.real(z), np.imag(z)], axis=-1)
 
 
-def _signals(
+def _with_voltage(
     machine: RotatingMachine,
     sample_time: float,
     theta: Array,
@@ -182,7 +186,7 @@ def _signals(
     current: AnyComplex,
     mean_current: AnyComplex,
 ) -> Signals:
-    """Add the voltage to the other signals."""
+    """Return the signals, completed by the voltage."""
     voltage = np.diff(flux) / sample_time + machine.R_s * mean_current
-    vectors = (np.asarray(z, complex) for z in (flux, current, mean_current, voltage))
-    return Signals(sample_time, theta, *vectors)
+    space_vectors = (np.asarray(z, complex) for z in (flux, current, mean_current, voltage))
+    return Signals(sample_time, theta, *space_vectors)

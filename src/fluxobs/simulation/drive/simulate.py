@@ -523,8 +523,12 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
         slip = motor.slip((current * jnp.conj(direction)).imag, rotor_flux)
         speed_e = motor.n_p * state.speed + slip
         mode = jnp.asarray(RUNNING)
-        control_state, torque, cut = control.speed_step(control_state, reference, state.speed)
-        wanted = control.current_for(torque, control_state.weakening, rotor_flux, speed_e, dc_link)
+        control_state, torque, current_limited = control.speed_step(
+            control_state, reference, state.speed
+        )
+        current_reference = control.current_for(
+            torque, control_state.weakening, rotor_flux, speed_e, dc_link
+        )
     else:
         sensorless, direction, speed_e, changed = drive.sensorless.step(
             sensorless, reading, motor.n_p * reference, measured, h
@@ -535,18 +539,18 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
         torque_now = motor.torque_dq(current_dq.real, current_dq.imag)
         running = mode == RUNNING
         voltage = loop.pending * jnp.conj(direction)
-        entered = control.continued(control_state, voltage, current_dq, speed_e, running)
+        carried = control.continued(control_state, voltage, current_dq, speed_e, running)
         control_state = control_state._replace(
-            voltage=jnp.where(changed, entered.voltage, control_state.voltage),
+            voltage=jnp.where(changed, carried.voltage, control_state.voltage),
             torque=jnp.where(running & ~changed, control_state.torque, torque_now),
         )
         slip = control.motor.slip(current_dq.imag, reading.psi_f)
         speed = (speed_e - slip) / motor.n_p
-        stepped, torque, cut = control.speed_step(control_state, reference, speed)
+        stepped, torque, current_limited = control.speed_step(control_state, reference, speed)
         control_state = control_state._replace(
             torque=jnp.where(running, stepped.torque, control_state.torque)
         )
-        cut = cut & running
+        current_limited = current_limited & running
         demand = jnp.where(
             running,
             control.current_for(torque, control_state.weakening, reading.psi_f, speed_e, dc_link),
@@ -554,9 +558,14 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
         )
         transient = jnp.where(changed, current_dq - demand, sensorless.transient)
         sensorless = sensorless._replace(transient=transient)
-        wanted = limit(demand + transient, control.current_limit)
-    control_state, voltage_dq, limited = control.current_step(
-        control_state, wanted, measured * jnp.conj(direction), speed_e, dc_link, mode == RUNNING
+        current_reference = limit(demand + transient, control.current_limit)
+    control_state, voltage_dq, voltage_limited = control.current_step(
+        control_state,
+        current_reference,
+        measured * jnp.conj(direction),
+        speed_e,
+        dc_link,
+        mode == RUNNING,
     )
     # The middle of the voltage's interval is half a sample later; with a delay, one and a half.
     ahead = (1.5 if delay else 0.5) * h * speed_e
@@ -577,10 +586,10 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
         jnp.arctan2(state.rotor.imag, state.rotor.real),
         state.speed,
         motor.torque(state.flux, current),
-        wanted,
+        current_reference,
         mode,
-        limited,
-        cut,
+        voltage_limited,
+        current_limited,
         tripped,
         reference,
         reading,
