@@ -1,4 +1,4 @@
-"""Datasheets: against quantities that do not depend on how a motor is described."""
+"""Datasheets against physical quantities, which do not depend on the motor's description."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def surface(**fields):
 
 
 def terminal_voltage(machine, omega):
-    """Peak voltage between two terminals of the turning machine, from its flux over a turn."""
+    """Return the peak voltage between two terminals, from the flux over a turn."""
     angle = np.linspace(0, 2 * np.pi, 721)
     phases = [machine.psi_f * np.cos(angle - shift) for shift in (0, 2 * np.pi / 3)]
     line = np.gradient(phases[0] - phases[1], angle) * machine.n_p * omega
@@ -24,41 +24,41 @@ def terminal_voltage(machine, omega):
 
 
 @pytest.mark.parametrize("of", ["line peak", "line rms"])
-def test_kv_is_the_speed_at_a_volt_between_terminals(of):
+def test_kv_is_the_speed_per_volt_between_terminals(of):
     machine = surface(kv=900.0, kv_of=of)
-    volt = terminal_voltage(machine, 900 * 2 * np.pi / 60)
-    assert volt == pytest.approx(1.0 if of == "line peak" else np.sqrt(2), rel=1e-4)
+    voltage = terminal_voltage(machine, 900 * 2 * np.pi / 60)
+    assert voltage == pytest.approx(1.0 if of == "line peak" else np.sqrt(2), rel=1e-4)
 
 
-def test_a_constant_of_voltage_and_one_of_torque_are_the_same_magnets():
-    """Power is conserved: three times the rms phase EMF times the rms current is torque · speed."""
+def test_voltage_and_torque_constants_give_the_same_flux():
+    """Power balance: three times the rms phase EMF times the rms current is torque · speed."""
     omega, rms = 100.0, 3.0
-    of_voltage = surface(K_e=52.0)  # V rms between terminals at 1000 rpm
+    from_voltage = surface(K_e=52.0)  # V rms between terminals at 1000 rpm
     emf = 52.0 / 1000 * omega * 60 / (2 * np.pi) / np.sqrt(3)
     torque = 3 * emf * rms / omega
-    of_torque = surface(K_t=torque / rms)
-    assert of_torque.psi_f == pytest.approx(of_voltage.psi_f, rel=1e-4)
+    from_torque = surface(K_t=torque / rms)
+    assert from_torque.psi_f == pytest.approx(from_voltage.psi_f, rel=1e-4)
     assert surface(K_t=torque / rms / np.sqrt(2), K_t_of="peak").psi_f == pytest.approx(
-        of_voltage.psi_f, rel=1e-4
+        from_voltage.psi_f, rel=1e-4
     )
 
 
-def test_block_commutation_turns_volts_into_torque():
-    """Power is conserved: DC volts between two terminals times the DC current."""
-    per_volt = 700.0  # rpm
-    of_torque = surface(K_t=60 / (2 * np.pi) / per_volt, K_t_of="dc")
-    assert of_torque.psi_f == pytest.approx(surface(kv=per_volt).psi_f, rel=1e-4)
+def test_block_commutation_relates_volts_to_torque():
+    """Power balance: DC voltage between two terminals times DC current is torque · speed."""
+    kv = 700.0  # rpm/V
+    from_torque = surface(K_t=60 / (2 * np.pi) / kv, K_t_of="dc")
+    assert from_torque.psi_f == pytest.approx(surface(kv=kv).psi_f, rel=1e-4)
 
 
-def test_a_power_alone_and_no_inductance():
+def test_power_without_speed_and_missing_inductance():
     fields = {"poles": 4, "kv": 900, "R_line": 0.1}
-    made = new_machine("surface-pmsm", fields | {"L_line": 3e-5, "rated_power": 90})
-    assert any("no use without" in a for a in made.assumed)
+    new = new_machine("surface-pmsm", fields | {"L_line": 3e-5, "rated_power": 90})
+    assert any("needs rated_speed_rpm" in text for text in new.assumed)
     with pytest.raises(MachineError, match="Measure it between two terminals with an LCR meter"):
         new_machine("surface-pmsm", fields)
 
 
-def test_windings_by_the_network_between_two_terminals():
+def test_winding_resistance_in_star_and_delta():
     star, delta = 0.3, 0.9
     between_star, between_delta = 2 * star, 1 / (1 / delta + 1 / (2 * delta))
     assert between_star == pytest.approx(between_delta)
@@ -71,12 +71,12 @@ def test_windings_by_the_network_between_two_terminals():
         assert machine.R_s == pytest.approx(star, rel=1e-6)
 
 
-def test_axes_from_the_least_and_the_most():
+def test_inductances_from_the_smallest_and_the_largest():
     line = {"R_line": 1.0, "L_line_min": 4e-3, "L_line_max": 10e-3, "n_p": 3}
     interior, reluctance = InteriorPMSM(psi_f=0.1, **line), SynchronousReluctance(**line)
     assert interior.L_dq == pytest.approx((2e-3, 5e-3))
     assert reluctance.L_dq == pytest.approx((5e-3, 2e-3))
-    # between two terminals 2 L_Σ - 2 L_Δ cos is seen: its mean is L_d + L_q
+    # Between two terminals the inductance is 2 L_Σ - 2 L_Δ cos: its mean is L_d + L_q.
     assert SurfacePMSM(psi_f=0.1, **line).L_s == pytest.approx(3.5e-3)
 
 
@@ -102,7 +102,7 @@ def test_rated_values():
         ({"psi_f": PSI, "L_line_min": 0.4}, "belong together"),
     ],
 )
-def test_what_is_wrong_is_said(fields, message):
+def test_wrong_fields_are_named(fields, message):
     with pytest.raises(MachineError, match=message):
         surface(**fields)
 
@@ -112,23 +112,23 @@ def test_a_reluctance_machine_has_no_kv():
         SynchronousReluctance(R_line=1.0, L_d=0.1, L_q=0.02, n_p=2, kv=900.0)
 
 
-def test_a_new_machine_file_is_read_again(tmp_path):
-    given = {"poles": 14, "kv": 900, "R_line": 0.11, "L_line": 28e-6, "rated_current_rms": 20}
-    made = new_machine("surface-pmsm", given)
-    (tmp_path / "motor.toml").write_text(made.text)
-    again = read_machine(tmp_path / "motor.toml")
-    assert again == made.machine
-    assert any("line peak" in text for text in made.assumed)
+def test_a_new_machine_file_can_be_read(tmp_path):
+    fields = {"poles": 14, "kv": 900, "R_line": 0.11, "L_line": 28e-6, "rated_current_rms": 20}
+    new = new_machine("surface-pmsm", fields)
+    (tmp_path / "motor.toml").write_text(new.text)
+    reread = read_machine(tmp_path / "motor.toml")
+    assert reread == new.machine
+    assert any("line peak" in text for text in new.assumed)
     (tmp_path / "sheet.toml").write_text(
         'kind = "surface-pmsm"\npoles = 14\nkv = 900\nR_line = 0.11\nL_line = 28e-6\n'
         "rated_current_rms = 20\n"
     )
-    assert read_machine(tmp_path / "sheet.toml") == again
+    assert read_machine(tmp_path / "sheet.toml") == reread
 
 
-def test_the_plate_of_an_induction_machine():
+def test_a_machine_from_an_induction_motor_plate():
     plate = {"voltage": 400, "frequency": 50, "power": 2200, "current": 5.0, "speed": 1436}
-    made = new_machine("induction", plate | {"cos_phi": 0.82})
-    assert made.machine.n_p == 2
+    new = new_machine("induction", plate | {"cos_phi": 0.82})
+    assert new.machine.n_p == 2
     with pytest.raises(MachineError, match="unknown field 'curent'"):
         new_machine("induction", {"curent": 5.0})

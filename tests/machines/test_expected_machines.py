@@ -1,4 +1,4 @@
-"""All that shipped machines, and machines from data sheets, compute of themselves, as it was."""
+"""Computed properties of shipped machines and datasheet machines against committed values."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from fluxobs.machines import RotatingMachine, example, example_names
 from fluxobs.machines.new import new_machine
 from support.expected import check
 
-#: As shares of the rated current, in rotor coordinates.
+#: Currents in rotor coordinates, as shares of the rated current.
 CURRENTS = np.array([0.1, 0.8j, -0.6 + 0.3j, 0.5 - 1.1j, 1.2 + 1.2j])
 DATASHEETS = {
     "drone": ("surface-pmsm", {"poles": 14, "kv": 900, "R_line": 0.1, "L_line": 3e-5}),
@@ -33,8 +33,8 @@ DATASHEETS = {
 }
 
 
-def computed(machine):
-    shown = {
+def computed_properties(machine):
+    properties = {
         "parameters": {
             name: value if isinstance(value, int | float | str | None) else str(type(value))
             for name, value in machine.parameters().items()
@@ -47,14 +47,14 @@ def computed(machine):
         "memory": machine.memory,
     }
     if not isinstance(machine, RotatingMachine):
-        return shown
+        return properties
     rated = machine.rated_current or 5.0
     i = rated * CURRENTS
     psi = machine.flux_dq(i)
     flux, current = (np.stack([x.real, x.imag], axis=-1) for x in (psi * 1j, i * 1j))
     std = 0.01 * np.abs(psi)[:, None] * np.array([1.0, 0.5])
     relation = machine.constraint
-    return shown | {
+    return properties | {
         "magnet": [machine.magnet_flux, machine.magnet_flux_std, machine.magnetizing_current],
         "inductances": [*machine.L_dq, machine.position_inductance, machine.transient_inductance],
         "inductance stds": machine.inductance_stds(0.1),
@@ -70,10 +70,12 @@ def computed(machine):
 
 @pytest.mark.parametrize("name", example_names())
 def test_a_shipped_machine(name):
-    check(f"machines/{name}", computed(example(name)))
+    check(f"machines/{name}", computed_properties(example(name)))
 
 
 @pytest.mark.parametrize("name", DATASHEETS)
-def test_a_machine_from_a_data_sheet(name):
-    made = new_machine(*DATASHEETS[name])
-    check(f"machines/new-{name}", {"text": made.text.splitlines(), **computed(made.machine)})
+def test_a_machine_from_a_datasheet(name):
+    new = new_machine(*DATASHEETS[name])
+    check(
+        f"machines/new-{name}", {"text": new.text.splitlines(), **computed_properties(new.machine)}
+    )

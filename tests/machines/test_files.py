@@ -1,4 +1,4 @@
-"""Machines from files: what is accepted, and how what is not is explained."""
+"""Machines from files: valid files, and messages for invalid ones."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from fluxobs import MachineError, SurfacePMSM, read_machine
 from fluxobs.machines import KINDS, example, example_names, machine_from
 
-GOOD = {"kind": "surface-pmsm", "R_s": 0.4, "L_s": 1e-3, "n_p": 4}
+VALID = {"kind": "surface-pmsm", "R_s": 0.4, "L_s": 1e-3, "n_p": 4}
 
 
 def test_shipped_machines_are_of_every_kind():
@@ -43,17 +43,17 @@ def test_machines_are_frozen():
         ({"kind": "interior-pmsm"}, "L_d is missing"),
     ],
 )
-def test_complaints_name_field_and_remedy(change, message):
+def test_messages_name_field_and_remedy(change, message):
     with pytest.raises(MachineError, match=f"motor.toml.*({message})"):
-        machine_from(GOOD | change, source="motor.toml")
+        machine_from(VALID | change, source="motor.toml")
 
 
-def test_several_complaints_at_once():
+def test_a_message_lists_all_wrong_fields():
     with pytest.raises(MachineError, match=r"L_s is missing.*R_s must be positive|R_s.*L_s"):
         machine_from({"kind": "surface-pmsm", "R_s": -1, "n_p": 2})
 
 
-def test_saliency_must_be_the_right_way_round():
+def test_L_d_must_exceed_L_q():
     fields = {"kind": "synchronous-reluctance", "R_s": 1, "L_d": 1e-3, "L_q": 2e-3, "n_p": 2}
     with pytest.raises(MachineError, match="L_d must be larger than L_q"):
         machine_from(fields)
@@ -76,9 +76,9 @@ def test_unreadable_files(tmp_path, text, message):
 
 
 def test_the_transient_inductance_is_the_mean_over_directions():
-    """A voltage step in a direction n raises the current along it by n'L⁻¹n per second."""
+    """A voltage step along n raises the current along n by n'L⁻¹n per second."""
     machine = example("ipm-2kw2")
     n = np.array([np.cos(a := np.linspace(0, np.pi, 360, endpoint=False)), np.sin(a)])
-    rise = np.einsum("ik,ij,jk->k", n, np.diag(1 / np.array(machine.L_dq)), n)
-    assert machine.transient_inductance == pytest.approx(1 / rise.mean(), rel=1e-12)
+    slope = np.einsum("ik,ij,jk->k", n, np.diag(1 / np.array(machine.L_dq)), n)
+    assert machine.transient_inductance == pytest.approx(1 / slope.mean(), rel=1e-12)
     assert machine.transient_inductance < 0.99 * np.mean(machine.L_dq)

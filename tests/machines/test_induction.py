@@ -1,4 +1,4 @@
-"""The induction machine: conversions of its parameters, slip, and what it refuses."""
+"""The induction machine: parameter conversions, slip, scales and refused parameters."""
 
 from __future__ import annotations
 
@@ -13,40 +13,40 @@ MACHINE = example("induction-2kw2")
 T_MODEL = {"R_r": 2.4, "L_ls": 0.011, "L_lr": 0.013, "L_m": 0.23}
 
 
-def test_the_t_model_has_the_same_terminals():
-    """Impedance at the terminals, at any frequency and slip."""
+def test_t_model_and_inverse_gamma_have_the_same_impedance():
+    """At the terminals, for any frequency and slip."""
     machine = InductionMachine(R_s=3.7, n_p=2, **T_MODEL)
     for omega, slip in ((314.0, 0.05), (314.0, 1.0), (60.0, -0.3)):
-        rotor = T_MODEL["R_r"] / slip + 1j * omega * T_MODEL["L_lr"]
-        across = 1j * omega * T_MODEL["L_m"]
-        t_model = 3.7 + 1j * omega * T_MODEL["L_ls"] + across * rotor / (across + rotor)
-        across = 1j * omega * machine.L_M
+        rotor_branch = T_MODEL["R_r"] / slip + 1j * omega * T_MODEL["L_lr"]
+        main = 1j * omega * T_MODEL["L_m"]
+        t_model = 3.7 + 1j * omega * T_MODEL["L_ls"] + main * rotor_branch / (main + rotor_branch)
+        main = 1j * omega * machine.L_M
         inverse_gamma = (
             machine.R_s
             + 1j * omega * machine.L_sigma
-            + across * machine.R_R / slip / (across + machine.R_R / slip)
+            + main * machine.R_R / slip / (main + machine.R_R / slip)
         )
         assert inverse_gamma == pytest.approx(t_model, rel=1e-12)
 
 
-def test_a_plate_gives_back_its_own_operating_point():
+def test_plate_parameters_reproduce_the_rated_operating_point():
     plate = {"voltage": 400, "frequency": 50, "power": 2200, "current": 5.0, "speed": 1436}
     machine = InductionMachine(plate=plate | {"cos_phi": 0.82})
     assert machine.n_p == 2
     assert machine.rated_current == pytest.approx(5 * np.sqrt(2), rel=1e-3)
     omega, slip = 2 * np.pi * 50, 1 - 1436 / 1500
-    across = 1j * omega * machine.L_M
+    main = 1j * omega * machine.L_M
     impedance = (
         machine.R_s
         + 1j * omega * machine.L_sigma
-        + across * machine.R_R / slip / (across + machine.R_R / slip)
+        + main * machine.R_R / slip / (main + machine.R_R / slip)
     )
     current = 400 / np.sqrt(3) / impedance
     assert abs(current) == pytest.approx(5.0, rel=0.01)
     assert np.cos(np.angle(current)) == pytest.approx(0.82, rel=0.01)
 
 
-def test_slip_of_a_steady_state():
+def test_slip_in_steady_state():
     psi, i_d, i_q = 0.9, 0.9 / MACHINE.L_M, 3.0
     direction = np.exp(0.4j)
     i = (i_d + 1j * i_q) * direction
@@ -55,14 +55,14 @@ def test_slip_of_a_steady_state():
     assert MACHINE.slip(*pair) == pytest.approx(MACHINE.R_R * i_q / psi)
 
 
-def test_scales_without_a_rated_flux():
+def test_flux_base_without_a_rated_flux():
     machine = MACHINE.with_values(psi_R=None)
     assert 0.5 < machine.flux_base(7.1) / 0.9 < 2
     assert machine.flux_base(7.1, psi_f=0.4) == 0.4
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("fields", "message"),
     [
         ({"R_R": 2.0, "L_sigma": 0.02}, "L_M is missing"),
         ({"R_r": 2.0, "L_ls": 0.01, "L_m": 0.2}, "L_lr is missing"),
@@ -72,7 +72,7 @@ def test_scales_without_a_rated_flux():
         (T_MODEL | {"R_r": float("inf")}, "R_r must be a positive number"),
         (T_MODEL | {"R_r": True}, "R_r must be a positive number"),
         (T_MODEL | {"R_r": "1"}, "R_r must be a positive number"),
-        ({"plate": {"voltage": 400}}, "plate has voltage, frequency, power"),
+        ({"plate": {"voltage": 400}}, "plate needs voltage, frequency, power"),
         (
             {
                 "plate": {
@@ -101,14 +101,14 @@ def test_scales_without_a_rated_flux():
         ),
     ],
 )
-def test_refusals(given, message):
+def test_wrong_parameters_are_refused(fields, message):
     with pytest.raises(MachineError, match=message):
-        InductionMachine(**({"R_s": 3.7, "n_p": 2} | given))
+        InductionMachine(**({"R_s": 3.7, "n_p": 2} | fields))
 
 
 @pytest.mark.parametrize("rated", [5.0, None])
 def test_the_map_of_a_cage(rated):
-    """Its thresholds are shares of the magnetizing and of the rated current."""
+    """Thresholds are shares of the magnetizing and of the rated current."""
     machine = InductionMachine(
         R_s=3.7, n_p=2, R_R=2.1, L_sigma=0.021, L_M=0.224, rated_current=rated
     )

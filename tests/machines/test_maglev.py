@@ -1,4 +1,4 @@
-"""The levitated lever: position, constraint and deviations from its reluctances."""
+"""The levitated lever: position, constraint and standard deviations, from its reluctances."""
 
 import numpy as np
 import pytest
@@ -12,21 +12,22 @@ GAPS = np.stack([MACHINE.g - Q, MACHINE.g + Q], axis=1)
 CURRENT = FLUX * GAPS / [MACHINE.k_1, MACHINE.k_2]
 
 
-def test_the_position_is_where_both_reluctances_agree():
+def test_the_position_satisfies_both_reluctances():
     position, length = MACHINE.position(FLUX, CURRENT)
     np.testing.assert_allclose(position, Q)
     np.testing.assert_allclose(length, np.linalg.norm(FLUX, axis=1))
 
 
-def test_a_current_that_is_off_moves_the_least_squares():
-    """Each coil tells φ q; the one with more flux counts more."""
-    off = CURRENT + np.array([0.05, -0.02])
+def test_wrong_currents_are_combined_by_least_squares():
+    """Each coil gives φ q; the coil with more flux has more weight."""
+    wrong = CURRENT + np.array([0.05, -0.02])
     k = np.array([MACHINE.k_1, MACHINE.k_2])
-    each = np.stack([FLUX[:, 0] * MACHINE.g, -FLUX[:, 1] * MACHINE.g], 1) - [1, -1] * k * off
+    coils = np.stack([FLUX[:, 0] * MACHINE.g, -FLUX[:, 1] * MACHINE.g], 1) - [1, -1] * k * wrong
     expected = [
-        np.linalg.lstsq(f[:, None], e, rcond=None)[0][0] for f, e in zip(FLUX, each, strict=True)
+        np.linalg.lstsq(flux[:, None], coil, rcond=None)[0][0]
+        for flux, coil in zip(FLUX, coils, strict=True)
     ]
-    np.testing.assert_allclose(MACHINE.position(FLUX, off)[0], expected)
+    np.testing.assert_allclose(MACHINE.position(FLUX, wrong)[0], expected)
 
 
 def test_the_constraint_holds():
@@ -38,15 +39,15 @@ def test_the_constraint_holds():
         assert current @ relation.Q3 @ current == 0
 
 
-def test_the_flux_of_a_current_in_the_middle():
+def test_flux_base_and_noise_in_the_middle():
     base = MACHINE.flux_base(2.0)
     assert base**2 == pytest.approx(MACHINE.k_1 * 2.0 / MACHINE.g * MACHINE.k_2 * 2.0 / MACHINE.g)
-    # noise of both currents, at equal fluxes, in the relation
+    # Noise of both currents in the relation, at equal fluxes.
     noise = MACHINE.constraint_noise(base, 0.1)
     assert noise == pytest.approx(0.1 * base * np.sqrt(MACHINE.k_1**2 + MACHINE.k_2**2))
 
 
-def test_the_deviation_of_a_position_by_differences():
+def test_position_std_by_finite_differences():
     flux_std = np.array([3e-8, 7e-8])
     small = 1e-10
     moves = [

@@ -19,13 +19,13 @@ MODEL = AlgebraicSaturation(a_d0=17.4, a_dd=373, a_q0=52.1, a_qq=658, a_dq=1120)
 MAGNET = AlgebraicSaturation(a_d0=17.4, a_dd=50, a_q0=14.0, a_qq=60, a_dq=30, psi_f=0.5)
 
 
-def grid(most=30.0, points=31):
-    at = np.linspace(-most, most, points)
-    return (at[:, None] + 1j * at[None, :]).ravel()
+def grid(limit=30.0, points=31):
+    axis = np.linspace(-limit, limit, points)
+    return (axis[:, None] + 1j * axis[None, :]).ravel()
 
 
 @pytest.mark.parametrize("model", [MODEL, MAGNET], ids=["reluctance", "magnet"])
-def test_the_model_inverts_and_is_reciprocal(model):
+def test_the_model_is_invertible_and_reciprocal(model):
     i = grid()
     psi = model.flux(i)
     np.testing.assert_allclose(model.current(psi), i, atol=1e-8)
@@ -34,8 +34,8 @@ def test_the_model_inverts_and_is_reciprocal(model):
     dd, dq, qq = model.slopes(psi)
     by_d = (model.current(psi + e) - model.current(psi - e)) / (2 * e)
     by_q = (model.current(psi + 1j * e) - model.current(psi - 1j * e)) / (2 * e)
-    for found, expected in ((by_d.real, dd), (by_d.imag, dq), (by_q.real, dq), (by_q.imag, qq)):
-        np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-3)
+    for slope, expected in ((by_d.real, dd), (by_d.imag, dq), (by_q.real, dq), (by_q.imag, qq)):
+        np.testing.assert_allclose(slope, expected, rtol=1e-4, atol=1e-3)
 
 
 def machine_file(tmp_path, text, points=None):
@@ -56,20 +56,20 @@ def test_a_table_beside_the_machine_file(tmp_path):
     i = grid()
     path = machine_file(tmp_path, RELUCTANCE + 'flux_map = "map.csv"\n', (i, MODEL.flux(i)))
     machine = read_machine(path)
-    where = np.array([10 + 12j, 5 - 18j])
-    np.testing.assert_allclose(machine.flux_dq(where), MODEL.flux(where), atol=1e-3)
-    # inductances follow from the map: chords
+    i_dq = np.array([10 + 12j, 5 - 18j])
+    np.testing.assert_allclose(machine.flux_dq(i_dq), MODEL.flux(i_dq), atol=1e-3)
+    # Inductances follow from the map as chords.
     assert machine.L_q == pytest.approx(MODEL.flux(22j).imag / 22, rel=0.02)
     assert machine.L_d == pytest.approx(MODEL.flux(11 + 0j).real / 11, rel=0.02)
-    # a copy keeps the map and its own inductances
+    # A copy keeps the map and the inductances.
     assert machine.with_values(R_s=0.7).flux_map is machine.flux_map
 
 
 def test_the_parameters_of_the_model_in_the_machine_file(tmp_path):
     text = "flux_map = { a_d0 = 17.4, a_dd = 373, a_q0 = 52.1, a_qq = 658, a_dq = 1120 }\n"
     machine = read_machine(machine_file(tmp_path, RELUCTANCE + text))
-    where = np.array([10 + 12j, 5 - 18j])
-    np.testing.assert_allclose(machine.flux_dq(where), MODEL.flux(where), atol=1e-3)
+    i_dq = np.array([10 + 12j, 5 - 18j])
+    np.testing.assert_allclose(machine.flux_dq(i_dq), MODEL.flux(i_dq), atol=1e-3)
 
 
 def test_a_magnet_machine_takes_its_flux_from_the_map():
@@ -81,7 +81,7 @@ def test_a_magnet_machine_takes_its_flux_from_the_map():
 
 
 @pytest.mark.parametrize("share", [0.7, 0.5])
-def test_inductance_that_falls_with_the_current(share):
+def test_an_inductance_that_falls_with_the_current(share):
     machine = SurfacePMSM(
         R_s=0.5, n_p=4, L_s=4e-3, L_s_rated=share * 4e-3, psi_f=0.1, rated_current=20.0
     )
@@ -108,7 +108,7 @@ def test_inductance_that_falls_with_the_current(share):
         ),
     ],
 )
-def test_refusals_in_a_machine_file(tmp_path, text, message):
+def test_wrong_maps_in_a_machine_file_are_refused(tmp_path, text, message):
     with pytest.raises(MachineError, match=message):
         read_machine(machine_file(tmp_path, RELUCTANCE + text))
 
@@ -121,13 +121,13 @@ def test_refusals_in_a_machine_file(tmp_path, text, message):
         ("", "is missing"),
     ],
 )
-def test_refusals_of_a_table(tmp_path, content, message):
+def test_wrong_tables_are_refused(tmp_path, content, message):
     (tmp_path / "map.csv").write_text(content)
     with pytest.raises(MachineError, match=message):
         SynchronousReluctance(R_s=1.0, n_p=2, flux_map=tmp_path / "map.csv")
 
 
-def test_a_model_needs_a_range_and_a_magnet_its_flux():
+def test_a_model_needs_rated_current_and_magnets_need_psi_f():
     model = {"a_d0": 17.0, "a_q0": 50.0}
     with pytest.raises(MachineError, match="needs rated_current"):
         SynchronousReluctance(R_s=1.0, n_p=2, flux_map=model)
@@ -135,11 +135,11 @@ def test_a_model_needs_a_range_and_a_magnet_its_flux():
         InteriorPMSM(R_s=1.0, n_p=2, rated_current=5.0, flux_map=model)
 
 
-def test_without_further_parameters_nothing_saturates():
+def test_a_model_without_saturation_is_linear():
     plain = AlgebraicSaturation(a_d0=20.0, a_q0=50.0)
     np.testing.assert_allclose(plain.current([0.5 + 0.1j, -0.2j]), [10 + 5j, -10j], atol=1e-12)
-    along_d = AlgebraicSaturation(a_d0=20.0, a_q0=50.0, a_dd=3.0, a_qq=7.0, a_dq=11.0)
+    saturated = AlgebraicSaturation(a_d0=20.0, a_q0=50.0, a_dd=3.0, a_qq=7.0, a_dq=11.0)
     d, q = 0.5, 0.3  # exponents 5, 1, 1, 0
     i_d = (20 + 3 * d**5 + 11 / 2 * d * q**2) * d
     i_q = (50 + 7 * q + 11 / 3 * d**3) * q
-    np.testing.assert_allclose(along_d.current([d + 1j * q]), [i_d + 1j * i_q])
+    np.testing.assert_allclose(saturated.current([d + 1j * q]), [i_d + 1j * i_q])

@@ -1,4 +1,4 @@
-"""Machines: parameters in SI, the relation between flux and current, and what follows from it."""
+"""Machines: parameters in SI, the relation between flux and current, and derived quantities."""
 
 from .contract import Machine, Position
 from .files import (

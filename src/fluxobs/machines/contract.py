@@ -1,5 +1,7 @@
-"""The interface of every machine. A new kind is one file with a subclass, and one line of
-registration (registry.py); docs/contributing explains the members.
+"""The interface of every machine.
+
+A new kind is one file with a subclass, and one line of registration (registry.py).
+docs/contributing.md explains the members.
 """
 
 from __future__ import annotations
@@ -23,18 +25,18 @@ from .model.inverter import InverterError
 
 @dataclass(frozen=True)
 class Position:
-    """How a kind of machine names its position.
+    """Names and unit of a machine kind's position.
 
     Attributes
     ----------
     name : str
         Name of the output, in rad or m.
     truths : tuple of str
-        Channels of a log that may hold the true position.
+        Channels of a log that can hold the true position.
     factor, unit : float, str
-        Factor from SI to the unit of a stated error, and that unit.
+        Unit in which errors are stated, and the factor from SI to it.
     title : str
-        Title in a picture.
+        Title of its picture.
     """
 
     name: str
@@ -44,16 +46,16 @@ class Position:
     title: str
 
 
-#: Units of parameters, by how their names begin.
+#: Prefix of a parameter's name → its unit.
 _UNITS = {"R_": "Ω", "L_": "H", "psi": "Wb", "rated_current": "A", "rated_speed": "rad/s"}
 _UNITS |= {"inverter_voltage": "V", "inverter_current": "A", "n_p": "pole pairs"}
 
 
 def unit_of(parameter: str) -> str:
-    """Unit of a parameter of a rotating machine; empty where its name does not say it."""
+    """Return the unit of a rotating machine's parameter, or "" if its name has no known prefix."""
     if parameter.endswith("_share"):
         return ""
-    return next((unit for start, unit in _UNITS.items() if parameter.startswith(start)), "")
+    return next((unit for prefix, unit in _UNITS.items() if parameter.startswith(prefix)), "")
 
 
 class Machine(BaseModel):
@@ -62,7 +64,7 @@ class Machine(BaseModel):
     Parameters
     ----------
     rated_current : float, optional
-        Peak current of a port [A], > 0. It scales what is plausible; a rough value will do.
+        Peak current of a port [A], > 0. Scale of plausible values; a rough value will do.
 
     Raises
     ------
@@ -75,16 +77,16 @@ class Machine(BaseModel):
     kind: ClassVar[str]
     #: Default reference frame of its logs.
     frame: ClassVar[Frame] = "alphabeta"
-    #: Names of its two ports; names of outputs end with them.
+    #: Names of its two ports: the suffixes of its outputs.
     ports: ClassVar[tuple[str, str]] = ("alpha", "beta")
     position_output: ClassVar[Position]
-    #: Memory of the least squares that suits most machines of this kind [s].
+    #: Usual memory of the least squares for machines of this kind [s].
     memory: ClassVar[float] = _core.usual["MEMORY"]
-    #: Whether the position half a turn away fits the relation as well.
+    #: Whether the relation holds equally well half a turn away.
     half_turn_ambiguous: ClassVar[bool] = False
     #: A position vector shorter than this share of the flux base gives no position.
     shortest: ClassVar[float] = 0.0
-    #: Whether its voltages are measured, with noise; else they are commands, without noise.
+    #: True: voltages are measured, with noise. False: they are commands, without noise.
     measured_voltage: ClassVar[bool] = False
 
     rated_current: Positive | None = None
@@ -93,21 +95,21 @@ class Machine(BaseModel):
         try:
             super().__init__(**parameters)
         except ValidationError as error:
-            what = complaints(error, self.parameter_names(), f"kind {self.kind}")
-            raise MachineError(what) from None
+            message = complaints(error, self.parameter_names(), f"kind {self.kind}")
+            raise MachineError(message) from None
 
     @classmethod
     def parameter_names(cls) -> list[str]:
-        """Names in a machine file."""
+        """Return the parameters' names in a machine file."""
         return [field.alias or name for name, field in cls.model_fields.items()]
 
     def parameters(self) -> dict[str, Any]:
-        """Values by their names in a machine file; None where not given."""
+        """Return the values by their names in a machine file; None if not given."""
         fields = type(self).model_fields.items()
         return {field.alias or name: getattr(self, name) for name, field in fields}
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the parameters that are given."""
+        """Return a table of the given parameters, for notebooks."""
         from ..core.html import table
 
         given = {name: value for name, value in self.parameters().items() if value is not None}
@@ -128,28 +130,31 @@ class Machine(BaseModel):
 
     @property
     def constraint(self) -> QuadraticConstraint:
-        """The relation between flux and current. Its d is 0 if unknown: no observer needs it."""
+        """Relation between flux and current. d is 0 if unknown: no observer needs it."""
         raise NotImplementedError
 
     @property
     def inverter(self) -> InverterError | None:
-        """The inverter's voltage error, if known."""
+        """Voltage error of the inverter; None if not given."""
         return None
 
     # ---- sizes ------------------------------------------------------------------------
 
     def flux_base(self, rated_current: float, psi_f: float | None = None) -> float | None:
-        """Size of the flux [Wb]; `psi_f` replaces the machine's own. None if psi_f is missing."""
+        """Return the scale of the flux [Wb]; a given `psi_f` replaces the machine's.
+
+        None if both are missing.
+        """
         raise NotImplementedError
 
     def constraint_noise(self, flux_base: float, noise: float) -> float:
-        """Std of the constraint's residual if each current component has the std `noise` [A]."""
+        """Return the std of the constraint's residual if each current has the std `noise` [A]."""
         raise NotImplementedError
 
     # ---- the position -----------------------------------------------------------------
 
     def position(self, flux: ArrayLike, current: ArrayLike) -> tuple[Array, Array]:
-        """Position [rad] or [m], and the length of the position vector [Wb].
+        """Return the position [rad] or [m] and the length of the position vector [Wb].
 
         Parameters
         ----------
@@ -162,41 +167,41 @@ class Machine(BaseModel):
         raise NotImplementedError
 
     def position_std(self, flux: Array, flux_std: Array, current: Array) -> Array:
-        """Standard deviation of the position, from that of the flux, (...)."""
+        """Return the position's standard deviation, from the flux's, (...)."""
         raise NotImplementedError
 
     @property
     def position_span(self) -> float:
-        """Reference for a standard deviation of the position: 1 rad, or the gap [m]."""
+        """Scale of the position's standard deviation: 1 rad, or the gap [m]."""
         return 1.0
 
     def true_position(self, channel: str, value: Array) -> Array:
-        """The true position from a log's channel, one of ``position_output.truths``."""
+        """Return the true position from a log's channel, one of ``position_output.truths``."""
         raise NotImplementedError
 
     def position_error(self, estimated: Array, true: Array) -> Array:
-        """Estimated minus true position, wrapped if it is an angle."""
+        """Return the estimated minus the true position, wrapped if it is an angle."""
         raise NotImplementedError
 
     # ---- copies -----------------------------------------------------------------------
 
     def with_values(self, **values: Any) -> Self:
-        """A copy with other parameters.
+        """Return a copy with other parameters.
 
         Raises
         ------
         MachineError
-            An impossible value, or a parameter that this kind does not have.
+            A value is impossible, or this kind has no such parameter.
         """
         return type(self)(**self.parameters() | values)
 
     def scaled(self, names: Iterable[str], factor: float) -> Self:
-        """A copy with the named parameters, those that are given, multiplied by `factor`."""
-        given = {name: getattr(self, name, None) for name in names}
-        return self.with_values(**{k: v * factor for k, v in given.items() if v is not None})
+        """Return a copy with the named parameters multiplied by `factor`; skip those not given."""
+        values = {name: getattr(self, name, None) for name in names}
+        return self.with_values(**{k: v * factor for k, v in values.items() if v is not None})
 
 
 def angle_std(flux_std: Array, length: Array) -> Array:
-    """Standard deviation of the direction of a vector of this length, (...)."""
+    """Return the standard deviation of the direction of a vector of this length, (...)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.linalg.norm(flux_std, axis=-1) / np.sqrt(2) / length)

@@ -1,4 +1,4 @@
-"""Machines from TOML files and by the names of the shipped examples."""
+"""Machines from TOML files, and shipped examples by name."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from .registry import KINDS
 def machine_from(
     fields: Mapping[str, Any], source: str = "machine", folder: Path | None = None
 ) -> Machine:
-    """Machine from a mapping with ``kind`` and its parameters.
+    """Return a machine from a mapping with ``kind`` and its parameters.
 
     The path of a flux map is relative to `folder`.
 
     Raises
     ------
     MachineError
-        A field is missing, unknown (the nearest known name is given) or impossible; the message
-        names `source`.
+        A field is missing, unknown (the message suggests the nearest name) or impossible; the
+        message names `source`.
     """
     parameters = dict(fields)
-    given = parameters.get("flux_map")
-    if isinstance(given, str) and folder is not None:
-        parameters["flux_map"] = folder / given
+    flux_map = parameters.get("flux_map")
+    if isinstance(flux_map, str) and folder is not None:
+        parameters["flux_map"] = folder / flux_map
     kind = parameters.pop("kind", None)
     if kind is None:
         raise MachineError(f"{source}: kind is missing: one of {', '.join(KINDS)}")
@@ -45,15 +45,15 @@ def machine_from(
 
 
 def read_machine(path: str | Path) -> Machine:
-    """Machine from a TOML file, or one of the shipped examples by its name.
+    """Read a machine from a TOML file, or return a shipped example by its name.
 
-    The table of its flux map lies beside the file, or in a folder below.
+    The table of a flux map must be in the file's folder or below it.
 
     Raises
     ------
     MachineError
         There is no such file or example, it is not TOML, its parameters are wrong, or its table
-        lies elsewhere.
+        is in another folder.
     """
     path = Path(path)
     if not path.exists() and not path.suffix and path.name in example_names():
@@ -64,28 +64,28 @@ def read_machine(path: str | Path) -> Machine:
             f"{nearest(path.name, example_names())}"
         )
     fields = read_toml(path, MachineError)
-    given = fields.get("flux_map")
-    if isinstance(given, str):
+    flux_map = fields.get("flux_map")
+    if isinstance(flux_map, str):
         try:
-            beside(path.parent, given, "flux_map")
+            beside(path.parent, flux_map, "flux_map")
         except FluxobsError as error:
             raise MachineError(f"{path}: {error}") from None
     return machine_from(fields, source=str(path), folder=path.parent)
 
 
-def _examples() -> Any:
+def _examples_folder() -> Any:
     return resources.files(__package__) / "examples"
 
 
 def example_names() -> list[str]:
-    """Names of the shipped machines."""
+    """Return the names of the shipped machines."""
     return sorted(
-        entry.name[:-5] for entry in _examples().iterdir() if entry.name.endswith(".toml")
+        entry.name[:-5] for entry in _examples_folder().iterdir() if entry.name.endswith(".toml")
     )
 
 
 def example(name: str) -> Machine:
-    """Shipped machine by name.
+    """Return a shipped machine by its name.
 
     >>> example("servo-400w").kind
     'surface-pmsm'
@@ -93,22 +93,22 @@ def example(name: str) -> Machine:
     if name not in example_names():
         raise MachineError(f"no shipped machine {name!r}{nearest(name, example_names())}")
     return machine_from(
-        tomllib.loads(example_text(name)), source=name, folder=Path(str(_examples()))
+        tomllib.loads(example_text(name)), source=name, folder=Path(str(_examples_folder()))
     )
 
 
 def example_text(name: str) -> str:
-    """TOML of a shipped machine, comments included."""
-    return str((_examples() / f"{name}.toml").read_text(encoding="utf-8"))
+    """Return the TOML of a shipped machine, comments included."""
+    return str((_examples_folder() / f"{name}.toml").read_text(encoding="utf-8"))
 
 
 def as_machine(machine: Machine | str | Path) -> Machine:
-    """Return a machine as it is, or read it from a file or by the name of a shipped example.
+    """Return `machine` unchanged, or read it from a file or by the name of a shipped example.
 
     Raises
     ------
     MachineError
-        `machine` is none of these.
+        `machine` is neither a machine, nor a path, nor a name.
     """
     if isinstance(machine, Machine):
         return machine

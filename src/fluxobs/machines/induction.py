@@ -17,28 +17,28 @@ from .model.constraint import QuadraticConstraint
 from .model.flux_map import CageMap, FluxMap
 from .rotating import RotatingMachine
 
-#: Parameters of the T-model, as a data sheet or a no-load and a locked-rotor test give them.
+#: Parameters of the T-model, from a datasheet or from no-load and locked-rotor tests.
 T_MODEL = ("R_r", "L_ls", "L_lr", "L_m")
-#: Numbers on the rating plate, as they stand there: V and A rms (line to line, line), Hz, W, rpm.
+#: Numbers on the rating plate, in its units: V and A rms (line to line, line), Hz, W, rpm.
 PLATE = ("voltage", "frequency", "power", "current", "speed", "cos_phi")
-#: Leakage reactance over the rated impedance, where only the plate is known: 0.12 to 0.2 in
-#: machines of 1 to 100 kW.
+#: Leakage reactance over the rated impedance, if only the plate is known: 0.12 to 0.2 in machines
+#: of 1 to 100 kW.
 LEAKAGE = 0.15
-#: Magnetizing over rated current, where nothing else is known: 0.3 (large) to 0.6 (small machines).
+#: Magnetizing over rated current, if neither is given: 0.3 (large) to 0.6 (small machines).
 MAGNETIZING: float = _core.usual["MAGNETIZING"]
-#: Change of i_d below which the rotor flux is taken to stand, over the magnetizing current: five
-#: times what usual offsets of the currents (2 % of rated) do to it, less than any field weakening.
+#: Change of i_d below which the rotor flux counts as constant, over the magnetizing current: five
+#: times the effect of usual current offsets (2 % of rated), less than any field weakening.
 STILL: float = _core.usual["STILL"]
-#: Std of an offset of the currents, over the rated current.
+#: Std of a current offset, over the rated current.
 OFFSET: float = _core.usual["CAGE_OFFSET"]
 
 
 class InductionMachine(RotatingMachine):
-    """Cage induction machine in its inverse-Γ model; the position is that of the rotor flux.
+    """Cage induction machine in its inverse-Γ model; the position is the rotor flux angle.
 
     With the stator flux λ, the rotor flux is ``x = λ - L_sigma i``, and ``dx/dt = R_R i - (R_R/L_M
-    - j n_p ω_m) x``. So its length moves by ``d|x|/dt = R_R i_d - R_R/L_M |x|``, in which the speed
-    does not appear, and turns by ``R_R i_q/|x|`` faster than the rotor: the slip.
+    - j n_p ω_m) x``. Its length follows ``d|x|/dt = R_R i_d - R_R/L_M |x|``, whatever the speed. It
+    turns by ``R_R i_q/|x|`` faster than the rotor: the slip.
 
     Parameters
     ----------
@@ -54,12 +54,12 @@ class InductionMachine(RotatingMachine):
     R_R_std, L_sigma_std : float, optional
         Standard deviations [Ω], [H]; default 30 % and 10 %.
     R_r, L_ls, L_lr, L_m : float, instead of R_R, L_sigma, L_M
-        The T-model's, referred to the stator.
+        T-model parameters, referred to the stator.
     plate : mapping, instead of all inductances and resistances
         voltage [V rms, line to line], frequency [Hz], power [W], current [A rms], speed [rpm],
-        cos_phi, of the star connection: a rough start, for `fluxobs identify` to improve. It takes
-        the leakage reactance as 0.15 of the rated impedance, and all losses but the air gap's slip
-        as the stator's copper.
+        cos_phi, of the star connection: rough values for `fluxobs identify` to improve. The leakage
+        reactance is 0.15 of the rated impedance, and the stator's copper has all losses except
+        those of the slip.
 
     References
     ----------
@@ -86,21 +86,21 @@ class InductionMachine(RotatingMachine):
 
     @model_validator(mode="before")
     @classmethod
-    def _converted(cls, given: Any) -> Any:
-        if not isinstance(given, dict):
-            return given
-        given = dict(given)
-        given = from_datasheet(given, cls.inductances, magnets=False)
-        plate = given.pop("plate", None)
+    def _convert(cls, fields: Any) -> Any:
+        if not isinstance(fields, dict):
+            return fields
+        values = from_datasheet(fields, cls.inductances, magnets=False)
+        plate = values.pop("plate", None)
         if plate is not None:
-            given = from_plate(plate) | given
-        named = [name for name in T_MODEL if name in given]
-        if named:
-            missing = [name for name in T_MODEL if name not in given]
+            values = from_plate(plate) | values
+        missing = [name for name in T_MODEL if name not in values]
+        if len(missing) < len(T_MODEL):
             if missing:
                 raise ValueError(f"the T-model needs {', '.join(T_MODEL)}: {missing[0]} is missing")
-            given |= from_t_model(**{name: _positive(name, given.pop(name)) for name in T_MODEL})
-        return given
+            values |= from_t_model(
+                **{name: _check_positive(name, values.pop(name)) for name in T_MODEL}
+            )
+        return values
 
     @property
     def magnet_flux(self) -> float | None:
@@ -112,9 +112,9 @@ class InductionMachine(RotatingMachine):
 
     @property
     def constraint(self) -> QuadraticConstraint:
-        L, one = self.L_sigma, np.eye(2)
+        L, eye = self.L_sigma, np.eye(2)
         return QuadraticConstraint(
-            one, -2 * L * one, L * L * one, d=-((self.magnet_flux or 0.0) ** 2)
+            eye, -2 * L * eye, L * L * eye, d=-((self.magnet_flux or 0.0) ** 2)
         )
 
     def flux_base(self, rated_current: float, psi_f: float | None = None) -> float | None:
@@ -131,33 +131,33 @@ class InductionMachine(RotatingMachine):
         return CageMap(self.L_sigma, self.L_M, self.R_R, sample_time, psi_f, still, offset)
 
     def slip(self, flux: Array, current: Array) -> Array:
-        """Speed of the rotor flux against the rotor, electrical [rad/s], (...)."""
+        """Return the electrical speed of the rotor flux relative to the rotor [rad/s], (...)."""
         x = np.asarray(flux) - self.L_sigma * np.asarray(current)
-        across = x[..., 0] * current[..., 1] - x[..., 1] * current[..., 0]
+        cross = x[..., 0] * current[..., 1] - x[..., 1] * current[..., 0]
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(self.R_R * across / np.sum(x * x, axis=-1))
+            return np.asarray(self.R_R * cross / np.sum(x * x, axis=-1))
 
     @property
     def slip_share_std(self) -> float:
-        """Standard deviation of the slip over the slip: that of R_R."""
+        """Relative standard deviation of the slip: that of R_R."""
         return ROTOR_SHARE if self.R_R_std is None else self.R_R_std / self.R_R
 
 
-#: Standard deviation of R_R over R_R, if the file does not say: heat alone makes it ± 20 %.
+#: Default of R_R_std over R_R: heat alone makes it ± 20 %.
 ROTOR_SHARE = 0.3
 
 
 def from_t_model(R_r: float, L_ls: float, L_lr: float, L_m: float) -> dict[str, float]:
-    """R_R, L_sigma, L_M of the inverse-Γ model: the same terminals with all leakage on one side."""
+    """Return R_R, L_sigma, L_M of the inverse-Γ model with the same impedance at the terminals."""
     k = L_m / (L_lr + L_m)
     return {"R_R": k * k * R_r, "L_sigma": L_ls + k * L_lr, "L_M": k * L_m}
 
 
 def from_plate(plate: object) -> dict[str, Any]:
-    """All parameters, roughly, from the rating plate."""
+    """Estimate all parameters roughly from the rating plate."""
     if not isinstance(plate, Mapping) or set(plate) != set(PLATE):
-        raise ValueError(f"plate has {', '.join(PLATE)} [V rms, Hz, W, A rms, rpm, 1]")
-    V, f, P, rms, n, cos_phi = (_positive(f"plate.{name}", plate[name]) for name in PLATE)
+        raise ValueError(f"plate needs {', '.join(PLATE)} [V rms, Hz, W, A rms, rpm, 1]")
+    V, f, P, I_rms, n, cos_phi = (_check_positive(f"plate.{name}", plate[name]) for name in PLATE)
     if not cos_phi < 1:
         raise ValueError(f"plate.cos_phi must be below 1, got {cos_phi:g}")
     n_p = int(60 * f / n)
@@ -168,15 +168,15 @@ def from_plate(plate: object) -> dict[str, Any]:
             f"rated speed is a little below 60 f/n_p"
         )
     omega = 2 * np.pi * f
-    u, i = V * np.sqrt(2 / 3), rms * np.sqrt(2) * complex(cos_phi, -np.sqrt(1 - cos_phi**2))
-    across_gap = P / (1 - slip)
-    taken = 1.5 * u * i.real
-    if not across_gap < taken:
+    u, i = V * np.sqrt(2 / 3), I_rms * np.sqrt(2) * complex(cos_phi, -np.sqrt(1 - cos_phi**2))
+    gap_power = P / (1 - slip)
+    electrical_power = 1.5 * u * i.real
+    if not gap_power < electrical_power:
         raise ValueError(
-            f"plate: {P:g} W at the shaft need {across_gap:.4g} W across the air gap, more than "
-            f"the {taken:.4g} W that voltage, current and cos_phi give"
+            f"plate: {P:g} W at the shaft need {gap_power:.4g} W across the air gap, more than "
+            f"the {electrical_power:.4g} W that voltage, current and cos_phi give"
         )
-    R_s = (taken - across_gap) / (1.5 * abs(i) ** 2)
+    R_s = (electrical_power - gap_power) / (1.5 * abs(i) ** 2)
     L_sigma = LEAKAGE * u / abs(i) / omega
     x = (u - (R_s + 1j * omega * L_sigma) * i) / (1j * omega)
     i_dq = i * abs(x) / x
@@ -192,7 +192,8 @@ def from_plate(plate: object) -> dict[str, Any]:
     return {name: float(f"{value:.4g}") for name, value in values.items()} | {"n_p": n_p}
 
 
-def _positive(name: str, value: object) -> float:
+def _check_positive(name: str, value: object) -> float:
+    """Return a positive finite number as float; raise ValueError for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
         raise ValueError(f"{name} must be a positive number, got {value!r}")
     return float(value)

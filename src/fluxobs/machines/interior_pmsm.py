@@ -1,4 +1,4 @@
-"""Interior permanent-magnet synchronous machine, through its active flux."""
+"""Interior permanent-magnet synchronous machine, by its active flux."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from .rotating import MagnetMachine
 class InteriorPMSM(MagnetMachine):
     """Interior PMSM: its active flux ``λ - L_q i`` has the length ``ψ_f + (L_d - L_q) i_d``.
 
-    The observers follow i_d by its flux map. A bias δ_i of the currents is a wrong i_d, and turns
-    the position by up to (L_q - L_d) δ_i / ψ_f. The psi_f that the plain observer returns is the
-    active flux.
+    The observers account for i_d by its flux map. A current bias δ_i falsifies i_d and turns the
+    position by up to (L_q - L_d) δ_i / ψ_f. The plain observer returns the active flux as psi_f.
 
     Parameters
     ----------
@@ -20,7 +19,7 @@ class InteriorPMSM(MagnetMachine):
     L_d, L_q : float
         Inductances along and across the magnet axis [H], > 0.
     L_d_rated, L_q_rated : float, optional
-        Apparent inductance at the rated current [H], where it falls with the current.
+        Apparent inductances at the rated current [H], if they fall with the current.
     psi_f : float, optional
         Peak phase flux linkage of the magnets [Wb]; only a scale if i_d is constant.
     flux_map

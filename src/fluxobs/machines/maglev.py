@@ -34,7 +34,7 @@ class MagLev2DOF(Machine):
     c_1, c_2 : float
         Force constants, F = c φ²/(2k).
     rated_current : float, optional
-        [A]; scales what is plausible.
+        Scale of plausible currents [A].
 
     References
     ----------
@@ -45,7 +45,7 @@ class MagLev2DOF(Machine):
     frame = "ports"
     ports = ("1", "2")
     position_output = Position("position", ("position",), 1e6, " µm", "Position")
-    memory = 0.15  # it moves more slowly than a rotor
+    memory = 0.15  # s: the lever moves more slowly than a rotor
     measured_voltage = True
 
     k_1: Positive
@@ -60,7 +60,7 @@ class MagLev2DOF(Machine):
 
     @property
     def R(self) -> Array:
-        """``R/N`` on the diagonal: the state is the flux of a core, not its linkage."""
+        """Matrix with ``R/N`` on the diagonal: the state is core flux, not flux linkage."""
         return np.asarray(self.resistance / self.N * np.eye(2))
 
     @property
@@ -80,9 +80,10 @@ class MagLev2DOF(Machine):
         return float(np.hypot(self.k_1, self.k_2)) * flux_base * noise
 
     def position(self, flux: ArrayLike, current: ArrayLike) -> tuple[Array, Array]:
-        """Displacement q [m], and the length of the flux vector [Wb].
+        """Return the displacement q [m] and the length of the flux vector [Wb].
 
-        Each coil gives ``φ_k q``; least squares combines both. Undefined where the flux vanishes.
+        Each coil gives an equation for ``φ_k q``; least squares combines both.
+        Without flux q is undefined.
 
         Parameters
         ----------
@@ -95,13 +96,15 @@ class MagLev2DOF(Machine):
         phi_1, phi_2 = np.moveaxis(np.asarray(flux, float), -1, 0)
         i_1, i_2 = np.moveaxis(np.asarray(current, float), -1, 0)
         square = phi_1**2 + phi_2**2
-        told = phi_1 * (self.g * phi_1 - self.k_1 * i_1) + phi_2 * (self.k_2 * i_2 - self.g * phi_2)
+        weighted = phi_1 * (self.g * phi_1 - self.k_1 * i_1) + phi_2 * (
+            self.k_2 * i_2 - self.g * phi_2
+        )
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(told / square), np.asarray(np.sqrt(square))
+            return np.asarray(weighted / square), np.asarray(np.sqrt(square))
 
     def position_std(self, flux: Array, flux_std: Array, current: Array) -> Array:
-        where, length = self.position(flux, current)
-        gaps = np.stack([self.g - where, self.g + where], axis=-1)
+        position, length = self.position(flux, current)
+        gaps = np.stack([self.g - position, self.g + position], axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(np.linalg.norm(flux * gaps * flux_std, axis=-1) / length**2)
 

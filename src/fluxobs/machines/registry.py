@@ -1,4 +1,4 @@
-"""All kinds of machines: a class added here is known to files, commands and the library."""
+"""All kinds of machines: add a class here to use it in files, commands and the library."""
 
 from __future__ import annotations
 
@@ -16,5 +16,5 @@ _KINDS: tuple[type[Machine], ...] = (
     InductionMachine,
     MagLev2DOF,
 )
-#: Word in a machine file → class.
+#: Kind in a machine file → class.
 KINDS = {machine.kind: machine for machine in _KINDS}

@@ -20,7 +20,14 @@ from .model.flux_table import FittedTable
 from .model.frames import angle_error, wrap
 from .model.held import Held, held_share
 from .model.inverter import SMOOTHING, InverterError
-from .saturation import Falling, FluxMapField, MapSource, chords, fitted, read_source
+from .saturation import (
+    FallingInductances,
+    FluxMapField,
+    MapSource,
+    chords,
+    fitted_table,
+    read_source,
+)
 
 PolePairs = Annotated[int, Field(ge=1)]
 
@@ -37,15 +44,16 @@ class RotatingMachine(Machine):
     n_p : int
         Pole pairs, >= 1.
     rated_current : float, optional
-        Peak phase current [A], > 0. It scales what is plausible; a rough value will do.
+        Peak phase current [A], > 0. Scale of plausible values; a rough value will do.
     inverter_voltage : float, optional
-        Dead time and device drops of a phase [V]; subtracted from a log's commanded voltages.
+        Voltage lost to dead time and device drops per phase [V]; subtracted from a log's commanded
+        voltages.
     inverter_current : float, optional
         Phase current at which the inverter's smoothed sign reaches three quarters [A], > 0; default
         5 % of rated_current.
     rated_speed : float, optional
-        Mechanical speed [rad/s], > 0; of an induction machine, that from which its flux is
-        weakened. A rough value will do: where L/R is short it sets the memory.
+        Mechanical speed [rad/s], > 0; of an induction machine, the speed at which field weakening
+        begins. A rough value will do: it sets the memory if L/R is short.
     R_s_std, inverter_voltage_std : float, optional
         Standard deviations of these values [Ω], [V], >= 0, for the adaptive observer; likewise
         L_s_std, or L_d_std and L_q_std [H], and psi_f_std [Wb]. Defaults:
@@ -60,11 +68,11 @@ class RotatingMachine(Machine):
     magnets: ClassVar[bool] = False
     #: Names of the inductances along d and q; the same name twice if there is only one.
     inductances: ClassVar[tuple[str, str]]
-    #: Whether that flux changes in operation, as a cage's does.
+    #: Whether the flux without current changes in operation, as in a cage machine.
     flux_moves: ClassVar[bool] = False
     #: Name of the parameter that is the flux without current.
     flux_name: ClassVar[str] = "psi_f"
-    #: What |λ - L i| is, in words.
+    #: Text for |λ - L i|.
     length_name: ClassVar[str] = "Magnet flux"
 
     R_s: Positive
@@ -112,11 +120,11 @@ class RotatingMachine(Machine):
         return L_d, L_q
 
     def inductance_stds(self, share: float) -> dict[str, float]:
-        """Standard deviations of the inductances by name [H]; `share` of those without one."""
-        given = {name: getattr(self, f"{name}_std", None) for name in self.inductance_names}
+        """Return the inductances' standard deviations [H]; default: `share` of the inductance."""
+        stds = {name: getattr(self, f"{name}_std", None) for name in self.inductance_names}
         return {
             name: share * float(getattr(self, name)) if std is None else std
-            for name, std in given.items()
+            for name, std in stds.items()
         }
 
     @property
@@ -126,40 +134,43 @@ class RotatingMachine(Machine):
 
     @property
     def magnetizing_current(self) -> float:
-        """Current along d that keeps the flux of a cage [A]."""
+        """Current along d that sustains a cage machine's rotor flux [A]."""
         return 0.0
 
     @property
     def position_inductance(self) -> float:
-        """L of the position vector ``λ - L i`` [H], which points along the rotor's d axis."""
+        """L [H] of ``λ - L i``, the position vector along the rotor's d axis."""
         return self.L_dq[1]
 
     @property
     def saturation(self) -> FittedTable | None:
-        """The splines of a flux map; None where inductances are constant."""
+        """Splines of a flux map; None if inductances are constant."""
         return None
 
     def memory_for(self, sample_time: float, speed_e: float | None = None) -> float:
-        """Memory of the least squares for a sample time [s].
+        """Return the memory of the least squares for a sample time [s].
 
-        Noise of the current enters the flux directly, as L i, and through the resistive drop, as a
-        random walk of its samples: R sqrt(h T) / (2 L) of the first. Where L/R is short, a shorter
-        memory keeps the second below the first; but it must hold a turn at a quarter of the speed.
+        Current noise enters the flux directly, as L i, and through the resistive drop, as a random
+        walk. The ratio of the second to the first is R sqrt(h T) / (2 L), with the memory T. If L/R
+        is short, a shorter memory keeps it below one. The memory must still hold one turn at a
+        quarter of the speed.
 
         Parameters
         ----------
         sample_time : float
             [s].
         speed_e : float, optional
-            Usual electrical speed [rad/s]; default that of rated_speed. If neither is known the
-            memory is :attr:`memory`.
+            Usual electrical speed [rad/s]; default from rated_speed. If neither is given, return
+            :attr:`memory`.
         """
         return _core.choose(self.sizes(1.0, 1.0, speed_e), sample_time)["memory"]
 
     def sizes(
         self, flux_base: float, rated_current: float, speed_e: float | None = None
     ) -> dict[str, float]:
-        """What the usual settings depend on, by the names of fo_sizes (firmware/fluxobs_config.h).
+        """Return the sizes that determine the usual settings: the fields of fo_sizes.
+
+        firmware/fluxobs_config.h describes them.
 
         Parameters
         ----------
@@ -168,7 +179,7 @@ class RotatingMachine(Machine):
         rated_current : float
             [A].
         speed_e : float, optional
-            Usual electrical speed [rad/s]; default that of rated_speed.
+            Usual electrical speed [rad/s]; default from rated_speed.
         """
         if speed_e is None:
             speed_e = self.n_p * self.rated_speed if self.rated_speed else 0.0
@@ -185,7 +196,7 @@ class RotatingMachine(Machine):
         }
 
     def held_share(self, held: Held, sample_time: float) -> float:
-        """R h/L if voltages are held over a sample [s], else 0; "auto": if it matters.
+        """Return R h/L if voltages are held over a sample [s], else 0; "auto": if it matters.
 
         See :meth:`LeastSquaresObserver.for_machine`.
         """
@@ -193,23 +204,23 @@ class RotatingMachine(Machine):
 
     @property
     def transient_inductance(self) -> float:
-        """Inductance that a step of the voltage meets, on the mean over its direction [H]."""
+        """Inductance seen by a voltage step, averaged over its direction [H]."""
         L_d, L_q = self.L_dq
         return 2 / (1 / L_d + 1 / L_q)
 
     @property
     def saliency(self) -> float:
-        """L_d - L_q [H]: the position vector has the length ``ψ_f + saliency · i_d``."""
+        """L_d - L_q [H]; the position vector's length is ``ψ_f + saliency · i_d``."""
         L_d, L_q = self.L_dq
         return L_d - L_q
 
     def flux_dq(self, current: Any) -> NDArray[np.complex128]:
-        """Flux linkage of a current, both in rotor coordinates d + j q [Wb], [A].
+        """Return the flux linkage [Wb] of a current [A], both in rotor coordinates d + j q.
 
         Raises
         ------
         MachineError
-            There are magnets, but psi_f is not given.
+            The machine has magnets, but psi_f is not given.
         """
         psi = self.magnet_flux
         if psi is None:
@@ -219,14 +230,14 @@ class RotatingMachine(Machine):
         return np.asarray(L_d * i.real + psi + 1j * (L_q * i.imag))
 
     def map_for(self, sample_time: float, psi_f: float) -> FluxMap | None:
-        """Map of flux over current, where an inductance and a magnet flux are not enough.
+        """Return the flux map; None if one inductance and a magnet flux describe the machine.
 
         Parameters
         ----------
         sample_time : float
-            [s], for what a map follows over time.
+            [s], for maps that change with time.
         psi_f : float
-            Magnet flux where the machine has none [Wb].
+            Magnet flux [Wb], used if the machine gives none.
         """
         return None
 
@@ -250,36 +261,36 @@ class SynchronousMachine(RotatingMachine):
     Parameters
     ----------
     flux_map : path, mapping, FluxPoints or AlgebraicSaturation, optional
-        How the machine saturates: a CSV file with columns i_d, i_q [A], psi_d, psi_q [Wb]; or the
-        parameters of the algebraic model. Inductances and psi_f that are not given follow from it.
+        Saturation: a CSV file with columns i_d, i_q [A], psi_d, psi_q [Wb], or the parameters of
+        the algebraic model. Missing inductances and psi_f follow from it.
     """
 
     flux_map: FluxMapField | None = None
 
     @model_validator(mode="before")
     @classmethod
-    def _from_map(cls, given: Any) -> Any:
-        if not isinstance(given, dict):
-            return given
-        given = from_datasheet(given, cls.inductances, cls.magnets)
-        if given.get("flux_map") is None:
-            return given
-        given = given | {"flux_map": read_source(given["flux_map"])}
+    def _fill_from_map(cls, fields: Any) -> Any:
+        if not isinstance(fields, dict):
+            return fields
+        values = from_datasheet(fields, cls.inductances, cls.magnets)
+        if values.get("flux_map") is None:
+            return values
+        values = values | {"flux_map": read_source(values["flux_map"])}
         for name in cls._rated_inductances():
-            if given.get(name) is not None:
+            if values.get(name) is not None:
                 raise ValueError(f"{name} and flux_map: give one of them")
-        lacking = [name for name in dict.fromkeys(cls.inductances) if given.get(name) is None]
-        if cls.magnets and given.get("psi_f") is None:
-            lacking.append("psi_f")
-        if lacking:
+        missing = [name for name in dict.fromkeys(cls.inductances) if values.get(name) is None]
+        if cls.magnets and values.get("psi_f") is None:
+            missing.append("psi_f")
+        if missing:
             try:
-                fit = fitted(given["flux_map"], given.get("rated_current"), cls.magnets)
-                L_d, L_q, psi_f = chords(fit, given.get("rated_current"))
+                fit = fitted_table(values["flux_map"], values.get("rated_current"), cls.magnets)
+                L_d, L_q, psi_f = chords(fit, values.get("rated_current"))
             except FluxobsError as error:
                 raise ValueError(str(error)) from None
-            mean = {"L_s": (L_d + L_q) / 2, "L_d": L_d, "L_q": L_q, "psi_f": psi_f}
-            given |= {name: float(f"{mean[name]:.6g}") for name in lacking}
-        return given
+            linear = {"L_s": (L_d + L_q) / 2, "L_d": L_d, "L_q": L_q, "psi_f": psi_f}
+            values |= {name: float(f"{linear[name]:.6g}") for name in missing}
+        return values
 
     @classmethod
     def _rated_inductances(cls) -> tuple[str, ...]:
@@ -287,29 +298,29 @@ class SynchronousMachine(RotatingMachine):
 
     @property
     def saturation(self) -> FittedTable | None:
-        """The splines of the flux map, or of inductances that fall; None where they are constant.
+        """Splines of the flux map or of falling inductances; None if inductances are constant.
 
         Raises
         ------
         MachineError
-            The map is none that a machine can have.
+            The map is implausible, or a parameter that it needs is missing.
         """
-        source: MapSource | Falling | None = self.flux_map
+        source: MapSource | FallingInductances | None = self.flux_map
         rated = {name: getattr(self, name, None) for name in self._rated_inductances()}
         if source is None and any(value is not None for value in rated.values()):
             L_d, L_q = self.L_dq
-            at_d, at_q = (
+            rated_L_d, rated_L_q = (
                 rated[f"{name}_rated"] or L
                 for name, L in zip(self.inductances, (L_d, L_q), strict=True)
             )
             if self.magnet_flux is None:
-                raise MachineError("an inductance that falls needs psi_f")
+                raise MachineError("a rated inductance (L_…_rated) needs psi_f")
             together = len(rated) == 1
-            source = Falling(L_d, L_q, at_d, at_q, self.magnet_flux, together)
+            source = FallingInductances(L_d, L_q, rated_L_d, rated_L_q, self.magnet_flux, together)
         if source is None:
             return None
         try:
-            return fitted(source, self.rated_current, self.magnets)
+            return fitted_table(source, self.rated_current, self.magnets)
         except FluxobsError as error:
             raise MachineError(str(error)) from None
 
@@ -325,7 +336,7 @@ class SynchronousMachine(RotatingMachine):
         fit = self.saturation
         if fit is None:
             return super().position(flux, current)
-        psi, i = (np.asarray(part, float) @ [1, 1j] for part in (flux, current))
+        psi, i = (np.asarray(vector, float) @ [1, 1j] for vector in (flux, current))
         x, _, _ = fit.table.position_vector(psi, i, self.position_inductance)
         return np.angle(x), np.abs(x)
 
@@ -335,7 +346,7 @@ class SynchronousMachine(RotatingMachine):
 
 
 class MagnetMachine(SynchronousMachine):
-    """A machine whose position vector λ - L i has a constant length: the magnet flux.
+    """A machine whose position vector λ - L i has the constant length of its magnet flux.
 
     The relation is ``|λ - L i|² = ψ²``: Q1 = I, Q2 = -2L I, Q3 = L² I, d = -ψ².
     """
@@ -355,8 +366,8 @@ class MagnetMachine(SynchronousMachine):
 
     @property
     def constraint(self) -> QuadraticConstraint:
-        L, one = self.position_inductance, np.eye(2)
-        return QuadraticConstraint(one, -2 * L * one, L * L * one, d=-((self.psi_f or 0.0) ** 2))
+        L, eye = self.position_inductance, np.eye(2)
+        return QuadraticConstraint(eye, -2 * L * eye, L * L * eye, d=-((self.psi_f or 0.0) ** 2))
 
     def flux_base(self, rated_current: float, psi_f: float | None = None) -> float | None:
         return self.psi_f if psi_f is None else psi_f
@@ -366,12 +377,12 @@ class MagnetMachine(SynchronousMachine):
 
 
 def rotating(machine: object, what: str = "this") -> RotatingMachine:
-    """Return the machine if it is a rotating one.
+    """Return `machine` if it rotates; `what` names the caller in messages.
 
     Raises
     ------
     MachineError
-        It does not rotate, or is not a machine (a name, for example).
+        `machine` does not rotate, or is no machine but, for example, a name.
     """
     if isinstance(machine, RotatingMachine):
         return machine

@@ -22,9 +22,9 @@ Complex = NDArray[np.complex128]
 
 #: Columns of a map's file [A], [Wb].
 COLUMNS = ("i_d", "i_q", "psi_d", "psi_q")
-#: A model is tabulated up to this many rated currents: few drives use more.
+#: Tables of a model reach this many rated currents: few drives use more.
 RANGE = 2.0
-#: Points along each axis of such a table: more than it has splines.
+#: Points per axis of such a table: more than splines.
 POINTS = 61
 #: Exponents of the algebraic model.
 Exponent = Annotated[float, Field(ge=0, le=20, allow_inf_nan=False)]
@@ -34,15 +34,15 @@ Exponent = Annotated[float, Field(ge=0, le=20, allow_inf_nan=False)]
 class FluxPoints:
     """Points of a flux map, on a grid or scattered.
 
-    Points for one sign of i_q are mirrored to the other; without magnets also those for one sign of
-    i_d.
+    Points of only one sign of i_q are mirrored to the other sign; without magnets the same applies
+    to i_d.
 
     Parameters
     ----------
     current, flux : (points,) array_like
         d + j q [A], [Wb].
     source : str
-        Where they come from: the path of their file.
+        Path of their file.
     """
 
     current: Complex
@@ -62,18 +62,18 @@ class FluxPoints:
     def from_columns(
         cls, i_d: ArrayLike, i_q: ArrayLike, psi_d: ArrayLike, psi_q: ArrayLike
     ) -> FluxPoints:
-        """Points from four arrays of one shape [A], [Wb]."""
-        d, q, flux_d, flux_q = (np.asarray(part, float) for part in (i_d, i_q, psi_d, psi_q))
+        """Return points from four arrays of one shape [A], [Wb]."""
+        d, q, flux_d, flux_q = (np.asarray(column, float) for column in (i_d, i_q, psi_d, psi_q))
         return cls(d + 1j * q, flux_d + 1j * flux_q)
 
     @classmethod
     def read(cls, path: str | Path) -> FluxPoints:
-        """Points from a CSV file with columns i_d, i_q [A], psi_d, psi_q [Wb].
+        """Read points from a CSV file with columns i_d, i_q [A], psi_d, psi_q [Wb].
 
         Raises
         ------
         MachineError
-            The file cannot be read, a column is missing or a value is no number.
+            The file cannot be read, a column is missing or a value is not a number.
         """
         check_regular(Path(path), MachineError)
         try:
@@ -84,8 +84,8 @@ class FluxPoints:
         except UnicodeDecodeError as error:
             raise MachineError(f"{path}: not a CSV file: {error}") from None
         rows = list(csv.DictReader(lines, skipinitialspace=True))
-        have = [name.strip() for name in rows[0]] if rows else []
-        missing = [name for name in COLUMNS if name not in have]
+        header = [name.strip() for name in rows[0]] if rows else []
+        missing = [name for name in COLUMNS if name not in header]
         if missing:
             raise MachineError(
                 f"{path}: a flux map has the columns {', '.join(COLUMNS)} [A, A, Wb, Wb]; "
@@ -93,22 +93,22 @@ class FluxPoints:
             )
         values = np.empty((len(rows), 4))
         for k, row in enumerate(rows):
-            named = {str(name).strip(): value for name, value in row.items()}
+            values_by_name = {str(name).strip(): value for name, value in row.items()}
             for n, name in enumerate(COLUMNS):
                 try:
-                    values[k, n] = float(named[name] or "")
+                    values[k, n] = float(values_by_name[name] or "")
                 except ValueError:
                     raise MachineError(
-                        f"{path}: point {k + 1}: {name} is {named[name]!r}, not a number"
+                        f"{path}: point {k + 1}: {name} is {values_by_name[name]!r}, not a number"
                     ) from None
         return cls(values[:, 0] + 1j * values[:, 1], values[:, 2] + 1j * values[:, 3], str(path))
 
     def table(self, rated_current: float | None, magnets: bool) -> FittedTable:
-        """The splines through these points."""
+        """Fit splines to these points."""
         return fit_table(self.current, self.flux, magnets)
 
     def text(self) -> str:
-        """As in a machine file."""
+        """Return the value of `flux_map` in a machine file."""
         return repr(self.source)
 
 
@@ -118,14 +118,14 @@ class AlgebraicSaturation(BaseModel):
         i_d = (a_d0 + a_dd |ψ_d|^S + a_dq/(V+2) |ψ_d|^U |ψ_q|^(V+2)) ψ_d - i_m
         i_q = (a_q0 + a_qq |ψ_q|^T + a_dq/(U+2) |ψ_d|^(U+2) |ψ_q|^V) ψ_q
 
-    i_m makes i_d = 0 at the magnets' flux psi_f. It is reciprocal whatever the parameters.
+    i_m makes i_d = 0 at the magnets' flux psi_f. The model is reciprocal for all parameters.
 
     Parameters
     ----------
     a_d0, a_q0 : float
         Inverse inductances without saturation [1/H], > 0.
     a_dd, a_qq, a_dq : float
-        Saturation of d, of q, and of each by the other [A/Wb^(S+1)] …, >= 0.
+        Saturation of d, of q, and cross-saturation [A/Wb^(S+1)] …, >= 0.
     S, T, U, V : float
         Exponents, 0 to 20.
     psi_f : float
@@ -152,7 +152,7 @@ class AlgebraicSaturation(BaseModel):
     psi_f: NotNegative = 0.0
 
     def current(self, flux: ArrayLike) -> Complex:
-        """Current d + j q [A] of a flux [Wb], (...)."""
+        """Return the current d + j q [A] of a flux [Wb], (...)."""
         psi = np.asarray(flux, complex)
         d, q = np.abs(psi.real), np.abs(psi.imag)
         S, T, U, V = self.S, self.T, self.U, self.V
@@ -162,7 +162,7 @@ class AlgebraicSaturation(BaseModel):
         return np.asarray(by_d * psi.real - magnet + 1j * by_q * psi.imag)
 
     def slopes(self, flux: ArrayLike) -> tuple[NDArray[np.float64], ...]:
-        """∂i_d/∂ψ_d, ∂i_d/∂ψ_q = ∂i_q/∂ψ_d and ∂i_q/∂ψ_q [1/H], each (...)."""
+        """Return ∂i_d/∂ψ_d, ∂i_d/∂ψ_q = ∂i_q/∂ψ_d and ∂i_q/∂ψ_q [1/H], each (...)."""
         psi = np.asarray(flux, complex)
         d, q = np.abs(psi.real), np.abs(psi.imag)
         S, T, U, V, a = self.S, self.T, self.U, self.V, self.a_dq
@@ -172,58 +172,60 @@ class AlgebraicSaturation(BaseModel):
         return dd, sign * a * d ** (U + 1) * q ** (V + 1), qq
 
     def flux(self, current: ArrayLike) -> Complex:
-        """Flux d + j q [Wb] of a current [A], (...), by Newton's method.
+        """Return the flux d + j q [Wb] of a current [A], (...), by Newton's method.
 
-        The map is the gradient of a convex energy, so damped steps always arrive.
+        The map is the gradient of a convex energy, so damped steps always converge.
         """
         i = np.asarray(current, complex)
         psi = np.full(i.shape, complex(self.psi_f))
         for _ in range(200):
-            off = i - self.current(psi)
+            error = i - self.current(psi)
             dd, dq, qq = self.slopes(psi)
             det = dd * qq - dq * dq
-            step = (qq * off.real - dq * off.imag) / det + 1j * (
-                (dd * off.imag - dq * off.real) / det
+            step = (qq * error.real - dq * error.imag) / det + 1j * (
+                (dd * error.imag - dq * error.real) / det
             )
-            most = 0.3 * (np.abs(psi) + 1 / (self.a_d0 + self.a_q0))
-            psi = psi + step * np.minimum(1.0, most / np.maximum(np.abs(step), 1e-300))
+            longest = 0.3 * (np.abs(psi) + 1 / (self.a_d0 + self.a_q0))
+            psi = psi + step * np.minimum(1.0, longest / np.maximum(np.abs(step), 1e-300))
             if np.all(np.abs(step) <= 1e-13 * (1e-3 + np.abs(psi))):
                 return np.asarray(psi)
-        raise ModelError("the flux of a current cannot be found: check the saturation parameters")
+        raise ModelError("the flux of a current did not converge: check the saturation parameters")
 
     def table(self, rated_current: float | None, magnets: bool) -> FittedTable:
-        """Splines through points up to twice the rated current [A]."""
+        """Fit splines to points up to twice the rated current [A]."""
         if rated_current is None:
-            raise MachineError("flux_map by its parameters needs rated_current, for its range")
+            raise MachineError("flux_map with parameters needs rated_current, which sets its range")
         if magnets != (self.psi_f > 0):
             raise MachineError(
                 "flux_map: psi_f is missing, the flux of the magnets [Wb]"
                 if magnets
-                else "flux_map: psi_f given, but this kind has no magnets"
+                else "flux_map: psi_f is given, but this kind has no magnets"
             )
-        at = np.linspace(-RANGE, RANGE, POINTS) * rated_current
-        i = (at[:, None] + 1j * at[None, :]).ravel()
+        axis = np.linspace(-RANGE, RANGE, POINTS) * rated_current
+        i = (axis[:, None] + 1j * axis[None, :]).ravel()
         return fit_table(i, self.flux(i), magnets)
 
     def text(self) -> str:
-        """As in a machine file: an inline table."""
+        """Return the value of `flux_map` in a machine file: an inline table."""
         return "{ " + ", ".join(f"{k} = {v!r}" for k, v in self.model_dump().items()) + " }"
 
 
 @dataclass(frozen=True)
-class Falling:
-    """Inductances that fall with the current: ``L(x) = L / √(1 + k x²)``, x over the rated current.
+class FallingInductances:
+    """Inductances that fall with the current: ``L(x) = L / √(1 + k x²)``.
+
+    x is the current over the rated current.
 
     Parameters
     ----------
     L_d, L_q : float
         Without current [H].
     rated_L_d, rated_L_q : float
-        Apparent inductance at the rated current [H], not above the former.
+        Apparent inductances at the rated current [H], not above L_d and L_q.
     psi_f : float
         [Wb].
     together : bool
-        x is the length of the current vector, for both axes; else each axis has its own.
+        If true, x is the length of the current vector for both axes, else each axis's component.
     """
 
     L_d: float
@@ -234,65 +236,69 @@ class Falling:
     together: bool = False
 
     def table(self, rated_current: float | None, magnets: bool) -> FittedTable:
-        """Splines through points up to twice the rated current [A]."""
+        """Fit splines to points up to twice the rated current [A]."""
         if rated_current is None:
-            raise MachineError("an inductance that falls needs rated_current")
-        at = np.linspace(-RANGE, RANGE, POINTS)
-        x = (at[:, None] + 1j * at[None, :]).ravel()
-        parts = []
-        for L, rated, own in (
+            raise MachineError("a rated inductance (L_…_rated) needs rated_current")
+        axis = np.linspace(-RANGE, RANGE, POINTS)
+        x = (axis[:, None] + 1j * axis[None, :]).ravel()
+        psi_dq = []
+        for L, rated, component in (
             (self.L_d, self.rated_L_d, x.real),
             (self.L_q, self.rated_L_q, x.imag),
         ):
             k = (L / rated) ** 2 - 1
-            square = np.abs(x) ** 2 if self.together else own**2
-            parts.append(L * rated_current * own / np.sqrt(1 + k * square))
-        flux = self.psi_f + parts[0] + 1j * parts[1]
+            square = np.abs(x) ** 2 if self.together else component**2
+            psi_dq.append(L * rated_current * component / np.sqrt(1 + k * square))
+        flux = self.psi_f + psi_dq[0] + 1j * psi_dq[1]
         return fit_table(x * rated_current, flux, magnets)
 
 
 MapSource = FluxPoints | AlgebraicSaturation
 
 
-def read_source(given: object) -> MapSource:
-    """A map from what a machine file or a call gives: a path, a table of parameters, or a map."""
-    if isinstance(given, FluxPoints | AlgebraicSaturation):
-        return given
-    if isinstance(given, str | Path):
+def read_source(value: object) -> MapSource:
+    """Return a map from a path, from a table of parameters, or unchanged."""
+    if isinstance(value, FluxPoints | AlgebraicSaturation):
+        return value
+    if isinstance(value, str | Path):
         try:
-            return FluxPoints.read(given)
+            return FluxPoints.read(value)
         except FluxobsError as error:  # pydantic carries a ValueError's message
             raise ValueError(str(error)) from None
-    if isinstance(given, Mapping):
+    if isinstance(value, Mapping):
         names = AlgebraicSaturation.model_fields
         try:
-            return AlgebraicSaturation(**given)
+            return AlgebraicSaturation(**value)
         except ValidationError as error:
             raise ValueError("flux_map: " + complaints(error, names, "flux_map")) from None
     raise ValueError(
         f"flux_map must be the path of a CSV file, a table of the algebraic model's parameters or "
-        f"FluxPoints, got {type(given).__name__}"
+        f"FluxPoints, got {type(value).__name__}"
     )
 
 
-#: Field of a machine.
+#: Type of a machine's field `flux_map`.
 FluxMapField = Annotated[MapSource, PlainValidator(read_source)]
 
 
 @lru_cache(maxsize=64)
-def fitted(source: MapSource | Falling, rated_current: float | None, magnets: bool) -> FittedTable:
-    """The splines of a map, made once: copies of a machine share them."""
+def fitted_table(
+    source: MapSource | FallingInductances, rated_current: float | None, magnets: bool
+) -> FittedTable:
+    """Fit the splines of a map once: copies of a machine share them."""
     return source.table(rated_current, magnets)
 
 
 def chords(fit: FittedTable, rated_current: float | None) -> tuple[float, float, float]:
-    """L_d, L_q [H] and psi_f [Wb] of the linear machine near a map: chords over ± the rated
-    current along q, over half of it along d."""
+    """Return L_d, L_q [H] and psi_f [Wb] of a linear machine that approximates a map.
+
+    The inductances are chords over ± the rated current along q, ± half of it along d.
+    """
     table = fit.table
-    most = float(min(np.abs(table.q).min(), 2 * max(np.abs(table.d))))
-    i = min(rated_current or most, most)
-    ends_d = np.clip(np.array([i, -i]) / 2, *table.d)
-    along_d, along_q = table.flux(ends_d + 0j).real, table.flux(np.array([1j * i, -1j * i])).imag
-    L_d = float((along_d[0] - along_d[1]) / (ends_d[0] - ends_d[1]))
+    reach = float(min(np.abs(table.q).min(), 2 * max(np.abs(table.d))))
+    i = min(rated_current or reach, reach)
+    ends = np.clip(np.array([i, -i]) / 2, *table.d)
+    along_d, along_q = table.flux(ends + 0j).real, table.flux(np.array([1j * i, -1j * i])).imag
+    L_d = float((along_d[0] - along_d[1]) / (ends[0] - ends[1]))
     L_q = float((along_q[0] - along_q[1]) / (2 * i))
     return L_d, L_q, float(table.flux(0j).real)

@@ -1,4 +1,4 @@
-"""Machine files are written, and the tables of their flux maps."""
+"""Write machine files and the tables of their flux maps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .saturation import COLUMNS, FluxPoints
 
 
 def check_machine_file(out: Path, force: bool, option: str = "--out") -> None:
-    """Raise FluxobsError if a machine file cannot, or must not, be written."""
+    """Raise FluxobsError if a machine file cannot be written, or must not be overwritten."""
     check_new(out, (".toml",), force, option)
 
 
@@ -26,7 +26,7 @@ def write_machine(
     found: Mapping[str, tuple[float, float]],
     force: bool,
 ) -> None:
-    """Write a machine file, and the table of its flux map beside it if that is not there already.
+    """Write a machine file, and beside it the table of its flux map unless it is there already.
 
     Raises
     ------
@@ -36,19 +36,19 @@ def write_machine(
     check_machine_file(path, force)
     flux_map = None
     if isinstance(points := getattr(machine, "flux_map", None), FluxPoints):
-        flux_map = json.dumps(_table(path, points, force), ensure_ascii=False)
+        flux_map = json.dumps(_save_table(path, points, force), ensure_ascii=False)
     write_text(path, machine_text(machine, head, found, flux_map))
 
 
-def _table(path: Path, points: FluxPoints, force: bool) -> str:
-    """Name of the table, as seen from the machine file."""
-    there, folder = Path(points.source).resolve(), path.parent.resolve()
-    if there.is_file() and there.is_relative_to(folder):
-        return there.relative_to(folder).as_posix()
+def _save_table(path: Path, points: FluxPoints, force: bool) -> str:
+    """Copy the table if it is elsewhere; return its path relative to the machine file."""
+    source, folder = Path(points.source).resolve(), path.parent.resolve()
+    if source.is_file() and source.is_relative_to(folder):
+        return source.relative_to(folder).as_posix()
     copy = path.with_name(f"{path.stem}-map.csv")
     check_new(copy, (".csv",), force)
     i, psi = points.current, points.flux
     rows = np.column_stack([i.real, i.imag, psi.real, psi.imag]).tolist()
-    lines = [COLUMNS, *(map(repr, row) for row in rows)]  # every digit
+    lines = [COLUMNS, *(map(repr, row) for row in rows)]  # repr keeps every digit
     write_text(copy, "".join(",".join(line) + "\n" for line in lines))
     return copy.name

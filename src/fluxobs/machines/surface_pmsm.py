@@ -16,10 +16,10 @@ class SurfacePMSM(MagnetMachine):
     L_s : float
         Phase inductance (synchronous, per phase in star) [H], > 0.
     L_s_rated : float, optional
-        Apparent inductance at the rated current [H], where it falls with the current.
+        Apparent inductance at the rated current [H], if it falls with the current.
     psi_f : float, optional
         Peak phase flux linkage of the magnets [Wb]. Only a scale: the estimates do not depend on
-        it, and the observer returns its own.
+        it, and the observer returns its own estimate.
     flux_map
         See :class:`SynchronousMachine`.
 

@@ -16,8 +16,8 @@ from .rotating import SynchronousMachine
 class SynchronousReluctance(SynchronousMachine):
     """Synchronous reluctance machine, ``(λ - L_q i)ᵀ(λ - L_d i) = 0``.
 
-    The position vector ``λ - L_q i = (L_d - L_q) i_d e(θ_e)`` lies along d, up to half a turn: it
-    points backwards if i_d < 0. It vanishes with i_d, and the position is then not valid.
+    The position vector ``λ - L_q i = (L_d - L_q) i_d e(θ_e)`` lies along d up to half a turn: it
+    points backwards if i_d < 0. It vanishes with i_d; the position is then not valid.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class SynchronousReluctance(SynchronousMachine):
     L_d, L_q : float
         Inductances along and across the axis of high permeance [H], L_d > L_q > 0.
     L_d_rated, L_q_rated : float, optional
-        Apparent inductance at the rated current [H], where it falls with the current.
+        Apparent inductances at the rated current [H], if they fall with the current.
     flux_map
         See :class:`SynchronousMachine`.
     """
@@ -45,7 +45,7 @@ class SynchronousReluctance(SynchronousMachine):
     L_q_rated: Positive | None = None
 
     @model_validator(mode="after")
-    def _salient(self) -> Self:
+    def _check_saliency(self) -> Self:
         if not self.L_d > self.L_q:
             raise ValueError(
                 f"L_d must be larger than L_q (d is the axis of high permeance), "
@@ -55,13 +55,13 @@ class SynchronousReluctance(SynchronousMachine):
 
     @property
     def constraint(self) -> QuadraticConstraint:
-        one = np.eye(2)
-        return QuadraticConstraint(one, -(self.L_d + self.L_q) * one, self.L_d * self.L_q * one)
+        eye = np.eye(2)
+        return QuadraticConstraint(eye, -(self.L_d + self.L_q) * eye, self.L_d * self.L_q * eye)
 
     def flux_base(self, rated_current: float, psi_f: float | None = None) -> float | None:
-        # i_d is about half of a rated current
+        # i_d is about half of the rated current.
         return _core.usual["RELUCTANCE"] * self.L_d * rated_current
 
     def constraint_noise(self, flux_base: float, noise: float) -> float:
-        # |∂w/∂i| = (L_d - L_q) |(L_d i_d, L_q i_q)| at the scale of the flux.
+        # |∂w/∂i| = (L_d - L_q) |(L_d i_d, L_q i_q)|, with the flux at its scale.
         return (self.L_d - self.L_q) * flux_base * noise

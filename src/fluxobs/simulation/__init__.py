@@ -1,1 +1,1 @@
-"""Simulated drives and signals in closed form: the truth that observers are judged by."""
+"""Simulated drives and closed-form signals: the truth against which observers are judged."""

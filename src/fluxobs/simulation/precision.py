@@ -1,6 +1,6 @@
-"""JAX in double precision; single precision is refused at the inputs.
+"""JAX in double precision; single-precision inputs are refused.
 
-All that uses JAX imports this module first. It needs the extra "design" (JAX, equinox, diffrax).
+Every module with JAX imports this one first. It needs the extra "design" (JAX, equinox, diffrax).
 """
 
 from __future__ import annotations
@@ -23,44 +23,43 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
-#: This XLA scheduler spreads even the smallest kernels of a loop over threads. A drive simulated
-#: sample by sample then takes up to 2.5 times as long, on twice the processors.
+#: This XLA scheduler distributes even the smallest kernels of a loop over threads. A drive
+#: simulated sample by sample then takes up to 2.5 times as long, on twice the processors.
 _SCHEDULER = "--xla_cpu_enable_concurrency_optimized_scheduler"
-#: XLA ends the process on an unknown flag; jaxlib from the first up to the second version knows
-#: this one.
-_KNOWN = ((0, 4, 36), (0, 11))
+#: Versions of jaxlib with this flag: from the first, below the second. XLA aborts on unknown flags.
+_SUPPORTED = ((0, 4, 36), (0, 11))
 
 
-def _schedule_in_sequence() -> None:
-    """Turns the scheduler off unless the user has set it.
+def _disable_scheduler() -> None:
+    """Turn the scheduler off unless the user has set it.
 
     XLA reads the flag when the first computation starts.
     """
     release = tuple(int(part) for part in version("jaxlib").split(".")[:3] if part.isdigit())
     flags = os.environ.get("XLA_FLAGS", "")
-    if _KNOWN[0] <= release < _KNOWN[1] and _SCHEDULER not in flags:
+    if _SUPPORTED[0] <= release < _SUPPORTED[1] and _SCHEDULER not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} {_SCHEDULER}=false".strip()
 
 
-_schedule_in_sequence()
+_disable_scheduler()
 jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
 
 
 def double(name: str, value: Any) -> jax.Array:
-    """Array of doubles, traced or not; ModelError for single precision."""
-    given = getattr(value, "dtype", None)
-    if given is not None and given in (jnp.float32, jnp.float16, jnp.bfloat16, jnp.complex64):
+    """Return an array of doubles, traced or not; raise ModelError for single precision."""
+    dtype = getattr(value, "dtype", None)
+    if dtype is not None and dtype in (jnp.float32, jnp.float16, jnp.bfloat16, jnp.complex64):
         raise ModelError(
-            f"{name} is {given}: simulation and research compute in float64 only; "
+            f"{name} is {dtype}: simulation and research compute in float64 only; "
             f"give {name} as float64, e.g. numpy.asarray({name}, float)"
         )
     return jnp.asarray(value, dtype=jnp.float64)
 
 
 def real(name: str, value: Any, shape: tuple[int, ...] | None = None) -> jax.Array:
-    """Array of doubles; ModelError if it is of single precision, not finite or of another shape.
+    """Return an array of doubles; raise ModelError on single precision, non-finite values or shape.
 
-    For traced values only precision and shape are checked.
+    Traced values are checked for precision and shape only.
     """
     if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
         raise RuntimeError("jax_enable_x64 was switched off; fluxobs needs it")
@@ -69,28 +68,28 @@ def real(name: str, value: Any, shape: tuple[int, ...] | None = None) -> jax.Arr
         # Check with NumPy: every new operation on a JAX array costs a compilation.
         finite = np.isfinite(np.asarray(array))
         if not finite.all():
-            at = tuple(int(k) for k in np.argwhere(~finite)[0])
-            where = f" at {at}" if at else ""
-            raise ModelError(f"{name} must be finite, got {float(array[at])}{where}")
+            index = tuple(int(k) for k in np.argwhere(~finite)[0])
+            where = f" at {index}" if index else ""
+            raise ModelError(f"{name} must be finite, got {float(array[index])}{where}")
     if shape is not None and array.shape != shape:
         raise ModelError(f"{name} must have shape {shape}, got {array.shape}")
     return array
 
 
 def positive(name: str, value: Any, shape: tuple[int, ...] | None = ()) -> jax.Array:
-    """Like :func:`real`; also checks that all values are above zero."""
-    return _bounded(name, value, shape, "positive", lambda array: array > 0)
+    """Return an array as :func:`real`; raise ModelError unless all values are above zero."""
+    return _check_bound(name, value, shape, "positive", lambda array: array > 0)
 
 
 def not_negative(name: str, value: Any, shape: tuple[int, ...] | None = ()) -> jax.Array:
-    """Like :func:`real`; also checks that no value is negative."""
-    return _bounded(name, value, shape, "zero or positive", lambda array: array >= 0)
+    """Return an array as :func:`real`; raise ModelError if a value is negative."""
+    return _check_bound(name, value, shape, "zero or positive", lambda array: array >= 0)
 
 
-def _bounded(
-    name: str, value: Any, shape: tuple[int, ...] | None, what: str, holds: Callable[[Any], Any]
+def _check_bound(
+    name: str, value: Any, shape: tuple[int, ...] | None, bound: str, holds: Callable[[Any], Any]
 ) -> jax.Array:
     array = real(name, value, shape)
     if not isinstance(array, jax.core.Tracer) and not holds(np.asarray(array)).all():
-        raise ModelError(f"{name} must be {what}, got {np.asarray(array).tolist()}")
+        raise ModelError(f"{name} must be {bound}, got {np.asarray(array).tolist()}")
     return array

@@ -1,4 +1,4 @@
-"""The quadratic relation: its residual, its null space, and the machines that satisfy it."""
+"""The quadratic relation: residual, null space, and the machines that satisfy it."""
 
 import numpy as np
 import pytest
@@ -43,12 +43,12 @@ def test_machines_on_a_trajectory(name):
     machine = MACHINES[name]
     samples = steady(machine, 1e-4, 400.0, 200, CURRENTS[name])
     residual = machine.constraint.residual(samples.flux, samples.current)
-    spread = residual - residual.mean()  # d of the interior PMSM is its active flux: not known
+    spread = residual - residual.mean()  # d of the interior PMSM depends on i_d: ignore it
     assert np.abs(spread).max() < 1e-12 * np.abs(samples.flux).max() ** 2
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 4))
-def test_only_symmetric_parts_enter_and_the_hessian_is_the_second_difference(seed, n):
+def test_only_symmetric_parts_matter_and_the_hessian_is_the_second_difference(seed, n):
     Q1, Q2, Q3, E, C = matrices(seed, n)
     constraint = QuadraticConstraint(Q1, Q2, Q3, E, C, d=0.3)
     rng = np.random.default_rng(seed + 1)
@@ -65,15 +65,15 @@ def test_only_symmetric_parts_enter_and_the_hessian_is_the_second_difference(see
 
 
 @given(L=positive, psi=positive)
-def test_a_current_bias_hides_in_the_flux_of_a_pmsm(L, psi):
+def test_a_current_bias_of_a_pmsm_is_invisible(L, psi):
     machine = SurfacePMSM(R_s=1, L_s=L, n_p=1, psi_f=psi)
     invisible = machine.constraint.invisible_offsets()
     assert invisible.shape == (4, 2)
-    # Every invisible offset is (L s, s): the position vector λ - L i does not change.
+    # Every invisible offset is (L s, s): it leaves the position vector λ - L i unchanged.
     np.testing.assert_allclose(invisible[:2], L * invisible[2:], rtol=1e-9, atol=1e-12 * L)
 
 
-def test_nothing_is_invisible_for_a_salient_reluctance_machine():
+def test_a_reluctance_machine_has_no_invisible_offsets():
     assert MACHINES["synrm-6kw7"].constraint.invisible_offsets().shape == (4, 0)
 
 
@@ -81,7 +81,7 @@ def test_nothing_is_invisible_for_a_salient_reluctance_machine():
 def test_invisible_offsets_are_the_null_space(seed, n):
     Q1, Q2, Q3, E, C = matrices(seed, n)
     constraint = QuadraticConstraint(Q1, Q2, Q3, E, C)
-    assert constraint.invisible_offsets().shape == (2 * n, 0)  # random: regular
+    assert constraint.invisible_offsets().shape == (2 * n, 0)  # random matrices are regular
     rng = np.random.default_rng(seed)
     S = rng.standard_normal((n, n))
     hidden = QuadraticConstraint(Q1, -(Q1 + Q1.T) @ S, S.T @ Q1 @ S)  # (λ - S i)ᵀQ1(λ - S i)
@@ -99,6 +99,6 @@ def test_invisible_offsets_are_the_null_space(seed, n):
         ((np.eye(2), np.eye(2), np.eye(2), [1.0]), r"E must have shape \(2,\)"),
     ],
 )
-def test_unusable_matrices_are_named(arguments, message):
+def test_wrong_matrices_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         QuadraticConstraint(*arguments)

@@ -1,4 +1,4 @@
-"""Flux maps: splines, derivatives, the auxiliary flux; Python, C and JAX say the same."""
+"""Flux maps: splines, derivatives, auxiliary flux; Python, C and JAX agree."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ RELUCTANCE = SynchronousReluctance(R_s=0.63, n_p=2, rated_current=22.0, flux_map
 LINEAR = LinearMap(0.545, 0.036, 0.051)
 
 
-def currents(count=300, most=40.0, seed=0):
+def currents(count=300, limit=40.0, seed=0):
     rng = np.random.default_rng(seed)
-    return rng.uniform(-most, most, count) + 1j * rng.uniform(-most, most, count)
+    return rng.uniform(-limit, limit, count) + 1j * rng.uniform(-limit, limit, count)
 
 
 @pytest.fixture(scope="module")
@@ -27,49 +27,51 @@ def table() -> TableMap:
     return RELUCTANCE.saturation.table
 
 
-def test_a_table_is_the_spline_of_scipy(table):
+def test_a_table_agrees_with_scipy(table):
     knots = tuple(
         span[0] + (span[1] - span[0]) / n * np.arange(-2, n + 3)
         for span, n in zip((table.d, table.q), table.intervals, strict=True)
     )
     spline = NdBSpline(knots, np.asarray(table.coefficients), 2)
     i = currents()
-    at = table.at(i)
+    mapped = table.at(i)
     points = np.stack([i.real, i.imag], -1)
-    for nu, found in (((0, 0), at.flux), ((1, 0), at.by_d), ((0, 1), at.by_q)):
+    for nu, evaluated in (((0, 0), mapped.flux), ((1, 0), mapped.by_d), ((0, 1), mapped.by_q)):
         expected = spline(points, nu=nu) @ [1, 1j]
-        np.testing.assert_allclose(found, expected, atol=1e-12)
+        np.testing.assert_allclose(evaluated, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_c_evaluates_the_same_map(table, precision):
     observer = LeastSquaresObserver.for_machine(RELUCTANCE, sample_time=1e-4, precision=precision)
-    i = np.concatenate([currents(), currents(50, 90.0)])  # some of them outside
-    got = observer._core.mapped(np.stack([i.real, i.imag], -1), np.zeros(len(i)))
-    at = table.at(i)
-    vectors = (at.flux, at.by_d, at.by_q, at.auxiliary(i))
+    i = np.concatenate([currents(), currents(50, 90.0)])  # some are outside the table
+    evaluated = observer._core.mapped(np.stack([i.real, i.imag], -1), np.zeros(len(i)))
+    mapped = table.at(i)
+    vectors = (mapped.flux, mapped.by_d, mapped.by_q, mapped.auxiliary(i))
     expected = np.concatenate([np.stack([v.real, v.imag], -1) for v in vectors], axis=1)
-    np.testing.assert_allclose(got[:, :8], expected, atol=1e-12 if precision == "double" else 3e-6)
-    np.testing.assert_array_equal(got[:, 8] > 0, table.outside(i))
+    np.testing.assert_allclose(
+        evaluated[:, :8], expected, atol=1e-12 if precision == "double" else 3e-6
+    )
+    np.testing.assert_array_equal(evaluated[:, 8] > 0, table.outside(i))
 
 
-@pytest.mark.parametrize("which", ["table", "linear"])
-def test_an_error_of_the_angle_moves_the_flux_by_the_auxiliary_flux(table, which):
-    flux_map = table if which == "table" else LINEAR
-    i, e = currents(most=25.0), 1e-6
-    off = np.exp(1j * e) * flux_map.flux(i * np.exp(-1j * e)) - flux_map.flux(i)
+@pytest.mark.parametrize("kind", ["table", "linear"])
+def test_an_error_of_the_angle_moves_the_flux_by_the_auxiliary_flux(table, kind):
+    flux_map = table if kind == "table" else LINEAR
+    i, e = currents(limit=25.0), 1e-6
+    change = np.exp(1j * e) * flux_map.flux(i * np.exp(-1j * e)) - flux_map.flux(i)
     a = flux_map.at(i).auxiliary(i)
-    np.testing.assert_allclose(off / e, 1j * a, atol=2e-5)
+    np.testing.assert_allclose(change / e, 1j * a, atol=2e-5)
 
 
-def test_the_auxiliary_flux_of_a_linear_machine_is_known():
+def test_the_auxiliary_flux_of_a_linear_machine():
     i = currents()
     saliency = LINEAR.L_d - LINEAR.L_q
     expected = LINEAR.psi + saliency * i.conj()
     np.testing.assert_allclose(LINEAR.at(i).auxiliary(i), expected, atol=1e-12)
 
 
-def test_beyond_its_range_a_table_goes_on_linearly_and_says_so(table):
+def test_a_table_is_extrapolated_linearly_and_outside_detects_it(table):
     edge = table.d[1]
     inside, beyond = table.at(np.array(edge + 3j)), table.at(np.array(edge + 2 + 3j))
     assert beyond.flux == pytest.approx(inside.flux + 2 * inside.by_d, abs=1e-9)
@@ -84,11 +86,11 @@ def test_jax_evaluates_and_inverts_the_same_map(table):
     i = currents(40, 25.0)
     twin = Map.of(table)
     flux, by_d, by_q = jax.vmap(twin.at)(i)
-    at = table.at(i)
-    for found, expected in ((flux, at.flux), (by_d, at.by_d), (by_q, at.by_q)):
-        np.testing.assert_allclose(found, expected, atol=1e-12)
-    back = jax.vmap(lambda psi: twin.current(psi, RELUCTANCE.L_d, RELUCTANCE.L_q))(flux)
-    np.testing.assert_allclose(back, i, atol=1e-6)
+    mapped = table.at(i)
+    for evaluated, expected in ((flux, mapped.flux), (by_d, mapped.by_d), (by_q, mapped.by_q)):
+        np.testing.assert_allclose(evaluated, expected, atol=1e-12)
+    inverted = jax.vmap(lambda psi: twin.current(psi, RELUCTANCE.L_d, RELUCTANCE.L_q))(flux)
+    np.testing.assert_allclose(inverted, i, atol=1e-6)
 
 
 def test_noise_of_measured_points_is_averaged():
@@ -104,15 +106,15 @@ def test_noise_of_measured_points_is_averaged():
 
 
 def test_points_of_one_quadrant_are_mirrored():
-    at = np.linspace(0, 30, 31)
-    i = (at[:, None] + 1j * at[None, :]).ravel()
+    axis = np.linspace(0, 30, 31)
+    i = (axis[:, None] + 1j * axis[None, :]).ravel()
     fit = fit_table(i, MODEL.flux(i), magnets=False)
-    where = np.array([8 + 9j, -8 + 9j, 8 - 9j, -8 - 9j])
-    np.testing.assert_allclose(fit.table.flux(where), MODEL.flux(where), atol=1e-3)
+    i_dq = np.array([8 + 9j, -8 + 9j, 8 - 9j, -8 - 9j])
+    np.testing.assert_allclose(fit.table.flux(i_dq), MODEL.flux(i_dq), atol=1e-3)
     assert fit.reciprocity < 0.01
 
 
-def test_a_map_that_no_machine_has_is_seen():
+def test_implausible_maps_are_detected():
     i = currents(400, 30.0)
     psi = MODEL.flux(i)
     assert fit_table(i, psi + 0.01j * i.real, magnets=False).reciprocity > 0.3
@@ -122,7 +124,7 @@ def test_a_map_that_no_machine_has_is_seen():
         fit_table(1 + 1j * i.imag, psi, magnets=True)
     with pytest.raises(ModelError, match="point 3 of the map is not finite"):
         fit_table(i, np.where(np.arange(400) == 2, np.nan, psi), magnets=False)
-    with pytest.raises(ModelError, match="as many currents as fluxes"):
+    with pytest.raises(ModelError, match="current and flux must have the same size"):
         fit_table(i, psi[:-1], magnets=False)
 
 

@@ -1,7 +1,7 @@
-"""The demonstration, and the replay of its log with committed expected outputs.
+"""The demonstration, and the replay of its log against committed outputs.
 
-A change of any number shows as a diff of tests/expected/demo.csv; where it is meant, write the file
-anew with ``PYTHONPATH=tests python tests/simulation/closed_form/test_demo.py``.
+Any changed number shows as a diff of tests/expected/demo.csv. If the change is intended, rewrite
+the file with ``PYTHONPATH=tests python tests/simulation/closed_form/test_demo.py``.
 """
 
 import io
@@ -25,34 +25,34 @@ def replay(folder):
 
 def test_shipped_log_is_the_generated_one(tmp_path):
     write(tmp_path / "log.csv")
-    made, shipped = (
+    generated, shipped = (
         pl.read_csv(source) for source in (tmp_path / "log.csv", io.StringIO(LOG.read_text()))
     )
-    assert made.columns == shipped.columns == list(generate())
-    # Another libm may round the last digit of a quantised value the other way.
+    assert generated.columns == shipped.columns == list(generate())
+    # Another libm may round the last digit of a quantised value differently.
     for name, step in (("i_alpha", 0.011), ("u_beta", 0.0051), ("theta_e", 1.1e-5), ("t", 0)):
-        assert (made[name] - shipped[name]).abs().max() <= step
+        assert (generated[name] - shipped[name]).abs().max() <= step
 
 
 def test_replay_gives_the_committed_numbers(tmp_path):
-    _, found = replay(tmp_path)
+    _, estimates = replay(tmp_path)
     expected = pl.read_csv(EXPECTED)
-    found = found.gather_every(EVERY)
-    assert found.columns == expected.columns
+    estimates = estimates.gather_every(EVERY)
+    assert estimates.columns == expected.columns
     for name in expected.columns:
-        a, b = found[name].to_numpy(), expected[name].to_numpy()
+        a, b = estimates[name].to_numpy(), expected[name].to_numpy()
         if name == "valid":
             np.testing.assert_array_equal(a, b)
         else:
             np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-9, err_msg=name)
 
 
-def test_demo_shows_what_it_should(tmp_path):
-    result, found = replay(tmp_path)
-    seen = result.statistics
-    assert seen.valid > 0.9 * seen.rows
-    assert seen.error_max < np.radians(15)  # through zero, with a dead-time error
-    settled = found.filter(pl.col("valid") & (pl.col("t") > 0.2) & (pl.col("t") < 1.0))
+def test_demo_errors_are_small(tmp_path):
+    result, estimates = replay(tmp_path)
+    statistics = result.statistics
+    assert statistics.valid > 0.9 * statistics.rows
+    assert statistics.error_max < np.radians(15)  # through zero speed, with a dead-time error
+    settled = estimates.filter(pl.col("valid") & (pl.col("t") > 0.2) & (pl.col("t") < 1.0))
     assert settled["theta_e_error"].abs().max() < np.radians(2)
 
 

@@ -1,4 +1,4 @@
-"""The closed-form signals against the equations that they solve."""
+"""The closed-form signals against their equations."""
 
 import numpy as np
 import pytest
@@ -17,15 +17,15 @@ H, PARTS = 1e-4, 16
 
 
 @pytest.mark.parametrize("name", MACHINES)
-def test_flux_voltage_and_current_belong_together(name):
+def test_flux_voltage_and_current_satisfy_the_equations(name):
     """λ = λ(i_dq) e^{jθ}, and its change is the integral of u - R i."""
     machine, i_dq = MACHINES[name], CURRENTS[name]
     true = steady(machine, H, np.linspace(-400, 600, 300), 300, i_dq, 0.3)
     turn = np.exp(1j * true.theta_e)
     np.testing.assert_allclose(true.current, i_dq * turn, rtol=1e-12)
     np.testing.assert_allclose(true.flux, complex(machine.flux_dq(i_dq)) * turn, rtol=1e-12)
-    back = H * (true.voltage - machine.R_s * true.mean_current)
-    np.testing.assert_allclose(back, np.diff(true.flux), atol=1e-15)
+    volt_seconds = H * (true.voltage - machine.R_s * true.mean_current)
+    np.testing.assert_allclose(volt_seconds, np.diff(true.flux), atol=1e-15)
     np.testing.assert_allclose(true.volt_seconds, np.diff(true.flux), atol=0)
     residual = machine.constraint.residual(vectors(true.flux), vectors(true.current))
     assert np.ptp(residual) < 1e-12 * np.abs(true.flux).max() ** 2
@@ -33,17 +33,17 @@ def test_flux_voltage_and_current_belong_together(name):
 
 @pytest.mark.parametrize("speed", [500.0, -500.0, 0.0])
 @pytest.mark.parametrize("name", MACHINES)
-def test_both_are_the_same_at_constant_speed(name, speed):
+def test_steady_and_driven_agree_at_constant_speed(name, speed):
     machine, i_dq, rows = MACHINES[name], CURRENTS[name], 100
-    one = steady(machine, H, speed, rows, i_dq, 0.3)
+    exact = steady(machine, H, speed, rows, i_dq, 0.3)
     count = rows * PARTS + 1
-    other = driven(machine, H, np.full(count, speed), np.full(count, i_dq), PARTS, 0.3)
+    integrated = driven(machine, H, np.full(count, speed), np.full(count, i_dq), PARTS, 0.3)
     for field in ("theta_e", "flux", "current", "mean_current", "voltage"):
-        a, b = getattr(one, field), getattr(other, field)
+        a, b = getattr(exact, field), getattr(integrated, field)
         np.testing.assert_allclose(b, a, atol=1e-9 * (np.abs(a).max() + 1e-9), err_msg=field)
 
 
-def test_the_mean_current_by_finer_parts():
+def test_the_mean_current_agrees_with_finer_integration():
     machine = MACHINES["servo-400w"]
     t = np.arange(50 * 256 + 1) / (50 * 256)
     speed, i_dq = 800 * t, 3 * np.sin(9 * t) + 6j * np.cos(5 * t)
@@ -53,19 +53,19 @@ def test_the_mean_current_by_finer_parts():
     np.testing.assert_allclose(coarse.theta_e, fine.theta_e, atol=1e-12)
 
 
-def test_between_rows_are_straight_lines():
+def test_between_rows_interpolates_linearly():
     rows = np.array([1.0, 3.0, 2.0])
-    found = between_rows(rows, 4)
-    np.testing.assert_allclose(found, [1, 1.5, 2, 2.5, 3, 2.75, 2.5, 2.25, 2])
-    turned = between_rows(rows * 1j, 4)
-    np.testing.assert_allclose(turned, 1j * found)
+    values = between_rows(rows, 4)
+    np.testing.assert_allclose(values, [1, 1.5, 2, 2.5, 3, 2.75, 2.5, 2.25, 2])
+    complex_values = between_rows(rows * 1j, 4)
+    np.testing.assert_allclose(complex_values, 1j * values)
 
 
-def test_what_an_inverter_takes_is_against_each_phase_current():
+def test_inverter_loss_opposes_each_phase_current():
     current = 5 * np.exp(1j * np.linspace(0, 6, 40))
     lost = inverter_loss(current, 0.5, 0.01)
     phases = np.stack([(current * np.exp(-2j * np.pi / 3 * k)).real for k in range(3)])
     expected = clarke(*(0.5 * np.tanh(phases / 0.01))) @ [1, 1j]
     np.testing.assert_allclose(lost, expected, atol=1e-15)
-    assert ((lost * current.conj()).real > 0).all()  # it brakes
+    assert ((lost * current.conj()).real > 0).all()  # it dissipates
     assert (inverter_loss(current, 0.0, 0.01) == 0).all()

@@ -1,4 +1,4 @@
-"""The drive simulator against closed forms, conserved quantities and independent recursions."""
+"""The drive simulator against closed forms, conservation laws and independent recursions."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def drive(motor=MACHINES["pmsm-2kw2"], inverter=None, sensors=None, J=0.015, lim
 # ---- units and vectors -----------------------------------------------------------------------
 
 
-def test_units_at_the_border():
+def test_unit_conversions():
     assert rpm(60.0) == pytest.approx(2 * np.pi)
     assert to_rpm(rpm(1234.0)) == pytest.approx(1234.0)
     assert to_rms(rms(4.3)) == pytest.approx(4.3)
@@ -78,7 +78,7 @@ def test_profiles_jump_and_hold():
 
 @pytest.mark.parametrize("name", MACHINES)
 def test_power_balance(name):
-    """Electrical in = copper + field + mechanical out, along a run with a spinning rotor."""
+    """Electrical input = copper loss + field + mechanical output, with a spinning rotor."""
     motor = MACHINES[name]
     plant = Plant(motor, Mechanics(0.002, viscous=1e-3, coulomb=0.05))
     h, rows = 2e-6, 10000
@@ -93,7 +93,7 @@ def test_power_balance(name):
                 plant.mechanics.resisting(state.speed) * state.speed,
             ]
         )
-        # Simpson over the step: the middle by half a step.
+        # Simpson's rule over the step, with the state after half a step.
         half = plant.advance(state, u, jnp.zeros(()), jnp.asarray(h / 2), 1)
         after = plant.advance(half, u, jnp.zeros(()), jnp.asarray(h / 2), 1)
 
@@ -119,9 +119,9 @@ def test_power_balance(name):
             motor.field_energy(plant.current(s), s.rotor) + plant.mechanics.J * s.speed**2 / 2
         )
 
-    gained = stored(end) - stored(start)
+    increase = stored(end) - stored(start)
     assert abs(electrical) > 0.1
-    assert electrical - copper - friction == pytest.approx(gained, abs=1e-8 * abs(electrical))
+    assert electrical - copper - friction == pytest.approx(increase, abs=1e-8 * abs(electrical))
 
 
 def test_locked_rotor_follows_its_time_constant():
@@ -137,7 +137,7 @@ def test_locked_rotor_follows_its_time_constant():
 
 @pytest.mark.parametrize("elastic", [False, True])
 def test_against_an_independent_solver(elastic):
-    """The salient machine written out in rotor coordinates, by SciPy."""
+    """A salient machine in rotor coordinates, solved by SciPy."""
     m = example("ipm-2kw2")
     coupling = {"J_load": 0.01, "stiffness": 200.0, "damping": 0.02} if elastic else {}
     mechanics = Mechanics(0.004, viscous=2e-3, fan=1e-4, **coupling)
@@ -167,7 +167,7 @@ def test_against_an_independent_solver(elastic):
         ]
 
     start = [m.psi_f, 0.0, 5.0, 0.3, 5.0, 0.0]
-    found = solve_ivp(rate, (0, T), start, rtol=1e-11, atol=1e-12).y[:, -1]
+    solution = solve_ivp(rate, (0, T), start, rtol=1e-11, atol=1e-12).y[:, -1]
     state = plant.standstill(0.3, 5.0)
     rows = 800
     step = jax.jit(
@@ -176,92 +176,92 @@ def test_against_an_independent_solver(elastic):
     for _ in range(rows):
         state = step(state)
     x = complex(state.flux * np.conj(state.rotor))
-    assert x == pytest.approx(found[0] + 1j * found[1], abs=1e-8)
-    assert float(state.speed) == pytest.approx(found[2], abs=1e-6)
-    assert np.angle(complex(state.rotor) * np.exp(-1j * found[3])) == pytest.approx(0, abs=1e-8)
+    assert x == pytest.approx(solution[0] + 1j * solution[1], abs=1e-8)
+    assert float(state.speed) == pytest.approx(solution[2], abs=1e-6)
+    assert np.angle(complex(state.rotor) * np.exp(-1j * solution[3])) == pytest.approx(0, abs=1e-8)
     if elastic:
-        assert float(state.load_speed) == pytest.approx(found[4], abs=1e-6)
-        assert float(state.twist) == pytest.approx(found[5], abs=1e-8)
+        assert float(state.load_speed) == pytest.approx(solution[4], abs=1e-6)
+        assert float(state.twist) == pytest.approx(solution[5], abs=1e-8)
 
 
 # ---- inverter --------------------------------------------------------------------------------
 
 
-def test_an_ideal_inverter_makes_what_it_is_asked():
+def test_an_ideal_inverter_makes_the_commanded_voltage():
     inverter = Inverter()
     for u in (100 + 50j, -200j, 310 * np.exp(1j * np.pi / 6)):
         duties = inverter.duties(jnp.asarray(u), jnp.asarray(540.0))
         assert ((duties >= 0) & (duties <= 1)).all()
-        made = inverter.averaged(duties, jnp.asarray(540.0), jnp.asarray(1j), jnp.asarray(H))
-        assert complex(made) == pytest.approx(u, abs=1e-9)
+        voltage = inverter.averaged(duties, jnp.asarray(540.0), jnp.asarray(1j), jnp.asarray(H))
+        assert complex(voltage) == pytest.approx(u, abs=1e-9)
 
 
 @pytest.mark.parametrize("current", [5 * np.exp(0.4j), 3 * np.exp(2.9j), 4 * np.exp(-1.0j)])
 def test_switching_and_averaged_inverter_agree_over_a_period(current):
-    given = {"dead_time": 2e-6, "drop": 1.1, "R_on": 0.05, "smoothing": 1e-3}
-    averaged, parts = Inverter(**given), 16
-    switching = Inverter(**given, switching=parts)
+    flaws = {"dead_time": 2e-6, "drop": 1.1, "R_on": 0.05, "smoothing": 1e-3}
+    averaged, parts = Inverter(**flaws), 16
+    switching = Inverter(**flaws, switching=parts)
     link, h, i = jnp.asarray(540.0), jnp.asarray(H), jnp.asarray(current)
     duties = averaged.duties(jnp.asarray(120 * np.exp(1.1j)), link)
     mean = sum(switching.switched(duties, link, i, h, jnp.asarray(k)) for k in range(parts)) / parts
     assert complex(mean) == pytest.approx(complex(averaged.averaged(duties, link, i, h)), abs=1e-9)
-    # And both lose what dead time is known to cost, against the signs of the phase currents.
+    # Both lose the voltage of dead time and drop, against the phase currents.
     signs = np.sign(np.asarray(phases(i)))
     lost = complex(from_phases(jnp.asarray((2e-6 / H * 540 + 1.1) * signs)))
     assert complex(mean) == pytest.approx(120 * np.exp(1.1j) - lost - 0.05 * current, abs=1e-6)
 
 
 @pytest.mark.slow
-def test_a_switching_drive_runs_as_the_averaged_one():
-    """Same course; pulses centred in the sample, so that sampled currents have no ripple."""
-    given = {"dead_time": 1e-6, "drop": 1.0, "smoothing": 0.2}
+def test_switching_and_averaged_drive_agree():
+    """Pulses are centred in the sample, so sampled currents have no ripple."""
+    flaws = {"dead_time": 1e-6, "drop": 1.0, "smoothing": 0.2}
     course = Course(Profile([0.0, 0.1], [0.0, 40.0]), 540.0, load=5.0, start_speed=0.0)
     runs = [
-        simulate(drive(inverter=Inverter(**given, switching=parts)), course, 0.2)
+        simulate(drive(inverter=Inverter(**flaws, switching=parts)), course, 0.2)
         for parts in (0, 64)
     ]
     averaged, switching = (run.trace for run in runs)
     assert np.abs(switching.speed - averaged.speed).max() < 0.02 * np.abs(averaged.speed).max()
-    rest = slice(800, None)
-    size = np.abs(averaged.current[rest]).max()
-    assert np.abs(switching.current[rest] - averaged.current[rest]).max() < 0.05 * size
+    later = slice(800, None)
+    size = np.abs(averaged.current[later]).max()
+    assert np.abs(switching.current[later] - averaged.current[later]).max() < 0.05 * size
 
 
 # ---- sensors ---------------------------------------------------------------------------------
 
 
-def test_sensors_do_what_they_say():
+def test_each_sensor_flaw():
     one, zero = jnp.asarray(1.0), jnp.zeros(())
     i = jnp.asarray(3 + 4j)
 
-    def seen(**given):
+    def measured(**flaws):
         return complex(
-            Sensors(**given).measure(i, jnp.asarray(100 + 0j), jnp.asarray(0.5j), one + 0j, one)
+            Sensors(**flaws).measure(i, jnp.asarray(100 + 0j), jnp.asarray(0.5j), one + 0j, one)
         )
 
-    assert seen() == pytest.approx(3 + 4.5j)
-    assert seen(noise=0.1) == pytest.approx(3.1 + 4.5j)
-    assert seen(jitter=1e-3) == pytest.approx(3.1 + 4.5j)
+    assert measured() == pytest.approx(3 + 4.5j)
+    assert measured(noise=0.1) == pytest.approx(3.1 + 4.5j)
+    assert measured(jitter=1e-3) == pytest.approx(3.1 + 4.5j)
     abc = np.asarray(phases(jnp.asarray(3 + 4.5j)))
-    assert seen(gain=(1.1, 1.0, 1.0)) == pytest.approx(
+    assert measured(gain=(1.1, 1.0, 1.0)) == pytest.approx(
         complex(from_phases(jnp.asarray(abc * [1.1, 1, 1])))
     )
-    assert np.abs(np.asarray(phases(jnp.asarray(seen(range=2.0))))).max() < 2.8
-    coarse = np.asarray(seen(quantum=0.5))
+    assert np.abs(np.asarray(phases(jnp.asarray(measured(range=2.0))))).max() < 2.8
+    coarse = np.asarray(measured(quantum=0.5))
     assert complex(coarse) == pytest.approx(
         complex(from_phases(jnp.asarray(np.round(abc / 0.5) * 0.5)))
     )
     assert complex(Sensors().measure(i, zero + 0j, zero + 0j, zero + 0j, zero)) == 3 + 4j
 
 
-def test_jitter_moves_a_sample_along_the_current_s_course():
-    """Its noise is the sampling instant's times the true slope of the current."""
+def test_jitter_multiplies_the_current_slope():
+    """Its noise is the deviation of the sampling instant times the true slope of the current."""
     jitter = 1e-6
     d = drive(sensors=Sensors(jitter=jitter))
     run = simulate(d, Course(Profile([0.0, 0.2], [0.0, 100.0]), 540.0, load=8.0), 0.5)
     late = slice(2400, None)
     noise = (run.trace.measured_current - run.trace.current)[late]
-    # Just before the sample, under the voltage that acted until then.
+    # The slope just before the sample, under the last interval's voltage.
     trace, motor = run.trace, MACHINES["pmsm-2kw2"]
     acted = np.concatenate([[0], trace.voltage[:-1]])
     emf = 1j * motor.n_p * trace.speed * motor.psi_f * np.exp(1j * trace.theta_e)
@@ -270,17 +270,17 @@ def test_jitter_moves_a_sample_along_the_current_s_course():
     assert np.sqrt(np.mean(np.abs(noise) ** 2)) == pytest.approx(expected, rel=0.05)
 
 
-def test_many_steps_in_a_sample_give_what_few_in_short_samples_give():
+def test_many_steps_in_a_sample_agree_with_few_in_short_samples():
     motor = MACHINES["pmsm-2kw2"]
     plant = Plant(motor, Mechanics(1e-3, J_load=1e-3, stiffness=5e3))
     u, load = jnp.asarray(50 + 20j), jnp.asarray(0.5)
     start = plant.standstill(0.3, 30.0)
-    at_once = plant.advance(start, u, load, jnp.asarray(8e-3), 64)
+    in_one = plant.advance(start, u, load, jnp.asarray(8e-3), 64)
     state = start
     for _ in range(16):
         state = plant.advance(state, u, load, jnp.asarray(5e-4), 4)
-    assert complex(at_once.flux) == pytest.approx(complex(state.flux), rel=1e-8)
-    assert float(at_once.twist) == pytest.approx(float(state.twist), rel=1e-7)
+    assert complex(in_one.flux) == pytest.approx(complex(state.flux), rel=1e-8)
+    assert float(in_one.twist) == pytest.approx(float(state.twist), rel=1e-7)
 
 
 # ---- control ---------------------------------------------------------------------------------
@@ -288,21 +288,21 @@ def test_many_steps_in_a_sample_give_what_few_in_short_samples_give():
 
 @pytest.mark.parametrize("name", MACHINES)
 def test_maximum_torque_per_ampere(name):
-    """No other current of the same length makes more torque; and the torque is what was asked."""
+    """The torque is that commanded, and no other current of the same length makes more."""
     motor = MACHINES[name]
     control = Control.of(motor, 0.01, H, 10.0, i_d_min=-10.0)
     for share in (0.1, 0.5, -0.9):
-        asked = share * float(control.most_torque())
-        i = complex(control.current_for(jnp.asarray(asked), *jnp.zeros(4)))
-        assert float(motor.torque_dq(i.real, i.imag)) == pytest.approx(asked, rel=1e-9)
+        command = share * float(control.most_torque())
+        i = complex(control.current_for(jnp.asarray(command), *jnp.zeros(4)))
+        assert float(motor.torque_dq(i.real, i.imag)) == pytest.approx(command, rel=1e-9)
         angles = np.linspace(-np.pi, np.pi, 20001)
         i_d, i_q = abs(i) * np.cos(angles), abs(i) * np.sin(angles)
-        most = np.abs(np.asarray(motor.torque_dq(i_d, i_q))).max()
-        assert abs(asked) > 0.9995 * most
+        largest = np.abs(np.asarray(motor.torque_dq(i_d, i_q))).max()
+        assert abs(command) > 0.9995 * largest
 
 
-def test_current_step_is_that_of_the_discrete_loop():
-    """Locked rotor: against the closed loop written out as a matrix, sample by sample."""
+def test_current_step_agrees_with_the_discrete_loop():
+    """Locked rotor, against the closed loop as a matrix, sample by sample."""
     motor = MACHINES["pmsm-2kw2"]
     d = drive(J=1e9, speed_bandwidth=10.0)
     control = d.control
@@ -310,15 +310,15 @@ def test_current_step_is_that_of_the_discrete_loop():
     b = np.array([0, float(control.current_bandwidth * motor.L_d), 0.0])
     b[2] = H * float(control.current_bandwidth) ** 2 * float(motor.L_d)
 
-    # i_d of 2 A asked through the weakening path: reference = -(-2).
+    # Reference: i_d = 2 A.
     plant, rows = d.plant, 60
-    state, kept, pending = plant.standstill(0.0), control.init(), jnp.asarray(0j)
-    found = []
+    state, control_state, pending = plant.standstill(0.0), control.init(), jnp.asarray(0j)
+    currents = []
     for _ in range(rows):
         i = plant.current(state)
-        found.append(complex(i))
-        kept, u, _ = control.current_step(
-            kept, jnp.asarray(2 + 0j), i, jnp.zeros(()), jnp.asarray(540.0)
+        currents.append(complex(i))
+        control_state, u, _ = control.current_step(
+            control_state, jnp.asarray(2 + 0j), i, jnp.zeros(()), jnp.asarray(540.0)
         )
         state = plant.advance(state, pending, jnp.zeros(()), jnp.asarray(H), 1)
         pending = u
@@ -326,28 +326,28 @@ def test_current_step_is_that_of_the_discrete_loop():
     for _ in range(rows):
         expected.append(x[0])
         x = A @ x + 2 * b
-    assert np.allclose(np.real(found), expected, atol=1e-8)
+    assert np.allclose(np.real(currents), expected, atol=1e-8)
     assert expected[-1] == pytest.approx(2.0, abs=0.02)
 
 
-def test_no_load_speed_is_where_the_voltage_ends():
-    """Asked for more than the DC link allows: the EMF settles at the usable voltage."""
+def test_no_load_speed_is_limited_by_the_voltage():
+    """If the reference is too high for the DC link, the EMF settles at the usable voltage."""
     motor = MACHINES["pmsm-2kw2"]
     d = drive(J=0.003)
     run = simulate(d, Course(Profile([0.0, 0.5], [0.0, 400.0]), 300.0), 1.5)
-    reached = float(motor.n_p) * run.trace.speed[-1] * float(motor.psi_f)
-    assert reached == pytest.approx(0.98 * 300 / np.sqrt(3), rel=0.01)
+    emf = float(motor.n_p) * run.trace.speed[-1] * float(motor.psi_f)
+    assert emf == pytest.approx(0.98 * 300 / np.sqrt(3), rel=0.01)
     limited = [event for event in run.events if event.what == "voltage limit met"]
     assert limited
     assert 0.0 < limited[0].at < 1.0
 
 
-def test_field_weakening_goes_beyond():
+def test_field_weakening_exceeds_that_speed():
     motor = MACHINES["pmsm-2kw2"]
     course = Course(Profile([0.0, 0.5], [0.0, 130.0]), 300.0)
-    plain = simulate(drive(J=0.003), course, 1.2)
+    unweakened = simulate(drive(J=0.003), course, 1.2)
     weakened = simulate(drive(J=0.003, weakening=20.0), course, 1.2)
-    assert plain.trace.speed[-1] < 115
+    assert unweakened.trace.speed[-1] < 115
     assert weakened.trace.speed[-1] == pytest.approx(130.0, rel=0.01)
     assert weakened.trace.current_reference[-1].real < -1.0
     assert np.abs(weakened.trace.current[-1]) < float(motor.psi_f / motor.L_d)
@@ -363,7 +363,7 @@ def test_speed_control_holds_a_load(name):
 
 
 def test_anti_windup():
-    """After a second at the current limit the speed overshoots by a few percent at most."""
+    """After a second at the current limit the speed overshoots by at most a few percent."""
     d = drive(J=0.15)
     run = simulate(d, Course(Profile([0.0, 0.0], [0.0, 100.0]), 540.0), 2.5)
     assert any(event.what == "current limit met" for event in run.events)
@@ -373,15 +373,15 @@ def test_anti_windup():
 # ---- bad input -------------------------------------------------------------------------------
 
 
-def test_unstable_gains_are_named():
+def test_unstable_gains_are_refused():
     with pytest.raises(ModelError, match=r"current_bandwidth = 8000 rad/s is unstable .* poles up"):
         simulate(drive(current_bandwidth=8000.0), Course(10.0, 540.0), 0.1)
     with pytest.raises(ModelError, match=r"speed_bandwidth .* must be positive and below"):
         simulate(drive(speed_bandwidth=1e4), Course(10.0, 540.0), 0.1)
 
 
-def test_the_stability_check_tells_stable_from_unstable():
-    """Just inside the bound the current rings and dies, just outside it grows."""
+def test_the_spectral_radius_separates_stable_from_unstable():
+    """The loop is stable with a low bandwidth and unstable with a high one."""
     radius = {}
     for bandwidth in (1000.0, 2000.0, 4000.0, 6000.0):
         control = drive(current_bandwidth=bandwidth).control
@@ -390,19 +390,19 @@ def test_the_stability_check_tells_stable_from_unstable():
     assert radius[1000.0] < 1 < radius[6000.0]
 
 
-def test_unreachable_torque_is_named():
+def test_a_load_beyond_the_current_limit_is_refused():
     with pytest.raises(ModelError, match=r"a load of 50 N m cannot be held: .* torque is 22"):
         simulate(drive(), Course(10.0, 540.0, load=50.0), 0.1)
 
 
-def test_impossible_values_are_named():
+def test_impossible_values_are_refused():
     with pytest.raises(ModelError, match="J must be positive, got 0"):
         Mechanics(0.0)
     with pytest.raises(ModelError, match="both J_load and stiffness"):
         Mechanics(0.01, stiffness=10.0)
     with pytest.raises(ModelError, match="dead_time must be zero or positive, got -1e-06"):
         Inverter(dead_time=-1e-6)
-    with pytest.raises(ModelError, match="switching must be a number of parts"):
+    with pytest.raises(ModelError, match="switching must be a number of intervals"):
         Inverter(switching=2.5)
     with pytest.raises(ModelError, match="n_p must be a whole number"):
         Motor(1.0, 1e-3, 1e-3, 0.1, 2.5)
@@ -412,12 +412,12 @@ def test_impossible_values_are_named():
         Sensors(offset=0.1)
     with pytest.raises(ModelError, match="noise must be zero or positive"):
         Sensors(noise=-1.0)
-    with pytest.raises(ModelError, match=r"course.speed must be a number or numbers in time"):
+    with pytest.raises(ModelError, match=r"course.speed must be a number or a Profile"):
         simulate(drive(), Course([0.0, 100.0], 540.0), 0.1)
     with pytest.raises(ModelError, match="duration must be a number of seconds"):
         simulate(drive(), Course(10.0, 540.0), float("nan"))
     stiff = Mechanics(1e-3, J_load=1e-3, stiffness=1e12)
-    with pytest.raises(ModelError, match=r"stiffness is .* steps a sample of 0.000125 s. Leave"):
+    with pytest.raises(ModelError, match=r"stiffness is .* steps per sample of 0.000125 s. Leave"):
         simulate(replace(drive(), plant=Plant(MACHINES["pmsm-2kw2"], stiff)), Course(1.0, 540.0), 1)
     compiled = LeastSquaresObserver.for_machine(example("pmsm-2kw2"), sample_time=H)
     with pytest.raises(ModelError, match=r"drive.observer is a LeastSquaresObserver; make it with"):
@@ -439,7 +439,7 @@ def test_impossible_values_are_named():
 
 
 def test_overcurrent_trips_and_is_reported():
-    """Gains for seventy times the inductance that there is."""
+    """Gains for seventy times the true inductance."""
     d = drive()
     small = Motor(0.1, 5e-4, 5e-4, 0.545, 3)
     d = replace(d, plant=Plant(small, d.plant.mechanics))
@@ -452,33 +452,33 @@ def test_overcurrent_trips_and_is_reported():
     assert (run.trace.voltage[at + 2 :] == 0).all()
 
 
-def test_no_number_is_never_silent():
+def test_a_state_that_is_not_finite_raises():
     d = drive()
     broken = eqx.tree_at(lambda d: d.plant.mechanics.viscous, d, jnp.asarray(np.nan))
-    with pytest.raises(ModelError, match=r"no number after t = "):
+    with pytest.raises(ModelError, match=r"not finite after t = "):
         simulate(broken, Course(10.0, 540.0), 0.1)
-    with pytest.raises(ModelError, match=r"lane 1 ends without a number"):
+    with pytest.raises(ModelError, match=r"lane 1 is not finite at the end"):
         simulate_batch([d, broken], [Course(10.0, 540.0)] * 2, 0.1, [0, 1], lambda row: row.speed)
 
 
 # ---- records and batches ---------------------------------------------------------------------
 
 
-def test_a_record_is_as_logged():
-    """Row k's voltage acts from k to k + 1: flux and copper losses close over every interval."""
+def test_a_record_satisfies_the_voltage_equation():
+    """Row k's voltage acts from k to k + 1: Δλ = ∫ (u - R i) dt over every interval."""
     motor = MACHINES["pmsm-2kw2"]
     run = simulate(drive(), Course(Profile([0.0, 0.2], [0.0, 50.0]), 540.0, start_speed=0.0), 0.3)
     record, trace = run.record(), run.trace
     u = record.interval_voltage()[1:]
     step = np.diff(trace.flux)
     drop = float(motor.R_s) * (trace.current[1:] + trace.current[:-1]) / 2
-    left = step - H * (u[:, 0] + 1j * u[:, 1] - drop)
-    assert np.abs(left).max() < 1e-4 * float(motor.psi_f)
+    residual = step - H * (u[:, 0] + 1j * u[:, 1] - drop)
+    assert np.abs(residual).max() < 1e-4 * float(motor.psi_f)
     assert np.abs(np.diff(trace.flux)).max() > 1e-2 * float(motor.psi_f)
 
 
 @pytest.mark.slow
-def test_a_batch_is_what_its_lanes_are_alone():
+def test_a_batch_agrees_with_single_runs():
     d = drive(sensors=Sensors(noise=0.05))
     courses = [
         Course(Profile([0.0, 0.1], [0.0, 30.0]), 540.0, theta_e=1.0),
@@ -492,19 +492,19 @@ def test_a_batch_is_what_its_lanes_are_alone():
     speed, current = simulate_batch([d] * 3, courses, 0.2, [4, 5, 6], keep)
     assert speed.shape == (3, 1600)
     for k, course in enumerate(courses):
-        alone = simulate(d, course, 0.2, seed=4 + k).trace
-        assert np.allclose(speed[k], alone.speed, atol=1e-9)
-        assert np.allclose(current[k], alone.measured_current, atol=1e-9)
+        single = simulate(d, course, 0.2, seed=4 + k).trace
+        assert np.allclose(speed[k], single.speed, atol=1e-9)
+        assert np.allclose(current[k], single.measured_current, atol=1e-9)
 
 
-def test_a_batch_of_different_parts_is_refused():
+def test_a_batch_of_different_drives_is_refused():
     a = drive()
     b = replace(a, plant=Plant(a.plant.motor, Mechanics(0.01, J_load=0.01, stiffness=100.0)))
-    with pytest.raises(ModelError, match="drives with the same parts"):
+    with pytest.raises(ModelError, match="drives with the same components"):
         simulate_batch([a, b], [Course(1.0, 540.0)] * 2, 0.1, [0, 1], lambda row: row.speed)
     with pytest.raises(ModelError, match="as many drives as courses"):
         simulate_batch([a], [Course(1.0, 540.0)] * 2, 0.1, [0, 1], lambda row: row.speed)
 
 
-def test_turning_is_turning():
+def test_turn_is_the_complex_exponential():
     assert complex(turn(jnp.asarray(np.pi / 3))) == pytest.approx(np.exp(1j * np.pi / 3))

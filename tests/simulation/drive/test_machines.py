@@ -1,4 +1,4 @@
-"""Plants with a cage and with a flux map, and their drives."""
+"""Plants with a cage or a flux map, and their drives."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MOTORS = {
 
 
 def course(speed, load=((0.0, 0.0),)):
-    """Shares of the rated speed and torque over time."""
+    """Return a course from shares of the rated speed and torque over time."""
     speeds, loads = np.array(speed), np.array(load)
     return Course(
         Profile(speeds[:, 0], BASE * speeds[:, 1]),
@@ -61,7 +61,7 @@ def test_each_machine_has_its_motor():
     [pytest.param(name, marks=pytest.mark.slow) if "," in name else name for name in MOTORS],
 )
 def test_power_balance(name):
-    """What goes in is copper loss, friction, loss in the cage, and what is stored."""
+    """Electrical input = copper loss + friction + cage loss + stored energy."""
     motor = MOTORS[name]
     plant = Plant(motor, Mechanics(0.01, viscous=0.02))
     h, n = 2e-5, 4000
@@ -91,32 +91,32 @@ def test_power_balance(name):
 
     start = plant.standstill(0.4, 20.0)
     end, work = jax.jit(partial(jax.lax.scan, body))(start, jnp.asarray(voltage))
-    taken, lost = np.asarray(work).sum(axis=0)
+    supplied, lost = np.asarray(work).sum(axis=0)
 
     def stored(state):
         magnetic = motor.field_energy(plant.current(state), state.rotor)
         return float(magnetic + plant.mechanics.J * state.speed**2 / 2)
 
-    gained = stored(end) - stored(start)
-    # splines are not exactly reciprocal: their energy depends a little on the way
+    increase = stored(end) - stored(start)
+    # Splines are not exactly reciprocal: their energy depends slightly on the path.
     exact = isinstance(motor, CageMotor)
-    assert abs(taken) > 1
-    assert taken - lost == pytest.approx(gained, abs=(1e-7 if exact else 5e-3) * abs(taken))
+    assert abs(supplied) > 1
+    assert supplied - lost == pytest.approx(increase, abs=(1e-7 if exact else 5e-3) * abs(supplied))
 
 
 @pytest.mark.parametrize("name", ["interior, measured map", "reluctance, saturated"])
-def test_the_current_of_a_map_is_that_of_its_flux(name):
+def test_the_current_inverts_the_flux_of_a_map(name):
     motor = MOTORS[name]
     rng = np.random.default_rng(1)
     i = rng.uniform(-12, 2, 40) + 1j * rng.uniform(-15, 15, 40)
     rotor = np.exp(1j * rng.uniform(-3, 3, 40))
     flux = jax.vmap(motor.flux)(jnp.asarray(i * rotor), jnp.asarray(rotor))
-    found = jax.vmap(motor.current)(flux, jnp.asarray(rotor))
-    np.testing.assert_allclose(np.asarray(found), i * rotor, atol=1e-9)
+    current = jax.vmap(motor.current)(flux, jnp.asarray(rotor))
+    np.testing.assert_allclose(np.asarray(current), i * rotor, atol=1e-9)
 
 
 def test_a_cage_in_steady_state():
-    """Locked rotor, current impressed by its voltage: flux and torque of the circuit."""
+    """Locked rotor with an impressed current: flux and torque of the equivalent circuit."""
     motor = MOTORS["cage"]
     plant = Plant(motor, Mechanics(1e9))
     slip = 15.0
@@ -135,9 +135,9 @@ def test_a_cage_in_steady_state():
     )
 
 
-def test_main_flux_that_saturates_does_no_harm():
-    """Its flux stands, so that L_M does not enter: asked, no loss."""
-    found = []
+def test_main_flux_saturation_adds_no_position_error():
+    """The rotor flux is constant, so L_M has no effect."""
+    rms_errors = []
     for motor in (MOTORS["cage"], MOTORS["saturating cage"]):
         drive = encoder_drive(CAGE, RATED, noise=0.02)
         plant = Plant(motor, drive.plant.mechanics)
@@ -147,8 +147,8 @@ def test_main_flux_that_saturates_does_no_harm():
         observer = LeastSquaresObserver.for_machine(CAGE, sample_time=H)
         estimate = observer.run(record.interval_voltage(), record.current)
         error = wrapped_degrees(estimate.theta_e - run.trace.theta_e)[6400:]
-        found.append(np.sqrt(np.mean(error**2)))
-    assert max(found) < 0.05
+        rms_errors.append(np.sqrt(np.mean(error**2)))
+    assert max(rms_errors) < 0.05
 
 
 # ---- drives ----------------------------------------------------------------------------------
@@ -191,13 +191,13 @@ def test_sensorless_with_wrong_resistances_and_offsets(wrong):
     run = simulate(drive, course(speed, [(2.0, 0.0), (2.0, 0.5)]), 2.6)
     t, trace = run.t, run.trace
     assert (trace.mode[t > 1.0] == RUNNING).all()
-    # a wrong R_R is a wrong slip, and so a wrong speed; with a wrong R_s the loop is lightly damped
+    # A wrong R_R gives a wrong slip and speed; with a wrong R_s the loop is lightly damped.
     limit = 0.15 if "R_s" in wrong else 0.03
     assert abs(trace.speed[-1] - 1.5 * BASE) < limit * BASE
 
 
 @pytest.mark.slow
-def test_a_drive_with_a_map_follows():
+def test_a_drive_with_a_map_follows_its_reference():
     machine, rated = example("ipm-5kw6"), rating("ipm-5kw6")
     base = rated.speed_e / machine.n_p
     drive = encoder_drive(machine, rated, noise=0.02)
@@ -212,7 +212,7 @@ def test_a_drive_with_a_map_follows():
     assert np.abs(error[estimate.valid]).max() < 3.5
 
 
-def test_a_machine_without_flux_is_asked_for_it():
+def test_a_machine_without_psi_f_is_refused():
     machine = example("pmsm-2kw2").with_values(psi_f=None)
     with pytest.raises(ModelError, match="psi_f is missing"):
         Motor.of(machine)

@@ -1,4 +1,4 @@
-"""Without an encoder: start at an unknown angle, load, reversal, loss that is said."""
+"""Without an encoder: start at an unknown angle, load, reversal, reported loss of position."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ MACHINE, RATED = example("pmsm-2kw2"), rating("pmsm-2kw2")
 BIASES = {"offset": (0.13, 0.18), "noise": 0.02}
 
 
-def course(speed, load=((0.0, 0.0),), **given):
-    given.setdefault("voltage_offset", (2.2, 0.0))
+def course(speed, load=((0.0, 0.0),), **options):
+    options.setdefault("voltage_offset", (2.2, 0.0))
     return Course(
         Profile([t for t, _ in speed], [x * RATED.speed_e / MACHINE.n_p for _, x in speed]),
         RATED.dc_link,
         Profile([t for t, _ in load], [x * RATED.torque for _, x in load]),
-        **given,
+        **options,
     )
 
 
@@ -61,8 +61,8 @@ def test_reversal_under_load_without_losing_the_position(drive):
     assert run.trace.speed[-1] * MACHINE.n_p / RATED.speed_e == pytest.approx(-0.3, abs=0.03)
 
 
-def test_hand_over_waits_until_the_observer_is_sure(drive):
-    """Never with a standard deviation above five degrees, and never a wrong angle."""
+def test_hand_over_waits_for_a_small_standard_deviation(drive):
+    """It never happens with a standard deviation above five degrees or with a wrong angle."""
     for seed in range(3):
         run = simulate(drive, course(((0, 0), (0.2, 0), (0.7, 0.3)), theta_e=2.0 * seed), 1.5, seed)
         (at,) = times(run, "observer in the loop")
@@ -73,8 +73,8 @@ def test_hand_over_waits_until_the_observer_is_sure(drive):
 
 
 @pytest.mark.parametrize("load", [pytest.param(0.0, marks=pytest.mark.slow), 0.5])
-def test_standstill_is_loss_of_excitation_and_is_said(drive, load):
-    """Stopped for good: the position cannot be known, and the drive says so before it is wrong."""
+def test_loss_of_position_at_standstill_is_reported(drive, load):
+    """At a lasting stop the position is unidentifiable: the drive reports it before it is wrong."""
     speed = ((0, 0), (0.2, 0), (0.7, 0.3), (0.9, 0.3), (1.1, 0.0))
     run = simulate(drive, course(speed, ((0.8, 0), (0.8, load)), theta_e=1.0), 4.0, seed=1)
     lost = times(run, "position lost")
@@ -83,7 +83,7 @@ def test_standstill_is_loss_of_excitation_and_is_said(drive, load):
     k = round(lost[0] / RATED.sample_time)
     std = np.degrees(run.trace.reading.theta_e_std)
     assert run.trace.mode[k] == 0
-    # While it was in the loop it was as right as it said; valid only where the rotor swings.
+    # In the loop, errors agree with the standard deviation; valid only while the rotor swings.
     running = run.trace.mode == 1
     assert (np.abs(position_error(run))[running] < 3 * std[running] + 2.0).all()
     assert np.abs(position_error(run)[running]).max() < 10.0
@@ -94,28 +94,30 @@ def test_standstill_is_loss_of_excitation_and_is_said(drive, load):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.8, 1.2])
-def test_a_wrong_resistance_at_a_stop_under_load_ends_in_a_loss_that_is_said(factor):
-    """The drop that is taken wrongly lies across the flux: neither residual nor length shows it.
-    What limits the harm is that the drive does not go on for long without a valid position."""
+def test_loss_is_reported_with_a_wrong_resistance_at_a_stop_under_load(factor):
+    """The drive does not run for long without a valid position, which limits the error.
+
+    The wrong resistive drop lies across the flux: neither residual nor length reveals it.
+    """
     wrong = MACHINE.model_copy(update={"R_s": factor * MACHINE.R_s})
     drive = sensorless_drive(MACHINE, RATED, believed=wrong, noise=0.02)
     speed = ((0, 0), (0.2, 0), (0.7, 0.3), (0.9, 0.3), (1.1, 0.0))
-    given = {"voltage_offset": (0.0, 0.0), "theta_e": 1.0}
-    run = simulate(drive, course(speed, ((0.8, 0), (0.8, 0.5)), **given), 2.0, seed=1)
+    options = {"voltage_offset": (0.0, 0.0), "theta_e": 1.0}
+    run = simulate(drive, course(speed, ((0.8, 0), (0.8, 0.5)), **options), 2.0, seed=1)
     assert times(run, "position lost")
-    at = round(times(run, "position lost")[-1] / RATED.sample_time)
-    assert run.trace.mode[at] == 0
+    k = round(times(run, "position lost")[-1] / RATED.sample_time)
+    assert run.trace.mode[k] == 0
     running = run.trace.mode == 1
     assert np.abs(position_error(run)[running]).max() < 60.0
-    assert not run.trace.reading.valid[at - 100 : at].any()
+    assert not run.trace.reading.valid[k - 100 : k].any()
 
 
 @pytest.mark.slow
-def test_biases_that_jump_do_not_stop_the_drive(drive):
-    volts = Profile([0, 1.2, 1.2], [(2.2, 0.0), (2.2, 0.0), (-2.2, 0.0)])
+def test_a_jump_of_the_voltage_offset_does_not_stop_the_drive(drive):
+    offset = Profile([0, 1.2, 1.2], [(2.2, 0.0), (2.2, 0.0), (-2.2, 0.0)])
     run = simulate(
         drive,
-        course(((0, 0), (0.2, 0), (0.8, 0.4)), ((1.0, 0), (1.0, 1)), voltage_offset=volts),
+        course(((0, 0), (0.2, 0), (0.8, 0.4)), ((1.0, 0), (1.0, 1)), voltage_offset=offset),
         2.0,
         seed=2,
     )
@@ -126,7 +128,7 @@ def test_biases_that_jump_do_not_stop_the_drive(drive):
 
 
 def test_one_percent_of_rated_speed_with_full_load_step():
-    # At 1 % the EMF is 2.6 V: voltage errors other than offsets have to be far below.
+    # At 1 % the EMF is 2.6 V: voltage errors other than offsets must be far smaller.
     slow = sensorless_drive(
         MACHINE, RATED, memory=0.67, speed_bandwidth=50.0, drift_prior=0.25, **BIASES
     )
@@ -141,8 +143,8 @@ def test_one_percent_of_rated_speed_with_full_load_step():
 
 
 def test_same_seed_same_run(drive):
-    one, two = (
+    first, second = (
         simulate(drive, course(((0, 0), (0.2, 0), (0.4, 0.2))), 0.5, seed=9) for _ in range(2)
     )
-    assert (one.trace.current == two.trace.current).all()
-    assert (one.trace.mode == two.trace.mode).all()
+    assert (first.trace.current == second.trace.current).all()
+    assert (first.trace.mode == second.trace.mode).all()

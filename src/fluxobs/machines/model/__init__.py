@@ -1,1 +1,1 @@
-"""The relation between flux and current, the linear system it leads to, frames, inverter."""
+"""The relation between flux and current, the linear system built on it, frames and inverter."""

@@ -1,4 +1,4 @@
-"""The quadratic relation between flux linkage and current, which holds at every position."""
+"""The quadratic relation between flux linkage and current, valid at every position."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from ...core.arrays import Array
 from ...errors import ModelError
 
 
-def _frozen(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+def _freeze(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Return a read-only copy; raise ModelError unless it has this shape and is finite."""
     array = np.array(value, dtype=float)
     if array.shape != shape:
         raise ModelError(f"{name} must have shape {shape}, got {array.shape}")
@@ -26,17 +27,17 @@ def _frozen(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 class QuadraticConstraint:
     """One relation ``0 = λᵀQ1 λ + λᵀQ2 i + iᵀQ3 i + Eᵀλ + Cᵀi + d``.
 
-    Assumption 1 of the paper, with the linear term ``Eᵀλ`` that magnet-biased
-    coils need. Only the symmetric parts of Q1 and Q3 enter, so they are symmetrised on input.
+    Assumption 1 of the paper, plus the linear term ``Eᵀλ`` for magnet-biased coils. Only the
+    symmetric parts of Q1 and Q3 matter, so they are symmetrised on input.
 
     Parameters
     ----------
     Q1, Q2, Q3 : (n, n) array_like
-        Units such that all terms agree; for the machines here Q1 = I, Q2 in H, Q3 in H².
+        Consistent units; for the machines here Q1 = I, Q2 in H, Q3 in H².
     E, C : (n,) array_like, optional
         Default 0.
     d : float, optional
-        Default 0. Observers never need it: it is absorbed in the immersion's state s.
+        Default 0. No observer needs it: the immersion's state s absorbs it.
 
     Raises
     ------
@@ -66,16 +67,16 @@ class QuadraticConstraint:
     def __post_init__(self) -> None:
         n = len(np.atleast_1d(self.Q1))
         for name in ("Q1", "Q2", "Q3"):
-            matrix = _frozen(name, getattr(self, name), (n, n))
+            matrix = _freeze(name, getattr(self, name), (n, n))
             if name != "Q2":
-                matrix = _frozen(name, (matrix + matrix.T) / 2, (n, n))
+                matrix = _freeze(name, (matrix + matrix.T) / 2, (n, n))
             object.__setattr__(self, name, matrix)
         for name in ("E", "C"):
             value = getattr(self, name)
             object.__setattr__(
-                self, name, _frozen(name, np.zeros(n) if np.size(value) == 0 else value, (n,))
+                self, name, _freeze(name, np.zeros(n) if np.size(value) == 0 else value, (n,))
             )
-        object.__setattr__(self, "d", float(_frozen("d", self.d, ())))
+        object.__setattr__(self, "d", float(_freeze("d", self.d, ())))
 
     @property
     def n(self) -> int:
@@ -83,7 +84,7 @@ class QuadraticConstraint:
         return len(self.E)
 
     def residual(self, flux: ArrayLike, current: ArrayLike) -> Array:
-        """w(λ, i); zero on the machine.
+        """Return w(λ, i), which is zero for the machine's flux and current.
 
         Parameters
         ----------
@@ -105,11 +106,11 @@ class QuadraticConstraint:
         )
 
     def hessian(self) -> Array:
-        """Second derivative in (λ, i), shape (2n, 2n): ``[[2 Q1, Q2], [Q2ᵀ, 2 Q3]]``."""
+        """Return the second derivative in (λ, i), shape (2n, 2n): ``[[2 Q1, Q2], [Q2ᵀ, 2 Q3]]``."""
         return np.block([[2 * self.Q1, self.Q2], [self.Q2.T, 2 * self.Q3]])
 
     def invisible_offsets(self) -> Array:
-        """Constant offsets of (λ, i) that the relation cannot detect, (2n, k).
+        """Return constant offsets of (λ, i) that the relation cannot detect, (2n, k).
 
         See the function :func:`invisible_offsets`, which takes several relations.
         """
@@ -121,38 +122,38 @@ def invisible_offsets(
     unknowns: Iterable[str] = ("drift", "current-bias"),
     R: ArrayLike | None = None,
 ) -> Array:
-    """Constant offsets of (λ, i) that no record can reveal.
+    """Return constant offsets of (λ, i) that no record can reveal.
 
-    They form the null space of the relations' stacked Hessians, restricted to offsets that are
-    possible. With unknown drift alone the current has no offset; with unknown current bias alone
-    R s = 0, or else the offset would drift. If the null space is empty, excitation reveals all
-    unknowns. For a surface PMSM with both unknowns, (L s, s) spans it; λ - L i, and hence the
-    position, is unaffected. See docs/theory.md, section 3.
+    They form the null space of the relations' stacked Hessians, restricted to possible offsets.
+    With unknown drift alone the current has no offset. With unknown current bias alone R s = 0,
+    else the flux offset would drift. If the null space is empty, excitation reveals all unknowns.
+    For a surface PMSM with both unknowns it is spanned by (L s, s), which leaves λ - L i, and hence
+    the position, unchanged. See docs/theory.md, section 3.
 
     Parameters
     ----------
     relations : sequence of QuadraticConstraint
     unknowns : iterable of {"drift", "current-bias"}
     R : (n, n) array_like
-        Resistance [Ω]; needed for the current bias alone.
+        Resistance [Ω]; needed if the current bias is the only unknown.
 
     Returns
     -------
     (2n, k) ndarray
         One offset (r, s) per column, in Wb and A, orthonormal after scaling by typical sizes.
     """
-    n, wanted = relations[0].n, set(unknowns)
+    n, unknown = relations[0].n, set(unknowns)
     hessians = np.stack([relation.hessian() for relation in relations])
-    # Ports, flux and current differ in size: balance rows and columns before finding the rank.
+    # Ports, fluxes and currents differ in size: balance rows and columns before finding the rank.
     scale = np.ones(2 * n)
     for _ in range(20):
         largest = np.abs(scale[:, None] * hessians * scale).max(axis=(0, 1))
         scale = scale / np.sqrt(np.where(largest > 0, largest, 1.0))
     rows = [scale[:, None] * hessian * scale for hessian in hessians]
     zero = np.zeros((n, n))
-    if "current-bias" not in wanted:
+    if "current-bias" not in unknown:
         rows.append(np.hstack([zero, np.eye(n)]))
-    elif "drift" not in wanted:
+    elif "drift" not in unknown:
         if R is None:
             raise ModelError("R is missing: with current-bias alone, the drift is R times the bias")
         rows.append(np.hstack([zero, np.asarray(R, float) * scale[n:]]))

@@ -1,9 +1,9 @@
-"""How the flux of a machine depends on its current, in rotor coordinates.
+"""Flux maps: flux over current, in rotor coordinates.
 
-A machine with the map F has the flux ``λ = e^{jφ} F(e^{-jφ} i)``. The observers ask a map for F,
-its derivative J and the auxiliary flux ``a = F + j J(j i)``: an error e of the angle φ moves the
-flux of a current by ``-j e a``. So ``λ - e^{jφ}(F - a_d)`` lies along d whatever small error the φ
-has at which the map was asked (docs/theory.md, section 14).
+A machine with the map F has the flux ``λ = e^{jφ} F(e^{-jφ} i)``. The observers evaluate F, its
+derivative J and the auxiliary flux ``a = F + j J(j i)``. A small error e of the angle φ moves the
+flux of a current by ``-j e a``, so ``λ - e^{jφ}(F - a_d)`` lies along d in spite of that error
+(docs/theory.md, section 14).
 """
 
 from __future__ import annotations
@@ -20,57 +20,57 @@ from ...errors import ModelError
 
 Complex = NDArray[np.complex128]
 
-#: What a table says of each of its axes.
+#: Prefixes of the fields that describe an axis of a table.
 SPAN = ("least", "most", "over")
-#: Rounds in which a map is asked at the angle that it gave: each squares the error.
+#: Iterations between a map and its angle: each squares the error.
 ROUNDS = 6
-#: Keeps a direction of nothing from being no number [Wb].
+#: Keeps the direction of a zero vector finite [Wb].
 TINY = 1e-300
-#: Degree of the splines: inductances are continuous, and a point of the map is made of nine
-#: coefficients (of sixteen with cubic ones, whose angle is no better).
+#: Degree of the splines: inductances are continuous, and a point of the map needs nine
+#: coefficients. Cubic splines need sixteen and give no better angle.
 DEGREE = 2
 
 
 class Mapped(NamedTuple):
-    """A map at currents, each (...): flux d + j q [Wb]; its derivatives by i_d and i_q [H]."""
+    """A map's flux d + j q [Wb] and its derivatives by i_d and i_q [H] at currents, each (...)."""
 
     flux: Complex
     by_d: Complex
     by_q: Complex
 
     def auxiliary(self, current: ArrayLike) -> Complex:
-        """``F + j J(j i)`` [Wb]; its real part is the active flux."""
+        """Return ``F + j J(j i)`` [Wb]; its real part is the active flux."""
         i = np.asarray(current, complex)
         return np.asarray(self.flux + 1j * (self.by_q * i.real - self.by_d * i.imag))
 
 
 class FluxMap:
-    """The interface of every map. Maps are frozen; see the subclasses."""
+    """The interface of every flux map. Maps are immutable."""
 
-    #: Its number in firmware/fluxobs_map.h.
+    #: Kind of map in firmware/fluxobs_map.h.
     code: ClassVar[int]
     #: Whether there are magnets (or a rotor flux): F(0) is not 0.
     magnets: bool
 
     def at(self, current: ArrayLike) -> Mapped:
-        """Flux and derivatives at currents in rotor coordinates d + j q [A], (...)."""
+        """Return flux and derivatives at currents in rotor coordinates d + j q [A], (...)."""
         raise NotImplementedError
 
     def flux(self, current: ArrayLike) -> Complex:
-        """Flux at currents in rotor coordinates d + j q [Wb], [A], (...)."""
+        """Return the flux [Wb] at currents [A], both in rotor coordinates d + j q, (...)."""
         return self.at(current).flux
 
     def position_vector(
         self, flux: ArrayLike, current: ArrayLike, L_q: float
     ) -> tuple[Complex, Complex, Complex]:
-        """Position vectors λ - e^{jφ}(F - a_d) with the map asked at their own angle φ, (...).
+        """Return position vectors λ - e^{jφ}(F - a_d), where φ is their angle, (...).
 
         Parameters
         ----------
         flux, current : array_like
             α + j β [Wb], [A], (...).
         L_q : float
-            Inductance with which the angle starts, from λ - L_q i [H].
+            Inductance of the initial angle, that of λ - L_q i [H].
 
         Returns
         -------
@@ -81,22 +81,22 @@ class FluxMap:
         x = np.asarray(psi - L_q * i, complex)
         for _ in range(ROUNDS):
             direction = x / (np.abs(x) + TINY)
-            turned = i * direction.conj()
-            at = self.at(turned)
-            a = at.auxiliary(turned)
-            x = np.asarray(psi - direction * (at.flux - a.real), complex)
-        return x, turned, a
+            i_dq = i * direction.conj()
+            mapped = self.at(i_dq)
+            a = mapped.auxiliary(i_dq)
+            x = np.asarray(psi - direction * (mapped.flux - a.real), complex)
+        return x, i_dq, a
 
     def outside(self, current: ArrayLike) -> NDArray[np.bool_]:
-        """Whether currents are outside the map's range, where it is extrapolated, (...)."""
+        """Return whether currents are outside the map's range, where it is extrapolated, (...)."""
         return np.zeros(np.shape(current), bool)
 
     def fields(self) -> dict[str, Any]:
-        """Its fields in C: a subset of fo_map (firmware/fluxobs_map.h)."""
+        """Return the fields of fo_map (firmware/fluxobs_map.h) that this map sets."""
         raise NotImplementedError
 
     def core(self) -> dict[str, Any]:
-        """All fields of fo_map."""
+        """Return all fields of fo_map."""
         zeros = dict.fromkeys(
             [
                 "psi",
@@ -114,8 +114,9 @@ class FluxMap:
             ],
             0.0,
         )
-        none: dict[str, Any] = {"coefficients": np.zeros((0, 0, 2))}
-        return {"kind": self.code, "magnets": bool(self.magnets)} | zeros | none | self.fields()
+        no_table: dict[str, Any] = {"coefficients": np.zeros((0, 0, 2))}
+        kind = {"kind": self.code, "magnets": bool(self.magnets)}
+        return kind | zeros | no_table | self.fields()
 
 
 @dataclass(frozen=True)
@@ -147,24 +148,24 @@ class LinearMap(FluxMap):
 
 @dataclass(frozen=True)
 class CageMap(FluxMap):
-    """``psi + L_sigma i``, d along the rotor flux: ``dψ/dt = R_R i_d - R_R ψ/L_M`` is its length.
+    """``psi + L_sigma i``, d along the rotor flux of length ψ: ``dψ/dt = R_R (i_d - ψ/L_M)``.
 
     Parameters
     ----------
     L_sigma, L_M : float
         Leakage and magnetizing inductance of the inverse-Γ model [H].
     R_R : float
-        Its rotor resistance [Ω].
+        Rotor resistance of that model [Ω].
     sample_time : float
         [s].
     psi_R : float
         Rated rotor flux [Wb].
     still : float
-        Change of i_d below which the rotor flux is taken to stand [A].
+        Change of i_d below which the rotor flux counts as constant [A].
     offset : float
-        Std of the currents' offsets [A]. In a drive that regulates the measured current they make
-        the true i_d, and with it the rotor flux, ripple with the stator frequency ω: by
-        ``R_R offset/√(ω² + (R_R/L_M)²)``, which looks like an offset of the flux.
+        Std of the current offsets [A]. In a drive that regulates the measured current they make the
+        true i_d ripple at the stator frequency ω. The rotor flux then ripples by ``R_R
+        offset/√(ω² + (R_R/L_M)²)``, which looks like an offset of the flux.
     """
 
     L_sigma: float
@@ -195,14 +196,14 @@ class CageMap(FluxMap):
 class TableMap(FluxMap):
     """Quadratic B-splines over a grid of currents with equal steps in each direction.
 
-    Beyond the grid the map goes on linearly, and :meth:`outside` says so.
+    Beyond the grid the map is extrapolated linearly; :meth:`outside` detects this.
 
     Parameters
     ----------
     d, q : (2,) array_like
         Range of i_d and of i_q [A].
     coefficients : (intervals along d + 2, intervals along q + 2, 2) array_like
-        Of psi_d and psi_q [Wb].
+        Spline coefficients of psi_d and psi_q [Wb].
     magnets : bool
     """
 
@@ -229,7 +230,7 @@ class TableMap(FluxMap):
 
     @property
     def intervals(self) -> tuple[int, int]:
-        """Along d and along q."""
+        """Number of intervals along d and along q."""
         return self.coefficients.shape[0] - DEGREE, self.coefficients.shape[1] - DEGREE
 
     def at(self, current: ArrayLike) -> Mapped:
@@ -238,14 +239,15 @@ class TableMap(FluxMap):
         c = self.coefficients[..., 0] + 1j * self.coefficients[..., 1]
         first_d, value_d, slope_d = weights(d, self.d, self.intervals[0])
         first_q, value_q, slope_q = weights(q, self.q, self.intervals[1])
-        three = np.arange(DEGREE + 1)
-        near = c[
-            (first_d[..., None] + three)[..., :, None], (first_q[..., None] + three)[..., None, :]
+        offsets = np.arange(DEGREE + 1)
+        local = c[
+            (first_d[..., None] + offsets)[..., :, None],
+            (first_q[..., None] + offsets)[..., None, :],
         ]
-        along_q = np.einsum("...dq,...q->...d", near, value_q)
+        along_q = np.einsum("...dq,...q->...d", local, value_q)
         flux = np.einsum("...d,...d->...", value_d, along_q)
         by_d = np.einsum("...d,...d->...", slope_d, along_q)
-        by_q = np.einsum("...d,...dq,...q->...", value_d, near, slope_q)
+        by_q = np.einsum("...d,...dq,...q->...", value_d, local, slope_q)
         return Mapped(flux + (i.real - d) * by_d + (i.imag - q) * by_q, by_d, by_q)
 
     def outside(self, current: ArrayLike) -> NDArray[np.bool_]:
@@ -255,39 +257,41 @@ class TableMap(FluxMap):
 
     @cached_property
     def psi_f(self) -> float:
-        """Flux of the magnets [Wb]: that without current."""
+        """Flux of the magnets [Wb]: the flux without current."""
         return float(self.flux(0j).real) if self.magnets else 0.0
 
     def fields(self) -> dict[str, Any]:
-        over = np.array(self.intervals) / (self.d[1] - self.d[0], self.q[1] - self.q[0])
+        per_ampere = np.array(self.intervals) / (self.d[1] - self.d[0], self.q[1] - self.q[0])
         return {
             "psi": self.psi_f,
             "least_d": self.d[0],
             "most_d": self.d[1],
-            "over_d": over[0],
+            "over_d": per_ampere[0],
             "least_q": self.q[0],
             "most_q": self.q[1],
-            "over_q": over[1],
+            "over_q": per_ampere[1],
             "coefficients": np.ascontiguousarray(self.coefficients),
         }
 
 
 def weights(x: Array, span: Array, intervals: int) -> tuple[NDArray[np.int64], Array, Array]:
-    """The first of the three splines at x within `span`, (...), their values and derivatives,
-    (..., 3)."""
-    over = intervals / (span[1] - span[0])
-    at = (x - span[0]) * over
-    first = np.clip(at.astype(np.int64), 0, intervals - 1)
-    t = at - first
+    """Return the first of the three splines at x in `span`, their values and derivatives.
+
+    The shapes are (...), (..., 3) and (..., 3).
+    """
+    per_unit = intervals / (span[1] - span[0])
+    scaled = (x - span[0]) * per_unit
+    first = np.clip(scaled.astype(np.int64), 0, intervals - 1)
+    t = scaled - first
     u = 1 - t
     values = [u * u / 2, 1 / 2 + t * u, t * t / 2]
     slopes = [-u, u - t, t]
-    return first, np.stack(values, -1), over * np.stack(slopes, -1)
+    return first, np.stack(values, -1), per_unit * np.stack(slopes, -1)
 
 
 def basis(x: Array, span: Array, intervals: int, derivative: int = 0) -> Array:
-    """Values or derivatives of all B-splines over `span` in equal intervals, (len(x), splines)."""
-    from scipy.interpolate import BSpline  # loaded only where a table is fitted
+    """Return all B-splines over `span` in equal intervals, or derivatives, (len(x), splines)."""
+    from scipy.interpolate import BSpline  # import only when a table is fitted
 
     step = (span[1] - span[0]) / intervals
     knots = span[0] + step * np.arange(-DEGREE, intervals + DEGREE + 1)

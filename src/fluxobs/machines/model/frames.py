@@ -1,4 +1,4 @@
-"""Reference frames: turn logged quantities into αβ, amplitude-invariant, or keep coils as they are.
+"""Reference frames: convert logged quantities to amplitude-invariant αβ; coils stay unchanged.
 
 Vectors are (rows, 2) arrays; angles are electrical, in radians.
 """
@@ -14,8 +14,8 @@ from ...core.arrays import Array
 Frame = Literal["alphabeta", "abc", "line", "duty", "dq", "ports"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 
-#: Voltage channels of each frame, then its current channels. Of three phases, whose sum is zero,
-#: two will do; of phase voltages only if they are to neutral.
+#: Voltage channels of each frame, then its current channels. Two of three phases suffice, since
+#: their sum is zero; for phase voltages only if measured to neutral.
 VOLTAGES: dict[Frame, tuple[str, ...]] = {
     "alphabeta": ("u_alpha", "u_beta"),
     "abc": ("u_a", "u_b", "u_c"),
@@ -36,14 +36,14 @@ CURRENTS: dict[Frame, tuple[str, ...]] = {
 
 
 def clarke(a: Array, b: Array, c: Array) -> Array:
-    """Amplitude-invariant Clarke transform; the zero-sequence component drops out."""
+    """Apply the amplitude-invariant Clarke transform; the zero-sequence component drops out."""
     return np.stack([(2 * a - b - c) / 3, (b - c) / np.sqrt(3)], axis=-1)
 
 
 def three_phases(channels: dict[str, Array], names: tuple[str, ...]) -> list[Array]:
-    """Three phases from any two (or all) of them; their sum is zero."""
-    known = {name: channels[name] for name in names if name in channels}
-    return [known[name] if name in known else -np.sum(list(known.values()), 0) for name in names]
+    """Return three phases, whose sum is zero, from all or any two of them."""
+    given = {name: channels[name] for name in names if name in channels}
+    return [given[name] if name in given else -np.sum(list(given.values()), 0) for name in names]
 
 
 def rotate(vector: Array, angle: Array) -> Array:
@@ -54,18 +54,18 @@ def rotate(vector: Array, angle: Array) -> Array:
 
 
 def wrap(angle: Array) -> Array:
-    """Angle in (-π, π]."""
+    """Wrap an angle to (-π, π]."""
     return np.asarray(np.pi - np.mod(np.pi - angle, 2 * np.pi))
 
 
 def angle_error(estimated: Array, true: Array, half_turn: bool = False) -> Array:
-    """Estimated minus true angle, wrapped; modulo half a turn if `half_turn` is set."""
+    """Return the estimated minus the true angle, wrapped; modulo half a turn if `half_turn`."""
     difference = estimated - true
     return wrap(2 * difference) / 2 if half_turn else wrap(difference)
 
 
 def native_voltage(frame: Frame, channels: dict[str, Array]) -> Array:
-    """Voltage vector of each row: in αβ, except for dq, which is still to be rotated."""
+    """Return the voltage vector of each row, in αβ or, for the frame dq, still in dq."""
     names = VOLTAGES[frame]
     match frame:
         case "alphabeta" | "dq" | "ports":
@@ -80,7 +80,7 @@ def native_voltage(frame: Frame, channels: dict[str, Array]) -> Array:
 
 
 def alphabeta_current(frame: Frame, channels: dict[str, Array]) -> Array:
-    """Current vector of each row in αβ."""
+    """Return the current vector of each row in αβ."""
     names = CURRENTS[frame]
     if names == PHASE_CURRENTS:
         return clarke(*three_phases(channels, names))

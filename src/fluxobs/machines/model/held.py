@@ -1,8 +1,8 @@
-"""Voltages that are held over a sample, as the mean voltage of an inverter is.
+"""Voltages held over a sample, like the mean voltage of an inverter.
 
-Each step of such a voltage puts a kink into the current. The observers take the mean current of an
-interval from a cubic through four samples, which knows nothing of the kinks inside those samples.
-What it misses is known from the steps: the response of the machine's own R and L.
+Each step of such a voltage causes a kink in the current. The observers compute the mean current of
+an interval from a cubic through four samples, which misses the kinks between them. The missing part
+is the response of the machine's R and L to the voltage steps.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from ...errors import ObserverError
 
 AnyArray = NDArray[Any]
 
-#: Share R h/L from which kinks are counted in by default: with 14 samples a period, what is missed
-#: turns the flux by R h/L times two degrees.
+#: Share R h/L from which kinks are corrected by default: with 14 samples per period, neglected
+#: kinks turn the flux by R h/L times two degrees.
 MATTERS: float = _core.usual["MATTERS"]
 #: Weights of the cubic through the last four samples for the last interval, newest first, times 24.
 CUBIC = (9, 19, -5, 1)
@@ -27,12 +27,12 @@ Held = bool | Literal["auto"]
 
 
 def held_share(held: Held, share: float) -> float:
-    """The share R h/L if voltages are held, else 0; "auto": if they may be and it matters.
+    """Return the share R h/L if voltages are held, else 0; "auto": only if it matters.
 
     Raises
     ------
     ObserverError
-        `held` is none of True, False and "auto".
+        `held` is not True, False or "auto".
     """
     if held not in (True, False, "auto"):
         raise ObserverError(f'held must be True, False or "auto", got {held!r}')
@@ -40,20 +40,22 @@ def held_share(held: Held, share: float) -> float:
 
 
 def kink_weights(share: float) -> tuple[float, float]:
-    """Of the last step of the voltage and of the one before it, in the volt-seconds that the cubic
-    leaves in the resistive drop; `share` is R h/L.
+    """Return the weights of the last two voltage steps in the cubic's error, latest first.
 
-    A step Δu at the start of an interval adds ``(1 - exp(-t R/L)) Δu/R`` to the current. Its mean
-    over the last interval less the cubic's, over Δu/R, is the weight. Steps further back lie before
-    all four samples or at the oldest, where the cubic meets the response
+    The error is in the volt-seconds of the resistive drop; `share` is R h/L. A step Δu at the start
+    of an interval adds ``(1 - exp(-t R/L)) Δu/R`` to the current. Its weight is the mean of that
+    response over the last interval minus the cubic's mean, over Δu/R. Older steps lie at or before
+    the oldest of the four samples; the cubic follows the response to them
     (firmware/fluxobs_config.c).
     """
     return _core.kink_weights(share)
 
 
 def mean_current(current: AnyArray, axis: int = -1) -> AnyArray:
-    """Mean over the interval that ends at each row, by the cubic through four samples; before the
-    first row the current is taken to have stood. `axis` is that of the rows."""
+    """Return the mean over the interval ending at each row, by the cubic through four samples.
+
+    The current before the first row is assumed constant. `axis` is that of the rows.
+    """
     i = np.moveaxis(current, axis, -1)
     padded = np.concatenate([np.repeat(i[..., :1], 3, axis=-1), i], axis=-1)
     recent = np.stack([padded[..., 3 - k : 3 - k + i.shape[-1]] for k in range(4)], axis=-1)
@@ -61,15 +63,15 @@ def mean_current(current: AnyArray, axis: int = -1) -> AnyArray:
 
 
 def without_kinks(voltage: AnyArray, share: float, axis: int = -1) -> AnyArray:
-    """Held voltages less what the kinks of the current add to the resistive drop [V].
+    """Subtract the kinks' part of the resistive drop from held voltages [V].
 
-    A step from or to a voltage that is missing counts as none; `axis` is that of the rows.
+    A step from or to a missing voltage counts as zero. `axis` is that of the rows.
     """
     if share == 0:
         return voltage
     u = np.moveaxis(voltage, axis, -1)
     step = np.diff(u, axis=-1, prepend=u[..., :1])
     step = np.where(np.isfinite(step), step, 0.0)
-    before = np.concatenate([np.zeros_like(step[..., :1]), step[..., :-1]], axis=-1)
-    now, earlier = kink_weights(share)
-    return np.asarray(np.moveaxis(u - now * step - earlier * before, -1, axis))
+    previous = np.concatenate([np.zeros_like(step[..., :1]), step[..., :-1]], axis=-1)
+    now, before = kink_weights(share)
+    return np.asarray(np.moveaxis(u - now * step - before * previous, -1, axis))

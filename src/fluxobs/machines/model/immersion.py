@@ -4,10 +4,10 @@ State ``x = (s_1 … s_r, λ, κ_1 … κ_r, θ, c_1 … c_r, δ)`` with one ``(
 
     s = λᵀQ1λ + Eᵀλ + d - λᵀQ2δ + δᵀQ3δ - Cᵀδ    κ = θᵀ(2 Q1 λ - Q2 δ + E)    c = θᵀQ1θ
 
-θ is the drift, ``λ̇ = y_m + θ``. δ is the current bias, left out unless it is unknown. If it is the
-only unknown, ``θ = R δ`` and θ is left out. With the volt-seconds ``v = ∫ y_m dt`` of a sample the
-transition is exact at any sampling rate: nothing is discretised. See docs/theory.md, section 4, for
-the derivation. The C core is the case of one relation, two ports and unknown drift.
+θ is the drift, ``λ̇ = y_m + θ``. δ is the current bias, part of the state only if it is unknown. If
+it is the only unknown, ``θ = R δ`` and the state has no θ. With the volt-seconds ``v = ∫ y_m dt``
+of a sample the transition is exact at any sampling rate, without discretisation. docs/theory.md,
+section 4, derives it. The C core is the case of one relation, two ports and unknown drift.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Immersion:
     Raises
     ------
     ModelError
-        Relations differ in size, `unknowns` is empty or has an unknown word, or R is missing.
+        Relations differ in size, `unknowns` is empty or has an invalid word, or R is missing.
 
     Examples
     --------
@@ -57,45 +57,47 @@ class Immersion:
     relations: tuple[QuadraticConstraint, ...]
     unknowns: tuple[Unknown, ...] = ("drift",)
     R: FloatArray | None = None
-    #: Where the state holds s, flux, kappa, drift, c and current_bias.
+    #: Slices of s, flux, kappa, drift, c and current_bias in the state.
     slices: dict[str, slice] = field(init=False, repr=False)
     size: int = field(init=False, repr=False)
     _stack: dict[str, FloatArray] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        given = self.relations
-        chosen = (given,) if isinstance(given, QuadraticConstraint) else tuple(given)
-        if not chosen or len({relation.n for relation in chosen}) != 1:
-            raise ModelError("relations: at least one is needed, all with the same number of ports")
-        wanted = set(self.unknowns)
-        if not wanted or wanted - set(UNKNOWNS):
+        relations = self.relations
+        if isinstance(relations, QuadraticConstraint):
+            relations = (relations,)
+        relations = tuple(relations)
+        if not relations or len({relation.n for relation in relations}) != 1:
+            raise ModelError("relations: give at least one, all with the same number of ports")
+        unknowns = set(self.unknowns)
+        if not unknowns or unknowns - set(UNKNOWNS):
             raise ModelError(
-                f"unknowns must be some of {', '.join(UNKNOWNS)}, got {', '.join(sorted(wanted))}"
+                f"unknowns must be some of {', '.join(UNKNOWNS)}, got {', '.join(sorted(unknowns))}"
             )
-        if wanted == {"current-bias"} and self.R is None:
+        if unknowns == {"current-bias"} and self.R is None:
             raise ModelError("R is missing: with current-bias alone, the drift is R times the bias")
         set_field = partial(object.__setattr__, self)
-        set_field("relations", chosen)
-        set_field("unknowns", tuple(name for name in UNKNOWNS if name in wanted))
+        set_field("relations", relations)
+        set_field("unknowns", tuple(name for name in UNKNOWNS if name in unknowns))
         set_field("R", None if self.R is None else np.asarray(self.R, float))
         stack = {
-            name: np.stack([getattr(relation, name) for relation in chosen])
+            name: np.stack([getattr(relation, name) for relation in relations])
             for name in ("Q1", "Q2", "Q3", "E", "C")
         }
         set_field("_stack", stack)
-        n, r = chosen[0].n, len(chosen)
-        drift = n if "drift" in wanted else 0
-        bias = n if "current-bias" in wanted else 0
-        at, slices = 0, {}
+        n, r = relations[0].n, len(relations)
+        drift = n if "drift" in unknowns else 0
+        bias = n if "current-bias" in unknowns else 0
+        start, slices = 0, {}
         for name, length in zip(
             ("s", "flux", "kappa", "drift", "c", "current_bias"),
             (r, n, r, drift, r, bias),
             strict=True,
         ):
-            slices[name] = slice(at, at + length)
-            at += length
+            slices[name] = slice(start, start + length)
+            start += length
         set_field("slices", slices)
-        set_field("size", at)
+        set_field("size", start)
 
     @property
     def n(self) -> int:
@@ -105,9 +107,9 @@ class Immersion:
     def lift(
         self, flux: ArrayLike, drift: ArrayLike | None = None, current_bias: ArrayLike | None = None
     ) -> FloatArray:
-        """State that belongs to flux [Wb], drift [V] and current bias [A], each (n,).
+        """Return the state for flux [Wb], drift [V] and current bias [A], each (n,).
 
-        If the current bias is the only unknown, the drift is R times it and must not be given.
+        If the current bias is the only unknown, the drift is R times it: do not give it.
         """
         x = np.asarray(flux)
         zero = np.zeros(self.n, dtype=x.dtype)
@@ -118,25 +120,25 @@ class Immersion:
             theta = self.R @ delta
         else:
             theta = zero if drift is None else np.asarray(drift)
-        parts: dict[str, list[FloatArray]] = {"s": [], "kappa": [], "c": []}
+        entries: dict[str, list[FloatArray]] = {"s": [], "kappa": [], "c": []}
         for relation in self.relations:
             Q1, Q2, Q3, E, C = (getattr(relation, name) for name in ("Q1", "Q2", "Q3", "E", "C"))
-            free = x @ Q1 @ x + E @ x + relation.d
-            parts["s"].append(free - x @ Q2 @ delta + delta @ Q3 @ delta - C @ delta)
-            parts["kappa"].append(theta @ (2 * Q1 @ x - Q2 @ delta + E))
-            parts["c"].append(theta @ Q1 @ theta)
-        out = np.zeros(self.size, dtype=np.result_type(x, theta, delta, float))
-        out[self.slices["flux"]] = x
-        for name, values in parts.items():
-            out[self.slices[name]] = values
+            unbiased = x @ Q1 @ x + E @ x + relation.d
+            entries["s"].append(unbiased - x @ Q2 @ delta + delta @ Q3 @ delta - C @ delta)
+            entries["kappa"].append(theta @ (2 * Q1 @ x - Q2 @ delta + E))
+            entries["c"].append(theta @ Q1 @ theta)
+        state = np.zeros(self.size, dtype=np.result_type(x, theta, delta, float))
+        state[self.slices["flux"]] = x
+        for name, values in entries.items():
+            state[self.slices[name]] = values
         if "drift" in self.unknowns:
-            out[self.slices["drift"]] = theta
+            state[self.slices["drift"]] = theta
         if "current-bias" in self.unknowns:
-            out[self.slices["current_bias"]] = delta
-        return out
+            state[self.slices["current_bias"]] = delta
+        return state
 
     def transition(self, h: float, volt_seconds: ArrayLike) -> FloatArray:
-        """F(h, v) of ``x₊ = F x + input``; unit upper triangular; ``F(h, v)⁻¹ = F(-h, -v)``.
+        """Return F(h, v) of ``x₊ = F x + input``: unit upper triangular, ``F(h, v)⁻¹ = F(-h, -v)``.
 
         Parameters
         ----------
@@ -152,14 +154,14 @@ class Immersion:
         v = np.asarray(volt_seconds)
         at, Q1, Q2 = self.slices, self._stack["Q1"], self._stack["Q2"]
         q = 2 * Q1 @ v  # (r, n): row k is (2 Q1_k v)ᵀ
-        one = np.eye(len(self.relations))
+        eye = np.eye(len(self.relations))
         F = np.eye(self.size, dtype=np.result_type(v, float))
         F[at["s"], at["flux"]], F[at["s"], at["kappa"]], F[at["s"], at["c"]] = (
             q,
-            h * one,
-            h * h * one,
+            h * eye,
+            h * h * eye,
         )
-        F[at["kappa"], at["c"]] = 2 * h * one
+        F[at["kappa"], at["c"]] = 2 * h * eye
         if "drift" in self.unknowns:
             F[at["flux"], at["drift"]] = h * np.eye(self.n)
             F[at["s"], at["drift"]], F[at["kappa"], at["drift"]] = h * q, q
@@ -173,15 +175,15 @@ class Immersion:
         return F
 
     def known_input(self, volt_seconds: ArrayLike) -> FloatArray:
-        """What v adds to the state: ``(vᵀQ1v + Eᵀv, v, 0, 0, 0, 0)``."""
+        """Return the input that v adds to the state: ``(vᵀQ1v + Eᵀv, v, 0, 0, 0, 0)``."""
         v = np.asarray(volt_seconds)
-        out = np.zeros(self.size, dtype=np.result_type(v, float))
-        out[self.slices["s"]] = self._stack["Q1"] @ v @ v + self._stack["E"] @ v
-        out[self.slices["flux"]] = v
-        return out
+        increment = np.zeros(self.size, dtype=np.result_type(v, float))
+        increment[self.slices["s"]] = self._stack["Q1"] @ v @ v + self._stack["E"] @ v
+        increment[self.slices["flux"]] = v
+        return increment
 
     def output_rows(self, current: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Rows H, (r, size), and values y, (r,), of ``y = H x``: the relations at i_m."""
+        """Return rows H, (r, size), and values y, (r,), of ``y = H x``: the relations at i_m."""
         i = np.asarray(current)
         rows = np.zeros((len(self.relations), self.size), dtype=np.result_type(i, float))
         rows[:, self.slices["s"]] = np.eye(len(self.relations))
@@ -192,7 +194,7 @@ class Immersion:
         return rows, -(Q3i @ i + self._stack["C"] @ i)
 
     def row_gain(self) -> FloatArray:
-        """∂H/∂i_m, shape (r, size, n): how current noise enters the rows."""
+        """Return ∂H/∂i_m, shape (r, size, n): the effect of current noise on the rows."""
         gain = np.zeros((len(self.relations), self.size, self.n))
         gain[:, self.slices["flux"]] = self._stack["Q2"]
         if "current-bias" in self.unknowns:
@@ -200,14 +202,14 @@ class Immersion:
         return gain
 
     def transition_gain(self) -> FloatArray:
-        """∂F(-h, -v)/∂v as h → 0, shape (n, size, size): how noise of v enters past rows."""
+        """Return ∂F(-h, -v)/∂v as h → 0, (n, size, size): the effect of noise of v on past rows."""
         zero = np.zeros(self.n)
         return np.stack(
             [self.transition(0.0, -unit) - self.transition(0.0, zero) for unit in np.eye(self.n)]
         )
 
     def invisible(self) -> FloatArray:
-        """Constant offsets (r, s) of flux [Wb] and current [A] that no record can reveal.
+        """Return constant offsets (r, s) of flux [Wb] and current [A] that no record can reveal.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""The inverter's voltage error: dead time and device drops, which oppose each phase current."""
+"""The inverter's voltage error: dead time and device drops oppose each phase current."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from ... import _core
 from ...core.arrays import Array
 from .frames import clarke
 
-#: The sign of a phase current is smoothed below this share of the current's size: near zero, the
-#: switches' capacitances determine the voltage, not the dead time.
+#: The sign of a phase current is smoothed below this share of the current's scale: near zero
+#: the switches' capacitances, not the dead time, determine the voltage.
 SMOOTHING: float = _core.usual["SMOOTHING"]
 
 
 def soft_sign(x: Array) -> Array:
-    """tanh(x) to within 0.0014: its Padé approximant, clipped where it reaches ±1; as in C."""
+    """Return tanh(x) to within 0.0014, as in C: a Padé approximant clipped where it reaches ±1."""
     x = np.clip(x, -3.6466, 3.6466)
     square = x**2
     return np.asarray(x * (945 + square * (105 + square)) / (945 + square * (420 + 15 * square)))
 
 
 def inverter_direction(current: Array, threshold: float) -> Array:
-    """Sum of the phase axes weighted by the smoothed signs of the phase currents, (rows, 2).
+    """Return the sum of the phase axes weighted by the smoothed current signs, (rows, 2).
 
-    Dead time and device drops act along it: with V_d per phase, the voltage ``V_d · direction`` is
-    lost. `threshold` [A] is the current at which the smoothed sign reaches three quarters.
+    Dead time and device drops act along this direction: with V_d per phase, the inverter loses
+    ``V_d · direction``. The smoothed sign reaches three quarters at the current `threshold` [A].
     """
     alpha, beta = current.T
     half, root = alpha / 2, np.sqrt(3) / 2 * beta
@@ -40,7 +40,7 @@ class InverterError:
     Parameters
     ----------
     voltage : float
-        V_d: dead time and device drops of a phase [V].
+        V_d: voltage lost to dead time and device drops per phase [V].
     current : float
         Phase current at which the smoothed sign reaches three quarters [A].
     """
@@ -49,9 +49,9 @@ class InverterError:
     current: float
 
     def lost(self, before: Array, now: Array) -> Array:
-        """Mean voltage lost over intervals, from the currents at start and end, (rows, 2) [V].
+        """Return the mean voltage lost over intervals, (rows, 2) [V].
 
-        Zero where a current is missing.
+        `before` and `now` are the currents at start and end; where one is missing the loss is zero.
         """
         direction = inverter_direction((before + now) / 2, self.current)
         return self.voltage * np.nan_to_num(direction)

@@ -1,1 +1,1 @@
-"""Signals in closed form: the demo log, the firmware's test record, sensors."""
+"""Closed-form signals: the demo log, the firmware's test record, sensors."""

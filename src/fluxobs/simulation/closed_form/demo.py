@@ -1,12 +1,11 @@
-"""The demonstration log: made here in closed form, shipped as demo_log.csv.
+"""Generate the demonstration log in closed form; demo_log.csv is the shipped copy.
 
-A servo motor (machine "servo-400w") runs up, is loaded, and reverses through zero. Position and
+A servo motor (machine "servo-400w") accelerates, is loaded, and reverses through zero. Position and
 currents are prescribed smooth functions. The machine's equations give the flux linkage, and its
-change gives the true voltages, so no integration error enters the data. Then the flaws of a real
-drive are added: the inverter loses dead time and device drops from the commanded voltage, and
-sensors have offsets, noise and the steps of their converter.
+change gives the true voltages, free of integration errors. Then the flaws of a real drive are
+added: dead time and device drops of the inverter, and offsets, noise and quantisation of sensors.
 
-``python -m fluxobs.simulation.closed_form.demo FILE`` writes it again.
+``python -m fluxobs.simulation.closed_form.demo FILE`` writes the log.
 """
 
 from __future__ import annotations
@@ -35,22 +34,22 @@ VOLTAGE_OFFSET = (-0.12, 0.08)  # V
 CURRENT_NOISE = 0.02  # A
 CURRENT_STEP = 0.01  # A: a 12-bit converter over ±20 A
 VOLTAGE_STEP = 0.005  # V: resolution of the modulator
-INVERTER_VOLTAGE = 0.15  # V a phase, dead time and device drops left after compensation
+INVERTER_VOLTAGE = 0.15  # V per phase, dead time and device drops after compensation
 KNEE = 0.2  # A: the sign of a phase current is tanh(i / KNEE)
 SEED = 20261121
 
 
 def smooth(t: Array, *knots: tuple[float, float]) -> Array:
-    """Curve through the knots (time, value), with level ends and half cosines in between."""
-    out = np.full_like(t, knots[0][1])
+    """Interpolate knots (time, value) by half cosines; constant before and after them."""
+    curve = np.full_like(t, knots[0][1])
     for (t0, y0), (t1, y1) in pairwise(knots):
         share = np.clip((t - t0) / (t1 - t0), 0.0, 1.0)
-        out += (y1 - y0) * (1 - np.cos(np.pi * share)) / 2
-    return out
+        curve += (y1 - y0) * (1 - np.cos(np.pi * share)) / 2
+    return curve
 
 
 def generate() -> dict[str, Array]:
-    """Columns of the log: t, u_alpha, u_beta, i_alpha, i_beta, theta_e (the truth)."""
+    """Return the columns of the log: t, u_alpha, u_beta, i_alpha, i_beta, theta_e (the truth)."""
     machine = rotating(example(MACHINE))
     rows, parts = round(DURATION / SAMPLE_TIME), 16
     t = np.asarray(np.arange(rows * parts + 1) * SAMPLE_TIME / parts)
@@ -60,13 +59,13 @@ def generate() -> dict[str, Array]:
     true = driven(machine, SAMPLE_TIME, speed, 1j * i_q, parts, theta0=0.8)
 
     command = vectors(true.voltage + inverter_loss(true.mean_current, INVERTER_VOLTAGE, KNEE))
-    at = np.arange(rows) * SAMPLE_TIME
+    times = np.arange(rows) * SAMPLE_TIME
     voltage = Sensor(Steps(np.array([VOLTAGE_OFFSET])), quantum=VOLTAGE_STEP)
     current = Sensor(Steps(np.array([CURRENT_OFFSET])), CURRENT_NOISE, CURRENT_STEP)
-    u = voltage.measure(at, command, SEED)
-    i = current.measure(at, vectors(true.current[:-1]), SEED)
+    u = voltage.measure(times, command, SEED)
+    i = current.measure(times, vectors(true.current[:-1]), SEED)
     return {
-        "t": np.round(at, 7),
+        "t": np.round(times, 7),
         "u_alpha": u[:, 0],
         "u_beta": u[:, 1],
         "i_alpha": i[:, 0],
@@ -76,7 +75,7 @@ def generate() -> dict[str, Array]:
 
 
 def demo_log() -> Log:
-    """Open the shipped log, with its true angle; its machine is "servo-400w".
+    """Open the shipped log of the machine "servo-400w", with its true angle.
 
     Examples
     --------

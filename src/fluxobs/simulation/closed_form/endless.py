@@ -1,4 +1,4 @@
-"""The demonstration motor without an end: it speeds up, is loaded, stops, reverses, warms up."""
+"""An endless demonstration drive: accelerate, load, stop, reverse, warm up."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .sensors import Sensor, Steps
 from .signals import driven, inverter_loss, vectors
 
 COLUMNS = ("t", "u_alpha", "u_beta", "i_alpha", "i_beta", "theta_e")
-#: Seconds after which speed and load begin again.
+#: Period of speed and load [s].
 CYCLE = 4.0
 #: The winding's resistance grows by this share, with this time constant [s].
 WARMER, WARMING = 0.25, 40.0
@@ -34,7 +34,7 @@ _PARTS = 16
 
 
 def endless() -> Iterator[list[float]]:
-    """Rows of the columns, one after the other, in SI units; theta_e is the truth."""
+    """Yield rows of `COLUMNS` in SI units without end; theta_e is the truth."""
     machine = rotating(example(MACHINE))
     rows = round(CYCLE / SAMPLE_TIME)
     t = np.arange(rows * _PARTS + 1) * SAMPLE_TIME / _PARTS
@@ -48,11 +48,11 @@ def endless() -> Iterator[list[float]]:
     angle = 0.8
     for cycle in count():
         warm = 1 + WARMER * (1 - np.exp(-cycle * CYCLE / WARMING))
-        now = machine.with_values(R_s=warm * machine.R_s)
-        true = driven(now, SAMPLE_TIME, speed, 1j * i_q, _PARTS, theta0=angle)
+        warmed = machine.with_values(R_s=warm * machine.R_s)
+        true = driven(warmed, SAMPLE_TIME, speed, 1j * i_q, _PARTS, theta0=angle)
         angle = float(true.theta_e[-1])
-        at = (cycle * rows + np.arange(rows)) * SAMPLE_TIME
+        times = (cycle * rows + np.arange(rows)) * SAMPLE_TIME
         lost = inverter_loss(true.mean_current, INVERTER_VOLTAGE, KNEE)
-        u = voltage.measure(at, vectors(true.voltage + lost), SEED + cycle)
-        i = current.measure(at, vectors(true.current[:-1]), SEED + cycle)
-        yield from np.column_stack([at, u, i, wrap(true.theta_e[:-1])]).tolist()
+        u = voltage.measure(times, vectors(true.voltage + lost), SEED + cycle)
+        i = current.measure(times, vectors(true.current[:-1]), SEED + cycle)
+        yield from np.column_stack([times, u, i, wrap(true.theta_e[:-1])]).tolist()

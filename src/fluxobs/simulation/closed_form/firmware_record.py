@@ -1,8 +1,8 @@
-"""A short record that takes the observer through everything it can meet, for its tests in C.
+"""A short record that exercises every branch of the observer, for its tests in C.
 
 It is in closed form, quantised by converters: a start from rest at an unknown angle, a run-up, a
 voltage offset beyond its prior, a load step, samples that are missing, contradictory or absurd, a
-stop through which the flux is carried, and a reversal.
+stop over which the flux is integrated, and a reversal.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from ...machines.model.frames import wrap
 from ...observers import LeastSquaresObserver
 from .signals import driven, vectors
 
-#: Samples per electrical period at full speed: so many, more if a sample is shorter than USUAL [s],
-#: fewer where the EMF has to be larger.
+#: Samples per electrical period at full speed: PERIOD, more if a sample is shorter than USUAL [s],
+#: down to FASTEST if the EMF must be larger.
 PERIOD, FASTEST, USUAL = 36, 12, 1e-4
-#: The EMF is so many times the voltage by which resistance and inverter may be off: half of that is
-#: the least at which a position is valid.
+#: EMF over the voltage error of resistance and inverter: twice the smallest ratio at which a
+#: position is valid.
 CLEAR = 4.0
-#: (row, share of full speed), linear in between. The stop is long enough that an observer with a
-#: memory of 50 samples carries the flux through it.
+#: (row, share of full speed), linear in between. The stop is so long that an observer with a memory
+#: of 50 samples integrates the flux over it.
 SPEED = ((0, 0.0), (40, 0.0), (140, 1.0), (660, 1.0), (740, 0.0), (1280, 0.0), (1380, -0.8))
-#: After that row it runs on without load for a memory of more samples: a valid position takes three
-#: memories, and all that follows shall meet one.
+#: A memory of more than MEMORY samples prolongs the run without load after CRUISE_ROW: a valid
+#: position takes three memories, and all later events need one.
 CRUISE_ROW, MEMORY, MEMORIES = 140, 300, 3.5
 LOAD_ROW, ABSURD_ROW = 220, 380
 MISSING_CURRENT_ROW, MISSING_VOLTAGE_ROW, SPIKE_ROW = 280, 300, 320
 ROWS = 1540
-#: Bits of the current converter; its range is two rated currents either way.
+#: Bits of the current converter; its range is ± two rated currents.
 BITS = 12
 START_ANGLE = 2.0
 #: Parts into which an interval is divided to integrate the current.
@@ -41,7 +41,7 @@ PARTS = 16
 
 @dataclass(frozen=True)
 class FirmwareRecord:
-    """Rows as an interrupt sees them: the current, and the voltage of the interval that ends there.
+    """Rows as an interrupt sees them: a current, and the voltage of the interval before it.
 
     Single precision represents all values exactly.
     """
@@ -54,31 +54,31 @@ class FirmwareRecord:
 def firmware_record(
     machine: RotatingMachine, observer: LeastSquaresObserver, unsure: float = 0.0
 ) -> FirmwareRecord:
-    """The record for a machine, with currents from a tenth of the rated one to all of it.
+    """Return the record for a machine, with currents from a tenth to all of the rated current.
 
     Parameters
     ----------
     machine : RotatingMachine
     observer : LeastSquaresObserver
-        Whose sample time, memory and drift prior the record suits.
+        The record suits its sample time, memory and drift prior.
     unsure : float
-        Voltage by which resistance and inverter may be off [V].
+        Voltage error of resistance and inverter [V].
     """
     h, rated = observer.sample_time, machine.rated_current
     assert rated is not None
     longer = max(0, round(MEMORIES * (observer.memory / h - MEMORY)))
     rows = np.arange((ROWS + longer) * PARTS + 1) / PARTS
-    k = rows - np.clip(rows - CRUISE_ROW, 0, longer)  # as if it were not longer
+    k = rows - np.clip(rows - CRUISE_ROW, 0, longer)  # row of the record without prolongation
     emf = CLEAR * unsure / observer.flux_base  # as a speed [rad/s]
-    slowest = PERIOD * max(1.0, USUAL / h)
-    period = float(np.clip(2 * np.pi / max(emf * h, 1e-9), FASTEST, slowest))
-    at, share = zip(*SPEED, strict=True)
-    speed = 2 * np.pi / (period * h) * np.interp(k, at, share)
+    longest = PERIOD * max(1.0, USUAL / h)
+    period = float(np.clip(2 * np.pi / max(emf * h, 1e-9), FASTEST, longest))
+    knots, shares = zip(*SPEED, strict=True)
+    speed = 2 * np.pi / (period * h) * np.interp(k, knots, shares)
     load = np.interp(k, (20, 60, LOAD_ROW, LOAD_ROW + 20), (0.0, 0.1, 0.1, 0.8))
-    along: Array | float = machine.magnetizing_current / rated
+    i_d: Array | float = machine.magnetizing_current / rated
     if not machine.magnets:
-        along = 0.5 * np.minimum(1, k / 40)
-    i_dq = rated * (along + 1j * load)
+        i_d = 0.5 * np.minimum(1, k / 40)
+    i_dq = rated * (i_d + 1j * load)
     true = driven(machine, h, speed, np.asarray(i_dq, complex), PARTS, START_ANGLE)
 
     bias = 0.01 * rated * (1 - 0.5j)
@@ -86,15 +86,18 @@ def firmware_record(
     measured = np.round(vectors(true.current[1:] + bias) / step) * step
     measured[ABSURD_ROW + longer] = 1e6 * rated
     measured[MISSING_CURRENT_ROW + longer] = np.nan
-    # A spike that turns the position vector by a radian and keeps its length.
+    # A spike that turns the position vector by one radian without changing its length.
     L = machine.position_inductance
     x = (true.flux - L * true.current)[SPIKE_ROW + longer + 1]
     measured[SPIKE_ROW + longer] += vectors(x * (1 - np.exp(1j)) / L)
     applied = vectors(true.voltage + 1.5 * observer.drift_prior)
-    unknown = MISSING_VOLTAGE_ROW + longer
-    applied[unknown : unknown + 2] = np.nan
-    return FirmwareRecord(_single(applied), _single(measured), wrap(true.theta_e[1:]))
+    missing = MISSING_VOLTAGE_ROW + longer
+    applied[missing : missing + 2] = np.nan
+    return FirmwareRecord(
+        _round_to_single(applied), _round_to_single(measured), wrap(true.theta_e[1:])
+    )
 
 
-def _single(x: Array) -> Array:
+def _round_to_single(x: Array) -> Array:
+    """Round to single precision."""
     return x.astype(np.float32).astype(float)

@@ -1,4 +1,4 @@
-"""Sensors turn a true signal into a measured one: bias, noise, quantisation."""
+"""Sensors: bias, noise and quantisation turn a true signal into a measured one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ...errors import ModelError
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Piecewise constant in time: ``values[0]`` before ``times[0]``, ``values[k + 1]`` from it on.
+    """A piecewise constant signal: ``values[0]``, then ``values[k + 1]`` from ``times[k]`` on.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Steps:
             object.__setattr__(self, name, array)
 
     def at(self, t: ArrayLike) -> Array:
-        """Value at times t (…), shape (…, n)."""
+        """Return the values at times t (…), shape (…, n)."""
         return np.asarray(self.values[np.searchsorted(self.times, np.asarray(t), side="right")])
 
 
@@ -74,11 +74,12 @@ class Sensor:
                 raise ModelError(f"{name} must be a number >= 0, got {value}")
 
     def measure(self, t: ArrayLike, true: ArrayLike, seed: int) -> Array:
-        """Measured signal, (rows, n); the same seed gives the same signal."""
+        """Return the measured signal, (rows, n); the same seed gives the same signal."""
         signal = np.asarray(true, float)
-        out = signal + self.bias.at(t)
+        measured = signal + self.bias.at(t)
         if self.noise > 0:
-            out = out + self.noise * np.random.default_rng(seed).standard_normal(signal.shape)
+            rng = np.random.default_rng(seed)
+            measured = measured + self.noise * rng.standard_normal(signal.shape)
         if self.quantum > 0:
-            out = self.quantum * np.round(out / self.quantum)
-        return np.asarray(out)
+            measured = self.quantum * np.round(measured / self.quantum)
+        return np.asarray(measured)

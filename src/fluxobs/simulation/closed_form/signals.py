@@ -1,9 +1,9 @@
-"""True signals of a rotating machine in closed form: no integration error accumulates.
+"""True signals of a rotating machine in closed form, without accumulating integration errors.
 
-Position and currents are prescribed. The flux linkage follows from the machine, and the mean
-voltage over each interval from the change of the flux and the integral of the current. The demo
-log, the firmware's test record, tests and benchmarks are all made here. The effects of sensors and
-inverter are added afterwards (sensors.py, :func:`inverter_loss`).
+Position and currents are prescribed. The machine gives the flux linkage; the flux change and the
+integral of the current give the mean voltage over each interval. The demo log, the firmware's test
+record, tests and benchmarks use these signals. Sensors (sensors.py) and inverter
+(:func:`inverter_loss`) are applied afterwards.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ AnyComplex = NDArray[np.complexfloating]
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Space vectors α + j β at rows + 1 instants and over the rows intervals between them.
+    """Space vectors α + j β at rows + 1 instants and over the intervals between them.
 
     Attributes
     ----------
@@ -58,9 +58,10 @@ def steady(
     i_dq: complex,
     theta0: float = 0.0,
 ) -> Signals:
-    """Constant current in rotor coordinates [A]; speed [rad/s] constant in each interval.
+    """Return signals with a constant current in rotor coordinates [A].
 
-    `speed` is one number, or one per row. Every integral is exact.
+    `speed` [rad/s] is one number, or one per row; it is constant in each interval. Every integral
+    is exact.
     """
     omega = np.broadcast_to(np.asarray(speed, float), (rows,)).copy()
     if np.ndim(speed) == 0:  # a sum over millions of rows would lose digits
@@ -68,11 +69,11 @@ def steady(
     else:
         theta = theta0 + np.concatenate([[0.0], np.cumsum(omega * sample_time)])
     turn = np.exp(1j * theta)
-    moving = np.abs(omega) > 1e-9  # else the quotient below is 0/0
-    safe = np.where(moving, omega, 1.0)
-    means = np.where(moving, np.diff(turn) / (1j * safe * sample_time), turn[1:])
+    moving = np.abs(omega) > 1e-9  # the quotient below is 0/0 at rest
+    divisor = np.where(moving, omega, 1.0)
+    means = np.where(moving, np.diff(turn) / (1j * divisor * sample_time), turn[1:])
     flux = complex(machine.flux_dq(i_dq)) * turn
-    return _signals(machine, sample_time, theta, flux, i_dq * turn, i_dq * means)
+    return _with_voltage(machine, sample_time, theta, flux, i_dq * turn, i_dq * means)
 
 
 def driven(
@@ -83,11 +84,11 @@ def driven(
     parts: int,
     theta0: float = 0.0,
 ) -> Signals:
-    """Any course of speed [rad/s] and current in rotor coordinates [A].
+    """Return signals for any course of speed [rad/s] and current in rotor coordinates [A].
 
-    Both are given at rows · parts + 1 instants, `parts` (even) per sample. The trapezoidal rule
-    integrates the angle, exactly if the speed is linear between the instants. Simpson's rule
-    integrates the current, to some 1e-9 of it at 36 samples per period and 16 parts.
+    Both have rows · parts + 1 instants, `parts` (even) per sample. The trapezoidal rule integrates
+    the angle, exactly if the speed is linear between the instants. Simpson's rule integrates the
+    current, with a relative error of about 1e-9 at 36 samples per period and 16 parts.
     """
     h = sample_time / parts
     theta = theta0 + np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * h)])
@@ -95,7 +96,9 @@ def driven(
     current = i_dq * turn
     flux = machine.flux_dq(i_dq) * turn
     means = interval_means(current, parts)
-    return _signals(machine, sample_time, theta[::parts], flux[::parts], current[::parts], means)
+    return _with_voltage(
+        machine, sample_time, theta[::parts], flux[::parts], current[::parts], means
+    )
 
 
 def driven_cage(
@@ -107,7 +110,7 @@ def driven_cage(
     parts: int,
     theta0: float = 0.0,
 ) -> tuple[Signals, Array]:
-    """Any course of an induction machine: what its rotor flux does is prescribed.
+    """Return signals of an induction machine whose rotor flux is prescribed.
 
     Parameters
     ----------
@@ -119,12 +122,12 @@ def driven_cage(
     parts : int
         Instants per sample, even.
     theta0 : float
-        First angle of the rotor flux [rad].
+        Initial angle of the rotor flux [rad].
 
     Returns
     -------
     signals : Signals
-        Its theta_e is the angle of the rotor flux. i_d follows from psi and its derivative.
+        theta_e is the angle of the rotor flux; i_d follows from psi and its derivative.
     mechanical : (rows + 1,) ndarray
         Speed of the shaft [rad/s].
     """
@@ -137,12 +140,14 @@ def driven_cage(
     flux = (psi + machine.L_sigma * i_dq) * turn
     means = interval_means(current, parts)
     mechanical = (speed - machine.R_R * i_q / psi) / machine.n_p
-    true = _signals(machine, sample_time, theta[::parts], flux[::parts], current[::parts], means)
+    true = _with_voltage(
+        machine, sample_time, theta[::parts], flux[::parts], current[::parts], means
+    )
     return true, mechanical[::parts]
 
 
 def interval_means(values: AnyComplex, parts: int) -> Complex:
-    """Means over intervals of `parts` (even) steps each, by Simpson's rule, (rows,)."""
+    """Return means over intervals of `parts` (even) steps each, by Simpson's rule, (rows,)."""
     weights = np.tile([2.0, 4.0], parts // 2) / (3 * parts)
     weights[0] /= 2
     inner = values[:-1].reshape(-1, parts) @ weights
@@ -152,16 +157,16 @@ def interval_means(values: AnyComplex, parts: int) -> Complex:
 def between_rows(values: ArrayLike, parts: int) -> NDArray[np.generic]:
     """Interpolate linearly between rows, ``parts`` values per sample, for :func:`driven`."""
     rows = np.asarray(values)
-    at, k = np.arange(len(rows)), np.arange((len(rows) - 1) * parts + 1) / parts
+    knots, k = np.arange(len(rows)), np.arange((len(rows) - 1) * parts + 1) / parts
     if np.iscomplexobj(rows):
-        return np.asarray(np.interp(k, at, rows.real) + 1j * np.interp(k, at, rows.imag))
-    return np.asarray(np.interp(k, at, rows))
+        return np.asarray(np.interp(k, knots, rows.real) + 1j * np.interp(k, knots, rows.imag))
+    return np.asarray(np.interp(k, knots, rows))
 
 
 def inverter_loss(current: AnyComplex, voltage: float, knee: float) -> Complex:
-    """Voltage lost to dead time and device drops: `voltage` per phase [V], against its current.
+    """Return the voltage lost to dead time and device drops, `voltage` per phase [V].
 
-    The sign of a phase current is ``tanh(i / knee)``, knee in ampere.
+    It opposes the phase current, whose sign is ``tanh(i / knee)``, knee in ampere.
     """
     phases = ((current * np.exp(-2j * np.pi / 3 * k)).real for k in range(3))
     direction = clarke(*(np.tanh(phase / knee) for phase in phases))
@@ -169,11 +174,11 @@ def inverter_loss(current: AnyComplex, voltage: float, knee: float) -> Complex:
 
 
 def vectors(z: AnyComplex) -> Array:
-    """α and β of complex numbers, (..., 2)."""
+    """Return α and β of complex numbers, (..., 2)."""
     return np.stack([np.real(z), np.imag(z)], axis=-1)
 
 
-def _signals(
+def _with_voltage(
     machine: RotatingMachine,
     sample_time: float,
     theta: Array,
@@ -181,6 +186,7 @@ def _signals(
     current: AnyComplex,
     mean_current: AnyComplex,
 ) -> Signals:
+    """Return the signals, completed by the voltage."""
     voltage = np.diff(flux) / sample_time + machine.R_s * mean_current
-    vectors = (np.asarray(z, complex) for z in (flux, current, mean_current, voltage))
-    return Signals(sample_time, theta, *vectors)
+    space_vectors = (np.asarray(z, complex) for z in (flux, current, mean_current, voltage))
+    return Signals(sample_time, theta, *space_vectors)

@@ -15,14 +15,14 @@ from ..precision import not_negative, positive, real
 from .motor import LEAST_FLUX, CageMotor, Motor
 from .vectors import ROOT3, length, limit
 
-#: Of a cage: bandwidth of the rotor flux [rad/s], 1.6 times its own; the share of the voltage
-#: that its EMF may take, the rest being for leakage and load steps; the share of the current limit
-#: that i_d may take.
+#: For a cage: bandwidth of the rotor flux [rad/s], 1.6 times its open-loop value; largest share of
+#: the voltage for the EMF, the rest being for leakage and load steps; largest share of the current
+#: limit for i_d.
 FLUX_BANDWIDTH, FLUX_VOLTAGE, FLUX_CURRENT = 15.0, 0.8, 0.8
 
 
 class ControlState(NamedTuple):
-    """Integrators of speed [N m] and current control [V, rotor frame]; weakening current [A]."""
+    """Integrators of speed [N m] and current control [V, dq]; field-weakening current [A]."""
 
     torque: Array
     voltage: Array
@@ -38,12 +38,12 @@ class Control(eqx.Module):
     and back calculation from the realisable voltage. The speed controller is a PI with a double
     pole at α_s and back calculation from the realisable torque.
 
-    Create it with :meth:`of`, which chooses suitable gains.
+    :meth:`of` creates it with suitable gains.
 
     Parameters
     ----------
     motor : Motor
-        Motor parameters as the controller believes them.
+        Motor parameters that the controller assumes.
     inertia : float
         Inertia [kg m²].
     sample_time : float
@@ -53,11 +53,11 @@ class Control(eqx.Module):
     current_limit : float
         Peak current [A].
     i_d_min : float
-        Least i_d; keeps the flux of reluctance machines visible [A].
+        Smallest i_d; keeps the flux of reluctance machines observable [A].
     weakening : float
-        Gain of the field weakening [A/(V s)]; 0 switches it off.
+        Gain of the field weakening [A/(V s)]; 0 disables it.
     voltage_use : float
-        Share of the linear voltage range, udc/√3, to use.
+        Usable share of the linear voltage range udc/√3.
     """
 
     motor: Motor
@@ -83,23 +83,25 @@ class Control(eqx.Module):
         weakening: Any = 0.0,
         voltage_use: Any = 0.98,
     ) -> Self:
-        """Controller with defaults for the omitted parameters.
+        """Create a controller with defaults for omitted parameters.
 
         Current bandwidth: 1/16 of the sampling frequency in rad/s, at most 2π 200 rad/s. Speed
-        bandwidth: a tenth of the current bandwidth, at most 2π 8 rad/s. Least i_d of a reluctance
-        machine: 0.3 of the current limit.
+        bandwidth: a tenth of the current bandwidth, at most 2π 8 rad/s. Smallest i_d of a
+        reluctance machine: 0.3 of the current limit.
         """
         h = float(sample_time)
-        fast = min(2 * np.pi * 200, 2 * np.pi / h / 16)
-        current_bandwidth = fast if current_bandwidth is None else current_bandwidth
-        slow = min(2 * np.pi * 8, float(current_bandwidth) / 10)
+        default_bandwidth = min(2 * np.pi * 200, 2 * np.pi / h / 16)
+        current_bandwidth = default_bandwidth if current_bandwidth is None else current_bandwidth
+        default_speed_bandwidth = min(2 * np.pi * 8, float(current_bandwidth) / 10)
         if i_d_min is None:
             i_d_min = (0.3 if float(motor.psi_f) == 0 else -1.0) * current_limit
         values = {
             "inertia": inertia,
             "sample_time": sample_time,
             "current_bandwidth": current_bandwidth,
-            "speed_bandwidth": slow if speed_bandwidth is None else speed_bandwidth,
+            "speed_bandwidth": default_speed_bandwidth
+            if speed_bandwidth is None
+            else speed_bandwidth,
             "current_limit": current_limit,
             "i_d_min": i_d_min,
             "weakening": weakening,
@@ -118,13 +120,13 @@ class Control(eqx.Module):
         return ControlState(zero, jax.lax.complex(zero, zero), zero)
 
     def most_torque(self) -> Array:
-        """Torque at the current limit, without field weakening [N m]."""
-        i_d = self._per_ampere(self.current_limit)
+        """Return the torque at the current limit, without field weakening [N m]."""
+        i_d = self._best_i_d(self.current_limit)
         i_d = jnp.maximum(i_d, self.i_d_min)
         return self.motor.torque_dq(i_d, jnp.sqrt(self.current_limit**2 - i_d**2))
 
-    def _per_ampere(self, size: Array) -> Array:
-        """i_d that gives the largest torque at a current of this magnitude."""
+    def _best_i_d(self, size: Array) -> Array:
+        """Return the i_d of largest torque at a current of this magnitude."""
         k, psi = self.motor.L_d - self.motor.L_q, self.motor.psi_f
         root = jnp.sqrt(psi**2 + 8 * (k * size) ** 2)
         return 2 * k * size**2 / jnp.maximum(psi + root, 1e-300)
@@ -137,46 +139,46 @@ class Control(eqx.Module):
         speed_e: Array,
         dc_link: Array,
     ) -> Array:
-        """Current reference for a torque: iterates i_d and i_q, then applies field weakening.
+        """Return the current reference for a torque, with field weakening.
 
-        Rotor flux [Wb], electrical speed [rad/s] and DC link [V] are for machines with a cage.
+        Only cage machines use rotor flux [Wb], electrical speed [rad/s] and DC link [V].
         """
         k, psi = self.motor.L_d - self.motor.L_q, self.motor.psi_f
-        most = self.current_limit
-        # Exact for surface and for reluctance machines; a starting point for those between.
-        wanted = torque / (1.5 * self.motor.n_p)
-        root = jnp.sqrt(psi**2 + 4 * jnp.abs(k * wanted))
-        i_q = 2 * wanted / jnp.maximum(psi + root, 1e-300)
+        largest = self.current_limit
+        # Exact for surface and reluctance machines; a starting point for interior magnets.
+        active_flux_i_q = torque / (1.5 * self.motor.n_p)
+        root = jnp.sqrt(psi**2 + 4 * jnp.abs(k * active_flux_i_q))
+        i_q = 2 * active_flux_i_q / jnp.maximum(psi + root, 1e-300)
         i_d = jnp.zeros(())
         for _ in range(4):
-            # At the optimum i_q² = i_d² + (ψ/k) i_d: the same quadratic gives i_d from i_q.
+            # At the optimum i_q² = i_d² + (ψ/k) i_d: solve this quadratic for i_d.
             root = jnp.sqrt(psi**2 + 4 * (k * i_q) ** 2)
             i_d = 2 * k * i_q**2 / jnp.maximum(psi + root, 1e-300)
             i_d = jnp.maximum(i_d, self.i_d_min)
             active = psi + k * i_d
-            i_q = (i_q + wanted / jnp.where(active > 0, active, 1.0)) / 2
-        # Weaken no further than zero flux, which makes no torque.
+            i_q = (i_q + active_flux_i_q / jnp.where(active > 0, active, 1.0)) / 2
+        # Zero flux makes no torque: weaken no further.
         floor = jnp.where(psi > 0, -psi / self.motor.L_d, self.i_d_min)
-        i_d = jnp.clip(jnp.maximum(i_d - weakening, floor), -most, most)
-        i_q = wanted / jnp.maximum(psi + k * i_d, 1e-300)
-        reach = jnp.sqrt(jnp.maximum(most**2 - i_d**2, 0.0))
+        i_d = jnp.clip(jnp.maximum(i_d - weakening, floor), -largest, largest)
+        i_q = active_flux_i_q / jnp.maximum(psi + k * i_d, 1e-300)
+        reach = jnp.sqrt(jnp.maximum(largest**2 - i_d**2, 0.0))
         return jax.lax.complex(i_d, jnp.clip(i_q, -reach, reach))
 
     def speed_step(
         self, state: ControlState, reference: Array, speed: Array
     ) -> tuple[ControlState, Array, Array]:
-        """Torque for a speed error [rad/s → N m], and whether the current limit cuts it."""
+        """Return the torque for a speed error [N m], and whether the current limit cuts it."""
         a, J, h = self.speed_bandwidth, self.inertia, self.sample_time
         error = reference - speed
         wanted = 2 * a * J * error + state.torque
-        most = self.most_torque()
-        torque = jnp.clip(wanted, -most, most)
-        # Back calculation: the integrator gets the error that just reaches the limit.
-        real_error = error + (torque - wanted) / (2 * a * J)
+        largest = self.most_torque()
+        torque = jnp.clip(wanted, -largest, largest)
+        # Back calculation: the integrator gets the error whose torque just reaches the limit.
+        realised = error + (torque - wanted) / (2 * a * J)
         return (
-            state._replace(torque=state.torque + h * a * a * J * real_error),
+            state._replace(torque=state.torque + h * a * a * J * realised),
             torque,
-            jnp.abs(wanted) > most,
+            jnp.abs(wanted) > largest,
         )
 
     def current_step(
@@ -188,45 +190,46 @@ class Control(eqx.Module):
         dc_link: Array,
         aligned: Array | bool = True,
     ) -> tuple[ControlState, Array, Array]:
-        """Realisable voltage for a current error, in rotor coordinates, and whether it was cut.
+        """Return the realisable voltage for a current error, in dq, and whether the limit cut it.
 
-        If the frame is not `aligned` with the rotor, either axis may see either inductance: both
+        If the frame is not `aligned` with the rotor, either inductance may act on an axis: both
         axes then use the gains of the smaller one, without feed-forward of the EMF.
         """
         a, h = self.current_bandwidth, self.sample_time
         L_d, L_q = self._inductances(aligned)
         error = reference - current
         proportional = jax.lax.complex(a * L_d * error.real, a * L_q * error.imag)
-        wanted = proportional + state.voltage + self._known(current, speed_e, aligned)
-        most = self.voltage_use * dc_link / ROOT3
-        voltage = limit(wanted, most)
-        left = voltage - wanted
-        gained = jax.lax.complex(
-            a * a * L_d * error.real + a * left.real, a * a * L_q * error.imag + a * left.imag
+        wanted = proportional + state.voltage + self._feed_forward(current, speed_e, aligned)
+        largest = self.voltage_use * dc_link / ROOT3
+        voltage = limit(wanted, largest)
+        excess = voltage - wanted
+        integrand = jax.lax.complex(
+            a * a * L_d * error.real + a * excess.real, a * a * L_q * error.imag + a * excess.imag
         )
         size = length(wanted)
         # Field weakening: reduce flux while the voltage is near its limit, then restore it.
-        weakening = state.weakening + h * self.weakening * (size - 0.95 * most)
+        weakening = state.weakening + h * self.weakening * (size - 0.95 * largest)
         weakening = jnp.clip(weakening, 0.0, 0.8 * self.current_limit)
         return (
-            state._replace(voltage=state.voltage + h * gained, weakening=weakening),
+            state._replace(voltage=state.voltage + h * integrand, weakening=weakening),
             voltage,
-            size > most,
+            size > largest,
         )
 
     def continued(
         self, state: ControlState, voltage: Array, current: Array, speed_e: Array, aligned: Array
     ) -> ControlState:
-        """Sets the integrator so that the next voltage is `voltage` at zero current error."""
-        return state._replace(voltage=voltage - self._known(current, speed_e, aligned))
+        """Set the integrator so that the next voltage is `voltage` at zero current error."""
+        return state._replace(voltage=voltage - self._feed_forward(current, speed_e, aligned))
 
     def _inductances(self, aligned: Array | bool) -> tuple[Array, Array]:
+        """Return the inductances of both axes; the smaller one twice if not aligned."""
         m = self.motor
-        least = jnp.minimum(m.L_d, m.L_q)
-        return jnp.where(aligned, m.L_d, least), jnp.where(aligned, m.L_q, least)
+        smaller = jnp.minimum(m.L_d, m.L_q)
+        return jnp.where(aligned, m.L_d, smaller), jnp.where(aligned, m.L_q, smaller)
 
-    def _known(self, current: Array, speed_e: Array, aligned: Array | bool) -> Array:
-        """Cross-coupling terms, minus active damping by the resistance a L - R."""
+    def _feed_forward(self, current: Array, speed_e: Array, aligned: Array | bool) -> Array:
+        """Return the cross-coupling voltage minus that of the active resistance a L - R."""
         m, a = self.motor, self.current_bandwidth
         L_d, L_q = self._inductances(aligned)
         speed_e = jnp.where(aligned, speed_e, 0.0)
@@ -237,9 +240,9 @@ class Control(eqx.Module):
         )
 
     def check(self) -> None:
-        """Raises ModelError if the current loop with one sample of delay is unstable.
+        """Raise ModelError if the current loop with one sample of delay is unstable.
 
-        Checks each axis alone at standstill, with the controller's motor parameters and an exact
+        Check each axis alone at standstill, with the controller's motor parameters and an exact
         discretisation.
         """
         h, a = float(self.sample_time), float(self.current_bandwidth)
@@ -254,13 +257,13 @@ class Control(eqx.Module):
         if not 0 < speed < a:
             raise ModelError(
                 f"speed_bandwidth = {speed:.4g} rad/s must be positive and below the current's, "
-                f"{a:.4g} rad/s; a tenth of it is usual"
+                f"{a:.4g} rad/s; a tenth of that is usual"
             )
 
     def current_loop(self, L: float) -> np.ndarray:
-        """Transition matrix (3, 3) of (current, pending voltage, integrator) on one axis.
+        """Return the transition matrix (3, 3) of an axis: current, pending voltage, integrator.
 
-        Standstill, zero reference, one sample of delay; exact for a voltage held over the sample.
+        It is exact at standstill, for zero reference, one sample of delay and a held voltage.
         """
         h, a, R = float(self.sample_time), float(self.current_bandwidth), float(self.motor.R_s)
         decay = np.exp(-R * h / L)
@@ -271,9 +274,9 @@ class Control(eqx.Module):
 class CageControl(Control):
     """Rotor-field-oriented control of an induction machine.
 
-    i_d holds the rotor flux at its rated value, or where the voltage ends, and corrects it with
-    :data:`FLUX_BANDWIDTH`; i_q makes the torque with the flux that there is. K. Hasse and F.
-    Blaschke's principle; see D. W. Novotny and T. A. Lipo, *Vector Control and Dynamics of AC
+    i_d controls the rotor flux with :data:`FLUX_BANDWIDTH`, to its rated value or less if the
+    voltage limit requires it. i_q makes the torque with the present flux. The principle is K.
+    Hasse's and F. Blaschke's; see D. W. Novotny and T. A. Lipo, *Vector Control and Dynamics of AC
     Drives*, Oxford 1996.
     """
 
@@ -292,12 +295,12 @@ class CageControl(Control):
         speed_e: Array,
         dc_link: Array,
     ) -> Array:
-        m, most = self.motor, self.current_limit
-        reach = FLUX_VOLTAGE * self.voltage_use * dc_link / ROOT3
-        wanted = jnp.minimum(m.psi_f, reach / jnp.maximum(jnp.abs(speed_e), 1e-9))
+        m, largest = self.motor, self.current_limit
+        voltage = FLUX_VOLTAGE * self.voltage_use * dc_link / ROOT3
+        target = jnp.minimum(m.psi_f, voltage / jnp.maximum(jnp.abs(speed_e), 1e-9))
         psi = jnp.maximum(rotor_flux, LEAST_FLUX * m.psi_f)
-        i_d = wanted * m.magnetizing(wanted) + FLUX_BANDWIDTH * (wanted - psi) / m.R_R
-        i_d = jnp.clip(i_d, 0.0, FLUX_CURRENT * most)
+        i_d = target * m.magnetizing(target) + FLUX_BANDWIDTH * (target - psi) / m.R_R
+        i_d = jnp.clip(i_d, 0.0, FLUX_CURRENT * largest)
         i_q = torque / (1.5 * m.n_p * psi)
-        left = jnp.sqrt(most**2 - i_d**2)
-        return jax.lax.complex(i_d, jnp.clip(i_q, -left, left))
+        reach = jnp.sqrt(largest**2 - i_d**2)
+        return jax.lax.complex(i_d, jnp.clip(i_q, -reach, reach))

@@ -1,4 +1,4 @@
-"""Drives for the shipped machines, with or without an encoder."""
+"""Drives with the shipped machines, with or without an encoder."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .simulate import Drive
 
 @dataclass(frozen=True)
 class Rating:
-    """Data of a drive that the machine file does not hold.
+    """Data of a drive that its machine file lacks.
 
     Attributes
     ----------
@@ -59,12 +59,12 @@ RATINGS = {
 
 
 def rating(name: str) -> Rating:
-    """Rating of a shipped machine.
+    """Return the rating of a shipped machine.
 
     Raises
     ------
     ModelError
-        The machine has no rating; the message lists those that have.
+        The machine has no rating; the message lists machines with one.
     """
     if name not in RATINGS:
         raise ModelError(f"no drive is defined for {name!r}; there is one for {', '.join(RATINGS)}")
@@ -72,34 +72,37 @@ def rating(name: str) -> Rating:
 
 
 def _rated_current(machine: RotatingMachine) -> float:
+    """Return the rated current [A]; raise ModelError if it is missing."""
     if machine.rated_current is None:
         raise ModelError(f"rated_current is missing in the {machine.kind}: simulation needs it")
     return machine.rated_current
 
 
 def _start_current(machine: RotatingMachine) -> float:
-    """Length of the current vector that turns the rotor open loop [A]; for a cage the one that
-    makes rated flux where its torque is largest."""
+    """Return the length of the current vector that turns the rotor in open loop [A].
+
+    For a cage it gives rated flux at the slip of largest torque.
+    """
     if machine.flux_moves:
         return float(np.sqrt(2) * machine.magnetizing_current)
     return _rated_current(machine)
 
 
-def _control(motor: Motor, machine: RotatingMachine, rated: Rating, **given: Any) -> Control:
-    """Control for 1.5 times the rated current.
+def _control(motor: Motor, machine: RotatingMachine, rated: Rating, **options: Any) -> Control:
+    """Create control for 1.5 times the rated current.
 
-    Field weakening reaches that current within 20 ms if the voltage is udc above its limit.
+    Field weakening reaches that current within 20 ms if the voltage exceeds its limit by udc.
     """
-    most = 1.5 * _rated_current(machine)
-    weakening = most / (0.02 * rated.dc_link)
+    limit = 1.5 * _rated_current(machine)
+    weakening = limit / (0.02 * rated.dc_link)
     kind = CageControl if isinstance(motor, CageMotor) else Control
-    return kind.of(motor, rated.J, rated.sample_time, most, weakening=weakening, **given)
+    return kind.of(motor, rated.J, rated.sample_time, limit, weakening=weakening, **options)
 
 
 def encoder_drive(machine: RotatingMachine, rated: Rating, **sensors: Any) -> Drive:
-    """Drive with an encoder, an ideal inverter and 1.5 times the rated current.
+    """Create a drive with an encoder, an ideal inverter and 1.5 times the rated current.
 
-    `sensors` are passed to :class:`Sensors`.
+    `sensors` go to :class:`Sensors`.
     """
     motor = Motor.of(machine)
     plant = Plant(motor, Mechanics(rated.J))
@@ -116,44 +119,44 @@ def sensorless_drive(
     speed_bandwidth: float | None = None,
     **sensors: Any,
 ) -> Drive:
-    """Like :func:`encoder_drive`, with the least squares instead of the encoder in the loop.
+    """Create a drive like :func:`encoder_drive`, with the least squares in place of the encoder.
 
     Parameters
     ----------
     memory : float
-        Memory of the observer [s]; about the time of half a turn at the slowest speed to hold.
+        Memory of the observer [s]; about the time of half a turn at the slowest speed.
     believed : RotatingMachine, optional
-        Machine as observer and controller believe it.
+        Machine that observer and controller assume.
     current_noise, drift_prior : float, optional
         Passed to :meth:`LeastSquaresObserver.for_machine`.
     speed_bandwidth : float, optional
-        Bandwidth of the speed controller [rad/s]; default 0.75 over the memory, at most 2π 8. A
-        wrong R turns the angle for one memory after each torque change. A speed controller that
-        responds within that time can oscillate. With the right R a faster one does no harm.
+        Bandwidth of the speed controller [rad/s]; default 0.75 over the memory, at most 2π 8. With
+        a wrong R the angle is wrong for one memory after each torque change, and a speed controller
+        that responds within that time can oscillate. With the right R it can be faster.
     """
     drive = encoder_drive(machine, rated, **sensors)
-    taken = machine if believed is None else believed
+    assumed = machine if believed is None else believed
     compiled = LeastSquaresObserver.for_machine(
-        taken,
+        assumed,
         sample_time=rated.sample_time,
         memory=memory,
         current_noise=current_noise,
         drift_prior=drift_prior,
     )
-    # Keep the speed estimate as fast as with the usual memory: the speed controller needs it.
+    # The speed controller needs a speed estimate as fast as with the usual memory.
     bandwidth = min(TRACKER / MEMORY, 0.5 / rated.sample_time)
     compiled = replace(compiled, tracker_bandwidth=bandwidth)
-    # During `ride` a voltage error of the size of the drift prior S turns the flux by half a
-    # radian. With that error a position is valid only above S/(0.14 ψ) (docs/theory.md, section 6).
+    # During `ride` a voltage error as large as the drift prior S turns the flux by half a radian.
+    # With that error a position is valid only above S/(0.14 ψ) (docs/theory.md, section 6).
     radian = compiled.flux_base / compiled.drift_prior
     ride, start_speed = 0.5 * radian, max(0.1 * rated.speed_e, 1.5 / (0.14 * radian))
     if speed_bandwidth is None:
         speed_bandwidth = min(2 * np.pi * 8, 0.75 / memory)
     return replace(
         drive,
-        control=_control(Motor.of(taken), machine, rated, speed_bandwidth=speed_bandwidth),
+        control=_control(Motor.of(assumed), machine, rated, speed_bandwidth=speed_bandwidth),
         observer=LoopObserver.of(compiled),
         sensorless=Sensorless.for_drive(
-            _start_current(taken), rated.speed_e, ride=ride, speed=start_speed
+            _start_current(assumed), rated.speed_e, ride=ride, speed=start_speed
         ),
     )

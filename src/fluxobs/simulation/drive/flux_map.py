@@ -1,4 +1,4 @@
-"""Flux maps in JAX: twins of firmware/fluxobs_map.c, for the observer's twin and for plants."""
+"""Flux maps in JAX, equivalent to firmware/fluxobs_map.c, for observers and plants."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from jax import Array
 
 from ...machines.model.flux_map import DEGREE, CageMap, FluxMap, TableMap
 
-#: Newton steps from the chord to the flux of a current: the residual is then rounding.
+#: Newton steps from a flux to its current: the residual is then rounding.
 NEWTON = 8
 
 
 class Map(eqx.Module):
-    """A flux map, made by :meth:`of`; see :class:`fluxobs.machines.model.flux_map.FluxMap`."""
+    """A flux map, created by :meth:`of`; see :class:`fluxobs.machines.model.flux_map.FluxMap`."""
 
     cage: bool = eqx.field(static=True)
     is_table: bool = eqx.field(static=True)
@@ -27,14 +27,14 @@ class Map(eqx.Module):
     decay: Array
     still: Array
     ripple: Array
-    least: Array  # (2,) lowest i_d and i_q [A]
-    most: Array
-    over: Array
+    least: Array  # (2,) smallest i_d and i_q [A]
+    most: Array  # (2,) largest i_d and i_q [A]
+    over: Array  # (2,) intervals per ampere
     coefficients: Array  # (d, q, 2)
 
     @classmethod
     def of(cls, flux_map: FluxMap) -> Self:
-        """The twin of a map."""
+        """Convert a map to JAX."""
         fields: dict[str, Any] = flux_map.core()
         ends = {
             name: jnp.asarray([fields[f"{name}_d"], fields[f"{name}_q"]], float)
@@ -54,7 +54,10 @@ class Map(eqx.Module):
         )
 
     def at(self, current: Array, rotor_flux: Array | float = 0.0) -> tuple[Array, Array, Array]:
-        """Flux, and its derivatives by i_d and i_q, at a current d + j q; a cage has this flux."""
+        """Return flux and its derivatives by i_d and i_q at a current d + j q.
+
+        `rotor_flux` [Wb] is that of a cage.
+        """
         if not self.is_table:
             psi = rotor_flux if self.cage else self.psi
             flux = jax.lax.complex(psi + self.L_d * current.real, self.L_q * current.imag)
@@ -63,42 +66,45 @@ class Map(eqx.Module):
         i = jnp.stack([current.real, current.imag])
         inside = jnp.clip(i, self.least, self.most)
         intervals = jnp.array(self.coefficients.shape[:2]) - DEGREE
-        at = (inside - self.least) * self.over
-        first = jnp.clip(at.astype(int), 0, intervals - 1)
-        values, slopes = _weights(at - first)
+        scaled = (inside - self.least) * self.over
+        first = jnp.clip(scaled.astype(int), 0, intervals - 1)
+        values, slopes = _weights(scaled - first)
         slopes = slopes * self.over[:, None]
-        near = jax.lax.dynamic_slice(self.coefficients, (*first, 0), (DEGREE + 1, DEGREE + 1, 2))
-        c = jax.lax.complex(near[..., 0], near[..., 1])
+        local = jax.lax.dynamic_slice(self.coefficients, (*first, 0), (DEGREE + 1, DEGREE + 1, 2))
+        c = jax.lax.complex(local[..., 0], local[..., 1])
         along_q = c @ values[1].astype(c.dtype)
         flux = values[0] @ along_q
         by_d, by_q = slopes[0] @ along_q, values[0] @ (c @ slopes[1].astype(c.dtype))
-        off = i - inside
-        return flux + off[0] * by_d + off[1] * by_q, by_d, by_q
+        beyond = i - inside
+        return flux + beyond[0] * by_d + beyond[1] * by_q, by_d, by_q
 
     def outside(self, current: Array) -> Array:
-        """Whether a current is outside the table."""
+        """Return whether a current is outside the table."""
         if not self.is_table:
             return jnp.zeros((), bool)
         i = jnp.stack([current.real, current.imag])
         return ((i < self.least) | (i > self.most)).any()
 
     def current(self, flux: Array, L_d: Array, L_q: Array) -> Array:
-        """Current of a flux, in rotor coordinates, by Newton's method from the linear machine."""
+        """Return the current of a flux, in rotor coordinates.
+
+        Newton's method starts from the linear machine.
+        """
         start = jax.lax.complex((flux.real - self.psi) / L_d, flux.imag / L_q)
 
         def step(_: Any, i: Array) -> Array:
-            now, by_d, by_q = self.at(i)
-            off = flux - now
+            mapped, by_d, by_q = self.at(i)
+            error = flux - mapped
             det = by_d.real * by_q.imag - by_d.imag * by_q.real
             return i + jax.lax.complex(
-                (by_q.imag * off.real - by_q.real * off.imag) / det,
-                (by_d.real * off.imag - by_d.imag * off.real) / det,
+                (by_q.imag * error.real - by_q.real * error.imag) / det,
+                (by_d.real * error.imag - by_d.imag * error.real) / det,
             )
 
-        found: Array = start
+        current: Array = start
         for k in range(NEWTON):
-            found = step(k, found)
-        return found
+            current = step(k, current)
+        return current
 
 
 #: sin(x)/x - 1 in powers of x², |x| <= π/2, to 2e-9 (Abramowitz and Stegun, 4.3.97), as in C.
@@ -106,21 +112,21 @@ SINE = (-0.1666666664, 0.0083333315, -0.0001984090, 0.0000027526, -0.0000000239)
 
 
 def direction(angle: Array) -> Array:
-    """exp(j angle) of an angle in (-π, π], by the polynomial that firmware uses."""
+    """Return exp(j angle) of an angle in (-π, π], by the firmware's polynomial."""
 
     def sine(x: Array) -> Array:
-        s, found = x * x, jnp.zeros_like(x)
+        square, total = x * x, jnp.zeros_like(x)
         for coefficient in reversed(SINE):
-            found = s * (coefficient + found)
-        return x * (1 + found)
+            total = square * (coefficient + total)
+        return x * (1 + total)
 
     size = jnp.abs(angle)
-    up = sine(jnp.where(size > jnp.pi / 2, jnp.pi - size, size))
-    return jax.lax.complex(sine(jnp.pi / 2 - size), jnp.where(angle < 0, -up, up))
+    imaginary = sine(jnp.where(size > jnp.pi / 2, jnp.pi - size, size))
+    return jax.lax.complex(sine(jnp.pi / 2 - size), jnp.where(angle < 0, -imaginary, imaginary))
 
 
 def _weights(t: Array) -> tuple[Array, Array]:
-    """Values and derivatives of the three splines at t in [0, 1], (..., 3) each."""
+    """Return values and derivatives of the three splines at t in [0, 1], (..., 3) each."""
     u = 1 - t
     values = [u * u / 2, 1 / 2 + t * u, t * t / 2]
     slopes = [-u, u - t, t]

@@ -14,12 +14,11 @@ from .vectors import from_phases, phases
 
 
 class Inverter(eqx.Module):
-    """Inverter model, averaged over a switching period or switching by carrier comparison.
+    """An inverter averaged over a switching period, or switching by carrier comparison.
 
-    Each sample is one switching period with centred pulses, so that currents are sampled at zero
-    ripple. Dead time delays every turn-on by `dead_time`: a leg loses that much of its pulse while
-    its current flows out, and gains as much while it flows in. The devices drop `drop` + `R_on` |i|
-    against the current.
+    Each sample is one switching period with centred pulses: sampled currents have no ripple. Every
+    turn-on is delayed by `dead_time`. A leg's pulse is shorter by that time if its current flows
+    out, longer if it flows in. The devices drop `drop` + `R_on` |i| against the current.
 
     Parameters
     ----------
@@ -28,9 +27,9 @@ class Inverter(eqx.Module):
     drop, R_on : float
         Forward voltage and resistance of switch or diode [V], [Ω], >= 0.
     smoothing : float
-        Current over which the averaged inverter smooths the sign (size of the ripple) [A], > 0.
+        Current over which the averaged inverter smooths the sign, the size of the ripple [A], > 0.
     switching : int
-        Integration parts per sample of the switching inverter; 0 for the averaged one.
+        Integration intervals per sample of the switching inverter; 0 for the averaged one.
     """
 
     dead_time: Array
@@ -51,18 +50,18 @@ class Inverter(eqx.Module):
         self.R_on, self.smoothing = not_negative("R_on", R_on), positive("smoothing", smoothing)
         if not isinstance(switching, int) or isinstance(switching, bool) or switching < 0:
             raise ModelError(
-                f"switching must be a number of parts, 0 for averaged, got {switching!r}"
+                f"switching must be a number of intervals, 0 for averaged, got {switching!r}"
             )
         self.switching = switching
 
     def duties(self, voltage: Array, dc_link: Array) -> Array:
-        """Duty cycles (3,) in [0, 1] for a voltage vector, with centred zero sequence."""
+        """Return duty cycles (3,) in [0, 1] for a voltage vector, with centred zero sequence."""
         share = phases(voltage) / dc_link
         centre = (jnp.max(share) + jnp.min(share)) / 2
         return jnp.clip(0.5 + share - centre, 0.0, 1.0)
 
     def averaged(self, duties: Array, dc_link: Array, current: Array, period: Array) -> Array:
-        """Mean voltage over the period [V]."""
+        """Return the mean voltage over the period [V]."""
         i = phases(current)
         lost = self.dead_time / period * dc_link + self.drop
         legs = duties * dc_link - lost * jnp.tanh(i / self.smoothing) - self.R_on * i
@@ -71,7 +70,7 @@ class Inverter(eqx.Module):
     def switched(
         self, duties: Array, dc_link: Array, current: Array, period: Array, part: Array
     ) -> Array:
-        """Mean voltage over one of the `switching` parts of the period [V], with exact edges."""
+        """Return the mean voltage over interval `part` of `switching` [V], with exact edges."""
         i = phases(current)
         outwards = i > 0
         # Dead time delays the upper switch if the current flows out, else the lower one.

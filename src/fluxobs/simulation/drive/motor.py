@@ -1,10 +1,9 @@
-"""The plant: a machine with magnets, saliency, a flux map or a cage, in stator coordinates, with
-mechanics.
+"""The plant: a machine with magnets, saliency, a flux map or a cage, and its mechanics.
 
-``λ̇ = u - R i``, torque ``1.5 n_p Im(λ* i)``. The current follows from the flux and from a vector of
-the rotor, ``motor.current(flux, rotor)``: its direction exp(jθ_e), or the rotor flux of a cage.
-Integrating both needs no sine, and the voltage, which the inverter holds in stator coordinates,
-needs no rotation.
+In stator coordinates ``λ̇ = u - R i``, torque ``1.5 n_p Im(λ* i)``. The current is a function of the
+flux and the rotor's vector, ``motor.current(flux, rotor)``. That vector is the direction exp(jθ_e)
+or, for a cage, the rotor flux. Integrating both needs no sine, and the voltage, which the inverter
+holds in stator coordinates, needs no rotation.
 """
 
 from __future__ import annotations
@@ -25,16 +24,16 @@ from ..runge_kutta import runge_kutta_step
 from .flux_map import Map
 from .vectors import length, turn
 
-#: Largest number of integration steps per sample to unroll; more run in a loop.
+#: Up to this many integration steps per sample are unrolled; more run in a loop.
 UNROLLED = 4
-#: A slip is computed with at least this share of the rated rotor flux.
+#: Slip is computed with at least this share of the rated rotor flux.
 LEAST_FLUX = 0.1
-#: Gauss nodes for the energy of a flux map.
+#: Gauss nodes of the energy integral of a flux map.
 ENERGY_NODES = 16
 
 
 class Motor(eqx.Module):
-    """Constant inductances: R_s [Ω], L_d, L_q [H], psi_f [Wb], n_p.
+    """A motor with constant inductances: R_s [Ω], L_d, L_q [H], psi_f [Wb], n_p.
 
     ``i = e(θ)((λ_d - ψ)/L_d + j λ_q/L_q)``; the rotor's vector is its direction exp(jθ_e).
     """
@@ -54,7 +53,7 @@ class Motor(eqx.Module):
 
     @staticmethod
     def of(machine: RotatingMachine) -> Motor:
-        """Motor of a machine; a magnet machine needs its psi_f."""
+        """Create the motor of a machine; a magnet machine needs its psi_f."""
         machine = rotating(machine, "the simulation of drives")
         psi = machine.magnet_flux
         if psi is None:
@@ -70,59 +69,59 @@ class Motor(eqx.Module):
         return Motor(machine.R_s, *machine.L_dq, psi, machine.n_p)
 
     def rates(self) -> list[float]:
-        """Inverse time constants of the currents [1/s]."""
+        """Return the inverse time constants of the currents [1/s]."""
         return [float(self.R_s) / min(float(self.L_d), float(self.L_q))]
 
     def rotor(self, direction: Array) -> Array:
-        """The rotor's vector without current, the rotor at `direction`."""
+        """Return the rotor's vector without current, for a rotor at `direction`."""
         return direction
 
     def rotor_rate(self, rotor: Array, current: Array, speed_e: Array) -> Array:
-        """Its time derivative at a current [A] and an electrical speed [rad/s]."""
+        """Return the time derivative of the rotor's vector at a current [A] and speed [rad/s]."""
         return jax.lax.complex(jnp.zeros(()), speed_e) * rotor
 
     def settled(self, rotor: Array) -> Array:
-        """The vector without what integration did to its length."""
+        """Correct the length of the rotor's vector after integration."""
         return rotor / length(rotor)
 
     def rotor_flux(self, rotor: Array) -> Array:
-        """Flux without a stator current [Wb]."""
+        """Return the flux without stator current [Wb]."""
         return self.psi_f
 
     def slip(self, i_q: Array, rotor_flux: Array) -> Array:
-        """Electrical speed of the rotor's vector against the rotor [rad/s]."""
+        """Return the electrical speed of the rotor's vector relative to the rotor [rad/s]."""
         return jnp.zeros(())
 
     def flux(self, current: Array, rotor: Array) -> Array:
-        """Flux linkage at a current."""
+        """Return the flux linkage at a current."""
         return rotor * self.flux_dq(current * jnp.conj(rotor))
 
     def flux_dq(self, current: Array) -> Array:
-        """Flux linkage in rotor coordinates."""
+        """Return the flux linkage at a current, both in rotor coordinates."""
         return jax.lax.complex(self.L_d * current.real + self.psi_f, self.L_q * current.imag)
 
     def current(self, flux: Array, rotor: Array) -> Array:
-        """Current at a flux linkage."""
+        """Return the current at a flux linkage."""
         x = flux * jnp.conj(rotor)
         return rotor * jax.lax.complex((x.real - self.psi_f) / self.L_d, x.imag / self.L_q)
 
     def torque(self, flux: Array, current: Array) -> Array:
-        """Torque [N m]."""
+        """Return the torque [N m]."""
         return 1.5 * self.n_p * (jnp.conj(flux) * current).imag
 
     def torque_dq(self, i_d: Array, i_q: Array) -> Array:
-        """Torque from currents in rotor coordinates [N m]."""
+        """Return the torque of currents in rotor coordinates [N m]."""
         i = jax.lax.complex(i_d, i_q)
         return self.torque(self.flux_dq(i), i)
 
     def field_energy(self, current: Array, rotor: Array) -> Array:
-        """Magnetic energy stored by the currents [J]."""
+        """Return the magnetic energy of the currents [J]."""
         i = current * jnp.conj(rotor)
         return 0.75 * (self.L_d * i.real**2 + self.L_q * i.imag**2)
 
 
 class MappedMotor(Motor):
-    """A motor with a flux map; L_d, L_q and psi_f are what a controller without one would use."""
+    """A motor with a flux map; a controller without a map uses L_d, L_q and psi_f."""
 
     map: Map
 
@@ -134,12 +133,14 @@ class MappedMotor(Motor):
 
     def rates(self) -> list[float]:
         i = self.map.least + (self.map.most - self.map.least) * jnp.linspace(0, 1, 25)[:, None]
-        d, q = (part.ravel() for part in jnp.meshgrid(i[:, 0], i[:, 1]))
+        d, q = (axis.ravel() for axis in jnp.meshgrid(i[:, 0], i[:, 1]))
         _, by_d, by_q = jax.vmap(self.map.at)(jax.lax.complex(d, q))
-        least = min(float(by_d.real.min()), float(by_q.imag.min()))
-        if not least > 0:
-            raise ModelError("the flux map has an inductance of nothing or less inside its range")
-        return [float(self.R_s) / least]
+        smallest = min(float(by_d.real.min()), float(by_q.imag.min()))
+        if not smallest > 0:
+            raise ModelError(
+                f"the flux map has an inductance of {smallest:.3g} H in its range, must be positive"
+            )
+        return [float(self.R_s) / smallest]
 
     def flux_dq(self, current: Array) -> Array:
         return self.map.at(current)[0]
@@ -148,7 +149,7 @@ class MappedMotor(Motor):
         return rotor * self.map.current(flux * jnp.conj(rotor), self.L_d, self.L_q)
 
     def field_energy(self, current: Array, rotor: Array) -> Array:
-        """Magnetic energy stored by the currents [J]: ∫ i dλ on the way straight from i = 0."""
+        """Return the magnetic energy of the currents [J]: ∫ i dλ on a straight path from i = 0."""
         i = current * jnp.conj(rotor)
         nodes, weights = np.polynomial.legendre.leggauss(ENERGY_NODES)
         total = jnp.zeros(())
@@ -159,9 +160,9 @@ class MappedMotor(Motor):
 
 
 class CageMotor(Motor):
-    """Induction machine with a cage, inverse-Γ: ``λ = L_σ i + ψ``, ``ψ̇ = R_R (i - i_M) + jω ψ``.
+    """A cage induction machine, inverse-Γ: ``λ = L_σ i + ψ``, ``ψ̇ = R_R (i - i_M) + jω ψ``.
 
-    The rotor's vector is its flux ψ [Wb]; psi_f is the rated one. Main flux saturation: the
+    The rotor's vector is its flux ψ [Wb]; psi_f is the rated value. With main flux saturation the
     magnetizing current is ``i_M = ψ/L_M · (1 + s |ψ/ψ_R|⁴)/(1 + s)``, with L_M at rated flux.
 
     Parameters
@@ -202,7 +203,7 @@ class CageMotor(Motor):
         return 0 * direction
 
     def magnetizing(self, psi: Array) -> Array:
-        """Inverse magnetizing inductance i_M/ψ at a length of the rotor flux [1/H]."""
+        """Return the inverse magnetizing inductance i_M/ψ at a length of the rotor flux [1/H]."""
         s = self.saturation
         return (1 + s * (psi / self.psi_f) ** 4) / ((1 + s) * self.L_M)
 
@@ -226,7 +227,7 @@ class CageMotor(Motor):
         return (flux - rotor) / self.L_d
 
     def field_energy(self, current: Array, rotor: Array) -> Array:
-        """Magnetic energy [J], that of the main flux included."""
+        """Return the magnetic energy, including that of the main flux [J]."""
         psi, s = length(rotor), self.saturation
         main = (1 + s / 3 * (psi / self.psi_f) ** 4) / ((1 + s) * self.L_M) * psi**2
         return 0.75 * (self.L_d * length(current) ** 2 + main)
@@ -238,7 +239,7 @@ class Mechanics(eqx.Module):
     Parameters
     ----------
     J : float
-        Inertia of the rotor, including the load if `stiffness` is None [kg m²], > 0.
+        Inertia of the rotor, with the load if `stiffness` is None [kg m²], > 0.
     viscous : float
         Viscous friction [N m s].
     coulomb : float
@@ -281,21 +282,19 @@ class Mechanics(eqx.Module):
         self.damping = not_negative("damping", damping)
 
     def resisting(self, speed: Array) -> Array:
-        """Torque of friction and fan at a speed [N m]."""
+        """Return the torque of friction and fan at a speed [N m]."""
         dry = self.coulomb * jnp.tanh(speed / self.smoothing)
         return self.viscous * speed + dry + self.fan * speed * jnp.abs(speed)
 
 
 class PlantState(NamedTuple):
-    """Flux linkage [Wb], the rotor's vector (direction exp(jθ_e), or flux of a cage [Wb]),
-    mechanical speed [rad/s]; with an elastic coupling also the load speed [rad/s] and the twist
-    [rad]."""
+    """State of motor and mechanics."""
 
-    flux: Array
-    rotor: Array
-    speed: Array
-    load_speed: Array
-    twist: Array
+    flux: Array  # linkage [Wb]
+    rotor: Array  # its vector: direction exp(jθ_e), or flux of a cage [Wb]
+    speed: Array  # mechanical [rad/s]
+    load_speed: Array  # behind an elastic coupling [rad/s]
+    twist: Array  # of the coupling [rad]
 
 
 class Plant(eqx.Module):
@@ -305,7 +304,7 @@ class Plant(eqx.Module):
     mechanics: Mechanics
 
     def standstill(self, theta_e: Any = 0.0, speed: Any = 0.0) -> PlantState:
-        """State without current at an angle [rad] and a speed [rad/s]."""
+        """Return the state without current at an angle [rad] and a speed [rad/s]."""
         rotor = self.motor.rotor(turn(real("theta_e", theta_e)))
         speed = real("speed", speed)
         return PlantState(self.motor.flux(0 * rotor, rotor), rotor, speed, speed, jnp.zeros(()))
@@ -314,30 +313,30 @@ class Plant(eqx.Module):
         return self.motor.current(state.flux, state.rotor)
 
     def rate(self, state: PlantState, voltage: Array, load: Array) -> PlantState:
-        """Time derivative under a voltage [V] and a load torque [N m]."""
+        """Return the time derivative under a voltage [V] and a load torque [N m]."""
         motor, m = self.motor, self.mechanics
         i = self.current(state)
         torque = motor.torque(state.flux, i)
         if m.elastic:
             shaft = m.stiffness * state.twist + m.damping * (state.speed - state.load_speed)
-            accelerating = (torque - shaft) / m.J
+            acceleration = (torque - shaft) / m.J
             load_rate = (shaft - load - m.resisting(state.load_speed)) / m.J_load
-            twisting = state.speed - state.load_speed
+            twist_rate = state.speed - state.load_speed
         else:
-            accelerating = (torque - load - m.resisting(state.speed)) / m.J
-            load_rate, twisting = accelerating, jnp.zeros(())
+            acceleration = (torque - load - m.resisting(state.speed)) / m.J
+            load_rate, twist_rate = acceleration, jnp.zeros(())
         return PlantState(
             voltage - motor.R_s * i,
             motor.rotor_rate(state.rotor, i, motor.n_p * state.speed),
-            accelerating,
+            acceleration,
             load_rate,
-            twisting,
+            twist_rate,
         )
 
     def advance(
         self, state: PlantState, voltage: Array, load: Array, duration: Array, steps: int
     ) -> PlantState:
-        """Integrates by fourth-order Runge-Kutta in equal steps, with voltage and load held."""
+        """Integrate by fourth-order Runge-Kutta in equal steps, with voltage and load held."""
         h = duration / steps
 
         def step(_: Any, state: PlantState) -> PlantState:

@@ -14,9 +14,9 @@ from ..precision import real
 
 
 class Profile(eqx.Module):
-    """Linear interpolation between knots, constant before the first and after the last.
+    """Linear interpolation between knots; constant before the first and after the last.
 
-    Two knots at the same time make a jump.
+    Two knots at the same time are a jump.
 
     Parameters
     ----------
@@ -46,28 +46,28 @@ class Profile(eqx.Module):
             or shape[1:] not in ((), (2,))
         ):
             raise ModelError(
-                f"a profile needs as many values, numbers or pairs (α, β), as times; got shapes "
+                f"a profile needs one value, a number or a pair (α, β), per time; got shapes "
                 f"{self.values.shape} and {self.times.shape}"
             )
         if not isinstance(self.times, jax.core.Tracer):
-            back = np.flatnonzero(np.diff(np.asarray(self.times)) < 0)
-            if len(back):
+            decreases = np.flatnonzero(np.diff(np.asarray(self.times)) < 0)
+            if len(decreases):
                 raise ModelError(
-                    f"times must not decrease, got {self.times[back[0]]:g} s before "
-                    f"{self.times[back[0] + 1]:g} s"
+                    f"times must not decrease, got {self.times[decreases[0]]:g} s before "
+                    f"{self.times[decreases[0] + 1]:g} s"
                 )
 
     @classmethod
     def of(cls, value: Any) -> Profile:
-        """Returns a profile unchanged; turns a number or a vector into a constant profile."""
+        """Return a profile unchanged; turn a number or a vector into a constant profile."""
         return value if isinstance(value, Profile) else cls([0.0], real("value", value)[None])
 
     def at(self, t: jax.Array) -> jax.Array:
-        """Values at times t (...), shape (...) or (..., 2)."""
+        """Return the values at times t (...), shape (...) or (..., 2)."""
         after = jnp.searchsorted(self.times, t, side="right")
         low = jnp.maximum(after - 1, 0)
         high = jnp.minimum(after, len(self.times) - 1)
-        span = self.times[high] - self.times[low]  # zero at the ends, where low is high
+        span = self.times[high] - self.times[low]  # zero beyond the ends
         share = (t - self.times[low]) / jnp.where(span > 0, span, 1.0)
         if self.values.ndim == 2:
             share = share[..., None]

@@ -14,38 +14,36 @@ from ..precision import real
 from .loop_observer import Reading
 from .vectors import length, turn, unit
 
-#: Modes: open-loop rotation of the current vector (I/f), and control with the observer's angle.
+#: Modes: open-loop rotation of the current vector (I/f), or control with the observer's angle.
 STARTING, RUNNING = 0, 1
 
 
 class SensorlessState(NamedTuple):
-    """Mode; frame of current control, and its speed [rad/s electrical]; how long the observer has
-    been ready, and how long not valid [s]; time since the start [s]; remainder of the last current
-    step between modes [A, in the frame]."""
+    """Mode, frame and timers of a drive without an encoder."""
 
-    mode: Array
-    direction: Array
-    speed_e: Array
-    sure: Array
-    unsure: Array
-    running: Array
-    left: Array
+    mode: Array  # STARTING or RUNNING
+    direction: Array  # frame of current control
+    speed_e: Array  # of the frame [rad/s electrical]
+    ready_time: Array  # since which the observer is ready [s]
+    invalid_time: Array  # since which the position is not valid [s]
+    run_time: Array  # since the start [s]
+    transient: Array  # remainder of the current step at the last hand-over [A, in the frame]
 
 
 class Sensorless(eqx.Module):
-    """Decides which angle the drive runs on.
+    """Choice between open-loop start and control with the observer's angle.
 
     Start (I/f): after `align` seconds at rest a current vector of length `current` turns at the
-    reference speed, at most at `speed`. The observer takes over once its position has been valid,
-    with a standard deviation below `ready`, for `hold` seconds, and the reference is not zero. If
-    the position becomes invalid, as near zero speed, the drive rides through for `ride` seconds.
-    After that, or once the standard deviation reaches `lost`, the position counts as lost, and the
-    drive returns to I/f at its present speed.
+    reference speed, at most at `speed`. The observer takes over once its position has been valid
+    for `hold` seconds with a standard deviation below `ready`, and the reference is not zero. If
+    the position becomes invalid, as near zero speed, the drive continues for `ride` seconds. After
+    that, or once the standard deviation reaches `lost`, the position counts as lost and the drive
+    returns to I/f at its present speed.
 
     Parameters
     ----------
     current : float
-        Peak current during the start [A]; must carry the load.
+        Peak current during the start [A]; it must carry the load.
     speed : float
         Largest open-loop speed [rad/s electrical].
     acceleration : float
@@ -92,19 +90,21 @@ class Sensorless(eqx.Module):
             setattr(self, name, real(name, value))
 
     @classmethod
-    def for_drive(cls, current_limit: float, rated_speed_e: float, **given: Any) -> Self:
-        """Starts at the current limit, up to a tenth of the rated speed within half a second."""
-        given.setdefault("current", current_limit)
-        given.setdefault("speed", 0.1 * rated_speed_e)
-        given.setdefault("acceleration", 0.2 * rated_speed_e)
-        return cls(**given)
+    def for_drive(cls, current_limit: float, rated_speed_e: float, **options: Any) -> Self:
+        """Start at the current limit, up to a tenth of the rated speed within half a second."""
+        options.setdefault("current", current_limit)
+        options.setdefault("speed", 0.1 * rated_speed_e)
+        options.setdefault("acceleration", 0.2 * rated_speed_e)
+        return cls(**options)
 
     def init(self) -> SensorlessState:
         zero = jnp.zeros(())
-        one = jax.lax.complex(jnp.ones(()), zero)
-        # The current rises with the same time constant as at a hand-over.
-        start = -self.current * one
-        return SensorlessState(jnp.asarray(STARTING), one, zero, zero, zero, zero, start)
+        along_alpha = jax.lax.complex(jnp.ones(()), zero)
+        # The current rises with the time constant of a hand-over.
+        transient = -self.current * along_alpha
+        return SensorlessState(
+            jnp.asarray(STARTING), along_alpha, zero, zero, zero, zero, transient
+        )
 
     def step(
         self,
@@ -114,7 +114,7 @@ class Sensorless(eqx.Module):
         current: Array,
         sample_time: Array,
     ) -> tuple[SensorlessState, Array, Array, Array]:
-        """Frame and speed for this sample.
+        """Return frame and speed for this sample.
 
         Returns
         -------
@@ -123,22 +123,23 @@ class Sensorless(eqx.Module):
             Whether the frame jumps at this sample.
         """
         h = sample_time
-        good = reading.valid & (reading.theta_e_std < self.ready)
-        sure = jnp.where(good, state.sure + h, 0.0)
-        unsure = jnp.where(reading.valid, 0.0, state.unsure + h)
+        ready = reading.valid & (reading.theta_e_std < self.ready)
+        ready_time = jnp.where(ready, state.ready_time + h, 0.0)
+        invalid_time = jnp.where(reading.valid, 0.0, state.invalid_time + h)
         was_running = state.mode == RUNNING
-        # At a standstill reference the position would be lost again at once.
+        # With zero reference the position would soon be lost again.
         moves = jnp.abs(reference_e) > 1e-3 * self.speed
-        takes_over = ~was_running & moves & (sure >= self.hold) & (state.running >= self.align)
-        loses = was_running & (~(reading.theta_e_std < self.lost) | (unsure > self.ride))
+        aligned = state.run_time >= self.align
+        takes_over = ~was_running & moves & (ready_time >= self.hold) & aligned
+        loses = was_running & (~(reading.theta_e_std < self.lost) | (invalid_time > self.ride))
         running = (was_running | takes_over) & ~loses
         # Open loop: the speed of the frame ramps towards the reference.
-        aim = jnp.where(state.running < self.align, 0.0, reference_e)
-        aim = jnp.clip(aim, -self.speed, self.speed)
-        most = self.acceleration * h
-        open_speed = state.speed_e + jnp.clip(aim - state.speed_e, -most, most)
+        target = jnp.where(aligned, reference_e, 0.0)
+        target = jnp.clip(target, -self.speed, self.speed)
+        ramp = self.acceleration * h
+        open_speed = state.speed_e + jnp.clip(target - state.speed_e, -ramp, ramp)
         open_direction = state.direction * turn(h * state.speed_e)
-        # Lost: the frame starts from the current vector, so that the torque stays continuous.
+        # After a loss the frame starts at the current vector: the torque stays continuous.
         follows = loses & (length(current) > 0.05 * self.current)
         open_direction = jnp.where(follows, unit(current), open_direction)
         direction = jnp.where(running, turn(reading.theta_e), open_direction)
@@ -147,9 +148,9 @@ class Sensorless(eqx.Module):
             jnp.where(running, RUNNING, STARTING),
             direction,
             speed_e,
-            sure,
-            unsure,
-            state.running + h,
-            state.left * jnp.exp(-h / self.blend),
+            ready_time,
+            invalid_time,
+            state.run_time + h,
+            state.transient * jnp.exp(-h / self.blend),
         )
         return state, direction, speed_e, takes_over | loses

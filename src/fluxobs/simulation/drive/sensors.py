@@ -15,7 +15,7 @@ from .vectors import from_phases, phases
 
 
 class Sensors(eqx.Module):
-    """Current and DC-link sensors; gains and limits are per phase, offset and noise in αβ.
+    """Sensors of current and DC link; gains and limits are per phase, offset and noise in αβ.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class Sensors(eqx.Module):
     quantum : float
         Step of the converter [A]; 0 for no quantisation.
     range : float
-        The converter's limits are ± this [A].
+        Range of the converter, ± this [A].
     jitter : float
         Standard deviation of the sampling instant [s].
     dc_link_gain : float
@@ -68,8 +68,8 @@ class Sensors(eqx.Module):
     def measure(
         self, current: Array, slope: Array, offset: Array, noise: Array, late: Array
     ) -> Array:
-        """Measured current vector; `slope` is di/dt, `noise` and `late` are standard normal."""
-        seen = current + (self.jitter * late - self.lag) * slope + offset + self.noise * noise
-        abc = jnp.clip(self.gain * phases(seen), -self.range, self.range)
+        """Return the measured current; `slope` is di/dt, `noise` and `late` are standard normal."""
+        sensed = current + (self.jitter * late - self.lag) * slope + offset + self.noise * noise
+        abc = jnp.clip(self.gain * phases(sensed), -self.range, self.range)
         step = jnp.where(self.quantum > 0, self.quantum, 1.0)
         return from_phases(jnp.where(self.quantum > 0, step * jnp.round(abc / step), abc))

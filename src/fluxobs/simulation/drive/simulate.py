@@ -1,4 +1,4 @@
-"""Simulates a whole drive sample by sample: one scan per record, batches by vmap."""
+"""Simulate a whole drive sample by sample: one scan per record, batches by vmap."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from .vectors import length, limit, pair, turn, unit, vector
 
 #: Trip current over the current limit.
 TRIP = 3.0
-#: A speed does not follow if its error exceeds this share of the largest reference.
+#: A speed does not follow its reference if the error exceeds this share of the largest reference.
 UNFOLLOWED = 0.1
 #: Integration steps per sample above which a drive is too stiff for its sample time.
 MOST_STEPS = 100
@@ -42,8 +42,8 @@ class Drive(eqx.Module):
     ----------
     plant, inverter, sensors, control
     observer : LoopObserver, optional
-        Runs alongside; in the loop only with `sensorless`. Or any other module with `sample_time`,
-        `init` and `step` whose readings have what :class:`Sensorless` and the control use.
+        It runs alongside, and in the loop with `sensorless`. Any module with `sample_time`, `init`
+        and `step` will do whose readings have the fields that :class:`Sensorless` and control use.
     sensorless : Sensorless, optional
         If None, the controller uses an encoder.
     """
@@ -100,13 +100,15 @@ class Course(eqx.Module):
 
 
 class Trace(NamedTuple):
-    """Rows of a run; vectors are complex, in αβ. All values hold at the sampling instant, except
-    voltages, which act from the row to the next."""
+    """Rows of a run; vectors are complex, in αβ.
+
+    Values are those at the sampling instant; voltages act from that row to the next.
+    """
 
     current: Array
     measured_current: Array
     voltage: Array  # commanded
-    true_voltage: Array  # mean
+    true_voltage: Array  # mean over the interval
     flux: Array
     theta_e: Array
     speed: Array  # mechanical [rad/s]
@@ -122,7 +124,7 @@ class Trace(NamedTuple):
 
 @dataclass(frozen=True)
 class Event:
-    """Something the user must know: its first time, and the share of rows it holds on."""
+    """Something the user must know, with its first time and its share of the rows."""
 
     what: str
     at: float
@@ -141,8 +143,8 @@ class Run:
     Attributes
     ----------
     events : tuple of Event
-        Limits met, trips, hand-overs, losses of the position, a reference not followed at the end.
-        A trip sets the voltage to zero: a short at the terminals.
+        Limits met, trips, hand-overs, lost positions, a reference not followed at the end. A trip
+        sets the voltage to zero: it shorts the terminals.
     """
 
     sample_time: float
@@ -151,7 +153,7 @@ class Run:
     events: tuple[Event, ...]
 
     def record(self) -> Record:
-        """The record that a log of this drive would hold; row k's voltage acts from k to k + 1."""
+        """Return the record that a log would have; row k's voltage acts from k to k + 1."""
         trace = self.trace
         return Record(
             self.sample_time,
@@ -166,8 +168,8 @@ class _Loop(NamedTuple):
 
     plant: PlantState
     control: ControlState
-    acted: Array  # commanded voltage that acted until now
-    pending: Array  # the one computed last
+    acted: Array  # commanded voltage of the last interval
+    pending: Array  # commanded voltage computed last
     observer: Any
     sensorless: SensorlessState | None
     tripped: Array
@@ -198,19 +200,19 @@ def simulate(
     seed : int
         Seed of sensor noise and jitter.
     delay : bool
-        Lets a voltage act one sample after the currents it was computed from, as on a processor.
+        Apply a voltage one sample after the currents it was computed from, as a processor does.
 
     Raises
     ------
     ModelError
         The current loop is unstable, the load exceeds the torque at the current limit, or a state
-        is not finite; the message says what and when.
+        is not finite.
     """
     check(drive, course)
-    rows = _rows(drive, duration)
-    noise = _noise([seed], rows)[0]
+    rows = _count_rows(drive, duration)
+    noise = _draw_noise([seed], rows)[0]
     trace = _simulate(drive, course, noise, substeps(drive, course), delay)
-    return _finish(trace, float(drive.sample_time))
+    return _create_run(trace, float(drive.sample_time))
 
 
 def simulate_batch(
@@ -227,14 +229,14 @@ def simulate_batch(
     Parameters
     ----------
     drives, courses, seeds
-        One of each per lane. All drives need the same parts (with or without observer, elastic or
-        rigid), the same number of switching parts, and the same sample time.
+        One of each per lane. All drives need the same components (with or without observer, elastic
+        or rigid), the same number of switching intervals, and the same sample time.
     keep : callable
-        Maps a row of the trace to what to return of it. A record of everything takes half a
-        gigabyte for 256 seconds at 8 kHz: keep what you score, and `row.tripped` to see trips.
-        Passing the same function object again avoids a new compilation.
+        Maps a row of the trace to the values to return. A record of everything takes half a
+        gigabyte for 256 seconds at 8 kHz: keep what you score, and `row.tripped` to detect trips.
+        Reusing the function object avoids a new compilation.
     threads : int, optional
-        Default one per processor.
+        Default: one per processor.
 
     Returns
     -------
@@ -246,35 +248,38 @@ def simulate_batch(
         As for :func:`simulate`; the message names the lane.
     """
     if not len(drives) == len(courses) == len(seeds) or not drives:
-        raise ModelError("a batch needs as many drives as courses and seeds, at least one")
-    rows = _rows(drives[0], duration)
-    times = {float(drive.sample_time) for drive in drives}
-    if len(times) != 1:
-        raise ModelError(f"a batch needs one sample time, got {sorted(times)} s")
+        raise ModelError(
+            f"a batch needs as many drives as courses and seeds, at least one; got {len(drives)}, "
+            f"{len(courses)} and {len(seeds)}"
+        )
+    rows = _count_rows(drives[0], duration)
+    sample_times = {float(drive.sample_time) for drive in drives}
+    if len(sample_times) != 1:
+        raise ModelError(f"a batch needs one sample time, got {sorted(sample_times)} s")
     pairs = {(id(d), id(c)): (d, c) for d, c in zip(drives, courses, strict=True)}
     for drive, course in pairs.values():
         check(drive, course)
     steps = max(substeps(drive, course) for drive, course in pairs.values())
-    both = list(zip(drives, courses, strict=True))
-    _check_alike(both)
-    lanes, knots = len(drives), _knots(both)
-    wanted = min(threads or len(os.sched_getaffinity(0)), lanes)
-    edges = np.linspace(0, lanes, wanted + 1).astype(int)
+    lanes = list(zip(drives, courses, strict=True))
+    _check_alike(lanes)
+    knots = _longest_profile(lanes)
+    workers = min(threads or len(os.sched_getaffinity(0)), len(lanes))
+    edges = np.linspace(0, len(lanes), workers + 1).astype(int)
 
-    def part(k: int) -> Any:
-        cut = slice(edges[k], edges[k + 1])
-        noise = _noise(list(seeds)[cut], rows)
-        return simulate_lanes(both[cut], noise, steps, keep, knots, delay)
+    def simulate_chunk(k: int) -> Any:
+        chunk = slice(edges[k], edges[k + 1])
+        noise = _draw_noise(list(seeds)[chunk], rows)
+        return simulate_lanes(lanes[chunk], noise, steps, keep, knots, delay)
 
-    with ThreadPoolExecutor(wanted) as pool:
-        parts = list(pool.map(part, range(wanted)))
-    finite = np.concatenate([part[0] for part in parts])
+    with ThreadPoolExecutor(workers) as pool:
+        chunks = list(pool.map(simulate_chunk, range(workers)))
+    finite = np.concatenate([chunk_finite for chunk_finite, _ in chunks])
     if not finite.all():
         raise ModelError(
-            f"the simulation of lane {int(np.argmin(finite))} ends without a number; simulate it "
+            f"the state of lane {int(np.argmin(finite))} is not finite at the end; simulate it "
             f"alone to see when"
         )
-    return jax.tree.map(lambda *xs: np.concatenate(xs), *(part[1] for part in parts))
+    return jax.tree.map(lambda *arrays: np.concatenate(arrays), *(kept for _, kept in chunks))
 
 
 def simulate_lanes(
@@ -285,7 +290,7 @@ def simulate_lanes(
     knots: int,
     delay: bool = True,
 ) -> tuple[NDArray[np.bool_], Any]:
-    """Simulate checked drives at once, in this thread, with what a batch would choose given.
+    """Simulate checked drives at once, in this thread.
 
     Parameters
     ----------
@@ -302,7 +307,7 @@ def simulate_lanes(
     Returns
     -------
     finite : (lanes,) ndarray of bool
-        Whether the lane's last state is one.
+        Whether the lane's last state is finite.
     kept
         Output of `keep`, NumPy arrays (lanes, rows).
     """
@@ -311,15 +316,17 @@ def simulate_lanes(
     return np.asarray(finite), jax.tree.map(np.asarray, kept)
 
 
-def _knots(lanes: Sequence[tuple[Drive, Course]]) -> int:
-    """Length of the longest profile of some drives."""
+def _longest_profile(lanes: Sequence[tuple[Drive, Course]]) -> int:
+    """Return the number of knots of the longest profile."""
     profiles = ((d.sensors.offset, c.speed, c.load, c.dc_link, c.voltage_offset) for d, c in lanes)
-    return max(len(one.times) for some in profiles for one in some)
+    return max(len(profile.times) for of_lane in profiles for profile in of_lane)
 
 
 def stack(items: Sequence[Any], knots: int = 0) -> Any:
-    """Stacks pytrees of one structure along a new leading axis; pads profiles to one
-    length, at least to `knots`."""
+    """Stack pytrees of one structure along a new leading axis.
+
+    Profiles are padded to one length, at least to `knots`.
+    """
     longest: dict[Any, int] = {}
     items = list(items)
     flat = [jax.tree.leaves(item, is_leaf=_is_profile) for item in items]
@@ -328,10 +335,10 @@ def stack(items: Sequence[Any], knots: int = 0) -> Any:
         for k, leaf in enumerate(leaves):
             if _is_profile(leaf):
                 longest[k] = max(longest.get(k, knots), len(leaf.times))
-    shapes = jax.tree.structure(items[0], is_leaf=_is_profile)
+    structure = jax.tree.structure(items[0], is_leaf=_is_profile)
     padded = [
         jax.tree.unflatten(
-            shapes,
+            structure,
             [
                 _padded(leaf, longest[k]) if _is_profile(leaf) else leaf
                 for k, leaf in enumerate(leaves)
@@ -340,7 +347,7 @@ def stack(items: Sequence[Any], knots: int = 0) -> Any:
         for leaves in flat
     ]
     # Stack with NumPy: hundreds of small JAX arrays would take longer than the simulation.
-    return jax.tree.map(lambda *parts: np.stack([np.asarray(part) for part in parts]), *padded)
+    return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *padded)
 
 
 def _is_profile(node: Any) -> bool:
@@ -351,24 +358,24 @@ def _check_alike(items: Sequence[Any]) -> None:
     """Raise ModelError unless all pytrees have one structure."""
     if len({jax.tree.structure(item, is_leaf=_is_profile) for item in items}) != 1:
         raise ModelError(
-            "a batch needs drives with the same parts: observer, sensorless, elastic coupling, …"
+            "a batch needs drives with the same components: observer, sensorless, elastic coupling…"
         )
 
 
 def _padded(profile: Profile, length: int) -> Profile:
-    """Repeats the last knot until the profile has `length` knots."""
-    more = length - len(profile.times)
-    if more == 0:
+    """Repeat the last knot until the profile has `length` knots."""
+    missing = length - len(profile.times)
+    if missing == 0:
         return profile
     times, values = np.asarray(profile.times), np.asarray(profile.values)
     return Profile(
-        np.concatenate([times, np.repeat(times[-1:], more)]),
-        np.concatenate([values, np.repeat(values[-1:], more, axis=0)]),
+        np.concatenate([times, np.repeat(times[-1:], missing)]),
+        np.concatenate([values, np.repeat(values[-1:], missing, axis=0)]),
     )
 
 
 def check(drive: Drive, course: Course) -> None:
-    """Raises ModelError for a drive or course that cannot work."""
+    """Raise ModelError for a drive or course that cannot work."""
     for name, kind in (
         ("plant", Plant),
         ("inverter", Inverter),
@@ -377,14 +384,14 @@ def check(drive: Drive, course: Course) -> None:
         ("observer", eqx.Module | None),
         ("sensorless", Sensorless | None),
     ):
-        part = getattr(drive, name, None)
-        if not isinstance(part, kind):
+        component = getattr(drive, name, None)
+        if not isinstance(component, kind):
             advice = "; make it with LoopObserver.of(…)" if name == "observer" else ""
-            raise ModelError(f"drive.{name} is a {type(part).__name__}{advice}")
+            raise ModelError(f"drive.{name} is a {type(component).__name__}{advice}")
     for name, dimensions in (("speed", 1), ("load", 1), ("dc_link", 1), ("voltage_offset", 2)):
         if getattr(course, name).values.ndim != dimensions:
-            what = "a number or numbers" if dimensions == 1 else "a pair (α, β) or pairs"
-            raise ModelError(f"course.{name} must be {what} in time: Profile(times, values)")
+            value = "a number" if dimensions == 1 else "a pair (α, β)"
+            raise ModelError(f"course.{name} must be {value} or a Profile(times, values) of such")
     if drive.sensorless is not None and drive.observer is None:
         raise ModelError("drive.sensorless needs a drive.observer")
     if drive.observer is not None and not np.isclose(
@@ -395,38 +402,39 @@ def check(drive: Drive, course: Course) -> None:
             f"drive's, {float(drive.sample_time):g} s"
         )
     drive.control.check()
-    most, heaviest = float(drive.control.most_torque()), float(np.abs(course.load.values).max())
-    if heaviest > most:
+    torque, load = float(drive.control.most_torque()), float(np.abs(course.load.values).max())
+    if load > torque:
         raise ModelError(
-            f"a load of {heaviest:.4g} N m cannot be held: at the current limit, "
-            f"{float(drive.control.current_limit):.4g} A, the torque is {most:.4g} N m. Lower the "
-            f"load, or raise current_limit"
+            f"a load of {load:.4g} N m cannot be held: at the current limit, "
+            f"{float(drive.control.current_limit):.4g} A, the torque is {torque:.4g} N m. Lower "
+            f"the load, or raise current_limit"
         )
     if not (np.asarray(course.dc_link.values) > 0).all():
         raise ModelError(f"dc_link must be positive, got {float(course.dc_link.values.min())} V")
 
 
 def substeps(drive: Drive, course: Course) -> int:
-    """Runge-Kutta steps per sample, each at most a tenth of the shortest time constant."""
+    """Return Runge-Kutta steps per sample, each at most a tenth of the shortest time constant."""
     h, motor, m = float(drive.sample_time), drive.plant.motor, drive.plant.mechanics
     speeds = np.append(np.abs(course.speed.values), np.abs(course.start_speed))
     fastest = float(speeds.max()) * 1.2 * float(motor.n_p)
     rates = [*motor.rates(), fastest]
     rates += [(float(m.viscous) + float(m.coulomb / m.smoothing)) / float(m.J)]
     if m.elastic:
-        least = 1 / (1 / float(m.J) + 1 / float(m.J_load))
-        rates += [np.sqrt(float(m.stiffness) / least), float(m.damping) / least]
+        reduced = 1 / (1 / float(m.J) + 1 / float(m.J_load))
+        rates += [np.sqrt(float(m.stiffness) / reduced), float(m.damping) / reduced]
     steps = int(np.ceil(h * max(rates) / 0.1))
     if steps > MOST_STEPS:
         names = ["R_s/L", "speed", "friction/J", "stiffness", "damping"]
         raise ModelError(
-            f"{names[int(np.argmax(rates))]} is {max(rates):.3g} 1/s: {steps} steps a sample of "
-            f"{h:g} s. Leave that part out, or take shorter samples"
+            f"{names[int(np.argmax(rates))]} is {max(rates):.3g} 1/s and needs {steps} steps per "
+            f"sample of {h:g} s. Leave it out, or shorten the sample time"
         )
     return max(steps, 1)
 
 
-def _rows(drive: Drive, duration: float) -> int:
+def _count_rows(drive: Drive, duration: float) -> int:
+    """Return the samples in `duration` [s]; raise ModelError if they are fewer than two."""
     if not (isinstance(duration, int | float) and np.isfinite(duration)):
         raise ModelError(f"duration must be a number of seconds, got {duration!r}")
     rows = round(duration / float(drive.sample_time))
@@ -437,8 +445,8 @@ def _rows(drive: Drive, duration: float) -> int:
     return rows
 
 
-def _noise(seeds: Sequence[int], rows: int) -> NDArray[np.float64]:
-    """Standard normal samples, (lanes, rows, 3)."""
+def _draw_noise(seeds: Sequence[int], rows: int) -> NDArray[np.float64]:
+    """Draw standard normal samples, (lanes, rows, 3)."""
     return np.stack([np.random.default_rng(seed).standard_normal((rows, 3)) for seed in seeds])
 
 
@@ -451,7 +459,7 @@ def _simulate(drive: Drive, course: Course, noise: Any, steps: int, delay: bool)
 def _simulate_many(
     batch: Any, noise: Any, steps: int, delay: bool, keep: Callable[[Trace], Any]
 ) -> tuple[Array, Any]:
-    return jax.vmap(lambda both, n: _run(both[0], both[1], n, steps, delay, keep))(batch, noise)
+    return jax.vmap(lambda lane, n: _run(lane[0], lane[1], n, steps, delay, keep))(batch, noise)
 
 
 def _run(
@@ -462,7 +470,7 @@ def _run(
     delay: bool,
     keep: Callable[[Trace], Any],
 ) -> tuple[Array, Any]:
-    """Whether the final state is finite, and what `keep` returns of the rows; to be compiled."""
+    """Return whether the final state is finite, and the output of `keep`; to be compiled."""
     t = jnp.arange(noise.shape[0]) * drive.sample_time
     rows = _Row(
         course.speed.at(t),
@@ -485,16 +493,16 @@ def _run(
     )
 
     def body(loop: _Loop, row: _Row) -> tuple[_Loop, Any]:
-        loop, out = _sample(drive, steps, delay, loop, row)
-        return loop, keep(out)
+        loop, trace = _sample(drive, steps, delay, loop, row)
+        return loop, keep(trace)
 
     end, kept = jax.lax.scan(body, start, rows)
-    numbers = [jnp.isfinite(x) for x in end.plant] + [jnp.isfinite(end.pending)]
-    return jnp.stack(numbers).all(), kept
+    finite = [jnp.isfinite(x) for x in end.plant] + [jnp.isfinite(end.pending)]
+    return jnp.stack(finite).all(), kept
 
 
 def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tuple[_Loop, Trace]:
-    """Measures, observes, controls; then advances the plant by one sample time."""
+    """Measure, observe and control; then advance the plant by one sample time."""
     plant, control, h = drive.plant, drive.control, drive.sample_time
     motor, state = plant.motor, loop.plant
     current = plant.current(state)
@@ -508,75 +516,88 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
         observer, reading = drive.observer.step(observer, pair(loop.acted), pair(measured))
 
     reference = row.reference
-    sensorless, kept = loop.sensorless, loop.control
+    sensorless, control_state = loop.sensorless, loop.control
     if drive.sensorless is None or sensorless is None or reading is None:
         direction = jnp.where(length(state.rotor) > 0, unit(state.rotor), 1.0)
         rotor_flux = motor.rotor_flux(state.rotor)
         slip = motor.slip((current * jnp.conj(direction)).imag, rotor_flux)
         speed_e = motor.n_p * state.speed + slip
         mode = jnp.asarray(RUNNING)
-        kept, torque, cut = control.speed_step(kept, reference, state.speed)
-        wanted = control.current_for(torque, kept.weakening, rotor_flux, speed_e, dc_link)
+        control_state, torque, current_limited = control.speed_step(
+            control_state, reference, state.speed
+        )
+        current_reference = control.current_for(
+            torque, control_state.weakening, rotor_flux, speed_e, dc_link
+        )
     else:
         sensorless, direction, speed_e, changed = drive.sensorless.step(
             sensorless, reading, motor.n_p * reference, measured, h
         )
         mode = sensorless.mode
-        # At a jump of the frame, carry voltage and current over to the new frame.
-        seen = measured * jnp.conj(direction)
-        torque_now = motor.torque_dq(seen.real, seen.imag)
+        # If the frame jumps, carry voltage and current over to the new frame.
+        current_dq = measured * jnp.conj(direction)
+        torque_now = motor.torque_dq(current_dq.real, current_dq.imag)
         running = mode == RUNNING
-        last = loop.pending * jnp.conj(direction)
-        entered = control.continued(kept, last, seen, speed_e, running)
-        kept = kept._replace(
-            voltage=jnp.where(changed, entered.voltage, kept.voltage),
-            torque=jnp.where(running & ~changed, kept.torque, torque_now),
+        voltage = loop.pending * jnp.conj(direction)
+        carried = control.continued(control_state, voltage, current_dq, speed_e, running)
+        control_state = control_state._replace(
+            voltage=jnp.where(changed, carried.voltage, control_state.voltage),
+            torque=jnp.where(running & ~changed, control_state.torque, torque_now),
         )
-        slip = control.motor.slip(seen.imag, reading.psi_f)
+        slip = control.motor.slip(current_dq.imag, reading.psi_f)
         speed = (speed_e - slip) / motor.n_p
-        stepped, torque, cut = control.speed_step(kept, reference, speed)
-        kept = kept._replace(torque=jnp.where(running, stepped.torque, kept.torque))
-        cut = cut & running
+        stepped, torque, current_limited = control.speed_step(control_state, reference, speed)
+        control_state = control_state._replace(
+            torque=jnp.where(running, stepped.torque, control_state.torque)
+        )
+        current_limited = current_limited & running
         demand = jnp.where(
             running,
-            control.current_for(torque, kept.weakening, reading.psi_f, speed_e, dc_link),
+            control.current_for(torque, control_state.weakening, reading.psi_f, speed_e, dc_link),
             jax.lax.complex(drive.sensorless.current, jnp.zeros(())),
         )
-        left = jnp.where(changed, seen - demand, sensorless.left)
-        sensorless = sensorless._replace(left=left)
-        wanted = limit(demand + left, control.current_limit)
-    kept, voltage_dq, limited = control.current_step(
-        kept, wanted, measured * jnp.conj(direction), speed_e, dc_link, mode == RUNNING
+        transient = jnp.where(changed, current_dq - demand, sensorless.transient)
+        sensorless = sensorless._replace(transient=transient)
+        current_reference = limit(demand + transient, control.current_limit)
+    control_state, voltage_dq, voltage_limited = control.current_step(
+        control_state,
+        current_reference,
+        measured * jnp.conj(direction),
+        speed_e,
+        dc_link,
+        mode == RUNNING,
     )
-    # The voltage acts on average half a sample later, with a delay one and a half.
+    # The middle of the voltage's interval is half a sample later; with a delay, one and a half.
     ahead = (1.5 if delay else 0.5) * h * speed_e
     command = voltage_dq * direction * turn(ahead)
     tripped = loop.tripped | ~(length(current) < TRIP * control.current_limit)
     command = jnp.where(tripped, 0.0, command)
 
-    acting = loop.pending if delay else command
-    after, mean = _pass(drive, state, acting - row.voltage_offset, current, row, steps, dc_link)
-    rows = Trace(
+    applied = loop.pending if delay else command
+    after, mean = _advance_plant(
+        drive, state, applied - row.voltage_offset, current, row, steps, dc_link
+    )
+    trace = Trace(
         current,
         measured,
-        acting,
+        applied,
         mean,
         state.flux,
         jnp.arctan2(state.rotor.imag, state.rotor.real),
         state.speed,
         motor.torque(state.flux, current),
-        wanted,
+        current_reference,
         mode,
-        limited,
-        cut,
+        voltage_limited,
+        current_limited,
         tripped,
         reference,
         reading,
     )
-    return _Loop(after, kept, acting, command, observer, sensorless, tripped), rows
+    return _Loop(after, control_state, applied, command, observer, sensorless, tripped), trace
 
 
-def _pass(
+def _advance_plant(
     drive: Drive,
     state: PlantState,
     voltage: Array,
@@ -585,66 +606,69 @@ def _pass(
     steps: int,
     dc_link: Array,
 ) -> tuple[PlantState, Array]:
-    """Plant state after one sample time under a commanded voltage, and the mean true voltage."""
+    """Return the plant state one sample later, and the mean true voltage."""
     inverter, plant, h = drive.inverter, drive.plant, drive.sample_time
     # Duty cycles come from the measured DC link, the voltage from the true one.
     duties = inverter.duties(voltage, dc_link)
     if inverter.switching == 0:
-        # A leg switches twice per period, around its middle: the current there sets the error.
+        # A leg switches twice per period, around its middle: the current there determines the loss.
         at_start = inverter.averaged(duties, row.dc_link, current, h)
         _, slope = jax.jvp(plant.current, (state,), (plant.rate(state, at_start, row.load),))
         mean = inverter.averaged(duties, row.dc_link, current + h / 2 * slope, h)
         return plant.advance(state, mean, row.load, h, steps), mean
-    parts = inverter.switching
+    intervals = inverter.switching
+    steps_each = max(1, -(-steps // intervals))
 
-    def part(carried: tuple[PlantState, Array], k: Array) -> tuple[tuple[PlantState, Array], None]:
-        now, total = carried
+    def advance(
+        carried: tuple[PlantState, Array], k: Array
+    ) -> tuple[tuple[PlantState, Array], None]:
+        now, mean = carried
         u = inverter.switched(duties, row.dc_link, plant.current(now), h, k)
-        each = max(1, -(-steps // parts))
-        return (plant.advance(now, u, row.load, h / parts, each), total + u / parts), None
+        after = plant.advance(now, u, row.load, h / intervals, steps_each)
+        return (after, mean + u / intervals), None
 
     start = (state, jnp.zeros_like(voltage))
-    (after, mean), _ = jax.lax.scan(part, start, jnp.arange(parts))
+    (after, mean), _ = jax.lax.scan(advance, start, jnp.arange(intervals))
     return after, mean
 
 
-def _finish(trace: Trace, h: float) -> Run:
-    """Checks a trace and lists its events."""
+def _create_run(trace: Trace, h: float) -> Run:
+    """Check a trace and list its events."""
     trace = jax.tree.map(np.asarray, trace)
     t = np.asarray(np.arange(len(trace.theta_e)) * h, np.float64)
     finite = np.isfinite(trace.current) & np.isfinite(trace.speed) & np.isfinite(trace.voltage)
     if not finite.all():
-        at = max(int(np.argmin(finite)) - 1, 0)
+        last = max(int(np.argmin(finite)) - 1, 0)
         raise ModelError(
-            f"the simulation has no number after t = {t[at]:.6g} s, at "
-            f"{trace.speed[at]:.4g} rad/s: are the gains stable, and the time constants "
-            f"not far below the sample time?"
+            f"the state is not finite after t = {t[last]:.6g} s, at "
+            f"{trace.speed[last]:.4g} rad/s: check that the gains are stable and the time "
+            f"constants not far below the sample time"
         )
     events = []
-    for what, where in (
+    for what, mask in (
         ("voltage limit met", trace.voltage_limited),
         ("current limit met", trace.current_limited),
         ("overcurrent trip", trace.tripped),
     ):
-        if where.any():
-            events.append(Event(what, float(t[np.argmax(where)]), float(where.mean())))
+        if mask.any():
+            events.append(Event(what, float(t[np.argmax(mask)]), float(mask.mean())))
     change = np.diff(trace.mode)
-    for what, rows in (("observer in the loop", change > 0), ("position lost", change < 0)):
-        events += [Event(what, float(t[k + 1])) for k in np.flatnonzero(rows)]
-    events += _unfollowed(t, trace)
+    for what, jumps in (("observer in the loop", change > 0), ("position lost", change < 0)):
+        events += [Event(what, float(t[k + 1])) for k in np.flatnonzero(jumps)]
+    events += _find_failures(t, trace)
     return Run(h, t, trace, tuple(sorted(events, key=lambda event: event.at)))
 
 
-def _unfollowed(t: NDArray[np.float64], trace: Trace) -> list[Event]:
-    """Events for a position never known, and for a final speed far from its reference."""
+def _find_failures(t: NDArray[np.float64], trace: Trace) -> list[Event]:
+    """Return events for an observer never in the loop, and a final speed far from its reference."""
     events = []
     if not (trace.mode == RUNNING).any():
         events.append(Event("observer never in the loop", float(t[0]), 1.0))
     largest = np.abs(trace.reference).max()
-    off = np.abs(trace.speed - trace.reference) > UNFOLLOWED * largest
-    last = np.flatnonzero(~off)[-1] + 1 if (~off).any() else 0
-    if largest > 0 and len(t) - last > len(t) // 20:
+    followed = ~(np.abs(trace.speed - trace.reference) > UNFOLLOWED * largest)
+    start = np.flatnonzero(followed)[-1] + 1 if followed.any() else 0
+    if largest > 0 and len(t) - start > len(t) // 20:
         events.append(
-            Event("speed reference not followed", float(t[last]), (len(t) - last) / len(t))
+            Event("speed reference not followed", float(t[start]), (len(t) - start) / len(t))
         )
     return events
