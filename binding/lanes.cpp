@@ -1,7 +1,8 @@
-/* The good samples of fluxobs.c over lanes, without branches: what is computed stands in the order
- * in which it stands there, so that rounding is the same. A lane whose sample is bad or contradicts
- * what is known takes that step by fo_step. Tests compare every output and every byte of the states
- * (tests/observers/test_lanes.py). */
+/* The regular samples of fluxobs.c over lanes. The algebra is that of the firmware, compiled for
+ * vectors (fluxobs_algebra.h). Decisions are selections here and branches there, where they skip
+ * work; their arithmetic has the same order, so that rounding is the same. A lane whose sample is
+ * bad or an outlier takes that step by fo_step. tests/observers/test_lanes.py compares every output
+ * and every byte of the states. */
 #include "lanes.h"
 
 extern "C" {
@@ -24,12 +25,12 @@ void lanes_run(const fo_observer *, fo_state *, const double *, const double *, 
 namespace {
 
 #if FO_SINGLE
-typedef int32_t whole;
+typedef int32_t integer;
 #else
-typedef int64_t whole;
+typedef int64_t integer;
 #endif
 typedef fo_real V __attribute__((vector_size(32)));
-typedef whole M __attribute__((vector_size(32))); /* a mask: all bits of a lane, or none */
+typedef integer M __attribute__((vector_size(32))); /* a mask: all bits of a lane are set, or none */
 
 inline V select(M mask, V yes, V no) {
 #if defined(__AVX2__) && FO_SINGLE
@@ -46,17 +47,17 @@ inline V select(M mask, V yes, V no) {
 #endif
 }
 inline V all(fo_real x) { return V{} + x; }
-inline V size(V x) { /* without its sign bit, as fabs */
-    const M sign = (M{} + 1) << (8 * static_cast<int>(sizeof(whole)) - 1);
+inline V size(V x) { /* clears the sign bit, as fabs does */
+    const M sign = (M{} + 1) << (8 * static_cast<int>(sizeof(integer)) - 1);
     return reinterpret_cast<V>(reinterpret_cast<M>(x) & ~sign);
 }
 inline bool any(M mask) {
 #if defined(__AVX2__)
     return !_mm256_testz_si256(reinterpret_cast<__m256i>(mask), reinterpret_cast<__m256i>(mask));
 #else
-    whole found = 0;
-    for (int k = 0; k < LANES; k++) found |= mask[k];
-    return found != 0;
+    integer estimates = 0;
+    for (int k = 0; k < LANES; k++) estimates |= mask[k];
+    return estimates != 0;
 #endif
 }
 inline V root(V x) {
@@ -82,7 +83,7 @@ inline V wrapped(V angle) {
 constexpr fo_real FO_ATAN[] = FO_ATAN_SERIES;
 
 /* fo_atan2 */
-inline V angle_of(V y, V x) {
+inline V atan2_of(V y, V x) {
     const V up = size(y), along = size(x);
     const M steep = up > along;
     const V less = select(steep, along, up), more = select(steep, up, along);
@@ -114,10 +115,12 @@ inline V angle_of(V y, V x) {
     X(current[0], FO_N) X(current[1], FO_N) X(current[2], FO_N) X(current[3], FO_N)            \
     X(source, FO_N) X(held_source, FO_N) X(source_step, FO_N) X(flux, FO_N) X(drift, FO_N)
 
+struct Factor {
+    V U[FO_TRIANGLE], d[FO_NX], z[FO_NX], noise[3];
+};
+
 struct Lanes {
-    struct {
-        V U[FO_TRIANGLE], d[FO_NX], z[FO_NX], noise[3];
-    } info;
+    Factor info;
     V x[FO_NX], current[FO_HISTORY][FO_N], source[FO_N], held_source[FO_N], source_step[FO_N];
     V flux[FO_N], drift[FO_N];
     V step, length, noise_ratio, noise_inflation, voltage_turn, innovation, power, lag_one,
@@ -129,26 +132,26 @@ struct Lanes {
     M trusted, have_trusted_flux, lost, round_index, restarts, consecutive_bad;
 };
 
-void put_in(Lanes &l, int k, const fo_state &s) {
-#define PUT_NUMBER_IN(name) l.name[k] = s.name;
-#define PUT_ARRAY_IN(name, count) \
+void load(Lanes &l, int k, const fo_state &s) {
+#define LOAD_NUMBER(name) l.name[k] = s.name;
+#define LOAD_ARRAY(name, count) \
     for (int n = 0; n < (count); n++) l.name[n][k] = s.name[n];
-    LANE_NUMBERS(PUT_NUMBER_IN)
-    LANE_ARRAYS(PUT_ARRAY_IN)
-    l.trusted[k] = -static_cast<whole>(s.trusted);
-    l.have_trusted_flux[k] = -static_cast<whole>(s.have_trusted_flux);
-    l.lost[k] = -static_cast<whole>(s.tracker.lost);
-    l.round_index[k] = static_cast<whole>(s.round_index);
+    LANE_NUMBERS(LOAD_NUMBER)
+    LANE_ARRAYS(LOAD_ARRAY)
+    l.trusted[k] = -static_cast<integer>(s.trusted);
+    l.have_trusted_flux[k] = -static_cast<integer>(s.have_trusted_flux);
+    l.lost[k] = -static_cast<integer>(s.tracker.lost);
+    l.round_index[k] = static_cast<integer>(s.round_index);
     l.restarts[k] = 0;
-    l.consecutive_bad[k] = static_cast<whole>(s.consecutive_bad);
+    l.consecutive_bad[k] = static_cast<integer>(s.consecutive_bad);
 }
 
-void take_out(const fo_observer &o, const Lanes &l, int k, fo_state &s) {
-#define TAKE_NUMBER_OUT(name) s.name = l.name[k];
-#define TAKE_ARRAY_OUT(name, count) \
+void store(const fo_observer &o, const Lanes &l, int k, fo_state &s) {
+#define STORE_NUMBER(name) s.name = l.name[k];
+#define STORE_ARRAY(name, count) \
     for (int n = 0; n < (count); n++) s.name[n] = l.name[n][k];
-    LANE_NUMBERS(TAKE_NUMBER_OUT)
-    LANE_ARRAYS(TAKE_ARRAY_OUT)
+    LANE_NUMBERS(STORE_NUMBER)
+    LANE_ARRAYS(STORE_ARRAY)
     s.trusted = l.trusted[k] != 0;
     s.have_trusted_flux = l.have_trusted_flux[k] != 0;
     s.tracker.lost = l.lost[k] != 0;
@@ -162,51 +165,34 @@ void take_out(const fo_observer &o, const Lanes &l, int k, fo_state &s) {
 #endif
 }
 
-/* Can a state go on in a lane? */
-bool ordinary(const fo_state &s) { return !is_never_reset(&s) && s.have_current && s.have_voltage; }
+/* Can a state be processed in a lane? */
+bool is_regular(const fo_state &s) { return !is_never_reset(&s) && s.have_current && s.have_voltage; }
 
-constexpr int at(int i, int j) { return i * (2 * FO_NX - i - 3) / 2 + j - 1; }
+#define FO_VALUE V
+#define FO_ZERO V{}
+#define FO_FACTOR Factor
+#include "fluxobs_algebra.h"
 
-struct Left {
-    V rhs, weight;
-};
-
-/* rotate of fluxobs.c */
-template <int I> inline void rotate(Lanes &l, V row[FO_NX], Left &left) {
-    const V pivot = row[I], weighted = left.weight * pivot, d = l.info.d[I];
-    const V d_new = d + weighted * pivot, inverse = ONE / d_new, gain = weighted * inverse;
-    left.weight *= d * inverse;
-    l.info.d[I] = d_new;
+/* Adds a row whose elements before `First` are zero. */
+template <int First> inline void add_row(Factor &info, V row[FO_NX], measurement &m) {
 #pragma GCC unroll 8
-    for (int j = I + 1; j < FO_NX; j++) {
-        row[j] -= pivot * l.info.U[at(I, j)];
-        l.info.U[at(I, j)] += gain * row[j];
-    }
-    left.rhs -= pivot * l.info.z[I];
-    l.info.z[I] += gain * left.rhs;
-}
-
-template <int I> inline void rotate_from(Lanes &l, V row[FO_NX], Left &left) {
-    if constexpr (I < FO_NX) {
-        rotate<I>(l, row, left);
-        rotate_from<I + 1>(l, row, left);
-    }
+    for (int i = First; i < FO_NX; i++) rotate_row(&info, i, row, &m);
 }
 
 /* Prior information on state i. */
-inline V prior_of(const Lanes &l, int i) {
+inline V prior_information(const Lanes &l, int i) {
     V prior = i < KAPPA ? all(ONE) : l.drift_prior;
     if (i == KAPPA) prior /= (fo_real)4;
     if (i == CC) prior *= prior;
     return prior;
 }
 
-/* Row I of the prior comes back in the lanes `due`. */
+/* Re-injects row I of the prior. */
 template <int I> void reinject_all(const fo_observer &o, Lanes &l) {
     V row[FO_NX] = {};
     row[I] = all(ONE);
-    Left left = {l.x[I], o.reinject * prior_of(l, I)};
-    rotate_from<I>(l, row, left);
+    measurement m = {l.x[I], o.reinject * prior_information(l, I)};
+    add_row<I>(l.info, row, m);
 }
 
 template <int I> void reinject(const fo_observer &o, Lanes &l, M due) {
@@ -221,7 +207,7 @@ template <int I> void reinject(const fo_observer &o, Lanes &l, M due) {
     }
 }
 
-/* As a rule the lanes are at the same turn. */
+/* The lanes are usually at the same place of the round. */
 inline void reinject_due(const fo_observer &o, Lanes &l, M turn) {
     switch (any(turn != turn[0]) ? -1 : turn[0]) {
         case 0: reinject_all<0>(o, l); break;
@@ -242,75 +228,18 @@ inline void reinject_due(const fo_observer &o, Lanes &l, M turn) {
     }
 }
 
-/* predict of fluxobs.c */
-inline void predict(const fo_observer &o, Lanes &l, const V v[2], const V q[2], V input) {
-    const fo_real h = o.h, rho = o.rho, h2 = TWO * h;
-    V *u = l.info.U, *z = l.info.z;
-    {
-        const V flux0 = u[0] - q[0], flux1 = u[1] - q[1], kappa = u[2] - h;
-        u[3] -= h * u[0] + q[0] * kappa;
-        u[4] -= h * u[1] + q[1] * kappa;
-        u[5] -= h * (u[2] + kappa);
-        u[0] = flux0;
-        u[1] = flux1;
-        u[2] = kappa;
-        z[S] += input + flux0 * v[0] + flux1 * v[1];
-    }
-    {
-        const V flux1 = u[6], kappa = u[7];
-        u[8] -= h + q[0] * kappa;
-        u[9] -= h * flux1 + q[1] * kappa;
-        u[10] -= h2 * kappa;
-        z[FLUX] += v[0] + flux1 * v[1];
-    }
-    {
-        const V kappa = u[11];
-        u[12] -= q[0] * kappa;
-        u[13] -= h + q[1] * kappa;
-        u[14] -= h2 * kappa;
-        z[FLUX + 1] += v[1];
-    }
-    u[15] -= q[0];
-    u[16] -= q[1];
-    u[17] -= h2;
-    for (int i = 0; i < FO_NX; i++) l.info.d[i] *= rho;
-    V *noise = l.info.noise;
-    noise[2] = rho * (noise[2] - h * (TWO * noise[1] - h * noise[0]));
-    noise[1] = rho * (noise[1] - h * noise[0]);
-    noise[0] = rho * noise[0];
-}
-
-inline V third(const Lanes &l, int i) {
-    return l.current[0][i] - l.current[3][i] + (fo_real)3 * (l.current[2][i] - l.current[1][i]);
-}
-
-inline V vector_of(const fo_observer &o, const Lanes &l, const V flux[2], V p[2]) {
+inline V position_vector(const fo_observer &o, const Lanes &l, const V flux[2], V p[2]) {
     for (int i = 0; i < FO_N; i++) p[i] = flux[i] - o.L_position * l.current[0][i];
     return inner(p, p);
 }
 
-/* judge of fluxobs.c in the lanes `due`, where the position vector is long enough. */
-inline void judge(Lanes &l, const V p[2], V square, M due, M long_enough) {
+/* update_variances of fluxobs.c in the lanes `due`, where the position vector is long enough. */
+inline void update_variances(Lanes &l, const V p[2], V square, M due, M long_enough) {
     const M which = due & long_enough;
-    const V *u = &l.info.U[at(FLUX, FLUX + 1)], *drift = &l.x[DRIFT], *noise = l.info.noise;
+    const V *drift = &l.x[DRIFT], *noise = l.info.noise;
     const V excess = inner(drift, drift) * l.drift_prior;
-    V found_along = V{}, found_across = V{}, along[FO_NX] = {}, across[FO_NX] = {};
-    along[FLUX] = p[0];
-    along[FLUX + 1] = p[1];
-    across[FLUX] = -p[1];
-    across[FLUX + 1] = p[0];
-#pragma GCC unroll 8
-    for (int i = FLUX; i < FO_NX; i++) {
-        const V inverse = ONE / l.info.d[i], a = along[i], b = across[i];
-        found_along += a * a * inverse;
-        found_across += b * b * inverse;
-#pragma GCC unroll 8
-        for (int j = i + 1; j < FO_NX; j++, u++) {
-            along[j] -= a * *u;
-            across[j] -= b * *u;
-        }
-    }
-    const V over_across = found_across / square, over_along = found_along / square;
+    const variances sum = flux_variances(&l.info, p);
+    const V over_across = sum.across / square, over_along = sum.along / square;
     const V shared = select(noise[2] > ZERO, noise[1] * noise[1] / noise[2], V{});
     const V share = (noise[0] - shared) * (over_across + over_along);
     V r = select(l.power > ZERO, l.lag_one / l.power, V{});
@@ -331,16 +260,13 @@ inline void judge(Lanes &l, const V p[2], V square, M due, M long_enough) {
     }
 }
 
-/* carry_on of fluxobs.c, in the lanes `which`. */
+/* integrate_open_loop of fluxobs.c, in the lanes `which`. */
 inline V integrate_open_loop(const fo_observer &o, Lanes &l, const V v[2], M which) {
     V p[2], flux[2];
     const M first = which & (l.open_loop_time == ZERO);
     if (any(first)) {
-        const V square = vector_of(o, l, l.flux, p);
-        const V *u = l.info.U, *d = l.info.d;
-        const V a = p[0] + p[1] * u[at(DRIFT, DRIFT + 1)];
-        const V c = p[1] * u[at(DRIFT, CC)] - a * u[at(DRIFT + 1, CC)];
-        const V known = p[1] * p[1] / d[DRIFT] + a * a / d[DRIFT + 1] + c * c / d[CC];
+        const V square = position_vector(o, l, l.flux, p);
+        const V known = drift_variance_across(&l.info, p);
         const V growth =
             (l.inflation * (known / square) + o.drift_prior_std * o.drift_prior_std) / square;
         l.variance_growth = select(first, growth, l.variance_growth);
@@ -349,7 +275,7 @@ inline V integrate_open_loop(const fo_observer &o, Lanes &l, const V v[2], M whi
     }
     l.open_loop_time = select(which, l.open_loop_time + o.h, l.open_loop_time);
     for (int i = 0; i < FO_N; i++) flux[i] = l.flux[i] + v[i] + o.h * l.drift[i];
-    const V off = root(vector_of(o, l, flux, p)) / l.open_loop_length - ONE;
+    const V off = root(position_vector(o, l, flux, p)) / l.open_loop_length - ONE;
     const V worse = select(off * off > l.open_loop_error, off * off, l.open_loop_error);
     l.open_loop_error = select(which, worse, l.open_loop_error);
     const V variance =
@@ -359,8 +285,8 @@ inline V integrate_open_loop(const fo_observer &o, Lanes &l, const V v[2], M whi
     return variance;
 }
 
-/* What a step gives, over lanes. */
-struct Found {
+/* The estimates of a step, over lanes. */
+struct Estimates {
     V flux[2], psi_f, theta_e, theta_e_tracked, speed_e, drift[2], theta_e_std, innovation,
         noise_share;
     M valid;
@@ -371,12 +297,12 @@ struct Sample {
     V held_source[2], source_step[2]; /* volt-seconds of a held voltage, and their step */
     V source[2], current[2];          /* volt-seconds without kinks */
     V row[FO_NX], rhs;
-    V v[2], q[2], input;              /* of the interval */
+    interval t;
     V length;                         /* of the position vector's step */
     M irregular;                      /* a bad sample or an outlier: left to the scalar step */
 };
 
-inline void look_at(const fo_observer &o, const Lanes &l, const V voltage[2], const V current[2],
+inline void prepare_sample(const fo_observer &o, const Lanes &l, const V voltage[2], const V current[2],
                     Sample &s) {
     V mean[2], moved[2];
     for (int i = 0; i < FO_N; i++) s.source[i] = inner(o.hB[i], voltage);
@@ -407,43 +333,43 @@ inline void look_at(const fo_observer &o, const Lanes &l, const V voltage[2], co
     for (int i = 0; i < FO_N; i++)
         mean[i] = (fo_real)9 * current[i] + (fo_real)19 * l.current[0][i] -
                   (fo_real)5 * l.current[1][i] + l.current[2][i];
-    for (int i = 0; i < FO_N; i++) s.v[i] = s.source[i] - inner(o.hR[i], mean);
-    for (int i = 0; i < FO_N; i++) s.q[i] = inner(o.Q1x2[i], s.v);
-    s.input = inner(s.q, s.v) / TWO + inner(o.E, s.v);
+    for (int i = 0; i < FO_N; i++) s.t.v[i] = s.source[i] - inner(o.hR[i], mean);
+    for (int i = 0; i < FO_N; i++) s.t.q[i] = inner(o.Q1x2[i], s.t.v);
+    s.t.input = inner(s.t.q, s.t.v) / TWO + inner(o.E, s.t.v);
 
     for (int i = 0; i < FO_N; i++)
-        moved[i] = s.v[i] - o.L_position * (current[i] - l.current[0][i]);
+        moved[i] = s.t.v[i] - o.L_position * (current[i] - l.current[0][i]);
     s.length = root(inner(moved, moved));
     const V usual = TWO * l.step + STEP_LIMIT * l.length +
                     STEP_NOISE * root(o.position_noise * l.noise_inflation);
-    V off = s.rhs, free = l.x[S] + s.input + o.h * (l.x[KAPPA] + o.h * l.x[CC]);
+    V off = s.rhs, free = l.x[S] + s.t.input + o.h * (l.x[KAPPA] + o.h * l.x[CC]);
     for (int i = 0; i < FO_N; i++) {
         const V flux = l.x[FLUX + i] + o.h * l.x[DRIFT + i];
-        free += s.q[i] * flux;
-        off -= s.row[FLUX + i] * (flux + s.v[i]);
+        free += s.t.q[i] * flux;
+        off -= s.row[FLUX + i] * (flux + s.t.v[i]);
     }
     off -= s.row[S] * free;
     const M outlier = l.trusted & ((s.length > usual) | ~(size(off) < OUTLIER_LIMIT * s.row[S]));
     s.irregular = ~good | outlier;
 }
 
-/* Lanes whose numbers have run away start anew. */
-inline void start_anew(Lanes &l, M gone) {
-    for (int n = 0; n < FO_TRIANGLE; n++) l.info.U[n] = select(gone, V{}, l.info.U[n]);
-    for (int n = 0; n < 3; n++) l.info.noise[n] = select(gone, V{}, l.info.noise[n]);
+/* Resets the information of lanes whose numbers have diverged. */
+inline void reset_information(Lanes &l, M diverged) {
+    for (int n = 0; n < FO_TRIANGLE; n++) l.info.U[n] = select(diverged, V{}, l.info.U[n]);
+    for (int n = 0; n < 3; n++) l.info.noise[n] = select(diverged, V{}, l.info.noise[n]);
     for (int n = 0; n < FO_NX; n++) {
-        l.info.z[n] = select(gone, V{}, l.info.z[n]);
-        l.info.d[n] = select(gone, prior_of(l, n), l.info.d[n]);
-        l.x[n] = select(gone, V{}, l.x[n]);
+        l.info.z[n] = select(diverged, V{}, l.info.z[n]);
+        l.info.d[n] = select(diverged, prior_information(l, n), l.info.d[n]);
+        l.x[n] = select(diverged, V{}, l.x[n]);
     }
-    l.innovation = select(gone, V{}, l.innovation);
-    l.power = select(gone, all(ONE), l.power);
-    l.lag_one = select(gone, V{}, l.lag_one);
-    l.noise_share = select(gone, all(ONE), l.noise_share);
-    l.rotation = select(gone, V{}, l.rotation);
-    l.trusted &= ~gone;
-    l.round_index &= ~gone;
-    l.restarts -= gone; /* a mask is -1 */
+    l.innovation = select(diverged, V{}, l.innovation);
+    l.power = select(diverged, all(ONE), l.power);
+    l.lag_one = select(diverged, V{}, l.lag_one);
+    l.noise_share = select(diverged, all(ONE), l.noise_share);
+    l.rotation = select(diverged, V{}, l.rotation);
+    l.trusted &= ~diverged;
+    l.round_index &= ~diverged;
+    l.restarts -= diverged; /* a mask is -1 */
 }
 
 /* track of fluxobs_internal.h; the lanes `stopped` stop it instead. */
@@ -452,20 +378,20 @@ inline void track(const fo_observer &o, Lanes &l, V theta, M stopped) {
     auto &t = l.tracker;
     const V turn_by = h * (t.speed + h * t.acceleration / TWO);
     const V predicted = wrapped(t.angle + turn_by), error = wrapped(theta - predicted);
-    const M found = ~stopped & l.lost;
+    const M estimates = ~stopped & l.lost;
     const M follows = ~stopped & ~l.lost & (size(turn_by) <= PI);
     const M near = follows & (size(error) <= TRACKER_LOST);
     const V turned = wrapped(theta - t.angle) / h;
     l.lost = follows & ~near;
     t.angle = select(near, wrapped(predicted + o.track[0] * error), theta);
     t.speed = select(near, t.speed + (h * t.acceleration + o.track[1] * error),
-                     select(found, turned, V{}));
+                     select(estimates, turned, V{}));
     t.acceleration = select(near, t.acceleration + o.track[2] * error, V{});
     t.settled = select(l.lost, V{}, t.settled);
 }
 
 /* The step of an ordinary sample. */
-inline void step(const fo_observer &o, Lanes &l, Sample &s, Found &e) {
+inline void step(const fo_observer &o, Lanes &l, Sample &s, Estimates &e) {
     V p[2];
     for (int k = FO_HISTORY - 1; k > 0; k--)
         for (int i = 0; i < FO_N; i++) l.current[k][i] = l.current[k - 1][i];
@@ -478,40 +404,35 @@ inline void step(const fo_observer &o, Lanes &l, Sample &s, Found &e) {
     l.step = s.length;
     l.consecutive_bad = M{};
 
-    predict(o, l, s.v, s.q, s.input);
-    Left left = {s.rhs, all(ONE)};
-    rotate_from<S>(l, s.row, left);
-    const V innovation = root(left.weight) * left.rhs, share = o.h * innovation;
-    const V third0 = third(l, 0), third1 = third(l, 1);
+    predict(&o, &l.info, &s.t);
+    measurement m = {s.rhs, all(ONE)};
+    add_row<S>(l.info, s.row, m);
+    const V innovation = root(m.weight) * m.rhs, share = o.h * innovation;
+    V third[2];
+    for (int i = 0; i < FO_N; i++)
+        third[i] = third_difference(l.current[0][i], l.current[1][i], l.current[2][i], l.current[3][i]);
     l.power = o.rho * l.power + share * innovation;
     l.lag_one = o.rho * l.lag_one + share * l.innovation;
     l.innovation = innovation;
     l.info.noise[0] += o.noise_information * l.noise_inflation;
-    l.noise_ratio += o.h * ((third0 * third0 + third1 * third1) * o.over_noise - l.noise_ratio);
+    l.noise_ratio += o.h * (inner(third, third) * o.over_noise - l.noise_ratio);
     l.noise_inflation = select(l.noise_ratio > ONE, l.noise_ratio, all(ONE));
 
-    int element = FO_TRIANGLE - 1;
-#pragma GCC unroll 8
-    for (int i = FO_NX - 1; i >= 0; i--) {
-        V sum = l.info.z[i];
-#pragma GCC unroll 8
-        for (int j = FO_NX - 1; j > i; j--) sum -= l.info.U[element--] * l.x[j];
-        l.x[i] = sum;
-    }
-    V square = vector_of(o, l, &l.x[FLUX], p);
-    const M gone = ~(square < RUNAWAY); /* or not a number; happens after a long rest */
-    if (any(gone)) {
-        start_anew(l, gone);
-        square = vector_of(o, l, &l.x[FLUX], p);
+    solve(&l.info, l.x);
+    V square = position_vector(o, l, &l.x[FLUX], p);
+    const M diverged = ~(square < RUNAWAY); /* or not a number; happens after a long rest */
+    if (any(diverged)) {
+        reset_information(l, diverged);
+        square = position_vector(o, l, &l.x[FLUX], p);
     }
     const M turn = l.round_index;
     l.round_index = turn + 1;
-    l.round_index &= l.round_index < static_cast<whole>(REINJECT_PERIOD);
-    V theta = angle_of(p[1], p[0]);
+    l.round_index &= l.round_index < static_cast<integer>(REINJECT_PERIOD);
+    V theta = atan2_of(p[1], p[0]);
     const M long_enough = square > o.square_min;
     const M judging = (turn & 1) != 0;
     if (any(~judging)) reinject_due(o, l, turn);
-    if (any(judging)) judge(l, p, square, judging, long_enough);
+    if (any(judging)) update_variances(l, p, square, judging, long_enough);
     const M known = long_enough & (l.noise_share < SHARE_LIMIT);
     l.rotation = select(known, l.rotation + wrapped(theta - l.theta), V{});
     l.theta = theta;
@@ -536,12 +457,12 @@ inline void step(const fo_observer &o, Lanes &l, Sample &s, Found &e) {
         l.drift[i] = select(trusted, e.drift[i], l.drift[i]);
     }
     if (any(carrying)) {
-        const V carried = integrate_open_loop(o, l, s.v, carrying);
+        const V carried = integrate_open_loop(o, l, s.t.v, carrying);
         const M report = carrying & (~known | (carried < VARIANCE_UNKNOWN));
         variance = select(carrying, carried, variance);
-        const V there = vector_of(o, l, l.flux, p);
+        const V there = position_vector(o, l, l.flux, p);
         square = select(report, there, square);
-        theta = select(report, angle_of(p[1], p[0]), theta);
+        theta = select(report, atan2_of(p[1], p[0]), theta);
         for (int i = 0; i < FO_N; i++) {
             e.flux[i] = select(report, l.flux[i], e.flux[i]);
             e.drift[i] = select(report, l.drift[i], e.drift[i]);
@@ -619,13 +540,13 @@ constexpr size_t TILE = 64;
 
 /* Asks the memory for a part of what the next tile is written to: the processor's own guesses do
  * not reach so many places at once. */
-inline void fetch(const double *next, size_t rows, size_t plane, size_t place) {
+inline void prefetch(const double *next, size_t rows, size_t plane, size_t place) {
     const double *at = next + (place % LANES) * rows + place / LANES * (64 / sizeof(double));
     if (place / LANES < TILE * sizeof(double) / 64)
         for (size_t n = 0; n < COLUMNS; n++) __builtin_prefetch(at + plane * n, 1);
 }
 
-/* A column's last rows, a record's `rows` numbers apart. */
+/* A column's last rows, a record's `rows` numbers scalar. */
 inline void write(const V tile[TILE], double *to, size_t rows, size_t count) {
     size_t r = 0;
 #if defined(__AVX2__)
@@ -673,32 +594,32 @@ void lanes_run(const fo_observer *observer, fo_state *states, const double *volt
     Lanes now;
     __builtin_memset(&now, 0, sizeof now);
     V tile[COLUMNS][TILE]; /* of the last rows */
-    bool apart[LANES];     /* its state is in `states`, else in `now` */
-    for (int k = 0; k < LANES; k++) apart[k] = true;
+    bool scalar[LANES];    /* its state is in `states`, otherwise in `now` */
+    for (int k = 0; k < LANES; k++) scalar[k] = true;
 
     for (size_t row = 0; row < rows; row++) {
         V u[2], i[2];
         Sample sample;
-        Found found;
+        Estimates estimates;
         read(voltage, rows, row, u);
         read(current, rows, row, i);
-        look_at(o, now, u, i, sample);
+        prepare_sample(o, now, u, i, sample);
         for (int k = 0; k < LANES; k++) {
-            if (apart[k] || sample.irregular[k] == 0) continue;
-            take_out(o, now, k, states[k]);
-            apart[k] = true;
+            if (scalar[k] || sample.irregular[k] == 0) continue;
+            store(o, now, k, states[k]);
+            scalar[k] = true;
         }
-        step(o, now, sample, found);
+        step(o, now, sample, estimates);
         const size_t place = row % TILE;
         size_t count = 0;
 #define KEEP_VECTOR(name) \
-    for (int n = 0; n < FO_N; n++) tile[count++][place] = found.name[n];
-#define KEEP_NUMBER(name) tile[count++][place] = found.name;
+    for (int n = 0; n < FO_N; n++) tile[count++][place] = estimates.name[n];
+#define KEEP_NUMBER(name) tile[count++][place] = estimates.name;
         FO_ESTIMATE_FIELDS(KEEP_VECTOR, KEEP_NUMBER)
         for (int k = 0; k < LANES; k++) {
             bool &known = valid[static_cast<size_t>(k) * rows + row];
-            known = found.valid[k] != 0;
-            if (!apart[k]) continue;
+            known = estimates.valid[k] != 0;
+            if (!scalar[k]) continue;
             const fo_real voltage_of[2] = {u[0][k], u[1][k]}, current_of[2] = {i[0][k], i[1][k]};
             fo_estimate e;
             fo_step(observer, &states[k], voltage_of, current_of, &e);
@@ -708,18 +629,18 @@ void lanes_run(const fo_observer *observer, fo_state *states, const double *volt
     for (int n = 0; n < FO_N; n++) tile[count++][place][k] = e.name[n];
 #define KEEP_NUMBER_OF(name) tile[count++][place][k] = e.name;
             FO_ESTIMATE_FIELDS(KEEP_VECTOR_OF, KEEP_NUMBER_OF)
-            if (ordinary(states[k])) {
-                put_in(now, k, states[k]);
-                apart[k] = false;
+            if (is_regular(states[k])) {
+                load(now, k, states[k]);
+                scalar[k] = false;
             }
         }
-        if (row - place + 2 * TILE <= rows) fetch(columns + row - place + TILE, rows, plane, place);
+        if (row - place + 2 * TILE <= rows) prefetch(columns + row - place + TILE, rows, plane, place);
         if (place == TILE - 1 || row == rows - 1)
             for (size_t n = 0; n < COLUMNS; n++)
                 write(tile[n], columns + plane * n + row - place, rows, place + 1);
     }
     for (int k = 0; k < LANES; k++)
-        if (!apart[k]) take_out(o, now, k, states[k]);
+        if (!scalar[k]) store(o, now, k, states[k]);
 }
 
 #endif

@@ -1,4 +1,5 @@
-/* A prepared observer as bytes of this process, with its flux map: an argument of the calls in xla.cpp. */
+/* A prepared observer as bytes of this process, with its flux map: an argument of the calls in
+ * xla.cpp. */
 #ifndef FLUXOBS_PARAMETERS_H
 #define FLUXOBS_PARAMETERS_H
 

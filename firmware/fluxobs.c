@@ -1,26 +1,7 @@
 /* SPDX-License-Identifier: MIT */
-#include "fluxobs_internal.h"
+#include "fluxobs_algebra.h"
 
 #include <string.h>
-
-/* Compiled for speed, short loops are unrolled, so that a row stays in registers; not where code
- * size counts, nor where a library emulates floating point. -DFO_WRITTEN_OUT overrides the choice;
- * the numbers are the same. */
-#ifndef FO_WRITTEN_OUT
-#if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__) && !defined(__SOFTFP__) && !defined(__AVR__)
-#define FO_WRITTEN_OUT 1
-#else
-#define FO_WRITTEN_OUT 0
-#endif
-#endif
-#if FO_WRITTEN_OUT
-#define FO_UNROLL _Pragma("GCC unroll 8")
-#else
-#define FO_UNROLL
-#endif
-
-/* Element (i, j), i < j, of a packed strict upper triangle. */
-#define AT(i, j) ((int)(i) * (2 * (int)FO_NX - (int)(i) - 3) / 2 + (int)(j) - 1)
 
 static const fo_real ATAN[] = FO_ATAN_SERIES;
 
@@ -332,82 +313,6 @@ bool fo_damaged(const fo_observer *o, const fo_state *s)
     return damaged;
 }
 
-/* The immersion's step over one interval, x <- F x + b: F depends on q, b is (input, v, 0, 0, 0).
- * docs/theory.md, section 4. Per-unit. */
-typedef struct {
-    fo_real v[FO_N]; /* volt-seconds */
-    fo_real q[FO_N]; /* 2 Q1 v */
-    fo_real input;   /* v'Q1v + E'v */
-} interval;
-
-/* U <- U F^-1, d <- rho d, z <- z + U F^-1 b: F(h, v)^-1 = F(-h, -v). */
-static void predict(const fo_observer *o, fo_state *s, const interval *t)
-{
-    const fo_real h = o->h, rho = o->rho;
-    const fo_real v0 = t->v[0], v1 = t->v[1], q0 = t->q[0], q1 = t->q[1], h2 = TWO * h;
-    fo_real *u = s->info.U, *z = s->info.z;
-    { /* the row of s reaches every column: flux, kappa, drift, c */
-        const fo_real flux0 = u[0] - q0, flux1 = u[1] - q1, kappa = u[2] - h;
-        u[3] -= h * u[0] + q0 * kappa;
-        u[4] -= h * u[1] + q1 * kappa;
-        u[5] -= h * (u[2] + kappa);
-        u[0] = flux0;
-        u[1] = flux1;
-        u[2] = kappa;
-        z[S] += t->input + flux0 * v0 + flux1 * v1;
-    }
-    { /* the row of the first flux: the second, kappa, drift, c */
-        const fo_real flux1 = u[6], kappa = u[7];
-        u[8] -= h + q0 * kappa;
-        u[9] -= h * flux1 + q1 * kappa;
-        u[10] -= h2 * kappa;
-        z[FLUX] += v0 + flux1 * v1;
-    }
-    { /* the row of the second flux: kappa, drift, c */
-        const fo_real kappa = u[11];
-        u[12] -= q0 * kappa;
-        u[13] -= h + q1 * kappa;
-        u[14] -= h2 * kappa;
-        z[FLUX + 1] += v1;
-    }
-    u[15] -= q0; /* the row of kappa: drift, c */
-    u[16] -= q1;
-    u[17] -= h2;
-    for (int i = 0; i < FO_NX; i++) {
-        s->info.d[i] *= rho;
-    }
-    /* The information from noise alone is propagated and forgotten in the same way; it is the same
-     * for both components of (flux, drift). */
-    fo_real *noise = s->info.noise;
-    noise[2] = rho * (noise[2] - h * (TWO * noise[1] - h * noise[0]));
-    noise[1] = rho * (noise[1] - h * noise[0]);
-    noise[0] = rho * noise[0];
-}
-
-/* Right-hand side and weight of a row'x = rhs, after the rotations so far. */
-typedef struct {
-    fo_real rhs, weight;
-} measurement;
-
-/* Gentleman's square-root-free rotation of row'x = rhs with row i of the factor: it makes row[i]
- * zero. */
-static inline void rotate_row(fo_information *info, int i, fo_real row[FO_NX], measurement *m)
-{
-    fo_real *u = &info->U[AT(i, i + 1)];
-    const fo_real pivot = row[i], weighted = m->weight * pivot, d = info->d[i];
-    const fo_real d_new = d + weighted * pivot, inverse = ONE / d_new;
-    const fo_real gain = weighted * inverse;
-    m->weight *= d * inverse;
-    info->d[i] = d_new;
-    FO_UNROLL
-    for (int j = i + 1; j < FO_NX; j++) {
-        row[j] -= pivot * u[j - i - 1];
-        u[j - i - 1] += gain * row[j];
-    }
-    m->rhs -= pivot * info->z[i];
-    info->z[i] += gain * m->rhs;
-}
-
 /* Adds row'x = value, whose elements before `first` are zero. Returns the normalised innovation. */
 static inline fo_real add_row(fo_information *info, fo_real row[FO_NX], fo_real value,
                                 fo_real information, int first)
@@ -435,70 +340,7 @@ fo_real fo_add_row(fo_information *info, fo_real row[FO_NX], fo_real value, fo_r
     return add_row(info, row, value, information, first);
 }
 
-typedef struct {
-    fo_real along, across;
-} variances;
-
-/* Variances of the flux along p and across it, times |p|^2: |y|^2 / d with U'y = (0, p, 0 ..). */
-static variances flux_variances(const fo_information *info, const fo_real p[FO_N])
-{
-    const fo_real *u = &info->U[AT(FLUX, FLUX + 1)];
-    variances sum = {ZERO, ZERO};
-    fo_real along[FO_NX], across[FO_NX];
-    set_zero(along);
-    set_zero(across);
-    along[FLUX] = p[0];
-    along[FLUX + 1] = p[1];
-    across[FLUX] = -p[1];
-    across[FLUX + 1] = p[0];
-    FO_UNROLL
-    for (int i = FLUX; i < FO_NX; i++) {
-        const fo_real inverse = ONE / info->d[i], a = along[i], b = across[i];
-        sum.along += a * a * inverse;
-        sum.across += b * b * inverse;
-        FO_UNROLL
-        for (int j = i + 1; j < FO_NX; j++) {
-            along[j] -= a * *u;
-            across[j] -= b * *u;
-            u++;
-        }
-    }
-    return sum;
-}
-
-/* Variance of the drift across p, times |p|^2. */
-static fo_real drift_variance_across(const fo_information *info, const fo_real p[FO_N])
-{
-    const fo_real *u = info->U, *d = info->d;
-    const fo_real a = p[0] + p[1] * u[AT(DRIFT, DRIFT + 1)];
-    const fo_real c = p[1] * u[AT(DRIFT, CC)] - a * u[AT(DRIFT + 1, CC)];
-    return p[1] * p[1] / d[DRIFT] + a * a / d[DRIFT + 1] + c * c / d[CC];
-}
-
-/* U x = z */
-static void solve(fo_state *s)
-{
-    const fo_real *u = &s->info.U[FO_TRIANGLE];
-    FO_UNROLL
-    for (int i = FO_NX - 1; i >= 0; i--) {
-        fo_real sum = s->info.z[i];
-        FO_UNROLL
-        for (int j = FO_NX - 1; j > i; j--) {
-            u--;
-            sum -= *u * s->x[j];
-        }
-        s->x[i] = sum;
-    }
-}
-
 /* ---- measurement ---------------------------------------------------------------------- */
-
-/* Third difference of the current: without its smooth part, with 20 times the noise variance. */
-static fo_real third_difference(const fo_state *s, int i)
-{
-    return s->current[0][i] - s->current[3][i] +
-           (fo_real)3 * (s->current[2][i] - s->current[1][i]);
-}
 
 #if FO_MAPPED
 /* v in the frame whose d axis is `direction`, turned to alpha, beta. */
@@ -646,13 +488,16 @@ static bool is_outlier(const fo_observer *o, const fo_state *s, const interval *
 static void update_measurement(const fo_observer *o, fo_state *s, fo_real row[FO_NX], fo_real rhs)
 {
     const fo_real e = add_row(&s->info, row, rhs, ONE, S);
-    const fo_real third0 = third_difference(s, 0), third1 = third_difference(s, 1);
+    const fo_real third[FO_N] = {third_difference(s->current[0][0], s->current[1][0],
+                                                  s->current[2][0], s->current[3][0]),
+                                 third_difference(s->current[0][1], s->current[1][1],
+                                                  s->current[2][1], s->current[3][1])};
     const fo_real share = o->h * e;
     s->power = o->rho * s->power + share * e;
     s->lag_one = o->rho * s->lag_one + share * s->innovation;
     s->innovation = e;
     s->info.noise[0] += o->noise_information * s->noise_inflation;
-    s->noise_ratio += o->h * ((third0 * third0 + third1 * third1) * o->over_noise - s->noise_ratio);
+    s->noise_ratio += o->h * (dot(third, third) * o->over_noise - s->noise_ratio);
     s->noise_inflation = s->noise_ratio > ONE ? s->noise_ratio : ONE;
 }
 
@@ -778,7 +623,7 @@ typedef struct {
  * rest. */
 static void solve_state(const fo_observer *o, fo_state *s, fo_real p[FO_N], solution *r)
 {
-    solve(s);
+    solve(&s->info, s->x);
     r->flux = &s->x[FLUX];
     r->drift = &s->x[DRIFT];
     r->square = position_vector(o, s, r->flux, p);
@@ -1066,7 +911,7 @@ static void process_sample(const fo_observer *o, fo_state *s, const fo_real sour
             } else {
                 s->step = step;
             }
-            predict(o, s, &t);
+            predict(o, &s->info, &t);
         } else {
             reset_information(s); /* no voltage connects the past to this sample */
         }

@@ -16,7 +16,7 @@ from .folder import joined
 from .header import Exported, isotropic, parameter_files, plain
 from .vectors import run
 
-SOURCES = ("fluxobs_real.h", "fluxobs.h", "fluxobs_internal.h", "fluxobs.c")
+SOURCES = ("fluxobs_real.h", "fluxobs.h", "fluxobs_internal.h", "fluxobs_algebra.h", "fluxobs.c")
 #: Needed only by a machine with a flux map.
 MAP_SOURCES = ("fluxobs_map.h", "fluxobs_map.c")
 ADAPTIVE_SOURCES = (
