@@ -12,14 +12,14 @@ const observer = await load();
 let different = 0;
 rows.forEach((row, k) => {
   if (k === Math.floor(rows.length / 2)) {
-    // past a reset, by a saved state
+    // a saved state must survive a reset
     const saved = observer.save();
     observer.reset();
     observer.restore(saved);
   }
-  const given = row.map((cell) => (cell === "nan" ? NaN : Number(cell)));
-  const found = observer.step(...given.slice(0, 4));
-  const same = head.slice(4).every((name, n) => Object.is(Number(found[name]) + 0, given[4 + n] + 0));
+  const cells = row.map((cell) => (cell === "nan" ? NaN : Number(cell)));
+  const estimate = observer.step(...cells.slice(0, 4));
+  const same = head.slice(4).every((name, n) => Object.is(Number(estimate[name]) + 0, cells[4 + n] + 0));
   different += same ? 0 : 1;
 });
 if (process.argv.includes("--json")) {
