@@ -127,7 +127,7 @@ class Module:
         line = getattr(node, "lineno", 0)
         return Unknown(f"{self.path}:{line}: no translation for {construct}")
 
-    def known(self, name: str) -> bool:
+    def is_defined(self, name: str) -> bool:
         return name in BUILTINS or any(name in scope for scope in self._scopes)
 
     @staticmethod
@@ -452,7 +452,7 @@ class Module:
         bases = ", ".join(self.expr(base) for base in node.bases)
         members, annotations = [], []
         checked = node.name in models_of(self.source)
-        own: set[str] = set()  # members so far
+        earlier: set[str] = set()  # members so far
         self._classes.append(node.name)
         for item in without_docstring(node.body):
             match item:
@@ -463,7 +463,7 @@ class Module:
                     for decorator in reversed(item.decorator_list):
                         value = f"{self.expr(decorator)}({value})"
                     members.append(f"$c.{name} = {value};")
-                    own.add(name)
+                    earlier.add(name)
                 case ast.AnnAssign(target=ast.Name(id=name), annotation=note, value=value):
                     is_field = "ClassVar" not in ast.unparse(note)
                     if is_field and checked:
@@ -471,11 +471,11 @@ class Module:
                     elif is_field:
                         annotations.append(name)
                     if value is not None:
-                        members.append(f"$c.{name} = {self.in_class(value, own)};")
-                        own.add(name)
+                        members.append(f"$c.{name} = {self.in_class(value, earlier)};")
+                        earlier.add(name)
                 case ast.Assign(targets=[ast.Name(id=name)], value=value):
-                    members.append(f"$c.{name} = {self.in_class(value, own)};")
-                    own.add(name)
+                    members.append(f"$c.{name} = {self.in_class(value, earlier)};")
+                    earlier.add(name)
                 case ast.If(test=ast.Name(id="TYPE_CHECKING")) | ast.Pass():
                     pass
                 case _:
@@ -490,9 +490,9 @@ class Module:
             code += f" {name} = {self.expr(decorator)}({name});"
         return code
 
-    def in_class(self, value: ast.expr, own: set[str]) -> str:
+    def in_class(self, value: ast.expr, earlier: set[str]) -> str:
         """Return an expression that may use earlier members of the class."""
-        names = {n.id for n in ast.walk(value) if isinstance(n, ast.Name)} & own
+        names = {n.id for n in ast.walk(value) if isinstance(n, ast.Name)} & earlier
         if not names:
             return self.expr(value)
         self._scopes.append(names)
@@ -539,7 +539,7 @@ class Module:
         return repr(value)
 
     def on_Name(self, node: ast.Name) -> str:
-        if not self.known(node.id):
+        if not self.is_defined(node.id):
             raise self.fail(node, f"the name {node.id}, which is not defined")
         return self.mangled(node.id)
 

@@ -187,7 +187,7 @@ def test_wrong_arguments_are_refused(units, instance):
         instance.restore, bytes(saved), message="not one that this unit has saved"
     )
     put = instance.unit.setFloat64 if instance.three else instance.unit.setReal
-    assert instance.refuses(put, [7], [1.0], message="not an input")
+    assert instance.refuses(put, [7], [1.0], message="no input")
 
 
 @pytest.mark.slow

@@ -53,9 +53,9 @@ ROWS = np.random.default_rng(1).normal(size=(3 * HEAD_ROWS, 4)).astype("<f4")
 def test_frames_come_in_any_pieces(cuts):
     frames = Frames()
     batches = [rows for piece in in_pieces(framed(ROWS), cuts) for rows in frames.feed(piece)]
-    found = whole(batches)
-    assert np.array_equal(np.stack([found[name] for name in NAMES], 1), ROWS.astype(float))
-    assert np.allclose(np.diff(unwrapped(found["t"])), 1e-4)
+    columns = whole(batches)
+    assert np.array_equal(np.stack([columns[name] for name in NAMES], 1), ROWS.astype(float))
+    assert np.allclose(np.diff(unwrapped(columns["t"])), 1e-4)
     assert frames.damaged == 0
     assert frames.layout == {"sample_time": 1e-4, "lag": 1.0}
 
@@ -67,23 +67,23 @@ def test_damaged_frames_are_left_out_and_the_others_stay_at_their_times(damages)
     for at, change in damages:
         data[at] ^= change
     frames = Frames()
-    found = whole(frames.feed(bytes(data)))
-    row = np.round(unwrapped(found["t"]) / 1e-4).astype(int)
+    columns = whole(frames.feed(bytes(data)))
+    row = np.round(unwrapped(columns["t"]) / 1e-4).astype(int)
     row -= row[-1] - (len(ROWS) - 1)
-    assert np.array_equal(found["i_beta"], ROWS[row, 3].astype(float))
+    assert np.array_equal(columns["i_beta"], ROWS[row, 3].astype(float))
     assert len(ROWS) - len(row) <= 3 * len(damages)  # a damaged length swallows more than one row
 
 
 def test_bytes_between_frames_are_skipped():
     data = b"boot\r\n" + MARK + b"x" + framed(ROWS) + MARK
-    found = whole(Frames().feed(data))
-    assert np.array_equal(found["u_beta"], ROWS[:, 1].astype(float))
+    columns = whole(Frames().feed(data))
+    assert np.array_equal(columns["u_beta"], ROWS[:, 1].astype(float))
 
 
 def test_samples_before_the_header_are_skipped():
     data = framed(ROWS, again=700)
-    found = whole(Frames().feed(data[data.index(MARK, 40) :]))
-    assert len(found["t"]) == len(ROWS) - 700
+    columns = whole(Frames().feed(data[data.index(MARK, 40) :]))
+    assert len(columns["t"]) == len(ROWS) - 700
 
 
 @pytest.mark.parametrize(
@@ -125,12 +125,12 @@ def test_the_telemetry_of_an_export_is_read(tmp_path):
     )
     sent = subprocess.run([tmp_path / "send"], check=True, capture_output=True).stdout
     frames = Frames()
-    found = whole(frames.feed(sent))
+    columns = whole(frames.feed(sent))
     k = np.array([k for k in range(65000, 70000) if k % 7])
-    assert np.array_equal(found["u_alpha"], k)
-    assert np.allclose(found["t"], 5e-5 * (k % 65536), rtol=1e-12)
-    assert set(found["u_beta"]) == {np.float32(-0.1)}
-    assert set(found["i_alpha"]) == {np.float32(1e-30)}
+    assert np.array_equal(columns["u_alpha"], k)
+    assert np.allclose(columns["t"], 5e-5 * (k % 65536), rtol=1e-12)
+    assert set(columns["u_beta"]) == {np.float32(-0.1)}
+    assert set(columns["i_alpha"]) == {np.float32(1e-30)}
     assert frames.layout == {"sample_time": 5e-5, "lag": 1.0}
     assert frames.damaged == 0
 
@@ -154,9 +154,9 @@ TEXT = lines_of(TIMED).encode()
 def test_lines_come_in_any_pieces(tmp_path_factory, cuts):
     lines = Lines(tmp_path_factory.mktemp("head") / "stream")
     batches = [rows for piece in in_pieces(TEXT, cuts) for rows in lines.feed(piece)]
-    found = whole(batches)
-    assert np.array_equal(found["i_beta"], ROWS[:, 3].astype(float).round(9)) or np.allclose(
-        found["i_beta"], ROWS[:, 3], rtol=1e-8
+    columns = whole(batches)
+    assert np.array_equal(columns["i_beta"], ROWS[:, 3].astype(float).round(9)) or np.allclose(
+        columns["i_beta"], ROWS[:, 3], rtol=1e-8
     )
     assert recorded(lines, batches) == TEXT
 
@@ -165,8 +165,8 @@ def test_a_stream_that_is_joined_midway(tmp_path):
     header, *rows = TEXT.decode().splitlines(keepends=True)
     rows.insert(300, header)
     joined = "".join(rows)[17:].encode()  # within a line
-    found = whole(Lines(tmp_path / "stream").feed(joined, last=True))
-    assert np.array_equal(found["t"], TIMED[300:, 0].round(12))
+    columns = whole(Lines(tmp_path / "stream").feed(joined, last=True))
+    assert np.array_equal(columns["t"], TIMED[300:, 0].round(12))
 
 
 def test_a_header_between_rows_comments_and_blank_lines_are_no_rows(tmp_path):
@@ -174,9 +174,9 @@ def test_a_header_between_rows_comments_and_blank_lines_are_no_rows(tmp_path):
     lines = Lines(tmp_path / "stream")
     first = whole(lines.feed((header + "".join(rows[:HEAD_LINES])).encode()))
     more = ["# hello\n", "\n", header, *rows[HEAD_LINES:], header]
-    found = whole(lines.feed("".join(more).encode()))
-    assert len(first["t"]) + len(found["t"]) == len(rows)
-    assert np.isfinite(found["t"]).all()
+    columns = whole(lines.feed("".join(more).encode()))
+    assert len(first["t"]) + len(columns["t"]) == len(rows)
+    assert np.isfinite(columns["t"]).all()
     assert lines.damaged == 0
 
 
@@ -185,10 +185,10 @@ def test_damaged_lines_are_counted_and_keep_their_place(tmp_path):
     lines = Lines(tmp_path / "stream")
     lines.feed((header + "".join(rows[:HEAD_LINES])).encode())
     bad = ["1,2,3,4,5,6,7\n", 'x"y\n', "12.5\n", "\xff\xfe,1,2,3,4\n"]
-    found = whole(lines.feed("".join([*bad, *rows[-3:]]).encode("latin-1")))
-    assert len(found["t"]) == 7
-    assert np.isnan(found["i_beta"][:3]).all()
-    assert np.isfinite(found["i_beta"][-3:]).all()
+    columns = whole(lines.feed("".join([*bad, *rows[-3:]]).encode("latin-1")))
+    assert len(columns["t"]) == 7
+    assert np.isnan(columns["i_beta"][:3]).all()
+    assert np.isfinite(columns["i_beta"][-3:]).all()
     assert lines.damaged == 3  # in the fourth line only one cell is not a number
 
 
@@ -227,17 +227,17 @@ NAN = np.nan
 
 
 def test_gaps_are_filled_with_nan():
-    counts, found = spaced([0, 0.01, 0.02, 0.05, 0.06, 0.16])
-    assert np.allclose(np.diff(found["t"]), 0.01)
+    counts, columns = spaced([0, 0.01, 0.02, 0.05, 0.06, 0.16])
+    assert np.allclose(np.diff(columns["t"]), 0.01)
     assert counts == (2 + 9, 0, 0)
-    assert np.array_equal(found["i"], [0, 1, 2, NAN, NAN, 3, 4, *[NAN] * 9, 5], equal_nan=True)
+    assert np.array_equal(columns["i"], [0, 1, 2, NAN, NAN, 3, 4, *[NAN] * 9, 5], equal_nan=True)
 
 
 def test_time_continues_when_the_sender_restarts():
-    counts, found = spaced([5.0, 5.01, 5.02, 0.0, 0.01])
+    counts, columns = spaced([5.0, 5.01, 5.02, 0.0, 0.01])
     assert counts == (1, 1, 0)
-    assert np.allclose(found["t"], 5.0 + 0.01 * np.arange(6))
-    assert np.isnan(found["i"][3])
+    assert np.allclose(columns["t"], 5.0 + 0.01 * np.arange(6))
+    assert np.isnan(columns["i"][3])
 
 
 @pytest.mark.parametrize(
@@ -258,10 +258,10 @@ def test_time_continues_when_the_sender_restarts():
     ],
 )
 def test_rows_out_of_order_are_left_out(stamps, numbers, counts):
-    found_counts, found = spaced(0.01 * np.array(stamps))
-    assert found_counts == counts
-    assert np.array_equal(found["i"], numbers, equal_nan=True)
-    assert np.allclose(np.diff(found["t"]), 0.01)
+    actual, columns = spaced(0.01 * np.array(stamps))
+    assert actual == counts
+    assert np.array_equal(columns["i"], numbers, equal_nan=True)
+    assert np.allclose(np.diff(columns["t"]), 0.01)
 
 
 def wrapping(wrap):
@@ -270,23 +270,23 @@ def wrapping(wrap):
 
 
 def test_time_continues_when_a_counter_wraps():
-    counts, found = spaced(0.01 * np.arange(40) % 0.16, wrapping(0.16))
+    counts, columns = spaced(0.01 * np.arange(40) % 0.16, wrapping(0.16))
     assert counts == (0, 0, 0)
-    assert np.allclose(found["t"], 0.01 * np.arange(40))
+    assert np.allclose(columns["t"], 0.01 * np.arange(40))
 
 
 def test_rows_out_of_order_where_a_counter_wraps():
     number = np.array([14, 15, 15, 17, 16, 18, 19, 16, 20, 33, 34])
-    counts, found = spaced(0.01 * (number % 32), wrapping(0.32))
+    counts, columns = spaced(0.01 * (number % 32), wrapping(0.32))
     assert counts == (1 + 12, 0, 3)
-    assert np.allclose(found["t"], 0.01 * np.arange(14, 35))
+    assert np.allclose(columns["t"], 0.01 * np.arange(14, 35))
 
 
 def test_a_long_gap_is_shortened():
-    counts, found = spaced([0, 0.01, 1e4, 1e4 + 0.01])
+    counts, columns = spaced([0, 0.01, 1e4, 1e4 + 0.01])
     assert counts[0] > 900_000
-    assert len(found["t"]) < 20_000
-    assert found["t"][-2] == pytest.approx(1e4)
+    assert len(columns["t"]) < 20_000
+    assert columns["t"][-2] == pytest.approx(1e4)
 
 
 def test_rounded_stamps_make_no_gaps():
@@ -332,10 +332,10 @@ def test_damaged_first_lines(tmp_path, lines, damaged, missing):
         reader = Lines(tmp_path / "stream")
         data = b"".join(lines)
         batches = [b for k in range(0, len(data), piece) for b in reader.feed(data[k : k + piece])]
-        found = whole(batches)
-        assert list(found) == ["t", *NAMES]
-        assert len(found["t"]) == len(ROWS) - missing
-        assert np.isfinite(found["i_beta"]).all()
+        columns = whole(batches)
+        assert list(columns) == ["t", *NAMES]
+        assert len(columns["t"]) == len(ROWS) - missing
+        assert np.isfinite(columns["i_beta"]).all()
         assert reader.damaged == damaged
 
 

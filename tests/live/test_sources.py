@@ -93,9 +93,9 @@ def test_datagrams():
     source = open_source(f"udp:{port}", 0)
 
     def send():
-        with sender() as out:
+        with sender() as drive:
             for k in range(100):
-                out.sendto(b"%04d\n" % k, ("127.0.0.1", port))
+                drive.sendto(b"%04d\n" % k, ("127.0.0.1", port))
 
     assert until(source, 500, send) == b"".join(b"%04d\n" % k for k in range(100))
 
@@ -111,8 +111,8 @@ def test_datagrams_of_another_sender_are_left_out_and_counted(monkeypatch):
         def received(seconds, *datagrams):
             """Return what the source reads of datagrams (sender, data) sent `seconds` later."""
             now[0] += seconds
-            for out, data in datagrams:
-                out.sendto(data, ("127.0.0.1", port))
+            for origin, data in datagrams:
+                origin.sendto(data, ("127.0.0.1", port))
             return b"".join(next(chunks) for _ in range(4))
 
         stray.bind(("127.0.0.1", 0))

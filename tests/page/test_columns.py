@@ -60,7 +60,7 @@ def test_decimals_are_kept_as_whole_numbers(whole, places):
     arrays(float, st.integers(1, 200), elements=st.floats(-1e6, 1e6) | st.just(np.nan)),
     st.floats(1e-6, 1.0),
 )
-def test_a_rounded_column_keeps_its_largest_error(values, at_most):
+def test_a_rounded_column_stays_within_its_largest_error(values, at_most):
     found = unpacked(rounded(values, at_most))
     assert (np.isnan(found) == np.isnan(values)).all()
     limit = max(at_most, np.nanmax(np.abs(values), initial=0.0) / 2**30)

@@ -129,16 +129,16 @@ def test_the_oldest_rows_are_dropped(window):
     page.until("() => document.body.dataset.ready")
     states = page.js(
         """() => {
-            const made = new fluxobs.Recent(["t", "valid"], new Set(["valid"]), 1024);
-            const out = [];
+            const view = new fluxobs.Recent(["t", "valid"], new Set(["valid"]), 1024);
+            const states = [];
             let k = 0;
             for (const count of [100, 500, 300, 200, 700, 64, 1]) {
                 const t = Float64Array.from({ length: count }, () => k++);
-                made.append({ t, valid: new Uint8Array(count).fill(1) });
-                const [low, high] = made.range("t", 0, made.rows);
-                out.push([made.rows, low, high, made.t[0], made.t[made.rows - 1]]);
+                view.append({ t, valid: new Uint8Array(count).fill(1) });
+                const [low, high] = view.range("t", 0, view.rows);
+                states.push([view.rows, low, high, view.t[0], view.t[view.rows - 1]]);
             }
-            return out;
+            return states;
         }"""
     )
     last = -1

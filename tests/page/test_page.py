@@ -142,9 +142,9 @@ def test_values_at_the_cursor_belong_to_one_row(page):
 
     def check():
         opened_page.page.wait_for_timeout(100)
-        t, _, found = (value.inner_text() for value in panel.locator(".u-value").all())
+        t, _, shown = (value.inner_text() for value in panel.locator(".u-value").all())
         row = round(float(t.removesuffix(" s")) / 2e-4)
-        assert float(found) == pytest.approx(true[row], abs=6e-3), t
+        assert float(shown) == pytest.approx(true[row], abs=6e-3), t
         return row
 
     def move(share):

@@ -189,7 +189,7 @@ def _define(sources: dict[str, str], line: str, value: int) -> None:
 
 
 def _voltage_uncertainty(observer: Exported, machine: RotatingMachine) -> float:
-    """Return the voltage error of resistance and inverter at the rated current [V], 1 σ."""
+    """Return the voltage uncertainty from resistance and inverter at the rated current [V]."""
     if not isinstance(observer, AdaptiveObserver):
         return 0.0
     resistance = observer.resistance_std * (machine.rated_current or 0.0)

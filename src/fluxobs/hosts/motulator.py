@@ -132,8 +132,8 @@ def place(
     FluxobsError
         The controller has a sensor, or the sample times differ.
     """
-    own = getattr(controller, "observer", None)
-    if not isinstance(own, SpeedFluxObserver) or not controller.sensorless:
+    original = getattr(controller, "observer", None)
+    if not isinstance(original, SpeedFluxObserver) or not controller.sensorless:
         raise FluxobsError(
             "the controller must be a sensorless controller of a synchronous machine"
         )
@@ -150,6 +150,6 @@ def place(
             f"the observer steps every {observer.sample_time:g} s, the controller every "
             f"{controller.T_s:g} s; both must be equal"
         )
-    controller.observer = FluxobsObserver(own, observer)
+    controller.observer = FluxobsObserver(original, observer)
     placed: FluxobsObserver = controller.observer
     return placed

@@ -35,7 +35,7 @@ class Ordered(NamedTuple):
 
 
 class Order:
-    """Sorts rows by time.
+    """Filter that puts rows in the order of their time stamps.
 
     A row that does not follow the row before it is held back until the next row. If the next row
     follows the held row, samples are missing or the sender restarted. If it follows the row before,

@@ -55,20 +55,20 @@ def rounded(values: Array, at_most: float | None = None) -> dict[str, Any]:
     at_most : float, optional
         Largest rounding error; default ROUNDED times the noise.
     """
-    known = np.isfinite(values)
-    finite = values[known]
+    present = np.isfinite(values)
+    finite = values[present]
     span = float(np.ptp(finite)) if len(finite) else 0.0
     noise = float(np.median(np.abs(np.diff(finite, 3)))) / 3 if len(finite) > 3 else 0.0
     step = 2 * (at_most if at_most is not None else max(ROUNDED * noise, 1e-7 * span))
     largest = float(np.abs(finite).max(initial=0.0))
     step = max(step, largest / LARGEST, 1e-300)
-    filled = np.where(known, values, 0.0)
-    if not known.all():  # missing values repeat their neighbour and are flagged
-        at = np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))
-        filled = np.where(known[at], values[at], 0.0)
+    filled = np.where(present, values, 0.0)
+    if not present.all():  # missing values repeat their neighbour and are flagged
+        at = np.maximum.accumulate(np.where(present, np.arange(len(values)), 0))
+        filled = np.where(present[at], values[at], 0.0)
     column = _whole(np.round(filled / step).astype(np.int64), step, divide=False)
-    if not known.all():
-        column["missing"] = flags(~known)
+    if not present.all():
+        column["missing"] = flags(~present)
     return column
 
 

@@ -17,13 +17,13 @@ void setup() {
     Serial.print(r.valid);
     Serial.println(" with a valid position");
     if (r.damaged || r.valid == 0) {
-        Serial.println("FAILED: the record differs from the exported one");
+        Serial.println("FAILED: the record is not the one that was written");
     } else if (r.wrong == 0 && !r.between) {
         Serial.println("Every output is equal bit for bit.");
     } else if (r.flux_error < 1e-4 && r.angle_error < 1e-3) {
         Serial.println("Equal within rounding: this compiler fuses multiplications and additions.");
     } else {
-        Serial.println("FAILED: the outputs differ from the library's");
+        Serial.println("FAILED: the outputs are not the library's");
     }
 }
 

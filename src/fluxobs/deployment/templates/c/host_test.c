@@ -27,7 +27,7 @@ int main(void)
         printf("FAILED: a sample between those listed is not as expected\n");
     }
     if (r.valid == 0) {
-        printf("FAILED: the position never becomes valid\n");
+        printf("FAILED: no position is ever known\n");
     }
     return r.damaged || r.wrong > 0 || r.between || r.valid == 0 ? 1 : 0;
 }

@@ -30,14 +30,14 @@ def read_record():
 def save(unit, three):
     """Return the state in bytes."""
     state = unit.getFMUState() if three else unit.getFMUstate()
-    saved = unit.serializeFMUState(state) if three else unit.serializeFMUstate(state)
+    kept = unit.serializeFMUState(state) if three else unit.serializeFMUstate(state)
     (unit.freeFMUState if three else unit.freeFMUstate)(state)
-    return saved
+    return kept
 
 
-def restore(unit, three, saved):
+def restore(unit, three, kept):
     """Set the state from bytes."""
-    state = unit.deserializeFMUState(saved) if three else unit.deSerializeFMUstate(saved)
+    state = unit.deserializeFMUState(kept) if three else unit.deSerializeFMUstate(kept)
     (unit.setFMUState if three else unit.setFMUstate)(state)
     (unit.freeFMUState if three else unit.freeFMUstate)(state)
 
@@ -61,21 +61,21 @@ def replay(path):
             unit.setupExperiment()
         unit.enterInitializationMode()
         unit.exitInitializationMode()
-        number = {v.name: v.valueReference for v in description.modelVariables}
-        inputs = [number[name] for name in names[:INPUTS]]
-        outputs = [number[name] for name in names[INPUTS:-1]]
+        number = {one.name: one.valueReference for one in description.modelVariables}
+        given = [number[name] for name in names[:INPUTS]]
+        found = [number[name] for name in names[INPUTS:-1]]
         valid = [number[names[-1]]]
         put = unit.setFloat64 if three else unit.setReal
         get = unit.getFloat64 if three else unit.getReal
         different = 0
         for k, row in enumerate(rows):
             if k == len(rows) // 2:  # a state saved as bytes must survive a reset
-                saved = save(unit, three)
+                kept = save(unit, three)
                 unit.reset()
-                restore(unit, three, saved)
-            put(inputs, row[:INPUTS])
+                restore(unit, three, kept)
+            put(given, row[:INPUTS])
             unit.doStep(currentCommunicationPoint=k * step, communicationStepSize=step)
-            result = list(get(outputs)) + [float(x) for x in unit.getBoolean(valid)]
+            result = list(get(found)) + [float(x) for x in unit.getBoolean(valid)]
             same = all(
                 a == b or (a != a and b != b) for a, b in zip(result, row[INPUTS:], strict=True)
             )
@@ -106,10 +106,9 @@ def main():
     if "--json" in sys.argv:
         print(json.dumps(results))
     else:
-        for result in results:
-            equal = result["rows"] - result["different"]
-            print(f"{result['what']}: {equal} of {result['rows']} rows equal")
-    return 1 if not results or any(result["different"] for result in results) else 0
+        for one in results:
+            print(f"{one['what']}: {one['rows'] - one['different']} of {one['rows']} rows equal")
+    return 1 if not results or any(one["different"] for one in results) else 0
 
 
 if __name__ == "__main__":

@@ -111,7 +111,7 @@ bool unit_get(unit *u, uint32_t reference, double *value)
     } else if (good) {
         *value = outputs[reference - (uint32_t)UNIT_FIRST];
     } else {
-        u->log(u, true, "no variable has this value reference");
+        u->log(u, true, "there is no variable with this value reference");
     }
     return good;
 }
@@ -122,7 +122,7 @@ static bool set(unit *u, uint32_t reference, double value)
     if (good) {
         u->data.input[reference - 1U] = (fo_real)value;
     } else {
-        u->log(u, true, "this variable is not an input");
+        u->log(u, true, "this variable is no input");
     }
     return good;
 }

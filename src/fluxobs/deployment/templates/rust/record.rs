@@ -11,12 +11,12 @@ fn every_output_is_the_librarys() {
             .split(',')
             .map(|cell| cell.parse::<f64>().expect("a number") as f32)
             .collect();
-        let estimate = observer.step([row[0], row[1]], [row[2], row[3]]);
-        for (n, (is, right)) in estimate.numbers().iter().zip(&row[4..]).enumerate() {
+        let found = observer.step([row[0], row[1]], [row[2], row[3]]);
+        for (n, (is, right)) in found.numbers().iter().zip(&row[4..]).enumerate() {
             assert_eq!(is.to_bits(), right.to_bits(), "row {rows}, output {n}: {is} for {right}");
         }
         rows += 1;
-        valid += usize::from(estimate.valid);
+        valid += usize::from(found.valid);
     }
     assert!(rows > 1000 && valid > 0);
 }
@@ -26,6 +26,6 @@ fn a_seed_is_carried_on() {
     let mut observer = Observer::new();
     let at = Seed { theta_e: 1.0, theta_e_std: 0.05, ..Seed::default() };
     observer.seed(&at, [0.0, 0.0]);
-    let estimate = observer.step([0.0, 0.0], [0.0, 0.0]);
-    assert!((estimate.theta_e - 1.0).abs() < 0.01 && !estimate.valid);
+    let found = observer.step([0.0, 0.0], [0.0, 0.0]);
+    assert!((found.theta_e - 1.0).abs() < 0.01 && !found.valid);
 }

@@ -17,9 +17,9 @@ rows.forEach((row, k) => {
     observer.reset();
     observer.restore(saved);
   }
-  const cells = row.map((cell) => (cell === "nan" ? NaN : Number(cell)));
-  const estimate = observer.step(...cells.slice(0, 4));
-  const same = head.slice(4).every((name, n) => Object.is(Number(estimate[name]) + 0, cells[4 + n] + 0));
+  const given = row.map((cell) => (cell === "nan" ? NaN : Number(cell)));
+  const found = observer.step(...given.slice(0, 4));
+  const same = head.slice(4).every((name, n) => Object.is(Number(found[name]) + 0, given[4 + n] + 0));
   different += same ? 0 : 1;
 });
 if (process.argv.includes("--json")) {

@@ -28,11 +28,11 @@ class Observer {
   step(u_alpha, u_beta, i_alpha, i_beta) {
     this.inputs.set([u_alpha, u_beta, i_alpha, i_beta]);
     this.exports.step();
-    const estimate = {};
+    const found = {};
     OUTPUTS.forEach((name, k) => {
-      estimate[name] = BOOLEAN.has(name) ? this.outputs[k] > 0.5 : this.outputs[k];
+      found[name] = BOOLEAN.has(name) ? this.outputs[k] > 0.5 : this.outputs[k];
     });
-    return estimate;
+    return found;
   }
 
   // Return the state as bytes for restore(), preceded by the module's content: restore() accepts only
@@ -73,14 +73,14 @@ class Observer {
 
 // Return a new observer. Without `module` (bytes or a compiled module), load the file beside this one.
 export async function load(module) {
-  let source = module;
-  if (source === undefined) {
+  let given = module;
+  if (given === undefined) {
     const place = new URL("./@prefix@.wasm", import.meta.url);
-    source =
+    given =
       place.protocol === "file:"
         ? await (await import("node:fs/promises")).readFile(place)
         : await (await fetch(place)).arrayBuffer();
   }
-  const loaded = await WebAssembly.instantiate(source, {});
-  return new Observer((loaded.instance ?? loaded).exports);
+  const made = await WebAssembly.instantiate(given, {});
+  return new Observer((made.instance ?? made).exports);
 }
