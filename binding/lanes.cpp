@@ -55,9 +55,9 @@ inline bool any(M mask) {
 #if defined(__AVX2__)
     return !_mm256_testz_si256(reinterpret_cast<__m256i>(mask), reinterpret_cast<__m256i>(mask));
 #else
-    integer estimates = 0;
-    for (int k = 0; k < LANES; k++) estimates |= mask[k];
-    return estimates != 0;
+    integer bits = 0;
+    for (int k = 0; k < LANES; k++) bits |= mask[k];
+    return bits != 0;
 #endif
 }
 inline V root(V x) {
@@ -378,14 +378,14 @@ inline void track(const fo_observer &o, Lanes &l, V theta, M stopped) {
     auto &t = l.tracker;
     const V turn_by = h * (t.speed + h * t.acceleration / TWO);
     const V predicted = wrapped(t.angle + turn_by), error = wrapped(theta - predicted);
-    const M estimates = ~stopped & l.lost;
+    const M resumes = ~stopped & l.lost;
     const M follows = ~stopped & ~l.lost & (size(turn_by) <= PI);
     const M near = follows & (size(error) <= TRACKER_LOST);
     const V turned = wrapped(theta - t.angle) / h;
     l.lost = follows & ~near;
     t.angle = select(near, wrapped(predicted + o.track[0] * error), theta);
     t.speed = select(near, t.speed + (h * t.acceleration + o.track[1] * error),
-                     select(estimates, turned, V{}));
+                     select(resumes, turned, V{}));
     t.acceleration = select(near, t.acceleration + o.track[2] * error, V{});
     t.settled = select(l.lost, V{}, t.settled);
 }

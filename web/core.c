@@ -1,5 +1,5 @@
-/* The observers for a WebAssembly host: memory, the names of fields with their places, and runs over
- * rows. No field is named here: all come from the lists of the C headers. */
+/* Interface of the observers for a WebAssembly host: memory, names and offsets of fields, and runs
+ * over rows. All field names come from the lists in the C headers. */
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
@@ -44,7 +44,7 @@ static const field usual_names[] = {FO_USUAL(USUAL){0, 0, 0}};
 static const double usual_values[] = {FO_USUAL(USUAL_VALUE)};
 static const double threshold_values[] = {FO_THRESHOLDS(THRESHOLD_VALUE)};
 
-/* Lists end with a name of 0. */
+/* Each list ends with a null name. */
 const field *EXPORT(fields)(int of)
 {
     static const field *const lists[] = {config_fields, adaptive_fields, map_fields,
@@ -88,7 +88,7 @@ void EXPORT(shape_map)(fo_map *map, int kind, int magnets, int nodes_d, int node
     map->coefficients = coefficients;
 }
 
-/* Prepare an observer; `map` may be 0. They return an fo_error. */
+/* make_plain and make_adaptive prepare an observer; `map` may be null. They return an fo_error. */
 int EXPORT(make_plain)(fo_observer *observer, const fo_config *config, const fo_map *map)
 {
     const fo_error error = fo_init(observer, config);
@@ -109,7 +109,7 @@ void EXPORT(reset_adaptive)(const fo_adaptive *observer, fo_adaptive_state *stat
     fo_adaptive_reset(observer, state);
 }
 
-/* Rows of [2] source and current -> columns [COLUMNS][rows], valid [rows]. */
+/* Runs over rows of source [2] and current [2]; writes columns [COLUMNS][rows] and valid [rows]. */
 void EXPORT(run_plain)(const fo_observer *observer, fo_state *state, const fo_real *source,
                        const fo_real *current, uint32_t rows, int volt_seconds, double *columns,
                        uint8_t *valid)

@@ -1,5 +1,7 @@
-"""What of others is in the page: for its notices, and the bill of materials of a wheel
-(packaging/sbom.py)."""
+"""Third-party software in the page, for its notices and a wheel's bill of materials.
+
+The bill of materials is packaging/sbom.py.
+"""
 
 from __future__ import annotations
 
@@ -10,41 +12,44 @@ from pathlib import Path
 from typing import Any
 
 WEB = Path(__file__).parent
-#: How the text of a licence begins, below its title and owner.
+#: First words of a licence below its title and owner.
 BEGINNINGS = ("Permission is hereby granted", "Redistribution and use")
 
 
 def libraries() -> list[dict[str, Any]]:
-    """Name, version, home, licence and its text of each: those of package-lock.json that are not
-    tools, and what Zig links into the module: its run-time library, and the C library of WASI."""
+    """Return name, version, home, licence and licence text of each library in the page.
+
+    These are the packages of package-lock.json except tools, and what Zig links into the module:
+    its run-time library and the C library of WASI.
+    """
     lock = json.loads((WEB / "package-lock.json").read_text("utf-8"))["packages"]
-    found = [
+    packages = [
         {
             "name": path.removeprefix("node_modules/"),
-            "version": one["version"],
+            "version": entry["version"],
             "home": "npm",
-            "licence": one["license"],
+            "licence": entry["license"],
             "text": (WEB / path / "LICENSE").read_text("utf-8"),
         }
-        for path, one in lock.items()
-        if path and not one.get("dev")
+        for path, entry in lock.items()
+        if path and not entry.get("dev")
     ]
     zig = Path(importlib.util.find_spec("ziglang").origin).parent
     runtime = {"name": "ziglang", "version": metadata.version("ziglang"), "home": "pypi"}
     runtime |= {"licence": "MIT", "text": (zig / "LICENSE").read_text("utf-8")}
-    # Zig does not say which version of wasi-libc it holds.
+    # Zig does not state the version of its wasi-libc.
     libc = {"name": "wasi-libc", "version": None, "home": "github/WebAssembly"}
     libc |= {"licence": "Apache-2.0 WITH LLVM-exception OR Apache-2.0 OR MIT"}
-    return [*found, runtime, libc]
+    return [*packages, runtime, libc]
 
 
-def notices(of: list[dict[str, Any]]) -> str:
-    """What their licences want in every copy: each text once, below those whom it is from."""
-    found: dict[str, list[str]] = {}
-    for one in of:
-        text = " ".join(one.get("text", "").split())
+def notices(components: list[dict[str, Any]]) -> str:
+    """Return the notices that the licences require: each text once, below its copyright owners."""
+    owners_of: dict[str, list[str]] = {}
+    for component in components:
+        text = " ".join(component.get("text", "").split())
         begin = max(map(text.find, BEGINNINGS))
         if begin >= 0:
             owner = text[text.find("Copyright") : begin].strip()
-            found.setdefault(text[begin:], []).append(f"{one['name']}: {owner}")
-    return "\n\n".join("\n".join([*owners, text]) for text, owners in found.items()) + "\n"
+            owners_of.setdefault(text[begin:], []).append(f"{component['name']}: {owner}")
+    return "\n\n".join("\n".join([*owners, text]) for text, owners in owners_of.items()) + "\n"

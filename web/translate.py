@@ -1,10 +1,10 @@
-"""Translates modules of the package into JavaScript, so that a browser runs the same program.
+"""Translate modules of the package into JavaScript, so that a browser runs the same program.
 
-The page has to read logs, prepare runs and find words exactly as the command line does, in some
-kilobytes. So no line of that is written twice: this program turns the modules' syntax trees into
-JavaScript that calls `runtime/` for what the two languages do differently (truth, equality,
-operators of arrays, keyword arguments, classes). It knows the part of Python that the package uses;
-anything else is an error that names file and line, never a guess.
+The page must read logs, prepare runs and word messages exactly as the command line does, in some
+kilobytes. So no line is written twice: this program turns the syntax trees of the modules into
+JavaScript that calls `runtime/` where the two languages differ (truth, equality, array operators,
+keyword arguments, classes). It supports the part of Python that the package uses; anything else is
+an error that names file and line, never a guess.
 """
 
 from __future__ import annotations
@@ -24,16 +24,25 @@ from scopes import (
     targets,
     without_docstring,
 )
-from used import alive, called_by_name, kept, methods_of, models_of, names_of, used, words
+from used import (
+    alive,
+    called_by_name,
+    live_statements,
+    methods_of,
+    models_of,
+    names_of,
+    used,
+    words_in,
+)
 
-#: Words that are names in Python but not in JavaScript.
+#: Reserved words of JavaScript that can be names in Python.
 _RESERVED = """
 arguments await case catch const debugger default delete do enum eval export extends function
 implements instanceof interface let new null package private protected public static super
 switch this throw true false typeof undefined var void
 """
 RESERVED = frozenset(_RESERVED.split())
-#: Methods of strings, lists and bytes, which are no objects of ours: the runtime has them.
+#: Methods of strings, lists and bytes, which the runtime provides.
 _METHODS = """
 append count decode encode endswith extend find format hex index insert isalpha isdigit isprintable
 isspace join lower lstrip partition pop removeprefix removesuffix remove replace reverse rfind
@@ -66,7 +75,7 @@ COMPARISONS = {
     ast.In: "in_",
     ast.NotIn: "notin",
 }
-#: Names that the runtime defines in every module.
+#: Built-in names that the runtime defines.
 _BUILTINS = """
 ArithmeticError BaseException Exception FileNotFoundError IndexError KeyError
 NotImplementedError OSError OverflowError StopIteration TypeError UnicodeDecodeError ValueError
@@ -76,12 +85,12 @@ object open ord pow print property classmethod staticmethod range repr reversed 
 setattr slice sorted str sum super tuple type zip
 """
 BUILTINS = frozenset(_BUILTINS.split())
-#: Modules whose names stand in annotations, for the most part.
+#: Modules whose names are used mostly in annotations.
 TYPES = ("typing", "numpy.typing", "collections.abc")
 
 
 class Unknown(SyntaxError):
-    """A construct that has no translation."""
+    """Raised for a construct without a translation."""
 
 
 class Module:
@@ -90,7 +99,7 @@ class Module:
     Parameters
     ----------
     name : str
-        With dots.
+        Dotted name.
     source : Path
         Folder of the package.
     path : Path
@@ -100,25 +109,25 @@ class Module:
 
     def __init__(self, name: str, source: Path, path: Path, modules: set[str]) -> None:
         self.name, self.source, self.path, self.modules = name, source, path, modules
-        self.live: set[str] | None = None  # words that are used; None: all
-        self.by_name: set[str] | None = None  # functions that get arguments by name; None: all
+        self.live: set[str] | None = None  # words in use; None: all
+        self.by_name: set[str] | None = None  # functions called with keyword arguments; None: all
         self.package = name if path.name == "__init__.py" else name.rpartition(".")[0]
         self.tree = ast.parse(path.read_text(encoding="utf-8"))
         self._temporaries = 0
         self._scopes: list[set[str]] = []
         self._classes: list[str] = []
         self._self: list[str | None] = []
-        self._loops: list[str] = []  # labels to break to, where a loop has an else
+        self._loops: list[str] = []  # labels of loops with an else, for break
         self.imports: set[str] = set()
-        self._types: dict[str, str] = {}  # names for annotations: how they are imported
+        self._types: dict[str, str] = {}  # name used in annotations → its import
 
     # ---- names ---------------------------------------------------------------------------
 
-    def fail(self, node: ast.AST, what: str) -> Unknown:
+    def fail(self, node: ast.AST, construct: str) -> Unknown:
         line = getattr(node, "lineno", 0)
-        return Unknown(f"{self.path}:{line}: no translation for {what}")
+        return Unknown(f"{self.path}:{line}: no translation for {construct}")
 
-    def known(self, name: str) -> bool:
+    def is_defined(self, name: str) -> bool:
         return name in BUILTINS or any(name in scope for scope in self._scopes)
 
     @staticmethod
@@ -130,20 +139,23 @@ class Module:
         return f"$v{self._temporaries}"
 
     def text(self, live: set[str] | None = None, by_name: set[str] | None = None) -> str:
-        """The module as JavaScript; with `live`, only definitions whose names are among it; with
-        `by_name`, names of arguments only for functions whose names are among that."""
+        """Return the module as JavaScript.
+
+        With `live`, only definitions with these names are included; with `by_name`, only functions
+        with these names get the names of their arguments.
+        """
         self.live, self.by_name = live, by_name
         if live is not None:
-            self.tree.body = kept(self.tree.body, live, set())
-            inside = words(self.tree.body)
-            self.tree.body = kept(self.tree.body, live, inside)
+            self.tree.body = live_statements(self.tree.body, live, set())
+            inside = words_in(self.tree.body)
+            self.tree.body = live_statements(self.tree.body, live, inside)
         names = assigned(self.tree.body) | defined(self.tree.body)
         self._scopes.append(names | {"__package__", "__name__"})
         self._self.append(None)
         body = self.block(without_docstring(self.tree.body))
-        spoken = {n for n in self._types if re.search(rf"(?<![\w$]){re.escape(n)}(?![\w$])", body)}
-        names -= set(self._types) - spoken
-        body = "".join([self._types[n] + "\n" for n in sorted(spoken)]) + body
+        needed = {n for n in self._types if re.search(rf"(?<![\w$]){re.escape(n)}(?![\w$])", body)}
+        names -= set(self._types) - needed
+        body = "".join([self._types[n] + "\n" for n in sorted(needed)]) + body
         declared = ", ".join(sorted(self.mangled(n) for n in names))
         exported = ", ".join(
             self.mangled(n) if n == self.mangled(n) else f"{n}: {self.mangled(n)}"
@@ -160,7 +172,7 @@ class Module:
     # ---- statements ----------------------------------------------------------------------
 
     def block(self, statements: Iterable[ast.stmt]) -> str:
-        return "\n".join(filter(None, (self.statement(one) for one in statements)))
+        return "\n".join(filter(None, (self.statement(node) for node in statements)))
 
     def statement(self, node: ast.stmt) -> str:
         method = getattr(self, f"do_{type(node).__name__}", None)
@@ -189,14 +201,14 @@ class Module:
         return f"$assert({self.test(node.test)});"
 
     def do_Import(self, node: ast.Import) -> str:
-        out = []
-        for one in node.names:
-            self.imports.add(one.name)
-            out.append(
-                f"{self.mangled(one.asname or one.name.split('.')[0])} = "
-                f"$import({json.dumps(one.name)});"
+        imports = []
+        for alias in node.names:
+            self.imports.add(alias.name)
+            imports.append(
+                f"{self.mangled(alias.asname or alias.name.split('.')[0])} = "
+                f"$import({json.dumps(alias.name)});"
             )
-        return " ".join(out)
+        return " ".join(imports)
 
     def absolute(self, node: ast.ImportFrom) -> str:
         if node.level == 0:
@@ -206,7 +218,7 @@ class Module:
         return ".".join([*base, *([node.module] if node.module else [])])
 
     def exports(self, package: str, name: str) -> bool:
-        """Whether a package itself defines a name, which then hides a module of that name."""
+        """Whether a package defines this name, which then hides a module of the same name."""
         path = find(self.source, package)
         return path is not None and name in names_of(path)
 
@@ -214,23 +226,22 @@ class Module:
         source = self.absolute(node)
         if source == "__future__":
             return ""
-        out, plain = [], []
-        for one in node.names:
-            name = self.mangled(one.asname or one.name)
+        imports, members = [], []
+        for alias in node.names:
+            name = self.mangled(alias.asname or alias.name)
             if source in TYPES:
                 self.imports.add(source)
-                self._types[name] = f"({{{one.name}: {name}}} = $import({json.dumps(source)}));"
+                self._types[name] = f"({{{alias.name}: {name}}} = $import({json.dumps(source)}));"
                 continue
-            if f"{source}.{one.name}" in self.modules and not self.exports(source, one.name):
-                self.imports.add(f"{source}.{one.name}")
-                out.append(f"{name} = $import({json.dumps(f'{source}.{one.name}')});")
+            if f"{source}.{alias.name}" in self.modules and not self.exports(source, alias.name):
+                self.imports.add(f"{source}.{alias.name}")
+                imports.append(f"{name} = $import({json.dumps(f'{source}.{alias.name}')});")
             else:
-                plain.append(f"{one.name}: {name}")
-        if plain:
+                members.append(f"{alias.name}: {name}")
+        if members:
             self.imports.add(source)
-            words = ", ".join(plain)
-            out.append(f"({{{words}}} = $import({json.dumps(source)}));")
-        return " ".join(out)
+            imports.append(f"({{{', '.join(members)}}} = $import({json.dumps(source)}));")
+        return " ".join(imports)
 
     def do_Assign(self, node: ast.Assign) -> str:
         if len(node.targets) == 1:
@@ -248,24 +259,24 @@ class Module:
                 return f"{self.expr(of)}.{name} = {value};"
             case ast.Subscript(value=of, slice=index):
                 return f"$set({self.expr(of)}, {self.index(index)}, {value});"
-            case ast.Tuple(elts=parts) | ast.List(elts=parts):
-                names = [self.temporary() for _ in parts]
-                starred = [isinstance(part, ast.Starred) for part in parts]
+            case ast.Tuple(elts=elements) | ast.List(elts=elements):
+                names = [self.temporary() for _ in elements]
+                starred = [isinstance(element, ast.Starred) for element in elements]
                 if any(starred[:-1]):
                     raise self.fail(target, "a starred name that is not the last")
                 left = ", ".join(
                     f"...{n}" if star else n for n, star in zip(names, starred, strict=True)
                 )
                 inner = " ".join(
-                    self.assignment(part.value if isinstance(part, ast.Starred) else part, name)
-                    for part, name in zip(parts, names, strict=True)
+                    self.assignment(e.value if isinstance(e, ast.Starred) else e, name)
+                    for e, name in zip(elements, names, strict=True)
                 )
-                most = "Infinity" if any(starred) else str(len(parts))
-                return f"{{ const [{left}] = $unpack({value}, {most}); {inner} }}"
+                limit = "Infinity" if any(starred) else str(len(elements))
+                return f"{{ const [{left}] = $unpack({value}, {limit}); {inner} }}"
         raise self.fail(target, f"assignment to {type(target).__name__}")
 
     def place(self, name: str) -> str:
-        """Where a name that is assigned lives: in a class body it is a member."""
+        """Return the JavaScript name of an assigned variable."""
         return self.mangled(name)
 
     def do_AnnAssign(self, node: ast.AnnAssign) -> str:
@@ -288,12 +299,12 @@ class Module:
         raise self.fail(node, "this augmented assignment")
 
     def do_Delete(self, node: ast.Delete) -> str:
-        out = []
+        deletions = []
         for target in node.targets:
             if not isinstance(target, ast.Subscript):
                 raise self.fail(node, "del of a name")
-            out.append(f"$del({self.expr(target.value)}, {self.index(target.slice)});")
-        return " ".join(out)
+            deletions.append(f"$del({self.expr(target.value)}, {self.index(target.slice)});")
+        return " ".join(deletions)
 
     def do_Return(self, node: ast.Return) -> str:
         return "return null;" if node.value is None else f"return {self.expr(node.value)};"
@@ -304,10 +315,10 @@ class Module:
     def do_If(self, node: ast.If) -> str:
         if isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
             return ""
-        out = f"if ({self.test(node.test)}) {{\n{self.block(node.body)}\n}}"
+        code = f"if ({self.test(node.test)}) {{\n{self.block(node.body)}\n}}"
         if node.orelse:
-            out += f" else {{\n{self.block(node.orelse)}\n}}"
-        return out
+            code += f" else {{\n{self.block(node.orelse)}\n}}"
+        return code
 
     def do_While(self, node: ast.While) -> str:
         return self.loop(f"while ({self.test(node.test)}) {{\n", node)
@@ -318,11 +329,11 @@ class Module:
         return self.loop(f"for (const {item} of $iter({self.expr(node.iter)})) {{\n{first}\n", node)
 
     def loop(self, head: str, node: ast.For | ast.While) -> str:
-        """A loop; what stands in its else runs unless it is broken off."""
+        """Return a loop; its else block runs unless a break ends the loop."""
         self._loops.append(self.temporary() if node.orelse else "")
-        out = f"{head}{self.block(node.body)}\n}}"
+        code = f"{head}{self.block(node.body)}\n}}"
         label = self._loops.pop()
-        return f"{label}: {{\n{out}\n{self.block(node.orelse)}\n}}" if label else out
+        return f"{label}: {{\n{code}\n{self.block(node.orelse)}\n}}" if label else code
 
     def do_With(self, node: ast.With) -> str:
         opened = []
@@ -339,29 +350,29 @@ class Module:
     def do_Try(self, node: ast.Try) -> str:
         if node.orelse:
             raise self.fail(node, "try … else")
-        out = f"try {{\n{self.block(node.body)}\n}}"
+        code = f"try {{\n{self.block(node.body)}\n}}"
         if node.handlers:
             cases = []
             for handler in node.handlers:
                 kind = "BaseException" if handler.type is None else self.expr(handler.type)
                 name = f"{self.mangled(handler.name)} = $e; " if handler.name else ""
                 cases.append(f"if ($caught($e, {kind})) {{ {name}\n{self.block(handler.body)}\n}}")
-            out += f" catch ($e) {{ {' else '.join(cases)} else throw $e; }}"
+            code += f" catch ($e) {{ {' else '.join(cases)} else throw $e; }}"
         if node.finalbody:
-            out += f" finally {{\n{self.block(node.finalbody)}\n}}"
-        return out
+            code += f" finally {{\n{self.block(node.finalbody)}\n}}"
+        return code
 
     def do_Match(self, node: ast.Match) -> str:
         subject = self.temporary()
-        out, parts = f"const {subject} = {self.expr(node.subject)};\n", []
+        head, cases = f"const {subject} = {self.expr(node.subject)};\n", []
         for case in node.cases:
             test, bind = self.pattern(case.pattern, subject)
             guard = f" && {self.test(case.guard)}" if case.guard else ""
             bound = f"{bind}\n" if bind else ""
             if bind and guard:
                 raise self.fail(node, "a guarded capture")
-            parts.append(f"if ({test}{guard}) {{\n{bound}{self.block(case.body)}\n}}")
-        return "{ " + out + " else ".join(parts) + " }"
+            cases.append(f"if ({test}{guard}) {{\n{bound}{self.block(case.body)}\n}}")
+        return "{ " + head + " else ".join(cases) + " }"
 
     def pattern(self, node: ast.pattern, subject: str) -> tuple[str, str]:
         match node:
@@ -370,7 +381,7 @@ class Module:
             case ast.MatchSingleton(value=value):
                 return f"{subject} === {json.dumps(value)}", ""
             case ast.MatchOr(patterns=patterns):
-                tests = [self.pattern(one, subject) for one in patterns]
+                tests = [self.pattern(alternative, subject) for alternative in patterns]
                 return "(" + " || ".join(test for test, _ in tests) + ")", ""
             case ast.MatchAs(pattern=None, name=None):
                 return "true", ""
@@ -408,9 +419,9 @@ class Module:
         ]
         if arguments.vararg:
             parameters.append(self.mangled(arguments.vararg.arg))
-        for one, default in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True):
+        for argument, default in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True):
             value = "" if default is None else f" = {self.expr(default)}"
-            parameters.append(self.mangled(one.arg) + value)
+            parameters.append(self.mangled(argument.arg) + value)
         if arguments.kwarg:
             parameters.append(self.mangled(arguments.kwarg.arg))
         star = "*" if is_generator(node) else ""
@@ -421,19 +432,19 @@ class Module:
         tail = "" if star or always_returns(node.body) else "\nreturn null;"
         self._scopes.pop()
         self._self.pop()
-        made = f"function{star} ({', '.join(parameters)}) {{ {head}{body}{tail} }}"
-        words = [a.arg for a in positional]
-        words += [f"*{a.arg}" for a in (arguments.vararg,) if a]
-        words += [f"={a.arg}" for a in arguments.kwonlyargs]
-        words += [f"**{a.arg}" for a in (arguments.kwarg,) if a]
-        plain = all(word[0] not in "*=" for word in words) and not node.name.startswith("__")
+        code = f"function{star} ({', '.join(parameters)}) {{ {head}{body}{tail} }}"
+        signature = [a.arg for a in positional]
+        signature += [f"*{a.arg}" for a in (arguments.vararg,) if a]
+        signature += [f"={a.arg}" for a in arguments.kwonlyargs]
+        signature += [f"**{a.arg}" for a in (arguments.kwarg,) if a]
+        plain = all(name[0] not in "*=" for name in signature) and not node.name.startswith("__")
         if plain and self.by_name is not None and node.name not in self.by_name:
-            return f"$def({made})"
-        return f"$def({made}, {json.dumps(' '.join(words))})"
+            return f"$def({code})"
+        return f"$def({code}, {json.dumps(' '.join(signature))})"
 
-    def defaults(self, names: Sequence[ast.arg], given: Sequence[ast.expr]) -> list[str | None]:
-        missing = len(names) - len(given)
-        return [None] * missing + [self.expr(one) for one in given]
+    def defaults(self, names: Sequence[ast.arg], values: Sequence[ast.expr]) -> list[str | None]:
+        missing = len(names) - len(values)
+        return [None] * missing + [self.expr(value) for value in values]
 
     # ---- classes -------------------------------------------------------------------------
 
@@ -441,54 +452,54 @@ class Module:
         bases = ", ".join(self.expr(base) for base in node.bases)
         members, annotations = [], []
         checked = node.name in models_of(self.source)
-        own: set[str] = set()
+        earlier: set[str] = set()  # members so far
         self._classes.append(node.name)
-        for one in without_docstring(node.body):
-            match one:
-                case ast.FunctionDef() if self.live is not None and not used(one, self.live):
+        for item in without_docstring(node.body):
+            match item:
+                case ast.FunctionDef() if self.live is not None and not used(item, self.live):
                     pass
                 case ast.FunctionDef(name=name):
-                    value = self.function(one, in_class=True)
-                    for decorator in reversed(one.decorator_list):
+                    value = self.function(item, in_class=True)
+                    for decorator in reversed(item.decorator_list):
                         value = f"{self.expr(decorator)}({value})"
                     members.append(f"$c.{name} = {value};")
-                    own.add(name)
+                    earlier.add(name)
                 case ast.AnnAssign(target=ast.Name(id=name), annotation=note, value=value):
-                    kept = "ClassVar" not in ast.unparse(note)
-                    if kept and checked:
+                    is_field = "ClassVar" not in ast.unparse(note)
+                    if is_field and checked:
                         annotations.append(f"{name}: () => {self.expr(note)}")
-                    elif kept:
+                    elif is_field:
                         annotations.append(name)
                     if value is not None:
-                        members.append(f"$c.{name} = {self.in_class(value, own)};")
-                        own.add(name)
+                        members.append(f"$c.{name} = {self.in_class(value, earlier)};")
+                        earlier.add(name)
                 case ast.Assign(targets=[ast.Name(id=name)], value=value):
-                    members.append(f"$c.{name} = {self.in_class(value, own)};")
-                    own.add(name)
+                    members.append(f"$c.{name} = {self.in_class(value, earlier)};")
+                    earlier.add(name)
                 case ast.If(test=ast.Name(id="TYPE_CHECKING")) | ast.Pass():
                     pass
                 case _:
-                    raise self.fail(one, f"{type(one).__name__} in a class")
+                    raise self.fail(item, f"{type(item).__name__} in a class")
         self._classes.pop()
         body = "\n".join(members)
         notes = f"{{{', '.join(annotations)}}}" if checked else json.dumps(" ".join(annotations))
         value = f"$class({json.dumps(node.name)}, [{bases}], ($c) => {{\n{body}\n}}, {notes})"
         name = self.mangled(node.name)
-        out = f"{name} = {value};"
+        code = f"{name} = {value};"
         for decorator in reversed(node.decorator_list):
-            out += f" {name} = {self.expr(decorator)}({name});"
-        return out
+            code += f" {name} = {self.expr(decorator)}({name});"
+        return code
 
-    def in_class(self, value: ast.expr, own: set[str]) -> str:
-        """An expression that may name earlier members of the class."""
-        names = {n.id for n in ast.walk(value) if isinstance(n, ast.Name)} & own
+    def in_class(self, value: ast.expr, earlier: set[str]) -> str:
+        """Return an expression that may use earlier members of the class."""
+        names = {n.id for n in ast.walk(value) if isinstance(n, ast.Name)} & earlier
         if not names:
             return self.expr(value)
         self._scopes.append(names)
-        made = self.expr(value)
+        code = self.expr(value)
         self._scopes.pop()
         bound = ", ".join(sorted(names))
-        return f"(({{{bound}}}) => {made})($c)"
+        return f"(({{{bound}}}) => {code})($c)"
 
     # ---- expressions ---------------------------------------------------------------------
 
@@ -499,7 +510,7 @@ class Module:
         return str(method(node))
 
     def test(self, node: ast.expr) -> str:
-        """An expression of which only the truth is wanted."""
+        """Return an expression as a JavaScript condition."""
         match node:
             case ast.BoolOp(op=ast.And(), values=values):
                 return "(" + " && ".join(map(self.test, values)) + ")"
@@ -528,38 +539,38 @@ class Module:
         return repr(value)
 
     def on_Name(self, node: ast.Name) -> str:
-        if not self.known(node.id):
+        if not self.is_defined(node.id):
             raise self.fail(node, f"the name {node.id}, which is not defined")
         return self.mangled(node.id)
 
     def on_Attribute(self, node: ast.Attribute) -> str:
         if node.attr == "__name__":
             return f"$name({self.expr(node.value)})"
-        if node.attr in methods_of(self.source):  # taken along: it keeps its object
+        if node.attr in methods_of(self.source):  # a bound method keeps its object
             return f"$bound({self.expr(node.value)}, {json.dumps(node.attr)})"
         return f"{self.expr(node.value)}.{node.attr}"
 
     def on_JoinedStr(self, node: ast.JoinedStr) -> str:
-        parts = []
-        for part in node.values:
-            match part:
+        pieces = []
+        for piece in node.values:
+            match piece:
                 case ast.Constant(value=str(value)):
-                    parts.append(json.dumps(value, ensure_ascii=False))
+                    pieces.append(json.dumps(value, ensure_ascii=False))
                 case ast.FormattedValue(value=value, conversion=conversion, format_spec=spec):
-                    made = self.expr(value)
-                    made = f"repr({made})" if conversion == ord("r") else made
+                    code = self.expr(value)
+                    code = f"repr({code})" if conversion == ord("r") else code
                     if spec is None:
-                        parts.append(f"str({made})")
+                        pieces.append(f"str({code})")
                     else:
-                        parts.append(f"$format({made}, {self.expr(spec)})")
-        return "(" + " + ".join(['""', *parts]) + ")"
+                        pieces.append(f"$format({code}, {self.expr(spec)})")
+        return "(" + " + ".join(['""', *pieces]) + ")"
 
-    def sequence(self, parts: Iterable[ast.expr]) -> str:
+    def sequence(self, elements: Iterable[ast.expr]) -> str:
         return ", ".join(
-            f"...$iter({self.expr(part.value)})"
-            if isinstance(part, ast.Starred)
-            else self.expr(part)
-            for part in parts
+            f"...$iter({self.expr(element.value)})"
+            if isinstance(element, ast.Starred)
+            else self.expr(element)
+            for element in elements
         )
 
     def on_Tuple(self, node: ast.Tuple) -> str:
@@ -572,23 +583,23 @@ class Module:
         return f"set([{self.sequence(node.elts)}])"
 
     def on_Dict(self, node: ast.Dict) -> str:
-        parts = []
+        items = []
         for key, value in zip(node.keys, node.values, strict=True):
             if key is None:
-                parts.append(f"...$items({self.expr(value)})")
+                items.append(f"...$items({self.expr(value)})")
             else:
-                parts.append(f"[{self.expr(key)}, {self.expr(value)}]")
-        return f"$dict([{', '.join(parts)}])"
+                items.append(f"[{self.expr(key)}, {self.expr(value)}]")
+        return f"$dict([{', '.join(items)}])"
 
     def on_IfExp(self, node: ast.IfExp) -> str:
         return f"({self.test(node.test)} ? {self.expr(node.body)} : {self.expr(node.orelse)})"
 
     def on_BoolOp(self, node: ast.BoolOp) -> str:
         word = "$and" if isinstance(node.op, ast.And) else "$or"
-        *first, out = map(self.expr, node.values)
-        for value in reversed(first):
-            out = f"{word}({value}, () => {out})"
-        return out
+        *values, code = map(self.expr, node.values)
+        for value in reversed(values):
+            code = f"{word}({value}, () => {code})"
+        return code
 
     def on_UnaryOp(self, node: ast.UnaryOp) -> str:
         match node.op:
@@ -613,16 +624,16 @@ class Module:
             return self.comparison(
                 node.ops[0], node.left, node.comparators[0], self.expr(node.left)
             )
-        # a < b < c: b is evaluated once
-        out, left_node, left = [], node.left, self.expr(node.left)
+        # In a < b < c, b is evaluated once.
+        links, left_node, left = [], node.left, self.expr(node.left)
         bound = []
         for op, right in zip(node.ops, node.comparators, strict=True):
             name = self.temporary()
             bound.append(f"const {name} = {self.expr(right)};")
-            out.append((" ".join(bound), self.comparison_of(op, left, name, left_node, right)))
+            links.append((" ".join(bound), self.comparison_of(op, left, name, left_node, right)))
             bound, left, left_node = [], name, right
-        steps = "".join(f"{b} if (!$t({c})) return false; " for b, c in out[:-1])
-        last_bound, last = out[-1]
+        steps = "".join(f"{b} if (!$t({c})) return false; " for b, c in links[:-1])
+        last_bound, last = links[-1]
         return f"(() => {{ {steps}{last_bound} return {last}; }})()"
 
     def comparison(self, op: ast.cmpop, left: ast.expr, right: ast.expr, text: str) -> str:
@@ -655,7 +666,7 @@ class Module:
         return f"{self.expr(node.func)}({self.arguments(node)})"
 
     def arguments(self, node: ast.Call) -> str:
-        parts = [self.sequence([one]) for one in node.args]
+        values = [self.sequence([argument]) for argument in node.args]
         if node.keywords:
             named = ", ".join(
                 f"...$named({self.expr(k.value)})"
@@ -663,8 +674,8 @@ class Module:
                 else f"{json.dumps(k.arg)}: {self.expr(k.value)}"
                 for k in node.keywords
             )
-            parts.append(f"$kw({{{named}}})")
-        return ", ".join(parts)
+            values.append(f"$kw({{{named}}})")
+        return ", ".join(values)
 
     def on_Subscript(self, node: ast.Subscript) -> str:
         return f"$get({self.expr(node.value)}, {self.index(node.slice)})"
@@ -672,10 +683,10 @@ class Module:
     def index(self, node: ast.expr) -> str:
         match node:
             case ast.Slice(lower=low, upper=high, step=step):
-                parts = [("null" if p is None else self.expr(p)) for p in (low, high, step)]
-                return f"slice({', '.join(parts)})"
-            case ast.Tuple(elts=parts):
-                return f"$tuple([{', '.join(map(self.index, parts))}])"
+                bounds = [("null" if b is None else self.expr(b)) for b in (low, high, step)]
+                return f"slice({', '.join(bounds)})"
+            case ast.Tuple(elts=elements):
+                return f"$tuple([{', '.join(map(self.index, elements))}])"
         return self.expr(node)
 
     def on_Slice(self, node: ast.Slice) -> str:
@@ -710,24 +721,24 @@ class Module:
 
     # ---- comprehensions ------------------------------------------------------------------
 
-    def comprehension(self, generators: Sequence[ast.comprehension], inner: list[str]) -> str:
-        """Nested loops around what `inner` says, which is filled in the scope of their names."""
+    def comprehension(self, generators: Sequence[ast.comprehension]) -> str:
+        """Open nested loops; the caller adds the body and leaves the scope of their names."""
         names = set()
-        for one in generators:
-            names |= targets(one.target)
+        for generator in generators:
+            names |= targets(generator.target)
         head = []
         first = self.expr(generators[0].iter)
         self._scopes.append(names)
-        for n, one in enumerate(generators):
-            source = first if n == 0 else self.expr(one.iter)
+        for n, generator in enumerate(generators):
+            source = first if n == 0 else self.expr(generator.iter)
             item = self.temporary()
             head.append(f"for (const {item} of $iter({source})) {{ ")
-            head.append(self.assignment(one.target, item) + " ")
-            head += [f"if (!{self.test(test)}) continue; " for test in one.ifs]
+            head.append(self.assignment(generator.target, item) + " ")
+            head += [f"if (!{self.test(test)}) continue; " for test in generator.ifs]
         return f"let {', '.join(sorted(map(self.mangled, names)))}; " + "".join(head)
 
     def loops(self, generators: Sequence[ast.comprehension], make: object) -> str:
-        head = self.comprehension(generators, [])
+        head = self.comprehension(generators)
         body = make()  # type: ignore[operator]
         self._scopes.pop()
         return f"{head}{body}{'}' * len(generators)}"
@@ -756,7 +767,7 @@ class Module:
 
 
 def find(source: Path, name: str) -> Path | None:
-    """The file of a module of the package."""
+    """Return the file of a module of the package, or None."""
     if name.split(".")[0] != source.name:
         return None
     base = source.joinpath(*name.split(".")[1:])
@@ -767,7 +778,7 @@ def find(source: Path, name: str) -> Path | None:
 
 
 def program(source: Path, roots: Sequence[str], replaced: set[str], host: str) -> str:
-    """JavaScript of some modules and of all that they import, as far as it is used.
+    """Return some modules and their imports, as far as used, as JavaScript.
 
     Parameters
     ----------
@@ -776,15 +787,15 @@ def program(source: Path, roots: Sequence[str], replaced: set[str], host: str) -
     roots : sequence of str
         Names of modules.
     replaced : set of str
-        Names of modules that the runtime has in JavaScript.
+        Names of modules that the runtime replaces.
     host : str
-        The JavaScript that uses the program: whatever it names is kept.
+        The JavaScript that uses the program: all names in it are kept.
 
     Raises
     ------
     Unknown
-        A module uses something that has no translation, or imports what is neither of the package
-        nor replaced.
+        A module uses a construct without a translation, or imports a module that is neither in the
+        package nor replaced.
     """
     every = {
         ".".join(["fluxobs", *path.relative_to(source).with_suffix("").parts]).removesuffix(
@@ -794,24 +805,24 @@ def program(source: Path, roots: Sequence[str], replaced: set[str], host: str) -
     }
     modules: dict[str, Module] = {}
 
-    def add(name: str, why: str) -> None:
+    def add(name: str, importer: str) -> None:
         if name in modules or name in replaced:
             return
         path = find(source, name)
         if path is None:
-            raise Unknown(f"{why} imports {name}, which has no counterpart")
+            raise Unknown(f"{importer} imports {name}, which has no counterpart")
         modules[name] = module = Module(name, source, path, every | replaced)
         try:
             module.text()
         except Unknown as error:
-            raise Unknown(f"{error} (wanted by {why})") from None
-        for wanted in sorted(module.imports):
-            add(wanted, name)
-        modules[name] = modules.pop(name)  # behind what it imports
+            raise Unknown(f"{error} (imported by {importer})") from None
+        for imported in sorted(module.imports):
+            add(imported, name)
+        modules[name] = modules.pop(name)  # after its imports
 
     for root in roots:
         add(root, "the page")
-    live = alive((one.tree.body for one in modules.values()), set(re.findall(r"\w+", host)))
-    by_name = called_by_name((one.tree for one in modules.values()), host)
-    fresh = [Module(one.name, source, one.path, every | replaced) for one in modules.values()]
-    return "".join(one.text(live, by_name) for one in fresh)
+    live = alive((m.tree.body for m in modules.values()), set(re.findall(r"\w+", host)))
+    by_name = called_by_name((m.tree for m in modules.values()), host)
+    fresh = [Module(m.name, source, m.path, every | replaced) for m in modules.values()]
+    return "".join(module.text(live, by_name) for module in fresh)

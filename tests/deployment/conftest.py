@@ -6,9 +6,9 @@ from support.records import MACHINES
 
 @pytest.fixture(scope="session")
 def folders(tmp_path_factory):
-    """Every machine exported for 10 kHz: not to be written to."""
-    made = {}
+    """Every machine exported for 10 kHz; tests must not write to these folders."""
+    exports = {}
     for name, machine in MACHINES.items():
-        made[name] = tmp_path_factory.mktemp("exports") / name
-        fluxobs.export(machine, 1e-4, made[name])
-    return made
+        exports[name] = tmp_path_factory.mktemp("exports") / name
+        fluxobs.export(machine, 1e-4, exports[name])
+    return exports

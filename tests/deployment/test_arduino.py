@@ -1,4 +1,4 @@
-"""The Arduino library: its sketches on this computer, its sensor in a simulated SimpleFOC drive."""
+"""The Arduino library: sketches on this computer, sensor in a simulated SimpleFOC drive."""
 
 import json
 import re
@@ -20,7 +20,7 @@ CPP = ["g++", "-std=c++11", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-We
 @pytest.fixture(scope="module", params=["drift", ADAPTIVE], ids=["plain", "adaptive"])
 def library(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("arduino") / "motor"
-    # as after an identification: at constant speed and load nothing tells them
+    # as after an identification: unidentifiable at constant speed and load
     priors = {"resistance": 0.02, "inverter": 0.05} if request.param == ADAPTIVE else None
     fluxobs.export(
         MACHINES["servo-400w"],
@@ -34,7 +34,7 @@ def library(request, tmp_path_factory):
 
 
 def built(library, scratch, *sources):
-    """A program of C++ sources (or sketches) with the library's C sources."""
+    """Compile C++ sources or sketches with the library's C sources; return the program."""
     objects = []
     example = library / "examples" / "SelfTest"
     for source in [*library.glob("src/*.c"), example / "check.c"]:
@@ -43,8 +43,8 @@ def built(library, scratch, *sources):
         subprocess.run([*command, "-o", objects[-1]], check=True)
     command = [*CPP, f"-I{STUBS}", f"-I{library}/src", f"-I{example}", "-include", "Arduino.h"]
     program = scratch / "program"
-    named = [word for source in sources for word in ("-x", "c++", source)]
-    subprocess.run([*command, *named, "-x", "none", *objects, "-lm", "-o", program], check=True)
+    as_cpp = [argument for source in sources for argument in ("-x", "c++", source)]
+    subprocess.run([*command, *as_cpp, "-x", "none", *objects, "-lm", "-o", program], check=True)
     return program
 
 
@@ -53,19 +53,19 @@ def test_the_self_test_replays_the_record(library, tmp_path):
     main.write_text("uint32_t now_us = 0;\nSerialPort Serial;\nint main() { setup(); return 0; }\n")
     sketch = library / "examples" / "SelfTest" / "SelfTest.ino"
     program = built(library, tmp_path, sketch, main)
-    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
-    assert "Every output is equal bit for bit." in said
-    assert re.match(r"(\d+) of \1 rows", said)
+    output = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    assert "Every output is equal bit for bit." in output
+    assert re.match(r"(\d+) of \1 rows", output)
 
     source = library / "src" / "motor_observer.c"
     changed = re.sub(r"(0\.003)(\d*)f, (/\* sample time)", r"0.0031\2f, \3", source.read_text())
     copy = tmp_path / "changed"
     shutil.copytree(library, copy)
     (copy / "src" / "motor_observer.c").write_text(changed)
-    said = subprocess.run(
+    output = subprocess.run(
         [built(copy, tmp_path, sketch, main)], capture_output=True, text=True, check=True
     ).stdout
-    assert "FAILED" in said
+    assert "FAILED" in output
 
 
 def test_the_simplefoc_sketch_compiles(library, tmp_path):
@@ -77,26 +77,26 @@ def test_the_simplefoc_sketch_compiles(library, tmp_path):
 
 def test_a_simplefoc_drive_closes_its_loop_and_opens_it_again(library, tmp_path):
     program = built(library, tmp_path, STUBS / "drive.cpp")
-    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
-    found = {name: float(value) for name, value in re.findall(r"([a-z ]+?) (-?[\d.e+-]+)", said)}
-    found = {name.strip(): value for name, value in found.items()}
-    assert 0.02 < found["handed over"] < 1.0
-    assert 1.8 < found["lost"] < 1.95  # the gates are off
-    assert found["closed"] > 0.4
-    assert found["worst"] < 0.08  # [rad], of the angle while it is valid
-    assert found["turns"] > 10
+    output = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    pairs = re.findall(r"([a-z ]+?) (-?[\d.e+-]+)", output)
+    report = {name.strip(): float(value) for name, value in pairs}
+    assert 0.02 < report["handed over"] < 1.0
+    assert 1.8 < report["lost"] < 1.95  # the gates are off
+    assert report["closed"] > 0.4
+    assert report["worst"] < 0.08  # [rad], of the angle while it is valid
+    assert report["turns"] > 10
 
 
-def test_what_arduino_and_platformio_read(library):
+def test_metadata_for_arduino_and_platformio(library):
     properties = dict(
         line.split("=", 1) for line in (library / "library.properties").read_text().splitlines()
     )
     assert properties["includes"] == "motor_observer.h"
     assert not {"*", "avr", "megaavr"} & {*properties["architectures"].split(",")}
-    described = json.loads((library / "library.json").read_text())
-    assert described["version"] == properties["version"] == fluxobs.__version__
-    assert not {"*", "atmelavr", "atmelmegaavr"} & {*described["platforms"]}
-    for header in described["headers"]:
+    manifest = json.loads((library / "library.json").read_text())
+    assert manifest["version"] == properties["version"] == fluxobs.__version__
+    assert not {"*", "atmelavr", "atmelmegaavr"} & {*manifest["platforms"]}
+    for header in manifest["headers"]:
         assert (library / "src" / header).exists()
     assert re.fullmatch(r"[\w .-]+", properties["name"])
 
@@ -104,13 +104,13 @@ def test_what_arduino_and_platformio_read(library):
 def test_steps_every_few_interrupts_are_refused(tmp_path):
     with pytest.raises(FluxobsError, match="update_every 4"):
         fluxobs.export("servo-400w", 5e-5, tmp_path / "x", update_every=4, form="arduino")
-    with pytest.raises(FluxobsError, match="there are c, arduino"):
+    with pytest.raises(FluxobsError, match="choose one of c, arduino"):
         fluxobs.export("servo-400w", 5e-5, tmp_path / "x", form="sketch")
 
 
 @pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="no cross compiler: avr-gcc")
-def test_an_avr_is_refused_by_the_self_test_in_plain_words(library):
-    """The observer itself compiles there; the record does not fit."""
+def test_the_self_test_refuses_an_avr_with_a_reason(library):
+    """The observer compiles for an AVR; the record does not fit."""
     example = library / "examples" / "SelfTest"
     command = ["avr-gcc", "-mmcu=atmega2560", "-std=c99", f"-I{library}/src", "-fsyntax-only"]
     sources = [library / "src" / "fluxobs.c", library / "src" / "motor_observer.c"]

@@ -1,4 +1,4 @@
-"""Numbers and names as C writes them."""
+"""Numbers and names in C syntax."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from fluxobs.deployment.c_source import hex_float, identifier
 
 
 @pytest.mark.parametrize("value", [0.0, -0.0, 1.0, -1.5, 0.1, 1e-300, 5e-324, 1.7e308, 3e38])
-def test_hex_floats_lose_nothing(value):
+def test_hex_floats_are_exact(value):
     assert float.fromhex(hex_float(value)) == value
     if abs(value) < 3.4e38:
         single = float(np.float32(value))

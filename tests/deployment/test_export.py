@@ -1,4 +1,4 @@
-"""What an export writes, and the command."""
+"""Files of an export, and the command."""
 
 import re
 import shlex
@@ -37,7 +37,7 @@ def test_the_same_call_writes_the_same_bytes(tmp_path):
     assert not any(path.name.startswith(".") for path in tmp_path.iterdir())
 
 
-def test_content_changes_with_what_matters(tmp_path):
+def test_content_changes_with_the_settings(tmp_path):
     machine = MACHINES["servo-400w"]
     first = fluxobs.export(machine, 1e-4, tmp_path / "a")
     other = fluxobs.export(machine, 1e-4, tmp_path / "b", memory=0.05)
@@ -46,7 +46,7 @@ def test_content_changes_with_what_matters(tmp_path):
     assert first.observer.memory == 0.03
 
 
-def test_every_word_of_the_templates_is_filled(folders, tmp_path):
+def test_every_placeholder_of_the_templates_is_filled(folders, tmp_path):
     adaptive = tmp_path / "adaptive"
     fluxobs.export(MACHINES["servo-400w"], SAMPLE_TIME, adaptive, unknowns=ADAPTIVE)
     for folder in (*folders.values(), adaptive):
@@ -64,8 +64,8 @@ def test_command_line(tmp_path):
         return done.stdout if code == 0 else done.stderr
 
     options = ["export", "--machine", "servo-400w", "--out", tmp_path / "motor"]
-    said = fluxobs_command([*options, "--sample-time", "1e-4", "--prefix", "axis_1"])
-    assert "make -C" in said
+    output = fluxobs_command([*options, "--sample-time", "1e-4", "--prefix", "axis_1"])
+    assert "make -C" in output
     assert (tmp_path / "motor" / "axis_1_observer.h").exists()
     assert "--force" in fluxobs_command([*options, "--sample-time", "1e-4"], code=2)
     other = ["export", "--machine", "servo-400w", "--out", tmp_path / "other"]
@@ -85,7 +85,7 @@ def test_command_line(tmp_path):
     ],
 )
 def test_a_record_for_any_sample_time(tmp_path, sample_time, every, unknowns):
-    """Each shipped machine, at usual interrupts: the record has rows enough to know a position."""
+    """For each shipped machine the record has enough rows for a valid position."""
     for name in example_names():
         if isinstance(example(name), RotatingMachine):
             folder = tmp_path / name
@@ -97,7 +97,7 @@ def test_a_record_for_any_sample_time(tmp_path, sample_time, every, unknowns):
 
 
 def test_the_command_that_estimate_prints_exports_that_observer(tmp_path):
-    """A log at 20 kHz: what estimate recommends at its end works."""
+    """The export command that estimate recommends for a log at 20 kHz works."""
     t = 5e-5 * np.arange(20_000)
     demo = pl.read_csv(fluxobs.demo_log().path)[:5000]  # as if it ran four times as fast
     columns = {name: demo[name].to_numpy() for name in demo.columns}
@@ -105,10 +105,10 @@ def test_the_command_that_estimate_prints_exports_that_observer(tmp_path):
     columns = {name: np.interp(t, old, values) for name, values in columns.items()}
     columns.pop("theta_e")
     pl.DataFrame({"t": t} | columns).write_csv(tmp_path / "log.csv")
-    said = command("estimate", "log.csv", "--machine", "servo-400w", folder=tmp_path).stdout
-    line = next(one for one in said.splitlines() if "fluxobs export" in one)
-    words = shlex.split(line[line.index("fluxobs export") :])[1:]
-    assert "--unknowns" in words
-    done = command(*words[:-1], "motor", folder=tmp_path)
+    output = command("estimate", "log.csv", "--machine", "servo-400w", folder=tmp_path).stdout
+    line = next(line for line in output.splitlines() if "fluxobs export" in line)
+    arguments = shlex.split(line[line.index("fluxobs export") :])[1:]
+    assert "--unknowns" in arguments
+    done = command(*arguments[:-1], "motor", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "motor" / "motor_observer.h").exists()

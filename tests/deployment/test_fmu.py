@@ -1,4 +1,4 @@
-"""Simulation units: the record through FMPy, the files in them, and what is refused."""
+"""Simulation units: the record through FMPy, their files, and refused calls."""
 
 import io
 import json
@@ -31,7 +31,7 @@ def units(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("fmu") / "motor"
     machine = "ipm-5kw6" if request.param == "map" else "servo-400w"
     unknowns = ADAPTIVE if request.param == ADAPTIVE else "drift"
-    with pytest.MonkeyPatch.context() as patch:  # cross-compilers have a test of their own
+    with pytest.MonkeyPatch.context() as patch:  # cross-compilers have their own test
         patch.setattr(build, "has_zig", lambda: False)
         fluxobs.export(MACHINES.get(machine, machine), STEP, folder, unknowns=unknowns, form="fmu")
     return folder
@@ -43,14 +43,14 @@ def check(folder):
 
 
 def test_both_units_return_the_numbers_of_the_library(units):
-    said = check(units)
-    assert said.returncode == 0, said.stdout + said.stderr
+    done = check(units)
+    assert done.returncode == 0, done.stdout + done.stderr
     compared = json.loads((units / "certificate.json").read_text())["compared"]
-    assert [one["what"][:10] for one in compared] == ["motor.fmi2", "motor.fmi3"]
-    assert all(one["rows"] > 1000 and one["different"] == 0 for one in compared)
+    assert [result["what"][:10] for result in compared] == ["motor.fmi2", "motor.fmi3"]
+    assert all(result["rows"] > 1000 and result["different"] == 0 for result in compared)
 
 
-def test_a_changed_number_shows(units, tmp_path):
+def test_a_changed_number_is_detected(units, tmp_path):
     shutil.copytree(units, tmp_path / "motor")
     record = tmp_path / "motor" / "test" / "record.csv"
     lines = record.read_text().splitlines()
@@ -58,10 +58,10 @@ def test_a_changed_number_shows(units, tmp_path):
     cells[7] = repr(float(cells[7]) * (1 + 1e-15))  # theta_e, its last digits
     lines[900] = ",".join(cells)
     record.write_text("\n".join(lines) + "\n")
-    said = check(tmp_path / "motor")
-    assert said.returncode == 1
+    done = check(tmp_path / "motor")
+    assert done.returncode == 1
     rows = len(lines) - 1
-    assert f"{rows - 1} of {rows} rows equal" in said.stdout
+    assert f"{rows - 1} of {rows} rows equal" in done.stdout
 
 
 def test_each_unit_describes_its_units_and_holds_its_sources(units):
@@ -71,8 +71,8 @@ def test_each_unit_describes_its_units_and_holds_its_sources(units):
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))
         assert {"sources/unit.c", "sources/motor_observer.c", f"sources/fmi{version}.c"} <= {*names}
         assert any(name.startswith("binaries/") for name in names)
-        defined = {one.get("name") for one in root.iter("Unit")}
-        used = {one.get("unit") for one in root.iter() if one.get("unit")}
+        defined = {unit.get("name") for unit in root.iter("Unit")}
+        used = {element.get("unit") for element in root.iter() if element.get("unit")}
         assert {"V", "A", "Wb", "rad", "rad/s"} <= used <= defined
         assert "one communication step later" in root.get("description")
         assert ("sources/buildDescription.xml" in names) == (version == 3)
@@ -87,7 +87,7 @@ def test_the_sources_in_the_unit_compile_on_their_own(units, tmp_path):
 
 
 def test_the_sources_are_double_precision_without_any_option(units, tmp_path):
-    """Both units, each compiled from its archive: FMI 2.0 has no place for definitions."""
+    """Both units compile from their archives: FMI 2.0 has no place for definitions."""
     shutil.copytree(units, tmp_path / "motor")
     for version in (2, 3):
         path = tmp_path / "motor" / f"motor.fmi{version}.fmu"
@@ -100,21 +100,21 @@ def test_the_sources_are_double_precision_without_any_option(units, tmp_path):
         subprocess.run(["gcc", *options, "-lm", "-o", folder / program], check=True)
         content[program] = (folder / program).read_bytes()
         with zipfile.ZipFile(path, "w") as archive:
-            for name, one in content.items():
-                archive.writestr(name, one)
+            for name, data in content.items():
+                archive.writestr(name, data)
         shutil.rmtree(folder)
-    said = check(tmp_path / "motor")
-    assert said.returncode == 0, said.stdout + said.stderr
+    done = check(tmp_path / "motor")
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 class Instance:
-    """A unit of either version of FMI, under one set of names, and what it says."""
+    """A unit of FMI 2.0 or 3.0 behind the same methods, with its messages."""
 
     def __init__(self, path, token=None):
         description = fmpy.read_model_description(path)
         self.three = description.fmiVersion == "3.0"
         self.folder = fmpy.extract(path)
-        self.said = []
+        self.messages = []
         self.unit = (fmi3.FMU3Slave if self.three else fmi2.FMU2Slave)(
             guid=token or description.guid,
             unzipDirectory=self.folder,
@@ -135,7 +135,7 @@ class Instance:
             self.unit.instantiate(callbacks=calls)
 
     def _add(self, message):
-        self.said.append(message.decode())
+        self.messages.append(message.decode())
 
     def begin(self, start=0.0):
         if self.three:
@@ -153,46 +153,48 @@ class Instance:
             return self.unit.serializeFMUState(self.unit.getFMUState())
         return self.unit.serializeFMUstate(self.unit.getFMUstate())
 
-    def restore(self, kept):
+    def restore(self, saved):
         if self.three:
-            self.unit.setFMUState(self.unit.deserializeFMUState(kept))
+            self.unit.setFMUState(self.unit.deserializeFMUState(saved))
         else:
-            self.unit.setFMUstate(self.unit.deSerializeFMUstate(kept))
+            self.unit.setFMUstate(self.unit.deSerializeFMUstate(saved))
 
-    def refuses(self, call, *given, says):
-        before = len(self.said)
+    def refuses(self, call, *arguments, message):
+        before = len(self.messages)
         with pytest.raises(Exception, match=r"fmi[23]\w+ failed"):
-            call(*given)
-        return says in self.said[before]
+            call(*arguments)
+        return message in self.messages[before]
 
 
 @pytest.fixture(params=[2, 3])
 def instance(request, units):
-    one = Instance(units / f"motor.fmi{request.param}.fmu")
-    yield one
-    one.unit.freeInstance()
-    shutil.rmtree(one.folder)
+    unit = Instance(units / f"motor.fmi{request.param}.fmu")
+    yield unit
+    unit.unit.freeInstance()
+    shutil.rmtree(unit.folder)
 
 
-def test_what_a_unit_refuses(units, instance):
-    """Another step size, another unit's token, a state that is damaged, an unknown variable."""
+def test_wrong_arguments_are_refused(units, instance):
+    """Wrong step size, token of another unit, damaged state, variable that is no input."""
     with pytest.raises(Exception, match=r"[Ii]nstantiate"):
         Instance(units / "motor.fmi3.fmu", token="{0}")
     instance.begin()
-    assert instance.refuses(instance.step, 0.0, 2 * STEP, says="steps every 0.0001 s")
+    assert instance.refuses(instance.step, 0.0, 2 * STEP, message="steps every 0.0001 s")
     instance.step(0.0)
-    kept = bytearray(instance.save())
-    kept[100] ^= 1
-    assert instance.refuses(instance.restore, bytes(kept), says="not one that this unit has saved")
+    saved = bytearray(instance.save())
+    saved[100] ^= 1
+    assert instance.refuses(
+        instance.restore, bytes(saved), message="not one that this unit has saved"
+    )
     put = instance.unit.setFloat64 if instance.three else instance.unit.setReal
-    assert instance.refuses(put, [7], [1.0], says="no input")
+    assert instance.refuses(put, [7], [1.0], message="no input")
 
 
 @pytest.mark.slow
 def test_a_state_of_another_machine_is_refused(tmp_path, monkeypatch):
-    """Its bytes have the same size, and a good checksum."""
+    """It has the same size and a correct checksum."""
     monkeypatch.setattr(build, "has_zig", lambda: False)
-    monkeypatch.setattr(build, "compared", lambda made, command: [])
+    monkeypatch.setattr(build, "compared", lambda files, command: [])
     for name in ("servo-400w", "pmsm-2kw2"):
         fluxobs.export(name, STEP, tmp_path / name, form="fmu")
     for version in (2, 3):
@@ -203,40 +205,40 @@ def test_a_state_of_another_machine_is_refused(tmp_path, monkeypatch):
         mine.begin()
         other.begin()
         mine.restore(mine.save())
-        says = "not one that this unit has saved"
+        message = "not one that this unit has saved"
         assert len(mine.save()) == len(other.save())
-        assert other.refuses(other.restore, mine.save(), says=says)
+        assert other.refuses(other.restore, mine.save(), message=message)
 
 
 def test_calls_out_of_order_are_refused(instance):
-    """A step before initialization and after termination; a mode that is not entered from here."""
+    """A step before initialization or after termination; a mode change from the wrong mode."""
     unit = instance.unit
     steps = "a step needs an instance that is initialized and not terminated"
-    assert instance.refuses(instance.step, 0.0, says=steps)
-    assert instance.refuses(unit.exitInitializationMode, says="needs initialization mode")
-    assert instance.refuses(unit.terminate, says="Terminate needs")
+    assert instance.refuses(instance.step, 0.0, message=steps)
+    assert instance.refuses(unit.exitInitializationMode, message="needs initialization mode")
+    assert instance.refuses(unit.terminate, message="Terminate needs")
     instance.begin()
-    assert instance.refuses(unit.enterInitializationMode, says="new or reset")
+    assert instance.refuses(unit.enterInitializationMode, message="new or reset")
     instance.step(0.0)
     unit.terminate()
-    assert instance.refuses(instance.step, STEP, says=steps)
+    assert instance.refuses(instance.step, STEP, message=steps)
     unit.reset()
-    assert instance.refuses(instance.step, 0.0, says=steps)
+    assert instance.refuses(instance.step, 0.0, message=steps)
     instance.begin()
     instance.step(0.0)
 
 
 def test_no_step_is_left_out_or_repeated(instance):
-    """Time begins where it is told, goes back with a state, and may be rounded."""
+    """Time begins at the given start, goes back with a restored state, and may be rounded."""
     instance.begin(5.0)
-    assert instance.refuses(instance.step, 0.0, says="begins at 5 s")
+    assert instance.refuses(instance.step, 0.0, message="begins at 5 s")
     instance.step(5.0)
-    kept = instance.save()
+    saved = instance.save()
     instance.step(5.0 + STEP)
     for time in (5.0 + STEP, 5.0 + 3 * STEP, float("nan")):
-        assert instance.refuses(instance.step, time, says="none may be left out or repeated")
+        assert instance.refuses(instance.step, time, message="none may be left out or repeated")
     instance.step(5.0 + 2 * STEP)
-    instance.restore(kept)
+    instance.restore(saved)
     instance.step(5.0 + STEP)
     instance.unit.reset()
     instance.begin(100.0)  # as after 1e6 steps
@@ -247,10 +249,10 @@ def test_no_step_is_left_out_or_repeated(instance):
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_a_usual_simulation(units, version):
+def test_a_simulation(units, version):
     path = units / f"motor.fmi{version}.fmu"
-    found = fmpy.simulate_fmu(str(path), stop_time=0.05, output_interval=STEP)
-    assert len(found) == 501
+    rows = fmpy.simulate_fmu(str(path), stop_time=0.05, output_interval=STEP)
+    assert len(rows) == 501
 
 
 @pytest.mark.slow
@@ -261,19 +263,19 @@ def test_binaries_for_other_systems(tmp_path):
     unit = (tmp_path / "a" / "motor.fmi3.fmu").read_bytes()
     assert unit == (tmp_path / "b" / "motor.fmi3.fmu").read_bytes()
     with zipfile.ZipFile(io.BytesIO(unit)) as archive:
-        first = {
+        magic = {
             name.split("/")[1]: archive.read(name)[:4]
             for name in archive.namelist()
             if name.startswith("binaries/")
         }
-    assert first["x86_64-linux"] == first["aarch64-linux"] == b"\x7fELF"
-    assert first["x86_64-windows"][:2] == b"MZ"
-    assert first["x86_64-darwin"] == first["aarch64-darwin"] == b"\xcf\xfa\xed\xfe"
+    assert magic["x86_64-linux"] == magic["aarch64-linux"] == b"\x7fELF"
+    assert magic["x86_64-windows"][:2] == b"MZ"
+    assert magic["x86_64-darwin"] == magic["aarch64-darwin"] == b"\xcf\xfa\xed\xfe"
     assert check(tmp_path / "a").returncode == 0
     assert "x86_64-windows" in (tmp_path / "a" / "README.md").read_text()
 
 
-def test_no_compiler_is_told_before_anything_is_written(tmp_path, monkeypatch):
+def test_a_missing_compiler_is_reported_before_anything_is_written(tmp_path, monkeypatch):
     monkeypatch.setattr(build, "has_zig", lambda: False)
     monkeypatch.setattr(build, "local_compiler", lambda: None)
     with pytest.raises(FluxobsError, match="no C compiler"):

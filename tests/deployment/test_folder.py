@@ -1,4 +1,4 @@
-"""An exported folder: its host test notices what is not as exported; nothing of a user is lost."""
+"""An exported folder: its host test detects changes, and no file of a user is lost."""
 
 import hashlib
 import os
@@ -84,7 +84,7 @@ def test_the_last_digit_of_an_expected_angle_is_guarded(tmp_path, folders):
 
 
 @pytest.mark.parametrize(
-    ("was", "becomes"),
+    ("code", "changed"),
     [
         ("e->valid = e->valid && !bad;", "e->valid = e->valid || bad;"),
         ("FO_MAX_CONSECUTIVE_BAD)) {", "FO_MAX_CONSECUTIVE_BAD / 3U)) {"),
@@ -94,11 +94,11 @@ def test_the_last_digit_of_an_expected_angle_is_guarded(tmp_path, folders):
         (" SETTLED ((fo_real)3 * PI)", " SETTLED ((fo_real)4 * PI)"),
     ],
 )
-def test_a_change_of_the_observer_shows(tmp_path, was, becomes):
+def test_a_change_of_the_observer_is_detected(tmp_path, code, changed):
     fluxobs.export(MACHINES["servo-400w"], 1e-4, tmp_path / "motor", memory=0.01)
     sources = (tmp_path / "motor").glob("fluxobs*")
-    (source,) = (path for path in sources if path.read_text().count(was) == 1)
-    source.write_text(source.read_text().replace(was, becomes))
+    (source,) = (path for path in sources if path.read_text().count(code) == 1)
+    source.write_text(source.read_text().replace(code, changed))
     done = make_test(tmp_path / "motor", "CFLAGS=-O0 -Wno-error")
     assert done.returncode != 0
     assert "FAILED" in done.stdout
@@ -146,26 +146,26 @@ def test_the_adaptive_observer_in_the_folder(tmp_path, name, unknowns):
         "motor_observer.c",
         "motor_observer.h",
     }
-    said = make_test(done.folder)
-    assert said.returncode == 0, said.stdout + said.stderr
+    run = make_test(done.folder)
+    assert run.returncode == 0, run.stdout + run.stderr
     for precision in ("single", "double"):
-        assert f"{precision}: 171 of 171 rows as expected" in said.stdout
+        assert f"{precision}: 171 of 171 rows as expected" in run.stdout
     strict = [*STRICT, f"-I{done.folder}", "-c", done.folder / "example_isr.c"]
     subprocess.run(["gcc", *strict, "-o", tmp_path / "isr.o"], check=True)
 
 
 @pytest.mark.parametrize(
-    ("file", "was", "becomes"),
+    ("file", "code", "changed"),
     [
         ("learning", "MODEL = (fo_real)0.002", "MODEL = (fo_real)0.004"),
         ("adaptive", "q->theta_e = s->theta", "q->theta_e = (fo_real)0.01 + s->theta"),
     ],
 )
-def test_a_change_of_the_adaptive_observer_shows(tmp_path, file, was, becomes):
+def test_a_change_of_the_adaptive_observer_is_detected(tmp_path, file, code, changed):
     fluxobs.export(MACHINES["servo-400w"], 1e-4, tmp_path / "motor", unknowns=ADAPTIVE)
     source = tmp_path / "motor" / f"fluxobs_{file}.c"
-    assert was in source.read_text()
-    source.write_text(source.read_text().replace(was, becomes))
+    assert code in source.read_text()
+    source.write_text(source.read_text().replace(code, changed))
     done = make_test(tmp_path / "motor", "CFLAGS=-O0 -Wno-error")
     assert done.returncode != 0
     assert "FAILED" in done.stdout
@@ -178,13 +178,16 @@ def test_precisions_do_not_mix(tmp_path, folders):
         '#include "motor_observer.h"\n'
         "int main(void) { fo_state s; fo_reset(&motor_observer, &s); return 0; }\n"
     )
-    made = []
+    objects = []
     for source, flags in ((main, []), (folder / "fluxobs.c", ["-DFO_SINGLE=0"])):
-        made.append(tmp_path / f"{source.stem}.o")
-        command = ["gcc", *flags, f"-I{folder}", "-c", source, "-o", made[-1]]
+        objects.append(tmp_path / f"{source.stem}.o")
+        command = ["gcc", *flags, f"-I{folder}", "-c", source, "-o", objects[-1]]
         subprocess.run(command, check=True)
     linked = subprocess.run(
-        ["gcc", *made, "-lm", "-o", tmp_path / "mixed"], capture_output=True, text=True, check=False
+        ["gcc", *objects, "-lm", "-o", tmp_path / "mixed"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert linked.returncode != 0
     assert "fo_reset_single" in linked.stderr
@@ -216,7 +219,7 @@ def test_two_machines_in_one_firmware(tmp_path):
     # The sources of the fan have no flux maps.
     assert "fo_reset_single_mapped" in build(fan).stderr
     shutil.copy(fan / "fluxobs_real.h", pump)
-    assert "theirs have FO_MAPPED 1" in build(pump).stderr
+    assert "they have FO_MAPPED 1" in build(pump).stderr
 
 
 @pytest.mark.parametrize("compiler", CPP_COMPILERS)
@@ -257,8 +260,8 @@ def test_nothing_is_overwritten_unasked(tmp_path, monkeypatch):
     (tmp_path / "motor" / "notes.txt").write_text("mine")
     with pytest.raises(FluxobsError, match="--force"):
         fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.05)
-    again = fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.05, force=True)
-    assert again.content in (tmp_path / "motor" / "motor_observer.h").read_text()
+    second = fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.05, force=True)
+    assert second.content in (tmp_path / "motor" / "motor_observer.h").read_text()
     assert (tmp_path / "motor" / "notes.txt").read_text() == "mine"
 
     fluxobs.export(machine, 1e-4, tmp_path / "motor", prefix="pump", force=True)
@@ -272,7 +275,7 @@ def test_nothing_is_overwritten_unasked(tmp_path, monkeypatch):
     assert "mine" in example.read_text()
     example.unlink()
     (tmp_path / "motor" / "axis_observer.h").write_text("mine")
-    with pytest.raises(FluxobsError, match=r"axis_observer\.h: is no part"):
+    with pytest.raises(FluxobsError, match=r"axis_observer\.h: is not part"):
         fluxobs.export(machine, 1e-4, tmp_path / "motor", prefix="axis", force=True)
     assert (tmp_path / "motor" / "pump_observer.h").exists()
 
@@ -280,15 +283,15 @@ def test_nothing_is_overwritten_unasked(tmp_path, monkeypatch):
     victim.write_text("mine")
     digest = hashlib.sha256(b"mine").hexdigest()
     manifest = tmp_path / "motor" / "MANIFEST"
-    kept = manifest.read_text()
-    manifest.write_text(f"{kept}{digest}  ../victim\n")
+    listing = manifest.read_text()
+    manifest.write_text(f"{listing}{digest}  ../victim\n")
     (tmp_path / "motor" / "axis_observer.h").unlink()
-    with pytest.raises(FluxobsError, match="no name within the folder"):
+    with pytest.raises(FluxobsError, match="not a path within the folder"):
         fluxobs.export(machine, 1e-4, tmp_path / "motor", force=True)
     assert victim.read_text() == "mine"
-    manifest.write_text(kept)
+    manifest.write_text(listing)
 
-    # Interrupted half-way, the next one goes through.
+    # After an interrupted export the next one succeeds.
     replace_file, calls = os.replace, []
 
     def full(source, target):
@@ -306,12 +309,12 @@ def test_nothing_is_overwritten_unasked(tmp_path, monkeypatch):
 
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "fluxobs.h").write_text("vendored")
-    with pytest.raises(FluxobsError, match="no earlier export"):
+    with pytest.raises(FluxobsError, match="is not an earlier export"):
         fluxobs.export(machine, 1e-4, tmp_path / "home", force=True)
     assert (tmp_path / "home" / "fluxobs.h").read_text() == "vendored"
 
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(FluxobsError, match="no folder"):
+    with pytest.raises(FluxobsError, match="is not a folder"):
         fluxobs.export(machine, 1e-4, tmp_path / "file", force=True)
     with pytest.raises(FluxobsError, match="cannot be written"):
         fluxobs.export(machine, 1e-4, tmp_path / "file" / "motor")
@@ -332,7 +335,7 @@ def test_a_listing_that_is_a_link_is_not_followed(tmp_path, force):
 
 
 def test_a_folder_that_is_a_link_is_not_followed(tmp_path):
-    """Neither to delete what is listed in it, nor to write."""
+    """Listed files behind the link are neither deleted nor written."""
     victim = tmp_path / "victim"
     victim.mkdir()
     (victim / "file.txt").write_text("mine")
@@ -349,21 +352,21 @@ def test_a_folder_that_is_a_link_is_not_followed(tmp_path):
     assert (folder / "a").read_text() == "1"
 
 
-def test_a_listing_with_a_second_name_keeps_its_content(tmp_path):
+def test_a_hard_link_to_the_listing_keeps_its_content(tmp_path):
     folder = tmp_path / "motor"
     write(folder, {"a": "1"})
     os.link(folder / "MANIFEST", tmp_path / "other")
-    kept = (tmp_path / "other").read_text()
+    before = (tmp_path / "other").read_text()
     write(folder, {"a": "2"}, force=True)
-    assert (tmp_path / "other").read_text() == kept
+    assert (tmp_path / "other").read_text() == before
 
 
-def test_what_a_killed_export_left_is_gone_after_the_next(tmp_path):
+def test_remains_of_a_killed_export_are_removed_by_the_next(tmp_path):
     program = (
         "import os, sys\n"
         "from unittest import mock\n"
         "import fluxobs\n"
-        "with mock.patch('os.replace', lambda *given: os._exit(9)):\n"
+        "with mock.patch('os.replace', lambda *arguments: os._exit(9)):\n"
         "    fluxobs.export('servo-400w', 1e-4, sys.argv[1])\n"
     )
     done = subprocess.run([sys.executable, "-c", program, tmp_path / "motor"], check=False)
@@ -374,7 +377,7 @@ def test_what_a_killed_export_left_is_gone_after_the_next(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["motor"]
 
 
-def test_two_exports_into_one_folder_at_a_time(tmp_path):
+def test_two_concurrent_exports_into_one_folder_are_refused(tmp_path):
     victim = tmp_path / "victim"
     victim.mkdir()
     (tmp_path / ".motor.unfinished").symlink_to("victim")
@@ -389,8 +392,8 @@ def test_no_empty_folder_is_left(tmp_path):
     write(folder, {"a": "1", "runtime/x/b": "2", "test/c": "3"})
     (folder / "test" / "notes").write_text("mine")
     write(folder, {"examples/SelfTest/a": "1"}, force=True)
-    there = {str(path.relative_to(folder)) for path in folder.rglob("*")}
-    assert there == {
+    paths = {str(path.relative_to(folder)) for path in folder.rglob("*")}
+    assert paths == {
         *("MANIFEST", "examples", "examples/SelfTest", "examples/SelfTest/a"),
         *("test", "test/notes"),
     }
@@ -412,21 +415,21 @@ def write(folder, files, force=False):
     ],
 )
 def test_a_flux_map_in_the_folder(tmp_path, name, unknowns):
-    """A table of splines, a cage, a salient machine: the folder returns the library's numbers."""
+    """With splines, a cage or a salient machine, the folder returns the library's numbers."""
     machine = MAPPED if name == "table" else fluxobs.example(name)
     done = fluxobs.export(machine, 1e-4, tmp_path / "motor", unknowns=unknowns)
     assert (done.folder / "fluxobs_map.c").exists()
     parameters = (done.folder / "motor_observer.c").read_text()
     assert "&motor_map" in parameters
     assert str(tmp_path) not in parameters
-    said = make_test(done.folder)
-    assert said.returncode == 0, said.stdout + said.stderr
+    run = make_test(done.folder)
+    assert run.returncode == 0, run.stdout + run.stderr
     strict = [*STRICT, f"-I{done.folder}", "-c", done.folder / "example_isr.c"]
     subprocess.run(["gcc", *strict, "-o", tmp_path / "isr.o"], check=True)
 
 
 @pytest.mark.parametrize("unknowns", ["drift", ADAPTIVE])
-def test_a_state_of_zeros_resets_itself_and_says_so(tmp_path, unknowns):
+def test_a_state_of_zeros_resets_itself_and_is_counted(tmp_path, unknowns):
     folder = tmp_path / "motor"
     fluxobs.export(MACHINES["servo-400w"], 1e-4, folder, unknowns=unknowns)
     kind = [] if unknowns == "drift" else ["-DADAPTIVE"]

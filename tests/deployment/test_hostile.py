@@ -1,4 +1,4 @@
-"""What users give reaches an export as a number, a checked name, or a text that does nothing."""
+"""User input reaches an export only as a number, a checked name, or inert text."""
 
 import io
 import json
@@ -17,7 +17,7 @@ from fluxobs.deployment.c_source import inert
 from fluxobs.deployment.forms import FORMS, build
 from fluxobs.machines import read_machine
 
-#: Ends a comment if a line is spliced into it, a string, an element, a cell; defines; is a word.
+#: Would end a comment, string, element or table cell, define a macro, or look like a placeholder.
 HOSTILE = (
     "a*\\\n#define fo_step fo_evil\n??\\\r\n\" ' @prefix@ @content@ @unknown@ <b> & ]]> --> "
     "| `rm` ${x} %{ %s\u2028 \u202e é\x1b[0m \\u002a .csv"
@@ -27,7 +27,7 @@ STEP = 1e-4
 
 
 def machine(folder, name):
-    """An interior machine whose table has this name."""
+    """Return an interior machine whose flux map has this file name."""
     at = np.linspace(-20, 20, 9)
     i = (at[:, None] + 1j * at[None, :]).ravel()
     rows = np.column_stack([i.real, i.imag, 0.5 + 0.01 * i.real, 0.02 * i.imag])
@@ -38,56 +38,56 @@ def machine(folder, name):
 
 
 def contents(folder):
-    """Relative path → content, of files in units too."""
-    found = {}
+    """Return relative path → content, also of the files in units."""
+    files = {}
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         name, data = path.relative_to(folder).as_posix(), path.read_bytes()
-        found[name] = data
+        files[name] = data
         if path.suffix == ".fmu":
             with zipfile.ZipFile(io.BytesIO(data)) as unit:
-                found |= {f"{name}/{one}": unit.read(one) for one in unit.namelist()}
-    return {name: data for name, data in found.items() if not name.endswith(".fmu")}
+                files |= {f"{name}/{entry}": unit.read(entry) for entry in unit.namelist()}
+    return {name: data for name, data in files.items() if not name.endswith(".fmu")}
 
 
 @pytest.mark.parametrize("unknowns", ["drift", "drift,resistance"])
 @pytest.mark.parametrize("form", FORMS)
 def test_the_name_of_a_table_is_inert(tmp_path, monkeypatch, form, unknowns):
-    """But for that name and what is made of it, all is as with another name."""
-    monkeypatch.setattr(build, "compile_shared", lambda *given: b"")
-    monkeypatch.setattr(build, "compile_wasm", lambda *given: b"")
-    monkeypatch.setattr(build, "compared", lambda *given: [])
-    made = {}
+    """Apart from the name and hashes of it, the export equals one with another name."""
+    monkeypatch.setattr(build, "compile_shared", lambda *arguments: b"")
+    monkeypatch.setattr(build, "compile_wasm", lambda *arguments: b"")
+    monkeypatch.setattr(build, "compared", lambda *arguments: [])
+    exports = {}
     for name in (TAME, HOSTILE):
         folder = tmp_path / ("tame" if name == TAME else "hostile")
         folder.mkdir()
         try:
-            given = machine(folder, name)
+            mapped = machine(folder, name)
         except OSError:
             pytest.skip("no file can have such a name here")
-        done = fluxobs.export(given, STEP, folder / "out", unknowns=unknowns, form=form)
-        made[name] = done.content, contents(done.folder)
-    (tame_hash, tame), (hash_, hostile) = made[TAME], made[HOSTILE]
+        done = fluxobs.export(mapped, STEP, folder / "out", unknowns=unknowns, form=form)
+        exports[name] = done.content, contents(done.folder)
+    (tame_hash, tame), (hash_, hostile) = exports[TAME], exports[HOSTILE]
     assert tame.keys() == hostile.keys()
-    named = 0
+    occurrences = 0
     for path, data in hostile.items():
         if path.endswith(".json"):
             json.loads(data)
         if path.endswith(".xml"):
             ElementTree.fromstring(data)
-        if path.endswith(".bin"):  # numbers alone
+        if path.endswith(".bin"):  # numbers only
             assert data == tame[path]
             continue
         text = data.decode()
-        named += text.count(inert(HOSTILE))
+        occurrences += text.count(inert(HOSTILE))
         if path == "MANIFEST" or path.endswith("certificate.json"):
-            continue  # hashes of the others
+            continue  # they hold hashes of the other files
         text = text.replace(inert(HOSTILE), TAME).replace(hash_, tame_hash)
         token = "instantiationToken" if "fmi3" in path else "guid"
         if not path.endswith(("modelDescription.xml", "unit.c", "fmi2.c", "fmi3.c")):
             assert text == tame[path].decode(), path
-        else:  # an identity made from the content
+        else:  # they hold an identifier computed from the content
             assert len(text) == len(tame[path].decode()), (path, token)
-    assert named >= 2  # in the parameters' header and in the certificate
+    assert occurrences >= 2  # in the parameters' header and in the certificate
     if form == "c" and (gcc := shutil.which("gcc")):
         flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-fsyntax-only"]
         command = [gcc, *flags, "motor_observer.c"]
@@ -95,7 +95,7 @@ def test_the_name_of_a_table_is_inert(tmp_path, monkeypatch, form, unknowns):
 
 
 @pytest.mark.parametrize(
-    "given",
+    "options",
     [
         *[{"prefix": prefix} for prefix in (5, "", "a b", "a\n", "é", "*/", "@prefix@", "a" * 41)],
         *[{"update_every": every} for every in (1.5, "2", True, math.nan, 10**9)],
@@ -110,10 +110,10 @@ def test_the_name_of_a_table_is_inert(tmp_path, monkeypatch, form, unknowns):
     ],
     ids=str,
 )
-def test_what_is_no_name_and_no_number_is_refused(tmp_path, given):
-    usual = {"sample_time": STEP, "unknowns": "drift,resistance"}
+def test_invalid_names_and_numbers_are_refused(tmp_path, options):
+    defaults = {"sample_time": STEP, "unknowns": "drift,resistance"}
     with pytest.raises(FluxobsError):
-        fluxobs.export("servo-400w", **(usual | given), out=tmp_path / "out")
+        fluxobs.export("servo-400w", **(defaults | options), out=tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 

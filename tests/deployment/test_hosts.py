@@ -1,4 +1,4 @@
-"""The export for WebAssembly and its record, and what all forms have in common."""
+"""The export for WebAssembly and its record, and properties of all forms."""
 
 import csv
 import hashlib
@@ -34,31 +34,31 @@ def module(request, tmp_path_factory):
 
 
 def test_the_module_returns_the_numbers_of_the_library(module):
-    """In a runtime that knows nothing of JavaScript."""
+    """It runs in a runtime without JavaScript."""
     store = wasmtime.Store()
     compiled = wasmtime.Module.from_file(store.engine, str(module / "motor.wasm"))
     assert not compiled.imports
-    of = wasmtime.Instance(store, compiled, []).exports(store)
-    memory = of["memory"]
-    given, found = of["inputs"](store), of["outputs"](store)
+    exports = wasmtime.Instance(store, compiled, []).exports(store)
+    memory = exports["memory"]
+    inputs, outputs = exports["inputs"](store), exports["outputs"](store)
     head, rows = record(module)
-    of["reset"](store)
+    exports["reset"](store)
     results = []
     for row in rows:
-        memory.write(store, row[:4].astype("<f8").tobytes(), given)
-        of["step"](store)
-        outputs = memory.read(store, found, found + 8 * (len(head) - 4))
-        results.append(np.frombuffer(outputs, "<f8"))
+        memory.write(store, row[:4].astype("<f8").tobytes(), inputs)
+        exports["step"](store)
+        values = memory.read(store, outputs, outputs + 8 * (len(head) - 4))
+        results.append(np.frombuffer(values, "<f8"))
     np.testing.assert_array_equal(np.array(results), rows[:, 4:])
 
 
 def test_the_module_in_javascript(module, tmp_path):
     def check(folder):
-        ran = ["node", folder / "test" / "check.mjs"]
-        return subprocess.run(ran, capture_output=True, text=True, check=False)
+        script = ["node", folder / "test" / "check.mjs"]
+        return subprocess.run(script, capture_output=True, text=True, check=False)
 
-    said = check(module)
-    assert said.returncode == 0, said.stdout + said.stderr
+    done = check(module)
+    assert done.returncode == 0, done.stdout + done.stderr
     compared = json.loads((module / "certificate.json").read_text())["compared"]
     assert compared[0]["different"] == 0
     assert compared[0]["by"].startswith("Node.js")
@@ -70,15 +70,15 @@ def test_the_module_in_javascript(module, tmp_path):
 
 
 def test_a_state_of_another_module_is_refused(module, tmp_path):
-    """One of the same size, of another machine; one of another size."""
-    said = json.loads((module / "certificate.json").read_text())
-    unknowns = ADAPTIVE if "resistance" in said["settings"]["unknowns"] else "drift"
+    """Refused are a state of the same size of another machine, and one of another size."""
+    certificate = json.loads((module / "certificate.json").read_text())
+    unknowns = ADAPTIVE if "resistance" in certificate["settings"]["unknowns"] else "drift"
     fluxobs.export("pmsm-2kw2", STEP, tmp_path / "other", unknowns=unknowns, form="wasm")
     script = tmp_path / "swap.mjs"
     script.write_text(
-        f"import {{ load as one }} from {json.dumps((module / 'motor.mjs').as_uri())};\n"
-        'import { load as two } from "./other/motor.mjs";\n'
-        "const [mine, other] = [await one(), await two()];\n"
+        f"import {{ load as load_this }} from {json.dumps((module / 'motor.mjs').as_uri())};\n"
+        'import { load as load_other } from "./other/motor.mjs";\n'
+        "const [mine, other] = [await load_this(), await load_other()];\n"
         "mine.restore(mine.save());\n"
         "for (const saved of [other.save(), new Uint8Array(3)]) {\n"
         "  try { mine.restore(saved); console.log('taken'); }\n"
@@ -93,19 +93,19 @@ def test_a_state_of_another_module_is_refused(module, tmp_path):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_the_certificate_of_every_form(tmp_path, form, monkeypatch):
-    """Its hashes are those of the files; what is common to all forms agrees."""
-    if form != "wasm":  # the compiler of this computer is quicker
+    """Its hashes match the files, and the contents common to all forms agree."""
+    if form != "wasm":  # the compiler of this computer is faster
         monkeypatch.setattr(build, "has_zig", lambda: False)
     fluxobs.export("servo-400w", STEP, tmp_path / "it", form=form)
     fluxobs.export("servo-400w", STEP, tmp_path / "c")
-    said = json.loads((tmp_path / "it" / "certificate.json").read_text())
+    certificate = json.loads((tmp_path / "it" / "certificate.json").read_text())
     other = json.loads((tmp_path / "c" / "certificate.json").read_text())
-    assert said.pop("form") == form
+    assert certificate.pop("form") == form
     for key in ("content", "sources", "parameters", "record", "expected", "machine", "settings"):
-        if (form, key) != ("fmu", "sources"):  # double precision is chosen in them
-            assert said[key] == other[key]
-    assert said["check"]
-    for name, digest in {**said["sources"], **said["parameters"]}.items():
+        if (form, key) != ("fmu", "sources"):  # they choose double precision
+            assert certificate[key] == other[key]
+    assert certificate["check"]
+    for name, digest in {**certificate["sources"], **certificate["parameters"]}.items():
         for path in (tmp_path / "it").rglob(name):
             assert hashlib.sha256(path.read_bytes()).hexdigest() == digest
     for path in (tmp_path / "it").rglob("*"):
@@ -114,5 +114,5 @@ def test_the_certificate_of_every_form(tmp_path, form, monkeypatch):
 
 
 def test_the_help_names_every_form(tmp_path):
-    said = " ".join(command("export", "--help", folder=tmp_path).stdout.replace("│", " ").split())
-    assert all(f"{form}:" in said for form in FORMS)
+    text = " ".join(command("export", "--help", folder=tmp_path).stdout.replace("│", " ").split())
+    assert all(f"{form}:" in text for form in FORMS)

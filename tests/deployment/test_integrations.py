@@ -1,4 +1,4 @@
-"""The examples for other firmwares: compiled for a Cortex-M4F, and run in a simulated drive."""
+"""Examples for other firmwares, compiled for a Cortex-M4F and run in a simulated drive."""
 
 import re
 import shutil
@@ -20,7 +20,7 @@ WARNINGS = ["-Wall", "-Wextra", "-Werror"]
 
 @dataclass(frozen=True)
 class Host:
-    """A firmware, or a way in which it may be set up."""
+    """A firmware with one of its configurations."""
 
     name: str
     sample_time: float
@@ -53,43 +53,43 @@ HOSTS = [
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
-    """The exported folder of a sample time: made once."""
-    made: dict[tuple[float, bool], Path] = {}
+    """Return the exported folder for a sample time; each is exported once."""
+    folders: dict[tuple[float, bool], Path] = {}
 
     def folder(sample_time: float, adaptive: bool = False) -> Path:
         key = (sample_time, adaptive)
-        if key not in made:
-            made[key] = tmp_path_factory.mktemp("exports") / "motor"
-            # as after an identification: at constant speed and load nothing tells them
+        if key not in folders:
+            folders[key] = tmp_path_factory.mktemp("exports") / "motor"
+            # as after an identification: unidentifiable at constant speed and load
             options: dict[str, Any] = {
                 "unknowns": "drift,resistance,inverter",
                 "priors": {"resistance": 0.02, "inverter": 0.05},
             }
             machine = MACHINES["servo-400w"]
-            fluxobs.export(machine, sample_time, made[key], **(options if adaptive else {}))
-        return made[key]
+            fluxobs.export(machine, sample_time, folders[key], **(options if adaptive else {}))
+        return folders[key]
 
     return folder
 
 
 def as_adaptive(source):
-    """A shim changed as its first lines say."""
+    """Return a shim for the adaptive observer, changed as its first lines instruct."""
     source = re.sub(r"\bfo_(state|estimate|reset|step)\b", r"fo_adaptive_\1", source)
     source = re.sub(r"\bestimate\.", "estimate.position.", source)
     return source.replace("motor_observer.sample_time", "motor_observer.plain.sample_time")
 
 
 def compile_object(source, out, folder, compilers, flags):
-    """One object of a C or C++ source."""
+    """Compile a C or C++ source to an object file."""
     c, cpp = compilers
-    chosen = [cpp, "-std=c++17"] if source.suffix == ".cpp" else [c, "-std=c99"]
+    compiler = [cpp, "-std=c++17"] if source.suffix == ".cpp" else [c, "-std=c99"]
     includes = [f"-I{folder}", *(f"-I{path}" for path in EXAMPLES.iterdir()), f"-I{HARNESSES}"]
-    subprocess.run([*chosen, *flags, *includes, "-c", source, "-o", out], check=True)
+    subprocess.run([*compiler, *flags, *includes, "-c", source, "-o", out], check=True)
     return out
 
 
 def has_header(compiler, name):
-    """Whether this compiler has a header of the C++ library."""
+    """Whether the C++ library of this compiler has a header."""
     command = [compiler, "-std=c++17", "-fsyntax-only", "-x", "c++", "-"]
     done = subprocess.run(
         command, input=f"#include <{name}>\n", text=True, stderr=subprocess.DEVNULL
@@ -106,10 +106,10 @@ def test_it_compiles_for_a_cortex_m4f(host, exported, tmp_path):
     if host.name == "odrive" and not has_header(compilers[1], "optional"):
         pytest.skip("no cross compiler: libstdc++-arm-none-eabi-newlib")
     cpu = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"]
-    flags = [*cpu, "-O2", *WARNINGS, *(f"-D{word}" for word in host.defines)]
+    flags = [*cpu, "-O2", *WARNINGS, *(f"-D{define}" for define in host.defines)]
     folder = exported(host.sample_time)
     shims = host.shims
-    if not shims:  # a header
+    if not shims:  # the shim is a header
         shims = [tmp_path / "shim.cpp"]
         shims[0].write_text(f'#include "{host.name}_fluxobs.h"\n{host.name}::Fluxobs fluxobs;\n')
     for source in (*shims, *folder.glob("f*.c"), folder / "motor_observer.c"):
@@ -118,13 +118,13 @@ def test_it_compiles_for_a_cortex_m4f(host, exported, tmp_path):
 
 @pytest.fixture(scope="module")
 def drive(exported, tmp_path_factory):
-    """Runs a host's drive: what its report says, by name."""
+    """Return a function that runs a host's drive and returns its report, name → value."""
     programs: dict[tuple[Host, bool], Path] = {}
 
     def program(host: Host, adaptive: bool) -> Path:
         scratch = tmp_path_factory.mktemp("drive")
         folder = exported(host.sample_time, adaptive)
-        flags = ["-O1", *WARNINGS, *(f"-D{word}" for word in host.defines)]
+        flags = ["-O1", *WARNINGS, *(f"-D{define}" for define in host.defines)]
         shims = host.shims
         if adaptive:
             for path in (EXAMPLES / host.name).glob("*_fluxobs.*"):
@@ -146,9 +146,10 @@ def drive(exported, tmp_path_factory):
         if key not in programs:
             programs[key] = program(*key)
         command = [programs[key], str(direction), fault]
-        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
-        print(host, direction, fault, adaptive, *said)
-        return {name: float(value) for name, value in zip(said[::2], said[1::2], strict=True)}
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        words = done.stdout.split()
+        print(host, direction, fault, adaptive, *words)
+        return {name: float(value) for name, value in zip(words[::2], words[1::2], strict=True)}
 
     return run
 
@@ -156,29 +157,29 @@ def drive(exported, tmp_path_factory):
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("host", HOSTS, ids=str)
 def test_the_host_gets_the_true_angle_and_speed(host, direction, drive):
-    """In its own units, signs and timing; and never while its gates are off."""
-    found = drive(host, direction)
-    assert found["trusted"] == 1.0  # of the last tenth of the run
-    assert found["off"] == 0  # samples trusted with the gates off
-    assert abs(found["mean"]) < 0.1  # degrees
-    assert found["rms"] < 0.2
-    assert found["worst"] < 3.0  # from the first sample that is trusted on
-    assert found["speed"] < 0.01  # of the speed
+    """Checked in the host's units, signs and timing; never trusted while its gates are off."""
+    report = drive(host, direction)
+    assert report["trusted"] == 1.0  # share of the last tenth of the run
+    assert report["off"] == 0  # samples trusted with the gates off
+    assert abs(report["mean"]) < 0.1  # degrees
+    assert report["rms"] < 0.2
+    assert report["worst"] < 3.0  # from the first trusted sample on
+    assert report["speed"] < 0.01  # relative to the speed
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("host", HOSTS, ids=str)
-def test_the_adaptive_observer_as_the_first_lines_say(host, drive):
-    found = drive(host, 1, adaptive=True)
-    assert found["trusted"] == 1.0
-    assert found["off"] == 0
-    assert found["rms"] < 0.2
-    assert found["speed"] < 0.01
+def test_the_adaptive_observer_in_a_changed_shim(host, drive):
+    report = drive(host, 1, adaptive=True)
+    assert report["trusted"] == 1.0
+    assert report["off"] == 0
+    assert report["rms"] < 0.2
+    assert report["speed"] < 0.01
 
 
 @pytest.mark.parametrize("fault", ["later", "reversed", "swapped"])
 @pytest.mark.parametrize("host", HOSTS, ids=str)
-def test_a_wrong_delay_or_sign_would_be_found(host, fault, drive):
-    """Half a period later, which turns the voltage by 2.3 degrees; a current with a wrong sign."""
-    found = drive(host, 1, fault)
-    assert found["trusted"] < 1.0 or abs(found["mean"]) > 1.0
+def test_a_wrong_delay_or_sign_is_detected(host, fault, drive):
+    """Half a period later turns the voltage by 2.3 degrees; or a current has the wrong sign."""
+    report = drive(host, 1, fault)
+    assert report["trusted"] < 1.0 or abs(report["mean"]) > 1.0

@@ -1,4 +1,4 @@
-"""A prefix never replaces a file of the library, nor one of its names or include guards."""
+"""A prefix never collides with a file, name or include guard of the library."""
 
 import subprocess
 
@@ -10,7 +10,7 @@ from fluxobs.deployment.folder import joined
 from fluxobs.deployment.settings import check_prefix
 from support.firmware import STRICT
 
-#: Words of the library's files and include guards, as a prefix could repeat them.
+#: Parts of the library's file names and include guards that a prefix could repeat.
 LIKE_THE_LIBRARY = [
     *("ADAPTIVE", "REAL", "SEED", "KEEP", "CONFIG", "RETUNE", "MAP", "INTERNAL"),
     *("adaptive", "map", "telemetry", "unit", "focus"),
@@ -25,8 +25,8 @@ LIKE_THE_LIBRARY = [
         for k, p in enumerate(LIKE_THE_LIBRARY)
     ],
 )
-def test_a_prefix_that_is_also_a_word_of_the_library(tmp_path, prefix, unknowns):
-    """All headers together, and the machine's sources, with a flux map."""
+def test_a_prefix_that_resembles_the_library_compiles(tmp_path, prefix, unknowns):
+    """All headers compile together with the machine's sources and a flux map."""
     folder = tmp_path / "motor"
     fluxobs.export("ipm-5kw6", 1e-4, folder, unknowns=unknowns, prefix=prefix)
     headers = [path.name for path in (*folder.glob("*.h"), *folder.glob("runtime/*.h"))]
@@ -52,7 +52,7 @@ def test_the_library_s_own_prefixes_are_refused(tmp_path, prefix):
 
 
 @pytest.mark.parametrize(
-    ("prefix", "words"),
+    ("prefix", "reason"),
     [
         *((word, "it is a keyword") for word in ("int", "while", "class", "xor", "char8_t")),
         *((word, "it is a keyword") for word in ("constexpr", "fn", "Self", "yield", "typeof")),
@@ -61,25 +61,25 @@ def test_the_library_s_own_prefixes_are_refused(tmp_path, prefix):
         *((word, "device of Windows") for word in ("con", "NUL", "com1")),
     ],
 )
-def test_names_that_are_not_the_user_s_to_give(tmp_path, prefix, words):
-    with pytest.raises(FluxobsError, match=f"^prefix '{prefix}' cannot begin .* {words}") as error:
+def test_reserved_names_are_refused(tmp_path, prefix, reason):
+    with pytest.raises(FluxobsError, match=f"^prefix '{prefix}' cannot begin .* {reason}") as error:
         fluxobs.export("servo-400w", 1e-4, tmp_path / "motor", prefix=prefix)
     assert not (tmp_path / "motor").exists()
-    near = str(error.value).split("'")[-2]
-    check_prefix(near)
+    nearest = str(error.value).split("'")[-2]
+    check_prefix(nearest)
 
 
 @pytest.mark.parametrize("prefix", ["Int", "main", "errno", "final_drive", "console", "a" * 40])
-def test_names_that_only_resemble_those(prefix):
+def test_names_that_resemble_reserved_ones_are_accepted(prefix):
     check_prefix(prefix)
 
 
-def test_what_is_proposed_instead_is_accepted(tmp_path):
+def test_the_proposed_prefix_is_accepted(tmp_path):
     with pytest.raises(FluxobsError, match="'motor' can"):
         fluxobs.export("servo-400w", 1e-4, tmp_path / "motor", prefix="fluxobs-axis")
 
 
-def test_two_files_of_one_name():
+def test_two_files_with_the_same_name_are_refused():
     assert joined({"a": "1"}, {"b": b"2"}) == {"a": "1", "b": b"2"}
     with pytest.raises(FluxobsError, match="two files have this name"):
         joined({"a": "1"}, {"A": "2"})

@@ -1,4 +1,4 @@
-"""The Rust form: `cargo test` in it replays the record, bit for bit."""
+"""The Rust form: its `cargo test` replays the record bit for bit."""
 
 import shutil
 import subprocess
@@ -33,7 +33,7 @@ def test_the_crate_replays_its_record(tmp_path, machine, unknowns):
 
 
 @pytest.mark.skipif(CARGO is None, reason="no cross compiler: cargo")
-def test_another_number_is_found(tmp_path):
+def test_a_changed_number_is_detected(tmp_path):
     folder = fluxobs.export("servo-400w", 1e-4, tmp_path / "crate", form="rust").folder
     record = folder / "tests" / "record.csv"
     lines = record.read_text().splitlines()

@@ -1,4 +1,4 @@
-"""The C sources as exported do, on whole records, what the library does with them."""
+"""The exported C sources return the library's numbers on whole records."""
 
 import re
 import subprocess
@@ -28,7 +28,7 @@ CPU = Path("/proc/cpuinfo").read_text().split() if Path("/proc/cpuinfo").exists(
 
 
 def all_records(name):
-    """Whole records of a machine: biased and noisy, through a stop, and with every bad sample."""
+    """Yield whole records of a machine: biased and noisy, through a stop, with all bad samples."""
     machine = MACHINES[name]
     rated = machine.rated_current
     biased = {
@@ -43,10 +43,10 @@ def all_records(name):
     stopped = steady(machine, SAMPLE_TIME, stop, rows, **biased)
     u, i = plain.voltage.copy(), plain.current.copy()
     rng = np.random.default_rng(3)
-    for values, worst in ((u, 1e12), (i, 1e9)):
-        spoilt = rng.choice(rows, 300)
-        values[spoilt, rng.integers(0, 2, 300)] = rng.choice(
-            [np.nan, np.inf, -np.inf, worst, 0.0, 3 * rated], 300
+    for values, absurd in ((u, 1e12), (i, 1e9)):
+        bad = rng.choice(rows, 300)
+        values[bad, rng.integers(0, 2, 300)] = rng.choice(
+            [np.nan, np.inf, -np.inf, absurd, 0.0, 3 * rated], 300
         )
     yield plain.voltage, plain.current
     yield stopped.voltage, stopped.current
@@ -67,8 +67,8 @@ def test_software_in_the_loop(folders, compiled, name, compiler, precision):
         MACHINES[name], sample_time=SAMPLE_TIME, precision=precision
     )
     for voltage, current in all_records(name):
-        found = replayed(program, voltage, current)
-        np.testing.assert_array_equal(found, expected(observer.run(voltage, current)))
+        replay = replayed(program, voltage, current)
+        np.testing.assert_array_equal(replay, expected(observer.run(voltage, current)))
 
 
 @pytest.mark.parametrize("name", MACHINES)
@@ -108,8 +108,8 @@ def test_sanitizers_over_all_records(folders, compiled, precision):
             assert np.isfinite(replayed(program, voltage, current)).all()
 
 
-def test_what_estimate_does_with_a_log_the_firmware_does(compiled, tmp_path):
-    """The options that `fluxobs estimate` prints give its numbers bit for bit."""
+def test_the_firmware_returns_the_estimates_of_a_log(compiled, tmp_path):
+    """The export options that `fluxobs estimate` prints give its numbers bit for bit."""
     log = LOG
     done = command(
         *("estimate", log, "--machine", "servo-400w", "--out", "e.parquet"),
@@ -123,16 +123,18 @@ def test_what_estimate_does_with_a_log_the_firmware_does(compiled, tmp_path):
     table = pl.read_csv(str(log))
     voltage = table.select("u_alpha", "u_beta").to_numpy()
     current = table.select("i_alpha", "i_beta").to_numpy()
-    late = np.concatenate([[[np.nan, np.nan]], voltage[:-1]])  # lag 0: from its row to the next
-    found = replayed(compiled.program(tmp_path / "motor", ["gcc"], "double"), late, current)
+    late = np.concatenate(
+        [[[np.nan, np.nan]], voltage[:-1]]
+    )  # lag 0: acts from its row to the next
+    replay = replayed(compiled.program(tmp_path / "motor", ["gcc"], "double"), late, current)
     estimate = pl.read_parquet(tmp_path / "e.parquet")
     for column, name in ((0, "flux_alpha"), (2, "psi_f"), (3, "theta_e"), (5, "speed_e")):
-        np.testing.assert_array_equal(found[:, column], estimate[name].to_numpy())
+        np.testing.assert_array_equal(replay[:, column], estimate[name].to_numpy())
 
 
 @pytest.mark.parametrize("every", [1, 4])
 def test_the_example_interrupt_follows_a_drive(tmp_path, every):
-    """The example as exported, in a drive: commands act from the next interrupt on."""
+    """The exported example in a drive whose commands act from the next interrupt on."""
     machine, h, rows = MACHINES["servo-400w"], 5e-5, 8000
     folder = tmp_path / "motor"
     fluxobs.export(machine, h, folder, update_every=every)
@@ -149,13 +151,13 @@ def test_the_example_interrupt_follows_a_drive(tmp_path, every):
     gates = np.ones((rows, 1))
     gates[5000:5500] = 0  # the command is zero then, and the rotor coasts
     commanded[5000:5500] = 0
-    fed = np.concatenate([abc.T, commanded, gates], axis=1).astype(np.float32)
-    done = subprocess.run([program], input=fed.tobytes(), capture_output=True, check=True)
+    inputs = np.concatenate([abc.T, commanded, gates], axis=1).astype(np.float32)
+    done = subprocess.run([program], input=inputs.tobytes(), capture_output=True, check=True)
     angle = np.frombuffer(done.stdout, np.float32).astype(float)
-    known = angle < 99
-    assert known[4000:5000].all()
-    assert known[7000:-2].all()
-    assert not known[5000 + 8 * every : 5500].any()
+    valid = angle < 99
+    assert valid[4000:5000].all()
+    assert valid[7000:-2].all()
+    assert not valid[5000 + 8 * every : 5500].any()
     error = wrapped_degrees(angle - data.theta)
     assert np.sqrt(np.mean(error[4000:5000] ** 2)) < 0.05
-    assert np.abs(error[:-2][known[:-2]]).max() < 3.5
+    assert np.abs(error[:-2][valid[:-2]]).max() < 3.5

@@ -1,4 +1,4 @@
-"""fo_step_for: a step with a duration of its own."""
+"""fo_step_for: steps of different durations."""
 
 import subprocess
 
@@ -16,20 +16,20 @@ ADAPTIVE = "drift,resistance,inverter"
 @pytest.fixture(scope="module", params=["drift", ADAPTIVE], ids=["plain", "adaptive"])
 def program(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("uneven") / "motor"
-    known = {"resistance": 0.01, "inverter": 0.01}  # constant speed and load tell nothing of them
-    priors = known if request.param == ADAPTIVE else None
+    small = {"resistance": 0.01, "inverter": 0.01}  # unidentifiable at constant speed and load
+    priors = small if request.param == ADAPTIVE else None
     machine = MACHINES["servo-400w"]
     fluxobs.export(machine, SAMPLE_TIME, folder, unknowns=request.param, priors=priors)
     sources = [HARNESS / "uneven.c", *folder.glob("*obs*.c")]
     kind = [] if request.param == "drift" else ["-DADAPTIVE"]
-    made = folder.parent / "uneven"
-    command = ["gcc", *STRICT, *kind, f"-I{folder}", *sources, "-lm", "-o", made]
+    executable = folder.parent / "uneven"
+    command = ["gcc", *STRICT, *kind, f"-I{folder}", *sources, "-lm", "-o", executable]
     subprocess.run(command, check=True)
-    return made
+    return executable
 
 
 def record(duration, noise=0.005):
-    """Rows of a servo at constant speed and load, its voltage the exact mean of each interval."""
+    """Return true angle and rows of a servo at constant speed, with exact interval means."""
     machine = MACHINES["servo-400w"]
     t = np.concatenate([[0.0], np.cumsum(duration)])
     rotor = np.exp(1j * SPEED * t)
@@ -80,7 +80,7 @@ def test_a_gap_restarts(program):
         assert valid[gap - 1]
         assert not valid[gap]
         assert not valid[gap : gap + 50].any()
-    off = np.radians(np.abs(wrapped_degrees(theta - true)))
-    known = (valid > 0) & (np.arange(ROWS) > 500)
-    assert (off[known] < 5 * std[known]).all()
+    error = np.radians(np.abs(wrapped_degrees(theta - true)))
+    settled = (valid > 0) & (np.arange(ROWS) > 500)
+    assert (error[settled] < 5 * std[settled]).all()
     assert valid[ROWS // 2 + 1500]

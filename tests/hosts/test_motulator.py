@@ -1,4 +1,4 @@
-"""In motulator's closed loop, beside its own observer: start, load step, reversal, dead time."""
+"""Comparison with motulator's observer in closed loop: start, load step, reversal, dead time."""
 
 from math import pi
 
@@ -16,7 +16,7 @@ import fluxobs
 from fluxobs import FluxobsError
 from fluxobs.hosts.motulator import machine_of, place
 
-#: The machines of motulator's own examples: a 2.2 kW PMSM and a 6.7 kW reluctance machine.
+#: Machines of motulator's examples: a 2.2 kW PMSM and a 6.7 kW reluctance machine.
 PMSM = SynchronousMachinePars(n_p=3, R_s=3.6, L_d=0.036, L_q=0.051, psi_f=0.545)
 SYNRM = SynchronousMachinePars(n_p=2, R_s=0.54, L_d=0.0415, L_q=0.0062, psi_f=0.0)
 STEP = 125e-6
@@ -24,7 +24,7 @@ RATED_SPEED, LOAD = 2 * pi * 75 / 3, 14.0  # mechanical [rad/s], [Nm]
 
 
 def speed_reference(t):
-    """Up in half a second, then reversed."""
+    """Run up in half a second, then reverse."""
     return float(np.interp(t, [0.1, 0.6, 2.0, 3.0], [0.0, 1.0, 1.0, -1.0])) * 0.6 * RATED_SPEED
 
 
@@ -32,8 +32,8 @@ def load(t):
     return LOAD * ((t > 1.0) and (t < 1.6))
 
 
-def simulate(par, ours, dead_time=0.0, offset=0.0, psi_s_min=None, **settings):
-    """Time, errors of the electrical angle [degrees], speeds, and where ours was valid."""
+def simulate(par, with_fluxobs, dead_time=0.0, offset=0.0, psi_s_min=None, **settings):
+    """Return time, errors of the electrical angle [degrees], true and estimated speed, validity."""
     sensor = Sensor(offset=[offset, -offset / 2, 0.0], std=0.02, rng=np.random.default_rng(1))
     machine = model.SynchronousMachine(par, i_s_sensor=sensor)
     mechanics = model.MechanicalSystem(J=0.015)
@@ -41,54 +41,56 @@ def simulate(par, ours, dead_time=0.0, offset=0.0, psi_s_min=None, **settings):
     drive = model.Drive(machine, mechanics, model.VoltageSourceConverter(u_dc=540.0, t_d=dead_time))
     config = control.CurrentVectorControllerCfg(i_s_max=10.0, T_s=STEP, psi_s_min=psi_s_min)
     vector = control.CurrentVectorController(par, config)
-    placed = place(vector, **settings) if ours else None
-    feedback, seen = vector.get_feedback, []
+    placed = place(vector, **settings) if with_fluxobs else None
+    feedback, samples = vector.get_feedback, []
 
     def watched(*arguments):
-        out = feedback(*arguments)
-        turn = 360.0 if par.psi_f else 180.0  # a rotor without magnets looks the same after half
-        ahead = np.degrees(out.theta_m - par.n_p * mechanics.out.theta_M)
-        off = (ahead + turn / 2) % turn - turn / 2
-        known = bool(placed.estimate.valid) if placed else True
-        seen.append((off, mechanics.out.w_M, out.w_M, known))
-        return out
+        outputs = feedback(*arguments)
+        turn = 360.0 if par.psi_f else 180.0  # a rotor without magnets is symmetric
+        ahead = np.degrees(outputs.theta_m - par.n_p * mechanics.out.theta_M)
+        error = (ahead + turn / 2) % turn - turn / 2
+        valid = bool(placed.estimate.valid) if placed else True
+        samples.append((error, mechanics.out.w_M, outputs.w_M, valid))
+        return outputs
 
     vector.get_feedback = watched
     speed = control.SpeedController(J=0.015, alpha_s=2 * pi * 4, tau_M_max=1.5 * LOAD)
     system = control.VectorControlSystem(vector, speed)
     system.set_speed_ref(speed_reference)
     model.Simulation(drive, system, show_progress=False).simulate(t_stop=3.5)
-    off, true, told, valid = np.array(seen).T
-    return STEP * np.arange(len(off)), off, true, told, valid > 0
+    error, true, estimated, valid = np.array(samples).T
+    return STEP * np.arange(len(error)), error, true, estimated, valid > 0
 
 
 ADAPTIVE = "drift,resistance,inverter"
-#: Parts of the course [s].
-PARTS = {"run up": (0.1, 0.6), "load": (1.0, 1.6), "reversal": (2.0, 3.0), "end": (3.0, 3.5)}
+#: Segments of the course [s].
+SEGMENTS = {"run up": (0.1, 0.6), "load": (1.0, 1.6), "reversal": (2.0, 3.0), "end": (3.0, 3.5)}
 
 
-def rms(t, off, part):
-    within = (t > PARTS[part][0]) & (t < PARTS[part][1])
-    return np.sqrt(np.mean(off[within] ** 2))
+def rms(t, error, segment):
+    begin, end = SEGMENTS[segment]
+    return np.sqrt(np.mean(error[(t > begin) & (t < end)] ** 2))
 
 
 @pytest.mark.parametrize("dead_time", [0.0, 2e-6])
 def test_a_pmsm_beside_motulators_own_observer(dead_time):
-    """Offsets of 50 mA, noise; a start from standstill, a load step, a reversal under no load."""
+    """Offsets of 50 mA and noise; start from standstill, load step, reversal without load."""
     t, own, *_ = simulate(PMSM, False, dead_time, offset=0.05)
-    _, ours, true, told, valid = simulate(PMSM, True, dead_time, offset=0.05, unknowns=ADAPTIVE)
+    _, ours, true, estimated, valid = simulate(
+        PMSM, True, dead_time, offset=0.05, unknowns=ADAPTIVE
+    )
     assert abs(true[-1] / (-0.6 * RATED_SPEED) - 1) < 0.01
     assert valid[(t > 0.7) & (t < 2.0)].all()
     assert valid[t > 3.0].all()
-    for part in ("load", "reversal", "end"):
-        assert rms(t, ours, part) < 0.5 * rms(t, own, part), part
-        assert rms(t, ours, part) < 1.0, part
+    for segment in ("load", "reversal", "end"):
+        assert rms(t, ours, segment) < 0.5 * rms(t, own, segment), segment
+        assert rms(t, ours, segment) < 1.0, segment
     assert np.abs(ours[valid]).max() < (10.0 if dead_time else 1.0)
-    assert abs(told - true)[valid & (t > 0.7)].max() < 0.1 * RATED_SPEED
+    assert abs(estimated - true)[valid & (t > 0.7)].max() < 0.1 * RATED_SPEED
 
 
 def test_a_reluctance_machine_with_dead_time():
-    """motulator's own observer loses it at the reversal; ours comes through."""
+    """motulator's observer loses the position at the reversal; fluxobs does not."""
     t, ours, true, _, valid = simulate(
         SYNRM, True, 2e-6, offset=0.05, psi_s_min=0.3, unknowns=ADAPTIVE
     )
@@ -98,7 +100,7 @@ def test_a_reluctance_machine_with_dead_time():
     assert rms(t, ours, "end") < 0.3
 
 
-def test_the_machine_and_what_does_not_fit():
+def test_machines_and_refused_controllers():
     assert isinstance(machine_of(SYNRM, 5.0), fluxobs.SynchronousReluctance)
     assert isinstance(machine_of(PMSM, 5.0), fluxobs.InteriorPMSM)
     same = SynchronousMachinePars(n_p=3, R_s=3.6, L_d=0.036, L_q=0.036, psi_f=0.545)

@@ -1,4 +1,4 @@
-"""A recording is its own from the start, and what was there before is not lost."""
+"""A recording owns its file from the start, and does not destroy what was there before."""
 
 import os
 import subprocess
@@ -15,7 +15,7 @@ def record(path, lines=b"a\n1\n", **options):
         recorder.add(lines)
 
 
-def test_it_is_in_the_file_though_nobody_closed_it(tmp_path):
+def test_lines_are_in_the_file_before_it_is_closed(tmp_path):
     path = tmp_path / "run.csv"
     with Recorder(path) as recorder:
         recorder.add(b"a\n1\n")
@@ -29,14 +29,16 @@ def test_two_recordings_do_not_share_a_file(tmp_path, force):
     path = tmp_path / "run.csv"
     with Recorder(path, force=force) as first:
         first.add(b"first\n")
-        words = "another run records into it" if force else "exists; give another name, or --force"
-        with pytest.raises(FluxobsError, match=f"run.csv: {words}"):
+        message = (
+            "another run records into it" if force else "exists; give another name, or --force"
+        )
+        with pytest.raises(FluxobsError, match=f"run.csv: {message}"):
             record(path, force=force)
-        first.add(b"goes on\n")
-    assert path.read_bytes() == b"first\ngoes on\n"
+        first.add(b"more\n")
+    assert path.read_bytes() == b"first\nmore\n"
 
 
-def test_a_file_that_is_made_after_the_start(tmp_path):
+def test_the_file_exists_from_the_start(tmp_path):
     path = tmp_path / "run.csv"
     with Recorder(path) as recorder:
         with pytest.raises(FileExistsError):
@@ -48,7 +50,7 @@ def test_a_file_that_is_made_after_the_start(tmp_path):
     assert path.read_bytes() == b"b\n"
 
 
-def test_nothing_to_record_leaves_things_as_they_were(tmp_path):
+def test_without_lines_no_file_is_created_or_changed(tmp_path):
     with Recorder(tmp_path / "new.csv"):
         pass
     (tmp_path / "old.csv").write_bytes(b"mine")
@@ -59,27 +61,27 @@ def test_nothing_to_record_leaves_things_as_they_were(tmp_path):
 
 
 @pytest.mark.parametrize("force", [False, True])
-@pytest.mark.parametrize("there", [False, True])
-def test_no_link_is_followed(tmp_path, force, there):
+@pytest.mark.parametrize("target_exists", [False, True])
+def test_links_are_not_followed(tmp_path, force, target_exists):
     victim, path = tmp_path / "victim", tmp_path / "run.csv"
-    if there:
+    if target_exists:
         victim.write_text("mine")
     path.symlink_to(victim)
     with pytest.raises(FluxobsError, match="is a link" if force else "exists"):
         record(path, force=force)
-    assert victim.exists() == there
-    assert not there or victim.read_text() == "mine"
+    assert victim.exists() == target_exists
+    assert not target_exists or victim.read_text() == "mine"
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
-def test_a_pipe_is_no_place(tmp_path):
-    """It would wait for a reader."""
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_pipe_is_refused(tmp_path):
+    """Opening it would wait for a reader."""
     os.mkfifo(tmp_path / "run.csv")
-    with pytest.raises(FluxobsError, match="is no regular file"):
+    with pytest.raises(FluxobsError, match="is not a regular file"):
         record(tmp_path / "run.csv", force=True)
 
 
-def test_bytes_as_they_came_go_to_the_next_free_name(tmp_path):
+def test_raw_bytes_go_to_the_next_free_name(tmp_path):
     (tmp_path / "run.raw").symlink_to("nowhere")
     (tmp_path / "run-2.raw").write_bytes(b"mine")
     assert save_raw(tmp_path / "run.csv", b"x") == tmp_path / "run-3.raw"
@@ -88,7 +90,7 @@ def test_bytes_as_they_came_go_to_the_next_free_name(tmp_path):
     assert not (tmp_path / "nowhere").exists()
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="no limits of files")
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit on file sizes")
 def test_a_full_disk_keeps_what_fits(tmp_path):
     program = (
         "import resource, signal, sys\n"
@@ -101,7 +103,7 @@ def test_a_full_disk_keeps_what_fits(tmp_path):
         "    recorder.add(b'0123456789')\n"
     )
     path = tmp_path / "run.csv"
-    given = [sys.executable, "-c", program, path]
-    done = subprocess.run(given, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-c", program, path]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert "run.csv: cannot be written: File too large" in done.stderr
     assert path.read_bytes() == b"0123456789012345678901234"

@@ -1,4 +1,4 @@
-"""Where a stream comes from, and where it goes to."""
+"""Sources of a stream, and the server of the live page."""
 
 import os
 import socket
@@ -16,18 +16,18 @@ from fluxobs.live.sources import Demo, open_source
 
 
 def until(source, wanted, send=None):
-    """What a source brings, until `wanted` bytes have come; `send` is called once it listens."""
-    got = b""
+    """Return at least `wanted` bytes of a source; `send` is called once it listens."""
+    received = b""
     end = time.monotonic() + 20
     with closing(source.chunks()) as chunks:
         for n, data in enumerate(chunks):
             if n == 0 and send is not None:
                 threading.Thread(target=send).start()
-            got += data
-            assert time.monotonic() < end, len(got)
-            if len(got) >= wanted:
+            received += data
+            assert time.monotonic() < end, len(received)
+            if len(received) >= wanted:
                 break
-    return got
+    return received
 
 
 def test_a_file_that_grows(tmp_path):
@@ -45,7 +45,7 @@ def test_a_file_that_grows(tmp_path):
     assert until(source, 16, write) == b"first\n0\n1\n2\n3\n4\n"
 
 
-def test_nothing_new_is_asked_for_at_least_ten_times_a_second(tmp_path, monkeypatch):
+def test_an_idle_source_returns_at_least_twice_a_second(tmp_path, monkeypatch):
     path = tmp_path / "log.csv"
     path.write_bytes(b"first\n")
     pauses = []
@@ -93,9 +93,9 @@ def test_datagrams():
     source = open_source(f"udp:{port}", 0)
 
     def send():
-        with sender() as out:
+        with sender() as drive:
             for k in range(100):
-                out.sendto(b"%04d\n" % k, ("127.0.0.1", port))
+                drive.sendto(b"%04d\n" % k, ("127.0.0.1", port))
 
     assert until(source, 500, send) == b"".join(b"%04d\n" % k for k in range(100))
 
@@ -108,37 +108,39 @@ def test_datagrams_of_another_sender_are_left_out_and_counted(monkeypatch):
     chunks = source.chunks()
     with sender() as drive, sender() as stray, closing(chunks):
 
-        def taken(seconds, *datagrams):
-            """What is taken of datagrams of an address each; the last is one of the drive's."""
+        def received(seconds, *datagrams):
+            """Return what the source reads of datagrams (sender, data) sent `seconds` later."""
             now[0] += seconds
-            for out, data in datagrams:
-                out.sendto(data, ("127.0.0.1", port))
+            for origin, data in datagrams:
+                origin.sendto(data, ("127.0.0.1", port))
             return b"".join(next(chunks) for _ in range(4))
 
         stray.bind(("127.0.0.1", 0))
-        assert taken(0, (stray, b""), (drive, b"t,u"), (drive, b"0,1")) == b"t,u\n0,1\n"
-        assert source.ignored == 0, "an empty datagram is of nobody"
-        assert taken(4, (stray, b"x,y,z"), (drive, b"1,1"), (stray, b"\xf1")) == b"1,1\n"
+        assert received(0, (stray, b""), (drive, b"t,u"), (drive, b"0,1")) == b"t,u\n0,1\n"
+        assert source.ignored == 0, "an empty datagram has no sender"
+        assert received(4, (stray, b"x,y,z"), (drive, b"1,1"), (stray, b"\xf1")) == b"1,1\n"
         assert source.ignored == 2
-        # The drive is silent: another port of the same host is the drive that started again.
-        assert taken(6, (stray, b"0,2"), (drive, b"2,1")) == b"0,2\n"
+        # After a silence, another port of the same host is taken as the drive, restarted.
+        assert received(6, (stray, b"0,2"), (drive, b"2,1")) == b"0,2\n"
         assert source.ignored == 3
 
 
 def test_another_host_never_takes_over(monkeypatch):
     from fluxobs.live.sources import Datagrams
 
-    come = [(b"0,1", ("10.0.0.1", 5)), (b"x", ("10.0.0.2", 5)), (b"1,1", ("10.0.0.1", 6))]
+    datagrams = [(b"0,1", ("10.0.0.1", 5)), (b"x", ("10.0.0.2", 5)), (b"1,1", ("10.0.0.1", 6))]
     now = [100.0]
     monkeypatch.setattr("fluxobs.live.sources.time.monotonic", lambda: now[0])
     source = Datagrams("127.0.0.1", free_port())
     with source._socket:
-        monkeypatch.setattr(source, "_socket", type("", (), {"recvfrom": lambda *_: come.pop(0)})())
-        got = []
-        while come:
-            got.append(source._received())
+        monkeypatch.setattr(
+            source, "_socket", type("", (), {"recvfrom": lambda *_: datagrams.pop(0)})()
+        )
+        received = []
+        while datagrams:
+            received.append(source._receive())
             now[0] += 100
-    assert got == [b"0,1\n", b"", b"1,1\n"]
+    assert received == [b"0,1\n", b"", b"1,1\n"]
 
 
 @pytest.mark.parametrize(
@@ -148,24 +150,24 @@ def test_another_host_never_takes_over(monkeypatch):
 def test_datagrams_come_from_this_computer_unless_an_address_is_given(place, address):
     port = free_port()
     source = open_source(f"udp:{place}{port}", 0)
-    with source._socket as own:
-        assert own.getsockname() == (address, port)
+    with source._socket as opened:
+        assert opened.getsockname() == (address, port)
 
 
 def test_a_datagram_ends_a_line():
     from fluxobs.live.frames import SAMPLES, frame
-    from fluxobs.live.sources import _ended
+    from fluxobs.live.sources import _end_line
 
-    assert _ended(b"1,2") == _ended(b"1,2\n") == b"1,2\n"
+    assert _end_line(b"1,2") == _end_line(b"1,2\n") == b"1,2\n"
     sample = frame(SAMPLES, 0, b"1234")
-    assert _ended(sample) == sample
+    assert _end_line(sample) == sample
 
 
 def test_a_connection_ends_when_the_other_side_closes_it():
     with socket.create_server(("127.0.0.1", 0)) as server:
         source = open_source(f"socket://127.0.0.1:{server.getsockname()[1]}", 0)
-        there, _ = server.accept()
-        threading.Thread(target=lambda: (there.sendall(b"1,2\n" * 100_000), there.close())).start()
+        peer, _ = server.accept()
+        threading.Thread(target=lambda: (peer.sendall(b"1,2\n" * 100_000), peer.close())).start()
         began = time.monotonic()
         assert b"".join(source.chunks()) == b"1,2\n" * 100_000
     assert time.monotonic() - began < 5
@@ -187,16 +189,16 @@ def test_a_serial_port():
 
 def test_the_demo_runs_in_real_time():
     began = time.monotonic()
-    got = b""
+    received = b""
     for data in Demo().chunks():
-        got += data
-        if got.count(b"\n") > 1500:
+        received += data
+        if received.count(b"\n") > 1500:
             break
-    assert 0.25 < time.monotonic() - began < 5  # 0.3 s, and the time to make the first cycle
+    assert 0.25 < time.monotonic() - began < 5  # 0.3 s, and the time to simulate the first cycle
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("nowhere.csv", "no such file or port"),
         (".", "folder"),
@@ -209,9 +211,9 @@ def test_the_demo_runs_in_real_time():
         ("socket://localhost:1", "cannot be opened"),
     ],
 )
-def test_what_is_not_there(text, words):
+def test_sources_that_cannot_be_opened(text, message):
     pytest.importorskip("serial")
-    with pytest.raises(FluxobsError, match=words):
+    with pytest.raises(FluxobsError, match=message):
         open_source(text, 115200)
 
 
@@ -228,15 +230,15 @@ def server():
         built("page.html")
     except FluxobsError as error:
         pytest.skip(str(error))
-    made = []
+    servers = []
 
     def make(patient=True, **settings):
-        made.append(Server(0, settings, patient))
-        return made[-1]
+        servers.append(Server(0, settings, patient))
+        return servers[-1]
 
     yield make
-    for one in made:
-        one.end()
+    for started in servers:
+        started.end()
 
 
 def connected(server, **options):
@@ -248,18 +250,18 @@ def connected(server, **options):
 
 
 def test_the_page_is_served_with_its_settings_and_may_ask_for_the_stream_alone(server):
-    one = server(name="</script><b>é")
-    with urlopen(one.url) as answer:
+    site = server(name="</script><b>é")
+    with urlopen(site.url) as answer:
         text = answer.read().decode("utf-8")
-    host = one.url.removeprefix("http://").rstrip("/")
+    host = site.url.removeprefix("http://").rstrip("/")
     assert f"connect-src ws://{host} " in text
     settings = '{"name": "\\u003c/script>\\u003cb>é"}'
     assert f'<script type="application/json" id="live">{settings}</script>' in text
 
 
-def refused(one, path, **headers):
+def refusal(site, path, **headers):
     with pytest.raises(HTTPError) as error:
-        urlopen(Request(one.url + path, headers=headers))
+        urlopen(Request(site.url + path, headers=headers))
     error.value.close()
     return error.value.code
 
@@ -267,12 +269,12 @@ def refused(one, path, **headers):
 def test_other_pages_cannot_read_it(server):
     from websockets.exceptions import InvalidStatus
 
-    one = server()
-    assert refused(one, "", Host="evil.example") == 403  # a name that was turned to 127.0.0.1
-    assert refused(one, "secret") == 404
+    site = server()
+    assert refusal(site, "", Host="evil.example") == 403  # a name that resolves to 127.0.0.1
+    assert refusal(site, "secret") == 404
     for origin in ("http://evil.example", None, "null"):
         with pytest.raises(InvalidStatus, match="403"):
-            connected(one, origin=origin)
+            connected(site, origin=origin)
 
 
 @pytest.mark.parametrize(
@@ -286,28 +288,28 @@ def test_other_pages_cannot_read_it(server):
         ("/stream", ["Host: {host}"], 403),
     ],
 )
-def test_headers_that_no_browser_sends(monkeypatch, caplog, path, headers, status):
+def test_malformed_headers(monkeypatch, caplog, path, headers, status):
     pytest.importorskip("websockets")
     from fluxobs.live import serve
 
     monkeypatch.setattr(serve, "built", lambda name: "<html>")
-    one = serve.Server(0, {}, patient=True)
-    host = one.url.removeprefix("http://").rstrip("/")
+    site = serve.Server(0, {}, patient=True)
+    host = site.url.removeprefix("http://").rstrip("/")
     with socket.create_connection(("localhost", int(host.partition(":")[2]))) as client:
         lines = [f"GET {path} HTTP/1.1", *headers, "", ""]
         client.sendall("\r\n".join(lines).format(host=host).encode())
         answer = client.makefile("rb").read()
-    one.end()
+    site.end()
     assert answer.startswith(b"HTTP/1.1 %d " % status)
     assert not caplog.records
 
 
 def test_the_stream_arrives_whole(server):
-    one = server()
+    site = server()
     pieces = [bytes([k % 256]) * 1000 for k in range(3000)]
-    with connected(one) as page:
-        assert one.watched.wait(5)
-        threading.Thread(target=lambda: [*map(one.send, pieces), one.end()]).start()
+    with connected(site) as page:
+        assert site.watched.wait(5)
+        threading.Thread(target=lambda: [*map(site.send, pieces), site.end()]).start()
         assert b"".join(page) == b"".join(pieces)
 
 
@@ -319,42 +321,42 @@ def test_the_stream_arrives_whole(server):
         ([b"# rig 3\nt,u\n  1,2\n"], b"4\n5,6\n"),
     ],
 )
-def test_a_page_that_comes_late_gets_the_names_and_whole_lines(server, pieces, rest):
-    one = server()
+def test_a_page_that_connects_late_gets_the_names_and_whole_lines(server, pieces, rest):
+    site = server()
     for piece in pieces:
-        one.send(piece)
-    with connected(one) as page:
+        site.send(piece)
+    with connected(site) as page:
         time.sleep(0.2)
-        one.send(b"4\n5,6\n")
+        site.send(b"4\n5,6\n")
         assert page.recv() == b"# rig 3\nt,u\n"
         assert page.recv() == rest
 
 
-def test_a_page_that_is_too_slow_is_let_go_of_a_port(server, monkeypatch):
+def test_a_page_too_slow_for_a_port_is_disconnected(server, monkeypatch):
     from fluxobs.live import serve
 
     monkeypatch.setattr(serve, "_WAITING", 3)
-    one = server(patient=False)
-    with connected(one, max_queue=1) as page:
-        assert one.watched.wait(5)
+    site = server(patient=False)
+    with connected(site, max_queue=1) as page:
+        assert site.watched.wait(5)
         for _ in range(3000):
-            one.send(b"x" * 100_000)
-        got = b"".join(page)
-    assert 0 < len(got) < 3000 * 100_000
+            site.send(b"x" * 100_000)
+        received = b"".join(page)
+    assert 0 < len(received) < 3000 * 100_000
 
 
-def test_a_page_that_stands_still_does_not_hold_up_a_stream_that_waits(server, monkeypatch):
+def test_a_stalled_page_does_not_block_a_patient_stream(server, monkeypatch):
     from fluxobs.live import serve
 
     monkeypatch.setattr(serve, "_WAITING", 3)
     monkeypatch.setattr(serve, "_PATIENCE", 0.2)
-    one = server()
-    with connected(one, max_queue=1, close_timeout=1):
-        assert one.watched.wait(5)
+    site = server()
+    with connected(site, max_queue=1, close_timeout=1):
+        assert site.watched.wait(5)
         began = time.monotonic()
         for _ in range(300):
-            one.send(b"x" * 100_000)
-        one.end()
+            site.send(b"x" * 100_000)
+        site.end()
         assert time.monotonic() - began < 5
 
 

@@ -1,4 +1,4 @@
-"""What the terminal says of a stream, a line at a time."""
+"""Lines and table of a stream in the terminal."""
 
 import numpy as np
 import pytest
@@ -26,41 +26,41 @@ def test_lines_of_a_stream(tmp_path, capsys, at):
     source = Demo()
     terminal = Terminal(Watch(example("servo-400w"), tmp_path / "stream"), source)
 
-    def line(seconds, *come):
+    def line(seconds, *arrived):
         at[0] += seconds
-        for part in come:
-            terminal.add(part)
+        for estimates in arrived:
+            terminal.add(estimates)
         terminal.draw()
         return capsys.readouterr().out.strip()
 
     waits = ", waiting: the stream's first 2000 rows"
     assert line(0) == waits[2:]
-    assert line(1) == "", "nothing new is no new line"
+    assert line(1) == "", "no new rows, no new line"
     assert line(1, rows(np.radians(5), True)) == f"theta_e 5°, speed_e 10 rad/s, valid 100%{waits}"
     assert line(0.5, rows(np.radians(6), True)) == "", "one line a second"
     silent = ", no rows for more than 2 s"
     assert line(1) == f"theta_e 6°, speed_e 10 rad/s, valid 100%{waits}"
     assert line(2).endswith(waits + silent)
     assert line(1) == ""
-    found = line(1, rows(np.radians(7), False))
-    assert found.startswith("theta_e –, speed_e –, valid 0%"), "a value that is not valid is none"
-    assert silent not in found
+    invalid = line(1, rows(np.radians(7), False))
+    assert invalid.startswith("theta_e –, speed_e –, valid 0%"), "an invalid value is not shown"
+    assert silent not in invalid
     source.ignored = 3
-    assert ", 3 of other senders" in line(1)
+    assert ", 3 from other senders" in line(1)
     source.name = "\x1b[31mcaf\udce9.csv"
     assert str(terminal._table().title).startswith(r"\x1b[31mcaf\xe9.csv: 0 rows")
 
 
-def test_a_table_has_values_and_their_course(tmp_path, at):
+def test_the_table_has_values_and_sparklines(tmp_path, at):
     terminal = Terminal(Watch(example("servo-400w"), tmp_path / "stream"), Demo())
     for theta in (10.0, 20.0, 45.0):
         at[0] += 1.0
         terminal.add(rows(np.radians(theta), True))
         terminal.draw(force=True)
-    name, now, course = (list(column.cells) for column in terminal._table().columns)
+    name, now, strip = (list(column.cells) for column in terminal._table().columns)
     assert name == ["theta_e", "speed_e", "valid"]
     assert now == ["45°", "10 rad/s", "100%"]
-    assert course == ["▁▃█", "▁▁▁", "▁▁▁"]
+    assert strip == ["▁▃█", "▁▁▁", "▁▁▁"]
     assert [column.justify for column in terminal._table().columns] == ["left", "right", "left"]
 
 
@@ -75,11 +75,11 @@ def test_a_table_has_values_and_their_course(tmp_path, at):
         ([-1.0, np.inf, 1.0], "▁ █"),
     ],
 )
-def test_a_strip_of_blocks(values, strip):
+def test_sparkline(values, strip):
     assert sparkline(values) == strip
 
 
-def test_strips_are_forty_long(tmp_path, at):
+def test_sparklines_are_at_most_forty_long(tmp_path, at):
     terminal = Terminal(Watch(example("servo-400w"), tmp_path / "stream"), Demo())
     for _ in range(50):
         terminal.add(rows(0.1, True))
@@ -87,7 +87,7 @@ def test_strips_are_forty_long(tmp_path, at):
     assert {len(strip) for strip in terminal._strips.values()} == {40}
 
 
-def test_what_a_person_wants_to_see():
+def test_columns_shown():
     servo, levitation = (shown(example(name)) for name in ("servo-400w", "maglev-knospe"))
     assert servo[:3] == [
         ("t", "s", 1.0),

@@ -1,4 +1,4 @@
-"""Estimates of a stream are those of a log that is estimated as it goes."""
+"""Live estimates of a stream equal the filtered estimates of the same log."""
 
 import numpy as np
 import pytest
@@ -13,41 +13,41 @@ DEMO = LOG.read_bytes()
 
 
 def watched(watch, data, piece=5000):
-    """All that is estimated, as columns."""
+    """Return all estimates as columns."""
     rows = [r for k in range(0, len(data), piece) for r in watch.feed(data[k : k + piece])]
     return {name: np.concatenate([r.columns[name] for r in rows]) for name in rows[0].columns}
 
 
 @pytest.fixture
 def watch(tmp_path):
-    def make(machine="servo-400w", **given):
-        return Watch(fluxobs.read_machine(machine), tmp_path / "stream", **given)
+    def make(machine="servo-400w", **options):
+        return Watch(fluxobs.read_machine(machine), tmp_path / "stream", **options)
 
     return make
 
 
 @pytest.mark.parametrize(("unknowns", "pieces"), [("auto", 333), ("drift", len(DEMO))])
 def test_the_estimates_of_a_log(watch, unknowns, pieces):
-    one, other = watch(unknowns=unknowns), watch(unknowns=unknowns)
-    found = watched(one, DEMO)
-    again = watched(other, DEMO, pieces)
-    for name in found:
-        assert np.array_equal(found[name], again[name], equal_nan=True), name
-    assert len(found["t"]) == one.status.rows == 10_000
+    live, repeated = watch(unknowns=unknowns), watch(unknowns=unknowns)
+    estimates = watched(live, DEMO)
+    in_pieces = watched(repeated, DEMO, pieces)
+    for name in estimates:
+        assert np.array_equal(estimates[name], in_pieces[name], equal_nan=True), name
+    assert len(estimates["t"]) == live.status.rows == 10_000
     log = fluxobs.estimate(
         fluxobs.demo_log(),
         "servo-400w",
-        unknowns=unknowns if unknowns != "auto" else one.unknowns,
+        unknowns=unknowns if unknowns != "auto" else live.unknowns,
         causal=True,
     )
-    # only the sizes of the signals, which a stream cannot know before, are others
-    known = found["valid"] & log["valid"]
-    assert known.sum() > 0.95 * log["valid"].sum()
-    off = np.abs(found["theta_e"] - log["theta_e"])[known]
-    assert (np.minimum(off, 2 * np.pi - off) < log["theta_e_std"][known]).all()
+    # they differ only by the scales of the signals, which a stream cannot know in advance
+    both = estimates["valid"] & log["valid"]
+    assert both.sum() > 0.95 * log["valid"].sum()
+    difference = np.abs(estimates["theta_e"] - log["theta_e"])[both]
+    assert (np.minimum(difference, 2 * np.pi - difference) < log["theta_e_std"][both]).all()
     rms = [
-        np.degrees(np.sqrt(np.mean(e[known] ** 2)))
-        for e in (found["theta_e_error"], log["theta_e_error"])
+        np.degrees(np.sqrt(np.mean(e[both] ** 2)))
+        for e in (estimates["theta_e_error"], log["theta_e_error"])
     ]
     assert rms[0] < 1.3 * rms[1] + 0.05
 
@@ -55,12 +55,12 @@ def test_the_estimates_of_a_log(watch, unknowns, pieces):
 def test_missing_rows_are_bad_samples(watch):
     header, *rows = DEMO.splitlines(keepends=True)
     del rows[5000:5003], rows[7000:7060]
-    made = watch()
-    found = watched(made, header + b"".join(rows))
-    assert made.status.lost == 63
-    assert np.allclose(np.diff(found["t"]), 2e-4)
-    assert not found["valid"][5001]
-    error = np.degrees(np.abs(found["theta_e_error"][found["valid"]]))
+    live = watch()
+    estimates = watched(live, header + b"".join(rows))
+    assert live.status.lost == 63
+    assert np.allclose(np.diff(estimates["t"]), 2e-4)
+    assert not estimates["valid"][5001]
+    error = np.degrees(np.abs(estimates["theta_e_error"][estimates["valid"]]))
     assert error.max() < 1.5
 
 
@@ -68,16 +68,16 @@ def test_it_waits_for_a_current(watch):
     header, *rows = DEMO.splitlines(keepends=True)
     still = [b"%.4f,0,0,0,0,0\n" % (2e-4 * k) for k in range(12_000)]
     moved = [b"%.4f," % (2.4 + 2e-4 * k) + row.split(b",", 1)[1] for k, row in enumerate(rows)]
-    made = watch()
-    assert list(made.feed(header + b"".join(still))) == []
-    assert "current is zero" in made.status.waiting
-    found = watched(made, b"".join(moved))
-    assert made.status.waiting == ""
-    assert found["valid"][-100:].all()
+    live = watch()
+    assert list(live.feed(header + b"".join(still))) == []
+    assert "current is zero" in live.status.waiting
+    estimates = watched(live, b"".join(moved))
+    assert live.status.waiting == ""
+    assert estimates["valid"][-100:].all()
 
 
 def test_a_signal_that_grows_gets_an_observer_that_fits(watch):
-    """From hardly turning to full speed: what was chosen for the start does not fit the rest."""
+    """From almost standstill to full speed: the first choice does not fit the rest."""
     header, *rows = DEMO.splitlines(keepends=True)
     table = np.array([[float(x) for x in row.split(b",")] for row in rows])
     quiet = np.repeat(table[:1], 5000, 0)
@@ -87,22 +87,22 @@ def test_a_signal_that_grows_gets_an_observer_that_fits(watch):
     data = header + b"".join(
         b",".join(b"%.6g" % x for x in row) + b"\n" for row in np.concatenate([quiet, table])
     )
-    made = watch()
-    found = watched(made, data)
-    assert made.status.chosen > 1
-    assert found["valid"][-4000:].mean() > 0.9
-    assert np.degrees(np.abs(found["theta_e_error"][found["valid"]])).max() < 3
+    live = watch()
+    estimates = watched(live, data)
+    assert live.status.chosen > 1
+    assert estimates["valid"][-4000:].mean() > 0.9
+    assert np.degrees(np.abs(estimates["theta_e_error"][estimates["valid"]])).max() < 3
 
 
 def test_a_recording_is_a_log(watch, tmp_path):
-    made, kept = watch(), []
+    live, recorded = watch(), []
     for k in range(0, 300_000, 4000):
         if k == 120_000:
-            made.record(kept.append)
-        for _ in made.feed(DEMO[k : k + 4000]):
+            live.record(recorded.append)
+        for _ in live.feed(DEMO[k : k + 4000]):
             pass
-    path = tmp_path / "kept.csv"
-    path.write_bytes(b"".join(kept))
+    path = tmp_path / "recorded.csv"
+    path.write_bytes(b"".join(recorded))
     log = fluxobs.read_log(path)
     assert len(log) > 3000
     rows = {line.split(b",")[0]: line for line in DEMO.splitlines()}
@@ -110,7 +110,7 @@ def test_a_recording_is_a_log(watch, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("data", "given", "words"),
+    ("data", "options", "message"),
     [
         (DEMO.replace(b"u_alpha", b"foo", 1), {}, "u_alpha"),
         (b"\n".join(line.split(b",", 1)[1] for line in DEMO.splitlines()), {}, "--sample-time"),
@@ -120,9 +120,9 @@ def test_a_recording_is_a_log(watch, tmp_path):
         (DEMO, {"frame": "bogus"}, "frame"),
     ],
 )
-def test_what_cannot_be_estimated_is_said(watch, data, given, words):
-    with pytest.raises(FluxobsError, match=words):
-        watched(watch(**given), data)
+def test_what_cannot_be_estimated_is_refused(watch, data, options, message):
+    with pytest.raises(FluxobsError, match=message):
+        watched(watch(**options), data)
 
 
 def test_a_stream_in_frames(watch):
@@ -133,35 +133,35 @@ def test_a_stream_in_frames(watch):
     )
     text, framed = watched(watch(), DEMO), watched(watch(), data)
     assert np.allclose(text["t"], framed["t"])
-    off = np.abs(text["theta_e"] - framed["theta_e"])
-    off = np.minimum(off, 2 * np.pi - off)
+    difference = np.abs(text["theta_e"] - framed["theta_e"])
+    difference = np.minimum(difference, 2 * np.pi - difference)
     both = text["valid"] & framed["valid"]
-    assert (off < text["theta_e_std"])[both].all()
+    assert (difference < text["theta_e_std"])[both].all()
 
 
 def test_a_short_stream_is_estimated_when_it_ends(watch):
-    made = watch(lag=1)
+    live = watch(lag=1)
     data = b"".join(DEMO.splitlines(keepends=True)[:1001]).rstrip(b"\n")
-    assert list(made.feed(data)) == []
-    rows = list(made.feed(b"", last=True))
-    assert sum(len(one.valid) for one in rows) == made.status.rows == 1000
+    assert list(live.feed(data)) == []
+    rows = list(live.feed(b"", last=True))
+    assert sum(len(batch.valid) for batch in rows) == live.status.rows == 1000
 
 
-def test_an_empty_stream_ends_in_peace(watch):
-    made = watch()
-    assert list(made.feed(b"", last=True)) == []
-    assert "first 2000 rows" in made.status.waiting
+def test_an_empty_stream_is_no_error(watch):
+    live = watch()
+    assert list(live.feed(b"", last=True)) == []
+    assert "first 2000 rows" in live.status.waiting
 
 
 def test_names_that_come_later(watch):
     header, rows = DEMO.split(b"\n", 1)
-    made = watch()
-    assert list(made.feed(rows)) == []
-    assert "a line that names the columns; there is none among 9990 lines" in made.status.waiting
+    live = watch()
+    assert list(live.feed(rows)) == []
+    assert "a line that names the columns, not found in 9990 lines" in live.status.waiting
     with pytest.raises(FluxobsError, match="expected a header"):
         list(watch().feed(rows, last=True))
-    found = [*made.feed(header + b"\n" + rows[:100_000]), *made.feed(rows[100_000:])]
-    assert sum(len(one.valid) for one in found) == 10_000
+    estimates = [*live.feed(header + b"\n" + rows[:100_000]), *live.feed(rows[100_000:])]
+    assert sum(len(batch.valid) for batch in estimates) == 10_000
 
 
 FIRST, *LINES = DEMO.splitlines(keepends=True)
@@ -185,34 +185,34 @@ def stamped(line, t):
     ids=[*["restart", "exchanged", "early", "stamp", "cell", "text", "short"]],
 )
 def test_a_recording_of_a_stream_with_mistakes_is_a_log(watch, tmp_path, lines):
-    kept, data = [], FIRST + b"".join(lines)
-    made = watch()
-    made.record(kept.append)
-    found = watched(made, data)
-    list(made.feed(b"", last=True))
-    path = tmp_path / "kept.csv"
-    path.write_bytes(b"".join(kept))
+    recorded, data = [], FIRST + b"".join(lines)
+    live = watch()
+    live.record(recorded.append)
+    estimates = watched(live, data)
+    list(live.feed(b"", last=True))
+    path = tmp_path / "recorded.csv"
+    path.write_bytes(b"".join(recorded))
     log = fluxobs.read_log(path, sample_time=2e-4)
     assert abs(len(log) - 10_000) <= 2
-    assert made.status.lost <= 2
-    error = np.degrees(np.abs(found["theta_e_error"][found["valid"]]))
+    assert live.status.lost <= 2
+    error = np.degrees(np.abs(estimates["theta_e_error"][estimates["valid"]]))
     assert error.max() < 6
-    assert found["valid"].mean() > 0.8
+    assert estimates["valid"].mean() > 0.8
 
 
-def test_what_came_is_kept_until_there_are_rows(watch):
-    made = watch()
-    made.record(lambda lines: None)
-    list(made.feed(LINES[0] * 3000))
-    assert made.unread == LINES[0] * 3000
-    list(made.feed(DEMO))
-    assert made.unread == b""
+def test_received_bytes_are_kept_until_there_are_rows(watch):
+    live = watch()
+    live.record(lambda lines: None)
+    list(live.feed(LINES[0] * 3000))
+    assert live.unread == LINES[0] * 3000
+    list(live.feed(DEMO))
+    assert live.unread == b""
 
 
 @pytest.mark.parametrize("grown", ["u", "i"])
 @pytest.mark.parametrize(("factor", "chosen"), [(3.4, 1), (4.8, 2)])
-def test_four_times_the_first_signals_ask_for_another_observer(watch, grown, factor, chosen):
-    """The observer is chosen for twice the measured signals, and again beyond twice that."""
+def test_four_times_the_first_signals_need_another_observer(watch, grown, factor, chosen):
+    """The observer is chosen for twice the measured signals, and again above twice that."""
     t = 2e-4 * np.arange(15_000)
     vector = np.exp(1j * 300 * t)
     large = np.where(t > 1.5, factor, 1.0)
@@ -220,6 +220,6 @@ def test_four_times_the_first_signals_ask_for_another_observer(watch, grown, fac
     voltage, current = 4 * sizes["u"] * 1j * vector, 2 * sizes["i"] * vector
     table = np.stack([t, voltage.real, voltage.imag, current.real, current.imag], axis=1)
     lines = ["t,u_alpha,u_beta,i_alpha,i_beta", *(",".join(f"{x:.7g}" for x in r) for r in table)]
-    made = watch(unknowns="drift")
-    watched(made, "\n".join(lines).encode() + b"\n")
-    assert made.status.chosen == chosen
+    live = watch(unknowns="drift")
+    watched(live, "\n".join(lines).encode() + b"\n")
+    assert live.status.chosen == chosen

@@ -1,8 +1,8 @@
-"""What the translated modules ask of Python and NumPy, as functions that both languages run.
+"""Uses of Python and NumPy in the translated modules, as functions that both languages run.
 
-`test_arithmetic.py` translates this file, and calls each function here and in Node.js. The name of
-a parameter says which arguments it gets: see `ARGUMENTS` there. JavaScript has one kind of numbers,
-and takes a whole one for an integer: where that is seen, arguments are fractions.
+`test_arithmetic.py` translates this file and calls each function here and in Node.js. The name of a
+parameter selects its arguments: see `ARGUMENTS` there. JavaScript has one type of number and treats
+whole numbers as integers; where that matters, arguments are fractions.
 """
 
 from __future__ import annotations

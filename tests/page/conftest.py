@@ -1,4 +1,4 @@
-"""A browser that may not ask anybody for anything."""
+"""A browser without network access."""
 
 import shutil
 
@@ -17,14 +17,14 @@ def browser():
         pytest.skip("no browser: chromium")
     with playwright.sync_playwright() as started:
         options = ["--no-sandbox", "--disable-gpu"]
-        made = started.chromium.launch(executable_path=chromium, args=options)
-        yield made
-        made.close()
+        launched = started.chromium.launch(executable_path=chromium, args=options)
+        yield launched
+        launched.close()
 
 
 @pytest.fixture
 def window(browser, tmp_path):
-    """Opens a page offline; at the end it must have been silent."""
+    """Return a function that opens a page offline; at the end, check that it sent no requests."""
     opened = []
 
     def make(name_or_text, **options):
@@ -38,6 +38,6 @@ def window(browser, tmp_path):
         return opened[-1][1]
 
     yield make
-    for context, one in opened:
-        assert one.silent()
+    for context, opened_window in opened:
+        assert opened_window.silent()
         context.close()

@@ -1,5 +1,5 @@
-// Appended to the runtime and to the translation of arithmetic.py: answers calls, line by line.
-// A double travels as the sixteen digits of its bits, so that NaN and -0 arrive.
+// Appended to the runtime and the translation of arithmetic.py; it answers calls line by line.
+// A double is sent as the sixteen hexadecimal digits of its bits, so that NaN and -0 are preserved.
 
 const $hexed = (x) => {
   const bits = Buffer.alloc(8);

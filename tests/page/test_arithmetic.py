@@ -1,7 +1,7 @@
-"""The browser's arithmetic is NumPy's and Python's: `web/runtime/` against both, in Node.js.
+"""`web/runtime/` in Node.js returns the results of NumPy and Python.
 
-`FLUXOBS_EXAMPLES=5000 pytest tests/page/test_arithmetic.py` looks further, with other examples each
-time.
+`FLUXOBS_EXAMPLES=5000 pytest tests/page/test_arithmetic.py` tries more examples, other ones in each
+run.
 """
 
 import ast
@@ -50,7 +50,7 @@ CASES = {
 
 # ---- arguments ---------------------------------------------------------------
 
-#: Up to here every whole number is a double, and the runtime's integers are doubles.
+#: Up to this, every whole number is a double; the runtime's integers are doubles.
 EXACT = 2**53
 SPECIAL = [0.0, -0.0, np.nan, np.inf, -np.inf, 0.5, -0.5, 1.5, 2.5, 1e308, -1e308]
 SPECIAL += [5e-324, 1e22, 0.1, 2.675, 1e16, 123456.5]
@@ -67,7 +67,7 @@ complex_values = st.builds(complex, moderate_numbers, moderate_numbers)
 letters = st.sampled_from(
     "aAbz019 ,;:.-_+/\\'\"()[]{}\n\r\t\x0b\x1c\x1f\x85\xa0\u2028\ufeff%µΩßéǅ³٣²−ſK中\x00"
 )
-#: JavaScript counts characters above 0xFFFF twice, and knows characters that Python does not.
+#: JavaScript counts characters above 0xFFFF twice, and has characters that Python does not know.
 characters = st.characters(exclude_categories=["Cs", "Cn"], max_codepoint=0xFFFF)
 texts = st.one_of(
     st.text(letters, max_size=8),
@@ -84,7 +84,7 @@ shapes = st.lists(st.integers(0, 4), max_size=3).map(tuple)
 
 @st.composite
 def views(draw, elements, dtype, shape=None):
-    """An array that may be a part of another: turned, reversed, or with steps."""
+    """Draw an array that may be a view of another: transposed, reversed, or with steps."""
     shape = draw(shapes) if shape is None else shape
     steps = [draw(st.sampled_from([1, 1, 1, 2, -1])) for _ in shape]
     order = draw(st.permutations(range(len(shape))))
@@ -135,15 +135,15 @@ def turning(shape=None):
 
 @st.composite
 def pairs(draw, arrays, other=None):
-    """Two arrays that NumPy broadcasts, or not, rarely; or an array and a number."""
+    """Draw two arrays that usually broadcast, or an array and a number."""
     shape = draw(shapes)
     cut = draw(st.integers(0, len(shape)))
     lower = tuple(draw(st.sampled_from([n, n, 1])) for n in shape[cut:])
     if draw(st.integers(0, 20)) == 0:
         lower = (*lower, 5)
-    least = draw(st.integers(0, 3)) == 0  # a number: 2.0 would be an integer to JavaScript
-    out = draw(arrays(shape)), draw(scalars if least else (other or arrays)(lower))
-    return out[::-1] if draw(st.booleans()) else out
+    with_number = draw(st.integers(0, 3)) == 0  # JavaScript treats 2.0 as an integer
+    pair = draw(arrays(shape)), draw(scalars if with_number else (other or arrays)(lower))
+    return pair[::-1] if draw(st.booleans()) else pair
 
 
 @st.composite
@@ -176,42 +176,42 @@ def reshapes(draw):
 def pieces(draw, equal=False):
     shape = draw(shapes.filter(len))
     axis = draw(st.integers(-len(shape), len(shape) - 1))
-    out = []
+    drawn = []
     for _ in range(draw(st.integers(1, 3))):
-        own = list(shape)
+        sizes = list(shape)
         if not equal:
-            own[axis] = draw(st.integers(0, 3))
-        out.append(draw(arrays(tuple(own))))
-    return out, axis
+            sizes[axis] = draw(st.integers(0, 3))
+        drawn.append(draw(arrays(tuple(sizes))))
+    return drawn, axis
 
 
 @st.composite
 def selections(draw):
-    """An array and an index of it."""
+    """Draw an array and an index of it."""
     shape = draw(shapes.filter(len))
-    out = []
-    left, many = list(shape), draw(st.integers(0, 3))
-    while left:
-        size = left[0]
+    indices = []
+    remaining, many = list(shape), draw(st.integers(0, 3))
+    while remaining:
+        size = remaining[0]
         several = ["list", "mask"] if size else ["mask"]
         kind = draw(st.sampled_from(["slice", "slice", "number", "all", "none", *several]))
         if kind == "none":
-            out.append(None)
+            indices.append(None)
             continue
         if kind == "all":
-            out.append(Ellipsis)
+            indices.append(Ellipsis)
             break
         if kind == "slice":
-            out.append(draw(slices))
+            indices.append(draw(slices))
         elif kind == "number":
-            out.append(draw(st.integers(-size - 1, size)))
+            indices.append(draw(st.integers(-size - 1, size)))
         elif kind == "list":
             at = st.integers(-size, size - 1)
-            out.append(np.array(draw(st.lists(at, min_size=many, max_size=many)), np.int64))
+            indices.append(np.array(draw(st.lists(at, min_size=many, max_size=many)), np.int64))
         else:
-            out.append(draw(logicals((size,))))
-        left.pop(0)
-    index = tuple(out) if len(out) != 1 or draw(st.booleans()) else out[0]
+            indices.append(draw(logicals((size,))))
+        remaining.pop(0)
+    index = tuple(indices) if len(indices) != 1 or draw(st.booleans()) else indices[0]
     return draw(reals(shape)), index
 
 
@@ -232,7 +232,7 @@ def tables(draw, elements):
 
 @st.composite
 def matrices(draw, rows=3, columns=3):
-    """Well-conditioned: all singular values between 0.6 and 4."""
+    """Draw a well-conditioned matrix: all singular values between 0.6 and 4."""
     count = rows * columns
     values = draw(st.lists(st.integers(-8, 8), min_size=count, max_size=count))
     return np.array(values).reshape(rows, columns) / 20 + 2 * np.eye(rows, columns)
@@ -269,7 +269,7 @@ def accumulations(draw):
 
 @st.composite
 def lists_of_items(draw, most=6):
-    """Whole numbers or others: a list of 1.0 is one of integers to JavaScript."""
+    """Draw a list of whole numbers or of others: JavaScript treats [1.0] as integers."""
     fractions = st.sampled_from([0.5, -1.5, 2.25, np.inf, 1e-3])
     elements = draw(st.sampled_from([small, fractions, st.booleans()]))
     return draw(st.lists(elements, max_size=most))
@@ -487,7 +487,7 @@ def _unhexed(text):
 
 
 def sent(x):
-    """A value as evaluate.mjs receives it."""
+    """Return a value in the form that evaluate.mjs receives."""
     if isinstance(x, np.ndarray):
         root = x
         while isinstance(root.base, np.ndarray):
@@ -495,11 +495,11 @@ def sent(x):
         memory = root.ravel(order="K") if root.flags.forc else root.ravel()
         where = x.__array_interface__["data"][0] - root.__array_interface__["data"][0]
         kind = x.dtype.kind
-        out = {"kind": kind, "shape": x.shape, "offset": where // x.itemsize}
-        out["strides"] = [step // x.itemsize for step in x.strides]
-        out["data"] = [_hexed(v) for v in (memory.real if kind == "c" else memory)]
-        out["im"] = [_hexed(v) for v in memory.imag] if kind == "c" else None
-        return {"a": out}
+        message = {"kind": kind, "shape": x.shape, "offset": where // x.itemsize}
+        message["strides"] = [step // x.itemsize for step in x.strides]
+        message["data"] = [_hexed(v) for v in (memory.real if kind == "c" else memory)]
+        message["im"] = [_hexed(v) for v in memory.imag] if kind == "c" else None
+        return {"a": message}
     match x:
         case None | bool() | str():
             return x
@@ -524,7 +524,7 @@ def sent(x):
 
 
 def received(x):
-    """What evaluate.mjs answers, as a value."""
+    """Return the value in an answer of evaluate.mjs."""
     if not isinstance(x, dict):
         return x
     [(key, value)] = x.items()
@@ -543,12 +543,12 @@ def received(x):
             return set(map(received, value))
         case "m":
             return {received(k): received(v) for k, v in value}
-    out = np.array([_unhexed(v) for v in value["data"]])
+    array = np.array([_unhexed(v) for v in value["data"]])
     if value["im"] is not None:
-        out = out.astype(complex)
-        out.imag = [_unhexed(v) for v in value["im"]]
+        array = array.astype(complex)
+        array.imag = [_unhexed(v) for v in value["im"]]
     dtype = {"f": float, "i": float, "b": bool, "c": complex}[value["kind"]]
-    return Array(value["kind"], out.astype(dtype).reshape(value["shape"]))
+    return Array(value["kind"], array.astype(dtype).reshape(value["shape"]))
 
 
 class Array:
@@ -562,7 +562,7 @@ class Array:
 
 
 class Node:
-    """A process that calls the translated functions."""
+    """A Node.js process that calls the translated functions."""
 
     def __init__(self, folder):
         texts = ["const $toml = null, $unzip = null;\n"]
@@ -593,16 +593,16 @@ class Node:
 
 
 class Module(translate.Module):
-    """A module that notes what its translation takes from Python and NumPy.
+    """A module that records the names of Python and NumPy that its translation uses.
 
     Attributes
     ----------
     used : set of str
-        Such as `numpy.sum`, `numpy.sum(axis)`, `max`, `.strip`, `Add`.
+        For example `numpy.sum`, `numpy.sum(axis)`, `max`, `.strip`, `Add`.
     """
 
-    def __init__(self, *given):
-        super().__init__(*given)
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
         self.used, self.origins = set(), {}
 
     def do_Import(self, node):
@@ -620,7 +620,7 @@ class Module(translate.Module):
         return super().do_AugAssign(node)
 
     def origin(self, node):
-        """Where a name comes from; for an attribute of any other object, a dot and its name."""
+        """Return the origin of a name; for an attribute of another object, a dot and its name."""
         match node:
             case ast.Name(id=name):
                 if any(name in scope for scope in self._scopes[1:]):
@@ -635,8 +635,8 @@ class Module(translate.Module):
         name = self.origin(node.func if isinstance(node, ast.Call) else node)
         if name and not name.startswith("fluxobs."):
             self.used.add(name)
-            words = node.keywords if isinstance(node, ast.Call) and name[0] != "." else []
-            self.used |= {f"{name}({word.arg})" for word in words if word.arg}
+            keywords = node.keywords if isinstance(node, ast.Call) and name[0] != "." else []
+            self.used |= {f"{name}({keyword.arg})" for keyword in keywords if keyword.arg}
         if isinstance(node, ast.BinOp | ast.UnaryOp):
             self.used.add(type(node.op).__name__)
         if isinstance(node, ast.Compare):
@@ -644,15 +644,17 @@ class Module(translate.Module):
         return super().expr(node)
 
 
-#: Kinds of objects whose methods the runtime has.
+#: Types whose methods the runtime provides.
 OWNERS = (np.ndarray, str, bytes, list, dict, set, complex, re.Pattern, re.Match)
-#: What has no case, and why: beginnings of names.
+#: Prefixes of names without a case → the reason.
 APART = {
-    **dict.fromkeys(["pydantic"], "pydantic's own: test_page.py gives the page machine files"),
-    **dict.fromkeys(["typing", "numpy.typing", "abc.", "collections.abc"], "for types alone"),
-    **dict.fromkeys(["tempfile", "weakref", "importlib", "io", "open", "os"], "there are no files"),
-    **dict.fromkeys([".data", ".take", ".title"], "of classes of the package"),
-    "tomllib": "smol-toml's",
+    **dict.fromkeys(["pydantic"], "part of pydantic: test_page.py tests machine files"),
+    **dict.fromkeys(["typing", "numpy.typing", "abc.", "collections.abc"], "for types only"),
+    **dict.fromkeys(
+        ["tempfile", "weakref", "importlib", "io", "open", "os"], "the page has no files"
+    ),
+    **dict.fromkeys([".data", ".take", ".title"], "methods of the package's classes"),
+    "tomllib": "part of smol-toml",
     "dataclasses.replace(": "names of fields",
 }
 
@@ -660,7 +662,7 @@ APART = {
 # ---- comparison --------------------------------------------------------------
 
 EPS = np.finfo(float).eps
-#: How far results may be off [units in the last place]: two libraries' elementary functions.
+#: Allowed errors [units in the last place] where two libraries' elementary functions differ.
 LAST_PLACES = {
     "elementary": 2,
     "of_two": 2,
@@ -670,8 +672,8 @@ LAST_PLACES = {
     "powers": 2,
     "number_powers": 2,
 }
-#: Cases that take sums in another order, or with other roundings, and how many factors their terms
-#: have: they may be off by a rounding for each term, of the sum of the terms' sizes.
+#: Cases that sum in another order or with other roundings → number of factors in their terms. Their
+#: error may be one rounding of the sum of magnitudes per term.
 SUMS = {
     **dict.fromkeys(["total", "mean", "total_of_rows", "complex_totals", "splines"], 1),
     **dict.fromkeys(["deviations", "deviation_of_the_known", "sums_of_the_known"], 1),
@@ -683,7 +685,7 @@ SUMS = {
     **dict.fromkeys(["products", "vector_products", "complex_runs", "factored", "spectrum"], 2),
     "summed_batches": 3,
 }
-#: Cases in which NumPy may give either zero for 0 and -0.
+#: Cases in which NumPy may return 0 or -0 for a zero.
 SIGNLESS = {
     "clipped",
     "extremes",
@@ -694,12 +696,12 @@ SIGNLESS = {
     "spans",
     "quantiles",
 }
-#: Errors of arguments that do not fit each other.
+#: Errors for arguments that do not fit together.
 UNFIT = {"ValueError", "IndexError"}
 
 
 def rounding(args, factors):
-    """What may be lost in a sum of products of what the arrays among some arguments hold."""
+    """Return the bound of the rounding error in a sum of products of array elements."""
     size, terms = 1.0, 1
     for value in args:
         for x in value if isinstance(value, tuple) else [value]:
@@ -711,7 +713,7 @@ def rounding(args, factors):
 
 
 def differ(js, py, places, bound):
-    """Whether a result is another than Python's."""
+    """Whether a result differs from Python's."""
     if isinstance(py, tuple | list):
         same = type(js) is (tuple if isinstance(py, tuple) else list) and len(js) == len(py)
         return not same or any(differ(a, b, places, bound) for a, b in zip(js, py, strict=True))
@@ -734,10 +736,10 @@ def differ(js, py, places, bound):
 
 
 def off(js, py, places, bound):
-    """Whether a number is another than Python's: in any bit, without an allowance."""
+    """Whether a number differs from Python's: in any bit, or by more than the allowance."""
     if isinstance(py, complex):
         return any(off(a, b, places, bound) for a, b in ((js.real, py.real), (js.imag, py.imag)))
-    if isinstance(py, int):  # what NaN becomes as an integer is the processor's own
+    if isinstance(py, int):  # NaN as an integer depends on the processor
         return js != py and py != -(2**63)
     if js == py or (js != js and py != py):
         return _hexed(js) != _hexed(py) and js == py and not (places or bound)
@@ -745,7 +747,7 @@ def off(js, py, places, bound):
 
 
 def fault(node, name, args):
-    """What is wrong with Node's result of a case: nothing, a refusal, or what differs."""
+    """Return None if Node.js agrees in a case, "refused", or the two results."""
     answer = node(name, args)
     error = expected = None
     try:
@@ -776,17 +778,17 @@ def node(tmp_path_factory):
 
 
 def examples(case, most):
-    """Hypothesis' decorator for a function of a case's arguments."""
+    """Return Hypothesis' decorator for a function of a case's arguments."""
     count = int(os.environ.get("FLUXOBS_EXAMPLES", 0))
-    chosen = settings(
+    profile = settings(
         max_examples=count or most,
         derandomize=not count,
         database=None,
         suppress_health_check=list(HealthCheck),
     )
     names = inspect.signature(case).parameters
-    wanted = st.tuples(*(ARGUMENTS[name] for name in names))
-    return lambda test: chosen(given(wanted)(test))
+    arguments = st.tuples(*(ARGUMENTS[name] for name in names))
+    return lambda test: profile(given(arguments)(test))
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -795,15 +797,15 @@ def test_results_are_equal(node, name):
 
     @examples(CASES[name], 20)
     def check(args):
-        wrong = fault(node, name, args)
-        refusals.append(wrong == "refused")
-        assert wrong in (None, "refused")
+        found = fault(node, name, args)
+        refusals.append(found == "refused")
+        assert found in (None, "refused")
 
     check()
     assert sum(refusals) < len(refusals) / 2
 
 
-#: Arguments with which the runtime once failed.
+#: Arguments with which the runtime has failed before.
 FIXED = [
     ("places", (np.array([1.0, 2, 2, 3]), np.array([np.nan, 2]))),
     ("sorted_positions", np.array([3, np.nan, 1]), np.array([3, np.nan, 1])),
@@ -836,12 +838,12 @@ FIXED = [
     ("of_the_known", np.array([np.nan])),
     ("matched_by_the_package", ("^(index|)$", "")),
 ]
-#: Integers that doubles do not tell apart.
+#: Integers whose sums and products exceed the exact integers of doubles.
 WIDE = np.array([2**53 - 1, 2])
 
 
 @pytest.mark.parametrize(("name", "args"), [(name, args) for name, *args in FIXED])
-def test_what_was_wrong_is_equal(node, name, args):
+def test_earlier_failures_are_equal(node, name, args):
     assert fault(node, name, args) is None
 
 
@@ -867,16 +869,16 @@ def test_integers_beyond_a_double_are_an_error_of_the_function(node, name, args,
 
 
 def test_every_name_that_the_page_uses_has_a_case(node, monkeypatch):
-    """A new one is to be added to arithmetic.py."""
+    """Add a case for a new name to arithmetic.py."""
     modules = []
 
-    class Kept(Module):
+    class Recorded(Module):
         def text(self, live=None, by_name=None):
-            if live is not None:  # not while what is used is looked for
+            if live is not None:  # not in the first pass, which searches the used names
                 modules.append(self)
             return super().text(live, by_name)
 
-    monkeypatch.setattr(translate, "Module", Kept)
+    monkeypatch.setattr(translate, "Module", Recorded)
     paths = [WEB / "runtime" / f"{name}.js" for name in build.RUNTIME] + [WEB / "app" / "worker.js"]
     host = "".join([path.read_text("utf-8") for path in paths])
     translate.program(build.PACKAGE, build.ROOTS, build.REPLACED, host)

@@ -1,4 +1,4 @@
-"""Columns in a report: what is exact stays so to the last bit, what is rounded below its noise."""
+"""Columns in a report: exact ones to the last bit, rounded ones within their noise."""
 
 import gzip
 
@@ -12,15 +12,15 @@ from fluxobs.page.columns import as_text, exact, flags, rounded
 
 
 def bytes_of(text):
-    """The way back from text, as in web/app/report.js."""
-    other = {0x80: 0, 0x81: 13, 0x82: 60}
-    sevens = np.array([other.get(ord(c), ord(c)) for c in text], np.uint8)
+    """Decode text as web/app/report.js does."""
+    replaced = {0x80: 0, 0x81: 13, 0x82: 60}
+    sevens = np.array([replaced.get(ord(c), ord(c)) for c in text], np.uint8)
     bits = np.unpackbits(sevens[:, None], axis=1)[:, 1:].ravel()
     return np.packbits(bits[: len(bits) // 8 * 8]).tobytes()
 
 
 def unpacked(column):
-    """As in web/app/report.js."""
+    """Decode a column as web/app/report.js does."""
     rows, raw = column["rows"], np.frombuffer(gzip.decompress(bytes_of(column["data"])), np.uint8)
     if column["kind"] == "flags":
         return np.unpackbits(raw, bitorder="little")[:rows].astype(bool)
@@ -29,14 +29,14 @@ def unpacked(column):
     planes = raw.reshape(column["planes"], rows).astype(np.int64)
     zigzag = sum(plane << (8 * n) for n, plane in enumerate(planes))
     whole = np.cumsum((zigzag >> 1) ^ -(zigzag & 1))
-    out = whole / column["size"] if column["kind"] == "over" else whole * column["size"]
+    values = whole / column["size"] if column["kind"] == "over" else whole * column["size"]
     if "missing" in column:
-        out[unpacked(column["missing"])] = np.nan
-    return out
+        values[unpacked(column["missing"])] = np.nan
+    return values
 
 
 @given(st.binary(max_size=300))
-def test_bytes_as_text_come_back_and_hurt_no_html(data):
+def test_bytes_as_text_are_restored_and_safe_in_html(data):
     text = as_text(data)
     assert bytes_of(text) == data
     assert not set(text) & {"\0", "\r", "<"}
@@ -60,18 +60,18 @@ def test_decimals_are_kept_as_whole_numbers(whole, places):
     arrays(float, st.integers(1, 200), elements=st.floats(-1e6, 1e6) | st.just(np.nan)),
     st.floats(1e-6, 1.0),
 )
-def test_a_rounded_column_is_off_by_no_more_than_asked(values, most):
-    found = unpacked(rounded(values, most))
+def test_a_rounded_column_stays_within_its_largest_error(values, at_most):
+    found = unpacked(rounded(values, at_most))
     assert (np.isnan(found) == np.isnan(values)).all()
-    limit = max(most, np.nanmax(np.abs(values), initial=0.0) / 2**30)
+    limit = max(at_most, np.nanmax(np.abs(values), initial=0.0) / 2**30)
     assert np.nanmax(np.abs(found - values), initial=0.0) <= limit * (1 + 1e-9)
 
 
-def test_noise_decides_what_is_rounded():
+def test_rounding_is_below_the_noise():
     noise = 1e-3
     values = np.sin(np.arange(20_000) / 100) + noise * np.random.default_rng(1).normal(size=20_000)
-    off = unpacked(rounded(values)) - values
-    assert np.sqrt(np.mean(off**2)) < 0.2 * noise
+    error = unpacked(rounded(values)) - values
+    assert np.sqrt(np.mean(error**2)) < 0.2 * noise
     assert len(rounded(values)["data"]) < 1.3 * len(values)
 
 

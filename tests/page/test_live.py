@@ -1,4 +1,4 @@
-"""The page on a stream: from `fluxobs live`, and from a serial port of its own."""
+"""The live page with a stream from `fluxobs live` or from a serial port."""
 
 import threading
 import time
@@ -15,7 +15,7 @@ from support.browser import Window
 DEMO = LOG.read_bytes()
 MACHINE = "servo-400w"
 
-#: A serial port that sends what the test has put into window.port.
+#: A serial port that sends the bytes that a test puts into window.port.
 PORT = """
     window.port = { pieces: [], closed: false };
     const port = {
@@ -40,7 +40,7 @@ PORT = """
 
 @pytest.fixture
 def served(browser):
-    """A page that `fluxobs live` serves; it asks for nothing but itself and the stream."""
+    """Return a function that opens the page of `fluxobs live`; check that it requests only that."""
     from fluxobs.live.serve import Server
 
     opened = []
@@ -51,15 +51,15 @@ def served(browser):
         context = browser.new_context()
         page = Window(context.new_page(), server.url)
         sockets = []
-        page.page.on("websocket", lambda one: sockets.append(one.url))
+        page.page.on("websocket", lambda opened_socket: sockets.append(opened_socket.url))
         opened.append((server, context, page))
         return server, page
 
     yield make
     for server, context, page in opened:
         assert not page.complaints
-        asked = [url for url in page.asked if not url.startswith(("blob:", "data:"))]
-        assert set(asked) <= {server.url}
+        requested = [url for url in page.asked if not url.startswith(("blob:", "data:"))]
+        assert set(requested) <= {server.url}
         context.close()
         server.end()
 
@@ -97,11 +97,11 @@ def test_the_page_shows_what_the_library_estimates(served, tmp_path):
     )
     rows = list(watch.feed(DEMO))
     for name in ("t", "theta_e", "speed_e", "drift_alpha", "resistance", "psi_f", "valid"):
-        wanted = np.concatenate([r.columns[name] for r in rows])
-        assert np.array_equal(column(page, name), wanted.astype(float), equal_nan=True), name
-    said = page.js("() => document.querySelector('#live-view').textContent")
-    assert "10000 rows" in said
-    assert "5000 rows a second" in said
+        expected = np.concatenate([r.columns[name] for r in rows])
+        assert np.array_equal(column(page, name), expected.astype(float), equal_nan=True), name
+    text = page.js("() => document.querySelector('#live-view').textContent")
+    assert "10000 rows" in text
+    assert "5000 rows a second" in text
 
 
 def test_it_can_be_held_and_zoomed(served):
@@ -117,33 +117,33 @@ def test_it_can_be_held_and_zoomed(served):
     assert page.js("() => fluxobs.live.held") is False
 
 
-def test_what_is_wrong_with_a_stream_is_said(served):
+def test_a_malformed_stream_is_reported(served):
     server, page = served()
     send(server, DEMO.replace(b"u_alpha", b"foo", 1))
     page.until("() => document.getElementById('status').className === 'error'")
     assert "u_alpha" in page.js("() => document.getElementById('status').textContent")
 
 
-def test_the_oldest_rows_make_room(window):
+def test_the_oldest_rows_are_dropped(window):
     page = window("page.html")
     page.until("() => document.body.dataset.ready")
-    kept = page.js(
+    states = page.js(
         """() => {
-            const made = new fluxobs.Recent(["t", "valid"], new Set(["valid"]), 1024);
-            const out = [];
+            const view = new fluxobs.Recent(["t", "valid"], new Set(["valid"]), 1024);
+            const states = [];
             let k = 0;
             for (const count of [100, 500, 300, 200, 700, 64, 1]) {
                 const t = Float64Array.from({ length: count }, () => k++);
-                made.append({ t, valid: new Uint8Array(count).fill(1) });
-                const [low, high] = made.range("t", 0, made.rows);
-                out.push([made.rows, low, high, made.t[0], made.t[made.rows - 1]]);
+                view.append({ t, valid: new Uint8Array(count).fill(1) });
+                const [low, high] = view.range("t", 0, view.rows);
+                states.push([view.rows, low, high, view.t[0], view.t[view.rows - 1]]);
             }
-            return out;
+            return states;
         }"""
     )
     last = -1
     for (rows, low, high, first, end), count in zip(
-        kept, [100, 500, 300, 200, 700, 64, 1], strict=True
+        states, [100, 500, 300, 200, 700, 64, 1], strict=True
     ):
         last += count
         assert (low, high) == (first, end)
@@ -176,10 +176,10 @@ def test_a_serial_port(browser, tmp_path):
     before = page.js("() => fluxobs.live.status.rows")
     put(DEMO[200_000:])
     page.until("() => fluxobs.live.status.rows === 10000")
-    with page.page.expect_download() as found:
+    with page.page.expect_download() as download:
         page.page.get_by_role("button", name="Save the recording").click()
-    found.value.save_as(tmp_path / "got.csv")
-    header, *rows = (tmp_path / "got.csv").read_bytes().splitlines()
+    download.value.save_as(tmp_path / "saved.csv")
+    header, *rows = (tmp_path / "saved.csv").read_bytes().splitlines()
     assert header == DEMO.splitlines()[0]
     assert rows == DEMO.splitlines()[1 + before :]
     page.page.get_by_role("button", name="Stop").click()

@@ -1,4 +1,4 @@
-"""The page asks for modules of the package by name."""
+"""Modules of the package that the page loads by name exist."""
 
 import importlib.util
 import re
@@ -15,5 +15,5 @@ NAMES = {
 
 
 @pytest.mark.parametrize("name", sorted(NAMES))
-def test_a_module_that_the_page_asks_for_exists(name):
+def test_a_module_that_the_page_loads_exists(name):
     assert importlib.util.find_spec(f"fluxobs.{name}") is not None

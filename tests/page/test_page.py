@@ -1,4 +1,4 @@
-"""The page: every log through the browser equals the library; drops, keys, phones, and mistakes."""
+"""The page returns the library's estimates for every log; drops, keys, phones, and mistakes."""
 
 import importlib.util
 import re
@@ -22,67 +22,67 @@ _SPEC = importlib.util.spec_from_file_location(
 corpus = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(corpus)
 
-#: Formats that the page reads; of the others it says what to do.
+#: Formats that the page reads; for others its message gives a remedy.
 READ = (".csv", ".txt", ".lvm", ".dat", ".gz", ".npz", ".npy")
-#: Columns of pictures that are not columns of files.
+#: Columns for plots that are not columns of files.
 DRAWN = {"innovation", "adapting", "raw", "truth"}
-#: What rounding makes of sums that are taken in another order, over the size of a column.
+#: Rounding error of sums in another order, relative to the largest value of a column.
 ROUNDING = 1e-9
-#: A flux map is fitted to its points by eigenvectors, in which rounding grows.
+#: The fit of a flux map uses eigenvectors, which amplify rounding.
 MAPPED = {"ipm-5kw6": 1e-4, "synrm-6kw7-saturated": 1e-4}
 
 
 @pytest.fixture
 def page(window):
     def opened(**options):
-        one = window("page.html", **options)
-        one.page.wait_for_selector("body[data-ready]")
-        return one
+        opened_page = window("page.html", **options)
+        opened_page.page.wait_for_selector("body[data-ready]")
+        return opened_page
 
     return opened
 
 
-def estimated(one, files, machine=None, **options):
-    """Give the page files and wait for its estimates."""
+def estimated(opened_page, files, machine=None, **options):
+    """Open files in the page and wait for its estimates."""
     for name, value in options.items():
-        one.page.locator(f"#{name}").evaluate("(e, v) => { e.value = v }", value)
+        opened_page.page.locator(f"#{name}").evaluate("(e, v) => { e.value = v }", value)
     if machine is not None:
-        one.page.locator("#machine").evaluate("(e, v) => { e.value = v }", machine)
-    one.js("() => { delete document.body.dataset.done }")
-    one.page.set_input_files("#files", files)
-    one.page.wait_for_selector("body[data-done]")
+        opened_page.page.locator("#machine").evaluate("(e, v) => { e.value = v }", machine)
+    opened_page.js("() => { delete document.body.dataset.done }")
+    opened_page.page.set_input_files("#files", files)
+    opened_page.page.wait_for_selector("body[data-done]")
 
 
-def equal(one, expected, rounding=ROUNDING):
-    """Every column that the library writes is the page's, to rounding."""
-    assert set(one.columns()) - DRAWN >= set(expected.estimates.columns)
+def equal(opened_page, expected, rounding=ROUNDING):
+    """Check that the page has every column of the library, equal within rounding."""
+    assert set(opened_page.columns()) - DRAWN >= set(expected.estimates.columns)
     for name in expected.estimates.columns:
-        given, wanted = one.column(name).astype(float), expected[name].astype(float)
-        assert given.shape == wanted.shape, name
-        off = given - wanted
+        shown, wanted = opened_page.column(name).astype(float), expected[name].astype(float)
+        assert shown.shape == wanted.shape, name
+        error = shown - wanted
         if name.startswith("theta") and not name.endswith("_std"):
-            off = np.angle(np.exp(1j * off))
+            error = np.angle(np.exp(1j * error))
         size = np.nanmax(np.abs(wanted)) or 1.0
-        assert (np.isnan(given) == np.isnan(wanted)).all(), name
-        assert np.nanmax(np.abs(off)) <= rounding * size + 1e-15, name
-    words = one.js("() => fluxobs.state.explained")
+        assert (np.isnan(shown) == np.isnan(wanted)).all(), name
+        assert np.nanmax(np.abs(error)) <= rounding * size + 1e-15, name
+    explained = opened_page.js("() => fluxobs.state.explained")
     if rounding == ROUNDING:
-        assert words["summary"] == expected.summary
-        assert words["warnings"] == expected.warnings
+        assert explained["summary"] == expected.summary
+        assert explained["warnings"] == expected.warnings
     else:  # the last digits may differ
-        assert re.sub(r"\d", "", words["summary"]) == re.sub(r"\d", "", expected.summary)
+        assert re.sub(r"\d", "", explained["summary"]) == re.sub(r"\d", "", expected.summary)
 
 
 @pytest.fixture(scope="module")
 def shared(browser, tmp_path_factory):
-    """One page for all logs of the corpus: to open it takes longer than to estimate."""
+    """One page for all logs of the corpus, since opening it takes longer than estimating."""
     path = tmp_path_factory.mktemp("page") / "page.html"
     path.write_text(built("page.html"), encoding="utf-8")
     context = browser.new_context(offline=True)
-    one = Window(context.new_page(), path)
-    one.page.wait_for_selector("body[data-ready]")
-    yield one
-    assert one.silent()
+    opened_page = Window(context.new_page(), path)
+    opened_page.page.wait_for_selector("body[data-ready]")
+    yield opened_page
+    assert opened_page.silent()
     context.close()
 
 
@@ -100,15 +100,15 @@ FEW_LOGS = {"plain.csv", "german-excel.csv", "simulink-inspector.csv", "moteus.n
 )
 def test_every_log_gives_what_the_library_gives(shared, name):
     options = {"preset": corpus.PRESETS.get(name, "")}
-    own = {"preset": options["preset"]} if options["preset"] else {}
-    own |= {"sample_time": corpus.SAMPLE_TIME} if name == "moteus.npz" else {}
-    options["sample-time"] = str(own.get("sample_time", ""))
+    arguments = {"preset": options["preset"]} if options["preset"] else {}
+    arguments |= {"sample_time": corpus.SAMPLE_TIME} if name == "moteus.npz" else {}
+    options["sample-time"] = str(arguments.get("sample_time", ""))
     machine = example_text(corpus.MACHINE)
     estimated(shared, corpus.FOLDER / name, machine, **options)
     assert shared.page.inner_text("#status").startswith("Estimated"), shared.page.inner_text(
         "#status"
     )
-    expected = fluxobs.estimate(corpus.FOLDER / name, corpus.MACHINE, **own)
+    expected = fluxobs.estimate(corpus.FOLDER / name, corpus.MACHINE, **arguments)
     equal(shared, expected)
     assert shared.js("() => fluxobs.state.found.notes") == list(expected.log.notes)
 
@@ -116,59 +116,59 @@ def test_every_log_gives_what_the_library_gives(shared, name):
 @pytest.mark.parametrize("name", [n for n in corpus.LAYOUTS if not n.endswith(READ)])
 def test_other_formats_are_refused_with_a_remedy(shared, name):
     estimated(shared, corpus.FOLDER / name, example_text(corpus.MACHINE))
-    said = shared.page.inner_text("#status")
-    assert name in said
-    assert "fluxobs estimate" in said
+    message = shared.page.inner_text("#status")
+    assert name in message
+    assert "fluxobs estimate" in message
 
 
 def test_the_demo_is_one_click(page):
-    one = page(viewport={"width": 1200, "height": 900})
-    one.page.click("#demo")
-    one.page.wait_for_selector("body[data-done]")
-    assert "valid on" in one.page.inner_text(".summary")
-    assert one.page.inner_text("#command") == "fluxobs demo"
+    opened_page = page(viewport={"width": 1200, "height": 900})
+    opened_page.page.click("#demo")
+    opened_page.page.wait_for_selector("body[data-done]")
+    assert "valid on" in opened_page.page.inner_text(".summary")
+    assert opened_page.page.inner_text("#command") == "fluxobs demo"
 
 
-def test_values_at_the_cursor_are_of_one_row(page):
-    """Where rows are thinned to draw them, and after a zoom, too."""
-    one = page(viewport={"width": 1200, "height": 900})
-    one.page.click("#demo")
-    one.page.wait_for_selector("body[data-done]")
+def test_values_at_the_cursor_belong_to_one_row(page):
+    """Also where rows are thinned for drawing, and after a zoom."""
+    opened_page = page(viewport={"width": 1200, "height": 900})
+    opened_page.page.click("#demo")
+    opened_page.page.wait_for_selector("body[data-done]")
     log = fluxobs.demo_log()
-    true = np.degrees(np.concatenate([part.truth for part in log.aligned()]))
-    panel = one.page.locator("figure[data-panel=position]")
+    true = np.degrees(np.concatenate([batch.truth for batch in log.aligned()]))
+    panel = opened_page.page.locator("figure[data-panel=position]")
     panel.scroll_into_view_if_needed()
     box = panel.bounding_box()
 
     def check():
-        one.page.wait_for_timeout(100)
-        t, _, found = (value.inner_text() for value in panel.locator(".u-value").all())
+        opened_page.page.wait_for_timeout(100)
+        t, _, shown = (value.inner_text() for value in panel.locator(".u-value").all())
         row = round(float(t.removesuffix(" s")) / 2e-4)
-        assert float(found) == pytest.approx(true[row], abs=6e-3), t
+        assert float(shown) == pytest.approx(true[row], abs=6e-3), t
         return row
 
     def move(share):
-        one.page.mouse.move(box["x"] + share * box["width"], box["y"] + 60)
+        opened_page.page.mouse.move(box["x"] + share * box["width"], box["y"] + 60)
 
     rows = []
     for share in (0.3, 0.6):
         move(share)
         rows.append(check())
-    one.page.mouse.down()
+    opened_page.page.mouse.down()
     move(0.65)
-    one.page.mouse.up()
+    opened_page.page.mouse.up()
     rows.append(check())
     panel.focus()
-    one.page.keyboard.press("ArrowRight")
+    opened_page.page.keyboard.press("ArrowRight")
     rows.append(check())
     assert len(set(rows)) == 4
 
 
 def test_a_log_can_be_dropped(page):
-    one = page()
+    opened_page = page()
     text = (corpus.FOLDER / "plain.csv").read_text()
     machine = example_text(corpus.MACHINE)
-    one.js(
+    opened_page.js(
         """([text, machine]) => {
             document.getElementById("machine").value = machine;
             const data = new DataTransfer();
@@ -178,11 +178,11 @@ def test_a_log_can_be_dropped(page):
         }""",
         [text, machine],
     )
-    one.page.wait_for_selector("body[data-done]")
-    equal(one, fluxobs.estimate(corpus.FOLDER / "plain.csv", corpus.MACHINE))
+    opened_page.page.wait_for_selector("body[data-done]")
+    equal(opened_page, fluxobs.estimate(corpus.FOLDER / "plain.csv", corpus.MACHINE))
 
 
-#: Machine, and what is unknown.
+#: Machine and unknowns.
 MACHINES = [
     ("servo-400w", "drift,resistance,inverter"),
     ("ipm-2kw2", "drift"),
@@ -211,37 +211,39 @@ def test_every_machine_and_observer_gives_what_the_library_gives(shared, tmp_pat
     record = written(name, tmp_path)
     options = {"unknowns": unknowns, "preset": "", "sample-time": ""}
     estimated(shared, record, example_text(name), **options)
-    said = shared.page.inner_text("#status")
+    status = shared.page.inner_text("#status")
     shared.page.locator("#unknowns").evaluate("e => { e.value = 'auto' }")
-    assert said.startswith("Estimated"), said
+    assert status.startswith("Estimated"), status
     expected = fluxobs.estimate(record, name, unknowns=unknowns)
     equal(shared, expected, MAPPED.get(name, ROUNDING))
 
 
-def test_a_wrong_file_gets_the_librarys_words(page, tmp_path):
-    one = page()
+def test_a_malformed_file_gets_the_librarys_message(page, tmp_path):
+    opened_page = page()
     path = tmp_path / "letter.csv"
     path.write_text("Dear Sir,\nthere is no log in here.\n")
-    estimated(one, path, example_text("servo-400w"))
-    with pytest.raises(fluxobs.errors.RecordError) as wanted:
+    estimated(opened_page, path, example_text("servo-400w"))
+    with pytest.raises(fluxobs.errors.RecordError) as error:
         fluxobs.estimate(path, "servo-400w")
-    assert one.page.inner_text("#status") == str(wanted.value).replace(str(path), path.name)
+    assert opened_page.page.inner_text("#status") == str(error.value).replace(str(path), path.name)
 
 
-def test_a_wrong_machine_gets_the_librarys_words(page):
-    one = page()
+def test_an_invalid_machine_gets_the_librarys_message(page):
+    opened_page = page()
     estimated(
-        one, corpus.FOLDER / "plain.csv", 'kind = "surface-pmsm"\nR_s = -1.0\nn_p = 4\nL_q = 1.0'
+        opened_page,
+        corpus.FOLDER / "plain.csv",
+        'kind = "surface-pmsm"\nR_s = -1.0\nn_p = 4\nL_q = 1.0',
     )
-    said = one.page.inner_text("#status")
-    assert "R_s must be positive" in said
-    assert "unknown field 'L_q'; did you mean 'L_s'?" in said
+    message = opened_page.page.inner_text("#status")
+    assert "R_s must be positive" in message
+    assert "unknown field 'L_q'; did you mean 'L_s'?" in message
 
 
 def test_a_data_sheet_becomes_a_machine_file(page):
-    one = page()
+    opened_page = page()
     fields = {"kv": 900.0, "poles": 14.0, "R_line": 0.07, "L_line": 6e-5, "rated_current_rms": 20.0}
-    one.js(
+    opened_page.js(
         """() => {
             const given = { kv: "900 rpm/V", poles: "14", R_line: "70 mΩ", L_line: "60 µH",
                             rated_current_rms: "20" };
@@ -251,78 +253,82 @@ def test_a_data_sheet_becomes_a_machine_file(page):
             document.getElementById("sheet").requestSubmit();
         }"""
     )
-    one.until("() => document.getElementById('machine').value.includes('psi_f')")
+    opened_page.until("() => document.getElementById('machine').value.includes('psi_f')")
     wanted = new_machine("surface-pmsm", fields | {"poles": 14}).machine.parameters()
-    given = tomllib.loads(one.js("() => document.getElementById('machine').value"))
-    given.pop("kind")
-    assert given == pytest.approx({k: v for k, v in wanted.items() if v is not None})
+    written_machine = tomllib.loads(
+        opened_page.js("() => document.getElementById('machine').value")
+    )
+    written_machine.pop("kind")
+    assert written_machine == pytest.approx({k: v for k, v in wanted.items() if v is not None})
 
 
-def test_keys_alone_lead_from_the_demo_to_a_single_sample(page):
-    one = page(viewport={"width": 1000, "height": 800})
-    keys = one.page.keyboard
+def test_the_keyboard_alone_reaches_a_single_sample(page):
+    opened_page = page(viewport={"width": 1000, "height": 800})
+    keys = opened_page.page.keyboard
     for _ in range(6):
         keys.press("Tab")
-        if one.js("() => document.activeElement.id") == "demo":
+        if opened_page.js("() => document.activeElement.id") == "demo":
             break
     keys.press("Enter")
-    one.page.wait_for_selector("body[data-done]")
+    opened_page.page.wait_for_selector("body[data-done]")
     for _ in range(60):
         keys.press("Tab")
-        if one.js("() => document.activeElement.dataset.panel === 'position'"):
+        if opened_page.js("() => document.activeElement.dataset.panel === 'position'"):
             break
-    assert one.js("() => document.activeElement.dataset.panel") == "position"
+    assert opened_page.js("() => document.activeElement.dataset.panel") == "position"
     for _ in range(12):
         keys.press("+")
-    rows = one.js("() => { const p = fluxobs.results.panels; return p.charts[0].data[0].length }")
+    rows = opened_page.js(
+        "() => { const p = fluxobs.results.panels; return p.charts[0].data[0].length }"
+    )
     assert rows < 20
-    before = one.js("() => fluxobs.results.panels.row")
+    before = opened_page.js("() => fluxobs.results.panels.row")
     keys.press("Shift+ArrowRight")
-    assert one.js("() => fluxobs.results.panels.row") == (before or 0) + 1 or before is None
-    assert "Arrow keys" in one.js("() => document.activeElement.getAttribute('aria-label')")
+    assert opened_page.js("() => fluxobs.results.panels.row") == (before or 0) + 1 or before is None
+    assert "Arrow keys" in opened_page.js("() => document.activeElement.getAttribute('aria-label')")
 
 
 @pytest.mark.parametrize("scheme", ["dark", pytest.param("light", marks=pytest.mark.slow)])
-def test_a_phone_shows_all_of_it(page, scheme):
-    one = page(viewport={"width": 400, "height": 800}, color_scheme=scheme)
-    one.page.click("#demo")
-    one.page.wait_for_selector("body[data-done]")
-    assert one.js("() => document.documentElement.scrollWidth") <= 400
-    paper = one.js("() => getComputedStyle(document.body).backgroundColor")
+def test_the_page_fits_a_phone(page, scheme):
+    opened_page = page(viewport={"width": 400, "height": 800}, color_scheme=scheme)
+    opened_page.page.click("#demo")
+    opened_page.page.wait_for_selector("body[data-done]")
+    assert opened_page.js("() => document.documentElement.scrollWidth") <= 400
+    paper = opened_page.js("() => getComputedStyle(document.body).backgroundColor")
     assert (paper == "rgb(255, 255, 255)") == (scheme == "light")
 
 
-def test_files_come_out(page):
-    one = page()
-    estimated(one, corpus.FOLDER / "plain.csv", example_text("servo-400w"))
-    with one.page.expect_download() as saved:
-        one.page.click("#save-csv")
-    given = pl.read_csv(saved.value.path())
+def test_files_can_be_saved(page):
+    opened_page = page()
+    estimated(opened_page, corpus.FOLDER / "plain.csv", example_text("servo-400w"))
+    with opened_page.page.expect_download() as saved:
+        opened_page.page.click("#save-csv")
+    table = pl.read_csv(saved.value.path())
     wanted = fluxobs.estimate(corpus.FOLDER / "plain.csv", "servo-400w").estimates
-    assert set(given.columns) == set(wanted.columns)
+    assert set(table.columns) == set(wanted.columns)
     for name in wanted.columns:
         np.testing.assert_allclose(
-            given[name].cast(float), wanted[name].cast(float), rtol=1e-9, atol=1e-9, err_msg=name
+            table[name].cast(float), wanted[name].cast(float), rtol=1e-9, atol=1e-9, err_msg=name
         )
-    with one.page.expect_download() as saved:
-        one.page.click("#save-machine")
+    with opened_page.page.expect_download() as saved:
+        opened_page.page.click("#save-machine")
     assert 'kind = "surface-pmsm"' in Path(saved.value.path()).read_text()
 
 
 def test_a_slider_gives_what_the_library_gives(page):
-    one = page()
-    estimated(one, corpus.FOLDER / "plain.csv", example_text("servo-400w"))
-    one.js(
+    opened_page = page()
+    estimated(opened_page, corpus.FOLDER / "plain.csv", example_text("servo-400w"))
+    opened_page.js(
         """() => { const s = document.getElementById("slider-R_s"); s.value = 0.5;
                   s.dispatchEvent(new Event("input")); }"""
     )
-    one.until("() => fluxobs.results.took > 0 && !fluxobs.results.running")
+    opened_page.until("() => fluxobs.results.took > 0 && !fluxobs.results.running")
     machine = fluxobs.machines.example("servo-400w")
-    unknowns = ",".join(one.js("() => fluxobs.state.found.unknowns"))
+    unknowns = ",".join(opened_page.js("() => fluxobs.state.found.unknowns"))
     wanted = fluxobs.estimate(
         corpus.FOLDER / "plain.csv",
         machine.with_values(R_s=machine.R_s * 2**0.5),
         unknowns=unknowns,
     )
     for name in ("theta_e", "speed_e", "drift_alpha", "valid"):
-        np.testing.assert_allclose(one.column(name), wanted[name], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(opened_page.column(name), wanted[name], rtol=1e-9, atol=1e-9)

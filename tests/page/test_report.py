@@ -1,4 +1,4 @@
-"""A report recomputes what it was made from, shows what it carries, and asks nobody."""
+"""A report recomputes its run, shows its contents, and sends no requests."""
 
 import numpy as np
 import pytest
@@ -9,9 +9,9 @@ from support.page_logs import written
 
 
 def opened(window, path):
-    one = window(path.read_text(encoding="utf-8"), viewport={"width": 1100, "height": 900})
-    one.page.wait_for_selector("body[data-done]")
-    return one
+    report = window(path.read_text(encoding="utf-8"), viewport={"width": 1100, "height": 900})
+    report.page.wait_for_selector("body[data-done]")
+    return report
 
 
 @pytest.fixture
@@ -21,68 +21,68 @@ def result():
 
 def test_it_recomputes_the_run(result, window, tmp_path):
     write_report(result, tmp_path / "r.html", command="fluxobs estimate log.csv")
-    one = opened(window, tmp_path / "r.html")
-    assert result.summary in one.page.inner_text("main")
-    assert "fluxobs estimate log.csv" in one.page.inner_text("#more")
+    report = opened(window, tmp_path / "r.html")
+    assert result.summary in report.page.inner_text("main")
+    assert "fluxobs estimate log.csv" in report.page.inner_text("#more")
     for name in result.estimates.columns:
-        given, wanted = one.column(name).astype(float), result[name].astype(float)
-        np.testing.assert_allclose(given, wanted, rtol=0, atol=1e-9 * np.abs(wanted).max())
+        shown, expected = report.column(name).astype(float), result[name].astype(float)
+        np.testing.assert_allclose(shown, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
 def test_a_slider_shows_the_run_with_another_resistance(result, window, tmp_path):
     write_report(result, tmp_path / "r.html")
-    one = opened(window, tmp_path / "r.html")
-    one.js(
+    report = opened(window, tmp_path / "r.html")
+    report.js(
         """() => { const s = document.getElementById("slider-psi_f"); s.value = 0.5;
                   s.dispatchEvent(new Event("input")); }"""
     )
-    one.until("() => fluxobs.results.took > 0 && !fluxobs.results.running")
+    report.until("() => fluxobs.results.took > 0 && !fluxobs.results.running")
     changed = result.machine.with_values(psi_f=result.machine.psi_f * 2**0.5)
     path = fluxobs.demo_log().path
-    wanted = fluxobs.estimate(path, changed, unknowns=",".join(result.unknowns))
-    np.testing.assert_allclose(one.column("theta_e"), wanted["theta_e"], atol=1e-9)
-    one.page.click(".sliders button")
-    np.testing.assert_allclose(one.column("theta_e"), result["theta_e"], atol=1e-9)
+    expected = fluxobs.estimate(path, changed, unknowns=",".join(result.unknowns))
+    np.testing.assert_allclose(report.column("theta_e"), expected["theta_e"], atol=1e-9)
+    report.page.click(".sliders button")
+    np.testing.assert_allclose(report.column("theta_e"), result["theta_e"], atol=1e-9)
 
 
-def test_it_carries_the_licences_of_what_it_contains(result, window, tmp_path):
+def test_it_contains_the_licences_of_its_components(result, window, tmp_path):
     write_report(result, tmp_path / "r.html")
-    told = opened(window, tmp_path / "r.html").page.locator("footer pre").text_content()
-    for words in ("fflate: Copyright", "uplot: Copyright", "Permission is hereby granted"):
-        assert words in told
+    text = opened(window, tmp_path / "r.html").page.locator("footer pre").text_content()
+    for notice in ("fflate: Copyright", "uplot: Copyright", "Permission is hereby granted"):
+        assert notice in text
 
 
 def test_without_data_it_shows_the_estimates(result, window, tmp_path):
     write_report(result, tmp_path / "with.html")
     write_report(result, tmp_path / "without.html", data=False)
-    one = opened(window, tmp_path / "without.html")
-    assert one.page.locator(".sliders input").count() == 0
-    assert "not in this file" in one.page.inner_text("#status")
+    report = opened(window, tmp_path / "without.html")
+    assert report.page.locator(".sliders input").count() == 0
+    assert "not in this file" in report.page.inner_text("#status")
     for name in ("theta_e", "speed_e", "drift_alpha", "theta_e_error"):
         noise = np.median(np.abs(np.diff(result[name], 3))) / 3
-        off = np.abs(one.column(name) - result[name])
-        assert off.max() <= max(noise / 2, 1e-6 * np.ptp(result[name])), name
-    assert (one.column("valid") == result["valid"]).all()
+        error = np.abs(report.column(name) - result[name])
+        assert error.max() <= max(noise / 2, 1e-6 * np.ptp(result[name])), name
+    assert (report.column("valid") == result["valid"]).all()
 
 
 @pytest.mark.slow
 def test_an_immersed_run_is_shown_too(window, tmp_path):
     result = fluxobs.estimate(written("maglev-knospe", tmp_path), "maglev-knospe")
     write_report(result, tmp_path / "r.html")
-    one = opened(window, tmp_path / "r.html")
-    assert one.page.locator("figure").count() >= 2
+    report = opened(window, tmp_path / "r.html")
+    assert report.page.locator("figure").count() >= 2
 
 
 @pytest.mark.parametrize(
     "evil",
     [
         "</script><script>document.body.dataset.evil = 1</script>",
-        "<!--<script>",  # after it a script would not end where it should
-        "{{blocks}} {{data}}",  # the template's own marks
+        "<!--<script>",  # after this a script element would end elsewhere
+        "{{blocks}} {{data}}",  # the template's placeholders
     ],
 )
 def test_names_in_a_log_cannot_run(result, window, tmp_path, evil):
     write_report(result, tmp_path / "r.html", command=f"fluxobs estimate '{evil}'")
-    one = opened(window, tmp_path / "r.html")
-    assert one.js("() => document.body.dataset.evil") is None
-    assert evil in one.page.inner_text("#more")
+    report = opened(window, tmp_path / "r.html")
+    assert report.js("() => document.body.dataset.evil") is None
+    assert evil in report.page.inner_text("#more")

@@ -1,6 +1,6 @@
-// The worker, as functions that return promises.
+// Calls of the worker, as functions that return promises.
 
-export const { unpack, parts } = window; // of boot.js
+export const { unpack, parts } = window; // set by boot.js
 
 export async function start(onProgress = () => {}) {
   const source = new Blob([parts.worker], { type: "text/javascript" });

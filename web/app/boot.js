@@ -1,4 +1,4 @@
-// The first script of a page: it unpacks the others, and the style.
+// The first script of a page: it unpacks the other scripts and the style sheet.
 
 const content = (id) => document.getElementById(id).textContent;
 
@@ -8,7 +8,7 @@ window.unpack = async (packed) => {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 };
 
-// The parts of the archive, one after the other (web/build.py).
+// Split the archive into its parts, which follow one another (web/build.py).
 const packed = Uint8Array.from(atob(content("archive")), (character) => character.charCodeAt(0));
 const archive = await window.unpack(packed);
 const parts = {};

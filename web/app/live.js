@@ -1,15 +1,15 @@
-// A stream: bytes from a serial port or `fluxobs live`, their estimates as a strip chart.
+// Live view: bytes from a serial port or `fluxobs live`, and their estimates as a strip chart.
 
 import { banded, element, panels } from "./results.js";
 import { Panels, Recent } from "./plots.js";
 
-const LONGEST = 60, // seconds that are kept
-  SILENT = 2000, // ms without rows, after which that is said
-  MOST = 1 << 21; // rows that are kept at most
+const LONGEST = 60, // seconds kept
+  SILENT = 2000, // ms without rows before a remark says so
+  MOST = 1 << 21; // most rows kept
 const QUICK = new Set(["position", "speed", "drift"]);
 const SPANS = [1, 2, 5, 10, 30, 60];
 
-// What a serial port sends, until it is closed.
+// Read a serial port until it is closed.
 export async function serial(baudRate) {
   const port = await navigator.serial.requestPort();
   await port.open({ baudRate, bufferSize: 1 << 16 });
@@ -27,7 +27,7 @@ export async function serial(baudRate) {
   };
 }
 
-// What `fluxobs live` sends.
+// Read the stream of `fluxobs live`.
 export function socket(address, name) {
   const made = new WebSocket(address),
     waiting = [];
@@ -101,7 +101,7 @@ export class Live {
       element(
         "p",
         { className: "hint" },
-        "Hold stops the strips, to zoom and to read values. Where the background is shaded the position is not valid.",
+        "Hold stops the plots, to zoom and to read values. A shaded background marks rows without a valid position.",
       ),
       this.charts,
       this.notes,
@@ -145,7 +145,7 @@ export class Live {
     }
   }
 
-  // What has come since the last picture, and the next picture.
+  // Process the bytes received since the last frame, then draw the next frame.
   async step(last = false) {
     if (this.waiting.length || last) {
       const bytes = joined(this.waiting.splice(0));
@@ -178,7 +178,7 @@ export class Live {
 
   draw() {
     const to = this.view.t[this.view.rows - 1];
-    // with those that move quickly one of the others in each frame
+    // in each frame, the panels that change quickly and one of the others
     const others = this.panels.specs.filter(({ id }) => !QUICK.has(id)),
       next = others[this.frames++ % others.length];
     this.panels.roll(
@@ -202,7 +202,7 @@ export class Live {
       `${this.source?.name ?? ""}: ${s.rows} rows, ${((100 * s.valid) / Math.max(1, s.rows)).toFixed(1)} % valid`,
       ...counts.filter(([n]) => n).map(([n, what]) => `${n} ${what}`),
       ...(s.rows && !s.valid
-        ? ["not valid yet: if it stays so, record it and check the recording"]
+        ? ["not valid yet: if this lasts, record the stream and check the recording"]
         : []),
       ...(s.waiting ? [`waiting: ${s.waiting}`] : []),
       ...(now - this.came > SILENT && !last ? ["no rows for more than 2 s"] : []),
@@ -228,7 +228,7 @@ export class Live {
     if (on && this.view) this.panels.refill(true);
   }
 
-  // Keep what comes; at the end it is a file.
+  // Start a recording, or end it and save it as a file.
   async recording(on) {
     if (on === Boolean(this.tape)) return;
     await this.ask("record", { on });

@@ -1,4 +1,4 @@
-// The page: a log is dropped, a machine chosen; estimates, verdicts and files come out.
+// The page: from a dropped log and a chosen machine to estimates, findings and files.
 
 import { parts, start } from "./ask.js";
 import { Live, serial, socket } from "./live.js";
@@ -49,7 +49,7 @@ $("machine-file").addEventListener("change", async (event) => {
 for (const kind of Object.keys(state.known.kinds))
   if (kind !== "maglev-2dof")
     $("kind").append(element("option", { value: kind, textContent: kind }));
-// Values as people write them: 35 mΩ, 20 µH, 900.
+// SI prefixes of values as typed: 35 mΩ, 20 µH, 900.
 const PREFIX = { n: 1e-9, u: 1e-6, µ: 1e-6, μ: 1e-6, m: 1e-3, k: 1e3 };
 const SHEET = {
   kv: "KV in rpm/V",
@@ -82,7 +82,7 @@ $("sheet").addEventListener("submit", async (event) => {
     if (!value.trim()) continue;
     const found = /^\s*([-+]?[\d.,]+(?:e[-+]?\d+)?)\s*([nuµμmk]?)\s*[a-zA-ZΩ/]*\s*$/i.exec(value);
     if (!found) {
-      $("assumed").textContent = `${SHEET[name]}: ${value} is no number`;
+      $("assumed").textContent = `${SHEET[name]}: ${value} is not a number`;
       return;
     }
     fields[name] = Number(found[1].replace(",", ".")) * (PREFIX[found[2]] ?? 1);
@@ -144,24 +144,24 @@ $("files").addEventListener("change", (event) => {
   const files = [...event.target.files];
   event.target.value = "";
   open(files);
-}); // the same file again is read again
+}); // cleared, so that choosing the same file reads it again
 $("demo").addEventListener("click", async () => {
   $("example").value = "servo-400w";
   $("machine").value = state.known.examples["servo-400w"];
   open([new File([parts.demo], DEMO)]);
 });
 
-// ---- what is asked for ----------------------------------------------------------------------
+// ---- options --------------------------------------------------------------------------------
 
 for (const name of state.known.presets)
   $("preset").append(element("option", { value: name, textContent: name }));
 
-// The options as fields of a record, and as words of the command line.
+// Read the options of the form, with the names of Python's arguments.
 function options() {
   const number = (id) => {
     const text = $(id).value.trim().replace(",", ".");
     if (!text) return null;
-    if (!Number.isFinite(Number(text))) throw new Error(`${id}: ${text} is no number`);
+    if (!Number.isFinite(Number(text))) throw new Error(`${id}: ${text} is not a number`);
     return Number(text);
   };
   const pairs = (id) =>
@@ -179,7 +179,7 @@ function options() {
   const numbers = (id) =>
     Object.fromEntries(
       Object.entries(pairs(id)).map(([k, v]) => {
-        if (!Number.isFinite(Number(v))) throw new Error(`${id}: ${v} is no number`);
+        if (!Number.isFinite(Number(v))) throw new Error(`${id}: ${v} is not a number`);
         return [k, Number(v)];
       }),
     );
@@ -205,7 +205,7 @@ function options() {
   };
 }
 
-const DEMO = "demo-excerpt.csv"; // the first rows of it
+const DEMO = "demo-excerpt.csv"; // its first rows only
 const quoted = (word) =>
   /^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\"'\"'")}'`;
 function command(given) {
@@ -284,7 +284,7 @@ async function again() {
     const given = options(),
       machine = $("machine").value;
     if (!machine.trim()) {
-      say("Choose or describe the machine, then the log is estimated.", "hint");
+      say("Choose or describe the machine to estimate the log.", "hint");
       await list(given);
       return;
     }
@@ -303,7 +303,7 @@ async function again() {
       setTimeout(() => {
         document.body.dataset.seconds = ((performance.now() - state.chosen) / 1000).toFixed(3);
       }),
-    ); // when it is on the screen
+    ); // once it is on the screen
     const seconds = (performance.now() - began) / 1000;
     $("taken").textContent = [
       ...found.notes,
@@ -311,7 +311,7 @@ async function again() {
     ].join(". ");
     $("command").textContent = command(given);
     say(`Estimated and drawn in ${seconds.toFixed(2)} s. Checking …`);
-    await list(given); // the same columns, as a table: it can wait
+    await list(given); // the table of columns is not urgent
     const explained = await ask("explain");
     if (mine !== turn) return;
     results.explain(explained);
@@ -359,7 +359,7 @@ function download(name, parts, type) {
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }
 $("save-csv").addEventListener("click", () => {
-  const columns = results.first, // without the sliders
+  const columns = results.first, // with the given values, not those of the sliders
     drawn = (name) =>
       !/ [+-]$/.test(name) && !["truth", "raw", "innovation", "adapting"].includes(name),
     names = Object.keys(columns).filter(drawn),
@@ -398,7 +398,7 @@ async function watch(open, given) {
     say("");
     await live.run(source, given);
   } catch (error) {
-    if (error.name !== "NotFoundError") fail(error); // no port was chosen
+    if (error.name !== "NotFoundError") fail(error); // the user chose no port
   }
 }
 $("serial-port").hidden = !navigator.serial;

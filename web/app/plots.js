@@ -1,11 +1,11 @@
-// Pictures of a run: panels that share their time axis and their cursor, and the locus of the flux.
-// Whatever the number of rows, a picture gets two points a pixel: the least and the most value.
+// Plots of a run: panels with a common time axis and cursor, and the locus of the flux.
+// For any number of rows, a plot gets two points per pixel: minimum and maximum.
 
 import uPlot from "uplot";
 
-const BLOCK = 64; // rows of which least and most are kept
+const BLOCK = 64; // rows per block whose minimum and maximum are stored
 
-// Columns of a run, and their least and most values in blocks.
+// Columns of a run, with minimum and maximum of blocks of rows.
 export class View {
   constructor(columns) {
     this.columns = columns;
@@ -29,7 +29,7 @@ export class View {
     return low;
   }
 
-  // Least and most in whole blocks of rows; only of valid ones, if that is asked.
+  // Minimum and maximum of complete blocks of rows; with `known`, of their valid rows only.
   pyramid(name, known = false) {
     const key = known ? `${name} if valid` : name,
       valid = known ? this.columns.valid : null,
@@ -57,7 +57,7 @@ export class View {
     return found;
   }
 
-  // Least and most of rows first … last - 1.
+  // Minimum and maximum of rows first … last - 1.
   range(name, first, last, known = false) {
     const d = this.columns[name],
       valid = known ? this.columns.valid : null;
@@ -89,7 +89,7 @@ export class View {
     return [low, high];
   }
 
-  // Least and most of the valid rows of a window; of all rows where none is valid.
+  // Minimum and maximum of the valid rows of a window, or of all its rows if none is valid.
   extent(name, from, to) {
     const first = this.row(from),
       last = this.row(to) + 1;
@@ -100,7 +100,7 @@ export class View {
     return this.range(name, first, last);
   }
 
-  // [x, ...ys] for a picture `width` pixels wide; `maps` turn values for the eye.
+  // [x, ...ys] for a plot `width` pixels wide; `maps` convert values to displayed units.
   sample(names, from, to, width, maps = []) {
     const first = Math.max(0, this.row(from) - 1),
       last = Math.min(this.rows, this.row(to) + 3),
@@ -134,7 +134,7 @@ export class View {
     return [x, ...ys];
   }
 
-  // Where the position is valid: all panels ask for the same.
+  // The column `valid` for a window, cached because all panels need the same.
   known(...asked) {
     const key = [this.rows, this.t[0], ...asked].join();
     if (this.asked !== key) this.valid = this.sample(["valid"], ...asked);
@@ -142,7 +142,7 @@ export class View {
     return this.valid;
   }
 
-  // Mean, rms, least and most of the valid rows of a window.
+  // Mean, rms, minimum and maximum of the valid rows of a window.
   statistics(name, from, to) {
     const { valid } = this.columns,
       first = this.row(from),
@@ -165,7 +165,7 @@ export class View {
   }
 }
 
-// The last rows of a stream: columns that grow, and lose their oldest rows when they are full.
+// The latest rows of a stream: columns that grow and drop their oldest rows when full.
 export class Recent extends View {
   constructor(names, flags, capacity) {
     const columns = {};
@@ -186,7 +186,7 @@ export class Recent extends View {
     this.rows += Math.min(count, this.capacity / 2);
   }
 
-  // Keep at most so many rows, whole blocks of them.
+  // Drop the oldest rows, in complete blocks, until at most `keep` rows are left.
   forget(keep) {
     const out = Math.ceil(Math.max(0, this.rows - keep) / BLOCK) * BLOCK;
     for (const values of Object.values(this.columns)) values.copyWithin(0, out, this.rows);
@@ -201,12 +201,12 @@ export class Recent extends View {
 
 const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-// Steps of axes in degrees.
+// Tick steps of axes in degrees.
 const DEGREES = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 30, 90, 180];
 
 const tick = (v) => (v == null ? "" : String(Number(v.toPrecision(6))));
 
-// Shade where the position is not valid.
+// Shade the time without a valid position.
 function shade(view) {
   return (u) => {
     if (!view().has("valid")) return;
@@ -226,8 +226,8 @@ function shade(view) {
   };
 }
 
-// A curve that goes up and down in every pixel is drawn as columns of pixels: to stroke it would take
-// longer than all else.
+// A curve that rises and falls within each pixel is drawn as columns of pixels: stroking it would
+// take longer than everything else.
 const linear = uPlot.paths.linear();
 function steep(u, n) {
   const y = u.data[n],
@@ -302,7 +302,7 @@ export class Panels {
           height: spec.height ?? 150,
           title: "",
           legend: { show: true, live: true },
-          // a dot marks a row, where each row is drawn
+          // a dot marks the row at the cursor, unless rows are thinned
           cursor: {
             sync: { key: sync.key },
             drag: { x: true, y: false },
@@ -373,7 +373,7 @@ export class Panels {
     this.refill();
   }
 
-  // The range of a panel: of what is valid, so that a start does not hide the rest.
+  // The range of a panel, from valid rows, so that the start does not hide the rest.
   scale({ series }) {
     let low = Infinity,
       high = -Infinity;
@@ -396,7 +396,7 @@ export class Panels {
     return Math.min(view.rows - 1, Math.max(0, view.row(time)));
   }
 
-  // Its time, and a value of it.
+  // Time and value of that row, as text.
   time(u) {
     const row = this.under(u);
     return row == null ? "" : `${this.view.t[row].toFixed(6)} s`;
@@ -408,7 +408,7 @@ export class Panels {
     return Number.isFinite(v) ? (map ? map(v) : v).toPrecision(5) : "";
   }
 
-  // Show these seconds, as a strip chart does; only those panels that are asked for.
+  // Show these seconds, as in a strip chart; redraw only the panels for which `wanted` is true.
   roll(from, to, wanted) {
     this.full = [this.view.t[0], this.view.t[this.view.rows - 1]];
     this.window = [from, to];
@@ -421,7 +421,7 @@ export class Panels {
     this.drawn = performance.now() - began;
     this.describe();
     const under = this.charts.find((one) => one.cursor.left >= 0);
-    if (under && !this.going) setTimeout(() => this.cursor(under)); // once its scales are those
+    if (under && !this.going) setTimeout(() => this.cursor(under)); // once the new scales are set
     if (!quick || this.row != null) this.onWindow(...this.window);
   }
 
@@ -481,7 +481,7 @@ export class Panels {
     this.onCursor(row);
   }
 
-  // Move the cursor to a row, in all panels.
+  // Move the cursor to a row in all panels.
   go(row) {
     this.going = true;
     this.row = Math.min(this.view.rows - 1, Math.max(0, row));
@@ -496,7 +496,7 @@ export class Panels {
     this.onCursor(this.row);
   }
 
-  // Zoom about the cursor, or the middle.
+  // Zoom around the cursor, or around the middle.
   closer(factor) {
     const [from, to] = this.window,
       middle = this.row == null ? (from + to) / 2 : this.view.t[this.row],
@@ -535,7 +535,7 @@ export class Panels {
   }
 }
 
-// The flux in its plane, over the window, with the row at the cursor.
+// The locus of the flux over the window, with the row at the cursor.
 export class Locus {
   constructor(canvas) {
     this.canvas = canvas;
@@ -544,7 +544,7 @@ export class Locus {
     let [x, y] = ports.map((port) => view.columns[`flux_${port}`]),
       what = "Flux λ";
     if (!x && view.has("theta_e") && view.has("psi_f")) {
-      // a report without them has what they turn about
+      // a report without the flux shows the vector λ − L i, from its angle and length
       const { theta_e: angle, psi_f: length } = view.columns,
         made = (turn) => new Proxy(angle, { get: (_, k) => length[k] * turn(angle[k]) });
       [x, y, what] = [made(Math.cos), made(Math.sin), "Vector λ − L i"];
@@ -596,7 +596,7 @@ export class Locus {
     ctx.fill();
     canvas.setAttribute(
       "aria-label",
-      `${what}, its locus; at the cursor ${x[row].toPrecision(4)} and ${y[row].toPrecision(4)} Wb`,
+      `${what}, locus; at the cursor ${x[row].toPrecision(4)} and ${y[row].toPrecision(4)} Wb`,
     );
   }
 }

@@ -1,4 +1,4 @@
-// A report: the words of a run, its pictures, and, where the record is inside, other runs of it.
+// A report: text and plots of a run, and runs with other parameters if it contains the record.
 
 import { start, unpack } from "./ask.js";
 import { Results, element, themed } from "./results.js";
@@ -6,7 +6,7 @@ import { Results, element, themed } from "./results.js";
 const $ = (id) => document.getElementById(id);
 const began = performance.now();
 
-// Bytes of text that has seven bits a character (fluxobs/page/columns.py).
+// Decode bytes from text with seven bits per character (fluxobs/page/columns.py).
 const ESCAPED = [0, 13, 60];
 function bytesOf(text) {
   const out = new Uint8Array(Math.floor((text.length * 7) / 8));
@@ -23,7 +23,7 @@ function bytesOf(text) {
   return out;
 }
 
-// A column as fluxobs/page/columns.py packs it.
+// Unpack a column packed by fluxobs/page/columns.py.
 const blocks = $("blocks").textContent;
 async function column({ kind, size, rows, planes, data: [from, length], missing }) {
   const bytes = await unpack(bytesOf(blocks.substr(from, length)));
@@ -92,7 +92,7 @@ const more = [table("Channels", ["channel", "column", "scale and offset"], words
 if (words.parameters.length)
   more.unshift(
     table(
-      "Parameters, as learnt from the log",
+      "Parameters learnt from the log",
       ["parameter", "value", "± 2σ", "unit", "given"],
       words.parameters,
     ),
@@ -123,11 +123,11 @@ try {
     const made = await ask("rerun", { ...record, columns: data, t, machine: words.machine });
     results.show(found, made.columns);
     $("status").textContent =
-      "Computed here, from the record in this file: move a slider to see the same rows with other parameters.";
+      "Computed in this browser from the record in this file. Move a slider to see the same rows with other parameters.";
   } else {
     results.show(found, await unpackedColumns(columns));
     $("status").textContent =
-      "The record is not in this file, so that it does not recompute; curves are rounded to a quarter of their own noise.";
+      "The record is not in this file, so nothing can be recomputed. Curves are rounded to a quarter of their noise.";
   }
 } catch (error) {
   $("status").textContent = error.message;

@@ -1,4 +1,4 @@
-// What a run found, as pictures, words and sliders; the page and a report show it alike.
+// Results of a run as plots, text and sliders, for the page and for reports.
 
 import { Locus, Panels, View } from "./plots.js";
 
@@ -11,7 +11,7 @@ export const element = (tag, attributes = {}, ...children) => {
   return out;
 };
 
-// A button that turns light into dark and back.
+// Make a button switch between the light and the dark theme.
 export function themed(button, panels, then) {
   button.addEventListener("click", () => {
     const { dataset } = document.documentElement;
@@ -22,7 +22,7 @@ export function themed(button, panels, then) {
   });
 }
 
-// Numbers of three digits with an SI prefix.
+// Format a number with three digits and an SI prefix.
 export function si(value, unit) {
   if (!Number.isFinite(value)) return "–";
   for (const [size, prefix] of [
@@ -42,7 +42,7 @@ const PARAMETERS = [
   ["psi_f", "Magnet flux", "Wb"],
 ];
 
-// Adds the edges of a band of ± 2σ to columns that have a standard deviation.
+// Add the edges of a ± 2σ band for columns with a standard deviation.
 export function banded(columns) {
   for (const [name] of PARAMETERS) {
     const std = columns[`${name}_std`];
@@ -53,7 +53,7 @@ export function banded(columns) {
   return columns;
 }
 
-// The panels that a run has.
+// The panels of a run.
 export function panels(view, found) {
   const { position } = found,
     [a, b] = found.ports,
@@ -143,7 +143,7 @@ export function panels(view, found) {
   return out.map((one) => ({ ...one, angle }));
 }
 
-// Sliders: [name in the machine file, label, unit]
+// Sliders: [name in the machine file, label, unit].
 const SLIDERS = [
   ["R_s", "R_s", "Ω"],
   ["L_s", "L_s", "H"],
@@ -189,7 +189,7 @@ export class Results {
           "div",
           { className: "side" },
           this.canvas,
-          element("h3", { textContent: "Other parameters" }),
+          element("h3", { textContent: "Change parameters" }),
           this.sliders,
           this.note,
         ),
@@ -200,7 +200,7 @@ export class Results {
             "p",
             { className: "hint" },
             ...zooms,
-            " Drag over a picture to zoom, double click to see all. Where the background is shaded the position is not valid.",
+            " Drag over a plot to zoom, double-click to show all. A shaded background marks rows without a valid position.",
           ),
           this.charts,
         ),
@@ -228,7 +228,7 @@ export class Results {
     if (this.ask) this.makeSliders();
   }
 
-  // Other columns of the same rows.
+  // Show other columns of the same rows.
   swap(columns) {
     this.view = new View(banded(columns));
     this.panels.show(this.view, panels(this.view, this.found), true);
@@ -255,7 +255,7 @@ export class Results {
         const map = s.map ?? ((v) => v),
           { mean, rms, least, most } = this.view.statistics(s.name, ...this.panels.window),
           row = this.panels.row;
-        const turns = spec.id === "position" && spec.unit === "°"; // its mean means nothing
+        const turns = spec.id === "position" && spec.unit === "°"; // an angle has no mean
         const cells = [
           row == null ? NaN : this.view.columns[s.name][row],
           turns ? NaN : mean,
@@ -285,8 +285,8 @@ export class Results {
           : `at ${this.view.t[this.panels.row].toFixed(6)} s`,
         "mean",
         "rms",
-        "least",
-        "most",
+        "minimum",
+        "maximum",
       ].map((c) => element("th", { scope: "col", textContent: c })),
     );
     this.table.replaceChildren(
@@ -309,7 +309,7 @@ export class Results {
             "details",
             { className: "verdicts", open: findings.some((one) => !one.as_given) },
             element("summary", {
-              textContent: `Is the log what it is taken for? ${findings.every((one) => one.as_given) ? "As far as it tells, yes." : "Not in all."}`,
+              textContent: `Does the log agree with the machine file and the options? ${findings.every((one) => one.as_given) ? "Yes, as far as it can show." : "Not in every respect."}`,
             }),
             element(
               "table",
@@ -391,7 +391,7 @@ export class Results {
     add("lag", "Lag", "", this.found.lag, [this.found.lag - 2, this.found.lag + 2], false);
     const back = element("button", {
       type: "button",
-      textContent: "As given",
+      textContent: "Reset to given values",
       onclick: () => {
         this.changed = {};
         this.makeSliders();
@@ -400,7 +400,7 @@ export class Results {
       },
     });
     const learnt = this.found.adaptive
-      ? "What the log tells is learnt anew: R_s, ψ_f and the inverter's voltage are where it starts."
+      ? "Each run learns R_s, ψ_f and the inverter voltage from the log, as far as they are identifiable; the sliders set their starting values."
       : null;
     this.sliders.replaceChildren(
       ...(learnt ? [element("p", { className: "note", textContent: learnt })] : []),
@@ -409,7 +409,7 @@ export class Results {
     );
   }
 
-  // One run at a time; what is asked for meanwhile follows.
+  // Run once at a time; a request during a run is served after it.
   async recompute() {
     if (this.running) {
       this.waiting = true;
@@ -438,7 +438,7 @@ export class Results {
     }
   }
 
-  // The run with these parameters, in a line.
+  // Summarise the run with these parameters in one line.
   judged(columns) {
     const valid = columns.valid,
       error = columns[`${this.found.position.name}_error`],

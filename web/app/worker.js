@@ -1,8 +1,8 @@
-// The program behind the page, in a worker: it opens logs, estimates and checks. All of it is the
-// package's own, translated; here is only what a page asks of it, and the shape of its answers.
+// The program behind the page, in a worker: it opens logs, estimates and checks. The translated
+// package does the work; this file only defines the page's requests and the shape of the answers.
 
 const $py = (name) => $import(`fluxobs.${name}`);
-// What is of Python → what can be sent.
+// Convert Python values to values that can be posted, and back.
 const plain = (x) =>
   x == null
     ? null
@@ -26,7 +26,7 @@ const python = (x) =>
 
 const opened = { paths: [], log: null, run: null, kept: null, watch: null, recorded: [] };
 
-// Columns as they are drawn: double precision as long as memory allows.
+// Columns for drawing, in double precision as long as memory allows.
 const DOUBLE_ROWS = 3_000_000;
 function gather(total) {
   const out = new Map();
@@ -59,7 +59,7 @@ const columnsOf = (rows) => {
   return kept.columns();
 };
 
-// A machine from the text of its file.
+// Read a machine from the text of its file.
 function machineFrom(text) {
   const { loads, TOMLDecodeError } = $import("tomllib");
   const { machine_from } = $py("machines");
@@ -91,7 +91,7 @@ const settings = (given) => ({
   priors: python(given.priors ?? {}),
 });
 
-// Run over a log; its columns. Page and report do it alike.
+// Estimate a log and return the columns, for the page and for reports.
 function runOver(log, machine, unknowns, memory, priors, causal, progress) {
   const share = (done, of) => progress(done / of);
   const passes = $py("estimation.two_passes").Passes.begun(
@@ -131,7 +131,7 @@ const actions = {
     };
   },
 
-  // A machine file from what a data sheet says.
+  // Create a machine file from data-sheet values.
   sheet({ kind, fields }) {
     const made = $py("machines.new").new_machine(kind, python(fields));
     return { text: made.text, assumed: plain(made.assumed) };
@@ -172,7 +172,7 @@ const actions = {
     };
   },
 
-  // The run of a report: the record that it carries, as it was read.
+  // Repeat the run of a report from the record in it.
   rerun({ columns, t, start, layout, machine, unknowns, causal, memory, priors }, progress) {
     const { truth, ...fields } = layout,
       channels = Object.entries(columns).map(([name, values]) => [
@@ -194,7 +194,7 @@ const actions = {
     return { columns: out };
   },
 
-  // Summary, warnings and verdicts: what takes longer than the picture.
+  // Summary, warnings and findings, which take longer than the plots.
   explain() {
     const run = opened.run;
     const found = run.checked,
@@ -209,7 +209,7 @@ const actions = {
     };
   },
 
-  // The same rows with other parameters.
+  // Estimate the same rows with other parameters.
   again({ changes, memory, lag, unknowns, priors }) {
     opened.kept ??= $py("estimation.rerun").Again(opened.log, opened.run.scales);
     const machine = opened.run.machine.with_values($kw(changes ?? {}));
@@ -224,7 +224,7 @@ const actions = {
     return { columns: columnsOf(rows) };
   },
 
-  // A stream: estimates of what comes from now on.
+  // Start to estimate a stream.
   watch({ machine, options, ...given }) {
     const { unknowns, memory, priors } = settings(given);
     const { Watch } = $py("live"),
@@ -237,7 +237,7 @@ const actions = {
     };
   },
 
-  // Its next bytes, or its last; what they tell.
+  // Process the next bytes of the stream, or the last; return their estimates.
   feed({ bytes: data, last }) {
     const { watch, recorded } = opened,
       parts = [...watch.feed(data, last)],
@@ -253,13 +253,13 @@ const actions = {
     };
   },
 
-  // Keep its rows as lines of CSV, or stop that.
+  // Start or stop recording the rows of the stream as lines of CSV.
   record({ on }) {
     opened.watch.record(on ? (lines) => void opened.recorded.push(lines) : null);
     return {};
   },
 
-  // The machine file with what was learnt, or as it was given.
+  // The machine file with the learnt parameters, or with the given ones.
   machine_file() {
     const { machine_text } = $py("machines.file_text"),
       run = opened.run,
@@ -291,7 +291,8 @@ onmessage = ({ data: { id, action, given } }) => {
     try {
       if (action === "start") {
         $load(given.wasm);
-        const source = $py("logs.formats.text.source"); // a page keeps what it has read
+        // keep everything read: there are no files to read again
+        const source = $py("logs.formats.text.source");
         source.KEPT = source.KEPT_NUMBERS = 2 ** 30;
         postMessage({ id, result: {} });
         return;
@@ -303,7 +304,7 @@ onmessage = ({ data: { id, action, given } }) => {
       const known = isinstance(e, BaseException);
       postMessage({
         id,
-        error: known ? str(e) : `This is a mistake in the page: ${e.message ?? e}`,
+        error: known ? str(e) : `internal error of the page, please report it: ${e.message ?? e}`,
         stack: e.stack,
       });
     }

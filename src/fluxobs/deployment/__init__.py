@@ -1,4 +1,4 @@
-"""From the desk to the drive: a folder of C that computes what the replay of a log computed."""
+"""Export of an observer to a drive: C code that returns the same numbers as a replayed log."""
 
 from .export import Export, export
 

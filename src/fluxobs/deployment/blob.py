@@ -1,4 +1,4 @@
-"""The parameters as bytes, which fo_unpack reads: another motor without reflashing."""
+"""Parameters as bytes for fo_unpack: another motor without reflashing."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from .. import _core
 from ..observers import AdaptiveObserver
 from .header import Exported, plain, std_of
 
-#: What a blob is of, and what its observer needs, as firmware/fluxobs_keep.c has it.
+#: Kind of the observer, and flags of what it needs, as in firmware/fluxobs_keep.c.
 PLAIN, ADAPTIVE = 1, 2
 ASYMMETRY, HELD, MAP = 1, 2, 4
 
 
 def blob(observer: Exported) -> bytes:
-    """What fo_pack, or fo_adaptive_pack, writes for an export of this observer.
+    """Return the bytes that fo_pack or fo_adaptive_pack writes for an export of this observer.
 
-    A flux map is not in it.
+    They do not contain the flux map.
     """
     single = plain(observer).precision == "single"
-    numbers = _flat(plain(observer).parameters())
+    numbers = _flatten(plain(observer).parameters())
     kind = PLAIN
     needs = HELD * bool(plain(observer).held) | MAP * (plain(observer).flux_map is not None)
     if isinstance(observer, AdaptiveObserver):
         kind, needs = ADAPTIVE, needs | ASYMMETRY * (observer.asymmetry_std > 0)
         more = observer.parameters()
-        numbers += _flat(more | {"std": std_of(observer)})
+        numbers += _flatten(more | {"std": std_of(observer)})
     size = 4 if single else 8
     body = np.array(numbers, f"<f{size}").tobytes()
     length = 12 + len(body) + 4
@@ -37,5 +37,5 @@ def blob(observer: Exported) -> bytes:
     return head + body + struct.pack("<I", zlib.crc32(head + body))
 
 
-def _flat(parameters: dict[str, Any]) -> list[float]:
+def _flatten(parameters: dict[str, Any]) -> list[float]:
     return [float(x) for value in parameters.values() for x in np.ravel(value)]

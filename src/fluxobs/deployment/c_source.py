@@ -1,4 +1,4 @@
-"""Numbers and names as C99 writes them."""
+"""Numbers and names in C99 syntax."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PRECISIONS: tuple[Precision, ...] = ("single", "double")
 
 
 def hex_float(value: float, precision: Precision = "double") -> str:
-    """A literal that loses no digit: ``0x1.8p-3``, with the suffix f in single precision.
+    """Return an exact literal: ``0x1.8p-3``, with the suffix f in single precision.
 
     Examples
     --------
@@ -26,8 +26,9 @@ def hex_float(value: float, precision: Precision = "double") -> str:
 
 
 def literal(value: float, precision: Precision = "double") -> str:
-    """The shortest decimal literal that a compiler reads back to the same number; C++ has none in
-    hexadecimal before 2017.
+    """Return the shortest decimal literal that a compiler reads back to the same number.
+
+    C++ has hexadecimal literals only since 2017.
 
     Examples
     --------
@@ -40,22 +41,23 @@ def literal(value: float, precision: Precision = "double") -> str:
 
 
 def initializer(value: Any, precision: Precision) -> str:
-    """A number as a literal, or a nested list of numbers as ``{1.0, …}``."""
+    """Return a number as a literal, or a nested list of numbers as ``{1.0, …}``."""
     if isinstance(value, list):
         return "{" + ", ".join(initializer(item, precision) for item in value) + "}"
     return literal(float(value), precision)
 
 
 def table(rows: Iterable[Iterable[float]], precision: Precision) -> str:
-    """Rows of a two-dimensional array, one per line."""
+    """Return the rows of a two-dimensional array, one per line."""
     return "\n".join(
         "    {" + ", ".join(hex_float(float(x), precision) for x in row) + "}," for row in rows
     )
 
 
 def inert(text: str) -> str:
-    """A text of the user's as it may stand anywhere in an export: in a comment in C, in Markdown,
-    XML, JSON or a script.
+    """Return a user's text with special characters replaced, safe anywhere in an export.
+
+    It may be put into a comment in C, into Markdown, XML, JSON or a script.
 
     Examples
     --------
@@ -66,7 +68,7 @@ def inert(text: str) -> str:
 
 
 def identifier(text: str) -> str:
-    """The nearest identifier: ``servo-400w`` becomes ``servo_400w``."""
+    """Return the nearest identifier: ``servo-400w`` becomes ``servo_400w``."""
     name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_") or "motor"
     name = name if name[0].isalpha() else f"motor_{name}"
     return name[:40].rstrip("_")

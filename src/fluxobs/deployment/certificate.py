@@ -1,4 +1,4 @@
-"""The certificate of an export: what it holds, by hash, and what has been compared with what."""
+"""Certificate of an export: hashes of its contents, and the comparisons made."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .vectors import COLUMNS, expected, inputs
 
 
 def certificate(core: Core, form: str, check: str, compared: Sequence[dict[str, Any]] = ()) -> str:
-    """The text of certificate.json.
+    """Return the text of certificate.json.
 
     Parameters
     ----------
@@ -24,11 +24,11 @@ def certificate(core: Core, form: str, check: str, compared: Sequence[dict[str, 
     form : str
         Form of the export.
     check : str
-        How whoever has the export compares it with the expected outputs.
+        Command that compares the export with the expected outputs.
     compared : sequence of dict
-        Comparisons made while it was written: what, with what, rows, how many differ.
+        Comparisons made while it was written: what, with what, rows, number that differ.
     """
-    given = inputs(core.record)
+    samples = inputs(core.record)
     kinds: dict[Precision, str] = {"single": "<f4", "double": "<f8"}
     outputs = {
         name: {
@@ -47,9 +47,9 @@ def certificate(core: Core, form: str, check: str, compared: Sequence[dict[str, 
         "sources": {name: sha256(text.encode()) for name, text in core.sources.items()},
         "parameters": {name: sha256(text.encode()) for name, text in core.parameters.items()},
         "record": {
-            "rows": len(given),
+            "rows": len(samples),
             "columns": ["u_alpha [V]", "u_beta [V]", "i_alpha [A]", "i_beta [A]"],
-            "sha256": sha256(np.asarray(given, "<f8").tobytes()),
+            "sha256": sha256(np.asarray(samples, "<f8").tobytes()),
         },
         "expected": {
             "by": f"the compiled observers of fluxobs {core.version}, built from these sources",

@@ -1,4 +1,4 @@
-"""The configuration in C from which the parameters came: what fo_retune changes a copy of."""
+"""Configuration in C from which the parameters were computed; fo_retune changes a copy of it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .header import Exported, plain
 
 
 def configuration_files(prefix: str, observer: Exported) -> dict[str, str]:
-    """A header and a source, by name."""
+    """Return header and source, file name → text."""
     adaptive = isinstance(observer, AdaptiveObserver)
     include = "fluxobs_adaptive.h" if adaptive else "fluxobs.h"
     fields = dict(plain(observer).configuration())
@@ -22,8 +22,10 @@ def configuration_files(prefix: str, observer: Exported) -> dict[str, str]:
         more["projection"] = f"FO_PROJECT_{observer.projection.upper()}"
         declared.append(f"extern const fo_adaptive_config {prefix}_adaptive_config;")
         defined.append(_struct("fo_adaptive_config", f"{prefix}_adaptive_config", more))
-    guard = f"{prefix}_config_h"  # the library's end in a capital letter
-    about = f"/* The configuration of {prefix}, in SI: fo_init makes its parameters of it. */\n"
+    guard = f"{prefix}_config_h"  # include guards of the library end in a capital letter
+    about = (
+        f"/* Configuration of {prefix} in SI units: fo_init computes the parameters from it. */\n"
+    )
     lines = "\n".join(declared)
     header = (
         f'{about}#ifndef {guard}\n#define {guard}\n\n#include "{include}"\n\n'
@@ -43,5 +45,5 @@ def _value(value: Any) -> str:
     if isinstance(value, str):
         return value
     if np.ndim(value):
-        return "{" + ", ".join(_value(one) for one in value) + "}"
+        return "{" + ", ".join(_value(element) for element in value) + "}"
     return f"(fo_real){float(value)!r}"

@@ -1,4 +1,4 @@
-"""What every form of an export carries: sources, parameters, one record and what it gives."""
+"""Contents common to all forms of an export: sources, parameters, a record and its estimates."""
 
 from __future__ import annotations
 
@@ -17,43 +17,42 @@ from .header import Exported, isotropic, parameter_files, plain
 from .vectors import run
 
 SOURCES = ("fluxobs_real.h", "fluxobs.h", "fluxobs_internal.h", "fluxobs_algebra.h", "fluxobs.c")
-#: Needed only by a machine with a flux map.
+#: Only for a machine with a flux map.
 MAP_SOURCES = ("fluxobs_map.h", "fluxobs_map.c")
 ADAPTIVE_SOURCES = (
     *SOURCES,
     *(
-        f"fluxobs_{part}.{kind}"
-        for part in ("adaptive", "learning", "candidates", "triangle")
+        f"fluxobs_{name}.{kind}"
+        for name in ("adaptive", "learning", "candidates", "triangle")
         for kind in ("h", "c")
     ),
 )
-#: What a firmware may use at run time: configuration, seeds, changes, what outlives a power cycle.
+#: For firmware at run time: configuration, seeds, changed parameters, snapshots over a power cycle.
 RUNTIME_SOURCES = (
     *(
-        f"fluxobs_{part}.{kind}"
-        for part in ("config", "seed", "retune", "keep")
+        f"fluxobs_{name}.{kind}"
+        for name in ("config", "seed", "retune", "keep")
         for kind in ("h", "c")
     ),
     "fluxobs.hpp",
 )
-#: What an export changes if the plain observer is alone.
+#: Set to 0 in an export of the plain observer alone.
 ADAPTIVE = "#define FO_ADAPTIVE 1"
-#: What an export changes in the sources if the asymmetry is not an unknown: it saves memory and
-#: time, and changes no number.
+#: Set to 0 if the asymmetry is not an unknown: saves memory and time, changes no number.
 ASYMMETRIC = "#define FO_ASYMMETRIC 1"
-#: What it changes for a machine whose matrices are numbers times the identity, and where no voltage
-#: is held, for the same reasons.
+#: Changed for a machine whose matrices are multiples of the identity, and where no voltage is held,
+#: for the same reasons.
 ISOTROPIC, HELD = "#define FO_ISOTROPIC 0", "#define FO_HELD 1"
-#: What it changes if the machine needs no flux map, for the same reasons.
+#: Set to 0 if the machine needs no flux map, for the same reasons.
 MAPPED = "#define FO_MAPPED 1"
-#: What it changes so that the folder itself chooses single precision: build systems such as the
-#: Arduino IDE have no options for a library.
+#: Set to 1 so that the sources themselves choose single precision: build systems such as the
+#: Arduino IDE have no compiler options for a library.
 DOUBLE = "#define FO_SINGLE 0"
 
 
 @dataclass(frozen=True)
 class Core:
-    """The observer of one machine in C, with a record and what the library returns for it.
+    """Observer of one machine in C, with a record and the library's estimates for it.
 
     Attributes
     ----------
@@ -62,18 +61,18 @@ class Core:
     machine : RotatingMachine
     observers : mapping of precision to observer
     update_every : int
-        Interrupts from one step of the observer to the next.
+        Interrupts per step of the observer.
     version : str
-        Of the library.
+        Version of the library.
     sources, runtime, parameters : dict of str
-        C, file name → text: the same for every machine, what only firmware needs, and this
-        machine's.
+        C, file name → text: sources common to all machines, sources for firmware only, and the
+        parameters of this machine.
     licence : str
     content : str
         Hash of sources and parameters.
     record : FirmwareRecord
     estimates : mapping of precision to Estimate
-        For the record.
+        Expected outputs for the record.
     """
 
     prefix: str
@@ -91,7 +90,7 @@ class Core:
 
     @property
     def single(self) -> Exported:
-        """The observer as firmware runs it."""
+        """The observer in single precision, as firmware runs it."""
         return self.observers["single"]
 
     @property
@@ -101,25 +100,25 @@ class Core:
 
     @property
     def adaptive(self) -> bool:
-        """Whether it is the adaptive observer."""
+        """Whether the observer is adaptive."""
         return isinstance(self.single, AdaptiveObserver)
 
     @property
     def code(self) -> dict[str, str]:
-        """All of C: file name → text."""
+        """Sources and parameters in C: file name → text."""
         return joined(self.sources, self.parameters)
 
 
 def in_double(core: Core) -> Core:
-    """The same with sources that are double precision without any option of the compiler.
+    """Return a core whose sources choose double precision without a compiler option.
 
-    For a host whose build may know no definitions: FMI 2.0 has no place for them.
+    A host's build may not support definitions: FMI 2.0 has no place for them.
     """
     sources = dict(core.sources)
     name, text = "fluxobs_real.h", sources["fluxobs_real.h"]
-    chosen = f"{DOUBLE[:-1]}1"
-    assert text.count(chosen) == 1
-    return replace(core, sources=sources | {name: text.replace(chosen, DOUBLE)})
+    single = f"{DOUBLE[:-1]}1"
+    assert text.count(single) == 1
+    return replace(core, sources=sources | {name: text.replace(single, DOUBLE)})
 
 
 def make_core(
@@ -128,42 +127,42 @@ def make_core(
     observers: Mapping[Precision, Exported],
     update_every: int,
 ) -> Core:
-    """Take the sources, write the parameters, and run the record.
+    """Read the sources, generate the parameters, and run the record.
 
     Raises
     ------
     FluxobsError
-        With these settings the position is never known.
+        The position never becomes valid with these settings.
     """
     version = metadata.version("fluxobs")
     installed = resources.files("fluxobs") / "firmware"
     single = observers["single"]
     adaptive = isinstance(single, AdaptiveObserver)
-    inside = plain(single)
-    mapped = inside.flux_map is not None
+    inner = plain(single)
+    mapped = inner.flux_map is not None
     names = (ADAPTIVE_SOURCES if adaptive else SOURCES) + (MAP_SOURCES if mapped else ())
     sources = {name: (installed / name).read_text(encoding="utf-8") for name in names}
-    _choose(sources, DOUBLE, 1)
+    _define(sources, DOUBLE, 1)
     if isinstance(single, AdaptiveObserver) and not single.asymmetry_std > 0:
-        _choose(sources, ASYMMETRIC, 0)
+        _define(sources, ASYMMETRIC, 0)
     if not adaptive:
-        _choose(sources, ADAPTIVE, 0)
+        _define(sources, ADAPTIVE, 0)
     if not mapped:
-        _choose(sources, MAPPED, 0)
-    if isotropic(inside):
-        _choose(sources, ISOTROPIC, 1)
-    if not inside.held:
-        _choose(sources, HELD, 0)
+        _define(sources, MAPPED, 0)
+    if isotropic(inner):
+        _define(sources, ISOTROPIC, 1)
+    if not inner.held:
+        _define(sources, HELD, 0)
     runtime = {name: (installed / name).read_text(encoding="utf-8") for name in RUNTIME_SOURCES}
     texts = tuple(sources.values())
-    content, made = parameter_files(prefix, observers, machine, version, texts, update_every)
-    record = firmware_record(machine, inside, _unsure(single, machine))
+    content, parameters = parameter_files(prefix, observers, machine, version, texts, update_every)
+    record = firmware_record(machine, inner, _voltage_uncertainty(single, machine))
     estimates = {p: run(observer, record, update_every) for p, observer in observers.items()}
     if not estimates["single"].valid.any():
         raise FluxobsError(
-            f"with these settings the position is never known, not even at full speed: memory "
-            f"{inside.memory:g} s, current noise {inside.current_noise:g} A, drift prior "
-            f"{inside.drift_prior:g} V; check the units of R_s, inductance and rated_current"
+            f"the position never becomes valid with these settings, not even at full speed: memory "
+            f"{inner.memory:g} s, current noise {inner.current_noise:g} A, drift prior "
+            f"{inner.drift_prior:g} V; check the units of R_s, inductance and rated_current"
         )
     licence = (installed / "LICENSE").read_text(encoding="utf-8")
     return Core(
@@ -174,7 +173,7 @@ def make_core(
         version,
         sources,
         runtime,
-        made,
+        parameters,
         licence,
         content,
         record,
@@ -182,15 +181,15 @@ def make_core(
     )
 
 
-def _choose(sources: dict[str, str], line: str, value: int) -> None:
+def _define(sources: dict[str, str], line: str, value: int) -> None:
     """Replace the value in a line ``#define NAME value`` of fluxobs_real.h."""
     text = sources["fluxobs_real.h"]
     assert text.count(line) == 1
     sources["fluxobs_real.h"] = text.replace(line, f"{line[:-1]}{value}")
 
 
-def _unsure(observer: Exported, machine: RotatingMachine) -> float:
-    """Voltage by which resistance and inverter may be off at the rated current [V]."""
+def _voltage_uncertainty(observer: Exported, machine: RotatingMachine) -> float:
+    """Return the voltage uncertainty from resistance and inverter at the rated current [V]."""
     if not isinstance(observer, AdaptiveObserver):
         return 0.0
     resistance = observer.resistance_std * (machine.rated_current or 0.0)

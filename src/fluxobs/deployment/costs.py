@@ -1,4 +1,4 @@
-"""The cost of a sample on emulated processors, counted by `make pil` and kept with the package."""
+"""Cost of one sample on emulated processors, counted by `make pil` and shipped as costs.json."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 
 
 def read_costs() -> dict[str, Any]:
-    """The numbers as `make pil --update` wrote them."""
+    """Return the counts that `make pil --update` wrote."""
     text = (resources.files(__package__) / "costs.json").read_text(encoding="utf-8")
     costs: dict[str, Any] = json.loads(text)
     return costs
 
 
 def cost_table(costs: Mapping[str, Any]) -> str:
-    """The costs as Markdown."""
+    """Return the costs as a Markdown table."""
     head = "| | instructions, mean | most | bound | code [bytes] | state [bytes] | stack [bytes] |"
     rows = [
         f"| {build['name']} | {build['mean']} | {build['most']} | {build.get('bound') or ''} "

@@ -1,4 +1,4 @@
-"""`fluxobs export`: the observer of one machine, for its firmware, simulation or browser."""
+"""`fluxobs export`: the observer of one machine for firmware, simulation or browser."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Export:
     prefix : str
         Prefix of the generated names.
     observer : LeastSquaresObserver or AdaptiveObserver
-        The same observer in Python, in single precision like the firmware.
+        The same observer in Python, in single precision as in firmware.
     content : str
         Hash of the parameters and the C sources.
     """
@@ -58,44 +58,44 @@ def export(
     form: str = "c",
     force: bool = False,
 ) -> Export:
-    """Write the observer of a machine as a folder: C99, or what a host makes of it.
+    """Write the observer of a machine as a folder: C99, or the form that a host needs.
 
     The same call writes the same bytes. The folder appears complete or not at all.
 
     Parameters
     ----------
     machine : Machine, or a path, or the name of a shipped machine
-        A rotating one, with psi_f (if it has a magnet) and rated_current.
+        A rotating machine with rated_current, and psi_f if it has a magnet.
     sample_time : float
         Period of the current-control interrupt [s].
     out : path
-        Folder to make.
+        Folder to create.
     memory : float, optional
         Exponential memory of the least squares [s], 10 to 4000 steps; default 0.03 s, or less where
         L/R is short (see :meth:`RotatingMachine.memory_for`).
     unknowns : str or sequence of str
-        Constant or slow unknowns: "drift", or also some of "resistance", "inverter", "asymmetry"
-        ("auto": all), which exports the adaptive observer.
+        Constant or slow unknowns: "drift" alone, or with some of "resistance", "inverter" and
+        "asymmetry" ("auto": all), which exports the adaptive observer.
     current_noise, drift_prior : float, optional
-        As for :meth:`LeastSquaresObserver.for_machine` [A], [V]; `fluxobs estimate` prints what it
-        used for a log.
+        As for :meth:`LeastSquaresObserver.for_machine` [A], [V]; `fluxobs estimate` prints the
+        values that it used for a log.
     priors : mapping of {"resistance", "inverter", "asymmetry", "psi_f"} to float, optional
         Standard deviations of the machine's values, for the adaptive observer [Ω], [V], [Wb].
     update_every : int
-        Interrupts from one step of the observer to the next; in between, volt-seconds are gathered.
-        More interrupts cost less computing time, but noise is averaged over fewer samples.
+        Interrupts per step of the observer; volt-seconds are summed in between. More interrupts
+        per step cost less computing time but average the noise over fewer samples.
     prefix : str
-        Prefix of the generated names, so that two machines fit into one firmware.
+        Prefix of the generated names, for several machines in one firmware.
     form : {"c", "arduino", "fmu", "wasm", "rust"}
-        What is written around the same sources, parameters and record: C99 for any firmware, a
-        library, simulation units, a WebAssembly module, a Rust crate.
+        Form of the export around the same sources, parameters and record: C99 for any firmware, an
+        Arduino library, simulation units, a WebAssembly module, a Rust crate.
     force : bool
-        Replace an earlier export in which nothing has been changed.
+        Replace an earlier export if none of its files has been changed.
 
     Raises
     ------
     FluxobsError
-        A setting cannot work (the message gives the nearest good value), or `out` exists.
+        A setting cannot work (the message gives the nearest valid value), or `out` exists.
 
     Examples
     --------
@@ -112,8 +112,8 @@ def export(
     chosen = read_unknowns(unknowns)
     if chosen == (AUTO,):
         chosen = ALL
-    given = check_machine(as_machine(machine), chosen, priors or {})
-    check_times(given, sample_time, update_every, memory)
+    rotating = check_machine(as_machine(machine), chosen, priors or {})
+    check_times(rotating, sample_time, update_every, memory)
     for name, value, unit in (
         ("current_noise", current_noise, "A"),
         ("drift_prior", drift_prior, "V"),
@@ -124,12 +124,12 @@ def export(
     check_folder(folder, force)
     if adapts(chosen):
         stds: Any = {f"{name}_std": std for name, std in (priors or {}).items()}
-        kind: Any = partial(AdaptiveObserver.for_machine, unknowns=chosen, **stds)
+        build: Any = partial(AdaptiveObserver.for_machine, unknowns=chosen, **stds)
     else:
-        kind = LeastSquaresObserver.for_machine
+        build = LeastSquaresObserver.for_machine
     observers = {
-        precision: kind(
-            given,
+        precision: build(
+            rotating,
             sample_time=update_every * sample_time,
             memory=memory,
             current_noise=current_noise,
@@ -138,6 +138,6 @@ def export(
         )
         for precision in PRECISIONS
     }
-    core = make_core(prefix, given, observers, update_every)
+    core = make_core(prefix, rotating, observers, update_every)
     write_folder(folder, files(core))
     return Export(folder, form, prefix, observers["single"], core.content)

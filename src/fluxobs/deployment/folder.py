@@ -1,4 +1,4 @@
-"""A folder that appears complete or not at all, and replaces only what it wrote itself."""
+"""Folders that appear complete or not at all, and replace only files of an earlier export."""
 
 from __future__ import annotations
 
@@ -14,44 +14,44 @@ from ..core.output import claimed
 from ..core.symlinks import refuse_link
 from ..errors import FluxobsError
 
-#: Lists what was written, so that another export may replace that and nothing else.
+#: Lists the files written; a later export may replace these and no others.
 MANIFEST = "MANIFEST"
 
 
 Content = TypeVar("Content")
 
 
-def joined(*parts: Mapping[str, Content]) -> dict[str, Content]:
-    """Relative path → content: the files of all parts, none of which replaces another.
+def joined(*groups: Mapping[str, Content]) -> dict[str, Content]:
+    """Return the files of all groups, relative path → content.
 
     Raises
     ------
     FluxobsError
-        Two files have one name, if only on a file system that knows no case.
+        Two files have the same name, regardless of case: some file systems ignore it.
     """
-    found: dict[str, Content] = {}
+    files: dict[str, Content] = {}
     names: set[str] = set()
-    for name, content in (item for part in parts for item in part.items()):
+    for name, content in (item for group in groups for item in group.items()):
         if name.casefold() in names:
             raise FluxobsError(f"{name}: two files have this name; give another prefix")
         names.add(name.casefold())
-        found[name] = content
-    return found
+        files[name] = content
+    return files
 
 
 def check_folder(folder: Path, force: bool) -> None:
     """Raise FluxobsError unless the folder is new, empty, or an export that `force` may replace."""
     try:
-        _check(folder, force)
+        _check_replaceable(folder, force)
     except OSError as error:
         raise FluxobsError(f"{error.filename or folder}: {error.strerror}") from None
 
 
-def _check(folder: Path, force: bool) -> None:
+def _check_replaceable(folder: Path, force: bool) -> None:
     if not folder.exists():
         return
     if not folder.is_dir():
-        raise FluxobsError(f"{folder}: exists and is no folder; give another name")
+        raise FluxobsError(f"{folder}: exists and is not a folder; give another name")
     if not any(folder.iterdir()):
         return
     if not force:
@@ -60,17 +60,17 @@ def _check(folder: Path, force: bool) -> None:
         path = _within(folder, name)
         if _exists(path) and (path.is_symlink() or sha256(path.read_bytes()) not in digests):
             raise FluxobsError(
-                f"{path}: changed since it was exported; move it away, and it will be written anew"
+                f"{path}: changed since it was exported; move it away, then export again"
             )
 
 
 def _within(folder: Path, name: str) -> Path:
-    """The path of a file of an export, which no link on the way leads elsewhere."""
+    """Return the path of a file in the folder; refuse links on the way, which could lead out."""
     path = folder / name
     for parent in (folder / above for above in Path(name).parents[:-1]):
         refuse_link(parent)
         if _exists(parent) and not parent.is_dir():
-            raise FluxobsError(f"{parent}: is no folder of its own; move it away")
+            raise FluxobsError(f"{parent}: is not a folder; move it away")
     return path
 
 
@@ -79,24 +79,26 @@ def _exists(path: Path) -> bool:
 
 
 def sha256(content: bytes) -> str:
-    """Hash of a file's content."""
+    """Return the SHA-256 of a file's content in hexadecimal."""
     return hashlib.sha256(content).hexdigest()
 
 
 def _manifest(folder: Path) -> dict[str, set[str]]:
-    """What an earlier export wrote: name → SHA-256, or two of them if it was interrupted."""
+    """Return the files of an earlier export: name → SHA-256 (two after an interruption)."""
     path = folder / MANIFEST
     refuse_link(path)
     if not path.exists():
-        raise FluxobsError(f"{folder}: no earlier export, so nothing in it is overwritten")
-    found: dict[str, set[str]] = {}
+        raise FluxobsError(
+            f"{folder}: is not an earlier export, so it is not overwritten; give another name"
+        )
+    digests: dict[str, set[str]] = {}
     for line in path.read_bytes().decode(errors="replace").split("\n"):
         digest, _, name = line.partition("  ")
         if Path(name).is_absolute() or ".." in Path(name).parts:
-            raise FluxobsError(f"{path}: damaged: {name!r} is no name within the folder")
+            raise FluxobsError(f"{path}: damaged: {name!r} is not a path within the folder")
         if name:
-            found.setdefault(name, set()).add(digest)
-    return found
+            digests.setdefault(name, set()).add(digest)
+    return digests
 
 
 def _listing(contents: Mapping[str, bytes]) -> bytes:
@@ -105,7 +107,7 @@ def _listing(contents: Mapping[str, bytes]) -> bytes:
 
 @contextmanager
 def _scratch(folder: Path) -> Iterator[Path]:
-    """A folder beside another, for this run alone; one that a killed run left is removed."""
+    """Yield a scratch folder beside `folder` for this run; remove one left by a killed run."""
     scratch = folder.with_name(f".{folder.name}.unfinished")
     with claimed(folder):
         try:
@@ -124,12 +126,12 @@ def _remove(scratch: Path) -> None:
 
 
 def write_folder(folder: Path, files: Mapping[str, str | bytes]) -> None:
-    """Write all files or none: they are made beside the folder and moved there when complete.
+    """Write all files or none: write them beside the folder, then move them there.
 
     Raises
     ------
     FluxobsError
-        Something is in the way, or the folder cannot be written.
+        Another file is in the way, or the folder cannot be written.
     """
     try:
         _write(folder, files)
@@ -144,31 +146,31 @@ def _write(folder: Path, files: Mapping[str, str | bytes]) -> None:
     }
     folder.parent.mkdir(parents=True, exist_ok=True)
     with _scratch(folder) as scratch:
-        made = scratch / "export"
+        new = scratch / "export"
         for name, content in [*contents.items(), (MANIFEST, _listing(contents))]:
-            path = made / name
+            path = new / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
         if folder.exists() and not any(folder.iterdir()):
             folder.rmdir()
         if not folder.exists():
-            os.replace(made, folder)
+            os.replace(new, folder)
             return
         old = _manifest(folder)
         for name in {**contents, **old}:
             path = _within(folder, name)
             if name not in old and _exists(path):
-                raise FluxobsError(f"{path}: is no part of the earlier export; move it away")
-        # While files are being replaced, either version of them is ours.
+                raise FluxobsError(f"{path}: is not part of the earlier export; move it away")
+        # While files are being replaced, the manifest lists both versions.
         both = scratch / MANIFEST
         both.write_bytes((folder / MANIFEST).read_bytes() + _listing(contents))
         os.replace(both, folder / MANIFEST)
         for name in contents:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            os.replace(made / name, folder / name)
+            os.replace(new / name, folder / name)
         for name in old.keys() - contents.keys():
             (folder / name).unlink(missing_ok=True)
             for above in Path(name).parents[:-1]:
-                with suppress(OSError):  # something else is in it
+                with suppress(OSError):  # not empty: it holds files of others
                     (folder / above).rmdir()
-        os.replace(made / MANIFEST, folder / MANIFEST)
+        os.replace(new / MANIFEST, folder / MANIFEST)

@@ -1,4 +1,4 @@
-"""The parameters in C: what the compiled observer computed from the machine, digit for digit."""
+"""Parameters in C, as the compiled observer computed them from the machine, with all digits."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from ..machines import FluxPoints, RotatingMachine
 from ..observers import AdaptiveObserver, LeastSquaresObserver
 from .c_source import PRECISIONS, Precision, inert, initializer, literal
 
-#: Either observer, in one precision.
+#: A plain or adaptive observer in one precision.
 Exported = LeastSquaresObserver | AdaptiveObserver
 
 
-#: Place of the asymmetry among the parameters (FO_ASYMMETRY); one follows it.
+#: Index of the asymmetry among the unknowns (FO_ASYMMETRY); one more unknown follows it.
 ASYMMETRY_PLACE = 8
 
 
 def std_of(observer: AdaptiveObserver) -> list[float]:
-    """Prior standard deviations as an export has them: without an asymmetry that is known."""
+    """Return the prior standard deviations of an export; a known asymmetry is left out."""
     std: list[float] = observer.parameters()["std"]
     return std if observer.asymmetry_std > 0 else [*std[:ASYMMETRY_PLACE], std[-1]]
 
 
 def plain(observer: Exported) -> LeastSquaresObserver:
-    """The plain observer: the observer itself, or the one inside the adaptive observer."""
+    """Return the observer itself, or the plain observer inside the adaptive one."""
     return observer.plain if isinstance(observer, AdaptiveObserver) else observer
 
 
 def isotropic(observer: LeastSquaresObserver) -> bool:
-    """Whether its matrices are numbers times the identity, and its relation has no linear terms."""
+    """Whether all matrices are multiples of the identity and the relation has no linear terms."""
     c = observer.constraint
     matrices = (c.Q1, c.Q2, c.Q3, observer.R, observer.B)
-    alike = all(np.array_equal(one, one[0, 0] * np.eye(2)) for one in matrices)
-    return alike and not c.E.any() and not c.C.any()
+    scalar = all(np.array_equal(matrix, matrix[0, 0] * np.eye(2)) for matrix in matrices)
+    return scalar and not c.E.any() and not c.C.any()
 
 
 def _adaptive_settings(o: AdaptiveObserver) -> dict[str, str]:
@@ -53,7 +53,7 @@ def _adaptive_settings(o: AdaptiveObserver) -> dict[str, str]:
 
 
 def settings(observer: Exported, update_every: int) -> dict[str, str]:
-    """The settings chosen for the observer, in SI units."""
+    """Return the settings of the observer in SI units, name → text."""
     o, more, unknowns = plain(observer), {}, ["drift"]
     if isinstance(observer, AdaptiveObserver):
         more = _adaptive_settings(observer)
@@ -75,7 +75,7 @@ def settings(observer: Exported, update_every: int) -> dict[str, str]:
 
 
 def bases(exported: Exported) -> dict[str, str]:
-    """Bases of the per-unit system."""
+    """Return the bases of the per-unit system, name → text."""
     observer = plain(exported)
     psi, memory = observer.flux_base, observer.memory
     return {
@@ -87,7 +87,7 @@ def bases(exported: Exported) -> dict[str, str]:
 
 
 def digest(*texts: str) -> str:
-    """Sixteen hexadecimal digits that change when any of the texts does."""
+    """Return sixteen hexadecimal digits that change with any of the texts."""
     return hashlib.sha256("\0".join(texts).encode()).hexdigest()[:16]
 
 
@@ -99,9 +99,9 @@ def parameter_files(
     sources: tuple[str, ...],
     update_every: int,
 ) -> tuple[str, dict[str, str]]:
-    """Hash of the content, and two files: a header that declares, a source that holds the numbers.
+    """Return the hash of the content, and header and source of the parameters, name → text.
 
-    `observer` has one for each precision; `sources` are the C sources they belong to.
+    `observer` holds one for each precision; `sources` are the C sources that they belong to.
     """
     single = observer["single"]
     facts = {
@@ -116,7 +116,9 @@ def parameter_files(
     constants = {
         precision: _initializers(observer[precision], precision, prefix) for precision in PRECISIONS
     }
-    maps = {precision: _map(observer[precision], precision, prefix) for precision in PRECISIONS}
+    maps = {
+        precision: _flux_map(observer[precision], precision, prefix) for precision in PRECISIONS
+    }
     tables = (
         f"#if FO_SINGLE\n{maps['single']}\n#else\n{maps['double']}\n#endif\n\n"
         if maps["single"]
@@ -124,7 +126,7 @@ def parameter_files(
     )
     adaptive = isinstance(single, AdaptiveObserver)
     kind, include = ("fo_adaptive", "fluxobs_adaptive") if adaptive else ("fo_observer", "fluxobs")
-    guard = f"{prefix}_observer_h"  # the library's end in a capital letter
+    guard = f"{prefix}_observer_h"  # include guards of the library end in a capital letter
     step = plain(single).sample_time
     declared = f"""\
 #ifndef {guard}
@@ -142,9 +144,9 @@ extern "C" {{
 
 enum {{
     {prefix}_pole_pairs = {machine.n_p},
-    {prefix}_update_every = {update_every} /* interrupts from one step to the next */
+    {prefix}_update_every = {update_every} /* interrupts per step */
 }};
-/* Of an interrupt of the current control, and of a step [s]. */
+/* Periods of the current-control interrupt and of a step [s]. */
 #define {prefix}_sample_time ((fo_real){step / update_every:.9g})
 #define {prefix}_step_time ((fo_real){step:.9g})
 
@@ -159,7 +161,7 @@ extern const {kind} {prefix}_observer;
     defined = f"""\
 #include "{prefix}_observer.h"
 
-{_needs(single)}{tables}/* Per-unit unless stated. It lives in flash: nothing to prepare. */
+{_needs(single)}{tables}/* Per-unit unless stated. Constant, in flash: needs no initialisation. */
 const {kind} {prefix}_observer = {{
 #if FO_SINGLE
 {constants["single"]}
@@ -179,8 +181,8 @@ const {kind} {prefix}_observer = {{
     }
 
 
-def _map(observer: Exported, precision: Precision, prefix: str) -> str:
-    """The flux map as constants; empty if there is none."""
+def _flux_map(observer: Exported, precision: Precision, prefix: str) -> str:
+    """Return the flux map as C constants, or "" without a flux map."""
     flux_map = plain(observer).flux_map
     if flux_map is None:
         return ""
@@ -210,7 +212,7 @@ def _map(observer: Exported, precision: Precision, prefix: str) -> str:
 
 
 def _initializers(observer: Exported, precision: Precision, prefix: str) -> str:
-    """Every number on its own line, with its meaning."""
+    """Return the parameters as C initialisers, one per line with its meaning."""
 
     def lines(values: Mapping[str, Any], meaning: Mapping[str, str]) -> str:
         return "\n".join(
@@ -220,8 +222,8 @@ def _initializers(observer: Exported, precision: Precision, prefix: str) -> str:
         )
 
     inner = lines(plain(observer).parameters(), _core.meanings)
-    # An export may leave out what its machine does not need (core.py). Beside another machine's
-    # it may be compiled with sources that have it.
+    # Sources may lack the flux map if their machine needs none (core.py), but these parameters may
+    # also be compiled with sources of another machine, which have it.
     flux_map = "NULL" if plain(observer).flux_map is None else f"&{prefix}_map"
     inner += f"\n#if FO_MAPPED\n    {flux_map}, /* flux over current */\n#endif"
     if not isinstance(observer, AdaptiveObserver):
@@ -229,24 +231,24 @@ def _initializers(observer: Exported, precision: Precision, prefix: str) -> str:
     more = observer.parameters() | {"projection": f"FO_PROJECT_{observer.projection.upper()}"}
     std = [initializer(value, precision) for value in more["std"]]
     before, asymmetry, after = (
-        ", ".join(part) for part in (std[:ASYMMETRY_PLACE], std[ASYMMETRY_PLACE:-1], std[-1:])
+        ", ".join(numbers) for numbers in (std[:ASYMMETRY_PLACE], std[ASYMMETRY_PLACE:-1], std[-1:])
     )
     more["std"] = f"{{{before},\n#if FO_ASYMMETRIC\n    {asymmetry},\n#endif\n    {after}}}"
     return f"    {{\n{inner}\n    }},\n{lines(more, _core.adaptive_meanings)}"
 
 
 def _needs(observer: Exported) -> str:
-    """Lines that refuse the sources of another export which lack what this machine needs."""
-    inside = plain(observer)
+    """Return #error lines against sources of another export that lack what this machine needs."""
+    inner = plain(observer)
     asymmetric = isinstance(observer, AdaptiveObserver) and observer.asymmetry_std > 0
     needed = {
-        "FO_MAPPED": (inside.flux_map is not None, 1),
+        "FO_MAPPED": (inner.flux_map is not None, 1),
         "FO_ASYMMETRIC": (asymmetric, 1),
-        "FO_HELD": (inside.held > 0, 1),
-        "FO_ISOTROPIC": (not isotropic(inside), 0),
+        "FO_HELD": (inner.held > 0, 1),
+        "FO_ISOTROPIC": (not isotropic(inner), 0),
     }
     return "".join(
-        f'#if {name} != {value}\n#error "take the other sources of this export: theirs have '
+        f'#if {name} != {value}\n#error "use the sources exported with these parameters: they have '
         f'{name} {value}"\n#endif\n\n'
         for name, (needs, value) in needed.items()
         if needs
@@ -254,17 +256,17 @@ def _needs(observer: Exported) -> str:
 
 
 def parameters(machine: RotatingMachine) -> dict[str, str]:
-    """What the machine file says, with units."""
+    """Return the parameters of the machine with units, name → text."""
     units = {"R_s": "ohm", "n_p": "pole pairs", "psi_f": "Wb", "rated_current": "A"}
     units |= {"inverter_voltage": "V", "inverter_current": "A"}
     units |= {"R_R": "ohm", "psi_R": "Wb", "rated_speed": "rad/s"}
-    given = {name: value for name, value in machine.parameters().items() if value is not None}
-    flux_map = given.pop("flux_map", None)
-    found = {"kind": machine.kind} | {
+    values = {name: value for name, value in machine.parameters().items() if value is not None}
+    flux_map = values.pop("flux_map", None)
+    texts = {"kind": machine.kind} | {
         name: f"{value:.9g} {units.get(name.removesuffix('_std'), 'H')}"
-        for name, value in given.items()
+        for name, value in values.items()
     }
     if flux_map is None:
-        return found
-    given_as = flux_map.source if isinstance(flux_map, FluxPoints) else flux_map.text()
-    return found | {"flux_map": inert(Path(given_as).name)}
+        return texts
+    path = flux_map.source if isinstance(flux_map, FluxPoints) else flux_map.text()
+    return texts | {"flux_map": inert(Path(path).name)}

@@ -1,4 +1,4 @@
-"""Refuses settings that cannot work, and names the nearest that can."""
+"""Checks of export settings; messages give the nearest valid value."""
 
 from __future__ import annotations
 
@@ -12,50 +12,50 @@ from ..observers.unknowns import adapts, check_adapted
 from .c_source import identifier
 from .reserved import why_refused
 
-#: Plausible periods of a current control [s]; other numbers must be in another unit.
+#: Plausible periods of a current control [s]; a number outside is probably in another unit.
 PERIODS = (1e-6, 1e-2)
-#: Steps in a memory up to which single precision stays within 1e-4 of the flux and 0.05°
+#: Most steps per memory for which single precision stays within 1e-4 of the flux and 0.05°
 #: (benchmarks/accuracy.py).
 MOST_STEPS = 4000
 
 
 def check_prefix(prefix: str) -> None:
-    """Raise FluxobsError if names in C cannot begin with this prefix."""
+    """Raise FluxobsError if C names cannot begin with this prefix."""
     if not isinstance(prefix, str):
         raise FluxobsError(f"prefix must be text, such as 'motor'; got {prefix!r}")
-    why = why_refused(prefix)
-    if why is not None:
-        near = identifier(prefix)
-        near = "motor" if why_refused(near) else near
-        raise FluxobsError(f"prefix {prefix!r} cannot begin names in C: {why}; {near!r} can")
+    reason = why_refused(prefix)
+    if reason is not None:
+        nearest = identifier(prefix)
+        nearest = "motor" if why_refused(nearest) else nearest
+        raise FluxobsError(f"prefix {prefix!r} cannot begin names in C: {reason}; {nearest!r} can")
 
 
 def check_machine(
     machine: Machine, unknowns: tuple[str, ...], priors: Mapping[str, float]
 ) -> RotatingMachine:
-    """Return the machine if the firmware supports it and can find these unknowns."""
+    """Return the machine if the firmware supports it and can estimate these unknowns."""
     if not isinstance(machine, RotatingMachine):
         raise FluxobsError(
-            f"kind {machine.kind}: the firmware's observer is for machines that turn; logs of "
-            f"this one can be evaluated with `fluxobs estimate`"
+            f"kind {machine.kind}: the firmware's observer is for machines that turn; evaluate "
+            f"logs of this machine with `fluxobs estimate`"
         )
     check_adapted(machine, unknowns, priors)
     if "current-bias" in unknowns:
         raise FluxobsError(
-            f"unknowns {','.join(unknowns)}: the firmware's observers find the drift, which "
+            f"unknowns {','.join(unknowns)}: the firmware's observers estimate the drift, which "
             f"includes the effect of a current bias; use drift"
         )
     if machine.inverter_voltage and not adapts(unknowns):
         raise FluxobsError(
-            "inverter_voltage in the machine file: the observer for the drift alone leaves the "
-            "inverter to the drive. Compensate it there and remove it from the file, or export "
-            "with unknowns drift,inverter"
+            "inverter_voltage in the machine file: the observer for the drift alone does not "
+            "compensate the inverter. Compensate it in the drive and remove it from the file, or "
+            "export with unknowns drift,inverter"
         )
-    lacking = ["psi_f"] if machine.magnet_flux is None else []
-    lacking += ["rated_current"] if machine.rated_current is None else []
-    if lacking:
+    missing = ["psi_f"] if machine.magnet_flux is None else []
+    missing += ["rated_current"] if machine.rated_current is None else []
+    if missing:
         raise FluxobsError(
-            f"the machine file lacks {' and '.join(lacking)}: give a value that is right "
+            f"the machine file lacks {' and '.join(missing)}: add a value that is right "
             f"within a factor of two"
         )
     return machine
@@ -64,15 +64,15 @@ def check_machine(
 def check_times(
     machine: RotatingMachine, sample_time: float, update_every: int, memory: float | None
 ) -> None:
-    """Raise FluxobsError if memory and sample time do not fit each other."""
+    """Raise FluxobsError if sample time, steps and memory do not fit together."""
     if not 0 < sample_time < float("inf"):
-        near = f"{-sample_time:g} s" if -1 < sample_time < 0 else "1e-4 s, 10 kHz,"
+        nearest = f"{-sample_time:g} s" if -1 < sample_time < 0 else "1e-4 s, 10 kHz,"
         raise FluxobsError(
-            f"sample time {sample_time:g} s: it is the period of the current-control interrupt, "
-            f"above 0; {near} would do"
+            f"sample time {sample_time:g} s: must be the period of the current-control interrupt, "
+            f"above 0; {nearest} would work"
         )
     if not PERIODS[0] <= sample_time <= PERIODS[1]:
-        meant = {
+        readings = {
             "µs": 1e-6 * sample_time,
             "ms": 1e-3 * sample_time,
             "Hz": 1 / sample_time,
@@ -80,7 +80,7 @@ def check_times(
         }
         likely = [
             f"{sample_time:g} {unit} is {period:g} s"
-            for unit, period in meant.items()
+            for unit, period in readings.items()
             if PERIODS[0] <= period <= 0.2 * PERIODS[1]
         ]
         raise FluxobsError(
@@ -89,21 +89,21 @@ def check_times(
         )
     if isinstance(update_every, bool) or not isinstance(update_every, Integral) or update_every < 1:
         raise FluxobsError(
-            f"update_every {update_every!r}: a whole number, at least 1, a step every interrupt"
+            f"update_every {update_every!r}: must be a whole number, at least 1 (every interrupt)"
         )
     step = update_every * sample_time
     memory = machine.memory_for(step) if memory is None else memory
-    least, most = 10 * step, MOST_STEPS * step
+    shortest, longest = 10 * step, MOST_STEPS * step
     if not math.isfinite(memory):
-        raise FluxobsError(f"memory {memory:g} s: it must be finite, up to {most:g} s")
-    if memory > most * (1 + 1e-9):
+        raise FluxobsError(f"memory {memory:g} s: must be finite, at most {longest:g} s")
+    if memory > longest * (1 + 1e-9):
         every = math.ceil(memory / (MOST_STEPS * sample_time))
         raise FluxobsError(
-            f"memory {memory:g} s: single precision is good for {MOST_STEPS} steps in a memory, "
-            f"{most:g} s with a step every {step:g} s; with update_every {every} it would do"
+            f"memory {memory:g} s: single precision allows {MOST_STEPS} steps in a memory, "
+            f"{longest:g} s with a step every {step:g} s; use update_every {every}"
         )
-    if not memory >= least * (1 - 1e-9):
+    if not memory >= shortest * (1 - 1e-9):
         raise FluxobsError(
-            f"memory {memory:g} s: with a step every {step:g} s it must be at least ten steps, "
-            f"{least:g} s"
+            f"memory {memory:g} s: must be at least ten steps, {shortest:g} s with a step every "
+            f"{step:g} s"
         )

@@ -1,4 +1,4 @@
-"""Inputs and outputs of an exported observer, and how hosts other than C name them."""
+"""Inputs and outputs of an exported observer, as hosts other than C name them."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from .vectors import COLUMNS, expected, inputs
 
 @dataclass(frozen=True)
 class Variable:
-    """An input or an output, a number.
+    """A number that is an input or output.
 
     Attributes
     ----------
     name, unit, about : str
-        The unit is empty for a ratio.
+        The unit of a ratio is empty.
     boolean : bool
     member : str
-        Of the estimate in C; of an input empty.
+        Member of the estimate in C; empty for an input.
     """
 
     name: str
@@ -39,7 +39,7 @@ INPUTS = (
     Variable("i_alpha", "A", "Current now, along alpha, positive into the machine"),
     Variable("i_beta", "A", "The same along beta"),
 )
-#: What the adaptive observer adds.
+#: Further outputs of the adaptive observer.
 ADAPTIVE = (
     Variable("psi_f_std", "Wb", "Standard deviation of psi_f", member="psi_f_std"),
     Variable(
@@ -56,55 +56,56 @@ ADAPTIVE = (
     Variable(
         "theta_other",
         "rad",
-        "While two angles are in question, the other one",
+        "Second possible angle while two are possible",
         member="theta_other",
     ),
-    Variable("weight_other", "", "Its weight, 0 to 1/2", member="weight_other"),
-    Variable("adapting", "", "The filter for all of these runs", True, member="adapting"),
+    Variable("weight_other", "", "Weight of the second angle, 0 to 1/2", member="weight_other"),
+    Variable(
+        "adapting", "", "Whether the filter for these quantities runs", True, member="adapting"
+    ),
 )
 
 
 def output_variables(core: Core) -> tuple[Variable, ...]:
-    """The outputs: first those of the test vectors, in their order."""
-    found = []
-    for one in outputs(Estimate):
-        inner = "position." if core.adaptive and one.name != "psi_f" else ""
-        about = one.about.rstrip(".")
-        if one.vector:
+    """Return the outputs, those of the test vectors first and in their order."""
+    variables = []
+    for output in outputs(Estimate):
+        inner = "position." if core.adaptive and output.name != "psi_f" else ""
+        name, unit, about = output.name, output.unit, output.about.rstrip(".")
+        if output.vector:
             for n, axis in enumerate(("alpha", "beta")):
-                member = f"{inner}{one.name}[{n}]"
-                found.append(Variable(f"{one.name}_{axis}", one.unit, about, member=member))
+                member = f"{inner}{name}[{n}]"
+                variables.append(Variable(f"{name}_{axis}", unit, about, member=member))
         else:
-            member = f"{inner}{one.name}"
-            found.append(Variable(one.name, one.unit, about, one.boolean, member))
-    return (*found, *(ADAPTIVE if core.adaptive else ()))
+            variables.append(Variable(name, unit, about, output.boolean, f"{inner}{name}"))
+    return (*variables, *(ADAPTIVE if core.adaptive else ()))
 
 
 def check_every_step(core: Core, form: str) -> None:
     """Raise FluxobsError if the observer steps only every few interrupts."""
     if core.update_every > 1:
         raise FluxobsError(
-            f"update_every {core.update_every}: {form} steps at every call; leave it out, and give "
-            f"the time between two calls as the sample time"
+            f"update_every {core.update_every}: {form} steps at every call; leave update_every out "
+            f"and give the time between two calls as the sample time"
         )
 
 
 def c_values(core: Core, number: str) -> str:
-    """The outputs as values of an array in C, of an estimate ``e``."""
+    """Return the outputs of an estimate ``e`` as initialisers of a C array."""
     rows = (
-        f"e->{one.member} ? 1.0 : 0.0," if one.boolean else f"({number})e->{one.member},"
-        for one in output_variables(core)
+        f"e->{output.member} ? 1.0 : 0.0," if output.boolean else f"({number})e->{output.member},"
+        for output in output_variables(core)
     )
     return "\n".join(f"        {row}" for row in rows)
 
 
 def record_csv(core: Core, precision: Precision = "double") -> str:
-    """The record and its expected outputs in a precision, every digit."""
+    """Return the record and its expected outputs as CSV with all digits."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    names = [one.name for one in output_variables(core)][: len(COLUMNS)]
-    writer.writerow([*(one.name for one in INPUTS), *names])
-    outputs_of = expected(core.estimates[precision])
-    for given, found in zip(inputs(core.record), outputs_of, strict=True):
-        writer.writerow([*map(repr, given.tolist()), *map(repr, found.tolist())])
+    names = [variable.name for variable in output_variables(core)][: len(COLUMNS)]
+    writer.writerow([*(variable.name for variable in INPUTS), *names])
+    expected_rows = expected(core.estimates[precision])
+    for sample, estimate in zip(inputs(core.record), expected_rows, strict=True):
+        writer.writerow([*map(repr, sample.tolist()), *map(repr, estimate.tolist())])
     return text.getvalue()

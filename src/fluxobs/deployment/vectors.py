@@ -1,4 +1,4 @@
-"""Test vectors: a short record, and what the library returns for it, digit for digit."""
+"""Test vectors: a short record and the library's outputs for it, with all digits."""
 
 from __future__ import annotations
 
@@ -13,47 +13,48 @@ from ..simulation.closed_form.firmware_record import FirmwareRecord
 from .c_source import PRECISIONS, Precision, hex_float, table
 from .header import Exported, plain
 
-#: Samples from one expected row to the next: coprime to the round in which samples take turns.
+#: Samples per expected row: coprime to the cycle in which the observer distributes its work.
 EVERY = 9
 
 
-#: An expected row: the outputs of the plain observer.
+#: Outputs of the plain observer; an expected row holds their values.
 ORDER = outputs(Estimate)
-#: Names of the columns as C writes them.
+#: Names of the columns in C.
 COLUMNS = tuple(
     name
-    for one in ORDER
-    for name in ((f"{one.name}[0]", f"{one.name}[1]") if one.vector else (one.name,))
+    for output in ORDER
+    for name in ((f"{output.name}[0]", f"{output.name}[1]") if output.vector else (output.name,))
 )
 
 
 def expected(estimate: Estimate) -> Array:
-    """All columns of an estimate, (rows, 12)."""
+    """Return all columns of an estimate, (rows, 12)."""
     columns = []
-    for one in ORDER:
-        value = np.asarray(getattr(estimate, one.name), float)
-        columns += [*value.T] if one.vector else [value]
+    for output in ORDER:
+        value = np.asarray(getattr(estimate, output.name), float)
+        columns += [*value.T] if output.vector else [value]
     return np.stack(columns, axis=-1)
 
 
 def inputs(record: FirmwareRecord) -> Array:
-    """Rows of (u_alpha, u_beta, i_alpha, i_beta) [V, A]."""
+    """Return rows of (u_alpha, u_beta, i_alpha, i_beta) [V, A]."""
     return np.concatenate([record.voltage, record.current], axis=1)
 
 
-def checksum(given: Array, rows: Array, precision: Precision) -> int:
-    """FNV-1a over the numbers' bytes, least significant first; a missing number counts as 0."""
+def checksum(samples: Array, rows: Array, precision: Precision) -> int:
+    """Return FNV-1a over the numbers' bytes, least significant first; NaN counts as 0."""
     kind = "<f4" if precision == "single" else "<f8"
     value = 0x811C9DC5
-    for byte in np.nan_to_num(np.concatenate([given.ravel(), rows.ravel()])).astype(kind).tobytes():
+    numbers = np.nan_to_num(np.concatenate([samples.ravel(), rows.ravel()]))
+    for byte in numbers.astype(kind).tobytes():
         value = ((value ^ byte) * 0x01000193) & 0xFFFFFFFF
     return value
 
 
 def gathered(observer: LeastSquaresObserver, record: FirmwareRecord, update_every: int) -> Array:
-    """Volt-seconds [Wb] of every row, as fo_gather sums them with the inputs of test/check.c.
+    """Return the volt-seconds [Wb] of each row, as fo_gather sums them for test/check.c.
 
-    Computed in the observer's precision, operation by operation: sums are equal bit for bit.
+    The operations are those of the C code, in the observer's precision: sums are equal bit for bit.
     """
     real: Any = np.float32 if observer.precision == "single" else np.float64
     p: dict[str, Any] = {
@@ -74,7 +75,7 @@ def gathered(observer: LeastSquaresObserver, record: FirmwareRecord, update_ever
 
 
 def run(observer: Exported, record: FirmwareRecord, update_every: int) -> Estimate:
-    """What the exported observer must return for the record."""
+    """Return the estimates that the exported observer must return for the record."""
     if update_every == 1:
         return observer.run(record.voltage, record.current)
     volt_seconds = gathered(plain(observer), record, update_every)
@@ -82,18 +83,18 @@ def run(observer: Exported, record: FirmwareRecord, update_every: int) -> Estima
 
 
 def vectors_header(record: FirmwareRecord, estimates: Mapping[Precision, Estimate]) -> str:
-    """The text of test/vectors.h: a record, and what :func:`run` returns for it."""
-    given = inputs(record)
-    samples = "\n".join(
+    """Return the text of test/vectors.h: a record and the outputs of :func:`run` for it."""
+    samples = inputs(record)
+    sample_rows = "\n".join(
         "    {" + ", ".join(f"FO_({hex_float(x)})" if x == x else "FO_MISSING" for x in row) + "},"
-        for row in given
+        for row in samples
     )
     blocks = []
     for precision in PRECISIONS:
-        everything = expected(estimates[precision])
-        rows = everything[EVERY - 1 :: EVERY]
-        guard = checksum(given, rows, precision)
-        every = checksum(everything, np.zeros(0), precision)
+        all_rows = expected(estimates[precision])
+        rows = all_rows[EVERY - 1 :: EVERY]
+        guard = checksum(samples, rows, precision)
+        every = checksum(all_rows, np.zeros(0), precision)
         blocks.append(
             f"static const uint32_t expected_checksum = 0x{guard:08x}U;\n"
             f"static const uint32_t every_checksum = 0x{every:08x}U;\n"
@@ -102,7 +103,7 @@ def vectors_header(record: FirmwareRecord, estimates: Mapping[Precision, Estimat
         )
     single, double = blocks
     return f"""\
-/* A short record, and what the fluxobs library returns for it. Generated; do not edit. */
+/* A short record and the outputs of the fluxobs library for it. Generated; do not edit. */
 #ifndef VECTORS_H
 #define VECTORS_H
 
@@ -112,7 +113,7 @@ def vectors_header(record: FirmwareRecord, estimates: Mapping[Precision, Estimat
 #include "fluxobs.h"
 
 /* {", ".join(COLUMNS)} */
-enum {{ SAMPLES = {len(given)}, EVERY = {EVERY}, EXPECTED_COLUMNS = {len(COLUMNS)} }};
+enum {{ SAMPLES = {len(samples)}, EVERY = {EVERY}, EXPECTED_COLUMNS = {len(COLUMNS)} }};
 
 #if FO_SINGLE
 #define FO_(x) x##f
@@ -123,7 +124,7 @@ enum {{ SAMPLES = {len(given)}, EVERY = {EVERY}, EXPECTED_COLUMNS = {len(COLUMNS
 
 /* Mean voltage over the interval that ends at the row (alpha, beta) [V]; current at the row [A]. */
 static const fo_real samples[SAMPLES][4] = {{
-{samples}
+{sample_rows}
 }};
 
 #if FO_SINGLE

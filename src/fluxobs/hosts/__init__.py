@@ -1,1 +1,1 @@
-"""The observers inside other people's simulators."""
+"""Observers inside simulators of other projects."""

@@ -1,7 +1,7 @@
-"""In the closed loop of motulator, in place of its own sensorless observer.
+"""Observer for the closed loop of motulator, in place of motulator's sensorless observer.
 
-motulator (https://github.com/Aalto-Electric-Drives/motulator) simulates drives with their converter
-and control. Version 0.18 or newer, which needs Python 3.12; the extra is ``fluxobs[motulator]``.
+motulator (https://github.com/Aalto-Electric-Drives/motulator) simulates drives with converter and
+control. It must be version 0.18 or newer, which needs Python 3.12; install ``fluxobs[motulator]``.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from ..errors import FluxobsError
 from ..machines import InteriorPMSM, RotatingMachine, SurfacePMSM, SynchronousReluctance
 from ..observers import AdaptiveObserver, LeastSquaresObserver
 
-#: Inductances that differ by less than this share of them are one.
+#: Inductances are taken as equal if they differ by less than this share.
 ROUND = 1e-6
 
 
 def machine_of(par: SynchronousMachinePars, rated_current: float) -> RotatingMachine:
-    """The machine with motulator's parameters.
+    """Return the machine with motulator's parameters.
 
     Parameters
     ----------
     par : SynchronousMachinePars
-        Of constant inductances.
+        With constant inductances.
     rated_current : float
         Peak of the phase current [A].
 
     Raises
     ------
     FluxobsError
-        Its inductances are not constant: give :func:`place` an observer for a flux map.
+        The inductances are not constant: pass :func:`place` an observer with a flux map.
     """
     if not isinstance(par, SynchronousMachinePars):
         raise FluxobsError(
-            f"{type(par).__name__}: its inductances are not constant; make an observer from a "
-            f"machine with a flux_map, and give it to place(…, observer=…)"
+            f"{type(par).__name__}: its inductances are not constant; create an observer for a "
+            f"machine with a flux_map and pass it to place(…, observer=…)"
         )
     common: dict[str, Any] = {"R_s": par.R_s, "n_p": par.n_p, "rated_current": rated_current}
     if not par.psi_f > 0:
@@ -53,21 +53,21 @@ def machine_of(par: SynchronousMachinePars, rated_current: float) -> RotatingMac
 
 
 class FluxobsObserver(SpeedFluxObserver):  # type: ignore[misc]  # motulator is not typed
-    """motulator's observer, which takes angle, speed and flux from ours while that is valid.
+    """motulator's observer with angle, speed and flux from a fluxobs observer while it is valid.
 
-    Until then, and at standstill, motulator's own observer goes on from the last valid values.
+    Before that, and at standstill, motulator's observer continues from the last valid values.
 
     Parameters
     ----------
     own : SpeedFluxObserver
-        The observer to be replaced.
+        The observer to replace.
     observer : LeastSquaresObserver or AdaptiveObserver
-        Its sample time is the control's.
+        Its sample time must be that of the control.
 
     Attributes
     ----------
     estimate : Estimate
-        Of the last sample.
+        Estimate of the last sample.
     """
 
     def __init__(
@@ -86,19 +86,19 @@ class FluxobsObserver(SpeedFluxObserver):  # type: ignore[misc]  # motulator is 
         eps_ext: float = 0.0,
         h: float = 0.0,
     ) -> ObserverOutputs:
-        """As motulator calls it: `u_s_ab` is the voltage of the period that begins now."""
+        """Return motulator's outputs; `u_s_ab` is the voltage of the period that begins now."""
         ended = complex(nan, nan) if self._applied is None else self._applied
         self._applied = u_s_ab
-        self._state, found = self.observer.step(
+        self._state, estimate = self.observer.step(
             self._state, [ended.real, ended.imag], [i_s_ab.real, i_s_ab.imag]
         )
-        self.estimate = found
-        if found.valid:
-            theta = float(found.theta_e_tracked)
+        self.estimate = estimate
+        if estimate.valid:
+            theta = float(estimate.theta_e_tracked)
             self.flux_observer.theta_m = theta
-            self.flux_observer.psi_s = exp(-1j * theta) * complex(*found.flux)
-            self.w_M = float(found.speed_e) / self.flux_observer.par.n_p
-            eps_ext, h = 0.0, 1.0  # nothing is to be corrected
+            self.flux_observer.psi_s = exp(-1j * theta) * complex(*estimate.flux)
+            self.w_M = float(estimate.speed_e) / self.flux_observer.par.n_p
+            eps_ext, h = 0.0, 1.0  # no correction by motulator's observer
         return super().compute_output(u_s_ab, i_s_ab, eps_ext, h)
 
 
@@ -109,45 +109,47 @@ def place(
     unknowns: str = "drift",
     observer: LeastSquaresObserver | AdaptiveObserver | None = None,
 ) -> FluxobsObserver:
-    """Put our observer into a vector controller of motulator.
+    """Put a fluxobs observer into a vector controller of motulator.
 
     Parameters
     ----------
     controller : CurrentVectorController or FluxVectorController
-        Of a synchronous machine, sensorless.
+        Sensorless controller of a synchronous machine.
     rated_current : float, optional
-        Peak of the phase current [A]; default the controller's largest current.
+        Peak of the phase current [A]; default: the controller's largest current.
     unknowns : str
         As for :func:`fluxobs.estimate`; used if no observer is given.
     observer : LeastSquaresObserver or AdaptiveObserver, optional
-        With settings of its own; its sample time must be the controller's.
+        Observer with other settings; its sample time must be the controller's.
 
     Returns
     -------
     FluxobsObserver
-        Now the controller's; its `estimate` is the last one.
+        The controller's new observer; its `estimate` is the latest estimate.
 
     Raises
     ------
     FluxobsError
         The controller has a sensor, or the sample times differ.
     """
-    own = getattr(controller, "observer", None)
-    if not isinstance(own, SpeedFluxObserver) or not controller.sensorless:
-        raise FluxobsError("the controller is no sensorless one of a synchronous machine")
+    original = getattr(controller, "observer", None)
+    if not isinstance(original, SpeedFluxObserver) or not controller.sensorless:
+        raise FluxobsError(
+            "the controller must be a sensorless controller of a synchronous machine"
+        )
     if observer is None:
         machine = machine_of(controller.par, rated_current or controller.cfg.i_s_max)
         names = tuple(unknowns.split(","))
-        given: dict[str, Any] = {"sample_time": controller.T_s}
+        settings: dict[str, Any] = {"sample_time": controller.T_s}
         if names == ("drift",):
-            observer = LeastSquaresObserver.for_machine(machine, **given)
+            observer = LeastSquaresObserver.for_machine(machine, **settings)
         else:
-            observer = AdaptiveObserver.for_machine(machine, unknowns=names, **given)
+            observer = AdaptiveObserver.for_machine(machine, unknowns=names, **settings)
     if not abs(observer.sample_time - controller.T_s) <= 1e-9 * controller.T_s:
         raise FluxobsError(
             f"the observer steps every {observer.sample_time:g} s, the controller every "
-            f"{controller.T_s:g} s"
+            f"{controller.T_s:g} s; both must be equal"
         )
-    controller.observer = FluxobsObserver(own, observer)
+    controller.observer = FluxobsObserver(original, observer)
     placed: FluxobsObserver = controller.observer
     return placed

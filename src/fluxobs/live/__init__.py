@@ -1,8 +1,8 @@
-"""Estimates of a stream while it comes: from a serial port, UDP, a pipe, or a file that grows.
+"""Live estimates of a stream from a serial port, UDP, a pipe, or a growing file.
 
-Bytes become rows (lines.py, frames.py), rows come into order (reorder.py) and get even times
-(even_rows.py), and :class:`.watch.Watch` estimates. The page runs the same modules on what a serial
-port or ``fluxobs live`` sends it.
+lines.py and frames.py turn bytes into rows, reorder.py sorts the rows by time, even_rows.py spaces
+them evenly, and :class:`.watch.Watch` estimates. The page runs the same modules on the bytes of a
+serial port or of ``fluxobs live``.
 """
 
 from .watch import Watch

@@ -1,4 +1,4 @@
-"""Rows of a stream at even times: what did not arrive is filled with rows that know nothing."""
+"""Evenly spaced rows of a stream: missing rows are filled with NaN."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from ..logs.formats.table import Columns
 
 
 class Spaced:
-    """Puts rows at even times.
+    """Evenly spaced rows.
 
     Parameters
     ----------
     clock : Clock
-        Of the first rows; its step and the rounding of its stamps are those of the stream.
+        Clock of the first rows. Its step and rounding apply to the whole stream.
 
     Attributes
     ----------
     lost : int
-        Samples that are missing, by their stamps.
+        Samples missing according to the time stamps.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -30,7 +30,7 @@ class Spaced:
         self._before: float | None = None  # time of the last row [s]
 
     def add(self, columns: Columns, t: Array) -> Columns:
-        """The next rows, with their times "t" [s]; there may be more than came."""
+        """Return the next rows with missing ones filled in, and their times "t" [s]."""
         if len(t) == 0:
             return columns | {"t": t}
         h = self.clock.sample_time
@@ -39,20 +39,20 @@ class Spaced:
         steps = np.diff(np.concatenate([[start], t]))
         missing = missing_steps(steps, h, self.clock.rounding)
         self.lost += int(missing.sum())
-        return _filled(columns, start, t, np.minimum(missing, LONGEST_GAP))
+        return _fill_missing(columns, start, t, np.minimum(missing, LONGEST_GAP))
 
 
-def _filled(part: Columns, start: float, t: Array, missing: NDArray[np.int64]) -> Columns:
-    """Rows of nothing where some are missing; `start` is the time of the row before."""
+def _fill_missing(columns: Columns, start: float, t: Array, missing: NDArray[np.int64]) -> Columns:
+    """Insert rows of NaN where samples are missing; `start` is the time of the row before."""
     if not missing.any():
-        return part | {"t": t}
+        return columns | {"t": t}
     at = np.arange(len(t)) + np.cumsum(missing)
     rows = int(at[-1]) + 1
-    out = {}
-    for name, values in part.items():
-        whole = np.full(rows, np.nan)
-        whole[at] = values
-        out[name] = whole
-    known = np.concatenate([[-1], at])
-    out["t"] = np.interp(np.arange(rows), known, np.concatenate([[start], t]))
-    return out
+    filled = {}
+    for name, values in columns.items():
+        column = np.full(rows, np.nan)
+        column[at] = values
+        filled[name] = column
+    anchors = np.concatenate([[-1], at])
+    filled["t"] = np.interp(np.arange(rows), anchors, np.concatenate([[start], t]))
+    return filled

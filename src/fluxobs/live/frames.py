@@ -1,4 +1,4 @@
-"""The binary frame that an exported observer's telemetry sends (templates/telemetry.c).
+"""Binary frames sent by the telemetry of an exported observer (templates/telemetry.c).
 
 =======  ==========================================================================
 bytes    content
@@ -11,10 +11,10 @@ bytes    content
 then     CRC-16 of bytes 2 to 5 + n: polynomial 0x1021, start 0xFFFF, low byte first
 =======  ==========================================================================
 
-The payload of H is text, ``SAMPLE_TIME,LAG,NAME,NAME,…`` in seconds and samples, as
-``5e-05,1,u_alpha,u_beta,i_alpha,i_beta``; that of S is one or more samples, each a float of four
-bytes, low byte first, per column. H comes first and again now and then, so that a reader may begin
-anywhere.
+The payload of H is text, ``SAMPLE_TIME,LAG,NAME,NAME,…`` in seconds and samples, for example
+``5e-05,1,u_alpha,u_beta,i_alpha,i_beta``. The payload of S is one or more samples: for each column
+a float of four bytes, low byte first. H comes first and is repeated, so a reader may start at any
+frame.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ if TYPE_CHECKING:
 MARK = b"\xf1\x0b"
 HEADER, SAMPLES = ord("H"), ord("S")
 _FRAMING = 8  # bytes of a frame besides its payload
-#: Numbers of samples begin again here.
+#: Modulus of the sample numbers.
 WRAP = 1 << 16
-#: Samples from which a log is opened: its columns and sizes are guessed from them.
+#: Samples from which a log is opened: they determine its columns and scales.
 HEAD_ROWS = 2000
 
 
 def frame(kind: int, number: int, payload: bytes) -> bytes:
-    """A frame, as the sender makes it."""
+    """Return a frame as the sender builds it."""
     inner = bytes([kind, len(payload), number & 255, number >> 8 & 255]) + payload
     check = crc_hqx(inner, 0xFFFF)
     return MARK + inner + bytes([check & 255, check >> 8])
@@ -55,7 +55,7 @@ class Frames:
     Attributes
     ----------
     damaged : int
-        Frames that were left out: their check failed, or their length.
+        Frames left out because of a wrong checksum or length.
     """
 
     def __init__(self) -> None:
@@ -63,19 +63,21 @@ class Frames:
         self.names: list[str] = []
         self.sample_time = self.lag = 0.0
         self._rest = b""
-        self._said = b""  # the header
-        self._parts: list[StreamRows] = []
-        self._counted = 0
+        self._header = b""
+        self._pending: list[StreamRows] = []
+        self._count = 0
         self._opened = False
 
     def feed(self, data: bytes, last: bool = False) -> list[StreamRows]:
-        """Take bytes; return the rows that they complete, none before there are enough to begin, or
-        the stream has ended."""
+        """Add received bytes; return the rows that they complete.
+
+        Rows are held back until there are HEAD_ROWS of them or the stream ends.
+        """
         samples: list[bytes] = []
         numbers: list[int] = []
         for kind, number, payload in self._frames(data):
             if kind == HEADER:
-                self._name(payload)
+                self._read_header(payload)
             elif kind == SAMPLES and self.names:
                 if len(payload) % (4 * len(self.names)):
                     self.damaged += 1
@@ -87,24 +89,24 @@ class Frames:
             values = np.frombuffer(b"".join(samples), "<f4").astype(float)
             table = values.reshape(-1, len(self.names))
             t = self.sample_time * np.array(numbers, dtype=float)
-            part = {"t": t, **{name: table[:, n] for n, name in enumerate(self.names)}}
-            self._parts.append(StreamRows(part, b""))
-            self._counted += len(t)
-        if not self._opened and self._counted < HEAD_ROWS and not last:
+            columns = {"t": t, **{name: table[:, n] for n, name in enumerate(self.names)}}
+            self._pending.append(StreamRows(columns, b""))
+            self._count += len(t)
+        if not self._opened and self._count < HEAD_ROWS and not last:
             return []
         self._opened = True
-        out, self._parts = self._parts, []
-        return out
+        batches, self._pending = self._pending, []
+        return batches
 
     def _frames(self, data: bytes) -> Iterator[tuple[int, int, bytes]]:
-        """Kind, number and payload of the frames that are complete and whole."""
+        """Yield kind, number and payload of each complete frame with a valid checksum."""
         data, at = self._rest + data, 0
         while True:
-            found = data.find(MARK, at)
-            if found < 0:
-                at = max(at, len(data) - 1)  # the mark's first byte may be the last one here
+            mark = data.find(MARK, at)
+            if mark < 0:
+                at = max(at, len(data) - 1)  # the last byte may begin a mark
                 break
-            at = found
+            at = mark
             if len(data) < at + 4:
                 break
             end = at + _FRAMING + data[at + 3]
@@ -119,48 +121,48 @@ class Frames:
             at = end
         self._rest = data[at:]
 
-    def _name(self, payload: bytes) -> None:
-        if payload == self._said:
+    def _read_header(self, payload: bytes) -> None:
+        if payload == self._header:
             return
         text = payload.decode("ascii", errors="replace")
         time, lag, *names = [*text.split(","), ""]
         names = names[:-1]
         if self.names:
-            said = self._said.decode("ascii", errors="replace")
+            before = self._header.decode("ascii", errors="replace")
             raise RecordError(
-                f"the header of the stream changed from {said} to {text}; begin again"
+                f"the header of the stream changed from {before} to {text}; start again"
             )
         try:
             self.sample_time, self.lag = float(time), float(lag)
         except ValueError:
             raise RecordError(
-                f"the stream's header must begin with the sample time in s and the lag, as "
+                f"the header of the stream must begin with the sample time in s and the lag, as in "
                 f"5e-05,1,u_alpha,…; got {time},{lag}"
             ) from None
-        self.names, self._said = names, payload
+        self.names, self._header = names, payload
 
     @property
     def waiting(self) -> str:
-        """What is to come before there are rows."""
+        """What the stream must send before rows are returned."""
         if not self.names:
             return "a frame that names the columns"
-        came = f", {self._counted} came" if self._counted else ""
-        return f"the stream's first {HEAD_ROWS} rows{came}"
+        received = f", {self._count} received" if self._count else ""
+        return f"the stream's first {HEAD_ROWS} rows{received}"
 
     @property
     def layout(self) -> dict[str, float]:
-        """What the stream says of itself."""
+        """Layout that the header states."""
         return {"sample_time": self.sample_time, "lag": self.lag}
 
     @property
     def wrap(self) -> float:
-        """What the time of samples wraps at [s]."""
+        """Time at which the sample numbers wrap [s]."""
         return WRAP * self.sample_time
 
-    def sources(self, parts: Sequence[StreamRows]) -> Iterator[Columns]:
-        """What :func:`fluxobs.read_log` may open: all first rows, or pieces of them."""
+    def sources(self, batches: Sequence[StreamRows]) -> Iterator[Columns]:
+        """Yield inputs for :func:`fluxobs.read_log`: all first rows, then parts of them."""
         names = ("t", *self.names)
-        whole = {name: np.concatenate([one.columns[name] for one in parts]) for name in names}
+        whole = {name: np.concatenate([rows.columns[name] for rows in batches]) for name in names}
         t = whole["t"][:HEAD_ROWS]
         wraps = np.concatenate([[0], np.cumsum(np.diff(t) < -self.wrap / 2)])
         first = {name: values[:HEAD_ROWS] for name, values in whole.items()}
@@ -170,9 +172,11 @@ class Frames:
             yield {name: values[begin:end] for name, values in first.items()}
 
     def recorded(self, rows: Ordered, time: str | None, first: bool) -> bytes:
-        """Rows as lines of a recording, below their names if they are the first; nine digits are
-        all that four bytes hold."""
-        columns = [rows.part.columns[name].tolist() for name in self.names]
+        """Return rows as lines of a recording, with the names above if they are the first.
+
+        Nine digits hold a four-byte float exactly.
+        """
+        columns = [rows.received.columns[name].tolist() for name in self.names]
         table = zip(rows.t.tolist(), *columns, strict=True)
         lines = [
             ",".join([f"{t:.12g}", *[f"{value:.9g}" for value in values]]) for t, *values in table

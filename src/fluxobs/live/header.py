@@ -1,4 +1,4 @@
-"""The first lines of a stream: names and rows, without what came damaged."""
+"""First lines of a stream: find the names, drop damaged lines."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from ..logs.formats.text.cells import is_number, split
 from ..logs.formats.text.source import BETWEEN
 from ..logs.formats.text.structure import is_alike, kinds_of, row_kind
 
-#: Characters of a text; the others come from a line that was cut or disturbed.
+#: Control characters: they come from a line that was cut or disturbed.
 _CONTROL = "".join([chr(code) for code in range(32) if chr(code) not in "\t\r"])
 
 
 def names_at(lines: Sequence[bytes], named: bool) -> int | None:
-    """Where to begin among the first lines of a stream: at 0 if names, or a preamble, stand above
-    the rows, or if they are `named` already; else at names further down, as a sender repeats them;
-    None if there are none."""
+    """Return the line at which to begin, among the first lines of a stream.
+
+    It is 0 if names or a preamble are above the rows, or if the columns are `named` already. Else
+    it is the line of the first names further down, since a sender may repeat them; None without.
+    """
     texts = [_text(line) for line in lines]
     delimiter, usual = row_kind(texts, [])
     rows = [is_alike(kinds_of(text, delimiter), usual) for text in texts]
@@ -31,8 +33,10 @@ def names_at(lines: Sequence[bytes], named: bool) -> int | None:
 
 
 def whole(lines: Sequence[bytes]) -> tuple[list[bytes], int]:
-    """The first lines without those that are no rows, and how many these are. Names, units and
-    what stands above them are kept."""
+    """Return the first lines without malformed rows, and the number of malformed rows.
+
+    Names, units and the lines above them stay.
+    """
     texts = [_text(line) for line in lines]
     delimiter, usual = row_kind(texts, [])
     width = len(usual)
@@ -41,18 +45,18 @@ def whole(lines: Sequence[bytes]) -> tuple[list[bytes], int]:
         return list(lines), 0
     above = rows.index(True)
     named = [n for n in range(above) if _is_names(texts[n], delimiter, width)]
-    kept, damaged = [], 0
+    intact, damaged = [], 0
     for n, line in enumerate(lines):
         if n < above:
             clean = texts[n] != "" and not set(texts[n]) & set(_CONTROL)
-            good = clean and (not named or n <= named[0] or _is_width(texts[n], delimiter, width))
+            keep = clean and (not named or n <= named[0] or _is_width(texts[n], delimiter, width))
         else:
-            good = rows[n]
-        if good:
-            kept.append(line)
+            keep = rows[n]
+        if keep:
+            intact.append(line)
         elif texts[n].strip() and not texts[n].startswith(BETWEEN):
             damaged += not (n > above and named and texts[n].strip() == texts[named[0]].strip())
-    return kept, damaged
+    return intact, damaged
 
 
 def _text(line: bytes) -> str:
@@ -60,7 +64,7 @@ def _text(line: bytes) -> str:
 
 
 def _may_be_names(text: str, delimiter: str) -> bool:
-    """Whether a line above the rows belongs there: not a row that was cut."""
+    """Whether a line above the rows may be a header or preamble, not a row that was cut."""
     cells = [cell for cell in split(text, delimiter) if cell]
     numbers = sum(map(is_number, cells))
     return len(cells) > 0 and 2 * numbers < len(cells) and not set(text) & set(_CONTROL)

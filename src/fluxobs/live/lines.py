@@ -1,4 +1,4 @@
-"""Rows from a stream of text: lines of CSV as a sender prints them."""
+"""Rows from a text stream: lines of CSV as a sender prints them."""
 
 from __future__ import annotations
 
@@ -21,35 +21,35 @@ from .rows import StreamRows
 if TYPE_CHECKING:
     from .reorder import Ordered
 
-#: Lines from which a log is opened: its columns are guessed from them.
+#: Lines from which a log is opened: they determine its columns.
 HEAD_LINES = 2000
-#: A line is shorter [bytes].
+#: Length that no line reaches [bytes].
 _LONGEST = 1 << 20
 MARKS = tuple(mark.encode() for mark in BETWEEN)
-#: A line that may hold names.
+#: Start of a line that may hold names.
 _LETTER = re.compile(rb'^["A-Za-z_]', re.MULTILINE)
 
 
 class Lines:
-    """Rows from a stream of lines; how they are parted is found as in a file.
+    """Rows from a stream of lines. Delimiter and columns are detected as in a file.
 
     Parameters
     ----------
     head : Path
-        Where the first lines are kept, for the reader of files.
+        File for the first lines, from which the log is opened.
     header : str, optional
-        Names of the columns, parted by commas, if the stream has none.
+        Names of the columns, separated by commas, if the stream sends none.
 
     Attributes
     ----------
     damaged : int
-        Lines that were no rows.
+        Malformed lines.
     """
 
     def __init__(self, head: Path, header: str | None = None) -> None:
         self.head, self.header = head, header
         self.damaged = 0
-        self._passed = 0  # lines in which no names were found
+        self._unnamed = 0  # lines searched without finding names
         self._returns = False  # whether lines end in \r alone
         self._above = b""
         self._rest = b""
@@ -58,64 +58,68 @@ class Lines:
 
     @property
     def waiting(self) -> str:
-        """What is to come before there are rows."""
-        if self._passed:
+        """What the stream must send before rows are returned."""
+        if self._unnamed:
             return (
-                f"a line that names the columns; there is none among {self._passed} lines. "
-                f"--header NAME,NAME,… gives them"
+                f"a line that names the columns, not found in {self._unnamed} lines; "
+                f"give the names with --header NAME,NAME,…"
             )
         lines = self._rest.count(b"\n")
-        return f"the stream's first {HEAD_LINES} rows" + (f", {lines} came" if lines else "")
+        return f"the stream's first {HEAD_LINES} rows" + (f", {lines} received" if lines else "")
 
     def feed(self, data: bytes, last: bool = False) -> list[StreamRows]:
-        """Take bytes; return the rows that they complete, none before there are enough to begin, or
-        the stream has ended.
+        """Add received bytes; return the rows that they complete.
+
+        Rows are held back until there are HEAD_LINES lines or the stream ends.
 
         Raises
         ------
         RecordError
-            What comes are no lines, or other columns than before.
+            The bytes are not lines, or the columns have changed.
         """
-        data = self._ended(self._rest + data, last)
+        data = self._normalize_ends(self._rest + data, last)
         while self._table is None and data:
             lines = data.split(b"\n", HEAD_LINES)
             if len(lines) <= HEAD_LINES and not last:
                 break
-            data = self._begun(lines[:-1], last) + lines[-1]
+            data = self._begin(lines[:-1], last) + lines[-1]
         end = data.rfind(b"\n") + 1 if self._table is not None else 0
         self._rest = data[end:]
         if end == 0:
             return []
-        block = self._rows_alone(data[:end])
+        block = self._rows_only(data[:end])
         if not block:
             return []
         if block.count(b'"') % 2 == 0:
             try:
-                return [self._part(block)]
+                return [self._parse(block)]
             except Ragged:
                 pass
-        return [self._part(self._mended(block))]
+        return [self._parse(self._blank_malformed(block))]
 
-    def _ended(self, data: bytes, last: bool) -> bytes:
-        """Bytes whose lines end in a line feed, the last one too if no more comes."""
+    def _normalize_ends(self, data: bytes, last: bool) -> bytes:
+        """Return bytes whose lines end in a line feed; with `last`, the last line too."""
         if self._table is None and b"\n" not in data and data.count(b"\r") > 1:
             self._returns = True
         if self._returns:
             data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
         if len(data) > _LONGEST and b"\n" not in data:
             raise RecordError(
-                f"{len(data)} bytes came without the end of a line. A stream is lines of CSV, each "
-                f"with a line feed, or the frames of an export's telemetry"
+                f"{len(data)} bytes came without the end of a line; send lines of CSV, each ending "
+                f"in a line feed, or the frames of an export's telemetry"
             )
         return data + b"\n" if last and data and not data.endswith(b"\n") else data
 
-    def _begun(self, lines: list[bytes], last: bool) -> bytes:
-        """Find the structure of the first lines; return the rows among them. If their names are
-        still to come, or stand farther down, return the lines from which to go on."""
+    def _begin(self, lines: list[bytes], last: bool) -> bytes:
+        """Detect the structure of the first lines; return the rows among them.
+
+        If no names have been found yet, or only further down, return the lines from which to
+        continue.
+        """
         at = first_lines.names_at(lines, self.header is not None)
         if not last and (at is None or at > 0):
             dropped = max(1, len(lines) - 2) if at is None else at
-            self._passed = self._passed + dropped if at is None else 0
+            self._unnamed = self._unnamed + dropped if at is None else 0
             return b"".join([line + b"\n" for line in lines[dropped:]])
         lines, self.damaged = first_lines.whole(lines[at or 0 :])
         self.head.write_bytes(b"".join([line + b"\n" for line in lines]))
@@ -124,7 +128,7 @@ class Lines:
             self._table = TextTable(self.head, names)
         except RecordError as error:
             raise RecordError(str(error).replace(str(self.head), "the stream")) from None
-        self._passed = 0
+        self._unnamed = 0
         first = self._table.structure.first_line
         _, kinds = row_kind([line.decode("utf-8", errors="replace") for line in lines[first:]], [])
         columns = zip(self._table.structure.names, kinds, strict=False)
@@ -139,34 +143,36 @@ class Lines:
         assert self._table is not None
         return self._table.structure
 
-    def sources(self, parts: Sequence[StreamRows]) -> Iterator[Path]:
-        """What :func:`fluxobs.read_log` may open: all first lines, or pieces of them."""
+    def sources(self, batches: Sequence[StreamRows]) -> Iterator[Path]:
+        """Yield inputs for :func:`fluxobs.read_log`: all first lines, then parts of them."""
         lines = self.head.read_bytes().split(b"\n")[:-1]
         first = self._structure.first_line
         yield self.head
         for n, (begin, end) in enumerate(pieces(len(lines) - first)):
             path = self.head.parent / f"{self.head.name}-{n}"
-            kept = [*lines[:first], *lines[first + begin : first + end]]
-            path.write_bytes(b"".join([line + b"\n" for line in kept]))
+            selected = [*lines[:first], *lines[first + begin : first + end]]
+            path.write_bytes(b"".join([line + b"\n" for line in selected]))
             yield path
 
     def recorded(self, rows: Ordered, time: str | None, first: bool) -> bytes:
-        """Rows as lines of a recording, as they came, but for what a reader of files refuses: cells
-        that are no numbers are empty, and time goes on where the sender began anew. The header
-        stands above the first."""
-        part, head = rows.part, self._above if first else b""
-        unknown = np.zeros(part.rows, dtype=bool)
+        """Return rows as lines of a recording, with the header above if they are the first.
+
+        Lines stay as received, except where a reader of files would refuse them: cells that are not
+        numbers become empty, and time continues where the sender restarted.
+        """
+        received, head = rows.received, self._above if first else b""
+        missing = np.zeros(received.rows, dtype=bool)
         for name in self._numeric:
-            unknown = unknown | np.isnan(part.columns[name])
-        moved = rows.moved != 0 if time is not None else np.zeros(part.rows, dtype=bool)
-        if not (unknown | moved).any():
-            return head + part.lines
-        lines = part.lines.split(b"\n")[:-1]
-        for k in np.flatnonzero(unknown | moved):
-            lines[int(k)] = self._mended_cells(lines[int(k)], time, float(rows.moved[int(k)]))
+            missing = missing | np.isnan(received.columns[name])
+        moved = rows.moved != 0 if time is not None else np.zeros(received.rows, dtype=bool)
+        if not (missing | moved).any():
+            return head + received.lines
+        lines = received.lines.split(b"\n")[:-1]
+        for k in np.flatnonzero(missing | moved):
+            lines[int(k)] = self._repair_cells(lines[int(k)], time, float(rows.moved[int(k)]))
         return head + b"".join([line + b"\n" for line in lines])
 
-    def _mended_cells(self, line: bytes, time: str | None, moved: float) -> bytes:
+    def _repair_cells(self, line: bytes, time: str | None, moved: float) -> bytes:
         structure = self._structure
         cells = split(line.decode("utf-8", errors="replace"), structure.delimiter)
         cells += [""] * (len(structure.names) - len(cells))
@@ -180,15 +186,15 @@ class Lines:
                 cells[n] = ""
         return structure.delimiter.join(cells).encode("utf-8")
 
-    def _part(self, block: bytes) -> StreamRows:
+    def _parse(self, block: bytes) -> StreamRows:
         assert self._table is not None
         columns = self._table.parsed(block)
         if len(next(iter(columns.values()))) != block.count(b"\n"):
             raise Ragged("a quotation mark is open")
         return StreamRows(columns, block)
 
-    def _rows_alone(self, block: bytes) -> bytes:
-        """Without blank lines, comments and a header sent again; several spaces are one."""
+    def _rows_only(self, block: bytes) -> bytes:
+        """Drop blank lines, comments and repeated headers; join several spaces to one."""
         if self._structure.delimiter == " ":
             block = b"".join([b" ".join(line.split()) + b"\n" for line in block.split(b"\n")[:-1]])
         if not interrupted(block) and _LETTER.search(block) is None:
@@ -201,33 +207,35 @@ class Lines:
         return b"".join([line + b"\n" for line in lines if not line.startswith(MARKS)])
 
     def _check_names(self, line: bytes) -> None:
-        """Raise RecordError for a line of other names than before, or the same in another order."""
+        """Raise RecordError if the names in a line or their order differ from the stream's."""
         structure = self._structure
         cells = split(line.decode("utf-8", errors="replace"), structure.delimiter)
-        known = [name for name in structure.names if name is not None]
-        if 2 * sum(cell in known for cell in cells) >= len(cells) > 2 and cells != known:
+        names = [name for name in structure.names if name is not None]
+        if 2 * sum(cell in names for cell in cells) >= len(cells) > 2 and cells != names:
             raise RecordError(
-                f"the columns of the stream changed from {','.join(known)} to {','.join(cells)}; "
-                f"begin again"
+                f"the columns of the stream changed from {','.join(names)} to {','.join(cells)}; "
+                f"start again"
             )
 
-    def _mended(self, block: bytes) -> bytes:
-        """Lines that are no rows, emptied: where no column tells the time, their place counts."""
+    def _blank_malformed(self, block: bytes) -> bytes:
+        """Replace malformed lines by empty rows: without a time column, rows count time."""
         structure = self._structure
-        width, out = len(structure.names), []
+        width, lines = len(structure.names), []
         for raw in block.split(b"\n")[:-1]:
             cells = split(raw.decode("utf-8", errors="replace"), structure.delimiter)
             fits = len(cells) == width and b'"' not in raw
             self.damaged += not fits
-            out.append(raw if fits else structure.delimiter.encode() * (width - 1))
-        return b"\n".join(out) + b"\n"
+            lines.append(raw if fits else structure.delimiter.encode() * (width - 1))
+        return b"\n".join(lines) + b"\n"
 
 
 def pieces(rows: int) -> list[tuple[int, int]]:
-    """First and last of halves of the first rows, of quarters and eighths, the later ones first:
-    where some of these came out of order, a piece may be whole."""
-    out: list[tuple[int, int]] = []
-    for parts in (2, 4, 8):
-        for k in reversed(range(parts)):
-            out.append((rows * k // parts, rows * (k + 1) // parts))
-    return out
+    """Return begin and end of halves, quarters and eighths of the first rows, the later ones first.
+
+    If some of the first rows are out of order, one of these parts may still be in order.
+    """
+    bounds: list[tuple[int, int]] = []
+    for count in (2, 4, 8):
+        for k in reversed(range(count)):
+            bounds.append((rows * k // count, rows * (k + 1) // count))
+    return bounds

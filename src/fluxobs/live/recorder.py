@@ -1,4 +1,4 @@
-"""A stream, recorded: what has come is in the file, whatever ends the program."""
+"""Recording of a stream; received lines are in the file, however the program ends."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from ..errors import FluxobsError
 
 
 class Recorder:
-    """Writes lines to a file that is its own from the start: made anew, or locked.
+    """File of recorded lines, created or locked from the start so that no other run writes to it.
 
-    What was in the file before stays until the first lines come. A new file in which nothing was
-    written is removed.
+    An existing file keeps its contents until the first lines are written. A new file without lines
+    is removed.
 
     Parameters
     ----------
     path : Path
     force : bool
-        Whether a file that exists may be overwritten.
+        Whether an existing file may be overwritten.
 
     Attributes
     ----------
     written : bool
-        Whether lines have come.
+        Whether lines have been written.
     """
 
     def __init__(self, path: Path, force: bool = False) -> None:
@@ -42,14 +42,14 @@ class Recorder:
         Raises
         ------
         FluxobsError
-            It exists and `force` is not given, is a link, belongs to another run, or cannot be
-            written.
+            The file exists and `force` is not given, is a link, belongs to another run, or cannot
+            be written.
         """
         if self.path.exists() and not self.path.is_file():
-            raise FluxobsError(f"{self.path}: is no regular file; give another name")
-        self._made = not (self.force and os.path.lexists(self.path))
+            raise FluxobsError(f"{self.path}: is not a regular file; give another name")
+        self._created = not (self.force and os.path.lexists(self.path))
         try:
-            if self._made:
+            if self._created:
                 self._file = self.path.open("xb", buffering=0)
             else:
                 self._file = os.fdopen(open_own(self.path), "wb", buffering=0)
@@ -58,7 +58,7 @@ class Recorder:
                 f"{self.path}: exists; give another name, or --force to overwrite it"
             ) from None
         except OSError as error:
-            raise self._failed(error) from None
+            raise self._write_error(error) from None
         if not lock(self._file.fileno()):
             self._file.close()
             raise FluxobsError(f"{self.path}: another run records into it; give another name")
@@ -67,13 +67,13 @@ class Recorder:
     def __exit__(self, *_: object) -> None:
         try:
             self._file.close()
-            if self._made and not self.written:
+            if self._created and not self.written:
                 self.path.unlink(missing_ok=True)
         except OSError as error:
-            raise self._failed(error) from None
+            raise self._write_error(error) from None
 
     def add(self, lines: bytes) -> None:
-        """Write lines; they are in the file at once.
+        """Write lines to the file at once, without a buffer.
 
         Raises
         ------
@@ -84,23 +84,23 @@ class Recorder:
             if not self.written:
                 self._file.truncate(0)
             self.written = True
-            rest = memoryview(lines)
-            while rest:
-                rest = rest[self._file.write(rest) :]
+            remaining = memoryview(lines)
+            while remaining:
+                remaining = remaining[self._file.write(remaining) :]
         except OSError as error:
-            raise self._failed(error) from None
+            raise self._write_error(error) from None
 
-    def _failed(self, error: OSError) -> FluxobsError:
+    def _write_error(self, error: OSError) -> FluxobsError:
         return FluxobsError(f"{self.path}: cannot be written: {error.strerror}")
 
 
 def save_raw(path: Path, data: bytes) -> Path:
-    """Write bytes beside a recording, to the first name that is free: run.raw, run-2.raw, …
+    """Write bytes beside a recording, under the first free name: run.raw, run-2.raw, ….
 
     Raises
     ------
     FluxobsError
-        They cannot be written.
+        The file cannot be written.
     """
     for n in count(1):
         raw = path.with_name(f"{path.stem}{f'-{n}' if n > 1 else ''}.raw")
@@ -112,4 +112,4 @@ def save_raw(path: Path, data: bytes) -> Path:
             continue
         except OSError as error:
             raise FluxobsError(f"{raw}: cannot be written: {error.strerror}") from None
-    raise AssertionError("numbers never end")
+    raise AssertionError("unreachable: count() is infinite")

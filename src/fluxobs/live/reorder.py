@@ -1,4 +1,4 @@
-"""Rows in the order of their stamps: a connection repeats, delays and damages some."""
+"""Rows in the order of their time stamps: a connection repeats, delays and damages some."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from ..core.arrays import Array
 from ..logs.clock import Clock, longest_step
 from .rows import StreamRows, joined
 
-#: A stamp that is farther ahead [s] tells nothing: the sender began anew.
+#: A stamp farther ahead than this [s] means that the sender restarted.
 _FARTHEST = 86400.0
-#: Stamps beyond are no times [s].
+#: A stamp beyond this [s] is not a time.
 _NO_TIME = 1e12
 
 
@@ -21,83 +21,84 @@ class Ordered(NamedTuple):
 
     Attributes
     ----------
-    part : StreamRows
-        The rows, as they came.
+    received : StreamRows
+        The rows as received.
     t : (rows,) ndarray
-        Their times, which increase [s].
+        Their times [s], increasing.
     moved : (rows,) ndarray
-        What restarts of the sender have added to the stamps [s].
+        Offsets added to the stamps because the sender restarted [s].
     """
 
-    part: StreamRows
+    received: StreamRows
     t: Array
     moved: Array
 
 
 class Order:
-    """Puts rows in order.
+    """Filter that puts rows in the order of their time stamps.
 
-    A row that does not follow the one before it is judged by the next one. If that follows the
-    row in question, some samples are missing, or the sender began anew. If it follows the row
-    before, the row in question came late, or its stamp is damaged: it is left out.
+    A row that does not follow the row before it is held back until the next row. If the next row
+    follows the held row, samples are missing or the sender restarted. If it follows the row before,
+    the held row is late or its stamp is damaged; it is left out.
 
     Parameters
     ----------
     clock : Clock
-        Of the first rows; its step, the rounding of its stamps and their wrap are the stream's.
+        Clock of the first rows. Its step, rounding and wrap apply to the whole stream.
     time : str, optional
-        Column of the stamps; without it the rows count the time.
+        Column of the stamps. Without it, rows are counted.
     scale, offset : float
-        What turns stamps into seconds.
+        Conversion of the stamps to seconds.
 
     Attributes
     ----------
     restarts : int
-        How often the sender began anew.
+        Restarts of the sender.
     left_out : int
-        Rows that came twice or late, or without a time.
+        Rows left out: repeated, late, or without a time.
     """
 
     def __init__(self, clock: Clock, time: str | None, scale: float, offset: float) -> None:
         self.clock, self.time, self.scale, self.offset = clock, time, scale, offset
         self.restarts = self.left_out = 0
         self._rows = 0
-        self._held: StreamRows | None = None  # the row in question
-        self._before: float | None = None  # stamp of the last row, as it came [s]
-        self._ahead = self._moved = 0.0  # what wraps and restarts, and these alone, have added [s]
+        self._held: StreamRows | None = None  # one row, until the next one decides
+        self._before: float | None = None  # stamp of the last row as received [s]
+        # Offsets added to the stamps [s]: for wraps and restarts, and for restarts alone.
+        self._ahead = self._moved = 0.0
 
-    def add(self, part: StreamRows) -> Ordered:
-        """The next rows."""
+    def add(self, rows: StreamRows) -> Ordered:
+        """Add the next rows; return those whose order is decided."""
         if self._held is not None:
-            part, self._held = joined(self._held, part), None
+            rows, self._held = joined(self._held, rows), None
         if self.time is None:
-            self._rows += part.rows
-            rows = np.arange(self._rows - part.rows, self._rows)
-            t = np.asarray(self.clock.t0 + self.clock.sample_time * rows)
-            return Ordered(part, t, np.zeros(part.rows))
-        stamp = part.columns[self.time] * self.scale + self.offset
-        known = np.abs(stamp) < _NO_TIME
-        if not known.all():
-            self.left_out += int((~known).sum())
-            part, stamp = part.at(known), stamp[known]
+            self._rows += rows.rows
+            numbers = np.arange(self._rows - rows.rows, self._rows)
+            t = np.asarray(self.clock.t0 + self.clock.sample_time * numbers)
+            return Ordered(rows, t, np.zeros(rows.rows))
+        stamp = rows.columns[self.time] * self.scale + self.offset
+        timed = np.abs(stamp) < _NO_TIME
+        if not timed.all():
+            self.left_out += int((~timed).sum())
+            rows, stamp = rows.at(timed), stamp[timed]
         if self._before is not None and len(stamp):
             steps = np.diff(np.concatenate([[self._before], stamp]))
-            on = steps >= 0 if self.clock.rounding else steps > 0
-            if (on & (steps <= self._longest)).all():
+            forward = steps >= 0 if self.clock.rounding else steps > 0
+            if (forward & (steps <= self._longest)).all():
                 self._before = float(stamp[-1])
-                return Ordered(part, stamp + self._ahead, np.full(len(stamp), self._moved))
-        return self._judged(part, stamp)
+                return Ordered(rows, stamp + self._ahead, np.full(len(stamp), self._moved))
+        return self._judge_rows(rows, stamp)
 
     def end(self) -> Ordered:
-        """The row that no other one judges any more: it is there, if time goes on to it."""
+        """Return the held row at the end of the stream, unless its time goes back."""
         held, self._held = self._held, None
-        none = np.zeros(0)
+        empty = np.zeros(0)
         if held is None:
-            return Ordered(StreamRows({}, b""), none, none)
+            return Ordered(StreamRows({}, b""), empty, empty)
         stamp = float(held.columns[str(self.time)][0]) * self.scale + self.offset
         if self._before is not None and self._step(stamp, self._before) < 0:
             self.left_out += 1
-            return Ordered(held.at(np.zeros(1, dtype=bool)), none, none)
+            return Ordered(held.at(np.zeros(1, dtype=bool)), empty, empty)
         self._accept(stamp)
         return Ordered(held, np.array([stamp + self._ahead]), np.array([self._moved]))
 
@@ -106,25 +107,25 @@ class Order:
         return longest_step(self.clock.sample_time, self.clock.rounding)
 
     def _step(self, now: float, before: float) -> float:
-        """The step between two stamps [s], the shorter way around a counter that wraps."""
+        """Return the step between two stamps [s], the shorter way around a counter that wraps."""
         step, wrap = now - before, self.clock.wrap
         if wrap > 0 and abs(step) > wrap / 2:
             step += wrap if step < 0 else -wrap
         return step
 
-    def _judged(self, part: StreamRows, stamp: Array) -> Ordered:
-        """Rows one by one."""
-        rows: list[int] = []
-        added: list[tuple[float, float]] = []
-        stamps = [float(one) for one in stamp]
+    def _judge_rows(self, rows: StreamRows, stamp: Array) -> Ordered:
+        """Decide row by row whether it is in order; hold back the last one if that is open."""
+        accepted: list[int] = []
+        offsets: list[tuple[float, float]] = []
+        stamps = [float(seconds) for seconds in stamp]
         repeat = self.clock.rounding > 0
         held: int | None = None
         k = 0
 
         def accept(row: int) -> None:
             self._accept(stamps[row])
-            rows.append(row)
-            added.append((self._ahead, self._moved))
+            accepted.append(row)
+            offsets.append((self._ahead, self._moved))
 
         while k < len(stamps):
             now, before = stamps[k], self._before
@@ -150,24 +151,25 @@ class Order:
                 accept(held)
                 held = None
         if held is not None:
-            self._held = part.at(np.arange(len(stamps)) == held)
-        kept = np.zeros(len(stamps), dtype=bool)
-        for row in rows:
-            kept[row] = True
-        ahead = np.array([one for one, _ in added], dtype=float)
-        moved = np.array([one for _, one in added], dtype=float)
-        return Ordered(part if kept.all() else part.at(kept), stamp[kept] + ahead, moved)
+            self._held = rows.at(np.arange(len(stamps)) == held)
+        in_order = np.zeros(len(stamps), dtype=bool)
+        for row in accepted:
+            in_order[row] = True
+        ahead = np.array([seconds for seconds, _ in offsets], dtype=float)
+        moved = np.array([seconds for _, seconds in offsets], dtype=float)
+        ordered = rows if in_order.all() else rows.at(in_order)
+        return Ordered(ordered, stamp[in_order] + ahead, moved)
 
     def _accept(self, stamp: float) -> None:
-        """Go on to a stamp."""
+        """Advance to a stamp; count a restart if it goes back or far ahead."""
         before, self._before = self._before, stamp
         if before is None:
             return
         step = self._step(stamp, before)
         if step < 0 or step > _FARTHEST:
             self.restarts += 1
-            goes = 2 * self.clock.sample_time
-            self._moved += goes - step
-            self._ahead += goes - (stamp - before)
+            resumed = 2 * self.clock.sample_time  # one sample is taken as lost
+            self._moved += resumed - step
+            self._ahead += resumed - (stamp - before)
         else:
             self._ahead += step - (stamp - before)

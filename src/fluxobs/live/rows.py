@@ -1,4 +1,4 @@
-"""Rows of a stream, as they arrived."""
+"""Rows of a stream as received."""
 
 from __future__ import annotations
 
@@ -11,28 +11,29 @@ from ..logs.formats.table import Columns
 
 
 class StreamRows(NamedTuple):
-    """Some rows: their columns as they were sent, and their lines if the stream is text."""
+    """Rows of a stream: their columns as sent, and their lines if the stream is text."""
 
     columns: Columns
     lines: bytes
 
     @property
     def rows(self) -> int:
-        """How many they are."""
+        """Number of rows."""
         return len(next(iter(self.columns.values()), ()))
 
-    def at(self, which: NDArray[np.bool_]) -> StreamRows:
-        """Those of the rows for which `which` is true."""
-        columns = {name: values[which] for name, values in self.columns.items()}
+    def at(self, mask: NDArray[np.bool_]) -> StreamRows:
+        """Return the rows where `mask` is true."""
+        columns = {name: values[mask] for name, values in self.columns.items()}
         if not self.lines:
             return StreamRows(columns, b"")
         lines = self.lines.split(b"\n")
-        return StreamRows(columns, b"".join([lines[int(k)] + b"\n" for k in np.flatnonzero(which)]))
+        return StreamRows(columns, b"".join([lines[int(k)] + b"\n" for k in np.flatnonzero(mask)]))
 
 
-def joined(one: StreamRows, other: StreamRows) -> StreamRows:
-    """The rows of both."""
+def joined(earlier: StreamRows, later: StreamRows) -> StreamRows:
+    """Return the rows of both, the earlier ones first."""
     columns = {
-        name: np.concatenate([values, other.columns[name]]) for name, values in one.columns.items()
+        name: np.concatenate([values, later.columns[name]])
+        for name, values in earlier.columns.items()
     }
-    return StreamRows(columns, one.lines + other.lines)
+    return StreamRows(columns, earlier.lines + later.lines)

@@ -1,4 +1,4 @@
-"""A stream for the page: it is served to this computer's browser, the stream over a WebSocket."""
+"""Server of the live page for a browser on this computer; the stream goes over a WebSocket."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from ..errors import FluxobsError
 from ..page import built, in_script
 from .frames import MARK
 
-#: Pieces of the stream that may wait for a slow browser; one that is slower yet is let go.
+#: Chunks that may wait for a slow browser; beyond that it is disconnected.
 _WAITING = 1000
-#: Seconds in which a browser has to take something.
+#: Seconds within which a browser must take a chunk.
 _PATIENCE = 3.0
-#: What a row, or a frame, begins with.
+#: Begin of a row or a frame.
 _ROW = re.compile(rb"^[ \t]*[-+.0-9\xf1]", re.MULTILINE)
-#: A preamble is shorter [bytes].
+#: Length that no preamble reaches [bytes].
 _PREAMBLE = 1 << 16
 _CONNECT = "connect-src 'none'"
 _SETTINGS = '<script type="application/json" id="live">null</script>'
 
 
 class Server:
-    """Serves the page and the stream on localhost; nobody else's page may read it.
+    """Server of the page and the stream on localhost; pages of other origins cannot read them.
 
     Parameters
     ----------
     port : int
-        0: any that is free.
+        0: any free port.
     settings : mapping
-        What the page begins with: machine, options, name.
+        Initial settings of the page: machine, options, name.
     patient : bool
         Whether the stream may wait until a browser takes it.
 
@@ -57,9 +57,9 @@ class Server:
             ) from None
         self.watched = threading.Event()
         self._patient = patient
-        self._head = b""  # lines above the first row, while it has not come all that was sent
+        self._head = b""  # lines above the first row; until that comes, everything sent
         self._sent = self._rows = False
-        self._whole = True  # whether the last line that was sent is complete
+        self._whole = True  # whether the last line sent is complete
         self._browsers: set[_Browser] = set()
         self._lock = threading.Lock()
         try:
@@ -68,7 +68,7 @@ class Server:
             )
         except OSError as error:
             raise FluxobsError(
-                f"port {port} cannot be opened: {error.strerror}; give another one with --port"
+                f"port {port} cannot be opened: {error.strerror}; choose another with --port"
             ) from None
         number = self._server.socket.getsockname()[1]
         self._hosts = [f"localhost:{number}", f"127.0.0.1:{number}"]
@@ -80,78 +80,80 @@ class Server:
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def _page(self, connection: Any, request: Any) -> Any:
-        """Answer what is no WebSocket; None if it is one."""
+        """Answer a request; return None to accept a WebSocket."""
         hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
         if len(hosts) != 1 or len(origins) > 1:
-            return connection.respond(HTTPStatus.BAD_REQUEST, "one Host, and at most one Origin\n")
+            return connection.respond(HTTPStatus.BAD_REQUEST, "one Host and at most one Origin\n")
         if hosts[0] not in self._hosts:
             return connection.respond(HTTPStatus.FORBIDDEN, "localhost only\n")
         if request.path == "/stream":
             if origins and origins[0] in [f"http://{host}" for host in self._hosts]:
                 return None
-            return connection.respond(HTTPStatus.FORBIDDEN, "only for the page served here\n")
+            return connection.respond(HTTPStatus.FORBIDDEN, "only the page served here\n")
         if request.path != "/":
-            return connection.respond(HTTPStatus.NOT_FOUND, "not here\n")
+            return connection.respond(HTTPStatus.NOT_FOUND, "not found\n")
         answer = connection.respond(HTTPStatus.OK, self._text)
         del answer.headers["Content-Type"]
         answer.headers["Content-Type"] = "text/html; charset=utf-8"
         return answer
 
     def _stream(self, connection: Any) -> None:
-        """Send the stream to a browser until either ends."""
+        """Send the stream to a browser until the stream ends or the browser disconnects."""
         from websockets.exceptions import ConnectionClosed
 
         with self._lock:
-            one = _Browser(connection, late=not self._whole)
+            browser = _Browser(connection, late=not self._whole)
             if self._sent:
-                one.waiting.put(self._head)
-            self._browsers.add(one)
+                browser.waiting.put(self._head)
+            self._browsers.add(browser)
         self.watched.set()
         try:
-            while (data := one.waiting.get()) is not None:
+            while (data := browser.waiting.get()) is not None:
                 connection.send(data)
-                one.taken += 1
+                browser.taken += 1
             connection.close()
         except (ConnectionClosed, OSError):
             pass
         finally:
             with self._lock:
-                self._browsers.discard(one)
-            one.gone.set()
+                self._browsers.discard(browser)
+            browser.gone.set()
 
     def send(self, data: bytes) -> None:
-        """Send what has come to all browsers."""
+        """Send received bytes to all browsers."""
         with self._lock:
             self._sent = True
             if not self._rows:
                 self._head, self._rows = _above(self._head + data)
             browsers = list(self._browsers)
             self._whole = data.endswith(b"\n") or data.startswith(MARK)
-        for one in browsers:
-            one.take(data, self._patient)
+        for browser in browsers:
+            browser.take(data, self._patient)
 
     def end(self, now: bool = False) -> None:
-        """End the stream: the browsers take the rest, unless it has to be `now`."""
+        """End the stream once the browsers have taken the rest, or at once if `now`."""
         with self._lock:
             browsers = list(self._browsers)
-        for one in browsers:
-            one.end()
-            if now or not one.moves_on(one.gone.is_set):
-                one.drop()
+        for browser in browsers:
+            browser.end()
+            if now or not browser.moves_on(browser.gone.is_set):
+                browser.drop()
         self._server.shutdown()
 
 
 def _above(first: bytes) -> tuple[bytes, bool]:
-    """Lines above the first row, which name the columns for a browser that comes late, and whether
-    that row has come. In frames the names come again."""
-    found = _ROW.search(first)
-    if found is None and len(first) < _PREAMBLE:
+    """Return the lines above the first row, and whether that row has come.
+
+    They name the columns for a browser that connects late. In frames the names are repeated.
+    """
+    row = _ROW.search(first)
+    if row is None and len(first) < _PREAMBLE:
         return first, False
-    return first[: found.start() if found else 0], True
+    return first[: row.start() if row else 0], True
 
 
 class _Browser:
-    """What waits for a browser. One that looks late begins at a whole line."""
+    """Queue of a browser. If it connects within a line, it starts at the next line."""
 
     def __init__(self, connection: Any, late: bool) -> None:
         self.connection, self.late = connection, late
@@ -160,7 +162,7 @@ class _Browser:
         self.waiting: queue.Queue[bytes | None] = queue.Queue()
 
     def take(self, data: bytes, patient: bool) -> None:
-        """Let data wait for it; let the browser go if it is too slow: its page says so."""
+        """Queue data; disconnect the browser if it is too slow (its page says so)."""
         if self.ended:
             return
         if self.late:
@@ -175,12 +177,12 @@ class _Browser:
             self.waiting.put(data)
 
     def end(self) -> None:
-        """Nothing comes after what waits."""
+        """Disconnect once the queue is empty."""
         self.ended = True
         self.waiting.put(None)
 
     def moves_on(self, enough: Callable[[], bool]) -> bool:
-        """Wait until it has taken `enough`, or is gone; false if it stands still."""
+        """Wait until `enough` is taken or the browser is gone; return False if it stalls."""
         taken, since = self.taken, time.monotonic()
         while not enough() and not self.gone.wait(0.01):
             if self.taken != taken:
@@ -190,7 +192,7 @@ class _Browser:
         return True
 
     def drop(self) -> None:
-        """Close its connection, whatever it is doing."""
+        """Close the connection at once."""
         self.gone.set()
         with contextlib.suppress(OSError):
             self.connection.socket.shutdown(socket.SHUT_RDWR)

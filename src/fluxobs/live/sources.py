@@ -1,4 +1,4 @@
-"""Where a stream comes from: a port, a network, standard input, a file that grows, the demo."""
+"""Sources of a stream: serial port, network, standard input, growing file, demo."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from typing import Any
 from ..errors import FluxobsError, RecordError
 from .frames import MARK
 
-#: Bytes that are taken at once.
+#: Bytes read at once.
 _CHUNK = 65536
-#: Seconds between looks at a file that grows, and for which a port is asked.
-_PAUSE, _LOOK = 0.02, 0.1
-#: Where datagrams are taken from if no address says so: this computer alone.
+#: Seconds between reads of a growing file, and timeout of a port.
+_PAUSE, _TIMEOUT = 0.02, 0.1
+#: Default address for datagrams: programs of this computer only.
 _LOOPBACK = "127.0.0.1"
-#: Datagrams that are taken at once.
-_ATONCE = 4096
-#: Seconds after which a sender that is silent may be one that starts again.
+#: Datagrams read at once.
+_DATAGRAMS = 4096
+#: Seconds of silence after which another port may take over: the sender may have restarted.
 _SILENCE = 5.0
-#: Rows that the demo sends at once.
+#: Rows sent at once by the demo.
 _DEMO_ROWS = 50
 
 
 class Source(ABC):
-    """Bytes as they come.
+    """Bytes of a stream.
 
     Attributes
     ----------
     name : str
     patient : bool
-        Whether what is not read waits: nothing is lost before somebody looks.
+        Whether unread bytes wait, so that nothing is lost before somebody reads.
     ignored : int
-        Datagrams of other senders, which were left out.
+        Datagrams left out because they came from other senders.
     """
 
     name: str
@@ -49,11 +49,11 @@ class Source(ABC):
 
     @abstractmethod
     def chunks(self) -> Iterator[bytes]:
-        """Yield what has come, b"" now and then if nothing does, until the stream ends."""
+        """Yield received bytes until the stream ends; b"" now and then while nothing arrives."""
 
 
 class File(Source):
-    """A file from its beginning on, and what is written to it later; a pipe until it is closed."""
+    """A file from its beginning, followed as it grows; a pipe until it is closed."""
 
     patient = True
 
@@ -75,7 +75,7 @@ class File(Source):
                     if now.st_size < file.tell():
                         raise RecordError(f"{self.path}: the file became shorter while it was read")
                     if now.st_ino != os.fstat(file.fileno()).st_ino:
-                        raise RecordError(f"{self.path}: another file has taken its place")
+                        raise RecordError(f"{self.path}: the file was replaced while it was read")
                     time.sleep(_PAUSE)
         except OSError as error:
             raise RecordError(f"{self.path}: cannot be read: {error.strerror}") from None
@@ -94,36 +94,36 @@ class Input(Source):
 
 
 class Datagrams(Source):
-    """UDP: whole lines or frames in each datagram; its end is a line's end too.
+    """UDP, with whole lines or frames in each datagram; the end of a datagram ends a line.
 
-    It keeps to the sender of the first datagram. After a silence, another port of the same host
-    takes over: a sender that starts again gets another one.
+    Only the sender of the first datagram is read. After a silence, another port of the same host
+    may take over, because a sender that restarts gets another port.
     """
 
     def __init__(self, host: str, port: int) -> None:
         self.name = f"udp:{host}:{port}"
         self._sender: tuple[str, int] | None = None
-        self._heard = 0.0  # when it spoke last
+        self._heard = 0.0  # time of its last datagram [s]
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
         try:
             self._socket.bind((host, port))
-        except (OSError, UnicodeError) as error:  # the latter: no name of a host
+        except (OSError, UnicodeError) as error:  # UnicodeError: malformed host name
             self._socket.close()
             raise _unopened(self.name, error) from None
-        self._socket.settimeout(_LOOK)
+        self._socket.settimeout(_TIMEOUT)
 
     def chunks(self) -> Iterator[bytes]:
         with self._socket:
             while True:
                 try:
-                    data = self._received()
+                    data = self._receive()
                 except TimeoutError:
                     data = b""
-                yield data + self._waiting() if data else data
+                yield data + self._receive_waiting() if data else data
 
-    def _received(self) -> bytes:
-        """The next datagram; nothing if it is of another sender."""
+    def _receive(self) -> bytes:
+        """Return the next datagram, or b"" if it came from another sender."""
         data, sender = self._socket.recvfrom(_CHUNK)
         if not data:
             return data
@@ -134,25 +134,25 @@ class Datagrams(Source):
             self.ignored += 1
             return b""
         self._heard = now
-        return _ended(data)
+        return _end_line(data)
 
-    def _waiting(self) -> bytes:
-        """What else has come: many small pieces cost more than few large ones."""
-        out = bytearray()
+    def _receive_waiting(self) -> bytes:
+        """Return the waiting datagrams in one chunk: many small chunks cost more."""
+        data = bytearray()
         self._socket.setblocking(False)
         try:
-            for _ in range(_ATONCE):  # others may send without end
-                out += self._received()
-                if len(out) >= _CHUNK:
+            for _ in range(_DATAGRAMS):  # bounded: another sender may never stop
+                data += self._receive()
+                if len(data) >= _CHUNK:
                     break
         except BlockingIOError:
             pass
         finally:
-            self._socket.settimeout(_LOOK)
-        return bytes(out)
+            self._socket.settimeout(_TIMEOUT)
+        return bytes(data)
 
 
-def _ended(datagram: bytes) -> bytes:
+def _end_line(datagram: bytes) -> bytes:
     return datagram if datagram.startswith(MARK) or datagram.endswith(b"\n") else datagram + b"\n"
 
 
@@ -163,9 +163,9 @@ class Connection(Source):
         self.name = name
         try:
             self._socket = socket.create_connection((host, port), timeout=5)
-        except (OSError, UnicodeError) as error:  # the latter: no name of a host
+        except (OSError, UnicodeError) as error:  # UnicodeError: malformed host name
             raise _unopened(name, error) from None
-        self._socket.settimeout(_LOOK)
+        self._socket.settimeout(_TIMEOUT)
 
     def chunks(self) -> Iterator[bytes]:
         with self._socket:
@@ -185,7 +185,7 @@ class Connection(Source):
 
 
 class Serial(Source):
-    """A serial port, or what else pyserial opens, as rfc2217://HOST:PORT."""
+    """A serial port, or a URL that pyserial opens, such as rfc2217://HOST:PORT."""
 
     def __init__(self, port: str, baud: int) -> None:
         try:
@@ -195,9 +195,9 @@ class Serial(Source):
                 f"{port}: serial ports need pyserial: pip install 'fluxobs[live]'"
             ) from None
         self.name = port
-        self._failed: Any = serial.SerialException
+        self._error: Any = serial.SerialException
         try:
-            self._port: Any = serial.serial_for_url(port, baudrate=baud, timeout=_LOOK)
+            self._port: Any = serial.serial_for_url(port, baudrate=baud, timeout=_TIMEOUT)
         except (serial.SerialException, ValueError) as error:
             raise RecordError(f"{port}: cannot be opened: {error}") from None
 
@@ -206,8 +206,8 @@ class Serial(Source):
             while True:
                 try:
                     yield port.read(max(1, min(port.in_waiting, _CHUNK)))
-                except (self._failed, OSError):
-                    raise RecordError(f"{self.name}: the port is gone") from None
+                except (self._error, OSError):
+                    raise RecordError(f"{self.name}: the port was disconnected") from None
 
 
 class Demo(Source):
@@ -220,11 +220,11 @@ class Demo(Source):
         from ..simulation.closed_form.endless import COLUMNS, endless
 
         yield (",".join(COLUMNS) + "\n").encode()
-        began, rows = time.monotonic(), endless()
+        start, rows = time.monotonic(), endless()
         for sent in count(1):
-            some = islice(rows, _DEMO_ROWS)
-            yield "".join([",".join([f"{v:.6g}" for v in row]) + "\n" for row in some]).encode()
-            ahead = began + sent * _DEMO_ROWS * SAMPLE_TIME - time.monotonic()
+            batch = islice(rows, _DEMO_ROWS)
+            yield "".join([",".join([f"{v:.6g}" for v in row]) + "\n" for row in batch]).encode()
+            ahead = start + sent * _DEMO_ROWS * SAMPLE_TIME - time.monotonic()
             if ahead > 0:
                 time.sleep(ahead)
 
@@ -235,41 +235,41 @@ def _unopened(name: str, error: Exception) -> RecordError:
 
 def _port(text: str, number: str) -> int:
     if not 0 < int(number) < 65536:
-        raise FluxobsError(f"{text}: a port lies between 1 and 65535")
+        raise FluxobsError(f"{text}: the port must be between 1 and 65535")
     return int(number)
 
 
 def open_source(text: str, baud: int) -> Source:
-    """Open what a user names.
+    """Open the source that a user names.
 
     Parameters
     ----------
     text : str
-        "-", "udp:PORT" (of this computer's own programs), "udp:ADDRESS:PORT" (sent to one of its
-        addresses; 0.0.0.0: to any), "socket://HOST:PORT", a serial port or a URL of pyserial, or
-        a file.
+        "-", "udp:PORT" (from programs of this computer), "udp:ADDRESS:PORT" (sent to this address
+        of the computer; 0.0.0.0: to any), "socket://HOST:PORT", a serial port, a URL of pyserial,
+        or a file.
     baud : int
-        Of a serial port [1/s].
+        Bit rate of a serial port [1/s].
 
     Raises
     ------
     FluxobsError
-        It is not there, or cannot be opened.
+        The source does not exist or cannot be opened.
     """
     if text == "-":
         return Input()
-    if found := re.fullmatch(r"udp:(?://)?(?:([^:]*):)?([0-9]{1,9})", text):
-        return Datagrams(found[1] or _LOOPBACK, _port(text, found[2]))
-    if found := re.fullmatch(r"socket://(.+):([0-9]{1,9})", text):
-        return Connection(text, found[1], _port(text, found[2]))
+    if match := re.fullmatch(r"udp:(?://)?(?:([^:]*):)?([0-9]{1,9})", text):
+        return Datagrams(match[1] or _LOOPBACK, _port(text, match[2]))
+    if match := re.fullmatch(r"socket://(.+):([0-9]{1,9})", text):
+        return Connection(text, match[1], _port(text, match[2]))
     path = Path(text)
     if re.fullmatch(r"COM\d+|\w[\w+.-]*://.*", text) or path.is_char_device():
         return Serial(text, baud)
     if path.is_dir():
-        raise RecordError(f"{text}: this is a folder")
+        raise RecordError(f"{text}: is a folder; give a file or port")
     if not path.exists():
         raise RecordError(
-            f"{text}: no such file or port. A stream is a serial port, udp:PORT, socket://HOST:PORT,"
-            f" a file, or - for standard input"
+            f"{text}: no such file or port. Give a serial port, udp:PORT, socket://HOST:PORT, a "
+            f"file, or - for standard input"
         )
     return File(path)

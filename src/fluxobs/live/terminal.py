@@ -1,4 +1,4 @@
-"""A stream in the terminal: the last values, and a strip of each."""
+"""Live estimates in the terminal: the latest values, each with a sparkline."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from ..machines import Machine
 from .sources import Source
 from .watch import Watch
 
-#: Seconds between two pictures on a terminal, and between two lines in a pipe; and without rows,
-#: after which that is said.
-PICTURE, LINE, SILENT = 0.1, 1.0, 2.0
-#: What helps if the position stays unknown.
-UNKNOWN = "not valid yet: if it stays so, record it (--save) and run `fluxobs check`"
+#: Seconds between updates of the table on a terminal, between lines in a pipe, and without rows
+#: before a remark says so.
+UPDATE, LINE, SILENT = 0.1, 1.0, 2.0
+#: Remark while no row is valid.
+UNKNOWN = "not valid yet: if this lasts, record the stream (--save) and run `fluxobs check`"
 _BLOCKS = "▁▂▃▄▅▆▇█"
 _STRIP = 40
 
 
 class Terminal:
-    """Shows a stream; on a pipe it prints a line a second.
+    """Live display of a stream: a table on a terminal, one line a second in a pipe.
 
     Parameters
     ----------
@@ -39,18 +39,18 @@ class Terminal:
         self._last: dict[str, float] = {}
         self._strips: dict[str, deque[float]] = {}
         self._drawn = 0.0
-        self._came = 0.0  # when the last rows came
-        self._rows = self._valid = 0  # since the last picture
+        self._last_arrival = 0.0  # time of the last rows [s]
+        self._rows = self._valid = 0  # since the last update
         self._line = ""
         self._live: Any = None
-        self._noted = False
+        self._notes_printed = False
         self._units = {name: unit for name, unit, _ in shown(watch.machine)}
 
     def __enter__(self) -> Terminal:
         if sys.stdout.isatty():
             from rich.live import Live
 
-            self._live = Live(self._table(), refresh_per_second=1 / PICTURE)
+            self._live = Live(self._table(), refresh_per_second=1 / UPDATE)
             self._live.start()
         return self
 
@@ -60,26 +60,26 @@ class Terminal:
             self._live.stop()
 
     def add(self, rows: EstimateRows) -> None:
-        """Take estimates; values of a row that is not valid are not shown."""
+        """Add estimates. The values of an invalid row are not shown."""
         if not len(rows.valid):
             return
-        self._came = time.monotonic()
+        self._last_arrival = time.monotonic()
         for name, _, factor in shown(self.watch.machine):
             if name in rows.columns:
                 values = factor * np.asarray(rows.columns[name], dtype=float)
-                known = rows.valid[-1] or name == "t"
-                self._last[name] = float(values[-1]) if known else math.nan
+                visible_now = rows.valid[-1] or name == "t"
+                self._last[name] = float(values[-1]) if visible_now else math.nan
         self._rows += len(rows.valid)
         self._valid += int(rows.valid.sum())
 
     def draw(self, force: bool = False) -> None:
-        """Show them, if it is time to."""
+        """Update the display if it is due, or always with `force`."""
         now = time.monotonic()
-        if now - self._drawn < (PICTURE if self._live is not None else LINE) and not force:
+        if now - self._drawn < (UPDATE if self._live is not None else LINE) and not force:
             return
         log = self.watch.log
-        if log is not None and not self._noted:
-            self._noted = True
+        if log is not None and not self._notes_printed:
+            self._notes_printed = True
             self._print("; ".join([*log.notes, f"{1 / log.sample_time:.6g} rows a second"]) + ".")
         if self._rows:
             self._last["valid"] = 100 * self._valid / self._rows
@@ -90,28 +90,30 @@ class Terminal:
         if self._live is not None:
             self._live.update(self._table())
             return
-        line = ", ".join([f"{name} {self._written(name)}" for name in self._last] + self._said())
+        line = ", ".join(
+            [f"{name} {self._format_value(name)}" for name in self._last] + self._remarks()
+        )
         if line != self._line:
             self._line = line
             print(line, flush=True)
 
-    def _said(self) -> list[str]:
-        """What is to be said of the stream itself."""
+    def _remarks(self) -> list[str]:
+        """Return remarks on the stream: losses, restarts, waiting, silence."""
         status = self.watch.status
-        counted = (
+        counts = (
             (status.lost, "lost"),
             (status.damaged, "damaged"),
             (status.restarts, "restarts"),
-            (self.source.ignored, "of other senders"),
+            (self.source.ignored, "from other senders"),
         )
-        said = [f"{count} {what}" for count, what in counted if count]
+        remarks = [f"{count} {label}" for count, label in counts if count]
         if status.rows and not status.valid:
-            said.append(UNKNOWN)
+            remarks.append(UNKNOWN)
         if status.waiting:
-            said.append(f"waiting: {status.waiting}")
-        if self._last and time.monotonic() - self._came > SILENT:
-            said.append(f"no rows for more than {SILENT:g} s")
-        return said
+            remarks.append(f"waiting: {status.waiting}")
+        if self._last and time.monotonic() - self._last_arrival > SILENT:
+            remarks.append(f"no rows for more than {SILENT:g} s")
+        return remarks
 
     def _print(self, text: str) -> None:
         if self._live is not None:
@@ -123,20 +125,20 @@ class Terminal:
         from rich.table import Table
         from rich.text import Text
 
-        words = ", ".join([f"{self.watch.status.rows} rows", *self._said()])
-        drawn = Table(
-            title=Text(visible(f"{self.source.name}: {words}")),
+        remarks = ", ".join([f"{self.watch.status.rows} rows", *self._remarks()])
+        table = Table(
+            title=Text(visible(f"{self.source.name}: {remarks}")),
             box=None,
             pad_edge=False,
             title_justify="left",
         )
         for title, justify in (("", "left"), ("now", "right"), ("", "left")):
-            drawn.add_column(title, justify=justify)  # type: ignore[arg-type]
+            table.add_column(title, justify=justify)  # type: ignore[arg-type]
         for name, strip in self._strips.items():
-            drawn.add_row(name, self._written(name), sparkline(list(strip)))
-        return drawn
+            table.add_row(name, self._format_value(name), sparkline(list(strip)))
+        return table
 
-    def _written(self, name: str) -> str:
+    def _format_value(self, name: str) -> str:
         if math.isnan(self._last[name]):
             return "–"
         unit = self._units.get(name, "%")
@@ -144,29 +146,29 @@ class Terminal:
 
 
 def shown(machine: Machine) -> list[tuple[str, str, float]]:
-    """Columns that a person wants to see, each with a unit and what turns it into that."""
-    where = machine.position_output
+    """Return the displayed columns: name, unit, and factor from SI to that unit."""
+    position = machine.position_output
     a, b = machine.ports
-    out = [
+    columns = [
         ("t", "s", 1.0),
-        (where.name, where.unit, where.factor),
-        (f"{where.name}_std", where.unit, where.factor),
-        (f"{where.name}_error", where.unit, where.factor),
+        (position.name, position.unit, position.factor),
+        (f"{position.name}_std", position.unit, position.factor),
+        (f"{position.name}_error", position.unit, position.factor),
         ("speed_e", "rad/s", 1.0),
     ]
-    out += [(f"drift_{a}", "V", 1.0), (f"drift_{b}", "V", 1.0)]
-    out += [("resistance", "Ω", 1.0), ("inverter_voltage", "V", 1.0), ("psi_f", "Wb", 1.0)]
-    return out
+    columns += [(f"drift_{a}", "V", 1.0), (f"drift_{b}", "V", 1.0)]
+    columns += [("resistance", "Ω", 1.0), ("inverter_voltage", "V", 1.0), ("psi_f", "Wb", 1.0)]
+    return columns
 
 
 def sparkline(values: list[float]) -> str:
-    """Values as a strip of blocks, from the least to the most of them."""
-    known = [value for value in values if np.isfinite(value)]
-    if not known:
+    """Return values as a strip of blocks, scaled from their minimum to their maximum."""
+    finite = [value for value in values if np.isfinite(value)]
+    if not finite:
         return ""
-    low, high = min(known), max(known)
-    size = (high - low) or 1.0
+    low, high = min(finite), max(finite)
+    span = (high - low) or 1.0
     steps = len(_BLOCKS) - 1
     return "".join(
-        _BLOCKS[round((v - low) / size * steps)] if np.isfinite(v) else " " for v in values
+        _BLOCKS[round((v - low) / span * steps)] if np.isfinite(v) else " " for v in values
     )

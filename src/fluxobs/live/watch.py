@@ -1,4 +1,4 @@
-"""The estimates of a stream, as its bytes come."""
+"""Live estimates from the bytes of a stream."""
 
 from __future__ import annotations
 
@@ -25,35 +25,35 @@ from .lines import Lines
 from .reorder import Order, Ordered
 from .rows import StreamRows
 
-#: The scales of the signals are measured over this time [s].
+#: Time over which the scales of the signals are measured [s].
 WINDOW = 1.0
-#: The observer is chosen for signals larger than the first ones by this factor, and again when a
-#: signal exceeds that scale by it. Its settings need a scale right within a factor of a few.
+#: The observer is chosen for signals this factor above the measured ones, and chosen again when a
+#: signal exceeds that scale by the same factor. Its settings need a scale within a factor of a few.
 GROWN = 2.0
-#: Bytes kept of a stream until its first row.
+#: Bytes kept of a stream before its first row, at most.
 _UNREAD = 1 << 26
-#: The first bytes of a stream decide whether it is text or frames.
+#: Bytes that decide whether the stream is text or frames.
 _FIRST = 512
 
 
 @dataclass(frozen=True)
 class Status:
-    """What has come.
+    """Counts of a stream so far.
 
     Attributes
     ----------
     rows : int
-        Rows that were estimated.
+        Rows estimated.
     valid : int
-        Those whose position is known.
+        Rows with a valid position.
     lost : int
-        Samples that are missing, by their stamps.
+        Samples missing according to the time stamps.
     damaged : int
-        Lines or frames that were no rows, and rows that came twice or late.
+        Malformed lines or frames, and rows that were repeated or late.
     restarts : int
-        How often the sender began anew.
+        Restarts of the sender.
     chosen : int
-        How often the observer was chosen: anew whenever the signals have grown.
+        How often the observer was chosen: at first, and whenever the signals have grown.
     waiting : str
         What the observer waits for; "" once it runs.
     """
@@ -68,25 +68,25 @@ class Status:
 
 
 class Watch:
-    """Runs the observer over a stream, as firmware would: it learns as it goes.
+    """Observer of a stream, run as in firmware: each estimate uses past samples only.
 
     Parameters
     ----------
     machine : Machine
     head : Path
-        A file in which the first lines of a stream of text are kept.
+        File for the first lines of a text stream.
     unknowns : str or sequence of str
-        As for :func:`fluxobs.estimate`; "auto" is all that the adaptive observer finds.
+        As for :func:`fluxobs.estimate`; "auto": everything that the adaptive observer estimates.
     memory : float, optional
-        [s].
+        Memory of the least squares [s].
     priors : mapping, optional
     layout : optional
-        As for :func:`fluxobs.read_log`: frame, lag, columns, unit, sample_time, header, and more.
+        As for :func:`fluxobs.read_log`: frame, lag, columns, unit, sample_time, header, ….
 
     Attributes
     ----------
     log : Log, optional
-        The first rows, opened; None until there are enough.
+        Log of the first rows; None until enough have arrived.
     """
 
     def __init__(
@@ -110,87 +110,90 @@ class Watch:
         self.log: Log | None = None
         self.run: Prepared | None = None
         self._incoming: Lines | Frames | None = None
-        self._first = b""
+        self._first_bytes = b""
         self._scales: Scales | None = None
         self._recent: list[Aligned] = []
-        self._left = HEAD_ROWS  # rows until the sizes of the signals are measured
+        self._rows_to_measurement = HEAD_ROWS  # rows until the scales are measured
         self._state: Any = None
-        self._before: Any = None
+        self._last_current: Any = None  # of the row before
         self._rows = self._valid = self._chosen = 0
         self._waiting = ""
         self._record: Callable[[bytes], Any] | None = None
-        self._headed = False
+        self._header_recorded = False
         self._unread: list[bytes] = []
 
     def record(self, to: Callable[[bytes], Any] | None) -> None:
-        """Call `to` with the lines of a CSV file of the rows from now on, names first; or stop."""
-        self._record, self._headed = to, False
+        """Call `to` with each further row as lines of CSV, names first; None stops."""
+        self._record, self._header_recorded = to, False
 
     @property
     def unread(self) -> bytes:
-        """While it is recorded: what came before there were rows, as it came."""
+        """While recording: the bytes received before the first row."""
         return b"".join(self._unread)
 
     def feed(self, data: bytes, last: bool = False) -> Iterator[EstimateRows]:
-        """Take bytes as they come, the last ones with `last`; yield estimates.
+        """Add received bytes, with `last` at the end of the stream; yield estimates.
 
-        Rows before the observer is chosen, for want of a current, are not estimated.
+        Rows before the first current flows are not estimated: no observer can be chosen yet.
 
         Raises
         ------
         FluxobsError
-            The stream cannot be read, or no observer fits; the message says what to change.
+            The stream is malformed, or no observer fits; the message says what to change.
         """
         if self.log is None and self._record is not None and data:
             self._unread.append(data)
             while sum(map(len, self._unread)) > _UNREAD:
                 del self._unread[0]
         if self._incoming is None:
-            self._first += data
-            if len(self._first) < _FIRST and not last:
+            self._first_bytes += data
+            if len(self._first_bytes) < _FIRST and not last:
                 return
-            framed = MARK in self._first
+            framed = MARK in self._first_bytes
             header = self.layout.get("header")
             self._incoming = Frames() if framed else Lines(self.head, header)
-            data, self._first = self._first, b""
-        parts = self._incoming.feed(data, last)
-        if self.log is None and parts:
-            self._open(parts)
+            data, self._first_bytes = self._first_bytes, b""
+        batches = self._incoming.feed(data, last)
+        if self.log is None and batches:
+            self._open(batches)
             self._unread = []
         if self.log is None:
             return
-        for part in parts:
-            yield from self._ordered(self._order.add(part))
+        for batch in batches:
+            yield from self._process_ordered(self._order.add(batch))
         if last:
-            yield from self._ordered(self._order.end())
-            yield from self._estimates(self._aligning.end())
+            yield from self._process_ordered(self._order.end())
+            yield from self._estimate_all(self._aligning.end())
             if self.run is None and self._recent:
-                yield from self._measured()
+                yield from self._choose_observer()
 
-    def _ordered(self, rows: Ordered) -> Iterator[EstimateRows]:
+    def _process_ordered(self, ordered: Ordered) -> Iterator[EstimateRows]:
         """Record and estimate rows that are in order."""
         assert self._incoming is not None
         assert self.log is not None
-        if self._record is not None and rows.part.rows:
-            self._record(self._incoming.recorded(rows, self._order.time, not self._headed))
-            self._headed = True
-        columns = self._spaced.add(rows.part.columns, rows.t)
+        if self._record is not None and ordered.received.rows:
+            with_header = not self._header_recorded
+            self._record(self._incoming.recorded(ordered, self._order.time, with_header))
+            self._header_recorded = True
+        columns = self._spaced.add(ordered.received.columns, ordered.t)
         if len(columns["t"]):
             channels, truth = self.log.channels_of(columns)
-            yield from self._estimates(self._aligning.add(columns["t"], channels, truth))
+            yield from self._estimate_all(self._aligning.add(columns["t"], channels, truth))
 
     @property
     def status(self) -> Status:
-        """What has come so far."""
+        """Counts so far, and what the observer waits for."""
         damaged = 0 if self._incoming is None else self._incoming.damaged
         lost = restarts = 0
         if self.log is not None:
             lost, restarts = self._spaced.lost, self._order.restarts
             damaged += self._order.left_out
-        return Status(self._rows, self._valid, lost, damaged, restarts, self._chosen, self._wait())
+        return Status(
+            self._rows, self._valid, lost, damaged, restarts, self._chosen, self._reason()
+        )
 
-    def _wait(self) -> str:
-        """What the observer waits for."""
+    def _reason(self) -> str:
+        """Return what the observer waits for."""
         if self.log is not None:
             return self._waiting
         return (
@@ -199,17 +202,17 @@ class Watch:
             else (self._incoming.waiting)
         )
 
-    def _open(self, parts: list[StreamRows]) -> None:
-        """Open the first rows as a log: what its columns are, and how far apart its rows."""
+    def _open(self, batches: list[StreamRows]) -> None:
+        """Open the first rows as a log, which determines the columns and the sample time."""
         assert self._incoming is not None
-        given = dict(self.layout)
+        layout = dict(self.layout)
         if isinstance(self._incoming, Frames):
-            given = {**self._incoming.layout, **given}
-            given.pop("header", None)
-        log = self._opened(parts, given)
+            layout = {**self._incoming.layout, **layout}
+            layout.pop("header", None)
+        log = self._open_first_rows(batches, layout)
         time = log.names.get("t")
         scale, offset = log.layout.conversion("t")
-        # From here on its times are seconds already, and the time column has any name.
+        # Times are in seconds from here on, and every time column is called "t".
         names = log.names | ({} if time is None else {"t": "t"})
         conversions = {**log.conversions, "t": (1.0, 0.0)}
         clock = log.clock
@@ -220,67 +223,68 @@ class Watch:
         self.log = replace(log, names=names, conversions=conversions)
         self._aligning = self.log.aligning()
 
-    def _opened(self, parts: list[StreamRows], given: dict[str, Any]) -> Log:
-        """The first rows as a log; where time is not in order among them, a piece of them."""
+    def _open_first_rows(self, batches: list[StreamRows], layout: dict[str, Any]) -> Log:
+        """Return the first rows as a log, or a part of them if their times are out of order."""
         assert self._incoming is not None
         problem: RecordError | None = None
-        for source in self._incoming.sources(parts):
+        for source in self._incoming.sources(batches):
             try:
-                return open_for(source, self.machine, **given)
+                return open_for(source, self.machine, **layout)
             except RecordError as error:
                 problem = problem or error
         assert problem is not None
-        words = str(problem)
-        raise RecordError(words.replace(str(self.head), "the stream")) from None
+        message = str(problem)
+        raise RecordError(message.replace(str(self.head), "the stream")) from None
 
-    def _estimates(self, parts: Iterable[Aligned]) -> Iterator[EstimateRows]:
-        """Estimate aligned rows. How many come at once changes no number."""
-        for part in parts:
+    def _estimate_all(self, batches: Iterable[Aligned]) -> Iterator[EstimateRows]:
+        """Estimate aligned rows. The size of the batches changes no number."""
+        for batch in batches:
             at = 0
-            while at < len(part.t):
-                piece = between(part, at, at + self._left)
-                at += len(piece.t)
-                self._left -= len(piece.t)
-                self._recent.append(piece)
+            while at < len(batch.t):
+                segment = between(batch, at, at + self._rows_to_measurement)
+                at += len(segment.t)
+                self._rows_to_measurement -= len(segment.t)
+                self._recent.append(segment)
                 if self.run is not None:
-                    yield self._estimated(piece)
-                if self._left == 0:
-                    yield from self._measured()
+                    yield self._estimate(segment)
+                if self._rows_to_measurement == 0:
+                    yield from self._choose_observer()
 
-    def _measured(self) -> Iterator[EstimateRows]:
-        """Choose the observer, at first and whenever the signals have grown."""
+    def _choose_observer(self) -> Iterator[EstimateRows]:
+        """Measure the scales; choose the observer at first and whenever the signals have grown."""
         assert self.log is not None
         h, recent = self.log.sample_time, joined(self._recent)
-        self._recent, self._left = [], max(1, round(WINDOW / h))
+        self._recent, self._rows_to_measurement = [], max(1, round(WINDOW / h))
         try:
-            found = scales_of([recent], h, self.log.path)
-        except RecordError as error:  # nothing flows yet
+            scales = scales_of([recent], h, self.log.path)
+        except RecordError as error:  # no current flows yet
             self._waiting = str(error).partition(": ")[2]
             return
         self._waiting = ""
-        known = self._scales
-        if known is not None and not (
-            found.current > GROWN * known.current or found.voltage > GROWN * known.voltage
+        before = self._scales
+        if before is not None and not (
+            scales.current > GROWN * before.current or scales.voltage > GROWN * before.voltage
         ):
             return
-        roomy = replace(found, current=GROWN * found.current, voltage=GROWN * found.voltage)
+        roomy = replace(scales, current=GROWN * scales.current, voltage=GROWN * scales.voltage)
         self._scales = roomy
         self.run = prepare(self.log, self.machine, self.unknowns, self.memory, self.priors, roomy)
         self._state = self.run.observer.init()
-        self._before = None
+        self._last_current = None
         self._chosen += 1
-        if known is None:
-            yield self._estimated(recent)
+        if before is None:
+            yield self._estimate(recent)
 
-    def _estimated(self, part: Aligned) -> EstimateRows:
+    def _estimate(self, batch: Aligned) -> EstimateRows:
         assert self.run is not None
-        run, before = self.run, self._before
-        self._before = part.current[-1:]
+        run, before = self.run, self._last_current
+        self._last_current = batch.current[-1:]
         if run.log.inverter is not None:
-            part = less_lost(part, run.log.inverter, part.current[:1] if before is None else before)
+            before = batch.current[:1] if before is None else before
+            batch = less_lost(batch, run.log.inverter, before)
         observer: LogObserver[Any, Any] = run.observer
-        self._state, found = observer.resume(self._state, part.voltage, part.current)
-        rows = rows_of(run.log, self.machine, run.observer, part, found)
+        self._state, estimates = observer.resume(self._state, batch.voltage, batch.current)
+        rows = rows_of(run.log, self.machine, run.observer, batch, estimates)
         self._rows += len(rows.valid)
         self._valid += int(rows.valid.sum())
         return rows

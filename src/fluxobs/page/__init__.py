@@ -1,7 +1,7 @@
-"""The page, and reports: HTML files that need nothing else, and compute in the browser.
+"""The page and reports: self-contained HTML files that compute in the browser.
 
-Both are built from `web/` in the project's root (`make page`): the package's own modules in
-JavaScript, and the firmware's source in WebAssembly.
+Both are built from `web/` in the project's root (`make page`), from the package's modules in
+JavaScript and the firmware's source in WebAssembly.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from typing import Any
 from ..errors import FluxobsError
 
 _FOLDER = Path(__file__).parent
-#: Where the data of a report goes.
+#: Placeholders for the data of a report.
 _DATA, _BLOCKS = "{{data}}", "{{blocks}}"
 
 
 def built(name: str) -> str:
-    """The text of a file that `make page` has built, "page.html" or "report.html".
+    """Return the text of a file built by `make page`, "page.html" or "report.html".
 
     Raises
     ------
     FluxobsError
-        It is not there: an editable installation, before `make page`.
+        The file is missing: the installation is editable, and `make page` has not been run.
     """
     path = _FOLDER / name
     if not path.is_file():
@@ -36,41 +36,43 @@ def built(name: str) -> str:
 
 
 def with_data(template: str, data: Mapping[str, Any]) -> str:
-    """A template with its data, for a script in it to read.
+    """Return a template filled with data for its script.
 
     Parameters
     ----------
     template : str
     data : mapping
-        What JSON can hold. Texts under a key "data" go into a block of their own, one after the
-        other; (first, length) stands in their place.
+        Data for JSON. Texts under a key "data" are moved, one after the other, into a separate
+        block and replaced by [first, length].
     """
     blocks: list[str] = []
-    text = in_script(_apart(data, blocks))
-    # each mark is looked for in the template alone: a name in the data may be such a mark
+    text = in_script(_extract_blocks(data, blocks))
+    # Search the template only: a name in the data may look like a placeholder.
     before, _, rest = template.partition(_DATA)
     between, _, after = rest.partition(_BLOCKS)
     return "".join([before, text, between, *blocks, after])
 
 
 def in_script(data: Any) -> str:
-    """Data as JSON for a script element. It has no "<", so that nothing in it can end the element
-    or begin a comment."""
+    """Return data as JSON for a script element.
+
+    It contains no "<", so that it cannot end the element or begin a comment.
+    """
     text = json.dumps(data, ensure_ascii=False, allow_nan=False)
-    # halves of characters, as the name of a file may have, are escaped: no page can hold them
+    # Escape lone surrogates, which file names may contain: UTF-8 cannot encode them.
     text = text.encode(errors="backslashreplace").decode()
     return text.replace("<", "\\u003c")
 
 
-def _apart(data: Any, blocks: list[str]) -> Any:
-    """The same, with its long texts moved to `blocks`."""
+def _extract_blocks(data: Any, blocks: list[str]) -> Any:
+    """Return the data with the texts under "data" moved to `blocks`."""
     if isinstance(data, Mapping):
-        return {name: _moved(name, value, blocks) for name, value in data.items()}
-    return [_apart(one, blocks) for one in data] if isinstance(data, list) else data
+        return {name: _extract_value(name, value, blocks) for name, value in data.items()}
+    return [_extract_blocks(item, blocks) for item in data] if isinstance(data, list) else data
 
 
-def _moved(name: str, value: Any, blocks: list[str]) -> Any:
+def _extract_value(name: str, value: Any, blocks: list[str]) -> Any:
     if name != "data" or not isinstance(value, str):
-        return _apart(value, blocks)
+        return _extract_blocks(value, blocks)
     blocks.append(value)
     return [sum(map(len, blocks[:-1])), len(value)]

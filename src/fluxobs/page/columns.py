@@ -1,7 +1,7 @@
-"""Columns of numbers as text in an HTML file: as small as they are, and as exact as asked.
+"""Columns of numbers as compact text in an HTML file, exact or rounded.
 
-A column becomes whole numbers where it can, their differences, and the bytes of these, rank by
-rank, compressed. Bytes become text seven bits at a time, which is an eighth less than base64.
+A column becomes whole numbers if it can. Their differences are split into bytes, grouped by
+significance and compressed. Text holds seven bits per character, an eighth less than base64.
 """
 
 from __future__ import annotations
@@ -14,71 +14,72 @@ from numpy.typing import NDArray
 
 from ..core.arrays import Array
 
-#: Most decimal places at which a column is looked at as whole numbers.
+#: Most decimal places tried to represent a column by whole numbers.
 PLACES = 9
-#: What a rounded column may be off by, as a share of its own noise: that adds 1 % to it.
+#: Largest rounding error, as a share of the noise of a column: it adds 1 % to the noise.
 ROUNDED = 1 / 4
-#: Characters that HTML changes, or that may end a script, and what stands for them.
+#: Characters that HTML changes, or that may end a script → their replacements.
 _ESCAPED = {0: 0x80, 13: 0x81, 60: 0x82}
 #: Largest whole number whose differences fit into 32 bits.
 LARGEST = 2**30
 
 
 def exact(values: Array) -> dict[str, Any]:
-    """A column, bit for bit: whole numbers over a power of ten where it is that, else doubles.
+    """Encode a column exactly: as whole numbers over a power of ten if possible, else as doubles.
 
     Parameters
     ----------
     values : (rows,) ndarray
         NaN where missing.
     """
-    known = values[np.isfinite(values)]
+    finite = values[np.isfinite(values)]
     for places in range(PLACES + 1):
         size = 10.0**places
-        whole = np.round(known * size)
+        whole = np.round(finite * size)
         if np.abs(whole).max(initial=0.0) >= LARGEST:
             break
-        # what divides as JavaScript and C divide
-        if np.array_equal(whole / size, known) and len(known) == len(values):
+        # JavaScript decodes with the same division
+        if np.array_equal(whole / size, finite) and len(finite) == len(values):
             return _whole(np.round(values * size).astype(np.int64), size, divide=True)
     raw = np.ascontiguousarray(values, dtype="<f8").view(np.uint8).reshape(-1, 8)
     return {"kind": "double", "rows": len(values), "data": _packed(raw)}
 
 
 def rounded(values: Array, at_most: float | None = None) -> dict[str, Any]:
-    """A column for pictures: off by at most a share of its noise, or by `at_most`.
+    """Encode a column for plots, rounded within a share of its noise or within `at_most`.
 
     Parameters
     ----------
     values : (rows,) ndarray
         NaN where missing.
     at_most : float, optional
+        Largest rounding error; default ROUNDED times the noise.
     """
-    known = np.isfinite(values)
-    finite = values[known]
+    present = np.isfinite(values)
+    finite = values[present]
     span = float(np.ptp(finite)) if len(finite) else 0.0
     noise = float(np.median(np.abs(np.diff(finite, 3)))) / 3 if len(finite) > 3 else 0.0
     step = 2 * (at_most if at_most is not None else max(ROUNDED * noise, 1e-7 * span))
-    most = float(np.abs(finite).max(initial=0.0))
-    step = max(step, most / LARGEST, 1e-300)
-    filled = np.where(known, values, 0.0)
-    if not known.all():  # what is missing repeats its neighbour, and is told apart
-        at = np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))
-        filled = np.where(known[at], values[at], 0.0)
-    out = _whole(np.round(filled / step).astype(np.int64), step, divide=False)
-    if not known.all():
-        out["missing"] = flags(~known)
-    return out
+    largest = float(np.abs(finite).max(initial=0.0))
+    step = max(step, largest / LARGEST, 1e-300)
+    filled = np.where(present, values, 0.0)
+    if not present.all():  # missing values repeat their neighbour and are flagged
+        at = np.maximum.accumulate(np.where(present, np.arange(len(values)), 0))
+        filled = np.where(present[at], values[at], 0.0)
+    column = _whole(np.round(filled / step).astype(np.int64), step, divide=False)
+    if not present.all():
+        column["missing"] = flags(~present)
+    return column
 
 
 def flags(values: NDArray[np.bool_]) -> dict[str, Any]:
-    """A column of true and false."""
+    """Encode a column of true and false."""
     bits = np.packbits(values, bitorder="little")
     return {"kind": "flags", "rows": len(values), "data": _packed(bits[:, None])}
 
 
 def _whole(whole: NDArray[np.int64], size: float, divide: bool) -> dict[str, Any]:
-    """Whole numbers by their differences, of which the sign is the lowest bit."""
+    """Encode whole numbers by their differences, with the sign in the lowest bit."""
     steps = np.diff(whole, prepend=0)
     zigzag = ((steps << 1) ^ (steps >> 63)).astype("<u4")
     planes = zigzag.view(np.uint8).reshape(-1, 4)
@@ -89,16 +90,16 @@ def _whole(whole: NDArray[np.int64], size: float, divide: bool) -> dict[str, Any
 
 
 def _packed(bytes_of_rows: NDArray[np.uint8]) -> str:
-    """Byte by byte of all rows, since those of one rank are alike; compressed, as text."""
+    """Compress bytes grouped by significance, which are alike in all rows; return text."""
     planes = np.ascontiguousarray(bytes_of_rows.T).tobytes()
     return as_text(gzip.compress(planes, 6, mtime=0))
 
 
 def as_text(data: bytes) -> str:
-    """Bytes as characters of seven bits, which a script element of HTML keeps as they are."""
+    """Encode bytes as characters of seven bits, which a script element of HTML preserves."""
     bits = np.unpackbits(np.frombuffer(data, np.uint8))
     sevens = np.concatenate([bits, np.zeros(-len(bits) % 7, np.uint8)]).reshape(-1, 7)
     codes = (np.packbits(sevens, axis=1)[:, 0] >> 1).astype("<u2")
-    for code, other in _ESCAPED.items():
-        codes[codes == code] = other
+    for code, replacement in _ESCAPED.items():
+        codes[codes == code] = replacement
     return codes.tobytes().decode("utf-16-le")

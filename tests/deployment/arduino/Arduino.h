@@ -1,4 +1,4 @@
-/* What the exported sketches use of Arduino's core, on a computer. */
+/* The parts of Arduino's core that the exported sketches use, for a computer. */
 #pragma once
 #include <cmath>
 #include <cstdint>

@@ -1,5 +1,5 @@
-/* A simulated servo motor with the exported sensor: started in open loop, handed over, its gates
- * switched off. Prints what happened; the loop's period varies. */
+/* A simulated servo motor with the exported sensor: starts in open loop, hands over, then the gates
+ * are switched off. Prints the events; the period of the loop varies. */
 #include "SimpleFOC.h"
 
 #include "FluxobsSensor.h"
@@ -53,9 +53,9 @@ int main() {
         t += 1e-6 * us;
         sensor.update();
         if (sensor.needsSearch() == 0) {
-            const double off = std::remainder(
+            const double error = std::remainder(
                 motor.pole_pairs * (double)sensor.getMechanicalAngle() - theta, 6.283185307179586);
-            worst = std::fabs(off) > worst ? std::fabs(off) : worst;
+            worst = std::fabs(error) > worst ? std::fabs(error) : worst;
         }
         motor.enabled = t < 1.8;
         double set = 0.0, volts = 0.0;

@@ -8,7 +8,7 @@ bool fluxobs_mesc_run(MESC_motor_typedef *motor);
 
 static MESC_motor_typedef m;
 
-/* Writes this voltage, turned on by `turn`, as MESCpwm_Write does. */
+/* Writes this voltage, turned by `turn`, as MESCpwm_Write does. */
 static void write(const double u[2], double turn, double written[2])
 {
     written[0] = cos(turn) * u[0] - sin(turn) * u[1];
@@ -27,7 +27,7 @@ int main(int argc, char **argv)
         const bool on = motor_gates();
         const double half_turn = 0.5 * motor.period * motor.speed;
         m.MotorState = on ? MOTOR_STATE_RUN : MOTOR_STATE_IDLE;
-        write(u, half_turn, top); /* the last command once more, turned on: INTERPOLATE_V7_ANGLE */
+        write(u, half_turn, top); /* the last command again, turned: INTERPOLATE_V7_ANGLE */
         motor_current(i);
         m.FOC.Iab.a = (float)i[0];
         m.FOC.Iab.b = (float)i[1];
@@ -35,7 +35,7 @@ int main(int argc, char **argv)
         motor_judge(ours, TURN / 65536.0 * m.FOC.FOCAngle,
                     TURN / 65536.0 * m.FOC.PLL_int / motor.period, 0.0);
         motor_command(1.25, u);
-        motor_half(bottom); /* what was written at the bottom acts from the top */
+        motor_half(bottom); /* the voltage written at the bottom acts from the top */
         write(u, 0.0, bottom);
         motor_half(top);
     }

@@ -1,11 +1,11 @@
 /* A simulated servo motor and its current control, for the harnesses that play a host's firmware.
  *
- * The rotor turns as prescribed: a run-up to `turns` rad/s. The gates are off, on, off, on. A harness
- * reads the currents at each sample, calls the shim as the firmware would, asks for the next command,
- * and lets the motor run under the voltages that the host's PWM makes of the commands.
+ * The rotor follows a prescribed run-up to `turns` rad/s. The gates are off, on, off, on. At each
+ * sample a harness reads the currents, calls the shim as the firmware would, asks for the next command,
+ * and runs the motor with the voltages that the host's PWM applies for the commands.
  *
- * A fault may be asked for, so that a test can see that it is found:
- *     later     every voltage acts half a period later than the host has it
+ * A fault can be injected, so that a test can check that it is detected:
+ *     later     every voltage acts half a period later than in the host
  *     reversed  the current is measured with the other sign
  *     swapped   phases b and c are swapped in the currents
  */
@@ -25,7 +25,7 @@ static struct {
     double period, full_speed;          /* [s], electrical [rad/s] */
     double time, theta, speed;          /* [s], [rad], [rad/s] */
     double i[2];                        /* true, alpha and beta [A] */
-    double late[2][2];                  /* voltages that a fault keeps back */
+    double late[2][2];                  /* voltages that a fault delays */
     double integral[2];                 /* of the current control, dq [V] */
     const char *fault;
     double worst, worst_speed;          /* errors while trusted [rad], [rad/s] */
@@ -54,7 +54,7 @@ static inline void motor_start(int argc, char **argv, double period)
     motor.speed = 0.5 * motor.full_speed;
 }
 
-/* The currents as sensors see them now, with offsets: of phases a, b, c [A]. */
+/* Returns the measured currents of phases a, b, c, with offsets [A]. */
 static inline void motor_currents(double abc[3])
 {
     const double sign = strcmp(motor.fault, "reversed") == 0 ? -1.0 : 1.0;
@@ -74,7 +74,7 @@ static inline void motor_current(double i[2])
     i[1] = (abc[1] - abc[2]) / sqrt(3.0);
 }
 
-/* The next command, alpha and beta [V]; it will act `centre` periods from now, on average. */
+/* Computes the next command, alpha and beta [V], which acts `centre` periods from now on average. */
 static inline void motor_command(double centre, double u[2])
 {
     const double c = cos(motor.theta), s = sin(motor.theta), w = motor.speed;
@@ -95,7 +95,7 @@ static inline void motor_command(double centre, double u[2])
     u[1] = sin(ahead) * v[0] + cos(ahead) * v[1];
 }
 
-/* Duties of a command, 0 to 1, by space-vector modulation; and what voltage duties make. */
+/* Duties of a command, 0 to 1, by space-vector modulation; motor_voltage is the inverse. */
 static inline void motor_duties(const double u[2], double duty[3])
 {
     const double v[3] = {u[0], -0.5 * u[0] + 0.8660254037844386 * u[1],
@@ -112,7 +112,7 @@ static inline void motor_voltage(const double duty[3], double u[2])
     u[1] = BUS * (duty[1] - duty[2]) / sqrt(3.0);
 }
 
-/* Half a period under this voltage; none if the gates are off. */
+/* Runs the motor for half a period with this voltage, or without current if the gates are off. */
 static inline void motor_half(const double wanted[2])
 {
     const int parts = 40;
@@ -138,8 +138,8 @@ static inline void motor_half(const double wanted[2])
     }
 }
 
-/* What the host has now: whether it trusts the angle [rad] and speed [rad/s], both electrical, which
- * it takes for those `ahead` seconds from now. */
+/* Compares the host's electrical angle [rad] and speed [rad/s], which it expects `ahead` seconds from
+ * now, with the true ones; `trusted`: whether the host uses them. */
 static inline void motor_judge(bool trusted, double theta, double speed, double ahead)
 {
     static double off_since;
@@ -147,7 +147,7 @@ static inline void motor_judge(bool trusted, double theta, double speed, double 
     if (motor_gates()) {
         off_since = motor.time;
     }
-    /* The angle may go on for 10 ms after the gates, no longer. */
+    /* The host may trust the angle for 10 ms after the gates went off. */
     if (trusted && motor.time - off_since > 0.011) {
         motor.wrong_off++;
     }

@@ -1,4 +1,4 @@
-"""The forms of an export: what is written around the same C sources, parameters and record."""
+"""Forms of an export around the same C sources, parameters and record."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from ..core import Core
 
 
-#: Form → the command, or the place, that tries an export in ``{folder}``. Each form is a module of
-#: this package with a function ``files``.
+#: Form → command, or place, that tests an export in ``{folder}``. Each form is a module of this
+#: package with a function ``files``.
 FORMS = {
     "c": "make -C {folder} test",
     "arduino": "the example SelfTest of {folder}",
@@ -24,14 +24,14 @@ FORMS = {
 
 
 def files_of(form: str) -> Callable[[Core], dict[str, str | bytes]]:
-    """What writes a form: from a core, relative path → content.
+    """Return the function that turns a core into the files of a form, relative path → content.
 
     Raises
     ------
     FluxobsError
-        There is no form of this name.
+        No form has this name.
     """
     if form not in FORMS:
-        raise FluxobsError(f"no form {form!r} of an export; there are {', '.join(FORMS)}")
+        raise FluxobsError(f"no form {form!r} of an export; choose one of {', '.join(FORMS)}")
     files: Callable[[Core], dict[str, str | bytes]] = import_module(f".{form}", __name__).files
     return files

@@ -23,21 +23,21 @@ TEMPLATES = {
 
 
 def files(core: Core) -> dict[str, str | bytes]:
-    """Relative path → content.
+    """Return relative path → content.
 
     Raises
     ------
     FluxobsError
-        The observer steps every few interrupts only.
+        The observer steps only every few interrupts.
     """
     check_every_step(core, "an Arduino library")
-    words = _words(core)
+    placeholders = _placeholders(core)
     code = joined(core.code, core.runtime)
     vectors = vectors_header(core.record, core.estimates)
     check = "the example SelfTest replays the record"
     return joined(
         {f"src/{name}": text for name, text in code.items()},
-        {name: fill(core, template, words) for name, template in TEMPLATES.items()},
+        {name: fill(core, template, placeholders) for name, template in TEMPLATES.items()},
         {
             "examples/SelfTest/vectors.h": vectors,
             "LICENSE": core.licence,
@@ -46,7 +46,7 @@ def files(core: Core) -> dict[str, str | bytes]:
     )
 
 
-def _words(core: Core) -> dict[str, str]:
+def _placeholders(core: Core) -> dict[str, str]:
     sample_time = core.plain.sample_time
     slowest = slowest_speed(core) / core.machine.n_p
     fast, *_, slow = read_costs()["adaptive" if core.adaptive else "plain"]["builds"]

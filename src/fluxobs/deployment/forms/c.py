@@ -23,7 +23,7 @@ TEMPLATES = {
 
 
 def files(core: Core) -> dict[str, str | bytes]:
-    """Relative path → content."""
+    """Return relative path → content."""
     runtime = joined(core.runtime, configuration_files(core.prefix, core.single))
     return joined(
         core.code,

@@ -1,4 +1,4 @@
-"""Units for co-simulation, FMI 3.0 and 2.0: sources, and binaries for the usual systems.
+"""Units for co-simulation, FMI 3.0 and 2.0: sources, and binaries for common systems.
 
 The standards: https://fmi-standard.org, versions 3.0 and 2.0.4.
 """
@@ -28,7 +28,7 @@ from ..variables import (
 )
 from . import build
 
-#: Name of a binary's folder in FMI 3.0 and in 2.0 → zig's name of the target, suffix.
+#: Name of the binary's folder in FMI 3.0 and in FMI 2.0 → zig's name of the target, suffix.
 TARGETS = {
     ("x86_64-linux", "linux64"): ("x86_64-linux-gnu.2.17", ".so"),
     ("aarch64-linux", None): ("aarch64-linux-gnu.2.17", ".so"),
@@ -46,23 +46,23 @@ UNITS = {
     "rad/s": {"rad": 1, "s": -1},
 }
 UNIT_SOURCES = ("unit.h", "unit.c")
-#: The oldest date that a zip file can have: the same call writes the same bytes.
+#: The oldest date that a zip file allows; constant, so that the same call writes the same bytes.
 DATE = (1980, 1, 1, 0, 0, 0)
 
 
 def files(core: Core) -> dict[str, str | bytes]:
-    """Relative path → content.
+    """Return relative path → content.
 
     Raises
     ------
     FluxobsError
-        The observer steps every few interrupts only, or a compiler fails.
+        The observer steps only every few interrupts, or a compiler fails.
     """
     check_every_step(core, "a simulation unit")
     if not build.has_zig() and not build.local_compiler():
         raise FluxobsError(
-            "no C compiler for the units' binaries: run `pip install ziglang`, which compiles for "
-            "Linux, Windows and macOS"
+            "no C compiler for the binaries: run `pip install ziglang`, which compiles for Linux, "
+            "Windows and macOS"
         )
     core = in_double(core)
     identifier = f"fluxobs_{core.prefix}"
@@ -85,17 +85,20 @@ def files(core: Core) -> dict[str, str | bytes]:
                 },
             )
         )
-    words = {"identifier": identifier, "binaries": ", ".join(sorted(_systems(built))) or "none"}
+    placeholders = {
+        "identifier": identifier,
+        "binaries": ", ".join(sorted(_systems(built))) or "none",
+    }
     tests = {
         "test/record.csv": record_csv(core),
-        "test/check.py": fill(core, "fmu/check.py", words),
+        "test/check.py": fill(core, "fmu/check.py", placeholders),
     }
     command = [sys.executable, "test/check.py", "--json"]
     installed = importlib.util.find_spec("fmpy") is not None
     compared = build.compared(joined(units, tests), command) if installed else []
     check = "python test/check.py (needs PyPI's fmpy) replays the record with both units"
     about = {
-        "README.md": fill(core, "fmu/README.md", words),
+        "README.md": fill(core, "fmu/README.md", placeholders),
         "LICENSE": core.licence,
         "certificate.json": certificate(core, "fmu", check, compared),
     }
@@ -103,8 +106,9 @@ def files(core: Core) -> dict[str, str | bytes]:
 
 
 def _systems(paths: set[str]) -> set[str]:
-    names = {old: new for new, old in TARGETS}
-    return {names.get(part := path.split("/")[1], part) or part for path in paths}
+    names = {fmi2: fmi3 for fmi3, fmi2 in TARGETS}
+    folders = [path.split("/")[1] for path in paths]
+    return {names.get(folder, folder) or folder for folder in folders}
 
 
 def _token(core: Core) -> str:
@@ -112,49 +116,49 @@ def _token(core: Core) -> str:
 
 
 def _sources(core: Core, version: int) -> dict[str, str]:
-    """All C files of a unit."""
+    """Return all C files of a unit."""
     variables = output_variables(core)
     values = c_values(core, "double")
-    words = {"outputs": str(len(variables)), "values": values, "token": _token(core)}
+    placeholders = {"outputs": str(len(variables)), "values": values, "token": _token(core)}
     names = (*UNIT_SOURCES, f"fmi{version}.c")
-    return joined(core.code, {name: fill(core, f"fmu/{name}", words) for name in names})
+    return joined(core.code, {name: fill(core, f"fmu/{name}", placeholders) for name in names})
 
 
 def _binaries(identifier: str, sources: Mapping[str, str], version: int) -> dict[str, bytes]:
-    """Path within the unit → library, for every system that can be built for here."""
-    found = {}
+    """Return path within the unit → library, for each system with a compiler here."""
+    binaries = {}
     here = "-".join(build.host())
-    for (three, two), (target, suffix) in TARGETS.items():
-        folder = three if version == 3 else two
+    for (fmi3_name, fmi2_name), (target, suffix) in TARGETS.items():
+        folder = fmi3_name if version == 3 else fmi2_name
         if folder is None:
             continue
         if build.has_zig():
             compiler = build.zig(target)
-        elif three == here and (local := build.local_compiler()):
+        elif fmi3_name == here and (local := build.local_compiler()):
             compiler = [*local, "-fPIC"]
         else:
             continue
         libraries = [] if "windows" in target else ["-lm"]
-        made = build.compile_shared(compiler, sources, libraries)
-        found[f"binaries/{folder}/{identifier}{suffix}"] = made
-    return found
+        library = build.compile_shared(compiler, sources, libraries)
+        binaries[f"binaries/{folder}/{identifier}{suffix}"] = library
+    return binaries
 
 
 def _described_sources(identifier: str, sources: Mapping[str, str], version: int) -> dict[str, str]:
-    """The sources in the unit; FMI 3.0 wants a description of how they are built."""
+    """Return the sources of the unit; FMI 3.0 requires a build description."""
     packed = {f"sources/{name}": text for name, text in sources.items()}
     if version == 2:
         return packed
     root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
-    one = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=identifier)
+    configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=identifier)
     group = ElementTree.SubElement(
-        one, "SourceFileSet", language="C99", compilerOptions="-ffp-contract=off"
+        configuration, "SourceFileSet", language="C99", compilerOptions="-ffp-contract=off"
     )
     for name in sorted(sources):
         if name.endswith(".c"):
             ElementTree.SubElement(group, "SourceFile", name=name)
     ElementTree.SubElement(group, "PreprocessorDefinition", name="FO_SINGLE", value="0")
-    ElementTree.SubElement(one, "Library", name="m", external="true")
+    ElementTree.SubElement(configuration, "Library", name="m", external="true")
     return packed | {"sources/buildDescription.xml": _text(root)}
 
 
@@ -164,7 +168,7 @@ def _text(root: ElementTree.Element) -> str:
 
 
 def _description(core: Core, identifier: str, version: int, sources: Mapping[str, str]) -> str:
-    """modelDescription.xml."""
+    """Return the text of modelDescription.xml."""
     token = "instantiationToken" if version == 3 else "guid"
     root = ElementTree.Element(
         "fmiModelDescription",
@@ -174,7 +178,7 @@ def _description(core: Core, identifier: str, version: int, sources: Mapping[str
             token: _token(core),
             "description": f"Flux, position and speed of an electrical machine; content "
             f"{core.content}. A step takes the voltage of the last interval and the current at its "
-            f"end: outputs belong to the instant at which the inputs were set, and are read one "
+            f"end. Outputs belong to the instant at which the inputs were set and are read one "
             f"communication step later.",
             "generationTool": f"fluxobs {core.version}",
             "license": "MIT",
@@ -183,20 +187,20 @@ def _description(core: Core, identifier: str, version: int, sources: Mapping[str
         | ({"numberOfEventIndicators": "0"} if version == 2 else {}),
     )
     period = repr(core.plain.sample_time)
-    saves = "FMUState" if version == 3 else "FMUstate"
-    simulated = ElementTree.SubElement(
+    state = "FMUState" if version == 3 else "FMUstate"
+    simulation = ElementTree.SubElement(
         root,
         "CoSimulation",
         {
             "modelIdentifier": identifier,
             "canHandleVariableCommunicationStepSize": "false",
-            f"canGetAndSet{saves}": "true",
-            f"canSerialize{saves}": "true",
+            f"canGetAndSet{state}": "true",
+            f"canSerialize{state}": "true",
         }
         | ({"fixedInternalStepSize": period} if version == 3 else {}),
     )
     if version == 2:
-        listed = ElementTree.SubElement(simulated, "SourceFiles")
+        listed = ElementTree.SubElement(simulation, "SourceFiles")
         for name in sorted(sources):
             if name.endswith(".c"):
                 ElementTree.SubElement(listed, "File", name=name)
@@ -215,20 +219,20 @@ def _description(core: Core, identifier: str, version: int, sources: Mapping[str
         ElementTree.SubElement(
             variables, "Float64", clock | {"variability": "continuous", "unit": "s"}
         )
-        for number, one in enumerate((*INPUTS, *outputs), 1):
-            kind = "Boolean" if one.boolean else "Float64"
-            ElementTree.SubElement(variables, kind, _variable(one, number, version))
+        for number, variable in enumerate((*INPUTS, *outputs), 1):
+            kind = "Boolean" if variable.boolean else "Float64"
+            ElementTree.SubElement(variables, kind, _attributes(variable, number, version))
         for kind in ("Output", "InitialUnknown"):
             for n in numbers:
                 ElementTree.SubElement(structure, kind, valueReference=n, dependencies="")
     else:
-        for number, one in enumerate((*INPUTS, *outputs), 1):
-            described = _variable(one, number, version)
+        for number, variable in enumerate((*INPUTS, *outputs), 1):
+            attributes = _attributes(variable, number, version)
             inner: dict[str, str] = {
-                key: described.pop(key) for key in ("start", "unit") if key in described
+                key: attributes.pop(key) for key in ("start", "unit") if key in attributes
             }
-            element = ElementTree.SubElement(variables, "ScalarVariable", described)
-            ElementTree.SubElement(element, "Boolean" if one.boolean else "Real", inner)
+            element = ElementTree.SubElement(variables, "ScalarVariable", attributes)
+            ElementTree.SubElement(element, "Boolean" if variable.boolean else "Real", inner)
         for kind in ("Outputs", "InitialUnknowns"):
             listed = ElementTree.SubElement(structure, kind)
             for n in numbers:
@@ -236,34 +240,35 @@ def _description(core: Core, identifier: str, version: int, sources: Mapping[str
     return _text(root)
 
 
-def _variable(one: Variable, number: int, version: int) -> dict[str, str]:
-    given = not one.member
-    described = {"name": one.name, "valueReference": str(number), "description": one.about}
-    described["causality"] = "input" if given else "output"
-    described["variability"] = "discrete"
-    if given:
-        described["start"] = "0"
+def _attributes(variable: Variable, number: int, version: int) -> dict[str, str]:
+    is_input = not variable.member
+    attributes = {"name": variable.name, "valueReference": str(number)}
+    attributes["description"] = variable.about
+    attributes["causality"] = "input" if is_input else "output"
+    attributes["variability"] = "discrete"
+    if is_input:
+        attributes["start"] = "0"
     elif version == 2:
-        described["initial"] = "calculated"
-    if one.unit:
-        described["unit"] = one.unit
-    return described
+        attributes["initial"] = "calculated"
+    if variable.unit:
+        attributes["unit"] = variable.unit
+    return attributes
 
 
 def _packed(content: Mapping[str, str | bytes]) -> bytes:
-    """A zip file with the same bytes each time."""
+    """Return a zip file, with the same bytes for the same content."""
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, one in content.items():
+        for name, data in content.items():
             entry = zipfile.ZipInfo(name, DATE)
             entry.external_attr = 0o644 << 16
-            archive.writestr(entry, one, zipfile.ZIP_DEFLATED)
+            archive.writestr(entry, data, zipfile.ZIP_DEFLATED)
     return packed.getvalue()
 
 
 def _page(core: Core) -> str:
     return (
         f"<!DOCTYPE html><title>fluxobs: {core.prefix}</title><p>Observer of flux, position and "
-        f"speed, content {core.content}. Inputs and outputs are described in modelDescription.xml; "
-        f"certificate.json beside the unit says what they were compared with.</p>\n"
+        f"speed, content {core.content}. modelDescription.xml describes inputs and outputs; "
+        f"certificate.json beside the unit lists the comparisons made.</p>\n"
     )

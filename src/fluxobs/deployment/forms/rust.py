@@ -11,7 +11,7 @@ from ..folder import joined
 from ..templating import fill
 from ..variables import Variable, c_values, check_every_step, output_variables, record_csv
 
-#: What the door needs besides: a start from a known angle.
+#: Further sources for door.c: start from a known angle.
 SEED = ("fluxobs_seed.h", "fluxobs_seed.c")
 TEMPLATES = {
     "Cargo.toml": "Cargo.toml",
@@ -24,19 +24,22 @@ TEMPLATES = {
 
 
 def files(core: Core) -> dict[str, str | bytes]:
-    """Relative path → content.
+    """Return relative path → content.
 
     Raises
     ------
     FluxobsError
-        The observer steps every few interrupts only.
+        The observer steps only every few interrupts.
     """
     check_every_step(core, "a crate")
-    words = _words(core)
+    placeholders = _placeholders(core)
     sources = joined(core.code, {name: core.runtime[name] for name in SEED})
     return joined(
         {f"csrc/{name}": text for name, text in sources.items()},
-        {name: fill(core, f"rust/{template}", words) for name, template in TEMPLATES.items()},
+        {
+            name: fill(core, f"rust/{template}", placeholders)
+            for name, template in TEMPLATES.items()
+        },
         {
             "tests/record.csv": record_csv(core, "single"),
             "LICENSE": core.licence,
@@ -45,24 +48,24 @@ def files(core: Core) -> dict[str, str | bytes]:
     )
 
 
-def _words(core: Core) -> dict[str, str]:
+def _placeholders(core: Core) -> dict[str, str]:
     variables = output_variables(core)
     crate = _snake_case(f"fluxobs_{core.prefix}")
     compiled = [name for name in core.code if name.endswith(".c")] + [SEED[1], "door.c"]
     bytes_of = _core_single.adaptive_state_bytes if core.adaptive else _core_single.state_bytes
     values = (
-        f"{one.name}: x[{n}] > 0.5," if one.boolean else f"{one.name}: x[{n}],"
-        for n, one in enumerate(variables)
+        f"{output.name}: x[{n}] > 0.5," if output.boolean else f"{output.name}: x[{n}],"
+        for n, output in enumerate(variables)
     )
     numbers = (
-        f"f32::from(u8::from(self.{one.name}))," if one.boolean else f"self.{one.name},"
-        for one in variables
+        f"f32::from(u8::from(self.{output.name}))," if output.boolean else f"self.{output.name},"
+        for output in variables
     )
     return {
         "crate": crate.replace("_", "-"),
         "rust_crate": crate,
         "rust_sources": ", ".join(f'"{name}"' for name in compiled),
-        "rust_fields": "\n".join(_field(one) for one in variables),
+        "rust_fields": "\n".join(_field(output) for output in variables),
         "rust_values": "\n".join(f"            {row}" for row in values),
         "rust_numbers": "\n".join(f"            {row}" for row in numbers),
         "outputs": str(len(variables)),
@@ -72,7 +75,7 @@ def _words(core: Core) -> dict[str, str]:
 
 
 def _snake_case(name: str) -> str:
-    """The name as the compiler of Rust wants a crate's: small letters, single underscores.
+    """Return the name as Rust requires for a crate: lower case, single underscores.
 
     Examples
     --------
@@ -82,7 +85,7 @@ def _snake_case(name: str) -> str:
     return re.sub("_+", "_", name.lower()).strip("_")
 
 
-def _field(one: Variable) -> str:
-    unit = f" [{one.unit}]" if one.unit else ""
-    kind = "bool" if one.boolean else "f32"
-    return f"    /// {one.about}{unit}.\n    pub {one.name}: {kind},"
+def _field(output: Variable) -> str:
+    unit = f" [{output.unit}]" if output.unit else ""
+    kind = "bool" if output.boolean else "f32"
+    return f"    /// {output.about}{unit}.\n    pub {output.name}: {kind},"

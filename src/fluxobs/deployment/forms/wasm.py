@@ -1,4 +1,4 @@
-"""A WebAssembly module without imports, and its door in JavaScript."""
+"""A WebAssembly module without imports, and its JavaScript wrapper."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ from . import build
 
 
 def files(core: Core) -> dict[str, str | bytes]:
-    """Relative path → content.
+    """Return relative path → content.
 
     Raises
     ------
     FluxobsError
-        The observer steps every few interrupts only, or no compiler for WebAssembly is here.
+        The observer steps only every few interrupts, or no compiler for WebAssembly is installed.
     """
     check_every_step(core, "a module")
     variables = output_variables(core)
-    words = {
+    placeholders = {
         "outputs": str(len(variables)),
         "values": c_values(core, "double"),
-        "names": json.dumps([one.name for one in variables]),
-        "booleans": json.dumps([one.name for one in variables if one.boolean]),
+        "names": json.dumps([variable.name for variable in variables]),
+        "booleans": json.dumps([variable.name for variable in variables if variable.boolean]),
     }
-    sources = joined(core.code, {"module.c": fill(core, "wasm/module.c", words)})
-    made: dict[str, str | bytes] = {
+    sources = joined(core.code, {"module.c": fill(core, "wasm/module.c", placeholders)})
+    module: dict[str, str | bytes] = {
         f"{core.prefix}.wasm": build.compile_wasm(_compiler(), sources),
-        f"{core.prefix}.mjs": fill(core, "wasm/observer.mjs", words),
+        f"{core.prefix}.mjs": fill(core, "wasm/observer.mjs", placeholders),
         "test/record.csv": record_csv(core),
-        "test/check.mjs": fill(core, "wasm/check.mjs", words),
+        "test/check.mjs": fill(core, "wasm/check.mjs", placeholders),
     }
     node = shutil.which("node")
-    compared = build.compared(made, [node, "test/check.mjs", "--json"]) if node else []
+    compared = build.compared(module, [node, "test/check.mjs", "--json"]) if node else []
     check = "node test/check.mjs replays the record"
     return joined(
-        made,
+        module,
         {f"source/{name}": text for name, text in sources.items()},
         {
-            "README.md": fill(core, "wasm/README.md", words),
+            "README.md": fill(core, "wasm/README.md", placeholders),
             "LICENSE": core.licence,
             "certificate.json": certificate(core, "wasm", check, compared),
         },

@@ -1,12 +1,12 @@
 /* The flux observer in place of an encoder, for SimpleFOC 2.3 or newer (include SimpleFOC.h first).
  *
- * It reads the phase currents each time SimpleFOC asks for the angle, takes the voltage that
- * SimpleFOC has set in the meantime, and tells the angle of the magnets: zero_electric_angle is 0 and
- * sensor_direction CW, nothing has to be aligned. The angle of the shaft is known but for a multiple
+ * Each time SimpleFOC asks for the angle, it reads the phase currents, takes the voltage that SimpleFOC
+ * has set since the last time, and returns the angle of the magnets. Hence zero_electric_angle is 0,
+ * sensor_direction is CW, and no alignment is needed. The angle of the shaft is ambiguous by multiples
  * of 360 degrees over the pole pairs.
  *
- * It cannot see a rotor that stands. Start in open loop; handOver() closes the loop once the position
- * is valid, and opens it again when it has been lost.
+ * The position is not observable at standstill. Start in open loop; handOver() closes the loop once the
+ * position is valid, and opens it again after the position has been lost.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -20,11 +20,11 @@
 
 class FluxobsSensor : public Sensor {
 public:
-    /* How long the position has to be valid before the loop is closed, and to be lost before it is
-     * opened again [s]; largest standard deviation for closing it [rad]. */
+    /* Time for which the position must be valid before the loop closes, and lost before it opens again
+     * [s]; largest standard deviation for closing it [rad]. */
     float settle_time = 0.02f, patience = 0.05f, settled_std = 0.035f;
 
-    /* The motor's voltage and the currents, both in V and A; the observer belongs to this motor. */
+    /* `parameters` must be those of this motor; voltages in V, currents in A. */
     FluxobsSensor(const @fo_type@ &parameters, FOCMotor &of_motor, CurrentSense &sense)
         : observer(parameters), motor(of_motor), currents(sense) {}
 
@@ -42,7 +42,7 @@ public:
         const float duration = 1e-6f * (float)(now - last);
         const ABCurrent_s i = currents.getABCurrents(currents.getPhaseCurrents());
         const fo_real current[FO_N] = {i.alpha, i.beta};
-        /* SimpleFOC has set it after the last update. With the gates off it is the motor's own. */
+        /* SimpleFOC set this voltage after the last update. With the gates off it is unknown. */
         const bool driven = on && motor.enabled != 0;
         const fo_real voltage[FO_N] = {driven ? motor.Ualpha : NAN, driven ? motor.Ubeta : NAN};
         @fo@_step_for(&observer, &state, duration, voltage, current, &estimate);
@@ -54,14 +54,14 @@ public:
         Sensor::update();
     }
 
-    /* Of the shaft [rad/s]. */
+    /* Speed of the shaft [rad/s]. */
     float getVelocity() override { return estimate@position@.speed_e / (float)motor.pole_pairs; }
 
-    /* 1 while the position is not known: initFOC() then turns the motor in open loop, at
+    /* 1 while the position is unknown: initFOC() then turns the motor in open loop, at
      * motor.velocity_index_search. */
     int needsSearch() override { return estimate@position@.valid ? 0 : 1; }
 
-    /* Call it after motor.move(): changes between this control in open loop and the other one. */
+    /* Switches between open_loop and closed_loop; call it after motor.move(). */
     void handOver(MotionControlType open_loop, MotionControlType closed_loop) {
         const bool sure = estimate@position@.theta_e_std < settled_std;
         if (motor.controller == open_loop && valid_for > settle_time && sure) {
@@ -99,7 +99,7 @@ private:
     bool on = false;
     float valid_for = 0.0f, lost_for = 0.0f;
     float before = 0.0f; /* electrical angle, 0 to 2 pi [rad] */
-    int turns = 0;       /* electrical, within one of the shaft */
+    int turns = 0;       /* electrical turns within a turn of the shaft */
 };
 
 #endif

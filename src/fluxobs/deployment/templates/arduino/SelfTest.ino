@@ -1,5 +1,5 @@
 /* Replays the record of the export on this board and compares every output with the library's.
- * It needs about @flash@ KB of flash. */
+ * Needs about @flash@ KB of flash. */
 #include <@prefix@_observer.h>
 
 #include "check.h"

@@ -1,4 +1,4 @@
-/* SimpleFOC without a position sensor: starts in open loop, closes the loop on the flux observer.
+/* SimpleFOC without a position sensor: start in open loop, then close the loop on the flux observer.
  *
  * Adapt pins, limits and current sense to the board. Copy this sketch before you change it, so that
  * the library can be exported again.
@@ -13,17 +13,17 @@ BLDCMotor motor = BLDCMotor(@prefix@_pole_pairs);
 InlineCurrentSense sense = InlineCurrentSense(0.01f, 50.0f, A0, A2);
 FluxobsSensor sensor = FluxobsSensor(@prefix@_observer, motor, sense);
 
-const float SPEED = @try_speed@f; /* of the shaft [rad/s]: well above the @slowest_shaft@ at which the position gets lost */
+const float SPEED = @try_speed@f; /* of the shaft [rad/s]: well above @slowest_shaft@, below which the position is lost */
 
 void setup() {
     Serial.begin(115200);
-    driver.voltage_power_supply = 24.0f; /* as measured: the voltages are scaled by it */
+    driver.voltage_power_supply = 24.0f; /* measured: it scales the voltages */
     driver.init();
     motor.linkDriver(&driver);
     sense.linkDriver(&driver);
     sense.init();
     motor.linkCurrentSense(&sense);
-    motor.foc_modulation = FOCModulationType::SpaceVectorPWM; /* not trapezoid: phases would float */
+    motor.foc_modulation = FOCModulationType::SpaceVectorPWM; /* not trapezoidal: phases would float */
     motor.torque_controller = TorqueControlType::foc_current;
     motor.controller = MotionControlType::velocity_openloop;
     motor.current_limit = @rated@f; /* [A] */

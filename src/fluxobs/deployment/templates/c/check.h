@@ -1,5 +1,5 @@
-/* Replays the test vectors and compares the results with those of the fluxobs library. Runs on the
- * target as well: no input, no output, about 70 KB of constants. */
+/* Replays the test vectors and compares the results with those of the fluxobs library. It runs on the
+ * target too: no input, no output, about 70 KB of constants. */
 #ifndef CHECK_H
 #define CHECK_H
 
@@ -14,19 +14,19 @@ extern "C" {
 #endif
 
 typedef struct {
-    int damaged;       /* the vectors are not those that were written */
-    int rows;          /* compared */
-    int wrong;         /* of them */
-    int first_row;     /* the first wrong sample, ... */
-    int first_column;  /* ... and which value of it; see vectors.h */
-    int between;       /* all these are right, but some sample between them is not */
-    int valid;         /* rows whose position is known */
-    double flux_error; /* largest, relative */
+    int damaged;       /* the vectors differ from those exported */
+    int rows;          /* number compared */
+    int wrong;         /* of these, number that differ */
+    int first_row;     /* first wrong sample, ... */
+    int first_column;  /* ... and the first wrong column of it; see vectors.h */
+    int between;       /* all these are right, but a sample between them is wrong */
+    int valid;         /* rows with a valid position */
+    double flux_error; /* largest, relative to the flux */
     double angle_error; /* largest [rad] */
 } check_result;
 
-/* Every output must be equal bit for bit. The sources use nothing of a C library that may round in
- * its own way, but the compiler must not fuse a multiplication and an addition: -ffp-contract=off. */
+/* Every output must be equal bit for bit. The sources call no function of the C library that may round
+ * differently, but the compiler must not fuse multiplications and additions: -ffp-contract=off. */
 void check_replay(check_result *result);
 
 #ifdef __cplusplus

@@ -3,13 +3,13 @@
 @every few@
 /* How to call the observer if it steps only every few interrupts: the current control interrupts
  * every @sample_time@ s, the observer takes a step every @step_time@ s, and volt-seconds are
- * gathered in between, so that none are lost.
+ * summed in between.
 @always@
  * Copy this file under another name before you change it, so that the folder can be exported again.
  * The functions declared here are yours to write.
  *
  *      t[k-1]               t[k]                 t[k+1]
- *        |  `acting` acts    |  `next` acts       |  what is commanded now acts
+ *        |  `acting` acts    |  `next` acts       |  the command of now acts
  *      interrupt           interrupt: i[k] sampled
  */
 #include <math.h>
@@ -32,9 +32,9 @@ static fo_gathered gathered;
 static int since_step; /* interrupts since the observer's last step */
 @always@
 static float acting[2]; /* mean voltage, alpha and beta [V], over the interval that ends now */
-static float next[2];   /* over the one that begins now: commanded an interrupt ago */
+static float next[2];   /* over the interval that begins now: commanded an interrupt ago */
 
-/* Call it each time before the gates are switched on: with the gates off the voltage is unknown. */
+/* Call this each time before the gates are switched on: with the gates off the voltage is unknown. */
 void drive_start(void)
 {
 @when plain@
@@ -52,7 +52,7 @@ void drive_start(void)
 @always@
     @fo@_reset(&@prefix@_observer, &state);
     estimate = nothing_known;
-    acting[0] = acting[1] = NAN; /* not known: no voltage has been commanded yet */
+    acting[0] = acting[1] = NAN; /* unknown: no voltage has been commanded yet */
     next[0] = next[1] = NAN;
 }
 
@@ -84,12 +84,12 @@ void current_control_interrupt(void)
 @every interrupt@
     /* The angle [rad] and speed [rad/s], electrical, are those of t[k]. `valid` says whether the
 @every few@
-    /* Between steps the angle goes on at the speed; wrap it if your control needs that.
+    /* Between steps the angle is extrapolated at the speed; wrap it if your control needs that.
      * Angle [rad] and speed [rad/s], electrical, are those of t[k]. `valid` says whether the
 @always@
-     * position is known; if it has been unknown for long, do not commutate by it (README, "When the
-     * position is valid": how long, and what then). The
-     * command will act around t[k] + 1.5 periods: turn it ahead by 1.5 * @sample_time@ * speed_e. */
+     * position is known. If it has been unknown for long, do not commutate by it (README, "When the
+     * position is valid", says how long and what to do). The command will act around t[k] + 1.5
+     * periods: turn it ahead by 1.5 * @sample_time@ * speed_e. */
 @every interrupt@
     drive_current_control(i, estimate@position@.theta_e_tracked, estimate@position@.speed_e, estimate@position@.valid, udc, command);
 @every few@
@@ -98,16 +98,16 @@ void current_control_interrupt(void)
                           estimate@position@.valid, udc, command);
 @always@
 
-    /* If the modulator limits the voltage, `command` must hold what is applied, not what was
-     * wanted: keep it within the hexagon of udc before it is written. */
+    /* If the modulator limits the voltage, `command` must hold the applied voltage, not the desired
+     * one: limit it to the hexagon of udc before it is written. */
     drive_write_voltage(command, udc);
     if (!drive_gates_are_on()) {
-        command[0] = command[1] = NAN; /* the machine sets the voltage: unknown */
+        command[0] = command[1] = NAN; /* unknown: the machine determines the voltage */
     }
 
     /* The PWM takes the new duties at t[k+1], one interrupt from now (a log of such a drive has lag
      * -1). If it takes them at once, `next` is not needed: acting = command (lag 0). If it takes
-     * them in between, mix the two in proportion to the time that each acts. */
+     * them in between, weight the two by the time that each acts. */
     acting[0] = next[0];
     acting[1] = next[1];
     next[0] = command[0];

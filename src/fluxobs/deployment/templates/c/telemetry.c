@@ -7,8 +7,8 @@
  *   6 ...  payload, n bytes
  *   then   CRC-16 of bytes 2 to 5 + n (polynomial 0x1021, start 0xFFFF), low byte first
  *
- * The payload of 'H' is text: sample time in s, lag in samples, names. That of 'S' is a float of four
- * bytes, low byte first, for each name; a frame may hold several samples. You may add columns.
+ * The payload of 'H' is text: sample time in s, lag in samples, names. The payload of 'S' is, for each
+ * name, a float of four bytes, low byte first; a frame may hold several samples. You may add columns.
  */
 #include "telemetry.h"
 
@@ -16,7 +16,7 @@
 
 enum { MARK_0 = 0xF1, MARK_1 = 0x0B, AHEAD = 6, CHECKED_FROM = 2 };
 
-/* Lag 1: the voltage of a sample is that of the interval which ends there. */
+/* Lag 1: the voltage of a sample acted over the interval that ends there. */
 static const char names[] = "@sample_time@,1,u_alpha,u_beta,i_alpha,i_beta";
 
 static unsigned crc(const unsigned char *bytes, unsigned count)

@@ -1,5 +1,5 @@
-/* What the observer gets, as frames for `fluxobs live` and the fluxobs page: they run the same
- * observer beside the firmware's, draw it and record it. */
+/* Inputs of the observer as frames for `fluxobs live` and the fluxobs page, which run the same
+ * observer as the firmware, plot its estimates and record its inputs. */
 #ifndef TELEMETRY_H
 #define TELEMETRY_H
 
@@ -9,16 +9,16 @@
 extern "C" {
 #endif
 
-/* Bytes that a frame has at most. */
+/* Largest length of a frame [bytes]. */
 #define TELEMETRY_MOST 64
 
-/* Both write a frame and return its length. `number` counts the samples from 0, those that are not
- * sent included: where it jumps, the reader knows how many are missing. */
+/* Both functions write a frame and return its length. `number` counts all samples from 0, also those
+ * not sent: the reader sees from a jump how many are missing. */
 
-/* Names of the columns: send it first, and again every thousand samples or so. */
+/* Names of the columns: send this frame first, and again about every thousand samples. */
 unsigned telemetry_names(unsigned char out[TELEMETRY_MOST], uint32_t number);
 
-/* A sample, 24 bytes: in the interrupt, with the arguments of the observer. */
+/* One sample, 24 bytes: call it in the interrupt with the arguments of the observer. */
 unsigned telemetry_sample(unsigned char out[TELEMETRY_MOST], uint32_t number,
                           const float voltage[2], const float current[2]);
 

@@ -1,8 +1,8 @@
-"""Replays the record of this export with both units, and compares every output bit for bit.
+"""Replay the record of this export with both units and compare every output bit for bit.
 
     python test/check.py          # needs fmpy, from PyPI
 
-Exit code 0: all equal, also after a state was saved, serialised and restored half-way.
+Exit code 0: all equal, also after saving, serialising and restoring a state half-way.
 """
 
 import csv
@@ -28,7 +28,7 @@ def read_record():
 
 
 def save(unit, three):
-    """The state in bytes."""
+    """Return the state in bytes."""
     state = unit.getFMUState() if three else unit.getFMUstate()
     kept = unit.serializeFMUState(state) if three else unit.serializeFMUstate(state)
     (unit.freeFMUState if three else unit.freeFMUstate)(state)
@@ -36,14 +36,14 @@ def save(unit, three):
 
 
 def restore(unit, three, kept):
-    """Back from bytes."""
+    """Set the state from bytes."""
     state = unit.deserializeFMUState(kept) if three else unit.deSerializeFMUstate(kept)
     (unit.setFMUState if three else unit.setFMUstate)(state)
     (unit.freeFMUState if three else unit.freeFMUstate)(state)
 
 
 def replay(path):
-    """Number of rows that differ, of those returned."""
+    """Return the number of rows, and of those that differ."""
     names, rows = read_record()
     description = fmpy.read_model_description(path, validate=True)
     step = float(description.defaultExperiment.stepSize)
@@ -69,7 +69,7 @@ def replay(path):
         get = unit.getFloat64 if three else unit.getReal
         different = 0
         for k, row in enumerate(rows):
-            if k == len(rows) // 2:  # through a state in bytes and back, past a reset
+            if k == len(rows) // 2:  # a state saved as bytes must survive a reset
                 kept = save(unit, three)
                 unit.reset()
                 restore(unit, three, kept)

@@ -150,7 +150,7 @@ UNIT_EXPORT status fmi2DeSerializeFMUstate(void *u, const char bytes[], size_t s
     return unit_unpack(bytes, size, saved) ? OK : ERROR;
 }
 
-/* What the standard names and this unit does not have; the arguments are not looked at. */
+/* Functions of the standard that this unit does not support; they ignore their arguments. */
 #define NONE(name) \
     UNIT_EXPORT status fmi2##name(void) { return ERROR; }
 

@@ -145,7 +145,7 @@ UNIT_EXPORT status fmi3DeserializeFMUState(void *u, const unsigned char bytes[],
     return unit_unpack(bytes, size, saved) ? OK : ERROR;
 }
 
-/* What the standard names and this unit does not have; the arguments are not looked at. */
+/* Functions of the standard that this unit does not support; they ignore their arguments. */
 #define NONE(name) \
     UNIT_EXPORT status fmi3##name(void) { return ERROR; }
 

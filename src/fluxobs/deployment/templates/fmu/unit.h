@@ -1,4 +1,4 @@
-/* An instance of the unit: the observer, its inputs, its estimate. Both versions of FMI share it.
+/* An instance of the unit: observer, inputs and estimate. Both versions of FMI share it.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -20,12 +20,12 @@
 /* Value references: 0 is time, then the inputs, then the outputs. */
 enum { UNIT_INPUTS = 4, UNIT_OUTPUTS = @outputs@, UNIT_FIRST = 1 + UNIT_INPUTS };
 
-/* Where an instance is in its life: UNIT_NEW follows a reset. */
+/* Phase of an instance; a reset leads to UNIT_NEW. */
 typedef enum { UNIT_NEW = 0, UNIT_INITIALISING, UNIT_STEPPING, UNIT_ENDED } unit_phase;
 
-/* All that changes: saving, restoring and serialising it is copying it. */
+/* Everything that changes: it is copied to save, restore and serialise. */
 typedef struct {
-    double time; /* at which the next step begins */
+    double time; /* of the next step */
     uint32_t phase; /* a unit_phase */
     fo_real input[UNIT_INPUTS]; /* u_alpha, u_beta, i_alpha, i_beta */
     @fo@_state state;
@@ -46,21 +46,22 @@ unit *unit_new(const char *name, const char *token, unit_log log, void *environm
 void unit_free(unit *u);
 void unit_reset(unit *u);
 
-/* From one phase to the next, for `call`; false, and a message, if the instance is in another. */
+/* Moves to the next phase, for `call`; returns false, with a message, in another phase than `from`. */
 bool unit_move(unit *u, unit_phase from, unit_phase to, const char *call);
 
-/* The same from a new instance, whose first step begins at `start`. */
+/* The same for a new instance, whose first step begins at `start`. */
 bool unit_begin(unit *u, unit_phase to, double start, const char *call);
 
-/* Takes in the inputs at `time`; the estimate belongs to that instant, and is read a step later. */
+/* Processes the inputs at `time`. The estimate belongs to that instant and is read a step later. */
 bool unit_step(unit *u, double time, double step);
 
-/* Values by reference; false, and a message, for a reference that is none. */
+/* Get or set values by reference; return false, with a message, for an unknown reference. */
 bool unit_get(unit *u, uint32_t reference, double *value);
 bool unit_get_all(unit *u, const uint32_t references[], size_t count, double values[]);
 bool unit_set_all(unit *u, const uint32_t references[], size_t count, const double values[]);
 
-/* Copies of all that changes, with a checksum that is this machine's only; the first two make memory where there is none. */
+/* Copies of unit_data, with a checksum that only this machine has. unit_save and unit_unpack allocate
+ * memory if *saved is NULL. */
 enum { UNIT_SAVED = (int)sizeof(unit_data) + 8 };
 bool unit_save(const unit *u, void **saved);
 bool unit_unpack(const void *bytes, size_t size, void **saved);

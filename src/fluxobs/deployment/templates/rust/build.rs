@@ -1,6 +1,6 @@
-//! Compiles the C sources into a static library, with nothing but a C compiler: `CC_target`, `CC` or
-//! `cc`, likewise `AR` and `ar`, with options if they have any. `CFLAGS_target` or `CFLAGS` are added,
-//! such as those that choose a processor.
+//! Compiles the C sources into a static library. It needs only a C compiler, `CC_target`, `CC` or `cc`,
+//! and `AR_target`, `AR` or `ar`; these may include options. `CFLAGS_target` or `CFLAGS` are added, for
+//! example to choose a processor.
 use std::{env, path::PathBuf, process::Command};
 
 const SOURCES: &[&str] = &[@rust_sources@];

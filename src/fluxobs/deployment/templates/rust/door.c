@@ -1,4 +1,4 @@
-/* What Rust calls: an estimate as numbers in the order of its fields, a state as bytes.
+/* Functions called from Rust: an estimate as numbers in the order of its fields, a state as bytes.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -7,7 +7,7 @@
 
 enum { OUTPUTS = @outputs@, STATE_BYTES = @state_bytes@ };
 
-/* Does not compile where the state of lib.rs is too small. */
+/* Does not compile if the state in lib.rs is too small. */
 typedef char state_fits[sizeof(@fo@_state) <= (size_t)STATE_BYTES ? 1 : -1];
 
 void fluxobs_@prefix@_reset(@fo@_state *state);

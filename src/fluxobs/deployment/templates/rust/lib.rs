@@ -1,10 +1,10 @@
-//! The flux observer of one machine: its position, speed and magnetic flux from currents and voltages
-//! that are biased. The C source of the fluxobs library, in single precision, behind a safe door: no
-//! allocation, no panic, `no_std`. Content @content@.
+//! The flux observer of one machine: its position, speed and magnetic flux from biased currents and
+//! voltages. It is the C source of the fluxobs library, in single precision, behind a safe interface:
+//! no allocation, no panic, `no_std`. Content @content@.
 //!
-//! SI units; the stationary frame, amplitude-invariant, per phase; current positive into the machine.
+//! SI units; stationary frame, amplitude-invariant, per phase; current positive into the machine.
 //! A step takes the mean voltage over the interval that **ends** now and the current now, @step_time@ s
-//! after the last. NaN is a missing sample.
+//! after the last step. NaN is a missing sample.
 //!
 //! ```
 //! let mut observer = @rust_crate@::Observer::new();
@@ -13,14 +13,14 @@
 //! ```
 #![no_std]
 
-/// Time from one step to the next [s].
+/// Time between steps [s].
 pub const SAMPLE_TIME: f32 = @step_time@;
-/// Pole pairs: the shaft's speed is `speed_e` over this.
+/// Pole pairs: the speed of the shaft is `speed_e` divided by this.
 pub const POLE_PAIRS: u32 = @n_p@;
 
 const OUTPUTS: usize = @outputs@;
 
-/// What a step returns.
+/// Result of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
 @rust_fields@
@@ -33,7 +33,7 @@ impl Estimate {
         }
     }
 
-    /// All of it as numbers, in the order of the fields.
+    /// Returns all fields as numbers, in their order.
     pub fn numbers(&self) -> [f32; OUTPUTS] {
         [
 @rust_numbers@
@@ -41,29 +41,29 @@ impl Estimate {
     }
 }
 
-/// An angle that is known: of Hall sensors (`theta_e_std` 0.3 rad), an alignment, an encoder.
+/// A known angle, from Hall sensors (`theta_e_std` 0.3 rad), an alignment or an encoder.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seed {
-    /// In (-pi, pi] [rad].
+    /// Electrical angle in (-pi, pi] [rad].
     pub theta_e: f32,
     /// Its standard deviation [rad].
     pub theta_e_std: f32,
     /// Electrical speed [rad/s].
     pub speed_e: f32,
-    /// Magnet flux or active flux [Wb]; 0: the assumed one.
+    /// Magnet flux or active flux [Wb]; 0: the assumed flux.
     pub psi_f: f32,
-    /// Its standard deviation [Wb]; 0: a quarter.
+    /// Its standard deviation [Wb]; 0: a quarter of the flux.
     pub psi_f_std: f32,
 }
 
-/// A sector of Hall sensors about zero; everything else is not known.
+/// A Hall sector around zero; everything else is unknown.
 impl Default for Seed {
     fn default() -> Self {
         Self { theta_e: 0.0, theta_e_std: 0.3, speed_e: 0.0, psi_f: 0.0, psi_f_std: 0.0 }
     }
 }
 
-/// Everything that changes: plain data, to be copied and stored.
+/// State of the observer: plain data that can be copied and stored.
 #[derive(Clone, Copy)]
 #[repr(C, align(8))]
 struct State([u8; @state_bytes@]);
@@ -87,27 +87,27 @@ impl Default for Observer {
 }
 
 impl Observer {
-    /// Nothing is known.
+    /// Creates an observer with unknown position.
     pub fn new() -> Self {
         let mut observer = Self { state: State([0; @state_bytes@]) };
         observer.reset();
         observer
     }
 
-    /// Forgets everything; counters begin at 0.
+    /// Starts over with unknown position; counters begin at 0.
     pub fn reset(&mut self) {
-        // SAFETY: the state is as large as C wants it (csrc/door.c checks), aligned, and ours alone.
+        // SAFETY: the state is large enough for C (csrc/door.c checks), aligned, and not shared.
         unsafe { fluxobs_@prefix@_reset(&mut self.state) }
     }
 
-    /// Starts at a known angle and the present current [A]; `valid` has to be earned as ever.
+    /// Starts at a known angle and the present current [A]; `valid` follows under the usual conditions.
     pub fn seed(&mut self, at: &Seed, current: [f32; 2]) {
         let seed = [at.theta_e, at.theta_e_std, at.speed_e, at.psi_f, at.psi_f_std];
         // SAFETY: as in reset; C reads five and two numbers.
         unsafe { fluxobs_@prefix@_seed(&mut self.state, seed.as_ptr(), current.as_ptr()) }
     }
 
-    /// Takes one sample in: voltage of the interval that ends now [V], current now [A].
+    /// Processes one sample: mean voltage over the interval that ends now [V], current now [A].
     pub fn step(&mut self, voltage: [f32; 2], current: [f32; 2]) -> Estimate {
         let mut out = [0.0; OUTPUTS];
         // SAFETY: as in reset; C reads two numbers each and writes OUTPUTS.

@@ -1,4 +1,4 @@
-//! Replays the record of this export: every output is the library's in single precision, bit for bit.
+//! Replays the record of this export: every output equals the library's in single precision.
 use @rust_crate@::{Observer, Seed};
 
 #[test]

@@ -12,7 +12,7 @@ const observer = await load();
 let different = 0;
 rows.forEach((row, k) => {
   if (k === Math.floor(rows.length / 2)) {
-    // past a reset, by a saved state
+    // a saved state must survive a reset
     const saved = observer.save();
     observer.reset();
     observer.restore(saved);

@@ -19,12 +19,12 @@ class Observer {
     this.reset();
   }
 
-  // Nothing is known.
+  // Start over with unknown position.
   reset() {
     this.exports.reset();
   }
 
-  // Takes one sample in; returns the estimate, an object of the names in OUTPUTS.
+  // Process one sample; return the estimate, an object with the names in OUTPUTS.
   step(u_alpha, u_beta, i_alpha, i_beta) {
     this.inputs.set([u_alpha, u_beta, i_alpha, i_beta]);
     this.exports.step();
@@ -35,8 +35,8 @@ class Observer {
     return found;
   }
 
-  // Everything that changes, as bytes for restore(), which takes those of the same module only:
-  // the module's content, by which it is known, and the state.
+  // Return the state as bytes for restore(), preceded by the module's content: restore() accepts only
+  // a state of the same module.
   save() {
     const content = this.content();
     const saved = new Uint8Array(content.length + this.state().length);
@@ -71,7 +71,7 @@ class Observer {
   }
 }
 
-// An observer; `module` may hold the bytes or a compiled module, if they are not beside this file.
+// Return a new observer. Without `module` (bytes or a compiled module), load the file beside this one.
 export async function load(module) {
   let given = module;
   if (given === undefined) {
