@@ -82,7 +82,7 @@ def test_record_file_and_override(folder):
         'lag = -1\nsample_time = 1e-4\n[truth]\ntheta_mech = "angle"\n[columns]\nt = "t"\n'
     )
     done = estimate(folder, "--record", "record.toml")
-    assert "1 sample later" in done.stdout
+    assert "1 sample late " in done.stdout
     assert "theta_e_error" in pl.read_parquet(folder / "out.parquet").columns
     assert "(lag 0)" in estimate(folder, "--record", "record.toml", "--lag", "0").stdout
 

@@ -265,7 +265,7 @@ MISTAKES = {
         lambda f: csv(f, PHASES),
         ["new.csv"],
         2,
-        "no sample time: there is no column t. Give --sample-time",
+        "no sample time, and no column t. Give --sample-time",
     ),
     "a unit that is none": (None, ["log.csv", "--unit", "i=amps/s"], 2, "unknown unit"),
     "a unit of something else": (

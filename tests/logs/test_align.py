@@ -11,14 +11,14 @@ from fluxobs.logs.align import (
     _correlate,
     _energy,
     _summit,
-    _turning,
+    _turning_speed,
     _width,
     aligned_by_content,
     doubt_of_time,
 )
 from fluxobs.logs.clock import even
 from fluxobs.logs.formats.arrays import ArrayTable
-from fluxobs.logs.guess import parts_of
+from fluxobs.logs.guess import name_columns
 
 H = 1e-3
 RNG = np.random.default_rng(2)
@@ -159,18 +159,18 @@ def test_the_speed_of_a_vector_in_any_frame(names, way):
         "line": {"u_ab": a - b, "u_bc": b - c},
         "duty": {"d_a": 0.5 + a / 9, "d_b": 0.5 + b / 9, "d_c": 0.5 + c / 9},
     }[names]
-    speed = _turning(signals, even(600, H))
+    speed = _turning_speed(signals, even(600, H))
     np.testing.assert_allclose(speed[:-1], way * 0.05 / H, rtol=1e-9)
     assert speed[-1] == 0.0
 
 
 def test_without_a_vector_nothing_turns():
-    assert _turning({"u_a": np.ones(30)}, even(30, H)).tolist() == [0.0] * 30
+    assert _turning_speed({"u_a": np.ones(30)}, even(30, H)).tolist() == [0.0] * 30
 
 
 def side(name, columns):
     table = ArrayTable(columns, Path(name))
-    (part,) = parts_of([(table.path, [table])])
+    (part,) = name_columns([(table.path, [table])])
     return part, table, even(len(next(iter(columns.values()))), H)
 
 
@@ -200,7 +200,7 @@ def test_a_correlation_of_a_half_is_needed(share, enough):
     if enough:
         assert aligned_by_content(*sides)[0] == pytest.approx(0.0, abs=5 * H)
     else:
-        with pytest.raises(RecordError, match="that is too little to rely on"):
+        with pytest.raises(RecordError, match="that is too weak to rely on"):
             aligned_by_content(*sides)
 
 
@@ -223,7 +223,7 @@ def test_a_doubt_needs_a_clear_correlation(share, told):
 def test_files_that_saw_nothing_change():
     sides = side("one", {"i_a": np.ones(100)}), side("two", {"i_a": WAVE[:100]})
     assert doubt_of_time(*sides) is None
-    with pytest.raises(RecordError, match="two: --align auto finds nothing that both files saw"):
+    with pytest.raises(RecordError, match="two: --align auto finds no signal that changes"):
         aligned_by_content(*sides)
 
 

@@ -370,10 +370,10 @@ def test_three_hall_sensors_are_levels_one_column_is_their_code():
 @pytest.mark.parametrize(
     ("truth", "words"),
     [
-        ({"sincos": "s"}, "truth sincos=s: 2 columns are needed, parted by commas"),
+        ({"sincos": "s"}, "truth sincos=s: 2 columns are needed, separated by commas"),
         ({"hall": "s,c"}, "truth hall=s,c: 1 or 3 columns are needed"),
         ({"theta_e": "s,c"}, "truth theta_e=s,c: 1 columns are needed"),
-        ({"sincos": "s,gone"}, "the column 'gone', which --truth sincos=s,gone asks for, holds no"),
+        ({"sincos": "s,gone"}, "the column 'gone' of --truth sincos=s,gone holds no"),
     ],
 )
 def test_columns_that_are_no_truth(truth, words):

@@ -113,7 +113,7 @@ def test_decimal_comma_in_quotes(tmp_path):
 def test_a_comma_that_may_part_thousands_is_asked_about(tmp_path):
     rows = [f'{k * H:.4f},"1,234",2,3,4' for k in range(50)]
     (tmp_path / "log.csv").write_text("\n".join([",".join(PLAIN), *rows]))
-    with pytest.raises(RecordError, match="'1,234': does the comma part thousands"):
+    with pytest.raises(RecordError, match="'1,234': does the comma separate thousands"):
         read(tmp_path / "log.csv")
 
 
@@ -269,9 +269,9 @@ def test_record_from_log_is_aligned(tmp_path):
 
 
 def test_lag_in_words():
-    assert "from that row's sample to the next" in lag_in_words(0)
-    assert "1 sample later" in lag_in_words(-1)
-    assert "0.5 samples earlier" in lag_in_words(0.5)
+    assert "acts from its row to the next" in lag_in_words(0)
+    assert "1 sample late" in lag_in_words(-1)
+    assert "0.5 samples early" in lag_in_words(0.5)
 
 
 # ---- scale, truth, selection -------------------------------------------------------------
@@ -363,7 +363,7 @@ def test_duties_of_either_sign():
     columns = T | duties | {"vdc": np.full(ROWS, 2 * size)}
     found = read(columns | dict(zip(("ia", "ib"), phases(I)[:2], strict=True)))
     check(found)
-    assert sum("taken to be in -1..1" in note for note in found[0].notes) == 1
+    assert sum("suggests -1..1" in note for note in found[0].notes) == 1
 
 
 def test_a_nameless_index_is_time(tmp_path):
@@ -371,7 +371,7 @@ def test_a_nameless_index_is_time(tmp_path):
     path.write_text(path.read_text().replace("t,", ",", 1))
     found = read(path)
     check(found)
-    assert any("'column 1', which rises evenly, is taken for t" in n for n in found[0].notes)
+    assert any("'column 1' rises evenly and is taken as t" in n for n in found[0].notes)
 
 
 def test_all_that_is_missing_is_named():
@@ -416,7 +416,7 @@ def replace_cell(line, column, text):
             r"line 1: expected .* found numbers: '0,10,0,0.5403",
         ),
         (lambda s: s.replace("u_beta", "u_bata", 1), "no column 'u_beta'.*nearest: u_bata"),
-        (lambda s: s.replace("u_beta", "u_alpha", 1), "line 1: the column 'u_alpha' stands twice"),
+        (lambda s: s.replace("u_beta", "u_alpha", 1), "line 1: the column 'u_alpha' occurs twice"),
         (replace_cell(42, 3, "off"), "line 42, column 'i_alpha': 'off' is not a number"),
         (replace_cell(199, 1, "1.2.3"), "line 199, column 'u_alpha': '1.2.3' is not a number"),
         (replace_cell(30, 3, "1,2,3"), "line 30: 8 cells, the header has 6"),
@@ -520,8 +520,8 @@ def test_lag_outside_the_record(tmp_path, lag):
     [
         ({"sample_time": 0.0}, "sample_time must be positive"),
         ({"voltage": np.zeros((5, 4))}, r"voltage must have shape \(rows, 2\) in αβ.*got \(5, 4\)"),
-        ({"voltage": np.zeros((5, 3))}, "as many rows, got 5 and 9"),
-        ({"voltage": np.zeros((5, 2))}, "as many rows, got 5 and 9"),
+        ({"voltage": np.zeros((5, 3))}, "same number of rows, got 5 and 9"),
+        ({"voltage": np.zeros((5, 2))}, "same number of rows, got 5 and 9"),
         ({"theta_e": np.zeros(4)}, r"theta_e must have shape \(9,\), got \(4,\)"),
         ({"lag": 20}, "lies outside the record"),
     ],
