@@ -15,7 +15,7 @@ from fluxobs.logs.formats.text.cells import clock_formats, is_missing, is_number
 
 def find(head, row="{k},1.5,-2.5", rows=40):
     lines = [*head.splitlines(), *(row.format(k=k) for k in range(rows))]
-    return structure.find([f"{line}\n" for line in lines], [], "log.csv", None)
+    return structure.find_structure([f"{line}\n" for line in lines], [], "log.csv", None)
 
 
 @pytest.mark.parametrize(
