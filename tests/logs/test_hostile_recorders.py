@@ -190,4 +190,4 @@ def test_fields_of_fields_in_a_flight_log(tmp_path, types):
     for kind, body in [*((b"F", one.encode()) for one in types), (b"A", b"\0\0\0a")]:
         content += struct.pack("<H", len(body)) + kind + body
     (tmp_path / "log.ulg").write_bytes(content)
-    refused(tmp_path / "log.ulg", "its topics have more than 262144 fields|one within the other")
+    refused(tmp_path / "log.ulg", "its topics have more than 262144 fields|levels deep")
