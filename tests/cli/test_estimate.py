@@ -51,7 +51,7 @@ def test_estimate_writes_rows_summary_and_picture(folder):
     assert found["valid"][-1000:].all()
     assert found["theta_e_error"][-1000:].abs().max() < np.radians(2)
     assert "valid on 9" in done.stdout
-    assert "from that row's sample to the next (lag 0)" in done.stdout
+    assert "acts from its row to the next (lag 0)" in done.stdout
     assert "Magnet flux: 12.5 mWb" in done.stdout
     assert "position error" in done.stdout
     assert "Warning" not in done.stdout

@@ -109,7 +109,7 @@ def test_presets_are_listed_and_printed(folder):
     assert 'frame = "abc"' in text
     refused = estimate(folder, "--preset", "px4")
     assert refused.returncode == 2
-    assert "rpm, DC voltage and DC current only" in refused.stderr
+    assert "only rpm, DC voltage and DC current" in refused.stderr
     unknown = estimate(folder, "--preset", "vesc-sample")
     assert "did you mean 'vesc-sampled'" in unknown.stderr
 

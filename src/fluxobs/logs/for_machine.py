@@ -41,7 +41,7 @@ def open_for(source: Any, machine: Machine, **layout: Any) -> Log:
         if log.true is not None and log.true.guessed:
             return replace(log, true=None)
         raise RecordError(
-            f"truth {log.truth[0]}: kind {machine.kind} needs {' or '.join(reversed(truths))}"
+            f"truth {log.truth[0]}: kind {machine.kind} has {' or '.join(reversed(truths))}"
         )
     return log
 
