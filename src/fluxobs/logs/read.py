@@ -98,9 +98,7 @@ def read_log(
             fields[name] = fields.get(name, {}) | dict(value) if name in _MAPPINGS else value
         _override(fields, overrides)
         if overrides.get("truth"):
-            fields["truth"] = dict(
-                overrides["truth"]
-            )  # there is only one truth: replace it, do not merge
+            fields["truth"] = dict(overrides["truth"])  # only one truth: replace, do not merge
     if frame is not None:
         fields["frame"] = frame
     files, fields = _open_source(source, fields, frames[0])

@@ -46,9 +46,8 @@ def record_text(log: Log) -> str:
 def _value(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
-    return json.dumps(value, ensure_ascii=False).replace(
-        "\x7f", "\\u007f"
-    )  # TOML forbids a bare DEL
+    # TOML forbids a bare DEL
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def write_record(log: Log, path: str | Path, *, force: bool = False) -> None:

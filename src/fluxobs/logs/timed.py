@@ -85,7 +85,8 @@ def put_on_uniform_rows(
     if table.rows < 3:
         if base is not None:
             raise RecordError(
-                f"{table.path}: {table.rows} rows; a file that is joined by its times needs three"
+                f"{table.path}: {table.rows} rows; a file that is joined by its times needs at "
+                f"least three"
             )
         return Timed(named, table, even(table.rows, 1.0), name)
     given = layout.sample_time

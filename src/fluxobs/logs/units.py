@@ -65,7 +65,7 @@ _CHANNELS: tuple[tuple[str, Quantity], ...] = (
 
 def quantity(channel: str) -> Quantity | None:
     """Return the quantity of a channel; None for channels without a unit, such as Hall signals."""
-    return next((measured for prefix, measured in _CHANNELS if channel.startswith(prefix)), None)
+    return next((kind for prefix, kind in _CHANNELS if channel.startswith(prefix)), None)
 
 
 def plain(unit: str) -> str:

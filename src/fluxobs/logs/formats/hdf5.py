@@ -56,7 +56,7 @@ class _Dataset:
             )
         properties = self._data.id.get_create_plist()
         filters = [properties.get_filter(n)[0] for n in range(properties.get_nfilters())]
-        if len([chunk for chunk in filters if chunk not in _PLAIN]) > 1:
+        if len([code for code in filters if code not in _PLAIN]) > 1:
             raise ValueError(f"{self._data.name} is compressed twice")
         large: list[Any] = []
         self._data.id.chunk_iter(

@@ -43,7 +43,7 @@ def read_apart(
     memory : int
         Limit of the allocations [bytes], on systems that support it.
     seconds : float
-        Time limit.
+        Time limit [s].
 
     Raises
     ------

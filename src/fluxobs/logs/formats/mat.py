@@ -37,9 +37,8 @@ def open_mat(path: Path) -> list[Table]:
     if not contents.columns and "None" in content:  # an object of a MATLAB class
         raise RecordError(
             f"{path}: it holds objects of a MATLAB class, such as timeseries or a Simulink "
-            f"Dataset, which only MATLAB can read. Save arrays: "
-            f"s = struct; s.t = x.Time; s.i_a = x.Data; "
-            f"save('log.mat', '-struct', 's')"
+            f"Dataset, which only MATLAB can read. Save arrays: s = struct; s.t = x.Time; "
+            f"s.i_a = x.Data; save('log.mat', '-struct', 's')"
         )
     return tables(path, contents)
 

@@ -57,10 +57,8 @@ class MdfTable(Table):
     def _check_size(self) -> None:
         """Raise ValueError if the rows take far more memory than the file."""
         group = self._mdf.groups[self._group]
-        size, limit = (
-            self.rows * max(1, group.channel_group.samples_byte_nr),
-            most_unpacked(self.path),
-        )
+        size = self.rows * max(1, group.channel_group.samples_byte_nr)
+        limit = most_unpacked(self.path)
         if size > limit:
             raise ValueError(f"its rows have {size} bytes, more than {limit}")
         check_packed(

@@ -127,10 +127,10 @@ def tables(path: Path, contents: Contents) -> list[Table]:
     by_length: dict[int, list[str]] = defaultdict(list)
     for name, (rows, _) in contents.columns.items():
         by_length[rows].append(name)
-    result: list[Table] = []
+    nested_tables: list[Table] = []
     for names in sorted(by_length.values(), key=len, reverse=True):
-        result += [NestedTable(path, contents, columns) for columns in _split_by_time(names)]
-    return result
+        nested_tables += [NestedTable(path, contents, columns) for columns in _split_by_time(names)]
+    return nested_tables
 
 
 def _split_by_time(names: list[str]) -> list[list[str]]:

@@ -58,7 +58,7 @@ def open_npz(path: Path) -> list[Table]:
     try:
         with zipfile.ZipFile(path) as archive:
             size, limit = (
-                sum(member_info.file_size for member_info in archive.infolist()),
+                sum(info.file_size for info in archive.infolist()),
                 most_unpacked(path),
             )
             if size > limit:

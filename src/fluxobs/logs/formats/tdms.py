@@ -54,7 +54,7 @@ class TdmsTable(Table):
 
 
 def open_tdms(path: Path) -> list[Table]:
-    """Open the tables of the numeric channels, named "group/channel" if groups are several."""
+    """Open the tables of numeric channels, named "group/channel" if there are several groups."""
     nptdms = library("nptdms", "tdms", path)
     try:
         handle = path.open("rb")
