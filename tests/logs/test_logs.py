@@ -148,10 +148,10 @@ def test_lines_between_the_rows_are_left_out(tmp_path, between, end):
     lines = path.read_text().splitlines()
     lines = [*lines[:80], between, *lines[80:150], between, between, *lines[150:], ""]
     path.write_bytes((end.join(lines) + end).encode())
-    found = read(path)
-    check(found)
-    assert len(found[0]) == ROWS
-    assert found[0].table.place(120) == "line 123"
+    result = read(path)
+    check(result)
+    assert len(result[0]) == ROWS
+    assert result[0].table.place(120) == "line 123"
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
@@ -159,9 +159,9 @@ def test_utf_16(tmp_path, encoding):
     path = csv(tmp_path / "log.csv", PLAIN)
     mark = "\ufeff" if encoding == "utf-16-be" else ""
     path.write_bytes((mark + path.read_text()).encode(encoding))
-    found = read(path)
-    check(found)
-    assert len(found[0]) == ROWS
+    result = read(path)
+    check(result)
+    assert len(result[0]) == ROWS
 
 
 def test_seconds_since_1970(tmp_path):
