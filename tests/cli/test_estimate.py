@@ -51,7 +51,7 @@ def test_estimate_writes_rows_summary_and_picture(folder):
     assert found["valid"][-1000:].all()
     assert found["theta_e_error"][-1000:].abs().max() < np.radians(2)
     assert "valid on 9" in done.stdout
-    assert "from that row's sample to the next (lag 0)" in done.stdout
+    assert "acts from its row to the next (lag 0)" in done.stdout
     assert "Magnet flux: 12.5 mWb" in done.stdout
     assert "position error" in done.stdout
     assert "Warning" not in done.stdout
@@ -82,7 +82,7 @@ def test_record_file_and_override(folder):
         'lag = -1\nsample_time = 1e-4\n[truth]\ntheta_mech = "angle"\n[columns]\nt = "t"\n'
     )
     done = estimate(folder, "--record", "record.toml")
-    assert "1 sample later" in done.stdout
+    assert "1 sample late " in done.stdout
     assert "theta_e_error" in pl.read_parquet(folder / "out.parquet").columns
     assert "(lag 0)" in estimate(folder, "--record", "record.toml", "--lag", "0").stdout
 

@@ -109,7 +109,7 @@ def test_presets_are_listed_and_printed(folder):
     assert 'frame = "abc"' in text
     refused = estimate(folder, "--preset", "px4")
     assert refused.returncode == 2
-    assert "rpm, DC voltage and DC current only" in refused.stderr
+    assert "only rpm, DC voltage and DC current" in refused.stderr
     unknown = estimate(folder, "--preset", "vesc-sample")
     assert "did you mean 'vesc-sampled'" in unknown.stderr
 
@@ -265,7 +265,7 @@ MISTAKES = {
         lambda f: csv(f, PHASES),
         ["new.csv"],
         2,
-        "no sample time: there is no column t. Give --sample-time",
+        "no sample time, and no column t. Give --sample-time",
     ),
     "a unit that is none": (None, ["log.csv", "--unit", "i=amps/s"], 2, "unknown unit"),
     "a unit of something else": (

@@ -198,7 +198,7 @@ def test_infinite_angles_are_passed_over():
 
 def test_sine_and_cosine_without_values():
     lost = {"s": np.full(len(THETA), np.nan), "c": np.ones(len(THETA))}
-    with pytest.raises(fluxobs.RecordError, match="'s', which --truth sincos=s,c asks for, holds"):
+    with pytest.raises(fluxobs.RecordError, match="'s' of --truth sincos=s,c holds"):
         fitted("sincos", lost)
 
 

@@ -88,8 +88,8 @@ def test_the_numbers_of_a_summary(run):
         error_max=np.radians(7.25),
     )
     assert paragraph(told, None, None) == (
-        "3000 samples, 0.3 s at 10000 Hz; each row's voltage is taken to act from that row's "
-        "sample to the next (lag 0). The position is valid on 50.0% of the rows, first 12.5 mV "
+        "3000 samples, 0.3 s at 10000 Hz; each logged voltage acts from its row to the next "
+        "(lag 0). The position is valid on 50.0% of the rows, first 12.5 mV "
         "after the start. The flux integral would drift by (+0.03, -0.04) V in αβ: as much as a "
         "voltage offset of 50 mV, or a current offset of 139 mA through R_s. Magnet flux: 12.5 "
         "mWb. Against the true angle, on 1000 valid rows: position error 2.00° rms, 7.25° at "

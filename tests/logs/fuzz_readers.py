@@ -1,11 +1,10 @@
-"""Damaged and hostile logs: every one is read, or refused with a FluxobsError that names the file.
+"""Fuzz the readers: each damaged log is read, or refused with a FluxobsError that names the file.
 
     python tests/logs/fuzz_readers.py [--cases 4000] [--seed 1] [--keep FOLDER]
 
-Takes the files of the corpus, spoils bytes, cuts, doubles, and swaps numbers for others that no
-instrument writes, and reads the result, with a bound on time and memory. Ends with 1 and keeps the
-file if something else happens: another exception, a crash, a hang, more memory than allowed. The
-same seed makes the same files.
+Damage files of the corpus (change bytes, cut, duplicate, replace numbers by implausible ones) and
+read them within limits of time and memory. On anything else (another exception, a crash, a hang,
+too much memory) keep the file and exit with 1. The same seed makes the same files.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from pathlib import Path
 
 CORPUS = Path(__file__).parent / "corpus"
 PRESETS = {"moteus": "moteus", "vesc-sampled": "vesc-sampled", "mesc": "mesc", "odrive": "odrive"}
-#: A file of 200 kB may take this long and this much memory [s, bytes].
+#: Limits for a file of 200 kB [s, bytes].
 SECONDS, MEMORY = 20, 3 << 30
 NUMBERS = [
     b"1e308",
@@ -39,7 +38,7 @@ NUMBERS = [
     b"1e",
     b"\xff",
 ]
-WORDS = [
+PATTERNS = [
     b"\x00" * 8,
     b"\xff" * 8,
     b"\x7f\xff\xff\xff",
@@ -51,57 +50,57 @@ WORDS = [
 ]
 
 
-def spoilt(content: bytes, chance: random.Random) -> bytes:
-    """The content with one to four injuries."""
-    made = bytearray(content)
-    for _ in range(chance.randint(1, 4)):
-        if not made:
+def damage(content: bytes, rng: random.Random) -> bytes:
+    """Return the content with one to four damages."""
+    damaged = bytearray(content)
+    for _ in range(rng.randint(1, 4)):
+        if not damaged:
             break
-        at = chance.randrange(len(made))
-        # Heads say most, ends of zip files too.
-        at = chance.choice([at, at % 400, len(made) - 1 - at % min(400, len(made))])
-        kind = chance.randrange(7)
+        at = rng.randrange(len(damaged))
+        # Headers matter most, and the ends of zip files.
+        at = rng.choice([at, at % 400, len(damaged) - 1 - at % min(400, len(damaged))])
+        kind = rng.randrange(7)
         if kind == 0:
-            del made[at:]
+            del damaged[at:]
         elif kind == 1:
-            for _ in range(chance.randint(1, 20)):
-                made[min(at + chance.randrange(50), len(made) - 1)] = chance.randrange(256)
+            for _ in range(rng.randint(1, 20)):
+                damaged[min(at + rng.randrange(50), len(damaged) - 1)] = rng.randrange(256)
         elif kind == 2:
-            del made[at : at + chance.randint(1, 2000)]
+            del damaged[at : at + rng.randint(1, 2000)]
         elif kind == 3:
-            made[at:at] = made[at : at + chance.randint(1, 2000)]
+            damaged[at:at] = damaged[at : at + rng.randint(1, 2000)]
         elif kind == 4:
-            word = chance.choice(WORDS)
-            made[at : at + len(word)] = word
+            pattern = rng.choice(PATTERNS)
+            damaged[at : at + len(pattern)] = pattern
         elif kind == 5:
-            found = list(re.finditer(rb"-?\d+\.?\d*", made[at : at + 400]))
-            if found:
-                one = chance.choice(found)
-                made[at + one.start() : at + one.end()] = chance.choice(NUMBERS)
+            numbers = list(re.finditer(rb"-?\d+\.?\d*", damaged[at : at + 400]))
+            if numbers:
+                number = rng.choice(numbers)
+                damaged[at + number.start() : at + number.end()] = rng.choice(NUMBERS)
         else:
-            made[at:at] = chance.randbytes(chance.randint(1, 64))
-    return bytes(made)
+            damaged[at:at] = rng.randbytes(rng.randint(1, 64))
+    return bytes(damaged)
 
 
 def case(seed: int, number: int) -> tuple[str, bytes]:
-    """Name of the file in the corpus, and what became of it."""
-    chance = random.Random(f"{seed} {number}")
-    source = chance.choice(sorted(CORPUS.iterdir()))
-    return source.name, spoilt(source.read_bytes(), chance)
+    """Return the name of a file of the corpus, and its damaged content."""
+    rng = random.Random(f"{seed} {number}")
+    source = rng.choice(sorted(CORPUS.iterdir()))
+    return source.name, damage(source.read_bytes(), rng)
 
 
 def read(path: Path) -> None:
-    """What every command does with a log."""
+    """Read a log as every command does."""
     from fluxobs.logs import read_log
 
     stem = path.name.split(".")[0]
     preset = PRESETS.get(stem.partition("_")[2] or stem)
-    for one in read_log(path, preset=preset).aligned():
-        assert one.voltage.shape == one.current.shape
+    for batch in read_log(path, preset=preset).aligned():
+        assert batch.voltage.shape == batch.current.shape
 
 
-def work(seed: int, numbers: list[int], folder: str, said: multiprocessing.Queue) -> None:
-    """Reads its cases one by one; says before each which it is, and after it what was wrong."""
+def work(seed: int, numbers: list[int], folder: str, reports: multiprocessing.Queue) -> None:
+    """Read cases one by one; report each before it starts, and its failure after it."""
     from fluxobs import FluxobsError
 
     warnings.simplefilter("ignore")
@@ -110,61 +109,61 @@ def work(seed: int, numbers: list[int], folder: str, said: multiprocessing.Queue
         name, content = case(seed, number)
         path = Path(folder) / f"{number}_{name}"
         path.write_bytes(content)
-        said.put((number, "begun"))
-        signal.alarm(SECONDS)  # ends the process: nothing in the readers can hold it up
-        wrong = ""
+        reports.put((number, "begun"))
+        signal.alarm(SECONDS)  # ends the process, whatever the readers do
+        failure = ""
         try:
             read(path)
         except FluxobsError as error:
             if path.name not in str(error):
-                wrong = f"the error does not name the file: {error}"
+                failure = f"the error does not name the file: {error}"
         except BaseException:
-            wrong = traceback.format_exc(limit=-3)
+            failure = traceback.format_exc(limit=-3)
         signal.alarm(0)
-        said.put((number, wrong))
-        if not wrong:
+        reports.put((number, failure))
+        if not failure:
             path.unlink()
-    said.put((-1, "done"))
+    reports.put((-1, "done"))
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=4000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--keep", type=Path, help="folder for files that were not read well")
+    parser.add_argument("--keep", type=Path, help="folder for the files that fail")
     options = parser.parse_args()
     folder = options.keep or Path(tempfile.mkdtemp(prefix="fluxobs-fuzz-"))
     folder.mkdir(parents=True, exist_ok=True)
     context = multiprocessing.get_context("spawn")
-    left, found = list(range(options.cases)), dict[int, str]()
-    while left:
-        said = context.Queue()
-        process = context.Process(target=work, args=(options.seed, left, str(folder), said))
+    pending, failures = list(range(options.cases)), dict[int, str]()
+    while pending:
+        reports = context.Queue()
+        process = context.Process(target=work, args=(options.seed, pending, str(folder), reports))
         process.start()
-        now = -1
+        current = -1
         while True:
             try:
-                number, word = said.get(timeout=1)
+                number, report = reports.get(timeout=1)
             except Exception:
                 if process.is_alive():
                     continue
-                hung = process.exitcode == -signal.SIGALRM
-                found[now] = (
-                    f"hangs: {SECONDS} s" if hung else f"ends the process: {process.exitcode}"
+                timed_out = process.exitcode == -signal.SIGALRM
+                failures[current] = (
+                    f"hangs: {SECONDS} s" if timed_out else f"ends the process: {process.exitcode}"
                 )
                 break
             if number < 0:
-                now = -2
+                current = -2
                 break
-            now = number
-            if word and word != "begun":
-                found[number] = word
+            current = number
+            if report and report != "begun":
+                failures[number] = report
         process.join()
-        left = [] if now == -2 else [number for number in left if number > now]
-    for number, word in found.items():
-        print(f"{folder}/{number}_{case(options.seed, number)[0]}: {word}\n")
-    print(f"{options.cases} spoilt logs, {len(found)} not read or refused as they should be")
-    return 1 if found else 0
+        pending = [] if current == -2 else [number for number in pending if number > current]
+    for number, report in failures.items():
+        print(f"{folder}/{number}_{case(options.seed, number)[0]}: {report}\n")
+    print(f"{options.cases} damaged logs, {len(failures)} neither read nor properly refused")
+    return 1 if failures else 0
 
 
 if __name__ == "__main__":

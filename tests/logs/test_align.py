@@ -1,4 +1,4 @@
-"""By how much two clocks differ: correlations beside brute force, and the vectors that turn."""
+"""Differences between two clocks: correlations against brute force, and turning vectors."""
 
 from pathlib import Path
 
@@ -11,14 +11,14 @@ from fluxobs.logs.align import (
     _correlate,
     _energy,
     _summit,
-    _turning,
+    _turning_speed,
     _width,
     aligned_by_content,
     doubt_of_time,
 )
 from fluxobs.logs.clock import even
 from fluxobs.logs.formats.arrays import ArrayTable
-from fluxobs.logs.guess import parts_of
+from fluxobs.logs.guess import name_columns
 
 H = 1e-3
 RNG = np.random.default_rng(2)
@@ -34,7 +34,7 @@ WAVE -= WAVE.mean()
 
 @pytest.mark.parametrize("lag", [-700, -1, 0, 5, 1500])
 def test_the_shift_of_a_signal(lag):
-    """Also if both are cut, and not equally long."""
+    """Also for excerpts of different length."""
     a, b = WAVE[1000:3000], WAVE[1000 + lag : 2500 + lag]
     shift, peak, std, second = _correlate(a, b, H)
     assert shift == pytest.approx(lag * H, abs=0.01 * H)
@@ -44,7 +44,7 @@ def test_the_shift_of_a_signal(lag):
 
 
 def test_a_correlation_is_that_of_the_rows_that_overlap():
-    """Beside the sums themselves."""
+    """Compare with explicit sums."""
     noisy = WAVE[100:900] + RNG.normal(0, 2.0, 800)
     shift, peak, _, _ = _correlate(WAVE[:700], noisy, H)
     at = round(shift / H)
@@ -53,7 +53,7 @@ def test_a_correlation_is_that_of_the_rows_that_overlap():
     assert peak == pytest.approx(x @ y / np.sqrt((x @ x) * (y @ y)))
 
 
-def test_energies_of_what_overlaps():
+def test_energies_of_the_overlap():
     x, other = RNG.normal(size=7), 5
     lags = np.arange(-8, 10)
     rows = np.arange(7)
@@ -70,18 +70,18 @@ def test_a_shift_between_samples_is_that_of_the_parabola():
 
 
 def test_the_standard_deviation_of_a_shift_covers_it():
-    off, stds = [], []
+    shifts, stds = [], []
     for _ in range(40):
         a = WAVE[:2000] + RNG.normal(0, 0.5, 2000)
         b = WAVE[:2000] + RNG.normal(0, 0.5, 2000)
         shift, _, std, _ = _correlate(a, b, H)
-        off.append(shift)
+        shifts.append(shift)
         stds.append(std)
-    assert np.median(stds) / np.std(off) == pytest.approx(1.0, abs=0.6)
+    assert np.median(stds) / np.std(shifts) == pytest.approx(1.0, abs=0.6)
 
 
 def test_a_periodic_signal_has_a_second_shift():
-    """Of shifts that fit alike, the one with the most rows is taken."""
+    """Of ambiguous shifts, the one with the most rows is returned."""
     k = np.arange(2000)
     wave = np.sin(2 * np.pi * k / 250)
     shift, peak, _, second = _correlate(wave, np.roll(wave, -30), H)
@@ -93,16 +93,16 @@ def test_a_periodic_signal_has_a_second_shift():
 
 
 def test_at_least_a_quarter_of_the_shorter_one_has_to_overlap():
-    for rows, there in ((620, True), (580, False)):
+    for rows, is_found in ((620, True), (580, False)):
         a, b = RNG.normal(0, 1.0, 2400), WAVE[:2400].copy()
         a[:rows] = WAVE[2400 - rows : 2400]
         shift, _, _, _ = _correlate(a, b, H)
-        assert (abs(shift + (2400 - rows) * H) < H) == there
+        assert (abs(shift + (2400 - rows) * H) < H) == is_found
 
 
 @pytest.mark.parametrize("lag", [40, 90, 99])
 def test_a_short_file_late_in_a_long_one(lag):
-    """Shifts beyond half of the transform's length."""
+    """Shifts beyond half of the length of the transform."""
     shift, peak, _, _ = _correlate(WAVE[:128], WAVE[lag : lag + 28], H)
     assert shift == pytest.approx(lag * H, abs=0.1 * H)
     assert peak == pytest.approx(1.0)
@@ -111,8 +111,8 @@ def test_a_short_file_late_in_a_long_one(lag):
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_peak_at_the_edge_of_what_may_overlap_is_taken_as_it_is(sign):
-    """Beside it on one side is nothing: no parabola. The summit is where a quarter ends."""
+def test_a_peak_at_the_edge_of_the_allowed_overlap_is_not_interpolated(sign):
+    """It has a neighbour on one side only: no parabola. The summit is at a quarter of overlap."""
     a, b = RNG.normal(0, 0.1, (2, 400))
     a[:101], b[299:] = 1.0 + np.arange(101), 1.0 + np.arange(101)
     a, b = (a, b) if sign > 0 else (b, a)
@@ -123,8 +123,8 @@ def test_a_peak_at_the_edge_of_what_may_overlap_is_taken_as_it_is(sign):
 
 
 @pytest.mark.parametrize("lag", [0, 300])
-def test_where_nothing_happens_nothing_fits(lag):
-    """A current is zero before the start: those sums are rounding errors."""
+def test_constant_stretches_do_not_correlate(lag):
+    """A current is zero before the start: its sums are rounding errors."""
     a, b = np.zeros(2000), np.zeros(2000)
     a[1200:1700], b[1200 - lag : 1700 - lag] = WAVE[:500], WAVE[:500]
     shift, peak, _, second = _correlate(a, b, H)
@@ -147,11 +147,11 @@ def test_uphill_and_to_the_half():
     assert _width(np.ones(5), 2) == 5
 
 
-@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("names", ["alphabeta", "abc", "line", "duty"])
-def test_the_speed_of_a_vector_in_any_frame(names, way):
+def test_the_speed_of_a_vector_in_any_frame(names, direction):
     k = np.arange(600)
-    z = 3 * np.exp(0.05j * way * k)
+    z = 3 * np.exp(0.05j * direction * k)
     a, b, c = (z[:, None] * np.exp(-2j * np.pi / 3 * np.arange(3))).real.T
     signals = {
         "alphabeta": {"i_alpha": z.real, "i_beta": z.imag},
@@ -159,71 +159,71 @@ def test_the_speed_of_a_vector_in_any_frame(names, way):
         "line": {"u_ab": a - b, "u_bc": b - c},
         "duty": {"d_a": 0.5 + a / 9, "d_b": 0.5 + b / 9, "d_c": 0.5 + c / 9},
     }[names]
-    speed = _turning(signals, even(600, H))
-    np.testing.assert_allclose(speed[:-1], way * 0.05 / H, rtol=1e-9)
+    speed = _turning_speed(signals, even(600, H))
+    np.testing.assert_allclose(speed[:-1], direction * 0.05 / H, rtol=1e-9)
     assert speed[-1] == 0.0
 
 
 def test_without_a_vector_nothing_turns():
-    assert _turning({"u_a": np.ones(30)}, even(30, H)).tolist() == [0.0] * 30
+    assert _turning_speed({"u_a": np.ones(30)}, even(30, H)).tolist() == [0.0] * 30
 
 
 def side(name, columns):
     table = ArrayTable(columns, Path(name))
-    (part,) = parts_of([(table.path, [table])])
-    return part, table, even(len(next(iter(columns.values()))), H)
+    (named,) = name_columns([(table.path, [table])])
+    return named, table, even(len(next(iter(columns.values()))), H)
 
 
 def test_of_several_columns_of_both_files_the_first_channel_is_compared():
-    """Of those in COMMON's order; the other one says something else."""
+    """The first in the order of COMMON; the other one has a different shift."""
     base = side("one", {"i_b": WAVE[:3000], "i_a": WAVE[500:3500]})
     other = side("two", {"i_b": WAVE[90:3090], "i_a": WAVE[540:3540]})
-    shift, words = aligned_by_content(base, other)
+    shift, note = aligned_by_content(base, other)
     assert shift == pytest.approx(0.04, abs=1e-5)
-    assert "by the column i_a of both files" in words
+    assert "by the column i_a of both files" in note
 
 
-def test_a_clock_is_ahead_by_what_both_saw():
+def test_the_clock_offset_is_reported():
     base, other = side("one", {"i_a": WAVE[:3000]}), side("two", {"i_a": WAVE[40:3040]})
-    shift, words = aligned_by_content(base, other)
+    shift, note = aligned_by_content(base, other)
     assert shift == pytest.approx(0.04, abs=1e-5)
-    assert "by the column i_a of both files its clock is -0.04" in words
-    assert "correlation 1.000" in words
+    assert "by the column i_a of both files its clock is -0.04" in note
+    assert "correlation 1.000" in note
 
 
-@pytest.mark.parametrize(("share", "enough"), [(0.56, True), (0.44, False)])
-def test_a_correlation_of_a_half_is_needed(share, enough):
+@pytest.mark.parametrize(("share", "accepted"), [(0.56, True), (0.44, False)])
+def test_a_correlation_of_a_half_is_needed(share, accepted):
     noise = smooth(3000)
     mixed = share * WAVE[:3000] / WAVE[:3000].std()
     mixed += np.sqrt(1 - share**2) * noise / noise.std()
     sides = side("one", {"i_a": WAVE[:3000]}), side("two", {"i_a": mixed})
-    if enough:
+    if accepted:
         assert aligned_by_content(*sides)[0] == pytest.approx(0.0, abs=5 * H)
     else:
-        with pytest.raises(RecordError, match="that is too little to rely on"):
+        with pytest.raises(RecordError, match="that is too weak to rely on"):
             aligned_by_content(*sides)
 
 
-@pytest.mark.parametrize(("rows", "told"), [(0, False), (1, False), (2, True), (-2, True)])
-def test_a_column_of_both_files_tells_two_samples(rows, told):
+@pytest.mark.parametrize(("rows", "doubted"), [(0, False), (1, False), (2, True), (-2, True)])
+def test_a_column_of_both_files_reveals_a_shift_of_two_samples(rows, doubted):
     base, other = side("one", {"i_a": WAVE[9:3009]}), side("two", {"i_a": WAVE[9 + rows :][:3000]})
     doubt = doubt_of_time(base, other)
-    assert (doubt is not None) == told
+    assert (doubt is not None) == doubted
     assert doubt is None or "though both have times" in doubt
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.85, True), (0.74, False)])
-def test_a_doubt_needs_a_clear_correlation(share, told):
+@pytest.mark.parametrize(("share", "doubted"), [(0.85, True), (0.74, False)])
+def test_a_doubt_needs_a_clear_correlation(share, doubted):
     noise = smooth(3000)
     mixed = share * WAVE[30:3030] / WAVE.std() + np.sqrt(1 - share**2) * noise / noise.std()
     sides = side("one", {"i_a": WAVE[:3000]}), side("two", {"i_a": mixed})
-    assert (doubt_of_time(*sides) is not None) == told
+    assert (doubt_of_time(*sides) is not None) == doubted
 
 
-def test_files_that_saw_nothing_change():
+def test_files_without_a_common_changing_signal():
     sides = side("one", {"i_a": np.ones(100)}), side("two", {"i_a": WAVE[:100]})
     assert doubt_of_time(*sides) is None
-    with pytest.raises(RecordError, match="two: --align auto finds nothing that both files saw"):
+    with pytest.raises(RecordError, match="two: --align auto finds no signal that changes"):
         aligned_by_content(*sides)
 
 
@@ -234,8 +234,8 @@ def test_row_by_row_the_times_of_the_other_file_are_not_read(tmp_path, options):
     pl.DataFrame({"t": H * k, "i_alpha": k, "i_beta": k}).write_csv(tmp_path / "i.csv")
     pl.DataFrame({"t": -H * k, "u_alpha": 2 * k, "u_beta": k}).write_csv(tmp_path / "u.csv")
     log = read_log(tmp_path / "i.csv", join=[str(tmp_path / "u.csv")], **options)
-    (part,) = log.aligned()
-    np.testing.assert_allclose(part.voltage[1:, 0], 2 * k[:-1], atol=1e-9)
+    (rows,) = log.aligned()
+    np.testing.assert_allclose(rows.voltage[1:, 0], 2 * k[:-1], atol=1e-9)
     assert log.sample_time == pytest.approx(H)
 
 

@@ -1,4 +1,4 @@
-"""Clocks by hand: rows and times of a log with gaps, and what stamps say, with their limits."""
+"""Clocks by hand: rows and times of a log with gaps; limits of rounding, steps and wraps."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def test_times_of_rows_in_pieces_and_gaps():
 
 
 def test_within_a_gap_that_loses_time_rows_stay_before_its_end():
-    """Stamps after a gap may be earlier than whole samples say."""
+    """Stamps after a gap may be earlier than a whole number of samples."""
     early = Clock(
         *(H, 0.0, 20, np.array([0, 5]), np.array([0, 10]), np.array([0.0, 0.0071])),
         *(5, 0.0, 0.0, np.zeros(1), 0.0),
@@ -61,13 +61,13 @@ def test_rows_of_the_file_among_the_uniform_rows():
 
 
 @pytest.mark.parametrize(
-    ("clock", "offs"),
+    ("clock", "offsets"),
     [(GAPS, (-0.4, 0.0, 0.4)), (even(40, H, 5.0), (-0.4, -5e-7, 0.0, 5e-7, 0.4))],
 )
-def test_the_row_at_a_time(clock, offs):
-    """The first at or after it, or past the last at or before it, but for rounding."""
+def test_the_row_at_a_time(clock, offsets):
+    """The first row at or after it, or the row after the last one before it, within rounding."""
     t = clock.times(np.arange(clock.rows))
-    for at in (row + off * H for row in t for off in offs):
+    for at in (row + offset * H for row in t for offset in offsets):
         assert clock.row_at(at, up=True) == np.sum(t < at - 1e-6 * H)
         assert clock.row_at(at, up=False) == np.sum(t <= at + 1e-6 * H)
 
@@ -98,7 +98,7 @@ def test_an_even_clock():
     [(1.0, 0), (1.59, 0), (1.61, 1), (2.4, 1), (2.6, 2), (3.0, 2), (100.0, 99)],
 )
 def test_samples_that_are_missing_in_a_step(steps, missing):
-    """A gap begins at 1.6 samples; its length is a whole number of them."""
+    """A gap begins at 1.6 samples; its length is a whole number of samples."""
     assert missing_steps(np.array([steps * H]), H, 0.0).tolist() == [missing]
 
 
@@ -112,7 +112,7 @@ def test_rounding_allows_for_longer_steps_if_it_is_worth_a_word():
 @pytest.mark.parametrize("size", [digit * 10.0**-n for n in range(1, 7) for digit in (1, 2, 5)])
 @pytest.mark.parametrize("step", [0.3, 0.9, 1.7, 4.3, 37.7])
 def test_the_digits_of_stamps(size, step):
-    """Of the stamps' differences only: they may begin anywhere."""
+    """Only differences of stamps count: they may begin anywhere."""
     t = size * np.round(step * np.arange(1000)) + 1.2345
     assert rounding_of(t) == pytest.approx(size)
 
@@ -172,22 +172,22 @@ def log(t):
     return columns
 
 
-@pytest.mark.parametrize(("off", "jitters"), [(0.018, False), (0.022, True)])
-def test_steps_within_two_percent_are_even(off, jitters):
+@pytest.mark.parametrize(("deviation", "jitters"), [(0.018, False), (0.022, True)])
+def test_steps_within_two_percent_are_even(deviation, jitters):
     t = H * np.arange(400)
-    t[200] += off * H
+    t[200] += deviation * H
     assert (read_log(log(t)).clock.jitter > 0) == jitters
 
 
 @pytest.mark.parametrize(("given", "limit"), [(None, 0.45), (H, 0.9)])
-def test_steps_may_be_shorter_by_so_much(given, limit):
-    """The place of the worst step is named."""
+def test_the_largest_deviation_of_a_step(given, limit):
+    """The message names the place of the worst step."""
     t = H * np.arange(400)
     t[200:] -= (limit - 0.01) * H
     read_log(log(t), sample_time=given)
     t[200:] -= 0.02 * H
-    words = f"row 201: samples are not uniform: a step of .* Steps may differ by {limit:.0%}"
-    with pytest.raises(RecordError, match=words):
+    message = f"row 201: samples are not uniform: a step of .* Steps may differ by {limit:.0%}"
+    with pytest.raises(RecordError, match=message):
         read_log(log(t), sample_time=given)
 
 
@@ -216,8 +216,8 @@ def test_a_wrap_may_lose_sixteen_samples(lost, joined):
 def test_the_place_where_time_runs_backwards():
     t = H * np.arange(50)
     t[20:] -= 0.0055
-    words = r"row 21: time runs backwards or stands still, 0\.019 s then 0\.0145 s"
-    with pytest.raises(RecordError, match=words):
+    message = r"row 21: time runs backwards or stands still, 0\.019 s then 0\.0145 s"
+    with pytest.raises(RecordError, match=message):
         read_log(log(t))
 
 
@@ -228,7 +228,7 @@ def log_at(stamps, **given):
 
 
 def test_a_given_sample_time_is_confirmed_by_the_mean_or_by_the_usual_step():
-    """A gap moves the one, rounding the other."""
+    """A gap shifts the mean, rounding the usual step."""
     gap = 4e-4 * np.concatenate([np.arange(300), np.arange(420, 900)])
     assert log_at(gap, sample_time=4e-4).sample_time == pytest.approx(4e-4)
     rounded = np.round(4e-4 * np.arange(2001), 3)

@@ -1,4 +1,4 @@
-"""One run in the layouts of tools and instruments: every file gives the same angle."""
+"""One run in the layouts of tools and instruments: each file gives the same angle."""
 
 import importlib.util
 from pathlib import Path
@@ -15,10 +15,10 @@ corpus = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(corpus)
 
 SIGNALS = corpus.run()
-#: Where the first interval is unknown, or values are rounded, the angle is moved by [°]:
+#: Angle error [°] where the first interval is unknown or values are rounded.
 ROUNDING = dict.fromkeys(("mesc.csv", "odrive.csv", "moteus.npz", "vesc-sampled.csv"), 0.01)
 TOLERANCE = 5e-4
-#: Formats whose files hold the date of their making, or compressed bytes.
+#: Formats whose files contain a date or compressed bytes.
 NOT_TEXT = (
     ".mf4",
     ".tdms",
@@ -44,28 +44,28 @@ def expected():
 @pytest.mark.parametrize("name", corpus.LAYOUTS)
 def test_the_first_command_is_right(name, expected):
     options = {"preset": corpus.PRESETS[name]} if name in corpus.PRESETS else {}
-    if name == "moteus.npz":  # its stream has no time, and this one is not at the usual 30 kHz
+    if name == "moteus.npz":  # its stream has no time, and is not at the usual 30 kHz
         options["sample_time"] = corpus.SAMPLE_TIME
-    found = fluxobs.estimate(corpus.FOLDER / name, corpus.MACHINE, unknowns="drift", **options)
-    assert len(found.estimates) == corpus.ROWS
-    both = found["valid"] & expected["valid"]
+    result = fluxobs.estimate(corpus.FOLDER / name, corpus.MACHINE, unknowns="drift", **options)
+    assert len(result.estimates) == corpus.ROWS
+    both = result["valid"] & expected["valid"]
     assert both.sum() >= expected["valid"].sum() - 1
-    error = np.degrees(np.angle(np.exp(1j * (found["theta_e"] - expected["theta_e"]))))
+    error = np.degrees(np.angle(np.exp(1j * (result["theta_e"] - expected["theta_e"]))))
     assert np.abs(error[both]).max() < ROUNDING.get(name, TOLERANCE)
-    if found.log.true is not None:
-        assert abs(found.truth_fit["zero"].value) < np.radians(0.1)
-        assert not found.truth_fit.wrong_turns
+    if result.log.true is not None:
+        assert abs(result.truth_fit["zero"].value) < np.radians(0.1)
+        assert not result.truth_fit.wrong_turns
 
 
 @pytest.mark.parametrize("name", [n for n in corpus.LAYOUTS if not n.endswith(NOT_TEXT)])
-def test_the_files_are_what_is_written(name, tmp_path):
+def test_the_corpus_is_up_to_date(name, tmp_path):
     corpus.LAYOUTS[name](SIGNALS, tmp_path / name)
     assert (tmp_path / name).read_bytes() == (corpus.FOLDER / name).read_bytes()
 
 
 @pytest.mark.parametrize("name", corpus.LAYOUTS)
-def test_every_guess_is_said_and_can_be_saved(name, tmp_path):
-    """A record that was saved reads the file in the same way, with nothing left to guess."""
+def test_every_guess_can_be_saved(name, tmp_path):
+    """A saved record reads the file in the same way, without guesses."""
     from fluxobs.logs import read_log
     from fluxobs.logs.record_files import write_record
 
@@ -74,10 +74,10 @@ def test_every_guess_is_said_and_can_be_saved(name, tmp_path):
         options["sample_time"] = corpus.SAMPLE_TIME
     log = read_log(corpus.FOLDER / name, **options)
     write_record(log, tmp_path / "record.toml")
-    again = read_log(corpus.FOLDER / name, record=tmp_path / "record.toml")
-    assert (again.frame, again.names, again.truth) == (log.frame, log.names, log.truth)
-    assert dict(again.conversions) == dict(log.conversions)
-    assert not any("taken as" in note or "taken for" in note for note in again.notes)
-    for one, other in zip(log.aligned(), again.aligned(), strict=True):
-        np.testing.assert_array_equal(one.voltage, other.voltage)
-        np.testing.assert_array_equal(one.current, other.current)
+    reopened = read_log(corpus.FOLDER / name, record=tmp_path / "record.toml")
+    assert (reopened.frame, reopened.names, reopened.truth) == (log.frame, log.names, log.truth)
+    assert dict(reopened.conversions) == dict(log.conversions)
+    assert not any("taken as" in note or "taken for" in note for note in reopened.notes)
+    for batch, reopened_batch in zip(log.aligned(), reopened.aligned(), strict=True):
+        np.testing.assert_array_equal(batch.voltage, reopened_batch.voltage)
+        np.testing.assert_array_equal(batch.current, reopened_batch.current)

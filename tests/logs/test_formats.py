@@ -1,4 +1,4 @@
-"""Formats: paths of channels, batches, and what is said of broken or missing things."""
+"""Formats: paths of channels, batches, and messages on broken files and missing libraries."""
 
 import importlib
 import json
@@ -45,24 +45,24 @@ def write(path):
         case ".npz":
             np.savez(path, **columns)
         case ".npy":
-            out = np.zeros(ROWS, [(name, "f8") for name in columns])
+            array = np.zeros(ROWS, [(name, "f8") for name in columns])
             for name, values in columns.items():
-                out[name] = values
-            np.save(path, out)
+                array[name] = values
+            np.save(path, array)
         case ".mf4":
             from asammdf import MDF, Signal
 
-            made = MDF(version="4.10")
-            made.append([Signal(v, T, name=n) for n, v in SIGNALS.items()], acq_name="drive")
-            made.save(path, overwrite=True)
-            made.close()
+            mdf = MDF(version="4.10")
+            mdf.append([Signal(v, T, name=n) for n, v in SIGNALS.items()], acq_name="drive")
+            mdf.save(path, overwrite=True)
+            mdf.close()
         case ".tdms":
             from nptdms import ChannelObject, TdmsWriter
 
             with TdmsWriter(path) as writer:
-                about = {"wf_increment": 1e-4, "wf_start_offset": 0.0}
+                properties = {"wf_increment": 1e-4, "wf_start_offset": 0.0}
                 writer.write_segment(
-                    [ChannelObject("drive", n, v, about) for n, v in SIGNALS.items()]
+                    [ChannelObject("drive", n, v, properties) for n, v in SIGNALS.items()]
                 )
         case ".h5":
             import h5py
@@ -75,7 +75,7 @@ def write(path):
 
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_batches_are_the_signals_wherever_they_are_cut(tmp_path, ending, monkeypatch):
-    if ending == ".mf4":  # a small file has one block: cut it as a large one is
+    if ending == ".mf4":  # a small file has one block: split it like a large one
         monkeypatch.setattr("fluxobs.logs.formats.mdf.BLOCK", 1000)
     if ".csv" in ending:
         source = importlib.import_module("fluxobs.logs.formats.text.source")
@@ -85,17 +85,17 @@ def test_batches_are_the_signals_wherever_they_are_cut(tmp_path, ending, monkeyp
     assert table.rows == ROWS
     names = list(SIGNALS)
     for first, last, size in ((0, ROWS, 7_000), (11_111, 11_200, 13), (ROWS - 5, ROWS, 100)):
-        parts = list(table.batches(names, first, last, size))
+        batches = list(table.batches(names, first, last, size))
         for name in names:
-            found = np.concatenate([part[name] for part in parts])
-            np.testing.assert_allclose(found, SIGNALS[name][first:last], atol=1e-12)
+            values = np.concatenate([batch[name] for batch in batches])
+            np.testing.assert_allclose(values, SIGNALS[name][first:last], atol=1e-12)
     log = read_log(tmp_path / f"log{ending}")
     assert log.sample_time == pytest.approx(1e-4)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="another system: names are text there")
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are text on other systems")
 @pytest.mark.parametrize("ending", ENDINGS)
-def test_a_name_that_is_no_text_is_read(tmp_path, ending):
+def test_a_file_name_that_is_not_utf8(tmp_path, ending):
     path = tmp_path / os.fsdecode(b"caf\xe9" + ending.encode())
     write(tmp_path / f"log{ending}").rename(path)
     log = read_log(path)
@@ -129,7 +129,7 @@ def test_a_missing_library_is_named_with_its_extra(tmp_path, ending, module, ext
         open_tables(tmp_path / f"log{ending}")
 
 
-def test_groups_of_one_name_are_told_by_their_paths(tmp_path):
+def test_equal_names_in_groups_differ_by_their_paths(tmp_path):
     import h5py
 
     with h5py.File(tmp_path / "log.h5", "w") as file:
@@ -139,9 +139,9 @@ def test_groups_of_one_name_are_told_by_their_paths(tmp_path):
         file["t"] = T
     columns = {name: f"right/{name}" for name in SIGNALS}
     log = read_log(tmp_path / "log.h5", columns=columns)
-    (part,) = log.aligned()
-    np.testing.assert_allclose(part.current[:, 0], 2 * SIGNALS["i_a"])
-    listed = [one.column for one in list_channels(tmp_path / "log.h5").channels]
+    (rows,) = log.aligned()
+    np.testing.assert_allclose(rows.current[:, 0], 2 * SIGNALS["i_a"])
+    listed = [channel.column for channel in list_channels(tmp_path / "log.h5").channels]
     assert "left/u_c" in listed
 
 
@@ -157,12 +157,12 @@ def test_the_end_of_a_path_suffices_where_it_is_unique(tmp_path):
 
 
 def test_matrices_and_objects_in_an_archive(tmp_path):
-    three = np.stack(list(SIGNALS.values())[2:], axis=1)
-    np.savez(tmp_path / "log.npz", t=T, iabc=three, uabc=three.T, note=np.array([None, "x"]))
+    matrix = np.stack(list(SIGNALS.values())[2:], axis=1)
+    np.savez(tmp_path / "log.npz", t=T, iabc=matrix, uabc=matrix.T, note=np.array([None, "x"]))
     (table,) = open_tables(tmp_path / "log.npz")
     assert {"t", "iabc[0]", "uabc[2]"} <= set(table.columns)
-    (part,) = table.batches(["uabc[1]"], 0, 9)
-    np.testing.assert_array_equal(part["uabc[1]"], SIGNALS["u_b"][:9])
+    (batch,) = table.batches(["uabc[1]"], 0, 9)
+    np.testing.assert_array_equal(batch["uabc[1]"], SIGNALS["u_b"][:9])
 
 
 def test_sheets_with_times_of_their_own(tmp_path):
@@ -176,13 +176,13 @@ def test_sheets_with_times_of_their_own(tmp_path):
             pl.DataFrame(columns).write_excel(book, sheet)
     log = read_log(tmp_path / "log.xlsx")
     assert log.names["i_a"] == "I/i_a"
-    part = next(log.aligned())
+    rows = next(log.aligned())
     u_a, u_b, u_c = (SIGNALS[name][:200] for name in ("u_a", "u_b", "u_c"))
-    np.testing.assert_allclose(part.voltage[1:, 0], ((2 * u_a - u_b - u_c) / 3)[:-1], atol=1e-9)
+    np.testing.assert_allclose(rows.voltage[1:, 0], ((2 * u_a - u_b - u_c) / 3)[:-1], atol=1e-9)
 
 
 def test_sheets_without_a_table(tmp_path):
-    """Excel adds empty ones: they are passed over, as a sheet with a title alone is."""
+    """Empty sheets, which Excel adds, and sheets with only a title are skipped."""
     pytest.importorskip("fastexcel")
     from xlsxwriter import Workbook
 
@@ -194,14 +194,14 @@ def test_sheets_without_a_table(tmp_path):
         table.write_excel(book, "Data")
     log = read_log(path)
     assert len(log) == 200
-    for row, words in (
+    for row, message in (
         ([], "log.xlsx: all sheets are empty"),
         (["a", "b"], "no columns of numbers"),
     ):
         with Workbook(path) as book:
             book.add_worksheet()
             book.add_worksheet().write_row(0, 0, row)
-        with pytest.raises(RecordError, match=words):
+        with pytest.raises(RecordError, match=message):
             read_log(path)
 
 
@@ -221,8 +221,8 @@ def test_rows_in_json(tmp_path):
     (tmp_path / "log.json").write_text(rows.write_json())
     (table,) = open_tables(tmp_path / "log.json")
     assert table.rows == 100
-    (part,) = table.batches(["u_b"], 0, 100)
-    np.testing.assert_allclose(part["u_b"], SIGNALS["u_b"][:100], atol=1e-12)
+    (batch,) = table.batches(["u_b"], 0, 100)
+    np.testing.assert_allclose(batch["u_b"], SIGNALS["u_b"][:100], atol=1e-12)
 
 
 def test_matrices_have_numbered_columns(tmp_path):
@@ -233,8 +233,8 @@ def test_matrices_have_numbered_columns(tmp_path):
     names = ("t", *SIGNALS)
     columns = {name: f"data[{n}]" for n, name in enumerate(names)}
     log = read_log(tmp_path / "log.mat", columns=columns)
-    (part,) = log.aligned()
-    assert part.current.shape == (ROWS, 2)
+    (rows,) = log.aligned()
+    assert rows.current.shape == (ROWS, 2)
     np.save(tmp_path / "log.npy", matrix)
     with pytest.raises(RecordError, match=r'give them with --header "t,u_a'):
         read_log(tmp_path / "log.npy")

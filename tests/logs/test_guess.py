@@ -1,4 +1,4 @@
-"""What values say of columns, and the units and names that say it outright: limits of each."""
+"""Guesses from values, units and names of columns, at their limits."""
 
 import math
 
@@ -61,7 +61,7 @@ def test_the_unit_of_a_duty(low, high, unit):
     ("size", "unit"), [(0.91, "deg"), (0.89, None), (1.09, "deg"), (1.3, None)]
 )
 def test_a_wrap_may_miss_a_turn_by_a_tenth(size, unit):
-    """Of an angle that turns slowly."""
+    """For an angle that turns slowly."""
     assert turn_of(np.mod(K * 3.0, 360.0 * size)) == unit
 
 
@@ -72,13 +72,13 @@ def test_a_wrap_may_miss_a_turn_by_three_steps():
 
 
 @pytest.mark.parametrize("pairs", [1.0, 1.45, 1.55, 4.0])
-@pytest.mark.parametrize("way", [1, -1])
-def test_an_angle_is_mechanical_if_the_current_turns_faster(pairs, way):
-    """By half at least; direction and missing values do not matter."""
-    angle = np.mod(way * 0.1 * K / pairs, 2 * np.pi)
+@pytest.mark.parametrize("direction", [1, -1])
+def test_an_angle_is_mechanical_if_the_current_turns_faster(pairs, direction):
+    """Faster by at least half; direction and missing values do not matter."""
+    angle = np.mod(direction * 0.1 * K / pairs, 2 * np.pi)
     angle[5] = np.nan
-    found = electrical_or_mechanical(angle, Z)
-    assert found == ("theta_mech" if pairs > 1.5 else "theta_e")
+    channel = electrical_or_mechanical(angle, Z)
+    assert channel == ("theta_mech" if pairs > 1.5 else "theta_e")
 
 
 def test_an_angle_that_says_nothing_is_electrical():
@@ -101,7 +101,7 @@ def test_an_angle_that_says_nothing_is_electrical():
     ],
 )
 def test_a_column_without_a_name_is_time_if_it_rises_evenly(values, time):
-    """It needs ten steps at least."""
+    """It needs at least ten steps."""
     table = {"": values.astype(float)} | {n: v[: len(values)] for n, v in AXES.items()}
     if len(values) < 20:
         with pytest.raises(RecordError, match="rows of data are too few"):
@@ -159,7 +159,7 @@ def test_a_column_swings_by_more_than_half_its_mean(mean, taken):
 
 
 @pytest.mark.parametrize(
-    ("channel", "words", "factor"),
+    ("channel", "spellings", "factor"),
     [
         ("t", "s sec second sek S", 1.0),
         ("t", "ms msec milliseconds Milliseconds", 1e-3),
@@ -198,9 +198,9 @@ def test_a_column_swings_by_more_than_half_its_mean(mean, taken):
         ("d_a", "counts:1000", 1e-3),
     ],
 )
-def test_units(channel, words, factor):
-    for word in words.split():
-        assert units.factor(channel, word) == pytest.approx(factor, rel=1e-12)
+def test_units(channel, spellings, factor):
+    for spelling in spellings.split():
+        assert units.factor(channel, spelling) == pytest.approx(factor, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -234,17 +234,17 @@ def test_converters():
 @pytest.mark.parametrize(
     "given", ["12", "12,0", "0,1", "33,1", "12.5,1", "1,2,3,4", "a,1", "inf,1"]
 )
-def test_converters_that_are_none(given):
+def test_malformed_converters(given):
     with pytest.raises(RecordError, match="expected BITS,RANGE or BITS,RANGE,ZERO"):
         units.adc("i_a", given)
 
 
 @pytest.mark.parametrize(("unit", "kinds"), [("1", set()), ("-", set()), ("", set()), ("x", set())])
-def test_words_that_say_no_quantity(unit, kinds):
+def test_texts_without_a_quantity(unit, kinds):
     assert units.known(unit) == kinds
 
 
-def test_words_that_say_several_quantities():
+def test_the_quantities_of_a_unit():
     assert units.known("m") == {"length"}
     assert units.known("[mA]") == {"current"}
     assert units.known("1/s") == {"speed"}
@@ -281,7 +281,7 @@ def test_words_that_say_several_quantities():
         ("temperature", None, None),
     ],
 )
-def test_what_a_name_says(column, channel, unit):
+def test_channel_and_unit_of_a_name(column, channel, unit):
     assert read_name(column) == (channel, unit)
 
 
@@ -304,7 +304,7 @@ def test_setpoints(column, setpoint):
     [
         ([4.0, 5.0], 1e-4, True),
         ([4.0, 5.0, 6.0], 1e-4, True),
-        ([4.0, 5.0, 6.0], None, False),  # the file does not say the sample time: it may be t
+        ([4.0, 5.0, 6.0], None, False),  # without a sample time in the file it may be t
         ([4.0], 1e-4, False),
         ([], 1e-4, False),
         ([4.0, 5.0, 7.0], 1e-4, False),
@@ -329,7 +329,7 @@ def test_parts_of_names():
 
 @pytest.mark.parametrize("given", [None, "abc", "alphabeta"])
 def test_currents_in_a_frame_of_their_own(given):
-    """That which is filled, or the one that is given."""
+    """The frame that the columns fill, or the given one."""
     voltages = {"u_alpha": 10 * Z.real, "u_beta": 10 * Z.imag}
     currents = {"i_a": CURRENTS["i_a"], "i_b": CURRENTS["i_b"]}
     if given == "alphabeta":
@@ -338,8 +338,8 @@ def test_currents_in_a_frame_of_their_own(given):
     else:
         log = read_log(T | voltages | currents, currents=given)
         assert (log.frame, log.current_frame) == ("alphabeta", "abc")
-        (part,) = log.aligned()
-        np.testing.assert_allclose(part.current, np.stack([Z.real, Z.imag], 1), atol=1e-12)
+        (rows,) = log.aligned()
+        np.testing.assert_allclose(rows.current, np.stack([Z.real, Z.imag], 1), atol=1e-12)
 
 
 # ---- true angles of several columns ---------------------------------------------------------
@@ -368,28 +368,28 @@ def test_three_hall_sensors_are_levels_one_column_is_their_code():
 
 
 @pytest.mark.parametrize(
-    ("truth", "words"),
+    ("truth", "message"),
     [
-        ({"sincos": "s"}, "truth sincos=s: 2 columns are needed, parted by commas"),
+        ({"sincos": "s"}, "truth sincos=s: 2 columns are needed, separated by commas"),
         ({"hall": "s,c"}, "truth hall=s,c: 1 or 3 columns are needed"),
         ({"theta_e": "s,c"}, "truth theta_e=s,c: 1 columns are needed"),
-        ({"sincos": "s,gone"}, "the column 'gone', which --truth sincos=s,gone asks for, holds no"),
+        ({"sincos": "s,gone"}, "the column 'gone' of --truth sincos=s,gone holds no"),
     ],
 )
-def test_columns_that_are_no_truth(truth, words):
+def test_malformed_truths(truth, message):
     columns = {"s": np.sin(0.1 * K), "c": np.cos(0.1 * K), "gone": np.full(len(K), np.nan)}
-    with pytest.raises(RecordError) as told:
+    with pytest.raises(RecordError) as error:
         read_log(T | AXES | columns, truth=truth)
-    assert words in str(told.value)
+    assert message in str(error.value)
 
 
 @pytest.mark.parametrize(("count", "named"), [(39, 40), (45, 40), (10, 11)])
 def test_at_most_forty_columns_are_named_where_nothing_is_found(count, named):
     columns = T | {f"signal {n}": np.sin(K + n) for n in range(count)}
-    with pytest.raises(RecordError) as told:
+    with pytest.raises(RecordError) as error:
         read_log(columns)
-    words = str(told.value).partition("among its columns: ")[2].partition(". Name them")[0]
-    assert len(words.split(", ")) == named
+    listing = str(error.value).partition("among its columns: ")[2].partition(". Name them")[0]
+    assert len(listing.split(", ")) == named
 
 
 def test_a_truth_of_one_column_is_not_scaled():

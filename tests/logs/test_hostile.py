@@ -1,4 +1,4 @@
-"""Hostile logs of text: none blocks the program or fills the memory."""
+"""Hostile text logs must not block the program or fill the memory."""
 
 import contextlib
 import gzip
@@ -27,7 +27,7 @@ ROWS = "".join(f"{n * 1e-3:.3f},1,2,3,4\n" for n in range(300))
         HEAD + "1" * 100_000 + "x,1,2,3,4\n",
     ],
 )
-def test_text_is_looked_at_in_a_time_that_grows_with_its_length(tmp_path, above):
+def test_time_grows_linearly_with_the_length_of_a_text(tmp_path, above):
     (tmp_path / "log.csv").write_text(above + ROWS)
     before = time.process_time()
     with contextlib.suppress(FluxobsError):
@@ -59,7 +59,7 @@ def test_a_line_without_end(tmp_path, encoding, packed, at):
 
 
 def packed_rows(path, row, megabytes):
-    """A compressed log of one row many times, of so many unpacked megabytes."""
+    """Write a compressed log that repeats one row, of so many megabytes unpacked."""
     block = gzip.compress(row * ((1 << 20) // len(row)))
     path.write_bytes(gzip.compress((HEAD + ROWS).encode()) + block * megabytes)
     return path
@@ -73,11 +73,11 @@ def test_a_small_file_that_unpacks_to_a_gigabyte(tmp_path):
 def test_short_rows_are_read_in_little_memory(tmp_path):
     (table,) = open_tables(packed_rows(tmp_path / "log.csv.gz", b"0,1,2,3,4\n", 70))
     tracemalloc.start()
-    rows = sum(len(part["t"]) for part in table.batches(table.columns, 0, table.rows))
+    rows = sum(len(batch["t"]) for batch in table.batches(table.columns, 0, table.rows))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert rows == table.rows > 7_000_000
-    assert peak < 100 << 20  # kept as numbers they are 290 MB, and were 590
+    assert peak < 100 << 20  # as numbers in memory they take 290 MB
 
 
 def test_lines_without_rows_are_not_kept_in_memory(tmp_path):
@@ -87,6 +87,6 @@ def test_lines_without_rows_are_not_kept_in_memory(tmp_path):
     (table,) = open_tables(path)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 10 << 20  # a number for each of them are 20 MB
+    assert peak < 10 << 20  # a number for each of them takes 20 MB
     assert table.place(299) == "line 301"
     assert table.place(300) == "line 500302"

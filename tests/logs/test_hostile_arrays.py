@@ -1,4 +1,4 @@
-"""Hostile arrays (HDF5, npz, npy, Parquet, Arrow): none brings other files or fills the memory."""
+"""Hostile arrays (HDF5, npz, npy, Parquet, Arrow) must not read other files or fill the memory."""
 
 import io
 import time
@@ -19,7 +19,7 @@ T = COLUMNS["t"]
 
 @pytest.fixture(params=["log.h5", "log.mat"])
 def hdf5(request, tmp_path):
-    """An HDF5 file, and one of MATLAB 7.3, that lack a column."""
+    """Write an HDF5 or MATLAB 7.3 file that lacks the column i_beta."""
     h5py = pytest.importorskip("h5py")
     matlab = request.param.endswith(".mat")
     with h5py.File(tmp_path / request.param, "w", userblock_size=512 * matlab) as file:
@@ -54,7 +54,7 @@ def test_a_virtual_dataset(hdf5, tmp_path):
     refused(hdf5, "i_beta are kept in other files")
 
 
-def test_a_dataset_whose_name_is_no_text(hdf5):
+def test_a_dataset_name_that_is_not_utf8(hdf5):
     import h5py
 
     with h5py.File(hdf5, "a") as file:
@@ -64,7 +64,7 @@ def test_a_dataset_whose_name_is_no_text(hdf5):
 
 
 def with_chunks(path, chunk, packed=None, rows=None, **options):
-    """The HDF5 file with i_beta in chunks of so many rows, the first of them these bytes."""
+    """Add i_beta to the HDF5 file in chunks of so many rows, the first one with these bytes."""
     import h5py
 
     with h5py.File(path, "a") as file:
@@ -102,7 +102,7 @@ def test_a_dataset_that_is_compressed_twice(hdf5):
 
 def test_rows_that_no_file_holds(hdf5):
     with_chunks(hdf5, 1000, rows=1 << 40)
-    (table,) = [one for one in open_tables(hdf5) if "i_beta" in one.columns]
+    (table,) = [candidate for candidate in open_tables(hdf5) if "i_beta" in candidate.columns]
     with pytest.raises(FluxobsError, match="i_beta unpacks to 8796093022208 bytes"):
         list(table.batches(["i_beta"], 0, 10))
 
@@ -115,14 +115,14 @@ def test_a_large_chunk_is_unpacked_once(tmp_path):
         file.create_dataset("x", data=values, chunks=(rows,), compression="gzip")
     (table,) = open_tables(tmp_path / "log.h5")
     before = time.process_time()
-    parts = list(table.batches(["x"], 0, rows, 10_000))
+    batches = list(table.batches(["x"], 0, rows, 10_000))
     assert time.process_time() - before < 1  # once for each of 100 batches it is 5
-    np.testing.assert_array_equal(np.concatenate([part["x"] for part in parts]), values)
+    np.testing.assert_array_equal(np.concatenate([batch["x"] for batch in batches]), values)
 
 
 @pytest.mark.parametrize("ending", ["npy", "npz"])
 @pytest.mark.parametrize("kind", [[("a", float), ("b", float)], (float, 3), complex, "V8", "S5"])
-def test_a_field_that_is_no_number_is_no_column(tmp_path, ending, kind):
+def test_a_field_without_numbers_is_not_a_column(tmp_path, ending, kind):
     rows = np.zeros(200, [*((name, float) for name in COLUMNS), ("note", kind)])
     for name, values in COLUMNS.items():
         rows[name] = values
@@ -132,7 +132,7 @@ def test_a_field_that_is_no_number_is_no_column(tmp_path, ending, kind):
     assert [name.removeprefix("log/") for name in table.columns] == list(COLUMNS)
 
 
-def test_a_member_that_nobody_asks_for_is_not_unpacked(tmp_path):
+def test_an_unused_member_is_not_unpacked(tmp_path):
     np.savez_compressed(tmp_path / "log.npz", **COLUMNS)
     head = io.BytesIO()
     fields = {"descr": "<f8", "fortran_order": False, "shape": (1 << 29,)}
@@ -141,7 +141,9 @@ def test_a_member_that_nobody_asks_for_is_not_unpacked(tmp_path):
         archive.writestr("notes.npy", head.getvalue())
     log = read_log(tmp_path / "log.npz")
     assert len(log) == len(T)
-    (table,) = [one for one in open_tables(tmp_path / "log.npz") if "notes" in one.columns]
+    (table,) = [
+        candidate for candidate in open_tables(tmp_path / "log.npz") if "notes" in candidate.columns
+    ]
     with pytest.raises(FluxobsError, match=r"log\.npz: reading failed midway: "):
         list(table.batches(["notes"], 0, 10))
 
@@ -149,7 +151,7 @@ def test_a_member_that_nobody_asks_for_is_not_unpacked(tmp_path):
 @pytest.mark.filterwarnings("ignore:Stored array in format 3.0")
 def test_fields_with_names_in_other_scripts(tmp_path):
     np.savez(tmp_path / "log.npz", **COLUMNS, notes=np.zeros(200, [("Ω", float)]))
-    assert any("notes/Ω" in one.columns for one in open_tables(tmp_path / "log.npz"))
+    assert any("notes/Ω" in table.columns for table in open_tables(tmp_path / "log.npz"))
 
 
 def test_an_array_larger_than_memory(tmp_path):
@@ -183,9 +185,9 @@ def test_a_large_compressed_batch_is_unpacked_once(tmp_path):
     frame.write_ipc(tmp_path / "log.arrow", compression="zstd", record_batch_size=rows)
     (table,) = open_tables(tmp_path / "log.arrow")
     before = time.process_time()
-    parts = list(table.batches(["t", "x"], 0, rows, 10_000))
+    batches = list(table.batches(["t", "x"], 0, rows, 10_000))
     assert time.process_time() - before < 1  # once for each of 100 batches it was 3
-    np.testing.assert_array_equal(np.concatenate([part["x"] for part in parts]), frame["x"])
+    np.testing.assert_array_equal(np.concatenate([batch["x"] for batch in batches]), frame["x"])
 
 
 def test_an_archive_that_unpacks_to_far_more_than_its_size(tmp_path):

@@ -1,4 +1,4 @@
-"""Hostile MATLAB files: they neither overflow the stack nor fill the memory."""
+"""Hostile MATLAB files must not overflow the stack or fill the memory."""
 
 import struct
 import zlib
@@ -14,7 +14,7 @@ T = COLUMNS["t"]
 
 
 def nested_cells(depth):
-    """A MATLAB array of cells within each other, as in a file."""
+    """Return nested cells as they are in a MATLAB file."""
     head = struct.pack("<2I", 6, 8), struct.pack("<6I", 5, 8, 1, 1, 1, 0)
     inner = head[0] + struct.pack("<2I", 6, 0) + head[1] + struct.pack("<2I2d", 9, 8, 1.0, 0)[:16]
     for _ in range(depth):
@@ -39,8 +39,8 @@ def test_deeply_nested_cells_of_matlab(tmp_path, packed):
 
 
 @pytest.mark.parametrize("packed", [False, True])
-def test_all_that_matlab_nests_is_followed(tmp_path, packed):
-    """Structs, cells, texts, complex and sparse matrices; the depth of none is mistaken."""
+def test_all_kinds_of_nested_arrays_are_followed(tmp_path, packed):
+    """Structs, cells, texts, complex and sparse matrices do not count as too deep."""
     matlab = pytest.importorskip("scipy.io")
     sparse = pytest.importorskip("scipy.sparse")
     cells = np.empty((2, 3), dtype=object)
@@ -55,18 +55,18 @@ def element(kind, content):
 
 
 def array_head(kind, *sizes):
-    """The head of an array of a MATLAB file."""
+    """Return the head of an array in a MATLAB file."""
     shape = element(5, struct.pack("<2I", *sizes))
     return element(6, struct.pack("<2I", kind, 0)) + shape + element(1, b"notes")
 
 
 def packed_array(path, head, content, times=1):
-    """A MATLAB file with the channels, and a packed array whose content is so many times this."""
+    """Write a MATLAB file with the channels and a compressed array of repeated content."""
     matlab = pytest.importorskip("scipy.io")
     matlab.savemat(path, COLUMNS)
     packer = zlib.compressobj(1)
     body = [struct.pack("<2I", 14, len(head) + len(content) * times) + head]
-    packed = b"".join(packer.compress(one) for one in [*body, *[content] * times])
+    packed = b"".join(packer.compress(block) for block in [*body, *[content] * times])
     with path.open("ab") as file:
         file.write(element(15, packed + packer.flush()))
     assert path.stat().st_size < 2 << 20
@@ -74,18 +74,18 @@ def packed_array(path, head, content, times=1):
 
 
 @pytest.mark.parametrize("packed", [False, True])
-def test_an_object_of_matlab_s_own_is_passed_over(tmp_path, packed):
-    """Three texts, and an array of numbers; a string or a datetime is one."""
+def test_a_matlab_object_is_skipped(tmp_path, packed):
+    """Three texts and a numeric array, as MATLAB stores a string or a datetime."""
     matlab = pytest.importorskip("scipy.io")
     matlab.savemat(tmp_path / "log.mat", COLUMNS)
     texts = b"".join(element(1, text) for text in (b"notes", b"MCOS", b"string"))
     numbers = element(14, array_head(13, 1, 6) + element(6, bytes(24)))
-    made = element(14, element(6, struct.pack("<2I", 17, 0)) + texts + numbers)
-    if packed:  # what is packed is not padded
-        content = zlib.compress(made)
-        made = struct.pack("<2I", 15, len(content)) + content
+    array = element(14, element(6, struct.pack("<2I", 17, 0)) + texts + numbers)
+    if packed:  # compressed elements are not padded
+        content = zlib.compress(array)
+        array = struct.pack("<2I", 15, len(content)) + content
     with (tmp_path / "log.mat").open("ab") as file:
-        file.write(made)
+        file.write(array)
     assert len(read_log(tmp_path / "log.mat")) == len(T)
 
 

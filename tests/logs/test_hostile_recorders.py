@@ -1,4 +1,4 @@
-"""Hostile files of recorders (MDF, TDMS, ULog): their blocks and counts lead to an end."""
+"""Hostile files of recorders (MDF, TDMS, ULog): reading their blocks and counts must end."""
 
 import struct
 
@@ -13,7 +13,7 @@ from support.records import SMALL_LOG as COLUMNS
 T = COLUMNS["t"]
 
 
-def test_counts_that_a_tdms_file_does_not_hold(tmp_path):
+def test_counts_beyond_the_contents_of_a_tdms_file(tmp_path):
     nptdms = pytest.importorskip("nptdms")
     with nptdms.TdmsWriter(tmp_path / "log.tdms") as file:
         file.write_segment([nptdms.ChannelObject("g", k, v) for k, v in COLUMNS.items()])
@@ -24,7 +24,7 @@ def test_counts_that_a_tdms_file_does_not_hold(tmp_path):
 
 
 def mdf(path, version="4.10"):
-    """An MDF file with the channels; whoever changes it finds its blocks by their names."""
+    """Write an MDF file with the channels; tests find its blocks by their names."""
     asammdf = pytest.importorskip("asammdf")
     with asammdf.MDF(version=version) as file:
         file.append([asammdf.Signal(v, T, name=k) for k, v in COLUMNS.items() if k != "t"])
@@ -37,8 +37,8 @@ def test_a_block_of_mdf_that_unpacks_to_more_than_it_has(tmp_path, sorted_):
     content = path.read_bytes()
     content += bytes(-len(content) % 8)
     packed = zeros(300)
-    about = struct.pack("<2s2BI2Q", b"DT", 0, 0, 0, 40 * len(T), len(packed))
-    block = struct.pack("<4s4x2Q", b"##DZ", 24 + len(about + packed), 0) + about + packed
+    header = struct.pack("<2s2BI2Q", b"DT", 0, 0, 0, 40 * len(T), len(packed))
+    block = struct.pack("<4s4x2Q", b"##DZ", 24 + len(header + packed), 0) + header + packed
     with_links(path, content + block, {(b"##DG", 0, 2): len(content)})
     if not sorted_:
         with path.open("r+b") as file:
@@ -47,7 +47,7 @@ def test_a_block_of_mdf_that_unpacks_to_more_than_it_has(tmp_path, sorted_):
     refused(path, "a block of data unpacks to more than the 8000 bytes")
 
 
-def test_rows_that_an_mdf_file_does_not_hold(tmp_path):
+def test_rows_beyond_the_contents_of_an_mdf_file(tmp_path):
     path = mdf(tmp_path / "log.mf4")
     content = bytearray(path.read_bytes())
     at = content.index(b"##CG")
@@ -57,14 +57,14 @@ def test_rows_that_an_mdf_file_does_not_hold(tmp_path):
 
 
 def conversion(*links):
-    """A conversion of MDF 4 that refers to these blocks, where the value is 0 and elsewhere."""
+    """Return an MDF 4 conversion that refers to these blocks, for the value 0 and as default."""
     body = struct.pack(f"<{4 + len(links)}Q", 0, 0, 0, 0, *links)
     values = struct.pack("<2B3H3d", 7, 0, 0, len(links), 1, 0, 0, 0)
     return struct.pack("<4s4x2Q", b"##CC", 24 + len(body + values), 4 + len(links)) + body + values
 
 
 def with_links(path, content, places):
-    """Replace links of an MDF file: number of its block, of the link → address."""
+    """Replace links of an MDF file: (kind of block, its number, number of link) → address."""
     content = bytearray(content)
     for (kind, number, link), address in places.items():
         at = -1
@@ -75,9 +75,9 @@ def with_links(path, content, places):
 
 
 @pytest.mark.parametrize(
-    ("depth", "words"), [(30, "conversions take more than 256 MB"), (5, None), (0, "circle")]
+    ("depth", "message"), [(30, "conversions take more than 256 MB"), (5, None), (0, "circle")]
 )
-def test_conversions_that_refer_to_others_twice(tmp_path, depth, words):
+def test_conversions_that_refer_to_others_twice(tmp_path, depth, message):
     path = mdf(tmp_path / "log.mf4")
     content = path.read_bytes()
     content += bytes(-len(content) % 8)
@@ -88,8 +88,8 @@ def test_conversions_that_refer_to_others_twice(tmp_path, depth, words):
         blocks.append(conversion(last, last))
     address = first + sum(map(len, blocks[:-1]))
     with_links(path, content + b"".join(blocks), {(b"##CN", 1, 4): address})
-    if words:
-        refused(path, words)
+    if message:
+        refused(path, message)
     else:
         open_tables(path)
 
@@ -115,8 +115,8 @@ def test_blocks_in_a_circle(tmp_path, kind):
 
 @pytest.mark.parametrize("version", ["4.00", "4.20"])
 @pytest.mark.parametrize("compression", [0, 2])
-def test_all_that_mdf_nests_is_followed(tmp_path, version, compression):
-    """Texts, conversions to texts, structures and arrays; none is mistaken for a circle."""
+def test_all_kinds_of_nested_blocks_are_followed(tmp_path, version, compression):
+    """Texts, conversions to texts, structures and arrays do not count as a circle."""
     asammdf = pytest.importorskip("asammdf")
     columns = [
         asammdf.Signal(
@@ -133,8 +133,8 @@ def test_all_that_mdf_nests_is_followed(tmp_path, version, compression):
     ]
     with asammdf.MDF(version=version) as file:
         file.append([asammdf.Signal(v, T, name=k) for k, v in COLUMNS.items() if k != "t"])
-        for one in columns:
-            file.append([one])
+        for signal in columns:
+            file.append([signal])
         path = file.save(tmp_path / "log.mf4", compression=compression)
     assert len(read_log(path)) == len(T)
 
@@ -187,7 +187,7 @@ def test_a_text_that_many_ranges_use_in_an_old_mdf_file(tmp_path):
 def test_fields_of_fields_in_a_flight_log(tmp_path, types):
     pytest.importorskip("pyulog")
     content = b"ULog\x01\x12\x35\x01" + bytes(8)
-    for kind, body in [*((b"F", one.encode()) for one in types), (b"A", b"\0\0\0a")]:
+    for kind, body in [*((b"F", definition.encode()) for definition in types), (b"A", b"\0\0\0a")]:
         content += struct.pack("<H", len(body)) + kind + body
     (tmp_path / "log.ulg").write_bytes(content)
-    refused(tmp_path / "log.ulg", "its topics have more than 262144 fields|one within the other")
+    refused(tmp_path / "log.ulg", "its topics have more than 262144 fields|levels deep")

@@ -1,4 +1,4 @@
-"""Hostile workbooks: memory and time of their cells are bounded, whatever reads them."""
+"""Hostile workbooks: memory and time for their cells are bounded, for every reader."""
 
 import sys
 import zipfile
@@ -40,14 +40,16 @@ def test_a_blank_cell_far_from_the_table_is_left_alone(tmp_path):
     assert len(read_log(path)) == len(T)
 
 
-def edited(path, change, texts=bytes):
-    """A workbook whose first sheet is changed, and lies where no sheet is looked for; the texts of
-    its cells may be changed too."""
+def edit(path, change_sheet, change_texts=bytes):
+    """Change the first sheet of a workbook, and move it where no sheet is expected.
+
+    Its shared texts may be changed too.
+    """
     with zipfile.ZipFile(path) as book:
         parts = {name: book.read(name) for name in book.namelist()}
-    sheet = change(parts.pop("xl/worksheets/sheet1.xml"))
+    sheet = change_sheet(parts.pop("xl/worksheets/sheet1.xml"))
     links = parts["xl/_rels/workbook.xml.rels"]
-    parts["xl/sharedStrings.xml"] = texts(parts["xl/sharedStrings.xml"])
+    parts["xl/sharedStrings.xml"] = change_texts(parts["xl/sharedStrings.xml"])
     parts["xl/_rels/workbook.xml.rels"] = links.replace(b"worksheets/sheet1.xml", b"image.png")
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as book:
         for name, content in {**parts, "xl/image.png": sheet}.items():
@@ -58,7 +60,7 @@ def test_far_cells_without_references(tmp_path):
     path = workbook(tmp_path / "log.xlsx")
     wide = b"<row>" + b"<c><v>1</v></c>" * 20_000 + b"</row>"
     long = b"<row><c><v>1</v></c></row>" * 2_000
-    edited(path, lambda sheet: sheet.replace(b"</sheetData>", wide + long + b"</sheetData>"))
+    edit(path, lambda sheet: sheet.replace(b"</sheetData>", wide + long + b"</sheetData>"))
     refused(path, "cells up to the last")
 
 
@@ -66,7 +68,7 @@ def test_a_workbook_that_is_large_when_unpacked(tmp_path, monkeypatch):
     monkeypatch.setattr("fluxobs.logs.formats.workbook.BYTES", 1 << 20)
     path = workbook(tmp_path / "log.xlsx")
     value = b'<row><c t="str"><v>' + b"1" * (1 << 20) + b"</v></c></row></sheetData>"
-    edited(path, lambda sheet: sheet.replace(b"</sheetData>", value))
+    edit(path, lambda sheet: sheet.replace(b"</sheetData>", value))
     refused(path, "bytes, more than 1048576")
 
 
@@ -77,7 +79,7 @@ limited = pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits 
 def test_a_long_text_that_many_cells_share(tmp_path):
     path = workbook(tmp_path / "log.xlsx")
     cells = b"<row>" + b'<c t="s"><v>0</v></c>' * 5 + b"</row>"
-    edited(
+    edit(
         path,
         lambda sheet: sheet.replace(b"</sheetData>", cells * 1000 + b"</sheetData>"),
         lambda texts: texts.replace(b">t<", b">" + b"t" * 1_000_000 + b"<"),
@@ -104,7 +106,7 @@ def test_a_workbook_that_takes_too_long(tmp_path):
 def test_entities_in_a_workbook(tmp_path):
     path = workbook(tmp_path / "log.xlsx")
     head = b'?><!DOCTYPE x [<!ENTITY a "1">]>'
-    edited(path, lambda sheet: sheet.replace(b"?>", head, 1))
+    edit(path, lambda sheet: sheet.replace(b"?>", head, 1))
     refused(path, "not a readable workbook: a sheet has no document type")
 
 

@@ -1,4 +1,4 @@
-"""Readers, frames and alignment: the same record in every dress, and broken files."""
+"""Readers, frames and alignment: one record in every layout, and broken files."""
 
 import numpy as np
 import polars as pl
@@ -34,26 +34,28 @@ def phases(vector, common=0.0):
     return x + common, -x / 2 + root * y + common, -x / 2 - root * y + common
 
 
-def csv(path, columns, delimiter=",", comma=False):
+def csv(path, columns, delimiter=",", decimal_comma=False):
     lines = [delimiter.join(columns)]
     for row in zip(*columns.values(), strict=True):
         cells = [f"{value:.12g}" for value in row]
-        lines.append(delimiter.join(c.replace(".", ",") if comma else c for c in cells))
+        lines.append(
+            delimiter.join(cell.replace(".", ",") if decimal_comma else cell for cell in cells)
+        )
     path.write_text("\n".join(lines) + "\n")
     return path
 
 
 def read(path, size=None, **layout):
     log = read_log(path, **layout)
-    parts = list(log.aligned(**({} if size is None else {"size": size})))
+    batches = list(log.aligned(**({} if size is None else {"size": size})))
     return log, *(
-        None if parts[0][n] is None else np.concatenate([part[n] for part in parts])
+        None if batches[0][n] is None else np.concatenate([batch[n] for batch in batches])
         for n in range(4)
     )
 
 
-def check(found, voltage=U, current=I, rtol=1e-9):
-    _, _, i, u, _ = found
+def check(result, voltage=U, current=I, rtol=1e-9):
+    _, _, i, u, _ = result
     np.testing.assert_allclose(i, current, rtol=0, atol=rtol * 10)
     np.testing.assert_allclose(u[1:], voltage[:-1], rtol=0, atol=rtol * 100)
     assert np.isnan(u[0]).all()
@@ -68,7 +70,7 @@ def test_any_delimiter(tmp_path, delimiter):
 
 
 def test_decimal_comma(tmp_path):
-    check(read(csv(tmp_path / "log.txt", PLAIN, ";", comma=True)))
+    check(read(csv(tmp_path / "log.txt", PLAIN, ";", decimal_comma=True)))
 
 
 def test_parquet_and_npz(tmp_path):
@@ -97,13 +99,13 @@ def test_quoted_delimiter_in_the_header(tmp_path):
 def test_decimal_comma_that_comes_late(tmp_path):
     columns = {name: np.concatenate([np.zeros(300), values]) for name, values in PLAIN.items()}
     columns["t"] = np.arange(500)
-    path = csv(tmp_path / "log.csv", columns, ";", comma=True)
+    path = csv(tmp_path / "log.csv", columns, ";", decimal_comma=True)
     _, _, i, _, _ = read(path, scale={"t": 1e-3})
     np.testing.assert_allclose(i[300:], I, atol=1e-9)
 
 
 def test_decimal_comma_in_quotes(tmp_path):
-    path = csv(tmp_path / "log.csv", PLAIN, ";", comma=True)
+    path = csv(tmp_path / "log.csv", PLAIN, ";", decimal_comma=True)
     head, *rows = path.read_text().splitlines()
     quoted = ['"' + row.replace(";", '","') + '"' for row in rows]
     path.write_text("\n".join([head.replace(";", ","), *quoted]) + "\n")
@@ -113,7 +115,7 @@ def test_decimal_comma_in_quotes(tmp_path):
 def test_a_comma_that_may_part_thousands_is_asked_about(tmp_path):
     rows = [f'{k * H:.4f},"1,234",2,3,4' for k in range(50)]
     (tmp_path / "log.csv").write_text("\n".join([",".join(PLAIN), *rows]))
-    with pytest.raises(RecordError, match="'1,234': does the comma part thousands"):
+    with pytest.raises(RecordError, match="'1,234': does the comma separate thousands"):
         read(tmp_path / "log.csv")
 
 
@@ -134,9 +136,9 @@ def test_a_preamble_without_end(tmp_path):
 def test_a_last_line_without_values(tmp_path, last):
     path = csv(tmp_path / "log.csv", PLAIN)
     path.write_text(path.read_text() + last + "\n")
-    found = read(path)
-    check(found)
-    assert len(found[0]) == ROWS
+    result = read(path)
+    check(result)
+    assert len(result[0]) == ROWS
 
 
 @pytest.mark.parametrize("between", ["", "   ", "# a note", "%"])
@@ -146,10 +148,10 @@ def test_lines_between_the_rows_are_left_out(tmp_path, between, end):
     lines = path.read_text().splitlines()
     lines = [*lines[:80], between, *lines[80:150], between, between, *lines[150:], ""]
     path.write_bytes((end.join(lines) + end).encode())
-    found = read(path)
-    check(found)
-    assert len(found[0]) == ROWS
-    assert found[0].table.place(120) == "line 123"
+    result = read(path)
+    check(result)
+    assert len(result[0]) == ROWS
+    assert result[0].table.place(120) == "line 123"
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
@@ -157,9 +159,9 @@ def test_utf_16(tmp_path, encoding):
     path = csv(tmp_path / "log.csv", PLAIN)
     mark = "\ufeff" if encoding == "utf-16-be" else ""
     path.write_bytes((mark + path.read_text()).encode(encoding))
-    found = read(path)
-    check(found)
-    assert len(found[0]) == ROWS
+    result = read(path)
+    check(result)
+    assert len(result[0]) == ROWS
 
 
 def test_seconds_since_1970(tmp_path):
@@ -224,13 +226,17 @@ def test_rotor_frame_turns_the_voltage_by_the_angle_in_mid_interval(tmp_path, la
 
 
 def by_definition(u, lag):
-    out = np.full_like(u, np.nan)
+    voltage = np.full_like(u, np.nan)
     for k in range(len(u)):
-        p = k - 1 + lag
-        low, high = int(np.floor(p)), int(np.ceil(p))
-        if low >= 0 and high < len(u):
-            out[k] = u[low] if low == high else (high - p) * u[low] + (p - low) * u[high]
-    return out
+        place = k - 1 + lag
+        lower, upper = int(np.floor(place)), int(np.ceil(place))
+        if lower >= 0 and upper < len(u):
+            voltage[k] = (
+                u[lower]
+                if lower == upper
+                else (upper - place) * u[lower] + (place - lower) * u[upper]
+            )
+    return voltage
 
 
 @given(lag=st.floats(-5, 5), rows=st.integers(8, 40))
@@ -247,8 +253,8 @@ def test_batches_change_no_number(tmp_path, lag, size):
     for name in ("log.npz", "log.parquet"):
         whole = read(tmp_path / name, lag=lag, truth={"theta_e": "theta_e"})
         cut = read(tmp_path / name, lag=lag, size=size, truth={"theta_e": "theta_e"})
-        for one, other in zip(whole[1:], cut[1:], strict=True):
-            np.testing.assert_array_equal(one, other)
+        for expected, value in zip(whole[1:], cut[1:], strict=True):
+            np.testing.assert_array_equal(expected, value)
         np.testing.assert_allclose(whole[3], by_definition(U, lag), atol=1e-12)
 
 
@@ -257,21 +263,21 @@ def test_batches_change_no_number_in_the_rotor_frame(tmp_path):
     np.savez(tmp_path / "log.npz", **columns, i_d=I[:, 0], i_q=I[:, 1])
     whole = read(tmp_path / "log.npz", frame="dq", lag=-1.5)
     cut = read(tmp_path / "log.npz", frame="dq", lag=-1.5, size=9)
-    for one, other in zip(whole[1:4], cut[1:4], strict=True):
-        np.testing.assert_array_equal(one, other)
+    for expected, value in zip(whole[1:4], cut[1:4], strict=True):
+        np.testing.assert_array_equal(expected, value)
 
 
 def test_record_from_log_is_aligned(tmp_path):
     np.savez(tmp_path / "log.npz", **PLAIN)
     log = read_log(tmp_path / "log.npz", lag=-0.5)
-    record, (part,) = log.to_record(), list(log.aligned())
-    np.testing.assert_array_equal(record.interval_voltage(), part.voltage)
+    record, (rows,) = log.to_record(), list(log.aligned())
+    np.testing.assert_array_equal(record.interval_voltage(), rows.voltage)
 
 
 def test_lag_in_words():
-    assert "from that row's sample to the next" in lag_in_words(0)
-    assert "1 sample later" in lag_in_words(-1)
-    assert "0.5 samples earlier" in lag_in_words(0.5)
+    assert "acts from its row to the next" in lag_in_words(0)
+    assert "1 sample late" in lag_in_words(-1)
+    assert "0.5 samples early" in lag_in_words(0.5)
 
 
 # ---- scale, truth, selection -------------------------------------------------------------
@@ -281,11 +287,11 @@ def test_scale_offset_and_mechanical_truth(tmp_path):
     columns = PLAIN | {"i_alpha": I[:, 0] * 256 + 5, "angle": wrap(THETA) / 3 * 256}
     path = csv(tmp_path / "log.csv", columns)
     scale = {"i_alpha": 1 / 256, "theta_mech": 1 / 256}
-    found = read(path, scale=scale, offset={"i_alpha": -5 / 256}, truth={"theta_mech": "angle"})
-    check(found)
+    result = read(path, scale=scale, offset={"i_alpha": -5 / 256}, truth={"theta_mech": "angle"})
+    check(result)
     machine = SurfacePMSM(R_s=1.0, L_s=1e-3, n_p=3)
-    true = machine.true_position("theta_mech", found[4])
-    np.testing.assert_allclose(true, THETA, atol=1e-8)
+    angle = machine.true_position("theta_mech", result[4])
+    np.testing.assert_allclose(angle, THETA, atol=1e-8)
 
 
 def test_selection_in_time(tmp_path):
@@ -310,7 +316,7 @@ def test_missing_values_become_nan(tmp_path):
     assert np.flatnonzero(np.isnan(i[:, 0])).tolist() == [19, 20, 21]
 
 
-# ---- what columns are taken for ---------------------------------------------------------------
+# ---- guessed columns --------------------------------------------------------------------------
 
 AB, BC = (np.array([[1.5, -np.sqrt(3) / 2], [0, np.sqrt(3)]]) @ U.T)[:2]
 T = {"t": K * H}
@@ -339,9 +345,9 @@ def test_measured_currents_go_before_setpoints():
 def test_two_voltages_to_neutral(missing):
     voltages = dict(zip(("ua", "ub", "uc"), phases(U), strict=True))
     del voltages[missing]
-    found = read(T | voltages | dict(zip(("ia", "ib"), phases(I)[:2], strict=True)))
-    check(found)
-    assert any(f"u_{missing[1]} is taken as -(" in note for note in found[0].notes)
+    result = read(T | voltages | dict(zip(("ia", "ib"), phases(I)[:2], strict=True)))
+    check(result)
+    assert any(f"u_{missing[1]} is taken as -(" in note for note in result[0].notes)
 
 
 @pytest.mark.parametrize(
@@ -361,26 +367,26 @@ def test_duties_of_either_sign():
     size = 1.2 * np.abs(phases(U)).max()
     duties = {f"duty_{p}": v / size for p, v in zip("abc", phases(U), strict=True)}
     columns = T | duties | {"vdc": np.full(ROWS, 2 * size)}
-    found = read(columns | dict(zip(("ia", "ib"), phases(I)[:2], strict=True)))
-    check(found)
-    assert sum("taken to be in -1..1" in note for note in found[0].notes) == 1
+    result = read(columns | dict(zip(("ia", "ib"), phases(I)[:2], strict=True)))
+    check(result)
+    assert sum("suggests -1..1" in note for note in result[0].notes) == 1
 
 
 def test_a_nameless_index_is_time(tmp_path):
     path = csv(tmp_path / "log.csv", PLAIN)
     path.write_text(path.read_text().replace("t,", ",", 1))
-    found = read(path)
-    check(found)
-    assert any("'column 1', which rises evenly, is taken for t" in n for n in found[0].notes)
+    result = read(path)
+    check(result)
+    assert any("'column 1' rises evenly and is taken as t" in n for n in result[0].notes)
 
 
-def test_all_that_is_missing_is_named():
+def test_all_missing_channels_are_named():
     columns = T | dict(zip(("ua", "ub", "uc"), phases(U), strict=True))
     with pytest.raises(RecordError, match=r"no column .i_a. .*; i_b is missing too"):
         read_log(columns)
 
 
-def test_stamps_that_stand(tmp_path):
+def test_constant_stamps(tmp_path):
     with pytest.raises(RecordError, match="time runs backwards or stands still"):
         read_log(PLAIN | {"t": np.full(ROWS, 1.7e9)})
 
@@ -416,7 +422,7 @@ def replace_cell(line, column, text):
             r"line 1: expected .* found numbers: '0,10,0,0.5403",
         ),
         (lambda s: s.replace("u_beta", "u_bata", 1), "no column 'u_beta'.*nearest: u_bata"),
-        (lambda s: s.replace("u_beta", "u_alpha", 1), "line 1: the column 'u_alpha' stands twice"),
+        (lambda s: s.replace("u_beta", "u_alpha", 1), "line 1: the column 'u_alpha' occurs twice"),
         (replace_cell(42, 3, "off"), "line 42, column 'i_alpha': 'off' is not a number"),
         (replace_cell(199, 1, "1.2.3"), "line 199, column 'u_alpha': '1.2.3' is not a number"),
         (replace_cell(30, 3, "1,2,3"), "line 30: 8 cells, the header has 6"),
@@ -426,7 +432,7 @@ def replace_cell(line, column, text):
         (replace_cell(70, 0, "0.0685"), "line 70: samples are not uniform: a step of 0.0015 s"),
     ],
 )
-def test_what_is_wrong_and_where(tmp_path, edit, message):
+def test_messages_say_what_is_wrong_and_where(tmp_path, edit, message):
     path = broken(tmp_path, edit)
     with pytest.raises(RecordError, match=message) as caught:
         read(path)
@@ -481,18 +487,18 @@ def test_rounded_time(tmp_path):
     columns = PLAIN | {"t": np.round(K * 1.3e-3, 3)}
     path = csv(tmp_path / "log.csv", columns)
     for layout in ({}, {"sample_time": 1.3e-3}):
-        found = read(path, **layout)
-        check(found)
-        assert found[0].sample_time == pytest.approx(1.3e-3, rel=1e-6)
-        assert any("rounded to 0.001 s" in note for note in found[0].notes)
+        result = read(path, **layout)
+        check(result)
+        assert result[0].sample_time == pytest.approx(1.3e-3, rel=1e-6)
+        assert any("rounded to 0.001 s" in note for note in result[0].notes)
 
 
-@pytest.mark.parametrize("one", ["unit", "adc"])
-def test_a_channel_has_one_conversion(one):
-    with pytest.raises(RecordError, match=f"i_alpha has both {one} and scale"):
+@pytest.mark.parametrize("conversion", ["unit", "adc"])
+def test_a_channel_has_one_conversion(conversion):
+    with pytest.raises(RecordError, match=f"i_alpha has both {conversion} and scale"):
         read_log(
             PLAIN,
-            **{one: {"i_alpha": {"unit": "mA", "adc": "12,100"}[one]}},
+            **{conversion: {"i_alpha": {"unit": "mA", "adc": "12,100"}[conversion]}},
             scale={"i_alpha": 2.0},
         )
 
@@ -520,30 +526,32 @@ def test_lag_outside_the_record(tmp_path, lag):
     [
         ({"sample_time": 0.0}, "sample_time must be positive"),
         ({"voltage": np.zeros((5, 4))}, r"voltage must have shape \(rows, 2\) in αβ.*got \(5, 4\)"),
-        ({"voltage": np.zeros((5, 3))}, "as many rows, got 5 and 9"),
-        ({"voltage": np.zeros((5, 2))}, "as many rows, got 5 and 9"),
+        ({"voltage": np.zeros((5, 3))}, "same number of rows, got 5 and 9"),
+        ({"voltage": np.zeros((5, 2))}, "same number of rows, got 5 and 9"),
         ({"theta_e": np.zeros(4)}, r"theta_e must have shape \(9,\), got \(4,\)"),
         ({"lag": 20}, "lies outside the record"),
     ],
 )
 def test_unusable_record(arguments, message):
-    good = {"sample_time": 1e-3, "voltage": np.zeros((9, 2)), "current": np.zeros((9, 2))}
+    valid = {"sample_time": 1e-3, "voltage": np.zeros((9, 2)), "current": np.zeros((9, 2))}
     with pytest.raises(RecordError, match=message):
-        Record(**(good | arguments))
+        Record(**(valid | arguments))
 
 
 @pytest.mark.parametrize("size", [1, 7, 64, ROWS])
-def test_what_the_inverter_loses_in_any_batches(size):
-    """The loss follows from the currents at both ends; the first row counts twice."""
+def test_inverter_losses_in_any_batches(size):
+    """The loss depends on the currents at both ends; the first row is its own predecessor."""
     error = InverterError(0.8, 0.3)
     log = read_log(PLAIN)
-    parts = list(log.less_inverter(error).aligned(size=size))
-    before = np.concatenate([I[:1], I[:-1]])
-    lost = np.concatenate([part.voltage for part in log.aligned()]) - error.lost(before, I)
-    np.testing.assert_allclose(np.concatenate([p.voltage for p in parts]), lost, atol=1e-12)
+    batches = list(log.less_inverter(error).aligned(size=size))
+    previous = np.concatenate([I[:1], I[:-1]])
+    expected = np.concatenate([batch.voltage for batch in log.aligned()]) - error.lost(previous, I)
+    np.testing.assert_allclose(
+        np.concatenate([batch.voltage for batch in batches]), expected, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("wrong", [["x"] * 30, {"a": 1}])
-def test_records_of_what_is_no_number(wrong):
+def test_records_without_numbers(wrong):
     with pytest.raises(RecordError, match="voltage must hold numbers"):
         Record(H, wrong, np.zeros(30, complex))

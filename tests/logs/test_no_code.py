@@ -1,4 +1,4 @@
-"""A log is data: whatever its format can carry of code, reading it runs nothing."""
+"""A log is data: reading it runs no code, whatever its format may carry."""
 
 import os
 import pickle
@@ -18,7 +18,7 @@ CORPUS = Path(__file__).parent / "corpus"
 
 
 class Trap:
-    """Makes a folder when it is unpickled."""
+    """Object that creates a folder when it is unpickled."""
 
     def __init__(self, mark):
         self.mark = str(mark)
@@ -29,7 +29,7 @@ class Trap:
 
 @pytest.fixture
 def mark(tmp_path):
-    """What the trap makes; the trap works, and reading a log has not sprung it."""
+    """Yield the folder of the trap, which works; check that reading a log did not spring it."""
     path = tmp_path / "sprung"
     pickle.loads(pickle.dumps(Trap(path)))
     path.rmdir()
@@ -78,7 +78,7 @@ def test_objects_beside_the_channels_are_left_alone(mark, tmp_path):
 
 
 def test_a_pickle_in_hdf5(mark, tmp_path):
-    """As PyTables and pandas keep objects."""
+    """As PyTables and pandas store objects."""
     h5py = pytest.importorskip("h5py")
     data = np.void(pickle.dumps(Trap(mark)))
     with h5py.File(tmp_path / "log.h5", "w") as file:
@@ -99,7 +99,7 @@ def test_a_pickle_in_a_matlab_file(mark, tmp_path):
 
 @pytest.mark.parametrize("version", ["3.30", "4.10"])
 def test_code_as_the_formula_of_an_mdf_channel(mark, tmp_path, version):
-    """asammdf has numexpr compute it, which refuses code, and then sympy, which does not."""
+    """asammdf evaluates it with numexpr, which refuses code, then with sympy, which runs it."""
     asammdf = pytest.importorskip("asammdf")
     formula = f"__import__('os').mkdir('{mark}')"
     eval(formula)
@@ -121,7 +121,7 @@ def test_code_as_the_formula_of_an_mdf_channel(mark, tmp_path, version):
 @pytest.mark.parametrize("version", ["3.30", "4.10"])
 @pytest.mark.parametrize("hidden", [False, True])
 def test_code_as_the_formula_of_the_time(mark, tmp_path, version, hidden):
-    """asammdf converts the time with the channels of its group, whether it is asked for or not."""
+    """asammdf converts the time with the channels of its group, even if not requested."""
     asammdf = pytest.importorskip("asammdf")
     with asammdf.MDF(version=version) as file:
         file.append([asammdf.Signal(v, T, name=k) for k, v in COLUMNS.items()])
@@ -131,7 +131,7 @@ def test_code_as_the_formula_of_the_time(mark, tmp_path, version, hidden):
             from asammdf.blocks.v4_blocks import ChannelConversion
 
             time.conversion = ChannelConversion(conversion_type=3, formula=code)
-            time.data_type = 10 if hidden else time.data_type  # bytes, which are no column
+            time.data_type = 10 if hidden else time.data_type  # bytes, which are not a column
         else:
             from asammdf.blocks.v2_v3_blocks import ChannelConversion
 
@@ -154,7 +154,7 @@ def test_code_as_the_formula_of_an_axis():
 
 
 def test_a_formula_in_a_sheet(mark, tmp_path):
-    """A sheet's values are read, its formulas are not."""
+    """The values of a sheet are read, not its formulas."""
     pytest.importorskip("fastexcel")
     xlsxwriter = pytest.importorskip("xlsxwriter")
     with xlsxwriter.Workbook(tmp_path / "log.xlsx") as book:
@@ -167,7 +167,7 @@ def test_a_formula_in_a_sheet(mark, tmp_path):
 
 
 def test_modules_beside_a_workbook(mark, tmp_path, monkeypatch):
-    """A workbook is read in a process of its own, which imports nothing from the folder."""
+    """A workbook is read in a separate process, which imports nothing from its folder."""
     pytest.importorskip("fastexcel")
     for name in ("fluxobs", "json", "polars", "fastexcel"):
         (tmp_path / f"{name}.py").write_text(f"import os\nos.mkdir({str(mark)!r})\n")
@@ -229,18 +229,20 @@ def test_a_formula_of_an_mdf_channel_is_computed(tmp_path, version):
             ]
         )
         path = file.save(tmp_path / "log.mdf")
-    (log,) = read_log(path).aligned()
-    np.testing.assert_allclose(log.current[:, 0], 2 * np.cos(T) + 1)
+    (rows,) = read_log(path).aligned()
+    np.testing.assert_allclose(rows.current[:, 0], 2 * np.cos(T) + 1)
 
 
 def test_formulas_are_found_wherever_a_conversion_refers_to_them():
-    """asammdf's conversions refer to others, or to texts."""
+    """Conversions of asammdf refer to others, or to texts."""
     mdf = pytest.importorskip("fluxobs.logs.formats.mdf")
     inner = SimpleNamespace(formula=b"exit()", referenced_blocks=None)
     outer = SimpleNamespace(formula="", referenced_blocks={"text_0": b"on", "text_1": inner})
     inner.referenced_blocks = {"default_addr": outer}
     assert list(mdf._formulas(outer)) == ["exit()"]
-    last = SimpleNamespace(formula="2*X", referenced_blocks=None)
-    both = SimpleNamespace(formula="", referenced_blocks={"0": last, "1": outer, "2": outer})
-    assert sorted(mdf._formulas(both)) == ["2*X", "exit()"]  # those after one that was seen, too
+    leaf_block = SimpleNamespace(formula="2*X", referenced_blocks=None)
+    branching = SimpleNamespace(
+        formula="", referenced_blocks={"0": leaf_block, "1": outer, "2": outer}
+    )
+    assert sorted(mdf._formulas(branching)) == ["2*X", "exit()"]  # also those after a visited one
     assert list(mdf._formulas(None)) == []

@@ -1,4 +1,4 @@
-"""Signals between their samples, beside closed forms and brute force, with the limits of each."""
+"""Resampled signals against closed forms and brute force, at their limits."""
 
 import re
 
@@ -28,16 +28,16 @@ def test_the_course_of_a_channel(channel, course):
 
 
 @given(c=st.lists(st.floats(-2, 2), min_size=4, max_size=4))
-def test_a_cubic_is_met_at_all_times(c):
-    found = resample("smooth", S, np.polyval(c, S - 15), INSIDE, 1.0)
-    np.testing.assert_allclose(found, np.polyval(c, INSIDE - 15), atol=1e-8)
+def test_a_cubic_is_reproduced_at_all_times(c):
+    values = resample("smooth", S, np.polyval(c, S - 15), INSIDE, 1.0)
+    np.testing.assert_allclose(values, np.polyval(c, INSIDE - 15), atol=1e-8)
 
 
 def test_four_samples_around_a_time_are_used():
-    """A missing one spoils the times of the two spans on either side of it, and its own."""
+    """A missing sample invalidates the two intervals on each side of it, and its own time."""
     values = np.where(np.arange(30) == 10, np.nan, 1.0)
-    spoilt = np.isnan(resample("smooth", S, values, INSIDE, 1.0))
-    np.testing.assert_array_equal(spoilt, (S[8] < INSIDE) & (S[12] > INSIDE))
+    missing = np.isnan(resample("smooth", S, values, INSIDE, 1.0))
+    np.testing.assert_array_equal(missing, (S[8] < INSIDE) & (S[12] > INSIDE))
     at_samples = resample("smooth", S, values, S, 1.0)
     np.testing.assert_array_equal(np.isnan(at_samples), np.arange(30) == 10)
 
@@ -59,34 +59,34 @@ def test_three_samples_are_too_few():
 
 
 @pytest.mark.parametrize("course", ["smooth", "angle"])
-def test_beyond_the_ends_nothing_is_known_but_for_rounding(course):
+def test_values_beyond_the_ends_are_missing_within_rounding(course):
     s = np.arange(10.0)
     t = np.array([-1e-5, -1e-7, 9 + 1e-7, 9 + 1e-5])
-    known = np.isfinite(resample(course, s, s / 10, t, 1.0))
-    assert known.tolist() == [False, True, True, False]
+    finite = np.isfinite(resample(course, s, s / 10, t, 1.0))
+    assert finite.tolist() == [False, True, True, False]
 
 
 def test_an_angle_wraps_and_goes_on_across_missing_values():
     angle = np.mod(0.9 * S + 2.0, 2 * np.pi)
     angle[10] = np.nan
-    found = resample("angle", S, angle, INSIDE, 1.0)
+    resampled = resample("angle", S, angle, INSIDE, 1.0)
     far = (S[8] > INSIDE) | (S[12] < INSIDE)
-    assert ((found[far] >= 0) & (found[far] < 2 * np.pi)).all()
-    error = np.angle(np.exp(1j * (found - 0.9 * INSIDE - 2.0)))
+    assert ((resampled[far] >= 0) & (resampled[far] < 2 * np.pi)).all()
+    error = np.angle(np.exp(1j * (resampled - 0.9 * INSIDE - 2.0)))
     assert np.abs(error[far]).max() < 1e-9
-    assert np.isnan(found[~far]).all()
+    assert np.isnan(resampled[~far]).all()
 
 
 def test_a_state_stays_until_the_next_and_a_step_beyond_the_last():
     s = np.array([1.0, 2.0, 4.0])
     t = np.array([0.99, 1.0, 1.99, 2.0, 3.9, 4.0, 4.5, 4.51])
-    found = resample("state", s, np.array([5.0, 6.0, 7.0]), t, 0.5)
-    np.testing.assert_array_equal(found, [np.nan, 5, 5, 6, 6, 7, 7, np.nan])
+    resampled = resample("state", s, np.array([5.0, 6.0, 7.0]), t, 0.5)
+    np.testing.assert_array_equal(resampled, [np.nan, 5, 5, 6, 6, 7, 7, np.nan])
 
 
 @given(step=st.floats(0.05, 4.0), seed=st.integers(0, 50))
 def test_means_of_a_held_signal(step, seed):
-    """Beside its overlap with every sample's own span."""
+    """Compare with its overlap with the span of each sample."""
     values = np.random.default_rng(seed).normal(size=30)
     t = INSIDE[INSIDE + step < S[-1]]
     ends = np.append(S[1:], 2 * S[-1] - S[-2])
@@ -98,30 +98,30 @@ def test_means_of_a_held_signal(step, seed):
 def test_the_last_held_value_lasts_as_long_as_the_one_before():
     s = np.array([0.0, 1.0, 4.0])
     t = np.array([-2e-6, -5e-7, 5.9999995, 6.000005])
-    known = np.isfinite(resample("held", s, np.array([1.0, 2.0, 3.0]), t, 1.0))
-    assert known.tolist() == [False, True, True, False]
+    finite = np.isfinite(resample("held", s, np.array([1.0, 2.0, 3.0]), t, 1.0))
+    assert finite.tolist() == [False, True, True, False]
     assert resample("held", s, np.array([1.0, 2.0, 3.0]), np.array([5.5]), 1.0) == 3.0
 
 
 def test_a_held_mean_is_missing_if_any_share_of_it_is():
     s, values = np.arange(6.0), np.array([1.0, 1.0, np.nan, 1.0, 1.0, 1.0])
     t = np.array([0.5, 1.0, 1.0000005, 1.00001, 2.5, 2.99999, 2.9999995, 3.0])
-    found = resample("held", s, values, t, 1.0)
-    np.testing.assert_array_equal(np.isnan(found), [0, 0, 0, 1, 1, 1, 0, 0])
+    means = resample("held", s, values, t, 1.0)
+    np.testing.assert_array_equal(np.isnan(means), [0, 0, 0, 1, 1, 1, 0, 0])
 
 
 # ---- records --------------------------------------------------------------------------------
 
 
 def test_a_record_serves_observers_of_its_own_sample_time():
-    """Clocks are true to one in a thousand."""
+    """Clocks are accurate to one in a thousand."""
     record = Record(1e-3, np.ones((30, 2)), np.zeros((30, 2)), lag=-1.0)
     voltage, current = record.on_intervals(1.0009e-3)
     np.testing.assert_array_equal(np.isnan(voltage[:, 0]), np.arange(30) < 2)
     assert current is record.current
-    for other in (1.0012e-3, 0.9988e-3):
-        with pytest.raises(RecordError, match=f"0.001 s, is not the observer's, {other:g} s"):
-            record.on_intervals(other)
+    for sample_time in (1.0012e-3, 0.9988e-3):
+        with pytest.raises(RecordError, match=f"0.001 s, is not the observer's, {sample_time:g} s"):
+            record.on_intervals(sample_time)
     np.testing.assert_allclose(record.t, 1e-3 * np.arange(30))
 
 
@@ -143,23 +143,23 @@ def test_a_lag_that_is_no_number(lag):
 
 
 @pytest.mark.parametrize(
-    ("lag", "words"),
+    ("lag", "description"),
     [
-        (1.0, "1 sample earlier than"),
-        (-1.0, "1 sample later than"),
-        (-2.5, r"2.5 samples later than .* \(lag -2.5\)"),
-        (0.25, r"0.25 samples earlier than .* \(lag \+0.25\)"),
+        (1.0, r"1 sample early \(lag \+1\)"),
+        (-1.0, r"1 sample late \(lag -1\)"),
+        (-2.5, r"2.5 samples late \(lag -2.5\)"),
+        (0.25, r"0.25 samples early \(lag \+0.25\)"),
     ],
 )
-def test_lags_in_words(lag, words):
-    assert re.search(words, lag_in_words(lag))
+def test_lags_in_words(lag, description):
+    assert re.search(description, lag_in_words(lag))
 
 
 def test_records_of_three_phases_and_complex_numbers():
     z = np.exp(0.2j * np.arange(30))
     turn = np.exp(2j * np.pi / 3 * np.arange(3))
-    three = (z[:, None] * turn.conj()).real + 0.5
-    record = Record(1e-3, three, z)
+    phases = (z[:, None] * turn.conj()).real + 0.5
+    record = Record(1e-3, phases, z)
     np.testing.assert_allclose(record.voltage, record.current, atol=1e-12)
     for shape in ((30,), (30, 1), (30, 4), (2, 30, 2)):
         with pytest.raises(RecordError, match="voltage must have shape"):

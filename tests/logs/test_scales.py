@@ -1,4 +1,4 @@
-"""Sizes of signals: noise and speeds that were put in are found again, whatever is cut."""
+"""Sizes of signals: known noise and speeds are recovered, from any excerpts."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def test_noise_is_that_of_one_component_on_a_smooth_signal():
 
 
 def test_third_differences_of_an_alternating_signal():
-    """They are eight times as large, so the level is 8/√20 of it, in blocks of any length."""
+    """They have eight times its size, so the level is 8/√20 of it, in blocks of any length."""
     for rows in (4, 5, 258, 259, 260, 700):
         signal = np.where(np.arange(rows) % 2, -1.0, 1.0)[:, None] * [0.5, 0.5]
         assert white_noise(signal) == pytest.approx(4 / np.sqrt(20))
@@ -42,13 +42,13 @@ def test_third_differences_of_an_alternating_signal():
 
 
 def test_the_usual_block_of_256_rows_counts():
-    """Noise in the rows of less than half of the blocks does not move their median."""
+    """Noise in less than half of the blocks does not move their median."""
     signal = np.random.default_rng(1).normal(0, 1.0, (5 * 256 + 3, 2))
     signal[2 * 256 :] *= 100
-    three = white_noise(np.concatenate([signal, signal[:256]]))
+    level_of_three = white_noise(np.concatenate([signal, signal[:256]]))
     signal[2 * 256 : 3 * 256 + 3] /= 100
     assert white_noise(signal) == pytest.approx(1.0, rel=0.2)
-    assert three > 50
+    assert level_of_three > 50
 
 
 def test_a_block_with_a_missing_value_is_left_out():
@@ -59,7 +59,7 @@ def test_a_block_with_a_missing_value_is_left_out():
 
 
 def test_sizes_are_95th_percentiles():
-    """Lengths 0 … 100 have it at 95; so have the steps of the angle."""
+    """Of lengths 0 … 100 it is 95, likewise of the steps of the angle."""
     length = np.arange(101.0)
     turned = np.cumsum(np.arange(101) * 0.01)
     scales = measured(piece(length * np.exp(1j * turned), 2 * length * np.exp(0.3j)))
@@ -88,7 +88,7 @@ def test_a_current_in_few_rows_is_not_zero():
         (1, np.nan, "log: no row has a voltage"),
     ],
 )
-def test_signals_that_are_none(current, voltage, message):
+def test_missing_and_zero_signals(current, voltage, message):
     ones = np.ones(50, complex)
     with pytest.raises(RecordError, match=message):
         measured(piece(current * ones, voltage * ones))
@@ -105,15 +105,15 @@ def rows(count):
 @pytest.mark.parametrize("random_access", [True, False])
 @pytest.mark.parametrize("start", [None, 0.1])
 def test_excerpts_are_spread_evenly(monkeypatch, random_access, start):
-    """Of a long log, whether its rows can be reached at once or only in order."""
+    """For a long log, with and without random access."""
     monkeypatch.setattr(scales, "EXCERPTS", 4)
     monkeypatch.setattr(scales, "EXCERPT_ROWS", 10)
     log = read_log(rows(1000), start=start)
     log.table.random_access = random_access
     spacing = len(log) // 4
-    currents = [part.current[:, 0].astype(int).tolist() for part in excerpts(log)]
-    first = [log.first + n * spacing for n in range(4)]
-    assert currents == [list(range(at, at + 10)) for at in first]
+    currents = [excerpt.current[:, 0].astype(int).tolist() for excerpt in excerpts(log)]
+    starts = [log.first + n * spacing for n in range(4)]
+    assert currents == [list(range(row, row + 10)) for row in starts]
 
 
 @pytest.mark.parametrize(("count", "pieces"), [(39, 1), (40, 1), (41, 4)])
@@ -125,6 +125,6 @@ def test_a_short_log_is_one_excerpt(monkeypatch, count, pieces):
 
 def test_sizes_of_a_log_are_those_of_its_rows():
     z = np.exp(0.1j * np.arange(1000))
-    found = measure_scales(read_log(Record(H, 3 * z, 2 * z)))
-    assert (found.current, found.voltage) == pytest.approx((2.0, 3.0))
-    assert found.current_speed == pytest.approx(0.1 / H)
+    measured_scales = measure_scales(read_log(Record(H, 3 * z, 2 * z)))
+    assert (measured_scales.current, measured_scales.voltage) == pytest.approx((2.0, 3.0))
+    assert measured_scales.current_speed == pytest.approx(0.1 / H)

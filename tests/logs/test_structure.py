@@ -1,4 +1,4 @@
-"""Heads of text files and nested data, by hand: names, units, sample times; limits of each."""
+"""Headers of text files and nested data, by hand: names, units and sample times."""
 
 from pathlib import Path
 
@@ -13,9 +13,9 @@ from fluxobs.logs.formats.text import structure
 from fluxobs.logs.formats.text.cells import clock_formats, is_missing, is_number, split
 
 
-def find(head, row="{k},1.5,-2.5", rows=40):
+def structure_of(head, row="{k},1.5,-2.5", rows=40):
     lines = [*head.splitlines(), *(row.format(k=k) for k in range(rows))]
-    return structure.find([f"{line}\n" for line in lines], [], "log.csv", None)
+    return structure.find_structure([f"{line}\n" for line in lines], [], "log.csv", None)
 
 
 @pytest.mark.parametrize(
@@ -36,15 +36,15 @@ def find(head, row="{k},1.5,-2.5", rows=40):
     ],
 )
 def test_names_and_units_above_the_rows(head, names, units):
-    found = find(head)
-    assert found.names == names
-    assert found.said.units == units
-    assert found.first_line == len(head.splitlines())
+    result = structure_of(head)
+    assert result.names == names
+    assert result.said.units == units
+    assert result.first_line == len(head.splitlines())
 
 
-def test_units_of_a_third_of_the_columns_are_no_row_of_units():
+def test_units_of_a_third_of_the_columns_are_not_a_row_of_units():
     with pytest.raises(RecordError, match="expected a header"):
-        find("t,a,b\ns")
+        structure_of("t,a,b\ns")
 
 
 @pytest.mark.parametrize(
@@ -55,10 +55,10 @@ def test_units_of_a_third_of_the_columns_are_no_row_of_units():
     ],
 )
 def test_names_with_a_key_in_front(row, names, units):
-    """Beside an empty cell, or above the time of all columns."""
-    found = find("TraceName,u,i\nYUnitLabel,V,A\nHOffset,0,0", row)
-    assert found.names == names
-    assert found.said.units == units
+    """The key is above an empty cell, or above the time of all columns."""
+    result = structure_of("TraceName,u,i\nYUnitLabel,V,A\nHOffset,0,0", row)
+    assert result.names == names
+    assert result.said.units == units
 
 
 @pytest.mark.parametrize(
@@ -80,9 +80,9 @@ def test_names_with_a_key_in_front(row, names, units):
     ],
 )
 def test_the_sample_time_of_a_preamble(line, interval, start):
-    said = find(f"{line}\nt,a,b").said
-    assert said.sample_time == (None if interval is None else pytest.approx(interval))
-    assert said.start == pytest.approx(start)
+    metadata = structure_of(f"{line}\nt,a,b").said
+    assert metadata.sample_time == (None if interval is None else pytest.approx(interval))
+    assert metadata.start == pytest.approx(start)
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_units_of_a_rate(unit, rate):
 
 
 @pytest.mark.parametrize("text", ["x", "1 apples", ""])
-def test_values_that_are_no_time(text):
+def test_malformed_times(text):
     assert timing.rate_from(text, "rate") is None
     assert timing.seconds_from(text, "dt") is None
     assert timing.interval_from(text, "dt") is None
@@ -116,13 +116,13 @@ def test_values_of_time():
     assert timing.seconds_from("1.2.3", "dt") == 0.0
 
 
-def test_a_row_beyond_most_columns():
-    most = structure.MOST_COLUMNS
-    row = "{k}," + ",".join(["1"] * (most - 1))
-    names = ",".join(f"c{n}" for n in range(most))
-    assert len(find(names, row, rows=2).names) == most
-    with pytest.raises(RecordError, match=f"a row has {most + 1} cells, more than {most}"):
-        find(names, row + ",1", rows=2)
+def test_a_row_of_too_many_columns():
+    limit = structure.MOST_COLUMNS
+    row = "{k}," + ",".join(["1"] * (limit - 1))
+    names = ",".join(f"c{n}" for n in range(limit))
+    assert len(structure_of(names, row, rows=2).names) == limit
+    with pytest.raises(RecordError, match=f"a row has {limit + 1} cells, more than {limit}"):
+        structure_of(names, row + ",1", rows=2)
 
 
 @pytest.mark.parametrize(
@@ -149,18 +149,18 @@ def test_rows_that_are_alike(kinds, usual, alike):
     [("nnt", "nnn", True), ("ntt", "nnn", False), ("nt", "nn", False), ("tnn", "nnn", False)],
 )
 def test_a_row_with_a_mistake(kinds, usual, mistake):
-    """More than half of its cells are numbers, the first as usual."""
+    """More than half of its cells are numbers, and the first is as usual."""
     assert structure._with_a_mistake(kinds, usual) == mistake
 
 
-def test_delimiters_that_part_more_win():
+def test_delimiters_with_more_cells_win():
     assert structure.row_kind(["1;2;3\n"] * 10, []) == (";", "nnn")
     assert structure.row_kind(["1\t2\n"] * 10, []) == ("\t", "nn")
     assert structure.row_kind(["7\n"] * 10, [])[1] == "n"
     assert structure.row_kind(["a,b\n"], []) == (",", "ee")
 
 
-def test_what_a_cell_is():
+def test_kinds_of_cells():
     for cell in ("1", "-1.5", "+.5", "2.", "1e-3", "\u22121,5", "1,5E+3"):
         assert is_number(cell), cell
     for cell in ("", "1.2.3", "e5", "1 2", ".", "0x1"):
@@ -178,7 +178,7 @@ def test_what_a_cell_is():
 
 
 def test_columns_of_nested_data():
-    found = Contents()
+    contents = Contents()
     matrix = np.arange(30.0).reshape(10, 3)
     for name, data in {
         "line": np.arange(10.0),
@@ -192,19 +192,19 @@ def test_columns_of_nested_data():
         "image": np.zeros((257, 300)),
         "cube": np.zeros((10, 3, 3)),
     }.items():
-        found.add(name, data, "V" if name == "line" else None)
+        contents.add(name, data, "V" if name == "line" else None)
     names = ["line", "row", *(f"{name}[{n}]" for name in ("tall", "wide") for n in range(3))]
-    assert list(found.columns) == [*names, "least"]
-    assert found.numbers == {"one": 2.5}
-    assert found.units == {"line": "V"}
+    assert list(contents.columns) == [*names, "least"]
+    assert contents.numbers == {"one": 2.5}
+    assert contents.units == {"line": "V"}
     for name in names:
-        rows, read = found.columns[name]
+        rows, read = contents.columns[name]
         n = int(name[-2]) if "[" in name else None
         expected = np.arange(10.0) if n is None else matrix[:, n]
         np.testing.assert_array_equal(np.ravel(read(2, 5)), expected[2:5])
         assert rows == 10
-    found.add("most", np.zeros((256, 300)))
-    assert "most[255]" in found.columns
+    contents.add("most", np.zeros((256, 300)))
+    assert "most[255]" in contents.columns
 
 
 @pytest.mark.parametrize(
@@ -218,8 +218,8 @@ def test_columns_of_nested_data():
     ],
 )
 def test_the_sample_time_of_nested_data(numbers, interval, start):
-    found = Contents({"x": (10, lambda first, last: np.zeros(last - first))}, {}, numbers)
-    (table,) = tables(Path("log"), found)
+    contents = Contents({"x": (10, lambda first, last: np.zeros(last - first))}, {}, numbers)
+    (table,) = tables(Path("log"), contents)
     assert (table.said.sample_time, table.said.start) == (interval, start)
 
 
@@ -228,12 +228,12 @@ def test_groups_with_times_of_their_own_are_tables():
         return rows, lambda first, last: np.zeros(last - first)
 
     names = ["a/time", "a/x", "b/time", "b/y", "c/z"]
-    found = Contents({name: column(10) for name in names} | {"d/w": column(20)})
-    assert [table.columns for table in tables(Path("log"), found)] == [
+    contents = Contents({name: column(10) for name in names} | {"d/w": column(20)})
+    assert [table.columns for table in tables(Path("log"), contents)] == [
         *(["a/time", "a/x"], ["b/time", "b/y"], ["c/z"], ["d/w"])
     ]
-    found = Contents({name: column(10) for name in ("a/time", "a/x", "c/z")})
-    assert [table.columns for table in tables(Path("log"), found)] == [["a/time", "a/x", "c/z"]]
+    contents = Contents({name: column(10) for name in ("a/time", "a/x", "c/z")})
+    assert [table.columns for table in tables(Path("log"), contents)] == [["a/time", "a/x", "c/z"]]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The time of a log: units, rounding, wraps, gaps, jitter; and files that are joined by it."""
+"""Time of a log: units, rounding, wraps, gaps and jitter; files joined by their times."""
 
 import numpy as np
 import polars as pl
@@ -14,7 +14,7 @@ SPEED = 300.0
 
 
 def signals(t):
-    """Currents and voltages at times t [s], smooth; voltages are means over the next interval."""
+    """Return smooth voltages, means over the next interval, and currents at times t [s]."""
     phase = SPEED * t + 3 * np.sin(20 * t)
     i = (4 + np.sin(11 * t)) * np.exp(1j * phase)
     u = (10 + 2 * np.cos(9 * t)) * np.exp(1j * (phase + 1))
@@ -36,12 +36,12 @@ T = np.arange(ROWS) * H
 
 
 def rows_of(log, **options):
-    parts = list(log.aligned(**options))
-    return [np.concatenate([part[n] for part in parts]) for n in range(3)]
+    batches = list(log.aligned(**options))
+    return [np.concatenate([batch[n] for batch in batches]) for n in range(3)]
 
 
 @pytest.mark.parametrize(
-    ("scale", "unit", "said"),
+    ("scale", "unit", "noted"),
     [
         (1.0, {}, None),
         (1e3, {}, "ms"),
@@ -50,11 +50,11 @@ def rows_of(log, **options):
         (170e6, "ticks:170e6", ""),
     ],
 )
-def test_units_of_time(scale, unit, said):
+def test_units_of_time(scale, unit, noted):
     layout = {"unit": {"t": unit}} if unit else {}
     log = read_log(columns(T, np.round(scale * T, 6)), **layout)
     assert log.sample_time == pytest.approx(H, rel=1e-9)
-    assert any(f"taken to be in {said}" in note for note in log.notes) == bool(said)
+    assert any(f"suggest {noted}" in note for note in log.notes) == bool(noted)
 
 
 @pytest.mark.parametrize("digits", [3, 4, 5])
@@ -87,7 +87,7 @@ def test_counters_that_start_again(wrap, scale, layout):
     t, i, _ = rows_of(log)
     np.testing.assert_allclose(np.diff(t), H, rtol=1e-6)
     np.testing.assert_array_equal(i[:, 0], signals(T)[1].real)
-    assert any("starts again every" in note for note in log.notes)
+    assert any("wraps every" in note for note in log.notes)
 
 
 @pytest.mark.parametrize("missing", [1, 2, 9])
@@ -143,10 +143,10 @@ def test_gaps_become_missing_samples(tmp_path, size, kind):
     np.testing.assert_allclose(u[1:, 0][keep[:-1]], signals(T)[0].real[:-1][keep[:-1]])
     assert np.isnan(u[1:][~keep[:-1]]).all()
     assert any("4 gaps, in which 63 samples are missing" in note for note in log.notes)
-    ahead = 2 if kind == "csv" else 1
-    assert log.table.place(3000).endswith(str(3000 - 60 + ahead))
-    for at, before in ((700, 699), (2000, 1996), (2056, 1996), (2057, 1997)):  # in and after gaps
-        assert log.table.place(at).endswith(str(before + ahead)), at
+    offset = 2 if kind == "csv" else 1
+    assert log.table.place(3000).endswith(str(3000 - 60 + offset))
+    for at, row in ((700, 699), (2000, 1996), (2056, 1996), (2057, 1997)):  # within and after gaps
+        assert log.table.place(at).endswith(str(row + offset)), at
 
 
 @pytest.mark.parametrize("share", [0.005, 0.02, 0.05, 0.12])
@@ -170,7 +170,7 @@ def test_a_rate_that_changes_is_refused(factor):
 
 
 def test_the_longest_gap_is_named_with_its_place():
-    """Not the one after the longest stretch."""
+    """Not the gap after the longest segment."""
     keep = np.ones(ROWS, bool)
     keep[1000:1090], keep[3500:3507] = False, False
     log = read_log({name: values[keep] for name, values in columns(T).items()})
@@ -192,8 +192,8 @@ def test_parts_of_a_log_with_gaps():
     log = read_log({name: values[keep] for name, values in columns(T).items()})
     whole = rows_of(log)
     for first, last in ((0, 5), (699, 705), (1990, 2080), (3000, ROWS)):
-        for one, other in zip(rows_of(log, first=first, last=last)[:2], whole, strict=False):
-            np.testing.assert_array_equal(one, other[first:last])
+        for excerpt, complete in zip(rows_of(log, first=first, last=last)[:2], whole, strict=False):
+            np.testing.assert_array_equal(excerpt, complete[first:last])
     cut = read_log({n: v[keep] for n, v in columns(T).items()}, start=0.15, stop=0.3)
     assert (cut.first, cut.last) == (1500, 3001)
 
@@ -201,24 +201,24 @@ def test_parts_of_a_log_with_gaps():
 def test_a_pause_of_an_hour_is_shortened_and_its_time_kept():
     t = np.concatenate([T[:1000], 3600 + T[:1000]])
     log = read_log(columns(np.concatenate([T[:1000], T[:1000]]), t))
-    found, i, _ = rows_of(log)
+    times, i, _ = rows_of(log)
     assert len(log) == 12_000
-    assert found[-1] == pytest.approx(3600 + T[999])
+    assert times[-1] == pytest.approx(3600 + T[999])
     assert np.isnan(i[1000:11_000]).all()
     assert np.isfinite(i[11_000:]).all()
-    assert (np.diff(found) > 0).all()
+    assert (np.diff(times) > 0).all()
 
 
 # ---- jitter ----------------------------------------------------------------------------------
 
 
 def held_means(edges, values, t):
-    """Brute force: means over [t, t + H] of values held from edge to edge."""
-    out = []
+    """Return means over [t, t + H] of values held from edge to edge, by brute force."""
+    means = []
     for start in t:
         fine = start + (np.arange(2000) + 0.5) / 2000 * H
-        out.append(values[np.clip(np.searchsorted(edges, fine, "right") - 1, 0, None)].mean())
-    return np.array(out)
+        means.append(values[np.clip(np.searchsorted(edges, fine, "right") - 1, 0, None)].mean())
+    return np.array(means)
 
 
 @pytest.mark.parametrize("size", [13, 1000, 100_000])
@@ -226,17 +226,17 @@ def test_jittering_samples_are_brought_to_uniform_times(size):
     rng = np.random.default_rng(3)
     t = T + H * rng.uniform(-0.2, 0.2, ROWS)
     log = read_log(columns(t))
-    assert any("jitters by" in n and "brought to uniform times" in n for n in log.notes)
-    found, i, u = rows_of(log, size=size)
+    assert any("jitters by" in n and "resampled to uniform times" in n for n in log.notes)
+    times, i, u = rows_of(log, size=size)
     inside = slice(20, 380)
-    at = found[inside]
+    at = times[inside]
     np.testing.assert_allclose(i[inside, 0], signals(at)[1].real, atol=2e-5)
     held = held_means(t, signals(t)[0].real, at)
     np.testing.assert_allclose(u[21:381, 0], held, atol=0.01)
-    np.testing.assert_allclose(np.diff(found), log.sample_time, rtol=1e-9)
+    np.testing.assert_allclose(np.diff(times), log.sample_time, rtol=1e-9)
 
 
-def test_jittering_stamps_of_even_samples_are_passed_over():
+def test_jittering_stamps_of_even_samples_are_ignored():
     rng = np.random.default_rng(3)
     log = read_log(columns(T, T + H * rng.uniform(-0.2, 0.2, ROWS)))
     assert any("only the stamps jitter" in note for note in log.notes)
@@ -268,11 +268,11 @@ def test_resampling_by_hand():
     values = np.array([1.0, 3.0, 5.0, 9.0, 11.0])
     np.testing.assert_allclose(resample("smooth", s, values, np.array([0.5, 3.0]), 1.0), [2, 7])
     # held: 1 until 1, 3 until 2, 5 until 4
-    found = resample("held", s, values, np.array([0.5, 1.5, 3.5]), 1.0)
-    np.testing.assert_allclose(found, [2.0, 4.0, 7.0])
+    resampled = resample("held", s, values, np.array([0.5, 1.5, 3.5]), 1.0)
+    np.testing.assert_allclose(resampled, [2.0, 4.0, 7.0])
     angle = np.mod(0.9 * s + 5.9, 2 * np.pi)
-    found = resample("angle", s, angle, np.array([0.5]), 1.0)
-    np.testing.assert_allclose(found, np.mod(0.45 + 5.9, 2 * np.pi))
+    resampled = resample("angle", s, angle, np.array([0.5]), 1.0)
+    np.testing.assert_allclose(resampled, np.mod(0.45 + 5.9, 2 * np.pi))
     np.testing.assert_array_equal(resample("state", s, values, np.array([1.9, 4.0]), 1.0), [3, 9])
     assert np.isnan(resample("smooth", s, values, np.array([-1.0, 6.0]), 1.0)).all()
 
@@ -280,15 +280,15 @@ def test_resampling_by_hand():
 # ---- several files ---------------------------------------------------------------------------
 
 
-def apart(tmp_path, shift=0.0, rate=1, start=0.0, common=False):
-    """Currents in one file, voltages in another, whose clock differs."""
+def write_two_files(tmp_path, shift=0.0, rate=1, start=0.0, with_common_column=False):
+    """Write currents to one file and voltages to another, with a different clock."""
     t = T + start
     i = signals(t)[1]
     pl.DataFrame({"t": t, "i_alpha": i.real, "i_beta": i.imag}).write_csv(tmp_path / "i.csv")
     fine = np.arange(-500 * rate, (ROWS + 500) * rate) * H / rate + start
     at = np.floor((fine - start + 1e-9) / H) * H + start  # held over a sample of the first file
     other = {"t": fine + shift, "u_alpha": signals(at)[0].real, "u_beta": signals(at)[0].imag}
-    if common:
+    if with_common_column:
         other["i_alpha"] = signals(fine)[1].real
     pl.DataFrame(other).write_csv(tmp_path / "u.csv")
     return read_log
@@ -296,7 +296,7 @@ def apart(tmp_path, shift=0.0, rate=1, start=0.0, common=False):
 
 @pytest.mark.parametrize("rate", [1, 4])
 def test_joined_by_their_stamps(tmp_path, rate):
-    apart(tmp_path, rate=rate)
+    write_two_files(tmp_path, rate=rate)
     log = read_log(tmp_path / "i.csv", join=[str(tmp_path / "u.csv")])
     _, i, u = rows_of(log, size=333)
     np.testing.assert_allclose(i[:, 0], signals(T)[1].real, atol=1e-9)
@@ -313,15 +313,15 @@ def test_a_channel_that_both_files_have_is_the_first_one_s(tmp_path):
     np.testing.assert_array_equal(rows_of(log)[1][:, 0], i.real)
 
 
-def test_joined_files_have_units_of_their_own(tmp_path):
+def test_joined_files_may_have_different_units(tmp_path):
     u, i = signals(T)
-    one = {"t [ms]": 1e3 * T, "i_alpha [mA]": 1e3 * i.real, "i_beta [mA]": 1e3 * i.imag}
-    pl.DataFrame(one).write_csv(tmp_path / "i.csv")
-    other = {"time [us]": 1e6 * T, "u_alpha [mV]": 1e3 * u.real, "u_beta [mV]": 1e3 * u.imag}
-    pl.DataFrame(other).write_csv(tmp_path / "u.csv")
-    t, found, voltage = rows_of(read_log(tmp_path / "i.csv", join=[str(tmp_path / "u.csv")]))
+    currents = {"t [ms]": 1e3 * T, "i_alpha [mA]": 1e3 * i.real, "i_beta [mA]": 1e3 * i.imag}
+    pl.DataFrame(currents).write_csv(tmp_path / "i.csv")
+    voltages = {"time [us]": 1e6 * T, "u_alpha [mV]": 1e3 * u.real, "u_beta [mV]": 1e3 * u.imag}
+    pl.DataFrame(voltages).write_csv(tmp_path / "u.csv")
+    t, current, voltage = rows_of(read_log(tmp_path / "i.csv", join=[str(tmp_path / "u.csv")]))
     np.testing.assert_allclose(t, T, atol=1e-9)
-    np.testing.assert_allclose(found[:, 0], i.real, atol=1e-9)
+    np.testing.assert_allclose(current[:, 0], i.real, atol=1e-9)
     np.testing.assert_allclose(voltage[1:, 0], u.real[:-1], atol=1e-6)
 
 
@@ -332,8 +332,8 @@ def test_joined_row_by_row(tmp_path):
     join = [str(tmp_path / "u.csv")]
     with pytest.raises(RecordError, match=r"runs from 50 s.*--align auto"):
         read_log(tmp_path / "i.csv", join=join)
-    _, _, found = rows_of(read_log(tmp_path / "i.csv", join=join, align="index"))
-    np.testing.assert_allclose(found[1:, 0], u.real[:-1], atol=1e-9)
+    _, _, voltage = rows_of(read_log(tmp_path / "i.csv", join=join, align="index"))
+    np.testing.assert_allclose(voltage[1:, 0], u.real[:-1], atol=1e-9)
 
 
 def test_a_joined_file_needs_rows(tmp_path):
@@ -347,7 +347,7 @@ def test_a_joined_file_needs_rows(tmp_path):
 
 @pytest.mark.parametrize("shift", [0.0, 0.0123, -0.00437, 13.00005])
 def test_aligned_by_a_column_that_both_have(tmp_path, shift):
-    apart(tmp_path, shift=shift, common=True)
+    write_two_files(tmp_path, shift=shift, with_common_column=True)
     log = read_log(
         tmp_path / "i.csv",
         join=[str(tmp_path / "u.csv")],
@@ -361,22 +361,22 @@ def test_aligned_by_a_column_that_both_have(tmp_path, shift):
 
 
 def test_aligned_by_the_speed_of_both(tmp_path):
-    apart(tmp_path, shift=0.05)
+    write_two_files(tmp_path, shift=0.05)
     log = read_log(tmp_path / "i.csv", join=[str(tmp_path / "u.csv")], align="auto")
     (note,) = [note for note in log.notes if "turn" in note]
     ahead = float(note.split("clock is ")[1].split(" s")[0])
     assert ahead == pytest.approx(0.05, abs=3e-3)
 
 
-@pytest.mark.parametrize(("shift", "said"), [(0.0, False), (0.05, True)])
-def test_clocks_that_overlap_but_differ_are_told(tmp_path, shift, said):
-    apart(tmp_path, shift=shift)
+@pytest.mark.parametrize(("shift", "noted"), [(0.0, False), (0.05, True)])
+def test_different_clocks_are_noted(tmp_path, shift, noted):
+    write_two_files(tmp_path, shift=shift)
     log = read_log(tmp_path / "i.csv", join=[str(tmp_path / "u.csv")])
-    assert any("--align auto takes that into account" in note for note in log.notes) == said
+    assert any("--align auto corrects this" in note for note in log.notes) == noted
 
 
 def test_one_channel_a_file(tmp_path):
-    """As LeCroy writes it: "Time,Ampl" below a preamble, named by its file."""
+    """As LeCroy writes them: "Time,Ampl" below a preamble, with the channel as file name."""
     u, i = signals(T)
     columns = {"Ia": i.real, "Ib": (i * np.exp(-2j * np.pi / 3)).real}
     for n, name in enumerate(("Ua", "Ub", "Uc")):
@@ -388,13 +388,13 @@ def test_one_channel_a_file(tmp_path):
         (tmp_path / f"{name}.csv").write_text("\n".join(rows))
     files = [str(tmp_path / f"{name}.csv") for name in columns]
     log = read_log(files[0], join=files[1:])
-    _, found, voltage = rows_of(log)
-    np.testing.assert_allclose(found[:, 0], i.real, atol=1e-7)
+    _, current, voltage = rows_of(log)
+    np.testing.assert_allclose(current[:, 0], i.real, atol=1e-7)
     np.testing.assert_allclose(voltage[1:, 1], u.imag[:-1], atol=1e-4)
 
 
 def test_old_tektronix_files_with_the_preamble_beside(tmp_path):
-    """One channel a file, as TDS2000B: the preamble stands left of the data."""
+    """One channel per file, as TDS2000B: the preamble is left of the data."""
     u, i = signals(T)
     columns = {"CH1": (i.real, "A"), "CH2": ((i * np.exp(-2j * np.pi / 3)).real, "A")}
     phases = [(u * np.exp(-2j * np.pi / 3 * n)).real for n in range(3)]
@@ -409,17 +409,17 @@ def test_old_tektronix_files_with_the_preamble_beside(tmp_path):
         (tmp_path / f"F0000{name}.CSV").write_text("\r\n".join(rows) + "\r\n")
     files = [str(tmp_path / f"F0000{name}.CSV") for name in columns]
     log = read_log(files[0], join=files[1:])
-    _, found, voltage = rows_of(log)
+    _, current, voltage = rows_of(log)
     assert log.frame == "line"
-    np.testing.assert_allclose(found[:, 0], i.real, atol=1e-6)
+    np.testing.assert_allclose(current[:, 0], i.real, atol=1e-6)
     np.testing.assert_allclose(voltage[1:, 1], u.imag[:-1], atol=1e-4)
 
 
 def test_samples_lost_here_and_there_with_a_sample_time_that_is_given():
-    """Single losses look like stamps that are rounded: the sample time decides."""
-    there = np.random.default_rng(1).random(ROWS) > 0.03
-    there[:100] = True
-    log = read_log({name: values[there] for name, values in columns(T).items()}, sample_time=H)
+    """Single losses look like rounded stamps: the sample time decides."""
+    present = np.random.default_rng(1).random(ROWS) > 0.03
+    present[:100] = True
+    log = read_log({name: values[present] for name, values in columns(T).items()}, sample_time=H)
     t, current, _ = rows_of(log)
     assert np.allclose(t, T, atol=1e-9)
-    assert np.isnan(current[~there]).all()
+    assert np.isnan(current[~present]).all()

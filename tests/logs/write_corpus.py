@@ -1,10 +1,10 @@
-"""Writes the corpus: one run of a servo motor, in the layouts of tools and instruments.
+"""Write the corpus: one run of a servo motor in the layouts of tools and instruments.
 
     python tests/logs/write_corpus.py
 
-Each function is a layout; its docstring says where its facts are from. The run is made by
-`fluxobs.simulation.closed_form`: the machine is "servo-400w", sampled at 5 kHz, and the voltage of
-a row acts until the next row.
+Each function writes one layout; its docstring names the source. The run comes from
+`fluxobs.simulation.closed_form`: machine "servo-400w", sampled at 5 kHz; the voltage of a row acts
+until the next row.
 """
 
 from __future__ import annotations
@@ -27,38 +27,38 @@ Array = np.ndarray
 
 
 def run() -> dict[str, Array]:
-    """The true signals: t, αβ and phase vectors, dq, angle, all in SI."""
+    """Return the true signals in SI: t, αβ and phase vectors, dq, angle."""
     machine = rotating(example(MACHINE))
-    parts = 16
-    fine = np.arange(ROWS * parts + 1) * SAMPLE_TIME / parts
+    substeps = 16
+    fine = np.arange(ROWS * substeps + 1) * SAMPLE_TIME / substeps
     speed = 420.0 + 120.0 * np.sin(2 * np.pi * fine / 0.1)
     i_q = 4.0 + 2.0 * np.sin(2 * np.pi * fine / 0.04)
-    true = driven(machine, SAMPLE_TIME, speed, 1j * i_q, parts, theta0=0.8)
-    theta, u, i = true.theta_e[:-1], true.voltage, true.current[:-1]
-    u = u + (0.10 - 0.06j)  # offsets, so that there is a drift
+    truth = driven(machine, SAMPLE_TIME, speed, 1j * i_q, substeps, theta0=0.8)
+    theta, u, i = truth.theta_e[:-1], truth.voltage, truth.current[:-1]
+    u = u + (0.10 - 0.06j)  # offsets, which make the flux drift
     i = i + (0.08 + 0.05j)
-    out = {"t": np.arange(ROWS) * SAMPLE_TIME, "theta_e": np.mod(theta, 2 * np.pi)}
-    out |= {"u_alpha": u.real, "u_beta": u.imag, "i_alpha": i.real, "i_beta": i.imag}
+    signals = {"t": np.arange(ROWS) * SAMPLE_TIME, "theta_e": np.mod(theta, 2 * np.pi)}
+    signals |= {"u_alpha": u.real, "u_beta": u.imag, "i_alpha": i.real, "i_beta": i.imag}
     for n, phase in enumerate("abc"):
         turn = np.exp(-2j * np.pi / 3 * n)
-        out |= {f"u_{phase}": (u * turn).real, f"i_{phase}": (i * turn).real}
-        out[f"d_{phase}"] = 0.5 + out[f"u_{phase}"] / 48.0
-    out |= {"u_ab": out["u_a"] - out["u_b"], "u_bc": out["u_b"] - out["u_c"]}
-    middle = (true.theta_e[:-1] + true.theta_e[1:]) / 2
-    dq, idq = u * np.exp(-1j * middle), i * np.exp(-1j * theta)
-    out |= {"u_d": dq.real, "u_q": dq.imag, "i_d": idq.real, "i_q": idq.imag}
-    out["theta_m"] = np.mod(theta / machine.n_p, 2 * np.pi)
-    # a controller's own: its voltage acts one row later, turned by the angle of that time
+        signals |= {f"u_{phase}": (u * turn).real, f"i_{phase}": (i * turn).real}
+        signals[f"d_{phase}"] = 0.5 + signals[f"u_{phase}"] / 48.0
+    signals |= {"u_ab": signals["u_a"] - signals["u_b"], "u_bc": signals["u_b"] - signals["u_c"]}
+    middle_angle = (truth.theta_e[:-1] + truth.theta_e[1:]) / 2
+    dq, idq = u * np.exp(-1j * middle_angle), i * np.exp(-1j * theta)
+    signals |= {"u_d": dq.real, "u_q": dq.imag, "i_d": idq.real, "i_q": idq.imag}
+    signals["theta_m"] = np.mod(theta / machine.n_p, 2 * np.pi)
+    # as a controller logs it: the voltage acts one row later, turned by the angle at that time
     later = np.concatenate([u[1:], u[-1:]])
-    ahead = np.concatenate([middle[1:], middle[-1:]])
-    out |= {"later_alpha": later.real, "later_beta": later.imag}
-    out |= {"later_d": (later * np.exp(-1j * ahead)).real}
-    out |= {"later_q": (later * np.exp(-1j * ahead)).imag}
-    before = np.concatenate([u[:1], u[:-1]])  # the interval that ends at the row
-    out |= {"before_alpha": before.real, "before_beta": before.imag}
+    later_angle = np.concatenate([middle_angle[1:], middle_angle[-1:]])
+    signals |= {"later_alpha": later.real, "later_beta": later.imag}
+    signals |= {"later_d": (later * np.exp(-1j * later_angle)).real}
+    signals |= {"later_q": (later * np.exp(-1j * later_angle)).imag}
+    earlier = np.concatenate([u[:1], u[:-1]])  # voltage of the interval that ends at the row
+    signals |= {"before_alpha": earlier.real, "before_beta": earlier.imag}
     for n, phase in enumerate("abc"):
-        out[f"before_{phase}"] = (before * np.exp(-2j * np.pi / 3 * n)).real
-    return out
+        signals[f"before_{phase}"] = (earlier * np.exp(-2j * np.pi / 3 * n)).real
+    return signals
 
 
 def lines(
@@ -131,7 +131,7 @@ def rigol_dho_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def keysight_infiniivision_csv(r: dict[str, Array], path: Path) -> None:
-    """Keysight InfiniiVision: numbers as names, engineering exponents.
+    """Keysight InfiniiVision: numbers for names, engineering exponents.
     w0nder1ng/avr-power-trace, data/scope_0.csv."""
 
     def engineering(value: float) -> str:
@@ -153,7 +153,7 @@ def picoscope_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def picoscope_comma_csv(r: dict[str, Array], path: Path) -> None:
-    """The same in a European locale, with microseconds and millivolts, in UTF-8."""
+    """PicoScope 6 in a European locale, with microseconds and millivolts, in UTF-8."""
     rows = ["Zeit;Kanal A;Kanal B;Kanal C;Kanal D", "(µs);(mA);(mA);(mV);(mV)", ""]
     scaled = [1e6 * r["t"] - 200.0, *(1e3 * x for x in pick(r, SCOPE))]
     text(path, [*rows, *lines(scaled, ";", "{:.6f}", comma=True)], "\r\n")
@@ -235,13 +235,13 @@ def labview_lvm(r: dict[str, Array], path: Path) -> None:
 
 
 def labview_times_lvm(r: dict[str, Array], path: Path) -> None:
-    """LabVIEW measurement file with a time column a channel. ladisk/lvm_read, multi_time_column."""
+    """LabVIEW measurement file, one time column per channel. ladisk/lvm_read, multi_time_column."""
     rows = ["LabVIEW Measurement\t", "Writer_Version\t2", "Reader_Version\t2", "Separator\tTab"]
     rows += ["Decimal_Separator\t.", "Multi_Headings\tNo", "X_Columns\tMulti"]
     rows += ["***End_of_Header***\t", "\t", "Channels\t4\t\t\t\t\t\t", f"Samples\t{ROWS}\t\t{ROWS}"]
     rows += ["***End_of_Header***\t\t\t\t\t\t\t\t"]
     rows += ["X_Value\tIa\tX_Value\tIb\tX_Value\tUab\tX_Value\tUbc\tComment"]
-    columns = [x for one in pick(r, SCOPE) for x in (r["t"], one)]
+    columns = [x for signal in pick(r, SCOPE) for x in (r["t"], signal)]
     text(path, [*rows, *lines(columns, "\t", "{:.6f}")], "\r\n")
 
 
@@ -311,8 +311,8 @@ def fixed_width_dat(r: dict[str, Array], path: Path) -> None:
 
 
 def data_logger_csv(r: dict[str, Array], path: Path) -> None:
-    """A logger with wall-clock stamps and headers repeated at each block."""
-    stamps = [f"2026-11-22 12:00:{one:09.6f}" for one in 59.95 + r["t"]]
+    """A logger with wall-clock stamps and a header repeated above each block."""
+    stamps = [f"2026-11-22 12:00:{seconds:09.6f}" for seconds in 59.95 + r["t"]]
     stamps = [
         s if float(s[17:]) < 60 else f"2026-11-22 12:01:{float(s[17:]) - 60:09.6f}" for s in stamps
     ]
@@ -326,7 +326,7 @@ def data_logger_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def inverter_trace_csv(r: dict[str, Array], path: Path) -> None:
-    """A drive's own trace: duty cycles in percent, DC link, encoder; last line cut off."""
+    """A drive's trace: duty cycles in percent, DC link, encoder; last line cut off."""
     rows = ["sample_us,dutyA [%],dutyB [%],dutyC [%],Vdc [V],Ia [A],Ib [A],encoder [deg]"]
     duties = [100 * x for x in pick(r, "d_a d_b d_c")]
     columns = [1e6 * r["t"], *duties, np.full(ROWS, 48.0), *pick(r, "i_a i_b")]
@@ -336,7 +336,7 @@ def inverter_trace_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def controller_trace_csv(r: dict[str, Array], path: Path) -> None:
-    """A field-oriented controller's own trace: dq and the angle in degrees, ticks of a timer."""
+    """A field-oriented controller's trace: dq, angle in degrees, time in milliseconds."""
     rows = ["time [ms];id [A];iq [A];ud [V];uq [V];theta_el [deg]"]
     columns = [1e3 * r["t"], *pick(r, "i_d i_q u_d u_q"), np.degrees(r["theta_e"])]
     text(path, [*rows, *lines(columns, ";")])
@@ -355,7 +355,7 @@ def vesc_sampled_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def mesc_csv(r: dict[str, Array], path: Path) -> None:
-    """MESC's fast-loop log as columns: a command acts one period later."""
+    """MESC's fast-loop log as columns: the command acts one period later."""
     angle = np.round(r["theta_e"] / (2 * np.pi) * 65536) % 65536
     names = "time,Vd,Vq,Iu,Iv,Iw,angle"
     columns = [*pick(r, "t later_d later_q i_a i_b i_c"), angle]
@@ -363,26 +363,26 @@ def mesc_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def moteus_npz(r: dict[str, Array], path: Path) -> None:
-    """moteus' debug stream, decoded: only the rate is another than the usual 30 kHz."""
+    """moteus' debug stream, decoded, but at another rate than the usual 30 kHz."""
     names = {"servo_control.d_V": "later_d", "servo_control.q_V": "later_q"}
     names |= {"servo_stats.d_A": "i_d", "servo_stats.q_A": "i_q"}
     names |= {"servo_stats.electrical_theta": "theta_e"}
-    np.savez(path, **{name: r[own] for name, own in names.items()})
+    np.savez(path, **{name: r[signal] for name, signal in names.items()})
 
 
 def odrive_csv(r: dict[str, Array], path: Path) -> None:
-    """ODrive's own properties, captured together."""
-    own = "axis0.motor.current_control."
+    """Properties of ODrive, captured together."""
+    prefix = "axis0.motor.current_control."
     names = ["final_v_alpha", "final_v_beta", "Ialpha_measured", "Ibeta_measured"]
-    rows = [",".join(["time", *(own + name for name in names)])]
+    rows = [",".join(["time", *(prefix + name for name in names)])]
     text(path, [*rows, *lines(pick(r, "t later_alpha later_beta i_alpha i_beta"))])
 
 
 def motulator_npz(r: dict[str, Array], path: Path) -> None:
-    """motulator's discrete results, saved as its preset says."""
+    """motulator's discrete results, saved as in its preset."""
     names = {"u_alpha": "before_alpha", "u_beta": "before_beta", "i_alpha": "i_alpha"}
     names |= {"i_beta": "i_beta", "t": "t", "theta_m": "theta_e"}
-    np.savez(path, **{name: r[own] for name, own in names.items()})
+    np.savez(path, **{name: r[signal] for name, signal in names.items()})
 
 
 def gym_electric_motor_csv(r: dict[str, Array], path: Path) -> None:
@@ -407,10 +407,10 @@ def csv_gz(r: dict[str, Array], path: Path) -> None:
 def npy(r: dict[str, Array], path: Path) -> None:
     """A structured NumPy array."""
     names = ["t", "u_a", "u_b", "u_c", "i_a", "i_b"]
-    out = np.zeros(ROWS, dtype=[(name, "f8") for name in names])
+    array = np.zeros(ROWS, dtype=[(name, "f8") for name in names])
     for name in names:
-        out[name] = r[name]
-    np.save(path, out)
+        array[name] = r[name]
+    np.save(path, array)
 
 
 def parquet(r: dict[str, Array], path: Path) -> None:
@@ -418,7 +418,9 @@ def parquet(r: dict[str, Array], path: Path) -> None:
     stamps = np.round(1e9 * r["t"]).astype("int64") + 1_795_000_000_000_000_000
     frame = pl.DataFrame({"time": pl.Series(stamps).cast(pl.Datetime("ns"))})
     names = {"Ua": "u_a", "Ub": "u_b", "Uc": "u_c", "Ia": "i_a", "Ib": "i_b"}
-    frame.with_columns(**{n: pl.Series(r[o]) for n, o in names.items()}).write_parquet(path)
+    frame.with_columns(
+        **{name: pl.Series(r[signal]) for name, signal in names.items()}
+    ).write_parquet(path)
 
 
 def feather(r: dict[str, Array], path: Path) -> None:
@@ -469,7 +471,7 @@ def matlab_v73_mat(r: dict[str, Array], path: Path) -> None:
 
 
 def hdf5_h5(r: dict[str, Array], path: Path) -> None:
-    """HDF5 with groups of different rates: voltages at twice the rate of the currents."""
+    """HDF5 with groups of different rates: voltages at twice the current rate."""
     import h5py
 
     with h5py.File(path, "w") as file:
@@ -504,26 +506,26 @@ def labview_tdms(r: dict[str, Array], path: Path) -> None:
     units = {"Ua": ("u_a", "V"), "Ub": ("u_b", "V"), "Uc": ("u_c", "V")}
     units |= {"Ia": ("i_a", "A"), "Ib": ("i_b", "A")}
     with TdmsWriter(path) as writer:
-        for name, (own, unit) in units.items():
-            about = {"unit_string": unit, "wf_increment": SAMPLE_TIME, "wf_start_offset": 0.0}
-            writer.write_segment([ChannelObject("Drive", name, r[own], about)])
+        for name, (signal, unit) in units.items():
+            properties = {"unit_string": unit, "wf_increment": SAMPLE_TIME, "wf_start_offset": 0.0}
+            writer.write_segment([ChannelObject("Drive", name, r[signal], properties)])
 
 
 def px4_ulg(r: dict[str, Array], path: Path) -> None:
-    """ULog with a topic of one's own. PX4 documentation, ULog file format."""
+    """ULog with a custom topic. PX4 documentation, ULog file format."""
 
-    def message(kind: bytes, content: bytes) -> bytes:
-        return struct.pack("<HB", len(content), kind[0]) + content
+    def message(kind: bytes, body: bytes) -> bytes:
+        return struct.pack("<HB", len(body), kind[0]) + body
 
     names = ["u_alpha", "u_beta", "i_alpha", "i_beta"]
     fields = ";".join(["uint64_t timestamp", *(f"float {name}" for name in names)])
-    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message(b"B", bytes(40))
-    out += message(b"F", f"motor_foc:{fields};".encode())
-    out += message(b"A", struct.pack("<BH", 0, 0) + b"motor_foc")
+    content = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message(b"B", bytes(40))
+    content += message(b"F", f"motor_foc:{fields};".encode())
+    content += message(b"A", struct.pack("<BH", 0, 0) + b"motor_foc")
     for k in range(ROWS):
         row = struct.pack("<HQ4f", 0, 1000 + round(1e6 * r["t"][k]), *(r[n][k] for n in names))
-        out += message(b"D", row)
-    path.write_bytes(out)
+        content += message(b"D", row)
+    path.write_bytes(content)
 
 
 def workbook_xlsx(r: dict[str, Array], path: Path) -> None:
@@ -545,7 +547,7 @@ def workbook_xlsx(r: dict[str, Array], path: Path) -> None:
 
 
 def workbook_xls(r: dict[str, Array], path: Path) -> None:
-    """The same as Excel 97 wrote it, without title and units."""
+    """An Excel 97 workbook without title and units."""
     sys.path.append(str(Path(__file__).parents[1]))
     from support.biff import old_workbook
 
@@ -560,7 +562,7 @@ def npz(r: dict[str, Array], path: Path) -> None:
     np.savez(path, **{n: r[n] for n in ["t", "u_a", "u_b", "u_c", "i_a", "i_b", "i_c"]})
 
 
-#: Layouts whose names do not end in their file's ending.
+#: Layouts whose names do not end with the ending of their file.
 _ENDINGS = {"csv_gz": "log.csv.gz"}
 
 LAYOUTS: dict[str, Callable[[dict[str, Array], Path], None]] = {}

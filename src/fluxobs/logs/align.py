@@ -1,4 +1,4 @@
-"""By how much the clocks of two files differ, from what both files saw."""
+"""Difference between the clocks of two files, from their common contents."""
 
 from __future__ import annotations
 
@@ -14,111 +14,116 @@ from .guess import NamedTable
 from .names import read_name
 from .resample import resample
 
-#: Rows of each file that are compared.
+#: Rows compared of each file.
 ROWS = 200_000
-#: Channels that both files may have; the more a signal changes, the better.
+#: Channels that both files may have, the most variable first.
 COMMON = ("i_a", "i_b", "i_c", "i_alpha", "i_beta", "u_a", "u_b", "udc", "speed_mech", "theta_e")
-#: A peak of the correlation below this says nothing.
-LEAST = 0.5
-#: Of files that are joined by time, a warning is due if their contents say otherwise with such a
-#: peak, and by so many standard deviations, and samples.
-CLEAR, SURE, FAR = 0.8, 10.0, 50.0
-#: Peaks that are this close to the largest may be it as well.
-ALIKE = 0.98
+#: A correlation peak below this is not evidence.
+MINIMUM_PEAK = 0.5
+#: Files joined by time get a warning if their contents contradict it with at least this peak, by
+#: this many standard deviations, and, without a common column, by this many samples.
+DOUBT_PEAK, DOUBT_STDS, DOUBT_SAMPLES = 0.8, 10.0, 50.0
+#: Peaks above this share of the largest are ambiguous with it.
+AMBIGUOUS = 0.98
 
 Side = tuple[NamedTable, Table, Clock]
 
 
 def doubt_of_time(base: Side, other: Side) -> str | None:
-    """A warning where the contents of two files say that their clocks differ; None otherwise."""
+    """Return a warning if the contents of two files show that their clocks differ."""
     try:
-        found = _found(base, other)
+        shift = _compare_clocks(base, other)
     except RecordError:
         return None
-    least = max(SURE * found.std, (1.5 if found.common else FAR) * base[2].sample_time)
-    nearest = min(abs(found.shift), abs(found.second or found.shift))
-    if found.peak < CLEAR or nearest < least:
+    threshold = max(
+        DOUBT_STDS * shift.std, (1.5 if shift.common else DOUBT_SAMPLES) * base[2].sample_time
+    )
+    nearest = min(abs(shift.shift), abs(shift.second or shift.shift))
+    if shift.peak < DOUBT_PEAK or nearest < threshold:
         return None
-    return f"{found.words}, though both have times: --align auto takes that into account"
+    return f"{shift.note}, though both have times: --align auto corrects this"
 
 
 def aligned_by_content(base: Side, other: Side) -> tuple[float, str]:
-    """What is to be added to the times of `other` [s], and words on how sure that is.
+    """Return the shift to add to the times of `other` [s], and a note on its certainty.
 
-    Columns that both files have are correlated with each other; otherwise how fast currents and
-    voltages turn, which has to agree.
+    The correlation is that of a column which both files have, or else of the speeds at which
+    currents and voltages turn.
 
     Raises
     ------
     RecordError
-        The files have nothing in common that changes.
+        The files share no signal that changes.
     """
-    found = _found(base, other)
-    words = found.words
-    if found.peak < LEAST:
+    shift = _compare_clocks(base, other)
+    note = shift.note
+    if shift.peak < MINIMUM_PEAK:
         raise RecordError(
-            f"{other[0].table.path}: --align auto: {words}; that is too little to rely on. Join by "
+            f"{other[0].table.path}: --align auto: {note}; that is too weak to rely on. Join with "
             f"--align time or index"
         )
-    if found.second is not None:
-        words += f"; {found.second:+.6g} s fits nearly as well, so check the result"
-    return found.shift, words
+    if shift.second is not None:
+        note += f"; {shift.second:+.6g} s fits nearly as well: check the result"
+    return shift.shift, note
 
 
 @dataclass(frozen=True)
-class _Found:
-    """How the clock of a file differs: shift and standard deviation [s], the peak of the
-    correlation, a second shift that fits as well, and whether a column is in both files."""
+class _ClockShift:
+    """Shift of a file's clock and its standard deviation [s].
+
+    `peak` is the correlation, `second` an ambiguous second shift, `common` whether a column of both
+    files was compared.
+    """
 
     shift: float
     std: float
     peak: float
     second: float | None
     common: bool
-    words: str
+    note: str
 
 
-def _found(base: Side, other: Side) -> _Found:
+def _compare_clocks(base: Side, other: Side) -> _ClockShift:
     step = min(base[2].sample_time, other[2].sample_time)
-    one, two = _signals(base), _signals(other)
-    common = [channel for channel in COMMON if channel in one and channel in two]
+    base_signals, other_signals = _signals(base), _signals(other)
+    common = [channel for channel in COMMON if channel in base_signals and channel in other_signals]
     if common:
-        what = f"the column {common[0]} of both files"
-        a, b = one[common[0]], two[common[0]]
+        basis = f"the column {common[0]} of both files"
+        a, b = base_signals[common[0]], other_signals[common[0]]
     else:
-        what = "the speed at which currents and voltages turn"
-        a, b = _turning(one, base[2]), _turning(two, other[2])
-    ta, a = _even(base[2], a, step)
-    tb, b = _even(other[2], b, step)
+        basis = "the speed at which currents and voltages turn"
+        a, b = _turning_speed(base_signals, base[2]), _turning_speed(other_signals, other[2])
+    base_start, a = _resample_evenly(base[2], a, step)
+    other_start, b = _resample_evenly(other[2], b, step)
     if not (np.std(a) > 0 and np.std(b) > 0):
         raise RecordError(
-            f"{other[0].table.path}: --align auto finds nothing that both files saw change; join "
-            f"by --align time or index"
+            f"{other[0].table.path}: --align auto finds no signal that changes in both files; join "
+            f"with --align time or index"
         )
     shift, peak, std, second = _correlate(a, b, step)
-    shift += ta - tb
-    words = f"by {what} its clock is {-shift:+.7g} s ahead (± {std:.2g} s; correlation {peak:.3f})"
+    shift += base_start - other_start
+    note = f"by {basis} its clock is {-shift:+.7g} s ahead (± {std:.2g} s; correlation {peak:.3f})"
     if second is not None:
-        second += ta - tb
-    return _Found(shift, std, peak, second, bool(common), words)
+        second += base_start - other_start
+    return _ClockShift(shift, std, peak, second, bool(common), note)
 
 
 def _signals(side: Side) -> dict[str, Array]:
-    part, table, clock = side
+    named, table, clock = side
     rows = min(ROWS, clock.rows)
-    found: dict[str, str] = {}
-    for name, column in part.columns.items():
+    column_of: dict[str, str] = {}
+    for name, column in named.columns.items():
         channel = read_name(name).channel
         if channel is not None and channel != "t":
-            found.setdefault(channel, column)
-    if not found:
+            column_of.setdefault(channel, column)
+    if not column_of:
         return {}
-    columns = read_rows(table, list(dict.fromkeys(found.values())), 0, rows)
-    return {channel: columns[column] for channel, column in found.items()}
+    columns = read_rows(table, list(dict.fromkeys(column_of.values())), 0, rows)
+    return {channel: columns[column] for channel, column in column_of.items()}
 
 
-def _turning(signals: dict[str, Array], clock: Clock) -> Array:
-    """How fast a vector turns [rad/s], smoothed over some samples."""
+def _turning_speed(signals: dict[str, Array], clock: Clock) -> Array:
+    """Return the speed at which a vector turns [rad/s], smoothed over some samples."""
     for names in (("alpha", "beta"), ("a", "b")):
         for letter in "iu":
             x, y = (signals.get(f"{letter}_{name}") for name in names)
@@ -136,75 +141,77 @@ def _turning(signals: dict[str, Array], clock: Clock) -> Array:
 
 
 def _speed(z: np.ndarray, clock: Clock) -> Array:
-    good = np.where(np.isfinite(z), z, 0.0)
-    product = good[1:] * good[:-1].conj()
+    finite = np.where(np.isfinite(z), z, 0.0)
+    product = finite[1:] * finite[:-1].conj()
     width = max(8, len(z) // 500)
     smooth = np.convolve(product, np.ones(width) / width, mode="same")
     return np.append(np.angle(smooth), 0.0) / clock.sample_time
 
 
-def _even(clock: Clock, values: Array, step: float) -> tuple[float, Array]:
-    """A signal on steps of `step`, without mean; and its first time."""
+def _resample_evenly(clock: Clock, values: Array, step: float) -> tuple[float, Array]:
+    """Return the first time of a signal, and its values every `step`, without mean."""
     s = clock.times(np.arange(len(values)))
     values = np.where(np.isfinite(values), values, np.nanmean(values) if len(values) else 0.0)
     t = np.arange(s[0], s[-1], step)
-    even = resample("smooth", s, values, t, step)
-    even = np.where(np.isfinite(even), even, 0.0)
-    return float(s[0]), np.asarray(even - even.mean())
+    resampled = resample("smooth", s, values, t, step)
+    resampled = np.where(np.isfinite(resampled), resampled, 0.0)
+    return float(s[0]), np.asarray(resampled - resampled.mean())
 
 
 def _correlate(a: Array, b: Array, step: float) -> tuple[float, float, float, float | None]:
-    """Shift of b's times that fits a, its correlation, its standard deviation; a second one."""
+    """Return the shift of b's times that fits a, its correlation and standard deviation, and an
+    ambiguous second shift.
+    """
     size = 1 << int(np.ceil(np.log2(len(a) + len(b))))
     cross = np.fft.irfft(np.fft.rfft(a, size) * np.fft.rfft(b, size).conj(), size)
     lags = np.arange(size)
-    lags[len(a) :] -= size  # of negative shifts; those below -len(b) do not overlap
+    lags[len(a) :] -= size  # negative shifts; those below -len(b) do not overlap
     overlap = np.minimum(len(a), lags + len(b)) - np.maximum(0, lags)
     norm = np.sqrt(_energy(a, lags, len(b)) * _energy(b, -lags, len(a)))
-    # Where nothing happens in what overlaps, the sums are rounding errors of the transform.
-    happens = norm > 1e-9 * np.sqrt((a @ a) * (b @ b))
-    enough = happens & (overlap > 0.25 * min(len(a), len(b)))
-    value = np.where(enough, cross / np.where(happens, norm, 1.0), -np.inf)
+    # Where the overlap is constant, the sums are rounding errors of the transform.
+    varies = norm > 1e-9 * np.sqrt((a @ a) * (b @ b))
+    usable = varies & (overlap > 0.25 * min(len(a), len(b)))
+    value = np.where(usable, cross / np.where(varies, norm, 1.0), -np.inf)
     order = np.argsort(lags)
     value, lags = value[order], lags[order]
     overlap = overlap[order]
-    # of peaks that are alike, as those of a periodic signal, the one with the most rows
-    at = int(np.argmax(np.where(value >= ALIKE * value.max(), overlap + value, 0)))
+    # of similar peaks, as of a periodic signal, take the one with the most rows
+    at = int(np.argmax(np.where(value >= AMBIGUOUS * value.max(), overlap + value, 0)))
     at = _summit(value, at)
     peak = float(value[at])
     offset = 0.0
     if 0 < at < len(value) - 1 and np.isfinite(value[[at - 1, at + 1]]).all():
-        left, right = value[at - 1], value[at + 1]
-        bend = left - 2 * peak + right
-        offset = float((left - right) / (2 * bend)) if bend < 0 else 0.0
+        below, above = value[at - 1], value[at + 1]
+        curvature = below - 2 * peak + above
+        offset = float((below - above) / (2 * curvature)) if curvature < 0 else 0.0
     else:
-        bend = -1.0
+        curvature = -1.0
     rows = max(float(overlap[at]), 1.0)
     noise = max(1.0 - min(peak, 1.0) ** 2, 1e-12)
-    std = step * float(np.sqrt(noise / (rows * max(-bend, 1e-12))))
-    # another peak, beyond the valley beside this one
+    std = step * float(np.sqrt(noise / (rows * max(-curvature, 1e-12))))
+    # another peak, beyond the valley next to this one
     far = np.abs(lags - lags[at]) > _width(value, at)
     best = int(np.argmax(np.where(far, value, -np.inf)))
-    second = step * float(lags[best]) if value[best] > ALIKE * peak else None
+    second = step * float(lags[best]) if value[best] > AMBIGUOUS * peak else None
     return step * (float(lags[at]) + offset), peak, std, second
 
 
 def _summit(value: Array, at: int) -> int:
-    """The local maximum uphill of a place."""
+    """Return the local maximum uphill of an index."""
     while 0 < at < len(value) - 1 and max(value[at - 1], value[at + 1]) > value[at]:
         at += 1 if value[at + 1] > value[at - 1] else -1
     return at
 
 
-def _energy(x: Array, lags: np.ndarray, other: int) -> Array:
-    """Sum of squares of the part of x that overlaps the other signal at each lag."""
+def _energy(x: Array, lags: np.ndarray, rows: int) -> Array:
+    """Return the sum of squares of x where it overlaps a signal of `rows` rows, at each lag."""
     total = np.concatenate([[0.0], np.cumsum(x**2)])
     start = np.clip(lags, 0, len(x))
-    stop = np.clip(lags + other, 0, len(x))
+    stop = np.clip(lags + rows, 0, len(x))
     return np.asarray(total[stop] - total[start])
 
 
 def _width(value: Array, at: int) -> int:
-    """Lags from a peak to where it has fallen to half."""
+    """Return the number of lags from a peak to half of its height."""
     below = np.flatnonzero(value < 0.5 * value[at])
     return int(np.abs(below - at).min()) if len(below) else len(value)

@@ -1,4 +1,4 @@
-"""Currents, and the voltages that acted until then: rows as they come, aligned by their lag."""
+"""Align rows as they arrive: each current with the voltage of the interval that ends there."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from .record import interval_rows
 
 
 class Aligned(NamedTuple):
-    """Rows of a log: time [s], current now, mean voltage over the interval ending now, and the
-    scaled truth channel: an electrical or mechanical angle [rad], or a position [m].
+    """Aligned rows: time [s], current, mean voltage over the interval that ends at the row, and the
+    scaled truth channel, e.g. an electrical or mechanical angle [rad] or a position [m].
     """
 
     t: Array
@@ -25,36 +25,36 @@ class Aligned(NamedTuple):
     truth: Array | None
 
 
-def between(part: Aligned, first: int, last: int) -> Aligned:
-    """Rows first … last - 1 of a piece."""
-    truth = None if part.truth is None else part.truth[first:last]
-    t, current, voltage = (column[first:last] for column in part[:3])
+def between(piece: Aligned, first: int, last: int) -> Aligned:
+    """Return rows first … last - 1 of a piece."""
+    truth = None if piece.truth is None else piece.truth[first:last]
+    t, current, voltage = (column[first:last] for column in piece[:3])
     return Aligned(t, current, voltage, truth)
 
 
-def joined(parts: Sequence[Aligned]) -> Aligned:
+def joined(pieces: Sequence[Aligned]) -> Aligned:
     """Join pieces into one."""
     t, current, voltage = (
-        np.concatenate(column) for column in zip(*(part[:3] for part in parts), strict=True)
+        np.concatenate(column) for column in zip(*(piece[:3] for piece in pieces), strict=True)
     )
-    truth = [part.truth for part in parts if part.truth is not None]
+    truth = [piece.truth for piece in pieces if piece.truth is not None]
     return Aligned(t, current, voltage, np.concatenate(truth) if truth else None)
 
 
-def less_lost(part: Aligned, inverter: InverterError, before: Array) -> Aligned:
-    """Rows less what the inverter loses; `before` is the current of the row before them, (1, 2)."""
-    currents = np.concatenate([before, part.current])
-    return part._replace(voltage=part.voltage - inverter.lost(currents[:-1], currents[1:]))
+def less_lost(rows: Aligned, inverter: InverterError, before: Array) -> Aligned:
+    """Subtract inverter losses; `before` is the current of the row before the first, (1, 2)."""
+    currents = np.concatenate([before, rows.current])
+    return rows._replace(voltage=rows.voltage - inverter.lost(currents[:-1], currents[1:]))
 
 
-# Time, current, angle in the middle of the interval ending now (frame dq), truth.
+# Time, current, angle in the middle of the interval that ends at the row (frame dq), truth.
 _Piece = tuple[Array, Array, Array | None, Array | None]
 
 
-def _join(one: _Piece | None, other: _Piece) -> _Piece:
-    if one is None or len(one[0]) == 0:
-        return other
-    (t0, i0, m0, h0), (t1, i1, m1, h1) = one, other
+def _join(first: _Piece | None, second: _Piece) -> _Piece:
+    if first is None or len(first[0]) == 0:
+        return second
+    (t0, i0, m0, h0), (t1, i1, m1, h1) = first, second
     return (
         np.concatenate([t0, t1]),
         np.concatenate([i0, i1]),
@@ -71,14 +71,14 @@ def _split(piece: _Piece, at: int) -> tuple[_Piece, _Piece]:
     )
 
 
-def _align(piece: _Piece, source: Array, lag: float, first: int, held: int) -> Aligned:
+def _align(piece: _Piece, source: Array, lag: float, first: int, start: int) -> Aligned:
     t, current, middle, truth = piece
-    voltage = interval_rows(source, lag, first, first + len(t), held)
+    voltage = interval_rows(source, lag, first, first + len(t), start)
     return Aligned(t, current, voltage if middle is None else rotate(voltage, middle), truth)
 
 
 class Aligning:
-    """Rows of a log in order, of any number at once; the number changes none of the values.
+    """Align the rows of a log in batches of any size; the size changes no value.
 
     Parameters
     ----------
@@ -105,14 +105,14 @@ class Aligning:
             lag,
             inverter,
         )
-        self._source = np.empty((0, 2))  # voltages as recorded, rows held … row - 1
-        self._held = self._emitted = self._row = first
-        self._waiting: _Piece | None = None  # rows whose voltage may not have come yet
+        self._source = np.empty((0, 2))  # recorded voltages of rows _oldest … _row - 1
+        self._oldest = self._emitted = self._row = first
+        self._waiting: _Piece | None = None  # rows whose voltage may not have arrived
         self._angle = np.nan  # of the last row, if the frame is dq
-        self._before: Array | None = None  # current of the last row that was yielded
+        self._before: Array | None = None  # current of the last yielded row
 
     def add(self, t: Array, channels: Columns, truth: Array | None) -> Iterator[Aligned]:
-        """Take the next rows: times [s], channels in SI, scaled truth; yield what is complete."""
+        """Add rows: times [s], channels in SI, scaled truth; yield the rows that are complete."""
         middle = None
         if self.frame == "dq":
             angle = np.r_[self._angle, channels["theta_e"]]
@@ -122,24 +122,24 @@ class Aligning:
         self._row += len(t)
         current = alphabeta_current(self.current_frame, channels)
         self._waiting = _join(self._waiting, (t, current, middle, truth))
-        # Row k needs the voltage row at or above k - 1 + lag.
+        # Row k needs voltages up to row ceil(k - 1 + lag).
         ready = min(self._row, self._row - int(np.ceil(self.lag - 1)))
         if ready > self._emitted:
-            done, self._waiting = _split(self._waiting, ready - self._emitted)
-            yield self._made(done)
+            complete, self._waiting = _split(self._waiting, ready - self._emitted)
+            yield self._aligned(complete)
             self._emitted = ready
-        keep = min(max(self._held, self._emitted - 1 + int(np.floor(self.lag))), self._row)
-        self._source, self._held = self._source[keep - self._held :], keep
+        oldest = min(max(self._oldest, self._emitted - 1 + int(np.floor(self.lag))), self._row)
+        self._source, self._oldest = self._source[oldest - self._oldest :], oldest
 
     def end(self) -> Iterator[Aligned]:
-        """Yield the rows whose voltage never came."""
+        """Yield the last rows, whose voltage never arrived."""
         if self._waiting is not None and self._row > self._emitted:
-            yield self._made(self._waiting)
+            yield self._aligned(self._waiting)
 
-    def _made(self, piece: _Piece) -> Aligned:
-        part = _align(piece, self._source, self.lag, self._emitted, self._held)
+    def _aligned(self, piece: _Piece) -> Aligned:
+        rows = _align(piece, self._source, self.lag, self._emitted, self._oldest)
         if self.inverter is None:
-            return part
-        before = part.current[:1] if self._before is None else self._before
-        self._before = part.current[-1:]
-        return less_lost(part, self.inverter, before)
+            return rows
+        before = rows.current[:1] if self._before is None else self._before
+        self._before = rows.current[-1:]
+        return less_lost(rows, self.inverter, before)

@@ -1,4 +1,4 @@
-"""The time of a log: steps, gaps, wraps, rounding and jitter of its stamps."""
+"""Time of a log: steps, gaps, counter wraps, rounding and jitter of its time stamps."""
 
 from __future__ import annotations
 
@@ -11,55 +11,55 @@ from ..core.arrays import Array
 from ..errors import RecordError
 from .formats import Table, read_rows
 
-#: A step of so many sample times is a gap.
+#: A longer step is a gap [sample times].
 GAP = 1.6
-#: Steps that differ from the sample time by less, as a share of it, are even.
+#: Largest deviation of a step that counts as even [share of the sample time].
 EVEN = 0.02
-#: Stamps that jitter so that steps differ by more, as a share, are no samples of one rate.
+#: Steps that deviate by more have no common sample rate [share of the sample time].
 JITTER = 0.45
-#: The same if the user gave the sample time: t may be rounded in ways of its own.
+#: The same with a sample time from the user: t may then be rounded irregularly.
 JITTER_GIVEN = 0.9
-#: Rounding of stamps that is worth a word, as a share of the sample time.
+#: Rounding of stamps that is reported [share of the sample time].
 ROUNDED = 0.2
-#: Steps within this of whole numbers of the rounding are not moved by it.
+#: A step this close to a multiple of the rounding is not changed by it.
 WHOLE = 0.02
-#: A clock wanders by less than this share of the time.
+#: Largest clock drift [share of the elapsed time].
 WANDERS = 1e-3
-#: A longer gap is shortened to so many rows; the time goes on correctly behind it.
+#: A longer gap is shortened to this many rows; times after it stay correct.
 LONGEST_GAP = 10_000
-#: Where counters start again: at powers of two, in ticks, milli- or microseconds; clocks at 24 h.
+#: Counters wrap at powers of two, in ticks, milli-, micro- or nanoseconds; clocks at 24 h.
 _BITS = (8, 10, 12, 16, 24, 32)
 WRAPS = (86400.0, *(2.0**n / unit for unit in (1.0, 1e3, 1e6, 1e9) for n in _BITS))
-#: The step over a wrap is at most so many sample times: some samples may be missing there, but a
-#: second log below the first is no wrap.
+#: Longest step across a wrap [sample times]: a few samples may be missing there, but a second log
+#: appended to the first is not a wrap.
 WRAP_STEP = 16.5
-_HEAD = 65536
-_BATCH = 200_000
-#: Times of every so many rows are kept, to find rows where stamps jitter: fewer than half a turn of
-#: the shortest counter, of eight bits.
+_HEAD_ROWS = 65536
+_BATCH_ROWS = 200_000
+#: Spacing of the time index [rows], which locates rows where stamps jitter: less than half a turn
+#: of the shortest counter, of eight bits.
 INDEXED = 64
 
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Uniform rows, and which rows of the file they are.
+    """Uniform rows, and the rows of the file that they come from.
 
     Attributes
     ----------
     sample_time, t0 : float
         [s].
     rows : int
-        Uniform rows, those in gaps included.
+        Number of uniform rows, including those in gaps.
     source, at, t : (pieces,) ndarray
-        First row of each piece without gaps, in the file and among the uniform rows; its time [s].
+        First row of each gap-free segment, in the file and among the uniform rows; its time [s].
     missing : int
-        Samples that gaps lack.
+        Number of samples missing in gaps.
     rounding, jitter : float
-        Of the stamps: step of their digits, and rms of what else moves them [s].
+        Of the stamps: their resolution, and the rms of other deviations [s].
     index : (n,) ndarray
-        Time of every INDEXED-th row of the file [s], without wraps.
+        Unwrapped time of every INDEXED-th row of the file [s].
     wrap : float
-        What is added to the stamps at each wrap [s]; 0 without.
+        Added to the stamps at each wrap [s]; 0 if there is no wrap.
     """
 
     sample_time: float
@@ -76,7 +76,7 @@ class Clock:
 
     @property
     def plain(self) -> bool:
-        """Whether the rows of the file are the uniform rows."""
+        """Whether the file has uniform rows already, without gaps or wraps."""
         return len(self.at) == 1 and not self.wrap
 
     @property
@@ -85,61 +85,63 @@ class Clock:
         return float(self.t[-1] + (self.rows - 1 - self.at[-1]) * self.sample_time)
 
     def times(self, rows: NDArray[np.int64]) -> Array:
-        """Times of uniform rows [s]."""
+        """Return the times of uniform rows [s]."""
         piece = np.searchsorted(self.at, rows, side="right") - 1
-        out = self.t[piece] + (rows - self.at[piece]) * self.sample_time
-        if len(self.at) > 1:  # in a gap that was shortened time runs faster
+        t = self.t[piece] + (rows - self.at[piece]) * self.sample_time
+        if len(self.at) > 1:  # rows in a shortened gap stay before its end
             after = np.append(self.t[1:], np.inf)[piece]
-            out = np.minimum(out, after - 1e-9 * self.sample_time)
-        return np.asarray(out)
+            t = np.minimum(t, after - 1e-9 * self.sample_time)
+        return np.asarray(t)
 
     def row_at(self, t: float, up: bool) -> int:
-        """The first row at or after a time, or the last one at or before it, plus one."""
+        """Return the first row at or after a time; with `up` false, the row after the last one
+        at or before it.
+        """
         piece = max(0, int(np.searchsorted(self.t, t, side="right")) - 1)
-        at = (t - self.t[piece]) / self.sample_time
-        row = int(np.ceil(at - 1e-6)) if up else int(np.floor(at + 1e-6)) + 1
+        samples = (t - self.t[piece]) / self.sample_time
+        offset = int(np.ceil(samples - 1e-6)) if up else int(np.floor(samples + 1e-6)) + 1
         end = self.at[piece + 1] if piece + 1 < len(self.at) else self.rows
-        return int(np.clip(self.at[piece] + row, 0, end))
+        return int(np.clip(self.at[piece] + offset, 0, end))
 
     def uniform_rows(self, source: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Uniform rows of rows of the file."""
+        """Return the uniform rows of rows of the file."""
         piece = np.searchsorted(self.source, source, side="right") - 1
         return np.asarray(self.at[piece] + source - self.source[piece])
 
 
 def even(rows: int, sample_time: float, t0: float = 0.0) -> Clock:
-    """The clock of rows that are uniform."""
+    """Return the clock of uniform rows."""
     zero = np.zeros(1, np.int64)
     index = np.asarray(t0 + sample_time * np.arange(0, rows, INDEXED), float)
     return Clock(sample_time, t0, rows, zero, zero, np.array([t0]), 0, 0.0, 0.0, index, 0.0)
 
 
 def longest_step(h: float, rounding: float) -> float:
-    """The longest step of stamps that is no gap [s], for a sample time and their rounding [s]."""
+    """Return the longest step that is not a gap [s], for a sample time and the rounding [s]."""
     return GAP * h + (rounding if rounding >= ROUNDED * h else 0.0)
 
 
 def missing_steps(steps: Array, h: float, rounding: float) -> NDArray[np.int64]:
-    """Samples that are missing within each step of the stamps."""
+    """Return the number of samples missing within each step of the stamps."""
     lacking = np.maximum(1, np.round(steps / h) - 1)
     return np.where(steps > longest_step(h, rounding), lacking, 0).astype(np.int64)
 
 
 class _Reader:
-    """One pass over the time column."""
+    """Single pass over the time column."""
 
     def __init__(self, table: Table, column: str, scale: float, offset: float, given: float | None):
         self.table, self.column, self.scale, self.offset = table, column, scale, offset
-        head = self._read(0, min(table.rows, _HEAD))
+        head = self._read(0, min(table.rows, _HEAD_ROWS))
         self.t0 = float(head[0])
         self.wrap, self.wrapped = 0.0, 0.0
         self._check_missing(head, 0)
         head = self._unwrapped(head, 0)
         self.rounding = rounding_of(head)
         if self.rounding and not is_rounded(head, self.rounding):
-            self.rounding = 0.0  # stamps lie on a grid because the samples do
+            self.rounding = 0.0  # the samples themselves lie on a grid
         if given and self.rounding and _is_whole(given / self.rounding):
-            self.rounding = 0.0  # it moves no stamp
+            self.rounding = 0.0  # rounding changes no stamp
         steps = np.diff(head)
         if not np.median(steps) > 0 and not self.rounding > 0:
             self._backwards(head, 0, int(np.argmax(steps <= 0)))
@@ -157,13 +159,13 @@ class _Reader:
         return np.asarray(t * self.scale + self.offset)
 
     def _typical(self, steps: Array) -> tuple[float, float]:
-        """Step to find gaps with, and the mean of the steps like it."""
+        """Return the step that gaps are compared with, and the mean of similar steps."""
         usual = float(np.median(steps))
         if usual > 0 and self.rounding < ROUNDED * usual:
-            ordinary = steps[np.abs(steps - usual) <= 0.6 * usual]
-            return usual, float(ordinary.mean())
+            typical = steps[np.abs(steps - usual) <= 0.6 * usual]
+            return usual, float(typical.mean())
         mean = float(steps.mean())
-        for _ in range(3):  # without its gaps
+        for _ in range(3):  # leave gaps out of the mean
             mean = float(steps[steps <= GAP * mean + 1.5 * self.rounding].mean())
         return mean, mean
 
@@ -171,22 +173,22 @@ class _Reader:
         return f"{self.table.path}, {self.table.place(row)}"
 
     def _check_missing(self, t: Array, row: int) -> None:
-        known = np.isfinite(t)
-        if not known.all():
+        finite = np.isfinite(t)
+        if not finite.all():
             raise RecordError(
-                f"{self._place(row + int(np.argmin(known)))}: t is missing. If the samples are "
-                f"uniform, --sample-time and --column t=- ignore t"
+                f"{self._place(row + int(np.argmin(finite)))}: t is missing. If the samples are "
+                f"uniform, ignore t with --sample-time and --column t=-"
             )
 
     def _backwards(self, t: Array, row: int, at: int) -> None:
         raise RecordError(
             f"{self._place(row + at + 1)}: time runs backwards or stands still, {t[at]:.9g} s then "
-            f"{t[at + 1]:.9g} s. Cut the log there; if the samples are uniform, --sample-time and "
-            f"--column t=- ignore t"
+            f"{t[at + 1]:.9g} s. Cut the log there; if the samples are uniform, ignore t with "
+            f"--sample-time and --column t=-"
         )
 
     def _unwrapped(self, t: Array, row: int) -> Array:
-        """Stamps without the jumps of a counter that starts again."""
+        """Return stamps without the jumps of a counter that wraps."""
         steps = np.diff(t)
         back = np.flatnonzero(steps < 0)
         if len(back) == 0:
@@ -206,60 +208,62 @@ class _Reader:
         if not self.wrap or (steps[back] + self.wrap <= 0).any():
             self._backwards(t, row, int(back[0]))
         jumps = np.concatenate([[0.0], self.wrap * np.cumsum(steps < 0)])
-        out = t + self.wrapped + jumps
+        unwrapped = t + self.wrapped + jumps
         self.wrapped += float(jumps[-1])
-        return np.asarray(out)
+        return np.asarray(unwrapped)
 
     def clock(self) -> Clock:
-        """Read all of it."""
+        """Read the whole column; raise RecordError if its steps are not uniform."""
         h = self.given or self.step
         slack = max(EVEN * h, 1.05 * self.rounding)
         limit = (JITTER if self.given is None else JITTER_GIVEN) * h
-        rows_at, after, skipped = [0], [self.t0], [0]
+        segment_rows, segment_times, skipped = [0], [self.t0], [0]
         index: list[Array] = []
-        before, row, total, count, square = np.nan, 0, 0.0, 0, 0.0
+        previous, row, total, count, squares = np.nan, 0, 0.0, 0, 0.0
         worst, worst_row, worst_step = 0.0, 0, h
-        for part in self.table.batches([self.column], 0, self.table.rows, _BATCH):
-            t = np.asarray(part[self.column] * self.scale + self.offset)
+        for batch in self.table.batches([self.column], 0, self.table.rows, _BATCH_ROWS):
+            t = np.asarray(batch[self.column] * self.scale + self.offset)
             self._check_missing(t, row)
-            joined = t if np.isnan(before) else np.concatenate([[before], t])
-            known = row - (len(joined) - len(t))
-            whole = self._unwrapped(joined, known)
-            before = float(t[-1])
-            steps = np.diff(whole)
-            tail = whole[len(joined) - len(t) :]
-            index.append(tail[-row % INDEXED :: INDEXED])
+            stamps = t if np.isnan(previous) else np.concatenate([[previous], t])
+            first = row - (len(stamps) - len(t))
+            unwrapped = self._unwrapped(stamps, first)
+            previous = float(t[-1])
+            steps = np.diff(unwrapped)
+            new_times = unwrapped[len(stamps) - len(t) :]
+            index.append(new_times[-row % INDEXED :: INDEXED])
             if self.rounding < ROUNDED * h and (steps <= 0).any():
-                self._backwards(whole, known, int(np.argmax(steps <= 0)))
+                self._backwards(unwrapped, first, int(np.argmax(steps <= 0)))
             lacking = missing_steps(steps, h, self.rounding)
-            gaps = np.flatnonzero(lacking)
-            for n in gaps:
-                rows_at.append(known + int(n) + 1)
-                after.append(float(whole[n + 1]))
+            gap_steps = np.flatnonzero(lacking)
+            for n in gap_steps:
+                segment_rows.append(first + int(n) + 1)
+                segment_times.append(float(unwrapped[n + 1]))
                 skipped.append(int(lacking[n]))
-            ordinary = np.delete(steps, gaps)
-            off = np.abs(ordinary - (self.given or self.typical))
+            ordinary = np.delete(steps, gap_steps)
+            deviation = np.abs(ordinary - (self.given or self.typical))
             total, count = total + float(ordinary.sum()), count + len(ordinary)
-            square += float(np.sum(off**2))
-            if len(off) and (most := float(off.max())) > worst:
-                worst = most
-                at = int(np.flatnonzero(np.abs(steps - (self.given or self.typical)) == most)[0])
-                worst_row, worst_step = known + at + 1, float(steps[at])
+            squares += float(np.sum(deviation**2))
+            if len(deviation) and (largest := float(deviation.max())) > worst:
+                worst = largest
+                at = int(np.flatnonzero(np.abs(steps - (self.given or self.typical)) == largest)[0])
+                worst_row, worst_step = first + at + 1, float(steps[at])
             row += len(t)
         if worst > max(limit, slack):
             raise RecordError(
                 f"{self._place(worst_row)}: samples are not uniform: a step of {worst_step:.6g} s "
                 f"where {self.typical:.6g} s is expected (the worst place). Steps may differ by "
-                f"{limit / h:.0%}, and gaps are whole samples. Export a simulation at a fixed "
-                f"step; if t is only rounded, --sample-time and --column t=- ignore it"
+                f"{limit / h:.0%}; gaps must be whole samples. Export simulations with a fixed "
+                f"step; if t is only rounded, ignore it with --sample-time and --column t=-"
             )
-        jitter = float(np.sqrt(square / max(count, 1) / 2)) if worst > slack else 0.0
-        return self._made(rows_at, after, skipped, total / max(count, 1), count, jitter, index)
+        jitter = float(np.sqrt(squares / max(count, 1) / 2)) if worst > slack else 0.0
+        return self._assemble(
+            segment_rows, segment_times, skipped, total / max(count, 1), count, jitter, index
+        )
 
-    def _made(
+    def _assemble(
         self,
-        rows_at: list[int],
-        after: list[float],
+        segment_rows: list[int],
+        segment_times: list[float],
         skipped: list[int],
         mean: float,
         count: int,
@@ -268,38 +272,38 @@ class _Reader:
     ) -> Clock:
         h = self.given
         if h is None:
-            digits = 4 * np.finfo(float).eps * max(abs(self.t0), abs(after[-1]))
+            digits = 4 * np.finfo(float).eps * max(abs(self.t0), abs(segment_times[-1]))
             h = rounded_rate(mean, max(self.rounding, float(digits)) / max(count, 1))
-        source = np.array(rows_at, np.int64)
+        source = np.array(segment_rows, np.int64)
         missing = np.array(skipped, np.int64)
         at = source + np.cumsum(np.minimum(missing, LONGEST_GAP))
-        made = Clock(
+        clock = Clock(
             h,
             self.t0,
             int(self.table.rows + at[-1] - source[-1]),
             source,
             at,
-            np.array(after),
+            np.array(segment_times),
             int(missing.sum()),
             self.rounding if self.rounding >= ROUNDED * h else 0.0,
             jitter,
             np.concatenate(index) if index else np.zeros(0),
             self.wrap,
         )
-        self._check_rate(made)
-        return made
+        self._check_rate(clock)
+        return clock
 
-    def _check_rate(self, made: Clock) -> None:
-        """Uniform times have to stay near the stamps."""
-        rows = np.arange(len(made.index)) * INDEXED
-        off = np.abs(made.index - made.times(made.uniform_rows(rows)))
-        at = int(np.argmax(off))
-        near = 2 * made.sample_time + made.rounding + WANDERS * float(np.ptp(made.index))
-        if off[at] > near:
+    def _check_rate(self, clock: Clock) -> None:
+        """Raise RecordError if uniform times drift away from the stamps."""
+        rows = np.arange(len(clock.index)) * INDEXED
+        deviation = np.abs(clock.index - clock.times(clock.uniform_rows(rows)))
+        at = int(np.argmax(deviation))
+        limit = 2 * clock.sample_time + clock.rounding + WANDERS * float(np.ptp(clock.index))
+        if deviation[at] > limit:
             raise RecordError(
-                f"{self._place(int(rows[at]))}: the sample rate changes: with steps of "
-                f"{made.sample_time:.6g} s on the mean, t is {off[at]:.3g} s away here. Cut the "
-                f"log where it changes (--from, --to)"
+                f"{self._place(int(rows[at]))}: the sample rate changes: with a mean "
+                f"step of {clock.sample_time:.6g} s, t is {deviation[at]:.3g} s off here. Cut the "
+                f"log where the rate changes (--from, --to)"
             )
 
 
@@ -308,9 +312,9 @@ def _is_whole(share: float) -> bool:
 
 
 def rounding_of(t: Array) -> float:
-    """Step of the digits in which stamps are written [s]; 0 if they have many.
+    """Return the resolution of stamps [s]; 0 if they have many digits.
 
-    It is the largest power of ten, times one, two or five, of which all of them are multiples.
+    It is the largest power of ten, times 1, 2 or 5, of which all stamps are multiples.
     """
     t = t - t[0]
     step = float(np.median(np.diff(t))) or float(t[-1]) / max(len(t) - 1, 1)
@@ -327,52 +331,53 @@ def rounding_of(t: Array) -> float:
     return 0.0
 
 
-#: Rows of a window in which rounded stamps leave a line by no more than their rounding.
+#: Rows of a window in which rounded stamps deviate from a line by at most their rounding.
 WINDOW = 256
 
 
 def is_rounded(t: Array, size: float) -> bool:
-    """Whether stamps are rounded times of even samples, not times of samples with some missing:
-    their distance from a line stays within the rounding, in most windows."""
+    """Return whether stamps are rounded times of uniform samples, without missing samples.
+
+    Their distance from a line then stays within the rounding in most windows.
+    """
     rows = min(WINDOW, len(t))
     windows = t[: len(t) // rows * rows].reshape(-1, rows)
     k = np.arange(rows) - (rows - 1) / 2
     centred = windows - windows.mean(axis=1, keepdims=True)
-    left = centred - (centred @ k / (k @ k))[:, None] * k
-    return bool(np.mean(np.ptp(left, axis=1) <= 1.1 * size) >= 0.5)
+    residual = centred - (centred @ k / (k @ k))[:, None] * k
+    return bool(np.mean(np.ptp(residual, axis=1) <= 1.1 * size) >= 0.5)
 
 
 def rounded_rate(step: float, uncertain: float) -> float:
-    """The sample time that has, or whose rate has, the fewest digits of those that agree with a
-    mean step.
+    """Return the roundest sample time, or inverse of a round rate, that agrees with a mean step.
 
-    `uncertain` is what the rounding of stamps leaves open [s].
+    `uncertain` is the uncertainty of the mean step from the rounding of stamps [s].
     """
     if uncertain > 0:
         for digits in range(1, 8):
             rate, round_step = float(f"{1 / step:.{digits}g}"), float(f"{step:.{digits}g}")
-            found = min((1 / rate, round_step), key=lambda one: abs(one - step))
-            if abs(found - step) <= uncertain:
-                return float(f"{found:.9g}")
+            rounded = min((1 / rate, round_step), key=lambda candidate: abs(candidate - step))
+            if abs(rounded - step) <= uncertain:
+                return float(f"{rounded:.9g}")
     return float(f"{step:.9g}")
 
 
 def measure(
     table: Table, column: str, scale: float, offset: float, given: float | None
 ) -> tuple[Clock, float, float]:
-    """Clock of a table by its time column; also its typical step and its mean step [s].
+    """Return the clock of a table from its time column, its typical and its mean step [s].
 
     Raises
     ------
     RecordError
-        Time is missing somewhere, runs backwards, or its steps are not even; the message says
-        where.
+        A time is missing, time runs backwards, or its steps are not uniform; the message names
+        the place.
     """
     reader = _Reader(table, column, scale, offset, given)
     if given is not None:
-        # A gap moves the mean, rounding moves the typical step: either may confirm the given one.
-        off = min(abs(reader.typical / given - 1), abs(reader.mean / given - 1))
-        if off > max(1e-3, 1 / table.rows):
+        # A gap shifts the mean, rounding shifts the typical step: one of them must agree.
+        deviation = min(abs(reader.typical / given - 1), abs(reader.mean / given - 1))
+        if deviation > max(1e-3, 1 / table.rows):
             raise RecordError(
                 f"{table.path}: t advances by {reader.mean:.6g} s a row, but --sample-time is "
                 f"{given:.6g} s. Correct one of them (is t in seconds? --unit t=ms)"

@@ -1,4 +1,4 @@
-"""A log opened for a machine: with its frame, and a truth channel that it has."""
+"""Logs opened for a machine, with its frame and a truth channel that fits it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from .guess import ROTATING
 from .log import Log
 from .read import read_log
 
-#: Truths that score a rotor without being its angle.
+#: Truth channels of a rotor other than its angle.
 INDIRECT = ("speed_mech", "speed_e", "hall")
 
 
 def open_for(source: Any, machine: Machine, **layout: Any) -> Log:
-    """Open a log for a machine: with its frame by default, and a truth channel that it has.
+    """Open a log for a machine, by default with its frame and a truth channel that fits it.
 
     Parameters
     ----------
@@ -27,21 +27,21 @@ def open_for(source: Any, machine: Machine, **layout: Any) -> Log:
     Raises
     ------
     RecordError
-        The frame, or the channel of the truth, does not fit the kind of machine.
+        The frame or the truth channel does not fit the kind of machine.
     """
-    if layout.get("frame") is not None:  # before its columns are looked for
+    if layout.get("frame") is not None:  # before the columns are searched
         _check_frame(layout["frame"], machine)
     frames: tuple[Frame, ...] = ROTATING if machine.frame == "alphabeta" else (machine.frame,)
     log = read_log(source, frames=frames, **layout)
     _check_frame(log.frame, machine)
-    known = machine.position_output.truths
+    truths = machine.position_output.truths
     if isinstance(machine, RotatingMachine):
-        known = (*known, *INDIRECT)
-    if log.truth is not None and log.truth[0] not in known:
+        truths = (*truths, *INDIRECT)
+    if log.truth is not None and log.truth[0] not in truths:
         if log.true is not None and log.true.guessed:
             return replace(log, true=None)
         raise RecordError(
-            f"truth {log.truth[0]}: kind {machine.kind} has {' or '.join(reversed(known))}"
+            f"truth {log.truth[0]}: kind {machine.kind} has {' or '.join(reversed(truths))}"
         )
     return log
 
@@ -49,5 +49,5 @@ def open_for(source: Any, machine: Machine, **layout: Any) -> Log:
 def _check_frame(frame: str, machine: Machine) -> None:
     if (frame == "ports") != (machine.frame == "ports"):
         raise RecordError(
-            f"frame {frame!r} does not fit kind {machine.kind}; leave it at {machine.frame!r}"
+            f"frame {frame!r} does not fit kind {machine.kind}; use {machine.frame!r}"
         )

@@ -1,7 +1,7 @@
-"""What the columns of a file are taken for, where the user does not say it.
+"""Guess which channels the columns of a log hold, where the user does not say it.
 
-Names and units decide; where they do not, the values of columns with known units. All that is
-guessed is said in `notes`, in words that the user can check.
+Names and units decide; failing these, the values of columns with known units. `notes` states every
+guess, so that the user can check it.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from ..errors import RecordError
 from ..machines.model.frames import CURRENTS, PHASE_CURRENTS, VOLTAGES, Frame
 from . import units
 from .formats import Table, read_rows
-from .layout import CONVERTING, NO_COLUMN, NO_TRUTH, words_for
+from .layout import CONVERTING, NO_COLUMN, NO_TRUTH, keys_for
 from .names import Named, is_setpoint, leaf, read_name
 
-#: Rows that are looked at.
+#: Rows examined.
 ROWS = 20_000
-#: Frames in which rotating machines are logged, the one that needs no conversion first.
+#: Frames in which rotating machines are logged, in order of preference.
 ROTATING: tuple[Frame, ...] = ("alphabeta", "abc", "line", "duty", "dq")
-#: A time step is taken to be of this range [s]; it is one of thousand, so only one unit fits.
+#: Range of plausible time steps [s]. It spans a factor of a thousand, so only one unit fits.
 STEPS = (2e-5, 2e-2)
-#: Cosines of the angles between two phases, and how far noise and offsets move them.
+#: Cosines of the angles between two signals, and the tolerance for noise and offsets.
 BETWEEN = {"phases": -0.5, "axes": 0.0}
 NEAR = 0.2
-#: A duty below minus this is one of −1 … 1.
+#: A duty below minus this ranges over −1 … 1.
 NEGATIVE = 0.02
-#: What an angle's wrap shows: size of a full turn → its unit.
+#: Size of a full turn, where an angle wraps → its unit.
 TURNS = {
     360.0: "deg",
     1.0: "turn",
@@ -45,25 +45,25 @@ TURNS = {
     8192.0: "counts:8192",
     4096.0: "counts:4096",
 }
-#: A duty beyond this is no share of the DC link, but may be percent.
+#: A duty above the first is not a share of the DC link, but may be in percent, up to the second.
 DUTY_MOST, PERCENT = 1.5, 100.0
 
 
 @dataclass(frozen=True)
 class NamedTable:
-    """A table of the log, and the names by which its columns are known."""
+    """Table of a log, and the names of its columns within the log."""
 
     table: Table
-    columns: dict[str, str]  # name here → column
+    columns: dict[str, str]  # name in the log → column of the table
 
     def read(self, name: str, first: int = 0, rows: int = ROWS) -> Array:
-        """Rows of a column."""
+        """Read rows of a column."""
         last = min(first + rows, self.table.rows)
         return read_rows(self.table, [self.columns[name]], first, last)[self.columns[name]]
 
 
-def parts_of(files: Sequence[tuple[Path, list[Table]]]) -> list[NamedTable]:
-    """Name the columns of all tables: as they are, or "file/column" where files share a name."""
+def name_columns(files: Sequence[tuple[Path, list[Table]]]) -> list[NamedTable]:
+    """Name the columns of all tables: unchanged, or "file/column" if files share the name."""
     count: dict[str, int] = {}
     for _, tables in files:
         for table in tables:
@@ -78,14 +78,14 @@ def parts_of(files: Sequence[tuple[Path, list[Table]]]) -> list[NamedTable]:
 
 @dataclass
 class Guess:
-    """What a log is taken for.
+    """Guessed layout of a log.
 
     Attributes
     ----------
     fields : dict
         Fields of a layout, completed.
     channels : dict
-        Channel → name of its column; of truth, all that it needs.
+        Channel → name of its column; the truth is in `fields`.
     columns : Columns
     notes : list of str
     """
@@ -97,212 +97,222 @@ class Guess:
 
 
 class Columns:
-    """All columns of a log, and what their names and units say."""
+    """All columns of a log, with their units and candidate channels."""
 
-    def __init__(self, parts: Sequence[NamedTable], given: Mapping[str, str]) -> None:
-        self.parts = parts
-        self.part_of = {name: part for part in parts for name in part.columns}
+    def __init__(self, tables: Sequence[NamedTable], given: Mapping[str, str]) -> None:
+        self.tables = tables
+        self.table_of = {name: named for named in tables for name in named.columns}
         self.units: dict[str, str] = {}
         self.by_channel: dict[str, list[str]] = {}
-        counted = _from_one(self.part_of)
-        for part in parts:
-            said = part.table.said
-            for name, column in part.columns.items():
-                exact = leaf(name)
-                read = Named(exact) if exact in _KNOWN else read_name(counted.get(name, name))
-                channel = read.channel
-                if unit := said.units.get(column, read.unit):
+        counted = _count_from_one(self.table_of)
+        for named in tables:
+            metadata = named.table.said
+            for name, column in named.columns.items():
+                last = leaf(name)
+                parsed = (
+                    Named(last) if last in _CHANNEL_NAMES else read_name(counted.get(name, name))
+                )
+                channel = parsed.channel
+                if unit := metadata.units.get(column, parsed.unit):
                     self.units[name] = unit
                 if channel is None and unit and units.known(unit) == {"time"}:
                     channel = "t"
-                if said.time is not None:
-                    channel = "t" if column == said.time else None if channel == "t" else channel
+                if metadata.time is not None:
+                    channel = (
+                        "t" if column == metadata.time else None if channel == "t" else channel
+                    )
                 if channel is not None:
-                    found = self.by_channel.setdefault(channel, [])
-                    first = sum(leaf(one) == channel for one in found)
-                    found.insert(first if exact == channel else len(found), name)
-            self._by_file(part)
+                    names = self.by_channel.setdefault(channel, [])
+                    place = sum(leaf(other) == channel for other in names)
+                    names.insert(place if last == channel else len(names), name)
+            self._name_by_file(named)
         for channel, names in self.by_channel.items():
-            if channel.startswith(("i_", "theta")):  # measured ones go first
+            if channel.startswith(("i_", "theta")):  # measured columns before setpoints
                 names.sort(key=is_setpoint)
         for channel, name in given.items():
             self.by_channel[channel] = [self.resolve(name)]
 
-    def _by_file(self, part: NamedTable) -> None:
-        """The only value of a file may be named by the file."""
+    def _name_by_file(self, named: NamedTable) -> None:
+        """Take the channel of a file's only signal from the file name."""
         times = self.by_channel.get("t", [])
-        values = [name for name in part.columns if name not in times]
-        if len(self.parts) > 1 and len(values) == 1:
+        values = [name for name in named.columns if name not in times]
+        if len(self.tables) > 1 and len(values) == 1:
             (name,) = values
-            channel = read_name(part.table.path.stem).channel
-            if channel is not None and not any(name in all_ for all_ in self.by_channel.values()):
+            channel = read_name(named.table.path.stem).channel
+            if channel is not None and not any(name in names for names in self.by_channel.values()):
                 self.by_channel.setdefault(channel, []).append(name)
 
     def resolve(self, name: str) -> str:
-        """A column by its name, or by the end of its path if that is unique."""
-        if name in self.part_of:
+        """Return a column by its name, or by the end of its path if that is unique."""
+        if name in self.table_of:
             return name
-        ends = [one for one in self.part_of if one.endswith((f"/{name}", f".{name}"))]
-        return ends[0] if len(ends) == 1 else name
+        matches = [column for column in self.table_of if column.endswith((f"/{name}", f".{name}"))]
+        return matches[0] if len(matches) == 1 else name
 
-    def has(self, channel: str) -> bool:
-        return any(name in self.part_of for name in self.by_channel.get(channel, []))
+    def has_channel(self, channel: str) -> bool:
+        return any(name in self.table_of for name in self.by_channel.get(channel, []))
 
-    def of(self, channel: str) -> str:
+    def column_of(self, channel: str) -> str:
         return self.by_channel.get(channel, [channel])[0]
 
 
-def _from_one(names: Iterable[str]) -> dict[str, str]:
-    """Names of three that are counted from zero, as x[0] x[1] x[2], counted from one."""
+def _count_from_one(names: Iterable[str]) -> dict[str, str]:
+    """Renumber triples counted from zero, such as x[0] x[1] x[2], from one."""
     stems: dict[tuple[str, str], dict[int, str]] = {}
     for name in names:
-        if found := _COUNTED.match(name):
-            stems.setdefault((found[1], found[3]), {})[int(found[2])] = name
+        if match := _COUNTED.match(name):
+            stems.setdefault((match[1], match[3]), {})[int(match[2])] = name
     return {
-        name: f"{stem}{n + 1}{rest}"
-        for (stem, rest), of in stems.items()
-        if set(of) == {0, 1, 2}
-        for n, name in of.items()
+        name: f"{stem}{number + 1}{tail}"
+        for (stem, tail), numbered in stems.items()
+        if set(numbered) == {0, 1, 2}
+        for number, name in numbered.items()
     }
 
 
-#: Names of a column that has none, as of the index of a data frame.
+#: Names of columns without a name, such as the index of a data frame.
 _NAMELESS = re.compile(r"^(column 1|unnamed: 0|index|)$", re.IGNORECASE)
-#: A name that ends in a digit, perhaps in brackets, perhaps before a unit.
+#: A name that ends in a digit, in brackets or not, before a unit or not.
 _COUNTED = re.compile(r"^(.*?)(\d)([\])]?(?:\s*[\[({/,].*)?)$")
-_KNOWN = (
+_CHANNEL_NAMES = (
     *("t", "theta_e", "theta_mech", "position", "speed_mech", "speed_e"),
     *dict.fromkeys(name for table in (VOLTAGES, CURRENTS) for v in table.values() for name in v),
 )
 
 
-def guess(parts: Sequence[NamedTable], fields: Mapping[str, Any], frames: Sequence[Frame]) -> Guess:
+def guess(
+    tables: Sequence[NamedTable], fields: Mapping[str, Any], frames: Sequence[Frame]
+) -> Guess:
     """Complete the fields of a layout.
 
     Parameters
     ----------
-    parts : sequence of Part
+    tables : sequence of NamedTable
     fields : mapping
-        What the user gave.
+        Fields from the user.
     frames : sequence of str
-        Those that the machine may have.
+        Frames that the machine allows.
 
     Raises
     ------
     RecordError
-        No frame is filled, or a column has a unit that its channel cannot have.
+        The columns fill no frame, or a column has a unit that its channel cannot have.
     """
     given = {
         channel: name
         for channel, name in fields.get("columns", {}).items()
         if name != NO_COLUMN and not (channel == "udc" and "udc" in fields)
     }
-    columns = Columns(parts, given)
-    out = Guess(dict(fields), columns)
+    columns = Columns(tables, given)
+    result = Guess(dict(fields), columns)
     frame = fields.get("frame")
     if frame is None:
-        frame = next((one for one in frames if _filled(one, columns, fields)), None)
+        frame = next(
+            (candidate for candidate in frames if _is_filled(candidate, columns, fields)), None
+        )
         if frame is None:
-            frame = _by_values(columns, frames, out)
+            frame = _frame_by_values(columns, frames, result)
         if frame is None:
             frame = _nearest_frame(columns, frames, fields)
-        out.fields["frame"] = frame
+        result.fields["frame"] = frame
     currents = _current_frame(frame, columns, fields)
     if currents is not None and CURRENTS[currents] != CURRENTS[frame]:
-        out.fields["currents"] = currents
+        result.fields["currents"] = currents
     used = _needed(frame, columns, fields)
-    if "theta_e" in used and not columns.has("theta_e") and columns.has("theta"):
+    if "theta_e" in used and not columns.has_channel("theta_e") and columns.has_channel("theta"):
         columns.by_channel["theta_e"] = columns.by_channel["theta"]
-    out.channels = {channel: columns.of(channel) for channel in used}
-    _take_time(columns, fields, out)
-    _take_truth(columns, frame, fields, out)
-    _take_units(columns, out)
-    _say(fields, columns, out)
-    return out
+    result.channels = {channel: columns.column_of(channel) for channel in used}
+    _take_time(columns, fields, result)
+    _take_truth(columns, frame, fields, result)
+    _take_units(columns, result)
+    _note_columns(fields, columns, result)
+    return result
 
 
 def _needed(frame: Frame, columns: Columns, fields: Mapping[str, Any]) -> list[str]:
-    """Channels of a frame, with the third phase current if there is one."""
+    """Return the channels of a frame, with the third phase current if there is one."""
     voltages = [name for name in VOLTAGES[frame] if name != "udc" or "udc" not in fields]
-    if frame in ("abc", "line"):  # two of three will do
-        present = [name for name in voltages if columns.has(name)]
-        least = 2 if frame == "line" or len(present) >= 2 else 3
-        voltages = present if len(present) >= least else voltages[:least]
+    if frame in ("abc", "line"):  # two of three suffice
+        present = [name for name in voltages if columns.has_channel(name)]
+        minimum = 2 if frame == "line" or len(present) >= 2 else 3
+        voltages = present if len(present) >= minimum else voltages[:minimum]
         voltages = voltages[:2] if frame == "line" else voltages
     frame_of_currents = _current_frame(frame, columns, fields) or frame
     currents = list(CURRENTS[frame_of_currents])
     if tuple(currents) == PHASE_CURRENTS:
-        present = [name for name in currents if columns.has(name)]
+        present = [name for name in currents if columns.has_channel(name)]
         currents = present if len(present) >= 2 else currents[:2]
     angle = ["theta_e"] if "dq" in (frame, frame_of_currents) else []
     return [*voltages, *currents, *angle]
 
 
 def _current_frame(frame: Frame, columns: Columns, fields: Mapping[str, Any]) -> Frame | None:
-    """The frame of the currents: as given, that of the voltages, or another one that is filled."""
+    """Return the frame of the currents: the user's, the voltages', or another with columns."""
     if fields.get("currents") is not None or frame == "ports":
         given: Frame | None = fields.get("currents")
         return given
-    own: Frame = "abc" if CURRENTS[frame] == PHASE_CURRENTS else frame
-    for one in dict.fromkeys((own, "alphabeta", "abc", "dq")):
-        least = 2 if one == "abc" else len(CURRENTS[one])
-        if sum(columns.has(name) for name in CURRENTS[one]) >= least:
-            return one
+    matching: Frame = "abc" if CURRENTS[frame] == PHASE_CURRENTS else frame
+    for candidate in dict.fromkeys((matching, "alphabeta", "abc", "dq")):
+        minimum = 2 if candidate == "abc" else len(CURRENTS[candidate])
+        if sum(columns.has_channel(name) for name in CURRENTS[candidate]) >= minimum:
+            return candidate
     return None
 
 
-def _filled(frame: Frame, columns: Columns, fields: Mapping[str, Any]) -> bool:
+def _is_filled(frame: Frame, columns: Columns, fields: Mapping[str, Any]) -> bool:
     return all(
-        columns.has(channel) or (channel == "theta_e" and columns.has("theta"))
+        columns.has_channel(channel) or (channel == "theta_e" and columns.has_channel("theta"))
         for channel in _needed(frame, columns, fields)
     )
 
 
 def _nearest_frame(columns: Columns, frames: Sequence[Frame], fields: Mapping[str, Any]) -> Frame:
-    """The frame of which most channels are there: its first missing one will be named."""
+    """Return the frame with the most channels; the error names its first missing channel."""
 
     def share(frame: Frame) -> float:
         voltages, currents = VOLTAGES[frame][:3], CURRENTS[frame]
-        return sum(sum(map(columns.has, names)) / len(names) for names in (voltages, currents))
+        return sum(
+            sum(map(columns.has_channel, names)) / len(names) for names in (voltages, currents)
+        )
 
     best = max(frames, key=share)
     if share(best) > 0 or len(frames) == 1:
         return best
-    path = columns.parts[0].table.path
+    path = columns.tables[0].table.path
     named = [
         f"{name} ({columns.units[name]})" if name in columns.units else name
-        for name in columns.part_of
+        for name in columns.table_of
     ]
     raise RecordError(
         f"{path}: currents and voltages are not found among its columns: {', '.join(named[:40])}. "
-        f"Name them, as --frame abc --column u_a=… u_b=… u_c=… i_a=… i_b=…; "
-        f"`fluxobs channels {path}` shows what each column would be taken for"
+        f"Name them, e.g. --frame abc --column u_a=… u_b=… u_c=… i_a=… i_b=…; "
+        f"`fluxobs channels {path}` shows the guess for each column"
     )
 
 
-def _take_time(columns: Columns, fields: Mapping[str, Any], out: Guess) -> None:
-    """The time column of the part that has the currents."""
+def _take_time(columns: Columns, fields: Mapping[str, Any], result: Guess) -> None:
+    """Choose the time column of the table with the currents."""
     if fields.get("columns", {}).get("t") == NO_COLUMN:
         return
     names = columns.by_channel.get("t", [])
     if "t" in fields.get("columns", {}):
-        out.channels["t"] = names[0]
+        result.channels["t"] = names[0]
         return
-    base = base_part(columns, out.channels)
+    base = base_table(columns, result.channels)
     for name in names:
-        if columns.part_of.get(name) is base and not _is_index(base, name):
-            out.channels["t"] = name
+        if columns.table_of.get(name) is base and not _is_index(base, name):
+            result.channels["t"] = name
             return
     for name, column in base.columns.items():
         if _NAMELESS.match(leaf(column)) and _looks_like_time(base.read(name, rows=1000)):
             columns.by_channel["t"] = [name]
-            out.channels["t"] = name
-            out.notes.append(f"{name!r}, which rises evenly, is taken for t (else --column t=-)")
+            result.channels["t"] = name
+            result.notes.append(f"{name!r} rises evenly and is taken as t (otherwise --column t=-)")
             return
 
 
 def _looks_like_time(values: Array) -> bool:
-    """Whether values rise by steps that are alike, and are no numbers of rows."""
+    """Return whether values rise by similar steps, and do not merely count rows."""
     steps = np.diff(values)
     if len(steps) < 10 or not np.isfinite(steps).all() or not steps.min() > 0:
         return False
@@ -310,63 +320,66 @@ def _looks_like_time(values: Array) -> bool:
     return bool(np.median(np.abs(steps - usual)) < 0.2 * usual and not (steps == 1).all())
 
 
-def _is_index(part: NamedTable, name: str) -> bool:
-    """Whether a column only counts rows, where the file says the sample time."""
-    if part.table.said.sample_time is None:
+def _is_index(named: NamedTable, name: str) -> bool:
+    """Return whether a column only counts rows of a file that states the sample time."""
+    if named.table.said.sample_time is None:
         return False
-    head = part.read(name, rows=1000)
+    head = named.read(name, rows=1000)
     return bool(len(head) > 1 and (np.diff(head) == 1).all())
 
 
-def base_part(columns: Columns, channels: Mapping[str, str]) -> NamedTable:
-    """The part that has the first current."""
-    name = next((one for channel, one in channels.items() if channel.startswith("i_")), "")
-    return columns.part_of.get(name, columns.parts[0])
+def base_table(columns: Columns, channels: Mapping[str, str]) -> NamedTable:
+    """Return the table of the first current."""
+    name = next((column for channel, column in channels.items() if channel.startswith("i_")), "")
+    return columns.table_of.get(name, columns.tables[0])
 
 
-def _take_truth(columns: Columns, frame: Frame, fields: Mapping[str, Any], out: Guess) -> None:
+def _take_truth(columns: Columns, frame: Frame, fields: Mapping[str, Any], result: Guess) -> None:
     truth = dict(fields.get("truth", {}))
     if NO_TRUTH in truth:
-        out.fields["truth"] = {}
+        result.fields["truth"] = {}
         return
     if truth:
-        out.fields["truth"] = {
+        result.fields["truth"] = {
             channel: ",".join(columns.resolve(name.strip()) for name in given.split(","))
-            if channel in ("hall", "sincos") and given not in columns.part_of
+            if channel in ("hall", "sincos") and given not in columns.table_of
             else columns.resolve(given)
             for channel, given in truth.items()
         }
         return
     if frame == "ports":
         return
-    taken = set(out.channels.values())
+    used = set(result.channels.values())
     for channel in ("theta_e", "theta_mech"):
-        if columns.has(channel) and columns.of(channel) not in taken:
-            out.fields["truth"] = {channel: columns.of(channel)}
+        if columns.has_channel(channel) and columns.column_of(channel) not in used:
+            result.fields["truth"] = {channel: columns.column_of(channel)}
             return
-    if columns.has("theta") and columns.of("theta") not in taken:
-        out.fields["truth"] = {"theta": columns.of("theta")}  # electrical or mechanical: by values
-    elif columns.has("sin") and columns.has("cos"):
-        out.fields["truth"] = {"sincos": f"{columns.of('sin')},{columns.of('cos')}"}
-    elif all(columns.has(f"hall_{phase}") for phase in "abc"):
-        out.fields["truth"] = {"hall": ",".join(columns.of(f"hall_{p}") for p in "abc")}
-    elif columns.has("hall"):
-        out.fields["truth"] = {"hall": columns.of("hall")}
+    if columns.has_channel("theta") and columns.column_of("theta") not in used:
+        # its values decide whether it is electrical or mechanical
+        result.fields["truth"] = {"theta": columns.column_of("theta")}
+    elif columns.has_channel("sin") and columns.has_channel("cos"):
+        result.fields["truth"] = {
+            "sincos": f"{columns.column_of('sin')},{columns.column_of('cos')}"
+        }
+    elif all(columns.has_channel(f"hall_{phase}") for phase in "abc"):
+        result.fields["truth"] = {"hall": ",".join(columns.column_of(f"hall_{p}") for p in "abc")}
+    elif columns.has_channel("hall"):
+        result.fields["truth"] = {"hall": columns.column_of("hall")}
 
 
 # ---- units ---------------------------------------------------------------------------------
 
 
-def _take_units(columns: Columns, out: Guess) -> None:
-    """Units from the file, from names, and where neither says one, from values that tell it."""
-    given = out.fields
-    chosen = dict(given.get("unit", {}))
-    truth = {} if "theta" in given.get("truth", {}) else given.get("truth", {})
-    named = [*out.channels.values(), *given.get("truth", {}).values()]
-    for part in columns.parts:
-        part.table.expect([part.columns[name] for name in named if name in part.columns])
-    for channel, name in [*out.channels.items(), *truth.items()]:
-        if name not in columns.part_of or _is_given(channel, given):
+def _take_units(columns: Columns, result: Guess) -> None:
+    """Take units from the file, from names, or else from values."""
+    fields = result.fields
+    chosen = dict(fields.get("unit", {}))
+    truth = {} if "theta" in fields.get("truth", {}) else fields.get("truth", {})
+    expected = [*result.channels.values(), *fields.get("truth", {}).values()]
+    for named in columns.tables:
+        named.table.expect([named.columns[name] for name in expected if name in named.columns])
+    for channel, name in [*result.channels.items(), *truth.items()]:
+        if name not in columns.table_of or _has_conversion(channel, fields):
             continue
         unit = columns.units.get(name)
         kind = units.quantity(channel)
@@ -378,30 +391,28 @@ def _take_units(columns: Columns, out: Guess) -> None:
         elif possible:
             scale = {"current": "AMPERES_PER_VOLT", "voltage": "VOLTS_PER_AMPERE"}.get(kind, "…")
             raise RecordError(
-                f"{columns.parts[0].table.path}: the column {name!r} is taken for {channel}, but "
-                f"is in {unit}. Give what a probe's volt means, --scale {channel}={scale}, or "
+                f"{columns.tables[0].table.path}: the column {name!r} is taken as {channel}, but "
+                f"is in {unit}. Give the scale of the probe, --scale {channel}={scale}, or "
                 f"the right column, --column {channel}=COLUMN"
             )
-        elif found := _unit_by_values(channel, columns.part_of[name].read(name)):
-            chosen[channel] = found
-            note = _VALUES_SAY[kind].format(channel=channel, unit=found)
-            out.notes += [note] if note not in out.notes else []
+        elif guessed := _unit_by_values(channel, columns.table_of[name].read(name)):
+            chosen[channel] = guessed
+            note = _UNIT_NOTES[kind].format(channel=channel, unit=guessed)
+            result.notes += [note] if note not in result.notes else []
     if chosen:
-        out.fields["unit"] = chosen
+        result.fields["unit"] = chosen
 
 
-_VALUES_SAY = {
-    "time": "t has no unit; by its steps it is taken to be in {unit} (else --unit t=…)",
-    "angle": "{channel} has no unit; by its wraps it is taken to be in {unit} "
-    "(else --unit {channel}=…)",
-    "duty": "duties have no unit; by their size they are taken to be in {unit} (else --unit "
-    "duty=…)",
+_UNIT_NOTES = {
+    "time": "t has no unit; its steps suggest {unit} (otherwise --unit t=…)",
+    "angle": "{channel} has no unit; its wraps suggest {unit} (otherwise --unit {channel}=…)",
+    "duty": "duties have no unit; their size suggests {unit} (otherwise --unit duty=…)",
 }
 
 
-def _is_given(channel: str, fields: Mapping[str, Any]) -> bool:
-    """Whether the user said a unit, a converter or a scale."""
-    return any(word in fields.get(given, {}) for given in CONVERTING for word in words_for(channel))
+def _has_conversion(channel: str, fields: Mapping[str, Any]) -> bool:
+    """Return whether the user gave a unit, a converter or a scale."""
+    return any(key in fields.get(table, {}) for table in CONVERTING for key in keys_for(channel))
 
 
 def _unit_by_values(channel: str, values: Array) -> str | None:
@@ -418,15 +429,15 @@ def _unit_by_values(channel: str, values: Array) -> str | None:
     elif kind == "angle":
         return turn_of(values)
     elif kind == "duty":
-        most = float(np.abs(values).max())
-        if most <= DUTY_MOST and values.min() < -NEGATIVE:
+        largest = float(np.abs(values).max())
+        if largest <= DUTY_MOST and values.min() < -NEGATIVE:
             return "-1..1"
-        return "%" if DUTY_MOST < most <= PERCENT else None
+        return "%" if DUTY_MOST < largest <= PERCENT else None
     return None
 
 
 def turn_of(angle: Array) -> str | None:
-    """The unit of an angle by what it wraps at; None for radians, or if it does not wrap."""
+    """Return the unit of an angle from its wraps; None for radians, or without wraps."""
     steps = np.abs(np.diff(angle))
     steps = steps[np.isfinite(steps)]
     if len(steps) == 0 or not steps.max() > 0:
@@ -442,8 +453,8 @@ def turn_of(angle: Array) -> str | None:
 # ---- values --------------------------------------------------------------------------------
 
 
-def _by_values(columns: Columns, frames: Sequence[Frame], out: Guess) -> Frame | None:
-    """Currents and voltages in the order of the file, where units tell one from the other."""
+def _frame_by_values(columns: Columns, frames: Sequence[Frame], result: Guess) -> Frame | None:
+    """Assign currents and voltages in the order of the file, if units distinguish them."""
     if "abc" not in frames:
         return None
     sets: dict[str, list[str]] = {"current": [], "voltage": []}
@@ -451,46 +462,46 @@ def _by_values(columns: Columns, frames: Sequence[Frame], out: Guess) -> Frame |
         kinds = units.known(unit) & set(sets)
         if len(kinds) == 1 and not any(name in names for names in columns.by_channel.values()):
             sets[kinds.pop()].append(name)
-    currents = _rotating(columns, sets["current"])
-    voltages = _rotating(columns, sets["voltage"])
-    how = (_arrangement(columns, currents), _arrangement(columns, voltages))
-    chosen: dict[tuple[str | None, str | None, int], tuple[Frame, tuple[str, ...]]] = {
+    currents = _select_alternating(columns, sets["current"])
+    voltages = _select_alternating(columns, sets["voltage"])
+    arrangements = (_arrangement(columns, currents), _arrangement(columns, voltages))
+    layouts: dict[tuple[str | None, str | None, int], tuple[Frame, tuple[str, ...]]] = {
         ("axes", "axes", 2): ("alphabeta", VOLTAGES["alphabeta"]),
         ("phases", "phases", 3): ("abc", VOLTAGES["abc"]),
         ("phases", "phases", 2): ("line", VOLTAGES["line"][:2]),
     }
-    found = chosen.get((*how, len(voltages)))
-    if found is None:
+    layout = layouts.get((*arrangements, len(voltages)))
+    if layout is None:
         return None
-    frame, names = found
+    frame, names = layout
     for channel, name in zip((*names, *CURRENTS[frame]), (*voltages, *currents), strict=False):
         columns.by_channel[channel] = [name]
-    words = (
-        "their units, and the angles between them, say which columns are currents and which are "
-        "voltages; their order is that of the file. `fluxobs check` tells whether it is right"
+    note = (
+        "units and angles between columns identify currents and voltages; their order is taken "
+        "from the file. `fluxobs check` tests it"
     )
     if frame != "alphabeta" and len(voltages) == 3:
-        words += ", and whether the voltages are line to line"
-    out.notes.append(words)
+        note += ", and whether the voltages are line-to-line"
+    result.notes.append(note)
     return frame
 
 
-def _rotating(columns: Columns, names: Sequence[str]) -> list[str]:
-    """Columns that swing about a mean by more than their mean."""
-    out = []
+def _select_alternating(columns: Columns, names: Sequence[str]) -> list[str]:
+    """Return the columns whose standard deviation exceeds half of their mean."""
+    alternating = []
     for name in names:
-        values = columns.part_of[name].read(name)
+        values = columns.table_of[name].read(name)
         values = values[np.isfinite(values)]
         if len(values) and values.std() > 0.5 * abs(values.mean()) and values.std() > 0:
-            out.append(name)
-    return out
+            alternating.append(name)
+    return alternating
 
 
 def _arrangement(columns: Columns, names: Sequence[str]) -> str | None:
-    """Whether columns are phases, 120° apart, or axes, 90° apart."""
+    """Return whether columns are phases, 120° apart, or axes, 90° apart; None if neither."""
     if len(names) not in (2, 3):
         return None
-    values = [columns.part_of[name].read(name) for name in names]
+    values = [columns.table_of[name].read(name) for name in names]
     rows = min(map(len, values))
     centred = [v[:rows] - np.nanmean(v[:rows]) for v in values]
     cosines = [
@@ -498,55 +509,56 @@ def _arrangement(columns: Columns, names: Sequence[str]) -> str | None:
         for n, a in enumerate(centred)
         for b in centred[n + 1 :]
     ]
-    for word, cosine in BETWEEN.items():
-        if all(abs(one - cosine) < NEAR for one in cosines):
-            return word
+    for arrangement, cosine in BETWEEN.items():
+        if all(abs(measured - cosine) < NEAR for measured in cosines):
+            return arrangement
     return None
 
 
-# ---- words ---------------------------------------------------------------------------------
+# ---- notes ---------------------------------------------------------------------------------
 
 
-def _say(fields: Mapping[str, Any], columns: Columns, out: Guess) -> None:
-    """One note on the columns that were not named by the user, if any is not what it is called."""
+def _note_columns(fields: Mapping[str, Any], columns: Columns, result: Guess) -> None:
+    """Note the columns that were guessed, unless all are named as their channels."""
     given = fields.get("columns", {})
-    words = []
+    assignments = []
     plain = True
-    for channel, name in out.channels.items():
+    for channel, name in result.channels.items():
         if channel.startswith("i_") and is_setpoint(name):
-            out.notes.append(
+            result.notes.append(
                 f"{name} is a setpoint by its name, but the measured current is needed "
-                f"(else --column {channel}=COLUMN)"
+                f"(otherwise --column {channel}=COLUMN)"
             )
-        if channel in given or name not in columns.part_of:
+        if channel in given or name not in columns.table_of:
             continue
-        unit = out.fields.get("unit", {}).get(channel)
-        told = unit is not None and channel not in fields.get("unit", {})
-        plain = plain and name == channel and not told
-        seen = told and units.plain(str(unit)) not in units.plain(name)
-        words.append(f"{channel} = {name}" + (f" [{unit}]" if seen else ""))
-    truth = out.fields.get("truth", {})
+        unit = result.fields.get("unit", {}).get(channel)
+        guessed = unit is not None and channel not in fields.get("unit", {})
+        plain = plain and name == channel and not guessed
+        shown = guessed and units.plain(str(unit)) not in units.plain(name)
+        assignments.append(f"{channel} = {name}" + (f" [{unit}]" if shown else ""))
+    truth = result.fields.get("truth", {})
     if truth and not fields.get("truth"):
         ((channel, name),) = truth.items()
-        what = "Hall signals" if channel == "hall" else "the true angle"
-        out.notes.append(f"{name} is taken for {what}, to score the estimate (else --truth none)")
-    frame = out.fields["frame"]
-    phases = [name for name in VOLTAGES["abc"] if name in out.channels]
-    if frame == "abc" and len(phases) == 2 and all(map(columns.has, phases)):
+        meaning = "Hall signals" if channel == "hall" else "the true angle"
+        result.notes.append(
+            f"{name} is taken as {meaning}, to score the estimate (otherwise --truth none)"
+        )
+    frame = result.fields["frame"]
+    phases = [name for name in VOLTAGES["abc"] if name in result.channels]
+    if frame == "abc" and len(phases) == 2 and all(map(columns.has_channel, phases)):
         (third,) = set(VOLTAGES["abc"]) - set(phases)
-        out.notes.append(
-            f"{third} is taken as -({phases[0]} + {phases[1]}), which is right for voltages from "
-            f"phase to neutral"
+        result.notes.append(
+            f"{third} is taken as -({phases[0]} + {phases[1]}), as for phase-to-neutral voltages"
         )
     if not plain:
-        out.notes.insert(0, f"columns are taken as {', '.join(words)}; frame {frame}")
+        result.notes.insert(0, f"columns are taken as {', '.join(assignments)}; frame {frame}")
 
 
 def electrical_or_mechanical(angle: Array, vector: NDArray[np.complex128]) -> str:
-    """Whether an angle [rad] turns as fast as the current does, or more slowly."""
-    good = np.isfinite(angle) & np.isfinite(vector)
-    if good.sum() < 10:
+    """Return "theta_e" if an angle [rad] turns as fast as the current, "theta_mech" if slower."""
+    finite = np.isfinite(angle) & np.isfinite(vector)
+    if finite.sum() < 10:
         return "theta_e"
-    turned = np.abs(np.unwrap(angle[good])[[0, -1]] @ [-1, 1])
-    electrical = np.abs(np.unwrap(np.angle(vector[good]))[[0, -1]] @ [-1, 1])
+    turned = np.abs(np.unwrap(angle[finite])[[0, -1]] @ [-1, 1])
+    electrical = np.abs(np.unwrap(np.angle(vector[finite]))[[0, -1]] @ [-1, 1])
     return "theta_e" if not turned > 0 or electrical < 1.5 * turned else "theta_mech"

@@ -1,4 +1,4 @@
-"""What the columns of a log mean: frame, channels, units, timing."""
+"""Layout: meaning of the columns of a log (frame, channels, units, timing)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..errors import FluxobsError, RecordError
 from ..machines.model.frames import CURRENTS, FRAMES, VOLTAGES, Frame
 from . import units
 
-#: Every channel a log may have.
+#: All channels that a log may have.
 CHANNELS = tuple(
     dict.fromkeys(
         ["t"]
@@ -23,15 +23,15 @@ CHANNELS = tuple(
         + ["theta_e", "theta_mech", "position", "speed_mech", "speed_e"]
     )
 )
-#: Channels of truth; hall and sincos are read from several columns, parted by commas.
+#: Truth channels; hall and sincos are read from several columns, separated by commas.
 TRUTHS = ("theta_e", "theta_mech", "position", "speed_mech", "speed_e", "hall", "sincos")
-#: A truth that says: use none, even if there is a column like one.
+#: Truth that means: use none, even if a column looks like one.
 NO_TRUTH = "none"
-#: Column name that means: ignore the existing column (for t).
+#: Column name that means: ignore an existing column (for t).
 NO_COLUMN = "-"
-#: Words for several channels, in `unit` and `adc`: their first letters.
+#: Groups of channels in `unit` and `adc` → first letters of their names.
 GROUPS = {"i": "i_", "u": "u_", "duty": "d_", "theta": "theta", "speed": "speed"}
-#: What turns a column into its channel; one of them for each.
+#: Fields that convert a column into its channel; a channel may have one of them.
 CONVERTING = ("unit", "adc", "scale")
 
 Align = Literal["time", "index", "auto"]
@@ -40,8 +40,8 @@ Align = Literal["time", "index", "auto"]
 class Layout(BaseModel):
     """How to read a log: the fields of a record TOML, and the options of the same names.
 
-    A channel's value is ``scale · column + offset``, in SI. A channel that is not named in
-    `columns` is read from the column of the same name, or from the one whose name means it.
+    A channel's value is ``scale · column + offset``, in SI. A channel that `columns` lacks is read
+    from the column of the same name, or from one with a synonymous name.
     `columns` t = "-" ignores a column t.
 
     Parameters
@@ -49,31 +49,31 @@ class Layout(BaseModel):
     frame : str, optional
         "alphabeta", "abc" (amplitude-invariant Clarke; two phase currents suffice), "line"
         (two line-to-line voltages of u_ab, u_bc, u_ca), "duty" (duty cycles 0…1 and udc), "dq"
-        (with theta_e, the angle used for the rotation), "ports" (u_1 u_2 i_1 i_2, coils as they
-        are). Default: the first of these that the columns fill.
+        (with theta_e, the angle used for the rotation), "ports" (u_1 u_2 i_1 i_2, the coils
+        themselves). Default: the first of these that the columns fill.
     currents : str, optional
-        Frame of the currents, if it is not that of the voltages: "alphabeta", "abc" or "dq".
+        Frame of the currents, if it differs from `frame`: "alphabeta", "abc" or "dq".
     sample_time : float, optional
-        [s]; needed if there is no column t, and the file does not say it.
+        [s]; needed if there is no column t and the file does not state it.
     lag : float
         Interval over which a row's voltage acts, in samples: 0 from that row to the next, -1 one
-        sample later, +1 one earlier; fractions allowed.
+        sample later, +1 one earlier; fractions are allowed.
     held : bool, optional
-        Whether each voltage is held over its sample, as an inverter's mean voltage is; default: if
-        that matters for the machine (R h/L above 0.15), and the lag is no fraction.
+        Whether each voltage is held over its sample, as an inverter's mean voltage is. Default: yes
+        if it matters for the machine (R h/L above 0.15) and the lag is a whole number.
     udc : float, optional
         DC-link voltage [V] if it has no column (frame "duty").
     columns : dict
         Channel → column name.
     unit : dict
-        Channel, or i, u, duty, theta, speed for all of these → unit: mA, ms, deg, rpm, % …;
+        Channel, or i, u, duty, theta, speed for a group of them → unit: mA, ms, deg, rpm, % …;
         counts:4096 (of a turn, or of a duty of one); ticks:170e6 (t, of a clock in Hz); q8 (fixed
-        point with eight fractional bits). Default: the file's unit, or that in the column's name.
+        point with eight fractional bits). Default: the unit in the file or in the column's name.
     adc : dict
-        Channel, or i or u for all of them → "bits,range,zero" of its converter: the range [SI] that
-        all counts span, and the count at zero (default: half of them).
+        Channel, or i or u for a group → "bits,range,zero" of its converter: the range [SI] that all
+        counts span, and the count at zero (default: half of all counts).
     scale, offset : dict
-        Channel → number; a scale stands in place of a unit.
+        Channel → number; a scale replaces a unit.
     truth : dict
         One of: {"theta_e": column} (electrical), {"theta_mech": column} (mechanical), {"sincos":
         "column,column"} (sine and cosine of the mechanical angle), {"hall": "column,column,column"}
@@ -82,18 +82,18 @@ class Layout(BaseModel):
         a column looks like one.
     fit_truth : bool
         Whether zero, direction, pole pairs, lag and eccentricity of the truth are fitted to the
-        estimate, and reported apart.
+        estimate, and reported separately.
     start, stop : float, optional
-        Only rows with start <= t <= stop [s].
+        Read only rows with start <= t <= stop [s].
     header : str, optional
-        Names of the columns, parted by commas, for a file without names.
+        Names of the columns, separated by commas, for a file without names.
     note : str, optional
-        What a reader of the result should know; it is printed.
+        Remark for readers of the result; it is printed.
     join : list of str
-        Further files with channels of the same run; in a record TOML beside it, or below.
+        Further files with channels of the same run; in a record TOML, in its folder or below.
     align : str
-        How their times belong together: "time" (their stamps; default), "index" (row by row),
-        "auto" (by what the files have in common).
+        How to match their rows: "time" (by their stamps; default), "index" (row by row), "auto" (by
+        signals that the files have in common).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -127,18 +127,18 @@ class Layout(BaseModel):
     @model_validator(mode="after")
     def _known_channels(self) -> Self:
         for field in ("columns", "scale", "offset", "unit", "adc"):
-            several = GROUPS if field in ("unit", "adc") else {}
-            known = [*CHANNELS, *several]
+            groups = GROUPS if field in ("unit", "adc") else {}
+            allowed = [*CHANNELS, *groups]
             for channel in getattr(self, field):
-                if channel not in known:
+                if channel not in allowed:
                     raise ValueError(
-                        f"{field}: unknown channel {channel!r}{nearest(channel, known)}"
+                        f"{field}: unknown channel {channel!r}{nearest(channel, allowed)}"
                     )
         for channel in self.truth:
             if channel not in (*TRUTHS, NO_TRUTH):
                 raise ValueError(f"truth must be one of {', '.join(TRUTHS)}, got {channel!r}")
         if self.udc is not None and self.frame not in ("duty", None):
-            raise ValueError(f'udc belongs to frame "duty", not to "{self.frame}"')
+            raise ValueError(f'udc belongs to frame "duty", not "{self.frame}"')
         if len(self.truth) > 1:
             raise ValueError("truth: give one channel only")
         for channel, unit in self.unit.items():
@@ -146,57 +146,57 @@ class Layout(BaseModel):
             units.factor(example or {"speed": "speed_mech"}.get(channel, channel), unit)
         for channel, given in self.adc.items():
             units.adc(channel, given)
-        for one, other in combinations(CONVERTING, 2):
-            for channel in getattr(self, one):
-                if channel in getattr(self, other):
-                    raise ValueError(f"{channel} has both {one} and {other}; give one of them")
+        for first, second in combinations(CONVERTING, 2):
+            for channel in getattr(self, first):
+                if channel in getattr(self, second):
+                    raise ValueError(f"{channel} has both {first} and {second}; give one of them")
         return self
 
     def conversion(self, channel: str) -> tuple[float, float]:
-        """Scale and offset that turn a column into its channel, in SI."""
+        """Return the scale and offset that turn a column into its channel, in SI."""
         scale, offset = 1.0, 0.0
-        for word in words_for(channel):
-            if word in self.scale:
-                scale = self.scale[word]
-            elif word in self.adc:
-                scale, offset = units.adc(channel, self.adc[word])
-            elif word in self.unit:
-                scale = units.factor(channel, self.unit[word])
+        for key in keys_for(channel):
+            if key in self.scale:
+                scale = self.scale[key]
+            elif key in self.adc:
+                scale, offset = units.adc(channel, self.adc[key])
+            elif key in self.unit:
+                scale = units.factor(channel, self.unit[key])
             else:
                 continue
             break
         return scale, offset + self.offset.get(channel, 0.0)
 
 
-def words_for(channel: str) -> list[str]:
-    """Words under which a unit or a converter of a channel may be given: its name goes first."""
-    return [channel, *(word for word, start in GROUPS.items() if channel.startswith(start))]
+def keys_for(channel: str) -> list[str]:
+    """Return the keys of a channel's unit or converter: its name, then its group."""
+    return [channel, *(group for group, prefix in GROUPS.items() if channel.startswith(prefix))]
 
 
 def read_fields(path: str | Path) -> dict[str, Any]:
-    """Fields of a record TOML; a mapping, so that options can override them.
+    """Read the fields of a record TOML as a mapping, which options can override.
 
     Raises
     ------
     RecordError
-        The file cannot be read, or holds something that is not a field of :class:`Layout`.
+        The file cannot be read, or has a key that is not a field of :class:`Layout`.
     """
     path = Path(path)
-    fields = _checked(read_toml(path, RecordError), str(path))
+    fields = _validated(read_toml(path, RecordError), str(path))
     if "join" in fields:
         try:
-            fields["join"] = [str(beside(path.parent, one, "join")) for one in fields["join"]]
+            fields["join"] = [str(beside(path.parent, name, "join")) for name in fields["join"]]
         except FluxobsError as error:
             raise RecordError(f"{path}: {error}") from None
     return fields
 
 
 def fields_from(text: str, where: str) -> dict[str, Any]:
-    """Fields of a record from the text of its TOML; RecordError if they are none."""
-    return _checked(parse_toml(text, where, RecordError), where)
+    """Parse the fields of a record TOML; raise RecordError if it is malformed."""
+    return _validated(parse_toml(text, where, RecordError), where)
 
 
-def _checked(fields: dict[str, Any], where: str) -> dict[str, Any]:
+def _validated(fields: dict[str, Any], where: str) -> dict[str, Any]:
     try:
         Layout(**fields)
     except RecordError as error:

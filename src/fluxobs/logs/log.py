@@ -1,4 +1,4 @@
-"""A log: a table and the meaning of its columns, read as aligned currents and voltages."""
+"""Log: a table and the meaning of its columns, read as aligned currents and voltages."""
 
 from __future__ import annotations
 
@@ -25,16 +25,17 @@ MINIMUM_ROWS = 20
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The truth channel of a log, and what it is read from.
+    """Truth channel of a log, and the columns that it is read from.
 
     Attributes
     ----------
     channel : str
     columns : tuple of str
     guessed : bool
-        Whether the user did not name it.
+        Whether it was guessed, not named by the user.
     centre, size : (n,) ndarray
-        Of sine and cosine, to make a unit circle of them.
+        Offsets and amplitudes that scale sine and cosine to a unit circle; thresholds of three
+        Hall signals.
     """
 
     channel: str
@@ -45,20 +46,20 @@ class Truth:
 
     @property
     def angular(self) -> bool:
-        """Whether it is an angle of the rotor."""
+        """Whether the channel is an angle of the rotor."""
         return self.channel.startswith("theta")
 
     def of(self, values: list[Array]) -> Array:
-        """The channel from its columns, in their own unit; NaN where it is not known."""
+        """Return the channel from its columns, in their unit; NaN where a value is missing."""
         values = [np.where(np.isfinite(value), value, np.nan) for value in values]
         if self.channel == "hall" and len(values) == 1:
-            whole = values[0] == np.round(values[0])
-            return np.asarray(np.where(whole, values[0], np.nan))
+            integral = values[0] == np.round(values[0])
+            return np.asarray(np.where(integral, values[0], np.nan))
         if self.channel == "hall" and len(values) == 3:
-            level = [value > centre for value, centre in zip(values, self.centre, strict=True)]
-            code = sum(bit.astype(float) * 2**n for n, bit in enumerate(level))
-            known = np.isfinite(np.stack(values)).all(axis=0)
-            return np.asarray(np.where(known, code, np.nan))
+            levels = [value > centre for value, centre in zip(values, self.centre, strict=True)]
+            code = sum(bit.astype(float) * 2**n for n, bit in enumerate(levels))
+            finite = np.isfinite(np.stack(values)).all(axis=0)
+            return np.asarray(np.where(finite, code, np.nan))
         if len(values) == 2:
             sin, cos = (
                 (value - centre) / size
@@ -70,9 +71,9 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """A table on uniform rows and its layout; rows first … last - 1 are read.
+    """Table on uniform rows with its layout; rows first … last - 1 are read.
 
-    Made by :func:`fluxobs.read_log`.
+    Returned by :func:`fluxobs.read_log`.
 
     Attributes
     ----------
@@ -85,7 +86,7 @@ class Log:
     clock : Clock
     first, last : int
     notes : tuple of str
-        What was guessed, and what is wrong with the file but could be mended.
+        Guesses, and defects of the file that were repaired.
     true : Truth, optional
     inverter : InverterError, optional
         Subtracted from the commanded voltage.
@@ -110,17 +111,17 @@ class Log:
 
     @property
     def path(self) -> Path:
-        """Path of the file; for arrays, a name that stands for them."""
+        """Path of the file; for arrays, a placeholder name."""
         return self.table.path
 
     @property
     def frame(self) -> Frame:
-        """Frame of its vectors."""
+        """Frame of the vectors."""
         return self.layout.frame or "alphabeta"
 
     @property
     def current_frame(self) -> Frame:
-        """Frame of its currents, which may be another."""
+        """Frame of the currents, which may differ."""
         return self.layout.currents or self.frame
 
     @property
@@ -135,22 +136,22 @@ class Log:
 
     @property
     def held(self) -> Held:
-        """Whether its voltages are held over a sample (:mod:`fluxobs.machines.model.held`)."""
+        """Whether the voltages are held over a sample (:mod:`fluxobs.machines.model.held`)."""
         if self.layout.held is not None:
             return self.layout.held
         return "auto" if self.layout.lag == round(self.layout.lag) else False
 
     def less_inverter(self, inverter: InverterError | None) -> Log:
-        """The same log, with the inverter's error subtracted from its commanded voltages."""
+        """Return the log with the inverter's error subtracted from its commanded voltages."""
         return replace(self, inverter=inverter)
 
     def lagged(self, by: float) -> Log:
-        """The same log, with voltages that act `by` samples earlier."""
+        """Return the log with voltages that act `by` samples earlier."""
         return replace(self, layout=self.layout.model_copy(update={"lag": self.layout.lag + by}))
 
     @property
     def columns(self) -> list[str]:
-        """Columns that are read."""
+        """Names of the columns that are read."""
         return [*self.names.values(), *(() if self.true is None else self.true.columns)]
 
     def _scaled(self, channel: str, values: Array) -> Array:
@@ -158,21 +159,21 @@ class Log:
         values = values if scale == 1.0 else values * scale
         return values if offset == 0.0 else values + offset
 
-    def channels_of(self, part: Columns) -> tuple[Columns, Array | None]:
-        """Channels and true channel of some rows of its table, scaled, before any transform."""
-        channels = {name: self._scaled(name, part[column]) for name, column in self.names.items()}
+    def channels_of(self, batch: Columns) -> tuple[Columns, Array | None]:
+        """Return scaled channels and truth of a batch of its table, before any transform."""
+        channels = {name: self._scaled(name, batch[column]) for name, column in self.names.items()}
         if self.frame == "duty" and self.layout.udc is not None:
             link = np.full(len(next(iter(channels.values()))), self.layout.udc)
             channels["udc"] = self._scaled("udc", link)
         if self.true is None:
             return channels, None
-        values = self.true.of([part[column] for column in self.true.columns])
+        values = self.true.of([batch[column] for column in self.true.columns])
         return channels, self._scaled(self.true.channel, values)
 
     def channels(self, first: int, last: int) -> Iterator[Columns]:
-        """Yield rows of the channels, scaled, before any transform; "truth" is the true angle."""
-        for part in self.table.batches(self.columns, first, last, BATCH):
-            channels, truth = self.channels_of(part)
+        """Yield scaled channels in batches, before any transform; "truth" is the truth channel."""
+        for batch in self.table.batches(self.columns, first, last, BATCH):
+            channels, truth = self.channels_of(batch)
             yield channels if truth is None else channels | {"truth": truth}
 
     def _time(self, channels: Columns, row: int, count: int) -> Array:
@@ -183,50 +184,50 @@ class Log:
     def aligned(
         self, first: int | None = None, last: int | None = None, size: int = BATCH
     ) -> Iterator[Aligned]:
-        """Yield rows in order, less the inverter's loss; the batch size changes no number.
+        """Yield rows in order, inverter losses subtracted; the batch size changes no number.
 
         Raises
         ------
         RecordError
-            A value is not a number; the message says where.
+            A value is not a number; the message names the place.
         """
         first = self.first if first is None else first
         last = self.last if last is None else last
         aligning = self.aligning(first)
         row = first
-        for part in self.table.batches(self.columns, first, last, size):
-            channels, truth = self.channels_of(part)
+        for batch in self.table.batches(self.columns, first, last, size):
+            channels, truth = self.channels_of(batch)
             t = self._time(channels, row, len(next(iter(channels.values()))))
             yield from aligning.add(t, channels, truth)
             row += len(t)
         yield from aligning.end()
 
     def aligning(self, first: int = 0) -> Aligning:
-        """What aligns its rows, from that one on."""
+        """Return the :class:`Aligning` of its rows, from row `first` on."""
         return Aligning(self.frame, self.current_frame, self.layout.lag, self.inverter, first)
 
     def to_record(self) -> Record:
-        """The whole log in memory; its voltages are aligned, so its lag is 0."""
-        parts = list(self.aligned())
-        voltage = np.concatenate([part.voltage for part in parts])
+        """Load the whole log into memory; its voltages are aligned, so its lag is 0."""
+        batches = list(self.aligned())
+        voltage = np.concatenate([batch.voltage for batch in batches])
         return Record(
             self.sample_time,
-            # Row k of the record acts from t_k on, so the interval ending at k goes to row k - 1.
+            # Row k of a record acts from t_k on: the interval that ends at k belongs to row k - 1.
             np.concatenate([voltage[1:], np.full((1, 2), np.nan)]),
-            np.concatenate([part.current for part in parts]),
-            theta_e=np.concatenate([part.truth for part in parts if part.truth is not None])
+            np.concatenate([batch.current for batch in batches]),
+            theta_e=np.concatenate([batch.truth for batch in batches if batch.truth is not None])
             if self.true is not None and self.true.channel == "theta_e"
             else None,
         )
 
 
 def rows_between(layout: Layout, clock: Clock, path: Path) -> tuple[int, int]:
-    """Rows of a log that are read, by the times of its layout.
+    """Return the first row, and the row after the last, within the times of a layout.
 
     Raises
     ------
     RecordError
-        They are too few, or the lag lies outside of them.
+        The rows are too few, or the lag exceeds them.
     """
     first, last = 0, clock.rows
     if clock.rows < MINIMUM_ROWS:

@@ -1,4 +1,4 @@
-"""Records that are shipped, for the logs of known tools: a TOML each in presets/."""
+"""Presets: shipped records for the logs of known tools, one TOML each in presets/."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ def _folder() -> Any:
 
 
 def preset_names() -> list[str]:
-    """Names of the shipped presets."""
+    """Return the names of the shipped presets."""
     return sorted(entry.name[:-5] for entry in _folder().iterdir() if entry.name.endswith(".toml"))
 
 
 def preset_text(name: str) -> str:
-    """TOML of a preset, with its comments: what it is for, and where its facts are from.
+    """Return the TOML of a preset, with comments on its purpose and sources.
 
     Raises
     ------
     RecordError
-        There is none of that name.
+        No preset has that name.
     """
     if name not in preset_names():
         raise RecordError(f"no preset {name!r}{nearest(name, preset_names())}")
@@ -34,15 +34,15 @@ def preset_text(name: str) -> str:
 
 
 def preset_fields(name: str) -> dict[str, Any]:
-    """Fields of a preset, as of a record TOML.
+    """Return the fields of a preset, as in a record TOML.
 
     Raises
     ------
     RecordError
-        There is none of that name, or the logs of that tool cannot be used; the message says why.
+        No preset has that name, or logs of that tool cannot be used; the message says why.
     """
     text = preset_text(name)
-    refused = tomllib.loads(text).get("refused")
-    if refused is not None:
-        raise RecordError(f"preset {name}: {refused}")
+    refusal = tomllib.loads(text).get("refused")
+    if refusal is not None:
+        raise RecordError(f"preset {name}: {refusal}")
     return fields_from(text, f"preset {name}")

@@ -1,4 +1,4 @@
-"""Open a log from files, a record, or arrays."""
+"""Open logs from files, records or arrays."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from .log import Log
 from .presets import preset_fields
 from .record import Record, alphabeta_rows
 
-#: What :func:`read_log` takes: a file; a log or a record; a mapping of channels (or columns) to
+#: Source of :func:`read_log`: a file; a log or a record; a mapping of channels (or columns) to
 #: arrays, such as a data frame; or a pair (voltage, current) of arrays.
 Source = str | Path | Log | Record | Mapping[str, Any] | tuple[Any, Any]
 
-#: Fields of a layout that are mappings: options add to those of a record file.
+#: Mapping fields of a layout: options add to those of a record file.
 _MAPPINGS = ("columns", "scale", "offset", "truth", "unit", "adc")
 
 Files = list[tuple[Path, list[Table]]]
@@ -41,17 +41,17 @@ def read_log(
 ) -> Log:
     """Open a log. Only its head and its times are read at this point.
 
-    What is not said is guessed from the names, units and values of the columns; ``log.notes`` says
-    what was.
+    Missing fields of the layout are guessed from names, units and values of the columns;
+    ``log.notes`` lists the guesses.
 
     Parameters
     ----------
     source : path, Log, Record, mapping of str to array, or (voltage, current)
         A file in one of the formats of :mod:`fluxobs.logs.formats`, or data in memory. A pair of
-        arrays is as for :class:`Record`: (rows, 2) in αβ, (rows, 3) of three phases, or (rows,)
-        complex.
+        arrays has shapes as in :class:`Record`: (rows, 2) in αβ, (rows, 3) of three phases, or
+        (rows,) complex.
     record : path, optional
-        TOML with the fields of :class:`Layout`; arguments given here override it.
+        TOML with the fields of :class:`Layout`; other arguments override it.
     preset : str, optional
         Name of a shipped record for the logs of a known tool; `record` overrides it.
     frame : str, optional
@@ -70,9 +70,9 @@ def read_log(
     Raises
     ------
     RecordError
-        The source cannot be read, or lacks what the layout names; the message says what and where.
+        The source cannot be read, or lacks a column of the layout; the message says where.
     UsageError
-        A layout is given for a log or a record, which already has one.
+        A layout is given for a log or a record, which have one already.
 
     Examples
     --------
@@ -86,52 +86,54 @@ def read_log(
     if isinstance(source, Log):
         if given or record is not None or frame is not None or preset is not None:
             raise UsageError(
-                f"{', '.join(given) or 'record, preset or frame'}: the log is open already; give "
+                f"{', '.join(given) or 'record, preset or frame'}: the log is already open; give "
                 f"its layout to read_log"
             )
         return source
     fields = preset_fields(preset) if preset is not None else {}
-    for more in (read_fields(record) if record is not None else {}, given):
-        for name, value in more.items():
+    for overrides in (read_fields(record) if record is not None else {}, given):
+        for name, value in overrides.items():
             if name in _MAPPINGS and not isinstance(value, Mapping):
                 raise UsageError(f"{name} must be a mapping of channels, got {value!r}")
             fields[name] = fields.get(name, {}) | dict(value) if name in _MAPPINGS else value
-        _override(fields, more)
-        if more.get("truth"):
-            fields["truth"] = dict(more["truth"])  # there is only one truth: replace it
+        _override(fields, overrides)
+        if overrides.get("truth"):
+            fields["truth"] = dict(overrides["truth"])  # only one truth: replace, do not merge
     if frame is not None:
         fields["frame"] = frame
-    files, fields = _files(source, fields, frames[0])
+    files, fields = _open_source(source, fields, frames[0])
     _take_constant_udc(fields, files)
-    Layout(**fields)  # what the user gave, before anything is guessed
+    Layout(**fields)  # validate the user's fields before guessing
     return assemble(files, fields, frames)
 
 
-def _override(fields: dict[str, Any], more: Mapping[str, Any]) -> None:
-    """A unit, converter or scale that is given later replaces any of them that stood before."""
-    given = {channel: name for name in CONVERTING for channel in more.get(name, {})}
+def _override(fields: dict[str, Any], later: Mapping[str, Any]) -> None:
+    """Remove earlier units, converters and scales of channels that are given a later one."""
+    converted = {channel: name for name in CONVERTING for channel in later.get(name, {})}
     for name in CONVERTING:
         if name in fields:
             fields[name] = {
                 channel: value
                 for channel, value in fields[name].items()
-                if channel in more.get(name, {}) or channel not in given
+                if channel in later.get(name, {}) or channel not in converted
             }
 
 
-def _files(source: Any, fields: dict[str, Any], usual: Frame) -> tuple[Files, dict[str, Any]]:
-    """Files with their tables, and the fields, completed by what the source itself says."""
+def _open_source(
+    source: Any, fields: dict[str, Any], default_frame: Frame
+) -> tuple[Files, dict[str, Any]]:
+    """Open the tables of a source, and complete the fields that it fixes."""
     fields = dict(fields)
     if isinstance(source, str | Path):
         header = _header(fields.get("header"))
-        paths = [Path(source), *(Path(one) for one in fields.get("join", []))]
+        paths = [Path(source), *(Path(name) for name in fields.get("join", []))]
         return [(path, open_tables(path, header)) for path in paths], fields
     if fields.get("join") or fields.get("header"):
         raise UsageError("join and header are for files, not for data in memory")
     if isinstance(source, Record):
-        table, fields = _record_table(source, fields, usual)
+        table, fields = _record_table(source, fields, default_frame)
     elif isinstance(source, tuple | list) and len(source) == 2:
-        table, fields = _pair_table(source[0], source[1], fields, usual)
+        table, fields = _pair_table(source[0], source[1], fields, default_frame)
     elif hasattr(source, "columns") and hasattr(source, "__getitem__"):  # a data frame
         table = ArrayTable({str(name): source[name] for name in source.columns})
     elif isinstance(source, Mapping):
@@ -149,7 +151,7 @@ def _header(given: Any) -> list[str] | None:
         return None
     names = [name.strip() for name in str(given).split(",")]
     if not all(names) or len(set(names)) < len(names):
-        raise RecordError(f"header {given!r}: expected different names, parted by commas")
+        raise RecordError(f"header {given!r}: expected different names, separated by commas")
     return names
 
 
@@ -159,9 +161,9 @@ def _channels(voltage: Any, current: Any, frame: Frame) -> dict[str, Any]:
 
 
 def _record_table(
-    source: Record, fields: dict[str, Any], usual: Frame
+    source: Record, fields: dict[str, Any], default_frame: Frame
 ) -> tuple[Table, dict[str, Any]]:
-    frame: Frame = fields.setdefault("frame", usual)
+    frame: Frame = fields.setdefault("frame", default_frame)
     surplus = set(fields) - {"frame", "held", "start", "stop", "fit_truth"}
     if surplus or frame not in ("alphabeta", "ports"):
         raise UsageError(
@@ -176,9 +178,9 @@ def _record_table(
 
 
 def _pair_table(
-    voltage: Any, current: Any, fields: dict[str, Any], usual: Frame
+    voltage: Any, current: Any, fields: dict[str, Any], default_frame: Frame
 ) -> tuple[Table, dict[str, Any]]:
-    frame: Frame = fields.setdefault("frame", usual)
+    frame: Frame = fields.setdefault("frame", default_frame)
     if frame not in ("alphabeta", "ports"):
         raise UsageError(
             f"frame {frame!r}: a pair (voltage, current) is in αβ, of three phases, or complex; "
@@ -188,12 +190,14 @@ def _pair_table(
         raise UsageError("sample_time is missing: arrays without a time column need it [s]")
     u, i = alphabeta_rows("voltage", voltage), alphabeta_rows("current", current)
     if len(u) != len(i):
-        raise RecordError(f"voltage and current must have as many rows, got {len(u)} and {len(i)}")
+        raise RecordError(
+            f"voltage and current must have the same number of rows, got {len(u)} and {len(i)}"
+        )
     return ArrayTable(_channels(u, i, frame)), fields
 
 
 def _take_constant_udc(fields: dict[str, Any], files: Files) -> None:
-    """Take a udc column that is a number, and not a column's name, as a constant voltage."""
+    """Take a udc column that is a number, not a column name, as a constant voltage."""
     columns = dict(fields.get("columns", {}))
     constant = columns.get("udc")
     if constant is None:

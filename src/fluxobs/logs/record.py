@@ -1,4 +1,4 @@
-"""Measured data in memory, and the interval over which each voltage acts."""
+"""Records: measured data in memory, and the interval over which each voltage acts."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from ..core.arrays import Array
 from ..errors import RecordError
 from ..machines.model.frames import clarke
 
-#: Sample times of record and observer may differ by this share: clocks are not more accurate.
+#: Sample times of record and observer may differ by this share, the accuracy of clocks.
 SAMPLE_TIME_TOLERANCE = 1e-3
 
 
 def interval_rows(rows: Array, lag: float, first: int, last: int, start: int = 0) -> Array:
-    """Voltage over the intervals that end at rows first … last - 1.
+    """Return the voltage over the intervals that end at rows first … last - 1.
 
-    The interval [t_{k-1}, t_k] is read at row ``k - 1 + lag``, interpolated linearly if that is
-    fractional; outside `rows` it is NaN, never extrapolated.
+    The voltage of the interval [t_{k-1}, t_k] is read at row ``k - 1 + lag``, interpolated linearly
+    if that is fractional. Outside `rows` it is NaN, never extrapolated.
 
     Parameters
     ----------
     rows : (m, 2) ndarray
         Voltage as recorded, rows start … start + m - 1 of the record.
     lag : float
-        In samples; 0: row k acts from t_k to t_{k+1}; -1: one sample later.
+        In samples. 0: row k acts from t_k to t_{k+1}; -1: one sample later.
     first, last, start : int
         Row numbers of the record.
 
@@ -36,27 +36,24 @@ def interval_rows(rows: Array, lag: float, first: int, last: int, start: int = 0
     """
     whole = int(np.floor(lag))
     fraction = lag - whole
-    low = np.arange(first, last) - 1 + whole - start
-    out = np.full((last - first, rows.shape[1]), np.nan)
-    inside = (low >= 0) & (low + (fraction > 0) < len(rows))
-    low = low[inside]
+    lower = np.arange(first, last) - 1 + whole - start
+    voltage = np.full((last - first, rows.shape[1]), np.nan)
+    inside = (lower >= 0) & (lower + (fraction > 0) < len(rows))
+    lower = lower[inside]
     if fraction > 0:
-        out[inside] = (1 - fraction) * rows[low] + fraction * rows[low + 1]
+        voltage[inside] = (1 - fraction) * rows[lower] + fraction * rows[lower + 1]
     else:
-        out[inside] = rows[low]
-    return out
+        voltage[inside] = rows[lower]
+    return voltage
 
 
 def lag_in_words(lag: float) -> str:
-    """The meaning of a lag, in a sentence."""
+    """Describe a lag in a sentence."""
     if lag == 0:
-        return "each row's voltage is taken to act from that row's sample to the next (lag 0)"
+        return "each logged voltage acts from its row to the next (lag 0)"
     amount = f"{abs(lag):g} sample{'' if abs(lag) == 1 else 's'}"
-    when = "later" if lag < 0 else "earlier"
-    return (
-        f"each row's voltage is taken to act {amount} {when} than from that row's sample to the "
-        f"next (lag {lag:+g})"
-    )
+    when = "late" if lag < 0 else "early"
+    return f"each logged voltage acts {amount} {when} (lag {lag:+g})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,12 +70,12 @@ class Record:
     lag : float
         Interval over which a row's voltage acts, in samples; see :func:`interval_rows`.
     theta_e : (rows,) array_like, optional
-        True electrical angle, for scoring [rad].
+        True electrical angle [rad], to score estimates.
 
     Raises
     ------
     RecordError
-        Shapes do not fit, too few rows, or the lag lies outside the record.
+        Shapes do not match, or the lag exceeds the record.
 
     Examples
     --------
@@ -101,8 +98,8 @@ class Record:
             object.__setattr__(self, name, alphabeta_rows(name, getattr(self, name)))
         if self.voltage.shape != self.current.shape:
             raise RecordError(
-                f"voltage and current must have as many rows, got {len(self.voltage)} and "
-                f"{len(self.current)}"
+                f"voltage and current must have the same number of rows, got "
+                f"{len(self.voltage)} and {len(self.current)}"
             )
         if self.theta_e is not None:
             theta = np.asarray(self.theta_e, dtype=float)
@@ -118,25 +115,28 @@ class Record:
 
     @property
     def t(self) -> Array:
-        """Time of the rows [s], from 0."""
+        """Time of the rows [s], starting at 0."""
         return np.asarray(np.arange(len(self)) * self.sample_time)
 
     def interval_voltage(self) -> Array:
-        """Mean voltage over the interval ending at each row, (rows, 2) [V]; NaN where unknown."""
+        """Return the mean voltage of the interval ending at each row, (rows, 2) [V].
+
+        It is NaN where unknown.
+        """
         return interval_rows(self.voltage, self.lag, 0, len(self))
 
     def on_intervals(self, sample_time: float) -> tuple[Array, Array]:
-        """Interval voltage and current, for an observer with this sample time.
+        """Return interval voltage and current for an observer with this sample time.
 
         Raises
         ------
         RecordError
-            The record has another sample time.
+            The record has a different sample time.
         """
         if not np.isclose(self.sample_time, sample_time, rtol=SAMPLE_TIME_TOLERANCE):
             raise RecordError(
                 f"the record's sample time, {self.sample_time:g} s, is not the observer's, "
-                f"{sample_time:g} s: make the observer with the record's sample time"
+                f"{sample_time:g} s: create the observer with the record's sample time"
             )
         return self.interval_voltage(), self.current
 
@@ -152,12 +152,12 @@ def check_lag(lag: float, rows: int) -> None:
 
 
 def alphabeta_rows(name: str, value: ArrayLike) -> Array:
-    """Vectors in αβ, (rows, 2), from αβ, three phases or complex numbers.
+    """Return vectors in αβ, (rows, 2), from αβ, three phases or complex numbers.
 
     Raises
     ------
     RecordError
-        The shape is another, or the values are not numbers.
+        The shape is none of these, or the values are not numbers.
     """
     try:
         array = np.asarray(value)

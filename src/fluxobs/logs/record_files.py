@@ -1,4 +1,4 @@
-"""Record files: what a log was read as, in TOML, to be read so again."""
+"""Record files: the layout of a log in TOML, to read it or similar logs again."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _MAPPINGS = ("columns", "unit", "adc", "scale", "offset", "truth")
 
 
 def record_text(log: Log) -> str:
-    """The text of a record TOML: all that was given, and all that was guessed."""
+    """Return the text of a record TOML, with all given and all guessed fields."""
     layout = log.layout
     fields = layout.model_dump(exclude_defaults=True, exclude={*_MAPPINGS, "join", "note"})
     fields["frame"] = log.frame
     fields["lag"] = layout.lag
-    rows = [
+    lines = [
         f"# How {comment(log.path.name)} is read: `fluxobs estimate LOG --record THIS.toml`",
         *(f"# {comment(note)}" for note in log.notes),
         *(f"{name} = {_value(value)}" for name, value in sorted(fields.items())),
@@ -34,19 +34,20 @@ def record_text(log: Log) -> str:
         "truth": {} if log.true is None else dict([log.truth or ("", "")]),
     }
     for name in ("unit", "adc", "scale", "offset"):
-        given = getattr(layout, name)
-        tables[name] = {key: given[key] for key in given if key in used or len(key) < 6}
+        entries = getattr(layout, name)
+        tables[name] = {key: entries[key] for key in entries if key in used or len(key) < 6}
     for name, table in tables.items():
         if table:
-            inside = ", ".join(f"{key} = {_value(value)}" for key, value in table.items())
-            rows.append(f"{name} = {{ {inside} }}")
-    return "\n".join(rows) + "\n"
+            items = ", ".join(f"{key} = {_value(value)}" for key, value in table.items())
+            lines.append(f"{name} = {{ {items} }}")
+    return "\n".join(lines) + "\n"
 
 
 def _value(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # TOML has no bare one
+    # TOML forbids a bare DEL
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def write_record(log: Log, path: str | Path, *, force: bool = False) -> None:
@@ -55,7 +56,7 @@ def write_record(log: Log, path: str | Path, *, force: bool = False) -> None:
     Raises
     ------
     FluxobsError
-        It does not end in .toml, exists and `force` is not given, or cannot be written.
+        The path does not end in .toml, exists without `force`, or cannot be written.
     """
     path = Path(path)
     check_new(path, (".toml",), force, "--save-record")

@@ -1,4 +1,4 @@
-"""Values at other times than their own: held voltages, smooth signals, angles, states."""
+"""Resampling of held voltages, smooth signals, angles and states."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 
 from ..core.arrays import Array
 
-#: How a channel goes on between its samples: a command is held until the next one, an angle wraps,
-#: a state jumps.
+#: Course of a channel between its samples: a command is held until the next one, an angle wraps, a
+#: state jumps.
 Course = Literal["held", "smooth", "angle", "state"]
 
 
 def course_of(channel: str) -> Course:
-    """How a channel goes on between its samples."""
+    """Return the course of a channel between its samples."""
     if channel.startswith(("u_", "d_")):
         return "held"
     if channel.startswith("theta"):
@@ -23,16 +23,17 @@ def course_of(channel: str) -> Course:
 
 
 def resample(course: Course, s: Array, values: Array, t: Array, step: float) -> Array:
-    """Values at the times t of a signal known at the times s, which increase.
+    """Resample a signal from the increasing times s to the times t.
 
-    What is held is the mean over [t, t + step]; the rest goes through the four samples around t.
-    NaN where a sample that is needed is missing; outside s only "held" goes on, by its last value.
+    A held signal is averaged over [t, t + step]; smooth signals and angles are interpolated by the
+    cubic through the four samples around t. Values are NaN where a needed sample is missing and
+    outside s; a held signal or a state extends one sample beyond its last.
 
     Parameters
     ----------
     course : str
     s, values : (m,) ndarray
-        Two samples at least.
+        At least two samples.
     t : (n,) ndarray
     step : float
         Sample time of the result [s].
@@ -50,44 +51,44 @@ def resample(course: Course, s: Array, values: Array, t: Array, step: float) -> 
 
 
 def _unwrapped(angle: Array) -> Array:
-    """An angle [rad] without jumps, across missing values."""
-    known = np.isfinite(angle)
-    out = np.full_like(angle, np.nan)
-    out[known] = np.unwrap(angle[known])
-    return out
+    """Return an angle [rad] without jumps, also across missing values."""
+    finite = np.isfinite(angle)
+    unwrapped = np.full_like(angle, np.nan)
+    unwrapped[finite] = np.unwrap(angle[finite])
+    return unwrapped
 
 
 def _held_mean(s: Array, values: Array, start: Array, stop: Array) -> Array:
-    """Mean over [start, stop] of a signal that holds each value until the next."""
-    last = s[-1] + (s[-1] - s[-2])
-    known = np.isfinite(values)
-    edges = np.append(s, last)
+    """Return the mean over [start, stop] of a signal that holds each value until the next."""
+    end = s[-1] + (s[-1] - s[-2])
+    finite = np.isfinite(values)
+    edges = np.append(s, end)
     length = np.diff(edges)
-    total = np.concatenate([[0.0], np.cumsum(np.where(known, values, 0.0) * length)])
-    gap = np.concatenate([[0.0], np.cumsum(np.where(known, 0.0, length))])
+    total = np.concatenate([[0.0], np.cumsum(np.where(finite, values, 0.0) * length)])
+    gap = np.concatenate([[0.0], np.cumsum(np.where(finite, 0.0, length))])
 
-    def integral(of: Array, at: Array) -> Array:
-        return np.asarray(np.interp(at, edges, of))
+    def integral(cumulative: Array, at: Array) -> Array:
+        return np.asarray(np.interp(at, edges, cumulative))
 
     mean = (integral(total, stop) - integral(total, start)) / (stop - start)
-    bad = integral(gap, stop) - integral(gap, start) > 1e-6 * (stop - start)
+    incomplete = integral(gap, stop) - integral(gap, start) > 1e-6 * (stop - start)
     slack = 1e-6 * (stop - start)
     outside = (start < edges[0] - slack) | (stop > edges[-1] + slack)
-    return np.where(bad | outside, np.nan, mean)
+    return np.where(incomplete | outside, np.nan, mean)
 
 
 def _cubic(s: Array, values: Array, t: Array) -> Array:
-    """The cubic through the four samples around each time (Lagrange)."""
+    """Return the cubic through the four samples around each time (Lagrange)."""
     if len(s) < 4:
         return np.full(len(t), np.nan)
     right = np.searchsorted(s, t, side="right")
     first = np.clip(right - 2, 0, len(s) - 4)
     at = first[:, None] + np.arange(4)
     x, y = s[at] - t[:, None], values[at]
-    out = np.zeros(len(t))
+    interpolated = np.zeros(len(t))
     for k in range(4):
         others = [j for j in range(4) if j != k]
         weight = np.prod(np.stack([-x[:, j] / (x[:, k] - x[:, j]) for j in others]), axis=0)
-        out += weight * np.where(np.abs(weight) > 1e-9, y[:, k], 0.0)
+        interpolated += weight * np.where(np.abs(weight) > 1e-9, y[:, k], 0.0)
     slack = 1e-6 * (s[1] - s[0])
-    return np.where((t < s[0] - slack) | (t > s[-1] + slack), np.nan, out)
+    return np.where((t < s[0] - slack) | (t > s[-1] + slack), np.nan, interpolated)

@@ -1,6 +1,4 @@
-"""Tables on uniform rows: gaps filled with missing values, jittering samples resampled, files
-joined.
-"""
+"""Tables on uniform rows: fill gaps, resample jittering samples, join files."""
 
 from __future__ import annotations
 
@@ -14,12 +12,12 @@ from .clock import INDEXED, Clock
 from .formats.table import BATCH, Columns, Table
 from .resample import Course, resample
 
-#: Rows of the file beyond those in between that a resampled row may need.
+#: Extra rows on each side that resampling may need.
 AROUND = 4
 
 
 class FilledTable(Table):
-    """A table with its gaps filled: rows that are missing are NaN.
+    """Table with its gaps filled: missing rows are NaN.
 
     Parameters
     ----------
@@ -27,7 +25,7 @@ class FilledTable(Table):
     clock : Clock
         Of this table.
     time : str
-        Its time column, which becomes uniform; it need not exist.
+        Its time column, replaced by uniform times; it need not exist.
     """
 
     def __init__(self, table: Table, clock: Clock, time: str) -> None:
@@ -37,32 +35,37 @@ class FilledTable(Table):
         self.random_access = table.random_access
 
     def place(self, row: int) -> str:
-        return self.table.place(self._source(row))
+        return self.table.place(self._source_row(row))
 
-    def _source(self, row: int) -> int:
-        """The row of the file at a uniform row, or the last one before it."""
+    def _source_row(self, row: int) -> int:
+        """Return the row of the file at a uniform row, or the last one before it."""
         piece = int(np.searchsorted(self.clock.at, row, side="right")) - 1
-        found = int(self.clock.source[piece] + row - self.clock.at[piece])
+        source = int(self.clock.source[piece] + row - self.clock.at[piece])
         after = self.clock.source[piece + 1] if piece + 1 < len(self.clock.at) else self.table.rows
-        return min(found, int(after) - 1)
+        return min(source, int(after) - 1)
 
     def batches(
         self, names: Sequence[str], first: int, last: int, size: int = BATCH
     ) -> Iterator[Columns]:
         wanted = [name for name in dict.fromkeys(names) if name != self.time]
         row = first
-        begin, end = self._source(first), self._source(last - 1) + 1
+        begin, end = self._source_row(first), self._source_row(last - 1) + 1
         source = begin
-        parts = self.table.batches(wanted or [self.table.columns[0]], begin, end, size)
-        for part in parts:
-            count = len(next(iter(part.values())))
-            at = self.clock.uniform_rows(np.arange(source, source + count))
+        batches = self.table.batches(wanted or [self.table.columns[0]], begin, end, size)
+        for batch in batches:
+            count = len(next(iter(batch.values())))
+            rows = self.clock.uniform_rows(np.arange(source, source + count))
             source += count
-            at, keep = at[(at >= row) & (at < last)], (at >= row) & (at < last)
-            stop = last if source >= end else int(at[-1]) + 1 if len(at) else row
-            for cut in range(row, stop, size):
-                to = min(cut + size, stop)
-                yield self._filled(part, at, keep, cut, to) | self._times(names, cut, to)
+            rows, inside = (
+                rows[(rows >= row) & (rows < last)],
+                (rows >= row) & (rows < last),
+            )
+            stop = last if source >= end else int(rows[-1]) + 1 if len(rows) else row
+            for start in range(row, stop, size):
+                upper = min(start + size, stop)
+                yield self._fill(batch, rows, inside, start, upper) | self._times(
+                    names, start, upper
+                )
             row = stop
 
     def _times(self, names: Sequence[str], first: int, last: int) -> Columns:
@@ -71,90 +74,95 @@ class FilledTable(Table):
         return {self.time: self.clock.times(np.arange(first, last))}
 
     @staticmethod
-    def _filled(
-        part: Columns, at: NDArray[np.int64], keep: NDArray[np.bool_], first: int, last: int
+    def _fill(
+        batch: Columns,
+        rows: NDArray[np.int64],
+        selected: NDArray[np.bool_],
+        first: int,
+        last: int,
     ) -> Columns:
-        inside = (at >= first) & (at < last)
-        out = {}
-        for name, values in part.items():
+        inside = (rows >= first) & (rows < last)
+        filled = {}
+        for name, values in batch.items():
             column = np.full(last - first, np.nan)
-            column[at[inside] - first] = values[keep][inside]
-            out[name] = column
-        return out
+            column[rows[inside] - first] = values[selected][inside]
+            filled[name] = column
+        return filled
 
 
 class SequentialReader:
-    """Rows of a table read once, in order; the last ones are kept for who comes back a little."""
+    """Read a table once, in order, and keep the last rows for overlapping requests."""
 
     def __init__(self, table: Table, names: Sequence[str], first: int, size: int) -> None:
-        self._parts = table.batches(names, first, table.rows, size)
+        self._batches = table.batches(names, first, table.rows, size)
         self._kept: Columns = {name: np.empty(0) for name in names}
         self._first, self._rows, self._table = first, first, table
 
     def get(self, first: int, last: int) -> tuple[int, Columns]:
-        """Rows from `first`, or the first one there is, to before `last`, and its number."""
+        """Return the available rows of first … last - 1, after the number of the first of them."""
         first, last = max(first, self._first), min(last, self._table.rows)
         while self._rows < last:
-            part = next(self._parts)
+            batch = next(self._batches)
             drop = max(0, first - self._first)
             self._kept = {
-                name: np.concatenate([kept[drop:], part[name]]) for name, kept in self._kept.items()
+                name: np.concatenate([kept[drop:], batch[name]])
+                for name, kept in self._kept.items()
             }
             self._first = self._first + drop
-            self._rows += len(next(iter(part.values())))
-        low = max(0, first - self._first)
-        high = max(low, last - self._first)
-        return self._first + low, {name: kept[low:high] for name, kept in self._kept.items()}
+            self._rows += len(next(iter(batch.values())))
+        lower = max(0, first - self._first)
+        upper = max(lower, last - self._first)
+        return self._first + lower, {name: kept[lower:upper] for name, kept in self._kept.items()}
 
 
 class ResampledTable(Table):
-    """Columns of a table at other times: those of stamps that jitter, or of another file.
+    """Columns of a table, resampled to uniform times or to those of another file.
 
     Parameters
     ----------
     table : Table
-        Its stamps may jitter; without `time` it is uniform.
+        Source; its stamps may jitter. Without `time` it is uniform.
     time : (str, float, float), optional
-        Column of the stamps, its scale and offset; else the rows are uniform.
+        Column of the stamps, its scale and offset.
     own : Clock
         Of `table`.
     clock : Clock
         Of the result.
     courses : dict
-        Column → how it goes on between samples.
+        Column → its course between samples.
     scales : dict
-        Column → what turns an angle into radians.
+        Column → factor of an angle to radians.
     shift : float
-        What is added to the table's own times [s].
+        Added to the times of `table` [s].
     """
 
     def __init__(
         self,
         table: Table,
-        own: Clock,
+        source_clock: Clock,
         clock: Clock,
         courses: Mapping[str, Course],
         scales: Mapping[str, float],
         time: tuple[str, float, float] | None = None,
         shift: float = 0.0,
     ) -> None:
-        self.table, self.own, self.clock, self.time = table, own, clock, time
+        self.table, self.source_clock, self.clock, self.time = table, source_clock, clock, time
         self.courses, self.scales, self.shift = courses, scales, shift
         self.path, self.columns, self.said = table.path, table.columns, table.said
         self.rows, self.random_access = clock.rows, table.random_access
 
     def place(self, row: int) -> str:
-        low, _ = self._needed(self.clock.times(np.array([row])))
-        return self.table.place(min(max(low + AROUND, 0), self.table.rows - 1))
+        lower, _ = self._needed_rows(self.clock.times(np.array([row])))
+        return self.table.place(min(max(lower + AROUND, 0), self.table.rows - 1))
 
-    def _needed(self, t: Array) -> tuple[int, int]:
-        """Rows of the table that are needed for these times."""
+    def _needed_rows(self, t: Array) -> tuple[int, int]:
+        """Return the range of source rows needed for these times."""
         begin, end = t[0] - self.shift, t[-1] + self.clock.sample_time - self.shift
         if self.time is None:
-            low, high = (self.own.row_at(one, False) for one in (begin, end))
-            return low - AROUND, high + AROUND
-        found = np.searchsorted(self.own.index, [begin, end])
-        return max(int(found[0]) - 1, 0) * INDEXED - AROUND, int(found[1]) * INDEXED + AROUND
+            lower, upper = (self.source_clock.row_at(time, False) for time in (begin, end))
+            return lower - AROUND, upper + AROUND
+        places = np.searchsorted(self.source_clock.index, [begin, end])
+        return max(int(places[0]) - 1, 0) * INDEXED - AROUND, int(places[1]) * INDEXED + AROUND
 
     def batches(
         self, names: Sequence[str], first: int, last: int, size: int = BATCH
@@ -162,60 +170,67 @@ class ResampledTable(Table):
         names = list(dict.fromkeys(names))
         stamps = [] if self.time is None else [self.time[0]]
         wanted = [name for name in names if name not in stamps]
-        low, _ = self._needed(self.clock.times(np.array([first])))
-        rows = SequentialReader(
-            self.table, [*wanted, *stamps], min(max(0, low), self.table.rows), size
+        lower, _ = self._needed_rows(self.clock.times(np.array([first])))
+        reader = SequentialReader(
+            self.table, [*wanted, *stamps], min(max(0, lower), self.table.rows), size
         )
-        for cut in range(first, last, size):
-            t = self.clock.times(np.arange(cut, min(cut + size, last)))
-            at, part = rows.get(*self._needed(t))
+        for start in range(first, last, size):
+            t = self.clock.times(np.arange(start, min(start + size, last)))
+            row, batch = reader.get(*self._needed_rows(t))
             if self.time is None:
-                s = self.own.times(np.arange(at, at + len(next(iter(part.values())))))
+                times = self.source_clock.times(
+                    np.arange(row, row + len(next(iter(batch.values()))))
+                )
             else:
                 column, scale, offset = self.time
-                s = part[column] * scale + offset
-                s = self._unwrapped(s, at) if self.own.wrap and len(s) else s
-            out = {name: self._at(name, s + self.shift, part[name], t) for name in wanted}
-            gap = self._in_gap(cut, len(t))
-            for values in out.values():
+                times = batch[column] * scale + offset
+                times = (
+                    self._unwrapped(times, row) if self.source_clock.wrap and len(times) else times
+                )
+            columns = {
+                name: self._resample_column(name, times + self.shift, batch[name], t)
+                for name in wanted
+            }
+            gap = self._in_gap(start, len(t))
+            for values in columns.values():
                 values[gap] = np.nan
-            yield out | {name: t for name in stamps if name in names}
+            yield columns | {name: t for name in stamps if name in names}
 
     def _in_gap(self, first: int, count: int) -> NDArray[np.bool_]:
-        """Rows that lie in a gap of the stamps."""
-        if self.time is None or len(self.own.at) == 1:
+        """Return which rows lie in a gap of the stamps."""
+        if self.time is None or len(self.source_clock.at) == 1:
             return np.zeros(count, bool)
         rows = np.arange(first, first + count)
-        piece = np.searchsorted(self.own.at, rows, side="right") - 1
-        length = np.append(np.diff(self.own.source), self.table.rows)
-        return np.asarray(rows - self.own.at[piece] >= length[piece])
+        piece = np.searchsorted(self.source_clock.at, rows, side="right") - 1
+        length = np.append(np.diff(self.source_clock.source), self.table.rows)
+        return np.asarray(rows - self.source_clock.at[piece] >= length[piece])
 
-    def _unwrapped(self, s: Array, at: int) -> Array:
-        """Stamps without wraps, from the index of their times."""
-        near = self.own.index[min(at // INDEXED, len(self.own.index) - 1)]
-        turns = np.round((near - s[0]) / self.own.wrap)
+    def _unwrapped(self, s: Array, row: int) -> Array:
+        """Return stamps without wraps, by means of the time index."""
+        reference = self.source_clock.index[min(row // INDEXED, len(self.source_clock.index) - 1)]
+        turns = np.round((reference - s[0]) / self.source_clock.wrap)
         jumps = np.concatenate([[0.0], np.cumsum(np.diff(s) < 0)])
-        return np.asarray(s + (turns + jumps) * self.own.wrap)
+        return np.asarray(s + (turns + jumps) * self.source_clock.wrap)
 
-    def _at(self, name: str, s: Array, values: Array, t: Array) -> Array:
+    def _resample_column(self, name: str, s: Array, values: Array, t: Array) -> Array:
         course = self.courses.get(name, "smooth")
         if len(s) < 2:
             return np.full(len(t), np.nan)
         scale = self.scales.get(name, 1.0) if course == "angle" else 1.0
-        found = resample(course, s, values * scale, t, self.clock.sample_time)
-        return found if scale == 1.0 else np.asarray(found / scale)
+        resampled = resample(course, s, values * scale, t, self.clock.sample_time)
+        return resampled if scale == 1.0 else np.asarray(resampled / scale)
 
 
 class JoinedTable(Table):
-    """Columns of several tables, all on the rows of the first."""
+    """Columns of several tables, on the rows of the first."""
 
     def __init__(self, tables: Sequence[Table], names: Sequence[Mapping[str, str]]) -> None:
         self.tables, self._names = tables, names
         self.path, self.rows = tables[0].path, tables[0].rows
         self.said = tables[0].said
         self.random_access = all(table.random_access for table in tables)
-        self._of = {name: n for n, known in enumerate(names) for name in known}
-        self.columns = list(self._of)
+        self._table_of = {name: n for n, columns in enumerate(names) for name in columns}
+        self.columns = list(self._table_of)
 
     def place(self, row: int) -> str:
         return self.tables[0].place(row)
@@ -224,35 +239,35 @@ class JoinedTable(Table):
         self, names: Sequence[str], first: int, last: int, size: int = BATCH
     ) -> Iterator[Columns]:
         readers = []
-        for n in sorted({self._of[name] for name in names}):
-            wanted = {name: self._names[n][name] for name in names if self._of[name] == n}
-            own = list(dict.fromkeys(wanted.values()))
+        for n in sorted({self._table_of[name] for name in names}):
+            wanted = {name: self._names[n][name] for name in names if self._table_of[name] == n}
+            columns = list(dict.fromkeys(wanted.values()))
             table = self.tables[n]
-            readers.append((wanted, Pieces(table.batches(own, first, last, size))))
-        for cut in range(first, last, size):
-            count = min(size, last - cut)
-            out: Columns = {}
-            for wanted, pieces in readers:
-                part = pieces.take(count)
-                out |= {name: part[column] for name, column in wanted.items()}
-            yield out
+            readers.append((wanted, Rebatcher(table.batches(columns, first, last, size))))
+        for start in range(first, last, size):
+            count = min(size, last - start)
+            joined: Columns = {}
+            for wanted, rebatcher in readers:
+                batch = rebatcher.take(count)
+                joined |= {name: batch[column] for name, column in wanted.items()}
+            yield joined
 
 
-class Pieces:
-    """Batches, cut anew."""
+class Rebatcher:
+    """Batches cut to other lengths."""
 
-    def __init__(self, parts: Iterator[Columns]) -> None:
-        self._parts = parts
-        self._left: Columns = {}
+    def __init__(self, batches: Iterator[Columns]) -> None:
+        self._batches = batches
+        self._rest: Columns = {}
 
     def take(self, count: int) -> Columns:
-        """The next rows."""
-        while not self._left or len(next(iter(self._left.values()))) < count:
-            part = next(self._parts)
-            self._left = {
-                name: np.concatenate([self._left[name], values]) if self._left else values
-                for name, values in part.items()
+        """Return the next `count` rows."""
+        while not self._rest or len(next(iter(self._rest.values()))) < count:
+            batch = next(self._batches)
+            self._rest = {
+                name: np.concatenate([self._rest[name], values]) if self._rest else values
+                for name, values in batch.items()
             }
-        out = {name: values[:count] for name, values in self._left.items()}
-        self._left = {name: values[count:] for name, values in self._left.items()}
-        return out
+        taken = {name: values[:count] for name, values in self._rest.items()}
+        self._rest = {name: values[count:] for name, values in self._rest.items()}
+        return taken

@@ -1,4 +1,4 @@
-"""Readers for files of columns, in every supported format."""
+"""Readers of column files in all supported formats."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from ...core.input_files import check_regular
 from ...errors import RecordError
 from .table import BATCH, Said, Table, missing_column, read_rows
 
-#: Endings of files that are not text, each with its module and function. They are loaded when
-#: needed: start-up time counts. A new format is a function that returns the tables of a file, one
-#: for each set of columns that share their times, and a line here.
+#: Endings of files that are not text, each with its module and function, loaded on demand to keep
+#: start-up short. A new format needs a function that returns the tables of a file, one for each set
+#: of columns that share their times, and a line here.
 FORMATS = {
     ".npz": ("npz", "open_npz"),
     ".npy": ("npy", "open_npy"),
@@ -37,27 +37,27 @@ FORMATS = {
     ".xls": ("excel", "open_excel"),
     ".ods": ("excel", "open_excel"),
 }
-#: Formats whose columns may have no names.
+#: Openers of formats whose columns may lack names.
 _NAMELESS = ("open_npy", "open_excel")
-#: What a file begins with, where its ending may say something else.
+#: First bytes of a file → its format, whatever its ending.
 _MAGIC = {b"MDF     ": ".mf4", b"UnFinMF ": ".mf4", b"\x89HDF\r\n": ".h5", b"PAR1": ".parquet"}
 
 __all__ = ["BATCH", "Said", "Table", "missing_column", "open_tables", "read_rows"]
 
 
 def open_tables(path: str | Path, header: list[str] | None = None) -> list[Table]:
-    """Open the tables in a file: by its ending, else as delimited text.
+    """Open the tables in a file by its ending, or else as delimited text.
 
     Parameters
     ----------
     path : path
     header : list of str, optional
-        Names of the columns, for text or an array that has none.
+        Names of the columns, for text or arrays without names.
 
     Raises
     ------
     RecordError
-        The file is missing, unreadable or empty, or the library that reads it is.
+        The file is missing, unreadable or empty, or its library is not installed.
     """
     path = Path(path)
     if path.is_dir():
@@ -65,14 +65,14 @@ def open_tables(path: str | Path, header: list[str] | None = None) -> list[Table
     if not path.exists():
         raise RecordError(f"{path}: no such file")
     check_regular(path, RecordError)
-    module, name = _format(path)
-    if name is None:
+    module, opener = _format(path)
+    if opener is None:
         from .text import TextTable
 
         tables: list[Table] = [TextTable(path, header)]
     else:
-        options = {"header": header} if name in _NAMELESS else {}
-        tables = getattr(import_module(f"{__name__}.{module}"), name)(path, **options)
+        options = {"header": header} if opener in _NAMELESS else {}
+        tables = getattr(import_module(f"{__name__}.{module}"), opener)(path, **options)
     tables = [table for table in tables if table.columns]
     if not tables:
         raise RecordError(f"{path}: it has no columns of numbers")
@@ -82,10 +82,10 @@ def open_tables(path: str | Path, header: list[str] | None = None) -> list[Table
 def _format(path: Path) -> tuple[str, str | None]:
     ending = path.suffix.lower()
     with path.open("rb") as file:
-        start = file.read(8)
-    magic = next((name for head, name in _MAGIC.items() if start.startswith(head)), None)
-    if ending == ".dat" and magic is None:  # text as well as MDF
+        first_bytes = file.read(8)
+    detected = next((name for head, name in _MAGIC.items() if first_bytes.startswith(head)), None)
+    if ending == ".dat" and detected is None:  # text as well as MDF
         return "text", None
-    if ending not in FORMATS and magic is not None:
-        ending = magic
+    if ending not in FORMATS and detected is not None:
+        ending = detected
     return FORMATS.get(ending, ("text", None))

@@ -1,4 +1,4 @@
-"""Arrays in memory: a mapping of names to columns, such as a dict or a data frame."""
+"""Tables from arrays in memory: a mapping of names to columns, such as a data frame."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import numpy as np
 from ...errors import RecordError
 from .table import BATCH, Columns, Table
 
-#: Stands for a path in messages.
+#: Placeholder for a path in messages.
 NAME = Path("arrays")
 
 
 class ArrayTable(Table):
-    """Equally long columns of numbers.
+    """Numeric columns of equal length.
 
     Raises
     ------
     RecordError
-        A column is not a vector of numbers, or columns differ in length.
+        A column is not a numeric vector, or columns differ in length.
     """
 
     def __init__(self, columns: Mapping[str, Any], path: Path = NAME) -> None:
@@ -46,12 +46,14 @@ class ArrayTable(Table):
         self.rows = lengths.pop() if lengths else 0
 
     def within(self, group: str) -> ArrayTable:
-        """The same with names of a group, "group/name"."""
-        made = ArrayTable({f"{group}/{name}": a for name, a in self._arrays.items()}, self.path)
+        """Return the table with columns named "group/name"."""
+        table = ArrayTable(
+            {f"{group}/{name}": array for name, array in self._arrays.items()}, self.path
+        )
         units = {f"{group}/{name}": unit for name, unit in self.said.units.items()}
         time = None if self.said.time is None else f"{group}/{self.said.time}"
-        made.said = replace(self.said, units=units, time=time)
-        return made
+        table.said = replace(self.said, units=units, time=time)
+        return table
 
     def batches(
         self, names: Sequence[str], first: int, last: int, size: int = BATCH

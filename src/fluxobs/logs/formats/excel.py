@@ -1,4 +1,4 @@
-"""Excel workbooks: each sheet is read as text, so that preambles and units are found as there."""
+"""Excel workbooks: each sheet is read as text, with the same search for preambles and units."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from .arrays import ArrayTable
 from .extras import library
 from .isolated import read_apart
 from .table import Table
-from .text.structure import find
+from .text.structure import find_structure
 from .workbook import check_cells, unpacked_size
 
-#: Memory of the process that reads a workbook: what every one takes, an almost empty sheet of .xls
-#: with content in its last cell included, and for each byte of an unpacked part. A cell takes 80
-#: bytes, and has 32 as XML.
-LEAST, PER_BYTE = 1 << 30, 4
-#: Its time, likewise [s]; ten million bytes take a second.
-LEAST_TIME, TIME_PER_BYTE = 60.0, 1e-6
-#: Bytes of XML for a byte of .xls, of which a cell has six.
+#: Memory of the process that reads a workbook [bytes]: basic demand, which covers an .xls sheet
+#: with content only in its last cell, and demand per unpacked byte. A cell takes 80 bytes, its XML
+#: 32.
+BASE_MEMORY, MEMORY_PER_BYTE = 1 << 30, 4
+#: Time limit of that process [s]: base, and per byte; ten million bytes take a second.
+BASE_TIME, TIME_PER_BYTE = 60.0, 1e-6
+#: Bytes of XML that correspond to a byte of .xls, which has six per cell.
 XLS = 6
 
 
 def open_excel(path: Path, header: list[str] | None = None) -> list[Table]:
-    """Tables of the sheets that have one; "sheet/column" if there are several."""
+    """Open the tables of the sheets; columns are "sheet/column" if several sheets have one."""
     library("fastexcel", "excel", path)
-    packed = path.suffix.lower() != ".xls"
-    size = unpacked_size(path) if packed else XLS * path.stat().st_size
-    memory, seconds = LEAST + PER_BYTE * size, LEAST_TIME + TIME_PER_BYTE * size
+    is_zip = path.suffix.lower() != ".xls"
+    size = unpacked_size(path) if is_zip else XLS * path.stat().st_size
+    memory, seconds = BASE_MEMORY + MEMORY_PER_BYTE * size, BASE_TIME + TIME_PER_BYTE * size
     return [*read_apart(read_sheets, path, header, memory, seconds)]
 
 
 def read_sheets(path: Path, header: list[str] | None) -> list[ArrayTable]:
-    """The same, in this process."""
+    """Read the tables of the sheets in this process."""
     if path.suffix.lower() != ".xls":
         check_cells(path)
     try:
@@ -48,33 +48,35 @@ def read_sheets(path: Path, header: list[str] | None) -> list[ArrayTable]:
         )
     except Exception as error:  # the reader raises many kinds for a broken file
         raise RecordError(f"{path}: not a readable workbook: {error}") from None
-    found: dict[str, ArrayTable] = {}
+    tables: dict[str, ArrayTable] = {}
     problems = []
     for name, frame in sheets.items():
         if frame.height == 0:
             continue
         try:
-            found[name] = _sheet(path, f"{path}, sheet {name!r}", frame, header)
+            tables[name] = _read_sheet(path, f"{path}, sheet {name!r}", frame, header)
         except RecordError as error:
             problems.append(error)
-    if not found:
+    if not tables:
         raise problems[0] if problems else RecordError(f"{path}: all sheets are empty")
-    if len(found) > 1:
-        return [table.within(name) for name, table in found.items()]
-    return list(found.values())
+    if len(tables) > 1:
+        return [table.within(name) for name, table in tables.items()]
+    return list(tables.values())
 
 
-def _sheet(path: Path, where: str, frame: pl.DataFrame, header: list[str] | None) -> ArrayTable:
+def _read_sheet(
+    path: Path, where: str, frame: pl.DataFrame, header: list[str] | None
+) -> ArrayTable:
     lines = ["\t".join(cell or "" for cell in row) for row in frame.head(800).iter_rows()]
-    found = find(lines[:600], lines[600:], where, header)
-    rows = frame.slice(found.first_line)
+    structure = find_structure(lines[:600], lines[600:], where, header)
+    rows = frame.slice(structure.first_line)
     columns = {}
-    for n, name in enumerate(found.names):
+    for n, name in enumerate(structure.names):
         if name is None:
             continue
         numbers = rows.to_series(n).cast(pl.Float64, strict=False)
         if numbers.null_count() < rows.height:
             columns[name] = numbers.fill_null(float("nan")).to_numpy()
     table = ArrayTable(columns, path)
-    table.said = found.said
+    table.said = structure.said
     return table

@@ -1,4 +1,4 @@
-"""Libraries that only some formats need, each an extra of the package."""
+"""Optional libraries of some formats, each an extra of the package."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def library(module: str, extra: str, path: Path) -> Any:
     Raises
     ------
     RecordError
-        It is not installed; the message names the extra.
+        The library is not installed; the message names the extra.
     """
     try:
         return import_module(module)

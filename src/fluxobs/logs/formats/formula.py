@@ -1,4 +1,4 @@
-"""Formulas in files: arithmetic of one value, and nothing else."""
+"""Formulas in files: only arithmetic of one value is allowed."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ FUNCTIONS = (
     *("exp", "log", "log10", "sqrt", "abs"),
 )
 VALUES = ("X", "X1", "INF", "NaN")
-#: Longest formula: a polynomial of degree ten, its coefficients with all their digits, has 300.
+#: Longest formula [characters]; a polynomial of degree ten with coefficients of full precision has
+#: 300.
 LENGTH = 1000
-#: Largest exponent. numexpr writes a power as products, and a power in a power as products of
-#: products: the work is bounded if there are none of these, and exponents are small.
+#: Largest exponent. numexpr expands a power into products, and nested powers into products of
+#: products: without nesting and with small exponents the work is bounded.
 EXPONENT = 16
 _ARITHMETIC = (
     *(ast.Expression, ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Load, ast.Constant),
@@ -22,9 +23,9 @@ _ARITHMETIC = (
 
 
 def is_arithmetic(formula: str) -> bool:
-    """Whether a formula can only compute a number, in a time that does not depend on its numbers.
+    """Return whether a formula only computes a number, in a time independent of its numbers.
 
-    Libraries hand the formulas of a file to an interpreter, which would run any code in them.
+    Libraries pass formulas to an interpreter, which would run any code in them.
 
     Examples
     --------
@@ -38,10 +39,10 @@ def is_arithmetic(formula: str) -> bool:
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         return False
     functions = {id(node.func) for node in nodes if isinstance(node, ast.Call)}
-    return all(_allowed(node, id(node) in functions) for node in nodes)
+    return all(_is_allowed(node, id(node) in functions) for node in nodes)
 
 
-def _allowed(node: ast.AST, called: bool) -> bool:
+def _is_allowed(node: ast.AST, called: bool) -> bool:
     match node:
         case ast.Name():
             return node.id in (FUNCTIONS if called else VALUES)
@@ -56,13 +57,13 @@ def _allowed(node: ast.AST, called: bool) -> bool:
 
 
 def _is_small_power(power: ast.BinOp) -> bool:
-    """Whether it is a power of X, by a small number, of something without powers."""
+    """Return whether a power has a small constant exponent and a base of X without powers."""
     exponent = power.right
     if not isinstance(exponent, ast.Constant) or not isinstance(exponent.value, int | float):
         return False
     base = list(ast.walk(power.left))
     return (
         abs(exponent.value) <= EXPONENT
-        and any(isinstance(one, ast.Name) and one.id in ("X", "X1") for one in base)
-        and not any(isinstance(one, ast.Pow) for one in base)
+        and any(isinstance(node, ast.Name) and node.id in ("X", "X1") for node in base)
+        and not any(isinstance(node, ast.Pow) for node in base)
     )

@@ -1,4 +1,4 @@
-"""Batches from a Polars lazy frame."""
+"""Batches of a Polars lazy frame."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import polars as pl
 
 from .table import Columns
 
-#: What Polars raises for a broken file; a panic is no Exception.
+#: Exceptions of Polars for a broken file; a panic is not an Exception.
 BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError)
 
 
@@ -25,7 +25,7 @@ def frames(
 
 
 def as_columns(frame: pl.DataFrame) -> Columns:
-    """Float columns, null as NaN."""
+    """Convert to float columns, null to NaN."""
     return {
         name: frame[name].cast(pl.Float64).fill_null(np.nan).to_numpy() for name in frame.columns
     }

@@ -1,4 +1,4 @@
-"""MDF (ASAM), by asammdf: a table for each channel group, whose channels share their time."""
+"""MDF files (ASAM), read with asammdf: one table per channel group, which shares its time."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from .formula import is_arithmetic
 from .mdf_blocks import check_blocks, check_packed
 from .table import BATCH, Columns, Said, Table
 
-#: Data types of numbers: integers and floats in both byte orders.
+#: Numeric data types: integers and floats in both byte orders.
 _NUMBERS = range(6)
-#: Kinds of data blocks that zlib unpacks, the second of them transposed.
+#: Types of data blocks compressed by zlib, the second one transposed.
 _DEFLATED = (1, 2)
-#: Largest data block that is read at once [bytes].
+#: Largest data block read at once [bytes].
 BLOCK = 1 << 22
 
 
 class MdfTable(Table):
-    """A channel group."""
+    """Channel group of an MDF file."""
 
     def __init__(self, path: Path, mdf: Any, group: int, prefix: str) -> None:
         self.path = path
@@ -54,21 +54,19 @@ class MdfTable(Table):
         self.said = Said(units, time)
         self._examined = False
 
-    def _examine(self) -> None:
-        """Raise ValueError if the rows would take far more memory than the file has."""
+    def _check_size(self) -> None:
+        """Raise ValueError if the rows take far more memory than the file."""
         group = self._mdf.groups[self._group]
-        size, most = (
-            self.rows * max(1, group.channel_group.samples_byte_nr),
-            most_unpacked(self.path),
-        )
-        if size > most:
-            raise ValueError(f"its rows have {size} bytes, more than {most}")
+        size = self.rows * max(1, group.channel_group.samples_byte_nr)
+        limit = most_unpacked(self.path)
+        if size > limit:
+            raise ValueError(f"its rows have {size} bytes, more than {limit}")
         check_packed(
             self.path,
             (
-                (one.address, one.compressed_size if one.block_type in _DEFLATED else 0, size)
-                for one in group.get_data_blocks()
-                if one.block_type and (size := one.original_size or 0)
+                (block.address, block.compressed_size if block.block_type in _DEFLATED else 0, size)
+                for block in group.get_data_blocks()
+                if block.block_type and (size := block.original_size or 0)
             ),
         )
 
@@ -78,21 +76,21 @@ class MdfTable(Table):
         channels = [(None, self._group, self._index[name]) for name in names]
         try:
             if not self._examined:
-                self._examine()
+                self._check_size()
         except (ValueError, zlib.error) as error:
             raise RecordError(f"{self.path}: damaged: {error}") from None
         self._examined = True
         for start in range(first, last, size):
             try:
-                parts = self._mdf.select(
+                signals = self._mdf.select(
                     channels,
                     record_offset=start,
                     record_count=min(size, last - start),
                     copy_master=False,
                 )
                 yield {
-                    name: np.asarray(part.samples, dtype=float)
-                    for name, part in zip(names, parts, strict=True)
+                    name: np.asarray(signal.samples, dtype=float)
+                    for name, signal in zip(names, signals, strict=True)
                 }
             except (ValueError, TypeError) as error:
                 raise RecordError(
@@ -105,73 +103,74 @@ class MdfTable(Table):
 def _check_formulas(path: Path, mdf: Any) -> None:
     """Raise RecordError if a conversion in the file has a formula that is not arithmetic.
 
-    asammdf has code evaluated for a formula. It converts more than the channels asked for: the
-    time of their group, parts of a structure, axes of an array. So all of the file is checked.
+    asammdf evaluates formulas as code. It converts more than the requested channels: the time of
+    their group, members of structures, axes of arrays. So the whole file is checked.
     """
     for group in mdf.groups:
-        parts = getattr(group, "channel_dependencies", None) or ()
-        for channel, its in zip_longest(group.channels, parts):
-            _refuse_code(path, channel.name, channel.conversion)
-            for part in its if isinstance(its, list | tuple) else ():  # of MDF 4: arrays
-                for n in range(getattr(part, "dims_nr", 0)):
-                    axis = getattr(part, f"axis_conversion_{n}", None)
-                    _refuse_code(path, f"{channel.name}, axis {n},", axis)
+        dependencies = getattr(group, "channel_dependencies", None) or ()
+        for channel, arrays in zip_longest(group.channels, dependencies):
+            _check_conversion(path, channel.name, channel.conversion)
+            for array in arrays if isinstance(arrays, list | tuple) else ():  # arrays of MDF 4
+                for n in range(getattr(array, "dims_nr", 0)):
+                    axis = getattr(array, f"axis_conversion_{n}", None)
+                    _check_conversion(path, f"{channel.name}, axis {n},", axis)
 
 
-def _refuse_code(path: Path, name: str, conversion: Any) -> None:
+def _check_conversion(path: Path, name: str, conversion: Any) -> None:
     for formula in _formulas(conversion):
         if not is_arithmetic(formula):
             raise RecordError(
                 f"{path}: channel {name} is converted by the formula {formula[:80]!r}, "
-                f"which is not short arithmetic of X1 alone; write its values without a formula"
+                f"which is not short arithmetic of X1 alone. Export it without a formula"
             )
 
 
 def _formulas(conversion: Any) -> Iterator[str]:
-    """The formulas of a conversion, and of those that it refers to, be it in a circle."""
-    left, seen = [conversion], set[int]()
-    while left:
-        one = left.pop()
-        if id(one) in seen:
+    """Yield the formulas of a conversion and of those that it refers to, even in a circle."""
+    pending, seen = [conversion], set[int]()
+    while pending:
+        block = pending.pop()
+        if id(block) in seen:
             continue
-        seen.add(id(one))
-        formula = getattr(one, "formula", None)
+        seen.add(id(block))
+        formula = getattr(block, "formula", None)
         if formula:
             yield formula.decode("latin-1") if isinstance(formula, bytes) else str(formula)
-        left += (getattr(one, "referenced_blocks", None) or {}).values()
+        pending += (getattr(block, "referenced_blocks", None) or {}).values()
 
 
-def _split(group: Any) -> None:
-    """Cut large uncompressed data blocks of a group into small ones: a block is read as a whole,
-    for every batch that is in it."""
+def _split_blocks(group: Any) -> None:
+    """Split large uncompressed data blocks of a group: each batch reads whole blocks."""
     blocks = list(group.get_data_blocks())
-    small = []
+    pieces = []
     for info in blocks:
         size = info.original_size or 0
         plain = not (info.block_type or info.invalidation_block or info.block_limit)
         if not plain or size <= BLOCK or info.compressed_size != size:
-            small.append(info)
+            pieces.append(info)
             continue
         for start in range(0, size, BLOCK):
-            part = min(BLOCK, size - start)
-            small.append(type(info)(info.address + start, info.block_type, part, part, info.param))
-    if len(small) > len(blocks):
-        group.set_blocks_info(small)
+            length = min(BLOCK, size - start)
+            pieces.append(
+                type(info)(info.address + start, info.block_type, length, length, info.param)
+            )
+    if len(pieces) > len(blocks):
+        group.set_blocks_info(pieces)
 
 
 def open_mdf(path: Path) -> list[Table]:
-    """Tables of the channel groups that have rows."""
+    """Open the tables of the channel groups that have rows."""
     asammdf = library("asammdf", "mdf", path)
     try:
         check_blocks(path)
-        # by its name the whole file would be read for every batch
+        # given a name, asammdf would read the whole file for every batch
         handle = path.open("rb")
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:
         raise RecordError(f"{path}: not a readable MDF file: {error}") from None
     try:
-        # what frames of a bus hold is not read, and would be converted before it is checked
+        # bus frames are not read, and would be converted before they are checked
         mdf = asammdf.MDF(handle, process_bus_logging=False)
     except Exception as error:  # asammdf raises many kinds for a broken file
         handle.close()
@@ -180,7 +179,7 @@ def open_mdf(path: Path) -> list[Table]:
     _check_formulas(path, mdf)
     groups = [n for n, group in enumerate(mdf.groups) if group.channel_group.cycles_nr]
     for n in groups:
-        _split(mdf.groups[n])
+        _split_blocks(mdf.groups[n])
     if len(groups) == 1:
         return [MdfTable(path, mdf, groups[0], "")]
     names = [mdf.groups[n].channel_group.acq_name for n in groups]

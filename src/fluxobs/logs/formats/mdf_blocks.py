@@ -1,8 +1,8 @@
-"""How the blocks of an MDF file refer to one another, before asammdf follows them.
+"""Check the references between the blocks of an MDF file before asammdf follows them.
 
-asammdf reads a chain of blocks to its end, which a circle does not have. It makes a text, and a
-conversion in a conversion, anew for each reference to it: two references at each of thirty levels
-are a thousand million conversions.
+asammdf reads a chain of blocks to its end, which a circle does not have. It creates a text, and a
+conversion within a conversion, again for each reference: two references at each of thirty levels
+make a thousand million conversions.
 """
 
 from __future__ import annotations
@@ -16,25 +16,26 @@ from typing import ClassVar
 
 from ...core.input_files import BLOCK, PACKED_BLOCK, PLENTY, check_deflated
 
-#: Bytes of memory that a conversion counts for besides its own: 64 000 take asammdf a second.
+#: Bytes charged for a conversion besides its size: asammdf needs a second for 64 000 of them.
 CONVERSION = 4000
 
 Content = mmap.mmap | bytes
 
 
 class _Layout(ABC):
-    """Blocks of a version of MDF.
+    """Block layout of an MDF version.
 
     Attributes
     ----------
     first : int
         Address of the head.
     children : dict
-        Kind of a block → which of its links lead on: to the next block, or to a first one.
+        Kind of a block → indices of its links to further blocks: the next one, or the first of a
+        list.
     lists : tuple of bytes
         Kinds of lists of data, which channels may share.
     data : dict
-        Kind of a block → which of its links may lead to such a list.
+        Kind of a block → indices of its links to such lists.
     conversion : bytes
         Kind of a conversion.
     texts : tuple of bytes
@@ -52,16 +53,16 @@ class _Layout(ABC):
         self.content = content
 
     def kind(self, address: int) -> bytes:
-        """Kind of the block at an address; empty outside of the file."""
+        """Return the kind of the block at an address; empty outside of the file."""
         return self.content[address : address + len(self.conversion)]
 
     @abstractmethod
     def size(self, address: int) -> int:
-        """Length of a block [bytes]."""
+        """Return the length of a block [bytes]."""
 
     @abstractmethod
     def links(self, address: int) -> tuple[int, ...]:
-        """Addresses that a block refers to; 0 where it refers to none."""
+        """Return the addresses that a block refers to; 0 for an unused link."""
 
 
 class _Version4(_Layout):
@@ -92,7 +93,7 @@ class _Version4(_Layout):
         (count,) = struct.unpack_from("<Q", self.content, address + 16)
         count = min(count, (len(self.content) - address - 24) // 8)
         links = struct.unpack_from(f"<{count}Q", self.content, address + 24)
-        if self.kind(address) == self.conversion:  # the inverse is not read, and refers back
+        if self.kind(address) == self.conversion:  # the inverse is not read; it refers back
             return links[: self._inverse] + links[self._inverse + 1 :]
         return links
 
@@ -102,7 +103,7 @@ class _Version3(_Layout):
     conversion = b"CC"
     texts = (b"TX",)
     _counts: ClassVar = {b"HD": 3, b"DG": 2, b"CG": 3, b"CN": 5}
-    #: Places of the texts of a conversion of ranges to texts: a default, and one for each range.
+    #: Offsets of the texts in a range-to-text conversion: a default, and one per range.
     _ranges, _texts, _range = 12, 62, 20
 
     def size(self, address: int) -> int:
@@ -112,54 +113,55 @@ class _Version3(_Layout):
     def links(self, address: int) -> tuple[int, ...]:
         kind = self.kind(address)
         if kind == self.conversion:
-            how, count = struct.unpack_from("<2H", self.content, address + 42)
-            first, end = address + self._texts, len(self.content) - 3
-            places = range(first, min(first + self._range * count, end), self._range)
+            conversion_type, count = struct.unpack_from("<2H", self.content, address + 42)
+            start, end = address + self._texts, len(self.content) - 3
+            places = range(start, min(start + self._range * count, end), self._range)
             texts = (struct.unpack_from("<I", self.content, place) for place in places)
-            return tuple(text for (text,) in texts) if how == self._ranges else ()
+            return tuple(text for (text,) in texts) if conversion_type == self._ranges else ()
         return struct.unpack_from(f"<{self._counts.get(kind, 0)}I", self.content, address + 4)
 
 
 def check_blocks(path: Path) -> None:
-    """Raise ValueError if asammdf would not come to an end with the blocks of a file, or take far
-    more memory than they do."""
+    """Raise ValueError if asammdf would follow the blocks of a file without end, or take far more
+    memory than they do.
+    """
     with path.open("rb") as file:
         version = file.read(16)[8:9]
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
             try:
                 if version < b"4":
-                    _follow(_Version3(content))
+                    _follow_blocks(_Version3(content))
                     return
                 blocks = _Version4(content)
-                check_packed(path, _packed_and_unsorted(blocks, _follow(blocks)))
+                check_packed(path, _compressed_unsorted(blocks, _follow_blocks(blocks)))
             except struct.error as error:
                 raise ValueError(f"damaged: {error}") from None
 
 
 def check_packed(path: Path, blocks: Iterable[tuple[int, int, int]]) -> None:
-    """Raise ValueError if blocks of data are too large, or larger than they say.
+    """Raise ValueError if data blocks are too large, or larger than they declare.
 
     Parameters
     ----------
     path : path
     blocks : iterable of (int, int, int)
-        Address of its bytes, how many there are (0 if it is not zlib that unpacks them), and to how
-        many they unpack.
+        Address of the content, its compressed size (0 without zlib), and its unpacked size
+        [bytes].
     """
     with path.open("rb") as file:
         for address, packed, size in blocks:
             if size > BLOCK:
                 raise ValueError(
-                    f"a block of data unpacks to {size} bytes, more than {BLOCK}; write smaller "
-                    f"ones"
+                    f"a block of data unpacks to {size} bytes, more than {BLOCK}; write "
+                    f"smaller blocks"
                 )
             if packed > PACKED_BLOCK:
                 file.seek(address)
                 check_deflated(file.read(packed), size, "a block of data")
 
 
-def _packed_and_unsorted(blocks: _Version4, seen: set[int]) -> Iterator[tuple[int, int, int]]:
-    """Compressed blocks of a file with rows that asammdf sorts, and unpacks, when it is opened."""
+def _compressed_unsorted(blocks: _Version4, seen: set[int]) -> Iterator[tuple[int, int, int]]:
+    """Yield compressed blocks of a file with unsorted rows, which asammdf unpacks on opening."""
     groups = (address for address in seen if blocks.kind(address) == b"##DG")
     if not any(blocks.content[address + 24 + 8 * 4] for address in groups):
         return
@@ -170,14 +172,14 @@ def _packed_and_unsorted(blocks: _Version4, seen: set[int]) -> Iterator[tuple[in
                 yield link + 48, packed if blocks.content[link + 26] < 2 else 0, size
 
 
-def _follow(blocks: _Layout) -> set[int]:
-    """Follow all blocks; returns the addresses of those that refer to others."""
-    left, seen = [blocks.first], {blocks.first}
-    most = PLENTY + len(blocks.content)
+def _follow_blocks(blocks: _Layout) -> set[int]:
+    """Follow all blocks; return the addresses of those that refer to others."""
+    pending, seen = [blocks.first], {blocks.first}
+    limit = PLENTY + len(blocks.content)
     conversions: dict[int, int] = {}
     texts = 0
-    while left:
-        address = left.pop()
+    while pending:
+        address = pending.pop()
         links, kind = blocks.links(address), blocks.kind(address)
         for child in (links[n] for n in blocks.children.get(kind, ()) if n < len(links)):
             if blocks.kind(child) not in blocks.children:
@@ -185,46 +187,46 @@ def _follow(blocks: _Layout) -> set[int]:
             if child in seen:
                 raise ValueError("its blocks refer to one another in a circle, or twice")
             seen.add(child)
-            left.append(child)
+            pending.append(child)
         for data in (links[n] for n in blocks.data.get(kind, ()) if n < len(links)):
             if data not in seen and blocks.kind(data) in blocks.lists:
                 seen.add(data)
-                left.append(data)
+                pending.append(data)
         for link in links:
             if blocks.kind(link) in blocks.texts:
                 texts += blocks.size(link)
             elif blocks.kind(link) == blocks.conversion and link not in conversions:
                 _add_conversion(blocks, link, conversions)
                 texts += conversions[link]
-        if texts > most:
-            raise ValueError(f"its texts and conversions take more than {most >> 20} MB")
+        if texts > limit:
+            raise ValueError(f"its texts and conversions take more than {limit >> 20} MB")
     return seen
 
 
 def _add_conversion(blocks: _Layout, address: int, sizes: dict[int, int]) -> None:
-    """Find how many bytes a conversion takes, with all that it refers to, each time anew."""
+    """Add the memory of a conversion to `sizes`, with every reference to others counted."""
     opened: list[tuple[int, Iterator[int]]] = [(address, iter(blocks.links(address)))]
-    inside, own = {address}, {address: CONVERSION + blocks.size(address)}
+    inside, totals = {address}, {address: CONVERSION + blocks.size(address)}
     while opened:
         address, links = opened[-1]
         for link in links:
             kind = blocks.kind(link)
             if kind in blocks.texts:
-                own[address] += blocks.size(link)
+                totals[address] += blocks.size(link)
             elif kind != blocks.conversion:
                 continue
             elif link in inside:
                 raise ValueError("its conversions refer to one another in a circle")
             elif link in sizes:
-                own[address] += sizes[link]
+                totals[address] += sizes[link]
             else:
                 opened.append((link, iter(blocks.links(link))))
                 inside.add(link)
-                own[link] = CONVERSION + blocks.size(link)
+                totals[link] = CONVERSION + blocks.size(link)
                 break
         else:
             opened.pop()
             inside.remove(address)
-            sizes[address] = own[address]
+            sizes[address] = totals[address]
             if opened:
-                own[opened[-1][0]] += sizes[address]
+                totals[opened[-1][0]] += sizes[address]

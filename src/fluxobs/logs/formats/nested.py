@@ -1,4 +1,4 @@
-"""Nested data, as MATLAB and HDF5 files hold it: columns found by their paths, tables by length."""
+"""Nested data, as in MATLAB and HDF5 files: columns are named by paths, tables have one length."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from ..names import key, read_name
 from .table import BATCH, Columns, Said, Table
 from .timing import INTERVAL, RATE, START
 
-#: A matrix has at most so many columns; more is an image, or rows and columns exchanged.
+#: Largest number of columns of a matrix; more mean an image, or transposed data.
 MOST_COLUMNS = 256
-#: Sizes of fewer rows are parameters, not signals.
+#: Arrays with fewer rows are parameters, not signals.
 LEAST_ROWS = 8
 
 
 @dataclass
 class Contents:
-    """What a walk through a file has found.
+    """Columns and numbers found in a file.
 
     Attributes
     ----------
     columns : dict
-        Path → (rows, how to read rows first … last - 1).
+        Path → (rows, function that reads rows first … last - 1).
     units : dict
     numbers : dict
-        Path → single number.
+        Path → scalar.
     """
 
     columns: dict[str, tuple[int, Callable[[int, int], Any]]] = field(default_factory=dict)
@@ -40,7 +40,7 @@ class Contents:
     numbers: dict[str, float] = field(default_factory=dict)
 
     def add(self, path: str, data: Any, unit: str | None = None) -> None:
-        """Take an array, or something that is sliced like one, with shape and dtype."""
+        """Add an array, or an object with shape and dtype that is sliced like one."""
         shape, kind = tuple(data.shape), np.dtype(data.dtype)
         if kind.names:
             for name in kind.names:
@@ -68,12 +68,12 @@ class Contents:
 
 
 def field_of(data: Any, name: str) -> Callable[[int, int], Any]:
-    """How to read a field of a structured array."""
+    """Return the reader of a field of a structured array."""
     return lambda first, last: data[first:last][name]
 
 
 def line_of(data: Any, axis: int | None, n: int) -> Callable[[int, int], Any]:
-    """How to read column n of a matrix whose rows lie along an axis; None for a vector."""
+    """Return the reader of column n of a matrix with rows along `axis`; None means a vector."""
     if axis is None:
         return lambda first, last: data[first:last]
     if axis == 0:
@@ -82,15 +82,15 @@ def line_of(data: Any, axis: int | None, n: int) -> Callable[[int, int], Any]:
 
 
 class NestedTable(Table):
-    """Columns of one length."""
+    """Columns of equal length."""
 
-    def __init__(self, path: Path, found: Contents, columns: Sequence[str]) -> None:
+    def __init__(self, path: Path, contents: Contents, columns: Sequence[str]) -> None:
         self.path = path
         self.columns = list(columns)
-        self.rows = found.columns[columns[0]][0]
-        self._read = {name: found.columns[name][1] for name in columns}
-        interval, start = _timing(found.numbers)
-        units = {name: unit for name, unit in found.units.items() if name in self._read}
+        self.rows = contents.columns[columns[0]][0]
+        self._read = {name: contents.columns[name][1] for name in columns}
+        interval, start = _timing(contents.numbers)
+        units = {name: unit for name, unit in contents.units.items() if name in self._read}
         self.said = Said(units, None, interval, start)
 
     def batches(
@@ -109,7 +109,7 @@ def _floats(values: Any) -> Array:
 
 
 def _timing(numbers: Mapping[str, float]) -> tuple[float | None, float]:
-    """Sample time and start from single numbers with such names."""
+    """Return sample time and start from scalars with such names."""
     interval, start = None, 0.0
     for path, value in numbers.items():
         word = key(path.rsplit("/", 1)[-1])
@@ -122,23 +122,25 @@ def _timing(numbers: Mapping[str, float]) -> tuple[float | None, float]:
     return interval, start
 
 
-def tables(path: Path, found: Contents) -> list[Table]:
-    """Tables of columns of the same length; groups that have a time of their own are apart."""
+def tables(path: Path, contents: Contents) -> list[Table]:
+    """Return tables of columns of equal length; groups with their own time are separate tables."""
     by_length: dict[int, list[str]] = defaultdict(list)
-    for name, (rows, _) in found.columns.items():
+    for name, (rows, _) in contents.columns.items():
         by_length[rows].append(name)
-    out: list[Table] = []
+    nested_tables: list[Table] = []
     for names in sorted(by_length.values(), key=len, reverse=True):
-        out += [NestedTable(path, found, part) for part in _parts(names)]
-    return out
+        nested_tables += [NestedTable(path, contents, columns) for columns in _split_by_time(names)]
+    return nested_tables
 
 
-def _parts(names: list[str]) -> list[list[str]]:
+def _split_by_time(names: list[str]) -> list[list[str]]:
     groups: dict[str, list[str]] = defaultdict(list)
     for name in names:
         groups[name.rpartition("/")[0]].append(name)
-    timed = [g for g in groups.values() if any(read_name(name).channel == "t" for name in g)]
+    timed = [
+        group for group in groups.values() if any(read_name(name).channel == "t" for name in group)
+    ]
     if len(timed) < 2:
         return [names]
-    rest = [name for g in groups.values() if g not in timed for name in g]
+    rest = [name for group in groups.values() if group not in timed for name in group]
     return [*timed, *([rest] if rest else [])]

@@ -1,4 +1,4 @@
-"""NumPy archives: an array a column, or a matrix with several."""
+"""NumPy .npz archives: one array per column, or matrices with several."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from .nested import Contents, tables
 from .npy import numbers_of
 from .table import Table
 
-#: Most bytes of an array, which is unpacked into memory: a thousand million rows.
+#: Largest array [bytes], which is unpacked into memory: a thousand million rows.
 LARGEST = 1 << 33
-#: Readers of the heads of an array, by the version of its format.
+#: Readers of array headers, by format version.
 _HEADS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
 class _Member:
-    """An array of an archive, unpacked when it is first looked into: most are not asked for."""
+    """Array of an archive, unpacked at the first read: most are not needed."""
 
     def __init__(self, path: Path, archive: zipfile.ZipFile, name: str) -> None:
         self._path, self._name = path, name
@@ -33,7 +33,7 @@ class _Member:
             version = npy.read_magic(file)
             if version in _HEADS:
                 self.shape, _, self.dtype = _HEADS[version](file)
-        if version not in _HEADS:  # names of fields in other scripts
+        if version not in _HEADS:  # field names in other scripts
             array = self[...]
             self.shape, self.dtype = array.shape, array.dtype
         if math.prod(self.shape) * self.dtype.itemsize > LARGEST:
@@ -53,20 +53,23 @@ class _Member:
 
 
 def open_npz(path: Path) -> list[Table]:
-    """The tables of an archive; objects and texts in it are ignored."""
-    found = Contents()
+    """Open the tables of an archive; objects and texts in it are ignored."""
+    contents = Contents()
     try:
         with zipfile.ZipFile(path) as archive:
-            size, most = sum(one.file_size for one in archive.infolist()), most_unpacked(path)
-            if size > most:
-                raise ValueError(f"it unpacks to {size} bytes, more than {most}; use numpy.savez")
+            size, limit = (
+                sum(info.file_size for info in archive.infolist()),
+                most_unpacked(path),
+            )
+            if size > limit:
+                raise ValueError(f"it unpacks to {size} bytes, more than {limit}; use numpy.savez")
             for name in archive.namelist():
                 if not name.endswith(".npy"):
                     continue
                 member = _Member(path, archive, name)
                 if not member.dtype.hasobject:
                     member.dtype = numbers_of(member.dtype)
-                    found.add(name.removesuffix(".npy"), member)
+                    contents.add(name.removesuffix(".npy"), member)
     except Exception as error:  # zipfile, zlib and NumPy raise many kinds for a broken file
         raise RecordError(f"{path}: not a readable .npz file: {error}") from None
-    return tables(path, found)
+    return tables(path, contents)

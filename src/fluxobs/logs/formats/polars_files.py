@@ -1,4 +1,4 @@
-"""Parquet, Arrow (Feather) and JSON files, by Polars."""
+"""Parquet, Arrow (Feather) and JSON files, read with Polars."""
 
 from __future__ import annotations
 
@@ -20,47 +20,50 @@ class FrameTable(Table):
     """Columns of a file that Polars scans."""
 
     def __init__(
-        self, path: Path, scan: Callable[[Source], pl.LazyFrame], what: str, mapped: bool = False
+        self,
+        path: Path,
+        scan: Callable[[Source], pl.LazyFrame],
+        format_name: str,
+        mapped: bool = False,
     ) -> None:
         self.path = path
-        self._most = most_unpacked(path)
+        self._limit = most_unpacked(path)
         try:
             self._lazy = scan(_source(path))
             self._schema = self._lazy.collect_schema()
             self.rows = int(self._lazy.select(pl.len()).collect().item())
-            self._lazy = self._lazy.with_columns(self._seconds())
+            self._lazy = self._lazy.with_columns(self._stamps_as_seconds())
         except BROKEN as error:
-            raise RecordError(f"{path}: not a readable {what} file: {error}") from None
+            raise RecordError(f"{path}: not a readable {format_name} file: {error}") from None
         self.columns = list(self._schema.names())
-        # each look maps the file, and keeps what it has touched, or unpacks batches anew
+        # each read maps the file and keeps the touched pages, or unpacks batches again
         self._mapped = mapped and self._plain_size() <= path.stat().st_size
 
     def _check_size(self, names: Sequence[str]) -> None:
-        """Raise RecordError if columns, which may be unpacked as a whole, are far larger than their
-        file."""
-        if (unpacked := 8 * self.rows * len(set(names))) > self._most:
+        """Raise RecordError if whole columns unpack to far more than their file."""
+        if (unpacked := 8 * self.rows * len(set(names))) > self._limit:
             raise RecordError(
                 f"{self.path}: columns {', '.join(names)} unpack to {unpacked} bytes, more than "
-                f"{self._most}: their values repeat. If it is a log, save it as .npy"
+                f"{self._limit}: their values repeat. If it is a log, save it as .npy"
             )
 
     def _plain_size(self) -> int:
-        """Bytes of the columns of numbers, not compressed."""
+        """Return the uncompressed size of the numeric columns [bytes]."""
         numbers = [pl.Series(dtype=kind) for kind in self._schema.values() if kind.is_numeric()]
         return self.rows * sum(int(column.to_numpy().dtype.itemsize) for column in numbers)
 
-    def _seconds(self) -> list[pl.Expr]:
-        """Stamps as seconds since the first one."""
+    def _stamps_as_seconds(self) -> list[pl.Expr]:
+        """Return expressions of stamps in seconds since the first one."""
         stamps = [name for name, kind in self._schema.items() if kind.is_temporal()]
         if not stamps or not self.rows:
             return []
         self._check_size(stamps)
         first = self._lazy.select(stamps).head(1).collect()
-        found = []
+        expressions = []
         for name in stamps:
             nanoseconds = _nanoseconds(pl.col(name), self._schema[name])
-            found.append((nanoseconds - first.select(nanoseconds).item()) / 1e9)
-        return found
+            expressions.append((nanoseconds - first.select(nanoseconds).item()) / 1e9)
+        return expressions
 
     def batches(
         self, names: Sequence[str], first: int, last: int, size: int = BATCH
@@ -88,7 +91,7 @@ def _nanoseconds(column: pl.Expr, kind: pl.DataType) -> pl.Expr:
 
 
 def _source(path: Path) -> Source:
-    """The path, or its content: Polars opens no name that is not UTF-8."""
+    """Return the path, or the content where the name is not UTF-8: Polars cannot open it."""
     try:
         str(path).encode("utf-8")
     except UnicodeEncodeError:
@@ -97,12 +100,12 @@ def _source(path: Path) -> Source:
 
 
 def open_parquet(path: Path) -> list[Table]:
-    """The table of a Parquet file."""
+    """Open the table of a Parquet file."""
     return [FrameTable(path, pl.scan_parquet, "Parquet")]
 
 
 def open_arrow(path: Path) -> list[Table]:
-    """The table of an Arrow file (Feather of version 2), or of an Arrow stream."""
+    """Open the table of an Arrow file (Feather version 2) or an Arrow stream."""
     try:
         return [FrameTable(path, pl.scan_ipc, "Arrow", mapped=True)]
     except RecordError:
@@ -113,16 +116,16 @@ def open_arrow(path: Path) -> list[Table]:
 
 
 def open_json(path: Path) -> list[Table]:
-    """The table of a JSON file: an object of columns, or a list of rows; it is read at once."""
+    """Open the table of a JSON file, an object of columns or a list of rows; read it at once."""
     return [FrameTable(path, _json, "JSON table")]
 
 
 def open_json_lines(path: Path) -> list[Table]:
-    """The table of a file with a JSON object in every line."""
+    """Open the table of a file with a JSON object per line."""
     return [FrameTable(path, pl.scan_ndjson, "JSON lines")]
 
 
 def _json(path: Source) -> pl.LazyFrame:
-    found = pl.read_json(path)
-    columns = [name for name, kind in found.schema.items() if kind == pl.List]
-    return found.select(columns).explode(columns).lazy() if columns else found.lazy()
+    frame = pl.read_json(path)
+    columns = [name for name, kind in frame.schema.items() if kind == pl.List]
+    return frame.select(columns).explode(columns).lazy() if columns else frame.lazy()

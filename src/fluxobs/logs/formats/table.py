@@ -1,4 +1,4 @@
-"""The interface to a file of columns, the same for every format."""
+"""Interface to a file of columns, common to all formats."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from ...errors import RecordError
 
 Columns = dict[str, Array]
 
-#: Default rows per batch: small enough that memory is reused rather than mapped anew.
+#: Default rows per batch: small enough to reuse memory instead of mapping it again.
 BATCH = 50_000
 
 
 @dataclass(frozen=True)
 class Said:
-    """What a file says of itself, besides names and numbers.
+    """Metadata of a file: what it states besides names and numbers.
 
     Attributes
     ----------
     units : dict
         Column → unit, as written.
     time : str, optional
-        The column that holds the time.
+        Time column.
     sample_time : float, optional
-        [s], of a file whose header has the rate.
+        [s], if the header states it or the rate.
     start : float
-        Time of the first row [s], where sample_time gives the rest.
+        Time of the first row [s], to which sample_time adds the rest.
     notes : tuple of str
-        What a reader should know: lines left out, for example.
+        Remarks for the user, e.g. on lines left out.
     """
 
     units: dict[str, str] = field(default_factory=dict)
@@ -45,7 +45,7 @@ class Said:
 
 
 class Table(ABC):
-    """Named columns of numbers, read in batches so that files larger than memory can stream.
+    """Named numeric columns, read in batches so that files larger than memory can stream.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Table(ABC):
         A column in a group has the path "group/column".
     rows : int
     random_access : bool
-        Whether it can read rows in the middle without reading those before them.
+        Whether rows in the middle can be read without those before them.
     said : Said
     """
 
@@ -70,22 +70,25 @@ class Table(ABC):
     ) -> Iterator[Columns]:
         """Yield columns of rows first … last - 1 in order; missing values are NaN.
 
-        Raises RecordError with file, column and place if a value is not a number.
+        Raise RecordError with file, column and place if a value is not a number.
         """
 
     def expect(self, names: Sequence[str]) -> None:  # noqa: B027  (most formats need not know)
-        """Columns that will all be read: a format that parses all of a file for one reads them
-        together."""
+        """Announce columns that will all be read: a format that parses whole files for one column
+        reads them together.
+        """
 
     def place(self, row: int) -> str:
-        """Where a person finds that row in the file."""
+        """Return where a person finds a row in the file."""
         return f"row {row + 1}"
 
 
 def read_rows(table: Table, names: Sequence[str], first: int, last: int) -> Columns:
-    """Columns of rows first … last - 1 in one piece."""
-    parts = list(table.batches(names, first, last))
-    return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in names}
+    """Read columns of rows first … last - 1 as one batch."""
+    batches = list(table.batches(names, first, last))
+    return {
+        name: np.concatenate([np.empty(0), *(batch[name] for batch in batches)]) for name in names
+    }
 
 
 def missing_column(
@@ -96,8 +99,9 @@ def missing_column(
     option: str,
     also: Sequence[str] = (),
 ) -> RecordError:
-    """The error for a missing column; it names the nearest columns, or all of them, and further
-    channels that are missing."""
+    """Return the error for a missing column, with the nearest columns or the first 40, and other
+    missing channels.
+    """
     near = difflib.get_close_matches(name, columns, n=3, cutoff=0.4)
     hint = f"nearest: {', '.join(near)}" if near else f"it has: {', '.join(columns[:40])}"
     return RecordError(

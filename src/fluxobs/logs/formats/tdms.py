@@ -1,4 +1,4 @@
-"""TDMS (National Instruments), by npTDMS: a table for all channels that share their times."""
+"""TDMS files (National Instruments), read with npTDMS: one table per set of shared times."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from .table import BATCH, Columns, Said, Table
 
 
 class TdmsTable(Table):
-    """Channels of the same length, rate and start."""
+    """Channels with the same length, rate and start."""
 
     def __init__(self, path: Path, channels: dict[str, Any], file: Any) -> None:
         self.path, self._file = path, file
         self._channels = channels
         self.columns = list(channels)
-        one = next(iter(channels.values()))
-        self.rows = len(one)
+        first = next(iter(channels.values()))
+        self.rows = len(first)
         units = {
             name: str(channel.properties["unit_string"])
             for name, channel in channels.items()
             if channel.properties.get("unit_string")
         }
-        increment = one.properties.get("wf_increment")
-        start = float(one.properties.get("wf_start_offset", 0.0))
+        increment = first.properties.get("wf_increment")
+        start = float(first.properties.get("wf_start_offset", 0.0))
         self.said = Said(units, None, float(increment) if increment else None, start)
 
     def batches(
@@ -54,7 +54,7 @@ class TdmsTable(Table):
 
 
 def open_tdms(path: Path) -> list[Table]:
-    """Tables of the numeric channels; a channel has the path "group/channel" if groups differ."""
+    """Open the tables of numeric channels, named "group/channel" if there are several groups."""
     nptdms = library("nptdms", "tdms", path)
     try:
         handle = path.open("rb")
@@ -67,15 +67,15 @@ def open_tdms(path: Path) -> list[Table]:
         raise RecordError(f"{path}: not a readable TDMS file: {error}") from None
     weakref.finalize(file, handle.close)
     groups = [group for group in file.groups() if any(map(len, group.channels()))]
-    parts: dict[tuple[Any, ...], dict[str, Any]] = defaultdict(dict)
+    tables: dict[tuple[Any, ...], dict[str, Any]] = defaultdict(dict)
     for group in groups:
         prefix = f"{group.name}/" if len(groups) > 1 else ""
         for channel in group.channels():
             kind = np.dtype(channel.dtype).kind if channel.dtype is not None else ""
             if len(channel) == 0 or kind not in "fiubM":
                 continue
-            about = channel.properties
-            when = (about.get("wf_increment"), about.get("wf_start_offset"))
-            own = group.name if not when[0] else ""
-            parts[(len(channel), *when, own)][f"{prefix}{channel.name}"] = channel
-    return [TdmsTable(path, channels, file) for channels in parts.values()]
+            properties = channel.properties
+            timing = (properties.get("wf_increment"), properties.get("wf_start_offset"))
+            group_key = group.name if not timing[0] else ""
+            tables[(len(channel), *timing, group_key)][f"{prefix}{channel.name}"] = channel
+    return [TdmsTable(path, channels, file) for channels in tables.values()]

@@ -1,4 +1,4 @@
-"""ULog (PX4), by pyulog: a table for each topic, all in memory."""
+"""ULog files (PX4), read into memory with pyulog: one table per topic."""
 
 from __future__ import annotations
 
@@ -10,55 +10,60 @@ from .arrays import ArrayTable
 from .extras import library
 from .table import Said, Table
 
-#: Most fields of all topics; a flight has some ten thousand.
+#: Largest number of fields of all topics; a flight has about ten thousand.
 FIELDS = 1 << 18
-#: Most types one within the other; a type that holds itself has no end.
+#: Deepest nesting of types; a type that contains itself has no end.
 DEPTH = 32
 
 
 def open_ulog(path: Path) -> list[Table]:
-    """Tables of the topics: "topic/field", or "topic[1]/field" of a further instance."""
+    """Open the tables of the topics, with columns "topic/field", or "topic[1]/field" of a further
+    instance.
+    """
     pyulog = library("pyulog", "ulog", path)
     try:
         with path.open("rb") as file:
-            data = _bounded(pyulog)(file).data_list
+            data = _limited_reader(pyulog)(file).data_list
     except Exception as error:  # pyulog raises many kinds for a broken file
         raise RecordError(f"{path}: not a readable ULog file: {error}") from None
-    out: list[Table] = []
+    tables: list[Table] = []
     for topic in data:
         name = topic.name if topic.multi_id == 0 else f"{topic.name}[{topic.multi_id}]"
-        table = ArrayTable({f"{name}/{key}": values for key, values in topic.data.items()}, path)
+        table = ArrayTable(
+            {f"{name}/{field}": values for field, values in topic.data.items()}, path
+        )
         time = f"{name}/timestamp"
         table.said = Said({time: "us"}, time)
-        out.append(table)
-    return out
+        tables.append(table)
+    return tables
 
 
-def _bounded(pyulog: Any) -> Any:
-    """pyulog's reader, which counts the fields of topics before it lists them.
+def _limited_reader(pyulog: Any) -> Any:
+    """Return pyulog's reader with a limit on the fields of topics before it lists them.
 
-    A field may be an array of sixty thousand of a type that has such a field itself.
+    A field may be an array of sixty thousand elements of a type with such a field.
     """
-    fields, usual = 0, pyulog.ULog._MessageAddLogged
+    fields, topic_class = 0, pyulog.ULog._MessageAddLogged
 
     def list_fields(topic: Any, types: Any) -> None:
         nonlocal fields
-        fields += _fields(types, topic.message_name, pyulog.ULog._UNPACK_TYPES, {}, DEPTH)
-        if fields > FIELDS:  # pyulog goes on after a ValueError
+        fields += _count_fields(types, topic.message_name, pyulog.ULog._UNPACK_TYPES, {}, DEPTH)
+        if fields > FIELDS:  # pyulog ignores a ValueError
             raise MemoryError(f"its topics have more than {FIELDS} fields")
-        usual._parse_format(topic, types)
+        topic_class._parse_format(topic, types)
 
-    made = type("Topic", (usual,), {"_parse_format": list_fields})
-    return type("Reader", (pyulog.ULog,), {"_MessageAddLogged": made})
+    limited_class = type("Topic", (topic_class,), {"_parse_format": list_fields})
+    return type("Reader", (pyulog.ULog,), {"_MessageAddLogged": limited_class})
 
 
-def _fields(types: Any, name: str, plain: Any, known: dict[str, int], depth: int) -> int:
-    """How many fields a type has, with those of the types in it, at most `depth` levels."""
+def _count_fields(types: Any, name: str, basic: Any, counts: dict[str, int], depth: int) -> int:
+    """Count the fields of a type with those of nested types, at most `depth` levels."""
     if depth == 0:
-        raise MemoryError(f"more than {DEPTH} of its types lie one within the other")
-    if name not in known:
-        known[name] = sum(
-            max(count, 1) * (1 if kind in plain else _fields(types, kind, plain, known, depth - 1))
+        raise MemoryError(f"its types are nested more than {DEPTH} levels deep")
+    if name not in counts:
+        counts[name] = sum(
+            max(count, 1)
+            * (1 if kind in basic else _count_fields(types, kind, basic, counts, depth - 1))
             for kind, count, _ in types[name].fields
         )
-    return known[name]
+    return counts[name]

@@ -1,4 +1,4 @@
-"""How large a workbook is, before it is read: the reader allocates all cells up to the last one."""
+"""Check the size of a workbook before it is read: the reader allocates all cells up to the last."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ from xml.parsers import expat
 from ...core.input_files import most_unpacked
 from ...errors import RecordError
 
-#: Most cells of all sheets together, up to the last row and column with content: the longest sheet
-#: that Excel has, with 32 columns, which takes a gigabyte.
+#: Largest number of cells of all sheets together, up to the last row and column with content: the
+#: longest Excel sheet with 32 columns, which takes a gigabyte.
 CELLS = 1 << 25
-#: Most bytes of all parts of a workbook, unpacked: so many cells of numbers have as many.
+#: Largest unpacked size of a workbook [bytes]: that of CELLS cells of numbers.
 BYTES = 1 << 30
 _CHUNK = 1 << 20
-#: What a cell of Excel holds; others are blank.
+#: Elements of an Excel cell with content; other cells are blank.
 _CONTENT = ("v", "f", "is")
 _UNREADABLE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError)
 
 
 def unpacked_size(path: Path) -> int:
-    """Bytes of all parts of a workbook, .xlsx or .ods; RecordError if memory does not hold them."""
+    """Return the unpacked size of an .xlsx or .ods file [bytes]; raise RecordError if too large."""
     try:
         with zipfile.ZipFile(path) as book:
             size = sum(part.file_size for part in book.infolist())
     except _UNREADABLE as error:
         raise _unreadable(path, error) from None
-    most = min(BYTES, most_unpacked(path))
-    if size > most:
-        raise _too_large(path, f"{size} bytes", most)
+    limit = min(BYTES, most_unpacked(path))
+    if size > limit:
+        raise _too_large(path, f"{size} bytes", limit)
     return size
 
 
 def check_cells(path: Path) -> None:
-    """Raise RecordError if the cells of a workbook, .xlsx or .ods, would not fit into memory."""
+    """Raise RecordError if the cells of an .xlsx or .ods file do not fit into memory."""
     extent: Callable[[], _Extent] = _OpenExtent if path.suffix.lower() == ".ods" else _Extent
     try:
         with zipfile.ZipFile(path) as book:
-            cells = sum(_cells(book, part, extent()) for part in book.infolist())
+            cells = sum(_count_cells(book, part, extent()) for part in book.infolist())
     except (*_UNREADABLE, expat.ExpatError) as error:
         raise _unreadable(path, error) from None
     if cells > CELLS:
@@ -53,17 +53,17 @@ def _unreadable(path: Path, error: Exception) -> RecordError:
     return RecordError(f"{path}: not a readable workbook: {error}")
 
 
-def _too_large(path: Path, what: str, most: int) -> RecordError:
+def _too_large(path: Path, size: str, limit: int) -> RecordError:
     return RecordError(
-        f"{path}: it has {what}, more than {most}. Remove what stands apart from the table, or "
-        f"save the sheet as CSV"
+        f"{path}: it has {size}, more than {limit}. Remove cells apart from the table, or save the "
+        f"sheet as CSV"
     )
 
 
-def _cells(book: zipfile.ZipFile, part: zipfile.ZipInfo, extent: _Extent) -> int:
-    """Cells of the sheets in a part of a workbook; any part may be a sheet, whatever its name."""
+def _count_cells(book: zipfile.ZipFile, part: zipfile.ZipInfo, extent: _Extent) -> int:
+    """Count the cells of a part of a workbook; any part may be a sheet, whatever its name."""
     with book.open(part) as file:
-        if not _has(file, extent.mark):
+        if not _contains(file, extent.mark):
             return 0
     parser = expat.ParserCreate()
     parser.StartElementHandler = extent.start
@@ -73,12 +73,12 @@ def _cells(book: zipfile.ZipFile, part: zipfile.ZipInfo, extent: _Extent) -> int
     return extent.cells()
 
 
-def _has(file: IO[bytes], mark: bytes) -> bool:
-    before = b""
+def _contains(file: IO[bytes], mark: bytes) -> bool:
+    previous = b""
     while chunk := file.read(_CHUNK):
-        if mark in before + chunk:
+        if mark in previous + chunk:
             return True
-        before = chunk[-len(mark) :]
+        previous = chunk[-len(mark) :]
     return False
 
 
@@ -87,8 +87,8 @@ def _refuse_doctype(*_: Any) -> None:
 
 
 @lru_cache(20_000)
-def _number(letters: str) -> int:
-    """Number of a column from its letters."""
+def _column_number(letters: str) -> int:
+    """Return the number of a column from its letters."""
     number = 0
     for letter in letters.upper():
         number = 26 * number + ord(letter) - ord("A") + 1
@@ -96,12 +96,12 @@ def _number(letters: str) -> int:
 
 
 class _Extent:
-    """Last row and column with content of a sheet of Excel.
+    """Last row and column with content of an Excel sheet.
 
     Attributes
     ----------
     mark : bytes
-        What every sheet contains.
+        Text that every sheet contains.
     """
 
     mark = b"sheetData"
@@ -111,7 +111,7 @@ class _Extent:
         self.rows = self.columns = 0
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
-        """Take the beginning of an element."""
+        """Process the start of an XML element."""
         name = tag.rpartition(":")[2]
         if name == "c":
             self._place(attributes.get("r"))
@@ -126,15 +126,15 @@ class _Extent:
             self.column += 1
             return
         letters = reference.rstrip("0123456789")
-        self.row, self.column = int(reference[len(letters) :]), _number(letters)
+        self.row, self.column = int(reference[len(letters) :]), _column_number(letters)
 
     def cells(self) -> int:
-        """Cells up to the last ones."""
+        """Return the number of cells up to the last row and column."""
         return self.rows * self.columns
 
 
 class _OpenExtent(_Extent):
-    """The same of the sheets of an OpenDocument, whose rows and cells are repeated by a count."""
+    """Last rows and columns of the sheets of an OpenDocument, with repeated rows and cells."""
 
     mark = b"table:table-row"
 

@@ -1,4 +1,4 @@
-"""Text as people and instruments write it."""
+"""Delimited text of people and instruments."""
 
 from .table import TextTable
 

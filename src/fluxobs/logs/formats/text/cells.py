@@ -1,4 +1,4 @@
-"""Cells of a line of text: how they are parted, and whether they are numbers."""
+"""Cells of a line of text: split lines, and recognise numbers, missing values and clock times."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import csv
 import re
 from collections.abc import Iterator
 
-#: Contents of a cell that mean a missing value.
+#: Cell contents that mean a missing value.
 MISSING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "∞", "-∞", "#n/a")
 #: Delimiters, the most distinctive first.
 DELIMITERS = ("\t", ";", "|", ",", " ")
-#: A minus sign as typesetters have it.
+#: Typographic minus sign.
 MINUS = "\u2212"
 _DECIMAL_COMMA = re.compile(rf"^\s*[-+{MINUS}]?\d+,\d+([eE][-+{MINUS}]?\d+)?\s*$")
 _NUMBER = re.compile(rf"^\s*[-+{MINUS}]?(\d+(\.\d*)?|\.\d+)([eE][-+{MINUS}]?\d+)?\s*$")
-#: A number in quotes whose comma may part thousands.
+#: A number whose comma may separate thousands.
 _THOUSANDS = re.compile(r"^\s*[-+]?[1-9]\d{0,2}(,\d{3})+\s*$")
-#: Wall-clock stamps: what they look like, and the formats that read them.
+#: Wall-clock stamps: patterns, and the formats that read them.
 CLOCKS: tuple[tuple[re.Pattern[str], tuple[str, ...]], ...] = tuple(
     (re.compile(pattern), formats)
     for pattern, formats in (
@@ -36,48 +36,48 @@ CLOCKS: tuple[tuple[re.Pattern[str], tuple[str, ...]], ...] = tuple(
 
 
 def split(line: str, delimiter: str) -> list[str]:
-    """Cells of a line; quotes protect a delimiter, several spaces are one."""
+    """Split a line into cells; quotes protect delimiters, several spaces count as one."""
     line = line.rstrip("\r\n")
     if delimiter == " ":
-        return line.split() if '"' not in line else _quoted(" ".join(line.split()), " ")
-    return _quoted(line, delimiter)
+        return line.split() if '"' not in line else _split_quoted(" ".join(line.split()), " ")
+    return _split_quoted(line, delimiter)
 
 
-def _reader(line: str, delimiter: str) -> Iterator[list[str]]:
+def _csv_reader(line: str, delimiter: str) -> Iterator[list[str]]:
     return csv.reader([line], delimiter=delimiter, skipinitialspace=delimiter != " ")
 
 
-def _quoted(line: str, delimiter: str) -> list[str]:
+def _split_quoted(line: str, delimiter: str) -> list[str]:
     try:
-        return [cell.strip() for cell in next(_reader(line, delimiter), [])]
-    except csv.Error:  # a line that is no line of a table
+        return [cell.strip() for cell in next(_csv_reader(line, delimiter), [])]
+    except csv.Error:  # not a line of a table
         return [cell.strip() for cell in line.split(delimiter)]
 
 
 def has_decimal_comma(cell: str) -> bool:
-    """Whether a cell is a number with a decimal comma."""
+    """Return whether a cell is a number with a decimal comma."""
     return _DECIMAL_COMMA.match(cell) is not None
 
 
 def has_thousands(cell: str) -> bool:
-    """Whether the comma of a number may part thousands."""
+    """Return whether the comma of a number may separate thousands."""
     return _THOUSANDS.match(cell) is not None
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell is a number, with a point or a decimal comma."""
+    """Return whether a cell is a number, with decimal point or comma."""
     return _NUMBER.match(cell) is not None or has_decimal_comma(cell)
 
 
 def is_missing(cell: str) -> bool:
-    """Whether a cell says that there is no value."""
+    """Return whether a cell means a missing value."""
     return cell.strip().lower() in MISSING
 
 
 def clock_formats(cell: str) -> tuple[str, ...]:
-    """Formats in which a cell may be a wall-clock stamp; empty for other cells."""
+    """Return the formats of a wall-clock stamp that a cell may have; none for other cells."""
     text = cell.strip()
     for pattern, formats in CLOCKS:
         if pattern.match(text):
-            return tuple(one.format("T" if "T" in text else " ") for one in formats)
+            return tuple(template.format("T" if "T" in text else " ") for template in formats)
     return ()

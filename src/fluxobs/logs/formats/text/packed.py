@@ -1,4 +1,4 @@
-"""Text as a stream: decompressed, in lines that fit into memory."""
+"""Compressed text as a stream of lines that fit into memory."""
 
 from __future__ import annotations
 
@@ -11,43 +11,43 @@ from typing import IO, Any, AnyStr, cast
 from ....core.input_files import RATIO, most_unpacked
 from ....errors import RecordError
 
-#: Longest line: a log of the most columns has a hundred characters in each.
+#: Longest line [characters]: a log with the most columns may have a hundred in each.
 LINE = 1 << 20
 
 
 class _Packed(gzip.GzipFile):
-    """A compressed file; one that is cut off, damaged or a bomb ends in a RecordError."""
+    """Compressed file; raise RecordError if it is truncated, damaged or a decompression bomb."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "rb")
-        self._most = most_unpacked(path)
+        self._limit = most_unpacked(path)
 
-    def _guarded(self, method: Callable[..., Any], *arguments: Any) -> Any:
+    def _call_guarded(self, method: Callable[..., Any], *arguments: Any) -> Any:
         try:
             return method(*arguments)
         except (zlib.error, EOFError, gzip.BadGzipFile) as error:
-            raise RecordError(f"{self.name}: damaged or cut off: {error}") from None
+            raise RecordError(f"{self.name}: damaged or truncated: {error}") from None
 
-    def _content(self, method: Callable[..., Any], size: int | None) -> bytes:
-        content: bytes = self._guarded(method, size)
-        if self.tell() > self._most:
+    def _read_limited(self, method: Callable[..., Any], size: int | None) -> bytes:
+        content: bytes = self._call_guarded(method, size)
+        if self.tell() > self._limit:
             raise RecordError(
-                f"{self.name}: it unpacks to more than {self._most} bytes, and to more than "
+                f"{self.name}: it unpacks to more than {self._limit} bytes, and to more than "
                 f"{RATIO} times its size: its rows repeat. If it is a log, unpack it with gunzip"
             )
         return content
 
     def read(self, size: int | None = -1) -> bytes:
-        return self._content(super().read, size)
+        return self._read_limited(super().read, size)
 
     def read1(self, size: int = -1) -> bytes:
-        return self._content(super().read1, size)
+        return self._read_limited(super().read1, size)
 
     def readline(self, size: int | None = -1) -> bytes:
-        return self._content(super().readline, size)
+        return self._read_limited(super().readline, size)
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        return cast(int, self._guarded(super().seek, offset, whence))
+        return cast(int, self._call_guarded(super().seek, offset, whence))
 
 
 def open_packed(path: Path) -> IO[bytes]:
@@ -56,16 +56,16 @@ def open_packed(path: Path) -> IO[bytes]:
 
 
 def whole(file: IO[AnyStr], path: Path, most: int | None = None) -> Iterator[AnyStr]:
-    """Lines of a file, some more than `most` characters in all.
+    """Yield lines of a file until they exceed `most` characters in total.
 
     Raises
     ------
     RecordError
-        One is longer than memory may be.
+        A line is too long.
     """
     size = 0
     while (most is None or size <= most) and (line := file.readline(LINE)):
         if len(line) == LINE:
-            raise RecordError(f"{path}: a line has more than {LINE} characters; this is no log")
+            raise RecordError(f"{path}: a line has more than {LINE} characters; this is not a log")
         size += len(line)
         yield line

@@ -1,4 +1,4 @@
-"""The bytes of a text file: encoding, ends, and a copy where it cannot be read in place."""
+"""Bytes of a text file: encoding, head, tail, and a copy if it cannot be read in place."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from ....errors import RecordError
 from .cells import MINUS
 from .packed import open_packed, whole
 
-#: Bytes at either end that are looked at.
+#: Bytes examined at each end.
 END = 65536
-#: First lines of a file in which its structure is looked for; an instrument's preamble has a
-#: hundred lines at most, a repeated descriptor some more.
+#: First lines searched for the structure of a file; the preamble of an instrument has a hundred
+#: lines at most, a repeated descriptor somewhat more.
 HEAD_LINES = 600
-#: Bytes of them: a log of the most columns has some ten lines in these.
+#: Bytes of these lines; a log with the most columns has about ten lines in them.
 HEAD = 1 << 22
-#: What lines between rows begin with, that are none.
+#: First characters of comments between rows.
 BETWEEN = ("#", "%")
-#: What a line holds that has no values.
+#: Characters of a line without values.
 EMPTY = " \t\r\n,;|"
-#: Bytes that are parsed at once: some ten thousand rows.
+#: Bytes parsed at once: about ten thousand rows.
 BLOCK = 1 << 22
-#: Columns of a smaller file are parsed once, and kept: a run reads a log five times.
+#: Columns of a smaller file [bytes] are parsed once and kept: a run reads a log five times.
 KEPT = 1 << 26
-#: Most bytes of these columns: cells of one character are eight times as large as numbers.
+#: Largest size of kept columns [bytes]: one-character cells take eight times as much as numbers.
 KEPT_NUMBERS = 1 << 28
 
 
 def is_packed(path: Path) -> bool:
-    """Whether a file is compressed by gzip."""
+    """Return whether a file is compressed by gzip."""
     return path.suffix.lower() == ".gz"
 
 
@@ -45,18 +45,18 @@ def open_bytes(path: Path) -> IO[bytes]:
     Raises
     ------
     RecordError
-        While it is read: its compressed bytes are damaged.
+        While reading: the compressed data are damaged.
     """
     return open_packed(path) if is_packed(path) else path.open("rb")
 
 
 def encoding_of(path: Path) -> str:
-    """Encoding of a text file.
+    """Return the encoding of a text file.
 
     Raises
     ------
     RecordError
-        It is no text.
+        The file is not text.
     """
     with open_bytes(path) as file:
         head = file.read(END)
@@ -68,8 +68,8 @@ def encoding_of(path: Path) -> str:
         odd, even = head[1::2].count(0), head[::2].count(0)
         if max(odd, even) < 0.4 * len(head) / 2 or min(odd, even) > 0.1 * len(head) / 2:
             raise RecordError(
-                f"{path}: this is not text, and its ending, {path.suffix or 'none'}, is not that "
-                f"of a known format. Save it as CSV, Parquet or npz"
+                f"{path}: this is not text, and its ending, {path.suffix or 'none'}, is not a "
+                f"known format. Save it as CSV, Parquet or npz"
             )
         return "utf-16-le" if odd > even else "utf-16-be"
     try:
@@ -80,35 +80,37 @@ def encoding_of(path: Path) -> str:
 
 
 def first_lines(path: Path, encoding: str) -> list[str]:
-    """The first lines, decoded."""
+    """Return the first lines, decoded."""
     with open_bytes(path) as file:
         if encoding.startswith("utf-16"):
             return file.read(END * 4).decode(encoding, errors="replace").splitlines()[:HEAD_LINES]
-        return [_decoded(line, encoding) for line in islice(whole(file, path, HEAD), HEAD_LINES)]
+        return [_decode(line, encoding) for line in islice(whole(file, path, HEAD), HEAD_LINES)]
 
 
 def further_lines(path: Path, encoding: str, places: int = 8) -> list[str]:
-    """A few complete lines from further down, where that costs nothing."""
+    """Return a few complete lines from further down, if seeking is cheap."""
     if is_packed(path) or encoding.startswith("utf-16"):
         return []
-    found: list[bytes] = []
+    lines: list[bytes] = []
     with path.open("rb") as file:
         size = file.seek(0, 2)
         if size < 2 * END:
             return []
         for n in range(1, places):
             file.seek(size * n // places)
-            found += list(islice(whole(file, path), 21))[1:]  # the first of them is cut
-    return [_decoded(line, encoding) for line in found]
+            lines += list(islice(whole(file, path), 21))[1:]  # the first one is cut
+    return [_decode(line, encoding) for line in lines]
 
 
-def _decoded(line: bytes, encoding: str) -> str:
+def _decode(line: bytes, encoding: str) -> str:
     return line.decode(encoding, errors="replace").lstrip("\ufeff").rstrip("\r\n")
 
 
 def last_line(path: Path, encoding: str) -> tuple[str, int]:
-    """The last line with content, and the lines below it that are blank or but delimiters; nothing
-    is known of a file whose end costs reading all of it."""
+    """Return the last line with values, and the number of lines without values below it.
+
+    Return ("", 0) for compressed files, whose end is expensive to reach.
+    """
     if is_packed(path):
         return "", 0
     with path.open("rb") as file:
@@ -120,16 +122,18 @@ def last_line(path: Path, encoding: str) -> tuple[str, int]:
 
 
 def repeats(path: Path, header: str, encoding: str) -> bool:
-    """Whether a line stands more than once in a file."""
-    wanted = b"\n" + header.encode(encoding.removesuffix("-sig"), errors="replace")
-    count, before = 0, b"\n"
+    """Return whether a line occurs more than once in a file."""
+    pattern = b"\n" + header.encode(encoding.removesuffix("-sig"), errors="replace")
+    count, previous = 0, b"\n"
     with open_bytes(path) as file:
         while chunk := file.read(BLOCK):
-            piece = before + chunk.removeprefix(b"\xef\xbb\xbf") if count == 0 else before + chunk
-            count += piece.count(wanted)
+            piece = (
+                previous + chunk.removeprefix(b"\xef\xbb\xbf") if count == 0 else previous + chunk
+            )
+            count += piece.count(pattern)
             if count > 1:
                 return True
-            before = piece[-len(wanted) + 1 :]
+            previous = piece[-len(pattern) + 1 :]
     return False
 
 
@@ -137,15 +141,15 @@ _SPACES = re.compile(rb"\n +\r?\n")
 
 
 def interrupted(block: bytes) -> bool:
-    """Whether there are blank lines or comments between the rows of a block."""
-    found = b"\n" + block.rstrip()
-    if any(mark in found for mark in (b"\n\n", b"\n\r\n", b"\n#", b"\n%")):
+    """Return whether a block has blank lines or comments between its rows."""
+    text = b"\n" + block.rstrip()
+    if any(mark in text for mark in (b"\n\n", b"\n\r\n", b"\n#", b"\n%")):
         return True
-    return b"\n " in found and _SPACES.search(found) is not None
+    return b"\n " in text and _SPACES.search(text) is not None
 
 
 def blocks(path: Path, start: int) -> Iterator[bytes]:
-    """Whole lines of a file from a byte on, some megabytes at once."""
+    """Yield blocks of whole lines from a byte on, some megabytes each."""
     with open_bytes(path) as file:
         file.seek(start)
         while chunk := file.read(BLOCK):
@@ -153,7 +157,7 @@ def blocks(path: Path, start: int) -> Iterator[bytes]:
 
 
 class Copy:
-    """A copy of a file's rows in plain UTF-8 text, which lives as long as this object.
+    """Temporary copy of a file's rows as plain UTF-8 text, deleted with this object.
 
     Attributes
     ----------
@@ -164,16 +168,16 @@ class Copy:
         self._source, self._encoding, self._first, self._drop = path, encoding, first, drop
         with tempfile.NamedTemporaryFile(
             "w", encoding="utf-8", suffix=".csv", prefix="fluxobs-", delete=False, newline="\n"
-        ) as out:
-            self.path = Path(out.name)
-            self._end = weakref.finalize(self, self.path.unlink, missing_ok=True)
-            for _, text in self._rows():
+        ) as file:
+            self.path = Path(file.name)
+            self._finalizer = weakref.finalize(self, self.path.unlink, missing_ok=True)
+            for _, text in self._numbered_rows():
                 text = re.sub(r"\s+", " ", text.strip()) if spaces else text
-                out.write(text.replace(MINUS, "-") + "\n")
+                file.write(text.replace(MINUS, "-") + "\n")
 
-    def _rows(self) -> Iterator[tuple[int, str]]:
-        """Rows of the file, each with the number of its line."""
-        for number, line in enumerate(_lines(self._source, self._encoding)):
+    def _numbered_rows(self) -> Iterator[tuple[int, str]]:
+        """Yield the rows of the file, each with its line number."""
+        for number, line in enumerate(_read_lines(self._source, self._encoding)):
             text = line.rstrip("\r\n")
             if number < self._first or not text.strip(" "):
                 continue
@@ -181,18 +185,18 @@ class Copy:
                 yield number, text
 
     def line(self, row: int) -> int:
-        """Line of the file, from 0, in which a row of the copy stands."""
-        for n, (number, _) in enumerate(self._rows()):
+        """Return the line of the file, from 0, of a row of the copy."""
+        for n, (number, _) in enumerate(self._numbered_rows()):
             if n == row:
                 return number
         return self._first + row
 
 
-def _lines(path: Path, encoding: str) -> Iterator[str]:
+def _read_lines(path: Path, encoding: str) -> Iterator[str]:
     with open_bytes(path) as file:
         if encoding.startswith("utf-16"):
             with io.TextIOWrapper(file, encoding, errors="replace") as decoded:
                 yield from whole(decoded, path)
         else:
             for line in whole(file, path):
-                yield _decoded(line, encoding)
+                yield _decode(line, encoding)

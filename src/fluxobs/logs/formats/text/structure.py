@@ -1,9 +1,9 @@
-"""Where the table begins in a text file, and what stands above it.
+"""Find the table in a text file, and the header and preamble above it.
 
-Rows of a table are alike: as many cells, numbers in the same places. The rows further down show
-what a row is; the first row is the first line like them. Names stand right above, perhaps with a
-row of units between. What stands above the names is a preamble, in which the sample rate is looked
-for. No instrument is known by name, except an old one that writes its preamble beside the data.
+Rows of a table are alike: equally many cells, with numbers in the same places. Rows further down
+define the pattern; the first line that matches it is the first row. The names are directly above,
+perhaps with a row of units between. Above the names is a preamble, which is searched for the sample
+rate. No instrument is known by name, except an old one with its preamble beside the data.
 """
 
 from __future__ import annotations
@@ -28,44 +28,44 @@ from .cells import (
     split,
 )
 
-#: At the head of a line that belongs to a header, or is a comment.
+#: First characters of header lines and comments.
 COMMENT = ("#", "%", "//", "!", "'")
 NUMBER, EMPTY, CLOCK, TEXT = "nect"
-#: Lines that are looked at to see what a row is.
-SEEN = 80
-#: Columns of a log; the widest has some hundred.
+#: Lines examined to find the pattern of a row.
+SAMPLE = 80
+#: Largest number of columns; the widest logs have some hundred.
 MOST_COLUMNS = 10_000
 
-#: Keys in front of a row of units, or of names; and of other rows between names and data.
+#: First cells of a row of units, of names, of labels, and of other rows between names and data.
 _UNIT_ROW = ("yunitlabel", "unit", "units", "verticalunits", "vertunits", "vunit", "yunit")
 _NAME_ROW = ("tracename", "tracenames", "signal", "signals", "name", "names", "channelname")
 _LABEL_ROW = ("label", "labels")
 _OTHER_ROW = ("hunit", "hoffset", "hresolution", "unitoffset", "unitscalefactor", "time")
-#: A line of its own between the header and the rows.
+#: Lines that separate the header from the rows.
 _MARKS = ("data", "waveformdata", "timetags", "endofheader")
-#: Cells of metadata below the names, as "Unit: V".
-_BELOW = re.compile(r"^(Type|Unit|Interp|BlockPath|PortIndex|Enum)\s*:\s*(.*)$")
-#: Names that an instrument gives a channel, which its user's label replaces.
-_NUMBERED = re.compile(r"^(CH|C|Channel )\s?\d+$", re.IGNORECASE)
-#: Header cells that have no column below them.
+#: Cells of metadata below the names, such as "Unit: V".
+_METADATA = re.compile(r"^(Type|Unit|Interp|BlockPath|PortIndex|Enum)\s*:\s*(.*)$")
+#: Channel names of an instrument, which labels of its user replace.
+_NUMBERED_NAME = re.compile(r"^(CH|C|Channel )\s?\d+$", re.IGNORECASE)
+#: Header cells without a column below them.
 _NO_COLUMN = ("comment", "start", "increment")
 _FILLERS = frozenset(("sequence", "sample", "index", "number", "none", "unitless"))
 
 
 @dataclass(frozen=True)
 class Structure:
-    """How a text file is laid out.
+    """Structure of a text file.
 
     Attributes
     ----------
     delimiter : str
     decimal_comma : bool
     names : tuple of (str or None)
-        One a cell; None for cells that hold nothing to be read.
+        One per cell; None for cells that are not read.
     first_line : int
-        Line of the first row, from 0.
+        Line number of the first row, from 0.
     above : tuple of str
-        The lines of names and units, as written.
+        Lines of names and units, as written.
     said : Said
     """
 
@@ -77,8 +77,10 @@ class Structure:
     said: Said
 
 
-def find(lines: list[str], further: list[str], where: str, header: list[str] | None) -> Structure:
-    """Structure of a file from its first lines, and some from further down.
+def find_structure(
+    lines: list[str], further: list[str], where: str, header: list[str] | None
+) -> Structure:
+    """Find the structure of a file from its first lines and some from further down.
 
     Parameters
     ----------
@@ -86,7 +88,7 @@ def find(lines: list[str], further: list[str], where: str, header: list[str] | N
     where : str
         The file, for messages.
     header : list of str, optional
-        Names of the columns, where the user gives them.
+        Names of the columns, if the user gives them.
 
     Raises
     ------
@@ -100,51 +102,55 @@ def find(lines: list[str], further: list[str], where: str, header: list[str] | N
         raise RecordError(
             f"{where}: a row has {len(kinds)} cells, more than {MOST_COLUMNS}; keep those needed"
         )
-    if not kinds.strip(EMPTY) and len(lines) > SEEN:
+    if not kinds.strip(EMPTY) and len(lines) > SAMPLE:
         raise RecordError(
             f"{where}: no rows of numbers are found in its first {len(lines)} lines. Is this a "
-            f"log? If a longer preamble stands above the rows, remove it"
+            f"log? If its preamble is longer, remove it"
         )
-    first = _first_row(lines, delimiter, kinds)
-    content = [line for line in [*lines[first:], *further] if line.strip()]
-    with_comma = [c for line in content for c in split(line, delimiter) if has_decimal_comma(c)]
-    comma = bool(with_comma)
-    if delimiter == "," and comma and all(map(has_thousands, with_comma)):
+    first_row = _first_row(lines, delimiter, kinds)
+    content = [line for line in [*lines[first_row:], *further] if line.strip()]
+    with_comma = [
+        cell for line in content for cell in split(line, delimiter) if has_decimal_comma(cell)
+    ]
+    decimal_comma = bool(with_comma)
+    if delimiter == "," and decimal_comma and all(map(has_thousands, with_comma)):
         raise RecordError(
-            f"{where}: {with_comma[0]!r}: does the comma part thousands, or is it a decimal comma? "
-            f"Write numbers without the former; with the latter part columns by semicolons"
+            f"{where}: {with_comma[0]!r}: does the comma separate thousands or decimals? Remove "
+            f"thousands separators; with decimal commas, separate columns by semicolons"
         )
-    if _beside(lines, delimiter):
-        return _tektronix(lines, delimiter, comma)
-    head = _Head(lines, first, delimiter, kinds)
-    names = list(header) if header is not None else head.names(where)
+    if _has_preamble_beside(lines, delimiter):
+        return _read_preamble_beside(lines, delimiter, decimal_comma)
+    heading = _Header(lines, first_row, delimiter, kinds)
+    names = list(header) if header is not None else heading.names(where)
     clocks = [n for n, kind in enumerate(kinds) if kind == CLOCK]
-    kept = [
-        None if n < len(kinds) and kinds[n] == EMPTY and not _wanted(name, head) else name
+    used_names = [
+        None
+        if n < len(kinds) and kinds[n] == EMPTY and not _may_hold_values(name, heading)
+        else name
         for n, name in enumerate(names)
     ]
     if header is None:
-        _check_repeated(kept, where, head.names_line)
-    units = head.units(names)
+        _check_repeated(used_names, where, heading.names_line)
+    units = heading.units(names)
     time = next((names[n] for n in clocks if n < len(names)), None)
     said = Said(
-        {name: unit for name, unit in units.items() if name in kept},
-        time if time in kept else None,
-        head.sample_time,
-        head.start or 0.0,
+        {name: unit for name, unit in units.items() if name in used_names},
+        time if time in used_names else None,
+        heading.sample_time,
+        heading.start or 0.0,
     )
-    return Structure(delimiter, comma, tuple(kept), first, head.written, said)
+    return Structure(delimiter, decimal_comma, tuple(used_names), first_row, heading.written, said)
 
 
-def _wanted(name: str, head: _Head) -> bool:
-    """An empty column of a file without preamble is kept: its values may begin later."""
-    return bool(name) and head.sample_time is None
+def _may_hold_values(name: str, heading: _Header) -> bool:
+    """Return whether to keep an empty column: without a sample rate its values may begin later."""
+    return bool(name) and heading.sample_time is None
 
 
 def row_kind(lines: list[str], further: list[str]) -> tuple[str, str]:
-    """Delimiter of the rows, and what each of their cells is."""
+    """Return the delimiter of the rows, and the kind of each of their cells."""
     sample = [line for line in lines if line.strip()]
-    sample = [*sample[len(sample) // 2 :], *(line for line in further if line.strip())][-SEEN:]
+    sample = [*sample[len(sample) // 2 :], *(line for line in further if line.strip())][-SAMPLE:]
     best: tuple[float, int, str, str] = (0.0, 0, ",", "")
     for delimiter in DELIMITERS:
         rows = [kinds_of(line, delimiter) for line in sample]
@@ -152,12 +158,12 @@ def row_kind(lines: list[str], further: list[str]) -> tuple[str, str]:
         if not rows:
             continue
         width, count = Counter(map(len, rows)).most_common(1)[0]
-        alike = [row for row in rows if len(row) == width]
-        kinds = "".join(_usual(column) for column in zip(*alike, strict=True))
-        # several cells in a row say more than one
-        found = (count / len(sample) * (1.0 if width > 1 else 0.5), width, delimiter, kinds)
-        if found[:2] > best[:2]:
-            best = found
+        similar = [row for row in rows if len(row) == width]
+        kinds = "".join(_usual_kind(column) for column in zip(*similar, strict=True))
+        # rows of several cells are stronger evidence than single cells
+        rating = (count / len(sample) * (1.0 if width > 1 else 0.5), width, delimiter, kinds)
+        if rating[:2] > best[:2]:
+            best = rating
     if best[1]:
         return best[2], best[3]
     line = next(filter(_is_content, lines), "")
@@ -179,19 +185,19 @@ def kinds_of(line: str, delimiter: str) -> str:
 
 
 def _is_row(kinds: str) -> bool:
-    """At least half of the cells are numbers."""
+    """Return whether at least half of the filled cells are numbers or clock times."""
     full = len(kinds) - kinds.count(EMPTY)
     return full > 0 and 2 * (kinds.count(NUMBER) + kinds.count(CLOCK)) >= full and NUMBER in kinds
 
 
-def _usual(column: tuple[str, ...]) -> str:
-    """What a cell is in most rows where it is not empty."""
+def _usual_kind(column: tuple[str, ...]) -> str:
+    """Return the most frequent kind of a cell where it is not empty."""
     full = [kind for kind in column if kind != EMPTY]
     return Counter(full).most_common(1)[0][0] if full else EMPTY
 
 
 def is_alike(kinds: str, usual: str) -> bool:
-    """Whether a line is a row: the same numbers and texts, and perhaps empty cells."""
+    """Return whether a line is a row: the usual numbers and texts, or empty cells."""
     if len(kinds) != len(usual) or not _is_row(kinds):
         return False
     if usual.startswith(EMPTY) and kinds.startswith(TEXT):  # a key
@@ -200,15 +206,15 @@ def is_alike(kinds: str, usual: str) -> bool:
 
 
 def _first_row(lines: list[str], delimiter: str, usual: str) -> int:
-    """Index of the first line that is a row, as is the next one with content."""
+    """Return the index of the first row that is followed by another row."""
     content = [n for n, line in enumerate(lines) if line.strip()]
 
     def kinds(at: int) -> str:
         return kinds_of(lines[content[at]], delimiter)
 
     for at in range(len(content)):
-        after = min(at + 1, len(content) - 1)
-        if not (is_alike(kinds(at), usual) and is_alike(kinds(after), usual)):
+        following = min(at + 1, len(content) - 1)
+        if not (is_alike(kinds(at), usual) and is_alike(kinds(following), usual)):
             continue
         while at > 0 and _with_a_mistake(kinds(at - 1), usual):
             at -= 1
@@ -217,7 +223,7 @@ def _first_row(lines: list[str], delimiter: str, usual: str) -> int:
 
 
 def _with_a_mistake(kinds: str, usual: str) -> bool:
-    """Whether a line is a row, but for a cell or two."""
+    """Return whether a line is a row but for a few cells."""
     mostly = 2 * kinds.count(NUMBER) > len(usual)
     return len(kinds) == len(usual) and mostly and kinds[0] == usual[0]
 
@@ -227,15 +233,15 @@ def _is_content(line: str) -> bool:
 
 
 def _bare(line: str) -> str:
-    """A line without the sign of a comment at its head."""
+    """Return a line without a comment sign at its start."""
     text = line.rstrip("\r\n")
     stripped = text.lstrip()
-    mark = next((mark for mark in COMMENT if stripped.startswith(mark)), None)
-    return text if mark is None else stripped.lstrip(mark).strip()
+    sign = next((sign for sign in COMMENT if stripped.startswith(sign)), None)
+    return text if sign is None else stripped.lstrip(sign).strip()
 
 
-class _Head:
-    """What stands above the rows: names, units, preamble."""
+class _Header:
+    """Names, units and preamble above the rows."""
 
     def __init__(self, lines: list[str], first: int, delimiter: str, kinds: str):
         self.lines, self.first, self.delimiter = lines, first, delimiter
@@ -244,29 +250,29 @@ class _Head:
         while above and self._is_mark(above[-1]):
             above.pop()
         below = []
-        while above and all(_BELOW.match(c) for c in self._cells(above[-1]) if c):
+        while above and all(_METADATA.match(cell) for cell in self._cells(above[-1]) if cell):
             below.append(above.pop())
         self.units_line = self.names_line = -1
         if above and self._is_units(self._cells(above[-1])):
             self.units_line = above.pop()
-        self.keyed = self._keyed(above, _NAME_ROW)
+        self.keyed = self._find_keyed_row(above, _NAME_ROW)
         if above and self._is_names(self._cells(above[-1])):
             cells = self._cells(above[-1])
             keys = (*_UNIT_ROW, *_OTHER_ROW, *(_NAME_ROW if len(cells) > self.width else ()))
             if key(cells[0]) not in keys or not self.keyed:
                 self.names_line = above.pop()
                 self.keyed = None
-        self.preamble, self._below = above, below
+        self.preamble, self._metadata_rows = above, below
         self.sample_time, self.start = self._timing()
-        used = (n for n in (self.names_line, self.units_line) if n >= 0)
-        self.written = tuple(lines[n].rstrip("\r\n") for n in used)
+        header = (n for n in (self.names_line, self.units_line) if n >= 0)
+        self.written = tuple(lines[n].rstrip("\r\n") for n in header)
 
     def _is_mark(self, line: int) -> bool:
         cells = [cell for cell in self._cells(line) if cell]
         return not cells or (len(cells) == 1 and key(cells[0]) in _MARKS)
 
     def _cells(self, line: int) -> list[str]:
-        """Cells of a header line: parted as the rows are, or otherwise if that fits better."""
+        """Split a header line like the rows, or with another delimiter if that fits better."""
         bare = _bare(self.lines[line])
         cells = split(bare, self.delimiter)
         if len(cells) == self.width or (len(cells) > self.width and self.delimiter != " "):
@@ -277,8 +283,8 @@ class _Head:
                 return other
         return cells
 
-    def _keyed(self, above: list[int], keys: tuple[str, ...]) -> list[str] | None:
-        """Cells of the last row of the preamble with such a key in front, one a column."""
+    def _find_keyed_row(self, above: list[int], keys: tuple[str, ...]) -> list[str] | None:
+        """Return the last preamble row that begins with one of the keys, one cell per column."""
         for n in reversed(above):
             cells = self._cells(n)
             if key(cells[0]) not in keys or sum(bool(cell) for cell in cells) < 2:
@@ -288,25 +294,27 @@ class _Head:
             if len(cells) == self.width + 1:
                 return cells[1:]
             if len(cells) == self.width:
-                # beside an empty cell, or above the time of all columns
+                # the key is above an empty cell, or above the time of all columns
                 return ["" if self.kinds[:1] == EMPTY else "Time [ms]", *cells[1:]]
         return None
 
     def _is_units(self, cells: list[str]) -> bool:
         units = [cell for cell in cells if known(cell)]
         others = [cell for cell in cells if cell and not known(cell)]
-        fillers = all(is_number(c) or key(c) in _FILLERS or c in ("-", "1", "[]") for c in others)
+        fillers = all(
+            is_number(cell) or key(cell) in _FILLERS or cell in ("-", "1", "[]") for cell in others
+        )
         return bool(units) and fillers and len(cells) >= self.width - 1
 
     def _is_names(self, cells: list[str]) -> bool:
         if len(cells) < self.width and not (self.width - len(cells) == 1 and self.width > 2):
             return False
-        words = cells[: self.width]
-        numbers = sum(is_number(word) for word in words if word)
-        return not is_number(words[0]) if self.units_line >= 0 else numbers == 0 and any(words)
+        leading = cells[: self.width]
+        numbers = sum(is_number(cell) for cell in leading if cell)
+        return not is_number(leading[0]) if self.units_line >= 0 else numbers == 0 and any(leading)
 
     def names(self, where: str) -> list[str]:
-        """Names of the columns; RecordError if there are none."""
+        """Return the names of the columns; raise RecordError if there are none."""
         if self.keyed is not None:
             return [cell or f"column {n + 1}" for n, cell in enumerate(self.keyed)]
         if self.names_line < 0:
@@ -319,71 +327,71 @@ class _Head:
         cells = self._cells(self.names_line)
         surplus = cells[self.width :]
         if any(cell and "=" not in cell and key(cell) not in _NO_COLUMN for cell in surplus):
-            # rows that are too short are complained about when they are read
+            # rows that are too short are reported when they are read
             return cells
         cells = cells[: self.width] + [""] * (self.width - len(cells))
         labels = self._labels()
         return [
-            labels.get(n, cell) if _NUMBERED.match(cell) else cell or f"column {n + 1}"
+            labels.get(n, cell) if _NUMBERED_NAME.match(cell) else cell or f"column {n + 1}"
             for n, cell in enumerate(cells)
         ]
 
     def _labels(self) -> dict[int, str]:
-        """What the user of an instrument called its channels, by column."""
+        """Return the labels that the user of an instrument gave its channels, by column."""
         for n in self.preamble:
             cells = self._cells(n)
             if key(cells[0]) in _LABEL_ROW:
-                return {k: cell for k, cell in enumerate(cells) if k and cell}
+                return {column: cell for column, cell in enumerate(cells) if column and cell}
         return {}
 
     def units(self, names: list[str]) -> dict[str, str]:
-        """Column → unit, from a row of units or from a line of the preamble."""
+        """Return column → unit, from a row of units or a line of the preamble."""
         cells: list[str] = []
-        for n in self._below:
-            found = [_BELOW.match(cell) for cell in self._cells(n)]
-            if any(one and one[1] == "Unit" for one in found):
-                cells = [one[2] if one else "" for one in found]
+        for n in self._metadata_rows:
+            matches = [_METADATA.match(cell) for cell in self._cells(n)]
+            if any(match and match[1] == "Unit" for match in matches):
+                cells = [match[2] if match else "" for match in matches]
         if not cells and self.units_line >= 0:
             cells = self._cells(self.units_line)
         elif not cells:
-            cells = self._keyed(self.preamble, _UNIT_ROW) or []
+            cells = self._find_keyed_row(self.preamble, _UNIT_ROW) or []
             if cells[:1] == ["Time [ms]"]:
                 cells[0] = ""
         return {name: cell for name, cell in zip(names, cells, strict=False) if known(cell)}
 
     def _timing(self) -> tuple[float | None, float | None]:
-        """Sample time and start that a preamble says."""
+        """Return sample time and start from the preamble."""
         interval = start = None
-        comma = self.delimiter == ","
-        pairs = [pair for n in self.preamble for pair in _pairs(self.lines[n], comma)]
+        commas_split = self.delimiter == ","
+        pairs = [pair for n in self.preamble for pair in _pairs(self.lines[n], commas_split)]
         if self.names_line >= 0:
-            pairs += _pairs(self.lines[self.names_line], comma)
+            pairs += _pairs(self.lines[self.names_line], commas_split)
             if self.units_line >= 0:  # names "Start, Increment" over numbers in the row of units
                 cells = zip(
                     self._cells(self.names_line), self._cells(self.units_line), strict=False
                 )
-                pairs += [(a, b) for a, b in cells if is_number(b)]
+                pairs += [(name, value) for name, value in cells if is_number(value)]
         for name, value in pairs:
-            word = key(re.sub(r"\([^()]*\)", "", name))
-            if word in INTERVAL and interval is None:
+            reduced = key(re.sub(r"\([^()]*\)", "", name))
+            if reduced in INTERVAL and interval is None:
                 interval = interval_from(value, name)
-            elif word in RATE and interval is None:
+            elif reduced in RATE and interval is None:
                 rate = rate_from(value, name)
                 interval = 1 / rate if rate else None
-            elif word in START and start is None:
+            elif reduced in START and start is None:
                 start = seconds_from(value, name)
         return interval, start
 
 
-def _pairs(line: str, comma: bool) -> list[tuple[str, str]]:
-    """Names and values of a preamble line: "a=1", "a: 1", "a,1" (if commas part), "a<tab>1"."""
-    marks = r"[\t;,]|\s=\s|=|:\s?" if comma else r"[\t;]|\s=\s|=|:\s?"
-    parts = [part.strip().strip('"') for part in re.split(marks, _bare(line))]
-    return list(pairwise(part for part in parts if part))
+def _pairs(line: str, commas_split: bool) -> list[tuple[str, str]]:
+    """Split a preamble line into names and values: "a=1", "a: 1", "a,1" or "a<tab>1"."""
+    marks = r"[\t;,]|\s=\s|=|:\s?" if commas_split else r"[\t;]|\s=\s|=|:\s?"
+    items = [item.strip().strip('"') for item in re.split(marks, _bare(line))]
+    return list(pairwise(item for item in items if item))
 
 
 def _check_repeated(names: list[str | None], where: str, line: int) -> None:
-    """Names that mean a channel must differ; others, and further times, get a number."""
+    """Number repeated names; raise RecordError if the name of a channel repeats."""
     seen: set[str | None] = set()
     for n, name in enumerate(names):
         if name is None or name not in seen:
@@ -393,17 +401,17 @@ def _check_repeated(names: list[str | None], where: str, line: int) -> None:
             names[n] = f"{name} (column {n + 1})"
             continue
         raise RecordError(
-            f"{where}, line {line + 1}: the column {name!r} stands twice; column names must differ"
+            f"{where}, line {line + 1}: the column {name!r} occurs twice; column names must differ"
         )
 
 
-def _beside(lines: list[str], delimiter: str) -> bool:
-    """Whether the preamble stands left of the data, as old Tektronix instruments write it."""
+def _has_preamble_beside(lines: list[str], delimiter: str) -> bool:
+    """Return whether the preamble is left of the data, as in files of old Tektronix scopes."""
     cells = split(lines[0], delimiter)
     return len(cells) >= 5 and key(cells[0]) == "recordlength" and all(map(is_number, cells[3:5]))
 
 
-def _tektronix(lines: list[str], delimiter: str, comma: bool) -> Structure:
+def _read_preamble_beside(lines: list[str], delimiter: str, comma: bool) -> Structure:
     pairs = {key(cells[0]): cells[1] for line in lines[:20] if (cells := split(line, delimiter))[0]}
     name = pairs.get("source", "CH1")
     unit, seconds = pairs.get("verticalunits", ""), pairs.get("horizontalunits", "s")
