@@ -135,6 +135,7 @@ def test_the_adaptive_observer_in_the_folder(tmp_path, name, unknowns):
         "fluxobs.h",
         "fluxobs_adaptive.c",
         "fluxobs_adaptive.h",
+        "fluxobs_algebra.h",
         "fluxobs_candidates.c",
         "fluxobs_candidates.h",
         "fluxobs_internal.h",

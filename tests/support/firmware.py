@@ -51,7 +51,10 @@ class Compiled:
 
     def observer(self, folder: Path, *command: str) -> Path:
         source = (folder / "fluxobs.c").read_bytes()
-        headers = tuple((folder / n).read_bytes() for n in ("fluxobs_real.h", "fluxobs_internal.h"))
+        headers = tuple(
+            (folder / n).read_bytes()
+            for n in ("fluxobs_real.h", "fluxobs_internal.h", "fluxobs_algebra.h")
+        )
         key = (command, source, headers)
         if key not in self.objects:
             made = self.scratch / f"observer{len(self.objects)}.o"

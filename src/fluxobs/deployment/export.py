@@ -102,8 +102,8 @@ def export(
     >>> import fluxobs, tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     done = fluxobs.export("servo-400w", 1e-4, f"{folder}/servo")
-    ...     sorted(path.name for path in done.folder.glob("*.h"))
-    ['fluxobs.h', 'fluxobs_internal.h', 'fluxobs_real.h', 'motor_observer.h', 'telemetry.h']
+    ...     sorted(path.name for path in done.folder.glob("motor*.[ch]"))
+    ['motor_observer.c', 'motor_observer.h']
     """
     files = files_of(form)
     check_prefix(prefix)
