@@ -63,7 +63,7 @@ def test_levitation_from_a_log(folder):
         folder=folder,
     )
     assert done.returncode == 0, done.stderr
-    assert "Unknown: drift; memory 0.15 s" in done.stdout
+    assert "Unknowns: drift; memory 0.15 s" in done.stdout
     assert "µm rms" in done.stdout
     found = pl.read_parquet(folder / "out.parquet")
     assert found.columns == [
@@ -86,8 +86,8 @@ def test_current_bias_of_a_levitation(folder):
     )
     assert done.returncode == 0, done.stderr
     # 8 µm of current bias against a gap of 330: this log cannot tell, and it says so.
-    assert "Current bias: not seen." in done.stdout
-    assert "--unknowns drift ignores it" in done.stdout
+    assert "Current bias: not identifiable." in done.stdout
+    assert "use --unknowns drift, which ignores the bias" in done.stdout
     names = pl.read_csv(folder / "bias.csv").columns
     assert {"current_bias_1", "current_bias_2", "current_bias_1_std"} <= set(names)
 
