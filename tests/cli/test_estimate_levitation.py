@@ -143,7 +143,7 @@ def test_what_cannot_be_told_apart_is_refused_with_its_direction(folder):
         folder=folder,
     )
     assert done.returncode == 2
-    assert "cannot both be found for kind surface-pmsm" in done.stderr
+    assert "cannot both be estimated for kind surface-pmsm" in done.stderr
     assert "(0.0006, 0) Wb in the flux with (1, 0) A in the current" in done.stderr
     assert "position and speed, is free of it" in done.stderr
 

@@ -94,7 +94,7 @@ def test_what_a_short_log_tells_is_said(folder, to, code, words):
         (("--unknowns", "resistance"), "drift,resistance"),
         (("--unknowns", "drift,inverter,current-bias"), "together with a current bias"),
         (("--unknowns", "drift", "--prior", "resistance=1"), "not among the unknowns"),
-        (("--unknowns", "drift", "--prior", "psi_f=0.01"), "needs resistance or inverter"),
+        (("--unknowns", "drift", "--prior", "psi_f=0.01"), "requires resistance or inverter"),
         (("--unknowns", "drift,inverter", "--prior", "resistance=1"), "not among the unknowns"),
         (("--unknowns", "drift,inverter", "--prior", "R=1"), "unknown 'R'"),
         (("--unknowns", "drift,inverter", "--prior", "inverter=-1"), "not negative"),

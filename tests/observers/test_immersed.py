@@ -429,7 +429,7 @@ def test_noise_beyond_what_is_assumed_does_not_restart_for_ever():
     [
         (
             {"unknowns": ("drift", "current-bias")},
-            r"cannot be found together: an offset of \(0.0006, 0\) Wb in the flux with \(1, 0\) A",
+            r"estimated together: an offset of \(0.0006, 0\) Wb in the flux with \(1, 0\) A",
         ),
         ({"flux_base": 0.0}, "flux_base must be positive"),
         ({"memory": 5e-4}, "memory must be at least ten samples, 0.001 s here"),
