@@ -175,18 +175,18 @@ def test_titles_are_short_in_print(width, long):
 
 
 def test_a_parameter_with_its_band(axes):
-    whole = {
+    columns = {
         "t": T,
         "adapting": VALID,
         "resistance": np.full(200, 0.4),
         "resistance_std": np.full(200, 0.05),
     }
-    picture._parameter(axes, "resistance", whole, 0.36)
+    picture._parameter(axes, "resistance", columns, 0.36)
     assert band(axes) == pytest.approx((0.3, 0.5))
     _, y = line(axes)
     np.testing.assert_array_equal(np.isnan(y), VALID == 0)
     assert line(axes, "assumed")[1].tolist() == [0.36, 0.36]
-    assert (whole["resistance"] == 0.4).all()
+    assert (columns["resistance"] == 0.4).all()
 
 
 def test_rows_that_are_not_valid_are_grey(axes):
@@ -238,8 +238,8 @@ def test_numbers_in_the_title():
 
 
 def test_vectors_with_bands(axes):
-    whole = SERIES | {"drift_alpha_std": np.full(200, 0.001)}
-    picture._pair(axes, whole, "drift", ("alpha", "beta"), 10.0)
+    columns = SERIES | {"drift_alpha_std": np.full(200, 0.001)}
+    picture._pair(axes, columns, "drift", ("alpha", "beta"), 10.0)
     np.testing.assert_allclose(line(axes, "alpha")[1][ROWS_VALID], 0.02)
     assert band(axes) == pytest.approx((0.0, 0.04))
     assert len(axes.collections) == 1
@@ -247,9 +247,9 @@ def test_vectors_with_bands(axes):
 
 def immersed(more, unit="°", factor=180 / np.pi):
     """Draw the picture of the immersed observer."""
-    whole = SERIES | {"noise_share": np.full(200, 0.05)} | more
+    columns = SERIES | {"noise_share": np.full(200, 0.05)} | more
     position = SimpleNamespace(unit=unit, factor=factor, name="theta_e", title="Position")
-    statistics = SimpleNamespace(thin=SimpleNamespace(columns=lambda: whole), valid=160, rows=200)
+    statistics = SimpleNamespace(thin=SimpleNamespace(columns=lambda: columns), valid=160, rows=200)
     machine = SimpleNamespace(ports=("alpha", "beta"), position_output=position, kind="kind")
     path = SimpleNamespace(name="log")
     result = SimpleNamespace(statistics=statistics, machine=machine, log=SimpleNamespace(path=path))
@@ -270,8 +270,8 @@ def test_the_picture_of_the_immersed_observer(unit, scale, prefix):
     assert "position valid on 80.0% of 200 rows" in figure.get_suptitle()
     assert share.get_xlim() == (0.0, 1.0)
     bias = {"current_bias_alpha": 0.1 + 0 * T, "current_bias_beta": T}
-    last = immersed(bias, unit).axes[3]
-    np.testing.assert_allclose(line(last)[1][ROWS_VALID], 0.1)
+    bias_panel = immersed(bias, unit).axes[3]
+    np.testing.assert_allclose(line(bias_panel)[1][ROWS_VALID], 0.1)
 
 
 @pytest.mark.parametrize(

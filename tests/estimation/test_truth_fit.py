@@ -124,12 +124,12 @@ def test_eccentricity_needs_nearly_all_of_a_turn(bins, fitted_too):
 
 
 @pytest.mark.parametrize(
-    ("ratio", "whole"), [(4.07, True), (4.09, False), (3.93, True), (0.4, False)]
+    ("ratio", "accepted"), [(4.07, True), (4.09, False), (3.93, True), (0.4, False)]
 )
-def test_turns_are_a_whole_number_within_two_percent(ratio, whole):
+def test_turns_are_a_whole_number_within_two_percent(ratio, accepted):
     fit = fitted("theta_mech", ratio * SHAFT, SHAFT)
-    assert ("not a whole number of pole pairs" in "".join(fit.words)) != whole
-    if not whole:
+    assert ("not a whole number of pole pairs" in "".join(fit.words)) != accepted
+    if not accepted:
         assert (fit.pole_pairs, fit.wrong_turns) == (4, True)
         assert f"turns {ratio:.3g} times" in fit.words[0]
 
@@ -172,22 +172,22 @@ def test_rows_are_kept_evenly_whatever_the_batches(monkeypatch, size):
     monkeypatch.setattr(truth, "MAX_ROWS", 1300)
     valid = np.arange(ROWS) % 5 != 0
     raw = np.where(np.arange(ROWS) % 7, SHAFT, np.nan)
-    kept = samples("theta_mech", 4 * SHAFT, raw, valid=valid, size=size)
+    thinned = samples("theta_mech", 4 * SHAFT, raw, valid=valid, size=size)
     rows = np.arange(0, ROWS, 3)
     rows = rows[valid[rows] & np.isfinite(raw[rows])]
-    np.testing.assert_array_equal(kept.columns()["row"], rows)
-    np.testing.assert_array_equal(kept.columns()["raw"], raw[rows])
-    assert kept.known == (valid & np.isfinite(raw)).sum()
+    np.testing.assert_array_equal(thinned.columns()["row"], rows)
+    np.testing.assert_array_equal(thinned.columns()["raw"], raw[rows])
+    assert thinned.known == (valid & np.isfinite(raw)).sum()
 
 
 def test_turns_are_counted_over_spans_of_32_usable_rows():
     raw = 0.01 * np.arange(100)
     valid = np.arange(100) != 40
-    kept = samples("theta_mech", 3 * raw, raw, valid=valid, speed=1.0)
+    counted = samples("theta_mech", 3 * raw, raw, valid=valid, speed=1.0)
     turn = 31 * 0.01
-    assert kept.turned == pytest.approx(2 * turn)  # of three spans, one has a gap
-    assert kept.square == pytest.approx(2 * turn**2)
-    assert kept.product == pytest.approx(3 * 2 * turn**2)
+    assert counted.turned == pytest.approx(2 * turn)  # of three spans, one has a gap
+    assert counted.square == pytest.approx(2 * turn**2)
+    assert counted.product == pytest.approx(3 * 2 * turn**2)
 
 
 # ---- robust ---------------------------------------------------------------------------------
@@ -298,8 +298,8 @@ def test_the_gain_of_a_speed():
 def test_a_speed_with_an_offset():
     """The offset is fitted besides the gain if the speed varies by 30 %."""
     for spread, exact in ((0.31, True), (0.29, False)):
-        given = 300 * (1 - spread * (1 + np.cos(3 * T)) / 2)
-        gain = fitted("speed_e", SHAFT, given, speed=1.1 * given + 20)["gain"].value
+        true_speed = 300 * (1 - spread * (1 + np.cos(3 * T)) / 2)
+        gain = fitted("speed_e", SHAFT, true_speed, speed=1.1 * true_speed + 20)["gain"].value
         assert (abs(gain - 1.1) < 1e-6) == exact
 
 
@@ -314,9 +314,9 @@ def test_pole_pairs_that_a_speed_would_fit(gain, pairs):
 
 @pytest.mark.parametrize(("share", "reported"), [(0.098, False), (0.103, True)])
 def test_a_speed_that_does_not_follow(share, reported):
-    given = 100 + 50 * np.cos(3 * T)
-    estimated = given + share * 150 * np.where(np.arange(ROWS) % 2, 1, -1)
-    fit = fitted("speed_e", SHAFT, given, speed=estimated)
+    true_speed = 100 + 50 * np.cos(3 * T)
+    estimated = true_speed + share * 150 * np.where(np.arange(ROWS) % 2, 1, -1)
+    fit = fitted("speed_e", SHAFT, true_speed, speed=estimated)
     assert (fit.lost is not None) == reported
     assert fit.lost is None or fit.lost.startswith("apart from the gain it differs by 10% of the")
 
@@ -332,9 +332,9 @@ def test_a_speed_of_zero():
 CODES = np.array([1, 3, 2, 6, 4, 5])
 
 
-def hall(zero=0.2, moved=0.0, way=1):
+def hall(zero=0.2, moved=0.0, direction=1):
     """Return angle and code; the edge between states 3 and 2 is moved."""
-    theta = way * np.linspace(0, 60.4, ROWS)
+    theta = direction * np.linspace(0, 60.4, ROWS)
     edges = zero + np.arange(6) * np.pi / 3
     edges[2] += moved
     turned = np.mod(theta[:, None] - edges, 2 * np.pi)
@@ -342,10 +342,10 @@ def hall(zero=0.2, moved=0.0, way=1):
 
 
 @pytest.mark.parametrize("size", [ROWS, 7])
-@pytest.mark.parametrize("way", [1, -1])
-def test_places_of_hall_edges(size, way):
+@pytest.mark.parametrize("direction", [1, -1])
+def test_places_of_hall_edges(size, direction):
     """The edges are exact within a step of the angle, 0.015 rad, from both sides."""
-    fit = fitted("hall", *hall(way=way), size=size)
+    fit = fitted("hall", *hall(direction=direction), size=size)
     places = {parameter.name: parameter.value for parameter in fit.parameters}
     pairs = ["1-5", "1-3", "2-3", "2-6", "4-6", "4-5"]
     assert set(places) == {f"edge {pair}" for pair in pairs}

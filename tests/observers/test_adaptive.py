@@ -66,8 +66,8 @@ def test_a_start_returns_both_candidate_angles():
     early = (turned > 3) & ~estimate.adapting
     assert early.any()
     # One of the two candidates is right, and neither is valid.
-    other = np.abs(wrapped_degrees(estimate.theta_e_other - samples.theta))
-    nearer = np.minimum(np.abs(errors(estimate, samples)), other)
+    error_of_other = np.abs(wrapped_degrees(estimate.theta_e_other - samples.theta))
+    nearer = np.minimum(np.abs(errors(estimate, samples)), error_of_other)
     assert np.median(nearer[early]) < 15
     assert estimate.weight_other[early].max() > 0.4
     assert not estimate.valid[early].any()
@@ -81,8 +81,8 @@ def test_projections_reach_the_same_accuracy(projection):
         MACHINE, sample_time=H, unknowns=("drift", "resistance"), projection=projection
     )
     estimate = observer.run(samples.voltage, samples.current)
-    late = slice(int(0.7 / H), None)
-    assert rms(errors(estimate, samples)[late]) < 0.3
+    settled = slice(int(0.7 / H), None)
+    assert rms(errors(estimate, samples)[settled]) < 0.3
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.8, 1.2, 1.5])
@@ -93,14 +93,14 @@ def test_resistance(factor):
         assumed, sample_time=H, resistance_std=0.5 * assumed.R_s
     )
     estimate = observer.run(samples.voltage, samples.current)
-    late = slice(int(0.7 / H), None)
-    assert rms(errors(estimate, samples)[late]) < 0.1
+    settled = slice(int(0.7 / H), None)
+    assert rms(errors(estimate, samples)[settled]) < 0.1
     error = np.abs(estimate.resistance - MACHINE.R_s)
     assert (error <= 3 * estimate.resistance_std).all()
     assert error[-1] < 0.005 * MACHINE.R_s
     assert estimate.resistance_std[-1] < 0.05 * MACHINE.R_s
     plain = observer.plain.run(samples.voltage, samples.current)
-    assert rms(errors(plain, samples)[late]) > 0.3
+    assert rms(errors(plain, samples)[settled]) > 0.3
 
 
 @pytest.mark.parametrize("assumed", [0.12, 0.18, 0.08])
@@ -119,9 +119,9 @@ def test_never_certain_and_wrong(assumed):
     error = np.abs(errors(estimate, samples))
     assert error[estimate.valid].max() < 5
     assert (np.abs(estimate.resistance - 0.12) <= 3 * estimate.resistance_std).all()
-    late = t > 2
-    assert estimate.valid[late].mean() > 0.8
-    assert error[late & estimate.valid].max() < 1
+    settled = t > 2
+    assert estimate.valid[settled].mean() > 0.8
+    assert error[settled & estimate.valid].max() < 1
     assert estimate.resistance[-1] == pytest.approx(0.12, rel=0.01)
 
 
@@ -185,11 +185,11 @@ def test_inverter_at_a_tenth_of_the_speed():
     )
     observer = AdaptiveObserver.for_machine(MACHINE, sample_time=H, unknowns=BOTH)
     estimate = observer.run(samples.voltage, samples.current)
-    late = slice(int(1.0 / H), None)
-    assert rms(errors(estimate, samples)[late]) < 0.5
+    settled = slice(int(1.0 / H), None)
+    assert rms(errors(estimate, samples)[settled]) < 0.5
     assert estimate.inverter_voltage[-1] == pytest.approx(10.8, rel=0.1)
     plain = observer.plain.run(samples.voltage, samples.current)
-    assert rms(errors(plain, samples)[late]) > 1
+    assert rms(errors(plain, samples)[settled]) > 1
 
 
 def test_magnet_flux_and_its_standard_deviation():
@@ -197,9 +197,9 @@ def test_magnet_flux_and_its_standard_deviation():
     estimate = AdaptiveObserver.for_machine(MACHINE, sample_time=H).run(
         samples.voltage, samples.current
     )
-    late = slice(int(1.0 / H), None)
-    error = estimate.psi_f[late] - 0.85 * MACHINE.psi_f
-    assert rms(error / estimate.psi_f_std[late]) < 2
+    settled = slice(int(1.0 / H), None)
+    error = estimate.psi_f[settled] - 0.85 * MACHINE.psi_f
+    assert rms(error / estimate.psi_f_std[settled]) < 2
     assert estimate.psi_f_std[-1] < 0.02 * MACHINE.psi_f
 
 
@@ -228,11 +228,13 @@ def test_an_unidentifiable_resistance_keeps_its_value_and_the_position():
         machine, sample_time=H, unknowns=("drift", "resistance"), current_noise=0.04
     )
     estimate = observer.run(samples.voltage, samples.current)
-    late = slice(rows // 2, None)
-    assert np.abs(estimate.resistance[late] - machine.R_s).max() < 0.2 * machine.R_s
+    settled = slice(rows // 2, None)
+    assert np.abs(estimate.resistance[settled] - machine.R_s).max() < 0.2 * machine.R_s
     assert estimate.resistance_std[-1] > 0.8 * observer.resistance_std
     plain = observer.plain.run(samples.voltage, samples.current)
-    assert rms(errors(estimate, samples)[late]) < 1.2 * rms(errors(plain, samples)[late]) + 0.05
+    assert (
+        rms(errors(estimate, samples)[settled]) < 1.2 * rms(errors(plain, samples)[settled]) + 0.05
+    )
 
 
 def test_slow_turning():
@@ -243,10 +245,10 @@ def test_slow_turning():
         MACHINE, sample_time=H, unknowns=("drift",), current_noise=0.005 * RATED
     )
     estimate = observer.run(samples.voltage, samples.current)
-    late = slice(int(2.0 / H), None)
-    assert np.abs(errors(estimate, samples)[late]).max() < 5
-    assert estimate.valid[late].all()
-    assert not observer.plain.run(samples.voltage, samples.current).valid[late].any()
+    settled = slice(int(2.0 / H), None)
+    assert np.abs(errors(estimate, samples)[settled]).max() < 5
+    assert estimate.valid[settled].all()
+    assert not observer.plain.run(samples.voltage, samples.current).valid[settled].any()
 
 
 def test_standstill_is_not_valid():
@@ -268,14 +270,14 @@ def test_interior_machine_with_moving_i_d():
     samples = driven(machine, H, speed, i_d + 4j, noise=0.01)
     observer = AdaptiveObserver.for_machine(machine, sample_time=H, unknowns=("drift",))
     estimate = observer.run(samples.voltage, samples.current)
-    late = slice(int(0.5 / H), None)
+    settled = slice(int(0.5 / H), None)
     constant_i_d = observer.plain.run(samples.voltage, samples.current)  # the guard
     mapped = replace(observer.plain, flux_map=machine.map_for(H, machine.psi_f))
     plain = mapped.run(samples.voltage, samples.current)
-    assert np.abs(errors(estimate, samples)[late]).max() < 1
-    assert np.abs(errors(plain, samples)[late]).max() < 1
-    assert np.abs(errors(constant_i_d, samples)[late]).max() > 2  # i_d assumed constant
-    assert rms(estimate.psi_f[late] - machine.psi_f) < 0.005 * machine.psi_f
+    assert np.abs(errors(estimate, samples)[settled]).max() < 1
+    assert np.abs(errors(plain, samples)[settled]).max() < 1
+    assert np.abs(errors(constant_i_d, samples)[settled]).max() > 2  # i_d assumed constant
+    assert rms(estimate.psi_f[settled] - machine.psi_f) < 0.005 * machine.psi_f
 
 
 def test_reluctance_machine():
@@ -285,9 +287,9 @@ def test_reluctance_machine():
     samples = driven(machine, H, speed, 8 + 1j * load, R_s=1.3 * machine.R_s, noise=0.02)
     observer = AdaptiveObserver.for_machine(machine, sample_time=H)
     estimate = observer.run(samples.voltage, samples.current)
-    late = slice(int(0.5 / H), None)
+    settled = slice(int(0.5 / H), None)
     error = wrapped_degrees(2 * (estimate.theta_e - samples.theta)) / 2
-    assert rms(error[late]) < 0.5
+    assert rms(error[settled]) < 0.5
     assert estimate.resistance[-1] == pytest.approx(1.3 * machine.R_s, rel=0.05)
     assert (estimate.psi_f == 0).all() or estimate.psi_f_std.max() == 0
 
@@ -377,9 +379,9 @@ def test_single_precision():
         )
         for p in ("double", "single")
     )
-    late = slice(int(0.7 / H), None)
-    assert np.abs(wrapped_degrees(single.theta_e - double.theta_e)[late]).max() < 0.05
-    assert np.abs(single.resistance - double.resistance)[late].max() < 0.02 * MACHINE.R_s
+    settled = slice(int(0.7 / H), None)
+    assert np.abs(wrapped_degrees(single.theta_e - double.theta_e)[settled]).max() < 0.05
+    assert np.abs(single.resistance - double.resistance)[settled].max() < 0.02 * MACHINE.R_s
 
 
 def test_a_parameter_with_a_prior_of_zero_is_exact():
@@ -397,8 +399,8 @@ def test_a_known_inverter_is_compensated():
     machine = MACHINE.model_copy(update={"inverter_voltage": 8.0})
     observer = AdaptiveObserver.for_machine(machine, sample_time=H, unknowns=("drift",))
     estimate = observer.run(samples.voltage, samples.current)
-    late = slice(int(0.7 / H), None)
-    assert rms(errors(estimate, samples)[late]) < 0.3
+    settled = slice(int(0.7 / H), None)
+    assert rms(errors(estimate, samples)[settled]) < 0.3
 
 
 def test_unusable_settings():

@@ -71,11 +71,11 @@ def test_run_equals_a_loop_of_steps():
     observer = maglev_observer(drive, 1e-2)
     rows, v = thinned(drive, 1e-2)
     rows, v = rows[:60], v[:60]
-    whole = observer.run(current=drive.current[rows], volt_seconds=v)
+    record_estimate = observer.run(current=drive.current[rows], volt_seconds=v)
     state = observer.init()
     for k in range(60):
         state, estimate = observer.step(state, current=drive.current[rows[k]], volt_seconds=v[k])
-    np.testing.assert_array_equal(estimate.flux, whole.flux[-1])
+    np.testing.assert_array_equal(estimate.flux, record_estimate.flux[-1])
 
 
 def maglev_observer(drive, sample_time, unknowns=("drift", "current-bias")):
@@ -109,11 +109,11 @@ def test_levitation_converges_and_reconverges():
         end = t < start + 14.9
         assert error[(t > start + 0.3) & end].max() < 0.02
         assert error[(t > start + 2.0) & end].max() < 1e-6
-    late = slice(-10, None)
+    settled = slice(-10, None)
     np.testing.assert_allclose(
-        estimate.current_bias[late], drive.current_bias[rows][late], rtol=1e-6
+        estimate.current_bias[settled], drive.current_bias[rows][settled], rtol=1e-6
     )
-    np.testing.assert_allclose(estimate.drift[late], drive.drift[rows][late], atol=1e-11)
+    np.testing.assert_allclose(estimate.drift[settled], drive.drift[rows][settled], atol=1e-11)
 
 
 def test_a_jump_restarts_and_interrupts_validity():
@@ -382,10 +382,10 @@ def test_a_small_port_is_judged_by_its_own_flux_base():
     gaps = g + 3e-4 * np.array([-1, 1, 0, 0]) * np.sin(17 * t)
     current = flux * gaps / k
     relations = []
-    for first in (0, 2):
+    for port in (0, 2):
         Q1, Q2 = np.zeros((4, 4)), np.zeros((4, 4))
-        Q1[first, first + 1] = Q1[first + 1, first] = g
-        Q2[first, first + 1] = Q2[first + 1, first] = -k
+        Q1[port, port + 1] = Q1[port + 1, port] = g
+        Q2[port, port + 1] = Q2[port + 1, port] = -k
         relations.append(QuadraticConstraint(Q1, Q2, np.zeros((4, 4))))
     base = 5e-3 * size
     sigma = np.array([1e-4 * g * base[0] ** 2, 1e-4 * g * base[2] ** 2])
@@ -488,8 +488,7 @@ def test_an_unidentifiable_drift_is_as_uncertain_as_its_prior(assumed):
     i = np.tile([3.0, 1.0], (rows, 1))
     estimate = observer.run(i @ machine.R.T, i)
     assert not estimate.valid.any()
-    drift_std = np.linalg.norm(
-        estimate.drift_std[-1]
-    )  # one direction, along the flux, is identifiable
+    # One direction, along the flux, is identifiable.
+    drift_std = np.linalg.norm(estimate.drift_std[-1])
     assert 0.5 * prior < drift_std < 2 * prior
     assert estimate.flux_std[-1].max() > 0.3 * machine.psi_f

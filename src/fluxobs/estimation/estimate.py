@@ -98,11 +98,11 @@ def estimate(
         opened_log, machine, unknown_names, memory, dict(priors or {}), causal, progress
     )
     tables = (pl.DataFrame(rows.columns) for rows in passes.rows(progress))
-    first = next(tables)
-    all_tables = chain([first], tables)
+    first_table = next(tables)
+    all_tables = chain([first_table], tables)
     table = None
     if path is not None:
-        write_rows(path, dict(first.schema), all_tables, force)
+        write_rows(path, dict(first_table.schema), all_tables, force)
     elif keep:
         table = pl.concat(all_tables)
     else:

@@ -84,10 +84,10 @@ def learn(
 ) -> tuple[CompiledState, Learnt]:
     """Run over the log; return a state that holds the learnt parameters fixed, and those."""
     state = observer.init()
-    for n, (first, last) in enumerate(learning_segments(run.log)):
+    for n, (start, end) in enumerate(learning_segments(run.log)):
         if n > 0:
             state = observer.restart(state)
-        for batch in ahead(run.log.aligned(first, last, run.batch)):
+        for batch in ahead(run.log.aligned(start, end, run.batch)):
             state, _ = observer.resume(state, batch.voltage, batch.current)
             count_rows(len(batch.t))
     return observer.restart(state, frozen=True), observer.learnt(state)

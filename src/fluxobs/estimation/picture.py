@@ -116,12 +116,12 @@ def _compiled(
 
 def _draw(axes: Mapping[str, Axes], result: LogRun, fit: TruthFit | None) -> None:
     """Draw the panels that `axes` has."""
-    learnt, whole = _learnt(result), result.statistics.thin.columns()
-    detail, scored = result.statistics.detail.columns(), _scored(whole, fit)
+    learnt, columns = _learnt(result), result.statistics.thin.columns()
+    detail, scored = result.statistics.detail.columns(), _scored(columns, fit)
     for name, panel in axes.items():
         match name:
             case "locus":
-                _locus(panel, whole)
+                _locus(panel, columns)
                 continue
             case "position":
                 _position(panel, _scored(detail, fit))
@@ -209,19 +209,19 @@ def _blank_invalid(series: dict[str, Array], name: str) -> Array:
     return np.where(series["valid"] > 0, series[name], np.nan)
 
 
-def _locus(axes: Axes, whole: dict[str, Array]) -> None:
-    valid = whole["valid"] > 0
-    scale, unit = (1e3, "mWb") if np.abs(whole["psi_f"]).max(initial=0) < 0.5 else (1.0, "Wb")
+def _locus(axes: Axes, columns: dict[str, Array]) -> None:
+    valid = columns["valid"] > 0
+    scale, unit = (1e3, "mWb") if np.abs(columns["psi_f"]).max(initial=0) < 0.5 else (1.0, "Wb")
     axes.plot(
-        scale * whole["flux_alpha"][valid],
-        scale * whole["flux_beta"][valid],
+        scale * columns["flux_alpha"][valid],
+        scale * columns["flux_beta"][valid],
         ".",
         color=BLUE,
         markersize=1.5,
         label="λ",
     )
-    x = scale * whole["psi_f"] * np.cos(whole["theta_e"])
-    y = scale * whole["psi_f"] * np.sin(whole["theta_e"])
+    x = scale * columns["psi_f"] * np.cos(columns["theta_e"])
+    y = scale * columns["psi_f"] * np.sin(columns["theta_e"])
     axes.plot(x[valid], y[valid], ".", color=ORANGE, markersize=1.5, label="λ - L i, along d")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_title("Flux locus")
@@ -289,34 +289,36 @@ def _gaps(axes: Axes, result: LogRun) -> None:
         legend(axes)
 
 
-def _error(axes: Axes, whole: dict[str, Array], fit: TruthFit | None = None) -> None:
-    t, band = whole["t"], 2 * np.degrees(_blank_invalid(whole, "theta_e_std"))
+def _error(axes: Axes, columns: dict[str, Array], fit: TruthFit | None = None) -> None:
+    t, band = columns["t"], 2 * np.degrees(_blank_invalid(columns, "theta_e_std"))
     axes.fill_between(t, -band, band, color=BLUE, alpha=0.18, linewidth=0, label="±2σ")
-    if "theta_e_error" in whole:
-        axes.plot(t, np.degrees(_blank_invalid(whole, "theta_e_error")), color=BLUE, label="error")
+    if "theta_e_error" in columns:
+        axes.plot(
+            t, np.degrees(_blank_invalid(columns, "theta_e_error")), color=BLUE, label="error"
+        )
     axes.axhline(0, color=GREY, linewidth=0.5)
     limit = np.nanpercentile(band, 99) if np.isfinite(band).any() else 10.0
-    if "theta_e_error" in whole:
-        error = np.abs(np.degrees(_blank_invalid(whole, "theta_e_error")))
+    if "theta_e_error" in columns:
+        error = np.abs(np.degrees(_blank_invalid(columns, "theta_e_error")))
         limit = max(limit, np.nanpercentile(error, 99.5) if np.isfinite(error).any() else 0.0)
     axes.set_ylim(-1.4 * limit, 1.4 * limit)
-    title = "Position error" if "theta_e_error" in whole else "Uncertainty of the position"
+    title = "Position error" if "theta_e_error" in columns else "Uncertainty of the position"
     corrected = fit is not None and fit.angular and fit.told
     axes.set_title(title + (" against the corrected truth" if corrected else ""))
     axes.set_ylabel("[°]")
     legend(axes)
 
 
-def _speed(axes: Axes, whole: dict[str, Array]) -> None:
-    axes.plot(whole["t"], _blank_invalid(whole, "speed_e"), color=BLUE)
+def _speed(axes: Axes, columns: dict[str, Array]) -> None:
+    axes.plot(columns["t"], _blank_invalid(columns, "speed_e"), color=BLUE)
     axes.axhline(0, color=GREY, linewidth=0.5)
     axes.set_title("Speed")
     axes.set_ylabel("ω_e [rad/s]")
 
 
-def _drift(axes: Axes, whole: dict[str, Array]) -> None:
+def _drift(axes: Axes, columns: dict[str, Array]) -> None:
     for name, color, label in (("drift_alpha", BLUE, "α"), ("drift_beta", ORANGE, "β")):
-        axes.plot(whole["t"], 1e3 * _blank_invalid(whole, name), color=color, label=label)
+        axes.plot(columns["t"], 1e3 * _blank_invalid(columns, name), color=color, label=label)
     axes.axhline(0, color=GREY, linewidth=0.5)
     _set_title(
         axes,
@@ -327,14 +329,14 @@ def _drift(axes: Axes, whole: dict[str, Array]) -> None:
     legend(axes)
 
 
-def _parameter(axes: Axes, name: str, whole: dict[str, Array], assumed: float) -> None:
+def _parameter(axes: Axes, name: str, columns: dict[str, Array], assumed: float) -> None:
     """Plot the estimate with its ±2σ band, and the assumed value."""
     title, unit = PARAMETERS[name]
-    value, std = whole[name].copy(), whole[f"{name}_std"]
-    not_adapting = whole["adapting"] == 0  # psi_f is the length of λ - L i there
+    value, std = columns[name].copy(), columns[f"{name}_std"]
+    not_adapting = columns["adapting"] == 0  # psi_f is the length of λ - L i there
     value[not_adapting] = np.nan
     axes.fill_between(
-        whole["t"],
+        columns["t"],
         value - 2 * std,
         value + 2 * std,
         color=BLUE,
@@ -342,7 +344,7 @@ def _parameter(axes: Axes, name: str, whole: dict[str, Array], assumed: float) -
         linewidth=0,
         label="±2σ",
     )
-    axes.plot(whole["t"], value, color=BLUE)
+    axes.plot(columns["t"], value, color=BLUE)
     axes.axhline(assumed, color=ORANGE, linewidth=0.8, linestyle="--", label="assumed")
     axes.set_title(title)
     axes.set_ylabel(f"[{unit}]")
@@ -366,22 +368,22 @@ def _shade_invalid(axes: Axes, series: dict[str, Array]) -> None:
 
 def _immersed(result: LogRun) -> Figure:
     """Draw flux with ±2σ, position, drift, and current bias or noise share."""
-    whole = result.statistics.thin.columns()
-    t, ports, position = whole["t"], result.machine.ports, result.machine.position_output
+    columns = result.statistics.thin.columns()
+    t, ports, position = columns["t"], result.machine.ports, result.machine.position_output
     angle = position.unit == "°"
     figure = new_figure(figsize=(9, 9))
     axes = figure.subplots(4, 1, sharex=True)
-    _pair(axes[0], whole, "flux", ports, 1e3 if angle else 1e6)
+    _pair(axes[0], columns, "flux", ports, 1e3 if angle else 1e6)
     axes[0].set_title(f"Flux [{'mWb' if angle else 'µWb'}], band ±2σ")
-    axes[1].plot(t, position.factor * _blank_invalid(whole, position.name), color=BLUE)
+    axes[1].plot(t, position.factor * _blank_invalid(columns, position.name), color=BLUE)
     axes[1].set_title(f"{position.title} [{position.unit.strip()}]")
-    _pair(axes[2], whole, "drift", ports)
+    _pair(axes[2], columns, "drift", ports)
     axes[2].set_title("Drift [V]")
-    if f"current_bias_{ports[0]}" in whole:
-        _pair(axes[3], whole, "current_bias", ports)
+    if f"current_bias_{ports[0]}" in columns:
+        _pair(axes[3], columns, "current_bias", ports)
         axes[3].set_title("Current bias [A], band ±2σ")
     else:
-        axes[3].semilogy(t, np.maximum(whole["noise_share"], 1e-12), color=GREY)
+        axes[3].semilogy(t, np.maximum(columns["noise_share"], 1e-12), color=GREY)
         axes[3].set_title("Noise share of the flux information; valid below 0.1")
     axes[3].set_xlabel("t [s]")
     axes[3].set_xlim(t[0], t[-1])
@@ -390,16 +392,16 @@ def _immersed(result: LogRun) -> Figure:
 
 
 def _pair(
-    axes: Axes, whole: dict[str, Array], name: str, ports: tuple[str, str], factor: float = 1.0
+    axes: Axes, columns: dict[str, Array], name: str, ports: tuple[str, str], factor: float = 1.0
 ) -> None:
     """Plot both components of a vector, with ±2σ bands if it has standard deviations."""
     for port, colour in zip(ports, (BLUE, ORANGE), strict=True):
         column = f"{name}_{port}"
-        value = factor * _blank_invalid(whole, column)
-        axes.plot(whole["t"], value, color=colour, label=port)
-        if f"{column}_std" in whole:
-            band = 2 * factor * whole[f"{column}_std"]
+        value = factor * _blank_invalid(columns, column)
+        axes.plot(columns["t"], value, color=colour, label=port)
+        if f"{column}_std" in columns:
+            band = 2 * factor * columns[f"{column}_std"]
             axes.fill_between(
-                whole["t"], value - band, value + band, color=colour, alpha=0.2, linewidth=0
+                columns["t"], value - band, value + band, color=colour, alpha=0.2, linewidth=0
             )
     legend(axes)

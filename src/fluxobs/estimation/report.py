@@ -88,7 +88,9 @@ def _texts(result: Result, command: str | None) -> dict[str, Any]:
 def _machine_in(command: str | None) -> str:
     """Return the argument of --machine in a command."""
     words = shlex.split(command or "")
-    return next((after for word, after in pairwise(words) if word == "--machine"), "MACHINE")
+    return next(
+        (following for word, following in pairwise(words) if word == "--machine"), "MACHINE"
+    )
 
 
 def _channel_rows(log: Log) -> list[list[str]]:

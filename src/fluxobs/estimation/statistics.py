@@ -17,7 +17,7 @@ THIN_ROWS, DETAIL_ROWS = 4000, 3000
 
 @dataclass
 class Series:
-    """Rows kept for the picture."""
+    """Rows for the picture."""
 
     batches: list[dict[str, Array]] = field(default_factory=list)
 
@@ -87,10 +87,8 @@ class Statistics:
             self.sums[name] = self.sums.get(name, 0.0) + float(values[valid].sum())
         adapting = rows.more.get("adapting")
         if adapting is not None and adapting.any():
-            last = int(np.flatnonzero(adapting)[-1])
-            self.last_adapting = {
-                name: float(values[last]) for name, values in rows.columns.items()
-            }
+            row = int(np.flatnonzero(adapting)[-1])
+            self.last_adapting = {name: float(values[row]) for name, values in rows.columns.items()}
         if rows.error is not None:
             errors = rows.error[valid & np.isfinite(rows.error)]
             self.scored += len(errors)

@@ -144,7 +144,7 @@ def _parameters(result: LogRun) -> list[str]:
     segments = learning_segments(result.log)
     origin = "from the whole log"
     if len(segments) > 1:
-        origin = f"from {sum(last - first for first, last in segments)} rows, evenly spread"
+        origin = f"from {sum(end - start for start, end in segments)} rows, evenly spread"
     if result.causal:
         origin = "by the end"
     sentences = [f"Identified {origin}: {', '.join(identified)}."] if identified else []
@@ -164,8 +164,8 @@ def _choice(result: LogRun) -> list[str]:
 
 def _score(result: LogRun, truth: TruthFit | None) -> list[str]:
     statistics, position = result.statistics, result.machine.position_output
-    wrong = truth is not None and truth.wrong_turns
-    if not statistics.scored or wrong:
+    wrong_turns = truth is not None and truth.wrong_turns
+    if not statistics.scored or wrong_turns:
         return _fitted(result, truth)
     mean, factor = statistics.error / statistics.scored, position.factor
     angle = position.unit == "°"

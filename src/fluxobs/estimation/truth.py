@@ -80,12 +80,12 @@ class TruthSamples:
         columns, raw = rows.columns, rows.more["raw"]
         count, usable = len(raw), rows.valid & np.isfinite(raw)
         stride = max(1, self.total // MAX_ROWS)
-        rows_kept = np.arange(-self.rows % stride, count, stride)
-        rows_kept = rows_kept[usable[rows_kept]]
-        thinned = {"raw": raw[rows_kept], "row": (self.rows + rows_kept).astype(float)}
+        kept_rows = np.arange(-self.rows % stride, count, stride)
+        kept_rows = kept_rows[usable[kept_rows]]
+        thinned = {"raw": raw[kept_rows], "row": (self.rows + kept_rows).astype(float)}
         for name in ("t", "theta_e", "theta_e_std", "speed_e", "speed_mech"):
             if name in columns:
-                thinned[name] = np.array(columns[name][rows_kept], float)
+                thinned[name] = np.array(columns[name][kept_rows], float)
         self.batches.append(thinned)
         self.known += int(usable.sum())
         if self.channel == "hall":
@@ -223,10 +223,12 @@ def _fit_angle(
     samples: TruthSamples, columns: Mapping[str, Array], machine: RotatingMachine
 ) -> TruthFit | None:
     theta, raw, speed = columns["theta_e"], columns["raw"], columns["speed_e"]
-    given = machine.n_p if samples.channel == "theta_mech" else 1
+    given_pole_pairs = machine.n_p if samples.channel == "theta_mech" else 1
     if not samples.square > 1.0:
         message = "the angle hardly turns, though the flux does"
-        return TruthFit(samples.channel, (), given, (message,), np.nan, np.nan, wrong_turns=True)
+        return TruthFit(
+            samples.channel, (), given_pole_pairs, (message,), np.nan, np.nan, wrong_turns=True
+        )
     ratio = samples.product / samples.square
     pole_pairs = round(ratio)
     clauses: list[str] = []
@@ -236,7 +238,7 @@ def _fit_angle(
             f"number of pole pairs: the channel's unit is wrong, or it is not this rotor's angle"
         )
         return TruthFit(
-            samples.channel, (), given, tuple(clauses), np.nan, np.nan, wrong_turns=True
+            samples.channel, (), given_pole_pairs, tuple(clauses), np.nan, np.nan, wrong_turns=True
         )
     half_turn = machine.half_turn_ambiguous
     error = _difference(theta, raw, pole_pairs, half_turn)
@@ -267,7 +269,9 @@ def _fit_angle(
         systematic["delay"] = variance / float(np.ptp(speed)) ** 2
     covariance = covariance + np.diag([systematic[name] for name in names])
     parameters = _angle_parameters(fitted, covariance, names, estimate_std, pole_pairs)
-    clauses += _angle_clauses(samples.channel, parameters, pole_pairs, given, "delay" in fitted)
+    clauses += _angle_clauses(
+        samples.channel, parameters, pole_pairs, given_pole_pairs, "delay" in fitted
+    )
     clauses += [] if lost is None else [lost]
     return TruthFit(
         samples.channel,
@@ -278,7 +282,7 @@ def _fit_angle(
         float(np.abs(residual).max()),
         half_turn,
         fitted,
-        pole_pairs != given,
+        pole_pairs != given_pole_pairs,
         lost,
     )
 
@@ -288,13 +292,11 @@ def _slip(
 ) -> tuple[Array, Array, Array, str] | None:
     """Fit with the best step of the zero added; None if the step does not explain the residual."""
     row, best = columns["row"], (np.inf, 0.0)
-    for row_of_step in np.linspace(row[0], row[-1], 4 * BLOCKS + 1)[1:-1]:
-        A = np.concatenate([X, (row > row_of_step)[:, None]], axis=1)
+    for step_row in np.linspace(row[0], row[-1], 4 * BLOCKS + 1)[1:-1]:
+        A = np.concatenate([X, (row > step_row)[:, None]], axis=1)
         scale = np.linalg.norm(A, axis=0) + 1e-300
-        solution = np.linalg.lstsq((A / scale).T @ (A / scale), (A / scale).T @ error, rcond=1e-12)[
-            0
-        ]
-        best = min(best, (float(np.sum((error - (A / scale) @ solution) ** 2)), float(row_of_step)))
+        fit = np.linalg.lstsq((A / scale).T @ (A / scale), (A / scale).T @ error, rcond=1e-12)[0]
+        best = min(best, (float(np.sum((error - (A / scale) @ fit) ** 2)), float(step_row)))
     A = np.concatenate([X, (row > best[1])[:, None]], axis=1)
     value, covariance, slip_residual = _robust(A, error, row)
     if not np.mean(slip_residual**2) < SLIPPED * np.mean(residual**2):
@@ -320,10 +322,10 @@ def _lost(columns: Mapping[str, Array], residual: Array) -> str | None:
     lost = block_rms > max(LOST, 4 * typical)
     if not lost.any():
         return None
-    first = int(np.argmax(lost))
-    end = first + int(np.argmin(np.append(lost[first:], False)))
-    inside = (block >= first) & (block < end)
-    interior = (block >= min(first + 1, end - 1)) & (block < end)
+    start = int(np.argmax(lost))
+    end = start + int(np.argmin(np.append(lost[start:], False)))
+    inside = (block >= start) & (block < end)
+    interior = (block >= min(start + 1, end - 1)) & (block < end)
     turned = np.abs(wrap(np.diff(columns["raw"][interior]))).sum()
     behaviour = "stands still" if turned < 0.1 else "does not follow the flux"
     t = columns["t"][inside]
@@ -386,11 +388,15 @@ def _angle_parameters(
 
 
 def _angle_clauses(
-    channel: str, parameters: list[TruthParameter], pole_pairs: int, given: int, delayed: bool
+    channel: str,
+    parameters: list[TruthParameter],
+    pole_pairs: int,
+    given_pole_pairs: int,
+    delayed: bool,
 ) -> list[str]:
     clauses = []
-    if abs(pole_pairs) != given:
-        clause = f"{abs(pole_pairs)} pole pairs fit, not {given}"
+    if abs(pole_pairs) != given_pole_pairs:
+        clause = f"{abs(pole_pairs)} pole pairs fit, not {given_pole_pairs}"
         if channel == "theta_mech" and abs(pole_pairs) == 1:
             clause += ": the channel is electrical (--truth theta_e=…)"
         if channel == "theta_e":
@@ -407,9 +413,9 @@ def _angle_clauses(
             shaft = f", {value / abs(pole_pairs):.2f}° of the shaft" if abs(pole_pairs) > 1 else ""
             clauses.append(f"zero {value:+.2f}° ± {std:.2g}° electrical{shaft}")
         elif parameter.name == "delay" and parameter.told:
-            direction = "late" if parameter.value > 0 else "early"
+            timing = "late" if parameter.value > 0 else "early"
             size, uncertainty = 1e6 * abs(parameter.value), 1e6 * parameter.std
-            clauses.append(f"{size:.3g} ± {uncertainty:.2g} µs {direction}")
+            clauses.append(f"{size:.3g} ± {uncertainty:.2g} µs {timing}")
         elif parameter.name.startswith("eccentricity") and parameter.told:
             frequency = "once" if parameter.name.endswith("1") else "twice"
             clauses.append(

@@ -93,7 +93,7 @@ class Passes:
 
     def _learn(self, observer: AdaptiveObserver, log: Log, progress: Progress | None) -> None:
         """Run the first pass; discard what it learnt if the log does not need it."""
-        total = sum(last - first for first, last in learning_segments(self.run.log)) + len(log)
+        total = sum(end - start for start, end in learning_segments(self.run.log)) + len(log)
 
         def count(rows: int) -> None:
             self.done += rows

@@ -105,8 +105,8 @@ class AdaptiveEstimate(Estimate):
 
 def default_resistance_std(machine: RotatingMachine) -> float:
     """Return the standard deviation of R_s [Ω]: from the machine file, else half of R_s."""
-    given = machine.R_s_std
-    return RESISTANCE_SHARE * machine.R_s if given is None else given
+    std = machine.R_s_std
+    return RESISTANCE_SHARE * machine.R_s if std is None else std
 
 
 def default_inverter_std(machine: RotatingMachine, rated_current: float, dc_link: float) -> float:
@@ -115,9 +115,9 @@ def default_inverter_std(machine: RotatingMachine, rated_current: float, dc_link
     It is that of the machine file, else the larger of a quarter of the rated resistive drop and 2 %
     of the DC link.
     """
-    given = machine.inverter_voltage_std
+    std = machine.inverter_voltage_std
     drop = INVERTER_SHARE * machine.R_s * rated_current
-    return max(drop, DC_LINK_SHARE * dc_link) if given is None else given
+    return max(drop, DC_LINK_SHARE * dc_link) if std is None else std
 
 
 @dataclass(frozen=True, eq=False)
@@ -438,7 +438,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         return AdaptiveEstimate(**fields, valid=valid, adapting=adapting)
 
     def _seed(
-        self, given: dict[str, float], current: Array, state: CompiledState
+        self, numbers: dict[str, float], current: Array, state: CompiledState
     ) -> NDArray[np.uint8]:
-        raw: NDArray[np.uint8] = self._core.seed(given, current, state.raw)
+        raw: NDArray[np.uint8] = self._core.seed(numbers, current, state.raw)
         return raw

@@ -48,7 +48,7 @@ class Estimate:
         )
     )
     valid: NDArray[np.bool_] = field(
-        metadata=output("", "The position is known, and theta_e_std is a promise", boolean=True)
+        metadata=output("", "The position is known, and theta_e_std is reliable", boolean=True)
     )
     innovation: Array = field(
         metadata=output(

@@ -141,7 +141,7 @@ class CompiledObserver(Generic[EstimateType]):
         return CompiledState(self._seed(numbers, current_now, state or self.init()), ())
 
     def _seed(
-        self, given: dict[str, float], current: NDArray[np.float64], state: CompiledState
+        self, numbers: dict[str, float], current: NDArray[np.float64], state: CompiledState
     ) -> NDArray[np.uint8]:
         raise NotImplementedError
 

@@ -123,7 +123,7 @@ def plain_observer(
     memory: float | None,
     psi_f: float | None = None,
 ) -> LeastSquaresObserver:
-    """Return the plain observer for a log; `scales` replaces what the machine lacks."""
+    """Return the plain observer for a log; `scales` supplies values that the machine lacks."""
     rated = machine.rated_current or scales.current
     speed_e = usual_speed(machine, scales, psi_f)
     if memory is None:

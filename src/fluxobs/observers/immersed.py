@@ -365,11 +365,14 @@ class ImmersionObserver:
         if v is None:
             v = h * (self.B @ voltage - self.R @ (QUADRATURE @ currents))
         rho = 1 - h / self.memory
-        back = immersion.transition(-h, -v)
-        R = state.R @ back
+        inverse_transition = immersion.transition(-h, -v)
+        R = state.R @ inverse_transition
         z = np.sqrt(rho) * (state.z + R @ immersion.known_input(v))
         R = np.sqrt(rho) * R
-        noise = rho * back.T @ state.noise @ back + self._noise_information(R)
+        noise = (
+            rho * inverse_transition.T @ state.noise @ inverse_transition
+            + self._noise_information(R)
+        )
         return state._replace(R=R, z=z, noise=noise, currents=currents)
 
     def _erase(self, state: ImmersionState) -> ImmersionState:

@@ -278,7 +278,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         return Estimate(**read_columns(_core.outputs, columns), valid=valid)
 
     def _seed(
-        self, given: dict[str, float], current: NDArray[np.float64], state: CompiledState
+        self, numbers: dict[str, float], current: NDArray[np.float64], state: CompiledState
     ) -> NDArray[np.uint8]:
-        raw: NDArray[np.uint8] = self._core.seed(given, current)
+        raw: NDArray[np.uint8] = self._core.seed(numbers, current)
         return raw

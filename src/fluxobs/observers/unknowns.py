@@ -12,7 +12,7 @@ from ..machines.model.immersion import UNKNOWNS as IMMERSED
 #: Errors of the machine's parameters and its inverter, which the adaptive observer estimates.
 ADAPTED = ("resistance", "inverter", "asymmetry")
 UNKNOWNS: tuple[str, ...] = (*IMMERSED, *ADAPTED)
-#: The word for unknowns chosen from the log, and all that it can stand for.
+#: The word for unknowns chosen from the log, and the unknowns that can be chosen.
 AUTO = "auto"
 ALL = ("drift", *ADAPTED)
 #: Quantities whose prior standard deviation can be given.
