@@ -224,7 +224,7 @@ def test_exchanged_phases_are_suspected(folder):
         (["--record", "none.toml"], "none.toml: cannot be read"),
         (["--from", "nan"], "start: input should be a finite number, got nan"),
         (["--to", "inf"], "stop: input should be a finite number, got inf"),
-        (["--scale", "t=1000"], "is t in ms?"),
+        (["--scale", "t=1000"], "if t is in ms"),
         (["--scale", "i_alpha=0", "i_beta=0"], "the current is zero in every row"),
         (["--scale", "u_alpha=0", "u_beta=0"], "the voltage is zero in every row"),
         (["--column", "udc=540"], 'udc belongs to frame "duty"'),

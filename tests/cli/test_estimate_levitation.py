@@ -112,7 +112,7 @@ def test_current_bias_of_a_reluctance_machine(folder):
             "maglev.csv: currents and voltages are not found",
         ),
         (["maglev.csv", "--machine", "maglev-knospe", "--unknowns", "bias"], "unknown 'bias'"),
-        (["maglev.csv", "--machine", "maglev-knospe", "--unknowns", ","], "give some of drift"),
+        (["maglev.csv", "--machine", "maglev-knospe", "--unknowns", ","], "give one or more of drift"),
         (["maglev.csv", "--machine", "maglev-knospe", "--frame", "abc"], "does not fit kind magl"),
         (["maglev.csv", "--machine", "servo-400w", "--frame", "ports"], "does not fit kind surf"),
         (
@@ -145,7 +145,7 @@ def test_what_cannot_be_told_apart_is_refused_with_its_direction(folder):
     assert done.returncode == 2
     assert "cannot both be estimated for kind surface-pmsm" in done.stderr
     assert "(0.0006, 0) Wb in the flux with (1, 0) A in the current" in done.stderr
-    assert "position and speed, is free of it" in done.stderr
+    assert "position and speed, has none" in done.stderr
 
 
 def test_machine_file_of_a_levitation(tmp_path):
