@@ -53,9 +53,8 @@ class Statistics:
     error: float = 0.0
     error_squared: float = 0.0
     error_max: float = 0.0
-    last_adapting: dict[str, float] = field(
-        default_factory=dict
-    )  # each column in the last such row
+    # each column in the last adapting row
+    last_adapting: dict[str, float] = field(default_factory=dict)
     truth: TruthSamples | None = None
     thin: Series = field(default_factory=Series)
     detail: Series = field(default_factory=Series)

@@ -123,9 +123,8 @@ def _parameters(result: LogRun) -> list[str]:
     identified, unidentified = [], []
     for parameter in parameters(adaptive, learnt):
         if parameter.told:
-            value = (
-                parameter.value if abs(parameter.value) > 1e-6 * parameter.std else 0.0
-            )  # at a limit
+            # A value at its limit of zero may differ from zero by rounding.
+            value = parameter.value if abs(parameter.value) > 1e-6 * parameter.std else 0.0
             quantity = f"{si(value, parameter.unit)} ± {si(parameter.std, parameter.unit)}"
             assumed = f"{si(parameter.assumed, parameter.unit)} {sources[parameter.name]}"
             identified.append(f"{parameter.name} {quantity} ({assumed})")

@@ -46,8 +46,8 @@ BIAS_LIMIT = 3.0
 UNSEEN_BIAS = 0.25
 #: Samples between two prior re-injections, one row in turn, as in the compiled observer.
 REINJECTION_INTERVAL = 2
-#: Weights of the last four currents, newest first, in the mean over the last interval of the cubic
-#: through them.
+#: Weights of the last four currents, newest first: the mean of the cubic through them over the last
+#: interval.
 QUADRATURE = np.array([9.0, 19.0, -5.0, 1.0]) / 24
 
 
