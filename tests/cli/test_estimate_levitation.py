@@ -112,7 +112,7 @@ def test_current_bias_of_a_reluctance_machine(folder):
             "maglev.csv: currents and voltages are not found",
         ),
         (["maglev.csv", "--machine", "maglev-knospe", "--unknowns", "bias"], "unknown 'bias'"),
-        (["maglev.csv", "--machine", "maglev-knospe", "--unknowns", ","], "give one or more of drift"),
+        (["maglev.csv", "--machine", "maglev-knospe", "--unknowns", ","], "one or more of drift"),
         (["maglev.csv", "--machine", "maglev-knospe", "--frame", "abc"], "does not fit kind magl"),
         (["maglev.csv", "--machine", "servo-400w", "--frame", "ports"], "does not fit kind surf"),
         (
