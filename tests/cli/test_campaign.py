@@ -117,7 +117,7 @@ def test_a_scenario_again(done, tmp_path):
         folder=tmp_path,
     )
     assert again.returncode == 0, again.stderr
-    assert "Against the true angle" in again.stdout
+    assert "against the true angle" in again.stdout
 
 
 @pytest.mark.parametrize(

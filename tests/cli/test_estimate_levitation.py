@@ -63,7 +63,7 @@ def test_levitation_from_a_log(folder):
         folder=folder,
     )
     assert done.returncode == 0, done.stderr
-    assert "Unknown: drift; memory 0.15 s" in done.stdout
+    assert "Unknowns: drift; memory 0.15 s" in done.stdout
     assert "µm rms" in done.stdout
     found = pl.read_parquet(folder / "out.parquet")
     assert found.columns == [
@@ -86,8 +86,8 @@ def test_current_bias_of_a_levitation(folder):
     )
     assert done.returncode == 0, done.stderr
     # 8 µm of current bias against a gap of 330: this log cannot tell, and it says so.
-    assert "Current bias: not seen." in done.stdout
-    assert "--unknowns drift ignores it" in done.stdout
+    assert "Current bias: not identifiable." in done.stdout
+    assert "use --unknowns drift, which ignores the bias" in done.stdout
     names = pl.read_csv(folder / "bias.csv").columns
     assert {"current_bias_1", "current_bias_2", "current_bias_1_std"} <= set(names)
 
@@ -112,7 +112,7 @@ def test_current_bias_of_a_reluctance_machine(folder):
             "maglev.csv: currents and voltages are not found",
         ),
         (["maglev.csv", "--machine", "maglev-knospe", "--unknowns", "bias"], "unknown 'bias'"),
-        (["maglev.csv", "--machine", "maglev-knospe", "--unknowns", ","], "give some of drift"),
+        (["maglev.csv", "--machine", "maglev-knospe", "--unknowns", ","], "one or more of drift"),
         (["maglev.csv", "--machine", "maglev-knospe", "--frame", "abc"], "does not fit kind magl"),
         (["maglev.csv", "--machine", "servo-400w", "--frame", "ports"], "does not fit kind surf"),
         (
@@ -143,9 +143,9 @@ def test_what_cannot_be_told_apart_is_refused_with_its_direction(folder):
         folder=folder,
     )
     assert done.returncode == 2
-    assert "cannot both be found for kind surface-pmsm" in done.stderr
+    assert "cannot both be estimated for kind surface-pmsm" in done.stderr
     assert "(0.0006, 0) Wb in the flux with (1, 0) A in the current" in done.stderr
-    assert "position and speed, is free of it" in done.stderr
+    assert "position and speed, has none" in done.stderr
 
 
 def test_machine_file_of_a_levitation(tmp_path):

@@ -54,7 +54,7 @@ def test_columns_summary_picture_and_the_way_into_firmware(folder):
 def test_the_plain_observer_warns_and_names_the_option(folder):
     done = estimate(folder, "--unknowns", "drift")
     assert done.returncode == 0
-    assert "Warning: The residual of the machine's relation is more than noise" in done.stdout
+    assert "Warning: The residual of the machine's relation is larger than noise" in done.stdout
     assert "R_s fits at 1.29 times" in done.stdout
     assert "--unknowns auto" in done.stdout
 
@@ -63,12 +63,12 @@ def test_by_default_the_log_decides(folder):
     done = estimate(folder)
     assert done.returncode == 0
     assert "Warning" not in done.stdout
-    assert "as the log tells them: drift, resistance, inverter, asymmetry" in done.stdout
+    assert "Estimated as well: drift, resistance, inverter, asymmetry" in done.stdout
     whole = pl.read_parquet(folder / "out.parquet")
     assert whole["resistance"].n_unique() == 1  # learnt on the whole log
     assert whole["resistance"][0] == pytest.approx(1.3 * PMSM.R_s, rel=0.02)
     done = estimate(folder, "--causal")
-    assert "At the end: magnet flux" in done.stdout
+    assert "Identified by the end: magnet flux" in done.stdout
     causal = pl.read_parquet(folder / "out.parquet")
     assert causal["resistance"][0] == PMSM.R_s
     assert causal["valid"].sum() < whole["valid"].sum()
@@ -78,7 +78,7 @@ def test_by_default_the_log_decides(folder):
     ("to", "code", "words"),
     [
         ("0.12", 3, "too short to settle: at least 5 memories"),
-        ("0.2", 0, "does not tell resistance"),
+        ("0.2", 0, "Not identifiable from this log: resistance"),
     ],
 )
 def test_what_a_short_log_tells_is_said(folder, to, code, words):
@@ -94,7 +94,7 @@ def test_what_a_short_log_tells_is_said(folder, to, code, words):
         (("--unknowns", "resistance"), "drift,resistance"),
         (("--unknowns", "drift,inverter,current-bias"), "together with a current bias"),
         (("--unknowns", "drift", "--prior", "resistance=1"), "not among the unknowns"),
-        (("--unknowns", "drift", "--prior", "psi_f=0.01"), "needs resistance or inverter"),
+        (("--unknowns", "drift", "--prior", "psi_f=0.01"), "requires resistance or inverter"),
         (("--unknowns", "drift,inverter", "--prior", "resistance=1"), "not among the unknowns"),
         (("--unknowns", "drift,inverter", "--prior", "R=1"), "unknown 'R'"),
         (("--unknowns", "drift,inverter", "--prior", "inverter=-1"), "not negative"),
@@ -139,4 +139,4 @@ def test_saves_what_was_learnt(folder):
     assert estimate(folder, "--save-machine", "learnt.toml", "--force").returncode == 0
     plain = estimate(folder, "--unknowns", "drift", "--save-machine", "none.toml")
     assert plain.returncode == 2
-    assert "told no parameter" in plain.stderr
+    assert "no parameter is identifiable" in plain.stderr

@@ -328,7 +328,7 @@ MISTAKES = {
         lambda f: csv(f, DEMO.gather_every(10)),
         ["new.csv", "--memory", "0.1"],
         None,
-        "samples an electrical period",
+        "samples per electrical period",
     ),
     "a log of ten rows": (lambda f: csv(f, DEMO[:10]), ["new.csv"], 2, "are too few"),
     "two recordings in one file": (

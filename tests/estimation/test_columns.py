@@ -1,4 +1,4 @@
-"""Columns of a levitation's estimates, and a run as plain numbers, in closed form."""
+"""Columns of a levitation's estimates, and the facts of a run, in closed form."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -18,7 +18,7 @@ ROWS = 6
 
 
 class Magnet:
-    """A machine whose position is the first flux, and its deviation that of the flux."""
+    """A machine whose position is flux plus current of port 1, with that flux's deviation."""
 
     ports = ("1", "2")
     position_span = 2.0
@@ -33,20 +33,20 @@ class Magnet:
 
 
 def immersed(unknowns=("drift",), **changed):
-    """Columns of six rows that are all valid."""
+    """Return the columns of six valid rows, with changed outputs."""
     ones = np.ones((ROWS, 2))
     fields = {name: ones.copy() for name in ImmersionEstimate.__annotations__}
     fields |= {"valid": np.ones(ROWS, bool), "flux_std": 0.01 * ones}
     fields |= {"current_bias_valid": np.ones(ROWS, bool), "current_bias": 0.25 * ones}
-    found = ImmersionEstimate(**(fields | changed))
-    part = Aligned(np.arange(6.0), 3.0 * ones, ones, None)
+    estimates = ImmersionEstimate(**(fields | changed))
+    batch = Aligned(np.arange(6.0), 3.0 * ones, ones, None)
     observer = SimpleNamespace(
         flux_base=np.array([2.0, 9.0]), immersion=SimpleNamespace(unknowns=unknowns)
     )
-    return _immersed(Magnet(), observer, part, found)
+    return _immersed(Magnet(), observer, batch, estimates)
 
 
-def test_the_position_is_that_of_the_current_without_its_bias():
+def test_the_position_follows_from_the_current_without_its_bias():
     columns, valid = immersed()
     np.testing.assert_array_equal(columns["position"], 1.0 + 3.0 - 0.25)
     np.testing.assert_array_equal(columns["position_std"], 0.01)
@@ -61,29 +61,29 @@ def test_a_position_is_valid_within_five_percent_of_its_span():
 
 
 def test_a_position_is_valid_where_the_flux_is_long_enough():
-    """Half of its size."""
+    """The limit is half of the flux base."""
     flux = np.zeros((ROWS, 2))
     flux[:, 1] = [0.9, 0.999, 1.0, 1.001, -1.5, np.nan]
     assert immersed(flux=flux)[1].tolist() == [False, False, False, True, True, False]
 
 
-def test_what_the_observer_calls_not_valid_is_not():
+def test_rows_that_the_observer_calls_invalid_stay_invalid():
     assert immersed(valid=np.arange(ROWS) > 2)[1].tolist() == [False] * 3 + [True] * 3
 
 
-def test_the_noise_share_is_that_of_the_worse_port():
+def test_the_noise_share_is_the_larger_of_the_ports():
     share = np.stack([np.arange(6.0), 5 - np.arange(6.0)], axis=1)
     np.testing.assert_array_equal(immersed(noise_share=share)[0]["noise_share"], [5, 4, 3, 3, 4, 5])
 
 
-def test_a_current_bias_is_written_if_it_is_unknown():
+def test_a_current_bias_is_written_if_it_is_an_unknown():
     assert not any("current_bias" in name for name in immersed()[0])
-    own = np.arange(ROWS) != 1
+    bias_valid = np.arange(ROWS) != 1
     columns, valid = immersed(
-        ("drift", "current-bias"), valid=np.arange(ROWS) != 4, current_bias_valid=own
+        ("drift", "current-bias"), valid=np.arange(ROWS) != 4, current_bias_valid=bias_valid
     )
     np.testing.assert_array_equal(columns["current_bias_1"], 0.25)
-    np.testing.assert_array_equal(columns["current_bias_valid"], valid & own)
+    np.testing.assert_array_equal(columns["current_bias_valid"], valid & bias_valid)
 
 
 # ---- facts ----------------------------------------------------------------------------------
@@ -96,7 +96,7 @@ def run():
 
 
 def test_facts_are_the_numbers_of_a_run(run):
-    counted = replace(
+    statistics = replace(
         run.statistics,
         rows=200,
         valid=50,
@@ -110,13 +110,13 @@ def test_facts_are_the_numbers_of_a_run(run):
     )
     zero = TruthParameter("zero", 0.3, 0.1, "rad")
     fit = TruthFit("theta_e", (zero,), -3, ("words",), 0.25, np.nan)
-    told = facts(replace(run, statistics=counted), ["a warning"], fit)
-    assert (told["rows"], told["valid_share"], told["first_valid"]) == (200, 0.25, 0.5)
-    assert told["drift"] == [0.1, -0.2]
-    assert told["error"] == pytest.approx({"rows": 40, "rms": 0.3, "most": 0.7, "mean": 0.2})
-    assert told["parameters"] == {}
-    assert told["warnings"] == ["a warning"]
-    assert told["truth"] == {
+    numbers = facts(replace(run, statistics=statistics), ["a warning"], fit)
+    assert (numbers["rows"], numbers["valid_share"], numbers["first_valid"]) == (200, 0.25, 0.5)
+    assert numbers["drift"] == [0.1, -0.2]
+    assert numbers["error"] == pytest.approx({"rows": 40, "rms": 0.3, "most": 0.7, "mean": 0.2})
+    assert numbers["parameters"] == {}
+    assert numbers["warnings"] == ["a warning"]
+    assert numbers["truth"] == {
         "channel": "theta_e",
         "pole_pairs": -3,
         "parameters": {"zero": {"value": 0.3, "std": 0.1, "unit": "rad"}},
@@ -127,25 +127,25 @@ def test_facts_are_the_numbers_of_a_run(run):
 
 
 def test_facts_of_a_run_without_a_position(run):
-    nothing = replace(run.statistics, valid=0, first_valid=None, scored=0)
-    told = facts(replace(run, statistics=nothing), [], None)
-    assert (told["valid_share"], told["first_valid"], told["drift"]) == (0.0, None, None)
-    assert (told["error"], told["truth"]) == (None, None)
+    statistics = replace(run.statistics, valid=0, first_valid=None, scored=0)
+    numbers = facts(replace(run, statistics=statistics), [], None)
+    assert (numbers["valid_share"], numbers["first_valid"], numbers["drift"]) == (0.0, None, None)
+    assert (numbers["error"], numbers["truth"]) == (None, None)
 
 
 # ---- the export -----------------------------------------------------------------------------
 
 
-def test_what_keeps_an_observer_out_of_firmware(run):
+def test_why_an_observer_cannot_be_exported(run):
     assert run.firmware is None
-    lacking = replace(run, machine=SERVO.with_values(psi_f=None, rated_current=None))
-    assert lacking.firmware == (
-        f"For an export as firmware, the machine file needs psi_f ({run.plain.flux_base:.3g} here) "
-        f"and rated_current ({run.scales.current:.3g} here)."
+    incomplete = replace(run, machine=SERVO.with_values(psi_f=None, rated_current=None))
+    assert incomplete.firmware == (
+        f"To export this observer, add psi_f ({run.plain.flux_base:.3g} here) "
+        f"and rated_current ({run.scales.current:.3g} here) to the machine file."
     )
-    assert lacking.export_command("motor.toml") is None
-    inverter = replace(run, machine=SERVO.with_values(inverter_voltage=0.4))
-    assert "leaves the inverter to the drive" in inverter.firmware
+    assert incomplete.export_command("motor.toml") is None
+    with_inverter = replace(run, machine=SERVO.with_values(inverter_voltage=0.4))
+    assert "does not correct the inverter" in with_inverter.firmware
 
 
 def test_the_command_repeats_every_setting(run):

@@ -1,4 +1,4 @@
-"""The public door: a log in any form gives the same numbers, and what cannot work is said."""
+"""The public functions: a log in any form gives the same numbers; misuse raises clear errors."""
 
 import json
 from functools import cache
@@ -17,14 +17,14 @@ H = 1e-4
 
 @cache
 def signals():
-    """Voltage and current as logged: the voltage of row k acts from k to k + 1."""
+    """Return voltage, current and angle as logged: the voltage of row k acts from k to k + 1."""
     samples = steady(SERVO, H, 500.0, 2000, 6j, 0.1 + 0.05j, 0.2, noise=0.02)
     voltage = np.concatenate([samples.voltage[1:], np.full((1, 2), np.nan)])
     return voltage, samples.current, samples.theta
 
 
 def phases(vectors):
-    """Of αβ vectors, with a zero sequence that has to drop out."""
+    """Return the phases of αβ vectors, with a zero sequence that must cancel."""
     turn = np.exp(-2j * np.pi / 3 * np.arange(3))
     return ((vectors @ [1, 1j])[:, None] * turn).real + 0.7
 
@@ -36,7 +36,7 @@ def channels(**more):
 
 
 def sources(folder):
-    """Every form of one log, and what has to be said beside it."""
+    """Return every form of one log, with the options that it needs."""
     u, i, _ = signals()
     names = ("u_a", "u_b", "u_c", "i_a", "i_b", "i_c")
     three = dict(zip(names, (*phases(u).T, *phases(i).T), strict=True))
@@ -62,29 +62,31 @@ def sources(folder):
 
 
 def test_every_form_of_a_log_gives_the_same_numbers(tmp_path):
-    first = None
-    for name, (source, said) in sources(tmp_path).items():
-        found = fluxobs.estimate(source, SERVO, **said).estimates
-        first = found if first is None else first
-        assert found.columns == first.columns, name
-        exact = name not in ("three phases", "mixed", "abc")  # Clarke rounds
-        for column in found.columns:
-            a, b = found[column].to_numpy(), first[column].to_numpy()
+    expected = None
+    for name, (source, options) in sources(tmp_path).items():
+        estimates = fluxobs.estimate(source, SERVO, **options).estimates
+        expected = estimates if expected is None else expected
+        assert estimates.columns == expected.columns, name
+        exact = name not in ("three phases", "mixed", "abc")  # rounding of the Clarke transform
+        for column in estimates.columns:
+            actual, reference = estimates[column].to_numpy(), expected[column].to_numpy()
             if exact or column == "valid":
-                np.testing.assert_array_equal(a, b, err_msg=f"{name}, {column}")
+                np.testing.assert_array_equal(actual, reference, err_msg=f"{name}, {column}")
             else:
-                np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9, err_msg=f"{name}, {column}")
+                np.testing.assert_allclose(
+                    actual, reference, rtol=1e-9, atol=1e-9, err_msg=f"{name}, {column}"
+                )
 
 
 def test_the_lag_of_a_record_and_of_arrays_is_that_of_a_log():
     u, i, _ = signals()
     earlier = np.concatenate([np.full((1, 2), np.nan), u[:-1]])
-    one = fluxobs.estimate(fluxobs.Record(H, earlier, i, lag=1), SERVO)
-    other = fluxobs.estimate((earlier, i), SERVO, sample_time=H, lag=1)
-    assert one.estimates.equals(other.estimates, null_equal=True)
-    right = fluxobs.estimate((u, i), SERVO, sample_time=H)
-    # All but the first row's interval is the same.
-    assert np.abs(one["flux_alpha"] - right["flux_alpha"])[100:].max() < 1e-9
+    from_record = fluxobs.estimate(fluxobs.Record(H, earlier, i, lag=1), SERVO)
+    from_arrays = fluxobs.estimate((earlier, i), SERVO, sample_time=H, lag=1)
+    assert from_record.estimates.equals(from_arrays.estimates, null_equal=True)
+    unshifted = fluxobs.estimate((u, i), SERVO, sample_time=H)
+    # Only the first row's interval differs.
+    assert np.abs(from_record["flux_alpha"] - unshifted["flux_alpha"])[100:].max() < 1e-9
 
 
 def test_a_truth_scores():
@@ -102,7 +104,7 @@ def test_a_truth_scores():
 
 
 def test_record_toml_and_options_have_the_same_names(tmp_path):
-    """What stands in the TOML, given as options, is the same; options override it."""
+    """A field of the record file equals the option of the same name; options override it."""
     fields = {
         "sample_time": H,
         "lag": -1.0,
@@ -147,29 +149,29 @@ def test_result_shows_writes_and_draws(tmp_path):
 
 
 def test_streaming_to_a_file_is_the_same(tmp_path):
-    here = fluxobs.estimate(LOG, "servo-400w", unknowns="drift,resistance")
-    seen = []
-    there = fluxobs.estimate(
+    in_memory = fluxobs.estimate(LOG, "servo-400w", unknowns="drift,resistance")
+    progress = []
+    streamed = fluxobs.estimate(
         LOG,
         "servo-400w",
         unknowns=("drift", "resistance"),
         out=tmp_path / "out.parquet",
-        progress=lambda done, total: seen.append((done, total)),
+        progress=lambda done, total: progress.append((done, total)),
     )
-    assert there.path == tmp_path / "out.parquet"
-    assert there.estimates.equals(here.estimates)
-    assert there.summary == here.summary
-    assert seen[-1] == (20000, 20000)  # both passes
+    assert streamed.path == tmp_path / "out.parquet"
+    assert streamed.estimates.equals(in_memory.estimates)
+    assert streamed.summary == in_memory.summary
+    assert progress[-1] == (20000, 20000)  # both passes
 
 
-def test_the_other_doors(tmp_path):
-    found = fluxobs.identify(LOG, "servo-400w")
-    assert found.machine.inverter_voltage == pytest.approx(0.15, abs=0.02)
-    found.write(tmp_path / "found.toml")
-    assert fluxobs.read_machine(tmp_path / "found.toml") == found.machine
+def test_the_other_public_functions(tmp_path):
+    identified = fluxobs.identify(LOG, "servo-400w")
+    assert identified.machine.inverter_voltage == pytest.approx(0.15, abs=0.02)
+    identified.write(tmp_path / "found.toml")
+    assert fluxobs.read_machine(tmp_path / "found.toml") == identified.machine
     with pytest.raises(FluxobsError, match="exists"):
-        found.write(tmp_path / "found.toml")
-    assert str(found) == "\n".join(found.lines())
+        identified.write(tmp_path / "found.toml")
+    assert str(identified) == "\n".join(identified.lines())
     assert fluxobs.check(LOG, "servo-400w").sound
     assert fluxobs.example("servo-400w") == SERVO
     assert len(fluxobs.demo_log()) == 10000
@@ -247,7 +249,7 @@ LEVER = fluxobs.example("maglev-knospe")
         (lambda: fluxobs.QuadraticConstraint([[1]], [[1, 2]], [[1]]), FluxobsError, "shape"),
     ],
 )
-def test_what_cannot_work_is_said_with_a_remedy(call, error, message):
+def test_misuse_is_reported_with_a_remedy(call, error, message):
     with pytest.raises(error, match=message) as caught:
         call()
     assert isinstance(caught.value, FluxobsError)

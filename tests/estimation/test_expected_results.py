@@ -1,10 +1,10 @@
-"""Everything that results say and show, word by word: summary, warnings, facts, report, picture."""
+"""All texts of results, word by word: summary, warnings, facts, report, picture."""
 
 import numpy as np
 import pytest
 
 import fluxobs
-from fluxobs.estimation.report import _words
+from fluxobs.estimation.report import _texts
 from fluxobs.machines import example
 from fluxobs.simulation.closed_form.demo import LOG
 from support.expected import check
@@ -14,7 +14,7 @@ H = 1e-4
 
 
 def with_truth():
-    """A steady drive with a true angle in degrees, a few bad samples and a gap."""
+    """Estimate a steady drive with a true angle in degrees, a few bad samples and a gap."""
     samples = steady(SERVO, H, 500.0, 3000, 6j, 0.15 - 0.1j, -0.1 + 0.05j, 0.02)
     columns = log_columns(samples) | {"angle": np.degrees(samples.theta)}
     columns["i_alpha"][1000:1004] = np.nan
@@ -61,7 +61,7 @@ def a_reluctance_machine():
 
 
 def a_levitation():
-    """A magnet that swings, its fluxes too; the voltages are means from each row on."""
+    """Estimate a swinging magnet with swinging fluxes; a row's voltage is the mean that follows."""
     machine, t = example("maglev-knospe"), 2e-3 * np.arange(3001)
     y = 1e-4 * np.sin(12 * t)
     flux = 2e-5 * np.stack([1 + 0.3 * np.sin(20 * t), 1 + 0.2 * np.cos(27 * t)], axis=1)
@@ -72,7 +72,9 @@ def a_levitation():
     measured = current[:-1] + 1e-4 * np.random.default_rng(1).standard_normal((3000, 2))
     columns = {"t": t[:-1], "y": y[:-1]}
     columns |= {
-        f"{x}_{k + 1}": v[:, k] for x, v in (("u", voltage), ("i", measured)) for k in (0, 1)
+        f"{symbol}_{port + 1}": values[:, port]
+        for symbol, values in (("u", voltage), ("i", measured))
+        for port in (0, 1)
     }
     return fluxobs.estimate(columns, "maglev-knospe", truth={"position": "y"})
 
@@ -84,12 +86,12 @@ RESULTS = (
 
 
 @pytest.mark.parametrize("make", RESULTS, ids=lambda make: make.__name__)
-def test_what_a_result_says_and_shows(make):
+def test_texts_of_a_result(make):
     result = make()
-    words = _words(result, "fluxobs estimate log.csv --machine motor.toml")
+    texts = _texts(result, "fluxobs estimate log.csv --machine motor.toml")
     facts = {name: value for name, value in result.facts.items() if name != "log"}
-    shown = {"words": words, "facts": facts, "picture": result.plot()}
-    check(f"estimation/{make.__name__}", shown)
+    contents = {"words": texts, "facts": facts, "picture": result.plot()}
+    check(f"estimation/{make.__name__}", contents)
 
 
 def test_a_picture_for_a_paper():

@@ -1,4 +1,4 @@
-"""What a notebook shows of results: complete, escaped, and the same numbers as the text."""
+"""Results in a notebook: complete, escaped, with the numbers of the text."""
 
 from html.parser import HTMLParser
 
@@ -11,7 +11,7 @@ VOID = ("img",)
 
 
 class Checked(HTMLParser):
-    """Refuses tags that are not closed in order; collects the text."""
+    """A parser that requires tags to be closed in order, and collects the text."""
 
     def __init__(self, text):
         super().__init__()
@@ -49,15 +49,18 @@ def test_a_result(log):
 def test_a_machine():
     words = Checked(fluxobs.example("servo-400w")._repr_html_()).words
     for name, value, unit in (("R_s", "0.36", "Ω"), ("n_p", "4", "pole pairs")):
-        at = words.index(name)
-        assert words[at : at + 3] == [name, value, unit]
+        index = words.index(name)
+        assert words[index : index + 3] == [name, value, unit]
     assert "maglev-2dof" in Checked(fluxobs.example("maglev-knospe")._repr_html_()).words
 
 
 def test_an_identification(log):
-    found = fluxobs.identify(log, "servo-400w")
-    shown = Checked(found._repr_html_())
-    assert f"{found.parameters[0].value:.4g} ± {found.parameters[0].std:.2g}" in shown.words
+    identification = fluxobs.identify(log, "servo-400w")
+    shown = Checked(identification._repr_html_())
+    assert (
+        f"{identification.parameters[0].value:.4g} ± {identification.parameters[0].std:.2g}"
+        in shown.words
+    )
     assert any("Residual of the relation" in text for text in shown.words)
 
 

@@ -1,4 +1,4 @@
-"""What the panels of a picture show of given rows: every line, band and limit in closed form."""
+"""Panels of a picture drawn from given rows: lines, bands and limits in closed form."""
 
 from types import SimpleNamespace
 
@@ -25,7 +25,7 @@ SERIES = {
     "flux_beta": 0.02 * np.sin(20 * T),
     "psi_f": np.full(200, 0.0125),
 }
-KNOWN = VALID > 0
+ROWS_VALID = VALID > 0
 
 
 @pytest.fixture
@@ -34,57 +34,59 @@ def axes():
 
 
 def line(axes, label=None):
-    lines = [one for one in axes.lines if label is None or one.get_label() == label]
+    lines = [
+        candidate for candidate in axes.lines if label is None or candidate.get_label() == label
+    ]
     return np.asarray(lines[0].get_xdata(), float), np.asarray(lines[0].get_ydata(), float)
 
 
 def band(axes, number=0):
-    """Lowest and highest of a filled band."""
+    """Return the lower and upper limit of a filled band."""
     y = axes.collections[number].get_paths()[0].vertices[:, 1]
     return y.min(), y.max()
 
 
 @pytest.mark.parametrize(("size", "scale", "unit"), [(0.49, 1e3, "mWb"), (0.51, 1.0, "Wb")])
 def test_the_locus(axes, size, scale, unit):
-    """In mWb if the flux is below half a Weber; of valid rows only."""
+    """The unit is mWb if the flux is below half a Weber; only valid rows are drawn."""
     picture._locus(axes, SERIES | {"psi_f": np.full(200, size)})
     x, y = line(axes, "λ")
-    np.testing.assert_allclose(x, scale * SERIES["flux_alpha"][KNOWN])
-    np.testing.assert_allclose(y, scale * SERIES["flux_beta"][KNOWN])
+    np.testing.assert_allclose(x, scale * SERIES["flux_alpha"][ROWS_VALID])
+    np.testing.assert_allclose(y, scale * SERIES["flux_beta"][ROWS_VALID])
     x, y = line(axes, "λ - L i, along d")
-    np.testing.assert_allclose(x + 1j * y, scale * size * np.exp(20j * T[KNOWN]))
+    np.testing.assert_allclose(x + 1j * y, scale * size * np.exp(20j * T[ROWS_VALID]))
     assert axes.get_xlabel() == f"α [{unit}]"
     assert axes.get_ylabel() == f"β [{unit}]"
 
 
 def test_the_position_in_degrees_with_gaps_where_it_wraps(axes):
     picture._position(axes, SERIES | {"truth": SERIES["theta_e"] - 0.01})
-    for label, off in (("estimated", 0.0), ("true", 0.01)):
+    for label, error in (("estimated", 0.0), ("true", 0.01)):
         _, y = line(axes, label)
-        expected = np.degrees(SERIES["theta_e"] - off)
-        known = np.isfinite(y)
-        np.testing.assert_allclose(y[known], expected[: len(y)][known])
-        assert (~known).sum() == 3  # of 20 rad
-        assert np.abs(np.diff(y[known])).max() > 180
+        expected = np.degrees(SERIES["theta_e"] - error)
+        drawn = np.isfinite(y)
+        np.testing.assert_allclose(y[drawn], expected[: len(y)][drawn])
+        assert (~drawn).sum() == 3  # in 20 rad
+        assert np.abs(np.diff(y[drawn])).max() > 180
     assert axes.get_ylim() == (-190, 190)
     assert axes.get_xlim() == (0.0, 1.0)
     assert axes.get_yticks().tolist() == [-180, -90, 0, 90, 180]
 
 
 def test_angles_are_joined_up_to_half_a_turn():
-    found = picture._degrees_unjoined(np.radians([0.0, 179.0, 0.0, 181.0, 0.0]))
-    np.testing.assert_allclose(found, [0.0, 179.0, 0.0, np.nan, np.nan])
+    degrees = picture._degrees_with_gaps(np.radians([0.0, 179.0, 0.0, 181.0, 0.0]))
+    np.testing.assert_allclose(degrees, [0.0, 179.0, 0.0, np.nan, np.nan])
 
 
-def test_a_position_that_was_never_known(axes):
+def test_a_position_that_was_never_valid(axes):
     picture._position(axes, {})
-    assert axes.texts[0].get_text() == "the position was never known"
+    assert axes.texts[0].get_text() == "no valid position"
     assert axes.texts[0].get_position() == (0.5, 0.5)
 
 
 @pytest.mark.parametrize("first", [0, 100, 900])
 def test_eight_turns_around_the_first_valid_row(first):
-    """And as many rows before it as behind it."""
+    """As many rows are shown before it as after it."""
     theta = 2 * np.pi * 0.0205 * np.arange(2000)
     rows = {
         "theta_e": np.angle(np.exp(1j * theta)),
@@ -102,29 +104,29 @@ def test_the_error_and_its_band_of_two_standard_deviations(axes):
     picture._error(axes, SERIES)
     assert band(axes) == pytest.approx((-3.0, 3.0))
     _, y = line(axes, "error")
-    np.testing.assert_allclose(y[KNOWN], 0.5 * np.cos(9 * T[KNOWN]))
-    assert np.isnan(y[~KNOWN]).all()
+    np.testing.assert_allclose(y[ROWS_VALID], 0.5 * np.cos(9 * T[ROWS_VALID]))
+    assert np.isnan(y[~ROWS_VALID]).all()
     assert axes.get_ylim() == pytest.approx((-1.4 * 3.0, 1.4 * 3.0))
     assert axes.get_title(loc="left") + axes.get_title() == "Position error"
 
 
-def test_limits_of_the_error_pass_over_few_rows():
-    """99 % of the band, and 99.5 % of the error, are within."""
+def test_limits_of_the_error_ignore_few_rows():
+    """The limits include 99 % of the band and 99.5 % of the error."""
     figure = new_figure()
     large = SERIES | {"theta_e_error": np.radians(np.where(np.arange(200) < 198, 10.0, 1000.0))}
     wide = figure.subplots()
     picture._error(wide, large)
-    error = np.where(np.arange(200) < 198, 10.0, 1000.0)[KNOWN]
+    error = np.where(np.arange(200) < 198, 10.0, 1000.0)[ROWS_VALID]
     assert wide.get_ylim()[1] == pytest.approx(1.4 * np.percentile(error, 99.5))
     std = np.where(np.arange(200) < 198, 1.0, 50.0)
     narrow = new_figure().subplots()
     rows = {name: values for name, values in SERIES.items() if name != "theta_e_error"}
     picture._error(narrow, rows | {"theta_e_std": np.radians(std)})
-    assert narrow.get_ylim()[1] == pytest.approx(1.4 * 2 * np.percentile(std[KNOWN], 99))
+    assert narrow.get_ylim()[1] == pytest.approx(1.4 * 2 * np.percentile(std[ROWS_VALID], 99))
     assert "Uncertainty" in narrow.get_title(loc="left") + narrow.get_title()
 
 
-def test_an_error_that_is_never_known(axes):
+def test_an_error_without_valid_rows(axes):
     picture._error(axes, SERIES | {"valid": 0 * T})
     assert axes.get_ylim() == pytest.approx((-14.0, 14.0))
 
@@ -134,14 +136,14 @@ def fit(value, std=0.01):
     return TruthFit("theta_e", (zero,), 1, (), 0.01, 0.02, known={"zero": value})
 
 
-@pytest.mark.parametrize(("value", "said"), [(0.029, False), (0.031, True)])
-def test_a_title_says_that_a_fit_was_subtracted(axes, value, said):
+@pytest.mark.parametrize(("value", "corrected"), [(0.029, False), (0.031, True)])
+def test_a_title_says_that_a_fit_was_subtracted(axes, value, corrected):
     picture._error(axes, SERIES, fit(value))
     title = axes.get_title(loc="left") + axes.get_title()
-    assert ("less what was fitted to the truth" in title) == said
+    assert ("against the corrected truth" in title) == corrected
 
 
-def test_errors_are_against_the_fitted_truth():
+def test_errors_are_against_the_corrected_truth():
     raw = SERIES["theta_e"] - 0.3 - 0.01 * np.cos(T)
     scored = picture._scored(SERIES | {"raw": raw}, fit(0.3))
     np.testing.assert_allclose(scored["theta_e_error"], 0.01 * np.cos(T), atol=1e-12)
@@ -154,12 +156,12 @@ def test_errors_are_against_the_fitted_truth():
 def test_speed_and_drift_of_valid_rows(axes):
     picture._speed(axes, SERIES)
     _, y = line(axes)
-    np.testing.assert_array_equal(y[KNOWN], SERIES["speed_e"][KNOWN])
-    assert np.isnan(y[~KNOWN]).all()
+    np.testing.assert_array_equal(y[ROWS_VALID], SERIES["speed_e"][ROWS_VALID])
+    assert np.isnan(y[~ROWS_VALID]).all()
     drift = new_figure().subplots()
     picture._drift(drift, SERIES)
-    np.testing.assert_allclose(line(drift, "α")[1][KNOWN], 2.0)
-    np.testing.assert_allclose(line(drift, "β")[1][KNOWN], -T[KNOWN])
+    np.testing.assert_allclose(line(drift, "α")[1][ROWS_VALID], 2.0)
+    np.testing.assert_allclose(line(drift, "β")[1][ROWS_VALID], -T[ROWS_VALID])
     for panel in (axes, drift):
         zero = panel.lines[-1]
         assert np.asarray(zero.get_ydata()).tolist() == [0, 0]
@@ -173,22 +175,22 @@ def test_titles_are_short_in_print(width, long):
 
 
 def test_a_parameter_with_its_band(axes):
-    whole = {
+    columns = {
         "t": T,
         "adapting": VALID,
         "resistance": np.full(200, 0.4),
         "resistance_std": np.full(200, 0.05),
     }
-    picture._parameter(axes, "resistance", whole, 0.36)
+    picture._parameter(axes, "resistance", columns, 0.36)
     assert band(axes) == pytest.approx((0.3, 0.5))
     _, y = line(axes)
     np.testing.assert_array_equal(np.isnan(y), VALID == 0)
     assert line(axes, "assumed")[1].tolist() == [0.36, 0.36]
-    assert (whole["resistance"] == 0.4).all()
+    assert (columns["resistance"] == 0.4).all()
 
 
 def test_rows_that_are_not_valid_are_grey(axes):
-    picture._shade_unknown(axes, SERIES)
+    picture._shade_invalid(axes, SERIES)
     (grey,) = axes.collections
     x, y = grey.get_paths()[0].vertices.T
     assert x.min() == 0.0
@@ -203,7 +205,7 @@ def test_gaps_are_marked_but_not_thousands_of_them(axes, gaps, marks):
     clock = SimpleNamespace(t=np.arange(gaps + 1.0))
     picture._gaps(axes, SimpleNamespace(log=SimpleNamespace(clock=clock)))
     assert len(axes.lines) == marks
-    labels = [one.get_label() for one in axes.lines]
+    labels = [mark.get_label() for mark in axes.lines]
     assert labels.count("gap in the log") == min(gaps, 1)
     assert (axes.get_legend() is not None) == bool(gaps)
     if gaps:
@@ -212,12 +214,12 @@ def test_gaps_are_marked_but_not_thousands_of_them(axes, gaps, marks):
 
 @pytest.mark.parametrize("learnt", [{}, {"a": 0}, {"a": 0, "b": 0}, {"a": 0, "b": 0, "c": 0}])
 def test_six_columns_of_panels(learnt):
-    rows = picture._layout(learnt)
-    assert {len(row) for row in rows} == {6}
-    assert [row.count("locus") for row in rows[:4]] == [2, 2, 0, 0]
-    assert {row.index("position") for row in rows[:1]} == {2}
+    mosaic = picture._layout(learnt)
+    assert {len(row) for row in mosaic} == {6}
+    assert [row.count("locus") for row in mosaic[:4]] == [2, 2, 0, 0]
+    assert {row.index("position") for row in mosaic[:1]} == {2}
     for name in learnt:
-        assert rows[-1].count(name) == 6 // len(learnt)
+        assert mosaic[-1].count(name) == 6 // len(learnt)
 
 
 def test_numbers_in_the_title():
@@ -226,28 +228,28 @@ def test_numbers_in_the_title():
     )
     layout = SimpleNamespace(lag=-1.0)
     result = SimpleNamespace(statistics=statistics, log=SimpleNamespace(layout=layout))
-    words = picture._numbers(result, None)
-    assert words == "\nlag -1  ·  |λ - L i| = 12.5 mWb  ·  position error 2.50° rms on valid rows"
+    title = picture._numbers(result, None)
+    assert title == "\nlag -1  ·  |λ - L i| = 12.5 mWb  ·  position error 2.50° rms on valid rows"
     assert "0.57° rms" in picture._numbers(result, fit(0.3))
     statistics.scored = 0
     assert "error" not in picture._numbers(result, None)
     statistics.valid = 0
-    assert "never known" in picture._numbers(result, None)
+    assert "no valid position" in picture._numbers(result, None)
 
 
 def test_vectors_with_bands(axes):
-    whole = SERIES | {"drift_alpha_std": np.full(200, 0.001)}
-    picture._pair(axes, whole, "drift", ("alpha", "beta"), 10.0)
-    np.testing.assert_allclose(line(axes, "alpha")[1][KNOWN], 0.02)
+    columns = SERIES | {"drift_alpha_std": np.full(200, 0.001)}
+    picture._pair(axes, columns, "drift", ("alpha", "beta"), 10.0)
+    np.testing.assert_allclose(line(axes, "alpha")[1][ROWS_VALID], 0.02)
     assert band(axes) == pytest.approx((0.0, 0.04))
     assert len(axes.collections) == 1
 
 
 def immersed(more, unit="°", factor=180 / np.pi):
-    """The picture of the immersed observer."""
-    whole = SERIES | {"noise_share": np.full(200, 0.05)} | more
+    """Draw the picture of the immersed observer."""
+    columns = SERIES | {"noise_share": np.full(200, 0.05)} | more
     position = SimpleNamespace(unit=unit, factor=factor, name="theta_e", title="Position")
-    statistics = SimpleNamespace(thin=SimpleNamespace(columns=lambda: whole), valid=160, rows=200)
+    statistics = SimpleNamespace(thin=SimpleNamespace(columns=lambda: columns), valid=160, rows=200)
     machine = SimpleNamespace(ports=("alpha", "beta"), position_output=position, kind="kind")
     path = SimpleNamespace(name="log")
     result = SimpleNamespace(statistics=statistics, machine=machine, log=SimpleNamespace(path=path))
@@ -258,18 +260,18 @@ def immersed(more, unit="°", factor=180 / np.pi):
 def test_the_picture_of_the_immersed_observer(unit, scale, prefix):
     figure = immersed({}, unit)
     flux, position, drift, share = figure.axes
-    np.testing.assert_allclose(line(flux)[1][KNOWN], scale * SERIES["flux_alpha"][KNOWN])
+    np.testing.assert_allclose(line(flux)[1][ROWS_VALID], scale * SERIES["flux_alpha"][ROWS_VALID])
     expected = np.degrees(SERIES["theta_e"])
-    np.testing.assert_allclose(line(position)[1][KNOWN], expected[KNOWN])
-    np.testing.assert_allclose(line(drift)[1][KNOWN], 0.002)
+    np.testing.assert_allclose(line(position)[1][ROWS_VALID], expected[ROWS_VALID])
+    np.testing.assert_allclose(line(drift)[1][ROWS_VALID], 0.002)
     np.testing.assert_allclose(line(share)[1], 0.05)
     assert share.get_yscale() == "log"
     assert prefix in flux.get_title(loc="left") + flux.get_title()
     assert "position valid on 80.0% of 200 rows" in figure.get_suptitle()
     assert share.get_xlim() == (0.0, 1.0)
     bias = {"current_bias_alpha": 0.1 + 0 * T, "current_bias_beta": T}
-    last = immersed(bias, unit).axes[3]
-    np.testing.assert_allclose(line(last)[1][KNOWN], 0.1)
+    bias_panel = immersed(bias, unit).axes[3]
+    np.testing.assert_allclose(line(bias_panel)[1][ROWS_VALID], 0.1)
 
 
 @pytest.mark.parametrize(
@@ -281,7 +283,7 @@ def test_the_picture_of_the_immersed_observer(unit, scale, prefix):
     ],
 )
 def test_sizes_of_chosen_panels(style, panels, size, monkeypatch):
-    """Abreast as a page has room for; the locus is higher; an odd one takes the whole row."""
+    """Panels fill the page width; the locus is higher; a last odd panel takes a whole row."""
     monkeypatch.setattr(picture, "_draw", lambda *_: None)
     paper = picture.STYLES[style]
     figure = picture._chosen(None, None, paper, panels, picture.PANELS)

@@ -1,4 +1,4 @@
-"""What a user gives that does not fit: each by its place, what it is, and what would do."""
+"""Unsuitable input: the message names the place, the value and what would be accepted."""
 
 import numpy as np
 import pytest
@@ -83,12 +83,12 @@ REFUSED = {
         UsageError,
         ["lag", "in a Record"],
     ),
-    "a truth that is no channel": (
+    "a truth that is not a channel": (
         lambda: fluxobs.estimate(COLUMNS, SERVO, truth={"angle": "t"}),
         RecordError,
         ["truth must be one of theta_e, theta_mech, position", "'angle'"],
     ),
-    "a truth that is no column": (
+    "a truth that is not a column": (
         lambda: fluxobs.estimate(COLUMNS, SERVO, truth={"theta_e": "angle"}),
         RecordError,
         ["no column 'angle'"],
@@ -108,7 +108,7 @@ REFUSED = {
         MachineError,
         ["expected a machine", "servo-400w", "int"],
     ),
-    "a machine that is not shipped": (
+    "an unknown machine name": (
         lambda: fluxobs.estimate(COLUMNS, "servo-400"),
         MachineError,
         ["no such machine file", "did you mean 'servo-400w'"],
@@ -145,7 +145,7 @@ REFUSED = {
         FluxobsError,
         ["prior: unknown 'R_s'"],
     ),
-    "a memory of nothing": (
+    "a memory of one sample": (
         lambda: fluxobs.estimate(COLUMNS, SERVO, memory=1e-4),
         ObserverError,
         ["too short: at least ten samples, 0.001 s"],
@@ -158,14 +158,14 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("what", REFUSED)
-def test_what_is_refused(what, tmp_path, monkeypatch):
+@pytest.mark.parametrize("case", REFUSED)
+def test_unsuitable_input_is_refused(case, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    call, kind, words = REFUSED[what]
+    call, kind, fragments = REFUSED[case]
     with pytest.raises(kind) as caught:
         call()
     assert isinstance(caught.value, FluxobsError)
     assert isinstance(caught.value, TypeError) is (kind is UsageError)
-    for word in words:
-        assert word in str(caught.value)
+    for fragment in fragments:
+        assert fragment in str(caught.value)
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""What an estimation returns, written, drawn and told."""
+"""The result of an estimation: columns, files, pictures and texts."""
 
 import sys
 
@@ -37,8 +37,8 @@ def adaptive():
 
 
 def columns_of(estimate):
-    *names, valid = [name for one in in_files(estimate) for name in one.columns(PORTS)]
-    return [*names, *(one.name for one in derived_outputs(SERVO)), valid]
+    *names, valid = [name for output in in_files(estimate) for name in output.columns(PORTS)]
+    return [*names, *(output.name for output in derived_outputs(SERVO)), valid]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text there")
@@ -48,7 +48,7 @@ def test_estimates_in_a_file_of_any_name(tmp_path, name):
     assert result.estimates.height == ROWS
 
 
-def test_columns_are_those_of_the_one_list(plain, adaptive):
+def test_columns_are_the_listed_outputs(plain, adaptive):
     assert plain.estimates.columns == ["t", *columns_of(Estimate), "theta_e_error"]
     assert plain.estimates.columns[:-1] == PLAIN
     assert adaptive.estimates.columns == ["t", *columns_of(AdaptiveEstimate)]
@@ -62,17 +62,17 @@ def test_a_column_is_an_array(plain):
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("name", "message"),
     [
         ("theta", "no column 'theta'; did you mean 'theta_e'"),
         ("resistance", "no column 'resistance'"),
         ("xyz", "no column 'xyz'; known: t, flux_alpha"),
     ],
 )
-def test_a_column_that_is_not_there(plain, name, words):
+def test_a_column_that_does_not_exist(plain, name, message):
     with pytest.raises(FluxobsError) as caught:
         plain[name]
-    assert words in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_the_observer_that_ran(plain, adaptive):
@@ -81,8 +81,8 @@ def test_the_observer_that_ran(plain, adaptive):
     assert adaptive.adaptive is adaptive.observer
     assert adaptive.plain is adaptive.observer.plain
     assert adaptive.observer.psi_f_std == 0.02
-    again = plain.observer.run(SAMPLES.voltage, SAMPLES.current)
-    assert again.theta_e[-1] == pytest.approx(plain["theta_e"][-1], abs=1e-6)
+    rerun = plain.observer.run(SAMPLES.voltage, SAMPLES.current)
+    assert rerun.theta_e[-1] == pytest.approx(plain["theta_e"][-1], abs=1e-6)
 
 
 def test_counts_and_statistics(plain):
@@ -94,7 +94,7 @@ def test_counts_and_statistics(plain):
     assert fluxobs.estimate(gaps, SERVO).counts == SampleCounts(0, 2, 0, 0, 0)
 
 
-def test_printed_it_is_summary_and_warnings(plain):
+def test_str_is_summary_and_warnings(plain):
     assert str(plain) == plain.summary
     assert "2000 samples" in plain.summary
     assert (
@@ -108,7 +108,7 @@ def test_printed_it_is_summary_and_warnings(plain):
         assert f"\nWarning: {text}" in str(wrong)
 
 
-def test_the_adaptive_one_tells_what_it_found(adaptive):
+def test_the_summary_of_the_adaptive_observer_has_its_parameters(adaptive):
     assert "(3.6 Ω given)" in adaptive.summary
     assert adaptive["resistance"][-1] == pytest.approx(1.3 * PMSM.R_s, rel=0.05)
 
@@ -138,7 +138,7 @@ def test_a_picture_for_a_paper(adaptive, style, width):
     assert titles == ["Uncertainty of the position", "Speed", "Resistance"]
     assert len(adaptive.plot(style).axes) == 5
     figure.draw_without_rendering()
-    for axes in figure.axes:  # nothing lies on anything else
+    for axes in figure.axes:  # no legend overlaps a title
         if axes.get_legend() is not None:
             assert (
                 not axes.get_legend()
@@ -147,12 +147,12 @@ def test_a_picture_for_a_paper(adaptive, style, width):
             )
 
 
-def test_panels_and_styles_that_are_none(adaptive):
+def test_unknown_panels_and_styles(adaptive):
     for options, words in (
         ({"style": "one colum"}, "did you mean 'one column'"),
         ({"panels": ["eror"]}, "did you mean 'error'"),
-        ({"panels": []}, "give different ones of locus"),
-        ({"panels": ["speed", "speed"]}, "give different ones"),
+        ({"panels": []}, "choose different ones of locus"),
+        ({"panels": ["speed", "speed"]}, "choose different ones"),
     ):
         with pytest.raises(fluxobs.UsageError, match=words):
             adaptive.plot(**options)
@@ -167,18 +167,18 @@ def test_plot(plain, adaptive):
             assert name in labels, labels
 
 
-def test_out_is_the_same_and_is_read_back(plain, tmp_path):
+def test_estimates_written_to_out_are_the_same(plain, tmp_path):
     out = tmp_path / "out.parquet"
-    seen = []
+    progress = []
     result = fluxobs.estimate(
         COLUMNS | {"angle": SAMPLES.theta},
         SERVO,
         unknowns="drift",
         truth={"theta_e": "angle"},
         out=out,
-        progress=lambda done, total: seen.append((done, total)),
+        progress=lambda done, total: progress.append((done, total)),
     )
-    assert seen[-1] == (ROWS, ROWS)
+    assert progress[-1] == (ROWS, ROWS)
     assert result.path == out
     assert result.estimates.equals(plain.estimates)
     assert result.summary == plain.summary
@@ -187,7 +187,7 @@ def test_out_is_the_same_and_is_read_back(plain, tmp_path):
         result["theta_e"]
 
 
-def test_what_cannot_be_written(plain, tmp_path):
+def test_paths_that_cannot_be_written(plain, tmp_path):
     pl.DataFrame(COLUMNS).write_csv(tmp_path / "log.csv")
     from_file = fluxobs.estimate(tmp_path / "log.csv", SERVO)
     before = (tmp_path / "log.csv").read_bytes()
@@ -206,31 +206,31 @@ def test_what_cannot_be_written(plain, tmp_path):
 
 def test_the_command_that_exports_it(adaptive, plain, tmp_path):
     for result, machine, name in ((plain, "servo-400w", "one"), (adaptive, "pmsm-2kw2", "other")):
-        said = result.export_command(machine)
-        assert said.startswith(f"fluxobs export --machine {machine}")
-        done = command(*said.replace("FOLDER", name).split()[1:], folder=tmp_path)
+        text = result.export_command(machine)
+        assert text.startswith(f"fluxobs export --machine {machine}")
+        done = command(*text.replace("FOLDER", name).split()[1:], folder=tmp_path)
         assert done.returncode == 0, done.stderr
         assert (tmp_path / name / "motor_observer.h").exists()
     assert "--prior psi_f=0.02" in adaptive.export_command("pmsm-2kw2")
 
 
-def test_a_long_log_is_learnt_from_in_parts(tmp_path, monkeypatch):
+def test_learning_from_segments_of_a_long_log(tmp_path, monkeypatch):
     samples = course(R_s=1.3 * PMSM.R_s)
     pl.DataFrame(log_columns(samples)).write_parquet(tmp_path / "log.parquet")
     whole = estimate(tmp_path / "log.parquet", PMSM)
-    assert "From the whole log" in whole.summary
-    monkeypatch.setattr(learning, "PARTS", 3)
-    monkeypatch.setattr(learning, "PART_ROWS", 4000)
-    told: list[tuple[int, int]] = []
-    parts = estimate(tmp_path / "log.parquet", PMSM, progress=lambda *n: told.append(n))
-    assert "From 12000 rows, evenly spread" in parts.summary
-    assert told[-1] == (32_000, 32_000)
-    assert parts.learnt.resistance == pytest.approx(1.3 * PMSM.R_s, rel=0.02)
-    assert 4 * whole.learnt.resistance_std > parts.learnt.resistance_std
+    assert "Identified from the whole log" in whole.summary
+    monkeypatch.setattr(learning, "SEGMENTS", 3)
+    monkeypatch.setattr(learning, "SEGMENT_ROWS", 4000)
+    progress: list[tuple[int, int]] = []
+    in_segments = estimate(tmp_path / "log.parquet", PMSM, progress=lambda *n: progress.append(n))
+    assert "Identified from 12000 rows, evenly spread" in in_segments.summary
+    assert progress[-1] == (32_000, 32_000)
+    assert in_segments.learnt.resistance == pytest.approx(1.3 * PMSM.R_s, rel=0.02)
+    assert 4 * whole.learnt.resistance_std > in_segments.learnt.resistance_std
 
 
 @pytest.mark.slow
-def test_a_map_that_is_not_reciprocal_is_warned_of():
+def test_a_map_that_is_not_reciprocal_causes_a_warning():
     """Rotate the fluxes of a measured map against its currents by 10 degrees."""
     machine = fluxobs.example("ipm-5kw6")
     points = machine.flux_map
@@ -240,6 +240,6 @@ def test_a_map_that_is_not_reciprocal_is_warned_of():
     log = (samples.voltage, samples.current)
     for turn, warned in ((1.0, False), (np.exp(0.17j), True)):
         flux = FluxPoints(points.current, points.flux * turn)
-        taken = machine.with_values(flux_map=flux, L_d=None, L_q=None, psi_f=None)
-        result = fluxobs.estimate(log, taken, sample_time=1.25e-4, lag=1.0, unknowns="drift")
+        rotated = machine.with_values(flux_map=flux, L_d=None, L_q=None, psi_f=None)
+        result = fluxobs.estimate(log, rotated, sample_time=1.25e-4, lag=1.0, unknowns="drift")
         assert any("not reciprocal" in line for line in result.warnings) == warned

@@ -1,4 +1,4 @@
-"""What a truth channel is off by is found, with its standard deviation, and nothing else is."""
+"""The errors of a truth channel are found with their standard deviations, and no others."""
 
 import re
 from itertools import pairwise
@@ -25,25 +25,25 @@ def fitted(channel, columns, **options):
 def encoder(zero=0.0, delay=0.0, once=0.0, twice=0.0, direction=1, pairs=N_P):
     t = np.arange(len(THETA)) * H
     shaft = np.interp(t - delay, t, THETA) / pairs
-    off = zero + once * np.cos(shaft + 1.0) + twice * np.sin(2 * shaft)
-    return {"angle": np.mod(direction * (shaft - off), 2 * np.pi)}
+    error = zero + once * np.cos(shaft + 1.0) + twice * np.sin(2 * shaft)
+    return {"angle": np.mod(direction * (shaft - error), 2 * np.pi)}
 
 
-def degrees(one):
-    return np.degrees([one.value, one.std])
+def degrees(parameter):
+    return np.degrees([parameter.value, parameter.std])
 
 
-def test_nothing_is_found_where_nothing_is():
+def test_an_exact_encoder_has_no_errors():
     result = fitted("theta_mech", encoder())
     fit = result.truth_fit
     assert fit.pole_pairs == N_P
-    assert not any(one.told for one in fit.parameters)
+    assert not any(parameter.told for parameter in fit.parameters)
     assert "fitted to the estimate" not in result.summary
     assert np.degrees(fit.rms) < 0.1
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-def test_an_encoder_in_all_its_faults(direction):
+def test_an_encoder_with_all_faults(direction):
     faults = {"zero": 0.3, "delay": 60e-6, "once": 0.02, "twice": 0.008}
     fit = fitted("theta_mech", encoder(**faults, direction=direction)).truth_fit
     assert fit.pole_pairs == direction * N_P
@@ -57,7 +57,7 @@ def test_an_encoder_in_all_its_faults(direction):
         assert fit[name].std < 1e-3
     assert np.degrees(fit.rms) < 0.15
     words = " ".join(fit.words)
-    assert ("counts against" in words) == (direction < 0)
+    assert ("counts opposite" in words) == (direction < 0)
     assert "late" in words
     assert "once a turn" in words
 
@@ -75,28 +75,28 @@ def test_an_electrical_angle_given_as_mechanical():
     assert "the channel is electrical" in result.summary
 
 
-def test_an_angle_that_is_none():
+def test_a_channel_that_is_not_an_angle():
     rng = np.random.default_rng(0)
     noise = np.cumsum(rng.standard_normal(len(THETA)))
     result = fitted("theta_mech", {"angle": np.mod(noise, 2 * np.pi)})
-    assert "no whole number of pole pairs" in result.summary
+    assert "not a whole number of pole pairs" in result.summary
 
 
-def test_as_given_nothing_is_fitted():
+def test_no_fit_if_the_truth_is_taken_as_given():
     result = fitted("theta_mech", encoder(zero=0.3), fit_truth=False)
     assert result.truth_fit is None
     assert "mean" in result.summary
 
 
 def test_the_standard_deviation_of_a_delay_covers_it():
-    """Over stretches of the log, the delay found is within three standard deviations."""
-    off = []
+    """In each segment of the log, the delay is within three standard deviations."""
+    normalised_errors = []
     for start, stop in ((0.0, 0.7), (0.5, 1.2), (0.9, 1.6), (1.2, 2.0)):
         fit = fitted("theta_mech", encoder(delay=60e-6), start=start, stop=stop).truth_fit
         delay = fit["delay"]
-        off.append((delay.value - 60e-6) / delay.std)
+        normalised_errors.append((delay.value - 60e-6) / delay.std)
         assert delay.std < 5e-6
-    assert np.abs(off).max() < 3
+    assert np.abs(normalised_errors).max() < 3
 
 
 def test_sine_and_cosine_of_an_encoder_in_counts():
@@ -121,7 +121,7 @@ def test_speed(unit, factor):
 
 
 @pytest.mark.parametrize("channel", ["speed_mech", "theta_mech", "sincos", "hall"])
-def test_a_dead_sensor_is_no_crash(channel):
+def test_a_dead_sensor_does_not_raise(channel):
     columns = {
         name: np.zeros(len(THETA)) for name in {"sincos": "ab", "hall": "abc"}.get(channel, "a")
     }
@@ -129,19 +129,19 @@ def test_a_dead_sensor_is_no_crash(channel):
 
 
 def hall(order="abc", zero=0.1, shift=0.0):
-    """Sensors at 0°, 120°, 240° of the flux; one of them is moved by `shift`."""
+    """Return signals of sensors at 0°, 120°, 240° of the flux, the second moved by `shift`."""
     angle = THETA + zero
     signals = {}
     for n, name in enumerate("abc"):
-        at = np.mod(angle - 2 * n * np.pi / 3 - (shift if n == 1 else 0.0), 2 * np.pi)
-        signals[name] = (at < np.pi).astype(float)
+        phase = np.mod(angle - 2 * n * np.pi / 3 - (shift if n == 1 else 0.0), 2 * np.pi)
+        signals[name] = (phase < np.pi).astype(float)
     return {f"hall_{new}": signals[old] for new, old in zip("abc", order, strict=True)}
 
 
 def test_hall_edges():
     fit = fitted("hall", hall()).truth_fit
     assert len(fit.parameters) == 6
-    places = np.sort([one.value for one in fit.parameters])
+    places = np.sort([parameter.value for parameter in fit.parameters])
     expected = np.sort(np.angle(np.exp(1j * (np.arange(6) * np.pi / 3 - 0.1))))
     np.testing.assert_allclose(places, expected, atol=np.radians(1.0))
     assert "exchanged" not in " ".join(fit.words)
@@ -149,8 +149,8 @@ def test_hall_edges():
 
 def test_a_hall_sensor_out_of_place():
     fit = fitted("hall", hall(shift=np.radians(8))).truth_fit
-    worst = float(fit.words[-1].split("by ")[-1].rstrip("°"))
-    assert 4 < abs(worst) < 8  # against the zero that fits all six
+    worst = float(fit.words[-1].split(" is ")[-1].rstrip("°"))
+    assert 4 < abs(worst) < 8  # relative to the zero of the other edges
 
 
 def test_hall_wires_exchanged():
@@ -158,37 +158,37 @@ def test_hall_wires_exchanged():
     assert "two Hall wires are exchanged" in " ".join(fit.words)
 
 
-def test_hall_edges_are_between_those_of_both_directions():
-    """A sensor with hysteresis, seen thirty times forwards and six times backwards."""
+def test_hall_edges_are_midway_between_both_directions():
+    """The sensor has hysteresis; edges occur thirty times forwards and six times backwards."""
     edges = []
     for k, (a, b) in enumerate(pairwise([*FORWARD, FORWARD[0]])):
         true = np.pi / 3 * k
         edges += 30 * [(a, b, true + 0.02, 1.0)] + 6 * [(b, a, true - 0.02, -1.0)]
     samples = TruthSamples(1, "hall", edges=[np.transpose(edges)])
     fit = _fit_hall(samples)
-    off = [wrap(6 * one.value) / 6 for one in fit.parameters]
-    np.testing.assert_allclose(off, 0.0, atol=1e-9)
+    errors = [wrap(6 * parameter.value) / 6 for parameter in fit.parameters]
+    np.testing.assert_allclose(errors, 0.0, atol=1e-9)
     assert fit.rms == pytest.approx(0.02)
-    assert not any("against" in words and "turns" in words for words in fit.words)
+    assert not any("opposite" in words and "turns" in words for words in fit.words)
 
 
-def test_a_hall_wire_broken():
+def test_a_broken_hall_wire():
     columns = hall() | {"hall_b": np.zeros(len(THETA))}
     assert "a wire is broken" in " ".join(fitted("hall", columns).truth_fit.words)
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("channel", ["theta_e", "speed_mech", "hall", "half a code"])
-def test_a_truth_without_values_is_said(channel):
+def test_a_truth_without_values_is_reported(channel):
     values = np.full(len(THETA), 1.5 if channel == "half a code" else np.nan)
     result = fitted({"half a code": "hall"}.get(channel, channel), {"a": values})
     assert result.truth_fit is None
-    words = "known on only 0 of" if channel == "theta_e" else "has a value on no valid row"
+    words = "known on only 0 of" if channel == "theta_e" else "has no value on any valid row"
     assert any(words in warning for warning in result.warnings)
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-def test_infinite_angles_are_passed_over():
+def test_infinite_angles_are_ignored():
     angle = encoder()["angle"]
     angle[100:200] = np.inf
     result = fitted("theta_mech", {"angle": angle})
@@ -197,9 +197,9 @@ def test_infinite_angles_are_passed_over():
 
 
 def test_sine_and_cosine_without_values():
-    lost = {"s": np.full(len(THETA), np.nan), "c": np.ones(len(THETA))}
+    columns = {"s": np.full(len(THETA), np.nan), "c": np.ones(len(THETA))}
     with pytest.raises(fluxobs.RecordError, match="'s' of --truth sincos=s,c holds"):
-        fitted("sincos", lost)
+        fitted("sincos", columns)
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
@@ -234,8 +234,11 @@ def test_a_speed_that_drops_out():
 
 
 def test_errors_that_repeat_within_a_turn_are_in_the_standard_deviations():
-    """Rows of a turn are not independent: an error that no parameter explains, three times a turn,
-    counts once a turn, and against the delay once for the whole range of speed."""
+    """Rows within a turn are not independent.
+
+    An error with three periods per turn, which no parameter explains, counts once per turn, and
+    for the delay once for the whole range of speed.
+    """
     faults = encoder(zero=0.1, once=0.01, delay=50e-6)
     shaft = THETA / N_P
     faults["angle"] = np.mod(faults["angle"] + 0.02 * np.cos(3 * shaft), 2 * np.pi)

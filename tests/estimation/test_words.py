@@ -1,4 +1,4 @@
-"""Summary, warnings and choices of a run, from runs in closed form; limits from both sides."""
+"""Summary, warnings and choices of a run, for closed-form runs; limits from both sides."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -8,8 +8,14 @@ import pytest
 
 import fluxobs
 from fluxobs.estimation import learning, report, warnings
-from fluxobs.estimation.learning import Parameter, doubtful, learning_parts, needed, parameters
-from fluxobs.estimation.report import _columns, _machine_in, _taken
+from fluxobs.estimation.learning import (
+    Parameter,
+    adaptive_needed,
+    doubtful,
+    learning_segments,
+    parameters,
+)
+from fluxobs.estimation.report import _channel_rows, _columns, _machine_in
 from fluxobs.estimation.statistics import Statistics
 from fluxobs.estimation.summary import _parameters, _score, paragraph, si
 from fluxobs.logs.for_machine import open_for
@@ -40,7 +46,7 @@ def log(run):
 
 
 @pytest.mark.parametrize(
-    ("value", "words"),
+    ("value", "text"),
     [
         *(
             (1.0, "1 V"),
@@ -52,15 +58,15 @@ def log(run):
         *((1e-9, "1 nV"), (9.94e-10, "9.9e-10 V"), (0.0, "0 V"), (1234.5, "1.23e+03 V")),
     ],
 )
-def test_numbers_with_prefixes(value, words):
-    assert si(value, "V") == words
+def test_numbers_with_prefixes(value, text):
+    assert si(value, "V") == text
 
 
 # ---- the summary ----------------------------------------------------------------------------
 
 
 def changed(run, counts=None, **statistics):
-    """The run with other counts."""
+    """Return the run with other counts and statistics."""
     counts = replace(run.counts, **(counts or {}))
     fields = {
         name: getattr(run, name)
@@ -72,10 +78,10 @@ def changed(run, counts=None, **statistics):
     )
 
 
-def test_the_numbers_of_a_summary(run):
+def test_numbers_of_a_summary(run):
     valid = 1500
     means = {"drift_alpha": 0.03, "drift_beta": -0.04, "psi_f": 0.0125}
-    told = changed(
+    result = changed(
         run,
         rows=3000,
         valid=valid,
@@ -87,38 +93,39 @@ def test_the_numbers_of_a_summary(run):
         error_squared=1000 * np.radians(2.0) ** 2,
         error_max=np.radians(7.25),
     )
-    assert paragraph(told, None, None) == (
+    assert paragraph(result, None, None) == (
         "3000 samples, 0.3 s at 10000 Hz; each logged voltage acts from its row to the next "
         "(lag 0). The position is valid on 50.0% of the rows, first 12.5 mV "
-        "after the start. The flux integral would drift by (+0.03, -0.04) V in αβ: as much as a "
-        "voltage offset of 50 mV, or a current offset of 139 mA through R_s. Magnet flux: 12.5 "
-        "mWb. Against the true angle, on 1000 valid rows: position error 2.00° rms, 7.25° at "
+        "after the start. Drift of the flux integral: (+0.03, -0.04) V in αβ, equivalent to a "
+        "voltage offset of 50 mV or a current offset of 139 mA through R_s. Magnet flux: 12.5 "
+        "mWb. Position error against the true angle on 1000 valid rows: 2.00° rms, 7.25° at "
         "most, mean 0.50°."
     ).replace("12.5 mV after", "12.5 ms after")
-    assert "never known" in paragraph(changed(run, first_valid=None), None, None)
+    assert "never valid" in paragraph(changed(run, first_valid=None), None, None)
 
 
 def test_a_score_against_a_truth_with_wrong_turns_is_left_out(run):
-    told = changed(run, scored=10, error=0.0, error_squared=0.0, error_max=0.0)
-    assert _score(told, None)
-    assert not _score(told, SimpleNamespace(wrong_turns=True, told=False))
+    result = changed(run, scored=10, error=0.0, error_squared=0.0, error_max=0.0)
+    assert _score(result, None)
+    assert not _score(result, SimpleNamespace(wrong_turns=True, told=False))
     assert not _score(changed(run, scored=0), None)
 
 
 # ---- warnings -------------------------------------------------------------------------------
 
 
-def test_rows_that_were_bad_are_counted(run):
+def test_bad_rows_are_counted(run):
     counts = {"bad_currents": 3, "outliers": 2, "restarts": 4}
-    (words,) = warnings._samples(changed(run, counts))
-    assert words == (
-        "Number of rows without a current (bridged): 3, that contradict the others (ignored): 2; "
-        "the observer started anew 4 ×."
+    (message,) = warnings._samples(changed(run, counts))
+    assert message == (
+        "Bad rows: 3 without a current (bridged), 2 that contradict the others (outliers, "
+        "ignored); observer restarts: 4."
     )
     assert warnings._samples(changed(run, {"restarts": 4})) == []
 
 
-def seen_at(run, speed):
+def run_at(run, speed):
+    """Return a run whose estimated speed is constant."""
     columns = {"speed_e": np.full(10, speed), "valid": np.ones(10)}
     thin = SimpleNamespace(columns=lambda: columns)
     return SimpleNamespace(
@@ -127,17 +134,17 @@ def seen_at(run, speed):
 
 
 @pytest.mark.parametrize(("period", "warned"), [(8.05, False), (7.95, True)])
-@pytest.mark.parametrize("way", [1, -1])
-def test_eight_samples_a_period(run, period, warned, way):
-    found = warnings._rate(seen_at(run, way * 2 * np.pi / (period * H)))
-    assert bool(found) == warned
+@pytest.mark.parametrize("direction", [1, -1])
+def test_eight_samples_per_period(run, period, warned, direction):
+    messages = warnings._rate(run_at(run, direction * 2 * np.pi / (period * H)))
+    assert bool(messages) == warned
     if warned:
-        assert "Only 7.9 samples an electrical period at 7903 rad/s: at least 8 are" in found[0]
-        assert "a sample rate of 10063 Hz or more" in found[0]
+        assert "Only 7.9 samples per electrical period at 7903 rad/s: at least 8 are" in messages[0]
+        assert "a sample rate of 10063 Hz or more" in messages[0]
 
 
 def test_without_a_position_the_speed_of_the_current_counts(run):
-    result = seen_at(run, 1e6)
+    result = run_at(run, 1e6)
     result.statistics.thin.columns = lambda: {"speed_e": np.ones(3), "valid": np.zeros(3)}
     assert warnings._rate(result) == []
     result.scales = replace(SCALES, current_speed=2e4)
@@ -151,41 +158,43 @@ def test_half_of_the_rows_must_be_valid(run, valid, warned):
     assert bool(warnings._validity(changed(run, rows=3000, valid=valid))) == warned
 
 
-@pytest.mark.parametrize(("drops", "still"), [(1.99, True), (2.01, False)])
-def test_a_voltage_of_two_resistive_drops_means_standstill(run, drops, still):
+@pytest.mark.parametrize(("drops", "standing"), [(1.99, True), (2.01, False)])
+def test_a_voltage_of_two_resistive_drops_means_standstill(run, drops, standing):
     result = changed(run, rows=3000, valid=300)
     scales = replace(SCALES, voltage=drops * SERVO.R_s * SCALES.current)
-    (words,) = warnings._validity(replace(result, scales=scales))
-    assert words.startswith("The position is valid on only 10.0% of the rows: ")
-    assert ("standstill" in words) == still
-    assert ("check R_s" in words) != still
+    (message,) = warnings._validity(replace(result, scales=scales))
+    assert message.startswith("The position is valid on only 10.0% of the rows: ")
+    assert ("standstill" in message) == standing
+    assert ("check R_s" in message) != standing
 
 
 @pytest.mark.parametrize(("missing", "blamed"), [(1000, True), (999, False)])
-def test_rows_without_a_current_explain_what_is_not_valid(run, missing, blamed):
+def test_rows_without_a_current_explain_invalid_rows(run, missing, blamed):
     result = changed(run, {"bad_currents": missing}, rows=3000, valid=1000)
-    (words,) = warnings._validity(result)
-    assert words.startswith("The position is valid on only 33.3% of the rows")
-    assert (f"{missing} rows have no current" in words) == blamed
+    (message,) = warnings._validity(result)
+    assert message.startswith("The position is valid on only 33.3% of the rows")
+    assert (f"{missing} rows have no current" in message) == blamed
 
 
 @pytest.mark.parametrize(("scored", "warned"), [(990, False), (989, True)])
-def test_a_truth_that_is_known_on_few_rows(run, scored, warned, monkeypatch):
+def test_a_truth_with_values_on_few_rows(run, scored, warned, monkeypatch):
     monkeypatch.setattr(warnings, "is_position", lambda *_: True)
-    found = warnings._truth(changed(run, valid=1000, scored=scored))
+    messages = warnings._truth(changed(run, valid=1000, scored=scored))
     expected = f"The true angle is known on only {scored} of 1000 valid rows."
-    assert found == ([expected] if warned else [])
+    assert messages == ([expected] if warned else [])
 
 
 @pytest.mark.parametrize(("memories", "short"), [(3.01, False), (2.99, True)])
 def test_a_log_must_last_three_memories(run, memories, short):
     rows = round(memories * run.observer.memory / H)
-    found = warnings.warnings(changed(run, rows=rows), None)
-    assert any("too short to settle: at least 3 memories" in words for words in found) == short
+    messages = warnings.warnings(changed(run, rows=rows), None)
+    assert (
+        any("too short to settle: at least 3 memories" in message for message in messages) == short
+    )
 
 
 def residual_of(run, share):
-    """A run whose residual is this share of the flux squared."""
+    """Return a run whose residual is this share of the flux squared."""
     flux = 0.0125
     rms = share * flux**2 / run.plain.constraint_noise
     changes = {"valid": 100, "sums": {"psi_f": 100 * flux}, "settled": 50}
@@ -195,16 +204,16 @@ def residual_of(run, share):
 @pytest.mark.parametrize(("share", "warned"), [(0.0099, False), (0.0101, True)])
 def test_a_residual_of_one_percent(run, share, warned):
     result = replace(residual_of(run, share), scales=replace(SCALES, current_noise=0.0))
-    found = warnings._residual(result, run.plain, None)
-    assert bool(found) == warned
+    messages = warnings._residual(result, run.plain, None)
+    assert bool(messages) == warned
     if warned:
-        assert "more than noise explains, 1.0% of the flux squared" in found[0]
+        assert "larger than noise explains: 1.0% of the flux squared" in messages[0]
     assert not warnings._residual(changed(run, valid=0), run.plain, None)
 
 
 @pytest.mark.parametrize(("times", "doubted"), [(2.99, False), (3.01, True)])
 def test_a_residual_of_three_times_the_noise(times, doubted):
-    """Noise of a current times twice its inductance and the flux, of each component."""
+    """The noise of each component is the current's, times twice inductance and flux."""
     flux, noise = 0.0125, 0.5
     share = SERVO.constraint_noise(flux, noise) / flux**2
     assert share > 0.01
@@ -213,16 +222,18 @@ def test_a_residual_of_three_times_the_noise(times, doubted):
     assert doubtful(np.nan, SERVO, flux, scales)
 
 
-# ---- what a log tells -----------------------------------------------------------------------
+# ---- identifiability -------------------------------------------------------------------------
 
 
-def test_half_of_a_prior_is_told():
+def test_half_of_the_prior_is_identifiable():
     parameter = Parameter("resistance", "Ω", 1.0, prior=0.2, value=1.1, std=0.1)
     assert parameter.told
     assert not replace(parameter, std=0.101).told
 
 
-class Long:
+class LongLog:
+    """The parts of a log that the choice of segments uses."""
+
     def __init__(self, rows, random_access=True):
         self.first, self.last = 7, 7 + rows
         self.table = SimpleNamespace(random_access=random_access)
@@ -231,13 +242,13 @@ class Long:
         return self.last - self.first
 
 
-def test_a_log_of_twelve_million_rows_is_learnt_from_whole():
-    assert learning_parts(Long(12_000_000)) == [(7, 12_000_007)]
-    assert learning_parts(Long(99_000_000, False)) == [(7, 99_000_007)]
-    parts = np.array(learning_parts(Long(23_000_000)))
-    np.testing.assert_array_equal(parts[:, 0], 7 + 2_000_000 * np.arange(12))
-    np.testing.assert_array_equal(parts[:, 1] - parts[:, 0], 1_000_000)
-    assert len(learning_parts(Long(12_000_001))) == 12
+def test_segments_of_a_log_of_more_than_twelve_million_rows():
+    assert learning_segments(LongLog(12_000_000)) == [(7, 12_000_007)]
+    assert learning_segments(LongLog(99_000_000, False)) == [(7, 99_000_007)]
+    segments = np.array(learning_segments(LongLog(23_000_000)))
+    np.testing.assert_array_equal(segments[:, 0], 7 + 2_000_000 * np.arange(12))
+    np.testing.assert_array_equal(segments[:, 1] - segments[:, 0], 1_000_000)
+    assert len(learning_segments(LongLog(12_000_001))) == 12
 
 
 ADAPTIVE = AdaptiveObserver.for_machine(
@@ -246,7 +257,7 @@ ADAPTIVE = AdaptiveObserver.for_machine(
 
 
 def learnt(resistance=(0.0, 0.01), inverter=(0.0, 0.01)):
-    """What was learnt: off by so many of so large standard deviations, as shares of the prior."""
+    """Return learnt values from pairs (error in standard deviations, their share of the prior)."""
     r_std = resistance[1] * ADAPTIVE.resistance_std
     v_std = inverter[1] * ADAPTIVE.inverter_std
     return SimpleNamespace(
@@ -272,14 +283,14 @@ def learnt(resistance=(0.0, 0.01), inverter=(0.0, 0.01)):
         ((0, 0.49), (0, 0.9), False, True),
     ],
 )
-def test_when_a_log_asks_for_more(resistance, inverter, fits, expected, monkeypatch):
+def test_when_a_log_needs_the_adaptive_observer(resistance, inverter, fits, expected, monkeypatch):
     monkeypatch.setattr(learning, "_fits", lambda _: fits)
-    assert needed(ADAPTIVE, learnt(resistance, inverter), None) == expected
+    assert adaptive_needed(ADAPTIVE, learnt(resistance, inverter), None) == expected
 
 
 @pytest.mark.parametrize(("std", "listed"), [(0.0, False), (1e-3, True), (0.02, True)])
 def test_an_inductance_is_listed_if_it_was_learnt(std, listed):
-    """One that is taken as exact has no standard deviation."""
+    """An inductance assumed to be exact has no standard deviation."""
     run = fluxobs.estimate(fluxobs.demo_log(), "servo-400w", unknowns="drift,resistance")
     learnt = replace(run.learnt, inductance_error=(0.05, 0.0), inductance_std=(std, std))
     (text,) = _parameters(replace(run, learnt=learnt))
@@ -289,16 +300,19 @@ def test_an_inductance_is_listed_if_it_was_learnt(std, listed):
 
 def test_only_unknown_parameters_are_listed():
     listed = parameters(ADAPTIVE, learnt())
-    assert [(one.name, one.unit) for one in listed] == [
+    assert [(parameter.name, parameter.unit) for parameter in listed] == [
         *(("magnet flux", "Wb"), ("resistance", "Ω"), ("inverter", "V"))
     ]
     assert listed[1].assumed == SERVO.R_s
     fixed = replace(ADAPTIVE, inverter_std=0.0)
-    assert [one.name for one in parameters(fixed, learnt())] == ["magnet flux", "resistance"]
+    assert [parameter.name for parameter in parameters(fixed, learnt())] == [
+        "magnet flux",
+        "resistance",
+    ]
 
 
-def test_noise_explains_a_residual_or_does_not(run, log):
-    """Of a machine as it is, and of one with a magnet as found but a resistance far off."""
+def test_whether_noise_explains_the_residual(run, log):
+    """It does for the true machine, not for one with three times its resistance."""
     for machine, fits in ((SERVO, True), (SERVO.with_values(R_s=3 * SERVO.R_s), False)):
         prepared = prepare.prepare(log, machine, ("drift",), None, {})
         assert learning._fits(prepared) == fits
@@ -307,23 +321,23 @@ def test_noise_explains_a_residual_or_does_not(run, log):
 # ---- settings -------------------------------------------------------------------------------
 
 
-def test_settings_that_a_log_gives(log):
+def test_settings_derived_from_a_log(log):
     observer = plain_observer(log, SERVO, SCALES, 0.0123)
     assert observer.memory == 0.0123
     assert observer.current_noise == 0.02
     assert observer.drift_prior >= 0.01 * SCALES.voltage
-    loud = plain_observer(log, SERVO, replace(SCALES, voltage=123.456), 0.0123)
-    assert loud.drift_prior == 1.23
-    quiet = plain_observer(log, SERVO, replace(SCALES, current_noise=1e-9), 0.0123)
-    assert quiet.current_noise == pytest.approx(1e-4 * SERVO.rated_current)
+    large = plain_observer(log, SERVO, replace(SCALES, voltage=123.456), 0.0123)
+    assert large.drift_prior == 1.23
+    noiseless = plain_observer(log, SERVO, replace(SCALES, current_noise=1e-9), 0.0123)
+    assert noiseless.current_noise == pytest.approx(1e-4 * SERVO.rated_current)
     unrated = SERVO.with_values(rated_current=None)
-    quiet = plain_observer(log, unrated, replace(SCALES, current_noise=1e-9), 0.0123)
-    assert quiet.current_noise == pytest.approx(1e-4 * SCALES.current)
-    fine = plain_observer(log, SERVO, replace(SCALES, current_noise=0.0234567), 0.0123)
-    assert fine.current_noise == 0.0235
+    noiseless = plain_observer(log, unrated, replace(SCALES, current_noise=1e-9), 0.0123)
+    assert noiseless.current_noise == pytest.approx(1e-4 * SCALES.current)
+    rounded_noise = plain_observer(log, SERVO, replace(SCALES, current_noise=0.0234567), 0.0123)
+    assert rounded_noise.current_noise == 0.0235
 
 
-def test_a_memory_is_ten_samples_at_least(log):
+def test_the_default_memory_is_at_least_ten_samples(log):
     slow = replace(log, clock=replace(log.clock, sample_time=5e-3))
     assert plain_observer(slow, SERVO, SCALES, None).memory >= 10 * 5e-3
     usual = plain_observer(log, SERVO, SCALES, None).memory
@@ -331,7 +345,7 @@ def test_a_memory_is_ten_samples_at_least(log):
 
 
 @pytest.mark.parametrize(("rows", "fits"), [(10, True), (9.99, False)])
-def test_a_memory_that_is_given_has_ten_rows(log, rows, fits):
+def test_a_given_memory_must_have_ten_samples(log, rows, fits):
     if fits:
         assert prepare._check_memory(log, SERVO, rows * H) == rows * H
     else:
@@ -347,7 +361,7 @@ def test_a_log_too_slow_for_the_usual_memory(log):
 
 
 def test_the_usual_speed():
-    """That of the currents, but no more than the voltage over the flux."""
+    """It is the speed of the currents, but not above voltage over flux."""
     base = SERVO.flux_base(SCALES.current)
     assert usual_speed(SERVO, SCALES, None) == 500.0
     slow = replace(SCALES, voltage=100 * base)
@@ -366,18 +380,18 @@ def test_a_magnet_is_guessed_from_the_log(psi_f):
 
 
 @pytest.mark.parametrize(
-    ("name", "most"),
+    ("name", "largest"),
     [("inverter", 8.0), ("psi_f", 0.0125), ("resistance", 10 * 0.36)],
 )
-def test_priors_that_are_no_standard_deviations(log, name, most):
+def test_priors_too_large_for_standard_deviations(log, name, largest):
     unknowns = ("drift", "resistance", "inverter")
-    prepare.prepare(log, SERVO, unknowns, None, {name: 0.99 * most}, SCALES)
-    with pytest.raises(fluxobs.FluxobsError, match=f"prior {name}=.*, {most:.3g}$"):
-        prepare.prepare(log, SERVO, unknowns, None, {name: 1.01 * most}, SCALES)
+    prepare.prepare(log, SERVO, unknowns, None, {name: 0.99 * largest}, SCALES)
+    with pytest.raises(fluxobs.FluxobsError, match=f"prior {name}=.*, {largest:.3g}$"):
+        prepare.prepare(log, SERVO, unknowns, None, {name: 1.01 * largest}, SCALES)
 
 
 def test_the_observer_of_a_levitation():
-    """Its sizes follow from the machine's, and from those of the log."""
+    """Its sizes follow from those of the machine and the log."""
     machine = example("maglev-knospe")
     rows = 400
     wave = np.stack([1 + 0.1 * np.sin(0.1 * np.arange(rows)), np.ones(rows)], axis=1)
@@ -403,22 +417,22 @@ def test_the_observer_of_a_levitation():
 @pytest.mark.parametrize("size", [640, 10_000])
 @pytest.mark.parametrize("first", [100, 1500, 5000, 8999])
 def test_rows_for_a_picture(size, first):
-    """Every second of 9000, and those from 1000 before to 2000 behind the first valid row."""
+    """Keep every second of 9000 rows, and 1000 before to 2000 after the first valid row."""
     statistics = Statistics(9000)
     t = np.arange(9000.0)
     for begin in range(0, 9000, size):
-        part = t[begin : begin + size]
+        times = t[begin : begin + size]
         statistics.add(
             SimpleNamespace(
-                columns={"t": part}, valid=part >= first, error=None, innovation=None, more={}
+                columns={"t": times}, valid=times >= first, error=None, innovation=None, more={}
             )
         )
     np.testing.assert_array_equal(statistics.thin.columns()["t"], t[::2])
-    held = statistics.detail.columns()["t"]
-    assert held[-1] == min(first + 1999, 8999)
-    begun = max(0, first - 1000)
-    assert held[0] == (begun if size == 10_000 else max(begun, first // size * size))
-    np.testing.assert_array_equal(np.diff(held), 1)
+    window = statistics.detail.columns()["t"]
+    assert window[-1] == min(first + 1999, 8999)
+    start = max(0, first - 1000)
+    assert window[0] == (start if size == 10_000 else max(start, first // size * size))
+    np.testing.assert_array_equal(np.diff(window), 1)
 
 
 def test_the_machine_of_a_command():
@@ -427,14 +441,14 @@ def test_the_machine_of_a_command():
     assert _machine_in(None) == "MACHINE"
 
 
-def test_what_columns_are_taken_for():
+def test_channels_and_their_conversions():
     conversions = {"i_a": (1e-3, 0.0), "i_b": (1e-3, -0.5), "u_a": (1.0, 2.0)}
     log = SimpleNamespace(
         names={"i_a": "Ia", "i_b": "Ib", "u_a": "Ua", "u_b": "Ub"},
         conversions=conversions,
         true=SimpleNamespace(channel="hall", columns=("x", "y")),
     )
-    assert _taken(log) == [
+    assert _channel_rows(log) == [
         ["i_a", "Ia", "× 0.001"],
         ["i_b", "Ib", "× 0.001 + -0.5"],
         ["u_a", "Ua", "+ 2"],
@@ -444,8 +458,8 @@ def test_what_columns_are_taken_for():
 
 
 @pytest.mark.parametrize("rated", [3.0, 12.0, 30.0])
-def test_without_a_rated_current_that_of_the_log_counts(log, rated):
-    """And one that is given counts whatever the log."""
+def test_without_a_rated_current_the_current_of_the_log_counts(log, rated):
+    """A given rated current counts whatever the log."""
     unknowns = ("drift", "resistance", "inverter")
     observers = [
         prepare.prepare(log, machine, unknowns, 0.02, {}, replace(SCALES, current=current)).observer
@@ -462,21 +476,21 @@ def test_without_a_rated_current_that_of_the_log_counts(log, rated):
     assert observers[1].inverter_current == pytest.approx(usual * rated / SERVO.rated_current)
 
 
-def test_the_dc_link_of_a_log_is_the_line_voltage_at_least(log):
-    """Where the drop at the rated current is small, the inverter's prior is a share of it."""
+def test_the_dc_link_of_a_log_is_at_least_the_line_voltage(log):
+    """If the drop at rated current is small, the inverter's prior is a share of the DC link."""
     unknowns = ("drift", "inverter")
-    found = [
+    stds = [
         prepare.prepare(
             log, SERVO.with_values(R_s=1e-3), unknowns, 0.02, {}, replace(SCALES, voltage=voltage)
         ).observer.inverter_std
         for voltage in (100.0, 200.0)
     ]
-    assert found[1] == pytest.approx(2 * found[0], rel=0.01)
-    assert found[0] == pytest.approx(DC_LINK_SHARE * 100 * np.sqrt(3), rel=0.005)
+    assert stds[1] == pytest.approx(2 * stds[0], rel=0.01)
+    assert stds[0] == pytest.approx(DC_LINK_SHARE * 100 * np.sqrt(3), rel=0.005)
 
 
 def test_the_columns_of_a_report(run):
-    """Flags for what is valid, times exactly, and no column that no picture shows."""
+    """They have packed flags, exact times, and only columns that a picture shows."""
     columns = _columns(run)
     assert set(columns) == set(run.estimates.columns) - set(report.NOT_SHOWN)
     assert columns["valid"] == flags(run["valid"])
@@ -484,18 +498,18 @@ def test_the_columns_of_a_report(run):
     assert columns["theta_e_std"] == rounded(run["theta_e_std"])
 
 
-@pytest.mark.parametrize(("limit", "there"), [(ROWS, True), (ROWS - 1, False)])
-def test_the_record_of_a_report_has_at_most_so_many_rows(run, monkeypatch, limit, there):
-    monkeypatch.setattr(report, "MOST_ROWS", limit)
+@pytest.mark.parametrize(("limit", "included"), [(ROWS, True), (ROWS - 1, False)])
+def test_a_report_leaves_out_a_large_record(run, monkeypatch, limit, included):
+    monkeypatch.setattr(report, "MAX_RECORD_ROWS", limit)
     record = report._record(run)
-    assert (record is not None) == there
+    assert (record is not None) == included
     if record is not None:
         assert record["start"] == run["t"][0]
         assert record["t"] is None
         assert set(record["columns"]) == {"u_alpha", "u_beta", "i_alpha", "i_beta"}
         assert record["columns"]["i_alpha"] == exact(SAMPLES.current[:, 0])
-        size = sum(len(one["data"]) for one in record["columns"].values())
-        monkeypatch.setattr(report, "MOST", size)
+        size = sum(len(column["data"]) for column in record["columns"].values())
+        monkeypatch.setattr(report, "MAX_RECORD_SIZE", size)
         assert report._record(run) is not None
-        monkeypatch.setattr(report, "MOST", size - 1)
+        monkeypatch.setattr(report, "MAX_RECORD_SIZE", size - 1)
         assert report._record(run) is None

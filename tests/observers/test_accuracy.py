@@ -1,4 +1,4 @@
-"""What the observer reaches, on closed-form records of several machines."""
+"""Accuracy of the observers on closed-form records of several machines."""
 
 from dataclasses import replace
 
@@ -14,8 +14,11 @@ MAGNETS = [name for name in MACHINES if name != "synrm-6kw7"]
 
 
 def observer_for(machine, sample_time, **options):
-    """The observer of the relation alone: i_d is constant in these records, and a bias of the
-    current would be a wrong i_d (tests/observers/test_maps.py)."""
+    """Return the observer without a flux map.
+
+    i_d is constant in these records; with a map, a current bias acts as a wrong i_d
+    (tests/observers/test_maps.py).
+    """
     observer = LeastSquaresObserver.for_machine(machine, sample_time=sample_time, **options)
     return replace(observer, flux_map=None)
 
@@ -24,7 +27,7 @@ def observer_for(machine, sample_time, **options):
 @pytest.mark.parametrize("bias", [0.01, 0.1])
 @pytest.mark.parametrize("name", MAGNETS)
 def test_exact_without_noise_from_volt_seconds(name, bias, per_period):
-    """Biases up to a tenth of the rated current and voltage; after five memories 1e-6 rad."""
+    """With biases up to a tenth of the ratings, the error after five memories is 1e-6 rad."""
     machine, h = MACHINES[name], 2e-4
     speed = 2 * np.pi / (per_period * h)
     rated_voltage = speed * machine.psi_f
@@ -59,7 +62,7 @@ def test_exact_without_noise_from_volt_seconds(name, bias, per_period):
     salient=st.booleans(),
 )
 def test_random_machines(R_s, L, psi, per_period, load, theta0, backwards, salient):
-    """Inductance and resistance per unit of a 10 A machine; either direction, any start."""
+    """Inductance and resistance are per-unit; either direction, any initial angle."""
     h, rated = 1e-4, 10.0
     speed = 2 * np.pi / (per_period * h) * (-1 if backwards else 1)
     L_s = L * psi / rated
@@ -83,14 +86,14 @@ def test_random_machines(R_s, L, psi, per_period, load, theta0, backwards, salie
 
 
 def test_quadrature_of_the_current():
-    """Currents only, 12 samples a period, half a rated voltage drop in the resistance."""
+    """Mean currents come from samples: 12 per period, half of the voltage in the resistance."""
     h = 2e-4
     speed = 2 * np.pi / (12 * h)
     machine = SurfacePMSM(R_s=1.3, L_s=2e-4, n_p=4, psi_f=0.01, rated_current=10)
     samples = steady(machine, h, speed, 2000, 2 + 10j)
     estimate = observer_for(machine, h, held=False).run(samples.voltage, samples.current)
     error = np.abs(wrapped_degrees(estimate.theta_e - samples.theta))[-500:]
-    # The trapezoid is 2.3 % off in ∫i, the cubic 0.2 %: what remains is R i/(ω ψ) of that.
+    # The error of ∫i is 2.3 % with the trapezoid, 0.2 % with the cubic; R i/(ω ψ) of it remains.
     drop = machine.R_s * abs(2 + 10j) / (speed * machine.psi_f)
     assert drop > 0.4
     assert error.max() < 0.05
@@ -113,9 +116,9 @@ def test_noise_floor_of_a_raw_angle(name):
         floor = np.degrees(machine.position_inductance * noise / machine.psi_f)
         ratios.append(np.sqrt(np.mean(error[start:] ** 2)) / floor)
         assert estimate.valid[start:].all()
-        # The standard deviation says so too.
-        said = np.degrees(np.median(estimate.theta_e_std[start:]))
-        assert 0.8 < said / np.sqrt(np.mean(error[start:] ** 2)) < 1.5
+        # The stated standard deviation agrees.
+        stated_std = np.degrees(np.median(estimate.theta_e_std[start:]))
+        assert 0.8 < stated_std / np.sqrt(np.mean(error[start:] ** 2)) < 1.5
     assert np.sqrt(np.mean(np.square(ratios))) < 1.3
 
 
@@ -123,56 +126,56 @@ def test_noise_floor_of_a_raw_angle(name):
 def test_a_wrong_magnet_flux_does_no_harm(factor):
     h, noise = 1e-4, 0.05
     samples = steady(SERVO, h, 400.0, 4000, 6j, 0.1, 0.1, noise)
-    right = observer_for(SERVO, h, current_noise=noise).run(samples.voltage, samples.current)
-    wrong = SERVO.model_copy(update={"psi_f": factor * SERVO.psi_f})
-    found = observer_for(wrong, h, current_noise=noise).run(samples.voltage, samples.current)
+    correct = observer_for(SERVO, h, current_noise=noise).run(samples.voltage, samples.current)
+    mistaken = SERVO.model_copy(update={"psi_f": factor * SERVO.psi_f})
+    estimate = observer_for(mistaken, h, current_noise=noise).run(samples.voltage, samples.current)
     settled = slice(1500, None)
-    difference = wrapped_degrees(found.theta_e - right.theta_e)[settled]
+    difference = wrapped_degrees(estimate.theta_e - correct.theta_e)[settled]
     assert np.abs(difference).max() < 1e-3
-    np.testing.assert_allclose(found.psi_f[settled], right.psi_f[settled], rtol=1e-4)
-    assert found.valid[500:].all()
+    np.testing.assert_allclose(estimate.psi_f[settled], correct.psi_f[settled], rtol=1e-4)
+    assert estimate.valid[500:].all()
 
 
 @pytest.mark.parametrize("name", MACHINES)
-def test_never_valid_at_standstill_and_one_period_is_enough_after(name):
-    """Ten noisy minutes with offsets; then one electrical period of motion."""
-    machine, h, still = MACHINES[name], 2e-4, 3_000_000
+def test_never_valid_at_standstill_but_after_one_period_of_motion(name):
+    """One electrical period of motion follows ten noisy minutes with offsets at rest."""
+    machine, h, rest_rows = MACHINES[name], 2e-4, 3_000_000
     noise, speed = 0.005 * machine.rated_current, 250.0
-    rows = np.r_[np.zeros(still), np.full(3000, speed)]
+    rows = np.r_[np.zeros(rest_rows), np.full(3000, speed)]
     samples = steady(
         machine, h, rows, len(rows), CURRENTS[name], 0.02 * machine.rated_current, 0.1, noise
     )
     estimate = observer_for(machine, h, current_noise=noise).run(samples.voltage, samples.current)
-    assert not estimate.valid[:still].any()
+    assert not estimate.valid[:rest_rows].any()
     assert np.isfinite(estimate.theta_e).all()
     error = wrapped_degrees(estimate.theta_e - samples.theta)
     if machine.half_turn_ambiguous:
         error = wrapped_degrees(2 * np.radians(error)) / 2
-    period = still + int(2 * np.pi / speed / h)
+    period = rest_rows + int(2 * np.pi / speed / h)
     assert estimate.valid[period:].all()
     assert np.abs(error[estimate.valid]).max() < 15
 
 
 def test_carried_through_a_short_standstill():
-    """Stop within milliseconds and start again: flux and drift are kept, the trust is not."""
+    """After a stop and a start within milliseconds, flux and drift remain, validity does not."""
     h = 1e-4
     speed = np.r_[np.full(3000, 500.0), np.zeros(2000), np.full(2000, 500.0)]
     samples = steady(SERVO, h, speed, len(speed), 6j, 0.1, 0.1, 0.03)
     estimate = observer_for(SERVO, h, current_noise=0.03).run(samples.voltage, samples.current)
     error = np.abs(wrapped_degrees(estimate.theta_e - samples.theta))
-    assert error[2000:5000].max() < 15  # all through the stop
+    assert error[2000:5000].max() < 15  # throughout the stop
     assert not estimate.valid[3500:5000].any()
-    # It says that it knows less and less, and is right about how much.
+    # The standard deviation grows, and stays consistent with the error.
     assert estimate.theta_e_std[4999] > 3 * estimate.theta_e_std[2999]
     assert error[4999] < 4 * np.degrees(estimate.theta_e_std[4999])
-    kept = estimate.drift[4999] - samples.drift
-    assert np.abs(kept).max() < 0.05 * np.abs(samples.drift).max()
+    drift_error = estimate.drift[4999] - samples.drift
+    assert np.abs(drift_error).max() < 0.05 * np.abs(samples.drift).max()
     assert error[estimate.valid].max() < 15
 
 
 @pytest.mark.parametrize("volts", [0.04, 0.08, 0.16])
-def test_stop_with_a_voltage_error_is_not_wrong_and_sure(volts):
-    """At rest an inverter's error turns the flux without a trace in the residual."""
+def test_a_stop_with_a_voltage_error_is_not_valid_and_wrong(volts):
+    """At rest, an inverter's error turns the flux without a residual."""
     h = 1e-4
     speed = np.interp(np.arange(10_000) * h, [0.3, 0.4], [375.0, 0.0])
     samples = steady(SERVO, h, speed, len(speed), -6j, noise=0.024, theta0=1.1)
@@ -190,20 +193,20 @@ def test_stop_with_a_voltage_error_is_not_wrong_and_sure(volts):
 @pytest.mark.parametrize("name", MACHINES)
 @pytest.mark.parametrize("factor", [2, 5])
 def test_more_noise_than_assumed_is_noticed(name, factor):
-    """Standstill, then motion, with several times the assumed noise."""
-    machine, h, still = MACHINES[name], 2e-4, 50_000
+    """The noise is several times the assumed one, at standstill and then in motion."""
+    machine, h, rest_rows = MACHINES[name], 2e-4, 50_000
     noise = 0.002 * machine.rated_current
-    speed = np.r_[np.zeros(still), np.full(3000, 250.0)]
+    speed = np.r_[np.zeros(rest_rows), np.full(3000, 250.0)]
     samples = steady(machine, h, speed, len(speed), CURRENTS[name], noise=factor * noise)
     estimate = observer_for(machine, h, current_noise=noise).run(samples.voltage, samples.current)
     error = wrapped_degrees(estimate.theta_e - samples.theta)
     if machine.half_turn_ambiguous:
         error = wrapped_degrees(2 * np.radians(error)) / 2
-    assert not estimate.valid[:still].any()
+    assert not estimate.valid[:rest_rows].any()
     assert estimate.valid[-1000:].all()
     assert np.abs(error[estimate.valid]).max() < 15
-    said = np.degrees(estimate.theta_e_std[-2000:])
-    assert (np.abs(error[-2000:]) < 2 * said).mean() > 0.9
+    stated_std = np.degrees(estimate.theta_e_std[-2000:])
+    assert (np.abs(error[-2000:]) < 2 * stated_std).mean() > 0.9
 
 
 def test_single_precision_is_enough():
@@ -219,7 +222,7 @@ def test_single_precision_is_enough():
 
 
 def test_drift_jump_is_followed():
-    """A bias that jumps during operation, by far more than the prior."""
+    """The bias jumps during operation by far more than its prior."""
     h = 1e-4
     samples = steady(SERVO, h, 500.0, 8000, 6j, 0.1, 0.0, 0.02)
     voltage = samples.voltage.copy()
@@ -257,7 +260,7 @@ def test_unusable_settings_are_named(options, message):
 @pytest.mark.parametrize("error", [0.05, 0.1, 0.15, 0.25])
 @pytest.mark.parametrize("frequency", [2.2, 2.6, 3.0, 4.0])
 def test_a_locked_rotor_under_a_turning_current_is_not_called_valid(error, frequency):
-    """A wrong R makes half a turn of its own; the position stays where it is."""
+    """With a wrong R, the current alone imitates half a turn; the rotor does not move."""
     machine = MACHINES["servo-400w"]
     h, rows, theta = 1e-4, 60_000, 0.7
     turn = np.exp(2j * np.pi * frequency * h * np.arange(rows))
@@ -265,37 +268,37 @@ def test_a_locked_rotor_under_a_turning_current_is_not_called_valid(error, frequ
     i = 8 * turn + 0.0024 * (noise[0] + 1j * noise[1])
     u = 8 * turn * (1.0 + error) * machine.R_s + machine.L_s * 8 * turn * 2j * np.pi * frequency
     observer = LeastSquaresObserver.for_machine(machine, sample_time=h)
-    found = observer.run(vectors(u), vectors(i))
-    wrong = found.valid & (np.abs(wrapped_degrees(found.theta_e - theta)) > 15)
+    estimate = observer.run(vectors(u), vectors(i))
+    wrong = estimate.valid & (np.abs(wrapped_degrees(estimate.theta_e - theta)) > 15)
     assert not wrong.any()
 
 
 @pytest.mark.parametrize(
     ("swing", "frequency", "memory"), [(200.0, 100.0, 0.03), (60.0, 25.0, 0.1)]
 )
-def test_a_ripple_of_the_speed_does_not_keep_a_position_from_being_valid(swing, frequency, memory):
+def test_a_position_is_valid_despite_speed_ripple(swing, frequency, memory):
     machine = MACHINES["servo-400w"]
     t = 1e-4 * np.arange(10_000)
     speed = 3 * swing + swing * np.cos(2 * np.pi * frequency * t)
     data = steady(machine, 1e-4, speed, len(t), noise=0.01)
     observer = LeastSquaresObserver.for_machine(machine, sample_time=1e-4, memory=memory)
-    found = observer.run(data.voltage, data.current)
-    assert found.valid[-2000:].all()
-    assert np.abs(wrapped_degrees(found.theta_e - data.theta))[-2000:].max() < 1
+    estimate = observer.run(data.voltage, data.current)
+    assert estimate.valid[-2000:].all()
+    assert np.abs(wrapped_degrees(estimate.theta_e - data.theta))[-2000:].max() < 1
 
 
 @pytest.mark.parametrize("missing", ["voltage", "current"])
-@pytest.mark.parametrize("speed", [1700.0, 4000.0])  # 37 and 16 samples a period
-def test_samples_that_are_missing_leave_no_wrong_position(missing, speed):
+@pytest.mark.parametrize("speed", [1700.0, 4000.0])  # 37 and 16 samples per period
+def test_missing_samples_leave_no_wrong_position(missing, speed):
     machine = MACHINES["servo-400w"]
     data = steady(machine, 1e-4, speed, 6000, i_dq=12j, noise=0.02)
     u, i = data.voltage.copy(), data.current.copy()
     for count in (1, 2, 3):
         (u if missing == "voltage" else i)[2000 * count - 1000 :][:count] = np.nan
     observer = LeastSquaresObserver.for_machine(machine, sample_time=1e-4)
-    found = observer.run(u, i)
-    gone = ~(np.isfinite(u).all(axis=1) & np.isfinite(i).all(axis=1))
-    assert not found.valid[gone].any()
-    assert found.valid[1000:][~gone[1000:]].all()
-    error = np.abs(wrapped_degrees(found.theta_e - data.theta))
-    assert error[found.valid].max() < 2
+    estimate = observer.run(u, i)
+    unmeasured = ~(np.isfinite(u).all(axis=1) & np.isfinite(i).all(axis=1))
+    assert not estimate.valid[unmeasured].any()
+    assert estimate.valid[1000:][~unmeasured[1000:]].all()
+    error = np.abs(wrapped_degrees(estimate.theta_e - data.theta))
+    assert error[estimate.valid].max() < 2

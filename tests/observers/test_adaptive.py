@@ -1,4 +1,4 @@
-"""The adaptive observer: start, resistance, inverter, magnet, saliency, and what it says of it."""
+"""The adaptive observer: start, resistance, inverter, magnet, saliency, standard deviations."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BOTH = ("drift", "resistance", "inverter")
 
 
 def start(noise, seed):
-    """From standstill at an unknown angle, an offset of 5 %, a full turn and a half."""
+    """Return a start from rest at an unknown angle, with an offset of 5 %, over 1.5 turns."""
     rng = np.random.default_rng(seed)
     speed = profile((0, 0), (0.02, 0), (0.08, 250), (0.13, 250))
     return driven(
@@ -34,8 +34,8 @@ def start(noise, seed):
     )
 
 
-def errors(found, samples):
-    return wrapped_degrees(found.theta_e - samples.theta)
+def errors(estimate, samples):
+    return wrapped_degrees(estimate.theta_e - samples.theta)
 
 
 def rms(x):
@@ -50,62 +50,62 @@ def test_start_within_a_fraction_of_a_turn(noise, turned):
             MACHINE, sample_time=H, unknowns=("drift",), current_noise=noise * RATED
         )
         error = np.abs(errors(observer.run(samples.voltage, samples.current), samples))
-        at = np.argmax(samples.theta - samples.theta[0] > np.radians(turned))
-        assert error[at] < 5
+        row = np.argmax(samples.theta - samples.theta[0] > np.radians(turned))
+        assert error[row] < 5
         plain = observer.plain.run(samples.voltage, samples.current)
-        assert np.abs(wrapped_degrees(plain.theta_e - samples.theta))[at] > error[at]
+        assert np.abs(wrapped_degrees(plain.theta_e - samples.theta))[row] > error[row]
 
 
-def test_a_start_says_that_two_angles_are_in_question():
+def test_a_start_returns_both_candidate_angles():
     samples = start(0.005, 3)
     observer = AdaptiveObserver.for_machine(
         MACHINE, sample_time=H, unknowns=("drift",), current_noise=0.005 * RATED
     )
-    found = observer.run(samples.voltage, samples.current)
+    estimate = observer.run(samples.voltage, samples.current)
     turned = np.degrees(samples.theta - samples.theta[0])
-    early = (turned > 3) & ~found.adapting
+    early = (turned > 3) & ~estimate.adapting
     assert early.any()
-    # Neither hides: the true angle is the one or the other, and neither is called valid.
-    other = np.abs(wrapped_degrees(found.theta_e_other - samples.theta))
-    nearer = np.minimum(np.abs(errors(found, samples)), other)
+    # One of the two candidates is right, and neither is valid.
+    error_of_other = np.abs(wrapped_degrees(estimate.theta_e_other - samples.theta))
+    nearer = np.minimum(np.abs(errors(estimate, samples)), error_of_other)
     assert np.median(nearer[early]) < 15
-    assert found.weight_other[early].max() > 0.4
-    assert not found.valid[early].any()
-    assert (found.weight_other[found.adapting] == 0).all()
+    assert estimate.weight_other[early].max() > 0.4
+    assert not estimate.valid[early].any()
+    assert (estimate.weight_other[estimate.adapting] == 0).all()
 
 
 @pytest.mark.parametrize("projection", ["never", "start"])
-def test_projections_end_at_the_same(projection):
+def test_projections_reach_the_same_accuracy(projection):
     samples = course(R_s=1.2 * MACHINE.R_s)
     observer = AdaptiveObserver.for_machine(
         MACHINE, sample_time=H, unknowns=("drift", "resistance"), projection=projection
     )
-    found = observer.run(samples.voltage, samples.current)
-    late = slice(int(0.7 / H), None)
-    assert rms(errors(found, samples)[late]) < 0.3
+    estimate = observer.run(samples.voltage, samples.current)
+    settled = slice(int(0.7 / H), None)
+    assert rms(errors(estimate, samples)[settled]) < 0.3
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.8, 1.2, 1.5])
 def test_resistance(factor):
     samples = course()
-    believed = MACHINE.model_copy(update={"R_s": MACHINE.R_s * factor})
+    assumed = MACHINE.model_copy(update={"R_s": MACHINE.R_s * factor})
     observer = AdaptiveObserver.for_machine(
-        believed, sample_time=H, resistance_std=0.5 * believed.R_s
+        assumed, sample_time=H, resistance_std=0.5 * assumed.R_s
     )
-    found = observer.run(samples.voltage, samples.current)
-    late = slice(int(0.7 / H), None)
-    assert rms(errors(found, samples)[late]) < 0.1
-    off = np.abs(found.resistance - MACHINE.R_s)
-    assert (off <= 3 * found.resistance_std).all()
-    assert off[-1] < 0.005 * MACHINE.R_s
-    assert found.resistance_std[-1] < 0.05 * MACHINE.R_s
+    estimate = observer.run(samples.voltage, samples.current)
+    settled = slice(int(0.7 / H), None)
+    assert rms(errors(estimate, samples)[settled]) < 0.1
+    error = np.abs(estimate.resistance - MACHINE.R_s)
+    assert (error <= 3 * estimate.resistance_std).all()
+    assert error[-1] < 0.005 * MACHINE.R_s
+    assert estimate.resistance_std[-1] < 0.05 * MACHINE.R_s
     plain = observer.plain.run(samples.voltage, samples.current)
-    assert rms(errors(plain, samples)[late]) > 0.3
+    assert rms(errors(plain, samples)[settled]) > 0.3
 
 
-@pytest.mark.parametrize("believed", [0.12, 0.18, 0.08])
-def test_never_sure_and_wrong(believed):
-    """The record on which a joint filter became sure of R = 0.21 ± 0.010 Ω (docs/theory.md)."""
+@pytest.mark.parametrize("assumed", [0.12, 0.18, 0.08])
+def test_never_certain_and_wrong(assumed):
+    """On this record a joint filter converged to R = 0.21 ± 0.010 Ω (docs/theory.md)."""
     h, rows = 5e-5, 80_000
     t = np.arange(rows) * h
     true = SurfacePMSM(R_s=0.12, L_s=120e-6, psi_f=0.0105, n_p=7, rated_current=30.0)
@@ -113,56 +113,58 @@ def test_never_sure_and_wrong(believed):
     current = 1j * (5 + 3 * np.sin(2 * np.pi * t / 3))
     samples = driven(true, h, speed, current, noise=0.05)
     biased = samples.current + np.array([0.1, -0.05])
-    machine = true.with_values(R_s=believed)
-    observer = AdaptiveObserver.for_machine(machine, sample_time=h, resistance_std=0.5 * believed)
-    found = observer.run(samples.voltage, biased)
-    error = np.abs(errors(found, samples))
-    assert error[found.valid].max() < 5
-    assert (np.abs(found.resistance - 0.12) <= 3 * found.resistance_std).all()
-    late = t > 2
-    assert found.valid[late].mean() > 0.8
-    assert error[late & found.valid].max() < 1
-    assert found.resistance[-1] == pytest.approx(0.12, rel=0.01)
+    machine = true.with_values(R_s=assumed)
+    observer = AdaptiveObserver.for_machine(machine, sample_time=h, resistance_std=0.5 * assumed)
+    estimate = observer.run(samples.voltage, biased)
+    error = np.abs(errors(estimate, samples))
+    assert error[estimate.valid].max() < 5
+    assert (np.abs(estimate.resistance - 0.12) <= 3 * estimate.resistance_std).all()
+    settled = t > 2
+    assert estimate.valid[settled].mean() > 0.8
+    assert error[settled & estimate.valid].max() < 1
+    assert estimate.resistance[-1] == pytest.approx(0.12, rel=0.01)
 
 
 def test_an_emf_within_the_uncertainty_is_not_valid():
-    """At 1 V of EMF and 8 A, a resistance that is 0.25 Ω larger explains the rotor half a turn on
-    as well; as the speed rises, the truth remains."""
+    """At 1 V of EMF and 8 A, a resistance 0.25 Ω larger explains the opposite angle as well.
+
+    As the speed rises, only the true angle remains.
+    """
     machine = MACHINES["servo-400w"]
     speed = profile((0, 80), (1.0, 80), (1.3, 800), (2.0, 800))
     samples = driven(machine, H, speed, np.full(len(speed), 8j), noise=0.02)
-    believed = machine.with_values(R_s=0.6)
-    observer = AdaptiveObserver.for_machine(believed, sample_time=H, resistance_std=0.3)
-    found = observer.run(samples.voltage, samples.current)
+    assumed = machine.with_values(R_s=0.6)
+    observer = AdaptiveObserver.for_machine(assumed, sample_time=H, resistance_std=0.3)
+    estimate = observer.run(samples.voltage, samples.current)
     slow = np.arange(len(speed)) * H < 1.0
-    assert not found.valid[slow].any()
-    assert found.valid[-2000:].mean() > 0.5
-    assert np.abs(errors(found, samples))[found.valid].max() < 5
+    assert not estimate.valid[slow].any()
+    assert estimate.valid[-2000:].mean() > 0.5
+    assert np.abs(errors(estimate, samples))[estimate.valid].max() < 5
 
 
-def test_what_leaves_no_residual_is_in_the_standard_deviation():
+def test_errors_without_residual_are_in_the_standard_deviation():
     samples = course()
     for change in (1.15, 0.85):
         machine = MACHINE.with_values(L_s=change * MACHINE.L_s)
         observer = AdaptiveObserver.for_machine(machine, sample_time=H)
-        found = observer.run(samples.voltage, samples.current)
-        sure = np.abs(np.radians(errors(found, samples))) < 2 * found.theta_e_std
-        assert sure[found.valid].mean() > 0.85
-        known = replace(observer, L_q_std=0.0).run(samples.voltage, samples.current)
-        assert (known.theta_e == found.theta_e).all()
-        assert known.theta_e_std[-1] < found.theta_e_std[-1]
+        estimate = observer.run(samples.voltage, samples.current)
+        within = np.abs(np.radians(errors(estimate, samples))) < 2 * estimate.theta_e_std
+        assert within[estimate.valid].mean() > 0.85
+        exact = replace(observer, L_q_std=0.0).run(samples.voltage, samples.current)
+        assert (exact.theta_e == estimate.theta_e).all()
+        assert exact.theta_e_std[-1] < estimate.theta_e_std[-1]
 
 
 def test_offsets_and_asymmetry_are_learnt():
     true = course(inverter=8.0, smoothing=0.05 * RATED)
     g, offset = 0.008 - 0.004j, np.array([0.12, -0.08])
     u = true.voltage[:, 0] + 1j * true.voltage[:, 1]
-    # measured u, of which u + g conj(u) acts
+    # The voltage u + g conj(u) acts where u is measured.
     measured = (u - g * np.conj(u)) / (1 - abs(g) ** 2)
     observer = AdaptiveObserver.for_machine(
         MACHINE, sample_time=H, unknowns=(*BOTH, "asymmetry"), inverter_std=5.0
     )
-    state, found = observer.resume(
+    state, estimate = observer.resume(
         observer.init(), np.stack([measured.real, measured.imag], axis=1), true.current + offset
     )
     learnt = observer.learnt(state)
@@ -170,8 +172,8 @@ def test_offsets_and_asymmetry_are_learnt():
     assert (np.abs(learnt.offset - offset) < 3 * np.array(learnt.offset_std)).all()
     assert max(learnt.offset_std) < 0.6 * observer.offset_std
     assert learnt.inverter_voltage == pytest.approx(8.0, abs=3 * learnt.inverter_std)
-    assert learnt.resistance == found.resistance[-1]
-    assert rms(errors(found, true)[int(0.7 / H) :]) < 0.25
+    assert learnt.resistance == estimate.resistance[-1]
+    assert rms(errors(estimate, true)[int(0.7 / H) :]) < 0.25
     assert observer.restarts(state) == 0
 
 
@@ -182,42 +184,42 @@ def test_inverter_at_a_tenth_of_the_speed():
         MACHINE, H, speed, 1j * load, inverter=10.8, smoothing=0.05 * RATED, noise=0.02
     )
     observer = AdaptiveObserver.for_machine(MACHINE, sample_time=H, unknowns=BOTH)
-    found = observer.run(samples.voltage, samples.current)
-    late = slice(int(1.0 / H), None)
-    assert rms(errors(found, samples)[late]) < 0.5
-    assert found.inverter_voltage[-1] == pytest.approx(10.8, rel=0.1)
+    estimate = observer.run(samples.voltage, samples.current)
+    settled = slice(int(1.0 / H), None)
+    assert rms(errors(estimate, samples)[settled]) < 0.5
+    assert estimate.inverter_voltage[-1] == pytest.approx(10.8, rel=0.1)
     plain = observer.plain.run(samples.voltage, samples.current)
-    assert rms(errors(plain, samples)[late]) > 1
+    assert rms(errors(plain, samples)[settled]) > 1
 
 
 def test_magnet_flux_and_its_standard_deviation():
     samples = course(psi_f=0.85 * MACHINE.psi_f)
-    found = AdaptiveObserver.for_machine(MACHINE, sample_time=H).run(
+    estimate = AdaptiveObserver.for_machine(MACHINE, sample_time=H).run(
         samples.voltage, samples.current
     )
-    late = slice(int(1.0 / H), None)
-    off = found.psi_f[late] - 0.85 * MACHINE.psi_f
-    assert rms(off / found.psi_f_std[late]) < 2
-    assert found.psi_f_std[-1] < 0.02 * MACHINE.psi_f
+    settled = slice(int(1.0 / H), None)
+    error = estimate.psi_f[settled] - 0.85 * MACHINE.psi_f
+    assert rms(error / estimate.psi_f_std[settled]) < 2
+    assert estimate.psi_f_std[-1] < 0.02 * MACHINE.psi_f
 
 
-def test_a_known_magnet_flux_shows_the_resistance_at_steady_state():
+def test_a_known_magnet_flux_identifies_the_resistance_at_steady_state():
     speed = profile((0, 0), (0.3, 100), (2.0, 100))
     samples = driven(MACHINE, H, speed, np.full(len(speed), 5j), R_s=1.2 * MACHINE.R_s, noise=0.02)
 
-    def found(psi_f_std):
+    def estimate_with(psi_f_std):
         observer = AdaptiveObserver.for_machine(
             MACHINE, sample_time=H, unknowns=("drift", "resistance"), psi_f_std=psi_f_std
         )
         return observer.run(samples.voltage, samples.current)
 
-    known = found(0.001 * MACHINE.psi_f)
+    known = estimate_with(0.001 * MACHINE.psi_f)
     assert known.resistance[-1] == pytest.approx(1.2 * MACHINE.R_s, rel=0.02)
-    assert known.resistance_std[-1] < 0.3 * found(None).resistance_std[-1]
+    assert known.resistance_std[-1] < 0.3 * estimate_with(None).resistance_std[-1]
 
 
-def test_what_is_not_visible_keeps_its_value_and_the_position():
-    """Without load, at low speed, for seconds: noise alone tells nothing of the resistance."""
+def test_an_unidentifiable_resistance_keeps_its_value_and_the_position():
+    """Without load, at low speed for seconds, the resistance is not identifiable."""
     machine = MACHINES["servo-400w"]
     rows = int(3.0 / H)
     speed = np.interp(np.arange(rows) * H, [0, 0.2, 3.0], [0, 126, 126])
@@ -225,38 +227,40 @@ def test_what_is_not_visible_keeps_its_value_and_the_position():
     observer = AdaptiveObserver.for_machine(
         machine, sample_time=H, unknowns=("drift", "resistance"), current_noise=0.04
     )
-    found = observer.run(samples.voltage, samples.current)
-    late = slice(rows // 2, None)
-    assert np.abs(found.resistance[late] - machine.R_s).max() < 0.2 * machine.R_s
-    assert found.resistance_std[-1] > 0.8 * observer.resistance_std
+    estimate = observer.run(samples.voltage, samples.current)
+    settled = slice(rows // 2, None)
+    assert np.abs(estimate.resistance[settled] - machine.R_s).max() < 0.2 * machine.R_s
+    assert estimate.resistance_std[-1] > 0.8 * observer.resistance_std
     plain = observer.plain.run(samples.voltage, samples.current)
-    assert rms(errors(found, samples)[late]) < 1.2 * rms(errors(plain, samples)[late]) + 0.05
+    assert (
+        rms(errors(estimate, samples)[settled]) < 1.2 * rms(errors(plain, samples)[settled]) + 0.05
+    )
 
 
 def test_slow_turning():
-    """A rotor that turns by 4 rad/s: far below what the plain observer can do in its memory."""
+    """At 4 rad/s, the rotor turns too little within the memory of the plain observer."""
     speed = profile((0, 100), (0.4, 100), (0.6, 4), (4.0, 4))
     samples = driven(MACHINE, H, speed, np.full(len(speed), 2j), noise=0.005 * RATED)
     observer = AdaptiveObserver.for_machine(
         MACHINE, sample_time=H, unknowns=("drift",), current_noise=0.005 * RATED
     )
-    found = observer.run(samples.voltage, samples.current)
-    late = slice(int(2.0 / H), None)
-    assert np.abs(errors(found, samples)[late]).max() < 5
-    assert found.valid[late].all()
-    assert not observer.plain.run(samples.voltage, samples.current).valid[late].any()
+    estimate = observer.run(samples.voltage, samples.current)
+    settled = slice(int(2.0 / H), None)
+    assert np.abs(errors(estimate, samples)[settled]).max() < 5
+    assert estimate.valid[settled].all()
+    assert not observer.plain.run(samples.voltage, samples.current).valid[settled].any()
 
 
-def test_standstill_is_admitted():
+def test_standstill_is_not_valid():
     speed = profile((0, 100), (0.4, 100), (0.5, 0), (8.0, 0))
     samples = driven(MACHINE, H, speed, np.full(len(speed), 2j), noise=0.02 * RATED)
     observer = AdaptiveObserver.for_machine(
         MACHINE, sample_time=H, unknowns=("drift",), current_noise=0.02 * RATED
     )
-    found = observer.run(samples.voltage, samples.current)
-    error = np.abs(errors(found, samples))
-    assert not found.valid[-1]
-    assert error[found.valid].max() < 10
+    estimate = observer.run(samples.voltage, samples.current)
+    error = np.abs(errors(estimate, samples))
+    assert not estimate.valid[-1]
+    assert error[estimate.valid].max() < 10
 
 
 def test_interior_machine_with_moving_i_d():
@@ -265,15 +269,15 @@ def test_interior_machine_with_moving_i_d():
     i_d = profile((0, 0), (0.6, 0), (0.61, -6), (1.0, -6), (1.01, 0), (1.4, 0), (1.41, 4), (2, 4))
     samples = driven(machine, H, speed, i_d + 4j, noise=0.01)
     observer = AdaptiveObserver.for_machine(machine, sample_time=H, unknowns=("drift",))
-    found = observer.run(samples.voltage, samples.current)
-    late = slice(int(0.5 / H), None)
-    held = observer.plain.run(samples.voltage, samples.current)  # the guard
+    estimate = observer.run(samples.voltage, samples.current)
+    settled = slice(int(0.5 / H), None)
+    constant_i_d = observer.plain.run(samples.voltage, samples.current)  # the guard
     mapped = replace(observer.plain, flux_map=machine.map_for(H, machine.psi_f))
     plain = mapped.run(samples.voltage, samples.current)
-    assert np.abs(errors(found, samples)[late]).max() < 1
-    assert np.abs(errors(plain, samples)[late]).max() < 1
-    assert np.abs(errors(held, samples)[late]).max() > 2  # i_d taken as constant
-    assert rms(found.psi_f[late] - machine.psi_f) < 0.005 * machine.psi_f
+    assert np.abs(errors(estimate, samples)[settled]).max() < 1
+    assert np.abs(errors(plain, samples)[settled]).max() < 1
+    assert np.abs(errors(constant_i_d, samples)[settled]).max() > 2  # i_d assumed constant
+    assert rms(estimate.psi_f[settled] - machine.psi_f) < 0.005 * machine.psi_f
 
 
 def test_reluctance_machine():
@@ -282,16 +286,16 @@ def test_reluctance_machine():
     load = profile((0, 10), (0.3, 10), (0.31, 15), (0.7, 15), (0.71, 8), (1.5, 8))
     samples = driven(machine, H, speed, 8 + 1j * load, R_s=1.3 * machine.R_s, noise=0.02)
     observer = AdaptiveObserver.for_machine(machine, sample_time=H)
-    found = observer.run(samples.voltage, samples.current)
-    late = slice(int(0.5 / H), None)
-    error = wrapped_degrees(2 * (found.theta_e - samples.theta)) / 2
-    assert rms(error[late]) < 0.5
-    assert found.resistance[-1] == pytest.approx(1.3 * machine.R_s, rel=0.05)
-    assert (found.psi_f == 0).all() or found.psi_f_std.max() == 0
+    estimate = observer.run(samples.voltage, samples.current)
+    settled = slice(int(0.5 / H), None)
+    error = wrapped_degrees(2 * (estimate.theta_e - samples.theta)) / 2
+    assert rms(error[settled]) < 0.5
+    assert estimate.resistance[-1] == pytest.approx(1.3 * machine.R_s, rel=0.05)
+    assert (estimate.psi_f == 0).all() or estimate.psi_f_std.max() == 0
 
 
-def test_standard_deviations_are_honest():
-    """Normalised squared errors over records with parameters drawn from the priors."""
+def test_standard_deviations_are_consistent():
+    """Normalised squared errors are near 1, with parameters drawn from their priors."""
     scores = []
     for seed in range(30):
         rng = np.random.default_rng(seed)
@@ -324,24 +328,25 @@ def test_standard_deviations_are_honest():
             inductance_std=0.0,
             lag_std=0.0,
         )
-        found = observer.run(samples.voltage, samples.current)
-        for at in (10_000, 13_000, 15_900):
-            if not found.valid[at]:
+        estimate = observer.run(samples.voltage, samples.current)
+        for row in (10_000, 13_000, 15_900):
+            if not estimate.valid[row]:
                 continue
-            drift = found.drift[at] + np.array([bias.real, bias.imag])
-            angle = np.radians(wrapped_degrees(found.theta_e[at] - samples.theta[at]))
+            drift = estimate.drift[row] + np.array([bias.real, bias.imag])
+            angle = np.radians(wrapped_degrees(estimate.theta_e[row] - samples.theta[row]))
             scores.append(
                 [
-                    (angle / found.theta_e_std[at]) ** 2,
-                    np.mean(drift**2) / found.drift_std[at] ** 2,
-                    ((found.psi_f[at] - psi) / found.psi_f_std[at]) ** 2,
-                    ((found.resistance[at] - R) / found.resistance_std[at]) ** 2,
-                    ((found.inverter_voltage[at] - V) / found.inverter_voltage_std[at]) ** 2,
+                    (angle / estimate.theta_e_std[row]) ** 2,
+                    np.mean(drift**2) / estimate.drift_std[row] ** 2,
+                    ((estimate.psi_f[row] - psi) / estimate.psi_f_std[row]) ** 2,
+                    ((estimate.resistance[row] - R) / estimate.resistance_std[row]) ** 2,
+                    ((estimate.inverter_voltage[row] - V) / estimate.inverter_voltage_std[row])
+                    ** 2,
                 ]
             )
     assert len(scores) > 60
-    assert np.median(scores, axis=0).max() < 2  # of a normal distribution: 0.45
-    # Below 1: no real machine is as exact as these, and the filter does not expect it.
+    assert np.median(scores, axis=0).max() < 2  # 0.45 for a normal distribution
+    # Below 1 is expected: the filter assumes less exact machines than these.
     assert 0.1 < np.mean(np.minimum(scores, 25)) < 1.5
     assert (np.array(scores) < 9).mean(axis=0).min() > 0.95
 
@@ -359,11 +364,11 @@ def test_steps_are_the_run_and_batches_lanes():
             assert estimate.resistance == whole.resistance[k]
     lanes = observer.run(np.stack([u, u[::-1]]), np.stack([i, i[::-1]]))
     np.testing.assert_array_equal(lanes.flux[0], whole.flux)
-    again = pickle.loads(pickle.dumps(observer)).run(u, i)
-    np.testing.assert_array_equal(again.theta_e, whole.theta_e)
+    unpickled = pickle.loads(pickle.dumps(observer)).run(u, i)
+    np.testing.assert_array_equal(unpickled.theta_e, whole.theta_e)
     middle, _ = observer.resume(observer.init(), u[:1700], i[:1700])
-    rest = observer.resume(middle, u[1700:], i[1700:])[1]
-    np.testing.assert_array_equal(rest.resistance, whole.resistance[1700:])
+    resumed = observer.resume(middle, u[1700:], i[1700:])[1]
+    np.testing.assert_array_equal(resumed.resistance, whole.resistance[1700:])
 
 
 def test_single_precision():
@@ -374,32 +379,32 @@ def test_single_precision():
         )
         for p in ("double", "single")
     )
-    late = slice(int(0.7 / H), None)
-    assert np.abs(wrapped_degrees(single.theta_e - double.theta_e)[late]).max() < 0.05
-    assert np.abs(single.resistance - double.resistance)[late].max() < 0.02 * MACHINE.R_s
+    settled = slice(int(0.7 / H), None)
+    assert np.abs(wrapped_degrees(single.theta_e - double.theta_e)[settled]).max() < 0.05
+    assert np.abs(single.resistance - double.resistance)[settled].max() < 0.02 * MACHINE.R_s
 
 
-def test_a_prior_of_zero_is_knowledge():
+def test_a_parameter_with_a_prior_of_zero_is_exact():
     samples = course()
-    found = AdaptiveObserver.for_machine(MACHINE, sample_time=H, unknowns=("drift",)).run(
+    estimate = AdaptiveObserver.for_machine(MACHINE, sample_time=H, unknowns=("drift",)).run(
         samples.voltage, samples.current
     )
-    assert (found.resistance == MACHINE.R_s).all()
-    assert (found.inverter_voltage == 0).all()
-    assert (found.resistance_std == 0).all()
+    assert (estimate.resistance == MACHINE.R_s).all()
+    assert (estimate.inverter_voltage == 0).all()
+    assert (estimate.resistance_std == 0).all()
 
 
-def test_a_known_inverter_is_taken_off():
+def test_a_known_inverter_is_compensated():
     samples = course(inverter=8.0, smoothing=0.05 * RATED)
     machine = MACHINE.model_copy(update={"inverter_voltage": 8.0})
     observer = AdaptiveObserver.for_machine(machine, sample_time=H, unknowns=("drift",))
-    found = observer.run(samples.voltage, samples.current)
-    late = slice(int(0.7 / H), None)
-    assert rms(errors(found, samples)[late]) < 0.3
+    estimate = observer.run(samples.voltage, samples.current)
+    settled = slice(int(0.7 / H), None)
+    assert rms(errors(estimate, samples)[settled]) < 0.3
 
 
-def test_what_cannot_be():
-    with pytest.raises(FluxobsError, match="finds drift, resistance, inverter, asymmetry"):
+def test_unusable_settings():
+    with pytest.raises(FluxobsError, match="estimates drift, resistance, inverter, asymmetry"):
         AdaptiveObserver.for_machine(MACHINE, sample_time=H, unknowns=("drift", "current-bias"))
     with pytest.raises(FluxobsError, match="not among the unknowns"):
         AdaptiveObserver.for_machine(
@@ -407,7 +412,7 @@ def test_what_cannot_be():
         )
     with pytest.raises(FluxobsError, match="no magnets"):
         AdaptiveObserver.for_machine(MACHINES["synrm-6kw7"], sample_time=H, psi_f_std=0.1)
-    good = AdaptiveObserver.for_machine(MACHINE, sample_time=H)
+    valid_observer = AdaptiveObserver.for_machine(MACHINE, sample_time=H)
     for field, value in (
         ("resistance_std", -1.0),
         ("inverter_std", np.nan),
@@ -419,7 +424,7 @@ def test_what_cannot_be():
         ("resistance_std", 1e30),
     ):
         with pytest.raises(ValueError, match=field):
-            replace(good, **{field: value})
+            replace(valid_observer, **{field: value})
 
 
 @pytest.mark.parametrize("h", [2e-5, 2e-4])
@@ -427,8 +432,11 @@ def test_what_cannot_be():
     ("name", "speed", "current"), [("servo-400w", 800, 6), ("pmsm-2kw2", 150, 6)]
 )
 def test_a_steady_load_does_not_make_valid_flicker(name, speed, current, h):
-    """Nothing tells R there, but the rows have tied it to the flux: between them the position is as
-    sure as at them. After a step of the load it is not, and the standard deviation says so."""
+    """R is not identifiable at steady load, but its error is correlated with that of the flux.
+
+    So the standard deviation of the position does not vary between measurement rows. After a step
+    of the load it grows.
+    """
     machine, rows = MACHINES[name], int(1.2 / h)
     load = np.where(np.arange(rows + 1) < 0.8 * rows, current, 1.5 * current)
     samples = driven(
@@ -440,13 +448,13 @@ def test_a_steady_load_does_not_make_valid_flicker(name, speed, current, h):
         R_s=1.2 * machine.R_s,
     )
     observer = AdaptiveObserver.for_machine(machine, sample_time=h, unknowns=BOTH)
-    found = observer.run(samples.voltage, samples.current)
+    estimate = observer.run(samples.voltage, samples.current)
     steady = slice(rows // 2, int(0.8 * rows))
-    assert found.valid[steady].all()
-    std = np.degrees(found.theta_e_std)
+    assert estimate.valid[steady].all()
+    std = np.degrees(estimate.theta_e_std)
     assert std[steady].max() < 1.2 * std[steady].min()
-    off = np.abs(errors(found, samples))
-    assert (off < 3 * std)[found.valid].all()
-    # the step says how much of the voltage is R i: until the rows have it, the angle may be off
+    error = np.abs(errors(estimate, samples))
+    assert (error < 3 * std)[estimate.valid].all()
+    # The load step determines the share of R i in the voltage; before that, the angle is uncertain.
     after = slice(int(0.8 * rows) + 1, int(0.8 * rows) + int(0.5 / speed / h))
     assert std[after].max() > 1.1 * std[steady].max()

@@ -1,4 +1,4 @@
-"""Bad samples never poison the state; they are bridged, counted, and restart what is lost."""
+"""Bad samples are bridged and counted, cause restarts, and never corrupt the state."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def error(estimate):
     return np.abs(wrapped_degrees(estimate.theta_e - SAMPLES.theta))
 
 
-def test_all_is_well_without():
+def test_without_bad_samples():
     estimate, counts = run()
     assert estimate.valid[500:].all()
     assert counts == SampleCounts(0, 0, 0, 0, 0)
@@ -47,17 +47,17 @@ def test_missing_voltage_is_held(value, length):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("length", [1, 3])
-def test_missing_current_is_predicted_over(value, length):
+def test_missing_current_is_bridged_by_prediction(value, length):
     estimate, counts = run(current=[(slice(BAD, BAD + length), value)])
     assert counts.bad_currents == length
     assert counts.restarts == 0
     assert error(estimate)[estimate.valid].max() < 15
     assert estimate.valid[-500:].all()
-    # No measurement: the innovation is the one of the last good sample.
+    # Without a measurement, the innovation of the last good sample remains.
     assert estimate.innovation[BAD] == estimate.innovation[BAD - 1]
 
 
-def test_one_component_missing_is_missing():
+def test_a_sample_with_one_missing_component_is_missing():
     _, counts = run(current=[((BAD, 1), np.nan)], voltage=[((BAD, 0), np.nan)])
     assert (counts.bad_voltages, counts.bad_currents) == (1, 1)
 
@@ -74,7 +74,7 @@ def test_more_than_three_in_a_row_restart(which):
 
 @pytest.mark.parametrize("value", [1e5, -1e30, 1e300])
 @pytest.mark.parametrize("which", ["voltage", "current"])
-def test_absurd_value_restarts(which, value):
+def test_an_implausible_value_restarts(which, value):
     estimate, counts = run(**{which: [(BAD, value)]})
     assert counts.absurd == 1
     assert counts.restarts == 1
@@ -83,7 +83,7 @@ def test_absurd_value_restarts(which, value):
     assert error(estimate)[estimate.valid].max() < 15
 
 
-def test_a_spike_in_the_current_is_passed_over():
+def test_a_spike_in_the_current_is_ignored():
     estimate, counts = run(current=[((BAD, 0), 80.0)])
     assert counts == SampleCounts(0, 0, 0, outliers=1, restarts=0)
     assert error(estimate)[BAD + 1 :].max() < 2
@@ -93,7 +93,7 @@ def test_a_spike_in_the_current_is_passed_over():
 
 @pytest.mark.parametrize("size", [8.0, 20.0, 41.7, 100.0, -41.7])
 def test_spikes_of_any_size_and_direction_do_not_mislead(size):
-    """One that turns λ - L i right round leaves its length as it was."""
+    """A spike that reverses λ - L i does not change its length."""
     rows = np.arange(500, ROWS, 97)
     estimate, _ = run(current=[((row, k % 2), size) for k, row in enumerate(rows)])
     assert error(estimate)[estimate.valid].max() < 15
@@ -109,14 +109,14 @@ def test_a_spike_in_the_voltage_restarts_once_the_currents_contradict():
     assert estimate.valid[BAD + 500 :].all()
 
 
-def test_nothing_but_missing_values():
+def test_only_missing_values():
     estimate, counts = run(voltage=[(slice(None), np.nan)], current=[(slice(None), np.nan)])
     assert not estimate.valid.any()
     assert np.isfinite(estimate.theta_e).all()
     assert counts.bad_currents == ROWS
 
 
-def test_missing_start_and_late_voltage():
+def test_missing_start_and_later_voltage():
     estimate, counts = run(current=[(slice(0, 50), np.nan)], voltage=[(slice(0, 80), np.nan)])
     assert counts.bad_currents == 50
     assert estimate.valid[-500:].all()

@@ -1,4 +1,4 @@
-"""What is chosen from the sizes of a machine, by hand."""
+"""Settings chosen from the sizes of a machine, against hand calculation."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ SIZES = {
     "resistance": 0.5, "inductance": 1e-3, "L_position": 2e-3, "flux": 0.1, "slope": 3e-3,
     "shortest": 0.25, "rated_current": 10.0, "usual_memory": 0.03, "speed_e": 0.0,
 }  # fmt: skip
-#: L/R of 0.5 ms: noise in the resistive drop counts.
+#: With L/R of 0.5 ms, noise in the resistive drop matters.
 SHORT = SIZES | {"resistance": 2.0}
 
 
@@ -27,23 +27,23 @@ def test_everything_is_chosen():
             "flux_base": 0.1,
             "constraint_base": 0.01,
             "constraint_noise": np.hypot(6e-5, 3e-5),
-            "current_limit": 250.0,  # whose L i is five times the flux
+            "current_limit": 250.0,  # its L i is five times the flux
             "length_min": 0.025,
         },
         rel=1e-14,
     )
 
 
-def test_the_larger_of_two_counts():
+def test_the_larger_of_two_limits_is_chosen():
     assert _core.choose(SHORT, 1e-4)["drift_prior"] == pytest.approx(0.6)
     assert _core.choose(SIZES | {"L_position": 4e-3}, 1e-4)["current_limit"] == 200.0
 
 
-def test_what_is_given_is_taken():
+def test_given_values_are_used():
     assert _core.choose(SIZES, 1e-4, drift_prior=7.0)["drift_prior"] == 7.0
-    quick = _core.choose(SIZES, 1e-4, memory=0.01)
-    assert (quick["memory"], quick["tracker_bandwidth"]) == (0.01, 2000.0)
-    assert quick["drift_prior"] == pytest.approx(1.0)
+    short_memory = _core.choose(SIZES, 1e-4, memory=0.01)
+    assert (short_memory["memory"], short_memory["tracker_bandwidth"]) == (0.01, 2000.0)
+    assert short_memory["drift_prior"] == pytest.approx(1.0)
     noisy = _core.choose(SIZES, 1e-4, current_noise=0.05)
     assert noisy["current_noise"] == 0.05
     assert noisy["constraint_noise"] == pytest.approx(np.hypot(15e-5, 3e-5))
@@ -74,14 +74,14 @@ def test_memory(sizes, sample_time, speed, memory):
     ],
 )
 @pytest.mark.parametrize("dc_link", [10.0, 3000.0])
-def test_standard_deviations_of_what_is_learnt(
+def test_standard_deviations_of_learnt_parameters(
     name, psi, drop, current, saliency, L_noise, dc_link
 ):
     unknowns = ("drift", "resistance", "inverter", "asymmetry")
     observer = AdaptiveObserver.for_machine(
         example(name), sample_time=1e-4, unknowns=unknowns, dc_link=dc_link
     )
-    found, plain = observer.parameters(), observer.plain.parameters()
+    parameters, plain = observer.parameters(), observer.plain.parameters()
     inverter = max(0.25 * drop, 0.02 * dc_link) / np.sqrt(2)
     resistance, offset = 0.5 * drop / current, 0.02 * current
     std = [0.25, resistance, inverter, inverter, offset, offset, 0.1, 0.1, 0.01, 0.01, 0.15]
@@ -98,6 +98,6 @@ def test_standard_deviations_of_what_is_learnt(
         "unmodelled": 0.1 * plain["plausible"],
         "slow": 0.03 / 100,
     }
-    assert found.keys() == {*expected, "projection"}
+    assert parameters.keys() == {*expected, "projection"}
     for field, value in expected.items():
-        np.testing.assert_allclose(found[field], value, rtol=1e-13, atol=1e-15, err_msg=field)
+        np.testing.assert_allclose(parameters[field], value, rtol=1e-13, atol=1e-15, err_msg=field)

@@ -1,6 +1,6 @@
-"""What the compiled observers share: batches, threads, states of bytes, records.
+"""Common features of the compiled observers: batches, threads, states of bytes, records.
 
-What every observer keeps, whatever is inside, is in tests/contract.
+tests/contract checks what all observers have in common.
 """
 
 import pickle
@@ -35,10 +35,10 @@ def case(request):
     return observer, samples
 
 
-def same(one, other, rows=slice(None)):
-    assert type(one) is type(other)
-    for field in outputs(type(one)):
-        a, b = getattr(one, field.name), np.asarray(getattr(other, field.name))[rows]
+def same(actual, expected, rows=slice(None)):
+    assert type(actual) is type(expected)
+    for field in outputs(type(actual)):
+        a, b = getattr(actual, field.name), np.asarray(getattr(expected, field.name))[rows]
         np.testing.assert_array_equal(a, b, err_msg=field.name, strict=True)
 
 
@@ -58,15 +58,15 @@ def test_batch_lane_is_run_bit_for_bit(case):
             same(observer.run(voltage[lane], current[lane]), batch, lane)
 
 
-def test_pickled_observer_and_state_go_on_the_same(case):
+def test_pickled_observer_and_state_continue_alike(case):
     observer, samples = case
     state = after(observer, samples, 50)
     revived, saved = pickle.loads(pickle.dumps((observer, state)))
     assert saved == state
-    moved, one = observer.step(state, samples.voltage[50], samples.current[50])
-    again, other = revived.step(saved, samples.voltage[50], samples.current[50])
-    assert moved == again
-    same(one, other, ())
+    moved, estimate = observer.step(state, samples.voltage[50], samples.current[50])
+    repeated_state, repeated = revived.step(saved, samples.voltage[50], samples.current[50])
+    assert moved == repeated_state
+    same(estimate, repeated, ())
 
 
 def test_states_are_read_only(case):

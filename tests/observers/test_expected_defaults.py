@@ -1,4 +1,4 @@
-"""Settings of the observers that nobody gives."""
+"""Default settings of the observers."""
 
 import dataclasses
 

@@ -1,6 +1,6 @@
 """Outputs of the compiled observers on a drive that starts, reverses, stops and loses samples.
 
-Every twelfth of the record has its mean and rms of each output, so that a change anywhere shows.
+Mean and rms of each output, in each twelfth of the record, reveal any change.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from support.records import CURRENTS, driven, profile
 
 NAMES = ("servo-400w", "ipm-2kw2", "synrm-6kw7", "ipm-5kw6", "induction-2kw2")
 ALL = ("drift", "resistance", "inverter", "asymmetry")
-#: Shares of the speed and of the current over the time [s].
+#: (time [s], share of the speed or of the current).
 SPEED = (
     (0, 0),
     (0.05, 0),
@@ -29,11 +29,11 @@ SPEED = (
 )
 SPEED += ((1.8, 0.6),)
 LOAD = ((0, 0.5), (0.3, 0.5), (0.31, 1), (0.5, 1), (0.51, 0.3), (0.9, -0.8), (1.4, 1), (1.8, 1))
-PARTS = 12
+SEGMENTS = 12
 
 
 def record(machine, name):
-    """With wrong R_s and magnet flux, an inverter, offsets, noise and bad samples."""
+    """Return a record with wrong R_s and magnet flux, inverter, offsets, noise and bad samples."""
     load = profile(*LOAD) * CURRENTS.get(name, 5 + 8j)
     magnet = getattr(machine, "psi_f", None)
     wrong = {} if magnet is None else {"psi_f": 0.97 * magnet}
@@ -52,7 +52,7 @@ def record(machine, name):
     voltage[3500] = np.nan
     current[4000] *= 1.5
     current[5000] = 1e30
-    voltage[9000:9200] = np.nan  # more than can be bridged
+    voltage[9000:9200] = np.nan  # too long to bridge
     return voltage, current
 
 
@@ -62,16 +62,16 @@ def observers(machine):
     yield "adaptive", AdaptiveObserver.for_machine(machine, **settings, unknowns=ALL)
 
 
-def told(values):
-    parts = np.array_split(np.asarray(values, float), PARTS)
-    return [[float(part.mean()), float(np.sqrt(np.mean(part**2)))] for part in parts]
+def means_and_rms(values):
+    segments = np.array_split(np.asarray(values, float), SEGMENTS)
+    return [[float(segment.mean()), float(np.sqrt(np.mean(segment**2)))] for segment in segments]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_outputs_are_as_they_were(name):
+def test_outputs_are_unchanged(name):
     machine = example(name)
     voltage, current = record(machine, name)
-    found = {}
+    results = {}
     for kind, observer in observers(machine):
         state = observer.init()
         state, estimate = observer.resume(state, voltage, current)
@@ -80,7 +80,7 @@ def test_outputs_are_as_they_were(name):
             values = np.asarray(getattr(estimate, output.name))
             angle = output.name.startswith("theta") and not output.name.endswith("_std")
             for k, column in enumerate(values.reshape(len(values), -1).T):
-                columns[f"{output.name} {k}"] = told(np.cos(column) if angle else column)
-        found[kind] = {"columns": columns, "counts": str(observer.counts(state))}
-    # Rounding of another processor grows where parameters are learnt.
-    check(f"observers/{name}", found, share=1e-5)
+                columns[f"{output.name} {k}"] = means_and_rms(np.cos(column) if angle else column)
+        results[kind] = {"columns": columns, "counts": str(observer.counts(state))}
+    # Learning amplifies rounding differences between processors.
+    check(f"observers/{name}", results, share=1e-5)

@@ -1,4 +1,4 @@
-"""Observers and estimates do not change; what is derived of their settings is not shown."""
+"""Observers and estimates are immutable; their repr leaves out derived settings."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ test_no_field_can_be_set, _ = frozen_tests(observers)
 
 
 @pytest.mark.parametrize("kind", [LeastSquaresObserver, AdaptiveObserver, ImmersionObserver])
-def test_what_is_derived_is_not_shown(kind):
-    shown = [field.name for field in dataclasses.fields(kind) if field.repr]
-    assert len(shown) > 5
-    assert not any(name.startswith("_") for name in shown)
+def test_derived_fields_are_not_in_the_repr(kind):
+    names = [field.name for field in dataclasses.fields(kind) if field.repr]
+    assert len(names) > 5
+    assert not any(name.startswith("_") for name in names)

@@ -1,4 +1,4 @@
-"""A winding that warms up: the resistance is followed, and its standard deviation holds."""
+"""A winding that warms up: the estimated resistance follows, within its standard deviation."""
 
 from itertools import islice
 
@@ -18,13 +18,13 @@ def test_heat_is_followed(monkeypatch, warmer, warming):
     rows = np.array(list(islice(endless.endless(), ROWS)))
     log = dict(zip(endless.COLUMNS, rows.T, strict=True))
     unknowns = ["drift", "resistance", "inverter"]
-    found = fluxobs.estimate(log, "servo-400w", unknowns=unknowns, causal=True)
+    result = fluxobs.estimate(log, "servo-400w", unknowns=unknowns, causal=True)
     cycle = log["t"] // endless.CYCLE * endless.CYCLE
     true = 0.36 * (1 + warmer * (1 - np.exp(-cycle / warming)))
-    late = log["t"] % endless.CYCLE > 1.5  # it has seen the new resistance loaded
-    off = np.abs(found["resistance"] - true) / found["resistance_std"]
-    assert off[late].max() < 2.5
-    valid = found["valid"]
-    error = np.abs(found["theta_e_error"])[valid]
-    assert np.mean(error > 2 * found["theta_e_std"][valid]) < 0.001
+    loaded = log["t"] % endless.CYCLE > 1.5  # the new resistance has carried load
+    normalised_error = np.abs(result["resistance"] - true) / result["resistance_std"]
+    assert normalised_error[loaded].max() < 2.5
+    valid = result["valid"]
+    error = np.abs(result["theta_e_error"])[valid]
+    assert np.mean(error > 2 * result["theta_e_std"][valid]) < 0.001
     assert np.degrees(np.sqrt(np.mean(error**2))) < 0.15

@@ -1,4 +1,4 @@
-"""The readable least squares: equal to the C core, and beyond what that knows."""
+"""The immersed observer: equal to the C core, and its further unknowns and relations."""
 
 from dataclasses import replace
 from functools import cache
@@ -28,8 +28,8 @@ from support.records import CURRENTS, MACHINES, steady
 
 @pytest.mark.parametrize("source", ["volt_seconds", "voltage"])
 @pytest.mark.parametrize("name", MACHINES)
-def test_it_is_the_c_core(name, source):
-    """1e-10 relative over a whole record, from the first sample on."""
+def test_it_equals_the_c_core(name, source):
+    """The estimates agree to 1e-10 relative from the first sample on."""
     machine = MACHINES[name]
     rated = machine.rated_current
     samples = steady(
@@ -45,7 +45,7 @@ def test_it_is_the_c_core(name, source):
     core = LeastSquaresObserver.for_machine(
         machine, sample_time=2e-4, memory=0.02, drift_prior=5.0, held=False
     )
-    core = replace(core, flux_map=None)  # the readable one has the relation alone
+    core = replace(core, flux_map=None)  # the immersed observer has no map
     readable = ImmersionObserver(
         Immersion(machine.constraint),
         machine.R,
@@ -56,27 +56,30 @@ def test_it_is_the_c_core(name, source):
         core.constraint_noise,
         core.drift_prior,
     )
-    given = {source: getattr(samples, source)}
-    a = core.run(current=samples.current, **given)
-    b = readable.run(current=samples.current, **given)
-    for one, other in ((a.flux, b.flux), (a.drift, b.drift)):
-        assert np.abs(one - other).max() < 1e-10 * np.abs(one).max()
+    source_samples = {source: getattr(samples, source)}
+    compiled = core.run(current=samples.current, **source_samples)
+    readable_estimate = readable.run(current=samples.current, **source_samples)
+    for expected, actual in (
+        (compiled.flux, readable_estimate.flux),
+        (compiled.drift, readable_estimate.drift),
+    ):
+        assert np.abs(expected - actual).max() < 1e-10 * np.abs(expected).max()
 
 
-def test_run_is_the_step_loop():
-    given = record(SCENARIOS["S5"], quick=True)
-    observer = maglev_observer(given, 1e-2)
-    rows, v = thinned(given, 1e-2)
+def test_run_equals_a_loop_of_steps():
+    drive = record(SCENARIOS["S5"], quick=True)
+    observer = maglev_observer(drive, 1e-2)
+    rows, v = thinned(drive, 1e-2)
     rows, v = rows[:60], v[:60]
-    whole = observer.run(current=given.current[rows], volt_seconds=v)
+    record_estimate = observer.run(current=drive.current[rows], volt_seconds=v)
     state = observer.init()
     for k in range(60):
-        state, estimate = observer.step(state, current=given.current[rows[k]], volt_seconds=v[k])
-    np.testing.assert_array_equal(estimate.flux, whole.flux[-1])
+        state, estimate = observer.step(state, current=drive.current[rows[k]], volt_seconds=v[k])
+    np.testing.assert_array_equal(estimate.flux, record_estimate.flux[-1])
 
 
-def maglev_observer(given, sample_time, unknowns=("drift", "current-bias")):
-    machine, typical = given.machine, 3.33e-5
+def maglev_observer(drive, sample_time, unknowns=("drift", "current-bias")):
+    machine, typical = drive.machine, 3.33e-5
     return ImmersionObserver(
         Immersion(machine.constraint, unknowns, machine.R),
         machine.R,
@@ -92,37 +95,39 @@ def maglev_observer(given, sample_time, unknowns=("drift", "current-bias")):
 
 @cache
 def levitation():
-    given = record(SCENARIOS["S5"], quick=True)
-    return given, least_squares(given)
+    drive = record(SCENARIOS["S5"], quick=True)
+    return drive, least_squares(drive)
 
 
 def test_levitation_converges_and_reconverges():
-    """Unknown drift and current bias: 2 % within 0.3 s and 1e-6 within 2 s of the jump."""
-    given, found = levitation()
-    rows, _ = thinned(given, LS_SAMPLE_TIME)
-    t = given.t[rows]
-    error = np.linalg.norm(found.flux - given.flux[rows], axis=1) / given.flux.max()
-    for start in (0.0, given.jump):
+    """The error is below 2 % within 0.3 s and 1e-6 within 2 s of start and jump."""
+    drive, estimate = levitation()
+    rows, _ = thinned(drive, LS_SAMPLE_TIME)
+    t = drive.t[rows]
+    error = np.linalg.norm(estimate.flux - drive.flux[rows], axis=1) / drive.flux.max()
+    for start in (0.0, drive.jump):
         end = t < start + 14.9
         assert error[(t > start + 0.3) & end].max() < 0.02
         assert error[(t > start + 2.0) & end].max() < 1e-6
-    late = slice(-10, None)
-    np.testing.assert_allclose(found.current_bias[late], given.current_bias[rows][late], rtol=1e-6)
-    np.testing.assert_allclose(found.drift[late], given.drift[rows][late], atol=1e-11)
+    settled = slice(-10, None)
+    np.testing.assert_allclose(
+        estimate.current_bias[settled], drive.current_bias[rows][settled], rtol=1e-6
+    )
+    np.testing.assert_allclose(estimate.drift[settled], drive.drift[rows][settled], atol=1e-11)
 
 
-def test_a_jump_restarts_and_the_claim_of_validity_pauses():
-    given, found = levitation()
-    t = given.t[thinned(given, LS_SAMPLE_TIME)[0]]
-    assert not found.valid[(t > given.jump + 0.05) & (t < given.jump + 0.1)].any()
-    assert found.valid[t > given.jump + 3.0].all()
-    error = np.linalg.norm(found.flux - given.flux[thinned(given, LS_SAMPLE_TIME)[0]], axis=1)
-    sure = found.valid & (np.abs(t - given.jump) > 0.05)
-    assert error[sure].max() < 0.02 * given.flux.max()
+def test_a_jump_restarts_and_interrupts_validity():
+    drive, estimate = levitation()
+    t = drive.t[thinned(drive, LS_SAMPLE_TIME)[0]]
+    assert not estimate.valid[(t > drive.jump + 0.05) & (t < drive.jump + 0.1)].any()
+    assert estimate.valid[t > drive.jump + 3.0].all()
+    error = np.linalg.norm(estimate.flux - drive.flux[thinned(drive, LS_SAMPLE_TIME)[0]], axis=1)
+    certain = estimate.valid & (np.abs(t - drive.jump) > 0.05)
+    assert error[certain].max() < 0.02 * drive.flux.max()
 
 
 def test_current_bias_alone():
-    """θ = R δ: everything is identifiable for the PMSM, at constant speed too."""
+    """With θ = R δ, all is identifiable for a PMSM, also at constant speed."""
     machine = MACHINES["servo-400w"]
     samples = steady(machine, 1e-4, 500.0, 3000, 4j, current_bias=0.2 - 0.1j)
     observer = ImmersionObserver(
@@ -136,39 +141,39 @@ def test_current_bias_alone():
         0.1,
         0.5,
     )
-    found = observer.run(current=samples.current, volt_seconds=samples.volt_seconds)
-    np.testing.assert_allclose(found.current_bias[-1], [0.2, -0.1], atol=1e-6)
-    np.testing.assert_allclose(found.flux[-1], samples.flux[-1], atol=1e-7 * machine.psi_f)
-    np.testing.assert_allclose(found.drift[-1], machine.R_s * np.array([0.2, -0.1]), atol=1e-6)
+    estimate = observer.run(current=samples.current, volt_seconds=samples.volt_seconds)
+    np.testing.assert_allclose(estimate.current_bias[-1], [0.2, -0.1], atol=1e-6)
+    np.testing.assert_allclose(estimate.flux[-1], samples.flux[-1], atol=1e-7 * machine.psi_f)
+    np.testing.assert_allclose(estimate.drift[-1], machine.R_s * np.array([0.2, -0.1]), atol=1e-6)
 
 
 @pytest.mark.parametrize(
     "make", [pytest.param(wound_field, marks=pytest.mark.slow), doubly_fed, four_pole_bearing]
 )
 def test_several_relations(make):
-    """Vector output: relations discovered from the energies, any number of ports."""
+    """The relations are discovered from the energies; any number of ports."""
     system = make()
     relations = discover_constraint(system).relations
     n, h, rows = system.n_E, 1e-3, 1500
-    low, high = np.asarray(system.flux_range)
+    lower, upper = np.asarray(system.flux_range)
     rng = np.random.default_rng(4)
     t = jnp.arange(rows) * h
     speeds, phases = rng.uniform(10, 60, (2, n)), rng.uniform(0, 6, (2, n))
     waves = [jnp.sin(speeds[k] * t[:, None] + phases[k]) for k in (0, 1)]
-    flux = np.asarray((low + high) / 2 + (high - low) * (0.3 * waves[0] + 0.15 * waves[1]))
+    flux = np.asarray((lower + upper) / 2 + (upper - lower) * (0.3 * waves[0] + 0.15 * waves[1]))
     turning = 0.6 * jnp.sin(25 * t) if make is four_pole_bearing else 40 * t
-    reach = np.asarray(system.position_range)[1]
-    position = turning[:, None] * (reach if make is four_pole_bearing else 1.0)
+    position_limit = np.asarray(system.position_range)[1]
+    position = turning[:, None] * (position_limit if make is four_pole_bearing else 1.0)
     if system.n_M == 2:
-        position = jnp.column_stack([position[:, 0], 0.6 * jnp.cos(31 * t) * reach[1]])
+        position = jnp.column_stack([position[:, 0], 0.6 * jnp.cos(31 * t) * position_limit[1]])
     current = np.asarray(jax.vmap(system.current)(jnp.asarray(flux), position))
     size = np.abs(flux).max(axis=0)
     drift = 0.1 * size
     v = np.diff(flux, axis=0, prepend=flux[:1]) - h * drift
     sigma = [
-        1e-6 * size @ np.abs(one.Q1) @ size
-        + 1e-6 * size @ np.abs(one.Q2) @ np.abs(current).max(axis=0)
-        for one in relations
+        1e-6 * size @ np.abs(relation.Q1) @ size
+        + 1e-6 * size @ np.abs(relation.Q2) @ np.abs(current).max(axis=0)
+        for relation in relations
     ]
     observer = ImmersionObserver(
         Immersion(relations),
@@ -180,24 +185,24 @@ def test_several_relations(make):
         np.array(sigma),
         0.3 * size,
     )
-    found = observer.run(current=current, volt_seconds=v)
-    np.testing.assert_allclose(found.flux[-1], flux[-1], atol=1e-5 * size.max())
-    np.testing.assert_allclose(found.drift[-1], drift, atol=1e-4 * size.max())
-    assert found.valid[-1]
+    estimate = observer.run(current=current, volt_seconds=v)
+    np.testing.assert_allclose(estimate.flux[-1], flux[-1], atol=1e-5 * size.max())
+    np.testing.assert_allclose(estimate.drift[-1], drift, atol=1e-4 * size.max())
+    assert estimate.valid[-1]
 
 
-def test_the_electrostatic_dual_with_the_observers_unchanged():
+def test_the_electrostatic_dual_with_the_same_observer():
     system, relation = differential_actuator(), differential_relation()
     h, rows = 1e-6, 2000
-    low, high = np.asarray(system.flux_range)
+    lower, upper = np.asarray(system.flux_range)
     t = jnp.arange(rows)[:, None] * h
-    charge = low + (high - low) * (0.5 + 0.3 * jnp.sin(jnp.array([9e3, 13e3]) * t))
+    charge = lower + (upper - lower) * (0.5 + 0.3 * jnp.sin(jnp.array([9e3, 13e3]) * t))
     position = 1e-6 * jnp.sin(2e4 * t)
     voltage = np.asarray(jax.vmap(system.current)(charge, position))
-    bias = np.array([0.02, -0.01])  # of the source voltages [V]
+    bias = np.array([0.02, -0.01])  # bias of the source voltages [V]
     drift = -np.asarray(system.B) @ bias
     v = np.diff(charge, axis=0, prepend=charge[:1]) - h * drift
-    size = np.asarray(high)
+    size = np.asarray(upper)
     observer = ImmersionObserver(
         Immersion(relation),
         np.asarray(system.R),
@@ -208,15 +213,15 @@ def test_the_electrostatic_dual_with_the_observers_unchanged():
         np.array([1e-6 * 2e-6 * size[0] ** 2]),
         np.abs(np.asarray(system.B)).max() * 0.1,
     )
-    found = observer.run(current=voltage, volt_seconds=v)
-    np.testing.assert_allclose(found.flux[-1], np.asarray(charge)[-1], atol=1e-6 * size.max())
-    np.testing.assert_allclose(found.drift[-1], drift, rtol=1e-4)
+    estimate = observer.run(current=voltage, volt_seconds=v)
+    np.testing.assert_allclose(estimate.flux[-1], np.asarray(charge)[-1], atol=1e-6 * size.max())
+    np.testing.assert_allclose(estimate.drift[-1], drift, rtol=1e-4)
 
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_information_is_the_dense_sum(seed):
-    """R against all rows ever measured, propagated and weighted; several relations, with bias."""
+def test_information_equals_the_dense_sum(seed):
+    """R agrees with all rows ever measured, propagated and weighted; two relations, with bias."""
     rng = np.random.default_rng(seed)
     n = 2
     relations = tuple(
@@ -246,23 +251,23 @@ def test_information_is_the_dense_sum(seed):
 
 
 def test_missing_samples_are_bridged():
-    given = record(SCENARIOS["S5"], quick=True)
-    observer = maglev_observer(given, 1e-2)
-    rows, v = thinned(given, 1e-2)
+    drive = record(SCENARIOS["S5"], quick=True)
+    observer = maglev_observer(drive, 1e-2)
+    rows, v = thinned(drive, 1e-2)
     rows, v = rows[:300], v[:300]
-    current = given.current[rows].copy()
+    current = drive.current[rows].copy()
     current[150] = np.nan
     state = observer.init()
-    state, found = observer.resume(state, current=current, volt_seconds=v)
+    state, estimate = observer.resume(state, current=current, volt_seconds=v)
     assert (state.bad_currents, state.bad_voltages) == (1, 0)
-    assert np.isfinite(found.flux).all()
-    error = np.linalg.norm(found.flux - given.flux[rows], axis=1)
-    assert error[200:].max() < 1e-5 * given.flux.max()
+    assert np.isfinite(estimate.flux).all()
+    error = np.linalg.norm(estimate.flux - drive.flux[rows], axis=1)
+    assert error[200:].max() < 1e-5 * drive.flux.max()
 
 
 @cache
-def motor_so_far():
-    """The servo at 500 rad/s with 0.2 % noise, read by its own settings: the first 3000 rows."""
+def first_half_of_motor():
+    """Return the first 3000 rows of the servo at 500 rad/s with 0.2 % noise, estimated."""
     machine = MACHINES["servo-400w"]
     samples = steady(machine, 1e-4, 500.0, 6000, 6j, noise=0.024)
     observer = ImmersionObserver(
@@ -276,77 +281,80 @@ def motor_so_far():
         0.2,
     )
     half = slice(0, 3000)
-    state, found = observer.resume(observer.init(), samples.voltage[half], samples.current[half])
-    return machine, samples, observer, state, found
+    state, estimate = observer.resume(observer.init(), samples.voltage[half], samples.current[half])
+    return machine, samples, observer, state, estimate
 
 
-def motor(spoil):
-    """State, estimates and errors of 6000 rows; `spoil` changes currents from row 3000 on."""
-    machine, samples, observer, state, first = motor_so_far()
+def motor(disturb):
+    """Return state, estimates and errors of 6000 rows; `disturb` changes currents from row 3000."""
+    machine, samples, observer, state, first_half = first_half_of_motor()
     measured = samples.current.copy()
-    spoil(measured)
+    disturb(measured)
     assert np.array_equal(measured[:3000], samples.current[:3000])
-    state, second = observer.resume(state, samples.voltage[3000:], measured[3000:])
-    found = ImmersionEstimate(
-        **{name: np.concatenate([part, vars(second)[name]]) for name, part in vars(first).items()}
+    state, second_half = observer.resume(state, samples.voltage[3000:], measured[3000:])
+    estimate = ImmersionEstimate(
+        **{
+            name: np.concatenate([values, vars(second_half)[name]])
+            for name, values in vars(first_half).items()
+        }
     )
-    error = np.linalg.norm(found.flux - samples.flux, axis=1) / machine.psi_f
-    return state, found, error
+    error = np.linalg.norm(estimate.flux - samples.flux, axis=1) / machine.psi_f
+    return state, estimate, error
 
 
 @pytest.mark.parametrize("rows", [1, 50, 600])
-def test_nothing_is_valid_while_samples_are_missing(rows):
+def test_no_row_is_valid_while_samples_are_missing(rows):
     def gap(current):
         current[3000 : 3000 + rows] = np.nan
 
-    state, found, error = motor(gap)
+    state, estimate, error = motor(gap)
     assert (state.bad_currents, state.bad_voltages) == (rows, 0)
-    assert not found.valid[3000 : 3000 + rows].any()
-    assert error[found.valid].max() < 0.1
-    assert found.valid[4500:].all()
-    assert np.isfinite(found.flux_std).all()
+    assert not estimate.valid[3000 : 3000 + rows].any()
+    assert error[estimate.valid].max() < 0.1
+    assert estimate.valid[4500:].all()
+    assert np.isfinite(estimate.flux_std).all()
 
 
 @pytest.mark.parametrize(("rows", "lost"), [(3, False), (4, True)])
-def test_three_missing_samples_are_bridged_and_more_cost_what_is_known(rows, lost):
+def test_three_missing_samples_are_bridged_and_more_erase_the_information(rows, lost):
     def gap(current):
         current[3000 : 3000 + rows] = np.nan
 
-    _, found, _ = motor(gap)
-    growth = found.flux_std[3000 + rows].max() / found.flux_std[2999].max()
+    _, estimate, _ = motor(gap)
+    growth = estimate.flux_std[3000 + rows].max() / estimate.flux_std[2999].max()
     assert (growth > 1000) == lost
     assert (growth < 1.1) == (not lost)
 
 
 @pytest.mark.parametrize("size", [10.0, 1e3, 1e6])
-def test_a_spike_is_passed_over(size):
+def test_a_spike_is_ignored(size):
     def spike(current):
         current[3000, 0] += size
 
-    state, found, error = motor(spike)
+    state, estimate, error = motor(spike)
     assert state.restarts == 0
-    assert error[found.valid].max() < 0.1
+    assert error[estimate.valid].max() < 0.1
     assert error[3001:].max() < 0.1
-    assert found.valid[3400:].all()
+    assert estimate.valid[3400:].all()
 
 
-def test_long_gaps_leave_numbers():
+def test_outputs_are_finite_after_long_gaps():
     observer = maglev_observer(record(SCENARIOS["S5"], quick=True), 1e-2)
     current = np.full((5000, 2), np.nan)
     current[0] = 0.5
-    _, found = observer.resume(observer.init(), np.zeros((5000, 2)), current)
-    assert np.isfinite(found.flux_std).all()
-    assert not found.valid.any()
+    _, estimate = observer.resume(observer.init(), np.zeros((5000, 2)), current)
+    assert np.isfinite(estimate.flux_std).all()
+    assert not estimate.valid.any()
 
 
-def test_a_current_bias_that_noise_makes_up_is_not_claimed():
-    """S5 with 1 mA and 10 mV: it cannot be told, and takes the flux with it."""
-    given = record(SCENARIOS["S5"], quick=True)
-    machine, rng = given.machine, np.random.default_rng(0)
+def test_a_current_bias_caused_by_noise_is_not_valid():
+    """In S5 with 1 mA and 10 mV of noise, it is not identifiable and corrupts the flux."""
+    drive = record(SCENARIOS["S5"], quick=True)
+    machine, rng = drive.machine, np.random.default_rng(0)
     rows = slice(0, 8001, 4)
-    v = np.diff(np.cumsum(given.volt_seconds, axis=0)[rows], axis=0, prepend=np.zeros((1, 2)))
+    v = np.diff(np.cumsum(drive.volt_seconds, axis=0)[rows], axis=0, prepend=np.zeros((1, 2)))
     v[1:] += 4e-3 * 5e-3 / machine.N * rng.standard_normal((len(v) - 1, 2))
-    current = given.current[rows] + 1e-3 * rng.standard_normal((len(v), 2))
+    current = drive.current[rows] + 1e-3 * rng.standard_normal((len(v), 2))
     observer = ImmersionObserver(
         Immersion(machine.constraint, ("drift", "current-bias")),
         machine.R,
@@ -359,14 +367,14 @@ def test_a_current_bias_that_noise_makes_up_is_not_claimed():
         0.02,
         voltage_noise=5e-3,
     )
-    found = observer.run(current=current, volt_seconds=v)
-    error = np.linalg.norm(found.flux - given.flux[rows], axis=1) / given.flux.max()
+    estimate = observer.run(current=current, volt_seconds=v)
+    error = np.linalg.norm(estimate.flux - drive.flux[rows], axis=1) / drive.flux.max()
     assert error.max() > 0.2
-    assert not found.valid.any()
+    assert not estimate.valid.any()
 
 
-def test_a_small_port_is_judged_by_its_own_size():
-    """Two opposed pairs, the second at rest with a hundredth of the flux: not claimed."""
+def test_a_small_port_is_judged_by_its_own_flux_base():
+    """Of two opposed pairs, the second, at rest with 1 % of the flux, is never valid and wrong."""
     k, g, h, rows = 1e-5, 1e-3, 1e-3, 2000
     t = np.arange(rows)[:, None] * h
     size = np.array([1.0, 1.0, 0.01, 0.01])
@@ -374,34 +382,34 @@ def test_a_small_port_is_judged_by_its_own_size():
     gaps = g + 3e-4 * np.array([-1, 1, 0, 0]) * np.sin(17 * t)
     current = flux * gaps / k
     relations = []
-    for first in (0, 2):
+    for port in (0, 2):
         Q1, Q2 = np.zeros((4, 4)), np.zeros((4, 4))
-        Q1[first, first + 1] = Q1[first + 1, first] = g
-        Q2[first, first + 1] = Q2[first + 1, first] = -k
+        Q1[port, port + 1] = Q1[port + 1, port] = g
+        Q2[port, port + 1] = Q2[port + 1, port] = -k
         relations.append(QuadraticConstraint(Q1, Q2, np.zeros((4, 4))))
     base = 5e-3 * size
     sigma = np.array([1e-4 * g * base[0] ** 2, 1e-4 * g * base[2] ** 2])
     observer = ImmersionObserver(
         Immersion(tuple(relations)), np.eye(4), np.eye(4), h, 0.2, base, sigma, 0.01 * base
     )
-    found = observer.run(current=current, volt_seconds=np.diff(flux, axis=0, prepend=flux[:1]))
-    wrong = (np.abs(found.flux - flux) > 0.3 * base).any(axis=1)
-    assert not (wrong & found.valid).any()
+    estimate = observer.run(current=current, volt_seconds=np.diff(flux, axis=0, prepend=flux[:1]))
+    wrong = (np.abs(estimate.flux - flux) > 0.3 * base).any(axis=1)
+    assert not (wrong & estimate.valid).any()
 
 
-def test_noise_that_pretends_is_seen():
-    """S3 excites one direction hardly at all: half of it is wrong, and nothing is claimed."""
-    found = noisy(record(SCENARIOS["S3"], quick=True), 4.0, 0.15)
-    assert found.error > 0.2
-    assert found.claimed < 0.1  # by the covariance alone
-    assert found.noise_share > 0.5
-    assert found.valid < 0.05
-    good = noisy(record(SCENARIOS["S5"], quick=True), 6.0, 0.5)
-    assert good.error < 0.06
-    assert good.noise_share < 0.15
+def test_information_from_noise_is_detected():
+    """S3 hardly excites one direction: half of it is wrong, and almost no row is valid."""
+    weak = noisy(record(SCENARIOS["S3"], quick=True), 4.0, 0.15)
+    assert weak.error > 0.2
+    assert weak.claimed < 0.1  # by the covariance alone
+    assert weak.noise_share > 0.5
+    assert weak.valid < 0.05
+    strong = noisy(record(SCENARIOS["S5"], quick=True), 6.0, 0.5)
+    assert strong.error < 0.06
+    assert strong.noise_share < 0.15
 
 
-def test_noise_beyond_what_is_assumed_does_not_restart_for_ever():
+def test_noise_above_the_assumed_one_does_not_restart_for_ever():
     machine = MACHINES["servo-400w"]
     samples = steady(machine, 1e-4, 500.0, 4000, 4j, noise=0.05)
     observer = ImmersionObserver(
@@ -414,14 +422,14 @@ def test_noise_beyond_what_is_assumed_does_not_restart_for_ever():
         1e-6 * machine.psi_f**2,  # three hundred times too small
         0.1,
     )
-    state, found = observer.resume(
+    state, estimate = observer.resume(
         observer.init(), current=samples.current, volt_seconds=samples.volt_seconds
     )
-    half = observer.resume(
+    halfway = observer.resume(
         observer.init(), current=samples.current[:2000], volt_seconds=samples.volt_seconds[:2000]
     )[0]
-    assert state.restarts == half.restarts
-    assert np.linalg.norm(found.flux[-1] - samples.flux[-1]) < 0.05 * machine.psi_f
+    assert state.restarts == halfway.restarts
+    assert np.linalg.norm(estimate.flux[-1] - samples.flux[-1]) < 0.05 * machine.psi_f
 
 
 @pytest.mark.parametrize(
@@ -429,20 +437,20 @@ def test_noise_beyond_what_is_assumed_does_not_restart_for_ever():
     [
         (
             {"unknowns": ("drift", "current-bias")},
-            r"cannot be found together: an offset of \(0.0006, 0\) Wb in the flux with \(1, 0\) A",
+            r"estimated together: an offset of \(0.0006, 0\) Wb in the flux with \(1, 0\) A",
         ),
         ({"flux_base": 0.0}, "flux_base must be positive"),
         ({"memory": 5e-4}, "memory must be at least ten samples, 0.001 s here"),
         ({"sample_time": np.nan}, "sample_time must be positive"),
         ({"R": np.eye(3)}, "R must have 2 rows"),
         *(
-            ({name: value}, f"{name} must be a number >= 0, got {value}")
+            ({name: value}, f"{name} must be finite and not negative, got {value}")
             for name in ("current_noise", "voltage_noise")
             for value in (-1e-9, np.inf, np.nan)
         ),
     ],
 )
-def test_what_is_refused(change, message):
+def test_unusable_settings_are_refused(change, message):
     machine = MACHINES["servo-400w"]
     fields = {
         "immersion": Immersion(machine.constraint, change.pop("unknowns", ("drift",))),
@@ -460,9 +468,11 @@ def test_what_is_refused(change, message):
 
 
 @pytest.mark.parametrize("assumed", [1.0, 100.0])
-def test_what_no_row_tells_is_as_uncertain_as_the_prior(assumed):
-    """At rest the drift cannot be seen: however small the innovations are, beside noise that was
-    assumed too large, its standard deviation stays that of the prior."""
+def test_an_unidentifiable_drift_is_as_uncertain_as_its_prior(assumed):
+    """At rest the drift is not identifiable, and its standard deviation stays the prior's.
+
+    Innovations far below the assumed noise must not reduce it.
+    """
     machine = MACHINES["servo-400w"]
     h, rows, prior = 2e-4, 600, 0.5
     observer = ImmersionObserver(
@@ -476,8 +486,9 @@ def test_what_no_row_tells_is_as_uncertain_as_the_prior(assumed):
         prior,
     )
     i = np.tile([3.0, 1.0], (rows, 1))
-    found = observer.run(i @ machine.R.T, i)
-    assert not found.valid.any()
-    across = np.linalg.norm(found.drift_std[-1])  # one direction is seen: along the flux
-    assert 0.5 * prior < across < 2 * prior
-    assert found.flux_std[-1].max() > 0.3 * machine.psi_f
+    estimate = observer.run(i @ machine.R.T, i)
+    assert not estimate.valid.any()
+    # One direction, along the flux, is identifiable.
+    drift_std = np.linalg.norm(estimate.drift_std[-1])
+    assert 0.5 * prior < drift_std < 2 * prior
+    assert estimate.flux_std[-1].max() > 0.3 * machine.psi_f

@@ -1,4 +1,4 @@
-"""The tracker of a levitated body in closed form: motion, corrections, missing rows."""
+"""The tracker of a levitated body against closed forms: motion, corrections, missing rows."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def tracker():
 
 
 def rows(flux, position):
-    """Fluxes, and the currents that belong to them at these positions."""
+    """Return fluxes and the corresponding currents at these positions."""
     position = np.asarray(position, float)
     flux = np.broadcast_to(flux, (len(position), 2)).copy()
     gaps = np.stack(
@@ -28,7 +28,7 @@ def rows(flux, position):
     return flux, flux * gaps
 
 
-def test_what_rests_stays(tracker):
+def test_a_body_at_rest_stays_at_rest(tracker):
     position, velocity = tracker.run(*rows(BALANCED, np.full(50, 1e-4)))
     np.testing.assert_allclose(position, 1e-4, rtol=1e-12)
     np.testing.assert_allclose(velocity, 0.0, atol=1e-12)
@@ -38,31 +38,31 @@ def test_a_constant_force_makes_a_parabola(tracker):
     flux = BALANCED * [1.01, 1.0]
     force = MACHINE.c_1 * flux[0] ** 2 / (2 * MACHINE.k_1)
     force -= MACHINE.c_2 * flux[1] ** 2 / (2 * MACHINE.k_2)
-    push = MACHINE.D**2 / MACHINE.J * force
+    acceleration = MACHINE.D**2 / MACHINE.J * force
     t = H * np.arange(20)
-    assert 0 < push * t[-1] ** 2 < MACHINE.g
-    position, velocity = tracker.run(*rows(flux, push * t**2 / 2))
-    np.testing.assert_allclose(position, push * t**2 / 2, atol=1e-12 * MACHINE.g)
-    np.testing.assert_allclose(velocity, push * t, atol=1e-9)
+    assert 0 < acceleration * t[-1] ** 2 < MACHINE.g
+    position, velocity = tracker.run(*rows(flux, acceleration * t**2 / 2))
+    np.testing.assert_allclose(position, acceleration * t**2 / 2, atol=1e-12 * MACHINE.g)
+    np.testing.assert_allclose(velocity, acceleration * t, atol=1e-9)
 
 
 def test_the_mean_of_two_forces_acts_between_two_rows(tracker):
     flux = np.stack([BALANCED * [1.01, 1.0], BALANCED])
     force = MACHINE.c_1 * (flux[0, 0] ** 2 - flux[1, 0] ** 2) / (2 * MACHINE.k_1)
-    push = MACHINE.D**2 / MACHINE.J * force / 2
-    reached = push * H**2 / 2
+    acceleration = MACHINE.D**2 / MACHINE.J * force / 2
+    reached = acceleration * H**2 / 2
     _, velocity = tracker.run(*rows(flux, [0.0, reached]))
-    assert velocity[1] == pytest.approx(push * H)
+    assert velocity[1] == pytest.approx(acceleration * H)
 
 
 def test_an_error_is_corrected_with_a_double_pole(tracker):
-    """After a jump of the position the error of the n-th row is (1 + n (1 - p)/p …) of poles p."""
+    """After a jump of the position, the error of row n is (a + b n) pᶰ with the double pole p."""
     jump = 2e-5
     position, velocity = tracker.run(*rows(BALANCED, [0.0, *np.full(40, jump)]))
     assert position[1] == pytest.approx((1 - POLE**2) * jump)
     assert velocity[1] == pytest.approx((1 - POLE) ** 2 / H * jump)
     error = (jump - position[1:]) / jump
-    # (a + b n) pᶰ, from the first two of them
+    # a and b follow from the first two rows.
     n = np.arange(len(error))
     a, b = error[0], error[1] / POLE - error[0]
     np.testing.assert_allclose(error, (a + b * n) * POLE**n, atol=1e-9)
@@ -72,7 +72,7 @@ def test_an_error_is_corrected_with_a_double_pole(tracker):
 def test_rows_without_a_position_are_predicted(tracker, spoilt):
     speed = 1e-3
     flux, current = rows(BALANCED, speed * H * np.arange(60))
-    whole, velocity = tracker.run(flux, current)
+    undisturbed, velocity = tracker.run(flux, current)
     assert velocity[29] == pytest.approx(speed, rel=0.05)
     if spoilt == "missing":
         current[30:40] = np.nan
@@ -80,7 +80,9 @@ def test_rows_without_a_position_are_predicted(tracker, spoilt):
         current[30:40] = 3 * MACHINE.g * flux[30:40] / [MACHINE.k_1, -MACHINE.k_2]
     position, predicted = tracker.run(flux, current)
     np.testing.assert_allclose(predicted[30:40], velocity[29])
-    np.testing.assert_allclose(position[30:40], whole[29] + velocity[29] * H * np.arange(1, 11))
+    np.testing.assert_allclose(
+        position[30:40], undisturbed[29] + velocity[29] * H * np.arange(1, 11)
+    )
 
 
 def test_the_first_known_position_is_the_start(tracker):
@@ -93,7 +95,7 @@ def test_the_first_known_position_is_the_start(tracker):
     np.testing.assert_array_equal(position, 0.0)
 
 
-def test_a_missing_flux_pushes_nothing(tracker):
+def test_a_missing_flux_exerts_no_force(tracker):
     flux, current = rows(BALANCED * [1.01, 1.0], np.zeros(2))
     flux[1] = np.nan
     _, velocity = tracker.run(flux, current)

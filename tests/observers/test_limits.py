@@ -1,11 +1,11 @@
-"""What a configuration may hold, each limit from both sides, and the numbers that a step uses."""
+"""Limits of a configuration, each from both sides, and the numbers that a step uses."""
 
 import numpy as np
 import pytest
 
 from fluxobs import _core
 
-#: All that can be 1 is 1: a prepared number is then the field itself.
+#: All numbers that can be 1 are 1, so that a prepared number equals its field.
 UNIT = {
     **{name: np.zeros((2, 2)) for name in ("Q1", "Q2", "Q3", "R", "B")},
     "E": np.zeros(2),
@@ -19,7 +19,7 @@ UNIT = {
 
 
 def element(name, row, column=None):
-    """A change of one element of a matrix or vector."""
+    """Return a function that changes one element of a matrix or vector."""
 
     def change(value):
         array = np.zeros_like(UNIT[name])
@@ -33,13 +33,13 @@ def number(name):
     return lambda value: {name: value}
 
 
-def slow(value):
-    """The prior of the drift follows the memory, so that their ratio stays."""
+def scaled_memory(value):
+    """Return a memory with sample time and drift prior scaled along."""
     return {"memory": value, "sample_time": value / 1e3, "drift_prior": 1 / value}
 
 
-def quick(value):
-    """A flux of 100 Wb."""
+def short_memory(value):
+    """Return a memory of 20 samples at a flux of 100 Wb."""
     common = {"flux_base": 100.0, "constraint_base": 1.0}
     return common | {"memory": value, "sample_time": value / 20, "drift_prior": 100 / value}
 
@@ -47,9 +47,9 @@ def quick(value):
 QUIET = {"current_noise": 1e-6}
 BOTH = [(0, 0), (0, 1), (1, 0), (1, 1)]
 DIAGONAL = [(0, 0), (1, 1)]
-#: (change, what else is set, least allowed, most allowed, field that is named).
+#: (change, other settings, lower limit, upper limit, field named in the error).
 LIMITS = [
-    *((element("Q1", i, i), {}, -500, 500, "Q1") for i in (0, 1)),  # twice it enters
+    *((element("Q1", i, i), {}, -500, 500, "Q1") for i in (0, 1)),  # it enters twice
     *((element("Q1", *at), {}, -1e3, 1e3, "Q1") for at in ((0, 1), (1, 0))),
     *((element("Q2", *at), QUIET, -1e9, 1e9, "Q2") for at in BOTH),
     *((element("Q3", *at), {}, -1e12, 1e12, "Q3") for at in DIAGONAL),
@@ -64,8 +64,8 @@ LIMITS = [
     (element("Q3", 0, 0), {"current_limit": 10.0}, -1e10, 1e10, "Q3"),
     (element("R", 0, 1), QUIET | {"current_limit": 10.0}, -2.4e6, 2.4e6, "R"),
     (number("memory"), {}, 9.99e-3, 1001, "memory"),
-    (slow, {}, None, 1e12, "memory"),
-    (quick, {}, 1e-10, None, "memory"),
+    (scaled_memory, {}, None, 1e12, "memory"),
+    (short_memory, {}, 1e-10, None, "memory"),
     (number("current_limit"), {}, 1e-12, 1e12, "current_limit"),
     (number("drift_prior"), {}, 1e-6, 1e6, "drift_prior"),
     (number("constraint_noise"), {}, 1e-6, 1e3, "constraint_noise"),
@@ -80,9 +80,9 @@ LIMITS = [
 ]
 
 
-@pytest.mark.parametrize(("change", "common", "least", "most", "field"), LIMITS)
-def test_limits_from_both_sides(change, common, least, most, field):
-    for limit, outwards in ((least, -1.0), (most, 1.0)):
+@pytest.mark.parametrize(("change", "common", "lower", "upper", "field"), LIMITS)
+def test_limits_from_both_sides(change, common, lower, upper, field):
+    for limit, outwards in ((lower, -1.0), (upper, 1.0)):
         if limit is not None:
             step = outwards * 1e-6 * abs(limit)
             _core.Core(UNIT | common | change(limit - step), {})
@@ -91,7 +91,7 @@ def test_limits_from_both_sides(change, common, least, most, field):
 
 
 @pytest.mark.parametrize("at", DIAGONAL)
-def test_no_resistance_is_negative(at):
+def test_a_negative_resistance_is_refused(at):
     _core.Core(UNIT | element("R", *at)(0.0), {})
     with pytest.raises(ValueError, match=r"^R: "):
         _core.Core(UNIT | element("R", *at)(-1e-30), {})
@@ -104,7 +104,7 @@ def test_zero_is_not_positive(name):
 
 
 def test_the_numbers_of_a_step():
-    """Per-unit by hand, from numbers that differ wherever they could be mixed up."""
+    """Per-unit numbers by hand, from fields that all differ, to reveal mix-ups."""
     config = UNIT | {
         "flux_base": 2.0, "memory": 0.5, "sample_time": 1e-3, "drift_prior": 12.0,
         "constraint_base": 8.0, "constraint_noise": 0.4, "current_noise": 0.05,
@@ -115,7 +115,7 @@ def test_the_numbers_of_a_step():
         "C": np.array([2.0, 6.0]), "R": np.array([[48.0, 96.0], [24.0, 16.0]]),
         "B": np.array([[10.0, 20.0], [30.0, 40.0]]),
     }  # fmt: skip
-    found = _core.Core(config, {}).parameters()
+    parameters = _core.Core(config, {}).parameters()
     expected = {
         "Q1x2": [[3.0, 1.5], [1.5, 5.0]],  # the symmetric part, times 2 * 2^2 / 8
         "row_Q2": [[1.0, 2.0], [3.0, 4.0]],
@@ -144,6 +144,6 @@ def test_the_numbers_of_a_step():
         "current_limit": 7.0,
         "flux_base": 2.0,
     }
-    assert found.keys() == expected.keys()
+    assert parameters.keys() == expected.keys()
     for name, value in expected.items():
-        np.testing.assert_allclose(found[name], value, rtol=1e-13, err_msg=name)
+        np.testing.assert_allclose(parameters[name], value, rtol=1e-13, err_msg=name)

@@ -1,4 +1,4 @@
-"""Machines whose flux is no linear function of the current: plain and adaptive observers."""
+"""Plain and adaptive observers on machines whose flux is a nonlinear function of the current."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ INTERIOR = example("ipm-2kw2")
 
 
 def reluctance_record(seed=0, theta0=0.7, machine=RELUCTANCE, noise=0.05):
-    """i_q from -12 to 18 A, i_d from 8 to 12 A, a reversal; 1.1 V of offset."""
+    """Return a record with i_q from -8 to 18 A, i_d from 8 to 12 A, a reversal, 1.1 V offset."""
     speed = 2 * np.pi * 20 * profile((0, 1), (0.2, 1), (0.6, 4), (1.2, 4), (1.7, -3), (2, -3))
     i_q = profile(
         *((0, 4), (0.4, 4), (0.43, 18), (0.9, 18), (0.93, 8), (1.3, 8), (1.35, -8), (2, -8))
@@ -49,8 +49,8 @@ def rms(x):
     return float(np.sqrt(np.mean(x**2)))
 
 
-def test_a_saturated_reluctance_machine_from_nothing():
-    """Asked: 0.1 degrees rms, at most 3 on valid rows."""
+def test_a_saturated_reluctance_machine_from_a_cold_start():
+    """Required: 0.1 degrees rms, at most 3 on valid rows."""
     samples = reluctance_record()
     estimate = LeastSquaresObserver.for_machine(RELUCTANCE, sample_time=H).run(
         samples.voltage, samples.current
@@ -65,10 +65,10 @@ def test_a_saturated_reluctance_machine_from_nothing():
     linear = SynchronousReluctance(
         R_s=0.63, n_p=2, rated_current=22.0, L_d=RELUCTANCE.L_d, L_q=RELUCTANCE.L_q
     )
-    without = LeastSquaresObserver.for_machine(linear, sample_time=H).run(
+    without_map = LeastSquaresObserver.for_machine(linear, sample_time=H).run(
         samples.voltage, samples.current
     )
-    assert rms(errors(without, samples, half=True)[settled]) > 1.5
+    assert rms(errors(without_map, samples, half=True)[settled]) > 1.5
 
 
 @pytest.mark.parametrize("theta0", np.arange(-3, 3.2, 0.78))
@@ -93,12 +93,12 @@ def test_single_precision_is_enough():
         ).run(samples.voltage, samples.current)
         for precision in ("double", "single")
     }
-    off = wrapped_degrees(run["single"].theta_e - run["double"].theta_e)[4000:]
-    assert np.abs(off).max() < 0.05
+    difference = wrapped_degrees(run["single"].theta_e - run["double"].theta_e)[4000:]
+    assert np.abs(difference).max() < 0.05
 
 
 def test_a_current_outside_the_map_is_not_valid_and_is_counted():
-    small = RELUCTANCE.with_values(rated_current=8.0)  # the model is tabulated up to 16 A
+    small = RELUCTANCE.with_values(rated_current=8.0)  # the map then covers up to 16 A
     samples = reluctance_record()
     observer = LeastSquaresObserver.for_machine(small, sample_time=H)
     state, estimate = observer.resume(observer.init(), samples.voltage, samples.current)
@@ -110,17 +110,17 @@ def test_a_current_outside_the_map_is_not_valid_and_is_counted():
 
 @pytest.mark.parametrize("share", [0.7, 0.5])
 def test_a_surface_machine_whose_inductance_falls(share):
-    """Asked: 0.2 degrees rms, for 3.7 and 6.6 with a constant inductance."""
-    given = {"R_s": 0.5, "n_p": 4, "L_s": 3e-3, "psi_f": 0.1, "rated_current": 20.0}
-    machine = SurfacePMSM(**given, L_s_rated=share * 3e-3)
+    """Required: 0.2 degrees rms; a constant inductance gives 3.7 and 6.6."""
+    values = {"R_s": 0.5, "n_p": 4, "L_s": 3e-3, "psi_f": 0.1, "rated_current": 20.0}
+    machine = SurfacePMSM(**values, L_s_rated=share * 3e-3)
     speed = profile((0, 300), (1.0, 300), (1.4, -300), (1.8, -300))
     i_q = profile((0, 3), (0.3, 3), (0.31, 20), (0.8, 20), (0.81, -10), (1.8, 15))
     samples = driven(machine, H, speed, 0j + 1j * i_q, voltage_bias=0.5 + 0.2j, noise=0.04, seed=1)
-    for taken, least, most in ((machine, 0.0, 0.2), (SurfacePMSM(**given), 1.5, 30.0)):
-        estimate = LeastSquaresObserver.for_machine(taken, sample_time=H).run(
+    for model, lower, upper in ((machine, 0.0, 0.2), (SurfacePMSM(**values), 1.5, 30.0)):
+        estimate = LeastSquaresObserver.for_machine(model, sample_time=H).run(
             samples.voltage, samples.current
         )
-        assert least <= rms(errors(estimate, samples)[2000:]) < most
+        assert lower <= rms(errors(estimate, samples)[2000:]) < upper
 
 
 def interior_record(machine, seed=0, theta0=0.7):
@@ -142,21 +142,21 @@ def interior_record(machine, seed=0, theta0=0.7):
     )
 
 
-@pytest.mark.parametrize(("ratio", "most"), [(None, 0.15), (4.0, 0.3), (6.5, 0.4)])
-def test_an_interior_machine_whose_i_d_steps(ratio, most):
+@pytest.mark.parametrize(("ratio", "largest"), [(None, 0.15), (4.0, 0.3), (6.5, 0.4)])
+def test_an_interior_machine_whose_i_d_steps(ratio, largest):
     machine = INTERIOR if ratio is None else INTERIOR.with_values(L_q=ratio * INTERIOR.L_d)
     samples = interior_record(machine)
     estimate = LeastSquaresObserver.for_machine(machine, sample_time=H).run(
         samples.voltage, samples.current
     )
     error = errors(estimate, samples)
-    assert rms(error[estimate.valid]) < most
+    assert rms(error[estimate.valid]) < largest
     assert np.abs(error[estimate.valid]).max() < 2.0
     assert estimate.valid[800:].mean() > 0.97
 
 
-def test_a_biased_current_turns_a_salient_machine_by_the_saliency_and_no_more():
-    """A bias is a wrong i_d: to first order (L_q - L_d) |bias| / psi_f, at most."""
+def test_error_of_a_salient_machine_with_a_current_bias():
+    """A bias acts as a wrong i_d: at most (L_q - L_d) |bias| / psi_f to first order."""
     bias = 0.1 * INTERIOR.rated_current
     speed = np.full(6001, 400.0)
     samples = driven(INTERIOR, H, speed, np.full(6001, 4j))
@@ -184,7 +184,7 @@ def test_the_adaptive_observer_learns_the_resistance_of_a_saturated_machine(fact
 
 
 def scaled(machine, along_d, along_q):
-    """The machine with the flux that its currents make along d and along q multiplied."""
+    """Return the machine with its current-dependent flux scaled along d and along q."""
     points = machine.flux_map
     if points is None:
         return machine.with_values(L_d=along_d * machine.L_d, L_q=along_q * machine.L_q)
@@ -196,21 +196,21 @@ def scaled(machine, along_d, along_q):
 @pytest.mark.parametrize("name", ["ipm-5kw6", "synrm-6kw7"])
 @pytest.mark.parametrize(("along_d", "along_q"), [(1.06, 0.93), (0.94, 1.07)])
 def test_the_adaptive_observer_learns_the_inductances(name, along_d, along_q):
-    """L_q turns the position; where the machine is salient, the load's steps tell it."""
-    believed = example(name)
-    true = scaled(believed, along_d, along_q)
-    rated, top = believed.rated_current, 150.0
+    """An error of L_q turns the position; load steps of a salient machine identify it."""
+    assumed = example(name)
+    true = scaled(assumed, along_d, along_q)
+    rated, top = assumed.rated_current, 150.0
     speed = profile((0, 0), (0.3, top), (1.2, top), (1.6, -top), (2.5, -top), (3, top / 3))
     i_q = 0.7 * rated * profile((0, 0.2), (0.6, 0.2), (0.61, 1), (1.4, 1), (1.41, -1), (3, -0.4))
     i_d = 0.3 * rated * np.sign(true.saliency) * profile((0, 1), (0.9, 1), (0.91, 2), (3, 2))
     samples = driven(true, H, speed, i_d + 1j * i_q, R_s=1.2 * true.R_s, noise=0.002 * rated)
-    observer = AdaptiveObserver.for_machine(believed, sample_time=H)
+    observer = AdaptiveObserver.for_machine(assumed, sample_time=H)
     state, estimate = observer.resume(observer.init(), samples.voltage, samples.current)
     learnt = observer.learnt(state)
-    wrong = np.array([along_d, along_q]) - 1 - learnt.inductance_error
-    assert (np.abs(wrong) < 3 * np.array(learnt.inductance_std)).all()
+    error_of_inductances = np.array([along_d, along_q]) - 1 - learnt.inductance_error
+    assert (np.abs(error_of_inductances) < 3 * np.array(learnt.inductance_std)).all()
     assert learnt.inductance_std[1] < 0.3 * observer.L_q_std
-    error = errors(estimate, samples, half=not believed.magnets)
+    error = errors(estimate, samples, half=not assumed.magnets)
     valid = estimate.valid
     assert valid[-8000:].mean() > 0.9
     assert rms(error[valid][-8000:]) < 1.0

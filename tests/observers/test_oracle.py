@@ -1,8 +1,8 @@
 """The C core against one dense weighted least-squares solve over the whole past.
 
-The oracle shares nothing with the recursion but the model: it stacks every measurement ever made,
-expresses each in the present state by products of transitions, weights it by what forgetting has
-left, adds the prior and its re-injections in the same way, and solves once, in extended precision.
+The oracle shares only the model with the recursion: it stacks all measurements, expresses each in
+the present state by products of transitions, weights it by forgetting, adds the prior and its
+re-injections in the same way, and solves once, in extended precision.
 """
 
 from dataclasses import replace
@@ -15,11 +15,11 @@ from fluxobs.machines.model.immersion import Immersion
 from support.records import CURRENTS, MACHINES, steady
 
 X = np.longdouble
-PERIOD, EVERY = 14, 2  # re-injection: a prior row every other sample, seven rows
+PERIOD, INTERVAL = 14, 2  # prior re-injection: seven rows in turn, one every other sample
 
 
 def solve(A, b):
-    """Least squares by modified Gram-Schmidt, twice, in extended precision."""
+    """Solve least squares by modified Gram-Schmidt, twice, in extended precision."""
     A, b = A.copy(), b.copy()
     scale = np.sqrt((A**2).sum(axis=0))
     A /= scale
@@ -42,14 +42,14 @@ def solve(A, b):
 
 
 def dense(observer, volt_seconds, current):
-    """Estimates (flux, drift) at every row."""
+    """Return the estimates (flux, drift) at each row."""
     immersion, h = Immersion(observer.constraint), X(observer.sample_time)
     psi, theta = X(observer.flux_base), X(observer.drift_prior)
     prior = 1 / np.array([psi**2, psi, psi, 2 * psi * theta, theta, theta, theta**2], dtype=X)
     rho = 1 - h / X(observer.memory)
-    returned = np.sqrt(1 - rho**PERIOD) * prior
+    reinjected = np.sqrt(1 - rho**PERIOD) * prior
     rows, values = np.diag(prior), np.zeros(7, dtype=X)
-    out = []
+    estimates = []
     for k, i in enumerate(current.astype(X)):
         if k > 0:
             v = volt_seconds[k].astype(X)
@@ -61,16 +61,16 @@ def dense(observer, volt_seconds, current):
         rows = np.vstack([rows, row / sigma])
         values = np.append(values, value / sigma)
         x = solve(rows, values)
-        out.append(np.r_[x[1:3], x[4:6]])
-        if k % EVERY == 0:
-            j = k // EVERY % 7
-            rows = np.vstack([rows, returned[j] * np.eye(7, dtype=X)[j]])
-            values = np.append(values, returned[j] * x[j])
-    return np.array(out, dtype=float)
+        estimates.append(np.r_[x[1:3], x[4:6]])
+        if k % INTERVAL == 0:
+            j = k // INTERVAL % 7
+            rows = np.vstack([rows, reinjected[j] * np.eye(7, dtype=X)[j]])
+            values = np.append(values, reinjected[j] * x[j])
+    return np.array(estimates, dtype=float)
 
 
 @pytest.mark.parametrize("name", MACHINES)
-def test_recursion_is_the_dense_solution(name):
+def test_recursion_equals_the_dense_solution(name):
     machine = MACHINES[name]
     rated = machine.rated_current
     samples = steady(
@@ -83,15 +83,18 @@ def test_recursion_is_the_dense_solution(name):
         voltage_bias=0.05,
         noise=0.002 * rated,
     )
-    # A loose drift prior, so that none is found too tight and widened.
+    # With a loose drift prior, the observer never widens it.
     observer = LeastSquaresObserver.for_machine(
         machine, sample_time=2e-4, memory=0.02, drift_prior=5.0
     )
-    observer = replace(observer, flux_map=None)  # the oracle has the relation alone
-    state, found = observer.init(), []
+    observer = replace(observer, flux_map=None)  # the oracle has no map
+    state, estimates = observer.init(), []
     for v, i in zip(samples.volt_seconds, samples.current, strict=True):
         state, estimate = observer.step(state, volt_seconds=v, current=i)
-        found.append(np.r_[estimate.flux, estimate.drift])
-    found, expected = np.array(found), dense(observer, samples.volt_seconds, samples.current)
+        estimates.append(np.r_[estimate.flux, estimate.drift])
+    estimates, expected = (
+        np.array(estimates),
+        dense(observer, samples.volt_seconds, samples.current),
+    )
     size = np.abs(expected).max(axis=0)
-    assert np.abs((found - expected) / size).max() < 1e-9
+    assert np.abs((estimates - expected) / size).max() < 1e-9

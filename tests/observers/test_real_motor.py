@@ -1,5 +1,8 @@
-"""What a real motor has beside its machine file: its effect, and that the standard deviation of the
-adaptive observer, and the plain one's where the effect leaves a residual, says so."""
+"""Imperfections of a real motor: their effect on position and standard deviation.
+
+The adaptive observer's standard deviation covers all of them, the plain observer's only those that
+leave a residual.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from support.records import wrapped_degrees
 
 H = 1.25e-4
 MACHINE = example("pmsm-2kw2")
-#: Imperfection; rms of the plain and of the adaptive observer [degrees], at most.
+#: (imperfection, largest rms error of the plain and of the adaptive observer [degrees]).
 EFFECTS = {
     "nothing": (Imperfect(), 0.1, 0.1),
     "harmonics, 2 %": (Imperfect(fifth=0.02, seventh=0.02), 1.4, 0.4),
@@ -23,7 +26,7 @@ EFFECTS = {
     "resistance, 40 %": (Imperfect(heating=1.4), 1.8, 2.2),
     "iron loss, 2 %": (Imperfect(iron=0.02), 0.55, 0.6),
 }
-#: What leaves no residual is in the adaptive observer's standard deviation only.
+#: Imperfections without residual: only the adaptive observer's standard deviation covers them.
 SILENT = ("saliency, 20 %", "resistance, 40 %", "iron loss, 2 %")
 
 
@@ -39,19 +42,19 @@ def run(kind, real):
     settled = np.arange(len(error)) * H > 0.5
     rms = float(np.sqrt(np.mean(error[settled] ** 2)))
     valid = settled & estimate.valid
-    z = error[valid] / np.degrees(estimate.theta_e_std[valid])
-    return rms, float(np.sqrt(np.mean(z**2))) if valid.any() else 0.0
+    normalised = error[valid] / np.degrees(estimate.theta_e_std[valid])
+    return rms, float(np.sqrt(np.mean(normalised**2))) if valid.any() else 0.0
 
 
 def test_the_effect_on_the_plain_observer(name):
-    real, most, _ = EFFECTS[name]
-    rms, z = run(LeastSquaresObserver, real)
-    assert rms < most
-    assert (z > 1.5) == (name in SILENT)
+    real, limit, _ = EFFECTS[name]
+    rms, normalised = run(LeastSquaresObserver, real)
+    assert rms < limit
+    assert (normalised > 1.5) == (name in SILENT)
 
 
 def test_the_effect_on_the_adaptive_observer(name):
-    real, _, most = EFFECTS[name]
-    rms, z = run(AdaptiveObserver, real)
-    assert rms < most
-    assert z < 1.5
+    real, _, limit = EFFECTS[name]
+    rms, normalised = run(AdaptiveObserver, real)
+    assert rms < limit
+    assert normalised < 1.5

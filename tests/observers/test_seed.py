@@ -1,4 +1,4 @@
-"""A start from a known angle: it helps, it is carried on, and a wrong one does no harm."""
+"""Seeds: a known angle speeds up the start and is propagated; a wrong one is never valid."""
 
 import numpy as np
 import pytest
@@ -8,32 +8,32 @@ from fluxobs.machines import example
 from fluxobs.observers import AdaptiveObserver, LeastSquaresObserver
 from fluxobs.simulation.closed_form.signals import driven, vectors
 
-H, ROWS, PARTS, START = 1e-4, 3500, 8, 0.7
+H, ROWS, SUBSTEPS, START = 1e-4, 3500, 8, 0.7
 TOP = 2 * np.pi * 60
 
 
 def record(name):
-    """A run-up from rest under load: angle, voltage, current of rows 0 to ROWS."""
+    """Return a run-up from rest under load: machine, angle, voltage, current, active flux."""
     machine = example(name)
     rated = machine.rated_current
     along = 0.0 if machine.magnets else 0.5 * rated
-    rows = np.arange(ROWS * PARTS + 1) / PARTS
+    rows = np.arange(ROWS * SUBSTEPS + 1) / SUBSTEPS
     speed = np.interp(rows, (0, 200, 1500), (0, 0, TOP))
     i_dq = np.full(rows.shape, along + 0.4j * rated)
-    true = driven(machine, H, speed, i_dq, PARTS, START)
+    true = driven(machine, H, speed, i_dq, SUBSTEPS, START)
     noise = 0.002 * rated * np.random.default_rng(2).standard_normal((ROWS + 1, 2))
     current = vectors(true.current) + noise + 0.01 * rated * np.array([1, -0.5])
     active = 0.0 if machine.magnets else machine.saliency * along
     return machine, true.theta_e, vectors(true.voltage), current, active
 
 
-def off(found, theta, machine):
-    degrees = np.degrees(np.angle(np.exp(1j * (found - theta))))
+def position_error(estimated, theta, machine):
+    degrees = np.degrees(np.angle(np.exp(1j * (estimated - theta))))
     return (degrees + 90) % 180 - 90 if machine.half_turn_ambiguous else degrees
 
 
 def turned(valid, theta):
-    """Rotation until the first valid row [degrees]."""
+    """Return the rotation until the first valid row [degrees]."""
     assert valid.any()
     return np.degrees(theta_sum(theta)[np.argmax(valid)])
 
@@ -44,35 +44,35 @@ def theta_sum(theta):
 
 @pytest.mark.parametrize("kind", [LeastSquaresObserver, AdaptiveObserver])
 @pytest.mark.parametrize("name", ["ipm-2kw2", "synrm-6kw7"])
-def test_a_known_angle_is_carried_on_and_makes_it_valid_earlier(name, kind):
+def test_a_known_angle_is_propagated_and_makes_rows_valid_earlier(name, kind):
     machine, theta, u, i, active = record(name)
     observer = kind.for_machine(machine, sample_time=H)
-    nothing = observer.run(u, i[1:])
+    unseeded = observer.run(u, i[1:])
     state = observer.seed(START + 0.04, i[0], theta_e_std=0.05, psi_f=active)
-    found = observer.resume(state, u, i[1:])[1]
-    assert np.abs(off(found.theta_e[:400], theta[1:401], machine)).max() < 8
-    assert found.theta_e_std[0] < 0.06
-    assert turned(found.valid, theta) < turned(nothing.valid, theta) - 10
-    error = np.abs(off(found.theta_e, theta[1:], machine))
-    assert (error < np.maximum(3, 4 * np.degrees(found.theta_e_std)))[found.valid].all()
+    seeded = observer.resume(state, u, i[1:])[1]
+    assert np.abs(position_error(seeded.theta_e[:400], theta[1:401], machine)).max() < 8
+    assert seeded.theta_e_std[0] < 0.06
+    assert turned(seeded.valid, theta) < turned(unseeded.valid, theta) - 10
+    error = np.abs(position_error(seeded.theta_e, theta[1:], machine))
+    assert (error < np.maximum(3, 4 * np.degrees(seeded.theta_e_std)))[seeded.valid].all()
 
 
 @pytest.mark.parametrize("kind", [LeastSquaresObserver, AdaptiveObserver])
 @pytest.mark.parametrize("name", ["servo-400w", "ipm-2kw2", "synrm-6kw7"])
 def test_a_wrong_angle_is_never_valid(name, kind):
-    """By 90 degrees, said to be right to six."""
+    """The error is 90 degrees, the stated standard deviation six."""
     machine, theta, u, i, active = record(name)
     observer = kind.for_machine(machine, sample_time=H)
     state = observer.seed(START + np.pi / 2, i[0], theta_e_std=0.1, psi_f=active)
-    found = observer.resume(state, u, i[1:])[1]
-    error = np.abs(off(found.theta_e, theta[1:], machine))
+    estimate = observer.resume(state, u, i[1:])[1]
+    error = np.abs(position_error(estimate.theta_e, theta[1:], machine))
     assert error[0] > 80
-    assert not (found.valid & (error > 10)).any()
+    assert not (estimate.valid & (error > 10)).any()
     if kind is LeastSquaresObserver:
-        assert found.valid[-1]
+        assert estimate.valid[-1]
 
 
-def test_the_filter_starts_where_the_angle_is_known_well_enough():
+def test_the_filter_starts_if_the_angle_is_known_well_enough():
     machine, _, u, i, _ = record("ipm-2kw2")
     observer = AdaptiveObserver.for_machine(machine, sample_time=H)
     for std, runs in ((0.05, True), (0.3, False)):
@@ -80,19 +80,19 @@ def test_the_filter_starts_where_the_angle_is_known_well_enough():
         assert bool(observer.step(state, u[0], i[1])[1].adapting) is runs
 
 
-def test_what_was_learnt_is_kept():
+def test_a_seed_keeps_the_learnt_parameters():
     machine, theta, u, i, _ = record("ipm-2kw2")
     observer = AdaptiveObserver.for_machine(machine, sample_time=H)
     state = observer.resume(observer.init(), u, i[1:])[0]
     learnt = observer.learnt(state)
     assert learnt.resistance_std < observer.resistance_std
-    again = observer.learnt(observer.seed(theta[-1], i[-1], theta_e_std=0.05, state=state))
-    assert again.resistance == learnt.resistance
-    assert again.inverter_voltage == learnt.inverter_voltage
-    assert again.psi_f == pytest.approx(learnt.psi_f, rel=1e-12)
+    after_seed = observer.learnt(observer.seed(theta[-1], i[-1], theta_e_std=0.05, state=state))
+    assert after_seed.resistance == learnt.resistance
+    assert after_seed.inverter_voltage == learnt.inverter_voltage
+    assert after_seed.psi_f == pytest.approx(learnt.psi_f, rel=1e-12)
 
 
-def test_an_estimate_of_another_observer_is_a_seed():
+def test_a_seed_from_an_estimate():
     machine, _, u, i, _ = record("ipm-2kw2")
     observer = LeastSquaresObserver.for_machine(machine, sample_time=H)
     _, estimate = observer.step(observer.init(), u[0], i[1])
@@ -100,7 +100,7 @@ def test_an_estimate_of_another_observer_is_a_seed():
     assert seeded == observer.seed(float(estimate.theta_e), i[1], theta_e_std=0.1)
 
 
-def test_seeds_that_make_no_sense_are_refused():
+def test_invalid_seeds_are_refused():
     observer = LeastSquaresObserver.for_machine(example("servo-400w"), sample_time=H)
     with pytest.raises(UsageError, match="theta_e_std must be positive"):
         observer.seed(0.0, [0.0, 0.0], theta_e_std=0.0)
@@ -121,45 +121,45 @@ def test_seeds_that_make_no_sense_are_refused():
 SERVO, CURRENT = example("servo-400w"), np.array([3.0, -4.0])
 
 
-def first(observer, theta, current=CURRENT, **given):
-    """The estimate one sample after a seed; the voltage keeps the current at rest."""
+def first_estimate(observer, theta, current=CURRENT, **given):
+    """Return the estimate one sample after a seed; the voltage keeps the current constant."""
     state = observer.seed(theta, current, **{"theta_e_std": 0.1} | given)
     return observer.step(state, SERVO.R_s * np.asarray(current), current)[1]
 
 
 @pytest.mark.parametrize("psi_f", [0.0, 0.02, -0.02])
 @pytest.mark.parametrize("theta", [-6.2, -3.1, -1.0, 0.0, 0.4, 2.0, 3.1, 4.0, 6.2])
-def test_the_flux_is_that_of_the_angle(theta, psi_f):
+def test_the_flux_follows_from_the_angle(theta, psi_f):
     observer = LeastSquaresObserver.for_machine(SERVO, sample_time=H)
-    found = first(observer, theta, psi_f=psi_f)
+    estimate = first_estimate(observer, theta, psi_f=psi_f)
     vector = (psi_f or observer.flux_base) * np.exp(1j * theta)
     flux = vector + SERVO.L_s * complex(*CURRENT)
-    assert complex(*found.flux) == pytest.approx(flux, rel=1e-3)
-    assert found.theta_e == pytest.approx(np.angle(vector), abs=1e-3)
-    assert found.psi_f == pytest.approx(abs(vector), rel=1e-3)
-    assert found.theta_e_std == pytest.approx(0.1, rel=1e-3)
+    assert complex(*estimate.flux) == pytest.approx(flux, rel=1e-3)
+    assert estimate.theta_e == pytest.approx(np.angle(vector), abs=1e-3)
+    assert estimate.psi_f == pytest.approx(abs(vector), rel=1e-3)
+    assert estimate.theta_e_std == pytest.approx(0.1, rel=1e-3)
 
 
 def test_limits_of_a_seed_from_both_sides():
     observer = LeastSquaresObserver.for_machine(SERVO, sample_time=H)
-    little, most = 1e-6, observer.current_limit * CURRENT / np.linalg.norm(CURRENT)
+    margin, largest_current = 1e-6, observer.current_limit * CURRENT / np.linalg.norm(CURRENT)
     for inside, beyond in (
         (
-            {"psi_f": observer.length_min * (1 + little)},
-            {"psi_f": observer.length_min * (1 - little)},
+            {"psi_f": observer.length_min * (1 + margin)},
+            {"psi_f": observer.length_min * (1 - margin)},
         ),
         (
-            {"psi_f": 1e3 * observer.flux_base * (1 - little)},
-            {"psi_f": 1e3 * observer.flux_base * (1 + little)},
+            {"psi_f": 1e3 * observer.flux_base * (1 - margin)},
+            {"psi_f": 1e3 * observer.flux_base * (1 + margin)},
         ),
-        ({"current": most * (1 - little)}, {"current": most * (1 + little)}),
+        ({"current": largest_current * (1 - margin)}, {"current": largest_current * (1 + margin)}),
     ):
-        assert first(observer, 0.5, **inside).theta_e_std < 0.2
-        assert first(observer, 0.5, **beyond).theta_e_std > 1.8
+        assert first_estimate(observer, 0.5, **inside).theta_e_std < 0.2
+        assert first_estimate(observer, 0.5, **beyond).theta_e_std > 1.8
 
 
 @pytest.mark.parametrize("kind", [LeastSquaresObserver, AdaptiveObserver])
-def test_what_a_seed_leaves_open_is_as_usual(kind):
+def test_defaults_of_a_seed(kind):
     observer = kind.for_machine(SERVO, sample_time=H)
     usual = 0.0125
 

@@ -1,4 +1,4 @@
-"""The main job: a log in; flux, position, speed, drift and how far to trust them out."""
+"""Estimate flux, position, speed and drift from a log, with standard deviations."""
 
 from .estimate import estimate
 from .result import Result

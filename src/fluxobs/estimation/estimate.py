@@ -1,4 +1,4 @@
-"""The main job: a log in; flux, position, speed, drift and their standard deviations out."""
+"""Estimate flux, position, speed and drift from a log, with standard deviations."""
 
 from __future__ import annotations
 
@@ -36,33 +36,33 @@ def estimate(
 ) -> Result:
     """Estimate flux, position, speed and drift of a recorded log, with standard deviations.
 
-    With `out` rows are streamed: neither log nor estimates need to fit into memory. The numbers do
-    not depend on the size of the batches. `out` appears only when it is complete.
+    With `out`, rows are streamed: neither log nor estimates need to fit into memory. The batch size
+    does not change the numbers. The file `out` appears only when it is complete.
 
     Parameters
     ----------
     log : path, Log, Record, mapping of str to array, or (voltage, current)
         See :func:`fluxobs.read_log`.
-    machine : Machine, or a path, or the name of a shipped machine
+    machine : Machine, or a path, or the name of a machine that comes with fluxobs
     out : path, optional
-        Ends in .parquet or .csv. Without it the estimates stay in memory.
+        Output file, .parquet or .csv. Without it, the estimates stay in memory.
     keep : bool
-        If false, estimates that are not written are not kept either: for the summary alone.
+        If false, discard estimates that are not written: for the summary alone.
     force : bool
         Overwrite `out` if it exists.
     unknowns : "auto", or str or sequence of {"drift", "resistance", "inverter", "asymmetry", \
             "current-bias"}
-        Constant or slow unknowns. With resistance, inverter or asymmetry the adaptive observer
-        runs; with current-bias the readable one, 0.25 ms per row. "auto": all that the adaptive
-        observer finds, if the log tells resistance or inverter, else drift.
+        Constant or slow unknowns. With resistance, inverter or asymmetry, the adaptive observer
+        runs; with current-bias, the immersed observer in Python, 0.25 ms per row. "auto": all
+        unknowns of the adaptive observer if the log needs it, else drift.
     causal : bool
-        The adaptive observer learns from the whole log, then estimates with what it has learnt.
-        If true it learns as it goes: what firmware would have known at the time.
+        By default, the adaptive observer learns from the whole log, then estimates with the
+        learnt parameters. If true, it learns while it estimates, as it would in firmware.
     memory : float, optional
-        Memory of the least squares [s]; default: that of the kind of machine.
+        Memory of the least squares [s]; the default depends on the kind of machine.
     priors : mapping of {"resistance", "inverter", "asymmetry", "psi_f"} to float, optional
-        Standard deviations of the machine file's values [Ω], [V], [1], [Wb], if the defaults of
-        :meth:`AdaptiveObserver.for_machine` do not fit.
+        Standard deviations of the machine file's values [Ω], [V], [1], [Wb]; default: those of
+        :meth:`AdaptiveObserver.for_machine`.
     progress : callable, optional
         Called with the number of rows done and the number of all rows.
     layout : optional
@@ -78,32 +78,34 @@ def estimate(
     Raises
     ------
     FluxobsError
-        The input is unusable, the unknowns cannot be told apart, or `out` cannot be written; the
-        message says what, where, and the remedy.
+        The input is unusable, the unknowns are not identifiable together, or `out` cannot be
+        written; the message says what is wrong, where, and what to do.
 
     Examples
     --------
     >>> import fluxobs
     >>> result = fluxobs.estimate(fluxobs.demo_log(), "servo-400w")
-    >>> round(float(result["resistance"][-1]), 3)  # 0.360 is true
+    >>> round(float(result["resistance"][-1]), 3)  # the true value is 0.360
     0.36
     """
     machine = as_machine(machine)
     if memory is not None:
         memory = number("memory", memory, "s")
-    chosen = read_unknowns(unknowns)
-    opened = open_for(log, machine, **layout)
-    path = None if out is None else check_out(out, opened.path, force)
-    passes = Passes.begun(opened, machine, chosen, memory, dict(priors or {}), causal, progress)
-    made = (pl.DataFrame(rows.columns) for rows in passes.rows(progress))
-    first = next(made)
-    everything = chain([first], made)
+    unknown_names = read_unknowns(unknowns)
+    opened_log = open_for(log, machine, **layout)
+    path = None if out is None else check_out(out, opened_log.path, force)
+    passes = Passes.begun(
+        opened_log, machine, unknown_names, memory, dict(priors or {}), causal, progress
+    )
+    tables = (pl.DataFrame(rows.columns) for rows in passes.rows(progress))
+    first_table = next(tables)
+    all_tables = chain([first_table], tables)
     table = None
     if path is not None:
-        write_rows(path, dict(first.schema), everything, force)
+        write_rows(path, dict(first_table.schema), all_tables, force)
     elif keep:
-        table = pl.concat(everything)
+        table = pl.concat(all_tables)
     else:
-        for _ in everything:
+        for _ in all_tables:
             pass
     return Result(**passes.found(), table=table, path=path)

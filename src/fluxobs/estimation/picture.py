@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-#: Figures of this width or less have short titles [inch].
+#: Figures up to this width have short titles [inch].
 PRINTED = 8.0
-#: At most about so many gaps are marked.
+#: Approximate limit of the number of gaps that are marked.
 MARKS = 200
 RED = "#c0392b"
-GREY_WORDS = "        grey: position not valid"
-#: Title and unit of each parameter that the adaptive observer finds.
+GREY_LABEL = "        grey: position not valid"
+#: Title and unit of each parameter that the adaptive observer estimates.
 PARAMETERS = {
     "resistance": ("Resistance", "Ω"),
     "inverter_voltage": ("Inverter", "V"),
@@ -35,23 +35,23 @@ PARAMETERS = {
 }
 
 
-#: Panels of every run; further ones are those of PARAMETERS.
+#: Panels of every run; an adaptive run adds those of PARAMETERS.
 PANELS = ("locus", "position", "error", "speed", "drift")
 
 
 @dataclass(frozen=True)
 class Paper:
-    """Size of a picture and of its rows [inch], panels abreast, and changes of the style."""
+    """Width of a picture and height of its rows [inch], panels per row, changes of the style."""
 
     width: float
     height: float
-    abreast: int
+    per_row: int
     changes: Mapping[str, Any] = field(default_factory=dict)
 
 
 _PRINT = {"font.size": 7, "axes.titlesize": 7, "lines.linewidth": 0.7}
 _PRINT |= {"axes.linewidth": 0.5, "xtick.major.width": 0.5, "ytick.major.width": 0.5}
-#: Widths are those of a journal in two columns: 3.5 inch a column, 7.16 inch the page.
+#: Widths are those of a two-column journal: 3.5 inch for a column, 7.16 inch for the page.
 STYLES = {
     "screen": Paper(11.0, 2.0, 1),
     "one column": Paper(3.5, 1.35, 1, _PRINT),
@@ -65,8 +65,11 @@ def figure(
     style: str = "screen",
     panels: Sequence[str] | None = None,
 ) -> Figure:
-    """Draw the picture; the immersed observer has its own panels. The error is that against the
-    truth, less what was fitted to it. Styles and panels: see :meth:`Result.plot`."""
+    """Draw the picture of a run; the immersed observer has its own panels.
+
+    The position error is that against the truth corrected by `fit`. For `style` and `panels`, see
+    :meth:`Result.plot`.
+    """
     import matplotlib as mpl
 
     if style not in STYLES:
@@ -74,7 +77,9 @@ def figure(
     with mpl.rc_context(STYLE | STYLES[style].changes):
         if isinstance(result.observer, ImmersionObserver):
             if panels is not None or style != "screen":
-                raise UsageError("style and panels: not for the observer of a current bias")
+                raise UsageError(
+                    "style and panels: not available for the observer of a current bias"
+                )
             return _immersed(result)
         return _compiled(result, fit, style, panels)
 
@@ -92,9 +97,9 @@ def _compiled(
     result: LogRun, fit: TruthFit | None, style: str, panels: Sequence[str] | None
 ) -> Figure:
     learnt = _learnt(result)
-    known = (*PANELS, *learnt)
+    available = (*PANELS, *learnt)
     if panels is not None or style != "screen":
-        return _chosen(result, fit, STYLES[style], PANELS if panels is None else panels, known)
+        return _chosen(result, fit, STYLES[style], PANELS if panels is None else panels, available)
     figure = new_figure(figsize=(11, 10.5 if learnt else 8.5))
     layout = _layout(learnt)
     axes = figure.subplot_mosaic(layout, height_ratios=[1.2, *[1.0] * (len(layout) - 1)])
@@ -102,21 +107,21 @@ def _compiled(
     axes["error"].set_xlabel("t [s]")
     axes["speed"].sharex(axes["drift"])
     axes["speed"].tick_params(labelbottom=False)
-    axes["drift"].set_xlabel("" if learnt else f"t [s]{GREY_WORDS}")
+    axes["drift"].set_xlabel("" if learnt else f"t [s]{GREY_LABEL}")
     for name in learnt:
-        axes[name].set_xlabel(f"t [s]{GREY_WORDS if name == next(iter(learnt)) else ''}")
+        axes[name].set_xlabel(f"t [s]{GREY_LABEL if name == next(iter(learnt)) else ''}")
     figure.suptitle(f"{_title(result)}{_numbers(result, fit)}", fontsize=10)
     return figure
 
 
 def _draw(axes: Mapping[str, Axes], result: LogRun, fit: TruthFit | None) -> None:
-    """Fill the panels that there are."""
-    learnt, whole = _learnt(result), result.statistics.thin.columns()
-    detail, scored = result.statistics.detail.columns(), _scored(whole, fit)
+    """Draw the panels that `axes` has."""
+    learnt, columns = _learnt(result), result.statistics.thin.columns()
+    detail, scored = result.statistics.detail.columns(), _scored(columns, fit)
     for name, panel in axes.items():
         match name:
             case "locus":
-                _locus(panel, whole)
+                _locus(panel, columns)
                 continue
             case "position":
                 _position(panel, _scored(detail, fit))
@@ -130,7 +135,7 @@ def _draw(axes: Mapping[str, Axes], result: LogRun, fit: TruthFit | None) -> Non
                 _drift(panel, scored)
             case _:
                 _parameter(panel, name, scored, learnt[name])
-        _shade_unknown(panel, scored)
+        _shade_invalid(panel, scored)
         panel.set_xlim(scored["t"][0], scored["t"][-1])
 
 
@@ -139,19 +144,21 @@ def _chosen(
     fit: TruthFit | None,
     paper: Paper,
     panels: Sequence[str],
-    known: Sequence[str],
+    available: Sequence[str],
 ) -> Figure:
-    """Some panels, below and beside one another, without a title."""
+    """Draw the chosen panels in rows, without a title."""
     for name in panels:
-        if name not in known:
-            raise UsageError(f"panels: {name!r}{nearest(name, known)}")
+        if name not in available:
+            raise UsageError(f"panels: {name!r}{nearest(name, available)}")
     if not panels or len(set(panels)) < len(panels):
-        raise UsageError(f"panels: give different ones of {', '.join(known)}")
-    rows: Any = [list(panels[n : n + paper.abreast]) for n in range(0, len(panels), paper.abreast)]
-    rows[-1] += [rows[-1][-1]] * (paper.abreast - len(rows[-1]))
-    heights = [paper.height * (1.6 if "locus" in row else 1.0) for row in rows]
+        raise UsageError(f"panels: choose different ones of {', '.join(available)}")
+    mosaic: Any = [
+        list(panels[n : n + paper.per_row]) for n in range(0, len(panels), paper.per_row)
+    ]
+    mosaic[-1] += [mosaic[-1][-1]] * (paper.per_row - len(mosaic[-1]))
+    heights = [paper.height * (1.6 if "locus" in row else 1.0) for row in mosaic]
     figure = new_figure(figsize=(paper.width, sum(heights)))
-    axes = figure.subplot_mosaic(rows, height_ratios=heights)
+    axes = figure.subplot_mosaic(mosaic, height_ratios=heights)
     _draw(axes, result, fit)
     for panel in axes.values():
         if not panel.get_xlabel():
@@ -160,62 +167,62 @@ def _chosen(
 
 
 def _learnt(result: LogRun) -> dict[str, float]:
-    """Column → assumed value, for each parameter that the adaptive observer finds."""
+    """Column → assumed value, for each parameter that the adaptive observer estimates."""
     adaptive = result.adaptive
     if adaptive is None:
         return {}
-    believed = {
+    priors = {
         "resistance": (adaptive.resistance, adaptive.resistance_std),
         "inverter_voltage": (adaptive.inverter_voltage, adaptive.inverter_std),
         "psi_f": (adaptive.psi_f, adaptive.psi_f_std),
     }
-    return {name: value for name, (value, std) in believed.items() if std > 0}
+    return {name: value for name, (value, std) in priors.items() if std > 0}
 
 
 def _layout(learnt: dict[str, float]) -> Any:
-    """Six columns, so that one, two or three panels can share a row."""
-    rows = [
+    """Return a mosaic of six columns, in which one, two or three panels can share a row."""
+    mosaic = [
         ["locus"] * 2 + ["position"] * 4,
         ["locus"] * 2 + ["error"] * 4,
         ["speed"] * 6,
         ["drift"] * 6,
     ]
     if learnt:
-        rows.append([name for name in learnt for _ in range(6 // len(learnt))])
-    return rows
+        mosaic.append([name for name in learnt for _ in range(6 // len(learnt))])
+    return mosaic
 
 
 def _numbers(result: LogRun, fit: TruthFit | None) -> str:
-    """Second line of the title."""
+    """Return the second line of the title."""
     statistics = result.statistics
     if not statistics.valid:
-        return "\nthe position was never known: see the summary"
+        return "\nno valid position: see the summary"
     psi = 1e3 * statistics.mean("psi_f")
     text = f"\nlag {result.log.layout.lag:g}  ·  |λ - L i| = {psi:.3g} mWb"
     if statistics.scored:
-        left = fit.rms if fit is not None and fit.angular else statistics.rms_error
-        text += f"  ·  position error {np.degrees(left):.2f}° rms on valid rows"
+        rms = fit.rms if fit is not None and fit.angular else statistics.rms_error
+        text += f"  ·  position error {np.degrees(rms):.2f}° rms on valid rows"
     return text
 
 
-def _where_valid(series: dict[str, Array], name: str) -> Array:
+def _blank_invalid(series: dict[str, Array], name: str) -> Array:
     return np.where(series["valid"] > 0, series[name], np.nan)
 
 
-def _locus(axes: Axes, whole: dict[str, Array]) -> None:
-    known = whole["valid"] > 0
-    scale, unit = (1e3, "mWb") if np.abs(whole["psi_f"]).max(initial=0) < 0.5 else (1.0, "Wb")
+def _locus(axes: Axes, columns: dict[str, Array]) -> None:
+    valid = columns["valid"] > 0
+    scale, unit = (1e3, "mWb") if np.abs(columns["psi_f"]).max(initial=0) < 0.5 else (1.0, "Wb")
     axes.plot(
-        scale * whole["flux_alpha"][known],
-        scale * whole["flux_beta"][known],
+        scale * columns["flux_alpha"][valid],
+        scale * columns["flux_beta"][valid],
         ".",
         color=BLUE,
         markersize=1.5,
         label="λ",
     )
-    x = scale * whole["psi_f"] * np.cos(whole["theta_e"])
-    y = scale * whole["psi_f"] * np.sin(whole["theta_e"])
-    axes.plot(x[known], y[known], ".", color=ORANGE, markersize=1.5, label="λ - L i, along d")
+    x = scale * columns["psi_f"] * np.cos(columns["theta_e"])
+    y = scale * columns["psi_f"] * np.sin(columns["theta_e"])
+    axes.plot(x[valid], y[valid], ".", color=ORANGE, markersize=1.5, label="λ - L i, along d")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_title("Flux locus")
     axes.set_xlabel(f"α [{unit}]")
@@ -224,7 +231,7 @@ def _locus(axes: Axes, whole: dict[str, Array]) -> None:
 
 
 def _set_title(axes: Axes, text: str, short: str) -> None:
-    """A title, shorter in print, where it has to leave room for the legend."""
+    """Set the title, in print the short one, to leave room for the legend."""
     figure: Any = axes.figure
     axes.set_title(text if figure.get_figwidth() > PRINTED else short)
 
@@ -233,40 +240,40 @@ def _position(axes: Axes, detail: dict[str, Array]) -> None:
     _set_title(axes, "Position around the first valid row", "Position at the start")
     axes.set_ylabel("θ_e [°]")
     if not detail:
-        axes.text(0.5, 0.5, "the position was never known", ha="center", transform=axes.transAxes)
+        axes.text(0.5, 0.5, "no valid position", ha="center", transform=axes.transAxes)
         return
     detail = _few_periods(detail)
     t = detail["t"]
     if "truth" in detail:
-        axes.plot(t, _degrees_unjoined(detail["truth"]), color=GREY, linewidth=3, label="true")
-    axes.plot(t, _degrees_unjoined(detail["theta_e"]), color=BLUE, label="estimated")
+        axes.plot(t, _degrees_with_gaps(detail["truth"]), color=GREY, linewidth=3, label="true")
+    axes.plot(t, _degrees_with_gaps(detail["theta_e"]), color=BLUE, label="estimated")
     axes.set_ylim(-190, 190)
     axes.set_yticks([-180, -90, 0, 90, 180])
     axes.set_xlim(t[0], t[-1])
     axes.set_xlabel("t [s]")
-    _shade_unknown(axes, detail)
+    _shade_invalid(axes, detail)
     legend(axes)
 
 
 def _few_periods(detail: dict[str, Array], periods: float = 8.0) -> dict[str, Array]:
-    """Rows from shortly before the first valid one until the rotor has turned a few times."""
-    at = int(np.argmax(detail["valid"] > 0))
-    turned = np.abs(np.unwrap(detail["theta_e"][at:]) - detail["theta_e"][at])
-    far = turned > periods * 2 * np.pi
-    stop = at + int(np.argmax(far)) if far.any() else None
-    start = 0 if stop is None else max(0, at - (stop - at))
+    """Return the rows from shortly before the first valid one until a few turns later."""
+    first_valid = int(np.argmax(detail["valid"] > 0))
+    turned = np.abs(np.unwrap(detail["theta_e"][first_valid:]) - detail["theta_e"][first_valid])
+    later = turned > periods * 2 * np.pi
+    stop = first_valid + int(np.argmax(later)) if later.any() else None
+    start = 0 if stop is None else max(0, first_valid - (stop - first_valid))
     return {name: values[start:stop] for name, values in detail.items()}
 
 
-def _degrees_unjoined(angle: Array) -> Array:
-    """Degrees, with a gap where the angle wraps."""
-    out = np.degrees(angle)
-    out[1:][np.abs(np.diff(out)) > 180] = np.nan
-    return np.asarray(out)
+def _degrees_with_gaps(angle: Array) -> Array:
+    """Convert to degrees, with a gap where the angle wraps."""
+    degrees = np.degrees(angle)
+    degrees[1:][np.abs(np.diff(degrees)) > 180] = np.nan
+    return np.asarray(degrees)
 
 
 def _scored(series: dict[str, Array], fit: TruthFit | None) -> dict[str, Array]:
-    """The rows, with the truth and the error against it less what was fitted."""
+    """Return the columns, with truth and position error corrected by the fit."""
     if fit is None or not fit.angular or "raw" not in series:
         return series
     error = fit.error(series["theta_e"], series["raw"], series["speed_e"])
@@ -274,60 +281,62 @@ def _scored(series: dict[str, Array], fit: TruthFit | None) -> dict[str, Array]:
 
 
 def _gaps(axes: Axes, result: LogRun) -> None:
-    """Mark where the log lacks samples."""
-    at = result.log.clock.t[1:]
-    for n, t in enumerate(at[:: max(1, len(at) // MARKS)]):
+    """Mark the gaps in the log."""
+    times = result.log.clock.t[1:]
+    for n, t in enumerate(times[:: max(1, len(times) // MARKS)]):
         axes.axvline(t, color=RED, linewidth=0.8, label="gap in the log" if n == 0 else None)
-    if len(at):
+    if len(times):
         legend(axes)
 
 
-def _error(axes: Axes, whole: dict[str, Array], fit: TruthFit | None = None) -> None:
-    t, band = whole["t"], 2 * np.degrees(_where_valid(whole, "theta_e_std"))
+def _error(axes: Axes, columns: dict[str, Array], fit: TruthFit | None = None) -> None:
+    t, band = columns["t"], 2 * np.degrees(_blank_invalid(columns, "theta_e_std"))
     axes.fill_between(t, -band, band, color=BLUE, alpha=0.18, linewidth=0, label="±2σ")
-    if "theta_e_error" in whole:
-        axes.plot(t, np.degrees(_where_valid(whole, "theta_e_error")), color=BLUE, label="error")
+    if "theta_e_error" in columns:
+        axes.plot(
+            t, np.degrees(_blank_invalid(columns, "theta_e_error")), color=BLUE, label="error"
+        )
     axes.axhline(0, color=GREY, linewidth=0.5)
     limit = np.nanpercentile(band, 99) if np.isfinite(band).any() else 10.0
-    if "theta_e_error" in whole:
-        error = np.abs(np.degrees(_where_valid(whole, "theta_e_error")))
+    if "theta_e_error" in columns:
+        error = np.abs(np.degrees(_blank_invalid(columns, "theta_e_error")))
         limit = max(limit, np.nanpercentile(error, 99.5) if np.isfinite(error).any() else 0.0)
     axes.set_ylim(-1.4 * limit, 1.4 * limit)
-    title = "Position error" if "theta_e_error" in whole else "Uncertainty of the position"
-    less = fit is not None and fit.angular and fit.told
-    axes.set_title(title + (", less what was fitted to the truth" if less else ""))
+    title = "Position error" if "theta_e_error" in columns else "Uncertainty of the position"
+    corrected = fit is not None and fit.angular and fit.told
+    axes.set_title(title + (" against the corrected truth" if corrected else ""))
     axes.set_ylabel("[°]")
     legend(axes)
 
 
-def _speed(axes: Axes, whole: dict[str, Array]) -> None:
-    axes.plot(whole["t"], _where_valid(whole, "speed_e"), color=BLUE)
+def _speed(axes: Axes, columns: dict[str, Array]) -> None:
+    axes.plot(columns["t"], _blank_invalid(columns, "speed_e"), color=BLUE)
     axes.axhline(0, color=GREY, linewidth=0.5)
     axes.set_title("Speed")
     axes.set_ylabel("ω_e [rad/s]")
 
 
-def _drift(axes: Axes, whole: dict[str, Array]) -> None:
+def _drift(axes: Axes, columns: dict[str, Array]) -> None:
     for name, color, label in (("drift_alpha", BLUE, "α"), ("drift_beta", ORANGE, "β")):
-        axes.plot(whole["t"], 1e3 * _where_valid(whole, name), color=color, label=label)
+        axes.plot(columns["t"], 1e3 * _blank_invalid(columns, name), color=color, label=label)
     axes.axhline(0, color=GREY, linewidth=0.5)
     _set_title(
         axes,
-        "Drift: R δ_i - δ_u, what the sensors' offsets add to the flux per second",
-        "Drift R δ_i - δ_u, by offsets",
+        "Drift R δ_i - δ_u: rate at which sensor offsets move the flux integral",
+        "Drift R δ_i - δ_u, from offsets",
     )
     axes.set_ylabel("[mV]")
     legend(axes)
 
 
-def _parameter(axes: Axes, name: str, whole: dict[str, Array], believed: float) -> None:
-    """Plot the value found, with its ±2σ band, and the machine file's value."""
+def _parameter(axes: Axes, name: str, columns: dict[str, Array], assumed: float) -> None:
+    """Plot the estimate with its ±2σ band, and the assumed value."""
     title, unit = PARAMETERS[name]
-    value, std = whole[name].copy(), whole[f"{name}_std"]
-    before = whole["adapting"] == 0  # psi_f is then the length of λ - L i
-    value[before] = np.nan
+    value, std = columns[name].copy(), columns[f"{name}_std"]
+    not_adapting = columns["adapting"] == 0  # psi_f is the length of λ - L i there
+    value[not_adapting] = np.nan
     axes.fill_between(
-        whole["t"],
+        columns["t"],
         value - 2 * std,
         value + 2 * std,
         color=BLUE,
@@ -335,20 +344,20 @@ def _parameter(axes: Axes, name: str, whole: dict[str, Array], believed: float) 
         linewidth=0,
         label="±2σ",
     )
-    axes.plot(whole["t"], value, color=BLUE)
-    axes.axhline(believed, color=ORANGE, linewidth=0.8, linestyle="--", label="assumed")
+    axes.plot(columns["t"], value, color=BLUE)
+    axes.axhline(assumed, color=ORANGE, linewidth=0.8, linestyle="--", label="assumed")
     axes.set_title(title)
     axes.set_ylabel(f"[{unit}]")
     legend(axes)
 
 
-def _shade_unknown(axes: Axes, series: dict[str, Array]) -> None:
-    unknown: Any = series["valid"] == 0
+def _shade_invalid(axes: Axes, series: dict[str, Array]) -> None:
+    invalid: Any = series["valid"] == 0
     axes.fill_between(
         series["t"],
         0,
         1,
-        where=unknown,
+        where=invalid,
         color="0.88",
         linewidth=0,
         step="mid",
@@ -358,23 +367,23 @@ def _shade_unknown(axes: Axes, series: dict[str, Array]) -> None:
 
 
 def _immersed(result: LogRun) -> Figure:
-    """Flux with ±2σ, position, drift, and current bias or noise share."""
-    whole = result.statistics.thin.columns()
-    t, ports, position = whole["t"], result.machine.ports, result.machine.position_output
+    """Draw flux with ±2σ, position, drift, and current bias or noise share."""
+    columns = result.statistics.thin.columns()
+    t, ports, position = columns["t"], result.machine.ports, result.machine.position_output
     angle = position.unit == "°"
     figure = new_figure(figsize=(9, 9))
     axes = figure.subplots(4, 1, sharex=True)
-    _pair(axes[0], whole, "flux", ports, 1e3 if angle else 1e6)
+    _pair(axes[0], columns, "flux", ports, 1e3 if angle else 1e6)
     axes[0].set_title(f"Flux [{'mWb' if angle else 'µWb'}], band ±2σ")
-    axes[1].plot(t, position.factor * _where_valid(whole, position.name), color=BLUE)
+    axes[1].plot(t, position.factor * _blank_invalid(columns, position.name), color=BLUE)
     axes[1].set_title(f"{position.title} [{position.unit.strip()}]")
-    _pair(axes[2], whole, "drift", ports)
+    _pair(axes[2], columns, "drift", ports)
     axes[2].set_title("Drift [V]")
-    if f"current_bias_{ports[0]}" in whole:
-        _pair(axes[3], whole, "current_bias", ports)
+    if f"current_bias_{ports[0]}" in columns:
+        _pair(axes[3], columns, "current_bias", ports)
         axes[3].set_title("Current bias [A], band ±2σ")
     else:
-        axes[3].semilogy(t, np.maximum(whole["noise_share"], 1e-12), color=GREY)
+        axes[3].semilogy(t, np.maximum(columns["noise_share"], 1e-12), color=GREY)
         axes[3].set_title("Noise share of the flux information; valid below 0.1")
     axes[3].set_xlabel("t [s]")
     axes[3].set_xlim(t[0], t[-1])
@@ -383,16 +392,16 @@ def _immersed(result: LogRun) -> Figure:
 
 
 def _pair(
-    axes: Axes, whole: dict[str, Array], name: str, ports: tuple[str, str], factor: float = 1.0
+    axes: Axes, columns: dict[str, Array], name: str, ports: tuple[str, str], factor: float = 1.0
 ) -> None:
-    """Plot both components of a vector, with their bands if there are any."""
+    """Plot both components of a vector, with ±2σ bands if it has standard deviations."""
     for port, colour in zip(ports, (BLUE, ORANGE), strict=True):
         column = f"{name}_{port}"
-        value = factor * _where_valid(whole, column)
-        axes.plot(whole["t"], value, color=colour, label=port)
-        if f"{column}_std" in whole:
-            band = 2 * factor * whole[f"{column}_std"]
+        value = factor * _blank_invalid(columns, column)
+        axes.plot(columns["t"], value, color=colour, label=port)
+        if f"{column}_std" in columns:
+            band = 2 * factor * columns[f"{column}_std"]
             axes.fill_between(
-                whole["t"], value - band, value + band, color=colour, alpha=0.2, linewidth=0
+                columns["t"], value - band, value + band, color=colour, alpha=0.2, linewidth=0
             )
     legend(axes)

@@ -1,4 +1,4 @@
-"""What the pictures and the sliders of a run need to know besides its columns."""
+"""Data for the pictures and sliders of a run, besides its columns."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from .run import LogRun
 
 
 def shown_machine(machine: Machine) -> dict[str, Any]:
-    """What pictures need to know of a machine, as JSON can hold it."""
-    where = machine.position_output
+    """Return the data of a machine that pictures need, for JSON."""
+    position = machine.position_output
     return {
         "ports": list(machine.ports),
         "position": {
-            "name": where.name,
-            "unit": where.unit,
-            "factor": where.factor,
-            "title": where.title,
+            "name": position.name,
+            "unit": position.unit,
+            "factor": position.factor,
+            "title": position.title,
         },
     }
 
 
 def shown(run: LogRun) -> dict[str, Any]:
-    """What they need to know of a run; a report carries it, the page gets it from its worker."""
+    """Return the data of a run that pictures and sliders need, for a report or the page."""
     machine, log = run.machine, run.log
     values = machine.parameters()
     return {

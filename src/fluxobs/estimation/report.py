@@ -1,4 +1,4 @@
-"""A report: one HTML file with the run, its pictures, and where it fits in, the record itself."""
+"""A report: one HTML file with the run, its pictures and, if small enough, the record."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from .plot_data import shown
 from .result import Result
 from .run import LogRun
 
-#: A record of more text than this is left out: the report then shows, but does not recompute.
-MOST = 8_000_000
-#: Nor is a record of more rows: a reader would wait for more than a few seconds.
-MOST_ROWS = 1_000_000
-#: Columns of estimates that the pictures do not show.
+#: A report leaves out a longer encoded record [characters]. It then shows, but cannot recompute.
+MAX_RECORD_SIZE = 8_000_000
+#: It also leaves out a record of more rows: recomputing would take more than a few seconds.
+MAX_RECORD_ROWS = 1_000_000
+#: Columns of the estimates that no picture shows.
 NOT_SHOWN = (
     *("flux_alpha", "flux_beta", "theta_e_tracked", "theta_e_other"),
     *("torque", "speed_mech", "speed_mech_std"),
@@ -44,9 +44,9 @@ def write_report(
     path : Path
         Ends in .html.
     command : str, optional
-        The command that made it.
+        The command that produced the run, to be shown.
     data : bool
-        Whether the record is inside, so that a reader can run it again with other parameters.
+        Whether to include the record, with which a reader can recompute with other parameters.
 
     Raises
     ------
@@ -57,16 +57,16 @@ def write_report(
     record = (
         _record(result) if data and not isinstance(result.observer, ImmersionObserver) else None
     )
-    found = {
-        "words": _words(result, command),
+    page_data = {
+        "words": _texts(result, command),
         "found": shown(result),
         "record": record,
         "columns": None if record is not None else _columns(result),
     }
-    write_text(path, web.with_data(template, found))
+    write_text(path, web.with_data(template, page_data))
 
 
-def _words(result: Result, command: str | None) -> dict[str, Any]:
+def _texts(result: Result, command: str | None) -> dict[str, Any]:
     checked: Check | None = result.checked
     findings = () if checked is None else checked.findings
     return {
@@ -75,52 +75,62 @@ def _words(result: Result, command: str | None) -> dict[str, Any]:
         "summary": result.summary,
         "warnings": result.warnings,
         "notes": list(result.log.notes),
-        "taken": _taken(result.log),
-        "findings": [one.facts for one in findings],
+        "taken": _channel_rows(result.log),
+        "findings": [item.facts for item in findings],
         "check_notes": [] if checked is None else checked.lines()[len(findings) :],
-        "commands": [one for one in (command, result.export_command(_machine_in(command))) if one],
-        "parameters": _learnt(result),
+        "commands": [
+            item for item in (command, result.export_command(_machine_in(command))) if item
+        ],
+        "parameters": _parameter_rows(result),
     }
 
 
 def _machine_in(command: str | None) -> str:
-    """What a command names as the machine."""
+    """Return the argument of --machine in a command."""
     words = shlex.split(command or "")
-    return next((after for word, after in pairwise(words) if word == "--machine"), "MACHINE")
+    return next(
+        (following for word, following in pairwise(words) if word == "--machine"), "MACHINE"
+    )
 
 
-def _taken(log: Log) -> list[list[str]]:
-    """Channel, column, and what turns one into the other."""
-    out = []
+def _channel_rows(log: Log) -> list[list[str]]:
+    """Return a row per channel: channel, column, and the conversion between them."""
+    rows = []
     for channel, column in log.names.items():
         scale, offset = log.conversions.get(channel, (1.0, 0.0))
-        words = f"× {scale:.6g}" if scale != 1.0 else ""
-        words += f" + {offset:.6g}" if offset else ""
-        out.append([channel, column, words.strip() or "as it is"])
+        conversion = f"× {scale:.6g}" if scale != 1.0 else ""
+        conversion += f" + {offset:.6g}" if offset else ""
+        rows.append([channel, column, conversion.strip() or "as it is"])
     if log.true is not None:
-        out.append([log.true.channel, " ".join(log.true.columns), "true, for the score"])
-    return out
+        rows.append([log.true.channel, " ".join(log.true.columns), "true, for the score"])
+    return rows
 
 
-def _learnt(result: Result) -> list[list[str]]:
-    found: Mapping[str, Any] = result.facts["parameters"]
+def _parameter_rows(result: Result) -> list[list[str]]:
+    estimates: Mapping[str, Any] = result.facts["parameters"]
     return [
-        [name, f"{one['value']:.6g}", f"{2 * one['std']:.2g}", one["unit"], f"{one['given']:.6g}"]
-        for name, one in found.items()
+        [
+            name,
+            f"{estimate['value']:.6g}",
+            f"{2 * estimate['std']:.2g}",
+            estimate["unit"],
+            f"{estimate['given']:.6g}",
+        ]
+        for name, estimate in estimates.items()
     ]
 
 
 def _record(result: LogRun) -> dict[str, Any] | None:
-    """The channels of the log with all that reading them again needs; None if they are too many."""
+    """Return the channels of the log and the options to read them; None if the log is too large."""
     log = result.log
-    if len(log) > MOST_ROWS or getattr(result.machine, "flux_map", None) is not None:
+    if len(log) > MAX_RECORD_ROWS or getattr(result.machine, "flux_map", None) is not None:
         return None
-    parts = list(log.channels(log.first, log.last))
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    batches = list(log.channels(log.first, log.last))
+    columns = {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
     columns.pop("t", None)
     true = None if log.true is None else log.true.channel
     packed = {name: exact(values) for name, values in columns.items()}
-    if sum(len(one["data"]) for one in packed.values()) > MOST:
+    if sum(len(column["data"]) for column in packed.values()) > MAX_RECORD_SIZE:
         return None
     rows = np.arange(log.first, log.last)
     return {
@@ -144,15 +154,15 @@ def _record(result: LogRun) -> dict[str, Any] | None:
 
 
 def _columns(result: Result) -> dict[str, Any]:
-    """The estimates, rounded below their own noise."""
+    """Return the estimates, rounded below their noise."""
     table = result.estimates
-    out: dict[str, Any] = {}
+    columns: dict[str, Any] = {}
     for name in table.columns:
         values = table[name].to_numpy()
         if name == "valid":
-            out[name] = flags(values.astype(bool))
+            columns[name] = flags(values.astype(bool))
         elif name == "t":
-            out[name] = exact(values.astype(float))
+            columns[name] = exact(values.astype(float))
         elif name not in NOT_SHOWN:
-            out[name] = rounded(values.astype(float))
-    return out
+            columns[name] = rounded(values.astype(float))
+    return columns

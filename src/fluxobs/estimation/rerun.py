@@ -1,4 +1,4 @@
-"""Another run over a log that is in memory: other parameters, the same rows."""
+"""Repeated runs over a log in memory, with other parameters."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from .columns import EstimateRows, rows_of
 
 
 class Again:
-    """A log kept in memory, for run after run.
+    """A log in memory, for repeated runs.
 
-    Each gives the numbers of :func:`fluxobs.estimate` with the same settings, but for the sizes of
-    the signals, which are measured only once; the log is neither read nor checked again.
+    Each run gives the numbers of :func:`fluxobs.estimate` with the same settings, except that the
+    sizes of the signals are those given here. The log is not read or checked again.
 
     Parameters
     ----------
     log : Log
     scales : Scales
-        Sizes of its signals.
+        Sizes of the log's signals.
     """
 
     def __init__(self, log: Log, scales: Scales) -> None:
         self.log, self.scales = log.less_inverter(None), scales
-        self._parts: dict[float, Aligned] = {}
+        self._samples: dict[float, Aligned] = {}
 
     def rows(
         self,
@@ -39,7 +39,7 @@ class Again:
         priors: Mapping[str, float] | None = None,
         lag: float | None = None,
     ) -> EstimateRows:
-        """The estimates of all rows.
+        """Return the estimates of all rows.
 
         Parameters
         ----------
@@ -50,25 +50,25 @@ class Again:
         lag : float, optional
             In samples; default: the log's.
         """
-        by = 0.0 if lag is None else lag - self.log.layout.lag
-        log = self.log.lagged(by)
+        shift = 0.0 if lag is None else lag - self.log.layout.lag
+        log = self.log.lagged(shift)
         run = prepare(log, machine, unknowns, memory, priors or {}, self.scales)
-        part = self._aligned(log)
+        samples = self._aligned(log)
         if run.log.inverter is not None:
-            part = less_lost(part, run.log.inverter, part.current[:1])
+            samples = less_lost(samples, run.log.inverter, samples.current[:1])
         observer: Any = run.observer
         state = observer.init()
         if isinstance(observer, AdaptiveObserver):
-            state = observer.resume(state, part.voltage, part.current)[0]
+            state = observer.resume(state, samples.voltage, samples.current)[0]
             state = observer.restart(state, frozen=True)
-        found = observer.resume(state, part.voltage, part.current)[1]
-        return rows_of(run.log, machine, observer, part, found)
+        estimates = observer.resume(state, samples.voltage, samples.current)[1]
+        return rows_of(run.log, machine, observer, samples, estimates)
 
     def _aligned(self, log: Log) -> Aligned:
-        """All rows with the voltages as commanded; those of the last two lags are kept."""
+        """Return all rows with the commanded voltages; cache those of the last two lags."""
         lag = log.layout.lag
-        if lag not in self._parts:
-            if len(self._parts) > 1:
-                self._parts.pop(next(iter(self._parts)))
-            self._parts[lag] = joined(list(log.aligned()))
-        return self._parts[lag]
+        if lag not in self._samples:
+            if len(self._samples) > 1:
+                self._samples.pop(next(iter(self._samples)))
+            self._samples[lag] = joined(list(log.aligned()))
+        return self._samples[lag]

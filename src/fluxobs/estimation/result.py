@@ -1,4 +1,4 @@
-"""What an estimation returns: the estimates, and everything found on the way."""
+"""The result of an estimation: estimates, summary, warnings, picture."""
 
 from __future__ import annotations
 
@@ -47,10 +47,12 @@ class Result(ExplainedRun):
         if self.table is not None:
             return self.table
         if self.path is None:
-            raise FluxobsError("the estimates were not kept: estimate with out=… or keep=True")
+            raise FluxobsError(
+                "the estimates were discarded: call estimate with out=… or keep=True"
+            )
         read = pl.read_parquet if self.path.suffix == ".parquet" else pl.read_csv
         try:
-            with self.path.open("rb") as file:  # Polars takes a name for a pattern, and for text
+            with self.path.open("rb") as file:  # Polars expands a name as a pattern
                 return read(file)
         except (OSError, pl.exceptions.PolarsError) as error:
             raise FluxobsError(f"{self.path}: the estimates cannot be read: {error}") from None
@@ -62,7 +64,7 @@ class Result(ExplainedRun):
         return np.asarray(table[column].to_numpy())
 
     def plot(self, style: str = "screen", panels: Sequence[str] | None = None) -> Figure:
-        """The picture of the run, a matplotlib figure.
+        """Draw the run as a matplotlib figure.
 
         Parameters
         ----------
@@ -70,14 +72,13 @@ class Result(ExplainedRun):
             For a paper: 3.5 or 7.16 inches wide, in 7 point, without a title.
         panels : sequence of str, optional
             Some of "locus" (flux and position vector), "position" (around the first valid row),
-            "error" (with ±2σ), "speed", "drift"; and of what was learnt "resistance",
+            "error" (with ±2σ), "speed", "drift"; after learning also "resistance",
             "inverter_voltage", "psi_f". Default: all on the screen, the first five in a paper.
 
         Raises
         ------
         UsageError
-            There is no such style or panel, or the observer of a current bias ran, which has its
-            own panels.
+            The style or panel does not exist, or the immersed observer ran, whose panels are fixed.
         """
         from .picture import figure  # matplotlib is loaded only where it is needed
 
@@ -91,33 +92,37 @@ class Result(ExplainedRun):
         data: bool = True,
         command: str | None = None,
     ) -> None:
-        """Write estimates to .parquet or .csv, the picture to .png, .pdf or .svg, a report that
-        recomputes to .html, or the machine with what was learnt to .toml.
+        """Write the file that the ending of `path` asks for.
+
+        .parquet or .csv: the estimates; .png, .pdf or .svg: the picture; .html: a report that can
+        recompute; .toml: the machine with the identified parameters.
 
         Parameters
         ----------
         path : path
         force : bool
-            Write a .toml over an existing file.
+            Overwrite an existing .toml file.
         data : bool
-            Whether a report carries the record, if that is not too large.
+            Whether a report includes the record, if that is not too large.
         command : str, optional
-            The command that a report shows.
+            The command to be shown in a report.
 
         Raises
         ------
         FluxobsError
-            The path has another ending, nothing was learnt, or the file cannot be written.
+            The path has another ending, no parameter was identified, or the file cannot be written.
         """
         from ..core.plots import FORMATS, HTML, write
 
         path = Path(path)
         if path.suffix.lower() == ".toml":
             if not self.found:
-                raise FluxobsError(f"{path}: the log told no parameter; there is nothing to write")
-            head = [f"Learnt from {self.log.path.name} by `fluxobs estimate`."]
+                raise FluxobsError(
+                    f"{path}: not written, since no parameter is identifiable from this log"
+                )
+            heading = [f"Learnt from {self.log.path.name} by `fluxobs estimate`."]
             machine = rotating(self.machine_learnt)
-            write_machine(path, machine, head, self.found, force)
+            write_machine(path, machine, heading, self.found, force)
             return
         if path.suffix.lower() == HTML:
             from .report import write_report
@@ -131,7 +136,7 @@ class Result(ExplainedRun):
         write_rows(check_out(path, self.log.path, force=True), dict(table.schema), iter([table]))
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: summary, warnings and picture."""
+        """Return summary, warnings and picture as HTML, for a notebook."""
         from ..core.html import bullets, paragraph, picture
 
         notes = [*(f"Warning: {text}" for text in self.warnings), *self.log.notes]

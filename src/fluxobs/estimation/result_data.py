@@ -1,4 +1,4 @@
-"""What a run found, as plain numbers and words for scripts."""
+"""The summary of a run as numbers and strings for scripts."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from .truth import TruthFit
 
 
 def facts(result: LogRun, warnings: list[str], truth: TruthFit | None) -> dict[str, Any]:
-    """The summary of a run as a mapping that JSON can hold; in SI, angles in radians."""
+    """Return the summary of a run as a mapping for JSON; in SI units, angles in radians."""
     statistics, log = result.statistics, result.log
     valid = statistics.valid
     means = {name: total / valid for name, total in statistics.sums.items()} if valid else {}
-    first = statistics.first_valid
-    out: dict[str, Any] = {
+    first_valid = statistics.first_valid
+    data: dict[str, Any] = {
         "log": str(log.path),
         "rows": statistics.rows,
         "sample_time": log.sample_time,
@@ -25,7 +25,7 @@ def facts(result: LogRun, warnings: list[str], truth: TruthFit | None) -> dict[s
         "columns": dict(log.names),
         "unknowns": list(result.unknowns),
         "valid_share": valid / statistics.rows,
-        "first_valid": None if first is None else first - statistics.start,
+        "first_valid": None if first_valid is None else first_valid - statistics.start,
         "drift": [means[f"drift_{port}"] for port in result.machine.ports] if means else None,
         "parameters": _parameters(result),
         "error": None,
@@ -34,37 +34,41 @@ def facts(result: LogRun, warnings: list[str], truth: TruthFit | None) -> dict[s
         "warnings": warnings,
     }
     if statistics.scored:
-        out["error"] = {
+        data["error"] = {
             "rows": statistics.scored,
             "rms": statistics.rms_error,
             "most": statistics.error_max,
             "mean": statistics.error / statistics.scored,
         }
     if truth is not None:
-        out["truth"] = {
+        data["truth"] = {
             "channel": truth.channel,
             "pole_pairs": truth.pole_pairs,
             "parameters": {
-                one.name: {"value": one.value, "std": one.std, "unit": one.unit}
-                for one in truth.parameters
+                parameter.name: {
+                    "value": parameter.value,
+                    "std": parameter.std,
+                    "unit": parameter.unit,
+                }
+                for parameter in truth.parameters
             },
             "rms": truth.rms if math.isfinite(truth.rms) else None,
             "most": truth.most if math.isfinite(truth.most) else None,
             "words": list(truth.words),
         }
-    return out
+    return data
 
 
 def _parameters(result: LogRun) -> dict[str, Any]:
     if result.adaptive is None or result.learnt is None:
         return {}
     return {
-        one.name: {
-            "value": one.value,
-            "std": one.std,
-            "unit": one.unit,
-            "given": one.assumed,
-            "told": one.told,
+        parameter.name: {
+            "value": parameter.value,
+            "std": parameter.std,
+            "unit": parameter.unit,
+            "given": parameter.assumed,
+            "told": parameter.told,
         }
-        for one in parameters(result.adaptive, result.learnt)
+        for parameter in parameters(result.adaptive, result.learnt)
     }

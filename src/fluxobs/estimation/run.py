@@ -1,4 +1,4 @@
-"""A run and its results: all that its summary, its warnings and its picture need."""
+"""A run and its results: the data of its summary, warnings and picture."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class LogRun:
     Attributes
     ----------
     log : Log
-        As read; less the inverter's error if the observer does not model it.
+        As read; the inverter's error is subtracted if the observer does not model it.
     machine : Machine
     observer : LeastSquaresObserver, AdaptiveObserver or ImmersionObserver
         The observer that ran, with all its settings.
@@ -29,18 +29,18 @@ class LogRun:
         Sizes of the log's signals.
     unknowns : tuple of str
     memory : float, optional
-        As it was given [s]; the observer's own is ``observer.memory``.
+        As given [s]; the memory in use is ``observer.memory``.
     priors : mapping
     statistics : Statistics
         Counts and means over the rows.
     counts : SampleCounts
         Bad samples and restarts.
     learnt : Learnt, optional
-        What the adaptive observer has learnt, if it ran.
+        What the adaptive observer learnt, if it ran.
     automatic : bool
-        Whether the unknowns were chosen by what the log tells.
+        Whether the unknowns were chosen from the log.
     causal : bool
-        Whether it learnt as it went, not from the whole log.
+        Whether the observer learnt while it estimated, not from the whole log first.
     """
 
     log: Log
@@ -58,12 +58,12 @@ class LogRun:
 
     @property
     def rotor(self) -> RotatingMachine:
-        """The machine, if it is a rotating one; it is if a compiled observer ran."""
+        """The machine as a rotating one, which it is if a compiled observer ran."""
         return rotating(self.machine, "this part of a result")
 
     @property
     def plain(self) -> LeastSquaresObserver | None:
-        """The plain observer: the one that ran, or the one inside the adaptive observer."""
+        """The plain observer that ran, alone or inside the adaptive observer."""
         if isinstance(self.observer, AdaptiveObserver):
             return self.observer.plain
         return self.observer if isinstance(self.observer, LeastSquaresObserver) else None

@@ -1,4 +1,4 @@
-"""What a run keeps for its summary and picture; its size is bounded, however long the log."""
+"""Data of a run for its summary and picture; their size does not grow with the log."""
 
 from __future__ import annotations
 
@@ -10,25 +10,30 @@ from ..core.arrays import Array
 from .columns import EstimateRows
 from .truth import TruthSamples
 
-#: Rows of the thinned-out log, and of the piece around the first valid row shown in full: as many
-#: as a picture can show, and a few megabytes.
+#: Rows of the thinned-out log, and of the window around the first valid row shown in full: as many
+#: as a picture can resolve, in a few megabytes.
 THIN_ROWS, DETAIL_ROWS = 4000, 3000
 
 
 @dataclass
 class Series:
-    """Rows kept for the picture."""
+    """Rows for the picture."""
 
-    parts: list[dict[str, Array]] = field(default_factory=list)
+    batches: list[dict[str, Array]] = field(default_factory=list)
 
     def add(self, rows: EstimateRows, keep: slice) -> None:
         columns = {**rows.columns, **rows.more}
-        self.parts.append({name: np.array(v[keep], float) for name, v in columns.items()})
+        self.batches.append(
+            {name: np.array(values[keep], float) for name, values in columns.items()}
+        )
 
     def columns(self) -> dict[str, Array]:
-        if not self.parts:
+        if not self.batches:
             return {}
-        return {name: np.concatenate([part[name] for part in self.parts]) for name in self.parts[0]}
+        return {
+            name: np.concatenate([batch[name] for batch in self.batches])
+            for name in self.batches[0]
+        }
 
 
 @dataclass
@@ -41,36 +46,37 @@ class Statistics:
     start: float = 0.0
     first_valid: float | None = None  # time of the row [s]
     first_valid_row: int | None = None
-    sums: dict[str, float] = field(default_factory=dict)  # of every column, over the valid rows
+    sums: dict[str, float] = field(default_factory=dict)  # of each column over the valid rows
     settled: int = 0  # rows since the first valid one
-    innovation: float = 0.0  # sum of squares over those
+    innovation: float = 0.0  # sum of squares over the settled rows
     scored: int = 0
     error: float = 0.0
     error_squared: float = 0.0
     error_max: float = 0.0
-    found: dict[str, float] = field(default_factory=dict)  # every column of the last adapting row
+    # each column in the last adapting row
+    last_adapting: dict[str, float] = field(default_factory=dict)
     truth: TruthSamples | None = None
     thin: Series = field(default_factory=Series)
     detail: Series = field(default_factory=Series)
 
     def mean(self, name: str) -> float:
-        """Mean of a column over the valid rows; there must be at least one."""
+        """Return the mean of a column over the valid rows; there must be at least one."""
         return self.sums[name] / self.valid
 
     @property
     def rms_error(self) -> float:
-        """Rms error of the position over the scored rows."""
+        """Rms position error over the scored rows."""
         return float(np.sqrt(self.error_squared / self.scored))
 
     def add(self, rows: EstimateRows) -> None:
-        """Take in the next rows."""
+        """Add the next rows."""
         t, valid = rows.columns["t"], rows.valid
         count = len(t)
         if self.rows == 0:
             self.start = float(t[0])
         if self.first_valid is None and valid.any():
-            at = int(np.argmax(valid))
-            self.first_valid, self.first_valid_row = float(t[at]), self.rows + at
+            index = int(np.argmax(valid))
+            self.first_valid, self.first_valid_row = float(t[index]), self.rows + index
         if self.first_valid_row is not None:
             self._add_settled(rows, self.first_valid_row, count)
         stride = max(1, self.total // THIN_ROWS)
@@ -80,25 +86,28 @@ class Statistics:
             self.sums[name] = self.sums.get(name, 0.0) + float(values[valid].sum())
         adapting = rows.more.get("adapting")
         if adapting is not None and adapting.any():
-            last = int(np.flatnonzero(adapting)[-1])
-            self.found = {name: float(values[last]) for name, values in rows.columns.items()}
+            row = int(np.flatnonzero(adapting)[-1])
+            self.last_adapting = {name: float(values[row]) for name, values in rows.columns.items()}
         if rows.error is not None:
-            known = rows.error[valid & np.isfinite(rows.error)]
-            self.scored += len(known)
-            self.error += float(known.sum())
-            self.error_squared += float((known**2).sum())
-            self.error_max = max(self.error_max, float(np.abs(known).max(initial=0.0)))
+            errors = rows.error[valid & np.isfinite(rows.error)]
+            self.scored += len(errors)
+            self.error += float(errors.sum())
+            self.error_squared += float((errors**2).sum())
+            self.error_max = max(self.error_max, float(np.abs(errors).max(initial=0.0)))
         if self.truth is not None and "raw" in rows.more:
             self.truth.add(rows)
         self.rows += count
 
     def _add_settled(self, rows: EstimateRows, first: int, count: int) -> None:
-        """Add all rows from the first valid one on: a residual can itself make a row invalid."""
+        """Add the rows from the first valid one on, also invalid ones.
+
+        A large innovation can itself make a row invalid.
+        """
         since = max(0, first - self.rows)
         self.settled += count - since
         if rows.innovation is not None:
             self.innovation += float((rows.innovation[since:] ** 2).sum())
-        low = max(0, first - DETAIL_ROWS // 3 - self.rows)
-        high = first + 2 * DETAIL_ROWS // 3 - self.rows
-        if high > 0:
-            self.detail.add(rows, slice(low, min(high, count)))
+        start = max(0, first - DETAIL_ROWS // 3 - self.rows)
+        end = first + 2 * DETAIL_ROWS // 3 - self.rows
+        if end > 0:
+            self.detail.add(rows, slice(start, min(end, count)))

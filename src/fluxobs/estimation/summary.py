@@ -1,4 +1,4 @@
-"""What a run found, in one readable paragraph."""
+"""The summary of a run: one paragraph."""
 
 from __future__ import annotations
 
@@ -9,34 +9,34 @@ from ..logs.record import lag_in_words
 from ..machines import RotatingMachine
 from ..observers import ImmersionObserver
 from ..observers.immersed import UNSEEN_BIAS
-from .learning import UNSEEN, learning_parts, parameters
+from .learning import UNSEEN, learning_segments, parameters
 from .run import LogRun
 from .truth import TruthFit
 
 
 def si(value: float, unit: str) -> str:
-    """Three digits and an SI prefix."""
+    """Format a value with three digits and an SI prefix."""
     for factor, prefix in ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n")):
         if abs(value) >= factor:
             return f"{value / factor:.3g} {prefix}{unit}"
     return f"0 {unit}" if value == 0 else f"{value:.2g} {unit}"
 
 
-def paragraph(result: LogRun, found: Check | None, truth: TruthFit | None) -> str:
-    """The summary of a run whose log was checked."""
+def paragraph(result: LogRun, checked: Check | None, truth: TruthFit | None) -> str:
+    """Return the summary of a run; `checked` is the check of its log."""
     statistics, log = result.statistics, result.log
-    head = (
+    opening = (
         f"{statistics.rows} samples, {statistics.rows * log.sample_time:.4g} s at "
         f"{1 / log.sample_time:.6g} Hz; {lag_in_words(log.layout.lag)}."
     )
     if isinstance(result.observer, ImmersionObserver):
         unknowns = " and ".join(result.observer.immersion.unknowns)
-        head += f" Unknown: {unknowns}; memory {result.observer.memory:g} s."
+        opening += f" Unknowns: {unknowns}; memory {result.observer.memory:g} s."
     if statistics.first_valid is None:
-        return f"{head} The position was never known."
+        return f"{opening} The position was never valid."
     share = statistics.valid / statistics.rows
     sentences = [
-        head,
+        opening,
         *_choice(result),
         f"The position is valid on {share:.1%} of the rows, first "
         f"{si(statistics.first_valid - statistics.start, 's')} after the start.",
@@ -45,13 +45,13 @@ def paragraph(result: LogRun, found: Check | None, truth: TruthFit | None) -> st
         *_flux(result),
         *_parameters(result),
         *_score(result, truth),
-        *([found.untold] if found is not None and found.untold else []),
+        *([checked.untold] if checked is not None and checked.untold else []),
     ]
     return " ".join(sentences)
 
 
 def mean_of(result: LogRun, output: str) -> np.ndarray:
-    """Mean of a vector output over the valid rows, (2,)."""
+    """Return the mean of a vector output over the valid rows, (2,)."""
     ports = result.machine.ports
     return np.array([result.statistics.mean(f"{output}_{port}") for port in ports])
 
@@ -61,19 +61,19 @@ def _drift(result: LogRun) -> str:
     if isinstance(machine, RotatingMachine):
         size = float(np.hypot(*drift))
         return (
-            f"The flux integral would drift by ({drift[0]:+.4g}, {drift[1]:+.4g}) V in αβ: as much "
-            f"as a voltage offset of {si(size, 'V')}, or a current offset of "
+            f"Drift of the flux integral: ({drift[0]:+.4g}, {drift[1]:+.4g}) V in αβ, equivalent "
+            f"to a voltage offset of {si(size, 'V')} or a current offset of "
             f"{si(size / machine.R_s, 'A')} through R_s."
         )
     offset = -np.linalg.solve(machine.B, drift)
     return (
-        f"The flux integral would drift by ({drift[0]:+.4g}, {drift[1]:+.4g}) V, as much as "
+        f"Drift of the flux integral: ({drift[0]:+.4g}, {drift[1]:+.4g}) V, equivalent to "
         f"voltage offsets of ({offset[0]:+.3g}, {offset[1]:+.3g}) V."
     )
 
 
 def bias_is_seen(result: LogRun) -> bool:
-    """Whether the record revealed the current bias, if that is an unknown."""
+    """Whether the record identifies the current bias; false if it is not an unknown."""
     observer = result.observer
     if not isinstance(observer, ImmersionObserver):
         return False
@@ -90,9 +90,11 @@ def _current_bias(result: LogRun) -> list[str]:
     if "current-bias" not in result.unknowns:
         return []
     if not bias_is_seen(result):
-        return ["Current bias: not seen."]
+        return ["Current bias: not identifiable."]
     bias, std = mean_of(result, "current_bias"), _bias_std(result)
-    assumed = ", if the voltage has no offset" if result.unknowns == ("current-bias",) else ""
+    assumed = (
+        ", assuming that the voltage has no offset" if result.unknowns == ("current-bias",) else ""
+    )
     return [
         f"Current bias: {bias[0]:+.4g} ± {std[0]:.2g} and {bias[1]:+.4g} ± {std[1]:.2g} A "
         f"(σ){assumed}."
@@ -106,86 +108,89 @@ def _flux(result: LogRun) -> list[str]:
 
 
 def _parameters(result: LogRun) -> list[str]:
-    """What the adaptive observer has learnt, each with the value assumed before."""
+    """Parameters that the adaptive observer learnt, each with the value assumed before."""
     adaptive, learnt = result.adaptive, result.learnt
     if adaptive is None or learnt is None:
         return []
-    if not result.statistics.found:
-        return ["No parameter was found: the position was not known for long enough."]
+    if not result.statistics.last_adapting:
+        return ["No parameter was identified: the position was not valid for long enough."]
     machine = result.rotor
     sources = {
         "magnet flux": "given" if machine.magnet_flux else "guessed from the log",
         "resistance": "given",
         "inverter": "given" if machine.inverter_voltage is not None else "assumed",
     }
-    told, untold = [], []
-    for one in parameters(adaptive, learnt):
-        if one.told:
-            held = one.value if abs(one.value) > 1e-6 * one.std else 0.0  # at a limit
-            value = f"{si(held, one.unit)} ± {si(one.std, one.unit)}"
-            told.append(f"{one.name} {value} ({si(one.assumed, one.unit)} {sources[one.name]})")
+    identified, unidentified = [], []
+    for parameter in parameters(adaptive, learnt):
+        if parameter.told:
+            # A value at its limit of zero may differ from zero by rounding.
+            value = parameter.value if abs(parameter.value) > 1e-6 * parameter.std else 0.0
+            quantity = f"{si(value, parameter.unit)} ± {si(parameter.std, parameter.unit)}"
+            assumed = f"{si(parameter.assumed, parameter.unit)} {sources[parameter.name]}"
+            identified.append(f"{parameter.name} {quantity} ({assumed})")
         else:
-            untold.append(one.name)
+            unidentified.append(parameter.name)
     priors = (adaptive.L_d_std, adaptive.L_q_std)
     for n in range(2):
         std = learnt.inductance_std[n]
         if 0 < std <= UNSEEN * priors[n]:
-            L, off = machine.L_dq[n], learnt.inductance_error[n]
-            found = f"{si(L * (1 + off), 'H')} ± {si(L * std, 'H')}"
-            told.append(f"{machine.inductances[n]} {found} ({si(L, 'H')} given)")
+            L, error = machine.L_dq[n], learnt.inductance_error[n]
+            quantity = f"{si(L * (1 + error), 'H')} ± {si(L * std, 'H')}"
+            identified.append(f"{machine.inductances[n]} {quantity} ({si(L, 'H')} given)")
     if adaptive.asymmetry_std > 0 and max(learnt.asymmetry_std) <= UNSEEN * adaptive.asymmetry_std:
         size, std = np.hypot(*learnt.asymmetry), max(learnt.asymmetry_std)
-        told.append(f"asymmetry of the phases {100 * size:.2g} ± {100 * std:.1g} %")
-    parts = learning_parts(result.log)
-    whole = "From the whole log"
-    if len(parts) > 1:
-        whole = f"From {sum(last - first for first, last in parts)} rows, evenly spread"
-    when = "At the end" if result.causal else whole
-    text = [f"{when}: {', '.join(told)}."] if told else []
-    if untold:
-        text.append(f"The log does not tell {' and '.join(untold)}.")
-    return text
+        identified.append(f"asymmetry of the phases {100 * size:.2g} ± {100 * std:.1g} %")
+    segments = learning_segments(result.log)
+    origin = "from the whole log"
+    if len(segments) > 1:
+        origin = f"from {sum(end - start for start, end in segments)} rows, evenly spread"
+    if result.causal:
+        origin = "by the end"
+    sentences = [f"Identified {origin}: {', '.join(identified)}."] if identified else []
+    if unidentified:
+        sentences.append(f"Not identifiable from this log: {', '.join(unidentified)}.")
+    return sentences
 
 
 def _choice(result: LogRun) -> list[str]:
-    """What was taken as unknown, if the log decided."""
+    """The unknowns, if they were chosen from the log."""
     if not result.automatic:
         return []
     if result.adaptive is not None:
-        return [f"Taken as unknown, as the log tells them: {', '.join(result.unknowns)}."]
-    return ["Taken as unknown: the drift; the log does not ask for more."]
+        return [f"Estimated as well: {', '.join(result.unknowns)} (chosen from the log)."]
+    return ["Estimated as well: drift only; this log does not require more."]
 
 
 def _score(result: LogRun, truth: TruthFit | None) -> list[str]:
     statistics, position = result.statistics, result.machine.position_output
-    wrong = truth is not None and truth.wrong_turns
-    if not statistics.scored or wrong:
+    wrong_turns = truth is not None and truth.wrong_turns
+    if not statistics.scored or wrong_turns:
         return _fitted(result, truth)
     mean, factor = statistics.error / statistics.scored, position.factor
     angle = position.unit == "°"
 
-    def told(value: float) -> str:
+    def formatted(value: float) -> str:
         return f"{factor * value:.2f}°" if angle else f"{factor * value:.3g}{position.unit}"
 
     return [
-        f"Against the true {'angle' if angle else 'position'}, on {statistics.scored} valid rows: "
-        f"position error {told(statistics.rms_error)} rms, {told(statistics.error_max)} at most, "
-        f"mean {told(mean)}.",
+        f"Position error against the true {'angle' if angle else 'position'} on "
+        f"{statistics.scored} valid rows: {formatted(statistics.rms_error)} rms, "
+        f"{formatted(statistics.error_max)} at most, mean {formatted(mean)}.",
         *_fitted(result, truth),
     ]
 
 
 def _fitted(result: LogRun, truth: TruthFit | None) -> list[str]:
-    """What the truth channel is off by, and what is left of the error without that."""
+    """Errors of the truth channel, and the position error that remains without them."""
     if truth is None or not truth.told:
         return []
     columns = "" if result.log.true is None else " ".join(result.log.true.columns)
-    text = f"Of the channel {truth.channel} ({columns}), fitted to the estimate: "
+    text = f"Channel {truth.channel} ({columns}), fitted to the estimate: "
     text += "; ".join(truth.words) + "."
     if not np.isfinite(truth.rms):
         return [text]
     if truth.channel.startswith("speed"):
         return [f"{text} The speeds differ by {truth.rms:.3g} rad/s rms, {truth.most:.3g} at most."]
-    left = f"{np.degrees(truth.rms):.2f}° rms, {np.degrees(truth.most):.2f}° at most"
-    what = "The edges scatter by" if truth.channel == "hall" else "Without these the error is"
-    return [f"{text} {what} {left}."]
+    remaining = f"{np.degrees(truth.rms):.2f}° rms, {np.degrees(truth.most):.2f}° at most"
+    subject = "The edges scatter by" if truth.channel == "hall" else "The remaining error is"
+    return [f"{text} {subject} {remaining}."]

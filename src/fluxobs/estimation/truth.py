@@ -1,9 +1,9 @@
-"""The truth of a log, fitted to the estimate: what an encoder, a speed or Hall sensors are off by.
+"""Fit the truth of a log to the estimate: errors of an encoder, a speed signal or Hall sensors.
 
-An encoder's zero, direction and delay are seldom known, its disc is never centred, and the count of
-pole pairs may be another. All that is fitted to the estimated angle, with standard deviations, so
-that what is left is the error of the estimate in the drive's own operation. What is constant is
-ambiguous: a constant error of the estimate is in the zero, whose standard deviation allows for it.
+An encoder's zero, direction and delay are seldom known, its disc is never centred, and the number
+of pole pairs may be wrong. These are fitted to the estimated angle, with standard deviations; the
+remaining difference is the error of the estimate. A constant error of the estimate is ambiguous: it
+appears in the zero, whose standard deviation allows for it.
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ from ..machines import RotatingMachine
 from ..machines.model.frames import wrap
 from .columns import EstimateRows
 
-#: Rows that are kept for a fit, evenly spread; Hall edges that are kept.
-KEPT, EDGES = 40_000, 200_000
-#: Rows over which turns are counted.
+#: Greatest number of rows in a fit, evenly spread, and of Hall edges.
+MAX_ROWS, MAX_EDGES = 40_000, 200_000
+#: Rows in a span over which turns are counted.
 SPAN = 32
-#: Blocks of rows whose errors are taken as independent of one another.
+#: Number of blocks of rows whose errors are assumed to be independent.
 BLOCKS = 40
 #: Errors beyond this many standard deviations count linearly (Huber's constant).
 HUBER = 1.345
-#: A ratio of turns this close to a whole number of pole pairs is it.
+#: A ratio of turns this close to an integer, relatively, is that number of pole pairs.
 WHOLE = 0.02
-#: Speeds must differ by this share of the largest to tell a delay from a zero.
+#: Speeds must differ by this share of the largest to separate a delay from the zero.
 VARIED = 0.3
 #: A parameter is reported if it exceeds this many standard deviations.
-TOLD = 3.0
-#: Share of the shaft's circle that eccentricity needs.
+SIGNIFICANT = 3.0
+#: Share of a shaft turn that the rows must cover for a fit of the eccentricity.
 COVERED = 0.9
-#: An error of the angle in a block of rows that no estimate explains [rad].
+#: Larger rms errors of the angle in a block of rows are errors of the channel [rad].
 LOST = np.radians(5.0)
-#: A step of the zero explains it, if less than this share of the squared error is left.
+#: A step of the zero explains such an error if less than this share of the squared error remains.
 SLIPPED = 0.1
-#: The same of a speed, as a share of the largest.
+#: Larger rms errors of a speed, as a share of the largest speed, are errors of the channel.
 LOST_SPEED = 0.1
 
 
 @dataclass(frozen=True)
 class TruthParameter:
-    """One parameter of a truth: value and standard deviation."""
+    """One error parameter of a truth channel: value and standard deviation."""
 
     name: str
     value: float
@@ -55,96 +55,100 @@ class TruthParameter:
 
     @property
     def told(self) -> bool:
-        return abs(self.value) > TOLD * self.std
+        """Whether the value differs significantly from zero."""
+        return abs(self.value) > SIGNIFICANT * self.std
 
 
 @dataclass
 class TruthSamples:
-    """What a run keeps of its truth; its size is bounded."""
+    """Samples of a run's truth for the fit; their number is bounded."""
 
     total: int
     channel: str
     rows: int = 0
     known: int = 0  # valid rows on which the channel has a value
-    parts: list[dict[str, Array]] = field(default_factory=list)
-    product: float = 0.0  # Σ of turned angles, estimated by true
-    square: float = 0.0
-    turned: float = 0.0  # by the channel, to and fro [rad]
+    batches: list[dict[str, Array]] = field(default_factory=list)
+    product: float = 0.0  # Σ of estimated times true turned angle, over spans
+    square: float = 0.0  # Σ of the true turned angle squared
+    turned: float = 0.0  # angle turned by the channel, in both directions [rad]
     edges: list[Array] = field(default_factory=list)
     edge_count: int = 0
-    before: dict[str, float] = field(default_factory=dict)
+    before: dict[str, float] = field(default_factory=dict)  # last row of the previous batch
 
     def add(self, rows: EstimateRows) -> None:
-        """Take in the next rows."""
+        """Add the next rows."""
         columns, raw = rows.columns, rows.more["raw"]
-        count, good = len(raw), rows.valid & np.isfinite(raw)
-        stride = max(1, self.total // KEPT)
-        pick = np.arange(-self.rows % stride, count, stride)
-        pick = pick[good[pick]]
-        kept = {"raw": raw[pick], "row": (self.rows + pick).astype(float)}
+        count, usable = len(raw), rows.valid & np.isfinite(raw)
+        stride = max(1, self.total // MAX_ROWS)
+        kept_rows = np.arange(-self.rows % stride, count, stride)
+        kept_rows = kept_rows[usable[kept_rows]]
+        thinned = {"raw": raw[kept_rows], "row": (self.rows + kept_rows).astype(float)}
         for name in ("t", "theta_e", "theta_e_std", "speed_e", "speed_mech"):
             if name in columns:
-                kept[name] = np.array(columns[name][pick], float)
-        self.parts.append(kept)
-        self.known += int(good.sum())
+                thinned[name] = np.array(columns[name][kept_rows], float)
+        self.batches.append(thinned)
+        self.known += int(usable.sum())
         if self.channel == "hall":
-            self._add_edges(columns["theta_e"], raw, good)
+            self._add_edges(columns["theta_e"], raw, usable)
         elif self.channel.startswith("theta"):
-            self._count_turns(columns["theta_e"], raw, good)
+            self._count_turns(columns["theta_e"], raw, usable)
         self.rows += count
 
-    def _count_turns(self, theta: Array, raw: Array, good: NDArray[np.bool_]) -> None:
-        whole = len(raw) // SPAN * SPAN
-        if not whole:
+    def _count_turns(self, theta: Array, raw: Array, usable: NDArray[np.bool_]) -> None:
+        length = len(raw) // SPAN * SPAN
+        if not length:
             return
-        inside = good[:whole].reshape(-1, SPAN).all(axis=1)
-        est = wrap(np.diff(theta[:whole].reshape(-1, SPAN)[inside], axis=1)).sum(axis=1)
-        true = wrap(np.diff(raw[:whole].reshape(-1, SPAN)[inside], axis=1)).sum(axis=1)
-        self.product += float(est @ true)
+        complete = usable[:length].reshape(-1, SPAN).all(axis=1)
+        estimated = wrap(np.diff(theta[:length].reshape(-1, SPAN)[complete], axis=1)).sum(axis=1)
+        true = wrap(np.diff(raw[:length].reshape(-1, SPAN)[complete], axis=1)).sum(axis=1)
+        self.product += float(estimated @ true)
         self.square += float(true @ true)
         self.turned += float(np.abs(true).sum())
 
-    def _add_edges(self, theta: Array, raw: Array, good: NDArray[np.bool_]) -> None:
+    def _add_edges(self, theta: Array, raw: Array, usable: NDArray[np.bool_]) -> None:
         if self.before:
             theta = np.concatenate([[self.before["theta"]], theta])
             raw = np.concatenate([[self.before["raw"]], raw])
-            good = np.concatenate([[self.before["good"] > 0], good])
-        at = np.flatnonzero((raw[1:] != raw[:-1]) & good[1:] & good[:-1])
-        if self.edge_count < EDGES and len(at):
-            moved = wrap(theta[at + 1] - theta[at])
-            middle = wrap(theta[at] + moved / 2)
-            self.edges.append(np.stack([raw[at], raw[at + 1], middle, np.sign(moved)]))
-            self.edge_count += len(at)
-        self.before = {"theta": theta[-1], "raw": raw[-1], "good": float(good[-1])}
+            usable = np.concatenate([[self.before["good"] > 0], usable])
+        edge = np.flatnonzero((raw[1:] != raw[:-1]) & usable[1:] & usable[:-1])
+        if self.edge_count < MAX_EDGES and len(edge):
+            moved = wrap(theta[edge + 1] - theta[edge])
+            middle = wrap(theta[edge] + moved / 2)
+            self.edges.append(np.stack([raw[edge], raw[edge + 1], middle, np.sign(moved)]))
+            self.edge_count += len(edge)
+        self.before = {"theta": theta[-1], "raw": raw[-1], "good": float(usable[-1])}
 
     def columns(self) -> dict[str, Array]:
-        if not self.parts:
+        if not self.batches:
             return {}
-        return {name: np.concatenate([part[name] for part in self.parts]) for name in self.parts[0]}
+        return {
+            name: np.concatenate([batch[name] for batch in self.batches])
+            for name in self.batches[0]
+        }
 
 
 @dataclass(frozen=True, eq=False)
 class TruthFit:
-    """What was fitted to the truth, and what is left.
+    """Fitted errors of a truth channel, and the remaining error.
 
     Attributes
     ----------
     channel : str
     parameters : tuple of TruthParameter
     pole_pairs : int
-        Of the truth, with the sign of its direction against the estimate's.
+        Of the truth; negative if it counts opposite to the estimate.
     words : tuple of str
-        Clauses on what was found.
+        The results, one clause each.
     rms, most : float
-        Position error that is left [rad], or error of the speed [rad/s].
+        Remaining position error [rad], or error of the speed [rad/s]: rms and maximum.
     half_turn : bool
-        Whether the position is known up to half a turn.
+        Whether the position is ambiguous by half a turn.
     known : mapping
-        What the fit subtracts: name in the design → value.
+        What the fit subtracts: name of the regressor → coefficient.
     wrong_turns : bool
-        Whether pole pairs or direction are not as given.
+        Whether pole pairs or direction differ from the given ones.
     lost : str, optional
-        Where the channel does not follow the flux, though it does elsewhere.
+        Where the channel does not follow the flux.
     """
 
     channel: str
@@ -165,23 +169,23 @@ class TruthFit:
 
     @property
     def told(self) -> bool:
-        """Whether there is something to be said."""
-        wrong = self.wrong_turns or self.lost is not None or not self.parameters
-        return wrong or any(p.told for p in self.parameters)
+        """Whether there is an error of the channel to report."""
+        failed = self.wrong_turns or self.lost is not None or not self.parameters
+        return failed or any(parameter.told for parameter in self.parameters)
 
     def __getitem__(self, name: str) -> TruthParameter:
-        """A parameter by its name."""
-        return next(one for one in self.parameters if one.name == name)
+        """Return the parameter of that name."""
+        return next(parameter for parameter in self.parameters if parameter.name == name)
 
     def error(self, theta: Array, raw: Array, speed: Array) -> Array:
-        """Estimated less true angle, less what was fitted [rad]."""
-        e = _difference(theta, raw, self.pole_pairs, self.half_turn)
+        """Return estimated minus true angle, minus the fitted errors of the channel [rad]."""
+        error = _difference(theta, raw, self.pole_pairs, self.half_turn)
         X, names = _design(raw, speed, tuple(self.known))
-        return _wrapped(e - X @ np.array([self.known[n] for n in names]), self.half_turn)
+        return _wrapped(error - X @ np.array([self.known[name] for name in names]), self.half_turn)
 
 
 def fit_truth(samples: TruthSamples, machine: RotatingMachine) -> TruthFit | None:
-    """Fit what the channel may be off by; None if there are too few rows for it."""
+    """Fit the errors of the truth channel; None if there are too few rows."""
     columns = samples.columns()
     if not columns or len(columns["raw"]) < 10 * BLOCKS:
         return None
@@ -192,15 +196,15 @@ def fit_truth(samples: TruthSamples, machine: RotatingMachine) -> TruthFit | Non
     return _fit_angle(samples, columns, machine)
 
 
-# ---- an encoder ------------------------------------------------------------------------------
+# ---- encoder ---------------------------------------------------------------------------------
 
 
-def _difference(theta: Array, raw: Array, pairs: int, half_turn: bool) -> Array:
-    return _wrapped(theta - pairs * raw, half_turn)
+def _difference(theta: Array, raw: Array, pole_pairs: int, half_turn: bool) -> Array:
+    return _wrapped(theta - pole_pairs * raw, half_turn)
 
 
-def _wrapped(e: Array, half_turn: bool) -> Array:
-    return wrap(2 * e) / 2 if half_turn else wrap(e)
+def _wrapped(angle: Array, half_turn: bool) -> Array:
+    return wrap(2 * angle) / 2 if half_turn else wrap(angle)
 
 
 def _design(raw: Array, speed: Array, names: tuple[str, ...]) -> tuple[Array, tuple[str, ...]]:
@@ -219,180 +223,207 @@ def _fit_angle(
     samples: TruthSamples, columns: Mapping[str, Array], machine: RotatingMachine
 ) -> TruthFit | None:
     theta, raw, speed = columns["theta_e"], columns["raw"], columns["speed_e"]
-    given = machine.n_p if samples.channel == "theta_mech" else 1
+    given_pole_pairs = machine.n_p if samples.channel == "theta_mech" else 1
     if not samples.square > 1.0:
-        still = "the angle hardly turns, though the flux does"
-        return TruthFit(samples.channel, (), given, (still,), np.nan, np.nan, wrong_turns=True)
-    ratio = samples.product / samples.square
-    pairs = round(ratio)
-    words: list[str] = []
-    if pairs == 0 or abs(ratio / pairs - 1) > WHOLE:
-        words.append(
-            f"the flux turns {ratio:.3g} times for a turn of the channel, which is no whole "
-            f"number of pole pairs: its unit is wrong, or it is no angle of this rotor"
+        message = "the angle hardly turns, though the flux does"
+        return TruthFit(
+            samples.channel, (), given_pole_pairs, (message,), np.nan, np.nan, wrong_turns=True
         )
-        return TruthFit(samples.channel, (), given, tuple(words), np.nan, np.nan, wrong_turns=True)
-    half = machine.half_turn_ambiguous
-    e = _difference(theta, raw, pairs, half)
-    turn = 2 if half else 1
-    centre = float(np.angle(np.exp(1j * turn * e).mean())) / turn
-    e = _wrapped(e - centre, half)
+    ratio = samples.product / samples.square
+    pole_pairs = round(ratio)
+    clauses: list[str] = []
+    if pole_pairs == 0 or abs(ratio / pole_pairs - 1) > WHOLE:
+        clauses.append(
+            f"the flux turns {ratio:.3g} times per turn of the channel, not a whole "
+            f"number of pole pairs: the channel's unit is wrong, or it is not this rotor's angle"
+        )
+        return TruthFit(
+            samples.channel, (), given_pole_pairs, tuple(clauses), np.nan, np.nan, wrong_turns=True
+        )
+    half_turn = machine.half_turn_ambiguous
+    error = _difference(theta, raw, pole_pairs, half_turn)
+    turn = 2 if half_turn else 1
+    centre = float(np.angle(np.exp(1j * turn * error).mean())) / turn
+    error = _wrapped(error - centre, half_turn)
     names = ["zero"]
     if np.ptp(speed) > VARIED * float(np.abs(speed).max()):
         names.append("delay")
     covered = np.unique(np.floor(np.remainder(raw, 2 * np.pi) * 16 / np.pi)).size / 32
     if samples.channel == "theta_mech" and covered >= COVERED:
         names += ["cos 1", "sin 1", "cos 2", "sin 2"]
-    X, found = _design(raw, speed, tuple(names))
-    value, covariance, left = _robust(X, e, columns["row"])
-    left = _wrapped(left, half)
-    lost = _lost(columns, left)
-    if lost is not None and (slip := _slip(X, e, columns, left)) is not None:
-        value, covariance, left, lost = slip
-        left = _wrapped(left, half)
-    known = dict(zip(found, value, strict=True))
-    known["zero"] = float(known["zero"] + centre)
-    own = float(np.median(columns["theta_e_std"]))
-    # Errors of the estimate repeat within a turn of the shaft, and may follow the speed.
-    square = float(np.mean(left**2))
-    alike = dict.fromkeys(names, square / max(samples.turned / (2 * np.pi), 1.0))
-    alike["zero"] = 0.0
-    if "delay" in alike:
-        alike["delay"] = square / float(np.ptp(speed)) ** 2
-    covariance = covariance + np.diag([alike[name] for name in found])
-    parameters = _angle_parameters(known, covariance, list(found), own, pairs)
-    words += _angle_words(samples.channel, parameters, pairs, given, "delay" in known)
-    words += [] if lost is None else [lost]
+    X, _ = _design(raw, speed, tuple(names))
+    values, covariance, residual = _robust(X, error, columns["row"])
+    residual = _wrapped(residual, half_turn)
+    lost = _lost(columns, residual)
+    if lost is not None and (fit_with_slip := _slip(X, error, columns, residual)) is not None:
+        values, covariance, residual, lost = fit_with_slip
+        residual = _wrapped(residual, half_turn)
+    fitted = dict(zip(names, values, strict=True))
+    fitted["zero"] = float(fitted["zero"] + centre)
+    estimate_std = float(np.median(columns["theta_e_std"]))
+    # Errors of the estimate repeat with each turn of the shaft and may be proportional to speed.
+    variance = float(np.mean(residual**2))
+    systematic = dict.fromkeys(names, variance / max(samples.turned / (2 * np.pi), 1.0))
+    systematic["zero"] = 0.0
+    if "delay" in systematic:
+        systematic["delay"] = variance / float(np.ptp(speed)) ** 2
+    covariance = covariance + np.diag([systematic[name] for name in names])
+    parameters = _angle_parameters(fitted, covariance, names, estimate_std, pole_pairs)
+    clauses += _angle_clauses(
+        samples.channel, parameters, pole_pairs, given_pole_pairs, "delay" in fitted
+    )
+    clauses += [] if lost is None else [lost]
     return TruthFit(
         samples.channel,
         tuple(parameters),
-        pairs,
-        tuple(words),
-        float(np.sqrt(np.mean(left**2))),
-        float(np.abs(left).max()),
-        half,
-        known,
-        pairs != given,
+        pole_pairs,
+        tuple(clauses),
+        float(np.sqrt(np.mean(residual**2))),
+        float(np.abs(residual).max()),
+        half_turn,
+        fitted,
+        pole_pairs != given_pole_pairs,
         lost,
     )
 
 
 def _slip(
-    X: Array, e: Array, columns: Mapping[str, Array], left: Array
+    X: Array, error: Array, columns: Mapping[str, Array], residual: Array
 ) -> tuple[Array, Array, Array, str] | None:
-    """The fit with a step of the zero where it helps most; None if it does not explain the rest."""
+    """Fit with the best step of the zero added; None if the step does not explain the residual."""
     row, best = columns["row"], (np.inf, 0.0)
-    for at in np.linspace(row[0], row[-1], 4 * BLOCKS + 1)[1:-1]:
-        A = np.concatenate([X, (row > at)[:, None]], axis=1)
-        size = np.linalg.norm(A, axis=0) + 1e-300
-        solved = np.linalg.lstsq((A / size).T @ (A / size), (A / size).T @ e, rcond=1e-12)[0]
-        best = min(best, (float(np.sum((e - (A / size) @ solved) ** 2)), float(at)))
+    for step_row in np.linspace(row[0], row[-1], 4 * BLOCKS + 1)[1:-1]:
+        A = np.concatenate([X, (row > step_row)[:, None]], axis=1)
+        scale = np.linalg.norm(A, axis=0) + 1e-300
+        fit = np.linalg.lstsq((A / scale).T @ (A / scale), (A / scale).T @ error, rcond=1e-12)[0]
+        best = min(best, (float(np.sum((error - (A / scale) @ fit) ** 2)), float(step_row)))
     A = np.concatenate([X, (row > best[1])[:, None]], axis=1)
-    value, covariance, rest = _robust(A, e, row)
-    if not np.mean(rest**2) < SLIPPED * np.mean(left**2):
+    value, covariance, slip_residual = _robust(A, error, row)
+    if not np.mean(slip_residual**2) < SLIPPED * np.mean(residual**2):
         return None
     step, std = np.degrees([value[-1], np.sqrt(covariance[-1, -1])])
-    t = float(columns["t"][np.searchsorted(row, best[1])])
-    words = f"at about {t:.3g} s its zero steps by {step:+.3g}° ± {std:.1g}° electrical: it slips"
-    return value[:-1], covariance[:-1, :-1], rest, words
+    time = float(columns["t"][np.searchsorted(row, best[1])])
+    clause = (
+        f"at about {time:.3g} s its zero steps by {step:+.3g}° ± {std:.1g}° electrical: "
+        f"it has slipped"
+    )
+    return value[:-1], covariance[:-1, :-1], slip_residual, clause
 
 
-def _lost(columns: Mapping[str, Array], left: Array) -> str | None:
-    """Words on where an angle does not follow the flux; None if it does everywhere."""
+def _lost(columns: Mapping[str, Array], residual: Array) -> str | None:
+    """Describe where an angle does not follow the flux; None if it does everywhere."""
     edges = np.linspace(columns["row"][0], columns["row"][-1] + 1, BLOCKS + 1)
-    at = np.searchsorted(edges, columns["row"], side="right") - 1
-    count = np.bincount(at, minlength=BLOCKS)
-    level = np.sqrt(np.bincount(at, left**2, minlength=BLOCKS) / np.maximum(count, 1))
-    usual = float(np.quantile(level[count > 0], 0.25))  # most of the log may be lost
-    if usual > LOST:
-        return f"it does not follow the flux: off by {np.degrees(usual):.3g}° rms"
-    bad = level > max(LOST, 4 * usual)
-    if not bad.any():
+    block = np.searchsorted(edges, columns["row"], side="right") - 1
+    count = np.bincount(block, minlength=BLOCKS)
+    block_rms = np.sqrt(np.bincount(block, residual**2, minlength=BLOCKS) / np.maximum(count, 1))
+    typical = float(np.quantile(block_rms[count > 0], 0.25))  # most blocks may be lost
+    if typical > LOST:
+        return f"it does not follow the flux: error {np.degrees(typical):.3g}° rms"
+    lost = block_rms > max(LOST, 4 * typical)
+    if not lost.any():
         return None
-    first = int(np.argmax(bad))
-    last = first + int(np.argmin(np.append(bad[first:], False)))
-    inside = (at >= first) & (at < last)
-    within = (at >= min(first + 1, last - 1)) & (at < last)
-    turned = np.abs(wrap(np.diff(columns["raw"][within]))).sum()
-    what = "stands still" if turned < 0.1 else "does not follow the flux"
+    start = int(np.argmax(lost))
+    end = start + int(np.argmin(np.append(lost[start:], False)))
+    inside = (block >= start) & (block < end)
+    interior = (block >= min(start + 1, end - 1)) & (block < end)
+    turned = np.abs(wrap(np.diff(columns["raw"][interior]))).sum()
+    behaviour = "stands still" if turned < 0.1 else "does not follow the flux"
     t = columns["t"][inside]
-    more = "" if last >= BLOCKS or not bad[last:].any() else ", and further on"
-    off = np.degrees(np.sqrt(np.mean(left[inside] ** 2)))
-    return f"from {t[0]:.4g} to {t[-1]:.4g} s it {what}, off by {off:.3g}° rms{more}"
+    ending = "" if end >= BLOCKS or not lost[end:].any() else ", and again later"
+    rms = np.degrees(np.sqrt(np.mean(residual[inside] ** 2)))
+    return f"from {t[0]:.4g} to {t[-1]:.4g} s it {behaviour}, error {rms:.3g}° rms{ending}"
 
 
 def _robust(X: Array, y: Array, row: Array) -> tuple[Array, Array, Array]:
-    """Huber's fit; its covariance allows for errors that are alike within blocks of rows."""
+    """Huber's fit; its covariance allows for correlated errors within blocks of rows."""
     scale = np.abs(X).max(axis=0) + 1e-300
     A = X / scale
     weight = np.ones(len(y))
     for _ in range(6):
         B = A * weight[:, None]
         value = np.linalg.lstsq(B.T @ A, B.T @ y, rcond=1e-12)[0]
-        left = y - A @ value
-        size = 1.4826 * float(np.median(np.abs(left))) + 1e-12
-        weight = np.minimum(1.0, HUBER * size / (np.abs(left) + 1e-300))
+        residual = y - A @ value
+        sigma = 1.4826 * float(np.median(np.abs(residual))) + 1e-12
+        weight = np.minimum(1.0, HUBER * sigma / (np.abs(residual) + 1e-300))
     inverse = np.linalg.pinv((A * weight[:, None]).T @ A, rcond=1e-12)
     edges = np.linspace(row[0], row[-1] + 1, BLOCKS + 1)
     block = np.searchsorted(edges, row, side="right") - 1
     score = np.zeros((BLOCKS, A.shape[1]))
-    np.add.at(score, block, A * (weight * left)[:, None])
-    used = len(np.unique(block))
-    factor = used / max(used - A.shape[1], 1)
+    np.add.at(score, block, A * (weight * residual)[:, None])
+    blocks = len(np.unique(block))
+    factor = blocks / max(blocks - A.shape[1], 1)
     covariance = factor * inverse @ (score.T @ score) @ inverse
-    return value / scale, covariance / np.outer(scale, scale), left
+    return value / scale, covariance / np.outer(scale, scale), residual
 
 
 def _angle_parameters(
-    known: Mapping[str, float], covariance: Array, names: list[str], own: float, pairs: int
+    fitted: Mapping[str, float],
+    covariance: Array,
+    names: list[str],
+    estimate_std: float,
+    pole_pairs: int,
 ) -> list[TruthParameter]:
     std = np.sqrt(np.diag(covariance))
-    zero = float(wrap(np.array([known["zero"]]))[0])
-    out = [TruthParameter("zero", zero, float(np.hypot(std[0], own)), "rad")]
-    if "delay" in known:
-        out.append(TruthParameter("delay", known["delay"], float(std[names.index("delay")]), "s"))
+    zero = float(wrap(np.array([fitted["zero"]]))[0])
+    parameters = [TruthParameter("zero", zero, float(np.hypot(std[0], estimate_std)), "rad")]
+    if "delay" in fitted:
+        parameters.append(
+            TruthParameter("delay", fitted["delay"], float(std[names.index("delay")]), "s")
+        )
     for order in (1, 2):
-        if f"cos {order}" not in known:
+        if f"cos {order}" not in fitted:
             continue
-        at = [names.index(f"cos {order}"), names.index(f"sin {order}")]
-        vector = np.array([known[f"cos {order}"], known[f"sin {order}"]])
+        pair = [names.index(f"cos {order}"), names.index(f"sin {order}")]
+        vector = np.array([fitted[f"cos {order}"], fitted[f"sin {order}"]])
         size = float(np.hypot(*vector))
         direction = vector / (size + 1e-300)
-        spread = float(np.sqrt(direction @ covariance[np.ix_(at, at)] @ direction))
-        # of the shaft, as an encoder is off by
-        out.append(
-            TruthParameter(f"eccentricity {order}", size / abs(pairs), spread / abs(pairs), "rad")
+        spread = float(np.sqrt(direction @ covariance[np.ix_(pair, pair)] @ direction))
+        # As an angle of the shaft: that is how an encoder's error is specified.
+        parameters.append(
+            TruthParameter(
+                f"eccentricity {order}", size / abs(pole_pairs), spread / abs(pole_pairs), "rad"
+            )
         )
-    return out
+    return parameters
 
 
-def _angle_words(
-    channel: str, parameters: list[TruthParameter], pairs: int, given: int, delayed: bool
+def _angle_clauses(
+    channel: str,
+    parameters: list[TruthParameter],
+    pole_pairs: int,
+    given_pole_pairs: int,
+    delayed: bool,
 ) -> list[str]:
-    out = []
-    if abs(pairs) != given:
-        what = f"{abs(pairs)} pole pairs fit, not {given}"
-        if channel == "theta_mech" and abs(pairs) == 1:
-            what += ": the channel is electrical (--truth theta_e=…)"
+    clauses = []
+    if abs(pole_pairs) != given_pole_pairs:
+        clause = f"{abs(pole_pairs)} pole pairs fit, not {given_pole_pairs}"
+        if channel == "theta_mech" and abs(pole_pairs) == 1:
+            clause += ": the channel is electrical (--truth theta_e=…)"
         if channel == "theta_e":
-            what = f"the channel is mechanical, with {abs(pairs)} pole pairs (--truth theta_mech=…)"
-        out.append(what)
-    if pairs < 0:
-        out.append("it counts against the estimated angle")
-    for one in parameters:
-        value, std = np.degrees(one.value), np.degrees(one.std)
-        if one.name == "zero":
-            shaft = f", {value / abs(pairs):.2f}° of the shaft" if abs(pairs) > 1 else ""
-            out.append(f"zero {value:+.2f}° ± {std:.2g}° electrical{shaft}")
-        elif one.name == "delay" and one.told:
-            when = "late" if one.value > 0 else "early"
-            out.append(f"{1e6 * abs(one.value):.3g} ± {1e6 * one.std:.2g} µs {when}")
-        elif one.name.startswith("eccentricity") and one.told:
-            often = "once" if one.name.endswith("1") else "twice"
-            out.append(f"eccentricity {value:.2g}° ± {std:.1g}° of the shaft, {often} a turn")
+            clause = (
+                f"the channel is mechanical, with {abs(pole_pairs)} pole pairs "
+                f"(--truth theta_mech=…)"
+            )
+        clauses.append(clause)
+    if pole_pairs < 0:
+        clauses.append("it counts opposite to the estimated angle")
+    for parameter in parameters:
+        value, std = np.degrees(parameter.value), np.degrees(parameter.std)
+        if parameter.name == "zero":
+            shaft = f", {value / abs(pole_pairs):.2f}° of the shaft" if abs(pole_pairs) > 1 else ""
+            clauses.append(f"zero {value:+.2f}° ± {std:.2g}° electrical{shaft}")
+        elif parameter.name == "delay" and parameter.told:
+            timing = "late" if parameter.value > 0 else "early"
+            size, uncertainty = 1e6 * abs(parameter.value), 1e6 * parameter.std
+            clauses.append(f"{size:.3g} ± {uncertainty:.2g} µs {timing}")
+        elif parameter.name.startswith("eccentricity") and parameter.told:
+            frequency = "once" if parameter.name.endswith("1") else "twice"
+            clauses.append(
+                f"eccentricity {value:.2g}° ± {std:.1g}° of the shaft, {frequency} a turn"
+            )
     if not delayed:
-        out.append("a delay cannot be told from the zero, for the speed hardly varies")
-    return out
+        clauses.append("delay and zero cannot be separated, since the speed hardly varies")
+    return clauses
 
 
 # ---- speed and Hall sensors ------------------------------------------------------------------
@@ -403,34 +434,34 @@ def _fit_speed(
 ) -> TruthFit | None:
     raw = columns["raw"]
     if not np.abs(raw).max() > 0:
-        still = "the speed is zero throughout"
-        return TruthFit(channel, (), 1, (still,), np.nan, np.nan, wrong_turns=True)
+        message = "the speed is zero throughout"
+        return TruthFit(channel, (), 1, (message,), np.nan, np.nan, wrong_turns=True)
     if channel == "speed_e":
-        own = columns["speed_e"]
+        estimated = columns["speed_e"]
     else:
-        own = columns.get("speed_mech", columns["speed_e"] / machine.n_p)
+        estimated = columns.get("speed_mech", columns["speed_e"] / machine.n_p)
     X = np.stack([raw, np.ones_like(raw)], axis=1)
     if not np.ptp(raw) > VARIED * float(np.abs(raw).max()):
         X = X[:, :1]
-    value, covariance, _ = _robust(X, own, columns["row"])
-    gain = TruthParameter("gain", float(value[0]), float(np.sqrt(covariance[0, 0])), "1")
-    error = own - raw
-    words = [f"estimated over given speed {gain.value:.4f} ± {gain.std:.1g}"]
+    values, covariance, _ = _robust(X, estimated, columns["row"])
+    gain = TruthParameter("gain", float(values[0]), float(np.sqrt(covariance[0, 0])), "1")
+    error = estimated - raw
+    clauses = [f"estimated over given speed {gain.value:.4f} ± {gain.std:.1g}"]
     likely = machine.n_p * gain.value
     if (
         channel == "speed_mech"
         and abs(gain.value - 1) > 0.1
-        and abs(likely / max(round(likely), 1) - 1) < (WHOLE)
+        and abs(likely / max(round(likely), 1) - 1) < WHOLE
     ):
-        words.append(f"{round(likely)} pole pairs would fit, not {machine.n_p}")
-    rms, most = float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
-    left = float(np.sqrt(np.mean((own - X @ value) ** 2)))
-    share = left / float(np.abs(raw).max())
+        clauses.append(f"{round(likely)} pole pairs would fit, not {machine.n_p}")
+    rms, largest = float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
+    residual_rms = float(np.sqrt(np.mean((estimated - X @ values) ** 2)))
+    share = residual_rms / float(np.abs(raw).max())
     lost = None
     if share > LOST_SPEED:
-        lost = f"beyond its gain it differs by {share:.0%} of the largest speed, rms"
-        words.append(lost)
-    return TruthFit(channel, (gain,), 1, tuple(words), rms, most, lost=lost)
+        lost = f"apart from the gain it differs by {share:.0%} of the largest speed, rms"
+        clauses.append(lost)
+    return TruthFit(channel, (gain,), 1, tuple(clauses), rms, largest, lost=lost)
 
 
 #: Codes of three Hall sensors, 120° apart, in the order of a rotor that turns forward; a is bit 0.
@@ -442,10 +473,11 @@ def _fit_hall(samples: TruthSamples) -> TruthFit | None:
         return None
     start, end, angle, turned = np.concatenate(samples.edges, axis=1)
     codes = set(map(int, np.unique(np.concatenate([start, end]))))
-    words = []
+    clauses = []
     if codes & {0, 7}:
-        words.append(
-            "codes 0 or 7 occur: a wire is broken, one sensor is inverted, or they are 60° apart"
+        clauses.append(
+            "codes 0 or 7 occur: a wire is broken, one sensor is inverted, or the sensors are "
+            "60° apart"
         )
     order = {code: n for n, code in enumerate(FORWARD)}
     step = np.array(
@@ -458,42 +490,45 @@ def _fit_hall(samples: TruthSamples) -> TruthFit | None:
     )
     neighbours = (step == 1) | (step == 5)
     if neighbours.mean() < 0.9:
-        words.append(f"{1 - neighbours.mean():.0%} of the edges jump over a state")
+        clauses.append(f"{1 - neighbours.mean():.0%} of the edges skip a state")
     direction = np.where(step == 1, 1.0, -1.0) * turned
     if np.mean(direction[neighbours]) < 0:
-        words.append("the code turns against the estimate: two Hall wires are exchanged")
-    # an edge between two states, whichever way it is crossed
-    pairs = [tuple(sorted((int(a), int(b)))) for a, b in zip(start, end, strict=True)]
-    places: dict[Any, tuple[float, float]] = {}
-    left = []
-    for pair in sorted({pair for pair, ok in zip(pairs, neighbours, strict=True) if ok}):
-        mine = np.array([one == pair for one in pairs]) & neighbours
-        ways = [angle[mine & (turned == way)] for way in (1.0, -1.0)]
-        means = [np.exp(1j * way).mean() for way in ways if len(way) >= 3]
+        clauses.append("the code turns opposite to the estimate: two Hall wires are exchanged")
+    # An edge lies between two states, whichever way it is crossed.
+    edge_pairs = [tuple(sorted((int(a), int(b)))) for a, b in zip(start, end, strict=True)]
+    edges: dict[Any, tuple[float, float]] = {}
+    scatters = []
+    for pair in sorted({pair for pair, ok in zip(edge_pairs, neighbours, strict=True) if ok}):
+        of_pair = np.array([candidate == pair for candidate in edge_pairs]) & neighbours
+        angles = [angle[of_pair & (turned == sign)] for sign in (1.0, -1.0)]
+        means = [np.exp(1j * crossings).mean() for crossings in angles if len(crossings) >= 3]
         if not means:
             continue
         centre = float(np.angle(sum(means)))
-        scatter = wrap(angle[mine] - centre)
-        places[pair] = (centre, float(np.std(scatter) / np.sqrt(max(mine.sum(), 1))))
-        left.append(scatter)
-    if len(places) < 6:
-        words.append(f"only {len(places)} of six edges were seen")
-        if not places:
-            return TruthFit("hall", (), 1, tuple(words), np.nan, np.nan)
-    centres = np.array([place for place, _ in places.values()])
+        scatter = wrap(angle[of_pair] - centre)
+        edges[pair] = (centre, float(np.std(scatter) / np.sqrt(max(of_pair.sum(), 1))))
+        scatters.append(scatter)
+    if len(edges) < 6:
+        clauses.append(f"only {len(edges)} of six edges were seen")
+        if not edges:
+            return TruthFit("hall", (), 1, tuple(clauses), np.nan, np.nan)
+    centres = np.array([place for place, _ in edges.values()])
     zero = float(np.angle(np.exp(6j * centres).mean())) / 6
-    off = wrap(6 * (centres - zero)) / 6
+    deviation = wrap(6 * (centres - zero)) / 6
     parameters = [
         TruthParameter(f"edge {a}-{b}", centre, std, "rad")
-        for (a, b), (centre, std) in places.items()
+        for (a, b), (centre, std) in edges.items()
     ]
-    listed = ", ".join(
-        f"{one.name[5:]} at {np.degrees(one.value):+.1f}° ± {np.degrees(one.std):.1g}°"
-        for one in parameters
+    edge_list = ", ".join(
+        f"{parameter.name[5:]} at {np.degrees(parameter.value):+.1f}° "
+        f"± {np.degrees(parameter.std):.1g}°"
+        for parameter in parameters
     )
-    worst = int(np.argmax(np.abs(off)))
-    words.append(f"Hall edges: {listed}")
-    words.append(f"against a spacing of 60° the worst is off by {np.degrees(off[worst]):+.1f}°")
-    errors = np.concatenate(left)
+    worst = int(np.argmax(np.abs(deviation)))
+    clauses.append(f"Hall edges: {edge_list}")
+    clauses.append(
+        f"the largest deviation from a spacing of 60° is {np.degrees(deviation[worst]):+.1f}°"
+    )
+    errors = np.concatenate(scatters)
     rms = float(np.sqrt(np.mean(errors**2)))
-    return TruthFit("hall", tuple(parameters), 1, tuple(words), rms, float(np.abs(errors).max()))
+    return TruthFit("hall", tuple(parameters), 1, tuple(clauses), rms, float(np.abs(errors).max()))

@@ -1,4 +1,4 @@
-"""The passes over a log: what it tells of the parameters first, then the estimates, row by row."""
+"""The passes over a log: the first learns the parameters, the second makes the estimates."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from ..observers.adaptive import Learnt
 from ..observers.for_log import Prepared, prepare
 from ..observers.unknowns import ALL, AUTO
 from .columns import EstimateRows, rows_of
-from .learning import learn, learning_parts, needed
+from .learning import adaptive_needed, learn, learning_segments
 from .statistics import Statistics
 from .truth import TruthSamples
 
-#: Called with the number of rows done and the number of all rows, those of the first pass included.
+#: Called with the number of rows done and of all rows, both including the first pass.
 Progress = Callable[[int, int], Any]
 
 
 @dataclass
 class Passes:
-    """An estimation of which the first pass is done.
+    """An estimation whose first pass is done.
 
     Attributes
     ----------
@@ -32,12 +32,12 @@ class Passes:
     unknowns, memory, priors, automatic, causal
         See :class:`fluxobs.estimation.run.LogRun`.
     state : Any
-        In which the observer starts.
+        State in which the observer starts.
     learnt : Learnt, optional
     done : int
-        Rows of the first pass.
+        Rows processed in the first pass.
     statistics : Statistics
-        Of the rows so far.
+        Statistics of the rows estimated so far.
     """
 
     run: Prepared
@@ -62,7 +62,7 @@ class Passes:
         causal: bool,
         progress: Progress | None = None,
     ) -> Self:
-        """Choose the observer, and learn from the whole log if that is wanted.
+        """Choose the observer, and learn from the whole log if requested.
 
         Parameters
         ----------
@@ -74,57 +74,57 @@ class Passes:
         Raises
         ------
         FluxobsError
-            The unknowns cannot be told apart on this machine, or a setting cannot work.
+            The unknowns are not identifiable together on this machine, or a setting cannot work.
         """
         automatic = unknowns == (AUTO,)
         if automatic:
             unknowns = ALL if isinstance(machine, RotatingMachine) else ("drift",)
         run = prepare(log, machine, unknowns, memory, priors)
-        made = cls(run, unknowns, memory, priors, automatic, causal)
+        passes = cls(run, unknowns, memory, priors, automatic, causal)
         if isinstance(run.observer, AdaptiveObserver) and (automatic or not causal):
-            made._learn(run.observer, log, progress)
+            passes._learn(run.observer, log, progress)
         total = len(log)
-        made.statistics = Statistics(total)
-        if log.true is not None and log.layout.fit_truth and made.run.plain_outputs:
-            made.statistics.truth = TruthSamples(total, log.true.channel)
-        if made.state is None or causal:
-            made.state = made.run.observer.init()
-        return made
+        passes.statistics = Statistics(total)
+        if log.true is not None and log.layout.fit_truth and passes.run.plain_outputs:
+            passes.statistics.truth = TruthSamples(total, log.true.channel)
+        if passes.state is None or causal:
+            passes.state = passes.run.observer.init()
+        return passes
 
     def _learn(self, observer: AdaptiveObserver, log: Log, progress: Progress | None) -> None:
-        """The first pass; what it learns is forgotten if the log does not ask for it."""
-        of = sum(last - first for first, last in learning_parts(self.run.log)) + len(log)
+        """Run the first pass; discard what it learnt if the log does not need it."""
+        total = sum(end - start for start, end in learning_segments(self.run.log)) + len(log)
 
-        def tell(rows: int) -> None:
+        def count(rows: int) -> None:
             self.done += rows
             if progress is not None:
-                progress(self.done, of)
+                progress(self.done, total)
 
-        self.state, self.learnt = learn(self.run, observer, tell)
+        self.state, self.learnt = learn(self.run, observer, count)
         if self.automatic:
             plain = prepare(log, self.run.machine, ("drift",), self.memory, {})
-            if not needed(observer, self.learnt, plain):
+            if not adaptive_needed(observer, self.learnt, plain):
                 self.unknowns, self.priors, self.run = ("drift",), {}, plain
                 self.state = self.learnt = None
 
     def rows(self, progress: Progress | None = None) -> Iterator[EstimateRows]:
-        """Make the estimates, batch by batch."""
+        """Yield the estimates, batch by batch."""
         run, observer = self.run, self.run.observer
-        steps: LogObserver[Any, Any] = observer
-        for part in ahead(run.log.aligned(size=run.batch)):
-            self.state, found = steps.resume(self.state, part.voltage, part.current)
-            rows = rows_of(run.log, run.machine, observer, part, found)
-            self.statistics.add(rows)
+        log_observer: LogObserver[Any, Any] = observer
+        for batch in ahead(run.log.aligned(size=run.batch)):
+            self.state, estimates = log_observer.resume(self.state, batch.voltage, batch.current)
+            columns = rows_of(run.log, run.machine, observer, batch, estimates)
+            self.statistics.add(columns)
             if progress is not None:
                 progress(self.done + self.statistics.rows, self.done + self.statistics.total)
-            yield rows
+            yield columns
         if isinstance(observer, AdaptiveObserver):
             self.learnt = observer.learnt(self.state)
 
     def found(self) -> dict[str, Any]:
-        """The fields of a :class:`~fluxobs.estimation.run.LogRun`, when all rows are made."""
+        """Return the fields of a :class:`~fluxobs.estimation.run.LogRun`, after the last row."""
         run = self.run
-        counts: LogObserver[Any, Any] = run.observer
+        log_observer: LogObserver[Any, Any] = run.observer
         return {
             "log": run.log,
             "machine": run.machine,
@@ -134,7 +134,7 @@ class Passes:
             "memory": self.memory,
             "priors": self.priors,
             "statistics": self.statistics,
-            "counts": counts.counts(self.state),
+            "counts": log_observer.counts(self.state),
             "learnt": self.learnt,
             "automatic": self.automatic,
             "causal": self.causal,

@@ -1,4 +1,4 @@
-"""The observers, and the one list of their outputs."""
+"""The observers and the list of their outputs."""
 
 from .adaptive import AdaptiveEstimate, AdaptiveObserver
 from .base import Estimate, LogObserver, Observer, SampleCounts

@@ -1,4 +1,4 @@
-"""The adaptive observer: quick start, errors of resistance and inverter, magnet flux, saliency.
+"""The adaptive observer: fast start; learns resistance, inverter, magnet flux and inductances.
 
 The numbers come from firmware/fluxobs_adaptive.c, the same source that runs in a drive.
 """
@@ -19,7 +19,7 @@ from ..machines.model.flux_map import LinearMap
 from ..machines.model.held import Held
 from ..machines.model.inverter import SMOOTHING
 from .base import Estimate
-from .compiled import CompiledObserver, CompiledState, read_columns, wrapped
+from .compiled import CompiledObserver, CompiledState, make_core, read_columns
 from .outputs import documented, output
 from .plain import LeastSquaresObserver
 from .unknowns import ADAPTED
@@ -28,22 +28,23 @@ from .unknowns import ADAPTED
 Projection = Literal["never", "start"]
 PROJECTIONS: tuple[Projection, ...] = ("never", "start")
 
-#: Default standard deviations: of resistance, magnet flux and inductance, as shares of the values
-#: given; of the inverter's voltage, as a share of the rated resistive drop and of the DC link.
+#: Default standard deviations of resistance, magnet flux and inductance, as shares of their values,
+#: and of the inverter's voltage, as shares of the rated resistive drop and of the DC link.
 RESISTANCE_SHARE: float = _core.usual["RESISTANCE_SHARE"]
 PSI_SHARE: float = _core.usual["PSI_SHARE"]
 INDUCTANCE_SHARE: float = _core.usual["INDUCTANCE_SHARE"]
 INVERTER_SHARE: float = _core.usual["INVERTER_SHARE"]
 DC_LINK_SHARE: float = _core.usual["DC_LINK_SHARE"]
-#: ... of a current offset, as a share of the rated current; of the asymmetry; of the lag [samples].
+#: Default standard deviations of a current offset, as a share of the rated current, of the
+#: asymmetry [1], and of the lag [samples].
 OFFSET_SHARE: float = _core.usual["OFFSET_SHARE"]
 ASYMMETRY_STD: float = _core.usual["ASYMMETRY_STD"]
 LAG_STD: float = _core.usual["LAG_STD"]
-#: A standard deviation beyond this many times the resistance must have a wrong unit.
-RESISTANCE_MOST = 10.0
+#: A larger standard deviation, as a share of the resistance, must have a wrong unit.
+MAX_RESISTANCE_SHARE = 10.0
 #: Time in which a parameter may change by one standard deviation [s].
 SLOW_MEMORY: float = _core.usual["SLOW_MEMORY"]
-#: The numbers of fo_adaptive_config, in the names of the C header.
+#: The numbers of fo_adaptive_config, named as in the C header.
 NUMBERS = (
     *("saliency", "L_d_std", "L_q_std", "lag_std", "psi_f", "psi_f_std", "resistance_std"),
     *("inverter_voltage", "inverter_std", "inverter_current", "offset_std", "asymmetry_std"),
@@ -53,7 +54,7 @@ NUMBERS = (
 
 @dataclass(frozen=True)
 class Learnt:
-    """What an adaptive observer has learnt: every parameter, and its standard deviation."""
+    """Learnt parameters of an adaptive observer, with their standard deviations."""
 
     psi_f: float
     psi_f_std: float
@@ -72,10 +73,10 @@ class Learnt:
 @documented
 @dataclass(frozen=True, eq=False)
 class AdaptiveEstimate(Estimate):
-    """What the adaptive observer returns: an :class:`Estimate`, and more.
+    """Estimate of the adaptive observer: an :class:`Estimate` with learnt parameters.
 
-    psi_f is the magnet flux here, not the active flux of a salient machine. Until `adapting` first
-    holds, it is the length of the position vector, and psi_f_std is the prior's.
+    psi_f is the magnet flux here, not the active flux of a salient machine. Before `adapting` is
+    first true, it is the length of the position vector, and psi_f_std is the prior's.
     """
 
     psi_f_std: Array = field(metadata=output("Wb", "Standard deviation of psi_f"))
@@ -87,13 +88,15 @@ class AdaptiveEstimate(Estimate):
         metadata=output("V", "Standard deviation of inverter_voltage")
     )
     theta_e_other: Array = field(
-        metadata=output("rad", "While two positions are in question, the less likely one")
+        metadata=output(
+            "rad", "The less likely of two candidate positions, while both are possible"
+        )
     )
     weight_other: Array = field(metadata=output("", "Weight of theta_e_other, up to ½"))
     adapting: NDArray[np.bool_] = field(
         metadata=output(
             "",
-            "The filter for all unknowns runs; before that, positions that fit so far are followed",
+            "The filter for all unknowns runs; before, candidate positions are followed",
             boolean=True,
             in_files=False,
         )
@@ -101,36 +104,39 @@ class AdaptiveEstimate(Estimate):
 
 
 def default_resistance_std(machine: RotatingMachine) -> float:
-    """Standard deviation of R_s [Ω]: the machine file's, else half of it."""
-    given = machine.R_s_std
-    return RESISTANCE_SHARE * machine.R_s if given is None else given
+    """Return the standard deviation of R_s [Ω]: from the machine file, else half of R_s."""
+    std = machine.R_s_std
+    return RESISTANCE_SHARE * machine.R_s if std is None else std
 
 
 def default_inverter_std(machine: RotatingMachine, rated_current: float, dc_link: float) -> float:
-    """Standard deviation of the inverter's voltage [V]: the machine file's, else the larger of a
-    quarter of the rated resistive drop and 2 % of the DC link."""
-    given = machine.inverter_voltage_std
+    """Return the standard deviation of the inverter's voltage [V].
+
+    It is that of the machine file, else the larger of a quarter of the rated resistive drop and 2 %
+    of the DC link.
+    """
+    std = machine.inverter_voltage_std
     drop = INVERTER_SHARE * machine.R_s * rated_current
-    return max(drop, DC_LINK_SHARE * dc_link) if given is None else given
+    return max(drop, DC_LINK_SHARE * dc_link) if std is None else std
 
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
-    """Starts within a fraction of a turn, and learns what the machine file says wrong.
+    """Observer that starts within a fraction of a turn, and learns errors of the machine file.
 
-    A fast filter on (flux, drift) takes the residual of the machine's relation, averaged over an
-    eighth of a turn. Below it, in the same triangle, the parameters (magnet flux, resistance, the
-    inverter's voltage loss, current offsets, an asymmetry of the phases) learn from what the fast
-    filter leaves. Their uncertainty is in the position's standard deviation, and decides whether a
-    position can be valid. A parameter that the data do not determine keeps its prior: at constant
-    speed and load, resistance, inverter and magnet flux cannot be told apart. A standard deviation
-    of 0 marks a parameter as known.
+    A fast filter for (flux, drift) uses the residual of the machine's relation, averaged over an
+    eighth of a turn. The parameters (magnet flux, resistance, the inverter's voltage loss, current
+    offsets, an asymmetry of the phases) are learnt from the innovations of the fast filter; their
+    rows follow in the same information factor. Their uncertainty is part of the position's standard
+    deviation, and decides whether a position can be valid. A parameter that the data do not
+    determine keeps its prior: at constant speed and load, resistance, inverter and magnet flux are
+    not identifiable separately. A standard deviation of 0 marks a parameter as exact.
 
-    A :class:`LeastSquaresObserver` runs inside, on voltages corrected by what has been learnt. It
+    A :class:`LeastSquaresObserver` runs inside, on voltages corrected by the learnt parameters. It
     starts the filter and guards it. Until its position is known, its information is projected on
     the manifold of consistent (flux, drift, magnet flux).
 
-    Use :meth:`for_machine` unless you know better.
+    :meth:`for_machine` chooses these fields from a machine.
 
     Parameters
     ----------
@@ -146,34 +152,34 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         Assumed dead time and device drops of a phase, and their standard deviation [V].
     inverter_current : float
         Phase current at which the inverter's smoothed sign, tanh(i / this), reaches three quarters
-        [A]. Only its order matters: the loss is a sum of a harder and a softer one.
+        [A]. Only its order of magnitude matters: the loss is a sum of a harder and a softer sign.
     offset_std : float
         Standard deviation of the offset of a current component [A].
     asymmetry_std : float
         Standard deviation of both components of g in u' = u + g conj(u) [1].
     L_d_std, L_q_std : float
         Standard deviations of the inductances along d and q, as shares of them [1]. They are learnt
-        where they leave a trace: L_d where a current flows along d, L_q where the machine is
-        salient. L_q turns the position; what is not known of it is in the standard deviation.
+        where identifiable: L_d with a current along d, L_q of a salient machine. An error of L_q
+        turns the position; its uncertainty is part of the position's standard deviation.
     lag_std : float
-        Standard deviation of the time by which the voltages come late [s]. An error of this leaves
-        no residual; it is in the position's standard deviation.
+        Standard deviation of the delay of the voltages [s]. Its error leaves no residual; it is
+        part of the position's standard deviation.
     slow_memory : float
-        Time in which a parameter may change by a standard deviation [s].
+        Time in which a parameter may change by one standard deviation [s].
     projection : {"start", "never"}
-        "never": the start waits for the plain observer's position, about a turn.
+        "never": wait with the start for the plain observer's position, about a turn.
 
     Raises
     ------
     ObserverError
-        A value is negative or not finite, sizes do not fit each other, a standard deviation is
-        far larger than its parameter, or the slow memory is shorter than the plain observer's.
+        A value is negative or not finite, sizes are inconsistent, a standard deviation is far
+        larger than its parameter, or the slow memory is shorter than the plain observer's.
 
     References
     ----------
     docs/theory.md, section 13; firmware/fluxobs_learning.c. Bierman, Factorization Methods for
-    Discrete Sequential Estimation, 1977, for triangles and considered parameters. Friedland,
-    Treatment of bias in recursive filtering, 1969, doi:10.1109/TAC.1969.1099223, for the two parts.
+    Discrete Sequential Estimation, 1977: information factors and considered parameters. Friedland,
+    Treatment of bias in recursive filtering, 1969, doi:10.1109/TAC.1969.1099223: separate filters.
 
     Examples
     --------
@@ -206,19 +212,19 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
 
     def __post_init__(self) -> None:
         for name in NUMBERS:
-            value, least = getattr(self, name), -np.inf if name == "saliency" else 0.0
+            value, lower = getattr(self, name), -np.inf if name == "saliency" else 0.0
             positive = name in ("inverter_current", "slow_memory")
-            if not (np.isfinite(value) and value >= least and not (positive and value == 0)):
-                wanted = "positive and finite" if positive else "finite and not negative"
-                wanted = "finite" if name == "saliency" else wanted
-                raise ObserverError(f"{name} must be {wanted}, got {value}")
-        for name, value, of in (
+            if not (np.isfinite(value) and value >= lower and not (positive and value == 0)):
+                requirement = "positive and finite" if positive else "finite and not negative"
+                requirement = "finite" if name == "saliency" else requirement
+                raise ObserverError(f"{name} must be {requirement}, got {value}")
+        for name, value, largest in (
             ("psi_f_std", self.psi_f_std, self.psi_f),
-            ("resistance_std", self.resistance_std, RESISTANCE_MOST * self.resistance),
+            ("resistance_std", self.resistance_std, MAX_RESISTANCE_SHARE * self.resistance),
         ):
-            if value > of:
+            if value > largest:
                 raise ObserverError(
-                    f"{name} = {value:g} is above {of:g}: give a standard deviation, in SI units"
+                    f"{name} = {value:g} exceeds {largest:g}: give a standard deviation in SI units"
                 )
         if self.slow_memory < self.memory:
             raise ObserverError(
@@ -231,17 +237,19 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             )
         c = self.plain.constraint
         if not (np.array_equal(c.Q1, np.eye(2)) and not c.E.any() and not c.C.any()):
-            raise ObserverError("the adaptive observer needs a relation with Q1 = I, E = 0, C = 0")
+            raise ObserverError(
+                "the adaptive observer requires a relation with Q1 = I, E = 0, C = 0"
+            )
         object.__setattr__(self, "_core", self._make_core())
 
     def configuration(self) -> dict[str, Any]:
-        """The numbers of fo_adaptive_config (firmware/fluxobs_adaptive.h), in SI."""
+        """Return the numbers of fo_adaptive_config (firmware/fluxobs_adaptive.h), in SI."""
         config: dict[str, Any] = {name: getattr(self, name) for name in NUMBERS}
         return config | {"projection": PROJECTIONS.index(self.projection)}
 
     def _make_core(self) -> Any:
         module = _core if self.plain.precision == "double" else _core_single
-        return wrapped(module.Adaptive, self.plain._core, self.configuration())
+        return make_core(module.Adaptive, self.plain._core, self.configuration())
 
     def __getstate__(self) -> dict[str, Any]:
         return {key: value for key, value in self.__dict__.items() if key != "_core"}
@@ -252,12 +260,12 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
 
     @property
     def sample_time(self) -> float:
-        """[s]."""
+        """Sample time [s]."""
         return self.plain.sample_time
 
     @property
     def memory(self) -> float:
-        """[s]."""
+        """Memory of the plain observer [s]."""
         return self.plain.memory
 
     @property
@@ -291,7 +299,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         projection: Projection = "start",
         precision: Literal["double", "single"] = "double",
     ) -> Self:
-        """Observer with everything chosen from the machine.
+        """Return an observer with all settings chosen from the machine.
 
         Parameters
         ----------
@@ -300,16 +308,16 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         sample_time : float
             [s].
         unknowns : tuple of {"drift", "resistance", "inverter", "asymmetry"}
-            The unknowns; the drift, which a current offset causes, is always one of them.
+            The unknowns. The drift, which current offsets cause, is always estimated.
         psi_f_std, resistance_std, inverter_std : float, optional
             Standard deviations of the assumed values [Wb], [Ω], [V]; default: those of the machine
             file (psi_f_std, R_s_std, inverter_voltage_std), else a quarter of the machine's magnet
             flux, half of its resistance, and the larger of a quarter of its rated resistive drop
-            and 2 % of the DC link. A magnet flux known to 1 % speeds up the start and reveals the
-            resistance at constant speed and load.
+            and 2 % of the DC link. With a magnet flux known to 1 %, the start is faster and the
+            resistance is identifiable at constant speed and load.
         asymmetry_std, offset_std, inductance_std, lag_std : float, optional
-            Default: 0.01; 2 % of the rated current [A]; the machine file's L_s_std, …, else 0.1, as
-            a share of each inductance [1]; 0.15 samples [s].
+            Default: 0.01; 2 % of the rated current [A]; L_s_std, … of the machine file, else 0.1,
+            as a share of each inductance [1]; 0.15 samples [s].
         dc_link : float, optional
             Voltage of the inverter's DC link [V].
         memory, speed_e, psi_f, rated_current, current_noise, drift_prior, held, precision
@@ -320,13 +328,13 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         Raises
         ------
         ObserverError
-            Neither the machine nor the call gives a value that is needed; this observer does not
-            find one of the unknowns; or a standard deviation is given for what is not an unknown.
+            A required value is missing in both machine and call, this observer does not estimate an
+            unknown, or a standard deviation is given for a quantity that is not an unknown.
         """
         for name in unknowns:
             if name not in ("drift", *ADAPTED):
                 raise ObserverError(
-                    f"unknown {name!r}: this observer finds drift, {', '.join(ADAPTED)}"
+                    f"unknown {name!r}: this observer estimates drift, {', '.join(ADAPTED)}"
                 )
         stds = {
             "resistance": resistance_std,
@@ -353,13 +361,13 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             # The filter models i_d itself, and its guard must not depend on the filter's angle.
             plain = replace(plain, flux_map=None)
         rated = rated_current if rated_current is not None else machine.rated_current
-        assert rated is not None  # the plain observer needs it
+        assert rated is not None  # the plain observer requires it
         if not machine.magnets and psi_f_std:
             raise ObserverError(f"psi_f_std: a {machine.kind} has no magnets")
         flux = plain.flux_base if machine.magnets else 0.0
 
-        def otherwise(*given: float | None) -> float:
-            return next(value for value in given if value is not None)
+        def first_given(*candidates: float | None) -> float:
+            return next(value for value in candidates if value is not None)
 
         defaults = {
             "resistance": default_resistance_std(machine),
@@ -367,59 +375,61 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             "asymmetry": ASYMMETRY_STD,
         }
 
-        stds_of_L = machine.inductance_stds(INDUCTANCE_SHARE)
+        inductance_stds = machine.inductance_stds(INDUCTANCE_SHARE)
         L_d_std, L_q_std = (
-            otherwise(inductance_std, stds_of_L[name] / L)
+            first_given(inductance_std, inductance_stds[name] / L)
             for name, L in zip(machine.inductances, machine.L_dq, strict=True)
         )
 
-        def believed(name: str) -> float:
-            return otherwise(stds[name], defaults[name]) if name in unknowns else 0.0
+        def prior_std(name: str) -> float:
+            return first_given(stds[name], defaults[name]) if name in unknowns else 0.0
 
         return cls(
             plain=plain,
             saliency=machine.saliency,
             psi_f=flux,
-            psi_f_std=otherwise(psi_f_std, machine.magnet_flux_std, PSI_SHARE * flux),
-            resistance_std=believed("resistance"),
+            psi_f_std=first_given(psi_f_std, machine.magnet_flux_std, PSI_SHARE * flux),
+            resistance_std=prior_std("resistance"),
             inverter_voltage=machine.inverter_voltage or 0.0,
-            inverter_std=believed("inverter"),
+            inverter_std=prior_std("inverter"),
             inverter_current=machine.inverter_current or SMOOTHING * rated,
-            offset_std=otherwise(offset_std, OFFSET_SHARE * rated),
-            asymmetry_std=believed("asymmetry"),
+            offset_std=first_given(offset_std, OFFSET_SHARE * rated),
+            asymmetry_std=prior_std("asymmetry"),
             L_d_std=L_d_std,
             L_q_std=L_q_std,
-            lag_std=otherwise(lag_std, LAG_STD * sample_time),
+            lag_std=first_given(lag_std, LAG_STD * sample_time),
             slow_memory=slow_memory,
             projection=projection,
         )
 
     def learnt(self, state: CompiledState, lane: int = 0) -> Learnt:
-        """What `state` (one lane of it) has learnt."""
-        found: dict[str, Any] = self._core.learnt(state.raw, lane)
-        found["resistance"] = self.resistance + found.pop("resistance_error")
+        """Return the parameters learnt in `state` (in one lane of it)."""
+        raw_values: dict[str, Any] = self._core.learnt(state.raw, lane)
+        raw_values["resistance"] = self.resistance + raw_values.pop("resistance_error")
         values: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value
-            for name, value in found.items()
+            for name, value in raw_values.items()
         }
         return Learnt(**values)
 
     def restart(self, state: CompiledState, *, frozen: bool = False) -> CompiledState:
-        """Initial state that keeps what `state` has learnt, as after a power cycle.
+        """Return an initial state with the parameters learnt in `state`, as after a power cycle.
 
-        With `frozen` the parameters and their standard deviations stay as they are.
+        With `frozen`, the parameters and their standard deviations stay fixed.
         """
         return CompiledState(self._core.restart(state.raw, frozen), state.batch)
 
     def restarts(self, state: CompiledState, lane: int = 0) -> int:
-        """How often the filter's guard restarted it in `state` (one lane of it)."""
+        """Return how often the guard restarted the filter in `state` (in one lane of it)."""
         return int(self._core.restarts(state.raw, lane))
 
     def parameters(self) -> dict[str, Any]:
-        """Every number a step uses beyond the plain observer's, in the order of fo_adaptive
-        (firmware/fluxobs_adaptive.h)."""
-        found: dict[str, Any] = self._core.parameters()
-        return found
+        """Return all numbers that a step uses beyond the plain observer's.
+
+        The order is that of fo_adaptive (firmware/fluxobs_adaptive.h).
+        """
+        parameters: dict[str, Any] = self._core.parameters()
+        return parameters
 
     def _estimate(self, columns: Array, valid: NDArray[np.bool_]) -> AdaptiveEstimate:
         fields = read_columns(_core.adaptive_outputs, columns)
@@ -428,7 +438,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         return AdaptiveEstimate(**fields, valid=valid, adapting=adapting)
 
     def _seed(
-        self, given: dict[str, float], current: Array, state: CompiledState
+        self, numbers: dict[str, float], current: Array, state: CompiledState
     ) -> NDArray[np.uint8]:
-        raw: NDArray[np.uint8] = self._core.seed(given, current, state.raw)
+        raw: NDArray[np.uint8] = self._core.seed(numbers, current, state.raw)
         return raw

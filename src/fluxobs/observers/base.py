@@ -1,4 +1,4 @@
-"""The interface of an observer, and what it returns."""
+"""The interface of an observer, and its estimate."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .outputs import documented, output
 @documented
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What an observer returns for one sample (leading shape ``()``), a record or a batch."""
+    """Estimate for one sample (leading shape ``()``), a record or a batch."""
 
     flux: Array = field(
         metadata=output(
@@ -32,52 +32,54 @@ class Estimate:
     theta_e: Array = field(
         metadata=output(
             "rad",
-            "Electrical position directly from the flux, in (-π, π]; always finite",
+            "Electrical position directly from the flux, in (-π, π], always finite",
         )
     )
     theta_e_tracked: Array = field(metadata=output("rad", "Tracked position, in (-π, π]"))
     speed_e: Array = field(metadata=output("rad/s", "Electrical speed"))
     drift: Array = field(
         metadata=output(
-            "V", "R δ_i - B δ_u, the rate at which the open-loop flux integral drifts", vector=True
+            "V", "R δ_i - B δ_u, rate at which the open-loop flux integral drifts", vector=True
         )
     )
     theta_e_std: Array = field(
         metadata=output(
-            "rad", "Standard deviation of theta_e; π/√3 (uniform over a turn) if nothing is known"
+            "rad", "Standard deviation of theta_e; π/√3 (uniform over a turn) without information"
         )
     )
-    valid: NDArray[np.bool_] = field(metadata=output("", "The position is known now", boolean=True))
+    valid: NDArray[np.bool_] = field(
+        metadata=output("", "The position is known, and theta_e_std is reliable", boolean=True)
+    )
     innovation: Array = field(
         metadata=output(
             "",
-            "Residual of the constraint over its assumed noise, before the update",
+            "Residual of the constraint before the update, over its assumed noise",
             in_files=False,
         )
     )
     noise_share: Array = field(
         metadata=output(
-            "", "Share of the flux information that is only noise; 1: no position", in_files=False
+            "", "Share of the flux information that is noise; 1: no position", in_files=False
         )
     )
 
 
 @dataclass(frozen=True)
 class SampleCounts:
-    """How many samples were bad so far, and how often the observer restarted.
+    """Numbers of bad samples and of restarts so far.
 
     Attributes
     ----------
     bad_voltages, bad_currents : int
         Samples that are not finite.
     absurd : int
-        Samples with a value that no such machine can have.
+        Samples with an implausible value.
     outliers : int
-        Currents that contradict all earlier samples; not used.
+        Currents that contradict all earlier samples; they are ignored.
     restarts : int
-        Restarts after an absurd value, or after more than three bad samples in a row.
+        Restarts after an implausible value, or after more than three bad samples in a row.
     outside : int
-        Rows, of those with a known position, whose current is outside the machine's flux map.
+        Rows with a known position whose current is outside the machine's flux map.
     """
 
     bad_voltages: int
@@ -89,38 +91,38 @@ class SampleCounts:
 
 
 State = TypeVar("State")
-Found = TypeVar("Found", covariant=True)
+EstimateType = TypeVar("EstimateType", covariant=True)
 
 
-class Observer(Protocol[State, Found]):
-    """The protocol of every observer: the state is data, the observer a frozen object.
+class Observer(Protocol[State, EstimateType]):
+    """Protocol of all observers: the state is data, the observer a frozen object.
 
     `step` takes the current sampled now and the mean voltage over the interval that ends now; `run`
-    gives the same numbers for a whole record. Nothing is mutated. Vectors are (2,) or (rows, 2), in
-    NumPy or JAX, whichever the observer uses. tests/contract checks every observer against this:
-    the compiled ones, the immersed one, their twin in JAX, and the baselines of the comparison.
+    gives the same numbers for a whole record. No argument is mutated. Vectors are (2,) or
+    (rows, 2), in NumPy or JAX as the observer uses. tests/contract checks all observers: the
+    compiled ones, the immersed one, their twin in JAX, and the baselines of the comparison.
     """
 
     @property
     def sample_time(self) -> Any:
-        """[s]."""
+        """Sample time [s]."""
         ...
 
     def init(self) -> State:
-        """Initial state, in which nothing is known."""
+        """Return the initial state, which holds no information."""
         ...
 
-    def step(self, state: State, voltage: Any, current: Any) -> tuple[State, Found]:
+    def step(self, state: State, voltage: Any, current: Any) -> tuple[State, EstimateType]:
         """Process one sample [V], [A]."""
         ...
 
     def run(self, voltage: Any, current: Any) -> Any:
-        """Process a record from the initial state; returns the estimates of all rows, stacked."""
+        """Process a record from the initial state; return the stacked estimates of all rows."""
         ...
 
 
-class LogObserver(Observer[State, Found], Protocol[State, Found]):
-    """An observer for logs: it takes a log in parts, and counts bad samples."""
+class LogObserver(Observer[State, EstimateType], Protocol[State, EstimateType]):
+    """An observer for logs: it processes a log in batches and counts bad samples."""
 
     @property
     def memory(self) -> float:
@@ -128,9 +130,9 @@ class LogObserver(Observer[State, Found], Protocol[State, Found]):
         ...
 
     def resume(self, state: State, voltage: ArrayLike, current: ArrayLike) -> tuple[State, Any]:
-        """Like `run`, from `state`; returns the state after the last row too."""
+        """Process a record from `state`; return the state after the last row and the estimates."""
         ...
 
     def counts(self, state: State) -> SampleCounts:
-        """Bad samples and restarts so far."""
+        """Return the numbers of bad samples and restarts so far."""
         ...

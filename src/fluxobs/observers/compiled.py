@@ -1,4 +1,4 @@
-"""The common part of the compiled observers: state as bytes, steps, whole records, batches."""
+"""Base class of the compiled observers: state as bytes, steps, whole records, batches."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ..errors import ObserverError, RecordError, UsageError
 from ..logs.record import Record
 from .base import Estimate, SampleCounts
 
-Found = TypeVar("Found", bound=Estimate)
+EstimateType = TypeVar("EstimateType", bound=Estimate)
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledState:
-    """Everything the observer remembers: plain bytes of the C state, one row per lane."""
+    """State of a compiled observer: the bytes of the C state, one row per lane."""
 
     raw: NDArray[np.uint8]
     batch: tuple[int, ...]
@@ -41,35 +41,35 @@ class CompiledState:
 def read_columns(
     names: Sequence[tuple[str, int]], columns: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
-    """Outputs of the core by name; `names` lists (name, components) in the core's order."""
-    out, at = {}, 0
+    """Return the core's outputs by name; `names` lists (name, components) in the core's order."""
+    outputs, row = {}, 0
     for name, components in names:
-        part = columns[at : at + components]
-        out[name] = part[0] if components == 1 else np.moveaxis(part, 0, -1)
-        at += components
-    return out
+        values = columns[row : row + components]
+        outputs[name] = values[0] if components == 1 else np.moveaxis(values, 0, -1)
+        row += components
+    return outputs
 
 
-def wrapped(core: Any, *arguments: Any) -> Any:
-    """Make a compiled core; ObserverError if it refuses its configuration."""
+def make_core(core: Any, *arguments: Any) -> Any:
+    """Make a compiled core; raise ObserverError if it refuses its configuration."""
     try:
         return core(*arguments)
     except ValueError as error:
         raise ObserverError(str(error)) from None
 
 
-class CompiledObserver(Generic[Found]):
-    """An observer whose numbers come from C; its state is plain bytes."""
+class CompiledObserver(Generic[EstimateType]):
+    """An observer computed in C, whose state is plain bytes."""
 
     _core: Any
 
-    if TYPE_CHECKING:  # a field of one observer, a property of the other
+    if TYPE_CHECKING:  # a field in one subclass, a property in the other
 
         @property
         def sample_time(self) -> float:
-            """[s]."""
+            """Sample time [s]."""
 
-    def _estimate(self, columns: NDArray[np.float64], valid: NDArray[np.bool_]) -> Found:
+    def _estimate(self, columns: NDArray[np.float64], valid: NDArray[np.bool_]) -> EstimateType:
         raise NotImplementedError
 
     def seed(
@@ -83,11 +83,12 @@ class CompiledObserver(Generic[Found]):
         psi_f_std: float = 0.0,
         state: CompiledState | None = None,
     ) -> CompiledState:
-        """State that starts at a known angle: from Hall sensors, an alignment, an encoder.
+        """Return a state that starts at a known angle: from Hall sensors, an alignment, an encoder.
 
-        The angle is carried on from here, with a growing standard deviation, until the least
-        squares know better, which they do earlier than without. `valid` has to be earned as ever.
-        The filter of an adaptive observer runs at once if the angle is known to ten degrees.
+        The seeded angle is propagated, with a growing standard deviation, until that of the least
+        squares is smaller, which happens earlier than without a seed. The conditions of `valid` do
+        not change. The filter of an adaptive observer runs at once if the angle is known to ten
+        degrees.
 
         Parameters
         ----------
@@ -95,22 +96,23 @@ class CompiledObserver(Generic[Found]):
             Angle at the present sample, in (-π, π], and its standard deviation [rad]; 0.3 for a
             sector of Hall sensors.
         current : (2,) array_like
-            Of that sample [A].
+            Current of that sample [A].
         speed_e : float
             Electrical speed [rad/s].
         psi_f, psi_f_std : float
-            Length of the position vector and its standard deviation [Wb]; 0: the flux base, a
-            quarter of it. Negative where the vector points backwards.
+            Length of the position vector, negative if it points backwards, and its standard
+            deviation [Wb]; 0: the flux base, and a quarter of it.
         state : CompiledState, optional
-            For the adaptive observer: a state whose learning is kept.
+            For the adaptive observer: a state whose learnt parameters are kept.
 
         Raises
         ------
         UsageError
-            A number is missing, not finite, or of the wrong sign; `state` is of a batch.
+            A number is missing, not finite, or of the wrong sign, or `state` is that of a batch.
         """
-        given = {
-            name: number(name, np.asarray(value)[()], unit)  # also of an estimate: shape ()
+        numbers = {
+            # A value from an estimate has shape ().
+            name: number(name, np.asarray(value)[()], unit)
             for name, value, unit in (
                 ("theta_e", theta_e, "rad"),
                 ("theta_e_std", theta_e_std, "rad"),
@@ -119,28 +121,32 @@ class CompiledObserver(Generic[Found]):
                 ("psi_f_std", psi_f_std, "Wb"),
             )
         }
-        i = np.ascontiguousarray(current, dtype=float)
-        if i.shape != (2,):
-            raise UsageError(f"current must have shape (2,), alpha and beta; got {i.shape}")
-        for name, values in {**given, "current": i}.items():
+        current_now = np.ascontiguousarray(current, dtype=float)
+        if current_now.shape != (2,):
+            raise UsageError(
+                f"current must have shape (2,), alpha and beta; got {current_now.shape}"
+            )
+        for name, values in {**numbers, "current": current_now}.items():
             if not np.isfinite(np.asarray(values)).all():
                 raise UsageError(f"{name} must be finite, got {values}")
-        if not given["theta_e_std"] > 0:
+        if not numbers["theta_e_std"] > 0:
             raise UsageError(f"theta_e_std must be positive, got {theta_e_std:g} rad")
-        if given["psi_f_std"] < 0:
+        if numbers["psi_f_std"] < 0:
             raise UsageError(f"psi_f_std must not be negative, got {psi_f_std:g} Wb")
         if state is not None and state.batch:
-            raise UsageError(f"state must be of one record, got a batch of shape {state.batch}")
-        given["theta_e"] = float(np.angle(np.exp(1j * given["theta_e"])))
-        return CompiledState(self._seed(given, i, state or self.init()), ())
+            raise UsageError(
+                f"state must be that of one record, got a batch of shape {state.batch}"
+            )
+        numbers["theta_e"] = float(np.angle(np.exp(1j * numbers["theta_e"])))
+        return CompiledState(self._seed(numbers, current_now, state or self.init()), ())
 
     def _seed(
-        self, given: dict[str, float], current: NDArray[np.float64], state: CompiledState
+        self, numbers: dict[str, float], current: NDArray[np.float64], state: CompiledState
     ) -> NDArray[np.uint8]:
         raise NotImplementedError
 
     def init(self, batch: tuple[int, ...] = ()) -> CompiledState:
-        """Initial state, in which nothing is known, for one record or a batch of that shape."""
+        """Return the initial state without information, for one record or a batch of that shape."""
         lanes = int(np.prod(batch, dtype=int))
         return CompiledState(self._core.reset(lanes), tuple(batch))
 
@@ -151,19 +157,19 @@ class CompiledObserver(Generic[Found]):
         current: ArrayLike | None = None,
         *,
         volt_seconds: ArrayLike | None = None,
-    ) -> tuple[CompiledState, Found]:
+    ) -> tuple[CompiledState, EstimateType]:
         """Process one sample.
 
         Parameters
         ----------
         state : CompiledState
-            Not changed.
+            It is not changed.
         voltage : (*batch, 2) array_like
             Mean voltage over the interval ending now [V]; NaN where missing.
         current : (*batch, 2) array_like
             Current sampled now [A]; NaN where missing.
         volt_seconds : (*batch, 2) array_like, instead of voltage
-            ∫ (-R i_m + B u_m) dt over the interval ending now [Wb], if known exactly.
+            Exact ∫ (-R i_m + B u_m) dt over the interval ending now [Wb].
 
         Returns
         -------
@@ -192,23 +198,23 @@ class CompiledObserver(Generic[Found]):
         *,
         volt_seconds: ArrayLike | None = None,
         threads: int | None = None,
-    ) -> Found:
+    ) -> EstimateType:
         """Process a whole record, or a batch of arrays, from the initial state; releases the GIL.
 
-        The numbers equal those of a step loop bit for bit. To continue from a state, see
-        :meth:`resume`.
+        The numbers equal those of a loop of steps bit for bit. :meth:`resume` continues from a
+        state.
 
         Parameters
         ----------
         voltage : Record or (*batch, rows, 2) array_like
-            A record, whose lag says which voltage belongs to which interval; or, with `current`, an
-            array whose row k is the mean over the interval that ends at row k [V].
+            A record, whose lag assigns voltages to intervals; or, with `current`, an array whose
+            row k is the mean over the interval that ends at row k [V].
         current : (*batch, rows, 2) array_like
-            [A].
+            Current at each row [A].
         volt_seconds : (*batch, rows, 2) array_like, instead of voltage
-            [Wb].
+            As for :meth:`step` [Wb].
         threads : int, optional
-            For a batch; default one per processor.
+            Threads for a batch; default: one per processor.
 
         Returns
         -------
@@ -230,8 +236,8 @@ class CompiledObserver(Generic[Found]):
         *,
         volt_seconds: ArrayLike | None = None,
         threads: int | None = None,
-    ) -> tuple[CompiledState, Found]:
-        """Like :meth:`run` on arrays, from `state`; returns the state after the last row too."""
+    ) -> tuple[CompiledState, EstimateType]:
+        """Process arrays from `state`, as :meth:`run` does; return the last state and estimates."""
         _check_state(state)
         source = np.ascontiguousarray(_source(voltage, volt_seconds), dtype=float)
         i = np.ascontiguousarray(current, dtype=float)
@@ -244,7 +250,7 @@ class CompiledObserver(Generic[Found]):
         return self._advance(state, source, i, volt_seconds is not None, threads or _processors())
 
     def counts(self, state: CompiledState, lane: int = 0) -> SampleCounts:
-        """Bad samples and restarts that `state` (one lane of it) has seen."""
+        """Return the numbers of bad samples and restarts in `state` (in one lane of it)."""
         return SampleCounts(*self._core.counters(state.raw, lane))
 
     def _advance(
@@ -255,7 +261,7 @@ class CompiledObserver(Generic[Found]):
         volt_seconds: bool,
         threads: int,
         squeeze: bool = False,
-    ) -> tuple[CompiledState, Found]:
+    ) -> tuple[CompiledState, EstimateType]:
         rows = current.shape[-2]
         lanes = state.raw.shape[0]
         raw, columns, valid = self._core.run(
@@ -266,8 +272,8 @@ class CompiledObserver(Generic[Found]):
             threads,
         )
         shape = state.batch if squeeze else (*state.batch, rows)
-        found = self._estimate(columns.reshape(len(columns), *shape), valid.reshape(shape))
-        return CompiledState(raw, state.batch), found
+        estimate = self._estimate(columns.reshape(len(columns), *shape), valid.reshape(shape))
+        return CompiledState(raw, state.batch), estimate
 
 
 def _check_state(state: object) -> None:

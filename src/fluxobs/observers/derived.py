@@ -1,4 +1,4 @@
-"""What follows from an estimate and the machine: torque, slip, mechanical speed."""
+"""Quantities derived from an estimate and the machine: torque, slip, mechanical speed."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ def _column(name: str, unit: str, about: str) -> Output:
     return Output(name, unit, about, vector=False, boolean=False, in_files=True)
 
 
-#: Of every machine that turns.
+#: Derived outputs of all machines that turn.
 ROTATING = (
     _column("torque", "N m", "Air-gap torque, 1.5 n_p Im(λ* i)"),
     _column("speed_mech", "rad/s", "Mechanical speed"),
 )
-#: Of an induction machine, besides.
+#: Further outputs of an induction machine.
 INDUCTION = (
-    _column("speed_mech_std", "rad/s", "Standard deviation that R_R gives the mechanical speed"),
-    _column("slip_e", "rad/s", "Speed of the rotor flux against the rotor, electrical"),
+    _column("speed_mech_std", "rad/s", "Standard deviation of speed_mech caused by that of R_R"),
+    _column("slip_e", "rad/s", "Electrical speed of the rotor flux relative to the rotor"),
 )
 
 
 def derived_outputs(machine: Machine) -> tuple[Output, ...]:
-    """What :func:`derived` returns for a machine."""
+    """Return the outputs that :func:`derived` computes for a machine."""
     if isinstance(machine, InductionMachine):
         return (*ROTATING, *INDUCTION)
     return ROTATING if isinstance(machine, RotatingMachine) else ()
 
 
 def derived(machine: Machine, estimate: Estimate, current: Array) -> dict[str, Array]:
-    """Torque and speeds of the rows.
+    """Return torque and speeds of the rows.
 
     Parameters
     ----------
     machine : Machine
-        Empty result for one that does not turn.
+        If it does not turn, the result is empty.
     estimate : Estimate
     current : (rows, 2) ndarray
         As measured [A].

@@ -1,4 +1,4 @@
-"""Before the first row: the log opened for its machine, the sizes of its signals, the observer."""
+"""Choose the observer for a log: the sizes of its signals, and all settings."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from ..machines import Machine, RotatingMachine
 from ..machines.model.held import Held
 from ..machines.model.immersion import Immersion, Unknown
 from . import AdaptiveObserver, ImmersionObserver, LeastSquaresObserver
-from .adaptive import RESISTANCE_MOST
+from .adaptive import MAX_RESISTANCE_SHARE
 from .immersed import describe_invisible
 from .plain import MODEL_ERROR
 from .unknowns import adapts, check_adapted
 
-#: A drift caused by an offset of this share of the voltage is ordinary: usual converters are off by
-#: 0.2 to 2 % of their range, and drives use a fraction of it (benchmarks/measured.py).
+#: Ordinary voltage offset, as a share of the voltage: usual converters have offsets of 0.2 to 2 %
+#: of their range, of which drives use a fraction (benchmarks/measured.py).
 VOLTAGE_OFFSET = 0.01
-#: A current bias of this share of the rated current is ordinary, for the same reason.
+#: Ordinary current bias, as a share of the rated current, for the same reason.
 CURRENT_OFFSET = 0.02
-#: No sensor is better than this share of the rated current: half a step of a 12-bit converter.
+#: Least current noise, as a share of the rated current: half a step of a 12-bit converter.
 LEAST_NOISE = 1e-4
-#: Magnet fluxes to try if none is given, over L times the rated current: two octaves apart, since
-#: an estimate does not depend on a scale that is right within a factor of two.
+#: Magnet fluxes to try if psi_f is missing, over L times the rated current. They are two octaves
+#: apart, since estimates do not depend on a scale that is right within a factor of two.
 GUESSES = (0.5, 2.0, 8.0, 32.0)
 #: Rows per batch of the immersed observer: half a second of work, so that progress shows.
 IMMERSED_BATCH = 2000
@@ -39,12 +39,12 @@ AnyObserver = LeastSquaresObserver | AdaptiveObserver | ImmersionObserver
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """What a run needs.
+    """Log, observer and settings of a run.
 
     Attributes
     ----------
     log : Log
-        Less the inverter's error if the observer does not model it.
+        The inverter's error is subtracted if the observer does not model it.
     machine : Machine
     observer : AnyObserver
     scales : Scales
@@ -60,7 +60,7 @@ class Prepared:
 
     @property
     def plain_outputs(self) -> bool:
-        """Whether a compiled observer runs, whose estimates have an angle and its deviation."""
+        """Whether a compiled observer runs, whose estimates include an angle and its deviation."""
         return not isinstance(self.observer, ImmersionObserver)
 
 
@@ -72,7 +72,7 @@ def prepare(
     priors: Mapping[str, float],
     scales: Scales | None = None,
 ) -> Prepared:
-    """Choose the observer for these unknowns, and all its settings.
+    """Choose the observer for these unknowns and all its settings.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def prepare(
     Raises
     ------
     FluxobsError
-        The unknowns cannot be told apart on this machine, or a setting cannot work.
+        The unknowns are not identifiable together on this machine, or a setting cannot work.
     """
     check_adapted(machine, unknowns, priors)
     if isinstance(machine, RotatingMachine) and adapts(unknowns):
@@ -101,7 +101,7 @@ def prepare(
 def plain_for(
     log: Log, machine: RotatingMachine, memory: float | None = None, scales: Scales | None = None
 ) -> tuple[LeastSquaresObserver, Scales]:
-    """First pass over the log, and the plain observer chosen from machine and log."""
+    """Measure the log's signals and choose the plain observer from machine and log."""
     _check_memory(log, machine, memory)
     scales = measure_scales(log) if scales is None else scales
     psi_f = None
@@ -111,7 +111,7 @@ def plain_for(
 
 
 def usual_speed(machine: RotatingMachine, scales: Scales, psi_f: float | None) -> float:
-    """Electrical speed of a log [rad/s]: of its currents, but no more than its voltages allow."""
+    """Return the electrical speed of a log [rad/s]: its currents', limited by its voltages."""
     base = machine.flux_base(scales.current, psi_f)
     return min(scales.current_speed, scales.voltage / base) if base else scales.current_speed
 
@@ -123,12 +123,12 @@ def plain_observer(
     memory: float | None,
     psi_f: float | None = None,
 ) -> LeastSquaresObserver:
-    """Plain observer for a log; `scales` supplies what the machine does not."""
+    """Return the plain observer for a log; `scales` supplies values that the machine lacks."""
     rated = machine.rated_current or scales.current
     speed_e = usual_speed(machine, scales, psi_f)
     if memory is None:
         usual = machine.memory_for(log.sample_time, speed_e)
-        memory = max(_in_short(usual), 10 * log.sample_time)
+        memory = max(_rounded(usual), 10 * log.sample_time)
     chosen = LeastSquaresObserver.for_machine(
         machine,
         sample_time=log.sample_time,
@@ -136,42 +136,44 @@ def plain_observer(
         speed_e=speed_e,
         psi_f=psi_f,
         rated_current=rated,
-        current_noise=_in_short(max(scales.current_noise, LEAST_NOISE * rated)),
+        current_noise=_rounded(max(scales.current_noise, LEAST_NOISE * rated)),
         held=log.held,
     )
     drift_prior = max(chosen.drift_prior, VOLTAGE_OFFSET * scales.voltage)
-    return replace(chosen, drift_prior=_in_short(drift_prior))
+    return replace(chosen, drift_prior=_rounded(drift_prior))
 
 
-def _in_short(measured: float) -> float:
-    """A setting to three digits: the command that exports the observer repeats it exactly."""
+def _rounded(measured: float) -> float:
+    """Round a setting to three digits, so that the export command can repeat it exactly."""
     return float(f"{measured:.3g}")
 
 
 def guess_psi_f(log: Log, machine: RotatingMachine, scales: Scales, memory: float | None) -> float:
-    """Magnet flux [Wb] for a machine file without one: what the observer itself returns."""
-    longest = max(excerpts(log), key=lambda part: len(part.t))
+    """Estimate the magnet flux [Wb] with the plain observer, for a machine file without psi_f."""
+    longest = max(excerpts(log), key=lambda excerpt: len(excerpt.t))
     base = machine.position_inductance * (machine.rated_current or scales.current)
-    best, most = base, 0
+    best_psi_f, best_count = base, 0
     for guess in base * np.array(GUESSES):
         observer = plain_observer(log, machine, scales, memory, float(guess))
-        found = observer.run(longest.voltage, longest.current)
-        if (count := int(found.valid.sum())) > most:
-            best, most = float(np.median(found.psi_f[found.valid])), count
-    return best
+        estimates = observer.run(longest.voltage, longest.current)
+        if (count := int(estimates.valid.sum())) > best_count:
+            best_psi_f, best_count = float(np.median(estimates.psi_f[estimates.valid])), count
+    return best_psi_f
 
 
 def _check_memory(log: Log, machine: Machine, memory: float | None) -> float:
-    """The memory, the machine's own by default, if it spans at least ten rows."""
-    least = 10 * log.sample_time
-    if memory is not None and not memory >= least:
-        raise ObserverError(f"memory {memory:g} s is too short: at least ten samples, {least:g} s")
+    """Return the memory (default: the machine's); raise if it spans fewer than ten rows."""
+    shortest = 10 * log.sample_time
+    if memory is not None and not memory >= shortest:
+        raise ObserverError(
+            f"memory {memory:g} s is too short: at least ten samples, {shortest:g} s"
+        )
     chosen = machine.memory if memory is None else memory
-    if chosen < least:
+    if chosen < shortest:
         raise RecordError(
             f"{log.path}: a row every {log.sample_time:.6g} s is too slow for a memory of "
-            f"{chosen:g} s, which needs at least ten rows. Give a longer memory; or is t in ms? "
-            f"Then give --scale t=1e-3"
+            f"{chosen:g} s, which needs at least ten rows. Give a longer memory or, if t is "
+            f"in ms, --scale t=1e-3"
         )
     return chosen
 
@@ -185,16 +187,16 @@ def _adaptive_observer(
     memory: float | None,
     held: Held,
 ) -> AdaptiveObserver:
-    """The adaptive observer around one that was chosen for a log."""
-    for name, most, words in (
-        ("resistance", RESISTANCE_MOST * machine.R_s, f"{RESISTANCE_MOST:g} times R_s"),
+    """Return the adaptive observer around the plain observer chosen for a log."""
+    for name, largest, limit in (
+        ("resistance", MAX_RESISTANCE_SHARE * machine.R_s, f"{MAX_RESISTANCE_SHARE:g} times R_s"),
         ("inverter", scales.voltage, "the voltage in this log"),
         ("psi_f", plain.flux_base, "the magnet flux itself"),
     ):
-        if priors.get(name, 0.0) > most > 0:
+        if priors.get(name, 0.0) > largest > 0:
             raise ObserverError(
-                f"prior {name}={priors[name]:g}: a standard deviation, in SI units; this is more "
-                f"than {words}, {most:.3g}"
+                f"prior {name}={priors[name]:g}: must be a standard deviation in SI units; this is "
+                f"more than {limit}, {largest:.3g}"
             )
     return AdaptiveObserver.for_machine(
         machine,
@@ -211,7 +213,7 @@ def _adaptive_observer(
         resistance_std=priors.get("resistance"),
         inverter_std=priors.get("inverter"),
         asymmetry_std=priors.get("asymmetry"),
-        dc_link=_in_short(np.sqrt(3) * scales.voltage),  # at least
+        dc_link=_rounded(np.sqrt(3) * scales.voltage),  # a lower limit of the DC link
     )
 
 
@@ -222,15 +224,15 @@ def _immersed_for(
     memory: float | None,
     scales: Scales | None,
 ) -> tuple[ImmersionObserver, Scales]:
-    """First pass over the log, and the immersed observer chosen from machine and log."""
-    _check_told_apart(machine, unknowns)
+    """Measure the log's signals and choose the immersed observer from machine and log."""
+    _check_identifiable(machine, unknowns)
     memory = _check_memory(log, machine, memory)
     scales = measure_scales(log) if scales is None else scales
     rated = machine.rated_current or scales.current
     base = machine.flux_base(rated)
     if base is None:
         raise MachineError(
-            f"psi_f is missing in the machine ({machine.kind}); a rough value will do"
+            f"psi_f is missing in the machine ({machine.kind}); a rough value is enough"
         )
     noise = max(scales.current_noise, LEAST_NOISE * rated)
     drift = VOLTAGE_OFFSET * scales.voltage * np.abs(machine.B).max()
@@ -255,8 +257,8 @@ def _immersed_for(
     return observer, scales
 
 
-def _check_told_apart(machine: Machine, unknowns: Sequence[Unknown]) -> None:
-    """Raise FluxobsError, naming what is hidden, if the relation cannot tell these apart."""
+def _check_identifiable(machine: Machine, unknowns: Sequence[Unknown]) -> None:
+    """Raise FluxobsError if the unknowns are not identifiable together; name the hidden offsets."""
     immersion = Immersion((machine.constraint,), tuple(unknowns), machine.R)
     invisible = immersion.invisible()
     if invisible.shape[1] == 0:
@@ -264,10 +266,10 @@ def _check_told_apart(machine: Machine, unknowns: Sequence[Unknown]) -> None:
     advice = "Run with --unknowns drift"
     if isinstance(machine, RotatingMachine):
         advice += (
-            ": the flux returned is then off by L times the current bias, but λ - L i, hence "
-            "position and speed, is free of it"
+            ": the flux then has an error of L times the current bias, but λ - L i, hence position "
+            "and speed, has none"
         )
     raise FluxobsError(
-        f"{' and '.join(unknowns)} cannot both be found for kind {machine.kind}: "
+        f"{' and '.join(unknowns)} cannot both be estimated for kind {machine.kind}: "
         f"{describe_invisible(invisible)}. {advice}"
     )

@@ -1,7 +1,7 @@
-"""Readable least squares on the immersion: any number of ports and relations, current bias too.
+"""Least squares on the immersion in Python: any number of ports and relations, and current bias.
 
-The recursion is that of firmware/fluxobs.c, the special case of one relation, two ports and unknown
-drift. This one is written to be read, and judges validity more simply.
+firmware/fluxobs.c has the same recursion for one relation, two ports and unknown drift. This module
+is written for readers, and has simpler conditions for `valid`.
 """
 
 from __future__ import annotations
@@ -20,43 +20,43 @@ from ..machines.model.immersion import Immersion
 from .base import SampleCounts
 from .outputs import documented, output
 
-#: Share of the flux information that may come from noise, as in the compiled observer.
+#: Largest share of the flux information that may be noise, as in the compiled observer.
 NOISE_SHARE_LIMIT: float = _core.thresholds["SHARE_LIMIT"]
 #: Cap on the correlation of successive innovations, as in the compiled observer.
 CORRELATION_LIMIT: float = _core.thresholds["CORRELATION_LIMIT"]
-#: This many missing samples in a row erase all that is known, as in the compiled observer.
+#: This many missing samples in a row erase all information, as in the compiled observer.
 MISSING: int = int(_core.thresholds["MAX_CONSECUTIVE_BAD"]) + 1
-#: A flux is known if its standard deviation is below this share of the flux, per-unit. For the flux
-#: of a rotor this is 3° of its angle, the compiled observer's limit (STD_LIMIT).
+#: A flux is known if its standard deviation is below this share of the flux, per-unit: 3° of the
+#: angle of a rotor's flux, as in the compiled observer (STD_LIMIT).
 KNOWN = 0.05
 #: A sample whose innovation exceeds this many standard deviations contradicts all earlier samples.
-#: Noise does not reach ten; a jump of an offset does within a few samples (tests/observers).
+#: Noise does not reach ten; the jump of an offset does within a few samples (tests/observers).
 CONTRADICTION = 10.0
-#: This many contradictions in a row mean that a constant has jumped: restart. Fewer could be a
+#: After this many contradictions in a row, a constant must have jumped: restart. Fewer may be a
 #: burst of spikes, which the compiled observer also bridges.
 CONTRADICTIONS = MISSING
 #: A restart multiplies the innovations' power by this, so that noise above the assumed one cannot
-#: restart for ever: four restarts make up for an assumed noise 16 times too small.
+#: cause restarts for ever: four restarts compensate an assumed noise 16 times too small.
 RESTART_POWER = 4.0
 #: A current bias beyond this many standard deviations of its prior is an artefact of noise. It
 #: corrupts the flux, which is then not valid.
 BIAS_LIMIT = 3.0
-#: Nothing was learnt about a current bias whose standard deviation stays above this share of its
-#: prior. Without data it is the prior's; where two ports hide one direction, 0.7 of it each.
+#: A current bias is identified if its standard deviation falls below this share of its prior's. The
+#: share is 1 without data, and 0.7 for each of two ports if one direction is hidden.
 UNSEEN_BIAS = 0.25
-#: Samples between two re-injected rows of the prior, which take turns as in the compiled observer.
-EVERY = 2
-#: Mean current of the last interval from the last four samples, newest first: the cubic through
-#: them.
+#: Samples between two prior re-injections, one row in turn, as in the compiled observer.
+REINJECTION_INTERVAL = 2
+#: Weights of the last four currents, newest first: the mean of the cubic through them over the last
+#: interval.
 QUADRATURE = np.array([9.0, 19.0, -5.0, 1.0]) / 24
 
 
 @documented
 @dataclass(frozen=True, eq=False)
 class ImmersionEstimate:
-    """What the least squares returns for one sample (leading shape ``()``) or a record ``(rows,)``.
+    """Estimate for one sample (leading shape ``()``) or a record ``(rows,)``.
 
-    With n ports and r relations vectors are (..., n), and the innovation is (..., r).
+    With n ports and r relations, vectors are (..., n), and the innovation is (..., r).
     """
 
     flux: Array = field(metadata=output("Wb", "Flux linkage", vector=True))
@@ -72,38 +72,36 @@ class ImmersionEstimate:
         metadata=output("A", "Standard deviation of current_bias", vector=True)
     )
     noise_share: Array = field(
-        metadata=output(
-            "", "Share of each flux component's information that is only noise", vector=True
-        )
+        metadata=output("", "Share of each flux component's information that is noise", vector=True)
     )
     valid: NDArray[np.bool_] = field(
         metadata=output(
             "",
             "The flux is known: noise share below 0.1 and standard deviation below a twentieth of "
-            "the flux, per-unit, both for one memory without a missing sample. Says nothing of the "
-            "current bias",
+            "the flux, per-unit, both for one memory without a missing sample. It does not include "
+            "the current bias",
             boolean=True,
         )
     )
     current_bias_valid: NDArray[np.bool_] = field(
         metadata=output(
             "",
-            "The current bias is known too: valid, and every standard deviation below a "
-            "quarter of its prior",
+            "The current bias is known too: valid, and its standard deviations below a quarter of "
+            "their priors",
             boolean=True,
         )
     )
     innovation: Array = field(
         metadata=output(
             "",
-            "Residual of each relation over its assumed noise, before the update",
+            "Residual of each relation before the update, over its assumed noise",
             in_files=False,
         )
     )
 
 
 class ImmersionState(NamedTuple):
-    """All that is remembered: information ``R x = z``, its part from noise, and a few samples."""
+    """State: information ``R x = z``, the information from noise, and the last samples."""
 
     R: Array
     z: Array
@@ -111,15 +109,15 @@ class ImmersionState(NamedTuple):
     currents: Array  # the last four, newest first
     voltage: Array
     power: float = 1.0  # of the innovations
-    correlation: float = 0.0  # of successive ones
+    correlation: float = 0.0  # of successive innovations
     last_innovation: Array | None = None
-    last_normal: Array | None = None  # over its expected size
+    last_normal: Array | None = None  # innovation over its expected size
     samples: int = 0
     bad_voltages: int = 0
     bad_currents: int = 0
     missing: int = 0  # in a row
     contradictions: int = 0  # in a row
-    known: int = 0  # samples in a row
+    known: int = 0  # samples in a row with known flux
     outliers: int = 0
     restarts: int = 0
 
@@ -140,23 +138,23 @@ class ImmersionObserver:
     memory : float
         [s], at least ten samples.
     flux_base : (n,) array_like
-        Size of the flux [Wb], within a factor of a few.
+        Magnitude of the flux [Wb]; a factor of a few does not matter.
     constraint_noise : (r,) array_like
-        Std of each relation's residual, in its own unit.
+        Std of each relation's residual, in the relation's unit.
     drift_prior : (n,) array_like
         Largest plausible drift [V].
     current_bias_prior : (n,) array_like
-        Largest plausible current bias [A]; used if it is an unknown.
+        Largest plausible current bias [A]; used if the bias is an unknown.
     current_noise : float, optional
-        Std of a current component [A]; default: the one that causes `constraint_noise`.
-        `noise_share`, and so `valid`, depends on it.
+        Std of a current component [A]; default: the value that causes `constraint_noise`.
+        `noise_share`, and hence `valid`, depends on it.
     voltage_noise : float
-        Std of the mean voltage over a sample [V]; default 0, for a command.
+        Std of the mean voltage over a sample [V]; default 0, for commanded voltages.
 
     Raises
     ------
     ObserverError
-        A number is not positive, or these relations cannot tell an unknown from others.
+        A number is not positive, or the unknowns are not identifiable together.
 
     References
     ----------
@@ -186,7 +184,7 @@ class ImmersionObserver:
         invisible = self.immersion.invisible()
         if invisible.shape[1]:
             raise ObserverError(
-                f"{' and '.join(self.immersion.unknowns)} cannot be found together: "
+                f"{' and '.join(self.immersion.unknowns)} cannot be estimated together: "
                 f"{describe_invisible(invisible)}"
             )
         shapes = {"flux_base": n, "constraint_noise": r, "drift_prior": n}
@@ -213,37 +211,43 @@ class ImmersionObserver:
                 f"got {self.memory:g} s"
             )
         if self.immersion.R is not None and not np.array_equal(self.immersion.R, self.R):
-            raise ObserverError("R differs from that of the immersion")
+            raise ObserverError("R differs from R of the immersion")
         noise = self.current_noise
         if noise is None:
             slopes = [
                 np.linalg.norm(self.flux_base @ relation.Q2)
                 for relation in self.immersion.relations
             ]
-            shares = [s / k for s, k in zip(self.constraint_noise, slopes, strict=True) if k > 0]
+            shares = [
+                noise_of_relation / slope
+                for noise_of_relation, slope in zip(self.constraint_noise, slopes, strict=True)
+                if slope > 0
+            ]
             noise = float(min(shares, default=0.0))
             object.__setattr__(self, "current_noise", noise)
         for name in ("current_noise", "voltage_noise"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise ObserverError(f"{name} must be a number >= 0, got {getattr(self, name)}")
+                raise ObserverError(
+                    f"{name} must be finite and not negative, got {getattr(self, name)}"
+                )
         object.__setattr__(self, "_prior", self._prior_std())
         h, gain = self.sample_time, self.immersion.transition_gain()
-        pushes = h * np.hstack([self.voltage_noise * self.B, noise * self.R])
-        # For each direction of v's noise, ∂F⁻¹ along it.
-        object.__setattr__(self, "_volt_seconds_noise", np.tensordot(pushes.T, gain, axes=1))
-        # Information that the noise of a current adds with the rows of every sample.
+        noise_gain = h * np.hstack([self.voltage_noise * self.B, noise * self.R])
+        # ∂F⁻¹ along each direction of v's noise.
+        object.__setattr__(self, "_volt_seconds_noise", np.tensordot(noise_gain.T, gain, axes=1))
+        # Information that current noise adds with the rows of each sample.
         by_current = noise * self.immersion.row_gain() / self.constraint_noise[:, None, None]
-        flat = by_current.transpose(1, 0, 2).reshape(self.immersion.size, -1)
-        object.__setattr__(self, "_row_noise", flat @ flat.T)
+        flattened = by_current.transpose(1, 0, 2).reshape(self.immersion.size, -1)
+        object.__setattr__(self, "_row_noise", flattened @ flattened.T)
 
     def _prior_std(self) -> Array:
-        """Prior standard deviation of every state."""
+        """Return the prior standard deviation of each state."""
         flux, drift, unknowns = self.flux_base, self.drift_prior, self.immersion.unknowns
         bias = self.current_bias_prior if "current-bias" in unknowns else np.zeros_like(flux)
         if unknowns == ("current-bias",):
             drift = np.abs(self.R) @ bias
-        out = np.ones(self.immersion.size)
-        at = self.immersion.slices
+        prior_std = np.ones(self.immersion.size)
+        slices = self.immersion.slices
         for k, relation in enumerate(self.immersion.relations):
             Q1, Q2, E = np.abs(relation.Q1), np.abs(relation.Q2), np.abs(relation.E)
             size = max(
@@ -253,21 +257,21 @@ class ImmersionObserver:
                 abs(relation.d),
             )
             slope = np.maximum(2 * Q1 * flux, Q2 * bias).max(axis=1)
-            # A state that is zero by definition (Q1 = 0, say) is pinned, not left free.
+            # Pin a state that is zero by definition (for example with Q1 = 0).
             rate = float(np.max(drift / flux))
-            least = 1e-9 * rate * max(size, self.constraint_noise[k])
-            out[at["s"]][k] = max(size, self.constraint_noise[k])
-            out[at["kappa"]][k] = max(np.max(drift * np.maximum(slope, E)), least)
-            out[at["c"]][k] = max(np.max(drift[:, None] * Q1 * drift), rate * least)
-        out[at["flux"]] = flux
+            smallest = 1e-9 * rate * max(size, self.constraint_noise[k])
+            prior_std[slices["s"]][k] = max(size, self.constraint_noise[k])
+            prior_std[slices["kappa"]][k] = max(np.max(drift * np.maximum(slope, E)), smallest)
+            prior_std[slices["c"]][k] = max(np.max(drift[:, None] * Q1 * drift), rate * smallest)
+        prior_std[slices["flux"]] = flux
         if "drift" in unknowns:
-            out[at["drift"]] = drift
+            prior_std[slices["drift"]] = drift
         if "current-bias" in unknowns:
-            out[at["current_bias"]] = bias
-        return out
+            prior_std[slices["current_bias"]] = bias
+        return prior_std
 
     def init(self, batch: tuple[int, ...] = ()) -> ImmersionState:
-        """Initial state, in which nothing is known; one record at a time."""
+        """Return the initial state without information; one record at a time."""
         if batch:
             raise ObserverError("this observer takes one record at a time")
         size = self.immersion.size
@@ -289,9 +293,9 @@ class ImmersionObserver:
     ) -> tuple[ImmersionState, ImmersionEstimate]:
         """Process one sample; as :meth:`LeastSquaresObserver.step`, with ``(m,)`` and ``(n,)``.
 
-        For a missing (NaN) current or voltage the last value is held, and also for a current that
-        contradicts all earlier samples; nothing is valid for one memory after that. Four in a row
-        erase the information.
+        The last value replaces a missing (NaN) current or voltage, and a current that contradicts
+        all earlier samples; no row is then valid for one memory. Four in a row erase the
+        information.
         """
         if current is None or (voltage is None) == (volt_seconds is None):
             raise UsageError("give current, and either voltage or volt_seconds")
@@ -306,98 +310,103 @@ class ImmersionObserver:
                 f"current ({n},), got {source.shape} and {i.shape}"
             )
         if v is not None and not np.isfinite(v).all():
-            raise RecordError("volt_seconds must be finite; mark a missing sample by current NaN")
-        known = bool(np.isfinite(i).all())
-        # The first voltage belongs to an interval before the record: it may be missing.
+            raise RecordError(
+                "volt_seconds must be finite; for a missing sample, give NaN as current"
+            )
+        has_current = bool(np.isfinite(i).all())
+        # The first voltage acts before the record: it may be missing.
         no_voltage = not np.isfinite(u).all() and state.samples > 0
-        bad = not known or no_voltage
-        held = state.currents[0] if state.samples else np.zeros(self.immersion.n)
+        is_bad = not has_current or no_voltage
+        held_current = state.currents[0] if state.samples else np.zeros(self.immersion.n)
         if not np.isfinite(u).all():
             u = state.voltage
         if u.size == 0:
             u = np.zeros(self.B.shape[1])
-        missing = state.missing + 1 if bad else 0
-        after = self._move(state, i if known else held, u, v)
-        if known:
-            measured = self._measure(after, i)
-            if measured is None:  # contradicts all before: treat it as missing
-                after = self._move(state, held, u, v)
-                after = after._replace(
+        missing = state.missing + 1 if is_bad else 0
+        new_state = self._propagate(state, i if has_current else held_current, u, v)
+        if has_current:
+            measured = self._update_measurement(new_state, i)
+            if measured is None:  # it contradicts all earlier samples: treat it as missing
+                new_state = self._propagate(state, held_current, u, v)
+                new_state = new_state._replace(
                     contradictions=state.contradictions + 1,
                     outliers=state.outliers + 1,
                     known=0,
                 )
             else:
-                after = measured
+                new_state = measured
         if missing >= MISSING:
-            after = self._emptied(after)
-        after = after._replace(
+            new_state = self._erase(new_state)
+        new_state = new_state._replace(
             voltage=u,
             samples=state.samples + 1,
             bad_voltages=state.bad_voltages + no_voltage,
-            bad_currents=state.bad_currents + (not known),
+            bad_currents=state.bad_currents + (not has_current),
             missing=missing,
-            known=0 if bad else after.known,
+            known=0 if is_bad else new_state.known,
         )
-        return self._read_out(after)
+        return self._estimate(new_state)
 
     def counts(self, state: ImmersionState) -> SampleCounts:
-        """Bad samples, outliers and restarts that `state` has seen."""
+        """Return the numbers of bad samples, outliers and restarts in `state`."""
         return SampleCounts(
             state.bad_voltages, state.bad_currents, 0, state.outliers, state.restarts
         )
 
-    def _move(
+    def _propagate(
         self, state: ImmersionState, current: Array, voltage: Array, v: Array | None
     ) -> ImmersionState:
-        """Time update to a sample with this current."""
+        """Propagate the state to a sample with this current."""
         h, immersion = self.sample_time, self.immersion
         if state.samples == 0:
-            # Assume that the current was the same before the first sample.
+            # Assume the same current before the first sample.
             return state._replace(currents=np.tile(current, (4, 1)))
         currents = np.vstack([current, state.currents[:-1]])
         if v is None:
             v = h * (self.B @ voltage - self.R @ (QUADRATURE @ currents))
         rho = 1 - h / self.memory
-        back = immersion.transition(-h, -v)
-        R = state.R @ back
+        inverse_transition = immersion.transition(-h, -v)
+        R = state.R @ inverse_transition
         z = np.sqrt(rho) * (state.z + R @ immersion.known_input(v))
         R = np.sqrt(rho) * R
-        noise = rho * back.T @ state.noise @ back + self._pretended(R)
+        noise = (
+            rho * inverse_transition.T @ state.noise @ inverse_transition
+            + self._noise_information(R)
+        )
         return state._replace(R=R, z=z, noise=noise, currents=currents)
 
-    def _emptied(self, state: ImmersionState) -> ImmersionState:
-        """The same state without its information."""
+    def _erase(self, state: ImmersionState) -> ImmersionState:
+        """Return the state without its information."""
         fresh = self.init()
         return state._replace(R=fresh.R, z=fresh.z, noise=fresh.noise, contradictions=0)
 
-    def _measure(self, state: ImmersionState, current: Array) -> ImmersionState | None:
-        """Take in the relations at this current, and re-inject one row of the prior.
+    def _update_measurement(self, state: ImmersionState, current: Array) -> ImmersionState | None:
+        """Update with the relations at this current, and re-inject one row of the prior.
 
-        Returns None if the current contradicts all before, but not often enough for a restart.
+        Return None if the current contradicts all earlier samples, but a restart is not yet due.
         """
         immersion, sigma = self.immersion, self.constraint_noise
         rows, values = immersion.output_rows(current)
         rows, values = rows / sigma[:, None], values / sigma
         inverse = np.linalg.inv(state.R)
         innovation = values - rows @ (inverse @ state.z)
-        expected = 1 + np.square(rows @ inverse).sum(axis=1)
-        limit = CONTRADICTION**2 * expected * max(state.power, 1.0)
+        expected_power = 1 + np.square(rows @ inverse).sum(axis=1)
+        limit = CONTRADICTION**2 * expected_power * max(state.power, 1.0)
         rho = 1 - self.sample_time / self.memory
         if (innovation**2 > limit).any():
             if state.contradictions + 1 < CONTRADICTIONS:
                 return None
-            state = self._emptied(state)._replace(
-                # The currents held meanwhile were not measured.
+            state = self._erase(state)._replace(
+                # The held currents were not measured.
                 currents=np.tile(current, (4, 1)),
                 restarts=state.restarts + 1,
                 power=RESTART_POWER * max(state.power, 1.0),
             )
         else:
-            # What the prior or a restart explains is not noise: judge by the expected size.
-            normal = innovation / np.sqrt(expected)
-            last = state.last_normal
-            product = 0.0 if last is None else float(np.mean(normal * last))
+            # Prior and restarts explain large innovations: scale them by the expected size.
+            normal = innovation / np.sqrt(expected_power)
+            last_normal = state.last_normal
+            product = 0.0 if last_normal is None else float(np.mean(normal * last_normal))
             state = state._replace(
                 power=rho * state.power + (1 - rho) * float(np.mean(normal**2)),
                 correlation=rho * state.correlation + (1 - rho) * product,
@@ -405,61 +414,65 @@ class ImmersionObserver:
             )
         state = state._replace(last_innovation=innovation)
         R, z = _absorb(state.R, state.z, rows, values)
-        # Against wind-up: re-inject, row by row, what forgetting takes from the prior. Centred on
-        # the estimate, it does not move it.
-        if state.samples % EVERY == 0:
-            j = state.samples // EVERY % immersion.size
-            weight = np.sqrt(1 - rho ** (EVERY * immersion.size)) / self._prior[j]
+        # Against wind-up: re-inject, row by row, the prior's information that forgetting has taken.
+        # The row is centred on the estimate, which therefore does not move.
+        if state.samples % REINJECTION_INTERVAL == 0:
+            j = state.samples // REINJECTION_INTERVAL % immersion.size
+            weight = np.sqrt(1 - rho ** (REINJECTION_INTERVAL * immersion.size)) / self._prior[j]
             row = np.zeros((1, immersion.size))
             row[0, j] = weight
             R, z = _absorb(R, z, row, weight * np.linalg.solve(R, z)[[j]])
         return state._replace(R=R, z=z, noise=state.noise + self._row_noise, contradictions=0)
 
-    def _pretended(self, R: Array) -> Array:
-        """Information that noise of the last volt-seconds has added to all past rows."""
+    def _noise_information(self, R: Array) -> Array:
+        """Return the information that noise of the last volt-seconds added to all past rows."""
         moved = R @ self._volt_seconds_noise
         stacked = moved.reshape(-1, len(R))
         return np.asarray(stacked.T @ stacked)
 
-    def _read_out(self, state: ImmersionState) -> tuple[ImmersionState, ImmersionEstimate]:
-        immersion, at = self.immersion, self.immersion.slices
+    def _estimate(self, state: ImmersionState) -> tuple[ImmersionState, ImmersionEstimate]:
+        immersion, slices = self.immersion, self.immersion.slices
         inverse = np.linalg.inv(state.R)
         x = inverse @ state.z
         covariance = inverse @ inverse.T
-        # Innovations of real records are coloured: their power and correlation scale the variance.
+        # Innovations of real records are correlated: power and correlation scale the variance.
         r1 = float(np.clip(state.correlation / max(state.power, 1e-300), 0.0, CORRELATION_LIMIT))
         level = state.power * (1 + r1) / (1 - r1)
-        # What only the prior holds stays as uncertain as the prior, however small the innovations.
-        held = np.square(covariance / self._prior).sum(axis=1)
-        variance = level * np.diag(covariance) + max(1 - level, 0.0) * held
+        # Small innovations must not reduce the share of the variance that comes from the prior.
+        prior_variance = np.square(covariance / self._prior).sum(axis=1)
+        variance = level * np.diag(covariance) + max(1 - level, 0.0) * prior_variance
         std = np.sqrt(variance)
         # Share of each state's marginal information that comes from noise.
-        spread = (covariance * (state.noise @ covariance)).sum(axis=0)
-        all_shares = spread / np.diag(covariance)
-        share = all_shares[at["flux"]]
+        noise_information = (covariance * (state.noise @ covariance)).sum(axis=0)
+        shares = noise_information / np.diag(covariance)
+        flux_share = shares[slices["flux"]]
         n = immersion.n
-        flux, flux_std = x[at["flux"]], std[at["flux"]]
-        bias = x[at["current_bias"]] if "current-bias" in immersion.unknowns else np.zeros(n)
-        bias_std = std[at["current_bias"]] if "current-bias" in immersion.unknowns else np.zeros(n)
+        flux, flux_std = x[slices["flux"]], std[slices["flux"]]
+        bias = x[slices["current_bias"]] if "current-bias" in immersion.unknowns else np.zeros(n)
+        bias_std = (
+            std[slices["current_bias"]] if "current-bias" in immersion.unknowns else np.zeros(n)
+        )
         if "drift" in immersion.unknowns:
-            drift, drift_std = x[at["drift"]], std[at["drift"]]
+            drift, drift_std = x[slices["drift"]], std[slices["drift"]]
         else:
             drift, drift_std = self.R @ bias, np.sqrt(np.square(self.R) @ np.square(bias_std))
-        # Judge each port by its own size: a large one says nothing about a small one.
+        # Judge each port by its own flux base: ports may differ in size.
         length = np.linalg.norm(flux / self.flux_base) / np.sqrt(n)
         known = bool(
-            (share < NOISE_SHARE_LIMIT).all()
+            (flux_share < NOISE_SHARE_LIMIT).all()
             and (flux_std < KNOWN * length * self.flux_base).all()
             and state.contradictions == 0
             # A current bias that is an artefact of noise corrupts the flux.
-            and (all_shares[at["current_bias"]] < NOISE_SHARE_LIMIT).all()
-            and (np.abs(x[at["current_bias"]]) < BIAS_LIMIT * self._prior[at["current_bias"]]).all()
+            and (shares[slices["current_bias"]] < NOISE_SHARE_LIMIT).all()
+            and (
+                np.abs(x[slices["current_bias"]]) < BIAS_LIMIT * self._prior[slices["current_bias"]]
+            ).all()
             and np.isfinite(x).all()
         )
         state = state._replace(known=state.known + 1 if known and state.missing == 0 else 0)
         innovation = state.last_innovation
         valid = state.known * self.sample_time >= self.memory
-        seen = "current-bias" in immersion.unknowns and bool(
+        bias_identified = "current-bias" in immersion.unknowns and bool(
             (bias_std < UNSEEN_BIAS * self.current_bias_prior).all()
         )
         return state, ImmersionEstimate(
@@ -469,9 +482,9 @@ class ImmersionObserver:
             drift_std,
             bias,
             bias_std,
-            share,
+            flux_share,
             np.asarray(valid),
-            np.asarray(valid and seen),
+            np.asarray(valid and bias_identified),
             np.zeros(len(immersion.relations)) if innovation is None else innovation,
         )
 
@@ -482,10 +495,10 @@ class ImmersionObserver:
         *,
         volt_seconds: ArrayLike | None = None,
     ) -> ImmersionEstimate:
-        """Process a whole record from the initial state; the same numbers as the step loop.
+        """Process a whole record from the initial state; same numbers as a loop of steps.
 
-        Takes a :class:`Record`, or ``(rows, m)`` and ``(rows, n)`` arrays: row k's voltage (or
-        volt-seconds) belongs to the interval that ends at row k.
+        Give a :class:`Record`, or ``(rows, m)`` and ``(rows, n)`` arrays; the voltage (or
+        volt-seconds) of row k belongs to the interval that ends at row k.
         """
         if isinstance(voltage, Record):
             voltage, current = voltage.on_intervals(self.sample_time)
@@ -499,7 +512,7 @@ class ImmersionObserver:
         *,
         volt_seconds: ArrayLike | None = None,
     ) -> tuple[ImmersionState, ImmersionEstimate]:
-        """Like :meth:`run`, from `state`; returns the state after the last row too."""
+        """Process a record from `state`; return the state after the last row and the estimates."""
         if current is None or (voltage is None) == (volt_seconds is None):
             raise UsageError("give current, and either voltage or volt_seconds")
         key = "voltage" if volt_seconds is None else "volt_seconds"
@@ -510,36 +523,39 @@ class ImmersionObserver:
                 f"voltage and current must have as many rows, got {source.shape} and "
                 f"{currents.shape}"
             )
-        found = []
-        for given, i in zip(source, currents, strict=True):
-            state, estimate = self.step(state, current=i, **{key: given})
-            found.append(estimate)
-        if not found:
+        estimates = []
+        for sample, i in zip(source, currents, strict=True):
+            state, estimate = self.step(state, current=i, **{key: sample})
+            estimates.append(estimate)
+        if not estimates:
             raise RecordError("the record has no rows")
-        names = [one.name for one in fields(ImmersionEstimate)]
+        names = [output.name for output in fields(ImmersionEstimate)]
         return state, ImmersionEstimate(
-            **{name: np.array([getattr(row, name) for row in found]) for name in names}
+            **{
+                name: np.array([getattr(estimate, name) for estimate in estimates])
+                for name in names
+            }
         )
 
 
 def _absorb(R: Array, z: Array, rows: Array, values: Array) -> tuple[Array, Array]:
-    """The triangle after taking in weighted rows."""
+    """Return the information factor after an update with weighted rows."""
     n = len(R)
     stacked = np.empty((n + len(rows), n + 1))
     stacked[:n, :n], stacked[:n, n] = R, z
     stacked[n:, :n], stacked[n:, n] = rows, values
-    # LAPACK's rows may come out negative; the sign of a row means nothing.
-    triangle: Any = np.linalg.qr(stacked, mode="r")
-    return triangle[:n, :n], triangle[:n, n]
+    # LAPACK may return rows with the opposite sign, which has no meaning.
+    factor: Any = np.linalg.qr(stacked, mode="r")
+    return factor[:n, :n], factor[:n, n]
 
 
 def describe_invisible(directions: NDArray[np.floating]) -> str:
-    """Describe in words the offsets of flux and current that no record can reveal."""
+    """Describe the offsets of flux and current that no record can reveal."""
     n = len(directions) // 2
-    out = []
+    clauses = []
     for column in directions.T:
         column = column / np.abs(column[n:]).max() if np.abs(column[n:]).max() > 0 else column
         flux = ", ".join(f"{value:.3g}" for value in column[:n] + 0.0)
         current = ", ".join(f"{value:.3g}" for value in column[n:] + 0.0)
-        out.append(f"an offset of ({flux}) Wb in the flux with ({current}) A in the current")
-    return " and ".join(out) + " leaves every relation as it is"
+        clauses.append(f"an offset of ({flux}) Wb in the flux with ({current}) A in the current")
+    return " and ".join(clauses) + " changes no relation"

@@ -14,7 +14,7 @@ from ..machines import MagLev2DOF
 
 
 class TrackerState(NamedTuple):
-    """Position [m], velocity [m/s], and the last force [N]; None before the first sample."""
+    """Position [m], velocity [m/s], and the last force [N] (None before the first sample)."""
 
     position: float = 0.0
     velocity: float = 0.0
@@ -25,8 +25,8 @@ class TrackerState(NamedTuple):
 class LevitationTracker:
     """Luenberger observer for position and velocity, driven by the estimated force.
 
-    It measures the position from flux and current, ``q = g - k_1 i_1/φ_1 = k_2 i_2/φ_2 - g``, both
-    weighted by least squares; the model is ``q̈ = (D²/J)(F_1 - F_2)``, F = c φ²/(2k).
+    The position follows from flux and current by ``q = g - k_1 i_1/φ_1 = k_2 i_2/φ_2 - g``, both
+    combined by least squares. The model is ``q̈ = (D²/J)(F_1 - F_2)``, F = c φ²/(2k).
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class LevitationTracker:
     sample_time : float
         [s], > 0.
     bandwidth : float
-        Both poles [rad/s], > 0.
+        Magnitude of both poles [rad/s], > 0.
     """
 
     machine: MagLev2DOF
@@ -48,7 +48,9 @@ class LevitationTracker:
                 raise ObserverError(f"{name} must be positive and finite, got {value}")
 
     def run(self, flux: ArrayLike, current: ArrayLike) -> tuple[Array, Array]:
-        """Position [m] and velocity [m/s], (rows,) each; rows without a position are predicted.
+        """Return position [m] and velocity [m/s], (rows,) each.
+
+        Rows without a position are predicted.
 
         Parameters
         ----------
@@ -59,21 +61,21 @@ class LevitationTracker:
         measured, _ = self.machine.position(phi, i)
         usable = np.isfinite(measured) & (np.abs(measured) < self.machine.g)
         start = measured[np.argmax(usable)] if usable.any() else 0.0
-        state, out = TrackerState(float(start), 0.0, None), np.empty((len(phi), 2))
+        state, track = TrackerState(float(start), 0.0, None), np.empty((len(phi), 2))
         for k in range(len(phi)):
             state = self.step(state, phi[k], i[k])
-            out[k] = state.position, state.velocity
-        return out[:, 0], out[:, 1]
+            track[k] = state.position, state.velocity
+        return track[:, 0], track[:, 1]
 
     def step(self, state: TrackerState, flux: Array, current: Array) -> TrackerState:
-        """One sample: estimated core fluxes (2,) [Wb] and unbiased currents (2,) [A]."""
+        """Process one sample: estimated core fluxes (2,) [Wb] and unbiased currents (2,) [A]."""
         m, h = self.machine, self.sample_time
         force = m.c_1 * flux[0] ** 2 / (2 * m.k_1) - m.c_2 * flux[1] ** 2 / (2 * m.k_2)
         force = force if np.isfinite(force) else 0.0  # where the flux is missing
         q, velocity = state.position, state.velocity
         if state.force is not None:
-            push = m.D**2 / m.J * (state.force + force) / 2
-            q, velocity = q + h * velocity + h * h / 2 * push, velocity + h * push
+            acceleration = m.D**2 / m.J * (state.force + force) / 2
+            q, velocity = q + h * velocity + h * h / 2 * acceleration, velocity + h * acceleration
         measured, _ = m.position(flux, current)
         if np.isfinite(measured) and abs(measured) < m.g:
             # Double pole at e^{-h bandwidth} for a double integrator.

@@ -1,4 +1,4 @@
-"""The one list of what observers return: name, unit, shape, file column, and which observer.
+"""The list of observer outputs: name, unit, shape, file column, and which observer.
 
 An estimate is a dataclass whose fields carry :func:`output`. Its attributes, its docstring, the
 columns of a file, the summary's series, the test vectors of firmware and the table in the docs all
@@ -23,14 +23,14 @@ class Output:
     name : str
         Name of the attribute and of the column.
     unit : str
-        In SI; "" if it has none.
+        SI unit; "" if dimensionless.
     about : str
-        What it is.
+        Description.
     vector : bool
         Two components (..., 2), one per port; else (...).
     boolean : bool
     in_files : bool
-        Is a column of the files that an estimation writes.
+        Whether an estimation writes it to files.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Output:
     in_files: bool
 
     def columns(self, ports: Sequence[str]) -> tuple[str, ...]:
-        """Names of its columns: ``flux`` gives ``flux_alpha``, ``flux_std`` ``flux_alpha_std``."""
+        """Return the columns: ``flux`` has ``flux_alpha``, ``flux_std`` has ``flux_alpha_std``."""
         if not self.vector:
             return (self.name,)
         stem, std = (self.name[:-4], "_std") if self.name.endswith("_std") else (self.name, "")
@@ -56,45 +56,45 @@ def output(
     boolean: bool = False,
     in_files: bool = True,
 ) -> dict[str, Any]:
-    """The ``metadata`` of an estimate's field; arguments as for :class:`Output`."""
+    """Return the ``metadata`` of an estimate's field; arguments as for :class:`Output`."""
     return {"output": (unit, about, vector, boolean, in_files)}
 
 
 def outputs(estimate: type) -> tuple[Output, ...]:
-    """Outputs of a class of estimates, in the order of the files; ``valid`` comes last."""
-    found = [Output(f.name, *f.metadata["output"]) for f in fields(estimate)]
-    return tuple(sorted(found, key=lambda one: one.name == "valid"))
+    """Return the outputs of a class of estimates in file order, with ``valid`` last."""
+    unsorted = [Output(item.name, *item.metadata["output"]) for item in fields(estimate)]
+    return tuple(sorted(unsorted, key=lambda output: output.name == "valid"))
 
 
 def in_files(estimate: type) -> tuple[Output, ...]:
-    """Outputs that are columns of a file."""
-    return tuple(one for one in outputs(estimate) if one.in_files)
+    """Return the outputs that are columns of a file."""
+    return tuple(output for output in outputs(estimate) if output.in_files)
 
 
 def documented(estimate: Class) -> Class:
-    """Class decorator: append the list of outputs to the docstring."""
+    """Append the list of outputs to a class's docstring; a class decorator."""
     lines = []
-    for one in outputs(estimate):
-        kind = "ndarray of bool" if one.boolean else "ndarray"
-        unit = f" [{one.unit}]" if one.unit else ""
-        lines += [f"    {one.name} : {'(..., 2)' if one.vector else '(...)'} {kind}"]
-        lines += [f"        {one.about.rstrip('.')}{unit}."]
+    for output in outputs(estimate):
+        kind = "ndarray of bool" if output.boolean else "ndarray"
+        unit = f" [{output.unit}]" if output.unit else ""
+        lines += [f"    {output.name} : {'(..., 2)' if output.vector else '(...)'} {kind}"]
+        lines += [f"        {output.about.rstrip('.')}{unit}."]
     heading = "\n\n    Attributes\n    ----------\n"
     estimate.__doc__ = (estimate.__doc__ or "").rstrip() + heading + "\n".join(lines) + "\n    "
     return estimate
 
 
 def markdown(*estimates: tuple[str, type]) -> str:
-    """A table of the outputs of several observers, for the docs."""
+    """Return a Markdown table of the outputs of several observers, for the docs."""
     rows: dict[str, tuple[Output, list[str]]] = {}
     for title, estimate in estimates:
-        for one in outputs(estimate):
-            rows.setdefault(one.name, (one, []))[1].append(title)
+        for output in outputs(estimate):
+            rows.setdefault(output.name, (output, []))[1].append(title)
     lines = ["| output | unit | observer | meaning |", "|---|---|---|---|"]
-    for one, titles in rows.values():
-        shape = ", one component per port" if one.vector else ""
+    for output, titles in rows.values():
+        shape = ", one component per port" if output.vector else ""
         lines.append(
-            f"| `{one.name}` | {one.unit or '–'} | {', '.join(titles)} "
-            f"| {one.about.rstrip('.')}{shape} |"
+            f"| `{output.name}` | {output.unit or '–'} | {', '.join(titles)} "
+            f"| {output.about.rstrip('.')}{shape} |"
         )
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""The production observer: square-root information least squares on the exact immersion.
+"""The plain observer: square-root information least squares on the exact immersion.
 
 The numbers come from firmware/fluxobs.c, the same source that runs in a drive.
 """
@@ -19,19 +19,19 @@ from ..machines.model.constraint import QuadraticConstraint
 from ..machines.model.flux_map import FluxMap
 from ..machines.model.held import Held, kink_weights
 from .base import Estimate
-from .compiled import CompiledObserver, CompiledState, read_columns, wrapped
+from .compiled import CompiledObserver, CompiledState, make_core, read_columns
 
-#: Usual memory [s]. One value suited every record tried, 75 to 5000 rad/s electrical. If it is much
-#: shorter, slow machines turn too little within it; if much longer, the quantities assumed constant
-#: (drift, inverter error, magnet flux) change within it.
+#: Usual memory [s]. One value suited all records tried, 75 to 5000 rad/s electrical. Within a much
+#: shorter memory, slow machines turn too little; within a much longer one, the quantities assumed
+#: constant (drift, inverter error, magnet flux) change.
 MEMORY: float = _core.usual["MEMORY"]
-#: Bandwidth of the tracker times the memory: it follows load steps that the memory only averages.
+#: Bandwidth of the tracker times the memory: the tracker follows load steps within a memory.
 TRACKER: float = _core.usual["TRACKER"]
-#: No real machine satisfies its relation better than to this share of its flux squared (saturation,
-#: slots, inverter). It is part of the assumed noise, where it balances prior against data; the
-#: innovations set the level of the reported standard deviations.
+#: Real machines violate their relation by this share of the flux squared (saturation, slots,
+#: inverter). As part of the assumed noise, it balances prior against data; the innovations set the
+#: level of the reported standard deviations.
 MODEL_ERROR: float = _core.usual["MODEL_ERROR"]
-#: Settings that are positive numbers, by the names of fo_config (firmware/fluxobs.h).
+#: Settings that are positive numbers, named as in fo_config (firmware/fluxobs.h).
 POSITIVE = (
     "sample_time",
     "memory",
@@ -49,12 +49,12 @@ POSITIVE = (
 class LeastSquaresObserver(CompiledObserver[Estimate]):
     """Flux, position, speed and drift by exponentially forgetting least squares.
 
-    Use :meth:`for_machine`, which chooses these fields, unless you know better.
+    :meth:`for_machine` chooses these fields from a machine.
 
     Parameters
     ----------
     constraint : QuadraticConstraint
-        With two ports.
+        Relation with two ports.
     R, B : (2, 2) array_like
         Matrices of ``λ̇ = -R i + B u`` [Ω], [-].
     position_inductance : float
@@ -64,34 +64,34 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
     memory : float
         Exponential memory [s], ten to a million samples.
     flux_base : float
-        Size of the flux [Wb], to within a factor of a few.
+        Magnitude of the flux [Wb]; a factor of a few does not matter.
     constraint_noise : float
-        Std of the constraint's residual in its own unit (Wb² for Q1 = I).
+        Std of the constraint's residual, in the constraint's unit (Wb² for Q1 = I).
     current_noise : float
         Std of a current component [A].
     current_limit : float
-        A longer current vector is taken for garbage [A].
+        A longer current vector is implausible [A].
     drift_prior : float
-        Largest plausible drift [V]. A tighter prior speeds up the start; one that proves too tight
-        is widened.
+        Largest plausible drift [V]. A tighter prior speeds up the start; a prior that proves too
+        tight is widened.
     length_min : float
-        A position vector shorter than this gives no position [Wb].
+        Shortest position vector that gives a position [Wb].
     tracker_bandwidth : float
-        [rad/s].
+        Bandwidth of the tracker [rad/s].
     held : float
-        Voltages are held over a sample: R h/L, the share of a current's kink that decays in it, so
-        that the resistive drop counts the kinks. 0: the current is smooth.
+        R h/L if voltages are held over a sample: the share of a current's kink that decays within
+        it, so that the resistive drop includes the kinks. 0: the current is smooth.
     precision : {"double", "single"}
-        "single" computes what a microcontroller does.
+        "single" gives the numbers of a microcontroller.
     flux_map : FluxMap, optional
-        How the flux depends on the current, where that is not a constant inductance and a constant
-        magnet flux. Q1 of the constraint must then be 1; its other terms only scale the noise.
+        Flux over current, unless inductance and magnet flux are constant. Q1 of the constraint must
+        then be 1; its other terms only scale the noise.
 
     Raises
     ------
     ObserverError
         A value is not positive or not finite, the memory is shorter than ten samples or longer than
-        a million, or sizes do not fit each other (a wrong unit).
+        a million, or sizes are inconsistent (a wrong unit).
 
     References
     ----------
@@ -127,7 +127,9 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
 
     def __post_init__(self) -> None:
         if self.constraint.n != 2:
-            raise ObserverError(f"the compiled observer has two ports, got {self.constraint.n}")
+            raise ObserverError(
+                f"the compiled observer has two ports, got a constraint with {self.constraint.n}"
+            )
         if self.precision not in ("double", "single"):
             raise ObserverError(f'precision must be "double" or "single", got {self.precision!r}')
         for name in ("R", "B"):
@@ -137,7 +139,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
             matrix.setflags(write=False)
             object.__setattr__(self, name, matrix)
         if not 0 <= self.held < np.inf:
-            raise ObserverError(f"held = R h/L must be 0 or more, and finite, got {self.held}")
+            raise ObserverError(f"held = R h/L must be finite and not negative, got {self.held}")
         for name in POSITIVE:
             value = number(name, getattr(self, name), "SI")
             if not (np.isfinite(value) and value > 0):
@@ -155,7 +157,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         object.__setattr__(self, "_core", self._make_core())
 
     def configuration(self) -> dict[str, Any]:
-        """The numbers and matrices of fo_config (firmware/fluxobs.h), in SI."""
+        """Return the numbers and matrices of fo_config (firmware/fluxobs.h), in SI."""
         c = self.constraint
         size = np.abs(c.Q1).max()
         config = {
@@ -168,7 +170,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
             "B": self.B,
             "L_position": self.position_inductance,
             **dict(zip(("kink_now", "kink_before"), kink_weights(self.held), strict=True)),
-            # Without λᵀQ1λ the mixed term sets the size; any positive number will do.
+            # Without λᵀQ1λ, the mixed term determines the size; any positive number serves here.
             "constraint_base": float(size) * self.flux_base**2 if size else self.constraint_noise,
         }
         return config | {name: getattr(self, name) for name in POSITIVE}
@@ -176,7 +178,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
     def _make_core(self) -> Any:
         module = _core if self.precision == "double" else _core_single
         flux_map = {} if self.flux_map is None else self.flux_map.core()
-        return wrapped(module.Core, self.configuration(), flux_map)
+        return make_core(module.Core, self.configuration(), flux_map)
 
     def __getstate__(self) -> dict[str, Any]:
         return {key: value for key, value in self.__dict__.items() if key != "_core"}
@@ -200,7 +202,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         held: Held = "auto",
         precision: Literal["double", "single"] = "double",
     ) -> Self:
-        """Observer with everything chosen from the machine.
+        """Return an observer with all settings chosen from the machine.
 
         Parameters
         ----------
@@ -208,29 +210,29 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         sample_time : float
             [s].
         memory : float, optional
-            [s]; the only tuning parameter. Default 0.03 s, which suited every record tried; less
-            where L/R is so short that noise in the resistive drop would count most
+            [s]; the only tuning parameter. Default 0.03 s, which suited all records tried, or less
+            where L/R is so short that noise in the resistive drop would dominate
             (:meth:`RotatingMachine.memory_for`).
         speed_e : float, optional
             Usual electrical speed [rad/s], for that default; otherwise the machine's rated_speed.
         psi_f, rated_current : float, optional
-            Override the machine's [Wb], [A peak]. They are only scales: a factor of two does no
-            harm.
+            Override the machine's values [Wb], [A peak]. They are only scales: a factor of two does
+            not matter.
         current_noise : float, optional
             Std of a current component [A]; default 0.2 % of the rated current.
         drift_prior : float, optional
             Largest plausible drift [V]; default: the larger of 3 % of the rated resistive drop and
             the drift that turns the flux by 0.1 rad within the memory.
         held : {"auto", True, False}
-            Whether each voltage is held over its sample, as an inverter's mean voltage is, which
-            counts where R h/L is large: a motor with a small time constant, few samples a period.
-            "auto": if R h/L is above 0.15. False: means of a voltage that is smooth.
+            Whether each voltage is held over its sample, like an inverter's mean voltage. It
+            matters where R h/L is large: small time constant of the motor, few samples per period.
+            "auto": held if R h/L is above 0.15. False: each voltage is the mean of a smooth one.
         precision : {"double", "single"}
 
         Raises
         ------
         ObserverError
-            Neither the machine nor the call gives a value that is needed; the message names it.
+            A required value is missing in both machine and call; the message names it.
         """
         machine = rotating(machine, "LeastSquaresObserver")
         sample_time = number("sample_time", sample_time, "s")
@@ -238,18 +240,20 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         if rated is None:
             raise ObserverError(
                 f"rated_current is missing: give it in the machine ({machine.kind}) or to "
-                f"for_machine(…, rated_current=…) [A peak]; a rough value will do"
+                f"for_machine(…, rated_current=…) [A peak]; a rough value is enough"
             )
         flux_base = machine.flux_base(rated, psi_f)
         if flux_base is None:
             raise ObserverError(
                 f"psi_f is missing: give it in the machine ({machine.kind}) or to "
-                f"for_machine(…, psi_f=…) [Wb]; a rough value will do"
+                f"for_machine(…, psi_f=…) [Wb]; a rough value is enough"
             )
-        # The firmware's own formulas (firmware/fluxobs_config.c); what is given stays.
+        # The firmware's formulas (firmware/fluxobs_config.c) choose what is not given.
         given = {"memory": memory, "current_noise": current_noise, "drift_prior": drift_prior}
-        wanted = [value if value is not None and value > 0 else 0.0 for value in given.values()]
-        chosen = _core.choose(machine.sizes(flux_base, rated, speed_e), sample_time, *wanted)
+        given_values = [
+            value if value is not None and value > 0 else 0.0 for value in given.values()
+        ]
+        chosen = _core.choose(machine.sizes(flux_base, rated, speed_e), sample_time, *given_values)
         chosen |= {name: value for name, value in given.items() if value is not None}
         return cls(
             constraint=machine.constraint,
@@ -263,15 +267,18 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         )
 
     def parameters(self) -> dict[str, Any]:
-        """Every number a step uses, per-unit, in the order of fo_observer (firmware/fluxobs.h)."""
-        found: dict[str, Any] = self._core.parameters()
-        return found
+        """Return all numbers that a step uses, per-unit, in the order of fo_observer.
+
+        The struct fo_observer is in firmware/fluxobs.h.
+        """
+        parameters: dict[str, Any] = self._core.parameters()
+        return parameters
 
     def _estimate(self, columns: NDArray[np.float64], valid: NDArray[np.bool_]) -> Estimate:
         return Estimate(**read_columns(_core.outputs, columns), valid=valid)
 
     def _seed(
-        self, given: dict[str, float], current: NDArray[np.float64], state: CompiledState
+        self, numbers: dict[str, float], current: NDArray[np.float64], state: CompiledState
     ) -> NDArray[np.uint8]:
-        raw: NDArray[np.uint8] = self._core.seed(given, current)
+        raw: NDArray[np.uint8] = self._core.seed(numbers, current)
         return raw

@@ -1,4 +1,4 @@
-"""The words for constant or slow unknowns, and which observer finds them."""
+"""The names of constant or slow unknowns, and the observer that estimates them."""
 
 from __future__ import annotations
 
@@ -7,38 +7,40 @@ from collections.abc import Mapping, Sequence
 from ..core.validation import nearest, number
 from ..errors import FluxobsError
 from ..machines import Machine, RotatingMachine
-from ..machines.model.immersion import UNKNOWNS as IN_THE_IMMERSION
+from ..machines.model.immersion import UNKNOWNS as IMMERSED
 
-#: Errors of the machine's parameters and of its inverter, found by the adaptive observer.
+#: Errors of the machine's parameters and its inverter, which the adaptive observer estimates.
 ADAPTED = ("resistance", "inverter", "asymmetry")
-UNKNOWNS: tuple[str, ...] = (*IN_THE_IMMERSION, *ADAPTED)
-#: The word for what the log supports, and all that it may take.
+UNKNOWNS: tuple[str, ...] = (*IMMERSED, *ADAPTED)
+#: The word for unknowns chosen from the log, and the unknowns that can be chosen.
 AUTO = "auto"
 ALL = ("drift", *ADAPTED)
-#: Quantities for which a standard deviation can be given.
+#: Quantities whose prior standard deviation can be given.
 PRIORS = ("resistance", "inverter", "asymmetry", "psi_f")
 
 
 def read_unknowns(unknowns: str | Sequence[str]) -> tuple[str, ...]:
-    """Unknowns from ``"drift,resistance"``, or a sequence of such words; ("auto",) from "auto".
+    """Return unknowns from ``"drift,resistance"`` or a sequence; ("auto",) from "auto".
 
     Raises
     ------
     FluxobsError
-        A word is not known (the message names the nearest known one), or there is none.
+        A name is unknown (the message names the nearest one), or no name is given.
     """
-    given = unknowns.split(",") if isinstance(unknowns, str) else unknowns
-    words = [word.strip() for word in given if word.strip()]
+    raw_words = unknowns.split(",") if isinstance(unknowns, str) else unknowns
+    words = [word.strip() for word in raw_words if word.strip()]
     if words == [AUTO]:
         return (AUTO,)
     if AUTO in words:
-        raise FluxobsError(f"unknowns {','.join(words)}: {AUTO} stands alone, it chooses the rest")
+        raise FluxobsError(
+            f"unknowns {','.join(words)}: give {AUTO} alone, since it chooses the others"
+        )
     for word in words:
         if word not in UNKNOWNS:
-            known = (*UNKNOWNS, AUTO) if len(words) == 1 else UNKNOWNS
-            raise FluxobsError(f"unknowns: unknown {word!r}{nearest(word, known)}")
+            allowed = (*UNKNOWNS, AUTO) if len(words) == 1 else UNKNOWNS
+            raise FluxobsError(f"unknowns: unknown {word!r}{nearest(word, allowed)}")
     if not words:
-        raise FluxobsError(f"unknowns: give some of {', '.join(UNKNOWNS)}; drift serves")
+        raise FluxobsError(f"unknowns: give one or more of {', '.join(UNKNOWNS)}; drift suffices")
     return tuple(name for name in UNKNOWNS if name in words)
 
 
@@ -48,21 +50,22 @@ def adapts(unknowns: Sequence[str]) -> bool:
 
 
 def check_adapted(machine: Machine, unknowns: Sequence[str], priors: Mapping[str, float]) -> None:
-    """Raise FluxobsError if the adaptive observer cannot find these unknowns on this machine."""
-    found = [name for name in unknowns if name in ADAPTED]
-    if found and not isinstance(machine, RotatingMachine):
+    """Raise FluxobsError if the adaptive observer cannot estimate these unknowns here."""
+    adapted = [name for name in unknowns if name in ADAPTED]
+    if adapted and not isinstance(machine, RotatingMachine):
         raise FluxobsError(
-            f"kind {machine.kind}: {' and '.join(found)} can be found only for machines that turn"
+            f"kind {machine.kind}: {' and '.join(adapted)} can be estimated only for machines that "
+            f"turn"
         )
-    if found and "current-bias" in unknowns:
+    if adapted and "current-bias" in unknowns:
         raise FluxobsError(
-            f"{' and '.join(found)} cannot be found together with a current bias, only with the "
-            f"drift, which includes the effect of a current bias (unknowns drift,{','.join(found)})"
+            f"{' and '.join(adapted)} cannot be estimated together with a current bias. Use "
+            f"the drift, which includes its effect: unknowns drift,{','.join(adapted)}"
         )
-    if found and "drift" not in unknowns:
+    if adapted and "drift" not in unknowns:
         raise FluxobsError(
-            f"{' and '.join(found)} without the drift: every sensor has an offset, so the drift is "
-            f"always found too; give unknowns drift,{','.join(found)}"
+            f"{' and '.join(adapted)} without the drift: every sensor has an offset, so the drift "
+            f"is always estimated too; give unknowns drift,{','.join(adapted)}"
         )
     for name, std in priors.items():
         if name not in PRIORS:
@@ -71,5 +74,5 @@ def check_adapted(machine: Machine, unknowns: Sequence[str], priors: Mapping[str
             raise FluxobsError(f"prior {name}={std:g}: must be finite and not negative")
         if name in ADAPTED and name not in unknowns:
             raise FluxobsError(f"prior {name}: {name} is not among the unknowns")
-    if priors and not found:
-        raise FluxobsError("prior: needs resistance or inverter among the unknowns")
+    if priors and not adapted:
+        raise FluxobsError("prior: requires resistance or inverter among the unknowns")

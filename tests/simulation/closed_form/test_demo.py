@@ -63,7 +63,7 @@ def test_demo_command_writes_both_files(tmp_path):
         "estimates.parquet",
         "report.png",
     ]
-    assert "as the log tells them: drift, resistance, inverter" in done.stdout
+    assert "Estimated as well: drift, resistance, inverter" in done.stdout
     assert "Warning" not in done.stdout
 
 
