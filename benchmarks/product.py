@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from fluxobs.campaigns import open_dataset, pictures
-from fluxobs.campaigns.report import headline, matters, told_indices
+from fluxobs.campaigns.report import headline, sensitivities, describe_indices
 from fluxobs.campaigns.statistics import group, yield_of
 from fluxobs.core.plots import write
 
@@ -37,9 +37,11 @@ def table(folder: Path) -> None:
             cells.append(f"{100 * one.share:.0f} ({low:.0f}–{high:.0f}), {rms:.2g}°{more}")
         print(f"| {machine} | {' | '.join(cells)} |")
     print()
-    for (machine, name), indices in matters(found, rows).items():
+    for (machine, name), indices in sensitivities(found, rows).items():
         if name in ("plain", "adaptive"):
-            print(f"{name} on {machine}: {told_indices(indices, found.specification.scenarios)}")
+            print(
+                f"{name} on {machine}: {describe_indices(indices, found.specification.scenarios)}"
+            )
 
 
 if __name__ == "__main__":
