@@ -9,17 +9,17 @@ from common import MEASURED, heading
 from measured import LAYOUT, MACHINE
 
 from fluxobs.comparison.compare import Comparison, compare, compare_scenario
-from fluxobs.comparison.report import LEAST_SQUARES, NEAR, others, ours
+from fluxobs.comparison.report import LEAST_SQUARES, NEAR, other_results, least_squares_result
 from fluxobs.comparison.scenarios import SCENARIOS
 
 
 def line(found: Comparison) -> str:
     """Rms degrees: the least squares recommended and tuned, its raw angle over the bound, the best
-    of the others."""
+    of the other_results."""
     raw = found.result(LEAST_SQUARES)
-    rest = others(found)
+    rest = other_results(found)
     best, recommended = rest[0], min(rest, key=lambda r: r.recommended.rms)
-    mine = ours(found)
+    mine = least_squares_result(found)
     ratio = f"{raw.tuned.rms / found.bound:6.2f}" if found.bound else "     -"
     mark = (
         "best"
