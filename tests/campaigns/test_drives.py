@@ -112,9 +112,8 @@ def test_a_drive_without_tolerances_is_the_nominal_one():
     assert float(drive.plant.mechanics.J) == cell.rated.J
     assert np.asarray(course.dc_link.values) == pytest.approx([cell.rated.dc_link])
     for name in ("viscous", "coulomb", "dead_time", "drop", "noise", "quantum", "jitter"):
-        _, tiny, _ = drawn(
-            {name: -1e-13}
-        )  # rounding of a distribution must not give negative values
+        # A distribution may round to a slightly negative value, which must count as zero.
+        _, tiny, _ = drawn({name: -1e-13})
         assert float(tiny.inverter.dead_time) >= 0
         assert float(tiny.sensors.noise) >= 0
 

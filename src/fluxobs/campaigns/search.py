@@ -253,9 +253,8 @@ def estimate_rare(
     table = specification.good if good is None else good
     rng = np.random.default_rng([seed, 7])
     dimension, machine_index = len(specification.varied), specification.machines.index(machine)
-    number = (
-        machine_index * specification.scenarios + specification.scenarios
-    )  # beyond the machine's numbers: new courses
+    # Numbers beyond the machine's own give new courses.
+    number = machine_index * specification.scenarios + specification.scenarios
     mean, tried = np.zeros(dimension), 0
 
     def simulate_scores(scores: Array) -> tuple[pl.DataFrame, NDArray[np.bool_]]:

@@ -52,9 +52,7 @@ def position_bound(
     Q = np.zeros((5, 5))
     Q[0, 0] = Q[1, 1] = (h * resistance * noise) ** 2
     std = np.empty(len(theta_e))
-    cross_covariance = (
-        h * resistance * inductance * noise**2
-    )  # covariance of flux step and measurement
+    cross_covariance = h * resistance * inductance * noise**2  # of flux step and measurement
     for k, (angle, radius) in enumerate(zip(theta_e, length, strict=True)):
         cos, sin = np.cos(angle), np.sin(angle)
         g = np.array([cos, sin, 0.0, 0.0, -1.0])

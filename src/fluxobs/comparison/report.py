@@ -126,9 +126,8 @@ def table(comparison: Comparison) -> Table:
     )
     terminal_table.add_column(HEADS[0], no_wrap=True)
     for name in HEADS[1:]:
-        terminal_table.add_column(
-            Text(name), justify="right", no_wrap=True
-        )  # Text: else rich takes [ms] as markup
+        # As Text, since rich would take [ms] as markup.
+        terminal_table.add_column(Text(name), justify="right", no_wrap=True)
     for row in table_lines(comparison):
         terminal_table.add_row(*row, style="bold" if row[0].startswith(LEAST_SQUARES) else None)
     return terminal_table
