@@ -164,11 +164,11 @@ def test_true_parameters_of_a_drive():
 
 
 @pytest.mark.parametrize(
-    ("given", "noise"),
+    ("distribution", "noise"),
     [(None, 0.001), (0.0, 0.001), (0.0005, 0.001), (0.003, 0.003), ({"uniform": [0, 0.01]}, 0.005)],
 )
-def test_the_noise_that_observers_assume(given, noise):
-    vary = {} if given is None else {"noise": given}
+def test_the_noise_that_observers_assume(distribution, noise):
+    vary = {} if distribution is None else {"noise": distribution}
     assert noise_of(specification(vary=vary)) == pytest.approx(noise)
 
 

@@ -98,11 +98,13 @@ def test_the_compiled_observer_in_the_loop_is_its_twin():
             for drive in simulated(s, drawn, 8, lambda drive: replace(equip(drive), observer=twin))
         }
     for number, trace in outside.items():
-        other = inside[number]
+        twin_trace = inside[number]
         assert trace is not None
-        assert other is not None
-        np.testing.assert_array_equal(trace.mode, other.mode)
-        np.testing.assert_allclose(trace.speed, other.speed, atol=1e-6 * np.ptp(other.speed))
+        assert twin_trace is not None
+        np.testing.assert_array_equal(trace.mode, twin_trace.mode)
+        np.testing.assert_allclose(
+            trace.speed, twin_trace.speed, atol=1e-6 * np.ptp(twin_trace.speed)
+        )
 
 
 def test_a_sample_left_out_is_noticed():

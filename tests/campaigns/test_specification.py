@@ -144,13 +144,13 @@ def test_a_scenario_depends_on_its_number_alone(sampling):
     machines = ["servo-400w", "pmsm-2kw2"]
     s = specification(vary=VARY, sampling=sampling, machines=machines, scenarios=96)
     for start in (0, 96):
-        whole = scenarios(s, start, start + 96)
-        parts = [
+        all_at_once = scenarios(s, start, start + 96)
+        in_pieces = [
             *scenarios(s, start, start + 1),
             *scenarios(s, start + 1, start + 38),
             *scenarios(s, start + 38, start + 96),
         ]
-        assert parts == whole
+        assert in_pieces == all_at_once
     places = 3 if sampling == "sobol" else 1
     assert len({scenario.values["R"] for scenario in scenarios(s, 0, 96)}) == 96 / places
 
@@ -185,8 +185,8 @@ def test_grids_are_taken_in_turn():
 
 def test_the_order_in_the_file_does_not_matter():
     s = specification(vary=VARY, scenarios=3)
-    other = specification(vary=dict(reversed(VARY.items())), scenarios=3)
-    assert scenarios(other, 0, 3) == scenarios(s, 0, 3)
+    reversed_order = specification(vary=dict(reversed(VARY.items())), scenarios=3)
+    assert scenarios(reversed_order, 0, 3) == scenarios(s, 0, 3)
     assert scenarios(specification_of(s.canonical()), 0, 3) == scenarios(s, 0, 3)
 
 

@@ -176,15 +176,15 @@ def test_a_yield_in_words():
 
 
 @pytest.mark.parametrize(
-    ("wanted", "sure"), [(0.795, True), (0.80, False), (0.98, False), (0.986, True)]
+    ("limit", "sure"), [(0.795, True), (0.80, False), (0.98, False), (0.986, True)]
 )
-def test_a_verdict_is_sure_outside_of_the_interval(wanted, sure):
+def test_a_verdict_is_sure_outside_of_the_interval(limit, sure):
     """37 of 40 have the exact interval 79.6 to 98.4 %."""
-    verdict = Verdict("m", "o", wanted, Yield(37, 40))
-    assert verdict.met == (wanted < 0.925)
-    outcome = "met" if wanted < 0.925 else "missed"
+    verdict = Verdict("m", "o", limit, Yield(37, 40))
+    assert verdict.met == (limit < 0.925)
+    outcome = "met" if limit < 0.925 else "missed"
     assert str(verdict).startswith(f"{outcome}: o on m: 92.5 % (79.6 to 98.4 %), wanted ")
-    assert f"wanted {100 * wanted:g} %" in str(verdict)
+    assert f"wanted {100 * limit:g} %" in str(verdict)
     assert ("more scenarios are needed" in str(verdict)) != sure
 
 

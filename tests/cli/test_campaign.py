@@ -215,7 +215,7 @@ def test_only_what_estimate_runs_has_a_report(copy, tmp_path):
     (copy / "campaign.json").write_text(text.replace('"kind": "plain"', '"kind": "ekf"'))
     run = fluxobs("campaign", copy, "--rerun", "3", "--report", "r.html", folder=tmp_path)
     assert run.returncode == 2
-    assert "choose one of these, or --record" in run.stderr
+    assert "plain or adaptive, or give --record" in run.stderr
 
 
 def test_nothing_could_be_simulated(tmp_path):

@@ -147,7 +147,7 @@ def test_logs_of_earlier_runs_stay_in_the_table(logs, tmp_path):
     assert table["drive"].to_list() == ["a", "b", "b"]
 
 
-def work(tmp_path: Path) -> LogTask:
+def log_task_for(tmp_path: Path) -> LogTask:
     return LogTask(str(tmp_path / "out"), Settings("servo-400w", "{}"))
 
 
@@ -162,7 +162,7 @@ def test_a_log_that_changes_while_it_is_read_is_a_failed_row(logs, tmp_path, mon
         return result
 
     monkeypatch.setattr(log_task, "estimate", slow)
-    row = work(tmp_path)(Source(str(log), "a/run.csv", "a"))
+    row = log_task_for(tmp_path)(Source(str(log), "a/run.csv", "a"))
     assert "changed while it was read" in row["failed"]
     assert not (tmp_path / "out" / "estimates" / "a" / "run.csv.parquet").exists()
 
@@ -172,13 +172,13 @@ def test_an_unexpected_error_is_a_failed_row(logs, tmp_path, monkeypatch):
         raise ZeroDivisionError("division by zero")
 
     monkeypatch.setattr(log_task, "estimate", broken)
-    row = work(tmp_path)(Source(str(logs / "a" / "run_2024-05-01.csv"), "a/run.csv", "a"))
+    row = log_task_for(tmp_path)(Source(str(logs / "a" / "run_2024-05-01.csv"), "a/run.csv", "a"))
     assert row["failed"].endswith("ZeroDivisionError: division by zero")
 
 
 def test_a_missing_log_is_a_failed_row(tmp_path):
     (tmp_path / "out").mkdir()
-    row = work(tmp_path)(Source(str(tmp_path / "gone.csv"), "gone.csv", ""))
+    row = log_task_for(tmp_path)(Source(str(tmp_path / "gone.csv"), "gone.csv", ""))
     assert row["failed"].endswith("gone.csv: no such file")
     assert set(row) == set(COLUMNS)
 
@@ -224,8 +224,8 @@ def test_a_name_stays_in_the_folder_of_the_results(logs, tmp_path, monkeypatch):
     monkeypatch.chdir(below)
     direct = sources([logs])
     assert sources(["../../logs"]) == direct
-    both = sources(["../../logs", below])
-    assert not any(".." in log.name for log in both)
+    logs_of_both = sources(["../../logs", below])
+    assert not any(".." in log.name for log in logs_of_both)
     later = sources([below], root=f"{logs.as_posix()}/")  # outside the folder of the first run
     assert later[0].name == f"@{below.as_posix()}/c.csv"
     assert later[0].drive == "y"
@@ -244,20 +244,20 @@ def test_names_with_invalid_text_or_control_characters(logs, tmp_path):
     for _ in range(2):  # estimated, then read from the notes
         table = run(logs, out)
         rows = {row["log"]: row for row in table.iter_rows(named=True)}
-        shown = r"dr\xe9\x1b[31m"
+        printed = r"dr\xe9\x1b[31m"
         assert len(rows) == 6
         assert rows["a/run_2024-05-01.csv"]["rows"] == HALF
-        assert rows[rf"{shown}/caf\xe9.csv"]["rows"] == HALF
-        assert rows[rf"{shown}/e\x1b]0;title\x07.csv"]["rows"] == HALF
-        failed = rows[rf"{shown}/\x9b\xff.csv"]["failed"]
-        assert rf"{shown}/\x9b\xff.csv: currents and voltages are not found" in failed
-        assert rows[rf"{shown}/caf\xe9.csv"]["drive"] == shown
+        assert rows[rf"{printed}/caf\xe9.csv"]["rows"] == HALF
+        assert rows[rf"{printed}/e\x1b]0;title\x07.csv"]["rows"] == HALF
+        failed = rows[rf"{printed}/\x9b\xff.csv"]["failed"]
+        assert rf"{printed}/\x9b\xff.csv: currents and voltages are not found" in failed
+        assert rows[rf"{printed}/caf\xe9.csv"]["drive"] == printed
     assert b"\x1b" not in (out / "summary.csv").read_bytes()
     out = out.rename(tmp_path / "o\udce9 [1]")
     process = command("fleet", out, folder=tmp_path)
     assert process.returncode == 0
     page = (out / "fleet.html").read_text()
-    assert shown in page
+    assert printed in page
     assert "\x1b" not in page
 
 

@@ -100,8 +100,8 @@ class Distribution(Table):
         if self.uniform is not None:
             return np.asarray(self.uniform[0] + (self.uniform[1] - self.uniform[0]) * u)
         if self.log is not None:
-            low, high = np.log(self.log)
-            return np.asarray(np.exp(low + (high - low) * u))
+            lower, upper = np.log(self.log)
+            return np.asarray(np.exp(lower + (upper - lower) * u))
         values = self.choice or self.grid
         if values is not None:
             index = np.minimum((u * len(values)).astype(int), len(values) - 1)
@@ -117,22 +117,22 @@ class Distribution(Table):
         if self.within is None:
             return -np.inf, np.inf
         if self.normal is not None:
-            low, high = ((x - self.normal[0]) / self.normal[1] for x in self.within)
-            return low, high
+            lower, upper = ((x - self.normal[0]) / self.normal[1] for x in self.within)
+            return lower, upper
         assert self.lognormal is not None
         median, width = self.lognormal
         with np.errstate(divide="ignore"):
-            low, high = (np.log(max(x, 0.0) / median) / width for x in self.within)
-        return float(low), float(high)
+            lower, upper = (np.log(max(x, 0.0) / median) / width for x in self.within)
+        return float(lower), float(upper)
 
     def _share(self) -> float:
-        low, high = self._limits()
-        return float(ndtr(high) - ndtr(low))
+        lower, upper = self._limits()
+        return float(ndtr(upper) - ndtr(lower))
 
     def _normal_quantile(self, u: Array) -> Array:
         """Return the quantile of the truncated standard normal distribution."""
-        low, high = self._limits()
-        return np.asarray(np.clip(ndtri(ndtr(low) + u * self._share()), low, high))
+        lower, upper = self._limits()
+        return np.asarray(np.clip(ndtri(ndtr(lower) + u * self._share()), lower, upper))
 
 
 #: A distribution in a specification; a bare number is a fixed value.
@@ -154,7 +154,7 @@ def correlator(names: Sequence[str], correlations: Mapping[str, float]) -> Array
     UsageError
         A quantity does not vary, or no joint distribution has these correlations.
     """
-    matrix, seen = np.eye(len(names)), set()
+    matrix, pairs = np.eye(len(names)), set()
     for pair, value in correlations.items():
         quantities = [quantity.strip() for quantity in pair.split(",")]
         if len(quantities) != 2 or quantities[0] == quantities[1]:
@@ -164,9 +164,9 @@ def correlator(names: Sequence[str], correlations: Mapping[str, float]) -> Array
                 raise UsageError(
                     f"correlation {pair!r}: {quantity!r} is not drawn at random under vary"
                 )
-        if frozenset(quantities) in seen:
+        if frozenset(quantities) in pairs:
             raise UsageError(f"correlation {pair!r}: it is given twice")
-        seen.add(frozenset(quantities))
+        pairs.add(frozenset(quantities))
         if not -1 < value < 1:
             raise UsageError(f"correlation {pair!r} must be between -1 and 1, got {value:g}")
         entry = tuple(names.index(quantity) for quantity in quantities)

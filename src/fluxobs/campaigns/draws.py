@@ -113,6 +113,6 @@ def _grid_values(specification: Specification, index: int) -> dict[str, float]:
     lists = [specification.vary[name].grid or [] for name in specification.grids]
     if not lists:
         return {}
-    place = index % specification.places
-    chosen = next(itertools.islice(itertools.product(*lists), place, None))
+    position = index % specification.places
+    chosen = next(itertools.islice(itertools.product(*lists), position, None))
     return dict(zip(specification.grids, chosen, strict=True))

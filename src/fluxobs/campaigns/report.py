@@ -273,8 +273,8 @@ def write_html(dataset: Dataset, rows: pl.DataFrame) -> Path:
 
 
 def _verdicts(verdicts: list[statistics.Verdict]) -> str:
-    word = "passed" if all(verdict.met for verdict in verdicts) else "not passed"
-    return f"<p><b>{escape(word.capitalize())}</b></p>" + html.bullets(map(str, verdicts))
+    outcome = "passed" if all(verdict.met for verdict in verdicts) else "not passed"
+    return f"<p><b>{escape(outcome.capitalize())}</b></p>" + html.bullets(map(str, verdicts))
 
 
 def _pairs(

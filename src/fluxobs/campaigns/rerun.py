@@ -86,8 +86,8 @@ def check_estimated(table: ObserverTable) -> None:
     """Raise UsageError if :func:`fluxobs.estimate` does not run this observer."""
     if table.kind not in (PLAIN, ADAPTIVE):
         raise UsageError(
-            f"{table.name} has no report, only {PLAIN} and {ADAPTIVE} have: choose one of these, "
-            f"or --record"
+            f"{table.name} has no report; choose an observer of kind {PLAIN} or {ADAPTIVE}, or "
+            f"give --record"
         )
 
 

@@ -62,11 +62,11 @@ def evaluator(specification: Specification, machine: str, observer: str) -> Eval
             Scenario(
                 k,
                 machine,
-                at_point(single_observer, ndtr(score), other),
+                at_point(single_observer, ndtr(score), lender),
                 single_observer.seed,
-                other,
+                lender,
             )
-            for k, (score, other) in enumerate(zip(scores, like, strict=True))
+            for k, (score, lender) in enumerate(zip(scores, like, strict=True))
         ]
         return pl.DataFrame(rows_for(single_observer, drawn), schema=schema(single_observer)).sort(
             "number"
@@ -209,12 +209,12 @@ class Rare:
         return max(self.probability - half_width, 0.0), min(self.probability + half_width, 1.0)
 
     def __str__(self) -> str:
-        low, high = self.interval
+        lower, upper = self.interval
         if not self.failures:
             return f"no failure among {self.tried} scenarios"
         warning = "" if self.effective >= FEW else "; too few to rely on, increase --budget"
         return (
-            f"{self.probability:.2g} ({low:.2g} to {high:.2g}), from {self.failures} failures, "
+            f"{self.probability:.2g} ({lower:.2g} to {upper:.2g}), from {self.failures} failures, "
             f"effectively {self.effective:.0f}, among {self.tried} scenarios{warning}"
         )
 

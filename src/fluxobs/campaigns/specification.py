@@ -106,8 +106,8 @@ class CourseTable(Table):
                 f"score_from = {self.score_from:g} s must be below duration = {self.duration:g} s"
             )
         for name in ("speeds", "segment"):
-            low, high = getattr(self, name)
-            if not 0 < low <= high:
+            lower, upper = getattr(self, name)
+            if not 0 < lower <= upper:
                 raise ValueError(f"{name} = [least, most] must be positive and ascending")
         if not self.loads[0] <= self.loads[1]:
             raise ValueError("loads = [least, most] must be ascending")
@@ -138,7 +138,7 @@ class ObserverTable(Table):
     name : str, optional
         Name in rows and reports; default the kind.
     memory : float, optional
-        Time constant of plain and adaptive [s].
+        Memory of plain and adaptive, the time constant of forgetting [s].
     unknowns : list of str, optional
         For adaptive: drift, resistance, inverter, asymmetry; default the first three.
     gains : mapping, optional
@@ -268,8 +268,8 @@ class Specification(Table):
             for quantity in TOGETHER.get(name, (name,)):
                 if quantity in vary:
                     raise ValueError(f"vary: {quantity} is given twice")
-                least = QUANTITIES[quantity].least if quantity in QUANTITIES else -np.inf
-                if distribution.fixed is not None and not distribution.fixed > least:
+                lower = QUANTITIES[quantity].least if quantity in QUANTITIES else -np.inf
+                if distribution.fixed is not None and not distribution.fixed > lower:
                     raise ValueError(
                         f"vary: {name} = {distribution.fixed:g} is impossible for a drive"
                     )
@@ -402,9 +402,10 @@ def check(specification: Specification) -> None:
     correlator(specification.varied, specification.correlation)
     for name in specification.machines:
         machine = rotating(as_machine(name), "a campaign")
-        has = [symbol for symbol in PARAMETERS if getattr(machine, symbol, None) is not None]
+        parameters = [symbol for symbol in PARAMETERS if getattr(machine, symbol, None) is not None]
         for quantity in specification.vary:
-            if quantity in PARAMETERS and quantity not in has:
+            if quantity in PARAMETERS and quantity not in parameters:
                 raise UsageError(
-                    f"vary: {name} ({machine.kind}) has no {quantity}; it has {', '.join(has)}"
+                    f"vary: {name} ({machine.kind}) has no {quantity}; it has "
+                    f"{', '.join(parameters)}"
                 )

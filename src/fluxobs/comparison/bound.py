@@ -54,19 +54,17 @@ def position_bound(
     std = np.empty(len(theta_e))
     cross_covariance = h * resistance * inductance * noise**2  # of flux step and measurement
     for k, (angle, radius) in enumerate(zip(theta_e, length, strict=True)):
-        cos, sin = np.cos(angle), np.sin(angle)
-        g = np.array([cos, sin, 0.0, 0.0, -1.0])
+        c, s = np.cos(angle), np.sin(angle)
+        g = np.array([c, s, 0.0, 0.0, -1.0])
         Pg = P @ g
         innovation_variance = g @ Pg + r
         posterior = P - np.outer(Pg, Pg) / innovation_variance
         variance_across = (
-            sin * sin * posterior[0, 0]
-            - 2 * sin * cos * posterior[0, 1]
-            + cos * cos * posterior[1, 1]
+            s * s * posterior[0, 0] - 2 * s * c * posterior[0, 1] + c * c * posterior[1, 1]
         )
         std[k] = np.sqrt(variance_across + r) / max(abs(radius), 1e-9 * psi)
         # Predict the next sample; flux step and measurement share their noise along e(φ).
-        gain = F @ Pg + cross_covariance * np.array([cos, sin, 0.0, 0.0, 0.0])
+        gain = F @ Pg + cross_covariance * np.array([c, s, 0.0, 0.0, 0.0])
         P = F @ P @ F.T + Q - np.outer(gain, gain) / innovation_variance
         P = (P + P.T) / 2
     return np.asarray(np.minimum(std, np.pi / np.sqrt(3)))

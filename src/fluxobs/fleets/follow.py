@@ -29,7 +29,7 @@ FOLLOWED = {
 UNLIKE = 5.0
 #: Smallest number of drives for this comparison.
 FEWEST = 5
-#: A value crosses a limit if it exceeds it by this many standard deviations.
+#: A value crosses a limit when it is this many standard deviations beyond.
 BEYOND = 2.0
 #: A remark states when a trend reaches its limit if that is within this time [s].
 AHEAD = 5 * 365.25 * 86400

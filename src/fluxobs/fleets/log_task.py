@@ -257,5 +257,5 @@ def key_of(content: str, settings: Settings, machine: Machine | None) -> str:
 
     A failed log has an empty content, and no machine if the machine could not be read.
     """
-    parts = (content, repr(machine), settings.options, version("fluxobs"))
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+    fields = (content, repr(machine), settings.options, version("fluxobs"))
+    return hashlib.sha256("\n".join(fields).encode()).hexdigest()
