@@ -20,16 +20,16 @@ def exactness() -> None:
         worst = 0.0
         for per_period in (8, 12, 24):
             for bias in (0.01, 0.03, 0.1):
-                h, rated = 2e-4, machine.rated_current
+                h, rated_current = 2e-4, machine.rated_current
                 omega = 2 * np.pi / (per_period * h)
-                drive = Drive(machine, omega, 0.5j * rated, h)
+                drive = Drive(machine, omega, 0.5j * rated_current, h)
                 theta, i, v, _ = drive.samples(2000)
-                i_bias = bias * rated * np.array([0.6, 0.8])
-                u_bias = bias * omega * machine.psi_f * np.array([0.8, -0.6])
-                v = v - h * (machine.R_s * i_bias - u_bias)
+                current_bias = bias * rated_current * np.array([0.6, 0.8])
+                voltage_bias = bias * omega * machine.psi_f * np.array([0.8, -0.6])
+                v = v - h * (machine.R_s * current_bias - voltage_bias)
                 observer = LeastSquaresObserver.for_machine(machine, sample_time=h)
-                found = observer.run(volt_seconds=v, current=i + i_bias)
-                error = np.radians(degrees_error(found.theta_e, theta))
+                estimate = observer.run(volt_seconds=v, current=i + current_bias)
+                error = np.radians(degrees_error(estimate.theta_e, theta))
                 worst = max(worst, np.abs(error[int(5 * observer.memory / h) :]).max())
         print(f"    {name:12s} {worst:.1e} rad after five memories")
 
@@ -37,13 +37,13 @@ def exactness() -> None:
 def quadrature() -> None:
     heading("Mean voltage and sampled currents only, 12 samples per period (target 0.05 degrees)")
     for name, machine in magnet_machines().items():
-        h, rated = 2e-4, machine.rated_current
+        h, rated_current = 2e-4, machine.rated_current
         omega = 2 * np.pi / (12 * h)
-        drive = Drive(machine, omega, (0.2 + 1j) * rated, h)
+        drive = Drive(machine, omega, (0.2 + 1j) * rated_current, h)
         theta, i, _, u = drive.samples(2000)
-        found = LeastSquaresObserver.for_machine(machine, sample_time=h).run(u, i)
+        estimate = LeastSquaresObserver.for_machine(machine, sample_time=h).run(u, i)
         drop = machine.R_s * abs(drive.current) / (omega * machine.psi_f)
-        worst = np.abs(degrees_error(found.theta_e, theta)[-500:]).max()
+        worst = np.abs(degrees_error(estimate.theta_e, theta)[-500:]).max()
         print(f"    {name:12s} {worst:.4f} degrees, resistive drop {drop:.0%} of the back EMF")
 
 
@@ -60,14 +60,14 @@ def noise_floor() -> None:
                 observer = LeastSquaresObserver.for_machine(
                     machine, sample_time=h, current_noise=noise
                 )
-                found = observer.run(u, i + noise * rng.standard_normal(i.shape))
+                estimate = observer.run(u, i + noise * rng.standard_normal(i.shape))
                 start = int(4 * np.pi / omega / h)
-                squares.append(np.mean(degrees_error(found.theta_e, theta)[start:] ** 2))
+                squares.append(np.mean(degrees_error(estimate.theta_e, theta)[start:] ** 2))
             rms, floor = np.sqrt(np.mean(squares)), np.degrees(machine.L_s * noise / machine.psi_f)
-            walk = machine.R_s * np.sqrt(h * observer.memory) / machine.L_s
+            resistive_noise = machine.R_s * np.sqrt(h * observer.memory) / machine.L_s
             print(
                 f"    {name:12s} {omega:5.0f} rad/s  {rms:.3f} degrees, {rms / floor:.2f} × the "
-                f"floor; noise through R is {walk:.2f} times that through L"
+                f"floor; noise through R is {resistive_noise:.2f} times that through L"
             )
 
 
@@ -76,22 +76,21 @@ def standstill() -> None:
     for name, machine in magnet_machines().items():
         h, noise, rows = 2e-4, 0.005 * machine.rated_current, 3000
         observer = LeastSquaresObserver.for_machine(machine, sample_time=h, current_noise=noise)
-        slowest = observer.drift_prior / (np.pi / 22.5 * machine.psi_f)  # speed that can be valid
-        omega = max(250.0, 2 * slowest)
+        slowest_valid = observer.drift_prior / (np.pi / 22.5 * machine.psi_f)  # speed [rad/s]
+        omega = max(250.0, 2 * slowest_valid)
         drive = Drive(machine, omega, 3j, h)
         theta, i, _, u = drive.samples(rows)
-        still = 3_000_000
-        i = np.concatenate([np.repeat(i[:1], still, axis=0), i])
-        u = np.concatenate([np.repeat(machine.R_s * i[:1], still, axis=0), u])
+        standstill_rows = 3_000_000
+        i = np.concatenate([np.repeat(i[:1], standstill_rows, axis=0), i])
+        u = np.concatenate([np.repeat(machine.R_s * i[:1], standstill_rows, axis=0), u])
         i += 0.1 + noise * np.random.default_rng(0).standard_normal(i.shape)
-        found = observer.run(u, i)
-        valid = found.valid[still:]
-        error = degrees_error(found.theta_e[still:], theta)
+        estimate = observer.run(u, i)
+        valid = estimate.valid[standstill_rows:]
+        error = degrees_error(estimate.theta_e[standstill_rows:], theta)
         print(
-            f"    {name:12s} {found.valid[:still].sum()} rows valid at standstill; at {omega:.0f} "
-            f"rad/s valid after "
-            f"{np.argmax(valid) * h * omega / 2 / np.pi:.2f} turns, then at most "
-            f"{np.abs(error[valid]).max():.2f} degrees off"
+            f"    {name:12s} {estimate.valid[:standstill_rows].sum()} rows valid at standstill; at "
+            f"{omega:.0f} rad/s valid after {np.argmax(valid) * h * omega / 2 / np.pi:.2f} turns, "
+            f"then errors up to {np.abs(error[valid]).max():.2f} degrees"
         )
 
 

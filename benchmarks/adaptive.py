@@ -1,7 +1,7 @@
 """The adaptive observer against the plain one.
 
-Start, resistance, inverter, interior machines with varying i_d, low speed, measured logs, whether
-its standard deviations are honest, cost.
+Start, resistance, inverter, interior machines with varying i_d, low speed, measured logs, coverage
+of the standard deviations, cost.
 
     python benchmarks/adaptive.py                 # runs all; --map FILE.png also draws the map
 """
@@ -58,7 +58,7 @@ def start() -> None:
         worst: dict[str, list[list[float]]] = {"plain": [], "adaptive": []}
         for seed in range(40):
             rng = np.random.default_rng(seed)
-            s = steady(
+            samples = steady(
                 MACHINE,
                 H,
                 speed,
@@ -72,13 +72,15 @@ def start() -> None:
             observer = AdaptiveObserver.for_machine(
                 MACHINE, sample_time=H, unknowns=("drift",), current_noise=noise * RATED
             )
-            turned = np.abs(np.unwrap(s.theta) - s.theta[0])
-            at = [int(np.argmax(turned > np.radians(turn))) for turn in turns]
-            for name, found in (
-                ("plain", observer.plain.run(s.voltage, s.current)),
-                ("adaptive", observer.run(s.voltage, s.current)),
+            rotation = np.abs(np.unwrap(samples.theta) - samples.theta[0])
+            rows = [int(np.argmax(rotation > np.radians(turn))) for turn in turns]
+            for name, estimate in (
+                ("plain", observer.plain.run(samples.voltage, samples.current)),
+                ("adaptive", observer.run(samples.voltage, samples.current)),
             ):
-                worst[name].append(list(np.abs(degrees_error(found.theta_e, s.theta))[at]))
+                worst[name].append(
+                    list(np.abs(degrees_error(estimate.theta_e, samples.theta))[rows])
+                )
         print(f"    noise {noise:.1%}, after {', '.join(map(str, turns))} degrees")
         for name, values in worst.items():
             print(f"        {name:9s}", *(f"{x:6.1f}" for x in np.max(values, axis=0)))
@@ -87,39 +89,44 @@ def start() -> None:
 def simulated(
     name: str, speed, load, duration: float, inverter: float = 0.0, seed: int = 0
 ) -> tuple[float, Array, Array, Array]:
-    """Record of a drive with an encoder: sample time, interval voltage, current, true angle."""
+    """Simulate a drive with an encoder; return sample time, voltage, current, true angle."""
     machine, rated = example(name), rating(name)
-    I_n, full = machine.rated_current, rated.speed_e / machine.n_p
+    I_n, rated_speed = machine.rated_current, rated.speed_e / machine.n_p
     drive = encoder_drive(machine, rated, noise=I_n / 300, offset=(0.006 * I_n, 0.008 * I_n))
-    drop = Inverter(drop=inverter * rated.dc_link, smoothing=0.05 * I_n)
+    inverter_model = Inverter(drop=inverter * rated.dc_link, smoothing=0.05 * I_n)
     course = Course(
-        Profile([t for t, _ in speed], [x * full for _, x in speed]),
+        Profile([t for t, _ in speed], [x * rated_speed for _, x in speed]),
         rated.dc_link,
         Profile([t for t, _ in load], [x * rated.torque for _, x in load]),
         theta_e=1.0,
     )
 
-    def keep(row: Trace) -> tuple[object, ...]:
+    def select(row: Trace) -> tuple[object, ...]:
         return row.voltage, row.measured_current, row.theta_e
 
-    drives = [replace(drive, inverter=drop)]
-    u, i, theta = simulate_batch(drives, [course], duration, [seed], keep)
-    volts = np.stack([u[0].real, u[0].imag], axis=1)
-    volts = np.concatenate([np.full((1, 2), np.nan), volts[:-1]])
-    return rated.sample_time, volts, np.stack([i[0].real, i[0].imag], axis=1), np.asarray(theta[0])
+    drives = [replace(drive, inverter=inverter_model)]
+    voltages, currents, theta = simulate_batch(drives, [course], duration, [seed], select)
+    voltage = np.stack([voltages[0].real, voltages[0].imag], axis=1)
+    voltage = np.concatenate([np.full((1, 2), np.nan), voltage[:-1]])
+    return (
+        rated.sample_time,
+        voltage,
+        np.stack([currents[0].real, currents[0].imag], axis=1),
+        np.asarray(theta[0]),
+    )
 
 
-def compare(name: str, believed, record, begin: float, **given) -> str:
+def compare(name: str, believed, record, begin: float, **options) -> str:
     h, u, i, theta = record
     observer = AdaptiveObserver.for_machine(
-        believed, sample_time=h, current_noise=believed.rated_current / 300, **given
+        believed, sample_time=h, current_noise=believed.rated_current / 300, **options
     )
-    late, out = slice(int(begin / h), None), []
-    half = believed.half_turn_ambiguous
-    for o in (observer.plain, observer):
-        error = degrees_error(o.run(u, i).theta_e, theta, half)[late]
-        out.append(f"{rms(error):6.2f} rms, {np.abs(error).max():6.1f} max")
-    return f"{name:24s} plain {out[0]}   adaptive {out[1]}"
+    late, texts = slice(int(begin / h), None), []
+    half_turn = believed.half_turn_ambiguous
+    for compared in (observer.plain, observer):
+        error = degrees_error(compared.run(u, i).theta_e, theta, half_turn)[late]
+        texts.append(f"{rms(error):6.2f} rms, {np.abs(error).max():6.1f} max")
+    return f"{name:24s} plain {texts[0]}   adaptive {texts[1]}"
 
 
 def resistance() -> None:
@@ -175,7 +182,7 @@ def interior(picture: Path | None) -> None:
         for column, share in enumerate(currents):
             I_n = machine.rated_current
             knots = ((0, 0), (0.8, 0), (0.82, share * I_n), (1.3, share * I_n), (1.32, 0), (2.0, 0))
-            s = driven(
+            samples = driven(
                 machine,
                 H,
                 np.full(n, 240.0),
@@ -186,15 +193,15 @@ def interior(picture: Path | None) -> None:
                 machine, sample_time=H, unknowns=("drift",), current_noise=0.003 * I_n
             )
             late = slice(int(0.5 / H), None)
-            for name, o in (("plain", observer.plain), ("adaptive", observer)):
-                found = o.run(s.voltage, s.current)
-                error = np.abs(degrees_error(found.theta_e, s.theta))[late]
+            for name, compared in (("plain", observer.plain), ("adaptive", observer)):
+                estimate = compared.run(samples.voltage, samples.current)
+                error = np.abs(degrees_error(estimate.theta_e, samples.theta))[late]
                 maps[name][row, column] = error.max()
-            maps["valid"][row, column] = found.valid[late].mean()
+            maps["valid"][row, column] = estimate.valid[late].mean()
     for name, values in maps.items():
         print(f"    {name}: i_d / rated" + "".join(f"{share:8g}" for share in currents))
-        for ratio, line in zip(ratios, values, strict=True):
-            print(f"        L_q / L_d {ratio:4g}      " + "".join(f"{x:8.2f}" for x in line))
+        for ratio, errors in zip(ratios, values, strict=True):
+            print(f"        L_q / L_d {ratio:4g}      " + "".join(f"{x:8.2f}" for x in errors))
     if picture is not None:
         draw_map(picture, ratios, currents, maps)
 
@@ -214,9 +221,7 @@ def draw_map(path: Path, ratios, currents, maps: dict[str, Array]) -> None:
         axis.set_xticks(range(len(currents)), [f"{c:g}" for c in currents])
         axis.set_yticks(range(len(ratios)), [f"{r:g}" for r in ratios])
         axis.set_xlabel("step of i_d / rated current")
-        axis.set_title(
-            "taken as if |x| were constant" if name == "plain" else "|x| = ψ_f + (L_d - L_q) i_d"
-        )
+        axis.set_title("|x| assumed constant" if name == "plain" else "|x| = ψ_f + (L_d - L_q) i_d")
         for (row, column), value in np.ndenumerate(maps[name]):
             colour = "white" if value > 10 else "black"
             axis.text(column, row, f"{value:.2g}", ha="center", va="center", color=colour)
@@ -236,11 +241,12 @@ def low_speed() -> None:
         for noise in (0.001, 0.005, 0.02):
             lowest = {"plain": np.inf, "plain, valid": np.inf, "adaptive": np.inf, "valid": np.inf}
             for omega in speeds:
-                worst, said = {"plain": 0.0, "adaptive": 0.0}, {"plain": 1.0, "adaptive": 1.0}
+                worst = {"plain": 0.0, "adaptive": 0.0}
+                valid_share = {"plain": 1.0, "adaptive": 1.0}
                 for seed in range(3):
                     hold = max(2.0, 4 * np.pi / omega)
                     speed = profile((0, 100), (0.4, 100), (0.6, omega), (0.6 + hold, omega))
-                    s = steady(
+                    samples = steady(
                         MACHINE,
                         H,
                         speed,
@@ -258,22 +264,22 @@ def low_speed() -> None:
                         current_noise=noise * RATED,
                     )
                     late = slice(int((0.6 + hold / 2) / H), None)
-                    for name, o in (("plain", observer.plain), ("adaptive", observer)):
-                        found = o.run(s.voltage, s.current)
-                        error = np.abs(degrees_error(found.theta_e, s.theta))[late].max()
+                    for name, compared in (("plain", observer.plain), ("adaptive", observer)):
+                        estimate = compared.run(samples.voltage, samples.current)
+                        error = np.abs(degrees_error(estimate.theta_e, samples.theta))[late].max()
                         worst[name] = max(worst[name], error)
-                        said[name] = min(said[name], found.valid[late].mean())
+                        valid_share[name] = min(valid_share[name], estimate.valid[late].mean())
                 if worst["plain"] < 5:
                     lowest["plain"] = omega
-                    if said["plain"] > 0.99:
+                    if valid_share["plain"] > 0.99:
                         lowest["plain, valid"] = omega
                 if worst["adaptive"] < 5:
                     lowest["adaptive"] = omega
-                    if said["adaptive"] > 0.99:
+                    if valid_share["adaptive"] > 0.99:
                         lowest["valid"] = omega
             print(
-                f"    memory {memory:g} s, noise {noise:.1%}: plain {lowest['plain']:g} (called "
-                f"valid from {lowest['plain, valid']:g}), adaptive {lowest['adaptive']:g} "
+                f"    memory {memory:g} s, noise {noise:.1%}: plain {lowest['plain']:g} (valid "
+                f"from {lowest['plain, valid']:g}), adaptive {lowest['adaptive']:g} "
                 f"({lowest['valid']:g})"
             )
 
@@ -285,64 +291,70 @@ def measured() -> None:
     import fluxobs
 
     heading(
-        "Measured logs, one setting: degrees rms about the mean from 0.2 s (targets: 0.85; learnt "
-        "as it goes 1.0)"
+        "Measured logs, same settings: degrees rms about the mean from 0.2 s (targets: 0.85; "
+        "filtered 1.0)"
     )
     logs = sorted(MEASURED.glob("data*.csv"))
     if not logs:
         print(f"    skipped: no measured logs in {MEASURED}")
         return
     for unknowns, causal in (("drift", False), ("auto", True), ("auto", False)):
-        scores, valid, worst, held = [], [], [], []
+        scores, valid, worst, coverages = [], [], [], []
         for path in logs:
-            found = fluxobs.estimate(path, PUBLISHED, unknowns=unknowns, causal=causal, **LAYOUT)
-            error, std = np.degrees(found["theta_e_error"]), np.degrees(found["theta_e_std"])
+            estimates = fluxobs.estimate(
+                path, PUBLISHED, unknowns=unknowns, causal=causal, **LAYOUT
+            )
+            error = np.degrees(estimates["theta_e_error"])
+            std = np.degrees(estimates["theta_e_std"])
             scores.append(error[int(0.2 / LAYOUT["sample_time"]) :].std())
-            sure = found["valid"]
-            valid.append(sure.mean())
-            worst.append(np.abs(error[sure]).max())
-            held.append((np.abs(error) < 2 * std)[sure].mean())
-        words = " ".join(f"{score:.2f}" for score in scores)
+            valid_rows = estimates["valid"]
+            valid.append(valid_rows.mean())
+            worst.append(np.abs(error[valid_rows]).max())
+            coverages.append((np.abs(error) < 2 * std)[valid_rows].mean())
+        numbers = " ".join(f"{score:.2f}" for score in scores)
         print(
-            f"    {unknowns + ' --causal' * causal:14s} {words}, mean {np.mean(scores):.2f}; worst "
-            f"valid row {max(worst):.1f}; 2 sigma holds {min(held):.0%} or more; valid "
+            f"    {unknowns + ' --causal' * causal:14s} {numbers}, mean {np.mean(scores):.2f}; "
+            f"worst valid row {max(worst):.1f}; 2 sigma holds {min(coverages):.0%} or more; valid "
             f"{min(valid):.0%} or more"
         )
-        if found.learnt is not None and not causal:
+        if estimates.learnt is not None and not causal:
             for path in logs:
-                run = fluxobs.estimate(path, PUBLISHED, **LAYOUT).learnt
+                learnt = fluxobs.estimate(path, PUBLISHED, **LAYOUT).learnt
                 print(
-                    f"        {path.stem}: R_s {run.resistance:.3f} ± {run.resistance_std:.3f} Ω, "
-                    f"inverter {run.inverter_voltage:.2f} ± {run.inverter_std:.2f} V, psi_f "
-                    f"{1e3 * run.psi_f:.2f} ± {1e3 * run.psi_f_std:.2f} mWb"
+                    f"        {path.stem}: R_s {learnt.resistance:.3f} ± "
+                    f"{learnt.resistance_std:.3f} Ω, inverter {learnt.inverter_voltage:.2f} ± "
+                    f"{learnt.inverter_std:.2f} V, psi_f "
+                    f"{1e3 * learnt.psi_f:.2f} ± {1e3 * learnt.psi_f_std:.2f} mWb"
                 )
     for path in logs:
         layout = {name: value for name, value in LAYOUT.items() if name != "truth"}
-        found = fluxobs.identify(path, PUBLISHED, free="R_s,psi_f,inverter", **layout)
-        print(f"    identify {path.stem}: " + "; ".join(found.lines()[:3]))
+        result = fluxobs.identify(path, PUBLISHED, free="R_s,psi_f,inverter", **layout)
+        print(f"    identify {path.stem}: " + "; ".join(result.lines()[:3]))
 
 
-def honesty() -> None:
+def coverage() -> None:
     heading(
-        "416 simulated drives, R, psi, inverter and offsets drawn from the priors: square of the "
-        "error over its standard deviation, mean over the valid instants; share within three"
+        "416 simulated drives, R, psi, inverter and offsets drawn from the priors: squared error "
+        "over variance, mean over the valid instants; share within three standard deviations"
     )
     for name, lanes in (("pmsm-2kw2", 208), ("servo-400w", 104), ("ipm-2kw2", 104)):
-        honesty_of(name, lanes)
+        coverage_of(name, lanes)
 
 
-def honesty_of(name: str, lanes: int) -> None:
+def coverage_of(name: str, lanes: int) -> None:
     duration = 2.5
     machine, rated = example(name), rating(name)
-    I_n, full = machine.rated_current, rated.speed_e / machine.n_p
-    drives, courses, volts, drifts = [], [], [], []
+    I_n, rated_speed = machine.rated_current, rated.speed_e / machine.n_p
+    drives, courses, inverter_drops, drifts = [], [], [], []
     for lane in range(lanes):
         rng = np.random.default_rng(1000 + lane)
         V, offset = 0.1 * machine.R_s * I_n * abs(rng.standard_normal()), rng.normal(0, 0.2, 2)
         drive = encoder_drive(machine, rated, noise=0.003 * I_n)
         drives.append(replace(drive, inverter=Inverter(drop=V, smoothing=0.05 * I_n)))
         a, b, c = rng.uniform(0.25, 0.9, 3)
-        speeds = rng.choice([-1, 1]) * np.array([0, a, a, b, b, c * rng.choice([-1, 1])]) * full
+        speeds = (
+            rng.choice([-1, 1]) * np.array([0, a, a, b, b, c * rng.choice([-1, 1])]) * rated_speed
+        )
         torque = rng.uniform(-0.8, 0.8, 4)[[0, 0, 1, 1, 2, 2, 3]] * rated.torque
         courses.append(
             Course(
@@ -353,30 +365,30 @@ def honesty_of(name: str, lanes: int) -> None:
                 theta_e=rng.uniform(-3, 3),
             )
         )
-        volts.append(V)
+        inverter_drops.append(V)
         drifts.append(-offset)
 
-    def keep(row: Trace) -> tuple[object, ...]:
+    def select(row: Trace) -> tuple[object, ...]:
         return row.voltage, row.measured_current, row.theta_e
 
     scored, worst = [], []
     for k in range(0, lanes, 26):
-        part = slice(k, k + 26)
+        batch = slice(k, k + 26)
         u, i, theta = simulate_batch(
-            drives[part], courses[part], duration, range(k, min(k + 26, lanes)), keep
+            drives[batch], courses[batch], duration, range(k, min(k + 26, lanes)), select
         )
         for lane in range(len(u)):
-            own = lane_scores(
+            lane_result = score_lane(
                 k + lane,
                 machine,
                 rated.sample_time,
                 *(np.asarray(x[lane]) for x in (u, i, theta)),
-                volts[k + lane],
+                inverter_drops[k + lane],
                 drifts[k + lane],
                 worst,
             )
-            scored.append(own)
-    scores = np.array([row for own in scored for row in own])
+            scored.append(lane_result)
+    scores = np.array([row for lane_result in scored for row in lane_result])
     names = ("position", "drift", "drift", "psi_f", "R_s", "inverter")
     within = (scores < 9).mean(axis=0)
     print(
@@ -389,7 +401,7 @@ def honesty_of(name: str, lanes: int) -> None:
     )
 
 
-def lane_scores(lane, machine, h, u, i, theta, volt, drift, worst) -> list[list[float]]:
+def score_lane(lane, machine, h, u, i, theta, volt, drift, worst) -> list[list[float]]:
     rng = np.random.default_rng(5000 + lane)
     shares = np.clip(rng.standard_normal(2), -2, 2) * (0.2, 0.15)
     believed = machine.model_copy(
@@ -402,49 +414,49 @@ def lane_scores(lane, machine, h, u, i, theta, volt, drift, worst) -> list[list[
         resistance_std=0.2 * believed.R_s,
         psi_f_std=0.15 * believed.psi_f,
         inverter_std=0.1 * machine.R_s * machine.rated_current,
-        slow_memory=1000.0,  # nothing changes here
+        slow_memory=1000.0,  # parameters are constant here
     )
     voltage = np.stack([u.real, u.imag], axis=1)
     voltage = np.concatenate([np.full((1, 2), np.nan), voltage[:-1]])
     current = np.stack([i.real, i.imag], axis=1)
-    state, begin, out = observer.init(), 0, []
-    for at in (int(t / h) for t in (1.0, 1.5, 2.0, 2.45)):
-        state, found = observer.resume(state, voltage[begin : at + 1], current[begin : at + 1])
-        error = np.abs(degrees_error(found.theta_e, theta[begin : at + 1]))
-        worst.append(error[found.valid].max(initial=0))
-        begin = at + 1
-        if not found.valid[-1]:
+    state, begin, scores = observer.init(), 0, []
+    for end in (int(t / h) for t in (1.0, 1.5, 2.0, 2.45)):
+        state, estimate = observer.resume(state, voltage[begin : end + 1], current[begin : end + 1])
+        error = np.abs(degrees_error(estimate.theta_e, theta[begin : end + 1]))
+        worst.append(error[estimate.valid].max(initial=0))
+        begin = end + 1
+        if not estimate.valid[-1]:
             continue
-        off = np.array(
+        errors = np.array(
             [
-                np.radians(degrees_error(found.theta_e[-1:], theta[at : at + 1])[0]),
-                *(found.drift[-1] - drift),
-                found.psi_f[-1] - machine.psi_f,
-                found.resistance[-1] - machine.R_s,
-                found.inverter_voltage[-1] - volt,
+                np.radians(degrees_error(estimate.theta_e[-1:], theta[end : end + 1])[0]),
+                *(estimate.drift[-1] - drift),
+                estimate.psi_f[-1] - machine.psi_f,
+                estimate.resistance[-1] - machine.R_s,
+                estimate.inverter_voltage[-1] - volt,
             ]
         )
-        said = np.array(
+        stds = np.array(
             [
-                found.theta_e_std[-1],
-                *(found.drift_std[-1], found.drift_std[-1], found.psi_f_std[-1]),
-                *(found.resistance_std[-1], found.inverter_voltage_std[-1]),
+                estimate.theta_e_std[-1],
+                *(estimate.drift_std[-1], estimate.drift_std[-1], estimate.psi_f_std[-1]),
+                *(estimate.resistance_std[-1], estimate.inverter_voltage_std[-1]),
             ]
         )
-        out.append(list((off / said) ** 2))
-    return out
+        scores.append(list((errors / stds) ** 2))
+    return scores
 
 
 def cost() -> None:
     heading("A million samples of pmsm-2kw2, ns per sample (target: 2.2 times the plain one's)")
-    s = steady(MACHINE, H, 200.0, 200_000, i_dq=3j, noise=0.02)
+    samples = steady(MACHINE, H, 200.0, 200_000, i_dq=3j, noise=0.02)
     observer = AdaptiveObserver.for_machine(MACHINE, sample_time=H)
     times: dict[str, list[float]] = {"plain": [], "adaptive": []}
     for _ in range(7):
-        for name, o in (("plain", observer.plain), ("adaptive", observer)):
+        for name, compared in (("plain", observer.plain), ("adaptive", observer)):
             begin = time.perf_counter()
-            o.run(s.voltage, s.current)
-            times[name].append((time.perf_counter() - begin) / len(s.current) * 1e9)
+            compared.run(samples.voltage, samples.current)
+            times[name].append((time.perf_counter() - begin) / len(samples.current) * 1e9)
     plain, adaptive = (float(np.median(times[name])) for name in ("plain", "adaptive"))
     print(f"    plain {plain:.0f}, adaptive {adaptive:.0f}: {adaptive / plain:.2f} times")
 
@@ -459,5 +471,5 @@ if __name__ == "__main__":
     interior(options.map)
     low_speed()
     measured()
-    honesty()
+    coverage()
     cost()

@@ -1,4 +1,4 @@
-"""Campaigns: how long a thousand drives take, what the engine costs, and how it scales.
+"""Campaigns: time for a thousand drives, overhead of the engine, and scaling.
 
 python benchmarks/campaigns.py [--quick]
 """
@@ -26,7 +26,7 @@ SCENARIOS, WORKERS = 1000, 2
 
 
 def specification(loop: str, scenarios: int = SCENARIOS) -> Specification:
-    """Two seconds at 8 kHz, plain and adaptive, with ten quantities that vary."""
+    """Return a specification: two seconds at 8 kHz, plain and adaptive, varied quantities."""
     return Specification(
         machines=["pmsm-2kw2"],
         scenarios=scenarios,
@@ -44,59 +44,61 @@ def specification(loop: str, scenarios: int = SCENARIOS) -> Specification:
 
 
 def run(loop: str, scheduler: str, workers: int, scenarios: int = SCENARIOS) -> tuple[float, float]:
-    """Seconds until the rows are there, and seconds of the workers in chunks; both with what is
-    compiled in the cache, by a run before."""
-    s = specification(loop, scenarios)
+    """Return the wall time of a campaign, and the computing time of its chunks [s].
+
+    Compiled code must be in the cache from an earlier run.
+    """
+    spec = specification(loop, scenarios)
     with tempfile.TemporaryDirectory() as folder:
-        found = dataset.create(Path(folder) / "out", s, _size(s))
+        created = dataset.create(Path(folder) / "out", spec, _size(spec))
         from fluxobs.campaigns.chunk import ChunkTask
 
         started = time.perf_counter()
-        with locked(found.folder):
-            work = ChunkTask(str(found.folder), s.canonical())
-            fill(found, work, workers, scheduler, lambda done, total: None)
+        with locked(created.folder):
+            task = ChunkTask(str(created.folder), spec.canonical())
+            fill(created, task, workers, scheduler, lambda done, total: None)
         wall = time.perf_counter() - started
-        lines = (found.folder / TIMES).read_text().splitlines()
+        lines = (created.folder / TIMES).read_text().splitlines()
         return wall, sum(float(line.split(",")[2]) for line in lines)
 
 
-def _size(s: Specification) -> int:
+def _size(spec: Specification) -> int:
     from fluxobs.campaigns.simulated import lanes_for
 
-    return chunk_size(s, lanes_for(s, 1.25e-4), 1.25e-4)
+    return chunk_size(spec, lanes_for(spec, 1.25e-4), 1.25e-4)
 
 
-def nothing(folder: str, chunk: Chunk) -> float:
-    """The work on a chunk of scenarios that cost nothing: a file is made, that is all."""
+def empty_task(folder: str, chunk: Chunk) -> float:
+    """Do the task of a chunk of empty scenarios: only create its file."""
     (Path(folder) / "rows" / chunk.file).touch()
     return 0.0
 
 
 def driver(scenarios: int) -> None:
-    """A million scenarios that cost nothing: the driver's processor time and memory."""
-    s = specification("open", scenarios)
+    """Print the driver's processor time per scenario [µs] and memory [MiB] with empty scenarios."""
+    spec = specification("open", scenarios)
     with tempfile.TemporaryDirectory() as folder:
-        found: Dataset = dataset.create(Path(folder) / "out", s, 4096)
+        created: Dataset = dataset.create(Path(folder) / "out", spec, 4096)
         usage = resource.getrusage(resource.RUSAGE_SELF)
-        before = usage.ru_utime + usage.ru_stime
-        with locked(found.folder):
-            work = partial(nothing, str(found.folder))
-            fill(found, work, WORKERS, "pool", lambda done, total: None)
+        start = usage.ru_utime + usage.ru_stime
+        with locked(created.folder):
+            task = partial(empty_task, str(created.folder))
+            fill(created, task, WORKERS, "pool", lambda done, total: None)
         usage = resource.getrusage(resource.RUSAGE_SELF)
-        spent = usage.ru_utime + usage.ru_stime - before
-        print(f"{spent / scenarios * 1e6:.2f} {usage.ru_maxrss / 1024:.0f}")
+        processor_time = usage.ru_utime + usage.ru_stime - start
+        print(f"{processor_time / scenarios * 1e6:.2f} {usage.ru_maxrss / 1024:.0f}")
 
 
 def measured_driver(scenarios: int) -> tuple[float, float]:
-    """The driver in a process of its own: µs a scenario, MiB."""
-    done = subprocess.run(
+    """Run the driver in a separate process; return µs per scenario and MiB."""
+    process = subprocess.run(
         [sys.executable, __file__, "--driver", str(scenarios)],
         capture_output=True,
         text=True,
         check=True,
     )
-    spent, size = done.stdout.split()
-    return float(spent), float(size)
+    microseconds, memory = process.stdout.split()
+    return float(microseconds), float(memory)
 
 
 def main(quick: bool) -> None:
@@ -106,22 +108,25 @@ def main(quick: bool) -> None:
         f"(target for 1000 on two: 60 s open loop, 120 s in the loop, once compiled)"
     )
     for loop in ("open", "closed"):
-        s = specification(loop, 64)
-        with tempfile.TemporaryDirectory() as folder:  # compiles
-            campaign(s, Path(folder) / "out", workers=1, scheduler="pool")
-        wall, worked = run(loop, "pool", WORKERS, count)
-        idle = 100 * (1 - worked / WORKERS / wall)
+        spec = specification(loop, 64)
+        with tempfile.TemporaryDirectory() as folder:  # fills the cache of compiled code
+            campaign(spec, Path(folder) / "out", workers=1, scheduler="pool")
+        wall, computing = run(loop, "pool", WORKERS, count)
+        idle = 100 * (1 - computing / WORKERS / wall)
         print(
-            f"    {loop}: {wall:.1f} s on {WORKERS} workers, {1e3 * worked / count:.0f} ms of "
+            f"    {loop}: {wall:.1f} s on {WORKERS} workers, {1e3 * computing / count:.0f} ms of "
             f"computing a scenario; start, files and waiting {idle:.0f} % of the workers' time"
         )
     heading(f"Dask: one and two workers on {2 * count} scenarios, start included (target 1.8)")
     walls = [run("open", "local", workers, 2 * count)[0] for workers in (1, 2)]
     print(f"    {walls[0]:.1f} s and {walls[1]:.1f} s: {walls[0] / walls[1]:.2f} times")
-    heading("The driver at scenarios that cost nothing (target 50 µs each, constant memory)")
+    heading("The driver with empty scenarios (target 50 µs each, constant memory)")
     for scenarios in (10_000, 100_000, 1_000_000):
-        spent, size = measured_driver(scenarios)
-        print(f"    {scenarios:9,d}: {spent:.2f} µs of processor time each, {size:.0f} MiB at most")
+        microseconds, memory = measured_driver(scenarios)
+        print(
+            f"    {scenarios:9,d}: {microseconds:.2f} µs of processor time each, peak "
+            f"{memory:.0f} MiB"
+        )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Sensorless closed loop: the least squares starts from standstill at an unknown angle."""
+"""Sensorless closed loop: the least squares starts at standstill with an unknown angle."""
 
 from __future__ import annotations
 
@@ -21,26 +21,28 @@ MACHINE = "pmsm-2kw2"
 
 
 def errors(run: Run, half_turn: bool = False) -> np.ndarray:
-    """Error of the angle that the drive runs on [°]."""
+    """Return the error of the drive's angle [°]."""
     return degrees_error(run.trace.reading.theta_e, run.trace.theta_e, half_turn)
 
 
-def course(rated: Rating, machine: RotatingMachine, speed, load=((0, 0),), **given) -> Course:
-    """Course from speeds and loads as shares of their rated values."""
+def course(ratings: Rating, machine: RotatingMachine, speed, load=((0, 0),), **options) -> Course:
+    """Return a course from speeds and loads as shares of their rated values."""
     return Course(
-        Profile([t for t, _ in speed], [x * rated.speed_e / machine.n_p for _, x in speed]),
-        rated.dc_link,
-        Profile([t for t, _ in load], [x * rated.torque for _, x in load]),
-        **given,
+        Profile([t for t, _ in speed], [x * ratings.speed_e / machine.n_p for _, x in speed]),
+        ratings.dc_link,
+        Profile([t for t, _ in load], [x * ratings.torque for _, x in load]),
+        **options,
     )
 
 
 def losses(run: Run) -> str:
-    """Times of hand-over and of losses, as text."""
-    took = [e.at for e in run.events if e.what == "observer in the loop"]
-    lost = [e.at for e in run.events if e.what in ("position lost", "overcurrent trip")]
-    text = f"in the loop from {took[0]:.2f} s" if took else "never in the loop"
-    return text + (f", lost at {', '.join(f'{t:.2f}' for t in lost)} s" if lost else "")
+    """Describe the times of hand-over and of losses."""
+    hand_overs = [event.at for event in run.events if event.what == "observer in the loop"]
+    loss_times = [
+        event.at for event in run.events if event.what in ("position lost", "overcurrent trip")
+    ]
+    text = f"in the loop from {hand_overs[0]:.2f} s" if hand_overs else "never in the loop"
+    return text + (f", lost at {', '.join(f'{t:.2f}' for t in loss_times)} s" if loss_times else "")
 
 
 def table_of_theory() -> None:
@@ -59,8 +61,8 @@ def table_of_theory() -> None:
     for name, load, volts, sensors, believed in cases:
         drive = sensorless_drive(machine, rated, believed=believed, **sensors)
         loads = ((1.0, 0), (1.1, load))
-        given = {"voltage_offset": (volts, 0.0), "theta_e": 2.0}
-        run = simulate(drive, course(rated, machine, speed, loads, **given), 5.0)
+        options = {"voltage_offset": (volts, 0.0), "theta_e": 2.0}
+        run = simulate(drive, course(rated, machine, speed, loads, **options), 5.0)
         error = errors(run)
         rms = [np.sqrt(np.mean(error[(run.t >= a) & (run.t < b)] ** 2)) for a, b in segments]
         print(f"    {name:27s}", *(f"{x:6.3f}" for x in rms), f"  {losses(run)}")
@@ -72,30 +74,30 @@ def speeds() -> None:
     sensors = {"offset": (0.22 * 0.6, 0.22 * 0.8), "noise": 0.02}
     for share in (0.01, 0.02, 0.05, 0.1, 0.3, 1.0):
         for sign in (1, -1):
-            # Time of half a turn, as `sensorless_drive` advises; not below the default.
+            # Time of half a turn, as `sensorless_drive` recommends, but at least the default.
             memory = max(0.03, np.pi / (share * rated.speed_e))
-            ramped = 0.2 + max(0.1, 2 * share)
-            settle = ramped + 4 * memory + 0.5
-            at = sign * share
-            speed = ((0, 0), (0.2, 0), (ramped, at))
-            # An EMF of 1 % of rated leaves no room for voltage errors other than offsets.
+            ramp_end = 0.2 + max(0.1, 2 * share)
+            settled = ramp_end + 4 * memory + 0.5
+            target = sign * share
+            speed = ((0, 0), (0.2, 0), (ramp_end, target))
+            # At an EMF of 1 % of rated only small voltage errors besides offsets are possible.
             prior = min(0.1 * machine.psi_f / memory, 0.1 * share * rated.speed_e * machine.psi_f)
             drive = sensorless_drive(
                 machine, rated, memory, speed_bandwidth=50.0, drift_prior=prior, **sensors
             )
-            load = ((settle, 0), (settle, sign * 1.0))
+            load = ((settled, 0), (settled, sign * 1.0))
             run = simulate(
                 drive,
                 course(rated, machine, speed, load, voltage_offset=(2.2, 0.0), theta_e=2.0),
-                settle + 2.0,
+                settled + 2.0,
             )
             error = errors(run)[run.trace.mode == 1]
-            held = run.t > settle + 1.0
-            speed_error = run.trace.speed[held] * machine.n_p / rated.speed_e - at
+            late = run.t > settled + 1.0
+            speed_error = run.trace.speed[late] * machine.n_p / rated.speed_e - target
             print(
-                f"    {100 * at:+6.0f} %, memory {memory:.2f} s: rms "
+                f"    {100 * target:+6.0f} %, memory {memory:.2f} s: rms "
                 f"{np.sqrt(np.mean(error**2)):.3f}, largest {np.abs(error).max():.2f} degrees, "
-                f"speed under load off by "
+                f"speed error under load "
                 f"{100 * np.abs(speed_error).max():.2f} % of rated; {losses(run)}"
             )
 
@@ -114,7 +116,7 @@ def resistance_in_the_loop() -> None:
         i_q = (run.trace.current * np.exp(-1j * run.trace.theta_e)).imag
         print(
             f"    {bandwidth * memory:4.2f}: rms {np.sqrt(np.mean(errors(run)[late] ** 2)):.2f} "
-            f"degrees, i_q swings by {i_q[late].std():.2f} A rms"
+            f"degrees, i_q oscillates by {i_q[late].std():.2f} A rms"
         )
 
 
@@ -122,9 +124,9 @@ def jumps() -> None:
     heading("Biases that change sign during operation, under full load (2.2 V and 0.22 A)")
     rated, machine = rating(MACHINE), example(MACHINE)
     for share in (0.1, 0.3, 1.0):
-        a = np.array([0.22 * 0.6, 0.22 * 0.8])
+        offset = np.array([0.22 * 0.6, 0.22 * 0.8])
         drive = sensorless_drive(
-            machine, rated, offset=Profile([0, 2.0, 2.0], [a, a, -a]), noise=0.02
+            machine, rated, offset=Profile([0, 2.0, 2.0], [offset, offset, -offset]), noise=0.02
         )
         volts = Profile([0, 2.5, 2.5], [(2.2, 0.0), (2.2, 0.0), (-2.2, 0.0)])
         run = simulate(
@@ -140,13 +142,13 @@ def jumps() -> None:
             3.0,
         )
         error = np.abs(errors(run))
-        for what, at in (("current", 2.0), ("voltage", 2.5)):
-            after = (run.t >= at) & (run.t < at + 0.5)
-            above = error[after] > 1
-            back = (np.flatnonzero(above)[-1] + 1 if above.any() else 0) * run.sample_time
+        for kind, jump_time in (("current", 2.0), ("voltage", 2.5)):
+            window = (run.t >= jump_time) & (run.t < jump_time + 0.5)
+            above = error[window] > 1
+            recovery = (np.flatnonzero(above)[-1] + 1 if above.any() else 0) * run.sample_time
             print(
-                f"    {100 * share:4.0f} %, {what} offset: at most {error[after].max():.2f} "
-                f"degrees, below 1 after {1e3 * back:.0f} ms; {losses(run)}"
+                f"    {100 * share:4.0f} %, {kind} offset: at most {error[window].max():.2f} "
+                f"degrees, below 1 after {1e3 * recovery:.0f} ms; {losses(run)}"
             )
 
 
@@ -169,9 +171,9 @@ def starts() -> None:
             1.5,
             seed=k,
         )
-        took = [e.at for e in run.events if e.what == "observer in the loop"]
-        assert len(took) == 1, losses(run)
-        times.append(took[0])
+        hand_overs = [event.at for event in run.events if event.what == "observer in the loop"]
+        assert len(hand_overs) == 1, losses(run)
+        times.append(hand_overs[0])
         worst.append(np.abs(errors(run)[run.trace.mode == 1]).max())
     print(
         f"    in the loop after {min(times):.2f} to {max(times):.2f} s (the reference starts at "
@@ -202,8 +204,8 @@ def machines() -> None:
         running = run.trace.mode == 1
         error = errors(run, machine.half_turn_ambiguous)[running]
         rms = np.sqrt(np.mean(error**2)) if running.any() else np.nan
-        most = np.abs(error).max() if running.any() else np.nan
-        print(f"    {name:12s} rms {rms:.3f}, largest {most:.2f} degrees; {losses(run)}")
+        largest = np.abs(error).max() if running.any() else np.nan
+        print(f"    {name:12s} rms {rms:.3f}, largest {largest:.2f} degrees; {losses(run)}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Shared by the benchmarks: the computer they ran on, and closed-form records."""
+"""Shared by the benchmarks: description of the computer, and closed-form records."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MEASURED = Path(os.environ.get("FLUXOBS_DATA", ROOT.parent / "shared" / "data"))
 
 
 def machine_line() -> str:
-    """Processor, cores and Python version, printed with every result."""
+    """Return processor, cores and Python version, which are printed with each result."""
     model = platform.processor()
     info = Path("/proc/cpuinfo")
     if info.exists():
@@ -37,7 +37,7 @@ def heading(title: str) -> None:
 
 @dataclass(frozen=True)
 class Drive:
-    """A machine at constant speed and current; every integral is exact."""
+    """A machine at constant speed and current, with exact integrals."""
 
     machine: RotatingMachine
     omega: float  # electrical, rad/s
@@ -46,12 +46,14 @@ class Drive:
     theta0: float = 1.0
 
     def samples(self, rows: int) -> tuple[Array, Array, Array, Array]:
-        """True angle, current, and over the interval that ends at each row the volt-seconds
-        ∫(u - R i) dt and the mean voltage; vectors are (rows, 2)."""
+        """Return true angle, current, volt-seconds ∫(u - R i) dt and mean voltage, (rows, 2) each.
+
+        Volt-seconds and mean voltage are those of the interval that ends at the row.
+        """
         start = self.theta0 - self.omega * self.sample_time
         true = steady(self.machine, self.sample_time, self.omega, rows, self.current, start)
-        angle, current = wrap(true.theta_e[1:]), vectors(true.current[1:])
-        return angle, current, vectors(true.volt_seconds), vectors(true.voltage)
+        theta, current = wrap(true.theta_e[1:]), vectors(true.current[1:])
+        return theta, current, vectors(true.volt_seconds), vectors(true.voltage)
 
 
 def degrees_error(estimated: Array, true: Array, half_turn: bool = False) -> Array:

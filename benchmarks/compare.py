@@ -1,4 +1,4 @@
-"""The least squares against every other observer: all scenarios, then the measured logs."""
+"""The least squares against all other observers: all scenarios, then the measured logs."""
 
 from __future__ import annotations
 
@@ -9,35 +9,38 @@ from common import MEASURED, heading
 from measured import LAYOUT, MACHINE
 
 from fluxobs.comparison.compare import Comparison, compare, compare_scenario
-from fluxobs.comparison.report import LEAST_SQUARES, NEAR, others, ours
+from fluxobs.comparison.report import LEAST_SQUARES, NEAR, least_squares_result, other_results
 from fluxobs.comparison.scenarios import SCENARIOS
 
 
-def line(found: Comparison) -> str:
-    """Rms degrees: the least squares recommended and tuned, its raw angle over the bound, the best
-    of the others."""
-    raw = found.result(LEAST_SQUARES)
-    rest = others(found)
-    best, recommended = rest[0], min(rest, key=lambda r: r.recommended.rms)
-    mine = ours(found)
-    ratio = f"{raw.tuned.rms / found.bound:6.2f}" if found.bound else "     -"
+def line(comparison: Comparison) -> str:
+    """Return a line of rms errors [degrees].
+
+    The least squares with recommended and with tuned gains, its untracked angle over the bound, and
+    the best other observers.
+    """
+    untracked = comparison.result(LEAST_SQUARES)
+    others = other_results(comparison)
+    best, recommended = others[0], min(others, key=lambda result: result.recommended.rms)
+    least_squares = least_squares_result(comparison)
+    ratio = f"{untracked.tuned.rms / comparison.bound:6.2f}" if comparison.bound else "     -"
     mark = (
         "best"
-        if mine.tuned.rms < best.tuned.rms
-        else ("near" if mine.tuned.rms <= NEAR * best.tuned.rms else "    ")
+        if least_squares.tuned.rms < best.tuned.rms
+        else ("near" if least_squares.tuned.rms <= NEAR * best.tuned.rms else "    ")
     )
     return (
-        f"    {found.title:20s} {np.degrees(mine.recommended.rms):7.3f} "
-        f"{np.degrees(mine.tuned.rms):7.3f} {ratio}  {mark}  {np.degrees(best.tuned.rms):7.3f} "
-        f"{best.name}; as recommended {np.degrees(recommended.recommended.rms):.3f} "
-        f"{recommended.name}"
+        f"    {comparison.title:20s} {np.degrees(least_squares.recommended.rms):7.3f} "
+        f"{np.degrees(least_squares.tuned.rms):7.3f} {ratio}  {mark}  "
+        f"{np.degrees(best.tuned.rms):7.3f} {best.name}; as recommended "
+        f"{np.degrees(recommended.recommended.rms):.3f} {recommended.name}"
     )
 
 
 def scenarios(machine: str, names: list[str]) -> None:
     heading(f"{machine}: least squares recommended, tuned [deg rms], raw over bound; best other")
-    for name in names:
-        print(line(compare_scenario(SCENARIOS[name], machine)), flush=True)
+    for scenario in names:
+        print(line(compare_scenario(SCENARIOS[scenario], machine)), flush=True)
 
 
 def logs() -> None:
@@ -45,13 +48,15 @@ def logs() -> None:
     if not paths:
         heading(f"Measured logs: skipped, no log in {MEASURED}")
         return
-    for psi, what in ((0.032, "as published"), (0.0243, "as estimated by the least squares")):
-        heading(f"Measured logs, magnet flux {psi} Vs, {what}: rms degrees, gains tuned on the log")
+    for psi, source in ((0.032, "as published"), (0.0243, "as estimated by the least squares")):
+        heading(
+            f"Measured logs, magnet flux {psi} Vs, {source}: rms degrees, gains tuned on the log"
+        )
         machine = MACHINE.with_values(psi_f=psi)
-        found = [compare(p, machine, **LAYOUT) for p in paths]
-        print(f"    {'':34s}", *(f"{c.title.removesuffix('.csv'):>7s}" for c in found))
-        for k, result in enumerate(found[0].results):
-            values = [np.degrees(c.results[k].tuned.rms) for c in found]
+        comparisons = [compare(path, machine, **LAYOUT) for path in paths]
+        print(f"    {'':34s}", *(f"{c.title.removesuffix('.csv'):>7s}" for c in comparisons))
+        for k, result in enumerate(comparisons[0].results):
+            values = [np.degrees(c.results[k].tuned.rms) for c in comparisons]
             print(f"    {result.name:34s}", *(f"{value:7.2f}" for value in values))
 
 

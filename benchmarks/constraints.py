@@ -1,21 +1,23 @@
-"""The table of docs/constraints.md: the relations that every machine of the library satisfies."""
+"""Table of docs/constraints.md: the relations that the machines of the library satisfy."""
 
 from fluxobs.research import blondel_park, discover_constraint
 from fluxobs.research.energies.library import LIBRARY, doubly_fed
 
 
 def row(name: str, system: object, **options: object) -> str:
-    found = discover_constraint(system, **options)  # type: ignore[arg-type]
+    result = discover_constraint(system, **options)  # type: ignore[arg-type]
     park = blondel_park(system)  # type: ignore[arg-type]
     higher = ""
-    if not found:
-        others = discover_constraint(system, degree=4, **options).higher  # type: ignore[arg-type]
-        degrees = sorted({(one.degree, one.degree_in_flux) for one in others})
+    if not result:
+        higher_relations = discover_constraint(system, degree=4, **options).higher  # type: ignore[arg-type]
+        degrees = sorted(
+            {(relation.degree, relation.degree_in_flux) for relation in higher_relations}
+        )
         higher = "; ".join(f"degree {a}, {b} in λ" for a, b in degrees) or "none to degree 4"
-    hidden = found.invisible.shape[1] if found else "–"
-    margin = f"{found.margin:.0e}" if found else f"none: smallest {found.smallest:.0e}"
+    hidden = result.invisible.shape[1] if result else "–"
+    margin = f"{result.margin:.0e}" if result else f"none: smallest {result.smallest:.0e}"
     skew = "yes" if park.transformable else f"no ({park.residual.max():.2f})"
-    return f"| {name} | {len(found.relations)} | {margin} | {hidden} | {higher} | {skew} |"
+    return f"| {name} | {len(result.relations)} | {margin} | {hidden} | {higher} | {skew} |"
 
 
 if __name__ == "__main__":

@@ -25,28 +25,28 @@ ROWS = round(DURATION / RATED.sample_time)
 
 
 def course(load: float = 0.5, theta_e: float = 1.0) -> Course:
-    full = RATED.speed_e / MACHINE.n_p
+    rated_speed = RATED.speed_e / MACHINE.n_p
     return Course(
-        Profile([0.0, 0.2, 0.7], [0.0, 0.0, 0.5 * full]),
+        Profile([0.0, 0.2, 0.7], [0.0, 0.0, 0.5 * rated_speed]),
         RATED.dc_link,
         Profile([0.8, 0.8], [0.0, load * RATED.torque]),
         theta_e=theta_e,
     )
 
 
-def keep(row: Trace) -> tuple[object, ...]:
+def select(row: Trace) -> tuple[object, ...]:
     return row.theta_e, row.speed, row.reading.theta_e, row.reading.theta_e_std
 
 
 def best(run: object, times: int = 7) -> tuple[float, float]:
-    """Shortest and median time [s]; a first run compiles."""
+    """Return shortest and median time [s]; a first run compiles."""
     run()
-    taken = []
+    durations = []
     for _ in range(times):
         started = time.perf_counter()
         run()
-        taken.append(time.perf_counter() - started)
-    return min(taken), float(np.median(taken))
+        durations.append(time.perf_counter() - started)
+    return min(durations), float(np.median(durations))
 
 
 def main() -> None:
@@ -55,8 +55,8 @@ def main() -> None:
         ("sensorless: FOC, observer in the loop", sensorless_drive(MACHINE, RATED, noise=0.02)),
         ("encoder: FOC alone", encoder_drive(MACHINE, RATED, noise=0.02)),
     ):
-        least, median = best(lambda drive=drive: simulate(drive, course(), DURATION))
-        print(f"    {name:38s} median {median:.3f} s, best {least:.3f} s")
+        shortest, median = best(lambda drive=drive: simulate(drive, course(), DURATION))
+        print(f"    {name:38s} median {median:.3f} s, best {shortest:.3f} s")
 
     heading(f"A batch of {LANES} such seconds, all different (target 1 us per drive and sample)")
     rng = np.random.default_rng(0)
@@ -65,11 +65,14 @@ def main() -> None:
         for _ in range(LANES)
     ]
     courses = [course(rng.uniform(0, 1), rng.uniform(-3, 3)) for _ in range(LANES)]
-    least, median = best(
-        lambda: simulate_batch(drives, courses, DURATION, range(LANES), keep), times=5
+    shortest, median = best(
+        lambda: simulate_batch(drives, courses, DURATION, range(LANES), select), times=5
     )
-    each = 1e6 / LANES / ROWS
-    print(f"    median {each * median:.2f} us, best {each * least:.2f} us ({median:.2f} s in all)")
+    microseconds = 1e6 / LANES / ROWS
+    print(
+        f"    median {microseconds * median:.2f} us, best {microseconds * shortest:.2f} us "
+        f"({median:.2f} s in all)"
+    )
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""A hundred million samples in single precision: offsets that walk, stops, garbage, restarts.
+"""A hundred million samples in single precision: drifting offsets, stops, bad samples, restarts.
 
-83 minutes of a servo at 20 kHz. Every twenty seconds it runs up, is reversed and stands for two.
-Its offsets walk by a tenth of themselves a minute. Every minute has samples that are missing,
-absurd, or missing for so long that the observer restarts. Does any error grow, is any output not
-finite?
+83 minutes of a servo at 20 kHz. Every twenty seconds it runs up, reverses and stops for two
+seconds. The offsets change randomly by a tenth per minute. Each minute has missing and implausible
+samples, and a gap so long that the observer restarts. The benchmark shows whether errors grow and
+whether outputs are not finite.
 
     python benchmarks/endurance.py [--samples 1e8]
 """
@@ -21,7 +21,7 @@ from fluxobs.simulation.closed_form.signals import vectors
 
 RATE, BATCH = 20_000, 1_200_000  # a batch is a minute
 MACHINE = example("servo-400w")
-#: Speed [rad/s] over time [s], repeated.
+#: Speed [rad/s] over time [s], repeated periodically.
 TIMES = np.array([0.0, 1.0, 8.0, 9.0, 11.0, 13.0, 17.0, 18.0, 20.0])
 SPEEDS = np.array([0.0, 600.0, 900.0, 0.0, 0.0, -700.0, -400.0, 0.0, 0.0])
 #: Angle at these times [rad].
@@ -29,37 +29,37 @@ ANGLES = np.concatenate([[0.0], np.cumsum(np.diff(TIMES) * (SPEEDS[1:] + SPEEDS[
 
 
 def course(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Electrical angle [rad] and speed [rad/s]."""
-    turns, within = np.divmod(t, TIMES[-1])
-    part = np.minimum(np.searchsorted(TIMES, within, "right") - 1, len(TIMES) - 2)
-    since = within - TIMES[part]
-    slope = (SPEEDS[part + 1] - SPEEDS[part]) / (TIMES[part + 1] - TIMES[part])
-    speed = SPEEDS[part] + slope * since
-    angle = ANGLES[part] + since * (SPEEDS[part] + slope * since / 2)
-    return np.remainder(turns * ANGLES[-1], 2 * np.pi) + angle, speed
+    """Return electrical angle [rad] and speed [rad/s]."""
+    cycles, cycle_time = np.divmod(t, TIMES[-1])
+    segment = np.minimum(np.searchsorted(TIMES, cycle_time, "right") - 1, len(TIMES) - 2)
+    elapsed = cycle_time - TIMES[segment]
+    acceleration = (SPEEDS[segment + 1] - SPEEDS[segment]) / (TIMES[segment + 1] - TIMES[segment])
+    speed = SPEEDS[segment] + acceleration * elapsed
+    angle = ANGLES[segment] + elapsed * (SPEEDS[segment] + acceleration * elapsed / 2)
+    return np.remainder(cycles * ANGLES[-1], 2 * np.pi) + angle, speed
 
 
 def minute(n: int, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """True angle, voltages and currents; the offsets move from the first to the second row."""
+    """Return true angle, voltages and currents; offsets move from the first row to the second."""
     h = 1 / RATE
     theta, speed = course((np.arange(-1, BATCH) + n * BATCH) * h)
-    turn = np.exp(1j * theta)
-    current = 4j * turn
-    flux = MACHINE.L_s * current + MACHINE.psi_f * turn
-    slope = 1j * speed * current
-    mean = (current[1:] + current[:-1]) / 2 - h * (slope[1:] - slope[:-1]) / 12
+    rotation = np.exp(1j * theta)
+    current = 4j * rotation
+    flux = MACHINE.L_s * current + MACHINE.psi_f * rotation
+    derivative = 1j * speed * current
+    mean_current = (current[1:] + current[:-1]) / 2 - h * (derivative[1:] - derivative[:-1]) / 12
     share = np.linspace(0, 1, BATCH)[:, None]
-    of_u, of_i = ((1 - share) * offsets[0] + share * offsets[1]).T
+    voltage_offset, current_offset = ((1 - share) * offsets[0] + share * offsets[1]).T
     rng = np.random.default_rng([3, n])
     noise = 0.02 * (rng.standard_normal(BATCH) + 1j * rng.standard_normal(BATCH))
-    u = vectors(np.diff(flux) / h + MACHINE.R_s * mean + of_u)
-    i = vectors(current[1:] + of_i + noise)
+    u = vectors(np.diff(flux) / h + MACHINE.R_s * mean_current + voltage_offset)
+    i = vectors(current[1:] + current_offset + noise)
     u[rng.integers(0, BATCH, 100)] = np.nan
     i[rng.integers(0, BATCH, 100)] = np.nan
     u[rng.integers(0, BATCH, 3)] = 1e30
     i[rng.integers(0, BATCH, 3), 1] = -1e9
     missing = rng.integers(0, BATCH - 10)
-    i[missing : missing + 6] = np.inf  # too long to be bridged
+    i[missing : missing + 6] = np.inf  # too long to bridge
     return theta[1:], u, i
 
 
@@ -88,35 +88,43 @@ def main() -> None:
     valid = dict.fromkeys(observers, 0)
     infinite = dict.fromkeys(observers, 0)
     rng = np.random.default_rng(1)
-    usual = np.array([0.12, 0.15]) * np.exp(2j * np.pi * rng.random(2))  # [V], [A]: 1 %
-    offsets = usual
+    initial_offsets = np.array([0.12, 0.15]) * np.exp(2j * np.pi * rng.random(2))  # [V], [A]: 1 %
+    offsets = initial_offsets
     for n in range(minutes):
-        walk = 0.1 * np.abs(usual) * (rng.standard_normal(2) + 1j * rng.standard_normal(2))
-        after = 0.98 * offsets + walk
-        theta, u, i = minute(n, np.array([offsets, after]))
-        offsets = after
+        walk = (
+            0.1 * np.abs(initial_offsets) * (rng.standard_normal(2) + 1j * rng.standard_normal(2))
+        )
+        next_offsets = 0.98 * offsets + walk
+        theta, u, i = minute(n, np.array([offsets, next_offsets]))
+        offsets = next_offsets
         for name, observer in observers.items():
-            states[name], found = observer.resume(states[name], u, i)
-            known = found.valid
-            error = degrees_error(found.theta_e, theta)[known]
-            std = np.degrees(found.theta_e_std[known])
+            states[name], estimate = observer.resume(states[name], u, i)
+            valid_rows = estimate.valid
+            error = degrees_error(estimate.theta_e, theta)[valid_rows]
+            std = np.degrees(estimate.theta_e_std[valid_rows])
             rms[name].append(np.sqrt(np.mean(error**2)))
             beyond[name] += int((np.abs(error) > 3 * std + 1e-9).sum())
             worst[name] = max(worst[name], float(np.abs(error).max()))
-            valid[name] += int(known.sum())
-            columns = (found.flux, found.psi_f, found.theta_e, found.speed_e, found.drift)
-            columns += (found.theta_e_std, found.theta_e_tracked)
+            valid[name] += int(valid_rows.sum())
+            columns = (
+                estimate.flux,
+                estimate.psi_f,
+                estimate.theta_e,
+                estimate.speed_e,
+                estimate.drift,
+            )
+            columns += (estimate.theta_e_std, estimate.theta_e_tracked)
             infinite[name] += sum(int((~np.isfinite(column)).sum()) for column in columns)
     for name, observer in observers.items():
         tenth = max(1, minutes // 10)
-        first, last = (
-            np.sqrt(np.mean(np.square(rms[name][s])))
-            for s in (slice(0, tenth), slice(-tenth, None))
+        first_rms, last_rms = (
+            np.sqrt(np.mean(np.square(rms[name][part])))
+            for part in (slice(0, tenth), slice(-tenth, None))
         )
         counts = observer.counts(states[name])
         print(
-            f"    {name}: rms of the first tenth {first:.3f}°, of the last {last:.3f}°; valid "
-            f"{valid[name] / (minutes * BATCH):.1%}, worst valid row {worst[name]:.1f}°, "
+            f"    {name}: rms of the first tenth {first_rms:.3f}°, of the last {last_rms:.3f}°; "
+            f"valid {valid[name] / (minutes * BATCH):.1%}, worst valid row {worst[name]:.1f}°, "
             f"{beyond[name] / valid[name]:.2%} beyond 3 σ; {counts.restarts} restarts; "
             f"{infinite[name]} outputs not finite"
         )

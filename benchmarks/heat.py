@@ -1,7 +1,7 @@
-"""A winding that warms up while it drives: is its resistance followed, and is the promise kept?
+"""A winding that warms up: error of the estimated resistance against its standard deviation.
 
-The demonstration motor (fluxobs.simulation.closed_form.endless) runs 40 s; its
-resistance rises exponentially.
+The demonstration motor (fluxobs.simulation.closed_form.endless) runs 40 s; its resistance rises
+exponentially.
 """
 
 from itertools import islice
@@ -17,23 +17,24 @@ COLD = 0.36  # Ω
 
 
 def main() -> None:
-    heading("resistance that rises by a share with a time constant; after 1.5 s of each 4 s cycle")
-    for warmer, warming in ((0.0, 1.0), (0.15, 100.0), (0.25, 40.0)):
-        endless.WARMER, endless.WARMING = warmer, warming
+    heading("resistance that rises with a time constant; scored after 1.5 s of each 4 s cycle")
+    for rise, time_constant in ((0.0, 1.0), (0.15, 100.0), (0.25, 40.0)):
+        endless.WARMER, endless.WARMING = rise, time_constant
         rows = np.array(list(islice(endless.endless(), round(SECONDS / endless.SAMPLE_TIME))))
         log = dict(zip(endless.COLUMNS, rows.T, strict=True))
         unknowns = ["drift", "resistance", "inverter"]
-        found = fluxobs.estimate(log, "servo-400w", unknowns=unknowns, causal=True)
+        estimates = fluxobs.estimate(log, "servo-400w", unknowns=unknowns, causal=True)
         start = log["t"] // endless.CYCLE * endless.CYCLE
-        true = COLD * (1 + warmer * (1 - np.exp(-start / warming)))
+        true_resistance = COLD * (1 + rise * (1 - np.exp(-start / time_constant)))
         late = log["t"] % endless.CYCLE > 1.5
-        off = np.abs(found["resistance"] - true)[late]
-        valid = found["valid"]
-        error = np.degrees(found["theta_e_error"][valid])
+        resistance_error = np.abs(estimates["resistance"] - true_resistance)[late]
+        scaled_error = resistance_error / estimates["resistance_std"][late]
+        valid = estimates["valid"]
+        error = np.degrees(estimates["theta_e_error"][valid])
         print(
-            f"    {warmer:.0%} in {warming:g} s: R_s off by {1e3 * off.max():.1f} mΩ at most, "
-            f"{(off / found['resistance_std'][late]).max():.1f} standard deviations; position "
-            f"{np.sqrt(np.mean(error**2)):.2f}° rms, {np.abs(error).max():.1f}° at most"
+            f"    {rise:.0%} in {time_constant:g} s: error of R_s up to "
+            f"{1e3 * resistance_error.max():.1f} mΩ, {scaled_error.max():.1f} standard deviations; "
+            f"position {np.sqrt(np.mean(error**2)):.2f}° rms, {np.abs(error).max():.1f}° at most"
         )
 
 

@@ -1,4 +1,4 @@
-"""Voltages that are held over a sample, where L/R is short and samples are few.
+"""Voltages held over a sample, with a short L/R and few samples per period.
 
 Prints the table of docs/benchmarks.md, "Held voltages": a motor of 50 mOhm, 20 uH at 10 kHz.
 """
@@ -25,27 +25,29 @@ def load(t):
 
 def main() -> None:
     print("R h/L = 0.25; steps of load, offsets; degrees, from 0.15 s on; floor = L sigma/psi")
-    for samples_a_period in (10, 14, 28):
-        speed = 2 * np.pi / (samples_a_period * H)
-        for label, given in (
-            ("cubic alone, 0.03 s", {"held": False, "memory": 0.03}),
-            ("kinks counted, 0.03 s", {"memory": 0.03}),
-            ("kinks counted, by itself", {"speed_e": speed}),
+    for per_period in (10, 14, 28):
+        speed = 2 * np.pi / (per_period * H)
+        for label, options in (
+            ("cubic only, 0.03 s", {"held": False, "memory": 0.03}),
+            ("with kinks, 0.03 s", {"memory": 0.03}),
+            ("with kinks, automatic", {"speed_e": speed}),
         ):
             clean = held(MACHINE, H, speed, load, 0.5, 0.1 + 0.05j, 0.02)
-            observer = LeastSquaresObserver.for_machine(MACHINE, sample_time=H, **given)
+            observer = LeastSquaresObserver.for_machine(MACHINE, sample_time=H, **options)
             estimate = observer.run(clean.voltage, clean.current)
             error = wrapped_degrees(estimate.theta_e - clean.theta)[1500:]
-            noise, raw = 0.06, []
+            noise, noise_stds = 0.06, []
             for seed in range(4):
                 noisy = held(MACHINE, H, speed, load, 0.5, 0.1 + 0.05j, 0.02, noise, seed)
-                found = observer.run(noisy.voltage, noisy.current)
-                raw.append((wrapped_degrees(found.theta_e - noisy.theta)[1500:] - error).std())
+                noisy_estimate = observer.run(noisy.voltage, noisy.current)
+                noise_stds.append(
+                    (wrapped_degrees(noisy_estimate.theta_e - noisy.theta)[1500:] - error).std()
+                )
             floor = np.degrees(MACHINE.L_s * noise / MACHINE.psi_f)
             print(
-                f"    {samples_a_period:2d} samples a period, {label:25s} memory "
+                f"    {per_period:2d} samples per period, {label:25s} memory "
                 f"{1e3 * observer.memory:4.1f} ms: {np.sqrt(np.mean(error**2)):.3f} rms without "
-                f"noise; noise {np.mean(raw) / floor:.2f} of the floor"
+                f"noise; noise {np.mean(noise_stds) / floor:.2f} of the floor"
             )
 
 

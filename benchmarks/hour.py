@@ -30,14 +30,14 @@ rated_current = 12.0
 
 
 def batches(rows: int) -> Iterator[pl.DataFrame]:
-    """Record of a drive that swings between ±800 rad/s, with offsets and noise."""
+    """Yield a record of a drive that oscillates between ±800 rad/s, with offsets and noise."""
     rng = np.random.default_rng(1)
     for start in range(0, rows, BATCH):
         t = np.arange(start, min(start + BATCH, rows)) / RATE
         speed = 800 * np.cos(0.5 * t)
-        turn = np.exp(1j * 1600 * np.sin(0.5 * t))
-        i = 4j * turn
-        u = 0.36 * i + 0.6e-3 * 4j * 1j * speed * turn + 0.0125j * speed * turn
+        rotation = np.exp(1j * 1600 * np.sin(0.5 * t))
+        i = 4j * rotation
+        u = 0.36 * i + 0.6e-3 * 4j * 1j * speed * rotation + 0.0125j * speed * rotation
         i = i + 0.1 + 0.02 * (rng.standard_normal(len(t)) + 1j * rng.standard_normal(len(t)))
         yield pl.DataFrame(
             {"t": t, "u_alpha": u.real, "u_beta": u.imag, "i_alpha": i.real, "i_beta": i.imag}

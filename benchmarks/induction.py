@@ -1,7 +1,7 @@
-"""Sensorless drives of an induction machine, in the loop with the plain observer.
+"""Sensorless drives of an induction machine with the plain observer in the loop.
 
-Prints the table of docs/benchmarks.md, "Induction drives". Offsets of 0.22 A (3 % of rated) and
-noise of 0.02 A everywhere.
+Prints the table of docs/benchmarks.md, "Induction drives". All drives have offsets of 0.22 A (3 %
+of rated) and noise of 0.02 A.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fluxobs.simulation.drive.sensorless import RUNNING
 
 MACHINE, RATED = example("induction-2kw2"), rating("induction-2kw2")
 BASE = RATED.speed_e / MACHINE.n_p
-#: Name → speed and load over time, as shares of the rated ones; duration; options of the drive.
+#: Name → speed and load over time as shares of the rated values, duration, options of the drive.
 COURSES: dict[str, tuple[Any, Any, float, dict[str, float]]] = {
     "start, full load, loaded reversal": (
         [(0, 0), (0.2, 0.1), (0.6, 0.1), (1.0, 0.8), (1.8, 0.8), (2.8, -0.8), (3.6, -0.8)],
@@ -44,7 +44,7 @@ COURSES: dict[str, tuple[Any, Any, float, dict[str, float]]] = {
         {"memory": 0.2, "speed_bandwidth": 50.0},
     ),
 }
-WRONG = ({}, {"R_R": 1.2}, {"R_R": 0.8}, {"R_s": 1.2}, {"R_s": 0.8})
+ERRORS = ({}, {"R_R": 1.2}, {"R_R": 0.8}, {"R_s": 1.2}, {"R_s": 0.8})
 
 
 def main() -> None:
@@ -55,9 +55,9 @@ def main() -> None:
             RATED.dc_link,
             Profile([t for t, _ in load], [x * RATED.torque for _, x in load]),
         )
-        for wrong in WRONG:
+        for factors in ERRORS:
             believed = MACHINE
-            for key, factor in wrong.items():
+            for key, factor in factors.items():
                 believed = believed.scaled([key], factor)
             drive = sensorless_drive(
                 MACHINE, RATED, believed=believed, offset=(0.13, 0.18), noise=0.02, **options
@@ -67,13 +67,13 @@ def main() -> None:
             error = np.degrees(wrap(np.asarray(trace.reading.theta_e - trace.theta_e)))[settled]
             valid = np.asarray(trace.reading.valid)[settled]
             running = np.asarray(trace.mode == RUNNING)[settled]
-            off = np.abs(trace.speed - trace.reference)[settled] / BASE
-            label = ", ".join(f"{key} x {factor}" for key, factor in wrong.items()) or "right"
+            speed_error = np.abs(trace.speed - trace.reference)[settled] / BASE
+            label = ", ".join(f"{key} x {factor}" for key, factor in factors.items()) or "correct"
             print(
                 f"    {label:12s} in the loop {running.mean():5.1%}, position "
                 f"{np.sqrt(np.mean(error[running] ** 2)):6.2f} deg rms, valid rows at most "
-                f"{np.abs(error[valid]).max(initial=0):6.2f}, speed off at most {off.max():6.1%}, "
-                f"at the end {off[-1]:5.2%} of rated"
+                f"{np.abs(error[valid]).max(initial=0):6.2f}, speed error up to "
+                f"{speed_error.max():6.1%}, at the end {speed_error[-1]:5.2%} of rated"
             )
 
 

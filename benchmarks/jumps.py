@@ -1,8 +1,8 @@
-"""Offsets that jump: plain, adaptive, and the best baseline, on the scenario of the comparison.
+"""Jumping offsets: plain and adaptive observer on the scenario `bias-jumps` of the comparison.
 
-The extended Kalman filter with the drift as a state, gains tuned, reaches 0.182 degrees on
-`bias-jumps` (docs/observers.md, `benchmarks/compare.py`). Larger jumps: by several of the drift's
-priors.
+The best baseline, the extended Kalman filter with drift state and tuned gains, reaches 0.182
+degrees (docs/observers.md, `benchmarks/compare.py`). Larger jumps are several times the drift's
+prior.
 
     python benchmarks/jumps.py
 """
@@ -21,32 +21,32 @@ from fluxobs.comparison.scenarios import run_scenario, scenario
 def main() -> None:
     heading(
         "Offsets that change sign at 2.6 s, 2.2 kW motor: degrees rms from 0.5 s on, largest, "
-        "largest on a valid row (target: 0.18 rms, the best baseline's, at 1 x)"
+        "largest on a valid row (target at 1 x: 0.18 rms as the best baseline)"
     )
     jumps = scenario("bias-jumps")
-    for times in (0.0, 1.0, 2.0, 5.0):
+    for factor in (0.0, 1.0, 2.0, 5.0):
         scaled = replace(
             jumps,
-            current_offset=tuple((t, times * a, times * b) for t, a, b in jumps.current_offset),
-            voltage_offset=tuple((t, times * a, times * b) for t, a, b in jumps.voltage_offset),
+            current_offset=tuple((t, factor * a, factor * b) for t, a, b in jumps.current_offset),
+            voltage_offset=tuple((t, factor * a, factor * b) for t, a, b in jumps.voltage_offset),
         )
         run, machine, rated = run_scenario(scaled, "pmsm-2kw2")
         record = run.record()
         noise = jumps.noise * machine.rated_current
-        for name, make, more in (
+        for name, make, options in (
             ("plain", LeastSquaresObserver, {}),
             ("adaptive", AdaptiveObserver, {}),
             ("adaptive, R and V known", AdaptiveObserver, {"unknowns": ("drift",)}),
         ):
             observer = make.for_machine(
-                machine, sample_time=rated.sample_time, current_noise=noise, **more
+                machine, sample_time=rated.sample_time, current_noise=noise, **options
             )
-            found = observer.run(record)
-            error = np.abs(degrees_error(found.theta_e, record.theta_e))
+            estimate = observer.run(record)
+            error = np.abs(degrees_error(estimate.theta_e, record.theta_e))
             scored = record.t >= jumps.score_from
-            worst = error[scored & found.valid].max()
+            worst = error[scored & estimate.valid].max()
             print(
-                f"    {times:.0f} x, {name:24s} {np.sqrt(np.mean(error[scored] ** 2)):.3f} rms, "
+                f"    {factor:.0f} x, {name:24s} {np.sqrt(np.mean(error[scored] ** 2)):.3f} rms, "
                 f"{error[scored].max():.1f} at most, {worst:.1f} on a valid row"
             )
 

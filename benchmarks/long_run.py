@@ -18,27 +18,27 @@ RATE, BATCH = 20_000, 1_200_000  # a batch is a minute
 
 
 def course(name: str, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Electrical angle [rad] and speed [rad/s] at these times."""
+    """Return electrical angle [rad] and speed [rad/s] at these times."""
     if name == "constant speed":
         return 600.0 * t, np.full_like(t, 600.0)
-    # Swings between 200 and 1000 rad/s with a period of eight seconds.
+    # The speed oscillates between 200 and 1000 rad/s with a period of eight seconds.
     w = 2 * np.pi / 8
     return 600.0 * t + 400.0 / w * np.sin(w * t), 600.0 + 400.0 * np.cos(w * t)
 
 
 def minute(machine: SurfacePMSM, name: str, start: int, noise: float) -> tuple[np.ndarray, ...]:
-    """True angle, mean voltage of the interval that ends at each row, measured current."""
+    """Return true angle, mean voltage of the interval ending at each row, measured current."""
     assert machine.psi_f is not None
     h = 1 / RATE
     k = np.arange(start - 1, start + BATCH)
     theta, speed = course(name, k * h)
-    turn = np.exp(1j * np.remainder(theta, 2 * np.pi))
-    i = 4j * turn
-    flux = machine.L_s * i + machine.psi_f * turn
+    rotation = np.exp(1j * np.remainder(theta, 2 * np.pi))
+    i = 4j * rotation
+    flux = machine.L_s * i + machine.psi_f * rotation
     # Mean current over an interval, by Euler-Maclaurin: h^4 is far below single precision.
-    slope = 1j * speed * i
-    mean = (i[1:] + i[:-1]) / 2 - h * (slope[1:] - slope[:-1]) / 12
-    u = np.diff(flux) / h + machine.R_s * mean + (0.12 - 0.08j)
+    derivative = 1j * speed * i
+    mean_current = (i[1:] + i[:-1]) / 2 - h * (derivative[1:] - derivative[:-1]) / 12
+    u = np.diff(flux) / h + machine.R_s * mean_current + (0.12 - 0.08j)
     rng = np.random.default_rng(start)
     measured = i[1:] + (0.15 - 0.10j)
     if noise:
@@ -53,7 +53,7 @@ def main() -> None:
     machine = example("servo-400w")
     assert isinstance(machine, SurfacePMSM)
     heading(f"{minutes} minutes at 20 kHz in float32, offsets of 1 % (target: drift below 0.05°)")
-    for name in ("constant speed", "speed that swings"):
+    for name in ("constant speed", "oscillating speed"):
         for noise in (0.0, 0.02):
             observer = LeastSquaresObserver.for_machine(
                 machine, sample_time=1 / RATE, precision="single"
@@ -61,16 +61,17 @@ def main() -> None:
             state, means, worst, invalid = observer.init(), [], 0.0, 0
             for n in range(minutes):
                 theta, u, i = minute(machine, name, n * BATCH, noise)
-                state, found = observer.resume(state, u, i)
+                state, estimate = observer.resume(state, u, i)
                 settled = slice(RATE if n == 0 else 0, None)
-                error = degrees_error(found.theta_e, theta)[settled]
+                error = degrees_error(estimate.theta_e, theta)[settled]
                 means.append(float(error.mean()))
                 worst = max(worst, float(np.abs(error).max()))
-                invalid += int((~found.valid[settled]).sum())
-            drift = max(abs(m - means[0]) for m in means)
+                invalid += int((~estimate.valid[settled]).sum())
+            drift = max(abs(mean - means[0]) for mean in means)
             print(
-                f"    {name}, noise {noise:g} A: mean per minute {means[0]:+.4f}° at first, then "
-                f"within {drift:.5f}° of that; largest error {worst:.3f}°, {invalid} rows invalid"
+                f"    {name}, noise {noise:g} A: mean error of the first minute {means[0]:+.4f}°, "
+                f"later within {drift:.5f}° of it; largest error {worst:.3f}°, {invalid} invalid "
+                f"rows"
             )
 
 

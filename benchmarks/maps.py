@@ -1,4 +1,4 @@
-"""Machines that saturate, salient ones whose i_d moves, and induction machines.
+"""Saturated machines, salient machines with varying i_d, and induction machines.
 
 Prints the numbers of docs/theory.md, sections 14 and 15, and docs/benchmarks.md.
 """
@@ -33,10 +33,10 @@ from support.records import driven, log_columns, profile, wrapped_degrees
 H = 1.25e-4
 
 
-def score(estimate, theta, half=False, start=0.2):
-    """rms from `start` [s] on, largest error on valid rows [degrees], share valid."""
-    turn = 2 if half else 1
-    error = wrapped_degrees(turn * (estimate.theta_e - theta)) / turn
+def score(estimate, theta, half_turn=False, start=0.2):
+    """Return rms from `start` [s] on, largest error on valid rows [degrees], share valid."""
+    factor = 2 if half_turn else 1
+    error = wrapped_degrees(factor * (estimate.theta_e - theta)) / factor
     settled = np.arange(len(error)) * H >= start
     worst = np.abs(error[estimate.valid]).max() if estimate.valid.any() else np.nan
     return (
@@ -45,46 +45,46 @@ def score(estimate, theta, half=False, start=0.2):
     )
 
 
-def plain(machine, samples, half=False, **given):
-    observer = LeastSquaresObserver.for_machine(machine, sample_time=H, **given)
-    return score(observer.run(samples.voltage, samples.current), samples.theta, half)
+def plain(machine, samples, half_turn=False, **options):
+    observer = LeastSquaresObserver.for_machine(machine, sample_time=H, **options)
+    return score(observer.run(samples.voltage, samples.current), samples.theta, half_turn)
 
 
-def adaptive(machine, samples, half=False):
+def adaptive(machine, samples, half_turn=False):
     observer = AdaptiveObserver.for_machine(machine, sample_time=H)
     state, estimate = observer.resume(observer.init(), samples.voltage, samples.current)
     learnt = observer.learnt(state)
-    found = f", R {learnt.resistance:.3f} ± {learnt.resistance_std:.3f}"
-    return score(estimate, samples.theta, half) + found
+    text = f", R {learnt.resistance:.3f} ± {learnt.resistance_std:.3f}"
+    return score(estimate, samples.theta, half_turn) + text
 
 
 def points(model, factor=1.0):
-    at = np.linspace(-44, 44, 45)
-    i = (at[:, None] + 1j * at[None, :]).ravel()
+    grid = np.linspace(-44, 44, 45)
+    i = (grid[:, None] + 1j * grid[None, :]).ravel()
     return FluxPoints(i, factor * model.flux(i))
 
 
 def reluctance():
     print("Saturated reluctance machine, 6.7 kW: i_q -12 to 18 A, i_d 8 to 12 A, reversal;")
     print("1.1 V of offset, noise 0.05 A; degrees")
-    given = {"R_s": 0.63, "n_p": 2, "rated_current": 22.0}
+    values = {"R_s": 0.63, "n_p": 2, "rated_current": 22.0}
     samples = reluctance_record()
     for name, machine in (
-        ("constant inductances", SynchronousReluctance(**given, L_d=0.047, L_q=0.0085)),
+        ("constant inductances", SynchronousReluctance(**values, L_d=0.047, L_q=0.0085)),
         ("flux map", RELUCTANCE),
-        ("map 5 % too large", SynchronousReluctance(**given, flux_map=points(MODEL, 1.05))),
-        ("map 10 % too large", SynchronousReluctance(**given, flux_map=points(MODEL, 1.10))),
+        ("map 5 % too large", SynchronousReluctance(**values, flux_map=points(MODEL, 1.05))),
+        ("map 10 % too large", SynchronousReluctance(**values, flux_map=points(MODEL, 1.10))),
     ):
-        print(f"    {name:22s} {plain(machine, samples, half=True)}")
+        print(f"    {name:22s} {plain(machine, samples, half_turn=True)}")
     for factor in (1.0, 0.5, 1.5):
         machine = RELUCTANCE.with_values(R_s=factor * 0.63)
-        print(f"    adaptive, R x {factor:3.1f}      {adaptive(machine, samples, half=True)}")
-    worst, deviations, first = [], [], []
+        print(f"    adaptive, R x {factor:3.1f}      {adaptive(machine, samples, half_turn=True)}")
+    worst, deviations, first_valid = [], [], []
     for theta0 in np.arange(-3.1, 3.1, 0.31):
         for seed in (3, 4):
             samples = reluctance_record(theta0=theta0, seed=seed)
-            for at in (0, 2400, 5000, 8400):
-                rows = slice(at, at + 3000)
+            for start in (0, 2400, 5000, 8400):
+                rows = slice(start, start + 3000)
                 estimate = LeastSquaresObserver.for_machine(RELUCTANCE, sample_time=H).run(
                     samples.voltage[rows], samples.current[rows]
                 )
@@ -94,23 +94,23 @@ def reluctance():
                 error = wrapped_degrees(2 * (estimate.theta_e - samples.theta[rows]))[valid] / 2
                 worst.append(np.abs(error).max())
                 deviations.append(np.abs(error / np.degrees(estimate.theta_e_std[valid])).max())
-                first.append(np.argmax(valid) * H)
+                first_valid.append(np.argmax(valid) * H)
     print(
         f"    160 starts at any angle: {len(worst)} valid within 0.375 s, on average after "
-        f"{np.mean(first):.3f} s; at most {np.max(worst):.1f}, median {np.median(worst):.1f}; "
-        f"{np.max(deviations):.1f} standard deviations"
+        f"{np.mean(first_valid):.3f} s; at most {np.max(worst):.1f}, median "
+        f"{np.median(worst):.1f}; {np.max(deviations):.1f} standard deviations"
     )
 
 
-def falling():
+def falling_inductance():
     print("\nSurface machine whose inductance falls at rated current; degrees")
-    given = {"R_s": 0.5, "n_p": 4, "L_s": 3e-3, "psi_f": 0.1, "rated_current": 20.0}
+    values = {"R_s": 0.5, "n_p": 4, "L_s": 3e-3, "psi_f": 0.1, "rated_current": 20.0}
     speed = profile((0, 300), (1.0, 300), (1.4, -300), (1.8, -300))
     i_q = profile((0, 3), (0.3, 3), (0.31, 20), (0.8, 20), (0.81, -10), (1.8, 15))
     for share in (0.7, 0.5):
-        machine = SurfacePMSM(**given, L_s_rated=share * 3e-3)
+        machine = SurfacePMSM(**values, L_s_rated=share * 3e-3)
         samples = driven(machine, H, speed, 1j * i_q, voltage_bias=0.5 + 0.2j, noise=0.04)
-        print(f"    to {share:.0%}, constant L_s  {plain(SurfacePMSM(**given), samples)}")
+        print(f"    to {share:.0%}, constant L_s  {plain(SurfacePMSM(**values), samples)}")
         print(f"    to {share:.0%}, L_s_rated     {plain(machine, samples)}")
 
 
@@ -130,16 +130,16 @@ def interior():
     print(f"    saturated, L_q/L_d {saturated.L_q / saturated.L_d:.1f} at rated current")
     print(f"                              {plain(saturated, interior_record(saturated))}")
     measured = example("ipm-5kw6")
-    given = {name: value for name, value in measured.parameters().items() if value is not None}
-    between = Measured(**given)
-    for title, true in (("its splines", measured), ("linear between the points", between)):
+    values = {name: value for name, value in measured.parameters().items() if value is not None}
+    interpolated = Measured(**values)
+    for title, true in (("its splines", measured), ("linear between the points", interpolated)):
         for seed in range(3):
             samples = measured_record(true, seed)
             print(f"    measured map, {title:25s} {plain(measured, samples)}")
 
 
 class Measured(InteriorPMSM):
-    """The machine with a measured map, linear between the points of its test."""
+    """The machine with a measured map, interpolated linearly between the measured points."""
 
     def flux_dq(self, current):
         i, psi = mirrored(self.flux_map.current, self.flux_map.flux, True)
@@ -151,7 +151,7 @@ class Measured(InteriorPMSM):
 
 
 def measured_record(machine, seed):
-    """i_d -2 to -10 A, i_q to 14 A both ways, a reversal at 60 Hz."""
+    """i_d from -2 to -10 A, i_q up to ±14 A, a reversal at 60 Hz."""
     speed = 377 * profile((0, 0.2), (0.3, 1), (1.2, 1), (1.8, -1), (2, -1))
     i_d = profile(
         *((0, -2), (0.4, -2), (0.41, -10), (0.8, -10), (0.81, -4), (1.3, -4), (1.31, -8), (2, -8))
@@ -159,36 +159,43 @@ def measured_record(machine, seed):
     i_q = profile(
         *((0, 3), (0.5, 3), (0.51, 14), (0.9, 14), (0.91, -12), (1.3, -12), (1.32, 6), (2, 6))
     )
-    given = {"voltage_bias": 1 + 0.5j, "noise": 0.04, "theta0": 2.0 * seed, "seed": seed}
-    return driven(machine, H, speed, i_d + 1j * i_q, **given)
+    options = {"voltage_bias": 1 + 0.5j, "noise": 0.04, "theta0": 2.0 * seed, "seed": seed}
+    return driven(machine, H, speed, i_d + 1j * i_q, **options)
 
 
 def cage():
     print("\nInduction machine, 2.2 kW: run-up, load steps, loaded reversal; degrees")
     machine = example("induction-2kw2")
-    for name, psi in (("flux stands", CONSTANT), ("0.9 to 0.5 to 0.9 Wb", RAMPS)):
+    for name, psi in (("constant flux", CONSTANT), ("0.9 to 0.5 to 0.9 Wb", RAMPS)):
         voltage, current, theta, mechanical = cage_record(psi)
         for factor in (0.7, 1.0, 1.5) if psi is RAMPS else ():
             guess = machine.with_values(R_R=factor * machine.R_R)
-            found = fluxobs.identify(
+            identified_parameters = fluxobs.identify(
                 (voltage, current), guess, free="R_R", sample_time=H, lag=1.0
             ).parameters
-            told = ", ".join(f"{p.name} {p.value:.4g} ± {p.std:.2g} {p.unit}" for p in found)
-            print(f"    {name:21s} identified from R_R x {factor:3.1f}  {told}")
-        for title, taken in (
-            ("length taken as constant", machine.with_values(R_R=1e-6)),
-            ("length followed", machine),
+            text = ", ".join(
+                f"{p.name} {p.value:.4g} ± {p.std:.2g} {p.unit}" for p in identified_parameters
+            )
+            print(f"    {name:21s} identified from R_R x {factor:3.1f}  {text}")
+        for title, believed in (
+            ("length assumed constant", machine.with_values(R_R=1e-6)),
+            ("length tracked", machine),
             ("R_R x 0.7", machine.with_values(R_R=0.7 * machine.R_R)),
             ("R_R x 1.5", machine.with_values(R_R=1.5 * machine.R_R)),
             ("L_M x 0.7", machine.with_values(L_M=0.7 * machine.L_M)),
         ):
-            estimate = LeastSquaresObserver.for_machine(taken, sample_time=H).run(voltage, current)
-            speed = derived(taken, estimate, current)["speed_mech"] - mechanical
-            off = np.sqrt(np.mean(speed[1600:] ** 2)) / machine.rated_speed
-            print(f"    {name:21s} {title:25s} {score(estimate, theta)}, speed {off:.2%} of rated")
+            estimate = LeastSquaresObserver.for_machine(believed, sample_time=H).run(
+                voltage, current
+            )
+            speed = derived(believed, estimate, current)["speed_mech"] - mechanical
+            speed_error = np.sqrt(np.mean(speed[1600:] ** 2)) / machine.rated_speed
+            print(
+                f"    {name:21s} {title:25s} {score(estimate, theta)}, speed error "
+                f"{speed_error:.2%} of rated"
+            )
         for factor in (0.8, 1.2):
-            taken = machine.with_values(R_s=factor * machine.R_s)
-            observer = AdaptiveObserver.for_machine(taken, sample_time=H)
+            believed = machine.with_values(R_s=factor * machine.R_s)
+            observer = AdaptiveObserver.for_machine(believed, sample_time=H)
             state, estimate = observer.resume(observer.init(), voltage, current)
             learnt = observer.learnt(state)
             print(
@@ -198,7 +205,7 @@ def cage():
 
 
 class Exact(SynchronousReluctance):
-    """The reluctance machine itself, not the splines through its map."""
+    """The reluctance machine itself, without the splines through its map."""
 
     def flux_dq(self, current):
         return MODEL.flux(current)
@@ -207,39 +214,39 @@ class Exact(SynchronousReluctance):
 def identified():
     exact = Exact(R_s=0.63, n_p=2, rated_current=22.0, L_d=0.047, L_q=0.0085)
     print("\nThe map from the log of the reluctance machine, inductances and R_s 10 % wrong")
-    for title, true in (("the model's own map", exact), ("splines, 0.2 % off it", RELUCTANCE)):
+    for title, true in (("the model's own map", exact), ("splines, error 0.2 %", RELUCTANCE)):
         identified_from(title, true)
 
 
 def identified_from(title, true):
     print(f"  {title}")
-    given = {"R_s": 0.69, "n_p": 2, "rated_current": 22.0, "L_d": 0.047, "L_q": 0.0085}
-    machine = SynchronousReluctance(**given, inverter_voltage=0.0, inverter_voltage_std=0.01)
-    inside, shares, worst, angles = [], [], 0.0, []
+    values = {"R_s": 0.69, "n_p": 2, "rated_current": 22.0, "L_d": 0.047, "L_q": 0.0085}
+    machine = SynchronousReluctance(**values, inverter_voltage=0.0, inverter_voltage_std=0.01)
+    inside, resistances, worst, scores = [], [], 0.0, []
     for seed in range(6):
         samples = reluctance_record(seed=seed, theta0=0.5 * seed, machine=true)
         log = {name: np.asarray(column) for name, column in log_columns(samples).items()}
-        found = fluxobs.identify(log, machine, free="R_s,map")
-        i = found.map.visited[:, None] * np.linspace(0.9, 1, 3)
-        i = i[found.map.inside(i)]
-        off, std = found.map.flux(i) - true.flux_dq(i), found.map.flux_std(i)
-        worst = max(worst, float(np.abs(off).max() / np.abs(true.flux_dq(i)).max()))
-        inside += [np.abs(off.real) < 3 * std.real, np.abs(off.imag) < 3 * std.imag]
-        shares.append(found.machine.R_s)
-        observer = LeastSquaresObserver.for_machine(found.machine, sample_time=H)
-        angles.append(score(observer.run(samples.voltage, samples.current), samples.theta, True))
+        result = fluxobs.identify(log, machine, free="R_s,map")
+        i = result.map.visited[:, None] * np.linspace(0.9, 1, 3)
+        i = i[result.map.inside(i)]
+        error, std = result.map.flux(i) - true.flux_dq(i), result.map.flux_std(i)
+        worst = max(worst, float(np.abs(error).max() / np.abs(true.flux_dq(i)).max()))
+        inside += [np.abs(error.real) < 3 * std.real, np.abs(error.imag) < 3 * std.imag]
+        resistances.append(result.machine.R_s)
+        observer = LeastSquaresObserver.for_machine(result.machine, sample_time=H)
+        scores.append(score(observer.run(samples.voltage, samples.current), samples.theta, True))
     print(
         f"    six logs: fluxes within {worst:.2%} in the visited region, within three standard "
         f"deviations on {np.mean(np.concatenate(inside)):.0%}"
     )
-    print(f"    R_s {np.min(shares):.4f} to {np.max(shares):.4f} (true 0.63)")
-    for text in angles:
-        print(f"    with the map found: {text}")
+    print(f"    R_s {np.min(resistances):.4f} to {np.max(resistances):.4f} (true 0.63)")
+    for text in scores:
+        print(f"    with the identified map: {text}")
 
 
 if __name__ == "__main__":
     reluctance()
-    falling()
+    falling_inductance()
     interior()
     cage()
     identified()

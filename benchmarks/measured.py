@@ -13,7 +13,7 @@ from common import MEASURED, degrees_error, heading
 import fluxobs
 from fluxobs import SurfacePMSM
 
-#: Published data; without a rated current, which is then taken from the record.
+#: Published data; the rated current is missing and is then taken from the record.
 MACHINE = SurfacePMSM(R_s=0.39, L_s=1.4e-3, n_p=8, psi_f=0.032)
 Q8 = 1 / 256
 LAYOUT: dict[str, Any] = {
@@ -33,25 +33,25 @@ def main() -> None:
         return
     for path in logs:
         log = fluxobs.read_log(path, **LAYOUT)
-        found = fluxobs.estimate(log, MACHINE)
-        error = np.degrees(found["theta_e_error"])
-        std = np.degrees(found["theta_e_std"])
-        valid = found["valid"]
-        true = np.unwrap(found["theta_e"] - found["theta_e_error"])
-        period = np.argmax(np.abs(true - true[0]) > 2 * np.pi) * log.sample_time
+        estimates = fluxobs.estimate(log, MACHINE)
+        error = np.degrees(estimates["theta_e_error"])
+        std = np.degrees(estimates["theta_e_std"])
+        valid = estimates["valid"]
+        true_angle = np.unwrap(estimates["theta_e"] - estimates["theta_e_error"])
+        period = np.argmax(np.abs(true_angle - true_angle[0]) > 2 * np.pi) * log.sample_time
         start = (np.flatnonzero(np.abs(error[:1000]) > 10).max() + 1) * log.sample_time
         scored = slice(int(0.2 / log.sample_time), None)
         mean = error[scored].mean()
         tracked = degrees_error(
-            found["theta_e_tracked"],
-            found["theta_e"] - found["theta_e_error"],
+            estimates["theta_e_tracked"],
+            estimates["theta_e"] - estimates["theta_e_error"],
         )[scored]
-        held = (np.abs(error) < 2 * std)[scored].mean()
+        coverage = (np.abs(error) < 2 * std)[scored].mean()
         print(
             f"    {path.stem}: {error[scored].std():.2f} degrees rms about the mean, mean "
             f"{mean:+.2f}, tracked {tracked.std():.2f}; below 10 after {1e3 * start:.1f} ms (first "
-            f"period {1e3 * period:.0f} ms); 2 sigma holds {held:.0%}; valid {valid.mean():.0%}, "
-            f"then at most {np.abs(error[valid]).max():.1f} off"
+            f"period {1e3 * period:.0f} ms); 2 sigma holds {coverage:.0%}; valid "
+            f"{valid.mean():.0%}, errors then up to {np.abs(error[valid]).max():.1f}"
         )
 
 

@@ -1,7 +1,7 @@
-"""How often `check` is silent on a right log, and names the mistake on a wrong one.
+"""How often `check` is silent on a correct log, and finds the mistake in a wrong one.
 
-Random drives of eight machines (random_drives.py), with inverters and offsets, and for the mistakes
-with R off by up to a half and the magnet by a fifth besides.
+Random drives of eight machines (random_drives.py) with inverters and offsets. With a mistake, R has
+errors up to 50 % and the magnet flux up to 20 % as well.
 
     python benchmarks/mistakes.py [--drives 3]
 """
@@ -45,7 +45,7 @@ def _log(change: Callable[[Columns], Columns]) -> Callable[[Columns, RotatingMac
     return lambda columns, machine: (change(columns), machine)
 
 
-#: Mistake -> what it does, and what a finding or one of its alternatives has to say.
+#: Mistake → its change of the log or machine, and the text expected in a finding or alternative.
 MISTAKES = {
     "none": (lambda columns, machine: (columns, machine), ""),
     "sign": (_log(lambda c: _scaled(c, "i", -1)), "opposite sign"),
@@ -59,56 +59,60 @@ MISTAKES = {
 }
 
 
-def columns_of(one: Drive) -> Columns:
-    u, i = one.voltage, one.current
+def columns_of(record: Drive) -> Columns:
+    u, i = record.voltage, record.current
     u = np.concatenate([u[1:], u[-1:]])
     names = ("u_alpha", "u_beta", "i_alpha", "i_beta")
     return dict(zip(names, (u.real, u.imag, i.real, i.imag), strict=True))
 
 
 def attempt(job: tuple[str, int]) -> list[tuple[str, str, str]]:
-    """Mistake, verdict, and what was said, for each of the mistakes."""
-    one, out = simulate(*job, 0.25), []
-    for name, (change, words) in MISTAKES.items():
-        if name.startswith("psi_f") and not one.machine.magnets:
+    """Return name, verdict and text of the findings for each mistake."""
+    record, verdicts = simulate(*job, 0.25), []
+    for name, (change, expected) in MISTAKES.items():
+        if name.startswith("psi_f") and not record.machine.magnets:
             continue
-        columns, machine = change(columns_of(one), one.believed if words else one.machine)
-        found = check(columns, machine, sample_time=one.sample_time)
-        said = "; ".join(str(finding) for finding in found.mistakes)
-        if not words:
-            verdict = "named" if found.sound else "else"
+        columns, machine = change(
+            columns_of(record), record.believed if expected else record.machine
+        )
+        findings = check(columns, machine, sample_time=record.sample_time)
+        text = "; ".join(str(finding) for finding in findings.mistakes)
+        if not expected:
+            verdict = "named" if findings.sound else "else"
         else:
-            verdict = "silent" if found.sound else "named" if words in said else "else"
-            if found.sound and any(words in w for f in found.findings for w in f.others):
+            verdict = "silent" if findings.sound else "named" if expected in text else "else"
+            if findings.sound and any(
+                expected in other for f in findings.findings for other in f.others
+            ):
                 verdict = "cannot tell"
-        out.append((name, verdict, f"{job}: {said}"))
-    return out
+        verdicts.append((name, verdict, f"{job}: {text}"))
+    return verdicts
 
 
-def main(drives: int, tell: bool) -> None:
+def main(drives: int, print_texts: bool) -> None:
     heading(
-        f"check on {drives} random drives of each machine: right (of the mistake: named, perhaps "
-        "with others), cannot tell, silent, something else"
+        f"check on {drives} random drives of each machine: correct (a mistake: named, possibly "
+        "with others), ambiguous, silent, something else"
     )
     jobs = [(name, seed) for name in MACHINES for seed in range(drives)]
     with ProcessPoolExecutor() as pool:
-        found = [one for part in pool.map(attempt, jobs) for one in part]
+        verdicts = [result for results in pool.map(attempt, jobs) for result in results]
     for mistake in MISTAKES:
-        mine = [(verdict, said) for name, verdict, said in found if name == mistake]
+        of_mistake = [(verdict, text) for name, verdict, text in verdicts if name == mistake]
         counts = [
-            sum(verdict == v for v, _ in mine)
+            sum(verdict == kind for kind, _ in of_mistake)
             for verdict in ("named", "cannot tell", "silent", "else")
         ]
         print(f"    {mistake:16s} {counts[0]:3d} {counts[1]:3d} {counts[2]:3d} {counts[3]:3d}")
-        if tell:
-            for verdict, said in mine:
+        if print_texts:
+            for verdict, text in of_mistake:
                 if verdict in ("else", "silent"):
-                    print(f"        {verdict} {said}")
+                    print(f"        {verdict} {text}")
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--drives", type=int, default=3)
-    parser.add_argument("--tell", action="store_true", help="print what was said instead")
+    parser.add_argument("--tell", action="store_true", help="print the other findings")
     options = parser.parse_args()
     main(options.drives, options.tell)

@@ -1,6 +1,6 @@
-"""The page and a report in a browser: sizes, and the times that a reader waits.
+"""The page and a report in a browser: sizes and waiting times.
 
-Needs `make page`, Chromium and playwright. Logs are the demo log, repeated with noise of its own.
+Needs `make page`, Chromium and playwright. Logs repeat the demo log with additional noise.
 """
 
 import re
@@ -25,31 +25,31 @@ PATIENCE = 300_000
 
 
 def log(rows: int) -> pl.DataFrame:
-    """The demo log over and over, with noise of the current that does not repeat."""
+    """Repeat the demo log, with non-repeating current noise."""
     demo = pl.read_csv(fluxobs.demo_log().path)
     frame = pl.concat([demo] * -(-rows // demo.height)).head(rows)
     noise = np.random.default_rng(1).normal(0.0, 0.02, (2, rows))
     return frame.with_columns(
         (pl.int_range(0, rows) * 2e-4).round(6).alias("t"),
         *(
-            (pl.col(n) + pl.Series(one)).round(5)
-            for n, one in zip(("i_alpha", "i_beta"), noise, strict=True)
+            (pl.col(name) + pl.Series(values)).round(5)
+            for name, values in zip(("i_alpha", "i_beta"), noise, strict=True)
         ),
     )
 
 
-def opened(browser, path: Path, ready: str):
-    """A page, and how long it took until it was ready [s]."""
+def open_page(browser, path: Path, ready: str):
+    """Open a page; return it and the time until it was ready [s]."""
     page = browser.new_page(viewport={"width": 1300, "height": 900})
     page.set_default_timeout(PATIENCE)
-    began = time.perf_counter()
+    started = time.perf_counter()
     page.goto(path.as_uri())
     page.wait_for_selector(ready)
-    return page, time.perf_counter() - began
+    return page, time.perf_counter() - started
 
 
-def zooms(page) -> float:
-    """Longest of ten zooms, from all to some rows [ms]."""
+def longest_zoom(page) -> float:
+    """Return the longest duration of ten zooms, from all rows to few [ms]."""
     return page.evaluate(
         """() => {
             const p = fluxobs.results.panels, [a, b] = p.full;
@@ -66,9 +66,9 @@ def zooms(page) -> float:
     )
 
 
-def slider(page) -> float:
-    """Median of five moves of a slider, to the new picture [ms]."""
-    took = []
+def slider_time(page) -> float:
+    """Return the median time from a move of the slider to the new picture, of five [ms]."""
+    durations = []
     for value in (0.3, -0.3, 0.2, -0.2, 0.1):
         page.evaluate(
             """(v) => { const s = document.getElementById("slider-R_s"); s.value = v;
@@ -77,28 +77,28 @@ def slider(page) -> float:
         )
         while not page.evaluate("() => fluxobs.results.took"):
             page.wait_for_timeout(20)
-        took.append(page.evaluate("() => fluxobs.results.took"))
-    return float(np.median(took))
+        durations.append(page.evaluate("() => fluxobs.results.took"))
+    return float(np.median(durations))
 
 
-def frames(browser) -> float:
-    """Pictures of a stream in a second; the simulator runs on the same processor."""
-    running = subprocess.Popen(
+def frame_rate(browser) -> float:
+    """Return the frames per second of a stream; the simulator runs on the same processor."""
+    process = subprocess.Popen(
         [sys.executable, "-m", "fluxobs", "live", "--demo", "--no-open", "--port", "0"],
         stdout=subprocess.PIPE,
         text=True,
     )
-    address = re.search(r"http\S+", running.stdout.readline()).group()
+    address = re.search(r"http\S+", process.stdout.readline()).group()
     page = browser.new_page(viewport={"width": 1280, "height": 900})
     page.goto(address)
     page.wait_for_timeout(6000)
-    before = page.evaluate("() => fluxobs.live.frames")
+    first_count = page.evaluate("() => fluxobs.live.frames")
     page.wait_for_timeout(5000)
-    found = (page.evaluate("() => fluxobs.live.frames") - before) / 5
+    rate = (page.evaluate("() => fluxobs.live.frames") - first_count) / 5
     page.close()
-    running.terminate()
-    running.wait()
-    return found
+    process.terminate()
+    process.wait()
+    return rate
 
 
 def main() -> None:
@@ -112,7 +112,7 @@ def main() -> None:
         )
         for rows in (100_000, 1_000_000, 10_000_000):
             log(rows).write_csv(folder / "log.csv")
-            page, _ = opened(browser, folder / "page.html", "body[data-ready]")
+            page, _ = open_page(browser, folder / "page.html", "body[data-ready]")
             page.evaluate(
                 """(m) => { document.getElementById("machine").value = m;
                            document.getElementById("unknowns").value = "drift"; }""",
@@ -123,20 +123,20 @@ def main() -> None:
             waited = float(page.evaluate("() => document.body.dataset.seconds"))
             size = (folder / "log.csv").stat().st_size / 1e6
             print(f"CSV of {rows} rows, {size:.0f} MB: estimated and drawn after {waited:.1f} s")
-            print(f"  zoom {zooms(page):.0f} ms at most")
+            print(f"  zoom {longest_zoom(page):.0f} ms at most")
             if rows == 100_000:
                 page.wait_for_selector("body[data-done]")
-                print(f"  slider to new picture {slider(page):.0f} ms")
+                print(f"  slider to new picture {slider_time(page):.0f} ms")
             page.close()
         log(2_000_000).write_parquet(folder / "log.parquet")
         result = fluxobs.estimate(folder / "log.parquet", "servo-400w", unknowns="drift")
         write_report(result, folder / "report.html")
-        page, waited = opened(browser, folder / "report.html", "body[data-done]")
+        page, waited = open_page(browser, folder / "report.html", "body[data-done]")
         size = (folder / "report.html").stat().st_size / 1e6
         print(f"report of 2 million rows: {size:.1f} MB, first picture after {waited:.1f} s")
-        print(f"  zoom {zooms(page):.0f} ms at most")
+        print(f"  zoom {longest_zoom(page):.0f} ms at most")
         page.close()
-        print(f"strip chart of fluxobs live --demo: {frames(browser):.0f} frames a second")
+        print(f"strip chart of fluxobs live --demo: {frame_rate(browser):.0f} frames per second")
         browser.close()
     shutil.rmtree(folder)
 

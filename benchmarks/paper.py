@@ -1,4 +1,4 @@
-"""Wall time of `fluxobs reproduce`, each run in a fresh process, compilation included."""
+"""Wall time of `fluxobs reproduce`, including compilation; each run in a new process."""
 
 import subprocess
 import sys
@@ -8,7 +8,7 @@ import time
 from common import heading
 
 if __name__ == "__main__":
-    heading("fluxobs reproduce (targets 60 s, quick 15 s; --deep are the long studies)")
+    heading("fluxobs reproduce (targets 60 s, quick 15 s; --deep: long studies)")
     for options in ([], ["--quick"], ["--deep"]):
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()

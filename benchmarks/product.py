@@ -1,4 +1,4 @@
-"""The tables of docs/observers.md: yields of the shipped machines with a product's tolerances.
+"""Tables of docs/observers.md: yields of the shipped machines with the tolerances of a product.
 
 fluxobs campaign examples/campaigns/product.toml --out product
 fluxobs campaign examples/campaigns/product-cage.toml --out product-cage
@@ -13,33 +13,39 @@ from pathlib import Path
 import numpy as np
 
 from fluxobs.campaigns import open_dataset, pictures
-from fluxobs.campaigns.report import headline, matters, told_indices
+from fluxobs.campaigns.report import describe_indices, headline, sensitivities
 from fluxobs.campaigns.statistics import group, yield_of
 from fluxobs.core.plots import write
 
 
 def table(folder: Path) -> None:
-    """A table in Markdown: machines down, observers across; yield, and what is sure and wrong."""
-    found = open_dataset(folder)
-    s, rows = found.specification, found.rows()
-    names = [one.name for one in s.observers]
-    print(f"\n{headline(found)}\n")
+    """Print a Markdown table, machines down and observers across.
+
+    Each cell holds the yield with its interval, the median rms error and the number of scenarios
+    that are sure and wrong.
+    """
+    dataset = open_dataset(folder)
+    specification, rows = dataset.specification, dataset.rows()
+    names = [observer.name for observer in specification.observers]
+    print(f"\n{headline(dataset)}\n")
     print(f"| machine | {' | '.join(names)} |\n|---|{'---|' * len(names)}")
-    for machine in s.machines:
+    for machine in specification.machines:
         cells = []
         for name in names:
-            mine = group(rows, machine, name)
-            one = yield_of(mine, s.good)
-            low, high = (100 * x for x in one.interval)
-            wrong = mine["wrong"].drop_nulls()
-            more = f"; {int((wrong > 0).sum())}" if len(wrong) else ""
-            rms = np.degrees(mine["rms"].median() or np.nan)
-            cells.append(f"{100 * one.share:.0f} ({low:.0f}–{high:.0f}), {rms:.2g}°{more}")
+            selected = group(rows, machine, name)
+            good_yield = yield_of(selected, specification.good)
+            lower, upper = (100 * x for x in good_yield.interval)
+            wrong = selected["wrong"].drop_nulls()
+            wrong_text = f"; {int((wrong > 0).sum())}" if len(wrong) else ""
+            rms = np.degrees(selected["rms"].median() or np.nan)
+            cells.append(
+                f"{100 * good_yield.share:.0f} ({lower:.0f}–{upper:.0f}), {rms:.2g}°{wrong_text}"
+            )
         print(f"| {machine} | {' | '.join(cells)} |")
     print()
-    for (machine, name), indices in matters(found, rows).items():
+    for (machine, name), indices in sensitivities(dataset, rows).items():
         if name in ("plain", "adaptive"):
-            print(f"{name} on {machine}: {told_indices(indices, found.specification.scenarios)}")
+            print(f"{name} on {machine}: {describe_indices(indices, specification.scenarios)}")
 
 
 if __name__ == "__main__":
@@ -50,6 +56,6 @@ if __name__ == "__main__":
     for folder in options.folders:
         table(folder)
     if options.pictures:
-        found = open_dataset(options.folders[0])
-        drawn = pictures.distribution(found.specification, found.rows())
-        write(drawn, options.pictures / "campaign.png")
+        dataset = open_dataset(options.folders[0])
+        figure = pictures.distribution(dataset.specification, dataset.rows())
+        write(figure, options.pictures / "campaign.png")

@@ -1,8 +1,8 @@
-"""Random drives with everything unknown: what a valid row and a standard deviation are worth.
+"""Random drives with all parameters unknown: errors of valid rows and of standard deviations.
 
-Eight machines, random courses with reversals, steps of load and stops; R off by up to a half, the
-magnet by a fifth, an inverter of up to 3 % of the DC link whose curve the observer does not know
-exactly, offsets of 2 % of the rated current, noise of 0.05 to 1 %.
+Eight machines; random courses with reversals, load steps and stops; errors of R up to 50 % and of
+the magnet flux up to 20 %; an inverter loss of up to 3 % of the DC link with a curve that the
+observer does not know exactly; offsets of 2 % of the rated current; noise of 0.05 to 1 %.
 
     python benchmarks/random_drives.py [--drives 16] [--stops 0.25]
 """
@@ -42,7 +42,7 @@ MACHINES: dict[str, tuple[RotatingMachine, float, float]] = {
         *(1e-4, 942.0),
     ),
 }
-#: The sign of a phase current over its size, as inverters have it.
+#: Curves of inverter loss over phase current: smoothed signs.
 CURVES = {
     "sign": np.sign,
     "tanh": np.tanh,
@@ -52,37 +52,41 @@ CURVES = {
 
 
 def course(rng: np.random.Generator, h: float, stops: float) -> tuple[Array, Array]:
-    """Speed and current of a random course, per-unit."""
+    """Draw speed and current of a random course, per unit."""
     rows = int(DURATION / h)
-    speed, load, at, sign = np.zeros(rows), np.zeros(rows), 0, rng.choice([-1, 1])
-    while at < rows:
+    speed, load, start, sign = np.zeros(rows), np.zeros(rows), 0, rng.choice([-1, 1])
+    while start < rows:
         length = int(rng.uniform(0.3, 1.2) / h)
         sign = -sign if rng.random() < 0.4 else sign
-        size = np.exp(rng.uniform(np.log(0.02), 0.0))
-        speed[at : at + length] = 0.0 if rng.random() < stops else sign * size
-        step = at
-        while step < at + length:
-            until = step + int(rng.uniform(0.1, 0.6) / h)
-            load[step:until] = rng.uniform(-1, 1)
-            step = until
-        at += length
+        magnitude = np.exp(rng.uniform(np.log(0.02), 0.0))
+        speed[start : start + length] = 0.0 if rng.random() < stops else sign * magnitude
+        load_start = start
+        while load_start < start + length:
+            load_end = load_start + int(rng.uniform(0.1, 0.6) / h)
+            load[load_start:load_end] = rng.uniform(-1, 1)
+            load_start = load_end
+        start += length
     return gaussian_filter1d(speed, 0.05 / h), gaussian_filter1d(load, 0.003 / h)
 
 
-def loss(current: Array, curve: str, knee: float) -> Array:
-    """Direction of the inverter's loss for complex currents."""
-    turn = np.exp(2j * np.pi / 3)
-    phases = [(current * np.conj(turn**k)).real for k in range(3)]
-    return 2 / 3 * sum(turn**k * CURVES[curve](x / knee) for k, x in enumerate(phases))
+def loss_direction(current: Array, curve: str, knee: float) -> Array:
+    """Return the direction of the inverter's voltage loss for complex currents."""
+    rotation = np.exp(2j * np.pi / 3)
+    phases = [(current * np.conj(rotation**k)).real for k in range(3)]
+    return (
+        2
+        / 3
+        * sum(rotation**k * CURVES[curve](component / knee) for k, component in enumerate(phases))
+    )
 
 
 class Drive(NamedTuple):
-    """A simulated record, and the machine file that its user believes."""
+    """A simulated record, and the machine that its user assumes."""
 
     machine: RotatingMachine
     believed: RotatingMachine
     sample_time: float
-    voltage: Complex  # over the interval that ends at the row; the first is not known
+    voltage: Complex  # over the interval that ends at the row; the first is unknown
     current: Complex
     theta: Array
     inverter: float
@@ -91,93 +95,115 @@ class Drive(NamedTuple):
 
 
 def simulate(name: str, seed: int, stops: float) -> Drive:
-    """A random course of a machine, with everything that is unknown drawn."""
-    machine, h, rated = MACHINES[name]
-    rng, current = np.random.default_rng([sum(map(ord, name)), seed]), machine.rated_current
+    """Simulate a random course of a machine with random parameters."""
+    machine, h, rated_speed = MACHINES[name]
+    rng, rated_current = np.random.default_rng([sum(map(ord, name)), seed]), machine.rated_current
     speed, load = course(rng, h, stops)
-    link = 1.6 * rated * (machine.magnet_flux or 0.5 * machine.L_dq[0] * current)
-    volts = rng.uniform(0, 0.03) * link
-    knee = np.exp(rng.uniform(*np.log([0.005, 0.08]))) * current
+    dc_link = 1.6 * rated_speed * (machine.magnet_flux or 0.5 * machine.L_dq[0] * rated_current)
+    inverter_voltage = rng.uniform(0, 0.03) * dc_link
+    knee = np.exp(rng.uniform(*np.log([0.005, 0.08]))) * rated_current
     curve = str(rng.choice(list(CURVES)))
-    i_dq = 0.7j * load * current
+    i_dq = 0.7j * load * rated_current
     if name == "synrm":
-        i_dq = (0.35 + 0.5j * load) * current
+        i_dq = (0.35 + 0.5j * load) * rated_current
     elif name == "ipm":
-        i_dq = (-0.25 * load**2 + 0.7j * load) * current
-    noise = np.exp(rng.uniform(*np.log([0.0005, 0.01]))) * current
-    true = driven(
+        i_dq = (-0.25 * load**2 + 0.7j * load) * rated_current
+    noise = np.exp(rng.uniform(*np.log([0.0005, 0.01]))) * rated_current
+    signals = driven(
         machine,
         h,
-        between_rows(rated * speed, PARTS),
+        between_rows(rated_speed * speed, PARTS),
         between_rows(i_dq, PARTS),
         PARTS,
         rng.uniform(-np.pi, np.pi),
     )
-    u = np.concatenate([[np.nan], true.voltage + volts * loss(true.mean_current, curve, knee)])
-    i = true.current + 0.02 * current * np.exp(2j * np.pi * rng.random())
+    u = np.concatenate(
+        [
+            [np.nan],
+            signals.voltage + inverter_voltage * loss_direction(signals.mean_current, curve, knee),
+        ]
+    )
+    i = signals.current + 0.02 * rated_current * np.exp(2j * np.pi * rng.random())
     i += noise * (rng.standard_normal(len(i)) + 1j * rng.standard_normal(len(i)))
     believed = {"R_s": machine.R_s / rng.uniform(0.5, 1.5)}
     if machine.magnets:
         believed["psi_f"] = machine.psi_f / rng.uniform(0.8, 1.2)
     return Drive(
-        machine, machine.with_values(**believed), h, u, i, true.theta_e, volts, link, noise
+        machine,
+        machine.with_values(**believed),
+        h,
+        u,
+        i,
+        signals.theta_e,
+        inverter_voltage,
+        dc_link,
+        noise,
     )
 
 
 def drive(job: tuple[str, int, float]) -> list[float]:
-    """Rows, valid ones, those 10 and 20 degrees off, worst; then share within three: R, V_d."""
-    one = simulate(*job)
+    """Run one drive.
+
+    Returns the numbers of rows, of valid rows, and of valid rows with errors above 10 and 20
+    degrees; the largest valid error; the shares of valid rows with R, with V_d within three
+    standard deviations.
+    """
+    record = simulate(*job)
     observer = AdaptiveObserver.for_machine(
-        one.believed,
-        sample_time=one.sample_time,
+        record.believed,
+        sample_time=record.sample_time,
         unknowns=("drift", "resistance", "inverter", "asymmetry"),
-        current_noise=one.noise,
-        dc_link=one.dc_link,
-        inductance_std=0.0,  # they are exact here
+        current_noise=record.noise,
+        dc_link=record.dc_link,
+        inductance_std=0.0,  # inductances and lag are exact here
         lag_std=0.0,
     )
-    found = observer.run(vectors(one.voltage), vectors(one.current))
-    error = np.abs(degrees_error(found.theta_e, one.theta, one.machine.half_turn_ambiguous))
-    valid = found.valid
-    within = [
+    estimate = observer.run(vectors(record.voltage), vectors(record.current))
+    error = np.abs(
+        degrees_error(estimate.theta_e, record.theta, record.machine.half_turn_ambiguous)
+    )
+    valid = estimate.valid
+    shares_within = [
         (np.abs(x - y) <= 3 * s)[valid].mean() if valid.any() else np.nan
         for x, y, s in (
-            (found.resistance, one.machine.R_s, found.resistance_std),
-            (found.inverter_voltage, one.inverter, found.inverter_voltage_std),
+            (estimate.resistance, record.machine.R_s, estimate.resistance_std),
+            (estimate.inverter_voltage, record.inverter, estimate.inverter_voltage_std),
         )
     ]
-    off = error[valid]
+    valid_errors = error[valid]
     return [
         len(valid),
         valid.sum(),
-        (off > 10).sum(),
-        (off > 20).sum(),
-        off.max(initial=0),
-        *within,
+        (valid_errors > 10).sum(),
+        (valid_errors > 20).sum(),
+        valid_errors.max(initial=0),
+        *shares_within,
     ]
 
 
 def main(drives: int, stops: float) -> None:
     heading(
         f"{drives} random drives of each machine, {stops:.0%} of the segments stopped: valid rows, "
-        "share of them 10 and 20 degrees off (target 1e-4, 0), worst; rows on which R_s and V_d "
-        "are within three standard deviations (target 95 %)"
+        "share of these with errors above 10 and 20 degrees (target 1e-4, 0), worst; rows on which "
+        "R_s and V_d are within three standard deviations (target 95 %)"
     )
-    everything = []
+    all_rows = []
     with ProcessPoolExecutor() as pool:
         for name in MACHINES:
-            rows = np.array(list(pool.map(drive, [(name, seed, stops) for seed in range(drives)])))
-            everything.append(rows)
-            show(name, rows)
-    show("all", np.concatenate(everything))
+            drive_rows = np.array(
+                list(pool.map(drive, [(name, seed, stops) for seed in range(drives)]))
+            )
+            all_rows.append(drive_rows)
+            show(name, drive_rows)
+    show("all", np.concatenate(all_rows))
 
 
-def show(name: str, rows: Array) -> None:
-    total, valid, ten, twenty = rows[:, :4].sum(axis=0)
+def show(name: str, drive_rows: Array) -> None:
+    total, valid, ten, twenty = drive_rows[:, :4].sum(axis=0)
     print(
         f"    {name:7s} valid {valid / total:.0%}; {ten / valid:.1e}, {twenty / valid:.1e}, worst "
-        f"{rows[:, 4].max():.1f}; R_s {np.nanmean(rows[:, 5]):.0%}, V_d "
-        f"{np.nanmean(rows[:, 6]):.0%}"
+        f"{drive_rows[:, 4].max():.1f}; R_s {np.nanmean(drive_rows[:, 5]):.0%}, V_d "
+        f"{np.nanmean(drive_rows[:, 6]):.0%}"
     )
 
 

@@ -1,4 +1,4 @@
-"""What else a real motor has, one thing at a time: the effect on the plain and adaptive observer.
+"""Imperfections of a real motor, one at a time: their effect on plain and adaptive observer.
 
 Prints the table of docs/benchmarks.md, "What else a real motor has".
 """
@@ -19,12 +19,12 @@ from support.records import wrapped_degrees
 
 H = 1.25e-4
 CASES = {
-    "nothing": Imperfect(),
+    "none": Imperfect(),
     "5th and 7th harmonic, 2 %": Imperfect(fifth=0.02, seventh=0.02),
     "5th and 7th harmonic, 5 %": Imperfect(fifth=0.05, seventh=0.05),
     "L_q - L_d of 20 % of L_s": Imperfect(saliency=0.2),
     "magnets 15 % weaker": Imperfect(flux=0.85),
-    "resistance grows by 40 %": Imperfect(heating=1.4),
+    "resistance rises by 40 %": Imperfect(heating=1.4),
     "iron loss, 2 % of the current": Imperfect(iron=0.02),
 }
 
@@ -34,10 +34,10 @@ def main() -> None:
     print("2.2 kW machine, 4 s: load steps, loaded reversal; 1 % offset, 0.3 % noise; degrees")
     print(f"{'':32s}{'plain: rms':>11s}{'valid':>7s}{'most':>7s}{'stds':>6s}", end="")
     print(f"{'adapt.: rms':>11s}{'valid':>7s}{'most':>7s}{'stds':>6s}  R, V_d")
-    for name, real in CASES.items():
+    for name, imperfection in CASES.items():
         print(f"{name:32s}", end="")
         for kind in (LeastSquaresObserver, AdaptiveObserver):
-            samples = record(machine, real)
+            samples = record(machine, imperfection)
             observer = kind.for_machine(machine, sample_time=H)
             state, estimate = observer.resume(observer.init(), samples.voltage, samples.current)
             error = wrapped_degrees(estimate.theta_e - samples.theta)

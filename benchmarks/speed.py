@@ -1,4 +1,4 @@
-"""Time per sample of `run` with all its outputs, on one core: a record, and many together."""
+"""Time per sample of `run` with all outputs, on one core: for one record, and for a batch."""
 
 from __future__ import annotations
 
@@ -35,8 +35,10 @@ def main() -> None:
 
 
 def together(machine: SurfacePMSM, u: Array, i: Array) -> None:
-    """Batches on one core, beside their records one after the other. The eleven outputs of long
-    records do not fit into the caches."""
+    """Compare a batch with its records run one by one, on one core.
+
+    The eleven outputs of long records do not fit into the caches.
+    """
     heading("Batch of 32 records, one core (target 60 ns in double, 30 in single precision)")
     rng = np.random.default_rng(1)
     for rows in LENGTHS:
@@ -46,21 +48,23 @@ def together(machine: SurfacePMSM, u: Array, i: Array) -> None:
             observer = LeastSquaresObserver.for_machine(
                 machine, sample_time=5e-5, precision=precision
             )
-            alone, batch = [], []
+            single_times, batch_times = [], []
             for _ in range(REPEATS):
                 started = time.perf_counter()
                 for lane in range(BATCH):
                     observer.run(voltage[lane], current[lane])
-                alone.append(time.perf_counter() - started)
+                single_times.append(time.perf_counter() - started)
                 started = time.perf_counter()
                 for first in range(0, BATCH, TOGETHER):
-                    some = slice(first, first + TOGETHER)
-                    observer.run(voltage[some], current[some], threads=1)
-                batch.append(time.perf_counter() - started)
-            each, one = (1e9 * min(times) / BATCH / rows for times in (batch, alone))
+                    lanes = slice(first, first + TOGETHER)
+                    observer.run(voltage[lanes], current[lanes], threads=1)
+                batch_times.append(time.perf_counter() - started)
+            batch_ns, single_ns = (
+                1e9 * min(times) / BATCH / rows for times in (batch_times, single_times)
+            )
             print(
-                f"    {rows} rows, {precision}: {each:.0f} ns per sample and record, one by one "
-                f"{one:.0f} ns: {one / each:.1f} times"
+                f"    {rows} rows, {precision}: {batch_ns:.0f} ns per sample and record, one by "
+                f"one {single_ns:.0f} ns: {single_ns / batch_ns:.1f} times"
             )
 
 

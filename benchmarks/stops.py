@@ -1,8 +1,8 @@
 """Stops under load: a servo at 20 kHz for 17 minutes, random speed and load, a quarter stopped.
 
-The time at which a sensorless observer is lost: at rest the flux says nothing of the rotor, and the
-voltage is no more than the resistive drop. Counted are events, rows in succession that are called
-valid and are more than ten degrees off.
+Stops are the hardest case for a sensorless observer: at standstill the flux does not depend on the
+rotor, and the voltage is only the resistive drop. An event is a run of valid rows with errors above
+ten degrees.
 
     python benchmarks/stops.py [--minutes 17]
 """
@@ -30,11 +30,11 @@ RUNS = [
 
 
 def attempt(seed: int) -> list[tuple[int, int, float]]:
-    """Valid rows, events and the worst valid row of each of RUNS."""
+    """Return number of valid rows, number of events and worst valid row for each of RUNS."""
     rng = np.random.default_rng([17, seed])
     speed, load = course(rng, H, 0.25)
     current = MACHINE.rated_current
-    true = driven(
+    signals = driven(
         MACHINE,
         H,
         between_rows(RATED * speed, PARTS),
@@ -43,37 +43,39 @@ def attempt(seed: int) -> list[tuple[int, int, float]]:
         rng.uniform(-np.pi, np.pi),
     )
     noise = 0.005 * current
-    u = vectors(np.concatenate([[np.nan], true.voltage]))
-    i = true.current + 0.01 * current * np.exp(2j * np.pi * rng.random())
+    u = vectors(np.concatenate([[np.nan], signals.voltage]))
+    i = signals.current + 0.01 * current * np.exp(2j * np.pi * rng.random())
     i = vectors(i + noise * (rng.standard_normal(len(i)) + 1j * rng.standard_normal(len(i))))
-    out = []
+    results = []
     for kind, factor, precision in RUNS:
-        make = LeastSquaresObserver if kind == "plain" else AdaptiveObserver
-        observer = make.for_machine(
+        kind_of_observer = LeastSquaresObserver if kind == "plain" else AdaptiveObserver
+        observer = kind_of_observer.for_machine(
             MACHINE.with_values(R_s=factor * MACHINE.R_s),
             sample_time=H,
             current_noise=noise,
             precision=precision,
         )
-        found = observer.run(u, i)
-        error = np.abs(degrees_error(found.theta_e, true.theta_e))
-        bad = found.valid & (error > 10)
-        events = int(np.sum(np.diff(bad.astype(int)) == 1) + bad[0])
-        out.append((int(found.valid.sum()), events, float(error[found.valid].max(initial=0))))
-    return out
+        estimate = observer.run(u, i)
+        error = np.abs(degrees_error(estimate.theta_e, signals.theta_e))
+        wrong = estimate.valid & (error > 10)
+        events = int(np.sum(np.diff(wrong.astype(int)) == 1) + wrong[0])
+        results.append(
+            (int(estimate.valid.sum()), events, float(error[estimate.valid].max(initial=0)))
+        )
+    return results
 
 
 def main(minutes: float) -> None:
     drives = round(60 * minutes / DURATION)
     heading(
         f"Stops under load, {drives * DURATION / 60:.0f} minutes at 20 kHz: share valid, events "
-        "more than ten degrees off, worst valid row (target: 0 events)"
+        "with errors above ten degrees, worst valid row (target: 0 events)"
     )
     with ProcessPoolExecutor() as pool:
-        found = np.array(list(pool.map(attempt, range(drives))))
+        results = np.array(list(pool.map(attempt, range(drives))))
     rows = drives * DURATION / H
     for k, (kind, factor, precision) in enumerate(RUNS):
-        valid, events, worst = found[:, k].T
+        valid, events, worst = results[:, k].T
         print(
             f"    {kind:8s} R x {factor:.1f} {precision}: valid {valid.sum() / rows:.0%}, "
             f"{events.sum():.0f} events, worst {worst.max():.1f} degrees"

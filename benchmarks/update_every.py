@@ -1,4 +1,4 @@
-"""Cost of a step every M-th interrupt: mean instructions, and position error under noise."""
+"""Cost of a step in each M-th interrupt: mean instructions, and position error under noise."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ SAMPLE_TIME, NOISE = 5e-5, 0.005
 
 def main() -> None:
     heading("A step every M-th interrupt at 20 kHz, noise of 0.5 % of rated current")
-    build = next(b for b in read_costs()["plain"]["builds"] if b["name"] == "Cortex-M4F, -O2")
-    print("    | M | instructions an interrupt, mean | servo-400w | pmsm-2kw2 |")
+    build = next(
+        entry for entry in read_costs()["plain"]["builds"] if entry["name"] == "Cortex-M4F, -O2"
+    )
+    print("    | M | mean instructions per interrupt | servo-400w | pmsm-2kw2 |")
     print("    |---|---|---|---|")
     for every in (1, 2, 4, 8, 16):
         cells = []
@@ -28,15 +30,15 @@ def main() -> None:
                 drive = Drive(machine, 600.0, 3j, SAMPLE_TIME, seed)
                 theta, i, _, u = drive.samples(16_000)
                 i = i + noise * rng.standard_normal(i.shape)
-                mean = (i + np.concatenate([i[:1], i[:-1]])) / 2
-                gathered = SAMPLE_TIME * (u - machine.R_s * mean)
-                gathered = gathered.reshape(-1, every, 2).sum(axis=1)
+                mean_current = (i + np.concatenate([i[:1], i[:-1]])) / 2
+                volt_seconds = SAMPLE_TIME * (u - machine.R_s * mean_current)
+                volt_seconds = volt_seconds.reshape(-1, every, 2).sum(axis=1)
                 observer = LeastSquaresObserver.for_machine(
                     machine, sample_time=every * SAMPLE_TIME, current_noise=noise
                 )
-                now = slice(every - 1, None, every)
-                found = observer.run(volt_seconds=gathered, current=i[now])
-                error = degrees_error(found.theta_e_tracked, theta[now])
+                stepped = slice(every - 1, None, every)
+                estimate = observer.run(volt_seconds=volt_seconds, current=i[stepped])
+                error = degrees_error(estimate.theta_e_tracked, theta[stepped])
                 squares.append(np.mean(error[len(error) // 4 :] ** 2))
             cells.append(f"{np.sqrt(np.mean(squares)):.3f}°")
         cost = build["mean"] if every == 1 else build["mean"] / every + build["gather"]

@@ -1,4 +1,4 @@
-"""How wrong can a valid row be? Random stops, restarts and loads, encoder in the loop."""
+"""Largest errors of valid rows: random stops, restarts and loads, encoder in the loop."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from fluxobs.simulation.drive.loop_observer import LoopObserver
 LANES, DURATION = 16, 2.5
 
 
-def keep(row: Trace) -> tuple[object, ...]:
+def select(row: Trace) -> tuple[object, ...]:
     return row.theta_e, row.reading.theta_e, row.reading.valid, row.reading.theta_e_std
 
 
@@ -40,7 +40,7 @@ def main() -> None:
     )
     for name in ("pmsm-2kw2", "servo-400w", "ipm-2kw2", "synrm-6kw7"):
         machine, rated = example(name), rating(name)
-        I_n, full = machine.rated_current, rated.speed_e / machine.n_p
+        I_n, rated_speed = machine.rated_current, rated.speed_e / machine.n_p
         flux = machine.flux_base(I_n)
         for case, factor, drop in cases:
             compiled = LeastSquaresObserver.for_machine(
@@ -59,13 +59,15 @@ def main() -> None:
                 drives.append(replace(drive, observer=observer, inverter=inverter))
                 a, b = rng.uniform(0.2, 0.8), rng.choice([-1, 1]) * rng.uniform(0.2, 0.8)
                 times = [0, 0.4, 0.8, rng.uniform(1.0, 1.3), 1.5, rng.uniform(1.7, 2.1), 2.5]
-                speeds = np.array([0, a, a, 0, 0, b, b]) * full
+                speeds = np.array([0, a, a, 0, 0, b, b]) * rated_speed
                 load = rng.uniform(-0.8, 0.8) * rated.torque
                 torque = Profile([0.5, 0.5], [0.0, load])
                 theta = rng.uniform(-3, 3)
                 courses.append(Course(Profile(times, speeds), rated.dc_link, torque, theta_e=theta))
-            true, found, valid, _ = simulate_batch(drives, courses, DURATION, range(LANES), keep)
-            error = np.abs(degrees_error(found, true, machine.half_turn_ambiguous))
+            theta, estimated, valid, _ = simulate_batch(
+                drives, courses, DURATION, range(LANES), select
+            )
+            error = np.abs(degrees_error(estimated, theta, machine.half_turn_ambiguous))
             worst = np.where(valid, error, 0).max(axis=1)
             print(
                 f"    {name:11s} {case:31s} {worst.max():5.1f}, {(worst > 15).sum():2d} lanes, "

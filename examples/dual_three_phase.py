@@ -1,7 +1,7 @@
-"""Define your own machine in ten lines: a dual three-phase PMSM, phase by phase.
+"""A machine of your own in ten lines: a dual three-phase PMSM, defined phase by phase.
 
-Two three-phase windings, 30 degrees apart, share one magnet rotor. You give only the energies;
-currents, torque, dynamics and the relation that the flux observers need follow from them.
+Two three-phase windings, 30 degrees apart, share one magnet rotor. You define only the energies.
+Currents, torque, dynamics and the relation for the flux observers follow from them.
 """
 
 import jax.numpy as jnp
@@ -21,9 +21,9 @@ machine = ElectromechanicalSystem(
 )
 
 if __name__ == "__main__":
-    found = discover_constraint(machine)
-    print(f"{machine.name}: {len(found.relations)} quadratic relation between flux and current")
-    print(f"  margin {found.margin:.0e}, residual on other states {found.residual:.0e}")
-    print(f"{len(found.affine)} linear relations, in the planes without magnet flux:")
-    for relation in found.affine:
+    result = discover_constraint(machine)
+    print(f"{machine.name}: {len(result.relations)} quadratic relation between flux and current")
+    print(f"  margin {result.margin:.0e}, residual on other states {result.residual:.0e}")
+    print(f"{len(result.affine)} linear relations, in the planes without magnet flux:")
+    for relation in result.affine:
         print(f"  {relation}")

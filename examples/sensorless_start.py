@@ -1,4 +1,4 @@
-"""Drive without an encoder: starts at an unknown angle, takes load, reverses; draws the result.
+"""Sensorless drive: start at an unknown angle, load step, reversal; draws the result.
 
 python examples/sensorless_start.py [PICTURE]
 """
@@ -25,7 +25,7 @@ from fluxobs.simulation.drive import (
 )
 
 machine, rated = example("pmsm-2kw2"), rating("pmsm-2kw2")
-# The current sensors are off by a few percent and noisy; the voltage is biased too.
+# The current sensors have offsets of a few percent and noise; the voltage has an offset too.
 drive = sensorless_drive(machine, rated, offset=(0.13, 0.18), noise=0.02)
 course = Course(
     speed=Profile([0.2, 0.9, 1.8, 2.6], rpm(np.array([0.0, 750.0, 750.0, -750.0]))),
@@ -58,11 +58,11 @@ with plt.rc_context(STYLE):
     current.plot(run.t, i.real, color=ORANGE, label="i_d")
     current.plot(run.t, i.imag, color=BLUE, label="i_q")
     current.set_ylabel("current [A]")
-    true = float(machine.R_s) * np.array([0.13, 0.18]) - np.array([2.2, 0.0])
-    for k, (color, name) in enumerate(((BLUE, "α"), (ORANGE, "β"))):
-        known = np.where(running, reading.drift[:, k], np.nan)
-        drift.plot(run.t, known, color=color, label=f"drift {name}")
-        drift.axhline(true[k], color=color, linewidth=0.8, linestyle=":")
+    true_drift = float(machine.R_s) * np.array([0.13, 0.18]) - np.array([2.2, 0.0])
+    for k, (color, axis) in enumerate(((BLUE, "α"), (ORANGE, "β"))):
+        estimate = np.where(running, reading.drift[:, k], np.nan)
+        drift.plot(run.t, estimate, color=color, label=f"drift {axis}")
+        drift.axhline(true_drift[k], color=color, linewidth=0.8, linestyle=":")
     drift.set_ylabel("drift [V]")
     drift.set_ylim(-3, 2)
     drift.set_xlabel("t [s]        grey: current vector rotated open-loop (I/f)")

@@ -1,4 +1,4 @@
-"""A scenario as a drive, and its record as a row: every quantity in its unit."""
+"""From scenario to drive and from record to row: all quantities in their units."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fluxobs.campaigns.observed import Candidate, ObservedRecord, Parameters, _e
 from fluxobs.campaigns.quantities import PARAMETERS
 from fluxobs.campaigns.rows import _batches, noise_of, true_parameters
 from fluxobs.campaigns.scores import loop_measures, measures
-from fluxobs.campaigns.simulated import Kept, lanes_for
+from fluxobs.campaigns.simulated import ScoredTrace, lanes_for
 from fluxobs.campaigns.specification import Specification
 from fluxobs.errors import UsageError
 from fluxobs.machines import example
@@ -50,13 +50,13 @@ VALUES = {
 }
 
 
-def specification(**given) -> Specification:
-    usual = {"machines": ["servo-400w"], "scenarios": 64, "observers": ["plain"]}
-    return Specification(**usual | {"course": COURSE} | given)
+def specification(**fields) -> Specification:
+    defaults = {"machines": ["servo-400w"], "scenarios": 64, "observers": ["plain"]}
+    return Specification(**defaults | {"course": COURSE} | fields)
 
 
-def drawn(values: dict[str, float], machine: str = "servo-400w", **given):
-    s = specification(machines=[machine], **given)
+def drawn(values: dict[str, float], machine: str = "servo-400w", **fields):
+    s = specification(machines=[machine], **fields)
     return cell_of(s, machine), *drive_of(s, Scenario(0, machine, values, seed=0))
 
 
@@ -64,14 +64,14 @@ def test_shares_are_of_the_rated_values():
     cell, drive, course = drawn(VALUES)
     rated, h = cell.rated, cell.rated.sample_time
     current = example("servo-400w").rated_current
-    top = rated.speed_e / example("servo-400w").n_p
+    rated_speed = rated.speed_e / example("servo-400w").n_p
     assert cell.current == current
     assert cell.voltage == pytest.approx(rated.speed_e * example("servo-400w").psi_f)
     mechanics, inverter, sensors = drive.plant.mechanics, drive.inverter, drive.sensors
     assert float(mechanics.J) == pytest.approx(2 * rated.J)
-    assert float(mechanics.viscous) == pytest.approx(0.1 * rated.torque / top)
+    assert float(mechanics.viscous) == pytest.approx(0.1 * rated.torque / rated_speed)
     assert float(mechanics.coulomb) == pytest.approx(0.2 * rated.torque)
-    assert float(mechanics.smoothing) == pytest.approx(1e-3 * top)
+    assert float(mechanics.smoothing) == pytest.approx(1e-3 * rated_speed)
     assert float(inverter.dead_time) == pytest.approx(0.03 * h)
     assert float(inverter.drop) == pytest.approx(0.01 * rated.dc_link)
     assert float(inverter.smoothing) == pytest.approx(0.05 * current)
@@ -87,7 +87,7 @@ def test_shares_are_of_the_rated_values():
         [0.04 * cell.voltage, -0.05 * cell.voltage]
     )
     assert np.asarray(course.speed.times) == pytest.approx([0, 1])
-    assert np.asarray(course.speed.values) == pytest.approx([0, 0.8 * 0.5 * top])
+    assert np.asarray(course.speed.values) == pytest.approx([0, 0.8 * 0.5 * rated_speed])
     assert np.asarray(course.load.values) == pytest.approx([0.5 * 0.4 * rated.torque])
     assert np.asarray(course.dc_link.values) == pytest.approx([0.9 * rated.dc_link])
     assert float(course.theta_e) == 1.5
@@ -112,7 +112,8 @@ def test_a_drive_without_tolerances_is_the_nominal_one():
     assert float(drive.plant.mechanics.J) == cell.rated.J
     assert np.asarray(course.dc_link.values) == pytest.approx([cell.rated.dc_link])
     for name in ("viscous", "coulomb", "dead_time", "drop", "noise", "quantum", "jitter"):
-        _, tiny, _ = drawn({name: -1e-13})  # rounding of a distribution is no negative value
+        # A distribution may round to a slightly negative value, which must count as zero.
+        _, tiny, _ = drawn({name: -1e-13})
         assert float(tiny.inverter.dead_time) >= 0
         assert float(tiny.sensors.noise) >= 0
 
@@ -150,24 +151,24 @@ def test_a_parameter_that_vanishes_is_refused():
 
 def test_true_parameters_of_a_drive():
     cell, drive, _ = drawn({"dc_link": 0.8, "dead_time": 0.02, "drop": 0.01, "R": 1.1, "psi": 0.9})
-    one = SimpleNamespace(drive=drive, scenario=SimpleNamespace(values={"dc_link": 0.8}))
-    true = true_parameters(one, cell)
+    simulated = SimpleNamespace(drive=drive, scenario=SimpleNamespace(values={"dc_link": 0.8}))
+    true = true_parameters(simulated, cell)
     machine = example("servo-400w")
     assert true.resistance == pytest.approx(1.1 * machine.R_s)
     assert true.psi_f == pytest.approx(0.9 * machine.psi_f)
     assert true.inverter_voltage == pytest.approx((0.02 * 0.8 + 0.01) * cell.rated.dc_link)
-    usual = SimpleNamespace(drive=drive, scenario=SimpleNamespace(values={}))
-    assert true_parameters(usual, cell).inverter_voltage == pytest.approx(
+    at_rated_voltage = SimpleNamespace(drive=drive, scenario=SimpleNamespace(values={}))
+    assert true_parameters(at_rated_voltage, cell).inverter_voltage == pytest.approx(
         (0.02 + 0.01) * cell.rated.dc_link
     )
 
 
 @pytest.mark.parametrize(
-    ("given", "noise"),
+    ("distribution", "noise"),
     [(None, 0.001), (0.0, 0.001), (0.0005, 0.001), (0.003, 0.003), ({"uniform": [0, 0.01]}, 0.005)],
 )
-def test_the_noise_that_observers_assume(given, noise):
-    vary = {} if given is None else {"noise": given}
+def test_the_noise_that_observers_assume(distribution, noise):
+    vary = {} if distribution is None else {"noise": distribution}
     assert noise_of(specification(vary=vary)) == pytest.approx(noise)
 
 
@@ -185,7 +186,7 @@ def test_the_noise_that_observers_assume(given, noise):
 def test_lanes_whose_rows_fit_into_memory(loop, rows, lanes):
     s = SimpleNamespace(loop=loop, course=SimpleNamespace(duration=rows * 2.0**-13))
     assert lanes_for(s, 2.0**-13) == lanes
-    assert simulated_module.MOST == 64 * (1 << 16)
+    assert simulated_module.MAX_SAMPLES == 64 * (1 << 16)
 
 
 def test_batches():
@@ -196,11 +197,11 @@ def test_batches():
 @pytest.mark.parametrize(
     ("scenarios", "duration", "observers", "size"),
     [
-        (64, 2.0, 1, 64),  # one batch at least
+        (64, 2.0, 1, 64),  # at least one batch
         (10_000_000, 2.0, 1, 64 * 3),  # 20000 rows, 48 ms a drive, 3 s a batch
         (10_000_000, 2.0, 3, 64 * 1),
-        (10_000_000, 1e-2, 1, 64 * 64),  # that cost nothing
-        (64 * 16 * 3, 1e-2, 1, 64 * 3),  # sixteen chunks at least
+        (10_000_000, 1e-2, 1, 64 * 64),  # limited by the number of batches
+        (64 * 16 * 3, 1e-2, 1, 64 * 3),  # at least sixteen chunks
         (64 * 16 * 3 - 1, 1e-2, 1, 64 * 2),
     ],
 )
@@ -215,28 +216,28 @@ def test_a_chunk_is_ten_seconds_of_work(scenarios, duration, observers, size):
 
 def test_chunks_of_each_machine(tmp_path):
     s = specification(machines=["servo-400w", "pmsm-2kw2"], scenarios=5)
-    found = Dataset(tmp_path, s, 2)
-    chunks = list(found.chunks())
+    dataset = Dataset(tmp_path, s, 2)
+    chunks = list(dataset.chunks())
     assert chunks == [(0, 2), (2, 4), (4, 5), (5, 7), (7, 9), (9, 10)]
     assert str(chunks[0]) == "scenarios 0 to 1"
     assert chunks[3].file == "00000005.parquet"
     (tmp_path / "rows").mkdir()
     (tmp_path / "rows" / Chunk(2, 4).file).touch()
-    assert found.lacking() == 8
-    assert Chunk(2, 4) not in list(found.missing())
+    assert dataset.lacking() == 8
+    assert Chunk(2, 4) not in list(dataset.missing())
 
 
 ROWS = 100
 T = 1e-2 * np.arange(ROWS)
 
 
-def trace(**given) -> Kept:
-    usual = dict.fromkeys(Kept._fields, np.zeros(ROWS))
-    usual |= {"reference": np.full(ROWS, 10.0), "speed": np.full(ROWS, 10.0)}
-    return Kept(**usual | {"tripped": np.zeros(ROWS, bool)} | given)
+def trace(**signals) -> ScoredTrace:
+    defaults = dict.fromkeys(ScoredTrace._fields, np.zeros(ROWS))
+    defaults |= {"reference": np.full(ROWS, 10.0), "speed": np.full(ROWS, 10.0)}
+    return ScoredTrace(**defaults | {"tripped": np.zeros(ROWS, bool)} | signals)
 
 
-def test_what_a_loop_did():
+def test_scores_of_a_loop():
     from fluxobs.simulation.drive.sensorless import RUNNING
 
     mode = np.full(ROWS, RUNNING)
@@ -264,20 +265,20 @@ def test_a_loop_that_never_began_at_standstill():
 
 
 def scored(error, valid=True, std=1.0, start=0.0):
-    found = ObservedRecord(
+    record = ObservedRecord(
         error, np.full(ROWS, np.nan), np.full(ROWS, valid), None if std is None else std + 0 * T, {}
     )
-    return measures(T, trace(), np.full(ROWS, 2.0), found, example("servo-400w"), start)
+    return measures(T, trace(), np.full(ROWS, 2.0), record, example("servo-400w"), start)
 
 
-def test_a_position_that_is_no_number_is_off_by_half_a_turn():
+def test_a_position_that_is_not_finite_counts_as_half_a_turn():
     error = np.zeros(ROWS)
     error[50:60] = np.nan
     row = scored(error)
     assert row["worst"] == pytest.approx(np.pi)
     assert row["lost"] == pytest.approx(0.1)
     assert row["rms_all"] == pytest.approx(np.pi * np.sqrt(0.1))
-    assert row["speed_rms"] == pytest.approx(2.0)  # a speed that is no number counts as zero
+    assert row["speed_rms"] == pytest.approx(2.0)  # a speed that is not finite counts as zero
 
 
 def test_percentiles_and_rows_that_are_scored():
@@ -297,7 +298,7 @@ def test_covered_is_within_two_deviations(ratio, covered):
     ("degrees", "std", "wrong"),
     [(10.1, 2.0, 1.0), (9.9, 0.1, 0.0), (10.1, 2.03, 0.0), (40.1, 8.0, 1.0), (39.9, 8.0, 0.0)],
 )
-def test_wrong_is_beyond_five_deviations_and_ten_degrees(degrees, std, wrong):
+def test_wrong_exceeds_five_deviations_and_ten_degrees(degrees, std, wrong):
     assert scored(np.full(ROWS, np.radians(degrees)), std=np.radians(std))["wrong"] == wrong
 
 
@@ -309,8 +310,8 @@ def test_without_a_std_nothing_is_covered_or_wrong():
 
 def test_errors_of_parameters_on_the_last_valid_row():
     believed = example("servo-400w")
-    one = Candidate(None, believed, None, 0.0)
-    found = SimpleNamespace(
+    observer = Candidate(None, believed, None, 0.0)
+    estimate = SimpleNamespace(
         valid=np.array([True, True, False]),
         resistance=np.array([9.0, 2.0, 9.0]),
         resistance_std=np.array([1.0, 0.5, 1.0]),
@@ -320,18 +321,18 @@ def test_errors_of_parameters_on_the_last_valid_row():
         psi_f_std=np.array([1.0, 0.25, 1.0]),
     )
     true = Parameters(1.0, 2.0, 3.0)
-    assert _errors(one, found, true) == {"resistance": 2.0, "psi_f": -4.0}
-    found.valid = np.zeros(3, bool)
-    assert _errors(one, found, true) == {}
+    assert _errors(observer, estimate, true) == {"resistance": 2.0, "psi_f": -4.0}
+    estimate.valid = np.zeros(3, bool)
+    assert _errors(observer, estimate, true) == {}
 
 
-def test_an_observer_that_does_not_judge_itself_is_trusted_above_a_twentieth_of_the_speed():
+def test_an_observer_without_a_validity_flag_is_trusted_above_a_twentieth_of_the_speed():
     s = specification(observers=["gradient (Ortega, Lee)"])
     cell = cell_of(s, "servo-400w")
-    built = candidate(s.observers[0], cell, 0.01)
-    assert built.trusted == pytest.approx(cell.rated.speed_e / 20)
-    assert not built.compiled
-    assert not built.adaptive
+    observer = candidate(s.observers[0], cell, 0.01)
+    assert observer.trusted == pytest.approx(cell.rated.speed_e / 20)
+    assert not observer.compiled
+    assert not observer.adaptive
 
 
 def test_ratings_that_the_file_does_not_hold(tmp_path):
@@ -341,19 +342,19 @@ def test_ratings_that_the_file_does_not_hold(tmp_path):
     s = specification(machines=[str(path)], drive={"J": 1e-4, "torque": 1.0})
     with pytest.raises(UsageError, match="rated_current is missing"):
         cell_of(s, str(path))
-    other = tmp_path / "n.toml"
-    other.write_text(f"{text}rated_current = 5.0\n")
-    with pytest.raises(UsageError, match="must give its speed_e, dc_link, sample_time"):
-        cell_of(s, str(other))
-    given = {"J": 1e-4, "torque": 1.0, "sample_time": 1e-4, "speed_e": 500.0, "dc_link": 48.0}
-    rated = cell_of(specification(machines=[str(other)], drive=given), str(other)).rated
+    complete = tmp_path / "n.toml"
+    complete.write_text(f"{text}rated_current = 5.0\n")
+    with pytest.raises(UsageError, match="give its speed_e, dc_link, sample_time in"):
+        cell_of(s, str(complete))
+    ratings = {"J": 1e-4, "torque": 1.0, "sample_time": 1e-4, "speed_e": 500.0, "dc_link": 48.0}
+    rated = cell_of(specification(machines=[str(complete)], drive=ratings), str(complete)).rated
     assert (rated.J, rated.torque, rated.sample_time) == (1e-4, 1.0, 1e-4)
     changed = cell_of(specification(drive={"J": 1.0}), "servo-400w").rated
     assert changed.J == 1.0
     assert changed.torque == cell_of(specification(), "servo-400w").rated.torque
 
 
-def test_columns_of_a_chunk_hold_its_kinds():
+def test_columns_of_the_loop():
     from fluxobs.campaigns.columns import schema
 
     closed = schema(specification(loop="closed"))

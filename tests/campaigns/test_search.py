@@ -1,4 +1,4 @@
-"""The search for the worst and the estimate of what is rare, on functions with known answers."""
+"""The search for the worst scenario and rare failures, on functions with known answers."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from fluxobs.errors import FluxobsError, UsageError
 QUANTITIES = ("R", "L", "psi", "temperature")
 
 
-def specification(**given) -> Specification:
+def specification(**fields) -> Specification:
     vary = {name: {"normal": [1, 0.1], "within": [0.5, 1.5]} for name in QUANTITIES[:3]}
     vary |= {"temperature": {"normal": [50, 10]}, "theta_e": 0.0}
-    usual = {"machines": ["servo-400w"], "scenarios": 64, "observers": ["plain"], "vary": vary}
-    return Specification(**usual | given)
+    defaults = {"machines": ["servo-400w"], "scenarios": 64, "observers": ["plain"], "vary": vary}
+    return Specification(**defaults | fields)
 
 
 def rows(error: np.ndarray) -> pl.DataFrame:
@@ -34,25 +34,25 @@ def rows(error: np.ndarray) -> pl.DataFrame:
     )
 
 
-def test_the_worst_is_found():
+def test_finds_the_worst_scenario():
     peak = {"R": 1.5, "L": -1.0, "psi": 0.5, "temperature": 2.0}  # normal scores
-    top = np.array([peak[name] for name in specification().varied])
-    seen = []
+    peak_scores = np.array([peak[name] for name in specification().varied])
+    generations = []
 
     def evaluate(scores, like):
-        seen.append(len(scores))
+        generations.append(len(scores))
         assert set(like) == {0}
-        return rows(np.exp(-np.sum((scores - top) ** 2, axis=1)))
+        return rows(np.exp(-np.sum((scores - peak_scores) ** 2, axis=1)))
 
-    found = find_worst(specification(), "servo-400w", "plain", budget=2500, evaluate=evaluate)
-    assert found.row["rms"] > 0.9
-    assert found.tried == sum(seen)
-    assert found.history[-1] > found.history[0]
-    assert found.values["R"] == pytest.approx(1.15, abs=0.04)
-    assert found.values["temperature"] == pytest.approx(70, abs=4)
+    worst = find_worst(specification(), "servo-400w", "plain", budget=2500, evaluate=evaluate)
+    assert worst.row["rms"] > 0.9
+    assert worst.tried == sum(generations)
+    assert worst.history[-1] > worst.history[0]
+    assert worst.values["R"] == pytest.approx(1.15, abs=0.04)
+    assert worst.values["temperature"] == pytest.approx(70, abs=4)
 
 
-def test_it_begins_at_the_worst_of_the_campaign():
+def test_starts_at_the_worst_scenario_of_the_campaign():
     s = specification()
     start = rows(np.linspace(0.1, 1.0, 64)).with_columns(
         machine=pl.lit("servo-400w"), observer=pl.lit("plain")
@@ -65,16 +65,16 @@ def test_it_begins_at_the_worst_of_the_campaign():
     assert find_worst(s, "servo-400w", "plain", start, budget=64, evaluate=evaluate).like == 63
 
 
-def test_nothing_valid_is_said():
+def test_no_valid_row_is_an_error():
     def evaluate(scores, like):
         return rows(np.zeros(len(scores)))
 
-    with pytest.raises(FluxobsError, match="no scenario that was tried has a valid row"):
+    with pytest.raises(FluxobsError, match="no tried scenario has a valid row"):
         find_worst(specification(), "servo-400w", "plain", budget=64, evaluate=evaluate)
 
 
 @pytest.mark.parametrize("beta", [2.0, 3.0, 4.0])
-def test_a_rare_failure_is_estimated_within_what_it_says(beta):
+def test_a_rare_failure_is_estimated_within_its_standard_deviation(beta):
     """Failure beyond a plane at the distance beta: its probability is that of a normal tail."""
     direction = np.array([1.0, 2.0, 0.0, -1.0]) / np.sqrt(6)
 
@@ -83,9 +83,9 @@ def test_a_rare_failure_is_estimated_within_what_it_says(beta):
         return rows(np.exp(scores @ direction - beta))
 
     limit = GoodTable(rms=float(np.degrees(1.0)))
-    off = []
+    errors = []
     for seed in range(12):
-        found = estimate_rare(
+        rare = estimate_rare(
             specification(),
             *("servo-400w", "plain"),
             budget=2000,
@@ -94,42 +94,42 @@ def test_a_rare_failure_is_estimated_within_what_it_says(beta):
             evaluate=evaluate,
         )
         true = norm.sf(beta)
-        off.append((found.probability - true) / found.std)
-        assert found.std < 0.25 * true
-        assert found.tried <= 2200
-    assert np.abs(off).max() < 3.5
-    assert np.mean(np.abs(off) < 1.96) > 0.7
+        errors.append((rare.probability - true) / rare.std)
+        assert rare.std < 0.25 * true
+        assert rare.tried <= 2200
+    assert np.abs(errors).max() < 3.5
+    assert np.mean(np.abs(errors) < 1.96) > 0.7
 
 
-def test_what_never_fails():
-    found = estimate_rare(
+def test_no_failures():
+    rare = estimate_rare(
         specification(),
         *("servo-400w", "plain"),
         budget=300,
         evaluate=lambda scores, like: rows(np.full(len(scores), 1e-3)),
     )
-    assert found.probability == 0.0
-    assert str(found).startswith("no failure among")
+    assert rare.probability == 0.0
+    assert str(rare).startswith("no failure among")
 
 
-def test_mistakes():
-    for machine, observer, words in (
+def test_wrong_names_are_refused():
+    for machine, observer, message in (
         ("servo", "plain", "no machine 'servo'"),
         ("servo-400w", "ekf", "no observer 'ekf'"),
     ):
-        with pytest.raises(UsageError, match=words):
+        with pytest.raises(UsageError, match=message):
             evaluator(specification(), machine, observer)
-    with pytest.raises(UsageError, match="nothing varies"):
+    with pytest.raises(UsageError, match="no quantity varies"):
         evaluator(specification(vary={"theta_e": 0.0}), "servo-400w", "plain")
 
 
-def test_points_are_simulated_with_the_course_they_borrow(monkeypatch):
+def test_points_use_the_borrowed_course(monkeypatch):
     monkeypatch.setattr(simulated_module, "LANES", 8)
     course = {"duration": 0.2, "score_from": 0.05, "speeds": [0.5, 1.0], "ramp": 0.1}
-    run = evaluator(specification(course=course), "servo-400w", "plain")
-    found = run(np.zeros((3, 4)), [5, 5, 6])
-    assert found["number"].to_list() == [0, 1, 2]
-    assert found["rms_all"][0] == found["rms_all"][1] != found["rms_all"][2]
+    evaluate = evaluator(specification(course=course), "servo-400w", "plain")
+    evaluated = evaluate(np.zeros((3, 4)), [5, 5, 6])
+    assert evaluated["number"].to_list() == [0, 1, 2]
+    assert evaluated["rms_all"][0] == evaluated["rms_all"][1] != evaluated["rms_all"][2]
 
 
 @pytest.mark.parametrize(
@@ -144,53 +144,56 @@ def test_interval_of_a_rare_failure(rare, low, high):
     assert rare.interval == pytest.approx((low, high), abs=1e-6)
 
 
-@pytest.mark.parametrize(("effective", "few"), [(9.9, True), (10.0, False)])
-def test_a_rare_failure_in_words(effective, few):
+@pytest.mark.parametrize(("effective", "unreliable"), [(9.9, True), (10.0, False)])
+def test_a_rare_failure_in_words(effective, unreliable):
     text = str(Rare(0.0123, 0.001, 50, 100, effective))
-    assert text.startswith("0.012 (0.01 to 0.014), from 50 failures, worth 10, among 100 scenarios")
-    assert text.endswith("a larger --budget helps") == few
+    start = "0.012 (0.01 to 0.014), from 50 failures, effectively 10, among 100 scenarios"
+    assert text.startswith(start)
+    assert text.endswith("increase --budget") == unreliable
 
 
-def watched(error, s=None, **options):
-    """Scores and borrowed courses of every generation, and what is estimated."""
-    seen = []
+def watched(error, campaign=None, **options):
+    """Return scores and borrowed courses of each generation, and the estimate."""
+    generations = []
 
     def evaluate(scores, like):
-        seen.append((scores, list(like)))
+        generations.append((scores, list(like)))
         return rows(error(scores))
 
-    done = []
-    found = estimate_rare(
-        s or specification(),
+    reported = []
+    rare = estimate_rare(
+        campaign or specification(),
         *("servo-400w", "plain"),
         evaluate=evaluate,
-        progress=lambda k, of: done.append((k, of)),
+        progress=lambda k, of: reported.append((k, of)),
         **options,
     )
     assert (
-        found.tried == sum(len(scores) for scores, _ in seen) == sum(len(like) for _, like in seen)
+        rare.tried
+        == sum(len(scores) for scores, _ in generations)
+        == sum(len(like) for _, like in generations)
     )
-    assert done[-1] == (options["budget"], options["budget"])
-    return seen, found
+    assert reported[-1] == (options["budget"], options["budget"])
+    return generations, rare
 
 
-def test_moves_take_half_of_the_budget_and_courses_of_their_own():
-    seen, found = watched(lambda scores: np.full(len(scores), 1e-3), budget=2400)
-    assert [len(scores) for scores, _ in seen] == [200] * 6 + [1200]
-    numbers = [k for _, like in seen for k in like]
+def test_moves_take_half_of_the_budget_and_new_courses():
+    generations, rare = watched(lambda scores: np.full(len(scores), 1e-3), budget=2400)
+    assert [len(scores) for scores, _ in generations] == [200] * 6 + [1200]
+    numbers = [k for _, like in generations for k in like]
     assert numbers == list(range(64, 64 + 2400))
-    assert (found.failures, found.effective) == (0, 0.0)
+    assert (rare.failures, rare.effective) == (0, 0.0)
     two = specification(machines=["pmsm-2kw2", "servo-400w"])
-    seen, _ = watched(lambda scores: np.full(len(scores), 1e-3), two, budget=100)
-    assert [len(scores) for scores, _ in seen] == [64] * 7
-    assert seen[0][1][0] == 128
+    generations, _ = watched(lambda scores: np.full(len(scores), 1e-3), two, budget=100)
+    assert [len(scores) for scores, _ in generations] == [64] * 7
+    assert generations[0][1][0] == 128
 
 
-def test_what_often_fails_needs_one_move():
-    seen, found = watched(lambda scores: np.ones(len(scores)), budget=1200)
-    assert [len(scores) for scores, _ in seen] == [100, 1100]
-    assert found.failures == 1100
-    assert found.probability == pytest.approx(1.0, abs=4 * found.std)
+def test_frequent_failures_need_one_move():
+    generations, rare = watched(lambda scores: np.ones(len(scores)), budget=1200)
+    assert [len(scores) for scores, _ in generations] == [100, 1100]
+    assert rare.failures == 1100
+    assert rare.probability == pytest.approx(1.0, abs=4 * rare.std)
 
 
 @pytest.mark.parametrize(("share", "moves"), [(0.10, 6), (0.11, 1)])
@@ -199,29 +202,29 @@ def test_moves_end_when_more_than_a_tenth_fails(share, moves):
         failing = np.arange(len(scores)) < share * len(scores) - 1e-9
         return np.where(failing, 1.0, 1e-3)
 
-    seen, _ = watched(error, budget=1200)
-    assert len(seen) == moves + 1
+    generations, _ = watched(error, budget=1200)
+    assert len(generations) == moves + 1
 
 
-def test_samples_are_a_mixture_whose_weights_make_the_estimate():
-    """Failures lie beyond 2.5 on the first axis. The densities of the mixture are SciPy's."""
-    seen, found = watched(lambda x: np.exp(x[:, 0] - 2.5), budget=4000, good=ONE_RADIAN)
-    last = seen[-1][0]
+def test_the_estimate_weights_samples_of_a_mixture():
+    """Failures lie beyond 2.5 on the first axis. The mixture's densities come from SciPy."""
+    generations, rare = watched(lambda x: np.exp(x[:, 0] - 2.5), budget=4000, good=ONE_RADIAN)
+    last = generations[-1][0]
     fails = last[:, 0] > 2.5
-    *_, before = [scores for scores, _ in seen[:-1]]
-    moved = last[last @ before.mean(0) > 6.0]
+    *_, previous = [scores for scores, _ in generations[:-1]]
+    moved = last[last @ previous.mean(0) > 6.0]
     assert len(moved) > 100
     centre = optimize.minimize(
-        lambda mean: -np.sum(np.log(mixture(last, mean))), before.mean(0), method="BFGS"
+        lambda mean: -np.sum(np.log(mixture(last, mean))), previous.mean(0), method="BFGS"
     ).x
     assert 2.0 < centre[0] < 3.3
     weight = norm.pdf(last).prod(1) / mixture(last, centre)
     assert weight.max() <= 1 / 0.3
-    assert found.probability == pytest.approx(np.mean(weight * fails), rel=0.1)
-    assert found.std == pytest.approx(np.std(weight * fails) / np.sqrt(len(last)), rel=0.1)
-    worth = np.sum(weight[fails]) ** 2 / np.sum(weight[fails] ** 2)
-    assert found.effective == pytest.approx(worth, rel=0.1)
-    assert found.failures == fails.sum()
+    assert rare.probability == pytest.approx(np.mean(weight * fails), rel=0.1)
+    assert rare.std == pytest.approx(np.std(weight * fails) / np.sqrt(len(last)), rel=0.1)
+    effective = np.sum(weight[fails]) ** 2 / np.sum(weight[fails] ** 2)
+    assert rare.effective == pytest.approx(effective, rel=0.1)
+    assert rare.failures == fails.sum()
 
 
 ONE_RADIAN = GoodTable(rms=float(np.degrees(1.0)))
@@ -231,48 +234,48 @@ def mixture(scores, mean):
     return 0.3 * norm.pdf(scores).prod(1) + 0.7 * norm.pdf(scores - mean).prod(1)
 
 
-def test_failures_far_out_are_not_followed_beyond_four_deviations():
-    seen, _ = watched(lambda x: np.exp(x[:, 0] - 30.0), budget=4000, good=ONE_RADIAN)
-    lengths = [np.linalg.norm(scores.mean(0)) for scores, _ in seen[:-1]]
+def test_the_mean_moves_at_most_four_deviations():
+    generations, _ = watched(lambda x: np.exp(x[:, 0] - 30.0), budget=4000, good=ONE_RADIAN)
+    lengths = [np.linalg.norm(scores.mean(0)) for scores, _ in generations[:-1]]
     assert lengths[-1] == pytest.approx(4.0, abs=0.3)
     assert max(lengths) < 4.3
 
 
 def test_the_search_begins_within_seven_tenths_of_a_deviation():
-    seen, done = [], []
+    generations, reported = [], []
 
     def evaluate(scores, like):
-        seen.append(scores)
+        generations.append(scores)
         assert set(like) == {64}
         return rows(np.exp(-np.sum((scores - 9.0) ** 2, axis=1) / 100))
 
     s = specification(machines=["pmsm-2kw2", "servo-400w"])
-    found = find_worst(
+    worst = find_worst(
         s,
         *("servo-400w", "plain"),
         budget=1280,
         measure="rms",
         evaluate=evaluate,
-        progress=lambda k, of: done.append((k, of)),
+        progress=lambda k, of: reported.append((k, of)),
     )
-    assert {len(scores) for scores in seen} == {64}
-    assert seen[0].std() == pytest.approx(0.7, abs=0.1)
-    assert np.abs(seen[0].mean()) < 0.2
-    assert np.abs(np.concatenate(seen)).max() <= 4.0
-    assert found.like == 64
-    assert done[0] == (64, 1280)
-    assert found.history[0] < found.history[-1] == max(found.history)
-    assert found.row["rms"] == max(found.history)
+    assert {len(scores) for scores in generations} == {64}
+    assert generations[0].std() == pytest.approx(0.7, abs=0.1)
+    assert np.abs(generations[0].mean()) < 0.2
+    assert np.abs(np.concatenate(generations)).max() <= 4.0
+    assert worst.like == 64
+    assert reported[0] == (64, 1280)
+    assert worst.history[0] < worst.history[-1] == max(worst.history)
+    assert worst.row["rms"] == max(worst.history)
 
 
 def test_of_equal_errors_the_likely_one_is_preferred():
     """A ridge of equal errors along the second axis: the search stays near its middle."""
-    seen = []
+    generations = []
 
     def evaluate(scores, like):
-        seen.append(scores)
+        generations.append(scores)
         return rows(np.exp(-((scores[:, 0] - 1.0) ** 2)))
 
     find_worst(specification(), "servo-400w", "plain", budget=2560, evaluate=evaluate)
-    assert np.abs(seen[-1].mean(0)[1:]).max() < 0.3
-    assert seen[-1].mean(0)[0] == pytest.approx(1.0, abs=0.1)
+    assert np.abs(generations[-1].mean(0)[1:]).max() < 0.3
+    assert generations[-1].mean(0)[0] == pytest.approx(1.0, abs=0.1)

@@ -1,4 +1,4 @@
-"""What a specification may say, and what it draws."""
+"""Specifications: their checks, and the scenarios drawn from them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from fluxobs.campaigns.chunk import specification_of
-from fluxobs.campaigns.courses import course_of, most_knots
+from fluxobs.campaigns.courses import course_of, max_knots
 from fluxobs.campaigns.distributions import Distribution, correlated, correlator
 from fluxobs.campaigns.draws import (
     COURSE,
@@ -34,14 +34,14 @@ from fluxobs.errors import FluxobsError, UsageError
 U = (np.arange(100_000) + 0.5) / 100_000
 
 
-def specification(**given):
+def specification(**fields):
     return Specification(
-        **{"machines": ["servo-400w"], "scenarios": 64, "observers": ["plain"]} | given
+        **{"machines": ["servo-400w"], "scenarios": 64, "observers": ["plain"]} | fields
     )
 
 
 @pytest.mark.parametrize(
-    ("given", "oracle"),
+    ("fields", "oracle"),
     [
         ({"uniform": [2, 3]}, stats.uniform(2, 1)),
         ({"log": [0.1, 10]}, stats.loguniform(0.1, 10)),
@@ -50,11 +50,11 @@ def specification(**given):
         ({"lognormal": [2, 0.5]}, stats.lognorm(0.5, scale=2)),
     ],
 )
-def test_quantiles_are_those_of_scipy(given, oracle):
-    np.testing.assert_allclose(Distribution(**given).at(U), oracle.ppf(U), rtol=1e-6)
+def test_quantiles_are_those_of_scipy(fields, oracle):
+    np.testing.assert_allclose(Distribution(**fields).at(U), oracle.ppf(U), rtol=1e-6)
 
 
-def test_choice_and_grid_take_each_value_as_often():
+def test_choice_and_grid_take_all_values_equally_often():
     for kind in ("choice", "grid"):
         values, counts = np.unique(Distribution(**{kind: [1, 2, 5]}).at(U), return_counts=True)
         assert values.tolist() == [1, 2, 5]
@@ -67,32 +67,32 @@ def test_normal_scores_have_the_correlation(r):
     rng = np.random.default_rng(0)
     factor = correlator(["a", "b", "c"], {"a, c": r})
     u = correlated(rng.random((20_000, 3)), factor)
-    found = np.corrcoef(stats.norm.ppf(u).T)
-    np.testing.assert_allclose(found, [[1, 0, r], [0, 1, 0], [r, 0, 1]], atol=0.03)
+    correlation = np.corrcoef(stats.norm.ppf(u).T)
+    np.testing.assert_allclose(correlation, [[1, 0, r], [0, 1, 0], [r, 0, 1]], atol=0.03)
     assert stats.kstest(u[:, 2], "uniform").pvalue > 1e-4
 
 
 def test_impossible_correlations():
     with pytest.raises(UsageError, match="no joint distribution"):
         correlator(["a", "b", "c"], {"a, b": 0.9, "b, c": 0.9, "a, c": -0.9})
-    with pytest.raises(UsageError, match="'d' does not vary"):
+    with pytest.raises(UsageError, match="'d' is not drawn at random"):
         correlator(["a"], {"a, d": 0.5})
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("fields", "message"),
     [
         ({"scenarios": 0}, "scenarios: input should be greater than or equal to 1"),
         ({"machine": ["x"]}, "unknown field 'machine'; did you mean 'machines'"),
         ({"vary": {"Rs": 2}}, "unknown quantity 'Rs'; did you mean 'R_s'"),
         ({"vary": {"R": {"normal": [1, 0.1], "uniform": [0, 1]}}}, "vary.R: give one of fixed"),
         ({"vary": {"R": {"normal": [1, 0]}}}, "vary.R: normal: the standard deviation must be"),
-        ({"vary": {"R": {"uniform": [2, 1]}}}, "vary.R: uniform = .least, most. must rise"),
-        ({"vary": {"R": {"normal": [1, 0.1], "within": [9, 10]}}}, "leaves nothing"),
+        ({"vary": {"R": {"uniform": [2, 1]}}}, "vary.R: uniform = .least, most. must be ascending"),
+        ({"vary": {"R": {"normal": [1, 0.1], "within": [9, 10]}}}, "cuts off the whole"),
         ({"vary": {"gain": 1.1, "gain_a": 1.2}}, "gain_a is given twice"),
         ({"vary": {"noise": -0.1}}, "vary: noise = -0.1 is impossible for a drive"),
         ({"good": {"valid": 90}}, "good.valid: input should be less than or equal to 1"),
-        ({"good": {"losses": 2}}, 'only with loop = "closed"'),
+        ({"good": {"losses": 2}}, 'applies only with loop = "closed"'),
         ({"sampling": "sobol", "scenarios": 100}, "take 64 or 128"),
         ({"vary": {"load": {"grid": [0.1, 0.5, 0.9]}}}, "has 3 places; take 63 or 66"),
         ({"vary": {"load": {"grid": [0.1] * 65}}}, "has 65 places; take 65"),
@@ -100,35 +100,35 @@ def test_impossible_correlations():
             {"vary": {"load": {"grid": [0.1, 0.5, 0.9]}}, "sampling": "sobol", "scenarios": 60},
             "at each place of the grid; take 48 or 96",
         ),
-        ({"observers": ["plain", "plain"]}, "observers need names of their own"),
+        ({"observers": ["plain", "plain"]}, "observers need different names"),
         ({"limits": [{"good": 0.9, "observer": "plan"}]}, "no observer 'plan'; did you mean"),
-        ({"course": {"duration": 1, "score_from": 2}}, "nothing of 1 s is left"),
+        ({"course": {"duration": 1, "score_from": 2}}, "must be below duration = 1 s"),
         ({"course": {"speed": [[1, 0.5], [0, 0]]}}, "times must not decrease"),
         ({"observers": [{"kind": "plain", "gains": {"x": 1}}]}, "plain has no gains"),
     ],
 )
-def test_what_is_wrong_is_named(given, words):
-    with pytest.raises(UsageError, match=words):
-        specification(**given)
+def test_messages_name_the_wrong_field(fields, message):
+    with pytest.raises(UsageError, match=message):
+        specification(**fields)
 
 
-def test_what_only_machines_can_tell():
+def test_parameters_that_a_machine_lacks_cannot_vary():
     with pytest.raises(UsageError, match=r"servo-400w .surface-pmsm. has no L_d; it has R_s, L_s"):
         check(specification(vary={"L_d": {"uniform": [0.9, 1.1]}}))
 
 
-def test_a_file_is_named_with_its_mistake(tmp_path: Path):
-    place = tmp_path / "s.toml"
+def test_messages_name_the_file(tmp_path: Path):
+    path = tmp_path / "s.toml"
     with pytest.raises(FluxobsError, match=r"s\.toml: cannot be read"):
-        read_specification(place)
-    place.write_text("machines = [")
+        read_specification(path)
+    path.write_text("machines = [")
     with pytest.raises(FluxobsError, match=r"s\.toml: not TOML"):
-        read_specification(place)
-    place.write_text("machines = ['m.toml']\nscenarios = 3\nobservers = ['plain']\nsed = 1\n")
+        read_specification(path)
+    path.write_text("machines = ['m.toml']\nscenarios = 3\nobservers = ['plain']\nsed = 1\n")
     with pytest.raises(FluxobsError, match=r"s\.toml: unknown field 'sed'; did you mean 'seed'"):
-        read_specification(place)
-    place.write_text("machines = ['m.toml']\nscenarios = 3\nobservers = ['plain']\n")
-    assert read_specification(place).machines == [str(tmp_path / "m.toml")]
+        read_specification(path)
+    path.write_text("machines = ['m.toml']\nscenarios = 3\nobservers = ['plain']\n")
+    assert read_specification(path).machines == [str(tmp_path / "m.toml")]
 
 
 VARY = {
@@ -144,46 +144,49 @@ def test_a_scenario_depends_on_its_number_alone(sampling):
     machines = ["servo-400w", "pmsm-2kw2"]
     s = specification(vary=VARY, sampling=sampling, machines=machines, scenarios=96)
     for start in (0, 96):
-        whole = scenarios(s, start, start + 96)
-        parts = [
+        all_at_once = scenarios(s, start, start + 96)
+        in_pieces = [
             *scenarios(s, start, start + 1),
             *scenarios(s, start + 1, start + 38),
             *scenarios(s, start + 38, start + 96),
         ]
-        assert parts == whole
+        assert in_pieces == all_at_once
     places = 3 if sampling == "sobol" else 1
-    assert len({one.values["R"] for one in scenarios(s, 0, 96)}) == 96 / places
+    assert len({scenario.values["R"] for scenario in scenarios(s, 0, 96)}) == 96 / places
 
 
-def test_machines_get_the_same_points_of_a_sequence_but_noise_of_their_own():
+def test_machines_share_sobol_points_but_not_noise():
     machines = ["servo-400w", "pmsm-2kw2"]
     s = specification(vary=VARY, sampling="sobol", machines=machines, scenarios=96)
     first, second = scenarios(s, 3, 4)[0], scenarios(s, 99, 100)[0]
     assert first.values["R"] == second.values["R"]
-    streams = [one.generator(COURSE).random() for one in (first, second)]
+    streams = [scenario.generator(COURSE).random() for scenario in (first, second)]
     assert streams[0] != streams[1]
 
 
-def test_another_seed_draws_others():
-    one, other = (
+def test_another_seed_draws_other_scenarios():
+    first, second = (
         scenarios(specification(vary=VARY, seed=seed, scenarios=3), 0, 1)[0] for seed in (0, 1)
     )
-    assert one.values["R"] != other.values["R"]
-    assert one.generator(COURSE).random() != other.generator(COURSE).random()
+    assert first.values["R"] != second.values["R"]
+    assert first.generator(COURSE).random() != second.generator(COURSE).random()
 
 
 def test_grids_are_taken_in_turn():
     vary = {"temperature": {"grid": [0, 100]}, "load": {"grid": [0.1, 0.5, 0.9]}}
     s = specification(vary=vary, scenarios=12)
-    drawn = [(one.values["load"], one.values["temperature"]) for one in scenarios(s, 0, 12)]
+    drawn = [
+        (scenario.values["load"], scenario.values["temperature"])
+        for scenario in scenarios(s, 0, 12)
+    ]
     assert drawn[:6] == [(x, t) for x in (0.1, 0.5, 0.9) for t in (0, 100)]
     assert drawn[6:] == drawn[:6]
 
 
 def test_the_order_in_the_file_does_not_matter():
     s = specification(vary=VARY, scenarios=3)
-    other = specification(vary=dict(reversed(VARY.items())), scenarios=3)
-    assert scenarios(other, 0, 3) == scenarios(s, 0, 3)
+    reversed_order = specification(vary=dict(reversed(VARY.items())), scenarios=3)
+    assert scenarios(reversed_order, 0, 3) == scenarios(s, 0, 3)
     assert scenarios(specification_of(s.canonical()), 0, 3) == scenarios(s, 0, 3)
 
 
@@ -192,12 +195,16 @@ def test_neutral_values_are_left_out():
     assert values == {"L": 1.1}
 
 
-def test_every_place_of_a_grid_sees_the_same_sobol_points():
+def test_all_grid_places_use_the_same_sobol_points():
     vary = {"R": {"uniform": [0, 1]}, "temperature": {"grid": [0, 100]}}
     s = specification(vary=vary, sampling="sobol")
     cold, hot = (
-        [one.values["R"] for one in scenarios(s, 0, 64) if one.values["temperature"] == at]
-        for at in (0, 100)
+        [
+            scenario.values["R"]
+            for scenario in scenarios(s, 0, 64)
+            if scenario.values["temperature"] == temperature
+        ]
+        for temperature in (0, 100)
     )
     assert cold == hot
     assert [int(32 * value) for value in sorted(cold)] == list(range(32))
@@ -206,54 +213,54 @@ def test_every_place_of_a_grid_sees_the_same_sobol_points():
 def test_sobol_points_fill_every_slice():
     s = specification(vary={"R": {"uniform": [0, 1]}, "L": {"uniform": [0, 1]}}, sampling="sobol")
     for name in ("R", "L"):
-        values = sorted(one.values[name] for one in scenarios(s, 0, 64))
+        values = sorted(scenario.values[name] for scenario in scenarios(s, 0, 64))
         assert [int(64 * value) for value in values] == list(range(64))
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("fields", "message"),
     [
         ({}, "give one of fixed, .*, got none"),
         ({"fixed": 1, "choice": [1]}, "got fixed, choice"),
-        ({"uniform": [1, 1]}, r"uniform = \[least, most\] must rise"),
-        ({"log": [2, 2]}, r"log = \[least, most\] must rise"),
+        ({"uniform": [1, 1]}, r"uniform = \[least, most\] must be ascending"),
+        ({"log": [2, 2]}, r"log = \[least, most\] must be ascending"),
         ({"log": [0, 2]}, r"log = \[least, most\] must be positive"),
         ({"normal": [0, 0]}, "normal: the standard deviation must be positive, got 0"),
         ({"lognormal": [1, -1]}, "lognormal: the standard deviation must be positive, got -1"),
         ({"lognormal": [0, 1]}, "lognormal: the median must be positive, got 0"),
-        ({"normal": [0, 1], "within": [1, 1]}, r"within = \[least, most\] must rise"),
-        ({"uniform": [0, 1], "within": [0, 1]}, "within is for normal and lognormal"),
-        ({"normal": [0, 1], "within": [6.0, 9.0]}, "leaves nothing"),
-        ({"lognormal": [1, 0.5], "within": [-2.0, 0.0]}, "leaves nothing"),
+        ({"normal": [0, 1], "within": [1, 1]}, r"within = \[least, most\] must be ascending"),
+        ({"uniform": [0, 1], "within": [0, 1]}, "within applies only to normal"),
+        ({"normal": [0, 1], "within": [6.0, 9.0]}, "cuts off the whole"),
+        ({"lognormal": [1, 0.5], "within": [-2.0, 0.0]}, "cuts off the whole"),
     ],
 )
-def test_distributions_that_are_none(given, words):
-    with pytest.raises(ValueError, match=words):
-        Distribution(**given)
+def test_invalid_distributions(fields, message):
+    with pytest.raises(ValueError, match=message):
+        Distribution(**fields)
 
 
-def test_distributions_that_just_are():
-    """The normal tail beyond 5.99 is 1.05e-9: more than nothing."""
+def test_distributions_at_their_limits():
+    """The normal tail beyond 5.99 is 1.05e-9, just above the limit of 1e-9."""
     Distribution(normal=[0, 1], within=[5.99, 20])
     Distribution(log=[1e-9, 1])
     assert Distribution(normal=[-1, 1e-9]).at(np.array([0.5])) == -1
 
 
 @pytest.mark.parametrize("within", [[1.0, 5.0], [-1.0, 3.0], [0.0, 3.0]])
-def test_a_lognormal_is_cut_off(within):
-    low, high = (np.log(x / 2) / 0.5 if x > 0 else -np.inf for x in within)
-    cut = stats.truncnorm(low, high, 0, 0.5)
-    found = Distribution(lognormal=[2, 0.5], within=within).at(U)
-    np.testing.assert_allclose(found, 2 * np.exp(cut.ppf(U)), rtol=1e-6)
+def test_a_truncated_lognormal(within):
+    lower, upper = (np.log(x / 2) / 0.5 if x > 0 else -np.inf for x in within)
+    truncated = stats.truncnorm(lower, upper, 0, 0.5)
+    quantiles = Distribution(lognormal=[2, 0.5], within=within).at(U)
+    np.testing.assert_allclose(quantiles, 2 * np.exp(truncated.ppf(U)), rtol=1e-6)
 
 
-def test_a_cut_off_is_not_left_by_rounding():
-    found = Distribution(normal=[0, 1], within=[-0.1, 0.3]).at(np.array([0.0, 1.0]))
-    assert found == pytest.approx([-0.1, 0.3], abs=1e-12)
-    assert -0.1 <= found[0] < found[1] <= 0.3
+def test_rounding_stays_within_a_truncation():
+    quantiles = Distribution(normal=[0, 1], within=[-0.1, 0.3]).at(np.array([0.0, 1.0]))
+    assert quantiles == pytest.approx([-0.1, 0.3], abs=1e-12)
+    assert -0.1 <= quantiles[0] < quantiles[1] <= 0.3
 
 
-def test_the_last_place_of_a_list_holds_its_end():
+def test_a_choice_includes_both_ends():
     assert Distribution(choice=[1, 2]).at(np.array([0.0, 0.499, 0.5, 1.0])).tolist() == [1, 1, 2, 2]
     assert Distribution(fixed=3).at(U[:2]).tolist() == [3, 3]
 
@@ -263,14 +270,14 @@ def test_only_a_fixed_value_is_equal_in_all_drives():
     assert Distribution(choice=[1]).varies
 
 
-@pytest.mark.parametrize("given", [True, "1", [1, 2], None])
-def test_what_is_no_distribution(given):
+@pytest.mark.parametrize("value", [True, "1", [1, 2], None])
+def test_values_that_are_not_distributions(value):
     with pytest.raises(UsageError, match="give a number, or a table"):
-        specification(vary={"R": given})
+        specification(vary={"R": value})
 
 
 @pytest.mark.parametrize(
-    ("correlations", "words"),
+    ("correlations", "message"),
     [
         ({"a": 0.5}, "name two quantities"),
         ({"a, b, c": 0.5}, "name two quantities"),
@@ -280,15 +287,15 @@ def test_what_is_no_distribution(given):
         ({"a, b": -1.0}, "must be between -1 and 1, got -1"),
     ],
 )
-def test_correlations_that_are_none(correlations, words):
-    with pytest.raises(UsageError, match=words):
+def test_invalid_correlations(correlations, message):
+    with pytest.raises(UsageError, match=message):
         correlator(["a", "b", "c"], correlations)
 
 
 def test_the_factor_gives_the_correlations():
     factor = correlator(["a", "b", "c"], {"a, b": 0.999, "c ,b": -0.01})
-    wanted = [[1, 0.999, 0], [0.999, 1, -0.01], [0, -0.01, 1]]
-    np.testing.assert_allclose(factor @ factor.T, wanted, atol=1e-12)
+    expected = [[1, 0.999, 0], [0.999, 1, -0.01], [0, -0.01, 1]]
+    np.testing.assert_allclose(factor @ factor.T, expected, atol=1e-12)
 
 
 def test_correlated_quantities_of_a_drive():
@@ -300,13 +307,13 @@ def test_correlated_quantities_of_a_drive():
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("fields", "message"),
     [
-        ({"score_from": 2.0}, "score_from = 2 s: nothing of 2 s is left"),
-        ({"speeds": [0.0, 1.0]}, "speeds = .* must be positive and rise"),
-        ({"speeds": [0.6, 0.5]}, "speeds = .* must be positive and rise"),
-        ({"segment": [0.0, 1.0]}, "segment = .* must be positive and rise"),
-        ({"loads": [0.1, 0.0]}, "loads = .* must rise"),
+        ({"score_from": 2.0}, "score_from = 2 s must be below duration = 2 s"),
+        ({"speeds": [0.0, 1.0]}, "speeds = .* must be positive and ascending"),
+        ({"speeds": [0.6, 0.5]}, "speeds = .* must be positive and ascending"),
+        ({"segment": [0.0, 1.0]}, "segment = .* must be positive and ascending"),
+        ({"loads": [0.1, 0.0]}, "loads = .* must be ascending"),
         ({"stops": 1.01}, "stops is a share, at most 1"),
         ({"reversals": 1.01}, "reversals is a share, at most 1"),
         ({"stops": -0.1}, "stops: input should be greater"),
@@ -316,9 +323,9 @@ def test_correlated_quantities_of_a_drive():
         ({"speed": []}, "give .random., or"),
     ],
 )
-def test_courses_that_cannot_be(given, words):
-    with pytest.raises(UsageError, match=words):
-        specification(course=given)
+def test_invalid_courses(fields, message):
+    with pytest.raises(UsageError, match=message):
+        specification(course=fields)
 
 
 def test_courses_at_their_limits():
@@ -336,22 +343,25 @@ def test_courses_at_their_limits():
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("table", "message"),
     [
-        ({"kind": "plain", "unknowns": ["drift"]}, "unknowns is for adaptive, not for plain"),
-        ({"kind": "ekf", "unknowns": ["drift"]}, "unknowns is for adaptive, not for ekf"),
-        ({"kind": "ekf", "memory": 0.1}, "memory is for plain and adaptive; ekf has gains"),
+        (
+            {"kind": "plain", "unknowns": ["drift"]},
+            "unknowns applies only to adaptive, not to plain",
+        ),
+        ({"kind": "ekf", "unknowns": ["drift"]}, "unknowns applies only to adaptive, not to ekf"),
+        ({"kind": "ekf", "memory": 0.1}, "memory applies only to plain and adaptive; ekf"),
         ({"kind": "adaptive", "gains": {"x": 1}}, "adaptive has no gains"),
         ({"kind": "plain", "machine": {"J": 1.1}}, "factors on R, L, psi; got 'J'"),
         (3, "give a name, or a table"),
     ],
 )
-def test_observers_that_cannot_be(given, words):
-    with pytest.raises(UsageError, match=words):
-        specification(observers=[given])
+def test_invalid_observers(table, message):
+    with pytest.raises(UsageError, match=message):
+        specification(observers=[table])
 
 
-def test_observers_with_all_they_have():
+def test_observers_with_all_settings():
     plain, adaptive, other = specification(
         observers=[
             {"kind": "plain", "memory": 0.1, "machine": {"R": 1.1, "L": 0.9, "psi": 1.2}},
@@ -363,11 +373,11 @@ def test_observers_with_all_they_have():
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("fields", "message"),
     [
         ({"scenarios": 10_000_001}, "scenarios: input should be less than or equal to 10000000"),
         ({"seed": -1}, "seed: input should be greater than or equal to 0"),
-        ({"machines": ["servo-400w", "servo-400w"]}, "machines: one is named twice"),
+        ({"machines": ["servo-400w", "servo-400w"]}, "machines: each may be given only once"),
         ({"limits": [{"good": 1.1}]}, "good: input should be less than or equal to 1"),
         ({"limits": [{"good": 0.9, "machine": "servo"}]}, "limits: no machine 'servo'"),
         ({"good": {"losses": -1}}, "losses: input should be greater than or equal to 0"),
@@ -375,7 +385,7 @@ def test_observers_with_all_they_have():
         ({"vary": {"temperature": -200}}, "temperature = -200 is impossible"),
         ({"vary": {"range": 0}}, "range = 0 is impossible"),
         ({"vary": {"knee": 0}}, "knee = 0 is impossible"),
-        ({"sampling": "sobol", "scenarios": 3}, "powers of two; take 2 or 4"),
+        ({"sampling": "sobol", "scenarios": 3}, "need a power of two; take 2 or 4"),
         ({"vary": {"load": {"grid": [1, 2, 3]}}, "scenarios": 3, "sampling": "random"}, None),
         ({"vary": {"load": {"grid": [1, 2, 3]}}, "scenarios": 2}, "has 3 places; take 3$"),
         ({"vary": {"load": {"grid": [1, 2, 3]}}, "scenarios": 5}, "has 3 places; take 3 or 6"),
@@ -385,29 +395,29 @@ def test_observers_with_all_they_have():
         ({"sampling": "sobol", "scenarios": 1}, None),
     ],
 )
-def test_campaigns_at_their_limits(given, words):
-    if words is None:
-        specification(**given)
+def test_campaigns_at_their_limits(fields, message):
+    if message is None:
+        specification(**fields)
     else:
-        with pytest.raises(UsageError, match=words):
-            specification(**given)
+        with pytest.raises(UsageError, match=message):
+            specification(**fields)
 
 
 @pytest.mark.parametrize("name", ["viscous", "coulomb", "dead_time", "drop", "noise", "quantum"])
-def test_what_may_be_zero_but_not_negative(name):
+def test_quantities_that_may_be_zero_but_not_negative(name):
     specification(vary={name: 0})
     with pytest.raises(UsageError, match=f"{name} = -0.001 is impossible"):
         specification(vary={name: -1e-3})
 
 
-def test_usual_values():
+def test_defaults():
     s = specification()
     assert s.vary["theta_e"].uniform == [-np.pi, np.pi]
     assert (s.seed, s.loop, s.sampling, s.good.rms) == (0, "open", "random", 2.0)
     assert s.places == 1
 
 
-def test_words_for_several_quantities_and_names_of_observers():
+def test_group_names_of_quantities_and_names_of_observers():
     s = specification(vary={"gain": {"uniform": [0.9, 1.1]}}, observers=["plain", "adaptive"])
     assert s.varied == ("gain_a", "gain_b", "gain_c", "theta_e")
     assert s.observer().name == "plain"
@@ -418,32 +428,37 @@ def test_words_for_several_quantities_and_names_of_observers():
 
 def test_machine_files_are_called_by_their_names_if_these_differ():
     s = specification(machines=["servo-400w", "/a/m.toml", "/b/m.toml", "/b/n.toml"])
-    assert [s.called(one) for one in s.machines] == ["servo-400w", "/a/m.toml", "/b/m.toml", "n"]
+    assert [s.called(machine) for machine in s.machines] == [
+        "servo-400w",
+        "/a/m.toml",
+        "/b/m.toml",
+        "n",
+    ]
 
 
-def test_a_scenario_has_the_course_and_noise_that_it_borrows():
+def test_a_scenario_can_borrow_course_and_noise():
     drawn = scenarios(specification(scenarios=3), 0, 3)
-    lent = Scenario(0, "servo-400w", {}, seed=0, like=2)
+    borrower = Scenario(0, "servo-400w", {}, seed=0, like=2)
     for stream in (COURSE, NOISE):
-        assert lent.generator(stream).random() == drawn[2].generator(stream).random()
-    first = [drawn[0].generator(stream).random() for stream in (POINT, COURSE, NOISE)]
-    assert len(set(first)) == 3
+        assert borrower.generator(stream).random() == drawn[2].generator(stream).random()
+    own_numbers = [drawn[0].generator(stream).random() for stream in (POINT, COURSE, NOISE)]
+    assert len(set(own_numbers)) == 3
 
 
-def test_all_scenarios():
+def test_scenarios_of_all_machines():
     s = specification(machines=["servo-400w", "pmsm-2kw2"], scenarios=5)
     assert total(s) == 10
-    assert [one.machine for one in scenarios(s, 5, 7)] == ["pmsm-2kw2"] * 2
+    assert [scenario.machine for scenario in scenarios(s, 5, 7)] == ["pmsm-2kw2"] * 2
     assert points(specification(vary={"theta_e": 0.0}), 3, 7).shape == (4, 0)
 
 
 def courses(count=300, **table):
     table = CourseTable(**table)
     drawn = [Scenario(k, "servo-400w", {}, seed=0) for k in range(count)]
-    return [course_of(table, one) for one in drawn]
+    return [course_of(table, scenario) for scenario in drawn]
 
 
-def test_given_courses_are_taken():
+def test_specified_courses_are_used():
     speed, load = [(0.0, 0.0), (1.0, 0.5)], [(0.0, 0.3)]
     assert courses(1, speed=speed, load=load) == [(speed, load)]
 
@@ -469,16 +484,15 @@ def test_random_courses_keep_their_limits():
     assert stats.kstest(reached, stats.loguniform(0.1, 0.6).cdf).pvalue > 1e-3
     assert stats.kstest(loads, stats.uniform(-0.3, 0.8).cdf).pvalue > 1e-3
     assert stats.kstest(lengths, stats.uniform(0.4, 0.3).cdf).statistic < 0.1
-    assert max(len(knots) for pair in courses(**table) for knots in pair) <= most_knots(
+    assert max(len(knots) for pair in courses(**table) for knots in pair) <= max_knots(
         CourseTable(**table)
     )
 
 
 def targets(**table):
-    """Speeds at the ends of all segments but the first, and the first; segments longer than a
-    ramp."""
-    given = {"segment": [0.5, 0.5], "ramp": 0.01, "speeds": [0.5, 1.0], "load": [[0, 0]]}
-    ends = [np.array(speed)[1::2, 1] for speed, _ in courses(**given | table)]
+    """Speeds at the ends of the segments, which are longer than a ramp."""
+    defaults = {"segment": [0.5, 0.5], "ramp": 0.01, "speeds": [0.5, 1.0], "load": [[0, 0]]}
+    ends = [np.array(speed)[1::2, 1] for speed, _ in courses(**defaults | table)]
     return np.array(ends)
 
 
@@ -498,7 +512,7 @@ def test_a_drive_that_stops_in_every_segment_starts():
     assert (speeds[:, 1:] == 0).all()
 
 
-def test_knots_that_no_course_exceeds():
-    assert most_knots(CourseTable(duration=2.0, segment=[0.5, 1.0])) == 2 * 5 + 2
+def test_max_knots_bounds_all_courses():
+    assert max_knots(CourseTable(duration=2.0, segment=[0.5, 1.0])) == 2 * 5 + 2
     many = [[0.01 * k, 0.0] for k in range(50)]
-    assert most_knots(CourseTable(load=many)) == 50
+    assert max_knots(CourseTable(load=many)) == 50

@@ -21,27 +21,29 @@ from fluxobs.campaigns.statistics import (
 
 
 @pytest.mark.parametrize(("good", "of"), [(0, 10), (10, 10), (987, 1000), (1, 7)])
-def test_interval_is_that_of_the_exact_test(good, of):
-    low, high = Yield(good, of).interval
+def test_interval_equals_the_exact_test(good, of):
+    lower, upper = Yield(good, of).interval
     exact = stats.binomtest(good, of).proportion_ci(0.95, "exact")
-    assert (low, high) == pytest.approx((exact.low, exact.high))
+    assert (lower, upper) == pytest.approx((exact.low, exact.high))
 
 
-def test_intervals_cover_as_often_as_they_say():
+def test_intervals_have_their_coverage():
     rng, share = np.random.default_rng(0), 0.97
     drawn = rng.binomial(300, share, 2000)
-    inside = [low <= share <= high for low, high in (Yield(int(k), 300).interval for k in drawn)]
+    inside = [
+        lower <= share <= upper for lower, upper in (Yield(int(k), 300).interval for k in drawn)
+    ]
     assert np.mean(inside) >= 0.95
 
 
 def rows(**columns) -> pl.DataFrame:
     length = len(next(iter(columns.values())))
-    usual = {"failed": [None] * length, "rms": [0.01] * length, "valid": [1.0] * length}
-    usual |= {"worst": [0.02] * length, "first_valid": [0.1] * length, "losses": [0] * length}
-    return pl.DataFrame(usual | columns, schema_overrides={"failed": pl.String})
+    defaults = {"failed": [None] * length, "rms": [0.01] * length, "valid": [1.0] * length}
+    defaults |= {"worst": [0.02] * length, "first_valid": [0.1] * length, "losses": [0] * length}
+    return pl.DataFrame(defaults | columns, schema_overrides={"failed": pl.String})
 
 
-def test_good_needs_everything_that_is_asked():
+def test_a_good_scenario_meets_all_conditions():
     two = np.radians(2.0)
     frame = rows(
         rms=[0.01, two * 1.01, None, 0.01, 0.01, 0.01],
@@ -49,13 +51,13 @@ def test_good_needs_everything_that_is_asked():
         failed=[None, None, None, None, "no number", None],
         losses=[0, 0, 0, 0, 0, 2],
     )
-    found = frame.select(is_good(GoodTable(rms=2.0, valid=0.8, losses=0))).to_series().to_list()
-    assert found == [True, False, False, False, False, False]
-    found = frame.select(is_good(GoodTable(rms=None))).to_series().to_list()
-    assert found == [True, True, False, True, False, True]
+    good = frame.select(is_good(GoodTable(rms=2.0, valid=0.8, losses=0))).to_series().to_list()
+    assert good == [True, False, False, False, False, False]
+    good = frame.select(is_good(GoodTable(rms=None))).to_series().to_list()
+    assert good == [True, True, False, True, False, True]
 
 
-def test_limits_name_observer_and_machine():
+def test_limits_apply_to_their_observer_and_machine():
     s = Specification(
         machines=["servo-400w", "pmsm-2kw2"],
         scenarios=2,
@@ -67,19 +69,19 @@ def test_limits_name_observer_and_machine():
         observer=["plain", "adaptive"] * 4,
         rms=[1.0, 0.01, 1.0, 1.0, 0.01, 0.01, 0.01, 0.01],
     )
-    found = [(one.machine, one.observer, one.met) for one in verdicts(s, frame)]
-    assert found == [
+    results = [(verdict.machine, verdict.observer, verdict.met) for verdict in verdicts(s, frame)]
+    assert results == [
         ("servo-400w", "adaptive", True),
         ("pmsm-2kw2", "adaptive", True),
         ("pmsm-2kw2", "plain", True),
         ("pmsm-2kw2", "adaptive", True),
     ]
-    assert "too few scenarios to be sure" in str(verdicts(s, frame)[0])
+    assert "more scenarios are needed to be sure" in str(verdicts(s, frame)[0])
     assert not verdicts(s, frame.with_columns(rms=pl.lit(1.0)))[0].met
 
 
 def ishigami(rows: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Inputs, and the function whose indices are known: 0.314, 0.442, 0."""
+    """Return inputs and values of the Ishigami function, with the known indices 0.314, 0.442, 0."""
     x = np.random.default_rng(seed).uniform(-np.pi, np.pi, (rows, 3))
     y = np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
     return x, y
@@ -88,45 +90,45 @@ def ishigami(rows: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 def test_indices_are_those_of_ishigami():
     x, y = ishigami(4000, 0)
     frame = pl.DataFrame({"a": x[:, 0], "b": x[:, 1], "c": x[:, 2], "rms": 10 ** (y / 10)})
-    found = {one.quantity: one for one in indices(frame, ("a", "b", "c"))}
-    for name, wanted in (("a", 0.3139), ("b", 0.4424), ("c", 0.0)):
-        assert found[name].share == pytest.approx(wanted, abs=0.02)
-        assert found[name].low - 0.01 <= wanted <= found[name].high + 0.01
+    estimated = {index.quantity: index for index in indices(frame, ("a", "b", "c"))}
+    for name, exact in (("a", 0.3139), ("b", 0.4424), ("c", 0.0)):
+        assert estimated[name].share == pytest.approx(exact, abs=0.02)
+        assert estimated[name].low - 0.01 <= exact <= estimated[name].high + 0.01
 
 
 def test_chance_alone_has_no_index():
     rng = np.random.default_rng(1)
-    found = [
+    estimated = [
         indices(pl.DataFrame({"a": rng.random(500), "rms": 10 ** -rng.random(500)}), ("a",), seed)[
             0
         ]
         for seed in range(40)
     ]
-    assert np.mean([one.share for one in found]) < 0.02
-    assert np.mean([one.low > 0 for one in found]) <= 0.1
+    assert np.mean([index.share for index in estimated]) < 0.02
+    assert np.mean([index.low > 0 for index in estimated]) <= 0.1
 
 
 def test_a_choice_is_binned_by_its_values():
     rng = np.random.default_rng(2)
     a = rng.choice([0.0, 1.0], 400)
     frame = pl.DataFrame({"a": a, "rms": 10 ** (a + 0.5 * rng.standard_normal(400))})
-    wanted = 0.25 / (0.25 + 0.25)
-    assert indices(frame, ("a",))[0].share == pytest.approx(wanted, abs=0.08)
+    exact = 0.25 / (0.25 + 0.25)
+    assert indices(frame, ("a",))[0].share == pytest.approx(exact, abs=0.08)
 
 
 def test_a_pair_counts_every_scenario_once():
     rng = np.random.default_rng(3)
     a, b = rng.random((2, 600))
     frame = rows(a=a, b=b, rms=np.where(a + b > 1, 1.0, 0.001))
-    found = pair(frame, GoodTable(), "a", "b")
-    assert found.of.sum() == 600
-    assert found.good.sum() == yield_of(frame, GoodTable()).good
-    share = found.good / found.of
+    counts = pair(frame, GoodTable(), "a", "b")
+    assert counts.of.sum() == 600
+    assert counts.good.sum() == yield_of(frame, GoodTable()).good
+    share = counts.good / counts.of
     assert share[0, 0] == 1.0
     assert share[-1, -1] == 0.0
 
 
-def test_words():
+def test_the_criterion_in_words():
     table = GoodTable(rms=2, worst=10, valid=0.9, losses=0)
     assert statistics.in_words(table) == (
         "2° rms, 10° at most, valid on 90 % of the rows, never lost"
@@ -153,7 +155,7 @@ def test_a_limit_of_good_from_both_sides(field, column, limit, best, worst):
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("limits", "text"),
     [
         ({"rms": 2}, "2° rms"),
         ({"worst": 10}, "10° at most"),
@@ -163,27 +165,27 @@ def test_a_limit_of_good_from_both_sides(field, column, limit, best, worst):
         ({}, "ever valid"),
     ],
 )
-def test_each_limit_in_words(given, words):
-    assert statistics.in_words(GoodTable(**{"rms": None} | given)) == words
+def test_each_limit_in_words(limits, text):
+    assert statistics.in_words(GoodTable(**{"rms": None} | limits)) == text
 
 
 def test_a_yield_in_words():
     exact = stats.binomtest(37, 40).proportion_ci(0.95, "exact")
-    words = f"92.5 % ({100 * exact.low:.1f} to {100 * exact.high:.1f} %)"
-    assert str(Yield(37, 40)) == words
+    text = f"92.5 % ({100 * exact.low:.1f} to {100 * exact.high:.1f} %)"
+    assert str(Yield(37, 40)) == text
 
 
 @pytest.mark.parametrize(
-    ("wanted", "sure"), [(0.795, True), (0.80, False), (0.98, False), (0.986, True)]
+    ("limit", "sure"), [(0.795, True), (0.80, False), (0.98, False), (0.986, True)]
 )
-def test_a_verdict_is_sure_outside_of_the_interval(wanted, sure):
+def test_a_verdict_is_sure_outside_of_the_interval(limit, sure):
     """37 of 40 have the exact interval 79.6 to 98.4 %."""
-    verdict = Verdict("m", "o", wanted, Yield(37, 40))
-    assert verdict.met == (wanted < 0.925)
-    word = "met" if wanted < 0.925 else "missed"
-    assert str(verdict).startswith(f"{word}: o on m: 92.5 % (79.6 to 98.4 %), wanted ")
-    assert f"wanted {100 * wanted:g} %" in str(verdict)
-    assert ("too few scenarios" in str(verdict)) != sure
+    verdict = Verdict("m", "o", limit, Yield(37, 40))
+    assert verdict.met == (limit < 0.925)
+    outcome = "met" if limit < 0.925 else "missed"
+    assert str(verdict).startswith(f"{outcome}: o on m: 92.5 % (79.6 to 98.4 %), wanted ")
+    assert f"wanted {100 * limit:g} %" in str(verdict)
+    assert ("more scenarios are needed" in str(verdict)) != sure
 
 
 def test_a_limit_that_is_just_reached_is_met():
@@ -199,11 +201,11 @@ def test_rows_of_machine_and_observer():
         assert len(statistics.group(frame, machine, observer)) == count
 
 
-def test_an_observer_that_never_is_valid_has_the_error_of_an_unknown_angle():
+def test_without_a_valid_row_the_error_is_that_of_an_unknown_angle():
     """A uniform error over a turn has π/√3 rms. Errors below 1e-6 rad count as equal."""
-    found = statistics.response(rows(rms=[None, 0.01, 1e-6, 1e-9]))
+    responses = statistics.response(rows(rms=[None, 0.01, 1e-6, 1e-9]))
     uniform = np.sqrt(np.mean(np.linspace(-np.pi, np.pi, 100_001) ** 2))
-    np.testing.assert_allclose(10**found, [uniform, 0.01, 1e-6, 1e-6], rtol=1e-4)
+    np.testing.assert_allclose(10**responses, [uniform, 0.01, 1e-6, 1e-6], rtol=1e-4)
 
 
 def by_bins(x, y, bins):
@@ -227,16 +229,16 @@ def test_few_rows_have_two_bins():
     assert statistics._first_order(x, y) == pytest.approx(by_bins(x, y, 2))
 
 
-def test_as_many_values_as_bins_are_the_bins():
+def test_few_values_have_one_bin_each():
     """Three values of unequal numbers; a fourth makes four bins of equally many rows."""
     rng = np.random.default_rng(5)
     x = np.repeat([0.0, 1.0, 2.0, 3.0], [10, 20, 20, 30])
     y = x + rng.standard_normal(80)
     f = stats.f_oneway(*(y[x == value] for value in range(4))).statistic
     assert statistics._first_order(x, y) == pytest.approx(3 * (f - 1) / (3 * f + 76))
-    more = x.copy()
-    more[0] = -1.0
-    assert statistics._first_order(more, y) == pytest.approx(by_bins(more, y, 4))
+    modified = x.copy()
+    modified[0] = -1.0
+    assert statistics._first_order(modified, y) == pytest.approx(by_bins(modified, y, 4))
 
 
 def frame_of(n, seed=0):
@@ -245,13 +247,13 @@ def frame_of(n, seed=0):
     return pl.DataFrame({"a": a, "b": b, "c": 1.0, "rms": 10 ** (a - 2 * b)})
 
 
-def test_eighty_rows_tell_indices_fewer_do_not():
+def test_indices_need_eighty_rows():
     assert indices(frame_of(79), ("a", "b")) == []
-    assert [one.quantity for one in indices(frame_of(80), ("a", "b"))] == ["b", "a"]
+    assert [index.quantity for index in indices(frame_of(80), ("a", "b"))] == ["b", "a"]
 
 
-def test_what_does_not_vary_has_no_index():
-    assert {one.quantity for one in indices(frame_of(80), ("a", "b", "c"))} == {"a", "b"}
+def test_constant_quantities_have_no_index():
+    assert {index.quantity for index in indices(frame_of(80), ("a", "b", "c"))} == {"a", "b"}
     assert indices(frame_of(80).with_columns(rms=0.1), ("a", "b")) == []
 
 
@@ -260,31 +262,31 @@ def test_the_interval_is_that_of_two_hundred_resamplings_about_the_estimate():
     x, y = frame["a"].to_numpy(), np.log10(frame["rms"].to_numpy())
     rng = np.random.default_rng(11)
     picks = [rng.integers(200, size=200) for _ in range(200)]
-    again = np.array([by_bins(x[pick], y[pick], 10) for pick in picks])
-    (found,) = indices(frame, ("a",), seed=11)
+    resampled = np.array([by_bins(x[pick], y[pick], 10) for pick in picks])
+    (index,) = indices(frame, ("a",), seed=11)
     share = by_bins(x, y, 10)
-    assert found.share == pytest.approx(share)
-    low, high = np.percentile(again - again.mean() + share, [2.5, 97.5])
-    assert (found.low, found.high) == pytest.approx((low, high))
+    assert index.share == pytest.approx(share)
+    lower, upper = np.percentile(resampled - resampled.mean() + share, [2.5, 97.5])
+    assert (index.low, index.high) == pytest.approx((lower, upper))
 
 
 def test_an_index_is_not_negative():
     rng = np.random.default_rng(1)
     frame = pl.DataFrame({"a": rng.random(80), "rms": 10 ** rng.random(80)})
     x, y = frame["a"].to_numpy(), np.log10(frame["rms"].to_numpy())
-    assert by_bins(x, y, 4) < 0  # of this seed
-    (found,) = indices(frame, ("a",))
-    assert found.share == 0.0
-    assert found.low == 0.0
+    assert by_bins(x, y, 4) < 0  # with this seed
+    (index,) = indices(frame, ("a",))
+    assert index.share == 0.0
+    assert index.low == 0.0
 
 
 @pytest.mark.parametrize(("n", "cells"), [(10, 2), (269, 2), (270, 3), (1920, 8), (4000, 8)])
 def test_cells_of_a_pair_hold_about_thirty_rows(n, cells):
     a, b = np.random.default_rng(n).random((2, n))
     frame = rows(a=a, b=b, rms=np.full(n, 0.001))
-    found = pair(frame, GoodTable(), "a", "b")
-    assert (found.x, found.y) == ("a", "b")
-    assert found.of.shape == found.good.shape == (cells, cells)
-    np.testing.assert_allclose(found.x_edges, np.percentile(a, np.linspace(0, 100, cells + 1)))
-    np.testing.assert_allclose(found.y_edges, np.percentile(b, np.linspace(0, 100, cells + 1)))
-    assert found.of.sum() == n
+    counts = pair(frame, GoodTable(), "a", "b")
+    assert (counts.x, counts.y) == ("a", "b")
+    assert counts.of.shape == counts.good.shape == (cells, cells)
+    np.testing.assert_allclose(counts.x_edges, np.percentile(a, np.linspace(0, 100, cells + 1)))
+    np.testing.assert_allclose(counts.y_edges, np.percentile(b, np.linspace(0, 100, cells + 1)))
+    assert counts.of.sum() == n

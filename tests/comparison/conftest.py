@@ -5,7 +5,7 @@ from support import drives
 
 @pytest.fixture(autouse=True, scope="module")
 def compiled_once():
-    """Runs of different lengths share their compilation."""
+    """Let runs of different lengths share their compilation."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(drives.module, "_simulate", drives.simulate_compiled_once)
         yield

@@ -1,4 +1,4 @@
-"""Scores, bound and the comparison of observers."""
+"""Scores, error bound, scenarios and comparison of observers."""
 
 from __future__ import annotations
 
@@ -33,82 +33,82 @@ def truth(rows=1000, half_turn=False, score_from=0.2):
 
 
 def test_scores_of_known_errors():
-    true = truth()
-    theta = true.theta_e + 0.1 + 2 * np.pi * np.arange(1000)
-    found = score(theta, true.speed_e + 2.0, true.flux * 1.01, true)
-    assert found.rms == pytest.approx(0.1)
-    assert found.worst == pytest.approx(0.1)
-    assert found.speed == pytest.approx(2.0)
-    assert found.flux == pytest.approx(0.01)
-    assert (found.settled, found.lost) == (0.0, 0.0)
+    truth_ = truth()
+    theta = truth_.theta_e + 0.1 + 2 * np.pi * np.arange(1000)
+    scores = score(theta, truth_.speed_e + 2.0, truth_.flux * 1.01, truth_)
+    assert scores.rms == pytest.approx(0.1)
+    assert scores.worst == pytest.approx(0.1)
+    assert scores.speed == pytest.approx(2.0)
+    assert scores.flux == pytest.approx(0.01)
+    assert (scores.settled, scores.lost) == (0.0, 0.0)
 
 
 def test_settling_and_loss():
-    true = truth()
+    truth_ = truth()
     error = np.zeros(1000)
     error[:120] = 1.0  # settles after 120 ms …
     error[60:100] = 0.0  # … not in a gap shorter than 50 ms
     error[500:600] = 2.0  # lost on 100 of 800 scored rows
-    found = score(true.theta_e + error, true.speed_e, true.flux, true)
-    assert found.settled == pytest.approx(0.12)
-    assert found.lost == pytest.approx(100 / 800)
-    never = score(true.theta_e + 1.0, true.speed_e, true.flux, true)
+    scores = score(truth_.theta_e + error, truth_.speed_e, truth_.flux, truth_)
+    assert scores.settled == pytest.approx(0.12)
+    assert scores.lost == pytest.approx(100 / 800)
+    never = score(truth_.theta_e + 1.0, truth_.speed_e, truth_.flux, truth_)
     assert np.isnan(never.settled)
 
 
-def test_half_a_turn_is_nothing_to_a_reluctance_machine_and_no_number_is_half_a_turn():
+def test_reluctance_machines_ignore_half_a_turn_and_nan_counts_as_half_a_turn():
     assert np.allclose(scored_error(truth().theta_e + np.pi, truth(half_turn=True)), 0)
-    bad = scored_error(np.full(1000, np.nan), truth())
-    assert np.allclose(np.abs(bad), np.pi)
+    error = scored_error(np.full(1000, np.nan), truth())
+    assert np.allclose(np.abs(error), np.pi)
 
 
 # ---- bound -----------------------------------------------------------------------------------
 
 
-def test_bound_is_the_information_of_all_samples():
-    """R = 0: the recursion against the sum of the information of every sample, inverted."""
+def test_bound_equals_the_information_of_all_samples():
+    """R = 0: the recursion against the inverse of the summed information of all samples."""
     h, L, noise, psi, omega = 1e-3, 0.03, 0.02, 0.5, 40.0
     theta = 0.4 + omega * h * np.arange(200)
     drift_prior = 0.2
-    found = position_bound(theta, np.full(200, psi), h, L, 0.0, noise, drift_prior)
-    r = (L * noise) ** 2
+    bound = position_bound(theta, np.full(200, psi), h, L, 0.0, noise, drift_prior)
+    variance = (L * noise) ** 2
     for rows in (50, 200):
         information = np.diag(1 / np.array([psi, psi, drift_prior, drift_prior, psi]) ** 2)
-        # Unknown at the first row; what each later row sees of it.
+        # Unknowns at the first row, and the regressor of each later row.
         for k in range(rows):
             c, s, age = np.cos(theta[k]), np.sin(theta[k]), k * h
             g = np.array([c, s, age * c, age * s, -1.0])
-            information += np.outer(g, g) / r
-        now = np.eye(5)
-        now[0, 2] = now[1, 3] = (rows - 1) * h
-        P = now @ np.linalg.inv(information) @ now.T
-        across = np.array([-np.sin(theta[rows - 1]), np.cos(theta[rows - 1]), 0, 0, 0])
-        expected = np.sqrt((across @ P @ across + r) / psi**2)
-        assert found[rows - 1] == pytest.approx(expected, rel=1e-6)
+            information += np.outer(g, g) / variance
+        transition = np.eye(5)
+        transition[0, 2] = transition[1, 3] = (rows - 1) * h
+        P = transition @ np.linalg.inv(information) @ transition.T
+        tangent = np.array([-np.sin(theta[rows - 1]), np.cos(theta[rows - 1]), 0, 0, 0])
+        expected = np.sqrt((tangent @ P @ tangent + variance) / psi**2)
+        assert bound[rows - 1] == pytest.approx(expected, rel=1e-6)
 
 
-def test_no_observer_of_a_free_angle_beats_the_bound_and_the_least_squares_reaches_it():
+def test_the_least_squares_reaches_the_bound():
     machine, h = example("pmsm-2kw2"), 1.25e-4
-    sigma, squares = 0.02, []
+    sigma, mean_squares = 0.02, []
     setting = None
     for seed in range(4):
         data = steady(machine, h, 300.0, 6000, 4j, 0.1, 1.0, noise=sigma, seed=seed)
         setting = setting or setting_for(h, data.voltage, data.current, machine, 471.0)
         observer = FEW[0].build(setting, {"memory": 0.1})
-        found = observer.run(data.voltage, data.current)
-        error = np.angle(np.exp(1j * (found.theta_e - data.theta)))[2000:]
-        squares.append(np.mean(error**2))
+        estimate = observer.run(data.voltage, data.current)
+        error = np.angle(np.exp(1j * (estimate.theta_e - data.theta)))[2000:]
+        mean_squares.append(np.mean(error**2))
     bound = position_bound(
         data.theta, np.full(6000, machine.psi_f), h, machine.L_s, machine.R_s, sigma, 2.0
     )[2000:]
-    ratio = np.sqrt(np.mean(squares) / np.mean(bound**2))
+    ratio = np.sqrt(np.mean(mean_squares) / np.mean(bound**2))
     assert 0.97 < ratio < 1.05
 
 
 # ---- scenarios -------------------------------------------------------------------------------
 
 
-def test_the_set_has_what_was_asked():
+def test_required_scenarios_exist():
     for name in (
         "ideal",
         "current-bias-plus",
@@ -139,21 +139,21 @@ def test_the_set_has_what_was_asked():
         scenario("calm")
 
 
-def test_a_scenario_holds_what_it_says():
-    """Biases, noise and a cut-off current are in the record; the drive does what it is asked."""
+def test_records_match_their_scenario():
+    """Biases, noise and clipped currents are in the record; the drive follows its references."""
     run, machine, rated = run_scenario(scenario("current-bias-plus"), "pmsm-2kw2")
     offset = np.mean(run.trace.measured_current - run.trace.current)
     assert abs(offset) == pytest.approx(0.05 * machine.rated_current, rel=0.01)
     noise = np.std((run.trace.measured_current - run.trace.current).real)
     assert noise == pytest.approx(machine.rated_current / 300, rel=0.03)
-    at = np.searchsorted(run.t, 1.65)
-    assert machine.n_p * run.trace.speed[at] / rated.speed_e == pytest.approx(1.0, abs=0.01)
-    assert run.trace.torque[at] == pytest.approx(rated.torque, rel=0.03)
-    cut, _, _ = run_scenario(scenario("sensor-saturation"), "pmsm-2kw2")
-    assert np.abs(cut.trace.current).max() > 1.02 * machine.rated_current
+    row = np.searchsorted(run.t, 1.65)
+    assert machine.n_p * run.trace.speed[row] / rated.speed_e == pytest.approx(1.0, abs=0.01)
+    assert run.trace.torque[row] == pytest.approx(rated.torque, rel=0.03)
+    saturated, _, _ = run_scenario(scenario("sensor-saturation"), "pmsm-2kw2")
+    assert np.abs(saturated.trace.current).max() > 1.02 * machine.rated_current
 
 
-def test_beliefs_are_scaled_where_a_machine_has_them():
+def test_assumed_parameters_are_scaled():
     ipm = believed_machine(example("ipm-2kw2"), {"L": 0.5, "R": 2.0, "psi": 3.0})
     assert (ipm.L_d, ipm.L_q) == pytest.approx((18e-3, 25.5e-3))
     assert (ipm.R_s, ipm.psi_f) == pytest.approx((7.2, 1.635))
@@ -163,7 +163,7 @@ def test_beliefs_are_scaled_where_a_machine_has_them():
 # ---- comparison ------------------------------------------------------------------------------
 
 
-def test_grids_fit_into_the_lanes_and_begin_with_the_recommended():
+def test_grids_fit_into_the_lanes_and_begin_with_recommended_gains():
     data = steady(example("pmsm-2kw2"), 1.25e-4, 300.0, 2000)
     setting = setting_for(1.25e-4, data.voltage, data.current, example("pmsm-2kw2"), 471.0)
     for entry in CATALOGUE:
@@ -179,11 +179,11 @@ def both_biases():
 
 @pytest.mark.slow
 def test_the_least_squares_is_at_the_bound_where_others_have_a_bias(both_biases):
-    ours = both_biases.result("least squares").tuned
-    assert ours.rms / both_biases.bound < 1.05
+    least_squares = both_biases.result("least squares").tuned
+    assert least_squares.rms / both_biases.bound < 1.05
     assert both_biases.best.name.startswith("least squares")
     for name in ("gradient (Ortega, Lee)", "extended EMF with PLL"):
-        assert both_biases.result(name).tuned.rms > 10 * ours.rms
+        assert both_biases.result(name).tuned.rms > 10 * least_squares.rms
     for result in both_biases.results:
         assert result.tuned.rms <= result.recommended.rms
 
@@ -207,7 +207,7 @@ def test_report(both_biases, tmp_path):
     )
 
 
-def test_every_reason_is_given_where_the_least_squares_may_not_be_the_best():
-    """Scenarios whose model is violated say what bounds the least squares."""
+def test_scenarios_that_violate_the_model_state_a_limit():
+    """Their `limit` explains the error of the least squares."""
     for name in ("R-50", "dead-time", "bias-jumps", "gain-mismatch", "low-speed-1"):
         assert SCENARIOS[name].limit

@@ -244,7 +244,7 @@ LEVER = fluxobs.example("maglev-knospe")
         (lambda: fluxobs.identify(LOG, SERVO, free="R"), FluxobsError, "did you mean 'R_s'"),
         (lambda: fluxobs.identify(LOG, LEVER), MachineError, "machines that turn"),
         (lambda: fluxobs.compare("nois"), FluxobsError, "neither a file nor a scenario"),
-        (lambda: fluxobs.compare(fluxobs.demo_log()), FluxobsError, "machine is needed"),
+        (lambda: fluxobs.compare(fluxobs.demo_log()), FluxobsError, "a log needs a machine"),
         (lambda: fluxobs.export(LEVER, H, "never"), FluxobsError, "machines that turn"),
         (lambda: fluxobs.QuadraticConstraint([[1]], [[1, 2]], [[1]]), FluxobsError, "shape"),
     ],

@@ -1,4 +1,4 @@
-"""Changes and trends: found where they are, and nowhere else more often than promised."""
+"""Changes and trends: found at the right place, with the promised rate of false alarms."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DAY = 86400.0
 
 
 def brute_force(values, variance):
-    """All ways to divide a short series."""
+    """Return the best of all divisions of a short series."""
     n, best = len(values), (np.inf, None)
     for count in range(n // LEAST):
         for inner in combinations(range(LEAST, n - LEAST + 1), count):
@@ -41,7 +41,7 @@ def brute_force(values, variance):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_segments_are_the_best_of_all(seed):
+def test_segments_equal_a_brute_force_search(seed):
     rng = np.random.default_rng(seed)
     values = rng.standard_normal(14) + 6 * (np.arange(14) > rng.integers(2, 12))
     variance = rng.uniform(0.3, 3.0, 14)
@@ -49,16 +49,16 @@ def test_segments_are_the_best_of_all(seed):
 
 
 @pytest.mark.parametrize("n", [8, 30, 100])
-def test_false_alarms_are_rarer_than_promised(n):
+def test_false_alarms_are_within_their_rate(n):
     rng, alarms, trends = np.random.default_rng(n), 0, 0
     for _ in range(300):
         t = np.sort(rng.uniform(0, 300 * DAY, n))
         stds = 0.01 * rng.uniform(0.5, 2.0, n)
         values = 1 + stds * rng.standard_normal(n) + 0.02 * rng.standard_normal(n)
-        found = course_of(t, values, stds)
-        alarms += len(found.segments) > 1
-        trends += found.drifts
-    assert alarms <= 300 * FALSE_ALARM + 5  # three standard deviations of chance
+        course = course_of(t, values, stds)
+        alarms += len(course.segments) > 1
+        trends += course.drifts
+    assert alarms <= 300 * FALSE_ALARM + 5  # + three standard deviations
     assert trends <= 5
 
 
@@ -66,8 +66,8 @@ def test_scatter_is_found_beside_jumps_and_trends():
     rng = np.random.default_rng(5)
     t, stds = np.sort(rng.uniform(0, 1, 400)), np.full(400, 0.01)
     values = 0.03 * rng.standard_normal(400) + 0.01 * rng.standard_normal(400)
-    for more in (0.0, 3 * t, 1.0 * (t > 0.3)):
-        assert scatter_of(t, values + more, stds) == pytest.approx(0.03, rel=0.2)
+    for change in (0.0, 3 * t, 1.0 * (t > 0.3)):
+        assert scatter_of(t, values + change, stds) == pytest.approx(0.03, rel=0.2)
     assert scatter_of(t, 0.01 * rng.standard_normal(400), stds) < 0.008
 
 
@@ -75,23 +75,23 @@ def test_a_jump_is_found_with_its_size():
     rng = np.random.default_rng(6)
     values = 1 + 0.01 * rng.standard_normal(60)
     values[40:] += 0.05
-    found = course_of(np.arange(60) * DAY, values, np.full(60, 0.01))
-    ((first, by, std),) = found.jumps
+    course = course_of(np.arange(60) * DAY, values, np.full(60, 0.01))
+    ((first, change, std),) = course.jumps
     assert first == 40
-    assert by == pytest.approx(0.05, abs=4 * std)
-    assert not found.drifts
+    assert change == pytest.approx(0.05, abs=4 * std)
+    assert not course.drifts
 
 
-def test_a_trend_is_no_staircase():
+def test_a_trend_is_not_fitted_by_steps():
     rng = np.random.default_rng(7)
     t = np.arange(60) * DAY
-    found = course_of(t, 1 + 0.01 * rng.standard_normal(60) + t * 2e-8, np.full(60, 0.01))
-    assert len(found.segments) == 1
-    assert found.drifts
-    assert found.slope == pytest.approx(2e-8, abs=4 * found.slope_std)
+    course = course_of(t, 1 + 0.01 * rng.standard_normal(60) + t * 2e-8, np.full(60, 0.01))
+    assert len(course.segments) == 1
+    assert course.drifts
+    assert course.slope == pytest.approx(2e-8, abs=4 * course.slope_std)
 
 
-def test_slope_and_its_std_are_those_of_weighted_least_squares():
+def test_slope_and_std_equal_weighted_least_squares():
     rng = np.random.default_rng(8)
     t, variance = np.sort(rng.random(20)), rng.uniform(0.5, 2.0, 20)
     values = rng.standard_normal(20)
@@ -103,36 +103,36 @@ def test_slope_and_its_std_are_those_of_weighted_least_squares():
 
 
 @pytest.mark.parametrize("n", [1, 2, 4])
-def test_few_values_have_a_level_and_no_more(n):
-    found = course_of(np.arange(n) * DAY, np.arange(n, dtype=float), np.full(n, 0.1))
-    assert len(found.segments) == 1
-    assert found.jumps == ()
-    assert not found.drifts
+def test_few_values_have_only_a_level(n):
+    course = course_of(np.arange(n) * DAY, np.arange(n, dtype=float), np.full(n, 0.1))
+    assert len(course.segments) == 1
+    assert course.jumps == ()
+    assert not course.drifts
 
 
-def test_all_logs_of_one_moment():
-    found = course_of(np.zeros(10), np.linspace(0, 1, 10), np.full(10, 0.3))
-    assert found.slope == 0.0
+def test_logs_of_the_same_time_have_no_trend():
+    course = course_of(np.zeros(10), np.linspace(0, 1, 10), np.full(10, 0.3))
+    assert course.slope == 0.0
 
 
 def scatter_by_root_finding(t, values, stds):
-    """What makes the median of the normalised second differences that of a squared normal."""
-    numbers = []
+    """Return the scatter at which normalised second differences have the median of χ²(1)."""
+    triples = []
     for k in range(1, len(t) - 1):
         share = (t[k] - t[k - 1]) / (t[k + 1] - t[k - 1])
         weights = np.array([share - 1, 1.0, -share])
-        numbers.append((weights @ values[k - 1 : k + 2], weights**2 @ stds[k - 1 : k + 2] ** 2))
-        numbers[-1] += (weights @ weights,)
-    off, known, gain = np.array(numbers).T
+        triples.append((weights @ values[k - 1 : k + 2], weights**2 @ stds[k - 1 : k + 2] ** 2))
+        triples[-1] += (weights @ weights,)
+    differences, variances, gain = np.array(triples).T
 
     def excess(variance):
-        return np.median(off**2 / (known + gain * variance)) - stats.chi2(1).median()
+        return np.median(differences**2 / (variances + gain * variance)) - stats.chi2(1).median()
 
     return np.sqrt(optimize.brentq(excess, 0.0, 100.0, xtol=1e-14))
 
 
 @pytest.mark.parametrize("n", [5, 6, 41])
-def test_scatter_is_that_of_the_median_of_second_differences(n):
+def test_scatter_follows_from_the_median_of_second_differences(n):
     rng = np.random.default_rng(n)
     t, stds = np.cumsum(rng.uniform(0.2, 3.0, n)), rng.uniform(0.1, 0.3, n)
     values = 2 * t + rng.standard_normal(n)
@@ -148,7 +148,7 @@ def test_equal_times_compare_a_value_with_the_mean_of_its_neighbours():
     )
 
 
-def test_five_values_tell_a_scatter_and_a_trend_four_do_not():
+def test_scatter_and_trend_need_five_values():
     values = np.array([0.0, 3.0, 1.0, 5.0, 2.0])
     t, stds = np.arange(5.0), np.full(5, 0.1)
     assert scatter_of(t, values, stds) > 1.0
@@ -162,14 +162,16 @@ def test_second_differences_as_large_as_their_stds_are_no_scatter():
     a = np.sqrt(stats.chi2(1).median() * 1.5) / 2
     zigzag = a * (-1.0) ** np.arange(9)
     assert scatter_of(np.arange(9.0), 0.999 * zigzag, np.ones(9)) == 0.0
-    more = scatter_of(np.arange(9.0), 1.1 * zigzag, np.ones(9))
-    assert more == pytest.approx(np.sqrt(1.1**2 - 1), rel=1e-3)
+    scatter = scatter_of(np.arange(9.0), 1.1 * zigzag, np.ones(9))
+    assert scatter == pytest.approx(np.sqrt(1.1**2 - 1), rel=1e-3)
 
 
 @pytest.mark.parametrize("n", [8, 30, 100])
-def test_a_change_must_gain_what_chance_exceeds_once_in_a_hundred_series(n):
-    """Student's t on both sides, over n places for the change; 0.37 n degrees of freedom, the
-    efficiency of the median absolute deviation."""
+def test_the_penalty_has_a_false_alarm_rate_of_one_percent(n):
+    """Two-sided Student's t, over n places for the change, with 0.37 n degrees of freedom.
+
+    0.37 is the efficiency of the median absolute deviation.
+    """
     freedom = max(2.0, 0.37 * (n - 2))
     assert 2 * n * stats.t(freedom).sf(np.sqrt(penalty(n))) == pytest.approx(0.01)
 
@@ -187,13 +189,13 @@ def test_a_change_needs_three_values_on_each_side():
 
 
 @pytest.mark.parametrize(("factor", "edges"), [(0.99, [0, 12]), (1.01, [0, 6, 12])])
-def test_a_change_is_worth_its_penalty(factor, edges):
+def test_a_change_must_exceed_its_penalty(factor, edges):
     """A step of d between two halves of n/2 values gains n d²/4."""
     step = factor * np.sqrt(4 * penalty(12) / 12)
     assert change_points(step * (np.arange(12) >= 6), np.ones(12)) == edges
 
 
-def test_two_changes_are_not_found_at_the_price_of_one():
+def test_two_changes_cost_two_penalties():
     """Three levels 0, d, 0 of 6 values each gain 4 d² by two changes."""
     values = np.repeat([0.0, 1.0, 0.0], 6)
     step = np.sqrt(2 * penalty(18) / 4)
@@ -201,7 +203,7 @@ def test_two_changes_are_not_found_at_the_price_of_one():
     assert change_points(1.01 * step * values, np.ones(18)) == [0, 6, 12, 18]
 
 
-def test_a_line_must_explain_what_steps_explain():
+def test_a_line_replaces_steps_that_fit_no_better():
     t = np.arange(12.0)
     variance = np.linspace(0.5, 2.0, 12)
     for noise in np.linspace(0.0, 4.0, 9):
@@ -209,26 +211,26 @@ def test_a_line_must_explain_what_steps_explain():
         edges = [0, 6, 12]
         w = np.sqrt(1 / variance)
         line = np.polynomial.Polynomial.fit(t, values, 1, w=w)
-        slope_left = np.sum((w * (values - line(t))) ** 2)
-        step_left = sum(
+        line_cost = np.sum((w * (values - line(t))) ** 2)
+        steps_cost = sum(
             np.sum((w[k] * (values[k] - np.average(values[k], weights=w[k] ** 2))) ** 2)
             for k in (slice(0, 6), slice(6, 12))
         )
-        assert _is_line(t, values, variance, edges) == (slope_left <= step_left)
+        assert _is_line(t, values, variance, edges) == (line_cost <= steps_cost)
 
 
 def test_each_step_of_a_staircase_costs_a_penalty():
-    """Against three steps, a line has two penalties in hand."""
+    """A line may fit worse than three steps by two penalties."""
     t = np.arange(16.0)
     values = np.repeat([0.0, 1.0, 2.0, 3.0], 4)
     line = np.polynomial.Polynomial.fit(t, values, 1)
-    left = np.sum((values - line(t)) ** 2)
+    line_cost = np.sum((values - line(t)) ** 2)
     for factor, is_line in ((0.99, True), (1.01, False)):
-        size = factor * np.sqrt(2 * penalty(16) / left)
-        assert _is_line(t, size * values, np.ones(16), [0, 4, 8, 12, 16]) == is_line
+        scale = factor * np.sqrt(2 * penalty(16) / line_cost)
+        assert _is_line(t, scale * values, np.ones(16), [0, 4, 8, 12, 16]) == is_line
 
 
-def test_a_trend_counts_from_four_deviations_on():
+def test_a_trend_counts_above_four_deviations():
     for slope, drifts in ((3.9, False), (4.1, True), (-3.9, False), (-4.1, True)):
         assert Course((), 0.0, slope, 1.0).drifts == drifts
 
@@ -240,24 +242,24 @@ def test_levels_and_jumps_have_the_std_of_weighted_means():
     assert first.mean == pytest.approx((1 + 2 / 4 + 4) / 2.25)
     assert first.std == pytest.approx(0.5 / np.sqrt(2.25))
     assert second.std == pytest.approx(0.5 / np.sqrt(1.5))
-    ((at, by, std),) = Course((first, second), 0.0, 0.0, 1.0).jumps
-    assert at == 3
-    assert by == pytest.approx(second.mean - first.mean)
+    ((index, change, std),) = Course((first, second), 0.0, 0.0, 1.0).jumps
+    assert index == 3
+    assert change == pytest.approx(second.mean - first.mean)
     assert std == pytest.approx(0.5 * np.sqrt(1 / 2.25 + 1 / 1.5))
 
 
-def test_the_trend_is_that_of_the_last_segment():
+def test_the_trend_covers_the_last_segment():
     t = np.arange(16.0)
     values = np.where(t < 8, 0.1 * (-1) ** t, 50.0 + 0.2 * t)
-    found = course_of(t, values, np.full(16, 1.0))
-    assert [segment.last for segment in found.segments] == [8, 16]
-    assert found.slope == pytest.approx(0.2)
-    assert found.slope_std == pytest.approx(1 / np.sqrt(42.0))
+    course = course_of(t, values, np.full(16, 1.0))
+    assert [segment.last for segment in course.segments] == [8, 16]
+    assert course.slope == pytest.approx(0.2)
+    assert course.slope_std == pytest.approx(1 / np.sqrt(42.0))
 
 
 def test_the_scatter_widens_the_stds():
     rng = np.random.default_rng(9)
     t, values, stds = np.arange(30.0), rng.standard_normal(30), np.full(30, 0.4)
-    found = course_of(t, values, stds)
-    assert found.scatter == scatter_of(t, values, stds) > 0.5
-    assert found.segments[0].std == pytest.approx(np.hypot(0.4, found.scatter) / np.sqrt(30))
+    course = course_of(t, values, stds)
+    assert course.scatter == scatter_of(t, values, stds) > 0.5
+    assert course.segments[0].std == pytest.approx(np.hypot(0.4, course.scatter) / np.sqrt(30))

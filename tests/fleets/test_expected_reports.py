@@ -1,4 +1,4 @@
-"""A fleet's report, from the table of its logs: remarks, page and pictures as they were."""
+"""A fleet's report from the table of its logs: remarks, page and pictures as expected."""
 
 from datetime import UTC, datetime, timedelta
 
@@ -15,7 +15,7 @@ START = datetime(2025, 3, 1, tzinfo=UTC)
 
 
 def table():
-    """Six drives: one warms, one has a jump of its magnet, one ages, one is unlike the others."""
+    """Six drives: one warms up, one magnet jumps, one ages, one drive differs from the others."""
     rng, rows = np.random.default_rng(5), []
     for d, drive in enumerate("abcdef"):
         for k in range(12):
@@ -43,14 +43,14 @@ def test_the_report(tmp_path, monkeypatch):
     pictures = pictures_of_reports(monkeypatch)
     fleet = Fleet(tmp_path, table())
     limits = [read_limit("resistance=20%"), read_limit("psi_f=0.09..0.11")]
-    found = follow(fleet.table, limits)
-    write_html(fleet, found, tmp_path / "fleet.html")
+    followed = follow(fleet.table, limits)
+    write_html(fleet, followed, tmp_path / "fleet.html")
     page = (tmp_path / "fleet.html").read_text("utf-8").partition("<h1")[2]
-    shown = {
-        "headline": headline(fleet, found),
-        "remarks": remarks(found),
-        "untold": untold(found, limits),
+    contents = {
+        "headline": headline(fleet, followed),
+        "remarks": remarks(followed),
+        "untold": untold(followed, limits),
         "page": page.splitlines(),
         "pictures": pictures,
     }
-    check("fleets/report", shown)
+    check("fleets/report", contents)

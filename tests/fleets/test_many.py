@@ -1,4 +1,4 @@
-"""Many logs: every one to its file and row, nothing done twice, nothing stopped by a bad one."""
+"""Many logs: each to its file and row; nothing is done twice; a bad log stops nothing."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ HALF = 2500
 
 @pytest.fixture
 def logs(tmp_path: Path) -> Path:
-    """Two drives with a log each, and one that is none."""
+    """Two drives with one log each, and files that are not logs."""
     folder = tmp_path / "logs"
     lines = LOG.read_text().splitlines(keepends=True)
     for name in ("a/run_2024-05-01.csv", "b/run_2024-06-02_1330.csv"):
-        place = folder / name
-        place.parent.mkdir(parents=True)
-        place.write_text("".join(lines[: HALF + 1]))
+        path = folder / name
+        path.parent.mkdir(parents=True)
+        path.write_text("".join(lines[: HALF + 1]))
     (folder / "b" / "bad.csv").write_text("x,y\n1,2\n3,4\n")
     (folder / "b" / "notes.md").write_text("no log")
     return folder
@@ -54,7 +54,7 @@ def stamps(out: Path) -> dict[str, int]:
     }
 
 
-def test_every_log_gets_what_it_would_get_alone(logs, tmp_path):
+def test_each_log_gets_the_same_results_as_alone(logs, tmp_path):
     table = run(logs, tmp_path / "out")
     assert table["log"].to_list() == ["a/run_2024-05-01.csv", "b/bad.csv", table["log"][2]]
     assert table["drive"].to_list() == ["a", "b", "b"]
@@ -75,7 +75,7 @@ def test_every_log_gets_what_it_would_get_alone(logs, tmp_path):
     assert (tmp_path / "out" / "summary.csv").read_text().count("\n") >= 4
 
 
-def test_what_is_done_is_done_again_only_if_something_changed(logs, tmp_path):
+def test_logs_are_estimated_again_only_after_changes(logs, tmp_path):
     out, machine = tmp_path / "out", tmp_path / "motor.toml"
     machine.write_text(example_text("servo-400w"))
     options = {"machine": str(machine)}
@@ -102,7 +102,7 @@ def test_what_is_done_is_done_again_only_if_something_changed(logs, tmp_path):
 
 
 @pytest.mark.slow
-def test_failed_ones_are_retried_if_asked(logs, tmp_path, monkeypatch):
+def test_failed_logs_are_retried_on_request(logs, tmp_path, monkeypatch):
     out = tmp_path / "out"
     run(logs, out)
     note = out / "logs" / "b" / "bad.csv.json"
@@ -112,9 +112,9 @@ def test_failed_ones_are_retried_if_asked(logs, tmp_path, monkeypatch):
     run(logs, out, retry="failed")
     assert note.stat().st_mtime_ns > before
     before = note.stat().st_mtime_ns
-    run(logs, out, memory=0.05)  # other settings may do it
+    run(logs, out, memory=0.05)  # other settings may succeed
     assert note.stat().st_mtime_ns > before
-    shutil.copy(logs / "a" / "run_2024-05-01.csv", logs / "b" / "bad.csv")  # mended
+    shutil.copy(logs / "a" / "run_2024-05-01.csv", logs / "b" / "bad.csv")  # repaired
     assert run(logs, out)["failed"].null_count() == 3
     estimates = out / "estimates" / "b" / "bad.csv.parquet"
     assert estimates.exists()
@@ -124,7 +124,7 @@ def test_failed_ones_are_retried_if_asked(logs, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_machine_file_that_is_mended_is_tried_again(logs, tmp_path):
+def test_a_corrected_machine_file_is_tried_again(logs, tmp_path):
     out = tmp_path / "out"
     for drive in ("a", "b"):
         (tmp_path / f"{drive}.toml").write_text(example_text("servo-400w"))
@@ -147,43 +147,43 @@ def test_logs_of_earlier_runs_stay_in_the_table(logs, tmp_path):
     assert table["drive"].to_list() == ["a", "b", "b"]
 
 
-def work(tmp_path: Path) -> LogTask:
+def log_task_for(tmp_path: Path) -> LogTask:
     return LogTask(str(tmp_path / "out"), Settings("servo-400w", "{}"))
 
 
-def test_a_log_that_changes_meanwhile_is_a_row_that_says_so(logs, tmp_path, monkeypatch):
+def test_a_log_that_changes_while_it_is_read_is_a_failed_row(logs, tmp_path, monkeypatch):
     log = logs / "a" / "run_2024-05-01.csv"
-    real = log_task.estimate
+    estimate = log_task.estimate
 
-    def slow(place: Path, *given, **options):
-        result = real(place, *given, **options)
+    def slow(path: Path, *arguments, **options):
+        result = estimate(path, *arguments, **options)
         with log.open("a") as file:
             file.write("0,0,0,0,0,0\n")
         return result
 
     monkeypatch.setattr(log_task, "estimate", slow)
-    row = work(tmp_path)(Source(str(log), "a/run.csv", "a"))
+    row = log_task_for(tmp_path)(Source(str(log), "a/run.csv", "a"))
     assert "changed while it was read" in row["failed"]
     assert not (tmp_path / "out" / "estimates" / "a" / "run.csv.parquet").exists()
 
 
-def test_an_error_of_the_program_is_a_row_too(logs, tmp_path, monkeypatch):
-    def broken(*given, **options):
+def test_an_unexpected_error_is_a_failed_row(logs, tmp_path, monkeypatch):
+    def broken(*arguments, **options):
         raise ZeroDivisionError("division by zero")
 
     monkeypatch.setattr(log_task, "estimate", broken)
-    row = work(tmp_path)(Source(str(logs / "a" / "run_2024-05-01.csv"), "a/run.csv", "a"))
+    row = log_task_for(tmp_path)(Source(str(logs / "a" / "run_2024-05-01.csv"), "a/run.csv", "a"))
     assert row["failed"].endswith("ZeroDivisionError: division by zero")
 
 
-def test_a_missing_log_is_a_row(tmp_path):
+def test_a_missing_log_is_a_failed_row(tmp_path):
     (tmp_path / "out").mkdir()
-    row = work(tmp_path)(Source(str(tmp_path / "gone.csv"), "gone.csv", ""))
+    row = log_task_for(tmp_path)(Source(str(tmp_path / "gone.csv"), "gone.csv", ""))
     assert row["failed"].endswith("gone.csv: no such file")
     assert set(row) == set(COLUMNS)
 
 
-def test_a_full_disk_is_a_row(logs, tmp_path):
+def test_a_full_disk_is_a_failed_row(logs, tmp_path):
     program = (
         "import resource, signal, sys, json\n"
         "from fluxobs.fleets.log_task import LogTask, Settings\n"
@@ -195,25 +195,25 @@ def test_a_full_disk_is_a_row(logs, tmp_path):
         "print(json.dumps(row['failed']))\n"
     )
     (tmp_path / "out").mkdir()
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", program, tmp_path / "out", logs / "a" / "run_2024-05-01.csv"],
         capture_output=True,
         text=True,
         check=True,
     )
-    assert "cannot be written" in json.loads(done.stdout)
+    assert "cannot be written" in json.loads(process.stdout)
     assert not list((tmp_path / "out" / "estimates").rglob("*.parquet"))
 
 
 def test_drive_and_time_from_the_name(logs):
-    found = sources([logs], r"logs/(\w)/")
-    assert [one.drive for one in found] == ["a", "b", "b"]
-    for name, wanted in (
+    log_sources = sources([logs], r"logs/(\w)/")
+    assert [log.drive for log in log_sources] == ["a", "b", "b"]
+    for name, expected in (
         ("20240517_143005.csv", datetime(2024, 5, 17, 14, 30, 5, tzinfo=UTC)),
         ("unit7/2023/x-2024-12-31.mf4", datetime(2024, 12, 31, tzinfo=UTC)),
         ("2024-01-02T03-04-05.csv", datetime(2024, 1, 2, 3, 4, 5, tzinfo=UTC)),
     ):
-        assert Source("x", name, "").time() == wanted
+        assert Source("x", name, "").time() == expected
     assert Source("gone", "serial-123456789.csv", "").time() is None
 
 
@@ -224,16 +224,16 @@ def test_a_name_stays_in_the_folder_of_the_results(logs, tmp_path, monkeypatch):
     monkeypatch.chdir(below)
     direct = sources([logs])
     assert sources(["../../logs"]) == direct
-    both = sources(["../../logs", below])
-    assert not any(".." in one.name for one in both)
-    later = sources([below], root=f"{logs.as_posix()}/")  # elsewhere than those of the first run
+    logs_of_both = sources(["../../logs", below])
+    assert not any(".." in log.name for log in logs_of_both)
+    later = sources([below], root=f"{logs.as_posix()}/")  # outside the folder of the first run
     assert later[0].name == f"@{below.as_posix()}/c.csv"
     assert later[0].drive == "y"
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text there")
-def test_names_that_are_no_text_or_command_a_terminal(logs, tmp_path):
+def test_names_with_invalid_text_or_control_characters(logs, tmp_path):
     out = tmp_path / "out"
     good, bad = logs / "a" / "run_2024-05-01.csv", logs / "b" / "bad.csv"
     drive = logs / os.fsdecode(b"dr\xe9\x1b[31m")
@@ -241,44 +241,44 @@ def test_names_that_are_no_text_or_command_a_terminal(logs, tmp_path):
     shutil.copy(good, drive / os.fsdecode(b"caf\xe9.csv"))
     shutil.copy(bad, drive / os.fsdecode(b"\x9b\xff.csv"))
     shutil.copy(good, drive / "e\x1b]0;title\x07.csv")
-    for _ in range(2):  # made, and taken from the notes
+    for _ in range(2):  # estimated, then read from the notes
         table = run(logs, out)
         rows = {row["log"]: row for row in table.iter_rows(named=True)}
-        shown = r"dr\xe9\x1b[31m"
+        printed = r"dr\xe9\x1b[31m"
         assert len(rows) == 6
         assert rows["a/run_2024-05-01.csv"]["rows"] == HALF
-        assert rows[rf"{shown}/caf\xe9.csv"]["rows"] == HALF
-        assert rows[rf"{shown}/e\x1b]0;title\x07.csv"]["rows"] == HALF
-        failed = rows[rf"{shown}/\x9b\xff.csv"]["failed"]
-        assert rf"{shown}/\x9b\xff.csv: currents and voltages are not found" in failed
-        assert rows[rf"{shown}/caf\xe9.csv"]["drive"] == shown
+        assert rows[rf"{printed}/caf\xe9.csv"]["rows"] == HALF
+        assert rows[rf"{printed}/e\x1b]0;title\x07.csv"]["rows"] == HALF
+        failed = rows[rf"{printed}/\x9b\xff.csv"]["failed"]
+        assert rf"{printed}/\x9b\xff.csv: currents and voltages are not found" in failed
+        assert rows[rf"{printed}/caf\xe9.csv"]["drive"] == printed
     assert b"\x1b" not in (out / "summary.csv").read_bytes()
     out = out.rename(tmp_path / "o\udce9 [1]")
-    done = command("fleet", out, folder=tmp_path)
-    assert done.returncode == 0
+    process = command("fleet", out, folder=tmp_path)
+    assert process.returncode == 0
     page = (out / "fleet.html").read_text()
-    assert shown in page
+    assert printed in page
     assert "\x1b" not in page
 
 
-def test_what_lies_beside_logs_is_none(logs):
+def test_other_files_beside_logs_are_ignored(logs):
     for name in ("README.txt", "license.txt", "a/notes.json", ".hidden.csv"):
         (logs / name).write_text("words")
     (logs / "a" / "link.csv").symlink_to(logs / "gone.csv")
     os.mkfifo(logs / "a" / "pipe.csv")
-    names = [one.name for one in sources([logs])]
+    names = [log.name for log in sources([logs])]
     assert names == ["a/link.csv", "a/run_2024-05-01.csv", "b/bad.csv", "b/run_2024-06-02_1330.csv"]
 
 
-def test_nothing_meant(logs, tmp_path):
-    with pytest.raises(FluxobsError, match="as a pattern it matches none"):
+def test_wrong_arguments(logs, tmp_path):
+    with pytest.raises(FluxobsError, match="no file matches this pattern"):
         sources([logs / "c*.csv"])
     (logs / "empty").mkdir()
     with pytest.raises(FluxobsError, match="no logs there"):
         sources([logs / "empty"])
-    with pytest.raises(UsageError, match="no regular expression"):
+    with pytest.raises(UsageError, match="not a regular expression"):
         sources([logs], "(")
-    with pytest.raises(UsageError, match="finds no drive"):
+    with pytest.raises(UsageError, match="does not match this path"):
         sources([logs], "unit")
     with pytest.raises(FluxobsError, match="is not empty and holds no such results"):
         run(logs, logs)
@@ -303,7 +303,7 @@ def test_machines_by_drive(logs, tmp_path):
 def test_logs_of_a_web_server(logs, tmp_path):
     pytest.importorskip("aiohttp")
     handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=str(logs))
-    handler.log_message = lambda *given: None  # type: ignore[attr-defined]
+    handler.log_message = lambda *arguments: None  # type: ignore[attr-defined]
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         address = f"http://127.0.0.1:{server.server_address[1]}"
@@ -321,33 +321,33 @@ def test_logs_of_a_web_server(logs, tmp_path):
 
 def test_the_command(logs, tmp_path):
     pool = ("--scheduler", "pool", "--workers", "1")
-    done = command(
+    process = command(
         *("estimate", "logs", "--machine", "servo-400w", "--out", "o", *pool), folder=tmp_path
     )
-    assert done.returncode == 1
-    assert "2 of 3 logs estimated" in done.stdout
-    assert "Failed: " in done.stderr
-    done = command(
+    assert process.returncode == 1
+    assert "2 of 3 logs estimated" in process.stdout
+    assert "Failed: " in process.stderr
+    process = command(
         *("estimate", "logs/a/*.csv", "--machine", "servo-400w", "--out", "o", *pool, "--json"),
         folder=tmp_path,
     )
-    assert json.loads(done.stdout)["logs"] == 3
-    for arguments, words in (
+    assert json.loads(process.stdout)["logs"] == 3
+    for arguments, message in (
         (["logs"], "--out FOLDER is missing"),
         (["logs", "--out", "x.parquet"], "of many logs it is a folder"),
         (["logs", "--out", "p", "--report", "r.html"], "--report is for one log"),
         (["logs/a/run_2024-05-01.csv", "--retry", "failed"], "--retry is for many logs"),
         (["logs", "--out", "p", "--retry", "some"], "none, failed or all"),
-        (["logs/a/run [1].csv"], "run [1].csv: no such file, and as a pattern it matches none"),
+        (["logs/a/run [1].csv"], "run [1].csv: no such file, and "),
         (["logs/a/run [1].csv", "--out", "p"], "run [1].csv: no such file"),
         (["logs/a/gone.csv", "logs/a/run [1].csv", "--out", "p"], "run [1].csv: no such file"),
     ):
-        done = command("estimate", *arguments, "--machine", "servo-400w", folder=tmp_path)
-        assert done.returncode == 2
-        assert words in done.stderr
+        process = command("estimate", *arguments, "--machine", "servo-400w", folder=tmp_path)
+        assert process.returncode == 2
+        assert message in process.stderr
 
 
-def test_time_is_not_spent_on_what_is_done(logs, tmp_path):
+def test_finished_logs_take_no_time(logs, tmp_path):
     run(logs, tmp_path / "out")
     started = time.perf_counter()
     run(logs, tmp_path / "out")

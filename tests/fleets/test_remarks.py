@@ -1,4 +1,4 @@
-"""Remarks on the drives of a fleet, in closed form; limits from both sides."""
+"""Remarks on the drives of a fleet, against closed forms; limits from both sides."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from fluxobs.fleets.follow import (
     YEAR,
     Followed,
     Limit,
-    _beyond,
-    _jumps,
-    _trend,
-    _unlike,
-    enough,
+    _jump_remarks,
+    _limit_remarks,
+    _mark_unlike,
+    _trend_remarks,
+    describe_too_few,
+    describe_undated,
     follow,
     read_limit,
-    timeless,
     untold,
 )
 from fluxobs.fleets.log_task import COLUMNS
@@ -37,36 +37,36 @@ START = datetime(2024, 1, 1, tzinfo=UTC)
 LEVEL = Course((Segment(0, 4, 1.0, 0.1),), 0.0, 0.0, np.inf)
 
 
-def followed(drive="a", name="resistance", course=LEVEL, **given) -> Followed:
-    """Four logs, a day apart."""
+def followed(drive="a", name="resistance", course=LEVEL, **fields) -> Followed:
+    """One parameter over four logs, a day apart."""
     times = [START + timedelta(days=k) for k in range(4)]
     logs = [f"{drive}/{k}.csv" for k in range(4)]
-    usual = {"limits": None, "remarks": (), "crossed": False}
+    defaults = {"limits": None, "remarks": (), "crossed": False}
     level = np.full(4, course.segments[-1].mean)
-    return Followed(drive, name, times, logs, level, np.full(4, 0.1), course, **usual | given)
+    return Followed(drive, name, times, logs, level, np.full(4, 0.1), course, **defaults | fields)
 
 
-def rows(*given: dict) -> pl.DataFrame:
-    return pl.DataFrame([dict.fromkeys(COLUMNS) | row for row in given], schema=COLUMNS)
+def rows(*values: dict) -> pl.DataFrame:
+    return pl.DataFrame([dict.fromkeys(COLUMNS) | row for row in values], schema=COLUMNS)
 
 
 @pytest.mark.parametrize(
     ("value", "std", "beyond"),
     [(3.19, 0.1, False), (3.21, 0.1, True), (1.81, 0.1, False), (1.79, 0.1, True)],
 )
-def test_a_value_is_beyond_a_limit_by_two_deviations(value, std, beyond):
-    told = _beyond("resistance", ["x"], np.array([value]), np.array([std]), (2.0, 3.0))
-    assert bool(told) == beyond
+def test_a_limit_is_crossed_beyond_two_deviations(value, std, beyond):
+    texts = _limit_remarks("resistance", ["x"], np.array([value]), np.array([std]), (2.0, 3.0))
+    assert bool(texts) == beyond
     if beyond:
-        assert told == [f"resistance {value:g} Ω is beyond 2 Ω to 3 Ω in x"]
+        assert texts == [f"resistance {value:g} Ω is outside 2 Ω to 3 Ω in x"]
 
 
-def test_the_first_value_beyond_is_told_and_the_others_are_counted():
+def test_a_remark_names_the_first_crossing_and_counts_the_others():
     values = np.array([2.5, 5.0, 2.5, 6.0, 7.0])
     logs = list("abcde")
-    (text,) = _beyond("resistance", logs, values, np.zeros(5), (2.0, 3.0))
-    assert text == "resistance 5 Ω is beyond 2 Ω to 3 Ω in b, and 2 more"
-    (text,) = _beyond("resistance", logs[:3], values[:3], np.zeros(3), (2.0, 3.0))
+    (text,) = _limit_remarks("resistance", logs, values, np.zeros(5), (2.0, 3.0))
+    assert text == "resistance 5 Ω is outside 2 Ω to 3 Ω in b, and 2 more"
+    (text,) = _limit_remarks("resistance", logs[:3], values[:3], np.zeros(3), (2.0, 3.0))
     assert text.endswith("in b")
 
 
@@ -75,18 +75,18 @@ def step(before: float, after: float) -> Course:
 
 
 @pytest.mark.parametrize(
-    ("name", "before", "after", "words"),
+    ("name", "before", "after", "text"),
     [
         (
             "resistance",
             *(10.0, 12.0),
-            "resistance changed by +2 Ω ± 500 mΩ (+20.0 %), as copper +51 K would, between c and d "
+            "resistance changed by +2 Ω ± 500 mΩ (+20.0 %), like +51 K of copper, between c and d "
             "(2024-01-04)",
         ),
         (
             "resistance",
             *(10.0, 9.0),
-            "resistance changed by -1 Ω ± 500 mΩ (-10.0 %), as copper -25 K would, between c and d "
+            "resistance changed by -1 Ω ± 500 mΩ (-10.0 %), like -25 K of copper, between c and d "
             "(2024-01-04)",
         ),
         (
@@ -111,14 +111,14 @@ def step(before: float, after: float) -> Course:
         ),
     ],
 )
-def test_a_jump_in_words(name, before, after, words):
+def test_a_jump_in_words(name, before, after, text):
     """Copper gains 0.393 % per kelvin."""
-    assert _jumps(name, list("abcd"), followed().times, step(before, after)) == [words]
+    assert _jump_remarks(name, list("abcd"), followed().times, step(before, after)) == [text]
 
 
 def test_share_of_a_value_below_one():
-    (text,) = _jumps("resistance", list("abcd"), followed().times, step(0.5, 1.5))
-    assert "(+200.0 %), as copper +509 K would" in text
+    (text,) = _jump_remarks("resistance", list("abcd"), followed().times, step(0.5, 1.5))
+    assert "(+200.0 %), like +509 K of copper" in text
 
 
 T = np.array([when.timestamp() for when in followed().times])
@@ -129,13 +129,13 @@ def drifting(slope: float, std: float = 1e-12) -> Course:
     return Course((Segment(0, 4, 1.0, 0.1),), 0.0, slope / YEAR, std)
 
 
-def test_no_trend_no_words():
-    assert _trend("psi_f", T, LEVEL, (0.0, 2.0)) == []
+def test_without_a_trend_there_is_no_remark():
+    assert _trend_remarks("psi_f", T, LEVEL, (0.0, 2.0)) == []
 
 
 def test_a_trend_in_words():
-    told = _trend("psi_f", T, drifting(-0.25, 0.01 / YEAR), None)
-    assert told == ["magnet flux drifts by -250 mWb ± 10 mWb a year"]
+    texts = _trend_remarks("psi_f", T, drifting(-0.25, 0.01 / YEAR), None)
+    assert texts == ["magnet flux drifts by -250 mWb ± 10 mWb per year"]
 
 
 @pytest.mark.parametrize(
@@ -146,75 +146,75 @@ def test_a_trend_in_words():
         (0.5, (0.0, 1.5), "January 2025"),
         (1.0, (0.0, 5.95), "December 2028"),
         (1.0, (0.0, 6.05), None),  # in more than five years
-        (1.0, (0.0, 0.9), None),  # it is beyond already
+        (1.0, (0.0, 0.9), None),  # already outside
         (-1.0, (1.1, 2.0), None),
     ],
 )
-def test_a_trend_meets_its_limit(slope, bounds, month):
-    (text,) = _trend("psi_f", T, drifting(slope), bounds)
+def test_when_a_trend_reaches_its_limit(slope, bounds, month):
+    (text,) = _trend_remarks("psi_f", T, drifting(slope), bounds)
     if month is None:
-        assert "meets" not in text
+        assert "reaches" not in text
     else:
-        assert text.endswith(f"a year; it meets its limit in {month}")
+        assert text.endswith(f"per year; it reaches its limit in {month}")
 
 
-def test_the_limit_is_met_from_the_end_of_the_last_segment_on():
-    """Days 0 to 9; the last six hold the trend, 0.1 a day about 1.0: 1.25 on the last day."""
+def test_the_trend_is_extrapolated_from_the_end_of_the_last_segment():
+    """Days 0 to 9; the last six have the trend, 0.1 per day around 1.0: 1.25 on the last day."""
     t = START.timestamp() + 86400.0 * np.arange(10)
     slope = 0.1 / 86400
     course = Course((Segment(0, 4, 5.0, 0.1), Segment(4, 10, 1.0, 0.1)), 0.0, slope, 1e-12)
-    (text,) = _trend("psi_f", t, course, (0.0, 1.25 + 0.1 * 25))  # 25 days after January 10
+    (text,) = _trend_remarks("psi_f", t, course, (0.0, 1.25 + 0.1 * 25))  # 25 days after January 10
     assert text.endswith("February 2024")
-    (text,) = _trend("psi_f", t, course, (0.0, 1.25 + 0.1 * 20))
+    (text,) = _trend_remarks("psi_f", t, course, (0.0, 1.25 + 0.1 * 20))
     assert text.endswith("January 2024")
 
 
 def test_first_level_and_level_now():
-    one = followed(course=drifting(0.5))
-    across = 0.5 * 3 * 86400 / YEAR
-    assert one.first == pytest.approx(1 - across / 2, rel=1e-9)
-    assert one.level == pytest.approx(1 + across / 2, rel=1e-9)
+    drifting_item = followed(course=drifting(0.5))
+    change = 0.5 * 3 * 86400 / YEAR
+    assert drifting_item.first == pytest.approx(1 - change / 2, rel=1e-9)
+    assert drifting_item.level == pytest.approx(1 + change / 2, rel=1e-9)
     steps = Course((Segment(0, 2, 3.0, 0.1), Segment(2, 4, 1.0, 0.1)), 0.0, 0.5 / YEAR, 1e-12)
-    two = followed(course=steps)
-    assert two.first == 3.0
-    assert two.level == pytest.approx(1 + across / 3 / 2, rel=1e-9)
+    stepped_item = followed(course=steps)
+    assert stepped_item.first == 3.0
+    assert stepped_item.level == pytest.approx(1 + change / 3 / 2, rel=1e-9)
     assert (followed().first, followed().level, followed().unit) == (1.0, 1.0, "Ω")
 
 
 LEVELS = (1.0, 1.1, 0.9, 1.2)
 
 
-def fleet_of(odd: float, std: float) -> list[Followed]:
+def fleet_of(outlier: float, std: float) -> list[Followed]:
     return [
         followed(str(k), course=Course((Segment(0, 4, x, std),), 0.0, 0.0, np.inf))
-        for k, x in enumerate((*LEVELS, odd))
+        for k, x in enumerate((*LEVELS, outlier))
     ]
 
 
 @pytest.mark.parametrize(("deviations", "unlike"), [(4.95, False), (5.05, True)])
 @pytest.mark.parametrize("std", [0.0, 0.2])
-def test_a_drive_is_unlike_beyond_five_deviations(deviations, unlike, std):
-    """The median is 1.1 and the median of the distances 0.1; 1.4826 of it is a deviation."""
-    odd = 1.1 + deviations * np.hypot(0.14826, std)
-    told = [one.remarks for one in _unlike(fleet_of(odd, std))]
-    assert told[:4] == [()] * 4
-    assert bool(told[4]) == unlike
+def test_a_drive_differs_beyond_five_deviations(deviations, unlike, std):
+    """Median 1.1, median absolute deviation 0.1: a standard deviation of 0.14826."""
+    outlier = 1.1 + deviations * np.hypot(0.14826, std)
+    remarks_of_drives = [item.remarks for item in _mark_unlike(fleet_of(outlier, std))]
+    assert remarks_of_drives[:4] == [()] * 4
+    assert bool(remarks_of_drives[4]) == unlike
     if unlike:
-        assert told[4][0].endswith("is unlike that of the others, 1.1 Ω ± 148 mΩ")
+        assert remarks_of_drives[4][0].endswith("differs from the other drives, 1.1 Ω ± 148 mΩ")
 
 
-def test_among_four_drives_or_equal_ones_none_is_unlike():
+def test_four_or_equal_drives_do_not_differ():
     drives = fleet_of(100.0, 0.1)
-    assert all(not one.remarks for one in _unlike(drives[1:]))
-    same = [replace(one, course=Course((Segment(0, 4, 1, 0),), 0, 0, np.inf)) for one in drives]
-    assert all(not one.remarks for one in _unlike(same))
+    assert all(not drive.remarks for drive in _mark_unlike(drives[1:]))
+    same = [replace(drive, course=Course((Segment(0, 4, 1, 0),), 0, 0, np.inf)) for drive in drives]
+    assert all(not drive.remarks for drive in _mark_unlike(same))
 
 
-def test_remarks_on_a_drive_that_is_unlike_come_after_the_others():
+def test_the_remark_on_a_different_drive_comes_last():
     drives = fleet_of(100.0, 0.0)
     drives[4] = replace(drives[4], remarks=("before",))
-    assert _unlike(drives)[4].remarks[0] == "before"
-    assert len(_unlike(drives)[4].remarks) == 2
+    assert _mark_unlike(drives)[4].remarks[0] == "before"
+    assert len(_mark_unlike(drives)[4].remarks) == 2
 
 
 def test_bounds_of_a_drive():
@@ -224,14 +224,14 @@ def test_bounds_of_a_drive():
 
 
 @pytest.mark.parametrize("text", ["psi_f=1..1", "psi_f=0%", "psi_f=-10%", "psi_f=5..4%"])
-def test_bounds_that_do_not_rise(text):
-    with pytest.raises(UsageError, match="the bounds must rise"):
+def test_bounds_must_be_ascending(text):
+    with pytest.raises(UsageError, match="LOW must be below HIGH"):
         read_limit(text)
 
 
-def test_a_limit_counts_the_scatter_of_the_drive():
+def test_a_limit_allows_for_the_scatter_of_the_drive():
     """A zigzag of ±0.1 with small stds: the limit is crossed by the scatter only."""
-    given = [
+    logs = [
         {
             "log": str(k),
             "drive": "a",
@@ -242,8 +242,8 @@ def test_a_limit_counts_the_scatter_of_the_drive():
         for k in range(20)
     ]
     inside, beyond = (
-        follow(rows(*given), [Limit("resistance", 0.0, high, relative=False)])[0]
-        for high in (1.0, 0.3)
+        follow(rows(*logs), [Limit("resistance", 0.0, upper, relative=False)])[0]
+        for upper in (1.0, 0.3)
     )
     assert not inside.crossed
     assert inside.course.scatter > 0.06
@@ -251,8 +251,8 @@ def test_a_limit_counts_the_scatter_of_the_drive():
     assert beyond.remarks[0].endswith("in 0, and 19 more")
 
 
-def test_only_what_is_told_is_followed():
-    good = {"log": "x", "drive": "a", "time": START, "resistance": 1.0, "resistance_std": 0.1}
+def test_only_identified_values_are_followed():
+    log = {"log": "x", "drive": "a", "time": START, "resistance": 1.0, "resistance_std": 0.1}
     for change, count in (
         ({}, 1),
         ({"resistance_std": 0.0}, 0),
@@ -262,91 +262,91 @@ def test_only_what_is_told_is_followed():
         ({"time": None}, 0),
         ({"drive": None}, 1),
     ):
-        assert len(follow(rows(good | change))) == count
+        assert len(follow(rows(log | change))) == count
 
 
 def test_parameters_are_in_the_order_of_the_list():
-    good = {"log": "x", "drive": "b", "time": START}
+    log = {"log": "x", "drive": "b", "time": START}
     for name, (std, _, _) in FOLLOWED.items():
-        good |= {name: 1.0, std: 0.1}
-    found = follow(rows(good, good | {"drive": "a"}))
-    assert [(one.drive, one.name) for one in found] == [(d, n) for d in "ab" for n in FOLLOWED]
+        log |= {name: 1.0, std: 0.1}
+    items = follow(rows(log, log | {"drive": "a"}))
+    assert [(item.drive, item.name) for item in items] == [(d, n) for d in "ab" for n in FOLLOWED]
 
 
 @pytest.mark.parametrize(
-    ("count", "words"),
+    ("count", "text"),
     [
         (0, ""),
-        (1, "1 log has no time and is left out: put the date into the name, 2024-05-17."),
-        (2, "2 logs have no time and are left out: put the date into the name, 2024-05-17."),
+        (1, "1 log has no time and is ignored: put the date into the name, 2024-05-17."),
+        (2, "2 logs have no time and are ignored: put the date into the name, 2024-05-17."),
     ],
 )
-def test_logs_without_a_time(count, words):
+def test_logs_without_a_time(count, text):
     timed, failed = {"time": START}, {"failed": "no columns"}
-    assert timeless(rows(timed, failed, *[{}] * count)) == words
+    assert describe_undated(rows(timed, failed, *[{}] * count)) == text
 
 
 def test_changes_need_six_logs_of_a_drive():
     log, failed = {"drive": "a"}, {"drive": "a", "failed": "no columns"}
-    assert enough(rows(*[log] * 6, failed)) == ""
-    text = enough(rows(*[log] * 5, {"drive": "b"}, failed))
+    assert describe_too_few(rows(*[log] * 6, failed)) == ""
+    text = describe_too_few(rows(*[log] * 5, {"drive": "b"}, failed))
     assert text.startswith("No drive has more than 5 logs; changes need 6. ")
-    assert enough(rows(failed)).startswith("No drive has more than 0 logs")
+    assert describe_too_few(rows(failed)).startswith("No drive has more than 0 logs")
 
 
-def test_limits_of_which_nothing_is_told():
+def test_limits_on_unidentified_parameters():
     limits = [read_limit("resistance=10%"), read_limit("psi_f=10%")]
-    assert untold([followed()], limits) == ["limit on magnet flux: no log tells it"]
+    assert untold([followed()], limits) == ["limit on magnet flux: no log identifies it"]
 
 
 @pytest.mark.parametrize(
-    ("drives", "marked", "words"),
+    ("drives", "marked", "start"),
     [
         (1, 0, "6 logs of 1 drive, 2024-01-01 to 2024-01-06; 0 could not be estimated. 0 drives"),
         (2, 1, "12 logs of 2 drives, 2024-01-01 to 2024-01-06; 0 could not be estimated. 1 drive "),
         (2, 2, "12 logs of 2 drives, 2024-01-01 to 2024-01-06; 0 could not be estimated. 2 drives"),
     ],
 )
-def test_the_headline(drives, marked, words):
-    given = [
+def test_the_headline(drives, marked, start):
+    logs = [
         {"log": f"{d}{k}", "drive": str(d), "time": START + timedelta(days=k)}
         for d in range(drives)
         for k in range(6)
     ]
-    found = [followed(str(d), remarks=("x",) if d < marked else ()) for d in range(drives)]
-    text = headline(Fleet(Path(), rows(*given)), found)
-    assert text.startswith(words)
+    items = [followed(str(d), remarks=("x",) if d < marked else ()) for d in range(drives)]
+    text = headline(Fleet(Path(), rows(*logs)), items)
+    assert text.startswith(start)
     assert text.endswith("with remarks.")
-    untimed = rows(*given).with_columns(time=pl.lit(None, pl.Datetime("us", "UTC")))
+    untimed = rows(*logs).with_columns(time=pl.lit(None, pl.Datetime("us", "UTC")))
     assert f"of {drives} drive{'s' * (drives > 1)}; 0 could" in headline(
-        Fleet(Path(), untimed), found
+        Fleet(Path(), untimed), items
     )
 
 
-def test_crossed_limits_are_told_first():
-    found = [followed("a", remarks=("x", "y")), followed("", remarks=("z",), crossed=True)]
-    assert remarks(found) == ["all logs: z.", "a: x.", "a: y."]
+def test_crossed_limits_come_first():
+    items = [followed("a", remarks=("x", "y")), followed("", remarks=("z",), crossed=True)]
+    assert remarks(items) == ["all logs: z.", "a: x.", "a: y."]
 
 
 @pytest.mark.slow
 def test_a_report_draws_forty_drives_those_with_remarks_first(tmp_path, monkeypatch):
     drawn = []
 
-    def noted(found, drive):
+    def note_picture(items, drive):
         drawn.append(drive)
-        return picture(found, drive) if len(drawn) == 1 else pictures[0]
+        return picture(items, drive) if len(drawn) == 1 else pictures[0]
 
     pictures = [picture([followed()], "a")]
-    monkeypatch.setattr("fluxobs.fleets.report.picture", noted)
+    monkeypatch.setattr("fluxobs.fleets.report.picture", note_picture)
     for count in (DRAWN, DRAWN + 2):
-        found = [followed(f"{k:02d}") for k in range(count)]
-        found[-1] = replace(found[-1], remarks=("ages",))
+        items = [followed(f"{k:02d}") for k in range(count)]
+        items[-1] = replace(items[-1], remarks=("ages",))
         drawn.clear()
-        write_html(Fleet(tmp_path, rows({"drive": "a"})), found, tmp_path / "x.html")
+        write_html(Fleet(tmp_path, rows({"drive": "a"})), items, tmp_path / "x.html")
         page = (tmp_path / "x.html").read_text()
         assert len(drawn) == 40
         assert drawn[:2] == [f"{count - 1:02d}", "00"]
-        assert ("2 more drives are in the table" in page) == (count > 40)
+        assert ("2 more drives are only in the table" in page) == (count > 40)
         assert page.index("ages") > 0
         assert "Logs that failed" not in page
 
@@ -356,8 +356,8 @@ def test_a_picture_of_a_drive():
     axis, other = picture(
         [followed(course=steps, limits=(0.5, 3.5)), followed(name="psi_f")], "a"
     ).axes
-    drawn = [line for line in axis.lines if len(line.get_xdata()) == 2]
-    assert [list(line.get_ydata()) for line in drawn] == [
+    segments = [line for line in axis.lines if len(line.get_xdata()) == 2]
+    assert [list(line.get_ydata()) for line in segments] == [
         [3.0, 3.0],
         [1.0, 1.0],
         [0.5, 0.5],
@@ -365,31 +365,31 @@ def test_a_picture_of_a_drive():
     ]
     days = [
         (line.get_xdata() - np.datetime64("2024-01-01")) / np.timedelta64(1, "D")
-        for line in drawn[:2]
+        for line in segments[:2]
     ]
     assert [list(day) for day in days] == [[0, 1], [2, 3]]
     assert axis.get_title() == "resistance [Ω]"
     assert other.get_title() == "magnet flux [Wb]"
 
 
-def test_a_picture_shows_a_day_at_least():
+def test_a_picture_shows_at_least_a_day():
     for hours, width in ((6, 1.0), (48, None)):
-        one = replace(followed(), times=[START + timedelta(hours=hours * k / 3) for k in range(4)])
-        (axis,) = picture([one], "a").axes
-        low, high = axis.get_xlim()
+        item = replace(followed(), times=[START + timedelta(hours=hours * k / 3) for k in range(4)])
+        (axis,) = picture([item], "a").axes
+        lower, upper = axis.get_xlim()
         middle = np.datetime64("2024-01-01") + np.timedelta64(hours * 30, "m")
         days = (middle - np.datetime64("1970-01-01")) / np.timedelta64(1, "D")
-        assert (low + high) / 2 == pytest.approx(days, abs=1e-6)
+        assert (lower + upper) / 2 == pytest.approx(days, abs=1e-6)
         if width is None:
-            assert 2.0 <= high - low < 2.5
+            assert 2.0 <= upper - lower < 2.5
         else:
-            assert high - low == pytest.approx(width)
+            assert upper - lower == pytest.approx(width)
 
 
 @pytest.mark.parametrize("days", [1.0, 1.9, 2.1, 3.0, 3.9, 6.0, 33.0, 59.0, 400.0, 4000.0])
-def test_an_axis_of_any_length_has_its_dates(days):
-    one = replace(followed(), times=[START + timedelta(days=days * k / 3) for k in range(4)])
-    (axis,) = picture([one], "a").axes
+def test_axes_of_any_length_have_dates(days):
+    item = replace(followed(), times=[START + timedelta(days=days * k / 3) for k in range(4)])
+    (axis,) = picture([item], "a").axes
     assert 2 <= len(axis.get_xticks()) <= 6
 
 
@@ -412,8 +412,8 @@ def test_an_axis_of_any_length_has_its_dates(days):
     ],
 )
 def test_a_date_in_a_name(name, time):
-    wanted = None if time is None else datetime(*time, tzinfo=UTC)
-    assert Source("gone", name, "").time() == wanted
+    expected = None if time is None else datetime(*time, tzinfo=UTC)
+    assert Source("gone", name, "").time() == expected
 
 
 @pytest.mark.parametrize(
@@ -436,28 +436,28 @@ def test_a_drive_is_the_folder_or_what_a_pattern_finds(tmp_path):
     for name in ("a/1.csv", "b/c/2.csv", "3.csv"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("x")
-    assert [(one.name, one.drive) for one in sources([tmp_path])] == [
+    assert [(log.name, log.drive) for log in sources([tmp_path])] == [
         ("3.csv", ""),
         ("a/1.csv", "a"),
         ("b/c/2.csv", "b/c"),
     ]
-    assert [one.drive for one in sources([tmp_path], r"\d\.csv")] == ["3.csv", "1.csv", "2.csv"]
-    assert [one.drive for one in sources([tmp_path], r"(\d)\.(csv)")] == ["3", "1", "2"]
-    (one,) = sources([tmp_path / "b" / "c" / "2.csv"], root="/elsewhere/")
-    assert one.name == f"{ELSEWHERE}{tmp_path.as_posix()[1:]}/b/c/2.csv"
-    assert one.drive == "c"
+    assert [log.drive for log in sources([tmp_path], r"\d\.csv")] == ["3.csv", "1.csv", "2.csv"]
+    assert [log.drive for log in sources([tmp_path], r"(\d)\.(csv)")] == ["3", "1", "2"]
+    (log,) = sources([tmp_path / "b" / "c" / "2.csv"], root="/elsewhere/")
+    assert log.name == f"{ELSEWHERE}{tmp_path.as_posix()[1:]}/b/c/2.csv"
+    assert log.drive == "c"
 
 
 @pytest.mark.parametrize(
     "name", ["A.CSV", "a.mf4", "a.csv.gz", "a.log", "readme2.txt", "Notes.md.txt"]
 )
-def test_what_is_a_log(tmp_path, name):
+def test_files_that_are_logs(tmp_path, name):
     for path in (tmp_path / name, tmp_path / "Readme.TXT", tmp_path / "a.md", tmp_path / ".b.csv"):
         path.write_text("x")
-    assert [one.name for one in sources([tmp_path])] == [name]
+    assert [log.name for log in sources([tmp_path])] == [name]
 
 
-def test_an_address_is_fetched_a_file_is_not():
+def test_only_urls_are_fetched():
     assert Source("s3://x/a.csv", "a.csv", "").remote
     assert not Source("/x/a.csv", "a.csv", "").remote
 
@@ -469,8 +469,8 @@ def test_a_stamp_is_size_and_time(tmp_path):
     assert Source(str(tmp_path / "gone"), "a", "").stamp() == ""
 
 
-def test_a_row_says_the_mistakes_that_a_log_has():
-    from fluxobs.fleets.log_task import told
+def test_a_row_lists_the_mistakes_of_a_log():
+    from fluxobs.fleets.log_task import summarise
 
     facts = {
         "rows": 200,
@@ -483,10 +483,10 @@ def test_a_row_says_the_mistakes_that_a_log_has():
         "drift": (0.1, 0.2),
         "error": {"rms": 0.3, "most": 0.4},
     }
-    for mistakes, words in (((), None), (("late", "swapped"), "late\nswapped")):
+    for mistakes, text in (((), None), (("late", "swapped"), "late\nswapped")):
         checked = SimpleNamespace(mistakes=mistakes)
-        row = told(SimpleNamespace(facts=facts, checked=checked, adaptive=None, learnt=None))
-        assert row.get("mistakes") == words
+        row = summarise(SimpleNamespace(facts=facts, checked=checked, adaptive=None, learnt=None))
+        assert row.get("mistakes") == text
         assert row["duration"] == 2.0
         assert row["warnings"] is None
         assert row["unknowns"] == "drift,resistance"
@@ -498,7 +498,7 @@ def test_a_row_says_the_mistakes_that_a_log_has():
         adaptive=None,
         learnt=None,
     )
-    row = told(plain)
+    row = summarise(plain)
     assert "drift_alpha" not in row
     assert "error_rms" not in row
     assert row["warnings"] == "a\nb"

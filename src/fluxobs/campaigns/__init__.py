@@ -1,4 +1,4 @@
-"""Campaigns: thousands of simulated drives within tolerances, and what observers make of them."""
+"""Campaigns: thousands of drives simulated within tolerances, each with several observers."""
 
 from .campaign import campaign
 from .dataset import Dataset, open_dataset

@@ -1,4 +1,4 @@
-"""A campaign from its specification to its rows."""
+"""Run a campaign: from its specification to its rows."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from ..core.engine import LOCAL, compute, locked
 from ..core.output import make_folder
 from ..core.symlinks import open_own
 from ..errors import FluxobsError
-from . import dataset
 from .chunk import ChunkTask
-from .dataset import TIMES, WORST, Chunk, Dataset
+from .dataset import TIMES, WORST, Chunk, Dataset, chunk_size, create
 from .draws import total
 from .specification import Specification, check, read_specification
-from .worst import Keep, lacking
+from .worst import RecordTask, missing_records
 
 
 def campaign(
@@ -27,20 +26,20 @@ def campaign(
     scheduler: str = LOCAL,
     progress: Callable[[int, int], Any] = lambda done, total: None,
 ) -> Dataset:
-    """Simulate all scenarios of a specification that are not in the folder yet.
+    """Simulate the scenarios of a specification that are not in the folder yet.
 
     Parameters
     ----------
     specification : Specification, or the path of a TOML file
     out : path
-        Folder of the results. If it holds the same campaign, what is missing is done.
+        Folder of the results. If it holds the same campaign, only missing scenarios are simulated.
     workers : int, optional
-        Processes; default one per processor.
+        Number of processes; default one per processor.
     scheduler : str
         "local" (Dask if it is installed), "pool" (a pool of processes), or the address of a Dask
-        scheduler whose workers see `out` by the same name.
+        scheduler whose workers see `out` under the same path.
     progress : callable
-        Called with the number of scenarios done, and of all.
+        Called with the number of finished scenarios and the number of all.
 
     Returns
     -------
@@ -49,50 +48,50 @@ def campaign(
     Raises
     ------
     FluxobsError
-        The specification is impossible; the folder holds something else, or is in use; a file
-        cannot be written; the workers cannot be had.
+        The specification is impossible; the folder holds something else or is in use; a file
+        cannot be written; the workers cannot be started.
     """
     if isinstance(specification, Specification):
-        given = specification
-        size = _chunk_size(given)
+        checked = specification
+        size = _chunk_size(checked)
     else:
-        given = read_specification(specification)
+        checked = read_specification(specification)
         try:
-            size = _chunk_size(given)
+            size = _chunk_size(checked)
         except FluxobsError as error:
             raise FluxobsError(f"{specification}: {error}") from None
     folder = make_folder(out).resolve()
     with locked(folder):
-        found = dataset.create(folder, given, size)
-        fill(found, ChunkTask(str(folder), given.canonical()), workers, scheduler, progress)
+        dataset = create(folder, checked, size)
+        fill(dataset, ChunkTask(str(folder), checked.canonical()), workers, scheduler, progress)
         make_folder(folder / WORST)
-        keep = Keep(str(folder), given.canonical())
-        for _ in compute(lacking(found), keep, workers, scheduler):
+        record_task = RecordTask(str(folder), checked.canonical())
+        for _ in compute(missing_records(dataset), record_task, workers, scheduler):
             pass
-    return found
+    return dataset
 
 
 def fill(
-    found: Dataset,
-    work: Callable[[Chunk], float],
+    dataset: Dataset,
+    task: Callable[[Chunk], float],
     workers: int | None,
     scheduler: str,
     progress: Callable[[int, int], Any],
 ) -> None:
-    """Do the chunks of a dataset that are not there; `work` writes one and returns its seconds."""
-    count = total(found.specification)
-    done = count - found.lacking()
-    progress(done, count)
-    with os.fdopen(open_own(found.folder / TIMES), "a", encoding="utf-8") as times:
-        for chunk, seconds in compute(found.missing(), work, workers, scheduler):
+    """Compute the missing chunks of a dataset; `task` writes one and returns its duration [s]."""
+    count = total(dataset.specification)
+    finished = count - dataset.lacking()
+    progress(finished, count)
+    with os.fdopen(open_own(dataset.folder / TIMES), "a", encoding="utf-8") as times:
+        for chunk, seconds in compute(dataset.missing(), task, workers, scheduler):
             times.write(f"{chunk.first},{chunk.last},{seconds:.3f}\n")
             times.flush()
-            done += chunk.last - chunk.first
-            progress(done, count)
+            finished += chunk.last - chunk.first
+            progress(finished, count)
 
 
 def _chunk_size(specification: Specification) -> int:
-    """Scenarios of a chunk; checks every machine and observer before the first worker starts."""
+    """Return the scenarios per chunk; check all machines and observers before workers start."""
     from .drives import cell_of
     from .observed import check_observer
     from .simulated import lanes_for
@@ -101,10 +100,12 @@ def _chunk_size(specification: Specification) -> int:
     sizes = []
     for name in specification.machines:
         cell = cell_of(specification, name)
-        for table in specification.observers:
-            check_observer(table, cell)
-        h = cell.rated.sample_time
-        if specification.course.duration < 10 * h:
-            raise FluxobsError(f"course.duration is less than ten samples of {name}, {h:g} s each")
-        sizes.append(dataset.chunk_size(specification, lanes_for(specification, h), h))
+        for observer in specification.observers:
+            check_observer(observer, cell)
+        sample_time = cell.rated.sample_time
+        if specification.course.duration < 10 * sample_time:
+            raise FluxobsError(
+                f"course.duration is less than ten samples of {name}, {sample_time:g} s each"
+            )
+        sizes.append(chunk_size(specification, lanes_for(specification, sample_time), sample_time))
     return min(sizes)

@@ -1,4 +1,4 @@
-"""One chunk of a campaign: what a worker does."""
+"""One chunk of a campaign: the task of a worker."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from .specification import Specification
 
 @dataclass(frozen=True)
 class ChunkTask:
-    """The work on a chunk; as a function it is sent to the workers.
+    """A task that computes and writes the rows of a chunk; it is sent to the workers.
 
     Attributes
     ----------
     folder : str
-        Of the dataset; all workers see it by this name.
+        Folder of the dataset; all workers see it under this path.
     specification : str
-        As JSON.
+        The specification as JSON.
     """
 
     folder: str
     specification: str
 
     def __call__(self, chunk: Chunk) -> float:
-        """Make the rows of a chunk and write them; returns the seconds that it took."""
+        """Write the rows of a chunk; return the time taken [s]."""
         started = time.perf_counter()
         from .rows import rows_of
 
@@ -39,5 +39,5 @@ class ChunkTask:
 
 @lru_cache(maxsize=2)
 def specification_of(text: str) -> Specification:
-    """The specification in a JSON text; read once."""
+    """Return the specification in a JSON text, parsed once per process."""
     return Specification(**Specification.model_validate_json(text).model_dump())

@@ -1,6 +1,6 @@
-"""The folder of a campaign: its specification, and a Parquet file for every chunk of scenarios.
+"""The folder of a campaign: its specification, and a Parquet file for each chunk of scenarios.
 
-A chunk's file is its checkpoint: a run does the chunks whose files are not there.
+A chunk's file is its checkpoint: a run computes the chunks whose files are missing.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from .specification import Specification, hashed
 
 #: Files of a campaign's folder.
 MANIFEST, ROWS, TIMES, WORST = "campaign.json", "rows", "times.csv", "worst"
-#: Seconds of work in a chunk, about; and of a drive's or an observer's sample, about.
+#: Approximate computing time of a chunk, and of one sample of a drive or an observer [s].
 CHUNK_TIME, SAMPLE_TIME = 10.0, 1.2e-6
-#: Largest number of batches in a chunk, for scenarios that cost nothing.
-MOST_BATCHES = 64
-#: A machine's scenarios are in at least this many chunks, so that workers end together.
-LEAST_CHUNKS = 16
+#: Largest number of batches in a chunk, reached with short scenarios.
+MAX_BATCHES = 64
+#: Smallest number of chunks per machine: many chunks let all workers finish at about the same time.
+MIN_CHUNKS = 16
 
 
 class Chunk(NamedTuple):
@@ -43,7 +43,7 @@ class Chunk(NamedTuple):
 
     @property
     def file(self) -> str:
-        """Name of its file."""
+        """Name of the chunk's file."""
         return f"{self.first:08d}.parquet"
 
 
@@ -56,9 +56,9 @@ class Dataset:
     folder : Path
     specification : Specification
     size : int
-        Scenarios of a chunk.
+        Scenarios per chunk.
     changed : str
-        Why its rows cannot be repeated, in words; empty if they can.
+        Reason why the rows cannot be reproduced; empty if they can.
     """
 
     folder: Path
@@ -67,56 +67,62 @@ class Dataset:
     changed: str = ""
 
     def chunks(self) -> Iterator[Chunk]:
-        """All chunks, in order."""
+        """Yield all chunks, in order."""
         per_machine = self.specification.scenarios
         for start in range(0, total(self.specification), per_machine):
             for first in range(start, start + per_machine, self.size):
                 yield Chunk(first, min(first + self.size, start + per_machine))
 
     def missing(self) -> Iterator[Chunk]:
-        """Chunks without a file, in order."""
-        there = {path.name for path in (self.folder / ROWS).iterdir()}
-        return (chunk for chunk in self.chunks() if chunk.file not in there)
+        """Return the chunks without a file, in order."""
+        existing = {path.name for path in (self.folder / ROWS).iterdir()}
+        return (chunk for chunk in self.chunks() if chunk.file not in existing)
 
     def lacking(self) -> int:
-        """Scenarios that are missing."""
+        """Return the number of missing scenarios."""
         return sum(chunk.last - chunk.first for chunk in self.missing())
 
     def scan(self) -> pl.LazyFrame:
-        """All rows that are there, lazily.
+        """Return the rows of all existing files as a lazy frame.
 
         Raises
         ------
         FluxobsError
-            A file is damaged, or not of this campaign.
+            A file is damaged or belongs to another campaign.
         """
-        wanted = pl.Schema(schema(self.specification))
+        expected = pl.Schema(schema(self.specification))
         files = [self.folder / ROWS / chunk.file for chunk in self.chunks()]
         files = [file for file in files if file.exists()]
         for file in files:
             try:
-                there = pl.read_parquet_schema(file)
+                columns = pl.read_parquet_schema(file)
             except (OSError, pl.exceptions.PolarsError) as error:
-                raise FluxobsError(f"{file}: cannot be read: {error}; {self._mend}") from None
-            if there != dict(wanted):
-                raise FluxobsError(f"{file}: its columns are not those of rows; {self._mend}")
-        return pl.scan_parquet(files, glob=False)  # a folder's name is no pattern
+                raise FluxobsError(
+                    f"{file}: cannot be read: {error}; {self._repair_hint}"
+                ) from None
+            if columns != dict(expected):
+                raise FluxobsError(
+                    f"{file}: its columns differ from the campaign's; {self._repair_hint}"
+                )
+        return pl.scan_parquet(files, glob=False)  # a * in the folder's name is literal
 
     @contextmanager
     def reading(self) -> Iterator[None]:
-        """Says so if a file turns out to be damaged while :meth:`scan` is collected."""
+        """Raise FluxobsError if a file proves damaged while :meth:`scan` is collected."""
         try:
             yield
         except (OSError, pl.exceptions.PolarsError) as error:
-            place = self.folder / ROWS
-            raise FluxobsError(f"{place}: a file is damaged: {error}; {self._mend}") from None
+            folder = self.folder / ROWS
+            raise FluxobsError(
+                f"{folder}: a file is damaged: {error}; {self._repair_hint}"
+            ) from None
 
     @property
-    def _mend(self) -> str:
-        return f"delete it, and `fluxobs campaign {self.folder}` makes it again"
+    def _repair_hint(self) -> str:
+        return f"delete it; `fluxobs campaign {self.folder}` recreates it"
 
     def rows(self) -> pl.DataFrame:
-        """All rows, by number and observer.
+        """Return all rows, by number and observer.
 
         Raises
         ------
@@ -129,25 +135,25 @@ class Dataset:
 
     def check_complete(self) -> None:
         """Raise FluxobsError if chunks are missing."""
-        lacking = self.lacking()
-        if lacking:
+        missing = self.lacking()
+        if missing:
             raise FluxobsError(
-                f"{self.folder}: {lacking} of {total(self.specification)} scenarios are missing; "
-                f"`fluxobs campaign {self.folder}` does them"
+                f"{self.folder}: {missing} of {total(self.specification)} scenarios are missing; "
+                f"`fluxobs campaign {self.folder}` simulates them"
             )
 
 
 def chunk_size(specification: Specification, lanes: int, sample_time: float) -> int:
-    """Scenarios of a chunk: whole batches, about ten seconds of work."""
-    rows = specification.course.duration / sample_time
-    each = rows * SAMPLE_TIME * (1 + len(specification.observers))
-    batches = min(CHUNK_TIME / (each * lanes), MOST_BATCHES)
-    batches = min(batches, specification.scenarios / lanes / LEAST_CHUNKS)
+    """Return the scenarios per chunk: whole batches, about ten seconds of computing."""
+    samples = specification.course.duration / sample_time
+    scenario_time = samples * SAMPLE_TIME * (1 + len(specification.observers))
+    batches = min(CHUNK_TIME / (scenario_time * lanes), MAX_BATCHES)
+    batches = min(batches, specification.scenarios / lanes / MIN_CHUNKS)
     return lanes * max(1, int(batches))
 
 
 def manifest(specification: Specification, size: int) -> dict[str, Any]:
-    """Everything on which the rows depend, as JSON can hold it."""
+    """Return everything on which the rows depend, for JSON."""
     return {
         "fluxobs": version("fluxobs"),
         "chunk": size,
@@ -157,7 +163,7 @@ def manifest(specification: Specification, size: int) -> dict[str, Any]:
 
 
 def create(folder: str | Path, specification: Specification, size: int) -> Dataset:
-    """The dataset of a campaign in a folder: a new one, or the same one to go on with.
+    """Create the dataset of a campaign in a folder, or open the same one to continue it.
 
     Raises
     ------
@@ -166,79 +172,87 @@ def create(folder: str | Path, specification: Specification, size: int) -> Datas
     """
     _check_text(Path(folder))
     folder = make_folder(folder)
-    place = folder / MANIFEST
-    told = manifest(specification, size)
-    if place.exists():
-        there = _manifest(place)
-        changed = _difference(there, told)
+    path = folder / MANIFEST
+    current = manifest(specification, size)
+    if path.exists():
+        stored = _read_manifest(path)
+        changed = _describe_difference(stored, current)
         if changed:
-            raise FluxobsError(f"{folder}: holds another campaign ({changed}); give another --out")
-        size = there["chunk"]
-    elif any(path.name != ".lock" for path in folder.iterdir()):
-        raise FluxobsError(f"{folder}: is not empty and holds no campaign; give another --out")
+            raise FluxobsError(
+                f"{folder}: holds another campaign ({changed}); choose another --out"
+            )
+        size = stored["chunk"]
+    elif any(entry.name != ".lock" for entry in folder.iterdir()):
+        raise FluxobsError(f"{folder}: is not empty and holds no campaign; choose another --out")
     else:
-        write_text(place, json.dumps(told, indent=1, ensure_ascii=False) + "\n")
+        write_text(path, json.dumps(current, indent=1, ensure_ascii=False) + "\n")
     make_folder(folder / ROWS)
     return Dataset(folder, specification, size)
 
 
 def open_dataset(folder: str | Path) -> Dataset:
-    """The dataset in a folder.
+    """Open the dataset in a folder.
 
     Raises
     ------
     FluxobsError
-        There is none.
+        The folder holds no campaign, or a damaged one.
     """
     folder = Path(folder)
     _check_text(folder)
-    place = folder / MANIFEST
-    if not place.exists():
+    path = folder / MANIFEST
+    if not path.exists():
         raise FluxobsError(f"{folder}: holds no campaign ({MANIFEST} is missing)")
-    there = _manifest(place)
+    stored = _read_manifest(path)
     try:
-        specification = Specification(**there["specification"])
+        specification = Specification(**stored["specification"])
     except FluxobsError as error:
         raise FluxobsError(
-            f"{place}: made with fluxobs {there['fluxobs']}, this is {version('fluxobs')}: {error}"
+            f"{path}: made with fluxobs {stored['fluxobs']}, this is {version('fluxobs')}: {error}"
         ) from None
     try:
-        changed = _difference(there, manifest(specification, there["chunk"]))
+        changed = _describe_difference(stored, manifest(specification, stored["chunk"]))
     except FluxobsError as error:
         changed = str(error)
-    return Dataset(folder, specification, there["chunk"], changed)
+    return Dataset(folder, specification, stored["chunk"], changed)
 
 
 def _check_text(folder: Path) -> None:
-    """Raise FluxobsError if Polars cannot read in the folder: it takes names that are text."""
+    """Raise FluxobsError if the folder's name is not UTF-8: Polars could not read in it."""
     try:
         str(folder.resolve()).encode()
     except UnicodeEncodeError:
-        raise FluxobsError(f"{folder}: this name is not UTF-8; give another folder") from None
+        raise FluxobsError(f"{folder}: the name is not UTF-8; choose another folder") from None
 
 
-def _manifest(place: Path) -> dict[str, Any]:
+def _read_manifest(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(place.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise FluxobsError(f"{place}: cannot be read: {error}") from None
+        raise FluxobsError(f"{path}: cannot be read: {error}") from None
     kinds = {"fluxobs": str, "chunk": int, "machines": dict, "specification": dict}
-    whole = isinstance(found, dict) and all(isinstance(found.get(k), t) for k, t in kinds.items())
-    if not whole or found["chunk"] < 1:
+    complete = isinstance(content, dict) and all(
+        isinstance(content.get(k), t) for k, t in kinds.items()
+    )
+    if not complete or content["chunk"] < 1:
         raise FluxobsError(
-            f"{place}: is damaged, or older than fluxobs {version('fluxobs')}; begin again in "
-            f"another folder"
+            f"{path}: is damaged, or from a fluxobs older than {version('fluxobs')}; start again "
+            f"in another folder"
         )
-    return dict(found)
+    return dict(content)
 
 
-def _difference(there: dict[str, Any], now: dict[str, Any]) -> str:
-    """What differs between two manifests, in words; empty if nothing does."""
-    if there["fluxobs"] != now["fluxobs"]:
-        return f"made with fluxobs {there['fluxobs']}, this is {now['fluxobs']}"
-    old, new = there["specification"], now["specification"]
-    names = [name for name in new if old.get(name) != new[name]]
+def _describe_difference(stored: dict[str, Any], current: dict[str, Any]) -> str:
+    """Describe the difference between two manifests; empty if they are equal."""
+    if stored["fluxobs"] != current["fluxobs"]:
+        return f"made with fluxobs {stored['fluxobs']}, this is {current['fluxobs']}"
+    before, after = stored["specification"], current["specification"]
+    names = [name for name in after if before.get(name) != after[name]]
     if names:
         return f"its {', '.join(names)} differ"
-    machines = [name for name, one in now["machines"].items() if there["machines"].get(name) != one]
+    machines = [
+        name
+        for name, digest in current["machines"].items()
+        if stored["machines"].get(name) != digest
+    ]
     return f"{', '.join(machines)} changed" if machines else ""

@@ -1,4 +1,4 @@
-"""A scenario as a drive: the machine as it is, its inverter and sensors, and its course."""
+"""The drive of a scenario: the true machine, its inverter and sensors, and its course."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from .specification import Specification
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """The nominal drive of one machine of a campaign: what its observers and controller believe."""
+    """Nominal drive of one machine of a campaign, which its observers and controller assume."""
 
     name: str
     machine: RotatingMachine
@@ -52,63 +52,63 @@ class Cell:
     def voltage(self) -> float:
         """Rated EMF [V]."""
         flux = self.machine.flux_base(self.current)
-        assert flux is not None  # or it cannot be simulated
+        assert flux is not None  # every machine that can be simulated has one
         return self.rated.speed_e * flux
 
 
 @lru_cache(maxsize=8)
-def _cell(name: str, given: tuple[tuple[str, float], ...]) -> Cell:
+def _cell(name: str, drive_table: tuple[tuple[str, float], ...]) -> Cell:
     machine = rotating(as_machine(name), "a campaign")
     if machine.rated_current is None:
-        raise UsageError(f"{name}: rated_current is missing: a campaign needs it")
-    values = dict(given)
+        raise UsageError(f"{name}: rated_current is missing; a campaign needs it")
+    values = dict(drive_table)
     if name in RATINGS:
         values = vars(RATINGS[name]) | values
-    lacking = [field for field in Rating.__dataclass_fields__ if field not in values]
-    if lacking:
+    missing = [field for field in Rating.__dataclass_fields__ if field not in values]
+    if missing:
         raise UsageError(
-            f"{name} is no shipped machine: [drive] must give its {', '.join(lacking)}"
+            f"{name} is not a shipped machine: give its {', '.join(missing)} in [drive]"
         )
     rated = Rating(**values)
     return Cell(name, machine, rated, encoder_drive(machine, rated))
 
 
 def cell_of(specification: Specification, name: str) -> Cell:
-    """The nominal drive of a machine; made once.
+    """Return the nominal drive of a machine; built once.
 
     Raises
     ------
     FluxobsError
         The machine lacks a value, or [drive] a rating.
     """
-    given = specification.drive.model_dump(exclude_none=True)
-    return _cell(name, tuple(sorted(given.items())))
+    drive_table = specification.drive.model_dump(exclude_none=True)
+    return _cell(name, tuple(sorted(drive_table.items())))
 
 
 def motor_of(machine: RotatingMachine, values: dict[str, float]) -> Motor:
-    """The motor of a scenario: the machine's, with its tolerances and at its temperature."""
-    warmer = values.get("temperature", COLD) - COLD
-    both = {"L": values.get("L", 1.0), "R": values.get("R", 1.0), "psi": values.get("psi", 1.0)}
+    """Return the motor of a scenario: the machine with its tolerances at its temperature."""
+    temperature_rise = values.get("temperature", COLD) - COLD
+    common = {"L": values.get("L", 1.0), "R": values.get("R", 1.0), "psi": values.get("psi", 1.0)}
     factors = {name: values.get(name, 1.0) for name in PARAMETERS}
-    factors["R_s"] *= both["R"] * (1 + COPPER * warmer)
-    factors["R_R"] *= 1 + CAGE * warmer
-    factors["psi_f"] *= both["psi"] * (1 + NEODYMIUM * warmer)
+    factors["R_s"] *= common["R"] * (1 + COPPER * temperature_rise)
+    factors["R_R"] *= 1 + CAGE * temperature_rise
+    factors["psi_f"] *= common["psi"] * (1 + NEODYMIUM * temperature_rise)
     for name in ("L_s", "L_d", "L_q", "L_sigma", "L_M"):
-        factors[name] *= both["L"]
+        factors[name] *= common["L"]
     if not min(factors.values()) > 0:
-        raise UsageError("a parameter times its tolerance is not positive")
+        raise UsageError("a parameter is not positive after its tolerance")
     if machine.saturation is None:
         for name, factor in factors.items():
             if factor != 1.0:
                 machine = machine.scaled((name,), factor)
         return Motor.of(machine)
-    # A flux map keeps its shape: the part of the magnets and the part of the currents scale.
+    # A flux map keeps its shape: the magnet flux and the flux of the currents are scaled.
     motor = Motor.of(machine)
     assert isinstance(motor, MappedMotor)
     d, q = (factors[name] for name in machine.inductances)
-    shape = motor.map
-    coefficients = np.array(shape.coefficients)
-    psi = float(shape.psi)
+    nominal_map = motor.map
+    coefficients = np.array(nominal_map.coefficients)
+    psi = float(nominal_map.psi)
     coefficients[..., 0] = d * (coefficients[..., 0] - psi) + factors["psi_f"] * psi
     coefficients[..., 1] *= q
     scaled = {
@@ -117,22 +117,22 @@ def motor_of(machine: RotatingMachine, values: dict[str, float]) -> Motor:
         "L_q": q * motor.L_q,
         "psi_f": factors["psi_f"] * motor.psi_f,
     }
-    mapped = replace(
-        shape,
+    scaled_map = replace(
+        nominal_map,
         psi=jnp.asarray(factors["psi_f"] * psi),
-        L_d=jnp.asarray(d * shape.L_d),
-        L_q=jnp.asarray(q * shape.L_q),
+        L_d=jnp.asarray(d * nominal_map.L_d),
+        L_q=jnp.asarray(q * nominal_map.L_q),
         coefficients=jnp.asarray(coefficients),
     )
     names = (*scaled, "map")
-    found: Motor = eqx.tree_at(
-        lambda m: [getattr(m, name) for name in names], motor, [*scaled.values(), mapped]
+    scaled_motor: Motor = eqx.tree_at(
+        lambda m: [getattr(m, name) for name in names], motor, [*scaled.values(), scaled_map]
     )
-    return found
+    return scaled_motor
 
 
 def drive_of(specification: Specification, scenario: Scenario) -> tuple[Drive, Course]:
-    """Drive and course of a scenario; the controller believes the machine file.
+    """Return drive and course of a scenario; the controller assumes the machine file.
 
     Raises
     ------
@@ -141,25 +141,25 @@ def drive_of(specification: Specification, scenario: Scenario) -> tuple[Drive, C
     """
     cell = cell_of(specification, scenario.machine)
     table = specification.course
-    value = {name: one.neutral for name, one in QUANTITIES.items()} | scenario.values
-    for name, one in QUANTITIES.items():
-        if not value[name] > one.least:
+    value = {name: quantity.neutral for name, quantity in QUANTITIES.items()} | scenario.values
+    for name, quantity in QUANTITIES.items():
+        if not value[name] > quantity.least:
             raise UsageError(f"{name} = {value[name]:g} is impossible for a drive")
     rated, current, h = cell.rated, cell.current, cell.rated.sample_time
-    top = rated.speed_e / cell.machine.n_p
+    rated_speed = rated.speed_e / cell.machine.n_p
 
-    def pair(name: str, size: float) -> np.ndarray:
-        return size * np.array([value[f"{name}_alpha"], value[f"{name}_beta"]])
+    def vector(name: str, scale: float) -> np.ndarray:
+        return scale * np.array([value[f"{name}_alpha"], value[f"{name}_beta"]])
 
-    start, change = pair("offset", current), pair("offset_change", current)
+    start, change = vector("offset", current), vector("offset_change", current)
     offset: Any = start
     if change.any():
         offset = Profile([0.0, table.duration], [start, start + change])
     mechanics = Mechanics(
         value["inertia"] * rated.J,
-        viscous=max(value["viscous"], 0.0) * rated.torque / top,
+        viscous=max(value["viscous"], 0.0) * rated.torque / rated_speed,
         coulomb=max(value["coulomb"], 0.0) * rated.torque,
-        smoothing=1e-3 * top,
+        smoothing=1e-3 * rated_speed,
     )
     drive = replace(
         cell.nominal,
@@ -182,10 +182,10 @@ def drive_of(specification: Specification, scenario: Scenario) -> tuple[Drive, C
     )
     speed, load = course_of(table, scenario)
     course = Course(
-        Profile([t for t, _ in speed], [value["speed"] * x * top for _, x in speed]),
+        Profile([t for t, _ in speed], [value["speed"] * x * rated_speed for _, x in speed]),
         value["dc_link"] * rated.dc_link,
         Profile([t for t, _ in load], [value["load"] * x * rated.torque for _, x in load]),
-        pair("voltage_offset", cell.voltage),
+        vector("voltage_offset", cell.voltage),
         value["theta_e"],
     )
     return drive, course

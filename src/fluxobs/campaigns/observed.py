@@ -1,4 +1,4 @@
-"""The observers of a campaign: built for a machine as they believe it, run over many records."""
+"""The observers of a campaign: built for the machine that they assume, run over many records."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from ..observers import AdaptiveEstimate, AdaptiveObserver, LeastSquaresObserver
 from .drives import Cell
 from .specification import ADAPTIVE, PLAIN, ObserverTable
 
-#: Observers that do not judge themselves are trusted above this share of the rated speed, as
-#: firmware does: half of the speed to which a start usually turns the current.
+#: Observers without a validity flag are trusted above this share of the rated speed, as in
+#: firmware: half of the speed to which an open-loop start usually turns the current.
 TRUSTED = 0.05
 #: Unknowns of the adaptive observer, unless its table names others.
 UNKNOWNS = ("drift", "resistance", "inverter")
-#: Records that the plain observer runs at once, in lanes of the processor: more would need memory.
+#: Records that the plain observer runs at once, in vector lanes; more would need too much memory.
 TOGETHER = 16
-#: Current noise that observers assume, as a share of the rated current, if nothing tells it: that
-#: of the plain observer.
+#: Default of the current noise that observers assume, as a share of the rated current: the plain
+#: observer's default.
 NOISE = 0.002
 
 
 class ObservedRecord(NamedTuple):
-    """What an observer found on one record, (rows,) each; no std where it does not tell one.
+    """Estimates of an observer on one record, (rows,) each; std None if it states none.
 
-    `errors` are those of the parameters on the last valid row, in standard deviations, by name.
+    `errors` holds, by name, the parameter errors on the last valid row in standard deviations.
     """
 
     theta_e: Array
@@ -49,7 +49,7 @@ class ObservedRecord(NamedTuple):
 
 
 class Parameters(NamedTuple):
-    """True parameters of a drive: R_s [Ω], psi_f [Wb], loss of an inverter's phase [V]."""
+    """True parameters of a drive: R_s [Ω], psi_f [Wb], voltage lost per inverter phase [V]."""
 
     resistance: float
     psi_f: float
@@ -58,16 +58,17 @@ class Parameters(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An observer of a campaign, built.
+    """An observer of a campaign, ready to run.
 
     Attributes
     ----------
     table : ObserverTable
     believed : RotatingMachine
+        The machine that the observer assumes.
     observer
         A compiled observer, or one that steps in JAX.
     trusted : float
-        Electrical speed above which one that does not judge itself is trusted [rad/s].
+        Electrical speed above which an observer without a validity flag is trusted [rad/s].
     """
 
     table: ObserverTable
@@ -77,7 +78,7 @@ class Candidate:
 
     @property
     def compiled(self) -> bool:
-        """Whether it is one of the compiled observers, which judge themselves."""
+        """Whether this is a compiled observer, which flags its valid rows."""
         return self.table.kind in (PLAIN, ADAPTIVE)
 
     @property
@@ -96,27 +97,29 @@ def candidate(table: ObserverTable, cell: Cell, noise: float) -> Candidate:
     Raises
     ------
     FluxobsError
-        No such observer for this machine, or a gain that it does not have.
+        This machine has no such observer, or the observer has no such gain.
     """
     believed = believed_machine(cell.machine, table.machine)
-    built = _built(table, believed, cell, noise)
-    return Candidate(table, believed, built, TRUSTED * cell.rated.speed_e)
+    observer = _build_observer(table, believed, cell, noise)
+    return Candidate(table, believed, observer, TRUSTED * cell.rated.speed_e)
 
 
-def _built(table: ObserverTable, believed: RotatingMachine, cell: Cell, noise: float) -> Any:
+def _build_observer(
+    table: ObserverTable, believed: RotatingMachine, cell: Cell, noise: float
+) -> Any:
     h = cell.rated.sample_time
-    usual: dict[str, Any] = {
+    settings: dict[str, Any] = {
         "sample_time": h,
         "memory": table.memory,
         "current_noise": noise,
         "rated_current": cell.current,
     }
     if table.kind == PLAIN:
-        return LeastSquaresObserver.for_machine(believed, **usual)
+        return LeastSquaresObserver.for_machine(believed, **settings)
     if table.kind == ADAPTIVE:
         unknowns = table.unknowns or UNKNOWNS
         return AdaptiveObserver.for_machine(
-            believed, unknowns=unknowns, dc_link=cell.rated.dc_link, **usual
+            believed, unknowns=unknowns, dc_link=cell.rated.dc_link, **settings
         )
     setting = _setting(believed, cell, noise)
     entry = check_observer(table, cell)
@@ -125,21 +128,23 @@ def _built(table: ObserverTable, believed: RotatingMachine, cell: Cell, noise: f
 
 
 def check_observer(table: ObserverTable, cell: Cell) -> Entry | None:
-    """The catalogue's entry of an observer; None of the compiled ones.
+    """Return the catalogue's entry of an observer; None for a compiled one.
 
     Raises
     ------
     FluxobsError
-        There is no such observer for this machine, or it has no such gain or unknown.
+        This machine has no such observer, or the observer has no such gain or unknown.
     """
     if table.kind in (PLAIN, ADAPTIVE):
-        _built(table, believed_machine(cell.machine, table.machine), cell, NOISE * cell.current)
+        _build_observer(
+            table, believed_machine(cell.machine, table.machine), cell, NOISE * cell.current
+        )
         return None
-    entries = {one.name: one for one in entries_for(cell.machine) if not one.least_squares}
+    entries = {entry.name: entry for entry in entries_for(cell.machine) if not entry.least_squares}
     if table.kind not in entries:
-        known = (PLAIN, ADAPTIVE, *entries)
+        kinds = (PLAIN, ADAPTIVE, *entries)
         raise UsageError(
-            f"observers: {cell.name} has no {table.kind!r}{nearest(table.kind, known)}"
+            f"observers: {cell.name} has no {table.kind!r}{nearest(table.kind, kinds)}"
         )
     if table.gains:
         gains = entries[table.kind].recommended(_setting(cell.machine, cell, NOISE * cell.current))
@@ -168,13 +173,18 @@ def _setting(believed: RotatingMachine, cell: Cell, noise: float) -> Setting:
 
 @lru_cache(maxsize=4)
 def nominal_record(cell: Cell) -> tuple[Array, Array]:
-    """Voltage and current of the nominal drive, (rows, 2) each, on which the regression's observers
-    balance their gains: to half speed, load, reversal."""
+    """Return voltage and current of the nominal drive, (rows, 2) each.
+
+    The observers of the regression balance their gains on this record: a ramp to half speed, a
+    load step, a reversal.
+    """
     from ..simulation.drive import Course, Profile, simulate
 
-    top = cell.rated.speed_e / cell.machine.n_p
+    rated_speed = cell.rated.speed_e / cell.machine.n_p
     course = Course(
-        Profile([0.0, 0.3, 0.8, 1.2], [0.0, 0.5 * top, 0.5 * top, -0.5 * top]),
+        Profile(
+            [0.0, 0.3, 0.8, 1.2], [0.0, 0.5 * rated_speed, 0.5 * rated_speed, -0.5 * rated_speed]
+        ),
         cell.rated.dc_link,
         Profile([0.5, 0.5], [0.0, 0.5 * cell.rated.torque]),
     )
@@ -183,54 +193,62 @@ def nominal_record(cell: Cell) -> tuple[Array, Array]:
 
 
 def observe(
-    one: Candidate, voltage: Array, current: Array, true: Sequence[Parameters]
+    candidate: Candidate, voltage: Array, current: Array, true_parameters: Sequence[Parameters]
 ) -> Iterator[ObservedRecord]:
-    """Run an observer over records of equal length, (lanes, rows, 2) each; yields lane by lane.
+    """Run an observer over records of equal length, (lanes, rows, 2) each; yield lane by lane.
 
-    Row k's voltage is the mean over the interval that ends there; the first is NaN.
+    The voltage of row k is the mean over the interval that ends at row k; the first is NaN.
     """
-    if not one.compiled:
-        outputs = _stepped(one.observer, np.nan_to_num(voltage), current)
+    if not candidate.compiled:
+        outputs = _run_in_jax(candidate.observer, np.nan_to_num(voltage), current)
         for theta, speed in zip(*map(np.asarray, outputs), strict=True):
-            yield ObservedRecord(theta, speed, np.abs(speed) > one.trusted, None, {})
+            yield ObservedRecord(theta, speed, np.abs(speed) > candidate.trusted, None, {})
         return
-    if not one.adaptive:
+    if not candidate.adaptive:
         for first in range(0, len(voltage), TOGETHER):
-            some = slice(first, first + TOGETHER)
-            all_of = one.observer.run(voltage[some], current[some], threads=1)  # of this process
-            lanes = (all_of.theta_e, all_of.speed_e, all_of.valid, all_of.theta_e_std)
+            together = slice(first, first + TOGETHER)
+            # One thread: the campaign has a process per core.
+            batch = candidate.observer.run(voltage[together], current[together], threads=1)
+            lanes = (batch.theta_e, batch.speed_e, batch.valid, batch.theta_e_std)
             for theta_e, speed_e, valid, std in zip(*lanes, strict=True):
                 yield ObservedRecord(theta_e, speed_e, valid, std, {})
         return
-    for u, i, parameters in zip(voltage, current, true, strict=True):  # all at once: a gigabyte
-        found = one.observer.run(u, i)
-        errors = _errors(one, found, parameters)
-        yield ObservedRecord(found.theta_e, found.speed_e, found.valid, found.theta_e_std, errors)
+    # One record at a time: all at once would take a gigabyte.
+    for u, i, parameters in zip(voltage, current, true_parameters, strict=True):
+        estimate = candidate.observer.run(u, i)
+        errors = _errors(candidate, estimate, parameters)
+        yield ObservedRecord(
+            estimate.theta_e, estimate.speed_e, estimate.valid, estimate.theta_e_std, errors
+        )
 
 
 @eqx.filter_jit
-def _stepped(observer: Any, voltage: Array, current: Array) -> Any:
+def _run_in_jax(observer: Any, voltage: Array, current: Array) -> Any:
     def lane(voltage: Any, current: Any) -> Any:
         def body(state: Any, row: Any) -> Any:
-            state, out = observer.step(state, *row)
-            return state, (out.theta_e, out.speed_e)
+            state, estimate = observer.step(state, *row)
+            return state, (estimate.theta_e, estimate.speed_e)
 
         return jax.lax.scan(body, observer.init(), (voltage, current))[1]
 
     return jax.vmap(lane)(voltage, current)
 
 
-def _errors(one: Candidate, found: AdaptiveEstimate, true: Parameters) -> dict[str, float]:
-    """Errors of the parameters that the observer learns, if a row is valid."""
+def _errors(
+    candidate: Candidate, estimate: AdaptiveEstimate, true_parameters: Parameters
+) -> dict[str, float]:
+    """Return the parameter errors on the last valid row, in standard deviations; empty if none."""
     names = ["resistance", "inverter_voltage"]
-    if one.believed.magnets and not one.believed.flux_moves:
+    if candidate.believed.magnets and not candidate.believed.flux_moves:
         names.append("psi_f")
-    valid = np.flatnonzero(found.valid)
-    if not len(valid):
+    valid_rows = np.flatnonzero(estimate.valid)
+    if not len(valid_rows):
         return {}
-    last, out = valid[-1], {}
+    row, errors = valid_rows[-1], {}
     for name in names:
-        std = float(getattr(found, f"{name}_std")[last])
+        std = float(getattr(estimate, f"{name}_std")[row])
         if std > 0:
-            out[name] = (float(getattr(found, name)[last]) - getattr(true, name)) / std
-    return out
+            errors[name] = (
+                float(getattr(estimate, name)[row]) - getattr(true_parameters, name)
+            ) / std
+    return errors

@@ -1,4 +1,4 @@
-"""What can vary from drive to drive: the one list of names, units and neutral values."""
+"""The quantities that can vary from drive to drive: names, units and neutral values."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ class Quantity:
     Attributes
     ----------
     neutral : float
-        Its value if a specification does not name it.
+        Value if the specification does not name the quantity.
     unit, about : str
     least : float
-        It cannot be below, or at, this.
+        Exclusive lower limit.
     """
 
     neutral: float
@@ -35,10 +35,10 @@ def _share(about: str, least: float = float("-inf")) -> Quantity:
 #: Quantities of every drive.
 QUANTITIES = {
     "R": _factor("the stator resistance"),
-    "L": _factor("all inductances, those of a flux map included"),
-    "psi": _factor("the flux of the magnets; machines without have none to vary"),
+    "L": _factor("all inductances, including a flux map"),
+    "psi": _factor("the magnet flux; no effect on machines without magnets"),
     "temperature": Quantity(
-        20.0, "°C", "of copper, cage and magnets; the machine file holds at 20 °C", -200.0
+        20.0, "°C", "of copper, cage and magnets; the machine file applies at 20 °C", -200.0
     ),
     "inertia": _factor("the inertia"),
     "viscous": _share("viscous friction at rated speed, share of the rated torque", -1e-12),
@@ -50,26 +50,26 @@ QUANTITIES = {
     "dead_time": _share("dead time, share of the sample time", -1e-12),
     "drop": _share("voltage drop of a switch or diode, share of the DC link", -1e-12),
     "knee": Quantity(
-        0.02, "", "current over which the inverter's sign is smoothed, share of rated", 0.0
+        0.02, "", "current over which the inverter's sign is smoothed, share of rated current", 0.0
     ),
     "offset_alpha": _share("current offset, share of the rated current"),
     "offset_beta": _share("current offset, share of the rated current"),
-    "offset_change_alpha": _share("what it changes by over the record, share of the rated current"),
-    "offset_change_beta": _share("what it changes by over the record, share of the rated current"),
+    "offset_change_alpha": _share("offset change over the record, share of the rated current"),
+    "offset_change_beta": _share("offset change over the record, share of the rated current"),
     "voltage_offset_alpha": _share("voltage offset, share of the rated EMF"),
     "voltage_offset_beta": _share("voltage offset, share of the rated EMF"),
-    "gain_a": _factor("the current of phase a as measured"),
-    "gain_b": _factor("the current of phase b as measured"),
-    "gain_c": _factor("the current of phase c as measured"),
-    "dc_link_gain": _factor("the DC-link voltage as measured"),
-    "noise": _share("current noise (std of a component), share of the rated current", -1e-12),
-    "quantum": _share("step of the converter, share of the rated current", -1e-12),
+    "gain_a": _factor("the measured current of phase a"),
+    "gain_b": _factor("the measured current of phase b"),
+    "gain_c": _factor("the measured current of phase c"),
+    "dc_link_gain": _factor("the measured DC-link voltage"),
+    "noise": _share("current noise (std per component), share of the rated current", -1e-12),
+    "quantum": _share("quantum of the A/D converter, share of the rated current", -1e-12),
     "range": Quantity(1e6, "", "limit of the current sensors, share of the rated current", 0.0),
     "jitter": _share("std of the sampling instant, share of the sample time", -1e-12),
     "lag": _share("delay of the current sensors, share of the sample time"),
 }
 
-#: Words for several quantities, each of which is drawn for itself.
+#: Names of several quantities, each drawn independently.
 TOGETHER = {
     "offset": ("offset_alpha", "offset_beta"),
     "offset_change": ("offset_change_alpha", "offset_change_beta"),
@@ -77,5 +77,5 @@ TOGETHER = {
     "gain": ("gain_a", "gain_b", "gain_c"),
 }
 
-#: Parameters of machine files that can vary by their names, as factors.
+#: Parameters of machine files that can vary under their names, as factors.
 PARAMETERS = ("R_s", "L_s", "L_d", "L_q", "psi_f", "R_R", "L_sigma", "L_M")

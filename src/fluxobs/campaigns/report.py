@@ -1,4 +1,4 @@
-"""The report of a campaign: text for a terminal, HTML with pictures."""
+"""The report of a campaign: text for the terminal, HTML with pictures."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from .worst import KEPT, stem, worst
 REPORT = "report.html"
 #: A number in a message.
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-#: Pairs of tolerances that are shown for an observer.
+#: Largest number of tolerances that are named and paired for an observer.
 MATTER = 3
 
 
 def degrees(value: float | None) -> str:
-    """An angle in degrees."""
+    """Return an angle in degrees as text."""
     return "–" if value is None else f"{np.degrees(value):.2f}°"
 
 
@@ -38,14 +38,18 @@ def _percent(value: float | None) -> str:
     return "–" if value is None else f"{100 * value:.1f}\N{NO-BREAK SPACE}%"
 
 
-def headline(found: Dataset) -> str:
-    """What the campaign is, in a sentence."""
-    s = found.specification
-    loop = "on the record of a drive with an encoder" if s.loop == "open" else "in the loop"
+def headline(dataset: Dataset) -> str:
+    """Describe the campaign: scenarios, machines, loop, criterion of good scenarios."""
+    specification, course = dataset.specification, dataset.specification.course
+    loop = (
+        "on the record of a drive with an encoder"
+        if specification.loop == "open"
+        else "in the loop"
+    )
     return (
-        f"{total(s)} scenarios of {s.course.duration:g} s, {len(s.machines)} "
-        f"machine{'s' if s.machines[1:] else ''}; every observer {loop}. Good: "
-        f"{in_words(s.good)}, from {s.course.score_from:g} s on. Intervals of "
+        f"{total(specification)} scenarios of {course.duration:g} s, "
+        f"{_count(len(specification.machines), 'machine')}; every observer {loop}. Good: "
+        f"{in_words(specification.good)}, from {course.score_from:g} s on. Intervals of "
         f"{100 * statistics.CONFIDENCE:g} %."
     )
 
@@ -54,45 +58,49 @@ HEAD = (
     *("machine", "observer", "good", "median rms", "99 % below", "worst valid", "valid"),
     "sure and wrong",
 )
-LOOP_HEAD = ("in the loop", "losses", "never in it")
+LOOP_HEAD = ("in the loop", "losses", "never in the loop")
 
 
-def summary_rows(found: Dataset, rows: pl.DataFrame) -> tuple[tuple[str, ...], list[list[str]]]:
-    """The table of observers on machines."""
-    s = found.specification
-    closed = s.loop == "closed"
-    out = []
-    for machine in s.machines:
-        for table in s.observers:
-            mine = group(rows, machine, table.name)
-            rms = mine["rms"]
-            line = [
-                s.called(machine),
+def summary_rows(dataset: Dataset, rows: pl.DataFrame) -> tuple[tuple[str, ...], list[list[str]]]:
+    """Return heading and lines of the table of observers on machines."""
+    specification = dataset.specification
+    closed_loop = specification.loop == "closed"
+    lines = []
+    for machine in specification.machines:
+        for table in specification.observers:
+            selected = group(rows, machine, table.name)
+            rms = selected["rms"]
+            cells = [
+                specification.called(machine),
                 table.name,
-                str(statistics.yield_of(mine, s.good)),
+                str(statistics.yield_of(selected, specification.good)),
                 degrees(rms.median()),  # type: ignore[arg-type]
                 degrees(rms.quantile(0.99, "higher")),
-                degrees(mine["worst"].max()),  # type: ignore[arg-type]
-                _percent(mine["valid"].mean()),  # type: ignore[arg-type]
-                _wrong(mine),
+                degrees(selected["worst"].max()),  # type: ignore[arg-type]
+                _percent(selected["valid"].mean()),  # type: ignore[arg-type]
+                _wrong(selected),
             ]
-            if closed:
-                never = int(mine["handed_over"].is_null().sum())
-                line += [_percent(mine["in_loop"].mean()), str(mine["losses"].sum()), str(never)]  # type: ignore[arg-type]
-            out.append(line)
-    return HEAD + (LOOP_HEAD if closed else ()), out
+            if closed_loop:
+                never = int(selected["handed_over"].is_null().sum())
+                cells += [
+                    _percent(selected["in_loop"].mean()),  # type: ignore[arg-type]
+                    str(selected["losses"].sum()),
+                    str(never),
+                ]
+            lines.append(cells)
+    return HEAD + (LOOP_HEAD if closed_loop else ()), lines
 
 
-def _wrong(rows: pl.DataFrame) -> str:
-    """How many scenarios have a row that is sure and wrong; nothing of who tells no std."""
-    wrong = rows["wrong"].drop_nulls()
+def _wrong(selected: pl.DataFrame) -> str:
+    """Return the number of scenarios with a sure and wrong row; "–" without stated std."""
+    wrong = selected["wrong"].drop_nulls()
     return str(int((wrong > 0).sum())) if len(wrong) else "–"
 
 
-def against(specification: Specification, rows: pl.DataFrame) -> list[str]:
-    """Observers against each other on the same scenarios, in sentences."""
+def comparisons(specification: Specification, rows: pl.DataFrame) -> list[str]:
+    """Compare the best observer with each other one on the same scenarios, in sentences."""
     names = [table.name for table in specification.observers]
-    good = {
+    is_good = {
         name: group(rows, None, name)
         .sort("number")
         .select(statistics.is_good(specification.good))
@@ -100,199 +108,209 @@ def against(specification: Specification, rows: pl.DataFrame) -> list[str]:
         .to_numpy()
         for name in names
     }
-    best = max(names, key=lambda name: int(good[name].sum()))
-    out = []
+    best = max(names, key=lambda name: int(is_good[name].sum()))
+    sentences = []
     for name in names:
         if name != best:
-            only, lost = (
-                int((good[best] & ~good[name]).sum()),
-                int((good[name] & ~good[best]).sum()),
+            best_only, other_only = (
+                int((is_good[best] & ~is_good[name]).sum()),
+                int((is_good[name] & ~is_good[best]).sum()),
             )
-            out.append(
-                f"{best} is good where {name} is not in {only} scenarios, the other way round in "
-                f"{lost}."
+            sentences.append(
+                f"{best} is good and {name} is not in {best_only} scenarios; the reverse holds in "
+                f"{other_only}."
             )
-    return out
+    return sentences
 
 
 def failures(rows: pl.DataFrame) -> list[str]:
-    """Scenarios that could not be simulated, by what was wrong but its numbers."""
+    """List the failed simulations, grouped by messages that differ only in their numbers."""
     failed = rows.filter(pl.col("failed").is_not_null()).unique("number").sort("number")
-    alike: dict[str, list[tuple[int, str]]] = {}
-    for number, what in failed.select("number", "failed").iter_rows():
-        alike.setdefault(NUMBER.sub("#", what), []).append((number, what))
+    by_message: dict[str, list[tuple[int, str]]] = {}
+    for number, message in failed.select("number", "failed").iter_rows():
+        by_message.setdefault(NUMBER.sub("#", message), []).append((number, message))
     return [
-        f"{_count(len(some), 'scenario')} could not be simulated, and {_verb(some)} as not good; "
-        f"{some[0][0]} for example: {some[0][1]}"
-        for some in sorted(alike.values(), key=len, reverse=True)
+        f"{_count(len(scenarios), 'scenario')} could not be simulated and {_verb(scenarios)} as "
+        f"not good; for example {scenarios[0][0]}: {scenarios[0][1]}"
+        for scenarios in sorted(by_message.values(), key=len, reverse=True)
     ]
 
 
-def _count(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"
+def _count(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def _verb(some: list[Any]) -> str:
-    return "counts" if len(some) == 1 else "count"
+def _verb(scenarios: list[Any]) -> str:
+    return "counts" if len(scenarios) == 1 else "count"
 
 
-def never_valid(found: Dataset, rows: pl.DataFrame) -> list[str]:
-    """What medians and percentiles leave out, in a sentence for each observer on each machine."""
-    s = found.specification
-    several = len(s.machines) > 1
-    out = []
-    for machine in s.machines:
-        for table in s.observers:
-            mine = group(rows, machine, table.name).filter(pl.col("failed").is_null())
-            never = mine["rms"].null_count()
-            if never:
-                where = f" on {s.called(machine)}" if several else ""
-                out.append(
-                    f"{table.name}{where} is never valid in {_count(never, 'scenario')}: median, "
-                    f"99 % and worst leave {'it' if never == 1 else 'them'} out."
+def never_valid(dataset: Dataset, rows: pl.DataFrame) -> list[str]:
+    """List the scenarios that medians and percentiles exclude, by observer and machine."""
+    specification = dataset.specification
+    many_machines = len(specification.machines) > 1
+    sentences = []
+    for machine in specification.machines:
+        for table in specification.observers:
+            selected = group(rows, machine, table.name).filter(pl.col("failed").is_null())
+            count = selected["rms"].null_count()
+            if count:
+                where = f" on {specification.called(machine)}" if many_machines else ""
+                sentences.append(
+                    f"{table.name}{where} is never valid in {_count(count, 'scenario')}; median, "
+                    f"99 % and worst exclude {'it' if count == 1 else 'them'}."
                 )
-    return out
+    return sentences
 
 
-def matters(found: Dataset, rows: pl.DataFrame) -> dict[tuple[str, str], list[Index]]:
-    """Indices of the quantities, by machine and observer."""
-    s = found.specification
-    quantities = tuple(name for name in s.vary if name in s.varied or name in s.grids)
+def sensitivities(dataset: Dataset, rows: pl.DataFrame) -> dict[tuple[str, str], list[Index]]:
+    """Return the indices of the quantities, by machine and observer."""
+    specification = dataset.specification
+    quantities = tuple(
+        name
+        for name in specification.vary
+        if name in specification.varied or name in specification.grids
+    )
     return {
         (machine, table.name): statistics.indices(group(rows, machine, table.name), quantities)
-        for machine in s.machines
-        for table in s.observers
+        for machine in specification.machines
+        for table in specification.observers
     }
 
 
-def told_indices(found: list[Index], scenarios: int) -> str:
-    """The largest indices in words."""
+def describe_indices(indices: list[Index], scenarios: int) -> str:
+    """Describe the largest indices."""
     if scenarios < statistics.FEWEST:
-        return f"not told by fewer than {statistics.FEWEST} scenarios"
-    if not found:
-        return "nothing: it is the same in all scenarios, or no quantity varies"
-    clear = [one for one in found if one.low > 0][:MATTER]
-    if not clear:
-        return "no single tolerance: it is their combination, the course, and noise"
-    words = [
-        f"{one.quantity} {100 * one.share:.0f} % ({100 * one.low:.0f} to {100 * one.high:.0f} %)"
-        for one in clear
+        return f"at least {statistics.FEWEST} scenarios are needed"
+    if not indices:
+        return "none: the error is equal in all scenarios, or no quantity varies"
+    significant = [index for index in indices if index.low > 0][:MATTER]
+    if not significant:
+        return "no single tolerance, but their combination, the course and noise"
+    causes = [
+        f"{index.quantity} {100 * index.share:.0f} % "
+        f"({100 * index.low:.0f} to {100 * index.high:.0f} %)"
+        for index in significant
     ]
-    return ", ".join(words)
+    return ", ".join(causes)
 
 
-def text(found: Dataset, rows: pl.DataFrame) -> tuple[Any, list[str]]:
-    """For a terminal: a rich table, and sentences."""
+def text(dataset: Dataset, rows: pl.DataFrame) -> tuple[Any, list[str]]:
+    """Return the report for the terminal: a rich table, and sentences."""
     from rich.markup import escape as plain
     from rich.table import Table
 
-    head, lines = summary_rows(found, rows)
+    head, lines = summary_rows(dataset, rows)
     table = Table(box=None, pad_edge=False)
     for k, name in enumerate(head):
         table.add_column(name, justify="left" if k < 2 else "right", overflow="fold")
     for line in lines:
         table.add_row(*(plain(visible(cell)) for cell in line))
-    s = found.specification
-    several = len(s.machines) > 1
-    sentences = [*failures(rows), *never_valid(found, rows), *against(s, rows)]
-    for (machine, observer), indices in matters(found, rows).items():
-        where = f" on {s.called(machine)}" if several else ""
+    specification = dataset.specification
+    many_machines = len(specification.machines) > 1
+    sentences = [*failures(rows), *never_valid(dataset, rows), *comparisons(specification, rows)]
+    for (machine, observer), indices in sensitivities(dataset, rows).items():
+        where = f" on {specification.called(machine)}" if many_machines else ""
         sentences.append(
-            f"What the error of {observer}{where} varies with: "
-            f"{told_indices(indices, s.scenarios)}."
+            f"Causes of the error of {observer}{where}: "
+            f"{describe_indices(indices, specification.scenarios)}."
         )
-    for table_ in s.observers:
-        first = worst(rows.lazy(), table_.name).head(1)
-        if len(first):
-            row = first.row(0, named=True)
+    for observer_table in specification.observers:
+        worst_rows = worst(rows.lazy(), observer_table.name).head(1)
+        if len(worst_rows):
+            row = worst_rows.row(0, named=True)
             sentences.append(
-                f"Worst valid row of {table_.name}: {degrees(row['worst'])} in scenario "
-                f"{row['number']}; `{_again(found, row['number'], table_)}` shows it."
+                f"Worst valid row of {observer_table.name}: {degrees(row['worst'])} in scenario "
+                f"{row['number']}; to see it: "
+                f"`{_rerun_command(dataset, row['number'], observer_table)}`."
             )
     return table, sentences
 
 
-def _again(found: Dataset, number: int | str, table: ObserverTable) -> str:
-    """The command that simulates a scenario again, with what it writes of this observer."""
-    estimated = table.kind in (PLAIN, ADAPTIVE)
-    wanted = ("--report", "again.html") if estimated else ("--record", "again.parquet")
+def _rerun_command(dataset: Dataset, number: int | str, table: ObserverTable) -> str:
+    """Return the command that repeats a scenario and writes the observer's report or record."""
+    has_report = table.kind in (PLAIN, ADAPTIVE)
+    output = ("--report", "again.html") if has_report else ("--record", "again.parquet")
     return shlex.join(
         [
-            *("fluxobs", "campaign", str(found.folder), "--rerun", str(number)),
-            *("--observer", table.name, *wanted),
+            *("fluxobs", "campaign", str(dataset.folder), "--rerun", str(number)),
+            *("--observer", table.name, *output),
         ]
     )
 
 
-def write_html(found: Dataset, rows: pl.DataFrame) -> Path:
-    """Write report.html into the campaign's folder."""
-    s = found.specification
-    head, lines = summary_rows(found, rows)
-    indices = matters(found, rows)
-    verdicts = statistics.verdicts(s, rows)
-    parts = [
-        html.paragraph(headline(found)),
+def write_html(dataset: Dataset, rows: pl.DataFrame) -> Path:
+    """Write report.html into the campaign's folder and return its path."""
+    specification = dataset.specification
+    head, lines = summary_rows(dataset, rows)
+    indices = sensitivities(dataset, rows)
+    verdicts = statistics.verdicts(specification, rows)
+    blocks = [
+        html.paragraph(headline(dataset)),
         *([_verdicts(verdicts)] if verdicts else []),
-        html.bullets([*failures(rows), *never_valid(found, rows)]),
+        html.bullets([*failures(rows), *never_valid(dataset, rows)]),
         html.table(head, lines),
-        html.bullets(against(s, rows)),
+        html.bullets(comparisons(specification, rows)),
         "<h2>Distribution of the position error</h2>",
-        html.picture(pictures.distribution(s, rows), "Share of scenarios below an rms error"),
+        html.picture(
+            pictures.distribution(specification, rows), "Share of scenarios below each rms error"
+        ),
         "<h2>Which tolerance matters</h2>",
         html.paragraph(
             "Share of the variance of log(rms position error) that each quantity explains alone "
-            "(first-order Sobol' index), with its interval. The rest is due to quantities "
-            "together, to the course and to noise."
+            "(first-order Sobol' index), with its interval. The rest comes from combinations of "
+            "quantities, the course and noise."
         ),
-        html.picture(pictures.importance(s, indices), "Sobol' indices with intervals")
+        html.picture(pictures.importance(specification, indices), "Sobol' indices with intervals")
         if any(indices.values())
-        else html.paragraph(f"Not told: {told_indices([], s.scenarios)}."),
-        *_pairs(found, rows, indices),
+        else html.paragraph(f"No index: {describe_indices([], specification.scenarios)}."),
+        *_pairs(dataset, rows, indices),
         f"<h2>Worst {KEPT}</h2>",
-        *(_worst(found, rows, table) for table in s.observers),
+        *(_worst(dataset, rows, table) for table in specification.observers),
     ]
-    path = found.folder / REPORT
-    write_text(path, html.document(f"Campaign: {s.name}", *parts))
+    path = dataset.folder / REPORT
+    write_text(path, html.document(f"Campaign: {specification.name}", *blocks))
     return path
 
 
 def _verdicts(verdicts: list[statistics.Verdict]) -> str:
-    word = "passed" if all(one.met for one in verdicts) else "not passed"
-    return f"<p><b>{escape(word.capitalize())}</b></p>" + html.bullets(map(str, verdicts))
+    outcome = "passed" if all(verdict.met for verdict in verdicts) else "not passed"
+    return f"<p><b>{escape(outcome.capitalize())}</b></p>" + html.bullets(map(str, verdicts))
 
 
 def _pairs(
-    found: Dataset, rows: pl.DataFrame, indices: dict[tuple[str, str], list[Index]]
+    dataset: Dataset, rows: pl.DataFrame, indices: dict[tuple[str, str], list[Index]]
 ) -> list[str]:
-    out = ["<h2>Yield over pairs of tolerances</h2>"]
-    for (machine, observer), some in indices.items():
-        names = [one.quantity for one in some[:MATTER]]
-        mine = group(rows, machine, observer)
-        share = statistics.yield_of(mine, found.specification.good)
-        if len(names) < 2 or share.good in (0, share.of):
-            continue  # nothing to see: all are good, or none
+    blocks = ["<h2>Yield over pairs of tolerances</h2>"]
+    for (machine, observer), quantity_indices in indices.items():
+        names = [index.quantity for index in quantity_indices[:MATTER]]
+        selected = group(rows, machine, observer)
+        good_share = statistics.yield_of(selected, dataset.specification.good)
+        if len(names) < 2 or good_share.good in (0, good_share.of):
+            continue  # the yield is 0 or 100 % everywhere
         pairs = [
-            statistics.pair(mine, found.specification.good, x, y)
+            statistics.pair(selected, dataset.specification.good, x, y)
             for k, x in enumerate(names)
             for y in names[k + 1 :]
         ]
-        title = f"{observer} on {found.specification.called(machine)}"
-        out.append(html.picture(pictures.pairs(pairs, title), f"Yield over pairs, {title}"))
-    return out if out[1:] else []
+        title = f"{observer} on {dataset.specification.called(machine)}"
+        blocks.append(html.picture(pictures.pairs(pairs, title), f"Yield over pairs, {title}"))
+    return blocks if blocks[1:] else []
 
 
-def _worst(found: Dataset, rows: pl.DataFrame, table: ObserverTable) -> str:
-    s = found.specification
+def _worst(dataset: Dataset, rows: pl.DataFrame, table: ObserverTable) -> str:
+    specification = dataset.specification
     lines = []
-    varied = [name for name in s.vary if s.vary[name].varies]
+    varied = [name for name in specification.vary if specification.vary[name].varies]
     for row in worst(rows.lazy(), table.name).iter_rows(named=True):
         number = row["number"]
-        name = f"{WORST}/{stem(s, number, table.name)}"
-        shown = found.folder / f"{name}.html"
-        link = f'<a href="{escape(name)}.html">{number}</a>' if shown.exists() else str(number)
+        path = f"{WORST}/{stem(specification, number, table.name)}"
+        report_path = dataset.folder / f"{path}.html"
+        link = (
+            f'<a href="{escape(path)}.html">{number}</a>' if report_path.exists() else str(number)
+        )
         cells = [
             link,
-            escape(s.called(row["machine"])),
+            escape(specification.called(row["machine"])),
             degrees(row["worst"]),
             degrees(row["rms"]),
             _percent(row["valid"]),
@@ -303,7 +321,7 @@ def _worst(found: Dataset, rows: pl.DataFrame, table: ObserverTable) -> str:
     names = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
     return (
         f'<table style="white-space:nowrap"><caption>'
-        f"{escape(table.name)}: <code>{escape(_again(found, 'NUMBER', table))}"
+        f"{escape(table.name)}: <code>{escape(_rerun_command(dataset, 'NUMBER', table))}"
         f"</code></caption><thead><tr>{names}</tr></thead>"
         f"<tbody>{''.join(lines)}</tbody></table>"
     )

@@ -1,4 +1,4 @@
-"""One scenario again, alone: its row, its record, and an interactive report of it."""
+"""Repeat one scenario: its row, its record, and an interactive report of it."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class Rerun:
     number : int
     table : ObserverTable
     machine : RotatingMachine
-        As the observer believes it.
+        The machine that the observer assumes.
     record : Record
-        What a log of the drive would hold, with the true angle.
+        The log of the drive, with the true angle.
     row : dict
-        Equal to the dataset's.
+        The same row as in the dataset.
     """
 
     number: int
@@ -48,7 +48,7 @@ class Rerun:
 
     @property
     def frame(self) -> pl.DataFrame:
-        """The record as columns that `fluxobs estimate` reads."""
+        """Return the record as columns that `fluxobs estimate` reads."""
         u, i = self.record.voltage, self.record.current
         return pl.DataFrame(
             {
@@ -62,14 +62,14 @@ class Rerun:
         )
 
     def estimate(self) -> Result:
-        """The record as a log, with the observer that has the same unknowns and learns as it goes.
+        """Estimate the record as a log, filtered, with the same unknowns as the observer.
 
-        It takes its noise from the record, not from the specification.
+        The noise is estimated from the record, not taken from the specification.
 
         Raises
         ------
         UsageError
-            The observer is none that :func:`fluxobs.estimate` runs.
+            :func:`fluxobs.estimate` does not run this observer.
         """
         check_estimated(self.table)
         adaptive = self.table.kind == ADAPTIVE
@@ -86,21 +86,21 @@ def check_estimated(table: ObserverTable) -> None:
     """Raise UsageError if :func:`fluxobs.estimate` does not run this observer."""
     if table.kind not in (PLAIN, ADAPTIVE):
         raise UsageError(
-            f"a report recomputes with {PLAIN} or {ADAPTIVE}, not with {table.name}: take their "
-            f"report, or --record"
+            f"{table.name} has no report; choose an observer of kind {PLAIN} or {ADAPTIVE}, or "
+            f"give --record"
         )
 
 
 def rerun(
     specification: Specification, numbers: Sequence[int], observer: str | None = None
 ) -> list[Rerun]:
-    """Simulate scenarios again, with one observer each; all of one machine are done at once.
+    """Simulate scenarios again with one observer, those of one machine together.
 
     Parameters
     ----------
     numbers : sequence of int
     observer : str, optional
-        Its name; default the first of the specification.
+        Name of the observer; default the first of the specification.
 
     Raises
     ------
@@ -108,34 +108,36 @@ def rerun(
         There is no such scenario or observer.
     """
     table = specification.observer(observer)
-    alone = specification.model_copy(update={"observers": [table]})
+    single_observer = specification.model_copy(update={"observers": [table]})
     by_machine: dict[int, list[int]] = {}
     for number in sorted(set(numbers)):
         if not 0 <= number < total(specification):
-            raise UsageError(f"no scenario {number}: they are 0 to {total(specification) - 1}")
+            raise UsageError(f"no scenario {number}; give 0 to {total(specification) - 1}")
         by_machine.setdefault(number // specification.scenarios, []).append(number)
-    out: list[Rerun] = []
-    for some in by_machine.values():
-        drawn = [scenarios(specification, number, number + 1)[0] for number in some]
+    reruns: list[Rerun] = []
+    for machine_numbers in by_machine.values():
+        drawn = [scenarios(specification, number, number + 1)[0] for number in machine_numbers]
         records: dict[int, tuple[Record, Candidate]] = {}
 
-        def watch(
-            one: Simulated, by: Candidate, found: ObservedRecord, records: Any = records
+        def store_record(
+            drive: Simulated, observer: Candidate, _: ObservedRecord, records: Any = records
         ) -> None:
-            h = cell_of(specification, one.scenario.machine).rated.sample_time
-            records[one.scenario.number] = record_of(one, h), by
+            h = cell_of(specification, drive.scenario.machine).rated.sample_time
+            records[drive.scenario.number] = record_of(drive, h), observer
 
-        rows = pl.DataFrame(rows_for(alone, drawn, watch), schema=schema(specification))
+        rows = pl.DataFrame(
+            rows_for(single_observer, drawn, store_record), schema=schema(specification)
+        )
         for row in rows.iter_rows(named=True):
             if row["failed"] is not None:
                 raise UsageError(f"scenario {row['number']} cannot be simulated: {row['failed']}")
-            record, by = records[row["number"]]
-            out.append(Rerun(row["number"], table, by.believed, record, row))
-    return sorted(out, key=lambda one: one.number)
+            record, candidate = records[row["number"]]
+            reruns.append(Rerun(row["number"], table, candidate.believed, record, row))
+    return sorted(reruns, key=lambda repeated: repeated.number)
 
 
-def write_record(one: Rerun, path: Path) -> None:
-    """Write the record as a Parquet file, whole or not at all."""
+def write_record(repeated: Rerun, path: Path) -> None:
+    """Write the record as a Parquet file, atomically."""
     from ..core.engine import write_part
 
-    write_part(one.frame, path)
+    write_part(repeated.frame, path)

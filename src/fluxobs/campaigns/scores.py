@@ -1,4 +1,4 @@
-"""What a scenario came to: one row of numbers for each observer."""
+"""Scores of a scenario: one row of numbers for each observer."""
 
 from __future__ import annotations
 
@@ -13,67 +13,67 @@ from ..simulation.drive.sensorless import RUNNING
 from ..simulation.drive.simulate import UNFOLLOWED
 from .columns import MEASURES
 from .observed import ObservedRecord
-from .simulated import Kept
+from .simulated import ScoredTrace
 
 #: A position within this many standard deviations counts as covered.
 COVERED = 2.0
-#: Sure and wrong: an error beyond so many standard deviations, and beyond so much [rad].
+#: Sure and wrong: the error exceeds this many standard deviations and this angle [rad].
 WRONG_STDS, WRONG = 5.0, np.radians(10.0)
 
 
 def measures(
     t: Array,
-    true: Kept,
+    trace: ScoredTrace,
     true_speed: Array,
-    found: ObservedRecord,
+    record: ObservedRecord,
     machine: RotatingMachine,
     score_from: float,
 ) -> dict[str, Any]:
-    """The measures of one observer on one record; None where nothing can be told."""
-    wild = ~np.isfinite(found.theta_e)
-    theta = np.where(wild, true.theta_e + np.pi, found.theta_e)
-    error = np.abs(machine.position_error(theta, true.theta_e))
+    """Return the scores of one observer on one record; None where undefined."""
+    not_finite = ~np.isfinite(record.theta_e)
+    theta = np.where(not_finite, trace.theta_e + np.pi, record.theta_e)
+    errors = np.abs(machine.position_error(theta, trace.theta_e))
     scored = t >= score_from
-    rows = scored & found.valid
-    off = error[rows]
-    settled = settling_time(t, error)
-    out: dict[str, Any] = dict.fromkeys(MEASURES)
-    out |= {
-        "rms_all": _rms(error[scored]),
-        "valid": float(np.mean(found.valid[scored])),
-        "first_valid": float(t[np.argmax(found.valid)]) if found.valid.any() else None,
+    scored_valid = scored & record.valid
+    valid_errors = errors[scored_valid]
+    settled = settling_time(t, errors)
+    scores: dict[str, Any] = dict.fromkeys(MEASURES)
+    scores |= {
+        "rms_all": _rms(errors[scored]),
+        "valid": float(np.mean(record.valid[scored])),
+        "first_valid": float(t[np.argmax(record.valid)]) if record.valid.any() else None,
         "settled": settled if np.isfinite(settled) else None,
     }
-    out |= {f"{name}_z": value for name, value in found.errors.items()}
-    if not len(off):
-        return out
-    out |= {
-        "rms": _rms(off),
-        "p50": float(np.median(off)),
-        "p99": float(np.quantile(off, 0.99)),
-        "worst": float(off.max()),
-        "lost": float(np.mean(off > LOST)),
-        "speed_rms": _rms(np.nan_to_num(found.speed_e)[rows] - true_speed[rows]),
+    scores |= {f"{name}_z": value for name, value in record.errors.items()}
+    if not len(valid_errors):
+        return scores
+    scores |= {
+        "rms": _rms(valid_errors),
+        "p50": float(np.median(valid_errors)),
+        "p99": float(np.quantile(valid_errors, 0.99)),
+        "worst": float(valid_errors.max()),
+        "lost": float(np.mean(valid_errors > LOST)),
+        "speed_rms": _rms(np.nan_to_num(record.speed_e)[scored_valid] - true_speed[scored_valid]),
     }
-    if found.theta_e_std is not None:
-        std = found.theta_e_std[rows]
-        out["covered"] = float(np.mean(off <= COVERED * std))
-        out["wrong"] = float(np.mean((off > WRONG_STDS * std) & (off > WRONG)))
-    return out
+    if record.theta_e_std is not None:
+        std = record.theta_e_std[scored_valid]
+        scores["covered"] = float(np.mean(valid_errors <= COVERED * std))
+        scores["wrong"] = float(np.mean((valid_errors > WRONG_STDS * std) & (valid_errors > WRONG)))
+    return scores
 
 
-def loop_measures(t: Array, trace: Kept, score_from: float) -> dict[str, Any]:
-    """The measures of a drive with its observer in the loop."""
+def loop_measures(t: Array, trace: ScoredTrace, score_from: float) -> dict[str, Any]:
+    """Return the scores of a drive with its observer in the loop."""
     scored, running = t >= score_from, trace.mode == RUNNING
-    largest = np.abs(trace.reference).max()
-    off = np.abs(trace.speed - trace.reference) > UNFOLLOWED * largest
+    largest_reference = np.abs(trace.reference).max()
+    unfollowed = np.abs(trace.speed - trace.reference) > UNFOLLOWED * largest_reference
     tripped = bool(trace.tripped.any())
     return {
         "handed_over": float(t[np.argmax(running)]) if running.any() else None,
         "in_loop": float(np.mean(running[scored])),
         "losses": int(np.sum(np.diff(trace.mode) < 0)) + tripped,
         "tripped": tripped,
-        "unfollowed": float(np.mean(off[scored])) if largest > 0 else 0.0,
+        "unfollowed": float(np.mean(unfollowed[scored])) if largest_reference > 0 else 0.0,
     }
 
 

@@ -1,7 +1,7 @@
-"""Towards the worst: the scenario within tolerance that breaks an observer, and how rare that is.
+"""Search for the worst scenario within tolerance, and for the probability of failures.
 
-Both move in the standard normal scores of the quantities that vary: the origin is the nominal
-drive, and what is far from it is unlikely.
+Both work in the standard normal scores of the quantities that vary. The origin is the nominal
+drive; points far from it are unlikely.
 """
 
 from __future__ import annotations
@@ -24,45 +24,53 @@ from .rows import rows_for
 from .specification import GoodTable, Specification
 from .statistics import CONFIDENCE, is_good
 
-#: Scenarios of a generation: one batch.
+#: Scenarios per generation: one batch.
 GENERATION = 64
-#: Scores stay within this many standard deviations: beyond, nothing is within tolerance.
+#: Limit of the scores in standard deviations; points beyond do not count as within tolerance.
 BOUND = 4.0
 #: First step of the search, in standard deviations.
 STEP = 0.7
-#: Share of the nominal distribution in the mixture that looks for failures, so that no weight is
-#: above its inverse; share of the worst that the mixture moves to.
+#: Share of the nominal distribution in the sampling mixture, whose inverse bounds the weights;
+#: share of the worst scenarios to which the mixture moves.
 DEFENSIVE, ELITE = 0.3, 0.1
-#: Effective number of failures below which the estimate and its interval mean little.
+#: Effective number of failures below which the estimate and its interval are unreliable.
 FEW = 10
 #: Largest number of moves towards the failures.
 MOVES = 6
 
-#: Scores (n, d) and the scenarios that lend course and noise → rows in that order.
+#: From scores (n, d) and the scenarios whose course and noise are used to rows in that order.
 Evaluate = Callable[[Array, Sequence[int]], pl.DataFrame]
 
 
 def evaluator(specification: Specification, machine: str, observer: str) -> Evaluate:
-    """Simulates points of one machine with one observer.
+    """Return a function that simulates points of one machine with one observer.
 
     Raises
     ------
     UsageError
-        There is no such machine or observer, or nothing varies.
+        There is no such machine or observer, or no quantity varies.
     """
     table = specification.observer(observer)
     if machine not in specification.machines:
         raise UsageError(f"no machine {machine!r}{nearest(machine, specification.machines)}")
     if not specification.varied:
-        raise UsageError("nothing varies in this campaign: there is nothing to search")
-    alone = specification.model_copy(update={"observers": [table]})
+        raise UsageError("no quantity varies in this campaign: nothing can be searched")
+    single_observer = specification.model_copy(update={"observers": [table]})
 
     def evaluate(scores: Array, like: Sequence[int]) -> pl.DataFrame:
         drawn = [
-            Scenario(k, machine, at_point(alone, ndtr(score), other), alone.seed, other)
-            for k, (score, other) in enumerate(zip(scores, like, strict=True))
+            Scenario(
+                k,
+                machine,
+                at_point(single_observer, ndtr(score), lender),
+                single_observer.seed,
+                lender,
+            )
+            for k, (score, lender) in enumerate(zip(scores, like, strict=True))
         ]
-        return pl.DataFrame(rows_for(alone, drawn), schema=schema(alone)).sort("number")
+        return pl.DataFrame(rows_for(single_observer, drawn), schema=schema(single_observer)).sort(
+            "number"
+        )
 
     return evaluate
 
@@ -74,15 +82,15 @@ class Worst:
     Attributes
     ----------
     values : dict
-        What is drawn, by name.
+        Its drawn quantities, by name.
     like : int
-        The scenario of the campaign whose course and noise it has.
+        Number of the campaign's scenario whose course and noise are used.
     row : dict
         Its row.
     tried : int
-        Simulated scenarios.
+        Number of simulated scenarios.
     history : tuple of float
-        Worst error by generation [rad].
+        Worst error of each generation [rad].
     """
 
     values: dict[str, float]
@@ -104,47 +112,47 @@ def find_worst(
     evaluate: Evaluate | None = None,
     progress: Callable[[int, int], Any] = lambda done, total: None,
 ) -> Worst:
-    """Search for the tolerances, within their distributions, with the largest error.
+    """Search the distributions of the tolerances for the largest error.
 
-    CMA-ES over the scores (N. Hansen, the package `cma`), from the worst scenario of the campaign
-    and with its course and noise; without rows from the nominal drive.
+    CMA-ES over the scores (N. Hansen, the package `cma`). The search starts at the campaign's worst
+    scenario, with its course and noise, or without rows at the nominal drive.
 
     Parameters
     ----------
     start : DataFrame, optional
         Rows of the campaign.
     budget : int
-        Scenarios to simulate, about.
+        Approximate number of scenarios to simulate.
     measure : str
-        Column to make large: worst, rms.
+        Column to maximise: worst, rms.
 
     Raises
     ------
     FluxobsError
-        The package is missing, or no scenario that was tried has a valid row.
+        The package is missing, or no tried scenario has a valid row.
     """
     try:
         import cma
     except ImportError:
         raise FluxobsError(
-            'the search needs the extra "campaign": pip install "fluxobs[campaign]"'
+            'the search needs the extra "campaign"; install it: pip install "fluxobs[campaign]"'
         ) from None
-    run = evaluate or evaluator(specification, machine, observer)
-    first = specification.machines.index(machine) * specification.scenarios
-    like, centre = first, np.zeros(len(specification.varied))
+    simulate = evaluate or evaluator(specification, machine, observer)
+    first_number = specification.machines.index(machine) * specification.scenarios
+    like, centre = first_number, np.zeros(len(specification.varied))
     if start is not None:
-        mine = start.filter(
+        candidates = start.filter(
             (pl.col("machine") == machine)
             & (pl.col("observer") == observer)
             & pl.col(measure).is_not_null()
         ).sort(measure, descending=True)
-        if len(mine):
-            like = int(mine["number"][0])
+        if len(candidates):
+            like = int(candidates["number"][0])
             centre = ndtri(points(specification, like, like + 1)[0])
     options = {
         "popsize": GENERATION,
         "bounds": [-BOUND, BOUND],
-        "seed": seed + 1,  # 0 would be the clock
+        "seed": seed + 1,  # CMA-ES takes 0 as a seed from the clock
         "verbose": -9,
         "maxfevals": budget,
     }
@@ -153,22 +161,22 @@ def find_worst(
     history: list[float] = []
     tried = 0
     while tried < budget and not strategy.stop():
-        asked = np.asarray(strategy.ask())
-        rows = run(asked, [like] * len(asked))
-        error = rows[measure].fill_null(0.0).to_numpy()
-        # What is unlikely costs: half the square of the distance, as in the normal density.
-        size = np.log(np.maximum(error, 1e-9))
-        strategy.tell(list(asked), list(-size + 1e-2 * np.sum(asked**2, axis=1)))
-        k = int(np.argmax(error))
-        tried += len(asked)
-        if error[k] > 0 and (best is None or error[k] > best[0]):
-            best = float(error[k]), asked[k], rows.row(k, named=True)
-        history.append(float(error[k]))
+        generation = np.asarray(strategy.ask())
+        rows = simulate(generation, [like] * len(generation))
+        errors = rows[measure].fill_null(0.0).to_numpy()
+        # Penalise unlikely points by the squared distance, as in the normal density.
+        log_error = np.log(np.maximum(errors, 1e-9))
+        strategy.tell(list(generation), list(-log_error + 1e-2 * np.sum(generation**2, axis=1)))
+        index = int(np.argmax(errors))
+        tried += len(generation)
+        if errors[index] > 0 and (best is None or errors[index] > best[0]):
+            best = float(errors[index]), generation[index], rows.row(index, named=True)
+        history.append(float(errors[index]))
         progress(min(tried, budget), budget)
     if best is None:
         raise FluxobsError(
-            f"{observer} on {machine}: no scenario that was tried has a valid row; there is no "
-            f"error to make large"
+            f"{observer} on {machine}: no tried scenario has a valid row, so there is no error to "
+            f"maximise"
         )
     values = at_point(specification, np.asarray(ndtr(best[1])), like)
     return Worst(values, like, best[2], tried, tuple(history))
@@ -183,9 +191,9 @@ class Rare:
     probability, std : float
         Estimate and its standard deviation.
     failures, tried : int
-        Failing scenarios among those of the final estimate; all simulated ones.
+        Number of failures in the final estimate; number of all simulated scenarios.
     effective : float
-        Effective number of samples, (Σw)²/Σw² over the failures: few mean a poor estimate.
+        Effective number of samples, (Σw)²/Σw² over the failures; a low one means a poor estimate.
     """
 
     probability: float
@@ -196,18 +204,18 @@ class Rare:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Of 95 %, of a normal distribution; from nothing if the std is as large as the value."""
-        reach = float(ndtri((1 + CONFIDENCE) / 2)) * self.std
-        return max(self.probability - reach, 0.0), min(self.probability + reach, 1.0)
+        """The 95 % interval of a normal distribution, clipped to 0…1."""
+        half_width = float(ndtri((1 + CONFIDENCE) / 2)) * self.std
+        return max(self.probability - half_width, 0.0), min(self.probability + half_width, 1.0)
 
     def __str__(self) -> str:
-        low, high = self.interval
+        lower, upper = self.interval
         if not self.failures:
             return f"no failure among {self.tried} scenarios"
-        few = "" if self.effective >= FEW else "; too few to rely on: a larger --budget helps"
+        warning = "" if self.effective >= FEW else "; too few to rely on, increase --budget"
         return (
-            f"{self.probability:.2g} ({low:.2g} to {high:.2g}), from {self.failures} failures, "
-            f"worth {self.effective:.0f}, among {self.tried} scenarios{few}"
+            f"{self.probability:.2g} ({lower:.2g} to {upper:.2g}), from {self.failures} failures, "
+            f"effectively {self.effective:.0f}, among {self.tried} scenarios{warning}"
         )
 
 
@@ -222,18 +230,18 @@ def estimate_rare(
     evaluate: Evaluate | None = None,
     progress: Callable[[int, int], Any] = lambda done, total: None,
 ) -> Rare:
-    """Probability that a scenario is not good, by importance sampling.
+    """Estimate the probability that a scenario is not good, by importance sampling.
 
-    The cross-entropy method moves the mean of the scores towards the failures in levels; the final
-    half of the budget is drawn from a mixture of the nominal and the moved distribution, and
+    The cross-entropy method moves the mean of the scores towards the failures in steps. The second
+    half of the budget is drawn from a mixture of the nominal and the moved distribution and
     weighted by the ratio of the densities. Courses and noise are drawn as in the campaign.
 
     Parameters
     ----------
     budget : int
-        Scenarios to simulate, about.
+        Approximate number of scenarios to simulate.
     good : GoodTable, optional
-        When a scenario is good; default the specification's.
+        Criterion of good scenarios; default the specification's.
 
     References
     ----------
@@ -241,41 +249,46 @@ def estimate_rare(
     doi:10.1007/978-1-4757-4321-0; A. Owen and Y. Zhou, Safe and effective importance sampling,
     J. Am. Stat. Assoc. 95 (2000), doi:10.1080/01621459.2000.10473909 (the mixture).
     """
-    run = evaluate or evaluator(specification, machine, observer)
+    simulate = evaluate or evaluator(specification, machine, observer)
     table = specification.good if good is None else good
     rng = np.random.default_rng([seed, 7])
-    d, first = len(specification.varied), specification.machines.index(machine)
-    number = first * specification.scenarios + specification.scenarios  # courses of their own
-    mean, tried = np.zeros(d), 0
+    dimension, machine_index = len(specification.varied), specification.machines.index(machine)
+    # Numbers beyond the machine's own give new courses.
+    number = machine_index * specification.scenarios + specification.scenarios
+    mean, tried = np.zeros(dimension), 0
 
-    def drawn(scores: Array) -> tuple[pl.DataFrame, NDArray[np.bool_]]:
+    def simulate_scores(scores: Array) -> tuple[pl.DataFrame, NDArray[np.bool_]]:
         nonlocal number, tried
-        rows = run(scores, range(number, number + len(scores)))
+        rows = simulate(scores, range(number, number + len(scores)))
         number += len(scores)
         tried += len(scores)
         progress(min(tried, budget), budget)
         return rows, ~rows.select(is_good(table)).to_series().to_numpy()
 
-    each = max(GENERATION, budget // (2 * MOVES))
+    generation = max(GENERATION, budget // (2 * MOVES))
     for _ in range(MOVES):
-        scores = rng.standard_normal((each, d)) + mean
-        rows, failed = drawn(scores)
-        size = rows["rms"].fill_null(np.inf).to_numpy()
-        worst = failed if failed.mean() > ELITE else size >= np.quantile(size, 1 - ELITE)
-        weight = np.exp(-scores[worst] @ mean)  # ratio of the densities, but for a factor
-        mean = np.average(scores[worst], axis=0, weights=weight)
-        length = float(np.linalg.norm(mean))
-        mean = mean * min(1.0, BOUND / max(length, 1e-12))
+        scores = rng.standard_normal((generation, dimension)) + mean
+        rows, failed = simulate_scores(scores)
+        errors = rows["rms"].fill_null(np.inf).to_numpy()
+        elite = failed if failed.mean() > ELITE else errors >= np.quantile(errors, 1 - ELITE)
+        weight = np.exp(-scores[elite] @ mean)  # ratio of the densities, up to a constant factor
+        mean = np.average(scores[elite], axis=0, weights=weight)
+        distance = float(np.linalg.norm(mean))
+        mean = mean * min(1.0, BOUND / max(distance, 1e-12))
         if failed.mean() > ELITE:
             break
     count = max(GENERATION, budget - tried)
     moved = rng.random(count) >= DEFENSIVE
-    scores = rng.standard_normal((count, d)) + np.where(moved[:, None], mean, 0.0)
-    _, failed = drawn(scores)
+    scores = rng.standard_normal((count, dimension)) + np.where(moved[:, None], mean, 0.0)
+    _, failed = simulate_scores(scores)
     ratio = np.exp(scores @ mean - mean @ mean / 2)  # moved density over the nominal one
     weight = 1 / (DEFENSIVE + (1 - DEFENSIVE) * ratio)
-    value = weight * failed
-    std = float(np.std(value, ddof=1) / np.sqrt(count))
-    mine = weight[failed]
-    effective = float(mine.sum() ** 2 / (mine**2).sum()) if len(mine) else 0.0
-    return Rare(float(value.mean()), std, int(failed.sum()), tried, effective)
+    weighted_failures = weight * failed
+    std = float(np.std(weighted_failures, ddof=1) / np.sqrt(count))
+    failure_weights = weight[failed]
+    effective = (
+        float(failure_weights.sum() ** 2 / (failure_weights**2).sum())
+        if len(failure_weights)
+        else 0.0
+    )
+    return Rare(float(weighted_failures.mean()), std, int(failed.sum()), tried, effective)

@@ -1,7 +1,7 @@
-"""Batches of drives, simulated so that a drive's numbers depend on nothing but the drive.
+"""Batches of simulated drives, in which the results of a drive do not depend on the others.
 
-A batch has always the same number of lanes, filled up with copies: the compiled code is then the
-same for every drive, whichever others it is simulated with.
+A batch always has the same number of lanes, padded with copies. The compiled code is then the same
+for every drive, whichever drives share its batch.
 """
 
 from __future__ import annotations
@@ -14,21 +14,20 @@ import numpy as np
 from ..errors import FluxobsError
 from ..simulation.drive import Course, Drive, Trace
 from ..simulation.drive.simulate import check, simulate_lanes, substeps
-from .courses import most_knots
+from .courses import max_knots
 from .draws import NOISE, Scenario
 from .drives import drive_of
 from .specification import Specification
 
-#: Drives simulated at once: 64 fill the vector units, and leave nothing over in them. In the loop a
-#: call from the compiled loop to the observers costs as much as 80 drives: more at once.
+#: Drives simulated at once, open and closed loop: 64 fill the vector units without remainder. In
+#: the loop each call to the observers costs as much as 80 drives, so more drives share it.
 LANES, IN_LOOP = 64, 256
-#: Rows times lanes of a batch [numbers], at most: 14 doubles for each are half a
-#: gigabyte.
-MOST = 1 << 22
+#: Largest product of samples and lanes of a batch: 14 doubles for each take half a gigabyte.
+MAX_SAMPLES = 1 << 22
 
 
-class Kept(NamedTuple):
-    """What is kept of every row of a trace; vectors are complex."""
+class ScoredTrace(NamedTuple):
+    """The quantities of a trace that are scored; vectors are complex."""
 
     current: Any
     voltage: Any
@@ -44,13 +43,13 @@ class Kept(NamedTuple):
     seen_speed: Any
 
 
-def keep(row: Trace) -> Kept:
-    """The rows of a trace that are scored; of a drive without an observer, zeros for it."""
+def select_scored(row: Trace) -> ScoredTrace:
+    """Return the scored quantities of a trace; zeros for a missing observer."""
     reading = row.reading
-    own = (0 * row.theta_e, row.tripped, 0 * row.theta_e, 0 * row.theta_e)
+    observer_values = (0 * row.theta_e, row.tripped, 0 * row.theta_e, 0 * row.theta_e)
     if reading is not None:
-        own = (reading.theta_e, reading.valid, reading.theta_e_std, reading.speed_e)
-    return Kept(
+        observer_values = (reading.theta_e, reading.valid, reading.theta_e_std, reading.speed_e)
+    return ScoredTrace(
         row.measured_current,
         row.voltage,
         row.theta_e,
@@ -59,24 +58,24 @@ def keep(row: Trace) -> Kept:
         row.tripped,
         row.voltage_limited,
         row.reference,
-        *own,
+        *observer_values,
     )
 
 
 class Simulated(NamedTuple):
-    """One simulated drive: its trace, or why there is none."""
+    """One simulated drive: its trace, or the reason for its failure."""
 
     scenario: Scenario
     drive: Drive | None
-    trace: Kept | None
+    trace: ScoredTrace | None
     failed: str
 
 
 def lanes_for(specification: Specification, sample_time: float) -> int:
-    """Lanes of a batch: fewer where records are so long that memory would not hold them."""
+    """Return the lanes of a batch; long records take fewer to limit the memory."""
     lanes = LANES if specification.loop == "open" else IN_LOOP
     rows = specification.course.duration / sample_time
-    while lanes > 8 and lanes * rows > MOST:
+    while lanes > 8 and lanes * rows > MAX_SAMPLES:
         lanes //= 2
     return lanes
 
@@ -87,14 +86,14 @@ def simulated(
     lanes: int,
     equip: Callable[[Drive], Drive] = lambda drive: drive,
 ) -> Iterator[Simulated]:
-    """Simulate scenarios of one machine; in no particular order.
+    """Simulate scenarios of one machine; yield them in no particular order.
 
     Parameters
     ----------
     lanes : int
-        Drives of a batch.
+        Drives per batch.
     equip : callable
-        Adds what is alike in all drives, as an observer in the loop.
+        Equips each drive with parts that all share, such as an observer in the loop.
     """
     groups: dict[Any, list[tuple[Scenario, Drive, Course]]] = {}
     for scenario in scenarios:
@@ -106,10 +105,10 @@ def simulated(
         except FluxobsError as error:
             yield Simulated(scenario, None, None, str(error))
             continue
-        # A drive's steps are its own: a power of two, so that there are few groups.
-        group = 1 << (steps - 1).bit_length()
-        groups.setdefault(group, []).append((scenario, drive, course))
-    knots = most_knots(specification.course)
+        # The step count depends on this drive alone; rounding to a power of two limits the groups.
+        rounded_steps = 1 << (steps - 1).bit_length()
+        groups.setdefault(rounded_steps, []).append((scenario, drive, course))
+    knots = max_knots(specification.course)
     for steps, members in sorted(groups.items()):
         for first in range(0, len(members), lanes):
             yield from _batch(specification, members[first : first + lanes], steps, lanes, knots)
@@ -123,15 +122,19 @@ def _batch(
     knots: int,
 ) -> Iterator[Simulated]:
     drive = members[0][1]
-    rows = round(specification.course.duration / float(drive.sample_time))
-    filled = members + members[:1] * (lanes - len(members))
-    noise = np.empty((lanes, rows, 3))
+    samples = round(specification.course.duration / float(drive.sample_time))
+    padded = members + members[:1] * (lanes - len(members))
+    noise = np.empty((lanes, samples, 3))
     for k, (scenario, _, _) in enumerate(members):
         scenario.generator(NOISE).standard_normal(out=noise[k])
     noise[len(members) :] = noise[0]
-    finite, trace = simulate_lanes([(d, c) for _, d, c in filled], noise, steps, keep, knots)
+    finite, trace = simulate_lanes(
+        [(d, c) for _, d, c in padded], noise, steps, select_scored, knots
+    )
     for k, (scenario, drive, _) in enumerate(members):
         if finite[k]:
-            yield Simulated(scenario, drive, Kept(*(part[k] for part in trace)), "")
+            yield Simulated(scenario, drive, ScoredTrace(*(signal[k] for signal in trace)), "")
         else:
-            yield Simulated(scenario, drive, None, "the simulation ends without a number")
+            yield Simulated(
+                scenario, drive, None, "the simulation diverged: its result is not finite"
+            )

@@ -1,4 +1,4 @@
-"""The specification of a campaign: what is simulated, what varies, which observers, what passes."""
+"""The specification of a campaign: drives, varying quantities, observers and limits."""
 
 # ruff: noqa: RUF012 (pydantic copies the defaults)
 
@@ -18,22 +18,22 @@ from ..core.references import beside
 from ..core.validation import NotNegative, Number, Positive, Table, complaints, nearest
 from ..errors import FluxobsError, UsageError
 from ..machines import as_machine, example_names, rotating
-from .distributions import Distribution, Given, correlator
+from .distributions import Distribution, DistributionField, correlator
 from .quantities import PARAMETERS, QUANTITIES, TOGETHER
 
-#: Names of the compiled observers; all others are those of the comparison.
+#: Names of the compiled observers; all other names are those of the comparison.
 PLAIN, ADAPTIVE = "plain", "adaptive"
-#: Largest number of scenarios of a machine: their numbers have seven digits.
+#: Largest number of scenarios per machine: numbers have seven digits.
 MOST = 10_000_000
 
 
 class DriveTable(Table):
-    """Ratings of the drive that the machine file does not hold; default those of a shipped machine.
+    """Ratings of the drive that the machine file lacks; default those of a shipped machine.
 
     Parameters
     ----------
     sample_time : float
-        [s].
+        Sample time [s].
     speed_e : float
         Rated electrical speed [rad/s].
     torque : float
@@ -41,7 +41,7 @@ class DriveTable(Table):
     J : float
         Inertia with the load [kg m²].
     dc_link : float
-        [V].
+        DC-link voltage [V].
     """
 
     sample_time: Positive | None = None
@@ -51,12 +51,12 @@ class DriveTable(Table):
     dc_link: Positive | None = None
 
 
-def _course(given: Any, read: Any) -> Any:
+def _course(value: Any, validate: Any) -> Any:
     try:
-        return read(given)
+        return validate(value)
     except ValidationError:
         raise ValueError(
-            f'give "random", or [[time in s, share of the rated value], …], got {given!r}'
+            f'give "random", or [[time in s, share of the rated value], …], got {value!r}'
         ) from None
 
 
@@ -73,17 +73,17 @@ class CourseTable(Table):
     duration : float
         Length of a record [s].
     score_from : float
-        The first part is not scored [s].
+        Start of the scored part [s].
     speed, load : list of [time, share], or "random"
         Piecewise linear; equal times make a jump. "random": segments of random length.
     speeds : [least, most]
-        Size of the speed in a random segment, uniform in the logarithm.
+        Magnitude of the speed in a random segment, uniform in the logarithm.
     loads : [least, most]
         Load in a random segment, uniform.
     segment : [shortest, longest]
         Length of a random segment [s].
     stops, reversals : float
-        Share of the random segments that stand still; that reverse.
+        Share of the random segments at standstill; share of those that reverse.
     ramp : float
         Time from zero to rated speed in a random course [s].
     """
@@ -103,14 +103,14 @@ class CourseTable(Table):
     def _possible(self) -> CourseTable:
         if not self.score_from < self.duration:
             raise ValueError(
-                f"score_from = {self.score_from:g} s: nothing of {self.duration:g} s is left"
+                f"score_from = {self.score_from:g} s must be below duration = {self.duration:g} s"
             )
         for name in ("speeds", "segment"):
-            low, high = getattr(self, name)
-            if not 0 < low <= high:
-                raise ValueError(f"{name} = [least, most] must be positive and rise")
+            lower, upper = getattr(self, name)
+            if not 0 < lower <= upper:
+                raise ValueError(f"{name} = [least, most] must be positive and ascending")
         if not self.loads[0] <= self.loads[1]:
-            raise ValueError("loads = [least, most] must rise")
+            raise ValueError("loads = [least, most] must be ascending")
         for name in ("stops", "reversals"):
             if getattr(self, name) > 1:
                 raise ValueError(f"{name} is a share, at most 1")
@@ -121,11 +121,11 @@ class CourseTable(Table):
         return self
 
 
-def _named(given: Any) -> Any:
-    """An observer may be given by its name alone."""
-    if not isinstance(given, str | dict | ObserverTable):
-        raise ValueError(f"give a name, or a table with kind = NAME, got {given!r}")
-    return {"kind": given} if isinstance(given, str) else given
+def _as_observer_table(value: Any) -> Any:
+    """Return a bare name as a table of an observer."""
+    if not isinstance(value, str | dict | ObserverTable):
+        raise ValueError(f"give a name, or a table with kind = NAME, got {value!r}")
+    return {"kind": value} if isinstance(value, str) else value
 
 
 class ObserverTable(Table):
@@ -136,16 +136,16 @@ class ObserverTable(Table):
     kind : str
         "plain", "adaptive", or a name of `fluxobs compare`.
     name : str, optional
-        What rows and reports call it; default its kind.
+        Name in rows and reports; default the kind.
     memory : float, optional
-        Of plain and adaptive [s].
+        Memory of plain and adaptive, the time constant of forgetting [s].
     unknowns : list of str, optional
-        Of the adaptive one: drift, resistance, inverter, asymmetry; default the first three.
+        For adaptive: drift, resistance, inverter, asymmetry; default the first three.
     gains : mapping, optional
-        Of the others; default their usual ones. They do not judge themselves: their position counts
-        as valid above 5 % of the rated speed.
+        For the other observers; default the recommended gains. They have no validity flag: their
+        position counts as valid above 5 % of the rated speed.
     machine : mapping
-        Factors on what this observer believes: R, L, psi.
+        Factors on the parameters that this observer assumes: R, L, psi.
     """
 
     kind: str
@@ -156,17 +156,17 @@ class ObserverTable(Table):
     machine: dict[str, Positive] = {}
 
     @model_validator(mode="after")
-    def _own(self) -> ObserverTable:
+    def _check_settings(self) -> ObserverTable:
         compiled = self.kind in (PLAIN, ADAPTIVE)
         if compiled and self.gains:
-            raise ValueError(f"{self.kind} has no gains; its one setting is memory")
+            raise ValueError(f"{self.kind} has no gains; set its memory")
         if not compiled and self.memory is not None:
-            raise ValueError(f"memory is for plain and adaptive; {self.kind} has gains")
+            raise ValueError(f"memory applies only to plain and adaptive; {self.kind} has gains")
         if self.kind != ADAPTIVE and self.unknowns is not None:
-            raise ValueError(f"unknowns is for adaptive, not for {self.kind}")
+            raise ValueError(f"unknowns applies only to adaptive, not to {self.kind}")
         for key in self.machine:
             if key not in ("R", "L", "psi"):
-                raise ValueError(f"machine: factors on R, L, psi; got {key!r}")
+                raise ValueError(f"machine: give factors on R, L, psi; got {key!r}")
         if not self.name:
             object.__setattr__(self, "name", self.kind)
         return self
@@ -176,18 +176,18 @@ Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
 
 class GoodTable(Table):
-    """When a scenario counts as good: all that is given must hold.
+    """Criterion of a good scenario: all given conditions must hold.
 
     Parameters
     ----------
     rms, worst : float
-        Rms and largest position error on the scored valid rows [°].
+        Upper limits of the rms and the largest position error on the scored valid rows [°].
     valid : float
-        Share of the scored rows that are valid, at least.
+        Smallest share of the scored rows that are valid.
     first_valid : float
-        Time until the position is first valid, at most [s].
+        Upper limit of the time until the position is first valid [s].
     losses : int
-        Losses of the position, trips included, in the loop.
+        Upper limit of the losses of the position in the loop, trips included.
     """
 
     rms: Positive | None = 2.0
@@ -198,14 +198,14 @@ class GoodTable(Table):
 
 
 class LimitTable(Table):
-    """What the campaign must reach.
+    """A requirement on the campaign.
 
     Parameters
     ----------
     good : float
-        Share of good scenarios, at least.
+        Smallest share of good scenarios.
     observer, machine : str, optional
-        Of this observer, on this machine; default every one.
+        The observer and the machine to which it applies; default all.
     """
 
     good: Share
@@ -213,25 +213,27 @@ class LimitTable(Table):
     machine: str | None = None
 
 
-Observers = Annotated[list[Annotated[ObserverTable, BeforeValidator(_named)]], Field(min_length=1)]
+Observers = Annotated[
+    list[Annotated[ObserverTable, BeforeValidator(_as_observer_table)]], Field(min_length=1)
+]
 
 
 class Specification(Table):
-    """All of a campaign.
+    """Definition of a campaign.
 
     Parameters
     ----------
     name : str
     machines : list of str
-        Shipped machines, or machine files (in a specification's file: beside it, or below).
+        Shipped machines, or machine files (for a specification in a file: beside or below it).
     scenarios : int
-        Of each machine.
+        Number of scenarios per machine.
     seed : int
     loop : {"open", "closed"}
-        "open": a drive with an encoder makes the record, all observers see the same one. "closed":
-        each observer is in the loop of its own drive, on the same draws.
+        "open": all observers run on the same record of a drive with an encoder. "closed": each
+        observer is in the loop of its own drive; all use the same draws.
     sampling : {"random", "sobol"}
-        How the unit cube is filled; grids are taken in either.
+        How the points of the unit cube are drawn; both are combined with the grids.
     drive, course, vary, correlation, observers, good, limits
         See the tables.
     """
@@ -244,92 +246,100 @@ class Specification(Table):
     sampling: Literal["random", "sobol"] = "random"
     drive: DriveTable = DriveTable()
     course: CourseTable = CourseTable()
-    vary: dict[str, Given] = {}
+    vary: dict[str, DistributionField] = {}
     correlation: dict[str, Number] = {}
     observers: Observers
     good: GoodTable = GoodTable()
     limits: list[LimitTable] = []
 
-    def __init__(self, **given: Any) -> None:
+    def __init__(self, **fields: Any) -> None:
         try:
-            super().__init__(**given)
+            super().__init__(**fields)
         except ValidationError as error:
             raise UsageError(complaints(error, type(self).model_fields, "a campaign")) from None
 
     @model_validator(mode="after")
-    def _together(self) -> Specification:
+    def _check_quantities(self) -> Specification:
         vary = {}
-        for name, one in self.vary.items():
-            if name not in (*QUANTITIES, *TOGETHER, *PARAMETERS):
-                known = (*QUANTITIES, *TOGETHER, *PARAMETERS)
-                raise ValueError(f"vary: unknown quantity {name!r}{nearest(name, known)}")
-            for part in TOGETHER.get(name, (name,)):
-                if part in vary:
-                    raise ValueError(f"vary: {part} is given twice")
-                least = QUANTITIES[part].least if part in QUANTITIES else -np.inf
-                if one.fixed is not None and not one.fixed > least:
-                    raise ValueError(f"vary: {name} = {one.fixed:g} is impossible for a drive")
-                vary[part] = one
-        # Nobody knows the angle at which a rotor stands.
+        for name, distribution in self.vary.items():
+            choices = (*QUANTITIES, *TOGETHER, *PARAMETERS)
+            if name not in choices:
+                raise ValueError(f"vary: unknown quantity {name!r}{nearest(name, choices)}")
+            for quantity in TOGETHER.get(name, (name,)):
+                if quantity in vary:
+                    raise ValueError(f"vary: {quantity} is given twice")
+                lower = QUANTITIES[quantity].least if quantity in QUANTITIES else -np.inf
+                if distribution.fixed is not None and not distribution.fixed > lower:
+                    raise ValueError(
+                        f"vary: {name} = {distribution.fixed:g} is impossible for a drive"
+                    )
+                vary[quantity] = distribution
+        # The angle of the rotor at the start is unknown.
         vary.setdefault("theta_e", Distribution(uniform=[-np.pi, np.pi]))
-        # By name, as JSON has them: the axes of the unit cube are the same for all.
+        # Sorted by name as in the JSON, so that the axes of the unit cube never change.
         object.__setattr__(self, "vary", dict(sorted(vary.items())))
-        names = [one.name for one in self.observers]
+        names = [table.name for table in self.observers]
         if len(set(names)) != len(names):
-            raise ValueError(f"observers need names of their own (name = …), got {names}")
+            raise ValueError(f"observers need different names (name = …), got {names}")
         if len(set(self.machines)) != len(self.machines):
-            raise ValueError("machines: one is named twice")
+            raise ValueError(f"machines: each may be given only once, got {self.machines}")
         if self.good.losses is not None and self.loop == "open":
-            raise ValueError('good.losses: only with loop = "closed" can an observer be lost')
+            raise ValueError('good.losses applies only with loop = "closed"')
         return self
 
     @model_validator(mode="after")
-    def _limits_known(self) -> Specification:
-        names = [one.name for one in self.observers]
+    def _check_limits(self) -> Specification:
+        names = [table.name for table in self.observers]
         for limit in self.limits:
-            for what, word, there in (
+            for field, value, choices in (
                 ("observer", limit.observer, names),
                 ("machine", limit.machine, self.machines),
             ):
-                if word is not None and word not in there:
-                    raise ValueError(f"limits: no {what} {word!r}{nearest(word, there)}")
+                if value is not None and value not in choices:
+                    raise ValueError(f"limits: no {field} {value!r}{nearest(value, choices)}")
         return self
 
     @model_validator(mode="after")
-    def _sampled_evenly(self) -> Specification:
-        drives, left = divmod(self.scenarios, self.places)
-        if left:
-            least = drives * self.places
+    def _check_even_sampling(self) -> Specification:
+        per_place, remainder = divmod(self.scenarios, self.places)
+        if remainder:
+            lower = per_place * self.places
             raise ValueError(
                 f"scenarios = {self.scenarios}: the grid of {', '.join(self.grids)} has "
                 f"{self.places} places; "
-                f"take {f'{least} or ' if least else ''}{least + self.places}"
+                f"take {f'{lower} or ' if lower else ''}{lower + self.places}"
             )
-        if self.sampling == "sobol" and drives & (drives - 1):
-            least = self.places * 2 ** int(np.log2(drives))
+        if self.sampling == "sobol" and per_place & (per_place - 1):
+            lower = self.places * 2 ** int(np.log2(per_place))
             raise ValueError(
-                f"scenarios = {self.scenarios}: Sobol' points are even only in powers of two"
-                f"{' at each place of the grid' if self.grids else ''}; take {least} or {2 * least}"
+                f"scenarios = {self.scenarios}: Sobol' points need a power of two"
+                f"{' at each place of the grid' if self.grids else ''}; take {lower} or {2 * lower}"
             )
         return self
 
     @property
     def varied(self) -> tuple[str, ...]:
-        """Quantities that differ from drive to drive, in order: the axes of the unit cube."""
-        return tuple(name for name, one in self.vary.items() if one.varies and one.grid is None)
+        """Quantities with a continuous draw or a choice, in order: the axes of the unit cube."""
+        return tuple(
+            name
+            for name, distribution in self.vary.items()
+            if distribution.varies and distribution.grid is None
+        )
 
     @property
     def grids(self) -> tuple[str, ...]:
         """Quantities with a grid."""
-        return tuple(name for name, one in self.vary.items() if one.grid is not None)
+        return tuple(
+            name for name, distribution in self.vary.items() if distribution.grid is not None
+        )
 
     @property
     def places(self) -> int:
-        """Number of places in the product of all grids; 1 without a grid."""
+        """Number of combinations of all grids; 1 without a grid."""
         return math.prod(len(self.vary[name].grid or ()) for name in self.grids)
 
     def observer(self, name: str | None = None) -> ObserverTable:
-        """The observer of a name, or the first; UsageError if there is none."""
+        """Return the observer of a name, or the first; raise UsageError if there is none."""
         for table in self.observers:
             if name in (None, table.name):
                 return table
@@ -337,60 +347,65 @@ class Specification(Table):
         raise UsageError(f"no observer {name!r}{nearest(str(name), names)}")
 
     def called(self, machine: str) -> str:
-        """What reports call a machine: the name of its file, if there is one of that name."""
-        stems = [Path(one).stem for one in self.machines]
-        short = Path(machine).stem
-        return short if machine.endswith(".toml") and stems.count(short) == 1 else machine
+        """Return a machine's name in reports: the stem of its file if unique, else its path."""
+        stems = [Path(path).stem for path in self.machines]
+        stem = Path(machine).stem
+        return stem if machine.endswith(".toml") and stems.count(stem) == 1 else machine
 
     def canonical(self) -> str:
-        """JSON that is equal for equal campaigns."""
+        """Return the JSON of the campaign, equal for equal campaigns."""
         return json.dumps(self.model_dump(mode="json"), sort_keys=True, ensure_ascii=False)
 
 
 def hashed(text: str) -> str:
-    """Sixteen digits that stand for a text."""
+    """Return a hash of a text: sixteen hexadecimal digits."""
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def read_specification(path: str | Path) -> Specification:
-    """A specification from a TOML file; its machine files lie beside it, or in folders below.
+    """Read a specification from a TOML file; machine files must lie beside or below it.
 
     Raises
     ------
     FluxobsError
-        The file cannot be read, is not TOML, something in it is unknown or impossible, or a machine
-        file lies elsewhere.
+        The file cannot be read or is not TOML; an entry is unknown or impossible; a machine file
+        lies elsewhere.
     """
     path = Path(path)
-    given = read_toml(path, FluxobsError)
-    machines = given.get("machines")
-    limits = given.get("limits")
+    fields = read_toml(path, FluxobsError)
+    machines = fields.get("machines")
+    limits = fields.get("limits")
     try:
         if isinstance(machines, list):
-            given["machines"] = [_found(path.parent, one, "machines") for one in machines]
+            fields["machines"] = [
+                _resolve_machine(path.parent, machine, "machines") for machine in machines
+            ]
         for limit in limits if isinstance(limits, list) else []:
             if isinstance(limit, dict) and "machine" in limit:
-                limit["machine"] = _found(path.parent, limit["machine"], "limits: machine")
-        return Specification(**given)
+                limit["machine"] = _resolve_machine(
+                    path.parent, limit["machine"], "limits: machine"
+                )
+        return Specification(**fields)
     except FluxobsError as error:
         raise FluxobsError(f"{path}: {error}") from None
 
 
-def _found(folder: Path, machine: Any, field: str) -> Any:
-    """A shipped machine by its name, a machine file by its path."""
+def _resolve_machine(folder: Path, machine: Any, field: str) -> Any:
+    """Return the name of a shipped machine as it is, a machine file as an absolute path."""
     if not isinstance(machine, str) or machine in example_names():
         return machine
     return str(beside(folder, machine, field).resolve())
 
 
 def check(specification: Specification) -> None:
-    """Raises FluxobsError for what only machines and the catalogue of observers can tell."""
+    """Raise FluxobsError if the correlations or the machines' parameters do not fit."""
     correlator(specification.varied, specification.correlation)
     for name in specification.machines:
         machine = rotating(as_machine(name), "a campaign")
-        has = [p for p in PARAMETERS if getattr(machine, p, None) is not None]
+        parameters = [symbol for symbol in PARAMETERS if getattr(machine, symbol, None) is not None]
         for quantity in specification.vary:
-            if quantity in PARAMETERS and quantity not in has:
+            if quantity in PARAMETERS and quantity not in parameters:
                 raise UsageError(
-                    f"vary: {name} ({machine.kind}) has no {quantity}; it has {', '.join(has)}"
+                    f"vary: {name} ({machine.kind}) has no {quantity}; it has "
+                    f"{', '.join(parameters)}"
                 )

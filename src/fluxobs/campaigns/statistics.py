@@ -1,4 +1,4 @@
-"""What the rows of a campaign say: yields with intervals, and which tolerance matters."""
+"""Statistics of a campaign's rows: yields with intervals, and indices of the tolerances."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from scipy.stats import beta
 from ..core.arrays import Array
 from .specification import GoodTable, LimitTable, Specification
 
-#: All intervals are of this confidence.
+#: Confidence of all intervals.
 CONFIDENCE = 0.95
-#: Bins of a quantity for its index: at least so many rows each, at most so many bins.
-LEAST_IN_BIN, MOST_BINS = 20, 32
-#: Fewest scenarios from which indices are told.
-FEWEST = 4 * LEAST_IN_BIN
-#: Resamplings for the interval of an index.
+#: Bins of a quantity for its index: smallest number of rows per bin, largest number of bins.
+MIN_IN_BIN, MAX_BINS = 20, 32
+#: Smallest number of scenarios for which indices are computed.
+FEWEST = 4 * MIN_IN_BIN
+#: Number of resamplings for the interval of an index.
 RESAMPLED = 200
 
 
 class Yield(NamedTuple):
-    """Good scenarios of all, and the Clopper-Pearson interval of their share."""
+    """Number of good scenarios of all, with the Clopper-Pearson interval of their share."""
 
     good: int
     of: int
@@ -37,9 +37,9 @@ class Yield(NamedTuple):
     def interval(self) -> tuple[float, float]:
         """Exact interval of a binomial share (Clopper and Pearson, doi:10.1093/biomet/26.4.404)."""
         tail, k, n = (1 - CONFIDENCE) / 2, self.good, self.of
-        low = float(beta.ppf(tail, k, n - k + 1)) if k else 0.0
-        high = float(beta.ppf(1 - tail, k + 1, n - k)) if k < n else 1.0
-        return low, high
+        lower = float(beta.ppf(tail, k, n - k + 1)) if k else 0.0
+        upper = float(beta.ppf(1 - tail, k + 1, n - k)) if k < n else 1.0
+        return lower, upper
 
     def __str__(self) -> str:
         low, high = self.interval
@@ -47,7 +47,7 @@ class Yield(NamedTuple):
 
 
 def is_good(table: GoodTable) -> pl.Expr:
-    """Whether a row is good. One without a valid row, or that could not be simulated, is not."""
+    """Return the condition of a good scenario: simulated, with a valid row, and within limits."""
     conditions = [pl.col("failed").is_null(), pl.col("rms").is_not_null()]
     for name in ("rms", "worst"):
         limit = getattr(table, name)
@@ -63,35 +63,35 @@ def is_good(table: GoodTable) -> pl.Expr:
 
 
 def in_words(table: GoodTable) -> str:
-    """What good means: "2° rms, 10° at most, …"."""
-    words = []
+    """Describe the criterion of a good scenario: "2° rms, 10° at most, …"."""
+    conditions = []
     if table.rms is not None:
-        words.append(f"{table.rms:g}° rms")
+        conditions.append(f"{table.rms:g}° rms")
     if table.worst is not None:
-        words.append(f"{table.worst:g}° at most")
+        conditions.append(f"{table.worst:g}° at most")
     if table.valid is not None:
-        words.append(f"valid on {100 * table.valid:g} % of the rows")
+        conditions.append(f"valid on {100 * table.valid:g} % of the rows")
     if table.first_valid is not None:
-        words.append(f"valid after {table.first_valid:g} s")
+        conditions.append(f"valid after {table.first_valid:g} s")
     if table.losses is not None:
-        words.append(f"lost {table.losses} times at most" if table.losses else "never lost")
-    return ", ".join(words) or "ever valid"
+        conditions.append(f"lost {table.losses} times at most" if table.losses else "never lost")
+    return ", ".join(conditions) or "ever valid"
 
 
 def group(rows: pl.DataFrame, machine: str | None, observer: str | None) -> pl.DataFrame:
-    """Rows of one machine, or all; of one observer, or all."""
+    """Return the rows of one machine (None: all) and one observer (None: all)."""
     if machine is not None:
         rows = rows.filter(pl.col("machine") == machine)
     return rows if observer is None else rows.filter(pl.col("observer") == observer)
 
 
 def yield_of(rows: pl.DataFrame, table: GoodTable) -> Yield:
-    """Good rows of some."""
+    """Count the good rows."""
     return Yield(int(rows.select(is_good(table).sum()).item()), len(rows))
 
 
 class Verdict(NamedTuple):
-    """A limit of the specification, for one observer on one machine."""
+    """Result of a limit of the specification for one observer on one machine."""
 
     machine: str
     observer: str
@@ -103,19 +103,21 @@ class Verdict(NamedTuple):
         return self.found.share >= self.wanted
 
     def __str__(self) -> str:
-        low, high = self.found.interval
-        sure = "" if not low <= self.wanted <= high else "; too few scenarios to be sure"
-        word = "met" if self.met else "missed"
+        lower, upper = self.found.interval
+        doubt = (
+            "" if not lower <= self.wanted <= upper else "; more scenarios are needed to be sure"
+        )
+        outcome = "met" if self.met else "missed"
         return (
-            f"{word}: {self.observer} on {self.machine}: {self.found}, wanted "
-            f"{100 * self.wanted:g} %{sure}"
+            f"{outcome}: {self.observer} on {self.machine}: {self.found}, wanted "
+            f"{100 * self.wanted:g} %{doubt}"
         )
 
 
 def verdicts(specification: Specification, rows: pl.DataFrame) -> list[Verdict]:
-    """Every limit, for every observer and machine that it names."""
+    """Evaluate each limit for all observers and machines to which it applies."""
 
-    def asked(limit: LimitTable) -> Iterator[tuple[str, str]]:
+    def pairs_of(limit: LimitTable) -> Iterator[tuple[str, str]]:
         for machine in specification.machines:
             for table in specification.observers:
                 if limit.machine in (None, machine) and limit.observer in (None, table.name):
@@ -129,12 +131,12 @@ def verdicts(specification: Specification, rows: pl.DataFrame) -> list[Verdict]:
             yield_of(group(rows, machine, name), specification.good),
         )
         for limit in specification.limits
-        for machine, name in asked(limit)
+        for machine, name in pairs_of(limit)
     ]
 
 
 class Index(NamedTuple):
-    """How much of the variance of the position error one quantity explains, with its interval."""
+    """Share of the position error's variance that one quantity explains, with its interval."""
 
     quantity: str
     share: float
@@ -143,24 +145,27 @@ class Index(NamedTuple):
 
 
 def response(rows: pl.DataFrame) -> Array:
-    """What the indices explain: the logarithm of the rms position error, for errors spread over
-    decades; an observer without a valid row has the error of an angle that is not known."""
+    """Return the response that the indices explain: the logarithm of the rms position error.
+
+    The logarithm suits errors that spread over decades. Without a valid row the error is that of a
+    uniformly distributed angle, π/√3.
+    """
     rms = rows["rms"].fill_null(np.pi / np.sqrt(3)).to_numpy()
     return np.asarray(np.log10(np.maximum(rms, 1e-6)))
 
 
 def indices(rows: pl.DataFrame, quantities: tuple[str, ...], seed: int = 0) -> list[Index]:
-    """First-order Sobol' indices from the rows as they are, the largest first.
+    """Estimate first-order Sobol' indices from the given rows; return the largest first.
 
-    ``Var(E[y|x])/Var(y)`` from the means of y in bins of x with equally many rows, less what chance
-    alone gives them. Intervals by resampling the rows. What the indices leave of 1 is due to
-    quantities together, to the course and to noise. With correlated quantities they are correlation
-    ratios: those of quantities that go together overlap.
+    ``Var(E[y|x])/Var(y)`` from the means of y in bins of x with equally many rows, with the bias of
+    chance removed. Intervals come from resampling the rows. The rest to 1 is due to combinations of
+    quantities, the course and noise. With correlated quantities the indices are correlation ratios,
+    which overlap.
 
     Parameters
     ----------
     rows : DataFrame
-        Of one machine and observer.
+        Rows of one machine and observer.
     quantities : tuple of str
 
     References
@@ -172,36 +177,36 @@ def indices(rows: pl.DataFrame, quantities: tuple[str, ...], seed: int = 0) -> l
     if len(y) < FEWEST or not np.var(y) > 0:
         return []
     rng = np.random.default_rng(seed)
-    out = []
+    results = []
     for name in quantities:
         x = rows[name].to_numpy()
         if not np.ptp(x) > 0:
             continue
-        found = _first_order(x, y)
-        again = []
+        share = _first_order(x, y)
+        resampled = []
         for _ in range(RESAMPLED):
             pick = rng.integers(len(y), size=len(y))
-            again.append(_first_order(x[pick], y[pick]))
-        # Resampled rows repeat, which looks like an effect: their mean is moved back.
-        spread = np.asarray(again) - np.mean(again) + found
-        low, high = np.quantile(spread, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-        out.append(Index(name, max(found, 0.0), max(float(low), 0.0), max(float(high), 0.0)))
-    return sorted(out, key=lambda one: -one.share)
+            resampled.append(_first_order(x[pick], y[pick]))
+        # Repeated rows in a resample look like an effect: move the mean back to the estimate.
+        spread = np.asarray(resampled) - np.mean(resampled) + share
+        lower, upper = np.quantile(spread, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+        results.append(Index(name, max(share, 0.0), max(float(lower), 0.0), max(float(upper), 0.0)))
+    return sorted(results, key=lambda index: -index.share)
 
 
 def _first_order(x: Array, y: Array) -> float:
-    """Share of the variance of y that the mean of y over x explains, without bias."""
+    """Return the share of y's variance that the mean of y over x explains, without bias."""
     n = len(y)
-    bins = int(np.clip(n // LEAST_IN_BIN, 2, MOST_BINS))
+    bins = int(np.clip(n // MIN_IN_BIN, 2, MAX_BINS))
     order = np.argsort(x, kind="stable")
     _, levels = np.unique(x, return_inverse=True)
-    if levels.max() < bins:  # a grid, or a choice: its values are the bins
-        place = levels
+    if levels.max() < bins:  # a grid or a choice: one bin per value
+        bin_index = levels
     else:
-        place = np.empty(n, int)
-        place[order] = np.arange(n) * bins // n
-    count = np.bincount(place)
-    mean = np.bincount(place, y) / count
+        bin_index = np.empty(n, int)
+        bin_index[order] = np.arange(n) * bins // n
+    count = np.bincount(bin_index)
+    mean = np.bincount(bin_index, y) / count
     total = float(np.sum((y - y.mean()) ** 2))
     between = float(np.sum(count * (mean - y.mean()) ** 2))
     within = (total - between) / max(n - len(count), 1)
@@ -209,7 +214,7 @@ def _first_order(x: Array, y: Array) -> float:
 
 
 class Pair(NamedTuple):
-    """Share of good scenarios over two quantities: edges, and good and all in each cell."""
+    """Good scenarios over two quantities: edges, and the counts of good and all in each cell."""
 
     x: str
     y: str
@@ -219,15 +224,15 @@ class Pair(NamedTuple):
     of: NDArray[np.int64]
 
 
-def pair(rows: pl.DataFrame, table: GoodTable, x: str, y: str, most: int = 8) -> Pair:
-    """Yield over a pair of quantities, in cells of about thirty scenarios."""
-    cells = int(np.clip(np.sqrt(len(rows) / 30), 2, most))
+def pair(rows: pl.DataFrame, table: GoodTable, x: str, y: str, max_cells: int = 8) -> Pair:
+    """Count good and all scenarios over two quantities, in cells of about thirty scenarios."""
+    cells = int(np.clip(np.sqrt(len(rows) / 30), 2, max_cells))
     good = rows.select(is_good(table)).to_series().to_numpy()
     edges = []
     for name in (x, y):
         values = rows[name].to_numpy()
         edges.append(np.unique(np.quantile(values, np.linspace(0, 1, cells + 1))))
     a, b = rows[x].to_numpy(), rows[y].to_numpy()
-    of = np.histogram2d(a, b, bins=edges)[0].astype(int)
-    hit = np.histogram2d(a[good], b[good], bins=edges)[0].astype(int)
-    return Pair(x, y, edges[0], edges[1], hit, of)
+    count = np.histogram2d(a, b, bins=edges)[0].astype(int)
+    good_count = np.histogram2d(a[good], b[good], bins=edges)[0].astype(int)
+    return Pair(x, y, edges[0], edges[1], good_count, count)

@@ -1,4 +1,4 @@
-"""The worst scenarios of a campaign, kept with their records."""
+"""The records of a campaign's worst scenarios."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from .chunk import specification_of
 from .dataset import WORST, Dataset
 from .specification import ADAPTIVE, PLAIN, Specification
 
-#: How many of each observer are kept.
+#: Number of worst scenarios whose records are written, per observer.
 KEPT = 10
 
 
 class Worst(NamedTuple):
-    """Scenarios of one machine to keep with one observer."""
+    """Scenarios of one machine whose records with one observer are to be written."""
 
     observer: str
     numbers: tuple[int, ...]
@@ -30,57 +30,57 @@ class Worst(NamedTuple):
 
 
 def stem(specification: Specification, number: int, observer: str) -> str:
-    """Name of the files of a scenario with an observer, without their endings."""
-    place = specification.observers.index(specification.observer(observer))
-    words = re.sub(r"[^a-z0-9]+", "-", observer.lower()).strip("-")
-    return f"{number:08d}-{place}-{words}"  # other names may have the same words
+    """Return the file name of a scenario with an observer, without suffix."""
+    position = specification.observers.index(specification.observer(observer))
+    slug = re.sub(r"[^a-z0-9]+", "-", observer.lower()).strip("-")
+    return f"{number:08d}-{position}-{slug}"  # the position tells equal slugs apart
 
 
 def worst(rows: pl.LazyFrame, observer: str) -> pl.DataFrame:
-    """The rows with the largest errors that an observer called valid, the largest first."""
-    mine = rows.filter((pl.col("observer") == observer) & pl.col("worst").is_not_null())
-    return mine.sort("worst", "number", descending=[True, False]).head(KEPT).collect()
+    """Return the rows with the largest errors on valid rows of an observer, the largest first."""
+    valid = rows.filter((pl.col("observer") == observer) & pl.col("worst").is_not_null())
+    return valid.sort("worst", "number", descending=[True, False]).head(KEPT).collect()
 
 
-def lacking(found: Dataset) -> Iterator[Worst]:
-    """What is to be kept and is not there yet, by machine."""
-    rows = found.scan()
-    for table in found.specification.observers:
-        with found.reading():
-            kept = worst(rows, table.name)
-        for machine in found.specification.machines:
-            numbers = kept.filter(pl.col("machine") == machine)["number"].to_list()
-            lack = [n for n in numbers if not _record(found, n, table.name).exists()]
-            if lack:
-                yield Worst(table.name, tuple(lack))
+def missing_records(dataset: Dataset) -> Iterator[Worst]:
+    """Yield the worst scenarios without a record, by observer and machine."""
+    rows = dataset.scan()
+    for table in dataset.specification.observers:
+        with dataset.reading():
+            worst_rows = worst(rows, table.name)
+        for machine in dataset.specification.machines:
+            numbers = worst_rows.filter(pl.col("machine") == machine)["number"].to_list()
+            missing = [n for n in numbers if not _record_path(dataset, n, table.name).exists()]
+            if missing:
+                yield Worst(table.name, tuple(missing))
 
 
-def _record(found: Dataset, number: int, observer: str) -> Path:
-    return found.folder / WORST / f"{stem(found.specification, number, observer)}.parquet"
+def _record_path(dataset: Dataset, number: int, observer: str) -> Path:
+    return dataset.folder / WORST / f"{stem(dataset.specification, number, observer)}.parquet"
 
 
 @dataclass(frozen=True)
-class Keep:
-    """The work of keeping some; as a function it is sent to the workers."""
+class RecordTask:
+    """A task that writes the records of worst scenarios; it is sent to the workers."""
 
     folder: str
     specification: str
 
-    def __call__(self, what: Worst) -> None:
-        """Simulate them again; write their records, and reports of those that fluxobs estimates."""
+    def __call__(self, worst: Worst) -> None:
+        """Repeat the scenarios; write their records, and reports for plain and adaptive."""
         from .rerun import rerun, write_record
 
         specification = specification_of(self.specification)
-        for one in rerun(specification, what.numbers, what.observer):
-            name = stem(specification, one.number, what.observer)
-            place = Path(self.folder) / WORST / name
-            if one.table.kind in (PLAIN, ADAPTIVE) and can_report():
-                one.estimate().write(place.with_suffix(".html"))
-            write_record(one, place.with_suffix(".parquet"))
+        for repeated in rerun(specification, worst.numbers, worst.observer):
+            name = stem(specification, repeated.number, worst.observer)
+            path = Path(self.folder) / WORST / name
+            if repeated.table.kind in (PLAIN, ADAPTIVE) and can_report():
+                repeated.estimate().write(path.with_suffix(".html"))
+            write_record(repeated, path.with_suffix(".parquet"))
 
 
 def can_report() -> bool:
-    """Whether interactive reports can be made: their template is built with the page."""
+    """Return whether interactive reports can be written: the page's template is built."""
     try:
         built("report.html")
     except ValueError:

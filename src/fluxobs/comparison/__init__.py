@@ -1,1 +1,1 @@
-"""Observers side by side: scenarios, the usual observers, their scores and the error bound."""
+"""Comparison of observers: scenarios, the usual observers, their scores and the error bound."""

@@ -1,10 +1,9 @@
-"""Least position error of an observer that does not know magnet flux, drift or motion.
+"""Cramér–Rao bound of the position error, with unknown magnet flux, drift and motion.
 
-Cramér–Rao bound, for machines with one inductance. Each sample measures the current with noise σ.
-The position is free: the bound assumes nothing about the rotor's motion. Each sample then gives one
-radial equation, ``|λ - L i| = ψ``, accurate to L σ. Across it, only the present sample tells the
-present angle, with noise L σ. The same noise also enters the flux, through R. Derivation:
-docs/theory.md, section 12.
+For machines with one inductance. Each sample measures the current with noise σ. The bound assumes
+nothing about the rotor's motion. Each sample then gives one radial equation, ``|λ - L i| = ψ``,
+with noise L σ. In the tangential direction only the present sample measures the present angle, also
+with noise L σ. The same noise enters the flux through R. Derivation: docs/theory.md, section 12.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ def position_bound(
     noise: float,
     drift_prior: float,
 ) -> Array:
-    """Standard deviation of the position at each sample [rad], (rows,).
+    """Return the smallest standard deviation of the position at each sample [rad], (rows,).
 
     Parameters
     ----------
@@ -43,7 +42,7 @@ def position_bound(
     Returns
     -------
     (rows,) ndarray
-        Limited to that of a uniformly distributed angle, π/√3.
+        At most π/√3, the standard deviation of a uniformly distributed angle.
     """
     h, r = sample_time, (inductance * noise) ** 2
     psi = float(np.median(np.abs(length)))
@@ -52,18 +51,20 @@ def position_bound(
     F[0, 2] = F[1, 3] = h
     Q = np.zeros((5, 5))
     Q[0, 0] = Q[1, 1] = (h * resistance * noise) ** 2
-    out = np.empty(len(theta_e))
-    shared = h * resistance * inductance * noise**2  # covariance of flux step and measurement
-    for k, (angle, size) in enumerate(zip(theta_e, length, strict=True)):
+    std = np.empty(len(theta_e))
+    cross_covariance = h * resistance * inductance * noise**2  # of flux step and measurement
+    for k, (angle, radius) in enumerate(zip(theta_e, length, strict=True)):
         c, s = np.cos(angle), np.sin(angle)
         g = np.array([c, s, 0.0, 0.0, -1.0])
         Pg = P @ g
-        seen = g @ Pg + r
-        now = P - np.outer(Pg, Pg) / seen
-        across = s * s * now[0, 0] - 2 * s * c * now[0, 1] + c * c * now[1, 1]
-        out[k] = np.sqrt(across + r) / max(abs(size), 1e-9 * psi)
+        innovation_variance = g @ Pg + r
+        posterior = P - np.outer(Pg, Pg) / innovation_variance
+        variance_across = (
+            s * s * posterior[0, 0] - 2 * s * c * posterior[0, 1] + c * c * posterior[1, 1]
+        )
+        std[k] = np.sqrt(variance_across + r) / max(abs(radius), 1e-9 * psi)
         # Predict the next sample; flux step and measurement share their noise along e(φ).
-        gain = F @ Pg + shared * np.array([c, s, 0.0, 0.0, 0.0])
-        P = F @ P @ F.T + Q - np.outer(gain, gain) / seen
+        gain = F @ Pg + cross_covariance * np.array([c, s, 0.0, 0.0, 0.0])
+        P = F @ P @ F.T + Q - np.outer(gain, gain) / innovation_variance
         P = (P + P.T) / 2
-    return np.asarray(np.minimum(out, np.pi / np.sqrt(3)))
+    return np.asarray(np.minimum(std, np.pi / np.sqrt(3)))

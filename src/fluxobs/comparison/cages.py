@@ -1,7 +1,7 @@
-"""The observers of an induction machine, with their usual gains and a grid for tuning.
+"""The observers of induction machines, with their usual gains and a grid for tuning.
 
 Usual gains: 0.2 for the damping of the reduced-order observer (motulator). Crossovers, bandwidths
-and covariances have no usual values; ours are right within a factor of a few.
+and covariances have no usual values; ours are right within a small factor.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from .baselines.cage import (
     HybridFluxObserver,
     ReducedOrderObserver,
 )
-from .catalogue import CATALOGUE, PLL, Entry, Gains, Setting, of
+from .catalogue import CATALOGUE, PLL, Entry, Gains, Setting, baseline
 
-#: Entries of the other catalogue that a cage shares: those which need no flux of a known length.
+#: Entries of the other catalogue that suit a cage: they need no flux of known magnitude.
 SHARED = ("least squares", "voltage model, low-pass", "voltage model, high-pass")
 
 
 _BY_NAME = {entry.name: entry for entry in CATALOGUE}
 
 
-def _kalman(s: Setting, g: Gains) -> CageKalmanFilter:
+def _build_kalman(s: Setting, g: Gains) -> CageKalmanFilter:
     sizes = {"current_noise": s.filter_noise, "speed_size": s.speed_e}
     return CageKalmanFilter(s.motor, s.sample_time, **g, **sizes)
 
@@ -34,7 +34,7 @@ CAGES = [
     *(_BY_NAME[name] for name in SHARED),
     Entry(
         "hybrid (Gopinath, Jansen, Lorenz)",
-        of(HybridFluxObserver),
+        baseline(HybridFluxObserver),
         lambda s: {"crossover": 0.03 * s.speed_e, "bandwidth": 4 * PLL},
         lambda s: {
             "crossover": [x * s.speed_e for x in (0.01, 0.03, 0.1, 0.3)],
@@ -43,7 +43,7 @@ CAGES = [
     ),
     Entry(
         "full-order, speed-adaptive (Kubota)",
-        of(FullOrderObserver),
+        baseline(FullOrderObserver),
         lambda s: {"gain": 1.0, "bandwidth": 2 * PLL},
         lambda s: {
             "gain": [0.0, 0.3, 1.0, 3.0],
@@ -52,17 +52,17 @@ CAGES = [
     ),
     Entry(
         "reduced-order (Hinkkanen)",
-        of(ReducedOrderObserver),
+        baseline(ReducedOrderObserver),
         lambda s: {"damping": 0.2, "bandwidth": PLL},
         lambda s: {
             "damping": [0.01, 0.03, 0.1, 0.2, 0.5, 1.0],
             "bandwidth": [PLL / 2, PLL, 2 * PLL],
         },
     ),
-    replace(_BY_NAME["extended Kalman filter"], build=_kalman),
+    replace(_BY_NAME["extended Kalman filter"], build=_build_kalman),
 ]
 
 
 def entries_for(machine: RotatingMachine) -> Sequence[Entry]:
-    """The observers that are made for a kind of machine."""
+    """Return the observers that suit a kind of machine."""
     return CAGES if machine.flux_moves else CATALOGUE

@@ -1,9 +1,9 @@
-"""Every observer of the comparison, with its usual gains and a grid for tuning.
+"""The observers of the comparison, with their usual gains and a grid for tuning.
 
 Usual gains: 0.2 |ω| for the voltage model, 1000 1/s for the gradient (ODrive), level 1 for the
 clamp, 1 and 2π 40 rad/s for the speed-adaptive observer (motulator), 2π 40 rad/s for phase-locked
-loops. No usual values exist for the covariances of the Kalman filters, the cutoffs of the EMF
-observers, and the rates and corners of PEBO and DREM; ours are right within a factor of a few.
+loops. The covariances of the Kalman filters, the cutoffs of the EMF observers, and the rates and
+corners of PEBO and DREM have no usual values; ours are right within a small factor.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from .baselines import (
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """Data for building observers: the machine as believed, and the sizes of the record's signals.
+    """Data for building observers: the machine that they assume, and the scales of the signals.
 
     Attributes
     ----------
@@ -50,13 +50,13 @@ class Setting:
     speed_e : float
         Rated electrical speed [rad/s].
     current, voltage : float
-        Rated values, peak [A], [V].
+        Rated peak values [A], [V].
     noise : float
         Std of a current component [A].
     drift_prior : float or None
         Largest plausible drift [V].
     mean_voltage, current_rows : (rows, 2) ndarray
-        The record, on which the gains of the observers on the regression are balanced.
+        The record, on which the observers of the regression balance their gains.
     """
 
     machine: RotatingMachine
@@ -71,7 +71,7 @@ class Setting:
 
     @property
     def filter_noise(self) -> float:
-        """Current noise of the Kalman filters [A], which needs to be above 0."""
+        """Current noise of the Kalman filters [A], always above 0."""
         return max(self.noise, 1e-3 * self.current)
 
     @property
@@ -84,7 +84,7 @@ Gains = dict[str, float]
 
 @dataclass(frozen=True)
 class Entry:
-    """One observer: its constructor, its recommended gains, and the grid to try."""
+    """One observer: its constructor, its recommended gains, and a grid for tuning."""
 
     name: str
     build: Callable[[Setting, Gains], Observer[Any, Any]]
@@ -93,7 +93,7 @@ class Entry:
     least_squares: bool = False
 
     def candidates(self, setting: Setting) -> Iterator[Gains]:
-        """Yields the recommended gains, then the grid."""
+        """Yield the recommended gains, then those of the grid."""
         yield self.recommended(setting)
         grid = self.grid(setting)
         for values in product(*grid.values()):
@@ -103,7 +103,7 @@ class Entry:
 PLL = 2 * np.pi * 40
 
 
-def _least_squares(s: Setting, g: Gains) -> LoopObserver:
+def _build_least_squares(s: Setting, g: Gains) -> LoopObserver:
     compiled = LeastSquaresObserver.for_machine(
         s.machine,
         sample_time=s.sample_time,
@@ -122,42 +122,42 @@ def _memories(s: Setting) -> list[float]:
     return [m for m in (0.01, 0.03, 0.1, 0.3, 1.0) if m >= 10 * s.sample_time]
 
 
-@lru_cache(maxsize=4)  # all settings with one corner share the same rows
+@lru_cache(maxsize=4)  # settings with the same corner share the rows
 def _regression_rows(s: Setting, corner: float) -> tuple[Any, Parametrisation]:
     constraint = s.machine.constraint
     i, R = s.current_rows, s.machine.R_s
-    before = np.concatenate([i[:1], i[:-1]])
-    v = s.sample_time * (np.nan_to_num(s.mean_voltage) - R * (i + before) / 2)
-    rows, _ = SampledRegression(constraint, corner, s.sample_time).run(v, i)
+    previous = np.concatenate([i[:1], i[:-1]])
+    volt_seconds = s.sample_time * (np.nan_to_num(s.mean_voltage) - R * (i + previous) / 2)
+    rows, _ = SampledRegression(constraint, corner, s.sample_time).run(volt_seconds, i)
     return rows, Parametrisation(constraint, "voltage-bias", corner)
 
 
-def _on_regression(s: Setting, inner: Any, g: Gains) -> OnRegression:
+def _build_on_regression(s: Setting, inner: Any, g: Gains) -> OnRegression:
     return OnRegression(
         s.motor, s.sample_time, s.machine.constraint, inner, g["corner"], g["bandwidth"]
     )
 
 
-def _pebo(s: Setting, g: Gains) -> OnRegression:
+def _build_pebo(s: Setting, g: Gains) -> OnRegression:
     rows, _ = _regression_rows(s, g["corner"])
-    phi = np.asarray(rows.Phi_flux)[len(rows.y) // 4 :]
+    phi = np.asarray(rows.Phi_flux)[len(rows.y) // 4 :]  # without the start-up of the filters
     Gamma = g["rate"] / np.mean(phi**2)
-    return _on_regression(s, PEBO(2, "gradient", float(Gamma)), g)
+    return _build_on_regression(s, PEBO(2, "gradient", float(Gamma)), g)
 
 
-def _drem(s: Setting, g: Gains) -> OnRegression:
+def _build_drem(s: Setting, g: Gains) -> OnRegression:
     rows, constants = _regression_rows(s, g["corner"])
-    cut = len(rows.y) // 4
-    psi = np.asarray(constants.psi_record(rows))[cut:]
+    start = len(rows.y) // 4
+    psi = np.asarray(constants.psi_record(rows))[start:]
     gramian = psi.T @ psi / len(psi)
     # Regularise directions that the record does not excite (constant speed).
-    size = np.sqrt(np.diag(gramian))
-    gramian += 1e-6 * np.diag(np.where(size > 0, size, size.max()) ** 2)
+    scale = np.sqrt(np.diag(gramian))
+    gramian += 1e-6 * np.diag(np.where(scale > 0, scale, scale.max()) ** 2)
     basis = balanced_basis(gramian, 1.0)
-    return _on_regression(s, DremObserver(g["rate"], g["memory"], basis, constants), g)
+    return _build_on_regression(s, DremObserver(g["rate"], g["memory"], basis, constants), g)
 
 
-def _kalman(s: Setting, g: Gains, with_drift: bool) -> KalmanFilter:
+def _build_kalman(s: Setting, g: Gains, with_drift: bool) -> KalmanFilter:
     return KalmanFilter(
         s.motor,
         s.sample_time,
@@ -171,11 +171,11 @@ def _kalman(s: Setting, g: Gains, with_drift: bool) -> KalmanFilter:
     )
 
 
-def of(
-    kind: Callable[..., Baseline], **fixed: Any
+def baseline(
+    kind: Callable[..., Baseline], **constants: Any
 ) -> Callable[[Setting, Gains], Observer[Any, Any]]:
-    """Constructor of a baseline from its gains and what does not change."""
-    return lambda s, g: kind(s.motor, s.sample_time, **g, **fixed)
+    """Return the constructor of a baseline with its gains and constant arguments."""
+    return lambda s, g: kind(s.motor, s.sample_time, **g, **constants)
 
 
 def _entries() -> list[Entry]:
@@ -183,14 +183,14 @@ def _entries() -> list[Entry]:
     return [
         Entry(
             "least squares",
-            _least_squares,
+            _build_least_squares,
             lambda s: {"memory": MEMORY},
             lambda s: {"memory": _memories(s), "tracker": [200.0, TRACKER / MEMORY, 2000.0]},
             least_squares=True,
         ),
         Entry(
             "voltage model, low-pass",
-            of(FilteredVoltageModel, order=1),
+            baseline(FilteredVoltageModel, order=1),
             lambda s: {"cutoff": 0.2, "least": 0.005 * s.speed_e, "bandwidth": PLL},
             lambda s: {
                 "cutoff": list(cutoffs),
@@ -200,7 +200,7 @@ def _entries() -> list[Entry]:
         ),
         Entry(
             "voltage model, high-pass",
-            of(FilteredVoltageModel, order=2),
+            baseline(FilteredVoltageModel, order=2),
             lambda s: {"cutoff": 0.2, "least": 0.005 * s.speed_e, "bandwidth": PLL},
             lambda s: {
                 "cutoff": list(cutoffs),
@@ -210,7 +210,7 @@ def _entries() -> list[Entry]:
         ),
         Entry(
             "gradient (Ortega, Lee)",
-            of(LengthGradient),
+            baseline(LengthGradient),
             lambda s: {"gain": 1000.0, "bandwidth": 2 * PLL},
             lambda s: {
                 "gain": [10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0],
@@ -219,7 +219,7 @@ def _entries() -> list[Entry]:
         ),
         Entry(
             "gradient, adapting",
-            of(LengthGradient),
+            baseline(LengthGradient),
             lambda s: {"gain": 1000.0, "adaptation": 10.0, "bandwidth": 2 * PLL},
             lambda s: {
                 "gain": [30.0, 100.0, 300.0],
@@ -229,7 +229,7 @@ def _entries() -> list[Entry]:
         ),
         Entry(
             "clamped integrator (MXLEMMING)",
-            of(ClampedIntegrator),
+            baseline(ClampedIntegrator),
             lambda s: {"level": 1.0, "bandwidth": 2 * PLL},
             lambda s: {
                 "level": [0.8, 0.9, 1.0, 1.1, 1.2],
@@ -238,7 +238,7 @@ def _entries() -> list[Entry]:
         ),
         Entry(
             "speed-adaptive (Hinkkanen)",
-            of(SpeedAdaptiveObserver),
+            baseline(SpeedAdaptiveObserver),
             lambda s: {"gain": 1.0, "bandwidth": PLL},
             lambda s: {
                 "gain": [0.03, 0.1, 0.3, 1.0, 3.0],
@@ -247,7 +247,7 @@ def _entries() -> list[Entry]:
         ),
         Entry(
             "sliding mode",
-            of(SlidingMode),
+            baseline(SlidingMode),
             lambda s: {"switching": 1.5 * s.voltage, "cutoff": s.speed_e, "bandwidth": PLL},
             lambda s: {
                 "switching": [1.5 * s.voltage],
@@ -257,7 +257,7 @@ def _entries() -> list[Entry]:
         ),
         Entry(
             "extended EMF with PLL",
-            of(ExtendedEmf),
+            baseline(ExtendedEmf),
             lambda s: {"cutoff": s.speed_e, "bandwidth": PLL},
             lambda s: {
                 "cutoff": [0.3 * s.speed_e, s.speed_e, 3 * s.speed_e],
@@ -266,7 +266,7 @@ def _entries() -> list[Entry]:
         ),
         Entry(
             "extended Kalman filter",
-            lambda s, g: _kalman(s, g, False),
+            lambda s, g: _build_kalman(s, g, False),
             lambda s: {"voltage_noise": 0.01 * s.voltage, "acceleration": 30.0 * s.speed_e**0.5},
             lambda s: {
                 "voltage_noise": [x * s.voltage for x in (1e-3, 1e-2, 1e-1, 1.0)],
@@ -275,7 +275,7 @@ def _entries() -> list[Entry]:
         ),
         Entry(
             "extended Kalman filter with drift",
-            lambda s, g: _kalman(s, g, True),
+            lambda s, g: _build_kalman(s, g, True),
             lambda s: {
                 "voltage_noise": 0.001 * s.voltage,
                 "acceleration": 30.0 * s.speed_e**0.5,
@@ -289,7 +289,7 @@ def _entries() -> list[Entry]:
         ),
         Entry(
             "PEBO (gradient)",
-            _pebo,
+            _build_pebo,
             lambda s: {"corner": 0.5 * s.speed_e, "rate": 30.0, "bandwidth": PLL},
             lambda s: {
                 "corner": [0.1 * s.speed_e, 0.5 * s.speed_e],
@@ -299,7 +299,7 @@ def _entries() -> list[Entry]:
         ),
         Entry(
             "DREM",
-            _drem,
+            _build_drem,
             lambda s: {"corner": 0.5 * s.speed_e, "rate": 100.0, "memory": 0.1, "bandwidth": PLL},
             lambda s: {
                 "corner": [0.1 * s.speed_e, 0.5 * s.speed_e],

@@ -1,4 +1,4 @@
-"""Runs every observer on one record, with recommended gains and with the best of a grid."""
+"""Run all observers on one record, with recommended gains and with the best gains of a grid."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from .catalogue import Entry, Gains, Setting
 from .scenarios import SCENARIOS, Scenario, believed_machine, run_scenario
 from .scoring import Score, Truth, score, scored_error, true_speed
 
-#: Number of gain sets that every observer runs at once; equal, so that run times compare.
+#: Number of gain sets that each observer runs at once; equal for all, to compare run times.
 LANES = 24
-#: Suffix of the name under which the least squares' tracked angle is listed.
+#: Suffix of the name of the least squares with its tracked angle.
 TRACKED = ", tracked"
 
 
@@ -44,7 +44,7 @@ class ObserverResult:
     Attributes
     ----------
     recommended, tuned : Score
-        With the gains of the literature, and with the gains of least rms position error.
+        With the gains of the literature, and with the gains of smallest rms position error.
     recommended_gains, gains : dict
         Gains of the literature; tuned gains.
     error : (rows,) ndarray
@@ -64,7 +64,7 @@ class ObserverResult:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """A record, and the result of every observer on it.
+    """A record, and the results of all observers on it.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Comparison:
         Rms of the Cramér–Rao bound over the scored rows [rad]; None without current noise, for
         salient machines, with wrong parameters, and for logs.
     limit : str
-        What limits the least squares on this record besides noise; a phrase.
+        Limitation of the least squares on this record besides noise; a phrase.
     """
 
     title: str
@@ -85,7 +85,7 @@ class Comparison:
 
     @property
     def psi(self) -> float:
-        """Size of the machine's flux [Wb]."""
+        """Magnitude of the machine's flux [Wb]."""
         return self.setting.voltage / self.setting.speed_e
 
     def result(self, name: str) -> ObserverResult:
@@ -93,12 +93,12 @@ class Comparison:
 
     @property
     def best(self) -> ObserverResult:
-        """Smallest tuned rms position error."""
+        """Result with the smallest tuned rms position error."""
         return min(self.results, key=lambda result: result.tuned.rms)
 
 
 class _Outputs(NamedTuple):
-    """Outputs of an observer, JAX or NumPy arrays of leading shape (lanes, rows)."""
+    """Estimates of an observer, JAX or NumPy arrays of leading shape (lanes, rows)."""
 
     theta_e: Any
     tracked: Any
@@ -107,54 +107,54 @@ class _Outputs(NamedTuple):
     valid: Any
 
 
-def _lane(observer: Observer[Any, Any], voltage: jax.Array, current: jax.Array) -> _Outputs:
+def _run_lane(observer: Observer[Any, Any], voltage: jax.Array, current: jax.Array) -> _Outputs:
     def body(state: Any, row: tuple[jax.Array, jax.Array]) -> tuple[Any, _Outputs]:
-        state, out = observer.step(state, *row)
-        angles = out.theta_e, out.theta_e_tracked
-        return state, _Outputs(*angles, out.speed_e, vector(out.flux), out.valid)
+        state, estimate = observer.step(state, *row)
+        angles = estimate.theta_e, estimate.theta_e_tracked
+        return state, _Outputs(*angles, estimate.speed_e, vector(estimate.flux), estimate.valid)
 
     return jax.lax.scan(body, observer.init(), (voltage, current))[1]
 
 
 @eqx.filter_jit
-def _lanes(observers: Any, voltage: jax.Array, current: jax.Array) -> _Outputs:
-    return jax.vmap(_lane, in_axes=(0, None, None))(observers, voltage, current)
+def _run_lanes(observers: Any, voltage: jax.Array, current: jax.Array) -> _Outputs:
+    return jax.vmap(_run_lane, in_axes=(0, None, None))(observers, voltage, current)
 
 
-def _compiled(observers: Any, voltage: jax.Array, current: jax.Array) -> Any:
-    lanes: Any = _lanes
-    return lanes.lower(observers, voltage, current).compile()
+def _compile(observers: Any, voltage: jax.Array, current: jax.Array) -> Any:
+    run_lanes: Any = _run_lanes
+    return run_lanes.lower(observers, voltage, current).compile()
 
 
-def _held(rows: Array) -> Array:
-    """Replaces missing samples by the last good one; by zero before the first."""
-    good = np.isfinite(rows).all(axis=1)
-    last = np.maximum.accumulate(np.where(good, np.arange(len(rows)), -1))
-    return np.where(last[:, None] >= 0, rows[last], 0.0)
+def _hold_last(samples: Array) -> Array:
+    """Replace missing samples by the last finite one, or by zero before the first."""
+    finite = np.isfinite(samples).all(axis=1)
+    last_finite = np.maximum.accumulate(np.where(finite, np.arange(len(samples)), -1))
+    return np.where(last_finite[:, None] >= 0, samples[last_finite], 0.0)
 
 
 def setting_for(
     sample_time: float, voltage: Array, current: Array, machine: RotatingMachine, speed_e: float
 ) -> Setting:
-    """Setting for a record, derived as `fluxobs estimate` derives it from a log."""
+    """Return the setting of a record, derived as `fluxobs estimate` derives it from a log."""
     i = current[np.isfinite(current).all(axis=1)]
     u = voltage[np.isfinite(voltage).all(axis=1)]
-    rated = machine.rated_current or float(np.percentile(np.hypot(*i.T), 95))
-    psi = machine.flux_base(rated)
+    rated_current = machine.rated_current or float(np.percentile(np.hypot(*i.T), 95))
+    psi = machine.flux_base(rated_current)
     if psi is None:
         raise FluxobsError(
-            f"psi_f is missing in the {machine.kind}: most observers need the magnet flux"
+            f"psi_f is missing in the {machine.kind}; most observers need the magnet flux"
         )
     return Setting(
         machine,
         sample_time,
         speed_e,
-        rated,
+        rated_current,
         speed_e * psi,
-        max(white_noise(current), LEAST_NOISE * rated),
+        max(white_noise(current), LEAST_NOISE * rated_current),
         VOLTAGE_OFFSET * float(np.percentile(np.hypot(*u.T), 95)),
-        _held(voltage),
-        _held(current),
+        _hold_last(voltage),
+        _hold_last(current),
     )
 
 
@@ -170,59 +170,58 @@ def compare_record(
     entries: Sequence[Entry] | None = None,
     progress: Callable[[str], Any] = lambda name: None,
 ) -> Comparison:
-    """Runs and scores all observers on a record.
+    """Run and score all observers on a record.
 
-    `voltage` and `current` are (rows, 2); row k's voltage is the mean over the interval that ends
-    at row k, NaN where missing.
+    `voltage` and `current` are (rows, 2). The voltage of row k is the mean over the interval that
+    ends at row k, NaN where missing.
     """
-    chosen = entries_for(setting.machine) if entries is None else entries
-    raw = jnp.asarray(voltage), jnp.asarray(current)
-    held = jnp.asarray(setting.mean_voltage), jnp.asarray(setting.current_rows)
+    selected = entries_for(setting.machine) if entries is None else entries
+    measured = jnp.asarray(voltage), jnp.asarray(current)
+    filled = jnp.asarray(setting.mean_voltage), jnp.asarray(setting.current_rows)
 
     def prepare(entry: Entry) -> tuple[Entry, list[Gains], Any, Any, Any]:
         gains = list(entry.candidates(setting))
-        built = [entry.build(setting, gain) for gain in gains]
-        observers = stack(built + built[:1] * (LANES - len(built)))
-        signals = raw if entry.least_squares else held
-        return entry, gains, observers, signals, _compiled(observers, *signals)
+        instances = [entry.build(setting, gain) for gain in gains]
+        observers = stack(instances + instances[:1] * (LANES - len(instances)))
+        signals = measured if entry.least_squares else filled
+        return entry, gains, observers, signals, _compile(observers, *signals)
 
     results: list[ObserverResult] = []
     with ThreadPoolExecutor(2) as pool:
-        for entry, gains, observers, signals, compiled in list(pool.map(prepare, chosen)):
+        for entry, gains, observers, signals, compiled in list(pool.map(prepare, selected)):
             progress(entry.name)
             started = time.perf_counter()
-            found = jax.tree.map(np.asarray, compiled(observers, *signals))
+            outputs = jax.tree.map(np.asarray, compiled(observers, *signals))
             seconds = (time.perf_counter() - started) / LANES / len(current)
-            raw_angle, tracked = found.theta_e, found.tracked
+            raw_angle, tracked = outputs.theta_e, outputs.tracked
             if entry.least_squares:
-                results.append(_best(entry.name, gains, found, [raw_angle], truth, seconds))
+                results.append(_score_best(entry.name, gains, outputs, [raw_angle], truth, seconds))
                 name = entry.name + TRACKED
-                results.append(_best(name, gains, found, [tracked], truth, seconds))
+                results.append(_score_best(name, gains, outputs, [tracked], truth, seconds))
             else:
                 angles = [raw_angle, tracked]
-                results.append(_best(entry.name, gains, found, angles, truth, seconds))
+                results.append(_score_best(entry.name, gains, outputs, angles, truth, seconds))
     return Comparison(title, about, setting, truth, bound, tuple(results), limit)
 
 
-def _best(
-    name: str, gains: list[Gains], found: _Outputs, angles: list[Any], truth: Truth, seconds: float
+def _score_best(
+    name: str,
+    gains: list[Gains],
+    outputs: _Outputs,
+    angles: list[Any],
+    truth: Truth,
+    seconds: float,
 ) -> ObserverResult:
-    """Scores the first angle with the first gains, and the best of all angles and gains."""
+    """Score the first angle with the first gains, and the best of all angles and gains."""
     choices = [(angle, k) for angle in angles for k in range(len(gains))]
     scores = [
-        score(
-            angle[k],
-            found.speed_e[k],
-            found.flux[k],
-            truth,
-            found.valid[k],
-        )
+        score(angle[k], outputs.speed_e[k], outputs.flux[k], truth, outputs.valid[k])
         for angle, k in choices
     ]
-    chosen = int(np.argmin([s.rms for s in scores]))
-    angle, k = choices[chosen]
+    best = int(np.argmin([s.rms for s in scores]))
+    angle, k = choices[best]
     error = scored_error(angle[k], truth)
-    return ObserverResult(name, scores[0], scores[chosen], gains[0], gains[k], error, seconds)
+    return ObserverResult(name, scores[0], scores[best], gains[0], gains[k], error, seconds)
 
 
 def compare(
@@ -234,21 +233,21 @@ def compare(
     progress: Callable[[str], Any] = lambda name: None,
     **layout: Any,
 ) -> Comparison:
-    """Run a log or a scenario through every known observer, and score them.
+    """Run all observers of the catalogue on a log or a scenario, and score them.
 
-    Each observer runs with its usual gains, and with the gains of a grid that suit this record
-    best. Needs the extra "design" (JAX).
+    Each observer runs with its usual gains, and with the best gains of a grid for this record.
+    Needs the extra "design" (JAX).
 
     Parameters
     ----------
     record : str, or as for :func:`fluxobs.read_log`
         The name of a scenario, or a log with a true angle.
     machine : Machine, or a path, or the name of a shipped machine
-        A scenario needs a shipped machine's name; default pmsm-2kw2.
+        A scenario needs the name of a shipped machine; default pmsm-2kw2.
     seed : int
         Seed of a scenario's sensor noise.
     settle : float
-        Initial part of a log that is not scored, while observers settle [s].
+        Initial time of a log that is not scored, in which observers settle [s].
     progress : callable
         Called with the name of each observer as it runs.
     layout : optional
@@ -266,13 +265,15 @@ def compare(
         return compare_scenario(SCENARIOS[record], str(name), seed, progress=progress)
     check_comparable(record, machine)
     assert machine is not None
-    given = rotating(as_machine(machine), "the comparison")
-    log = open_for(record, given, **layout)
-    return compare_log(log.less_inverter(given.inverter), given, settle, progress=progress)
+    rotating_machine = rotating(as_machine(machine), "the comparison")
+    log = open_for(record, rotating_machine, **layout)
+    return compare_log(
+        log.less_inverter(rotating_machine.inverter), rotating_machine, settle, progress=progress
+    )
 
 
 def check_comparable(record: Source, machine: Machine | str | Path | None) -> None:
-    """Raises FluxobsError unless the record is a scenario, or a log with its machine."""
+    """Raise FluxobsError unless the record is a scenario, or a log with its machine."""
     if isinstance(record, str | Path) and str(record) not in SCENARIOS:
         if not Path(record).exists():
             raise FluxobsError(
@@ -280,9 +281,9 @@ def check_comparable(record: Source, machine: Machine | str | Path | None) -> No
                 f"lists the scenarios"
             )
         if machine is None:
-            raise FluxobsError(f"a machine is needed for a log ({record}): --machine")
+            raise FluxobsError(f"a log ({record}) needs a machine: give --machine")
     elif machine is None and not isinstance(record, str):
-        raise FluxobsError("a machine is needed for a log")
+        raise FluxobsError("a log needs a machine: give machine")
 
 
 def compare_scenario(
@@ -292,12 +293,12 @@ def compare_scenario(
     entries: Sequence[Entry] | None = None,
     progress: Callable[[str], Any] = lambda name: None,
 ) -> Comparison:
-    """Simulates a scenario and compares the observers on its record."""
-    run, machine, rated = run_scenario(scenario, machine_name, seed)
+    """Simulate a scenario, and compare the observers on its record."""
+    run, machine, rating = run_scenario(scenario, machine_name, seed)
     record = run.record()
     believed = believed_machine(machine, scenario.believed)
     voltage, current = record.interval_voltage(), record.current
-    setting = setting_for(record.sample_time, voltage, current, believed, rated.speed_e)
+    setting = setting_for(record.sample_time, voltage, current, believed, rating.speed_e)
     truth = Truth(
         run.t,
         np.asarray(run.trace.theta_e),
@@ -308,7 +309,7 @@ def compare_scenario(
     )
     # The bound holds for a machine with one inductance and correct parameters.
     bounded = scenario.noise > 0 and machine.saliency == 0.0 and not scenario.believed
-    least = _bound(scenario, machine, setting, run.trace) if bounded else None
+    bound = _bound(scenario, machine, setting, run.trace) if bounded else None
     about = scenario.about + "".join(f"; {event}" for event in run.events)
     return compare_record(
         scenario.name,
@@ -317,7 +318,7 @@ def compare_scenario(
         current,
         setting,
         truth,
-        least,
+        bound,
         scenario.limit,
         entries,
         progress,
@@ -331,7 +332,7 @@ def compare_log(
     entries: Sequence[Entry] | None = None,
     progress: Callable[[str], Any] = lambda name: None,
 ) -> Comparison:
-    """Compares the observers on a measured log; all of it must fit into memory.
+    """Compare the observers on a measured log, which must fit into memory.
 
     Raises
     ------
@@ -339,33 +340,35 @@ def compare_log(
         The log has no true angle, or ends before `settle`.
     """
     path = log.path
-    parts = list(log.aligned())
+    batches = list(log.aligned())
     if log.truth is None:
         raise RecordError(
-            f"{path}: observers can only be scored against a true angle: "
+            f"{path}: the log has no true angle to score observers; give "
             f"--truth theta_mech=COLUMN or theta_e=COLUMN"
         )
-    t, current, voltage, true = (
-        np.concatenate([np.asarray(part[k]) for part in parts]) for k in range(4)
+    t, current, voltage, true_angle = (
+        np.concatenate([np.asarray(batch[k]) for batch in batches]) for k in range(4)
     )
-    true = machine.true_position(log.truth[0], true)
+    true_angle = machine.true_position(log.truth[0], true_angle)
     h = log.sample_time
     if t[-1] - t[0] <= settle:
-        raise RecordError(f"{path}: {t[-1] - t[0]:.4g} s, none left after --settle {settle:g} s")
+        raise RecordError(
+            f"{path}: the log is {t[-1] - t[0]:.4g} s long; --settle {settle:g} s must be shorter"
+        )
     # Speed from the encoder, averaged over 10 ms.
     window = max(1, round(0.01 / h))
-    angle = np.unwrap(np.where(np.isfinite(true), true, 0.0))
-    speed = np.abs(angle[window:] - angle[:-window]) / (window * h)
+    unwrapped = np.unwrap(np.where(np.isfinite(true_angle), true_angle, 0.0))
+    speed = np.abs(unwrapped[window:] - unwrapped[:-window]) / (window * h)
     setting = setting_for(h, voltage, current, machine, float(np.percentile(speed, 95)))
-    truth = Truth(t - t[0], true, None, None, settle, machine)
-    about = f"{len(t)} rows, {h:g} s each; lag {log.layout.lag:g}"
+    truth = Truth(t - t[0], true_angle, None, None, settle, machine)
+    about = f"{len(t)} rows of {h:g} s; lag {log.layout.lag:g}"
     return compare_record(
         path.name, about, voltage, current, setting, truth, entries=entries, progress=progress
     )
 
 
 def _bound(scenario: Scenario, machine: RotatingMachine, setting: Setting, trace: Any) -> float:
-    """Rms of the bound over the scored rows, at the true parameters."""
+    """Return the rms of the bound over the scored rows, with the true parameters."""
     L = machine.position_inductance
     x = np.asarray(trace.flux) - L * np.asarray(trace.current)
     assert machine.rated_current is not None

@@ -1,4 +1,4 @@
-"""Reports a comparison as a table, a verdict, CSV and pictures."""
+"""Reports of a comparison: table, verdict, CSV and pictures."""
 
 from __future__ import annotations
 
@@ -21,38 +21,38 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 LEAST_SQUARES = "least squares"
-#: Within this factor of the best counts as equally good.
+#: An error within this factor of the smallest counts as equally good.
 NEAR = 1.1
 
 
-def ours(comparison: Comparison) -> ObserverResult:
-    """The better of the least squares' two angles, raw and tracked."""
-    both = [r for r in comparison.results if r.name.startswith(LEAST_SQUARES)]
-    return min(both, key=lambda result: result.tuned.rms)
+def least_squares_result(comparison: Comparison) -> ObserverResult:
+    """Return the better of the least squares' two angles, untracked and tracked."""
+    both_angles = [r for r in comparison.results if r.name.startswith(LEAST_SQUARES)]
+    return min(both_angles, key=lambda result: result.tuned.rms)
 
 
-def others(comparison: Comparison) -> list[ObserverResult]:
-    """Results of all other observers, best first."""
-    rest = [r for r in comparison.results if not r.name.startswith(LEAST_SQUARES)]
-    return sorted(rest, key=lambda result: result.tuned.rms)
+def other_results(comparison: Comparison) -> list[ObserverResult]:
+    """Return the results of all other observers, best first."""
+    results = [r for r in comparison.results if not r.name.startswith(LEAST_SQUARES)]
+    return sorted(results, key=lambda result: result.tuned.rms)
 
 
 def verdict(comparison: Comparison) -> str:
-    """Compares the least squares with the best observer and with the bound, and says why."""
-    mine, best = ours(comparison), comparison.best
-    rms = np.degrees(mine.tuned.rms)
+    """Compare the least squares with the best observer and the bound, and give the reason."""
+    least_squares, best = least_squares_result(comparison), comparison.best
+    rms = np.degrees(least_squares.tuned.rms)
     text = f"The least squares has {_degrees(rms)} rms"
     if comparison.bound is not None:
-        raw = comparison.result(LEAST_SQUARES).tuned.rms
+        untracked_rms = comparison.result(LEAST_SQUARES).tuned.rms
         text += (
-            f"; untracked {raw / comparison.bound:.2f} times the Cramér-Rao bound, "
+            f"; untracked {untracked_rms / comparison.bound:.2f} times the Cramér-Rao bound, "
             f"{_degrees(np.degrees(comparison.bound))}, for an angle without a motion model"
         )
-    text += _claims(comparison.result(LEAST_SQUARES).recommended)
-    if mine.tuned.rms <= NEAR * best.tuned.rms:
-        if best is mine:
-            for second in others(comparison)[:1]:
-                text += f" It is the best, before {second.name}, {_rms(second.tuned)}."
+    text += _describe_validity(comparison.result(LEAST_SQUARES).recommended)
+    if least_squares.tuned.rms <= NEAR * best.tuned.rms:
+        if best is least_squares:
+            for runner_up in other_results(comparison)[:1]:
+                text += f" It is the best, before {runner_up.name}, {_rms(runner_up.tuned)}."
         else:
             text += f" It is within 10 % of the best, {best.name}, {_rms(best.tuned)}."
         return text
@@ -60,11 +60,11 @@ def verdict(comparison: Comparison) -> str:
     return text + (f": {comparison.limit}." if comparison.limit else ".")
 
 
-def _claims(default: Score) -> str:
-    """Share of rows that the observer calls valid with its default memory, and its error there."""
-    text = f". With its default memory it calls {default.claimed:.0%} of the scored rows valid"
+def _describe_validity(default: Score) -> str:
+    """State the share of valid rows with the default memory, and the largest error there."""
+    text = f". With its default memory {default.claimed:.0%} of the scored rows are valid"
     if default.claimed:
-        text += f" and is at most {_degrees(np.degrees(default.worst_claimed))} off there"
+        text += f", with errors up to {_degrees(np.degrees(default.worst_claimed))}"
     return text + "."
 
 
@@ -80,7 +80,7 @@ def _degrees(value: float) -> str:
     return f"{value:.3f}°" if value < 1 else f"{value:.2f}°"
 
 
-#: Heads of the table; the first column names the observer.
+#: Headings of the table; the first column names the observer.
 HEADS = (
     *("observer", "usual\nrms [°]", "tuned\nrms [°]", "max\n[°]", "speed\n[rad/s]"),
     *("flux\n[% ψ]", "settled\n[ms]", "lost\n[%]", "time\n[ns]"),
@@ -89,17 +89,17 @@ HEADS = (
 
 def _caption(comparison: Comparison) -> str:
     return (
-        f"{comparison.about}. Gains as usually recommended, and tuned for this record; settled: "
-        f"first 50 ms below 10°; time: per sample in JAX, {LANES} settings at once"
+        f"{comparison.about}. Gains: usual, and tuned for this record; settled: first 50 ms below "
+        f"10°; time: per sample in JAX, {LANES} settings at once"
     )
 
 
-def cells(comparison: Comparison) -> list[list[str]]:
-    """The table's rows, best first."""
-    out = []
+def table_lines(comparison: Comparison) -> list[list[str]]:
+    """Return the lines of the table, best first."""
+    lines = []
     for result in sorted(comparison.results, key=lambda r: r.tuned.rms):
         tuned = result.tuned
-        out.append(
+        lines.append(
             [
                 result.name,
                 _number(np.degrees(result.recommended.rms)),
@@ -112,22 +112,25 @@ def cells(comparison: Comparison) -> list[list[str]]:
                 f"{1e9 * result.time:.0f}",
             ]
         )
-    return out
+    return lines
 
 
 def table(comparison: Comparison) -> Table:
-    """Table for a terminal, best first."""
+    """Return the table for the terminal, best first."""
     from rich import box
     from rich.table import Table
     from rich.text import Text
 
-    out = Table(title=comparison.title, caption=_caption(comparison), box=box.SIMPLE, expand=False)
-    out.add_column(HEADS[0], no_wrap=True)
+    terminal_table = Table(
+        title=comparison.title, caption=_caption(comparison), box=box.SIMPLE, expand=False
+    )
+    terminal_table.add_column(HEADS[0], no_wrap=True)
     for name in HEADS[1:]:
-        out.add_column(Text(name), justify="right", no_wrap=True)  # [ms] is no markup
-    for row in cells(comparison):
-        out.add_row(*row, style="bold" if row[0].startswith(LEAST_SQUARES) else None)
-    return out
+        # As Text, since rich would take [ms] as markup.
+        terminal_table.add_column(Text(name), justify="right", no_wrap=True)
+    for row in table_lines(comparison):
+        terminal_table.add_row(*row, style="bold" if row[0].startswith(LEAST_SQUARES) else None)
+    return terminal_table
 
 
 def write_html(comparisons: Sequence[Comparison], pictures: Sequence[Path], path: Path) -> None:
@@ -137,22 +140,24 @@ def write_html(comparisons: Sequence[Comparison], pictures: Sequence[Path], path
     ----------
     comparisons : sequence of Comparison
     pictures : sequence of Path
-        PNG files: one of each comparison, then perhaps that of all of them.
+        PNG files: one per comparison, optionally followed by the summary.
     path : Path
     """
-    parts = []
+    blocks = []
     for comparison, picture in zip(comparisons, pictures, strict=False):
-        words = verdict(comparison)
-        parts += [
-            html.table(HEADS, cells(comparison), f"{comparison.title}. {_caption(comparison)}"),
-            html.paragraph(words),
-            html.image(picture.read_bytes(), words),
+        conclusion = verdict(comparison)
+        blocks += [
+            html.table(
+                HEADS, table_lines(comparison), f"{comparison.title}. {_caption(comparison)}"
+            ),
+            html.paragraph(conclusion),
+            html.image(picture.read_bytes(), conclusion),
         ]
     for picture in pictures[len(comparisons) :]:
-        parts.append(
-            html.image(picture.read_bytes(), "Tuned errors of all observers on all records")
+        blocks.append(
+            html.image(picture.read_bytes(), "Tuned rms errors of all observers on all records")
         )
-    write_text(path, html.document("Observers compared", *parts))
+    write_text(path, html.document("Observers compared", *blocks))
 
 
 COLUMNS = (
@@ -172,21 +177,21 @@ COLUMNS = (
 
 
 def write_csv(comparisons: Sequence[Comparison], path: Path) -> None:
-    """Writes all scores, two rows per observer: recommended and tuned gains."""
+    """Write all scores, two rows per observer: with recommended and with tuned gains."""
     text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(COLUMNS)
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
     for c in comparisons:
         for result in c.results:
-            for which, score, gains in (
+            for kind, score, gains in (
                 ("recommended", result.recommended, result.recommended_gains),
                 ("tuned", result.tuned, result.gains),
             ):
-                rows.writerow(
+                writer.writerow(
                     [
                         c.title,
                         result.name,
-                        which,
+                        kind,
                         " ".join(f"{key}={value:.4g}" for key, value in gains.items()),
                         f"{np.degrees(score.rms):.5g}",
                         f"{np.degrees(score.worst):.5g}",
@@ -202,7 +207,7 @@ def write_csv(comparisons: Sequence[Comparison], path: Path) -> None:
 
 
 def draw(comparison: Comparison, path: Path) -> None:
-    """Draws the rms errors as bars; in time, the errors of the least squares and the best other."""
+    """Draw the rms errors as bars, and the errors of the best observers over time."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -212,8 +217,8 @@ def draw(comparison: Comparison, path: Path) -> None:
     with plt.rc_context(STYLE):
         figure = plt.figure(figsize=(11, 5), layout="constrained")
         bars, course = figure.subplots(1, 2, width_ratios=[1, 1.2])
-        _bars(bars, results, comparison.bound)
-        _course(course, comparison)
+        _draw_bars(bars, results, comparison.bound)
+        _draw_course(course, comparison)
         figure.suptitle(
             f"{plain(comparison.title)}  ·  {comparison.setting.machine.kind}", fontsize=10
         )
@@ -221,39 +226,46 @@ def draw(comparison: Comparison, path: Path) -> None:
         plt.close(figure)
 
 
-def _bars(axes: Axes, results: Sequence[ObserverResult], bound: float | None) -> None:
-    at = np.arange(len(results))
+def _draw_bars(axes: Axes, results: Sequence[ObserverResult], bound: float | None) -> None:
+    positions = np.arange(len(results))
     tuned = np.degrees([r.tuned.rms for r in results])
     recommended = np.degrees([r.recommended.rms for r in results])
     colors = [BLUE if r.name.startswith(LEAST_SQUARES) else GREY for r in results]
-    least = min(tuned.min(), 0.05) / 2
-    axes.barh(at, tuned - least, left=least, color=colors, height=0.6, label="gains tuned here")
-    axes.plot(recommended, at, "|", color=ORANGE, markersize=11, markeredgewidth=2)
+    left_edge = min(tuned.min(), 0.05) / 2
+    axes.barh(
+        positions,
+        tuned - left_edge,
+        left=left_edge,
+        color=colors,
+        height=0.6,
+        label="gains tuned here",
+    )
+    axes.plot(recommended, positions, "|", color=ORANGE, markersize=11, markeredgewidth=2)
     axes.plot([], [], "|", color=ORANGE, markersize=9, markeredgewidth=2, label="usual gains")
     if bound is not None:
         axes.axvline(np.degrees(bound), color="black", linewidth=0.8, linestyle=":")
         axes.plot([], [], ":", color="black", linewidth=0.8, label="bound for a raw angle")
     for k, value in enumerate(tuned):
-        axes.text(least, k, f" {value:.2g}", va="center", color="white", fontsize=7)
+        axes.text(left_edge, k, f" {value:.2g}", va="center", color="white", fontsize=7)
     axes.set_xscale("log")
-    axes.set_xlim(least, 2.5 * max(tuned.max(), recommended.max()))
-    axes.set_yticks(at, [r.name for r in results], fontsize=8)
+    axes.set_xlim(left_edge, 2.5 * max(tuned.max(), recommended.max()))
+    axes.set_yticks(positions, [r.name for r in results], fontsize=8)
     axes.set_xlabel("position error, rms [°]")
     axes.legend(fontsize=7, loc="lower right", bbox_to_anchor=(1, 1), ncols=3)
 
 
-def _course(axes: Axes, comparison: Comparison) -> None:
+def _draw_course(axes: Axes, comparison: Comparison) -> None:
     t = comparison.truth.t
-    mine = ours(comparison)
-    shown = [*others(comparison)[:3][::-1], mine]
+    least_squares = least_squares_result(comparison)
+    shown = [*other_results(comparison)[:3][::-1], least_squares]
     colors = ["#9ecae1", ORANGE, "#7b9e5b", BLUE]
     step = max(1, len(t) // 4000)
     for result, color in zip(shown, colors[-len(shown) :], strict=True):
         error = np.degrees(result.error)[::step]
         error[1:][np.abs(np.diff(error)) > 180] = np.nan  # no line where the angle wraps
         axes.plot(t[::step], error, color=color, label=result.name)
-    reach = max(r.tuned.worst for r in shown)
-    axes.set_ylim(-1.2 * np.degrees(reach), 1.2 * np.degrees(reach))
+    largest = max(r.tuned.worst for r in shown)
+    axes.set_ylim(-1.2 * np.degrees(largest), 1.2 * np.degrees(largest))
     axes.axvspan(t[0], comparison.truth.score_from, color="0.9", linewidth=0)
     axes.set_xlim(t[0], t[-1])
     axes.set_xlabel("t [s]        grey: not scored")
@@ -262,7 +274,7 @@ def _course(axes: Axes, comparison: Comparison) -> None:
 
 
 def draw_summary(comparisons: Sequence[Comparison], path: Path) -> None:
-    """Draws observers over records, with tuned rms errors as colours and numbers."""
+    """Draw the tuned rms errors of all observers on all records, as colours and numbers."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -277,9 +289,9 @@ def draw_summary(comparisons: Sequence[Comparison], path: Path) -> None:
         norm: Any = LogNorm(0.03, 60)
         picture = axes.imshow(values, norm=norm, cmap="YlOrBr", aspect="auto")
         best = values.min(axis=0)
-        for row, line in enumerate(values):
-            for column, value in enumerate(line):
-                near = value <= NEAR * best[column]
+        for row, errors in enumerate(values):
+            for column, value in enumerate(errors):
+                is_good = value <= NEAR * best[column]
                 axes.text(
                     column,
                     row,
@@ -287,7 +299,7 @@ def draw_summary(comparisons: Sequence[Comparison], path: Path) -> None:
                     ha="center",
                     va="center",
                     fontsize=6.5,
-                    fontweight="bold" if near else "normal",
+                    fontweight="bold" if is_good else "normal",
                     color="white" if value > 5 else "black",
                 )
         axes.set_yticks(range(len(names)), names, fontsize=8)
@@ -303,6 +315,6 @@ def draw_summary(comparisons: Sequence[Comparison], path: Path) -> None:
         for spine in axes.spines.values():
             spine.set_visible(False)
         figure.colorbar(picture, ax=axes, label="position error, rms [°]", pad=0.01)
-        axes.set_title("Gains tuned for every record; bold: best or within 10 % of it")
+        axes.set_title("Gains tuned for each record; bold: best, or within 10 % of it")
         write(figure, path)
         plt.close(figure)

@@ -1,6 +1,6 @@
-"""The scenarios that come with the package.
+"""The shipped scenarios.
 
-A drive with an encoder makes the record; every observer then runs on the same samples.
+A drive with an encoder is simulated; all observers then run on the same record.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from ..simulation.drive import (
     simulate,
 )
 
-#: Current noise of all scenarios but the ideal one, as a share of the rated current.
+#: Current noise of all scenarios except the ideal one, as a share of the rated current.
 NOISE = 1 / 300
 
 
-#: Phase current over the rated one at which the simulated inverter's smoothed sign reaches three
-#: quarters. On purpose sharper than the 5 % that the observers assume (machines/model/inverter.py).
+#: Share of the rated current at which the smoothed sign of the simulated inverter reaches three
+#: quarters; intentionally sharper than the 5 % that observers assume (machines/model/inverter.py).
 KNEE = 0.02
 
 
@@ -41,15 +41,15 @@ class Scenario:
     duration, score_from : float
         Length of the record, start of scoring [s].
     current_offset, voltage_offset : tuple of (time, α share, β share)
-        Shares of rated current, and of rated voltage ω ψ.
+        Shares of the rated current, and of the rated voltage ω ψ.
     noise : float
         Std as a share of the rated current.
     believed : dict
-        Factors on the parameters that the observers believe: R, L, psi.
+        Factors on the parameters that the observers assume: R, L, psi.
     theta_e : float
         Initial angle of the rotor [rad].
     limit : str
-        What limits the least squares here besides noise; a phrase.
+        Limitation of the least squares here besides noise; a phrase.
     other : dict
         dead_time [share of a sample], drop [share of dc_link], dc_link (profile of shares),
         gain, range [share of rated current].
@@ -78,28 +78,28 @@ class Scenario:
 
 
 RESISTANCE = (
-    "the error of a wrong R turns with the rotor: it leaves a residual only while load or speed "
-    "change, and then looks like a drift; at low speed it puts (R - R') i/(ω ψ) into the angle"
+    "the error of a wrong R rotates with the rotor: it causes a residual only while load or speed "
+    "change, and then resembles a drift; at low speed the angle error is (R - R') i/(ω ψ)"
 )
-INDUCTANCE = "a wrong L turns x = λ - L i by (L - L') i_q/ψ at once: no observer can see that"
+INDUCTANCE = "a wrong L rotates x = λ - L i by (L - L') i_q/ψ at once, which no observer can detect"
 
 
-def _set() -> dict[str, Scenario]:
-    out = [Scenario("ideal", "no bias, no noise, all parameters right", noise=0.0)]
+def _define_scenarios() -> dict[str, Scenario]:
+    scenarios = [Scenario("ideal", "no bias, no noise, all parameters correct", noise=0.0)]
 
-    def add(name: str, about: str, **given: Any) -> None:
-        out.append(Scenario(name, about, **given))
+    def add(name: str, about: str, **fields: Any) -> None:
+        scenarios.append(Scenario(name, about, **fields))
 
     add("noise", "current noise of 1/300 of rated")
-    for sign, word in ((1, "plus"), (-1, "minus")):
+    for sign, suffix in ((1, "plus"), (-1, "minus")):
         add(
-            f"current-bias-{word}",
+            f"current-bias-{suffix}",
             f"current offset of {5 * sign:+d} % of rated",
             current_offset=((0.0, 0.05 * 0.6 * sign, 0.05 * 0.8 * sign),),
         )
-    for sign, word in ((1, "plus"), (-1, "minus")):
+    for sign, suffix in ((1, "plus"), (-1, "minus")):
         add(
-            f"voltage-bias-{word}",
+            f"voltage-bias-{suffix}",
             f"voltage offset of {2 * sign:+d} % of rated",
             voltage_offset=((0.0, 0.02 * 0.8 * sign, -0.02 * 0.6 * sign),),
         )
@@ -113,14 +113,14 @@ def _set() -> dict[str, Scenario]:
         "bias-drifts",
         "current offset from 0 to 5 % of rated within 2 s",
         current_offset=((0.5, 0.0, 0.0), (2.5, 0.03, 0.04)),
-        limit="the memory averages a drift that changes",
+        limit="the memory averages the changing drift",
     )
     add(
         "bias-jumps",
         "current offset of 2 % and voltage offset of 0.5 % change sign at 2.6 s",
         current_offset=((0.0, 0.02, 0.0), (2.6, 0.02, 0.0), (2.6, -0.02, 0.0)),
         voltage_offset=((0.0, 0.0, 0.005), (2.6, 0.0, 0.005), (2.6, 0.0, -0.005)),
-        limit="samples from before a jump count until they are forgotten",
+        limit="samples from before the jump count until they are forgotten",
     )
     for name, factors, limit in (
         ("R", (0.5, 0.8, 1.2, 1.5), RESISTANCE),
@@ -130,7 +130,7 @@ def _set() -> dict[str, Scenario]:
         for factor in factors:
             add(
                 f"{name}-{round(100 * factor)}",
-                f"the observers take {name} at {factor:g} of its value",
+                f"the observers assume {factor:g} times the true {name}",
                 believed={name: factor},
                 limit=limit,
             )
@@ -139,7 +139,7 @@ def _set() -> dict[str, Scenario]:
         "dead time of 1/60 of a sample and device drops of 0.2 % of the DC link, not compensated",
         load=((0.6, 0.0), (0.6, 0.6)),
         other={"dead_time": 1 / 60, "drop": 0.002},
-        limit="the inverter's voltage error turns with the current; near zero speed it exceeds "
+        limit="the inverter's voltage error rotates with the current; near zero speed it exceeds "
         "the EMF",
     )
     add(
@@ -147,15 +147,15 @@ def _set() -> dict[str, Scenario]:
         "10 % of rated speed, load step, reversal",
         speed=((0.0, 0.0), (0.2, 0.1), (1.8, 0.1), (2.2, -0.1)),
         load=((1.2, 0.0), (1.2, 1.0)),
-        limit="the drift is free, so only the turning part of the flux carries information; a "
-        "filter that knows psi and assumes zero drift has more",
+        limit="with unknown drift only the rotation of the flux carries information; a filter that "
+        "knows psi and assumes zero drift has more",
     )
     add(
         "low-speed-1",
         "1 % of rated speed, load step, no bias",
         speed=((0.0, 0.0), (0.2, 0.01)),
         load=((5.0, 0.0), (5.0, 1.0)),
-        limit="a memory of 1 s spans 0.75 turns here; a filter that assumes zero drift has more "
+        limit="a memory of 1 s covers 0.75 turns here; a filter that assumes zero drift has more "
         "information",
         duration=9.0,
         score_from=3.0,
@@ -168,47 +168,47 @@ def _set() -> dict[str, Scenario]:
     )
     add(
         "reversal",
-        "twice through zero between half speeds under half load",
+        "two reversals between plus and minus half speed under half load",
         speed=((0.0, 0.0), (0.3, 0.5), (0.8, 0.5), (1.3, -0.5), (1.8, -0.5), (2.3, 0.5)),
         load=((0.4, 0.0), (0.4, 0.5)),
     )
     add(
         "unknown-start",
-        "from standstill with the rotor 2.8 rad from where the observers start; scored from 0.1 s",
+        "start from standstill, 2.8 rad from the observers' initial angle; scored from 0.1 s",
         speed=((0.0, 0.0), (0.05, 0.0), (0.25, 0.5)),
         load=((0.6, 0.0), (0.6, 1.0)),
         theta_e=2.8,
-        limit="flux and drift start unknown, and it takes the first half turn to tell them apart",
+        limit="initially flux and drift are unknown; the first half turn separates them",
         duration=1.5,
         score_from=0.1,
     )
     add(
         "dc-link-sag",
-        "DC link, measured, at 60 % for 0.3 s at full speed and half load",
+        "measured DC link sags to 60 % for 0.3 s at full speed and half load",
         load=((0.6, 0.0), (0.6, 0.5)),
         other={"dc_link": ((1.3, 1.0), (1.31, 0.6), (1.6, 0.6), (1.61, 1.0))},
     )
     add(
         "gain-mismatch",
-        "gains of the phase current sensors 1.02, 0.98 and 1",
+        "phase current sensors with gains 1.02, 0.98 and 1",
         other={"gain": (1.02, 0.98, 1.0)},
-        limit="unequal gains make L i an ellipse: an error at twice the frequency, in part taken "
-        "for a drift",
+        limit="unequal gains make L i an ellipse: an error at twice the frequency, partly taken as "
+        "a drift",
     )
     add(
         "sensor-saturation",
-        "current sensors clip at the rated current; load and acceleration need 1.1 times as much",
+        "current sensors clip at the rated current; load and acceleration need 1.1 times this",
         other={"range": 1.0},
-        limit="clipping puts L times the missing current into x = λ - L i",
+        limit="clipping adds L times the missing current to x = λ - L i",
     )
-    return {scenario.name: scenario for scenario in out}
+    return {scenario.name: scenario for scenario in scenarios}
 
 
-SCENARIOS = _set()
+SCENARIOS = _define_scenarios()
 
 
 def scenario(name: str) -> Scenario:
-    """Looks up a scenario by name.
+    """Return a scenario by name.
 
     Raises
     ------
@@ -221,17 +221,17 @@ def scenario(name: str) -> Scenario:
 
 
 def believed_machine(machine: RotatingMachine, factors: dict[str, float]) -> RotatingMachine:
-    """The machine as the observers believe it."""
-    names = {"R": ("R_s",), "L": machine.inductance_names, "psi": (machine.flux_name,)}
+    """Return the machine that the observers assume."""
+    parameters = {"R": ("R_s",), "L": machine.inductance_names, "psi": (machine.flux_name,)}
     for key, factor in factors.items():
-        machine = machine.scaled(names[key], factor)
+        machine = machine.scaled(parameters[key], factor)
     return machine
 
 
 def run_scenario(
     chosen: Scenario, machine_name: str, seed: int = 0
 ) -> tuple[Run, RotatingMachine, Rating]:
-    """Simulates a scenario on a shipped machine."""
+    """Simulate a scenario on a shipped machine."""
     rated = rating(machine_name)
     machine = rotating(example(machine_name), "a scenario")
     assert machine.rated_current is not None
@@ -242,8 +242,8 @@ def run_scenario(
     U_n = rated.speed_e * psi
     other = chosen.other
 
-    def offsets(knots: tuple[tuple[float, float, float], ...], size: float) -> Profile:
-        return Profile([t for t, _, _ in knots], [(size * a, size * b) for _, a, b in knots])
+    def offsets(knots: tuple[tuple[float, float, float], ...], base: float) -> Profile:
+        return Profile([t for t, _, _ in knots], [(base * a, base * b) for _, a, b in knots])
 
     drive = encoder_drive(
         machine,
@@ -259,10 +259,10 @@ def run_scenario(
         smoothing=KNEE * I_n,
     )
     drive = replace(drive, inverter=inverter)
-    link = other.get("dc_link", ((0.0, 1.0),))
+    dc_link = other.get("dc_link", ((0.0, 1.0),))
     course = Course(
         Profile([t for t, _ in chosen.speed], [x * rated.speed_e / n_p for _, x in chosen.speed]),
-        Profile([t for t, _ in link], [x * rated.dc_link for _, x in link]),
+        Profile([t for t, _ in dc_link], [x * rated.dc_link for _, x in dc_link]),
         Profile([t for t, _ in chosen.load], [x * rated.torque for _, x in chosen.load]),
         offsets(chosen.voltage_offset, U_n),
         chosen.theta_e,

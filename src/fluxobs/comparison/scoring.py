@@ -1,4 +1,4 @@
-"""Scores the errors of an observer by the measures of a drive engineer."""
+"""Scores of an observer: the errors that matter to a drive engineer."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.arrays import Array
 from ..machines import RotatingMachine
 
-#: Settled: error below SETTLED [rad] for HELD [s]. Lost: error above LOST [rad].
+#: Settled: the error stays below SETTLED [rad] for HELD [s]. Lost: the error exceeds LOST [rad].
 SETTLED, HELD, LOST = np.radians(10.0), 0.05, np.radians(60.0)
 
 
@@ -33,7 +33,7 @@ class Score:
     Attributes
     ----------
     rms, worst : float
-        Rms and largest position error from `score_from` on [rad].
+        Rms and largest absolute position error from `score_from` on [rad].
     speed : float or None
         Rms error of the electrical speed [rad/s].
     flux : float or None
@@ -45,7 +45,7 @@ class Score:
     claimed : float
         Share of the scored rows that the observer calls valid.
     worst_claimed : float
-        Largest position error on those rows [rad].
+        Largest absolute position error on those rows [rad].
     """
 
     rms: float
@@ -59,24 +59,27 @@ class Score:
 
 
 def scored_error(estimated: Array, truth: Truth) -> Array:
-    """Position error [rad]; an estimate that is not finite counts as half a turn off."""
-    known = np.where(np.isfinite(estimated), estimated, truth.theta_e + np.pi)
-    return truth.machine.position_error(known, truth.theta_e)
+    """Return the position error [rad]; an estimate that is not finite counts as half a turn."""
+    finite = np.where(np.isfinite(estimated), estimated, truth.theta_e + np.pi)
+    return truth.machine.position_error(finite, truth.theta_e)
 
 
 def settling_time(t: Array, error: Array) -> float:
-    """Time from which the size of an error first stays below 10° for 50 ms [s]; nan if never."""
-    held = max(1, round(HELD / (t[1] - t[0])))
-    good = np.concatenate([[0], np.cumsum(error < SETTLED)])
-    whole = good[held:] - good[:-held] == held
-    return float(t[np.argmax(whole)]) if whole.any() else float("nan")
+    """Return when an absolute error first stays below 10° for 50 ms [s]; nan if never."""
+    samples = max(1, round(HELD / (t[1] - t[0])))
+    count = np.concatenate([[0], np.cumsum(error < SETTLED)])
+    stays = count[samples:] - count[:-samples] == samples
+    return float(t[np.argmax(stays)]) if stays.any() else float("nan")
 
 
 def true_speed(
     machine: RotatingMachine, theta_e: ArrayLike, speed: ArrayLike, sample_time: float
 ) -> Array:
-    """Electrical speed of the position [rad/s], of the rotor or of a cage's flux, from the position
-    and the mechanical speed."""
+    """Return the electrical speed of the position [rad/s].
+
+    For a cage it is the derivative of the position, which follows the rotor flux; else it follows
+    from the mechanical speed.
+    """
     if not machine.flux_moves:
         return machine.n_p * np.asarray(speed, float)
     return np.asarray(np.gradient(np.unwrap(np.asarray(theta_e, float)), sample_time), float)
@@ -89,7 +92,7 @@ def score(
     truth: Truth,
     valid: NDArray[np.bool_] | None = None,
 ) -> Score:
-    """Scores estimates, one row per sample; `valid` if the observer reports it."""
+    """Score estimates, one row per sample; give `valid` if the observer reports it."""
     error = np.abs(scored_error(theta_e, truth))
     scored = truth.t >= truth.score_from
     claimed = np.ones(len(error), bool) if valid is None else valid

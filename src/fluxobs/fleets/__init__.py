@@ -1,4 +1,4 @@
-"""Many logs: estimated, identified together, and followed over time."""
+"""Fleets: many logs estimated together, and their parameters followed over time."""
 
 from .batch import Fleet, estimate_many, open_fleet
 

@@ -1,4 +1,4 @@
-"""Many logs estimated: every log to its file, a row for each, and a table of all."""
+"""Estimate many logs: each to its own file and row, and a table of all rows."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from .log_task import (
     COLUMNS,
     ESTIMATES,
     LOGS,
-    Kept,
     LogTask,
     Settings,
-    begun,
+    StoredLog,
     key_of,
+    new_row,
     readable,
     row_of,
 )
 from .sources import Source, shared, sources
 
-#: Files of a result: marks the folder; the summary table, twice.
+#: Files in the folder of the results: its mark, and the summary table in two formats.
 MARK, TABLE, TEXT = "fleet.json", "summary.parquet", "summary.csv"
 
 
 @dataclass(frozen=True, eq=False)
 class Fleet:
-    """What an estimation of many logs left.
+    """Results of an estimation of many logs.
 
     Attributes
     ----------
     folder : Path
     table : polars.DataFrame
-        A row a log, those of earlier runs in the folder too, with the columns of
+        One row per log, including earlier runs in the folder, with the columns of
         :data:`fluxobs.fleets.log_task.COLUMNS`.
     """
 
@@ -51,7 +51,7 @@ class Fleet:
 
     @property
     def failed(self) -> pl.DataFrame:
-        """The logs that could not be estimated."""
+        """Rows of the logs that could not be estimated."""
         return self.table.filter(pl.col("failed").is_not_null())
 
 
@@ -64,58 +64,60 @@ def estimate_many(
     retry: Literal["none", "failed", "all"] = "none",
     workers: int | None = None,
     scheduler: str = LOCAL,
-    progress: Callable[[int, int], Any] = lambda done, total: None,
+    progress: Callable[[int, int], Any] = lambda finished, total: None,
     **options: Any,
 ) -> Fleet:
-    """Estimate many logs; one that cannot be estimated is a row that says so.
+    """Estimate many logs; a log that cannot be estimated gets a row with the reason.
 
     Parameters
     ----------
     logs : sequence of str or Path
         Files, patterns, folders, and URLs of these (extra "cloud").
     machine : str or Path
-        A machine file or name; ``{drive}`` in it stands for the name of the drive.
+        A machine file or name; ``{drive}`` in it is replaced by the name of the drive.
     out : path
-        Folder of the results. Logs that were done with the same machine and settings are not done
-        again, unless their content changed.
+        Folder of the results. Logs already estimated with the same machine and settings are
+        skipped, unless their content changed.
     drive : str, optional
         Regular expression that finds the drive in a log's path; default the log's folder.
     retry : {"none", "failed", "all"}
-        What is done again although nothing changed.
+        Which unchanged logs to estimate again.
     workers, scheduler
         See :func:`fluxobs.core.engine.compute`.
     progress : callable
-        Called with the number of logs done, and of all.
+        Called with the number of finished logs and the number of all.
     options : optional
-        Further arguments of :func:`fluxobs.estimate`, layout included.
+        Further arguments of :func:`fluxobs.estimate`, including the layout.
 
     Raises
     ------
     FluxobsError
-        No log is meant, the folder holds something else, or nothing can be written there.
+        No log is found, the folder holds something else, or it cannot be written.
     """
-    known = _root(Path(out))
-    meant = sources(logs, drive, known)
+    root = _read_root(Path(out))
+    log_sources = sources(logs, drive, root)
     if retry not in ("none", "failed", "all"):
-        raise UsageError(f"retry {retry!r}: none, failed or all")
+        raise UsageError(f"retry {retry!r}: give none, failed or all")
     settings = Settings(_absolute(str(machine)), _json(options))
     if "{drive}" not in settings.machine:
-        as_machine(settings.machine)  # wrong for one is wrong for all
-    folder = _folder(Path(out), shared([one.address for one in meant]))
+        as_machine(settings.machine)  # report a wrong name once, not in each row
+    folder = _open_folder(Path(out), shared([source.address for source in log_sources]))
     with locked(folder):
         for name in (ESTIMATES, LOGS):
             make_folder(folder / name)
-        machine_of = cache(as_machine)  # files may change until the next run
-        todo = [one for one in meant if _is_due(folder, one, settings, retry, machine_of)]
-        done = len(meant) - len(todo)
-        progress(done, len(meant))
-        fresh: dict[str, dict[str, Any]] = {}
-        work = LogTask(str(folder), settings)
-        for source, row in compute(todo, work, workers, scheduler, _lost):
-            fresh[source.name] = row
-            done += 1
-            progress(done, len(meant))
-        rows = [readable(row) for row in _rows(folder, meant, fresh)]
+        machine_of = cache(as_machine)  # per run: machine files may change between runs
+        due = [
+            source for source in log_sources if _is_due(folder, source, settings, retry, machine_of)
+        ]
+        finished = len(log_sources) - len(due)
+        progress(finished, len(log_sources))
+        new_rows: dict[str, dict[str, Any]] = {}
+        task = LogTask(str(folder), settings)
+        for source, row in compute(due, task, workers, scheduler, _row_of_dead_worker):
+            new_rows[source.name] = row
+            finished += 1
+            progress(finished, len(log_sources))
+        rows = [readable(row) for row in _rows(folder, log_sources, new_rows)]
         table = pl.DataFrame(rows, schema=COLUMNS, orient="row")
         write_part(table, folder / TABLE)
         write_rows(folder / TEXT, dict(table.schema), iter([table]))
@@ -123,27 +125,27 @@ def estimate_many(
 
 
 def open_fleet(folder: str | Path) -> Fleet:
-    """What an earlier estimation of many logs left.
+    """Open the results of an earlier estimation of many logs.
 
     Raises
     ------
     FluxobsError
-        The folder holds none.
+        The folder holds no results, or they cannot be read.
     """
-    place = Path(folder) / TABLE
-    if not place.exists():
+    path = Path(folder) / TABLE
+    if not path.exists():
         raise FluxobsError(
-            f"{folder}: holds no {TABLE}; `fluxobs estimate LOGS… --out {folder}` makes it"
+            f"{folder}: holds no {TABLE}; `fluxobs estimate LOGS… --out {folder}` creates it"
         )
     try:
-        with place.open("rb") as file:  # Polars takes a name for a pattern, and for text
+        with path.open("rb") as file:  # Polars would read a path as a pattern, and as UTF-8
             return Fleet(Path(folder), pl.read_parquet(file))
     except (OSError, pl.exceptions.PolarsError) as error:
-        raise FluxobsError(f"{place}: cannot be read: {error}") from None
+        raise FluxobsError(f"{path}: cannot be read: {error}") from None
 
 
 def _absolute(machine: str) -> str:
-    """The name of a shipped machine as it is; a path so that all workers find it."""
+    """Return a shipped machine's name as it is; a path absolute, for workers elsewhere."""
     return machine if machine in example_names() else str(Path(machine).absolute())
 
 
@@ -151,7 +153,7 @@ def _json(options: dict[str, Any]) -> str:
     try:
         return json.dumps(options, sort_keys=True, default=_path)
     except TypeError as error:
-        raise UsageError(f"an option of many logs must be text or numbers: {error}") from None
+        raise UsageError(f"options of many logs must be text or numbers: {error}") from None
 
 
 def _path(value: Any) -> str:
@@ -160,21 +162,21 @@ def _path(value: Any) -> str:
     raise TypeError(f"{type(value).__name__} {value!r}")
 
 
-def _root(out: Path) -> str | None:
-    """What the logs of earlier runs in a folder shared."""
+def _read_root(out: Path) -> str | None:
+    """Return the common folder of the logs of earlier runs; None if there are none."""
     try:
         return str(json.loads((out / MARK).read_text(encoding="utf-8"))["root"])
     except (OSError, ValueError, KeyError):
         return None
 
 
-def _folder(out: Path, root: str) -> Path:
-    """The folder of the results, new or used before for the same."""
+def _open_folder(out: Path, root: str) -> Path:
+    """Create the folder of the results, or open it if it holds results."""
     folder = make_folder(out).resolve()
     if (folder / MARK).exists():
         return folder
     if any(path.name != ".lock" for path in folder.iterdir()):
-        raise FluxobsError(f"{out}: is not empty and holds no such results; give another --out")
+        raise FluxobsError(f"{out}: is not empty and holds no such results; choose another --out")
     write_text(folder / MARK, json.dumps({"root": root}, indent=1) + "\n")
     return folder
 
@@ -186,43 +188,44 @@ def _is_due(
     retry: str,
     machine_of: Callable[[str], Machine],
 ) -> bool:
-    """Whether a log has to be looked at: it is new, its stamp or its settings changed, or it is to
-    be retried."""
-    kept = Kept.of(folder, source)
-    note = kept.read()
-    if note is None or retry == "all":
+    """Return whether to process a log: new, changed stamp or settings, or to be retried."""
+    stored = StoredLog.of(folder, source)
+    stored_note = stored.read()
+    if stored_note is None or retry == "all":
         if retry == "all":
-            kept.note.unlink(missing_ok=True)
+            stored.note.unlink(missing_ok=True)
         return True
-    failed = note["row"].get("failed") is not None
+    failed = stored_note["row"].get("failed") is not None
     if failed and retry == "failed":
         return True
-    if not failed and not (kept.estimates.exists() and note["stamp"]):
+    if not failed and not (stored.estimates.exists() and stored_note["stamp"]):
         return True
     try:
         machine = machine_of(settings.machine_of(source))
     except FluxobsError:
         machine = None
-    key = key_of("" if failed else note["row"]["content"], settings, machine)
-    return bool(note["stamp"] != source.stamp() or note["key"] != key)
+    key = key_of("" if failed else stored_note["row"]["content"], settings, machine)
+    return bool(stored_note["stamp"] != source.stamp() or stored_note["key"] != key)
 
 
-def _lost(source: Source) -> dict[str, Any]:
-    """The row of a log whose worker always dies."""
-    what = "its worker died five times, as one does that has no memory left; take fewer workers"
-    return begun(source) | {"failed": f"{source}: {what}"}
+def _row_of_dead_worker(source: Source) -> dict[str, Any]:
+    """Return the row of a log whose worker repeatedly died."""
+    message = "its worker died five times, probably out of memory; take fewer workers"
+    return new_row(source) | {"failed": f"{source}: {message}"}
 
 
 def _rows(
-    folder: Path, meant: Sequence[Source], fresh: dict[str, dict[str, Any]]
+    folder: Path, log_sources: Sequence[Source], new_rows: dict[str, dict[str, Any]]
 ) -> Iterator[dict[str, Any]]:
-    """Rows of all logs that the folder knows, those of earlier runs too, by name."""
-    drives = {source.name: source.drive for source in meant}
-    kept = {path.relative_to(folder / LOGS).as_posix() for path in (folder / LOGS).rglob("*.json")}
-    for name in sorted(drives.keys() | {one.removesuffix(".json") for one in kept}):
-        row = fresh.get(name)
+    """Yield the rows of all logs in the folder, including earlier runs, by name."""
+    drives = {source.name: source.drive for source in log_sources}
+    stored = {
+        path.relative_to(folder / LOGS).as_posix() for path in (folder / LOGS).rglob("*.json")
+    }
+    for name in sorted(drives.keys() | {path.removesuffix(".json") for path in stored}):
+        row = new_rows.get(name)
         if row is None:
-            note = Kept.of(folder, Source("", name, "")).read()
+            note = StoredLog.of(folder, Source("", name, "")).read()
             if note is None:
                 continue
             row = row_of(note["row"])

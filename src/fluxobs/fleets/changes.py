@@ -1,7 +1,7 @@
-"""One parameter of one drive over time: its level, its trend, and where it changed.
+"""One parameter of one drive over time: its level, its trend and its changes.
 
-Every value has a standard deviation of its own. Values scatter by more than these, with the
-temperature of the day for example: what they scatter by besides is estimated and added.
+Each value has its own standard deviation. Values scatter more than that, for example with the
+ambient temperature; this excess scatter is estimated and added.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ import numpy as np
 
 from ..core.arrays import Array
 
-#: Fewest values on each side of a change, and fewest for a trend.
+#: Smallest number of values on each side of a change, and for a trend.
 LEAST, LEAST_FOR_TREND = 3, 5
 #: A trend counts if its slope is this many standard deviations from zero.
 SURE = 4.0
-#: Chance that a series in which nothing changes shows a change: sets :func:`penalty`.
+#: Probability that a change is found in a series without one; sets :func:`penalty`.
 FALSE_ALARM = 0.01
-#: Degrees of freedom that a value adds to an estimate by a median, where the mean of squares has 1.
+#: Degrees of freedom per value of an estimate by a median, relative to a mean of squares.
 EFFICIENCY = 0.37
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Values between two changes: the first and last (exclusive), their mean, and its std."""
+    """Values `first` to `last`, exclusive, between two changes, with their mean and its std."""
 
     first: int
     last: int
@@ -35,16 +35,16 @@ class Segment:
 
 @dataclass(frozen=True)
 class Course:
-    """What a series did.
+    """Levels, trend and scatter of a series.
 
     Attributes
     ----------
     segments : tuple of Segment
         At least one; more if the level changed.
     scatter : float
-        What the values scatter by besides their standard deviations.
+        Scatter of the values in excess of their standard deviations.
     slope, slope_std : float
-        Per second, over the last segment; 0 and infinite with too few values.
+        Trend per second over the last segment; 0 and infinite with too few values.
     """
 
     segments: tuple[Segment, ...]
@@ -54,12 +54,12 @@ class Course:
 
     @property
     def drifts(self) -> bool:
-        """Whether there is a trend."""
+        """Whether the last segment has a significant trend."""
         return abs(self.slope) > SURE * self.slope_std
 
     @property
     def jumps(self) -> tuple[tuple[int, float, float], ...]:
-        """Every change: the first value after it, by how much, and the std of that."""
+        """All changes: index of the first value after it, size of the change, and its std."""
         return tuple(
             (b.first, b.mean - a.mean, float(np.hypot(a.std, b.std)))
             for a, b in pairwise(self.segments)
@@ -67,12 +67,12 @@ class Course:
 
 
 def course_of(t: Array, values: Array, stds: Array) -> Course:
-    """Segments and trend of a series.
+    """Find segments and trend of a series.
 
     Parameters
     ----------
     t : (n,) ndarray
-        Times, rising [s].
+        Ascending times [s].
     values, stds : (n,) ndarray
         Finite; stds > 0.
     """
@@ -88,35 +88,38 @@ def course_of(t: Array, values: Array, stds: Array) -> Course:
 
 
 def scatter_of(t: Array, values: Array, stds: Array) -> float:
-    """Excess scatter: what makes second differences, in which levels and trends vanish, as large as
-    they are; by their median, which a few jumps do not move."""
+    """Estimate the excess scatter from the median of the squared second differences.
+
+    Levels and trends vanish in second differences; a few jumps hardly move the median.
+    """
     n = len(values)
     if n < LEAST_FOR_TREND:
         return 0.0
-    # Each inner value against the line through its neighbours.
+    # Difference of each inner value from the line through its neighbours.
     span = t[2:] - t[:-2]
-    share = np.where(span > 0, (t[1:-1] - t[:-2]) / np.where(span > 0, span, 1.0), 0.5)
-    off = values[1:-1] - (1 - share) * values[:-2] - share * values[2:]
-    gain = 1 + (1 - share) ** 2 + share**2
-    known = stds[1:-1] ** 2 + (1 - share) ** 2 * stds[:-2] ** 2 + share**2 * stds[2:] ** 2
+    ratio = np.where(span > 0, (t[1:-1] - t[:-2]) / np.where(span > 0, span, 1.0), 0.5)
+    differences = values[1:-1] - (1 - ratio) * values[:-2] - ratio * values[2:]
+    gain = 1 + (1 - ratio) ** 2 + ratio**2
+    variance = stds[1:-1] ** 2 + (1 - ratio) ** 2 * stds[:-2] ** 2 + ratio**2 * stds[2:] ** 2
     # The median of a squared standard normal number is 0.4549; no gain is below 1.5.
-    low, high = 0.0, float(np.max(off**2)) / (1.5 * 0.4549)
-    if np.median(off**2 / known) <= 0.4549:
+    lower, upper = 0.0, float(np.max(differences**2)) / (1.5 * 0.4549)
+    if np.median(differences**2 / variance) <= 0.4549:
         return 0.0
-    for _ in range(60):  # what makes the median right: bisection, it falls with the scatter
-        middle = (low + high) / 2
-        if np.median(off**2 / (known + gain * middle)) > 0.4549:
-            low = middle
+    for _ in range(60):  # bisection: the median falls as the excess variance rises
+        excess = (lower + upper) / 2
+        if np.median(differences**2 / (variance + gain * excess)) > 0.4549:
+            lower = excess
         else:
-            high = middle
-    return float(np.sqrt(high))
+            upper = excess
+    return float(np.sqrt(upper))
 
 
 def penalty(n: int) -> float:
-    """Gain in χ² that a change must bring: what chance exceeds once in a hundred series.
+    """Return the reduction of χ² that a change must bring.
 
-    The largest of n dependent gains, bounded as if they were independent; Student's distribution,
-    because the scatter is itself an estimate (tests/fleets/test_changes.py measures the chance).
+    Chance alone exceeds it in one of a hundred series. This is the largest of n dependent gains,
+    bounded as if they were independent, in Student's distribution because the scatter is itself an
+    estimate (tests/fleets/test_changes.py measures the rate of false alarms).
     """
     from scipy.stats import t
 
@@ -124,7 +127,7 @@ def penalty(n: int) -> float:
 
 
 def change_points(values: Array, variance: Array) -> list[int]:
-    """Edges of the segments of constant level that minimise χ² plus a penalty for each change.
+    """Return the edges of the segments of constant level that minimise χ² plus penalties.
 
     Exact, by dynamic programming over the last change: B. Jackson et al., "An algorithm for optimal
     partitioning of data on an interval", IEEE Signal Processing Letters 12 (2005),
@@ -136,45 +139,45 @@ def change_points(values: Array, variance: Array) -> list[int]:
     w = 1 / variance
     centred = values - np.average(values, weights=w)
     S0, S1, S2 = (np.concatenate([[0.0], np.cumsum(w * centred**k)]) for k in (0, 1, 2))
-    each = penalty(n)
+    cost_of_change = penalty(n)
     best = np.full(n + 1, np.inf)
-    best[0] = -each
-    last = np.zeros(n + 1, int)
+    best[0] = -cost_of_change
+    last_change = np.zeros(n + 1, int)
     for end in range(LEAST, n + 1):
         starts = np.arange(0, end - LEAST + 1)
-        weight, first = S0[end] - S0[starts], S1[end] - S1[starts]
-        cost = S2[end] - S2[starts] - first**2 / weight
-        total = best[starts] + cost + each
-        last[end] = starts[np.argmin(total)]
-        best[end] = total[last[end]]
+        weight, moment = S0[end] - S0[starts], S1[end] - S1[starts]
+        cost = S2[end] - S2[starts] - moment**2 / weight
+        total = best[starts] + cost + cost_of_change
+        last_change[end] = starts[np.argmin(total)]
+        best[end] = total[last_change[end]]
     edges = [n]
     while edges[-1] > 0:
-        edges.append(int(last[edges[-1]]))
+        edges.append(int(last_change[edges[-1]]))
     return edges[::-1]
 
 
 def _is_line(t: Array, values: Array, variance: Array, edges: list[int]) -> bool:
-    """Whether one slope explains the values as well as the steps do, which would be a staircase."""
-    steps = 0.0
+    """Return whether one slope explains the values as well as a staircase of steps does."""
+    steps_cost = 0.0
     for first, last in pairwise(edges):
         level = np.average(values[first:last], weights=1 / variance[first:last])
-        steps += float(np.sum((values[first:last] - level) ** 2 / variance[first:last]))
+        steps_cost += float(np.sum((values[first:last] - level) ** 2 / variance[first:last]))
     slope, _ = trend(t, values, variance)
     w = 1 / variance
     x, y = t - np.average(t, weights=w), values - np.average(values, weights=w)
-    line = float(np.sum(w * (y - slope * x) ** 2))
-    each = penalty(len(values))
-    return line + each <= steps + each * (len(edges) - 2)
+    line_cost = float(np.sum(w * (y - slope * x) ** 2))
+    cost_of_change = penalty(len(values))
+    return line_cost + cost_of_change <= steps_cost + cost_of_change * (len(edges) - 2)
 
 
 def trend(t: Array, values: Array, variance: Array) -> tuple[float, float]:
-    """Slope of the weighted line, and its standard deviation."""
+    """Return the slope of the weighted line, and its standard deviation."""
     if len(t) < LEAST_FOR_TREND or not np.ptp(t) > 0:
         return 0.0, float("inf")
     w = 1 / variance
     x = t - np.average(t, weights=w)
-    size = float(np.sum(w * x * x))
-    return float(np.sum(w * x * values)) / size, float(size**-0.5)
+    curvature = float(np.sum(w * x * x))
+    return float(np.sum(w * x * values)) / curvature, float(curvature**-0.5)
 
 
 def _segment(values: Array, variance: Array, first: int, last: int) -> Segment:

@@ -1,4 +1,4 @@
-"""One log of many: what a worker does, and the row that comes of it."""
+"""One log of many: the task of a worker, and its row."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from ..estimation.learning import UNSEEN, parameters
 from ..machines import Machine, as_machine
 from .sources import Source
 
-#: Folders of a result: estimates, and what is known of each log.
+#: Folders of the results: estimates, and a note on each log.
 ESTIMATES, LOGS = "estimates", "logs"
-#: Columns of the summary table, in SI; one row a log. Parameters that a log does not tell are null.
+#: Columns of the summary table, in SI, one row per log. Unidentifiable parameters are null.
 COLUMNS: dict[str, Any] = {
     "log": pl.String,
     "drive": pl.String,
@@ -65,12 +65,12 @@ NAMES = {"magnet flux": "psi_f", "resistance": "resistance", "inverter": "invert
 
 @dataclass(frozen=True)
 class Settings:
-    """How logs are estimated.
+    """Machine and options with which logs are estimated.
 
     Attributes
     ----------
     machine : str
-        A machine file or name; ``{drive}`` in it stands for the drive's name.
+        A machine file or name; ``{drive}`` in it is replaced by the drive's name.
     options : str
         JSON of the other arguments of :func:`fluxobs.estimate`.
     """
@@ -84,12 +84,12 @@ class Settings:
 
 @dataclass(frozen=True)
 class LogTask:
-    """The work on a log; as a function it is sent to the workers.
+    """A task that estimates one log; it is sent to the workers.
 
     Attributes
     ----------
     folder : str
-        Of the results; all workers see it by this name.
+        Folder of the results; all workers see it under this path.
     settings : Settings
     """
 
@@ -97,24 +97,26 @@ class LogTask:
     settings: Settings
 
     def __call__(self, source: Source) -> dict[str, Any]:
-        """Estimate a log, write its estimates and its row; returns the row. Never raises: what goes
-        wrong is in the row."""
+        """Estimate a log, write its estimates and its row, and return the row.
+
+        Never raises: errors are in the row.
+        """
         started = time.perf_counter()
-        kept = Kept.of(Path(self.folder), source)
+        stored = StoredLog.of(Path(self.folder), source)
         stamp = source.stamp()
-        row = begun(source)
+        row = new_row(source)
         machine = None
         try:
             machine = as_machine(self.settings.machine_of(source))
             row["machine"] = self.settings.machine_of(source)
-            with source.local() as place:
-                content = content_of(place)
-                if kept.has(content, self.settings, machine):
-                    return kept.renewed(stamp)
-                row |= self._estimated(place, source, machine, kept)
-                if content_of(place) != content or source.stamp() != stamp:
+            with source.local() as path:
+                content = content_of(path)
+                if stored.is_current(content, self.settings, machine):
+                    return stored.restamp(stamp)
+                row |= self._estimate(path, source, machine, stored)
+                if content_of(path) != content or source.stamp() != stamp:
                     raise FluxobsError(
-                        f"{source}: the log changed while it was read; estimate it again when it "
+                        f"{source}: the log changed while it was read; estimate it again once it "
                         f"is complete"
                     )
             row["content"] = content
@@ -122,46 +124,46 @@ class LogTask:
         except FluxobsError as error:
             row["failed"] = str(error)
         except MemoryError:
-            row["failed"] = f"{source}: no memory left; take fewer workers"
-        except Exception as error:  # one log never stops the others
+            row["failed"] = f"{source}: out of memory; take fewer workers"
+        except Exception as error:  # one log must not stop the others
             row["failed"] = f"{source}: {type(error).__name__}: {error}"
         if row["failed"] is not None:
             key = key_of("", self.settings, machine)
-            with suppress(OSError):  # estimates of earlier content
-                kept.estimates.unlink(missing_ok=True)
+            with suppress(OSError):  # they belong to earlier content
+                stored.estimates.unlink(missing_ok=True)
         row["seconds"] = time.perf_counter() - started
         try:
-            kept.write(row, stamp, key)
+            stored.write(row, stamp, key)
         except FluxobsError as error:
             row["failed"] = row["failed"] or str(error)
         return row
 
-    def _estimated(
-        self, place: Path, source: Source, machine: Machine, kept: Kept
+    def _estimate(
+        self, path: Path, source: Source, machine: Machine, stored: StoredLog
     ) -> dict[str, Any]:
         try:
-            kept.estimates.parent.mkdir(parents=True, exist_ok=True)
+            stored.estimates.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise FluxobsError(f"{kept.estimates}: cannot be written: {error.strerror}") from None
+            raise FluxobsError(f"{stored.estimates}: cannot be written: {error.strerror}") from None
         options = json.loads(self.settings.options)
-        result = estimate(place, machine, out=kept.estimates, force=True, **options)
-        return told(result)
+        result = estimate(path, machine, out=stored.estimates, force=True, **options)
+        return summarise(result)
 
 
 def readable(row: Mapping[str, Any]) -> dict[str, Any]:
-    """A row as a person reads it: a name in it commands no terminal, and is text."""
+    """Return a row with printable text: no control characters, no invalid UTF-8."""
     return {key: visible(value) if isinstance(value, str) else value for key, value in row.items()}
 
 
-def begun(source: Source) -> dict[str, Any]:
-    """A row of which only the log is known."""
+def new_row(source: Source) -> dict[str, Any]:
+    """Return a row with log, drive and time only."""
     row: dict[str, Any] = dict.fromkeys(COLUMNS)
     row |= {"log": source.name, "drive": source.drive, "time": source.time()}
     return row
 
 
-def told(result: Result) -> dict[str, Any]:
-    """What a run says, as columns."""
+def summarise(result: Result) -> dict[str, Any]:
+    """Return the columns of an estimation's result."""
     facts = result.facts
     row: dict[str, Any] = {
         "rows": facts["rows"],
@@ -173,18 +175,21 @@ def told(result: Result) -> dict[str, Any]:
         "first_valid": facts["first_valid"],
         "warnings": "\n".join(facts["warnings"]) or None,
     }
-    checked = result.checked
-    if checked is not None and checked.mistakes:
-        row["mistakes"] = "\n".join(str(one) for one in checked.mistakes)
+    findings = result.checked
+    if findings is not None and findings.mistakes:
+        row["mistakes"] = "\n".join(str(mistake) for mistake in findings.mistakes)
     if facts["drift"] is not None:
         row |= dict(zip(("drift_alpha", "drift_beta"), facts["drift"], strict=True))
     if facts["error"] is not None:
         row |= {"error_rms": facts["error"]["rms"], "error_most": facts["error"]["most"]}
     adaptive, learnt = result.adaptive, result.learnt
     if adaptive is not None and learnt is not None and result.statistics.valid:
-        for one in parameters(adaptive, learnt):
-            if one.told:
-                row |= {NAMES[one.name]: one.value, f"{NAMES[one.name]}_std": one.std}
+        for parameter in parameters(adaptive, learnt):
+            if parameter.told:
+                row |= {
+                    NAMES[parameter.name]: parameter.value,
+                    f"{NAMES[parameter.name]}_std": parameter.std,
+                }
         std = max(learnt.offset_std)
         if adaptive.offset_std > 0 and std <= UNSEEN * adaptive.offset_std:
             row |= dict(zip(("offset_alpha", "offset_beta"), learnt.offset, strict=True))
@@ -193,44 +198,44 @@ def told(result: Result) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Kept:
-    """What is kept of a log in the folder of the results."""
+class StoredLog:
+    """Files of one log in the folder of the results: estimates and note."""
 
     estimates: Path
     note: Path
 
     @classmethod
-    def of(cls, folder: Path, source: Source) -> Kept:
+    def of(cls, folder: Path, source: Source) -> StoredLog:
         return cls(
             folder / ESTIMATES / f"{source.name}.parquet", folder / LOGS / f"{source.name}.json"
         )
 
     def read(self) -> dict[str, Any] | None:
-        """The note of an earlier run: stamp, key and row; None if there is none that reads."""
+        """Read the note of an earlier run (stamp, key and row); None if missing or malformed."""
         try:
-            found: dict[str, Any] = json.loads(self.note.read_text(encoding="utf-8"))
-            return found if set(found) == {"stamp", "key", "row"} else None
+            note: dict[str, Any] = json.loads(self.note.read_text(encoding="utf-8"))
+            return note if set(note) == {"stamp", "key", "row"} else None
         except (OSError, ValueError):
             return None
 
-    def has(self, content: str, settings: Settings, machine: Machine) -> bool:
-        """Whether this very content was estimated with these settings."""
-        found = self.read()
-        wanted = key_of(content, settings, machine)
-        return found is not None and found["key"] == wanted and self.estimates.exists()
+    def is_current(self, content: str, settings: Settings, machine: Machine) -> bool:
+        """Return whether this content was estimated with these settings."""
+        note = self.read()
+        expected = key_of(content, settings, machine)
+        return note is not None and note["key"] == expected and self.estimates.exists()
 
-    def renewed(self, stamp: str) -> dict[str, Any]:
-        """The row that is there; only the stamp changed."""
-        found = self.read()
-        assert found is not None
-        row = row_of(found["row"])
-        self.write(row, stamp, found["key"])
+    def restamp(self, stamp: str) -> dict[str, Any]:
+        """Return the stored row, and store the new stamp."""
+        note = self.read()
+        assert note is not None
+        row = row_of(note["row"])
+        self.write(row, stamp, note["key"])
         return row
 
     def write(self, row: dict[str, Any], stamp: str, key: str) -> None:
-        """Write the note."""
-        when = row["time"]
-        text = row | {"time": None if when is None else when.isoformat()}
+        """Write the note of a log."""
+        time = row["time"]
+        text = row | {"time": None if time is None else time.isoformat()}
         try:
             self.note.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -239,16 +244,18 @@ class Kept:
         write_text(self.note, json.dumps(note, ensure_ascii=False, indent=1) + "\n")
 
 
-def row_of(kept: dict[str, Any]) -> dict[str, Any]:
-    """A row from its note."""
-    when = kept.get("time")
-    return {name: kept.get(name) for name in COLUMNS} | {
-        "time": None if when is None else datetime.fromisoformat(when)
+def row_of(stored: dict[str, Any]) -> dict[str, Any]:
+    """Return the row of a note."""
+    time = stored.get("time")
+    return {name: stored.get(name) for name in COLUMNS} | {
+        "time": None if time is None else datetime.fromisoformat(time)
     }
 
 
 def key_of(content: str, settings: Settings, machine: Machine | None) -> str:
-    """Stands for a log, its machine, the settings, and the program; a log that failed has no
-    content, and no machine if that is what failed."""
-    parts = (content, repr(machine), settings.options, version("fluxobs"))
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+    """Return a hash of log, machine, settings and version of fluxobs.
+
+    A failed log has an empty content, and no machine if the machine could not be read.
+    """
+    fields = (content, repr(machine), settings.options, version("fluxobs"))
+    return hashlib.sha256("\n".join(fields).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""Many logs: files, patterns, folders and addresses to a list of names."""
+"""Find logs: from files, patterns, folders and URLs to a list of logs with names."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from typing import Any
 from ..errors import FluxobsError, UsageError
 from ..logs.formats import FORMATS
 
-#: Endings of text logs; in a folder, files with other endings are no logs.
+#: Suffixes of text logs; in a folder, only these and the suffixes of known formats are logs.
 TEXT = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".log", ".dat", ".gz")
-#: Names of texts that are no logs.
+#: Names of text files that are not logs.
 WORDS = ("readme", "license", "licence", "changelog", "notes", "requirements")
-#: Begins the name of a log that is not in the folder which those of earlier runs shared.
+#: Prefix of the name of a log outside the common folder of earlier runs.
 ELSEWHERE = "@/"
 #: A date in a name, with or without a time: 2024-05-17, 20240517_1430, 2024-05-17T14-30-05.
 DATE = re.compile(
@@ -38,9 +38,9 @@ class Source:
     address : str
         A path, or a URL.
     name : str
-        Its path below what all logs share; names what is written of it.
+        Path below the common folder of all logs; the results of the log have this name.
     drive : str
-        The drive it belongs to.
+        The drive that recorded it.
     """
 
     address: str
@@ -55,7 +55,10 @@ class Source:
         return "://" in self.address
 
     def stamp(self) -> str:
-        """What changes when the log does, without reading it; empty if it cannot be had."""
+        """Return size and time of the log, to detect changes without reading it; empty if unknown.
+
+        A URL has the key of its file system instead.
+        """
         if self.remote:
             system, path = _filesystem(self.address)
             try:
@@ -69,13 +72,13 @@ class Source:
         return f"{stat.st_size} {stat.st_mtime_ns}"
 
     def time(self) -> datetime | None:
-        """When it was recorded: the date in its name, else when the file was last written."""
+        """Return the time of recording: the date in the name, else the file's last change."""
         dates = list(DATE.finditer(self.name))
-        if dates:  # the last: folders may have dates too
+        if dates:  # take the last one: folders may have dates too
             year, month, day, hour, minute, second = (
-                int(part) if part else 0 for part in dates[-1].groups()
+                int(digits) if digits else 0 for digits in dates[-1].groups()
             )
-            with suppress(ValueError):  # the 31st of February
+            with suppress(ValueError):  # no such day, e.g. 31 February
                 return datetime(year, month, day, hour, minute, second, tzinfo=UTC)
         if self.remote:
             return None
@@ -86,79 +89,81 @@ class Source:
 
     @contextmanager
     def local(self) -> Iterator[Path]:
-        """The log as a file of this machine, for as long as it is needed.
+        """Provide the log as a local file; a remote one is fetched and deleted afterwards.
 
         Raises
         ------
         FluxobsError
-            It cannot be fetched.
+            The log cannot be fetched.
         """
         if not self.remote:
             yield Path(self.address)
             return
-        system, path = _filesystem(self.address)
+        system, remote_path = _filesystem(self.address)
         with TemporaryDirectory(prefix="fluxobs-") as folder:
-            place = Path(folder) / PurePosixPath(path).name
+            path = Path(folder) / PurePosixPath(remote_path).name
             try:
-                system.get_file(path, str(place))
-            except Exception as error:  # every file system has errors of its own
-                raise FluxobsError(f"{self.address}: cannot be fetched: {_told(error)}") from None
-            yield place
+                system.get_file(remote_path, str(path))
+            except Exception as error:  # each file system raises different errors
+                raise FluxobsError(
+                    f"{self.address}: cannot be fetched: {_describe(error)}"
+                ) from None
+            yield path
 
 
 def sources(
-    given: Sequence[str | Path], drive: str | None = None, root: str | None = None
+    logs: Sequence[str | Path], drive: str | None = None, root: str | None = None
 ) -> list[Source]:
-    """The logs that are meant, each once, by name.
+    """Find the logs, each once, sorted by address.
 
     Parameters
     ----------
-    given : sequence of str or Path
-        Files, patterns (``bench/**/*.csv``), folders (every log in them and below), and URLs of
+    logs : sequence of str or Path
+        Files, patterns (``bench/**/*.csv``), folders (all logs in them and below), and URLs of
         these (``s3://bucket/bench/*.mf4``).
     drive : str, optional
-        Regular expression that finds the drive in the path: its first group, or all of it. Default:
-        the folder of the log below what all logs share.
+        Regular expression that finds the drive in the path: its first group, or the whole match.
+        Default: the folder of the log below the common folder of all logs.
     root : str, optional
-        What the logs of an earlier run shared (:func:`shared`): names stay what they were.
+        Common folder of the logs of an earlier run (:func:`shared`), which keeps their names.
 
     Raises
     ------
     FluxobsError
-        Nothing is there, the pattern is none, or a library for the address is missing.
+        No log is found, `drive` is malformed, or the library for a URL is missing.
     """
     try:
         pattern = None if drive is None else re.compile(drive)
     except re.error as error:
-        raise UsageError(f"drive {drive!r} is no regular expression: {error}") from None
-    found: dict[str, None] = {}
-    for one in given:
-        addresses = _remote(str(one)) if "://" in str(one) else _local(str(one))
-        if not addresses:
-            magic = glob.has_magic(str(one))
-            words = "no such file, and as a pattern it matches none" if magic else "no logs there"
-            raise FluxobsError(f"{one}: {words}")
-        found |= dict.fromkeys(addresses)
+        raise UsageError(f"drive {drive!r} is not a regular expression: {error}") from None
+    addresses: dict[str, None] = {}
+    for log in logs:
+        matches = _list_remote(str(log)) if "://" in str(log) else _list_local(str(log))
+        if not matches:
+            magic = glob.has_magic(str(log))
+            reason = "no such file, and no file matches this pattern" if magic else "no logs there"
+            raise FluxobsError(f"{log}: {reason}")
+        addresses |= dict.fromkeys(matches)
     if root is None:
-        root = shared(list(found))
-    out = []
-    for address in sorted(found):
-        name = _name(address, root)
+        root = shared(list(addresses))
+    log_sources = []
+    for address in sorted(addresses):
+        name = _name_below(address, root)
         if pattern is None:
             folder = PurePosixPath(name).parent
-            whose = folder.name if name.startswith(ELSEWHERE) else str(folder)
-            whose = "" if whose == "." else whose
+            owner = folder.name if name.startswith(ELSEWHERE) else str(folder)
+            owner = "" if owner == "." else owner
         else:
-            hit = pattern.search(address)
-            if hit is None:
-                raise UsageError(f"{address}: {drive!r} finds no drive in this path")
-            whose = hit.group(1) if pattern.groups else hit.group()
-        out.append(Source(address, name, whose))
-    return out
+            match = pattern.search(address)
+            if match is None:
+                raise UsageError(f"{address}: {drive!r} does not match this path")
+            owner = match.group(1) if pattern.groups else match.group()
+        log_sources.append(Source(address, name, owner))
+    return log_sources
 
 
-def _name(address: str, root: str) -> str:
-    """A name stays in the folder of the results, wherever its log is."""
+def _name_below(address: str, root: str) -> str:
+    """Return a name that stays inside the folder of the results, wherever the log is."""
     if address.startswith(root):
         return address.removeprefix(root)
     return ELSEWHERE + address.replace("://", "/").lstrip("/")
@@ -171,45 +176,45 @@ def _is_log(name: str) -> bool:
 
 
 def _is_there(path: Path) -> bool:
-    """A file, or a link to one that is missing: a row says so. A pipe would never end."""
+    """Accept files, and broken links for their row with the reason; never pipes, which block."""
     return path.is_file() or (path.is_symlink() and not path.exists())
 
 
-def _local(given: str) -> list[str]:
-    path = Path(os.path.normpath(Path(given).absolute()))
+def _list_local(log: str) -> list[str]:
+    path = Path(os.path.normpath(Path(log).absolute()))
     if path.is_dir():
-        below = (one for one in path.rglob("*") if _is_there(one) and _is_log(one.name))
-        # The folder of a result holds tables, no logs.
+        entries = (entry for entry in path.rglob("*") if _is_there(entry) and _is_log(entry.name))
+        # A folder of results holds tables, not logs.
         return [
-            one.as_posix()
-            for one in below
-            if not any((above / "fleet.json").exists() for above in one.parents)
+            entry.as_posix()
+            for entry in entries
+            if not any((parent / "fleet.json").exists() for parent in entry.parents)
         ]
-    if path.exists() or not glob.has_magic(given):
-        return [path.as_posix()]  # a missing one is a row that says so
-    hits = (Path(one) for one in glob.glob(str(path), recursive=True))
-    return [one.as_posix() for one in hits if one.is_file()]
+    if path.exists() or not glob.has_magic(log):
+        return [path.as_posix()]  # a missing file gets a row with the reason
+    matches = (Path(entry) for entry in glob.glob(str(path), recursive=True))
+    return [entry.as_posix() for entry in matches if entry.is_file()]
 
 
-def _remote(given: str) -> list[str]:
-    system, path = _filesystem(given)
-    scheme = given.partition("://")[0]
+def _list_remote(url: str) -> list[str]:
+    system, pattern = _filesystem(url)
+    scheme = url.partition("://")[0]
     try:
-        if scheme in ("http", "https") and not glob.has_magic(given):
-            return [given]
-        if glob.has_magic(path):
-            names = system.glob(path)
-        elif system.isdir(path):
-            names = [one for one in system.find(path) if _is_log(one)]
+        if scheme in ("http", "https") and not glob.has_magic(url):
+            return [url]
+        if glob.has_magic(pattern):
+            names = system.glob(pattern)
+        elif system.isdir(pattern):
+            names = [path for path in system.find(pattern) if _is_log(path)]
         else:
-            names = [path]
-    except Exception as error:  # every file system has errors of its own
-        raise FluxobsError(f"{given}: cannot be listed: {_told(error)}") from None
-    return [str(system.unstrip_protocol(one)) for one in names]
+            names = [pattern]
+    except Exception as error:  # each file system raises different errors
+        raise FluxobsError(f"{url}: cannot be listed: {_describe(error)}") from None
+    return [str(system.unstrip_protocol(path)) for path in names]
 
 
 def _filesystem(address: str) -> tuple[Any, str]:
-    """The file system of a URL, and the path in it."""
+    """Return the file system of a URL, and the path in it."""
     scheme = address.partition("://")[0]
     try:
         from fsspec.core import url_to_fs
@@ -217,7 +222,7 @@ def _filesystem(address: str) -> tuple[Any, str]:
         system, path = url_to_fs(address)
     except ImportError as error:
         raise FluxobsError(
-            f'{address}: reading {scheme}:// needs the extra "cloud": '
+            f'{address}: reading {scheme}:// needs the extra "cloud"; install it: '
             f'pip install "fluxobs[cloud]" ({error})'
         ) from None
     except ValueError as error:
@@ -225,16 +230,16 @@ def _filesystem(address: str) -> tuple[Any, str]:
     return system, path
 
 
-def _told(error: Exception) -> str:
+def _describe(error: Exception) -> str:
     return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
 
 
 def shared(addresses: Sequence[str]) -> str:
-    """The folder that all of them are in, with its last slash."""
+    """Return the common folder of all addresses, with a trailing slash."""
     if len(addresses) == 1:
         return addresses[0].rpartition("/")[0] + "/"
-    first, last = min(addresses), max(addresses)
-    same = 0
-    while same < min(len(first), len(last)) and first[same] == last[same]:
-        same += 1
-    return first[: first.rfind("/", 0, same) + 1]
+    lowest, highest = min(addresses), max(addresses)
+    common = 0
+    while common < min(len(lowest), len(highest)) and lowest[common] == highest[common]:
+        common += 1
+    return lowest[: lowest.rfind("/", 0, common) + 1]

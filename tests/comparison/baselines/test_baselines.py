@@ -1,4 +1,4 @@
-"""The observers that people use: each finds the angle where its assumptions hold."""
+"""Observers in common use: each finds the angle where its assumptions hold."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ LIMITS = dict.fromkeys((entry.name for entry in CATALOGUE), 0.1)
 LIMITS |= {"voltage model, low-pass": 1.0, "voltage model, high-pass": 1.0}
 
 
-def late_error(machine, data, found, share=0.8):
-    error = np.asarray(found.theta_e) - data.theta
+def late_error(machine, data, guess, share=0.8):
+    error = np.asarray(guess.theta_e) - data.theta
     if machine.half_turn_ambiguous:
         error = wrapped_degrees(2 * error) / 2
     else:
@@ -33,20 +33,20 @@ def late_error(machine, data, found, share=0.8):
     return np.sqrt(np.mean(error[int(share * len(error)) :] ** 2))
 
 
-def clean(name, speed=300.0, rows=8000, **given):
+def clean(name, speed=300.0, rows=8000, **options):
     machine = MACHINES[name]
-    return machine, steady(machine, H, speed, rows, i_dq=CURRENTS[name], **given)
+    return machine, steady(machine, H, speed, rows, i_dq=CURRENTS[name], **options)
 
 
 @pytest.mark.parametrize("entry", CATALOGUE, ids=lambda entry: entry.name)
 @pytest.mark.parametrize("speed", [300.0, -300.0])
-def test_right_without_bias(entry: Entry, speed):
+def test_correct_without_bias(entry: Entry, speed):
     machine, data = clean("pmsm-2kw2", speed)
     setting = setting_for(H, data.voltage, data.current, machine, 471.0)
     observer = entry.build(setting, entry.recommended(setting))
-    found = run(observer, jnp.asarray(data.voltage), jnp.asarray(data.current))
-    assert late_error(machine, data, found) < LIMITS[entry.name]
-    speeds = np.asarray(found.speed_e)[-1000:]
+    guess = run(observer, jnp.asarray(data.voltage), jnp.asarray(data.current))
+    assert late_error(machine, data, guess) < LIMITS[entry.name]
+    speeds = np.asarray(guess.speed_e)[-1000:]
     assert np.mean(speeds) == pytest.approx(speed, rel=0.01)
 
 
@@ -63,23 +63,23 @@ SALIENT = [
 @pytest.mark.parametrize("machine_name", ["ipm-2kw2", "synrm-6kw7"])
 @pytest.mark.parametrize("name", SALIENT)
 def test_salient_machines_through_their_active_flux(name, machine_name):
-    entry = next(e for e in CATALOGUE if e.name == name)
+    entry = next(entry for entry in CATALOGUE if entry.name == name)
     machine, data = clean(machine_name)
     setting = setting_for(H, data.voltage, data.current, machine, 471.0)
     observer = entry.build(setting, entry.recommended(setting))
-    found = run(observer, jnp.asarray(data.voltage), jnp.asarray(data.current))
-    assert late_error(machine, data, found) < 1.5
+    guess = run(observer, jnp.asarray(data.voltage), jnp.asarray(data.current))
+    assert late_error(machine, data, guess) < 1.5
 
 
-def test_a_bias_costs_what_the_literature_says():
-    """The stationary circle is shifted by the drift over the gain: first order, gradient."""
+def test_error_of_a_bias_as_in_the_literature():
+    """To first order the stationary circle of the gradient observer shifts by drift over gain."""
     machine, data = clean("pmsm-2kw2", voltage_bias=2.0)
     motor = Motor.of(machine)
-    found = run(
+    guess = run(
         LengthGradient(motor, H, 100.0, 500.0), jnp.asarray(data.voltage), jnp.asarray(data.current)
     )
-    error = late_error(machine, data, found)
-    # x' = ... + δ, radial rate g: a ripple of about δ/(ψ ω) to δ/(ψ g/2).
+    error = late_error(machine, data, guess)
+    # x' = … + δ with radial rate g: a ripple of about δ/(ψ ω) to δ/(ψ g/2).
     assert 0.3 * 2.0 / (0.545 * 300) < np.radians(error) < 2 * 2.0 / (0.545 * 50)
     assert error > 0.3
 
@@ -87,17 +87,17 @@ def test_a_bias_costs_what_the_literature_says():
 def test_adaptation_finds_a_wrong_magnet_flux():
     machine, data = clean("pmsm-2kw2")
     believed = Motor.of(machine.model_copy(update={"psi_f": 0.8 * machine.psi_f}))
-    found = run(
+    guess = run(
         LengthGradient(believed, H, 100.0, 500.0, adaptation=30.0),
         jnp.asarray(data.voltage),
         jnp.asarray(data.current),
     )
-    assert late_error(machine, data, found) < 0.05
-    x = np.asarray(found.flux)[-1] - machine.L_s * data.current[-1]
+    assert late_error(machine, data, guess) < 0.05
+    x = np.asarray(guess.flux)[-1] - machine.L_s * data.current[-1]
     assert np.hypot(*x) == pytest.approx(machine.psi_f, rel=1e-3)
 
 
-def test_the_drift_as_a_state_removes_a_bias():
+def test_a_drift_state_removes_a_bias():
     machine, data = clean("pmsm-2kw2", voltage_bias=2.0 - 1.0j)
     motor = Motor.of(machine)
     errors = [
@@ -116,7 +116,7 @@ def test_the_drift_as_a_state_removes_a_bias():
     assert errors[1] < 0.02
 
 
-def test_missing_first_voltage_is_no_fault():
+def test_a_missing_first_voltage_does_no_harm():
     """The interval before the first row is not in a record."""
     machine, data = clean("pmsm-2kw2")
     u = data.voltage.copy()
@@ -125,5 +125,5 @@ def test_missing_first_voltage_is_no_fault():
         ClampedIntegrator(Motor.of(machine), H, 1.0, 500.0),
         SpeedAdaptiveObserver(Motor.of(machine), H, 1.0, 250.0),
     ):
-        found = run(kind, jnp.asarray(u), jnp.asarray(data.current))
-        assert np.isfinite(np.asarray(found.theta_e)).all()
+        guess = run(kind, jnp.asarray(u), jnp.asarray(data.current))
+        assert np.isfinite(np.asarray(guess.theta_e)).all()

@@ -1,4 +1,4 @@
-"""The observers of induction machines in common use."""
+"""Observers of induction machines in common use."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from observers.test_cage import CONSTANT, MACHINE, H, record
 from support.records import wrapped_degrees
 
 MOTOR = Motor.of(MACHINE)
-OWN = [entry for entry in CAGES if entry.name not in SHARED]
+CAGE_ONLY = [entry for entry in CAGES if entry.name not in SHARED]
 
 
 class Setting:
-    """Sizes of the record."""
+    """Machine and scales of the record."""
 
     motor, sample_time, speed_e = MOTOR, H, 314.0
     voltage, current, filter_noise = 283.0, 7.1, 0.02
@@ -28,14 +28,14 @@ class Setting:
 
 @pytest.fixture(scope="module")
 def ideal():
-    """A record without offsets."""
+    """Record without offsets."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("observers.test_cage.VOLTAGE_BIAS", 0.0)
         return record(CONSTANT, bias=0.0)
 
 
-@pytest.mark.parametrize("entry", OWN, ids=lambda entry: entry.name)
-def test_without_offsets_each_follows_the_rotor_flux(entry, ideal):
+@pytest.mark.parametrize("entry", CAGE_ONLY, ids=lambda entry: entry.name)
+def test_without_offsets_all_follow_the_rotor_flux(entry, ideal):
     voltage, current, theta, mechanical = ideal
     best = np.inf
     for gains in entry.candidates(Setting()):
@@ -55,17 +55,17 @@ def test_without_offsets_each_follows_the_rotor_flux(entry, ideal):
     assert speed == pytest.approx(mechanical[9000:10000].mean() * MACHINE.n_p + slip, rel=0.02)
 
 
-def test_machines_get_the_observers_that_are_made_for_them():
+def test_machines_get_suitable_observers():
     assert entries_for(MACHINE) is CAGES
     assert entries_for(example("ipm-5kw6")) is CATALOGUE
 
 
 @pytest.mark.slow
-def test_under_offsets_the_least_squares_is_the_best():
-    found = compare_scenario(scenario("both-biases"), "induction-2kw2")
-    best = {result.name: result.tuned.rms for result in found.results}
-    assert {entry.name for entry in CAGES} < set(best)
-    del best["least squares, tracked"]
-    ours = best.pop("least squares")
-    assert np.degrees(ours) < 0.3
-    assert min(best.values()) > 5 * ours
+def test_with_offsets_the_least_squares_is_the_best():
+    comparison = compare_scenario(scenario("both-biases"), "induction-2kw2")
+    errors = {result.name: result.tuned.rms for result in comparison.results}
+    assert {entry.name for entry in CAGES} < set(errors)
+    del errors["least squares, tracked"]
+    least_squares = errors.pop("least squares")
+    assert np.degrees(least_squares) < 0.3
+    assert min(errors.values()) > 5 * least_squares

@@ -1,4 +1,4 @@
-"""Observers in common use, each written from its published equations."""
+"""Observers in common use, each implemented from its published equations."""
 
 from ...simulation import precision  # noqa: F401  # before anything else: float64
 from .back_emf import ExtendedEmf, SlidingMode

@@ -12,13 +12,13 @@ from ...simulation.drive.vectors import turn
 from .base import Baseline, Guess, PllState, angle, leaf, pll, pll_start
 
 
-def _lag(fade: Array, turned: Array) -> Array:
-    """Phase lag of ``y ← fade y + (1 - fade) x`` for a signal that turns by `turned` per sample."""
-    return jnp.arctan2(fade * jnp.sin(turned), 1 - fade * jnp.cos(turned))
+def _lag(decay: Array, rotation: Array) -> Array:
+    """Return the lag of ``y ← decay y + (1 - decay) x`` for a `rotation` of x per sample [rad]."""
+    return jnp.arctan2(decay * jnp.sin(rotation), 1 - decay * jnp.cos(rotation))
 
 
 def _rotor_angle(emf: Array, speed: Array, lag: Array) -> Array:
-    """Rotor angle from an EMF ``j ω ψ exp(jθ)`` with a phase lag."""
+    """Return the rotor angle of an EMF ``j ω ψ exp(jθ)`` with a phase lag."""
     return angle(emf) - jnp.where(speed < 0, -1.0, 1.0) * jnp.pi / 2 + lag
 
 
@@ -28,7 +28,9 @@ class EmfState(NamedTuple):
 
 
 class ExtendedEmf(Baseline):
-    """Extended EMF e of ``u = R i + L_d di/dt - jω(L_d - L_q) i + e``, filtered by ω_c/(s + ω_c); a
+    """Extended EMF with a disturbance observer and a phase-locked loop.
+
+    The EMF e of ``u = R i + L_d di/dt - jω(L_d - L_q) i + e`` is filtered by ω_c/(s + ω_c); a
     phase-locked loop tracks its angle.
 
     Parameters
@@ -57,17 +59,17 @@ class ExtendedEmf(Baseline):
         return EmfState(jax.lax.complex(zero, zero), pll_start())
 
     def advance(
-        self, own: EmfState, voltage: Array, volt_seconds: Array, current: Array, before: Array
+        self, state: EmfState, voltage: Array, volt_seconds: Array, current: Array, previous: Array
     ) -> tuple[EmfState, Guess]:
         m, h = self.motor, self.sample_time
-        speed = own.pll.speed
-        cross = (m.L_d - m.L_q) * speed * (current + before) / 2
-        raw = (volt_seconds - m.L_d * (current - before)) / h + 1j * cross
-        fade = jnp.exp(-self.cutoff * h)
-        emf = fade * own.emf + (1 - fade) * raw
+        speed = state.pll.speed
+        cross_coupling = (m.L_d - m.L_q) * speed * (current + previous) / 2
+        unfiltered = (volt_seconds - m.L_d * (current - previous)) / h + 1j * cross_coupling
+        decay = jnp.exp(-self.cutoff * h)
+        emf = decay * state.emf + (1 - decay) * unfiltered
         # The mean EMF over the interval is half a sample old.
-        theta = _rotor_angle(emf, speed, _lag(fade, speed * h) + speed * h / 2)
-        loop = pll(own.pll, theta, self.bandwidth, h)
+        theta = _rotor_angle(emf, speed, _lag(decay, speed * h) + speed * h / 2)
+        loop = pll(state.pll, theta, self.bandwidth, h)
         x = self.length(current, turn(loop.theta)) * turn(loop.theta)
         return EmfState(emf, loop), Guess(loop.theta, loop.speed, x + m.L_q * current, loop.theta)
 
@@ -80,8 +82,10 @@ class SlidingState(NamedTuple):
 
 
 class SlidingMode(Baseline):
-    """Sliding mode forces a current model onto the measured current: ``L_q î' = u - R î - z`` with
-    ``z = K sat((î - i)/Φ)`` on each axis. Filtered, z is the back EMF of the active flux.
+    """Sliding mode: a switched voltage forces a current model onto the measured current.
+
+    ``L_q î' = u - R î - z`` with ``z = K sat((î - i)/Φ)`` on each axis. Low-passed, z is the back
+    EMF of the active flux.
 
     Parameters
     ----------
@@ -94,8 +98,8 @@ class SlidingMode(Baseline):
 
     Notes
     -----
-    The boundary layer Φ = 2 K h/L_q is as thin as sampling allows: inside it the current error
-    halves with every sample.
+    The boundary layer Φ = 2 K h/L_q is as thin as sampling allows: inside it each sample halves the
+    current error.
 
     References
     ----------
@@ -121,24 +125,31 @@ class SlidingMode(Baseline):
         return SlidingState(zero, zero, zero, pll_start())
 
     def advance(
-        self, own: SlidingState, voltage: Array, volt_seconds: Array, current: Array, before: Array
+        self,
+        state: SlidingState,
+        voltage: Array,
+        volt_seconds: Array,
+        current: Array,
+        previous: Array,
     ) -> tuple[SlidingState, Guess]:
         m, h = self.motor, self.sample_time
         decay = jnp.exp(-m.R_s * h / m.L_q)
-        modelled = decay * own.current + (1 - decay) / m.R_s * (voltage - own.forced)
+        modelled = decay * state.current + (1 - decay) / m.R_s * (voltage - state.forced)
         layer = 2 * self.switching * h / m.L_q
-        off = (modelled - current) / layer
+        saturation = (modelled - current) / layer
         forced = self.switching * jax.lax.complex(
-            jnp.clip(off.real, -1.0, 1.0), jnp.clip(off.imag, -1.0, 1.0)
+            jnp.clip(saturation.real, -1.0, 1.0), jnp.clip(saturation.imag, -1.0, 1.0)
         )
-        fade = jnp.exp(-self.cutoff * h)
-        emf = fade * own.emf + (1 - fade) * forced
-        speed = own.pll.speed
-        # Inside the layer, ``forced`` is the mean EMF of the interval, low-passed with fade 1/2.
-        turned = speed * h
-        half = jnp.asarray(0.5)
-        theta = _rotor_angle(emf, speed, _lag(half, turned) + _lag(fade, turned) + turned / 2)
-        loop = pll(own.pll, theta, self.bandwidth, h)
+        filter_decay = jnp.exp(-self.cutoff * h)
+        emf = filter_decay * state.emf + (1 - filter_decay) * forced
+        speed = state.pll.speed
+        # Inside the layer, ``forced`` is the mean EMF of the interval, low-passed with decay 1/2.
+        rotation = speed * h
+        layer_decay = jnp.asarray(0.5)
+        theta = _rotor_angle(
+            emf, speed, _lag(layer_decay, rotation) + _lag(filter_decay, rotation) + rotation / 2
+        )
+        loop = pll(state.pll, theta, self.bandwidth, h)
         x = self.length(current, turn(loop.theta)) * turn(loop.theta)
         return SlidingState(modelled, forced, emf, loop), Guess(
             loop.theta, loop.speed, x + m.L_q * current, loop.theta

@@ -1,4 +1,4 @@
-"""Common parts of the baseline observers: protocol, machine model, phase-locked loop, runner."""
+"""Base of the baseline observers: interface, machine model, phase-locked loop, runner."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ...simulation.precision import real
 
 
 class Guess(NamedTuple):
-    """Estimate of one sample, named as in :class:`fluxobs.Estimate`: position [rad], speed [rad/s],
-    flux linkage [Wb], and the position of the phase-locked loop [rad].
+    """Estimate of one sample, with the names of :class:`fluxobs.Estimate`.
 
-    Subclasses give the flux as a complex number; `step` returns it as (2,). These observers do not
-    detect when they are lost: `valid` is always true.
+    Position [rad], speed [rad/s], flux linkage [Wb], and position of the phase-locked loop [rad].
+    Observers compute the flux as a complex number; `step` returns it as (2,). They do not detect
+    the loss of the position: `valid` is always true.
     """
 
     theta_e: Array
@@ -30,24 +30,24 @@ class Guess(NamedTuple):
 
 
 class BaselineState(NamedTuple):
-    """Last current, whether there has been one, and the observer's own state."""
+    """Last current, whether there was one, and the state of the specific observer."""
 
     current: Array
     started: Array
-    own: Any
+    inner: Any
 
 
 class Baseline(eqx.Module):
     """One published observer.
 
-    Subclasses implement `start` and `advance`. Voltage integrals are exact: the voltage is the mean
-    over the interval that ends now. The resistive drop uses the mean of the two currents. Both are
-    better than the usual forward Euler.
+    Subclasses implement `start` and `advance`. The voltage is the mean over the interval that ends
+    at the sample, so its integral is exact. The resistive drop uses the mean of the two currents.
+    Both are better than the usual forward Euler.
 
     Parameters
     ----------
     motor : Motor
-        Machine parameters as the observer believes them.
+        Machine parameters that the observer assumes.
     sample_time : float
         Sample time [s].
     """
@@ -56,13 +56,13 @@ class Baseline(eqx.Module):
     sample_time: Array
 
     def start(self) -> Any:
-        """Initial own state: rotor at θ_e = 0, at rest."""
+        """Return the initial state: rotor at θ_e = 0, at standstill."""
         raise NotImplementedError
 
     def advance(
-        self, own: Any, voltage: Array, volt_seconds: Array, current: Array, before: Array
+        self, state: Any, voltage: Array, volt_seconds: Array, current: Array, previous: Array
     ) -> tuple[Any, Guess]:
-        """One sample, complex vectors: `volt_seconds` ∫(u - R i) dt, `before` the last current."""
+        """Process one sample; complex vectors, `volt_seconds` ∫(u - R i) dt, `previous` current."""
         raise NotImplementedError
 
     def init(self) -> BaselineState:
@@ -72,33 +72,33 @@ class Baseline(eqx.Module):
     def step(
         self, state: BaselineState, voltage: Array, current: Array
     ) -> tuple[BaselineState, Guess]:
-        """One sample: mean voltage over the interval ending now [V], current now [A], (2,) each."""
+        """Process a sample: mean voltage of the interval ending now [V], current now [A], (2,)."""
         u, i = vector(voltage), vector(current)
-        before = jnp.where(state.started, state.current, i)
+        previous = jnp.where(state.started, state.current, i)
         u = jnp.where(state.started, u, self.motor.R_s * i)
-        volt_seconds = self.sample_time * (u - self.motor.R_s * (i + before) / 2)
-        own, guess = self.advance(state.own, u, volt_seconds, i, before)
+        volt_seconds = self.sample_time * (u - self.motor.R_s * (i + previous) / 2)
+        inner, guess = self.advance(state.inner, u, volt_seconds, i, previous)
         guess = guess._replace(flux=pair(guess.flux), valid=jnp.ones((), bool))
-        return BaselineState(i, jnp.ones((), bool), own), guess
+        return BaselineState(i, jnp.ones((), bool), inner), guess
 
     def run(self, voltage: Any, current: Any) -> Guess:
-        """Runs a record, (rows, 2) each; voltages are means over the interval ending at a row."""
+        """Run a record, (rows, 2) each; voltages are means over the interval ending at the row."""
         return run(self, jnp.asarray(voltage, float), jnp.asarray(current, float))
 
-    # ---- shared by several ---------------------------------------------------------------
+    # ---- machine model -------------------------------------------------------------------
 
     def active(self, flux: Array, current: Array) -> Array:
-        """Active flux ``x = λ - L_q i``, along the rotor's d axis."""
+        """Return the active flux ``x = λ - L_q i``, along the rotor's d axis."""
         return flux - self.motor.L_q * current
 
     def length(self, current: Array, direction: Array) -> Array:
-        """Its length ``ψ + (L_d - L_q) i_d``, d along `direction`; kept above 0.1 % of `size`."""
+        """Return its length ``ψ + (L_d - L_q) i_d``, d along `direction`, at least 0.1 % `size`."""
         i_d = (current * jnp.conj(direction)).real
         length = self.motor.psi_f + (self.motor.L_d - self.motor.L_q) * i_d
         return jnp.maximum(length, 1e-3 * self.size())
 
     def size(self) -> Array:
-        """Typical flux of the machine, also without magnets [Wb]."""
+        """Return the typical flux of the machine [Wb]; without magnets that of 1 A in d."""
         return self.motor.psi_f + jnp.where(self.motor.psi_f > 0, 0.0, self.motor.L_d)
 
 
@@ -108,21 +108,21 @@ class PllState(NamedTuple):
 
 
 def pll_gains(bandwidth: Array, h: Array) -> tuple[Array, Array]:
-    """Gains from angle error to angle and speed, for a double pole at `bandwidth`."""
+    """Return the gains from angle error to angle and speed, for a double pole at `bandwidth`."""
     pole = jnp.exp(-bandwidth * h)
     return 1 - pole**2, (1 - pole) ** 2 / h
 
 
 def pll(state: PllState, theta: Array, bandwidth: Array, h: Array) -> PllState:
-    """Phase-locked loop on an angle, with a double pole at `bandwidth`.
+    """Advance a phase-locked loop on an angle, with a double pole at `bandwidth`.
 
     L. Harnefors, H.-P. Nee, "A general algorithm for speed and position estimation of AC motors",
     IEEE Trans. Industrial Electronics 47 (2000), doi:10.1109/41.824128.
     """
     gain_theta, gain_speed = pll_gains(bandwidth, h)
-    ahead = state.theta + h * state.speed
-    error = wrap(theta - ahead)
-    return PllState(wrap(ahead + gain_theta * error), state.speed + gain_speed * error)
+    predicted = state.theta + h * state.speed
+    error = wrap(theta - predicted)
+    return PllState(wrap(predicted + gain_theta * error), state.speed + gain_speed * error)
 
 
 def pll_start() -> PllState:
@@ -134,17 +134,17 @@ def angle(z: Array) -> Array:
 
 
 def leaf(value: Any) -> Array:
-    """A gain as an array leaf of the pytree."""
+    """Return a gain as an array leaf of the pytree."""
     return real("gain", value)
 
 
 @eqx.filter_jit
 def run(observer: Any, voltage: Array, current: Array) -> Guess:
-    """Runs a record through any observer that steps in JAX; see :meth:`Baseline.run`."""
+    """Run any observer that steps in JAX on a record; see :meth:`Baseline.run`."""
 
     def body(state: Any, row: tuple[Array, Array]) -> tuple[Any, Guess]:
-        after, guess = observer.step(state, *row)
-        return after, guess
+        next_state, guess = observer.step(state, *row)
+        return next_state, guess
 
-    found: Guess = jax.lax.scan(body, observer.init(), (voltage, current))[1]
-    return found
+    guesses: Guess = jax.lax.scan(body, observer.init(), (voltage, current))[1]
+    return guesses

@@ -1,8 +1,8 @@
 """Observers of the rotor flux of an induction machine, without a speed sensor.
 
 All use the inverse-Γ model ``L_σ di/dt = u - R_s i - dψ/dt``, ``dψ/dt = R_R i - (α - jω_m) ψ``,
-with α = R_R/L_M. They start with the rotor flux of a machine at rest, 0; a small one keeps its
-direction defined.
+with α = R_R/L_M. They start with the rotor flux of a machine at rest: a small flux instead of 0,
+which keeps its direction defined.
 """
 
 from __future__ import annotations
@@ -16,37 +16,39 @@ from jax import Array
 from ...simulation.drive.motor import CageMotor
 from ...simulation.drive.vectors import length, pair, unit
 from .base import Baseline, Guess, PllState, angle, leaf, pll, pll_start
-from .kalman import corrected
+from .kalman import update_measurement
 
-#: Rotor flux at the start, and the least that is divided by, over the rated one.
+#: Rotor flux at the start and lower limit of divisors, relative to the rated flux.
 LEAST = 1e-3
 
 
 class CageBaseline(Baseline):
-    """What the observers of a cage share."""
+    """Base of the observers of a cage."""
 
     motor: CageMotor
 
-    def least(self) -> Array:
+    def least_flux(self) -> Array:
+        """Return the lower limit of the rotor flux [Wb]."""
         return LEAST * self.motor.psi_f
 
-    def first(self) -> Array:
-        return jax.lax.complex(self.least(), jnp.zeros(()))
+    def initial_flux(self) -> Array:
+        """Return the rotor flux at the start [Wb]."""
+        return jax.lax.complex(self.least_flux(), jnp.zeros(()))
 
     def alpha(self) -> Array:
-        """R_R/L_M [1/s]."""
+        """Return R_R/L_M [1/s]."""
         return self.motor.R_R / self.motor.L_M
 
     def slip_of(self, psi: Array, current: Array) -> Array:
-        """Slip ``R_R i_q/|ψ|`` [rad/s]."""
+        """Return the slip ``R_R i_q/|ψ|`` [rad/s]."""
         i_q = (current * jnp.conj(unit(psi))).imag
         return self.motor.slip(i_q, length(psi))
 
-    def rotor_step(self, psi: Array, mean: Array, speed: Array) -> Array:
-        """The rotor flux after one sample of the current model, exact for a constant current."""
+    def rotor_step(self, psi: Array, mean_current: Array, speed: Array) -> Array:
+        """Advance the rotor flux by one sample of the current model, exact for constant current."""
         pole = jax.lax.complex(-self.alpha(), speed)
-        turned = jnp.exp(pole * self.sample_time)
-        return turned * psi + (turned - 1) / pole * self.motor.R_R * mean
+        transition = jnp.exp(pole * self.sample_time)
+        return transition * psi + (transition - 1) / pole * self.motor.R_R * mean_current
 
     def guess(self, psi: Array, current: Array, speed_s: Array) -> Guess:
         theta = angle(psi)
@@ -54,23 +56,23 @@ class CageBaseline(Baseline):
 
 
 class HybridState(NamedTuple):
-    voltage: Array  # rotor flux of the voltage model
-    current: Array  # and of the current model
-    offset: Array  # integral part of the correction [V]
+    voltage: Array  # rotor flux of the voltage model [Wb]
+    current: Array  # rotor flux of the current model [Wb]
+    offset: Array  # integral of the correction [V]
     pll: PllState
 
 
 class HybridFluxObserver(CageBaseline):
-    """Gopinath's observer: the current model at low, the voltage model at high speed.
+    """Gopinath's observer: current model at low speed, voltage model at high speed.
 
-    The voltage model's flux is pulled to the current model's by a PI with a double pole at
-    `crossover`. The current model turns with the speed that a phase-locked loop finds, less the
+    A PI controller with a double pole at `crossover` corrects the flux of the voltage model towards
+    that of the current model. The current model uses the speed of a phase-locked loop, less the
     slip.
 
     Parameters
     ----------
     crossover : float
-        [rad/s].
+        Frequency of the transition between the models [rad/s].
     bandwidth : float
         Bandwidth of the phase-locked loop [rad/s].
 
@@ -89,41 +91,52 @@ class HybridFluxObserver(CageBaseline):
         self.crossover, self.bandwidth = leaf(crossover), leaf(bandwidth)
 
     def start(self) -> HybridState:
-        return HybridState(self.first(), self.first(), 0 * self.first(), pll_start())
+        return HybridState(
+            self.initial_flux(), self.initial_flux(), 0 * self.initial_flux(), pll_start()
+        )
 
     def advance(
-        self, own: HybridState, voltage: Array, volt_seconds: Array, current: Array, before: Array
+        self,
+        state: HybridState,
+        voltage: Array,
+        volt_seconds: Array,
+        current: Array,
+        previous: Array,
     ) -> tuple[HybridState, Guess]:
         h, a = self.sample_time, self.crossover
-        speed = own.pll.speed - self.slip_of(own.voltage, current)
-        modelled = self.rotor_step(own.current, (current + before) / 2, speed)
-        off = modelled - own.voltage
-        pulled = own.voltage + volt_seconds - self.motor.L_d * (current - before)
-        pulled = pulled + h * (2 * a * off + own.offset)
-        loop = pll(own.pll, angle(pulled), self.bandwidth, h)
-        state = HybridState(pulled, modelled, own.offset + h * a * a * off, loop)
-        return state, self.guess(pulled, current, loop.speed)._replace(theta_e_tracked=loop.theta)
+        speed = state.pll.speed - self.slip_of(state.voltage, current)
+        current_model = self.rotor_step(state.current, (current + previous) / 2, speed)
+        difference = current_model - state.voltage
+        corrected = state.voltage + volt_seconds - self.motor.L_d * (current - previous)
+        corrected = corrected + h * (2 * a * difference + state.offset)
+        loop = pll(state.pll, angle(corrected), self.bandwidth, h)
+        next_state = HybridState(
+            corrected, current_model, state.offset + h * a * a * difference, loop
+        )
+        return next_state, self.guess(corrected, current, loop.speed)._replace(
+            theta_e_tracked=loop.theta
+        )
 
 
 class FullOrderState(NamedTuple):
     current: Array
     psi: Array
-    integral: Array  # of the speed [rad/s]
+    integral: Array  # integral part of the speed [rad/s]
     speed: Array
 
 
 class FullOrderObserver(CageBaseline):
     """Kubota's full-order observer with an adaptive speed.
 
-    A model of stator current and rotor flux; the error e of the current corrects the current with
-    `gain`, and the speed by ``Im(e* ψ̂)/|ψ̂|²`` through a PI with a double pole at `bandwidth`.
+    A model of stator current and rotor flux. The current error e corrects the current with `gain`,
+    and the speed with ``Im(e* ψ̂)/|ψ̂|²`` through a PI with a double pole at `bandwidth`.
 
     Parameters
     ----------
     gain : float
-        Added to the decay of the current's error, over (R_s + R_R)/L_σ.
+        Additional decay rate of the current error, relative to (R_s + R_R)/L_σ.
     bandwidth : float
-        [rad/s].
+        Bandwidth of the speed [rad/s].
 
     References
     ----------
@@ -140,57 +153,59 @@ class FullOrderObserver(CageBaseline):
 
     def start(self) -> FullOrderState:
         zero = jnp.zeros(())
-        return FullOrderState(0 * self.first(), self.first(), zero, zero)
+        return FullOrderState(0 * self.initial_flux(), self.initial_flux(), zero, zero)
 
     def advance(
         self,
-        own: FullOrderState,
+        state: FullOrderState,
         voltage: Array,
         volt_seconds: Array,
         current: Array,
-        before: Array,
+        previous: Array,
     ) -> tuple[FullOrderState, Guess]:
         m, h = self.motor, self.sample_time
         decay = (m.R_s + m.R_R) / m.L_d
-        off = before - own.current
+        current_error = previous - state.current
 
         def rate(i: Array, psi: Array) -> tuple[Array, Array]:
-            turning = jax.lax.complex(self.alpha(), -own.speed) * psi
-            by_current = (voltage - (m.R_s + m.R_R) * i + turning) / m.L_d
-            return by_current + self.gain * decay * off, m.R_R * i - turning
+            rotor_emf = jax.lax.complex(self.alpha(), -state.speed) * psi
+            by_current = (voltage - (m.R_s + m.R_R) * i + rotor_emf) / m.L_d
+            return by_current + self.gain * decay * current_error, m.R_R * i - rotor_emf
 
-        di, dpsi = rate(own.current, own.psi)
-        di, dpsi = rate(own.current + h / 2 * di, own.psi + h / 2 * dpsi)
-        i, psi = own.current + h * di, own.psi + h * dpsi
-        # The current answers an error of the speed like ψ h/L_σ over its decay.
-        size = jnp.maximum(length(psi), self.least())
-        error = ((current - i) * jnp.conj(psi)).imag / size**2 * m.L_d * decay * (1 + self.gain)
+        di, dpsi = rate(state.current, state.psi)
+        di, dpsi = rate(state.current + h / 2 * di, state.psi + h / 2 * dpsi)
+        i, psi = state.current + h * di, state.psi + h * dpsi
+        # A constant speed error Δω causes a current error of ψ Δω/(L_σ decay (1 + gain)).
+        magnitude = jnp.maximum(length(psi), self.least_flux())
+        error = (
+            ((current - i) * jnp.conj(psi)).imag / magnitude**2 * m.L_d * decay * (1 + self.gain)
+        )
         error = jnp.clip(-error, -self.bandwidth, self.bandwidth)
-        integral = own.integral + h * self.bandwidth**2 / (2 * decay) * error
+        integral = state.integral + h * self.bandwidth**2 / (2 * decay) * error
         speed = integral + self.bandwidth / decay * error
-        state = FullOrderState(i, psi, integral, speed)
-        return state, self.guess(psi, current, speed + self.slip_of(psi, current))
+        next_state = FullOrderState(i, psi, integral, speed)
+        return next_state, self.guess(psi, current, speed + self.slip_of(psi, current))
 
 
 class ReducedOrderState(NamedTuple):
     psi: Array
-    speed: Array  # of the rotor, electrical [rad/s]
+    speed: Array  # electrical speed of the rotor [rad/s]
     theta: Array
 
 
 class ReducedOrderObserver(CageBaseline):
     """Hinkkanen, Harnefors and Luomi's reduced-order observer, inherently sensorless.
 
-    The voltage model, corrected along ``k = (α/2 + damping |ω_m|)/(α - jω_m)`` by the part of the
-    current model that does not contain the speed: ``R_R i_d - α |ψ|``. The speed is that of the
-    flux less the slip, low-passed.
+    The voltage model is corrected along ``k = (α/2 + damping |ω_m|)/(α - jω_m)`` by the part of the
+    current model without the speed: ``R_R i_d - α |ψ|``. The speed is the speed of the flux less
+    the slip, low-passed.
 
     Parameters
     ----------
     damping : float
-        0.2 is usual.
+        Usually 0.2.
     bandwidth : float
-        Of the speed's low-pass [rad/s].
+        Bandwidth of the speed's low-pass [rad/s].
 
     References
     ----------
@@ -207,39 +222,39 @@ class ReducedOrderObserver(CageBaseline):
         self.damping, self.bandwidth = leaf(damping), leaf(bandwidth)
 
     def start(self) -> ReducedOrderState:
-        return ReducedOrderState(self.first(), jnp.zeros(()), jnp.zeros(()))
+        return ReducedOrderState(self.initial_flux(), jnp.zeros(()), jnp.zeros(()))
 
     def advance(
         self,
-        own: ReducedOrderState,
+        state: ReducedOrderState,
         voltage: Array,
         volt_seconds: Array,
         current: Array,
-        before: Array,
+        previous: Array,
     ) -> tuple[ReducedOrderState, Guess]:
         m, h, alpha = self.motor, self.sample_time, self.alpha()
-        direction = unit(own.psi)
-        emf = (volt_seconds - m.L_d * (current - before)) * jnp.conj(direction)
-        i_d = ((current + before) / 2 * jnp.conj(direction)).real
-        modelled = h * (m.R_R * i_d - alpha * length(own.psi))
-        k = (alpha / 2 + self.damping * jnp.abs(own.speed)) / jax.lax.complex(alpha, -own.speed)
-        step = emf + k * (modelled - emf.real)
-        psi = own.psi + step * direction
-        psi = jnp.where(length(psi) > self.least(), psi, self.first())
-        turned = angle(psi * jnp.conj(direction)) / h
-        follow = -jnp.expm1(-self.bandwidth * h)
-        speed = own.speed + follow * (turned - self.slip_of(psi, current) - own.speed)
-        state = ReducedOrderState(psi, speed, angle(psi))
-        return state, self.guess(psi, current, speed + self.slip_of(psi, current))
+        direction = unit(state.psi)
+        emf = (volt_seconds - m.L_d * (current - previous)) * jnp.conj(direction)
+        i_d = ((current + previous) / 2 * jnp.conj(direction)).real
+        current_model = h * (m.R_R * i_d - alpha * length(state.psi))
+        k = (alpha / 2 + self.damping * jnp.abs(state.speed)) / jax.lax.complex(alpha, -state.speed)
+        flux_step = emf + k * (current_model - emf.real)
+        psi = state.psi + flux_step * direction
+        psi = jnp.where(length(psi) > self.least_flux(), psi, self.initial_flux())
+        flux_speed = angle(psi * jnp.conj(direction)) / h
+        gain = -jnp.expm1(-self.bandwidth * h)
+        speed = state.speed + gain * (flux_speed - self.slip_of(psi, current) - state.speed)
+        next_state = ReducedOrderState(psi, speed, angle(psi))
+        return next_state, self.guess(psi, current, speed + self.slip_of(psi, current))
 
 
 class CageKalmanState(NamedTuple):
-    x: Array  # stator flux (2), rotor flux (2), rotor speed [rad/s electrical]
+    x: Array  # stator flux (2,), rotor flux (2,), electrical rotor speed [rad/s]
     P: Array
 
 
 class CageKalmanFilter(CageBaseline):
-    """Extended Kalman filter; states are stator flux, rotor flux and speed, a random walk.
+    """Extended Kalman filter with the states stator flux, rotor flux and speed (a random walk).
 
     Parameters
     ----------
@@ -248,7 +263,7 @@ class CageKalmanFilter(CageBaseline):
     acceleration : float
         Random walk of the speed [rad/s per √s].
     current_noise, speed_size : float
-        Std of a current component [A]; of the speed at the start [rad/s].
+        Std of a current component [A]; std of the speed at the start [rad/s].
 
     References
     ----------
@@ -276,31 +291,33 @@ class CageKalmanFilter(CageBaseline):
 
     def start(self) -> CageKalmanState:
         psi = self.motor.psi_f
-        x = jnp.zeros(5).at[2].set(self.least())
-        sizes = jnp.stack([psi, psi, psi, psi, self.speed_size])
-        return CageKalmanState(x, jnp.diag(sizes**2))
+        x = jnp.zeros(5).at[2].set(self.least_flux())
+        stds = jnp.stack([psi, psi, psi, psi, self.speed_size])
+        return CageKalmanState(x, jnp.diag(stds**2))
 
     def advance(
         self,
-        own: CageKalmanState,
+        state: CageKalmanState,
         voltage: Array,
         volt_seconds: Array,
         current: Array,
-        before: Array,
+        previous: Array,
     ) -> tuple[CageKalmanState, Guess]:
         m, h = self.motor, self.sample_time
-        mean = (current + before) / 2
+        mean_current = (current + previous) / 2
 
-        def predicted(x: Array) -> Array:
-            psi = self.rotor_step(jax.lax.complex(x[2], x[3]), mean, x[4])
+        def predict(x: Array) -> Array:
+            psi = self.rotor_step(jax.lax.complex(x[2], x[3]), mean_current, x[4])
             return jnp.concatenate([x[:2] + pair(volt_seconds), pair(psi), x[4:]])
 
-        x, F = predicted(own.x), jax.jacfwd(predicted)(own.x)
-        volts = (h * self.voltage_noise) ** 2
-        walk = h * self.acceleration**2
-        P = F @ own.P @ F.T + jnp.diag(jnp.stack([volts, volts, volts, volts, walk]))
+        x, F = predict(state.x), jax.jacfwd(predict)(state.x)
+        flux_variance = (h * self.voltage_noise) ** 2
+        speed_variance = h * self.acceleration**2
+        P = F @ state.P @ F.T + jnp.diag(
+            jnp.stack([flux_variance, flux_variance, flux_variance, flux_variance, speed_variance])
+        )
         H = jnp.array([[1.0, 0.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, -1.0, 0.0]]) / m.L_d
-        x, P = corrected(x, P, H, pair(current) - H @ x, self.current_noise**2)
+        x, P = update_measurement(x, P, H, pair(current) - H @ x, self.current_noise**2)
         psi = jax.lax.complex(x[2], x[3])
         guess = self.guess(psi, current, x[4] + self.slip_of(psi, current))
         return CageKalmanState(x, P), guess._replace(flux=jax.lax.complex(x[0], x[1]))

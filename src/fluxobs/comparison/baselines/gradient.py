@@ -1,4 +1,4 @@
-"""Gradient on the length of the active flux, and its limit of infinite gain, the clamp."""
+"""Gradient on the length of the active flux, and its limit for infinite gain, the clamp."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class GradientState(NamedTuple):
 
 
 class LengthGradient(Baseline):
-    """``x' = y - L_q di/dt + g/2 (1 - |x|²/ψ²) x``: the non-linear observer of ODrive and VESC.
+    """Non-linear observer of ODrive and VESC: ``x' = y - L_q di/dt + g/2 (1 - |x|²/ψ²) x``.
 
     With `adaptation` it also estimates the length, by the gradient of the same error (the
     magnitude-adapting variant): ``ψ̂' = -g_ψ/2 (1 - |x|²/ψ̂²) ψ̂``.
@@ -27,7 +27,7 @@ class LengthGradient(Baseline):
     Parameters
     ----------
     gain : float
-        g [1/s]; the rate at which an error of the length decays.
+        g [1/s]; decay rate of a length error.
     adaptation : float
         g_ψ [1/s]; 0 switches it off.
     bandwidth : float
@@ -59,17 +59,22 @@ class LengthGradient(Baseline):
         )
 
     def advance(
-        self, own: GradientState, voltage: Array, volt_seconds: Array, current: Array, before: Array
+        self,
+        state: GradientState,
+        voltage: Array,
+        volt_seconds: Array,
+        current: Array,
+        previous: Array,
     ) -> tuple[GradientState, Guess]:
         h = self.sample_time
-        x = own.active + volt_seconds - self.motor.L_q * (current - before)
-        aim = self.length(current, unit(x)) - self.motor.psi_f + own.psi
-        aim = jnp.maximum(aim, 1e-3 * self.size())
-        short = 1 - jnp.minimum((length(x) / aim) ** 2, 4.0)
-        x = x * jnp.exp(h * self.gain / 2 * short)
-        psi = own.psi * jnp.exp(-h * self.adaptation / 2 * short)
+        x = state.active + volt_seconds - self.motor.L_q * (current - previous)
+        target_length = self.length(current, unit(x)) - self.motor.psi_f + state.psi
+        target_length = jnp.maximum(target_length, 1e-3 * self.size())
+        length_error = 1 - jnp.minimum((length(x) / target_length) ** 2, 4.0)
+        x = x * jnp.exp(h * self.gain / 2 * length_error)
+        psi = state.psi * jnp.exp(-h * self.adaptation / 2 * length_error)
         theta = angle(x)
-        loop = pll(own.pll, theta, self.bandwidth, h)
+        loop = pll(state.pll, theta, self.bandwidth, h)
         flux = x + self.motor.L_q * current
         return GradientState(x, psi, loop), Guess(theta, loop.speed, flux, loop.theta)
 
@@ -80,10 +85,10 @@ class ClampedState(NamedTuple):
 
 
 class ClampedIntegrator(Baseline):
-    """``x' = y - L_q di/dt`` with each axis clamped to ± the length of x; known as MXLEMMING.
+    """Clamped integrator (MXLEMMING): ``x' = y - L_q di/dt``, each axis clamped to ±|x|.
 
-    Published only as a description and in firmware (MESC project). The clamp level is its only
-    gain.
+    Published only as a description and in firmware (MESC project). Its only gain is the level of
+    the clamp.
 
     Parameters
     ----------
@@ -104,12 +109,17 @@ class ClampedIntegrator(Baseline):
         return ClampedState(jax.lax.complex(self.size(), jnp.zeros(())), pll_start())
 
     def advance(
-        self, own: ClampedState, voltage: Array, volt_seconds: Array, current: Array, before: Array
+        self,
+        state: ClampedState,
+        voltage: Array,
+        volt_seconds: Array,
+        current: Array,
+        previous: Array,
     ) -> tuple[ClampedState, Guess]:
-        x = own.active + volt_seconds - self.motor.L_q * (current - before)
-        most = self.level * self.length(current, unit(x))
-        x = jax.lax.complex(jnp.clip(x.real, -most, most), jnp.clip(x.imag, -most, most))
+        x = state.active + volt_seconds - self.motor.L_q * (current - previous)
+        limit = self.level * self.length(current, unit(x))
+        x = jax.lax.complex(jnp.clip(x.real, -limit, limit), jnp.clip(x.imag, -limit, limit))
         theta = angle(x)
-        loop = pll(own.pll, theta, self.bandwidth, self.sample_time)
+        loop = pll(state.pll, theta, self.bandwidth, self.sample_time)
         flux = x + self.motor.L_q * current
         return ClampedState(x, loop), Guess(theta, loop.speed, flux, loop.theta)

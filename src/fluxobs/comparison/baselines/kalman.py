@@ -1,4 +1,4 @@
-"""Extended Kalman filter, as published and with the drift as an additional state."""
+"""Extended Kalman filter, as published, and with the drift as additional state."""
 
 from __future__ import annotations
 
@@ -18,21 +18,23 @@ class KalmanState(NamedTuple):
     P: Array
 
 
-def corrected(
+def update_measurement(
     x: Array, P: Array, H: Array, innovation: Array, variance: Array
 ) -> tuple[Array, Array]:
-    """State and covariance after two measurements of one variance; Joseph's form."""
+    """Return state and covariance after two measurements of equal variance; Joseph's form."""
     S = H @ P @ H.T + variance * jnp.eye(2)
-    det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
-    inverse = jnp.array([[S[1, 1], -S[0, 1]], [-S[1, 0], S[0, 0]]]) / det
+    determinant = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
+    inverse = jnp.array([[S[1, 1], -S[0, 1]], [-S[1, 0], S[0, 0]]]) / determinant
     K = P @ H.T @ inverse
-    left = jnp.eye(len(x)) - K @ H
-    return x + K @ innovation, left @ P @ left.T + variance * K @ K.T
+    reduction = jnp.eye(len(x)) - K @ H
+    return x + K @ innovation, reduction @ P @ reduction.T + variance * K @ K.T
 
 
 class KalmanFilter(Baseline):
-    """States are flux, speed and position; the measurement is the current ``i(λ, θ)``; the speed
-    is a random walk. Works for salient machines without change.
+    """Extended Kalman filter with the states flux, speed and position.
+
+    The measurement is the current ``i(λ, θ)``; the speed is a random walk. Also for salient
+    machines.
 
     Parameters
     ----------
@@ -45,7 +47,7 @@ class KalmanFilter(Baseline):
     drift_walk : float
         Random walk of the drift [V per √s]; used if the drift is a state.
     with_drift : bool
-        Makes the drift a state (not in the references).
+        Whether the drift is a state (not in the references).
 
     References
     ----------
@@ -86,24 +88,29 @@ class KalmanFilter(Baseline):
         psi = self.motor.psi_f
         zero = jnp.zeros(())
         x = [psi, zero, zero, zero]
-        sizes = [self.size(), self.size(), self.speed_size, jnp.asarray(1.8)]
+        stds = [self.size(), self.size(), self.speed_size, jnp.asarray(1.8)]
         if self.with_drift:
-            x, sizes = [*x, zero, zero], [*sizes, self.drift_size, self.drift_size]
-        return KalmanState(jnp.stack(x), jnp.diag(jnp.stack(sizes) ** 2))
+            x, stds = [*x, zero, zero], [*stds, self.drift_size, self.drift_size]
+        return KalmanState(jnp.stack(x), jnp.diag(jnp.stack(stds) ** 2))
 
     def advance(
-        self, own: KalmanState, voltage: Array, volt_seconds: Array, current: Array, before: Array
+        self,
+        state: KalmanState,
+        voltage: Array,
+        volt_seconds: Array,
+        current: Array,
+        previous: Array,
     ) -> tuple[KalmanState, Guess]:
         m, h = self.motor, self.sample_time
         v = pair(volt_seconds)
-        size = len(own.x)
-        F = jnp.eye(size).at[3, 2].set(h)
-        noise = [(h * self.voltage_noise) ** 2] * 2 + [h * self.acceleration**2, 0.0]
+        dimension = len(state.x)
+        F = jnp.eye(dimension).at[3, 2].set(h)
+        variances = [(h * self.voltage_noise) ** 2] * 2 + [h * self.acceleration**2, 0.0]
         if self.with_drift:
             F = F.at[0, 4].set(h).at[1, 5].set(h)
-            noise += [h * self.drift_walk**2] * 2
-        x = F @ own.x + jnp.zeros(size).at[:2].set(v)
-        P = F @ own.P @ F.T + jnp.diag(jnp.stack([jnp.asarray(q) for q in noise]))
+            variances += [h * self.drift_walk**2] * 2
+        x = F @ state.x + jnp.zeros(dimension).at[:2].set(v)
+        P = F @ state.P @ F.T + jnp.diag(jnp.stack([jnp.asarray(q) for q in variances]))
 
         direction = turn(x[3])
         c, s = direction.real, direction.imag
@@ -111,11 +118,21 @@ class KalmanFilter(Baseline):
         predicted = m.current(flux, direction)
         # ∂i/∂λ = e Λ e*, ∂i/∂θ = j i + e Λ (-j λ_dq), Λ = diag(1/L_d, 1/L_q).
         d, q = 1 / m.L_d, 1 / m.L_q
-        cross = c * s * (d - q)
-        by_flux = jnp.array([[c * c * d + s * s * q, cross], [cross, s * s * d + c * c * q]])
-        local = flux * jnp.conj(direction)
-        by_angle = 1j * predicted + direction * jax.lax.complex(local.imag * d, -local.real * q)
-        H = jnp.zeros((2, size)).at[:, :2].set(by_flux).at[:, 3].set(pair(by_angle))
-        x, P = corrected(x, P, H, pair(current - predicted), self.current_noise**2)
+        off_diagonal = c * s * (d - q)
+        flux_jacobian = jnp.array(
+            [[c * c * d + s * s * q, off_diagonal], [off_diagonal, s * s * d + c * c * q]]
+        )
+        rotor_flux = flux * jnp.conj(direction)
+        angle_derivative = 1j * predicted + direction * jax.lax.complex(
+            rotor_flux.imag * d, -rotor_flux.real * q
+        )
+        H = (
+            jnp.zeros((2, dimension))
+            .at[:, :2]
+            .set(flux_jacobian)
+            .at[:, 3]
+            .set(pair(angle_derivative))
+        )
+        x, P = update_measurement(x, P, H, pair(current - predicted), self.current_noise**2)
         x = x.at[3].set(wrap(x[3]))
         return KalmanState(x, P), Guess(x[3], x[2], jax.lax.complex(x[0], x[1]), x[3])

@@ -1,4 +1,4 @@
-"""Observers on the paper's regression (PEBO, DREM), running sample by sample."""
+"""Observers on the paper's regression (PEBO, DREM), run sample by sample."""
 
 from __future__ import annotations
 
@@ -23,15 +23,14 @@ class RegressionState(NamedTuple):
 
 
 class OnRegression(Baseline):
-    """Runs an observer of :mod:`fluxobs.research.regression.laws` on the exact sampled regression
-    of the machine's relation.
+    """An observer of :mod:`fluxobs.research.regression.laws` on the exact sampled regression.
 
-    It ignores the start-up of the regression, 15 over its corner.
+    The start-up of the regression's filters, a time of 15/corner, is ignored.
 
     Parameters
     ----------
     constraint : QuadraticConstraint
-        Relation of the machine.
+        Relation of the machine's flux and current.
     observer : FluxObserver
         PEBO, DREM, …
     corner : float
@@ -64,21 +63,21 @@ class OnRegression(Baseline):
 
     def advance(
         self,
-        own: RegressionState,
+        state: RegressionState,
         voltage: Array,
         volt_seconds: Array,
         current: Array,
-        before: Array,
+        previous: Array,
     ) -> tuple[RegressionState, Guess]:
         h = self.sample_time
         v = pair(volt_seconds)
-        moments, row, _ = self.regression.step(own.moments, v, pair(current))
-        use = jnp.where(own.k * h * self.regression.corner > 15.0, 1.0, 0.0)
-        row = jax.tree.map(lambda part: use * part, row)
-        observer = self.observer.step(own.observer, h, v, row)
+        moments, row, _ = self.regression.step(state.moments, v, pair(current))
+        weight = jnp.where(state.k * h * self.regression.corner > 15.0, 1.0, 0.0)
+        row = jax.tree.map(lambda leaf: weight * leaf, row)
+        observer = self.observer.step(state.observer, h, v, row)
         flux = vector(self.observer.estimate(observer)[0])
         theta = angle(self.active(flux, current))
-        loop = pll(own.pll, theta, self.bandwidth, h)
-        return RegressionState(moments, observer, own.k + 1, loop), Guess(
+        loop = pll(state.pll, theta, self.bandwidth, h)
+        return RegressionState(moments, observer, state.k + 1, loop), Guess(
             theta, loop.speed, flux, loop.theta
         )

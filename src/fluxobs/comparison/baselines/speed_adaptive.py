@@ -30,9 +30,9 @@ class SpeedAdaptiveObserver(Baseline):
     Parameters
     ----------
     gain : float
-        k; 1 is the usual choice, with ζ_∞ = 0.2.
+        k; usually 1, with ζ_∞ = 0.2.
     bandwidth : float
-        α [rad/s]; 2π 40 is usual.
+        α [rad/s]; usually 2π 40.
 
     References
     ----------
@@ -54,27 +54,29 @@ class SpeedAdaptiveObserver(Baseline):
 
     def advance(
         self,
-        own: SpeedAdaptiveState,
+        state: SpeedAdaptiveState,
         voltage: Array,
         volt_seconds: Array,
         current: Array,
-        before: Array,
+        previous: Array,
     ) -> tuple[SpeedAdaptiveState, Guess]:
         m, h = self.motor, self.sample_time
-        theta = own.theta + h * own.speed
-        flux = own.flux + volt_seconds
-        back = jnp.conj(turn(theta))
-        i, k = current * back, m.L_d - m.L_q
-        e = m.flux_dq(i) - flux * back
+        theta = state.theta + h * state.speed
+        flux = state.flux + volt_seconds
+        to_rotor = jnp.conj(turn(theta))
+        i, k = current * to_rotor, m.L_d - m.L_q
+        e = m.flux_dq(i) - flux * to_rotor
         auxiliary = jax.lax.complex(m.psi_f + k * i.real, -k * i.imag)
-        square = jnp.maximum(auxiliary.real**2 + auxiliary.imag**2, (1e-3 * self.size()) ** 2)
-        share = e * jnp.conj(auxiliary) / square  # e/ψ_a
-        b = m.R_s * (1 / m.L_d + 1 / m.L_q) / 2 + 0.4 * jnp.abs(own.speed)
-        # Correct only the part along ψ_a, by its exact decay.
+        magnitude_squared = jnp.maximum(
+            auxiliary.real**2 + auxiliary.imag**2, (1e-3 * self.size()) ** 2
+        )
+        relative_error = e * jnp.conj(auxiliary) / magnitude_squared  # e/ψ_a
+        b = m.R_s * (1 / m.L_d + 1 / m.L_q) / 2 + 0.4 * jnp.abs(state.speed)
+        # Correct only the component along ψ_a, by its exact decay.
         decay = -jnp.expm1(-self.gain * b * h)
-        flux = flux + decay * share.real * auxiliary * jnp.conj(back)
+        flux = flux + decay * relative_error.real * auxiliary * jnp.conj(to_rotor)
         gain_theta, gain_speed = pll_gains(self.bandwidth, h)
-        epsilon = jnp.clip(-share.imag, -1.0, 1.0)
-        speed = own.speed + gain_speed * epsilon
+        epsilon = jnp.clip(-relative_error.imag, -1.0, 1.0)
+        speed = state.speed + gain_speed * epsilon
         theta = wrap(theta + gain_theta * epsilon)
         return SpeedAdaptiveState(flux, theta, speed), Guess(theta, speed, flux, theta)

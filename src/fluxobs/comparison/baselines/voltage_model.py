@@ -1,4 +1,4 @@
-"""Voltage model with a filter instead of the integrator, compensated at the present speed."""
+"""Voltage model with filters instead of the integrator, compensated at the present speed."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ class VoltageModelState(NamedTuple):
 
 
 class FilteredVoltageModel(Baseline):
-    """Low-pass instead of an integrator, ``λ_c' = y - ω_c λ_c`` (order 1), optionally followed by a
-    high-pass that blocks offsets (order 2).
+    """Voltage model with a low-pass instead of the integrator, and optionally a high-pass.
 
-    ω_c is proportional to the speed, down to `least`. The gain and phase of the filters at that
-    speed are compensated, ``λ̂ = λ_c (1 - jω_c/ω̂)^order``.
+    The low-pass is ``λ_c' = y - ω_c λ_c`` (order 1); the high-pass blocks offsets (order 2). ω_c is
+    proportional to the speed, but at least `least`. Gain and phase of the filters at the present
+    speed are compensated: ``λ̂ = λ_c (1 - jω_c/ω̂)^order``.
 
     Parameters
     ----------
     cutoff, least : float
-        ω_c over |ω̂|; least value of ω_c [rad/s].
+        ω_c over |ω̂|; smallest ω_c [rad/s].
     bandwidth : float
         Bandwidth of the phase-locked loop that estimates ω̂ [rad/s].
 
@@ -62,23 +62,25 @@ class FilteredVoltageModel(Baseline):
 
     def advance(
         self,
-        own: VoltageModelState,
+        state: VoltageModelState,
         voltage: Array,
         volt_seconds: Array,
         current: Array,
-        before: Array,
+        previous: Array,
     ) -> tuple[VoltageModelState, Guess]:
         h = self.sample_time
-        # Bilinear, so that the compensation is exact up to errors of order (ωh)².
-        speed = own.pll.speed
+        # Bilinear: the compensation is exact up to errors of order (ωh)².
+        speed = state.pll.speed
         corner = jnp.maximum(self.cutoff * jnp.abs(speed), self.least)
         a = corner * h / 2
-        first = ((1 - a) * own.first + volt_seconds) / (1 + a)
-        second = ((1 - a) * own.second + first - own.first) / (1 + a)
+        first = ((1 - a) * state.first + volt_seconds) / (1 + a)
+        second = ((1 - a) * state.second + first - state.first) / (1 + a)
         least = self.least
-        safe = jnp.where(jnp.abs(speed) > least, speed, jnp.where(speed < 0, -least, least))
-        give_back = jax.lax.complex(jnp.ones(()), -corner / safe)
-        flux = first * give_back if self.order == 1 else second * give_back**2
+        bounded_speed = jnp.where(
+            jnp.abs(speed) > least, speed, jnp.where(speed < 0, -least, least)
+        )
+        compensation = jax.lax.complex(jnp.ones(()), -corner / bounded_speed)
+        flux = first * compensation if self.order == 1 else second * compensation**2
         theta = angle(self.active(flux, current))
-        loop = pll(own.pll, theta, self.bandwidth, h)
+        loop = pll(state.pll, theta, self.bandwidth, h)
         return VoltageModelState(first, second, loop), Guess(theta, loop.speed, flux, loop.theta)
