@@ -15,7 +15,7 @@ from typing import Any
 
 import polars as pl
 
-from ..core.hashing import content_of
+from ..core.hashing import hash_file
 from ..core.output import write_text
 from ..core.printable import visible
 from ..errors import FluxobsError
@@ -108,11 +108,11 @@ class LogTask:
             machine = as_machine(self.settings.machine_of(source))
             row["machine"] = self.settings.machine_of(source)
             with source.local() as place:
-                content = content_of(place)
+                content = hash_file(place)
                 if kept.has(content, self.settings, machine):
                     return kept.renewed(stamp)
                 row |= self._estimated(place, source, machine, kept)
-                if content_of(place) != content or source.stamp() != stamp:
+                if hash_file(place) != content or source.stamp() != stamp:
                     raise FluxobsError(
                         f"{source}: the log changed while it was read; estimate it again when it "
                         f"is complete"
