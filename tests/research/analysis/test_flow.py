@@ -166,7 +166,7 @@ def test_gain_study_judges_signs_only_beyond_its_uncertainty():
     [
         (np.ones((50, 4)), r"psi must be \(rows, 5\), at least 8 rows, got \(50, 4\)"),
         (np.full((50, 5), np.nan), "psi is not finite at row 0"),
-        (np.linspace(0, 1, 50)[:, None] * np.ones(5), "not periodic: where the period starts"),
+        (np.linspace(0, 1, 50)[:, None] * np.ones(5), "not periodic: at the end of the period"),
     ],
 )
 def test_what_is_refused(psi, message):

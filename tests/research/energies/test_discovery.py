@@ -381,7 +381,9 @@ def test_pairs_of_very_different_size_are_judged_alike():
 
 
 def test_a_machine_is_no_system():
-    with pytest.raises(ModelError, match="a system of energies is needed, got SurfacePMSM"):
+    with pytest.raises(
+        ModelError, match="system must be an ElectromechanicalSystem, got SurfacePMSM"
+    ):
         discover_constraint(example("servo-400w"))
     with pytest.raises(ModelError, match="no relation to check"):
         check_constraint(surface_pmsm(), ())

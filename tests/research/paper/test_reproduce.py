@@ -97,7 +97,7 @@ def test_quick_and_deep_exclude_each_other(tmp_path):
 
 def test_a_folder_that_cannot_be_made(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(FluxobsError, match="cannot be made"):
+    with pytest.raises(FluxobsError, match="cannot be created"):
         reproduce(tmp_path / "file" / "paper", quick=True)
 
 

@@ -226,7 +226,7 @@ def test_drem_is_exact_as_soon_as_its_formula_applies():
     ("build", "message"),
     [
         (lambda: RobustObserver(-1.0, 2), "Gamma must be positive definite"),
-        (lambda: RobustObserver([[1.0, 2.0], [2.0, 1.0]], 2), "least eigenvalue -1"),
+        (lambda: RobustObserver([[1.0, 2.0], [2.0, 1.0]], 2), "smallest eigenvalue -1"),
         (lambda: RobustObserver([[1.0, 0.5], [0.0, 1.0]], 2), "Gamma must be symmetric"),
         (lambda: PrintedAdaptiveObserver([1.0, 2.0], CONSTANTS), r"Gamma must be a number, \(5,\)"),
         (lambda: RepairedAdaptiveObserver(1.0, 0.0, CONSTANTS), "G must be positive definite"),

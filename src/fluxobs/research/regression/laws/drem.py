@@ -15,7 +15,7 @@ from .base import flow_gain
 
 
 class DremState(NamedTuple):
-    """Extension M, m (per-unit); estimate, its open-loop twin, and w, what is left of the start."""
+    """Extension M, m (per-unit); estimate, its open-loop twin, and w, the weight of the start."""
 
     M: jax.Array
     m: jax.Array
@@ -25,11 +25,11 @@ class DremState(NamedTuple):
 
 
 class DremObserver(eqx.Module):
-    """Extends one regression to as many as there are unknowns, then mixes them into scalar ones.
+    """Extend one regression to as many as there are unknowns, then mix them into scalar ones.
 
     Extension (Kreisselmeier, moved along with the flux): ``M' = -M/T - AᵀM - M A + ΨΨᵀ``, likewise
-    m, so that ``M x = m``. Mixing with the adjugate gives ``Δ x_j = Y_j``, Δ = det M, and for each
-    unknown a scalar gradient ``x̂_j' = … + γ Δ (Y_j - Δ x̂_j)``. The error is
+    m, which gives ``M x = m``. Mixing with the adjugate gives ``Δ x_j = Y_j``, Δ = det M, and for
+    each unknown a scalar gradient ``x̂_j' = … + γ Δ (Y_j - Δ x̂_j)``. The error is
     ``x̃(t) = w(t) x̃_open-loop(t)`` with ``w = exp(-γ ∫ Δ²)``. Solving this for x gives an estimate
     in finite time, used once 1 - w > `finite`.
 
@@ -69,10 +69,10 @@ class DremObserver(eqx.Module):
         finite: float = 0.1,
     ) -> None:
         size = constants.n + len(constants)
-        given = real("basis", basis)
-        self.basis = jnp.diag(given) if given.ndim == 1 else given
+        scaling = real("basis", basis)
+        self.basis = jnp.diag(scaling) if scaling.ndim == 1 else scaling
         if self.basis.shape != (size, size):
-            raise ModelError(f"basis must be ({size},) or ({size}, {size}), got {given.shape}")
+            raise ModelError(f"basis must be ({size},) or ({size}, {size}), got {scaling.shape}")
         for name, value in (("gamma", gamma), ("memory", memory)):
             if not value > 0:
                 raise ModelError(f"{name} must be positive, got {value}")
