@@ -297,8 +297,8 @@ def _noise(scenarios: Mapping[str, Any]) -> list[str]:
         "## With noise",
         "1 mA and 10 mV of white noise at 1 kHz, converter steps of 0.5 mA and 5 mV, first "
         "10 s, memory 0.5 s, drift and current bias unknown. With little excitation the covariance "
-        "alone states far too small an error; the noise share, the part of the information that is only noise, "
-        "reveals it.",
+        "alone states far too small an error; the noise share, the part of the information that is "
+        "only noise, reveals it.",
         table(["", "rms error", "claimed by covariance", "noise share", "claimed valid"], rows),
     ]
 
