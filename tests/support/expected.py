@@ -66,7 +66,7 @@ def compare(actual: Any, expected: Any, where: str, share: float) -> None:
 
 
 def last_digit(number: str) -> float:
-    """Return what one unit of a number's last digit is worth; 0 for whole numbers, which are exact."""
+    """Return the value of one unit of a number's last digit; 0 for whole numbers (exact)."""
     digits, _, exponent = number.partition("e")
     _, point, decimals = digits.partition(".")
     return 10.0 ** (int(exponent or 0) - len(decimals)) if point or exponent else 0.0

@@ -69,7 +69,7 @@ def steady(
     theta0: float = 0.7,
     seed: int = 0,
 ) -> Samples:
-    """Return a record at constant rotor-frame current; `speed` [rad/s]: a number, or one per row."""
+    """Return a record at constant rotor-frame current; `speed` [rad/s]: one, or one per row."""
     true = signals.steady(machine, sample_time, speed, rows, i_dq, theta0)
     drift = machine.R_s * current_bias - voltage_bias
     return Samples(
