@@ -147,8 +147,8 @@ def _of_cursor(cursor: Cursor) -> Iterator[CMutant]:
     tokens = list(cursor.get_tokens())
     match cursor.kind:
         case CursorKind.BINARY_OPERATOR | CursorKind.COMPOUND_ASSIGNMENT_OPERATOR:
-            left = next(cursor.get_children())
-            end = left.extent.end.offset
+            left_operand = next(cursor.get_children())
+            end = left_operand.extent.end.offset
             after = [token for token in tokens if token.extent.start.offset >= end]
             # After "=" a sign or a star is unary.
             pairs = zip([None, *(token.spelling for token in after)], after, strict=False)

@@ -291,9 +291,8 @@ class LearningTwin:
 
     def _learn(self, slow: Array, value: float, weight: float, time: float) -> None:
         row = slow[:CURVE]
-        innovation = value - row @ (
-            self.best - self.p
-        )  # the row refers to the published parameters
+        # The row refers to the published parameters.
+        innovation = value - row @ (self.best - self.p)
         gain = self.Q @ row / (row @ self.Q @ row + 1 / weight)
         self.best = self.best + gain * innovation
         self.G = self.G - gain * (slow[CURVE] + row @ self.G)

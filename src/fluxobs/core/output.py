@@ -16,7 +16,7 @@ from polars.io.plugins import register_io_source
 from ..errors import FluxobsError
 from .locks import is_at, lock
 
-Part = TypeVar("Part")
+Item = TypeVar("Item")
 Schema = dict[str, pl.DataType | type[pl.DataType]]
 
 
@@ -233,10 +233,10 @@ def _sink(lazy: pl.LazyFrame, file: IO[bytes], suffix: str, stop: threading.Even
             raise
 
 
-def ahead(parts: Iterator[Part]) -> Iterator[Part]:
-    """Yield the same parts; read the next one while the caller works on the current one."""
+def ahead(items: Iterator[Item]) -> Iterator[Item]:
+    """Yield the items; read the next one while the caller works on the current one."""
     with ThreadPoolExecutor(max_workers=1) as reader:
-        upcoming = reader.submit(next, parts, None)
-        while (part := upcoming.result()) is not None:
-            upcoming = reader.submit(next, parts, None)
-            yield part
+        upcoming = reader.submit(next, items, None)
+        while (item := upcoming.result()) is not None:
+            upcoming = reader.submit(next, items, None)
+            yield item

@@ -108,7 +108,7 @@ def test_no_scheduler_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
     from fluxobs.core.engine import cluster
 
     monkeypatch.setattr(cluster, "PATIENCE", 1)
-    with pytest.raises(FluxobsError, match="no scheduler with workers at"):
+    with pytest.raises(FluxobsError, match="no scheduler with workers found"):
         list(compute([1], tasks.square, 1, "tcp://127.0.0.1:9"))
 
 

@@ -217,7 +217,7 @@ def test_drem_is_exact_once_its_formula_applies():
         flux = flux + v + h * theta[:2]
         row = row._replace(y=row.Phi_flux @ flux + CONSTANTS.regressor(row) @ theta)
         state = observer.step(state, h, jnp.asarray(v), row)
-        if 1 - float(state.left) > 0.1:
+        if 1 - float(state.start_weight) > 0.1:
             estimates, constants = observer.estimate(state)
             error = max(np.abs(estimates - flux).max(), np.abs(constants - theta).max())
             largest_errors.append(error)
@@ -295,7 +295,7 @@ def test_mixed_estimates_follow_their_equation():
         before = np.asarray(state.mixed)
         v = jnp.asarray(rng.standard_normal(2))
         state = observer.step(state, h, v, random_row(rng))
-        share = np.eye(size) - float(state.left) * np.linalg.inv(state.M)
+        share = np.eye(size) - float(state.start_weight) * np.linalg.inv(state.M)
         delta, start = np.linalg.det(share), np.linalg.solve(state.M, state.m)
         Y = [
             np.linalg.det(np.column_stack([*share.T[:j], start, *share.T[j + 1 :]]))

@@ -62,9 +62,7 @@ def in_cluster(
             client = stack.enter_context(Client(address, timeout=PATIENCE, set_as_default=False))
             client.wait_for_workers(1, timeout=PATIENCE)
         except (OSError, TimeoutError) as error:
-            raise FluxobsError(
-                f"{address}: no scheduler with workers at this address: {error}"
-            ) from None
+            raise FluxobsError(f"{address}: no scheduler with workers found: {error}") from None
         if starts_cluster:
             stack.callback(_wait_for_workers, client, workers)
         upcoming = iter(tasks)

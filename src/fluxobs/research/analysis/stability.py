@@ -151,16 +151,18 @@ def over_gain(
     ModelError
         Ψ is not finite, has the wrong width, or does not close although `periodic` is set.
     """
-    given = np.asarray(psi, float)
+    regressor = np.asarray(psi, float)
     N, root = balanced_error_system(constants, Gamma)
-    if given.ndim != 2 or given.shape[1] != len(N) or len(given) < 8:
-        raise ModelError(f"psi must be (rows, {len(N)}), at least 8 rows, got {given.shape}")
-    if not np.isfinite(given).all():
-        raise ModelError(f"psi is not finite at row {int(np.argwhere(~np.isfinite(given))[0][0])}")
+    if regressor.ndim != 2 or regressor.shape[1] != len(N) or len(regressor) < 8:
+        raise ModelError(f"psi must be (rows, {len(N)}), at least 8 rows, got {regressor.shape}")
+    if not np.isfinite(regressor).all():
+        raise ModelError(
+            f"psi is not finite at row {int(np.argwhere(~np.isfinite(regressor))[0][0])}"
+        )
     if periodic:
-        _check_closed(given)
+        _check_closed(regressor)
     exponent_of = _periodic_exponent if periodic else _record_exponent
-    pairs = [exponent_of(N, np.sqrt(gain) * given @ root, h) for gain in gains]
+    pairs = [exponent_of(N, np.sqrt(gain) * regressor @ root, h) for gain in gains]
     exponent, uncertainty = np.array(pairs).T
     return GainStudy(np.asarray(gains, float), exponent, uncertainty)
 

@@ -323,8 +323,8 @@ class FeatureDiscovery:
 
     Attributes
     ----------
+    relations : tuple of Polynomial
         Relations in the features, by their names; none follows from one of lower degree.
-        In the features, by their names; none follows from one of lower degree.
     margin : float
         Factor by which the singular values fall at the edge of the null space of the highest
         degree; below 1e10 no relation is reported.

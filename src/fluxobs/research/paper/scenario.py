@@ -25,7 +25,8 @@ from .studies import (
 
 #: Scenarios of the noise study.
 NOISY = ("S1", "S3", "S5")
-#: Scenarios in the figures and, unless deep, in the stability study: the paper's own, and S5.
+#: Scenarios in the figures and, unless deep, in the stability study: the paper's own and
+#: the well-posed S5.
 SHOWN = ("S1", "S5")
 #: Scenario for judging the claims and for the error of the robust observer.
 MAIN = "S5"

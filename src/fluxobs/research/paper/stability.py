@@ -120,7 +120,7 @@ class ScalarGain:
 def unit_regressor(psi: Array, drift_unit: float = 1.0) -> tuple[Array, Array]:
     """Return Ψ in units in which the rms of every column is one, and those units.
 
-    `drift_unit` multiplies the unit of the drift, which makes its column smaller.
+    `drift_unit` multiplies the unit of the drift; below one it makes the column smaller.
     """
     units = 1 / np.sqrt(np.mean(psi**2, axis=0))
     units[2:4] *= drift_unit

@@ -42,8 +42,8 @@ def maglev_1dof(k: float = 1e-5, g: float = 1e-3) -> ElectromechanicalSystem:
 def maglev_2dof(machine: MagLev2DOF) -> ElectromechanicalSystem:
     """Opposed coils on a lever: Section V-B of the paper in canonical port-Hamiltonian form.
 
-    The flux is the linkage ``λ = c φ`` with the force constants c, so that ``-∇_q H_E`` is the
-    force of Knospe's benchmark; momentum is p/D. ``λ̇ = -(c/N) R i + (c/N) u``.
+    The flux is the linkage ``λ = c φ`` with the force constants c; ``-∇_q H_E`` is then the
+    force of Knospe's benchmark. Momentum is p/D. ``λ̇ = -(c/N) R i + (c/N) u``.
     docs/theory.md, section 11.
     """
     c, k = np.array([machine.c_1, machine.c_2]), np.array([machine.k_1, machine.k_2])

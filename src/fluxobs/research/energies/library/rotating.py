@@ -129,7 +129,7 @@ def wound_field(
 ) -> ElectromechanicalSystem:
     """Salient wound-field synchronous machine with its field port: (α, β, F).
 
-    Vectors are power-invariant, so that the inductances derive from an energy (f = 1).
+    Vectors are power-invariant; only then do the inductances derive from an energy (f = 1).
     """
     rotor = jnp.array([[L_d, 0.0, M], [0.0, L_q, 0.0], [M, 0.0, L_F]])
 

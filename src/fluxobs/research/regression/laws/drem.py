@@ -21,7 +21,7 @@ class DremState(NamedTuple):
     m: jax.Array
     x: jax.Array
     open_loop: jax.Array
-    left: jax.Array
+    start_weight: jax.Array
 
 
 class DremObserver(eqx.Module):
@@ -109,11 +109,11 @@ class DremObserver(eqx.Module):
         open_loop = state.open_loop + drift @ state.open_loop + moved
         rate = self.gamma * delta**2
         x = x + self.gamma * delta * flow_gain(rate, h) * (Y - delta * x)
-        return DremState(M, m, x, open_loop, state.left * jnp.exp(-rate * h))
+        return DremState(M, m, x, open_loop, state.start_weight * jnp.exp(-rate * h))
 
     def estimate(self, state: DremState) -> tuple[jax.Array, jax.Array]:
-        done = 1 - state.left
+        done = 1 - state.start_weight
         safe = jnp.where(done >= self.finite, done, 1.0)
-        x = jnp.where(done >= self.finite, (state.x - state.left * state.open_loop) / safe, state.x)
-        x = self.basis @ x
+        finite_time = (state.x - state.start_weight * state.open_loop) / safe
+        x = self.basis @ jnp.where(done >= self.finite, finite_time, state.x)
         return x[: self.constants.n], x[self.constants.n :]

@@ -24,7 +24,7 @@ class GpeboState(NamedTuple):
     t: jax.Array
     M: jax.Array
     m: jax.Array
-    left: jax.Array
+    start_weight: jax.Array
     mixed: jax.Array
 
 
@@ -117,18 +117,18 @@ class GeneralisedPEBO(eqx.Module):
         fade = jnp.exp(-self.forgetting * (1 - uncertainty) * h)
         weight = h / self.noise**2
         M = fade * state.M + weight * jnp.outer(phi, phi)
-        m, left = fade * state.m + weight * phi * y, fade * state.left
+        m, start_weight = fade * state.m + weight * phi * y, fade * state.start_weight
         mixed = state.mixed
         if self.estimator == "least-squares-drem":
             # I - z F F(0)⁻¹ with F(0) = I, and the estimate without its initial value, zero.
-            share = jnp.eye(len(m)) - left * jnp.linalg.inv(M)
+            share = jnp.eye(len(m)) - start_weight * jnp.linalg.inv(M)
             delta = jnp.linalg.det(share)
             solution = jnp.linalg.solve(M, m)
             # Cramer's rule: Y_j is the determinant with the estimate in column j.
             Y = jax.vmap(lambda j: jnp.linalg.det(share.at[:, j].set(solution)))(jnp.arange(len(m)))
             gain = flow_gain(self.gamma * delta**2, h)
             mixed = mixed + gain * self.gamma * delta * (Y - delta * mixed)
-        return GpeboState(xi, t, M, m, left, mixed)
+        return GpeboState(xi, t, M, m, start_weight, mixed)
 
     def estimate(self, state: GpeboState) -> tuple[jax.Array, jax.Array]:
         n = self.constants.n
