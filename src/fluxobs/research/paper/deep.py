@@ -85,7 +85,7 @@ def _later(courses: Mapping[str, Any], observability: Mapping[str, Any]) -> list
         for name, window in observability.items()
     ]
     return [
-        "## The line that followed",
+        "## Observers published later",
         "Flux error over the largest flux, rms before the jump (or half way) and at the end; every "
         "observer at 100 samples a second on the exact regression.",
         table(["observer", *titles], rows),
