@@ -1,4 +1,4 @@
-"""The examples in docstrings are true."""
+"""The examples in docstrings give the results shown."""
 
 import doctest
 import importlib
@@ -18,5 +18,5 @@ NAMES = sorted(
 @pytest.mark.parametrize("name", NAMES)
 def test_examples(name):
     if name == "fluxobs.hosts.motulator":
-        pytest.importorskip("motulator", reason="another Python: motulator needs 3.12")
+        pytest.importorskip("motulator", reason="motulator needs Python 3.12")
     assert doctest.testmod(importlib.import_module(name)).failed == 0

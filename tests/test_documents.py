@@ -1,4 +1,4 @@
-"""What the documents point to is there."""
+"""The files that the documents name exist."""
 
 from __future__ import annotations
 

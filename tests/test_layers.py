@@ -1,4 +1,4 @@
-"""Imports between rooms go down: the floors are those of CONTRIBUTING.md's table."""
+"""Imports between rooms go down the floors in CONTRIBUTING.md's table."""
 
 import ast
 import re
@@ -10,7 +10,7 @@ import fluxobs
 
 ROOT = Path(fluxobs.__file__).parent
 TEXT = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text("utf-8")
-#: Room → floor. The compiled modules need nothing; the package itself is the door over all of it.
+#: Room → floor. The compiled modules import nothing; the package itself, above all, is not listed.
 FLOOR = {
     **{
         room: int(floor)
@@ -19,7 +19,7 @@ FLOOR = {
     "_core": 0,
     "_core_single": 0,
 }
-#: Floors within a room; what is not listed is on the top floor.
+#: Floors within a room, lowest first; modules not listed are on the top floor.
 WITHIN = {
     "core": (
         ("arrays", "printable", "validation"),
@@ -31,18 +31,18 @@ WITHIN = {
     "research": (("energies", "regression", "relation_observer"), ("analysis",)),
     "comparison": (("baselines",),),
 }
-#: Load JAX; `research/paper` does where it computes.
+#: Modules that load JAX; `research/paper` loads it only where it computes.
 JAX = ("simulation/drive", "simulation/precision", "simulation/runge_kutta")
 JAX += ("research", "comparison/baselines")
 
 
 def place(module: str) -> str:
-    """The path of a module below the package, without its ending."""
+    """Return the path of a module below the package, without its ending."""
     return module.removeprefix("fluxobs.").replace(".", "/")
 
 
 def imports(path: Path) -> set[str]:
-    """Modules of the package that a file imports from, at its head or inside."""
+    """Return the modules of the package that a file imports from, at its head or inside."""
     package = ["fluxobs", *path.relative_to(ROOT).parent.parts]
     modules = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -70,7 +70,7 @@ def test_imports_go_down(path):
     here = path.relative_to(ROOT).parts[0].removesuffix(".py")
     for module in imports(path):
         room = module.split("/")[0]
-        if room == here or (here == "cli" and room not in FLOOR):  # fluxobs.estimate and its like
+        if room == here or (here == "cli" and room not in FLOOR):  # fluxobs.estimate and the like
             continue
         assert FLOOR[room] < FLOOR[here], f"{here} imports {module}"
 
@@ -88,9 +88,9 @@ def test_imports_within_a_room_go_down(path):
             assert floors.get(there, len(floors)) < floors[here], f"{here} imports {module}"
 
 
-def test_jax_is_behind_a_wall():
+def test_only_some_rooms_may_load_jax():
     for path in FILES:
         here = str(path.relative_to(ROOT).with_suffix(""))
-        modules = [one for one in imports(path) if not one.startswith("research/paper")]
+        modules = [name for name in imports(path) if not name.startswith("research/paper")]
         if any(module.startswith(JAX) for module in modules):
             assert here.startswith((*JAX, "comparison", "campaigns")), path

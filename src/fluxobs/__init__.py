@@ -2,7 +2,7 @@
 
 The command line calls :func:`estimate`, :func:`identify`, :func:`check`, :func:`compare` and
 :func:`export`; :func:`read_log`, :func:`read_machine`, :func:`example` and :func:`demo_log` provide
-their input. The observers are for use sample by sample.
+their input. The observers work sample by sample.
 """
 
 from importlib import import_module
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 __version__ = version("fluxobs")
 
-#: Loaded on first use: these import the readers of files, and compare and campaign import JAX.
+#: Loaded on first use: they import the file readers; compare and campaign also import JAX.
 _LATER = {
     "Log": "logs",
     "Result": "estimation.result",

@@ -1,11 +1,11 @@
-"""Errors raised for unusable input; the command line turns them into exit code 2."""
+"""Errors for unusable input; the command line turns them into exit code 2."""
 
 
 class FluxobsError(ValueError):
-    """Base of all errors that a user can correct: each says what is wrong, where and the remedy."""
+    """Base of all errors that a user can correct; the message says what is wrong and what to do."""
 
     def __str__(self) -> str:
-        """The message; of what a file holds, and it quotes, no more than a person reads."""
+        """Return the message; shorten file contents quoted in it."""
         text = super().__str__()
         return text if len(text) < 4000 else f"{text[:2000]} … {text[-1000:]}"
 

@@ -82,7 +82,7 @@ def test_a_log_and_a_scenario(folder):
             ["log.csv", "--machine", "pmsm-2kw2", "--truth", "theta_e=theta", "--settle", "9"],
             "--settle 9 s must be shorter",
         ),
-        (["ideal", "--out", "log.csv"], "cannot be made"),
+        (["ideal", "--out", "log.csv"], "cannot be created"),
     ],
 )
 def test_unusable_input_ends_with_2(folder, arguments, message):

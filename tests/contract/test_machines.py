@@ -1,4 +1,4 @@
-"""Every kind of machine answers what machines/contract.py asks, and the answers fit each other."""
+"""Contract of machines/contract.py: every kind of machine fulfils it, with consistent answers."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_every_kind_has_an_example():
 
 
 @pytest.mark.parametrize("machine", EXAMPLES, ids=example_names())
-def test_answers(machine):
+def test_shapes_and_sizes_of_the_answers(machine):
     rated, position = machine.rated_current, machine.position_output
     assert machine.R.shape == machine.B.shape == (2, 2)
     assert machine.constraint.n == 2
@@ -45,24 +45,24 @@ def test_answers(machine):
     assert machine.position_span > 0
     assert len(machine.ports) == 2
     flux, current = np.full((3, 2), base), np.full((3, 2), 0.1 * rated)
-    where, length = machine.position(flux, current)
-    assert where.shape == length.shape == (3,)
+    angle, length = machine.position(flux, current)
+    assert angle.shape == length.shape == (3,)
     assert (length > 0).all()
     std = machine.position_std(flux, 0.01 * flux, current)
-    # A hundredth of the flux turns the angle, or moves the body, by about as much of its span.
+    # An error of 1 % of the flux turns the angle, or moves the body, by about 1 % of its span.
     assert (std < 0.05 * machine.position_span).all()
     for channel in position.truths:
-        true = machine.true_position(channel, 0.1 * where / getattr(machine, "n_p", 1))
+        true = machine.true_position(channel, 0.1 * angle / getattr(machine, "n_p", 1))
         assert true.shape == (3,)
-    assert np.abs(machine.position_error(where, where)).max() == 0
+    assert np.abs(machine.position_error(angle, angle)).max() == 0
 
 
 @pytest.mark.parametrize("machine", EXAMPLES, ids=example_names())
-def test_copies_keep_the_rest(machine):
+def test_scaled_copies_keep_all_other_parameters(machine):
     name = "R_s" if isinstance(machine, RotatingMachine) else "k_1"
-    twice = machine.scaled([name, "no_such"], 2.0)
-    assert getattr(twice, name) == 2 * getattr(machine, name)
-    assert twice.scaled([name], 0.5) == machine
+    doubled = machine.scaled([name, "no_such"], 2.0)
+    assert getattr(doubled, name) == 2 * getattr(machine, name)
+    assert doubled.scaled([name], 0.5) == machine
     with pytest.raises(fluxobs.MachineError):
         machine.scaled([name], -1.0)
 
@@ -71,8 +71,8 @@ ROTATING = [machine for machine in EXAMPLES if isinstance(machine, RotatingMachi
 
 
 @pytest.mark.parametrize("machine", ROTATING, ids=lambda machine: machine.kind)
-def test_flux_in_rotor_coordinates_fulfils_the_relation(machine):
-    """λ - L i lies along d with the length that saliency and magnet flux say."""
+def test_flux_in_rotor_coordinates_satisfies_the_relation(machine):
+    """λ - L i lies along d; its length follows from saliency and magnet flux."""
     i_dq = np.array([0.0, 2 + 3j, 1 - 4j]) if machine.magnets else np.array([2 + 3j, 1 - 4j])
     turn = np.exp(0.7j)
     flux, current = (
@@ -80,17 +80,17 @@ def test_flux_in_rotor_coordinates_fulfils_the_relation(machine):
     )
     angle, length = machine.position(flux, current)
     np.testing.assert_allclose(angle, 0.7, rtol=1e-12)
-    if isinstance(machine, RotatingMachine) and machine.saturation:  # its length is active flux
+    if isinstance(machine, RotatingMachine) and machine.saturation:  # the length is the active flux
         active = machine.saturation.table.at(i_dq).auxiliary(i_dq).real
         np.testing.assert_allclose(length, active, rtol=1e-9)
         return
     np.testing.assert_allclose(length, machine.magnet_flux + machine.saliency * i_dq.real)
-    if machine.saliency == 0 or not machine.magnets:  # else the length moves with i_d
+    if machine.saliency == 0 or not machine.magnets:  # else the length varies with i_d
         scale = machine.constraint_noise(machine.flux_base(1.0), 1.0)
         assert np.abs(machine.constraint.residual(flux, current)).max() < 1e-12 * max(scale, 1e-3)
 
 
-def test_psi_f_that_is_missing_is_asked_for():
+def test_a_missing_psi_f_is_reported():
     machine = fluxobs.SurfacePMSM(R_s=1.0, L_s=1e-3, n_p=2)
     assert machine.magnet_flux is None
     assert machine.flux_base(3.0) is None
@@ -99,11 +99,11 @@ def test_psi_f_that_is_missing_is_asked_for():
         machine.flux_dq(1.0)
 
 
-# ---- at states of each kind, and of one that the package does not know ------------------------
+# ---- at states of each kind, and of one that is not part of the package ----------------------
 
 
 class TwoCoils(Machine):
-    """One that turns, but answers the contract itself: coils a and b, and their angle in turns."""
+    """Rotating machine that implements the contract itself: coils a and b, angle in turns."""
 
     kind = "two-coils"
     frame = "ports"
@@ -124,8 +124,10 @@ class TwoCoils(Machine):
 
     @property
     def constraint(self):
-        L, one = self.henry, np.eye(2)
-        return QuadraticConstraint(one, -2 * L * one, L * L * one, d=-(self.weber**2))
+        L, identity = self.henry, np.eye(2)
+        return QuadraticConstraint(
+            identity, -2 * L * identity, L * L * identity, d=-(self.weber**2)
+        )
 
     def flux_base(self, rated_current, psi_f=None):
         return self.weber if psi_f is None else psi_f
@@ -159,13 +161,13 @@ def machine(request):
 
 
 def states(machine, count=50):
-    """Positions, and fluxes and currents that belong to them."""
+    """Return random positions, with fluxes and currents that belong to them."""
     rng = np.random.default_rng(3)
     size = machine.flux_base(machine.rated_current)
     if isinstance(machine, RotatingMachine):
         theta = rng.uniform(-3, 3, count)
         i_d, i_q = machine.rated_current * rng.uniform(0.3, 1, (2, count))
-        i_d *= -1 if machine.saliency < 0 else 1  # with the reluctance torque
+        i_d *= -1 if machine.saliency < 0 else 1  # such that the reluctance torque adds
         turn = np.exp(1j * theta)
         current = (i_d + 1j * i_q) * turn
         flux = machine.flux_dq(i_d + 1j * i_q) * turn
@@ -205,8 +207,8 @@ def test_the_relation_holds_at_every_state(machine):
     size = np.abs(constraint.Q1).max() * machine.flux_base(machine.rated_current) ** 2
     expected = np.zeros(len(flux))
     if isinstance(machine, RotatingMachine) and machine.saturation:
-        return  # its relation is that of a linear machine, and sets scales only
-    if isinstance(machine, MagnetMachine):  # of a salient one, as long as the active flux is
+        return  # its relation is that of a linear machine, used for scales only
+    if isinstance(machine, MagnetMachine):  # residual of a salient machine: active flux² - ψ_f²
         _, length = machine.position(flux, current)
         expected = length**2 - machine.psi_f**2
         assert (np.ptp(length) > 0.01 * machine.psi_f) is np.bool_(machine.saliency != 0)
@@ -215,19 +217,19 @@ def test_the_relation_holds_at_every_state(machine):
 
 def test_position_from_flux_and_current(machine):
     true, flux, current = states(machine)
-    found, length = machine.position(flux, current)
-    assert found.shape == length.shape == true.shape
+    estimate, length = machine.position(flux, current)
+    assert estimate.shape == length.shape == true.shape
     assert (length > machine.shortest * machine.flux_base(machine.rated_current)).all()
-    error = machine.position_error(found, true)
+    error = machine.position_error(estimate, true)
     assert np.abs(error).max() < 1e-9 * machine.position_span
-    one, _ = machine.position(flux[0], current[0])
-    assert one == pytest.approx(found[0], abs=1e-12)
+    single, _ = machine.position(flux[0], current[0])
+    assert single == pytest.approx(estimate[0], abs=1e-12)
     std = machine.position_std(flux, 0.01 * np.abs(flux), current)
     assert ((std > 0) & (std < machine.position_span)).all()
     assert (machine.position_std(flux, 0.02 * np.abs(flux), current) > std).all()
 
 
-def test_channels_of_truth(machine):
+def test_truth_channels(machine):
     output = machine.position_output
     assert output.truths
     assert output.factor > 0
@@ -237,7 +239,7 @@ def test_channels_of_truth(machine):
         assert machine.position_error(true, true) == pytest.approx(0, abs=1e-15)
 
 
-def test_sizes(machine):
+def test_flux_base_and_noise(machine):
     rated = machine.rated_current
     base = machine.flux_base(rated)
     assert base > 0
@@ -246,7 +248,7 @@ def test_sizes(machine):
     assert machine.constraint_noise(base, 0.02 * rated) == pytest.approx(2 * noise)
 
 
-def test_other_values(machine):
+def test_copies_with_other_values(machine):
     other = machine.with_values(rated_current=2 * machine.rated_current)
     assert type(other) is type(machine)
     assert other.rated_current == 2 * machine.rated_current
@@ -269,7 +271,7 @@ def test_constructors_raise_machine_errors(machine):
 
 
 @pytest.mark.parametrize("name", example_names())
-def test_a_file_says_the_same(name):
+def test_parameters_in_a_file_give_the_same_machine(name):
     machine = example(name)
     fields = {name: value for name, value in machine.parameters().items() if value is not None}
     assert set(fields) <= set(machine.parameter_names())
@@ -280,11 +282,11 @@ def test_the_immersion_sees_the_flux_of_every_kind(machine):
     assert Immersion((machine.constraint,), ("drift",)).invisible().shape[1] == 0
 
 
-# ---- kinds of one's own ---------------------------------------------------------------------
+# ---- a user's own kinds ----------------------------------------------------------------------
 
 
 class WoundField(MagnetMachine):
-    """A kind that the package does not know: one inductance under another name."""
+    """Kind of machine outside the package: one inductance under another name."""
 
     kind: ClassVar[str] = "wound-field"
     inductances = ("L_sync", "L_sync")
@@ -293,23 +295,23 @@ class WoundField(MagnetMachine):
 
 
 def test_a_new_kind_is_one_class(monkeypatch, tmp_path):
-    """Registered, it is read from files, estimated, identified, checked and exported."""
+    """Once registered, it is read from files, estimated, identified, checked and exported."""
     monkeypatch.setitem(KINDS, WoundField.kind, WoundField)
     file = tmp_path / "wound.toml"
     file.write_text(
         'kind = "wound-field"\nR_s = 0.36\nL_sync = 0.6e-3\nn_p = 4\npsi_f = 0.0125\n'
         "rated_current = 12.0\n"
     )
-    machine, known = fluxobs.read_machine(file), fluxobs.example("servo-400w")
+    machine, servo = fluxobs.read_machine(file), fluxobs.example("servo-400w")
     for unknowns in ("drift", "drift,resistance,inverter"):
         new = fluxobs.estimate(LOG, machine, unknowns=unknowns, stop=0.4)
-        old = fluxobs.estimate(LOG, known, unknowns=unknowns, stop=0.4)
+        old = fluxobs.estimate(LOG, servo, unknowns=unknowns, stop=0.4)
         assert new.estimates.equals(old.estimates, null_equal=True)
-    assert fluxobs.identify(LOG, machine).machine.R_s == fluxobs.identify(LOG, known).machine.R_s
-    done = fluxobs.export(machine, 1e-4, tmp_path / "out")
+    assert fluxobs.identify(LOG, machine).machine.R_s == fluxobs.identify(LOG, servo).machine.R_s
+    exported = fluxobs.export(machine, 1e-4, tmp_path / "out")
     assert (
-        done.observer.parameters()
-        == fluxobs.export(known, 1e-4, tmp_path / "o2").observer.parameters()
+        exported.observer.parameters()
+        == fluxobs.export(servo, 1e-4, tmp_path / "o2").observer.parameters()
     )
 
 
@@ -321,14 +323,14 @@ def test_a_new_kind_of_machine_is_estimated():
     names = {"u_alpha": "u_1", "u_beta": "u_2", "i_alpha": "i_1", "i_beta": "i_2", "t": "t"}
     columns = {names[name]: values for name, values in COLUMNS.items()}
     columns["angle"] = SAMPLES.theta
-    found = fluxobs.estimate(columns, COILS, truth={"position": "angle"})
-    assert found.estimates.columns == [
+    result = fluxobs.estimate(columns, COILS, truth={"position": "angle"})
+    assert result.estimates.columns == [
         *("t", "flux_a", "flux_b", "flux_a_std", "flux_b_std", "turned", "turned_std"),
         *("drift_a", "drift_b", "noise_share", "valid", "turned_error"),
     ]
-    assert found["valid"][-1000:].all()
-    assert np.abs(found["turned_error"][-1000:]).max() < 2 / 360
+    assert result["valid"][-1000:].all()
+    assert np.abs(result["turned_error"][-1000:]).max() < 2 / 360
     np.testing.assert_allclose(
-        found.estimates.select("drift_a", "drift_b").row(-1), SAMPLES.drift, atol=0.01
+        result.estimates.select("drift_a", "drift_b").row(-1), SAMPLES.drift, atol=0.01
     )
-    assert len(found.plot().axes) > 2
+    assert len(result.plot().axes) > 2

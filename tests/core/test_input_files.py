@@ -1,4 +1,4 @@
-"""Files that people give: pipes, devices and TOML that no person writes."""
+"""Hostile input files: pipes, devices and abusive TOML."""
 
 import os
 
@@ -6,8 +6,8 @@ import pytest
 
 from fluxobs import FluxobsError, MachineError, RecordError
 from fluxobs.campaigns.specification import read_specification
-from fluxobs.core.hashing import content_of
-from fluxobs.core.input_files import MOST
+from fluxobs.core.hashing import hash_file
+from fluxobs.core.input_files import MAX_TOML_BYTES
 from fluxobs.logs.formats import open_tables
 from fluxobs.logs.layout import read_fields
 from fluxobs.machines import FluxPoints, read_machine
@@ -17,14 +17,14 @@ READERS = [
     (read_fields, RecordError),
     (read_specification, FluxobsError),
 ]
-BINARY = [(FluxPoints.read, MachineError), (open_tables, RecordError), (content_of, FluxobsError)]
+BINARY = [(FluxPoints.read, MachineError), (open_tables, RecordError), (hash_file, FluxobsError)]
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 @pytest.mark.parametrize(("read", "kind"), READERS + BINARY)
 @pytest.mark.parametrize("ending", ["csv", "npz", "mf4", "parquet", "xlsx", "json", "npy"])
-def test_a_pipe_is_no_file(tmp_path, read, kind, ending):
-    """It would block for ever: nobody writes to it."""
+def test_a_pipe_is_refused(tmp_path, read, kind, ending):
+    """Reading it would block for ever: nothing writes to it."""
     os.mkfifo(tmp_path / f"pipe.{ending}")
     with pytest.raises(kind, match=f"pipe.{ending}: this is a pipe or a device; save"):
         read(tmp_path / f"pipe.{ending}")
@@ -32,7 +32,7 @@ def test_a_pipe_is_no_file(tmp_path, read, kind, ending):
 
 @pytest.mark.skipif(not os.path.exists("/dev/zero"), reason="needs devices")
 @pytest.mark.parametrize(("read", "kind"), READERS + BINARY)
-def test_a_device_is_no_file(tmp_path, read, kind):
+def test_a_device_is_refused(tmp_path, read, kind):
     (tmp_path / "zero").symlink_to("/dev/zero")
     with pytest.raises(kind, match="zero: this is a pipe or a device"):
         read(tmp_path / "zero")
@@ -40,9 +40,9 @@ def test_a_device_is_no_file(tmp_path, read, kind):
 
 @pytest.mark.parametrize(("read", "kind"), READERS)
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
-        ("x = 1\n" * MOST, f"larger than {MOST} bytes"),
+        ("x = 1\n" * MAX_TOML_BYTES, f"larger than {MAX_TOML_BYTES} bytes"),
         ("x = " + "[" * 10_000, "not TOML: nested too deeply"),
         ("x" + ".a" * 2000 + " = 1", "not TOML: nested too deeply"),
         ("x = " + "[" * 60 + "]" * 60, "not TOML: nested too deeply"),
@@ -51,16 +51,16 @@ def test_a_device_is_no_file(tmp_path, read, kind):
         ("x = \xff", "not TOML"),
     ],
 )
-def test_toml_that_no_person_writes(tmp_path, read, kind, text, words):
-    path = tmp_path / "given.toml"
+def test_abusive_toml(tmp_path, read, kind, text, message):
+    path = tmp_path / "input.toml"
     path.write_text(text, encoding="latin-1")
-    with pytest.raises(kind, match=words) as error:
+    with pytest.raises(kind, match=message) as error:
         read(path)
-    assert "given.toml" in str(error.value)
+    assert "input.toml" in str(error.value)
 
 
-def test_a_long_value_is_not_quoted_as_a_whole(tmp_path):
-    (tmp_path / "given.toml").write_text(f"sample_time = '{'x' * 30_000}'")
+def test_a_long_value_is_quoted_shortened(tmp_path):
+    (tmp_path / "input.toml").write_text(f"sample_time = '{'x' * 30_000}'")
     with pytest.raises(RecordError, match="sample_time: input should be a valid number") as error:
-        read_fields(tmp_path / "given.toml")
+        read_fields(tmp_path / "input.toml")
     assert len(str(error.value)) < 4000

@@ -1,4 +1,4 @@
-"""Files appear complete or not at all, whatever happens to this run or to another."""
+"""Output files appear complete or not at all, even if runs are killed or collide."""
 
 import os
 import subprocess
@@ -13,7 +13,7 @@ from fluxobs.core.output import check_new, replacing, write_rows, write_text
 FRAME = pl.DataFrame({"x": [1]})
 SCHEMA = {"x": pl.Int64}
 
-#: Writes forty frames, and ends before the last.
+#: Program that writes forty frames, then dies before the last.
 KILLED = """
 import os, sys
 from pathlib import Path
@@ -23,7 +23,7 @@ from fluxobs.core.output import write_rows
 def frames():
     for k in range(40):
         yield pl.DataFrame({"x": [1.0] * 10_000})
-    os._exit(9)  # nothing is tidied, as after a kill
+    os._exit(9)  # no cleanup, as after a kill
     yield pl.DataFrame({"x": [1.0]})
 
 write_rows(Path(sys.argv[1]), {"x": pl.Float64}, frames())
@@ -31,17 +31,17 @@ write_rows(Path(sys.argv[1]), {"x": pl.Float64}, frames())
 
 
 @pytest.mark.parametrize("name", ["out.parquet", "out [1].csv"])
-def test_what_a_killed_run_left_is_gone_after_the_next(tmp_path, name):
+def test_the_next_run_removes_the_temporary_file_of_a_killed_one(tmp_path, name):
     out = tmp_path / name
-    done = subprocess.run([sys.executable, "-c", KILLED, out], check=False)
-    assert done.returncode == 9
+    process = subprocess.run([sys.executable, "-c", KILLED, out], check=False)
+    assert process.returncode == 9
     assert len(list(tmp_path.iterdir())) == 1
     assert not out.exists()
     write_rows(out, SCHEMA, iter([FRAME]))
     assert list(tmp_path.iterdir()) == [out]
 
 
-def test_nobody_writes_into_the_unfinished_file_of_a_run_that_goes_on(tmp_path):
+def test_a_second_run_cannot_write_the_temporary_file_of_a_running_one(tmp_path):
     out = tmp_path / "out.csv"
     with replacing(out) as file:
         file.write(b"first\n")
@@ -57,8 +57,8 @@ def test_nobody_writes_into_the_unfinished_file_of_a_run_that_goes_on(tmp_path):
     assert list(tmp_path.iterdir()) == [out]
 
 
-def test_an_unfinished_file_that_was_replaced_is_not_moved(tmp_path, monkeypatch):
-    """Where there are no locks another run may take it for one that was left."""
+def test_a_replaced_temporary_file_is_not_moved(tmp_path, monkeypatch):
+    """Without locks, another run may take it for a stale one."""
     out = tmp_path / "out.csv"
     monkeypatch.setattr("fluxobs.core.output.lock", lambda descriptor: True)
 
@@ -72,14 +72,14 @@ def test_an_unfinished_file_that_was_replaced_is_not_moved(tmp_path, monkeypatch
     assert list(tmp_path.iterdir()) == [out]
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
-def test_a_pipe_in_its_place_holds_up_nobody(tmp_path):
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_pipe_in_place_of_the_temporary_file_does_not_block(tmp_path):
     os.mkfifo(tmp_path / ".out.csv.part")
     write_text(tmp_path / "out.csv", "x")
     assert (tmp_path / "out.csv").read_text() == "x"
 
 
-def test_a_second_name_of_another_file_is_not_written_through(tmp_path):
+def test_a_hard_link_to_another_file_is_not_written(tmp_path):
     (tmp_path / "victim").write_text("mine")
     os.link(tmp_path / "victim", tmp_path / ".out.csv.part")
     write_text(tmp_path / "out.csv", "x")
@@ -94,7 +94,7 @@ def test_a_file_that_appears_during_the_run_is_kept(tmp_path):
         out.write_text("mine")
         yield FRAME
 
-    with pytest.raises(FluxobsError, match=r"out\.csv: exists, and was made during this run"):
+    with pytest.raises(FluxobsError, match=r"out\.csv: exists, created during this run"):
         write_rows(out, SCHEMA, frames(), force=False)
     assert out.read_text() == "mine"
     write_rows(out, SCHEMA, frames())
@@ -102,13 +102,13 @@ def test_a_file_that_appears_during_the_run_is_kept(tmp_path):
     assert list(tmp_path.iterdir()) == [out]
 
 
-def test_a_link_that_leads_nowhere_is_a_file_that_exists(tmp_path):
+def test_a_dangling_link_counts_as_an_existing_file(tmp_path):
     (tmp_path / "out.csv").symlink_to("nowhere")
     with pytest.raises(FluxobsError, match="exists"):
         check_new(tmp_path / "out.csv", (".csv",), force=False)
 
 
-def test_files_are_as_open_to_others_as_usual(tmp_path):
+def test_files_have_the_usual_permissions(tmp_path):
     before = os.umask(0o027)
     try:
         write_text(tmp_path / "a.csv", "x")

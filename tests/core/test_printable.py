@@ -1,4 +1,4 @@
-"""Names of others command nothing and are text, where a person or a program reads them."""
+"""Names from outside are shown as plain text, without control characters."""
 
 import json
 
@@ -17,20 +17,20 @@ from fluxobs.page import in_script
         ("caf\udce9 \ud83d", r"caf\xe9 \ud83d"),
     ],
 )
-def test_what_a_person_sees(text, shown):
+def test_visible_text(text, shown):
     assert visible(text) == shown
     assert html.escape(text) == shown
     assert shown.encode()
 
 
-def test_a_label_is_no_formula():
+def test_a_label_is_not_read_as_a_formula():
     figure = plots.new_figure()
     title = figure.suptitle(plots.plain("$\\frac$ caf\udce9 $"))
     figure.canvas.draw()
     assert title.get_text() == r"\$\frac\$ caf\xe9 \$"
 
 
-def test_data_of_a_page_keep_a_name_that_is_no_text():
+def test_a_page_keeps_a_name_that_is_not_valid_text():
     text = in_script({"name": "caf\udce9</script>"})
     assert text.encode() == rb'{"name": "caf\udce9\u003c/script>"}'
     assert json.loads(text) == {"name": "caf\udce9</script>"}

@@ -1,4 +1,4 @@
-"""Links in a folder of results, which may have come from somewhere, lead nowhere."""
+"""Links in a folder of results, which may be a received one, are not followed."""
 
 import json
 from importlib import import_module
@@ -14,7 +14,7 @@ from fluxobs.core.engine import locked
 from fluxobs.core.output import write_rows, write_text
 from fluxobs.core.symlinks import open_own
 
-#: The module; the package has a function of the same name.
+#: The module; `fluxobs.campaign` is a function.
 campaigns = import_module("fluxobs.campaigns.campaign")
 
 
@@ -39,7 +39,7 @@ def test_a_lock_that_is_a_link(folder, victim):
 
 
 def test_a_lock_keeps_its_content(folder):
-    """It may have a second name elsewhere."""
+    """The lock file may be a hard link to a file elsewhere."""
     (folder / ".lock").write_text("kept")
     with locked(folder):
         pass
@@ -61,8 +61,8 @@ def test_a_link_that_comes_after_the_check(folder, victim, monkeypatch):
         open_own(folder / "file")
 
 
-def test_the_times_of_a_campaign(folder, victim, monkeypatch):
-    class Found:
+def test_the_times_file_of_a_campaign_that_is_a_link(folder, victim, monkeypatch):
+    class FakeDataset:
         specification = None
 
         def __init__(self):
@@ -81,10 +81,10 @@ def test_the_times_of_a_campaign(folder, victim, monkeypatch):
     monkeypatch.setattr(campaigns, "compute", lambda *_: [(Chunk, 0.5)])
 
     def fill():
-        campaigns.fill(Found(), None, 1, "", lambda done, total: None)
+        campaigns.fill(FakeDataset(), None, 1, "", lambda done, total: None)
 
     fill()
-    fill()  # goes on at the end
+    fill()  # appends
     assert (folder / TIMES).read_text() == "0,1,0.500\n" * 2
     (folder / TIMES).unlink()
     (folder / TIMES).symlink_to("../victim")
@@ -93,7 +93,7 @@ def test_the_times_of_a_campaign(folder, victim, monkeypatch):
 
 
 def test_unfinished_files_that_are_links(folder, victim):
-    """Their names can be foreseen."""
+    """Their names are predictable."""
     for name in (".a.json.part", ".a.png.part", ".a.png.part.png", ".a.csv.part"):
         (folder / name).symlink_to("../victim")
     write_text(folder / "a.json", json.dumps({"é": 1}))

@@ -76,14 +76,14 @@ def test_a_file_outside_the_folder_is_refused(folder, kind, name):
     with pytest.raises(FluxobsError) as refused:
         read()
     text = str(refused.value)
-    assert text.startswith(f"{path}: {field}: {name.replace(chr(34), chr(39))} lies outside")
+    assert text.startswith(f"{path}: {field}: {name.replace(chr(34), chr(39))} is outside")
     assert "copy it there" in text
 
 
 @pytest.mark.parametrize("kind", FILES)
 def test_an_invalid_path_is_refused(folder, kind):
     read, path, _ = kind(folder, '"a\\u0000b"')
-    with pytest.raises(FluxobsError, match="no path of a file") as refused:
+    with pytest.raises(FluxobsError, match="is not a valid path") as refused:
         read()
     assert str(refused.value).startswith(f"{path}: ")
 

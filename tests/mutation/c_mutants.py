@@ -20,11 +20,11 @@ from clang.cindex import Cursor, CursorKind, Diagnostic, Index, Token, TokenKind
 ROOT = Path(__file__).parents[2]
 FIRMWARE = ROOT / "firmware"
 BUILD = ROOT / "build" / "mutants"
-#: Where the installed package keeps compiled modules and the sources that it exports.
+#: Folder of the installed package, with the compiled modules and the sources that it exports.
 PACKAGE = Path(sysconfig.get_path("purelib")) / "fluxobs"
-#: libclang comes without <stdbool.h> and the like; a source without them loses what uses them.
+#: Standard headers, which libclang lacks; without <stdbool.h> clang drops the code that uses it.
 HEADERS = Path(ziglang.__file__).parent / "lib" / "include"
-#: Binary operator → what an error makes of it.
+#: Binary operator → operators that replace it.
 SWAPS = {
     "+": "-*", "-": "+*", "*": "+/", "/": "*-",
     "<": ("<=", ">"), "<=": ("<", ">"), ">": (">=", "<"), ">=": (">", "<"),
@@ -35,7 +35,7 @@ SWAPS = {
 
 @dataclass(frozen=True)
 class CMutant:
-    """Bytes of a source file, and what replaces them."""
+    """A range of bytes in a source file, and their replacement."""
 
     path: Path
     line: int
@@ -47,12 +47,12 @@ class CMutant:
 
     @contextmanager
     def applied(self) -> Iterator[None]:
-        """The compiled package holds the error inside.
+        """Compile the error into the installed package while the context is open.
 
         Raises
         ------
         subprocess.CalledProcessError
-            It does not compile.
+            The mutant does not compile.
         """
         original = self.path.read_bytes()
         try:
@@ -69,7 +69,7 @@ class CMutant:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """An interrupt waits for the end."""
+    """Delay interrupts until the context is left."""
     arrived: list[int] = []
     before = {
         number: signal.signal(number, lambda number, _: arrived.append(number))
@@ -85,7 +85,7 @@ def undisturbed() -> Iterator[None]:
 
 
 def install() -> None:
-    """Compile the sources as they are into the installed package."""
+    """Compile the current sources into the installed package."""
     if not (BUILD / "build.ninja").exists():
         nanobind = subprocess.run(
             [sys.executable, "-m", "nanobind", "--cmake_dir"],
@@ -95,12 +95,12 @@ def install() -> None:
         configure += [f"-DPython_EXECUTABLE={sys.executable}"]
         configure += [f"-Dnanobind_DIR={nanobind.stdout.strip()}"]
         subprocess.run(configure, check=True, capture_output=True)
-    # In a separate session: an interrupt from the terminal would end it.
+    # In a separate session: an interrupt from the terminal would end the build.
     build = ["cmake", "--build", BUILD]
     subprocess.run(build, check=True, capture_output=True, start_new_session=True)
     for module in BUILD.glob("_core*.*"):
         if module.suffix in (".so", ".pyd"):
-            # A new file: the old one may be mapped by a process that still runs.
+            # A new file: a running process may have mapped the old one.
             shutil.copy(module, PACKAGE / f".{module.name}")
             os.replace(PACKAGE / f".{module.name}", PACKAGE / module.name)
     for source in FIRMWARE.glob("*.[ch]"):
@@ -108,12 +108,12 @@ def install() -> None:
 
 
 def c_mutants(pattern: str = "*.[ch]") -> list[CMutant]:
-    """All errors in the firmware's sources, their functions and the constants defined in them.
+    """Return all errors in the firmware's sources, functions and constants alike.
 
     Raises
     ------
     ValueError
-        Clang does not understand a source, and would leave out what it does not.
+        Clang cannot parse a source, and would omit what it does not understand.
     """
     mutants = []
     index = Index.create()
@@ -131,7 +131,7 @@ def c_mutants(pattern: str = "*.[ch]") -> list[CMutant]:
             for cursor in unit.cursor.walk_preorder()
             if cursor.location.file is not None and Path(cursor.location.file.name) == path
         ]
-        # An array parameter is a pointer: its size changes nothing.
+        # An array parameter is a pointer; its size has no effect.
         sizes = [cursor.extent for cursor in cursors if cursor.kind is CursorKind.PARM_DECL]
         mutants += [
             mutant
@@ -147,10 +147,10 @@ def _of_cursor(cursor: Cursor) -> Iterator[CMutant]:
     tokens = list(cursor.get_tokens())
     match cursor.kind:
         case CursorKind.BINARY_OPERATOR | CursorKind.COMPOUND_ASSIGNMENT_OPERATOR:
-            left = next(cursor.get_children())
-            end = left.extent.end.offset
+            left_operand = next(cursor.get_children())
+            end = left_operand.extent.end.offset
             after = [token for token in tokens if token.extent.start.offset >= end]
-            # After "=" a sign or a star is a unary operator.
+            # After "=" a sign or a star is unary.
             pairs = zip([None, *(token.spelling for token in after)], after, strict=False)
             operator = next((b for a, b in pairs if a != "=" and b.spelling in SWAPS), None)
             for text in SWAPS.get(operator.spelling, ()) if operator else ():
@@ -165,7 +165,7 @@ def _of_cursor(cursor: Cursor) -> Iterator[CMutant]:
 
 
 def _of_number(token: Token) -> Iterator[CMutant]:
-    """One more and one less, as for Python."""
+    """Yield the number plus one and minus one, as for Python."""
     number = re.fullmatch(
         r"(?P<integer>0[xX][\da-fA-F]+|\d+)[uUlL]*"
         r"|(?P<real>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)[fFlL]?",
@@ -177,14 +177,14 @@ def _of_number(token: Token) -> Iterator[CMutant]:
     value = int(digits, 0) if number.lastgroup == "integer" else float(digits)
     suffix = token.spelling.removeprefix(digits)
     for changed in (value + 1, value - 1):
-        if changed != value:  # beyond 2^53 they are equal
+        if changed != value:  # equal beyond 2^53
             yield _mutant(
                 token, f"({changed!r}{suffix})" if changed < 0 else f"{changed!r}{suffix}"
             )
 
 
 def _mutant(token: Token, text: str) -> CMutant:
-    """A macro's argument is in the file where it stands, not where the macro is used."""
+    """Locate a macro's argument where it is written, not where the macro is used."""
     start, end = token.extent.start, token.extent.end
     path = Path(start.file.name)
     name = f"{token.spelling} -> {text.strip() or 'nothing'}"

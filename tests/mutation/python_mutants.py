@@ -1,4 +1,4 @@
-"""One-line errors in Python modules: those of Cosmic Ray that a test could miss."""
+"""One-line errors in Python modules: the mutations of Cosmic Ray that a test could miss."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ BITWISE = {"BitOr", "BitAnd", "BitXor", "LShift", "RShift"}
 
 @dataclass(frozen=True)
 class PythonMutant:
-    """One change of one expression."""
+    """One mutation of one expression."""
 
     path: Path
     line: int
     name: str
-    #: The expression; all its changes share it.
+    #: The expression; all its mutations share it.
     site: tuple[object, ...]
     mutation: MutationSpec
 
     def applied(self) -> AbstractContextManager[object]:
-        """A context in which the source file holds the error."""
+        """Return a context in which the source file contains the error."""
         operator = get_operator(self.mutation.operator_name)(**self.mutation.operator_args)
         return use_mutation(self.path, operator, self.mutation.occurrence)
 
 
 def python_mutants(room: str) -> list[PythonMutant]:
-    """All errors in a folder, or a file, below src/fluxobs."""
+    """Return all errors in a folder, or a file, below src/fluxobs."""
     where = SOURCES / room
     files = sorted(where.rglob("*.py")) if where.is_dir() else [where]
     with (

@@ -1,13 +1,13 @@
-"""Share of one-line errors that the tests catch, on a random sample of them.
+"""Share of one-line errors that the tests catch, on a random sample of errors.
 
     pip install cosmic-ray libclang ninja cmake nanobind
     python tests/mutation/sample.py --count 150 --seed 1
 
-Work on a clean clone: every mutant is written into the source file and taken back. An expression is
-drawn first, then one of its mutants, so that expressions with many mutants do not prevail. A mutant
-meets the tests of its room only, and these stop at the first that fails. `--part 1/2` and `--part
-2/2`, in two clones, share the work. Mutants that change nothing computable are listed with their
-reason in equivalent.txt and left out.
+Work in a clean clone: every mutant is written into its source file and then reverted. First an
+expression is drawn, then one of its mutants; expressions with many mutants therefore do not
+dominate. Only the tests of the mutant's room run, and stop at the first failure. `--part 1/2` and
+`--part 2/2`, in two clones, share the work. Mutants that change nothing computable are listed in
+equivalent.txt, with the reason, and skipped.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from python_mutants import PythonMutant, python_mutants
 from scipy.stats import binomtest
 
 ROOT = Path(__file__).parents[2]
-#: Room, or file, under src/fluxobs → tests that guard it, the quickest first.
+#: Room, or file, under src/fluxobs → its tests, the quickest first.
 TESTS = {
     "estimation": "tests/estimation",
     "observers": "tests/observers tests/contract/test_observers.py",
@@ -52,13 +52,15 @@ TESTS = {
 #: The C sources are not under src/fluxobs.
 FIRMWARE = "firmware"
 PRODUCT = tuple(TESTS)[: tuple(TESTS).index(FIRMWARE) + 1]
-#: Longest that the tests of a mutant may take [s]; a mutant that hangs is caught.
+#: Longest time for the tests of a mutant [s]; a mutant that hangs counts as caught.
 LIMIT = 900.0
 EQUIVALENT = Path(__file__).with_name("equivalent.txt")
 
 
-def drawn(rooms: list[str], count: int, seed: int) -> list[tuple[str, PythonMutant | CMutant]]:
-    """A random sample of expressions, and of each one of its mutants."""
+def draw_mutants(
+    rooms: list[str], count: int, seed: int
+) -> list[tuple[str, PythonMutant | CMutant]]:
+    """Draw expressions at random, and one mutant of each."""
     sites: dict[object, list[tuple[str, PythonMutant | CMutant]]] = {}
     for room in rooms:
         for mutant in c_mutants() if room == FIRMWARE else python_mutants(room):
@@ -67,29 +69,29 @@ def drawn(rooms: list[str], count: int, seed: int) -> list[tuple[str, PythonMuta
     draw = random.Random(seed)
     reasons = equivalent()
     sample = [draw.choice(sites[site]) for site in draw.sample(list(sites), len(sites))]
-    return [(room, one) for room, one in sample if described(one) not in reasons][:count]
+    return [(room, mutant) for room, mutant in sample if describe(mutant) not in reasons][:count]
 
 
-def described(mutant: PythonMutant | CMutant) -> str:
-    """File, changed line without its indentation, and change; line numbers do not last."""
+def describe(mutant: PythonMutant | CMutant) -> str:
+    """Return file, changed line without indentation, and change; line numbers would not last."""
     path = mutant.path.resolve()
     line = path.read_text("utf-8").splitlines()[mutant.line - 1].strip()
     return f"{path.relative_to(ROOT).as_posix()} | {line} | {mutant.name}"
 
 
 def equivalent() -> set[str]:
-    """Mutants that change nothing computable: lines of the file that begin without a space."""
+    """Return the mutants that change nothing computable, one per line of the file."""
     lines = EQUIVALENT.read_text("utf-8").splitlines() if EQUIVALENT.exists() else []
     return {line for line in lines if line and not line.startswith((" ", "#"))}
 
 
 def passes(room: str) -> bool:
-    """Do the tests of a room pass?
+    """Whether the tests of a room pass.
 
     Raises
     ------
     subprocess.TimeoutExpired
-        They hang.
+        The tests hang.
     """
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider"]
     tests = subprocess.Popen(
@@ -103,13 +105,13 @@ def passes(room: str) -> bool:
     try:
         return tests.wait(LIMIT) == 0
     finally:
-        with suppress(ProcessLookupError):  # a program that hangs outlives the test that started it
+        with suppress(ProcessLookupError):  # a hanging program outlives its test
             os.killpg(tests.pid, signal.SIGKILL)
         tests.wait()
 
 
 def verdict(room: str, mutant: PythonMutant | CMutant) -> str:
-    """ "caught" or "SURVIVED"; "invalid" if it does not compile."""
+    """ "caught" or "SURVIVED"; "invalid" if the mutant does not compile."""
     try:
         with mutant.applied():
             return "SURVIVED" if passes(room) else "caught"
@@ -119,33 +121,33 @@ def verdict(room: str, mutant: PythonMutant | CMutant) -> str:
         return "invalid"
 
 
-def demand_sound(rooms: list[str]) -> None:
-    """Tests that fail anyway would catch every error."""
+def require_passing_tests(rooms: list[str]) -> None:
+    """Exit if the tests fail without a mutant: they would seem to catch every error."""
     if FIRMWARE in rooms:
         install()
     for room in rooms:
         if not passes(room):
-            sys.exit(f"{room}: its tests fail without an error in it; run pytest {TESTS[room]}")
+            sys.exit(f"{room}: its tests fail without a mutant; run pytest {TESTS[room]}")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=150)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--part", default="1/1", help="k/n: every n-th of them, from the k-th")
+    parser.add_argument("--part", default="1/1", help="k/n: every n-th mutant, from the k-th")
     parser.add_argument("--rooms", nargs="*", default=list(PRODUCT), choices=list(TESTS))
     options = parser.parse_args()
     if subprocess.run(["git", "diff", "--quiet", "HEAD"], cwd=ROOT, check=False).returncode:
         sys.exit("the clone has changes: commit or stash them first")
-    # As an interrupt from the keyboard: the source is taken back.
+    # Like a keyboard interrupt: the source is restored.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    first, step = map(int, options.part.split("/"))
-    sample = drawn(options.rooms, options.count, options.seed)[first - 1 :: step]
-    demand_sound(sorted({room for room, _ in sample}))
+    part, step = map(int, options.part.split("/"))
+    sample = draw_mutants(options.rooms, options.count, options.seed)[part - 1 :: step]
+    require_passing_tests(sorted({room for room, _ in sample}))
     verdicts = []
     for number, (room, mutant) in enumerate(sample, 1):
         begin = time.monotonic()
-        text = described(mutant)
+        text = describe(mutant)
         verdicts.append(verdict(room, mutant))
         seconds = time.monotonic() - begin
         print(f"{number:3d} {verdicts[-1]:8s} {seconds:4.0f} s  {mutant.line}: {text}", flush=True)

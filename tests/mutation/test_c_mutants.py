@@ -1,4 +1,4 @@
-"""The one-line errors in C are where they say, and are taken back."""
+"""The one-line errors in C are where they claim to be, and are reverted."""
 
 import contextlib
 import os
@@ -38,7 +38,7 @@ def mutants(tmp_path, monkeypatch):
     return c_mutants.c_mutants()
 
 
-def test_every_error_is_where_it_says(mutants):
+def test_every_error_is_at_its_stated_place(mutants):
     changes = {f"{mutant.path.name}:{mutant.line} {mutant.name}" for mutant in mutants}
     assert changes == {
         "limits_of.h:1 1e-4F -> 1.0001F",
@@ -60,7 +60,7 @@ def test_every_error_is_where_it_says(mutants):
         assert original[mutant.start : mutant.end].decode() == mutant.name.split(" -> ")[0]
 
 
-def test_an_interrupt_takes_the_error_back(mutants):
+def test_an_interrupt_reverts_the_error(mutants):
     for mutant in mutants:
         original = mutant.path.read_bytes()
         with contextlib.suppress(KeyboardInterrupt), mutant.applied():
@@ -69,7 +69,7 @@ def test_an_interrupt_takes_the_error_back(mutants):
         assert mutant.path.read_bytes() == original
 
 
-def test_an_interrupt_waits_for_the_sources_to_be_compiled_again(mutants, monkeypatch):
+def test_an_interrupt_waits_until_the_sources_are_compiled_again(mutants, monkeypatch):
     installed = []
 
     def install():
@@ -79,17 +79,17 @@ def test_an_interrupt_waits_for_the_sources_to_be_compiled_again(mutants, monkey
 
     monkeypatch.setattr(c_mutants, "install", install)
     original = mutants[0].path.read_bytes()
-    # A shell's background jobs ignore the keyboard.
-    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
+    # Background jobs of a shell ignore SIGINT.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with pytest.raises(KeyboardInterrupt), mutants[0].applied():
             pass
     finally:
-        signal.signal(signal.SIGINT, usual)
+        signal.signal(signal.SIGINT, before)
     assert installed[1:] == [original]
 
 
-def test_a_source_that_clang_does_not_understand_is_named(mutants, tmp_path):
+def test_a_source_that_clang_cannot_parse_is_reported(mutants, tmp_path):
     (tmp_path / "source.c").write_text("unknown f(void);")
     with pytest.raises(ValueError, match="unknown"):
         c_mutants.c_mutants()

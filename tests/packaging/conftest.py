@@ -9,5 +9,5 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="session")
 def built(tmp_path_factory):
-    """What a release of this tree would be."""
+    """Return the distributions that a release of this tree would have."""
     return build(ROOT, tmp_path_factory.mktemp("release") / "dist")

@@ -1,4 +1,4 @@
-"""The recipe for conda-forge says what pyproject.toml says."""
+"""The recipe for conda-forge agrees with pyproject.toml."""
 
 import re
 import tomllib
@@ -10,12 +10,12 @@ ROOT = Path(__file__).parents[2]
 RECIPE = yaml.safe_load((ROOT / "packaging/conda-forge/recipe.yaml").read_text("utf-8"))
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 PROJECT = PYPROJECT["project"]
-#: Packages that conda-forge splits: this is the one without a window system.
+#: Packages that conda-forge splits → the part without a window system.
 NAMES = {"matplotlib": "matplotlib-base"}
 
 
 def as_conda(requirement):
-    """``numpy>=1.26`` as ``numpy >=1.26``."""
+    """Convert ``numpy>=1.26`` to ``numpy >=1.26``."""
     name, bound = re.fullmatch(r"([\w-]+)(>=[\d.]+)", requirement).groups()
     return f"{NAMES.get(name, name)} {bound}"
 
@@ -32,16 +32,16 @@ def test_name_version_and_links():
 
 
 def test_requirements():
-    wanted = RECIPE["requirements"]
-    assert wanted["run"] == ["python", *map(as_conda, PROJECT["dependencies"])]
-    assert wanted["host"] == [
+    recipe = RECIPE["requirements"]
+    assert recipe["run"] == ["python", *map(as_conda, PROJECT["dependencies"])]
+    assert recipe["host"] == [
         "python",
         "pip",
         *map(as_conda, PYPROJECT["build-system"]["requires"]),
     ]
-    (crossed,) = (one["then"] for one in wanted["build"] if isinstance(one, dict))
-    assert {one for one in crossed if one.startswith("nanobind")} <= set(wanted["host"])
+    (crossed,) = (entry["then"] for entry in recipe["build"] if isinstance(entry, dict))
+    assert {name for name in crossed if name.startswith("nanobind")} <= set(recipe["host"])
     cmake = PYPROJECT["tool"]["scikit-build"]["cmake"]["version"]
-    assert f"cmake {cmake}" in wanted["build"]
+    assert f"cmake {cmake}" in recipe["build"]
     oldest = PROJECT["requires-python"].removeprefix(">=")
     assert RECIPE["build"]["skip"] == f'match(python, "<{oldest}")'

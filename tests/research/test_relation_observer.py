@@ -1,4 +1,4 @@
-"""Relations that are not quadratic: unsaturated and saturated switched reluctance, and a cage."""
+"""Non-quadratic relations: unsaturated and saturated switched reluctance, and a cage machine."""
 
 import jax
 import jax.numpy as jnp
@@ -15,24 +15,24 @@ DRIFT = np.array([0.02, -0.03, 0.01])
 PSI_S, A, L_0 = 0.5, 0.05, 10e-3
 
 
-def currents(x):
+def current_products(x):
     return x[1] * x[2], x[0] * x[2], x[0] * x[1]
 
 
 def cubic(flux, eta, i):
     """λ1 i2 i3 + λ2 i1 i3 + λ3 i1 i2 = 3 L_0 i1 i2 i3: linear in λ."""
-    pairs = jnp.stack(currents(i))
+    pairs = jnp.stack(current_products(i))
     return (flux @ pairs - 3 * L_0 * jnp.prod(i))[None]
 
 
 def saturated(flux, eta, i):
-    """The same in z = -ln(1 - λ/ψ_s)."""
+    """The cubic relation in z = -ln(1 - λ/ψ_s) instead of λ."""
     z = -jnp.log1p(-jnp.minimum(flux / PSI_S, 0.99))
-    return (z @ jnp.stack(currents(i)) - 3 * A * jnp.prod(i))[None]
+    return (z @ jnp.stack(current_products(i)) - 3 * A * jnp.prod(i))[None]
 
 
 def record(system, size, seed=0, noise=0.0):
-    """Fluxes given as functions of time, all of one sign; currents from the energy."""
+    """Return fluxes of one sign as functions of time, currents from the energy, volt-seconds."""
     t = H * np.arange(ROWS)
     phase = 2 * np.pi * np.arange(3) / 3
     flux = size * (0.6 + 0.3 * np.sin(37 * t[:, None] + phase) + 0.08 * np.sin(91 * t)[:, None])
@@ -45,14 +45,14 @@ def record(system, size, seed=0, noise=0.0):
 def test_a_relation_linear_in_flux_is_observed_exactly():
     flux, i, v = record(switched_reluctance(L_0), 0.08)
     observer = RelationObserver(cubic, 3, H, 0.1, 0.1, current_noise=1e-6)
-    found = observer.run(v, i)
+    estimates = observer.run(v, i)
     late = slice(ROWS // 2, None)
-    assert np.abs(found.flux - flux)[late].max() < 1e-6 * 0.08
-    np.testing.assert_allclose(found.drift[-1], DRIFT, rtol=1e-4)
+    assert np.abs(estimates.flux - flux)[late].max() < 1e-6 * 0.08
+    np.testing.assert_allclose(estimates.drift[-1], DRIFT, rtol=1e-4)
 
 
 @pytest.mark.slow
-def test_saturation_is_observed_in_the_variables_that_undo_it():
+def test_a_saturated_machine_is_observed_in_linearising_variables():
     system = saturated_switched_reluctance(PSI_S, A)
     flux, i, v = record(system, 0.4)
 
@@ -70,43 +70,46 @@ def test_saturation_is_observed_in_the_variables_that_undo_it():
             iterations=iterations,
         ).run(v, i)
 
-    found = run(saturated)
+    estimates = run(saturated)
     late = slice(ROWS // 2, None)
-    assert np.abs(found.flux - flux)[late].max() < 1e-6 * 0.4
-    np.testing.assert_allclose(found.drift[-1], DRIFT, rtol=1e-4)
-    # Believing in no noise, one linearisation at a start wrong by half the flux is not enough.
+    assert np.abs(estimates.flux - flux)[late].max() < 1e-6 * 0.4
+    np.testing.assert_allclose(estimates.drift[-1], DRIFT, rtol=1e-4)
+    # Without assumed noise, one linearisation at a start wrong by half the flux is not enough.
     assert np.abs(run(saturated, 0.0, 1).flux - flux)[late].max() > 10
     assert np.abs(run(saturated, 0.0, 8).flux - flux)[late].max() < 0.01
-    # The unsaturated relation, with the same slope at zero, is far off.
-    wrong = run(lambda x, eta, i: (x @ jnp.stack(currents(i)) - 3 * PSI_S * A * jnp.prod(i))[None])
+    # The unsaturated relation, with the same slope at zero, has a large error.
+    wrong = run(
+        lambda x, eta, i: (x @ jnp.stack(current_products(i)) - 3 * PSI_S * A * jnp.prod(i))[None]
+    )
     assert np.abs(wrong.flux - flux)[late].max() > 0.05 * 0.4
 
 
 def test_standard_deviations_cover_the_errors_under_noise():
-    """Mean square of error over standard deviation, over ten seeds of noise: about one."""
+    """Mean square of error over standard deviation, over ten noise seeds: about one."""
     noise, squares = 0.02, []
     for seed in range(10):
         flux, i, v = record(switched_reluctance(L_0), 0.08, seed, noise)
-        found = RelationObserver(cubic, 3, H, 0.1, 0.1, noise).run(v, i)
+        estimates = RelationObserver(cubic, 3, H, 0.1, 0.1, noise).run(v, i)
         late = slice(ROWS // 2, None, 100)
-        squares.append(np.mean(((found.flux - flux) / found.flux_std)[late] ** 2))
+        squares.append(np.mean(((estimates.flux - flux) / estimates.flux_std)[late] ** 2))
     assert 0.5 < np.mean(squares) < 2.0
 
 
 def test_noise_of_the_voltage_is_in_the_standard_deviation():
-    """White noise of σ volts a sample walks the flux by h σ; told of it, the filter covers it."""
+    """White noise of σ volts a sample walks the flux by h σ; the standard deviation covers it."""
     sigma, squares = 5.0, []
     for seed in range(6):
         flux, i, v = record(switched_reluctance(L_0), 0.08, seed, 0.02)
-        wrong = H * sigma * np.random.default_rng(100 + seed).standard_normal(v.shape)
-        found = RelationObserver(cubic, 3, H, 0.1, 0.1, 0.02, voltage_noise=sigma).run(v + wrong, i)
+        noise = H * sigma * np.random.default_rng(100 + seed).standard_normal(v.shape)
+        observer = RelationObserver(cubic, 3, H, 0.1, 0.1, 0.02, voltage_noise=sigma)
+        estimates = observer.run(v + noise, i)
         late = slice(ROWS // 2, None, 50)
-        squares.append(np.mean(((found.flux - flux) / found.flux_std)[late] ** 2))
+        squares.append(np.mean(((estimates.flux - flux) / estimates.flux_std)[late] ** 2))
     assert 0.4 < np.mean(squares) < 2.0
 
 
-def test_a_moving_relation_carries_what_it_moves_by():
-    """Induction machine: |λ - L_σ i|² = η² with η' = -α η + R_R i_d, from the wrong length."""
+def test_a_moving_relation_estimates_its_moving_coefficient():
+    """Induction machine: |λ - L_σ i|² = η² with η' = -α η + R_R i_d, started at a wrong length."""
     L_sigma, R_R, L_M = 0.01, 2.1, 0.22
     alpha = R_R / L_M
     t = H * np.arange(ROWS)
@@ -146,14 +149,14 @@ def test_a_moving_relation_carries_what_it_moves_by():
             motion=motion,
         ).run(v, pair(i))
 
-    found = run(motion)
+    estimates = run(motion)
     late = slice(ROWS // 2, None)
-    assert np.abs(found.moving[late, 0] - eta[late]).max() < 0.01 * 0.66
-    assert np.abs(found.flux - pair(flux))[late].max() < 0.004
-    np.testing.assert_allclose(found.drift[-1], drift, atol=0.02)
-    assert found.moving_std.shape == (ROWS, 1)
-    assert found.moving_std[0, 0] > 0.1 > 30 * found.moving_std[-1, 0] > 0
-    # A constant length is wrong by its whole swing.
+    assert np.abs(estimates.moving[late, 0] - eta[late]).max() < 0.01 * 0.66
+    assert np.abs(estimates.flux - pair(flux))[late].max() < 0.004
+    np.testing.assert_allclose(estimates.drift[-1], drift, atol=0.02)
+    assert estimates.moving_std.shape == (ROWS, 1)
+    assert estimates.moving_std[0, 0] > 0.1 > 30 * estimates.moving_std[-1, 0] > 0
+    # With a constant length the error is as large as its variation.
     assert np.abs(run(None).flux - pair(flux))[late].max() > 0.02
 
 
@@ -167,8 +170,8 @@ def test_a_moving_relation_carries_what_it_moves_by():
         ({"relation": lambda x, e, i: x @ i}, r"must return residuals \(r,\), got shape \(\)"),
     ],
 )
-def test_what_is_refused(change, message):
-    given = {
+def test_wrong_arguments(change, message):
+    arguments = {
         "relation": cubic,
         "n": 3,
         "sample_time": H,
@@ -177,7 +180,7 @@ def test_what_is_refused(change, message):
         "current_noise": 1e-3,
     }
     with pytest.raises(ModelError, match=message):
-        RelationObserver(**(given | change))
+        RelationObserver(**(arguments | change))
 
 
 def test_a_record_of_the_wrong_shape():

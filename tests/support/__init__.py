@@ -1,1 +1,1 @@
-"""What tests share: records, trajectories, the command line, compiled folders."""
+"""Shared by tests: records, trajectories, the command line, compiled folders."""

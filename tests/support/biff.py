@@ -1,4 +1,4 @@
-"""Workbooks of Excel 97 (.xls), which no library that the tests use writes."""
+"""Writer of Excel 97 workbooks (.xls), which the libraries at hand cannot write."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _SECTOR = 512
 
 
 def old_workbook(sheets: int, cells: Iterable[Cell]) -> bytes:
-    """A workbook whose sheets have these cells: row, column, number or text."""
+    """Return a workbook whose sheets have these cells: row, column, number or text."""
     sheet = _beginning(0x10) + b"".join(map(_cell, cells)) + _record(0xA)
     names = [b"\x03\0%03d" % n for n in range(sheets)]
     first = len(_beginning(5) + _record(0xA)) + sum(len(_record(0x85, bytes(6) + n)) for n in names)
@@ -40,7 +40,7 @@ def _cell(cell: Cell) -> bytes:
 
 
 def _compound(stream: bytes) -> bytes:
-    """A compound file (OLE 2) with a stream that is called Workbook."""
+    """Return a compound file (OLE 2) with a stream named Workbook."""
     count = max(8, -(-len(stream) // _SECTOR))
     tables = -(-(count + 2) // 127)
     free = 0xFFFFFFFF

@@ -1,15 +1,15 @@
-"""Pages in a browser, their columns, and what they asked for."""
+"""Pages in a browser, their columns, and their requests."""
 
 import time
 
 import numpy as np
 
-#: How long a page may take, on a machine with other work [ms].
+#: Longest wait for a page, on a busy machine [ms].
 PATIENCE = 120_000
 
 
 class Window:
-    """A page in the browser, by its path or address, and what it asked for and complained of."""
+    """A page in the browser, by path or address, with its requests and errors."""
 
     def __init__(self, page, path):
         self.page, self.path, self.asked, self.complaints = page, path, [], []
@@ -18,18 +18,18 @@ class Window:
         page.on("pageerror", lambda error: self.complaints.append(str(error)))
         page.goto(path if isinstance(path, str) else path.as_uri())
 
-    def js(self, code, *given):
-        return self.page.evaluate(code, *given)
+    def js(self, code, *arguments):
+        return self.page.evaluate(code, *arguments)
 
     def until(self, code):
-        """Wait until a function is true; the page's policy lets no text be evaluated in it."""
+        """Wait until a function is true; the page's policy forbids evaluating text in it."""
         end = time.monotonic() + PATIENCE / 1000
         while not self.js(code):
             assert time.monotonic() < end, code
             self.page.wait_for_timeout(20)
 
     def column(self, name):
-        """A column of what is drawn, with all its bits."""
+        """Return a column of the drawn data, with all its bits."""
         text = self.js(
             """(name) => {
                 const d = fluxobs.results.view.columns[name];
@@ -47,6 +47,6 @@ class Window:
         return self.js("() => Object.keys(fluxobs.results.view.columns)")
 
     def silent(self):
-        """Nothing was asked for but the page itself and its own worker; nothing went wrong."""
+        """Whether the page requested only itself and its worker; assert that it had no errors."""
         assert not self.complaints
         return [url for url in self.asked if not url.startswith(("file:", "blob:", "data:"))] == []

@@ -1,4 +1,4 @@
-"""The command line, in this process where only its interface is asked, or as a process."""
+"""The command line: in this process to test its interface, or as a separate process."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ COLUMNS = [
 
 @dataclass(frozen=True)
 class Done:
-    """What a command left: as of subprocess.run."""
+    """Result of a command, with the fields of subprocess.run."""
 
     returncode: int
     stdout: str
@@ -41,7 +41,7 @@ class Done:
 
 
 def fluxobs(*arguments: object, folder: Path) -> Done:
-    """`fluxobs ARGUMENTS` in a folder, by its entry point. An uncaught error goes to the test."""
+    """Run `fluxobs ARGUMENTS` in a folder, by its entry point. Uncaught errors propagate."""
     out, err, code = io.StringIO(), io.StringIO(), 0
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
@@ -62,7 +62,7 @@ def fluxobs(*arguments: object, folder: Path) -> Done:
 
 
 def process(*arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
-    """`python -m fluxobs ARGUMENTS` in a folder."""
+    """Run `python -m fluxobs ARGUMENTS` in a folder."""
     return subprocess.run(
         [sys.executable, "-m", "fluxobs", *map(str, arguments)],
         capture_output=True,

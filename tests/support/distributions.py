@@ -1,4 +1,4 @@
-"""Source distribution and wheel, built as a release builds them."""
+"""Source distribution and wheel, built as for a release."""
 
 import os
 import subprocess
@@ -7,22 +7,22 @@ import tarfile
 from dataclasses import dataclass
 from pathlib import Path
 
-#: A date of a release [s since 1970]; even, as zip files count in steps of two seconds.
+#: Time of a release [s since 1970]; even, because zip files count in steps of two seconds.
 EPOCH = 1_700_000_000
 
 
 @dataclass(frozen=True)
 class Built:
-    """Paths of what was built."""
+    """Paths of the built files."""
 
     sdist: Path
     wheel: Path
 
 
 def build(source: Path, out: Path, path: str | None = None, umask: int = 0o022) -> Built:
-    """The sdist of a folder, and the wheel of this Python from that sdist."""
+    """Build the sdist of a folder, and from it the wheel for this Python."""
     variables = os.environ | {"SOURCE_DATE_EPOCH": str(EPOCH)} | ({"PATH": path} if path else {})
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "build", "--outdir", out, source],
         cwd=out.parent,
         env=variables,
@@ -30,13 +30,13 @@ def build(source: Path, out: Path, path: str | None = None, umask: int = 0o022) 
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert process.returncode == 0, process.stdout + process.stderr
     (sdist,), (wheel,) = out.glob("*.tar.gz"), out.glob("*.whl")
     return Built(sdist, wheel)
 
 
 def unpacked(sdist: Path, into: Path) -> Path:
-    """The folder in it."""
+    """Unpack an sdist; return its folder."""
     with tarfile.open(sdist) as archive:
         archive.extractall(into, filter="data")
     (folder,) = into.iterdir()

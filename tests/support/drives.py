@@ -1,4 +1,4 @@
-"""Simulated drives that share their compilation."""
+"""Simulated drives that share compiled code."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import equinox as eqx
 import jax
 import numpy as np
 
-# The package has a function of this name.
+# The module; the package has a function of the same name.
 module = importlib.import_module("fluxobs.simulation.drive.simulate")
 Profile = module.Profile
 
-#: Rows of a run, and knots of a profile, that are compiled for; a run takes the next of them.
+#: Compiled lengths of runs and numbers of knots of profiles; a run uses the next larger one.
 ROWS, KNOTS = (2400, 12000, 20000, 32000, 72000), 6
 _compiled = module._simulate
 
@@ -25,13 +25,13 @@ def _longer(profile: Any) -> Any:
 def simulate_compiled_once(
     drive: Any, course: Any, noise: np.ndarray, steps: int, delay: bool
 ) -> Any:
-    """In place of `_simulate`: XLA compiles a scan for its length, and for the knots of profiles.
+    """Replace `_simulate`: XLA compiles a scan for its length and for the knots of profiles.
 
-    So runs are made longer than was asked, and profiles get their last knot several times. What is
-    returned are the rows that were asked for, which nothing that comes later changes.
+    Runs are made longer than requested, and profiles repeat their last knot. The rows returned are
+    the requested ones, which later rows do not affect.
     """
     rows = len(noise)
-    most = next(length for length in ROWS if length >= rows)
+    compiled_rows = next(length for length in ROWS if length >= rows)
 
     def is_profile(node: Any) -> bool:
         return isinstance(node, Profile)
@@ -41,6 +41,6 @@ def simulate_compiled_once(
         (drive, course),
         is_leaf=is_profile,
     )
-    more = np.concatenate([noise, np.zeros((most - rows, noise.shape[1]))])
-    trace = _compiled(drive, course, more, steps, delay)
-    return jax.tree.map(lambda part: part[:rows], eqx.filter(trace, eqx.is_array))
+    padded = np.concatenate([noise, np.zeros((compiled_rows - rows, noise.shape[1]))])
+    trace = _compiled(drive, course, padded, steps, delay)
+    return jax.tree.map(lambda values: values[:rows], eqx.filter(trace, eqx.is_array))

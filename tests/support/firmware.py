@@ -1,4 +1,4 @@
-"""Compiling and running the C sources as exported, and replaying records through them."""
+"""Compile and run the exported C sources, and replay records through them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CPP_COMPILERS = [pytest.param(("g++",), id="g++"), pytest.param((*_ZIG, "cc"), i
 
 
 def cross_compiler(name: str) -> ParameterSet:
-    """A parameter: the name of a compiler that may be missing."""
+    """Return a test parameter: the name of a compiler, skipped if it is missing."""
     missing = shutil.which(name) is None
     return pytest.param(
         name, marks=pytest.mark.skipif(missing, reason=f"no cross compiler: {name}")
@@ -39,10 +39,10 @@ def cross_compiler(name: str) -> ParameterSet:
 
 @dataclass
 class Compiled:
-    """Exported folders as programs that replay a record.
+    """Exported folders, compiled to programs that replay a record.
 
-    The observer's source is the same in every folder, which is checked; it is compiled once for a
-    compiler, a precision and options.
+    The observer's source is the same in every folder, which is checked. It is compiled once per
+    compiler, precision and options.
     """
 
     scratch: Path
@@ -57,37 +57,37 @@ class Compiled:
         )
         key = (command, source, headers)
         if key not in self.objects:
-            made = self.scratch / f"observer{len(self.objects)}.o"
-            subprocess.run([*command, "-c", folder / "fluxobs.c", "-o", made], check=True)
-            self.objects[key] = made
+            target = self.scratch / f"observer{len(self.objects)}.o"
+            subprocess.run([*command, "-c", folder / "fluxobs.c", "-o", target], check=True)
+            self.objects[key] = target
         return self.objects[key]
 
     def program(
         self, folder: Path, compiler: Sequence[str], precision: str, extra: Sequence[str] = ()
     ) -> Path:
-        """Of an exported folder; `extra` options go to all of its sources."""
+        """Return the program of an exported folder; `extra` options apply to all its sources."""
         key = (folder, *compiler, precision, *extra)
         if key not in self.programs:
-            chosen = f"-DFO_SINGLE={int(precision == 'single')}"
-            command = [*compiler, *STRICT, chosen, *extra]
-            made = self.scratch / f"replay{len(self.programs)}"
-            parts = [HARNESS / "replay.c", self.observer(folder, *command)]
-            parts += [*folder.glob("fluxobs_map.c"), *folder.glob("*_observer.c")]
-            subprocess.run([*command, f"-I{folder}", *parts, "-lm", "-o", made], check=True)
-            self.programs[key] = made
+            definition = f"-DFO_SINGLE={int(precision == 'single')}"
+            command = [*compiler, *STRICT, definition, *extra]
+            target = self.scratch / f"replay{len(self.programs)}"
+            sources = [HARNESS / "replay.c", self.observer(folder, *command)]
+            sources += [*folder.glob("fluxobs_map.c"), *folder.glob("*_observer.c")]
+            subprocess.run([*command, f"-I{folder}", *sources, "-lm", "-o", target], check=True)
+            self.programs[key] = target
         return self.programs[key]
 
 
 def replayed(program: Path, voltage: np.ndarray, current: np.ndarray) -> np.ndarray:
-    """What the program returns for a record, (rows, 12)."""
+    """Return the output of the program for a record, (rows, 12)."""
     rows = np.ascontiguousarray(np.concatenate([voltage, current], axis=1))
-    done = subprocess.run([program], input=rows.tobytes(), capture_output=True, check=False)
-    assert done.returncode == 0, done.stderr.decode()
-    return np.frombuffer(done.stdout).reshape(len(rows), -1)
+    process = subprocess.run([program], input=rows.tobytes(), capture_output=True, check=False)
+    assert process.returncode == 0, process.stderr.decode()
+    return np.frombuffer(process.stdout).reshape(len(rows), -1)
 
 
 def make_test(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """`make test` in an exported folder."""
+    """Run `make test` in an exported folder."""
     return subprocess.run(
         ["make", "-C", folder, "test", *arguments], capture_output=True, text=True, check=False
     )

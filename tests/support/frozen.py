@@ -1,4 +1,4 @@
-"""Results do not change after they are made, and those of arrays are compared as objects."""
+"""Tests that results are immutable, and that those with arrays compare by identity."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 
 
 def dataclasses_of(room: ModuleType) -> list[type]:
-    """All dataclasses that the modules of a package define."""
+    """Return all dataclasses that the modules of a package define."""
     names = [f"{room.__name__}.{module.name}" for module in pkgutil.iter_modules(room.__path__)]
     classes = [
         kind
@@ -27,12 +27,12 @@ def dataclasses_of(room: ModuleType) -> list[type]:
 
 def holds_arrays(kind: type) -> bool:
     """Whether a field is an array, or a list or mapping of arrays."""
-    words = ("Array", "Complex", "NDArray")
-    return any(word in str(field.type) for field in dataclasses.fields(kind) for word in words)
+    types = ("Array", "Complex", "NDArray")
+    return any(name in str(field.type) for field in dataclasses.fields(kind) for name in types)
 
 
 def frozen_tests(room: ModuleType) -> tuple[Callable[[type], None], Callable[[type], None]]:
-    """Two tests of a package's dataclasses, to be named `test_…` where they are to run."""
+    """Return two tests of a package's dataclasses; assign them to names `test_…` to run them."""
     classes = dataclasses_of(room)
 
     @pytest.mark.parametrize("kind", classes)
@@ -45,6 +45,6 @@ def frozen_tests(room: ModuleType) -> tuple[Callable[[type], None], Callable[[ty
     @pytest.mark.parametrize("kind", [kind for kind in classes if holds_arrays(kind)])
     def compared_as_an_object(kind: type) -> None:
         blank, other = object.__new__(kind), object.__new__(kind)
-        assert len({blank, other}) == 2  # == would ask an array for its truth
+        assert len({blank, other}) == 2  # == would need the truth value of an array
 
     return no_field_can_be_set, compared_as_an_object

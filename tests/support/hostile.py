@@ -1,4 +1,4 @@
-"""What tests of hostile logs share."""
+"""Shared by the tests of hostile logs."""
 
 import zipfile
 import zlib
@@ -11,8 +11,8 @@ from fluxobs.logs import read_log
 MEGABYTE = bytes(1 << 20)
 
 
-def refused(path, words, **options):
-    with pytest.raises(FluxobsError, match=words) as error:
+def refused(path, message, **options):
+    with pytest.raises(FluxobsError, match=message) as error:
         list(read_log(path, **options).aligned())
     assert path.name in str(error.value)
     assert len(str(error.value)) < 1000
@@ -24,7 +24,7 @@ def zeros(megabytes):
 
 
 def with_zeros(path, name, megabytes, head=b""):
-    """A zip file with one more member, of zeros."""
+    """Add a member of zeros to a zip file."""
     with (
         zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
         archive.open(name, "w") as file,

@@ -1,16 +1,18 @@
-"""The adaptive observer's learner, readable: two stages with covariances, one record.
+"""Readable reference of the adaptive observer's learner: two stages with covariances, one record.
 
-Firmware keeps flux, drift and parameters in one triangle (fluxobs_learning.c). The same estimate
-follows from Friedland's separation of a bias (doi:10.1109/TAC.1969.1099223), extended by what
-is only considered (Schmidt). With f = (λ, θ), p the parameters, c the curve of the inverter's loss:
+Firmware keeps flux, drift and parameters in one information factor (fluxobs_learning.c). The same
+estimate follows from Friedland's separation of a bias (doi:10.1109/TAC.1969.1099223), extended by
+considered parameters (Schmidt). With f = (λ, θ), p the parameters, c the curve of the inverter's
+loss:
 
     f = f̂ + S (p - p̂) + S_c c + e_f,  cov e_f = P       given the parameters
     p = p̂ + G c + e_p,               cov e_p = Q        given the curve
     c ~ (0, 1)
 
-The fast stage takes every row as if the parameters were known; what it leaves, with its own weight,
-is the row of the slow stage. Everything is per-unit: flux bases, memories, standard deviations of
-the prior. tests/firmware/test_learning.py compares both, number by number.
+The fast stage processes every measurement row as if the parameters were known. Its innovation, with
+its own weight, is the measurement row of the slow stage. Everything is per-unit: flux bases,
+memories, standard deviations of the prior. tests/firmware/test_learning.py compares both, number by
+number.
 """
 
 from __future__ import annotations
@@ -24,19 +26,19 @@ from fluxobs.machines.model.frames import wrap
 
 Array = NDArray[np.float64]
 
-#: Thresholds of fluxobs_learning.c, where their reasons stand.
+#: Thresholds of fluxobs_learning.c, which states their reasons.
 BLOCK, BLOCK_MOST, MODEL = np.pi / 4, 0.3, 0.002
 INVERTER_UNMODELLED, KNEE_UNMODELLED, DRIFT_MEMORY = 0.05, 0.3, 100.0
 ROWS, CLIP, PROVEN, LEVEL_LEAST = 16.0, 25.0, 8.0, 0.02
 NEW_POINT, ROUND, DOUBT_LIMIT, HEAT_WALK, SINCE_MATTERS = 0.3, 16, 0.5, 0.1, 0.25
-#: Order of the parameters; the curve comes last and is only considered.
+#: Order of the parameters; the curve is last and only considered.
 PSI, RESISTANCE, INVERTER, OFFSET, INDUCTANCE, CURVE = 0, 1, 2, 4, 6, 10
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 @dataclass(frozen=True)
 class Settings:
-    """The observer's numbers; their meanings are those of ``fo_adaptive``."""
+    """Settings of the observer, with the meanings of ``fo_adaptive``."""
 
     h: float
     L: float
@@ -53,15 +55,15 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Sight:
-    """The rotor as the filter sees it."""
+class Linearisation:
+    """Linearisation point: the rotor as the filter estimates it."""
 
     i: Array  # current without offset
     x: Array  # position vector
     d: Array  # its direction
     length: float
-    made: tuple[float, float]  # flux of the current along and across it, as assumed
-    grown: float  # what the current adds to its length
+    current_flux: tuple[float, float]  # flux of the current along and across d, as assumed
+    current_length: float  # contribution of the current to the length
 
 
 @dataclass
@@ -86,17 +88,17 @@ class LearningTwin:
         self.a = settings
         self.f = np.concatenate([flux, drift])
         self.P = np.diag(np.asarray(stds, float) ** 2)
-        self.S = np.zeros((4, CURVE + 1))  # of parameters and curve
-        self.p = np.zeros(CURVE)  # as published; the estimate with all pulls is in `best`
+        self.S = np.zeros((4, CURVE + 1))  # for parameters and curve
+        self.p = np.zeros(CURVE)  # published; `best` also has all prior re-injections
         self.best = np.zeros(CURVE)
         self.Q = np.eye(CURVE)
         self.G = np.zeros(CURVE)
         self.block = Block(theta)
         self.level = self.contradiction = 1.0
-        self.rows = self.known_point = self.since = self.passed = 0.0
-        self.across = self.across_at = self.turning = self.unsure = 0.0
+        self.rows = self.point_rows = self.since = self.passed = 0.0
+        self.across = self.across_at = self.turning = self.voltage_std = 0.0
         self.point: Array = np.zeros(3)
-        self.pulled = self.judged = 0
+        self.turn = self.loss_turn = 0
         self.loss_std = self._loss_std()
 
     # ---- a sample -------------------------------------------------------------------------
@@ -104,119 +106,129 @@ class LearningTwin:
     def sample(
         self, v: Array, effect: Array, current: Array, roughness: float, knee: float
     ) -> tuple[Array, Array]:
-        """Take in an interval's volt-seconds, with what is learnt, what one std of each parameter
-        adds to them, (11, 2), and the measured current; return flux and parameters."""
+        """Process a sample; return flux and parameters.
+
+        Parameters
+        ----------
+        v : (2,) ndarray
+            Volt-seconds of the interval, corrected with the learnt parameters.
+        effect : (11, 2) ndarray
+            Change of the volt-seconds by one standard deviation of each parameter.
+        current : (2,) ndarray
+            Measured current.
+        """
         a, b = self.a, self.block
         self.f[:2] += v + a.h * self.f[2:]
         b.effect[RESISTANCE:] += effect[RESISTANCE:]
         b.time += a.h
         share = INVERTER_UNMODELLED + KNEE_UNMODELLED * knee
         b.unmodelled += share * np.hypot(self._loss(), self.loss_std) * a.volt
-        at = self._look(current)
-        self._add(at)
-        turned = abs(float(wrap(np.arctan2(at.x[1], at.x[0]) - b.theta)))
+        point = self._linearise(current)
+        self._accumulate(point)
+        turned = abs(float(wrap(np.arctan2(point.x[1], point.x[0]) - b.theta)))
         if turned >= BLOCK or b.time >= BLOCK_MOST:
-            self._end(current, roughness, turned)
-            self.unsure = self._unsure(effect)
-        elif (self.unsure * (b.time - self.across_at)) ** 2 > SINCE_MATTERS * self.across:
-            self._judge(at)
+            self._finish_block(current, roughness, turned)
+            self.voltage_std = self._voltage_std(effect)
+        elif (self.voltage_std * (b.time - self.across_at)) ** 2 > SINCE_MATTERS * self.across:
+            self._update_across(point)
         return self.f.copy(), self.p.copy()
 
     def _loss(self) -> float:
-        """The inverter's loss, both parts [V]."""
+        """Return the inverter's loss, both parts [V]."""
         both = slice(INVERTER, INVERTER + 2)
         return float(2 * self.a.inverter_mean + self.a.std[both] @ self.p[both])
 
     def _loss_std(self) -> float:
-        """Its standard deviation, with what its curve may differ by [V]."""
+        """Return the standard deviation of the loss, including that of its curve [V]."""
         a, both = self.a, slice(INVERTER, INVERTER + 2)
         direction = np.zeros(CURVE + 1)
         direction[both] = a.std[both]
         direction[CURVE] = a.std[CURVE] * self._loss()
-        return float(np.sqrt(self._known(direction)))
+        return float(np.sqrt(self._parameter_variance(direction)))
 
-    def _look(self, current: Array) -> Sight:
+    def _linearise(self, current: Array) -> Linearisation:
         a, value = self.a, self.a.std[:CURVE] * self.p
         i = current - value[OFFSET : OFFSET + 2]
-        wrong_d, wrong_q = value[INDUCTANCE : INDUCTANCE + 2]
+        error_d, error_q = value[INDUCTANCE : INDUCTANCE + 2]
         L_d, L_q = a.L + a.saliency, a.L
-        x = self.f[:2] - L_q * (1 + wrong_q) * i
+        x = self.f[:2] - L_q * (1 + error_q) * i
         length = float(np.hypot(*x))
         d = x / length
         i_d, i_q = float(d @ i), float(J @ d @ i)
-        grown = (a.saliency + wrong_d * L_d - wrong_q * L_q) * i_d
-        return Sight(i, x, d, length, (L_d * i_d, L_q * i_q), grown)
+        current_length = (a.saliency + error_d * L_d - error_q * L_q) * i_d
+        return Linearisation(i, x, d, length, (L_d * i_d, L_q * i_q), current_length)
 
-    def _add(self, at: Sight) -> None:
-        """Residual r = |x| - ΔL i_d - ψ and its derivatives, summed."""
+    def _accumulate(self, at: Linearisation) -> None:
+        """Add the residual r = |x| - ΔL i_d - ψ and its derivatives to the block."""
         a, b, d = self.a, self.block, at.d
         slope = d - a.saliency / at.length * (at.i - (d @ at.i) * d)
-        b.residual += at.length - at.grown - (a.psi + a.std[PSI] * self.p[PSI])
+        b.residual += at.length - at.current_length - (a.psi + a.std[PSI] * self.p[PSI])
         b.slope += slope
         b.slope_time += slope * b.time
         b.along += b.effect @ slope
         b.along[PSI] -= a.std[PSI]
-        b.along[INDUCTANCE] -= a.std[INDUCTANCE] * at.made[0]
-        b.along[INDUCTANCE + 1] -= a.std[INDUCTANCE + 1] * at.made[1] * (J @ d @ slope)
+        b.along[INDUCTANCE] -= a.std[INDUCTANCE] * at.current_flux[0]
+        b.along[INDUCTANCE + 1] -= a.std[INDUCTANCE + 1] * at.current_flux[1] * (J @ d @ slope)
         offsets = a.L * slope + a.saliency * d
         b.along[OFFSET : OFFSET + 2] += a.std[OFFSET : OFFSET + 2] * offsets
         b.samples += 1
 
-    # ---- a row ----------------------------------------------------------------------------
+    # ---- a measurement row ----------------------------------------------------------------
 
-    def _end(self, current: Array, roughness: float, turned: float) -> None:
+    def _finish_block(self, current: Array, roughness: float, turned: float) -> None:
         a, b = self.a, self.block
         share = min(turned / BLOCK, 1.0)
         inverter = b.unmodelled / b.time
-        self._carry(b, (a.unmodelled * b.time) ** 2 + b.unmodelled**2)
+        self._propagate(b, (a.unmodelled * b.time) ** 2 + b.unmodelled**2)
         self._forget_drift(b.time)
         if share > 1e-6:
             n = b.samples
-            at, speed = self._look(current), turned / b.time
+            at, speed = self._linearise(current), turned / b.time
             fast = np.concatenate([b.slope, b.slope_time - b.time * b.slope]) / n
             slow = b.along / n - b.effect @ fast[:2]
             value = -b.residual / n
             information = share / (MODEL**2 + a.through_L * roughness / n)
-            value, slow, information = self._fast(fast, slow, value, information)
-            surprise = self._follow(slow, value, information, share)
-            if surprise:
+            value, slow, information = self._update_fast(fast, slow, value, information)
+            outlier = self._assess(slow, value, information, share)
+            if outlier:
                 self._forget_drift(DRIFT_MEMORY)
-            rows = self._rows_here(at, speed, share)
-            if not surprise and speed > 0:
+            rows = self._rows_at_point(at, speed, share)
+            if not outlier and speed > 0:
                 shape = inverter / speed
                 weight = 1 / ((rows / information + shape**2) * max(self.level, 1.0))
                 self._learn(slow, value, weight, b.time)
-        at = self._look(current)
-        self.judged = (self.judged + 1) % 3
-        if self.judged == 2:
+        at = self._linearise(current)
+        self.loss_turn = (self.loss_turn + 1) % 3
+        if self.loss_turn == 2:
             self.loss_std = self._loss_std()
         self.block = Block(float(np.arctan2(at.x[1], at.x[0])))
-        self._judge(at)
+        self._update_across(at)
 
-    def _judge(self, at: Sight) -> None:
+    def _update_across(self, at: Linearisation) -> None:
         self.across, self.turning = self._across(at, self.block)
         self.across_at = self.block.time
 
-    def _unsure(self, effect: Array) -> float:
-        """Voltage by which resistance and inverter may be off, after an interval like this."""
+    def _voltage_std(self, effect: Array) -> float:
+        """Return the voltage error from resistance and inverter after an interval like this."""
         direction = np.zeros(CURVE + 1)
         direction[RESISTANCE:OFFSET] = np.hypot(*effect[RESISTANCE:OFFSET].T)
-        return float(np.sqrt(self._known(direction))) / self.a.h
+        return float(np.sqrt(self._parameter_variance(direction))) / self.a.h
 
-    def _across(self, at: Sight, b: Block) -> tuple[float, float]:
-        """Variance of the position vector across its direction, and what L_q adds to it."""
+    def _across(self, at: Linearisation, b: Block) -> tuple[float, float]:
+        """Return the position vector's variance across its direction, and the share of L_q."""
         a = self.a
         across = J @ at.d
         to_fast = np.concatenate([across, b.time * across])
         to_slow = to_fast @ self.S + b.effect @ across
         to_slow[OFFSET : OFFSET + 2] += a.L * a.std[OFFSET : OFFSET + 2] * across
         level = max(self.level, LEVEL_LEAST)
-        known = self._known(to_slow)
-        to_slow[INDUCTANCE + 1] -= a.std[INDUCTANCE + 1] * at.made[1]
-        return level * float(to_fast @ self.P @ to_fast) + known, self._known(to_slow) - known
+        without_L_q = self._parameter_variance(to_slow)
+        to_slow[INDUCTANCE + 1] -= a.std[INDUCTANCE + 1] * at.current_flux[1]
+        filter_variance = level * float(to_fast @ self.P @ to_fast)
+        return filter_variance + without_L_q, self._parameter_variance(to_slow) - without_L_q
 
-    def _carry(self, b: Block, walk: float) -> None:
-        """To the end of the block: λ = λ + T θ + effect p, and a random step."""
+    def _propagate(self, b: Block, walk: float) -> None:
+        """Advance to the end of the block: λ = λ + T θ + effect p, and a random step."""
         A = np.eye(4)
         A[:2, 2:] = b.time * np.eye(2)
         self.P = A @ self.P @ A.T
@@ -225,7 +237,7 @@ class LearningTwin:
         self.S[:2] += b.effect.T
 
     def _forget_drift(self, time: float) -> None:
-        """The information on the drift, given the parameters, goes to that of its prior."""
+        """Move the drift's information, given the parameters, towards that of its prior."""
         share, prior = time / DRIFT_MEMORY, 1 / self.a.plausible**2
         R = np.linalg.cholesky(np.linalg.inv(self.P)).T  # upper, R'R the information
         d = np.diag(R) ** 2
@@ -233,52 +245,54 @@ class LearningTwin:
         d[2:] += share * (prior - d[2:])
         self.P = np.linalg.inv(U.T @ np.diag(d) @ U)
 
-    def _fast(
+    def _update_fast(
         self, fast: Array, slow: Array, value: float, information: float
     ) -> tuple[float, Array, float]:
-        """The Kalman step of flux and drift; returns what it leaves for the parameters."""
-        left = slow + fast @ self.S
+        """Update flux and drift (Kalman); return the measurement row of the parameters."""
+        row = slow + fast @ self.S
         variance = float(fast @ self.P @ fast) + 1 / information
         gain = self.P @ fast / variance
         self.f = self.f + gain * value
         self.P = self.P - np.outer(gain, fast @ self.P)
-        self.S = self.S - np.outer(gain, left)
-        return value, left, 1 / variance
+        self.S = self.S - np.outer(gain, row)
+        return value, row, 1 / variance
 
-    def _known(self, slow: Array) -> float:
-        """Variance of a row by what is not known of parameters and curve."""
+    def _parameter_variance(self, slow: Array) -> float:
+        """Return the variance of a row from the uncertainty of parameters and curve."""
         return float(
             slow[:CURVE] @ self.Q @ slow[:CURVE] + (slow[CURVE] + slow[:CURVE] @ self.G) ** 2
         )
 
-    def _follow(self, slow: Array, value: float, information: float, share: float) -> bool:
-        """Power of what is left, and how far it contradicts what is known; is it a surprise?"""
-        square, noise, known = value**2, 1 / information, self._known(slow)
+    def _assess(self, slow: Array, value: float, information: float, share: float) -> bool:
+        """Update power and contradiction of the innovations; return whether this is an outlier."""
+        square, noise = value**2, 1 / information
+        variance = self._parameter_variance(slow)
         self.rows += share
         gain = share / min(self.rows + 1, ROWS)
-        usual = max(self.level, LEVEL_LEAST)
-        surprise = self.rows > PROVEN and square > CLIP * (usual * noise + known)
+        level = max(self.level, LEVEL_LEAST)
+        outlier = self.rows > PROVEN and square > CLIP * (level * noise + variance)
         self.level += gain * (min(information * square, CLIP * self.level) - self.level)
-        odd = min(square / (noise + known), CLIP * (1 + self.contradiction))
-        self.contradiction += 2 / ROWS * share * (odd - self.contradiction)
-        return surprise
+        ratio = min(square / (noise + variance), CLIP * (1 + self.contradiction))
+        self.contradiction += 2 / ROWS * share * (ratio - self.contradiction)
+        return outlier
 
-    def _rows_here(self, at: Sight, speed: float, share: float) -> float:
-        """Rows at the present operating point (i_d, i_q, speed)."""
+    def _rows_at_point(self, at: Linearisation, speed: float, share: float) -> float:
+        """Count the rows at the present operating point (i_d, i_q, speed)."""
         now = np.array([at.d @ at.i, (J @ at.d) @ at.i, speed])
-        before = abs(self.point[2]) + abs(speed)
-        scale = np.array([self.a.over_rated] * 2 + [1 / before if before > 0 else 0.0])
+        speeds = abs(self.point[2]) + abs(speed)
+        scale = np.array([self.a.over_rated] * 2 + [1 / speeds if speeds > 0 else 0.0])
         moved = float(np.sum(((now - self.point) * scale) ** 2))
-        self.known_point /= 1 + moved / NEW_POINT**2 * self.known_point
-        self.known_point += share
-        self.point += (now - self.point) / max(self.known_point, 1.0)
-        return max(self.known_point, 1.0)
+        self.point_rows /= 1 + moved / NEW_POINT**2 * self.point_rows
+        self.point_rows += share
+        self.point += (now - self.point) / max(self.point_rows, 1.0)
+        return max(self.point_rows, 1.0)
 
     # ---- the parameters -----------------------------------------------------------------------
 
     def _learn(self, slow: Array, value: float, weight: float, time: float) -> None:
         row = slow[:CURVE]
-        innovation = value - row @ (self.best - self.p)  # the row is about what is published
+        # The row refers to the published parameters.
+        innovation = value - row @ (self.best - self.p)
         gain = self.Q @ row / (row @ self.Q @ row + 1 / weight)
         self.best = self.best + gain * innovation
         self.G = self.G - gain * (slow[CURVE] + row @ self.G)
@@ -289,7 +303,7 @@ class LearningTwin:
         self._forget(time)
 
     def _not_negative(self, p: Array) -> Array:
-        """The likeliest parameters with an inverter that adds no voltage."""
+        """Return the likeliest parameters for which the inverter adds no voltage."""
         a = self.a
         w = np.zeros(CURVE)
         w[INVERTER : INVERTER + 2] = a.std[INVERTER : INVERTER + 2]
@@ -300,17 +314,17 @@ class LearningTwin:
         return np.asarray(p - along * volts / (w @ along))
 
     def _forget(self, time: float) -> None:
-        """Information is scaled once a round, and the prior's comes back, a parameter a row."""
+        """Scale the information once a round; re-inject the prior, one parameter per row."""
         self.since += time * self.a.slow
-        self.pulled = (self.pulled + 1) % ROUND
-        if self.pulled < CURVE:
+        self.turn = (self.turn + 1) % ROUND
+        if self.turn < CURVE:
             if self.passed > 0:
-                n = self.pulled
+                n = self.turn
                 gain = self.Q[:, n] / (self.Q[n, n] + 1 / self.passed)
                 self.best = self.best - gain * self.best[n]
                 self.G = self.G - gain * self.G[n]
                 self.Q = self.Q - np.outer(gain, self.Q[n])
-        elif self.pulled == ROUND - 1:
+        elif self.turn == ROUND - 1:
             self.passed, self.since = min(self.since, 0.5), 0.0
             self.Q = self.Q / (1 - self.passed)
             self.Q[RESISTANCE, RESISTANCE] += HEAT_WALK**2 * self.passed

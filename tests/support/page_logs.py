@@ -1,4 +1,4 @@
-"""Logs of every shipped machine, for the page to read."""
+"""Logs of every shipped machine, as input for the page."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ SAMPLE_TIME = 1e-4
 
 
 def written(name: str, folder: Path) -> Path:
-    """A log of a shipped machine, with gaps, spikes and offsets."""
+    """Write a log of a shipped machine, with gaps, spikes and offsets; return its path."""
     machine, path = example(name), folder / f"{name}.csv"
     columns = _turning(machine) if isinstance(machine, RotatingMachine) else _levitated(machine)
     pl.DataFrame(columns).fill_nan(None).write_csv(path)
@@ -24,7 +24,7 @@ def written(name: str, folder: Path) -> Path:
 def _turning(machine: RotatingMachine) -> dict[str, np.ndarray]:
     observer = LeastSquaresObserver.for_machine(machine, sample_time=SAMPLE_TIME)
     run = firmware_record(machine, observer)
-    voltage = np.roll(run.voltage, -1, axis=0)  # a row's voltage acts from there on
+    voltage = np.roll(run.voltage, -1, axis=0)  # in a log, a row's voltage acts after the row
     return {
         "t": SAMPLE_TIME * np.arange(len(voltage)),
         "u_alpha": voltage[:, 0],
@@ -36,15 +36,15 @@ def _turning(machine: RotatingMachine) -> dict[str, np.ndarray]:
 
 
 def _levitated(machine) -> dict[str, np.ndarray]:
-    given, rows = record(SCENARIOS["S5"], quick=True), 1500
-    current, sums = given.current[: rows + 1], np.cumsum(given.volt_seconds, axis=0)[: rows + 1]
+    drive, rows = record(SCENARIOS["S5"], quick=True), 1500
+    current, sums = drive.current[: rows + 1], np.cumsum(drive.volt_seconds, axis=0)[: rows + 1]
     mean = (current[:-1] + current[1:]) / 2
-    voltage = (np.diff(sums, axis=0) / given.h + mean @ machine.R.T) @ np.linalg.inv(machine.B.T)
+    voltage = (np.diff(sums, axis=0) / drive.h + mean @ machine.R.T) @ np.linalg.inv(machine.B.T)
     return {
-        "t": given.t[:rows],
+        "t": drive.t[:rows],
         "u_1": voltage[:, 0],
         "u_2": voltage[:, 1],
         "i_1": current[:rows, 0],
         "i_2": current[:rows, 1],
-        "y": given.trajectory.position[:rows, 0],
+        "y": drive.trajectory.position[:rows, 0],
     }

@@ -1,4 +1,4 @@
-"""What else a real motor has: harmonics, saliency that nobody told, heat, iron loss."""
+"""Imperfections of a real motor: harmonics, unmodelled saliency, heating, iron loss."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from fluxobs.simulation.closed_form.signals import vectors
 from support.records import Samples, white
 
 Array = NDArray[np.float64]
-#: Integration steps of a sample.
-PARTS = 16
+#: Integration steps per sample.
+STEPS = 16
 
 
 @dataclass(frozen=True)
 class Imperfect:
-    """A motor beside its machine file.
+    """Deviations of a motor from its machine file.
 
     Attributes
     ----------
@@ -27,9 +27,9 @@ class Imperfect:
     saliency : float
         L_q - L_d over the file's inductance, which is their mean.
     flux : float
-        Magnet flux over the file's.
+        Magnet flux over the file's value.
     heating : float
-        Resistance at the end of the record over the file's, growing evenly.
+        Resistance at the end of the record over the file's value, growing evenly.
     iron : float
         Iron loss: current in phase with the EMF, over the rated current, at rated EMF.
     """
@@ -50,32 +50,32 @@ def record(
     seconds: float = 4.0,
     seed: int = 0,
 ) -> Samples:
-    """Load steps, a reversal; 1 % of the rated current as offset, 0.3 % as noise."""
+    """Record load steps and a reversal; offset 1 %, noise 0.3 % of the rated current."""
     rated, psi = machine.rated_current, real.flux * machine.magnet_flux
     rows = round(seconds / sample_time)
-    t = sample_time / PARTS * np.arange(rows * PARTS + 1)
-    place = np.linspace(0, 2.4, len(t))
+    t = sample_time / STEPS * np.arange(rows * STEPS + 1)
+    progress = np.linspace(0, 2.4, len(t))
 
     def course(*knots: tuple[float, float]) -> Array:
-        return np.interp(place, *zip(*knots, strict=True))
+        return np.interp(progress, *zip(*knots, strict=True))
 
     speed = speed_e * course((0, 0.3), (0.4, 1), (1.6, 1), (2.0, -1), (2.4, -1))
     i_q = rated * course((0, 0.2), (0.6, 0.2), (0.602, 0.8), (1.2, 0.8), (1.202, 0.3), (2.4, 0.6))
-    step = sample_time / PARTS
+    step = sample_time / STEPS
     theta = 0.7 + np.concatenate([[0.0], np.cumsum(step * (speed[1:] + speed[:-1]) / 2)])
     turn = np.exp(1j * theta)
     L_d, L_q = machine.L_dq
     current = 1j * i_q * turn
     i = current * turn.conj()
     magnets = turn + real.fifth * turn**-5 + real.seventh * turn**7
-    less, more = 1 - real.saliency / 2, 1 + real.saliency / 2
-    linear = less * L_d * i.real + 1j * more * L_q * i.imag
+    share_d, share_q = 1 - real.saliency / 2, 1 + real.saliency / 2
+    linear = share_d * L_d * i.real + 1j * share_q * L_q * i.imag
     flux = linear * turn + psi * magnets
     emf = np.gradient(flux, step)
     terminal = current + real.iron * rated * emf / (psi * speed_e)
     R = machine.R_s * np.interp(t, [0, t[-1]], [1.0, real.heating])
     drop = np.concatenate([[0.0], np.cumsum(step * ((R * terminal)[1:] + (R * terminal)[:-1]) / 2)])
-    at = slice(None, None, PARTS)
+    at = slice(None, None, STEPS)
     voltage = np.diff(flux[at] + drop[at]) / sample_time
     bias = 0.01 * rated * (0.6 + 0.8j)
     measured = terminal[at][1:] + bias + 0.003 * rated * white(rows, seed)

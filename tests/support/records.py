@@ -1,4 +1,4 @@
-"""Records for the tests: the closed-form signals of fluxobs.simulation.closed_form, then spoilt."""
+"""Records for the tests: signals of fluxobs.simulation.closed_form, with errors added."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ Array = NDArray[np.float64]
 
 SERVO = example("servo-400w")
 MACHINES = {name: example(name) for name in ("servo-400w", "pmsm-2kw2", "ipm-2kw2", "synrm-6kw7")}
-#: A current in the rotor frame that suits each machine.
+#: A typical current of each machine, in the rotor frame.
 CURRENTS = {"servo-400w": 6j, "pmsm-2kw2": 4j, "ipm-2kw2": 4j, "synrm-6kw7": 8 + 10j}
 PMSM = MACHINES["pmsm-2kw2"]
-#: Sample time of the courses [s].
+#: Sample time of :func:`course` and :func:`profile` [s].
 COURSE_TIME = 1.25e-4
-#: Integration steps of a sample, for :func:`driven`.
+#: Integration steps per sample, for :func:`driven`.
 PARTS = 16
 _T = 1e-3 * np.arange(200)
-#: Channels of a small log, for tests of what else a file may hold.
+#: Channels of a small log, for tests of other contents of a file.
 SMALL_LOG = {
     "t": _T,
     "u_alpha": np.cos(_T),
@@ -48,7 +48,7 @@ class Samples:
     flux: Array
     current: Array  # measured: with bias and noise
     voltage: Array
-    volt_seconds: Array  # ∫ (-R i_m + u_m) dt with the biases, without the noise
+    volt_seconds: Array  # ∫ (-R i_m + u_m) dt with biases, without noise
     drift: Array
 
 
@@ -69,7 +69,7 @@ def steady(
     theta0: float = 0.7,
     seed: int = 0,
 ) -> Samples:
-    """Constant rotor-frame current; `speed` [rad/s] a number, or one for every row."""
+    """Return a record at constant rotor-frame current; `speed` [rad/s]: one, or one per row."""
     true = signals.steady(machine, sample_time, speed, rows, i_dq, theta0)
     drift = machine.R_s * current_bias - voltage_bias
     return Samples(
@@ -98,13 +98,13 @@ def driven(
     theta0: float = 0.7,
     seed: int = 0,
 ) -> Samples:
-    """Any course of speed and rotor-frame current, one of each a row; straight between rows.
+    """Return a record with any course of speed and rotor-frame current, linear between rows.
 
-    The machine's true R_s and psi_f may be others than in `machine`, and `inverter` volts a phase
-    are lost against the sign of its current, tanh(i / smoothing).
+    The true R_s and psi_f may differ from those in `machine`. The inverter loses `inverter` volts
+    per phase against the sign of the phase current, tanh(i / smoothing).
     """
-    given = {"R_s": R_s, "psi_f": psi_f}
-    machine = machine.with_values(**{k: v for k, v in given.items() if v is not None})
+    changes = {"R_s": R_s, "psi_f": psi_f}
+    machine = machine.with_values(**{k: v for k, v in changes.items() if v is not None})
     true: Signals = signals.driven(
         machine,
         sample_time,
@@ -113,35 +113,35 @@ def driven(
         PARTS,
         theta0,
     )
-    lost = inverter_loss(true.mean_current, inverter, smoothing)
-    before = np.array([np.nan + 1j * np.nan])  # nothing is known of the time before the first row
-    volt_seconds = true.volt_seconds + sample_time * (lost + voltage_bias)
+    loss = inverter_loss(true.mean_current, inverter, smoothing)
+    before = np.array([np.nan + 1j * np.nan])  # unknown before the first row
+    volt_seconds = true.volt_seconds + sample_time * (loss + voltage_bias)
     return Samples(
         sample_time,
         true.theta_e,
         vectors(true.flux),
         vectors(true.current + noise * white(len(speed), seed)),
-        vectors(np.concatenate([before, true.voltage + lost + voltage_bias])),
+        vectors(np.concatenate([before, true.voltage + loss + voltage_bias])),
         vectors(np.concatenate([before, volt_seconds])),
         vectors(np.array(-voltage_bias, complex)),
     )
 
 
 def profile(*knots: tuple[float, float]) -> Array:
-    """Straight lines through (time [s], value), a value every COURSE_TIME."""
+    """Interpolate linearly between (time [s], value) knots, one value every COURSE_TIME."""
     t, values = zip(*knots, strict=True)
     return np.asarray(np.interp(np.arange(0, t[-1], COURSE_TIME), t, values), float)
 
 
-def course(**given: Any) -> Samples:
-    """The 2.2 kW servo at half speed with steps of load, and a reversal under load."""
+def course(**options: Any) -> Samples:
+    """Record the 2.2 kW servo at half speed with load steps, and a reversal under load."""
     speed = profile((0, 0), (0.3, 236), (1.2, 236), (1.6, -236), (2.5, -236))
     steps = ((0, 1), (0.6, 1), (0.61, 6), (1.0, 6), (1.01, 2), (1.9, 2), (1.91, -5), (2.5, -5))
-    return driven(PMSM, COURSE_TIME, speed, 1j * profile(*steps), noise=0.02, **given)
+    return driven(PMSM, COURSE_TIME, speed, 1j * profile(*steps), noise=0.02, **options)
 
 
 def log_columns(samples: Samples) -> dict[str, Array]:
-    """Columns of a log with lag 0: the voltage of row k acts from k to k + 1."""
+    """Return the columns of a log with lag 0: the voltage of row k acts from k to k + 1."""
     u = np.concatenate([samples.voltage[1:], samples.voltage[-1:]])
     return {
         "t": np.arange(len(u)) * samples.sample_time,
@@ -163,19 +163,22 @@ def held(
     noise: float = 0.0,
     seed: int = 0,
 ) -> Samples:
-    """A surface machine at constant speed, fed by voltages that are held over a sample: the exact
-    solution of its differential equation. Each voltage brings i_q to its reference at the end."""
+    """Return a surface machine at constant speed, fed by voltages held over each sample.
+
+    This is the exact solution of its differential equation. Each voltage brings i_q to its
+    reference at the end of its sample.
+    """
     R, L, psi = machine.R_s, machine.L_s, machine.psi_f
     rows = round(seconds / sample_time)
     theta = speed * sample_time * np.arange(rows)
     reference = 1j * current_q(sample_time * np.arange(rows)) * np.exp(1j * theta)
-    left = np.exp(-R / L * sample_time)
+    decay = np.exp(-R / L * sample_time)
     forced = -1j * speed * psi / (R + 1j * speed * L) * np.exp(1j * theta)
     current, voltage = np.full(rows, reference[0]), np.zeros(rows, complex)
     for k in range(1, rows):
-        free = (current[k - 1] - forced[k - 1]) * left + forced[k]
-        voltage[k] = (reference[k] - free) * R / (1 - left)
-        current[k] = free + voltage[k] / R * (1 - left)
+        free = (current[k - 1] - forced[k - 1]) * decay + forced[k]
+        voltage[k] = (reference[k] - free) * R / (1 - decay)
+        current[k] = free + voltage[k] / R * (1 - decay)
     flux = L * current + psi * np.exp(1j * theta)
     drift = R * current_bias - voltage_bias
     volt_seconds = np.diff(flux, prepend=flux[0]) - sample_time * drift

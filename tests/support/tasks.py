@@ -1,4 +1,4 @@
-"""Work for the tests of the engine; other processes import it."""
+"""Tasks for the tests of the engine, importable by worker processes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Smooth closed-form trajectories on which a constraint holds exactly, for continuous time."""
+"""Smooth closed-form trajectories that satisfy a constraint exactly, in continuous time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fluxobs.simulation import precision  # noqa: F401  # float64
 
 @dataclass(frozen=True)
 class Case:
-    """flux(t) and current(t) true; bias and drift are constant and added by `measured`."""
+    """True flux(t) and current(t); `measured` adds the constant bias and drift."""
 
     constraint: QuadraticConstraint
     flux: Callable
@@ -26,14 +26,14 @@ class Case:
     drift: np.ndarray
 
     def measured(self, t):
-        """y_m = λ̇ - θ and i_m = i + δ."""
+        """Return y_m = λ̇ - θ and i_m = i + δ."""
         rate = jax.jvp(self.flux, (t,), (jnp.ones_like(t),))[1]
         return rate - self.drift, self.current(t) + self.current_bias
 
 
 def pmsm():
     L, psi = 3e-3, 0.1
-    one = np.eye(2)
+    identity = np.eye(2)
 
     def angle(t):
         return 60 * t + 0.5 * jnp.sin(25 * t)
@@ -44,15 +44,15 @@ def pmsm():
     def flux(t):
         return L * current(t) + psi * jnp.array([jnp.cos(angle(t)), jnp.sin(angle(t))])
 
-    constraint = QuadraticConstraint(one, -2 * L * one, L * L * one, d=-(psi**2))
+    constraint = QuadraticConstraint(identity, -2 * L * identity, L * L * identity, d=-(psi**2))
     return Case(constraint, flux, current, np.array([0.2, -0.1]), np.array([0.05, 0.08]))
 
 
 def synrm():
     L_d, L_q = 0.05, 0.01
-    one = np.eye(2)
+    identity = np.eye(2)
 
-    def turned(t, d, q):
+    def stationary(t, d, q):
         angle = 50 * t + 0.4 * jnp.sin(20 * t)
         cos, sin = jnp.cos(angle), jnp.sin(angle)
         return jnp.array([cos * d - sin * q, sin * d + cos * q])
@@ -63,11 +63,11 @@ def synrm():
     def i_q(t):
         return 2 * jnp.cos(23 * t) + 1
 
-    constraint = QuadraticConstraint(one, -(L_d + L_q) * one, L_d * L_q * one)
+    constraint = QuadraticConstraint(identity, -(L_d + L_q) * identity, L_d * L_q * identity)
     return Case(
         constraint,
-        lambda t: turned(t, L_d * i_d(t), L_q * i_q(t)),
-        lambda t: turned(t, i_d(t), i_q(t)),
+        lambda t: stationary(t, L_d * i_d(t), L_q * i_q(t)),
+        lambda t: stationary(t, i_d(t), i_q(t)),
         np.array([0.1, -0.05]),
         np.array([0.3, -0.2]),
     )
@@ -93,7 +93,7 @@ def maglev():
 
 
 def three_port(seed=3):
-    """Random relation with every term, C and E too; the flux moves on it along one direction."""
+    """Random relation with every term, also C and E; the flux moves on it along one direction."""
     rng = np.random.default_rng(seed)
     Q1, Q2, Q3 = rng.standard_normal((3, 3, 3))
     E, C, along = rng.standard_normal((3, 3))
@@ -109,7 +109,7 @@ def three_port(seed=3):
     def flux(t):
         base = jnp.array([jnp.cos(2 * t), jnp.sin(4 * t), jnp.cos(6 * t)])
         i = current(t)
-        # w along base + x·along is a quadratic in x with a positive discriminant.
+        # w at base + x·along is a quadratic in x with a positive discriminant.
         b = 2 * along @ Q1 @ base + along @ Q2 @ i + E @ along
         c = base @ Q1 @ base + base @ Q2 @ i + i @ Q3 @ i + E @ base + C @ i - 50 * square
         return base + (-b + jnp.sqrt(b**2 - 4 * square * c)) / (2 * square) * along
@@ -123,14 +123,14 @@ CASES = {"pmsm": pmsm, "synrm": synrm, "maglev": maglev, "three-port": three_por
 
 
 def filtered(case: Case, corner: float, times, form="corrected", from_zero=True):
-    """Filters integrated to 1e-13, and the regression at `times` (the first is their start)."""
+    """Return the regression at `times`, from filters integrated to 1e-13 from the first time on."""
     regression = FilteredRegression(case.constraint, corner, form)
 
     def field(t, xi, _):
         return regression.derivative(xi, *case.measured(t))
 
     steps = jnp.linspace(times[0], times[-1], 4000)
-    # Land on the asked times: interpolation between steps is not exact enough.
+    # Land on the requested times: interpolation between steps is not exact enough.
     grid = jnp.unique(jnp.concatenate([steps, jnp.asarray(times)]))
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(field),

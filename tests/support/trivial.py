@@ -1,4 +1,4 @@
-"""A campaign whose scenarios cost nothing: for tests of what is around the simulation.
+"""A campaign whose scenarios cost nothing, for tests of all except the simulation.
 
 python -m support.trivial FOLDER SCENARIOS SCHEDULER WORKERS
 """
@@ -21,13 +21,13 @@ from fluxobs.campaigns.draws import POINT, generator
 from fluxobs.campaigns.specification import Specification
 from fluxobs.core.engine import locked, write_part
 
-#: Scenarios of a chunk.
+#: Scenarios per chunk.
 SIZE = 50
 
 
 @dataclass(frozen=True)
 class Trivial:
-    """Rows that depend on their numbers alone, after a pause."""
+    """Rows that depend only on their numbers, after a pause."""
 
     folder: str
     pause: float = 0.02
@@ -48,11 +48,11 @@ def specification(scenarios: int) -> Specification:
 
 
 def drive(folder: Path, scenarios: int, scheduler: str, workers: int) -> Dataset:
-    """Do what is missing, as `campaign` does."""
+    """Do the missing scenarios, as `campaign` does."""
     with locked(folder):
-        found = dataset.create(folder, specification(scenarios), SIZE)
-        fill(found, Trivial(str(folder)), workers, scheduler, lambda done, total: None)
-    return found
+        campaign = dataset.create(folder, specification(scenarios), SIZE)
+        fill(campaign, Trivial(str(folder)), workers, scheduler, lambda done, total: None)
+    return campaign
 
 
 if __name__ == "__main__":

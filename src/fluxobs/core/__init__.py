@@ -1,1 +1,1 @@
-"""What every room builds on: input, output, names, processes and pictures."""
+"""Foundations for all rooms: input, output, names, processes and pictures."""

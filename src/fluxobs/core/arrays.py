@@ -1,4 +1,4 @@
-"""The type of most arrays."""
+"""The type of floating-point arrays."""
 
 import numpy as np
 from numpy.typing import NDArray

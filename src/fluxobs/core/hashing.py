@@ -1,4 +1,4 @@
-"""Hashes that stand for the content of files."""
+"""Hashes of file contents."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from pathlib import Path
 from ..errors import FluxobsError
 from .input_files import check_regular
 
-#: Bytes read at once.
+#: Bytes per read.
 BLOCK = 1 << 20
 
 
-def content_of(place: Path) -> str:
-    """Hash of a file.
+def hash_file(path: Path) -> str:
+    """Return the SHA-256 hash of a file.
 
     Raises
     ------
     FluxobsError
-        It cannot be read.
+        The file cannot be read.
     """
-    check_regular(place, FluxobsError)
+    check_regular(path, FluxobsError)
     digest = hashlib.sha256()
     try:
-        with place.open("rb") as file:
+        with path.open("rb") as file:
             while block := file.read(BLOCK):
                 digest.update(block)
     except FileNotFoundError:
-        raise FluxobsError(f"{place}: no such file") from None
+        raise FluxobsError(f"{path}: no such file") from None
     except OSError as error:
-        raise FluxobsError(f"{place}: cannot be read: {error.strerror}") from None
+        raise FluxobsError(f"{path}: cannot be read: {error.strerror}") from None
     return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""Small pieces of HTML: what a notebook shows of a result, and documents made of them."""
+"""HTML elements for notebooks, and whole documents made of them."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ if TYPE_CHECKING:
 
 
 def escape(text: str, quote: bool = True) -> str:
-    """Plain text as HTML; what is no character is shown as its code."""
+    """Escape plain text for HTML; show control characters and invalid ones as codes."""
     return _escaped(visible(text), quote)
 
 
 def paragraph(text: str) -> str:
-    """A paragraph of plain text."""
+    """Return a paragraph of plain text."""
     return f"<p>{escape(text)}</p>"
 
 
 def bullets(texts: Iterable[str]) -> str:
-    """A list of plain texts; nothing if there are none."""
+    """Return a bullet list of plain texts; an empty string without texts."""
     items = "".join(f"<li>{escape(text)}</li>" for text in texts)
     return f"<ul>{items}</ul>" if items else ""
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "") -> str:
-    """A table of plain texts."""
+    """Return a table of plain texts."""
     title = f"<caption>{escape(caption)}</caption>" if caption else ""
     names = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
     body = "".join(
@@ -39,41 +39,41 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "")
     return f"<table>{title}<thead><tr>{names}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def picture(figure: Figure, words: str) -> str:
-    """A figure as it is drawn, with words for who does not see it."""
+def picture(figure: Figure, alt_text: str) -> str:
+    """Return a figure as an embedded PNG, with alternative text."""
     import io
 
-    made = io.BytesIO()
-    figure.savefig(made, format="png", dpi=90)
-    return image(made.getvalue(), words)
+    png = io.BytesIO()
+    figure.savefig(png, format="png", dpi=90)
+    return image(png.getvalue(), alt_text)
 
 
-def image(png: bytes, words: str) -> str:
-    """The bytes of a PNG file as a picture, with words for who does not see it."""
+def image(png: bytes, alt_text: str) -> str:
+    """Return a PNG file's bytes as an embedded picture, with alternative text."""
     import base64
 
     data = base64.b64encode(png).decode("ascii")
     return (
-        f'<img alt="{escape(words, quote=True)}" style="max-width:100%" '
+        f'<img alt="{escape(alt_text, quote=True)}" style="max-width:100%" '
         f'src="data:image/png;base64,{data}">'
     )
 
 
 def from_markdown(text: str, folder: Path) -> str:
-    """Markdown with tables; its pictures, PNG files in a folder, stand in it."""
+    """Convert Markdown with tables to HTML; embed its pictures, PNG files in `folder`."""
     from markdown_it import MarkdownIt
 
-    written = MarkdownIt("commonmark", {"html": False}).enable("table")
+    renderer = MarkdownIt("commonmark", {"html": False}).enable("table")
 
-    def embedded(renderer: Any, tokens: Any, at: int, options: Any, env: Any) -> str:
-        token = tokens[at]
+    def embed_image(this: Any, tokens: Any, index: int, options: Any, env: Any) -> str:
+        token = tokens[index]
         return image((folder / str(token.attrs["src"])).read_bytes(), token.content)
 
-    written.add_render_rule("image", embedded)
-    return str(written.render(text))
+    renderer.add_render_rule("image", embed_image)
+    return str(renderer.render(text))
 
 
-#: Of a document; pictures are drawn on white, also where the rest is dark.
+#: Style of a document. Pictures have a white background even in dark mode.
 _STYLE = """
 :root { color-scheme: light dark; }
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1100px; margin: 0 auto; padding: 16px; }
@@ -85,14 +85,14 @@ img { background: #fff; } code { overflow-wrap: anywhere; }
 
 
 def document(title: str, *parts: str) -> str:
-    """A page of its own that asks for nothing from elsewhere.
+    """Return a self-contained HTML page, which loads nothing from elsewhere.
 
     Parameters
     ----------
     title : str
         Plain text.
     parts : str
-        HTML, from the functions above.
+        HTML made by the functions above.
     """
     body = "\n".join(parts)
     return (

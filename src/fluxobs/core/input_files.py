@@ -1,4 +1,4 @@
-"""Files that people give: regular ones, what they may unpack to, and TOML of theirs."""
+"""Checks of input files: regular files, limits of unpacked size, and TOML."""
 
 from __future__ import annotations
 
@@ -9,38 +9,38 @@ from typing import Any
 
 from ..errors import FluxobsError
 
-#: Most bytes of a TOML file. Those that are shipped have three thousand; the time to parse a name
-#: of many parts grows with their square.
-MOST = 1 << 15
-#: Tables and lists within each other.
-DEEPEST = 50
-#: Libraries unpack a block of a file to whatever comes out of it: a thousand times its size, by
-#: zlib. A larger one is unpacked before, up to the size that it should have.
+#: Largest TOML file [bytes]. The shipped ones have three thousand; the time to parse a dotted key
+#: grows with the square of its length.
+MAX_TOML_BYTES = 1 << 15
+#: Deepest nesting of tables and lists.
+MAX_DEPTH = 50
+#: Libraries unpack a block of a file without a limit; zlib can expand it a thousandfold. A packed
+#: block larger than this [bytes] is first unpacked here, up to the size that the file states.
 PACKED_BLOCK = 1 << 20
-#: Most bytes of a block, which is unpacked as a whole; usual ones have a few million.
+#: Largest unpacked block [bytes]; a block is unpacked whole. Usual ones have a few million.
 BLOCK = 1 << 28
-#: Every file may unpack to so many bytes, and to so many times its size: rows whose time goes on
-#: pack to a twentieth, rows that repeat to a thousandth.
+#: A file may unpack to this many bytes, or to this many times its size if that is more. Rows with
+#: increasing time shrink to a twentieth, rows that repeat to a thousandth.
 PLENTY, RATIO = 1 << 28, 200
 
 
 def most_unpacked(path: Path) -> int:
-    """Most bytes that a compressed file may unpack to; a bomb has more."""
+    """Return the most bytes that a file may unpack to; a decompression bomb exceeds it."""
     return max(PLENTY, RATIO * path.stat().st_size)
 
 
-def check_deflated(packed: bytes, size: int, what: str) -> None:
-    """Raise ValueError if a stream of zlib unpacks to more bytes than the file says."""
+def check_deflated(packed: bytes, size: int, name: str) -> None:
+    """Raise ValueError if a zlib stream unpacks to more than the `size` that the file states."""
     unpack = zlib.decompressobj()
-    unpack.decompress(packed, max(size, 1))  # 0 is no limit
+    unpack.decompress(packed, max(size, 1))  # 0 means no limit
     if unpack.unconsumed_tail and unpack.decompress(unpack.unconsumed_tail, 1):
-        raise ValueError(f"{what} unpacks to more than the {size} bytes that it should have")
+        raise ValueError(f"{name} unpacks to more than the {size} bytes that the file states")
 
 
 def check_regular(path: Path, error: type[FluxobsError]) -> None:
-    """Raise `error` for a pipe or a device, which may wait for ever, or bring bytes without end."""
+    """Raise `error` for a pipe or a device: reading it may block or never end."""
     if path.exists() and not path.is_file() and not path.is_dir():
-        raise error(f"{path}: this is a pipe or a device; save what it brings as a file")
+        raise error(f"{path}: this is a pipe or a device; save its data as a file")
 
 
 def read_toml(path: Path, error: type[FluxobsError]) -> dict[str, Any]:
@@ -48,11 +48,11 @@ def read_toml(path: Path, error: type[FluxobsError]) -> dict[str, Any]:
     check_regular(path, error)
     try:
         with path.open("rb") as file:
-            content = file.read(MOST + 1)
+            content = file.read(MAX_TOML_BYTES + 1)
     except (OSError, ValueError) as problem:
         raise error(f"{path}: cannot be read: {getattr(problem, 'strerror', problem)}") from None
-    if len(content) > MOST:
-        raise error(f"{path}: larger than {MOST} bytes, which no such file needs")
+    if len(content) > MAX_TOML_BYTES:
+        raise error(f"{path}: larger than {MAX_TOML_BYTES} bytes, the limit of a TOML file")
     try:
         text = content.decode("utf-8")
     except UnicodeDecodeError as problem:
@@ -63,23 +63,23 @@ def read_toml(path: Path, error: type[FluxobsError]) -> dict[str, Any]:
 def parse_toml(text: str, where: str, error: type[FluxobsError]) -> dict[str, Any]:
     """Parse TOML; raise `error` if it is malformed or nested too deeply."""
     try:
-        found = tomllib.loads(text)
-        _check_values(found)
+        tables = tomllib.loads(text)
+        _check_values(tables)
     except RecursionError:
         raise error(f"{where}: not TOML: nested too deeply") from None
     except ValueError as problem:
         raise error(f"{where}: not TOML: {problem}") from None
-    return found
+    return tables
 
 
-def _check_values(found: dict[str, Any]) -> None:
-    """Raise ValueError for what no file needs, and cannot be shown or computed with."""
-    values: list[Any] = [found]
-    for _ in range(DEEPEST):
-        if any(isinstance(one, int) and abs(one) >= 1 << 63 for one in values):
+def _check_values(content: dict[str, Any]) -> None:
+    """Raise ValueError for integers beyond 64 bits and for nesting beyond :data:`MAX_DEPTH`."""
+    values: list[Any] = [content]
+    for _ in range(MAX_DEPTH):
+        if any(isinstance(value, int) and abs(value) >= 1 << 63 for value in values):
             raise ValueError("an integer has more than 64 bits")
-        tables = [one.values() for one in values if isinstance(one, dict)]
-        lists = [one for one in values if isinstance(one, list)]
-        values = [one for part in (*tables, *lists) for one in part]
+        tables = [value.values() for value in values if isinstance(value, dict)]
+        lists = [value for value in values if isinstance(value, list)]
+        values = [value for container in (*tables, *lists) for value in container]
     if values:
         raise ValueError("nested too deeply")

@@ -1,4 +1,4 @@
-"""Files on which one process at a time works."""
+"""Locks on files that only one process at a time may use."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from pathlib import Path
 
 
 def lock(descriptor: int) -> bool:
-    """Lock a file until its descriptor is closed, at the latest when the process ends.
+    """Lock a file until its descriptor is closed or the process ends.
 
-    Returns False if somebody else holds it. Where there are no locks (Windows, some network file
-    systems) it returns True: nobody is known to hold it.
+    Returns False if another process holds the lock. Where locks do not exist (Windows, some network
+    file systems), returns True.
     """
     try:
         import fcntl
@@ -24,7 +24,7 @@ def lock(descriptor: int) -> bool:
 
 
 def is_at(descriptor: int, path: Path) -> bool:
-    """Whether the path still names the open file: somebody may have removed or replaced it."""
+    """Whether the path still names the open file, which another process may have replaced."""
     try:
         return os.path.samestat(os.fstat(descriptor), path.lstat())
     except FileNotFoundError:

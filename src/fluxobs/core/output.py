@@ -1,4 +1,4 @@
-"""Files that appear complete or not at all."""
+"""Output files that appear complete or not at all."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from polars.io.plugins import register_io_source
 from ..errors import FluxobsError
 from .locks import is_at, lock
 
-Part = TypeVar("Part")
+Item = TypeVar("Item")
 Schema = dict[str, pl.DataType | type[pl.DataType]]
 
 
@@ -29,8 +29,13 @@ def check_place(path: Path) -> None:
 
 
 def make_folder(path: str | Path, result: str | None = None, force: bool = True) -> Path:
-    """Make the folder if it is missing; FluxobsError if that fails, or if a `result` of that name
-    is in it already and `force` is not given."""
+    """Create the folder if it is missing.
+
+    Raises
+    ------
+    FluxobsError
+        The folder cannot be created, or contains a file `result` already and `force` is false.
+    """
     path = Path(path)
     if result is not None and (path / result).exists() and not force:
         raise FluxobsError(
@@ -39,23 +44,25 @@ def make_folder(path: str | Path, result: str | None = None, force: bool = True)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise FluxobsError(f"{path}: cannot be made: {error.strerror}") from None
+        raise FluxobsError(f"{path}: cannot be created: {error.strerror}") from None
     return path
 
 
 def check_new(path: Path, endings: Sequence[str], force: bool, option: str = "--out") -> None:
-    """Raise FluxobsError if a file cannot be written, or exists and `force` is not given."""
+    """Raise FluxobsError if the file has another ending, no folder, or exists without `force`."""
     if path.suffix.lower() not in endings:
-        words = f"{', '.join(endings[:-1])} or {endings[-1]}" if endings[1:] else endings[0]
-        raise FluxobsError(f"{path}: {option} must end in {words}")
+        choice = f"{', '.join(endings[:-1])} or {endings[-1]}" if endings[1:] else endings[0]
+        raise FluxobsError(f"{path}: {option} must end in {choice}")
     check_place(path)
     if os.path.lexists(path) and not force:
         raise FluxobsError(f"{path}: exists; give another name, or --force to overwrite it")
 
 
 def check_out(out: str | Path, log: Path, force: bool = False) -> Path:
-    """Return the path if it can be written, is new or may be overwritten, and is not the log
-    itself; else raise FluxobsError."""
+    """Return the path of an output table; raise FluxobsError if it must not be written.
+
+    It must be .parquet or .csv, differ from the log, and be new unless `force` is true.
+    """
     out = Path(out)
     if out.exists() and log.exists() and out.samefile(log):
         raise FluxobsError(f"{out}: --out is the log itself; give another name")
@@ -65,111 +72,110 @@ def check_out(out: str | Path, log: Path, force: bool = False) -> Path:
 
 @contextmanager
 def replacing(out: Path, force: bool = True) -> Iterator[IO[bytes]]:
-    """A new file beside `out`, which becomes it at the end, or is removed if that is not reached.
+    """Yield a temporary file beside `out`; it replaces `out` at the end, or is removed on failure.
 
     Parameters
     ----------
     out : Path
     force : bool
-        Whether it may replace a file that is there at the end.
+        Whether the result may replace a file that exists at the end.
 
     Raises
     ------
     FluxobsError
-        It cannot be written, or another run is writing it.
+        The file cannot be written, or another run is writing it.
     """
-    unfinished = _unfinished(out)
+    temporary = _temporary(out)
     try:
         with claimed(out) as handle:
             _check_missing(out, force)
             yield handle
             handle.flush()
-            if not is_at(handle.fileno(), unfinished):  # only without locks
+            if not is_at(handle.fileno(), temporary):  # possible only without locks
                 raise _busy(out)
             _check_missing(out, force)
-            if os.name == "nt":  # Windows moves no open file
+            if os.name == "nt":  # Windows cannot move an open file
                 handle.close()
-            unfinished.replace(out)
+            temporary.replace(out)
     except OSError as error:
         raise FluxobsError(f"{out}: cannot be written: {error.strerror or error}") from None
 
 
 def _check_missing(out: Path, force: bool) -> None:
-    """Raise FluxobsError if somebody has made the file since the run began."""
+    """Raise FluxobsError if the file has appeared since the run began, unless `force`."""
     if not force and os.path.lexists(out):
         raise FluxobsError(
-            f"{out}: exists, and was made during this run; give another name, or --force to "
-            f"overwrite it"
+            f"{out}: exists, created during this run; give another name, or --force to overwrite it"
         )
 
 
-def _unfinished(out: Path) -> Path:
+def _temporary(out: Path) -> Path:
     return out.with_name(f".{out.name}.part")
 
 
 @contextmanager
 def claimed(out: Path) -> Iterator[IO[bytes]]:
-    """The unfinished file of an output, made anew and locked for this run; it is gone at the end.
+    """Create and lock the temporary file of an output for this run; remove it at the end.
 
     Raises
     ------
     FluxobsError
         Another run is writing this output.
     """
-    unfinished = _unfinished(out)
+    temporary = _temporary(out)
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
     while True:
-        _remove_left(unfinished, out)
-        with suppress(FileExistsError):  # another run was faster: it is asked again
-            handle = os.fdopen(os.open(unfinished, flags, 0o666), "wb")
-            if lock(handle.fileno()) and is_at(handle.fileno(), unfinished):
+        _remove_stale(temporary, out)
+        with suppress(FileExistsError):  # another run was faster: try again
+            handle = os.fdopen(os.open(temporary, flags, 0o666), "wb")
+            if lock(handle.fileno()) and is_at(handle.fileno(), temporary):
                 break
             handle.close()
     try:
         yield handle
     finally:
         try:
-            if os.name == "nt":  # Windows removes no open file
+            if os.name == "nt":  # Windows cannot remove an open file
                 handle.close()
-            if os.name == "nt" or is_at(handle.fileno(), unfinished):
-                unfinished.unlink(missing_ok=True)
+            if os.name == "nt" or is_at(handle.fileno(), temporary):
+                temporary.unlink(missing_ok=True)
         finally:
             handle.close()
 
 
-def _remove_left(unfinished: Path, out: Path) -> None:
-    """Remove what a killed run left, or a link, through which nothing is written.
+def _remove_stale(temporary: Path, out: Path) -> None:
+    """Remove the temporary file of a killed run, or a link in its place.
 
     Raises
     ------
     FluxobsError
-        The run that writes it still goes on.
+        The run that writes the file is still running.
     """
-    if os.name == "nt" or unfinished.is_symlink():  # Windows removes no file that is open
-        unfinished.unlink(missing_ok=True)
+    if os.name == "nt" or temporary.is_symlink():  # Windows refuses if it is open
+        temporary.unlink(missing_ok=True)
         return
     try:
-        # Without waiting: it may be a pipe.
-        left = os.open(unfinished, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        # Non-blocking: it may be a pipe.
+        descriptor = os.open(temporary, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     except FileNotFoundError:
         return
     try:
-        if not lock(left):
+        if not lock(descriptor):
             raise _busy(out)
-        if is_at(left, unfinished):
-            unfinished.unlink()
+        if is_at(descriptor, temporary):
+            temporary.unlink()
     finally:
-        os.close(left)
+        os.close(descriptor)
 
 
 def _busy(out: Path) -> FluxobsError:
-    return FluxobsError(f"{out}: another run is writing it; wait for its end, or stop it")
+    return FluxobsError(f"{out}: another run is writing it; wait until it ends, or stop it")
 
 
 def write_text(out: Path, text: str) -> None:
     """Write a text file, complete or not at all; FluxobsError if it cannot be written."""
     with replacing(out) as handle:
-        # The name of a file may have bytes that are no character.
+        # A file name may contain bytes that are not characters.
         handle.write(text.encode(errors="backslashreplace"))
 
 
@@ -181,23 +187,23 @@ def write_rows(
     Raises
     ------
     FluxobsError
-        Making a frame raised it, the file cannot be written, another run is writing it, or it
-        appeared meanwhile and `force` is not given.
+        Raised while making a frame; or the file cannot be written, another run is writing it, or
+        it has appeared meanwhile and `force` is false.
     """
     failure: FluxobsError | None = None
     stop = threading.Event()
 
-    def rows() -> Iterator[pl.DataFrame]:
+    def guarded_frames() -> Iterator[pl.DataFrame]:
         nonlocal failure
         try:
             for frame in frames:
                 yield frame
                 if stop.is_set():
                     return
-        except FluxobsError as problem:  # Polars would wrap it: raised below
+        except FluxobsError as problem:  # Polars would wrap it; raised below
             failure = problem
 
-    lazy = register_io_source(lambda columns, predicate, n, size: rows(), schema=schema)
+    lazy = register_io_source(lambda columns, predicate, n, size: guarded_frames(), schema=schema)
     with replacing(out, force) as handle:
         try:
             _sink(lazy, handle, out.suffix, stop)
@@ -208,7 +214,7 @@ def write_rows(
 
 
 def _sink(lazy: pl.LazyFrame, file: IO[bytes], suffix: str, stop: threading.Event) -> None:
-    """Write in another thread, so that an interrupt reaches this one and ends the writing."""
+    """Write in another thread; an interrupt then reaches this one and stops the writing."""
     with ThreadPoolExecutor(max_workers=1) as writer:
         if suffix == ".csv":
             job = writer.submit(lazy.sink_csv, file)
@@ -227,10 +233,10 @@ def _sink(lazy: pl.LazyFrame, file: IO[bytes], suffix: str, stop: threading.Even
             raise
 
 
-def ahead(parts: Iterator[Part]) -> Iterator[Part]:
-    """Yield the same parts, and read the next one while the caller works on the current one."""
+def ahead(items: Iterator[Item]) -> Iterator[Item]:
+    """Yield the items; read the next one while the caller works on the current one."""
     with ThreadPoolExecutor(max_workers=1) as reader:
-        coming = reader.submit(next, parts, None)
-        while (part := coming.result()) is not None:
-            coming = reader.submit(next, parts, None)
-            yield part
+        upcoming = reader.submit(next, items, None)
+        while (item := upcoming.result()) is not None:
+            upcoming = reader.submit(next, items, None)
+            yield item

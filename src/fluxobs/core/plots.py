@@ -1,4 +1,4 @@
-"""Colours, style and files of all pictures. Matplotlib is loaded only when one is drawn."""
+"""Colours, style and files of all pictures. Matplotlib is loaded when the first is drawn."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 BLUE, ORANGE, GREY = "#1f5fa8", "#d9762b", "#8a8a8a"
 FORMATS = (".png", ".pdf", ".svg")
-#: Reports that can be looked at without any program but a browser.
+#: Reports for a browser.
 HTML = ".html"
-#: What --report may write.
+#: File endings that --report accepts.
 REPORTS = (HTML, *FORMATS)
 STYLE: Any = {
     "font.size": 9,
@@ -32,34 +32,34 @@ STYLE: Any = {
 
 
 def new_figure(**options: Any) -> Figure:
-    """A figure without a window: the caller shows or saves it."""
+    """Return a figure without a window; the caller shows or saves it."""
     from matplotlib.figure import Figure
 
     return Figure(layout="constrained", **options)
 
 
 def write(figure: Figure, path: Path) -> None:
-    """Save a figure, complete or not at all, with the same bytes on every run."""
+    """Save a figure, complete or not at all; every run writes the same bytes."""
     import matplotlib as mpl
 
-    kind = path.suffix.lower()
-    stamp: dict[str, Any] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    ending = path.suffix.lower()
+    metadata: dict[str, Any] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     with replacing(path) as file, mpl.rc_context({"svg.hashsalt": "fluxobs"}):
-        figure.savefig(file, format=kind[1:], dpi=130, metadata=stamp[kind])
+        figure.savefig(file, format=ending[1:], dpi=130, metadata=metadata[ending])
 
 
 def plain(text: str) -> str:
-    """A text of others as a label: no formula, and no character that cannot be drawn."""
+    """Prepare a user's text as a label: no formula, and only characters that can be drawn."""
     return visible(text).replace("$", r"\$")
 
 
 def check_path(path: Path) -> None:
-    """Refuse a path early that could not be written at the end."""
+    """Raise FluxobsError early if the report could not be written at the end."""
     if path.suffix.lower() not in REPORTS:
         raise FluxobsError(f"{path}: --report must end in {', '.join(REPORTS)}")
     check_place(path)
 
 
 def legend(axes: Axes, **options: Any) -> None:
-    """Place the legend above the axes at the right, where it covers no data."""
+    """Place the legend above the axes at the right, where it hides no data."""
     axes.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, ncols=2, **options)

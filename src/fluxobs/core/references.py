@@ -1,4 +1,4 @@
-"""Files that other files name."""
+"""Paths of files that other files name."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from ..errors import FluxobsError
 
 
 def beside(folder: Path, name: str, field: str) -> Path:
-    """The path of a file that another file names: in its folder, or below.
+    """Return the path of a file that a file in `folder` names: in the folder, or below it.
 
-    Files come from others: what they name is not to be read from the rest of the computer.
+    A received file must not make the program read the rest of the computer.
 
     Raises
     ------
     FluxobsError
-        It lies elsewhere, by its path or by a link.
+        The path, or a link, leads out of the folder.
     """
     path = folder / name
     try:
         inside = path.resolve().is_relative_to(folder.resolve())
-    except (OSError, RuntimeError, ValueError):  # a circle of links, a character that no path has
-        raise FluxobsError(f"{field}: {name!r} is no path of a file") from None
+    except (OSError, RuntimeError, ValueError):  # circular links, an invalid character
+        raise FluxobsError(f"{field}: {name!r} is not a valid path") from None
     if not inside:
         raise FluxobsError(
-            f"{field}: {name!r} lies outside of the folder {str(folder)!r}, from which alone files "
-            f"are taken; copy it there"
+            f"{field}: {name!r} is outside the folder {str(folder)!r}, where all named files "
+            f"must be; copy it there"
         )
     return path

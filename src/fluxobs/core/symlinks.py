@@ -1,4 +1,4 @@
-"""No link in a folder of results is followed out of it."""
+"""Refuse links in a folder of results, which may lead out of it."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ from ..errors import FluxobsError
 
 
 def refuse_link(path: Path) -> None:
-    """Raise FluxobsError if the path is a link: a folder that was received may hold one that leads
-    to another file of the user's."""
+    """Raise FluxobsError if the path is a link.
+
+    A received folder may contain links to other files of the user.
+    """
     if path.is_symlink():
-        raise FluxobsError(f"{path}: is a link, and nothing is written through one; remove it")
+        raise FluxobsError(f"{path}: is a link; results are not written through links, remove it")
 
 
 def open_own(path: Path) -> int:
-    """Descriptor of a file to write in a folder of results: made if missing, never emptied, and
-    never what a link points to.
+    """Open a file for writing in a folder of results; return its descriptor.
+
+    The file is created if missing and never truncated. A link is never followed.
 
     Raises
     ------
@@ -26,7 +29,7 @@ def open_own(path: Path) -> int:
     """
     refuse_link(path)
     try:
-        # The flag closes the gap since the check, where the platform has it.
+        # O_NOFOLLOW, where it exists, also refuses a link made since the check.
         flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
         return os.open(path, flags | getattr(os, "O_BINARY", 0), 0o666)
     except OSError as error:

@@ -15,7 +15,7 @@ from typing import Any
 
 import polars as pl
 
-from ..core.hashing import content_of
+from ..core.hashing import hash_file
 from ..core.output import write_text
 from ..core.printable import visible
 from ..errors import FluxobsError
@@ -110,11 +110,11 @@ class LogTask:
             machine = as_machine(self.settings.machine_of(source))
             row["machine"] = self.settings.machine_of(source)
             with source.local() as path:
-                content = content_of(path)
+                content = hash_file(path)
                 if stored.is_current(content, self.settings, machine):
                     return stored.restamp(stamp)
                 row |= self._estimate(path, source, machine, stored)
-                if content_of(path) != content or source.stamp() != stamp:
+                if hash_file(path) != content or source.stamp() != stamp:
                     raise FluxobsError(
                         f"{source}: the log changed while it was read; estimate it again once it "
                         f"is complete"

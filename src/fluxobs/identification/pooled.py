@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..core.engine import LOCAL, compute
-from ..core.hashing import content_of
+from ..core.hashing import hash_file
 from ..errors import FluxobsError
 from ..logs.for_machine import open_for
 from ..logs.read import Source
@@ -204,7 +204,7 @@ def copies(logs: Sequence[str | Path]) -> dict[str, str]:
     out = {}
     for path in map(str, logs):
         try:
-            content = content_of(Path(path))
+            content = hash_file(Path(path))
         except FluxobsError:  # its fit says so
             continue
         if content in first:

@@ -3,7 +3,7 @@
 Needs the extra "design" (JAX, equinox, diffrax).
 """
 
-from ..simulation import precision  # noqa: F401  # before anything else: float64
+from ..simulation import precision  # noqa: F401  # first: enables float64
 from .energies.blondel_park import BlondelPark, blondel_park
 from .energies.discovery import (
     Discovery,

@@ -1,12 +1,13 @@
-"""Observer for any relation between flux and current: an extended Kalman filter, exact if linear.
+"""Observer for any relation between flux and current: an extended Kalman filter.
 
-The immersion of the paper's quadratic relations is exact, but not every machine has one. This one
-takes the relation as it is, ``h(λ, η, i) = 0`` written in JAX, and linearises it at the estimate:
+The immersion of the paper's quadratic relations is exact, but not every machine has such a
+relation. This observer takes any relation ``h(λ, η, i) = 0`` written in JAX and linearises it at
+the estimate:
 
-* linear in λ with coefficients in i (switched reluctance): it is the Kalman filter, exact;
-* in features such as ``-ln(1 - λ/ψ_s)`` (saturation), or of any degree;
-* relations that move: η is what they move by, with its own equation (an induction machine's rotor
-  flux obeys ``η' = -α η + R_R i_d``).
+* Relations linear in λ with coefficients in i (switched reluctance): the exact Kalman filter.
+* Relations in features such as ``-ln(1 - λ/ψ_s)`` (saturation), or of any degree.
+* Relations with moving coefficients: η has its own equation (the rotor flux of an induction machine
+  obeys ``η' = -α η + R_R i_d``).
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class RelationState(NamedTuple):
 
 
 class RelationEstimate(NamedTuple):
-    """One row a sample.
+    """Estimates, one row per sample.
 
     Attributes
     ----------
@@ -60,7 +61,7 @@ class RelationEstimate(NamedTuple):
 
 
 class RelationObserver(eqx.Module):
-    """Kalman filter for flux, drift and what the relations move by.
+    """Kalman filter for flux, drift and the moving coefficients of the relations.
 
     Parameters
     ----------
@@ -74,22 +75,22 @@ class RelationObserver(eqx.Module):
         Standard deviations at the start [Wb], [V].
     current_noise, voltage_noise : float
         Standard deviation of a current [A] and of a mean voltage over a sample [V]. The slope of
-        the relations turns the first into the noise of the residuals.
+        the relations converts the current noise into the noise of the residuals.
     drift_walk : float
-        Growth of the drift's standard deviation [V/√s]: how fast offsets may move.
+        Growth of the drift's standard deviation [V/√s]; 0 for constant offsets.
     start : (n,) array_like, optional
-        Flux at the start [Wb]; default zero. A relation that is not linear is linearised there.
+        Flux at the start [Wb]; default zero. Nonlinear relations are linearised there.
     moving : (e,) array_like, optional
-        η at the start; default none.
+        η at the start; default empty.
     moving_prior : (e,) array_like, optional
-        Its standard deviation.
+        Standard deviation of η at the start.
     motion : callable, optional
         ``η' = motion(flux, eta, current)``; default constant.
     floor : float
-        Standard deviation of the residuals that is always added, in their unit: the relation's own
-        error. Keeps the filter regular without noise.
+        Standard deviation always added to the residuals, in their unit: the relation's own error.
+        Keeps the filter regular without noise.
     iterations : int
-        Linearisations of every sample; more than one for relations that bend within the prior.
+        Linearisations per sample; more than one for relations that bend within the prior.
 
     Raises
     ------
@@ -161,9 +162,21 @@ class RelationObserver(eqx.Module):
     def step(
         self, state: RelationState, volt_seconds: jax.Array, current: jax.Array
     ) -> tuple[RelationState, jax.Array]:
-        """One sample: ∫ (-R i_m + B u_m) dt over the interval that ends now [Wb], current [A].
+        """Process one sample.
 
-        Returns the state, and the innovation of the relations over its standard deviation.
+        Parameters
+        ----------
+        state : RelationState
+        volt_seconds : (n,) array
+            ∫ (-R i_m + B u_m) dt over the interval that ends now [Wb].
+        current : (n,) array
+            Measured current [A].
+
+        Returns
+        -------
+        state : RelationState
+        innovation : (r,) array
+            Residual of the relations over its standard deviation.
         """
         n, h = self.n, self.sample_time
         begun = jnp.isfinite(state.current).all()
@@ -194,7 +207,7 @@ class RelationObserver(eqx.Module):
             return self.relation(x[:n], x[2 * n :], i)
 
         def update(there: jax.Array, _: Any) -> tuple[jax.Array, Any]:
-            """Linearised at `there`: Gauss-Newton on prediction and relation together."""
+            """Linearise at `there`: a Gauss-Newton step on prediction and relation together."""
             H, by_current = jax.jacfwd(residual, (0, 1))(there, current)
             noise = self.current_noise**2 * by_current @ by_current.T
             noise = noise + self.floor**2 * jnp.eye(len(by_current))
@@ -203,21 +216,21 @@ class RelationObserver(eqx.Module):
             r = residual(there, current) + H @ (x - there)
             return x - K @ r, (H, K, noise, r / jnp.sqrt(jnp.diag(S)))
 
-        there, all_of_them = jax.lax.scan(update, x, None, length=self.iterations)
-        H, K, noise, _ = (part[-1] for part in all_of_them)
-        # Joseph's form stays positive.
+        there, passes = jax.lax.scan(update, x, None, length=self.iterations)
+        H, K, noise, _ = (values[-1] for values in passes)
+        # Joseph's form keeps P positive semi-definite.
         keep = jnp.eye(len(x)) - K @ H
         after = RelationState(there, keep @ P @ keep.T + K @ noise @ K.T, current)
-        return after, all_of_them[3][0]
+        return after, passes[3][0]
 
     def run(self, volt_seconds: Any, current: Any) -> RelationEstimate:
-        """Runs a record: volt-seconds of the interval ending at each row, currents; (rows, n)."""
+        """Run a record: volt-seconds of the interval ending at each row, currents; (rows, n)."""
         v, i = real("volt_seconds", volt_seconds), real("current", current)
         if v.shape != i.shape or v.ndim != 2 or v.shape[1] != self.n:
             raise ModelError(
                 f"volt_seconds and current must be (rows, {self.n}), got {v.shape} and {i.shape}"
             )
-        x, P, innovation = (np.asarray(part) for part in _run(self, v, i))
+        x, P, innovation = (np.asarray(values) for values in _run(self, v, i))
         std = np.sqrt(np.maximum(P, 0.0))
         n = self.n
         return RelationEstimate(

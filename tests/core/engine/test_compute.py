@@ -1,4 +1,4 @@
-"""Tasks in other processes: results, errors, deaths, and the folder they work in."""
+"""Tasks in other processes: results, errors, worker deaths, and the folder of results."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from support import tasks
 SCHEDULERS = ["pool", "local"]
 
 
-#: A worker that dies takes Dask seconds to replace.
-DYING = [pytest.param(s, marks=pytest.mark.slow if s == "local" else ()) for s in SCHEDULERS]
+#: Dask takes seconds to replace a dead worker.
+DYING = [
+    pytest.param(name, marks=pytest.mark.slow if name == "local" else ()) for name in SCHEDULERS
+]
 
 
 @pytest.fixture(params=SCHEDULERS)
@@ -30,15 +32,15 @@ def scheduler(request: pytest.FixtureRequest) -> str:
 
 
 def test_every_task_once(scheduler: str) -> None:
-    found = sorted(compute(range(50), tasks.square, 2, scheduler))
-    assert found == [(k, k * k) for k in range(50)]
+    results = sorted(compute(range(50), tasks.square, 2, scheduler))
+    assert results == [(k, k * k) for k in range(50)]
 
 
 def test_no_tasks(scheduler: str) -> None:
     assert list(compute([], tasks.square, 2, scheduler)) == []
 
 
-def test_an_error_of_the_work_is_the_drivers(scheduler: str) -> None:
+def test_an_error_in_a_task_reaches_the_driver(scheduler: str) -> None:
     with pytest.raises(FluxobsError, match="no room for 7"):
         list(compute(range(10), tasks.refuse_seven, 2, scheduler))
 
@@ -56,80 +58,80 @@ def test_a_task_that_always_kills_its_worker_ends_the_run(scheduler: str) -> Non
 
 
 def test_a_run_ends_when_no_worker_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its only worker dies and is not replaced."""
+    """The only worker dies and is not replaced."""
     pytest.importorskip("distributed")
     import distributed
 
     from fluxobs.core.engine import cluster
 
-    async def gone(nanny: distributed.Nanny, exitcode: int) -> None:
+    async def close(nanny: distributed.Nanny, exitcode: int) -> None:
         await nanny.close()
 
     monkeypatch.setattr(cluster, "ABANDONED", 1)
     monkeypatch.setattr(cluster, "PATIENCE", 2)
-    monkeypatch.setattr(distributed.Nanny, "_on_worker_exit", gone)
-    with pytest.raises(FluxobsError, match="no worker is left; the same command resumes"):
+    monkeypatch.setattr(distributed.Nanny, "_on_worker_exit", close)
+    with pytest.raises(FluxobsError, match="no worker is left; run the same command"):
         list(compute([3], tasks.die, 1))
 
 
 def test_tasks_are_taken_as_workers_become_free() -> None:
     taken = 0
 
-    def coming():
+    def counted():
         nonlocal taken
         for k in range(100):
             taken += 1
             yield k
 
-    for done, _ in enumerate(compute(coming(), tasks.square, 2, "pool"), 1):
+    for done, _ in enumerate(compute(counted(), tasks.square, 2, "pool"), 1):
         assert taken <= done + 2 * 2
 
 
 def test_workers_have_one_thread_and_a_cache() -> None:
     names = ("OMP_NUM_THREADS", "POLARS_MAX_THREADS", "JAX_COMPILATION_CACHE_DIR")
     before = dict(os.environ)
-    ((_, found),) = compute([names], tasks.environment, 1, "pool")
-    assert found[1] == "1"
-    assert found[2]
+    ((_, values),) = compute([names], tasks.environment, 1, "pool")
+    assert values[1] == "1"
+    assert values[2]
     assert dict(os.environ) == before
 
 
-def test_scheduler_is_a_word_or_an_address() -> None:
+def test_scheduler_is_a_name_or_an_address() -> None:
     with pytest.raises(UsageError, match="tcp://host:8786"):
         list(compute([1], tasks.square, 1, "loca"))
     with pytest.raises(UsageError, match="workers must be at least 1"):
         list(compute([1], tasks.square, 0))
 
 
-def test_no_scheduler_there(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_scheduler_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     from fluxobs.core.engine import cluster
 
     monkeypatch.setattr(cluster, "PATIENCE", 1)
-    with pytest.raises(FluxobsError, match="no scheduler with workers there"):
+    with pytest.raises(FluxobsError, match="no scheduler with workers found"):
         list(compute([1], tasks.square, 1, "tcp://127.0.0.1:9"))
 
 
 def test_one_run_at_a_time_in_a_folder(tmp_path: Path) -> None:
-    left = tmp_path / "rows" / ".00.parquet.abc.unfinished"
-    left.parent.mkdir()
-    left.write_text("half")
+    unfinished = tmp_path / "rows" / ".00.parquet.abc.unfinished"
+    unfinished.parent.mkdir()
+    unfinished.write_text("half")
     with locked(tmp_path):
-        assert not left.exists()
-        with pytest.raises(FluxobsError, match="another run works"), locked(tmp_path):
+        assert not unfinished.exists()
+        with pytest.raises(FluxobsError, match="another run uses this folder"), locked(tmp_path):
             pass
     with locked(tmp_path):
         pass
 
 
-def test_a_file_is_whole_or_not_there(tmp_path: Path) -> None:
+def test_a_file_is_complete_or_absent(tmp_path: Path) -> None:
     frame = pl.DataFrame({"a": [1.5, 2.5]})
     write_part(frame, tmp_path / "a.parquet")
     assert pl.read_parquet(tmp_path / "a.parquet").equals(frame)
     assert [path.name for path in tmp_path.iterdir()] == ["a.parquet"]
 
 
-def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
+def test_a_full_disk_leaves_no_file(tmp_path: Path) -> None:
     program = (
         "import resource, signal, sys, polars as pl, random\n"
         "from pathlib import Path\n"
@@ -151,6 +153,6 @@ def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("scheduler", DYING, indirect=True)
-def test_a_task_that_is_given_up_stops_no_other(scheduler: str) -> None:
-    found = dict(compute(range(8), tasks.die_at_three, 2, scheduler, lambda task: "lost"))
-    assert found == {k: "lost" if k == 3 else k for k in range(8)}
+def test_giving_up_a_task_does_not_stop_the_others(scheduler: str) -> None:
+    results = dict(compute(range(8), tasks.die_at_three, 2, scheduler, lambda task: "lost"))
+    assert results == {k: "lost" if k == 3 else k for k in range(8)}

@@ -1,4 +1,4 @@
-"""Killed at random instants, a campaign goes on where it was: nothing twice, nothing lost."""
+"""A campaign killed at random instants resumes from its files: no row lost, none repeated."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from support.trivial import SIZE, drive, specification
 
 TESTS = Path(__file__).parents[2]
 SCENARIOS = 20_000
-#: Kills of a run by itself on this machine; with those of a cluster there are more than twenty.
+#: Kills of a run on this machine; with those of the cluster, more than twenty.
 KILLS = 16
-#: Seconds in which a run has to get on, on a slow machine too.
+#: Seconds in which a run must write a file, even on a slow machine.
 PATIENCE = 120
 
 
-def started(*arguments: str, said: Path | None = None) -> subprocess.Popen[bytes]:
-    """A Python program, in a group of its own; what it says of errors goes to a file."""
+def start(*arguments: str, stderr: Path | None = None) -> subprocess.Popen[bytes]:
+    """Start a Python program in a new process group; write its stderr to a file."""
     environment = os.environ | {"PYTHONPATH": str(TESTS)}
-    with Path(said or os.devnull).open("wb") as errors:
+    with Path(stderr or os.devnull).open("wb") as handle:
         return subprocess.Popen(
             [sys.executable, *arguments],
             env=environment,
             start_new_session=True,
             stdout=subprocess.DEVNULL,
-            stderr=errors,
+            stderr=handle,
         )
 
 
 def children(pid: int) -> list[int]:
-    """Processes below a process, workers for example."""
-    out = []
+    """Return the descendants of a process, such as workers."""
+    descendants = []
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
             try:
@@ -49,8 +49,8 @@ def children(pid: int) -> list[int]:
             except OSError:
                 continue
             if int(fields[1]) == pid:
-                out += [int(entry.name), *children(int(entry.name))]
-    return out
+                descendants += [int(entry.name), *children(int(entry.name))]
+    return descendants
 
 
 def kill(pid: int) -> None:
@@ -59,58 +59,58 @@ def kill(pid: int) -> None:
 
 
 def reference(folder: Path) -> pl.DataFrame:
-    """The rows of an undisturbed run, made without any engine."""
+    """Write and return the rows of an undisturbed run, without the engine."""
     from support.trivial import Trivial
 
-    found = Dataset(folder, specification(SCENARIOS), SIZE)
+    dataset = Dataset(folder, specification(SCENARIOS), SIZE)
     (folder / ROWS).mkdir(parents=True)
     work = Trivial(str(folder), pause=0.0)
-    for chunk in found.chunks():
+    for chunk in dataset.chunks():
         work(chunk)
-    return found.rows()
+    return dataset.rows()
 
 
 def check_equal(killed: Path, tmp_path: Path) -> None:
-    """Every file of the killed run equals that of the undisturbed one, byte for byte."""
+    """Assert that every file equals that of an undisturbed run, byte for byte."""
     reference(tmp_path / "undisturbed")
     names = {path.name for path in (tmp_path / "undisturbed" / ROWS).iterdir()}
-    assert {path.name for path in (killed / ROWS).iterdir()} == names  # nothing unfinished is left
+    assert {path.name for path in (killed / ROWS).iterdir()} == names  # no unfinished file is left
     for name in names:
-        whole = (tmp_path / "undisturbed" / ROWS / name).read_bytes()
-        assert (killed / ROWS / name).read_bytes() == whole
+        expected = (tmp_path / "undisturbed" / ROWS / name).read_bytes()
+        assert (killed / ROWS / name).read_bytes() == expected
     numbers = Dataset(killed, specification(SCENARIOS), SIZE).rows()["number"]
     assert numbers.to_list() == list(range(SCENARIOS))
 
 
-def done(folder: Path) -> int:
-    place = folder / ROWS
-    return sum(1 for _ in place.glob("*.parquet")) if place.exists() else 0
+def count_files(folder: Path) -> int:
+    rows = folder / ROWS
+    return sum(1 for _ in rows.glob("*.parquet")) if rows.exists() else 0
 
 
-def wait_for_more(folder: Path, run: subprocess.Popen[bytes], said: Path) -> None:
-    """Wait until a run has written a file, or has done all that was missing."""
-    before, end = done(folder), time.monotonic() + PATIENCE
-    while done(folder) <= before and run.poll() is None and time.monotonic() < end:
+def wait_for_more(folder: Path, run: subprocess.Popen[bytes], stderr: Path) -> None:
+    """Wait until a run has written another file, or has ended."""
+    before, end = count_files(folder), time.monotonic() + PATIENCE
+    while count_files(folder) <= before and run.poll() is None and time.monotonic() < end:
         time.sleep(0.02)
     if time.monotonic() >= end:
         os.killpg(run.pid, signal.SIGKILL)
         run.wait()
-    assert run.poll() in (None, 0), said.read_text()
+    assert run.poll() in (None, 0), stderr.read_text()
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_kills_of_driver_and_workers(tmp_path: Path) -> None:
-    rng, folder, said = random.Random(1), tmp_path / "killed", tmp_path / "said"
+    rng, folder, stderr = random.Random(1), tmp_path / "killed", tmp_path / "stderr"
     folder.mkdir()
     interrupted = 0
     while interrupted < KILLS:
-        if done(folder) == SCENARIOS // SIZE:  # all done: begin once more with half of it
+        if count_files(folder) == SCENARIOS // SIZE:  # all done: remove half of the files
             for path in list((folder / ROWS).iterdir())[::2]:
                 path.unlink()
         trivial = ("-m", "support.trivial", str(folder), str(SCENARIOS), "pool", "2")
-        run = started(*trivial, said=said)
-        wait_for_more(folder, run, said)
+        run = start(*trivial, stderr=stderr)
+        wait_for_more(folder, run, stderr)
         time.sleep(0.3 * rng.random())
         below = children(run.pid)
         if run.poll() is None:
@@ -129,11 +129,11 @@ def test_kills_of_driver_and_workers(tmp_path: Path) -> None:
 
 @contextmanager
 def cluster(port: int) -> Iterator[tuple[subprocess.Popen[bytes], list[subprocess.Popen[bytes]]]]:
-    """A scheduler and two workers in processes of their own."""
+    """Run a scheduler and two workers in separate processes."""
     dask = ("-m", "distributed.cli.dask_scheduler")
-    scheduler = started(*dask, "--port", str(port), "--no-dashboard", "--host", "127.0.0.1")
+    scheduler = start(*dask, "--port", str(port), "--no-dashboard", "--host", "127.0.0.1")
     workers = [
-        started(
+        start(
             *("-m", "distributed.cli.dask_worker", f"tcp://127.0.0.1:{port}"),
             *("--nthreads", "1", "--no-dashboard", "--death-timeout", str(PATIENCE)),
         )
@@ -142,39 +142,39 @@ def cluster(port: int) -> Iterator[tuple[subprocess.Popen[bytes], list[subproces
     try:
         yield scheduler, workers
     finally:
-        for one in (scheduler, *workers):
+        for process in (scheduler, *workers):
             with suppress(ProcessLookupError):
-                os.killpg(one.pid, signal.SIGKILL)
-            one.wait()
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
 
 
 def free_port() -> int:
     import socket
 
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        return int(server.getsockname()[1])
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_kills_of_a_cluster(tmp_path: Path) -> None:
     pytest.importorskip("distributed")
-    rng, folder, said = random.Random(2), tmp_path / "killed", tmp_path / "said"
+    rng, folder, stderr = random.Random(2), tmp_path / "killed", tmp_path / "stderr"
     folder.mkdir()
     for victim in ("driver", "worker", "scheduler", "worker", "scheduler"):
         port = free_port()
         with cluster(port) as (scheduler, workers):
             address = f"tcp://127.0.0.1:{port}"
             trivial = ("-m", "support.trivial", str(folder), str(SCENARIOS), address, "2")
-            run = started(*trivial, said=said)
-            wait_for_more(folder, run, said)
+            run = start(*trivial, stderr=stderr)
+            wait_for_more(folder, run, stderr)
             time.sleep(0.5 * rng.random())
             if victim == "driver":
                 kill(run.pid)
             elif victim == "scheduler":
                 kill(scheduler.pid)
-                run.wait(PATIENCE)  # it notices, and says so
+                run.wait(PATIENCE)  # it notices and exits with an error
                 assert run.returncode != 0
             else:
                 kill(rng.choice(children(workers[0].pid) or [workers[0].pid]))

@@ -1,4 +1,4 @@
-"""Stability, excitation, identifiability and bounds, each against an independent figure."""
+"""Stability, excitation, identifiability and bounds, each against an independent result."""
 
 from functools import cache
 
@@ -33,22 +33,22 @@ from support.trajectories import CASES
 
 
 @cache
-def case():
+def example_orbit():
     return counter_example(256)
 
 
 def constants():
-    return Parametrisation(case().constraint, "voltage-bias", 1.0)
+    return Parametrisation(example_orbit().constraint, "voltage-bias", 1.0)
 
 
 def regressor():
-    return np.asarray(constants().psi_record(case().rows))
+    return np.asarray(constants().psi_record(example_orbit().rows))
 
 
 def test_erratum_6_persistently_excited_and_unstable_at_every_gain():
-    given, psi = case(), regressor()
-    assert np.linalg.eigvalsh(given.h * psi.T @ psi)[0] == pytest.approx(0.26, abs=0.005)
-    study = over_gain(psi, given.h, constants(), paper_case.GAINS)
+    orbit, psi = example_orbit(), regressor()
+    assert np.linalg.eigvalsh(orbit.h * psi.T @ psi)[0] == pytest.approx(0.26, abs=0.005)
+    study = over_gain(psi, orbit.h, constants(), paper_case.GAINS)
     expected = [1.147, 1.504, 2.882, 6.854, 9.698, 10.163, 10.212, 10.217]
     np.testing.assert_allclose(study.multipliers(2 * np.pi), expected, atol=6e-4)
     assert study.uncertainty.max() < 1e-4
@@ -57,7 +57,7 @@ def test_erratum_6_persistently_excited_and_unstable_at_every_gain():
 
 @pytest.mark.parametrize("gain", [0.01, 1.0, 100.0])
 def test_multipliers_against_an_ode_solver(gain):
-    """Integrated by another library, from the regressor's Fourier series."""
+    """Multipliers by another library, from the regressor's Fourier series."""
     psi = regressor()
     spectrum = np.fft.rfft(psi, axis=0)[:60] * 2 / len(psi)
     spectrum[0] /= 2
@@ -73,20 +73,22 @@ def test_multipliers_against_an_ode_solver(gain):
         field, (0, 2 * np.pi), np.eye(5).ravel(), method="DOP853", rtol=1e-8, atol=1e-10
     ).y[:, -1]
     largest = np.abs(np.linalg.eigvals(end.reshape(5, 5))).max()
-    found = over_gain(psi, case().h, constants(), [gain]).multipliers(2 * np.pi)[0]
-    assert found == pytest.approx(largest, rel=1e-6)
+    multiplier = over_gain(psi, example_orbit().h, constants(), [gain]).multipliers(2 * np.pi)[0]
+    assert multiplier == pytest.approx(largest, rel=1e-6)
 
 
-def test_the_repaired_law_converges_where_the_printed_one_cannot():
-    found = paper_case.study().errors
-    assert found["printed, γ_a = 1"][-1] > 1e6
-    assert found["repaired, Γ = G = 1"][-1] < 1e-7
-    assert found["repaired, Γ = 100, G = 1"][-1] == pytest.approx(1.73e-3, rel=0.02)
+def test_the_repaired_law_converges_where_the_printed_one_diverges():
+    errors = paper_case.study().errors
+    assert errors["printed, γ_a = 1"][-1] > 1e6
+    assert errors["repaired, Γ = G = 1"][-1] < 1e-7
+    assert errors["repaired, Γ = 100, G = 1"][-1] == pytest.approx(1.73e-3, rel=0.02)
 
 
 def test_the_growth_of_the_printed_law_is_its_multiplier():
-    """Run for 30 periods by another integrator. The multipliers are a pair, 6.854 ∠ ±46.3°, so
-    that single periods differ: compare the mean."""
+    """Run for 30 periods by another integrator.
+
+    The multipliers are a pair, 6.854 ∠ ±46.3°: single periods differ, so compare the mean.
+    """
     errors = paper_case.study().errors["printed, γ_a = 1"]
     assert (errors[-1] / errors[1]) ** (1 / 29) == pytest.approx(6.854, rel=5e-3)
 
@@ -95,9 +97,9 @@ def test_gram_of_a_sine():
     """∫ over one period of (cos, sin)(cos, sin)ᵀ is half the period times I."""
     t = np.arange(3001) * 1e-3
     signal = np.stack([np.cos(2 * np.pi * t), np.sin(2 * np.pi * t)], axis=1)
-    found = excitation(signal, 1e-3, 1.0)
-    np.testing.assert_allclose([found.alpha, found.ratio], [0.5, 1.0], rtol=1e-6)
-    # Too short a window sees one direction only; per-unit scaling is a scaling of the columns.
+    excited = excitation(signal, 1e-3, 1.0)
+    np.testing.assert_allclose([excited.alpha, excited.ratio], [0.5, 1.0], rtol=1e-6)
+    # Too short a window sees only one direction; per-unit scaling scales the columns.
     table = persistency(signal, 1e-3, [0.05, 1.0])
     assert table[0][2] < 0.02 < table[1][2]
     scaled = excitation(signal, 1e-3, 1.0, scale=[2.0, 1.0])
@@ -106,7 +108,7 @@ def test_gram_of_a_sine():
         excitation(signal, 1e-3, 5.0)
 
 
-def rotating_rows(speed):
+def rows_at_constant_speed(speed):
     """PMSM at constant speed and current, voltage bias only, exact samples."""
     L, psi, h = 0.4, 1.0, 0.02
     k = np.arange(1500)
@@ -116,14 +118,14 @@ def rotating_rows(speed):
     flux = L * i + psi * axis
     drift = np.array([0.1, -0.2])
     v = np.diff(flux, axis=0, prepend=flux[:1]) - h * drift
-    relation = case().constraint
+    relation = example_orbit().constraint
     rows, _ = SampledRegression(relation, 1.0, h).run(v, i)
     return rows.part(slice(1000, None)), relation, h
 
 
 def test_constant_speed_is_not_exciting_but_observable():
-    """Rank 3 of 5 for Ψ, 5 of 5 for the pair in which the flux moves with the drift."""
-    rows, relation, h = rotating_rows(1.0)
+    """Rank 3 of 5 for Ψ; 5 of 5 for the observability Gramian, where the drift moves the flux."""
+    rows, relation, h = rows_at_constant_speed(1.0)
     unknown = Parametrisation(relation, "voltage-bias", 1.0)
     psi = np.column_stack([rows.Phi_flux, unknown.record(rows)])
     assert np.linalg.matrix_rank(psi.T @ psi, tol=1e-8 * len(psi)) == 3
@@ -133,23 +135,25 @@ def test_constant_speed_is_not_exciting_but_observable():
 
 @pytest.mark.parametrize("kind", ["structured", "printed", "voltage-bias"])
 @pytest.mark.parametrize("name", sorted(CASES))
-def test_constraint_and_record_agree_on_what_is_invisible(name, kind):
+def test_constraint_and_record_agree_on_invisible_directions(name, kind):
     """Predicted from the Hessian, found in the observability Gramian of an exciting record."""
-    given = CASES[name]()
+    case = CASES[name]()
     corner = {"pmsm": 60.0, "synrm": 60.0, "maglev": 50.0, "three-port": 8.0}[name]
-    h, n = 0.05 / corner, given.constraint.n
+    h, n = 0.05 / corner, case.constraint.n
     t = jnp.arange(6000) * h
-    flux = np.asarray(jax.jit(jax.vmap(given.flux))(t))
-    current = np.asarray(jax.jit(jax.vmap(given.current))(t))
-    delta = given.current_bias if kind != "voltage-bias" else np.zeros(n)
-    v = np.diff(flux, axis=0, prepend=flux[:1]) - h * given.drift
-    rows, _ = SampledRegression(given.constraint, corner, h).run(v, current + delta)
+    flux = np.asarray(jax.jit(jax.vmap(case.flux))(t))
+    current = np.asarray(jax.jit(jax.vmap(case.current))(t))
+    delta = case.current_bias if kind != "voltage-bias" else np.zeros(n)
+    v = np.diff(flux, axis=0, prepend=flux[:1]) - h * case.drift
+    rows, _ = SampledRegression(case.constraint, corner, h).run(v, current + delta)
     rows = rows.part(slice(2000, None))
-    unknown = Parametrisation(given.constraint, kind, corner)
+    unknown = Parametrisation(case.constraint, kind, corner)
     psi = np.column_stack([rows.Phi_flux, unknown.record(rows)])
     scale = 1 / np.sqrt(np.mean(psi**2, axis=0))
-    found = compare_invisible(given.constraint, rows, unknown, h, 3999 * h, scale, tolerance=1e-13)
-    assert found.agree, (found.predicted.shape, found.found.shape, found.angle)
+    comparison = compare_invisible(
+        case.constraint, rows, unknown, h, 3999 * h, scale, tolerance=1e-13
+    )
+    assert comparison.agree, (comparison.predicted.shape, comparison.found.shape, comparison.angle)
 
 
 def test_erratum_7_printed_constants_are_violated_at_the_start():
@@ -174,10 +178,10 @@ def test_the_corrected_bound_holds(seed, spread):
     t = np.arange(count) * h
     phi = np.stack([np.cos(3 * t + phase[0]), np.sin(3 * t + phase[1])], axis=1)
     phi += 0.3 * np.sin(7 * t + phase[2])[:, None]
-    turn = np.linalg.qr(rng.standard_normal((2, 2)))[0]
-    Gamma = turn @ np.diag([1.0, spread]) @ turn.T
+    rotation = np.linalg.qr(rng.standard_normal((2, 2)))[0]
+    Gamma = rotation @ np.diag([1.0, spread]) @ rotation.T
     window = 2.2
-    found = excitation(phi, h, window)
+    excited = excitation(phi, h, window)
     push = rng.standard_normal(2)
     error, errors = rng.standard_normal(2), []
     start = np.linalg.norm(error)
@@ -189,7 +193,7 @@ def test_the_corrected_bound_holds(seed, spread):
     bound = robust_bound(
         Gamma,
         window,
-        found.alpha,
+        excited.alpha,
         np.linalg.norm(phi, axis=1).max(),
         start,
         np.linalg.norm(push),
@@ -199,43 +203,43 @@ def test_the_corrected_bound_holds(seed, spread):
 
 
 def test_bound_on_a_motor_record_contains_the_error():
-    given = servo(quick=True)
-    skip, half = round(15 / 200 / given.h), len(given.t) // 2
-    rows = given.rows.part(slice(skip, half))
-    unknown = Parametrisation(given.constraint, "structured", 200.0)
+    record = servo(quick=True)
+    skip, half = round(15 / 200 / record.h), len(record.t) // 2
+    rows = record.rows.part(slice(skip, half))
+    unknown = Parametrisation(record.constraint, "structured", 200.0)
     size = np.mean(np.square(rows.Phi_flux))
     Gamma = 20.0 / size * np.eye(2)
     flux, _ = run(
-        RobustObserver(Gamma, 2), given.h, jnp.asarray(given.volt_seconds[skip:half]), rows
+        RobustObserver(Gamma, 2), record.h, jnp.asarray(record.volt_seconds[skip:half]), rows
     )
-    error = np.linalg.norm(np.asarray(flux) - given.flux[skip:half], axis=1)
+    error = np.linalg.norm(np.asarray(flux) - record.flux[skip:half], axis=1)
     bound = bound_on_record(
-        rows, unknown, Gamma, given.h, 0.05, error[0], given.drift[0], given.current_bias[0]
+        rows, unknown, Gamma, record.h, 0.05, error[0], record.drift[0], record.current_bias[0]
     )
     assert (error <= bound).all()
-    # Doubling the disturbance doubles its steady part.
-    one, two = (robust_bound(Gamma, 0.05, 1e-4, 0.1, 0.0, b, np.inf) for b in (1.0, 2.0))
-    assert two == pytest.approx(2 * one)
+    # Doubling the disturbance doubles the steady part of the bound.
+    single, double = (robust_bound(Gamma, 0.05, 1e-4, 0.1, 0.0, b, np.inf) for b in (1.0, 2.0))
+    assert double == pytest.approx(2 * single)
 
 
-def test_the_disturbance_of_the_bound_is_that_of_the_error():
-    """λ̃' = -Γ Φ Φᵀ λ̃ + b: b is the rate of the error while the estimate is right."""
-    given = servo(quick=True)
-    at = len(given.t) // 4
-    unknown = Parametrisation(given.constraint, "structured", 200.0)
-    rows = given.rows.part(slice(at, at + 1))
-    Gamma = np.array([[30.0, 5.0], [5.0, 20.0]]) / np.mean(np.square(given.rows.Phi_flux))
-    b = disturbance(rows, unknown, Gamma, given.drift[0], given.current_bias[0])[0]
-    one = rows.part(0)
+def test_the_disturbance_in_the_bound_drives_the_error():
+    """λ̃' = -Γ Φ Φᵀ λ̃ + b: b is the rate of the error while the estimate is exact."""
+    record = servo(quick=True)
+    at = len(record.t) // 4
+    unknown = Parametrisation(record.constraint, "structured", 200.0)
+    rows = record.rows.part(slice(at, at + 1))
+    Gamma = np.array([[30.0, 5.0], [5.0, 20.0]]) / np.mean(np.square(record.rows.Phi_flux))
+    b = disturbance(rows, unknown, Gamma, record.drift[0], record.current_bias[0])[0]
+    row = rows.part(0)
     y_m = np.array([0.3, -0.2])
-    rate = RobustObserver(Gamma, 2).derivative(jnp.asarray(given.flux[at]), jnp.asarray(y_m), one)
-    np.testing.assert_allclose(b, np.asarray(rate) - (y_m + given.drift[0]), rtol=1e-5)
+    rate = RobustObserver(Gamma, 2).derivative(jnp.asarray(record.flux[at]), jnp.asarray(y_m), row)
+    np.testing.assert_allclose(b, np.asarray(rate) - (y_m + record.drift[0]), rtol=1e-5)
 
 
 def test_uniform_observability_of_the_immersion():
-    """The Gramian of the rows, each carried to the end by its own transition, summed by hand."""
+    """The Gramian by explicit sum: each row is moved to the end by its own transitions."""
     rng = np.random.default_rng(3)
-    relation = case().constraint
+    relation = example_orbit().constraint
     immersion = Immersion((relation,), ("drift",))
     v, i = rng.standard_normal((2, 6, 2))
     scale, h = 1 + rng.random(immersion.size), 0.1
@@ -246,5 +250,5 @@ def test_uniform_observability_of_the_immersion():
             forward = immersion.transition(h, v[later]) @ forward
         row = immersion.output_rows(i[k])[0] @ np.linalg.inv(forward) * scale
         total += h * row.T @ row
-    found = immersion_gramian(immersion, h, v, i, scale)
-    np.testing.assert_allclose(found, total, atol=1e-9 * np.abs(total).max())
+    gramian = immersion_gramian(immersion, h, v, i, scale)
+    np.testing.assert_allclose(gramian, total, atol=1e-9 * np.abs(total).max())

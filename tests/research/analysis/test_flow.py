@@ -1,4 +1,4 @@
-"""The integrator of gradient laws and the exponents from it, against closed forms and SciPy."""
+"""Integrator of gradient laws, and the exponents from it, against closed forms and SciPy."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -31,7 +31,7 @@ def at_nodes(signal, start, h, steps):
 
 
 def test_states_against_another_solver_and_their_order():
-    """x' = N x + f + ψ (r - ψᵀx) with everything in it; the error falls with the fifth power."""
+    """x' = N x + f + ψ (r - ψᵀx) with all terms; the error falls with the step's fifth power."""
     rng = np.random.default_rng(0)
     N, A, f = 0.3 * rng.standard_normal((4, 4)), rng.standard_normal((4, 3)), rng.standard_normal(4)
 
@@ -55,14 +55,14 @@ def test_states_against_another_solver_and_their_order():
 
 
 def turning(rate, speed, h, steps):
-    """ψ of a given rate |ψ|² that turns at constant speed: exponents known at any stiffness."""
+    """ψ of a given rate |ψ|² that turns at constant speed: the exponents are known exactly."""
     size = np.sqrt(rate)
     return size * at_nodes(lambda t: [np.cos(speed * t), np.sin(speed * t)], 0, h, steps)
 
 
 @pytest.mark.parametrize("rate", [30.0, 1e4, 1e8])
 def test_exponent_of_a_turning_regressor(rate):
-    """Turning with ψ, the generator is constant: s² + rate s + ω² = 0, for any size of step."""
+    """In coordinates that turn with ψ the generator is constant: s² + rate s + ω² = 0."""
     speed, steps = 10.0, 400
     h = 2 * np.pi / speed / steps
     # The slow root, written without cancellation.
@@ -70,21 +70,21 @@ def test_exponent_of_a_turning_regressor(rate):
     P, _ = flow_steps(np.zeros((2, 2)), turning(rate, speed, h, steps), h)
     multiplier = np.abs(floquet_multipliers(P)[0])
     assert np.log(multiplier) / (steps * h) == pytest.approx(slow, rel=1e-5)
-    # The same from a record that knows no period, and ends anywhere.
-    many = 4137
-    P, _ = flow_steps(np.zeros((2, 2)), turning(rate, speed, h, many), h)
-    found, change = largest_exponent(P, h)
-    assert found == pytest.approx(slow, rel=1e-4, abs=1e-9)
-    assert abs(found - slow) < 10 * change + 1e-9
+    # The same from a record that ends anywhere in a period.
+    longer = 4137
+    P, _ = flow_steps(np.zeros((2, 2)), turning(rate, speed, h, longer), h)
+    exponent, change = largest_exponent(P, h)
+    assert exponent == pytest.approx(slow, rel=1e-4, abs=1e-9)
+    assert abs(exponent - slow) < 10 * change + 1e-9
 
 
-def test_an_unstable_direction_is_found_and_its_sign_is_sure():
+def test_an_unstable_direction_is_found_with_its_sign():
     """N = diag(0.2, -0.1) with ψ along the second axis: exponent 0.2 exactly."""
     psi = np.zeros((3000, 3, 2))
     psi[..., 1] = 100.0
     P, _ = flow_steps(np.diag([0.2, -0.1]), psi, 0.01)
-    found, change = largest_exponent(P, 0.01)
-    assert found == pytest.approx(0.2, rel=1e-9)
+    exponent, change = largest_exponent(P, 0.01)
+    assert exponent == pytest.approx(0.2, rel=1e-9)
     assert change < 1e-9
 
 
@@ -148,9 +148,9 @@ def test_exponents_do_not_depend_on_units():
     np.testing.assert_allclose(root @ root.T, np.diag(units))
 
 
-def test_gain_study_judges_signs_only_beyond_its_uncertainty():
+def test_a_gain_study_calls_stable_only_beyond_its_uncertainty():
     psi = np.zeros((64, 5))
-    psi[:, 4] = 1.0  # nothing but the last constant is excited: the rest is marginal
+    psi[:, 4] = 1.0  # only the last constant is excited: the rest is marginal
     study = over_gain(psi, 0.1, CONSTANTS, [1.0])
     assert abs(study.exponent[0]) < 0.1
     assert study.multipliers(6.4)[0] == pytest.approx(np.exp(6.4 * study.exponent[0]))
@@ -166,9 +166,9 @@ def test_gain_study_judges_signs_only_beyond_its_uncertainty():
     [
         (np.ones((50, 4)), r"psi must be \(rows, 5\), at least 8 rows, got \(50, 4\)"),
         (np.full((50, 5), np.nan), "psi is not finite at row 0"),
-        (np.linspace(0, 1, 50)[:, None] * np.ones(5), "not periodic: where the period starts"),
+        (np.linspace(0, 1, 50)[:, None] * np.ones(5), "not periodic: at the end of the period"),
     ],
 )
-def test_what_is_refused(psi, message):
+def test_wrong_regressors(psi, message):
     with pytest.raises(ModelError, match=message):
         over_gain(jnp.asarray(psi), 0.1, CONSTANTS, [1.0])

@@ -1,4 +1,4 @@
-"""Relations found from energies alone, and the two properties of every machine in the library."""
+"""Relations found from energies alone, and two properties of every machine in the library."""
 
 from pathlib import Path
 
@@ -38,7 +38,7 @@ from fluxobs.research.energies.library import (
 
 ROOT = Path(__file__).parents[3]
 
-#: Machine → quadratic relations, directions invisible to them, Blondel-Park transformable.
+#: Machine → number of quadratic relations, of directions invisible to them, Blondel-Park property.
 EXPECTED = {
     "surface_pmsm": (1, 2, True),
     "interior_pmsm": (0, None, True),
@@ -63,7 +63,7 @@ def test_every_machine_is_in_the_table():
     assert {make.__name__ for make in LIBRARY} == set(EXPECTED)
 
 
-#: These take long, as they have many fluxes or relations.
+#: Machines with many fluxes or relations, whose tests take long.
 LONG = {
     "wound_field",
     "three_coils",
@@ -89,55 +89,57 @@ LONG = {
 def test_relations_and_transformability(make):
     count, hidden, transformable = EXPECTED[make.__name__]
     system = make()
-    found = discover_constraint(system)
-    assert len(found.relations) == count
+    discovery = discover_constraint(system)
+    assert len(discovery.relations) == count
     if count:
-        assert found.margin > 1e9
-        assert found.residual < 1e-12
-        assert found.invisible.shape[1] == hidden
-        assert check_constraint(system, found.relations, seed=7) < 1e-12
+        assert discovery.margin > 1e9
+        assert discovery.residual < 1e-12
+        assert discovery.invisible.shape[1] == hidden
+        assert check_constraint(system, discovery.relations, seed=7) < 1e-12
     else:
-        assert found.margin < 1e3  # far from a null space: sure that there is none
-        assert found.smallest > 1e-4
+        assert discovery.margin < 1e3  # certainly no null space
+        assert discovery.smallest > 1e-4
     park = blondel_park(system)
     assert park.transformable == transformable
     assert np.all(park.residual < 1e-12 if transformable else park.residual > 0.1)
 
 
-def proportional(found: QuadraticConstraint, expected: QuadraticConstraint) -> None:
-    """The same relation up to a factor."""
+def assert_proportional(relation: QuadraticConstraint, expected: QuadraticConstraint) -> None:
+    """Assert that two relations are equal up to a factor."""
 
     def terms(c):
         return np.concatenate([c.Q1.ravel(), c.Q2.ravel(), c.Q3.ravel(), c.E, c.C, [c.d]])
 
-    a, b = terms(found), terms(expected)
+    a, b = terms(relation), terms(expected)
     factor = a[np.argmax(np.abs(b))] / b[np.argmax(np.abs(b))]
     np.testing.assert_allclose(a, factor * b, rtol=1e-9, atol=1e-9 * np.abs(a[a != 0]).min())
 
 
-def test_the_relations_found_are_those_known():
-    (found,) = discover_constraint(surface_pmsm(L_s=1e-3, psi_f=0.02)).relations
-    proportional(found, SurfacePMSM(R_s=1, L_s=1e-3, n_p=4, psi_f=0.02).constraint)
-    (found,) = discover_constraint(synchronous_reluctance()).relations
-    proportional(found, SynchronousReluctance(R_s=1, L_d=0.05, L_q=0.01, n_p=2).constraint)
+def test_known_relations_are_found():
+    (relation,) = discover_constraint(surface_pmsm(L_s=1e-3, psi_f=0.02)).relations
+    assert_proportional(relation, SurfacePMSM(R_s=1, L_s=1e-3, n_p=4, psi_f=0.02).constraint)
+    (relation,) = discover_constraint(synchronous_reluctance()).relations
+    assert_proportional(
+        relation, SynchronousReluctance(R_s=1, L_d=0.05, L_q=0.01, n_p=2).constraint
+    )
     machine = example("maglev-knospe")
     c = np.diag([machine.c_1, machine.c_2])
-    core = machine.constraint  # in core fluxes φ; the system's are c φ
-    (found,) = discover_constraint(knospe()).relations
+    core = machine.constraint  # in core fluxes φ; the system's fluxes are c φ
+    (relation,) = discover_constraint(knospe()).relations
     inverse = np.linalg.inv(c)
-    proportional(
-        found, QuadraticConstraint(inverse @ core.Q1 @ inverse, inverse @ core.Q2, core.Q3)
+    assert_proportional(
+        relation, QuadraticConstraint(inverse @ core.Q1 @ inverse, inverse @ core.Q2, core.Q3)
     )
-    (found,) = discover_constraint(LIBRARY[-1]()).relations
-    proportional(found, differential_relation())
+    (relation,) = discover_constraint(LIBRARY[-1]()).relations
+    assert_proportional(relation, differential_relation())
 
 
 def test_magnet_bias_needs_the_linear_term():
     k, g, magnet = 1e-5, 1e-3, 0.8
-    (found,) = discover_constraint(maglev_biased(k, g, magnet)).relations
+    (relation,) = discover_constraint(maglev_biased(k, g, magnet)).relations
     swap = np.array([[0.0, 1.0], [1.0, 0.0]])
-    proportional(
-        found,
+    assert_proportional(
+        relation,
         QuadraticConstraint(g * swap, -k * swap, np.zeros((2, 2)), E=-k * magnet * np.ones(2)),
     )
 
@@ -163,16 +165,16 @@ def test_wound_field_relations_of_the_theory():
         assert relative_residual(relation, np.asarray(flux), i).max() < 1e-12
 
 
-def test_cage_machine_has_none():
-    """Rotor ports unmeasured: what is left says nothing."""
-    found = discover_constraint(doubly_fed(), ports=(0, 1))
-    assert not found
-    assert found.smallest > 1e-3
+def test_a_cage_machine_has_no_relation():
+    """Rotor ports unmeasured: the stator ports alone obey no relation."""
+    discovery = discover_constraint(doubly_fed(), ports=(0, 1))
+    assert not discovery
+    assert discovery.smallest > 1e-3
 
 
-def test_higher_degrees_are_flagged_by_their_degree_in_flux():
-    found = discover_constraint(switched_reluctance(L_0=10e-3), degree=3)
-    (linear,) = [relation for relation in found.higher if relation.degree_in_flux == 1]
+def test_higher_relations_state_their_degree_in_flux():
+    discovery = discover_constraint(switched_reluctance(L_0=10e-3), degree=3)
+    (linear,) = [relation for relation in discovery.higher if relation.degree_in_flux == 1]
     # λ1 i2 i3 + λ2 i1 i3 + λ3 i1 i2 = 3 L_0 i1 i2 i3
     assert linear.degree == 3
     np.testing.assert_allclose(np.sort(linear.coefficients), [-0.03, 1, 1, 1], rtol=1e-9)
@@ -182,27 +184,27 @@ def test_higher_degrees_are_flagged_by_their_degree_in_flux():
         assert not discover_constraint(make(), degree=4).higher
 
 
-def phases(variable, names):
-    """Features of three phases, by name."""
+def phase_features(variable, names):
+    """Return features of three phases, by name."""
     return {name: (lambda x, i, k=k: variable(x, i)[:, k]) for k, name in enumerate(names)}
 
 
 def test_saturation_uncovered_by_features():
     """z = -ln(1 - λ/ψ_s) obeys the relation of the unsaturated machine: z = i (a + b cos) there."""
     psi_s, a, b = 0.5, 0.05, 0.03
-    features = phases(lambda x, i: -np.log(1 - x / psi_s), ("z1", "z2", "z3"))
-    features |= phases(lambda x, i: i, ("i1", "i2", "i3"))
-    found = discover_in_features(saturated_switched_reluctance(psi_s, a, b), features, degree=3)
-    assert found.margin > 1e10
-    quadratic, linear = found.relations
+    features = phase_features(lambda x, i: -np.log(1 - x / psi_s), ("z1", "z2", "z3"))
+    features |= phase_features(lambda x, i: i, ("i1", "i2", "i3"))
+    discovery = discover_in_features(saturated_switched_reluctance(psi_s, a, b), features, degree=3)
+    assert discovery.margin > 1e10
+    quadratic, linear = discovery.relations
     assert str(linear) == "+1 z1 i2 i3 +1 z2 i1 i3 +1 z3 i1 i2 -0.15 i1 i2 i3 = 0"
     np.testing.assert_allclose(linear.coefficients, [1, 1, 1, -3 * a], rtol=1e-9)
     # Σ L_j L_k = 3 a² - ¾ b², for L_k = a + b cos(q - 2πk/3).
     np.testing.assert_allclose(
         quadratic.coefficients, [1, 1, 1, -(3 * a**2 - 0.75 * b**2)], rtol=1e-9
     )
-    # Another saturation flux undoes nothing.
-    wrong = phases(lambda x, i: -np.log(1 - x / 0.6), ("z1", "z2", "z3"))
+    # A wrong saturation flux does not linearise it.
+    wrong = phase_features(lambda x, i: -np.log(1 - x / 0.6), ("z1", "z2", "z3"))
     assert not discover_in_features(
         saturated_switched_reluctance(psi_s, a, b), features | wrong, degree=3
     ).relations
@@ -223,7 +225,7 @@ def test_bad_features(features, degree, message):
 
 
 def test_a_higher_relation_beside_a_quadratic_one():
-    """An affine pair and a choke that saturates, i = λ + λ³: one of each, and no products."""
+    """An affine pair and a saturating choke, i = λ + λ³: one relation of each kind, no products."""
 
     def magnetic_energy(flux, position):
         L = 10e-3 + jnp.array([0.5, -0.5]) * position[0]
@@ -237,9 +239,9 @@ def test_a_higher_relation_beside_a_quadratic_one():
         flux_range=(-np.array([0.01, 0.01, 1.0]), np.array([0.01, 0.01, 1.0])),
         position_range=(-0.015, 0.015),
     )
-    found = discover_constraint(system, degree=3)
-    assert len(found.relations) == 1
-    (cubic,) = found.higher
+    discovery = discover_constraint(system, degree=3)
+    assert len(discovery.relations) == 1
+    (cubic,) = discovery.higher
     assert (cubic.degree, cubic.degree_in_flux) == (3, 3)
     terms = dict(zip(map(tuple, cubic.exponents), cubic.coefficients, strict=True))
     assert terms == pytest.approx(
@@ -247,13 +249,13 @@ def test_a_higher_relation_beside_a_quadratic_one():
     )
 
 
-def test_products_of_quadratic_relations_are_not_reported_again():
-    found = discover_constraint(surface_pmsm(), degree=3)
-    assert len(found.relations) == 1
-    assert not found.higher
+def test_products_of_quadratic_relations_are_not_reported():
+    discovery = discover_constraint(surface_pmsm(), degree=3)
+    assert len(discovery.relations) == 1
+    assert not discovery.higher
 
 
-def test_check_names_residual_and_place():
+def test_a_failed_check_states_residual_and_state():
     right = SurfacePMSM(R_s=1, L_s=0.6e-3, n_p=4, psi_f=0.0125).constraint
     assert check_constraint(surface_pmsm(), right) < 1e-12
     wrong = SurfacePMSM(R_s=1, L_s=0.7e-3, n_p=4, psi_f=0.0125).constraint
@@ -276,27 +278,27 @@ def test_bad_arguments(arguments, message):
         discover_constraint(surface_pmsm(), **arguments)
 
 
-def not_everywhere(flux, position):
-    """A PMSM whose energy is no number beyond 2.5 rad."""
+def partly_undefined(flux, position):
+    """Energy of a PMSM that is NaN beyond 2.5 rad."""
     axis = jnp.array([jnp.cos(position[0]), jnp.sin(position[0])])
     hole = jnp.sqrt(2.5 - position[0])
     return jnp.sum((flux - 0.5 * axis) ** 2) * hole / hole
 
 
-def test_currents_that_are_no_numbers_pass_nothing():
+def test_currents_that_are_not_finite_are_refused():
     with pytest.raises(ModelError, match="magnetic_energy or its gradient is not finite"):
-        ElectromechanicalSystem(not_everywhere, inertia(1.0), R=[1.0, 1.0], R_M=[0.0])
+        ElectromechanicalSystem(partly_undefined, inertia(1.0), R=[1.0, 1.0], R_M=[0.0])
     narrow = ElectromechanicalSystem(
-        not_everywhere, inertia(1.0), R=[1.0, 1.0], R_M=[0.0], position_range=(-1.0, 1.0)
+        partly_undefined, inertia(1.0), R=[1.0, 1.0], R_M=[0.0], position_range=(-1.0, 1.0)
     )
     wide = eqx.tree_at(lambda system: system.position_range, narrow, jnp.array([[-4.0], [4.0]]))
-    nothing = QuadraticConstraint(np.eye(2), np.zeros((2, 2)), np.zeros((2, 2)))
-    for call in (lambda: check_constraint(wide, nothing), lambda: discover_constraint(wide)):
+    arbitrary = QuadraticConstraint(np.eye(2), np.zeros((2, 2)), np.zeros((2, 2)))
+    for call in (lambda: check_constraint(wide, arbitrary), lambda: discover_constraint(wide)):
         with pytest.raises(ModelError, match="the current is not finite at flux"):
             call()
 
 
-def test_a_badly_scaled_system_is_doubted_rather_than_misread():
+def test_a_badly_scaled_system_gives_a_warning_instead_of_a_relation():
     system = ElectromechanicalSystem(
         linear_magnetics(
             lambda q: 1e-3 * jnp.eye(2),
@@ -307,13 +309,13 @@ def test_a_badly_scaled_system_is_doubted_rather_than_misread():
         R_M=[0.0],
         flux_range=(-1000.0, 1000.0),
     )
-    found = discover_constraint(system)
-    assert not found
-    assert "narrow flux_range" in found.warning
+    discovery = discover_constraint(system)
+    assert not discovery
+    assert "narrow flux_range" in discovery.warning
 
 
 def one_coil(travel):
-    """λ = k i/(g - q) with q up to a share of the gap."""
+    """λ = k i/(g - q); q up to `travel` times the gap."""
     k, g = 1e-5, 1e-3
     return ElectromechanicalSystem(
         linear_magnetics(lambda q: jnp.diag(jnp.array([k / (g - q[0])]))),
@@ -333,18 +335,18 @@ def one_coil(travel):
         (lambda: one_coil(1e-6), 2.4e-7, "widen position_range"),
     ],
 )
-def test_near_degeneracy_is_said_with_its_size_and_what_decides(make, size, remedy):
-    """A saliency of 1e-5, of 1e-7, and a coil that hardly moves have relations that nearly hold."""
-    found = discover_constraint(make())
-    assert not found.relations
-    assert found.approximate[0].size == pytest.approx(size, rel=0.5)
-    assert remedy in found.warning
-    # Away from there the doubt is gone.
+def test_an_approximate_relation_is_reported_with_size_and_remedy(make, size, remedy):
+    """A saliency of 1e-5, of 1e-7, and a coil that hardly moves have approximate relations."""
+    discovery = discover_constraint(make())
+    assert not discovery.relations
+    assert discovery.approximate[0].size == pytest.approx(size, rel=0.5)
+    assert remedy in discovery.warning
+    # Away from these values there is no doubt.
     for clear in (interior_pmsm(), one_coil(0.8)):
         assert discover_constraint(clear).warning == ""
 
 
-def test_an_approximate_relation_is_the_one_of_the_machine_nearby():
+def test_an_approximate_relation_is_the_relation_of_the_nearest_machine():
     """A saliency of 1e-5 is a surface machine to 1e-11: |λ - L i|² = ψ²."""
     (near,) = discover_constraint(interior_pmsm(L_d=0.5e-3 * (1 + 1e-5))).approximate
     terms = dict(zip(map(tuple, near.relation.exponents), near.relation.coefficients, strict=True))
@@ -353,47 +355,49 @@ def test_an_approximate_relation_is_the_one_of_the_machine_nearby():
     assert terms[(0, 0, 0, 0)] == pytest.approx(-(0.07**2), rel=1e-4)
 
 
-def test_a_port_without_current_and_one_that_position_does_not_touch():
-    """Their affine relations go first; the rest is found, and is still transformable."""
+def test_a_port_without_current_and_one_independent_of_position():
+    """Their affine relations are eliminated; the rest is found, and is still transformable."""
 
     def magnetic_energy(flux, position):
         axis = jnp.array([jnp.cos(position[0]), jnp.sin(position[0])])
         return jnp.sum((flux[:2] - axis) ** 2) / 2 + 30 * flux[2] ** 2
 
     system = ElectromechanicalSystem(magnetic_energy, inertia(1.0), R=[1.0] * 4, R_M=[0.0])
-    found = discover_constraint(system)
-    assert len(found.relations) == 1
-    assert len(found.affine) == 2
+    discovery = discover_constraint(system)
+    assert len(discovery.relations) == 1
+    assert len(discovery.affine) == 2
     assert blondel_park(system).transformable
 
 
-def test_pairs_of_very_different_size_are_judged_alike():
-    """Two opposed pairs, the second a millionth of the first: nothing is invisible."""
+def test_pairs_of_very_different_size_are_equally_visible():
+    """Two opposed pairs, the second a millionth of the first: no direction is invisible."""
     swap = np.array([[0.0, 1.0], [1.0, 0.0]])
     blocks = [(1e-3 * swap, -1e-5 * k * swap) for k in (1.0, 1e-6)]
     relations = []
     for k, (Q1, Q2) in enumerate(blocks):
         big1, big2 = np.zeros((4, 4)), np.zeros((4, 4))
-        part = slice(2 * k, 2 * k + 2)
-        big1[part, part], big2[part, part] = Q1, Q2
+        block = slice(2 * k, 2 * k + 2)
+        big1[block, block], big2[block, block] = Q1, Q2
         relations.append(QuadraticConstraint(big1, big2, np.zeros((4, 4))))
     assert invisible_offsets(relations).shape == (8, 0)
 
 
-def test_a_machine_is_no_system():
-    with pytest.raises(ModelError, match="a system of energies is needed, got SurfacePMSM"):
+def test_a_machine_instead_of_a_system():
+    with pytest.raises(
+        ModelError, match="system must be an ElectromechanicalSystem, got SurfacePMSM"
+    ):
         discover_constraint(example("servo-400w"))
     with pytest.raises(ModelError, match="no relation to check"):
         check_constraint(surface_pmsm(), ())
 
 
-def test_stacked_relations_see_more():
+def test_relations_together_leave_fewer_invisible_directions():
     relations = discover_constraint(doubly_fed()).relations
     alone = [invisible_offsets([relation]).shape[1] for relation in relations]
     assert max(alone) > invisible_offsets(relations).shape[1] == 0
 
 
-def test_blondel_park_is_the_matrix_identity():
+def test_blondel_park_satisfies_the_matrix_identity():
     """U of the interior PMSM satisfies L′ = U L - L U and μ′ = U μ."""
     L_d, L_q, psi, n_p = 0.2e-3, 0.5e-3, 0.07, 4
     U = blondel_park(interior_pmsm()).U[0]

@@ -81,10 +81,10 @@ def test_both_solvers_agree_and_relations_hold_between_samples():
     explicit = closed_loop(controller(position=5e-5), TYPICAL, stiff=False)
     np.testing.assert_allclose(implicit.flux, explicit.flux, rtol=1e-5)
     c = np.array([MACHINE.c_1, MACHINE.c_2])
-    flux, rate, current = (part[:, 0] for part in implicit.inside([0.5]))
+    flux, rate, current = (values[:, 0] for values in implicit.inside([0.5]))
     residual = MACHINE.constraint.residual(flux / c, current)
     assert np.abs(residual).max() < 1e-14 * MACHINE.g * TYPICAL**2
-    # The cubic's rate in the middle against a finer difference of its own values.
+    # Check the cubic's rate in the middle by Simpson's rule.
     end = implicit.flux[1:] - implicit.flux[:-1]
     simpson = implicit.h / 6 * (implicit.flux_rate[:-1] + 4 * rate + implicit.flux_rate[1:])
     np.testing.assert_allclose(simpson, end, atol=1e-12 * np.abs(implicit.flux).max())
@@ -116,34 +116,35 @@ def test_volt_seconds_integrate_to_the_flux():
     np.testing.assert_allclose(flux[0] + np.cumsum(v + 0.1 * drift, axis=0) - 0.1 * drift, flux)
 
 
-def test_volt_seconds_take_the_drift_of_their_own_interval():
-    """A drift that changes: row k's belongs to the interval that ends there."""
+def test_volt_seconds_use_the_drift_of_their_interval():
+    """With a varying drift, row k's value belongs to the interval that ends there."""
     flux = np.array([[0.0], [1.0], [3.0]])
-    found = volt_seconds(flux, 0.5, np.array([[9.0], [2.0], [4.0]]))
-    np.testing.assert_allclose(found, [[0.0], [1.0 - 0.5 * 2], [2.0 - 0.5 * 4]])
+    v = volt_seconds(flux, 0.5, np.array([[9.0], [2.0], [4.0]]))
+    np.testing.assert_allclose(v, [[0.0], [1.0 - 0.5 * 2], [2.0 - 0.5 * 4]])
 
 
 def test_printed_regression_differs_and_the_corrected_one_holds():
-    given = record(SCENARIOS["S5"], quick=True)
-    rows, wrong = (one.rows for one in filtered(given))
-    Q1, Q2 = given.constraint.Q1, given.constraint.Q2
+    drive = record(SCENARIOS["S5"], quick=True)
+    rows, printed_rows = (regression.rows for regression in filtered(drive))
+    Q1, Q2 = drive.constraint.Q1, drive.constraint.Q2
 
-    def rest(rows):
-        explained = np.einsum("ki,ki->k", rows.Phi_flux, given.flux)
-        explained += np.einsum("ki,ki->k", rows.Phi_drift, given.drift)
-        explained -= np.einsum("ki,ki->k", rows.Phi_a, given.current_bias @ Q2.T)
-        explained += rows.phi_c * np.einsum("ki,ij,kj->k", given.drift, Q1, given.drift)
+    def unexplained(rows):
+        explained = np.einsum("ki,ki->k", rows.Phi_flux, drive.flux)
+        explained += np.einsum("ki,ki->k", rows.Phi_drift, drive.drift)
+        explained -= np.einsum("ki,ki->k", rows.Phi_a, drive.current_bias @ Q2.T)
+        explained += rows.phi_c * np.einsum("ki,ij,kj->k", drive.drift, Q1, drive.drift)
         return np.asarray(rows.y) - explained
 
     span = slice(1000, 14900)
     size = np.sqrt(np.mean(np.square(rows.y[span])))
-    assert np.abs(rest(rows)[span]).max() < 3e-8 * size  # of the parabolas in the filters
-    assert np.sqrt(np.mean(rest(wrong)[span] ** 2)) > size
+    # Limited by the parabolas in the filters.
+    assert np.abs(unexplained(rows)[span]).max() < 3e-8 * size
+    assert np.sqrt(np.mean(unexplained(printed_rows)[span] ** 2)) > size
 
 
 def test_position_and_velocity_from_the_flux():
-    given = record(SCENARIOS["S5"], quick=True)
-    run = LevitationRun(given, None, {}, least_squares(given))
+    drive = record(SCENARIOS["S5"], quick=True)
+    run = LevitationRun(drive, None, {}, least_squares(drive))
     position, velocity = mechanics(run)
     assert position < 1e-9
     assert velocity < 1e-5

@@ -1,4 +1,4 @@
-"""Periodic orbits and poles, where both are known in closed form."""
+"""Periodic orbits and poles of systems where both are known in closed form."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +13,7 @@ R, L, SPEED, M, D, K = 2.0, 0.5, 3.0, 0.4, 0.3, 5.0
 
 
 def choke_and_spring(resistance=R):
-    """A choke and, apart from it, a damped spring."""
+    """A choke and, uncoupled from it, a damped spring."""
     return ElectromechanicalSystem(
         lambda flux, q: flux[0] ** 2 / (2 * L) + K * q[0] ** 2 / 2,
         inertia(M),
@@ -26,7 +26,7 @@ def voltage(t, state):
     return jnp.array([jnp.cos(SPEED * t)])
 
 
-def find(system):
+def find_orbit(system):
     zero = jnp.zeros(1)
     return periodic_orbit(
         system,
@@ -42,19 +42,19 @@ def find(system):
 
 def test_orbit_and_multipliers_of_a_linear_system():
     """λ = Re(e^{jωt}/(R/L + jω)); multipliers are the exponentials of the poles."""
-    found = find(choke_and_spring())
-    t = found.trajectory.t
+    orbit = find_orbit(choke_and_spring())
+    t = orbit.trajectory.t
     exact = np.real(np.exp(1j * SPEED * t) / (R / L + 1j * SPEED))
-    np.testing.assert_allclose(found.trajectory.flux[:, 0], exact, atol=1e-8)
-    np.testing.assert_allclose(found.trajectory.position, 0, atol=1e-8)
+    np.testing.assert_allclose(orbit.trajectory.flux[:, 0], exact, atol=1e-8)
+    np.testing.assert_allclose(orbit.trajectory.position, 0, atol=1e-8)
     spring = np.roots([M, D, K])
     expected = np.exp(np.r_[-R / L, spring] * 2 * np.pi / SPEED)
     np.testing.assert_allclose(
-        np.sort_complex(found.multipliers), np.sort_complex(expected), atol=1e-6
+        np.sort_complex(orbit.multipliers), np.sort_complex(expected), atol=1e-6
     )
 
 
-def test_no_orbit_is_said():
+def test_a_missing_orbit_is_reported():
     """Without resistance a constant voltage has no periodic flux."""
     system = choke_and_spring(0.0)
     with pytest.raises(ModelError, match=r"no orbit of 2\.0944\d* s near the guess"):
@@ -72,7 +72,7 @@ def test_no_orbit_is_said():
 
 def test_poles_of_a_linear_system():
     state = State(jnp.array([0.1]), jnp.array([0.2]), jnp.array([0.3]))
-    found = poles(choke_and_spring(), lambda t, state: -state.flux, state)
+    eigenvalues = poles(choke_and_spring(), lambda t, state: -state.flux, state)
     expected = np.r_[-R / L - 1, np.roots([M, D, K])]
-    np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(expected), rtol=1e-9)
-    assert (np.diff(found.real) <= 0).all()
+    np.testing.assert_allclose(np.sort_complex(eigenvalues), np.sort_complex(expected), rtol=1e-9)
+    assert (np.diff(eigenvalues.real) <= 0).all()

@@ -1,4 +1,4 @@
-"""Systems from energies: power balance, closed forms, the user's own, and what is refused."""
+"""Systems from energies: power balance, closed forms, a user's own system, wrong arguments."""
 
 import runpy
 import subprocess
@@ -30,7 +30,7 @@ ROOT = Path(__file__).parents[3]
 SYSTEMS = {make.__name__: make for make in LIBRARY}
 
 
-made = cache(lambda name: SYSTEMS[name]())
+system_of = cache(lambda name: SYSTEMS[name]())
 
 
 @eqx.filter_jit
@@ -43,22 +43,22 @@ def power(system, state, voltage, load):
 @given(seed=st.integers(0, 2**32 - 1), name=st.sampled_from(sorted(SYSTEMS)))
 def test_power_balance(seed, name):
     """Stored = supplied - dissipated, at any state, for every machine of the library."""
-    system, rng = made(name), np.random.default_rng(seed)
-    flux, position = (part[0] for part in system.random_states(rng, 1))
+    system, rng = system_of(name), np.random.default_rng(seed)
+    flux, position = (states[0] for states in system.random_states(rng, 1))
     scale = np.abs(np.asarray(system.current(flux, position))).max()
     state = State(flux, position, jnp.asarray(rng.standard_normal(system.n_M)))
     voltage = jnp.asarray(scale * rng.standard_normal(system.B.shape[1]))
     load = jnp.asarray(rng.standard_normal(system.n_M))
     stored, supplied, dissipated = power(system, state, voltage, load)
     size = abs(stored) + abs(supplied) + dissipated
-    # Conservative forces cancel between the two energies; their size bounds the rounding.
+    # Conservative forces cancel between the two energies; their size bounds the rounding error.
     velocity = system.velocity(position, state.momentum)
     size += abs(system.force(flux, position) @ velocity)
     assert abs(stored - supplied + dissipated) <= 1e-11 * size
     assert dissipated >= 0
 
 
-def test_pmsm_is_what_the_textbook_says():
+def test_pmsm_agrees_with_the_textbook():
     L, psi, n_p = 0.6e-3, 0.0125, 4
     system = surface_pmsm(L_s=L, psi_f=psi, n_p=n_p)
     q, i = jnp.array([0.3]), jnp.array([4.0, -2.0])
@@ -73,14 +73,14 @@ def test_pmsm_is_what_the_textbook_says():
 def test_salient_torque(make):
     system = make()
     rng = np.random.default_rng(1)
-    flux, q = (part[0] for part in system.random_states(rng, 1))
+    flux, q = (states[0] for states in system.random_states(rng, 1))
     i = system.current(flux, q)
     n_p = 4 if make is interior_pmsm else 2
     torque = n_p * (flux[0] * i[1] - flux[1] * i[0])
     np.testing.assert_allclose(system.force(flux, q)[0], torque, rtol=1e-10)
 
 
-def test_maglev_force_is_that_of_the_benchmark():
+def test_maglev_force_agrees_with_the_benchmark():
     system = knospe()
     phi, q = jnp.array([3e-5, 2e-5]), jnp.array([5e-5])
     c, k, g = 293.5, 2.2e-8, 3.3e-4
@@ -104,22 +104,22 @@ def test_the_electrostatic_dual_satisfies_its_relation():
     assert system.force(jnp.array([1e-12, 0.0]), jnp.zeros(1))[0] > 0
 
 
-def test_a_user_writes_ten_lines():
+def test_a_users_system_in_ten_lines():
     names = runpy.run_path(str(ROOT / "examples" / "dual_three_phase.py"))
     machine = names["machine"]
     assert (machine.n_E, machine.n_M) == (6, 1)
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, ROOT / "examples" / "dual_three_phase.py"],
         capture_output=True,
         text=True,
         check=True,
     )
-    assert "1 quadratic relation" in done.stdout
-    assert "4 linear relations" in done.stdout
+    assert "1 quadratic relation" in process.stdout
+    assert "4 linear relations" in process.stdout
 
 
 def test_parameters_are_differentiable():
-    """Energies are plain functions: sensitivities come for free."""
+    """Energies are plain functions: JAX differentiates with respect to their parameters."""
 
     def torque(psi):
         system = linear_magnetics(
@@ -133,7 +133,7 @@ def test_parameters_are_differentiable():
     np.testing.assert_allclose(jax.grad(torque)(0.03), slope, rtol=1e-6)
 
 
-GOOD = {
+VALID = {
     "magnetic_energy": linear_magnetics(lambda q: jnp.eye(2)),
     "mechanical_energy": inertia(1.0),
     "R": [1.0, 1.0],
@@ -157,9 +157,9 @@ GOOD = {
         ({"flux_range": (1.0, 1.0)}, "low must be below high"),
     ],
 )
-def test_what_is_refused(change, message):
+def test_wrong_arguments(change, message):
     with pytest.raises((ModelError, ValueError), match=message):
-        ElectromechanicalSystem(**(GOOD | change))
+        ElectromechanicalSystem(**(VALID | change))
 
 
 def test_inertia_must_be_positive():

@@ -1,4 +1,4 @@
-"""Every sentence of the report comes from the number it names."""
+"""Every sentence of the report shows the number that it names."""
 
 import copy
 import json
@@ -10,22 +10,22 @@ from fluxobs.research.paper.report import markdown
 NUMBERS = json.loads((Path(__file__).parents[2] / "expected" / "reproduce.json").read_text())
 
 
-def marked():
-    """The committed numbers with a different end error for every observer."""
-    found = copy.deepcopy(NUMBERS)
-    courses = found["scenarios"]["S5"]["courses"]
+def distinct_numbers():
+    """Return the committed numbers with different errors for every observer, and the courses."""
+    results = copy.deepcopy(NUMBERS)
+    courses = results["scenarios"]["S5"]["courses"]
     for k, course in enumerate(courses.values()):
         course["before"], course["end"] = 0.1 + k / 100, 0.5 + k / 100
-    return found, courses
+    return results, courses
 
 
 def row(text, start):
     return next(line for line in text.splitlines() if line.startswith(f"| {start}"))
 
 
-def test_claims_name_the_observer_they_speak_of():
-    found, courses = marked()
-    text = markdown(found)
+def test_claims_show_the_numbers_of_their_observer():
+    results, courses = distinct_numbers()
+    text = markdown(results)
     printed = courses["adaptive, printed gain"]
     line = row(text, "Figure 3")
     assert f"{printed['before']:.2g} before and {printed['end']:.2g} after" in line
@@ -41,8 +41,8 @@ def test_claims_name_the_observer_they_speak_of():
 
 
 def test_tables_follow_the_numbers():
-    found, courses = marked()
-    text = markdown(found)
+    results, courses = distinct_numbers()
+    text = markdown(results)
     for name, course in courses.items():
         assert f"| {name} | {course['before']:.2g} | {course['end']:.2g} |" in text
     stability = {
@@ -51,19 +51,19 @@ def test_tables_follow_the_numbers():
         "before": {"0.01": [0.00013, 1e-9], "1": [0.0082, 1e-9]},
         "after": {"0.01": [0.002, 0.001], "1": [-0.001, 0.005]},
     }
-    found["scenarios"]["S5"]["stability"] = stability
-    text = markdown(found)
+    results["scenarios"]["S5"]["stability"] = stability
+    text = markdown(results)
     assert "| S5, before the jump | 6.283 s | +0.00013 | +0.0082 |" in text
     assert "| S5, after the jump | 6.283 s | +0.0020 ± 0.0010 | 0 ± 0.005 |" in text
     stability["period"] = None
-    assert "| S5, before the jump | none |" in markdown(found)
+    assert "| S5, before the jump | none |" in markdown(results)
     courses["voltage model"]["end"] = 5e44
-    assert "diverges" in row(markdown(found), "voltage model")
+    assert "diverges" in row(markdown(results), "voltage model")
 
 
 def test_deep_sections_follow_the_numbers():
     course = {"before": 0.11, "end": 0.22}
-    found = {
+    results = {
         "scalar_gain": {
             "alpha": 6.4e-5,
             "gains": [1.0, 10.0],
@@ -101,7 +101,7 @@ def test_deep_sections_follow_the_numbers():
             }
         },
     }
-    text = "\n".join(deep.markdown(found))
+    text = "\n".join(deep.markdown(results))
     assert "Unstable at 3 of 4 gains" in text
     assert "at least 1.750" in text
     assert "| as they are | 1.5 | 2.5 |" in text

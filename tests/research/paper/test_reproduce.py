@@ -1,6 +1,6 @@
-"""Section V with one command: its numbers against those committed, and the same twice.
+"""Section V with one command: its numbers agree with the committed ones, and are reproducible.
 
-``python tests/research/paper/test_reproduce.py`` writes the expected numbers anew.
+``python tests/research/paper/test_reproduce.py`` rewrites the expected numbers.
 """
 
 import json
@@ -26,39 +26,39 @@ FIGURES = (
     "pmsm",
     "counter_example",
 )
-#: Below this an error is rounding, and its digits differ between machines; so do those of what
-#: grows without bound.
+#: Below the first an error is rounding, and its digits differ between machines; above the second
+#: an error grows without bound, and its digits differ too.
 ROUNDING, UNBOUNDED = 1e-5, 1e2
 
 
-def compare(found, expected, path=""):
+def compare(actual, expected, path=""):
     if isinstance(expected, dict):
-        assert set(found) == set(expected), path
+        assert set(actual) == set(expected), path
         for key in expected:
-            compare(found[key], expected[key], f"{path}/{key}")
+            compare(actual[key], expected[key], f"{path}/{key}")
     elif isinstance(expected, list):
-        assert len(found) == len(expected), path
-        for k, (one, other) in enumerate(zip(found, expected, strict=True)):
-            compare(one, other, f"{path}/{k}")
+        assert len(actual) == len(expected), path
+        for k, (value, other) in enumerate(zip(actual, expected, strict=True)):
+            compare(value, other, f"{path}/{k}")
     elif isinstance(expected, float):
         if "settled" in path:
-            assert found == pytest.approx(expected, rel=0.1, abs=0.05), path
+            assert actual == pytest.approx(expected, rel=0.1, abs=0.05), path
         elif abs(expected) > UNBOUNDED:
-            assert math.log10(found) == pytest.approx(math.log10(expected), abs=1), path
+            assert math.log10(actual) == pytest.approx(math.log10(expected), abs=1), path
         elif "mechanics" in path or abs(expected) > ROUNDING:
-            assert found == pytest.approx(expected, rel=0.02), path
+            assert actual == pytest.approx(expected, rel=0.02), path
         else:
-            assert abs(found) < 10 * ROUNDING, path
+            assert abs(actual) < 10 * ROUNDING, path
     else:
-        assert found == expected, path
+        assert actual == expected, path
 
 
 @pytest.mark.slow
 def test_quick_run_writes_figures_report_and_the_committed_numbers(tmp_path):
-    done = fluxobs("reproduce", "--quick", "--out", "paper", folder=tmp_path)
-    assert done.returncode == 0, done.stderr
-    found = json.loads((tmp_path / "paper" / "numbers.json").read_text())
-    compare(found, json.loads(EXPECTED.read_text()))
+    process = fluxobs("reproduce", "--quick", "--out", "paper", folder=tmp_path)
+    assert process.returncode == 0, process.stderr
+    numbers = json.loads((tmp_path / "paper" / "numbers.json").read_text())
+    compare(numbers, json.loads(EXPECTED.read_text()))
     report = (tmp_path / "paper" / "report.md").read_text()
     for name in FIGURES:
         assert (tmp_path / "paper" / f"{name}.png").stat().st_size > 10_000
@@ -68,36 +68,36 @@ def test_quick_run_writes_figures_report_and_the_committed_numbers(tmp_path):
     assert page.count("<table>") == report.count("| --- |\n")
     assert 'src="data:' in page
     assert ".png" not in page
-    # What the report must be able to say.
-    courses = found["scenarios"]["S5"]["courses"]
+    # Statements of the report that must hold.
+    courses = numbers["scenarios"]["S5"]["courses"]
     assert courses["adaptive, repaired"]["settled"]["0.001"] < 10
     assert courses["least squares"]["settled"]["0.02"] < 0.3
     assert courses["least squares"]["settled"]["1e-06"] < 2
     assert courses["adaptive, printed gain"]["settled"]["0.02"] is None
     ratio = courses["robust, printed gain"]["end"] / courses["voltage model"]["end"]
     assert ratio == pytest.approx(1, abs=1e-3)
-    rms = found["scenarios"]["S5"]["robust"]["rms"]
+    rms = numbers["scenarios"]["S5"]["robust"]["rms"]
     assert rms["2"] / rms["1"] == pytest.approx(2, rel=0.1)
 
 
 @pytest.mark.slow
-def test_the_same_to_the_last_digit():
-    one, other = run_levitation("S5", quick=True), run_levitation("S5", quick=True)
-    for name, course in one.courses.items():
-        assert course.flux.tobytes() == other.courses[name].flux.tobytes(), name
-    assert one.robust == other.robust
-    assert one.mechanics == other.mechanics
+def test_two_runs_agree_to_the_last_digit():
+    first, second = run_levitation("S5", quick=True), run_levitation("S5", quick=True)
+    for name, course in first.courses.items():
+        assert course.flux.tobytes() == second.courses[name].flux.tobytes(), name
+    assert first.robust == second.robust
+    assert first.mechanics == second.mechanics
 
 
 def test_quick_and_deep_exclude_each_other(tmp_path):
-    done = fluxobs("reproduce", "--quick", "--deep", "--out", "paper", folder=tmp_path)
-    assert done.returncode == 2
-    assert "exclude each other" in done.stderr
+    process = fluxobs("reproduce", "--quick", "--deep", "--out", "paper", folder=tmp_path)
+    assert process.returncode == 2
+    assert "exclude each other" in process.stderr
 
 
-def test_a_folder_that_cannot_be_made(tmp_path):
+def test_a_folder_that_cannot_be_created(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(FluxobsError, match="cannot be made"):
+    with pytest.raises(FluxobsError, match="cannot be created"):
         reproduce(tmp_path / "file" / "paper", quick=True)
 
 

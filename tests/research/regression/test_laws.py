@@ -1,4 +1,4 @@
-"""The paper's observers and those around it, against their own definitions."""
+"""The paper's observers and related ones, against their own definitions."""
 
 from functools import cache
 
@@ -49,13 +49,13 @@ def observers(rng):
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_a_short_step_is_the_differential_equation(seed):
-    """(step(h) - state)/h tends to derivative, for every law published as one."""
+def test_a_short_step_follows_the_differential_equation(seed):
+    """(step(h) - state)/h tends to `derivative`, for every law published as an equation."""
     rng = np.random.default_rng(seed)
     row, y_m = random_row(rng), jnp.asarray(rng.standard_normal(2))
     for name, observer in observers(rng).items():
         state = jax.tree.map(
-            lambda part: jnp.asarray(rng.standard_normal(part.shape)), observer.init()
+            lambda leaf: jnp.asarray(rng.standard_normal(leaf.shape)), observer.init()
         )
         rate = observer.derivative(state, y_m, row)
         errors = []
@@ -67,8 +67,8 @@ def test_a_short_step_is_the_differential_equation(seed):
         assert errors[1] < 0.2 * errors[0] + 1e-8, name
 
 
-def test_step_is_the_exact_flow_of_a_constant_regressor():
-    """At any gain: stiff laws need no small step."""
+def test_a_step_is_the_exact_flow_of_a_constant_regressor():
+    """At any gain: stiff laws need no small steps."""
     row = random_row(np.random.default_rng(0))._replace(Phi_flux=jnp.array([0.6, -0.8]))
     observer, start, h = RobustObserver([30.0, 40.0], 2), jnp.array([1.0, 2.0]), 0.3
     solution = diffrax.diffeqsolve(
@@ -112,8 +112,10 @@ def test_the_repaired_error_is_a_cascade(seed):
         gain = flow_gain(row.Phi_flux @ direction, h)
         eta = eta - np.asarray(gain * direction) * float(row.Phi_flux @ eta)
         error = np.asarray(state.constants) - theta
-        found = np.asarray(state.flux) - flux - np.asarray(state.U) @ error
-        np.testing.assert_allclose(found, eta, atol=1e-9 * (1 + np.abs(np.asarray(state.U)).max()))
+        eta_estimate = np.asarray(state.flux) - flux - np.asarray(state.U) @ error
+        np.testing.assert_allclose(
+            eta_estimate, eta, atol=1e-9 * (1 + np.abs(np.asarray(state.U)).max())
+        )
 
 
 @cache
@@ -121,66 +123,66 @@ def record():
     return servo(quick=True)
 
 
-def parts():
-    given = record()
-    return given, jnp.asarray(given.volt_seconds), round(15 / 200 / given.h)
+def record_and_skip():
+    drive = record()
+    return drive, jnp.asarray(drive.volt_seconds), round(15 / 200 / drive.h)
 
 
 def errors(flux):
-    """Of the active flux λ - L i, over ψ: free of the current bias."""
-    given = record()
-    shift = given.machine.L_s * given.current_bias
-    return np.linalg.norm(np.asarray(flux) - given.flux - shift, axis=1) / given.machine.psi_f
+    """Return errors of the active flux λ - L i, over ψ: independent of the current bias."""
+    drive = record()
+    shift = drive.machine.L_s * drive.current_bias
+    return np.linalg.norm(np.asarray(flux) - drive.flux - shift, axis=1) / drive.machine.psi_f
 
 
-def test_pebo_with_a_gradient_is_proposition_1_with_unbounded_signals():
-    given, v, skip = parts()
-    Gamma = balanced_gain(np.asarray(given.rows.Phi_flux)[skip:], 50.0)
-    pebo, _ = run(PEBO(2, "gradient", Gamma), given.h, v, given.rows, skip)
-    robust, _ = run(RobustObserver(Gamma, 2), given.h, v, given.rows, skip)
-    np.testing.assert_allclose(pebo, robust, atol=1e-9 * np.abs(given.flux).max())
+def test_pebo_with_a_gradient_equals_proposition_1():
+    drive, v, skip = record_and_skip()
+    Gamma = balanced_gain(np.asarray(drive.rows.Phi_flux)[skip:], 50.0)
+    pebo, _ = run(PEBO(2, "gradient", Gamma), drive.h, v, drive.rows, skip)
+    robust, _ = run(RobustObserver(Gamma, 2), drive.h, v, drive.rows, skip)
+    np.testing.assert_allclose(pebo, robust, atol=1e-9 * np.abs(drive.flux).max())
 
 
-def test_open_loop_integration_drifts_and_least_squares_pebo_with_it():
-    given, v, skip = parts()
-    drifting, _ = run(VoltageModel(2), given.h, v, given.rows, skip)
-    k = np.searchsorted(given.t, [0.5, 0.9])
+def test_open_loop_integration_and_least_squares_pebo_drift():
+    drive, v, skip = record_and_skip()
+    drifting, _ = run(VoltageModel(2), drive.h, v, drive.rows, skip)
+    k = np.searchsorted(drive.t, [0.5, 0.9])
     growth = np.linalg.norm(
         np.asarray(drifting)[k[1]]
         - np.asarray(drifting)[k[0]]
-        - given.flux[k[1]]
-        + given.flux[k[0]]
+        - drive.flux[k[1]]
+        + drive.flux[k[0]]
     )
-    assert growth == pytest.approx(0.4 * np.linalg.norm(given.drift[0]), rel=1e-3)
-    found, _ = run(PEBO(2), given.h, v, given.rows, skip)
-    assert errors(found)[k[1]] > 1.3 * errors(found)[np.searchsorted(given.t, 0.3)]
+    assert growth == pytest.approx(0.4 * np.linalg.norm(drive.drift[0]), rel=1e-3)
+    estimates, _ = run(PEBO(2), drive.h, v, drive.rows, skip)
+    assert errors(estimates)[k[1]] > 1.3 * errors(estimates)[np.searchsorted(drive.t, 0.3)]
 
 
-def test_adaptive_observers_converge_or_do_not():
-    given, v, skip = parts()
-    constants = Parametrisation(given.constraint, "voltage-bias", 200.0)
-    psi = np.column_stack([given.rows.Phi_flux, constants.record(given.rows)])[skip:]
+def test_which_adaptive_observers_converge():
+    drive, v, skip = record_and_skip()
+    constants = Parametrisation(drive.constraint, "voltage-bias", 200.0)
+    psi = np.column_stack([drive.rows.Phi_flux, constants.record(drive.rows)])[skip:]
     printed, _ = run(
-        PrintedAdaptiveObserver(balanced_gain(psi, 100.0), constants), given.h, v, given.rows, skip
+        PrintedAdaptiveObserver(balanced_gain(psi, 100.0), constants), drive.h, v, drive.rows, skip
     )
-    assert errors(printed)[given.t > 0.9].min() > 1.0
-    half = len(given.t) // 2
+    assert errors(printed)[drive.t > 0.9].min() > 1.0
+    half = len(drive.t) // 2
     window = 0.2
-    before = given.rows.part(slice(skip, half))
+    before = drive.rows.part(slice(skip, half))
     size = np.r_[0.0125, 0.0125, 0.05, 0.05, 2 / 200 * 0.05**2]
-    gramian = observability_gramian(before, constants, given.h, window, size)
+    gramian = observability_gramian(before, constants, drive.h, window, size)
     basis = size[:, None] * balanced_basis(gramian, window)
     for observer in (
         DremObserver(100.0, 0.05, basis, constants),
         RiccatiObserver(0.05, size, 1e-3 * 0.0125, constants),
     ):
-        found, theta = run(observer, given.h, v, given.rows, skip)
-        late = (given.t > 0.7) & (given.t < given.t[half])
-        assert errors(found)[late].max() < 1e-5, type(observer).__name__
-        np.testing.assert_allclose(np.asarray(theta)[half - 1][:2], given.drift[0], rtol=1e-3)
+        estimates, theta = run(observer, drive.h, v, drive.rows, skip)
+        late = (drive.t > 0.7) & (drive.t < drive.t[half])
+        assert errors(estimates)[late].max() < 1e-5, type(observer).__name__
+        np.testing.assert_allclose(np.asarray(theta)[half - 1][:2], drive.drift[0], rtol=1e-3)
 
 
-def test_riccati_is_the_dense_weighted_least_squares():
+def test_riccati_equals_the_dense_weighted_least_squares():
     rng = np.random.default_rng(5)
     observer = RiccatiObserver(0.3, [1.0, 1.0, 0.5, 0.5, 2.0], 0.1, CONSTANTS)
     h, state = 0.05, observer.init()
@@ -199,34 +201,35 @@ def test_riccati_is_the_dense_weighted_least_squares():
         rows.append(np.sqrt(h) / 0.1 * psi[None])
         values.append(np.sqrt(h) / 0.1 * np.atleast_1d(row.y))
     expected = np.linalg.lstsq(np.vstack(rows), np.concatenate(values), rcond=None)[0]
-    found = np.concatenate(observer.estimate(state))
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    estimates = np.concatenate(observer.estimate(state))
+    np.testing.assert_allclose(estimates, expected, rtol=1e-9)
 
 
 @pytest.mark.slow
-def test_drem_is_exact_as_soon_as_its_formula_applies():
-    """Finite time: not asymptotically, but once 1 - w > 0.1, up to rounding."""
+def test_drem_is_exact_once_its_formula_applies():
+    """Finite time: exact up to rounding once 1 - w > 0.1, not only asymptotically."""
     rng = np.random.default_rng(2)
     theta = np.array([0.2, -0.1, 0.3])
     observer = DremObserver(1.0, 1.0, np.eye(5), CONSTANTS)
-    flux, h, state, seen = np.array([0.5, -0.4]), 0.05, observer.init(), []
+    flux, h, state, largest_errors = np.array([0.5, -0.4]), 0.05, observer.init(), []
     for _ in range(400):
         row, v = random_row(rng), 0.1 * rng.standard_normal(2)
         flux = flux + v + h * theta[:2]
         row = row._replace(y=row.Phi_flux @ flux + CONSTANTS.regressor(row) @ theta)
         state = observer.step(state, h, jnp.asarray(v), row)
-        if 1 - float(state.left) > 0.1:
-            found, constants = observer.estimate(state)
-            seen.append(max(np.abs(found - flux).max(), np.abs(constants - theta).max()))
-    assert 0 < len(seen) < 400
-    assert max(seen) < 1e-8
+        if 1 - float(state.start_weight) > 0.1:
+            estimates, constants = observer.estimate(state)
+            error = max(np.abs(estimates - flux).max(), np.abs(constants - theta).max())
+            largest_errors.append(error)
+    assert 0 < len(largest_errors) < 400
+    assert max(largest_errors) < 1e-8
 
 
 @pytest.mark.parametrize(
     ("build", "message"),
     [
         (lambda: RobustObserver(-1.0, 2), "Gamma must be positive definite"),
-        (lambda: RobustObserver([[1.0, 2.0], [2.0, 1.0]], 2), "least eigenvalue -1"),
+        (lambda: RobustObserver([[1.0, 2.0], [2.0, 1.0]], 2), "smallest eigenvalue -1"),
         (lambda: RobustObserver([[1.0, 0.5], [0.0, 1.0]], 2), "Gamma must be symmetric"),
         (lambda: PrintedAdaptiveObserver([1.0, 2.0], CONSTANTS), r"Gamma must be a number, \(5,\)"),
         (lambda: RepairedAdaptiveObserver(1.0, 0.0, CONSTANTS), "G must be positive definite"),
@@ -238,7 +241,7 @@ def test_drem_is_exact_as_soon_as_its_formula_applies():
         (lambda: PEBO(2, "median"), "estimator must be least-squares or gradient"),
     ],
 )
-def test_what_is_refused(build, message):
+def test_wrong_arguments(build, message):
     with pytest.raises((ModelError, ValueError), match=message):
         build()
 
@@ -255,8 +258,8 @@ def test_parametrisation_lengths():
     ] == [7, 5, 3]
 
 
-def test_generalised_pebo_is_the_dense_least_squares():
-    """All rows in terms of the state at the start, weighted by forgetting, and the prior."""
+def test_generalised_pebo_equals_the_dense_least_squares():
+    """The dense problem: all rows in terms of the initial state, with forgetting and the prior."""
     rng = np.random.default_rng(4)
     scale, beta, h = np.array([1.0, 1.0, 0.5, 0.5, 2.0]), 0.7, 0.05
     observer = GeneralisedPEBO(CONSTANTS, scale, 0.1, forgetting=beta)
@@ -269,18 +272,18 @@ def test_generalised_pebo_is_the_dense_least_squares():
         psi = np.r_[row.Phi_flux, CONSTANTS.regressor(row)]
         psi[2:4] += k * h * psi[:2]
         information = np.vstack(rows) * scale
-        known = min(1.0, 1 / np.linalg.eigvalsh(information.T @ information)[0])
-        fade = np.exp(-beta * (1 - known) * h / 2)
-        rows = [fade * part for part in rows] + [np.sqrt(h) / 0.1 * psi[None]]
+        uncertainty = min(1.0, 1 / np.linalg.eigvalsh(information.T @ information)[0])
+        fade = np.exp(-beta * (1 - uncertainty) * h / 2)
+        rows = [fade * earlier for earlier in rows] + [np.sqrt(h) / 0.1 * psi[None]]
         value = float(row.y - row.Phi_flux @ xi)
-        values = [fade * part for part in values] + [np.sqrt(h) / 0.1 * np.atleast_1d(value)]
+        values = [fade * earlier for earlier in values] + [np.sqrt(h) / 0.1 * np.atleast_1d(value)]
     start = np.linalg.lstsq(np.vstack(rows), np.concatenate(values), rcond=None)[0]
     flux, constants = observer.estimate(state)
     np.testing.assert_allclose(constants, start[2:], rtol=1e-9)
     np.testing.assert_allclose(flux, xi + start[:2] + 30 * h * start[2:4], rtol=1e-9)
 
 
-def test_mixed_estimates_follow_their_own_equation():
+def test_mixed_estimates_follow_their_equation():
     """``θ̂_j' = γ Δ (Y_j - Δ θ̂_j)`` with the mixed regression frozen over a step."""
     rng = np.random.default_rng(9)
     gamma, h, size = 3.0, 0.05, 5
@@ -292,7 +295,7 @@ def test_mixed_estimates_follow_their_own_equation():
         before = np.asarray(state.mixed)
         v = jnp.asarray(rng.standard_normal(2))
         state = observer.step(state, h, v, random_row(rng))
-        share = np.eye(size) - float(state.left) * np.linalg.inv(state.M)
+        share = np.eye(size) - float(state.start_weight) * np.linalg.inv(state.M)
         delta, start = np.linalg.det(share), np.linalg.solve(state.M, state.m)
         Y = [
             np.linalg.det(np.column_stack([*share.T[:j], start, *share.T[j + 1 :]]))
@@ -305,8 +308,8 @@ def test_mixed_estimates_follow_their_own_equation():
         np.testing.assert_allclose(state.mixed, exact, rtol=1e-6, atol=1e-9)
 
 
-def test_mixing_removes_the_start_from_the_least_squares():
-    """Excited for a while only: least squares keeps part of its start, the mixed estimate none."""
+def test_mixing_removes_the_initial_value_from_the_least_squares():
+    """With interval excitation, least squares keeps part of its initial value, mixing does not."""
     rng = np.random.default_rng(6)
     theta = np.array([0.2, -0.1, 0.3])
     observers = {
@@ -317,8 +320,8 @@ def test_mixing_removes_the_start_from_the_least_squares():
     flux, h = np.array([0.5, -0.4]), 0.05
     for k in range(300):
         row, v = random_row(rng), 0.1 * rng.standard_normal(2)
-        if k >= 60:  # no excitation any more
-            row = Regressors(*(0 * part for part in row))
+        if k >= 60:  # excitation has ended
+            row = Regressors(*(0 * entry for entry in row))
         flux = flux + v + h * theta[:2]
         row = row._replace(y=row.Phi_flux @ flux + CONSTANTS.regressor(row) @ theta)
         for name, observer in observers.items():
@@ -339,6 +342,6 @@ def test_mixing_removes_the_start_from_the_least_squares():
         ({"scale": np.ones(4)}, "scale must have shape"),
     ],
 )
-def test_generalised_pebo_refuses(change, message):
+def test_wrong_arguments_of_generalised_pebo(change, message):
     with pytest.raises(ModelError, match=message):
         GeneralisedPEBO(**({"constants": CONSTANTS, "scale": np.ones(5), "noise": 1.0} | change))

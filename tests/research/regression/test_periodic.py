@@ -1,4 +1,4 @@
-"""The regression in periodic steady state, against its residual and against the filters in time."""
+"""The regression in periodic steady state, against its residual and the filters over time."""
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ DRIFT, BIAS = np.array([0.05, -0.1]), np.array([0.02, 0.03])
 
 
 def signals(t):
-    """A PMSM whose angle and current repeat every 2π."""
+    """A PMSM whose angle and current have the period 2π."""
     angle = t + 0.8 * jnp.sin(t)
     axis = jnp.array([jnp.cos(angle), jnp.sin(angle)])
     current = jnp.array([0.3 * jnp.sin(2 * t), 0.5 + 0.2 * jnp.cos(t)])
@@ -31,47 +31,47 @@ def signals(t):
 
 
 def sampled(t):
-    def both(t):
+    def measured(t):
         (flux, current), (rate, _) = jax.jvp(signals, (t,), (jnp.ones_like(t),))
         return flux, rate - DRIFT, current + BIAS
 
-    return (np.asarray(part) for part in jax.vmap(both)(jnp.asarray(t)))
+    return (np.asarray(values) for values in jax.vmap(measured)(jnp.asarray(t)))
 
 
 def test_the_regression_holds_to_rounding():
     t = PERIOD * np.arange(256) / 256
     flux, y_m, current = sampled(t)
     rows = periodic_regression(RELATION, CORNER, Orbit(PERIOD, y_m, current))
-    rest = np.asarray(residual(rows, RELATION, flux, DRIFT, BIAS))
-    assert np.abs(rest).max() < 1e-12 * np.abs(rows.y).max()
+    error = np.asarray(residual(rows, RELATION, flux, DRIFT, BIAS))
+    assert np.abs(error).max() < 1e-12 * np.abs(rows.y).max()
 
 
-def test_it_is_the_filters_after_a_long_time():
-    per, periods = 512, 4
-    half = PERIOD / per / 2
-    fine = half * np.arange(2 * per * periods + 1)
+def test_the_filters_converge_to_it():
+    per_period, periods = 512, 4
+    half = PERIOD / per_period / 2
+    fine = half * np.arange(2 * per_period * periods + 1)
     _, y_m, current = sampled(fine)
-    steps = 2 * np.arange(per * periods)[:, None] + np.arange(3)
+    steps = 2 * np.arange(per_period * periods)[:, None] + np.arange(3)
     regression = FilteredRegression(RELATION, CORNER)
     filters = filter_record(
         regression, 2 * half, jnp.asarray(y_m[steps]), jnp.asarray(current[steps])
     )
     rows = read_out_record(regression, filters, jnp.asarray(current[::2]))
     steady = periodic_regression(
-        RELATION, CORNER, Orbit(PERIOD, y_m[: 2 * per : 2], current[: 2 * per : 2])
+        RELATION, CORNER, Orbit(PERIOD, y_m[: 2 * per_period : 2], current[: 2 * per_period : 2])
     )
-    for name, found in steady._asdict().items():
-        late = np.asarray(getattr(rows, name))[-per - 1 : -1]
-        np.testing.assert_allclose(found, late, atol=1e-7 * np.abs(late).max(), err_msg=name)
+    for name, values in steady._asdict().items():
+        late = np.asarray(getattr(rows, name))[-per_period - 1 : -1]
+        np.testing.assert_allclose(values, late, atol=1e-7 * np.abs(late).max(), err_msg=name)
 
 
 @pytest.mark.parametrize("samples", [16, 17])
-def test_between_is_exact_for_what_the_samples_resolve(samples):
+def test_between_is_exact_for_resolved_signals(samples):
     def exact(t):
         return np.stack([1 + np.cos(3 * t), np.sin(7 * t)], axis=1)
 
-    found = between(exact(2 * np.pi * np.arange(samples) / samples), 50, 0.3)
-    np.testing.assert_allclose(found, exact(2 * np.pi * (np.arange(50) + 0.3) / 50), atol=1e-12)
+    values = between(exact(2 * np.pi * np.arange(samples) / samples), 50, 0.3)
+    np.testing.assert_allclose(values, exact(2 * np.pi * (np.arange(50) + 0.3) / 50), atol=1e-12)
 
 
 def test_too_few_samples_are_refused():
@@ -79,14 +79,14 @@ def test_too_few_samples_are_refused():
     _, y_m, current = sampled(t)
     with pytest.raises(ModelError, match="y_m: 16 samples a period do not resolve it"):
         periodic_regression(RELATION, CORNER, Orbit(PERIOD, y_m, current))
-    # Whatever the unit: small signals are as badly resolved, large ones as well.
+    # Whatever the unit: resolution does not depend on the size of the signals.
     for unit in (1e-6, 1e6):
         with pytest.raises(ModelError, match="16 samples a period do not resolve it"):
             periodic_regression(RELATION, CORNER, Orbit(PERIOD, unit * y_m, unit * current))
     _, fine, fine_current = sampled(PERIOD * np.arange(256) / 256)
     for unit in (1e-6, 1e6):
         periodic_regression(RELATION, CORNER, Orbit(PERIOD, unit * fine, unit * fine_current))
-    # And a period that is none.
+    # And a wrong period.
     t = 0.9 * PERIOD * np.arange(256) / 256
     _, y_m, current = sampled(t)
     with pytest.raises(ModelError, match="check that the period is"):

@@ -25,14 +25,14 @@ VECTORS = Path(__file__).parents[2] / "vectors"
 
 
 def run_in(rows, first=20):
-    """Rows after the filters' transient: e^{-νt} with νt > 30."""
+    """Return the rows after the filters' transient: e^{-νt} with νt > 30."""
     return rows.part(slice(first, None))
 
 
 CORNERS = {"pmsm": 60.0, "synrm": 60.0, "maglev": 50.0, "three-port": 8.0}
 
 
-#: Their filters take seconds to integrate.
+#: Cases whose filters take seconds to integrate.
 LONG = {"three-port", "pmsm", "synrm"}
 
 
@@ -50,25 +50,25 @@ def continuous(name, form="corrected"):
 )
 def test_continuous_regression_is_exact_after_the_transient(name):
     case, rows, flux = continuous(name)
-    rest = residual(rows, case.constraint, flux, case.drift, case.current_bias)
-    assert np.abs(rest).max() < 1e-10 * np.sqrt(np.mean(rows.y**2))
+    error = residual(rows, case.constraint, flux, case.drift, case.current_bias)
+    assert np.abs(error).max() < 1e-10 * np.sqrt(np.mean(rows.y**2))
 
 
 @pytest.mark.slow
-def test_printed_forms_fail_by_what_the_errata_say():
+def test_printed_forms_fail_as_the_errata_state():
     case, rows, flux = continuous("pmsm")
-    _, wrong, _ = continuous("pmsm", "printed")
+    _, printed_rows, _ = continuous("pmsm", "printed")
     y = np.sqrt(np.mean(rows.y**2))
-    # Erratum 2: y_a stands without ν in Φ_λ.
-    rest = residual(wrong, case.constraint, flux, case.drift, case.current_bias)
-    assert np.sqrt(np.mean(rest**2)) > 0.5 * y
-    # What is missing is exactly (ν - 1) y_aᵀλ.
+    # Erratum 2: y_a lacks the factor ν in Φ_λ.
+    error = residual(printed_rows, case.constraint, flux, case.drift, case.current_bias)
+    assert np.sqrt(np.mean(error**2)) > 0.5 * y
+    # The missing term is exactly (ν - 1) y_aᵀλ.
     i_m = np.array([case.measured(t)[1] for t in times_of("pmsm")])
     missing = (CORNERS["pmsm"] - 1) * np.einsum("ki,ki->k", i_m @ case.constraint.Q2.T, flux)
-    np.testing.assert_allclose(rest, missing, rtol=1e-6, atol=1e-9 * y)
-    # Erratum 1: θ_ya and θ_yb with the printed signs, which is the bias with the other sign.
-    rest = residual(rows, case.constraint, flux, case.drift, -case.current_bias)
-    assert np.sqrt(np.mean(rest**2)) > 0.02 * y
+    np.testing.assert_allclose(error, missing, rtol=1e-6, atol=1e-9 * y)
+    # Erratum 1: θ_ya and θ_yb with the printed signs, equivalent to the bias with the other sign.
+    error = residual(rows, case.constraint, flux, case.drift, -case.current_bias)
+    assert np.sqrt(np.mean(error**2)) > 0.02 * y
 
 
 def times_of(name):
@@ -76,12 +76,12 @@ def times_of(name):
 
 
 def test_the_constant_of_y_b_has_a_vanishing_regressor():
-    """Erratum 4: through ν p²/(p + ν)² a constant leaves νe^{-νt}(1 - νt) only."""
+    """Erratum 4: through ν p²/(p + ν)² a constant leaves only νe^{-νt}(1 - νt)."""
     constraint = QuadraticConstraint(np.eye(2), np.zeros((2, 2)), np.eye(2))
     regression = FilteredRegression(constraint, 5.0)
     steps, h = 2000, 4e-3
-    one = jnp.ones((steps, 3, 2))
-    filters = filter_record(regression, h, 0 * one, one)
+    ones = jnp.ones((steps, 3, 2))
+    filters = filter_record(regression, h, 0 * ones, ones)
     Phi_b = read_out_record(regression, filters, jnp.ones((steps + 1, 2))).Phi_b
     assert np.abs(Phi_b[0]).max() == pytest.approx(5.0)
     assert np.abs(Phi_b[-1]).max() < 1e-12
@@ -89,7 +89,7 @@ def test_the_constant_of_y_b_has_a_vanishing_regressor():
 
 @pytest.mark.slow
 def test_redundancy_of_the_printed_parametrisation():
-    """Erratum 5: Φ_λ = 2 Q1 Φ_a + Q2 Φ_b, so that (s, -2 Q1 s, -Q2ᵀ s) is never seen."""
+    """Erratum 5: Φ_λ = 2 Q1 Φ_a + Q2 Φ_b; therefore (s, -2 Q1 s, -Q2ᵀ s) is never seen."""
     case, rows, _ = continuous("three-port")
     Q1, Q2 = case.constraint.Q1, case.constraint.Q2
     expected = rows.Phi_a @ (2 * Q1) + rows.Phi_b @ Q2.T
@@ -98,18 +98,20 @@ def test_redundancy_of_the_printed_parametrisation():
 
 @pytest.mark.parametrize("name", ["pmsm", "synrm", "maglev", "generic3"])
 def test_sampled_recursion_matches_the_sums_in_extended_precision(name):
-    given = np.load(VECTORS / f"{name}.npz")
-    constraint = QuadraticConstraint(given["Q1"], given["Q2"], given["Q3"], C=given["C"])
+    vectors = np.load(VECTORS / f"{name}.npz")
+    constraint = QuadraticConstraint(vectors["Q1"], vectors["Q2"], vectors["Q3"], C=vectors["C"])
     n = constraint.n
-    regression = SampledRegression(constraint, float(given["corner"]), float(given["sample_time"]))
-    v = np.vstack([np.zeros((1, n)), given["volt_seconds"]])
-    rows, (m0, m1) = regression.run(v, given["measured_current"])
-    for field, found in rows._asdict().items():
-        expected = given[field]
+    regression = SampledRegression(
+        constraint, float(vectors["corner"]), float(vectors["sample_time"])
+    )
+    v = np.vstack([np.zeros((1, n)), vectors["volt_seconds"]])
+    rows, (m0, m1) = regression.run(v, vectors["measured_current"])
+    for field, values in rows._asdict().items():
+        expected = vectors[field]
         size = np.sqrt(np.mean(expected**2))
-        assert np.abs(found - expected).max() < 1e-8 * size, field
-    np.testing.assert_allclose(m0, given["m0"], atol=1e-10)
-    np.testing.assert_allclose(m1, given["m1"], atol=1e-10)
+        assert np.abs(values - expected).max() < 1e-8 * size, field
+    np.testing.assert_allclose(m0, vectors["m0"], atol=1e-10)
+    np.testing.assert_allclose(m1, vectors["m1"], atol=1e-10)
 
 
 @settings(max_examples=25, deadline=None)
@@ -118,36 +120,37 @@ def test_sampled_regression_is_exact_from_the_first_sample(seed, a):
     """Not only after the transient: with the start's moments times s and κ of the immersion."""
     rng = np.random.default_rng(seed)
     n, rows_count, h = 3, 30, 0.1
-    given = random_constraint(rng, n)
+    random = random_constraint(rng, n)
     drift, bias = rng.standard_normal((2, n))
     current = rng.standard_normal((rows_count, n))
     v = rng.standard_normal((rows_count, n))
     flux = np.cumsum(v + h * drift, axis=0)
-    # Choose what the constraint leaves open so that it holds: a d a sample is not constant, so the
-    # relation is completed by one more current whose coefficient is fixed.
-    constraint = QuadraticConstraint(given.Q1, given.Q2, np.zeros((n, n)), given.E, given.C, 0.7)
+    # Correct the current along one direction such that the constraint holds at every sample.
+    constraint = QuadraticConstraint(
+        random.Q1, random.Q2, np.zeros((n, n)), random.E, random.C, 0.7
+    )
     slope = constraint.C + flux @ constraint.Q2
-    rest = constraint.residual(flux, current - bias)
-    fixed = current - (rest / np.einsum("ki,ki->k", slope, slope))[:, None] * slope
-    assert np.abs(constraint.residual(flux, fixed - bias)).max() < 1e-9 * (1 + flux.max() ** 2)
+    error = constraint.residual(flux, current - bias)
+    corrected = current - (error / np.einsum("ki,ki->k", slope, slope))[:, None] * slope
+    assert np.abs(constraint.residual(flux, corrected - bias)).max() < 1e-9 * (1 + flux.max() ** 2)
     regression = SampledRegression(constraint, -np.log(a) / h, h)
-    rows, (m0, m1) = regression.run(v, fixed)
+    rows, (m0, m1) = regression.run(v, corrected)
     plain = QuadraticConstraint(
         constraint.Q1, constraint.Q2, constraint.Q3, C=constraint.C, d=constraint.d
     )
     immersion = Immersion((plain,), ("drift", "current-bias"))
     states = np.array([immersion.lift(x, drift, bias) for x in flux])
     s, kappa = states[:, immersion.slices["s"]][:, 0], states[:, immersion.slices["kappa"]][:, 0]
-    rest = residual(rows, constraint, flux, drift, bias) - m0 * s + h * m1 * kappa
+    error = residual(rows, constraint, flux, drift, bias) - m0 * s + h * m1 * kappa
     size = np.abs(rows.y).max() + np.abs(m0 * s).max() + np.abs(h * m1 * kappa).max()
-    assert np.abs(rest).max() < 1e-9 * size
+    assert np.abs(error).max() < 1e-9 * size
 
 
 @pytest.mark.parametrize("kind", ["printed", "structured"])
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in CASES]
 )
-def test_parametrisations_explain_y(name, kind):
+def test_parametrisations_reproduce_y(name, kind):
     case, rows, flux = continuous(name)
     constants = Parametrisation(case.constraint, kind, CORNERS[name])
     theta = constants.constants(case.drift, case.current_bias)
@@ -160,8 +163,7 @@ def test_voltage_bias_parametrisation_is_exact_without_current_bias():
     case, rows, flux = continuous("pmsm")
     constants = Parametrisation(case.constraint, "voltage-bias", CORNERS["pmsm"])
     assert len(constants) == 3
-    # The same measured signals belong to the flux λ + L δ without a bias: erratum-free remark of
-    # docs/theory.md, section 3.
+    # The same measurements belong to the flux λ + L δ without a bias: docs/theory.md, section 3.
     shifted = flux + 3e-3 * case.current_bias
     theta = constants.constants(case.drift, np.zeros(2))
     explained = np.einsum("ki,ki->k", rows.Phi_flux, shifted) + constants.record(rows) @ theta
@@ -186,6 +188,6 @@ def test_voltage_bias_parametrisation_is_exact_without_current_bias():
         ),
     ],
 )
-def test_what_is_refused(build, message):
+def test_wrong_arguments(build, message):
     with pytest.raises((ModelError, ValueError), match=message):
         build(QuadraticConstraint(np.eye(2), np.eye(2), np.eye(2)))

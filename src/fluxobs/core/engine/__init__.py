@@ -1,6 +1,6 @@
-"""Work in many processes, on one machine or a cluster, that a kill does not lose.
+"""Work in many processes, on one machine or a cluster, that survives a kill.
 
-A task writes its result itself, whole or not at all; what is written is the checkpoint.
+Each task writes its own result, complete or not at all; the files written are the checkpoint.
 """
 
 from .compute import LOCAL, POOL, compute

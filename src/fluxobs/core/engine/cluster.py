@@ -1,4 +1,4 @@
-"""Dask: a cluster of processes on this machine, or one that is there already."""
+"""Dask: a new cluster of processes on this machine, or an existing cluster."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from .compute import AHEAD, TRIES, Lost
 
 Task = TypeVar("Task")
 
-#: Seconds to wait for a scheduler, and for its first worker.
+#: Longest wait for a scheduler and for its first worker [s].
 PATIENCE = 30
-#: Seconds for which tasks wait when no worker is left: Dask may fail to replace one that died.
+#: Time that tasks wait when no worker is left [s]: Dask may fail to replace a dead one.
 ABANDONED = 60
-#: Seconds for which the number of workers is taken as known.
+#: Time for which the last count of workers is used [s].
 FRESH = 2.0
+_LOST_SCHEDULER = "lost the scheduler; run the same command again to resume"
 
 
 def in_cluster(
@@ -28,10 +29,10 @@ def in_cluster(
     address: str | None,
     lost: Lost,
 ) -> Iterator[tuple[Task, Any]]:
-    """See :func:`compute`; without an address a cluster of one thread per process is started.
+    """See :func:`compute`; without an address, start a cluster of one thread per process.
 
-    Dask counts a death against every task that the worker had, those that waited too. A task that
-    is given up so is tried again when no other is under way: then the death is its own.
+    Dask counts the death of a worker against all its tasks, the waiting ones too. A task that Dask
+    gives up is therefore tried once more alone, so that another death is its own.
     """
     try:
         import dask
@@ -51,8 +52,8 @@ def in_cluster(
     logging.getLogger("distributed").setLevel(logging.ERROR)
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(settings))
-        own = address is None
-        if own:
+        starts_cluster = address is None
+        if starts_cluster:
             cluster = LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0"
             )
@@ -61,32 +62,32 @@ def in_cluster(
             client = stack.enter_context(Client(address, timeout=PATIENCE, set_as_default=False))
             client.wait_for_workers(1, timeout=PATIENCE)
         except (OSError, TimeoutError) as error:
-            raise FluxobsError(f"{address}: no scheduler with workers there: {error}") from None
-        if own:
-            stack.callback(_all_back, client, workers)
-        coming = iter(tasks)
+            raise FluxobsError(f"{address}: no scheduler with workers found: {error}") from None
+        if starts_cluster:
+            stack.callback(_wait_for_workers, client, workers)
+        upcoming = iter(tasks)
         under_way: dict[str, Task] = {}
         suspects: list[Task] = []
-        alone: set[str] = set()  # keys of suspects that are tried again
-        done = as_completed(loop=client.loop, with_results=True, raise_errors=False)
-        asked, known = 0.0, workers
+        alone: set[str] = set()  # keys of suspects that are retried
+        completed = as_completed(loop=client.loop, with_results=True, raise_errors=False)
+        counted_at, count = 0.0, workers
 
-        def there() -> int:
-            """Workers now; clusters grow and shrink, but asking takes a message."""
-            nonlocal asked, known
-            if time.monotonic() - asked > FRESH:
-                asked, known = time.monotonic(), max(1, len(client.ncores()))
-            return known
+        def count_workers() -> int:
+            """Return the number of workers, at most :data:`FRESH` old: each count is a message."""
+            nonlocal counted_at, count
+            if time.monotonic() - counted_at > FRESH:
+                counted_at, count = time.monotonic(), max(1, len(client.ncores()))
+            return count
 
         def submit(task: Task) -> str:
             future = client.submit(work, task, pure=False)
             under_way[future.key] = task
-            done.add(future)
+            completed.add(future)
             return str(future.key)
 
         def hand_out() -> None:
-            for _ in range(AHEAD * there() - len(under_way)):
-                task = next(coming, None)
+            for _ in range(AHEAD * count_workers() - len(under_way)):
+                task = next(upcoming, None)
                 if task is None:
                     break
                 submit(task)
@@ -95,13 +96,13 @@ def in_cluster(
 
         try:
             hand_out()
-            for future, result in done:
+            for future, result in completed:
                 task = under_way.pop(future.key)
                 if future.status == "error":
                     problem = result[1] if isinstance(result, tuple) else future.exception()
                     if isinstance(problem, NoWorkerError):
                         raise FluxobsError(
-                            f"{address}: no worker is left; the same command resumes"
+                            f"{address}: no worker is left; run the same command again to resume"
                         )
                     if not isinstance(problem, KilledWorker):
                         raise problem
@@ -112,18 +113,14 @@ def in_cluster(
                     hand_out()
                     continue
                 if future.status != "finished":
-                    raise FluxobsError(
-                        f"{address}: the scheduler was lost; the same command resumes"
-                    )
+                    raise FluxobsError(f"{address}: {_LOST_SCHEDULER}")
                 yield task, result
                 hand_out()
         except (CommClosedError, OSError):
-            raise FluxobsError(
-                f"{address}: the scheduler was lost; the same command resumes"
-            ) from None
+            raise FluxobsError(f"{address}: {_LOST_SCHEDULER}") from None
 
 
-def _all_back(client: Any, workers: int) -> None:
-    """Wait until workers that died are replaced: Dask cannot end one that is just being started."""
+def _wait_for_workers(client: Any, workers: int) -> None:
+    """Wait until dead workers are replaced: Dask cannot stop a worker that is just starting."""
     with suppress(TimeoutError, OSError):
         client.wait_for_workers(workers, timeout=PATIENCE)

@@ -1,4 +1,4 @@
-"""Many tasks on many workers, as they come: constant memory, retries, back pressure."""
+"""Many tasks on many workers, with constant memory, retries and back pressure."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from .environment import for_workers
 
 Task = TypeVar("Task")
 
-#: Words for the scheduler: Dask's on this machine if it is installed, else the pool; the pool.
+#: Names of schedulers: Dask on this machine (the pool if Dask is not installed); the pool.
 LOCAL, POOL = "local", "pool"
-#: Tasks handed out per worker: one that it works on, one that waits.
+#: Tasks handed out per worker: one in work, one waiting.
 AHEAD = 2
-#: How often a task is tried whose worker dies.
+#: Attempts at a task whose worker dies.
 TRIES = 5
-#: What to return for a task that is given up.
+#: Returns the result of a task that is given up.
 Lost = Callable[[Any], Any]
 
 
 def processors() -> int:
-    """Processors that this process may use."""
+    """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -33,34 +33,36 @@ def compute(
     scheduler: str = LOCAL,
     lost: Lost | None = None,
 ) -> Iterator[tuple[Task, Any]]:
-    """Do tasks in other processes; yields each with its result, in the order in which they end.
+    """Do tasks in other processes; yield each with its result, in the order of completion.
 
     Parameters
     ----------
     tasks : iterable
         Taken as workers become free; small things that can be pickled.
     work : callable
-        A function of a module, or a partial of one; must give the same when it is done twice.
+        A module-level function, or a partial of one. A task may be done twice and must then give
+        the same result.
     workers : int, optional
         Processes on this machine; default one per processor.
     scheduler : str
         "local", "pool", or the address of a Dask scheduler (``tcp://host:8786``).
     lost : callable, optional
-        Result of a task whose worker died five times; default, the run ends there.
+        Returns the result of a task whose worker died five times. By default the run ends.
 
     Raises
     ------
     FluxobsError
-        `work` raised it; a task's worker died five times; or the scheduler cannot be reached.
+        Raised by `work`; or a task's worker died five times; or the scheduler cannot be reached.
     """
     if scheduler not in (LOCAL, POOL) and "://" not in scheduler:
         raise UsageError(
-            f"scheduler {scheduler!r}: local, pool, or an address such as tcp://host:8786"
+            f"scheduler must be local, pool, or an address such as tcp://host:8786; got "
+            f"{scheduler!r}"
         )
     if workers is not None and workers < 1:
         raise UsageError(f"workers must be at least 1, got {workers}")
     with for_workers():
-        if scheduler == POOL or (scheduler == LOCAL and not _dask()):
+        if scheduler == POOL or (scheduler == LOCAL and not _dask_installed()):
             from .pool import in_pool
 
             yield from in_pool(tasks, work, workers or processors(), lost or give_up)
@@ -72,14 +74,13 @@ def compute(
 
 
 def give_up(task: Any) -> Any:
-    """End the run at a task that always kills its worker."""
+    """Raise FluxobsError for a task that always kills its worker."""
     raise FluxobsError(
-        f"{task}: its worker died {TRIES} times, as one does that has no memory left; take fewer "
-        f"workers"
+        f"{task}: its worker died {TRIES} times, probably out of memory; use fewer workers"
     )
 
 
-def _dask() -> bool:
+def _dask_installed() -> bool:
     from importlib.util import find_spec
 
     return find_spec("distributed") is not None

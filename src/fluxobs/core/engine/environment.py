@@ -1,4 +1,4 @@
-"""The environment of workers: one thread each, compiled simulations shared between them."""
+"""The environment of workers: one thread each, and a shared cache of compiled simulations."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-#: Where compiled simulations are kept, if the user does not say.
+#: Variable with the folder of compiled simulations; set here unless the user has set it.
 CACHE = "JAX_COMPILATION_CACHE_DIR"
 
 
 def _processor() -> str:
-    """Stands for the kind of processor: code compiled for one may not run on another."""
+    """Return a hash of the processor type: code compiled for one may not run on another."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        told = next(line for line in lines if line.startswith(("flags", "Features")))
+        features = next(line for line in lines if line.startswith(("flags", "Features")))
     except (OSError, StopIteration):
-        told = platform.processor()
-    return hashlib.sha256((platform.machine() + told).encode()).hexdigest()[:12]
+        features = platform.processor()
+    return hashlib.sha256((platform.machine() + features).encode()).hexdigest()[:12]
 
 
 def variables() -> dict[str, str]:
-    """Environment variables of a worker; those that the user has set stay as they are."""
+    """Return the environment variables to add for a worker; the user's own are not changed."""
     home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    wanted = {
+    settings = {
         "OMP_NUM_THREADS": "1",
         "OPENBLAS_NUM_THREADS": "1",
         "POLARS_MAX_THREADS": "1",
@@ -34,12 +34,12 @@ def variables() -> dict[str, str]:
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
         "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "0",
     }
-    return {name: value for name, value in wanted.items() if name not in os.environ}
+    return {name: value for name, value in settings.items() if name not in os.environ}
 
 
 @contextmanager
 def for_workers() -> Iterator[None]:
-    """While it lasts, new processes get the environment of workers."""
+    """Give new processes the environment of workers while the context is open."""
     added = variables()
     os.environ.update(added)
     try:

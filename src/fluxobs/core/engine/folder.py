@@ -1,4 +1,4 @@
-"""The folder of a result: one run at a time works in it, and its files are whole or not there."""
+"""A folder of results: used by one run at a time, its files complete or absent."""
 
 from __future__ import annotations
 
@@ -20,40 +20,42 @@ UNFINISHED = ".unfinished"
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold a folder for this process; what a killed run left unfinished is removed.
+    """Lock a folder for this process, and remove the unfinished files of a killed run.
 
     Raises
     ------
     FluxobsError
-        Another process works in it, it cannot be written, or a link in it leads elsewhere.
+        Another process uses the folder, it cannot be written, or it contains a link.
     """
     with os.fdopen(open_own(folder / ".lock"), "wb") as handle:
         if not lock(handle.fileno()):
             raise FluxobsError(
-                f"{folder}: another run works in this folder; wait for its end, or stop it"
+                f"{folder}: another run uses this folder; wait until it ends, or stop it"
             )
         _tidy(folder)
         yield
 
 
 def _tidy(folder: Path) -> None:
-    """Remove what a killed run left unfinished; refuse links to folders, through which results
-    would be written and removed elsewhere."""
-    for place, folders, files in os.walk(folder):
+    """Remove unfinished files of a killed run; refuse links to folders.
+
+    Through such a link, results would be written and removed elsewhere.
+    """
+    for root, folders, files in os.walk(folder):
         for name in folders:
-            refuse_link(Path(place, name))
+            refuse_link(Path(root, name))
         for name in files:
             if name.startswith(".") and name.endswith(UNFINISHED):
-                Path(place, name).unlink(missing_ok=True)
+                Path(root, name).unlink(missing_ok=True)
 
 
 def write_part(frame: pl.DataFrame, path: Path) -> None:
-    """Write a Parquet file that is whole or not there, whatever happens meanwhile.
+    """Write a Parquet file, complete or not at all.
 
     Raises
     ------
     FluxobsError
-        It cannot be written: no room, no permission.
+        The file cannot be written: disk full, no permission.
     """
     unfinished = path.with_name(f".{path.name}.{uuid.uuid4().hex}{UNFINISHED}")
     try:

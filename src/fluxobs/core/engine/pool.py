@@ -1,4 +1,4 @@
-"""A pool of processes on this machine, which survives the death of its workers."""
+"""A pool of processes on this machine that survives the death of its workers."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from .compute import AHEAD, TRIES, Lost
 
 Task = TypeVar("Task")
 
-#: Seconds after which the driver looks up from waiting. Another thread may have got its Ctrl-C.
-AWAKE = 0.5
+#: Longest wait of the driver [s]: it then notices a Ctrl-C that another thread received.
+WAKE_UP = 0.5
 
 
-def _started() -> None:
-    """A worker leaves Ctrl-C to the driver, and ends with it: a killed driver tells nobody."""
+def _prepare_worker() -> None:
+    """Ignore Ctrl-C, which the driver handles, and end when the driver dies."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
 
@@ -37,58 +37,58 @@ def in_pool(
 ) -> Iterator[tuple[Task, Any]]:
     """See :func:`compute`.
 
-    A death does not tell whose task it was: all that were under way are done again, one at a time,
-    so that one that always kills its worker kills no others.
+    When a worker dies, the pool does not say which task it had. All tasks under way are repeated,
+    one at a time; a task that always kills its worker then affects no other.
     """
-    coming = iter(tasks)
-    again: list[tuple[Task, int]] = []  # with how often each was tried
-    ended = False
-    while not ended or again:
+    upcoming = iter(tasks)
+    retries: list[tuple[Task, int]] = []  # task, number of attempts so far
+    exhausted = False
+    while not exhausted or retries:
         pool = ProcessPoolExecutor(
-            workers, mp_context=multiprocessing.get_context("spawn"), initializer=_started
+            workers, mp_context=multiprocessing.get_context("spawn"), initializer=_prepare_worker
         )
         under_way: dict[Future[Any], tuple[Task, int]] = {}
         try:
             while True:
-                room = 1 if again else AHEAD * workers
-                while len(under_way) < room and (again or not ended):
-                    if again:
-                        task, tried = again.pop()
+                limit = 1 if retries else AHEAD * workers
+                while len(under_way) < limit and (retries or not exhausted):
+                    if retries:
+                        task, attempts = retries.pop()
                     else:
                         try:
-                            task, tried = next(coming), 0
+                            task, attempts = next(upcoming), 0
                         except StopIteration:
-                            ended = True
+                            exhausted = True
                             break
                     try:
-                        under_way[pool.submit(work, task)] = (task, tried)
+                        under_way[pool.submit(work, task)] = (task, attempts)
                     except BrokenProcessPool:
-                        again.append((task, tried))
+                        retries.append((task, attempts))
                         raise
-                    if tried:
+                    if attempts:
                         break
                 if not under_way:
                     break
-                for future in wait(under_way, AWAKE, FIRST_COMPLETED).done:
-                    result = future.result()  # a broken pool leaves the task under way
+                for future in wait(under_way, WAKE_UP, FIRST_COMPLETED).done:
+                    result = future.result()  # raises if the pool broke; the task stays under way
                     task, _ = under_way.pop(future)
                     yield task, result
         except BrokenProcessPool:
-            again += [(task, tried + 1) for task, tried in under_way.values()]
+            retries += [(task, attempts + 1) for task, attempts in under_way.values()]
         except BaseException:
-            _end(pool)
+            _kill_workers(pool)
             raise
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
-        given_up = [task for task, tried in again if tried >= TRIES]
-        again = [(task, tried) for task, tried in again if tried < TRIES]
+        given_up = [task for task, attempts in retries if attempts >= TRIES]
+        retries = [(task, attempts) for task, attempts in retries if attempts < TRIES]
         for task in given_up:
             yield task, lost(task)
 
 
-def _end(pool: ProcessPoolExecutor) -> None:
-    """End its workers at once: whoever stops a run does not wait for what they do."""
-    if hasattr(pool, "kill_workers"):  # from Python 3.14 on
+def _kill_workers(pool: ProcessPoolExecutor) -> None:
+    """Kill the workers at once: a run that is stopped does not wait for their tasks."""
+    if hasattr(pool, "kill_workers"):  # Python 3.14 and later
         pool.kill_workers()
         return
     for process in list((pool._processes or {}).values()):

@@ -14,10 +14,10 @@ from .excitation import excitation
 
 
 def decay_rate(Gamma: ArrayLike, window: float, alpha: float, Phi_max: float) -> float:
-    """η [1/s] of the paper, from (pe1): ``∫ over T of Φ Φᵀ ≥ α I`` and |Φ| ≤ Phi_max."""
+    """Return η [1/s] of the paper from (pe1): ``∫ over T of Φ Φᵀ ≥ α I``, |Φ| ≤ Phi_max."""
     values = np.linalg.eigvalsh(np.atleast_2d(np.asarray(Gamma, float)))
-    least, most = values[0], values[-1]
-    share = least * alpha / (1 + most**2 * window**2 * Phi_max**4)
+    smallest, largest = values[0], values[-1]
+    share = smallest * alpha / (1 + largest**2 * window**2 * Phi_max**4)
     return float(-np.log1p(-share) / (2 * window))
 
 
@@ -60,12 +60,12 @@ def robust_bound(
 def disturbance(
     rows: Regressors, constants: Parametrisation, Gamma: Any, drift: Any, current_bias: Any
 ) -> Array:
-    """``b = -(θ - Γ Φ_λ Φ_θᵀ θ_all)`` along a record, (rows, n) [V]; the paper prints +."""
+    """Return ``b = -(θ - Γ Φ_λ Φ_θᵀ θ_all)`` along a record, (rows, n) [V]; the paper prints +."""
     matrix = np.asarray(positive_definite("Gamma", Gamma, constants.n))
     theta = np.asarray(constants.constants(drift, current_bias))
     Phi_theta = np.asarray(constants.record(rows))
-    pushed = np.asarray(rows.Phi_flux) @ matrix.T * (Phi_theta @ theta)[:, None]
-    return np.asarray(pushed - theta[: constants.n])
+    correction = np.asarray(rows.Phi_flux) @ matrix.T * (Phi_theta @ theta)[:, None]
+    return np.asarray(correction - theta[: constants.n])
 
 
 def bound_on_record(
@@ -79,15 +79,15 @@ def bound_on_record(
     current_bias: Any,
     t: ArrayLike | None = None,
 ) -> Array:
-    """Bound [Wb] with all constants measured on a record, at its rows or at times t.
+    """Return the bound [Wb] with all constants measured on a record, at its rows or at times t.
 
     ``t = inf`` gives the steady state.
     """
-    found = excitation(np.asarray(rows.Phi_flux), h, window)
+    excited = excitation(np.asarray(rows.Phi_flux), h, window)
     size = np.linalg.norm(np.asarray(rows.Phi_flux), axis=1).max()
     b = np.linalg.norm(disturbance(rows, constants, Gamma, drift, current_bias), axis=1).max()
     matrix = np.asarray(positive_definite("Gamma", Gamma, constants.n))
     times = h * np.arange(len(rows.y)) if t is None else t
     return robust_bound(
-        matrix, found.window, found.alpha, float(size), initial_error, float(b), times
+        matrix, excited.window, excited.alpha, float(size), initial_error, float(b), times
     )

@@ -40,7 +40,7 @@ class Excitation:
 
 
 def gram(signal: ArrayLike, h: float, window: float) -> Array:
-    """Sliding ``∫_t^{t+T} Φ Φᵀ ds``, shape (windows, k, k), by the trapezoid rule."""
+    """Return the sliding ``∫_t^{t+T} Φ Φᵀ ds`` by the trapezoid rule, (windows, k, k)."""
     phi = np.asarray(signal, float)
     length = round(window / h)
     if length < 1 or length >= len(phi):
@@ -53,7 +53,7 @@ def gram(signal: ArrayLike, h: float, window: float) -> Array:
         )
     product = np.einsum("ki,kj->kij", phi, phi)
     area = (product[:-1] + product[1:]) / 2 * h
-    # Add cumulative sums of blocks of one window length: avoids differences of large sums.
+    # Cumulative sums within blocks of one window: no differences of large sums.
     count = len(area) - length + 1
     blocks = -(-len(area) // length)
     padded = np.zeros((blocks * length, *area.shape[1:]))
@@ -69,7 +69,7 @@ def gram(signal: ArrayLike, h: float, window: float) -> Array:
 def excitation(
     signal: ArrayLike, h: float, window: float, scale: ArrayLike | None = None
 ) -> Excitation:
-    """Extreme eigenvalues of the sliding Gram matrix.
+    """Return the extreme eigenvalues of the sliding Gram matrix.
 
     Parameters
     ----------
@@ -78,23 +78,23 @@ def excitation(
     h, window : float
         Sample time, length of the window [s].
     scale : (k,) array_like, optional
-        Size of each unknown; it multiplies the regressor, so that eigenvalues are per-unit and
+        Size of each unknown. It multiplies the regressor, which makes the eigenvalues per-unit and
         comparable. Default 1.
     """
     phi = np.asarray(signal, float)
     values = np.linalg.eigvalsh(gram(phi if scale is None else phi * scale, h, window))
     # Rounding may make an eigenvalue slightly negative.
-    least, most = np.asarray(values[:, 0], float), np.asarray(values[:, -1], float)
+    smallest, largest = np.asarray(values[:, 0], float), np.asarray(values[:, -1], float)
     # Report the window actually integrated: a whole number of steps.
-    return Excitation(round(window / h) * h, np.maximum(least, 0.0), most)
+    return Excitation(round(window / h) * h, np.maximum(smallest, 0.0), largest)
 
 
 def persistency(
     signal: ArrayLike, h: float, windows: Sequence[float], scale: ArrayLike | None = None
 ) -> list[tuple[float, float, float]]:
-    """(T, α, eigenvalue ratio) for several window lengths; α > 0 means excited within T."""
-    out = []
+    """Return (T, α, eigenvalue ratio) for each window length; α > 0 means excited within T."""
+    rows = []
     for window in windows:
-        found = excitation(signal, h, window, scale)
-        out.append((window, found.alpha, found.ratio))
-    return out
+        excited = excitation(signal, h, window, scale)
+        rows.append((window, excited.alpha, excited.ratio))
+    return rows

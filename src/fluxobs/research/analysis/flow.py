@@ -1,9 +1,9 @@
 """Error of a gradient law, ``x' = N x + f + ψ (r - ψᵀx)``, integrated however stiff it is.
 
 The laws of the paper have this form, with ψ = Ψ scaled by the root of the gain. Their rates |ψ|²
-reach 10⁷ 1/s and more, while the result depends on how ψ turns. So the integrator must resolve ψ,
-and need not resolve the rates: Radau IIA with three stages, of order five, L-stable. The generator
-is constant but for a term of rank one: a step costs the solution of three linear equations.
+reach 10⁷ 1/s and more, while the result depends only on how ψ turns. The integrator must therefore
+resolve ψ but not the rates: Radau IIA with three stages, of order five, L-stable. The generator is
+constant except for a term of rank one: a step costs the solution of three linear equations.
 
 References
 ----------
@@ -31,14 +31,14 @@ _STAGES: Array = np.array(
 )
 
 
-#: Steps taken by one compiled call; records of any length share it.
+#: Steps per compiled call; records of any length share it.
 _BLOCK = 4096
 
 
 def flow_steps(
     N: ArrayLike, psi: ArrayLike, h: float, r: ArrayLike | None = None, f: ArrayLike | None = None
 ) -> tuple[Array, Array]:
-    """Transition P and input g of every step, ``x₊ = P x + g``.
+    """Return transition P and input g of every step, ``x₊ = P x + g``.
 
     Parameters
     ----------
@@ -89,19 +89,19 @@ def _block(P: jax.Array, g: jax.Array, x: jax.Array) -> jax.Array:
 
 
 def flow_states(P: Array, g: Array, x: Array) -> Array:
-    """States after every step, (steps, k), from x before the first."""
-    out = np.empty(g.shape)
+    """Return the states after every step, (steps, k), from x before the first."""
+    states = np.empty(g.shape)
     for at in range(0, len(g), _BLOCK):
         count = min(_BLOCK, len(g) - at)
-        part = np.zeros((_BLOCK, *P.shape[1:])), np.zeros((_BLOCK, g.shape[1]))
-        part[0][:count], part[1][:count] = P[at : at + count], g[at : at + count]
-        out[at : at + count] = np.asarray(_block(*part, x))[:count]
-        x = out[at + count - 1]
-    return out
+        padded = np.zeros((_BLOCK, *P.shape[1:])), np.zeros((_BLOCK, g.shape[1]))
+        padded[0][:count], padded[1][:count] = P[at : at + count], g[at : at + count]
+        states[at : at + count] = np.asarray(_block(*padded, x))[:count]
+        x = states[at + count - 1]
+    return states
 
 
 def flow_product(P: Array) -> Array:
-    """Product of all steps in order of time, (k, k)."""
+    """Return the product of all steps in order of time, (k, k)."""
     while len(P) > 1:
         odd = P[-1:] if len(P) % 2 else P[:0]
         P = np.concatenate([P[1::2] @ P[: len(P) - len(odd) : 2], odd])
@@ -109,19 +109,19 @@ def flow_product(P: Array) -> Array:
 
 
 def flow_joined(P: Array, times: int) -> Array:
-    """Products of 2^times steps each; what does not fill the last one is dropped."""
+    """Return products of 2^times steps each; drop an incomplete last one."""
     for _ in range(times):
         P = P[1::2] @ P[: 2 * (len(P) // 2) : 2]
     return P
 
 
 def flow_growth(P: Array) -> Array:
-    """Logarithmic growth of a vector in every step, (steps,)."""
+    """Return the logarithmic growth of a vector in every step, (steps,)."""
     x = np.full(P.shape[1], P.shape[1] ** -0.5)
-    out = np.empty(len(P))
+    growth = np.empty(len(P))
     for k, step in enumerate(P):
         x = step @ x
         size = np.sqrt(x @ x)
-        out[k] = np.log(size)
+        growth[k] = np.log(size)
         x /= size
-    return out
+    return growth

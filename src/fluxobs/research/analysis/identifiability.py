@@ -1,4 +1,4 @@
-"""Which unknowns can be told apart: predicted from the constraint, checked on a record."""
+"""Identifiable unknowns: predicted from the constraint, checked on a record."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ def observability_gramian(
     window: float,
     scale: ArrayLike | None = None,
 ) -> Array:
-    """``∫ F(s,t)ᵀ Ψ Ψᵀ F(s,t) ds`` over the last window of a record, which ends at t.
+    """Return ``∫ F(s,t)ᵀ Ψ Ψᵀ F(s,t) ds`` over the last window of a record, which ends at t.
 
     The system is λ' = θ, y = Ψᵀ(λ, θ, …). The drift moves the flux, which makes more directions
     visible than Ψ alone excites: at constant speed the Ψ of a PMSM has rank 3 of 5, while this
-    Gramian is regular.
+    Gramian has full rank.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def immersion_gramian(
     current: ArrayLike,
     scale: ArrayLike,
 ) -> Array:
-    """``∫ F(s,t)ᵀ H(s)ᵀ H(s) F(s,t) ds`` of the immersion over a record, which ends at t.
+    """Return ``∫ F(s,t)ᵀ H(s)ᵀ H(s) F(s,t) ds`` of the immersion over a record ending at t.
 
     Uniform observability, a lower bound for this Gramian over every window of one length, is what
     the least squares needs; persistency of excitation of Ψ, which the paper asks for, is stronger.
@@ -73,7 +73,7 @@ def immersion_gramian(
     h : float
         Sample time [s].
     volt_seconds, current : (rows, n) array_like
-        Of the interval that ends at each row [Wb]; [A].
+        Volt-seconds of the interval that ends at each row [Wb]; current [A].
     scale : (size,) array_like
         Size of each state.
 
@@ -82,23 +82,23 @@ def immersion_gramian(
     (size, size) ndarray
     """
     v, i = np.asarray(volt_seconds, float), np.asarray(current, float)
-    back = np.diag(np.asarray(scale, float))
+    backward = np.diag(np.asarray(scale, float))
     total = np.zeros((immersion.size, immersion.size))
     for k in range(len(v) - 1, -1, -1):
-        row = immersion.output_rows(i[k])[0] @ back
+        row = immersion.output_rows(i[k])[0] @ backward
         total += h * row.T @ row
-        back = immersion.transition(-h, -v[k]) @ back
+        backward = immersion.transition(-h, -v[k]) @ backward
     return total
 
 
 def invisible_from_gramian(gramian: ArrayLike, tolerance: float = 1e-10) -> Array:
-    """Directions invisible in a record, (N, k): eigenvalue at most `tolerance` of the largest."""
+    """Return the directions invisible in a record, (N, k): relative eigenvalue ≤ `tolerance`."""
     values, vectors = np.linalg.eigh(np.asarray(gramian, float))
     return np.asarray(vectors[:, values <= tolerance * values[-1]])
 
 
 def invisible_from_constraint(constraint: QuadraticConstraint, constants: Parametrisation) -> Array:
-    """Directions in (λ, constants) that are invisible in every record, (N, k).
+    """Return the directions in (λ, constants) that are invisible in every record, (N, k).
 
     With the current bias as an unknown, they are the null space of the Hessian, read as offsets
     (r, s) of flux and bias. The printed parametrisation, if it has the y_b block, adds
@@ -162,7 +162,7 @@ def compare_invisible(
     scale: ArrayLike,
     tolerance: float = 1e-10,
 ) -> InvisibleComparison:
-    """Compares the prediction from the constraint with the observability Gramian of a record."""
+    """Compare the prediction from the constraint with the observability Gramian of a record."""
     sizes = np.asarray(scale, float)
     found = invisible_from_gramian(
         observability_gramian(rows, constants, h, window, sizes), tolerance
@@ -178,6 +178,6 @@ def compare_invisible(
 
 
 def rank(gramian: ArrayLike, tolerance: float = 1e-10) -> int:
-    """Number of visible directions."""
+    """Return the number of visible directions."""
     values = np.linalg.eigvalsh(np.asarray(gramian, float))
     return int((values > tolerance * values[-1]).sum())

@@ -1,8 +1,8 @@
-"""Is an adaptive law stable along this trajectory? Remark 7 leaves the number to the reader.
+"""Stability of an adaptive law along a trajectory, which the paper's Remark 7 leaves open.
 
 The error of Proposition 2 obeys ``χ' = (G_a - Γ Ψ Ψᵀ) χ``. On a periodic trajectory its Floquet
 multipliers decide stability. On any other its largest Lyapunov exponent does, which a record of
-finite length only approaches. Both come with the uncertainty of the number.
+finite length only approximates. Both numbers come with their uncertainty.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from ..regression.laws.base import positive_definite
 from ..regression.periodic import between
 from .flow import NODES, flow_growth, flow_joined, flow_product, flow_steps
 
-#: Steps a period are doubled until no exponent changes by more than this share, or this often.
+#: Double the steps a period until no exponent changes by more than this share, or this often.
 CONVERGED, DOUBLINGS = 1e-5, 6
-#: Steps are joined by twos this often before the growth of a vector is followed.
+#: Neighbouring steps are multiplied in pairs this often before the growth of a vector is computed.
 _JOINED = 4
 
 
@@ -34,9 +34,9 @@ class GainStudy(NamedTuple):
     ----------
     gains : (k,) ndarray
     exponent : (k,) ndarray
-        Largest growth rate [1/s]: of periodic trajectories ``ln |multiplier| / period``.
+        Largest growth rate [1/s]; for a periodic trajectory ``ln |multiplier| / period``.
     uncertainty : (k,) ndarray
-        Change of the exponent when the steps are halved and, without a period, when the record is.
+        Change of the exponent when the steps are halved; without a period, also when the record is.
     """
 
     gains: Array
@@ -59,9 +59,9 @@ class GainStudy(NamedTuple):
 
 
 def balanced_error_system(constants: Parametrisation, Gamma: Any) -> tuple[Array, Array]:
-    """G_a in coordinates in which Γ is the identity, and the root L of ``Γ = L Lᵀ``.
+    """Return G_a in coordinates in which Γ is the identity, and the root L of ``Γ = L Lᵀ``.
 
-    There ψ = Lᵀ Ψ, and the units of the constants do not matter; nor do they to the exponents.
+    There ψ = Lᵀ Ψ. The units of the constants affect neither the result nor the exponents.
     """
     n, size = constants.n, constants.n + len(constants)
     root = np.linalg.cholesky(np.asarray(positive_definite("Gamma", Gamma, size)))
@@ -71,28 +71,28 @@ def balanced_error_system(constants: Parametrisation, Gamma: Any) -> tuple[Array
 
 
 def floquet_multipliers(steps: ArrayLike) -> Array:
-    """Eigenvalues of the product of all steps of one period, (steps, N, N); largest first."""
+    """Return the eigenvalues of the product of one period's steps, (steps, N, N); largest first."""
     values = np.linalg.eigvals(flow_product(np.asarray(steps, float)))
     return np.asarray(values[np.argsort(-np.abs(values))])
 
 
 def weighted_mean(values: ArrayLike) -> float:
-    """Mean under the weight ``exp(-1/(s (1 - s)))``, s from 0 to 1 along the values.
+    """Return the mean under the weight ``exp(-1/(s (1 - s)))``, s from 0 to 1 along the values.
 
-    Of a quasi-periodic signal it converges faster than any power of the length, where the plain
-    mean converges as one over the length (S. Das, Y. Saiki, E. Sander, J. A. Yorke, "Quantitative
+    For a quasi-periodic signal it converges faster than any power of the length, the plain mean
+    only as one over the length (S. Das, Y. Saiki, E. Sander, J. A. Yorke, "Quantitative
     quasiperiodicity", Nonlinearity 30, 2017, doi:10.1088/1361-6544/aa84c2).
     """
-    given = np.asarray(values, float)
-    s = (np.arange(len(given)) + 0.5) / len(given)
+    signal = np.asarray(values, float)
+    s = (np.arange(len(signal)) + 0.5) / len(signal)
     weight = np.exp(-1 / (s * (1 - s)))
-    return float(weight @ given / weight.sum())
+    return float(weight @ signal / weight.sum())
 
 
 def largest_exponent(steps: ArrayLike, h: float) -> tuple[float, float]:
-    """Largest Lyapunov exponent [1/s] of steps h long, and its change when the record is halved.
+    """Return the largest Lyapunov exponent [1/s], and its change when the record is halved.
 
-    The first quarter lets the error turn into the direction that grows most.
+    Each step is h long. The first quarter lets the error turn into the direction that grows most.
     """
     joined = flow_joined(np.asarray(steps, float), _JOINED)
     growth = flow_growth(joined) / (2**_JOINED * h)
@@ -109,12 +109,12 @@ def _steps(N: Array, psi: Array, h: float) -> Array:
 
 
 def periodic_nodes(psi: Array, steps: int) -> Array:
-    """ψ of one period at the nodes of `steps` steps, (steps, 3, N)."""
+    """Return ψ of one period at the nodes of `steps` steps, (steps, 3, N)."""
     return np.stack([between(psi, steps, shift) for shift in NODES], axis=1)
 
 
 def record_nodes(psi: Array, substeps: int) -> Array:
-    """ψ of a record at the nodes of `substeps` steps a row, by cubic splines, (steps, 3, N)."""
+    """Return ψ of a record at the nodes of `substeps` steps a row, by splines, (steps, 3, N)."""
     steps = (len(psi) - 1) * substeps
     places = (np.arange(steps)[:, None] + NODES) / substeps
     return np.asarray(CubicSpline(np.arange(len(psi)), psi)(places))
@@ -128,14 +128,14 @@ def over_gain(
     Gamma: Any = 1.0,
     periodic: bool = True,
 ) -> GainStudy:
-    """Stability of Proposition 2 along a trajectory for the gains γ Γ.
+    """Return the stability of Proposition 2 along a trajectory for the gains γ Γ.
 
     Parameters
     ----------
     psi : (rows, n + n_θ) array_like
-        Ψ in steps of h. If `periodic`, one period in steady state that ends h before it repeats
-        (:func:`fluxobs.research.regression.periodic_regression`); else a record, the longer the
-        better, that resolves Ψ.
+        Ψ in steps of h. If `periodic`, one period in steady state, whose last row is h before its
+        end (:func:`fluxobs.research.regression.periodic_regression`); otherwise a record that
+        resolves Ψ, the longer the better.
     h : float
         Sample time [s].
     constants : Parametrisation
@@ -144,42 +144,44 @@ def over_gain(
     Gamma : number, vector or matrix
         Γ, the shape of the gain.
     periodic : bool
-        Floquet multipliers if true, else the largest Lyapunov exponent.
+        Compute Floquet multipliers if true, else the largest Lyapunov exponent.
 
     Raises
     ------
     ModelError
-        Ψ is not finite, has the wrong width, or does not close where it should be periodic.
+        Ψ is not finite, has the wrong width, or does not close although `periodic` is set.
     """
-    given = np.asarray(psi, float)
+    regressor = np.asarray(psi, float)
     N, root = balanced_error_system(constants, Gamma)
-    if given.ndim != 2 or given.shape[1] != len(N) or len(given) < 8:
-        raise ModelError(f"psi must be (rows, {len(N)}), at least 8 rows, got {given.shape}")
-    if not np.isfinite(given).all():
-        raise ModelError(f"psi is not finite at row {int(np.argwhere(~np.isfinite(given))[0][0])}")
+    if regressor.ndim != 2 or regressor.shape[1] != len(N) or len(regressor) < 8:
+        raise ModelError(f"psi must be (rows, {len(N)}), at least 8 rows, got {regressor.shape}")
+    if not np.isfinite(regressor).all():
+        raise ModelError(
+            f"psi is not finite at row {int(np.argwhere(~np.isfinite(regressor))[0][0])}"
+        )
     if periodic:
-        _closes(given)
-    one = _periodic if periodic else _along
-    found = [one(N, np.sqrt(gain) * given @ root, h) for gain in gains]
-    exponent, uncertainty = np.array(found).T
+        _check_closed(regressor)
+    exponent_of = _periodic_exponent if periodic else _record_exponent
+    pairs = [exponent_of(N, np.sqrt(gain) * regressor @ root, h) for gain in gains]
+    exponent, uncertainty = np.array(pairs).T
     return GainStudy(np.asarray(gains, float), exponent, uncertainty)
 
 
-def _closes(psi: Array) -> None:
-    """Refuses a Ψ that jumps where the period starts again."""
+def _check_closed(psi: Array) -> None:
+    """Raise ModelError for a Ψ that jumps where the period starts again."""
     jump = np.abs(psi[0] - 2 * psi[-1] + psi[-2])
     inside = np.abs(np.diff(psi, n=2, axis=0)).max(axis=0)
-    least = np.maximum(1e-9 * np.abs(psi).max(axis=0), np.finfo(float).tiny)
-    worst = float((jump / np.maximum(inside, least)).max())
+    floor = np.maximum(1e-9 * np.abs(psi).max(axis=0), np.finfo(float).tiny)
+    worst = float((jump / np.maximum(inside, floor)).max())
     if worst > 10:
         raise ModelError(
-            f"not periodic: where the period starts again the regressor bends {worst:.3g} times as "
-            f"much as inside; give one period in steady state, or periodic=False"
+            f"not periodic: at the end of the period the regressor bends {worst:.3g} times as much "
+            f"as inside; give one period in steady state, or periodic=False"
         )
 
 
-def _doubled(exponent: Callable[[int], float], rows: int, size: float) -> tuple[float, float]:
-    """Exponent with the steps doubled until it stays, and its last change."""
+def _converge(exponent: Callable[[int], float], rows: int, size: float) -> tuple[float, float]:
+    """Double the steps until the exponent converges; return it and its last change."""
     value = exponent(rows)
     change = np.inf
     for doubling in range(1, DOUBLINGS + 1):
@@ -190,17 +192,17 @@ def _doubled(exponent: Callable[[int], float], rows: int, size: float) -> tuple[
     return value, change
 
 
-def _periodic(N: Array, psi: Array, h: float) -> tuple[float, float]:
+def _periodic_exponent(N: Array, psi: Array, h: float) -> tuple[float, float]:
     period = h * len(psi)
 
     def exponent(steps: int) -> float:
         P = _steps(N, periodic_nodes(psi, steps), period / steps)
         return float(np.log(np.abs(floquet_multipliers(P)[0])) / period)
 
-    return _doubled(exponent, len(psi), 1 / period)
+    return _converge(exponent, len(psi), 1 / period)
 
 
-def _along(N: Array, psi: Array, h: float) -> tuple[float, float]:
+def _record_exponent(N: Array, psi: Array, h: float) -> tuple[float, float]:
     coarse, short = largest_exponent(_steps(N, record_nodes(psi, 1), h), h)
     fine, _ = largest_exponent(_steps(N, record_nodes(psi, 2), h / 2), h / 2)
     return fine, short + abs(fine - coarse)

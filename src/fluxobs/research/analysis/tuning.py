@@ -1,8 +1,8 @@
-"""Gains from a record, balanced so that all directions converge equally fast.
+"""Gains from a record, balanced: all directions converge equally fast.
 
 A gradient observer converges as slowly as its least excited direction. The inverse of the
-regressor's mean square, as gain, makes all directions equally fast. The record for this needs no
-bias: only the excitation counts.
+regressor's mean square, used as gain, makes all directions equally fast. The record need not
+contain any bias; only its excitation counts.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from ..regression import Parametrisation, Regressors
 from ..regression.laws.gradient import RepairedAdaptiveObserver, sensitivity_step
 
 #: Directions excited less than this share of the strongest get no higher gain.
-LEAST = 1e-10
+MIN_EXCITATION = 1e-10
 
 
 def balanced_gain(regressor: ArrayLike, rate: float) -> Array:
-    """``rate · (mean Φ Φᵀ)⁻¹``: every direction converges at about `rate` [1/s]."""
+    """Return ``rate · (mean Φ Φᵀ)⁻¹``: every direction converges at about `rate` [1/s]."""
     phi = np.asarray(regressor, float)
     size = np.sqrt(np.mean(phi**2, axis=0))
     if not (size > 0).all():
         raise ModelError(f"column {int(np.argmin(size))} of the regressor is never excited")
     values, vectors = np.linalg.eigh((phi / size).T @ (phi / size) / len(phi))
-    values = np.maximum(values, LEAST * values[-1])
+    values = np.maximum(values, MIN_EXCITATION * values[-1])
     inverse = vectors / values @ vectors.T / np.outer(size, size)
     return np.asarray(rate * (inverse + inverse.T) / 2)
 
 
 def balanced_basis(gramian: ArrayLike, window: float) -> Array:
-    """Basis in which ``gramian/window`` is the identity; gives DREM a Δ of about 1."""
+    """Return the basis in which ``gramian/window`` is the identity; DREM then has Δ ≈ 1."""
     W = np.asarray(gramian, float) / window
     size = 1 / np.sqrt(np.diag(W))
-    triangle = np.linalg.cholesky(size[:, None] * W * size)
-    return np.asarray(size[:, None] * np.linalg.inv(triangle).T)
+    root = np.linalg.cholesky(size[:, None] * W * size)
+    return np.asarray(size[:, None] * np.linalg.inv(root).T)
 
 
 @eqx.filter_jit
@@ -63,7 +63,7 @@ def balanced_repaired(
     constants_rate: float,
     skip: int,
 ) -> RepairedAdaptiveObserver:
-    """Repaired adaptive observer with balanced Γ and G; the first `skip` rows are transient."""
+    """Return the repaired observer with balanced Γ and G; the first `skip` rows are transient."""
     Gamma: Any = balanced_gain(np.asarray(rows.Phi_flux)[skip:], flux_rate)
     omega = _omega(jnp.asarray(Gamma), rows, constants, h)
     G = balanced_gain(np.asarray(omega)[skip:], constants_rate)

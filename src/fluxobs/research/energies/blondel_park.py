@@ -1,8 +1,9 @@
 """Blondel-Park transformability: does a rotation remove the position from the energy?
 
-The paper asks how it relates to Assumption 1. A machine is transformable if for each coordinate
-q_k there is a constant skew U_k with ``H_E(λ, q) = H_0(e^{-U q} λ) + V(q)``. For linear magnetics
-this means ``L′(q) = U L(q) - L(q) U`` and ``μ′(q) = U μ(q)``. Differentiated, for any energy::
+The paper asks how this property relates to Assumption 1. A machine is transformable if each
+coordinate q_k has a constant skew U_k with ``H_E(λ, q) = H_0(e^{-U q} λ) + V(q)``. For linear
+magnetics this means ``L′(q) = U L(q) - L(q) U`` and ``μ′(q) = U μ(q)``. Differentiated, for any
+energy::
 
     ∂i/∂q_k + (∂i/∂λ) U_k λ - U_k i = 0        for all (λ, q)
 
@@ -22,7 +23,7 @@ from .system import ElectromechanicalSystem
 
 @dataclass(frozen=True, eq=False)
 class BlondelPark:
-    """Result of the check.
+    """Result of :func:`blondel_park`.
 
     Attributes
     ----------
@@ -31,7 +32,7 @@ class BlondelPark:
     U : (n_M, n_E, n_E) ndarray
         Best-fitting skew matrices [1/rad or 1/m].
     residual : (n_M,) ndarray
-        Rms of the identity over that of ``∂i/∂q_k``: about 1e-15 if it holds, else 0.1 … 1.
+        Rms of the identity over the rms of ``∂i/∂q_k``: about 1e-15 if it holds, else 0.1 … 1.
     """
 
     transformable: bool
@@ -42,15 +43,15 @@ class BlondelPark:
 def blondel_park(
     system: ElectromechanicalSystem, samples: int = 300, tolerance: float = 1e-8, seed: int = 0
 ) -> BlondelPark:
-    """Fits U by linear least squares over random states."""
+    """Fit U by linear least squares over random states."""
     n, m = system.n_E, system.n_M
     rng = np.random.default_rng(seed)
     flux, position = system.random_states(rng, samples)
     i = np.asarray(jax.vmap(system.current)(flux, position))
     by_flux = np.asarray(jax.vmap(jax.jacfwd(system.current, 0))(flux, position))
     by_position = np.asarray(jax.vmap(jax.jacfwd(system.current, 1))(flux, position))
-    # Balance ports of different size by their currents, not by how position changes these: the
-    # change may be zero. Weigh rows, since a skew U stays skew only under a common scale.
+    # Balance ports of different size by their currents. The change of the currents with position
+    # would not do: it may be zero. Weigh rows: a skew U stays skew only under a common scale.
     size = np.sqrt(np.mean(i**2, axis=0))
     weight = 1 / np.maximum(size, max(1e-9 * size.max(), 1e-300))
     pairs = [(a, b) for a in range(n) for b in range(a + 1, n)]
@@ -58,10 +59,10 @@ def blondel_park(
     for a, b in pairs:
         U = np.zeros((n, n))
         U[a, b], U[b, a] = 1.0, -1.0
-        moved = np.einsum("kij,kj->ki", by_flux, np.asarray(flux) @ U.T) - i @ U.T
-        columns.append((weight * moved).ravel())
+        change = np.einsum("kij,kj->ki", by_flux, np.asarray(flux) @ U.T) - i @ U.T
+        columns.append((weight * change).ravel())
     A = np.array(columns).T if pairs else np.zeros((samples * n, 0))
-    out, residual = np.zeros((m, n, n)), np.zeros(m)
+    matrices, residual = np.zeros((m, n, n)), np.zeros(m)
     for k in range(m):
         right = -(weight * by_position[:, :, k]).ravel()
         size = np.sqrt(np.mean(right**2))
@@ -71,5 +72,5 @@ def blondel_park(
         rest = right - (A @ solution if pairs else 0)
         residual[k] = np.sqrt(np.mean(rest**2)) / size
         for (a, b), value in zip(pairs, solution, strict=True):
-            out[k, a, b], out[k, b, a] = value, -value
-    return BlondelPark(bool((residual < tolerance).all()), out, residual)
+            matrices[k, a, b], matrices[k, b, a] = value, -value
+    return BlondelPark(bool((residual < tolerance).all()), matrices, residual)

@@ -1,4 +1,4 @@
-"""Checks Assumption 1 of the paper, and discovers its relations, from the energies alone."""
+"""Check Assumption 1 of the paper, and discover relations, from the energies alone."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ from .system import ElectromechanicalSystem
 FLOOR = 1e-9
 #: ... and the singular values fall by this factor at the edge of the null space.
 GAP = 1e10
-#: A relation whose singular value is below this share holds approximately: its machine, or the
-#: range it was sampled in, is next to one that has a relation. Machines without one are above 1e-3.
+#: A relation whose singular value is below this share holds approximately: the machine, or the
+#: range of its samples, is close to one with an exact relation. Machines without one are above
+#: 1e-3.
 NEAR = 1e-5
-#: If halving a range changes the size of an approximate relation by more than this, the range
-#: decides, else a parameter does.
+#: If halving a range changes the size of an approximate relation by more than this factor, the
+#: range decides whether it holds; otherwise a parameter does.
 RANGE_DECIDES = 0.8
 #: Relative residual on other states above which a relation is rejected.
 HELD_OUT = 1e-9
@@ -43,7 +44,7 @@ class Polynomial:
     exponents : (terms, 2n) ndarray of int
     coefficients : (terms,) ndarray
     names : tuple of str
-        Of the variables; empty for λ1 … λn, i1 … in.
+        Names of the variables; empty for λ1 … λn, i1 … in.
     """
 
     exponents: NDArray[np.int_]
@@ -56,38 +57,38 @@ class Polynomial:
 
     @property
     def degree_in_flux(self) -> int:
-        """1: linear in λ; 2: quadratic. Observers can use these, but no higher degree."""
+        """1: linear in λ; 2: quadratic. Observers can use no higher degree."""
         n = self.exponents.shape[1] // 2
         return int(self.exponents[:, :n].sum(axis=1).max())
 
     def terms(self, flux: Array, current: Array) -> Array:
-        """Value of every term, (..., terms)."""
+        """Return the value of every term, (..., terms)."""
         x = np.concatenate([flux, current], axis=-1)[..., None, :]
         return np.asarray(self.coefficients * np.prod(x**self.exponents, axis=-1))
 
     def __str__(self) -> str:
         n = self.exponents.shape[1] // 2
         names = self.names or tuple(f"{kind}{j + 1}" for kind in "λi" for j in range(n))
-        out = []
+        terms = []
         for exponents, coefficient in zip(self.exponents, self.coefficients, strict=True):
             factors = [
                 name + ("" if e == 1 else "²³⁴"[e - 2])
                 for name, e in zip(names, exponents, strict=True)
                 if e
             ]
-            out.append(f"{coefficient:+.4g} {' '.join(factors)}".strip())
-        return " ".join(out) + " = 0"
+            terms.append(f"{coefficient:+.4g} {' '.join(factors)}".strip())
+        return " ".join(terms) + " = 0"
 
 
 @dataclass(frozen=True, eq=False)
 class Approximate:
-    """A relation that holds nearly.
+    """A relation that holds approximately.
 
     Attributes
     ----------
     relation : Polynomial
     size : float
-        Its rms value over that of the largest combination of the same monomials, each of rms one.
+        Rms value over that of the largest combination of the same monomials, each of rms one.
     """
 
     relation: Polynomial
@@ -110,19 +111,19 @@ class Discovery:
     higher : tuple of Polynomial
         Relations of degree 3 or 4 that do not follow from the quadratic ones; only on request.
     approximate : tuple of Approximate
-        Relations that hold only nearly, or cannot be told from such; each with its size.
+        Relations that hold only approximately, or may do so; each with its size.
     warning : str
-        What is doubtful, and what would decide it; empty if nothing is.
+        What is doubtful, and what would decide it; empty without doubt.
     margin : float
-        Factor by which the singular values fall at the edge of the null space; a measure of
-        certainty. At least 1e10 if there is a null space, usually around 1e13. Otherwise the
-        largest factor between neighbours, which was too small.
+        Factor by which the singular values fall at the edge of the null space; measures certainty.
+        At least 1e10 if there is a null space, usually around 1e13. Otherwise the largest factor
+        between neighbours, which was too small.
     smallest : float
         Smallest singular value over the largest; without relations, the distance from having one.
     residual : float
         Largest relative residual on states not used to find the relations.
     invisible : (2n, k) ndarray
-        Offsets of (λ, i) that all quadratic relations together cannot see.
+        Offsets of (λ, i) that no quadratic relation can see.
     """
 
     name: str
@@ -141,7 +142,7 @@ class Discovery:
 
 
 def relative_residual(constraint: QuadraticConstraint, flux: Array, current: Array) -> Array:
-    """|w| over the sum of its terms' magnitudes, (...)."""
+    """Return |w| over the sum of its terms' magnitudes, (...)."""
     c = constraint
     flux, current = np.asarray(flux, float), np.asarray(current, float)
     size = (
@@ -162,7 +163,7 @@ def check_constraint(
     tolerance: float = 1e-9,
     seed: int = 0,
 ) -> float:
-    """Checks that relations hold for a system at any position.
+    """Check that relations hold for a system at any position.
 
     Parameters
     ----------
@@ -212,7 +213,7 @@ def discover_constraint(
     ports: Sequence[int] | None = None,
     seed: int = 0,
 ) -> Discovery:
-    """Finds all quadratic relations between flux and current that hold at any position.
+    """Find all quadratic relations between flux and current that hold at any position.
 
     Draws random states, computes currents by differentiation, and finds the null space of the
     monomials ``{λλ, λi, ii, λ, i, 1}`` by singular values; docs/theory.md, section 9.
@@ -240,48 +241,48 @@ def discover_constraint(
         raise ModelError(f"degree must be 2, 3 or 4, got {degree}")
     if not isinstance(system, ElectromechanicalSystem):
         raise ModelError(
-            f"a system of energies is needed, got {type(system).__name__}; see "
+            f"system must be an ElectromechanicalSystem, got {type(system).__name__}; see "
             f"fluxobs.research.energies.library"
         )
-    measured = list(range(system.n_E)) if ports is None else list(ports)
+    ports = list(range(system.n_E)) if ports is None else list(ports)
     every = set(range(system.n_E))
-    if not measured or len(set(measured)) < len(measured) or not set(measured) <= every:
-        raise ModelError(f"ports must be some of 0 … {system.n_E - 1}, each once, got {measured}")
-    n = len(measured)
+    if not ports or len(set(ports)) < len(ports) or not set(ports) <= every:
+        raise ModelError(f"ports must be some of 0 … {system.n_E - 1}, each once, got {ports}")
+    n = len(ports)
     size = 40 * sum(1 for _ in combinations_with_replacement(range(2 * n + 1), degree))
     flux, current, _ = _sample(system, size + 500, seed)
-    x = np.concatenate([flux[:, measured], current[:, measured]], axis=1)
+    x = np.concatenate([flux[:, ports], current[:, ports]], axis=1)
     scale = _rms(x)
     x, held_out = x[:size] / scale, x[size:] / scale
 
-    kept, affine, nearly = _without_affine(x, scale)
-    doubtful = _affine_exponents(x.shape[1]) if nearly else _exponents(x.shape[1], kept, 2)
+    free, affine, approximate = _without_affine(x, scale)
+    doubtful = _affine_exponents(x.shape[1]) if approximate else _exponents(x.shape[1], free, 2)
 
     def relative(of: ElectromechanicalSystem) -> Array:
         flux, current, _ = _sample(of, size, seed)
-        columns = np.concatenate([flux[:, measured], current[:, measured]], axis=1)
+        columns = np.concatenate([flux[:, ports], current[:, ports]], axis=1)
         return _null_space(_monomials(columns / scale, doubtful)).relative
 
-    found: list[tuple[NDArray[np.int_], Array]] = []  # exponents, null vectors of each degree
+    by_degree: list[tuple[NDArray[np.int_], Array]] = []  # exponents, null vectors
     margin = smallest = 0.0
     for d in range(2, degree + 1):
-        exponents = _exponents(x.shape[1], kept, d)
+        exponents = _exponents(x.shape[1], free, d)
         space = _null_space(_monomials(x, exponents))
         null = space.vectors
         if d == 2:
             margin, smallest = space.margin, float(space.relative[-1])
             # The square of a nearly affine relation would look exact.
-            if nearly:
+            if approximate:
                 null = null[:, :0]
             else:
-                nearly = _approximate(space, exponents, scale)
-        null = _beyond(null, exponents, found, d)
+                approximate = _approximate(space, exponents, scale)
+        null = _without_products(null, exponents, by_degree, d)
         if null.shape[1]:
-            found.append((exponents, _reduced(null, _no_flux(exponents))))
+            by_degree.append((exponents, _reduced(null, _no_flux(exponents))))
 
     quadratic, higher = [], []
     residual = 0.0
-    for exponents, null in found:
+    for exponents, null in by_degree:
         for vector in null.T:
             used = np.abs(vector) > ROUNDING * np.abs(vector).max()
             polynomial = Polynomial(exponents[used], vector[used])
@@ -297,7 +298,7 @@ def discover_constraint(
                 higher.append(polynomial)
     if residual > HELD_OUT:
         raise ModelError(
-            f"{system.name}: a relation fits the states it was found on and fails on others, by "
+            f"{system.name}: a relation fits the states it was found on but fails on others, by "
             f"{residual:.1g} of its terms: too badly scaled. Set flux_range and position_range to "
             f"the operating range of the machine"
         )
@@ -307,8 +308,8 @@ def discover_constraint(
         tuple(quadratic),
         affine,
         tuple(higher),
-        nearly,
-        _doubt(system, nearly, relative) if nearly else "",
+        approximate,
+        _doubt(system, approximate, relative) if approximate else "",
         margin,
         smallest,
         residual,
@@ -323,7 +324,7 @@ class FeatureDiscovery:
     Attributes
     ----------
     relations : tuple of Polynomial
-        In the features, by their names; none follows from one of lower degree.
+        Relations in the features, by their names; none follows from one of lower degree.
     margin : float
         Factor by which the singular values fall at the edge of the null space of the highest
         degree; below 1e10 no relation is reported.
@@ -342,7 +343,7 @@ def discover_in_features(
     degree: int = 2,
     seed: int = 0,
 ) -> FeatureDiscovery:
-    """Finds polynomial relations between functions of flux and current.
+    """Find polynomial relations between functions of flux and current.
 
     Saturation hides relations that a change of variables uncovers: with
     ``z_k = -ln(1 - λ_k/ψ_s)`` the saturated switched reluctance machine obeys the relation of the
@@ -353,7 +354,7 @@ def discover_in_features(
     system : ElectromechanicalSystem
     features : mapping of str to callable
         Name → ``f(flux (states, n), current (states, n))`` → (states,), with NumPy. Only these
-        variables are used: name λ and i themselves if they belong.
+        variables are used; list λ and i themselves if they belong.
     degree : {1, 2, 3, 4}
         Highest degree in the features.
     seed : int
@@ -393,15 +394,15 @@ def discover_in_features(
         columns.append(values)
     x = np.array(columns).T
     scale = _rms(x)
-    found: list[tuple[NDArray[np.int_], Array]] = []
+    by_degree: list[tuple[NDArray[np.int_], Array]] = []
     relations = []
     for d in range(1, degree + 1):
         exponents = _exponents(len(names), range(len(names)), d, len(names))
         space = _null_space(_monomials(x / scale, exponents))
-        null = _beyond(space.vectors, exponents, found, d)
+        null = _without_products(space.vectors, exponents, by_degree, d)
         if null.shape[1]:
             null = _reduced(null, np.zeros(len(exponents), dtype=bool))
-            found.append((exponents, null))
+            by_degree.append((exponents, null))
             relations += [_polynomial(vector, exponents, scale, names) for vector in null.T]
     return FeatureDiscovery(tuple(relations), space.margin, float(space.relative[-1]))
 
@@ -409,7 +410,7 @@ def discover_in_features(
 def _polynomial(
     vector: Array, exponents: NDArray[np.int_], scale: Array, names: tuple[str, ...] = ()
 ) -> Polynomial:
-    """Relation of a null vector in scaled variables; rounding dropped, first coefficient one."""
+    """Return the relation of a scaled null vector; rounding dropped, first coefficient one."""
     used = np.abs(vector) > ROUNDING * np.abs(vector).max()
     coefficients = vector[used] / np.prod(scale ** exponents[used], axis=1)
     return Polynomial(exponents[used], coefficients / coefficients[0], names)
@@ -429,15 +430,16 @@ def _sample(system: ElectromechanicalSystem, count: int, seed: int) -> tuple[Arr
 
 
 def _exponents(
-    variables: int, kept: Sequence[int], degree: int, fluxes: int | None = None
+    variables: int, free: Sequence[int], degree: int, fluxes: int | None = None
 ) -> NDArray[np.int_]:
-    """Monomials up to a degree in the kept variables, sorted by degree in flux, then by degree.
+    """Return the monomials up to a degree in the free variables.
 
-    `fluxes` variables come first; by default half of them.
+    They are sorted by degree in flux, then by degree. `fluxes` variables come first; by default
+    half of them.
     """
     rows = []
     for d in range(degree + 1):
-        for factors in combinations_with_replacement(kept, d):
+        for factors in combinations_with_replacement(free, d):
             row = np.zeros(variables, dtype=int)
             for factor in factors:
                 row[factor] += 1
@@ -452,10 +454,10 @@ def _affine_exponents(variables: int) -> NDArray[np.int_]:
 
 
 def _monomials(x: Array, exponents: NDArray[np.int_]) -> Array:
-    out = np.ones((len(x), len(exponents)))
+    product = np.ones((len(x), len(exponents)))
     for j in range(x.shape[1]):
-        out *= x[:, [j]] ** exponents[:, j]
-    return out
+        product *= x[:, [j]] ** exponents[:, j]
+    return product
 
 
 def _no_flux(exponents: NDArray[np.int_]) -> NDArray[np.bool_]:
@@ -463,13 +465,13 @@ def _no_flux(exponents: NDArray[np.int_]) -> NDArray[np.bool_]:
 
 
 def _rms(columns: Array) -> Array:
-    """Root mean square of each column; one for zeros, such as the current of an open port."""
+    """Return the rms of each column; one for a column of zeros (current of an open port)."""
     size = np.sqrt(np.mean(columns**2, axis=0))
     return np.where(size > 0, size, 1.0)
 
 
 class _NullSpace(NamedTuple):
-    """Exact null vectors and approximate ones as columns, and singular values over the largest."""
+    """Exact and approximate null vectors as columns, and singular values over the largest."""
 
     vectors: Array
     near: Array
@@ -482,7 +484,7 @@ def _null_space(columns: Array) -> _NullSpace:
     norms = _rms(columns)
     _, singular, vt = np.linalg.svd(columns / norms, full_matrices=False)
     relative = singular / singular[0]
-    # Values below rounding all count as equal zeros.
+    # All values below rounding count as zero.
     falls = relative[:-1] / np.maximum(relative[1:], np.finfo(float).eps)
     at = int(np.argmax(falls))
     exact = falls[at] >= GAP and relative[at + 1] <= FLOOR
@@ -508,66 +510,66 @@ def _approximate(
 
 
 def _halved(system: ElectromechanicalSystem, name: str) -> ElectromechanicalSystem:
-    """The system with half the range of positions or fluxes, around the same middle."""
+    """Return the system with half the range of positions or fluxes, around the same middle."""
     low, high = np.asarray(getattr(system, name))
     bounds = np.array([3 * low + high, low + 3 * high]) / 4
     halved: ElectromechanicalSystem = eqx.tree_at(
-        lambda one: getattr(one, name), system, jnp.asarray(bounds)
+        lambda tree: getattr(tree, name), system, jnp.asarray(bounds)
     )
     return halved
 
 
 def _doubt(
     system: ElectromechanicalSystem,
-    nearly: tuple[Approximate, ...],
+    approximate: tuple[Approximate, ...],
     relative: Callable[[ElectromechanicalSystem], Array],
 ) -> str:
-    """What would decide about the approximate relations: a wider range, or another parameter.
+    """Say what would decide about approximate relations: a wider range, or another parameter.
 
-    `relative` gives the singular values of the monomials over the largest, for a system.
+    `relative` returns a system's singular values of the monomials, over the largest.
     """
     values = relative(system)
-    at = int(np.argmin(np.abs(values - nearly[0].size)))
+    at = int(np.argmin(np.abs(values - approximate[0].size)))
     change = {
         name: relative(_halved(system, name))[at] / values[at]
         for name in ("position_range", "flux_range")
     }
     if change["flux_range"] > 1 / RANGE_DECIDES:
-        remedy = "the fluxes are sampled far beyond what the position changes: narrow flux_range"
+        remedy = "fluxes are sampled far beyond those that the position affects: narrow flux_range"
     elif change["position_range"] < RANGE_DECIDES:
-        remedy = "the positions are sampled in too narrow a range: widen position_range"
+        remedy = "positions are sampled in too narrow a range: widen position_range"
     else:
         remedy = (
-            "a parameter is next to a value at which a relation appears or vanishes: move it away "
+            "a parameter is close to a value at which a relation appears or vanishes: move it away "
             "from there"
         )
-    sizes = ", ".join(f"{one.size:.1e}" for one in nearly)
-    number = "a relation" if len(nearly) == 1 else f"{len(nearly)} relations"
+    sizes = ", ".join(f"{candidate.size:.1e}" for candidate in approximate)
+    number = "a relation" if len(approximate) == 1 else f"{len(approximate)} relations"
     return (
-        f"{system.name}: {number} of size {sizes} (0 is exact) cannot be told from an approximate "
-        f"one; {remedy}"
+        f"{system.name}: {number} of size {sizes} (0 is exact) may hold only approximately; "
+        f"{remedy}"
     )
 
 
 def _without_affine(
     x: Array, scale: Array
 ) -> tuple[list[int], tuple[Polynomial, ...], tuple[Approximate, ...]]:
-    """Variables that remain after eliminating by the affine relations, these, and nearly affine
-    ones."""
+    """Return the variables left after elimination by the affine relations, these relations, and
+    approximate affine ones."""
     variables = x.shape[1]
     exponents = _affine_exponents(variables)
     space = _null_space(_monomials(x, exponents))
     null = _reduced(space.vectors, np.zeros(len(exponents), dtype=bool))
-    gone, relations = [], []
+    eliminated, relations = [], []
     for vector in null.T:
-        gone.append(int(np.argmax(np.abs(vector) > ROUNDING * np.abs(vector).max())))
+        eliminated.append(int(np.argmax(np.abs(vector) > ROUNDING * np.abs(vector).max())))
         relations.append(_polynomial(vector, exponents, scale))
-    kept = [j for j in range(variables) if j not in gone]
-    return kept, tuple(relations), _approximate(space, exponents, scale)
+    free = [j for j in range(variables) if j not in eliminated]
+    return free, tuple(relations), _approximate(space, exponents, scale)
 
 
 def _reduced(null: Array, last: NDArray[np.bool_]) -> Array:
-    """Reduced echelon form of the null vectors (columns), with pivots in `last` rows last."""
+    """Return the reduced echelon form of the null vectors (columns); pivots in `last` come last."""
     order = np.argsort(last, kind="stable")
     rows = null.T[:, order].copy()
     at = 0
@@ -582,23 +584,23 @@ def _reduced(null: Array, last: NDArray[np.bool_]) -> Array:
         others = np.arange(len(rows)) != at
         rows[others] -= np.outer(rows[others, column], rows[at])
         at += 1
-    out = np.empty_like(null)
-    out[order] = rows[:at].T
-    return out
+    reduced = np.empty_like(null)
+    reduced[order] = rows[:at].T
+    return reduced
 
 
-def _beyond(
+def _without_products(
     null: Array,
     exponents: NDArray[np.int_],
-    found: list[tuple[NDArray[np.int_], Array]],
+    lower_relations: list[tuple[NDArray[np.int_], Array]],
     degree: int,
 ) -> Array:
-    """Part of a null space that is not a product of relations already found."""
-    if not found or not null.shape[1]:
+    """Return the part of a null space that no product of lower relations spans."""
+    if not lower_relations or not null.shape[1]:
         return null
     index = {tuple(row): k for k, row in enumerate(exponents)}
     products = []
-    for lower, vectors in found:
+    for lower, vectors in lower_relations:
         room = degree - int(lower.sum(axis=1).max())
         factors = [row for row in exponents if row.sum() <= room]
         for vector in vectors.T:
@@ -611,8 +613,8 @@ def _beyond(
     basis, singular, _ = np.linalg.svd(np.array(products).T, full_matrices=False)
     basis = basis[:, singular > ROUNDING * singular[0]]
     q, _ = np.linalg.qr(null)
-    rest, singular, _ = np.linalg.svd(q - basis @ (basis.T @ q), full_matrices=False)
-    return np.asarray(rest[:, singular > 1e-6])
+    beyond, singular, _ = np.linalg.svd(q - basis @ (basis.T @ q), full_matrices=False)
+    return np.asarray(beyond[:, singular > 1e-6])
 
 
 def _constraint(polynomial: Polynomial) -> QuadraticConstraint:

@@ -26,11 +26,11 @@ class IdaPbc(eqx.Module):
     alpha, beta, R_a, G : float
         α > 0 > β, R_a > 0, G > 0.
     flux_reference : callable
-        t → φ_2* [Wb], >= 0. At zero the shaped energy has no minimum: the loop is not stable.
+        t → φ_2* [Wb], >= 0. At zero the shaped energy has no minimum and the loop is unstable.
     position_reference : callable
         t → q* [m].
     form : {"corrected", "printed"}
-        Printed: the third term of z̃₂ as the paper has it, D (q - q*) (erratum 8).
+        Printed: the third term of z̃₂ as in the paper, D (q - q*) (erratum 8).
 
     References
     ----------
@@ -75,7 +75,7 @@ class IdaPbc(eqx.Module):
     def __call__(
         self, t: Any, flux: jax.Array, position: jax.Array, momentum: jax.Array
     ) -> jax.Array:
-        """Voltages u (2,) [V]."""
+        """Return the voltages u (2,) [V]."""
         m = self.machine
         _, phi_2, _ = self._references(t)
         star = m.c_2 * phi_2**2 / (2 * m.k_2)
@@ -97,7 +97,7 @@ class IdaPbc(eqx.Module):
     def shaped_energy(
         self, t: Any, flux: jax.Array, position: jax.Array, momentum: jax.Array
     ) -> jax.Array:
-        """H_d [J]; decreases along the closed loop if the references are constant."""
+        """Return H_d [J]; it decreases along the closed loop if the references are constant."""
         m = self.machine
         _, phi_2, _ = self._references(t)
         star = m.c_2 * phi_2**2 / (2 * m.k_2)

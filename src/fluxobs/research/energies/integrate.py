@@ -1,4 +1,4 @@
-"""Integrates a system under control by an implicit solver, sampled uniformly."""
+"""Integrate a system under control with an adaptive solver, sampled uniformly."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Control = Callable[[Any, State], jax.Array]
 class Trajectory:
     """Samples of a simulation; flux and position between them are cubic (Hermite).
 
-    The cubic is itself a trajectory: the energies give its currents, so that every relation holds
+    The cubic is itself a trajectory: its currents come from the energies, and every relation holds
     exactly between samples too.
 
     Attributes
@@ -37,7 +37,7 @@ class Trajectory:
         [Wb], [V], [A].
     position, velocity, momentum : (rows, n_M) ndarray
     voltage : (rows, m) ndarray
-        Voltage of the control at the samples [V].
+        Control voltage at the samples [V].
     """
 
     system: ElectromechanicalSystem
@@ -56,9 +56,9 @@ class Trajectory:
         return float(self.t[1] - self.t[0])
 
     def inside(self, places: ArrayLike) -> tuple[Array, Array, Array]:
-        """Flux, flux rate and current inside each interval, (rows - 1, places, n_E).
+        """Return flux, flux rate and current inside each interval, (rows - 1, places, n_E).
 
-        `places` are shares of the interval from 0 to 1.
+        `places` are fractions of the interval, from 0 to 1.
         """
         flux, rate = _hermite(self.flux, self.flux_rate, self.h, places)
         position, _ = _hermite(self.position, self.velocity, self.h, places)
@@ -72,7 +72,7 @@ def _currents(system: ElectromechanicalSystem, flux: jax.Array, position: jax.Ar
 
 
 def _hermite(value: Array, rate: Array, h: float, places: ArrayLike) -> tuple[Array, Array]:
-    """Value and rate of the cubic Hermite interpolant inside each interval."""
+    """Return value and rate of the cubic Hermite interpolant inside each interval."""
     s = np.asarray(places, float)[:, None]
     y0, d0, d1 = value[:-1, None], h * rate[:-1, None], h * rate[1:, None]
     rise = value[1:, None] - y0
@@ -82,7 +82,7 @@ def _hermite(value: Array, rate: Array, h: float, places: ArrayLike) -> tuple[Ar
 
 
 def volt_seconds(flux: ArrayLike, h: float, drift: ArrayLike) -> Array:
-    """Exact ``∫ y_m dt`` over the interval that ends at each row: ``λ_k - λ_{k-1} - h θ``.
+    """Return the exact ``∫ y_m dt`` over the interval ending at each row: ``λ_k - λ_{k-1} - h θ``.
 
     `drift` is (n,), or (rows, n) for the interval that ends at each row. The first row has no
     interval and is zero.
@@ -117,14 +117,14 @@ def integrate(
     initial : State
         State at t[0].
     scale : State, optional
-        Sizes of the states, to which the solver's tolerance is relative. Default the ranges of the
+        Sizes of the states, to which the solver's tolerance is relative. Default: the ranges of the
         system, and 1 for the momentum.
     load : (n_M,) array_like, optional
         Constant load forces.
     position_limit : (low, high), optional
         Range of the position, such as the air gap; leaving it is an error.
     stiff : bool
-        Uses an implicit fifth-order solver (Kvaerno5); if false an explicit one (Tsit5), cheaper if
+        Use an implicit fifth-order solver (Kvaerno5); if false an explicit one (Tsit5), cheaper if
         all time scales of the closed loop are similar.
     rtol : float
         Tolerance of the adaptive step, relative to `scale`.
@@ -151,7 +151,7 @@ def integrate(
         ]
         sizes = State(reach[0], reach[1], jnp.ones(system.n_M))
     else:
-        sizes = State(*(real("scale", part) for part in scale))
+        sizes = State(*(real("scale", size) for size in scale))
     force = None if load is None else real("load", load, (system.n_M,))
     limit = None if position_limit is None else real("position_limit", position_limit, (2,))
     solution = _solve(
@@ -159,8 +159,8 @@ def integrate(
     )
     saved: State = jax.tree.map(np.asarray, solution.ys)
     finite = np.isfinite(np.asarray(solution.ts))
-    for part in saved:
-        finite &= np.isfinite(np.asarray(part)).all(axis=1)
+    for values in saved:
+        finite &= np.isfinite(np.asarray(values)).all(axis=1)
     if not finite.all():
         at = max(int(np.argmin(finite)) - 1, 0)
         place = (
@@ -174,26 +174,26 @@ def integrate(
                 f"closed there; choose gentler references or other gains"
             )
         raise ModelError(
-            f"{system.name}: the solver gave up {place} ({solution.result}). Is the closed loop "
+            f"{system.name}: the solver failed {place} ({solution.result}). Is the closed loop "
             f"stable, and its time scale near the sample time?"
         )
     signals = _signals(system, control, jnp.asarray(times), saved, force)
     rate, current, velocity, voltage = (np.asarray(signal) for signal in signals)
-    flux, position, momentum = (np.asarray(part) for part in saved)
+    flux, position, momentum = (np.asarray(values) for values in saved)
     return Trajectory(system, times, flux, rate, current, position, velocity, momentum, voltage)
 
 
 def poles(system: ElectromechanicalSystem, control: Control, state: State) -> Array:
-    """Eigenvalues [1/s] of the closed loop linearised at a state, t = 0; rightmost first."""
+    """Return the closed loop's eigenvalues [1/s], linearised at a state, t = 0; rightmost first."""
 
     def rate(x: jax.Array) -> jax.Array:
         here = State(*jnp.split(x, cuts))
         return jnp.concatenate(system.derivative(here, control(jnp.zeros(()), here)))
 
     cuts = np.cumsum([system.n_E, system.n_M])
-    x = jnp.concatenate([jnp.asarray(part, float) for part in state])
+    x = jnp.concatenate([jnp.asarray(values, float) for values in state])
     jacobian = np.asarray(jax.jit(jax.jacfwd(rate))(x))
-    # States differ by many powers of ten.
+    # Balance: the states differ by many powers of ten.
     values = np.linalg.eigvals(matrix_balance(jacobian)[0])
     return np.asarray(values[np.argsort(-values.real)])
 
@@ -212,13 +212,13 @@ def _solve(
     max_steps: int,
 ) -> diffrax.Solution:
     def unscaled(state: State) -> State:
-        return State(*(part * size for part, size in zip(state, sizes, strict=True)))
+        return State(*(value * size for value, size in zip(state, sizes, strict=True)))
 
-    @jax.jit  # traced once, though the solver asks for it in many places
+    @jax.jit  # traced once, although the solver uses it in many places
     def field(t: Any, scaled: State, _: Any) -> State:
         state = unscaled(scaled)
         rate = system.derivative(state, control(t, state), load)
-        return State(*(part / size for part, size in zip(rate, sizes, strict=True)))
+        return State(*(value / size for value, size in zip(rate, sizes, strict=True)))
 
     event = None
     if limit is not None:
@@ -234,7 +234,7 @@ def _solve(
         times[0],
         times[-1],
         (times[1] - times[0]) / 10,
-        State(*(part / size for part, size in zip(start, sizes, strict=True))),
+        State(*(value / size for value, size in zip(start, sizes, strict=True))),
         saveat=diffrax.SaveAt(ts=times),
         stepsize_controller=diffrax.PIDController(rtol=rtol, atol=rtol),
         max_steps=max_steps,

@@ -12,14 +12,14 @@ from ...errors import ModelError
 from .integrate import Control, Trajectory, integrate
 from .system import ElectromechanicalSystem, State
 
-#: A period ends where it began, to this share of the state's scale.
+#: A period is closed if its ends differ by less than this share of the state's scale.
 CLOSED = 1e-9
-#: Relative step of the differences, and Newton steps at most.
-_STEP, _MOST = 1e-5, 20
+#: Relative step of the finite differences; limit of the Newton steps.
+_STEP, _MAX_STEPS = 1e-5, 20
 
 
 class PeriodicOrbit(NamedTuple):
-    """One period.
+    """One period of a trajectory.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ def periodic_orbit(
     scale: State,
     **options: Any,
 ) -> PeriodicOrbit:
-    """Finds the orbit near a guess.
+    """Find the periodic orbit near a guess.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def periodic_orbit(
     period : float
         [s].
     samples : int
-        Steps of the trajectory a period.
+        Steps of the trajectory per period.
     guess : State
         State at t = 0.
     scale : State
@@ -66,31 +66,31 @@ def periodic_orbit(
         No orbit was found, or the simulation failed.
     """
     t = np.arange(samples + 1) * (period / samples)
-    sizes = np.concatenate([np.asarray(part, float) for part in scale])
-    cuts = np.cumsum([len(np.asarray(part)) for part in scale])[:-1]
+    sizes = np.concatenate([np.asarray(size, float) for size in scale])
+    cuts = np.cumsum([len(np.asarray(size)) for size in scale])[:-1]
 
-    def along(x: NDArray[np.float64]) -> Trajectory:
-        start = State(*(jnp.asarray(part) for part in np.split(x * sizes, cuts)))
+    def simulate(x: NDArray[np.float64]) -> Trajectory:
+        start = State(*(jnp.asarray(values) for values in np.split(x * sizes, cuts)))
         return integrate(system, control, t, start, scale=scale, **options)
 
-    def end(found: Trajectory) -> NDArray[np.float64]:
-        parts = (found.flux[-1], found.position[-1], found.momentum[-1])
-        return np.asarray(np.concatenate(parts) / sizes)
+    def end(trajectory: Trajectory) -> NDArray[np.float64]:
+        states = (trajectory.flux[-1], trajectory.position[-1], trajectory.momentum[-1])
+        return np.asarray(np.concatenate(states) / sizes)
 
-    x = np.concatenate([np.asarray(part, float) for part in guess]) / sizes
-    for _ in range(_MOST):
-        found = along(x)
-        gap = end(found) - x
+    x = np.concatenate([np.asarray(values, float) for values in guess]) / sizes
+    for _ in range(_MAX_STEPS):
+        trajectory = simulate(x)
+        gap = end(trajectory) - x
         slopes = [
-            (end(along(x + _STEP * one)) - end(along(x - _STEP * one))) / (2 * _STEP)
-            for one in np.eye(len(x))
+            (end(simulate(x + _STEP * unit)) - end(simulate(x - _STEP * unit))) / (2 * _STEP)
+            for unit in np.eye(len(x))
         ]
         jacobian = np.array(slopes).T
         if np.abs(gap).max() < CLOSED:
-            return PeriodicOrbit(found, np.linalg.eigvals(jacobian).astype(complex))
-        # Least squares: a multiplier of one leaves a direction open.
+            return PeriodicOrbit(trajectory, np.linalg.eigvals(jacobian).astype(complex))
+        # Least squares: a multiplier of one makes the equations singular.
         x = x + np.linalg.lstsq(np.eye(len(x)) - jacobian, gap, rcond=1e-12)[0]
     raise ModelError(
-        f"{system.name}: no orbit of {period:g} s near the guess; after {_MOST} Newton steps its "
-        f"ends still differ by {np.abs(gap).max():.2g} of the scale"
+        f"{system.name}: no orbit of {period:g} s near the guess; after {_MAX_STEPS} Newton steps "
+        f"its ends still differ by {np.abs(gap).max():.2g} of the scale"
     )

@@ -44,17 +44,17 @@ def linear_magnetics(
     inductance: Callable[[jax.Array], jax.Array],
     magnet_flux: Callable[[jax.Array], jax.Array] | None = None,
 ) -> Energy:
-    """H_E of ``λ = L(q) i + μ(q)``: ``½ (λ - μ)ᵀ L⁻¹ (λ - μ)``, the paper's Remark 1."""
+    """Return H_E of ``λ = L(q) i + μ(q)``: ``½ (λ - μ)ᵀ L⁻¹ (λ - μ)``, the paper's Remark 1."""
 
     def magnetic_energy(flux: jax.Array, position: jax.Array) -> jax.Array:
-        rest = flux if magnet_flux is None else flux - magnet_flux(position)
-        return jnp.asarray(rest @ jnp.linalg.solve(inductance(position), rest) / 2)
+        own_flux = flux if magnet_flux is None else flux - magnet_flux(position)
+        return jnp.asarray(own_flux @ jnp.linalg.solve(inductance(position), own_flux) / 2)
 
     return magnetic_energy
 
 
 def inertia(mass: Any) -> Energy:
-    """H_M for constant inertia, ``½ pᵀ M⁻¹ p``; `mass` is a number, or one per coordinate."""
+    """Return H_M for constant inertia, ``½ pᵀ M⁻¹ p``; `mass`: a number, or one per coordinate."""
     masses = real("mass", mass)
     if not (np.asarray(masses) > 0).all():
         raise ModelError(f"inertia must be positive, got {masses.tolist()}")
@@ -75,9 +75,9 @@ class ElectromechanicalSystem(eqx.Module):
     mechanical_energy : callable
         ``H_M(position (n_M,), momentum (n_M,))`` → scalar [J].
     R : (n_E, n_E) array_like
-        Resistance [Ω]; symmetric part positive semi-definite. A vector stands for its diagonal.
+        Resistance [Ω]; symmetric part positive semi-definite. A vector means a diagonal matrix.
     R_M : (n_M, n_M) array_like
-        Mechanical damping, likewise.
+        Mechanical damping, with the same conditions.
     B : (n_E, m) array_like, optional
         Input matrix of full column rank; default identity.
     flux_range, position_range : (low, high), optional
@@ -134,35 +134,36 @@ class ElectromechanicalSystem(eqx.Module):
         self._probe()
 
     def _probe(self) -> None:
-        """Checks that the energies are finite scalars within the ranges."""
+        """Check that the energies are finite scalars within the ranges."""
         rng = np.random.default_rng(0)
         flux, position = self.random_states(rng, 500)
         momentum = jnp.asarray(rng.standard_normal(position.shape))
-        for what, energy, one, other in (
+        for name, energy, first, second in (
             ("magnetic_energy", self.magnetic_energy, flux, position),
             ("mechanical_energy", self.mechanical_energy, position, momentum),
         ):
             try:
-                shape = jnp.shape(jax.eval_shape(energy, one[0], other[0]))
+                shape = jnp.shape(jax.eval_shape(energy, first[0], second[0]))
                 if shape == ():
-                    both = jax.jit(jax.vmap(jax.value_and_grad(energy, argnums=(0, 1))))(one, other)
+                    gradients = jax.jit(jax.vmap(jax.value_and_grad(energy, argnums=(0, 1))))
+                    value, slopes = gradients(first, second)
             except (TypeError, ValueError, IndexError) as error:
                 raise ModelError(
-                    f"{self.name}: {what} fails at shapes {one[0].shape} and {other[0].shape}: "
+                    f"{self.name}: {name} fails at shapes {first[0].shape} and {second[0].shape}: "
                     f"{str(error).splitlines()[0]} (write it with jax.numpy; do not use "
                     f"float() or if on its arguments)"
                 ) from error
             if shape != ():
-                raise ModelError(f"{self.name}: {what} must return one number, got shape {shape}")
-            finite = np.isfinite(both[0])
-            for gradient in both[1]:
+                raise ModelError(f"{self.name}: {name} must return one number, got shape {shape}")
+            finite = np.isfinite(value)
+            for gradient in slopes:
                 finite = finite & np.isfinite(gradient).all(axis=1)
             if not finite.all():
                 at = int(np.argmin(finite))
                 raise ModelError(
-                    f"{self.name}: {what} or its gradient is not finite at "
-                    f"{np.asarray(one[at]).round(6).tolist()}, "
-                    f"{np.asarray(other[at]).round(6).tolist()}; is that within the machine's "
+                    f"{self.name}: {name} or its gradient is not finite at "
+                    f"{np.asarray(first[at]).round(6).tolist()}, "
+                    f"{np.asarray(second[at]).round(6).tolist()}; is that within the machine's "
                     f"operating range? See flux_range and position_range"
                 )
 
@@ -177,35 +178,35 @@ class ElectromechanicalSystem(eqx.Module):
         return len(self.R_M)
 
     def random_states(self, rng: np.random.Generator, count: int) -> tuple[jax.Array, jax.Array]:
-        """Flux (count, n_E) and position (count, n_M), uniform within their ranges."""
-        out = []
+        """Return flux (count, n_E) and position (count, n_M), uniform within their ranges."""
+        states = []
         for bounds in (self.flux_range, self.position_range):
             low, high = np.asarray(bounds)
-            out.append(jnp.asarray(low + (high - low) * rng.uniform(size=(count, len(low)))))
-        return out[0], out[1]
+            states.append(jnp.asarray(low + (high - low) * rng.uniform(size=(count, len(low)))))
+        return states[0], states[1]
 
     def current(self, flux: jax.Array, position: jax.Array) -> jax.Array:
-        """``i = ∇_λ H_E`` [A], (n_E,)."""
+        """Return ``i = ∇_λ H_E`` [A], (n_E,)."""
         flux, position = double("flux", flux), double("position", position)
         return jnp.asarray(jax.grad(self.magnetic_energy, 0)(flux, position))
 
     def force(self, flux: jax.Array, position: jax.Array) -> jax.Array:
-        """Force or torque of electrical origin, ``-∇_q H_E``, (n_M,)."""
+        """Return the force or torque of electrical origin, ``-∇_q H_E``, (n_M,)."""
         flux, position = double("flux", flux), double("position", position)
         return jnp.asarray(-jax.grad(self.magnetic_energy, 1)(flux, position))
 
     def velocity(self, position: jax.Array, momentum: jax.Array) -> jax.Array:
-        """``q̇ = ∇_p H_M``, (n_M,)."""
+        """Return ``q̇ = ∇_p H_M``, (n_M,)."""
         return jnp.asarray(jax.grad(self.mechanical_energy, 1)(position, momentum))
 
     def energy(self, state: State) -> jax.Array:
-        """``H_E + H_M`` [J]."""
+        """Return ``H_E + H_M`` [J]."""
         return self.magnetic_energy(state.flux, state.position) + self.mechanical_energy(
             state.position, state.momentum
         )
 
     def derivative(self, state: State, voltage: jax.Array, load: jax.Array | None = None) -> State:
-        """Time derivative of the state under source voltages (m,) and load forces (n_M,)."""
+        """Return the state's time derivative under source voltages (m,) and load forces (n_M,)."""
         flux, position, momentum = state
         velocity = self.velocity(position, momentum)
         force = self.force(flux, position) - jax.grad(self.mechanical_energy, 0)(position, momentum)
@@ -218,7 +219,7 @@ class ElectromechanicalSystem(eqx.Module):
         )
 
     def power(self, state: State, voltage: jax.Array, load: jax.Array | None = None) -> Power:
-        """Rate of stored energy along the dynamics, supplied and dissipated power [W]."""
+        """Return the rate of stored energy, and supplied and dissipated power [W]."""
         rate = self.derivative(state, voltage, load)
         _, stored = jax.jvp(self.energy, (state,), (rate,))
         i = self.current(state.flux, state.position)
@@ -233,19 +234,21 @@ def _damping(name: str, value: Any) -> jax.Array:
         matrix = np.diag(matrix)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
         raise ModelError(f"{name} must be square, or a vector, got shape {matrix.shape}")
-    least = np.linalg.eigvalsh((matrix + matrix.T) / 2).min(initial=0.0)
-    if least < -1e-12 * np.abs(matrix).max(initial=0.0):
-        raise ModelError(f"{name} must be positive semi-definite, got least eigenvalue {least:g}")
+    smallest = np.linalg.eigvalsh((matrix + matrix.T) / 2).min(initial=0.0)
+    if smallest < -1e-12 * np.abs(matrix).max(initial=0.0):
+        raise ModelError(
+            f"{name} must be positive semi-definite, got smallest eigenvalue {smallest:g}"
+        )
     return jnp.asarray(matrix)
 
 
 def _range(name: str, value: tuple[Any, Any], ports: int) -> jax.Array:
     if len(value) != 2:
         raise ModelError(f"{name} must be (low, high), got {len(value)} bounds")
-    given = [np.asarray(real(name, bound)) for bound in value]
-    if any(bound.shape not in ((), (ports,)) for bound in given):
+    limits = [np.asarray(real(name, bound)) for bound in value]
+    if any(bound.shape not in ((), (ports,)) for bound in limits):
         raise ModelError(f"{name}: each bound must be a number or {ports} numbers")
-    bounds = np.stack([np.broadcast_to(bound, (ports,)) for bound in given])
+    bounds = np.stack([np.broadcast_to(bound, (ports,)) for bound in limits])
     if not (bounds[0] < bounds[1]).all():
         raise ModelError(f"{name}: low must be below high, got {bounds.tolist()}")
     return jnp.asarray(bounds)

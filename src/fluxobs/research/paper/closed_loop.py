@@ -1,9 +1,10 @@
-"""The loop closed: IDA-PBC from flux, position and momentum of an observer, offsets in.
+"""Closed loop: IDA-PBC from the flux, position and momentum of an observer, with sensor offsets.
 
-Section V-B controls with the true state. Here the controller gets it only at the start, as from a
-sensor that a bench has, and then what the observer says. The offsets jump later on. The plant is
-simulated between samples, the voltages are held. The four-pole bearing is two independent pairs of
-coils, and the electrostatic actuator is the same pair with charge for flux, voltage for current.
+Section V-B controls with the true state. Here the controller gets the true state only at the start,
+as from a test bench's sensor, and later the observer's estimate. The offsets jump during the run.
+The plant is simulated between samples; the voltages are held. The four-pole bearing is two
+independent pairs of coils. The electrostatic actuator is the same pair with charge for flux and
+voltage for current.
 """
 
 from __future__ import annotations
@@ -39,17 +40,17 @@ from .section_v import levitation_observer
 
 #: Plant steps per sample.
 SUBSTEPS = 20
-#: The estimate takes over after this long without a break in its validity, in units of the rig.
+#: Time without a break in validity after which the estimate takes over, in units of the rig.
 TRUST = 1.0
 #: Standard deviation over flux below which the loop uses an estimate that is not valid yet.
 CERTAIN = 0.05
-#: Beyond this share of the gap the body is lost.
+#: Displacement over the gap beyond which the body is lost.
 LOST = 0.98
 
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """A pair of opposed electrodes or coils under IDA-PBC, and what its sensors do.
+    """A pair of opposed electrodes or coils under IDA-PBC, with its sensor errors.
 
     Attributes
     ----------
@@ -59,11 +60,11 @@ class Rig:
     stiffness, damping : float
         Spring [N/m] and friction [N s/m] besides the field.
     unit : float
-        Time that one second of Section V-B corresponds to [s]: all times scale with it.
+        Duration of one "second" of Section V-B [s]; all times scale with it.
     typical : float
         Flux of the bias [Wb].
     current_bias, voltage_bias : (2, 2) ndarray
-        Before and after the jump [A], [V].
+        Offsets before and after the jump [A], [V].
     noise : (float, float)
         Standard deviations of a current and a mean voltage sample.
     """
@@ -81,23 +82,23 @@ class Rig:
 
     @property
     def start(self) -> Array:
-        """State (φ_1, φ_2, q, q̇) in the middle of the gap."""
+        """Return the state (φ_1, φ_2, q, q̇) in the middle of the gap."""
         return np.array([self.typical, self.typical, 0.0, 0.0])
 
     def currents(self, x: Any) -> Any:
-        """True currents [A] of a state."""
+        """Return the true currents [A] of a state."""
         m = self.machine
         return x[:2] * (m.g + np.array([-1.0, 1.0]) * x[2]) / np.array([m.k_1, m.k_2])
 
     def controller(self) -> Callable[[float, Any, Any, Any], Array]:
-        """Voltages from t, core fluxes, position and velocity."""
+        """Return the law: voltages from t, core fluxes, position and velocity."""
         m, law = self.machine, jax.jit(lambda *state: self.law(*state))
         return lambda t, phi, q, speed: np.asarray(law(t, phi, q, m.J / m.D * speed))
 
 
 @dataclass(frozen=True)
 class LoopResult:
-    """One run.
+    """Result of one closed-loop run.
 
     Attributes
     ----------
@@ -106,14 +107,14 @@ class LoopResult:
     lost : float or None
         Time at which the body touched a pole; None if it never did.
     before, after : float
-        Rms distance from the reference over the gap, between hand-over and jump, and at the end;
-        inf if lost before.
+        Rms distance from the reference over the gap: from hand-over to jump, and at the end;
+        inf if the body was lost earlier.
     peak : float
         Largest displacement over the gap after the jump.
     flux_error : float
-        Rms flux error at the end over the flux.
+        Rms flux error at the end, over the flux.
     valid : float
-        Share of samples called valid after the hand-over.
+        Share of samples reported as valid after the hand-over.
     """
 
     handed_over: float | None
@@ -129,15 +130,15 @@ class Estimator(Protocol):
     """Observer in the loop."""
 
     def step(self, v: Array, current: Array) -> tuple[Array, Array, bool]:
-        """Flux, current bias, and whether they are known, after a sample."""
+        """Return flux, current bias, and whether they are valid, after a sample."""
         ...
 
 
 class FromLeastSquares:
     """Least squares for drift and current bias.
 
-    After a restart the loop cannot wait for `valid`, which takes one more memory. It uses the
-    estimate once its standard deviation is small, and until then integrates with the last drift.
+    After a restart the loop cannot wait for `valid`, which takes another memory. It uses the
+    estimate once its standard deviation is small; until then it integrates with the last drift.
     """
 
     def __init__(self, rig: Rig, h: float) -> None:
@@ -154,17 +155,18 @@ class FromLeastSquares:
         self.flux, self.drift, self.bias = np.zeros(2), np.zeros(2), np.zeros(2)
 
     def step(self, v: Array, current: Array) -> tuple[Array, Array, bool]:
-        self.state, found = self.observer.step(self.state, current=current, volt_seconds=v)
-        near = bool((found.flux_std < CERTAIN * np.abs(found.flux)).all())
-        if found.valid or near:
-            self.flux, self.drift, self.bias = found.flux, found.drift, found.current_bias
+        self.state, estimate = self.observer.step(self.state, current=current, volt_seconds=v)
+        certain = bool((estimate.flux_std < CERTAIN * np.abs(estimate.flux)).all())
+        if estimate.valid or certain:
+            self.flux, self.drift = estimate.flux, estimate.drift
+            self.bias = estimate.current_bias
         else:
             self.flux = self.flux + v + self.h * self.drift
-        return self.flux, self.bias, bool(found.valid)
+        return self.flux, self.bias, bool(estimate.valid)
 
 
 class FromRepairedLaw:
-    """Proposition 2 repaired, on the exact regression; it does not know when it is wrong."""
+    """Proposition 2 repaired, on the exact regression; it cannot detect its own errors."""
 
     def __init__(self, rig: Rig, h: float, nominal: tuple[Array, Array]) -> None:
         m = rig.machine
@@ -173,30 +175,30 @@ class FromRepairedLaw:
         constants = Parametrisation(m.constraint, "structured", corner)
         rows, _ = self.regression.run(*nominal)
         start = round(15 / corner / h)
-        part = rows.part(slice(start, None))
+        excited_rows = rows.part(slice(start, None))
         self.observer: RepairedAdaptiveObserver = balanced_repaired(
-            part, constants, h, 8 / rig.unit, 2 / rig.unit, round(2 * rig.unit / h)
+            excited_rows, constants, h, 8 / rig.unit, 2 / rig.unit, round(2 * rig.unit / h)
         )
         self.moments, self.state = self.regression.init(), self.observer.init()
         self.count, self.start, self.settled = 0, start, round(12 * rig.unit / h)
 
-        def both(moments: Any, state: Any, v: Any, i: Any, use: Any) -> Any:
+        def advance(moments: Any, state: Any, v: Any, i: Any, use: Any) -> Any:
             moments, row, _ = self.regression.step(moments, v, i)
-            row = Regressors(*(use * part for part in row))
+            row = Regressors(*(use * entry for entry in row))
             return moments, self.observer.step(state, h, v, row)
 
-        self._both = jax.jit(both)
+        self._advance = jax.jit(advance)
 
     def step(self, v: Array, current: Array) -> tuple[Array, Array, bool]:
         use = 1.0 if self.count > self.start else 0.0
-        self.moments, self.state = self._both(self.moments, self.state, v, current, use)
+        self.moments, self.state = self._advance(self.moments, self.state, v, current, use)
         self.count += 1
         flux, constants = self.observer.estimate(self.state)
         return np.asarray(flux), np.asarray(constants[2:4]), self.count > self.settled
 
 
 def _plant(rig: Rig, h: float) -> Callable[[Any, Any], Any]:
-    """State (φ_1, φ_2, q, q̇) after h under held voltages."""
+    """Return the map to the state (φ_1, φ_2, q, q̇) after h under held voltages."""
     m = rig.machine
     k, c = jnp.array([m.k_1, m.k_2]), jnp.array([m.c_1, m.c_2])
     sign, mass = jnp.array([-1.0, 1.0]), m.J / m.D**2
@@ -209,10 +211,10 @@ def _plant(rig: Rig, h: float) -> Callable[[Any, Any], Any]:
         )
 
     def step(x: jax.Array, u: jax.Array) -> jax.Array:
-        def one(_: int, x: jax.Array) -> jax.Array:
+        def substep(_: int, x: jax.Array) -> jax.Array:
             return runge_kutta_step(lambda x, _: rate(x, u), x, h / SUBSTEPS)
 
-        end: jax.Array = jax.lax.fori_loop(0, SUBSTEPS, one, x)
+        end: jax.Array = jax.lax.fori_loop(0, SUBSTEPS, substep, x)
         return end
 
     compiled: Callable[[Any, Any], Any] = jax.jit(step)
@@ -227,7 +229,7 @@ def simulate(
     stop: float = 30.0,
     seed: int = 0,
 ) -> LoopResult:
-    """Runs a rig with an observer; times in units of the rig, the sample time in seconds."""
+    """Run a rig with an observer; times in units of the rig, the sample time in seconds."""
     m, unit = rig.machine, rig.unit
     plant, estimator = _plant(rig, h), make(rig, h)
     tracker = LevitationTracker(m, h, 100.0 / unit)
@@ -235,10 +237,10 @@ def simulate(
     rng = np.random.default_rng(seed)
     x = rig.start
     count, jump_at = round(stop * unit / h), round(jump * unit / h)
-    trusted, needed, known = None, round(TRUST * unit / h), 0
+    trusted, needed, valid_count = None, round(TRUST * unit / h), 0
     track = TrackerState()
     path, target = np.full(count, np.nan), np.empty(count)
-    wrong, size = np.full(count, np.nan), np.full(count, np.nan)
+    error, size = np.full(count, np.nan), np.full(count, np.nan)
     ok = np.zeros(count, bool)
     lost = None
     phi, q, speed = x[:2], x[2], x[3]
@@ -256,39 +258,39 @@ def simulate(
         noise_i, noise_u = (scale * rng.standard_normal(2) for scale in rig.noise)
         current = rig.currents(x) + bias + noise_i
         v = x[:2] - before[:2] - h * theta + h * noise_u / m.N
-        flux, found_bias, valid = estimator.step(v, current)
-        track = tracker.step(track, flux, current - found_bias)
-        known = known + 1 if valid else 0
-        if trusted is None and known >= needed:
+        flux, bias_estimate, valid = estimator.step(v, current)
+        track = tracker.step(track, flux, current - bias_estimate)
+        valid_count = valid_count + 1 if valid else 0
+        if trusted is None and valid_count >= needed:
             trusted = n
         phi, q, speed = (
             (x[:2], x[2], x[3]) if trusted is None else (flux, track.position, track.velocity)
         )
         path[n], target[n] = x[2], float(rig.law.position_reference((n + 1) * h))
-        wrong[n], size[n] = np.linalg.norm(flux - x[:2]), np.linalg.norm(x[:2])
+        error[n], size[n] = np.linalg.norm(flux - x[:2]), np.linalg.norm(x[:2])
         ok[n] = valid
 
     def rms(values: Array, span: slice) -> float:
-        part = values[span]
-        return float(np.sqrt(np.mean(part**2))) if len(part) and np.isfinite(part).all() else np.inf
+        used = values[span]
+        return float(np.sqrt(np.mean(used**2))) if len(used) and np.isfinite(used).all() else np.inf
 
     late = slice(count - (count - jump_at) // 4, None)
     distance = (path - target) / m.g
-    used = slice(trusted if trusted is not None else count, jump_at)
+    in_control = slice(trusted if trusted is not None else count, jump_at)
     after_jump = path[jump_at:]
     return LoopResult(
         None if trusted is None else trusted * h / unit,
         lost,
-        rms(distance, used),
+        rms(distance, in_control),
         rms(distance, late),
         float(np.nanmax(np.abs(after_jump))) / m.g if np.isfinite(after_jump).any() else np.inf,
-        rms(wrong, late) / rms(size, late) if lost is None else np.inf,
+        rms(error, late) / rms(size, late) if lost is None else np.inf,
         float(ok[trusted:].mean()) if trusted is not None else 0.0,
     )
 
 
 def nominal_record(rig: Rig, h: float, duration: float = 15.0) -> tuple[Array, Array]:
-    """Volt-seconds and currents of the loop on the true state without offsets: for tuning."""
+    """Return volt-seconds and currents of the loop on the true state, without offsets."""
     plant, control, x = _plant(rig, h), rig.controller(), rig.start
     v, i = [], []
     for n in range(round(duration * rig.unit / h)):
@@ -301,28 +303,29 @@ def nominal_record(rig: Rig, h: float, duration: float = 15.0) -> tuple[Array, A
 def _rig(
     name: str, machine: MagLev2DOF, current: float, stiffness: float = 0.0, damping: float = 0.0
 ) -> Rig:
-    """A machine with bias current [A], its controller scaled from scenario S5.
+    """Return a rig with bias current [A] and a controller scaled from scenario S5.
 
     Displacements scale with the gap, times with √(mass · gap / force), offsets with the bias.
     """
     m, knospe = machine, benchmark()[0]
 
-    def flux(one: MagLev2DOF, i: float) -> float:
-        return one.k_2 * i / one.g
+    def flux(machine: MagLev2DOF, i: float) -> float:
+        return machine.k_2 * i / machine.g
 
-    def rate(one: MagLev2DOF, phi: float) -> float:
-        force = one.c_2 * phi**2 / (2 * one.k_2)
-        return float(np.sqrt(force / (one.J / one.D**2 * one.g)))
+    def rate(machine: MagLev2DOF, phi: float) -> float:
+        force = machine.c_2 * phi**2 / (2 * machine.k_2)
+        return float(np.sqrt(force / (machine.J / machine.D**2 * machine.g)))
 
-    def shape(one: MagLev2DOF, phi: float) -> tuple[float, float, float]:
-        """Ratios that scale α, G and R_a."""
-        alpha = one.D * phi / one.g
-        return alpha, one.D / alpha * one.c_2 * phi**3 / one.k_2 / one.g**2, one.D**2 / one.J
+    def shape(machine: MagLev2DOF, phi: float) -> tuple[float, float, float]:
+        """Return the ratios that scale α, G and R_a."""
+        k, c, g, D = machine.k_2, machine.c_2, machine.g, machine.D
+        alpha = D * phi / g
+        return alpha, D / alpha * c * phi**3 / k / g**2, D**2 / machine.J
 
     phi, phi_5 = flux(m, current), flux(knospe, 0.5)
     unit = rate(knospe, phi_5) / rate(m, phi)
-    here, there = shape(m, phi), shape(knospe, phi_5)
-    alpha = 0.01 * here[0] / there[0]
+    ratios, ratios_5 = shape(m, phi), shape(knospe, phi_5)
+    alpha = 0.01 * ratios[0] / ratios_5[0]
     never = jnp.asarray(1e9)
     swing, shift = (
         BiasFlux(jnp.asarray(phi), jnp.asarray(0.3), jnp.asarray(MODULATION), never),
@@ -332,8 +335,8 @@ def _rig(
         m,
         jnp.asarray(alpha),
         jnp.asarray(-alpha),
-        jnp.asarray(R_A * unit * here[2] / there[2]),
-        jnp.asarray(5e3 * here[1] / there[1]),
+        jnp.asarray(R_A * unit * ratios[2] / ratios_5[2]),
+        jnp.asarray(5e3 * ratios[1] / ratios_5[1]),
         lambda t: swing(t / unit),
         lambda t: shift(t / unit) * (m.g / knospe.g),
     )
@@ -352,21 +355,21 @@ def _rig(
 
 
 def levitation() -> Rig:
-    """Knospe's benchmark as in S5."""
+    """Return Knospe's benchmark as in S5."""
     return _rig("levitation", benchmark()[0], 0.5)
 
 
 def bearing_axis() -> Rig:
-    """One axis of the library's four-pole bearing; the other one is its copy."""
+    """Return one axis of the library's four-pole bearing; the other axis is identical."""
     machine = MagLev2DOF(k_1=1e-5, k_2=1e-5, g=1e-3, R=1.0, N=1.0, D=1.0, J=0.5, c_1=1.0, c_2=1.0)
     return _rig("four-pole bearing, one axis", machine, 1.0)
 
 
 def electrostatic() -> Rig:
-    """The library's plate between two electrodes, ε A = 3.5e-19 F m, driven through 220 MΩ.
+    """Return the library's plate between two electrodes, ε A = 3.5e-19 F m, driven through 220 MΩ.
 
-    Charge stands for flux, voltage for current. The resistors make the charge controllable within
-    a sample; through the library's 1 MΩ the voltage source would fix it.
+    Charge replaces flux, voltage replaces current. The large resistors make the charge controllable
+    within a sample; through the library's 1 MΩ the voltage source would fix it.
     """
     k = EPSILON_0 * 4e-8
     machine = MagLev2DOF(k_1=k, k_2=k, g=2e-6, R=1.0, N=2.2e8, D=1.0, J=1e-9, c_1=1.0, c_2=1.0)
@@ -374,7 +377,7 @@ def electrostatic() -> Rig:
 
 
 def noisy(rig: Rig) -> Rig:
-    """The same rig with the noise of the study of Section V: 1 mA and 10 mV at 1 kHz, scaled."""
+    """Return the rig with the noise of Section V's study: 1 mA and 10 mV at 1 kHz, scaled."""
     scale = rig.current_bias[0, 0] / CURRENT_BIAS[0, 0]
     volts = rig.voltage_bias[1, 0] / VOLTAGE_BIAS[1, 0]
     return replace(rig, name=f"{rig.name}, noise", noise=(1e-3 * scale, 1e-2 * volts))
@@ -385,12 +388,12 @@ SAMPLE = 2e-3
 
 
 def rigs() -> tuple[Rig, ...]:
-    """All rigs of the study."""
+    """Return all rigs of the study."""
     return levitation(), noisy(levitation()), bearing_axis(), electrostatic()
 
 
 def study(rig: Rig) -> dict[str, LoopResult]:
-    """Observer → result on a rig."""
+    """Run all observers on a rig; return observer → result."""
     h = SAMPLE * rig.unit
     nominal = nominal_record(rig, h)
     return {

@@ -1,8 +1,9 @@
-"""Runs of the paper's two laws, converged in the step: their gains make them stiff beyond measure.
+"""Runs of the paper's two laws, converged in the step although their gains make them very stiff.
 
-With the printed gains rates reach 10⁵ 1/s and more, while the errors of interest live for seconds.
-The error, not the estimate, is integrated: it obeys a linear equation, whose steps need not resolve
-the rates (:mod:`fluxobs.research.analysis.flow`). Between the rows the regressor is a cubic spline.
+With the printed gains the rates reach 10⁵ 1/s and more, while the errors of interest last for
+seconds. Not the estimate but the error is integrated: it obeys a linear equation, whose steps need
+not resolve the rates (:mod:`fluxobs.research.analysis.flow`). Between rows the regressor is a cubic
+spline.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from ..regression import Parametrisation, Regressors
 from ..regression.laws.base import positive_definite
 from .levitation import FilteredRecord, LevitationRecord
 
-#: Substeps of a row are doubled until no error moves by more than this share of the largest one.
-CONVERGED, MOST_SUBSTEPS = 1e-3, 16
+#: The substeps of a row are doubled until no error moves by more than this share of the largest.
+CONVERGED, MAX_SUBSTEPS = 1e-3, 16
 
 
 class ConvergedRun(NamedTuple):
@@ -28,7 +29,7 @@ class ConvergedRun(NamedTuple):
     Attributes
     ----------
     error : (rows, N) ndarray
-        Of flux [Wb] and, for the adaptive law, constants.
+        Errors of flux [Wb] and, for the adaptive law, of the constants.
     change : float
         Largest change when the substeps were last doubled, over the largest error.
     """
@@ -43,91 +44,93 @@ class _Span(NamedTuple):
     psi: Array
     r: Array
     f: Array
-    jump: Array  # what the error changes by at its start
+    jump: Array  # change of the error at the start
 
 
 def converged_run(
-    given: LevitationRecord,
+    record: LevitationRecord,
     regression: FilteredRecord,
     Gamma: Any,
     constants: Parametrisation | None,
     skip: int,
 ) -> ConvergedRun:
-    """Error of Proposition 2, or of Proposition 1 if `constants` is None, from zero estimates.
+    """Return the error of Proposition 2 (Proposition 1 if `constants` is None) from zero estimates.
 
-    The regression is used from row `skip` on, as in
-    :func:`fluxobs.research.regression.laws.run`; until then the estimate integrates volt-seconds.
+    The regression is used from row `skip` on, as in :func:`fluxobs.research.regression.laws.run`;
+    until then the estimate integrates volt-seconds.
     """
-    n = given.flux.shape[1]
+    n = record.flux.shape[1]
     if constants is None:
         root = np.linalg.cholesky(np.asarray(positive_definite("Gamma", Gamma, n)))
         N = np.zeros((n, n))
     else:
         N, root = balanced_error_system(constants, Gamma)
-    spans = _spans(given, regression, constants, root, skip)
-    error = np.empty((len(given.t), len(root)))
-    theta = np.zeros(len(root) - n) if constants is None else _constants(given, constants, 0)
-    integrated = np.cumsum(given.volt_seconds[: skip + 1], axis=0)
+    spans = _spans(record, regression, constants, root, skip)
+    error = np.empty((len(record.t), len(root)))
+    theta = np.zeros(len(root) - n) if constants is None else _constants(record, constants, 0)
+    integrated = np.cumsum(record.volt_seconds[: skip + 1], axis=0)
     error[: skip + 1] = np.column_stack(
-        [integrated - given.flux[: skip + 1], np.tile(-theta, (skip + 1, 1))]
+        [integrated - record.flux[: skip + 1], np.tile(-theta, (skip + 1, 1))]
     )
     start = np.linalg.solve(root, error[skip])
-    before = _run(N, spans, start, given.h, 1)
+    coarse = _run(N, spans, start, record.h, 1)
     change, substeps = np.inf, 1
-    while change > CONVERGED and substeps < MOST_SUBSTEPS:
+    while change > CONVERGED and substeps < MAX_SUBSTEPS:
         substeps *= 2
-        after = _run(N, spans, start, given.h, substeps)
-        moved, size = np.abs((after - before) @ root.T), np.abs(after @ root.T)
+        fine = _run(N, spans, start, record.h, substeps)
+        moved, size = np.abs((fine - coarse) @ root.T), np.abs(fine @ root.T)
         finite = np.isfinite(size).all(axis=1)
         change = float((moved[finite] / size[finite].max(axis=0)).max())
-        before = after
-    error[skip + 1 :] = before @ root.T
+        coarse = fine
+    error[skip + 1 :] = coarse @ root.T
     return ConvergedRun(error, change)
 
 
-def _constants(given: LevitationRecord, constants: Parametrisation, row: int) -> Array:
-    return np.asarray(constants.constants(given.drift[row], given.current_bias[row]))
+def _constants(record: LevitationRecord, constants: Parametrisation, row: int) -> Array:
+    return np.asarray(constants.constants(record.drift[row], record.current_bias[row]))
 
 
 def _spans(
-    given: LevitationRecord,
+    record: LevitationRecord,
     regression: FilteredRecord,
     constants: Parametrisation | None,
     root: Array,
     skip: int,
 ) -> list[_Span]:
-    jump = int(np.searchsorted(given.t, given.jump - given.h / 2))
+    jump = int(np.searchsorted(record.t, record.jump - record.h / 2))
     joined = Regressors(
         *(
-            np.concatenate([np.asarray(part)[: jump + 1], [one], np.asarray(part)[jump + 1 :]])
-            for part, one in zip(regression.rows, regression.after_jump, strict=True)
+            np.concatenate(
+                [np.asarray(entries)[: jump + 1], [after], np.asarray(entries)[jump + 1 :]]
+            )
+            for entries, after in zip(regression.rows, regression.after_jump, strict=True)
         )  # type: ignore[arg-type]
     )
     whole = np.asarray(joined.Phi_flux if constants is None else constants.psi_record(joined))
-    out: list[_Span] = []
-    last = np.zeros(len(root))
+    spans: list[_Span] = []
+    previous = np.zeros(len(root))
     for row, rows, flux in (
-        (0, slice(skip, jump + 1), given.flux[skip : jump + 1]),
-        (-1, slice(jump + 1, None), given.flux[jump:]),
+        (0, slice(skip, jump + 1), record.flux[skip : jump + 1]),
+        (-1, slice(jump + 1, None), record.flux[jump:]),
     ):
         psi = whole[rows]
-        theta = np.zeros(0) if constants is None else _constants(given, constants, row)
+        theta = np.zeros(0) if constants is None else _constants(record, constants, row)
         true = np.column_stack([flux, np.tile(theta, (len(flux), 1))])
         r = np.asarray(joined.y)[rows] - np.einsum("ki,ki->k", psi, true)
-        f = np.zeros(len(root)) if constants is not None else -given.drift[row]
-        here = np.concatenate([np.zeros(flux.shape[1]), theta])
-        moved = np.zeros(len(root)) if not out else np.linalg.solve(root, last - here)
-        out.append(_Span(psi @ root, r, np.linalg.solve(root, f), moved))
-        last = here
-    return out
+        f = np.zeros(len(root)) if constants is not None else -record.drift[row]
+        truth = np.concatenate([np.zeros(flux.shape[1]), theta])
+        moved = np.zeros(len(root)) if not spans else np.linalg.solve(root, previous - truth)
+        spans.append(_Span(psi @ root, r, np.linalg.solve(root, f), moved))
+        previous = truth
+    return spans
 
 
 def _run(N: Array, spans: list[_Span], x: Array, h: float, substeps: int) -> Array:
-    out = []
+    pieces = []
     for span in spans:
         nodes = record_nodes(np.column_stack([span.psi, span.r]), substeps)
         P, g = flow_steps(N, nodes[..., :-1], h / substeps, nodes[..., -1], span.f)
         states = flow_states(P, g, x + span.jump)[substeps - 1 :: substeps]
-        out.append(states)
+        pieces.append(states)
         x = states[-1]
-    return np.concatenate(out)
+    return np.concatenate(pieces)

@@ -19,7 +19,7 @@ from ..regression.laws import (
 from .pmsm import counter_example as trajectory
 
 GAINS = tuple(10.0**k for k in range(-3, 5))
-#: Samples a period of the multipliers, steps a period of the runs.
+#: Samples per period of the multipliers, steps per period of the runs.
 SAMPLES, STEPS = 256, 4000
 PERIODS = 30
 
@@ -45,27 +45,27 @@ class CounterExample:
 
 
 def study() -> CounterExample:
-    """Computes the multipliers, and runs the printed and repaired laws from zero for 30 periods."""
-    given = trajectory(SAMPLES)
-    constants = Parametrisation(given.constraint, "voltage-bias", 1.0)
-    psi = np.asarray(constants.psi_record(given.rows))
-    alpha = float(np.linalg.eigvalsh(given.h * psi.T @ psi)[0])
-    found = over_gain(psi, given.h, constants, GAINS)
+    """Compute the multipliers, and run the printed and repaired laws from zero for 30 periods."""
+    coarse = trajectory(SAMPLES)
+    constants = Parametrisation(coarse.constraint, "voltage-bias", 1.0)
+    psi = np.asarray(constants.psi_record(coarse.rows))
+    alpha = float(np.linalg.eigvalsh(coarse.h * psi.T @ psi)[0])
+    stability = over_gain(psi, coarse.h, constants, GAINS)
 
-    # Two samples a step; the first of a period is the last of the one before.
+    # Two samples per step; the first of a period is the last of the one before.
     fine = trajectory(2 * STEPS)
     count = np.arange(2 * STEPS * PERIODS + 1) % (2 * STEPS)
     rows = fine.rows.part(count)
     y_m = jnp.asarray(fine.orbit.y_m[count])
 
     def errors(observer: ContinuousObserver) -> Array:
-        found, _ = integrate_law(observer, 2 * fine.h, y_m, rows)
-        return np.asarray(np.linalg.norm(np.asarray(found)[::STEPS] - fine.flux[0], axis=1))
+        estimates, _ = integrate_law(observer, 2 * fine.h, y_m, rows)
+        return np.asarray(np.linalg.norm(np.asarray(estimates)[::STEPS] - fine.flux[0], axis=1))
 
     return CounterExample(
         alpha,
-        found.gains,
-        found.multipliers(2 * np.pi),
+        stability.gains,
+        stability.multipliers(2 * np.pi),
         {
             "printed, γ_a = 1": errors(PrintedAdaptiveObserver(1.0, constants)),
             "repaired, Γ = G = 1": errors(RepairedAdaptiveObserver(1.0, 1.0, constants)),

@@ -1,4 +1,4 @@
-"""Long studies: ``fluxobs reproduce --deep``."""
+"""Long studies, run by ``fluxobs reproduce --deep``."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from .stability import scalar_gain
 
 
 def study(say: Callable[[str], Any]) -> dict[str, Any]:
-    """Numbers of all long studies, for ``numbers.json``."""
+    """Return the numbers of all long studies, for ``numbers.json``."""
     scalar = scalar_gain()
     say("Proposition 2 with a scalar gain on S5")
     later, observable = {}, {}
     for case in later_line.cases():
-        jump = min(case.given.jump, float(case.given.t[-1]) / 2)
+        jump = min(case.record.jump, float(case.record.t[-1]) / 2)
         later[case.title] = {
             name: course_numbers(course, jump) for name, course in later_line.courses(case).items()
         }
         if case.title in ("S1", "S3", "S5"):
-            observable[case.title] = asdict(later_line.observability(case.given))
+            observable[case.title] = asdict(later_line.observability(case.record))
         say(f"the later line: {case.title}")
     errata = asdict(levitation_errata.study())
     for name in ("poles", "printed_poles"):
         errata[name] = [[pole.real, pole.imag] for pole in errata[name]]
     loops = {}
     for rig in closed_loop.rigs():
-        loops[rig.name] = {name: asdict(one) for name, one in closed_loop.study(rig).items()}
+        loops[rig.name] = {name: asdict(run) for name, run in closed_loop.study(rig).items()}
         say(f"closed loop: {rig.name}")
     return {
         "scalar_gain": {
@@ -46,62 +46,64 @@ def study(say: Callable[[str], Any]) -> dict[str, Any]:
     }
 
 
-def _scalar(found: Mapping[str, Any]) -> list[str]:
+def _scalar(results: Mapping[str, Any]) -> list[str]:
     rows = [
         [f"× {unit}" if unit != "1" else "as they are", *(f"{value:.3g}" for value in multipliers)]
-        for unit, multipliers in found["multipliers"].items()
+        for unit, multipliers in results["multipliers"].items()
     ]
-    every = [value for multipliers in found["multipliers"].values() for value in multipliers]
-    limits = [multipliers[-1] for multipliers in found["multipliers"].values()]
+    every = [value for multipliers in results["multipliers"].values() for value in multipliers]
+    limits = [multipliers[-1] for multipliers in results["multipliers"].values()]
     return [
         "## Proposition 2 is false on the paper's own example",
-        "S5 with the paper's seven unknowns and a scalar gain, each unknown in the unit that makes "
-        "the rms of its regressor one; Ψ is persistently exciting, smallest eigenvalue of its mean "
-        f"square {found['alpha']:.1e}. Largest |Floquet multiplier| over the period, and the same "
-        f"with another unit for the drift, which the proposition leaves open. Unstable at "
-        f"{sum(value > 1 for value in every)} of {len(every)} gains; at the highest gain, from "
-        f"which the multiplier no longer changes, at least {min(limits):.3f}: no γ_min exists.",
-        table(["unit of the drift", *(f"γ = {gain:.0e}" for gain in found["gains"])], rows),
+        "S5 with the paper's seven unknowns and a scalar gain. The unit of each unknown makes the "
+        "rms of its regressor one. Ψ is persistently exciting; smallest eigenvalue of its mean "
+        f"square: {results['alpha']:.1e}. The table shows the largest |Floquet multiplier| over "
+        "the period, also with other units of the drift, which the proposition leaves open. "
+        f"Unstable at {sum(value > 1 for value in every)} of {len(every)} gains. At the highest "
+        "gain, beyond which the multiplier no longer changes, it is at least "
+        f"{min(limits):.3f}: no γ_min exists.",
+        table(["unit of the drift", *(f"γ = {gain:.0e}" for gain in results["gains"])], rows),
     ]
 
 
-def _later(found: Mapping[str, Any], observable: Mapping[str, Any]) -> list[str]:
-    titles = list(found)
-    names = list(found[titles[0]])
+def _later(courses: Mapping[str, Any], observability: Mapping[str, Any]) -> list[str]:
+    titles = list(courses)
+    names = list(courses[titles[0]])
     rows = [
         [
             name,
             *(
-                f"{error_text(found[title][name]['before'])}; "
-                f"{error_text(found[title][name]['end'])}"
+                f"{error_text(courses[title][name]['before'])}; "
+                f"{error_text(courses[title][name]['end'])}"
                 for title in titles
             ),
         ]
         for name in names
     ]
-    seen = [
-        [name, f"{one['least']:.1e}", f"{one['flux_std']:.1%}"] for name, one in observable.items()
+    observability_rows = [
+        [name, f"{window['least']:.1e}", f"{window['flux_std']:.1%}"]
+        for name, window in observability.items()
     ]
     return [
-        "## The line that followed",
-        "Flux error over its largest size, rms before the jump (or half way) and at the end; every "
+        "## Observers published later",
+        "Flux error over the largest flux, rms before the jump (or half way) and at the end; every "
         "observer at 100 samples a second on the exact regression.",
         table(["observer", *titles], rows),
-        "What replaces persistent excitation for the least squares on the immersion is uniform "
-        "observability: a lower bound for its Gramian over every window of one length. In the "
-        "worst second before the jump:",
+        "The least squares on the immersion needs uniform observability instead of persistent "
+        "excitation: a lower bound of its Gramian over every window of one length. In the worst "
+        "second before the jump:",
         table(
             [
                 "scenario",
                 "smallest over largest eigenvalue, unit diagonal",
                 "std of the flux for 1 mA of noise at 100 Hz",
             ],
-            seen,
+            observability_rows,
         ),
     ]
 
 
-def _errata(found: Mapping[str, Any]) -> list[str]:
+def _errata(results: Mapping[str, Any]) -> list[str]:
     def rightmost(poles: Sequence[Sequence[float]]) -> str:
         return ", ".join(
             f"{real:.3g}" + (f" ± {abs(imag):.4g}j" if imag else "")
@@ -111,12 +113,12 @@ def _errata(found: Mapping[str, Any]) -> list[str]:
 
     return [
         "## The levitation as printed",
-        f"The model to the letter, under the printed controller: grows at "
-        f"{found['literal_growth']:.3g} 1/s. Poles of the consistent model in S2 with z̃₂ "
-        f"corrected: {rightmost(found['poles'])} 1/s; as printed: "
-        f"{rightmost(found['printed_poles'])} 1/s. Least curvature of the shaped energy, per-unit: "
-        f"{found['stiffness']:.1e} with the bias flux of S2, "
-        f"{found['stiffness_without_flux']:.0e} with φ* = 0: no minimum.",
+        f"The literal model under the printed controller grows at "
+        f"{results['literal_growth']:.3g} 1/s. Poles of the consistent model in S2 with z̃₂ "
+        f"corrected: {rightmost(results['poles'])} 1/s; as printed: "
+        f"{rightmost(results['printed_poles'])} 1/s. Smallest curvature of the shaped energy, "
+        f"per-unit: {results['stiffness']:.1e} with the bias flux of S2, "
+        f"{results['stiffness_without_flux']:.0e} with φ* = 0: no minimum.",
     ]
 
 
@@ -124,29 +126,29 @@ def _time(value: float | None, otherwise: str) -> str:
     return otherwise if value is None else f"{value:.2f}"
 
 
-def _if_any(value: float) -> str:
-    """An error, or a dash where there was none: not handed over, or lost before."""
+def _error_or_dash(value: float) -> str:
+    """Return an error, or a dash without one: not handed over, or lost before."""
     return error_text(value) if np.isfinite(value) else "–"
 
 
-def _loops(found: Mapping[str, Any]) -> list[str]:
+def _loops(results: Mapping[str, Any]) -> list[str]:
     rows = [
         [
             rig,
             observer,
-            _time(one["handed_over"], "never"),
-            _time(one["lost"], "no"),
-            *(_if_any(one[name]) for name in ("before", "after", "peak", "flux_error")),
+            _time(run["handed_over"], "never"),
+            _time(run["lost"], "no"),
+            *(_error_or_dash(run[name]) for name in ("before", "after", "peak", "flux_error")),
         ]
-        for rig, observers in found.items()
-        for observer, one in observers.items()
+        for rig, observers in results.items()
+        for observer, run in observers.items()
     ]
     return [
-        "## The loop closed",
-        "IDA-PBC from an observer's flux, position and momentum; bias flux modulated as in S5; the "
-        "true state until the observer is trusted. The offsets jump at 15, the run ends at 30. "
-        "Times in units of the rig: 1 s for the levitation. Distances over the gap; without an "
-        "observer the law follows its reference as well as before the jump.",
+        "## Closed loop",
+        "IDA-PBC from an observer's flux, position and momentum; bias flux modulated as in S5. The "
+        "true state is used until the observer is trusted. The offsets jump at 15, the run ends at "
+        "30. Times are in units of the rig (1 s for the levitation), distances are over the gap. "
+        "With the true state the law follows its reference as well as before the jump.",
         table(
             [
                 "rig",
@@ -163,12 +165,12 @@ def _loops(found: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def markdown(found: Mapping[str, Any]) -> list[str]:
-    """Sections of the report."""
+def markdown(results: Mapping[str, Any]) -> list[str]:
+    """Return the sections of the report on the long studies."""
     return [
-        *_scalar(found["scalar_gain"]),
+        *_scalar(results["scalar_gain"]),
         "![Proposition 2 with a scalar gain](scalar_gain.png)",
-        *_later(found["later_line"], found["observability"]),
-        *_errata(found["erratum_8"]),
-        *_loops(found["closed_loop"]),
+        *_later(results["later_line"], results["observability"]),
+        *_errata(results["erratum_8"]),
+        *_loops(results["closed_loop"]),
     ]

@@ -1,4 +1,4 @@
-"""The figures of the reproduction."""
+"""Figures of the reproduction."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 GREEN, RED, VIOLET = "#3a8f4d", "#b4332e", "#7b5aa6"
-#: Points drawn per course.
+#: Points drawn per curve.
 POINTS = 1000
 FLOOR = 1e-13
 _FLUX = "|λ̂ - λ| over largest |λ|"
@@ -39,7 +39,7 @@ COLOURS = {
     "DREM, finite time": ORANGE,
     "least squares": BLUE,
 }
-#: Curves that others cover are drawn first and wide, and those on top of them dashed.
+#: Curves that others cover are drawn first and wide; those on top of them are dashed.
 WIDE = {"linewidth": 3.5, "alpha": 0.5, "zorder": 1}
 DASHED = {"linestyle": "--", "zorder": 3}
 LINES: dict[str, dict[str, Any]] = {
@@ -99,27 +99,27 @@ def _pair(
     runs: Sequence[ScenarioResult],
     title: str,
     names: Sequence[str],
-    what: str,
+    ylabel: str,
     constants: bool = False,
 ) -> Figure:
     figure, axes = _new(len(runs))
     figure.suptitle(title, fontsize=10)
-    for panel, one in zip(axes[0], runs, strict=True):
-        _courses(panel, one.courses, names, one.jump, constants)
-        panel.set_title(f"{one.scenario.name}: {one.scenario.title}")
+    for panel, run in zip(axes[0], runs, strict=True):
+        _courses(panel, run.courses, names, run.jump, constants)
+        panel.set_title(f"{run.scenario.name}: {run.scenario.title}")
         panel.set_ylim((1e-10, 1e6) if constants else (FLOOR, 1e3))
-    axes[0, 0].set_ylabel(what)
+    axes[0, 0].set_ylabel(ylabel)
     _legend(axes[0, 0])
     return figure
 
 
-def _scalar_gain(found: Mapping[str, Any]) -> Figure:
+def _scalar_gain(results: Mapping[str, Any]) -> Figure:
     figure, axes = _new(1)
     panel = axes[0, 0]
     colours = (RED, ORANGE, VIOLET, GREY)
-    for (unit, values), colour in zip(found["multipliers"].items(), colours, strict=True):
-        label = "all regressors of rms one" if unit == "1" else f"unit of the drift × {unit}"
-        panel.loglog(found["gains"], values, "o-", color=colour, label=label)
+    for (unit, values), colour in zip(results["multipliers"].items(), colours, strict=True):
+        label = "rms of every regressor one" if unit == "1" else f"unit of the drift × {unit}"
+        panel.loglog(results["gains"], values, "o-", color=colour, label=label)
     panel.axhline(1.0, color=GREY, linewidth=0.8)
     panel.set_title("S5, the paper's seven unknowns, scalar gain")
     panel.set_xlabel("γ_a")
@@ -144,7 +144,7 @@ ADAPTIVE = (
 
 
 def _as_printed(axes: Axes, course: ErrorCourse, values: Any, jump: float) -> None:
-    """One curve as the paper draws it: linear, from zero."""
+    """Draw one curve as in the paper: linear, from zero."""
     axes.plot(course.t, values, color=BLUE)
     axes.axvline(jump, color=GREY, linewidth=0.6, linestyle=":")
     axes.set_xlim(0, course.t[-1])
@@ -154,18 +154,18 @@ def _as_printed(axes: Axes, course: ErrorCourse, values: Any, jump: float) -> No
 
 
 def _columns(runs: Sequence[ScenarioResult], printed: str, other: str) -> list[Any]:
-    """What to draw: the printed law on every scenario, and another on the last."""
-    return [(one, printed) for one in runs] + [(runs[-1], other)]
+    """Return the columns to draw: the printed law on every scenario, another on the last."""
+    return [(run, printed) for run in runs] + [(runs[-1], other)]
 
 
 def _figure_2(runs: Sequence[ScenarioResult]) -> Figure:
     columns = _columns(runs, "robust, printed gain", "robust, balanced gain")
     figure, axes = _new(len(columns))
     figure.suptitle("As the paper's Figure 2: norm of the robust flux observer error", fontsize=10)
-    for panel, (one, name) in zip(axes[0], columns, strict=True):
-        course = one.courses[name]
-        _as_printed(panel, course, one.largest_flux * course.flux, one.jump)
-        panel.set_title(f"{one.scenario.name}: {name}")
+    for panel, (run, name) in zip(axes[0], columns, strict=True):
+        course = run.courses[name]
+        _as_printed(panel, course, run.largest_flux * course.flux, run.jump)
+        panel.set_title(f"{run.scenario.name}: {name}")
     axes[0, 0].set_ylabel("|λ̃|, Wb")
     return figure
 
@@ -174,17 +174,17 @@ def _figure_3(runs: Sequence[ScenarioResult]) -> Figure:
     columns = _columns(runs, "adaptive, printed gain", "adaptive, repaired")
     figure, axes = _new(len(columns), 2)
     figure.suptitle("As the paper's Figure 3: adaptive flux observer", fontsize=10)
-    for column, (one, name) in enumerate(columns):
-        course = one.courses[name]
-        _as_printed(axes[0, column], course, one.largest_flux * course.flux, one.jump)
-        _as_printed(axes[1, column], course, course.parameters, one.jump)
-        axes[0, column].set_title(f"{one.scenario.name}: {name}")
+    for column, (run, name) in enumerate(columns):
+        course = run.courses[name]
+        _as_printed(axes[0, column], course, run.largest_flux * course.flux, run.jump)
+        _as_printed(axes[1, column], course, course.parameters, run.jump)
+        axes[0, column].set_title(f"{run.scenario.name}: {name}")
     axes[0, 0].set_ylabel("(a) |λ̃|, Wb")
     axes[1, 0].set_ylabel("(b) |θ̃|, V")
     return figure
 
 
-def _baselines(one: ScenarioResult) -> Figure:
+def _baselines(run: ScenarioResult) -> Figure:
     figure, axes = _new(1)
     names = [
         "voltage model",
@@ -193,9 +193,9 @@ def _baselines(one: ScenarioResult) -> Figure:
         "DREM, finite time",
         "least squares",
     ]
-    _courses(axes[0, 0], one.courses, names, one.jump)
+    _courses(axes[0, 0], run.courses, names, run.jump)
     axes[0, 0].set_ylim(FLOOR, 1e3)
-    axes[0, 0].set_title(f"{one.scenario.name}: the observers the paper argues against, and others")
+    axes[0, 0].set_title(f"{run.scenario.name}: observers the paper argues against, and others")
     axes[0, 0].set_ylabel(_FLUX)
     _legend(axes[0, 0])
     return figure
@@ -203,13 +203,13 @@ def _baselines(one: ScenarioResult) -> Figure:
 
 def _trajectories(runs: Sequence[ScenarioResult]) -> Figure:
     figure, axes = _new(len(runs), 2)
-    for column, one in enumerate(runs):
+    for column, run in enumerate(runs):
         above, below = axes[0, column], axes[1, column]
-        above.plot(one.t, 1e6 * one.position, color=BLUE, label="q")
-        above.plot(one.t, 1e6 * one.reference, color=ORANGE, label="q_d")
-        above.set_title(f"{one.scenario.name}: {one.scenario.title}")
-        below.plot(one.t, 1e6 * one.flux[:, 0], color=BLUE, label="φ_1", **WIDE)
-        below.plot(one.t, 1e6 * one.flux[:, 1], color=ORANGE, label="φ_2", **DASHED)
+        above.plot(run.t, 1e6 * run.position, color=BLUE, label="q")
+        above.plot(run.t, 1e6 * run.reference, color=ORANGE, label="q_d")
+        above.set_title(f"{run.scenario.name}: {run.scenario.title}")
+        below.plot(run.t, 1e6 * run.flux[:, 0], color=BLUE, label="φ_1", **WIDE)
+        below.plot(run.t, 1e6 * run.flux[:, 1], color=ORANGE, label="φ_2", **DASHED)
         below.set_xlabel("t [s]")
         below.set_ylim(bottom=0)
         for panel in (above, below):
@@ -253,15 +253,15 @@ def _counter(counter: CounterExample) -> Figure:
 _SCENARIOS: dict[str, Callable[[Sequence[ScenarioResult]], Figure]] = {
     "figure_2": _figure_2,
     "figure_3": _figure_3,
-    "robust": partial(_pair, title="Proposition 1", names=ROBUST, what=_FLUX),
+    "robust": partial(_pair, title="Proposition 1", names=ROBUST, ylabel=_FLUX),
     "adaptive_flux": partial(
-        _pair, title="Proposition 2 and its repair: flux", names=ADAPTIVE, what=_FLUX
+        _pair, title="Proposition 2 and its repair: flux", names=ADAPTIVE, ylabel=_FLUX
     ),
     "adaptive_parameters": partial(
         _pair,
         title="Proposition 2 and its repair: constants",
         names=ADAPTIVE,
-        what="errors of θ and δ_i over their sizes",
+        ylabel="errors of θ and δ_i over their sizes",
         constants=True,
     ),
     "baselines": lambda runs: _baselines(runs[-1]),
@@ -274,25 +274,25 @@ SCENARIO_FIGURES = tuple(_SCENARIOS)
 def draw_scenarios(
     out: Path, runs: Sequence[ScenarioResult], formats: Sequence[str], names: Sequence[str]
 ) -> None:
-    """Draws the named levitation figures, one panel a scenario; baselines of the last one."""
+    """Draw the named levitation figures, one panel per scenario; baselines of the last one."""
     _write(out, {name: partial(_SCENARIOS[name], runs) for name in names}, formats)
 
 
 def draw_motors(
     out: Path, motor: dict[str, ErrorCourse], counter: CounterExample, formats: Sequence[str]
 ) -> None:
-    """Draws the figures of the PMSM cases."""
+    """Draw the figures of the PMSM cases."""
     figures = {"pmsm": lambda: _motor(motor), "counter_example": lambda: _counter(counter)}
     _write(out, figures, formats)
 
 
-def draw_scalar_gain(out: Path, found: Mapping[str, Any], formats: Sequence[str]) -> None:
-    """Draws the multipliers of Proposition 2 with a scalar gain on S5."""
-    _write(out, {"scalar_gain": lambda: _scalar_gain(found)}, formats)
+def draw_scalar_gain(out: Path, results: Mapping[str, Any], formats: Sequence[str]) -> None:
+    """Draw the multipliers of Proposition 2 with a scalar gain on S5."""
+    _write(out, {"scalar_gain": lambda: _scalar_gain(results)}, formats)
 
 
 def _write(out: Path, figures: dict[str, Callable[[], Figure]], formats: Sequence[str]) -> None:
-    """Writes every figure in every format."""
+    """Write every figure in every format."""
     import matplotlib as mpl
 
     mpl.use("Agg")

@@ -1,8 +1,8 @@
-"""The line of observers that followed the paper, beside ours, on its own example.
+"""Observers published after the paper, compared with ours on the paper's example.
 
-All get the same samples and, but for the immersion, the same regression, exact on samples. Gains
-and weights are the best we know to choose: balanced by the excitation before the jump, the weight
-of the data by the true residual of the regression.
+All get the same samples and, except for the immersion, the same regression, exact on samples. Gains
+and weights are the best choices we know: gains balanced by the excitation before the jump, data
+weighted by the true residual of the regression.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from ..regression.laws import (
     RiccatiObserver,
     run,
 )
-from .levitation import CORNER, SCENARIOS, LevitationRecord, benchmark, measured, record
+from .levitation import CORNER, SCENARIOS, LevitationRecord, benchmark, measured
+from .levitation import record as simulate
 from .section_v import (
     CONSTANTS_RATE,
     FLUX_RATE,
@@ -51,30 +52,30 @@ REST = 20.0
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """What the observers are given, sampled at :data:`LS_SAMPLE_TIME`."""
+    """Input of the observers, sampled at :data:`LS_SAMPLE_TIME`."""
 
     title: str
-    given: LevitationRecord
+    record: LevitationRecord
     current: Array
     volt_seconds: Array
     noise: bool = False
 
 
 def cases() -> list[Case]:
-    """S1, S3 (weakly excited) and S5; S5 with noise, moving offsets, and excited for a while."""
+    """Return S1, S3 (weakly excited), S5; S5 with noise, moving offsets, interval excitation."""
 
-    def case(title: str, given: LevitationRecord) -> Case:
-        rows, v = thinned(given, LS_SAMPLE_TIME)
-        return Case(title, given, given.current[rows], v)
+    def case(title: str, record: LevitationRecord) -> Case:
+        rows, v = thinned(record, LS_SAMPLE_TIME)
+        return Case(title, record, record.current[rows], v)
 
-    plain = {name: record(SCENARIOS[name]) for name in ("S1", "S3", "S5")}
+    plain = {name: simulate(SCENARIOS[name]) for name in ("S1", "S3", "S5")}
     main = plain["S5"]
     current, v = with_noise(main)
     rows, sums = thinned(replace(main, volt_seconds=v), LS_SAMPLE_TIME)
     machine, _ = benchmark()
     never = float(main.t[-1]) + 1.0
     moving = measured(main.scenario, machine, main.trajectory, never, swing=0.5)
-    rest = record(replace(SCENARIOS["S5"], excited_until=REST))
+    rest = simulate(replace(SCENARIOS["S5"], excited_until=REST))
     rest = measured(rest.scenario, machine, rest.trajectory, never)
     return [
         case("S1", plain["S1"]),
@@ -87,23 +88,25 @@ def cases() -> list[Case]:
 
 
 def courses(case: Case) -> dict[str, ErrorCourse]:
-    """Error of the flux over its largest size, for every observer."""
-    given, h = case.given, LS_SAMPLE_TIME
+    """Return the flux error over the largest flux, for every observer."""
+    record, h = case.record, LS_SAMPLE_TIME
     memory = NOISE_MEMORY if case.noise else MEMORY
-    at, _ = thinned(given, h)
-    flux, t = given.flux[at], given.t[at]
-    rows, _ = SampledRegression(given.constraint, CORNER, h).run(case.volt_seconds, case.current)
+    at, _ = thinned(record, h)
+    flux, t = record.flux[at], record.t[at]
+    rows, _ = SampledRegression(record.constraint, CORNER, h).run(case.volt_seconds, case.current)
     skip = round(RUN_IN / CORNER / h)
-    until = int(np.searchsorted(t, min(given.jump, given.scenario.excited_until) - h / 2))
+    until = int(np.searchsorted(t, min(record.jump, record.scenario.excited_until) - h / 2))
     nominal = rows.part(slice(skip, until))
-    constants = Parametrisation(given.constraint, "structured", CORNER)
-    size = sizes(given)[1]
+    constants = Parametrisation(record.constraint, "structured", CORNER)
+    size = sizes(record)[1]
     Gamma = balanced_gain(np.asarray(nominal.Phi_flux), FLUX_RATE)
-    rest = np.asarray(
-        residual(nominal, given.constraint, flux[skip:until], given.drift[0], given.current_bias[0])
+    truth_residual = np.asarray(
+        residual(
+            nominal, record.constraint, flux[skip:until], record.drift[0], record.current_bias[0]
+        )
     )
-    least = NUMERICAL * regression_size(nominal, size)
-    noise = max(least, float(np.sqrt(np.mean(rest**2) * h)) if case.noise else 0.0)
+    floor = NUMERICAL * regression_size(nominal, size)
+    noise = max(floor, float(np.sqrt(np.mean(truth_residual**2) * h)) if case.noise else 0.0)
     basis = mixing_basis(nominal, constants, h, size)
     observers: dict[str, FluxObserver] = {
         "PEBO, least squares": PEBO(2, "least-squares", Gamma),
@@ -120,22 +123,22 @@ def courses(case: Case) -> dict[str, ErrorCourse]:
     }
     v = jnp.asarray(case.volt_seconds)
 
-    def course(found: Array) -> ErrorCourse:
-        return ErrorCourse(t, np.linalg.norm(found - flux, axis=1) / sizes(given)[0])
+    def course(estimates: Array) -> ErrorCourse:
+        return ErrorCourse(t, np.linalg.norm(estimates - flux, axis=1) / sizes(record)[0])
 
-    out = {
+    courses = {
         name: course(np.asarray(run(observer, h, v, rows, skip)[0]))
         for name, observer in observers.items()
     }
     if case.noise:
-        # 1 mA a sample, and what 10 mV at 1 kHz add up to.
-        told = (1e-3, 1e-2 * np.sqrt(given.h / h))
-        observer = levitation_observer(given.machine, h, NOISE_MEMORY, told)
-        found = observer.run(current=case.current, volt_seconds=case.volt_seconds)
+        # 1 mA per sample; 10 mV at 1 kHz averaged over a sample.
+        noise_std = (1e-3, 1e-2 * np.sqrt(record.h / h))
+        observer = levitation_observer(record.machine, h, NOISE_MEMORY, noise_std)
+        estimates = observer.run(current=case.current, volt_seconds=case.volt_seconds)
     else:
-        found = least_squares(given)
-    out["least squares on the immersion"] = course(found.flux)
-    return out
+        estimates = least_squares(record)
+    courses["least squares on the immersion"] = course(estimates.flux)
+    return courses
 
 
 @dataclass(frozen=True)
@@ -148,28 +151,28 @@ class Observability:
         Smallest eigenvalue over the largest of the Gramian, scaled to a unit diagonal, in the worst
         window of :data:`MEMORY`.
     flux_std : float
-        Standard deviation of the flux in the worst window for 1 mA of current noise at 100 Hz, over
-        the flux; the current bias is unknown within 5 mA.
+        Standard deviation of the flux over the flux, in the worst window, for 1 mA of current noise
+        at 100 Hz; the current bias is unknown within 5 mA.
     """
 
     least: float
     flux_std: float
 
 
-def observability(given: LevitationRecord) -> Observability:
-    """Gramian in successive windows."""
-    machine, h = given.machine, LS_SAMPLE_TIME
+def observability(record: LevitationRecord) -> Observability:
+    """Compute the Gramian in successive windows."""
+    machine, h = record.machine, LS_SAMPLE_TIME
     immersion = Immersion((machine.constraint,), ("drift", "current-bias"))
-    at, v = thinned(given, h)
-    flux = sizes(given)[0]
+    at, v = thinned(record, h)
+    flux = sizes(record)[0]
     relation = machine.constraint
-    drift, bias = float(np.abs(given.drift[0]).max()), 5e-3
-    steep = 2 * machine.g * flux
+    drift, bias = float(np.abs(record.drift[0]).max()), 5e-3
+    slope = 2 * machine.g * flux
     scale = np.ones(immersion.size)
     for name, value in (
         ("s", machine.g * flux**2),
         ("flux", flux),
-        ("kappa", steep * drift),
+        ("kappa", slope * drift),
         ("drift", drift),
         ("c", machine.g * drift**2),
         ("current_bias", bias),
@@ -177,16 +180,16 @@ def observability(given: LevitationRecord) -> Observability:
         scale[immersion.slices[name]] = value
     noise = 1e-3 * float(np.linalg.norm(relation.Q2 @ np.full(2, flux))) * np.sqrt(h)
     count = round(MEMORY / h)
-    least, worst = np.inf, 0.0
-    first, last = round(2.0 / h), int(np.searchsorted(given.t[at], given.jump))
-    for start in range(first, last - count, count):
-        part = slice(start, start + count)
-        gramian = immersion_gramian(immersion, h, v[part], given.current[at][part], scale)
+    smallest, worst = np.inf, 0.0
+    begin, end = round(2.0 / h), int(np.searchsorted(record.t[at], record.jump))
+    for start in range(begin, end - count, count):
+        window = slice(start, start + count)
+        gramian = immersion_gramian(immersion, h, v[window], record.current[at][window], scale)
         unit = 1 / np.sqrt(np.diag(gramian))
         values = np.linalg.eigvalsh(unit[:, None] * gramian * unit)
-        least = min(least, float(max(values[0], 0.0) / values[-1]))
+        smallest = min(smallest, float(max(values[0], 0.0) / values[-1]))
         information = gramian / noise**2 + np.eye(immersion.size)
         std = np.sqrt(np.diag(np.linalg.inv(information))[immersion.slices["flux"]])
-        size = np.sqrt(np.mean(np.square(given.flux[at][part])))
+        size = np.sqrt(np.mean(np.square(record.flux[at][window])))
         worst = max(worst, float(np.linalg.norm(std) * flux / np.sqrt(2) / size))
-    return Observability(least, worst)
+    return Observability(smallest, worst)

@@ -32,22 +32,22 @@ VOLTAGE_BIAS = np.array([[0.0, 0.0], [0.002, 0.0002]])
 ROBUST_GAIN = 1e4
 ADAPTIVE_GAIN = (1e20, 1e20, 1e20, 1e20, 2e13, 2e13, 20.0)
 
-#: Our own choice, since the paper gives neither: G of the controller, initial flux of both cores
-#: [Wb], and modulation of the reference flux [rad/s].
+#: Our own choices, which the paper does not give: G of the controller, initial flux of both cores
+#: [Wb], and modulation frequency of the reference flux [rad/s].
 G_OF_PAPER, INITIAL_FLUX, MODULATION = 1e4, 1e-5, 7.0
-#: How fast offsets move in the study of moving offsets [rad/s]: with temperature, but faster.
+#: Frequency of the moving offsets [rad/s]: as with temperature, but faster.
 OFFSET_SPEED = 0.1
-#: Samples a second on a periodic orbit.
+#: Samples per second on a periodic orbit.
 SAMPLES = 2048 / (2 * np.pi)
 
 
 def _fading(t: jax.Array, until: jax.Array) -> jax.Array:
-    """One until a time, then zero, over about a second."""
+    """Return one until a time, then fade to zero over about a second."""
     return jax.nn.sigmoid((until - t) * 10)
 
 
 class PositionReference(eqx.Module):
-    """q_d(t) of the paper [m]; at rest after `until` [s]."""
+    """Reference q_d(t) of the paper [m]; at rest after `until` [s]."""
 
     until: jax.Array
 
@@ -57,7 +57,7 @@ class PositionReference(eqx.Module):
 
 
 class BiasFlux(eqx.Module):
-    """``mean (1 + depth sin(speed t))`` [Wb]: flux common to both coils; constant after `until`."""
+    """Flux common to both coils [Wb]: ``mean (1 + depth sin(speed t))``, constant after `until`."""
 
     mean: jax.Array
     depth: jax.Array
@@ -99,7 +99,7 @@ class LevitationScenario:
 
     @property
     def period(self) -> float:
-        """Period of all references [s]: they are multiples of 5 rad/s, or of 1 rad/s with 7."""
+        """Period of all references [s]: multiples of 5 rad/s, or of 1 rad/s if modulated at 7."""
         return 2 * np.pi / (1.0 if self.depth else 5.0)
 
 
@@ -133,14 +133,14 @@ class _Control(eqx.Module):
 
 @dataclass(frozen=True, eq=False)
 class LevitationRecord:
-    """Measured and true signals, rows h apart; fluxes are core fluxes.
+    """Measured and true signals in rows h apart; fluxes are core fluxes.
 
     Attributes
     ----------
     jump : float
         Time at which the biases change [s].
     drift, current_bias : (rows, 2) ndarray
-        True values over the interval that ends at each row, and at the row.
+        True values: over the interval that ends at each row, and at the row.
     current : (rows, 2) ndarray
         Measured current, with bias [A].
     volt_seconds : (rows, 2) ndarray
@@ -176,14 +176,14 @@ class LevitationRecord:
 
 @cache
 def benchmark() -> tuple[MagLev2DOF, ElectromechanicalSystem]:
-    """One system for all scenarios: its dynamics compile only once."""
+    """Return machine and system, shared by all scenarios: the dynamics compile only once."""
     machine = example("maglev-knospe")
     assert isinstance(machine, MagLev2DOF)
     return machine, maglev_2dof(machine)
 
 
 def closed_loop(scenario: LevitationScenario) -> tuple[_Control, State, State]:
-    """Controller in the system's coordinates, initial state, and sizes of the states."""
+    """Return controller in the system's coordinates, initial state, and sizes of the states."""
     machine, _ = benchmark()
     c = np.array([machine.c_1, machine.c_2])
     phi = machine.k_2 * scenario.bias_current / machine.g
@@ -207,7 +207,7 @@ def closed_loop(scenario: LevitationScenario) -> tuple[_Control, State, State]:
 
 
 def record(scenario: LevitationScenario, h: float = 1e-3, quick: bool = False) -> LevitationRecord:
-    """Simulates a scenario; if `quick`, for 30 s, with the biases jumping at 15 s."""
+    """Simulate a scenario; if `quick`, for 30 s, with the biases jumping at 15 s."""
     duration, jump = (30.0, 15.0) if quick else (DURATION, JUMP)
     machine, system = benchmark()
     control, start, scale = closed_loop(scenario)
@@ -226,7 +226,7 @@ def record(scenario: LevitationScenario, h: float = 1e-3, quick: bool = False) -
 
 @cache
 def orbit(name: str) -> PeriodicOrbit:
-    """The periodic orbit that a scenario settles to, :data:`SAMPLES` a second of its period.
+    """Return the periodic orbit that a scenario settles to, with :data:`SAMPLES` per second.
 
     The references are commensurate: 10, 15, 20 and, if the flux is modulated, 7 rad/s. S1 has no
     orbit: without bias flux its flux fades, ever more slowly.
@@ -248,7 +248,7 @@ def orbit(name: str) -> PeriodicOrbit:
 
 
 def measured_orbit(name: str, segment: int) -> tuple[Orbit, Array]:
-    """What is measured on the orbit with the biases before (0) or after (1) the jump; the drift."""
+    """Return the measured orbit with the biases before (0) or after (1) the jump, and the drift."""
     machine, _ = benchmark()
     trajectory = orbit(name).trajectory
     c = np.array([machine.c_1, machine.c_2])
@@ -266,9 +266,9 @@ def measured(
     factor: float = 1.0,
     swing: float = 0.0,
 ) -> LevitationRecord:
-    """Measures a trajectory, with the paper's biases times `factor`.
+    """Measure a trajectory, with the paper's biases times `factor`.
 
-    `swing` moves every bias by this share of its size, at :data:`OFFSET_SPEED`.
+    `swing` modulates every bias by this share of its size, at :data:`OFFSET_SPEED`.
     """
     t, h = trajectory.t, trajectory.h
     moving = (factor * (1 + swing * np.sin(OFFSET_SPEED * (t - h / 2))))[:, None]
@@ -294,30 +294,30 @@ def measured(
 class FilteredRecord(NamedTuple):
     """Regression at every row, and at the jump with the current just after it.
 
-    The row at the jump itself still belongs to the biases before.
+    The row at the jump itself belongs to the biases before.
     """
 
     rows: Regressors
     after_jump: Regressors
 
 
-def filtered(given: LevitationRecord) -> tuple[FilteredRecord, FilteredRecord]:
-    """Continuous regression at every row: corrected, and with Φ_λ as printed."""
-    c = np.array([given.machine.c_1, given.machine.c_2])
-    _, rate, current = given.trajectory.inside(PLACES)
-    # With the bias of each interval, which jumps between two of them.
-    y_m = rate / c - given.drift[1:, None]
-    i_m = current + given.current_bias[1:, None]
-    regression = FilteredRegression(given.constraint, CORNER)
-    filters = filter_record(regression, given.h, y_m, i_m)
-    jump = int(np.searchsorted(given.t, given.jump - given.h / 2))
-    after = given.true_current[jump] + given.current_bias[jump + 1]
+def filtered(record: LevitationRecord) -> tuple[FilteredRecord, FilteredRecord]:
+    """Return the continuous regression at every row: corrected, and with Φ_λ as printed."""
+    c = np.array([record.machine.c_1, record.machine.c_2])
+    _, rate, current = record.trajectory.inside(PLACES)
+    # With the bias of each interval; it jumps between two of them.
+    y_m = rate / c - record.drift[1:, None]
+    i_m = current + record.current_bias[1:, None]
+    regression = FilteredRegression(record.constraint, CORNER)
+    filters = filter_record(regression, record.h, y_m, i_m)
+    jump = int(np.searchsorted(record.t, record.jump - record.h / 2))
+    after = record.true_current[jump] + record.current_bias[jump + 1]
 
     def read(form: Literal["corrected", "printed"]) -> FilteredRecord:
-        reader = FilteredRegression(given.constraint, CORNER, form)
-        at_jump = Filters(*(part[[jump]] for part in filters))
+        reader = FilteredRegression(record.constraint, CORNER, form)
+        at_jump = Filters(*(xi[[jump]] for xi in filters))
         return FilteredRecord(
-            read_out_record(reader, filters, given.current),
+            read_out_record(reader, filters, record.current),
             read_out_record(reader, at_jump, after[None]).part(0),
         )
 

@@ -1,4 +1,4 @@
-"""Erratum 8: the levitation and its controller as the paper prints them, run to the letter."""
+"""Erratum 8: the levitation and its controller exactly as the paper prints them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .levitation import SCENARIOS, LevitationScenario, benchmark, closed_loop
 
 @dataclass(frozen=True)
 class LevitationErrata:
-    """What the printed equations do, at the equilibrium of constant references.
+    """Behaviour of the printed equations at the equilibrium of constant references.
 
     Attributes
     ----------
@@ -28,8 +28,8 @@ class LevitationErrata:
     poles, printed_poles : tuple of complex
         Poles [1/s] of the consistent model in S2, with z̃₂ corrected and printed; rightmost first.
     stiffness, stiffness_without_flux : float
-        Least curvature of the shaped energy at its stationary point, per-unit: with the bias flux
-        of S2, and with the paper's φ* = 0. A minimum needs it above zero.
+        Smallest curvature of the shaped energy at its stationary point, per-unit: with the bias
+        flux of S2, and with the paper's φ* = 0. A minimum needs a positive value.
     """
 
     literal_growth: float
@@ -40,18 +40,18 @@ class LevitationErrata:
 
 
 def _constant(scenario: LevitationScenario, form: str) -> tuple[Control, State, IdaPbc]:
-    """Controller of a scenario with q* = 0, its equilibrium, and the law."""
+    """Return the controller of a scenario with q* = 0, its equilibrium, and the law."""
     control, _, _ = closed_loop(scenario)
     machine, _ = benchmark()
     law: Any = control.law
     law = replace(law, position_reference=lambda t: jnp.zeros(()), form=form)
     flux = machine.k_2 * scenario.bias_current / machine.g
     state = State(jnp.full(2, flux), jnp.zeros(1), jnp.zeros(1))
-    return eqx.tree_at(lambda one: one.law, control, law), state, law
+    return eqx.tree_at(lambda tree: tree.law, control, law), state, law
 
 
 def _stiffness(scenario: LevitationScenario) -> float:
-    """Least eigenvalue of the Hessian of H_d over (φ, q, p) in units of the states."""
+    """Return the smallest eigenvalue of the Hessian of H_d over (φ, q, p), in state units."""
     _, state, law = _constant(scenario, "corrected")
     machine, _ = benchmark()
     typical = machine.k_2 * 0.5 / machine.g
@@ -68,25 +68,25 @@ def _stiffness(scenario: LevitationScenario) -> float:
 
 
 def study() -> LevitationErrata:
-    """Linearises the printed and the corrected equations."""
+    """Linearise the printed and the corrected equations."""
     machine, system = benchmark()
     c = np.array([machine.c_1, machine.c_2])
-    found = {}
+    poles_of = {}
     for form in ("corrected", "printed"):
         control, state, _ = _constant(SCENARIOS["S2"], form)
         linkage = state._replace(flux=state.flux * c)
-        found[form] = tuple(complex(pole) for pole in poles(system, control, linkage))
+        poles_of[form] = tuple(complex(pole) for pole in poles(system, control, linkage))
     # The literal model has no c; the paper's law reads its state directly.
     _, state, law = _constant(SCENARIOS["S2"], "printed")
 
-    def literal(t: Any, here: State) -> jax.Array:
-        return law(t, here.flux, here.position[0], machine.D * here.momentum[0])
+    def literal(t: Any, state: State) -> jax.Array:
+        return law(t, state.flux, state.position[0], machine.D * state.momentum[0])
 
     growth = poles(maglev_as_printed(machine), literal, state)[0].real
     return LevitationErrata(
         float(growth),
-        found["corrected"],
-        found["printed"],
+        poles_of["corrected"],
+        poles_of["printed"],
         _stiffness(SCENARIOS["S2"]),
         _stiffness(SCENARIOS["S1"]),
     )

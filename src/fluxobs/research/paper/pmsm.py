@@ -1,4 +1,4 @@
-"""PMSM cases that the paper leaves out: a servo motor, and the counter-example of erratum 6."""
+"""PMSM cases that the paper omits: a servo motor, and the counter-example of erratum 6."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ..regression.filtered import PLACES, filter_record, read_out_record
 
 @dataclass(frozen=True, eq=False)
 class MotorRecord:
-    """A closed-form trajectory of a surface PMSM with biased measurements; rows h apart.
+    """Closed-form trajectory of a surface PMSM with biased measurements; rows h apart.
 
     Fields as in :class:`fluxobs.research.paper.levitation.LevitationRecord`; `rows` is the
     continuous regression at the samples.
@@ -48,7 +48,7 @@ def motor_signals(
     angle: Callable[[jax.Array], jax.Array],
     i_q: Callable[[jax.Array], jax.Array],
 ) -> Callable[[jax.Array], tuple[jax.Array, ...]]:
-    """Flux, its rate, current and electrical angle as functions of time, in closed form."""
+    """Return flux, its rate, current and electrical angle as functions of time, in closed form."""
     L, psi = machine.L_s, machine.psi_f or 0.0
 
     def current_at(time: jax.Array) -> jax.Array:
@@ -73,7 +73,7 @@ def motor_record(
     current_bias: Steps,
     voltage_bias: Steps,
 ) -> MotorRecord:
-    """Record of a motor with electrical angle and torque current as functions of time."""
+    """Return the record of a motor with angle and torque current as functions of time."""
     h = float(t[1] - t[0])
     signals = motor_signals(machine, angle, i_q)
     # Start, middle and end of every interval.
@@ -107,7 +107,7 @@ SERVO_CORNER = 200.0
 
 
 def servo(quick: bool = False) -> MotorRecord:
-    """400 W servo motor with varying speed and load; the sensor offsets jump half way."""
+    """Return a 400 W servo motor with varying speed and load; the offsets jump half way."""
     machine = example("servo-400w")
     assert isinstance(machine, SurfacePMSM)
     duration = 2.0 if quick else 4.0
@@ -125,7 +125,7 @@ def servo(quick: bool = False) -> MotorRecord:
 
 
 class MotorOrbit(NamedTuple):
-    """One period of a motor without biases: what is measured, and its flux [Wb]."""
+    """One period of a motor without biases: measurements and flux [Wb]."""
 
     constraint: QuadraticConstraint
     orbit: Orbit
@@ -149,7 +149,7 @@ def counter_example(samples: int = 256) -> MotorOrbit:
         machine, lambda time: time + 0.8 * jnp.sin(time), lambda time: 0.5 + 0 * time
     )
     t = jnp.arange(samples) * (2 * np.pi / samples)
-    flux, rate, current, _ = (np.asarray(part) for part in jax.jit(jax.vmap(signals))(t))
+    flux, rate, current, _ = (np.asarray(values) for values in jax.jit(jax.vmap(signals))(t))
     orbit = Orbit(2 * np.pi, rate, current)
     rows = periodic_regression(machine.constraint, 1.0, orbit)
     return MotorOrbit(machine.constraint, orbit, flux, rows)

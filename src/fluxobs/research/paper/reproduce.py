@@ -1,4 +1,4 @@
-"""Reproduces Section V of the paper with one command: figures, numbers, report."""
+"""Reproduce Section V of the paper with one command: figures, numbers, report."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class _Share:
-    """Gives work to other processes, which compile for themselves; with none, does it at once."""
+class _Workers:
+    """Other processes that compile for themselves; with zero processes, work is done at once."""
 
     def __init__(self, processes: int) -> None:
         context = get_context("spawn")
@@ -38,11 +38,11 @@ class _Share:
         if self.pool:
             self.pool.shutdown(cancel_futures=True)
 
-    def start(self, work: Callable[P, T], *given: P.args, **named: P.kwargs) -> Callable[[], T]:
-        """Starts work; the returned function waits for its result."""
+    def start(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Callable[[], T]:
+        """Start work; the returned function waits for its result."""
         if self.pool:
-            return self.pool.submit(work, *given, **named).result
-        result = work(*given, **named)
+            return self.pool.submit(work, *args, **kwargs).result
+        result = work(*args, **kwargs)
         return lambda: result
 
 
@@ -61,21 +61,21 @@ def reproduce(
     say: Callable[[str], Any] = lambda text: None,
     processes: int = 2,
 ) -> dict[str, Any]:
-    """Runs everything; writes ``report.html``, ``report.md``, ``numbers.json`` and the figures.
+    """Run everything; write ``report.html``, ``report.md``, ``numbers.json`` and the figures.
 
     Parameters
     ----------
     out : path
         Created if missing; files of the same names are replaced.
     quick : bool
-        Runs scenario S5 alone, 30 s with the jump at 15 s; no stability, no noise, PNG only.
+        Run scenario S5 alone, for 30 s with the jump at 15 s; no stability, no noise, PNG only.
     deep : bool
-        Also the long studies (minutes): scenario S2, Proposition 2 with a scalar gain, the line of
-        observers that followed, the levitation as printed, the loop closed.
+        Also run the long studies (minutes): scenario S2, Proposition 2 with a scalar gain,
+        observers published later, the levitation as printed, the closed loop.
     say : callable
-        Called with a line of text after each part.
+        Called with a line of text after each step.
     processes : int
-        Number of processes; 1 runs all in this one. The numbers do not depend on it.
+        Number of processes; 1 runs everything in this one. The numbers do not depend on it.
 
     Returns
     -------
@@ -93,41 +93,41 @@ def reproduce(
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise FluxobsError(f"{out}: cannot be made: {error.strerror}") from None
+        raise FluxobsError(f"{out}: cannot be created: {error.strerror}") from None
     names: tuple[str, ...] = (MAIN,) if quick else ("S1", "S3", MAIN)
     if deep:
         names = ("S1", "S2", "S3", MAIN)
     formats = (".png",) if quick else (".png", ".svg")
-    with _Share(processes - 1) as share:
-        side = share.start(_motors, out, quick, formats)
-        away = {
-            name: share.start(run_levitation, name, quick, deep)
+    with _Workers(processes - 1) as workers:
+        motors = workers.start(_motors, out, quick, formats)
+        elsewhere = {
+            name: workers.start(run_levitation, name, quick, deep)
             for name in names[: len(names) // 2]
         }
-        done: dict[str, ScenarioResult] = {}
-        for name in [name for name in names if name not in away]:
-            done[name] = run_levitation(name, quick, deep)
-            say(f"{name}: {done[name].scenario.title}")
-        for name, result in away.items():
-            done[name] = result()
-            say(f"{name}: {done[name].scenario.title}")
-        motor, counter = side()
-        runs = [done[name] for name in names]
-        shown = [one for one in runs if one.scenario.name in SHOWN]
-        half = share.start(draw_scenarios, out, shown, formats, SCENARIO_FIGURES[::2])
+        results: dict[str, ScenarioResult] = {}
+        for name in [name for name in names if name not in elsewhere]:
+            results[name] = run_levitation(name, quick, deep)
+            say(f"{name}: {results[name].scenario.title}")
+        for name, result in elsewhere.items():
+            results[name] = result()
+            say(f"{name}: {results[name].scenario.title}")
+        motor, counter = motors()
+        runs = [results[name] for name in names]
+        shown = [run for run in runs if run.scenario.name in SHOWN]
+        half = workers.start(draw_scenarios, out, shown, formats, SCENARIO_FIGURES[::2])
         draw_scenarios(out, shown, formats, SCENARIO_FIGURES[1::2])
         half()
-    found = numbers(runs, motor, counter)
+    content = numbers(runs, motor, counter)
     more: list[str] = []
     if deep:
-        from . import deep as long
+        from . import deep as long_studies
 
-        found["deep"] = long.study(say)
-        more = long.markdown(found["deep"])
-        draw_scalar_gain(out, found["deep"]["scalar_gain"], formats)
-    write_text(out / "numbers.json", json.dumps(found, indent=1) + "\n")
-    title, _, text = markdown(found, more).partition("\n")
+        content["deep"] = long_studies.study(say)
+        more = long_studies.markdown(content["deep"])
+        draw_scalar_gain(out, content["deep"]["scalar_gain"], formats)
+    write_text(out / "numbers.json", json.dumps(content, indent=1) + "\n")
+    title, _, text = markdown(content, more).partition("\n")
     write_text(out / "report.md", f"{title}\n{text}")
     page = html.document(title.removeprefix("# "), html.from_markdown(text, out))
     write_text(out / "report.html", page)
-    return found
+    return content

@@ -1,4 +1,4 @@
-"""All results on one scenario, in a form that passes between processes."""
+"""All results on one scenario, in a form that can be sent between processes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.arrays import Array
-from .levitation import SCENARIOS, LevitationScenario, record
+from .levitation import SCENARIOS, LevitationScenario
+from .levitation import record as simulate
 from .section_v import ErrorCourse, levitation_run, sizes
 from .stability import Growth, growth
 from .studies import (
@@ -24,9 +25,10 @@ from .studies import (
 
 #: Scenarios of the noise study.
 NOISY = ("S1", "S3", "S5")
-#: Scenarios in the figures and, unless deep, of the stability study: the paper's, the well-posed.
+#: Scenarios in the figures and, unless deep, in the stability study: the paper's own and
+#: the well-posed S5.
 SHOWN = ("S1", "S5")
-#: Scenario for judging the claims and studying the error of the robust observer.
+#: Scenario for judging the claims and for the error of the robust observer.
 MAIN = "S5"
 
 
@@ -49,7 +51,7 @@ class ScenarioResult:
     growth : Growth or None
         Stability of Proposition 2; None in a quick run, and for S2 and S3 unless deep.
     parameters : dict
-        "before" and "after" the jump → constant → what the least squares knows of it.
+        "before" and "after" the jump → constant → its estimate by least squares.
     mechanics : (float, float)
         Rms errors of position [m] and velocity [m/s], estimated from the flux.
     noise : Noisy or None
@@ -74,28 +76,28 @@ class ScenarioResult:
 
 
 def run_levitation(name: str, quick: bool = False, deep: bool = False) -> ScenarioResult:
-    """Simulates one scenario, runs the observers and the studies.
+    """Simulate one scenario, run the observers and the studies.
 
-    The orbits of S2 and S3 take most of a minute: their stability only if `deep`.
+    The orbits of S2 and S3 take most of a minute; their stability is studied only if `deep`.
     """
-    given = record(SCENARIOS[name], quick=quick)
-    one = levitation_run(given, all_observers=name == MAIN and not quick)
-    part = slice(0, round(5.0 / given.h), 5)
-    error = given.trajectory.position[:, 0] - given.reference
+    record = simulate(SCENARIOS[name], quick=quick)
+    run = levitation_run(record, all_observers=name == MAIN and not quick)
+    shown = slice(0, round(5.0 / record.h), 5)
+    error = record.trajectory.position[:, 0] - record.reference
     return ScenarioResult(
-        given.scenario,
-        given.jump,
-        one.courses,
-        given.t[part],
-        given.trajectory.position[part, 0],
-        given.reference[part],
-        given.flux[part],
+        record.scenario,
+        record.jump,
+        run.courses,
+        record.t[shown],
+        record.trajectory.position[shown, 0],
+        record.reference[shown],
+        record.flux[shown],
         float(np.sqrt(np.mean(error**2))),
-        excited(one),
-        sizes(given)[0],
-        growth(given, one.rows) if deep or (name in SHOWN and not quick) else None,
-        parameters(one),
-        mechanics(one),
-        robust(one) if name == MAIN else None,
-        noisy(given, 10.0, 0.5) if name in NOISY and not quick else None,
+        excited(run),
+        sizes(record)[0],
+        growth(record, run.rows) if deep or (name in SHOWN and not quick) else None,
+        parameters(run),
+        mechanics(run),
+        robust(run) if name == MAIN else None,
+        noisy(record, 10.0, 0.5) if name in NOISY and not quick else None,
     )

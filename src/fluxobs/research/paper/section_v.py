@@ -1,4 +1,4 @@
-"""Runs every observer on the same record; relative errors over time."""
+"""Run every observer on the same record; relative errors over time."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ RUN_IN = 15.0
 FLUX_RATE, CONSTANTS_RATE = 8.0, 2.0
 #: Window in which the basis of DREM is balanced [s].
 WINDOW = 3.0
-#: Share of the regression's size that counts as noise where there is none.
+#: Noise relative to the size of the regression, on records without noise.
 NUMERICAL = 1e-6
 #: Sample time and memory of the least squares on the levitation [s]. Volt-seconds are exact over
 #: intervals of any length.
@@ -57,17 +57,17 @@ class ErrorCourse:
     Attributes
     ----------
     t : (rows,) ndarray
-        [s].
+        Time [s].
     flux : (rows,) ndarray
         |λ̂ - λ| over the largest |λ|.
     constants : (rows,) ndarray or None
         |θ̂ - θ| over |θ|, per-unit; None if the observer estimates no constants.
     parameters : (rows,) ndarray or None
-        |θ̂_m - θ_m| [V]. The paper's Figure 3 sums volts, webers and their products; the drift is
-        all that shows.
+        |θ̂_m - θ_m| [V]. The paper's Figure 3 sums volts, webers and their products, of which only
+        the drift is visible.
     change : float or None
         Largest change when the steps were last halved, over the largest error; None for an
-        observer that is sampled by its nature.
+        observer that works on samples.
     """
 
     t: Array
@@ -77,12 +77,12 @@ class ErrorCourse:
     change: float | None = None
 
     def at(self, time: float) -> float:
-        """Flux error at the first row at or after `time`; inf if it is not finite."""
+        """Return the flux error at the first row at or after `time`; inf if it is not finite."""
         value = float(self.flux[min(int(np.searchsorted(self.t, time - 1e-9)), len(self.t) - 1)])
         return value if np.isfinite(value) else float("inf")
 
     def first_below(self, level: float, since: float) -> float:
-        """Time after `since` from which the error stays below `level`; inf if it never does.
+        """Return the time after `since` from which the error stays below `level`; inf if never.
 
         Only rows up to `since` plus half the record count: until the next jump or the end.
         """
@@ -95,7 +95,7 @@ class ErrorCourse:
 
 
 def rms(t: Array, error: Array, start: float, stop: float) -> float:
-    """Rms of an error over a span of time."""
+    """Return the rms of an error over a span of time."""
     inside = (t >= start) & (t <= stop)
     return float(np.sqrt(np.mean(error[inside] ** 2)))
 
@@ -104,84 +104,84 @@ def rms(t: Array, error: Array, start: float, stop: float) -> float:
 class LevitationRun:
     """A record, its regression, and the error courses of all observers by name."""
 
-    given: LevitationRecord
+    record: LevitationRecord
     rows: Regressors
     courses: dict[str, ErrorCourse]
     least_squares: ImmersionEstimate
 
 
-def sizes(given: LevitationRecord) -> tuple[float, Array]:
-    """Size of the flux, and of (λ, θ, δ_i, 2/ν θᵀQ1θ)."""
-    flux = float(np.linalg.norm(given.flux, axis=1).max())
-    drift, bias = np.abs(given.drift).max(), np.abs(given.current_bias).max()
-    last = 2 / CORNER * given.machine.g * drift**2
+def sizes(record: LevitationRecord) -> tuple[float, Array]:
+    """Return the size of the flux, and of (λ, θ, δ_i, 2/ν θᵀQ1θ)."""
+    flux = float(np.linalg.norm(record.flux, axis=1).max())
+    drift, bias = np.abs(record.drift).max(), np.abs(record.current_bias).max()
+    last = 2 / CORNER * record.machine.g * drift**2
     return flux, np.r_[flux, flux, drift, drift, bias, bias, last]
 
 
-def _true_constants(given: LevitationRecord, constants: Parametrisation) -> Array:
-    """Constants at every row, (rows, n_θ): one value before the jump, one after."""
+def _true_constants(record: LevitationRecord, constants: Parametrisation) -> Array:
+    """Return the constants at every row, (rows, n_θ): one value before the jump, one after."""
     before, after = (
-        np.asarray(constants.constants(given.drift[k], given.current_bias[k])) for k in (0, -1)
+        np.asarray(constants.constants(record.drift[k], record.current_bias[k])) for k in (0, -1)
     )
-    return np.where((given.t > given.jump)[:, None], after, before)
+    return np.where((record.t > record.jump)[:, None], after, before)
 
 
 def _course(
-    given: LevitationRecord,
+    record: LevitationRecord,
     flux_error: Array,
     error: Array | None = None,
     true: Array | None = None,
     change: float | None = None,
 ) -> ErrorCourse:
-    """Course from the errors of flux and constants, (rows, n) and (rows, n_θ)."""
-    flux = np.linalg.norm(flux_error, axis=1) / sizes(given)[0]
+    """Return the course of the errors of flux and constants, (rows, n) and (rows, n_θ)."""
+    flux = np.linalg.norm(flux_error, axis=1) / sizes(record)[0]
     if error is None or true is None:
-        return ErrorCourse(given.t, flux, change=change)
+        return ErrorCourse(record.t, flux, change=change)
     # Relative errors of θ and of the block from the current bias; the last constant adds nothing.
-    parts = [slice(0, 2), slice(2, 4)]
-    share = [
-        np.linalg.norm(error[:, part], axis=1) / np.linalg.norm(true[:, part], axis=1).max()
-        for part in parts
+    blocks = [slice(0, 2), slice(2, 4)]
+    relative = [
+        np.linalg.norm(error[:, block], axis=1) / np.linalg.norm(true[:, block], axis=1).max()
+        for block in blocks
     ]
     return ErrorCourse(
-        given.t, flux, np.hypot(*share), np.linalg.norm(error[:, :2], axis=1), change
+        record.t, flux, np.hypot(*relative), np.linalg.norm(error[:, :2], axis=1), change
     )
 
 
-def levitation_run(given: LevitationRecord, all_observers: bool = True) -> LevitationRun:
-    """Runs the paper's observers as printed and corrected, the repaired one, the least squares."""
-    regression, wrong = filtered(given)
+def levitation_run(record: LevitationRecord, all_observers: bool = True) -> LevitationRun:
+    """Run the paper's observers as printed and corrected, the repaired one, the least squares."""
+    regression, printed_regression = filtered(record)
     rows = regression.rows
-    h, v = given.h, jnp.asarray(given.volt_seconds)
+    h, v = record.h, jnp.asarray(record.volt_seconds)
     skip = round(RUN_IN / CORNER / h)
-    printed = Parametrisation(given.constraint, "printed", CORNER)
-    structured = Parametrisation(given.constraint, "structured", CORNER)
-    jump = int(np.searchsorted(given.t, given.jump))
-    # Gains come from the excitation before the jump; those of a design run would serve as well.
+    printed = Parametrisation(record.constraint, "printed", CORNER)
+    structured = Parametrisation(record.constraint, "structured", CORNER)
+    jump = int(np.searchsorted(record.t, record.jump))
+    # Gains come from the excitation before the jump; those of a design run would do as well.
     nominal = rows.part(slice(skip, jump))
     Gamma = balanced_gain(np.asarray(nominal.Phi_flux), FLUX_RATE)
 
     def sampled(observer: FluxObserver, constants: Parametrisation | None = None) -> ErrorCourse:
-        flux, found = run(observer, h, v, rows, skip)
-        true = None if constants is None else _true_constants(given, constants)
-        error = None if true is None else np.asarray(found) - true
-        return _course(given, np.asarray(flux) - given.flux, error, true)
+        flux, estimates = run(observer, h, v, rows, skip)
+        true = None if constants is None else _true_constants(record, constants)
+        error = None if true is None else np.asarray(estimates) - true
+        return _course(record, np.asarray(flux) - record.flux, error, true)
 
     def robust(gain: Any, used: FilteredRecord = regression) -> ErrorCourse:
-        found = converged_run(given, used, gain, None, skip)
-        return _course(given, found.error, change=found.change)
+        result = converged_run(record, used, gain, None, skip)
+        return _course(record, result.error, change=result.change)
 
     def adaptive(factor: float, used: FilteredRecord = regression) -> ErrorCourse:
-        found = converged_run(given, used, factor * np.array(ADAPTIVE_GAIN), printed, skip)
-        true = _true_constants(given, printed)
-        return _course(given, found.error[:, :2], found.error[:, 2:], true, found.change)
+        result = converged_run(record, used, factor * np.array(ADAPTIVE_GAIN), printed, skip)
+        true = _true_constants(record, printed)
+        return _course(record, result.error[:, :2], result.error[:, 2:], true, result.change)
 
     courses = {
         "robust, printed gain": robust(ROBUST_GAIN),
         "robust, balanced gain": robust(Gamma),
-        "robust, balanced gain, printed Φ": robust(Gamma, wrong),
+        "robust, balanced gain, printed Φ": robust(Gamma, printed_regression),
         "adaptive, printed gain": adaptive(1.0),
-        "adaptive, printed gain and Φ": adaptive(1.0, wrong),
+        "adaptive, printed gain and Φ": adaptive(1.0, printed_regression),
         "adaptive, ten times the gain": adaptive(10.0),
         "adaptive, repaired": sampled(
             balanced_repaired(nominal, structured, h, FLUX_RATE, CONSTANTS_RATE, round(2.0 / h)),
@@ -191,7 +191,7 @@ def levitation_run(given: LevitationRecord, all_observers: bool = True) -> Levit
         "PEBO, least squares": sampled(PEBO(2, "least-squares", Gamma)),
     }
     if all_observers:
-        size = sizes(given)[1]
+        size = sizes(record)[1]
         noise = NUMERICAL * regression_size(nominal, size)
         courses["Riccati, memory 1 s"] = sampled(
             RiccatiObserver(1.0, size, noise, structured), structured
@@ -200,27 +200,27 @@ def levitation_run(given: LevitationRecord, all_observers: bool = True) -> Levit
         courses["DREM, finite time"] = sampled(
             DremObserver(1.0, 1.0, basis, structured), structured
         )
-    estimate = least_squares(given)
-    courses["least squares"] = _least_squares_course(given, estimate)
-    return LevitationRun(given, rows, courses, estimate)
+    estimate = least_squares(record)
+    courses["least squares"] = _least_squares_course(record, estimate)
+    return LevitationRun(record, rows, courses, estimate)
 
 
 def regression_size(nominal: Regressors, size: Array) -> float:
-    """Size of the regression's y: what a flux of that size adds to it."""
+    """Return the size of the regression's y: the contribution of a flux of that size."""
     return float(np.sqrt(np.mean(np.square(nominal.Phi_flux)))) * float(size[0])
 
 
 def mixing_basis(nominal: Regressors, constants: Parametrisation, h: float, size: Array) -> Array:
-    """Basis of the unknowns for DREM, balanced by the excitation in :data:`WINDOW`."""
+    """Return the basis of the unknowns for DREM, balanced by the excitation in :data:`WINDOW`."""
     gramian = observability_gramian(nominal, constants, h, WINDOW, size)
     return np.asarray(size[:, None] * balanced_basis(gramian, WINDOW))
 
 
-def thinned(given: LevitationRecord, sample_time: float) -> tuple[NDArray[np.int_], Array]:
-    """Row numbers, and the volt-seconds between those rows: summed, so nothing is lost."""
-    step = round(sample_time / given.h)
-    rows = np.arange(0, len(given.t), step)
-    sums = np.cumsum(given.volt_seconds, axis=0)[rows]
+def thinned(record: LevitationRecord, sample_time: float) -> tuple[NDArray[np.int_], Array]:
+    """Return row numbers, and the volt-seconds summed between those rows."""
+    step = round(sample_time / record.h)
+    rows = np.arange(0, len(record.t), step)
+    sums = np.cumsum(record.volt_seconds, axis=0)[rows]
     return rows, np.diff(sums, axis=0, prepend=sums[:1])
 
 
@@ -233,10 +233,10 @@ def levitation_observer(
     drift_prior: float = 2e-5,
     current_bias_prior: float = 5e-3,
 ) -> ImmersionObserver:
-    """Least squares for drift and current bias on a pair of coils.
+    """Return a least-squares observer for drift and current bias on a pair of coils.
 
-    `noise` is that of a current [A] and of a mean voltage [V] a sample; `bias_current` [A] gives
-    the size of the flux.
+    `noise` are the standard deviations of a current [A] and of a mean voltage [V] per sample;
+    `bias_current` [A] gives the size of the flux.
     """
     size = machine.k_2 * bias_current / machine.g
     current_noise, voltage_noise = noise
@@ -258,60 +258,63 @@ def levitation_observer(
     )
 
 
-def least_squares(given: LevitationRecord) -> ImmersionEstimate:
-    """Runs the least squares with drift and current bias unknown, without noise."""
-    observer = levitation_observer(given.machine, LS_SAMPLE_TIME, LS_MEMORY, drift_prior=1e-5)
-    rows, v = thinned(given, LS_SAMPLE_TIME)
-    return observer.run(current=given.current[rows], volt_seconds=v)
+def least_squares(record: LevitationRecord) -> ImmersionEstimate:
+    """Run the least squares with drift and current bias unknown, without noise."""
+    observer = levitation_observer(record.machine, LS_SAMPLE_TIME, LS_MEMORY, drift_prior=1e-5)
+    rows, v = thinned(record, LS_SAMPLE_TIME)
+    return observer.run(current=record.current[rows], volt_seconds=v)
 
 
-def _least_squares_course(given: LevitationRecord, estimate: ImmersionEstimate) -> ErrorCourse:
-    rows, _ = thinned(given, LS_SAMPLE_TIME)
-    error = np.linalg.norm(estimate.flux - given.flux[rows], axis=1) / sizes(given)[0]
-    wrong = (estimate.drift - given.drift[rows], estimate.current_bias - given.current_bias[rows])
-    share = [
-        np.linalg.norm(one, axis=1) / np.linalg.norm(true, axis=1).max()
-        for one, true in zip(wrong, (given.drift, given.current_bias), strict=True)
+def _least_squares_course(record: LevitationRecord, estimate: ImmersionEstimate) -> ErrorCourse:
+    rows, _ = thinned(record, LS_SAMPLE_TIME)
+    error = np.linalg.norm(estimate.flux - record.flux[rows], axis=1) / sizes(record)[0]
+    errors = (
+        estimate.drift - record.drift[rows],
+        estimate.current_bias - record.current_bias[rows],
+    )
+    relative = [
+        np.linalg.norm(wrong, axis=1) / np.linalg.norm(true, axis=1).max()
+        for wrong, true in zip(errors, (record.drift, record.current_bias), strict=True)
     ]
-    parameters = np.linalg.norm(wrong[0], axis=1)
-    return ErrorCourse(given.t[rows], error, np.hypot(*share), parameters)
+    parameters = np.linalg.norm(errors[0], axis=1)
+    return ErrorCourse(record.t[rows], error, np.hypot(*relative), parameters)
 
 
-def motor_courses(given: MotorRecord) -> dict[str, ErrorCourse]:
-    """Runs the observers on a PMSM with both biases; errors of the active flux λ - L i over ψ.
+def motor_courses(record: MotorRecord) -> dict[str, ErrorCourse]:
+    """Run the observers on a PMSM with both biases; errors of the active flux λ - L i over ψ.
 
-    A current bias cannot be told from an offset (λ, i) + (L s, s), which leaves λ̂ - L i_m
-    unchanged; so only the drift is unknown.
+    A current bias is equivalent to an offset (λ, i) + (L s, s), which leaves λ̂ - L i_m unchanged;
+    therefore only the drift is estimated.
     """
-    h, v, rows = given.h, jnp.asarray(given.volt_seconds), given.rows
-    psi, L = given.machine.psi_f or 1.0, given.machine.L_s
-    true = given.flux - L * (given.current - given.current_bias)
-    constants = Parametrisation(given.constraint, "voltage-bias", SERVO_CORNER)
+    h, v, rows = record.h, jnp.asarray(record.volt_seconds), record.rows
+    psi, L = record.machine.psi_f or 1.0, record.machine.L_s
+    true = record.flux - L * (record.current - record.current_bias)
+    constants = Parametrisation(record.constraint, "voltage-bias", SERVO_CORNER)
     skip = round(RUN_IN / SERVO_CORNER / h)
-    half = len(given.t) // 2
+    half = len(record.t) // 2
     nominal = rows.part(slice(skip, half))
     Gamma = balanced_gain(np.asarray(nominal.Phi_flux), 100.0)
     regressor = np.asarray(constants.psi_record(nominal))
 
     def course(flux: object) -> ErrorCourse:
-        error = np.linalg.norm(np.asarray(flux) - L * given.current - true, axis=1) / psi
-        return ErrorCourse(given.t, error)
+        error = np.linalg.norm(np.asarray(flux) - L * record.current - true, axis=1) / psi
+        return ErrorCourse(record.t, error)
 
-    def of(observer: FluxObserver) -> ErrorCourse:
+    def run_on_regression(observer: FluxObserver) -> ErrorCourse:
         return course(run(observer, h, v, rows, skip)[0])
 
-    production = LeastSquaresObserver.for_machine(given.machine, sample_time=h)
+    production = LeastSquaresObserver.for_machine(record.machine, sample_time=h)
     return {
-        "voltage model": of(VoltageModel(2)),
-        "PEBO, least squares": of(PEBO(2, "least-squares", Gamma)),
-        "robust, balanced gain": of(RobustObserver(Gamma, 2)),
-        "adaptive, printed law": of(
+        "voltage model": run_on_regression(VoltageModel(2)),
+        "PEBO, least squares": run_on_regression(PEBO(2, "least-squares", Gamma)),
+        "robust, balanced gain": run_on_regression(RobustObserver(Gamma, 2)),
+        "adaptive, printed law": run_on_regression(
             PrintedAdaptiveObserver(balanced_gain(regressor, 100.0), constants)
         ),
-        "adaptive, repaired": of(
+        "adaptive, repaired": run_on_regression(
             balanced_repaired(nominal, constants, h, 100.0, 30.0, round(0.2 / h))
         ),
         "least squares": course(
-            production.run(current=given.current, volt_seconds=given.volt_seconds).flux
+            production.run(current=record.current, volt_seconds=record.volt_seconds).flux
         ),
     }

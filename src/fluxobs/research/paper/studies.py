@@ -1,4 +1,4 @@
-"""Studies besides the error courses: excitation, parameters, bound, scaling with bias, noise."""
+"""Further studies: excitation, constants, error bound, scaling with bias, noise."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class Excited:
     Attributes
     ----------
     flux : float
-        For Φ_λ, (pe1).
+        Ratio for Φ_λ, (pe1).
     all_constants : float
-        For Ψ with unknowns (λ, θ, δ_i, θᵀQ1θ), (pe2).
+        Ratio for Ψ with unknowns (λ, θ, δ_i, θᵀQ1θ), (pe2).
     observability : float
-        For the observability Gramian, in which the drift moves the flux.
+        Ratio for the observability Gramian, in which the drift moves the flux.
     weakest : dict
-        Direction that this Gramian sees least: share of flux, drift and current bias, per-unit.
+        Direction that this Gramian sees least: shares of flux, drift and current bias, per-unit.
     """
 
     flux: float
@@ -49,48 +49,48 @@ class Excited:
     weakest: dict[str, float]
 
 
-def _nominal(given: LevitationRun) -> tuple[Regressors, int, int]:
-    skip = round(RUN_IN / CORNER / given.given.h) + round(1.0 / given.given.h)
-    jump = int(np.searchsorted(given.given.t, given.given.jump))
-    return given.rows.part(slice(skip, jump)), skip, jump
+def _nominal(run: LevitationRun) -> tuple[Regressors, int, int]:
+    skip = round(RUN_IN / CORNER / run.record.h) + round(1.0 / run.record.h)
+    jump = int(np.searchsorted(run.record.t, run.record.jump))
+    return run.rows.part(slice(skip, jump)), skip, jump
 
 
-def excited(given: LevitationRun) -> Excited:
-    """Computes the excitation of a scenario."""
-    rows, _, _ = _nominal(given)
-    h, size = given.given.h, sizes(given.given)[1]
-    constants = Parametrisation(given.given.constraint, "structured", CORNER)
+def excited(run: LevitationRun) -> Excited:
+    """Compute the excitation of a scenario."""
+    rows, _, _ = _nominal(run)
+    h, size = run.record.h, sizes(run.record)[1]
+    constants = Parametrisation(run.record.constraint, "structured", CORNER)
     psi = np.asarray(constants.psi_record(rows))
     thin = slice(None, None, 5)
     flux = excitation(np.asarray(rows.Phi_flux)[thin], 5 * h, WINDOW)
-    # Scale each column to unit rms: the ratio then shows only how alike they are.
+    # Scale each column to unit rms: the ratio then shows only how similar they are.
     full = excitation((psi / np.sqrt(np.mean(psi**2, axis=0)))[thin], 5 * h, WINDOW)
     gramian = observability_gramian(rows, constants, h, WINDOW, size)
     scale = 1 / np.sqrt(np.diag(gramian))
     values, vectors = np.linalg.eigh(scale[:, None] * gramian * scale)
-    # Back to per-unit unknowns: how much of each is in the direction seen least.
+    # Back to per-unit unknowns: their shares in the direction seen least.
     weakest = np.abs(scale * vectors[:, 0])
     weakest /= np.linalg.norm(weakest)
-    parts = {"flux": slice(0, 2), "drift": slice(2, 4), "current bias": slice(4, 6)}
+    blocks = {"flux": slice(0, 2), "drift": slice(2, 4), "current bias": slice(4, 6)}
     return Excited(
         flux.ratio,
         full.ratio,
         float(max(values[0], 0) / values[-1]),
-        {name: float(np.linalg.norm(weakest[part])) for name, part in parts.items()},
+        {name: float(np.linalg.norm(weakest[block])) for name, block in blocks.items()},
     )
 
 
 @dataclass(frozen=True)
 class ConstantEstimate:
-    """What the least squares knows of one constant over the last fifth of a span.
+    """Least-squares estimate of one constant over the last fifth of a span.
 
     Attributes
     ----------
     true, estimate, std : (float, float)
-        At the end, at the end, and median [V] or [A].
+        True value and estimate at the end, and median standard deviation [V] or [A].
     known : float
-        Share of samples in which the observer itself says so: `valid`, for the current bias
-        `current_bias_valid`.
+        Share of samples that the observer itself reports as valid: `valid`, or
+        `current_bias_valid` for the current bias.
     """
 
     true: tuple[float, float]
@@ -99,33 +99,33 @@ class ConstantEstimate:
     known: float
 
 
-def parameters(given: LevitationRun) -> dict[str, dict[str, ConstantEstimate]]:
-    """Drift and current bias at the end of either span: "before" and "after" the jump."""
-    base, found = given.given, given.least_squares
-    rows, _ = thinned(base, LS_SAMPLE_TIME)
-    last = int(np.searchsorted(base.t[rows], base.jump - LS_SAMPLE_TIME / 2)) - 1
+def parameters(run: LevitationRun) -> dict[str, dict[str, ConstantEstimate]]:
+    """Return drift and current bias at the end of each span, "before" and "after" the jump."""
+    record, estimates = run.record, run.least_squares
+    rows, _ = thinned(record, LS_SAMPLE_TIME)
+    last = int(np.searchsorted(record.t[rows], record.jump - LS_SAMPLE_TIME / 2)) - 1
 
     def pair(values: Array, row: int) -> tuple[float, float]:
         return float(values[row, 0]), float(values[row, 1])
 
-    out = {}
+    constants = {}
     for name, first, row in (("before", 0, last), ("after", last + 1, len(rows) - 1)):
         late = slice(row - (row - first) // 5, row + 1)
-        out[name] = {
+        constants[name] = {
             "drift": ConstantEstimate(
-                pair(base.drift[rows], row),
-                pair(found.drift, row),
-                pair(np.median(found.drift_std[late], axis=0)[None], 0),
-                float(found.valid[late].mean()),
+                pair(record.drift[rows], row),
+                pair(estimates.drift, row),
+                pair(np.median(estimates.drift_std[late], axis=0)[None], 0),
+                float(estimates.valid[late].mean()),
             ),
             "current bias": ConstantEstimate(
-                pair(base.current_bias[rows], row),
-                pair(found.current_bias, row),
-                pair(np.median(found.current_bias_std[late], axis=0)[None], 0),
-                float(found.current_bias_valid[late].mean()),
+                pair(record.current_bias[rows], row),
+                pair(estimates.current_bias, row),
+                pair(np.median(estimates.current_bias_std[late], axis=0)[None], 0),
+                float(estimates.current_bias_valid[late].mean()),
             ),
         }
-    return out
+    return constants
 
 
 @dataclass(frozen=True)
@@ -145,10 +145,10 @@ class Robust:
     largest: float
 
 
-def robust(given: LevitationRun) -> Robust:
-    """Scales the biases, and compares the corrected bound with the error."""
-    base = given.given
-    nominal, skip, jump = _nominal(given)
+def robust(run: LevitationRun) -> Robust:
+    """Scale the biases, and compare the corrected bound with the error."""
+    base = run.record
+    nominal, skip, jump = _nominal(run)
     Gamma = balanced_gain(np.asarray(nominal.Phi_flux), FLUX_RATE)
     size = sizes(base)[0]
     late = slice((skip + jump) // 2, jump)
@@ -156,8 +156,8 @@ def robust(given: LevitationRun) -> Robust:
     for factor in (0.5, 1.0, 2.0):
         changed = measured(base.scenario, base.machine, base.trajectory, base.jump, factor)
         regression, _ = filtered(changed)
-        found = converged_run(changed, regression, Gamma, None, skip)
-        error = np.linalg.norm(found.error, axis=1)[late] / size
+        result = converged_run(changed, regression, Gamma, None, skip)
+        error = np.linalg.norm(result.error, axis=1)[late] / size
         rms[factor] = float(np.sqrt(np.mean(error**2)))
         if factor == 1.0:
             largest = float(error.max())
@@ -175,11 +175,11 @@ class Noisy:
     Attributes
     ----------
     error, claimed : float
-        Rms flux error after 2 s, true and from the covariance; relative.
+        Rms flux error after 2 s: true, and stated by the covariance; relative.
     noise_share : float
         Noise share of the larger flux component, median over time.
     valid : float
-        Share of samples that the observer calls valid.
+        Share of samples that the observer reports as valid.
     """
 
     error: float
@@ -188,46 +188,50 @@ class Noisy:
     valid: float
 
 
-def with_noise(given: LevitationRecord) -> tuple[Array, Array]:
-    """Currents and volt-seconds with 1 mA and 10 mV of white noise at 1 kHz, in converter steps of
-    0.5 mA and 5 mV."""
-    machine, h = given.machine, given.h
+def with_noise(record: LevitationRecord) -> tuple[Array, Array]:
+    """Return currents and volt-seconds with sensor noise.
+
+    White noise of 1 mA and 10 mV at 1 kHz, in converter steps of 0.5 mA and 5 mV.
+    """
+    machine, h = record.machine, record.h
     current_sensor = Sensor(Steps(np.zeros((1, 2))), noise=1e-3, quantum=5e-4)
     voltage_sensor = Sensor(Steps(np.zeros((1, 2))), noise=1e-2, quantum=5e-3)
-    current = current_sensor.measure(given.t, given.current, seed=1)
-    voltage = given.trajectory.voltage
-    wrong_i = current - given.current
-    wrong_u = voltage_sensor.measure(given.t, voltage, seed=2) - voltage
-    mean_i = (wrong_i + np.roll(wrong_i, 1, axis=0)) / 2
-    v = given.volt_seconds + h * (wrong_u @ machine.B.T - mean_i @ machine.R.T)
+    current = current_sensor.measure(record.t, record.current, seed=1)
+    voltage = record.trajectory.voltage
+    error_i = current - record.current
+    error_u = voltage_sensor.measure(record.t, voltage, seed=2) - voltage
+    mean_i = (error_i + np.roll(error_i, 1, axis=0)) / 2
+    v = record.volt_seconds + h * (error_u @ machine.B.T - mean_i @ machine.R.T)
     v[0] = 0.0
     return current, v
 
 
-def noisy(given: LevitationRecord, duration: float, memory: float) -> Noisy:
-    """Least squares on the noisy record; `memory` and first `duration` in s."""
-    rows = slice(0, round(duration / given.h) + 1)
-    t = given.t[rows]
-    current, v = with_noise(given)
+def noisy(record: LevitationRecord, duration: float, memory: float) -> Noisy:
+    """Run the least squares on the noisy record; `memory` and first `duration` in s."""
+    rows = slice(0, round(duration / record.h) + 1)
+    t = record.t[rows]
+    current, v = with_noise(record)
     current, v = current[rows], v[rows]
-    observer = levitation_observer(given.machine, given.h, memory, (1e-3, 1e-2))
-    found = observer.run(current=current, volt_seconds=v)
+    observer = levitation_observer(record.machine, record.h, memory, (1e-3, 1e-2))
+    estimates = observer.run(current=current, volt_seconds=v)
     late = t >= 2.0
-    size = sizes(given)[0]
-    error = np.linalg.norm(found.flux - given.flux[rows], axis=1)[late] / size
-    claimed = np.linalg.norm(found.flux_std, axis=1)[late] / size
+    size = sizes(record)[0]
+    error = np.linalg.norm(estimates.flux - record.flux[rows], axis=1)[late] / size
+    claimed = np.linalg.norm(estimates.flux_std, axis=1)[late] / size
     return Noisy(
         float(np.sqrt(np.mean(error**2))),
         float(np.sqrt(np.mean(claimed**2))),
-        float(np.median(found.noise_share[late].max(axis=1))),
-        float(found.valid[late].mean()),
+        float(np.median(estimates.noise_share[late].max(axis=1))),
+        float(estimates.valid[late].mean()),
     )
 
 
-def mechanics(given: LevitationRun) -> tuple[float, float]:
-    """Rms errors of position [m] and velocity [m/s] from the least squares' flux, between the first
-    second and the jump."""
-    base, estimate = given.given, given.least_squares
+def mechanics(run: LevitationRun) -> tuple[float, float]:
+    """Return rms errors of position [m] and velocity [m/s] from the least squares' flux.
+
+    They refer to the time between the first second and the jump.
+    """
+    base, estimate = run.record, run.least_squares
     rows, _ = thinned(base, LS_SAMPLE_TIME)
     tracker = LevitationTracker(base.machine, LS_SAMPLE_TIME)
     position, velocity = tracker.run(estimate.flux, base.current[rows] - estimate.current_bias)

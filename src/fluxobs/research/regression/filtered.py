@@ -1,6 +1,6 @@
 """Lemma 1 of the paper in continuous time: nine filters, for any number of ports.
 
-Two corrections (docs/errata.md): y_a in Φ_λ has the factor ν, and the constant entry of y_b, whose
+Two corrections (docs/errata.md): y_a in Φ_λ has the factor ν; the constant entry of y_b, whose
 regressor decays to zero, is omitted. ``form="printed"`` keeps the paper's Φ_λ, to show the error.
 """
 
@@ -37,7 +37,7 @@ class Filters(NamedTuple):
 
 
 class FilteredRegression(eqx.Module):
-    """The paper's filters and regression, ``g ↔ ν p²/(p + ν)²`` applied to the constraint.
+    """The paper's filters and regression: ``g ↔ ν p²/(p + ν)²`` applied to the constraint.
 
     Parameters
     ----------
@@ -69,26 +69,26 @@ class FilteredRegression(eqx.Module):
         self.form = form
 
     def init(self) -> Filters:
-        """All filters at zero."""
+        """Return all filters at zero."""
         zero, scalar = jnp.zeros(len(self.E)), jnp.zeros(())
         return Filters(zero, zero, zero, zero, scalar, zero, zero, zero, scalar)
 
-    # With operators only, so that they also serve many rows at once and, from `_plain`, in NumPy.
+    # These use operators only: they also serve many rows at once and, through `_plain`, NumPy.
 
     def known(self, current: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """y_a and y_c of the corollary (y_b is the current itself)."""
+        """Return y_a and y_c of the corollary (y_b is the current itself)."""
         y_c = _dot(current @ self.Q3, current) + current @ self.C
         return current @ self.Q2.T + self.E, y_c
 
     def derivative(self, xi: Filters, y_m: jax.Array, current: jax.Array) -> Filters:
-        """Time derivative, given ``y_m = -R i_m + B u_m`` [V] and the measured current [A]."""
-        nu, pushed = self.corner, y_m @ self.Q1.T
+        """Return the time derivative from ``y_m = -R i_m + B u_m`` [V] and measured current [A]."""
+        nu, forcing = self.corner, y_m @ self.Q1.T
         y_a, y_c = self.known(current)
         return Filters(
             -nu * xi.xi1 + nu * y_m,
-            -nu * xi.xi2 + 2 * nu * pushed - nu**2 * y_a,
+            -nu * xi.xi2 + 2 * nu * forcing - nu**2 * y_a,
             -nu * xi.xi3 + nu * current,
-            -nu * xi.xi4 + xi.xi2 + 2 * pushed,
+            -nu * xi.xi4 + xi.xi2 + 2 * forcing,
             -nu * xi.xi5 + _dot(y_m, xi.xi2) + nu**2 * y_c,
             -nu * xi.xi6 + nu * xi.xi4 - xi.xi2,
             -nu * xi.xi7 + nu * xi.xi1,
@@ -97,7 +97,7 @@ class FilteredRegression(eqx.Module):
         )
 
     def read_out(self, xi: Filters, current: jax.Array) -> Regressors:
-        """The regression at this instant."""
+        """Return the regression at this instant."""
         nu = self.corner
         y_a, y_c = self.known(current)
         scale = 1.0 if self.form == "printed" else nu
@@ -116,25 +116,25 @@ def _dot(a: jax.Array, b: jax.Array) -> jax.Array:
 
 
 def _plain(regression: FilteredRegression) -> FilteredRegression:
-    """The same in NumPy: nothing is compiled for a new length of a record."""
+    """Return the same regression in NumPy: no compilation for each new length of a record."""
     plain: FilteredRegression = jax.tree.map(np.asarray, regression)
     return plain
 
 
-#: Filters that need nothing but the signals, those that need the first, and the last.
+#: Filters that need only the signals; those that also need the first group; the last ones.
 _CASCADE = (("xi1", "xi2", "xi3"), ("xi4", "xi5", "xi7", "xi8"), ("xi6", "xi9"))
 
 
 def cascade(
     regression: FilteredRegression, lag: Callable[[Array], Array], y_m: Array, current: Array
 ) -> Filters:
-    """The nine filters, each a lag ``x' = -ν x + signal`` of what the ones before it give.
+    """Return the nine filters, each a lag ``x' = -ν x + signal`` driven by the ones before it.
 
     Parameters
     ----------
     regression : FilteredRegression
     lag : callable
-        x from a signal of shape (...) or (..., n), leading axis time.
+        Returns x for a signal of shape (...) or (..., n), leading axis time.
     y_m, current : (..., n) ndarray
     """
     plain: Any = _plain(regression)
@@ -142,10 +142,10 @@ def cascade(
     scalar: Any = np.zeros(y_m.shape[:-1])
     xi = Filters(vector, vector, vector, vector, scalar, vector, vector, vector, scalar)
     for names in _CASCADE:
-        # At zero of itself a filter's derivative is its signal.
+        # With the filter itself at zero, its derivative is its signal.
         signals = plain.derivative(xi, y_m, current)
-        found: dict[str, Any] = {name: lag(getattr(signals, name)) for name in names}
-        xi = xi._replace(**found)
+        outputs: dict[str, Any] = {name: lag(getattr(signals, name)) for name in names}
+        xi = xi._replace(**outputs)
     return xi
 
 
@@ -154,7 +154,7 @@ PLACES: Array = np.array([0.0, 0.5, 1.0])
 
 
 def _weights(z: float, until: float) -> Array:
-    """∫ e^{-z (until - τ)} p(τ) dτ from 0 to `until`, for the parabola p through :data:`PLACES`."""
+    """Return ∫₀^until e^{-z (until - τ)} p(τ) dτ, for the parabola p through :data:`PLACES`."""
     nodes, weights = np.polynomial.legendre.leggauss(16)
     tau = until * (nodes + 1) / 2
     lagrange = np.array([(1 - tau) * (1 - 2 * tau), 4 * tau * (1 - tau), tau * (2 * tau - 1)])
@@ -167,10 +167,10 @@ def filter_record(
     y_m: ArrayLike,
     current: ArrayLike,
 ) -> Filters:
-    """Filters at every sample of a record, from zero.
+    """Return the filters at every sample of a record, from zero.
 
-    Every filter is a lag of what the ones before it give. It is integrated exactly for inputs that
-    are parabolas in each interval, so that nothing depends on ν h but how well these fit.
+    Every filter is a lag driven by the ones before it. It is integrated exactly for inputs that are
+    parabolas in each interval; the only error is the deviation of the inputs from these.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def filter_record(
     h : float
         Sample time [s].
     y_m, current : (rows - 1, 3, n) array_like
-        Values at the start, middle and end of each interval, so that both may jump at samples.
+        Values at the start, middle and end of each interval; both may jump at samples.
 
     Returns
     -------
@@ -190,21 +190,21 @@ def filter_record(
     whole, half = h * _weights(z, 1.0), h * _weights(z, 0.5)
 
     def lag(signal: Array) -> Array:
-        """x of ``x' = -ν x + signal`` from zero, at the same places."""
-        pushed = np.tensordot(signal, whole, axes=(1, 0))
-        end = lfilter([1.0], [1.0, -np.exp(-z)], pushed, axis=0)
+        """Return x of ``x' = -ν x + signal`` from zero, at the same places."""
+        increment = np.tensordot(signal, whole, axes=(1, 0))
+        end = lfilter([1.0], [1.0, -np.exp(-z)], increment, axis=0)
         start = np.concatenate([np.zeros((1, *end.shape[1:])), end[:-1]])
         middle = np.exp(-z / 2) * start + np.tensordot(signal, half, axes=(1, 0))
         return np.stack([start, middle, end], axis=1)
 
     inside = cascade(regression, lag, y, i)
-    samples: Any = (np.concatenate([part[:1, 0], part[:, 2]]) for part in inside)
+    samples: Any = (np.concatenate([xi[:1, 0], xi[:, 2]]) for xi in inside)
     return Filters(*samples)
 
 
 def read_out_record(
     regression: FilteredRegression, filters: Filters, current: ArrayLike
 ) -> Regressors:
-    """The regression at every sample, from the filters and measured currents (rows, n)."""
+    """Return the regression at every sample, from the filters and measured currents (rows, n)."""
     i: Any = np.asarray(current, float)
     return _plain(regression).read_out(filters, i)

@@ -1,8 +1,8 @@
-"""The regression of a periodic trajectory, in its steady state, to all digits.
+"""The regression of a periodic trajectory in its steady state, to all digits.
 
 The filters of Lemma 1 are a cascade of lags driven by products of signals. In the periodic steady
-state every lag is a division in the frequency domain: no transient, no step. Between the samples
-the regression is the trigonometric interpolant.
+state every lag is a division in the frequency domain, without transient or step. Between the
+samples the regression is the trigonometric interpolant.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ RESOLVED = 1e-12
 
 
 class Orbit(NamedTuple):
-    """One period of what the observer measures; uniform samples, the last one period - h.
+    """One period of the observer's measurements; uniform samples, the last at period - h.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Orbit(NamedTuple):
 
 
 def periodic_regression(constraint: QuadraticConstraint, corner: float, orbit: Orbit) -> Regressors:
-    """Lemma 1, corrected, in periodic steady state at the samples of one period.
+    """Return Lemma 1, corrected, in periodic steady state at the samples of one period.
 
     Parameters
     ----------
@@ -53,14 +53,14 @@ def periodic_regression(constraint: QuadraticConstraint, corner: float, orbit: O
     Raises
     ------
     ModelError
-        The samples do not resolve a signal.
+        The samples are too few to resolve a signal.
     """
     y_m, i = np.asarray(orbit.y_m, float), np.asarray(orbit.current, float)
     regression = FilteredRegression(constraint, corner)
     omega = 2 * np.pi * np.fft.rfftfreq(len(i), orbit.period / len(i))
 
     def lag(signal: Array) -> Array:
-        """x of ``x' = -ν x + signal``."""
+        """Return x of ``x' = -ν x + signal``."""
         spectrum = np.fft.rfft(signal, axis=0)
         filtered = (spectrum.T / (1j * omega + corner)).T
         return np.asarray(np.fft.irfft(filtered, len(i), axis=0))
@@ -70,7 +70,7 @@ def periodic_regression(constraint: QuadraticConstraint, corner: float, orbit: O
         high = power[-max(1, len(power) // 10) :].sum(axis=0)
         if (high > RESOLVED * power.sum(axis=0)).any():
             raise ModelError(
-                f"{name}: {len(i)} samples a period do not resolve it; take more, and check that "
+                f"{name}: {len(i)} samples a period do not resolve it; use more, and check that "
                 f"the period is {orbit.period:g} s"
             )
     filters = cascade(regression, lag, y_m, i)
@@ -78,7 +78,7 @@ def periodic_regression(constraint: QuadraticConstraint, corner: float, orbit: O
 
 
 def between(signal: ArrayLike, count: int, shift: float) -> Array:
-    """Trigonometric interpolant of one period at `count` uniform points, from `shift` of a step on.
+    """Return the trigonometric interpolant of one period at `count` uniform points.
 
     Parameters
     ----------
@@ -86,12 +86,12 @@ def between(signal: ArrayLike, count: int, shift: float) -> Array:
     count : int
         Number of points a period, at least `samples`.
     shift : float
-        Place of the first point, in steps of period/count.
+        Position of the first point, in steps of period/count.
     """
-    given = np.asarray(signal, float)
-    spectrum = np.fft.rfft(given, axis=0)
-    if len(given) % 2 == 0:
-        spectrum[-1] /= 2 if count > len(given) else 1
+    samples = np.asarray(signal, float)
+    spectrum = np.fft.rfft(samples, axis=0)
+    if len(samples) % 2 == 0:
+        spectrum[-1] /= 2 if count > len(samples) else 1
     harmonics = np.arange(len(spectrum))
-    turned = (spectrum.T * np.exp(2j * np.pi * harmonics * shift / count)).T
-    return np.asarray(np.fft.irfft(turned, count, axis=0) * (count / len(given)))
+    shifted = (spectrum.T * np.exp(2j * np.pi * harmonics * shift / count)).T
+    return np.asarray(np.fft.irfft(shifted, count, axis=0) * (count / len(samples)))

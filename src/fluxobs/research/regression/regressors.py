@@ -1,4 +1,4 @@
-"""The linear regression of Lemma 1, and the ways to parametrise its unknown constants."""
+"""The linear regression of Lemma 1, and parametrisations of its unknown constants."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Regressors(NamedTuple):
     phi_c: jax.Array  # ()
 
     def part(self, rows: Any) -> Regressors:
-        """Rows of a record: slice, mask or numbers. Cut by NumPy, which compiles nothing."""
-        cut: Any = (np.asarray(one)[rows] for one in self)
-        return Regressors(*cut)
+        """Return rows of a record: slice, mask or numbers. NumPy cuts them, without compilation."""
+        selected: Any = (np.asarray(entries)[rows] for entries in self)
+        return Regressors(*selected)
 
 
 Kind = Literal["printed", "structured", "voltage-bias"]
@@ -38,7 +38,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 class Parametrisation(eqx.Module):
-    """The constants to estimate besides the flux, and their regressors.
+    """The constants estimated besides the flux, and their regressors.
 
     The first constants are always the drift θ.
 
@@ -46,9 +46,9 @@ class Parametrisation(eqx.Module):
     ----------
     constraint : QuadraticConstraint
     kind : {"printed", "structured", "voltage-bias"}
-        Printed: the paper's (θ, θ_a, θ_b, 2/ν θᵀQ1θ), without its entry 1 of y_b, whose regressor
-        vanishes. Structured: (θ, δ_i, θᵀQ1θ), with θ_a and θ_b as known functions of one current
-        bias. Voltage-bias: (θ, θᵀQ1θ), exact if the currents have no bias.
+        "printed": the paper's (θ, θ_a, θ_b, 2/ν θᵀQ1θ), without its entry 1 of y_b, whose regressor
+        vanishes. "structured": (θ, δ_i, θᵀQ1θ), with θ_a and θ_b as known functions of one current
+        bias. "voltage-bias": (θ, θᵀQ1θ), exact if the currents have no bias.
     corner : float
         ν of the filters [rad/s]; it scales the last constant as in the paper.
 
@@ -82,46 +82,46 @@ class Parametrisation(eqx.Module):
         return len(self.Q1)
 
     def regressor(self, row: Regressors) -> jax.Array:
-        """Φ_θ of one row, (n_θ,)."""
-        parts = [row.Phi_drift]
+        """Return Φ_θ of one row, (n_θ,)."""
+        blocks = [row.Phi_drift]
         if self.kind == "printed":
-            parts.append(row.Phi_a)
+            blocks.append(row.Phi_a)
             if self.with_b:
-                parts.append(row.Phi_b)
+                blocks.append(row.Phi_b)
         elif self.kind == "structured":
-            parts.append(-(self.Q2.T @ row.Phi_a + 2 * self.Q3 @ row.Phi_b))
+            blocks.append(-(self.Q2.T @ row.Phi_a + 2 * self.Q3 @ row.Phi_b))
         if self.with_c:
-            parts.append(row.phi_c[None] * self.corner / 2)
-        return jnp.concatenate(parts)
+            blocks.append(row.phi_c[None] * self.corner / 2)
+        return jnp.concatenate(blocks)
 
     def constants(self, drift: Any, current_bias: Any) -> NDArray[np.float64]:
-        """True constants for a drift [V] and a current bias [A], (n_θ,)."""
+        """Return the true constants for a drift [V] and a current bias [A], (n_θ,)."""
         theta = np.asarray(real("drift", drift, (self.n,)))
         delta = np.asarray(real("current_bias", current_bias, (self.n,)))
         Q1, Q2, Q3 = (np.asarray(matrix) for matrix in (self.Q1, self.Q2, self.Q3))
-        parts = [theta]
+        blocks = [theta]
         if self.kind == "printed":
-            parts.append(-Q2 @ delta)
+            blocks.append(-Q2 @ delta)
             if self.with_b:
-                parts.append(-2 * Q3 @ delta)
+                blocks.append(-2 * Q3 @ delta)
         elif self.kind == "structured":
-            parts.append(delta)
+            blocks.append(delta)
         if self.with_c:
-            parts.append(np.array([2 / self.corner * theta @ Q1 @ theta]))
-        return np.concatenate(parts)
+            blocks.append(np.array([2 / self.corner * theta @ Q1 @ theta]))
+        return np.concatenate(blocks)
 
     @eqx.filter_jit
     def record(self, rows: Regressors) -> jax.Array:
-        """Φ_θ of all rows, (rows, n_θ)."""
+        """Return Φ_θ of all rows, (rows, n_θ)."""
         return jax.vmap(self.regressor)(rows)
 
     def psi(self, row: Regressors) -> jax.Array:
-        """Ψ = (Φ_λ, Φ_θ) of one row, (n + n_θ,)."""
+        """Return Ψ = (Φ_λ, Φ_θ) of one row, (n + n_θ,)."""
         return jnp.concatenate([row.Phi_flux, self.regressor(row)])
 
     @eqx.filter_jit
     def psi_record(self, rows: Regressors) -> jax.Array:
-        """Ψ of all rows, (rows, n + n_θ)."""
+        """Return Ψ of all rows, (rows, n + n_θ)."""
         return jax.vmap(self.psi)(rows)
 
     def __len__(self) -> int:
@@ -132,7 +132,7 @@ class Parametrisation(eqx.Module):
 def residual(
     rows: Regressors, constraint: QuadraticConstraint, flux: Any, drift: Any, current_bias: Any
 ) -> jax.Array:
-    """y minus what true flux, drift and current bias explain; leading axes as in `rows`."""
+    """Return y minus the terms of true flux, drift and current bias; leading axes as in `rows`."""
     Q1, Q2, Q3 = (jnp.asarray(getattr(constraint, name)) for name in ("Q1", "Q2", "Q3"))
     theta, delta = jnp.asarray(drift), jnp.asarray(current_bias)
     explained = (

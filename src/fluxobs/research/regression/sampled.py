@@ -1,7 +1,7 @@
 """Lemma 1 on samples, without discretisation error.
 
-Applies the kernel ``g ↔ ((1 - z⁻¹)/(1 - a z⁻¹))²``, a = e^{-νh}, to the constraint at all past
-samples, each expressed in the present flux through volt-seconds. docs/theory.md, section 8.
+It applies the kernel ``g ↔ ((1 - z⁻¹)/(1 - a z⁻¹))²``, a = e^{-νh}, to the constraint at all past
+samples. Volt-seconds express each in terms of the present flux. docs/theory.md, section 8.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .regressors import Regressors
 
 
 class Moments(NamedTuple):
-    """Sums over the past with the weights of a double pole, two rows each, (2, …).
+    """Sums over the past, weighted by a double pole; two rows each, (2, …).
 
     S are the volt-seconds between a past sample and now, j is its age in samples; a, c and i are
     the known signals at that sample. ``SS`` sums Sᵀ Q1 S.
@@ -64,11 +64,11 @@ class SampledRegression(eqx.Module):
                 raise ModelError(f"{name} must be positive, got {value}")
         for name in ("Q1", "Q2", "Q3", "E", "C"):
             setattr(self, name, jnp.asarray(getattr(constraint, name)))
-        # Stored as arrays, so that another value does not trigger a compilation.
+        # Arrays: another value then does not trigger a compilation.
         self.corner, self.sample_time = jnp.asarray(corner), jnp.asarray(sample_time)
 
     def init(self) -> Moments:
-        """Moments of an empty past."""
+        """Return the moments of an empty past."""
         n = len(self.E)
         scalar, vector = jnp.zeros(2), jnp.zeros((2, n))
         return Moments(
@@ -78,15 +78,15 @@ class SampledRegression(eqx.Module):
     def step(
         self, moments: Moments, volt_seconds: jax.Array, current: jax.Array
     ) -> tuple[Moments, Regressors, tuple[jax.Array, jax.Array]]:
-        """One sample: volt-seconds (n,) of the interval ending now [Wb] and the current now [A].
+        """Process one sample: volt-seconds (n,) of the interval ending now [Wb], current now [A].
 
         Returns
         -------
         moments, regressors
         start : (m0, m1)
-            Moments of the kernel so far. Until they have decayed (15 … 20 over ν), the regression
-            is exact if ``m0 s - h m1 κ`` is added to its right side, with s and κ of the immersion
-            (whose E is part of a here).
+            Moments of the kernel so far. Until they have decayed (after 15 … 20 over ν), the
+            regression is exact if ``m0 s - h m1 κ`` is added to its right side, with s and κ of the
+            immersion (whose E is part of a here).
         """
         m, v = moments, volt_seconds
         q = self.Q1 @ v
@@ -134,7 +134,7 @@ class SampledRegression(eqx.Module):
     def run(
         self, volt_seconds: Any, current: Any
     ) -> tuple[Regressors, tuple[jax.Array, jax.Array]]:
-        """Runs a record: volt-seconds of the interval ending at each row, currents; (rows, n)."""
+        """Run a record: volt-seconds of the interval ending at each row, currents; (rows, n)."""
         v, i = real("volt_seconds", volt_seconds), real("current", current)
         if v.shape != i.shape or v.ndim != 2 or v.shape[1] != len(self.E):
             raise ModelError(
@@ -152,5 +152,5 @@ def _run(
         moments, regressors, start = regression.step(moments, *row)
         return moments, (regressors, start)
 
-    _, out = jax.lax.scan(body, regression.init(), (volt_seconds, current))
-    return out  # type: ignore[no-any-return]
+    _, samples = jax.lax.scan(body, regression.init(), (volt_seconds, current))
+    return samples  # type: ignore[no-any-return]

@@ -1,4 +1,4 @@
-"""Machines as energies: some satisfy a quadratic relation, some do not."""
+"""Library of machines as energies; some satisfy a quadratic relation, some do not."""
 
 from collections.abc import Callable
 
@@ -26,7 +26,7 @@ from .rotating import (
 
 
 def knospe() -> ElectromechanicalSystem:
-    """The levitation benchmark of the paper's Section V-B."""
+    """Return the levitation benchmark of the paper's Section V-B."""
     machine = example("maglev-knospe")
     assert isinstance(machine, MagLev2DOF)
     return maglev_2dof(machine)

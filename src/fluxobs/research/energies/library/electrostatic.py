@@ -1,4 +1,4 @@
-"""The electric-field dual: charge for flux, voltage for current, conductance for resistance."""
+"""Electric-field dual: charge for flux, voltage for current, conductance for resistance."""
 
 from __future__ import annotations
 

@@ -35,15 +35,15 @@ def _coils(
 
 
 def maglev_1dof(k: float = 1e-5, g: float = 1e-3) -> ElectromechanicalSystem:
-    """One coil above a body, ``λ = k i / (g - q)``; has no relation."""
+    """One coil above a body, ``λ = k i / (g - q)``; it has no relation."""
     return _coils(lambda q: jnp.array([k / (g - q[0])]), g, "MagLev, one coil", 1)
 
 
 def maglev_2dof(machine: MagLev2DOF) -> ElectromechanicalSystem:
     """Opposed coils on a lever: Section V-B of the paper in canonical port-Hamiltonian form.
 
-    The flux is the linkage ``λ = c φ`` with the force constants c, so that ``-∇_q H_E`` is the
-    force of Knospe's benchmark; momentum is p/D. ``λ̇ = -(c/N) R i + (c/N) u``.
+    The flux is the linkage ``λ = c φ`` with the force constants c; ``-∇_q H_E`` is then the
+    force of Knospe's benchmark. Momentum is p/D. ``λ̇ = -(c/N) R i + (c/N) u``.
     docs/theory.md, section 11.
     """
     c, k = np.array([machine.c_1, machine.c_2]), np.array([machine.k_1, machine.k_2])
@@ -68,8 +68,8 @@ def maglev_2dof(machine: MagLev2DOF) -> ElectromechanicalSystem:
 def maglev_as_printed(machine: MagLev2DOF) -> ElectromechanicalSystem:
     """The paper's equations (hmaglev) and (sysmaglev) to the letter, for erratum 8.
 
-    Its energy lacks the force constants c and its input the 1/N: ``λ̇ = -R/(N c) i + u``. The
-    state is still called λ; the controller reads it as core flux, as the paper does.
+    The energy lacks the force constants c and the input the 1/N: ``λ̇ = -R/(N c) i + u``. The state
+    is still called λ; the controller reads it as core flux, as in the paper.
     """
     c, k = np.array([machine.c_1, machine.c_2]), np.array([machine.k_1, machine.k_2])
     g, sign = machine.g, np.array([-1.0, 1.0])

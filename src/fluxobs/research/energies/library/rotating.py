@@ -12,12 +12,12 @@ from ..system import ElectromechanicalSystem, inertia, linear_magnetics
 
 
 def unit(angle: jax.Array) -> jax.Array:
-    """``(cos, sin)``."""
+    """Return ``(cos, sin)``."""
     return jnp.array([jnp.cos(angle), jnp.sin(angle)])
 
 
 def turn(angle: jax.Array) -> jax.Array:
-    """Rotation matrix, (2, 2)."""
+    """Return the rotation matrix, (2, 2)."""
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     return jnp.array([[cos, -sin], [sin, cos]])
 
@@ -84,7 +84,7 @@ def interior_pmsm(
     J: float = 0.05,
     friction: float = 1e-3,
 ) -> ElectromechanicalSystem:
-    """Interior PMSM in αβ; has no quadratic relation, but one of degree four."""
+    """Interior PMSM in αβ; it has no quadratic relation, but one of degree four."""
     return salient_pmsm(R_s, L_d, L_q, psi_f, n_p, J, friction, "interior PMSM")
 
 
@@ -129,7 +129,7 @@ def wound_field(
 ) -> ElectromechanicalSystem:
     """Salient wound-field synchronous machine with its field port: (α, β, F).
 
-    Vectors are power-invariant, so that the inductances derive from an energy (f = 1).
+    Vectors are power-invariant; only then do the inductances derive from an energy (f = 1).
     """
     rotor = jnp.array([[L_d, 0.0, M], [0.0, L_q, 0.0], [M, 0.0, L_F]])
 

@@ -1,9 +1,9 @@
-"""Common parts of the observers on the regression: continuous and sampled form, and a runner.
+"""Common code of the observers on the regression: continuous and sampled form, and a runner.
 
 ``derivative(state, y_m, row)`` is the law as published, for an ODE solver. ``step(state, h,
-volt_seconds, row)`` is for samples: it moves the state by the known volt-seconds, then applies the
-exact solution of the gradient flow for a constant regressor. That is stable at any gain, however
-stiff the law.
+volt_seconds, row)`` is for samples: it advances the state by the known volt-seconds, then applies
+the exact solution of the gradient flow for a constant regressor. This is stable at any gain,
+however stiff the law.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class FluxObserver(Protocol):
     def step(self, state: Any, h: float, volt_seconds: jax.Array, row: Regressors) -> Any: ...
 
     def estimate(self, state: Any) -> tuple[jax.Array, jax.Array]:
-        """Flux (n,) and estimated constants (n_θ,); n_θ may be zero."""
+        """Return flux (n,) and estimated constants (n_θ,); n_θ may be zero."""
         ...
 
 
@@ -40,35 +40,35 @@ class ContinuousObserver(FluxObserver, Protocol):
 
 
 def positive_definite(name: str, value: Any, size: int) -> jax.Array:
-    """Gain matrix of a given size from a number, a vector (its diagonal) or a matrix.
+    """Return a gain matrix of this size from a number, a vector (its diagonal) or a matrix.
 
     Raises
     ------
     ModelError
-        Not symmetric positive definite; the message names the least eigenvalue.
+        The matrix is not symmetric positive definite; the message gives its smallest eigenvalue.
     """
-    plain = np.asarray(real(name, value))
-    if plain.shape not in ((), (size,), (size, size)):
+    gain = np.asarray(real(name, value))
+    if gain.shape not in ((), (size,), (size, size)):
         raise ModelError(
-            f"{name} must be a number, ({size},) or ({size}, {size}), got {plain.shape}"
+            f"{name} must be a number, ({size},) or ({size}, {size}), got {gain.shape}"
         )
-    if plain.ndim < 2:
-        plain = plain * np.eye(size)
-    if not np.allclose(plain, plain.T, rtol=1e-12, atol=0):
-        raise ModelError(f"{name} must be symmetric, got {plain.tolist()}")
+    if gain.ndim < 2:
+        gain = gain * np.eye(size)
+    if not np.allclose(gain, gain.T, rtol=1e-12, atol=0):
+        raise ModelError(f"{name} must be symmetric, got {gain.tolist()}")
     # Check per-unit: the scales of flux and constants differ by twenty powers of ten.
-    scale = np.sqrt(np.abs(np.diag(plain)))
-    least = np.linalg.eigvalsh(plain / np.outer(scale, scale)).min() if scale.all() else 0.0
-    if not (least > 0 and (np.diag(plain) > 0).all()):
+    scale = np.sqrt(np.abs(np.diag(gain)))
+    smallest = np.linalg.eigvalsh(gain / np.outer(scale, scale)).min() if scale.all() else 0.0
+    if not (smallest > 0 and (np.diag(gain) > 0).all()):
         raise ModelError(
-            f"{name} must be positive definite, got least eigenvalue {least:g} "
+            f"{name} must be positive definite, got smallest eigenvalue {smallest:g} "
             "after scaling its diagonal to one"
         )
-    return jnp.asarray(plain)
+    return jnp.asarray(gain)
 
 
 def flow_gain(q: jax.Array, h: float) -> jax.Array:
-    """``(1 - e^{-qh})/q``, the effect of a gradient flow of rate q over h; h at q = 0."""
+    """Return ``(1 - e^{-qh})/q``, the effect of a gradient flow of rate q over h; h at q = 0."""
     safe = jnp.where(q > 0, q, 1.0)
     return jnp.where(q > 0, -jnp.expm1(-safe * h) / safe, h)
 
@@ -77,33 +77,33 @@ def flow_gain(q: jax.Array, h: float) -> jax.Array:
 def run(
     observer: FluxObserver, h: float, volt_seconds: jax.Array, rows: Regressors, skip: Any = 0
 ) -> tuple[jax.Array, jax.Array]:
-    """Flux (rows, n) and constants (rows, n_θ) over a record, from `observer.init()`.
+    """Return flux (rows, n) and constants (rows, n_θ) over a record, from `observer.init()`.
 
-    Row k's volt-seconds belong to the interval that ends at row k. The regression is not used for
-    the first `skip` rows (transient of its filters).
+    Row k's volt-seconds belong to the interval that ends at row k. The regression is not used in
+    the first `skip` rows, the transient of its filters.
     """
     count = len(rows.y)
 
     def body(state: Any, sample: Any) -> tuple[Any, Any]:
         k, v, row = sample
         use = jnp.where(k >= skip, 1.0, 0.0)
-        row = Regressors(*(use * part for part in row))
+        row = Regressors(*(use * entry for entry in row))
         state = observer.step(state, h, jnp.where(k > 0, v, 0.0), row)
         return state, observer.estimate(state)
 
     samples = (jnp.arange(count), volt_seconds, rows)
-    _, found = jax.lax.scan(body, observer.init(), samples)
-    return found  # type: ignore[no-any-return]
+    _, estimates = jax.lax.scan(body, observer.init(), samples)
+    return estimates  # type: ignore[no-any-return]
 
 
 @eqx.filter_jit
 def integrate_law(
     observer: ContinuousObserver, h: float, y_m: jax.Array, rows: Regressors
 ) -> tuple[jax.Array, jax.Array]:
-    """Flux and constants of the law as a differential equation, by fourth-order Runge-Kutta.
+    """Return flux and constants of the law as a differential equation, by fourth-order Runge-Kutta.
 
-    For laws that are not stiff, h times their rate below one; (steps + 1, n) and (steps + 1, n_θ)
-    from `observer.init()`.
+    For laws that are not stiff: h times their rate below one. Shapes (steps + 1, n) and
+    (steps + 1, n_θ), from `observer.init()`.
 
     Parameters
     ----------
@@ -111,21 +111,25 @@ def integrate_law(
     h : float
         Step [s].
     y_m : (2 steps + 1, n) array
-        Every half step.
+        Values at every half step.
     rows : Regressors
-        Likewise.
+        Rows at every half step.
     """
 
     def body(state: Any, k: jax.Array) -> tuple[Any, Any]:
         def rate(state: Any, place: Place) -> Any:
             at = 2 * k + place
-            return observer.derivative(state, y_m[at], Regressors(*(one[at] for one in rows)))
+            return observer.derivative(
+                state, y_m[at], Regressors(*(entries[at] for entries in rows))
+            )
 
         state = runge_kutta_step(rate, state, h)
         return state, observer.estimate(state)
 
     start = observer.init()
-    _, found = jax.lax.scan(body, start, jnp.arange((len(y_m) - 1) // 2))
+    _, estimates = jax.lax.scan(body, start, jnp.arange((len(y_m) - 1) // 2))
     return jax.tree.map(  # type: ignore[no-any-return]
-        lambda first, later: jnp.concatenate([first[None], later]), observer.estimate(start), found
+        lambda first, later: jnp.concatenate([first[None], later]),
+        observer.estimate(start),
+        estimates,
     )

@@ -15,21 +15,21 @@ from .base import flow_gain
 
 
 class DremState(NamedTuple):
-    """Extension M, m (per-unit); estimate, its open-loop twin, and w, what is left of the start."""
+    """Extension M, m (per-unit); estimate, its open-loop twin, and w, the weight of the start."""
 
     M: jax.Array
     m: jax.Array
     x: jax.Array
     open_loop: jax.Array
-    left: jax.Array
+    start_weight: jax.Array
 
 
 class DremObserver(eqx.Module):
-    """Extends one regression to as many as there are unknowns, then mixes them into scalar ones.
+    """Extend one regression to as many as there are unknowns, then mix them into scalar ones.
 
     Extension (Kreisselmeier, moved along with the flux): ``M' = -M/T - AᵀM - M A + ΨΨᵀ``, likewise
-    m, so that ``M x = m``. Mixing with the adjugate gives ``Δ x_j = Y_j``, Δ = det M, and for each
-    unknown a scalar gradient ``x̂_j' = … + γ Δ (Y_j - Δ x̂_j)``. The error is
+    m, which gives ``M x = m``. Mixing with the adjugate gives ``Δ x_j = Y_j``, Δ = det M, and for
+    each unknown a scalar gradient ``x̂_j' = … + γ Δ (Y_j - Δ x̂_j)``. The error is
     ``x̃(t) = w(t) x̃_open-loop(t)`` with ``w = exp(-γ ∫ Δ²)``. Solving this for x gives an estimate
     in finite time, used once 1 - w > `finite`.
 
@@ -69,10 +69,10 @@ class DremObserver(eqx.Module):
         finite: float = 0.1,
     ) -> None:
         size = constants.n + len(constants)
-        given = real("basis", basis)
-        self.basis = jnp.diag(given) if given.ndim == 1 else given
+        scaling = real("basis", basis)
+        self.basis = jnp.diag(scaling) if scaling.ndim == 1 else scaling
         if self.basis.shape != (size, size):
-            raise ModelError(f"basis must be ({size},) or ({size}, {size}), got {given.shape}")
+            raise ModelError(f"basis must be ({size},) or ({size}, {size}), got {scaling.shape}")
         for name, value in (("gamma", gamma), ("memory", memory)):
             if not value > 0:
                 raise ModelError(f"{name} must be positive, got {value}")
@@ -109,11 +109,11 @@ class DremObserver(eqx.Module):
         open_loop = state.open_loop + drift @ state.open_loop + moved
         rate = self.gamma * delta**2
         x = x + self.gamma * delta * flow_gain(rate, h) * (Y - delta * x)
-        return DremState(M, m, x, open_loop, state.left * jnp.exp(-rate * h))
+        return DremState(M, m, x, open_loop, state.start_weight * jnp.exp(-rate * h))
 
     def estimate(self, state: DremState) -> tuple[jax.Array, jax.Array]:
-        done = 1 - state.left
+        done = 1 - state.start_weight
         safe = jnp.where(done >= self.finite, done, 1.0)
-        x = jnp.where(done >= self.finite, (state.x - state.left * state.open_loop) / safe, state.x)
-        x = self.basis @ x
+        finite_time = (state.x - state.start_weight * state.open_loop) / safe
+        x = self.basis @ jnp.where(done >= self.finite, finite_time, state.x)
         return x[: self.constants.n], x[self.constants.n :]

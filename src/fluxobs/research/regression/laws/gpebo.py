@@ -1,4 +1,4 @@
-"""Generalised PEBO: the state is a known signal plus a known matrix times an unknown constant."""
+"""Generalised PEBO: the state is a known signal plus a known matrix times a constant."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ Estimator = Literal["least-squares", "least-squares-drem"]
 
 
 class GpeboState(NamedTuple):
-    """Integral ξ, time t, information M and m of the constant (per-unit), what is left of the
-    start in them, and the mixed estimate."""
+    """Integral ξ; time t; information M and m of the constant (per-unit), and the weight of the
+    start in them; mixed estimate."""
 
     xi: jax.Array
     t: jax.Array
     M: jax.Array
     m: jax.Array
-    left: jax.Array
+    start_weight: jax.Array
     mixed: jax.Array
 
 
 class GeneralisedPEBO(eqx.Module):
     """``x(t) = (ξ, 0) + Φ_A(t) ϑ`` with ξ' = y_m and x = (λ, θ, …): estimates the constant ϑ.
 
-    Here ``Φ_A(t)`` adds t θ to the flux, so that the drift is part of ϑ = (λ(0) - ξ(0), θ, …), and
+    Here ``Φ_A(t)`` adds t θ to the flux. The drift is then part of ϑ = (λ(0) - ξ(0), θ, …), and
     bias no longer breaks the method; but ξ and t grow without bound. ϑ is estimated from
     ``y - Φ_λᵀ ξ = ΨᵀΦ_A(t) ϑ``
 
     * by least squares, with or without forgetting: ``F⁻¹' = φφᵀ - β (1 - ‖F‖/‖F(0)‖) F⁻¹``; or
-    * by least squares with a mixing step: the initial guess fades from the estimate exactly as
-      ``(I - z F F(0)⁻¹) ϑ = ϑ̂ - z F F(0)⁻¹ ϑ̂(0)``, z' = -β (1 - …) z, which is as many scalar
+    * by least squares with a mixing step. The initial guess fades from the estimate exactly as
+      ``(I - z F F(0)⁻¹) ϑ = ϑ̂ - z F F(0)⁻¹ ϑ̂(0)``, z' = -β (1 - …) z. This gives scalar
       regressions ``Δ ϑ_j = Y_j``, each followed by a gradient. Excitation over one interval is
       enough.
 
@@ -101,7 +101,7 @@ class GeneralisedPEBO(eqx.Module):
         )
 
     def _moved(self, x: jax.Array, t: jax.Array) -> jax.Array:
-        """Φ_A(t)ᵀ x."""
+        """Return Φ_A(t)ᵀ x."""
         n = self.constants.n
         return x.at[n : 2 * n].add(t * x[:n])
 
@@ -111,26 +111,27 @@ class GeneralisedPEBO(eqx.Module):
         xi, t = state.xi + volt_seconds, state.t + h
         phi = self._moved(self.constants.psi(row), t) * self.scale
         y = row.y - row.Phi_flux @ xi
-        # Without excitation forgetting stops before less is known than at the start, F <= I.
-        known = jnp.minimum(1 / jnp.linalg.eigvalsh(state.M)[0], 1.0)
-        fade = jnp.exp(-self.forgetting * (1 - known) * h)
+        # Without excitation forgetting stops before the estimate is worse than at the start: F <=
+        # I.
+        uncertainty = jnp.minimum(1 / jnp.linalg.eigvalsh(state.M)[0], 1.0)
+        fade = jnp.exp(-self.forgetting * (1 - uncertainty) * h)
         weight = h / self.noise**2
         M = fade * state.M + weight * jnp.outer(phi, phi)
-        m, left = fade * state.m + weight * phi * y, fade * state.left
+        m, start_weight = fade * state.m + weight * phi * y, fade * state.start_weight
         mixed = state.mixed
         if self.estimator == "least-squares-drem":
-            # I - z F F(0)⁻¹ with F(0) = I, and the estimate without its start, which was zero.
-            share = jnp.eye(len(m)) - left * jnp.linalg.inv(M)
+            # I - z F F(0)⁻¹ with F(0) = I, and the estimate without its initial value, zero.
+            share = jnp.eye(len(m)) - start_weight * jnp.linalg.inv(M)
             delta = jnp.linalg.det(share)
-            found = jnp.linalg.solve(M, m)
+            solution = jnp.linalg.solve(M, m)
             # Cramer's rule: Y_j is the determinant with the estimate in column j.
-            Y = jax.vmap(lambda j: jnp.linalg.det(share.at[:, j].set(found)))(jnp.arange(len(m)))
+            Y = jax.vmap(lambda j: jnp.linalg.det(share.at[:, j].set(solution)))(jnp.arange(len(m)))
             gain = flow_gain(self.gamma * delta**2, h)
             mixed = mixed + gain * self.gamma * delta * (Y - delta * mixed)
-        return GpeboState(xi, t, M, m, left, mixed)
+        return GpeboState(xi, t, M, m, start_weight, mixed)
 
     def estimate(self, state: GpeboState) -> tuple[jax.Array, jax.Array]:
         n = self.constants.n
         mixing = self.estimator == "least-squares-drem"
-        found = self.scale * (state.mixed if mixing else jnp.linalg.solve(state.M, state.m))
-        return state.xi + found[:n] + state.t * found[n : 2 * n], found[n:]
+        theta = self.scale * (state.mixed if mixing else jnp.linalg.solve(state.M, state.m))
+        return state.xi + theta[:n] + state.t * theta[n : 2 * n], theta[n:]

@@ -1,4 +1,4 @@
-"""The paper's two observers as printed, and the second repaired."""
+"""The paper's two observers as printed, and the second one repaired."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .base import flow_gain, positive_definite
 class RobustObserver(eqx.Module):
     """Proposition 1: ``λ̂' = y_m + Γ Φ_λ (y - Φ_λᵀ λ̂)``; constants act as disturbances.
 
-    The error ends within a bound proportional to the biases:
+    The error converges to a bound proportional to the biases:
     :mod:`fluxobs.research.analysis.bounds`.
 
     Parameters
@@ -52,8 +52,8 @@ class RobustObserver(eqx.Module):
 class PrintedAdaptiveObserver(eqx.Module):
     """Proposition 2 as printed: ``(λ̂, θ̂)' = (y_m + θ̂_drift, 0) + Γ Ψ (y - Ψᵀ(λ̂, θ̂))``.
 
-    For reference only. The proposition is false: there are machines and trajectories with
-    persistently exciting Ψ on which the law is unstable at every gain (docs/errata.md, 6). Use
+    For reference only. The proposition is false: on some machines and trajectories with
+    persistently exciting Ψ the law is unstable at every gain (docs/errata.md, 6). Use
     :class:`RepairedAdaptiveObserver`, or check with :mod:`fluxobs.research.analysis.stability`.
 
     Parameters
@@ -75,8 +75,8 @@ class PrintedAdaptiveObserver(eqx.Module):
 
     def derivative(self, state: jax.Array, y_m: jax.Array, row: Regressors) -> jax.Array:
         n, psi = self.constants.n, self.constants.psi(row)
-        known = jnp.zeros_like(state).at[:n].set(y_m + state[n : 2 * n])
-        return known + self.Gamma @ psi * (row.y - psi @ state)
+        feedforward = jnp.zeros_like(state).at[:n].set(y_m + state[n : 2 * n])
+        return feedforward + self.Gamma @ psi * (row.y - psi @ state)
 
     def step(
         self, state: jax.Array, h: float, volt_seconds: jax.Array, row: Regressors
@@ -94,7 +94,7 @@ class PrintedAdaptiveObserver(eqx.Module):
 def sensitivity_step(
     Gamma: jax.Array, U: jax.Array, h: float, Phi: jax.Array, Phi_theta: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """U after a sample, Ω at it, and flux gain K of :class:`RepairedAdaptiveObserver`.
+    """Return U after a sample, Ω at it, and flux gain K of :class:`RepairedAdaptiveObserver`.
 
     They depend neither on the estimates nor on the gain of the constants.
     """

@@ -1,4 +1,4 @@
-"""Least squares with forgetting on the regression: the Kalman-like observer in square-root form."""
+"""Least squares with forgetting on the regression: Kalman-like observer, square-root form."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from .. import Parametrisation, Regressors
 
 
 class RiccatiState(NamedTuple):
-    """Triangle R and right side z of ``R x = z``, x = (λ, θ)."""
+    """Triangular R and right-hand side z of ``R x = z``, x = (λ, θ)."""
 
     R: jax.Array
     z: jax.Array
 
 
 class RiccatiObserver(eqx.Module):
-    """``M' = -M/T - AᵀM - M A + ΨΨᵀ``, ``x̂ = M⁻¹ m``, carried as the triangle R of ``M = RᵀR``.
+    """``M' = -M/T - AᵀM - M A + ΨΨᵀ``, ``x̂ = M⁻¹ m``, carried as the triangular R of ``M = RᵀR``.
 
     Parameters
     ----------
@@ -69,8 +69,8 @@ class RiccatiObserver(eqx.Module):
                 weight * jnp.append(psi, row.y)[None],
             ]
         )
-        triangle = jnp.linalg.qr(stacked, mode="r")
-        return RiccatiState(triangle[:size, :size], triangle[:size, size])
+        factor = jnp.linalg.qr(stacked, mode="r")
+        return RiccatiState(factor[:size, :size], factor[:size, size])
 
     def estimate(self, state: RiccatiState) -> tuple[jax.Array, jax.Array]:
         x = jax.scipy.linalg.solve_triangular(state.R, state.z)
