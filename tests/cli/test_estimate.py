@@ -124,7 +124,7 @@ def test_wrong_magnet_flux_is_noticed_and_harmless(folder, factor):
     text = (folder / "motor.toml").read_text()
     (folder / "motor.toml").write_text(text.replace("psi_f = 0.0125", f"psi_f = {factor * 0.0125}"))
     done = estimate(folder, "--truth", "theta_mech=angle")
-    assert "psi_f in the machine file is off: 0.012" in done.stdout
+    assert "psi_f in the machine file is wrong: 0.012" in done.stdout
     estimates = pl.read_parquet(folder / "out.parquet")
     assert estimates["valid"][-2000:].all()
     assert estimates["theta_e_error"][-2000:].abs().max() < np.radians(2)

@@ -361,7 +361,7 @@ MISTAKES = {
         ),
         ["log.csv", "--machine", "m.toml", "--truth", "none"],
         0,
-        "n_p, without a true angle",
+        "the direction of rotation and n_p cannot be identified",
     ),
 }
 

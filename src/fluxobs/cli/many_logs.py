@@ -69,9 +69,7 @@ def estimate_logs(
 
     if out is None:
         prefix = f"{logs[0]} is a folder: " if Path(logs[0]).is_dir() else ""
-        raise UsageError(
-            f"{prefix}--out FOLDER is missing; the results of many logs go there"
-        )
+        raise UsageError(f"{prefix}--out FOLDER is missing; the results of many logs go there")
     if out.suffix in (".parquet", ".csv"):
         prefix = f"{logs[0]}: this is a folder, not a log; " if Path(logs[0]).is_dir() else ""
         raise UsageError(f"{prefix}--out {out}: for many logs, give a folder")
