@@ -37,15 +37,15 @@ def turned(mirror, degrees):
     return COLUMNS | {"i_alpha": z.real, "i_beta": z.imag}
 
 
-def by_kind(found):
-    return {finding.kind: finding for finding in found.findings}
+def by_kind(checked):
+    return {finding.kind: finding for finding in checked.findings}
 
 
 def test_a_right_log_is_right(tmp_path):
-    found = check(log_of(tmp_path, COLUMNS), PMSM)
-    assert found.sound
-    assert found.residual == found.residual_given < 0.02
-    findings = by_kind(found)
+    checked = check(log_of(tmp_path, COLUMNS), PMSM)
+    assert checked.sound
+    assert checked.residual == checked.residual_given < 0.02
+    findings = by_kind(checked)
     assert not any(findings[kind].others for kind in ("sign", "phases", "frame"))
 
 
@@ -65,12 +65,12 @@ def test_a_right_log_is_right(tmp_path):
     ],
 )
 def test_names_the_mistake(tmp_path, columns, kind, message):
-    found = check(log_of(tmp_path, columns), PMSM)
-    assert not found.sound
-    finding = by_kind(found)[kind]
+    checked = check(log_of(tmp_path, columns), PMSM)
+    assert not checked.sound
+    finding = by_kind(checked)[kind]
     assert not finding.as_given
     assert message in str(finding)
-    assert [f.kind for f in found.findings if not f.as_given] == [kind]
+    assert [f.kind for f in checked.findings if not f.as_given] == [kind]
 
 
 def three_phases(letter):
@@ -94,8 +94,8 @@ def test_one_current_sensor_is_inverted(tmp_path, measured, phase):
     currents = {name: values for name, values in three_phases("i").items() if name[-1] in measured}
     currents[f"i_{phase}"] = -currents[f"i_{phase}"]
     columns = {"t": COLUMNS["t"]} | three_phases("u") | currents
-    found = check(log_of(tmp_path, columns), PMSM)
-    (finding,) = found.mistakes
+    checked = check(log_of(tmp_path, columns), PMSM)
+    (finding,) = checked.mistakes
     assert f"i_{phase} has the opposite sign (--scale i_{phase}=-1)" in str(finding)
 
 
@@ -140,9 +140,9 @@ def test_a_lag(tmp_path, lag):
 def test_a_steady_log_does_not_identify_the_resistance(tmp_path):
     speed = profile((0, 236), (1.5, 236))
     samples = driven(PMSM, COURSE_TIME, speed, np.full(len(speed), 4j), noise=0.02)
-    found = check(log_of(tmp_path, log_columns(samples)), PMSM)
-    assert found.sound
-    text = "\n".join(found.lines())
+    checked = check(log_of(tmp_path, log_columns(samples)), PMSM)
+    assert checked.sound
+    text = "\n".join(checked.lines())
     assert "steps of load or speed would show R_s" in text
     assert "Fits equally well" in text
     assert "halve it" in text
@@ -172,9 +172,9 @@ def test_impossible_values_are_gaps(tmp_path):
 def test_a_log_of_noise(tmp_path):
     rng = np.random.default_rng(1)
     noise = {name: rng.standard_normal(4000) for name in COLUMNS if name != "t"}
-    found = check(log_of(tmp_path, noise | {"t": COLUMNS["t"][:4000]}), PMSM)
-    assert not found.sound
-    assert "no arrangement" in str(found)
+    checked = check(log_of(tmp_path, noise | {"t": COLUMNS["t"][:4000]}), PMSM)
+    assert not checked.sound
+    assert "no arrangement" in str(checked)
 
 
 def test_a_log_at_standstill(tmp_path):
@@ -183,9 +183,9 @@ def test_a_log_at_standstill(tmp_path):
     i = z + 0.01 * (rng.standard_normal(8000) + 1j * rng.standard_normal(8000))
     u = PMSM.R_s * z + PMSM.L_s * np.gradient(z, COURSE_TIME)
     columns = {"t": COURSE_TIME * np.arange(8000), "u_alpha": u.real, "u_beta": u.imag}
-    found = check(log_of(tmp_path, columns | {"i_alpha": i.real, "i_beta": i.imag}), PMSM)
-    assert not found.sound
-    assert "as at standstill" in str(found)
+    checked = check(log_of(tmp_path, columns | {"i_alpha": i.real, "i_beta": i.imag}), PMSM)
+    assert not checked.sound
+    assert "as at standstill" in str(checked)
 
 
 def test_exit_codes(tmp_path):

@@ -49,11 +49,11 @@ def test_the_cost_of_a_candidate():
 def test_what_fits_equally_well(more, alike):
     """The limit is a cost difference of four, without the odds; the level of misfits is 2 here."""
     other = candidate(LAG[2], misfit=10.0 + more)
-    found = _make_finding("lag", result([other]), -1.0, "psi_f")
-    assert found.as_given
-    assert found.words == "-1"
-    assert found.others == (("+0",) if alike else ())
-    assert found.sure == ("" if alike else "every alternative needs implausible parameters")
+    finding = _make_finding("lag", result([other]), -1.0, "psi_f")
+    assert finding.as_given
+    assert finding.words == "-1"
+    assert finding.others == (("+0",) if alike else ())
+    assert finding.sure == ("" if alike else "every alternative needs implausible parameters")
 
 
 @pytest.mark.parametrize(
@@ -69,17 +69,17 @@ def test_what_fits_equally_well(more, alike):
 def test_how_sure_a_finding_is(shares, sure):
     others = [candidate(PHASES[0], misfit=1e4, share=share) for share in shares]
     others.append(candidate(SIGN[0], misfit=1e4, share=0.011))  # of another kind
-    found = _make_finding("phases", result(others), 0.0, "psi_f")
-    assert (found.sure, found.others) == (sure, ())
-    assert found.words == "currents and voltages have the same phase order"
+    finding = _make_finding("phases", result(others), 0.0, "psi_f")
+    assert (finding.sure, finding.others) == (sure, ())
+    assert finding.words == "currents and voltages have the same phase order"
 
 
 def test_a_finding_that_is_not_as_given():
     taken = Mistake("scale", "psi_f is wrong")
-    found = _make_finding(
+    finding = _make_finding(
         "scale", result(mistakes=[SIGN[0], taken], alternatives={"scale": ("b",)}), 0.0, "psi_R"
     )
-    assert found == Finding("scale", "psi_R is wrong", False, ("b",))
+    assert finding == Finding("scale", "psi_R is wrong", False, ("b",))
     lag = _make_finding("lag", result(mistakes=[LAG[0]], alternatives={"lag": ()}), 0.5, "psi_f")
     assert lag == Finding("lag", "-1.5", False, ())
 
@@ -87,19 +87,19 @@ def test_a_finding_that_is_not_as_given():
 def test_the_parameters_that_fit():
     std = [0.09, 0.11, 0.05, 0.01]
     best = candidate(values=[np.log(1.25), 0.5, np.log(0.8), 0.0], std=std)
-    words = "R_s fits at 1.25 times and psi_f fits at 0.8 times the machine file's value"
-    assert _describe_fit(best, PMSM) == words
+    text = "R_s fits at 1.25 times and psi_f fits at 0.8 times the machine file's value"
+    assert _describe_fit(best, PMSM) == text
     assert _describe_fit(candidate(std=np.full(4, 0.11)), PMSM) == ""
     both = _describe_fit(candidate(values=[0, np.log(2), 0, 0], std=[1, 0.05, 1, 1]), IPM)
     assert both == "L_d and L_q fit at 2 times the machine file's value"
     assert "psi_f" not in _describe_fit(candidate(), SYNRM)
 
 
-@pytest.mark.parametrize(("drop", "told"), [(0.029, False), (0.031, True)])
-def test_the_inverter_is_reported_beyond_three_standard_deviations(drop, told):
+@pytest.mark.parametrize(("drop", "reported"), [(0.029, False), (0.031, True)])
+def test_the_inverter_is_reported_beyond_three_standard_deviations(drop, reported):
     best = candidate(values=[0, 0, 0, drop], std=[1, 1, 1, 0.01], size=200.0)
-    words = f"the inverter loses about {200 * drop:.2g} V per phase (inverter_voltage)"
-    assert _describe_fit(best, PMSM) == (words if told else "")
+    message = f"the inverter loses about {200 * drop:.2g} V per phase (inverter_voltage)"
+    assert _describe_fit(best, PMSM) == (message if reported else "")
     assert _describe_fit(best, PMSM.with_values(inverter_voltage=1.0)) == ""
 
 
@@ -113,19 +113,21 @@ def scaled(
 
 
 def test_a_scale_names_the_value_that_fits():
-    found = scaled(FILE[0], [0, 0, np.log(2), 0])
-    assert found.words == f"words: {2 * PMSM.psi_f:.3g} Wb fits"
-    assert found.sure == "fits; sure"
+    finding = scaled(FILE[0], [0, 0, np.log(2), 0])
+    assert finding.words == f"words: {2 * PMSM.psi_f:.3g} Wb fits"
+    assert finding.sure == "fits; sure"
     assert scaled(SCALES[0], [0, 0, 0, 0]).words == "words"
     assert scaled(FILE[0], [0, 0, 0, 0], as_given=True).words == "words"
     other = Finding("sign", "words", False)
     assert _complete_scale(other, candidate(FILE[0]), PMSM, "fits", "dq") is other
 
 
-@pytest.mark.parametrize(("std", "told"), [(0.09, True), (0.11, False)])
-def test_an_unidentifiable_resistance(std, told):
-    found = scaled(SCALES[0], [0, 0, 0, 0], [std, 0.05, 0.05, 0.05])
-    assert found.sure == "fits; sure" + ("" if told else "; steps of load or speed would show R_s")
+@pytest.mark.parametrize(("std", "identifiable"), [(0.09, True), (0.11, False)])
+def test_an_unidentifiable_resistance(std, identifiable):
+    finding = scaled(SCALES[0], [0, 0, 0, 0], [std, 0.05, 0.05, 0.05])
+    assert finding.sure == "fits; sure" + (
+        "" if identifiable else "; steps of load or speed would show R_s"
+    )
 
 
 @pytest.mark.parametrize(
@@ -144,7 +146,7 @@ def test_a_mechanical_angle_makes_the_flux_n_p_times_as_large(ratio, frame, aske
 
 
 @pytest.mark.parametrize(
-    ("whole", "told"),
+    ("whole", "message"),
     [
         (FILE[1], f"{1.5 * PMSM.R_s:.3g} Ω fits"),
         (FILE[2], f"L_s = {2 * PMSM.L_s:.3g} H fits"),
@@ -152,11 +154,11 @@ def test_a_mechanical_angle_makes_the_flux_n_p_times_as_large(ratio, frame, aske
         (FACTOR[1], "multiply them by about 0.5, or does the file describe another machine?"),
     ],
 )
-def test_the_likely_value(whole, told):
+def test_the_likely_value(whole, message):
     """The value is that of the best-known parameter."""
     values = [np.log(1.5), np.log(2), np.log(4), 0]
     best = candidate(whole, values=values, std=[0.09, 0.01, 0.05, 0.1])
-    assert _likely_value(best, PMSM) == told
+    assert _likely_value(best, PMSM) == message
 
 
 def test_the_likely_inductances_of_both_axes():
@@ -166,7 +168,7 @@ def test_the_likely_inductances_of_both_axes():
 
 
 @pytest.mark.parametrize(
-    ("drops", "said"),
+    ("drops", "message"),
     [
         (0.29, "the drop at its R_s would be 3.45 times the voltage"),
         (0.31, "hardly more than the resistive drop"),
@@ -174,14 +176,14 @@ def test_the_likely_inductances_of_both_axes():
         (1.51, "and are its kind, R_s and inductances right?"),
     ],
 )
-def test_no_explanation_fits(drops, said):
+def test_no_explanation_fits(drops, message):
     """The median voltage over the median resistive drop decides the message."""
     current = np.array([[2.0, 2j, -100.0]])
     voltage = drops * PMSM.R_s * np.array([[2.0, 2.0, 0.0]])
     search = SimpleNamespace(data=SimpleNamespace(voltage={0: voltage}, current=current))
-    found = _report_no_fit(SimpleNamespace(), PMSM, search, [], candidate(share=0.4))
-    assert said in found.findings[0].words
-    assert (found.residual, found.residual_given, found.sound) == (0.4, 0.4, False)
+    finding = _report_no_fit(SimpleNamespace(), PMSM, search, [], candidate(share=0.4))
+    assert message in finding.findings[0].words
+    assert (finding.residual, finding.residual_given, finding.sound) == (0.4, 0.4, False)
 
 
 def test_possible_mistakes_of_a_machine_and_a_log():

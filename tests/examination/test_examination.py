@@ -27,13 +27,13 @@ def three_phases(**changed):
 
 
 def page(columns=GOOD, machine=SERVO, **layout):
-    found = fluxobs.check(columns, machine, **layout)
-    return found, {item.name: item for item in found.items}
+    examination = fluxobs.check(columns, machine, **layout)
+    return examination, {item.name: item for item in examination.items}
 
 
 def test_a_good_drive_passes():
-    found, items = page()
-    assert found.sound
+    examination, items = page()
+    assert examination.sound
     assert {item.verdict for item in items.values()} <= {"fine", "cannot be told"}
     for name, true in (
         ("resistance of a phase", 0.36),
@@ -125,8 +125,8 @@ def test_lost_samples_and_a_slow_logger():
     assert items["missing samples"].value == 4
     assert items["missing samples"].verdict == "look at it"
     slow = {name: values[::6] for name, values in GOOD.items()}
-    found = fluxobs.check(slow, SERVO)
-    period = next((i for i in found.items if i.name == "samples a period"), None)
+    examination = fluxobs.check(slow, SERVO)
+    period = next((i for i in examination.items if i.name == "samples a period"), None)
     assert period is None or period.verdict == "look at it"
 
 
@@ -154,19 +154,19 @@ def test_a_stopped_encoder_is_not_called_eccentric_or_late():
 
 def test_a_misread_log_is_not_examined():
     columns = GOOD | {"i_beta": GOOD["i_alpha"]}
-    found, items = page(columns)
-    assert not found.sound
+    examination, items = page(columns)
+    assert not examination.sound
     assert items["parameters of the drive"].verdict == "cannot be told"
 
 
 def test_facts_are_json(tmp_path):
-    found, _ = page()
-    facts = json.loads(json.dumps(found.facts))
+    examination, _ = page()
+    facts = json.loads(json.dumps(examination.facts))
     assert facts["sound"] is True
     assert {"name", "verdict", "value", "std", "unit", "words"} == set(facts["items"][0])
-    found.write(tmp_path / "page.png")
+    examination.write(tmp_path / "page.png")
     with pytest.raises(fluxobs.FluxobsError, match="exists"):
-        found.write(tmp_path / "page.png")
+        examination.write(tmp_path / "page.png")
 
 
 def test_verdicts():

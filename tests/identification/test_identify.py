@@ -43,24 +43,24 @@ def steady(tmp_path_factory):
 
 
 def test_finds_resistance_magnet_and_inverter_within_their_deviations(rich):
-    found = identify(rich, PMSM, free=("R_s", "psi_f", "inverter"))
-    assert not found.untold
-    assert found.after.converged
-    for p in found.parameters:
+    identified = identify(rich, PMSM, free=("R_s", "psi_f", "inverter"))
+    assert not identified.untold
+    assert identified.after.converged
+    for p in identified.parameters:
         assert p.std is not None
         assert abs(p.value - TRUE[p.name]) < 4 * p.std + 0.01 * TRUE[p.name]
         # The considered curve of the inverter contributes 4 % of its loss.
         assert p.std < (0.04 if p.name == "inverter" else 0.02) * TRUE[p.name]
-    assert found.after.rms() < 0.1 * found.before.rms()
-    assert found.machine.R_s == pytest.approx(R_S, rel=0.01)
-    assert found.machine.inverter_voltage == pytest.approx(INVERTER, rel=0.03)
+    assert identified.after.rms() < 0.1 * identified.before.rms()
+    assert identified.machine.R_s == pytest.approx(R_S, rel=0.01)
+    assert identified.machine.inverter_voltage == pytest.approx(INVERTER, rel=0.03)
 
 
 def test_a_steady_log_identifies_only_the_magnet(steady):
-    found = identify(steady, PMSM, free=("R_s", "psi_f", "inverter"))
-    assert set(found.untold) == {"R_s", "inverter"}
-    assert found.machine.R_s == PMSM.R_s
-    assert [p.std is None for p in found.parameters] == [True, False, True]
+    identified = identify(steady, PMSM, free=("R_s", "psi_f", "inverter"))
+    assert set(identified.untold) == {"R_s", "inverter"}
+    assert identified.machine.R_s == PMSM.R_s
+    assert [p.std is None for p in identified.parameters] == [True, False, True]
 
 
 def test_a_log_that_identifies_nothing_is_an_error(steady):
@@ -80,16 +80,16 @@ def test_finds_a_lag(tmp_path):
     # With the default standard deviation of R_s, half of it, psi_f and lag are ambiguous.
     assert "lag" in identify(log, PMSM, free=("psi_f", "lag")).untold
     certain = PMSM.with_values(R_s_std=0.002, inverter_voltage=0.0, inverter_voltage_std=0.01)
-    found = identify(log, certain, free=("psi_f", "lag"))
-    assert found.lag == pytest.approx(-1, abs=0.05)
+    identified = identify(log, certain, free=("psi_f", "lag"))
+    assert identified.lag == pytest.approx(-1, abs=0.05)
 
 
 def test_finds_a_lag_and_all_others_from_a_distant_start(rich):
-    found = identify(rich, PMSM, free=("R_s", "L_s", "psi_f", "inverter", "lag"))
+    identified = identify(rich, PMSM, free=("R_s", "L_s", "psi_f", "inverter", "lag"))
     # At half speed a lag is visible, but inductance and lag both rotate the vector with the load.
-    assert found.after.converged
-    assert found.lag == pytest.approx(0, abs=0.1)
-    assert found.machine.R_s == pytest.approx(R_S, rel=0.01)
+    assert identified.after.converged
+    assert identified.lag == pytest.approx(0, abs=0.1)
+    assert identified.machine.R_s == pytest.approx(R_S, rel=0.01)
 
 
 @pytest.mark.parametrize("stop", [0.4, 0.6, 1.0, 2.0])
@@ -99,15 +99,15 @@ def test_offsets_and_a_knee_of_the_inverter_do_not_bias_the_others(stop, lag):
     # phases, and an unusual knee. Shorter logs must report what they cannot identify.
     true = {"R_s": 0.36, "psi_f": 0.0125, "inverter": 0.15, "lag": 0.0}
     free = tuple(true) if lag else tuple(true)[:3]
-    found = identify(read_log(LOG, stop=stop), "servo-400w", free=free)
-    assert found.after.converged
-    for parameter in found.parameters:
+    identified = identify(read_log(LOG, stop=stop), "servo-400w", free=free)
+    assert identified.after.converged
+    for parameter in identified.parameters:
         if parameter.std is not None:
             assert abs(parameter.value - true[parameter.name]) < 4 * parameter.std
     if stop > 0.5:
-        assert not {"R_s", "psi_f", "inverter"} & set(found.untold)
-        assert next(p.std for p in found.parameters if p.name == "psi_f") < 1e-3 * 0.0125
-        assert found.after.rms() < 0.003 * 0.0125
+        assert not {"R_s", "psi_f", "inverter"} & set(identified.untold)
+        assert next(p.std for p in identified.parameters if p.name == "psi_f") < 1e-3 * 0.0125
+        assert identified.after.rms() < 0.003 * 0.0125
 
 
 def test_derivatives_are_those_of_the_residual(rich):
@@ -140,9 +140,9 @@ def test_a_machine_without_a_magnet(tmp_path):
     load = profile((0, 10), (0.3, 10), (0.31, 15), (0.7, 15), (0.71, 8), (1.5, 8))
     samples = driven(machine, COURSE_TIME, speed, 8 + 1j * load, R_s=1.3 * machine.R_s, noise=0.02)
     log = opened(tmp_path / "log.parquet", samples)
-    found = identify(log, machine)
-    assert found.before.free == ()
-    assert found.machine.R_s == pytest.approx(1.3 * machine.R_s, rel=0.02)
+    identified = identify(log, machine)
+    assert identified.before.free == ()
+    assert identified.machine.R_s == pytest.approx(1.3 * machine.R_s, rel=0.02)
 
 
 def test_names_of_free_parameters():

@@ -46,25 +46,25 @@ def together(folder, *names, **options):
 @pytest.mark.slow
 def test_the_machine_of_all_and_the_logs_that_disagree(folder):
     names = [f"day{k}" for k in range(6)]
-    found = together(folder, *names, "steady", "other", "still")
-    values = {parameter.name: parameter for parameter in found.together.parameters}
+    pooled = together(folder, *names, "steady", "other", "still")
+    values = {parameter.name: parameter for parameter in pooled.together.parameters}
     assert values["R_s"].value == pytest.approx(1.03 * R_S, rel=0.05)  # includes the hot one
-    assert {log.log for log in found.disagreeing} == {"day5.parquet", "other.parquet"}
-    hot, other = found.disagreeing
+    assert {log.log for log in pooled.disagreeing} == {"day5.parquet", "other.parquet"}
+    hot, other = pooled.disagreeing
     assert set(hot.apart) == {"R_s"}
     assert hot.apart["R_s"][0] == pytest.approx(0.2 * R_S, rel=0.15)
     assert "copper +5" in hot.words or "copper +4" in hot.words
     assert "psi_f" in other.apart
     assert "another motor" in other.words
-    still = found.alone[-1]
+    still = pooled.alone[-1]
     assert "still.parquet" in still.words
     assert still.failed
 
 
 def test_logs_that_agree_are_within_their_deviations(folder):
-    found = together(folder, "day1", "day2", "day3")
-    assert "3 logs agree" in found.lines()
-    values = {parameter.name: parameter for parameter in found.together.parameters}
+    pooled = together(folder, "day1", "day2", "day3")
+    assert "3 logs agree" in pooled.lines()
+    values = {parameter.name: parameter for parameter in pooled.together.parameters}
     for name, true in (("R_s", R_S), ("psi_f", PSI_F), ("inverter", 4.0)):
         assert abs(values[name].value - true) < 4 * values[name].std + 0.005 * true
         assert values[name].std < 0.05 * true
@@ -77,19 +77,19 @@ def test_no_usable_log_is_an_error(folder):
 
 @pytest.mark.slow
 def test_a_single_usable_log_is_not_compared(folder, tmp_path):
-    found = together(folder, "day1", "still")
-    assert [log.log for log in found.failed] == ["still.parquet"]
-    assert found.lines()[-1] == "Only one log is usable: there is no other to compare it with"
+    pooled = together(folder, "day1", "still")
+    assert [log.log for log in pooled.failed] == ["still.parquet"]
+    assert pooled.lines()[-1] == "Only one log is usable: there is no other to compare it with"
     copy = tmp_path / "copy.parquet"
     shutil.copy(folder / "day1.parquet", copy)
     days = [folder / "day1.parquet", copy]
     with pytest.raises(FluxobsError, match="all other logs are copies of this one"):
         identify_many(days, PMSM, workers=1, scheduler="pool")
     days.append(folder / "day2.parquet")
-    found = identify_many(days, PMSM, workers=1, scheduler="pool")
-    assert found.twice == {str(copy): str(folder / "day1.parquet")}
-    assert [log.log for log in found.alone] == ["day1.parquet", "day2.parquet"]
-    assert f"{copy} is a copy of {folder}/day1.parquet: it counts once" in found.lines()
+    pooled = identify_many(days, PMSM, workers=1, scheduler="pool")
+    assert pooled.twice == {str(copy): str(folder / "day1.parquet")}
+    assert [log.log for log in pooled.alone] == ["day1.parquet", "day2.parquet"]
+    assert f"{copy} is a copy of {folder}/day1.parquet: it counts once" in pooled.lines()
 
 
 @pytest.mark.slow

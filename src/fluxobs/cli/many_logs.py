@@ -73,8 +73,8 @@ def estimate_logs(
     if out.suffix in (".parquet", ".csv"):
         prefix = f"{logs[0]}: this is a folder, not a log; " if Path(logs[0]).is_dir() else ""
         raise UsageError(f"{prefix}--out {out}: for many logs, give a folder")
-    checked_later: Any = retry
-    retry_mode: Literal["none", "failed", "all"] = checked_later
+    any_retry: Any = retry
+    retry_mode: Literal["none", "failed", "all"] = any_retry
     with show.Progress("finished logs are kept; the same command resumes") as progress:
         fleet = estimate_many(
             *(logs, machine, out),

@@ -49,11 +49,11 @@ class Segment:
     inverter : (rows, 2) array
         ∫ of the inverter's direction [s]; V_d times this is the loss.
     harder : (2, rows, 2) array
-        Its change with harder knees [s].
+        Change of `inverter` with harder knees [s].
     offset : (2, rows, 2) array
-        Its change per ampere of current offset in α, and in β [s/A].
+        Change of `inverter` per ampere of current offset in α, and in β [s/A].
     curve : (rows, 2) array
-        Its change if the loss keeps growing with the current [s].
+        Change of `inverter` if the loss keeps growing with the current [s].
     start : (2,) array
         Flux at the first row, from the observer [Wb].
     drift : (2,) array
@@ -156,7 +156,8 @@ def cut_excerpt(
 ) -> list[Segment]:
     """Cut an excerpt of a log into segments.
 
-    `current` is (rows, 2), `voltage` (lags, rows, 2); the observer uses the lag of index `given`.
+    `current` is (rows, 2), `voltage` (lags, rows, 2); the observer uses the lag of index
+    `given_lag`.
     """
     h, segments = observer.sample_time, []
     estimate = observer.run(voltage[given_lag], current)
@@ -166,7 +167,7 @@ def cut_excerpt(
     turns_time = TURNS * 2 * np.pi / np.median(speed) if len(speed) else 0.0
     rows = max(SHORTEST, round(max(seconds, turns_time) / h))
     voltage = without_kinks(voltage, observer.held, axis=1)
-    for run in _yield_runs(good, rows):
+    for run in _runs_of_rows(good, rows):
         valid = np.flatnonzero(estimate.valid[run])
         if len(valid):
             best_row = valid[np.argmin(estimate.theta_e_std[run][valid])]
@@ -181,7 +182,7 @@ def cut_excerpt(
     return segments
 
 
-def _yield_runs(good: NDArray[np.bool_], rows: int) -> Iterator[slice]:
+def _runs_of_rows(good: NDArray[np.bool_], rows: int) -> Iterator[slice]:
     """Yield runs of good rows, about `rows` long, none shorter than SHORTEST."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
     for first, last in edges.reshape(-1, 2):
