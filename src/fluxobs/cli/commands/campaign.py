@@ -66,8 +66,7 @@ def campaign(
     ] = None,
     force: ForceOption = False,
 ) -> None:
-    """Simulate thousands of drives within their tolerances, and report for how many an observer is
-    good.
+    """Simulate thousands of drives within their tolerances; report in how many an observer is good.
 
     Writes a dataset (one row per scenario and observer), report.html, and the worst scenarios with
     their records. The same command resumes a run that was stopped or killed. Exit code 1: a limit

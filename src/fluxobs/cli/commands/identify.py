@@ -65,8 +65,8 @@ def identify(
     and subtracts the inverter's loss (inverter_voltage) from the commanded voltages. The file does
     not contain the lag. If no parameter can be identified, no file is written (exit code 2).
 
-    With many logs, fits segments of all of them together, then each log alone, and lists the logs
-    that disagree with a likely cause: heat, ageing, another motor. Exit code 1: one of many logs
+    With many logs, fits each log alone and segments of all of them together, and lists the logs
+    that disagree, with a likely cause: heat, ageing, another motor. Exit code 1: one of many logs
     identifies no parameter.
 
     Example: fluxobs identify LOG.csv --machine motor.toml --out found.toml --report fit.png
